@@ -1,0 +1,131 @@
+"""From text to a Pinocchio model: one variable a joint, locked joints welded, limits as the text says.
+
+Pinocchio gives a continuous URDF joint the pair (cos q, sin q), which would make nq ≠ nv. Here it is built
+as a revolute joint without bounds: the same mechanism, one angle.
+"""
+
+import tempfile
+import xml.etree.ElementTree as ET
+from collections.abc import Mapping
+from dataclasses import dataclass
+from difflib import get_close_matches
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from robot_models import mjcf, urdf
+from robot_models.errors import ModelError
+
+if TYPE_CHECKING:
+    import pinocchio as pin
+
+# urdfdom reads no "inf": no bound is written as this, and read back as infinity once the model stands.
+_NO_BOUND = 1e300
+
+
+@dataclass(frozen=True)
+class Built:
+    """A Pinocchio model and the kind of each of its joints, in the order of its columns."""
+
+    model: "pin.Model"
+    joint_types: tuple[str, ...]
+
+
+def build(text: str, format: str, locked: Mapping[str, float], where: str) -> Built:
+    """Build the model that a canonical text describes.
+
+    Parameters
+    ----------
+    text
+        What `urdf.read` or `mjcf.read` returned.
+    format
+        "urdf" or "mjcf".
+    locked
+        Joints to weld, and where: rad, or m for a prismatic joint.
+    where
+        How to name the text in a message.
+
+    Returns
+    -------
+    Built
+        With nq == nv == n ≥ 1. The armature is that of the text (zero for a URDF), the gravity Pinocchio's
+        own.
+
+    Raises
+    ------
+    ModelError
+        Pinocchio refuses the text, a locked joint is not in it, or nothing is left to move.
+    """
+    import pinocchio as pin
+
+    kinds = urdf.joint_types(text) if format == "urdf" else {}
+    try:
+        model = pin.buildModelFromXML(_bounded(text)) if format == "urdf" else _from_mjcf(text)
+    except (ValueError, RuntimeError) as error:
+        raise ModelError(f"{where}: Pinocchio cannot read it: {str(error).strip().splitlines()[0]}") from None
+    names = list(model.names)[1:]
+    for name, value in locked.items():
+        if name not in names:
+            near = get_close_matches(name, names, n=1)
+            hint = f"did you mean {near[0]!r}?" if near else f"the joints are {', '.join(names)}"
+            raise ModelError(f"{where}: cannot lock {name!r}, no joint that moves: {hint}")
+        if not np.isfinite(value):
+            raise ModelError(f"{where}: cannot lock {name!r} at {value!r}: it must be a finite number")
+    if locked:
+        posture = np.zeros(model.nq)
+        for name, value in locked.items():
+            posture[model.idx_qs[model.getJointId(name)]] = value
+        model = pin.buildReducedModel(model, [model.getJointId(name) for name in locked], posture)
+    if model.nv == 0:
+        raise ModelError(
+            f"{where} has no joint that moves: a revolute, continuous or prismatic joint is needed"
+        )
+    if format == "mjcf":
+        kinds = mjcf_joint_types(model)
+    types = tuple(kinds[name] for name in list(model.names)[1:])
+    for side in ("lowerPositionLimit", "upperPositionLimit", "velocityLimit", "effortLimit"):
+        bound = np.array(getattr(model, side))
+        setattr(model, side, np.where(np.abs(bound) >= _NO_BOUND, np.copysign(np.inf, bound), bound))
+    return Built(model, types)
+
+
+def mjcf_joint_types(model: "pin.Model") -> dict[str, str]:
+    """Return the joint types of a model built from MJCF, where a hinge without a range is continuous."""
+    types = {}
+    for joint in range(1, model.njoints):
+        short = model.joints[joint].shortname()
+        at = model.idx_qs[joint]
+        if short.startswith("JointModelP"):
+            types[model.names[joint]] = "prismatic"
+        else:
+            types[model.names[joint]] = (
+                "revolute" if np.isfinite(model.upperPositionLimit[at]) else "continuous"
+            )
+    return types
+
+
+def _bounded(text: str) -> str:
+    root = ET.fromstring(text)
+    touched = False
+    for joint in root.findall("joint"):
+        if joint.get("type") != "continuous":
+            continue
+        touched = True
+        joint.set("type", "revolute")
+        limit = joint.find("limit")
+        if limit is None:
+            limit = ET.SubElement(joint, "limit", effort=f"{_NO_BOUND}", velocity=f"{_NO_BOUND}")
+        limit.set("lower", f"{-_NO_BOUND}")
+        limit.set("upper", f"{_NO_BOUND}")
+    return ET.tostring(root, encoding="unicode") if touched else text
+
+
+def _from_mjcf(text: str) -> "pin.Model":
+    import pinocchio as pin
+
+    # Pinocchio reads MJCF from a file only.
+    with tempfile.TemporaryDirectory() as folder:
+        path = Path(folder) / "model.xml"
+        path.write_text(mjcf.for_pinocchio(text), encoding="utf-8")
+        return pin.buildModelFromMJCF(str(path))

@@ -1,0 +1,277 @@
+"""One loader for every kind of robot: text in, inspected, built once, and handed out as data."""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+from difflib import get_close_matches
+from math import isfinite
+from pathlib import Path
+from typing import TYPE_CHECKING, Literal
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from robot_models import build, example_robots, inspected, mjcf, physics, shipped, urdf
+from robot_models.errors import ModelError
+from robot_models.model import RobotModel
+from robot_models.sidecar import Sidecar, read_sidecar
+from robot_models.xml_text import parse, read_text
+
+if TYPE_CHECKING:
+    from os import PathLike
+
+    import pinocchio as pin
+
+Format = Literal["urdf", "mjcf"]
+Lock = Mapping[str, float] | Sequence[str]
+
+_ROOTS: dict[str, Format] = {"robot": "urdf", "mujoco": "mjcf"}
+_SUFFIXES = (".urdf", ".xml", ".mjcf")
+
+
+@dataclass(frozen=True)
+class _Description:
+    """A canonical text and what is known beside it; `lock` in the sidecar is the default."""
+
+    name: str
+    text: str
+    format: Format
+    where: str
+    sidecar: Sidecar
+
+
+def load(name: "str | PathLike[str]", *, drive_inertia: bool = True, lock: Lock = ()) -> RobotModel:
+    """Load a robot on a fixed base.
+
+    Parameters
+    ----------
+    name
+        A shipped robot ("wam4"; see `shipped_names`), a robot of example-robot-data ("panda", "ur5", …), or
+        the path of a URDF (.urdf) or MJCF (.xml). A file may have a sidecar of the same name, `my.toml`
+        beside `my.urdf` (see `robot_models.sidecar`).
+    drive_inertia
+        Whether the inertia of the drives, seen at the joints, adds to the mass matrix: what a sidecar, an
+        MJCF or the rotor parameters of example-robot-data say. Zero where none of them says anything.
+    lock
+        Joints to hold rigid: a mapping to their values (rad, m), or names alone, which are locked at the
+        robot's home posture. Where it is empty the robot's own default holds (the fingers of "panda" are
+        locked); a lock that is given replaces the default.
+
+    Raises
+    ------
+    ModelError
+        There is no such robot, or it cannot be simulated; the message says what is wrong, where, and the
+        cure.
+    """
+    found = _find(name)
+    defaults = found.sidecar
+    locked = _locked(found, lock)
+    if found.format == "urdf" and not inspected.has_passed(found.text, locked):
+        urdf.inspect(found.text, found.where, locked)
+    built = build.build(found.text, found.format, locked, found.where)
+    model = built.model
+    joints = tuple(model.names)[1:]
+    if not drive_inertia:
+        model.armature = np.zeros(model.nv)
+    elif defaults.drive_inertia:
+        model.armature = np.array([defaults.drive_inertia.get(joint, 0.0) for joint in joints])
+    home = _home(found, built, joints)
+    return _finish(
+        built, home, found, locked, _default_tip(model) if defaults.tip is None else defaults.tip, None
+    )
+
+
+def from_text(
+    text: str,
+    format: Format,
+    *,
+    name: str,
+    armature: ArrayLike,
+    tip: str | None,
+    home: ArrayLike,
+    locked: Mapping[str, float],
+    gravity: ArrayLike | None = None,
+    description: str = "",
+    source: str = "",
+) -> RobotModel:
+    """Rebuild a robot from what a run stored: the very same dynamics, to the last bit, without reading a
+    file.
+
+    The text is a stranger's as much as a file is, and is inspected as one.
+
+    Parameters
+    ----------
+    text, format, name, tip, locked, description, source
+        The fields of that name of the `RobotModel`.
+    armature, home : (n,)
+        Likewise; kg m² and rad.
+    gravity : (3,), optional
+        m/s² in the base frame; what the text says, or (0, 0, −9.81), if not given.
+
+    Raises
+    ------
+    ModelError
+        As `load`; also if an array has not one finite entry a joint, or the tip is not in the robot.
+    """
+    if format not in ("urdf", "mjcf"):
+        raise ModelError(f"{name}: format is {format!r}: it must be 'urdf' or 'mjcf'")
+    canonical = urdf.read(text, name) if format == "urdf" else mjcf.read(text, name, None)
+    if format == "urdf" and not inspected.has_passed(canonical, locked):
+        urdf.inspect(canonical, name, locked)
+    found = _Description(name, canonical, format, name, Sidecar(description=description, source=source))
+    built = build.build(canonical, format, locked, name)
+    n = built.model.nv
+    built.model.armature = _vector(armature, n, f"{name}: armature")
+    if built.model.armature.min() < 0.0:
+        raise ModelError(f"{name}: armature has a negative entry: an inertia is zero or more")
+    g = None if gravity is None else _vector(gravity, 3, f"{name}: gravity")
+    return _finish(built, _vector(home, n, f"{name}: home"), found, dict(locked), tip, g)
+
+
+def _find(name: "str | PathLike[str]") -> _Description:
+    if name in shipped.shipped_names():
+        return _from_file(str(name), shipped.path_of(str(name)), "robot_models")
+    path = Path(name)
+    if not isinstance(name, str) or path.suffix.lower() in _SUFFIXES or len(path.parts) > 1:
+        return _from_file(path.stem, path, "")
+    if name not in example_robots.example_names():
+        known = (*shipped.shipped_names(), *example_robots.example_names())
+        near = get_close_matches(name.lower(), known, n=3)
+        hint = f"did you mean {' or '.join(map(repr, near))}?" if near else "wam4, panda and ur5 are some"
+        raise ModelError(f"no robot is named {name!r}: {hint} (or give the path of a .urdf or MJCF .xml)")
+    example = example_robots.find(name)
+    text = urdf.read(example.text, name)
+    sidecar = example.sidecar
+    if example.rotors is not None:
+        rotors = example_robots.rotor_inertia(example.rotors, list(urdf.joint_types(text)))
+        sidecar = replace(sidecar, drive_inertia=rotors)
+    return _Description(name, text, "urdf", name, sidecar)
+
+
+def _from_file(name: str, path: Path, owner: str) -> _Description:
+    where = path.name if owner else str(path)
+    text = read_text(path)
+    root = parse(text, where).tag
+    if root not in _ROOTS:
+        raise ModelError(f"{where} is neither URDF nor MJCF: its root is <{root}>, not <robot> or <mujoco>")
+    format = _ROOTS[root]
+    text = urdf.read(text, where) if format == "urdf" else mjcf.read(text, where, path.parent)
+    joints = _joints(text, format)
+    sidecar = read_sidecar(path.with_suffix(".toml"), joints)
+    if not owner:
+        sidecar = replace(sidecar, source=sidecar.source or where)
+    return _Description(name, text, format, where, sidecar)
+
+
+def _joints(text: str, format: Format) -> tuple[str, ...]:
+    if format == "mjcf":
+        return tuple(mjcf.iter_names(text, "joint"))
+    return tuple(joint for joint, kind in urdf.joint_types(text).items() if kind in urdf.MOVING)
+
+
+def _locked(found: _Description, lock: Lock) -> dict[str, float]:
+    if isinstance(lock, str):
+        raise ModelError(f"lock is {lock!r}: it must be a list of joints or a table of their values")
+    if not lock:
+        return dict(found.sidecar.lock)
+    if isinstance(lock, Mapping):
+        return {joint: float(value) for joint, value in lock.items()}
+    # Home is known in full only once everything is built; mimics are free there, which is no matter for a
+    # posture.
+    whole = build.build(found.text, found.format, {}, found.where)
+    joints = tuple(whole.model.names)[1:]
+    posture = dict(zip(joints, _home(found, whole, joints).tolist(), strict=True))
+    unknown = {joint: 0.0 for joint in lock if joint not in posture}  # which build() refuses by name
+    return {joint: posture[joint] for joint in lock if joint in posture} | unknown
+
+
+def _home(found: _Description, built: build.Built, joints: tuple[str, ...]) -> NDArray[np.float64]:
+    """Return the posture that the sources name, else zero, moved into the limits where it is outside."""
+    low, high = built.model.lowerPositionLimit, built.model.upperPositionLimit
+    # Zero, or the middle of the limits where zero is outside them.
+    bounded = np.isfinite(low) & np.isfinite(high) & ((low > 0.0) | (high < 0.0))
+    posture = np.zeros(len(joints))
+    posture[bounded] = 0.5 * (low[bounded] + high[bounded])
+    named = dict(found.sidecar.home)
+    if found.format == "mjcf" and not named:
+        key = mjcf.home(found.text)
+        order = _joints(found.text, "mjcf")
+        if key is not None and len(key) != len(order):
+            raise ModelError(f"{found.where}: a keyframe has {len(key)} values for {len(order)} joints")
+        named = dict(zip(order, key or (), strict=False))
+    posture = np.array([named.get(joint, value) for joint, value in zip(joints, posture, strict=True)])
+    # A published angle may be a turn away from the limits (Kinova's elbow): the same pose is meant.
+    for turn in (-2.0 * np.pi, 2.0 * np.pi):
+        inside = (low <= posture + turn) & (posture + turn <= high) & ((posture < low) | (posture > high))
+        inside &= np.array(built.joint_types) == "revolute"
+        posture[inside] += turn
+    return np.clip(posture, low, high)
+
+
+def _default_tip(model: "pin.Model") -> str | None:
+    """Return the last link that carries no other and moves, or None."""
+    import pinocchio as pin
+
+    bodies = [f for f in model.frames if f.type == pin.FrameType.BODY and f.parentJoint > 0]
+    parents = {model.frames[f.parentFrame].name for f in model.frames if f.type != pin.FrameType.OP_FRAME}
+    grand = {
+        model.frames[model.frames[f.parentFrame].parentFrame].name
+        for f in bodies
+        if model.frames[f.parentFrame].type != pin.FrameType.BODY
+    }
+    leaves = [f.name for f in bodies if f.name not in parents | grand]
+    return leaves[-1] if leaves else None
+
+
+def _frames(model: "pin.Model") -> tuple[str, ...]:
+    import pinocchio as pin
+
+    usable = (pin.FrameType.BODY, pin.FrameType.OP_FRAME)
+    names = (f.name for f in model.frames if f.type in usable and f.name != mjcf.STILL)
+    return tuple(dict.fromkeys(names))
+
+
+def _vector(value: ArrayLike, n: int, what: str) -> NDArray[np.float64]:
+    try:
+        vector = np.array(value, dtype=np.float64)
+    except (TypeError, ValueError):
+        raise ModelError(f"{what} is {value!r}: it must be {n} numbers") from None
+    if vector.shape != (n,) or not all(map(isfinite, vector)):
+        raise ModelError(f"{what} is {value!r}: it must be {n} finite numbers, one for each")
+    return vector
+
+
+def _finish(
+    built: build.Built,
+    home: NDArray[np.float64],
+    found: _Description,
+    locked: Mapping[str, float],
+    tip: str | None,
+    gravity: NDArray[np.float64] | None,
+) -> RobotModel:
+    """Check the mechanism that was built and write it down."""
+    model = built.model
+    physics.check_mechanism(model, home, found.where)
+    if gravity is None:
+        gravity = np.array(mjcf.gravity(found.text) if found.format == "mjcf" else (0.0, 0.0, -9.81))
+    robot = RobotModel(
+        name=found.name,
+        format=found.format,
+        text=found.text,
+        joint_names=tuple(model.names)[1:],
+        armature=model.armature,
+        position_lower=model.lowerPositionLimit,
+        position_upper=model.upperPositionLimit,
+        velocity_limit=model.velocityLimit,
+        effort_limit=model.effortLimit,
+        joint_types=built.joint_types,
+        tip=tip,
+        frames=_frames(model),
+        home=home,
+        locked=locked,
+        gravity=gravity,
+        description=found.sidecar.description,
+        source=found.sidecar.source,
+    )
+    if tip is not None:
+        robot.require_frame(tip)
+    return robot

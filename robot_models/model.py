@@ -1,0 +1,108 @@
+"""The robot as data: everything that is needed to build it again, and nothing that must be looked up."""
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field, fields
+from difflib import get_close_matches
+from types import MappingProxyType
+from typing import TYPE_CHECKING, Any, Literal
+
+import numpy as np
+from numpy.typing import NDArray
+
+from robot_models.errors import ModelError
+
+if TYPE_CHECKING:
+    import pinocchio as pin
+
+Vector = NDArray[np.float64]
+
+
+@dataclass(frozen=True, eq=False)
+class RobotModel:
+    """A robot with a fixed base and n joints of one variable each.
+
+    All arrays are read-only. Angles are in rad, lengths in m; for a prismatic joint read m, m/s, N and kg
+    where rad, rad/s, N m and kg m² stand. The columns of every array are `joint_names`, in that order,
+    which is the order of the columns of Pinocchio's model.
+    """
+
+    name: str
+    format: Literal["urdf", "mjcf"]
+    #: Self-contained XML. With `locked` it gives the mechanism; with `armature` and `gravity`, the dynamics.
+    text: str
+    joint_names: tuple[str, ...]
+    #: (n,) joint-side drive inertia, kg m²; it adds to the diagonal of the mass matrix.
+    armature: Vector
+    #: (n,) rad; −∞ where there is none.
+    position_lower: Vector
+    #: (n,) rad; ∞ where there is none.
+    position_upper: Vector
+    #: (n,) rad/s; ∞ where there is none.
+    velocity_limit: Vector
+    #: (n,) N m; ∞ where there is none.
+    effort_limit: Vector
+    #: "revolute", "continuous" or "prismatic".
+    joint_types: tuple[str, ...]
+    #: The frame that touches the surface unless the user names another.
+    tip: str | None
+    #: Names that can be a tip: links, bodies and sites.
+    frames: tuple[str, ...]
+    #: (n,) a sensible posture inside the limits, rad.
+    home: Vector
+    #: Joints of the text that are held rigid, and where: rad.
+    locked: Mapping[str, float] = field(default_factory=dict)
+    #: (3,) m/s² in the base frame.
+    gravity: Vector = field(default_factory=lambda: np.array([0.0, 0.0, -9.81]))
+    description: str = ""
+    source: str = ""
+
+    def __post_init__(self) -> None:
+        for entry in fields(self):
+            value = getattr(self, entry.name)
+            if isinstance(value, np.ndarray):
+                value = np.array(value, dtype=np.float64)
+                value.setflags(write=False)
+                object.__setattr__(self, entry.name, value)
+        object.__setattr__(self, "locked", MappingProxyType(dict(self.locked)))
+
+    def __reduce__(self) -> tuple[Any, ...]:
+        # A mapping proxy cannot be pickled, and unpickled arrays would be writable: construct anew instead,
+        # so that a model can be sent to the workers of a sweep.
+        values = [getattr(self, entry.name) for entry in fields(self)]
+        return RobotModel, tuple(dict(v) if isinstance(v, MappingProxyType) else v for v in values)
+
+    @property
+    def n(self) -> int:
+        """Number of joints."""
+        return len(self.joint_names)
+
+    def pinocchio_model(self) -> "pin.Model":
+        """Build a fresh Pinocchio model, with nq == nv == n.
+
+        Armature, gravity and limits are those of this robot; locked joints are welded; a continuous joint
+        is a revolute one without bounds. The model is the caller's to change.
+
+        Raises
+        ------
+        ModelError
+            The text was tampered with and can no longer be built.
+        """
+        from robot_models.build import build
+
+        model = build(self.text, self.format, self.locked, self.name).model
+        model.armature = np.array(self.armature)
+        model.gravity.linear = np.array(self.gravity)
+        return model
+
+    def require_frame(self, tip: str) -> str:
+        """Return `tip` if it names a frame of the robot.
+
+        Raises
+        ------
+        ModelError
+            It does not; the message lists the nearest names.
+        """
+        if tip in self.frames:
+            return tip
+        near = get_close_matches(tip, self.frames, n=3, cutoff=0.4) or list(self.frames[-3:])
+        raise ModelError(f"{self.name} has no frame {tip!r}: did you mean {' or '.join(map(repr, near))}?")

@@ -1,0 +1,1 @@
+"""A planar arm of two links: data, and its dynamics in closed form."""

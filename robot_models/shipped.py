@@ -1,0 +1,17 @@
+"""The robots that come with the package: one folder each, a URDF and its sidecar."""
+
+from pathlib import Path
+
+_HERE = Path(__file__).parent
+
+_NAMES = ("wam4", "planar2", "pointmass3")
+
+
+def shipped_names() -> tuple[str, ...]:
+    """Return the names of the robots that come with the package."""
+    return _NAMES
+
+
+def path_of(name: str) -> Path:
+    """Return where the URDF of a shipped robot lies."""
+    return _HERE / name / f"{name}.urdf"

@@ -1,0 +1,89 @@
+"""The sidecar: what a robot description cannot say, in a small TOML of the same name beside it.
+
+`my.urdf` may have `my.toml`:
+
+    description = "What the robot is"
+    source = "Where the figures come from"
+    tip = "tool0"             # the link whose origin touches the surface, unless the caller names another
+
+    [home]                    # a sensible posture: rad, or m for a prismatic joint
+    J1 = 0.3
+
+    [lock]                    # joints held rigid at a value: rad or m
+    finger = 0.0
+
+    [drive_inertia]           # joint-side drive inertia: kg m², or kg for a prismatic joint
+    J1 = 0.2
+
+Every key is optional and no other is known.
+"""
+
+import tomllib
+from collections.abc import Collection, Mapping
+from dataclasses import dataclass, field
+from difflib import get_close_matches
+from math import isfinite
+from pathlib import Path
+
+from robot_models.errors import ModelError
+from robot_models.xml_text import read_text
+
+_TEXTS = ("description", "source", "tip")
+_TABLES = ("home", "lock", "drive_inertia")
+
+
+@dataclass(frozen=True)
+class Sidecar:
+    """What a sidecar says; empty where it is silent. Units as in the module's example."""
+
+    description: str = ""
+    source: str = ""
+    tip: str | None = None
+    home: Mapping[str, float] = field(default_factory=dict)
+    lock: Mapping[str, float] = field(default_factory=dict)
+    drive_inertia: Mapping[str, float] = field(default_factory=dict)
+
+
+def read_sidecar(path: Path, joints: Collection[str]) -> Sidecar:
+    """Read the sidecar of a robot, or return an empty one where there is none.
+
+    Parameters
+    ----------
+    path
+        Where the sidecar would be.
+    joints
+        Names of the joints that move in the description.
+
+    Raises
+    ------
+    ModelError
+        The TOML is malformed, has an unknown key or joint, or a value that is not what the key asks for.
+    """
+    if not path.exists():
+        return Sidecar()
+    try:
+        table = tomllib.loads(read_text(path))
+    except tomllib.TOMLDecodeError as error:
+        raise ModelError(f"{path} is not valid TOML: {error}") from None
+    for key, value in table.items():
+        if key not in _TEXTS + _TABLES:
+            raise ModelError(f"{path}: unknown key {key!r}: known are {', '.join(_TEXTS + _TABLES)}")
+        if key in _TEXTS and not (isinstance(value, str) and value.strip()):
+            raise ModelError(f"{path}: {key} is {value!r}: it must be a text")
+        if key in _TABLES:
+            _check_table(path, key, value, joints)
+    return Sidecar(**table)
+
+
+def _check_table(path: Path, key: str, table: object, joints: Collection[str]) -> None:
+    if not isinstance(table, dict):
+        raise ModelError(f"{path}: {key} is {table!r}: it must be a table of joints, [{key}]")
+    for joint, value in table.items():
+        if joint not in joints:
+            near = get_close_matches(joint, joints, n=1)
+            hint = f"did you mean {near[0]!r}?" if near else f"the joints are {', '.join(joints)}"
+            raise ModelError(f"{path}: [{key}] names {joint!r}, which is no moving joint: {hint}")
+        number = isinstance(value, int | float) and not isinstance(value, bool) and isfinite(value)
+        if not number or (key == "drive_inertia" and value < 0):
+            wanted = "a finite number, zero or more" if key == "drive_inertia" else "a finite number"
+            raise ModelError(f"{path}: [{key}] {joint} is {value!r}: it must be {wanted}")

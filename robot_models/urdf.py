@@ -1,0 +1,237 @@
+"""URDF: inspected before Pinocchio sees it, and made to mean one thing to every reader.
+
+urdfdom, under Pinocchio, drops an `<inertial>` that it cannot parse (the link becomes massless) with no
+more than a line on standard error, gives a joint with a zero axis no motion, and treats a mimicking joint
+as a free one. So the inspection names such things and refuses them.
+
+`<dynamics damping friction>` stays in the file and is not simulated: Pinocchio stores it on the model and
+leaves it out of its bias and of its forward dynamics, and here friction belongs to the scenario.
+"""
+
+import xml.etree.ElementTree as ET
+from collections.abc import Collection
+from math import hypot
+from typing import TYPE_CHECKING
+
+from robot_models.errors import ModelError
+from robot_models.physics import check_tensor
+from robot_models.xml_text import numbers, parse
+
+if TYPE_CHECKING:
+    import yourdfpy
+
+MOVING = ("revolute", "continuous", "prismatic")
+
+_TENSOR = ("ixx", "ixy", "ixz", "iyy", "iyz", "izz")
+
+# An axis printed with six digits is off its unit length by up to 1e-6. Every reader rescales that; what is
+# further off is rescaled here too, in the text, because not every reader does.
+_UNIT = 1e-6
+
+
+def read(text: str, where: str) -> str:
+    """Parse a URDF and return its text with unit joint axes.
+
+    Pinocchio scales a joint's axis to unit length; yourdfpy does so for revolute joints and not for prismatic
+    ones. Where an axis is not of unit length the text is written anew with the scaled one; otherwise it is
+    returned as it came.
+
+    Raises
+    ------
+    ModelError
+        The XML is malformed or no URDF, a name, a joint's type or link is missing, or a number is none.
+    """
+    root = parse(text, where)
+    if root.tag != "robot":
+        raise ModelError(f"{where} is no URDF: its root is <{root.tag}>, not <robot>")
+    if any("xacro" in key for element in root.iter() for key in (element.tag, *element.attrib)):
+        raise ModelError(f"{where} is a xacro template: expand it to a URDF first")
+    _check_links(root, where)
+    _check_joints(root, where)
+    rescaled = False
+    for joint in root.findall("joint"):
+        axis = joint.find("axis")
+        if axis is None or joint.get("type") not in MOVING:
+            continue
+        at = f"{where}: joint {joint.get('name')!r}"
+        xyz = numbers(axis.get("xyz", "1 0 0"), 3, f"{at}: axis xyz")
+        length = hypot(*xyz)
+        if length < 1e-9:
+            raise ModelError(f"{at}: axis is {axis.get('xyz')!r}: a moving joint needs a direction")
+        if abs(length - 1.0) > _UNIT:
+            axis.set("xyz", " ".join(repr(x / length) for x in xyz))
+            rescaled = True
+    return ET.tostring(root, encoding="unicode") if rescaled else text
+
+
+def joint_types(text: str) -> dict[str, str]:
+    """Return the type of every joint of a URDF that `read` returned, by name."""
+    return {joint.get("name", ""): joint.get("type", "") for joint in ET.fromstring(text).findall("joint")}
+
+
+def _names(root: ET.Element, tag: str, where: str) -> list[str]:
+    names = [element.get("name", "") for element in root.findall(tag)]
+    for name in names:
+        if not name:
+            raise ModelError(f"{where}: a <{tag}> has no name")
+        if names.count(name) > 1:
+            raise ModelError(f"{where}: two {tag}s are named {name!r}: names must differ")
+    return names
+
+
+def _check_links(root: ET.Element, where: str) -> None:
+    for name, link in zip(_names(root, "link", where), root.findall("link"), strict=True):
+        at = f"{where}: link {name!r}"
+        inertials = link.findall("inertial")
+        if len(inertials) > 1:
+            raise ModelError(f"{at} has {len(inertials)} <inertial> elements: one is allowed")
+        for inertial in inertials:
+            _check_origin(inertial, f"{at}: inertial")
+            for tag, keys in (("mass", ("value",)), ("inertia", _TENSOR)):
+                element = inertial.find(tag)
+                for key in keys:
+                    if element is None or key not in element.attrib:
+                        raise ModelError(f"{at}: <inertial> lacks <{tag} {key}=…>")
+                    numbers(element.attrib[key], 1, f"{at}: {tag} {key}")
+
+
+def _check_joints(root: ET.Element, where: str) -> None:
+    links = _names(root, "link", where)
+    parents: dict[str, str] = {}
+    for name, joint in zip(_names(root, "joint", where), root.findall("joint"), strict=True):
+        at = f"{where}: joint {name!r}"
+        kind = joint.get("type")
+        if kind not in (*MOVING, "fixed"):
+            raise ModelError(
+                f"{at} is of type {kind!r}, a joint type that is not simulated: "
+                f"it must be one of {', '.join((*MOVING, 'fixed'))}"
+            )
+        ends = []
+        for tag in ("parent", "child"):
+            element = joint.find(tag)
+            link = element.get("link") if element is not None else None
+            if link not in links:
+                raise ModelError(f"{at}: its {tag} link {link!r} is not in the file")
+            ends.append(link)
+        if ends[1] in parents:
+            raise ModelError(
+                f"{at}: link {ends[1]!r} already has a parent: a loop cannot be written in a URDF"
+            )
+        parents[ends[1]] = ends[0]
+        _check_origin(joint, at)
+        if kind in MOVING:
+            _check_limit(joint, kind, at)
+    _check_tree(links, parents, where)
+
+
+def _check_origin(element: ET.Element, at: str) -> None:
+    origin = element.find("origin")
+    for key, value in (origin.attrib if origin is not None else {}).items():
+        if key in ("xyz", "rpy"):
+            numbers(value, 3, f"{at}: origin {key}")
+
+
+def _check_limit(joint: ET.Element, kind: str, at: str) -> None:
+    limit = joint.find("limit")
+    if limit is None:
+        if kind == "continuous":
+            return
+        raise ModelError(f"{at} has no <limit>: a {kind} joint needs lower, upper, effort and velocity")
+    # A continuous joint has no bounds: what its <limit> says of them is ignored, as every reader does.
+    required = ("effort", "velocity") if kind == "continuous" else ("lower", "upper", "effort", "velocity")
+    values = {}
+    for key in required:
+        if key not in limit.attrib:
+            raise ModelError(f"{at}: its <limit> lacks {key!r}")
+        (values[key],) = numbers(limit.attrib[key], 1, f"{at}: limit {key}")
+        if key in ("effort", "velocity") and values[key] < 0.0:
+            raise ModelError(f"{at}: limit {key} is {values[key]:g}: it must not be negative")
+    if kind != "continuous" and values["lower"] > values["upper"]:
+        raise ModelError(
+            f"{at}: lower limit {values['lower']:g} is above its upper limit {values['upper']:g}"
+        )
+
+
+def _check_tree(links: list[str], parents: dict[str, str], where: str) -> None:
+    roots = [link for link in links if link not in parents]
+    if len(roots) > 1:
+        raise ModelError(
+            f"{where}: {len(roots)} links have no parent ({', '.join(roots)}): one root is allowed"
+        )
+    for link in links:
+        walked = {link}
+        while (parent := parents.get(link)) is not None:
+            if parent in walked:
+                raise ModelError(f"{where}: link {parent!r} is its own ancestor: the links must form a tree")
+            walked.add(parent)
+            link = parent
+    if not links:
+        raise ModelError(f"{where} has no links")
+
+
+def inspect(text: str, where: str, locked: Collection[str]) -> None:
+    """Refuse a URDF whose moving links cannot exist.
+
+    Links that stay with the base never move, so their inertia has no effect and only its numbers are checked.
+    A massless link is accepted where it is a mere frame (welded to another) or where it declares no
+    `<inertial>` and something beyond it has mass (the intermediate links of a spherical joint);
+    `check_mechanism` refuses what is left over.
+
+    Parameters
+    ----------
+    text
+        The URDF, as `read` returned it.
+    where
+        How to name it in a message.
+    locked
+        Joints that will be held rigid, and so are as good as fixed.
+
+    Raises
+    ------
+    ModelError
+        A joint that would move mimics another; a mass is negative, or zero where a link moves by itself; a
+        tensor is not positive definite or breaks the triangle inequality; or yourdfpy cannot read the file.
+    """
+    robot = _typed(text, where)
+    children: dict[str, list[yourdfpy.Joint]] = {joint.parent: [] for joint in robot.joints}
+    for joint in robot.joints:
+        children[joint.parent].append(joint)
+    moved = {j.child for j in robot.joints if j.type in MOVING and j.name not in locked}
+    for joint in robot.joints:
+        if joint.mimic is not None and joint.child in moved:
+            raise ModelError(
+                f"{where}: joint {joint.name!r} mimics {joint.mimic.joint!r}, which is not simulated: "
+                f"lock it, as in lock=[{joint.name!r}]"
+            )
+    beyond = list(moved)  # everything carried by a moving joint
+    for link in beyond:
+        beyond += [joint.child for joint in children.get(link, []) if joint.child not in moved]
+    for link in robot.links:
+        if link.inertial is None:
+            continue
+        mass, tensor = link.inertial.mass, link.inertial.inertia
+        at = f"{where}: link {link.name!r}"
+        if mass < 0.0:
+            raise ModelError(f"{at} has a mass of {mass:g} kg: it must be positive")
+        if mass == 0.0 and link.name in moved:
+            raise ModelError(f"{at} moves and has a mass of 0 kg: it must be positive")
+        if link.name in beyond:
+            if mass == 0.0 and tensor.any():
+                raise ModelError(
+                    f"{at} has a rotational inertia and a mass of 0 kg: give it a mass, or neither"
+                )
+            check_tensor(tensor, f"{at}: its inertia tensor")
+
+
+def _typed(text: str, where: str) -> "yourdfpy.Robot":
+    # Imported here: it pulls trimesh, half a second that no shipped model need pay.
+    import io
+
+    from yourdfpy import URDF
+
+    stream = io.BytesIO(text.encode())
+    try:
+        return URDF.load(stream, build_scene_graph=False, load_meshes=False).robot
+    except (ValueError, KeyError, TypeError, AttributeError) as error:
+        reason = str(error).splitlines()[0] if str(error) else type(error).__name__
+        raise ModelError(f"{where}: yourdfpy cannot read it: {reason}") from None

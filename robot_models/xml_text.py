@@ -1,0 +1,137 @@
+"""XML from strangers: bytes to an element tree, or a one-line reason why not.
+
+The tree is built by the standard library's expat. A document type declaration is refused before any of it is
+read, so no entity is ever expanded and nothing outside the file is ever fetched.
+"""
+
+import re
+import xml.etree.ElementTree as ET
+from pathlib import Path
+
+from robot_models.errors import ModelError
+
+#: Far above any published robot description (the largest in example-robot-data has 0.2 MB).
+MAX_BYTES = 16_000_000
+
+#: Elements nested deeper than this are an attack or a mistake; recursive readers further on rely on it.
+MAX_DEPTH = 200
+
+# Plain ASCII decimals only. Python's float() also takes "1_0", "nan" and Arabic digits, which the C++ readers
+# do not, and a number must not mean two things in two engines.
+_NUMBER = re.compile(r"[-+]?(?:[0-9]+\.?[0-9]*|\.[0-9]+)(?:[eE][-+]?[0-9]+)?", re.ASCII)
+
+
+class _Builder(ET.TreeBuilder):
+    """A tree builder that stops at a DOCTYPE and at absurd nesting."""
+
+    depth = 0
+
+    def doctype(self, name: str, pubid: str | None, system: str | None) -> None:
+        """Refuse the declaration (entities can only come from one)."""
+        raise ModelError("a <!DOCTYPE> declaration is not accepted: write the file without it")
+
+    def start(self, tag: str, attrs: dict[str, str]) -> ET.Element:
+        """Open an element, counting the nesting."""
+        self.depth += 1
+        if self.depth > MAX_DEPTH:
+            raise ModelError(f"elements are nested deeper than {MAX_DEPTH} levels")
+        return super().start(tag, attrs)
+
+    def end(self, tag: str) -> ET.Element:
+        """Close an element."""
+        self.depth -= 1
+        return super().end(tag)
+
+
+def read_text(path: Path) -> str:
+    """Return a file's text.
+
+    Parameters
+    ----------
+    path
+        The file; UTF-8, with or without a byte order mark.
+
+    Raises
+    ------
+    ModelError
+        The file is missing, a folder, unreadable, empty, too large or not UTF-8.
+    """
+    if path.is_dir():
+        raise ModelError(f"{path} is a folder: name the .urdf or .xml file in it")
+    try:
+        raw = path.read_bytes() if path.stat().st_size <= MAX_BYTES else None
+    except FileNotFoundError:
+        raise ModelError(f"no such file: {path}") from None
+    except OSError as error:
+        raise ModelError(f"cannot read {path}: {error.strerror}") from None
+    if raw is None:
+        raise ModelError(f"{path} is larger than {MAX_BYTES // 10**6} MB: a robot description is far smaller")
+    try:
+        text = raw.decode("utf-8-sig")
+    except UnicodeDecodeError as error:
+        raise ModelError(f"{path} is not UTF-8 (byte {error.start}): save it as UTF-8") from None
+    return text
+
+
+def parse(text: str, where: str) -> ET.Element:
+    """Return the root element of an XML text.
+
+    Parameters
+    ----------
+    text
+        The document.
+    where
+        How to name it in a message.
+
+    Raises
+    ------
+    ModelError
+        The text is empty, malformed (with line and column), declares a DOCTYPE or nests absurdly.
+    """
+    if not text.strip():
+        raise ModelError(f"{where} is empty")
+    if len(text) > MAX_BYTES:
+        raise ModelError(f"{where} is longer than {MAX_BYTES} characters")
+    parser = ET.XMLParser(target=_Builder())
+    try:
+        parser.feed(text)
+        root: ET.Element = parser.close()
+    except ET.ParseError as error:
+        line, column = error.position
+        reason = str(error).split(":")[0]
+        raise ModelError(
+            f"{where} is not well-formed XML: {reason}, line {line}, column {column + 1}"
+        ) from None
+    except ModelError as error:
+        raise ModelError(f"{where}: {error}") from None
+    return root
+
+
+def numbers(value: str, count: int | None, what: str) -> list[float]:
+    """Return the finite numbers in an attribute.
+
+    Parameters
+    ----------
+    value
+        The attribute's text, numbers separated by white space.
+    count
+        How many there must be; None for any positive number of them.
+    what
+        How to name the attribute and its owner in a message.
+
+    Raises
+    ------
+    ModelError
+        A word is not a plain decimal number, is not finite, or there are too few or too many.
+    """
+    words = value.split()
+    if not words or (count is not None and len(words) != count):
+        wanted = "a number" if count == 1 else f"{count or 'some'} numbers"
+        raise ModelError(f"{what} is {value!r}: it must be {wanted}")
+    result = []
+    for word in words:
+        number = float(word) if _NUMBER.fullmatch(word) else float("nan")
+        if number - number != 0.0:  # nan, or an overflow such as 1e999
+            raise ModelError(f"{what} is {value!r}: {word!r} is not a finite decimal number")
+        result.append(number)
+    return result

@@ -1,0 +1,242 @@
+"""Kinematics of the tree and of its tip: Eqs. 12–18 and 25–32 of the paper.
+
+All spatial vectors are in base coordinates at the base origin O (see `spatial`), where the paper's recursions
+carry no transforms. The numbers 12–18 and 28–32 are split among the functions as we read the paper: Eqs. 13,
+18 and 25 are sure, and so is what each group as a whole computes.
+
+q, v and what follows from them may be float, complex or object (mpmath) arrays.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from validation.oracle.spatial import (
+    Array,
+    cos_sin,
+    cross_motion,
+    inertia_to_base,
+    motion_to_base,
+    skew,
+)
+from validation.oracle.tree import GROUND, Tree
+
+
+@dataclass(frozen=True)
+class Pose:
+    """The tree at one q, in base coordinates.
+
+    rotation : (n, 3, 3) axes of body i
+    position : (n, 3) origin of body i [m]
+    axes : (n, 6) joint axes s_i as motion vectors at O
+    inertia : (n, 6, 6) spatial inertia of body i about O
+    """
+
+    rotation: Array
+    position: Array
+    axes: Array
+    inertia: Array
+
+
+def forward_kinematics(tree: Tree, q: Array) -> Pose:
+    """Place every body: from the base outwards, R_i = R_λ R_tree R_joint(q_i).
+
+    Parameters
+    ----------
+    q : (n,) [rad] or [m]
+    """
+    q = np.asarray(q)
+    n, dtype = tree.size, np.result_type(q, np.float64)
+    cos, sin = cos_sin(q)
+    fixed, turn, turn_twice = tree.joint_matrices
+    rotation, position = np.zeros((n, 3, 3), dtype=dtype), np.zeros((n, 3), dtype=dtype)
+    for i, above in enumerate(tree.parent):
+        if tree.kinds[i] == "prismatic":
+            local, offset = fixed[i], tree.translation[i] + fixed[i] @ tree.axis[i] * q[i]
+        else:
+            local = fixed[i] + sin[i] * turn[i] + (1.0 - cos[i]) * turn_twice[i]
+            offset = tree.translation[i]
+        if above == GROUND:
+            rotation[i], position[i] = local, offset
+        else:
+            rotation[i] = rotation[above] @ local
+            position[i] = position[above] + rotation[above] @ offset
+    return Pose(
+        rotation=rotation,
+        position=position,
+        axes=joint_axes(tree, rotation, position),
+        inertia=inertia_to_base(rotation, position, tree.inertia),
+    )
+
+
+def joint_axes(tree: Tree, rotation: Array, position: Array) -> Array:
+    """Return the joint axes s_i (n, 6): (e, p × e) of a turning joint, (0, e) of a sliding one."""
+    own = np.zeros((tree.size, 6, 1))
+    for i, kind in enumerate(tree.kinds):
+        start = 3 if kind == "prismatic" else 0
+        own[i, start : start + 3, 0] = tree.axis[i]
+    return np.asarray((motion_to_base(rotation, position) @ own)[..., 0])
+
+
+def body_velocities(tree: Tree, pose: Pose, v: Array) -> Array:
+    """Return the spatial velocity of every body, v_i = v_λ(i) + s_i q̇_i with v_0 = 0 (Eq. 28).
+
+    Parameters
+    ----------
+    v : (n,) joint rates q̇ [rad/s] or [m/s]
+
+    Returns
+    -------
+    (n, 6) motion vectors at O
+    """
+    out = pose.axes * np.asarray(v)[:, None]
+    for i, above in enumerate(tree.parent):
+        if above != GROUND:
+            out[i] += out[above]
+    return np.asarray(out)
+
+
+def axis_rates(pose: Pose, velocities: Array) -> Array:
+    """Return ṡ_i = v_i × s_i, the rate of a joint axis carried along by its body (Eq. 29).
+
+    Parameters
+    ----------
+    velocities : (n, 6) of the bodies, at O
+
+    Returns
+    -------
+    (n, 6)
+    """
+    return np.asarray((cross_motion(velocities) @ pose.axes[..., None])[..., 0])
+
+
+def bias_accelerations(tree: Tree, pose: Pose, v: Array) -> Array:
+    """Return all bodies' accelerations at q̈ = 0, a_i = a_λ(i) + v_i × s_i q̇_i, a_0 = 0 (Eq. 30, Eq. 31).
+
+    Parameters
+    ----------
+    v : (n,) joint rates q̇ [rad/s] or [m/s]
+
+    Returns
+    -------
+    (n, 6) motion vectors at O
+    """
+    return accelerations(tree, axis_rates(pose, body_velocities(tree, pose, v)) * np.asarray(v)[:, None])
+
+
+def accelerations(tree: Tree, own: Array) -> Array:
+    """Return the sums from the base outwards, a_i = a_λ(i) + own_i with a_0 = 0, of (n, 6) vectors."""
+    out = np.array(own)
+    for i, above in enumerate(tree.parent):
+        if above != GROUND:
+            out[i] += out[above]
+    return out
+
+
+def spatial_jacobian(tree: Tree, pose: Pose, body: int) -> Array:
+    """Return J of a body: its column i is s_i if joint i carries the body, else zero; v_body = J q̇ (Eq. 25).
+
+    Returns
+    -------
+    (6, n) motion vectors at O; all zero for `GROUND`
+    """
+    if body == GROUND:
+        return np.zeros((6, tree.size), dtype=pose.axes.dtype)
+    return np.asarray((pose.axes * tree.supports[:, body, None]).T)
+
+
+def loop_jacobians(tree: Tree, pose: Pose, tip: str, base: str | None = None) -> tuple[Array, Array]:
+    """Return J₀ and Jₙ, the Jacobians of the two links that the loop joint connects (Eq. 26, Eq. 27).
+
+    The velocity across the loop joint is (Jₙ − J₀) q̇. With the surface at rest, J₀ = 0.
+
+    Parameters
+    ----------
+    tip : link on the tip's side of the loop joint
+    base : link on the other side; None is the ground
+
+    Returns
+    -------
+    (6, n), (6, n) at O
+    """
+    other = GROUND if base is None else tree.frame(base).body
+    return spatial_jacobian(tree, pose, other), spatial_jacobian(tree, pose, tree.frame(tip).body)
+
+
+def spatial_drift(tree: Tree, pose: Pose, v: Array, body: int) -> Array:
+    """Return J̇q̇ of a body, by the recursion: the acceleration that its velocity alone gives it (Eq. 32).
+
+    Returns
+    -------
+    (6,) motion vector at O
+    """
+    if body == GROUND:
+        return np.zeros(6, dtype=np.result_type(pose.axes, v))
+    return np.asarray(bias_accelerations(tree, pose, v)[body])
+
+
+def tip_position(tree: Tree, pose: Pose, tip: str) -> Array:
+    """Return the tip's position r (3,), base frame [m]."""
+    frame = tree.frame(tip)
+    if frame.body == GROUND:
+        return np.array(frame.translation)
+    return np.asarray(pose.position[frame.body] + pose.rotation[frame.body] @ frame.translation)
+
+
+def tip_rotation(tree: Tree, pose: Pose, tip: str) -> Array:
+    """Return the axes of the tip's frame (3, 3), base frame."""
+    frame = tree.frame(tip)
+    if frame.body == GROUND:
+        return np.array(frame.rotation)
+    return np.asarray(pose.rotation[frame.body] @ frame.rotation)
+
+
+def point_velocity(velocity: Array, r: Array) -> Array:
+    """Return ṙ = v_O + ω × r of the body-fixed point at r (Eq. 12, Eq. 13).
+
+    Parameters
+    ----------
+    velocity : (6,) spatial velocity of the body, at O
+    r : (3,) base frame [m]
+
+    Returns
+    -------
+    (3,) [m/s]
+    """
+    return np.asarray(velocity[3:] + skew(velocity[:3]) @ r)
+
+
+def translational_jacobian(jacobian: Array, r: Array) -> Array:
+    """Return Jᵣ = J_lin − r×J_ang, so that ṙ = Jᵣ q̇: Eq. 13 for every column of J (Eq. 14, Eq. 15).
+
+    Parameters
+    ----------
+    jacobian : (6, n) spatial Jacobian at O
+    r : (3,) base frame [m]
+
+    Returns
+    -------
+    (3, n)
+    """
+    return np.asarray(jacobian[3:] - skew(r) @ jacobian[:3])
+
+
+def point_acceleration(acceleration: Array, velocity: Array, r: Array) -> Array:
+    """Return r̈ = a_O + ω̇ × r + ω × ṙ, Eq. 13 differentiated (Eq. 16, Eq. 17).
+
+    With the spatial bias acceleration J̇q̇ as `acceleration`, this is the drift J̇ᵣq̇ (Eq. 18).
+
+    Parameters
+    ----------
+    acceleration : (6,) spatial acceleration of the body (ω̇, a_O), at O; a_O is not a point's acceleration
+    velocity : (6,) its spatial velocity, at O
+    r : (3,) base frame [m]
+
+    Returns
+    -------
+    (3,) [m/s²]
+    """
+    r_dot = point_velocity(velocity, r)
+    return np.asarray(acceleration[3:] + skew(acceleration[:3]) @ r + skew(velocity[:3]) @ r_dot)

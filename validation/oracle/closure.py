@@ -1,0 +1,252 @@
+"""Closing the loop: Eqs. 2–11 and 19–24 of the paper, for the plane and for any loop joint.
+
+A loop joint lets the tip move freely in some directions and forbids others. The columns of R (6, m) are unit
+force vectors along the forbidden ones, so that the motion obeys Rᵀ (vₙ − v₀) = 0 and the closure force is R
+f. The plane is the smallest case: one column, the force along n through the tip. Sign of f, everywhere:
+positive is the force of the surface *on the robot* along +n [N].
+
+The paper's Eqs. 2–10 treat the general joint and Eqs. 19–22 the differentiation and the stabiliser; how the
+numbers fall on the functions within each group is our reading.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+
+import numpy as np
+
+from validation.oracle.kinematics import (
+    Pose,
+    body_velocities,
+    loop_jacobians,
+    point_velocity,
+    spatial_drift,
+    tip_position,
+    tip_rotation,
+)
+from validation.oracle.spatial import Array, skew
+from validation.oracle.tree import GROUND, Tree
+
+
+@dataclass(frozen=True)
+class LoopJoint:
+    """What ties a tip to the ground, or to another link of the same robot.
+
+    tip : link whose origin is the tip
+    normals : (k, 3) unit directions in which the tip cannot move, in the frame of `base`
+    offsets : (k,) d of each closure n·r = d, with r taken in the frame of `base` [m]
+    base : link on the other side; None is the ground
+    rotation : (3, 3) orientation in which the tip is held in the frame of `base`; None leaves it free to turn
+    """
+
+    tip: str
+    normals: Array
+    offsets: Array
+    base: str | None = None
+    rotation: Array | None = field(default=None)
+
+    @property
+    def size(self) -> int:
+        """Number of closure forces, m."""
+        return len(self.normals) + (0 if self.rotation is None else 3)
+
+
+@dataclass(frozen=True)
+class Rows:
+    """A loop joint at one state: A q̈ + drift is the second rate of the error e.
+
+    A (m, n); drift Ȧq̇ (m,); error e (m,) [m] or [rad]; rate ė (m,)
+    """
+
+    A: Array
+    drift: Array
+    error: Array
+    rate: Array
+
+
+def point_on_plane(tip: str, normal: Array, offset: float, base: str | None = None) -> LoopJoint:
+    """Return the tip held on the plane n·r = d (Eq. 11); m = 1."""
+    return LoopJoint(tip, _unit(normal)[None, :], np.array([offset]), base)
+
+
+def point_on_line(tip: str, point: Array, direction: Array, base: str | None = None) -> LoopJoint:
+    """Return the tip held on a line through `point` (3,) along `direction` (3,); m = 2."""
+    along = _unit(direction)
+    first = _unit(np.cross(along, np.eye(3)[np.argmin(np.abs(along))]))
+    normals = np.stack([first, np.cross(along, first)])
+    return LoopJoint(tip, normals, normals @ np.asarray(point), base)
+
+
+def point_fixed(tip: str, point: Array, base: str | None = None) -> LoopJoint:
+    """Return the tip held at `point` (3,) [m], free to turn about it; m = 3."""
+    return LoopJoint(tip, np.eye(3), np.array(point, dtype=float), base)
+
+
+def weld(tip: str, point: Array, rotation: Array, base: str | None = None) -> LoopJoint:
+    """Return the tip's frame held at `point` (3,) [m] with axes `rotation` (3, 3); m = 6, forces first."""
+    return LoopJoint(tip, np.eye(3), np.array(point, dtype=float), base, np.array(rotation, dtype=float))
+
+
+def constraint_matrix(normals: Array, r: Array, *, couples: bool = False) -> Array:
+    """Return R, whose columns (r×n, n) span the force that the loop joint can bear (Eq. 2, Eq. 3).
+
+    The motion is restricted to Rᵀ (vₙ − v₀) = 0, and the force that this takes is R f.
+
+    Parameters
+    ----------
+    normals : (k, 3) directions of the forces, base frame
+    r : (3,) the tip [m]
+    couples : add three columns of pure couple, which stop the tip from turning
+
+    Returns
+    -------
+    (6, k) or (6, k + 3) force vectors at O
+    """
+    forces = np.concatenate([normals @ skew(r).T, normals], axis=1).T
+    return np.concatenate([forces, np.eye(6)[:, :3]], axis=1) if couples else np.asarray(forces)
+
+
+def constraint_matrix_rate(
+    normals: Array, r: Array, r_dot: Array, omega: Array, *, couples: bool = False
+) -> Array:
+    """Return Ṙ as the tip moves at ṙ and the normals turn at ω with what they are fixed to (Eq. 9).
+
+    Parameters
+    ----------
+    normals : (k, 3) base frame
+    r, r_dot : (3,) the tip and its velocity [m], [m/s]
+    omega : (3,) angular velocity of the normals [rad/s]
+    couples : as for `constraint_matrix`; the three couples along the base axes do not turn
+
+    Returns
+    -------
+    (6, k) or (6, k + 3)
+    """
+    turning = normals @ skew(omega).T
+    forces = np.concatenate([normals @ skew(r_dot).T + turning @ skew(r).T, turning], axis=1).T
+    return np.concatenate([forces, np.zeros((6, 3))], axis=1) if couples else np.asarray(forces)
+
+
+def closure_torque(R: Array, J: Array, f: Array) -> Array:
+    """Return Jᵀ R f, what the closure force adds to Q in H q̈ + C = Q + Jᵀ R f (Eq. 4, Eq. 5).
+
+    Parameters
+    ----------
+    R : (6, m); J : (6, n) loop Jacobian Jₙ − J₀; f : (m,) on the robot's tip [N] or [N m]
+
+    Returns
+    -------
+    (n,)
+    """
+    return np.asarray(J.T @ (R @ f))
+
+
+def loop_rows(tree: Tree, pose: Pose, v: Array, joint: LoopJoint) -> Rows:
+    """Return A = Rᵀ (Jₙ − J₀), since Rᵀ (vₙ − v₀) = 0 and v = J q̇, with its drift (Eq. 6, Eq. 7, Eq. 8).
+
+    The drift is Ṙᵀ (vₙ − v₀) + Rᵀ (J̇ₙ − J̇₀) q̇, Eq. 8 differentiated (Eq. 10). The error of an orientation
+    is the rotation vector to first order, ½ vee(E − Eᵀ) with E = R_tip R_heldᵀ; its rate is exact only where
+    that error is zero.
+    """
+    v = np.asarray(v)
+    r = tip_position(tree, pose, joint.tip)
+    other = GROUND if joint.base is None else tree.frame(joint.base).body
+    body = tree.frame(joint.tip).body
+    ground = np.zeros(6, dtype=np.result_type(pose.axes, v))
+    velocities = body_velocities(tree, pose, v)
+    v_n, v_0 = (ground if i == GROUND else velocities[i] for i in (body, other))
+    origin, axes = (
+        (np.zeros(3), np.eye(3))
+        if joint.base is None
+        else (tip_position(tree, pose, joint.base), tip_rotation(tree, pose, joint.base))
+    )
+    normals = joint.normals @ axes.T
+    couples = joint.rotation is not None
+    R = constraint_matrix(normals, r, couples=couples)
+    R_dot = constraint_matrix_rate(normals, r, point_velocity(v_n, r), v_0[:3], couples=couples)
+    J_0, J_n = loop_jacobians(tree, pose, joint.tip, joint.base)
+    A = R.T @ (J_n - J_0)
+    drift = R_dot.T @ (v_n - v_0) + R.T @ (
+        spatial_drift(tree, pose, v, body) - spatial_drift(tree, pose, v, other)
+    )
+    error = normals @ (r - origin) - joint.offsets
+    if joint.rotation is not None:
+        turned = tip_rotation(tree, pose, joint.tip) @ (axes @ joint.rotation).T
+        twice = turned - turned.T
+        error = np.concatenate([error, np.array([twice[2, 1], twice[0, 2], twice[1, 0]]) / 2])
+    return Rows(A, np.asarray(drift), np.asarray(error), np.asarray(A @ v))
+
+
+def closure_error(normal: Array, offset: float, r: Array) -> Array:
+    """Return e = n·r − d [m], zero on the plane and positive off the surface (Eq. 11)."""
+    return np.asarray(normal @ r - offset)
+
+
+def closure_rate(normal: Array, jacobian: Array, v: Array) -> Array:
+    """Return ė = nᵀJᵣ q̇ [m/s], the closure differentiated once (Eq. 19)."""
+    return np.asarray(normal @ (jacobian @ v))
+
+
+def closure_acceleration(normal: Array, jacobian: Array, drift: Array, a: Array) -> Array:
+    """Return ë = nᵀ (Jᵣ q̈ + J̇ᵣq̇) [m/s²], the closure differentiated twice (Eq. 20)."""
+    return np.asarray(normal @ (jacobian @ a + drift))
+
+
+def stabiliser_gains(damping_ratio: float, time_constant: float) -> tuple[float, float]:
+    """Return s_v = 2ζ/T [1/s] and s_p = 1/T² [1/s²] of ë + s_v ė + s_p e = 0 (Eq. 21, Eq. 22)."""
+    return 2.0 * damping_ratio / time_constant, 1.0 / time_constant**2
+
+
+def stabilised_drift(drift: Array, error: Array, rate: Array, gains: tuple[float, float]) -> Array:
+    """Return b_s = −nᵀJ̇ᵣq̇ − s_v ė − s_p e, the ë + s_v ė + s_p e = 0 that Eq. 24 solves for (Eq. 23).
+
+    Parameters
+    ----------
+    drift, error, rate : nᵀJ̇ᵣq̇, e and ė: scalars, or (m,)
+    gains : s_v [1/s], s_p [1/s²]; (0, 0) is no stabiliser
+    """
+    s_v, s_p = gains
+    return np.asarray(-drift - s_v * rate - s_p * error)
+
+
+def solve_bordered(H: Array, forcing: Array, A: Array, b: Array) -> tuple[Array, Array]:
+    """Solve [[H, Aᵀ], [A, 0]] [q̈; −f] = [Q − C; b_s] as one dense system (Eq. 24).
+
+    Parameters
+    ----------
+    H : (n, n); forcing : (n,) Q − C; A : (m, n) closure rows; b : (m,)
+
+    Returns
+    -------
+    q̈ (n,) and f (m,), the force of the surface on the robot, positive along +n
+    """
+    A, b = np.atleast_2d(A), np.atleast_1d(b)
+    m, n = A.shape
+    matrix = np.zeros((n + m, n + m), dtype=np.result_type(H, A))
+    matrix[:n, :n], matrix[:n, n:], matrix[n:, :n] = H, A.T, A
+    solution = np.linalg.solve(matrix, np.concatenate([forcing, b]))
+    return solution[:n], -solution[n:]
+
+
+def impulse(H: Array, v: Array, A: Array, restitution: float = 0.0) -> tuple[Array, Array]:
+    """Solve [[H, Aᵀ], [A, 0]] [v⁺; −p] = [H v⁻; −ε A v⁻], Eq. 24 integrated over an instant.
+
+    Parameters
+    ----------
+    H : (n, n); v : (n,) rates v⁻ before; A : (m, n); restitution : ε, 0 plastic to 1 elastic
+
+    Returns
+    -------
+    v⁺ (n,) and p (m,) [N s], the impulse of the surface on the robot, positive along +n: H (v⁺ − v⁻) = Aᵀ p
+    """
+    A = np.atleast_2d(A)
+    return solve_bordered(H, H @ v, A, -restitution * (A @ v))
+
+
+def _unit(vector: Array) -> Array:
+    """Return a direction (3,) at length one."""
+    vector = np.asarray(vector, dtype=float)
+    length = float(np.linalg.norm(vector))
+    if not np.isfinite(length) or length == 0.0:
+        raise ValueError(f"{vector.tolist()} has no direction")
+    return vector / length

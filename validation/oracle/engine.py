@@ -1,0 +1,140 @@
+"""The oracle as an engine: the functions of this package behind the method names that every engine has."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from validation.oracle import dynamics, kinematics
+from validation.oracle.kinematics import Pose, forward_kinematics
+from validation.oracle.spatial import Array, skew
+from validation.oracle.tree import GROUND, Tree, UnsupportedModel
+from validation.oracle.urdf import RobotModel, read_urdf
+
+
+@dataclass(frozen=True)
+class Terms:
+    """The quantities of Eq. 24 at one state (q, v), base frame.
+
+    mass_matrix H (n, n); bias C (n,); position r (3,) [m]; jacobian Jᵣ (3, n); drift J̇ᵣq̇ (3,) [m/s²]
+    """
+
+    mass_matrix: Array
+    bias: Array
+    position: Array
+    jacobian: Array
+    drift: Array
+
+
+class Oracle:
+    """The robot by the paper's own equations, slow and plain.
+
+    q (n,) [rad or m], v (n,), a (n,) and torque (n,) are in the column order of the tree; they may be
+    complex, so that a result can be differentiated by a complex step (and, except in `forward_dynamics`,
+    mpmath numbers).
+    """
+
+    complex_step = True
+
+    def __init__(self, tree: Tree, tip: str) -> None:
+        tree.frame(tip)  # an unknown tip is refused here rather than at the first call
+        self.tree = tree
+        self.tip = tip
+
+    @classmethod
+    def from_model(cls, model: RobotModel, tip: str | None = None) -> Oracle:
+        """Read a robot that is described in URDF; without `tip`, its own."""
+        tip = model.tip if tip is None else tip
+        if tip is None:
+            raise UnsupportedModel("the robot names no tip of its own: name one")
+        return cls(read_urdf(model), tip)
+
+    def pose(self, q: Array) -> Pose:
+        """Return the bodies at q, which the pure functions of `kinematics` and `dynamics` take."""
+        return forward_kinematics(self.tree, q)
+
+    def terms(self, q: Array, v: Array) -> Terms:
+        """Return H, C, r, Jᵣ and J̇ᵣq̇ at one state, the bodies placed once."""
+        return _terms(self, self.pose(q), np.asarray(v))
+
+    def mass_matrix(self, q: Array) -> Array:
+        """Return H (n, n), armature included."""
+        return dynamics.mass_matrix(self.tree, self.pose(q))
+
+    def bias(self, q: Array, v: Array) -> Array:
+        """Return C (n,): Coriolis, centrifugal and gravity."""
+        return dynamics.bias(self.tree, self.pose(q), v)
+
+    def gravity_term(self, q: Array) -> Array:
+        """Return the gravity part of C (n,)."""
+        return dynamics.gravity_term(self.tree, self.pose(q))
+
+    def coriolis_matrix(self, q: Array, v: Array) -> Array:
+        """Return the Coriolis matrix (n, n) of Christoffel symbols."""
+        return dynamics.coriolis_matrix(self.tree, self.pose(q), v)
+
+    def inverse_dynamics(self, q: Array, v: Array, a: Array) -> Array:
+        """Return Q (n,) for accelerations a."""
+        return dynamics.inverse_dynamics(self.tree, self.pose(q), v, a)
+
+    def pushed_inverse_dynamics(self, q: Array, v: Array, a: Array, force: Array) -> Array:
+        """Return Q (n,) for accelerations a while `force` (3,) pushes the tip, base frame [N]."""
+        pose, body = self.pose(q), self.tree.frame(self.tip).body
+        couple = skew(kinematics.tip_position(self.tree, pose, self.tip)) @ force
+        push = np.zeros((self.tree.size, 6), dtype=couple.dtype)
+        if body != GROUND:
+            push[body] = np.concatenate([couple, force])
+        return dynamics.inverse_dynamics(self.tree, pose, v, a, push=push)
+
+    def forward_dynamics(self, q: Array, v: Array, torque: Array) -> Array:
+        """Return q̈ (n,) of the free arm."""
+        return dynamics.forward_dynamics(self.tree, self.pose(q), v, torque)
+
+    def kinetic_energy(self, q: Array, v: Array) -> Array:
+        """Return T [J], drives included."""
+        return dynamics.kinetic_energy(self.tree, self.pose(q), v)
+
+    def potential_energy(self, q: Array) -> Array:
+        """Return U [J]."""
+        return dynamics.potential_energy(self.tree, self.pose(q))
+
+    def position(self, q: Array) -> Array:
+        """Return the tip r (3,), base frame [m]."""
+        return kinematics.tip_position(self.tree, self.pose(q), self.tip)
+
+    def spatial_jacobian(self, q: Array) -> Array:
+        """Return J (6, n) of the tip's body at the base origin, angular rows first (Eq. 25)."""
+        return kinematics.spatial_jacobian(self.tree, self.pose(q), self.tree.frame(self.tip).body)
+
+    def jacobian(self, q: Array) -> Array:
+        """Return Jᵣ (3, n), base frame."""
+        pose = self.pose(q)
+        r = kinematics.tip_position(self.tree, pose, self.tip)
+        J = kinematics.spatial_jacobian(self.tree, pose, self.tree.frame(self.tip).body)
+        return kinematics.translational_jacobian(J, r)
+
+    def drift(self, q: Array, v: Array) -> Array:
+        """Return J̇ᵣq̇ (3,), base frame [m/s²]."""
+        return _drift(self, self.pose(q), np.asarray(v))
+
+
+def _terms(oracle: Oracle, pose: Pose, v: Array) -> Terms:
+    """Collect the terms of one pose."""
+    tree, body = oracle.tree, oracle.tree.frame(oracle.tip).body
+    r = kinematics.tip_position(tree, pose, oracle.tip)
+    return Terms(
+        mass_matrix=dynamics.mass_matrix(tree, pose),
+        bias=dynamics.bias(tree, pose, v),
+        position=r,
+        jacobian=kinematics.translational_jacobian(kinematics.spatial_jacobian(tree, pose, body), r),
+        drift=_drift(oracle, pose, v),
+    )
+
+
+def _drift(oracle: Oracle, pose: Pose, v: Array) -> Array:
+    """Return J̇ᵣq̇ (3,) from the spatial J̇q̇ of the tip's body (Eq. 18)."""
+    tree, body = oracle.tree, oracle.tree.frame(oracle.tip).body
+    r = kinematics.tip_position(tree, pose, oracle.tip)
+    velocity = kinematics.spatial_jacobian(tree, pose, body) @ v
+    return kinematics.point_acceleration(kinematics.spatial_drift(tree, pose, v, body), velocity, r)

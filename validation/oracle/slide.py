@@ -1,0 +1,128 @@
+"""The paper's closed loop by hand: law, closure, one dense solve and a semi-implicit Euler step."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from validation.oracle.closure import (
+    closure_error,
+    closure_rate,
+    solve_bordered,
+    stabilised_drift,
+    stabiliser_gains,
+)
+from validation.oracle.engine import Oracle, Terms
+from validation.oracle.spatial import Array
+
+
+@dataclass(frozen=True)
+class Law:
+    """The constants of the control law, Eq. 33.
+
+    kp, kd : (n,) [N m/rad], [N m s/rad]
+    force : f_des, the press that is asked for [N]
+    start : the time from which the PD part acts [s]; before it the arm is only pressed and held up
+    """
+
+    kp: Array
+    kd: Array
+    force: float
+    start: float = 0.0
+
+
+@dataclass(frozen=True)
+class Slide:
+    """A run; row k is the state at time t_k and the force, torque and acceleration that belong to that state.
+
+    time (N,) [s]; q, v, acceleration, torque (N, n); position (N, 3) [m]; contact_force (N,) f of the surface
+    on the robot along +n [N]; closure_error (N,) e [m]; closure_rate (N,) ė [m/s]
+    """
+
+    time: Array
+    q: Array
+    v: Array
+    acceleration: Array
+    torque: Array
+    position: Array
+    contact_force: Array
+    closure_error: Array
+    closure_rate: Array
+
+
+def control_law(
+    law: Law, t: float, q: Array, v: Array, q_des: Array, v_des: Array, normal: Array, terms: Terms
+) -> Array:
+    """Return Q = −K_p (q − q_des) − K_d (q̇ − q̇_des) + C + Jᵣᵀ n (−f_des) (Eq. 33).
+
+    Parameters
+    ----------
+    t : [s]; q, v, q_des, v_des : (n,); normal : (3,) unit n, base frame; terms : of (q, v)
+
+    Returns
+    -------
+    (n,) [N m] or [N]
+    """
+    torque = terms.bias + terms.jacobian.T @ normal * -law.force
+    if t >= law.start:
+        torque = torque - law.kp * (q - q_des) - law.kd * (v - v_des)
+    return np.asarray(torque)
+
+
+def simulate_slide(
+    oracle: Oracle,
+    *,
+    q: Array,
+    v: Array,
+    q_des: Array,
+    v_des: Array,
+    step: float,
+    law: Law,
+    normal: Array,
+    offset: float | None = None,
+    stabiliser: tuple[float, float] | None = None,
+) -> Slide:
+    """Slide the tip along a plane: at each t_k Eq. 33, Eq. 23, Eq. 24, then v⁺ = v + h q̈, q⁺ = q + h v⁺.
+
+    Parameters
+    ----------
+    q, v : (n,) the state at t = 0
+    q_des, v_des : (N, n) the reference at t_k = k h; N is the number of rows of the result, N − 1 steps are
+        made
+    step : h [s]
+    normal : (3,) base frame, at length one
+    offset : d [m]; None is the plane through the tip at the start
+    stabiliser : damping ratio ζ and time constant T [s]; None solves ë = 0
+    """
+    q, v, normal = np.array(q, dtype=float), np.array(v, dtype=float), np.asarray(normal, dtype=float)
+    if not np.isclose(normal @ normal, 1.0, rtol=1e-12):
+        raise ValueError(f"normal {normal.tolist()} must have length one")
+    rows, n = np.shape(q_des)
+    gains = (0.0, 0.0) if stabiliser is None else stabiliser_gains(*stabiliser)
+    out = Slide(
+        time=np.arange(rows) * step,
+        q=np.zeros((rows, n)),
+        v=np.zeros((rows, n)),
+        acceleration=np.zeros((rows, n)),
+        torque=np.zeros((rows, n)),
+        position=np.zeros((rows, 3)),
+        contact_force=np.zeros(rows),
+        closure_error=np.zeros(rows),
+        closure_rate=np.zeros(rows),
+    )
+    for k, t in enumerate(out.time):
+        terms = oracle.terms(q, v)
+        if offset is None:
+            offset = float(normal @ terms.position)
+        error = closure_error(normal, offset, terms.position)
+        rate = closure_rate(normal, terms.jacobian, v)
+        torque = control_law(law, t, q, v, q_des[k], v_des[k], normal, terms)
+        b = stabilised_drift(normal @ terms.drift, error, rate, gains)
+        a, f = solve_bordered(terms.mass_matrix, torque - terms.bias, normal @ terms.jacobian, b)
+        out.q[k], out.v[k], out.acceleration[k], out.torque[k] = q, v, a, torque
+        out.position[k], out.contact_force[k] = terms.position, f[0]
+        out.closure_error[k], out.closure_rate[k] = error, rate
+        v = v + step * a
+        q = q + step * v
+    return out

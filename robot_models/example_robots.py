@@ -56,15 +56,16 @@ def _ur(name: str) -> _Known:
     )
 
 
+_UR = (
+    *("ur3", "ur3_gripper", "ur3_limited", "ur5", "ur5_gripper", "ur5_limited"),
+    *("ur10", "ur10_limited"),
+)
+
 _KNOWN = {
     "panda": _PANDA,
     "panda_collision": _PANDA,
     "kinova": _Known(tip="j2s6s200_end_effector", description="Kinova Jaco 2, six joints, fingers fixed"),
-    **{
-        f"ur{size}{suffix}": _ur(f"UR{size}")
-        for size in (3, 5, 10)
-        for suffix in ("", "_limited", "_gripper")
-    },
+    **{name: _ur(name.split("_")[0].upper()) for name in _UR},
 }
 
 

@@ -9,7 +9,42 @@ from collections.abc import Collection
 from hashlib import sha256
 
 #: SHA-256 of the UTF-8 text → the joints that were locked when it passed.
-PASSED: dict[str, tuple[str, ...]] = {}
+PASSED: dict[str, tuple[str, ...]] = {
+    # wam4
+    "69a1edd10c27097c6450293c711a408c8910f5a0086d5e7f85e1f637260aa47b": (),
+    # planar2
+    "d3821697a5c8889df6cd144bbc557b22d5c54885e682d1370aa9447bf00cf5c7": (),
+    # pointmass3
+    "9957ed631afe2e052f1e3a452638054a904ec10778bd7f131039614d5788d391": (),
+    # kinova
+    "a9a0a8a1a21b82419b15293fca47b8a35c57e7200eaf1e39dadb6bfd7e44eabb": (),
+    # panda
+    "63792d2679f22c4e41cda2c4d9d903644e628970ad0656b9eec8485113941555": (
+        "panda_finger_joint1",
+        "panda_finger_joint2",
+    ),
+    # panda_collision
+    "582aea6f0dda13e6dca083a9f6776efc31c4782ecadbc92c1c5a586647368808": (
+        "panda_finger_joint1",
+        "panda_finger_joint2",
+    ),
+    # ur10
+    "16e4d9c85f01d2533fa219d28e2e5a2ce93836be7afaf243b46be4ba76e0d4ea": (),
+    # ur10_limited
+    "47efc7cc109c0d49d3d23d8845e602c3396bfe5e7f6f533909b29c318493dda1": (),
+    # ur3
+    "679f2ee7e9b182e746a5a93b53a336ae8dffc63ec554c272b2c8ba3692d086eb": (),
+    # ur3_gripper
+    "ed726f227992641e0f24b4991e0b4edece4b769880c965cf0e8ac19437c5b45c": (),
+    # ur3_limited
+    "356dd55ebd3a83ed6bc7f55434acafa4876551eb66008adc1830aa7043beceda": (),
+    # ur5
+    "cede880fc2a987ef9dd23bbcda3e0ad1e7b1df8b58d638d100cfbff8ebc806cb": (),
+    # ur5_gripper
+    "9b312a5e616ee115c975e6a86df70f97c6b3aa7446f551016c6093186c97bfd1": (),
+    # ur5_limited
+    "8b8daa5ee444419b44da46bbb994a4e7d41b496d2caa5c4bf996d1cd5706ba64": (),
+}
 
 
 def digest(text: str) -> str:
@@ -18,7 +53,7 @@ def digest(text: str) -> str:
 
 
 def has_passed(text: str, locked: Collection[str]) -> bool:
-    """Tell whether this very text has been inspected with at most these joints free.
+    """Tell whether this very text has passed with these joints locked, or with fewer.
 
     Locking a joint more never adds a fault, so what passed with some joints locked passes with more.
     """

@@ -54,8 +54,12 @@ _NEUTRAL = (
     ("joint", "stiffness", ("0",), "a spring is not simulated"),
     ("joint", "ref", ("0",), "a joint's zero is where the model is drawn"),
     ("joint", "limited", ("auto", "true"), "drop the range instead"),
+    ("joint", "springdamper", ("0 0",), "a spring is not simulated"),
     ("body", "gravcomp", ("0",), "gravity compensation is not simulated"),
     ("body", "mocap", ("false",), "a mocap body is not simulated"),
+    ("option", "density", ("0",), "a medium is not simulated"),
+    ("option", "viscosity", ("0",), "a medium is not simulated"),
+    ("flag", "gravity", ("enable",), 'write gravity="0 0 0"'),
     ("compiler", "inertiafromgeom", ("auto", "false"), "give every body its <inertial>"),
     ("compiler", "inertiagrouprange", (), "give every body its <inertial>"),
     ("compiler", "autolimits", ("true",), "let a range mean a limit"),
@@ -98,6 +102,8 @@ def read(text: str, where: str, folder: Path | None) -> str:
         _check_neutral(element, dict(element.attrib), f"{where}: <compiler>")
         compiler.attrib.update({k: v for k, v in element.attrib.items() if k in ("angle", "eulerseq")})
     for element in root.findall("option"):
+        for part in element.iter():
+            _check_neutral(part, dict(part.attrib), f"{where}: <{part.tag}>")
         if "gravity" in element.attrib:
             numbers(element.attrib["gravity"], 3, f"{where}: option gravity")
             ET.SubElement(out, "option", gravity=element.attrib["gravity"])
@@ -253,7 +259,7 @@ def _check_inertial(given: dict[str, str], at: str) -> None:
     (mass,) = numbers(given["mass"], 1, f"{at}: mass")
     if mass < 0.0:
         raise ModelError(f"{at} has a mass of {mass:g} kg: it must be positive")
-    check_tensor(_tensor(given, at), f"{at}: its inertia tensor")
+    check_tensor(_tensor(given, at), mass, f"{at}: its inertia tensor")
 
 
 def _tensor(given: dict[str, str], at: str) -> np.ndarray[tuple[int, int], np.dtype[np.float64]]:

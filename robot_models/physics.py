@@ -20,6 +20,9 @@ if TYPE_CHECKING:
 #: or more.
 ROUNDING = 1e-3
 
+#: A body smaller than this, m, is a point: moments below mass × length² are noise of a CAD export.
+POINT = 1e-6
+
 #: Smallest eigenvalue of the mass matrix scaled to a unit diagonal. A double carries 16 digits; below this
 #: the accelerations of Eq. 24 would have fewer than six left.
 SINGULAR = 1e-10
@@ -28,7 +31,7 @@ SINGULAR = 1e-10
 LEAST_INERTIA = 1e-15
 
 
-def check_tensor(tensor: NDArray[np.float64], what: str) -> None:
+def check_tensor(tensor: NDArray[np.float64], mass: float, what: str) -> None:
     """Refuse a rotational inertia that no mass distribution can have.
 
     A tensor about the centre of mass belongs to a body if and only if its principal moments are not
@@ -41,6 +44,8 @@ def check_tensor(tensor: NDArray[np.float64], what: str) -> None:
     ----------
     tensor : (3, 3)
         About the centre of mass, kg m².
+    mass
+        Of the body, kg.
     what
         How to name its owner in a message.
 
@@ -51,11 +56,11 @@ def check_tensor(tensor: NDArray[np.float64], what: str) -> None:
         digits.
     """
     low, mid, high = np.linalg.eigvalsh(tensor)
-    slack = ROUNDING * max(high, 0.0)
+    slack = ROUNDING * max(high, 0.0) + POINT**2 * max(mass, 0.0)
     moments = f"principal moments {low:.4g}, {mid:.4g}, {high:.4g} kg m²"
-    if low < -slack or high < 0.0:
+    if not low >= -slack:
         raise ModelError(f"{what} is not positive definite ({moments}): check the signs of its entries")
-    if low + mid < high - slack:
+    if not low + mid >= high - slack:
         raise ModelError(
             f"{what} breaks the triangle inequality ({moments}): none may exceed the sum of the other two"
         )
@@ -84,7 +89,15 @@ def check_mechanism(model: "pin.Model", home: NDArray[np.float64], where: str) -
     names = list(model.names)
     for joint in range(1, model.njoints):
         body = model.inertias[joint]
-        check_tensor(body.inertia, f"{where}: the inertia of what joint {names[joint]!r} carries")
+        numbers = np.concatenate(
+            [body.toDynamicParameters(), model.jointPlacements[joint].homogeneous.ravel()]
+        )
+        if not np.isfinite(numbers).all():
+            raise ModelError(
+                f"{where}: joint {names[joint]!r} has a pose or carries an inertia that is not finite"
+            )
+        what = f"{where}: the inertia of what joint {names[joint]!r} carries"
+        check_tensor(body.inertia, body.mass, what)
         mass = sum(model.inertias[k].mass for k in model.subtrees[joint])
         if not mass > 0.0 and not model.armature[joint - 1] > 0.0:
             raise ModelError(
@@ -97,6 +110,8 @@ def check_mechanism(model: "pin.Model", home: NDArray[np.float64], where: str) -
     for posture in (home, *(home + generic)):
         upper = np.triu(pin.crba(model, data, posture))
         H = upper + np.triu(upper, 1).T
+        if not np.isfinite(H).all():
+            raise ModelError(f"{where}: the mass matrix is not finite: some number is far too large")
         diagonal = np.diag(H)
         if diagonal.min() <= LEAST_INERTIA:
             culprit = f"joint {names[1 + int(np.argmin(diagonal))]!r} moves no inertia along its own axis"

@@ -142,7 +142,8 @@ def _check_limit(joint: ET.Element, kind: str, at: str) -> None:
     values = {}
     for key in required:
         if key not in limit.attrib:
-            raise ModelError(f"{at}: its <limit> lacks {key!r}")
+            cure = "give both bounds, or make it continuous" if key in ("lower", "upper") else "give it"
+            raise ModelError(f"{at}: its <limit> lacks {key!r}: {cure}")
         (values[key],) = numbers(limit.attrib[key], 1, f"{at}: limit {key}")
         if key in ("effort", "velocity") and values[key] < 0.0:
             raise ModelError(f"{at}: limit {key} is {values[key]:g}: it must not be negative")
@@ -220,7 +221,7 @@ def inspect(text: str, where: str, locked: Collection[str]) -> None:
                 raise ModelError(
                     f"{at} has a rotational inertia and a mass of 0 kg: give it a mass, or neither"
                 )
-            check_tensor(tensor, f"{at}: its inertia tensor")
+            check_tensor(tensor, mass, f"{at}: its inertia tensor")
 
 
 def _typed(text: str, where: str) -> "yourdfpy.Robot":

@@ -1,0 +1,74 @@
+"""Robot closed-loop dynamics for force control study.
+
+    import closedloop as cl
+    run = cl.simulate(cl.load_scenario("wam_slide", {"law.force": 15.0}))
+    run.time, run.contact_force, run.summary()
+
+Names are loaded when they are first used, so that ``import closedloop`` is quick.
+"""
+
+from __future__ import annotations
+
+from importlib import import_module
+from typing import TYPE_CHECKING, Any
+
+if TYPE_CHECKING:
+    from closedloop.control import Law as Law
+    from closedloop.errors import ClosedLoopError as ClosedLoopError
+    from closedloop.errors import DivergenceError as DivergenceError
+    from closedloop.errors import ModelError as ModelError
+    from closedloop.errors import OutputError as OutputError
+    from closedloop.errors import RunFileError as RunFileError
+    from closedloop.errors import ScenarioError as ScenarioError
+    from closedloop.errors import SimulationError as SimulationError
+    from closedloop.errors import SingularClosureError as SingularClosureError
+    from closedloop.record import Run as Run
+    from closedloop.record import load_run as load_run
+    from closedloop.robot import Robot as Robot
+    from closedloop.robot import Terms as Terms
+    from closedloop.scenario import Scenario as Scenario
+    from closedloop.scenario import load_scenario as load_scenario
+    from closedloop.scenario import shipped_scenarios as shipped_scenarios
+    from closedloop.simulation import Problem as Problem
+    from closedloop.simulation import prepare as prepare
+    from closedloop.simulation import simulate as simulate
+    from closedloop.solve import solve_closure as solve_closure
+    from closedloop.surface import Plane as Plane
+
+_HOME = {
+    "ClosedLoopError": "errors",
+    "DivergenceError": "errors",
+    "Law": "control",
+    "ModelError": "errors",
+    "OutputError": "errors",
+    "Plane": "surface",
+    "Problem": "simulation",
+    "Robot": "robot",
+    "Run": "record",
+    "RunFileError": "errors",
+    "Scenario": "scenario",
+    "ScenarioError": "errors",
+    "SimulationError": "errors",
+    "SingularClosureError": "errors",
+    "Terms": "robot",
+    "load_run": "record",
+    "load_scenario": "scenario",
+    "prepare": "simulation",
+    "shipped_scenarios": "scenario",
+    "simulate": "simulation",
+    "solve_closure": "solve",
+}
+
+__all__ = sorted(_HOME)
+
+
+def __getattr__(name: str) -> Any:
+    if name not in _HOME:
+        raise AttributeError(f"module 'closedloop' has no attribute '{name}'")
+    value = getattr(import_module(f"closedloop.{_HOME[name]}"), name)
+    globals()[name] = value
+    return value
+
+
+def __dir__() -> list[str]:
+    return __all__

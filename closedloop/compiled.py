@@ -1,0 +1,78 @@
+"""One source, two ways to run it: the decorators of everything that happens inside a step.
+
+A function marked `@kernel` takes arrays and numbers, writes into the arrays it is given, and keeps nothing.
+numba compiles it; with ``NUMBA_DISABLE_JIT=1`` the very same lines run in plain Python.
+
+The outermost function is marked `@entry_kernel`: it alone is cached on disk, with everything that it calls.
+numba decides from the time stamp of *one* file whether a cached function is stale, which would silently keep an
+old `closure.py` inside a cached `step.py`. So the cache sits in a folder named after the text of all kernel files.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import os
+import shutil
+from collections.abc import Callable
+from contextlib import suppress
+from functools import lru_cache
+from pathlib import Path
+from typing import Any, TypeVar, cast
+
+import numba
+
+F = TypeVar("F", bound=Callable[..., Any])
+
+
+def kernel(function: F) -> F:
+    """Compile `function` into the entry kernel that calls it; strict IEEE arithmetic, no fast-math."""
+    return cast(F, numba.njit(error_model="numpy")(function))
+
+
+def entry_kernel(function: F) -> F:
+    """Compile `function` on first use and cache it on disk, keyed by the text of every kernel of the package."""
+    before = numba.config.CACHE_DIR
+    numba.config.CACHE_DIR = str(cache_folder())
+    try:
+        return cast(F, numba.njit(error_model="numpy", cache=True)(function))
+    except RuntimeError:  # numba found no folder that it may write: compile in every process
+        return cast(F, numba.njit(error_model="numpy")(function))
+    finally:
+        numba.config.CACHE_DIR = before
+
+
+def needs_compiling(function: Callable[..., Any]) -> bool:
+    """Whether calling `function` now would compile it first, which takes seconds."""
+    if numba.config.DISABLE_JIT or getattr(function, "signatures", ()):
+        return False
+    return not any(cache_folder().rglob(f"*{function.__name__}*.nbc"))
+
+
+@lru_cache(maxsize=1)
+def cache_folder() -> Path:
+    """Where the compiled entry kernels of exactly this source are kept."""
+    digest = hashlib.sha256()
+    for path in sorted(Path(__file__).parent.rglob("*.py")):
+        text = path.read_bytes()
+        if b"\n@kernel" in text or b"\n@entry_kernel" in text:
+            digest.update(text)
+    return _cache_root() / f"closedloop-{digest.hexdigest()[:16]}"
+
+
+def _cache_root() -> Path:
+    """NUMBA_CACHE_DIR if set, the package's own __pycache__ if writable, else the user's cache folder."""
+    if numba.config.CACHE_DIR:
+        return Path(numba.config.CACHE_DIR)
+    beside = Path(__file__).parent / "__pycache__"
+    with suppress(OSError):
+        beside.mkdir(exist_ok=True)
+    if os.access(beside, os.W_OK):
+        return beside
+    return Path(os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache")
+
+
+def forget_old_caches() -> None:
+    """Delete the compiled code of earlier versions of the source; called after a compilation, never on a warm start."""
+    for folder in _cache_root().glob("closedloop-*"):
+        if folder != cache_folder():
+            shutil.rmtree(folder, ignore_errors=True)

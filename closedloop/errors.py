@@ -1,0 +1,63 @@
+"""What can go wrong, as types a caller may want to tell apart.
+
+Every message has what was wrong, where, and what would be right, on one line.
+The command line turns `ScenarioError` and `ModelError` into exit status 2 and
+`SimulationError` into exit status 3.
+"""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+from robot_models.errors import ClosedLoopError, ModelError
+
+if TYPE_CHECKING:
+    from closedloop.record import Run
+
+__all__ = [
+    "ClosedLoopError",
+    "DivergenceError",
+    "ModelError",
+    "OutputError",
+    "RunFileError",
+    "ScenarioError",
+    "SimulationError",
+    "SingularClosureError",
+]
+
+
+class ScenarioError(ClosedLoopError, ValueError):
+    """The scenario is at fault: an unknown key, a wrong type, a value out of range."""
+
+
+class RunFileError(ClosedLoopError, ValueError):
+    """A file is not a run of this package, or is damaged."""
+
+
+class OutputError(ClosedLoopError, OSError):
+    """The results cannot be written where they were asked for."""
+
+
+class SimulationError(ClosedLoopError):
+    """The simulation could not go on.
+
+    Attributes
+    ----------
+    time : float
+        The instant at which it stopped, s.
+    run : Run or None
+        Everything that was simulated until then.
+    """
+
+    def __init__(self, message: str, time: float, run: Run | None = None) -> None:
+        super().__init__(message)
+        self.time = time
+        self.run = run
+
+
+class SingularClosureError(SimulationError):
+    """Eq. 24 has no trustworthy solution: the tip cannot move along the surface normal."""
+
+
+class DivergenceError(SimulationError):
+    """The state grew beyond all bounds or stopped being a number."""

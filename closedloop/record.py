@@ -1,0 +1,258 @@
+"""A run: named columns with units, and with them everything that made them.
+
+Row k holds the state at time[k] and what acted in that state: the acceleration, torque and contact force of a row
+belong to the q and q̇ of the same row. The file is NetCDF-4, which is HDF5: xarray, h5py and MATLAB open it.
+"""
+
+from __future__ import annotations
+
+import json
+import os
+from collections.abc import Mapping
+from dataclasses import dataclass, field, fields
+from functools import cached_property
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from closedloop.errors import OutputError, RunFileError
+from closedloop.scenario import Scenario, parse_scenario
+from robot_models import RobotModel
+
+if TYPE_CHECKING:
+    import xarray
+
+Array = NDArray[np.float64]
+
+FORMAT, FORMAT_VERSION = "closedloop run", 1
+FREE, PRESSED = 0, 1  # values of the column `mode`
+
+
+class Column(NamedTuple):
+    """Dimensions, unit and meaning of a column."""
+
+    dims: tuple[str, ...]
+    units: str
+    meaning: str
+
+
+# Joint quantities are in rad, rad/s, rad/s² and N m for revolute joints; for prismatic ones m, m/s, m/s² and N.
+COLUMNS: dict[str, Column] = {
+    "time": Column(("time",), "s", "time since the start of the run"),
+    "q": Column(("time", "joint"), "rad", "joint positions"),
+    "v": Column(("time", "joint"), "rad s-1", "joint velocities"),
+    "acceleration": Column(("time", "joint"), "rad s-2", "joint accelerations, solution of Eq. 24"),
+    "torque": Column(("time", "joint"), "N m", "torque Q of the control law on the joints (Eq. 33)"),
+    "reference_position": Column(("time", "joint"), "rad", "q_des"),
+    "reference_velocity": Column(("time", "joint"), "rad s-1", "time derivative of q_des"),
+    "position": Column(("time", "axis"), "m", "tip position r, base frame"),
+    "velocity": Column(("time", "axis"), "m s-1", "tip velocity, base frame"),
+    "contact_force": Column(
+        ("time",), "N", "force of the surface on the tip along the surface normal; positive pushes the robot away"
+    ),
+    "stabiliser_force": Column(("time",), "N", "the part of contact_force that answers the stabiliser"),
+    "closure_error": Column(("time",), "m", "e = n.r - d; positive off the surface"),
+    "closure_rate": Column(("time",), "m s-1", "time derivative of closure_error"),
+    "mode": Column(("time",), "1", "0 free, 1 pressed"),
+    "residual_motion": Column(("time",), "1", "relative residual of the equation of motion in Eq. 24"),
+    "residual_closure": Column(("time",), "1", "relative residual of the closure row in Eq. 24"),
+    "kkt_condition": Column(("time",), "1", "condition number of the matrix of Eq. 24, 1-norm, SI units"),
+    "normal_mobility": Column(("time",), "1", "A H^-1 A^T over the trace of J H^-1 J^T; 0 at a singular pose"),
+    "kinetic_energy": Column(("time",), "J", "kinetic energy, drives included"),
+    "potential_energy": Column(("time",), "J", "potential energy of gravity"),
+}
+
+
+@dataclass(frozen=True, eq=False)
+class Run:
+    """The record of a simulation, and what produced it.
+
+    Every column in `COLUMNS` is also an attribute: `run.time` (N,), `run.q` (N, n), `run.position` (N, 3),
+    `run.contact_force` (N,) ... All are read-only.
+
+    Attributes
+    ----------
+    scenario : Scenario
+        What was asked for.
+    model : RobotModel
+        The robot, whole: the run can be repeated without any other file.
+    columns : mapping of str to array
+        The record.
+    law : str
+        "scenario" for the scenario's own law, else the name of the user's.
+    versions : mapping of str to str
+        Packages that made the run.
+    stopped : str or None
+        Why the simulation could not go on; None if it ran to its end.
+    wall_seconds : float
+        Time the simulation took, s.
+    """
+
+    scenario: Scenario
+    model: RobotModel
+    columns: Mapping[str, NDArray[Any]]
+    law: str = "scenario"
+    versions: Mapping[str, str] = field(default_factory=dict)
+    stopped: str | None = None
+    wall_seconds: float = 0.0
+
+    def __post_init__(self) -> None:
+        for column in self.columns.values():
+            column.setflags(write=False)
+
+    def __getattr__(self, name: str) -> NDArray[Any]:
+        if name in COLUMNS:
+            column: NDArray[Any] = self.columns[name]
+            return column
+        raise AttributeError(f"a Run has no '{name}'; its columns are {', '.join(COLUMNS)}")
+
+    def __dir__(self) -> list[str]:
+        return [*super().__dir__(), *COLUMNS]
+
+    def __len__(self) -> int:
+        return int(self.columns["time"].size)
+
+    def __repr__(self) -> str:
+        end = self.columns["time"][-1] if len(self) else 0.0
+        return f"<Run of {self.scenario.name}: {len(self)} rows, 0 to {end:g} s{', stopped early' if self.stopped else ''}>"
+
+    @cached_property
+    def _summary(self) -> dict[str, Any]:
+        from closedloop.report import summarise
+
+        return summarise(self)
+
+    def summary(self) -> dict[str, Any]:
+        """Return what the command line prints and writes as summary.json; see `closedloop.report`."""
+        return dict(self._summary)
+
+    def to_xarray(self) -> xarray.Dataset:
+        """Return the run as an xarray Dataset with units and the attributes of the file."""
+        import xarray
+
+        data = {
+            name: (spec.dims, np.asarray(self.columns[name]), {"units": spec.units, "long_name": spec.meaning})
+            for name, spec in COLUMNS.items()
+            if name != "time"
+        }
+        spec = COLUMNS["time"]
+        coordinates = {
+            "time": (spec.dims, np.asarray(self.columns["time"]), {"units": spec.units, "long_name": spec.meaning}),
+            "joint": list(self.model.joint_names),
+            "axis": ["x", "y", "z"],
+        }
+        return xarray.Dataset(data, coordinates, self._attributes())
+
+    def _attributes(self) -> dict[str, Any]:
+        robot = {
+            f.name: _plain(getattr(self.model, f.name)) for f in fields(self.model) if f.name != "text"
+        }
+        return {
+            "format": FORMAT,
+            "format_version": FORMAT_VERSION,
+            "scenario": self.scenario.to_toml(),
+            "robot_text": self.model.text,
+            "robot": json.dumps(robot),
+            "law": self.law,
+            "seed": "none: nothing in this run is random",
+            "versions": json.dumps(dict(self.versions)),
+            "stopped": self.stopped or "",
+            "wall_seconds": self.wall_seconds,
+            "summary": json.dumps(self.summary()),
+        }
+
+    def save(self, path: str | Path) -> Path:
+        """Write the run as NetCDF-4 (HDF5) and return the path; an older file is replaced only once this one is whole.
+
+        Raises
+        ------
+        OutputError
+            If the file cannot be written.
+        """
+        import h5netcdf
+
+        path = Path(path)
+        unfinished = path.with_name(f".{path.name}.{os.getpid()}")
+        try:
+            with h5netcdf.File(unfinished, "w") as file:
+                file.dimensions = {"time": len(self), "joint": self.model.n, "axis": 3}
+                for name, spec in COLUMNS.items():
+                    variable = file.create_variable(name, spec.dims, data=np.asarray(self.columns[name]))
+                    variable.attrs["units"] = spec.units
+                    variable.attrs["long_name"] = spec.meaning
+                for name, labels in (("joint", self.model.joint_names), ("axis", ("x", "y", "z"))):
+                    encoded = np.array([label.encode() for label in labels])
+                    file.create_variable(name, (name,), data=encoded)
+                for key, value in self._attributes().items():
+                    file.attrs[key] = value
+            unfinished.replace(path)
+        except OSError as error:
+            unfinished.unlink(missing_ok=True)
+            raise OutputError(f"{path}: cannot be written: {error.strerror or error}") from None
+        return path
+
+
+def load_run(path: str | Path) -> Run:
+    """Read a run that `Run.save` wrote.
+
+    Raises
+    ------
+    RunFileError
+        If there is no such file, or it is not a run, or it is damaged.
+    """
+    import h5netcdf
+
+    path = Path(path)
+    if not path.is_file():
+        raise RunFileError(f"{path}: there is no such file")
+    try:
+        with h5netcdf.File(path, "r") as file:
+            attributes = dict(file.attrs)
+            if attributes.get("format") != FORMAT:
+                raise RunFileError(f"{path}: is not a run file (its 'format' attribute is not '{FORMAT}')")
+            if int(attributes["format_version"]) > FORMAT_VERSION:
+                raise RunFileError(
+                    f"{path}: was written by a newer version (format {attributes['format_version']}, "
+                    f"this one reads up to {FORMAT_VERSION})"
+                )
+            columns = {name: np.asarray(file.variables[name][...]) for name in COLUMNS}
+    except (OSError, KeyError, ValueError, TypeError) as error:
+        if isinstance(error, RunFileError):
+            raise
+        raise RunFileError(f"{path}: is not a run file, or is damaged: {error}") from None
+    try:
+        robot = {k: _restored(v) for k, v in json.loads(attributes["robot"]).items()}
+        model = RobotModel(text=attributes["robot_text"], **robot)
+        return Run(
+            scenario=parse_scenario(attributes["scenario"], where=f"{path}, attribute 'scenario'"),
+            model=model,
+            columns=columns,
+            law=str(attributes["law"]),
+            versions=json.loads(attributes["versions"]),
+            stopped=str(attributes["stopped"]) or None,
+            wall_seconds=float(attributes["wall_seconds"]),
+        )
+    except (KeyError, TypeError, json.JSONDecodeError) as error:
+        raise RunFileError(f"{path}: is damaged: {error}") from None
+
+
+def _plain(value: Any) -> Any:
+    """Return a JSON value that `_restored` turns back bit for bit (repr of a float is exact)."""
+    if isinstance(value, np.ndarray):
+        return {"array": [repr(float(x)) for x in value]}
+    if isinstance(value, tuple):
+        return {"tuple": list(value)}
+    if isinstance(value, Mapping):
+        return {"mapping": dict(value)}
+    return value
+
+
+def _restored(value: Any) -> Any:
+    if isinstance(value, dict):
+        ((kind, content),) = value.items()
+        if kind == "array":
+            return np.array([float(x) for x in content])
+        return tuple(content) if kind == "tuple" else content
+    return value

@@ -1,0 +1,323 @@
+"""A scenario: everything that determines a run, typed, frozen and validated (TOML in, TOML out).
+
+    scenario = load_scenario("wam_slide", {"law.force": 15.0})
+
+A scenario file is data: it can name a robot and numbers, never code. Unknown keys are errors; `kind` picks a variant.
+"""
+
+from __future__ import annotations
+
+import difflib
+import tomllib
+from collections.abc import Mapping
+from importlib import resources
+from pathlib import Path
+from typing import Annotated, Any, Literal, get_args
+
+from pydantic import BaseModel, BeforeValidator, ConfigDict, Field, ValidationError
+
+from closedloop.errors import ScenarioError
+
+
+def _number(value: Any) -> Any:
+    """Refuse what Python would quietly turn into a number."""
+    if isinstance(value, bool) or not isinstance(value, (int, float)):
+        raise ValueError("must be a number")
+    return float(value)
+
+
+def _boolean(value: Any) -> Any:
+    if not isinstance(value, bool):
+        raise ValueError("must be true or false")
+    return value
+
+
+Number = Annotated[float, BeforeValidator(_number)]
+Positive = Annotated[float, BeforeValidator(_number), Field(gt=0.0)]
+NotNegative = Annotated[float, BeforeValidator(_number), Field(ge=0.0)]
+Flag = Annotated[bool, BeforeValidator(_boolean)]
+Vector3 = tuple[Number, Number, Number]
+PerJoint = tuple[Number, ...]
+
+
+class Section(BaseModel):
+    """Common settings of all sections: nothing unknown, nothing infinite, nothing changed afterwards."""
+
+    model_config = ConfigDict(extra="forbid", frozen=True, allow_inf_nan=False)
+
+
+class RobotSection(Section):
+    """[robot]: the arm."""
+
+    model: str = Field("wam4", description="shipped name, example-robot-data name, or a .urdf or MJCF .xml path")
+    tip: str | None = Field(None, description="frame that touches the surface; the model's own tip if left out")
+    drive_inertia: Flag = Field(True, description="add the drives' inertia (armature) to the mass matrix")
+    lock: dict[str, Number] | None = Field(
+        None, description="joints held rigid, and where, rad (m); the model's own choice if left out"
+    )
+
+
+class PlaneSection(Section):
+    """[surface] kind = "plane": n·p = d in the base frame."""
+
+    kind: Literal["plane"] = "plane"
+    normal: Vector3 = Field((0.0, 0.0, 1.0), description="out of the surface, base frame; any length but zero")
+    offset: Number | Literal["start"] = Field(
+        "start", description="d for the unit normal, m, or \"start\": through the tip at the start"
+    )
+
+
+class StartSection(Section):
+    """[start]: the state at t = 0."""
+
+    q: PerJoint | None = Field(None, description="joint positions, rad (m); the model's home posture if left out")
+    v: PerJoint | None = Field(None, description="joint velocities, rad/s (m/s); at rest if left out")
+
+
+class LineSection(Section):
+    """[reference] kind = "line": the tip runs straight along the surface at constant speed."""
+
+    kind: Literal["line"] = "line"
+    direction: Vector3 = Field(description="direction of the tip's motion, base frame; any length but zero")
+    speed: Number = Field(description="tip speed, m/s; negative runs backwards")
+    start: NotNegative = Field(0.5, description="instant at which the tip starts to move, s")
+    stop: NotNegative = Field(description="instant at which it stops, s")
+
+
+class HoldSection(Section):
+    """[reference] kind = "hold": the tip stays where it starts."""
+
+    kind: Literal["hold"] = "hold"
+
+
+class PaperLawSection(Section):
+    """[law] kind = "paper": Eq. 33."""
+
+    kind: Literal["paper"] = "paper"
+    kp: Number | PerJoint = Field(description="position gain K_p, N m/rad, one per joint or one for all")
+    kd: Number | PerJoint = Field(description="velocity gain K_d, N m s/rad, one per joint or one for all")
+    force: Number = Field(10.0, description="force f_des with which the tip presses on the surface, N")
+    pd_start: NotNegative | None = Field(
+        None, description="instant from which the PD part acts, s; reference.start (0 for hold) if left out"
+    )
+    sample_period: NotNegative = Field(
+        0.0, description="period at which the law is evaluated and then held, s; 0: at every evaluation of Eq. 24"
+    )
+
+
+class BaumgarteSection(Section):
+    """[stabiliser] kind = "baumgarte": s_v = 2ζ/T, s_p = 1/T²."""
+
+    kind: Literal["baumgarte"] = "baumgarte"
+    damping_ratio: NotNegative = Field(0.707, description="ζ")
+    time_constant: Positive = Field(0.001, description="T, s")
+
+
+class NoStabiliserSection(Section):
+    """[stabiliser] kind = "none": the closure drifts (Fig. 7)."""
+
+    kind: Literal["none"] = "none"
+
+
+IntegratorName = Literal["semi_implicit_euler", "explicit_euler", "rk4"]
+
+
+class TimeSection(Section):
+    """[time]: how far and in what steps."""
+
+    duration: Positive = Field(8.0, description="length of the run, s; a whole number of steps")
+    step: Positive = Field(0.001, description="step h, s")
+    integrator: IntegratorName = Field("semi_implicit_euler", description=", ".join(get_args(IntegratorName)))
+
+
+Reference = Annotated[LineSection | HoldSection, Field(discriminator="kind")]
+Stabiliser = Annotated[BaumgarteSection | NoStabiliserSection, Field(discriminator="kind")]
+
+
+class Scenario(Section):
+    """Everything that determines a run; see the sections for the keys."""
+
+    name: str = Field("unnamed", description="the shipped name or the file's stem")
+    description: str = Field("", description="one line for --list")
+    robot: RobotSection = RobotSection()
+    surface: PlaneSection = PlaneSection()
+    start: StartSection = StartSection()
+    reference: Reference = HoldSection()
+    law: PaperLawSection
+    stabiliser: Stabiliser = BaumgarteSection()
+    time: TimeSection = TimeSection()
+
+    def to_toml(self) -> str:
+        """Return the scenario as TOML text that `load_scenario` reads back to an equal one."""
+        import tomli_w
+
+        return tomli_w.dumps(self.model_dump(mode="python", exclude_none=True))
+
+
+def shipped_scenarios() -> list[str]:
+    """Return the names of the scenarios that come with the package, sorted."""
+    folder = resources.files("closedloop") / "scenarios"
+    return sorted(f.name.removesuffix(".toml") for f in folder.iterdir() if f.name.endswith(".toml"))
+
+
+def load_scenario(name: str | Path, overrides: Mapping[str, Any] | None = None) -> Scenario:
+    """Read a scenario and check it.
+
+    Parameters
+    ----------
+    name : str or Path
+        A shipped name (see `shipped_scenarios`) or a path to a .toml file.
+    overrides : mapping, optional
+        Dotted keys and values laid over the file before it is checked, such as ``{"law.force": 15.0}``. Overriding a
+        `kind` drops the keys of the old kind that the new one does not know.
+
+    Raises
+    ------
+    ScenarioError
+        If there is no such scenario, or the file or an override is at fault; names the key, the value and the cure.
+    """
+    text, stem, where = _scenario_text(name)
+    return parse_scenario(text, stem, where, overrides)
+
+
+def parse_scenario(
+    text: str, stem: str = "unnamed", where: str = "scenario", overrides: Mapping[str, Any] | None = None
+) -> Scenario:
+    """Read a scenario from TOML text; `where` names its origin in messages. See `load_scenario`."""
+    try:
+        data = tomllib.loads(text)
+    except tomllib.TOMLDecodeError as error:
+        raise ScenarioError(f"{where}: not valid TOML: {error}") from None
+    data.setdefault("name", stem)
+    for key, value in (overrides or {}).items():
+        _override(data, key, value)
+    try:
+        scenario = Scenario.model_validate(data)
+    except ValidationError as error:
+        raise ScenarioError(f"{where}: {_explain(error, data)}") from None
+    return scenario
+
+
+def _scenario_text(name: str | Path) -> tuple[str, str, str]:
+    """Return (TOML text, stem, how to call it in messages)."""
+    as_path = Path(name)
+    if as_path.suffix == ".toml" or isinstance(name, Path):
+        try:
+            return as_path.read_text(encoding="utf-8"), as_path.stem, str(as_path)
+        except OSError as error:
+            raise ScenarioError(f"{as_path}: cannot be read: {error.strerror}") from None
+        except UnicodeDecodeError:
+            raise ScenarioError(f"{as_path}: is not UTF-8 text; a scenario is a TOML file") from None
+    shipped = shipped_scenarios()
+    if name not in shipped:
+        near = difflib.get_close_matches(str(name), shipped, n=1, cutoff=0.4)
+        hint = f"did you mean '{near[0]}'?" if near else f"shipped are {', '.join(shipped)}"
+        raise ScenarioError(f"no scenario named '{name}'; {hint} (a file of your own must end in .toml)")
+    file = resources.files("closedloop") / "scenarios" / f"{name}.toml"
+    return file.read_text(encoding="utf-8"), str(name), str(name)
+
+
+def _override(data: dict[str, Any], key: str, value: Any) -> None:
+    parts = key.split(".")
+    section = data
+    for part in parts[:-1]:
+        section = section.setdefault(part, {})
+        if not isinstance(section, dict):
+            raise ScenarioError(f"{key}: '{part}' is not a section")
+    if parts[-1] == "kind" and len(parts) == 2 and section.get("kind") != value:
+        known = _variant_keys(parts[0], value)
+        for stale in [k for k in section if k not in known]:
+            del section[stale]
+    section[parts[-1]] = value
+
+
+def _variants(section: str) -> dict[str, type[Section]]:
+    """Return kind -> section type; the key is "" where there is one type without a kind."""
+    field = Scenario.model_fields.get(section)
+    if field is None:
+        return {}
+    types = get_args(field.annotation) or (field.annotation,)
+    found: dict[str, type[Section]] = {}
+    for kind in types:
+        if isinstance(kind, type) and issubclass(kind, Section):
+            tag = kind.model_fields.get("kind")
+            found[tag.default if tag else ""] = kind
+    return found
+
+
+def _variant_keys(section: str, kind: Any) -> set[str]:
+    variant = _variants(section).get(kind)
+    return set(variant.model_fields) if variant else set()
+
+
+def describe_keys() -> list[tuple[str, str]]:
+    """Return (dotted key, what it is) for every key a scenario may have, in order."""
+    rows: list[tuple[str, str]] = []
+    for section in Scenario.model_fields:
+        for kind, variant in _variants(section).items():
+            for key, field in variant.model_fields.items():
+                if key == "kind":
+                    continue
+                suffix = f" [{kind}]" if len(_variants(section)) > 1 else ""
+                default = "" if field.is_required() or field.default is None else f" (default {field.default})"
+                rows.append((f"{section}.{key}", f"{field.description}{default}{suffix}"))
+        if len(_variants(section)) > 1:
+            rows.append((f"{section}.kind", " | ".join(_variants(section))))
+    return rows
+
+
+def _explain(error: ValidationError, data: dict[str, Any]) -> str:
+    """Turn pydantic's findings into one line: what, where, what would be right."""
+    problems = error.errors(include_url=False)
+    first = problems[0]
+    location = [str(part) for part in first["loc"]]
+    section = location[0] if location else ""
+    tags = set(_variants(section)) | {"function-before[_number(), float]", "tuple[float, ...]"}
+    path = [section, *(p for p in location[1:] if p not in tags and not p.startswith(("literal[", "function-", "tuple[", "float")))]
+    name = ".".join(p for p in path if p)
+    kind, value = first["type"], first.get("input")
+    shown = repr(value) if not isinstance(value, dict) else "a table"
+    more = f" (and {len(problems) - 1} more)" if len({tuple(p["loc"][:2]) for p in problems}) > 1 else ""
+    if kind == "extra_forbidden":
+        return f"unknown key '{name}'; {_known_keys(section, path, data)}{more}"
+    if kind == "missing":
+        return f"'{name}' is missing{more}"
+    if kind in ("union_tag_invalid", "literal_error", "union_tag_not_found"):
+        if kind == "union_tag_invalid":
+            shown, name = repr(first["ctx"]["tag"]), f"{name}.kind"
+            options = " or ".join(f"'{k}'" for k in _variants(section))
+        elif kind == "union_tag_not_found":
+            return f"'{name}.kind' is missing: must be {' or '.join(repr(k) for k in _variants(section))}"
+        else:
+            options = first["ctx"]["expected"]
+        if name == "surface.offset":
+            options = 'a number of metres, or "start"'
+        return f"{name} = {shown}: must be {options}{more}"
+    if kind == "greater_than":
+        return f"{name} = {shown}: must be greater than 0{more}"
+    if kind == "greater_than_equal":
+        return f"{name} = {shown}: must not be negative{more}"
+    if kind == "finite_number":
+        return f"{name} = {shown}: must be finite, not NaN or infinite{more}"
+    if kind in ("tuple_type", "too_long", "too_short", "missing_argument") or "tuple" in kind:
+        return f"{name} = {shown}: must be a list of numbers{more}"
+    if kind == "value_error":
+        return f"{name} = {shown}: {first['ctx']['error']}{more}"
+    if kind in ("model_type", "model_attributes_type", "dict_type"):
+        return f"{name} = {shown}: must be a section of its own, [{name}]{more}"
+    if kind == "string_type":
+        return f"{name} = {shown}: must be text{more}"
+    return f"{name} = {shown}: {first['msg']}{more}"
+
+
+def _known_keys(section: str, path: list[str], data: dict[str, Any]) -> str:
+    if len(path) == 1:
+        known = [k for k in Scenario.model_fields]
+        place = "sections are"
+    else:
+        variants = _variants(section)
+        kind = data.get(section, {}).get("kind", next(iter(variants), ""))
+        known = sorted(_variant_keys(section, kind)) if kind in variants else sorted(_variant_keys(section, ""))
+        place = f"[{section}] knows"
+    near = difflib.get_close_matches(path[-1], known, n=1, cutoff=0.5)
+    return f"did you mean '{'.'.join([*path[:-1], near[0]])}'?" if near else f"{place} {', '.join(known)}"

@@ -1,0 +1,285 @@
+"""Eq. 24, the one linear solve of a step: acceleration and contact force together.
+
+    [ H   Aᵀ ] [ q̈ ]   [ Q − C ]
+    [ A   0  ] [ −f ] = [  b_s  ]        A = nᵀJᵣ for the plane, m >= 1 rows in general
+
+`solve_closure` is that line in numpy and LAPACK, for reading, for users and for tests. Inside a step the same
+equation goes through Cholesky of H and the Schur complement A H⁻¹Aᵀ (`eliminate`), which is faster, knows when
+a pose is singular, and splits off the stabiliser's share of f. Tests hold the two against each other.
+"""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from closedloop.compiled import kernel
+
+Array = NDArray[np.float64]
+
+# A H⁻¹Aᵀ is the tip's mobility along the normal, 1/kg: acceleration per newton. Below this share of its mobility
+# in all directions together (the trace of Jᵣ H⁻¹Jᵣᵀ) the pose counts as singular. The share falls with the square
+# of the Jacobian's angle to the singular pose: at 1e-12 that angle is 1e-6 rad, f is ill-determined to about six of
+# its sixteen digits, and a force of 10 N along the normal asks for a million times the joint acceleration.
+SINGULAR_MOBILITY = 1e-12
+
+OK, SINGULAR, NOT_POSITIVE_DEFINITE, DIVERGED = 0, 1, 2, 3
+
+
+def bordered_matrix(H: ArrayLike, A: ArrayLike) -> Array:
+    """Return the (n + m, n + m) matrix of Eq. 24 from H (n, n) and A (n,) or (m, n)."""
+    H_, A_ = np.asarray(H, dtype=np.float64), np.atleast_2d(np.asarray(A, dtype=np.float64))
+    m = A_.shape[0]
+    return np.block([[H_, A_.T], [A_, np.zeros((m, m))]])
+
+
+def solve_closure(H: ArrayLike, rhs: ArrayLike, A: ArrayLike, b: ArrayLike) -> tuple[Array, Array | float]:
+    """Solve Eq. 24 for the joint acceleration and the contact force.
+
+    Parameters
+    ----------
+    H : (n, n) array
+        Mass matrix, kg m² (kg for prismatic joints), symmetric positive definite.
+    rhs : (n,) array
+        Q − C, N m.
+    A : (n,) or (m, n) array
+        Closure rows; nᵀJᵣ for the plane.
+    b : float or (m,) array
+        b_s of Eq. 23, m/s².
+
+    Returns
+    -------
+    qdd : (n,) array
+        Joint acceleration q̈, rad/s².
+    f : float or (m,) array
+        Contact force, N, positive along +n on the robot; a float when A is (n,).
+
+    Raises
+    ------
+    ValueError
+        If the shapes do not fit or an entry is not finite.
+    numpy.linalg.LinAlgError
+        If the pose is singular: the matrix has no inverse.
+    """
+    tau = np.asarray(rhs, dtype=np.float64)
+    rows = np.atleast_2d(np.asarray(A, dtype=np.float64))
+    accelerations = np.atleast_1d(np.asarray(b, dtype=np.float64))
+    n, m = tau.shape[0], rows.shape[0]
+    if np.shape(H) != (n, n) or rows.shape != (m, n) or accelerations.shape != (m,):
+        raise ValueError(
+            f"Eq. 24 needs H (n, n), Q - C (n,), A (m, n), b (m,); got {np.shape(H)}, {tau.shape}, "
+            f"{np.shape(A)}, {np.shape(b)}"
+        )
+    matrix = bordered_matrix(H, rows)
+    right = np.concatenate([tau, accelerations])
+    if not (np.all(np.isfinite(matrix)) and np.all(np.isfinite(right))):
+        raise ValueError("Eq. 24: H, Q - C, A and b must be finite")
+    solution = np.linalg.solve(matrix, right)
+    force = -solution[n:]
+    return solution[:n], float(force[0]) if np.ndim(A) == 1 else force
+
+
+@kernel
+def cholesky(M: Array, L: Array) -> bool:
+    """Write the lower triangle L of M = L Lᵀ, reading M's upper triangle; False if M is not positive definite.
+
+    The diagonal of L holds the reciprocals 1/Lᵢᵢ: everything that follows divides by them.
+    """
+    n = M.shape[0]
+    for j in range(n):
+        for i in range(j, n):
+            s = M[j, i]
+            for k in range(j):
+                s -= L[i, k] * L[j, k]
+            if i == j:
+                if not s > 0.0:
+                    return False
+                L[j, j] = 1.0 / math.sqrt(s)
+            else:
+                L[i, j] = s * L[j, j]
+    return True
+
+
+@kernel
+def forward_substitute(L: Array, x: Array) -> None:
+    """Overwrite x (n,) with L⁻¹x."""
+    for i in range(x.shape[0]):
+        s = x[i]
+        for k in range(i):
+            s -= L[i, k] * x[k]
+        x[i] = s * L[i, i]
+
+
+@kernel
+def back_substitute(L: Array, x: Array) -> None:
+    """Overwrite x (n,) with L⁻ᵀx."""
+    for i in range(x.shape[0] - 1, -1, -1):
+        s = x[i]
+        for k in range(i + 1, x.shape[0]):
+            s -= L[k, i] * x[k]
+        x[i] = s * L[i, i]
+
+
+@kernel
+def eliminate(
+    H: Array, tau: Array, C: Array, A: Array, b: Array, b_stabiliser: Array, J: Array,
+    L: Array, X: Array, S: Array, y: Array, qdd: Array, f: Array, f_stabiliser: Array,
+) -> tuple[int, float]:  # fmt: skip
+    """Solve Eq. 24 through Cholesky of H and of the Schur complement S = A H⁻¹Aᵀ.
+
+    Parameters
+    ----------
+    H : (n, n) array
+        Mass matrix; the upper triangle is read.
+    tau, C : (n,) arrays
+        Q and C.
+    A, b, b_stabiliser : (m, n), (m,), (m,) arrays
+        Closure rows, b_s and the stabiliser's share of b_s.
+    J : (>=3, n) array
+        Tip Jacobian, linear part first; the measure of what "singular" is relative to.
+    L, X, S, y : (n, n), (m, n), (m, m), (n,) arrays
+        Written: Cholesky factor of H, rows (H⁻¹Aᵀ)ᵀ, Cholesky factor of A H⁻¹Aᵀ, H⁻¹(Q − C).
+    qdd, f, f_stabiliser : (n,), (m,), (m,) arrays
+        Written: q̈, f and the part of f that answers the stabiliser: (A H⁻¹Aᵀ)⁻¹(−s_v ė − s_p e).
+
+    Returns
+    -------
+    status : int
+        OK, SINGULAR or NOT_POSITIVE_DEFINITE.
+    mobility : float
+        Smallest pivot of A H⁻¹Aᵀ over the trace of Jᵣ H⁻¹Jᵣᵀ: 0 at a singular pose.
+    """
+    n, m = tau.shape[0], b.shape[0]
+    if not cholesky(H, L):
+        return NOT_POSITIVE_DEFINITE, 0.0
+    for j in range(n):
+        y[j] = tau[j] - C[j]
+    forward_substitute(L, y)
+    back_substitute(L, y)
+    total = 0.0
+    for k in range(3):
+        for j in range(n):
+            qdd[j] = J[k, j]
+        forward_substitute(L, qdd)
+        for j in range(n):
+            total += qdd[j] * qdd[j]
+    for i in range(m):
+        for j in range(n):
+            X[i, j] = A[i, j]
+        forward_substitute(L, X[i])
+    # S = (L⁻¹Aᵀ)ᵀ(L⁻¹Aᵀ), its Cholesky factor in place (row by row, each entry read before it is overwritten)
+    smallest = np.inf
+    for j in range(m):
+        for i in range(j, m):
+            s = 0.0
+            for k in range(n):
+                s += X[i, k] * X[j, k]
+            for k in range(j):
+                s -= S[i, k] * S[j, k]
+            if i == j:
+                smallest = min(smallest, s)
+                if not s > SINGULAR_MOBILITY * total:
+                    return SINGULAR, s / total if total > 0.0 else 0.0
+                S[j, j] = 1.0 / math.sqrt(s)
+            else:
+                S[i, j] = s * S[j, j]
+    for i in range(m):
+        back_substitute(L, X[i])
+        f[i] = b[i]
+        f_stabiliser[i] = b_stabiliser[i]
+        for j in range(n):
+            f[i] -= A[i, j] * y[j]
+    forward_substitute(S, f)
+    back_substitute(S, f)
+    forward_substitute(S, f_stabiliser)
+    back_substitute(S, f_stabiliser)
+    for j in range(n):
+        a = y[j]
+        for i in range(m):
+            a += X[i, j] * f[i]
+        qdd[j] = a
+    return OK, smallest / total
+
+
+@kernel
+def residual(
+    H: Array, tau: Array, C: Array, A: Array, b: Array, y: Array, X: Array, qdd: Array, f: Array
+) -> tuple[float, float]:
+    """Return the relative residuals of the two block rows of Eq. 24.
+
+    Each is the largest entry of |K x − rhs| over the largest entry of |K||x| + |rhs| of the same block row, where q̈
+    counts as what it was summed from, |H⁻¹(Q − C)| + |H⁻¹Aᵀf|: an arm that a force holds at rest has q̈ = 0, and
+    rounding is relative to the two parts that cancel. So 1e-16 is as good as the arithmetic allows. The first residual
+    says that no force but Q, C and the closure's acts on the arm; the second that the tip accelerates as the closure
+    asks.
+    """
+    n, m = tau.shape[0], b.shape[0]
+    worst, scale = 0.0, 0.0
+    for i in range(n):
+        r = C[i] - tau[i]
+        s = abs(tau[i]) + abs(C[i])
+        for j in range(n):
+            h = H[i, j] if i <= j else H[j, i]
+            r += h * qdd[j]
+            s += abs(h * qdd[j])
+        for k in range(m):
+            r -= A[k, i] * f[k]
+            s += abs(A[k, i] * f[k])
+        worst = max(worst, abs(r))
+        scale = max(scale, s)
+    motion = worst / scale if scale > 0.0 else 0.0
+    worst, scale = 0.0, 0.0
+    for k in range(m):
+        r = -b[k]
+        s = abs(b[k])
+        for j in range(n):
+            r += A[k, j] * qdd[j]
+            s += abs(A[k, j] * y[j])
+            for i in range(m):
+                s += abs(A[k, j] * X[i, j] * f[i])
+        worst = max(worst, abs(r))
+        scale = max(scale, s)
+    return motion, worst / scale if scale > 0.0 else 0.0
+
+
+@kernel
+def condition(H: Array, A: Array, L: Array, X: Array, S: Array, column: Array, share: Array) -> float:
+    """Return the condition number of the matrix K of Eq. 24 in the 1-norm, ‖K‖₁‖K⁻¹‖₁, in SI units.
+
+    The inverse comes from what `eliminate` left behind in L, X, S:
+    K⁻¹ = [[H⁻¹ − X S⁻¹Xᵀ, X S⁻¹], [S⁻¹Xᵀ, −S⁻¹]] with X = H⁻¹Aᵀ. `column` (n,) and `share` (m,) are scratch.
+    """
+    n, m = H.shape[0], A.shape[0]
+    norm, inverse_norm = 0.0, 0.0
+    for j in range(n + m):
+        s = 0.0
+        if j < n:
+            for i in range(n):
+                s += abs(H[i, j] if i <= j else H[j, i])
+                column[i] = 1.0 if i == j else 0.0
+            for k in range(m):
+                s += abs(A[k, j])
+                share[k] = X[k, j]
+            forward_substitute(L, column)
+            back_substitute(L, column)
+        else:
+            for i in range(n):
+                s += abs(A[j - n, i])
+                column[i] = 0.0
+            for k in range(m):
+                share[k] = -1.0 if k == j - n else 0.0
+        norm = max(norm, s)
+        forward_substitute(S, share)
+        back_substitute(S, share)
+        s = 0.0
+        for i in range(n):
+            x = column[i]
+            for k in range(m):
+                x -= X[k, i] * share[k]
+            s += abs(x)
+        for k in range(m):
+            s += abs(share[k])
+        inverse_norm = max(inverse_norm, s)
+    return norm * inverse_norm

@@ -1,0 +1,63 @@
+"""The surface that the tip is held to: a plane n·p = d."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from closedloop.errors import ScenarioError
+
+Array = NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class Plane:
+    """The plane n·p = d in the base frame (Eq. 11).
+
+    Attributes
+    ----------
+    normal : (3,) array
+        Unit normal n in the base frame; it points out of the surface, to the side where the robot is.
+    offset : float
+        Distance d of the plane from the base origin along n, m.
+    """
+
+    normal: Array
+    offset: float
+
+    @classmethod
+    def of(cls, normal: ArrayLike, offset: float) -> Plane:
+        """Make a plane from any non-zero normal, which is normalised; `offset` refers to the unit normal.
+
+        Raises
+        ------
+        ScenarioError
+            If the normal is not three finite numbers or has no direction, or the offset is not finite.
+        """
+        n = np.array(normal, dtype=np.float64)
+        if n.shape != (3,) or not np.all(np.isfinite(n)):
+            raise ScenarioError(f"surface.normal = {normal}: must be three finite numbers")
+        # Scaling by the largest entry first keeps tiny and huge normals from under- or overflowing.
+        largest = float(np.max(np.abs(n)))
+        if largest == 0.0:
+            raise ScenarioError(
+                "surface.normal = [0, 0, 0]: has no direction; give the vector out of the surface, such as [0, 0, 1]"
+            )
+        n /= largest
+        n /= np.linalg.norm(n)
+        if not np.isfinite(offset):
+            raise ScenarioError(f"surface.offset = {offset}: must be a finite number of metres, or \"start\"")
+        n.setflags(write=False)
+        return cls(n, float(offset))
+
+    @classmethod
+    def through(cls, point: ArrayLike, normal: ArrayLike) -> Plane:
+        """Make the plane with this normal through `point` (3,), m, base frame."""
+        plane = cls.of(normal, 0.0)
+        return cls(plane.normal, float(plane.normal @ np.asarray(point, dtype=np.float64)))
+
+    def gap(self, point: ArrayLike) -> float:
+        """Closure error e = n·p − d of a point (3,), m; positive off the surface."""
+        return float(self.normal @ np.asarray(point, dtype=np.float64) - self.offset)

@@ -114,6 +114,7 @@ def read(text: str, where: str, folder: Path | None) -> str:
         _copy_body(element, world, defaults, None, False, f"{where}: the world", names)
     keys = ET.SubElement(out, "keyframe")
     for key in root.iterfind("keyframe/key[@qpos]"):
+        numbers(key.attrib["qpos"], None, f"{where}: keyframe qpos")
         ET.SubElement(keys, "key", name=key.get("name", "home"), qpos=key.attrib["qpos"])
     return ET.tostring(out, encoding="unicode")
 
@@ -165,7 +166,10 @@ def _include(element: ET.Element, where: str, folder: Path | None, seen: set[Pat
         if path in seen:
             raise ModelError(f"{where}: {name!r} is included twice: a file may be included once")
         seen.add(path)
-        element[position : position + 1] = list(parse(read_text(path), f"{where}: included {name}"))
+        try:
+            element[position : position + 1] = list(parse(read_text(path), name))
+        except ModelError as error:
+            raise ModelError(f"{where}: included {name}: {error}") from None
 
 
 def _copy_body(

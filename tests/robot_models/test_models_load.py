@@ -1,0 +1,283 @@
+"""What the loader hands out: the same dynamics as the file, whole, read-only and repeatable."""
+
+import pickle
+import subprocess
+import sys
+from pathlib import Path
+
+import numpy as np
+import pinocchio as pin
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from model_texts import INERTIAL, LIMIT, arm, joint, link, mjcf, urdf
+
+import robot_models
+from robot_models import inspected, shipped
+
+ARRAYS = ("armature", "position_lower", "position_upper", "velocity_limit", "effort_limit", "home", "gravity")
+
+
+def dynamics(model, q, v):
+    """Return the mass matrix and the bias."""
+    upper = np.triu(pin.crba(model, model.createData(), q))
+    return upper + np.triu(upper, 1).T, pin.nonLinearEffects(model, model.createData(), q, v).copy()
+
+
+def again(robot):
+    """Return the robot rebuilt from what a run file would hold."""
+    return robot_models.from_text(
+        robot.text,
+        robot.format,
+        name=robot.name,
+        armature=robot.armature.tolist(),
+        tip=robot.tip,
+        home=robot.home.tolist(),
+        locked=dict(robot.locked),
+        gravity=robot.gravity.tolist(),
+        description=robot.description,
+        source=robot.source,
+    )
+
+
+@pytest.fixture
+def write(tmp_path):
+    """Return a function that writes a file and returns its path."""
+
+    def write(text, name="robot.urdf"):
+        path = tmp_path / name
+        path.write_text(text)
+        return path
+
+    return write
+
+
+@pytest.mark.parametrize("name", [*robot_models.shipped_names(), "panda", "ur5", "kinova", "talos_arm"])
+@pytest.mark.parametrize("drive_inertia", [True, False])
+def test_round_trip_is_bit_identical(name, drive_inertia):
+    """Text, lock and armature give the very same dynamics, by from_text and by pickle."""
+    robot = robot_models.load(name, drive_inertia=drive_inertia)
+    rng = np.random.default_rng(1)
+    for copy in (again(robot), pickle.loads(pickle.dumps(robot))):
+        for field in ARRAYS:
+            np.testing.assert_array_equal(getattr(copy, field), getattr(robot, field))
+            assert not getattr(copy, field).flags.writeable
+        for field in ("name", "format", "text", "joint_names", "joint_types", "tip", "frames", "locked"):
+            assert getattr(copy, field) == getattr(robot, field)
+        for _ in range(5):
+            q, v = rng.uniform(-2, 2, (2, robot.n))
+            for one, other in zip(
+                dynamics(robot.pinocchio_model(), q, v),
+                dynamics(copy.pinocchio_model(), q, v),
+                strict=True,
+            ):
+                np.testing.assert_array_equal(one, other)
+
+
+@pytest.mark.parametrize("name", robot_models.shipped_names())
+def test_shipped_robots_are_complete(name):
+    """A shipped robot has a tip, a home inside its limits, a description, a source and shapes to look at."""
+    robot = robot_models.load(name)
+    assert robot.name == name
+    assert robot.tip in robot.frames
+    assert robot.description
+    assert robot.source
+    assert np.all((robot.position_lower <= robot.home) & (robot.home <= robot.position_upper))
+    assert "<visual>" in robot.text
+    model = robot.pinocchio_model()
+    assert model.nq == model.nv == robot.n == len(robot.joint_names) == len(robot.joint_types)
+    assert tuple(model.names)[1:] == robot.joint_names
+    np.testing.assert_array_equal(model.armature, robot.armature)
+    np.testing.assert_array_equal(model.gravity.linear, robot.gravity)
+
+
+def test_models_are_the_callers_own():
+    """A model that is changed leaves the robot, and the next model, as they were."""
+    robot = robot_models.load("planar2")
+    robot.pinocchio_model().gravity.linear = np.zeros(3)
+    np.testing.assert_array_equal(robot.pinocchio_model().gravity.linear, [0, 0, -9.81])
+    with pytest.raises(ValueError, match="read-only"):
+        robot.armature[0] = 1.0
+
+
+@pytest.mark.parametrize("name", robot_models.shipped_names())
+def test_what_was_inspected_still_passes(name):
+    """The list of inspected texts holds the shipped ones, and they do pass."""
+    from robot_models import urdf as reader
+
+    text = shipped.path_of(name).read_text()
+    assert inspected.digest(text) in inspected.PASSED
+    reader.inspect(reader.read(text, name), name, ())
+
+
+def test_one_byte_more_is_inspected_again():
+    """The memory is of bytes, and of the joints that were locked."""
+    text = shipped.path_of("wam4").read_text()
+    assert inspected.has_passed(text, ())
+    assert inspected.has_passed(text, ["J1"])
+    assert not inspected.has_passed(text + " ", ())
+    panda = robot_models.load("panda")
+    assert inspected.has_passed(panda.text, panda.locked)
+    assert not inspected.has_passed(panda.text, ["panda_finger_joint2"])
+
+
+def run(code):
+    """Run code in a fresh interpreter and return what it prints."""
+    root = Path(robot_models.__file__).parents[1]
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, cwd=root, check=True)
+    return done.stdout.strip()
+
+
+def test_imports_are_lazy():
+    """The package itself imports no engine, and a shipped robot needs no inspection and no robot table."""
+    heavy = ("pinocchio", "yourdfpy", "trimesh", "example_robot_data")
+    asked = f"print([m for m in {heavy} if m in sys.modules])"
+    assert run(f"import sys, robot_models; {asked}") == "[]"
+    assert run(f"import sys, robot_models; robot_models.load('wam4'); {asked}") == "['pinocchio']"
+
+
+@given(
+    q=st.lists(st.floats(-3, 3), min_size=2, max_size=2), v=st.lists(st.floats(-5, 5), min_size=2, max_size=2)
+)
+def test_continuous_joints_are_one_variable(q, v):
+    """The same H and bias as Pinocchio's own joint on the circle, and no bounds."""
+    q, v = np.array(q), np.array(v)
+    robot, own = _continuous()
+    model = robot.pinocchio_model()
+    circle = np.column_stack([np.cos(q), np.sin(q)]).ravel()
+    for mine, theirs in zip(dynamics(model, q, v), dynamics(own, circle, v), strict=True):
+        np.testing.assert_allclose(mine, theirs, atol=2e-13)
+
+
+def _continuous():
+    text = arm(
+        shoulder=joint("shoulder", "base", "upper", kind="continuous", axis="0.6 0 0.8", limit=""),
+        elbow=joint("elbow", "upper", "fore", kind="continuous"),
+    )
+    robot = robot_models.from_text(text, "urdf", name="c", armature=[0, 0], tip="tip", home=[0, 0], locked={})
+    return robot, pin.buildModelFromXML(text)
+
+
+def test_continuous_joints_have_no_bounds():
+    """No <limit> is no limit at all; bounds in a continuous joint's <limit> are ignored, effort is kept."""
+    robot, own = _continuous()
+    assert own.nq == 4
+    assert robot.joint_types == ("continuous", "continuous")
+    np.testing.assert_array_equal(robot.position_upper, [np.inf, np.inf])
+    np.testing.assert_array_equal(robot.position_lower, [-np.inf, -np.inf])
+    np.testing.assert_array_equal(robot.velocity_limit, [np.inf, 2.0])
+    np.testing.assert_array_equal(robot.effort_limit, [np.inf, 5.0])
+
+
+@pytest.mark.parametrize("value", [0.0, 0.7, -2.0])
+def test_locked_joints_are_welded(write, value):
+    """Locking is Pinocchio's reduced model: for a whole arm, and at any value."""
+    robot = robot_models.load(write(arm()), lock={"elbow": value})
+    assert robot.joint_names == ("shoulder",)
+    assert dict(robot.locked) == {"elbow": value}
+    whole = pin.buildModelFromXML(robot.text)
+    reduced = pin.buildReducedModel(whole, [whole.getJointId("elbow")], np.array([0.0, value]))
+    for q in (-1.0, 0.3):
+        q, v = np.array([q]), np.array([2.0])
+        for one, other in zip(dynamics(robot.pinocchio_model(), q, v), dynamics(reduced, q, v), strict=True):
+            np.testing.assert_array_equal(one, other)
+
+
+def test_locked_by_name_is_locked_at_home(write):
+    """Names alone lock at the home posture; the sidecar's own lock is replaced by one that is given."""
+    path = write(arm())
+    write("[home]\nelbow = 0.4\n[lock]\nshoulder = 0.1\n", "robot.toml")
+    assert dict(robot_models.load(path).locked) == {"shoulder": 0.1}
+    assert dict(robot_models.load(path, lock=["elbow"]).locked) == {"elbow": 0.4}
+
+
+def test_mimicking_joint_may_be_locked(write):
+    """What mimics is refused only while it would move."""
+    path = write(arm(elbow=joint("elbow", "upper", "fore", extra='<mimic joint="shoulder"/>')))
+    assert robot_models.load(path, lock=["elbow"]).joint_names == ("shoulder",)
+
+
+def test_sidecar_speaks_for_a_users_robot(write):
+    """Drive inertia, tip, home and words come from my.toml beside my.urdf; the switch still switches."""
+    path = write(arm())
+    write(
+        'description = "d"\nsource = "s"\ntip = "fore"\n[home]\nelbow = 9.0\n[drive_inertia]\nelbow = 0.25\n',
+        "robot.toml",
+    )
+    robot = robot_models.load(path)
+    assert (robot.name, robot.description, robot.source, robot.tip) == ("robot", "d", "s", "fore")
+    np.testing.assert_array_equal(robot.armature, [0.0, 0.25])
+    np.testing.assert_array_equal(robot.home, [0.0, 1.0])  # moved into the limits
+    assert not robot_models.load(str(path), drive_inertia=False).armature.any()
+
+
+def test_axes_are_made_unit(write):
+    """A non-unit axis means its direction: in Pinocchio, and in the text that other readers get."""
+    long = robot_models.load(
+        write(arm(elbow=joint("elbow", "upper", "fore", axis="0 0 2.5", kind="prismatic")))
+    )
+    unit = robot_models.load(
+        write(arm(elbow=joint("elbow", "upper", "fore", kind="prismatic", axis="0 0 1")))
+    )
+    assert "2.5" not in long.text
+    q, v = np.array([0.3, 0.4]), np.array([1.0, 2.0])
+    for one, other in zip(
+        dynamics(long.pinocchio_model(), q, v), dynamics(unit.pinocchio_model(), q, v), strict=True
+    ):
+        np.testing.assert_allclose(one, other, atol=1e-14)
+    assert unit.text == arm(elbow=joint("elbow", "upper", "fore", kind="prismatic", axis="0 0 1"))
+
+
+def test_damping_and_friction_of_a_urdf_do_not_act(write):
+    """Friction belongs to the scenario: the same motion with and without <dynamics>."""
+    dynamic = '<dynamics damping="3" friction="2"/>'
+    plain = robot_models.load(write(arm())).pinocchio_model()
+    rough = robot_models.load(write(arm(elbow=joint("elbow", "upper", "fore", axis="0 0 1", extra=dynamic))))
+    rough = rough.pinocchio_model()
+    assert rough.damping[1] == 3
+    q, v = np.array([0.3, 0.4]), np.array([1.0, 2.0])
+    for one, other in zip(dynamics(plain, q, v), dynamics(rough, q, v), strict=True):
+        np.testing.assert_array_equal(one, other)
+    accelerations = [pin.aba(m, m.createData(), q, v, np.zeros(2)) for m in (plain, rough)]
+    np.testing.assert_array_equal(*accelerations)
+
+
+def test_massless_frames_and_intermediate_links_are_fine(write):
+    """A welded frame and a link between two joints may be massless, as in a spherical joint."""
+    text = urdf(
+        link("base", ""),
+        link("between", ""),
+        link("end", INERTIAL),
+        link(
+            "flag",
+            '<inertial><mass value="0"/>'
+            '<inertia ixx="0" iyy="0" izz="0" ixy="0" ixz="0" iyz="0"/></inertial>',
+        ),
+        joint("a", "base", "between"),
+        joint("b", "between", "end", axis="1 0 0"),
+        joint("c", "end", "flag", kind="fixed", limit=""),
+    )
+    robot = robot_models.load(write(text))
+    assert robot.n == 2
+    assert robot.tip == "flag"
+
+
+def test_home_is_inside_the_limits(write):
+    """Zero where it is allowed, else the middle."""
+    away = LIMIT.replace('lower="-1"', 'lower="0.5"')
+    robot = robot_models.load(write(arm(elbow=joint("elbow", "upper", "fore", limit=away))))
+    np.testing.assert_array_equal(robot.home, [0.0, 0.75])
+
+
+def test_the_root_decides_the_format(write):
+    """A URDF in an .xml file is a URDF."""
+    assert robot_models.load(write(arm(), "robot.xml")).format == "urdf"
+    assert robot_models.load(write(mjcf(), "robot.urdf")).format == "mjcf"
+
+
+def test_exports():
+    """The package exports what it promises, and its errors share the project's root."""
+    for name in robot_models.__all__:
+        assert hasattr(robot_models, name)
+    assert issubclass(robot_models.ModelError, robot_models.ClosedLoopError)
+    assert issubclass(robot_models.ModelError, ValueError)

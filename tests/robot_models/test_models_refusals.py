@@ -1,0 +1,352 @@
+"""What cannot be simulated is refused by name, in one line, with the cure; it is never built otherwise."""
+
+import numpy as np
+import pytest
+from model_texts import ARM, INERTIAL, LIMIT, MJCF_INERTIAL, arm, joint, link, mjcf, urdf
+
+import robot_models
+from robot_models import ModelError
+
+
+def weighing(mass="2", tensor='ixx="0.1" iyy="0.12" izz="0.05" ixy="0" ixz="0" iyz="0"'):
+    """Return an `<inertial>` with this mass and tensor."""
+    return f'<inertial><mass value="{mass}"/><inertia {tensor}/></inertial>'
+
+
+def tensor(ixx, iyy, izz, ixy=0, ixz=0, iyz=0):
+    """Return an `<inertial>` of 2 kg with this tensor."""
+    return weighing(tensor=f'ixx="{ixx}" iyy="{iyy}" izz="{izz}" ixy="{ixy}" ixz="{ixz}" iyz="{iyz}"')
+
+
+def elbow(**options):
+    """Return the sample arm with another elbow."""
+    return arm(elbow=joint("elbow", "upper", "fore", **options))
+
+
+URDF = {
+    "negative mass": (arm(fore=link("fore", weighing("-1"))), ["'fore'", "-1 kg", "positive"]),
+    "negative mass on the base": (arm(base=link("base", weighing("-1"))), ["'base'", "-1 kg"]),
+    "zero mass on a link that moves": (arm(fore=link("fore", weighing("0"))), ["'fore'", "0 kg", "positive"]),
+    "nothing moves with the last joint": (arm(fore=link("fore", "")), ["'elbow'", "moves no mass"]),
+    "point mass on the axis": (
+        arm(fore=link("fore", tensor(0, 0, 0))),
+        ["'elbow'", "no inertia along its own axis"],
+    ),
+    "inertia without mass at the tip": (
+        arm(tip=link("tip", weighing("0"))),
+        ["'tip'", "rotational inertia", "0 kg"],
+    ),
+    "mass is nan": (arm(fore=link("fore", weighing("nan"))), ["'fore'", "mass", "'nan'", "finite"]),
+    "mass with a comma": (arm(fore=link("fore", weighing("1,5"))), ["'fore'", "mass", "'1,5'"]),
+    "mass with an underscore": (arm(fore=link("fore", weighing("1_0"))), ["'fore'", "'1_0'"]),
+    "mass overflows": (arm(fore=link("fore", weighing("1e999"))), ["'fore'", "finite"]),
+    "centre of mass is infinite": (
+        arm(fore=link("fore", INERTIAL.replace("0.3", "inf"))),
+        ["'fore'", "origin xyz", "'inf'"],
+    ),
+    "origin of two numbers": (elbow(origin="0 1"), ["'elbow'", "origin xyz", "3 numbers"]),
+    "no tensor": (
+        arm(fore=link("fore", '<inertial><mass value="1"/></inertial>')),
+        ["'fore'", "inertia ixx"],
+    ),
+    "tensor lacks an entry": (arm(fore=link("fore", INERTIAL.replace('iyz="0.003"', ""))), ["'fore'", "iyz"]),
+    "two inertials": (arm(fore=link("fore", INERTIAL * 2)), ["'fore'", "2 <inertial>"]),
+    "indefinite tensor": (arm(fore=link("fore", tensor(1, 1, 1, 2))), ["'fore'", "not positive definite"]),
+    "negative tensor": (arm(fore=link("fore", tensor(-1, -1, -1))), ["'fore'", "not positive definite"]),
+    "triangle inequality": (
+        arm(fore=link("fore", tensor(1, 1, 3))),
+        ["'fore'", "triangle inequality", "3 kg m²"],
+    ),
+    "zero axis": (elbow(axis="0 0 0"), ["'elbow'", "axis", "direction"]),
+    "axis is nan": (elbow(axis="0 nan 0"), ["'elbow'", "axis", "'nan'"]),
+    "limits reversed": (
+        elbow(limit=LIMIT.replace('lower="-1"', 'lower="2"')),
+        ["'elbow'", "lower limit 2", "upper limit 1"],
+    ),
+    "no limit": (elbow(limit=""), ["'elbow'", "no <limit>"]),
+    "no lower limit": (elbow(limit=LIMIT.replace('lower="-1"', "")), ["'elbow'", "'lower'", "continuous"]),
+    "no effort": (elbow(limit=LIMIT.replace('effort="5"', "")), ["'elbow'", "'effort'"]),
+    "negative velocity limit": (
+        elbow(limit=LIMIT.replace('velocity="2"', 'velocity="-2"')),
+        ["'elbow'", "velocity", "-2"],
+    ),
+    "floating joint": (elbow(kind="floating"), ["'elbow'", "'floating'", "not simulated", "revolute"]),
+    "planar joint": (elbow(kind="planar"), ["'elbow'", "'planar'", "not simulated"]),
+    "unknown joint": (elbow(kind="hinge"), ["'elbow'", "'hinge'", "not simulated"]),
+    "mimic": (elbow(extra='<mimic joint="shoulder"/>'), ["'elbow'", "mimics 'shoulder'", "lock=['elbow']"]),
+    "missing child": (arm(without="fore"), ["'elbow'", "child link 'fore'"]),
+    "missing parent": (elbow().replace('parent link="upper"', 'parent link="uper"'), ["'elbow'", "'uper'"]),
+    "no parent element": (elbow().replace('<parent link="upper"/>', ""), ["'elbow'", "parent link None"]),
+    "two links of a name": (arm(plus=link("fore")), ["'fore'", "differ"]),
+    "two joints of a name": (arm(plus=joint("elbow", "upper", "tip")), ["'elbow'", "differ"]),
+    "link without a name": (arm(plus="<link/>"), ["<link> has no name"]),
+    "two roots": (arm(plus=link("stray")), ["2 links have no parent", "base, stray"]),
+    "two parents": (arm(plus=joint("again", "base", "fore")), ["'again'", "'fore'", "already has a parent"]),
+    "cycle": (
+        arm(plus=link("a") + link("b") + joint("ab", "a", "b") + joint("ba", "b", "a")),
+        ["its own ancestor", "tree"],
+    ),
+    "nothing moves": (urdf(link("base")), ["no joint that moves"]),
+    "no links": (urdf(), ["no links"]),
+    "xacro": (
+        '<robot name="a" xmlns:xacro="http://www.ros.org/wiki/xacro"><xacro:include filename="b"/></robot>',
+        ["xacro", "expand"],
+    ),
+    "doctype": ('<!DOCTYPE robot [<!ENTITY a "b">]>' + arm(), ["DOCTYPE"]),
+    "external entity": (
+        '<!DOCTYPE robot [<!ENTITY x SYSTEM "file:///etc/hostname">]><robot name="&x;"/>',
+        ["DOCTYPE"],
+    ),
+    "malformed": ('<robot name="a">\n  <link name="b">\n</robot>', ["mismatched tag", "line 3", "column 3"]),
+    "deeply nested": ("<robot>" + "<a>" * 500 + "</a>" * 500 + "</robot>", ["nested deeper"]),
+    "empty": ("  \n", ["empty"]),
+    "another root": ("<sdf/>", ["<sdf>", "<robot>"]),
+    "broken visual": (
+        arm(tip=link("tip", "<visual><geometry><sphere radius='big'/></geometry></visual>")),
+        ["yourdfpy cannot read", "big"],
+    ),
+}
+
+HINGE = '<joint name="shoulder" axis="0 1 0"/>'
+
+MJCF = {
+    "free joint": (mjcf(base='<body name="base"><freejoint/>'), ["'base'", "free joint", "fixed"]),
+    "ball joint": (
+        mjcf(joint='<joint name="shoulder" type="ball"/>'),
+        ["'shoulder'", "'ball'", "hinge or slide"],
+    ),
+    "free joint by type": (mjcf(joint='<joint name="shoulder" type="free"/>'), ["'shoulder'", "'free'"]),
+    "two joints on a body": (mjcf(joint=HINGE + '<joint name="b"/>'), ["'upper'", "2 joints"]),
+    "spring": (mjcf(joint='<joint name="shoulder" stiffness="3"/>'), ["'shoulder'", "stiffness", "'3'"]),
+    "spring by class": (
+        mjcf(head='<default><joint stiffness="3"/></default>'),
+        ["'shoulder'", "stiffness"],
+    ),
+    "ref": (mjcf(joint='<joint name="shoulder" ref="30"/>'), ["'shoulder'", "ref"]),
+    "limited off": (
+        mjcf(joint='<joint name="shoulder" limited="false"/>'),
+        ["'shoulder'", "limited", "range"],
+    ),
+    "gravity compensation": (mjcf(base='<body name="base" gravcomp="1">'), ["'base'", "gravcomp"]),
+    "frame": (mjcf(inner='<frame pos="0 0 1"/>'), ["'upper'", "<frame>"]),
+    "equality": (mjcf(tail='<equality><weld body1="hand"/></equality>'), ["<equality>", "not simulated"]),
+    "tendon": (mjcf(tail="<tendon/>"), ["<tendon>"]),
+    "no gravity by flag": (mjcf(head='<option><flag gravity="disable"/></option>'), ["gravity", "0 0 0"]),
+    "medium": (mjcf(head='<option density="1000"/>'), ["density", "medium"]),
+    "inertia from geoms": (
+        mjcf(head='<compiler inertiafromgeom="true"/>'),
+        ["inertiafromgeom", "<inertial>"],
+    ),
+    "old limits": (mjcf(head='<compiler autolimits="false"/>'), ["autolimits"]),
+    "negative mass": (mjcf(inertial=MJCF_INERTIAL.replace('"2"', '"-2"')), ["'upper'", "-2 kg"]),
+    "nan": (mjcf(inertial=MJCF_INERTIAL.replace('"2"', '"nan"')), ["inertial", "mass", "'nan'"]),
+    "triangle": (
+        mjcf(inertial='<inertial pos="0 0 0" mass="1" diaginertia="1 1 3"/>'),
+        ["'upper'", "triangle"],
+    ),
+    "indefinite": (
+        mjcf(inertial='<inertial pos="0 0 0" mass="1" fullinertia="1 1 1 2 0 0"/>'),
+        ["'upper'", "not positive definite"],
+    ),
+    "no inertia in the inertial": (
+        mjcf(inertial='<inertial pos="0 0 0" mass="1"/>'),
+        ["'upper'", "diaginertia"],
+    ),
+    "mesh weighs": (mjcf(inertial='<geom type="mesh" mesh="a"/>'), ["'upper'", "mesh", "<inertial>"]),
+    "visual geom weighs": (
+        mjcf(inertial='<geom size="0.1" contype="0" conaffinity="0"/>'),
+        ["'upper'", "without contact"],
+    ),
+    "zero axis": (mjcf(joint='<joint name="shoulder" axis="0 0 0"/>'), ["'shoulder'", "axis"]),
+    "pose is nan": (mjcf(base='<body name="base" quat="1 0 nan 0">'), ["'base'", "quat", "'nan'"]),
+    "far too large": (
+        mjcf(inertial=MJCF_INERTIAL.replace("0.1 0.02", "1e200 0")),
+        ["'shoulder'", "not finite"],
+    ),
+    "limits reversed": (mjcf(joint='<joint name="shoulder" range="1 -1"/>'), ["'shoulder'", "lower limit 1"]),
+    "negative armature": (mjcf(joint='<joint name="shoulder" armature="-1"/>'), ["'shoulder'", "armature"]),
+    "joint without a name": (mjcf(joint="<joint/>"), ["'upper'", "joint has no name"]),
+    "names clash": (mjcf(joint='<joint name="elbow"/>'), ["'elbow'", "differ"]),
+    "unknown class": (mjcf(joint='<joint name="shoulder" class="k"/>'), ["'k'", "<default>"]),
+    "two defaults": (mjcf(head="<default/><default/>"), ["2 <default>"]),
+    "keyframe is no posture": (mjcf(tail='<keyframe><key qpos="1 x"/></keyframe>'), ["keyframe", "'x'"]),
+    "doctype": ('<!DOCTYPE mujoco [<!ENTITY a "b">]>' + mjcf(), ["DOCTYPE"]),
+    "include of a missing file": (mjcf(head='<include file="gone.xml"/>'), ["gone.xml", "no such file"]),
+    "nothing moves": ("<mujoco><worldbody><body name='a'/></worldbody></mujoco>", ["no joint that moves"]),
+}
+
+CASES = [(f"{kind}: {name}", suffix, *case) for kind, suffix, table in
+         (("urdf", ".urdf", URDF), ("mjcf", ".xml", MJCF)) for name, case in table.items()]  # fmt: skip
+
+
+@pytest.mark.parametrize(("suffix", "text", "says"), [case[1:] for case in CASES], ids=[c[0] for c in CASES])
+def test_refused_by_name(tmp_path, suffix, text, says):
+    """One line that names the file and the culprit; the same from text alone."""
+    path = tmp_path / f"robot{suffix}"
+    path.write_text(text)
+    with pytest.raises(ModelError) as caught:
+        robot_models.load(path)
+    message = str(caught.value)
+    assert "\n" not in message
+    assert "robot" in message
+    for words in says:
+        assert words in message
+    with pytest.raises(ModelError):
+        robot_models.from_text(
+            text,
+            "urdf" if suffix == ".urdf" else "mjcf",
+            name="robot",
+            armature=[0, 0],
+            tip=None,
+            home=[0, 0],
+            locked={},
+        )
+
+
+def test_keyframe_of_another_length(tmp_path):
+    """A keyframe has one value for each joint."""
+    (tmp_path / "robot.xml").write_text(mjcf(tail='<keyframe><key qpos="1 2 3"/></keyframe>'))
+    with pytest.raises(ModelError, match="3 values for 2 joints"):
+        robot_models.load(tmp_path / "robot.xml")
+
+
+def test_the_samples_themselves_are_accepted(tmp_path):
+    """The refusals above are refusals of their one flaw."""
+    for name, text in (("a.urdf", urdf(*ARM)), ("a.xml", mjcf())):
+        path = tmp_path / name
+        path.write_text(text)
+        assert robot_models.load(path).joint_names == ("shoulder", "elbow")
+
+
+@pytest.mark.parametrize(
+    ("moments", "accepted"),
+    [
+        ((0.0, 1, 1), True),
+        ((1, 1, 2), True),
+        ((1, 1, 2.001), True),
+        ((1, 1, 2.01), False),
+        ((1, 1, 2.1), False),
+    ],
+)
+def test_triangle_inequality_from_both_sides(tmp_path, moments, accepted):
+    """Rods and plates lie on the bound; rounding of the fourth digit is forgiven, and no more."""
+    path = tmp_path / "a.urdf"
+    path.write_text(arm(fore=link("fore", tensor(*moments))))
+    if accepted:
+        robot_models.load(path)
+    else:
+        with pytest.raises(ModelError, match="triangle"):
+            robot_models.load(path)
+
+
+@pytest.mark.parametrize(
+    ("make", "says"),
+    [
+        (lambda p: None, "no such file"),
+        (lambda p: p.mkdir(), "folder"),
+        (lambda p: p.write_bytes(b""), "empty"),
+        (lambda p: p.write_bytes('<robot name="é"/>'.encode("latin-1")), "not UTF-8"),
+        (lambda p: p.write_bytes(b" " * 16_000_001), "larger than 16 MB"),
+    ],
+)
+def test_unreadable_files(tmp_path, make, says):
+    """A file that is no text is refused for what it is."""
+    path = tmp_path / "robot.urdf"
+    make(path)
+    with pytest.raises(ModelError, match=says):
+        robot_models.load(path)
+
+
+@pytest.mark.parametrize(
+    ("toml", "says"),
+    [
+        ("colour = 1", ["unknown key 'colour'", "drive_inertia"]),
+        ("tip = 3", ["tip is 3"]),
+        ("drive_inertia = 3", ["table"]),
+        ("[drive_inertia]\nelbo = 1.0", ["'elbo'", "did you mean 'elbow'?"]),
+        ("[drive_inertia]\nelbow = -1.0", ["elbow", "-1.0", "zero or more"]),
+        ("[drive_inertia]\nelbow = nan", ["elbow", "nan"]),
+        ("[drive_inertia]\nelbow = true", ["elbow", "True"]),
+        ("[home]\nelbow = inf", ["elbow", "inf"]),
+        ("[lock]\nend = 0.0", ["'end'", "no moving joint"]),
+        ("tip = 'hand'", ["'hand'", "did you mean"]),
+        ("tip = ", ["not valid TOML"]),
+    ],
+)
+def test_sidecar_is_read_strictly(tmp_path, toml, says):
+    """A sidecar says what the robot's joints bear, or is refused."""
+    (tmp_path / "robot.urdf").write_text(arm())
+    (tmp_path / "robot.toml").write_text(toml)
+    with pytest.raises(ModelError) as caught:
+        robot_models.load(tmp_path / "robot.urdf")
+    for words in says:
+        assert words in str(caught.value)
+
+
+@pytest.mark.parametrize(
+    ("name", "says"),
+    [
+        ("wam", "wam4"),
+        ("pandas", "'panda'"),
+        ("zzzzzzzz", "wam4, panda"),
+        ("Panda", "'panda'"),
+        ("", "no robot"),
+    ],
+)
+def test_unknown_names_come_with_a_suggestion(name, says):
+    """A slip of the pen costs one look."""
+    with pytest.raises(ModelError, match=says):
+        robot_models.load(name)
+
+
+def test_locks_are_checked(tmp_path):
+    """A lock names a joint and a finite value."""
+    (tmp_path / "robot.urdf").write_text(arm())
+    for lock, says in (
+        (["elbo"], "did you mean 'elbow'"),
+        ({"elbow": np.nan}, "finite"),
+        ("elbow", "must be a list"),
+        (["elbow", "shoulder"], "no joint that moves"),
+    ):
+        with pytest.raises(ModelError, match=says):
+            robot_models.load(tmp_path / "robot.urdf", lock=lock)
+
+
+def test_frames_are_checked():
+    """A tip that is not there is refused with the nearest that is."""
+    robot = robot_models.load("wam4")
+    assert robot.require_frame("tip") == "tip"
+    with pytest.raises(ModelError, match="did you mean 'tip'"):
+        robot.require_frame("tipp")
+    with pytest.raises(ModelError, match="wam4 has no frame"):
+        robot.require_frame("J1")
+
+
+@pytest.mark.parametrize(
+    ("change", "says"),
+    [
+        ({"armature": [1.0]}, "4 finite"),
+        ({"armature": [1.0, 1, 1, -1]}, "negative"),
+        ({"home": [np.nan] * 4}, "finite"),
+        ({"home": "abcd"}, "4 numbers"),
+        ({"tip": "nose"}, "no frame 'nose'"),
+        ({"format": "sdf"}, "'sdf'"),
+        ({"gravity": [0, 0]}, "3 finite"),
+        ({"locked": {"J9": 0.0}}, "'J9'"),
+    ],
+)
+def test_stored_fields_are_checked(change, says):
+    """What a run file says is a stranger's word."""
+    robot = robot_models.load("wam4")
+    stored = {
+        "text": robot.text,
+        "format": "urdf",
+        "name": "wam4",
+        "armature": robot.armature,
+        "tip": "tip",
+        "home": robot.home,
+        "locked": {},
+        **change,
+    }
+    with pytest.raises(ModelError, match=says):
+        robot_models.from_text(**stored)

@@ -95,9 +95,9 @@ def advance(
         Step, s.
     tableau : (S + 1, S) array
         See `Integrator.tableau`.
-    stages : (S + 1, 2, n) array
-        q̇ and q̈ of the stages so far, of which this stage's are written, and last q and v at the beginning of the
-        step, written at stage 0.
+    stages : (2 S + 2, n) array
+        q̇ and q̈ of each stage so far, of which this stage's are written, then q and v at the beginning of the step,
+        written at stage 0.
     q, v : (n,) arrays
         In: this stage's state. Out: the next one's.
     """
@@ -107,19 +107,19 @@ def advance(
             v[j] += h * qdd[j]
             q[j] += h * v[j]
         return
-    start = stages[stages.shape[0] - 1]
+    start = 2 * tableau.shape[1]
     if stage == 0:
         for j in range(n):
-            start[0, j] = q[j]
-            start[1, j] = v[j]
+            stages[start, j] = q[j]
+            stages[start + 1, j] = v[j]
     for j in range(n):
-        stages[stage, 0, j] = v[j]
-        stages[stage, 1, j] = qdd[j]
+        stages[2 * stage, j] = v[j]
+        stages[2 * stage + 1, j] = qdd[j]
     for j in range(n):
         dq = 0.0
         dv = 0.0
         for k in range(stage + 1):
-            dq += tableau[stage + 1, k] * stages[k, 0, j]
-            dv += tableau[stage + 1, k] * stages[k, 1, j]
-        q[j] = start[0, j] + h * dq
-        v[j] = start[1, j] + h * dv
+            dq += tableau[stage + 1, k] * stages[2 * k, j]
+            dv += tableau[stage + 1, k] * stages[2 * k + 1, j]
+        q[j] = stages[start, j] + h * dq
+        v[j] = stages[start + 1, j] + h * dv

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any
 
@@ -82,13 +83,19 @@ class Robot:
             data.a_gf[carrier].vector,
         )
 
-    def update(self, q: Array, v: Array) -> None:
-        """Evaluate H, C and the motion of the tip's link at (q, v), each (n,), into `views`.
+    def evaluator(self, q: Array, v: Array) -> Callable[[], None]:
+        """Return a function that evaluates H, C and the motion of the tip's link into `views`.
 
-        Nothing is checked: this is the inner loop's call. See `closedloop.tip` for the way to the tip.
+        `q` and `v`, each (n,), are read anew at each call, and nothing is checked: this is the inner loop's call. See
+        `closedloop.tip` for the rest of the way to the tip.
         """
-        pin.crba(self._pin, self._data, q, _WORLD)  # H, and the Jacobian of every joint
-        pin.nonLinearEffects(self._pin, self._data, q, v)  # C: recursive Newton-Euler with q̈ = 0
+        crba, bias, model, data, convention = pin.crba, pin.nonLinearEffects, self._pin, self._data, pin.Convention.WORLD
+
+        def evaluate() -> None:
+            crba(model, data, q, convention)  # H, and the Jacobian of every joint
+            bias(model, data, q, v)  # C: recursive Newton-Euler with q̈ = 0
+
+        return evaluate
 
     def terms(self, q: ArrayLike, v: ArrayLike) -> Terms:
         """Return H, C, r, Jᵣ and J̇ᵣq̇ of one state, from Pinocchio's frame functions.
@@ -105,7 +112,7 @@ class Robot:
         """
         q, v = self._checked(q, "q"), self._checked(v, "v")
         model, data, frame = self._pin, self._data, self._frame
-        self.update(q, v)
+        self.evaluator(q, v)()
         H = np.triu(data.M)
         H += np.triu(H, 1).T
         bias = data.nle.copy()
@@ -144,7 +151,6 @@ class Robot:
         return array
 
 
-_WORLD = pin.Convention.WORLD
 _ALIGNED = pin.LOCAL_WORLD_ALIGNED
 
 

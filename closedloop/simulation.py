@@ -27,7 +27,7 @@ from closedloop.record import PRESSED, Run
 from closedloop.robot import Robot
 from closedloop.scenario import HoldSection, LineSection, NoStabiliserSection, Scenario
 from closedloop.solve import NOT_POSITIVE_DEFINITE, OK, SINGULAR
-from closedloop.step import LAW_GIVEN, LAW_PAPER, SCALARS, SPEED_LIMIT, Row, pack_constants, step_on_pinocchio
+from closedloop.step import LAW_GIVEN, LAW_PAPER, SCALARS, SPEED_LIMIT, Memory, Row, pack_constants, step_on_pinocchio
 from closedloop.surface import Plane
 from robot_models import RobotModel
 
@@ -274,49 +274,46 @@ def _loop(
     """Step the problem; return the rows, why it stopped early (or None) and the seconds it took."""
     robot, scheme, h, steps, path = problem.robot, problem.integrator, problem.h, problem.steps, problem.path
     n = robot.n
-    state = np.array([problem.q, problem.v, np.zeros(n)])
-    q, v, torque = state
-    constants = pack_constants(
-        [*problem.plane.normal, problem.plane.offset],
-        problem.stabiliser, problem.settings, robot.tip_offset, robot.gravity, h,
-    )  # fmt: skip
-    joints = np.vstack([problem.gains, robot.support])
-    rows = np.zeros((steps + 1, Row.of(n, 1).width))
-    fixed = (
-        scheme.semi_implicit, *robot.views,
-        constants, joints, path, scheme.tableau(), state, np.zeros((scheme.stages + 1, 2, n)), np.zeros((2 * n + 9, n)), rows,
-    )  # fmt: skip
     per_step = (path.shape[0] - 1) // steps
-    node_spacing = h / per_step
+    constants = pack_constants(
+        [*problem.plane.normal, problem.plane.offset], problem.stabiliser, problem.settings,
+        robot.tip_offset, robot.gravity, h, h / per_step, scheme.semi_implicit,
+    )  # fmt: skip
+    memory = np.zeros((Memory.of(n, 1, scheme.stages).rows, n))
+    memory[0], memory[1] = problem.q, problem.v
+    q, v, torque = memory[:3]
+    rows = np.zeros((steps + 1, Row.of(n, 1).width))
+    fixed = (*robot.views, constants, np.vstack([problem.gains, robot.support]), path, scheme.tableau(), memory, rows)
     stages = tuple(enumerate(problem.nodes))
-    update, hold = robot.update, problem.hold
+    evaluate, hold = robot.evaluator(q, v), problem.hold
     kind = LAW_PAPER if law is None else LAW_GIVEN
     user_torque = None if law is None else _checked_law(law, robot, q, v)
 
+    failure: SimulationError | None = None
     began = clock.perf_counter()
     for i in range(steps + 1):
         if i == 1:
             began = clock.perf_counter()  # the first step compiled the kernel, or read it from the cache
         if i % CHUNK == 0:
             report(i, steps)
-        final = i == steps
-        for stage, node in stages:
+        for stage, node in stages if i < steps else stages[:1]:
             at = i * per_step + node
-            update(q, v)
             sampled = not hold or (stage == 0 and i % hold == 0)
             if sampled and user_torque is not None:
-                fault = user_torque(at * node_spacing, torque)
+                fault = user_torque(at * h / per_step, torque)
                 if fault:
-                    return rows[:i], DivergenceError(f"{_when(i * h)}: {fault}", i * h), clock.perf_counter() - began
-            status = step_on_pinocchio(
-                at * node_spacing, i, at, stage, kind if sampled else LAW_GIVEN, final, *fixed
-            )
+                    failure = DivergenceError(f"{_when(i * h)}: {fault}", i * h)
+                    break
+            evaluate()
+            status = step_on_pinocchio(i, at, stage, kind if sampled else LAW_GIVEN, *fixed)
             if status != OK:
-                return rows[:i], _failure(status, i * h, robot, problem, q, v), clock.perf_counter() - began
-            if final:
+                failure = _failure(status, i * h, robot, problem, q, v)
                 break
-    report(steps, steps)
-    return rows, None, clock.perf_counter() - began
+        if failure is not None:
+            rows = rows[:i]
+            break
+    report(len(rows) - 1, steps)
+    return rows, failure, clock.perf_counter() - began
 
 
 def _checked_law(law: Law, robot: Robot, q: Array, v: Array) -> Callable[[float, Array], str]:

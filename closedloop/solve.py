@@ -258,11 +258,16 @@ def condition(H: Array, A: Array, L: Array, X: Array, S: Array, column: Array, s
         if j < n:
             for i in range(n):
                 s += abs(H[i, j] if i <= j else H[j, i])
-                column[i] = 1.0 if i == j else 0.0
+                column[i] = 0.0
             for k in range(m):
                 s += abs(A[k, j])
                 share[k] = X[k, j]
-            forward_substitute(L, column)
+            column[j] = L[j, j]  # L⁻¹ of a unit vector is zero above its one
+            for i in range(j + 1, n):
+                x = 0.0
+                for k in range(j, i):
+                    x -= L[i, k] * column[k]
+                column[i] = x * L[i, i]
             back_substitute(L, column)
         else:
             for i in range(n):

@@ -29,13 +29,20 @@ LAW_GIVEN, LAW_PAPER = 0, 1
 
 
 # Where the parts of `constants` begin.
-PLANE, STABILISER, SETTINGS, OFFSET, GRAVITY, STEP, CONSTANTS = 0, 4, 6, 8, 11, 14, 15
+PLANE, STABILISER, SETTINGS, OFFSET, GRAVITY, STEP, NODE, SEMI_IMPLICIT, CONSTANTS = 0, 4, 6, 8, 11, 14, 15, 16, 17
 
 
 def pack_constants(
-    plane: ArrayLike, stabiliser: ArrayLike, settings: ArrayLike, offset: ArrayLike, gravity: ArrayLike, h: float
+    plane: ArrayLike,
+    stabiliser: ArrayLike,
+    settings: ArrayLike,
+    offset: ArrayLike,
+    gravity: ArrayLike,
+    h: float,
+    node_spacing: float,
+    semi_implicit: bool,
 ) -> Array:
-    """Return the (15,) array of everything that stays the same from step to step.
+    """Return the (CONSTANTS,) array of everything that stays the same from step to step.
 
     Each array argument costs a call from Python about 60 ns, so the constants travel as one.
 
@@ -51,10 +58,28 @@ def pack_constants(
         Tip in the frame of the joint that carries it, m.
     gravity : (3,) array
         m/s², base frame.
-    h : float
-        Step, s.
+    h, node_spacing : float
+        Step, and time between two rows of the path, s.
+    semi_implicit : bool
+        See `closedloop.integrate.advance`.
     """
-    return np.concatenate([np.asarray(x, dtype=np.float64).ravel() for x in (plane, stabiliser, settings, offset, gravity, h)])
+    parts = (plane, stabiliser, settings, offset, gravity, h, node_spacing, semi_implicit)
+    return np.concatenate([np.asarray(x, dtype=np.float64).ravel() for x in parts])
+
+
+class Memory(NamedTuple):
+    """The scratch that a step works in: rows of n numbers in one array, whose first three are the state."""
+
+    stages: int
+    work: int
+    rows: int
+
+    @classmethod
+    def of(cls, n: int, m: int, stages: int) -> Memory:
+        """Lay out the memory for n joints, m closure rows and a scheme of so many stages."""
+        first = 3
+        work = first + 2 * (stages + 1)
+        return cls(first, work, work + 2 * m + n + 3)
 
 
 class Row(NamedTuple):
@@ -127,48 +152,47 @@ def kinetic_energy(H: Array, v: Array) -> float:
 
 @kernel
 def step(
-    t: float, stage: int, law: int, final: bool, semi_implicit: bool,
-    H: Array, C: Array, J: Array, r: Array, drift: Array,
-    constants: Array, joints: Array, path: Array, tableau: Array, state: Array, stages: Array, work: Array, row: Array,
+    i: int, at: int, stage: int, law: int, H: Array, C: Array, J: Array, r: Array, drift: Array,
+    constants: Array, joints: Array, path: Array, tableau: Array, memory: Array, rows: Array,
 ) -> int:  # fmt: skip
     """Do one stage of one step, once the terms of the state are known.
 
     Parameters
     ----------
-    t : float
-        Time of this stage, s.
+    i : int
+        The row that this step writes; after the last row nothing is advanced.
+    at : int
+        The row of `path` that belongs to this stage's instant.
     stage : int
         Stage of the integrator; stage 0 is the row's own state and is recorded.
     law : int
         LAW_PAPER: evaluate Eq. 33 into the torque. LAW_GIVEN: use the torque as it is.
-    final : bool
-        Record only; do not advance.
     H, C, J, r, drift : (n, n), (n,), (>=3, n), (3,), (3,) arrays
         The terms; only H's upper triangle is read.
     constants : (CONSTANTS,) array
         See `pack_constants`.
     joints : (3, n) array
         K_p, K_d and whether the joint moves the tip (1 or 0).
-    path : (2, n) array
-        q_des and q̇_des at t.
-    semi_implicit, tableau, stages
+    path : (P, 2, n) array
+        q_des and q̇_des.
+    tableau : (S + 1, S) array
         See `closedloop.integrate.advance`.
-    state : (3, n) array
-        q, q̇ and Q; the first two are advanced in place, the third is written or read.
-    work : (2n + 9, n) array
-        Scratch.
-    row : (width,) array
-        Written at stage 0; see `Row`.
+    memory : (rows, n) array
+        q, q̇ and Q, of which the first two are advanced in place and the third is written or read; then `Memory`.
+    rows : (N, width) array
+        Row i is written at stage 0; see `Row`.
 
     Returns
     -------
     status : int
         OK, SINGULAR, NOT_POSITIVE_DEFINITE or DIVERGED; the row is written, and the state advanced, only if OK.
     """
-    n, m = state.shape[1], 1
-    q, v, torque = state[0], state[1], state[2]
-    A, X, L = work[0:m], work[m : 2 * m], work[2 * m : 2 * m + n]
-    y, qdd, column = work[2 * m + n], work[2 * m + n + 1], work[2 * m + n + 2]
+    n, m = memory.shape[1], 1
+    q, v, torque = memory[0], memory[1], memory[2]
+    w = 3 + 2 * (tableau.shape[1] + 1)
+    A, X, L = memory[w : w + m], memory[w + m : w + 2 * m], memory[w + 2 * m : w + 2 * m + n]
+    w += 2 * m + n
+    y, qdd, column = memory[w], memory[w + 1], memory[w + 2]
     small = np.empty((8 + m, m))
     gamma, e, rate, b, b_stabiliser, f, f_stabiliser, share = (
         small[0], small[1], small[2], small[3], small[4], small[5], small[6], small[7]
@@ -177,47 +201,45 @@ def step(
 
     plane_rows(constants[PLANE:STABILISER], J, r, drift, v, A, gamma, e, rate)
     if law == LAW_PAPER:
-        paper_law(t, constants[SETTINGS:OFFSET], joints, path, q, v, C, A, torque)
+        paper_law(at * constants[NODE], constants[SETTINGS:OFFSET], joints, path[at], q, v, C, A, torque)
     stabilised_acceleration(constants[STABILISER:SETTINGS], gamma, e, rate, b, b_stabiliser)
     status, mobility = eliminate(H, torque, C, A, b, b_stabiliser, J, L, X, S, y, qdd, f, f_stabiliser)
     if status != OK:
         return status
-    total = 0.0
+    total = abs(f[0])
     for j in range(n):
         total += abs(qdd[j])
         if not abs(v[j]) <= SPEED_LIMIT:
             return DIVERGED
-    if not math.isfinite(total + abs(f[0])):
+    if not math.isfinite(total):
         return DIVERGED
     if stage == 0:
         motion, closed = residual(H, torque, C, A, b, y, X, qdd, f)
         k = condition(H, A, L, X, S, column, share)
         record(
-            row, q, v, qdd, torque, r, J, f, f_stabiliser, e, rate,
+            rows[i], q, v, qdd, torque, r, J, f, f_stabiliser, e, rate,
             (motion, closed, k, mobility, kinetic_energy(H, v)),
         )  # fmt: skip
-    if not final:
-        advance(stage, constants[STEP], semi_implicit, tableau, qdd, stages, q, v)
+    if i + 1 < rows.shape[0]:
+        advance(stage, constants[STEP], constants[SEMI_IMPLICIT] != 0.0, tableau, qdd, memory[3:], q, v)
     return OK
 
 
 @entry_kernel
 def step_on_pinocchio(
-    t: float, i: int, at: int, stage: int, law: int, final: bool, semi_implicit: bool,
+    i: int, at: int, stage: int, law: int,
     H: Array, C: Array, joint_jacobian: Array, rotation: Array, origin: Array, velocity: Array, acceleration: Array,
-    constants: Array, joints: Array, path: Array, tableau: Array, state: Array, stages: Array, work: Array, rows: Array,
+    constants: Array, joints: Array, path: Array, tableau: Array, memory: Array, rows: Array,
 ) -> int:  # fmt: skip
     """Do one stage of one step on what `pinocchio.crba` and `pinocchio.nonLinearEffects` left in their data.
 
-    `i` is the row to write and `at` the row of `path` to follow; see `step` and `closedloop.tip.tip_kinematics`.
+    See `step`, and `closedloop.tip.tip_kinematics` for the parameters that only this function has.
     """
-    n = state.shape[1]
-    J, point = np.empty((3, n)), np.empty((2, 3))
+    J, point = np.empty((3, memory.shape[1])), np.empty((2, 3))
     tip_kinematics(
         joint_jacobian, rotation, origin, velocity, acceleration,
         constants[OFFSET:GRAVITY], constants[GRAVITY:STEP], joints[2], J, point[0], point[1],
     )  # fmt: skip
     return step(
-        t, stage, law, final, semi_implicit, H, C, J, point[0], point[1],
-        constants, joints, path[at], tableau, state, stages, work, rows[i],
+        i, at, stage, law, H, C, J, point[0], point[1], constants, joints, path, tableau, memory, rows
     )  # fmt: skip

@@ -187,7 +187,7 @@ def impulse_momentum(engine: Engine, s: Sample) -> Residual:
     values = (
         _relative(momentum, _norm(H) * _norm(after), _norm(H) * _norm(s.v)),
         _relative(after_rate + s.restitution * before_rate, _norm(A) * _norm(after), _norm(A) * _norm(s.v)),
-        _relative(energy, *energies),
+        _relative(energy, *energies, _norm(H) * _norm(after) ** 2, _norm(H) * _norm(s.v) ** 2),
     )
     return Residual(max(values), ROUNDING, "residuals of one dense solve")
 

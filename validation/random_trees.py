@@ -6,7 +6,7 @@ it. The text has 17 significant digits, from which every engine recovers the sam
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 
 import numpy as np
@@ -39,7 +39,13 @@ class RandomRobot:
 
 
 def random_robot(
-    seed: int, *, joints: int | None = None, drive_inertia: bool = True, gravity: Array | None = None
+    seed: int,
+    *,
+    joints: int | None = None,
+    branching: bool = True,
+    kinds: Sequence[str] = MOVING,
+    drive_inertia: bool = True,
+    gravity: Array | None = None,
 ) -> RandomRobot:
     """Return the random robot of a seed.
 
@@ -47,6 +53,8 @@ def random_robot(
     ----------
     seed : the same seed is the same robot
     joints : number of moving joints; 2 to 12 at random by default
+    branching : let links carry several others; else the robot is one chain, with the tip at its end
+    kinds : joint types to draw from
     drive_inertia : draw an armature for every joint, else none
     gravity : (3,) base frame [m/s²]; 9.81 in a random direction by default
     """
@@ -54,16 +62,16 @@ def random_robot(
     n = int(rng.integers(2, 13)) if joints is None else joints
     draft = _Draft(rng)
     bodies = [draft.add_link("base", massive=bool(rng.integers(2)))]
-    names, kinds = [], []
+    names: list[str] = []
+    types: list[str] = []
     for i in range(n):
         # A new link hangs on any earlier one, on the newest twice as often: branches, but long ones too.
-        above = bodies[-1] if rng.random() < 0.5 else str(rng.choice(bodies))
-        kind = str(rng.choice(MOVING))
+        above = str(rng.choice(bodies)) if branching and rng.random() < 0.5 else bodies[-1]
+        types.append(str(rng.choice(kinds)))
         # Letters in random order, as engines that sort joints by name must not get away with it.
         names.append(f"{'zyxwvutsrqponmlkjihgfedcba'[rng.integers(26)]}{i}")
-        kinds.append(kind)
         bodies.append(draft.add_link(f"link{i}", massive=True))
-        draft.add_joint(names[-1], kind, above, bodies[-1])
+        draft.add_joint(names[-1], types[-1], above, bodies[-1])
         if rng.random() < 0.3:
             extra = draft.add_link(f"attached{i}", massive=rng.random() < 0.7)
             draft.add_joint(f"weld{i}", "fixed", bodies[-1], extra)
@@ -74,13 +82,13 @@ def random_robot(
     armature = 10.0 ** rng.uniform(-3.0, 0.0, n) if drive_inertia else np.zeros(n)
     fall = 9.81 * _direction(rng) if gravity is None else np.asarray(gravity, dtype=float)
     tree = build_tree(draft.links, draft.joints, joint_names=names, armature=armature, gravity=fall)
-    reach = np.where(np.array(kinds) == "prismatic", 0.5, np.pi)
+    reach = np.where(np.array(types) == "prismatic", 0.5, np.pi)
     return RandomRobot(
         name=f"random{seed}",
         text=draft.text(f"random{seed}"),
         tree=tree,
         joint_names=tuple(names),
-        joint_types=tuple(kinds),
+        joint_types=tuple(types),
         armature=armature,
         gravity=fall,
         tip="tip",

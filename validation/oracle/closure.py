@@ -1,9 +1,9 @@
 """Closing the loop: Eqs. 2–11 and 19–24 of the paper, for the plane and for any loop joint.
 
 A loop joint lets the tip move freely in some directions and forbids others. The columns of R (6, m) are unit
-force vectors along the forbidden ones, so that the motion obeys Rᵀ (vₙ − v₀) = 0 and the closure force is R
-f. The plane is the smallest case: one column, the force along n through the tip. Sign of f, everywhere:
-positive is the force of the surface *on the robot* along +n [N].
+force vectors along the forbidden ones: the motion obeys Rᵀ (vₙ − v₀) = 0, and the closure force is R f. The
+plane is the smallest case: one column, the force along n through the tip. Sign of f, everywhere: positive is
+the force of the surface *on the robot* along +n [N].
 
 The paper's Eqs. 2–10 treat the general joint and Eqs. 19–22 the differentiation and the stabiliser; how the
 numbers fall on the functions within each group is our reading.

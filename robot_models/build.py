@@ -70,7 +70,7 @@ def build(text: str, format: str, locked: Mapping[str, float], where: str) -> Bu
             near = get_close_matches(name, names, n=1)
             hint = f"did you mean {near[0]!r}?" if near else f"the joints are {', '.join(names)}"
             raise ModelError(f"{where}: cannot lock {name!r}, no joint that moves: {hint}")
-        if not np.isfinite(value):
+        if not isinstance(value, int | float) or not np.isfinite(value):
             raise ModelError(f"{where}: cannot lock {name!r} at {value!r}: it must be a finite number")
     if locked:
         posture = np.zeros(model.nq)

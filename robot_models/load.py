@@ -1,5 +1,6 @@
 """One loader for every kind of robot: text in, inspected, built once, and handed out as data."""
 
+from collections import Counter
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from difflib import get_close_matches
@@ -174,14 +175,12 @@ def _locked(found: _Description, lock: Lock) -> dict[str, float]:
     if not lock:
         return dict(found.sidecar.lock)
     if isinstance(lock, Mapping):
-        return {joint: float(value) for joint, value in lock.items()}
-    # Home is known in full only once everything is built; mimics are free there, which is no matter for a
-    # posture.
+        return dict(lock)
+    # Home is known in full only once everything is built with all its joints.
     whole = build.build(found.text, found.format, {}, found.where)
     joints = tuple(whole.model.names)[1:]
     posture = dict(zip(joints, _home(found, whole, joints).tolist(), strict=True))
-    unknown = {joint: 0.0 for joint in lock if joint not in posture}  # which build() refuses by name
-    return {joint: posture[joint] for joint in lock if joint in posture} | unknown
+    return {joint: posture.get(joint, 0.0) for joint in lock}  # build() refuses an unknown one by name
 
 
 def _home(found: _Description, built: build.Built, joints: tuple[str, ...]) -> NDArray[np.float64]:
@@ -207,27 +206,33 @@ def _home(found: _Description, built: build.Built, joints: tuple[str, ...]) -> N
     return np.clip(posture, low, high)
 
 
-def _default_tip(model: "pin.Model") -> str | None:
-    """Return the last link that carries no other and moves, or None."""
-    import pinocchio as pin
-
-    bodies = [f for f in model.frames if f.type == pin.FrameType.BODY and f.parentJoint > 0]
-    parents = {model.frames[f.parentFrame].name for f in model.frames if f.type != pin.FrameType.OP_FRAME}
-    grand = {
-        model.frames[model.frames[f.parentFrame].parentFrame].name
-        for f in bodies
-        if model.frames[f.parentFrame].type != pin.FrameType.BODY
-    }
-    leaves = [f.name for f in bodies if f.name not in parents | grand]
-    return leaves[-1] if leaves else None
-
-
 def _frames(model: "pin.Model") -> tuple[str, ...]:
+    """Return the links, bodies and sites that can be asked for by name.
+
+    Pinocchio keeps joints and links in one list of frames and refuses to look up a name that occurs twice, so
+    a link that shares its name with a joint is left out.
+    """
     import pinocchio as pin
 
+    times = Counter(frame.name for frame in model.frames)
     usable = (pin.FrameType.BODY, pin.FrameType.OP_FRAME)
-    names = (f.name for f in model.frames if f.type in usable and f.name != mjcf.STILL)
-    return tuple(dict.fromkeys(names))
+    named = (frame.name for frame in model.frames if frame.type in usable)
+    return tuple(name for name in named if times[name] == 1 and name != mjcf.STILL)
+
+
+def _default_tip(model: "pin.Model") -> str | None:
+    """Return the last link that moves and carries no other, or None."""
+    import pinocchio as pin
+
+    # A joint's frame hangs on its parent link, a link's frame on its joint: a leaf has nothing hanging on it.
+    bearers = {frame.parentFrame for frame in model.frames if frame.type != pin.FrameType.OP_FRAME}
+    usable = _frames(model)
+    leaves = [
+        frame.name
+        for index, frame in enumerate(model.frames)
+        if frame.type == pin.FrameType.BODY and frame.parentJoint > 0 and index not in bearers
+    ]
+    return next((name for name in reversed(leaves) if name in usable), None)
 
 
 def _vector(value: ArrayLike, n: int, what: str) -> NDArray[np.float64]:

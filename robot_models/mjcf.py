@@ -44,7 +44,16 @@ _ATTRIBUTES = {
     "site": ("name", *_POSE),
     "geom": ("name", "type", "size", "fromto", "mass", "density", "rgba", "contype", "conaffinity", *_POSE),
 }
-_WORDS = ("name", "type")
+
+# How many numbers an attribute holds; None leaves it open. Others are words.
+_COUNTS: dict[str, int | None] = {
+    **dict.fromkeys(("mass", "armature", "density", "contype", "conaffinity"), 1),
+    **dict.fromkeys(("range", "actuatorfrcrange"), 2),
+    **dict.fromkeys(("pos", "euler", "zaxis", "axis", "diaginertia"), 3),
+    **dict.fromkeys(("quat", "axisangle", "rgba"), 4),
+    **dict.fromkeys(("xyaxes", "fullinertia", "fromto"), 6),
+    "size": None,
+}
 
 #: The body that `for_pinocchio` adds; no body of a file may be named so.
 STILL = "robot_models/world"
@@ -60,6 +69,7 @@ _NEUTRAL = (
     ("option", "density", ("0",), "a medium is not simulated"),
     ("option", "viscosity", ("0",), "a medium is not simulated"),
     ("flag", "gravity", ("enable",), 'write gravity="0 0 0"'),
+    ("compiler", "angle", ("degree", "radian"), "use degree or radian"),
     ("compiler", "inertiafromgeom", ("auto", "false"), "give every body its <inertial>"),
     ("compiler", "inertiagrouprange", (), "give every body its <inertial>"),
     ("compiler", "autolimits", ("true",), "let a range mean a limit"),
@@ -100,6 +110,12 @@ def read(text: str, where: str, folder: Path | None) -> str:
     compiler = ET.SubElement(out, "compiler")
     for element in root.findall("compiler"):
         _check_neutral(element, dict(element.attrib), f"{where}: <compiler>")
+        sequence = element.get("eulerseq", "xyz")
+        if len(sequence) != 3 or not set(sequence) <= set("xyz"):
+            raise ModelError(
+                f"{where}: eulerseq is {sequence!r}: it must be three of x, y, z; capitals, for fixed "
+                "axes, are not honoured"
+            )
         compiler.attrib.update({k: v for k, v in element.attrib.items() if k in ("angle", "eulerseq")})
     for element in root.findall("option"):
         for part in element.iter():
@@ -237,8 +253,13 @@ def _check_neutral(element: ET.Element, given: dict[str, str], at: str) -> None:
 
 def _check_numbers(tag: str, given: dict[str, str], at: str) -> None:
     for key in _ATTRIBUTES[tag]:
-        if key in given and key not in _WORDS:
-            numbers(given[key], None, f"{at}: {key}")
+        if key in given and key in _COUNTS:
+            numbers(given[key], _COUNTS[key], f"{at}: {key}")
+    turns = [key for key in _POSE[1:] if key in given]
+    if len(turns) > 1:
+        raise ModelError(f"{at} is turned by {' and '.join(turns)}: one of them is allowed")
+    if tag == "site" and "fromto" in given:
+        raise ModelError(f"{at}: fromto is not honoured on a site: give its pos")
 
 
 def _check_joint(given: dict[str, str], at: str) -> None:

@@ -44,6 +44,8 @@ def read(text: str, where: str) -> str:
     root = parse(text, where)
     if root.tag != "robot":
         raise ModelError(f"{where} is no URDF: its root is <{root.tag}>, not <robot>")
+    if not root.get("name"):
+        raise ModelError(f"{where}: <robot> has no name")
     if any("xacro" in key for element in root.iter() for key in (element.tag, *element.attrib)):
         raise ModelError(f"{where} is a xacro template: expand it to a URDF first")
     _check_links(root, where)
@@ -54,7 +56,8 @@ def read(text: str, where: str) -> str:
         if axis is None or joint.get("type") not in MOVING:
             continue
         at = f"{where}: joint {joint.get('name')!r}"
-        xyz = numbers(axis.get("xyz", "1 0 0"), 3, f"{at}: axis xyz")
+        # Without xyz urdfdom takes no direction at all, yourdfpy takes x.
+        xyz = numbers(axis.get("xyz", ""), 3, f"{at}: axis xyz")
         length = hypot(*xyz)
         if length < 1e-9:
             raise ModelError(f"{at}: axis is {axis.get('xyz')!r}: a moving joint needs a direction")
@@ -119,6 +122,9 @@ def _check_joints(root: ET.Element, where: str) -> None:
             )
         parents[ends[1]] = ends[0]
         _check_origin(joint, at)
+        for dynamics in joint.findall("dynamics"):
+            for key, value in dynamics.attrib.items():
+                numbers(value, 1, f"{at}: dynamics {key}")
         if kind in MOVING:
             _check_limit(joint, kind, at)
     _check_tree(links, parents, where)

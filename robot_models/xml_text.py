@@ -20,6 +20,8 @@ MAX_DEPTH = 200
 # do not, and a number must not mean two things in two engines.
 _NUMBER = re.compile(r"[-+]?(?:[0-9]+\.?[0-9]*|\.[0-9]+)(?:[eE][-+]?[0-9]+)?", re.ASCII)
 
+_ENCODING = re.compile(r"""\s*<\?xml[^>]*?encoding\s*=\s*["']([^"']+)""")
+
 
 class _Builder(ET.TreeBuilder):
     """A tree builder that stops at a DOCTYPE and at absurd nesting."""
@@ -56,14 +58,16 @@ def read_text(path: Path) -> str:
     ModelError
         The file is missing, a folder, unreadable, empty, too large or not UTF-8.
     """
-    if path.is_dir():
-        raise ModelError(f"{path} is a folder: name the .urdf or .xml file in it")
     try:
+        if path.is_dir():
+            raise ModelError(f"{path} is a folder: name the .urdf or .xml file in it")
         raw = path.read_bytes() if path.stat().st_size <= MAX_BYTES else None
     except FileNotFoundError:
         raise ModelError(f"no such file: {path}") from None
     except OSError as error:
         raise ModelError(f"cannot read {path}: {error.strerror}") from None
+    except ValueError as error:  # a NUL in the path; ModelError is a ValueError too
+        raise error if isinstance(error, ModelError) else ModelError(f"cannot read {path}: {error}") from None
     if raw is None:
         raise ModelError(f"{path} is larger than {MAX_BYTES // 10**6} MB: a robot description is far smaller")
     try:
@@ -92,6 +96,9 @@ def parse(text: str, where: str) -> ET.Element:
         raise ModelError(f"{where} is empty")
     if len(text) > MAX_BYTES:
         raise ModelError(f"{where} is longer than {MAX_BYTES} characters")
+    declared = _ENCODING.match(text)
+    if declared and declared[1].lower() not in ("utf-8", "utf8", "us-ascii", "ascii"):
+        raise ModelError(f"{where} declares the encoding {declared[1]!r}: save it as UTF-8 and declare that")
     parser = ET.XMLParser(target=_Builder())
     try:
         parser.feed(text)
@@ -102,6 +109,8 @@ def parse(text: str, where: str) -> ET.Element:
         raise ModelError(
             f"{where} is not well-formed XML: {reason}, line {line}, column {column + 1}"
         ) from None
+    except UnicodeEncodeError:
+        raise ModelError(f"{where} holds a character that UTF-8 cannot carry") from None
     except ModelError as error:
         raise ModelError(f"{where}: {error}") from None
     return root

@@ -262,6 +262,12 @@ def test_massless_frames_and_intermediate_links_are_fine(write):
     assert robot.tip == "flag"
 
 
+def test_a_name_that_occurs_twice_is_no_tip(write):
+    """Pinocchio cannot look up a link that shares its name with a joint, so it is not offered."""
+    robot = robot_models.load(write(arm(elbow=joint("fore", "upper", "fore"))))
+    assert robot.frames == ("base", "upper", "tip")
+
+
 def test_home_is_inside_the_limits(write):
     """Zero where it is allowed, else the middle."""
     away = LIMIT.replace('lower="-1"', 'lower="0.5"')

@@ -58,6 +58,10 @@ URDF = {
         ["'fore'", "triangle inequality", "3 kg m²"],
     ),
     "zero axis": (elbow(axis="0 0 0"), ["'elbow'", "axis", "direction"]),
+    "axis without xyz": (arm().replace('<axis xyz="0 0 1"/>', "<axis/>"), ["'elbow'", "axis xyz"]),
+    "damping is nan": (elbow(extra='<dynamics damping="nan"/>'), ["'elbow'", "dynamics damping", "'nan'"]),
+    "robot without a name": (arm().replace(' name="sample"', ""), ["<robot> has no name"]),
+    "another encoding": ('<?xml version="1.0" encoding="ISO-8859-1"?>' + arm(), ["'ISO-8859-1'", "UTF-8"]),
     "axis is nan": (elbow(axis="0 nan 0"), ["'elbow'", "axis", "'nan'"]),
     "limits reversed": (
         elbow(limit=LIMIT.replace('lower="-1"', 'lower="2"')),
@@ -158,6 +162,14 @@ MJCF = {
         ["'upper'", "without contact"],
     ),
     "zero axis": (mjcf(joint='<joint name="shoulder" axis="0 0 0"/>'), ["'shoulder'", "axis"]),
+    "pose of two numbers": (mjcf(base='<body name="base" pos="1 2">'), ["'base'", "pos", "3 numbers"]),
+    "turned twice": (
+        mjcf(base='<body name="base" quat="1 0 0 0" euler="0 0 1">'),
+        ["'base'", "quat and euler"],
+    ),
+    "fixed-axis euler": (mjcf(head='<compiler eulerseq="XYZ"/>'), ["eulerseq", "'XYZ'", "capitals"]),
+    "angle in gradians": (mjcf(head='<compiler angle="grad"/>'), ["angle", "'grad'"]),
+    "site by its ends": (mjcf(inner='<site name="s" fromto="0 0 0 0 0 1"/>'), ["'s'", "fromto"]),
     "pose is nan": (mjcf(base='<body name="base" quat="1 0 nan 0">'), ["'base'", "quat", "'nan'"]),
     "far too large": (
         mjcf(inertial=MJCF_INERTIAL.replace("0.1 0.02", "1e200 0")),
@@ -305,6 +317,7 @@ def test_locks_are_checked(tmp_path):
     for lock, says in (
         (["elbo"], "did you mean 'elbow'"),
         ({"elbow": np.nan}, "finite"),
+        ({"elbow": "open"}, "'open'"),
         ("elbow", "must be a list"),
         (["elbow", "shoulder"], "no joint that moves"),
     ):
@@ -333,6 +346,9 @@ def test_frames_are_checked():
         ({"format": "sdf"}, "'sdf'"),
         ({"gravity": [0, 0]}, "3 finite"),
         ({"locked": {"J9": 0.0}}, "'J9'"),
+        ({"locked": {"J4": "x"}}, "'x'"),
+        ({"text": "\ud800"}, "UTF-8"),
+        ({"text": "\0"}, "well-formed"),
     ],
 )
 def test_stored_fields_are_checked(change, says):

@@ -20,7 +20,9 @@ Array = NDArray[np.float64]
 
 
 @kernel
-def plane_rows(plane: Array, J: Array, r: Array, drift: Array, v: Array, A: Array, gamma: Array, e: Array, rate: Array) -> None:
+def plane_rows(
+    plane: Array, J: Array, r: Array, drift: Array, v: Array, A: Array, gamma: Array, e: Array, rate: Array
+) -> None:
     """Write the one row of the plane closure n·r = d (Eq. 11), differentiated twice (Eqs. 19-21).
 
     Parameters

@@ -20,6 +20,9 @@ from pathlib import Path
 from typing import Any, TypeVar, cast
 
 import numba
+from numba.core import config as _config
+
+numba_settings: Any = _config  # its attributes are made at run time, which type checkers cannot see
 
 F = TypeVar("F", bound=Callable[..., Any])
 
@@ -31,19 +34,19 @@ def kernel(function: F) -> F:
 
 def entry_kernel(function: F) -> F:
     """Compile `function` on first use and cache it on disk, keyed by the text of every kernel of the package."""
-    before = numba.config.CACHE_DIR
-    numba.config.CACHE_DIR = str(cache_folder())
+    before = numba_settings.CACHE_DIR
+    numba_settings.CACHE_DIR = str(cache_folder())
     try:
         return cast(F, numba.njit(error_model="numpy", cache=True)(function))
     except RuntimeError:  # numba found no folder that it may write: compile in every process
         return cast(F, numba.njit(error_model="numpy")(function))
     finally:
-        numba.config.CACHE_DIR = before
+        numba_settings.CACHE_DIR = before
 
 
 def needs_compiling(function: Callable[..., Any]) -> bool:
     """Whether calling `function` now would compile it first, which takes seconds."""
-    if numba.config.DISABLE_JIT or getattr(function, "signatures", ()):
+    if numba_settings.DISABLE_JIT or getattr(function, "signatures", ()):
         return False
     return not any(cache_folder().rglob(f"*{function.__name__}*.nbc"))
 
@@ -61,8 +64,8 @@ def cache_folder() -> Path:
 
 def _cache_root() -> Path:
     """NUMBA_CACHE_DIR if set, the package's own __pycache__ if writable, else the user's cache folder."""
-    if numba.config.CACHE_DIR:
-        return Path(numba.config.CACHE_DIR)
+    if numba_settings.CACHE_DIR:
+        return Path(numba_settings.CACHE_DIR)
     beside = Path(__file__).parent / "__pycache__"
     with suppress(OSError):
         beside.mkdir(exist_ok=True)

@@ -30,7 +30,15 @@ Law = Callable[[float, Array, Array, "Terms"], ArrayLike]
 
 @kernel
 def paper_law(
-    t: float, settings: Array, gains: Array, path: Array, q: Array, v: Array, C: Array, A: Array, torque: Array
+    t: float,
+    settings: Array,
+    gains: Array,
+    path: Array,
+    q: Array,
+    v: Array,
+    C: Array,
+    A: Array,
+    torque: Array,
 ) -> None:
     """Write Q of Eq. 33.
 
@@ -54,7 +62,5 @@ def paper_law(
     pd = 1.0 if t >= settings[1] else 0.0
     for j in range(q.shape[0]):
         torque[j] = (
-            C[j]
-            - A[0, j] * settings[0]
-            - pd * (gains[0, j] * (q[j] - path[0, j]) + gains[1, j] * (v[j] - path[1, j]))
+            C[j] - A[0, j] * settings[0] - pd * (gains[0, j] * (q[j] - path[0, j]) + gains[1, j] * (v[j] - path[1, j]))
         )

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, cast
 
 import numpy as np
 
@@ -44,9 +44,16 @@ def tip_position(run: Run) -> Figure:
     above, below = figure.subplots(2, 1, sharex=True, height_ratios=[2, 1])
     moved = run.position - run.position[0]
     for k, axis in enumerate("xyz"):
-        above.plot(run.time, 1e3 * moved[:, k], STROKES[k], color=COLOURS[k], label=f"{axis} (from {run.position[0, k]:+.4f} m)")
+        above.plot(
+            run.time,
+            1e3 * moved[:, k],
+            STROKES[k],
+            color=COLOURS[k],
+            label=f"{axis} (from {run.position[0, k]:+.4f} m)",
+        )
+    above.margins(y=0.15)
     _dress(above, run, "Tip position, base frame", "displacement [mm]")
-    above.legend(loc="upper left", bbox_to_anchor=(0.08, 0.95))
+    above.legend(loc="upper left", bbox_to_anchor=(0.08, 0.9))
     above.set_xlabel("")
     sizes = np.max(np.abs(moved), axis=0)
     small = [k for k in range(3) if sizes[k] < 0.01 * sizes.max()] or list(range(3))
@@ -66,7 +73,7 @@ def contact_force(run: Run) -> Figure:
     whole = figure.add_subplot(grid[0, :])
     _draw_force(whole, run, slice(None))
     _dress(whole, run, "Contact force of the surface on the tip, along its normal", "f [N]")
-    whole.legend(loc="upper center", ncols=2)
+    whole.legend(loc="lower center", ncols=2)
     for k, (t, text) in enumerate(moments):
         axes = figure.add_subplot(grid[1, k])
         near = slice(*np.searchsorted(run.time, (t - 0.02, t + 0.12)).tolist())
@@ -79,7 +86,13 @@ def _draw_force(axes: Axes, run: Run, rows: slice, **style: Any) -> None:
     force = run.contact_force[rows]
     axes.plot(run.time[rows], force, color=COLOURS[0], label="contact force f", **style)
     if run.law == "scenario":
-        axes.axhline(run.scenario.law.force, color="0.3", linestyle=":", linewidth=1, label=f"commanded {run.scenario.law.force:g} N")
+        axes.axhline(
+            run.scenario.law.force,
+            color="0.3",
+            linestyle=":",
+            linewidth=1,
+            label=f"commanded {run.scenario.law.force:g} N",
+        )
     # A force constant to rounding is a flat line, not a picture of its sixteenth digit.
     middle, spread = float(np.mean(force)), float(np.ptp(force))
     if spread < 1e-3 * max(abs(middle), 1.0):
@@ -92,7 +105,11 @@ def closure_error(run: Run) -> Figure:
     axes = figure.add_subplot()
     factor, unit = _length_unit(float(np.max(np.abs(run.closure_error), initial=0.0)))
     axes.plot(run.time, factor * run.closure_error, color=COLOURS[1])
-    how = "without stabiliser" if isinstance(run.scenario.stabiliser, NoStabiliserSection) else "with Baumgarte's stabiliser"
+    how = (
+        "without stabiliser"
+        if isinstance(run.scenario.stabiliser, NoStabiliserSection)
+        else "with Baumgarte's stabiliser"
+    )
     _dress(axes, run, f"Closure error e = n·r − d, {how}", f"e [{unit}]")
     return figure
 
@@ -134,7 +151,7 @@ def save_figure(draw: Callable[[Run], Figure], run: Run, path: Path) -> Path:
     """Draw a figure of a run and write it as `path`.png and `path`.svg; return the former."""
     import matplotlib as mpl
 
-    with mpl.rc_context(STYLE):
+    with mpl.rc_context(cast(Any, STYLE)):
         figure = draw(run)
         try:
             for suffix in (".svg", ".png"):
@@ -163,9 +180,7 @@ def _marks(run: Run) -> list[tuple[float, str]]:
     return sorted([(begins, "PD starts"), (reference.start, "motion starts"), stop])
 
 
-def _dress(
-    axes: Axes, run: Run, title: str, label: str, label_marks: bool = True, span: slice = slice(None)
-) -> None:
+def _dress(axes: Axes, run: Run, title: str, label: str, label_marks: bool = True, span: slice = slice(None)) -> None:
     axes.set_title(f"{title} ({run.model.name})" if label_marks else title)
     axes.set_xlabel("time [s]")
     axes.set_ylabel(label)

@@ -9,7 +9,7 @@ from __future__ import annotations
 import json
 import os
 from collections.abc import Mapping
-from dataclasses import dataclass, field, fields
+from dataclasses import dataclass, field
 from functools import cached_property
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, NamedTuple
@@ -17,6 +17,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+import robot_models
 from closedloop.errors import OutputError, RunFileError
 from closedloop.scenario import Scenario, parse_scenario
 from robot_models import RobotModel
@@ -50,7 +51,9 @@ COLUMNS: dict[str, Column] = {
     "position": Column(("time", "axis"), "m", "tip position r, base frame"),
     "velocity": Column(("time", "axis"), "m s-1", "tip velocity, base frame"),
     "contact_force": Column(
-        ("time",), "N", "force of the surface on the tip along the surface normal; positive pushes the robot away"
+        ("time",),
+        "N",
+        "force of the surface on the tip along the surface normal; positive pushes the robot away",
     ),
     "stabiliser_force": Column(("time",), "N", "the part of contact_force that answers the stabiliser"),
     "closure_error": Column(("time",), "m", "e = n.r - d; positive off the surface"),
@@ -116,7 +119,8 @@ class Run:
 
     def __repr__(self) -> str:
         end = self.columns["time"][-1] if len(self) else 0.0
-        return f"<Run of {self.scenario.name}: {len(self)} rows, 0 to {end:g} s{', stopped early' if self.stopped else ''}>"
+        early = ", stopped early" if self.stopped else ""
+        return f"<Run of {self.scenario.name}: {len(self)} rows, 0 to {end:g} s{early}>"
 
     @cached_property
     def _summary(self) -> dict[str, Any]:
@@ -133,28 +137,37 @@ class Run:
         import xarray
 
         data = {
-            name: (spec.dims, np.asarray(self.columns[name]), {"units": spec.units, "long_name": spec.meaning})
+            name: (
+                spec.dims,
+                np.asarray(self.columns[name]),
+                {"units": spec.units, "long_name": spec.meaning},
+            )
             for name, spec in COLUMNS.items()
             if name != "time"
         }
         spec = COLUMNS["time"]
         coordinates = {
-            "time": (spec.dims, np.asarray(self.columns["time"]), {"units": spec.units, "long_name": spec.meaning}),
+            "time": (
+                spec.dims,
+                np.asarray(self.columns["time"]),
+                {"units": spec.units, "long_name": spec.meaning},
+            ),
             "joint": list(self.model.joint_names),
             "axis": ["x", "y", "z"],
         }
         return xarray.Dataset(data, coordinates, self._attributes())
 
     def _attributes(self) -> dict[str, Any]:
-        robot = {
-            f.name: _plain(getattr(self.model, f.name)) for f in fields(self.model) if f.name != "text"
-        }
+        model = self.model
+        robot = {name: getattr(model, name) for name in ("name", "format", "tip", "description", "source")}
+        robot |= {name: getattr(model, name).tolist() for name in ("armature", "home", "gravity")}
+        robot["locked"] = dict(model.locked)
         return {
             "format": FORMAT,
             "format_version": FORMAT_VERSION,
             "scenario": self.scenario.to_toml(),
             "robot_text": self.model.text,
-            "robot": json.dumps(robot),
+            "robot": json.dumps(robot),  # floats in their shortest exact form
             "law": self.law,
             "seed": "none: nothing in this run is random",
             "versions": json.dumps(dict(self.versions)),
@@ -223,11 +236,9 @@ def load_run(path: str | Path) -> Run:
             raise
         raise RunFileError(f"{path}: is not a run file, or is damaged: {error}") from None
     try:
-        robot = {k: _restored(v) for k, v in json.loads(attributes["robot"]).items()}
-        model = RobotModel(text=attributes["robot_text"], **robot)
         return Run(
             scenario=parse_scenario(attributes["scenario"], where=f"{path}, attribute 'scenario'"),
-            model=model,
+            model=robot_models.from_text(attributes["robot_text"], **json.loads(attributes["robot"])),
             columns=columns,
             law=str(attributes["law"]),
             versions=json.loads(attributes["versions"]),
@@ -236,23 +247,3 @@ def load_run(path: str | Path) -> Run:
         )
     except (KeyError, TypeError, json.JSONDecodeError) as error:
         raise RunFileError(f"{path}: is damaged: {error}") from None
-
-
-def _plain(value: Any) -> Any:
-    """Return a JSON value that `_restored` turns back bit for bit (repr of a float is exact)."""
-    if isinstance(value, np.ndarray):
-        return {"array": [repr(float(x)) for x in value]}
-    if isinstance(value, tuple):
-        return {"tuple": list(value)}
-    if isinstance(value, Mapping):
-        return {"mapping": dict(value)}
-    return value
-
-
-def _restored(value: Any) -> Any:
-    if isinstance(value, dict):
-        ((kind, content),) = value.items()
-        if kind == "array":
-            return np.array([float(x) for x in content])
-        return tuple(content) if kind == "tuple" else content
-    return value

@@ -4,8 +4,8 @@ A 4-joint arm has one degree of freedom more than a point path needs. It is reso
 joint velocities that move the tip along the path, q̇ = Jᵣ⁺ ṙ_des (Moore-Penrose) has the smallest norm. That
 differential equation is integrated with RK4 from one knot to the next, the tip put back on the path by
 least-norm Newton steps, and the knots joined by cubic Hermite polynomials whose derivative is q̇_des. Knots are
-halved until the tip of the interpolated path is within `PATH_TOLERANCE` of the straight line midway between them. So the
-reference is one smooth function of time, the same for every step size and integrator.
+halved until the tip of the interpolated path is within `PATH_TOLERANCE` of the straight line midway between them. So
+the reference is one smooth function of time, the same for every step size and integrator.
 """
 
 from __future__ import annotations
@@ -105,9 +105,7 @@ def follow_line(robot: Robot, q: Array, direction: Array, speed: float, start: f
         path = _through_knots(robot, q, times, tip, velocity)
         middles = 0.5 * (times[:-1] + times[1:])
         halfway, _ = path.sample(middles)
-        worst = max(
-            float(np.max(np.abs(robot.position(h) - tip(t)))) for h, t in zip(halfway, middles, strict=True)
-        )
+        worst = max(float(np.max(np.abs(robot.position(h) - tip(t)))) for h, t in zip(halfway, middles, strict=True))
         if worst <= PATH_TOLERANCE:
             return path
         intervals *= 2

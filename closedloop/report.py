@@ -111,25 +111,26 @@ def assumptions(run: Run) -> dict[str, dict[str, Any]]:
     """
     if len(run) == 0:
         missing = {"held": None, "first_failed": 0.0, "measured": "no row could be computed"}
-        return {name: dict(missing) for name in ("one_loop", "single_point", "contact_kept", "frictionless", "nonsingular")}
+        return {
+            name: dict(missing) for name in ("one_loop", "single_point", "contact_kept", "frictionless", "nonsingular")
+        }
     motion, closed = float(np.max(run.residual_motion)), float(np.max(run.residual_closure))
     lowest = int(np.argmin(run.contact_force))
     stiffest = int(np.argmin(run.normal_mobility))
-    only_contact = f"other forces on the arm ≤ {motion:.1e} relative"
+    only_contact = f"other forces ≤ {motion:.0e}"
     report = {
-        "one_loop": _judge(run, run.residual_closure <= RESIDUAL_TOLERANCE, f"1 closure row, met to {closed:.1e} relative"),
+        "one_loop": _judge(run, run.residual_closure <= RESIDUAL_TOLERANCE, f"one row, met to {closed:.0e}"),
         "single_point": _judge(run, run.residual_motion <= RESIDUAL_TOLERANCE, only_contact),
         "contact_kept": _judge(
             run,
             run.contact_force > 0.0,
-            f"lowest f = {run.contact_force[lowest]:.4g} N at {run.time[lowest]:.4g} s",
+            f"f ≥ {run.contact_force[lowest]:.4g} N, at {run.time[lowest]:.4g} s",
         ),
         "frictionless": _judge(run, run.residual_motion <= RESIDUAL_TOLERANCE, only_contact),
         "nonsingular": _judge(
             run,
             run.normal_mobility > NEAR_SINGULAR,
-            f"lowest mobility share {run.normal_mobility[stiffest]:.2g} at {run.time[stiffest]:.4g} s, "
-            f"condition of Eq. 24 ≤ {np.max(run.kkt_condition):.2g}",
+            f"mobility ≥ {run.normal_mobility[stiffest]:.2g}, cond. ≤ {np.max(run.kkt_condition):.2g}",
         ),
     }
     if run.stopped and "singular" in run.stopped:
@@ -151,10 +152,9 @@ def limits_exceeded(run: Run) -> str:
     if not rows.size:
         return ""
     k, j = int(rows[0]), int(joints[0])
-    return (
-        f"joint {run.model.joint_names[j]} leaves its limits "
-        f"[{run.model.position_lower[j]:g}, {run.model.position_upper[j]:g}] at t = {run.time[k]:g} s (q = {run.q[k, j]:.4f})"
-    )
+    limits = f"[{run.model.position_lower[j]:g}, {run.model.position_upper[j]:g}]"
+    name = run.model.joint_names[j]
+    return f"joint {name} leaves its limits {limits} at t = {run.time[k]:g} s (q = {run.q[k, j]:.4f})"
 
 
 _TITLES = {
@@ -186,11 +186,11 @@ def print_report(run: Run, width: int | None = None) -> None:
     console.print(table)
     if len(run) == 0:
         return
-    errors = Table(box=box.SIMPLE_HEAD, title="how large every error was", title_justify="left")
-    errors.add_column("quantity")
-    errors.add_column("value", justify="right")
-    errors.add_column("unit")
-    errors.add_column("what it is")
+    errors = Table(box=box.SIMPLE_HEAD, title="how large every error was, at its worst", title_justify="left")
+    errors.add_column("quantity", no_wrap=True)
+    errors.add_column("value", justify="right", no_wrap=True)
+    errors.add_column("unit", no_wrap=True)
+    errors.add_column("beside it")
     for row in _error_rows(run, facts):
         errors.add_row(*row)
     console.print(errors)
@@ -200,15 +200,26 @@ def print_report(run: Run, width: int | None = None) -> None:
 
 
 def _error_rows(run: Run, facts: dict[str, Any]) -> list[tuple[str, str, str, str]]:
-    stabiliser = "no stabiliser" if isinstance(run.scenario.stabiliser, NoStabiliserSection) else "the stabiliser's part of f"
-    force = run.scenario.law.force
+    commanded = f"commanded {run.scenario.law.force:g} N" if run.law == "scenario" else f"law {run.law}"
+    absent = "no stabiliser" if isinstance(run.scenario.stabiliser, NoStabiliserSection) else ""
+    lowest, highest = facts["min_contact_force"], facts["peak_contact_force"]
     return [
-        ("contact force, end", f"{facts['final_contact_force']:.9g}", "N", f"commanded {force:g} N" if run.law == "scenario" else ""),
-        ("contact force, range", f"{facts['min_contact_force']:.4g} … {facts['peak_contact_force']:.4g}", "N", ""),
-        ("stabiliser force, max |·|", f"{facts['max_stabiliser_force']:.3g}", "N", stabiliser),
-        ("closure error, max |e|", f"{facts['max_abs_closure_error']:.3g}", "m", "distance of the tip from the surface"),
-        ("closure rate, max |ė|", f"{facts['max_abs_closure_rate']:.3g}", "m/s", ""),
-        ("residual of Eq. 24, max", f"{facts['max_kkt_residual']:.2g}", "relative", "1e-16 is as good as arithmetic allows"),
-        ("energy balance, max |·|", f"{facts['max_energy_residual']:.3g}", "J", f"of {facts['energy_exchanged']:.3g} J exchanged"),
-        ("tip speed, max", f"{facts['max_tip_speed']:.4g}", "m/s", ""),
-    ]  # fmt: skip
+        ("contact force f at the end", f"{facts['final_contact_force']:.9g}", "N", commanded),
+        ("f, lowest and highest", f"{lowest:.4g} … {highest:.4g}", "N", ""),
+        ("the stabiliser's part of f", f"{facts['max_stabiliser_force']:.2g}", "N", absent),
+        (
+            "closure error |e|",
+            f"{facts['max_abs_closure_error']:.2g}",
+            "m",
+            f"{facts['final_closure_error']:.1g} m at the end",
+        ),
+        ("closure rate |ė|", f"{facts['max_abs_closure_rate']:.2g}", "m/s", ""),
+        ("residual of Eq. 24", f"{facts['max_kkt_residual']:.1g}", "relative", "rounding is 1e-16"),
+        (
+            "energy unaccounted for",
+            f"{facts['max_energy_residual']:.2g}",
+            "J",
+            f"of {facts['energy_exchanged']:.2g} J exchanged",
+        ),
+        ("tip speed", f"{facts['max_tip_speed']:.4g}", "m/s", ""),
+    ]

@@ -10,6 +10,7 @@ import numpy as np
 import pinocchio as pin
 from numpy.typing import ArrayLike, NDArray
 
+from closedloop.errors import ModelError
 from robot_models import RobotModel
 
 Array = NDArray[np.float64]
@@ -58,7 +59,10 @@ class Robot:
 
     def __init__(self, model: RobotModel, tip: str | None = None) -> None:
         self.model = model
-        self.tip = model.require_frame(tip if tip is not None else model.tip)
+        name = tip if tip is not None else model.tip
+        if name is None:
+            raise ModelError(f"{model.name} has no default tip: name one of its frames, {', '.join(model.frames)}")
+        self.tip = model.require_frame(name)
         self.joint_names = model.joint_names
         self.n = len(model.joint_names)
         self._pin: Any = model.pinocchio_model()
@@ -89,7 +93,13 @@ class Robot:
         `q` and `v`, each (n,), are read anew at each call, and nothing is checked: this is the inner loop's call. See
         `closedloop.tip` for the rest of the way to the tip.
         """
-        crba, bias, model, data, convention = pin.crba, pin.nonLinearEffects, self._pin, self._data, pin.Convention.WORLD
+        crba, bias, model, data, convention = (
+            pin.crba,
+            pin.nonLinearEffects,
+            self._pin,
+            self._data,
+            pin.Convention.WORLD,
+        )
 
         def evaluate() -> None:
             crba(model, data, q, convention)  # H, and the Jacobian of every joint
@@ -145,7 +155,9 @@ class Robot:
     def _checked(self, x: ArrayLike, name: str) -> Array:
         array = np.ascontiguousarray(x, dtype=np.float64)
         if array.shape != (self.n,):
-            raise ValueError(f"{name} has shape {array.shape}: {self.model.name} has {self.n} joints {list(self.joint_names)}")
+            raise ValueError(
+                f"{name} has shape {array.shape}: {self.model.name} has {self.n} joints {list(self.joint_names)}"
+            )
         if not np.all(np.isfinite(array)):
             raise ValueError(f"{name} = {array.tolist()}: must be finite")
         return array

@@ -45,13 +45,16 @@ def _main(arguments: list[str]) -> int:
         _list()
         return DONE
     if options.scenario is None:
-        raise ScenarioError(f"command line: name a scenario, such as {' or '.join(shipped_scenarios()[:3])}; --list lists them")
+        raise ScenarioError(
+            f"command line: name a scenario, such as {' or '.join(shipped_scenarios()[:3])}; --list lists them"
+        )
     overrides = _overrides(rest)
     scenario, model, recorded_law = _open(options.scenario, overrides)
     law = _import_law(options.law) if options.law else None
     if law is None and recorded_law != "scenario":
         raise ScenarioError(
-            f"{options.scenario}: was made with the law {recorded_law}, which a run file does not carry; add --law MODULE:FUNCTION"
+            f"{options.scenario}: was made with the law {recorded_law}, which a run file does not carry; "
+            "add --law MODULE:FUNCTION"
         )
 
     folder = Path(options.out) if options.out else Path("out") / scenario.name
@@ -62,7 +65,8 @@ def _main(arguments: list[str]) -> int:
     try:
         run = simulate(scenario, law=law, model=model, progress=not options.json)
     except SimulationError as error:
-        assert error.run is not None
+        if error.run is None:
+            raise
         run, failure = error.run, error
     paths = [run.save(folder / "run.nc"), _write_summary(run.summary(), folder / "summary.json")]
     if not options.no_figures:
@@ -93,13 +97,19 @@ def _parser() -> argparse.ArgumentParser:
         allow_abbrev=False,
     )  # fmt: skip
     parser.add_argument(
-        "scenario", nargs="?", help="a shipped name (--list), a .toml file, or a run.nc to be repeated from itself alone"
+        "scenario",
+        nargs="?",
+        help="a shipped name (--list), a .toml file, or a run.nc to be repeated from itself alone",
     )
     parser.add_argument("--list", action="store_true", help="list the shipped scenarios and stop")
     parser.add_argument("--out", metavar="DIR", help="where results go (default: out/SCENARIO)")
     parser.add_argument("--no-figures", action="store_true", help="write run.nc and summary.json only")
     parser.add_argument("--json", action="store_true", help="print the summary as JSON instead of tables")
-    parser.add_argument("--law", metavar="MODULE:FUNCTION", help="use this function law(t, q, v, terms) -> Q as the control law")
+    parser.add_argument(
+        "--law",
+        metavar="MODULE:FUNCTION",
+        help="use this function law(t, q, v, terms) -> Q as the control law",
+    )
     return parser
 
 
@@ -117,7 +127,9 @@ def _overrides(rest: list[str]) -> dict[str, Any]:
     for word in words:
         key, equals, value = word.removeprefix("--").partition("=")
         if not word.startswith("--") or "." not in key:
-            raise ScenarioError(f"command line: '{word}' is not understood; options look like --law.force 15, see --help")
+            raise ScenarioError(
+                f"command line: '{word}' is not understood; options look like --law.force 15, see --help"
+            )
         if not equals:
             try:
                 value = next(words)
@@ -137,7 +149,7 @@ def _toml_value(text: str) -> Any:
 
 
 def _open(name: str, overrides: dict[str, Any]) -> tuple[Scenario, Any, str]:
-    """Return the scenario, the robot if it came from a run file, and the name of the law that the file was made with."""
+    """Return the scenario, the robot if it came from a run file, and the name of the law that made the file."""
     if not name.endswith(".nc"):
         return load_scenario(name, overrides), None, "scenario"
     from closedloop.record import load_run
@@ -158,7 +170,9 @@ def _import_law(name: str) -> Any:
     except ModuleNotFoundError as error:
         if error.name != module_name.split(".")[0]:
             raise
-        raise ScenarioError(f"--law {name}: there is no module '{module_name}' here or among the installed packages") from None
+        raise ScenarioError(
+            f"--law {name}: there is no module '{module_name}' here or among the installed packages"
+        ) from None
     law = getattr(module, function_name, None)
     if not callable(law):
         raise ScenarioError(f"--law {name}: '{module_name}' has no function '{function_name}'")
@@ -173,7 +187,9 @@ def _make_writable(folder: Path) -> None:
         probe.touch()
         probe.unlink()
     except OSError as error:
-        raise OutputError(f"--out {folder}: cannot be written: {error.strerror}; name another folder with --out") from None
+        raise OutputError(
+            f"--out {folder}: cannot be written: {error.strerror}; name another folder with --out"
+        ) from None
 
 
 def _write_summary(summary: dict[str, Any], path: Path) -> Path:

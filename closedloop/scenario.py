@@ -63,7 +63,7 @@ class PlaneSection(Section):
     kind: Literal["plane"] = "plane"
     normal: Vector3 = Field((0.0, 0.0, 1.0), description="out of the surface, base frame; any length but zero")
     offset: Number | Literal["start"] = Field(
-        "start", description="d for the unit normal, m, or \"start\": through the tip at the start"
+        "start", description='d for the unit normal, m, or "start": through the tip at the start'
     )
 
 
@@ -101,7 +101,8 @@ class PaperLawSection(Section):
         None, description="instant from which the PD part acts, s; reference.start (0 for hold) if left out"
     )
     sample_period: NotNegative = Field(
-        0.0, description="period at which the law is evaluated and then held, s; 0: at every evaluation of Eq. 24"
+        0.0,
+        description="period at which the law is evaluated and then held, s; 0: at every evaluation of Eq. 24",
     )
 
 
@@ -273,7 +274,10 @@ def _explain(error: ValidationError, data: dict[str, Any]) -> str:
     location = [str(part) for part in first["loc"]]
     section = location[0] if location else ""
     tags = set(_variants(section)) | {"function-before[_number(), float]", "tuple[float, ...]"}
-    path = [section, *(p for p in location[1:] if p not in tags and not p.startswith(("literal[", "function-", "tuple[", "float")))]
+    path = [
+        section,
+        *(p for p in location[1:] if p not in tags and not p.startswith(("literal[", "function-", "tuple[", "float"))),
+    ]
     name = ".".join(p for p in path if p)
     kind, value = first["type"], first.get("input")
     shown = repr(value) if not isinstance(value, dict) else "a table"
@@ -312,7 +316,7 @@ def _explain(error: ValidationError, data: dict[str, Any]) -> str:
 
 def _known_keys(section: str, path: list[str], data: dict[str, Any]) -> str:
     if len(path) == 1:
-        known = [k for k in Scenario.model_fields]
+        known = list(Scenario.model_fields)
         place = "sections are"
     else:
         variants = _variants(section)

@@ -27,7 +27,16 @@ from closedloop.record import PRESSED, Run
 from closedloop.robot import Robot
 from closedloop.scenario import HoldSection, LineSection, NoStabiliserSection, Scenario
 from closedloop.solve import NOT_POSITIVE_DEFINITE, OK, SINGULAR
-from closedloop.step import LAW_GIVEN, LAW_PAPER, SCALARS, SPEED_LIMIT, Memory, Row, pack_constants, step_on_pinocchio
+from closedloop.step import (
+    LAW_GIVEN,
+    LAW_PAPER,
+    SCALARS,
+    SPEED_LIMIT,
+    Memory,
+    Row,
+    pack_constants,
+    step_on_pinocchio,
+)
 from closedloop.surface import Plane
 from robot_models import RobotModel
 
@@ -122,9 +131,9 @@ def simulate(
         from closedloop.progress import bar
 
         with bar(scenario.name, problem.steps) as report:
-            rows, failure, seconds = _loop(problem, law, report)
+            rows, failure, seconds = run_loop(problem, law, report)
     else:
-        rows, failure, seconds = _loop(problem, law, progress or _silent)
+        rows, failure, seconds = run_loop(problem, law, progress or _silent)
     if compiled_now:
         forget_old_caches()
     run = _as_run(problem, rows, law, failure, seconds)
@@ -147,8 +156,6 @@ def prepare(scenario: Scenario, model: RobotModel | None = None) -> Problem:
     if model is None:
         options: dict[str, Any] = {} if section.lock is None else {"lock": section.lock}
         model = robot_models.load(section.model, drive_inertia=section.drive_inertia, **options)
-    if section.tip is None and model.tip is None:
-        raise ScenarioError(f"robot.tip is missing: {model.name} has no default tip; its frames are {', '.join(model.frames)}")
     robot = Robot(model, section.tip)
     n = robot.n
     q = model.home.copy() if scenario.start.q is None else _per_joint("start.q", scenario.start.q, model)
@@ -156,7 +163,8 @@ def prepare(scenario: Scenario, model: RobotModel | None = None) -> Problem:
     for j, (low, high) in enumerate(zip(model.position_lower, model.position_upper, strict=True)):
         if not low <= q[j] <= high:
             raise ScenarioError(
-                f"start.q[{j}] = {q[j]:g}: joint {model.joint_names[j]} of {model.name} moves within [{low:g}, {high:g}]"
+                f"start.q[{j}] = {q[j]:g}: joint {model.joint_names[j]} of {model.name} "
+                f"moves within [{low:g}, {high:g}]"
             )
 
     surface = scenario.surface
@@ -177,7 +185,7 @@ def prepare(scenario: Scenario, model: RobotModel | None = None) -> Problem:
     hold = _whole(period, h, "law.sample_period") if period else 0
 
     nodes_per_step = max(1, round(1 / min((x for x in integrator.nodes if x), default=1.0)))
-    instants = h / nodes_per_step * np.arange(steps * nodes_per_step + 1)
+    instants = (h / nodes_per_step) * np.arange(steps * nodes_per_step + 1, dtype=np.float64)
     q_des, v_des = _joint_path(scenario, robot, plane, q).sample(instants)
     path = np.stack([q_des, v_des], axis=1)
 
@@ -219,7 +227,9 @@ def _joint_path(scenario: Scenario, robot: Robot, plane: Plane, q: Array) -> ref
         hint = f"; the nearest direction along it is {(along / size).round(6).tolist()}" if size > 1e-9 else ""
         raise ScenarioError(f"reference.direction = {list(section.direction)}: must lie in the surface{hint}")
     if not section.stop > section.start:
-        raise ScenarioError(f"reference.stop = {section.stop:g}: must be later than reference.start = {section.start:g}")
+        raise ScenarioError(
+            f"reference.stop = {section.stop:g}: must be later than reference.start = {section.start:g}"
+        )
     return reference.follow_line(robot, q, direction, section.speed, section.start, section.stop)
 
 
@@ -237,10 +247,10 @@ def _stabiliser_gains(scenario: Scenario) -> tuple[float, float]:
                 "use a positive damping ratio"
             )
         raise ScenarioError(
-            f"stabiliser.time_constant = {section.time_constant:g} s with time.step = {scenario.time.step:g} s: Baumgarte "
-            f"is unstable with {name} beyond step/time_constant = {limit:.4f} at damping ratio {section.damping_ratio:g}; "
-            f"the step may be at most {limit * section.time_constant:.4g} s, or the time constant at least "
-            f"{scenario.time.step / limit:.4g} s"
+            f"stabiliser.time_constant = {section.time_constant:g} s with time.step = {scenario.time.step:g} s: "
+            f"Baumgarte is unstable with {name} beyond step/time_constant = {limit:.4f} at damping ratio "
+            f"{section.damping_ratio:g}; the step may be at most {limit * section.time_constant:.4g} s, or the time "
+            f"constant at least {scenario.time.step / limit:.4g} s"
         )
     return baumgarte_gains(section.damping_ratio, section.time_constant)
 
@@ -268,10 +278,20 @@ def _silent(done: int, total: int) -> None:
     """Report nothing."""
 
 
-def _loop(
-    problem: Problem, law: Law | None, report: Callable[[int, int], None]
+def run_loop(
+    problem: Problem, law: Law | None = None, report: Callable[[int, int], None] = _silent
 ) -> tuple[Array, SimulationError | None, float]:
-    """Step the problem; return the rows, why it stopped early (or None) and the seconds it took."""
+    """Step the problem.
+
+    Returns
+    -------
+    rows : (N, width) array
+        What was recorded, in the order of `closedloop.step.Row`.
+    failure : SimulationError or None
+        Why it stopped early.
+    seconds : float
+        Time the steps after the first took, s: compilation is not counted.
+    """
     robot, scheme, h, steps, path = problem.robot, problem.integrator, problem.h, problem.steps, problem.path
     n = robot.n
     per_step = (path.shape[0] - 1) // steps
@@ -283,7 +303,15 @@ def _loop(
     memory[0], memory[1] = problem.q, problem.v
     q, v, torque = memory[:3]
     rows = np.zeros((steps + 1, Row.of(n, 1).width))
-    fixed = (*robot.views, constants, np.vstack([problem.gains, robot.support]), path, scheme.tableau(), memory, rows)
+    fixed = (
+        *robot.views,
+        constants,
+        np.vstack([problem.gains, robot.support]),
+        path,
+        scheme.tableau(),
+        memory,
+        rows,
+    )
     stages = tuple(enumerate(problem.nodes))
     evaluate, hold = robot.evaluator(q, v), problem.hold
     kind = LAW_PAPER if law is None else LAW_GIVEN
@@ -357,8 +385,8 @@ def _failure(status: int, t: float, robot: Robot, problem: Problem, q: Array, v:
         )
     fast = int(np.argmax(np.abs(v))) if np.all(np.isfinite(v)) else 0
     return DivergenceError(
-        f"{_when(t)}: the motion diverges: joint {robot.joint_names[fast]} is beyond {SPEED_LIMIT:g} rad/s or not a number; "
-        "look at the signs and sizes of law.kp and law.kd, and at time.step",
+        f"{_when(t)}: the motion diverges: joint {robot.joint_names[fast]} is beyond {SPEED_LIMIT:g} rad/s or "
+        "not a number; look at the signs and sizes of law.kp and law.kd, and at time.step",
         t,
     )
 

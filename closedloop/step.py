@@ -29,7 +29,17 @@ LAW_GIVEN, LAW_PAPER = 0, 1
 
 
 # Where the parts of `constants` begin.
-PLANE, STABILISER, SETTINGS, OFFSET, GRAVITY, STEP, NODE, SEMI_IMPLICIT, CONSTANTS = 0, 4, 6, 8, 11, 14, 15, 16, 17
+PLANE, STABILISER, SETTINGS, OFFSET, GRAVITY, STEP, NODE, SEMI_IMPLICIT, CONSTANTS = (
+    0,
+    4,
+    6,
+    8,
+    11,
+    14,
+    15,
+    16,
+    17,
+)
 
 
 def pack_constants(

@@ -38,7 +38,7 @@ class Plane:
         """
         n = np.array(normal, dtype=np.float64)
         if n.shape != (3,) or not np.all(np.isfinite(n)):
-            raise ScenarioError(f"surface.normal = {normal}: must be three finite numbers")
+            raise ScenarioError(f"surface.normal = {normal!r}: must be three finite numbers")
         # Scaling by the largest entry first keeps tiny and huge normals from under- or overflowing.
         largest = float(np.max(np.abs(n)))
         if largest == 0.0:
@@ -48,7 +48,7 @@ class Plane:
         n /= largest
         n /= np.linalg.norm(n)
         if not np.isfinite(offset):
-            raise ScenarioError(f"surface.offset = {offset}: must be a finite number of metres, or \"start\"")
+            raise ScenarioError(f'surface.offset = {offset}: must be a finite number of metres, or "start"')
         n.setflags(write=False)
         return cls(n, float(offset))
 

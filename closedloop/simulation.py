@@ -32,8 +32,8 @@ from closedloop.step import (
     LAW_PAPER,
     SCALARS,
     SPEED_LIMIT,
-    Memory,
     Row,
+    memory_layout,
     pack_constants,
     step_on_pinocchio,
 )
@@ -299,7 +299,7 @@ def run_loop(
         [*problem.plane.normal, problem.plane.offset], problem.stabiliser, problem.settings,
         robot.tip_offset, robot.gravity, h, h / per_step, scheme.semi_implicit,
     )  # fmt: skip
-    memory = np.zeros((Memory.of(n, 1, scheme.stages).rows, n))
+    memory = np.zeros((memory_layout(n, 1, scheme.stages)[-1], n))
     memory[0], memory[1] = problem.q, problem.v
     q, v, torque = memory[:3]
     rows = np.zeros((steps + 1, Row.of(n, 1).width))
@@ -313,6 +313,7 @@ def run_loop(
         rows,
     )
     stages = tuple(enumerate(problem.nodes))
+    plain = law is None and not problem.hold and len(stages) == 1
     evaluate, hold = robot.evaluator(q, v), problem.hold
     kind = LAW_PAPER if law is None else LAW_GIVEN
     user_torque = None if law is None else _checked_law(law, robot, q, v)
@@ -324,6 +325,13 @@ def run_loop(
             began = clock.perf_counter()  # the first step compiled the kernel, or read it from the cache
         if i % CHUNK == 0:
             report(i, steps)
+        if plain:  # the common case, without the loop over stages and without asking who computes the torque
+            evaluate()
+            status = step_on_pinocchio(i, i, 0, LAW_PAPER, *fixed)
+            if status == OK:
+                continue
+            failure, rows = _failure(status, i * h, robot, problem, q, v), rows[:i]
+            break
         for stage, node in stages if i < steps else stages[:1]:
             at = i * per_step + node
             sampled = not hold or (stage == 0 and i % hold == 0)

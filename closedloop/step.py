@@ -77,19 +77,17 @@ def pack_constants(
     return np.concatenate([np.asarray(x, dtype=np.float64).ravel() for x in parts])
 
 
-class Memory(NamedTuple):
-    """The scratch that a step works in: rows of n numbers in one array, whose first three are the state."""
+@kernel
+def memory_layout(n: int, m: int, stages: int) -> tuple[int, int, int, int]:
+    """Return where in a step's memory, an array of rows of n numbers, its parts begin, and how many rows it has.
 
-    stages: int
-    work: int
-    rows: int
-
-    @classmethod
-    def of(cls, n: int, m: int, stages: int) -> Memory:
-        """Lay out the memory for n joints, m closure rows and a scheme of so many stages."""
-        first = 3
-        work = first + 2 * (stages + 1)
-        return cls(first, work, work + 2 * m + n + 3)
+    The first three rows are q, q̇ and Q; then follow the integrator's stages, then Jᵣ (3 rows), the matrices of
+    Eq. 24 (2 m + n + 3 rows), and numbers that come in threes and m's.
+    """
+    jacobian = 3 + 2 * (stages + 1)
+    matrices = jacobian + 3
+    small = matrices + 2 * m + n + 3
+    return jacobian, matrices, small, small + (6 + 8 * m + m * m + n - 1) // n
 
 
 class Row(NamedTuple):
@@ -188,7 +186,8 @@ def step(
     tableau : (S + 1, S) array
         See `closedloop.integrate.advance`.
     memory : (rows, n) array
-        q, q̇ and Q, of which the first two are advanced in place and the third is written or read; then `Memory`.
+        q, q̇ and Q, of which the first two are advanced in place and the third is written or read; then
+        scratch, see `memory_layout`.
     rows : (N, width) array
         Row i is written at stage 0; see `Row`.
 
@@ -199,15 +198,14 @@ def step(
     """
     n, m = memory.shape[1], 1
     q, v, torque = memory[0], memory[1], memory[2]
-    w = 3 + 2 * (tableau.shape[1] + 1)
+    _, w, small_at, _ = memory_layout(n, m, tableau.shape[1])
     A, X, L = memory[w : w + m], memory[w + m : w + 2 * m], memory[w + 2 * m : w + 2 * m + n]
     w += 2 * m + n
     y, qdd, column = memory[w], memory[w + 1], memory[w + 2]
-    small = np.empty((8 + m, m))
-    gamma, e, rate, b, b_stabiliser, f, f_stabiliser, share = (
-        small[0], small[1], small[2], small[3], small[4], small[5], small[6], small[7]
-    )  # fmt: skip
-    S = small[8:]
+    small = memory[small_at:].reshape(-1)[6:]
+    gamma, e, rate, b = small[0:m], small[m : 2 * m], small[2 * m : 3 * m], small[3 * m : 4 * m]
+    b_stabiliser, f, f_stabiliser = small[4 * m : 5 * m], small[5 * m : 6 * m], small[6 * m : 7 * m]
+    share, S = small[7 * m : 8 * m], small[8 * m : 8 * m + m * m].reshape(m, m)
 
     plane_rows(constants[PLANE:STABILISER], J, r, drift, v, A, gamma, e, rate)
     if law == LAW_PAPER:
@@ -245,11 +243,12 @@ def step_on_pinocchio(
 
     See `step`, and `closedloop.tip.tip_kinematics` for the parameters that only this function has.
     """
-    J, point = np.empty((3, memory.shape[1])), np.empty((2, 3))
+    n, m = memory.shape[1], 1
+    at_jacobian, _, at_small, _ = memory_layout(n, m, tableau.shape[1])
+    J, point = memory[at_jacobian : at_jacobian + 3], memory[at_small:].reshape(-1)
+    r, drift = point[0:3], point[3:6]
     tip_kinematics(
         joint_jacobian, rotation, origin, velocity, acceleration,
-        constants[OFFSET:GRAVITY], constants[GRAVITY:STEP], joints[2], J, point[0], point[1],
+        constants[OFFSET:GRAVITY], constants[GRAVITY:STEP], joints[2], J, r, drift,
     )  # fmt: skip
-    return step(
-        i, at, stage, law, H, C, J, point[0], point[1], constants, joints, path, tableau, memory, rows
-    )  # fmt: skip
+    return step(i, at, stage, law, H, C, J, r, drift, constants, joints, path, tableau, memory, rows)

@@ -137,7 +137,7 @@ def mujoco_loop(problem: Problem) -> Callable[[], tuple[float, Array]]:
 
 
 def cold_start(arguments: list[str], repeats: int) -> float:
-    """Return the median seconds of ``python -m closedloop.run wam_slide`` with these arguments, process start included."""
+    """Return the median seconds that ``python -m closedloop.run`` takes with these arguments, process start included."""
     seconds = []
     for _ in range(repeats):
         with tempfile.TemporaryDirectory() as folder:

@@ -159,7 +159,7 @@ def _advance(
         return "the inverse kinematics broke down"
     miss = float(np.max(np.abs(target - robot.position(x))))
     if miss > 0.1 * PATH_TOLERANCE:
-        return f"the tip cannot get there (closest {miss:.2g} m away): the path leaves the workspace"
+        return "the tip cannot get there: the path leaves the workspace"
     model = robot.model
     for j in range(robot.n):
         low, high = model.position_lower[j], model.position_upper[j]

@@ -17,14 +17,14 @@ from pathlib import Path
 from typing import Any, NoReturn
 
 from closedloop.errors import ClosedLoopError, OutputError, ScenarioError, SimulationError
-from closedloop.scenario import Scenario, describe_keys, load_scenario, parse_scenario, shipped_scenarios
+from closedloop.scenario import Scenario, load_scenario, parse_scenario, shipped_scenarios
 
 DONE, BAD_INPUT, STOPPED = 0, 2, 3
 
 
 class _Parser(argparse.ArgumentParser):
     def error(self, message: str) -> NoReturn:
-        raise ScenarioError(f"command line: {message}; see --help")
+        raise ScenarioError(f"command line: {message}; a key of the scenario is set as --law.force 15; see --help")
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
@@ -40,7 +40,8 @@ def main(arguments: Sequence[str] | None = None) -> int:
 
 
 def _main(arguments: list[str]) -> int:
-    options, rest = _parser().parse_known_args(arguments)
+    overrides, rest = _split(arguments)
+    options = _parser().parse_args(rest)
     if options.list:
         _list()
         return DONE
@@ -48,7 +49,6 @@ def _main(arguments: list[str]) -> int:
         raise ScenarioError(
             f"command line: name a scenario, such as {' or '.join(shipped_scenarios()[:3])}; --list lists them"
         )
-    overrides = _overrides(rest)
     scenario, model, recorded_law = _open(options.scenario, overrides)
     law = _import_law(options.law) if options.law else None
     if law is None and recorded_law != "scenario":
@@ -87,6 +87,8 @@ def _main(arguments: list[str]) -> int:
 
 
 def _parser() -> argparse.ArgumentParser:
+    from closedloop.explain import describe_keys
+
     keys = "\n".join(f"  --{key} VALUE\n        {what}" for key, what in describe_keys())
     parser = _Parser(
         prog="closedloop",
@@ -120,23 +122,23 @@ def _list() -> None:
         print(f"{name:{width}}  {load_scenario(name).description}")
 
 
-def _overrides(rest: list[str]) -> dict[str, Any]:
-    """Turn --SECTION.KEY VALUE and --SECTION.KEY=VALUE into dotted overrides."""
+def _split(arguments: list[str]) -> tuple[dict[str, Any], list[str]]:
+    """Take --SECTION.KEY VALUE and --SECTION.KEY=VALUE out of the arguments; return them as overrides, and the rest."""
     overrides: dict[str, Any] = {}
-    words = iter(rest)
+    rest: list[str] = []
+    words = iter(arguments)
     for word in words:
         key, equals, value = word.removeprefix("--").partition("=")
         if not word.startswith("--") or "." not in key:
-            raise ScenarioError(
-                f"command line: '{word}' is not understood; options look like --law.force 15, see --help"
-            )
+            rest.append(word)
+            continue
         if not equals:
             try:
                 value = next(words)
             except StopIteration:
                 raise ScenarioError(f"command line: {word} needs a value") from None
         overrides[key] = _toml_value(value)
-    return overrides
+    return overrides, rest
 
 
 def _toml_value(text: str) -> Any:

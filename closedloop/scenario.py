@@ -8,6 +8,7 @@ A scenario file is data: it can name a robot and numbers, never code. Unknown ke
 from __future__ import annotations
 
 import difflib
+import math
 import tomllib
 from collections.abc import Mapping
 from importlib import resources
@@ -32,12 +33,32 @@ def _boolean(value: Any) -> Any:
     return value
 
 
+def _gain(value: Any) -> Any:
+    """Take one number, or a list of them; pydantic's own union would blame the branch that was not meant."""
+    if not isinstance(value, (list, tuple)):
+        return _finite(value)
+    for index, entry in enumerate(value):
+        try:
+            _finite(entry)
+        except ValueError:
+            raise ValueError(f"entry {index} is {entry!r}: must be a finite number") from None
+    return tuple(float(entry) for entry in value)
+
+
+def _finite(value: Any) -> float:
+    number = float(_number(value))
+    if not math.isfinite(number):
+        raise ValueError("must be finite, not NaN or infinite")
+    return number
+
+
 Number = Annotated[float, BeforeValidator(_number)]
 Positive = Annotated[float, BeforeValidator(_number), Field(gt=0.0)]
 NotNegative = Annotated[float, BeforeValidator(_number), Field(ge=0.0)]
 Flag = Annotated[bool, BeforeValidator(_boolean)]
 Vector3 = tuple[Number, Number, Number]
 PerJoint = tuple[Number, ...]
+Gain = Annotated[float | tuple[float, ...], BeforeValidator(_gain)]
 
 
 class Section(BaseModel):
@@ -94,8 +115,8 @@ class PaperLawSection(Section):
     """[law] kind = "paper": Eq. 33."""
 
     kind: Literal["paper"] = "paper"
-    kp: Number | PerJoint = Field(description="position gain K_p, N m/rad, one per joint or one for all")
-    kd: Number | PerJoint = Field(description="velocity gain K_d, N m s/rad, one per joint or one for all")
+    kp: Gain = Field(description="position gain K_p, N m/rad, one per joint or one for all")
+    kd: Gain = Field(description="velocity gain K_d, N m s/rad, one per joint or one for all")
     force: Number = Field(10.0, description="force f_des with which the tip presses on the surface, N")
     pd_start: NotNegative | None = Field(
         None, description="instant from which the PD part acts, s; reference.start (0 for hold) if left out"
@@ -195,7 +216,9 @@ def parse_scenario(
     try:
         scenario = Scenario.model_validate(data)
     except ValidationError as error:
-        raise ScenarioError(f"{where}: {_explain(error, data)}") from None
+        from closedloop.explain import explain
+
+        raise ScenarioError(f"{where}: {explain(error, data)}") from None
     return scenario
 
 
@@ -226,102 +249,9 @@ def _override(data: dict[str, Any], key: str, value: Any) -> None:
         if not isinstance(section, dict):
             raise ScenarioError(f"{key}: '{part}' is not a section")
     if parts[-1] == "kind" and len(parts) == 2 and section.get("kind") != value:
-        known = _variant_keys(parts[0], value)
+        from closedloop.explain import variant_keys
+
+        known = variant_keys(parts[0], value)
         for stale in [k for k in section if k not in known]:
             del section[stale]
     section[parts[-1]] = value
-
-
-def _variants(section: str) -> dict[str, type[Section]]:
-    """Return kind -> section type; the key is "" where there is one type without a kind."""
-    field = Scenario.model_fields.get(section)
-    if field is None:
-        return {}
-    types = get_args(field.annotation) or (field.annotation,)
-    found: dict[str, type[Section]] = {}
-    for kind in types:
-        if isinstance(kind, type) and issubclass(kind, Section):
-            tag = kind.model_fields.get("kind")
-            found[tag.default if tag else ""] = kind
-    return found
-
-
-def _variant_keys(section: str, kind: Any) -> set[str]:
-    variant = _variants(section).get(kind)
-    return set(variant.model_fields) if variant else set()
-
-
-def describe_keys() -> list[tuple[str, str]]:
-    """Return (dotted key, what it is) for every key a scenario may have, in order."""
-    rows: list[tuple[str, str]] = []
-    for section in Scenario.model_fields:
-        for kind, variant in _variants(section).items():
-            for key, field in variant.model_fields.items():
-                if key == "kind":
-                    continue
-                suffix = f" [{kind}]" if len(_variants(section)) > 1 else ""
-                default = "" if field.is_required() or field.default is None else f" (default {field.default})"
-                rows.append((f"{section}.{key}", f"{field.description}{default}{suffix}"))
-        if len(_variants(section)) > 1:
-            rows.append((f"{section}.kind", " | ".join(_variants(section))))
-    return rows
-
-
-def _explain(error: ValidationError, data: dict[str, Any]) -> str:
-    """Turn pydantic's findings into one line: what, where, what would be right."""
-    problems = error.errors(include_url=False)
-    first = problems[0]
-    location = [str(part) for part in first["loc"]]
-    section = location[0] if location else ""
-    tags = set(_variants(section)) | {"function-before[_number(), float]", "tuple[float, ...]"}
-    path = [
-        section,
-        *(p for p in location[1:] if p not in tags and not p.startswith(("literal[", "function-", "tuple[", "float"))),
-    ]
-    name = ".".join(p for p in path if p)
-    kind, value = first["type"], first.get("input")
-    shown = repr(value) if not isinstance(value, dict) else "a table"
-    more = f" (and {len(problems) - 1} more)" if len({tuple(p["loc"][:2]) for p in problems}) > 1 else ""
-    if kind == "extra_forbidden":
-        return f"unknown key '{name}'; {_known_keys(section, path, data)}{more}"
-    if kind == "missing":
-        return f"'{name}' is missing{more}"
-    if kind in ("union_tag_invalid", "literal_error", "union_tag_not_found"):
-        if kind == "union_tag_invalid":
-            shown, name = repr(first["ctx"]["tag"]), f"{name}.kind"
-            options = " or ".join(f"'{k}'" for k in _variants(section))
-        elif kind == "union_tag_not_found":
-            return f"'{name}.kind' is missing: must be {' or '.join(repr(k) for k in _variants(section))}"
-        else:
-            options = first["ctx"]["expected"]
-        if name == "surface.offset":
-            options = 'a number of metres, or "start"'
-        return f"{name} = {shown}: must be {options}{more}"
-    if kind == "greater_than":
-        return f"{name} = {shown}: must be greater than 0{more}"
-    if kind == "greater_than_equal":
-        return f"{name} = {shown}: must not be negative{more}"
-    if kind == "finite_number":
-        return f"{name} = {shown}: must be finite, not NaN or infinite{more}"
-    if kind in ("tuple_type", "too_long", "too_short", "missing_argument") or "tuple" in kind:
-        return f"{name} = {shown}: must be a list of numbers{more}"
-    if kind == "value_error":
-        return f"{name} = {shown}: {first['ctx']['error']}{more}"
-    if kind in ("model_type", "model_attributes_type", "dict_type"):
-        return f"{name} = {shown}: must be a section of its own, [{name}]{more}"
-    if kind == "string_type":
-        return f"{name} = {shown}: must be text{more}"
-    return f"{name} = {shown}: {first['msg']}{more}"
-
-
-def _known_keys(section: str, path: list[str], data: dict[str, Any]) -> str:
-    if len(path) == 1:
-        known = list(Scenario.model_fields)
-        place = "sections are"
-    else:
-        variants = _variants(section)
-        kind = data.get(section, {}).get("kind", next(iter(variants), ""))
-        known = sorted(_variant_keys(section, kind)) if kind in variants else sorted(_variant_keys(section, ""))
-        place = f"[{section}] knows"
-    near = difflib.get_close_matches(path[-1], known, n=1, cutoff=0.5)
-    return f"did you mean '{'.'.join([*path[:-1], near[0]])}'?" if near else f"{place} {', '.join(known)}"

@@ -6,6 +6,7 @@ each step asks Pinocchio for the terms of the state, and `closedloop.step` for e
 
 from __future__ import annotations
 
+import math
 import sys
 import time as clock
 from collections.abc import Callable
@@ -249,10 +250,16 @@ def _stabiliser_gains(scenario: Scenario) -> tuple[float, float]:
         raise ScenarioError(
             f"stabiliser.time_constant = {section.time_constant:g} s with time.step = {scenario.time.step:g} s: "
             f"Baumgarte is unstable with {name} beyond step/time_constant = {limit:.4f} at damping ratio "
-            f"{section.damping_ratio:g}; the step may be at most {limit * section.time_constant:.4g} s, or the time "
-            f"constant at least {scenario.time.step / limit:.4g} s"
+            f"{section.damping_ratio:g}; the step may be at most {_rounded(limit * section.time_constant, down=True)} "
+            f"s, or the time constant at least {_rounded(scenario.time.step / limit, down=False)} s"
         )
     return baumgarte_gains(section.damping_ratio, section.time_constant)
+
+
+def _rounded(x: float, down: bool) -> str:
+    """Return x to four digits, rounded to the side on which it is still a valid limit."""
+    unit = 10.0 ** (math.floor(math.log10(x)) - 3)
+    return f"{(math.floor(x / unit) if down else math.ceil(x / unit)) * unit:.4g}"
 
 
 def _per_joint(key: str, value: float | tuple[float, ...], model: RobotModel) -> Array:

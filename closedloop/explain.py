@@ -1,0 +1,112 @@
+"""What a scenario may contain, in words: for --help, and for the one line that says what is wrong with one."""
+
+from __future__ import annotations
+
+import difflib
+from typing import Any, get_args
+
+from pydantic import ValidationError
+
+from closedloop.scenario import Scenario, Section
+
+
+def variants(section: str) -> dict[str, type[Section]]:
+    """Return kind -> section type; the key is "" where there is one type without a kind."""
+    field = Scenario.model_fields.get(section)
+    if field is None:
+        return {}
+    types = get_args(field.annotation) or (field.annotation,)
+    found: dict[str, type[Section]] = {}
+    for kind in types:
+        if isinstance(kind, type) and issubclass(kind, Section):
+            tag = kind.model_fields.get("kind")
+            found[tag.default if tag else ""] = kind
+    return found
+
+
+def variant_keys(section: str, kind: Any) -> set[str]:
+    """Return the keys that a section of this kind may have."""
+    variant = variants(section).get(kind)
+    return set(variant.model_fields) if variant else set()
+
+
+def describe_keys() -> list[tuple[str, str]]:
+    """Return (dotted key, what it is) for every key a scenario may have, in order."""
+    rows: list[tuple[str, str]] = []
+    for section in Scenario.model_fields:
+        for kind, variant in variants(section).items():
+            for key, field in variant.model_fields.items():
+                if key == "kind":
+                    continue
+                suffix = f" [{kind}]" if len(variants(section)) > 1 else ""
+                default = "" if field.is_required() or field.default is None else f" (default {field.default})"
+                rows.append((f"{section}.{key}", f"{field.description}{default}{suffix}"))
+        if len(variants(section)) > 1:
+            rows.append((f"{section}.kind", " | ".join(variants(section))))
+    return rows
+
+
+# What is right, for the kinds of fault whose text does not depend on the key.
+CURES = {
+    "greater_than": "must be greater than 0",
+    "greater_than_equal": "must not be negative",
+    "finite_number": "must be finite, not NaN or infinite",
+    "string_type": "must be text",
+    "tuple_type": "must be a list of numbers",
+    "too_long": "must be three numbers",  # the only lists of fixed length are vectors
+    "too_short": "must be three numbers",
+}
+
+
+def explain(error: ValidationError, data: dict[str, Any]) -> str:
+    """Return one line about what pydantic found: which key, which value, what would be right."""
+    problems = error.errors(include_url=False)
+    first = problems[0]
+    location = [str(part) for part in first["loc"]]
+    section = location[0] if location else ""
+    # pydantic names the branch of a union that it tried; a user knows only keys and places in lists.
+    known = _all_keys(section)
+    path = [p for k, p in enumerate(location) if p.isdigit() or k == 0 or p in known or "lock" in location]
+    name = "".join(f"[{p}]" if p.isdigit() else f".{p}" for p in path).removeprefix(".")
+    kind, value = first["type"], first.get("input")
+    shown = "a table" if isinstance(value, dict) else repr(value)
+    others = {tuple(p["loc"][:2]) for p in problems} - {tuple(first["loc"][:2])}
+    more = f" (and {len(others)} more)" if others else ""
+    if kind == "extra_forbidden":
+        path = [p for p in location if p not in variants(section)]
+        return f"unknown key '{'.'.join(path)}'; {_known_keys(section, path, data)}{more}"
+    if kind == "missing" and location[-1].isdigit():
+        name, shown, cure = name.partition("[")[0], repr(value), CURES["too_short"]
+    elif kind == "missing":
+        return f"'{'.'.join(p for p in location if p not in variants(section))}' is missing{more}"
+    elif name == "surface.offset":
+        cure = 'must be a finite number of metres, or "start"'
+    elif kind in ("union_tag_invalid", "union_tag_not_found"):
+        shown = repr(first["ctx"].get("tag")) if kind == "union_tag_invalid" else "missing"
+        name, cure = f"{name}.kind", f"must be {' or '.join(repr(k) for k in variants(section))}"
+    elif kind == "literal_error":
+        cure = f"must be {first['ctx']['expected']}"
+    elif kind in ("model_type", "model_attributes_type", "dict_type"):
+        cure = f"must be a section of its own, [{name}]"
+    elif kind == "value_error":
+        cure = str(first["ctx"]["error"])
+    else:
+        cure = CURES.get(kind, first["msg"])
+    return f"{name} = {shown}: {cure}{more}"
+
+
+def _all_keys(section: str) -> set[str]:
+    return {key for kind in variants(section) for key in variant_keys(section, kind)}
+
+
+def _known_keys(section: str, path: list[str], data: dict[str, Any]) -> str:
+    if len(path) == 1:
+        known = list(Scenario.model_fields)
+        place = "sections are"
+    else:
+        kinds = variants(section)
+        kind = data.get(section, {}).get("kind", next(iter(kinds), ""))
+        known = sorted(variant_keys(section, kind if kind in kinds else ""))
+        place = f"[{section}] knows"
+    near = difflib.get_close_matches(path[-1], known, n=1, cutoff=0.5)
+    return f"did you mean '{'.'.join([*path[:-1], near[0]])}'?" if near else f"{place} {', '.join(known)}"

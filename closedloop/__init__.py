@@ -22,6 +22,8 @@ if TYPE_CHECKING:
     from closedloop.errors import ScenarioError as ScenarioError
     from closedloop.errors import SimulationError as SimulationError
     from closedloop.errors import SingularClosureError as SingularClosureError
+    from closedloop.problem import Problem as Problem
+    from closedloop.problem import prepare as prepare
     from closedloop.record import Run as Run
     from closedloop.record import load_run as load_run
     from closedloop.robot import Robot as Robot
@@ -29,8 +31,6 @@ if TYPE_CHECKING:
     from closedloop.scenario import Scenario as Scenario
     from closedloop.scenario import load_scenario as load_scenario
     from closedloop.scenario import shipped_scenarios as shipped_scenarios
-    from closedloop.simulation import Problem as Problem
-    from closedloop.simulation import prepare as prepare
     from closedloop.simulation import simulate as simulate
     from closedloop.solve import solve_closure as solve_closure
     from closedloop.surface import Plane as Plane
@@ -42,7 +42,7 @@ _HOME = {
     "ModelError": "errors",
     "OutputError": "errors",
     "Plane": "surface",
-    "Problem": "simulation",
+    "Problem": "problem",
     "Robot": "robot",
     "Run": "record",
     "RunFileError": "errors",
@@ -53,7 +53,7 @@ _HOME = {
     "Terms": "robot",
     "load_run": "record",
     "load_scenario": "scenario",
-    "prepare": "simulation",
+    "prepare": "problem",
     "shipped_scenarios": "scenario",
     "simulate": "simulation",
     "solve_closure": "solve",

@@ -28,7 +28,8 @@ from numpy.typing import NDArray
 import closedloop as cl
 from closedloop.compiled import kernel
 from closedloop.control import paper_law
-from closedloop.simulation import Problem, run_loop
+from closedloop.problem import Problem
+from closedloop.simulation import run_loop
 
 Array = NDArray[np.float64]
 SCENARIO = "wam_slide"
@@ -137,7 +138,7 @@ def mujoco_loop(problem: Problem) -> Callable[[], tuple[float, Array]]:
 
 
 def cold_start(arguments: list[str], repeats: int) -> float:
-    """Return the median seconds that ``python -m closedloop.run`` takes with these arguments, process start included."""
+    """Return the median seconds of ``python -m closedloop.run`` with these arguments, process start included."""
     seconds = []
     for _ in range(repeats):
         with tempfile.TemporaryDirectory() as folder:

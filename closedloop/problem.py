@@ -1,0 +1,202 @@
+"""A scenario turned into numbers, or refused: everything that the loop needs, to be looked at before it runs."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+import robot_models
+from closedloop import reference
+from closedloop.baumgarte import baumgarte_gains, largest_stable_ratio
+from closedloop.errors import ScenarioError
+from closedloop.integrate import INTEGRATORS, Integrator
+from closedloop.robot import Robot
+from closedloop.scenario import HoldSection, LineSection, NoStabiliserSection, Scenario
+from closedloop.surface import Plane
+from robot_models import RobotModel
+
+Array = NDArray[np.float64]
+
+# A run is held in memory; this many rows of a 7-joint arm are about 4 GB.
+MOST_ROWS = 10_000_000
+
+
+@dataclass(frozen=True)
+class Problem:
+    """A scenario turned into numbers: everything that the loop needs, to be looked at before it runs.
+
+    Attributes
+    ----------
+    robot, plane, integrator
+        The arm with its tip, the surface, the scheme.
+    q, v : (n,) arrays
+        State at t = 0.
+    steps, h : int, float
+        Number of steps and the step, s.
+    stabiliser : (2,) array
+        s_v, 1/s, and s_p, 1/s².
+    settings, gains : (2,), (2, n) arrays
+        See `closedloop.control.paper_law`.
+    path : (steps · nodes + 1, 2, n) array
+        q_des and q̇_des at every instant at which a stage is evaluated.
+    nodes : tuple of int
+        For each stage, how many rows of `path` after its step's first it is evaluated.
+    hold : int
+        Steps for which a sampled torque is held; 0: the law is evaluated at every stage.
+    """
+
+    scenario: Scenario
+    robot: Robot
+    plane: Plane
+    integrator: Integrator
+    q: Array
+    v: Array
+    steps: int
+    h: float
+    stabiliser: Array
+    settings: Array
+    gains: Array
+    path: Array
+    nodes: tuple[int, ...]
+    hold: int
+
+
+def prepare(scenario: Scenario, model: RobotModel | None = None) -> Problem:
+    """Turn a scenario into the numbers of a `Problem`.
+
+    Raises
+    ------
+    ScenarioError, ModelError
+        If something in it cannot be simulated: a wrong length, an unreachable path, a step that makes the
+        stabiliser unstable, a tip that the robot does not have ...
+    """
+    section = scenario.robot
+    if model is None:
+        options: dict[str, Any] = {} if section.lock is None else {"lock": section.lock}
+        model = robot_models.load(section.model, drive_inertia=section.drive_inertia, **options)
+    robot = Robot(model, section.tip)
+    n = robot.n
+    q = model.home.copy() if scenario.start.q is None else _per_joint("start.q", scenario.start.q, model)
+    v = np.zeros(n) if scenario.start.v is None else _per_joint("start.v", scenario.start.v, model)
+    for j, (low, high) in enumerate(zip(model.position_lower, model.position_upper, strict=True)):
+        if not low <= q[j] <= high:
+            raise ScenarioError(
+                f"start.q[{j}] = {q[j]:g}: joint {model.joint_names[j]} of {model.name} "
+                f"moves within [{low:g}, {high:g}]"
+            )
+
+    surface = scenario.surface
+    if surface.offset == "start":
+        plane = Plane.through(robot.position(q), surface.normal)
+    else:
+        plane = Plane.of(surface.normal, float(surface.offset))
+
+    integrator = INTEGRATORS[scenario.time.integrator]
+    steps = _whole(scenario.time.duration, scenario.time.step, "time.duration")
+    if steps > MOST_ROWS:
+        raise ScenarioError(
+            f"time.step = {scenario.time.step:g}: {scenario.time.duration:g} s would be {steps} rows, over the "
+            f"{MOST_ROWS} that a run may have; use a larger step or a shorter duration"
+        )
+    h = scenario.time.step
+    period = scenario.law.sample_period
+    hold = _whole(period, h, "law.sample_period") if period else 0
+
+    nodes_per_step = max(1, round(1 / min((x for x in integrator.nodes if x), default=1.0)))
+    instants = (h / nodes_per_step) * np.arange(steps * nodes_per_step + 1, dtype=np.float64)
+    q_des, v_des = _joint_path(scenario, robot, plane, q).sample(instants)
+    path = np.stack([q_des, v_des], axis=1)
+
+    law = scenario.law
+    start = law.pd_start
+    if start is None:
+        start = scenario.reference.start if isinstance(scenario.reference, LineSection) else 0.0
+    return Problem(
+        scenario=scenario,
+        robot=robot,
+        plane=plane,
+        integrator=integrator,
+        q=q,
+        v=v,
+        steps=steps,
+        h=h,
+        stabiliser=np.array(_stabiliser_gains(scenario)),
+        settings=np.array([law.force, start - 1e-9 * h]),  # i·h and 0.5 may differ by rounding
+        gains=np.array([_per_joint("law.kp", law.kp, model), _per_joint("law.kd", law.kd, model)]),
+        path=path,
+        nodes=tuple(round(x * nodes_per_step) for x in integrator.nodes),
+        hold=hold,
+    )
+
+
+def _joint_path(scenario: Scenario, robot: Robot, plane: Plane, q: Array) -> reference.JointPath:
+    section = scenario.reference
+    if isinstance(section, HoldSection):
+        return reference.hold(q)
+    direction = np.array(section.direction)
+    length = float(np.linalg.norm(direction))
+    if not (length > 0 and np.isfinite(length)):
+        raise ScenarioError("reference.direction = [0, 0, 0]: has no direction; give a vector along the surface")
+    direction = direction / length
+    out = float(plane.normal @ direction)
+    if abs(out) > 1e-9:
+        along = direction - out * plane.normal
+        size = float(np.linalg.norm(along))
+        hint = f"; the nearest direction along it is {(along / size).round(6).tolist()}" if size > 1e-9 else ""
+        raise ScenarioError(f"reference.direction = {list(section.direction)}: must lie in the surface{hint}")
+    if not section.stop > section.start:
+        raise ScenarioError(
+            f"reference.stop = {section.stop:g}: must be later than reference.start = {section.start:g}"
+        )
+    return reference.follow_line(robot, q, direction, section.speed, section.start, section.stop)
+
+
+def _stabiliser_gains(scenario: Scenario) -> tuple[float, float]:
+    section = scenario.stabiliser
+    if isinstance(section, NoStabiliserSection):
+        return 0.0, 0.0
+    name = scenario.time.integrator
+    limit = largest_stable_ratio(name, section.damping_ratio)
+    ratio = scenario.time.step / section.time_constant
+    if ratio > limit:
+        if limit == 0.0:
+            raise ScenarioError(
+                f"stabiliser.damping_ratio = {section.damping_ratio:g}: Baumgarte is unstable with {name} at any step; "
+                "use a positive damping ratio"
+            )
+        raise ScenarioError(
+            f"stabiliser.time_constant = {section.time_constant:g} s with time.step = {scenario.time.step:g} s: "
+            f"Baumgarte is unstable with {name} beyond step/time_constant = {limit:.4f} at damping ratio "
+            f"{section.damping_ratio:g}; the step may be at most {_rounded(limit * section.time_constant, down=True)} "
+            f"s, or the time constant at least {_rounded(scenario.time.step / limit, down=False)} s"
+        )
+    return baumgarte_gains(section.damping_ratio, section.time_constant)
+
+
+def _rounded(x: float, down: bool) -> str:
+    """Return x to four digits, rounded to the side on which it is still a valid limit."""
+    unit = 10.0 ** (math.floor(math.log10(x)) - 3)
+    return f"{(math.floor(x / unit) if down else math.ceil(x / unit)) * unit:.4g}"
+
+
+def _per_joint(key: str, value: float | tuple[float, ...], model: RobotModel) -> Array:
+    if isinstance(value, float):
+        return np.full(model.n, value)
+    if len(value) != model.n:
+        raise ScenarioError(
+            f"{key} has {len(value)} entries: {model.name} has {model.n} joints, {', '.join(model.joint_names)}"
+        )
+    return np.array(value)
+
+
+def _whole(span: float, h: float, key: str) -> int:
+    """Return how many steps h the span is, refusing a span that is no whole number of them."""
+    count = round(span / h) if np.isfinite(span / h) else 0
+    if count < 1 or abs(count * h - span) > 1e-9 * span:
+        near = max(1, count) * h
+        raise ScenarioError(f"{key} = {span:g} s: must be a whole number of steps of {h:g} s, such as {near:.10g} s")
+    return count

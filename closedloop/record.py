@@ -185,6 +185,7 @@ class Run:
             If the file cannot be written.
         """
         import h5netcdf
+        import h5py
 
         path = Path(path)
         unfinished = path.with_name(f".{path.name}.{os.getpid()}")
@@ -196,8 +197,8 @@ class Run:
                     variable.attrs["units"] = spec.units
                     variable.attrs["long_name"] = spec.meaning
                 for name, labels in (("joint", self.model.joint_names), ("axis", ("x", "y", "z"))):
-                    encoded = np.array([label.encode() for label in labels])
-                    file.create_variable(name, (name,), data=encoded)
+                    text = file.create_variable(name, (name,), dtype=h5py.string_dtype())
+                    text[:] = np.array(labels, dtype=object)
                 for key, value in self._attributes().items():
                     file.attrs[key] = value
             unfinished.replace(path)

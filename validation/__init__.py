@@ -1,1 +1,44 @@
-"""The harness: the simulator held against independent engines and against the laws of mechanics."""
+"""The harness: the simulator's quantities against engines that share nothing with it.
+
+import validation
+report = validation.crosscheck("wam4", states=1000, seed=0)
+report.passed, report.worst
+report.show()
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import TYPE_CHECKING, Any
+
+if TYPE_CHECKING:
+    from validation.engines import Engine
+    from validation.report import Report
+
+__all__ = ["crosscheck"]
+
+
+def crosscheck(
+    robot: Any, tip: str | None = None, *, states: int = 1000, seed: int = 0, engines: Sequence[type[Engine]] = ()
+) -> Report:
+    """Compare every installed engine on one robot; see `validation.comparison.compare` for the parameters.
+
+    Returns
+    -------
+    Report
+        `passed`, `worst` (the cell that uses most of its tolerance), `to_json()`, `to_markdown()`, `to_html()` and
+        `show()`.
+
+    Raises
+    ------
+    ModelError
+        If the robot cannot be loaded or has no such tip.
+    """
+    from validation.comparison import compare
+    from validation.report import Report
+    from validation.suite import load_robot
+
+    model = load_robot(robot) if isinstance(robot, str) else robot
+    label = robot if isinstance(robot, str) else None
+    found = compare(model, tip, states=states, seed=seed, engines=engines, label=label)
+    return Report([found], command=f"validation.crosscheck({robot!r}, states={states}, seed={seed})")

@@ -228,9 +228,8 @@ def _print_table(result: dict[str, Any]) -> None:
     for name, reason in result["missing"].items():
         console.print(f"{name}: {reason}")
     for name, seconds in result.get("cold_start_seconds", {}).items():
-        console.print(
-            f"python -m closedloop.run {result['scenario']}, {name.replace('_', ' ')}: {seconds:.2f} s from a cold start"
-        )
+        command = f"python -m closedloop.run {result['scenario']}"
+        console.print(f"{command}, {name.replace('_', ' ')}: {seconds:.2f} s from a cold start")
 
 
 if __name__ == "__main__":

@@ -1,0 +1,259 @@
+"""Negative controls: faults planted on purpose, each of which the comparison must notice.
+
+A check that has never failed proves nothing. Every fault is planted in every engine that it can be planted in, one at a
+time, and the faulty engine is compared with a sound one at a few states. What caught it, and by how many times its
+tolerance, is the margin by which the harness would see such a fault in earnest. A fault that goes unseen fails the
+command.
+"""
+
+from __future__ import annotations
+
+import xml.etree.ElementTree as ET
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager
+from dataclasses import dataclass, replace
+from typing import Any
+
+import numpy as np
+
+import robot_models
+from validation.comparison import Comparison, compare
+from validation.engines import Engine, available
+from validation.oracle import Oracle
+from validation.oracle.spatial import Array
+
+# Enough that some state shows every fault; the smallest margin found is far above one.
+STATES = 10
+
+
+@dataclass(frozen=True)
+class Fault:
+    """A fault: in the robot that an engine is given, or in how it computes.
+
+    Attributes
+    ----------
+    name : str
+        What is wrong.
+    robot : callable or None
+        RobotModel -> the faulty one, or None if this robot cannot carry the fault.
+    methods : callable or None
+        Engine -> methods to put in place of its own; empty if the engine does not compute what the fault touches.
+    """
+
+    name: str
+    robot: Callable[[Any], Any | None] | None = None
+    methods: Callable[[Engine], dict[str, Callable[..., Any]]] | None = None
+
+
+@dataclass(frozen=True)
+class Catch:
+    """What became of one fault in one engine.
+
+    Attributes
+    ----------
+    fault, engine : str
+        What was planted, and where.
+    caught : bool
+        Whether some quantity went out of tolerance.
+    quantity, by : str
+        The quantity that showed it most, and the pair of engines that disagreed.
+    margin : float
+        Error over tolerance; inf where a probe caught it.
+    """
+
+    fault: str
+    engine: str
+    caught: bool
+    quantity: str
+    by: str
+    margin: float
+
+
+def plant_all(
+    robot: str = "wam4", tip: str | None = None, *, seed: int = 0, states: int = STATES, faults: Sequence[Fault] = ()
+) -> list[Catch]:
+    """Plant every fault in every engine of a robot, in turn, and return what caught it.
+
+    Raises
+    ------
+    ModelError
+        If the robot cannot be loaded.
+    """
+    model = robot_models.load(robot)
+    name = tip or model.tip
+    if name is None:
+        raise robot_models.ModelError(f"{model.name} has no default tip: name one of {', '.join(model.frames)}")
+    catches = []
+    for fault in faults or FAULTS:
+        faulty_model = fault.robot(model) if fault.robot else model
+        if faulty_model is None:
+            continue
+        for engine in available(faulty_model, name):
+            if not isinstance(engine, Engine) or engine.name == "symbolic":
+                continue  # the symbolic engine knows two robots by heart and reads no text to plant a fault in
+            with planted(engine, fault) as touched:
+                if touched:
+                    catches.append(_caught(fault, engine, model, name, seed, states))
+    return catches
+
+
+@contextmanager
+def planted(engine: Engine, fault: Fault) -> Iterator[bool]:
+    """Give the engine the fault's methods for a while; yields whether the engine has the fault."""
+    methods = fault.methods(engine) if fault.methods else {}
+    if fault.methods and not methods:
+        yield False
+        return
+    kind = type(engine)
+    if methods:
+        engine.__class__ = type(f"Faulty{kind.__name__}", (kind,), methods)
+    try:
+        yield True
+    finally:
+        engine.__class__ = kind
+
+
+def _caught(fault: Fault, engine: Engine, model: Any, tip: str, seed: int, states: int) -> Catch:
+    """Compare the faulty engine with a sound one: the oracle, or our own loop if the oracle is the faulty one."""
+    sound = "closedloop" if engine.name == "oracle" else "oracle"
+    other = next(e for e in available(model, tip) if isinstance(e, Engine) and e.name == sound)
+    report = compare(model, tip, states=states, seed=seed, built=[other, engine])
+    return _verdict(fault, engine, report)
+
+
+def _verdict(fault: Fault, engine: Engine, report: Comparison) -> Catch:
+    worst = report.worst
+    if worst is None:
+        return Catch(fault.name, engine.name, False, "nothing was compared", "", 0.0)
+    by = f"{worst.engine} against {report.reference}"
+    quantity = "the probe of its constraint" if np.isinf(worst.margin) and worst.reason else worst.quantity
+    return Catch(fault.name, engine.name, worst.status == "disagrees", quantity, by, worst.margin)
+
+
+def _edited(model: Any, edit: Callable[[ET.Element], bool]) -> Any | None:
+    """Return the robot with its URDF edited; None if it is no URDF or the edit found nothing to change."""
+    if model.format != "urdf":
+        return None
+    root = ET.fromstring(model.text)
+    return replace(model, text=ET.tostring(root, encoding="unicode")) if edit(root) else None
+
+
+def _moving_links(root: ET.Element, model: Any) -> list[ET.Element]:
+    """Return the links with inertia that a moving joint carries directly."""
+    carried = {j.find("child").get("link") for j in root.findall("joint") if j.get("name") in model.joint_names}  # type: ignore[union-attr]
+    return [k for k in root.findall("link") if k.get("name") in carried and k.find("inertial") is not None]
+
+
+def _heavier(model: Any) -> Any | None:
+    def edit(root: ET.Element) -> bool:
+        masses = [link.find("inertial/mass") for link in _moving_links(root, model)]
+        last = [m for m in masses if m is not None and float(m.get("value", "0")) > 0.0]
+        if last:
+            last[-1].set("value", repr(float(last[-1].get("value", "0")) * (1.0 + 1e-6)))
+        return bool(last)
+
+    return _edited(model, edit)
+
+
+def _product_sign(model: Any) -> Any | None:
+    def edit(root: ET.Element) -> bool:
+        tensors = [t for link in _moving_links(root, model)[1:] if (t := link.find("inertial/inertia")) is not None]
+        entries = [(abs(float(t.get(k, "0"))), t, k) for t in tensors for k in ("ixy", "ixz", "iyz")]
+        size, tensor, key = max(entries, key=lambda entry: entry[0], default=(0.0, None, ""))
+        if tensor is None or size == 0.0:
+            return False
+        tensor.set(key, repr(-float(tensor.get(key, "0"))))
+        return True
+
+    return _edited(model, edit)
+
+
+def _moved_tip(model: Any) -> Any | None:
+    def edit(root: ET.Element) -> bool:
+        for joint in root.findall("joint"):
+            child, origin = joint.find("child"), joint.find("origin")
+            if joint.get("type") == "fixed" and child is not None and child.get("link") == model.tip:
+                if origin is None:
+                    origin = ET.SubElement(joint, "origin")
+                x, y, z = (float(c) for c in origin.get("xyz", "0 0 0").split())
+                origin.set("xyz", f"{x + 1e-6!r} {y!r} {z!r}")
+                return True
+        return False
+
+    return _edited(model, edit)
+
+
+def _lighter_gravity(model: Any) -> Any:
+    return replace(model, gravity=np.asarray(model.gravity) * (1.0 - 1e-6))
+
+
+def _no_armature(model: Any) -> Any | None:
+    return replace(model, armature=np.zeros(len(model.joint_names))) if np.any(model.armature) else None
+
+
+def _no_drift(engine: Engine) -> dict[str, Callable[..., Any]]:
+    if "drift" not in engine.covers:
+        return {}
+    return {"drift": lambda self, q, v: np.zeros(3)}
+
+
+def _drift_without_cross(engine: Engine) -> dict[str, Callable[..., Any]]:
+    """Leave out ω × ṙ, the term by which a point's acceleration differs from its body's spatial one."""
+    if "drift" not in engine.covers:
+        return {}
+    sound = type(engine).drift
+    robot = getattr(engine, "description", None)
+
+    def drift(self: Engine, q: Array, v: Array) -> Array:
+        omega = _angular_jacobian(self, robot, q) @ v
+        return np.asarray(sound(self, q, v) - np.cross(omega, self.jacobian(q) @ v))
+
+    return {"drift": drift}
+
+
+def _angular_jacobian(engine: Engine, robot: Any, q: Array) -> Array:
+    oracle: Oracle = engine.__dict__.setdefault("_for_planting", Oracle.from_model(*robot))
+    return np.asarray(oracle.spatial_jacobian(q)[:3])
+
+
+def _silent_constraint(engine: Engine) -> dict[str, Callable[..., Any]]:
+    if not {"constrained", "free_acceleration"} <= engine.covers:
+        return {}
+    return {"constrained": lambda self, q, v, torque, normal, b: (self.free_acceleration(q, v, torque), 0.0)}
+
+
+def _wrong_sign_of_force(engine: Engine) -> dict[str, Callable[..., Any]]:
+    if "constrained" not in engine.covers:
+        return {}
+    sound = type(engine).constrained
+
+    def constrained(self: Engine, q: Array, v: Array, torque: Array, normal: Array, b: float) -> tuple[Array, float]:
+        qdd, f = sound(self, q, v, torque, normal, b)
+        return qdd, -f
+
+    return {"constrained": constrained}
+
+
+def _baumgarte_sign(engine: Engine) -> dict[str, Callable[..., Any]]:
+    if "stabilised" not in engine.covers:
+        return {}
+    sound = type(engine).stabilised
+
+    def stabilised(self: Engine, q: Array, v: Array, normal: Array, offset: float, gains: Array) -> float:
+        return sound(self, q, v, normal, offset, -np.asarray(gains))
+
+    return {"stabilised": stabilised}
+
+
+FAULTS: tuple[Fault, ...] = (
+    Fault("last link's mass +1 ppm", robot=_heavier),
+    Fault("largest product of inertia with the wrong sign", robot=_product_sign),
+    Fault("tip 1 µm off", robot=_moved_tip),
+    Fault("gravity −1 ppm", robot=_lighter_gravity),
+    Fault("drive inertia ignored", robot=_no_armature),
+    Fault("J̇ᵣq̇ dropped", methods=_no_drift),
+    Fault("ω × ṙ of Eq. 18 dropped", methods=_drift_without_cross),
+    Fault("sign of Baumgarte's terms", methods=_baumgarte_sign),
+    Fault("constraint silently off", methods=_silent_constraint),
+    Fault("sign of f", methods=_wrong_sign_of_force),
+)

@@ -1,0 +1,148 @@
+"""The command line of the harness: ``python -m validation.run``.
+
+Exit status: 0 everything compared is within its tolerance; 1 something is not, or a planted fault went unseen; 2 the
+input is at fault (one line on standard error).
+"""
+
+from __future__ import annotations
+
+import argparse
+import importlib
+import os
+import sys
+import time
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any, NoReturn
+
+from robot_models import ClosedLoopError, ModelError
+
+PASSED, FAILED, BAD_INPUT = 0, 1, 2
+
+
+class InputError(ClosedLoopError, ValueError):
+    """An argument is at fault."""
+
+
+class _Parser(argparse.ArgumentParser):
+    def error(self, message: str) -> NoReturn:
+        raise InputError(f"command line: {message}; see --help")
+
+
+def main(arguments: Sequence[str] | None = None) -> int:
+    """Run the command line and return the exit status."""
+    words = sys.argv[1:] if arguments is None else list(arguments)
+    try:
+        return _main(words)
+    except ClosedLoopError as error:
+        print(f"validation: {error}", file=sys.stderr)
+        return BAD_INPUT
+    except BrokenPipeError:  # the reader of our output has gone: `... | head`
+        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+        return PASSED
+
+
+def _main(words: list[str]) -> int:
+    options = _parser().parse_args(words)
+    for name in ("states", "seed", "state"):
+        value = getattr(options, name)
+        if value is not None and value < (1 if name == "states" else 0):
+            raise InputError(f"--{name} {value}: must be {'at least 1' if name == 'states' else 'zero or more'}")
+    files = {kind: Path(path) for kind in ("json", "html", "markdown") if (path := getattr(options, kind))}
+    for kind, path in files.items():
+        if not path.parent.is_dir() or path.is_dir():
+            raise InputError(f"--{kind} {path}: cannot be written: name a file in a folder that exists")
+    began = time.perf_counter()
+    report = _plant(options) if options.plant else _compare(options)
+    report.command = f"python -m validation.run {' '.join(words)}".strip()
+    report.show()
+    print(f"{time.perf_counter() - began:.1f} s")
+    for kind, path in files.items():
+        text = {"json": report.to_json, "html": report.to_html, "markdown": report.to_markdown}[kind]()
+        try:
+            path.write_text(text + "\n", encoding="utf-8")
+        except OSError as error:
+            raise InputError(f"--{kind} {path}: cannot be written: {error.strerror}") from None
+    return PASSED if report.passed else FAILED
+
+
+def _parser() -> argparse.ArgumentParser:
+    parser = _Parser(
+        prog="python -m validation.run",
+        description="Compare every quantity of the simulator with engines that share nothing with it.",
+        epilog="exit status: 0 all within tolerance; 1 something is not, or a fault went unseen; 2 bad input",
+    )
+    parser.add_argument(
+        "--robot", help="only this robot: a name in the report, any that robot_models loads, random:SEED, or a file"
+    )
+    parser.add_argument("--tip", help="frame to compare at (default: the robot's own)")
+    parser.add_argument("--states", type=int, help="states a robot (default 1000, or 100 with --quick)")
+    parser.add_argument("--seed", type=int, default=0, help="seed of the states (default 0)")
+    parser.add_argument("--state", type=int, help="only this state of the seed, with --robot")
+    parser.add_argument("--quick", action="store_true", help="a tenth of the states and no slide: a few seconds")
+    parser.add_argument("--plant", action="store_true", help="plant faults in turn and show what catches each")
+    parser.add_argument("--engine", metavar="MODULE:CLASS", help="judge this engine too (see CONTRIBUTING.md)")
+    parser.add_argument("--json", metavar="FILE", help="write every figure")
+    parser.add_argument("--html", metavar="FILE", help="write the tables as a page")
+    parser.add_argument("--markdown", metavar="FILE", help="write the tables for a paper's appendix")
+    return parser
+
+
+def _compare(options: argparse.Namespace) -> Any:
+    from validation.comparison import compare
+    from validation.report import Report
+    from validation.suite import check_robot_identities, load_robot, run_suite
+
+    states = options.states or (100 if options.quick else 1000)
+    engines = [_engine(options.engine)] if options.engine else []
+    if options.robot is None:
+        if options.state is not None or options.tip is not None:
+            raise InputError("--state and --tip need --robot: they belong to one robot")
+        return run_suite(states=states, seed=options.seed, quick=options.quick, engines=engines, say=_say)
+    model = load_robot(options.robot)
+    report = Report()
+    found = compare(
+        model, options.tip, states=states, seed=options.seed, only=options.state, engines=engines, label=options.robot
+    )
+    report.comparisons.append(found)
+    if options.state is None:
+        report.sections.append(check_robot_identities(model, found.tip, 5, options.seed))
+    return report
+
+
+def _plant(options: argparse.Namespace) -> Any:
+    from validation.plant import plant_all
+    from validation.report import Report
+    from validation.suite import faults_section
+
+    _say("planting faults")
+    catches = plant_all(options.robot or "wam4", options.tip, seed=options.seed)
+    return Report(sections=[faults_section(options.robot or "wam4", catches)])
+
+
+def _engine(name: str) -> Any:
+    """Import a user's engine class, which must be asked for by name on the command line."""
+    from validation.engines import Engine
+
+    module_name, _, class_name = name.partition(":")
+    sys.path.insert(0, os.getcwd())
+    try:
+        found = getattr(importlib.import_module(module_name), class_name, None) if class_name else None
+    except ModuleNotFoundError as error:
+        if error.name != module_name.split(".")[0]:
+            raise
+        found = None
+    if not (isinstance(found, type) and issubclass(found, Engine)):
+        raise InputError(f"--engine {name}: must be MODULE:CLASS of a subclass of validation.engines.Engine")
+    return found
+
+
+def _say(text: str) -> None:
+    if sys.stderr.isatty():
+        print(f"\033[2K{text} ...", end="\r", file=sys.stderr, flush=True)
+
+
+__all__ = ["InputError", "ModelError", "main"]
+
+if __name__ == "__main__":
+    sys.exit(main())

@@ -1,0 +1,196 @@
+"""What the harness runs: the robots, the random trees, the identities, the published numbers, the slide, the faults."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Iterable, Sequence
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+
+import robot_models
+from validation.comparison import Cell, Comparison, compare
+from validation.engines import Engine, available
+from validation.engines.loop import ClosedLoop
+from validation.identities import IDENTITIES, check_all, draw_sample, unanswered
+from validation.oracle import Oracle
+from validation.plant import Catch
+from validation.random_trees import random_robot, random_state
+from validation.report import Check, Report, Section
+
+# Name in the report -> how to load it. wam4 stands twice: its drives carry half of its inertia.
+ROBOTS: dict[str, tuple[str, bool]] = {
+    "planar2": ("planar2", True),
+    "wam4": ("wam4", True),
+    "wam4 without drives": ("wam4", False),
+    "panda": ("panda", True),
+    "ur5": ("ur5", True),
+    "kinova": ("kinova", True),
+}
+RANDOM = "random:"
+
+
+def load_robot(name: str) -> Any:
+    """Return a robot by the name that a report gives it: a robot above, ``random:SEED``, or what `robot_models` loads.
+
+    Raises
+    ------
+    ModelError
+        If there is none.
+    """
+    if name in ROBOTS:
+        model, drives = ROBOTS[name]
+        return robot_models.load(model, drive_inertia=drives)
+    if name.startswith(RANDOM):
+        seed = name.removeprefix(RANDOM)
+        if not seed.isdigit():
+            raise robot_models.ModelError(f"--robot {name}: a random robot is named by its seed, such as random:7")
+        return random_robot(int(seed))
+    return robot_models.load(name)
+
+
+def compare_random_trees(trees: int, states: int, engines: Sequence[type[Engine]] = ()) -> Comparison:
+    """Compare all engines on random trees and return one table, each cell the worst over the trees.
+
+    A cell's `robot` names the tree that gave it, so that `load_robot` finds it again.
+    """
+    found = [
+        compare(random_robot(seed), states=states, seed=seed, engines=engines, label=f"{RANDOM}{seed}")
+        for seed in range(trees)
+    ]
+    merged: dict[tuple[str, str], Cell] = {}
+    counts: dict[tuple[str, str], int] = {}
+    for comparison in found:
+        for cell in comparison.cells:
+            key = (cell.engine, cell.quantity)
+            counts[key] = counts.get(key, 0) + cell.states
+            if key not in merged or _rank(cell) > _rank(merged[key]):
+                merged[key] = cell
+    cells = [replace(cell, states=counts[key]) for key, cell in merged.items()]
+    probes = {name: text for comparison in found for name, text in comparison.probes.items()}
+    label = f"{trees} random trees of 2 to 12 joints"
+    return Comparison(label, "tip", found[0].reference, 0, sum(c.states for c in found), cells, probes)
+
+
+def _rank(cell: Cell) -> tuple[int, float]:
+    """Order cells so that the one to be shown is the largest: a disagreement, then the worst figure, then none."""
+    order = {"disagrees": 2, "agrees": 1}.get(cell.status, 0)
+    return order, -1.0 if math.isnan(cell.margin) else cell.margin
+
+
+def check_identities(trees: int, states: int) -> Section:
+    """Check every identity on random trees, for the oracle by complex step and for our own terms by differences."""
+    section = Section("identities that need no second engine, on random trees")
+    judged: list[tuple[str, Callable[[Any], Any]]] = [
+        ("oracle", lambda robot: Oracle(robot.tree, robot.tip)),
+        ("closedloop", lambda robot: ClosedLoop(robot, robot.tip)),
+    ]
+    for name, make in judged:
+        worst: dict[str, Check] = {}
+        missing: dict[str, tuple[str, ...]] = {}
+        for seed in range(trees):
+            robot = random_robot(seed)
+            engine = make(robot)
+            missing = unanswered(engine)
+            rng = np.random.default_rng([seed, 1])
+            for _ in range(states):
+                q, v = random_state(robot, rng)
+                for identity, residual in check_all(engine, draw_sample(q, v, rng)).items():
+                    if identity not in worst or not residual.value <= worst[identity].value:
+                        worst[identity] = Check(
+                            identity.replace("_", " "), name, residual.value, residual.tolerance, residual.passed,
+                            residual.argument,
+                        )  # fmt: skip
+        section.checks += [worst[identity] for identity in IDENTITIES if identity in worst]
+        section.checks += [
+            Check(identity.replace("_", " "), name, math.nan, math.nan, None, f"has no {', '.join(methods)}")
+            for identity, methods in missing.items()
+        ]
+    return section
+
+
+def check_robot_identities(model: Any, tip: str, states: int, seed: int) -> Section:
+    """Check every identity on one robot, for every engine that is installed and can build it."""
+    section = Section(f"identities on {model.name}")
+    for engine in available(model, tip):
+        if not isinstance(engine, Engine):
+            continue
+        worst: dict[str, Check] = {}
+        rng = np.random.default_rng([seed, 2])
+        for _ in range(states):
+            lower = np.where(np.isfinite(model.position_lower), model.position_lower, -np.pi)
+            upper = np.where(np.isfinite(model.position_upper), model.position_upper, np.pi)
+            sample = draw_sample(rng.uniform(lower, upper), rng.normal(size=len(model.joint_names)), rng)
+            for identity, residual in check_all(engine, sample).items():
+                if identity not in worst or not residual.value <= worst[identity].value:
+                    worst[identity] = Check(
+                        identity.replace("_", " "), engine.name, residual.value, residual.tolerance, residual.passed,
+                        residual.argument,
+                    )  # fmt: skip
+        section.checks += list(worst.values())
+    return section
+
+
+def run_suite(
+    *,
+    states: int = 1000,
+    seed: int = 0,
+    quick: bool = False,
+    engines: Sequence[type[Engine]] = (),
+    say: Callable[[str], None] = lambda text: None,
+) -> Report:
+    """Run everything that needs no choice of the user's: the default of ``python -m validation.run``.
+
+    Parameters
+    ----------
+    states, seed : int
+        States drawn for each robot, and the seed.
+    quick : bool
+        Fewer random trees, and no slide: a few seconds with a tenth of the states.
+    engines : sequence of Engine classes
+        More engines to judge.
+    say : callable
+        Gets a word on what is being done.
+    """
+    report = Report()
+    for label, (name, drives) in ROBOTS.items():
+        say(f"comparing the engines on {label}")
+        model = robot_models.load(name, drive_inertia=drives)
+        report.comparisons.append(compare(model, states=states, seed=seed, engines=engines, label=label))
+    trees = 10 if quick else 30
+    say("comparing the engines on random trees")
+    report.comparisons.append(compare_random_trees(trees, 4, engines))
+    say("checking identities")
+    report.sections.append(check_identities(trees, 2))
+    report.sections += list(_published(say))
+    if not quick:
+        say("sliding in every engine that can")
+        report.sections.append(_slides())
+    return report
+
+
+def _published(say: Callable[[str], None]) -> Iterable[Section]:
+    from validation.anchors import grade, reference_problems
+
+    say("grading against published numbers")
+    section = Section("published and closed-form results")
+    for problem in reference_problems():
+        for name, factory in (("oracle", Oracle.from_model), ("closedloop", ClosedLoop)):
+            for g in grade(factory, problem):
+                verdict = g.passed if g.covered else None
+                section.checks.append(Check(f"{problem.name}: {g.quantity}", name, g.error, g.tolerance, verdict))
+    yield section
+
+
+def _slides() -> Section:
+    raise NotImplementedError
+
+
+def faults_section(robot: str, catches: Sequence[Catch]) -> Section:
+    """Return the table of planted faults: one line for each fault in each engine, passed if it was caught."""
+    section = Section(f"faults planted in {robot}: the margin is the error over its tolerance")
+    for c in catches:
+        how = f"{c.quantity}, {c.by}" if c.caught else f"UNSEEN: nearest was {c.quantity}, {c.by}"
+        section.checks.append(Check(c.fault, c.engine, c.margin, 1.0, c.caught, how))
+    return section

@@ -49,7 +49,7 @@ def tip_position(run: Run) -> Figure:
             1e3 * moved[:, k],
             STROKES[k],
             color=COLOURS[k],
-            label=f"{axis} (from {run.position[0, k]:+.4f} m)",
+            label=f"{axis} (from {round(run.position[0, k], 4) + 0.0:.4f} m)",
         )
     above.margins(y=0.15)
     _dress(above, run, "Tip position, base frame", "displacement [mm]")
@@ -103,6 +103,7 @@ def closure_error(run: Run) -> Figure:
     """Draw the closure error against time (Fig. 6 with the stabiliser, Fig. 7 without)."""
     figure = _new_figure()
     axes = figure.add_subplot()
+    axes.margins(y=0.15)
     factor, unit = _length_unit(float(np.max(np.abs(run.closure_error), initial=0.0)))
     axes.plot(run.time, factor * run.closure_error, color=COLOURS[1])
     how = (

@@ -1,0 +1,264 @@
+# ruff: noqa: D102 - what a method returns is said once, in `interface.Engine`
+"""Exudyn: a differential-algebraic engine whose contact force is a Lagrange multiplier of its own solver."""
+
+from __future__ import annotations
+
+from importlib import import_module
+from types import MappingProxyType
+from typing import Any
+
+import numpy as np
+
+from validation.engines.interface import METHODS, CannotBuild, Engine, Robot
+from validation.oracle import UnsupportedModel, read_urdf
+from validation.oracle.spatial import Array
+from validation.oracle.tree import GROUND, Tree
+
+SOLVED = 1e-9
+"""Largest relative residual of the equations of motion that counts as solved: rounding over the pivots of a
+system that is not singular leaves 1e-12; what Exudyn leaves when it gave up is of order one."""
+
+
+class Exudyn(Engine):
+    """Exudyn's `ObjectKinematicTree` with a `JointGeneric` that locks the tip along n, and nothing else.
+
+    The tree comes from the oracle's URDF reader (Exudyn's own loses the order of joints); all mechanics is
+    Exudyn's. Joint order: the robot's own. Frames: a link's frame is turned so that its joint axis is z, as Exudyn
+    knows joints about x, y and z; inertias about the centre of mass. Armature: an `ObjectGenericODE2` with a
+    diagonal mass matrix on the tree's node. Gravity: a parameter of the tree. Torques: `jointForceVector`.
+
+    Constraint: a multiplier, hard. The solver's initial accelerations solve
+    [[H, Aᵀ], [A, 0]] [q̈; λ] = [Q − C; b₀]; sign: f = −λ. b₀ is −nᵀJ̇ᵣq̇ as a *difference quotient* of the
+    velocity-level closure, good to 1e-7 relative. For the b that is asked for, the torque is shifted by −H w with
+    A w = b − A q̈₀, and w is added to the answer: as Eq. 24 is linear, that is its solution for b exactly, and the
+    quotient, the same in both solves, drops out. H and A in this are Exudyn's.
+
+    Traps. Where the system is singular `InitializeSolver` succeeds, prints a warning and leaves *zero*
+    accelerations: the residual is checked here. A prescribed offset of a joint enters the initial accelerations
+    wrongly, so an accelerating plane cannot be had that way. Multipliers come as six numbers, inactive axes
+    included. The solver prints and writes files unless told otherwise.
+
+    Accuracy: rounding, times the condition number of the bordered matrix.
+    """
+
+    name = "exudyn"
+    package = "exudyn"
+    install = 'pip install "exudyn>=1.13"'
+    covers = frozenset(METHODS) - {"drift", "impulse"}
+    cannot = MappingProxyType(
+        {
+            "drift": "it has J̇ᵣq̇ as a difference quotient only, good to 1e-7 and undefined where A = 0",
+            "impulse": "joints know no impact; motions are smooth between steps",
+        }
+    )
+
+    def __init__(self, robot: Robot, tip: str) -> None:
+        super().__init__(robot, tip)
+        try:
+            self.tree = read_urdf(robot)
+        except UnsupportedModel as error:
+            raise CannotBuild(str(error)) from error
+        self.tip = tip
+        if self.tree.frame(tip).body == GROUND:
+            raise CannotBuild(f"the tip {tip!r} does not move")
+
+    def mass_matrix(self, q: Array) -> Array:
+        return self._solver(q).mass_matrix()
+
+    def bias(self, q: Array, v: Array) -> Array:
+        solver = self._solver(q, v)
+        solver.solver.ComputeODE2RHS(solver.system)
+        return -np.array(solver.solver.GetSystemResidual())[: self.n]
+
+    def gravity_term(self, q: Array) -> Array:
+        return self.bias(q, np.zeros(self.n))
+
+    def position(self, q: Array) -> Array:
+        made = self._solver(q)
+        kind = made.exudyn.OutputVariableType.Position
+        return np.array(made.system.GetMarkerOutput(made.marker, kind, made.exudyn.ConfigurationType.Current))
+
+    def jacobian(self, q: Array) -> Array:
+        return self._solver(q, locks=np.eye(3)).jacobian()
+
+    def free_acceleration(self, q: Array, v: Array, torque: Array) -> Array:
+        return self._solver(q, v, torque).acceleration()
+
+    def constrained(self, q: Array, v: Array, torque: Array, normal: Array, b: float) -> tuple[Array, float]:
+        made = self._solver(q, v, torque, np.asarray(normal)[None, :])
+        A = made.jacobian()[0]
+        shift = A * ((b - float(A @ made.acceleration())) / float(A @ A))
+        again = self._solver(q, v, torque - made.mass_matrix() @ shift, np.asarray(normal)[None, :])
+        return again.acceleration() + shift, again.force()
+
+    def _solver(
+        self, q: Array, v: Array | None = None, torque: Array | None = None, locks: Array | None = None
+    ) -> Solver:
+        """Build the system at a state and let Exudyn's solver find its initial accelerations and multipliers."""
+        nothing = np.zeros(self.n)
+        state = np.array([q, nothing if v is None else v, nothing if torque is None else torque], dtype=float)
+        if not np.all(np.isfinite(state)):
+            raise ValueError("q, v and torque must be finite")
+        return Solver(self.tree, self.tip, state[0], state[1], state[2], locks)
+
+
+class Solver:
+    """A system with its solver started: the state is set, accelerations and multipliers are known.
+
+    Parameters
+    ----------
+    q, v, torque : (n,)
+    locks : (k, 3) orthonormal directions in which the tip is held where it is; None leaves it free
+    """
+
+    def __init__(self, tree: Tree, tip: str, q: Array, v: Array, torque: Array, locks: Array | None) -> None:
+        exudyn: Any = import_module("exudyn")  # its stub files lack every `self`
+        self.exudyn = exudyn
+        self.n = tree.size
+        self.count = 0 if locks is None else len(locks)
+        container = exudyn.SystemContainer()
+        self.container = container  # the system dies with it
+        self.system: Any = container.AddSystem()
+        self.object, self.marker = add_tree(self.system, tree, tip, q, v)
+        self.system.SetObjectParameter(self.object, "jointForceVector", torque)
+        self.joint = None if locks is None else add_lock(self.system, self.marker, np.zeros(3), locks)
+        self.system.Assemble()
+        self.settings = quiet_settings()
+        self.solver: Any = exudyn.MainSolverImplicitSecondOrder()
+        exudyn.SuppressWarnings(True)  # what it would warn of is checked in `acceleration`
+        self.started = bool(self.solver.InitializeSolver(self.system, self.settings))
+        exudyn.SuppressWarnings(False)
+
+    def residual(self) -> float:
+        """Return the largest entry of H q̈ − (Q − C) − Aᵀf over the largest of its parts."""
+        self.solver.ComputeODE2RHS(self.system)
+        forcing = np.array(self.solver.GetSystemResidual())[: self.n]
+        inertial = self.mass_matrix() @ np.array(self.system.systemData.GetODE2Coordinates_tt())
+        closure = np.zeros(self.n)
+        if self.count:
+            forces = -np.array(self.system.systemData.GetAECoordinates())[3 - self.count : 3]
+            closure = self.jacobian().T @ forces
+        size = np.abs(np.array([forcing, inertial, closure])).max()
+        return float(np.abs(inertial - forcing - closure).max() / size) if size else 0.0
+
+    def acceleration(self) -> Array:
+        """Return q̈ (n,).
+
+        Raises
+        ------
+        numpy.linalg.LinAlgError
+            If the solver gave up, whatever it says itself.
+        """
+        if not self.started or self.residual() > SOLVED:
+            raise np.linalg.LinAlgError("Exudyn finds no initial accelerations: the pose is singular")
+        return np.array(self.system.systemData.GetODE2Coordinates_tt())
+
+    def force(self) -> float:
+        """Return the force on the robot along the first locked direction [N]."""
+        return -float(self.system.systemData.GetAECoordinates()[3 - self.count])
+
+    def mass_matrix(self) -> Array:
+        """Return H (n, n)."""
+        self.solver.ComputeMassMatrix(self.system, 1.0)
+        return np.array(self.solver.GetSystemMassMatrix())[: self.n, : self.n]
+
+    def jacobian(self) -> Array:
+        """Return the rows of the locked directions, (k, n), from the derivative of the closure equations."""
+        size = self.n + 6
+        self.solver.SetSystemJacobian(np.zeros((size, size)))
+        self.solver.ComputeJacobianAE(self.system, 1.0, 1.0, 0.0)
+        rows = np.array(self.solver.GetSystemJacobian())[self.n : self.n + 3, : self.n]
+        return rows[3 - self.count :]
+
+
+def add_tree(system: Any, tree: Tree, tip: str, q: Array, v: Array) -> tuple[Any, Any]:
+    """Add the robot at a state; return the numbers of the tree and of the marker at the tip."""
+    exudyn, items = import_module("exudyn"), import_module("exudyn.itemInterface")
+    n = tree.size
+    node = system.AddNode(
+        items.NodeGenericODE2(
+            referenceCoordinates=np.zeros(n),
+            initialCoordinates=q,
+            initialCoordinates_t=v,
+            numberOfODE2Coordinates=n,
+        )
+    )
+    turned = [axes_about(axis) for axis in tree.axis]
+    transforms, offsets, masses, centres, tensors = [], [], [], [], []
+    for i, above in enumerate(tree.parent):
+        back = np.eye(3) if above == GROUND else turned[above].T
+        transforms.append(back @ tree.rotation[i] @ turned[i])
+        offsets.append(back @ tree.translation[i])
+        mass, centre, tensor = about_centre(tree.inertia[i])
+        masses.append(mass)
+        centres.append(turned[i].T @ centre)
+        tensors.append(turned[i].T @ tensor @ turned[i])
+    kinds = {"prismatic": exudyn.JointType.PrismaticZ}
+    body = system.AddObject(
+        items.ObjectKinematicTree(
+            nodeNumber=node,
+            gravity=tree.gravity,
+            jointTypes=[kinds.get(kind, exudyn.JointType.RevoluteZ) for kind in tree.kinds],
+            linkParents=list(tree.parent),
+            jointTransformations=exudyn.Matrix3DList(transforms),
+            jointOffsets=exudyn.Vector3DList(offsets),
+            linkInertiasCOM=exudyn.Matrix3DList(tensors),
+            linkCOMs=exudyn.Vector3DList(centres),
+            linkMasses=masses,
+            jointForceVector=np.zeros(n),
+        )
+    )
+    system.AddObject(items.ObjectGenericODE2(nodeNumbers=[node], massMatrix=np.diag(tree.armature)))
+    frame = tree.frame(tip)
+    at = turned[frame.body].T @ frame.translation
+    marker = system.AddMarker(
+        items.MarkerKinematicTreeRigid(objectNumber=body, linkNumber=frame.body, localPosition=at)
+    )
+    return body, marker
+
+
+def add_lock(system: Any, marker: Any, point: Array, locks: Array) -> Any:
+    """Hold the tip level with `point` (3,) [m] along the orthonormal rows of `locks` (k, 3)."""
+    items = import_module("exudyn.itemInterface")
+    ground = system.AddObject(items.ObjectGround())
+    pose = np.eye(4)
+    pose[:3, :3], pose[:3, 3] = complete(locks), point
+    return system.AddObject(
+        items.ObjectJointGeneric(
+            markerNumbers=[system.AddMarker(items.MarkerBodyRigid(bodyNumber=ground, localHT=pose)), marker],
+            constrainedAxes=[int(i >= 3 - len(locks)) for i in range(3)] + [0, 0, 0],
+        )
+    )
+
+
+def quiet_settings() -> Any:
+    """Return solver settings that print and write nothing."""
+    settings = import_module("exudyn").SimulationSettings()
+    settings.timeIntegration.verboseMode = 0
+    settings.solution.file.write = False
+    return settings
+
+
+def axes_about(direction: Array) -> Array:
+    """Return a rotation (3, 3) whose third column is the unit vector `direction`."""
+    return complete(np.asarray(direction)[None, :])
+
+
+def complete(locks: Array) -> Array:
+    """Return a rotation (3, 3) whose last columns are the k orthonormal rows of `locks`."""
+    if len(locks) == 3:
+        return np.array(locks).T
+    if len(locks) == 2:
+        return np.stack([np.cross(locks[0], locks[1]), *locks], axis=1)
+    across = np.cross(np.eye(3)[np.argmin(np.abs(locks[0]))], locks[0])
+    across /= np.linalg.norm(across)
+    return np.stack([across, np.cross(locks[0], across), locks[0]], axis=1)
+
+
+def about_centre(inertia: Array) -> tuple[float, Array, Array]:
+    """Return mass [kg], centre (3,) [m] and tensor (3, 3) about the centre out of a spatial inertia (6, 6)."""
+    mass = float(inertia[5, 5])
+    if mass == 0.0:
+        return 0.0, np.zeros(3), np.array(inertia[:3, :3])
+    block = inertia[:3, 3:] / mass  # c×
+    return mass, np.array([block[2, 1], block[0, 2], block[1, 0]]), inertia[:3, :3] + mass * block @ block

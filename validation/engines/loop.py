@@ -1,0 +1,105 @@
+# ruff: noqa: D102 - what a method returns is said once, in `interface.Engine`
+"""This project's own loop, seen as one engine among the others."""
+
+from __future__ import annotations
+
+import numpy as np
+
+import robot_models
+from closedloop.robot import Robot as LoopRobot
+from closedloop.solve import OK, eliminate, solve_closure
+from validation.engines.interface import METHODS, CannotBuild, Engine, Robot
+from validation.oracle.spatial import Array
+
+
+class ClosedLoop(Engine):
+    """The simulator under test: `closedloop.Robot.terms`, and Eq. 24 through the kernel `eliminate` of its loop.
+
+    Joint order: Pinocchio's, mapped by name (the two differ only for a robot that was not loaded by
+    `robot_models`). Frames: tip Jacobian along base axes. Armature: `RobotModel.armature`, inside H. Gravity:
+    −9.81 along z unless the robot says otherwise, inside C. Sign of f: positive along +n on the robot.
+    Constraint: one row A = nᵀJᵣ, Cholesky of H and the Schur complement A H⁻¹Aᵀ, exactly the step's arithmetic;
+    `impulse` takes the dense `solve_closure`. Accuracy: rounding, times the condition number of H in q̈ and f.
+    """
+
+    name = "closedloop"
+    covers = frozenset(METHODS)
+
+    def __init__(self, robot: Robot, tip: str) -> None:
+        super().__init__(robot, tip)
+        self.robot = LoopRobot(as_robot_model(robot, tip), tip)
+        order = {joint: i for i, joint in enumerate(self.robot.joint_names)}
+        self._columns = np.array([order[joint] for joint in robot.joint_names])  # robot's order → the loop's
+
+    def _in(self, x: Array) -> Array:
+        out = np.empty(self.n)
+        out[self._columns] = x
+        return out
+
+    def mass_matrix(self, q: Array) -> Array:
+        return np.asarray(
+            self.robot.terms(self._in(q), np.zeros(self.n)).mass_matrix[np.ix_(self._columns, self._columns)]
+        )
+
+    def bias(self, q: Array, v: Array) -> Array:
+        return np.asarray(self.robot.terms(self._in(q), self._in(v)).bias[self._columns])
+
+    def gravity_term(self, q: Array) -> Array:
+        return self.bias(q, np.zeros(self.n))
+
+    def position(self, q: Array) -> Array:
+        return self.robot.position(self._in(q))
+
+    def jacobian(self, q: Array) -> Array:
+        return np.asarray(self.robot.terms(self._in(q), np.zeros(self.n)).jacobian[:, self._columns])
+
+    def drift(self, q: Array, v: Array) -> Array:
+        return self.robot.terms(self._in(q), self._in(v)).drift
+
+    def free_acceleration(self, q: Array, v: Array, torque: Array) -> Array:
+        terms = self.robot.terms(self._in(q), self._in(v))
+        return np.asarray(np.linalg.solve(terms.mass_matrix, self._in(torque) - terms.bias)[self._columns])
+
+    def constrained(self, q: Array, v: Array, torque: Array, normal: Array, b: float) -> tuple[Array, float]:
+        terms, n = self.robot.terms(self._in(q), self._in(v)), self.n
+        qdd, f = np.empty(n), np.empty(1)
+        A = (np.asarray(normal) @ terms.jacobian)[None, :].copy()
+        status, _ = eliminate(
+            np.array(terms.mass_matrix), self._in(torque), np.array(terms.bias), A, np.array([b]), np.zeros(1),
+            np.array(terms.jacobian), np.empty((n, n)), np.empty((1, n)), np.empty((1, 1)), np.empty(n),
+            qdd, f, np.empty(1),
+        )  # fmt: skip
+        if status != OK:
+            raise np.linalg.LinAlgError("the pose is singular: the tip cannot move along the normal")
+        return qdd[self._columns], float(f[0])
+
+    def impulse(self, q: Array, v: Array, normal: Array, restitution: float) -> tuple[Array, float]:
+        terms, before = self.robot.terms(self._in(q), self._in(v)), self._in(v)
+        A = np.asarray(normal) @ terms.jacobian
+        after, p = solve_closure(terms.mass_matrix, terms.mass_matrix @ before, A, -restitution * float(A @ before))
+        return after[self._columns], float(p)
+
+
+def as_robot_model(robot: Robot, tip: str) -> robot_models.RobotModel:
+    """Return the robot as the simulator's own kind, joints in the order that the simulator gives them."""
+    if isinstance(robot, robot_models.RobotModel):
+        return robot
+    if robot.format not in ("urdf", "mjcf"):
+        raise CannotBuild(f"its description is {robot.format!r}, neither URDF nor MJCF")
+    n = len(robot.joint_names)
+
+    def build(armature: Array) -> robot_models.RobotModel:
+        return robot_models.from_text(
+            robot.text,
+            "urdf" if robot.format == "urdf" else "mjcf",
+            name="peer",
+            armature=armature,
+            tip=tip,
+            home=np.zeros(n),
+            locked=robot.locked,
+            gravity=robot.gravity,
+        )
+
+    of = dict(zip(robot.joint_names, np.asarray(robot.armature), strict=True))
+    # The order of the columns is known once it is built.
+    return build(np.array([of[joint] for joint in build(np.asarray(robot.armature)).joint_names]))

@@ -1,0 +1,93 @@
+"""One source, two ways to run it: compiled, and in plain Python."""
+
+import json
+import os
+import subprocess
+import sys
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+import closedloop as cl
+from closedloop.compiled import cache_folder, needs_compiling
+from closedloop.step import step_on_pinocchio
+
+ROOT = Path(cl.__file__).parent.parent
+
+PROGRAM = """
+import json, sys, numba, closedloop as cl
+assert numba.config.DISABLE_JIT
+name, changes, file = sys.argv[1], {"time.duration": 0.1, "law.pd_start": 0.0}, sys.argv[3]
+changes |= json.loads(sys.argv[2])
+cl.simulate(cl.load_scenario(name, changes)).save(file)
+"""
+
+
+@pytest.mark.parametrize(
+    ("name", "changes"),
+    [
+        ("wam_slide", {"reference.start": 0.02}),
+        ("planar2_slide", {"reference.start": 0.02, "time.integrator": "rk4", "law.sample_period": 0.002}),
+    ],
+)
+def test_interpreted_run_is_the_compiled_one(name, changes, tmp_path):
+    """The same source run by the interpreter gives the same columns.
+
+    Both do strict IEEE arithmetic in the same order, so they agree to the last bit; 1e-12 is room for a compiler that
+    fuses a product and a sum.
+    """
+    file = tmp_path / "interpreted.nc"
+    subprocess.run(
+        [sys.executable, "-c", PROGRAM, name, json.dumps(changes), str(file)],
+        cwd=ROOT, env={**os.environ, "NUMBA_DISABLE_JIT": "1"}, check=True, timeout=120,
+    )  # fmt: skip
+    interpreted = cl.load_run(file)
+    compiled = cl.simulate(cl.load_scenario(name, {"time.duration": 0.1, "law.pd_start": 0.0} | changes))
+    assert np.ptp(compiled.contact_force) > 0.1
+    for column, ours in compiled.columns.items():
+        theirs = interpreted.columns[column]
+        assert np.max(np.abs(ours - theirs)) <= 1e-12 * max(1.0, np.max(np.abs(ours))), column
+
+
+def test_compiled_code_is_kept_by_the_text_of_its_source():
+    """After a run nothing is left to compile, and the cache's folder is named after a digest."""
+    assert not needs_compiling(step_on_pinocchio)
+    assert len(cache_folder().name.removeprefix("closedloop-")) == 16
+
+
+def test_changed_source_gets_another_cache(tmp_path):
+    """A change in any kernel's file, of a comment even, changes the cache: stale compiled code is never used."""
+    code = "from closedloop.compiled import cache_folder; print(cache_folder().name)"
+    names = []
+    for comment in ("", "\n# changed\n"):
+        folder = tmp_path / f"copy{len(comment)}"
+        for package in ("closedloop", "robot_models"):
+            for file in (ROOT / package).rglob("*.py"):
+                copy = folder / file.relative_to(ROOT)
+                copy.parent.mkdir(parents=True, exist_ok=True)
+                copy.write_bytes(file.read_bytes())
+        solver = folder / "closedloop" / "solve.py"
+        solver.write_text(solver.read_text(encoding="utf-8") + comment, encoding="utf-8")
+        done = subprocess.run([sys.executable, "-c", code], cwd=folder, capture_output=True, text=True, check=True)
+        names.append(done.stdout.strip())
+    assert names[0] == cache_folder().name
+    assert names[1] != names[0]
+
+
+@pytest.mark.slow
+def test_folder_that_cannot_be_written_does_not_stop_a_run(tmp_path):
+    """Where no compiled code can be kept, the step is compiled in the process and the run goes on."""
+    blocked = tmp_path / "file"
+    blocked.write_text("in the way")
+    code = (
+        "import closedloop as cl\n"
+        "run = cl.simulate(cl.load_scenario('planar2_slide', {'time.duration': 0.002}))\n"
+        "print(len(run))"
+    )
+    done = subprocess.run(
+        [sys.executable, "-c", code], cwd=ROOT, env={**os.environ, "NUMBA_CACHE_DIR": str(blocked / "cache")},
+        capture_output=True, text=True, check=False, timeout=240,
+    )  # fmt: skip
+    assert done.returncode == 0, done.stderr
+    assert done.stdout.split() == ["3"]

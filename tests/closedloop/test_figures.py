@@ -1,0 +1,100 @@
+"""Figures 4-7: the run's own numbers are on them, and any run can be drawn."""
+
+import matplotlib as mpl
+import numpy as np
+import pytest
+
+import closedloop as cl
+from closedloop.figures import closure_error, contact_force, draw_figures, tip_position
+
+
+@pytest.fixture(scope="module")
+def run():
+    """Return a run with the start of the motion in it."""
+    return cl.simulate(cl.load_scenario("wam_slide", {"time.duration": 0.7}))
+
+
+def curves(axes):
+    """Return the y data of the curves of an axes, dashed marks left out."""
+    return [np.asarray(line.get_ydata()) for line in axes.lines if len(line.get_ydata()) > 2]
+
+
+def test_force_figure_shows_the_force(run):
+    """Fig. 5 has the whole force in newtons against time, and a second curve around the start of the motion."""
+    figure = contact_force(run)
+    assert np.array_equal(curves(figure.axes[0])[0], run.contact_force)
+    assert "N" in figure.axes[0].get_ylabel()
+    assert len(figure.axes) == 2
+    near = curves(figure.axes[1])[0]
+    assert near.min() == run.contact_force.min()
+
+
+def test_force_that_is_constant_is_drawn_flat(run):
+    """A force constant to rounding is not blown up to its sixteenth digit."""
+    rest = cl.simulate(cl.load_scenario("wam_slide", {"reference.kind": "hold", "time.duration": 0.1}))
+    low, high = contact_force(rest).axes[0].get_ylim()
+    assert high - low > 1.0
+    assert low < 10.0 < high
+
+
+def test_position_figure_shows_the_displacement(run):
+    """Fig. 4 has the tip's displacement along x, y and z in millimetres."""
+    axes = tip_position(run).axes[0]
+    moved = 1e3 * (run.position - run.position[0])
+    assert "mm" in axes.get_ylabel()
+    for k, curve in enumerate(curves(axes)[:3]):
+        assert np.allclose(curve, moved[:, k], rtol=0, atol=1e-12)
+
+
+@pytest.mark.parametrize(("name", "stabiliser"), [("wam_slide", "Baumgarte"), ("wam_slide_unstabilised", "without")])
+def test_closure_figure_shows_the_error_in_its_unit(name, stabiliser):
+    """Figs. 6 and 7 have e in a unit in which it can be read, and say whether a stabiliser was at work."""
+    run = cl.simulate(cl.load_scenario(name, {"time.duration": 0.7}))
+    axes = closure_error(run).axes[0]
+    factor = {"pm": 1e12, "nm": 1e9, "µm": 1e6, "mm": 1e3}[axes.get_ylabel().split("[")[1].rstrip("]")]
+    assert np.allclose(curves(axes)[0], factor * run.closure_error)
+    assert 0.1 < np.max(np.abs(curves(axes)[0])) < 1000
+    assert stabiliser in axes.get_title("left") + axes.get_title("center")
+
+
+@pytest.mark.parametrize(
+    "changes",
+    [
+        {"time.duration": 0.001},
+        {"reference.kind": "hold", "time.duration": 0.01},
+        {"law.pd_start": 0.1, "time.duration": 0.7},
+    ],
+    ids=["two rows", "hold", "PD before the motion"],
+)
+def test_any_run_can_be_drawn(changes, tmp_path):
+    """Short runs, runs without a motion and runs without a force are drawn without a complaint."""
+    run = cl.simulate(cl.load_scenario("wam_slide", changes))
+    paths = draw_figures(run, tmp_path)
+    assert [p.name for p in paths] == ["fig4_tip_position.png", "fig5_contact_force.png", "fig6_closure_error.png"]
+    assert all(p.stat().st_size > 5000 and p.with_suffix(".svg").stat().st_size > 5000 for p in paths)
+
+
+def test_run_without_rows_has_no_figures(tmp_path):
+    """A run that stopped at t = 0 has nothing to draw, and is drawn as nothing."""
+    changes = {"start.q": [0.0, 0.0], "surface.normal": [1, 0, 0], "reference.kind": "hold"}
+    with pytest.raises(cl.SingularClosureError) as caught:
+        cl.simulate(cl.load_scenario("planar2_slide", changes))
+    assert draw_figures(caught.value.run, tmp_path) == []
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_figures_are_reproducible_and_leave_matplotlib_alone(run, tmp_path):
+    """Drawn twice the SVGs are the same bytes, and the user's own settings of matplotlib are as before."""
+    before = dict(mpl.rcParams)
+    for folder in ("one", "two"):
+        (tmp_path / folder).mkdir()
+        draw_figures(run, tmp_path / folder)
+    for name in ("fig4_tip_position.svg", "fig5_contact_force.svg"):
+        assert (tmp_path / "one" / name).read_bytes() == (tmp_path / "two" / name).read_bytes()
+    assert dict(mpl.rcParams) == before
+
+
+def test_folder_that_is_not_there_is_an_output_error(run, tmp_path):
+    """Figures that cannot be written are an OutputError with the path."""
+    with pytest.raises(cl.OutputError, match=r"fig4_tip_position.*cannot be written"):
+        draw_figures(run, tmp_path / "missing")

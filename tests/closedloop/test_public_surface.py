@@ -1,0 +1,136 @@
+"""What `import closedloop` offers, what it costs, and who may import whom."""
+
+import ast
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+import closedloop as cl
+
+ROOT = Path(cl.__file__).parent.parent
+HEAVY = ("numba", "pinocchio", "matplotlib", "xarray", "pydantic", "scipy", "h5py", "rich")
+
+
+def python(code, **options):
+    """Run Python in a process of its own and return what it printed."""
+    done = subprocess.run(
+        [sys.executable, "-c", code], cwd=ROOT, capture_output=True, text=True, check=False, timeout=120, **options
+    )
+    assert done.returncode == 0, done.stderr
+    return done.stdout.split()
+
+
+@pytest.mark.parametrize("name", cl.__all__)
+def test_every_public_name_is_there(name):
+    """Each name of `__all__` can be had, and says what it is."""
+    assert getattr(cl, name) is not None
+    if name != "Law":  # an alias of a type, which has no docstring of its own
+        assert getattr(cl, name).__doc__
+    assert name in dir(cl)
+
+
+def test_public_names_are_those_that_type_checkers_see():
+    """The names loaded on use are exactly those that the stub imports of the package declare."""
+    tree = ast.parse(Path(cl.__file__).read_text(encoding="utf-8"))
+    declared = {
+        alias.asname: node.module
+        for block in ast.walk(tree)
+        if isinstance(block, ast.If)
+        for node in block.body
+        if isinstance(node, ast.ImportFrom)
+        for alias in node.names
+        if node.module.startswith("closedloop")
+    }
+    assert set(declared) == set(cl.__all__)
+    assert {n: m.removeprefix("closedloop.") for n, m in declared.items()} == cl._HOME
+
+
+def test_unknown_names_are_refused():
+    """A name that is not public raises AttributeError, as Python expects."""
+    with pytest.raises(AttributeError, match="no attribute 'simulat'"):
+        cl.simulat  # noqa: B018
+
+
+def test_importing_is_cheap():
+    """`import closedloop` alone loads no engine, no compiler, no plotting and no file format."""
+    code = f"import sys, closedloop; print(*[m for m in {HEAVY!r} if m in sys.modules])"
+    assert python(code) == []
+
+
+@pytest.mark.parametrize(
+    ("use", "absent"),
+    [
+        ("closedloop.shipped_scenarios()", ("numba", "pinocchio", "matplotlib", "xarray")),
+        ("closedloop.load_scenario('wam_slide')", ("numba", "pinocchio", "matplotlib", "xarray")),
+        (
+            "closedloop.simulate(closedloop.load_scenario('wam_slide', {'time.duration': 0.01})).summary()",
+            ("matplotlib", "xarray", "h5py", "mujoco", "pydrake", "exudyn"),
+        ),
+    ],
+)
+def test_what_is_not_used_is_not_loaded(use, absent):
+    """Reading a scenario needs no engine, and a run without figures or file no plotting and no file format."""
+    code = f"import sys, closedloop; {use}; print(*[m for m in {absent!r} if m in sys.modules])"
+    assert python(code) == []
+
+
+def imports(package):
+    """Return (file, top-level package imported) for every import statement of a package, lazy ones included."""
+    found = []
+    for file in sorted((ROOT / package).rglob("*.py")):
+        for node in ast.walk(ast.parse(file.read_text(encoding="utf-8"))):
+            if isinstance(node, ast.Import):
+                found += [(file.name, alias.name.split(".")[0]) for alias in node.names]
+            elif isinstance(node, ast.ImportFrom):
+                assert node.level == 0, f"{file}: relative import"
+                found.append((file.name, node.module.split(".")[0]))
+    assert len(found) > 10
+    return found
+
+
+@pytest.mark.parametrize(
+    ("package", "forbidden"),
+    [("closedloop", {"validation"}), ("robot_models", {"closedloop", "validation"})],
+)
+def test_packages_point_one_way(package, forbidden):
+    """The simulator never imports the validation, and the robot models import neither."""
+    assert [(file, name) for file, name in imports(package) if name in forbidden] == []
+
+
+def test_files_from_users_cannot_make_code_run():
+    """Nothing in the package unpickles or evaluates; a module is imported by name on the command line alone."""
+    calls = []
+    for file in sorted((ROOT / "closedloop").rglob("*.py")):
+        for node in ast.walk(ast.parse(file.read_text(encoding="utf-8"))):
+            if isinstance(node, ast.Call):
+                name = node.func.attr if isinstance(node.func, ast.Attribute) else getattr(node.func, "id", "")
+                if name in ("eval", "exec", "loads", "load", "import_module", "__import__"):
+                    owner = getattr(getattr(node.func, "value", None), "id", "")
+                    calls.append((file.name, f"{owner}.{name}".lstrip(".")))
+    assert {call for _, call in calls} <= {
+        "tomllib.loads",
+        "json.loads",
+        "importlib.import_module",
+        "import_module",
+        "robot_models.load",
+    }
+    assert {file for file, call in calls if "import_module" in call} == {"__init__.py", "run.py"}
+
+
+def test_errors_have_one_root():
+    """Every error of the package is a ClosedLoopError, and tells apart what a caller would."""
+    for name in (
+        "DivergenceError",
+        "ModelError",
+        "OutputError",
+        "RunFileError",
+        "ScenarioError",
+        "SingularClosureError",
+    ):
+        assert issubclass(getattr(cl, name), cl.ClosedLoopError)
+    assert issubclass(cl.DivergenceError, cl.SimulationError)
+    assert issubclass(cl.SingularClosureError, cl.SimulationError)
+    assert not issubclass(cl.SimulationError, ValueError)
+    assert issubclass(cl.ScenarioError, ValueError)

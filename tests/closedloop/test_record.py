@@ -1,0 +1,376 @@
+"""The run file: whole, exact, readable by others, repeatable from itself alone, and refused where damaged."""
+
+import json
+import pickle
+import shutil
+
+import h5py
+import numpy as np
+import pytest
+import xarray
+
+import closedloop as cl
+import robot_models
+from closedloop.record import COLUMNS
+from robot_models.shipped import path_of
+
+
+@pytest.fixture(scope="module")
+def run():
+    """Return a run with the velocity step in it."""
+    return cl.simulate(cl.load_scenario("wam_slide", {"time.duration": 0.6}))
+
+
+@pytest.fixture(scope="module")
+def saved(run, tmp_path_factory):
+    """Return the file of that run."""
+    return run.save(tmp_path_factory.mktemp("run") / "run.nc")
+
+
+def same(one, other):
+    """Whether two runs agree in every column to the last bit, types included."""
+    assert set(one.columns) == set(other.columns) == set(COLUMNS)
+    for name in COLUMNS:
+        a, b = one.columns[name], other.columns[name]
+        assert a.dtype == b.dtype, name
+        assert a.shape == b.shape, name
+        assert np.array_equal(a, b), name
+    return True
+
+
+def copy_of(saved, tmp_path, change):
+    """Return a copy of the file in which `change` has done its work."""
+    file = tmp_path / "changed.nc"
+    shutil.copy(saved, file)
+    with h5py.File(file, "r+") as h5:
+        change(h5)
+    return file
+
+
+@pytest.mark.parametrize("name", ["wam_slide", "planar2_slide", "panda_slide"])
+def test_round_trip_is_exact(name, tmp_path):
+    """What is loaded is what was saved: columns to the last bit, scenario, robot, law, versions."""
+    run = cl.simulate(cl.load_scenario(name, {"time.duration": 0.55}))
+    loaded = cl.load_run(run.save(tmp_path / "run.nc"))
+    assert same(run, loaded)
+    assert loaded.scenario == run.scenario
+    assert loaded.law == run.law == "scenario"
+    assert loaded.versions == run.versions
+    assert loaded.stopped is None
+    assert loaded.wall_seconds == run.wall_seconds
+    assert loaded.summary() == run.summary()
+    for field in ("name", "text", "format", "joint_names", "tip", "joint_types", "frames", "description", "source"):
+        assert getattr(loaded.model, field) == getattr(run.model, field), field
+    for field in ("armature", "position_lower", "position_upper", "home", "gravity"):
+        assert np.array_equal(getattr(loaded.model, field), getattr(run.model, field)), field
+    assert dict(loaded.model.locked) == dict(run.model.locked)
+
+
+def test_every_variable_has_a_unit_and_a_name(saved):
+    """h5py finds every column, with its unit, its meaning and its dimensions."""
+    with h5py.File(saved) as h5:
+        for name, column in COLUMNS.items():
+            assert h5[name].attrs["units"] == column.units
+            assert h5[name].attrs["long_name"] == column.meaning
+            assert len(h5[name].dims) == len(column.dims)
+        assert h5["contact_force"].attrs["units"] == "N"
+        assert h5["closure_error"].attrs["units"] == "m"
+        assert h5["q"].shape == (601, 4)
+
+
+def test_units_are_those_of_the_joints():
+    """A joint that slides has metres and newtons: no column says radians of it."""
+    changes = {"robot.model": "pointmass3", "start.q": [0.0] * 3, "start.v": [0.0] * 3, "reference.kind": "hold"}
+    changes |= {"law.kp": 1.0, "law.kd": 1.0, "time.duration": 0.01}
+    run = cl.simulate(cl.load_scenario("planar2_slide", changes))
+    assert set(run.model.joint_types) == {"prismatic"}
+    data = run.to_xarray()
+    for name in ("q", "v", "acceleration", "reference_position", "reference_velocity"):
+        assert "rad" not in data[name].attrs["units"].split(), name
+    assert data["torque"].attrs["units"] != "N m"
+
+
+def test_file_carries_what_made_it(run, saved):
+    """The attributes hold the scenario, the robot's text, the seed and the versions, as plain text."""
+    with h5py.File(saved) as h5:
+        attributes = dict(h5.attrs)
+    assert attributes["format"] == "closedloop run"
+    assert attributes["scenario"] == run.scenario.to_toml()
+    assert attributes["robot_text"] == run.model.text
+    assert attributes["robot_text"].count("<joint") >= 4
+    assert {"python", "closedloop", "pin", "numpy", "numba"} <= set(json.loads(attributes["versions"]))
+    assert "seed" in attributes
+    assert json.loads(attributes["summary"]) == run.summary()
+
+
+def test_xarray_opens_the_file(run, saved):
+    """xarray opens the file, times as plain seconds, and finds what `to_xarray` gives."""
+    with xarray.open_dataset(saved, engine="h5netcdf") as data:
+        assert data.time.dtype == np.float64
+        assert np.array_equal(data.time, run.time)
+        assert np.array_equal(data.contact_force, run.contact_force)
+        assert data.contact_force.attrs["units"] == "N"
+    ours = run.to_xarray()
+    assert set(ours.data_vars) | {"time"} == set(COLUMNS)
+    assert float(ours.q.sel(joint="J2").sel(time=0.5, method="nearest")) == run.q[500, 1]
+    assert ours.attrs["scenario"] == run.scenario.to_toml()
+
+
+def test_xarray_labels_work_in_the_file_too(saved):
+    """A joint can be picked by its name in the file as it can in `to_xarray`."""
+    with xarray.open_dataset(saved, engine="h5netcdf") as data:
+        assert np.array_equal(data.q.sel(joint="J2"), data.q[:, 1])
+        assert np.array_equal(data.position.sel(axis="y"), data.position[:, 1])
+
+
+def test_columns_are_attributes_and_read_only(run, saved):
+    """Every column is an attribute, of a fresh run and of a loaded one, and cannot be written."""
+    for record in (run, cl.load_run(saved)):
+        for name in COLUMNS:
+            column = getattr(record, name)
+            assert len(column) == len(record) == 601
+            assert name in dir(record)
+            with pytest.raises(ValueError, match="read-only"):
+                column[0] = 0
+
+
+def test_unknown_column_is_refused_with_the_known():
+    """A column that there is not is refused as an attribute, with those there are."""
+    run = cl.simulate(cl.load_scenario("wam_slide", {"time.duration": 0.001}))
+    with pytest.raises(AttributeError, match=r"no 'force'.*contact_force"):
+        run.force  # noqa: B018
+
+
+def test_run_can_be_sent_to_another_process(run):
+    """A run survives pickling, which a study in parallel does to it."""
+    assert same(run, pickle.loads(pickle.dumps(run)))
+
+
+def test_run_is_repeated_from_its_file_alone(run, saved, command_line, tmp_path):
+    """Another person, in another folder, with nothing but run.nc, gets every column to the last bit."""
+    alone = tmp_path / "inbox" / "run.nc"
+    alone.parent.mkdir()
+    shutil.copy(saved, alone)
+    outcome = command_line("inbox/run.nc", "--out", "again", "--no-figures")
+    assert outcome.status == 0, outcome.err
+    assert same(run, cl.load_run(tmp_path / "again" / "run.nc"))
+
+
+@pytest.mark.parametrize(
+    "changes",
+    [
+        {"time.integrator": "rk4", "law.sample_period": 0.002},
+        {"robot.drive_inertia": False},
+        {
+            "robot.lock": {"J3": 0.1},
+            "start.q": [1.5, 1.0, 2.0],
+            "start.v": [0.0, 0.0, 0.1],
+            "law.kp": 100.0,
+            "law.kd": 10.0,
+            "reference.kind": "hold",
+        },
+    ],
+    ids=["rk4, sampled", "no drives", "a locked joint"],
+)
+def test_options_are_repeated_too(changes, command_line, tmp_path):
+    """Integrator, drives and locked joints come back from the file as they were."""
+    run = cl.simulate(cl.load_scenario("wam_slide", {"time.duration": 0.55} | changes))
+    run.save(tmp_path / "run.nc")
+    assert command_line("run.nc", "--out", "again", "--no-figures").status == 0
+    assert same(run, cl.load_run(tmp_path / "again" / "run.nc"))
+
+
+def test_run_of_a_deleted_robot_is_repeated(command_line, tmp_path):
+    """A run of a user's own URDF is repeated from its file after the URDF and its sidecar are gone."""
+    for suffix in (".urdf", ".toml"):
+        shutil.copy(path_of("planar2").with_suffix(suffix), tmp_path / f"mine{suffix}")
+    options = ("planar2_slide", "--robot.model", "mine.urdf", "--time.duration", "0.55", "--no-figures")
+    assert command_line(*options, "--out", "first").status == 0
+    for suffix in (".urdf", ".toml"):
+        (tmp_path / f"mine{suffix}").unlink()
+    outcome = command_line("first/run.nc", "--out", "again", "--no-figures")
+    assert outcome.status == 0, outcome.err
+    first = cl.load_run(tmp_path / "first" / "run.nc")
+    assert first.model.armature == pytest.approx([0.02, 0.01])
+    assert same(first, cl.load_run(tmp_path / "again" / "run.nc"))
+    assert command_line(*options, "--out", "not").status == 2  # the file is indeed gone
+
+
+def test_run_can_be_repeated_with_a_change(saved, command_line, tmp_path):
+    """A dotted option lays a change over the scenario in the file."""
+    assert command_line(saved, "--law.force", "15", "--out", "again", "--no-figures").status == 0
+    again = cl.load_run(tmp_path / "again" / "run.nc")
+    assert again.scenario.law.force == 15.0
+    assert again.contact_force[0] == pytest.approx(15.0)
+    assert again.scenario.name == "wam_slide"
+
+
+def test_run_of_a_users_law_is_not_repeated_without_it(command_line, tmp_path):
+    """A file made with a user's law says which, and refuses to be repeated without one."""
+    (tmp_path / "laws_of_record.py").write_text("def soft(t, q, v, terms):\n    return terms.bias\n")
+    assert (
+        command_line(
+            "wam_slide", "--law", "laws_of_record:soft", "--time.duration", "0.01", "--no-figures", "--out", "one"
+        ).status
+        == 0
+    )
+    first = cl.load_run(tmp_path / "one" / "run.nc")
+    assert first.law == "laws_of_record:soft"
+    refusal = command_line("one/run.nc", "--out", "two", "--no-figures").refusal()
+    assert "laws_of_record:soft" in refusal
+    assert "--law" in refusal
+    assert command_line("one/run.nc", "--law", "laws_of_record:soft", "--out", "two", "--no-figures").status == 0
+    assert same(first, cl.load_run(tmp_path / "two" / "run.nc"))
+
+
+def test_run_without_rows_is_saved_and_loaded(tmp_path):
+    """A run that stopped at t = 0 is a file like any other, of no rows."""
+    changes = {"start.q": [0.0, 0.0], "surface.normal": [1, 0, 0], "reference.kind": "hold"}
+    with pytest.raises(cl.SingularClosureError) as caught:
+        cl.simulate(cl.load_scenario("planar2_slide", changes))
+    loaded = cl.load_run(caught.value.run.save(tmp_path / "run.nc"))
+    assert len(loaded) == 0
+    assert loaded.q.shape == (0, 2)
+    assert loaded.stopped == caught.value.run.stopped
+    with xarray.open_dataset(tmp_path / "run.nc", engine="h5netcdf") as data:
+        assert data.sizes["time"] == 0
+
+
+def test_saving_replaces_an_older_file_and_leaves_no_other(run, tmp_path):
+    """Saving over an older file replaces it, and no unfinished file stays beside it."""
+    file = tmp_path / "run.nc"
+    file.write_bytes(b"older")
+    run.save(file)
+    assert same(run, cl.load_run(file))
+    assert [p.name for p in tmp_path.iterdir()] == ["run.nc"]
+
+
+@pytest.mark.parametrize("place", ["missing/run.nc", "file/run.nc", "folder"])
+def test_place_that_cannot_be_written_is_an_output_error(place, run, tmp_path):
+    """A missing folder, a file in the way and a folder in the file's place are OutputErrors of one short line."""
+    (tmp_path / "file").write_text("in the way")
+    (tmp_path / "folder").mkdir()
+    with pytest.raises(cl.OutputError, match="cannot be written") as caught:
+        run.save(tmp_path / place)
+    message = str(caught.value)
+    assert "\n" not in message
+    assert place in message
+    assert "errno" not in message  # the words of the operating system, not the inside of a library
+    assert sorted(p.name for p in tmp_path.iterdir()) == ["file", "folder"]
+
+
+def set_attribute(name, value):
+    """Return a change of one attribute."""
+    return lambda h5: h5.attrs.__setitem__(name, value)
+
+
+def set_robot(**fields):
+    """Return a change of the robot's figures."""
+    return lambda h5: h5.attrs.__setitem__("robot", json.dumps(json.loads(h5.attrs["robot"]) | fields))
+
+
+def replace_column(name, make):
+    """Return a change of a column to what `make` makes of it, its dimensions kept where the length is."""
+
+    def change(h5):
+        values, units = make(h5[name][...]), dict(h5[name].attrs)["units"]
+        del h5[name]
+        h5.create_dataset(name, data=values).attrs["units"] = units
+        if len(values) == len(h5["q"]):
+            h5[name].dims[0].attach_scale(h5["time"])
+
+    return change
+
+
+DAMAGE = {
+    "no scenario": lambda h5: h5.attrs.__delitem__("scenario"),
+    "scenario is no TOML": set_attribute("scenario", "not toml ["),
+    "scenario has an unknown key": set_attribute("scenario", "law = {kp = 1, kd = 1, kq = 1}"),
+    "scenario is a number": set_attribute("scenario", 5),
+    "robot is no JSON": set_attribute("robot", "{bad"),
+    "robot is a list": set_attribute("robot", "[]"),
+    "robot is empty": set_attribute("robot", "{}"),
+    "robot knows more": set_robot(extra=1),
+    "armature too short": set_robot(armature=[1.0]),
+    "armature negative": set_robot(armature=[-1.0, 1.0, 1.0, 1.0]),
+    "gravity is NaN": set_robot(gravity=[0.0, 0.0, float("nan")]),
+    "format of the robot": set_robot(format="sdf"),
+    "locked joint unknown": set_robot(locked={"J9": 1.0}),
+    "locked is a number": set_robot(locked=3),
+    "tip unknown": set_robot(tip="toe"),
+    "tip is a number": set_robot(tip=3),
+    "name is a number": set_robot(name=3),
+    "robot's text is a number": set_attribute("robot_text", 5),
+    "robot's text is no XML": set_attribute("robot_text", "<robot"),
+    "a mass is negative": lambda h5: h5.attrs.__setitem__(
+        "robot_text", h5.attrs["robot_text"].replace('mass value="1.06513649"', 'mass value="-1"')
+    ),
+    "versions are no table": set_attribute("versions", "[1]"),
+    "versions are no JSON": set_attribute("versions", "{"),
+    "seconds are no number": set_attribute("wall_seconds", "abc"),
+    "format version is no number": set_attribute("format_version", "x"),
+    "format is another": set_attribute("format", "another"),
+    "a column is missing": lambda h5: h5.__delitem__("torque"),
+    "a column is shorter": replace_column("contact_force", lambda x: x[:5]),
+    "a column is text": replace_column("contact_force", lambda x: np.array([b"x"] * len(x))),
+    "a column has another shape": replace_column("torque", lambda x: x[:, :2].copy()),
+}
+
+
+@pytest.mark.parametrize("damage", DAMAGE)
+def test_damaged_file_is_refused_in_one_line(damage, saved, tmp_path, command_line):
+    """A run file that was tampered with raises RunFileError with its name; the command line prints that one line."""
+    file = copy_of(saved, tmp_path, DAMAGE[damage])
+    refusal = command_line(file, "--out", "again", "--no-figures", "--json").refusal()
+    assert "changed.nc" in refusal
+    with pytest.raises(cl.RunFileError) as caught:
+        cl.load_run(file)
+    assert "changed.nc" in str(caught.value)
+    assert "\n" not in str(caught.value)
+
+
+def test_the_mass_that_was_tampered_with_is_in_the_text(saved):
+    """The negative control of the tampering above: the text it replaces is there."""
+    with h5py.File(saved) as h5:
+        assert 'mass value="1.06513649"' in h5.attrs["robot_text"]
+
+
+def test_newer_format_is_told_apart_from_damage(saved, tmp_path):
+    """A file of a later format is refused as newer, with both version numbers."""
+    file = copy_of(saved, tmp_path, set_attribute("format_version", 99))
+    with pytest.raises(cl.RunFileError, match=r"newer.*99.*1"):
+        cl.load_run(file)
+
+
+@pytest.mark.parametrize(
+    ("content", "words"),
+    [(b"", "is not a run file"), (b"hello", "is not a run file"), (None, "damaged"), ("hdf5", "is not a run file")],
+    ids=["empty", "foreign", "cut off", "another HDF5"],
+)
+def test_foreign_file_is_refused_in_one_line(content, words, saved, tmp_path, command_line):
+    """An empty file, a foreign one, half of one and someone else's HDF5 are refused by name."""
+    file = tmp_path / "foreign.nc"
+    if content == "hdf5":
+        with h5py.File(file, "w") as h5:
+            h5["mine"] = np.arange(3)
+    else:
+        file.write_bytes(saved.read_bytes()[:5000] if content is None else content)
+    with pytest.raises(cl.RunFileError, match=r"foreign\.nc") as caught:
+        cl.load_run(file)
+    assert words in str(caught.value)
+    assert "foreign.nc" in command_line(file).refusal()
+
+
+@pytest.mark.parametrize("name", ["nowhere.nc", "."])
+def test_file_that_is_not_there(name, tmp_path):
+    """A missing file, or a folder, is said to be none."""
+    with pytest.raises(cl.RunFileError, match=r"no such file|not a file"):
+        cl.load_run(tmp_path / name)
+
+
+def test_loaded_robot_is_inspected_like_a_strangers_text(saved):
+    """The robot in a run file passes the same door as any text: it is built, and it is the one that ran."""
+    loaded = cl.load_run(saved)
+    fresh = robot_models.load("wam4")
+    assert loaded.model.text == fresh.text
+    assert np.array_equal(loaded.model.armature, fresh.armature)

@@ -1,0 +1,218 @@
+"""What a run says of itself: the paper's assumptions, each seen to hold and seen to fail, and its summary."""
+
+import dataclasses
+import json
+
+import numpy as np
+import pytest
+
+import closedloop as cl
+from closedloop.report import NEAR_SINGULAR, RESIDUAL_TOLERANCE, energy_balance, limits_exceeded, print_report
+
+NAMES = ("one_loop", "single_point", "contact_kept", "frictionless", "nonsingular")
+
+
+@pytest.fixture(scope="module")
+def slide():
+    """Return 0.7 s of the WAM's slide."""
+    return cl.simulate(cl.load_scenario("wam_slide", {"time.duration": 0.7}))
+
+
+def with_column(run, name, changes):
+    """Return the run with some rows of a column replaced."""
+    column = run.columns[name].copy()
+    for row, value in changes.items():
+        column[row] = value
+    return dataclasses.replace(run, columns={**run.columns, name: column})
+
+
+def failures(run):
+    """Return when each assumption that failed did so first."""
+    return {name: v["first_failed"] for name, v in run.summary()["assumptions"].items() if v["held"] is not True}
+
+
+def test_every_assumption_holds_in_a_good_run(slide):
+    """All five are reported, held, with what decided beside them."""
+    report = slide.summary()["assumptions"]
+    assert tuple(report) == NAMES
+    assert failures(slide) == {}
+    assert all(verdict["measured"] for verdict in report.values())
+
+
+def test_pulling_is_a_contact_that_is_lost_from_the_start():
+    """A law that pulls with 5 N would lift the tip: the contact is not kept, from the first row on."""
+    run = cl.simulate(cl.load_scenario("wam_slide", {"law.force": -5.0, "time.duration": 0.01}))
+    assert run.contact_force[0] == pytest.approx(-5.0)
+    assert failures(run) == {"contact_kept": 0.0}
+
+
+def test_contact_that_is_lost_in_the_transient_is_timed():
+    """A push of 1 N does not outlast the dip of 1.45 N: lost at 0.5 s, where the force is first below zero."""
+    run = cl.simulate(cl.load_scenario("wam_slide", {"law.force": 1.0, "time.duration": 0.7}))
+    assert run.contact_force[499] > 0.0 > run.contact_force[500]
+    assert failures(run) == {"contact_kept": pytest.approx(0.5)}
+    kept = cl.simulate(cl.load_scenario("wam_slide", {"law.force": 1.6, "time.duration": 0.7}))
+    assert failures(kept) == {}
+
+
+@pytest.mark.parametrize("stabiliser", ["none", "baumgarte"])
+def test_pressing_beside_the_surface_is_no_contact(stabiliser):
+    """A tip that starts centimetres off the surface does not touch it: refused, or reported as contact not kept.
+
+    The force there would be that of a rigid wall in mid-air; a run that says "held" would be silently wrong.
+    """
+    changes = {"surface.offset": 0.3, "stabiliser.kind": stabiliser, "time.duration": 0.1}
+    scenario = cl.load_scenario("wam_slide", changes)
+    try:
+        run = cl.simulate(scenario)
+    except cl.ScenarioError as refusal:
+        assert "surface.offset" in str(refusal)  # noqa: PT017
+        return
+    assert np.abs(run.closure_error[0]) > 0.01
+    assert run.summary()["assumptions"]["contact_kept"]["held"] is False
+    assert run.summary()["assumptions"]["contact_kept"]["first_failed"] == 0.0
+
+
+@pytest.mark.parametrize(
+    ("column", "bad", "names"),
+    [
+        ("residual_motion", 10 * RESIDUAL_TOLERANCE, {"single_point", "frictionless"}),
+        ("residual_closure", 10 * RESIDUAL_TOLERANCE, {"one_loop"}),
+        ("contact_force", -1e-3, {"contact_kept"}),
+        ("normal_mobility", 0.1 * NEAR_SINGULAR, {"nonsingular"}),
+        ("residual_motion", np.nan, {"single_point", "frictionless"}),
+        ("residual_closure", np.nan, {"one_loop"}),
+        ("contact_force", np.nan, {"contact_kept"}),
+        ("normal_mobility", np.nan, {"nonsingular"}),
+    ],
+)
+def test_one_bad_row_is_found_and_timed(column, bad, names, slide):
+    """A flaw planted in a single row fails exactly the assumptions that it touches, at that row's time."""
+    flawed = with_column(slide, column, {123: bad, 456: bad})
+    assert failures(flawed) == dict.fromkeys(names, pytest.approx(0.123))
+
+
+@pytest.mark.parametrize("column", ["residual_motion", "residual_closure"])
+def test_residual_within_rounding_is_no_failure(column, slide):
+    """Half the tolerance is still held: the threshold is where it is said to be."""
+    assert failures(with_column(slide, column, {123: 0.5 * RESIDUAL_TOLERANCE})) == {}
+
+
+def test_singular_stop_fails_the_assumption_when_it_first_failed(slide):
+    """A run that stopped as singular did not hold, from its first near-singular row, also if that is row 0."""
+    words = "stopped at t = 0.701 s: singular pose"
+    at_the_end = dataclasses.replace(slide, stopped=words)
+    assert failures(at_the_end) == {"nonsingular": pytest.approx(0.701)}
+    for row in (0, 300):
+        early = dataclasses.replace(with_column(slide, "normal_mobility", {row: 1e-9}), stopped=words)
+        assert failures(early) == {"nonsingular": pytest.approx(0.001 * row)}
+
+
+def test_nothing_is_claimed_of_a_run_without_rows():
+    """A run that stopped at t = 0 held nothing and failed nothing that was checked; its figures are None."""
+    changes = {"start.q": [0.0, 0.0], "surface.normal": [1, 0, 0], "reference.kind": "hold", "time.duration": 0.1}
+    with pytest.raises(cl.SingularClosureError) as caught:
+        cl.simulate(cl.load_scenario("planar2_slide", changes))
+    summary = caught.value.run.summary()
+    assert summary["steps"] == 0
+    assert summary["final_contact_force"] is None
+    assert summary["stopped"].startswith("stopped at t = 0 s: singular pose")
+    assert all(verdict["held"] is not True for verdict in summary["assumptions"].values())
+
+
+def test_summary_has_the_keys_that_others_rely_on(slide):
+    """The summary has every promised key, and its figures are those of the columns."""
+    s = slide.summary()
+    promised = {
+        "scenario", "steps", "final_contact_force", "peak_contact_force", "min_contact_force",
+        "max_abs_closure_error", "final_closure_error", "max_kkt_residual", "max_kkt_condition", "assumptions",
+        "wall_seconds",
+    }  # fmt: skip
+    assert promised <= set(s)
+    assert s["scenario"] == "wam_slide"
+    assert s["steps"] == 700
+    assert s["end_time"] == pytest.approx(0.7)
+    assert s["stopped"] is None
+    assert s["final_contact_force"] == slide.contact_force[-1]
+    assert s["peak_contact_force"] == slide.contact_force.max()
+    assert s["min_contact_force"] == slide.contact_force.min()
+    assert s["max_abs_closure_error"] == np.abs(slide.closure_error).max()
+    assert s["final_closure_error"] == slide.closure_error[-1]
+    assert s["max_kkt_residual"] == max(slide.residual_motion.max(), slide.residual_closure.max())
+    assert s["max_kkt_condition"] == slide.kkt_condition.max()
+    assert s["max_tip_speed"] == np.linalg.norm(slide.velocity, axis=1).max()
+    assert s["max_stabiliser_force"] == np.abs(slide.stabiliser_force).max()
+    assert s["wall_seconds"] > 0.0
+
+
+@pytest.mark.parametrize("name", cl.shipped_scenarios())
+def test_summary_is_json(name, shipped_run):
+    """The summary survives JSON, which knows neither NaN nor numpy."""
+    summary = shipped_run(name).summary()
+    assert json.loads(json.dumps(summary, allow_nan=False)) == summary
+
+
+def test_changing_a_summary_does_not_change_the_run(slide):
+    """A summary is the caller's own, down to the verdicts in it."""
+    mine = slide.summary()
+    mine["steps"] = -1
+    mine["assumptions"]["one_loop"]["held"] = "perhaps"
+    assert slide.summary()["steps"] == 700
+    assert slide.summary()["assumptions"]["one_loop"]["held"] is True
+
+
+def test_energy_balance_accounts_for_every_work():
+    """Energy left over is small against what was exchanged, and halves with the step of a first-order scheme."""
+    left = []
+    for h in (0.001, 0.0005, 0.00025):
+        run = cl.simulate(cl.load_scenario("wam_slide", {"time.step": h, "time.duration": 2.0}))
+        residual, exchanged = energy_balance(run)
+        assert len(residual) == len(run)
+        assert residual[0] == exchanged[0] == 0.0
+        assert np.all(np.diff(exchanged) >= 0.0)
+        left.append(np.max(np.abs(residual)))
+        assert left[-1] < 1e-2 * exchanged[-1]
+    assert left[0] / left[1] == pytest.approx(2.0, rel=0.1)
+    assert left[1] / left[2] == pytest.approx(2.0, rel=0.1)
+
+
+def test_energy_balance_misses_a_work_that_is_left_out(shipped_run):
+    """The balance notices a torque that is recorded 1 % too high: a negative control."""
+    run = shipped_run("wam_slide")
+    clean, _ = energy_balance(run)
+    flawed, _ = energy_balance(dataclasses.replace(run, columns={**run.columns, "torque": 1.01 * run.torque}))
+    assert np.max(np.abs(flawed)) > 10 * np.max(np.abs(clean))
+
+
+def test_leaving_the_joint_limits_is_noted(slide):
+    """The first joint that leaves its limits is named with its row; a run inside them says nothing."""
+    assert limits_exceeded(slide) == ""
+    beyond = slide.q.copy()
+    beyond[200:, 1] = slide.model.position_upper[1] + 0.1
+    line = limits_exceeded(dataclasses.replace(slide, columns={**slide.columns, "q": beyond}))
+    assert "J2" in line
+    assert "0.2 s" in line
+
+
+@pytest.mark.parametrize("width", [80, 120, 200])
+def test_printed_report_says_what_the_summary_says(width, slide, capsys):
+    """The tables fit the width, have all five assumptions, and cut nothing off."""
+    print_report(with_column(slide, "contact_force", {5: -2.0}), width=width)
+    text = capsys.readouterr().out
+    assert max(map(len, text.splitlines())) <= width
+    assert "…" not in text.replace(" … ", "")
+    assert text.count("yes") == 4
+    assert text.count("NO") == 1
+    for word in ("f > 0", "0.005 s", "closure error", "energy"):
+        assert word in text
+
+
+def test_printed_report_of_a_run_without_rows(capsys):
+    """A run without rows prints its unknown assumptions, and no figures."""
+    changes = {"start.q": [0.0, 0.0], "surface.normal": [1, 0, 0], "reference.kind": "hold", "time.duration": 0.1}
+    with pytest.raises(cl.SingularClosureError) as caught:
+        cl.simulate(cl.load_scenario("planar2_slide", changes))
+    print_report(caught.value.run, width=100)
+    text = capsys.readouterr().out
+    assert "nan" not in text.lower()
+    assert "no row could be computed" in text

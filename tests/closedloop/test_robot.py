@@ -1,0 +1,170 @@
+"""The terms of the equation of motion: Pinocchio's, by two ways through Pinocchio, and right by definition."""
+
+import numpy as np
+import pinocchio as pin
+import pytest
+
+import closedloop as cl
+import robot_models
+from closedloop.tip import tip_kinematics
+from robot_models.planar2 import closed_form
+
+# Two summations of the same few dozen products in another order: some hundred roundings of 1e-16 of the largest.
+ROUNDING = 1e-13
+
+# name and tip; solo12 has four legs, and its tip is on one of them
+ROBOTS = [("planar2", None), ("pointmass3", None), ("wam4", None), ("panda", None), ("solo12", "HR_FOOT")]
+IDS = [name for name, _ in ROBOTS]
+
+
+def close(ours, theirs, tolerance):
+    """Whether no entry differs by more than `tolerance` of the largest."""
+    theirs = np.asarray(theirs)
+    return np.max(np.abs(ours - theirs)) <= tolerance * max(1.0, np.max(np.abs(theirs)))
+
+
+def fast_path(robot, q, v):
+    """Return Jᵣ, r and J̇ᵣq̇ as the compiled step computes them."""
+    robot.evaluator(q, v)()
+    _, _, joint_jacobian, rotation, origin, velocity, acceleration = robot.views
+    J, r, drift = np.zeros((3, robot.n)), np.zeros(3), np.zeros(3)
+    tip_kinematics(
+        joint_jacobian, rotation, origin, velocity, acceleration,
+        robot.tip_offset, robot.gravity, robot.support, J, r, drift,
+    )  # fmt: skip
+    return J, r, drift
+
+
+@pytest.mark.parametrize(("name", "tip"), ROBOTS, ids=IDS)
+def test_fast_path_equals_pinocchios_frame_functions(name, tip, robot, random_states):
+    """Tip kinematics moved over from the joint's equal those that Pinocchio computes for the frame."""
+    arm = robot(name, tip)
+    for s in random_states(arm, 30, 0):
+        terms = arm.terms(s.q, s.v)
+        J, r, drift = fast_path(arm, s.q, s.v)
+        assert close(J, terms.jacobian, ROUNDING)
+        assert close(r, terms.position, ROUNDING)
+        assert close(drift, terms.drift, ROUNDING)
+
+
+@pytest.mark.parametrize("tip", ["FL_FOOT", "FR_FOOT", "HL_FOOT", "HR_FOOT"])
+def test_joints_of_other_branches_do_not_move_the_tip(tip, robot, random_states):
+    """On a branching robot the Jacobian's columns are exactly zero off the path from base to tip, and only there."""
+    arm = robot("solo12", tip)
+    assert np.count_nonzero(arm.support) == 3
+    s = random_states(arm, 1, 1)[0]
+    for J in (fast_path(arm, s.q, s.v)[0], arm.terms(s.q, s.v).jacobian):
+        moved = np.any(J != 0.0, axis=0)
+        assert np.array_equal(moved, arm.support != 0.0)
+
+
+@pytest.mark.parametrize(("name", "tip"), ROBOTS, ids=IDS)
+def test_mass_matrix_and_bias_invert_recursive_newton_euler(name, tip, robot, random_states):
+    """H q̈ + C is the torque of `pin.rnea`, whose recursion knows neither matrix, drives included."""
+    arm = robot(name, tip)
+    model = arm.model.pinocchio_model()
+    data = model.createData()
+    for s in random_states(arm, 10, 2):
+        terms = arm.terms(s.q, s.v)
+        acceleration = s.torque
+        torque = pin.rnea(model, data, s.q, s.v, acceleration)
+        assert close(terms.mass_matrix @ acceleration + terms.bias, torque, 1e-12)
+        assert np.array_equal(terms.mass_matrix, terms.mass_matrix.T)
+
+
+@pytest.mark.parametrize(("name", "tip"), ROBOTS, ids=IDS)
+def test_jacobian_and_drift_are_derivatives_of_the_position(name, tip, robot, random_states):
+    """Along q(t) = q + v t the tip's first derivative is Jᵣq̇ and its second is J̇ᵣq̇.
+
+    Fourth-order differences of step 1e-3 on a smooth function of order one: truncation 1e-12 × derivatives of
+    order five and six, rounding 1e-16/1e-3 and 1e-16/1e-6.
+    """
+    arm = robot(name, tip)
+    h = 1e-3
+    for s in random_states(arm, 5, 3):
+        v = s.v / np.linalg.norm(s.v)
+        far_back, back, here, ahead, far_ahead = (arm.position(s.q + k * h * v) for k in (-2, -1, 0, 1, 2))
+        terms = arm.terms(s.q, v)
+        first = (8 * (ahead - back) - (far_ahead - far_back)) / (12 * h)
+        second = (16 * (ahead + back) - (far_ahead + far_back) - 30 * here) / (12 * h * h)
+        assert np.max(np.abs(terms.jacobian @ v - first)) < 1e-10
+        assert np.max(np.abs(terms.drift - second)) < 1e-7
+        assert np.array_equal(terms.position, here)
+
+
+def test_planar2_has_the_terms_of_the_textbook(robot, random_states):
+    """The terms of planar2 are those of the closed form, which no engine took part in."""
+    arm = robot("planar2")
+    for s in random_states(arm, 100, 4):
+        ours, theirs = arm.terms(s.q, s.v), closed_form.terms(s.q, s.v)
+        for field in ("mass_matrix", "bias", "position", "jacobian", "drift"):
+            assert close(getattr(ours, field), getattr(theirs, field), ROUNDING), field
+        for computed, field in zip(fast_path(arm, s.q, s.v), ("jacobian", "position", "drift"), strict=True):
+            assert close(computed, getattr(theirs, field), ROUNDING), field
+
+
+def test_drift_has_no_gravity_in_it(robot):
+    """At rest J̇ᵣq̇ is zero: the gravity that the fast path's passes carry is taken out to rounding."""
+    for name, tip in ROBOTS:
+        arm = robot(name, tip)
+        rest = np.zeros(arm.n)
+        assert np.max(np.abs(arm.terms(arm.model.home, rest).drift)) < 1e-14
+        assert np.max(np.abs(fast_path(arm, np.array(arm.model.home), rest)[2])) < 1e-13
+
+
+def test_drives_add_to_the_diagonal_alone():
+    """Drive inertia adds to the diagonal of H, and to nothing else."""
+    q, v = np.array([0.3, 0.8, -0.2, 1.5]), np.array([0.4, -0.3, 0.2, 0.1])
+    with_drives = cl.Robot(robot_models.load("wam4"))
+    without = cl.Robot(robot_models.load("wam4", drive_inertia=False))
+    ours, bare = with_drives.terms(q, v), without.terms(q, v)
+    difference = ours.mass_matrix - bare.mass_matrix
+    assert np.allclose(difference, np.diag(with_drives.model.armature), rtol=0, atol=1e-15)
+    assert np.all(np.diag(difference) > 0.01)
+    assert np.array_equal(ours.bias, bare.bias)
+    assert np.array_equal(ours.jacobian, bare.jacobian)
+
+
+def test_potential_energy_falls_with_the_torque_of_gravity(robot, random_states):
+    """At rest the bias is the gradient of the potential energy."""
+    arm = robot("wam4")
+    for s in random_states(arm, 5, 5):
+        h = 1e-5
+        moves = h * np.eye(4)
+        gradient = (arm.potential_energy(s.q + moves) - arm.potential_energy(s.q - moves)) / (2 * h)
+        assert np.max(np.abs(gradient - arm.terms(s.q, np.zeros(4)).bias)) < 1e-8
+
+
+def test_terms_are_read_only_copies(robot):
+    """Terms that were handed out can neither be changed nor change when the robot is evaluated again."""
+    arm = robot("wam4")
+    first = arm.terms([0.1, 1.0, 0.2, 1.5], np.ones(4))
+    kept = {name: getattr(first, name).copy() for name in ("mass_matrix", "bias", "position", "jacobian", "drift")}
+    arm.terms([0.5, 0.4, 0.3, 0.2], -np.ones(4))
+    for name, value in kept.items():
+        array = getattr(first, name)
+        assert np.array_equal(array, value)
+        with pytest.raises(ValueError, match="read-only"):
+            array[0] = 1.0
+
+
+@pytest.mark.parametrize(
+    ("q", "v", "words"),
+    [
+        ([1.0, 2.0], [0.0] * 4, ["q has shape (2,)", "wam4 has 4 joints"]),
+        ([0.0] * 4, [0.0] * 5, ["v has shape (5,)"]),
+        ([0.0, np.nan, 0.0, 0.0], [0.0] * 4, ["q = ", "nan", "finite"]),
+        ([0.0] * 4, [0.0, np.inf, 0.0, 0.0], ["v = ", "inf", "finite"]),
+    ],
+)
+def test_bad_states_are_refused(q, v, words, robot):
+    """A state of the wrong length or with NaN in it is refused by name; Pinocchio would let it pass."""
+    with pytest.raises(ValueError, match=r"has shape|must be finite") as caught:
+        robot("wam4").terms(q, v)
+    assert all(word in str(caught.value) for word in words)
+
+
+def test_tip_must_be_a_frame_of_the_robot():
+    """A tip that the robot lacks is refused with the nearest frames."""
+    with pytest.raises(cl.ModelError, match=r"wam4 has no frame 'tipp'.*'tip'"):
+        cl.Robot(robot_models.load("wam4"), "tipp")

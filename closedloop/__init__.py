@@ -25,9 +25,9 @@ if TYPE_CHECKING:
     from closedloop.problem import Problem as Problem
     from closedloop.problem import prepare as prepare
     from closedloop.record import Run as Run
-    from closedloop.record import load_run as load_run
     from closedloop.robot import Robot as Robot
     from closedloop.robot import Terms as Terms
+    from closedloop.runfile import load_run as load_run
     from closedloop.scenario import Scenario as Scenario
     from closedloop.scenario import load_scenario as load_scenario
     from closedloop.scenario import shipped_scenarios as shipped_scenarios
@@ -51,7 +51,7 @@ _HOME = {
     "SimulationError": "errors",
     "SingularClosureError": "errors",
     "Terms": "robot",
-    "load_run": "record",
+    "load_run": "runfile",
     "load_scenario": "scenario",
     "prepare": "problem",
     "shipped_scenarios": "scenario",

@@ -3,9 +3,11 @@
 from __future__ import annotations
 
 import difflib
+import reprlib
 from typing import Any, get_args
 
 from pydantic import ValidationError
+from pydantic_core import ErrorDetails
 
 from closedloop.scenario import Scenario, Section
 
@@ -60,7 +62,13 @@ CURES = {
 
 def explain(error: ValidationError, data: dict[str, Any]) -> str:
     """Return one line about what pydantic found: which key, which value, what would be right."""
-    problems = error.errors(include_url=False)
+    # An unknown key first: it is often the misspelt name of one that is missing.
+    problems = sorted(error.errors(include_url=False), key=lambda p: p["type"] != "extra_forbidden")
+    line = _explain_first(problems, data)
+    return line if line.isprintable() else line.encode("unicode_escape").decode("ascii")
+
+
+def _explain_first(problems: list[ErrorDetails], data: dict[str, Any]) -> str:
     first = problems[0]
     location = [str(part) for part in first["loc"]]
     section = location[0] if location else ""
@@ -69,7 +77,7 @@ def explain(error: ValidationError, data: dict[str, Any]) -> str:
     path = [p for k, p in enumerate(location) if p.isdigit() or k == 0 or p in known or "lock" in location]
     name = "".join(f"[{p}]" if p.isdigit() else f".{p}" for p in path).removeprefix(".")
     kind, value = first["type"], first.get("input")
-    shown = "a table" if isinstance(value, dict) else repr(value)
+    shown = "a table" if isinstance(value, dict) else reprlib.repr(value)
     others = {tuple(p["loc"][:2]) for p in problems} - {tuple(first["loc"][:2])}
     more = f" (and {len(others)} more)" if others else ""
     if kind == "extra_forbidden":
@@ -105,8 +113,8 @@ def _known_keys(section: str, path: list[str], data: dict[str, Any]) -> str:
         place = "sections are"
     else:
         kinds = variants(section)
-        kind = data.get(section, {}).get("kind", next(iter(kinds), ""))
-        known = sorted(variant_keys(section, kind if kind in kinds else ""))
+        kind = data[section].get("kind", next(iter(kinds), ""))
+        known = sorted(variant_keys(section, kind if isinstance(kind, str) and kind in kinds else ""))
         place = f"[{section}] knows"
     near = difflib.get_close_matches(path[-1], known, n=1, cutoff=0.5)
     return f"did you mean '{'.'.join([*path[:-1], near[0]])}'?" if near else f"{place} {', '.join(known)}"

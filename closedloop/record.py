@@ -6,9 +6,8 @@ belong to the q and q̇ of the same row. The file is NetCDF-4, which is HDF5: xa
 
 from __future__ import annotations
 
-import json
-import os
 from collections.abc import Mapping
+from copy import deepcopy
 from dataclasses import dataclass, field
 from functools import cached_property
 from pathlib import Path
@@ -17,9 +16,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-import robot_models
-from closedloop.errors import OutputError, RunFileError
-from closedloop.scenario import Scenario, parse_scenario
+from closedloop.scenario import Scenario
 from robot_models import RobotModel
 
 if TYPE_CHECKING:
@@ -27,7 +24,6 @@ if TYPE_CHECKING:
 
 Array = NDArray[np.float64]
 
-FORMAT, FORMAT_VERSION = "closedloop run", 1
 FREE, PRESSED = 0, 1  # values of the column `mode`
 
 
@@ -130,121 +126,40 @@ class Run:
 
     def summary(self) -> dict[str, Any]:
         """Return what the command line prints and writes as summary.json; see `closedloop.report`."""
-        return dict(self._summary)
+        return deepcopy(self._summary)
+
+    def units(self, name: str) -> str:
+        """Return the unit of a column; of a robot that turns and slides both, by joint type ("rad | m")."""
+        spec = COLUMNS[name]
+        sliding = spec.units.replace("rad", "m").replace("N m", "N")
+        if "joint" not in spec.dims or sliding == spec.units:
+            return spec.units
+        kinds = {kind == "prismatic" for kind in self.model.joint_types}
+        return f"{spec.units} | {sliding}" if len(kinds) == 2 else (sliding if kinds == {True} else spec.units)
 
     def to_xarray(self) -> xarray.Dataset:
         """Return the run as an xarray Dataset with units and the attributes of the file."""
         import xarray
 
-        data = {
-            name: (
-                spec.dims,
-                np.asarray(self.columns[name]),
-                {"units": spec.units, "long_name": spec.meaning},
-            )
-            for name, spec in COLUMNS.items()
-            if name != "time"
-        }
-        spec = COLUMNS["time"]
-        coordinates = {
-            "time": (
-                spec.dims,
-                np.asarray(self.columns["time"]),
-                {"units": spec.units, "long_name": spec.meaning},
-            ),
-            "joint": list(self.model.joint_names),
-            "axis": ["x", "y", "z"],
-        }
-        return xarray.Dataset(data, coordinates, self._attributes())
+        from closedloop.runfile import attributes
 
-    def _attributes(self) -> dict[str, Any]:
-        model = self.model
-        robot = {name: getattr(model, name) for name in ("name", "format", "tip", "description", "source")}
-        robot |= {name: getattr(model, name).tolist() for name in ("armature", "home", "gravity")}
-        robot["locked"] = dict(model.locked)
-        return {
-            "format": FORMAT,
-            "format_version": FORMAT_VERSION,
-            "scenario": self.scenario.to_toml(),
-            "robot_text": self.model.text,
-            "robot": json.dumps(robot),  # floats in their shortest exact form
-            "law": self.law,
-            "seed": "none: nothing in this run is random",
-            "versions": json.dumps(dict(self.versions)),
-            "stopped": self.stopped or "",
-            "wall_seconds": self.wall_seconds,
-            "summary": json.dumps(self.summary()),
-        }
+        def variable(name: str) -> tuple[tuple[str, ...], NDArray[Any], dict[str, str]]:
+            spec = COLUMNS[name]
+            return spec.dims, np.asarray(self.columns[name]), {"units": self.units(name), "long_name": spec.meaning}
+
+        return xarray.Dataset(
+            {name: variable(name) for name in COLUMNS if name != "time"},
+            {
+                "time": variable("time"),
+                "joint": list(self.model.joint_names),
+                "joint_type": ("joint", list(self.model.joint_types)),
+                "axis": ["x", "y", "z"],
+            },
+            attributes(self),
+        )
 
     def save(self, path: str | Path) -> Path:
-        """Write the run as NetCDF-4 (HDF5) and return the path; an older file is replaced only once this one is whole.
+        """Write the run as NetCDF-4 (HDF5) and return the path; see `closedloop.runfile.save_run`."""
+        from closedloop.runfile import save_run
 
-        Raises
-        ------
-        OutputError
-            If the file cannot be written.
-        """
-        import h5netcdf
-        import h5py
-
-        path = Path(path)
-        unfinished = path.with_name(f".{path.name}.{os.getpid()}")
-        try:
-            with h5netcdf.File(unfinished, "w") as file:
-                file.dimensions = {"time": len(self), "joint": self.model.n, "axis": 3}
-                for name, spec in COLUMNS.items():
-                    variable = file.create_variable(name, spec.dims, data=np.asarray(self.columns[name]))
-                    variable.attrs["units"] = spec.units
-                    variable.attrs["long_name"] = spec.meaning
-                for name, labels in (("joint", self.model.joint_names), ("axis", ("x", "y", "z"))):
-                    text = file.create_variable(name, (name,), dtype=h5py.string_dtype())
-                    text[:] = np.array(labels, dtype=object)
-                for key, value in self._attributes().items():
-                    file.attrs[key] = value
-            unfinished.replace(path)
-        except OSError as error:
-            unfinished.unlink(missing_ok=True)
-            raise OutputError(f"{path}: cannot be written: {error.strerror or error}") from None
-        return path
-
-
-def load_run(path: str | Path) -> Run:
-    """Read a run that `Run.save` wrote.
-
-    Raises
-    ------
-    RunFileError
-        If there is no such file, or it is not a run, or it is damaged.
-    """
-    import h5netcdf
-
-    path = Path(path)
-    if not path.is_file():
-        raise RunFileError(f"{path}: there is no such file")
-    try:
-        with h5netcdf.File(path, "r") as file:
-            attributes = dict(file.attrs)
-            if attributes.get("format") != FORMAT:
-                raise RunFileError(f"{path}: is not a run file (its 'format' attribute is not '{FORMAT}')")
-            if int(attributes["format_version"]) > FORMAT_VERSION:
-                raise RunFileError(
-                    f"{path}: was written by a newer version (format {attributes['format_version']}, "
-                    f"this one reads up to {FORMAT_VERSION})"
-                )
-            columns = {name: np.asarray(file.variables[name][...]) for name in COLUMNS}
-    except (OSError, KeyError, ValueError, TypeError) as error:
-        if isinstance(error, RunFileError):
-            raise
-        raise RunFileError(f"{path}: is not a run file, or is damaged: {error}") from None
-    try:
-        return Run(
-            scenario=parse_scenario(attributes["scenario"], where=f"{path}, attribute 'scenario'"),
-            model=robot_models.from_text(attributes["robot_text"], **json.loads(attributes["robot"])),
-            columns=columns,
-            law=str(attributes["law"]),
-            versions=json.loads(attributes["versions"]),
-            stopped=str(attributes["stopped"]) or None,
-            wall_seconds=float(attributes["wall_seconds"]),
-        )
-    except (KeyError, TypeError, json.JSONDecodeError) as error:
-        raise RunFileError(f"{path}: is damaged: {error}") from None
+        return save_run(self, path)

@@ -134,8 +134,9 @@ def assumptions(run: Run) -> dict[str, dict[str, Any]]:
         ),
     }
     if run.stopped and "singular" in run.stopped:
-        end = float(run.time[-1]) + run.scenario.time.step
-        report["nonsingular"] |= {"held": False, "first_failed": report["nonsingular"]["first_failed"] or end}
+        verdict = report["nonsingular"]
+        if verdict["held"]:  # no row was near it: the step after the last was
+            verdict |= {"held": False, "first_failed": float(run.time[-1]) + run.scenario.time.step}
     return report
 
 

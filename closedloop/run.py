@@ -13,6 +13,7 @@ import os
 import sys
 import tomllib
 from collections.abc import Sequence
+from dataclasses import replace
 from pathlib import Path
 from typing import Any, NoReturn
 
@@ -68,6 +69,8 @@ def _main(arguments: list[str]) -> int:
         if error.run is None:
             raise
         run, failure = error.run, error
+    if options.law:
+        run = replace(run, law=options.law)
     paths = [run.save(folder / "run.nc"), _write_summary(run.summary(), folder / "summary.json")]
     if not options.no_figures:
         from closedloop.figures import draw_figures
@@ -133,10 +136,9 @@ def _split(arguments: list[str]) -> tuple[dict[str, Any], list[str]]:
             rest.append(word)
             continue
         if not equals:
-            try:
-                value = next(words)
-            except StopIteration:
-                raise ScenarioError(f"command line: {word} needs a value") from None
+            value = next(words, "--")
+            if value.startswith("--"):
+                raise ScenarioError(f"command line: {word} needs a value, such as --law.force 15")
         overrides[key] = _toml_value(value)
     return overrides, rest
 
@@ -145,7 +147,7 @@ def _toml_value(text: str) -> Any:
     """Read a value as TOML would; what is not TOML is text, so that --robot.model panda needs no quotes."""
     try:
         document = tomllib.loads(f"value = {text}")
-    except tomllib.TOMLDecodeError:
+    except (ValueError, RecursionError):  # no TOML, a number of thousands of digits, a thousand brackets
         return text
     return document["value"] if len(document) == 1 else text
 
@@ -154,7 +156,7 @@ def _open(name: str, overrides: dict[str, Any]) -> tuple[Scenario, Any, str]:
     """Return the scenario, the robot if it came from a run file, and the name of the law that made the file."""
     if not name.endswith(".nc"):
         return load_scenario(name, overrides), None, "scenario"
-    from closedloop.record import load_run
+    from closedloop.runfile import load_run
 
     earlier = load_run(name)
     scenario = parse_scenario(earlier.scenario.to_toml(), where=name, overrides=overrides)
@@ -163,15 +165,15 @@ def _open(name: str, overrides: dict[str, Any]) -> tuple[Scenario, Any, str]:
 
 
 def _import_law(name: str) -> Any:
-    module_name, colon, function_name = name.partition(":")
-    if not (colon and module_name and function_name):
+    module_name, _, function_name = name.partition(":")
+    if not (function_name and all(part.isidentifier() for part in module_name.split("."))):
         raise ScenarioError(f"--law {name}: must be MODULE:FUNCTION, such as my_laws:soft_touch")
     sys.path.insert(0, os.getcwd())
     try:
         module = importlib.import_module(module_name)
     except ModuleNotFoundError as error:
-        if error.name != module_name.split(".")[0]:
-            raise
+        if not f"{module_name}.".startswith(f"{error.name}."):
+            raise  # the module is there, and lacks one that it needs itself
         raise ScenarioError(
             f"--law {name}: there is no module '{module_name}' here or among the installed packages"
         ) from None
@@ -188,10 +190,9 @@ def _make_writable(folder: Path) -> None:
         probe = folder / f".writable.{os.getpid()}"
         probe.touch()
         probe.unlink()
-    except OSError as error:
-        raise OutputError(
-            f"--out {folder}: cannot be written: {error.strerror}; name another folder with --out"
-        ) from None
+    except (OSError, ValueError) as error:
+        reason = error.strerror if isinstance(error, OSError) else error
+        raise OutputError(f"--out {str(folder)!r}: cannot be written: {reason}; name another folder") from None
 
 
 def _write_summary(summary: dict[str, Any], path: Path) -> Path:

@@ -24,7 +24,10 @@ def _number(value: Any) -> Any:
     """Refuse what Python would quietly turn into a number."""
     if isinstance(value, bool) or not isinstance(value, (int, float)):
         raise ValueError("must be a number")
-    return float(value)
+    try:
+        return float(value)
+    except OverflowError:
+        raise ValueError("must be a number below 1e308") from None
 
 
 def _boolean(value: Any) -> Any:
@@ -141,6 +144,14 @@ class NoStabiliserSection(Section):
     kind: Literal["none"] = "none"
 
 
+def _name(value: Any) -> Any:
+    """A name becomes a folder that results are written to, so it must not lead anywhere else."""
+    if isinstance(value, str) and (not value.isprintable() or set(value) & set("/\\:") or value.startswith(".")):
+        raise ValueError("must be a plain name without slashes, colons or a leading dot")
+    return value
+
+
+Name = Annotated[str, BeforeValidator(_name)]
 IntegratorName = Literal["semi_implicit_euler", "explicit_euler", "rk4"]
 
 
@@ -159,7 +170,7 @@ Stabiliser = Annotated[BaumgarteSection | NoStabiliserSection, Field(discriminat
 class Scenario(Section):
     """Everything that determines a run; see the sections for the keys."""
 
-    name: str = Field("unnamed", description="the shipped name or the file's stem")
+    name: Name = Field("unnamed", description="the shipped name or the file's stem")
     description: str = Field("", description="one line for --list")
     robot: RobotSection = RobotSection()
     surface: PlaneSection = PlaneSection()
@@ -208,8 +219,9 @@ def parse_scenario(
     """Read a scenario from TOML text; `where` names its origin in messages. See `load_scenario`."""
     try:
         data = tomllib.loads(text)
-    except tomllib.TOMLDecodeError as error:
-        raise ScenarioError(f"{where}: not valid TOML: {error}") from None
+    except (ValueError, RecursionError) as error:
+        reason = "nested too deeply" if isinstance(error, RecursionError) else error
+        raise ScenarioError(f"{where}: not valid TOML: {reason}") from None
     data.setdefault("name", stem)
     for key, value in (overrides or {}).items():
         _override(data, key, value)
@@ -232,11 +244,13 @@ def _scenario_text(name: str | Path) -> tuple[str, str, str]:
             raise ScenarioError(f"{as_path}: cannot be read: {error.strerror}") from None
         except UnicodeDecodeError:
             raise ScenarioError(f"{as_path}: is not UTF-8 text; a scenario is a TOML file") from None
+        except ValueError as error:
+            raise ScenarioError(f"{str(name)!r}: cannot be read: {error}") from None
     shipped = shipped_scenarios()
     if name not in shipped:
         near = difflib.get_close_matches(str(name), shipped, n=1, cutoff=0.4)
         hint = f"did you mean '{near[0]}'?" if near else f"shipped are {', '.join(shipped)}"
-        raise ScenarioError(f"no scenario named '{name}'; {hint} (a file of your own must end in .toml)")
+        raise ScenarioError(f"no scenario named {str(name)!r}; {hint} (a file of your own must end in .toml)")
     file = resources.files("closedloop") / "scenarios" / f"{name}.toml"
     return file.read_text(encoding="utf-8"), str(name), str(name)
 
@@ -248,7 +262,7 @@ def _override(data: dict[str, Any], key: str, value: Any) -> None:
         section = section.setdefault(part, {})
         if not isinstance(section, dict):
             raise ScenarioError(f"{key}: '{part}' is not a section")
-    if parts[-1] == "kind" and len(parts) == 2 and section.get("kind") != value:
+    if parts[-1] == "kind" and len(parts) == 2 and isinstance(value, str) and section.get("kind") != value:
         from closedloop.explain import variant_keys
 
         known = variant_keys(parts[0], value)

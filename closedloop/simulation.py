@@ -180,7 +180,13 @@ def _checked_law(law: Law, robot: Robot, q: Array, v: Array) -> Callable[[float,
         q_, v_ = q.copy(), v.copy()
         q_.setflags(write=False)
         v_.setflags(write=False)
-        given = np.asarray(law(t, q_, v_, robot.terms(q, v)), dtype=np.float64)
+        answer = law(t, q_, v_, robot.terms(q, v))
+        try:
+            given = np.asarray(answer, dtype=np.float64)
+        except (TypeError, ValueError):
+            raise ScenarioError(
+                f"the law returned {str(answer)[:60]!r} at t = {t:g} s: must be {robot.n} numbers, one torque a joint"
+            ) from None
         if given.shape != torque.shape:
             raise ScenarioError(
                 f"the law returned Q of shape {given.shape} at t = {t:g} s: must be ({robot.n},), one torque a joint"

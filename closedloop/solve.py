@@ -223,7 +223,9 @@ def residual(
         for j in range(n):
             h = H[i, j] if i <= j else H[j, i]
             r += h * qdd[j]
-            s += abs(h * qdd[j])
+            s += abs(h * y[j])
+            for k in range(m):
+                s += abs(h * X[k, j] * f[k])
         for k in range(m):
             r -= A[k, i] * f[k]
             s += abs(A[k, i] * f[k])

@@ -12,6 +12,25 @@ from closedloop.errors import ScenarioError
 Array = NDArray[np.float64]
 
 
+def unit(vector: ArrayLike, key: str) -> Array:
+    """Return the (3,) unit vector along `vector`; `key` names it in messages.
+
+    Raises
+    ------
+    ScenarioError
+        If it is not three finite numbers, or has no direction.
+    """
+    v = np.array(vector, dtype=np.float64)
+    if v.shape != (3,) or not np.all(np.isfinite(v)):
+        raise ScenarioError(f"{key} = {vector!r}: must be three finite numbers")
+    # Scaling by the largest entry first keeps tiny and huge vectors from under- or overflowing.
+    largest = float(np.max(np.abs(v)))
+    if largest == 0.0:
+        raise ScenarioError(f"{key} = [0, 0, 0]: has no direction; give a vector such as [0, 0, 1]")
+    v /= largest
+    return v / np.linalg.norm(v)
+
+
 @dataclass(frozen=True)
 class Plane:
     """The plane n·p = d in the base frame (Eq. 11).
@@ -36,17 +55,7 @@ class Plane:
         ScenarioError
             If the normal is not three finite numbers or has no direction, or the offset is not finite.
         """
-        n = np.array(normal, dtype=np.float64)
-        if n.shape != (3,) or not np.all(np.isfinite(n)):
-            raise ScenarioError(f"surface.normal = {normal!r}: must be three finite numbers")
-        # Scaling by the largest entry first keeps tiny and huge normals from under- or overflowing.
-        largest = float(np.max(np.abs(n)))
-        if largest == 0.0:
-            raise ScenarioError(
-                "surface.normal = [0, 0, 0]: has no direction; give the vector out of the surface, such as [0, 0, 1]"
-            )
-        n /= largest
-        n /= np.linalg.norm(n)
+        n = unit(normal, "surface.normal")
         if not np.isfinite(offset):
             raise ScenarioError(f'surface.offset = {offset}: must be a finite number of metres, or "start"')
         n.setflags(write=False)

@@ -224,10 +224,15 @@ def check_all(engine: Engine, sample: Sample) -> dict[str, Residual]:
 def unanswered(engine: Engine) -> dict[str, tuple[str, ...]]:
     """Return the identities that the engine cannot be asked, each with the methods that it lacks."""
     lacking = {
-        name: tuple(method for method in needs if not hasattr(engine, method))
+        name: tuple(method for method in needs if not _offers(engine, method))
         for name, (_, needs) in IDENTITIES.items()
     }
     return {name: methods for name, methods in lacking.items() if methods}
+
+
+def _offers(engine: Engine, method: str) -> bool:
+    """Tell whether the engine has a method and does not say of itself that it does not cover it."""
+    return hasattr(engine, method) and method not in getattr(engine, "cannot", {})
 
 
 def _energy_rate(engine: Engine, s: Sample, v: Array, *, count_closure: bool = True) -> Residual:

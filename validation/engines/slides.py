@@ -1,0 +1,216 @@
+"""The slide compared: each engine's trajectory against the simulator's, with the error that must remain and why.
+
+Each comparison says what was compared, how far apart the two were, how far apart two correct engines may be, and in
+what order they approach each other. Nothing counts before the engine's constraint was seen to act (`slide_acts`).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from validation.engines.drake import Drake
+from validation.engines.drake_slide import slide_drake
+from validation.engines.exudyn import Exudyn
+from validation.engines.exudyn_slide import slide_exudyn
+from validation.engines.interface import Engine, Missing, installed
+from validation.engines.mujoco import MuJoCo
+from validation.engines.mujoco_slide import IMPEDANCES, slide_mujoco
+from validation.engines.trajectories import SHORT, Trajectory, at_zero, problem, slide_closedloop, slide_oracle
+from validation.oracle.spatial import Array
+from validation.tolerances import EPS, Tolerance
+
+SAME_SCHEME = Tolerance(
+    "same scheme",
+    32.0,
+    "both loops compute e = n·r − d to a few ε·1 m; the stabiliser turns that into a force s_p·δe / (AH⁻¹Aᵀ), and "
+    "forgets it within its time constant, so errors do not pile up; in units of ε·1 m·s_p / (AH⁻¹Aᵀ)",
+)
+
+SOFTNESS = Tolerance(
+    "softness",
+    1e-5,
+    "MuJoCo's hardest contact is off by about f·R/s = 10 N·1e-3, s = AH⁻¹Aᵀ; the polynomial through three softnesses "
+    "1:2:4 removes the first two powers of R/s and leaves 8 (R/s)³ f = 1e-7 N times the steps (some ten) for which a "
+    "disturbance of f lasts; newton",
+)
+
+SECOND_ORDER = Tolerance(
+    "second order",
+    2e-5,
+    "generalized-α has the error c₂h² + O(h³) in f, 1.5e-4 N at h = 0.25 ms; (4 f(h/2) − f(h))/3 removes c₂ and leaves "
+    "some 1e-6 N, to which index 3 adds the rounding of positions over h², 4e-6 N at 0.25 ms and four times that at "
+    "half the step; RK4's own error is 5e-8 N; newton",
+)
+
+OTHER_STABILISER = Tolerance(
+    "other stabiliser",
+    1e-4,
+    "once its compliance is extrapolated to zero, Drake's step is semi-implicit Euler with the closure held at the "
+    "level of velocities, which undoes e in one step where Baumgarte takes some; the two differ by the stabiliser's "
+    "share of f at a change of the reference rate, which is of second order in h: 5e-4 N at 2 ms, a sixteenth of that "
+    "at 0.5 ms, and a factor of three; newton",
+)
+
+ORDERS = Tolerance("order", 0.35, "how far a measured order, log₂ of the ratio of errors at h and h/2, may be from 2")
+
+STEPS = (1e-3, 5e-4, 2.5e-4)
+"""Of Exudyn [s]; at half the last, rounding takes over."""
+
+DRAKE_STEPS = (2e-3, 1e-3, 5e-4)
+"""[s]"""
+
+STIFFNESSES = (1e4, 5e3, 2.5e3)
+"""Of Drake's contact, S [kg]; see `slide_drake`."""
+
+
+@dataclass(frozen=True)
+class SlideCheck:
+    """One comparison of two slides; it passes if its error is a number within its tolerance.
+
+    engine; what: the quantity compared; error; tolerance, in the unit of the error; argument: for the tolerance;
+    seconds: of the engine's runs
+    """
+
+    engine: str
+    what: str
+    error: float
+    tolerance: float
+    argument: str
+    seconds: float
+
+    @property
+    def passed(self) -> bool:
+        """Tell whether the error is within the tolerance; a NaN is not."""
+        return bool(self.error <= self.tolerance)
+
+
+Slide = Callable[..., Trajectory]
+
+
+def compare_slides() -> Iterator[SlideCheck | Missing]:
+    """Compare the slides of all engines with the simulator's, one after the other; about six seconds in all."""
+    yield from compare_oracle()
+    peers: tuple[tuple[type[Engine], Callable[[], Iterator[SlideCheck]]], ...] = (
+        (MuJoCo, compare_mujoco),
+        (Exudyn, compare_exudyn),
+        (Drake, compare_drake),
+    )
+    for engine, compare in peers:
+        if installed(engine):
+            yield from compare()
+        else:
+            yield Missing(engine.name, engine.install)
+
+
+def compare_oracle() -> Iterator[SlideCheck]:
+    """Compare the whole slide with the hand-written loop, which steps by the same scheme: equal to rounding."""
+    of = problem()
+    ours, theirs = slide_closedloop(of), slide_oracle(of)
+    terms = of.robot.terms(of.q, of.v)
+    A = of.plane.normal @ terms.jacobian
+    unit = EPS * of.stabiliser[1] / float(A @ np.linalg.solve(terms.mass_matrix, A))
+    yield _check(ours, theirs, "contact_force", "f(t) [N], 8 s", SAME_SCHEME.value * unit, SAME_SCHEME)
+    yield _check(ours, theirs, "closure_error", "e(t) [m], 8 s", SAME_SCHEME.value * EPS, SAME_SCHEME)
+    yield _check(ours, theirs, "q", "q(t) [rad], 8 s", SAME_SCHEME.value * EPS, SAME_SCHEME)
+
+
+def compare_mujoco() -> Iterator[SlideCheck]:
+    """Compare the whole slide with MuJoCo's at three softnesses, and with their limit."""
+    yield slide_acts("mujoco", lambda of, contact: slide_mujoco(of, IMPEDANCES[0], contact=contact))
+    of = problem()
+    ours = slide_closedloop(of)
+    runs = [slide_mujoco(of, d) for d in IMPEDANCES]
+    limit = at_zero(runs, [run.softness for run in runs])
+    raw = _worst(ours.contact_force, runs[0].contact_force)
+    note = f"; the hardest run itself is {raw:.1e} N off"
+    yield _check(ours, limit, "contact_force", f"f(t) [N], 8 s, softness → 0{note}", SOFTNESS.value, SOFTNESS)
+    # The same relative error of e, which the stabiliser's s_p turns into f.
+    metre = SOFTNESS.value / of.stabiliser[1]
+    yield _check(ours, limit, "closure_error", "e(t) [m], 8 s, softness → 0", metre, SOFTNESS)
+    errors = [_worst(ours.contact_force, run.contact_force) for run in runs]
+    yield _order("mujoco", "order in the softness", errors[::-1], 1.0, limit.seconds)
+
+
+def compare_exudyn() -> Iterator[SlideCheck]:
+    """Compare the start of the motion with Exudyn's at decreasing steps, and their limit with that of the simulator."""
+    yield slide_acts("exudyn", lambda of, contact: slide_exudyn(of, contact=contact))
+    fine = slide_closedloop(problem(SHORT | {"time.integrator": "rk4", "time.step": STEPS[-1] / 2}))
+    runs = [slide_exudyn(problem(SHORT | _step(h))) for h in STEPS]
+    errors = [_worst(_sampled(fine, run.step).contact_force, run.contact_force) for run in runs]
+    seconds = sum(run.seconds for run in runs)
+    yield _order("exudyn", "order of f(t) in h", errors, 2.0, seconds)
+    coarse = [_sampled(run, STEPS[0]) for run in runs[-2:]]
+    limit = at_zero(coarse, [run.step**2 for run in runs[-2:]])
+    against = _sampled(fine, STEPS[0])
+    note = f"; at {STEPS[-1] * 1e3:g} ms itself {errors[-1]:.1e} N off"
+    what = f"f(t) [N], first 0.3 s, h → 0 in both{note}"
+    yield _check(against, replace(limit, seconds=seconds), "contact_force", what, SECOND_ORDER.value, SECOND_ORDER)
+
+
+def compare_drake() -> Iterator[SlideCheck]:
+    """Compare the start of the motion with Drake's at decreasing steps, compliance extrapolated to zero at each."""
+    yield slide_acts("drake", lambda of, contact: slide_drake(of, contact=contact))
+    ours, limits = [], []
+    for h in DRAKE_STEPS:
+        of = problem(SHORT | _step(h))
+        runs = [slide_drake(of, stiffness=s) for s in STIFFNESSES]
+        ours.append(slide_closedloop(of))
+        limits.append(at_zero(runs, [run.softness for run in runs]))
+    errors = [_worst(a.contact_force, b.contact_force) for a, b in zip(ours, limits, strict=True)]
+    seconds = sum(limit.seconds for limit in limits)
+    yield _order("drake", "order of f(t) in h", errors, 2.0, seconds)
+    first, last = DRAKE_STEPS[0] * 1e3, DRAKE_STEPS[-1] * 1e3
+    what = f"f(t) [N], first 0.3 s at {last:g} ms, compliance → 0; at {first:g} ms {errors[0]:.1e} N"
+    limit = replace(limits[-1], seconds=seconds)
+    yield _check(ours[-1], limit, "contact_force", what, OTHER_STABILISER.value, OTHER_STABILISER)
+
+
+def slide_acts(engine: str, slide: Slide) -> SlideCheck:
+    """Press for 20 ms with the surface and without: with it f stays at 10 N and the tip in place, without it falls.
+
+    Without the surface 10 N move the tip by ½ f AH⁻¹Aᵀ t², half a millimetre; with it by nothing but softness. The
+    error is the tip's motion with the surface over its motion without, infinite if f is not what the law asks for.
+    """
+    of = problem({"time.duration": 0.02})
+    held, free = slide(of, True), slide(of, False)
+    moved, fell = (float(np.max(np.abs(run.closure_error))) for run in (held, free))
+    wanted = float(of.settings[0])
+    right = bool(np.max(np.abs(held.contact_force - wanted)) < 1e-2 * wanted and np.all(free.contact_force == 0.0))
+    argument = "the softest of the contacts used gives way by f/k = 1e-7 m, a free tip falls by 5e-4 m"
+    error = moved / fell if right and fell > 1e-4 else float("inf")
+    return SlideCheck(
+        engine, "the surface acts: motion with it over motion without", error, 1e-3, argument, held.seconds
+    )
+
+
+def _step(h: float) -> dict[str, float]:
+    """Return the overrides of a step with Baumgarte's time constant in the same proportion as in the scenario."""
+    return {"time.step": h, "stabiliser.time_constant": h}
+
+
+def _sampled(run: Trajectory, step: float) -> Trajectory:
+    """Return every so-manieth row of a run, those `step` [s] apart."""
+    every = round(step / run.step)
+    parts = {name: getattr(run, name)[::every] for name in ("time", "q", "v", "contact_force", "closure_error")}
+    return replace(run, step=step, **parts)
+
+
+def _worst(a: Array, b: Array) -> float:
+    return float(np.max(np.abs(a - b)))
+
+
+def _check(
+    ours: Trajectory, theirs: Trajectory, column: str, what: str, tolerance: float, because: Tolerance
+) -> SlideCheck:
+    error = _worst(getattr(ours, column), getattr(theirs, column)) if theirs.pressed else float("inf")
+    return SlideCheck(theirs.engine, what, error, float(tolerance), because.argument, theirs.seconds)
+
+
+def _order(engine: str, what: str, errors: Sequence[float], wanted: float, seconds: float) -> SlideCheck:
+    """Check that errors at parameters each half the one before fall with the power `wanted`."""
+    orders = np.log2(np.array(errors[:-1]) / np.array(errors[1:]))
+    text = f"{what}, {wanted:g} wanted: " + ", ".join(f"{x:.2f}" for x in orders)
+    return SlideCheck(engine, text, float(np.max(np.abs(orders - wanted))), ORDERS.value, ORDERS.argument, seconds)

@@ -34,11 +34,10 @@ def crosscheck(
     ModelError
         If the robot cannot be loaded or has no such tip.
     """
-    from validation.comparison import compare
     from validation.report import Report
-    from validation.suite import load_robot
+    from validation.suite import compare_with_truth, load_robot
 
     model = load_robot(robot) if isinstance(robot, str) else robot
-    label = robot if isinstance(robot, str) else None
-    found = compare(model, tip, states=states, seed=seed, engines=engines, label=label)
-    return Report([found], command=f"validation.crosscheck({robot!r}, states={states}, seed={seed})")
+    label = robot if isinstance(robot, str) else model.name
+    found = compare_with_truth(model, tip, states, seed, engines, label)
+    return Report(found, command=f"validation.crosscheck({robot!r}, states={states}, seed={seed})")

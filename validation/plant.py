@@ -37,12 +37,13 @@ class Fault:
     robot : callable or None
         RobotModel -> the faulty one, or None if this robot cannot carry the fault.
     methods : callable or None
-        Engine -> methods to put in place of its own; empty if the engine does not compute what the fault touches.
+        Engine, and an oracle of the sound robot to borrow from -> methods to put in place of the engine's own; empty if
+        it does not compute what the fault touches.
     """
 
     name: str
     robot: Callable[[Any], Any | None] | None = None
-    methods: Callable[[Engine], dict[str, Callable[..., Any]]] | None = None
+    methods: Callable[[Engine, Oracle], dict[str, Callable[..., Any]]] | None = None
 
 
 @dataclass(frozen=True)
@@ -83,6 +84,7 @@ def plant_all(
     name = tip or model.tip
     if name is None:
         raise robot_models.ModelError(f"{model.name} has no default tip: name one of {', '.join(model.frames)}")
+    oracle = Oracle.from_model(model, name)
     catches = []
     for fault in faults or FAULTS:
         faulty_model = fault.robot(model) if fault.robot else model
@@ -91,16 +93,16 @@ def plant_all(
         for engine in available(faulty_model, name):
             if not isinstance(engine, Engine) or engine.name == "symbolic":
                 continue  # the symbolic engine knows two robots by heart and reads no text to plant a fault in
-            with planted(engine, fault) as touched:
+            with planted(engine, fault, oracle) as touched:
                 if touched:
                     catches.append(_caught(fault, engine, model, name, seed, states))
     return catches
 
 
 @contextmanager
-def planted(engine: Engine, fault: Fault) -> Iterator[bool]:
+def planted(engine: Engine, fault: Fault, oracle: Oracle) -> Iterator[bool]:
     """Give the engine the fault's methods for a while; yields whether the engine has the fault."""
-    methods = fault.methods(engine) if fault.methods else {}
+    methods = fault.methods(engine, oracle) if fault.methods else {}
     if fault.methods and not methods:
         yield False
         return
@@ -191,38 +193,32 @@ def _no_armature(model: Any) -> Any | None:
     return replace(model, armature=np.zeros(len(model.joint_names))) if np.any(model.armature) else None
 
 
-def _no_drift(engine: Engine) -> dict[str, Callable[..., Any]]:
+def _no_drift(engine: Engine, oracle: Oracle) -> dict[str, Callable[..., Any]]:
     if "drift" not in engine.covers:
         return {}
     return {"drift": lambda self, q, v: np.zeros(3)}
 
 
-def _drift_without_cross(engine: Engine) -> dict[str, Callable[..., Any]]:
+def _drift_without_cross(engine: Engine, oracle: Oracle) -> dict[str, Callable[..., Any]]:
     """Leave out ω × ṙ, the term by which a point's acceleration differs from its body's spatial one."""
     if "drift" not in engine.covers:
         return {}
     sound = type(engine).drift
-    robot = getattr(engine, "description", None)
 
     def drift(self: Engine, q: Array, v: Array) -> Array:
-        omega = _angular_jacobian(self, robot, q) @ v
+        omega = oracle.spatial_jacobian(q)[:3] @ v
         return np.asarray(sound(self, q, v) - np.cross(omega, self.jacobian(q) @ v))
 
     return {"drift": drift}
 
 
-def _angular_jacobian(engine: Engine, robot: Any, q: Array) -> Array:
-    oracle: Oracle = engine.__dict__.setdefault("_for_planting", Oracle.from_model(*robot))
-    return np.asarray(oracle.spatial_jacobian(q)[:3])
-
-
-def _silent_constraint(engine: Engine) -> dict[str, Callable[..., Any]]:
+def _silent_constraint(engine: Engine, oracle: Oracle) -> dict[str, Callable[..., Any]]:
     if not {"constrained", "free_acceleration"} <= engine.covers:
         return {}
     return {"constrained": lambda self, q, v, torque, normal, b: (self.free_acceleration(q, v, torque), 0.0)}
 
 
-def _wrong_sign_of_force(engine: Engine) -> dict[str, Callable[..., Any]]:
+def _wrong_sign_of_force(engine: Engine, oracle: Oracle) -> dict[str, Callable[..., Any]]:
     if "constrained" not in engine.covers:
         return {}
     sound = type(engine).constrained
@@ -234,13 +230,14 @@ def _wrong_sign_of_force(engine: Engine) -> dict[str, Callable[..., Any]]:
     return {"constrained": constrained}
 
 
-def _baumgarte_sign(engine: Engine) -> dict[str, Callable[..., Any]]:
+def _baumgarte_sign(engine: Engine, oracle: Oracle) -> dict[str, Callable[..., Any]]:
     if "stabilised" not in engine.covers:
         return {}
     sound = type(engine).stabilised
 
     def stabilised(self: Engine, q: Array, v: Array, normal: Array, offset: float, gains: Array) -> float:
-        return sound(self, q, v, normal, offset, -np.asarray(gains))
+        b: float = sound(self, q, v, normal, offset, -np.asarray(gains))
+        return b
 
     return {"stabilised": stabilised}
 

@@ -162,7 +162,9 @@ def _grid(c: Comparison) -> tuple[list[str], list[list[str]], list[str]]:
         cells = [at[quantity, engine] for engine in engines]
         bounds = [cell.tolerance for cell in cells if math.isfinite(cell.tolerance)]
         rows.append([quantity, *map(_cell_text, cells), f"{max(bounds):.0e}" if bounds else ""])
-    remarks = dict.fromkeys(
+    fewer = {cell.engine: cell.states for cell in c.cells if 0 < cell.states < c.states}
+    remarks = {f"{engine}: slow, compared at {count} of {c.states} states": None for engine, count in fewer.items()}
+    remarks |= dict.fromkeys(
         f"{cell.engine}: {cell.status}: {cell.reason}" for cell in c.cells if cell.reason and cell.status != "agrees"
     )
     return ["worst relative error", *engines, "tolerance ≤"], rows, list(remarks)

@@ -91,7 +91,7 @@ def _parser() -> argparse.ArgumentParser:
 def _compare(options: argparse.Namespace) -> Any:
     from validation.comparison import compare
     from validation.report import Report
-    from validation.suite import check_robot_identities, load_robot, run_suite
+    from validation.suite import check_robot_identities, compare_with_truth, load_robot, run_suite
 
     states = options.states or (100 if options.quick else 1000)
     engines = [_engine(options.engine)] if options.engine else []
@@ -101,12 +101,12 @@ def _compare(options: argparse.Namespace) -> Any:
         return run_suite(states=states, seed=options.seed, quick=options.quick, engines=engines, say=_say)
     model = load_robot(options.robot)
     report = Report()
-    found = compare(
-        model, options.tip, states=states, seed=options.seed, only=options.state, engines=engines, label=options.robot
-    )
-    report.comparisons.append(found)
-    if options.state is None:
-        report.sections.append(check_robot_identities(model, found.tip, 5, options.seed))
+    if options.state is not None:
+        found = compare(model, options.tip, seed=options.seed, only=options.state, engines=engines, label=options.robot)
+        report.comparisons.append(found)
+        return report
+    report.comparisons += compare_with_truth(model, options.tip, states, options.seed, engines, options.robot)
+    report.sections.append(check_robot_identities(model, report.comparisons[0].tip, 2, options.seed))
     return report
 
 

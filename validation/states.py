@@ -49,6 +49,8 @@ class State:
         Unit normal of the surface, base frame.
     b : float
         What the closure asks of A q̈ beyond −nᵀJ̇ᵣq̇, m/s².
+    error : float
+        Closure error e that the plane leaves at q, m; the plane's offset follows from it.
     restitution : float
         Of an impact, in [0, 1].
     singular : bool
@@ -61,6 +63,7 @@ class State:
     torque: Array
     normal: Array
     b: float
+    error: float
     restitution: float
     singular: bool
 
@@ -97,6 +100,8 @@ def draw_state(robot: Limited, kinematics: Kinematics, seed: int, index: int) ->
         torque=rng.normal(scale=20.0, size=n),
         normal=normal / np.linalg.norm(normal),
         b=float(rng.normal()),
+        # A centimetre: of a smaller error, e = n·r − d would keep fewer digits than the comparison looks at.
+        error=0.01 * float(rng.normal()),
         restitution=float(rng.uniform()),
         singular=singular,
     )

@@ -36,9 +36,10 @@ class Drake(Engine):
     name = "drake"
     package = "pydrake"
     install = 'pip install "drake>=1.50"'
-    covers = frozenset(METHODS) - {"constrained", "impulse"}
+    covers = frozenset(METHODS) - {"stabilised", "constrained", "impulse"}
     cannot = MappingProxyType(
         {
+            "stabilised": "it has no Baumgarte stabiliser; discrete constraints are held by compliance and relaxation",
             "constrained": "no constraint of Drake holds a point on a plane, none acts on a continuous plant",
             "impulse": "a discrete plant has impulses over a time step, compliant ones, and no restitution",
         }

@@ -44,9 +44,10 @@ class Exudyn(Engine):
     name = "exudyn"
     package = "exudyn"
     install = 'pip install "exudyn>=1.13"'
-    covers = frozenset(METHODS) - {"drift", "impulse"}
+    covers = frozenset(METHODS) - {"stabilised", "drift", "impulse"}
     cannot = MappingProxyType(
         {
+            "stabilised": "it holds constraints at position level in every step, by Newton, and needs no stabiliser",
             "drift": "it has J̇ᵣq̇ as a difference quotient only, good to 1e-7 and undefined where A = 0",
             "impulse": "joints know no impact; motions are smooth between steps",
         }

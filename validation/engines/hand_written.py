@@ -7,7 +7,7 @@ import numpy as np
 
 from validation.engines.interface import METHODS, CannotBuild, Engine, Robot
 from validation.oracle import Oracle, UnsupportedModel
-from validation.oracle.closure import impulse, solve_bordered
+from validation.oracle.closure import closure_error, closure_rate, impulse, solve_bordered, stabilised_drift
 from validation.oracle.spatial import Array
 
 
@@ -56,6 +56,11 @@ class HandWritten(Engine):
         terms = self.oracle.terms(q, v)
         a, f = solve_bordered(terms.mass_matrix, torque - terms.bias, normal @ terms.jacobian, np.array([b]))
         return a, float(f[0])
+
+    def stabilised(self, q: Array, v: Array, normal: Array, offset: float, gains: Array) -> float:
+        J = self.oracle.jacobian(q)
+        e, rate = closure_error(normal, offset, self.oracle.position(q)), closure_rate(normal, J, v)
+        return float(stabilised_drift(normal @ self.oracle.drift(q, v), e, rate, (gains[0], gains[1])))
 
     def impulse(self, q: Array, v: Array, normal: Array, restitution: float) -> tuple[Array, float]:
         after, p = impulse(self.oracle.mass_matrix(q), v, normal @ self.oracle.jacobian(q), restitution)

@@ -27,6 +27,7 @@ METHODS = (
     "jacobian",
     "drift",
     "free_acceleration",
+    "stabilised",
     "constrained",
     "impulse",
 )
@@ -105,6 +106,10 @@ class Engine:
     def free_acceleration(self, q: Array, v: Array, torque: Array) -> Array:
         """Return q̈ (n,) of the arm that touches nothing."""
         self._refuse("free_acceleration")
+
+    def stabilised(self, q: Array, v: Array, normal: Array, offset: float, gains: Array) -> float:
+        """Return b_s of Eq. 23 [m/s²]: −nᵀJ̇ᵣq̇ − s_v ė − s_p e with e = n·r − d and gains (s_v, s_p)."""
+        self._refuse("stabilised")
 
     def constrained(self, q: Array, v: Array, torque: Array, normal: Array, b: float) -> tuple[Array, float]:
         """Return q̈ (n,) and f [N] of Eq. 24 with A = nᵀJᵣ: H q̈ + C = Q + Aᵀ f and A q̈ = b.

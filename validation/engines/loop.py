@@ -6,6 +6,7 @@ from __future__ import annotations
 import numpy as np
 
 import robot_models
+from closedloop.closure import plane_rows, stabilised_acceleration
 from closedloop.robot import Robot as LoopRobot
 from closedloop.solve import OK, eliminate, solve_closure
 from validation.engines.interface import METHODS, CannotBuild, Engine, Robot
@@ -72,6 +73,15 @@ class ClosedLoop(Engine):
         if status != OK:
             raise np.linalg.LinAlgError("the pose is singular: the tip cannot move along the normal")
         return qdd[self._columns], float(f[0])
+
+    def stabilised(self, q: Array, v: Array, normal: Array, offset: float, gains: Array) -> float:
+        terms, before = self.robot.terms(self._in(q), self._in(v)), self._in(v)
+        A, (gamma, e, rate, b, part) = np.empty((1, self.n)), np.empty((5, 1))
+        plane = np.array([*normal, offset])
+        J, r, drift = (np.array(x) for x in (terms.jacobian, terms.position, terms.drift))
+        plane_rows(plane, J, r, drift, before, A, gamma, e, rate)
+        stabilised_acceleration(np.asarray(gains, dtype=np.float64), gamma, e, rate, b, part)
+        return float(b[0])
 
     def impulse(self, q: Array, v: Array, normal: Array, restitution: float) -> tuple[Array, float]:
         terms, before = self.robot.terms(self._in(q), self._in(v)), self._in(v)

@@ -45,9 +45,12 @@ class MuJoCo(Engine):
     name = "mujoco"
     package = "mujoco"
     install = 'pip install "mujoco>=3.17,!=4.0.0"'
-    covers = frozenset(METHODS) - {"impulse"}
+    covers = frozenset(METHODS) - {"stabilised", "impulse"}
     cannot = MappingProxyType(
-        {"impulse": "restitution is a side effect of damping and softness there; there is no impact law"}
+        {
+            "stabilised": "its reference acceleration is that of a soft constraint and leaves J̇ᵣq̇ out",
+            "impulse": "restitution is a side effect of damping and softness there; there is no impact law",
+        }
     )
 
     def __init__(self, robot: Robot, tip: str) -> None:

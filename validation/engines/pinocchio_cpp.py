@@ -3,6 +3,7 @@
 
 from __future__ import annotations
 
+from types import MappingProxyType
 from typing import Any
 
 import numpy as np
@@ -33,7 +34,8 @@ class PinocchioCpp(Engine):
     name = "pinocchio"
     package = "pinocchio"
     install = "pip install pin"
-    covers = frozenset(METHODS)
+    covers = frozenset(METHODS) - {"stabilised"}
+    cannot = MappingProxyType({"stabilised": "its Baumgarte corrector belongs to contacts of three and six rows"})
 
     def __init__(self, robot: Robot, tip: str) -> None:
         super().__init__(robot, tip)

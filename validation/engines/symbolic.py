@@ -87,6 +87,9 @@ class Symbolic(Engine):
     def free_acceleration(self, q: Array, v: Array, torque: Array) -> Array:
         return _vector(self.exact("free_acceleration", q, v, torque))
 
+    def stabilised(self, q: Array, v: Array, normal: Array, offset: float, gains: Array) -> float:
+        return float(self.exact("stabilised", q, v, normal, offset, gains))
+
     def constrained(self, q: Array, v: Array, torque: Array, normal: Array, b: float) -> tuple[Array, float]:
         a, f = self.exact("constrained", q, v, torque, normal, b)
         return _vector(a), float(f)
@@ -122,6 +125,11 @@ class Symbolic(Engine):
         import mpmath
 
         return mpmath.lu_solve(at.matrix("H"), torque - self._bias(at, v))
+
+    def _stabilised(self, at: _Values, v: Any, normal: Any, offset: Any, gains: Any) -> Any:
+        e = (normal.T * self._position(at))[0] - offset[0]
+        rate = (normal.T * at.matrix("J") * v)[0]
+        return -(normal.T * self._drift(at, v))[0] - gains[0] * rate - gains[1] * e
 
     def _constrained(self, at: _Values, v: Any, torque: Any, normal: Any, b: Any) -> Any:
         return _bordered(at.matrix("H"), torque - self._bias(at, v), normal.T * at.matrix("J"), b[0])

@@ -168,7 +168,9 @@ def test_law_of_the_wrong_shape_is_refused(torque):
 
 
 @pytest.mark.parametrize(
-    "torque", ["abc", [[1], [2, 3], 4, 5], [1j, 0, 0, 0], {"a": 1}], ids=["text", "ragged", "complex", "table"]
+    "torque",
+    ["abc", [[1], [2, 3], 4, 5], [1j, 0, 0, 0], np.full(4, 1j), {"a": 1}],
+    ids=["text", "ragged", "complex", "complex array", "table"],
 )
 def test_law_that_returns_no_numbers_is_refused(torque):
     """A law that returns something else than real numbers is refused by the simulator, not by numpy in its depths."""

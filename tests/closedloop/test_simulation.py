@@ -210,7 +210,7 @@ def test_near_a_singular_pose_the_force_is_still_right(angle):
 @pytest.mark.parametrize("integrator", ["semi_implicit_euler", "rk4"])
 def test_running_into_a_singular_pose_stops_there(integrator):
     """An arm that straightens along the normal stops as singular, and what ran until then is kept and finite."""
-    stretch = {"start.q": [-0.1, 0.2], "start.v": [1.0, -2.0], "surface.offset": 0.0, "stabiliser.kind": "none"}
+    stretch = {"start.q": [-0.1, 0.2], "start.v": [1.0, -2.0], "stabiliser.kind": "none"}
     with pytest.raises(cl.SimulationError) as caught:
         cl.simulate(straight(**stretch, **{"time.duration": 0.5, "time.integrator": integrator, "law.pd_start": 9.0}))
     run = caught.value.run

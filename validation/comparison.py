@@ -19,7 +19,7 @@ from validation.engines import ENGINES, Engine, Missing, Refused, available, pro
 from validation.engines.interface import METHODS, CannotBuild, NotCovered
 from validation.oracle.spatial import Array
 from validation.states import State, draw_state
-from validation.tolerances import SOLVES, TERMS, Tolerance, amplification
+from validation.tolerances import SOLVES, TERMS, amplification
 
 # The rows of the report, and the method that each comes from.
 QUANTITIES: dict[str, str] = {
@@ -44,7 +44,7 @@ STABILISER = (1414.0, 1e6)
 
 # Fifty digits take 20 ms a state and a multibody system's start-up 4 ms: such an engine is asked at the first so many
 # states only, and the report says at how many.
-MOST_STATES = {"symbolic": 50, "exudyn": 100}
+MOST_STATES = {"symbolic": 50, "exudyn": 50}
 
 EngineClass = Callable[[Any, str], Engine]
 
@@ -175,7 +175,7 @@ def compare(
     name = tip or model.tip
     if name is None:
         raise robot_models.ModelError(f"{model.name} has no default tip: name one of {', '.join(model.frames)}")
-    found = list(built) if built is not None else [*available(model, name), *_build(engines, model, name)]
+    found = list(built) if built is not None else [*available(model, name), *build_all(engines, model, name)]
     ready = [engine for engine in found if isinstance(engine, Engine)]
     reference = _reference(ready, judge)
     states = 1 if only is not None else min(states, MOST_STATES.get(reference.name, states))
@@ -189,13 +189,18 @@ def compare(
                 most = MOST_STATES.get(engine.name)
                 result.cells += _judge(result, engine, drawn[:most], truths[:most])
         else:
-            status = "not installed" if isinstance(engine, Missing) else "not usable"
-            reason = engine.install if isinstance(engine, Missing) else engine.reason
-            result.cells += [Cell(result.robot, q, engine.name, status, reason) for q in QUANTITIES]
+            result.cells += missing_cells(result.robot, engine)
     return result
 
 
-def _build(classes: Sequence[type[Engine]], model: Any, tip: str) -> list[Engine | Refused]:
+def missing_cells(robot: str, engine: Missing | Refused) -> list[Cell]:
+    """Return the cells of an engine that is not installed or cannot represent the robot, with the reason."""
+    status = "not installed" if isinstance(engine, Missing) else "not usable"
+    reason = engine.install if isinstance(engine, Missing) else engine.reason
+    return [Cell(robot, quantity, engine.name, status, reason) for quantity in QUANTITIES]
+
+
+def build_all(classes: Sequence[type[Engine]], model: Any, tip: str) -> list[Engine | Refused]:
     """Make the user's engines; one that cannot represent the robot says so in the report."""
     made: list[Engine | Refused] = []
     for kind in classes:
@@ -260,8 +265,9 @@ def _truths(reference: Engine, states: list[State]) -> list[Truth]:
     values = []
     for s in states:
         found: dict[str, Array] = {}
+        b, offset = closure_right_side(reference, s), plane_offset(reference, s)
         for method in METHODS:
-            found |= evaluate(reference, method, s, closure_right_side(reference, s), plane_offset(reference, s))
+            found |= evaluate(reference, method, s, b, offset)
         values.append(found)
     largest = {name: max(_size(v[name]) for v in values) for name in QUANTITIES}
     truths = []
@@ -362,7 +368,7 @@ def _difference(x: Array | None, y: Array) -> float:
 
 def engine_bound(engine: Engine, quantity: str) -> float:
     """Return what the engine's own file says of its accuracy in a quantity; 0 if it claims rounding."""
-    own: Tolerance | None = getattr(engine, "tolerances", {}).get(QUANTITIES[quantity])
+    own = engine.tolerances.get(QUANTITIES[quantity])
     return own.value if own else 0.0
 
 

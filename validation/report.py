@@ -161,13 +161,14 @@ def _grid(c: Comparison) -> tuple[list[str], list[list[str]], list[str]]:
     for quantity in QUANTITIES:
         cells = [at[quantity, engine] for engine in engines]
         bounds = [cell.tolerance for cell in cells if math.isfinite(cell.tolerance)]
-        rows.append([quantity, *map(_cell_text, cells), f"{max(bounds):.0e}" if bounds else ""])
+        lowest, highest = (f"{f(bounds):.0e}" if bounds else "" for f in (min, max))
+        rows.append([quantity, *map(_cell_text, cells), lowest if lowest == highest else f"{lowest} … {highest}"])
     fewer = {cell.engine: cell.states for cell in c.cells if 0 < cell.states < c.states}
     remarks = {f"{engine}: slow, compared at {count} of {c.states} states": None for engine, count in fewer.items()}
     remarks |= dict.fromkeys(
         f"{cell.engine}: {cell.status}: {cell.reason}" for cell in c.cells if cell.reason and cell.status != "agrees"
     )
-    return ["worst relative error", *engines, "tolerance ≤"], rows, list(remarks)
+    return ["worst relative error", *engines, "tolerance"], rows, list(remarks)
 
 
 def _verdict(passed: bool | None) -> str:
@@ -200,6 +201,8 @@ def _rich(report: Report) -> Iterable[Any]:
     from rich.table import Table
     from rich.text import Text
 
+    said: set[str] = set()
+
     def colour(text: str) -> str:
         return f"[bold red]{text}[/]" if "✗" in text else text
 
@@ -212,7 +215,9 @@ def _rich(report: Report) -> Iterable[Any]:
             table.add_row(*map(colour, row))
         yield table
         for remark in remarks:
-            yield Text(f"  {remark}", style="dim")
+            if remark not in said:  # the same engines lack the same things for every robot
+                yield Text(f"  {remark}", style="dim")
+            said.add(remark)
     for section in report.sections:
         header, rows = _check_rows(section)
         table = Table(box=box.SIMPLE_HEAD, title=section.title, title_justify="left")

@@ -10,9 +10,10 @@ from typing import Any
 import numpy as np
 
 import robot_models
-from validation.comparison import Cell, Comparison, compare
-from validation.engines import Engine, available
+from validation.comparison import Cell, Comparison, build_all, compare, missing_cells
+from validation.engines import ENGINES, Engine, available
 from validation.engines.loop import ClosedLoop
+from validation.engines.symbolic import Symbolic
 from validation.identities import IDENTITIES, check_all, draw_sample, unanswered
 from validation.oracle import Oracle
 from validation.plant import Catch
@@ -54,9 +55,16 @@ def compare_with_truth(
     model: Any, tip: str | None, states: int, seed: int, engines: Sequence[type[Engine]], label: str
 ) -> list[Comparison]:
     """Compare all engines with the oracle, and all, the oracle too, with fifty digits where there are some."""
-    found = [compare(model, tip, states=states, seed=seed, engines=engines, label=label)]
-    if any(cell.engine == "symbolic" and cell.status == "agrees" for cell in found[0].cells):
-        found.append(compare(model, tip, states=states, seed=seed, engines=engines, label=label, judge="symbolic"))
+    by_hand = [engine for engine in ENGINES if engine is not Symbolic]
+    ready = [*available(model, tip or model.tip, by_hand), *build_all(engines, model, tip or model.tip)]
+    (truth,) = available(model, tip or model.tip, [Symbolic])
+    found = [compare(model, tip, states=states, seed=seed, built=ready, label=label)]
+    if isinstance(truth, Engine):
+        found.append(
+            compare(model, tip, states=states, seed=seed, built=[truth, *ready], label=label, judge="symbolic")
+        )
+    else:
+        found[0].cells += missing_cells(found[0].robot, truth)
     return found
 
 

@@ -126,9 +126,10 @@ class Solver:
         self.system.Assemble()
         self.settings = quiet_settings()
         self.solver: Any = exudyn.MainSolverImplicitSecondOrder()
-        exudyn.SuppressWarnings(True)  # what it would warn of is checked in `acceleration`
+        loud = exudyn.config.suppressWarnings
+        exudyn.config.suppressWarnings = True  # what it would warn of is checked in `acceleration`
         self.started = bool(self.solver.InitializeSolver(self.system, self.settings))
-        exudyn.SuppressWarnings(False)
+        exudyn.config.suppressWarnings = loud
 
     def residual(self) -> float:
         """Return the largest entry of H q̈ − (Q − C) − Aᵀf over the largest of its parts."""

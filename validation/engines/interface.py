@@ -18,6 +18,7 @@ import numpy as np
 
 from validation.oracle.spatial import Array
 from validation.oracle.urdf import RobotModel
+from validation.tolerances import Tolerance
 
 METHODS = (
     "mass_matrix",
@@ -60,6 +61,7 @@ class Engine:
     install : the command that installs it; empty where nothing is to be installed
     covers : names out of `METHODS` that it computes
     cannot : method → why not, for all others
+    tolerances : method → its own bound, with the argument, where it is further from rounding than the harness asks
     """
 
     name: ClassVar[str]
@@ -67,6 +69,7 @@ class Engine:
     install: ClassVar[str] = ""
     covers: ClassVar[frozenset[str]]
     cannot: ClassVar[Mapping[str, str]] = MappingProxyType({})
+    tolerances: ClassVar[Mapping[str, Tolerance]] = MappingProxyType({})
 
     def __init__(self, robot: Robot, tip: str) -> None:
         self.n = len(robot.joint_names)

@@ -11,6 +11,7 @@ import numpy as np
 from validation.engines.description import bare_urdf, masses, root_link
 from validation.engines.interface import METHODS, CannotBuild, Engine, Robot, columns_of
 from validation.oracle.spatial import Array
+from validation.tolerances import Tolerance
 
 TIP, FAR, ROD = "validation/tip", "validation/far", "validation/rod"
 STIFF, SOFT = 0.9999, 0.5
@@ -35,7 +36,7 @@ class MuJoCo(Engine):
     then 1e-15: here it is set to that of the state. MuJoCo's own a_ref = −b ė − k e leaves J̇ᵣq̇ out. d is clamped
     to 0.9999, so the constraint is never hard. `qfrc_bias` excludes damping, `qacc` does not: URDF ``dynamics``
     are removed. The root link is welded to the world, and without `fusestatic="false"` massless fixed links, the
-    tip among them, disappear. Islands keep a second copy of the constraint's arrays: switched off. A state that
+    tip among them, disappear. Islands keep a second copy of the constraint's arrays: switched off. A row that is zero is not made: singular. A state that
     is not a number resets the data to zero with a warning only: inputs are checked here.
 
     Accuracy: inertias are diagonalised on reading, a rounding of 1e-15 relative; then rounding times the
@@ -50,6 +51,17 @@ class MuJoCo(Engine):
         {
             "stabilised": "its reference acceleration is that of a soft constraint and leaves J̇ᵣq̇ out",
             "impulse": "restitution is a side effect of damping and softness there; there is no impact law",
+        }
+    )
+
+    tolerances = MappingProxyType(
+        {
+            "constrained": Tolerance(
+                "extrapolated softness",
+                1e-10,
+                "f is extrapolated from two soft solves, the stiffer of which is scaled by (1 − d)/d = 1e-4: the rounding "
+                "of each counts up to ten thousandfold",
+            )
         }
     )
 
@@ -131,8 +143,10 @@ class MuJoCo(Engine):
         self.mj.mj_solveM(self.model, self.data, back, row)
         self.model.tendon_invweight0[0] = (row @ back.T).item()
         self._set(q, v, held=held)
+        if held and self.data.nefc == 0:
+            raise np.linalg.LinAlgError("MuJoCo makes no row where A = 0: the pose is singular")
         if self.data.nefc != int(held):
-            raise CannotBuild(f"MuJoCo made {self.data.nefc} constraint rows where {int(held)} is meant")
+            raise RuntimeError(f"MuJoCo made {self.data.nefc} constraint rows where {int(held)} is meant")
         if held:
             self.data.efc_aref[0] = b
         a = self._solve(torque)

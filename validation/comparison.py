@@ -172,9 +172,7 @@ def compare(
         If the robot cannot be loaded or has no such tip.
     """
     model: Any = robot_models.load(robot) if isinstance(robot, str) else robot
-    name = tip or model.tip
-    if name is None:
-        raise robot_models.ModelError(f"{model.name} has no default tip: name one of {', '.join(model.frames)}")
+    name = tip_of(model, tip)
     found = list(built) if built is not None else [*available(model, name), *build_all(engines, model, name)]
     ready = [engine for engine in found if isinstance(engine, Engine)]
     reference = _reference(ready, judge)
@@ -198,6 +196,20 @@ def missing_cells(robot: str, engine: Missing | Refused) -> list[Cell]:
     status = "not installed" if isinstance(engine, Missing) else "not usable"
     reason = engine.install if isinstance(engine, Missing) else engine.reason
     return [Cell(robot, quantity, engine.name, status, reason) for quantity in QUANTITIES]
+
+
+def tip_of(model: Any, tip: str | None) -> str:
+    """Return the frame to compare at: `tip`, or the robot's own.
+
+    Raises
+    ------
+    ModelError
+        If the robot has no such frame, or no default.
+    """
+    name = tip or model.tip
+    if name is None:
+        raise robot_models.ModelError(f"{model.name} has no default tip: name one of {', '.join(model.frames)}")
+    return str(model.require_frame(name)) if hasattr(model, "require_frame") else str(name)
 
 
 def build_all(classes: Sequence[type[Engine]], model: Any, tip: str) -> list[Engine | Refused]:

@@ -17,7 +17,7 @@ from typing import Any
 import numpy as np
 
 import robot_models
-from validation.comparison import Comparison, compare
+from validation.comparison import Comparison, compare, tip_of
 from validation.engines import Engine, available
 from validation.oracle import Oracle
 from validation.oracle.spatial import Array
@@ -81,9 +81,7 @@ def plant_all(
         If the robot cannot be loaded.
     """
     model = robot_models.load(robot)
-    name = tip or model.tip
-    if name is None:
-        raise robot_models.ModelError(f"{model.name} has no default tip: name one of {', '.join(model.frames)}")
+    name = tip_of(model, tip)
     oracle = Oracle.from_model(model, name)
     catches = []
     for fault in faults or FAULTS:

@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 
 import robot_models
-from validation.comparison import Cell, Comparison, build_all, compare, missing_cells
+from validation.comparison import Cell, Comparison, build_all, compare, missing_cells, tip_of
 from validation.engines import ENGINES, Engine, available
 from validation.engines.loop import ClosedLoop
 from validation.engines.symbolic import Symbolic
@@ -55,9 +55,10 @@ def compare_with_truth(
     model: Any, tip: str | None, states: int, seed: int, engines: Sequence[type[Engine]], label: str
 ) -> list[Comparison]:
     """Compare all engines with the oracle, and all, the oracle too, with fifty digits where there are some."""
+    tip = tip_of(model, tip)
     by_hand = [engine for engine in ENGINES if engine is not Symbolic]
-    ready = [*available(model, tip or model.tip, by_hand), *build_all(engines, model, tip or model.tip)]
-    (truth,) = available(model, tip or model.tip, [Symbolic])
+    ready = [*available(model, tip, by_hand), *build_all(engines, model, tip)]
+    (truth,) = available(model, tip, [Symbolic])
     found = [compare(model, tip, states=states, seed=seed, built=ready, label=label)]
     if isinstance(truth, Engine):
         found.append(

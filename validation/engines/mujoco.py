@@ -11,12 +11,11 @@ import numpy as np
 from validation.engines.description import bare_urdf, masses, root_link
 from validation.engines.interface import METHODS, CannotBuild, Engine, Robot, columns_of
 from validation.oracle.spatial import Array
-from validation.tolerances import Tolerance
 
 TIP, FAR, ROD = "validation/tip", "validation/far", "validation/rod"
-STIFF, SOFT = 0.9999, 0.5
-"""Impedances d of the two solves that are extrapolated; 0.9999 is the hardest that MuJoCo takes. R = (1 − d)/d
-times AH⁻¹Aᵀ, so the two R are far apart and their difference loses no digits."""
+STIFF, SOFT = 0.9, 0.5
+"""Impedances d of the two solves that are extrapolated; R = (1 − d)/d times AH⁻¹Aᵀ. As the extrapolation is exact,
+they need not be hard: at MuJoCo's hardest, 0.9999, f is what is left of b − A q̈ over R, and loses four digits."""
 
 
 class MuJoCo(Engine):
@@ -34,10 +33,11 @@ class MuJoCo(Engine):
 
     Traps. The scale of R is AH⁻¹Aᵀ *at the model's zero pose* (`tendon_invweight0`), which may be singular, and R
     then 1e-15: here it is set to that of the state. MuJoCo's own a_ref = −b ė − k e leaves J̇ᵣq̇ out. d is clamped
-    to 0.9999, so the constraint is never hard. `qfrc_bias` excludes damping, `qacc` does not: URDF ``dynamics``
-    are removed. The root link is welded to the world, and without `fusestatic="false"` massless fixed links, the
-    tip among them, disappear. Islands keep a second copy of the constraint's arrays: switched off. A row that is zero is not made: singular. A state that
-    is not a number resets the data to zero with a warning only: inputs are checked here.
+    to 0.9999, so the constraint is never hard; a row that is zero is not made at all. `qfrc_bias` excludes damping,
+    `qacc` does not: URDF ``dynamics`` are removed. The root link is welded to the world, and without
+    `fusestatic="false"` massless fixed links, the tip among them, disappear. Islands keep a second copy of the
+    constraint's arrays: switched off. A state that is not a number resets the data to zero with a warning only:
+    inputs are checked here.
 
     Accuracy: inertias are diagonalised on reading, a rounding of 1e-15 relative; then rounding times the
     condition number of H. The Newton solver is exact after one step on a problem that is quadratic.
@@ -51,17 +51,6 @@ class MuJoCo(Engine):
         {
             "stabilised": "its reference acceleration is that of a soft constraint and leaves J̇ᵣq̇ out",
             "impulse": "restitution is a side effect of damping and softness there; there is no impact law",
-        }
-    )
-
-    tolerances = MappingProxyType(
-        {
-            "constrained": Tolerance(
-                "extrapolated softness",
-                1e-10,
-                "f is extrapolated from two soft solves, the stiffer of which is scaled by (1 − d)/d = 1e-4: the rounding "
-                "of each counts up to ten thousandfold",
-            )
         }
     )
 

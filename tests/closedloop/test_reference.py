@@ -44,6 +44,17 @@ def test_tip_follows_the_line_at_any_instant(line):
         assert np.max(np.abs(arm.position(t_q) - arm.position(q) - s * direction)) < 1e-9
 
 
+def test_fast_motion_has_as_many_knots_as_it_needs(robot):
+    """A tip at 1 m/s follows the line to a nanometre too, which a knot every 25 ms could not."""
+    arm = robot("planar2")
+    q, direction = np.array(arm.model.home), np.array([1.0, 0.0, 0.0])
+    path = follow_line(arm, q, direction, -1.0, START, START + 0.2)
+    assert path.times.size > 20
+    instants = np.random.default_rng(2).uniform(START, START + 0.2, 300)
+    for t, q_des in zip(instants, path.sample(instants)[0], strict=True):
+        assert np.max(np.abs(arm.position(q_des) - arm.position(q) + (t - START) * direction)) < 1e-9
+
+
 def test_desired_velocity_is_the_derivative_of_the_desired_position(line):
     """q̇_des is the derivative of q_des, at random instants within and at rest outside.
 

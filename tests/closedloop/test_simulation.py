@@ -197,14 +197,20 @@ def test_singular_start_is_said_and_not_computed():
     assert "\n" not in str(caught.value)
 
 
-@pytest.mark.parametrize("angle", [1e-4, 1e-3])
+@pytest.mark.parametrize("angle", [1e-5, 1e-4, 1e-3])
 def test_near_a_singular_pose_the_force_is_still_right(angle):
     """A bent arm that is only nearly singular is simulated, and its force at rest is the commanded one.
 
-    Rounding is multiplied by 1/angle: 1e-16 × 1e4 of some 20 N m over a lever of 1e-4 m is 1e-8 N.
+    Rounding of some 20 N m acts over a lever of angle × 0.1 m: 1e-16 × 20 / 1e-6 is 1e-9 N, at the smallest angle.
     """
     run = cl.simulate(straight(**{"start.q": [-angle, 2 * angle], "time.duration": 0.001}))
     assert run.contact_force[0] == pytest.approx(10.0, abs=1e-6)
+
+
+def test_singular_begins_well_below_what_arithmetic_can_tell():
+    """At an angle of 1e-7 rad, where f has lost half of its digits, the pose counts as singular."""
+    with pytest.raises(cl.SingularClosureError, match="singular"):
+        cl.simulate(straight(**{"start.q": [-1e-7, 2e-7], "time.duration": 0.001}))
 
 
 @pytest.mark.parametrize("integrator", ["semi_implicit_euler", "rk4"])

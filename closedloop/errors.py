@@ -23,7 +23,13 @@ __all__ = [
     "ScenarioError",
     "SimulationError",
     "SingularClosureError",
+    "one_line",
 ]
+
+
+def one_line(message: str) -> str:
+    """Return the message on one line of printable characters: names in it may have come from anywhere."""
+    return message if message.isprintable() else message.encode("unicode_escape").decode("ascii")
 
 
 class ScenarioError(ClosedLoopError, ValueError):

@@ -9,6 +9,7 @@ from typing import Any, get_args
 from pydantic import ValidationError
 from pydantic_core import ErrorDetails
 
+from closedloop.errors import one_line
 from closedloop.scenario import Scenario, Section
 
 
@@ -64,8 +65,7 @@ def explain(error: ValidationError, data: dict[str, Any]) -> str:
     """Return one line about what pydantic found: which key, which value, what would be right."""
     # An unknown key first: it is often the misspelt name of one that is missing.
     problems = sorted(error.errors(include_url=False), key=lambda p: p["type"] != "extra_forbidden")
-    line = _explain_first(problems, data)
-    return line if line.isprintable() else line.encode("unicode_escape").decode("ascii")
+    return one_line(_explain_first(problems, data))
 
 
 def _explain_first(problems: list[ErrorDetails], data: dict[str, Any]) -> str:

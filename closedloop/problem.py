@@ -101,8 +101,8 @@ def prepare(scenario: Scenario, model: RobotModel | None = None) -> Problem:
         if abs(gap) > START_GAP:
             side = "off" if gap > 0 else "inside"
             raise ScenarioError(
-                f"surface.offset = {surface.offset:g}: the tip starts {abs(gap):.4g} m {side} the surface, and the closure "
-                f'holds it there from the start: use "start", or {plane.offset + gap:.9g}'
+                f"surface.offset = {surface.offset:g}: the tip starts {abs(gap):.4g} m {side} the surface, and the "
+                f'closure holds it there from the start: use "start", or {plane.offset + gap:.9g}'
             )
 
     integrator = INTEGRATORS[scenario.time.integrator]

@@ -10,6 +10,7 @@ the reference is one smooth function of time, the same for every step size and i
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable
 from dataclasses import dataclass
 
@@ -22,8 +23,8 @@ from closedloop.robot import Robot
 Array = NDArray[np.float64]
 
 PATH_TOLERANCE = 1e-10  # m; a hundredth of the closure error that the stabiliser leaves
-FIRST_SPACING = 0.025  # s between knots before any halving
-MOST_KNOTS = 100_000
+FIRST_SPACING = 5e-4  # m of path between knots before any halving
+MOST_KNOTS = 20_000
 # Singular values of Jᵣ below this share of the largest count as zero: the arm cannot move the tip that way.
 RANK_TOLERANCE = 1e-6
 
@@ -99,10 +100,10 @@ def follow_line(robot: Robot, q: Array, direction: Array, speed: float, start: f
     def tip(t: float) -> Array:
         return origin + velocity * (t - start)
 
-    intervals = max(1, int(np.ceil((stop - start) / FIRST_SPACING)))
+    intervals = max(1, math.ceil(min(abs(speed) * (stop - start) / FIRST_SPACING, 1e300)))
     while True:
-        times = np.linspace(start, stop, intervals + 1)
-        path = _through_knots(robot, q, times, tip, velocity)
+        path = _through_knots(robot, q, start, stop, intervals, tip, velocity)
+        times = path.times
         middles = 0.5 * (times[:-1] + times[1:])
         halfway, _ = path.sample(middles)
         worst = max(float(np.max(np.abs(robot.position(h) - tip(t)))) for h, t in zip(halfway, middles, strict=True))
@@ -116,20 +117,22 @@ def follow_line(robot: Robot, q: Array, direction: Array, speed: float, start: f
             )
 
 
-def _through_knots(robot: Robot, q: Array, times: Array, tip: Callable[[float], Array], velocity: Array) -> JointPath:
-    n = q.size
-    qs, vs = np.empty((times.size, n)), np.empty((times.size, n))
-    current = q.copy()
-    for k, t in enumerate(times):
-        if k:
-            reached = _advance(robot, current, float(times[k - 1]), float(t), tip, velocity)
-            if isinstance(reached, str):
-                _refuse(robot, current, float(times[k - 1]), float(t), tip, velocity)
-            current = np.asarray(reached)
-        qs[k] = current
-        _, J = robot.position_and_jacobian(current)
-        vs[k] = _least_norm(J, velocity)
-    return JointPath(times, qs, vs)
+def _through_knots(
+    robot: Robot, q: Array, start: float, stop: float, intervals: int, tip: Callable[[float], Array], velocity: Array
+) -> JointPath:
+    """Walk from knot to knot; a path that leaves the workspace is refused on the way, however long it is."""
+    times, qs, vs = [start], [q.copy()], [_least_norm(robot.position_and_jacobian(q)[1], velocity)]
+    for k in range(1, intervals + 1):
+        t = start + (stop - start) * (k / intervals)
+        reached = _advance(robot, qs[-1], times[-1], t, tip, velocity)
+        if isinstance(reached, str):
+            raise _unreachable(robot, qs[-1], times[-1], t, tip, velocity)
+        if k > MOST_KNOTS:
+            raise ScenarioError(f"reference: the path takes more than {MOST_KNOTS} knots; make it shorter or slower")
+        times.append(t)
+        qs.append(reached)
+        vs.append(_least_norm(robot.position_and_jacobian(reached)[1], velocity))
+    return JointPath(np.array(times), np.array(qs), np.array(vs))
 
 
 def _advance(
@@ -168,21 +171,23 @@ def _advance(
     return x
 
 
-def _refuse(robot: Robot, q: Array, t0: float, t1: float, tip: Callable[[float], Array], velocity: Array) -> None:
-    """Raise with the first instant in (t0, t1] that cannot be reached, found by bisection."""
+def _unreachable(
+    robot: Robot, q: Array, t0: float, t1: float, tip: Callable[[float], Array], velocity: Array
+) -> ScenarioError:
+    """Return the refusal with the first instant in (t0, t1] that cannot be reached, found by bisection to 1 µs."""
     low, high = t0, t1
-    reason = ""
-    while high - low > 1e-6:
+    reason = "the path cannot be followed"
+    for _ in range(60):
         middle = 0.5 * (low + high)
         reached = _advance(robot, q, t0, middle, tip, velocity)
         if isinstance(reached, str):
-            high = middle
+            high, reason = middle, reached
         else:
             low = middle
-    outcome = _advance(robot, q, t0, high, tip, velocity)
-    reason = outcome if isinstance(outcome, str) else "the path cannot be followed"
+        if high - low < 1e-6:
+            break
     where = np.array2string(tip(high), precision=4, separator=", ", suppress_small=True)
-    raise ScenarioError(
+    return ScenarioError(
         f"reference: unreachable from t = {high:.4f} s on, at {where} m: {reason}; "
         "shorten the path (reference.stop, reference.speed) or start elsewhere (start.q)"
     )

@@ -17,7 +17,7 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any, NoReturn
 
-from closedloop.errors import ClosedLoopError, OutputError, ScenarioError, SimulationError
+from closedloop.errors import ClosedLoopError, OutputError, ScenarioError, SimulationError, one_line
 from closedloop.scenario import Scenario, load_scenario, parse_scenario, shipped_scenarios
 
 DONE, BAD_INPUT, STOPPED = 0, 2, 3
@@ -33,7 +33,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     try:
         return _main(sys.argv[1:] if arguments is None else list(arguments))
     except ClosedLoopError as error:
-        print(f"closedloop: {error}", file=sys.stderr)
+        print(f"closedloop: {one_line(str(error))}", file=sys.stderr)
         return STOPPED if isinstance(error, SimulationError) else BAD_INPUT
     except BrokenPipeError:  # the reader of our output has gone: `... --list | head -1`
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())

@@ -11,6 +11,7 @@ import difflib
 import math
 import tomllib
 from collections.abc import Mapping
+from copy import deepcopy
 from importlib import resources
 from pathlib import Path
 from typing import Annotated, Any, Literal, get_args
@@ -224,7 +225,7 @@ def parse_scenario(
         raise ScenarioError(f"{where}: not valid TOML: {reason}") from None
     data.setdefault("name", stem)
     for key, value in (overrides or {}).items():
-        _override(data, key, value)
+        _override(data, key, deepcopy(value))
     try:
         scenario = Scenario.model_validate(data)
     except ValidationError as error:

@@ -182,7 +182,8 @@ def _checked_law(law: Law, robot: Robot, q: Array, v: Array) -> Callable[[float,
         v_.setflags(write=False)
         answer = law(t, q_, v_, robot.terms(q, v))
         try:
-            given = np.asarray(answer, dtype=np.float64)
+            given = np.asarray(answer)
+            given = given.astype(np.float64, casting="same_kind" if given.dtype.kind in "iufc" else "unsafe")
         except (TypeError, ValueError):
             raise ScenarioError(
                 f"the law returned {str(answer)[:60]!r} at t = {t:g} s: must be {robot.n} numbers, one torque a joint"

@@ -203,8 +203,8 @@ def _rich(report: Report) -> Iterable[Any]:
 
     said: set[str] = set()
 
-    def colour(text: str) -> str:
-        return f"[bold red]{text}[/]" if "✗" in text else text
+    def colour(text: str) -> Text:
+        return Text(text, style="bold red" if "✗" in text else "")  # as it is: a unit in brackets is no markup
 
     for c in report.comparisons:
         header, rows, remarks = _grid(c)

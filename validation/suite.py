@@ -11,7 +11,7 @@ import numpy as np
 
 import robot_models
 from validation.comparison import Cell, Comparison, build_all, compare, missing_cells, tip_of
-from validation.engines import ENGINES, Engine, available
+from validation.engines import ENGINES, Engine, Missing, available
 from validation.engines.loop import ClosedLoop
 from validation.engines.symbolic import Symbolic
 from validation.identities import IDENTITIES, check_all, draw_sample, unanswered
@@ -203,7 +203,18 @@ def _published(say: Callable[[str], None]) -> Iterable[Section]:
 
 
 def _slides() -> Section:
-    raise NotImplementedError
+    """Compare the whole slide, or its beginning, with every engine that can run it."""
+    from validation.engines.slides import compare_slides
+
+    section = Section("wam_slide, trajectory against trajectory")
+    for check in compare_slides():
+        if isinstance(check, Missing):
+            section.checks.append(Check("the slide", check.name, math.nan, math.nan, None, check.install))
+        else:
+            section.checks.append(
+                Check(check.what, check.engine, check.error, check.tolerance, check.passed, check.argument)
+            )
+    return section
 
 
 def faults_section(robot: str, catches: Sequence[Catch]) -> Section:

@@ -10,6 +10,7 @@ radius is below one. The map depends on ζ and h/T alone, so the limit is a boun
 from __future__ import annotations
 
 import math
+from functools import lru_cache
 
 import numpy as np
 from numpy.typing import NDArray
@@ -54,6 +55,7 @@ def spectral_radius(integrator: str, damping_ratio: float, ratio: float) -> floa
     return float(np.max(np.abs(np.linalg.eigvals(amplification(integrator, damping_ratio, ratio)))))
 
 
+@lru_cache(maxsize=256)
 def largest_stable_ratio(integrator: str, damping_ratio: float) -> float:
     """Return the largest h/T for which the closure error does not grow; 0 if it grows at any (ζ = 0, explicit Euler).
 

@@ -78,6 +78,8 @@ def _explain_first(problems: list[ErrorDetails], data: dict[str, Any]) -> str:
     name = "".join(f"[{p}]" if p.isdigit() else f".{p}" for p in path).removeprefix(".")
     kind, value = first["type"], first.get("input")
     shown = "a table" if isinstance(value, dict) else reprlib.repr(value)
+    if isinstance(value, bool):
+        shown = str(value).lower()  # as TOML spells it
     others = {tuple(p["loc"][:2]) for p in problems} - {tuple(first["loc"][:2])}
     more = f" (and {len(others)} more)" if others else ""
     if kind == "extra_forbidden":
@@ -91,8 +93,10 @@ def _explain_first(problems: list[ErrorDetails], data: dict[str, Any]) -> str:
         cure = 'must be a finite number of metres, or "start"'
     elif kind in ("union_tag_invalid", "union_tag_not_found"):
         shown = repr(first["ctx"].get("tag")) if kind == "union_tag_invalid" else "missing"
+        more = ""  # the other faults are those of no kind
         name, cure = f"{name}.kind", f"must be {' or '.join(repr(k) for k in variants(section))}"
     elif kind == "literal_error":
+        more = "" if name.endswith(".kind") else more
         cure = f"must be {first['ctx']['expected']}"
     elif kind in ("model_type", "model_attributes_type", "dict_type"):
         cure = f"must be a section of its own, [{name}]"

@@ -16,13 +16,14 @@ from closedloop.errors import ScenarioError
 from closedloop.integrate import INTEGRATORS, Integrator
 from closedloop.robot import Robot
 from closedloop.scenario import HoldSection, LineSection, NoStabiliserSection, Scenario
+from closedloop.step import Row
 from closedloop.surface import Plane, unit
 from robot_models import RobotModel
 
 Array = NDArray[np.float64]
 
-# A run is held in memory; this many rows of a 7-joint arm are about 4 GB.
-MOST_ROWS = 10_000_000
+# A run is held in memory, once as rows and once as columns: this many numbers in the rows are about 4 GB in all.
+MOST_NUMBERS = 200_000_000
 # How far from the surface the tip may start, m. A closure that must first pull the tip in by more does not press: with
 # the paper's stabiliser a millimetre already asks for a thousand newtons from each kilogram.
 START_GAP = 1e-3
@@ -102,15 +103,16 @@ def prepare(scenario: Scenario, model: RobotModel | None = None) -> Problem:
             side = "off" if gap > 0 else "inside"
             raise ScenarioError(
                 f"surface.offset = {surface.offset:g}: the tip starts {abs(gap):.4g} m {side} the surface, and the "
-                f'closure holds it there from the start: use "start", or {plane.offset + gap:.9g}'
+                f'closure holds it there from the start: use "start", or {plane.normal @ robot.position(q):.9g}'
             )
 
     integrator = INTEGRATORS[scenario.time.integrator]
     steps = _whole(scenario.time.duration, scenario.time.step, "time.duration")
-    if steps > MOST_ROWS:
+    most_rows = MOST_NUMBERS // Row.of(n, 1).width
+    if steps > most_rows:
         raise ScenarioError(
             f"time.step = {scenario.time.step:g}: {scenario.time.duration:g} s would be {steps:.3g} rows, over the "
-            f"{MOST_ROWS} that a run may have; use a larger step or a shorter duration"
+            f"{most_rows} that a run of this robot may have; use a larger step or a shorter duration"
         )
     h = scenario.time.step
     period = scenario.law.sample_period
@@ -172,7 +174,7 @@ def _stabiliser_gains(scenario: Scenario) -> tuple[float, float]:
         if limit == 0.0:
             raise ScenarioError(
                 f"stabiliser.damping_ratio = {section.damping_ratio:g}: Baumgarte is unstable with {name} at any step; "
-                "use a positive damping ratio"
+                "use a larger damping ratio"
             )
         raise ScenarioError(
             f"stabiliser.time_constant = {section.time_constant:g} s with time.step = {scenario.time.step:g} s: "

@@ -84,9 +84,10 @@ def _measures(run: Run) -> dict[str, Any]:
 def energy_balance(run: Run) -> tuple[Array, Array]:
     """Return the residual of the energy balance and the energy exchanged, each (N,), J, from the start to each row.
 
-    The residual is the change of kinetic and potential energy less the work of the joint torques, ∫ Qᵀq̇ dt, and of
-    the contact force, ∫ f ė dt, by the trapezoidal rule over the rows. It shrinks with the step, as the integrator's
-    order says. The energy exchanged is ∫ |Qᵀq̇| dt, what the residual is small or large against.
+    The residual is the change of kinetic and potential energy less the work of the joint torques, ∫ Qᵀq̇ dt, and of the
+    contact force, ∫ f ė dt, by the trapezoidal rule over the rows. It shrinks with the step, as the integrator's order
+    says, but no faster than the rule's own order, two. The energy exchanged is ∫ |Qᵀq̇| dt, what the residual is small
+    or large against.
     """
     energy = run.kinetic_energy + run.potential_energy
     power = np.einsum("ij,ij->i", run.torque, run.v)

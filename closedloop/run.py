@@ -43,6 +43,11 @@ def main(arguments: Sequence[str] | None = None) -> int:
 def _main(arguments: list[str]) -> int:
     overrides, rest = _split(arguments)
     options = _parser().parse_args(rest)
+    if options.version:
+        from closedloop.simulation import package_versions
+
+        print(", ".join(f"{name} {version}" for name, version in package_versions().items()))
+        return DONE
     if options.list:
         _list()
         return DONE
@@ -106,6 +111,7 @@ def _parser() -> argparse.ArgumentParser:
         nargs="?",
         help="a shipped name (--list), a .toml file, or a run.nc to be repeated from itself alone",
     )
+    parser.add_argument("--version", action="store_true", help="print the versions that a run depends on and stop")
     parser.add_argument("--list", action="store_true", help="list the shipped scenarios and stop")
     parser.add_argument("--out", metavar="DIR", help="where results go (default: out/SCENARIO)")
     parser.add_argument("--no-figures", action="store_true", help="write run.nc and summary.json only")

@@ -167,7 +167,7 @@ def run_loop(
                 failure = _failure(status, i * h, robot, problem, q, v)
                 break
         if failure is not None:
-            rows = rows[:i]
+            rows = rows[: i + (stage > 0)]  # a later stage may fail where the row's own state did not
             break
     report(len(rows) - 1, steps)
     return rows, failure, clock.perf_counter() - began

@@ -78,9 +78,7 @@ def build(text: str, format: str, locked: Mapping[str, float], where: str) -> Bu
             posture[model.idx_qs[model.getJointId(name)]] = value
         model = pin.buildReducedModel(model, [model.getJointId(name) for name in locked], posture)
     if model.nv == 0:
-        raise ModelError(
-            f"{where} has no joint that moves: a revolute, continuous or prismatic joint is needed"
-        )
+        raise ModelError(f"{where} has no joint that moves: a revolute, continuous or prismatic joint is needed")
     if format == "mjcf":
         kinds = mjcf_joint_types(model)
     types = tuple(kinds[name] for name in list(model.names)[1:])
@@ -99,9 +97,7 @@ def mjcf_joint_types(model: "pin.Model") -> dict[str, str]:
         if short.startswith("JointModelP"):
             types[model.names[joint]] = "prismatic"
         else:
-            types[model.names[joint]] = (
-                "revolute" if np.isfinite(model.upperPositionLimit[at]) else "continuous"
-            )
+            types[model.names[joint]] = "revolute" if np.isfinite(model.upperPositionLimit[at]) else "continuous"
     return types
 
 

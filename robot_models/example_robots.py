@@ -50,9 +50,7 @@ def _ur(name: str) -> _Known:
         *("wrist_1_joint", "wrist_2_joint", "wrist_3_joint"),
     )
     values = (0.0, -1.5707963267948966, 1.5707963267948966, -1.5707963267948966, -1.5707963267948966, 0.0)
-    return _Known(
-        tip="tool0", home=dict(zip(joints, values, strict=True)), description=f"Universal Robots {name}"
-    )
+    return _Known(tip="tool0", home=dict(zip(joints, values, strict=True)), description=f"Universal Robots {name}")
 
 
 _UR = (

@@ -76,9 +76,7 @@ def load(name: "str | PathLike[str]", *, drive_inertia: bool = True, lock: Lock 
     elif defaults.drive_inertia:
         model.armature = np.array([defaults.drive_inertia.get(joint, 0.0) for joint in joints])
     home = _home(found, built, joints)
-    return _finish(
-        built, home, found, locked, _default_tip(model) if defaults.tip is None else defaults.tip, None
-    )
+    return _finish(built, home, found, locked, _default_tip(model) if defaults.tip is None else defaults.tip, None)
 
 
 def from_text(

@@ -265,9 +265,7 @@ def _check_numbers(tag: str, given: dict[str, str], at: str) -> None:
 def _check_joint(given: dict[str, str], at: str) -> None:
     kind = given.get("type", "hinge")
     if kind not in ("hinge", "slide"):
-        raise ModelError(
-            f"{at} is of type {kind!r}, a joint type that is not simulated: it must be hinge or slide"
-        )
+        raise ModelError(f"{at} is of type {kind!r}, a joint type that is not simulated: it must be hinge or slide")
     if np.linalg.norm(numbers(given.get("axis", "0 0 1"), 3, f"{at}: axis")) < 1e-9:
         raise ModelError(f"{at}: axis is {given['axis']!r}: a moving joint needs a direction")
     low, high = numbers(given.get("range", "0 0"), 2, f"{at}: range")

@@ -61,9 +61,7 @@ def check_tensor(tensor: NDArray[np.float64], mass: float, what: str) -> None:
     if not low >= -slack:
         raise ModelError(f"{what} is not positive definite ({moments}): check the signs of its entries")
     if not low + mid >= high - slack:
-        raise ModelError(
-            f"{what} breaks the triangle inequality ({moments}): none may exceed the sum of the other two"
-        )
+        raise ModelError(f"{what} breaks the triangle inequality ({moments}): none may exceed the sum of the other two")
 
 
 def check_mechanism(model: "pin.Model", home: NDArray[np.float64], where: str) -> None:
@@ -89,20 +87,14 @@ def check_mechanism(model: "pin.Model", home: NDArray[np.float64], where: str) -
     names = list(model.names)
     for joint in range(1, model.njoints):
         body = model.inertias[joint]
-        numbers = np.concatenate(
-            [body.toDynamicParameters(), model.jointPlacements[joint].homogeneous.ravel()]
-        )
+        numbers = np.concatenate([body.toDynamicParameters(), model.jointPlacements[joint].homogeneous.ravel()])
         if not np.isfinite(numbers).all():
-            raise ModelError(
-                f"{where}: joint {names[joint]!r} has a pose or carries an inertia that is not finite"
-            )
+            raise ModelError(f"{where}: joint {names[joint]!r} has a pose or carries an inertia that is not finite")
         what = f"{where}: the inertia of what joint {names[joint]!r} carries"
         check_tensor(body.inertia, body.mass, what)
         mass = sum(model.inertias[k].mass for k in model.subtrees[joint])
         if not mass > 0.0 and not model.armature[joint - 1] > 0.0:
-            raise ModelError(
-                f"{where}: joint {names[joint]!r} moves no mass: give its links an <inertial>, or lock it"
-            )
+            raise ModelError(f"{where}: joint {names[joint]!r} moves no mass: give its links an <inertial>, or lock it")
     # Singular at one posture may be the posture; singular at several generic ones is the model.
     generic = np.random.default_rng(0).uniform(-1.0, 1.0, size=(3, model.nq))
     data = model.createData()

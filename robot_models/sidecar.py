@@ -67,7 +67,8 @@ def read_sidecar(path: Path, joints: Collection[str]) -> Sidecar:
         raise ModelError(f"{path} is not valid TOML: {error}") from None
     for key, value in table.items():
         if key not in _TEXTS + _TABLES:
-            raise ModelError(f"{path}: unknown key {key!r}: known are {', '.join(_TEXTS + _TABLES)}")
+            hint = " (it looks like a scenario: give it another name than the robot's)" if "law" in table else ""
+            raise ModelError(f"{path}: unknown key {key!r}: known are {', '.join(_TEXTS + _TABLES)}{hint}")
         if key in _TEXTS and not (isinstance(value, str) and value.strip()):
             raise ModelError(f"{path}: {key} is {value!r}: it must be a text")
         if key in _TABLES:

@@ -117,9 +117,7 @@ def _check_joints(root: ET.Element, where: str) -> None:
                 raise ModelError(f"{at}: its {tag} link {link!r} is not in the file")
             ends.append(link)
         if ends[1] in parents:
-            raise ModelError(
-                f"{at}: link {ends[1]!r} already has a parent: a loop cannot be written in a URDF"
-            )
+            raise ModelError(f"{at}: link {ends[1]!r} already has a parent: a loop cannot be written in a URDF")
         parents[ends[1]] = ends[0]
         _check_origin(joint, at)
         for dynamics in joint.findall("dynamics"):
@@ -154,17 +152,13 @@ def _check_limit(joint: ET.Element, kind: str, at: str) -> None:
         if key in ("effort", "velocity") and values[key] < 0.0:
             raise ModelError(f"{at}: limit {key} is {values[key]:g}: it must not be negative")
     if kind != "continuous" and values["lower"] > values["upper"]:
-        raise ModelError(
-            f"{at}: lower limit {values['lower']:g} is above its upper limit {values['upper']:g}"
-        )
+        raise ModelError(f"{at}: lower limit {values['lower']:g} is above its upper limit {values['upper']:g}")
 
 
 def _check_tree(links: list[str], parents: dict[str, str], where: str) -> None:
     roots = [link for link in links if link not in parents]
     if len(roots) > 1:
-        raise ModelError(
-            f"{where}: {len(roots)} links have no parent ({', '.join(roots)}): one root is allowed"
-        )
+        raise ModelError(f"{where}: {len(roots)} links have no parent ({', '.join(roots)}): one root is allowed")
     for link in links:
         walked = {link}
         while (parent := parents.get(link)) is not None:
@@ -224,9 +218,7 @@ def inspect(text: str, where: str, locked: Collection[str]) -> None:
             raise ModelError(f"{at} moves and has a mass of 0 kg: it must be positive")
         if link.name in beyond:
             if mass == 0.0 and tensor.any():
-                raise ModelError(
-                    f"{at} has a rotational inertia and a mass of 0 kg: give it a mass, or neither"
-                )
+                raise ModelError(f"{at} has a rotational inertia and a mass of 0 kg: give it a mass, or neither")
             check_tensor(tensor, mass, f"{at}: its inertia tensor")
 
 

@@ -106,9 +106,7 @@ def parse(text: str, where: str) -> ET.Element:
     except ET.ParseError as error:
         line, column = error.position
         reason = str(error).split(":")[0]
-        raise ModelError(
-            f"{where} is not well-formed XML: {reason}, line {line}, column {column + 1}"
-        ) from None
+        raise ModelError(f"{where} is not well-formed XML: {reason}, line {line}, column {column + 1}") from None
     except UnicodeEncodeError:
         raise ModelError(f"{where} holds a character that UTF-8 cannot carry") from None
     except ModelError as error:

@@ -136,9 +136,7 @@ def test_imports_are_lazy():
     assert run(f"import sys, robot_models; robot_models.load('wam4'); {asked}") == "['pinocchio']"
 
 
-@given(
-    q=st.lists(st.floats(-3, 3), min_size=2, max_size=2), v=st.lists(st.floats(-5, 5), min_size=2, max_size=2)
-)
+@given(q=st.lists(st.floats(-3, 3), min_size=2, max_size=2), v=st.lists(st.floats(-5, 5), min_size=2, max_size=2))
 def test_continuous_joints_are_one_variable(q, v):
     """The same H and bias as Pinocchio's own joint on the circle, and no bounds."""
     q, v = np.array(q), np.array(v)
@@ -213,17 +211,11 @@ def test_sidecar_speaks_for_a_users_robot(write):
 
 def test_axes_are_made_unit(write):
     """A non-unit axis means its direction: in Pinocchio, and in the text that other readers get."""
-    long = robot_models.load(
-        write(arm(elbow=joint("elbow", "upper", "fore", axis="0 0 2.5", kind="prismatic")))
-    )
-    unit = robot_models.load(
-        write(arm(elbow=joint("elbow", "upper", "fore", kind="prismatic", axis="0 0 1")))
-    )
+    long = robot_models.load(write(arm(elbow=joint("elbow", "upper", "fore", axis="0 0 2.5", kind="prismatic"))))
+    unit = robot_models.load(write(arm(elbow=joint("elbow", "upper", "fore", kind="prismatic", axis="0 0 1"))))
     assert "2.5" not in long.text
     q, v = np.array([0.3, 0.4]), np.array([1.0, 2.0])
-    for one, other in zip(
-        dynamics(long.pinocchio_model(), q, v), dynamics(unit.pinocchio_model(), q, v), strict=True
-    ):
+    for one, other in zip(dynamics(long.pinocchio_model(), q, v), dynamics(unit.pinocchio_model(), q, v), strict=True):
         np.testing.assert_allclose(one, other, atol=1e-14)
     assert unit.text == arm(elbow=joint("elbow", "upper", "fore", kind="prismatic", axis="0 0 1"))
 
@@ -250,8 +242,7 @@ def test_massless_frames_and_intermediate_links_are_fine(write):
         link("end", INERTIAL),
         link(
             "flag",
-            '<inertial><mass value="0"/>'
-            '<inertia ixx="0" iyy="0" izz="0" ixy="0" ixz="0" iyz="0"/></inertial>',
+            '<inertial><mass value="0"/><inertia ixx="0" iyy="0" izz="0" ixy="0" ixz="0" iyz="0"/></inertial>',
         ),
         joint("a", "base", "between"),
         joint("b", "between", "end", axis="1 0 0"),

@@ -31,9 +31,7 @@ SAME = {
         joint='<joint name="shoulder" class="k"/>',
     ),
     "full inertia": mjcf(inertial='<inertial pos="0 0.1 0" mass="1" fullinertia="1 1.2 1.3 0.1 0.2 0.3"/>'),
-    "moving base": mjcf(
-        base=f'<body name="base" pos="0 0 1"><joint name="rail" type="slide"/>{MJCF_INERTIAL}'
-    ),
+    "moving base": mjcf(base=f'<body name="base" pos="0 0 1"><joint name="rail" type="slide"/>{MJCF_INERTIAL}'),
     "welded link": mjcf(joint=""),
     "two arms": mjcf(world=f'<body name="other" pos="1 0 0"><joint name="free"/>{MJCF_INERTIAL}</body>'),
     "visual mesh": mjcf(
@@ -45,8 +43,7 @@ SAME = {
     "capsule": mjcf(inertial='<geom type="capsule" size="0.1" fromto="0 0 0 0.1 0.2 0.5"/>'),
     "cylinder": mjcf(inertial='<geom type="cylinder" size="0.1 0.3" mass="3"/>'),
     "ellipsoid and box": mjcf(
-        inertial='<geom type="ellipsoid" size="0.1 0.2 0.3"/>'
-        '<geom type="box" size="0.1 0.1 0.1" pos="1 0 0"/>'
+        inertial='<geom type="ellipsoid" size="0.1 0.2 0.3"/><geom type="box" size="0.1 0.1 0.1" pos="1 0 0"/>'
     ),
 }
 

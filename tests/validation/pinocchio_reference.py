@@ -94,9 +94,7 @@ class PinocchioEngine:
 
     def jacobian(self, q):
         frame = pin.ReferenceFrame.LOCAL_WORLD_ALIGNED
-        return pin.computeFrameJacobian(self.model, self.data, self._q(q), self.frame, frame)[
-            :3, self.columns
-        ]
+        return pin.computeFrameJacobian(self.model, self.data, self._q(q), self.frame, frame)[:3, self.columns]
 
     def spatial_jacobian(self, q):
         """Return Pinocchio's WORLD Jacobian with its linear and angular rows exchanged: angular first."""

@@ -146,9 +146,7 @@ def test_pinocchio(seed):
 
 
 @pytest.mark.parametrize("complex_step", [True, False], ids=["complex", "differences"])
-@pytest.mark.parametrize(
-    ("identity", "method", "spoil"), FLAWS, ids=lambda value: getattr(value, "__name__", value)
-)
+@pytest.mark.parametrize(("identity", "method", "spoil"), FLAWS, ids=lambda value: getattr(value, "__name__", value))
 def test_a_planted_flaw_is_noticed(identity, method, spoil, complex_step):
     """With one method off by a millionth, the identity fails; without, it holds."""
     robot, sample = draw(11, branching=False, kinds=("revolute", "prismatic", "revolute"))

@@ -26,9 +26,7 @@ def compare(oracle, reference, q, v, a):
     gravity = reference.gravity_term(q)
     yield "gravity_term", oracle.gravity_term(q) - gravity, np.abs(C).max() + np.abs(gravity).max()
     yield "inverse_dynamics", oracle.inverse_dynamics(q, v, a) - reference.inverse_dynamics(q, v, a), torque
-    pushed = [
-        engine.pushed_inverse_dynamics(q, v, a, np.array([1.0, -2.0, 3.0])) for engine in (oracle, reference)
-    ]
+    pushed = [engine.pushed_inverse_dynamics(q, v, a, np.array([1.0, -2.0, 3.0])) for engine in (oracle, reference)]
     yield "pushed_inverse_dynamics", pushed[0] - pushed[1], torque + 3.0 * size_J
     coriolis = oracle.coriolis_matrix(q, v) - reference.coriolis_matrix(q, v)
     yield "coriolis_matrix", coriolis, size_H * size_v

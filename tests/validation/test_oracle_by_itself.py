@@ -43,9 +43,7 @@ def test_planar_arm_is_lagranges():
     q, v = sympy.Matrix([q1, q2]), sympy.Matrix([v1, v2])
 
     def point(a, b):
-        return sympy.Matrix(
-            [a * sympy.cos(q1) + b * sympy.cos(q1 + q2), a * sympy.sin(q1) + b * sympy.sin(q1 + q2)]
-        )
+        return sympy.Matrix([a * sympy.cos(q1) + b * sympy.cos(q1 + q2), a * sympy.sin(q1) + b * sympy.sin(q1 + q2)])
 
     first, second, tip = point(c1, 0), point(l1, c2), point(l1, l2)
     speeds = [place.jacobian(q) * v for place in (first, second)]

@@ -73,6 +73,4 @@ def test_rpy_turns_about_x_then_y_then_z():
     """A quarter turn about x takes y to z; the later turns are about the axes that stay."""
     quarter = np.pi / 2
     np.testing.assert_allclose(spatial.rotation_from_rpy([quarter, 0, 0]) @ [0, 1, 0], [0, 0, 1], atol=1e-15)
-    np.testing.assert_allclose(
-        spatial.rotation_from_rpy([quarter, 0, quarter]) @ [1, 0, 0], [0, 1, 0], atol=1e-15
-    )
+    np.testing.assert_allclose(spatial.rotation_from_rpy([quarter, 0, quarter]) @ [1, 0, 0], [0, 1, 0], atol=1e-15)

@@ -106,9 +106,7 @@ def constraint_matrix(normals: Array, r: Array, *, couples: bool = False) -> Arr
     return np.concatenate([forces, np.eye(6)[:, :3]], axis=1) if couples else np.asarray(forces)
 
 
-def constraint_matrix_rate(
-    normals: Array, r: Array, r_dot: Array, omega: Array, *, couples: bool = False
-) -> Array:
+def constraint_matrix_rate(normals: Array, r: Array, r_dot: Array, omega: Array, *, couples: bool = False) -> Array:
     """Return Ṙ as the tip moves at ṙ and the normals turn at ω with what they are fixed to (Eq. 9).
 
     Parameters
@@ -166,9 +164,7 @@ def loop_rows(tree: Tree, pose: Pose, v: Array, joint: LoopJoint) -> Rows:
     R_dot = constraint_matrix_rate(normals, r, point_velocity(v_n, r), v_0[:3], couples=couples)
     J_0, J_n = loop_jacobians(tree, pose, joint.tip, joint.base)
     A = R.T @ (J_n - J_0)
-    drift = R_dot.T @ (v_n - v_0) + R.T @ (
-        spatial_drift(tree, pose, v, body) - spatial_drift(tree, pose, v, other)
-    )
+    drift = R_dot.T @ (v_n - v_0) + R.T @ (spatial_drift(tree, pose, v, body) - spatial_drift(tree, pose, v, other))
     error = normals @ (r - origin) - joint.offsets
     if joint.rotation is not None:
         turned = tip_rotation(tree, pose, joint.tip) @ (axes @ joint.rotation).T

@@ -218,18 +218,14 @@ def _check(
     for link in links:
         numbers = np.concatenate([[link.mass], link.centre, np.ravel(link.inertia)])
         if not np.all(np.isfinite(numbers)) or link.mass < 0.0:
-            raise UnsupportedModel(
-                f"link {link.name!r}: mass {link.mass}, inertia {link.inertia} are not physical"
-            )
+            raise UnsupportedModel(f"link {link.name!r}: mass {link.mass}, inertia {link.inertia} are not physical")
     known = {joint.name for joint in joints}
     for name in [*column, *locked]:
         if name not in known:
             raise UnsupportedModel(f"no joint named {name!r} in the description")
     for joint in joints:
         if joint.kind not in (*MOVING, "fixed"):
-            raise UnsupportedModel(
-                f"joint {joint.name!r}: kind {joint.kind!r} is not one of {MOVING} or fixed"
-            )
+            raise UnsupportedModel(f"joint {joint.name!r}: kind {joint.kind!r} is not one of {MOVING} or fixed")
         if joint.parent not in by_link or joint.child not in by_link:
             raise UnsupportedModel(f"joint {joint.name!r} names a link that does not exist")
         if joint.kind in MOVING and (joint.name in column) == (joint.name in locked):

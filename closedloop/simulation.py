@@ -159,12 +159,12 @@ def run_loop(
             if sampled and user_torque is not None:
                 fault = user_torque(at * h / per_step, torque)
                 if fault:
-                    failure = DivergenceError(f"{_when(i * h)}: {fault}", i * h)
+                    failure = DivergenceError(f"{_when(at * h / per_step)}: {fault}", at * h / per_step)
                     break
             evaluate()
             status = step_on_pinocchio(i, at, stage, kind if sampled else LAW_GIVEN, *fixed)
             if status != OK:
-                failure = _failure(status, i * h, robot, problem, q, v)
+                failure = _failure(status, at * h / per_step, robot, problem, q, v)
                 break
         if failure is not None:
             rows = rows[: i + (stage > 0)]  # a later stage may fail where the row's own state did not

@@ -281,7 +281,7 @@ REFUSED = {
     "duration no multiple": ({"time.duration": 0.0105}, ["time.duration", "0.0105", "whole number of steps"]),
     "duration below a step": ({"time.duration": 0.0001}, ["time.duration", "whole number of steps", "0.001"]),
     "period no multiple": ({"law.sample_period": 0.0015}, ["law.sample_period", "whole number of steps"]),
-    "too many rows": ({"time.step": 1e-9, "time.duration": 8.0}, ["time.step", "8e+09 rows", "10000000"]),
+    "too many rows": ({"time.step": 1e-9, "time.duration": 8.0}, ["time.step", "8e+09 rows", "6451612"]),
     "absurdly many rows": ({"time.step": 1e-300}, ["time.step", "rows"]),
     # lengths
     "q too short": ({"start.q": [1.0, 2.0]}, ["start.q", "2 entries", "4 joints", "J1"]),
@@ -310,7 +310,7 @@ REFUSED = {
     "unstable step": ({"time.step": 0.002}, ["time.step", "1.035", "unstable"]),
     "explicit Euler without damping": (
         {"stabiliser.damping_ratio": 0.0, "time.integrator": "explicit_euler"},
-        ["stabiliser.damping_ratio", "unstable", "positive damping"],
+        ["stabiliser.damping_ratio", "unstable", "larger damping"],
     ),
 }  # fmt: skip
 

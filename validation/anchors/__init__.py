@@ -1,0 +1,40 @@
+"""Published reference problems: figures that nobody here computed, or closed forms, to grade any engine with.
+
+    from validation.anchors import grade, reference_problems
+    for problem in reference_problems():
+        for result in grade(MyEngine, problem):   # MyEngine(model, tip): methods as validation.oracle.Oracle
+            print(result)
+
+Each problem names its source, each case the argument for its tolerance; the figures lie in the JSON files beside this
+one. Read `problem` first, then `quantities`, which says how an engine is asked.
+"""
+
+from __future__ import annotations
+
+from functools import lru_cache
+
+from validation.anchors.asked import Asked, EngineFactory
+from validation.anchors.grading import grade, grade_all
+from validation.anchors.problem import Case, Grade, ReferenceProblem
+from validation.anchors.quantities import QUANTITIES
+
+__all__ = [
+    "QUANTITIES",
+    "Asked",
+    "Case",
+    "EngineFactory",
+    "Grade",
+    "ReferenceProblem",
+    "grade",
+    "grade_all",
+    "reference_problems",
+]
+
+
+@lru_cache(maxsize=1)
+def reference_problems() -> tuple[ReferenceProblem, ...]:
+    """Return all reference problems, those with printed figures first."""
+    from validation.anchors import chains, iiwa, pendulum, planar_arm, point_mass, puma560, rod
+
+    families = (puma560, iiwa, chains, pendulum, planar_arm, point_mass, rod)
+    return tuple(problem for family in families for problem in family.problems())

@@ -1,0 +1,186 @@
+"""How an engine is asked for a figure: one short function a quantity, its arguments those of a case.
+
+Orientations come from positions: beside its tip every robot that is asked for one carries links ``<tip>_x``,
+``<tip>_y`` and ``<tip>_z``, one metre off along the tip's axes (see `description.with_triad`), so an engine that
+knows only where points are answers for frames as well.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from types import MappingProxyType
+
+import numpy as np
+
+from validation.anchors import motion
+from validation.anchors.asked import Asked
+from validation.oracle.spatial import Array, skew
+
+AXES = "xyz"
+
+
+def mass_matrix(engine: Asked, q: Array) -> Array:
+    """Return H (n, n)."""
+    return engine.mass_matrix(q)
+
+
+def gravity_term(engine: Asked, q: Array) -> Array:
+    """Return the torque that holds the arm at rest (n,)."""
+    return engine.gravity_term(q)
+
+
+def bias(engine: Asked, q: Array, v: Array) -> Array:
+    """Return C (n,)."""
+    return engine.bias(q, v)
+
+
+def coriolis_matrix(engine: Asked, q: Array, v: Array) -> Array:
+    """Return the Coriolis matrix of Christoffel symbols (n, n)."""
+    return engine.coriolis_matrix(q, v)
+
+
+def coriolis_torque(engine: Asked, q: Array, v: Array) -> Array:
+    """Return C without gravity (n,)."""
+    return engine.bias(q, v) - engine.gravity_term(q)
+
+
+def inverse_dynamics(engine: Asked, q: Array, v: Array, a: Array) -> Array:
+    """Return Q (n,) for accelerations a."""
+    return engine.inverse_dynamics(q, v, a)
+
+
+def forward_dynamics(engine: Asked, q: Array, v: Array, torque: Array) -> Array:
+    """Return q̈ (n,) of the free arm."""
+    return engine.forward_dynamics(q, v, torque)
+
+
+def position(engine: Asked, q: Array) -> Array:
+    """Return the tip (3,), base frame [m]."""
+    return engine.position(q)
+
+
+def jacobian(engine: Asked, q: Array) -> Array:
+    """Return Jᵣ (3, n)."""
+    return engine.jacobian(q)
+
+
+def drift(engine: Asked, q: Array, v: Array) -> Array:
+    """Return J̇ᵣq̇ (3,) [m/s²]."""
+    return engine.drift(q, v)
+
+
+def tip_velocity(engine: Asked, q: Array, v: Array) -> Array:
+    """Return Jᵣq̇ (3,) [m/s]."""
+    return np.asarray(engine.jacobian(q) @ v)
+
+
+def tip_acceleration(engine: Asked, q: Array, v: Array, a: Array) -> Array:
+    """Return Jᵣq̈ + J̇ᵣq̇ (3,) [m/s²]."""
+    return engine.jacobian(q) @ a + engine.drift(q, v)
+
+
+def rotation(engine: Asked, q: Array) -> Array:
+    """Return the tip's axes as columns (3, 3), base frame."""
+    origin = engine.position(q)
+    return np.stack([engine.at(f"{engine.tip}_{axis}").position(q) - origin for axis in AXES], axis=1)
+
+
+def angular_velocity(engine: Asked, q: Array, v: Array) -> Array:
+    """Return ω of the tip's link (3,) [rad/s]."""
+    return np.asarray(_frame_jacobian(engine, q)[3:] @ v)
+
+
+def angular_acceleration(engine: Asked, q: Array, v: Array, a: Array) -> Array:
+    """Return ω̇ of the tip's link (3,) [rad/s²]: ë = ω̇ × e + ω × (ω × e) for each axis e, and Σ e × (ω̇ × e) = 2 ω̇."""
+    R, omega = rotation(engine, q), angular_velocity(engine, q, v)
+    own = tip_acceleration(engine, q, v, a)
+    out = np.zeros(3)
+    for e, axis in zip(R.T, AXES, strict=True):
+        relative = tip_acceleration(engine.at(f"{engine.tip}_{axis}"), q, v, a) - own
+        out += np.cross(e, relative - np.cross(omega, np.cross(omega, e))) / 2.0
+    return out
+
+
+def loaded_gravity_term(engine: Asked, q: Array, wrench: Array) -> Array:
+    """Return the torque (n,) that holds the arm while its tip exerts `wrench` (6,), force first, in the tip's frame."""
+    turn = np.kron(np.eye(2), rotation(engine, q))
+    return np.asarray(engine.gravity_term(q) + _frame_jacobian(engine, q).T @ (turn @ wrench))
+
+
+def cartesian_inertia(engine: Asked, q: Array) -> Array:
+    """Return J⁻ᵀ H J⁻¹ (6, 6) of an arm with six joints, base frame, linear rows first."""
+    inverse = np.linalg.inv(_frame_jacobian(engine, q))
+    return np.asarray(inverse.T @ engine.mass_matrix(q) @ inverse)
+
+
+def manipulability(engine: Asked, q: Array) -> Array:
+    """Return Yoshikawa's √det(J Jᵀ) of the whole, the linear and the angular Jacobian (3,)."""
+    J = _frame_jacobian(engine, q)
+    return np.array([np.sqrt(np.linalg.det(part @ part.T)) for part in (J, J[:3], J[3:])])
+
+
+def inertia_ellipsoid(engine: Asked, q: Array) -> Array:
+    """Return Asada's ratio of extreme eigenvalues of the Cartesian inertia: whole, linear, angular block (3,)."""
+    M = cartesian_inertia(engine, q)
+    values = [np.linalg.eigvalsh(part) for part in (M, M[:3, :3], M[3:, 3:])]
+    return np.array([value[0] / value[-1] for value in values])
+
+
+def contact(engine: Asked, q: Array, v: Array, torque: Array, normal: Array) -> Array:
+    """Return f [N] and q̈, (1 + n,), of the tip held in the plane through it (Eq. 24)."""
+    return engine.pressed(q, v, torque, normal)
+
+
+def pressing_torque(engine: Asked, q: Array, force: Array) -> Array:
+    """Return the torque (n,) with which the arm at rest presses `force` (3,) [N] on what it touches: G + Jᵣᵀ F."""
+    return np.asarray(engine.gravity_term(q) + engine.jacobian(q).T @ force)
+
+
+def sliding_mobility(engine: Asked, q: Array, normal: Array, slip: Array, friction: Array) -> Array:
+    """Return nᵀJᵣ H⁻¹ Jᵣᵀ (n − μ t) () [1/kg]: the normal acceleration per newton of f while the tip slides along t."""
+    J = engine.jacobian(q)
+    return np.asarray(normal @ J @ np.linalg.solve(engine.mass_matrix(q), J.T @ (normal - friction * slip)))
+
+
+QUANTITIES: Mapping[str, Callable[..., Array]] = MappingProxyType(
+    {
+        function.__name__: function
+        for function in (
+            mass_matrix,
+            gravity_term,
+            bias,
+            coriolis_matrix,
+            coriolis_torque,
+            inverse_dynamics,
+            forward_dynamics,
+            position,
+            jacobian,
+            drift,
+            tip_velocity,
+            tip_acceleration,
+            rotation,
+            angular_velocity,
+            angular_acceleration,
+            loaded_gravity_term,
+            cartesian_inertia,
+            manipulability,
+            inertia_ellipsoid,
+            contact,
+            pressing_torque,
+            sliding_mobility,
+            motion.free_positions,
+            motion.swing_period,
+            motion.impact_times,
+        )
+    }
+)
+
+
+def _frame_jacobian(engine: Asked, q: Array) -> Array:
+    """Return the Jacobian of the tip's frame (6, n), linear rows first: ė = ω × e, and Σ e × (ω × e) = 2 ω."""
+    R, J = rotation(engine, q), engine.jacobian(q)
+    turning = sum(
+        (skew(e) @ (engine.at(f"{engine.tip}_{axis}").jacobian(q) - J) for e, axis in zip(R.T, AXES, strict=True)),
+        start=np.zeros_like(J),
+    )
+    return np.concatenate([J, turning / 2.0])

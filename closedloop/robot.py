@@ -80,7 +80,7 @@ class Robot:
         self.views: tuple[Array, ...] = (
             data.M,
             data.nle,
-            data.J,
+            data.J.reshape(6, self.n),  # Pinocchio hands out the one column of a single joint as a vector
             data.oMi[carrier].rotation,
             data.oMi[carrier].translation,
             data.v[carrier].vector,
@@ -132,7 +132,7 @@ class Robot:
             _frozen(H),
             _frozen(bias),
             _frozen(data.oMf[frame].translation.copy()),
-            _frozen(np.ascontiguousarray(pin.getFrameJacobian(model, data, frame, _ALIGNED)[:3])),
+            _frozen(np.ascontiguousarray(pin.getFrameJacobian(model, data, frame, _ALIGNED).reshape(6, self.n)[:3])),
             _frozen(pin.getFrameClassicalAcceleration(model, data, frame, _ALIGNED).linear.copy()),
         )
 
@@ -143,7 +143,7 @@ class Robot:
 
     def position_and_jacobian(self, q: Array) -> tuple[Array, Array]:
         """Return r (3,) and Jᵣ (3, n), base axes, at q (n,); nothing is checked."""
-        jacobian = pin.computeFrameJacobian(self._pin, self._data, q, self._frame, _ALIGNED)
+        jacobian = pin.computeFrameJacobian(self._pin, self._data, q, self._frame, _ALIGNED).reshape(6, self.n)
         pin.updateFramePlacement(self._pin, self._data, self._frame)
         return self._data.oMf[self._frame].translation.copy(), jacobian[:3]
 

@@ -168,3 +168,21 @@ def test_tip_must_be_a_frame_of_the_robot():
     """A tip that the robot lacks is refused with the nearest frames."""
     with pytest.raises(cl.ModelError, match=r"wam4 has no frame 'tipp'.*'tip'"):
         cl.Robot(robot_models.load("wam4"), "tipp")
+
+
+def test_a_single_joint_is_a_robot_too():
+    """An arm of one joint keeps its shapes, though Pinocchio hands out its Jacobian as a vector, and it can slide.
+
+    A prismatic joint along x presses on a wall with normal −x: H q̈ = Q − C − f, so f is what the law presses with.
+    """
+    text = robot_models.load("pointmass3").text
+    model = robot_models.from_text(
+        text, "urdf", name="slider", armature=[0.0], tip="tip", home=[0.0], locked={"Y": 0.0, "Z": 0.0}
+    )  # fmt: skip
+    terms = cl.Robot(model).terms([0.1], [0.2])
+    assert terms.mass_matrix.shape == (1, 1)
+    assert terms.jacobian.tolist() == [[1.0], [0.0], [0.0]]
+    changes = {"surface.normal": [-1, 0, 0], "surface.offset": "start", "reference.kind": "hold", "start.q": [0.1]}
+    changes |= {"start.v": [0.0], "law.kp": 1.0, "law.kd": 1.0, "law.force": 7.0, "time.duration": 0.01}
+    run = cl.simulate(cl.load_scenario("planar2_slide", changes), model=model)
+    assert run.contact_force == pytest.approx(np.full(11, 7.0), abs=1e-12)

@@ -94,12 +94,16 @@ class PinocchioEngine:
 
     def jacobian(self, q):
         frame = pin.ReferenceFrame.LOCAL_WORLD_ALIGNED
-        return pin.computeFrameJacobian(self.model, self.data, self._q(q), self.frame, frame)[:3, self.columns]
+        return pin.computeFrameJacobian(self.model, self.data, self._q(q), self.frame, frame).reshape(6, -1)[
+            :3, self.columns
+        ]
 
     def spatial_jacobian(self, q):
         """Return Pinocchio's WORLD Jacobian with its linear and angular rows exchanged: angular first."""
         frame = pin.ReferenceFrame.WORLD
-        J = pin.computeFrameJacobian(self.model, self.data, self._q(q), self.frame, frame)[:, self.columns]
+        J = pin.computeFrameJacobian(self.model, self.data, self._q(q), self.frame, frame).reshape(6, -1)[
+            :, self.columns
+        ]
         return np.concatenate([J[3:], J[:3]])
 
     def drift(self, q, v):

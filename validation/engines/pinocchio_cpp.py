@@ -100,7 +100,8 @@ class PinocchioCpp(Engine):
 
     def jacobian(self, q: Array) -> Array:
         aligned = self.pin.ReferenceFrame.LOCAL_WORLD_ALIGNED
-        J = self.pin.computeFrameJacobian(self.model, self.data, self._q(q), self.frame, aligned)
+        # Pinocchio hands out the one column of a single joint as a vector.
+        J = self.pin.computeFrameJacobian(self.model, self.data, self._q(q), self.frame, aligned).reshape(6, -1)
         return np.array(J[:3, self.columns])
 
     def drift(self, q: Array, v: Array) -> Array:

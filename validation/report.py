@@ -8,6 +8,7 @@ import shlex
 from collections.abc import Iterable
 from dataclasses import asdict, dataclass, field
 from html import escape
+from textwrap import shorten
 from typing import Any
 
 from validation.comparison import QUANTITIES, Cell, Comparison
@@ -224,7 +225,8 @@ def _rich(report: Report) -> Iterable[Any]:
         for k, name in enumerate(header):
             table.add_column(name, justify="right" if k in (2, 3) else "left", no_wrap=k in (2, 3, 4))
         for row in rows:
-            table.add_row(*map(colour, row))
+            # A terminal gets the beginning of an argument; JSON, Markdown and HTML have it whole.
+            table.add_row(*map(colour, [*row[:-1], shorten(row[-1], 100, placeholder=" …")]))
         yield table
     yield Text("")
     yield Text(_ending(report), style="bold green" if report.passed else "bold red")

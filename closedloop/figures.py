@@ -10,7 +10,7 @@ import numpy as np
 
 from closedloop.errors import OutputError
 from closedloop.record import Run
-from closedloop.scenario import LineSection, NoStabiliserSection
+from closedloop.scenario import LineSection
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -106,11 +106,12 @@ def closure_error(run: Run) -> Figure:
     axes.margins(y=0.15)
     factor, unit = _length_unit(float(np.max(np.abs(run.closure_error), initial=0.0)))
     axes.plot(run.time, factor * run.closure_error, color=COLOURS[1])
-    how = (
-        "without stabiliser"
-        if isinstance(run.scenario.stabiliser, NoStabiliserSection)
-        else "with Baumgarte's stabiliser"
-    )
+    how = {
+        "baumgarte": "with Baumgarte's stabiliser",
+        "projection": "with projection",
+        "both": "with Baumgarte's stabiliser and projection",
+        "none": "without stabiliser",
+    }[run.scenario.stabiliser.kind]
     _dress(axes, run, f"Closure error e = n·r − d, {how}", f"e [{unit}]")
     return figure
 
@@ -132,7 +133,7 @@ def draw_figures(run: Run, folder: str | Path, unstabilised: Run | None = None) 
     OutputError
         If a figure cannot be written.
     """
-    plain = isinstance(run.scenario.stabiliser, NoStabiliserSection)
+    plain = run.scenario.stabiliser.kind == "none"
     wanted: list[tuple[str, Callable[[Run], Figure], Run]] = [
         ("fig4_tip_position", tip_position, run),
         ("fig5_contact_force", contact_force, run),

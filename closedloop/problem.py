@@ -15,7 +15,7 @@ from closedloop.baumgarte import baumgarte_gains, largest_stable_ratio
 from closedloop.errors import ScenarioError
 from closedloop.integrate import INTEGRATORS, Integrator
 from closedloop.robot import Robot
-from closedloop.scenario import HoldSection, LineSection, NoStabiliserSection, Scenario
+from closedloop.scenario import BaumgarteGains, HoldSection, LineSection, Scenario
 from closedloop.step import Row
 from closedloop.surface import Plane, unit
 from robot_models import RobotModel
@@ -49,6 +49,8 @@ class Problem:
         q_des and q̇_des at every instant at which a stage is evaluated.
     nodes : tuple of int
         For each stage, how many rows of `path` after its step's first it is evaluated.
+    project : bool
+        Whether the state is put back on the closure after each step.
     hold : int
         Steps for which a sampled torque is held; 0: the law is evaluated at every stage.
     """
@@ -66,6 +68,7 @@ class Problem:
     gains: Array
     path: Array
     nodes: tuple[int, ...]
+    project: bool
     hold: int
 
 
@@ -141,6 +144,7 @@ def prepare(scenario: Scenario, model: RobotModel | None = None) -> Problem:
         gains=np.array([_per_joint("law.kp", law.kp, model), _per_joint("law.kd", law.kd, model)]),
         path=path,
         nodes=tuple(round(x * nodes_per_step) for x in integrator.nodes),
+        project=scenario.stabiliser.kind in ("projection", "both"),
         hold=hold,
     )
 
@@ -165,7 +169,7 @@ def _joint_path(scenario: Scenario, robot: Robot, plane: Plane, q: Array) -> ref
 
 def _stabiliser_gains(scenario: Scenario) -> tuple[float, float]:
     section = scenario.stabiliser
-    if isinstance(section, NoStabiliserSection):
+    if not isinstance(section, BaumgarteGains):
         return 0.0, 0.0
     name = scenario.time.integrator
     limit = largest_stable_ratio(name, section.damping_ratio)

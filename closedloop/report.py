@@ -10,8 +10,6 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
-from closedloop.scenario import NoStabiliserSection
-
 if TYPE_CHECKING:
     from closedloop.record import Run
 
@@ -203,7 +201,8 @@ def print_report(run: Run, width: int | None = None) -> None:
 
 def _error_rows(run: Run, facts: dict[str, Any]) -> list[tuple[str, str, str, str]]:
     commanded = f"commanded {run.scenario.law.force:g} N" if run.law == "scenario" else f"law {run.law}"
-    absent = "no stabiliser" if isinstance(run.scenario.stabiliser, NoStabiliserSection) else ""
+    kind = run.scenario.stabiliser.kind
+    absent = {"none": "no stabiliser", "projection": "projection needs no force"}.get(kind, "")
     lowest, highest = facts["min_contact_force"], facts["peak_contact_force"]
     return [
         ("contact force f at the end", f"{facts['final_contact_force']:.9g}", "N", commanded),

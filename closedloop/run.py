@@ -67,6 +67,7 @@ def _main(arguments: list[str]) -> int:
     _make_writable(folder)
     from closedloop.simulation import simulate
 
+    _announce_compiling()
     failure: SimulationError | None = None
     try:
         run = simulate(scenario, law=law, model=model, progress=not options.json)
@@ -199,6 +200,15 @@ def _make_writable(folder: Path) -> None:
     except (OSError, ValueError) as error:
         reason = error.strerror if isinstance(error, OSError) else error
         raise OutputError(f"--out {str(folder)!r}: cannot be written: {reason}; name another folder") from None
+
+
+def _announce_compiling() -> None:
+    """Say why the first run of an installation takes longer."""
+    from closedloop.compiled import needs_compiling
+    from closedloop.step import step_on_pinocchio
+
+    if needs_compiling(step_on_pinocchio):
+        print("compiling the step (once for this installation, about 5 s) ...", file=sys.stderr, flush=True)
 
 
 def _write_summary(summary: dict[str, Any], path: Path) -> Path:

@@ -131,12 +131,29 @@ class PaperLawSection(Section):
     )
 
 
-class BaumgarteSection(Section):
-    """[stabiliser] kind = "baumgarte": s_v = 2ζ/T, s_p = 1/T²."""
+class BaumgarteGains(Section):
+    """What Baumgarte's stabiliser is set by: s_v = 2ζ/T, s_p = 1/T²."""
 
-    kind: Literal["baumgarte"] = "baumgarte"
     damping_ratio: NotNegative = Field(0.707, description="ζ")
     time_constant: Positive = Field(0.001, description="T, s")
+
+
+class BaumgarteSection(BaumgarteGains):
+    """[stabiliser] kind = "baumgarte": a spring and a damper inside Eq. 24, as in the paper."""
+
+    kind: Literal["baumgarte"] = "baumgarte"
+
+
+class ProjectionSection(Section):
+    """[stabiliser] kind = "projection": position and velocity are put back on the closure after each step."""
+
+    kind: Literal["projection"] = "projection"
+
+
+class BothSection(BaumgarteGains):
+    """[stabiliser] kind = "both": Baumgarte inside the step, projection after it."""
+
+    kind: Literal["both"] = "both"
 
 
 class NoStabiliserSection(Section):
@@ -165,7 +182,9 @@ class TimeSection(Section):
 
 
 Reference = Annotated[LineSection | HoldSection, Field(discriminator="kind")]
-Stabiliser = Annotated[BaumgarteSection | NoStabiliserSection, Field(discriminator="kind")]
+Stabiliser = Annotated[
+    BaumgarteSection | ProjectionSection | BothSection | NoStabiliserSection, Field(discriminator="kind")
+]
 
 
 class Scenario(Section):

@@ -18,6 +18,7 @@ from closedloop.compiled import forget_old_caches, needs_compiling
 from closedloop.control import Law
 from closedloop.errors import DivergenceError, ScenarioError, SimulationError, SingularClosureError
 from closedloop.problem import Problem, prepare
+from closedloop.projection import CLOSED, MOST_MOVES, POSITION, VELOCITY, project_on_pinocchio
 from closedloop.record import PRESSED, Run
 from closedloop.robot import Robot
 from closedloop.scenario import Scenario
@@ -74,11 +75,7 @@ def simulate(
         If the simulation could not go on (`SingularClosureError`, `DivergenceError`); its `run` holds what ran.
     """
     problem = prepare(scenario, model)
-    if needs_compiling(step_on_pinocchio):
-        print("compiling the step (once for this installation, about 5 s) ...", file=sys.stderr, flush=True)
-        compiled_now = True
-    else:
-        compiled_now = False
+    compiled_now = needs_compiling(step_on_pinocchio)
     if progress is True:
         from closedloop.progress import bar
 
@@ -134,10 +131,13 @@ def run_loop(
         rows,
     )
     stages = tuple(enumerate(problem.nodes))
-    plain = law is None and not problem.hold and len(stages) == 1
+    plain = law is None and not problem.hold and not problem.project and len(stages) == 1
     evaluate, hold = robot.evaluator(q, v), problem.hold
     kind = LAW_PAPER if law is None else LAW_GIVEN
     user_torque = None if law is None else _checked_law(law, robot, q, v)
+    project = _projection(fixed[:-4], memory, evaluate) if problem.project else None
+    if project is not None:
+        project()
 
     failure: SimulationError | None = None
     began = clock.perf_counter()
@@ -169,8 +169,28 @@ def run_loop(
         if failure is not None:
             rows = rows[: i + (stage > 0)]  # a later stage may fail where the row's own state did not
             break
+        if project is not None:
+            project()
     report(len(rows) - 1, steps)
     return rows, failure, clock.perf_counter() - began
+
+
+def _projection(passed: tuple[Array, ...], memory: Array, evaluate: Callable[[], None]) -> Callable[[], None]:
+    """Return a function that puts the state in `memory` on the closure, position first, then velocity.
+
+    `passed` is what `project_on_pinocchio` reads: Pinocchio's views, the constants and the joints.
+    """
+    n = memory.shape[1]
+    work = np.zeros((n + 5, n))
+
+    def project() -> None:
+        for _ in range(MOST_MOVES):
+            evaluate()
+            if project_on_pinocchio(POSITION, memory, work, *passed) <= CLOSED:
+                break
+        project_on_pinocchio(VELOCITY, memory, work, *passed)
+
+    return project
 
 
 def _checked_law(law: Law, robot: Robot, q: Array, v: Array) -> Callable[[float, Array], str]:

@@ -26,15 +26,16 @@ def test_without_it_the_closure_drifts_in_the_same_second():
 
 
 def test_force_has_no_share_of_it():
-    """Projection alone puts no stabiliser's force into f; f is Baumgarte's but for the share that answers the drift.
+    """Projection alone puts no stabiliser's force into f; f is Baumgarte's but for what the law makes of ė.
 
-    That share is s_p e of a step's drift, some 1e-9 m: largest where the motion starts, micronewtons in steady sliding.
+    Baumgarte leaves ė of 4e-7 m/s, which the PD part's damping, some hundred N s/m along the normal, turns into 4e-5 N.
     """
     run = cl.simulate(cl.load_scenario("wam_slide", SHORT))
     assert not np.any(run.stabiliser_force)
     other = cl.simulate(cl.load_scenario("wam_slide", SHORT | {"stabiliser.kind": "baumgarte"}))
-    assert run.contact_force == pytest.approx(other.contact_force, abs=2e-3)
-    assert run.contact_force[-1] == pytest.approx(other.contact_force[-1], abs=1e-5)
+    assert run.contact_force == pytest.approx(other.contact_force, abs=1e-3)
+    assert run.contact_force[-1] == pytest.approx(other.contact_force[-1], abs=2e-4)
+    assert np.ptp(run.contact_force) > 1.0  # the transient is in it
 
 
 def test_a_start_beside_the_surface_is_put_on_it_by_the_smallest_move():

@@ -14,11 +14,12 @@ from validation.comparison import Cell, Comparison, build_all, compare, missing_
 from validation.engines import ENGINES, Engine, Missing, available
 from validation.engines.loop import ClosedLoop
 from validation.engines.symbolic import Symbolic
-from validation.identities import IDENTITIES, check_all, draw_sample, unanswered
+from validation.identities import Residual, Sample, check_all, draw_sample, unanswered
 from validation.oracle import Oracle
 from validation.plant import Catch
 from validation.random_trees import random_robot, random_state
 from validation.report import Check, Report, Section
+from validation.states import draw_states
 
 # Name in the report -> how to load it. wam4 stands twice: its drives carry half of its inertia.
 ROBOTS: dict[str, tuple[str, bool]] = {
@@ -106,25 +107,15 @@ def check_identities(trees: int, states: int) -> Section:
         ("closedloop", lambda robot: ClosedLoop(robot, robot.tip)),
     ]
     for name, make in judged:
-        worst: dict[str, Check] = {}
-        missing: dict[str, tuple[str, ...]] = {}
+        pairs = []
         for seed in range(trees):
-            robot = random_robot(seed)
+            robot, rng = random_robot(seed), np.random.default_rng([seed, 1])
             engine = make(robot)
-            missing = unanswered(engine)
-            rng = np.random.default_rng([seed, 1])
-            for _ in range(states):
-                q, v = random_state(robot, rng)
-                for identity, residual in check_all(engine, draw_sample(q, v, rng)).items():
-                    if identity not in worst or not residual.value <= worst[identity].value:
-                        worst[identity] = Check(
-                            identity.replace("_", " "), name, residual.value, residual.tolerance, residual.passed,
-                            residual.argument,
-                        )  # fmt: skip
-        section.checks += [worst[identity] for identity in IDENTITIES if identity in worst]
+            pairs += [(engine, draw_sample(*random_state(robot, rng), rng)) for _ in range(states)]
+        section.checks += _worst_residuals(name, pairs)
         section.checks += [
             Check(identity.replace("_", " "), name, math.nan, math.nan, None, f"has no {', '.join(methods)}")
-            for identity, methods in missing.items()
+            for identity, methods in unanswered(pairs[0][0]).items()
         ]
     return section
 
@@ -133,22 +124,25 @@ def check_robot_identities(model: Any, tip: str, states: int, seed: int) -> Sect
     """Check every identity on one robot, for every engine that is installed and can build it."""
     section = Section(f"identities on {model.name}")
     for engine in available(model, tip):
-        if not isinstance(engine, Engine):
-            continue
-        worst: dict[str, Check] = {}
-        rng = np.random.default_rng([seed, 2])
-        for _ in range(states):
-            lower = np.where(np.isfinite(model.position_lower), model.position_lower, -np.pi)
-            upper = np.where(np.isfinite(model.position_upper), model.position_upper, np.pi)
-            sample = draw_sample(rng.uniform(lower, upper), rng.normal(size=len(model.joint_names)), rng)
-            for identity, residual in check_all(engine, sample).items():
-                if identity not in worst or not residual.value <= worst[identity].value:
-                    worst[identity] = Check(
-                        identity.replace("_", " "), engine.name, residual.value, residual.tolerance, residual.passed,
-                        residual.argument,
-                    )  # fmt: skip
-        section.checks += list(worst.values())
+        if isinstance(engine, Engine):
+            drawn = draw_states(model, engine, seed, states)
+            rng = np.random.default_rng([seed, 2])
+            pairs = [(engine, draw_sample(state.q, state.v, rng)) for state in drawn]
+            section.checks += _worst_residuals(engine.name, pairs)
     return section
+
+
+def _worst_residuals(name: str, pairs: Sequence[tuple[Any, Sample]]) -> list[Check]:
+    """Return, for each identity that the engines can be asked, the worst residual over (engine, sample)."""
+    worst: dict[str, Residual] = {}
+    for engine, sample in pairs:
+        for identity, residual in check_all(engine, sample).items():
+            if identity not in worst or not residual.value <= worst[identity].value:
+                worst[identity] = residual
+    return [
+        Check(identity.replace("_", " "), name, r.value, r.tolerance, r.passed, r.argument)
+        for identity, r in worst.items()
+    ]
 
 
 def run_suite(

@@ -76,10 +76,10 @@ def _parser() -> argparse.ArgumentParser:
         "--robot", help="only this robot: a name in the report, any that robot_models loads, random:SEED, or a file"
     )
     parser.add_argument("--tip", help="frame to compare at (default: the robot's own)")
-    parser.add_argument("--states", type=int, help="states a robot (default 1000, or 100 with --quick)")
+    parser.add_argument("--states", type=int, help="states a robot (default 1000, or 50 with --quick)")
     parser.add_argument("--seed", type=int, default=0, help="seed of the states (default 0)")
     parser.add_argument("--state", type=int, help="only this state of the seed, with --robot")
-    parser.add_argument("--quick", action="store_true", help="a tenth of the states and no slide: a few seconds")
+    parser.add_argument("--quick", action="store_true", help="few states and no slide: some seconds")
     parser.add_argument("--plant", action="store_true", help="plant faults in turn and show what catches each")
     parser.add_argument("--engine", metavar="MODULE:CLASS", help="judge this engine too (see CONTRIBUTING.md)")
     parser.add_argument("--json", metavar="FILE", help="write every figure")
@@ -93,7 +93,7 @@ def _compare(options: argparse.Namespace) -> Any:
     from validation.report import Report
     from validation.suite import check_robot_identities, compare_with_truth, load_robot, run_suite
 
-    states = options.states or (100 if options.quick else 1000)
+    states = options.states or (50 if options.quick else 1000)
     engines = [_engine(options.engine)] if options.engine else []
     if options.robot is None:
         if options.state is not None or options.tip is not None:

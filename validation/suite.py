@@ -171,7 +171,7 @@ def run_suite(
         say(f"comparing the engines on {label}")
         model = robot_models.load(name, drive_inertia=drives)
         report.comparisons += compare_with_truth(model, None, states, seed, engines, label)
-    trees = 10 if quick else 30
+    trees = 6 if quick else 30
     say("comparing the engines on random trees")
     report.comparisons.append(compare_random_trees(trees, 4, engines))
     say("checking identities")

@@ -11,6 +11,7 @@ import numpy as np
 
 import closedloop
 from closedloop import Problem
+from closedloop.scenario import BothSection, ProjectionSection
 from closedloop.simulation import simulate
 from validation.oracle import Law, Oracle, simulate_slide
 from validation.oracle.spatial import Array
@@ -64,6 +65,8 @@ def slide_oracle(of: Problem) -> Trajectory:
     if not of.integrator.semi_implicit:
         raise ValueError("the oracle's loop steps by semi-implicit Euler only")
     stabiliser = of.scenario.stabiliser
+    if isinstance(stabiliser, ProjectionSection | BothSection):
+        raise ValueError("the oracle's loop does not project")
     pair = None if stabiliser.kind == "none" else (stabiliser.damping_ratio, stabiliser.time_constant)
     began = clock.perf_counter()
     run = simulate_slide(

@@ -61,11 +61,14 @@ class Report:
         Identities, published numbers, trajectories, faults.
     command : str
         What reproduces the run.
+    details : bool
+        Whether the printed tables have a line for each quantity of each engine, as Markdown and HTML always have.
     """
 
     comparisons: list[Comparison] = field(default_factory=list)
     sections: list[Section] = field(default_factory=list)
     command: str = ""
+    details: bool = False
 
     @property
     def passed(self) -> bool:
@@ -145,7 +148,21 @@ def _engines(comparison: Comparison) -> list[str]:
 
 
 def _title(c: Comparison) -> str:
-    return f"{c.robot}, tip {c.tip}: {c.states} states of seed {c.seed} against {c.reference}"
+    return f"{c.robot} at its frame {c.tip}: {c.states} states of seed {c.seed} against {c.reference}"
+
+
+def _details(c: Comparison) -> tuple[list[str], list[list[str]]]:
+    """Return header and rows of one robot's long table: a line for each quantity of each engine."""
+    header = ["quantity", "engine", "worst absolute", "worst relative", "tolerance", "at state", "states", ""]
+    rows = [
+        [
+            cell.quantity, cell.engine, f"{cell.absolute:.2e}", f"{cell.relative:.2e}", f"{cell.tolerance:.2e}",
+            f"{cell.robot.partition(':')[2]} {cell.state}".strip(), str(cell.states), MARKS[cell.status],
+        ]
+        for cell in c.cells
+        if cell.status in MARKS
+    ]  # fmt: skip
+    return header, rows
 
 
 def _cell_text(cell: Cell) -> str:
@@ -219,6 +236,12 @@ def _rich(report: Report) -> Iterable[Any]:
             if remark not in said:  # the same engines lack the same things for every robot
                 yield Text(f"  {remark}", style="dim")
             said.add(remark)
+        if report.details:
+            header, rows = _details(c)
+            table = Table(*header, box=box.SIMPLE_HEAD)
+            for row in rows:
+                table.add_row(*map(colour, row))
+            yield table
     for section in report.sections:
         header, rows = _check_rows(section)
         table = Table(box=box.SIMPLE_HEAD, title=section.title, title_justify="left")
@@ -237,6 +260,7 @@ def _rich(report: Report) -> Iterable[Any]:
 def _tables(report: Report) -> Iterable[tuple[str, list[str], list[list[str]], list[str]]]:
     for c in report.comparisons:
         yield (_title(c), *_grid(c))
+        yield (f"{c.robot} against {c.reference}, in full", *_details(c), [])
     for section in report.sections:
         yield (section.title, *_check_rows(section), [])
 

@@ -55,6 +55,7 @@ def _main(words: list[str]) -> int:
     began = time.perf_counter()
     report = _plant(options) if options.plant else _compare(options)
     report.command = f"python -m validation.run {' '.join(words)}".strip()
+    report.details = options.details
     report.show()
     print(f"{time.perf_counter() - began:.1f} s")
     for kind, path in files.items():
@@ -80,6 +81,7 @@ def _parser() -> argparse.ArgumentParser:
     parser.add_argument("--seed", type=int, default=0, help="seed of the states (default 0)")
     parser.add_argument("--state", type=int, help="only this state of the seed, with --robot")
     parser.add_argument("--quick", action="store_true", help="few states and no slide: some seconds")
+    parser.add_argument("--details", action="store_true", help="print a line for each quantity of each engine")
     parser.add_argument("--plant", action="store_true", help="plant faults in turn and show what catches each")
     parser.add_argument("--engine", metavar="MODULE:CLASS", help="judge this engine too (see CONTRIBUTING.md)")
     parser.add_argument("--json", metavar="FILE", help="write every figure")

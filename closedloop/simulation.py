@@ -151,7 +151,7 @@ def run_loop(
             status = step_on_pinocchio(i, i, 0, LAW_PAPER, *fixed)
             if status == OK:
                 continue
-            failure, rows = _failure(status, i * h, robot, problem, q, v), rows[:i]
+            failure, rows = _failure(status, i * h, robot, problem, law, q, v), rows[:i]
             break
         for stage, node in stages if i < steps else stages[:1]:
             at = i * per_step + node
@@ -164,7 +164,7 @@ def run_loop(
             evaluate()
             status = step_on_pinocchio(i, at, stage, kind if sampled else LAW_GIVEN, *fixed)
             if status != OK:
-                failure = _failure(status, at * h / per_step, robot, problem, q, v)
+                failure = _failure(status, at * h / per_step, robot, problem, law, q, v)
                 break
         if failure is not None:
             rows = rows[: i + (stage > 0)]  # a later stage may fail where the row's own state did not
@@ -224,7 +224,9 @@ def _when(t: float) -> str:
     return f"stopped at t = {t:.6g} s"
 
 
-def _failure(status: int, t: float, robot: Robot, problem: Problem, q: Array, v: Array) -> SimulationError:
+def _failure(
+    status: int, t: float, robot: Robot, problem: Problem, law: Law | None, q: Array, v: Array
+) -> SimulationError:
     if status == SINGULAR:
         pose = np.array2string(q, precision=4, separator=", ", suppress_small=True)
         return SingularClosureError(
@@ -240,10 +242,20 @@ def _failure(status: int, t: float, robot: Robot, problem: Problem, q: Array, v:
             t,
         )
     fast = int(np.argmax(np.abs(v))) if np.all(np.isfinite(v)) else 0
+    name = robot.joint_names[fast]
+    if law is not None:
+        cure = "look at the signs and sizes in the law, and at time.step"
+    else:
+        cure = "look at the signs and sizes of law.kp and law.kd, and at time.step"
+        # A damper on a joint is itself stepped, and shakes loose where K_d h exceeds twice the inertia it acts on.
+        damping = problem.gains[1] * problem.h / np.diag(robot.terms(problem.q, problem.v).mass_matrix)
+        if damping[fast] > 2.0:
+            cure = (
+                f"law.kd[{fast}] times time.step is {damping[fast]:.3g} times that joint's inertia, where 2 is the most "
+                "that a step can damp: lower law.kd for it"
+            )
     return DivergenceError(
-        f"{_when(t)}: the motion diverges: joint {robot.joint_names[fast]} is beyond {SPEED_LIMIT:g} rad/s or "
-        "not a number; look at the signs and sizes of law.kp and law.kd, and at time.step",
-        t,
+        f"{_when(t)}: the motion diverges: joint {name} is beyond {SPEED_LIMIT:g} rad/s or not a number; {cure}", t
     )
 
 

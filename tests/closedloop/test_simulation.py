@@ -234,3 +234,11 @@ def test_divergence_names_the_joint_and_keeps_what_ran():
     assert error.run.time[-1] == pytest.approx(error.time - 0.001)
     assert all(np.all(np.isfinite(column)) for column in error.run.columns.values())
     assert "law.kd" in str(error)
+
+
+def test_a_damper_that_a_step_cannot_carry_is_named():
+    """A K_d whose step is over twice the joint's inertia makes the motion diverge; the line says which and how much."""
+    gains = {"law.kp": 400.0, "law.kd": 40.0, "start.v": None, "start.q": [0, -1.2, 1.6, -1.9, -1.57, 0]}
+    scenario = cl.load_scenario("wam_slide", gains | {"robot.model": "ur5", "robot.tip": "tool0", "time.duration": 1.0})
+    with pytest.raises(cl.DivergenceError, match=r"law.kd\[5\] times time.step is 2.33 times that joint's inertia"):
+        cl.simulate(scenario)

@@ -251,8 +251,8 @@ def _failure(
         damping = problem.gains[1] * problem.h / np.diag(robot.terms(problem.q, problem.v).mass_matrix)
         if damping[fast] > 2.0:
             cure = (
-                f"law.kd[{fast}] times time.step is {damping[fast]:.3g} times that joint's inertia, where 2 is the most "
-                "that a step can damp: lower law.kd for it"
+                f"law.kd[{fast}] times time.step is {damping[fast]:.3g} times that joint's inertia, where 2 is the "
+                "most that a step can damp: lower law.kd for it"
             )
     return DivergenceError(
         f"{_when(t)}: the motion diverges: joint {name} is beyond {SPEED_LIMIT:g} rad/s or not a number; {cure}", t

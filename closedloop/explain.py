@@ -10,7 +10,8 @@ from pydantic import ValidationError
 from pydantic_core import ErrorDetails
 
 from closedloop.errors import one_line
-from closedloop.scenario import Scenario, Section
+from closedloop.scenario import Scenario
+from closedloop.sections import Section
 
 
 def variants(section: str) -> dict[str, type[Section]]:

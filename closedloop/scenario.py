@@ -8,7 +8,6 @@ A scenario file is data: it can name a robot and numbers, never code. Unknown ke
 from __future__ import annotations
 
 import difflib
-import math
 import tomllib
 from collections.abc import Mapping
 from copy import deepcopy
@@ -16,59 +15,10 @@ from importlib import resources
 from pathlib import Path
 from typing import Annotated, Any, Literal, get_args
 
-from pydantic import BaseModel, BeforeValidator, ConfigDict, Field, ValidationError
+from pydantic import BeforeValidator, Field, ValidationError
 
 from closedloop.errors import ScenarioError
-
-
-def _number(value: Any) -> Any:
-    """Refuse what Python would quietly turn into a number."""
-    if isinstance(value, bool) or not isinstance(value, (int, float)):
-        raise ValueError("must be a number")
-    try:
-        return float(value)
-    except OverflowError:
-        raise ValueError("must be a number below 1e308") from None
-
-
-def _boolean(value: Any) -> Any:
-    if not isinstance(value, bool):
-        raise ValueError("must be true or false")
-    return value
-
-
-def _gain(value: Any) -> Any:
-    """Take one number, or a list of them; pydantic's own union would blame the branch that was not meant."""
-    if not isinstance(value, (list, tuple)):
-        return _finite(value)
-    for index, entry in enumerate(value):
-        try:
-            _finite(entry)
-        except ValueError:
-            raise ValueError(f"entry {index} is {entry!r}: must be a finite number") from None
-    return tuple(float(entry) for entry in value)
-
-
-def _finite(value: Any) -> float:
-    number = float(_number(value))
-    if not math.isfinite(number):
-        raise ValueError("must be finite, not NaN or infinite")
-    return number
-
-
-Number = Annotated[float, BeforeValidator(_number)]
-Positive = Annotated[float, BeforeValidator(_number), Field(gt=0.0)]
-NotNegative = Annotated[float, BeforeValidator(_number), Field(ge=0.0)]
-Flag = Annotated[bool, BeforeValidator(_boolean)]
-Vector3 = tuple[Number, Number, Number]
-PerJoint = tuple[Number, ...]
-Gain = Annotated[float | tuple[float, ...], BeforeValidator(_gain)]
-
-
-class Section(BaseModel):
-    """Common settings of all sections: nothing unknown, nothing infinite, nothing changed afterwards."""
-
-    model_config = ConfigDict(extra="forbid", frozen=True, allow_inf_nan=False)
+from closedloop.sections import Flag, Gain, NotNegative, Number, PerJoint, Positive, Section, Vector3
 
 
 class RobotSection(Section):

@@ -14,16 +14,19 @@ from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
     from closedloop.control import Law as Law
+    from closedloop.errors import ChatterError as ChatterError
     from closedloop.errors import ClosedLoopError as ClosedLoopError
     from closedloop.errors import DivergenceError as DivergenceError
     from closedloop.errors import ModelError as ModelError
     from closedloop.errors import OutputError as OutputError
+    from closedloop.errors import PainleveError as PainleveError
     from closedloop.errors import RunFileError as RunFileError
     from closedloop.errors import ScenarioError as ScenarioError
     from closedloop.errors import SimulationError as SimulationError
     from closedloop.errors import SingularClosureError as SingularClosureError
     from closedloop.problem import Problem as Problem
     from closedloop.problem import prepare as prepare
+    from closedloop.record import Event as Event
     from closedloop.record import Run as Run
     from closedloop.robot import Robot as Robot
     from closedloop.robot import Terms as Terms
@@ -36,11 +39,14 @@ if TYPE_CHECKING:
     from closedloop.surface import Plane as Plane
 
 _HOME = {
+    "ChatterError": "errors",
     "ClosedLoopError": "errors",
     "DivergenceError": "errors",
+    "Event": "record",
     "Law": "control",
     "ModelError": "errors",
     "OutputError": "errors",
+    "PainleveError": "errors",
     "Plane": "surface",
     "Problem": "problem",
     "Robot": "robot",

@@ -15,10 +15,12 @@ if TYPE_CHECKING:
     from closedloop.record import Run
 
 __all__ = [
+    "ChatterError",
     "ClosedLoopError",
     "DivergenceError",
     "ModelError",
     "OutputError",
+    "PainleveError",
     "RunFileError",
     "ScenarioError",
     "SimulationError",
@@ -67,3 +69,11 @@ class SingularClosureError(SimulationError):
 
 class DivergenceError(SimulationError):
     """The state grew beyond all bounds or stopped being a number."""
+
+
+class ChatterError(SimulationError):
+    """The contact changes its mode without end at one instant."""
+
+
+class PainleveError(SimulationError):
+    """Friction leaves no rigid contact force: pressing harder would pull the tip into the surface."""

@@ -54,6 +54,7 @@ def describe_keys() -> list[tuple[str, str]]:
 CURES = {
     "greater_than": "must be greater than 0",
     "greater_than_equal": "must not be negative",
+    "less_than_equal": "must be at most 1",
     "finite_number": "must be finite, not NaN or infinite",
     "string_type": "must be text",
     "tuple_type": "must be a list of numbers",

@@ -83,43 +83,47 @@ INTEGRATORS: dict[str, Integrator] = {
 
 @kernel
 def advance(
-    stage: int, h: float, semi_implicit: bool, tableau: Array, qdd: Array, stages: Array, q: Array, v: Array
-) -> None:
-    """Move (q, v) from this stage's state to the next stage's, or after the last stage to the next step's.
+    stage: int, h: float, semi_implicit: bool, tableau: Array, begin: Array, stages: Array, qdd: Array, dz: Array,
+    q: Array, v: Array, z: Array,
+) -> None:  # fmt: skip
+    """Move the state (q, q̇, z) from this stage's to the next stage's, or after the last stage to the step's end.
 
     Parameters
     ----------
     stage : int
-        The stage whose acceleration `qdd` (n,) is.
+        The stage whose derivatives q̈ (n,) and ż (k,) are given.
     h : float
         Step, s.
     tableau : (S + 1, S) array
         See `Integrator.tableau`.
-    stages : (2 S + 2, n) array
-        q̇ and q̈ of each stage so far, of which this stage's are written, then q and v at the beginning of the step,
-        written at stage 0.
-    q, v : (n,) arrays
+    begin : (2 n + k,) array
+        q, q̇ and z at the beginning of the step.
+    stages : (S, 2 n + k) array
+        Derivatives of the state at each stage so far, of which this stage's are written.
+    q, v, z : (n,), (n,), (k,) arrays
         In: this stage's state. Out: the next one's.
     """
-    n = q.shape[0]
+    n, k = q.shape[0], z.shape[0]
     if semi_implicit:
         for j in range(n):
             v[j] += h * qdd[j]
             q[j] += h * v[j]
+        for j in range(k):
+            z[j] += h * dz[j]
         return
-    start = 2 * tableau.shape[1]
-    if stage == 0:
-        for j in range(n):
-            stages[start, j] = q[j]
-            stages[start + 1, j] = v[j]
     for j in range(n):
-        stages[2 * stage, j] = v[j]
-        stages[2 * stage + 1, j] = qdd[j]
-    for j in range(n):
-        dq = 0.0
-        dv = 0.0
-        for k in range(stage + 1):
-            dq += tableau[stage + 1, k] * stages[2 * k, j]
-            dv += tableau[stage + 1, k] * stages[2 * k + 1, j]
-        q[j] = stages[start, j] + h * dq
-        v[j] = stages[start + 1, j] + h * dv
+        stages[stage, j] = v[j]
+        stages[stage, n + j] = qdd[j]
+    for j in range(k):
+        stages[stage, 2 * n + j] = dz[j]
+    for j in range(2 * n + k):
+        x = 0.0
+        for i in range(stage + 1):
+            x += tableau[stage + 1, i] * stages[i, j]
+        x = begin[j] + h * x
+        if j < n:
+            q[j] = x
+        elif j < 2 * n:
+            v[j - n] = x
+        else:
+            z[j - 2 * n] = x

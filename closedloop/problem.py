@@ -11,13 +11,17 @@ from numpy.typing import NDArray
 
 import robot_models
 from closedloop import reference
+from closedloop import workspace as space
 from closedloop.baumgarte import baumgarte_gains, largest_stable_ratio
+from closedloop.contact import FREE, PRESSED
 from closedloop.errors import ScenarioError
+from closedloop._impact_stub import NEWTON, POISSON, STRONGE
 from closedloop.integrate import INTEGRATORS, Integrator
+from closedloop.machine import ARRIVING, CLOSING, RESTING, TOUCHING
 from closedloop.robot import Robot
 from closedloop.scenario import BaumgarteGains, HoldSection, LineSection, Scenario
-from closedloop.step import Row
-from closedloop.surface import Plane, unit
+from closedloop.step import LAW_GIVEN, LAW_PAPER, Row
+from closedloop.surface import Plane, contact_frame, unit
 from robot_models import RobotModel
 
 Array = NDArray[np.float64]
@@ -28,6 +32,8 @@ MOST_NUMBERS = 200_000_000
 # the paper's stabiliser a millimetre already asks for a thousand newtons from each kilogram.
 START_GAP = 1e-3
 
+IMPACT_LAWS = {"newton": NEWTON, "poisson": POISSON, "stronge": STRONGE}
+
 
 @dataclass(frozen=True)
 class Problem:
@@ -37,18 +43,24 @@ class Problem:
     ----------
     robot, plane, integrator
         The arm with its tip, the surface, the scheme.
+    frame : (3, 3) array
+        Contact frame: rows n, t1, t2 in base axes.
     q, v : (n,) arrays
         State at t = 0.
+    mode : int
+        What the tip does at t = 0, see `closedloop.contact`.
     steps, h : int, float
         Number of steps and the step, s.
     stabiliser : (2,) array
         s_v, 1/s, and s_p, 1/s².
-    settings, gains : (2,), (2, n) arrays
+    pd_start : float
+        Instant from which the PD part of the law acts, s.
+    gains : (2, n) array
         See `closedloop.control.paper_law`.
-    path : (steps · nodes + 1, 2, n) array
-        q_des and q̇_des at every instant at which a stage is evaluated.
-    nodes : tuple of int
-        For each stage, how many rows of `path` after its step's first it is evaluated.
+    table : (steps · nodes + 1, 2 n + 10) array
+        What is desired at every instant at which a stage is evaluated, see `closedloop.step.reference_row`.
+    nodes : int
+        Rows of the table to a step.
     project : bool
         Whether the state is put back on the closure after each step.
     hold : int
@@ -58,18 +70,66 @@ class Problem:
     scenario: Scenario
     robot: Robot
     plane: Plane
+    frame: Array
     integrator: Integrator
     q: Array
     v: Array
+    mode: int
     steps: int
     h: float
     stabiliser: Array
-    settings: Array
+    pd_start: float
     gains: Array
-    path: Array
-    nodes: tuple[int, ...]
+    table: Array
+    nodes: int
     project: bool
     hold: int
+
+    @property
+    def path(self) -> Array:
+        """q_des and q̇_des of every row of the table, (P, 2, n)."""
+        n = self.robot.n
+        return self.table[:, : 2 * n].reshape(-1, 2, n)
+
+    @property
+    def settings(self) -> Array:
+        """f_des at the start, N, and the instant from which the PD part acts, s."""
+        return np.array([self.table[0, -1], self.pd_start])
+
+    def constants(self) -> Array:
+        """Return the loop's constants, see `closedloop.workspace`."""
+        n, robot, impact = self.robot.n, self.robot, self.scenario.impact
+        k = np.zeros(space.JOINTS + 3 * n + n * space.FRICTION_WIDTH)
+        k[space.H_STEP], k[space.NODE], k[space.OFFSET_D] = self.h, self.h / self.nodes, self.plane.offset
+        k[space.S_V], k[space.S_P] = self.stabiliser
+        k[space.FRAME : space.FRAME + 9] = self.frame.ravel()
+        k[space.TIP : space.TIP + 3], k[space.GRAVITY : space.GRAVITY + 3] = robot.tip_offset, robot.gravity
+        k[space.RESTITUTION], k[space.REST_SPEED] = impact.restitution, impact.rest_speed
+        k[space.LAW_PARAMETERS] = self.pd_start
+        k[space.JOINTS : space.JOINTS + n] = robot.support
+        k[space.JOINTS + n : space.JOINTS + 3 * n] = self.gains.ravel()
+        return k
+
+    def state(self, law_given: bool = False) -> NDArray[np.int64]:
+        """Return the loop's whole numbers at t = 0; `law_given` if the torque comes from outside."""
+        state = np.zeros(space.WHOLES, dtype=np.int64)
+        state[space.STAGES], state[space.STEPS], state[space.HOLD] = self.integrator.stages, self.steps, self.hold
+        state[space.LAW] = LAW_GIVEN if law_given else LAW_PAPER
+        state[space.PROJECT], state[space.SEMI_IMPLICIT] = self.project, self.integrator.semi_implicit
+        state[space.UNILATERAL] = self.scenario.surface.contact == "unilateral"
+        state[space.IMPACT_LAW] = IMPACT_LAWS[self.scenario.impact.law]
+        state[space.MODE], state[space.SAMPLED] = self.mode, 1
+        if self.project and self.mode != FREE:
+            state[space.PHASE], state[space.NEXT] = CLOSING, ARRIVING
+        return state
+
+    def memory(self) -> Array:
+        """Return the loop's memory at t = 0, with the start in it."""
+        n, extra = self.robot.n, 0
+        memory = np.zeros(space.memory_size(n, extra, self.integrator.stages))
+        w = space.workspace(memory, n, extra, self.integrator.stages)
+        w.q[:], w.v[:] = self.q, self.v
+        return memory
 
 
 def prepare(scenario: Scenario, model: RobotModel | None = None) -> Problem:
@@ -96,22 +156,11 @@ def prepare(scenario: Scenario, model: RobotModel | None = None) -> Problem:
                 f"moves within [{low:g}, {high:g}]"
             )
 
-    surface = scenario.surface
-    if surface.offset == "start":
-        plane = Plane.through(robot.position(q), surface.normal)
-    else:
-        plane = Plane.of(surface.normal, float(surface.offset))
-        gap = plane.gap(robot.position(q))
-        if abs(gap) > START_GAP:
-            side = "off" if gap > 0 else "inside"
-            raise ScenarioError(
-                f"surface.offset = {surface.offset:g}: the tip starts {abs(gap):.4g} m {side} the surface, and the "
-                f'closure holds it there from the start: use "start", or {plane.normal @ robot.position(q):.9g}'
-            )
+    plane, mode = _surface(scenario, robot, q, v)
 
     integrator = INTEGRATORS[scenario.time.integrator]
     steps = _whole(scenario.time.duration, scenario.time.step, "time.duration")
-    most_rows = MOST_NUMBERS // Row.of(n, 1).width
+    most_rows = MOST_NUMBERS // Row.of(n).width
     if steps > most_rows:
         raise ScenarioError(
             f"time.step = {scenario.time.step:g}: {scenario.time.duration:g} s would be {steps:.3g} rows, over the "
@@ -124,7 +173,9 @@ def prepare(scenario: Scenario, model: RobotModel | None = None) -> Problem:
     nodes_per_step = max(1, round(1 / min((x for x in integrator.nodes if x), default=1.0)))
     instants = (h / nodes_per_step) * np.arange(steps * nodes_per_step + 1, dtype=np.float64)
     q_des, v_des = _joint_path(scenario, robot, plane, q).sample(instants)
-    path = np.stack([q_des, v_des], axis=1)
+    table = np.zeros((instants.size, 2 * n + 10))
+    table[:, :n], table[:, n : 2 * n] = q_des, v_des
+    table[:, -1] = scenario.law.force
 
     law = scenario.law
     start = law.pd_start
@@ -134,19 +185,60 @@ def prepare(scenario: Scenario, model: RobotModel | None = None) -> Problem:
         scenario=scenario,
         robot=robot,
         plane=plane,
+        frame=contact_frame(plane.normal),
         integrator=integrator,
         q=q,
         v=v,
+        mode=mode,
         steps=steps,
         h=h,
         stabiliser=np.array(_stabiliser_gains(scenario)),
-        settings=np.array([law.force, start - 1e-9 * h]),  # i·h and 0.5 may differ by rounding
+        pd_start=start - 1e-9 * h,  # i·h and 0.5 may differ by rounding
         gains=np.array([_per_joint("law.kp", law.kp, model), _per_joint("law.kd", law.kd, model)]),
-        path=path,
-        nodes=tuple(round(x * nodes_per_step) for x in integrator.nodes),
+        table=table,
+        nodes=nodes_per_step,
         project=scenario.stabiliser.kind in ("projection", "both"),
         hold=hold,
     )
+
+
+def _surface(scenario: Scenario, robot: Robot, q: Array, v: Array) -> tuple[Plane, int]:
+    """Return the surface and what the tip does on it at the start, refusing a start that is neither on nor off it."""
+    section = scenario.surface
+    tip = robot.position(q)
+    if section.offset == "start":
+        plane = Plane.through(tip, section.normal)
+        plane = Plane(plane.normal, plane.offset - section.gap)
+    elif section.gap:
+        raise ScenarioError('surface.gap: is the height of the start over a surface with offset = "start"; leave it out')
+    else:
+        plane = Plane.of(section.normal, float(section.offset))
+    gap = section.gap if section.offset == "start" else plane.gap(tip)
+    rate = float(plane.normal @ robot.terms(q, v).jacobian @ v)
+    where = float(plane.normal @ tip)
+    given = "surface.gap" if section.offset == "start" else "surface.offset"
+    value = section.gap if section.offset == "start" else float(section.offset)
+    if section.contact == "bilateral":
+        if abs(gap) > START_GAP:
+            side = "off" if gap > 0 else "inside"
+            raise ScenarioError(
+                f"{given} = {value:g}: the tip starts {abs(gap):.4g} m {side} the surface, and the closure holds it "
+                f'there from the start: use offset = "start", or {where:.9g}, or surface.contact = "unilateral"'
+            )
+        return plane, PRESSED
+    if gap < -TOUCHING:
+        raise ScenarioError(
+            f"{given} = {value:.9g}: the tip starts {-gap:.4g} m inside the surface: "
+            f"surface.offset may be at most {where:.9g} for this start"
+        )
+    if gap > TOUCHING:
+        return plane, FREE
+    if rate > RESTING:
+        raise ScenarioError(
+            f"start.v: the tip starts on the surface and leaves it at {rate:.4g} m/s: start it off the surface "
+            "(surface.gap), or without velocity along the normal"
+        )
+    return plane, FREE if rate < -RESTING else PRESSED
 
 
 def _joint_path(scenario: Scenario, robot: Robot, plane: Plane, q: Array) -> reference.JointPath:

@@ -16,6 +16,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from closedloop.events import EVENT_COLUMNS, KINDS
 from closedloop.scenario import Scenario
 from robot_models import RobotModel
 
@@ -23,9 +24,6 @@ if TYPE_CHECKING:
     import xarray
 
 Array = NDArray[np.float64]
-
-FREE, PRESSED = 0, 1  # values of the column `mode`
-
 
 class Column(NamedTuple):
     """Dimensions, unit and meaning of a column."""
@@ -52,9 +50,10 @@ COLUMNS: dict[str, Column] = {
         "force of the surface on the tip along the surface normal; positive pushes the robot away",
     ),
     "stabiliser_force": Column(("time",), "N", "the part of contact_force that answers the stabiliser"),
+    "friction_force": Column(("time", "axis"), "N", "tangential force of the surface on the tip, base frame"),
     "closure_error": Column(("time",), "m", "e = n.r - d; positive off the surface"),
     "closure_rate": Column(("time",), "m s-1", "time derivative of closure_error"),
-    "mode": Column(("time",), "1", "0 free, 1 pressed"),
+    "mode": Column(("time",), "1", "0 free, 1 pressed (sliding or at rest), 2 stuck"),
     "residual_motion": Column(("time",), "1", "relative residual of the equation of motion in Eq. 24"),
     "residual_closure": Column(("time",), "1", "relative residual of the closure row in Eq. 24"),
     "kkt_condition": Column(("time",), "1", "condition number of the matrix of Eq. 24, 1-norm, SI units"),
@@ -64,12 +63,37 @@ COLUMNS: dict[str, Column] = {
 }
 
 
+ALL_COLUMNS: dict[str, Column] = COLUMNS | {name: Column(*spec[:3]) for name, spec in EVENT_COLUMNS.items()}
+
+
+class Event(NamedTuple):
+    """One event of the contact: an impact, the beginning or the end of contact, of sticking or of slip.
+
+    Rates are those of the closure error; impulses act on the tip, the tangential one in the base frame. `rate_cut` is
+    the rate of a bounce that `impact.rest_speed` turned into contact.
+    """
+
+    time: float
+    kind: str
+    rate_before: float
+    rate_after: float
+    rate_cut: float
+    compression: float
+    decompression: float
+    tangential: Array
+    energy_lost: float
+    position: Array
+    slip_before: float
+    slip_after: float
+
+
 @dataclass(frozen=True, eq=False)
 class Run:
     """The record of a simulation, and what produced it.
 
     Every column in `COLUMNS` is also an attribute: `run.time` (N,), `run.q` (N, n), `run.position` (N, 3),
-    `run.contact_force` (N,) ... All are read-only.
+    `run.contact_force` (N,) ... So is every column of the table of events (`closedloop.events.EVENT_COLUMNS`), which
+    `run.events` reads row by row. All are read-only.
 
     Attributes
     ----------
@@ -102,13 +126,13 @@ class Run:
             column.setflags(write=False)
 
     def __getattr__(self, name: str) -> NDArray[Any]:
-        if name in COLUMNS:
+        if name in COLUMNS or name in EVENT_COLUMNS:
             column: NDArray[Any] = self.columns[name]
             return column
         raise AttributeError(f"a Run has no '{name}'; its columns are {', '.join(COLUMNS)}")
 
     def __dir__(self) -> list[str]:
-        return [*super().__dir__(), *COLUMNS]
+        return [*super().__dir__(), *COLUMNS, *EVENT_COLUMNS]
 
     def __len__(self) -> int:
         return int(self.columns["time"].size)
@@ -117,6 +141,13 @@ class Run:
         end = self.columns["time"][-1] if len(self) else 0.0
         early = ", stopped early" if self.stopped else ""
         return f"<Run of {self.scenario.name}: {len(self)} rows, 0 to {end:g} s{early}>"
+
+    @cached_property
+    def events(self) -> tuple[Event, ...]:
+        """What happened to the contact, in order of time."""
+        parts = [self.columns[name] for name in EVENT_COLUMNS]
+        rows = zip(*(part if part.ndim == 2 else part.tolist() for part in parts), strict=True)
+        return tuple(Event(row[0], KINDS[row[1]], *row[2:]) for row in rows)
 
     @cached_property
     def _summary(self) -> dict[str, Any]:
@@ -130,7 +161,7 @@ class Run:
 
     def units(self, name: str) -> str:
         """Return the unit of a column; of a robot that turns and slides both, by joint type ("rad | m")."""
-        spec = COLUMNS[name]
+        spec = ALL_COLUMNS[name]
         sliding = spec.units.replace("rad", "m").replace("N m", "N")
         if "joint" not in spec.dims or sliding == spec.units:
             return spec.units
@@ -144,11 +175,11 @@ class Run:
         from closedloop.runfile import attributes
 
         def variable(name: str) -> tuple[tuple[str, ...], NDArray[Any], dict[str, str]]:
-            spec = COLUMNS[name]
+            spec = ALL_COLUMNS[name]
             return spec.dims, np.asarray(self.columns[name]), {"units": self.units(name), "long_name": spec.meaning}
 
         return xarray.Dataset(
-            {name: variable(name) for name in COLUMNS if name != "time"},
+            {name: variable(name) for name in ALL_COLUMNS if name != "time"},
             {
                 "time": variable("time"),
                 "joint": list(self.model.joint_names),

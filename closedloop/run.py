@@ -205,9 +205,9 @@ def _make_writable(folder: Path) -> None:
 def _announce_compiling() -> None:
     """Say why the first run of an installation takes longer."""
     from closedloop.compiled import needs_compiling
-    from closedloop.step import step_on_pinocchio
+    from closedloop.machine import proceed_on_pinocchio
 
-    if needs_compiling(step_on_pinocchio):
+    if needs_compiling(proceed_on_pinocchio):
         print("compiling the step (once for this installation, about 5 s) ...", file=sys.stderr, flush=True)
 
 

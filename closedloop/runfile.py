@@ -16,10 +16,10 @@ from numpy.typing import NDArray
 
 import robot_models
 from closedloop.errors import ClosedLoopError, OutputError, RunFileError
-from closedloop.record import COLUMNS, Run
+from closedloop.record import ALL_COLUMNS, Run
 from closedloop.scenario import parse_scenario
 
-FORMAT, FORMAT_VERSION = "closedloop run", 1
+FORMAT, FORMAT_VERSION = "closedloop run", 2
 
 
 def attributes(run: Run) -> dict[str, Any]:
@@ -58,8 +58,8 @@ def save_run(run: Run, path: str | Path) -> Path:
     unfinished = path.with_name(f".{path.name}.{os.getpid()}")
     try:
         with h5netcdf.File(unfinished, "w") as file:
-            file.dimensions = {"time": len(run), "joint": run.model.n, "axis": 3}
-            for name, spec in COLUMNS.items():
+            file.dimensions = {"time": len(run), "joint": run.model.n, "axis": 3, "event": len(run.events)}
+            for name, spec in ALL_COLUMNS.items():
                 variable = file.create_variable(name, spec.dims, data=np.asarray(run.columns[name]))
                 variable.attrs["units"] = run.units(name)
                 variable.attrs["long_name"] = spec.meaning
@@ -103,6 +103,11 @@ def load_run(path: str | Path) -> Run:
             raise RunFileError(
                 f"was written by a newer version: format {found['format_version']}, this one reads {FORMAT_VERSION}"
             )
+        if int(found["format_version"]) < FORMAT_VERSION:
+            raise RunFileError(
+                f"was written by an older version: format {found['format_version']}, this one reads {FORMAT_VERSION}; "
+                "run its scenario again"
+            )
         texts = ("scenario", "robot_text", "robot", "law", "versions", "stopped")
         if wrong := [key for key in texts if not isinstance(found[key], str)]:
             raise RunFileError(f"is damaged: attribute '{wrong[0]}' is not text")
@@ -137,12 +142,14 @@ def _read(path: Path) -> tuple[dict[str, Any], dict[str, NDArray[Any]]]:
         found = dict(file.attrs)
         if found.get("format") != FORMAT:
             return found, {}
-        return found, {name: np.asarray(file.variables[name][...]) for name in COLUMNS}
+        if int(found.get("format_version", 0)) != FORMAT_VERSION:
+            return found, {}
+        return found, {name: np.asarray(file.variables[name][...]) for name in ALL_COLUMNS}
 
 
 def _check_shapes(path: Path, run: Run) -> None:
-    sizes = {"time": len(run), "joint": run.model.n, "axis": 3}
-    for name, spec in COLUMNS.items():
+    sizes = {"time": len(run), "joint": run.model.n, "axis": 3, "event": run.columns["event_time"].size}
+    for name, spec in ALL_COLUMNS.items():
         column, shape = run.columns[name], tuple(sizes[dim] for dim in spec.dims)
         if column.shape != shape or column.dtype.kind not in "fi":
             raise RunFileError(

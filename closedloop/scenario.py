@@ -18,7 +18,7 @@ from typing import Annotated, Any, Literal, get_args
 from pydantic import BeforeValidator, Field, ValidationError
 
 from closedloop.errors import ScenarioError
-from closedloop.sections import Flag, Gain, NotNegative, Number, PerJoint, Positive, Section, Vector3
+from closedloop.sections import Flag, Gain, NotNegative, Number, PerJoint, Positive, Restitution, Section, Vector3
 
 
 class RobotSection(Section):
@@ -40,6 +40,21 @@ class PlaneSection(Section):
     offset: Number | Literal["start"] = Field(
         "start", description='d for the unit normal, m, or "start": through the tip at the start'
     )
+    gap: NotNegative = Field(0.0, description='with offset = "start": how far below the tip the surface lies, m')
+    contact: Literal["bilateral", "unilateral"] = Field(
+        "bilateral",
+        description="bilateral: the tip is held to the surface, as in the paper; unilateral: it may touch and leave",
+    )
+
+
+class ImpactSection(Section):
+    """[impact]: what happens when the tip meets the surface; only where surface.contact is "unilateral"."""
+
+    restitution: Restitution = Field(0.0, description="coefficient of restitution, 0 to 1")
+    law: Literal["newton", "poisson", "stronge"] = Field(
+        "stronge", description="what the coefficient is a ratio of: newton velocities, poisson impulses, stronge energies"
+    )
+    rest_speed: Positive = Field(1e-4, description="a bounce slower than this becomes contact, m/s")
 
 
 class StartSection(Section):
@@ -144,6 +159,7 @@ class Scenario(Section):
     description: str = Field("", description="one line for --list")
     robot: RobotSection = RobotSection()
     surface: PlaneSection = PlaneSection()
+    impact: ImpactSection = ImpactSection()
     start: StartSection = StartSection()
     reference: Reference = HoldSection()
     law: PaperLawSection

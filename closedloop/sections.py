@@ -46,6 +46,7 @@ def _finite(value: Any) -> float:
 Number = Annotated[float, BeforeValidator(_number)]
 Positive = Annotated[float, BeforeValidator(_number), Field(gt=0.0)]
 NotNegative = Annotated[float, BeforeValidator(_number), Field(ge=0.0)]
+Restitution = Annotated[float, BeforeValidator(_number), Field(ge=0.0, le=1.0)]
 Flag = Annotated[bool, BeforeValidator(_boolean)]
 Vector3 = tuple[Number, Number, Number]
 PerJoint = tuple[Number, ...]

@@ -16,29 +16,24 @@ from numpy.typing import NDArray
 
 from closedloop.compiled import forget_old_caches, needs_compiling
 from closedloop.control import Law
-from closedloop.errors import DivergenceError, ScenarioError, SimulationError, SingularClosureError
+from closedloop.errors import ChatterError, DivergenceError, PainleveError, ScenarioError, SimulationError, SingularClosureError
+from closedloop.events import EVENT_WIDTH, event_columns
+from closedloop.machine import DONE, ROOM, TERMS, TERMS_AND_LAW, proceed_on_pinocchio
 from closedloop.problem import Problem, prepare
-from closedloop.projection import CLOSED, MOST_MOVES, POSITION, VELOCITY, project_on_pinocchio
-from closedloop.record import PRESSED, Run
+from closedloop.record import Run
 from closedloop.robot import Robot
 from closedloop.scenario import Scenario
-from closedloop.solve import NOT_POSITIVE_DEFINITE, OK, SINGULAR
-from closedloop.step import (
-    LAW_GIVEN,
-    LAW_PAPER,
-    SCALARS,
-    SPEED_LIMIT,
-    Row,
-    memory_layout,
-    pack_constants,
-    step_on_pinocchio,
-)
+from closedloop.solve import CHATTER, NOT_POSITIVE_DEFINITE, PAINLEVE, SINGULAR
+from closedloop.step import SCALARS, SPEED_LIMIT, Row
+from closedloop.workspace import EVENTS, EXTRA, ROW, STATUS, TIME, workspace
 from robot_models import RobotModel
 
 Array = NDArray[np.float64]
 
 # Steps between two calls of the progress function.
 CHUNK = 400
+# Events for which there is room at first; the table grows as needed.
+ROOM_FOR_EVENTS = 64
 
 
 def simulate(
@@ -75,17 +70,17 @@ def simulate(
         If the simulation could not go on (`SingularClosureError`, `DivergenceError`); its `run` holds what ran.
     """
     problem = prepare(scenario, model)
-    compiled_now = needs_compiling(step_on_pinocchio)
+    compiled_now = needs_compiling(proceed_on_pinocchio)
     if progress is True:
         from closedloop.progress import bar
 
         with bar(scenario.name, problem.steps) as report:
-            rows, failure, seconds = run_loop(problem, law, report)
+            rows, events, failure, seconds = run_loop(problem, law, report)
     else:
-        rows, failure, seconds = run_loop(problem, law, progress or _silent)
+        rows, events, failure, seconds = run_loop(problem, law, progress or _silent)
     if compiled_now:
         forget_old_caches()
-    run = _as_run(problem, rows, law, failure, seconds)
+    run = _as_run(problem, rows, events, law, failure, seconds)
     if failure is not None:
         failure.run = run
         raise failure
@@ -98,99 +93,62 @@ def _silent(done: int, total: int) -> None:
 
 def run_loop(
     problem: Problem, law: Law | None = None, report: Callable[[int, int], None] = _silent
-) -> tuple[Array, SimulationError | None, float]:
+) -> tuple[Array, Array, SimulationError | None, float]:
     """Step the problem.
 
     Returns
     -------
     rows : (N, width) array
         What was recorded, in the order of `closedloop.step.Row`.
+    events : (M, EVENT_WIDTH) array
+        What happened between rows, see `closedloop.events`.
     failure : SimulationError or None
         Why it stopped early.
     seconds : float
         Time the steps after the first took, s: compilation is not counted.
     """
-    robot, scheme, h, steps, path = problem.robot, problem.integrator, problem.h, problem.steps, problem.path
-    n = robot.n
-    per_step = (path.shape[0] - 1) // steps
-    constants = pack_constants(
-        [*problem.plane.normal, problem.plane.offset], problem.stabiliser, problem.settings,
-        robot.tip_offset, robot.gravity, h, h / per_step, scheme.semi_implicit,
-    )  # fmt: skip
-    memory = np.zeros((memory_layout(n, 1, scheme.stages)[-1], n))
-    memory[0], memory[1] = problem.q, problem.v
-    q, v, torque = memory[:3]
-    rows = np.zeros((steps + 1, Row.of(n, 1).width))
-    fixed = (
-        *robot.views,
-        constants,
-        np.vstack([problem.gains, robot.support]),
-        path,
-        scheme.tableau(),
-        memory,
-        rows,
-    )
-    stages = tuple(enumerate(problem.nodes))
-    plain = law is None and not problem.hold and not problem.project and len(stages) == 1
-    evaluate, hold = robot.evaluator(q, v), problem.hold
-    kind = LAW_PAPER if law is None else LAW_GIVEN
-    user_torque = None if law is None else _checked_law(law, robot, q, v)
-    project = _projection(fixed[:-4], memory, evaluate) if problem.project else None
-    if project is not None:
-        project()
-
+    robot, steps = problem.robot, problem.steps
+    k, state, memory = problem.constants(), problem.state(law is not None), problem.memory()
+    w = workspace(memory, robot.n, int(state[EXTRA]), problem.integrator.stages)
+    evaluate = robot.evaluator(w.q, w.v)
+    user_torque = None if law is None else _checked_law(law, robot, w.q, w.v)
+    rows = np.zeros((steps + 1, Row.of(robot.n).width))
+    events = np.zeros((ROOM_FOR_EVENTS, EVENT_WIDTH))
+    fixed = (*robot.views, k, state, memory, problem.table, problem.integrator.tableau(), rows)
     failure: SimulationError | None = None
+    request = TERMS if user_torque is None else TERMS_AND_LAW
     began = clock.perf_counter()
-    for i in range(steps + 1):
-        if i == 1:
-            began = clock.perf_counter()  # the first step compiled the kernel, or read it from the cache
-        if i % CHUNK == 0:
-            report(i, steps)
-        if plain:  # the common case, without the loop over stages and without asking who computes the torque
-            evaluate()
-            status = step_on_pinocchio(i, i, 0, LAW_PAPER, *fixed)
-            if status == OK:
-                continue
-            failure, rows = _failure(status, i * h, robot, problem, law, q, v), rows[:i]
-            break
-        for stage, node in stages if i < steps else stages[:1]:
-            at = i * per_step + node
-            sampled = not hold or (stage == 0 and i % hold == 0)
-            if sampled and user_torque is not None:
-                fault = user_torque(at * h / per_step, torque)
-                if fault:
-                    failure = DivergenceError(f"{_when(at * h / per_step)}: {fault}", at * h / per_step)
+    first = True
+    while True:
+        if request == TERMS:
+            for _ in range(CHUNK):
+                evaluate()
+                request = proceed_on_pinocchio(*fixed, events)
+                if request != TERMS:
                     break
-            evaluate()
-            status = step_on_pinocchio(i, at, stage, kind if sampled else LAW_GIVEN, *fixed)
-            if status != OK:
-                failure = _failure(status, at * h / per_step, robot, problem, law, q, v)
+        elif request == TERMS_AND_LAW:
+            assert user_torque is not None
+            fault = user_torque(float(w.now[TIME]), w.torque)
+            if fault:
+                t = float(w.now[TIME])
+                failure = DivergenceError(f"{_when(t)}: {fault}", t)
                 break
-        if failure is not None:
-            rows = rows[: i + (stage > 0)]  # a later stage may fail where the row's own state did not
+            evaluate()
+            request = proceed_on_pinocchio(*fixed, events)
+        elif request == ROOM:
+            events = np.vstack([events, np.zeros_like(events)])
+            request = proceed_on_pinocchio(*fixed, events)
+        elif request == DONE:
             break
-        if project is not None:
-            project()
-    report(len(rows) - 1, steps)
-    return rows, failure, clock.perf_counter() - began
-
-
-def _projection(passed: tuple[Array, ...], memory: Array, evaluate: Callable[[], None]) -> Callable[[], None]:
-    """Return a function that puts the state in `memory` on the closure, position first, then velocity.
-
-    `passed` is what `project_on_pinocchio` reads: Pinocchio's views, the constants and the joints.
-    """
-    n = memory.shape[1]
-    work = np.zeros((n + 5, n))
-
-    def project() -> None:
-        for _ in range(MOST_MOVES):
-            evaluate()
-            if project_on_pinocchio(POSITION, memory, work, *passed) <= CLOSED:
-                break
-        project_on_pinocchio(VELOCITY, memory, work, *passed)
-
-    return project
+        else:
+            failure = _failure(int(state[STATUS]), float(w.now[TIME]), robot, problem, law, w.q, w.v)
+            break
+        if first:  # the first call compiled the kernel, or read it from the cache
+            first, began = False, clock.perf_counter()
+        report(int(state[ROW]), steps)
+    done = int(state[ROW]) + (failure is None)
+    report(done - 1, steps)
+    return rows[:done], events[: int(state[EVENTS])], failure, clock.perf_counter() - began
 
 
 def _checked_law(law: Law, robot: Robot, q: Array, v: Array) -> Callable[[float, Array], str]:
@@ -241,6 +199,19 @@ def _failure(
             "some joint moves no inertia (look at the masses and tensors of the last links)",
             t,
         )
+    if status == CHATTER:
+        return ChatterError(
+            f"{_when(t)}: the contact chatters: at one instant the torque presses the tip on while it is off the surface and "
+            "lifts it off while it is on; look at a law that depends on the contact, and at time.step",
+            t,
+        )
+    if status == PAINLEVE:
+        return PainleveError(
+            f"{_when(t)}: Painlevé's paradox: the tip slides so that pressing harder pulls it into the surface (the "
+            "coefficient of f in Eq. 24 with friction is not positive), and no rigid contact force exists; lower the "
+            "coefficient of friction, or change the posture or the direction of sliding",
+            t,
+        )
     fast = int(np.argmax(np.abs(v))) if np.all(np.isfinite(v)) else 0
     name = robot.joint_names[fast]
     if law is not None:
@@ -259,34 +230,33 @@ def _failure(
     )
 
 
-def _as_run(problem: Problem, rows: Array, law: Law | None, failure: SimulationError | None, seconds: float) -> Run:
+def _as_run(
+    problem: Problem, rows: Array, events: Array, law: Law | None, failure: SimulationError | None, seconds: float
+) -> Run:
     n, count = problem.robot.n, rows.shape[0]
-    layout = Row.of(n, 1)
+    layout = Row.of(n)
 
     def block(begin: int, width: int) -> Array:
         return np.ascontiguousarray(rows[:, begin : begin + width])
 
-    per_step = (problem.path.shape[0] - 1) // problem.steps
-    reference_rows = problem.path[::per_step][:count]
+    reference_rows = problem.path[:: problem.nodes][:count]
     columns: dict[str, NDArray[Any]] = {
         "time": problem.h * np.arange(count),
         "reference_position": reference_rows[:, 0].copy(),
         "reference_velocity": reference_rows[:, 1].copy(),
-        "position": block(layout.position, 3),
-        "velocity": block(layout.velocity, 3),
-        "mode": np.full(count, PRESSED, dtype=np.int8),
     }
     for name in ("q", "v", "acceleration", "torque"):
         columns[name] = block(getattr(layout, name), n)
-    for name in ("contact_force", "stabiliser_force", "closure_error", "closure_rate"):
-        columns[name] = block(getattr(layout, name), 1)[:, 0]
-    for k, name in enumerate(SCALARS):
-        columns[name] = block(layout.scalars + k, 1)[:, 0]
+    for name in ("position", "velocity", "friction_force"):
+        columns[name] = block(getattr(layout, name), 3)
+    for i, name in enumerate(SCALARS):
+        columns[name] = block(layout.scalars + i, 1)[:, 0]
+    columns["mode"] = columns["mode"].astype(np.int8)
     columns["potential_energy"] = problem.robot.potential_energy(columns["q"])
     return Run(
         scenario=problem.scenario,
         model=problem.robot.model,
-        columns=columns,
+        columns=columns | event_columns(events),
         law="scenario" if law is None else _law_name(law),
         versions=package_versions(),
         stopped=str(failure) if failure else None,

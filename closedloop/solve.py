@@ -25,7 +25,7 @@ Array = NDArray[np.float64]
 # its sixteen digits, and a force of 10 N along the normal asks for a million times the joint acceleration.
 SINGULAR_MOBILITY = 1e-12
 
-OK, SINGULAR, NOT_POSITIVE_DEFINITE, DIVERGED = 0, 1, 2, 3
+OK, SINGULAR, NOT_POSITIVE_DEFINITE, DIVERGED, PAINLEVE, CHATTER = 0, 1, 2, 3, 4, 5
 
 
 def bordered_matrix(H: ArrayLike, A: ArrayLike) -> Array:

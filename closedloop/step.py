@@ -1,7 +1,7 @@
-"""Everything of a step but the robot's own terms, in one compiled call: law, closure, Eq. 24, record, advance.
+"""One evaluation of the equation of motion: law, friction, contact and Eq. 24 at one state, and the row it leaves.
 
-The caller provides H, C, Jᵣ, r and J̇ᵣq̇ of the state (q, v), from Pinocchio or from anything else; this function asks
-no further. Between calls nothing is kept but the arrays it was given.
+The caller provides H, C, Jᵣ, r and J̇ᵣq̇ of the state, from Pinocchio or from anything else; nothing here asks further.
+`closedloop.machine` decides which states are evaluated, and when.
 """
 
 from __future__ import annotations
@@ -10,84 +10,160 @@ import math
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import NDArray
 
-from closedloop.closure import plane_rows, stabilised_acceleration
-from closedloop.compiled import entry_kernel, kernel
+from closedloop.compiled import kernel
+from closedloop.contact import (
+    FREE,
+    PRESSED,
+    accelerate,
+    factorise,
+    into_contact_frame,
+    pressed_force,
+    residuals,
+    stuck_force,
+    unloaded,
+)
 from closedloop.control import paper_law
-from closedloop.integrate import advance
-from closedloop.solve import DIVERGED, OK, condition, eliminate, residual
-from closedloop.tip import tip_kinematics
+from closedloop.solve import DIVERGED, OK, SINGULAR, back_substitute, condition
+from closedloop.workspace import (
+    FRAME,
+    GAP,
+    JOINTS,
+    LAW,
+    LAW_PARAMETERS,
+    MEASURED,
+    MODE,
+    NODE,
+    OFFSET_D,
+    RATE,
+    RIGID,
+    S_P,
+    S_V,
+    SAMPLED,
+    TIME,
+    UNILATERAL,
+    Whole,
+    Work,
+)
 
 Array = NDArray[np.float64]
 
 # A joint at 10⁴ rad/s (m/s) is no robot any more; the run stops there, long before the numbers overflow.
 SPEED_LIMIT = 1e4
 
-# The law is evaluated outside (a user's Python function) or here (Eq. 33).
-LAW_GIVEN, LAW_PAPER = 0, 1
-
-
-# Where the parts of `constants` begin.
-PLANE, STABILISER, SETTINGS, OFFSET, GRAVITY, STEP, NODE, SEMI_IMPLICIT, CONSTANTS = (
-    0,
-    4,
-    6,
-    8,
-    11,
-    14,
-    15,
-    16,
-    17,
-)
-
-
-def pack_constants(
-    plane: ArrayLike,
-    stabiliser: ArrayLike,
-    settings: ArrayLike,
-    offset: ArrayLike,
-    gravity: ArrayLike,
-    h: float,
-    node_spacing: float,
-    semi_implicit: bool,
-) -> Array:
-    """Return the (CONSTANTS,) array of everything that stays the same from step to step.
-
-    Each array argument costs a call from Python about 60 ns, so the constants travel as one.
-
-    Parameters
-    ----------
-    plane : (4,) array
-        Unit normal n and offset d, m.
-    stabiliser : (2,) array
-        s_v, 1/s, and s_p, 1/s²; zeros for none.
-    settings : (2,) array
-        f_des, N, and the instant from which the PD part acts, s.
-    offset : (3,) array
-        Tip in the frame of the joint that carries it, m.
-    gravity : (3,) array
-        m/s², base frame.
-    h, node_spacing : float
-        Step, and time between two rows of the path, s.
-    semi_implicit : bool
-        See `closedloop.integrate.advance`.
-    """
-    parts = (plane, stabiliser, settings, offset, gravity, h, node_spacing, semi_implicit)
-    return np.concatenate([np.asarray(x, dtype=np.float64).ravel() for x in parts])
+# The law is evaluated outside (a user's Python function), or here.
+LAW_GIVEN, LAW_PAPER = -1, 0
 
 
 @kernel
-def memory_layout(n: int, m: int, stages: int) -> tuple[int, int, int, int]:
-    """Return where in a step's memory, an array of rows of n numbers, its parts begin, and how many rows it has.
+def reference_row(t: float, spacing: float, table: Array, n: int, row: Array) -> None:
+    """Write what is desired at time t: between the table's instants, a cubic in position and lines for the rest.
 
-    The first three rows are q, q̇ and Q; then follow the integrator's stages, then Jᵣ (3 rows), the matrices of
-    Eq. 24 (2 m + n + 3 rows), and numbers that come in threes and m's.
+    Parameters
+    ----------
+    t, spacing : float
+        Time, and time between two rows of the table, s.
+    table : (P, 2 n + 10) array
+        q_des, q̇_des, and in the contact frame p_des, u_des and u̇_des, then f_des.
+    row : (2 n + 10,) array
+        Written.
     """
-    jacobian = 3 + 2 * (stages + 1)
-    matrices = jacobian + 3
-    small = matrices + 2 * m + n + 3
-    return jacobian, matrices, small, small + (6 + 8 * m + m * m + n - 1) // n
+    x = t / spacing
+    at = int(round(x))
+    width = row.shape[0]
+    if abs(x - at) < 1e-6 or at >= table.shape[0]:
+        at = min(at, table.shape[0] - 1)
+        for j in range(width):
+            row[j] = table[at, j]
+        return
+    at = min(int(x), table.shape[0] - 2)
+    s = x - at
+    for j in range(width):
+        row[j] = (1.0 - s) * table[at, j] + s * table[at + 1, j]
+    for block in range(2):
+        begin = 0 if block == 0 else 2 * n
+        size = n if block == 0 else 3
+        for j in range(begin, begin + size):
+            rise = table[at + 1, j] - table[at, j]
+            v0, v1 = spacing * table[at, j + size], spacing * table[at + 1, j + size]
+            row[j] = table[at, j] + s * (v0 + s * (3.0 * rise - 2.0 * v0 - v1 + s * (v0 + v1 - 2.0 * rise)))
+
+
+@kernel
+def locate_tip(w: Work, k: Array) -> None:
+    """Write the tip's motion in the contact frame, and the gap and its rate."""
+    into_contact_frame(k[FRAME : FRAME + 9], w.J, w.r, w.drift, w.v, w.A, w.p, w.u, w.drift_c)
+    w.now[GAP] = w.p[0] - k[OFFSET_D]
+    w.now[RATE] = w.u[0]
+
+
+@kernel
+def load(H: Array, C: Array, w: Work, k: Array, state: Whole, table: Array) -> int:
+    """Evaluate law, friction, contact and Eq. 24 at the state in `w`.
+
+    Parameters
+    ----------
+    H, C : (n, n), (n,) arrays
+        Terms of the state, H's upper triangle.
+    w : Work
+        In: now[TIME], q, q̇, z, Jᵣ, r, J̇ᵣq̇ (and the torque, if the law is given or held). Written: everything else.
+    k : array
+        Constants, see `closedloop.workspace`.
+    state : array of int
+        See `closedloop.workspace`; read.
+    table : (P, 2 n + 10) array
+        See `reference_row`.
+
+    Returns
+    -------
+    int
+        OK, SINGULAR, NOT_POSITIVE_DEFINITE, PAINLEVE or DIVERGED.
+    """
+    n = w.q.shape[0]
+    locate_tip(w, k)
+    status = factorise(H, w.A, w.L, w.X, w.S)
+    if status != OK:
+        return status
+    if state[LAW] == LAW_PAPER and state[SAMPLED] != 0:
+        reference_row(w.now[TIME], k[NODE], table, n, w.reference)
+        gains = k[JOINTS + n : JOINTS + 3 * n].reshape(2, n)
+        path = w.reference[: 2 * n].reshape(2, n)
+        w.scratch[0], w.scratch[1] = w.reference[2 * n + 9], k[LAW_PARAMETERS]
+        paper_law(w.now[TIME], w.scratch, gains, path, w.q, w.v, C, w.A, w.torque)
+    unloaded(w.L, w.X, w.drift_c, w.torque, C, w.y, w.a)
+    w.now[RIGID] = 0.0
+    for i in range(3):
+        w.F[i] = 0.0
+        w.share[i] = 0.0
+        w.b[i] = 0.0
+    if state[MODE] == PRESSED:
+        b = -k[S_V] * w.now[RATE] - k[S_P] * w.now[GAP]
+        status, share = pressed_force(w.S, w.a, b, w.c, w.w, w.F)
+        if status != OK:
+            return status
+        rigid = w.F[0] - share
+        if state[UNILATERAL] != 0 and w.F[0] < 0.0 <= rigid:
+            # The stabiliser may push the tip off the surface but never pull it in: it is left out here.
+            b, share = 0.0, 0.0
+            w.F[0] = rigid
+            w.F[1], w.F[2] = -w.c[0] * rigid - w.w[0], -w.c[1] * rigid - w.w[1]
+        w.now[RIGID] = rigid
+        w.b[0], w.share[0] = b, share
+    elif state[MODE] != FREE:
+        w.b[0] = -k[S_V] * w.now[RATE] - k[S_P] * w.now[GAP]
+        for i in range(1, 3):
+            w.b[i] = -k[S_V] * w.u[i] - k[S_P] * (w.p[i] - w.anchor[i - 1])
+        if stuck_force(w.S, w.a, w.b, w.F, w.share) != OK:
+            return SINGULAR
+        w.now[RIGID] = w.F[0] - w.share[0]
+    accelerate(w.L, w.X, w.y, w.F, w.qdd)
+    total = abs(w.F[0])
+    for j in range(n):
+        total += abs(w.qdd[j])
+        if not abs(w.v[j]) <= SPEED_LIMIT:
+            return DIVERGED
+    return OK if math.isfinite(total) else DIVERGED
 
 
 class Row(NamedTuple):
@@ -99,52 +175,21 @@ class Row(NamedTuple):
     torque: int
     position: int
     velocity: int
-    contact_force: int
-    stabiliser_force: int
-    closure_error: int
-    closure_rate: int
+    friction_force: int
     scalars: int
     width: int
 
     @classmethod
-    def of(cls, n: int, m: int) -> Row:
-        """Lay out a row for n joints and m closure rows."""
-        lengths = (n, n, n, n, 3, 3, m, m, m, m, len(SCALARS))
-        ends = np.cumsum((0, *lengths)).tolist()
+    def of(cls, n: int) -> Row:
+        """Lay out a row for n joints."""
+        ends = np.cumsum((0, n, n, n, n, 3, 3, 3, len(SCALARS))).tolist()
         return cls(*ends)
 
 
-SCALARS = ("residual_motion", "residual_closure", "kkt_condition", "normal_mobility", "kinetic_energy")
-
-
-@kernel
-def record(
-    row: Array, q: Array, v: Array, qdd: Array, torque: Array, r: Array, J: Array, f: Array, f_stabiliser: Array,
-    e: Array, rate: Array, scalars: tuple[float, float, float, float, float],
-) -> None:  # fmt: skip
-    """Write one row in the order of `Row`."""
-    n, m = q.shape[0], f.shape[0]
-    for j in range(n):
-        row[j] = q[j]
-        row[n + j] = v[j]
-        row[2 * n + j] = qdd[j]
-        row[3 * n + j] = torque[j]
-    at = 4 * n
-    for k in range(3):
-        row[at + k] = r[k]
-        speed = 0.0
-        for j in range(n):
-            speed += J[k, j] * v[j]
-        row[at + 3 + k] = speed
-    at += 6
-    for k in range(m):
-        row[at + k] = f[k]
-        row[at + m + k] = f_stabiliser[k]
-        row[at + 2 * m + k] = e[k]
-        row[at + 3 * m + k] = rate[k]
-    at += 4 * m
-    for k in range(5):
-        row[at + k] = scalars[k]
+SCALARS = (
+    "contact_force", "stabiliser_force", "closure_error", "closure_rate", "mode", "residual_motion",
+    "residual_closure", "kkt_condition", "normal_mobility", "kinetic_energy",
+)  # fmt: skip
 
 
 @kernel
@@ -159,96 +204,43 @@ def kinetic_energy(H: Array, v: Array) -> float:
 
 
 @kernel
-def step(
-    i: int, at: int, stage: int, law: int, H: Array, C: Array, J: Array, r: Array, drift: Array,
-    constants: Array, joints: Array, path: Array, tableau: Array, memory: Array, rows: Array,
-) -> int:  # fmt: skip
-    """Do one stage of one step, once the terms of the state are known.
-
-    Parameters
-    ----------
-    i : int
-        The row that this step writes; after the last row nothing is advanced.
-    at : int
-        The row of `path` that belongs to this stage's instant.
-    stage : int
-        Stage of the integrator; stage 0 is the row's own state and is recorded.
-    law : int
-        LAW_PAPER: evaluate Eq. 33 into the torque. LAW_GIVEN: use the torque as it is.
-    H, C, J, r, drift : (n, n), (n,), (>=3, n), (3,), (3,) arrays
-        The terms; only H's upper triangle is read.
-    constants : (CONSTANTS,) array
-        See `pack_constants`.
-    joints : (3, n) array
-        K_p, K_d and whether the joint moves the tip (1 or 0).
-    path : (P, 2, n) array
-        q_des and q̇_des.
-    tableau : (S + 1, S) array
-        See `closedloop.integrate.advance`.
-    memory : (rows, n) array
-        q, q̇ and Q, of which the first two are advanced in place and the third is written or read; then
-        scratch, see `memory_layout`.
-    rows : (N, width) array
-        Row i is written at stage 0; see `Row`.
-
-    Returns
-    -------
-    status : int
-        OK, SINGULAR, NOT_POSITIVE_DEFINITE or DIVERGED; the row is written, and the state advanced, only if OK.
-    """
-    n, m = memory.shape[1], 1
-    q, v, torque = memory[0], memory[1], memory[2]
-    _, w, small_at, _ = memory_layout(n, m, tableau.shape[1])
-    A, X, L = memory[w : w + m], memory[w + m : w + 2 * m], memory[w + 2 * m : w + 2 * m + n]
-    w += 2 * m + n
-    y, qdd, column = memory[w], memory[w + 1], memory[w + 2]
-    small = memory[small_at:].reshape(-1)[6:]
-    gamma, e, rate, b = small[0:m], small[m : 2 * m], small[2 * m : 3 * m], small[3 * m : 4 * m]
-    b_stabiliser, f, f_stabiliser = small[4 * m : 5 * m], small[5 * m : 6 * m], small[6 * m : 7 * m]
-    share, S = small[7 * m : 8 * m], small[8 * m : 8 * m + m * m].reshape(m, m)
-
-    plane_rows(constants[PLANE:STABILISER], J, r, drift, v, A, gamma, e, rate)
-    if law == LAW_PAPER:
-        paper_law(at * constants[NODE], constants[SETTINGS:OFFSET], joints, path[at], q, v, C, A, torque)
-    stabilised_acceleration(constants[STABILISER:SETTINGS], gamma, e, rate, b, b_stabiliser)
-    status, mobility = eliminate(H, torque, C, A, b, b_stabiliser, J, L, X, S, y, qdd, f, f_stabiliser)
-    if status != OK:
-        return status
-    total = abs(f[0])
+def record(H: Array, C: Array, w: Work, k: Array, state: Whole, row: Array) -> None:
+    """Write one row in the order of `Row`: the state, and what acted in it."""
+    n = w.q.shape[0]
     for j in range(n):
-        total += abs(qdd[j])
-        if not abs(v[j]) <= SPEED_LIMIT:
-            return DIVERGED
-    if not math.isfinite(total):
-        return DIVERGED
-    if stage == 0:
-        motion, closed = residual(H, torque, C, A, b, y, X, qdd, f)
-        k = condition(H, A, L, X, S, column, share)
-        record(
-            rows[i], q, v, qdd, torque, r, J, f, f_stabiliser, e, rate,
-            (motion, closed, k, mobility, kinetic_energy(H, v)),
-        )  # fmt: skip
-    if i + 1 < rows.shape[0]:
-        advance(stage, constants[STEP], constants[SEMI_IMPLICIT] != 0.0, tableau, qdd, memory[3:], q, v)
-    return OK
-
-
-@entry_kernel
-def step_on_pinocchio(
-    i: int, at: int, stage: int, law: int,
-    H: Array, C: Array, joint_jacobian: Array, rotation: Array, origin: Array, velocity: Array, acceleration: Array,
-    constants: Array, joints: Array, path: Array, tableau: Array, memory: Array, rows: Array,
-) -> int:  # fmt: skip
-    """Do one stage of one step on what `pinocchio.crba` and `pinocchio.nonLinearEffects` left in their data.
-
-    See `step`, and `closedloop.tip.tip_kinematics` for the parameters that only this function has.
-    """
-    n, m = memory.shape[1], 1
-    at_jacobian, _, at_small, _ = memory_layout(n, m, tableau.shape[1])
-    J, point = memory[at_jacobian : at_jacobian + 3], memory[at_small:].reshape(-1)
-    r, drift = point[0:3], point[3:6]
-    tip_kinematics(
-        joint_jacobian, rotation, origin, velocity, acceleration,
-        constants[OFFSET:GRAVITY], constants[GRAVITY:STEP], joints[2], J, r, drift,
-    )  # fmt: skip
-    return step(i, at, stage, law, H, C, J, r, drift, constants, joints, path, tableau, memory, rows)
+        row[j] = w.q[j]
+        row[n + j] = w.v[j]
+        row[2 * n + j] = w.qdd[j]
+        row[3 * n + j] = w.torque[j]
+    at = 4 * n
+    for i in range(3):
+        row[at + i] = w.r[i]
+        speed = 0.0
+        for j in range(n):
+            speed += w.J[i, j] * w.v[j]
+        row[at + 3 + i] = speed
+        row[at + 6 + i] = k[FRAME + 3 + i] * w.F[1] + k[FRAME + 6 + i] * w.F[2]
+    at += 9
+    mode = state[MODE]
+    closures = 0 if mode == FREE else (1 if mode == PRESSED else 3)
+    motion, closed = residuals(H, w.torque, C, w.A, w.S, w.drift_c, w.b, w.a, w.qdd, w.F, 0, closures)
+    # The condition of Eq. 24's matrix with its normal row; of H alone while the tip is free.
+    m = 0 if mode == FREE else 1
+    X, S, share = w.scratch[0:n].reshape(1, n), w.scratch[n : n + 1].reshape(1, 1), w.scratch[n + 1 : n + 1 + m]
+    if m == 1:
+        for j in range(n):
+            X[0, j] = w.X[0, j]
+        back_substitute(w.L, X[0])
+        S[0, 0] = 1.0 / math.sqrt(w.S[0, 0])
+    trace = w.S[0, 0] + w.S[1, 1] + w.S[2, 2]
+    row[at] = w.F[0]
+    row[at + 1] = w.share[0]
+    row[at + 2] = w.now[GAP]
+    row[at + 3] = w.now[RATE]
+    row[at + 4] = mode
+    row[at + 5] = motion
+    row[at + 6] = closed
+    row[at + 7] = condition(H, w.A[0:m], w.L, X[0:m], S[0:m, 0:m], w.column, share)
+    row[at + 8] = w.S[0, 0] / trace if trace > 0.0 else 0.0
+    row[at + 9] = kinetic_energy(H, w.v)
+    w.now[MEASURED] = w.F[0]

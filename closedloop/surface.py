@@ -31,6 +31,21 @@ def unit(vector: ArrayLike, key: str) -> Array:
     return v / np.linalg.norm(v)
 
 
+def contact_frame(normal: ArrayLike) -> Array:
+    """Return the (3, 3) contact frame of a unit normal: rows n, t1, t2, right-handed, base axes.
+
+    t1 is +x turned with the least rotation that takes +z to n, so a level surface has (t1, t2) = (x, y) and the frame
+    changes smoothly with n; at n = −z, where that rotation is not unique, half a turn about x is taken.
+    """
+    n = np.array(normal, dtype=np.float64)
+    if n[2] < -1.0 + 1e-12:
+        return np.array([n, [1.0, 0.0, 0.0], [0.0, -1.0, 0.0]])
+    a = 1.0 / (1.0 + n[2])
+    t1 = np.array([1.0 - a * n[0] * n[0], -a * n[0] * n[1], -n[0]])
+    t2 = np.array([-a * n[0] * n[1], 1.0 - a * n[1] * n[1], -n[1]])
+    return np.array([n, t1, t2])
+
+
 @dataclass(frozen=True)
 class Plane:
     """The plane n·p = d in the base frame (Eq. 11).

@@ -10,18 +10,18 @@ import numpy as np
 from numpy.typing import NDArray
 
 import robot_models
-from closedloop import reference
 from closedloop import workspace as space
+from closedloop._impact_stub import NEWTON, POISSON, STRONGE
 from closedloop.baumgarte import baumgarte_gains, largest_stable_ratio
 from closedloop.contact import FREE, PRESSED
 from closedloop.errors import ScenarioError
-from closedloop._impact_stub import NEWTON, POISSON, STRONGE
 from closedloop.integrate import INTEGRATORS, Integrator
 from closedloop.machine import ARRIVING, CLOSING, RESTING, TOUCHING
+from closedloop.reference.desired import desired
 from closedloop.robot import Robot
-from closedloop.scenario import BaumgarteGains, HoldSection, LineSection, Scenario
+from closedloop.scenario import BaumgarteGains, Scenario
 from closedloop.step import LAW_GIVEN, LAW_PAPER, Row
-from closedloop.surface import Plane, contact_frame, unit
+from closedloop.surface import Plane
 from robot_models import RobotModel
 
 Array = NDArray[np.float64]
@@ -172,20 +172,15 @@ def prepare(scenario: Scenario, model: RobotModel | None = None) -> Problem:
 
     nodes_per_step = max(1, round(1 / min((x for x in integrator.nodes if x), default=1.0)))
     instants = (h / nodes_per_step) * np.arange(steps * nodes_per_step + 1, dtype=np.float64)
-    q_des, v_des = _joint_path(scenario, robot, plane, q).sample(instants)
-    table = np.zeros((instants.size, 2 * n + 10))
-    table[:, :n], table[:, n : 2 * n] = q_des, v_des
-    table[:, -1] = scenario.law.force
+    wanted = desired(scenario, robot, plane, q)
 
     law = scenario.law
-    start = law.pd_start
-    if start is None:
-        start = scenario.reference.start if isinstance(scenario.reference, LineSection) else 0.0
+    start = wanted.tip.start if law.pd_start is None else law.pd_start
     return Problem(
         scenario=scenario,
         robot=robot,
         plane=plane,
-        frame=contact_frame(plane.normal),
+        frame=wanted.frame,
         integrator=integrator,
         q=q,
         v=v,
@@ -195,7 +190,7 @@ def prepare(scenario: Scenario, model: RobotModel | None = None) -> Problem:
         stabiliser=np.array(_stabiliser_gains(scenario)),
         pd_start=start - 1e-9 * h,  # i·h and 0.5 may differ by rounding
         gains=np.array([_per_joint("law.kp", law.kp, model), _per_joint("law.kd", law.kd, model)]),
-        table=table,
+        table=wanted.table(instants),
         nodes=nodes_per_step,
         project=scenario.stabiliser.kind in ("projection", "both"),
         hold=hold,
@@ -239,24 +234,6 @@ def _surface(scenario: Scenario, robot: Robot, q: Array, v: Array) -> tuple[Plan
             "(surface.gap), or without velocity along the normal"
         )
     return plane, FREE if rate < -RESTING else PRESSED
-
-
-def _joint_path(scenario: Scenario, robot: Robot, plane: Plane, q: Array) -> reference.JointPath:
-    section = scenario.reference
-    if isinstance(section, HoldSection):
-        return reference.hold(q)
-    direction = unit(section.direction, "reference.direction")
-    out = float(plane.normal @ direction)
-    if abs(out) > 1e-9:
-        along = direction - out * plane.normal
-        size = float(np.linalg.norm(along))
-        hint = f"; the nearest direction along it is {(along / size).round(6).tolist()}" if size > 1e-9 else ""
-        raise ScenarioError(f"reference.direction = {list(section.direction)}: must lie in the surface{hint}")
-    if not section.stop > section.start:
-        raise ScenarioError(
-            f"reference.stop = {section.stop:g}: must be later than reference.start = {section.start:g}"
-        )
-    return reference.follow_line(robot, q, direction, section.speed, section.start, section.stop)
 
 
 def _stabiliser_gains(scenario: Scenario) -> tuple[float, float]:

@@ -18,6 +18,8 @@ from typing import Annotated, Any, Literal, get_args
 from pydantic import BeforeValidator, Field, ValidationError
 
 from closedloop.errors import ScenarioError
+from closedloop.reference.sections import HoldSection, Reference
+from closedloop.reference.sections import LineSection as LineSection
 from closedloop.sections import Flag, Gain, NotNegative, Number, PerJoint, Positive, Restitution, Section, Vector3
 
 
@@ -64,22 +66,6 @@ class StartSection(Section):
     v: PerJoint | None = Field(None, description="joint velocities, rad/s (m/s); at rest if left out")
 
 
-class LineSection(Section):
-    """[reference] kind = "line": the tip runs straight along the surface at constant speed."""
-
-    kind: Literal["line"] = "line"
-    direction: Vector3 = Field(description="direction of the tip's motion, base frame; any length but zero")
-    speed: Number = Field(description="tip speed, m/s; negative runs backwards")
-    start: NotNegative = Field(0.5, description="instant at which the tip starts to move, s")
-    stop: NotNegative = Field(description="instant at which it stops, s")
-
-
-class HoldSection(Section):
-    """[reference] kind = "hold": the tip stays where it starts."""
-
-    kind: Literal["hold"] = "hold"
-
-
 class PaperLawSection(Section):
     """[law] kind = "paper": Eq. 33."""
 
@@ -88,7 +74,7 @@ class PaperLawSection(Section):
     kd: Gain = Field(description="velocity gain K_d, N m s/rad, one per joint or one for all")
     force: Number = Field(10.0, description="force f_des with which the tip presses on the surface, N")
     pd_start: NotNegative | None = Field(
-        None, description="instant from which the PD part acts, s; reference.start (0 for hold) if left out"
+        None, description="instant from which the PD part acts, s; that at which the reference starts to move if left out"
     )
     sample_period: NotNegative = Field(
         0.0,
@@ -146,7 +132,6 @@ class TimeSection(Section):
     integrator: IntegratorName = Field("semi_implicit_euler", description=", ".join(get_args(IntegratorName)))
 
 
-Reference = Annotated[LineSection | HoldSection, Field(discriminator="kind")]
 Stabiliser = Annotated[
     BaumgarteSection | ProjectionSection | BothSection | NoStabiliserSection, Field(discriminator="kind")
 ]

@@ -11,7 +11,10 @@ from scipy.integrate import solve_ivp
 from scipy.linalg import null_space
 
 import closedloop as cl
-from closedloop.reference import follow_line, hold
+from closedloop.reference.follow import follow
+from closedloop.reference.joint_path import JointPath
+from closedloop.reference.line import line as straight
+from closedloop.reference.sections import LineSection
 from robot_models.planar2 import closed_form
 
 START, STOP = 0.5, 6.5  # s
@@ -23,6 +26,13 @@ LINES = {
     "panda": ([0.0, 1.0, 0.0], 0.02),
     "planar2": ([1.0, 0.0, 0.0], -0.02),
 }
+
+
+def follow_line(arm, q, direction, speed, start, stop):
+    """Return the joint path of a straight line at constant speed, on any surface that the direction lies in."""
+    section = LineSection(direction=tuple(direction), speed=speed, start=start, stop=stop)
+    normal = null_space(direction[None, :])[:, 0]
+    return follow(arm, q, straight(section, arm.position(q), normal))
 
 
 @pytest.fixture(scope="module", params=LINES)
@@ -38,7 +48,7 @@ def test_tip_follows_the_line_at_any_instant(line):
     """At random instants the tip of the path is on the straight line, at its place, to a nanometre."""
     arm, q, direction, speed, path = line
     instants = np.random.default_rng(0).uniform(0.0, STOP + 1.5, 300)
-    q_des, _ = path.sample(instants)
+    q_des, *_ = path.sample(instants)
     travel = speed * (np.clip(instants, START, STOP) - START)
     for t_q, s in zip(q_des, travel, strict=True):
         assert np.max(np.abs(arm.position(t_q) - arm.position(q) - s * direction)) < 1e-9
@@ -63,9 +73,9 @@ def test_desired_velocity_is_the_derivative_of_the_desired_position(line):
     *_, path = line
     h = 1e-4
     instants = np.random.default_rng(1).uniform(START + h, STOP - h, 300)
-    ahead, _ = path.sample(instants + h)
-    back, _ = path.sample(instants - h)
-    _, v_des = path.sample(instants)
+    ahead, *_ = path.sample(instants + h)
+    back, *_ = path.sample(instants - h)
+    _, v_des, _ = path.sample(instants)
     assert np.max(np.abs((ahead - back) / (2 * h) - v_des)) < 1e-8
     assert np.max(np.abs(v_des)) > 1e-3
     outside = np.array([0.0, START - 1e-6, STOP, STOP + 1.0])
@@ -75,7 +85,7 @@ def test_desired_velocity_is_the_derivative_of_the_desired_position(line):
 def test_velocity_begins_and_ends_with_a_step(line):
     """At the start instant the velocity is that of the motion; at the stop it is zero, and the place is the last."""
     *_, path = line
-    q_des, v_des = path.sample(np.array([START, STOP]))
+    q_des, v_des, _ = path.sample(np.array([START, STOP]))
     assert np.allclose(v_des[0], path.v[0], rtol=0, atol=1e-15)
     assert np.array_equal(q_des[0], path.q[0])
     assert np.all(v_des[1] == 0.0)
@@ -85,7 +95,7 @@ def test_velocity_begins_and_ends_with_a_step(line):
 def test_instants_that_rounding_moved_count_as_the_instant_itself(line):
     """A sample of i·h that rounding put an ulp before the start already moves, and one before the stop stands."""
     *_, path = line
-    _, v_des = path.sample(np.array([np.nextafter(START, 0), np.nextafter(STOP, 0)]))
+    _, v_des, _ = path.sample(np.array([np.nextafter(START, 0), np.nextafter(STOP, 0)]))
     assert np.any(v_des[0] != 0.0)
     assert np.all(v_des[1] == 0.0)
 
@@ -115,8 +125,8 @@ def test_path_is_the_solution_of_least_joint_motion(line):
 
 def test_hold_stays():
     """The path of `hold` is one place, at rest, for ever."""
-    path = hold(np.array([0.1, 0.2]))
-    q_des, v_des = path.sample(np.array([0.0, 1.0, 1e6]))
+    path = JointPath.hold(np.array([0.1, 0.2]))
+    q_des, v_des, _ = path.sample(np.array([0.0, 1.0, 1e6]))
     assert np.array_equal(q_des, np.tile([0.1, 0.2], (3, 1)))
     assert np.all(v_des == 0.0)
 
@@ -169,6 +179,7 @@ def test_a_direction_that_the_arm_cannot_move_in_is_refused():
     message, named = refusal(direction=[0, 1, 0])
     assert named == pytest.approx(START, abs=1e-3)
     assert "cannot get there" in message
+    assert "no joint moves the tip along [0.0, 1.0, 0.0]" in message
 
 
 def test_direction_is_a_direction_whatever_its_length():

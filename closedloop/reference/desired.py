@@ -1,0 +1,107 @@
+"""The desired motion and force of a scenario, and the table of them that the loop reads."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+import numpy as np
+from numpy.typing import NDArray
+
+from closedloop.reference.circle import circle
+from closedloop.reference.figure_eight import figure_eight
+from closedloop.reference.follow import follow
+from closedloop.reference.force import ConstantForceSection, ForceProfile, force_at
+from closedloop.reference.joint_path import JointPath
+from closedloop.reference.line import line
+from closedloop.reference.raster import raster
+from closedloop.reference.sections import (
+    CircleSection,
+    FigureEightSection,
+    LineSection,
+    RasterSection,
+    Reference,
+    WaypointsSection,
+)
+from closedloop.reference.tip_path import TipPath
+from closedloop.reference.waypoints import waypoints
+from closedloop.surface import contact_frame
+
+if TYPE_CHECKING:
+    from closedloop.robot import Robot
+    from closedloop.scenario import Scenario
+    from closedloop.surface import Plane
+
+Array = NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class Desired:
+    """What the robot shall do, as functions of time.
+
+    Attributes
+    ----------
+    tip : TipPath
+        The tip's path, base frame.
+    joints : JointPath
+        The joints' path along it.
+    frame : (3, 3) array
+        Rows n, t1 and t2 of the contact frame.
+    profile : ForceProfile
+        The desired force over time.
+    force : float
+        law.force, N, which the profile starts from.
+    """
+
+    tip: TipPath
+    joints: JointPath
+    frame: Array
+    profile: ForceProfile
+    force: float
+
+    def table(self, instants: Array) -> Array:
+        """Return the (P, 2n + 10) table at `instants` (P,), s; what jumps has its later value at that instant.
+
+        Columns: q_des (n), rad (m), and q̇_des (n), rad/s (m/s); the tip's position (3), m, velocity (3), m/s, and
+        acceleration (3), m/s², each along n, t1 and t2 of the contact frame; f_des (1), N.
+        """
+        q, v, _ = self.joints.sample(instants)
+        along = [x @ self.frame.T for x in self.tip.sample(instants)]
+        return np.hstack([q, v, *along, force_at(self.profile, self.force, instants)[:, None]])
+
+
+def desired(scenario: Scenario, robot: Robot, plane: Plane, q: Array, profile: ForceProfile | None = None) -> Desired:
+    """Return what the scenario wants of a robot that starts at joint positions q (n,).
+
+    Raises
+    ------
+    ScenarioError
+        If [reference] or the force profile is at fault, or the path leaves the workspace or the joint limits.
+    """
+    tip = tip_path(scenario.reference, robot.position(q), plane.normal)
+    profile = ConstantForceSection() if profile is None else profile
+    force_at(profile, scenario.law.force, np.zeros(1))  # a profile at fault is refused before any inverse kinematics
+    return Desired(tip, follow(robot, q, tip), contact_frame(plane.normal), profile, scenario.law.force)
+
+
+def tip_path(section: Reference, origin: Array, normal: Array) -> TipPath:
+    """Return the path from `origin` (3,), m, on a surface with this unit normal (3,), base frame.
+
+    Raises
+    ------
+    ScenarioError
+        If the section is at fault: a direction out of the surface, a stop before the start ...
+    """
+    match section:
+        case LineSection():
+            return line(section, origin, normal)
+        case CircleSection():
+            return circle(section, origin, normal)
+        case FigureEightSection():
+            return figure_eight(section, origin, normal)
+        case RasterSection():
+            return raster(section, origin, normal)
+        case WaypointsSection():
+            return waypoints(section, origin)
+        case _:
+            return TipPath(origin)

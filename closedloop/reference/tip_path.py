@@ -1,0 +1,95 @@
+"""A path of the tip: pieces of smooth motion, one after the other, at rest before and after."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from closedloop.reference.curves import Curve
+from closedloop.reference.timing import Timing
+
+Array = NDArray[np.float64]
+
+# i·h and the instant of a jump may differ by rounding: this share of a path's duration later is the instant itself.
+INSTANT = 1e-9
+
+
+@dataclass(frozen=True)
+class Piece:
+    """A smooth motion of the tip between two instants.
+
+    Attributes
+    ----------
+    start, stop : float
+        Instants, s.
+    origin : (3,) array
+        Where the tip is at `start`, m, base frame.
+    curve, timing : Curve, Timing
+        What it runs along from there, and how it spends its time.
+    length : float
+        Length of the way, m.
+    """
+
+    start: float
+    stop: float
+    origin: Array
+    curve: Curve
+    timing: Timing
+    length: float
+
+    def sample(self, t: Array) -> tuple[Array, Array, Array]:
+        """Return r, ṙ and r̈ as `TipPath.sample` does, at times t (N,) within the piece, both ends included."""
+        s, ds, dds = (x[:, None] for x in self.timing(t - self.start, self.stop - self.start))
+        x, slope, bend = self.curve.at(s[:, 0])
+        return self.origin + x, slope * ds, bend * ds**2 + slope * dds
+
+
+@dataclass(frozen=True)
+class TipPath:
+    """Where the tip shall be, as a function of time.
+
+    Attributes
+    ----------
+    origin : (3,) array
+        Where the tip is before the first piece, m, base frame.
+    pieces : tuple of Piece
+        Each begins when and where the one before ends; none: the tip stays.
+    keys : tuple of str
+        Keys of the scenario that set how far the path goes, for messages.
+    """
+
+    origin: Array
+    pieces: tuple[Piece, ...] = ()
+    keys: tuple[str, ...] = ()
+
+    @property
+    def start(self) -> float:
+        """Instant at which the tip begins to move, s; 0 if it never does."""
+        return self.pieces[0].start if self.pieces else 0.0
+
+    @property
+    def length(self) -> float:
+        """Length of the way, m."""
+        return sum(piece.length for piece in self.pieces)
+
+    def sample(self, t: Array) -> tuple[Array, Array, Array]:
+        """Return r, m, ṙ, m/s, and r̈, m/s², each (N, 3), base frame, at times t (N,), s.
+
+        A velocity or an acceleration that jumps has its later value at that instant; a jump of the velocity has no
+        part in r̈.
+        """
+        t = np.asarray(t, dtype=np.float64)
+        r = np.tile(self.origin, (t.size, 1))
+        velocity, acceleration = np.zeros_like(r), np.zeros_like(r)
+        if not self.pieces:
+            return r, velocity, acceleration
+        last = self.pieces[-1]
+        ends = np.array([self.start, *(piece.stop for piece in self.pieces)])
+        at = np.searchsorted(ends, t + INSTANT * (ends[-1] - ends[0]), side="right") - 1
+        for k, piece in enumerate(self.pieces):
+            if np.any(now := at == k):
+                r[now], velocity[now], acceleration[now] = piece.sample(t[now])
+        r[at == len(self.pieces)] = last.sample(ends[-1:])[0]
+        return r, velocity, acceleration

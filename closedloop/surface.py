@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 
 import numpy as np
@@ -32,18 +33,22 @@ def unit(vector: ArrayLike, key: str) -> Array:
 
 
 def contact_frame(normal: ArrayLike) -> Array:
-    """Return the (3, 3) contact frame of a unit normal: rows n, t1, t2, right-handed, base axes.
+    """Return the (3, 3) contact frame of a unit normal (3,): rows n, t1, t2, right-handed, base axes.
 
-    t1 is +x turned with the least rotation that takes +z to n, so a level surface has (t1, t2) = (x, y) and the frame
-    changes smoothly with n; at n = −z, where that rotation is not unique, half a turn about x is taken.
+    The tangents are +x and +y turned by the least rotation that takes +z to n. So a level surface has (t1, t2) =
+    (x, y), and the frame changes smoothly with n except at n = −z, where many rotations are the least: there it is half
+    a turn about x. (Any choice of tangents must jump somewhere.)
     """
     n = np.array(normal, dtype=np.float64)
-    if n[2] < -1.0 + 1e-12:
+    x, y, z = n
+    across = math.hypot(x, y)
+    if across == 0.0 and z < 0.0:
         return np.array([n, [1.0, 0.0, 0.0], [0.0, -1.0, 0.0]])
-    a = 1.0 / (1.0 + n[2])
-    t1 = np.array([1.0 - a * n[0] * n[0], -a * n[0] * n[1], -n[0]])
-    t2 = np.array([-a * n[0] * n[1], 1.0 - a * n[1] * n[1], -n[1]])
-    return np.array([n, t1, t2])
+    c, s = (x / across, y / across) if across > 0.0 else (1.0, 0.0)
+    turned = 1.0 - z
+    t1 = [1.0 - turned * c * c, -turned * c * s, -x]
+    t2 = [-turned * c * s, 1.0 - turned * s * s, -y]
+    return np.array([n, t1, t2]) + 0.0  # no entry is −0
 
 
 @dataclass(frozen=True)

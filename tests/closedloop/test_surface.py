@@ -4,8 +4,10 @@ import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
+from scipy.spatial.transform import Rotation
 
 import closedloop as cl
+from closedloop.surface import contact_frame
 
 COMPONENTS = st.lists(st.floats(-1e6, 1e6), min_size=3, max_size=3).filter(lambda n: max(map(abs, n)) > 1e-3)
 
@@ -60,3 +62,40 @@ def test_no_plane_is_refused(normal, offset, words):
     """A normal without direction and numbers that are none are refused by name."""
     with pytest.raises(cl.ScenarioError, match=words):
         cl.Plane.of(normal, offset)
+
+
+@given(COMPONENTS)
+def test_contact_frame_is_right_handed_and_begins_with_the_normal(normal):
+    """Rows n, t1, t2 are orthonormal and right-handed, for normals everywhere."""
+    n = cl.Plane.of(normal, 0.0).normal
+    frame = contact_frame(n)
+    assert np.array_equal(frame[0], n)
+    assert np.allclose(frame @ frame.T, np.eye(3), rtol=0, atol=1e-15)
+    assert np.allclose(np.cross(frame[0], frame[1]), frame[2], rtol=0, atol=1e-15)
+
+
+@pytest.mark.parametrize("tilt", [0.0, 1e-300, 1e-160, 1e-12, 1e-8, 1e-4])
+@pytest.mark.parametrize("side", [1.0, -1.0])
+def test_contact_frame_near_the_vertical(tilt, side):
+    """Normals a hair off ±z have an orthonormal frame to rounding, and those near +z that of the level surface."""
+    n = cl.Plane.of([0.6 * tilt, 0.8 * tilt, side], 0.0).normal
+    frame = contact_frame(n)
+    assert np.allclose(frame @ frame.T, np.eye(3), rtol=0, atol=1e-15)
+    assert np.linalg.det(frame) == pytest.approx(1.0, abs=1e-15)
+    if side > 0:
+        assert np.allclose(frame[1:], [[1, 0, 0], [0, 1, 0]], rtol=0, atol=2 * tilt)
+
+
+def test_contact_frame_of_a_level_surface_is_that_of_the_base():
+    """On a level surface t1 is +x and t2 is +y, exactly; upside down t1 stays +x."""
+    assert np.array_equal(contact_frame([0, 0, 1]), [[0, 0, 1], [1, 0, 0], [0, 1, 0]])
+    assert np.array_equal(contact_frame([0, 0, -1]), [[0, 0, -1], [1, 0, 0], [0, -1, 0]])
+
+
+@given(st.floats(-2.9, 2.9), st.floats(-np.pi, np.pi))
+def test_contact_frame_is_turned_no_more_than_the_normal(tilt, heading):
+    """The frame's rotation from that of a level surface is by the angle of n from +z about n's horizontal normal."""
+    axis = np.array([-np.sin(heading), np.cos(heading), 0.0])
+    n = np.array([np.sin(tilt) * np.cos(heading), np.sin(tilt) * np.sin(heading), np.cos(tilt)])
+    turn = Rotation.from_rotvec(tilt * axis)
+    assert np.allclose(contact_frame(n)[1:], turn.apply([[1, 0, 0], [0, 1, 0]]), rtol=0, atol=1e-14)

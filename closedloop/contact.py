@@ -34,8 +34,8 @@ Array = NDArray[np.float64]
 # What the tip does: values of the run's column `mode`.
 FREE, PRESSED, STUCK = 0, 1, 2
 
-# A tangential direction in which the tip's mobility is below this share of the whole is one in which the arm cannot move
-# the tip at all (a planar arm, sideways): there is nothing to hold there, and no force is needed to hold it.
+# Along a tangent in which its mobility is below this share of the whole, the tip cannot move at all (a planar arm,
+# sideways): there is nothing to hold there, and no force is needed to hold it.
 IMMOBILE = 1e-10
 
 
@@ -120,9 +120,13 @@ def unloaded(L: Array, X: Array, drift_c: Array, torque: Array, C: Array, y: Arr
 
 
 @kernel
-def pressed_force(
-    S: Array, a: Array, b_stabiliser: float, c: Array, w: Array, F: Array
-) -> tuple[int, float]:
+def baumgarte_acceleration(s_v: float, s_p: float, rate: float, error: float) -> float:
+    """Return −s_v ė − s_p e, what the stabiliser adds to b_s (Eq. 23), m/s²."""
+    return -s_v * rate - s_p * error
+
+
+@kernel
+def pressed_force(S: Array, a: Array, b_stabiliser: float, c: Array, w: Array, F: Array) -> tuple[int, float]:
     """Write the force on a tip that is held on the surface and slides: F_t = −c f − w.
 
     Parameters
@@ -176,7 +180,7 @@ def stuck_force(S: Array, a: Array, b_stabiliser: Array, F: Array, share: Array)
     trace = S[0, 0] + S[1, 1] + S[2, 2]
     if not S[0, 0] > SINGULAR_MOBILITY * trace:
         return SINGULAR
-    # Eliminate the normal, then the more mobile tangent, then the other; what remains without mobility carries no force.
+    # Eliminate the normal, then the more mobile tangent, then the other; what cannot move carries no force.
     inverse = 1.0 / S[0, 0]
     s11 = S[1, 1] - S[0, 1] * S[0, 1] * inverse
     s12 = S[1, 2] - S[0, 1] * S[0, 2] * inverse

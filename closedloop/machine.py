@@ -14,10 +14,10 @@ The phase says what the terms that have just arrived are for:
     BEGIN     the state just after an event: go on from there to the end of the step
     CLOSE     a state to be put back on the closure (projection)
 
-An event shows when a step arrives and its gauge is negative: the gap while the tip is free, the force of the rigid closure
-while it is pressed. The step is then taken again, shorter, until the instant is bracketed to `INSTANT`; a step to
-that instant, the event, and a step for the remainder replace it. Every piece is a full step of the integrator, so its
-order is kept.
+An event shows when a step arrives and its gauge is negative: the gap while the tip is free, the force of the rigid
+closure while it is pressed. The step is then taken again, shorter, until the instant is bracketed to `INSTANT`; a
+step to that instant, the event, and a step for the remainder replace it. Every piece is a full step of the
+integrator, so its order is kept.
 """
 
 from __future__ import annotations
@@ -25,13 +25,13 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
+from closedloop._impact_stub import impact
 from closedloop.compiled import entry_kernel, kernel
 from closedloop.contact import FREE, PRESSED, STUCK, factorise, strike, stuck_force
 from closedloop.events import IMPACT, LIFTOFF, TOUCHDOWN, write_event
-from closedloop._impact_stub import impact
 from closedloop.integrate import advance
 from closedloop.solve import CHATTER, OK
-from closedloop.step import LAW_GIVEN, load, locate_tip, record
+from closedloop.step import LAW_GIVEN, evaluate, locate_tip, record
 from closedloop.tip import tip_kinematics
 from closedloop.workspace import (
     AT_HIGH,
@@ -114,7 +114,9 @@ CLOSED, MOST_MOVES = 2e-15, 5
 
 
 @kernel
-def proceed(H: Array, C: Array, w: Work, k: Array, state: Whole, table: Array, tableau: Array, rows: Array, events: Array) -> int:  # fmt: skip
+def proceed(
+    H: Array, C: Array, w: Work, k: Array, state: Whole, table: Array, tableau: Array, rows: Array, events: Array
+) -> int:  # fmt: skip
     """Use the terms of the state that was asked for, and ask for the next.
 
     Parameters
@@ -135,12 +137,12 @@ def proceed(H: Array, C: Array, w: Work, k: Array, state: Whole, table: Array, t
     Returns
     -------
     int
-        TERMS: evaluate the terms at (q, q̇) and call again. TERMS_AND_LAW: and write the torque for now[TIME]. ROOM: give
-        a larger table of events and call again, nothing has changed. DONE, or FAILED with state[STATUS].
+        TERMS: evaluate the terms at (q, q̇) and call again. TERMS_AND_LAW: and write the torque for now[TIME]. ROOM:
+        give a larger table of events and call again, nothing has changed. DONE, or FAILED with state[STATUS].
     """
     phase = state[PHASE]
     if phase == ARRIVING:
-        status = load(H, C, w, k, state, table)
+        status = evaluate(H, C, w, k, state, table)
         if status != OK:
             return _fail(state, status)
         if state[UNILATERAL] != 0:
@@ -157,7 +159,7 @@ def proceed(H: Array, C: Array, w: Work, k: Array, state: Whole, table: Array, t
         state[IN_STEP] = 0
         return _set_out(w, k, state, tableau, k[H_STEP])
     if phase == STAGING:
-        status = load(H, C, w, k, state, table)
+        status = evaluate(H, C, w, k, state, table)
         if status != OK:
             return _fail(state, status)
         return _leave_stage(w, k, state, tableau)
@@ -168,7 +170,7 @@ def proceed(H: Array, C: Array, w: Work, k: Array, state: Whole, table: Array, t
             locate_tip(w, k)
             w.now[GAUGE] = w.now[GAP]
         else:
-            status = load(H, C, w, k, state, table)
+            status = evaluate(H, C, w, k, state, table)
             if status != OK:
                 return _fail(state, status)
             w.now[GAUGE] = w.now[RIGID]
@@ -176,7 +178,7 @@ def proceed(H: Array, C: Array, w: Work, k: Array, state: Whole, table: Array, t
     if phase == TRANSITING:
         return _transit(H, w, k, state, events, tableau)
     # just after an event
-    status = load(H, C, w, k, state, table)
+    status = evaluate(H, C, w, k, state, table)
     if status != OK:
         return _fail(state, status)
     if state[MODE] == FREE:
@@ -205,7 +207,7 @@ def _fail(state: Whole, status: int) -> int:
 def _ask(w: Work, state: Whole, phase: int) -> int:
     """Say what the next terms are for, and whether the law is to be evaluated with them."""
     state[PHASE] = phase
-    if phase == CLOSING or phase == TRANSITING:
+    if phase in (CLOSING, TRANSITING):
         return TERMS
     hold = state[HOLD]
     sampled = 1
@@ -254,7 +256,7 @@ def _set_out_again(w: Work, k: Array, state: Whole, tableau: Array, tau: float) 
 
 @kernel
 def _leave_stage(w: Work, k: Array, state: Whole, tableau: Array) -> int:
-    """Advance from a stage whose derivatives are known, and ask for the next stage's terms or those of the step's end."""
+    """Advance from a stage whose derivatives are known, and ask for the terms of what comes next."""
     stage, tau = state[STAGE], w.now[TAU]
     advance(stage, tau, state[SEMI_IMPLICIT] != 0, tableau, w.begin, w.stages, w.qdd, w.dz, w.q, w.v, w.z)
     if stage + 1 < state[STAGES]:
@@ -279,7 +281,7 @@ def _leave_stage(w: Work, k: Array, state: Whole, tableau: Array) -> int:
 
 @kernel
 def _what_happened(w: Work, state: Whole) -> int:
-    """Say what the step that has just arrived calls for: NO_TRIAL, a search, or TAKE_EVENT for an event at this instant."""
+    """Say what a step that has just arrived calls for: NO_TRIAL, a search, or TAKE_EVENT here and now."""
     first = state[ROW] == 0
     if state[MODE] != FREE:
         state[CROSSING] = LIFTOFF

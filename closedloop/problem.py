@@ -205,7 +205,7 @@ def _surface(scenario: Scenario, robot: Robot, q: Array, v: Array) -> tuple[Plan
         plane = Plane.through(tip, section.normal)
         plane = Plane(plane.normal, plane.offset - section.gap)
     elif section.gap:
-        raise ScenarioError('surface.gap: is the height of the start over a surface with offset = "start"; leave it out')
+        raise ScenarioError('surface.gap: goes with offset = "start" only; leave it out')
     else:
         plane = Plane.of(section.normal, float(section.offset))
     gap = section.gap if section.offset == "start" else plane.gap(tip)
@@ -218,7 +218,7 @@ def _surface(scenario: Scenario, robot: Robot, q: Array, v: Array) -> tuple[Plan
             side = "off" if gap > 0 else "inside"
             raise ScenarioError(
                 f"{given} = {value:g}: the tip starts {abs(gap):.4g} m {side} the surface, and the closure holds it "
-                f'there from the start: use offset = "start", or {where:.9g}, or surface.contact = "unilateral"'
+                f'there from the start: use contact = "unilateral", or offset = "start" or {where:.9g}'
             )
         return plane, PRESSED
     if gap < -TOUCHING:

@@ -25,6 +25,7 @@ if TYPE_CHECKING:
 
 Array = NDArray[np.float64]
 
+
 class Column(NamedTuple):
     """Dimensions, unit and meaning of a column."""
 
@@ -34,7 +35,7 @@ class Column(NamedTuple):
 
 
 # Joint quantities are in rad, rad/s, rad/s² and N m for revolute joints; for prismatic ones m, m/s, m/s² and N.
-COLUMNS: dict[str, Column] = {
+_BY_TIME: dict[str, Column] = {
     "time": Column(("time",), "s", "time since the start of the run"),
     "q": Column(("time", "joint"), "rad", "joint positions"),
     "v": Column(("time", "joint"), "rad s-1", "joint velocities"),
@@ -63,7 +64,7 @@ COLUMNS: dict[str, Column] = {
 }
 
 
-ALL_COLUMNS: dict[str, Column] = COLUMNS | {name: Column(*spec[:3]) for name, spec in EVENT_COLUMNS.items()}
+COLUMNS: dict[str, Column] = _BY_TIME | {name: Column(*spec[:3]) for name, spec in EVENT_COLUMNS.items()}
 
 
 class Event(NamedTuple):
@@ -126,13 +127,13 @@ class Run:
             column.setflags(write=False)
 
     def __getattr__(self, name: str) -> NDArray[Any]:
-        if name in COLUMNS or name in EVENT_COLUMNS:
+        if name in COLUMNS:
             column: NDArray[Any] = self.columns[name]
             return column
         raise AttributeError(f"a Run has no '{name}'; its columns are {', '.join(COLUMNS)}")
 
     def __dir__(self) -> list[str]:
-        return [*super().__dir__(), *COLUMNS, *EVENT_COLUMNS]
+        return [*super().__dir__(), *COLUMNS]
 
     def __len__(self) -> int:
         return int(self.columns["time"].size)
@@ -161,7 +162,7 @@ class Run:
 
     def units(self, name: str) -> str:
         """Return the unit of a column; of a robot that turns and slides both, by joint type ("rad | m")."""
-        spec = ALL_COLUMNS[name]
+        spec = COLUMNS[name]
         sliding = spec.units.replace("rad", "m").replace("N m", "N")
         if "joint" not in spec.dims or sliding == spec.units:
             return spec.units
@@ -175,11 +176,11 @@ class Run:
         from closedloop.runfile import attributes
 
         def variable(name: str) -> tuple[tuple[str, ...], NDArray[Any], dict[str, str]]:
-            spec = ALL_COLUMNS[name]
+            spec = COLUMNS[name]
             return spec.dims, np.asarray(self.columns[name]), {"units": self.units(name), "long_name": spec.meaning}
 
         return xarray.Dataset(
-            {name: variable(name) for name in ALL_COLUMNS if name != "time"},
+            {name: variable(name) for name in COLUMNS if name != "time"},
             {
                 "time": variable("time"),
                 "joint": list(self.model.joint_names),

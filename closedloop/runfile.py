@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 
 import robot_models
 from closedloop.errors import ClosedLoopError, OutputError, RunFileError
-from closedloop.record import ALL_COLUMNS, Run
+from closedloop.record import COLUMNS, Run
 from closedloop.scenario import parse_scenario
 
 FORMAT, FORMAT_VERSION = "closedloop run", 2
@@ -59,7 +59,7 @@ def save_run(run: Run, path: str | Path) -> Path:
     try:
         with h5netcdf.File(unfinished, "w") as file:
             file.dimensions = {"time": len(run), "joint": run.model.n, "axis": 3, "event": len(run.events)}
-            for name, spec in ALL_COLUMNS.items():
+            for name, spec in COLUMNS.items():
                 variable = file.create_variable(name, spec.dims, data=np.asarray(run.columns[name]))
                 variable.attrs["units"] = run.units(name)
                 variable.attrs["long_name"] = spec.meaning
@@ -144,12 +144,12 @@ def _read(path: Path) -> tuple[dict[str, Any], dict[str, NDArray[Any]]]:
             return found, {}
         if int(found.get("format_version", 0)) != FORMAT_VERSION:
             return found, {}
-        return found, {name: np.asarray(file.variables[name][...]) for name in ALL_COLUMNS}
+        return found, {name: np.asarray(file.variables[name][...]) for name in COLUMNS}
 
 
 def _check_shapes(path: Path, run: Run) -> None:
     sizes = {"time": len(run), "joint": run.model.n, "axis": 3, "event": run.columns["event_time"].size}
-    for name, spec in ALL_COLUMNS.items():
+    for name, spec in COLUMNS.items():
         column, shape = run.columns[name], tuple(sizes[dim] for dim in spec.dims)
         if column.shape != shape or column.dtype.kind not in "fi":
             raise RunFileError(

@@ -54,7 +54,8 @@ class ImpactSection(Section):
 
     restitution: Restitution = Field(0.0, description="coefficient of restitution, 0 to 1")
     law: Literal["newton", "poisson", "stronge"] = Field(
-        "stronge", description="what the coefficient is a ratio of: newton velocities, poisson impulses, stronge energies"
+        "stronge",
+        description="what the coefficient is a ratio of: newton velocities, poisson impulses, stronge energies",
     )
     rest_speed: Positive = Field(1e-4, description="a bounce slower than this becomes contact, m/s")
 

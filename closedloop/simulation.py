@@ -9,14 +9,21 @@ import sys
 import time as clock
 from collections.abc import Callable
 from importlib import metadata
-from typing import Any
+from typing import Any, cast
 
 import numpy as np
 from numpy.typing import NDArray
 
 from closedloop.compiled import forget_old_caches, needs_compiling
 from closedloop.control import Law
-from closedloop.errors import ChatterError, DivergenceError, PainleveError, ScenarioError, SimulationError, SingularClosureError
+from closedloop.errors import (
+    ChatterError,
+    DivergenceError,
+    PainleveError,
+    ScenarioError,
+    SimulationError,
+    SingularClosureError,
+)
 from closedloop.events import EVENT_WIDTH, event_columns
 from closedloop.machine import DONE, ROOM, TERMS, TERMS_AND_LAW, proceed_on_pinocchio
 from closedloop.problem import Problem, prepare
@@ -110,7 +117,7 @@ def run_loop(
     robot, steps = problem.robot, problem.steps
     k, state, memory = problem.constants(), problem.state(law is not None), problem.memory()
     w = workspace(memory, robot.n, int(state[EXTRA]), problem.integrator.stages)
-    evaluate = robot.evaluator(w.q, w.v)
+    evaluate, proceed = robot.evaluator(w.q, w.v), cast(Callable[..., int], proceed_on_pinocchio)
     user_torque = None if law is None else _checked_law(law, robot, w.q, w.v)
     rows = np.zeros((steps + 1, Row.of(robot.n).width))
     events = np.zeros((ROOM_FOR_EVENTS, EVENT_WIDTH))
@@ -119,11 +126,12 @@ def run_loop(
     request = TERMS if user_torque is None else TERMS_AND_LAW
     began = clock.perf_counter()
     first = True
+    report(0, steps)
     while True:
         if request == TERMS:
             for _ in range(CHUNK):
                 evaluate()
-                request = proceed_on_pinocchio(*fixed, events)
+                request = proceed(*fixed, events)
                 if request != TERMS:
                     break
         elif request == TERMS_AND_LAW:
@@ -134,10 +142,10 @@ def run_loop(
                 failure = DivergenceError(f"{_when(t)}: {fault}", t)
                 break
             evaluate()
-            request = proceed_on_pinocchio(*fixed, events)
+            request = proceed(*fixed, events)
         elif request == ROOM:
             events = np.vstack([events, np.zeros_like(events)])
-            request = proceed_on_pinocchio(*fixed, events)
+            request = proceed(*fixed, events)
         elif request == DONE:
             break
         else:
@@ -201,8 +209,8 @@ def _failure(
         )
     if status == CHATTER:
         return ChatterError(
-            f"{_when(t)}: the contact chatters: at one instant the torque presses the tip on while it is off the surface and "
-            "lifts it off while it is on; look at a law that depends on the contact, and at time.step",
+            f"{_when(t)}: the contact chatters: at one instant the torque presses the tip on while it is off the "
+            "surface and lifts it off while it is on; look at a law that depends on the contact, and at time.step",
             t,
         )
     if status == PAINLEVE:

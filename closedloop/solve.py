@@ -4,8 +4,8 @@
     [ A   0  ] [ −f ] = [  b_s  ]        A = nᵀJᵣ for the plane, m >= 1 rows in general
 
 `solve_closure` is that line in numpy and LAPACK, for reading, for users and for tests. Inside a step the same
-equation goes through Cholesky of H and the Schur complement A H⁻¹Aᵀ (`eliminate`), which is faster, knows when
-a pose is singular, and splits off the stabiliser's share of f. Tests hold the two against each other.
+equation goes through Cholesky of H and the Schur complement A H⁻¹Aᵀ (`closedloop.contact`), which is faster, knows
+when a pose is singular, and splits off the stabiliser's share of f. Tests hold the two against each other.
 """
 
 from __future__ import annotations
@@ -123,135 +123,12 @@ def back_substitute(L: Array, x: Array) -> None:
 
 
 @kernel
-def eliminate(
-    H: Array, tau: Array, C: Array, A: Array, b: Array, b_stabiliser: Array, J: Array,
-    L: Array, X: Array, S: Array, y: Array, qdd: Array, f: Array, f_stabiliser: Array,
-) -> tuple[int, float]:  # fmt: skip
-    """Solve Eq. 24 through Cholesky of H and of the Schur complement S = A H⁻¹Aᵀ.
-
-    Parameters
-    ----------
-    H : (n, n) array
-        Mass matrix; the upper triangle is read.
-    tau, C : (n,) arrays
-        Q and C.
-    A, b, b_stabiliser : (m, n), (m,), (m,) arrays
-        Closure rows, b_s and the stabiliser's share of b_s.
-    J : (>=3, n) array
-        Tip Jacobian, linear part first; the measure of what "singular" is relative to.
-    L, X, S, y : (n, n), (m, n), (m, m), (n,) arrays
-        Written: Cholesky factor of H, rows (H⁻¹Aᵀ)ᵀ, Cholesky factor of A H⁻¹Aᵀ, H⁻¹(Q − C).
-    qdd, f, f_stabiliser : (n,), (m,), (m,) arrays
-        Written: q̈, f and the part of f that answers the stabiliser: (A H⁻¹Aᵀ)⁻¹(−s_v ė − s_p e).
-
-    Returns
-    -------
-    status : int
-        OK, SINGULAR or NOT_POSITIVE_DEFINITE.
-    mobility : float
-        Smallest pivot of A H⁻¹Aᵀ over the trace of Jᵣ H⁻¹Jᵣᵀ: 0 at a singular pose.
-    """
-    n, m = tau.shape[0], b.shape[0]
-    if not cholesky(H, L):
-        return NOT_POSITIVE_DEFINITE, 0.0
-    for j in range(n):
-        y[j] = tau[j] - C[j]
-    forward_substitute(L, y)
-    back_substitute(L, y)
-    total = 0.0
-    for k in range(3):
-        for j in range(n):
-            qdd[j] = J[k, j]
-        forward_substitute(L, qdd)
-        for j in range(n):
-            total += qdd[j] * qdd[j]
-    for i in range(m):
-        for j in range(n):
-            X[i, j] = A[i, j]
-        forward_substitute(L, X[i])
-    # S = (L⁻¹Aᵀ)ᵀ(L⁻¹Aᵀ), its Cholesky factor in place (row by row, each entry read before it is overwritten)
-    smallest = np.inf
-    for j in range(m):
-        for i in range(j, m):
-            s = 0.0
-            for k in range(n):
-                s += X[i, k] * X[j, k]
-            for k in range(j):
-                s -= S[i, k] * S[j, k]
-            if i == j:
-                smallest = min(smallest, s)
-                if not s > SINGULAR_MOBILITY * total:
-                    return SINGULAR, s / total if total > 0.0 else 0.0
-                S[j, j] = 1.0 / math.sqrt(s)
-            else:
-                S[i, j] = s * S[j, j]
-    for i in range(m):
-        back_substitute(L, X[i])
-        f[i] = b[i]
-        f_stabiliser[i] = b_stabiliser[i]
-        for j in range(n):
-            f[i] -= A[i, j] * y[j]
-    forward_substitute(S, f)
-    back_substitute(S, f)
-    forward_substitute(S, f_stabiliser)
-    back_substitute(S, f_stabiliser)
-    for j in range(n):
-        a = y[j]
-        for i in range(m):
-            a += X[i, j] * f[i]
-        qdd[j] = a
-    return OK, smallest / total
-
-
-@kernel
-def residual(
-    H: Array, tau: Array, C: Array, A: Array, b: Array, y: Array, X: Array, qdd: Array, f: Array
-) -> tuple[float, float]:
-    """Return the relative residuals of the two block rows of Eq. 24.
-
-    Each is the largest entry of |K x − rhs| over the largest entry of |K||x| + |rhs| of the same block row, where q̈
-    counts as what it was summed from, |H⁻¹(Q − C)| + |H⁻¹Aᵀf|: an arm that a force holds at rest has q̈ = 0, and
-    rounding is relative to the two parts that cancel. So 1e-16 is as good as the arithmetic allows. The first residual
-    says that no force but Q, C and the closure's acts on the arm; the second that the tip accelerates as the closure
-    asks.
-    """
-    n, m = tau.shape[0], b.shape[0]
-    worst, scale = 0.0, 0.0
-    for i in range(n):
-        r = C[i] - tau[i]
-        s = abs(tau[i]) + abs(C[i])
-        for j in range(n):
-            h = H[i, j] if i <= j else H[j, i]
-            r += h * qdd[j]
-            s += abs(h * y[j])
-            for k in range(m):
-                s += abs(h * X[k, j] * f[k])
-        for k in range(m):
-            r -= A[k, i] * f[k]
-            s += abs(A[k, i] * f[k])
-        worst = max(worst, abs(r))
-        scale = max(scale, s)
-    motion = worst / scale if scale > 0.0 else 0.0
-    worst, scale = 0.0, 0.0
-    for k in range(m):
-        r = -b[k]
-        s = abs(b[k])
-        for j in range(n):
-            r += A[k, j] * qdd[j]
-            s += abs(A[k, j] * y[j])
-            for i in range(m):
-                s += abs(A[k, j] * X[i, j] * f[i])
-        worst = max(worst, abs(r))
-        scale = max(scale, s)
-    return motion, worst / scale if scale > 0.0 else 0.0
-
-
-@kernel
 def condition(H: Array, A: Array, L: Array, X: Array, S: Array, column: Array, share: Array) -> float:
     """Return the condition number of the matrix K of Eq. 24 in the 1-norm, ‖K‖₁‖K⁻¹‖₁, in SI units.
 
-    The inverse comes from what `eliminate` left behind in L, X, S:
-    K⁻¹ = [[H⁻¹ − X S⁻¹Xᵀ, X S⁻¹], [S⁻¹Xᵀ, −S⁻¹]] with X = H⁻¹Aᵀ. `column` (n,) and `share` (m,) are scratch.
+    The inverse comes from Cholesky's factors: L of H, with the reciprocals of its diagonal, and S of A H⁻¹Aᵀ likewise:
+    K⁻¹ = [[H⁻¹ − X S⁻¹Xᵀ, X S⁻¹], [S⁻¹Xᵀ, −S⁻¹]] with X = H⁻¹Aᵀ, of which the rows (H⁻¹Aᵀ)ᵀ are given.
+    `column` (n,) and `share` (m,) are scratch.
     """
     n, m = H.shape[0], A.shape[0]
     norm, inverse_norm = 0.0, 0.0

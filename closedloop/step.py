@@ -17,6 +17,7 @@ from closedloop.contact import (
     FREE,
     PRESSED,
     accelerate,
+    baumgarte_acceleration,
     factorise,
     into_contact_frame,
     pressed_force,
@@ -70,7 +71,7 @@ def reference_row(t: float, spacing: float, table: Array, n: int, row: Array) ->
         Written.
     """
     x = t / spacing
-    at = int(round(x))
+    at = round(x)
     width = row.shape[0]
     if abs(x - at) < 1e-6 or at >= table.shape[0]:
         at = min(at, table.shape[0] - 1)
@@ -99,7 +100,7 @@ def locate_tip(w: Work, k: Array) -> None:
 
 
 @kernel
-def load(H: Array, C: Array, w: Work, k: Array, state: Whole, table: Array) -> int:
+def evaluate(H: Array, C: Array, w: Work, k: Array, state: Whole, table: Array) -> int:
     """Evaluate law, friction, contact and Eq. 24 at the state in `w`.
 
     Parameters
@@ -138,7 +139,7 @@ def load(H: Array, C: Array, w: Work, k: Array, state: Whole, table: Array) -> i
         w.share[i] = 0.0
         w.b[i] = 0.0
     if state[MODE] == PRESSED:
-        b = -k[S_V] * w.now[RATE] - k[S_P] * w.now[GAP]
+        b = baumgarte_acceleration(k[S_V], k[S_P], w.now[RATE], w.now[GAP])
         status, share = pressed_force(w.S, w.a, b, w.c, w.w, w.F)
         if status != OK:
             return status
@@ -151,9 +152,9 @@ def load(H: Array, C: Array, w: Work, k: Array, state: Whole, table: Array) -> i
         w.now[RIGID] = rigid
         w.b[0], w.share[0] = b, share
     elif state[MODE] != FREE:
-        w.b[0] = -k[S_V] * w.now[RATE] - k[S_P] * w.now[GAP]
+        w.b[0] = baumgarte_acceleration(k[S_V], k[S_P], w.now[RATE], w.now[GAP])
         for i in range(1, 3):
-            w.b[i] = -k[S_V] * w.u[i] - k[S_P] * (w.p[i] - w.anchor[i - 1])
+            w.b[i] = baumgarte_acceleration(k[S_V], k[S_P], w.u[i], w.p[i] - w.anchor[i - 1])
         if stuck_force(w.S, w.a, w.b, w.F, w.share) != OK:
             return SINGULAR
         w.now[RIGID] = w.F[0] - w.share[0]

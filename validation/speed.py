@@ -37,7 +37,7 @@ SCENARIO = "wam_slide"
 
 def closed_loop(problem: Problem) -> float:
     """Return the seconds a step of our own loop takes: law, terms, Eq. 24, integration and recording."""
-    rows, failure, seconds = run_loop(problem)
+    rows, _, failure, seconds = run_loop(problem)
     if failure is not None:
         raise failure
     return seconds / (len(rows) - 1)

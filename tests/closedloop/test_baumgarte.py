@@ -11,7 +11,7 @@ import closedloop as cl
 from closedloop.baumgarte import amplification, baumgarte_gains, largest_stable_ratio, spectral_radius
 from closedloop.integrate import INTEGRATORS
 from closedloop.simulation import run_loop
-from closedloop.step import Row
+from closedloop.step import SCALARS, Row
 
 ROOT_HALF = 1.0 / np.sqrt(2.0)
 STEP = 0.001  # s
@@ -132,8 +132,8 @@ def test_just_outside_the_limit_a_run_would_shake_apart_and_is_refused(integrato
     inside = cl.prepare(pressed(integrator, damping, 0.99 * LIMITS[integrator, damping], steps=2000))
     outside = 1.01 * LIMITS[integrator, damping]
     gains = np.array(baumgarte_gains(damping, STEP / outside))
-    rows, failure, _ = run_loop(dataclasses.replace(inside, stabiliser=gains))
-    e = np.abs(rows[:, Row.of(2, 1).closure_error])
+    rows, _, failure, _ = run_loop(dataclasses.replace(inside, stabiliser=gains))
+    e = np.abs(rows[:, Row.of(2).scalars + SCALARS.index("closure_error")])
     assert failure is not None or e[-100:].max() > 100 * ERROR
     with pytest.raises(cl.ScenarioError, match=r"stabiliser\.time_constant") as caught:
         cl.prepare(pressed(integrator, damping, outside))

@@ -11,7 +11,7 @@ import pytest
 
 import closedloop as cl
 from closedloop.compiled import cache_folder, needs_compiling
-from closedloop.step import step_on_pinocchio
+from closedloop.machine import proceed_on_pinocchio
 
 ROOT = Path(cl.__file__).parent.parent
 
@@ -47,12 +47,15 @@ def test_interpreted_run_is_the_compiled_one(name, changes, tmp_path):
     assert np.ptp(compiled.contact_force) > 0.1
     for column, ours in compiled.columns.items():
         theirs = interpreted.columns[column]
+        if ours.size == 0:
+            assert theirs.size == 0
+            continue
         assert np.max(np.abs(ours - theirs)) <= 1e-12 * max(1.0, np.max(np.abs(ours))), column
 
 
 def test_compiled_code_is_kept_by_the_text_of_its_source():
     """After a run nothing is left to compile, and the cache's folder is named after a digest."""
-    assert not needs_compiling(step_on_pinocchio)
+    assert not needs_compiling(proceed_on_pinocchio)
     assert len(cache_folder().name.removeprefix("closedloop-")) == 16
 
 

@@ -128,10 +128,11 @@ def test_columns_are_attributes_and_read_only(run, saved):
     for record in (run, cl.load_run(saved)):
         for name in COLUMNS:
             column = getattr(record, name)
-            assert len(column) == len(record) == 601
+            assert len(record) == 601
+            assert len(column) == (601 if COLUMNS[name].dims[0] == "time" else 0)  # the slide has no events
             assert name in dir(record)
             with pytest.raises(ValueError, match="read-only"):
-                column[0] = 0
+                column[...] = 0
 
 
 def test_unknown_column_is_refused_with_the_known():
@@ -338,7 +339,7 @@ def test_the_mass_that_was_tampered_with_is_in_the_text(saved):
 def test_newer_format_is_told_apart_from_damage(saved, tmp_path):
     """A file of a later format is refused as newer, with both version numbers."""
     file = copy_of(saved, tmp_path, set_attribute("format_version", 99))
-    with pytest.raises(cl.RunFileError, match=r"newer.*99.*1"):
+    with pytest.raises(cl.RunFileError, match=r"newer.*99.*2"):
         cl.load_run(file)
 
 

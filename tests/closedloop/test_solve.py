@@ -7,16 +7,18 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 import closedloop as cl
+from closedloop.contact import accelerate, factorise, pressed_force, residuals, stuck_force, unloaded
 from closedloop.solve import (
     NOT_POSITIVE_DEFINITE,
     OK,
+    PAINLEVE,
     SINGULAR,
     SINGULAR_MOBILITY,
+    back_substitute,
     bordered_matrix,
     condition,
-    eliminate,
-    residual,
 )
+from closedloop.surface import contact_frame
 
 EPS = np.finfo(float).eps
 # Both solutions carry rounding times the condition of Eq. 24. Away from singular poses (`WELL` below) that is
@@ -27,29 +29,40 @@ patient = settings(deadline=None)  # the first example of all compiles
 WELL = 1e-3
 
 
-class Eliminated:
-    """The outcome of `eliminate`, with its scratch."""
+class Solved:
+    """What the kernels of a step make of Eq. 24 for a tip that is pressed (m = 1) or stuck (m = 3)."""
 
-    def __init__(self, H, tau, C, A, b, J, b_stabiliser=None):
-        m, n = A.shape
-        self.problem = tuple(np.ascontiguousarray(x, dtype=float) for x in (H, tau, C, A, b))
-        self.L, self.X, self.S = np.zeros((n, n)), np.zeros((m, n)), np.zeros((m, m))
-        self.y, self.qdd = np.zeros(n), np.zeros(n)
-        self.f, self.f_stabiliser = np.zeros(m), np.zeros(m)
-        share = np.zeros(m) if b_stabiliser is None else b_stabiliser
-        self.status, self.mobility = eliminate(
-            *self.problem, share, np.ascontiguousarray(J), self.L, self.X, self.S, self.y, self.qdd,
-            self.f, self.f_stabiliser,
-        )  # fmt: skip
+    def __init__(self, H, tau, C, A, b, share=None, m=1, c=(0.0, 0.0), w=(0.0, 0.0)):
+        n = A.shape[1]
+        self.H, self.tau, self.C, self.A = (np.ascontiguousarray(x, dtype=float) for x in (H, tau, C, A))
+        self.b, self.m = np.array(b, dtype=float), m
+        self.L, self.X, self.S = np.zeros((n, n)), np.zeros((3, n)), np.zeros((3, 3))
+        self.y, self.a, self.F, self.qdd, self.share = (np.zeros(k) for k in (n, 3, 3, n, 3))
+        self.status = factorise(self.H, self.A, self.L, self.X, self.S)
+        if self.status != OK:
+            return
+        share = np.zeros(3) if share is None else share
+        # b is b_s: what the closure asks of A q̈; the kernels take it as the drift and the stabiliser's part.
+        unloaded(self.L, self.X, share - self.b, self.tau, self.C, self.y, self.a)
+        if m == 1:
+            self.status, self.share[0] = pressed_force(self.S, self.a, share[0], np.array(c), np.array(w), self.F)
+        else:
+            self.status = stuck_force(self.S, self.a, share, self.F, self.share)
+        if self.status == OK:
+            accelerate(self.L, self.X, self.y, self.F, self.qdd)
 
     def residuals(self):
         """Return the relative residuals of the two block rows."""
-        return residual(*self.problem, self.y, self.X, self.qdd, self.f)
+        return residuals(
+            self.H, self.tau, self.C, self.A, self.S, np.zeros(3), self.b, self.a, self.qdd, self.F, 0, self.m
+        )
 
     def condition(self):
-        """Return the 1-norm condition number of Eq. 24."""
-        H, _, _, A, _ = self.problem
-        return condition(H, A, self.L, self.X, self.S, np.zeros(len(H)), np.zeros(len(A)))
+        """Return the 1-norm condition number of Eq. 24 with its normal row."""
+        X = self.X[:1].copy()
+        back_substitute(self.L, X[0])
+        S = np.array([[1 / np.sqrt(self.S[0, 0])]])
+        return condition(self.H, self.A[:1], self.L, X, S, np.zeros(len(self.tau)), np.zeros(1))
 
 
 def mobility_share(terms, A):
@@ -142,17 +155,22 @@ def test_several_rows_equal_pinocchio(robot, random_states):
 
 @st.composite
 def problems(draw):
-    """Draw H with a chosen condition number, closure rows that are combinations of a tip Jacobian's, and the rest."""
-    n = draw(st.integers(2, 8))
-    m = draw(st.integers(1, min(3, n - 1)))
+    """Draw H with a chosen condition number, a tip Jacobian in a turned frame, and the rest; m = 1 pressed, 3 stuck."""
+    n = draw(st.integers(3, 8))
+    m = draw(st.sampled_from([1, 3]))
     rng = np.random.default_rng(draw(st.integers(0, 2**32 - 1)))
     spread = draw(st.floats(0.0, 10.0))
     scale = 10.0 ** draw(st.floats(-3.0, 3.0))
     turn = np.linalg.qr(rng.normal(size=(n, n)))[0]
     H = scale * (turn * np.logspace(-spread, 0.0, n)) @ turn.T
-    J = rng.normal(size=(3, n))
-    rows = np.linalg.qr(rng.normal(size=(3, 3)))[0][:m]
-    return 0.5 * (H + H.T), 10 * rng.normal(size=n), rng.normal(size=n), rows @ J, rng.normal(size=m), J
+    A = np.linalg.qr(rng.normal(size=(3, 3)))[0] @ rng.normal(size=(3, n))
+    return 0.5 * (H + H.T), 10 * rng.normal(size=n), rng.normal(size=n), A, rng.normal(size=3), m
+
+
+def well_posed(H, A, m):
+    """Whether no pivot of the Schur complement is near what counts as immobile."""
+    S = A[:m] @ np.linalg.solve(H, A[:m].T)
+    return np.linalg.cond(S) < 1e7
 
 
 @patient
@@ -163,16 +181,19 @@ def test_elimination_solves_the_equation(problem):
     Backward stability: the residual relative to what was summed does not know the condition of H. n <= 8 additions
     in each of three nested sums give some hundred roundings: 1e-12, which is also what a run reports as held.
     """
-    H, tau, C, A, b, J = problem
-    done = Eliminated(H, tau, C, A, b, J)
+    H, tau, C, A, b, m = problem
+    if not well_posed(H, A, m):
+        return
+    done = Solved(H, tau, C, A, b, m=m)
     assert done.status == OK
-    assert max(done.residuals()) < 1e-12
-    right = np.concatenate([tau - C, b])
-    solution = np.concatenate([done.qdd, -done.f])
-    matrix = bordered_matrix(H, A)
-    # The same, independent of `residual`, against the normwise size of what is summed.
-    parts = np.abs(matrix[: len(tau)]) @ np.abs(solution) + np.abs(done.y) @ np.abs(H) + np.abs(right[: len(tau)])
-    assert np.max(np.abs(matrix @ solution - right)[: len(tau)]) < 1e-12 * np.max(parts)
+    y = np.linalg.solve(H, tau - C)
+    right = np.concatenate([tau - C, b[:m]])
+    solution = np.concatenate([done.qdd, -done.F[:m]])
+    matrix = bordered_matrix(H, A[:m])
+    n = len(tau)
+    # Independent of `residuals`, against the normwise size of what is summed.
+    parts = np.abs(matrix[:n]) @ np.abs(solution) + np.abs(y) @ np.abs(H) + np.abs(right[:n])
+    assert np.max(np.abs(matrix @ solution - right)[:n]) < 1e-12 * np.max(parts)
 
 
 @patient
@@ -183,29 +204,58 @@ def test_elimination_equals_lapack(problem):
     Forward error: elimination goes through H⁻¹ and S⁻¹, so rounding is multiplied by cond(H), by the condition of the
     Schur complement, and by how far H⁻¹(Q - C) exceeds q̈; LAPACK's by cond(K).
     """
-    H, tau, C, A, b, J = problem
-    done = Eliminated(H, tau, C, A, b, J)
-    qdd, f = cl.solve_closure(H, tau - C, A, b)
-    S = A @ np.linalg.solve(H, A.T)
-    amplified = np.linalg.cond(bordered_matrix(H, A)) + np.linalg.cond(H) * np.linalg.cond(S)
+    H, tau, C, A, b, m = problem
+    if not well_posed(H, A, m):
+        return
+    done = Solved(H, tau, C, A, b, m=m)
+    qdd, f = cl.solve_closure(H, tau - C, A[:m], b[:m])
+    y = np.linalg.solve(H, tau - C)
+    S = A[:m] @ np.linalg.solve(H, A[:m].T)
+    amplified = np.linalg.cond(bordered_matrix(H, A[:m])) + np.linalg.cond(H) * np.linalg.cond(S)
     tolerance = 100 * EPS * amplified
-    assert np.max(np.abs(done.f - f)) <= tolerance * (
-        np.max(np.abs(f)) + np.max(np.abs(np.linalg.solve(S, A @ done.y)))
+    assert np.max(np.abs(done.F[:m] - f)) <= tolerance * (
+        np.max(np.abs(f)) + np.max(np.abs(np.linalg.solve(S, A[:m] @ y)))
     )
-    assert np.max(np.abs(done.qdd - qdd)) <= tolerance * (np.max(np.abs(qdd)) + np.max(np.abs(done.y)))
+    assert np.max(np.abs(done.qdd - qdd)) <= tolerance * (np.max(np.abs(qdd)) + np.max(np.abs(y)))
+    assert not np.any(done.F[m:])
+
+
+@patient
+@given(problems(), st.floats(0.0, 1.5), st.floats(0.0, 6.3), st.floats(0.0, 5.0))
+def test_friction_is_solved_with_the_force_not_after_it(problem, mu, heading, load):
+    """With F_t = -c f - w the bordered matrix has n - c in its column: LAPACK finds the same q̈ and f in one solve."""
+    H, tau, C, A, b, _ = problem
+    if not well_posed(H, A, 3):
+        return
+    t = np.array([np.cos(heading), np.sin(heading)])
+    c, w = mu * t, load * t
+    done = Solved(H, tau, C, A, b, c=c, w=w)
+    S = A @ np.linalg.solve(H, A.T)
+    mobility = S[0, 0] - S[0, 1:] @ c
+    if mobility <= 1e-6 * np.trace(S):
+        assert done.status == PAINLEVE or mobility > 0
+        return
+    matrix = np.block([[H, (A[0] - c @ A[1:])[:, None]], [A[:1], np.zeros((1, 1))]])
+    solution = np.linalg.solve(matrix, np.concatenate([tau - C - A[1:].T @ w, b[:1]]))
+    amplified = np.linalg.cond(matrix) + np.linalg.cond(H) * np.trace(S) / mobility
+    tolerance = 1000 * EPS * amplified
+    y = np.linalg.solve(H, tau - C - A[1:].T @ w)
+    size = np.abs(solution[-1]) + np.max(np.abs(A @ y)) / mobility
+    assert abs(done.F[0] + solution[-1]) <= tolerance * size
+    assert done.F[1:] == pytest.approx(-c * done.F[0] - w, abs=1e-12 * (1 + abs(done.F[0])))
 
 
 @patient
 @given(problems())
 def test_only_the_upper_triangle_is_read(problem):
     """Pinocchio leaves the lower triangle of H unfilled; what is there changes nothing, to the last bit."""
-    H, tau, C, A, b, J = problem
+    H, tau, C, A, b, m = problem
     whole, upper = (
-        Eliminated(H, tau, C, A, b, J),
-        Eliminated(np.triu(H) - 7 * np.tril(np.ones_like(H), -1), tau, C, A, b, J),
+        Solved(H, tau, C, A, b, m=m),
+        Solved(np.triu(H) - 7 * np.tril(np.ones_like(H), -1), tau, C, A, b, m=m),
     )
     assert np.array_equal(whole.qdd, upper.qdd)
-    assert np.array_equal(whole.f, upper.f)
+    assert np.array_equal(whole.F, upper.F)
     assert whole.residuals() == upper.residuals()
     assert whole.condition() == upper.condition()
 
@@ -213,25 +263,27 @@ def test_only_the_upper_triangle_is_read(problem):
 @patient
 @given(problems())
 def test_stabilisers_share_is_a_difference_of_forces(problem):
-    """f_stabiliser is exactly what the force loses when the stabiliser's part of b is taken away."""
-    H, tau, C, A, b, J = problem
+    """The stabiliser's share is exactly what the force loses when its part of b is taken away."""
+    H, tau, C, A, b, m = problem
+    if not well_posed(H, A, m):
+        return
     share = 0.3 * b[::-1]
-    with_it = Eliminated(H, tau, C, A, b, J, share)
-    without = Eliminated(H, tau, C, A, b - share, J)
-    S = A @ np.linalg.solve(H, A.T)
-    size = np.max(np.abs(with_it.f)) + np.max(np.abs(without.f))
+    with_it = Solved(H, tau, C, A, b, share, m)
+    without = Solved(H, tau, C, A, b - share, m=m)
+    S = A[:m] @ np.linalg.solve(H, A[:m].T)
+    size = np.max(np.abs(with_it.F)) + np.max(np.abs(without.F))
     tolerance = 1e4 * EPS * np.linalg.cond(H) * np.linalg.cond(S)
-    assert np.max(np.abs(with_it.f - without.f - with_it.f_stabiliser)) <= tolerance * size
+    assert np.max(np.abs(with_it.F - without.F - with_it.share)[:m]) <= tolerance * size
 
 
 @patient
 @given(problems())
 def test_reported_condition_is_the_condition(problem):
     """The condition number a run records is ‖K‖₁‖K⁻¹‖₁ of the matrix of Eq. 24."""
-    H, tau, C, A, b, J = problem
-    matrix = bordered_matrix(H, A)
+    H, tau, C, A, b, _ = problem
+    matrix = bordered_matrix(H, A[0])
     theirs = np.linalg.cond(matrix, 1)
-    done = Eliminated(H, tau, C, A, b, J)
+    done = Solved(H, tau, C, A, b)
     assert done.condition() == pytest.approx(theirs, rel=1e-6 + 100 * EPS * theirs * np.linalg.cond(H))
 
 
@@ -240,32 +292,57 @@ def test_mobility_is_the_share_of_the_normal(robot, random_states):
     arm = robot("panda")
     for s in random_states(arm, 20, 3):
         terms = arm.terms(s.q, s.v)
-        A = s.normal @ terms.jacobian
-        done = Eliminated(terms.mass_matrix, s.torque, terms.bias, A[None], np.zeros(1), terms.jacobian)
-        assert done.mobility == pytest.approx(mobility_share(terms, A), rel=1e-9)
+        frame = contact_frame(s.normal)
+        done = Solved(terms.mass_matrix, s.torque, terms.bias, frame @ terms.jacobian, np.zeros(3))
+        assert done.S[0, 0] / np.trace(done.S) == pytest.approx(
+            mobility_share(terms, s.normal @ terms.jacobian), rel=1e-9
+        )
+
+
+def test_a_tangent_in_which_the_arm_cannot_move_carries_no_force(robot, random_states):
+    """A planar arm's tip cannot move sideways: held fast it feels a force in its plane and none across."""
+    arm = robot("planar2")
+    for s in random_states(arm, 20, 4):
+        terms = arm.terms(s.q, s.v)
+        plane = terms.jacobian[[0, 2]]
+        if abs(np.linalg.det(plane)) < 0.05:
+            continue
+        for turn in (0.0, 0.7, np.pi / 2):
+            c, d = np.cos(turn), np.sin(turn)
+            A = np.array([[0, 0, 1], [c, d, 0], [-d, c, 0]]) @ terms.jacobian
+            done = Solved(terms.mass_matrix, s.torque, terms.bias, A, np.zeros(3), m=3)
+            assert done.status == OK
+            assert np.max(np.abs(A @ done.qdd)) < 1e-9
+            qdd, f = cl.solve_closure(terms.mass_matrix, s.torque - terms.bias, plane, np.zeros(2))
+            assert done.qdd == pytest.approx(qdd, abs=1e-9)
+            assert done.F[0] == pytest.approx(f[1], rel=1e-9)
+            assert done.F[1] * c - done.F[2] * d == pytest.approx(f[0], rel=1e-7, abs=1e-9)
 
 
 def test_elimination_names_what_is_wrong():
-    """A row of zeros and a doubled row are SINGULAR; an indefinite or NaN mass matrix is not positive definite."""
-    H, J = np.diag([1.0, 2.0, 3.0]), np.eye(3)
+    """A normal of zeros is SINGULAR; an indefinite or NaN mass matrix is not positive definite."""
+    H, A = np.diag([1.0, 2.0, 3.0]), np.eye(3)
     tau = C = np.ones(3)
-    row = np.array([[1.0, 2.0, 3.0]])
-    assert Eliminated(H, tau, C, row, np.zeros(1), J).status == OK
-    assert Eliminated(H, tau, C, 0 * row, np.zeros(1), J).status == SINGULAR
-    assert Eliminated(H, tau, C, 0 * row, np.zeros(1), 0 * J).status == SINGULAR
-    assert Eliminated(H, tau, C, np.vstack([row, row / 3]), np.zeros(2), J).status == SINGULAR
-    assert Eliminated(np.diag([1.0, 0.0, 3.0]), tau, C, row, np.zeros(1), J).status == NOT_POSITIVE_DEFINITE
-    assert Eliminated(np.diag([1.0, -1.0, 3.0]), tau, C, row, np.zeros(1), J).status == NOT_POSITIVE_DEFINITE
-    assert Eliminated(np.diag([1.0, np.nan, 3.0]), tau, C, row, np.zeros(1), J).status == NOT_POSITIVE_DEFINITE
-    assert Eliminated(H, tau, C, np.nan * row, np.zeros(1), J).status == SINGULAR
+    zeros = np.zeros(3)
+    for m in (1, 3):
+        assert Solved(H, tau, C, A, zeros, m=m).status == OK
+        assert Solved(H, tau, C, np.diag([0.0, 1.0, 1.0]), zeros, m=m).status == SINGULAR
+        assert Solved(H, tau, C, 0 * A, zeros, m=m).status == SINGULAR
+        assert Solved(H, tau, C, np.nan * A, zeros, m=m).status == SINGULAR
+    assert Solved(np.diag([1.0, 0.0, 3.0]), tau, C, A, zeros).status == NOT_POSITIVE_DEFINITE
+    assert Solved(np.diag([1.0, -1.0, 3.0]), tau, C, A, zeros).status == NOT_POSITIVE_DEFINITE
+    assert Solved(np.diag([1.0, np.nan, 3.0]), tau, C, A, zeros).status == NOT_POSITIVE_DEFINITE
+    skew = np.array([[1.0, 0.0, 0.0], [2.0, 1.0, 0.0], [0.0, 0.0, 1.0]])
+    assert Solved(np.eye(3), tau, C, skew, zeros, c=(0.6, 0.0)).status == PAINLEVE
+    assert Solved(np.eye(3), tau, C, skew, zeros, c=(0.4, 0.0)).status == OK
 
 
 @pytest.mark.parametrize(("factor", "status"), [(0.5, SINGULAR), (2.0, OK)])
 def test_singular_begins_at_the_threshold(factor, status):
     """A mobility share below SINGULAR_MOBILITY is singular, above it is not."""
     share = factor * SINGULAR_MOBILITY
-    J = np.diag([1.0, 1.0, np.sqrt(2 * share)])  # with H = 1: trace 2, the third direction's mobility 2·share
-    done = Eliminated(np.eye(3), np.ones(3), np.zeros(3), J[2:], np.zeros(1), J)
+    A = np.diag([np.sqrt(2 * share), 1.0, 1.0])  # with H = 1: trace 2, the normal's mobility 2·share
+    done = Solved(np.eye(3), np.ones(3), np.zeros(3), A, np.zeros(3))
     assert done.status == status
 
 

@@ -6,15 +6,23 @@ from __future__ import annotations
 import numpy as np
 
 import robot_models
-from closedloop.closure import plane_rows, stabilised_acceleration
+from closedloop.contact import (
+    accelerate,
+    baumgarte_acceleration,
+    factorise,
+    into_contact_frame,
+    pressed_force,
+    unloaded,
+)
 from closedloop.robot import Robot as LoopRobot
-from closedloop.solve import OK, eliminate, solve_closure
+from closedloop.solve import OK, solve_closure
+from closedloop.surface import contact_frame
 from validation.engines.interface import METHODS, CannotBuild, Engine, Robot
 from validation.oracle.spatial import Array
 
 
 class ClosedLoop(Engine):
-    """The simulator under test: `closedloop.Robot.terms`, and Eq. 24 through the kernel `eliminate` of its loop.
+    """The simulator under test: `closedloop.Robot.terms`, and Eq. 24 through the kernels of its step.
 
     Joint order: Pinocchio's, mapped by name (the two differ only for a robot that was not loaded by
     `robot_models`). Frames: tip Jacobian along base axes. Armature: `RobotModel.armature`, inside H. Gravity:
@@ -63,25 +71,24 @@ class ClosedLoop(Engine):
 
     def constrained(self, q: Array, v: Array, torque: Array, normal: Array, b: float) -> tuple[Array, float]:
         terms, n = self.robot.terms(self._in(q), self._in(v)), self.n
-        qdd, f = np.empty(n), np.empty(1)
-        A = (np.asarray(normal) @ terms.jacobian)[None, :].copy()
-        status, _ = eliminate(
-            np.array(terms.mass_matrix), self._in(torque), np.array(terms.bias), A, np.array([b]), np.zeros(1),
-            np.array(terms.jacobian), np.empty((n, n)), np.empty((1, n)), np.empty((1, 1)), np.empty(n),
-            qdd, f, np.empty(1),
-        )  # fmt: skip
+        L, X, S, y, a, F, qdd = (np.empty(k) for k in ((n, n), (3, n), (3, 3), n, 3, 3, n))
+        A = contact_frame(normal) @ terms.jacobian
+        status = factorise(np.array(terms.mass_matrix), A, L, X, S)
+        if status == OK:
+            # The closure asks A q̈ = b, whatever the drift: the kernel is told that the drift is −b.
+            unloaded(L, X, np.array([-b, 0.0, 0.0]), self._in(torque), np.array(terms.bias), y, a)
+            status, _ = pressed_force(S, a, 0.0, np.zeros(2), np.zeros(2), F)
         if status != OK:
             raise np.linalg.LinAlgError("the pose is singular: the tip cannot move along the normal")
-        return qdd[self._columns], float(f[0])
+        accelerate(L, X, y, F, qdd)
+        return qdd[self._columns], float(F[0])
 
     def stabilised(self, q: Array, v: Array, normal: Array, offset: float, gains: Array) -> float:
         terms, before = self.robot.terms(self._in(q), self._in(v)), self._in(v)
-        A, (gamma, e, rate, b, part) = np.empty((1, self.n)), np.empty((5, 1))
-        plane = np.array([*normal, offset])
-        J, r, drift = (np.array(x) for x in (terms.jacobian, terms.position, terms.drift))
-        plane_rows(plane, J, r, drift, before, A, gamma, e, rate)
-        stabilised_acceleration(np.asarray(gains, dtype=np.float64), gamma, e, rate, b, part)
-        return float(b[0])
+        A, (p, u, drift) = np.empty((3, self.n)), np.empty((3, 3))
+        J, r, moving = (np.array(x) for x in (terms.jacobian, terms.position, terms.drift))
+        into_contact_frame(contact_frame(normal).ravel(), J, r, moving, before, A, p, u, drift)
+        return float(-drift[0] + baumgarte_acceleration(gains[0], gains[1], u[0], p[0] - offset))
 
     def impulse(self, q: Array, v: Array, normal: Array, restitution: float) -> tuple[Array, float]:
         terms, before = self.robot.terms(self._in(q), self._in(v)), self._in(v)

@@ -83,7 +83,7 @@ INTEGRATORS: dict[str, Integrator] = {
 
 @kernel
 def advance(
-    stage: int, h: float, semi_implicit: bool, tableau: Array, begin: Array, stages: Array, qdd: Array, dz: Array,
+    stage: int, h: float, semi_implicit: bool, piece: bool, tableau: Array, begin: Array, stages: Array, qdd: Array, dz: Array,
     q: Array, v: Array, z: Array,
 ) -> None:  # fmt: skip
     """Move the state (q, q̇, z) from this stage's to the next stage's, or after the last stage to the step's end.
@@ -94,6 +94,9 @@ def advance(
         The stage whose derivatives q̈ (n,) and ż (k,) are given.
     h : float
         Step, s.
+    semi_implicit, piece : bool
+        The semi-implicit scheme: q advances with the new q̇; in a piece of a step, after an event, with the mean of the
+        old and the new, so that a bounce shorter than the step falls back with the speed it rose with.
     tableau : (S + 1, S) array
         See `Integrator.tableau`.
     begin : (2 n + k,) array
@@ -106,8 +109,9 @@ def advance(
     n, k = q.shape[0], z.shape[0]
     if semi_implicit:
         for j in range(n):
+            old = v[j]
             v[j] += h * qdd[j]
-            q[j] += h * v[j]
+            q[j] += h * (0.5 * (old + v[j]) if piece else v[j])
         for j in range(k):
             z[j] += h * dz[j]
         return

@@ -60,10 +60,12 @@ from closedloop.workspace import (
     MOVES,
     NEXT,
     PHASE,
+    PIECE,
     PROJECT,
     RATE,
     REST_SPEED,
     RESTITUTION,
+    RISEN,
     RIGID,
     ROW,
     RUSHED,
@@ -102,6 +104,10 @@ NO_TRIAL, SEARCH_EVENT, SEARCH_LOWEST, TAKE_EVENT = range(4)
 INSTANT = 1e-14
 # Nearer than this the tip is on the surface, m: the rounding of n·r − d is a few 1e-16, of a located touch 1e-14.
 TOUCHING = 1e-12
+# A gap this little below zero is rounding, not yet a touch, m. A tip that the surface has let go rises with the cube of
+# time at first, no faster than an integrator's error grows: until it is as far off as a stabiliser holds it on, a gap
+# within that is none.
+SHALLOW, LEAVING = 1e-13, 1e-9
 # A rate this small is the rounding of a velocity that was set to zero, m/s.
 RESTING = 1e-11
 # Bounces that follow each other faster than `RUSH`, s, for this many times are an end of bouncing, whatever the speed;
@@ -156,7 +162,7 @@ def proceed(
         if i == state[STEPS]:
             return DONE
         state[ROW] = i + 1
-        state[IN_STEP] = 0
+        state[IN_STEP], state[PIECE] = 0, 0
         return _set_out(w, k, state, tableau, k[H_STEP])
     if phase == STAGING:
         status = evaluate(H, C, w, k, state, table)
@@ -194,6 +200,7 @@ def proceed(
         state[CERTAIN] = 1
         w.now[TIME] = state[ROW] * k[H_STEP]
         return _ask(w, state, ARRIVING)
+    state[PIECE] = 1
     return _set_out(w, k, state, tableau, left)
 
 
@@ -258,7 +265,9 @@ def _set_out_again(w: Work, k: Array, state: Whole, tableau: Array, tau: float) 
 def _leave_stage(w: Work, k: Array, state: Whole, tableau: Array) -> int:
     """Advance from a stage whose derivatives are known, and ask for the terms of what comes next."""
     stage, tau = state[STAGE], w.now[TAU]
-    advance(stage, tau, state[SEMI_IMPLICIT] != 0, tableau, w.begin, w.stages, w.qdd, w.dz, w.q, w.v, w.z)
+    advance(
+        stage, tau, state[SEMI_IMPLICIT] != 0, state[PIECE] != 0, tableau, w.begin, w.stages, w.qdd, w.dz, w.q, w.v, w.z
+    )
     if stage + 1 < state[STAGES]:
         state[STAGE] = stage + 1
         node = 0.0
@@ -291,8 +300,10 @@ def _what_happened(w: Work, state: Whole) -> int:
     state[CROSSING] = IMPACT
     if first or state[CERTAIN] != 0:
         return TAKE_EVENT if w.now[GAP] <= TOUCHING and w.now[RATE] < -RESTING else NO_TRIAL
-    if w.now[GAP] < 0.0:
+    if w.now[GAP] < -(SHALLOW if state[RISEN] != 0 else LEAVING):
         return SEARCH_EVENT
+    if w.now[GAP] > LEAVING:
+        state[RISEN] = 1
     if w.now[START_RATE] < 0.0 < w.now[RATE]:  # down and up again: how low was it?
         return SEARCH_LOWEST
     return NO_TRIAL
@@ -386,21 +397,27 @@ def _transit(H: Array, w: Work, k: Array, state: Whole, events: Array, tableau: 
     if state[CROSSING] == LIFTOFF:
         if state[RUSHED] > MOST_RUSHED:
             return _fail(state, CHATTER)
-        state[MODE] = FREE
+        state[MODE], state[RISEN] = FREE, 0
         w.after[0] = 0.0
         loss = 0.5 * w.u[0] * w.u[0] / w.S[0, 0] if w.S[0, 0] > 0.0 else 0.0
         write_event(events[at], t, LIFTOFF, 0.0, frame, w.r, w.before, w.after, w.compression, w.decompression, loss)
         # The last act of the closure: the tip leaves from the surface itself, without what the stabiliser owed.
         state[MOVES], state[NEXT] = 0, BEGINNING
         return _close(H, w, k, state)
-    status = impact(
-        w.S, w.u, k[RESTITUTION], state[IMPACT_LAW], k[IMPACT_FRICTION], w.scratch,
-        w.compression, w.decompression, w.after,
-    )  # fmt: skip
-    if status != OK:
-        return _fail(state, status)
+    falling = w.u[0] < 0.0  # a step of first order may bring a tip down that its velocity already takes up again
+    if falling:
+        status = impact(
+            w.S, w.u, k[RESTITUTION], state[IMPACT_LAW], k[IMPACT_FRICTION], w.scratch,
+            w.compression, w.decompression, w.after,
+        )  # fmt: skip
+        if status != OK:
+            return _fail(state, status)
     kind, cut = IMPACT, 0.0
-    if w.after[0] < k[REST_SPEED] or state[RUSHED] > MOST_RUSHED:
+    state[RISEN] = 1
+    if not falling:
+        kind = TOUCHDOWN
+        state[MODE] = PRESSED
+    elif w.after[0] < k[REST_SPEED] or state[RUSHED] > MOST_RUSHED:
         kind, cut = TOUCHDOWN, max(w.after[0], 0.0)
         status = impact(
             w.S, w.u, 0.0, state[IMPACT_LAW], k[IMPACT_FRICTION], w.scratch,

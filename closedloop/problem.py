@@ -118,7 +118,7 @@ class Problem:
         state[space.PROJECT], state[space.SEMI_IMPLICIT] = self.project, self.integrator.semi_implicit
         state[space.UNILATERAL] = self.scenario.surface.contact == "unilateral"
         state[space.IMPACT_LAW] = IMPACT_LAWS[self.scenario.impact.law]
-        state[space.MODE], state[space.SAMPLED] = self.mode, 1
+        state[space.MODE], state[space.SAMPLED], state[space.RISEN] = self.mode, 1, 1
         if self.project and self.mode != FREE:
             state[space.PHASE], state[space.NEXT] = CLOSING, ARRIVING
         return state
@@ -172,7 +172,7 @@ def prepare(scenario: Scenario, model: RobotModel | None = None) -> Problem:
 
     nodes_per_step = max(1, round(1 / min((x for x in integrator.nodes if x), default=1.0)))
     instants = (h / nodes_per_step) * np.arange(steps * nodes_per_step + 1, dtype=np.float64)
-    wanted = desired(scenario, robot, plane, q)
+    wanted = desired(scenario, robot, plane, q, scenario.force_profile)
 
     law = scenario.law
     start = wanted.tip.start if law.pd_start is None else law.pd_start

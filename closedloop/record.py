@@ -43,6 +43,8 @@ _BY_TIME: dict[str, Column] = {
     "torque": Column(("time", "joint"), "N m", "torque Q of the control law on the joints (Eq. 33)"),
     "reference_position": Column(("time", "joint"), "rad", "q_des"),
     "reference_velocity": Column(("time", "joint"), "rad s-1", "time derivative of q_des"),
+    "reference_tip": Column(("time", "axis"), "m", "desired tip position, base frame"),
+    "reference_force": Column(("time",), "N", "desired contact force f_des"),
     "position": Column(("time", "axis"), "m", "tip position r, base frame"),
     "velocity": Column(("time", "axis"), "m s-1", "tip velocity, base frame"),
     "contact_force": Column(

@@ -18,6 +18,7 @@ from typing import Annotated, Any, Literal, get_args
 from pydantic import BeforeValidator, Field, ValidationError
 
 from closedloop.errors import ScenarioError
+from closedloop.reference.force import ConstantForceSection, ForceProfile
 from closedloop.reference.sections import HoldSection, Reference
 from closedloop.reference.sections import LineSection as LineSection
 from closedloop.sections import Flag, Gain, NotNegative, Number, PerJoint, Positive, Restitution, Section, Vector3
@@ -75,7 +76,8 @@ class PaperLawSection(Section):
     kd: Gain = Field(description="velocity gain K_d, N m s/rad, one per joint or one for all")
     force: Number = Field(10.0, description="force f_des with which the tip presses on the surface, N")
     pd_start: NotNegative | None = Field(
-        None, description="instant from which the PD part acts, s; that at which the reference starts to move if left out"
+        None,
+        description="instant from which the PD part acts, s; that at which the reference starts to move if left out",
     )
     sample_period: NotNegative = Field(
         0.0,
@@ -149,6 +151,7 @@ class Scenario(Section):
     start: StartSection = StartSection()
     reference: Reference = HoldSection()
     law: PaperLawSection
+    force_profile: ForceProfile = ConstantForceSection()
     stabiliser: Stabiliser = BaumgarteSection()
     time: TimeSection = TimeSection()
 

@@ -247,11 +247,14 @@ def _as_run(
     def block(begin: int, width: int) -> Array:
         return np.ascontiguousarray(rows[:, begin : begin + width])
 
+    wanted = problem.table[:: problem.nodes][:count]
     reference_rows = problem.path[:: problem.nodes][:count]
     columns: dict[str, NDArray[Any]] = {
         "time": problem.h * np.arange(count),
         "reference_position": reference_rows[:, 0].copy(),
         "reference_velocity": reference_rows[:, 1].copy(),
+        "reference_tip": wanted[:, 2 * n : 2 * n + 3] @ problem.frame,
+        "reference_force": wanted[:, 2 * n + 9].copy(),
     }
     for name in ("q", "v", "acceleration", "torque"):
         columns[name] = block(getattr(layout, name), n)

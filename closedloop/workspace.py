@@ -25,9 +25,9 @@ Whole = NDArray[np.int64]
 # Where the loop is.
 (
     PHASE, ROW, STAGE, MODE, TRIAL, EVENTS, TRIES, CROSSING, NEXT, MOVES, STATUS, IN_STEP, RUSHED,
-    SAMPLED, CERTAIN, EXTRA,
-) = range(16, 32)  # fmt: skip
-WHOLES = 32
+    SAMPLED, CERTAIN, EXTRA, PIECE, RISEN,
+) = range(16, 34)  # fmt: skip
+WHOLES = 34
 
 # --- numbers that change, by place in `Work.now` ---------------------------------------------------------------------
 # time: of the state that terms are asked for; begin, length: of the substep under way; tau: of a trial inside it;

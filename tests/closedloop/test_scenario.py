@@ -16,6 +16,7 @@ from closedloop.step import Row
 from robot_models.shipped import path_of
 
 MINIMAL = "[law]\nkp = 1\nkd = 1\n"
+MOST_ROWS = str(MOST_NUMBERS // Row.of(4).width)
 ONE_LINE = 400  # characters; a terminal of 80 columns shows it in five rows
 
 
@@ -283,7 +284,7 @@ REFUSED = {
     "duration no multiple": ({"time.duration": 0.0105}, ["time.duration", "0.0105", "whole number of steps"]),
     "duration below a step": ({"time.duration": 0.0001}, ["time.duration", "whole number of steps", "0.001"]),
     "period no multiple": ({"law.sample_period": 0.0015}, ["law.sample_period", "whole number of steps"]),
-    "too many rows": ({"time.step": 1e-9, "time.duration": 8.0}, ["time.step", "8e+09 rows", str(MOST_NUMBERS // Row.of(4).width)]),
+    "too many rows": ({"time.step": 1e-9, "time.duration": 8.0}, ["time.step", "8e+09 rows", MOST_ROWS]),
     "absurdly many rows": ({"time.step": 1e-300}, ["time.step", "rows"]),
     # lengths
     "q too short": ({"start.q": [1.0, 2.0]}, ["start.q", "2 entries", "4 joints", "J1"]),

@@ -83,8 +83,8 @@ INTEGRATORS: dict[str, Integrator] = {
 
 @kernel
 def advance(
-    stage: int, h: float, semi_implicit: bool, piece: bool, tableau: Array, begin: Array, stages: Array, qdd: Array, dz: Array,
-    q: Array, v: Array, z: Array,
+    stage: int, h: float, semi_implicit: bool, piece: bool, tableau: Array, begin: Array, stages: Array,
+    qdd: Array, dz: Array, q: Array, v: Array, z: Array,
 ) -> None:  # fmt: skip
     """Move the state (q, q̇, z) from this stage's to the next stage's, or after the last stage to the step's end.
 

@@ -65,8 +65,8 @@ from closedloop.workspace import (
     RATE,
     REST_SPEED,
     RESTITUTION,
-    RISEN,
     RIGID,
+    RISEN,
     ROW,
     RUSHED,
     SAMPLED,
@@ -105,8 +105,8 @@ INSTANT = 1e-14
 # Nearer than this the tip is on the surface, m: the rounding of n·r − d is a few 1e-16, of a located touch 1e-14.
 TOUCHING = 1e-12
 # A gap this little below zero is rounding, not yet a touch, m. A tip that the surface has let go rises with the cube of
-# time at first, no faster than an integrator's error grows: until it is as far off as a stabiliser holds it on, a gap
-# within that is none.
+# time at first, no faster than an integrator's error grows. Until it is farther off than a stabiliser holds it on, and
+# than a step of first order misses the curve of its way by, h² nᵀJ̇ᵣq̇, a gap within that is none.
 SHALLOW, LEAVING = 1e-13, 1e-9
 # A rate this small is the rounding of a velocity that was set to zero, m/s.
 RESTING = 1e-11
@@ -300,11 +300,12 @@ def _what_happened(w: Work, state: Whole) -> int:
     state[CROSSING] = IMPACT
     if first or state[CERTAIN] != 0:
         return TAKE_EVENT if w.now[GAP] <= TOUCHING and w.now[RATE] < -RESTING else NO_TRIAL
-    if w.now[GAP] < -(SHALLOW if state[RISEN] != 0 else LEAVING):
+    leaving = LEAVING + w.now[LENGTH] * w.now[LENGTH] * abs(w.drift_c[0])
+    if w.now[GAP] < -(SHALLOW if state[RISEN] != 0 else leaving):
         return SEARCH_EVENT
-    if w.now[GAP] > LEAVING:
+    if w.now[GAP] > leaving:
         state[RISEN] = 1
-    if w.now[START_RATE] < 0.0 < w.now[RATE]:  # down and up again: how low was it?
+    if state[RISEN] != 0 and w.now[START_RATE] < -RESTING and w.now[RATE] > 0.0:  # down and up again: how low was it?
         return SEARCH_LOWEST
     return NO_TRIAL
 
@@ -344,7 +345,7 @@ def _narrow(w: Work, k: Array, state: Whole, tableau: Array) -> int:
     tau = w.now[TAU]
     value = w.now[GAUGE]
     if state[TRIAL] == SEARCH_LOWEST:
-        if w.now[GAP] < 0.0:  # it went through: look for the crossing before
+        if w.now[GAP] < -SHALLOW:  # it went through: look for the crossing before
             state[TRIAL] = SEARCH_EVENT
             w.now[LOW], w.now[AT_LOW] = 0.0, max(w.now[START_GAP], 0.0)
         else:

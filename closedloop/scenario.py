@@ -56,7 +56,7 @@ class ImpactSection(Section):
     restitution: Restitution = Field(0.0, description="coefficient of restitution, 0 to 1")
     law: Literal["newton", "poisson", "stronge"] = Field(
         "stronge",
-        description="what the coefficient is a ratio of: newton velocities, poisson impulses, stronge energies",
+        description="restitution as a ratio of velocities (newton), impulses (poisson) or energies (stronge)",
     )
     rest_speed: Positive = Field(1e-4, description="a bounce slower than this becomes contact, m/s")
 

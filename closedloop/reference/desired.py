@@ -78,7 +78,8 @@ def desired(scenario: Scenario, robot: Robot, plane: Plane, q: Array, profile: F
     ScenarioError
         If [reference] or the force profile is at fault, or the path leaves the workspace or the joint limits.
     """
-    tip = tip_path(scenario.reference, robot.position(q), plane.normal)
+    with np.errstate(all="ignore"):  # what overflows is refused by name
+        tip = tip_path(scenario.reference, robot.position(q), plane.normal)
     profile = ConstantForceSection() if profile is None else profile
     force_at(profile, scenario.law.force, np.zeros(1))  # a profile at fault is refused before any inverse kinematics
     return Desired(tip, follow(robot, q, tip), contact_frame(plane.normal), profile, scenario.law.force)

@@ -10,6 +10,7 @@ them. So the reference is one function of time, the same for every step size and
 
 from __future__ import annotations
 
+import itertools
 import math
 
 import numpy as np
@@ -25,6 +26,7 @@ Array = NDArray[np.float64]
 
 PATH_TOLERANCE = 1e-10  # m; a hundredth of the closure error that the stabiliser leaves
 FIRST_SPACING = 5e-4  # m of path between knots before any halving
+SHORTEST = 1e-12  # s between knots
 MOST_KNOTS = 20_000
 DIFFERENCES = 257  # places at which a piece's acceleration is looked at before it is cut
 
@@ -39,23 +41,25 @@ def follow(robot: Robot, q: Array, path: TipPath) -> JointPath:
     """
     if not path.pieces:
         return JointPath.hold(q)
-    walked: list[JointPath] = []
+    parts: list[JointPath] = []
+    room = MOST_KNOTS
     with np.errstate(all="ignore"):  # what overflows is refused by name
         for piece in path.pieces:
-            room = MOST_KNOTS - sum(part.times.size - 1 for part in walked)
-            walked.append(_resolve(robot, walked[-1].q[-1] if walked else q, piece, room, path.keys))
-    return _joined(walked)
+            part = _resolve(robot, parts[-1].q[-1] if parts else q, piece, room, path.keys)
+            room -= part.times.size - 1
+            parts.append(part)
+    return _joined(parts)
 
 
 def _joined(parts: list[JointPath]) -> JointPath:
     """Join paths end to end; where the velocity does not jump, their common knot is there once."""
-    times, q, v = parts[0].times, parts[0].q, parts[0].v
-    for part in parts[1:]:
-        once = int(np.array_equal(v[-1], part.v[0]))
-        later = np.maximum(part.times, times[-1])  # the last knot of a piece may be an ulp late
-        times = np.concatenate([times, later[once:]])
-        q, v = np.concatenate([q, part.q[once:]]), np.concatenate([v, part.v[once:]])
-    return JointPath(times, q, v)
+    once = [0] + [int(np.array_equal(a.v[-1], b.v[0])) for a, b in itertools.pairwise(parts)]
+    times = np.concatenate([part.times[k:] for part, k in zip(parts, once, strict=True)])
+    return JointPath(
+        np.maximum.accumulate(times),  # the last knot of a piece may be an ulp late
+        np.concatenate([part.q[k:] for part, k in zip(parts, once, strict=True)]),
+        np.concatenate([part.v[k:] for part, k in zip(parts, once, strict=True)]),
+    )
 
 
 def _resolve(robot: Robot, q: Array, piece: Piece, room: int, keys: tuple[str, ...]) -> JointPath:
@@ -72,7 +76,7 @@ def _resolve(robot: Robot, q: Array, piece: Piece, room: int, keys: tuple[str, .
         if intervals > room:
             raise ScenarioError(
                 f"reference: the joint path cannot be resolved (off the path by {worst:.1e} m midway between "
-                f"{intervals // 2} knots); it runs too close to a singular pose or too fast"
+                f"{intervals // 2} knots); it runs too close to a singular pose, too fast or too far"
             )
 
 
@@ -92,13 +96,15 @@ def _first_intervals(piece: Piece) -> int:
 def _through_knots(robot: Robot, q: Array, piece: Piece, intervals: int, room: int, keys: tuple[str, ...]) -> JointPath:
     """Walk from knot to knot; a path that leaves the workspace is refused on the way, however long it is."""
     times = piece.start + (piece.stop - piece.start) * (np.arange(min(intervals, room) + 1) / intervals)
-    if not np.all(np.diff(times) > 0.0):
-        raise ScenarioError(
-            f"reference: the motion from t = {piece.start:g} s to {piece.stop:g} s is too short to be resolved; "
-            "give it more time"
-        )
     places, rates, _ = piece.sample(times)
     midway = piece.sample(0.5 * (times[:-1] + times[1:]))[1]
+    if not (
+        np.all(np.diff(times) > SHORTEST) and np.all(np.isfinite(places)) and np.all(np.isfinite([*rates, *midway]))
+    ):
+        raise ScenarioError(
+            f"reference: the motion from t = {piece.start:g} s to {piece.stop:g} s cannot be resolved: it is too fast; "
+            "give it more time"
+        )
     qs = [q.copy()]
     vs = [least_norm(robot.position_and_jacobian(q)[1], rates[0])]
     for k in range(times.size - 1):
@@ -123,7 +129,10 @@ def _advance(
     try:
         slopes = [v]
         for share, wanted in ((0.5, midway), (0.5, midway), (1.0, rate)):
-            slopes.append(least_norm(robot.position_and_jacobian(q + h * share * slopes[-1])[1], wanted))
+            x = q + h * share * slopes[-1]
+            if not np.isfinite(x).all():
+                return "the inverse kinematics broke down"
+            slopes.append(least_norm(robot.position_and_jacobian(x)[1], wanted))
         x = q + h / 6 * (slopes[0] + 2 * slopes[1] + 2 * slopes[2] + slopes[3])
         r, J = robot.position_and_jacobian(x)
         for _ in range(20):

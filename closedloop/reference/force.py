@@ -84,5 +84,15 @@ def force_at(section: ForceProfile, base: float, t: Array) -> Array:
                 f"force_profile.forces has {len(section.forces)} entries: must have one for each of the "
                 f"{len(section.times)} force_profile.times"
             )
-        return np.where(later >= section.times[0], np.interp(t, section.times, section.forces), base)
+        return np.where(later >= section.times[0], _between(np.array(section.times), np.array(section.forces), t), base)
     return np.full(t.shape, base)
+
+
+def _between(times: Array, forces: Array, t: Array) -> Array:
+    """Return the forces (N,) straight between those at `times` (K,), constant beyond the ends, at t (N,)."""
+    if times.size == 1:
+        return np.full(t.shape, forces[0])
+    t = np.clip(t, times[0], times[-1])
+    k = np.clip(np.searchsorted(times, t, side="right") - 1, 0, times.size - 2)
+    share = (t - times[k]) / (times[k + 1] - times[k])
+    return (1.0 - share) * forces[k] + share * forces[k + 1]

@@ -55,5 +55,5 @@ class JointPath:
         c2, c3 = 3 * rise - 2 * v0 - v1, v0 + v1 - 2 * rise
         q[inside] = q0 + s * (v0 + s * (c2 + s * c3))
         v[inside] = (v0 + s * (2 * c2 + s * 3 * c3)) / h
-        a[inside] = (2 * c2 + s * 6 * c3) / h**2
+        a[inside] = (2 * c2 + s * 6 * c3) / h / h
         return q, v, a

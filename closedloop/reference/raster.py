@@ -35,7 +35,7 @@ def raster(section: RasterSection, origin: Array, normal: Array) -> TipPath:
             corners.append(corners[-1] + across)
         corners.append(corners[-1] + (section.length if k % 2 == 0 else -section.length) * direction)
     points = np.array(corners)
-    share = np.sqrt(np.linalg.norm(np.diff(points, axis=0), axis=1))
+    share = np.sqrt([section.length if k % 2 == 0 else abs(section.pitch) for k in range(len(points) - 1)])
     times = start + (stop - start) * np.concatenate([[0.0], np.cumsum(share) / np.sum(share)])
     times[-1] = stop
     keys = ("reference.length", "reference.pitch", "reference.passes")

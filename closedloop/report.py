@@ -10,6 +10,9 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
+from closedloop.contact import FREE, STUCK
+from closedloop.events import KINDS
+
 if TYPE_CHECKING:
     from closedloop.record import Run
 
@@ -36,6 +39,7 @@ def summarise(run: Run) -> dict[str, Any]:
         "end_time": float(run.time[-1]) if len(run) else None,
         "stopped": run.stopped,
         **figures,
+        "events": {kind: sum(event.kind == kind for event in run.events) for kind in KINDS.values()},
         "assumptions": assumptions(run),
         "wall_seconds": run.wall_seconds,
     }
@@ -56,25 +60,37 @@ def _measure_keys() -> tuple[str, ...]:
         "min_normal_mobility",
         "max_energy_residual",
         "energy_exchanged",
+        "deepest_penetration",
+        "time_in_contact",
+        "max_friction_force",
+        "energy_lost_in_impacts",
+        "largest_rate_cut",
     )
 
 
 def _measures(run: Run) -> dict[str, Any]:
     residual, exchanged = energy_balance(run)
+    # Off the surface the closure error is a gap, not an error.
+    touching = run.mode != FREE
     values = (
         run.contact_force[-1],
         np.max(run.contact_force),
         np.min(run.contact_force),
         np.max(np.abs(run.stabiliser_force)),
-        np.max(np.abs(run.closure_error)),
+        np.max(np.abs(run.closure_error), where=touching, initial=0.0),
         run.closure_error[-1],
-        np.max(np.abs(run.closure_rate)),
+        np.max(np.abs(run.closure_rate), where=touching, initial=0.0),
         np.max(np.linalg.norm(run.velocity, axis=1)),
         max(np.max(run.residual_motion), np.max(run.residual_closure)),
         np.max(run.kkt_condition),
         np.min(run.normal_mobility),
         np.max(np.abs(residual)),
         exchanged[-1],
+        max(0.0, -np.min(run.closure_error)),
+        run.scenario.time.step * np.count_nonzero(touching[:-1]),
+        np.max(np.linalg.norm(run.friction_force, axis=1)),
+        np.sum(run.event_energy_lost),
+        np.max(run.event_rate_cut, initial=0.0),
     )
     return {key: float(value) for key, value in zip(_measure_keys(), values, strict=True)}
 
@@ -83,13 +99,16 @@ def energy_balance(run: Run) -> tuple[Array, Array]:
     """Return the residual of the energy balance and the energy exchanged, each (N,), J, from the start to each row.
 
     The residual is the change of kinetic and potential energy less the work of the joint torques, ∫ Qᵀq̇ dt, and of the
-    contact force, ∫ f ė dt, by the trapezoidal rule over the rows. It shrinks with the step, as the integrator's order
+    contact and friction forces, ∫ f ė + F_tᵀṙ dt, by the trapezoidal rule over the rows, plus what the events lost. It
+    shrinks with the step, as the integrator's order
     says, but no faster than the rule's own order, two. The energy exchanged is ∫ |Qᵀq̇| dt, what the residual is small
     or large against.
     """
     energy = run.kinetic_energy + run.potential_energy
     power = np.einsum("ij,ij->i", run.torque, run.v)
-    work = _cumulative(power + run.contact_force * run.closure_rate, run.time)
+    contact = run.contact_force * run.closure_rate + np.einsum("ij,ij->i", run.friction_force, run.velocity)
+    lost = np.concatenate([[0.0], np.cumsum(run.event_energy_lost)])
+    work = _cumulative(power + contact, run.time) - lost[np.searchsorted(run.event_time, run.time, side="right")]
     return energy - energy[0] - work, _cumulative(np.abs(power), run.time)
 
 
@@ -103,9 +122,8 @@ def assumptions(run: Run) -> dict[str, dict[str, Any]]:
     - ``one_loop``: Eq. 24 has a single closure row, and its solution obeys it.
     - ``single_point``: the surface acts on the arm at the tip alone: the equation of motion is met with Jᵣᵀn f and no
       moment beside it.
-    - ``contact_kept``: the surface never has to pull: f > 0.
-    - ``frictionless``: the surface acts along its normal alone; the same residual decides, since Jᵣᵀn f has no
-      tangential part.
+    - ``contact_kept``: the surface never has to pull: f > 0, and a tip that may leave never does.
+    - ``frictionless``: the surface acts along its normal alone: no friction force, and the same residual.
     - ``nonsingular``: the tip can move along the normal (`NEAR_SINGULAR`).
     """
     if len(run) == 0:
@@ -116,16 +134,25 @@ def assumptions(run: Run) -> dict[str, dict[str, Any]]:
     motion, closed = float(np.max(run.residual_motion)), float(np.max(run.residual_closure))
     lowest = int(np.argmin(run.contact_force))
     stiffest = int(np.argmin(run.normal_mobility))
+    friction = np.linalg.norm(run.friction_force, axis=1)
     only_contact = f"other forces ≤ {motion:.0e}"
     report = {
-        "one_loop": _judge(run, run.residual_closure <= RESIDUAL_TOLERANCE, f"one row, met to {closed:.0e}"),
+        "one_loop": _judge(
+            run,
+            (run.residual_closure <= RESIDUAL_TOLERANCE) & (run.mode != STUCK),
+            f"one row, met to {closed:.0e}" if not np.any(run.mode == STUCK) else "three rows while the tip sticks",
+        ),
         "single_point": _judge(run, run.residual_motion <= RESIDUAL_TOLERANCE, only_contact),
         "contact_kept": _judge(
             run,
-            run.contact_force > 0.0,
+            (run.contact_force > 0.0) & (run.mode != FREE),
             f"f ≥ {run.contact_force[lowest]:.4g} N, at {run.time[lowest]:.4g} s",
         ),
-        "frictionless": _judge(run, run.residual_motion <= RESIDUAL_TOLERANCE, only_contact),
+        "frictionless": _judge(
+            run,
+            (run.residual_motion <= RESIDUAL_TOLERANCE) & (friction == 0.0),
+            only_contact if not np.any(friction) else f"friction ≤ {np.max(friction):.3g} N",
+        ),
         "nonsingular": _judge(
             run,
             run.normal_mobility > NEAR_SINGULAR,
@@ -223,4 +250,22 @@ def _error_rows(run: Run, facts: dict[str, Any]) -> list[tuple[str, str, str, st
             f"of {facts['energy_exchanged']:.2g} J exchanged",
         ),
         ("tip speed", f"{facts['max_tip_speed']:.4g}", "m/s", ""),
+        *_event_rows(run, facts),
     ]
+
+
+def _event_rows(run: Run, facts: dict[str, Any]) -> list[tuple[str, str, str, str]]:
+    """Return what a run in which the tip may leave the surface has to say beside the rest."""
+    if run.scenario.surface.contact == "bilateral":
+        return []
+    counts = ", ".join(f"{count} {kind}" for kind, count in facts["events"].items() if count) or "none"
+    cut = facts["largest_rate_cut"]
+    rows = [
+        ("events", str(len(run.events)), "", counts),
+        ("time in contact", f"{facts['time_in_contact']:.4g}", "s", f"of {run.time[-1]:g} s"),
+        ("deepest penetration", f"{facts['deepest_penetration']:.2g}", "m", ""),
+    ]
+    if facts["events"]["impact"] or facts["events"]["touchdown"]:
+        what = f"bounces up to {cut:.2g} m/s were cut to rest" if cut > 0.0 else "no bounce was cut"
+        rows.append(("energy lost in impacts", f"{facts['energy_lost_in_impacts']:.3g}", "J", what))
+    return rows

@@ -6,7 +6,7 @@ from typing import Annotated, Literal
 
 import numpy as np
 from numpy.typing import NDArray
-from pydantic import Field
+from pydantic import AfterValidator, Field
 
 from closedloop.errors import ScenarioError
 from closedloop.reference.lists import Forces, Instants
@@ -16,6 +16,17 @@ Array = NDArray[np.float64]
 
 # i·h and the instant of a jump may differ by rounding: this share of the instant earlier counts as the instant itself.
 ROUNDING = 1e-12
+
+HIGHEST_FREQUENCY = 1e6  # Hz; no step resolves more
+
+
+def _resolvable(frequency: float) -> float:
+    if frequency > HIGHEST_FREQUENCY:
+        raise ValueError(f"must be at most {HIGHEST_FREQUENCY:g} Hz")
+    return frequency
+
+
+Frequency = Annotated[Positive, AfterValidator(_resolvable)]
 
 
 class ConstantForceSection(Section):
@@ -37,7 +48,7 @@ class SineForceSection(Section):
 
     kind: Literal["sine"] = "sine"
     amplitude: Number = Field(description="amplitude of the sine, N; negative begins downwards")
-    frequency: Annotated[Positive, Field(le=1e6)] = Field(description="frequency of the sine, Hz; at most 1e6")
+    frequency: Frequency = Field(description="frequency of the sine, Hz; at most 1e6")
     start: NotNegative = Field(0.0, description="instant at which the sine begins, s; law.force before")
 
 

@@ -1,0 +1,24 @@
+"""The names of an impact: the laws of restitution, and what can happen, as bits."""
+
+from __future__ import annotations
+
+from closedloop.impact.piece import ORDER, ROWS
+
+NEWTON, POISSON, STRONGE = 0, 1, 2
+
+# What happened, as bits: `work[MODES]` after a call of `closedloop.impact.impact`.
+SLIP, STICK, REVERSAL, TURN, JAM, RECOMPRESSION, CUT, WEDGE = 1, 2, 4, 8, 16, 32, 64, 128
+MODES = ROWS * (ORDER + 1)
+IMPACT_WORK = MODES + 1
+
+LAWS = {"newton": NEWTON, "poisson": POISSON, "stronge": STRONGE}
+MODE_NAMES = {
+    SLIP: "slip",
+    TURN: "turn",
+    REVERSAL: "reversal",
+    STICK: "stick",
+    JAM: "jam",
+    RECOMPRESSION: "recompression",
+    CUT: "cut",
+    WEDGE: "wedge",
+}

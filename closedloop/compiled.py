@@ -28,8 +28,12 @@ F = TypeVar("F", bound=Callable[..., Any])
 
 
 def kernel(function: F) -> F:
-    """Compile `function` into the entry kernel that calls it; strict IEEE arithmetic, no fast-math."""
-    return cast(F, numba.njit(error_model="numpy")(function))
+    """Compile `function` into the entry kernel that calls it; strict IEEE arithmetic, no fast-math.
+
+    Kernels own no memory, so numba need not count who refers to it (`_nrt`): counting would cost more than a step's
+    arithmetic. Hence a kernel may make views, but neither arrays nor anything that it returns to Python but numbers.
+    """
+    return cast(F, numba.njit(error_model="numpy", _nrt=False)(function))
 
 
 def entry_kernel(function: F) -> F:
@@ -37,9 +41,9 @@ def entry_kernel(function: F) -> F:
     before = numba_settings.CACHE_DIR
     numba_settings.CACHE_DIR = str(cache_folder())
     try:
-        return cast(F, numba.njit(error_model="numpy", cache=True)(function))
+        return cast(F, numba.njit(error_model="numpy", cache=True, _nrt=False)(function))
     except RuntimeError:  # numba found no folder that it may write: compile in every process
-        return cast(F, numba.njit(error_model="numpy")(function))
+        return cast(F, numba.njit(error_model="numpy", _nrt=False)(function))
     finally:
         numba_settings.CACHE_DIR = before
 

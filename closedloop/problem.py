@@ -127,7 +127,7 @@ class Problem:
         """Return the loop's memory at t = 0, with the start in it."""
         n, extra = self.robot.n, 0
         memory = np.zeros(space.memory_size(n, extra, self.integrator.stages))
-        w = space.workspace(memory, n, extra, self.integrator.stages)
+        w = space.views(memory, n, extra, self.integrator.stages)
         w.q[:], w.v[:] = self.q, self.v
         return memory
 

@@ -32,7 +32,7 @@ from closedloop.robot import Robot
 from closedloop.scenario import Scenario
 from closedloop.solve import CHATTER, NOT_POSITIVE_DEFINITE, PAINLEVE, SINGULAR
 from closedloop.step import SCALARS, SPEED_LIMIT, Row
-from closedloop.workspace import EVENTS, EXTRA, ROW, STATUS, TIME, workspace
+from closedloop.workspace import EVENTS, EXTRA, ROW, STATUS, TIME, views
 from robot_models import RobotModel
 
 Array = NDArray[np.float64]
@@ -116,7 +116,7 @@ def run_loop(
     """
     robot, steps = problem.robot, problem.steps
     k, state, memory = problem.constants(), problem.state(law is not None), problem.memory()
-    w = workspace(memory, robot.n, int(state[EXTRA]), problem.integrator.stages)
+    w = views(memory, robot.n, int(state[EXTRA]), problem.integrator.stages)
     evaluate, proceed = robot.evaluator(w.q, w.v), cast(Callable[..., int], proceed_on_pinocchio)
     user_torque = None if law is None else _checked_law(law, robot, w.q, w.v)
     rows = np.zeros((steps + 1, Row.of(robot.n).width))

@@ -123,47 +123,58 @@ def back_substitute(L: Array, x: Array) -> None:
 
 
 @kernel
-def condition(H: Array, A: Array, L: Array, X: Array, S: Array, column: Array, share: Array) -> float:
+def condition(H: Array, A: Array, L: Array, X: Array, mobility: float, pressed: bool, work: Array) -> float:
     """Return the condition number of the matrix K of Eq. 24 in the 1-norm, ‖K‖₁‖K⁻¹‖₁, in SI units.
 
-    The inverse comes from Cholesky's factors: L of H, with the reciprocals of its diagonal, and S of A H⁻¹Aᵀ likewise:
-    K⁻¹ = [[H⁻¹ − X S⁻¹Xᵀ, X S⁻¹], [S⁻¹Xᵀ, −S⁻¹]] with X = H⁻¹Aᵀ, of which the rows (H⁻¹Aᵀ)ᵀ are given.
-    `column` (n,) and `share` (m,) are scratch.
+    K⁻¹ = [[H⁻¹ − x xᵀ/s, x/s], [xᵀ/s, −1/s]] with x = H⁻¹Aᵀ and s = A H⁻¹Aᵀ; H⁻¹ = L⁻ᵀL⁻¹.
+
+    Parameters
+    ----------
+    H, L : (n, n) arrays
+        Mass matrix, upper triangle; its Cholesky factor with the reciprocals of its diagonal.
+    A, X : (n,) arrays
+        The closure's row, and L⁻¹Aᵀ.
+    mobility : float
+        s, 1/kg.
+    pressed : bool
+        Whether there is a closure; without one K is H.
+    work : (n * n + 3 * n,) array
+        Scratch.
     """
-    n, m = H.shape[0], A.shape[0]
-    norm, inverse_norm = 0.0, 0.0
-    for j in range(n + m):
-        s = 0.0
-        if j < n:
-            for i in range(n):
-                s += abs(H[i, j] if i <= j else H[j, i])
-                column[i] = 0.0
-            for k in range(m):
-                s += abs(A[k, j])
-                share[k] = X[k, j]
-            column[j] = L[j, j]  # L⁻¹ of a unit vector is zero above its one
-            for i in range(j + 1, n):
-                x = 0.0
-                for k in range(j, i):
-                    x -= L[i, k] * column[k]
-                column[i] = x * L[i, i]
-            back_substitute(L, column)
-        else:
-            for i in range(n):
-                s += abs(A[j - n, i])
-                column[i] = 0.0
-            for k in range(m):
-                share[k] = -1.0 if k == j - n else 0.0
-        norm = max(norm, s)
-        forward_substitute(S, share)
-        back_substitute(S, share)
-        s = 0.0
-        for i in range(n):
-            x = column[i]
-            for k in range(m):
-                x -= X[k, i] * share[k]
-            s += abs(x)
-        for k in range(m):
-            s += abs(share[k])
-        inverse_norm = max(inverse_norm, s)
-    return norm * inverse_norm
+    n = H.shape[0]
+    inverse, x, column, size = 0, n * n, n * n + n, n * n + 2 * n  # where they begin in `work`
+    for j in range(n):
+        work[inverse + j * n + j] = L[j, j]
+        for i in range(j + 1, n):
+            t = 0.0
+            for k in range(j, i):
+                t -= L[i, k] * work[inverse + k * n + j]
+            work[inverse + i * n + j] = t * L[i, i]
+    norm, inverse_norm, last, last_inverse = 0.0, 0.0, 0.0, 0.0
+    share = 1.0 / mobility if pressed else 0.0
+    for j in range(n):
+        t = 0.0
+        if pressed:
+            for k in range(j, n):
+                t += work[inverse + k * n + j] * X[k]
+        work[x + j] = t
+        work[column + j] = abs(t) * share
+        work[size + j] = abs(A[j]) if pressed else 0.0
+        last += work[size + j]
+        last_inverse += abs(t) * share
+    for j in range(n):
+        for i in range(j, n):
+            t = 0.0
+            for k in range(i, n):
+                t += work[inverse + k * n + i] * work[inverse + k * n + j]
+            t = abs(t - work[x + i] * work[x + j] * share)
+            h = abs(H[j, i])
+            work[column + j] += t
+            work[size + j] += h
+            if i != j:
+                work[column + i] += t
+                work[size + i] += h
+    for j in range(n):
+        norm = max(norm, work[size + j])
+        inverse_norm = max(inverse_norm, work[column + j])
+    return max(norm, last) * max(inverse_norm, last_inverse + share)

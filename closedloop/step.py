@@ -26,7 +26,7 @@ from closedloop.contact import (
     unloaded,
 )
 from closedloop.control import paper_law
-from closedloop.solve import DIVERGED, OK, SINGULAR, back_substitute, condition
+from closedloop.solve import DIVERGED, OK, SINGULAR, condition
 from closedloop.workspace import (
     FRAME,
     GAP,
@@ -225,14 +225,6 @@ def record(H: Array, C: Array, w: Work, k: Array, state: Whole, row: Array) -> N
     mode = state[MODE]
     closures = 0 if mode == FREE else (1 if mode == PRESSED else 3)
     motion, closed = residuals(H, w.torque, C, w.A, w.S, w.drift_c, w.b, w.a, w.qdd, w.F, 0, closures)
-    # The condition of Eq. 24's matrix with its normal row; of H alone while the tip is free.
-    m = 0 if mode == FREE else 1
-    X, S, share = w.scratch[0:n].reshape(1, n), w.scratch[n : n + 1].reshape(1, 1), w.scratch[n + 1 : n + 1 + m]
-    if m == 1:
-        for j in range(n):
-            X[0, j] = w.X[0, j]
-        back_substitute(w.L, X[0])
-        S[0, 0] = 1.0 / math.sqrt(w.S[0, 0])
     trace = w.S[0, 0] + w.S[1, 1] + w.S[2, 2]
     row[at] = w.F[0]
     row[at + 1] = w.share[0]
@@ -241,7 +233,8 @@ def record(H: Array, C: Array, w: Work, k: Array, state: Whole, row: Array) -> N
     row[at + 4] = mode
     row[at + 5] = motion
     row[at + 6] = closed
-    row[at + 7] = condition(H, w.A[0:m], w.L, X[0:m], S[0:m, 0:m], w.column, share)
+    # With the normal row of Eq. 24; of H alone while the tip is free.
+    row[at + 7] = condition(H, w.A[0], w.L, w.X[0], w.S[0, 0], mode != FREE, w.scratch)
     row[at + 8] = w.S[0, 0] / trace if trace > 0.0 else 0.0
     row[at + 9] = kinetic_energy(H, w.v)
     w.now[MEASURED] = w.F[0]

@@ -92,17 +92,16 @@ class Work(NamedTuple):
     decompression: Array  # (3,)
     after: Array  # (3,)
     reference: Array  # (2 n + 10,) row of the table at this instant
-    scratch: Array  # (n + 64,)
+    scratch: Array  # (n n + 3 n + 64,)
 
 
 @kernel
 def memory_size(n: int, k: int, stages: int) -> int:
     """Return how many numbers `workspace` needs."""
-    return NOW + 16 * n + (stages + 4) * (2 * n + k) + n * n + 9 * n + 9 + 60 + 2 * n + 10 + n + 64
+    return NOW + 16 * n + (stages + 4) * (2 * n + k) + n * n + 9 * n + 9 + 60 + 2 * n + 10 + n * n + 3 * n + 64
 
 
-@kernel
-def workspace(memory: Array, n: int, k: int, stages: int) -> Work:
+def views(memory: Array, n: int, k: int, stages: int) -> Work:
     """Cut `memory` (memory_size(n, k, stages),) into views."""
     x = 2 * n + k
     at = NOW
@@ -141,9 +140,13 @@ def workspace(memory: Array, n: int, k: int, stages: int) -> Work:
     at += 12
     reference = memory[at : at + 2 * n + 10]
     at += 2 * n + 10
-    scratch = memory[at : at + n + 64]
+    scratch = memory[at : at + n * n + 3 * n + 64]
     return Work(
         now, q, v, z, torque, held, begin, slope, stage, qdd, dz, y, column, loss, L, J, A, X, S, r, drift, p, u,
         drift_c, a, F, b, b_stabiliser, share, direction, anchor, c, w, before, compression, decompression, after,
         reference, scratch,
     )  # fmt: skip
+
+
+# The same inside a step. (A compiled function may not hand arrays back to Python, see `closedloop.compiled.kernel`.)
+workspace = kernel(views)

@@ -14,7 +14,6 @@ from closedloop.solve import (
     PAINLEVE,
     SINGULAR,
     SINGULAR_MOBILITY,
-    back_substitute,
     bordered_matrix,
     condition,
 )
@@ -59,10 +58,8 @@ class Solved:
 
     def condition(self):
         """Return the 1-norm condition number of Eq. 24 with its normal row."""
-        X = self.X[:1].copy()
-        back_substitute(self.L, X[0])
-        S = np.array([[1 / np.sqrt(self.S[0, 0])]])
-        return condition(self.H, self.A[:1], self.L, X, S, np.zeros(len(self.tau)), np.zeros(1))
+        n = len(self.tau)
+        return condition(self.H, self.A[0], self.L, self.X[0], self.S[0, 0], True, np.zeros(n * n + 3 * n))
 
 
 def mobility_share(terms, A):

@@ -78,13 +78,13 @@ def desired(scenario: Scenario, robot: Robot, plane: Plane, q: Array, profile: F
     ScenarioError
         If [reference] or the force profile is at fault, or the path leaves the workspace or the joint limits.
     """
-    with np.errstate(all="ignore"):  # what overflows is refused by name
-        tip = tip_path(scenario.reference, robot.position(q), plane.normal)
+    tip = tip_path(scenario.reference, robot.position(q), plane.normal)
     profile = ConstantForceSection() if profile is None else profile
     force_at(profile, scenario.law.force, np.zeros(1))  # a profile at fault is refused before any inverse kinematics
     return Desired(tip, follow(robot, q, tip), contact_frame(plane.normal), profile, scenario.law.force)
 
 
+@np.errstate(all="ignore")  # what overflows is refused by name when it is followed
 def tip_path(section: Reference, origin: Array, normal: Array) -> TipPath:
     """Return the path from `origin` (3,), m, on a surface with this unit normal (3,), base frame.
 

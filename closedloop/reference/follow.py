@@ -150,7 +150,7 @@ def _advance(
     if not (np.isfinite(x).all() and np.isfinite(velocity).all()):
         return "the inverse kinematics broke down"
     if np.abs(target - r).max() > 0.1 * PATH_TOLERANCE:
-        return "the tip cannot get there: the path leaves the workspace"
+        return f"the tip cannot get there: the path leaves the workspace{_barred(robot, q, target)}"
     model = robot.model
     outside = (x < model.position_lower) | (x > model.position_upper)
     if outside.any():
@@ -180,17 +180,18 @@ def _unreachable(
         piece.sample(np.array([start + high]))[0][0], precision=4, separator=", ", suppress_small=True
     )
     return ScenarioError(
-        f"reference: unreachable from t = {start + high:.4f} s on, at {where} m: {reason}{_stiff(robot, q)}; "
+        f"reference: unreachable from t = {start + high:.4f} s on, at {where} m: {reason}; "
         f"shorten the path ({', '.join(keys)}) or start elsewhere (start.q)"
     )
 
 
-def _stiff(robot: Robot, q: Array) -> str:
-    """Return which way the arm cannot move its tip from q at all, in words; nothing if it can move every way."""
-    J = robot.position_and_jacobian(q)[1]
-    U, sizes, _ = np.linalg.svd(J, full_matrices=True)
+def _barred(robot: Robot, q: Array, target: Array) -> str:
+    """Return in words which directions of the way to `target` (3,), m, no joint moves the tip in, at q (n,)."""
+    r, J = robot.position_and_jacobian(q)
+    U, sizes, _ = np.linalg.svd(J)
     rank = int(np.sum(sizes > RANK_TOLERANCE * sizes[0]))
-    ways = [(way * np.sign(way[np.argmax(np.abs(way))])).round(4) + 0.0 for way in U[:, rank:].T]
+    ways = [way for way in U[:, rank:].T if abs(float(way @ (target - r))) > 0.05 * PATH_TOLERANCE]
     if not ways:
         return ""
-    return f" (no joint moves the tip along {' or '.join(str(way.tolist()) for way in ways)} there)"
+    named = [(way * np.sign(way[np.argmax(np.abs(way))])).round(4) + 0.0 for way in ways]
+    return f" (no joint moves the tip along {' or '.join(str(way.tolist()) for way in named)} there)"

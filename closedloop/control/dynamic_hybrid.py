@@ -1,0 +1,54 @@
+"""Dynamic hybrid control: the motion along the surface through resolved joint accelerations (Yoshikawa 1987).
+
+    Q = H q̈_c + C − Aᵀn f_c,        q̈_c = q̈₀ + A⁺(a − Ȧq̇ − A q̈₀)
+
+For a plane Yoshikawa's E_F is nᵀ and E_P is (t1, t2)ᵀ, both constant, so a is the motion servo a_des + K_v
+(u_des − u) + K_p (p_des − p) along the surface and zero along n. A⁺ is the inverse of least joint acceleration;
+for an arm without redundancy it is A⁻¹ and the law is that of `operational_space`, for others it spends the
+freedom differently: q̈₀ is followed as closely in joint acceleration, not in kinetic energy, as the tip allows.
+
+Source: T. Yoshikawa, Dynamic hybrid position/force control of robot manipulators: description of hand constraints and
+calculation of joint driving force, IEEE J. Robotics and Automation 3(5), 1987.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from closedloop.compiled import kernel
+from closedloop.control.moment import Moment
+from closedloop.control.places import EIGEN, FORCE, INVERSE, SPARE, VECTORS, WANTED
+from closedloop.control.tip_space import (
+    add_mass_times,
+    jacobian_gram,
+    posture,
+    pseudo_inverse,
+    rest_of,
+    wanted_acceleration,
+)
+
+Array = NDArray[np.float64]
+
+
+@kernel
+def dynamic_hybrid(x: Moment, par: Array, gains: Array, f: float, work: Array, torque: Array) -> None:
+    """Write Q (n,); parameters as for `closedloop.control.operational_space.operational_space`."""
+    n = x.q.shape[0]
+    inverse = work[INVERSE : INVERSE + 9].reshape(3, 3)
+    wanted, y, rest = work[WANTED : WANTED + 3], work[FORCE : FORCE + 3], work[SPARE : SPARE + 3]
+    a = work[VECTORS : VECTORS + n]
+    wanted_acceleration(x, par, wanted)
+    jacobian_gram(x.A, 0, inverse)
+    pseudo_inverse(inverse, work[EIGEN : EIGEN + 18], inverse)
+    posture(x, gains, a)
+    rest_of(x, wanted, a, rest)
+    for i in range(3):
+        y[i] = inverse[i, 0] * rest[0] + inverse[i, 1] * rest[1] + inverse[i, 2] * rest[2]
+    for j in range(n):
+        a[j] += x.A[0, j] * y[0] + x.A[1, j] * y[1] + x.A[2, j] * y[2]
+        torque[j] = x.C[j]
+    add_mass_times(x.H, a, 1.0, torque)
+    if x.pressed != 0.0:
+        for j in range(n):
+            torque[j] -= x.A[0, j] * f

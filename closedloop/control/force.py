@@ -1,0 +1,43 @@
+"""The force that a law commands: what is wanted, with feedback from the force sensor if asked for.
+
+    f_c = f_des + K_f (f_des − f_s) + K_I ∫ (f_des − f) dt
+
+f_s is the latest reading, so K_f acts with a delay; the integral is a state. With an exact model and a rigid
+surface f = f_c + d, d being what the model leaves out. Then e_f = f_des − f obeys, without K_f, ė_f = −K_I e_f:
+the force settles like exp(−K_I t) whatever the arm. A reading that is one sample old makes of K_f alone the
+iteration f ← (1 + K_f) f_des − K_f f + d, which converges for K_f < 1 only; a slower sensor allows more
+(`closedloop.control.stability`).
+
+Source: the integral force servo of Yoshikawa, IEEE J. Robotics and Automation 3(5), 1987, and of Volpe and
+Khosla, IEEE Trans. Automatic Control 38(11), 1993, who compare the explicit force laws.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from closedloop.compiled import kernel
+from closedloop.control.moment import Moment
+from closedloop.control.places import K_F, K_I
+
+Array = NDArray[np.float64]
+
+
+@kernel
+def commanded_force(x: Moment, par: Array, z: Array) -> float:
+    """Return f_c, N; f_des itself in free motion, where there is no force to be fed back."""
+    f = x.f_des
+    if x.pressed != 0.0:
+        if par[K_F] != 0.0:
+            f += par[K_F] * (x.f_des - x.f_measured)
+        if par[K_I] != 0.0:
+            f += par[K_I] * z[0]
+    return f
+
+
+@kernel
+def integral_rate(x: Moment, par: Array, f: float, dz: Array) -> None:
+    """Write the rate of z[0] = ∫ (f_des − f) dt, N s; it rests in free motion, so that it does not wind up."""
+    if par[K_I] != 0.0:
+        dz[0] = (x.f_des - f) if x.pressed != 0.0 else 0.0

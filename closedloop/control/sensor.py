@@ -1,0 +1,132 @@
+"""The force sensor: a low-pass, then bias and noise, then quantisation, then a delay.
+
+The low-pass is a state that is integrated with the arm's; all else happens to samples. A controller's reading
+is always a sample, hence of an earlier instant than its own.
+"""
+
+from __future__ import annotations
+
+import math
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from closedloop.compiled import kernel
+from closedloop.control.sections import SensorSection
+from closedloop.errors import ScenarioError
+
+Array = NDArray[np.float64]
+
+# Places in the sensor's parameters.
+BIAS, NOISE, QUANTUM, TIME_CONSTANT = range(4)
+SENSOR_PARAMETERS = 4
+# A longer delay than this many samples is a slip of the keyboard.
+MOST_DELAYED = 10_000
+
+
+class PackedSensor(NamedTuple):
+    """A sensor as the kernels read it.
+
+    Attributes
+    ----------
+    par : (SENSOR_PARAMETERS,) array
+        Bias, N, noise, N, quantum, N, time constant, s.
+    states : int
+        1 with a low-pass, else 0.
+    ring : int
+        Length of the ring buffer that `sense` needs: 1 and the delay in samples.
+    sampled : bool
+        Whether noise, quantisation or delay make a reading differ from the continuous signal.
+    """
+
+    par: Array
+    states: int
+    ring: int
+    sampled: bool
+
+
+def pack_sensor(section: SensorSection, period: float) -> PackedSensor:
+    """Turn the section into numbers for a sensor that is sampled every `period`, s.
+
+    Raises
+    ------
+    ScenarioError
+        If the delay is no whole number of samples, or the low-pass is faster than the sampling.
+    """
+    delay = round(section.delay / period) if section.delay / period < 2 * MOST_DELAYED else 2 * MOST_DELAYED
+    if delay > MOST_DELAYED:
+        raise ScenarioError(
+            f"sensor.delay = {section.delay:g} s: must be at most {MOST_DELAYED} samples, {MOST_DELAYED * period:g} s"
+        )
+    if abs(delay * period - section.delay) > 1e-9 * max(section.delay, period):
+        near = max(1, delay) * period
+        raise ScenarioError(
+            f"sensor.delay = {section.delay:g} s: must be a whole number of samples of {period:g} s, "
+            f"such as {near:.10g} s"
+        )
+    constant = section.filter_time_constant
+    if 0.0 < constant < period:
+        raise ScenarioError(
+            f"sensor.filter_time_constant = {constant:g} s: must be 0, or at least the {period:g} s between two samples"
+        )
+    par = np.array([section.bias, section.noise, section.quantisation, constant])
+    sampled = delay > 0 or section.noise > 0.0 or section.quantisation > 0.0
+    return PackedSensor(par, int(constant > 0.0), delay + 1, sampled)
+
+
+def draws(section: SensorSection, count: int) -> Array:
+    """Return `count` standard normal numbers from the sensor's seed, one a sample."""
+    if section.noise == 0.0:
+        return np.zeros(count)
+    return np.random.default_rng(section.seed).standard_normal(count)
+
+
+@kernel
+def sensor_rates(f_true: float, par: Array, z: Array, dz: Array) -> None:
+    """Write the rate of the low-pass z (1,), or nothing if there is none: ż = (f − z)/T."""
+    if par[TIME_CONSTANT] > 0.0:
+        dz[0] = (f_true - z[0]) / par[TIME_CONSTANT]
+
+
+@kernel
+def continuous_reading(f_true: float, par: Array, z: Array) -> float:
+    """Return what the sensor would say at this instant without sampling, N: low-passed, and biased."""
+    return float((z[0] if par[TIME_CONSTANT] > 0.0 else f_true) + par[BIAS])
+
+
+@kernel
+def sense(f_true: float, sample: int, par: Array, z: Array, normal: float, ring: Array) -> float:
+    """Take a sample and return the reading that the controller gets now, N.
+
+    Parameters
+    ----------
+    f_true : float
+        Contact force, N.
+    sample : int
+        How many samples were taken before this one.
+    par, z
+        See `PackedSensor`; z (1,) is the low-pass, read if there is one.
+    normal : float
+        A standard normal number, for the noise.
+    ring : (delay + 1,) array
+        The latest samples; written.
+    """
+    reading = continuous_reading(f_true, par, z) + par[NOISE] * normal
+    if par[QUANTUM] > 0.0:
+        reading = par[QUANTUM] * math.floor(reading / par[QUANTUM] + 0.5)
+    size = ring.shape[0]
+    ring[sample % size] = reading
+    return float(ring[(sample + 1) % size])
+
+
+@kernel
+def start_sensor(f_true: float, par: Array, z: Array, ring: Array) -> None:
+    """Write z and the ring as if the sensor had felt f_true, N, without noise, for long."""
+    if par[TIME_CONSTANT] > 0.0:
+        z[0] = f_true
+    reading = f_true + par[BIAS]
+    if par[QUANTUM] > 0.0:
+        reading = par[QUANTUM] * math.floor(reading / par[QUANTUM] + 0.5)
+    for i in range(ring.shape[0]):
+        ring[i] = reading

@@ -1,0 +1,164 @@
+"""The tip's side of a control law: pseudo-inverses, motion errors, and the way back to joint torque."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+from numpy.typing import NDArray
+
+from closedloop.compiled import kernel
+from closedloop.contact import IMMOBILE
+from closedloop.control.moment import Moment
+from closedloop.control.places import APPROACH, K_P, K_V
+
+Array = NDArray[np.float64]
+
+# Jacobi's sweeps converge quadratically: a 3 x 3 matrix is diagonal to rounding after four or five.
+MOST_SWEEPS = 10
+DIAGONAL = 1e-36  # of the squared trace
+
+
+@kernel
+def pseudo_inverse(M: Array, scratch: Array, P: Array) -> int:
+    """Write the pseudo-inverse of a symmetric positive semi-definite matrix, by Jacobi's rotations.
+
+    Parameters
+    ----------
+    M : (3, 3) array
+        Symmetric.
+    scratch : (18,) array
+    P : (3, 3) array
+        Written (it may be M itself): the sum of x xᵀ/λ over the eigenvectors x whose eigenvalue λ is above `IMMOBILE`
+        of the trace. Along the others (a planar arm, sideways) the arm cannot move the tip, and nothing is asked of it.
+
+    Returns
+    -------
+    int
+        How many eigenvalues counted: the rank.
+    """
+    W, V = scratch[0:9].reshape(3, 3), scratch[9:18].reshape(3, 3)
+    trace = M[0, 0] + M[1, 1] + M[2, 2]
+    for i in range(3):
+        for j in range(3):
+            W[i, j] = M[i, j]
+            V[i, j] = 1.0 if i == j else 0.0
+            P[i, j] = 0.0
+    for _ in range(MOST_SWEEPS):
+        if W[0, 1] * W[0, 1] + W[0, 2] * W[0, 2] + W[1, 2] * W[1, 2] <= DIAGONAL * trace * trace:
+            break
+        for pair in range(3):
+            i, j = (0, 1) if pair == 0 else ((0, 2) if pair == 1 else (1, 2))
+            if W[i, j] == 0.0:
+                continue
+            # tan of the angle that makes W[i, j] vanish, the smaller root
+            half = (W[j, j] - W[i, i]) / (2.0 * W[i, j])
+            tan = math.copysign(1.0, half) / (abs(half) + math.hypot(half, 1.0))
+            c = 1.0 / math.sqrt(1.0 + tan * tan)
+            s = tan * c
+            for k in range(3):
+                a, b = W[k, i], W[k, j]
+                W[k, i], W[k, j] = c * a - s * b, s * a + c * b
+            for k in range(3):
+                a, b = W[i, k], W[j, k]
+                W[i, k], W[j, k] = c * a - s * b, s * a + c * b
+                a, b = V[k, i], V[k, j]
+                V[k, i], V[k, j] = c * a - s * b, s * a + c * b
+    rank = 0
+    for k in range(3):
+        if W[k, k] > IMMOBILE * trace:
+            rank += 1
+            for i in range(3):
+                for j in range(3):
+                    P[i, j] += V[i, k] * V[j, k] / W[k, k]
+    return rank
+
+
+@kernel
+def jacobian_gram(A: Array, first: int, G: Array) -> None:
+    """Write G (3, 3) = A Aᵀ of the rows from `first` on, zero elsewhere."""
+    for i in range(3):
+        for k in range(3):
+            s = 0.0
+            if i >= first and k >= first:
+                for j in range(A.shape[1]):
+                    s += A[i, j] * A[k, j]
+            G[i, k] = s
+
+
+@kernel
+def surface_mobility(S: Array, pressed: float, i: int, k: int) -> float:
+    """Return entry (i, k), tangents counted 1 and 2, of the tip's mobility along the surface, 1/kg.
+
+    S_tt − S_tn S_nt/S_nn while the tip is pressed, where the surface answers a push along it with a force along n; S_tt
+    in free motion.
+    """
+    if pressed == 0.0:
+        return float(S[i, k])
+    return float(S[i, k] - S[i, 0] * S[0, k] / S[0, 0])
+
+
+@kernel
+def motion_along_surface(x: Moment, par: Array, wanted: Array) -> None:
+    """Write ü_des + K_v (u_des − u) + K_p (p_des − p) along t1 and t2 into `wanted` (3,), m/s²."""
+    for i in range(1, 3):
+        wanted[i] = x.a_des[i] + par[K_V] * (x.u_des[i] - x.u[i]) + par[K_P] * (x.p_des[i] - x.p[i])
+
+
+@kernel
+def motion_along_normal(x: Moment, stiffness: float, damping: float, speed: float) -> float:
+    """Return the acceleration wanted along n, m/s²: none in contact, where the force is controlled instead.
+
+    In free motion a tip that is to press (f_des > 0) comes down at `speed`, whatever the height; otherwise it follows
+    p_des, no faster than `speed`.
+    """
+    if x.pressed != 0.0:
+        return 0.0
+    if x.f_des > 0.0:
+        return float(damping * (-speed - x.u[0]))
+    towards = x.u_des[0] + stiffness / damping * (x.p_des[0] - x.p[0])
+    return float(damping * (min(max(towards, -speed), speed) - x.u[0]))
+
+
+@kernel
+def wanted_acceleration(x: Moment, par: Array, wanted: Array) -> None:
+    """Write the tip acceleration (3,), m/s², that the motion law asks for in all three directions."""
+    wanted[0] = motion_along_normal(x, par[K_P], par[K_V], par[APPROACH])
+    motion_along_surface(x, par, wanted)
+
+
+@kernel
+def posture(x: Moment, gains: Array, a: Array) -> None:
+    """Write K_d (q̇_des − q̇) + K_p (q_des − q), rad/s², into `a` (n,): where joints go that the tip leaves free."""
+    for j in range(x.q.shape[0]):
+        a[j] = gains[0, j] * (x.q_des[j] - x.q[j]) + gains[1, j] * (x.v_des[j] - x.v[j])
+
+
+@kernel
+def rest_of(x: Moment, wanted: Array, a: Array, rest: Array) -> None:
+    """Write wanted − Ȧq̇ − A a (3,), m/s²: what is still missing when the joints accelerate with `a` (n,)."""
+    for i in range(3):
+        s = wanted[i] - x.drift[i]
+        for j in range(a.shape[0]):
+            s -= x.A[i, j] * a[j]
+        rest[i] = s
+
+
+@kernel
+def add_mass_times(H: Array, a: Array, sign: float, torque: Array) -> None:
+    """Add ±H a to the torque, reading H's upper triangle."""
+    n = a.shape[0]
+    for i in range(n):
+        s = H[i, i] * a[i]
+        for j in range(i):
+            s += H[j, i] * a[j]
+        for j in range(i + 1, n):
+            s += H[i, j] * a[j]
+        torque[i] += sign * s
+
+
+@kernel
+def add_tip_force(A: Array, F: Array, torque: Array) -> None:
+    """Add AᵀF, the torque that makes the tip push with F (3,), N."""
+    for j in range(torque.shape[0]):
+        torque[j] += A[0, j] * F[0] + A[1, j] * F[1] + A[2, j] * F[2]

@@ -1,0 +1,203 @@
+"""A closed loop in plain numpy around the compiled control laws: the arm, a rigid plane, friction, a fixed step.
+
+It shares no line with the simulator but Pinocchio's terms: Eq. 24 goes through `closedloop.solve_closure` with as many
+rows as the tip is held in.
+"""
+
+import dataclasses
+from functools import lru_cache
+
+import numpy as np
+
+import closedloop as cl
+import robot_models
+from closedloop.control.laws import law_rates, law_torque, start_states
+from closedloop.control.moment import Moment
+from closedloop.control.pack import pack_law
+from closedloop.control.places import work_size
+from closedloop.surface import contact_frame
+
+# Where the arms press, and how their surface lies.
+NORMALS = {
+    "wam4": (0.0, 0.0, 1.0),
+    "panda": (-0.342, 0.0, 0.94),
+    "ur5": (0.0, 0.2, 1.0),
+    "planar2": (0.0, 0.0, 1.0),
+}
+POSES = {
+    "wam4": (np.pi / 2, 1.0, 0.0, 2.0),
+    "panda": (0.0, -0.785398, 0.0, -2.35619, 0.0, 1.5707, 0.785398),
+    "ur5": (0.3, -1.2, 1.5, -1.9, -1.57, 0.2),
+    "planar2": (0.6, -1.4),
+}
+
+
+@lru_cache(maxsize=None)
+def arm(name):
+    """Return the robot with its tip."""
+    model = robot_models.load(name)
+    tip = model.tip if model.tip is not None else {"ur5": "tool0"}[name]
+    return cl.Robot(model, tip)
+
+
+@dataclasses.dataclass
+class Friction:
+    """Friction of surface and joints as they truly are."""
+
+    kinetic: float = 0.0
+    static: float = 0.0
+    stribeck_speed: float = 0.01
+    viscous: float = 0.0
+    joint_coulomb: float = 0.0
+    joint_viscous: float = 0.0
+
+    def coefficient(self, speed):
+        """Return μ at this slip speed."""
+        return self.kinetic + (self.static - self.kinetic) * np.exp(-((speed / self.stribeck_speed) ** 2))
+
+
+class Loop:
+    """One arm, one surface, one law."""
+
+    def __init__(self, name, law, compensation=None, *, friction=None, turn=0.0, q=None, v=None, force=None):
+        self.robot = arm(name)
+        n = self.n = self.robot.n
+        self.friction = friction or Friction()
+        frame = contact_frame(np.array(NORMALS[name]) / np.linalg.norm(NORMALS[name]))
+        c, s = np.cos(turn), np.sin(turn)
+        self.frame = np.array([[1.0, 0, 0], [0, c, s], [0, -s, c]]) @ frame
+        self.q = np.array(POSES[name] if q is None else q, dtype=float)
+        self.v = np.zeros(n) if v is None else np.array(v, dtype=float)
+        self.q_start = self.q.copy()
+        self.p_start = self.frame @ self.robot.position(self.q)
+        self.packed = pack_law(law, compensation, n)
+        self.z = np.zeros(self.packed.states)
+        self.f_des = law.force if force is None else force
+        self.f_measured = self.f_des
+        self.t = 0.0
+        self.pressed = 1.0
+        self.work = np.zeros(work_size(n))
+        # Wanted motion: displacement, velocity, acceleration from the start, contact frame.
+        self.path = lambda t: (np.zeros(3), np.zeros(3), np.zeros(3))
+        self.joints = lambda t: (self.q_start, np.zeros(n))
+        self.disturbance = np.zeros(n)  # joint torque that no model knows
+        self.stuck = None  # where the tip sticks
+        start_states(self.packed.kind, self.moment(self.t, self.q, self.v)[0], self.packed.par, self.z)
+
+    def moment(self, t, q, v):
+        """Return what the law knows at this state, and the terms."""
+        terms = self.robot.terms(q, v)
+        H, C = terms.mass_matrix.copy(), terms.bias.copy()
+        L = np.linalg.cholesky(H)
+        A = np.ascontiguousarray(self.frame @ terms.jacobian)
+        X = np.ascontiguousarray(np.linalg.solve(L, A.T).T)
+        L[np.diag_indices(self.n)] = 1.0 / np.diag(L)
+        shift, u_des, a_des = self.path(t)
+        q_des, v_des = self.joints(t)
+        x = Moment(
+            float(t), q.copy(), v.copy(), C, H, np.ascontiguousarray(L), A, X, X @ X.T, self.frame @ terms.drift,
+            self.frame @ terms.position, A @ v, np.array(q_des), np.array(v_des), self.p_start + shift,
+            np.array(u_des), np.array(a_des), float(self.f_des), float(self.f_measured), float(self.pressed),
+        )  # fmt: skip
+        return x, terms
+
+    def torque(self, x, z=None):
+        """Return Q."""
+        torque = np.zeros(self.n)
+        law_torque(self.packed.kind, x, self.packed.par, self.packed.gains, self.z if z is None else z, self.work, torque)
+        return torque
+
+    def evaluate(self, t, q, v, z):
+        """Return q̈, F (3,), ż and Q of this state: Eq. 24 with friction."""
+        x, _ = self.moment(t, q, v)
+        torque = self.torque(x, z)
+        loss = self.friction.joint_coulomb * np.sign(v) + self.friction.joint_viscous * v
+        rhs = torque - x.C - loss + self.disturbance
+        F = np.zeros(3)
+        if self.pressed:
+            qdd, F = self._pressed(x, rhs)
+        else:
+            qdd = np.linalg.solve(x.H, rhs)
+        dz = np.zeros_like(z)
+        law_rates(self.packed.kind, x, self.packed.par, z, float(F[0]), torque, self.work, dz)
+        return qdd, F, dz, torque
+
+    def _pressed(self, x, rhs):
+        # The closure with a stabiliser of 20 ms: it does no more here than to keep rounding away.
+        e, rate = x.p[0] - self.p_start[0], x.u[0]
+        b = -x.drift[0] - 100.0 * rate - 2500.0 * e
+        F = np.zeros(3)
+        speed = np.hypot(x.u[1], x.u[2])
+        if self.friction.static or self.friction.kinetic or self.friction.viscous:
+            if self.stuck is not None:
+                rows = np.array([b, *(-x.drift[1:] - 100.0 * x.u[1:] - 2500.0 * (x.p[1:] - self.stuck))])
+                qdd, F = cl.solve_closure(x.H, rhs, x.A, rows)
+                return qdd, F
+            direction = x.u[1:] / speed if speed > 0 else np.zeros(2)
+            c = self.friction.coefficient(speed) * direction
+            w = self.friction.viscous * x.u[1:]
+            # [H, -(A_n - c A_t)^T; A_n, 0] [q̈; f] = [rhs - A_t^T w; b], by elimination
+            push = x.A[0] - c @ x.A[1:]
+            y = np.linalg.solve(x.H, np.column_stack([rhs - x.A[1:].T @ w, push]))
+            F[0] = (b - x.A[0] @ y[:, 0]) / (x.A[0] @ y[:, 1])
+            F[1:] = -c * F[0] - w
+            return y[:, 0] + y[:, 1] * F[0], F
+        qdd, f = cl.solve_closure(x.H, rhs, x.A[0], b)
+        F[0] = f
+        return qdd, F
+
+    def step(self, h, scheme="euler"):
+        """Take a step and return F (3,) and Q at its beginning."""
+        if self.pressed and self.friction.static:
+            self._stick_or_slip()
+        q, v, z, t = self.q, self.v, self.z, self.t
+        if scheme == "euler":
+            qdd, F, dz, torque = self.evaluate(t, q, v, z)
+            self.v = v + h * qdd
+            self.q = q + h * self.v
+            self.z = z + h * dz
+        else:
+            slopes = []
+            for share in (0.0, 0.5, 0.5, 1.0):
+                last = [share * h * x for x in slopes[-1]] if slopes else [0.0, 0.0, 0.0]
+                qdd, f, dz, Q = self.evaluate(t + share * h, q + last[0], v + last[1], z + last[2])
+                slopes.append((v + last[1], qdd, dz))
+                if len(slopes) == 1:
+                    F, torque = f, Q
+            weights = (1 / 6, 1 / 3, 1 / 3, 1 / 6)
+            self.q, self.v, self.z = (
+                old + h * sum(w * slope[k] for w, slope in zip(weights, slopes, strict=True))
+                for k, old in enumerate((q, v, z))
+            )
+        self.t = t + h
+        self.f_measured = F[0]
+        return F, torque
+
+    def _stick_or_slip(self, slow=1e-4):
+        """Karnopp's rule: a tip slower than `slow` sticks as long as the force that holds it is within the cone."""
+        x, _ = self.moment(self.t, self.q, self.v)
+        if self.stuck is None and np.hypot(x.u[1], x.u[2]) < slow:
+            self.stuck = x.p[1:].copy()
+        if self.stuck is not None:
+            F = self.evaluate(self.t, self.q, self.v, self.z)[1]
+            if np.hypot(F[1], F[2]) > self.friction.static * F[0]:
+                self.stuck = None
+
+    def run(self, duration, h=1e-3, scheme="euler"):
+        """Return a dict of arrays: t, f, e (N, 3) in the contact frame, its rate, F, torque, z."""
+        rows = {key: [] for key in ("t", "f", "e", "rate", "F", "torque", "z", "q", "v")}
+        for _ in range(round(duration / h)):
+            t, q, v, z = self.t, self.q.copy(), self.v.copy(), self.z.copy()
+            F, torque = self.step(h, scheme)
+            shift, u_des, _ = self.path(t)
+            terms = self.robot.terms(q, v)
+            e = self.p_start + shift - self.frame @ terms.position
+            rate = u_des - self.frame @ (terms.jacobian @ v)
+            for key, value in zip(rows, (t, F[0], e, rate, F, torque, z, q, v), strict=True):
+                rows[key].append(value)
+        return {key: np.array(value) for key, value in rows.items()}
+
+
+def rms(x):
+    """Return the root mean square."""
+    return float(np.sqrt(np.mean(np.square(x))))

@@ -54,7 +54,6 @@ def describe_keys() -> list[tuple[str, str]]:
 CURES = {
     "greater_than": "must be greater than 0",
     "greater_than_equal": "must not be negative",
-    "less_than_equal": "must be at most 1",
     "finite_number": "must be finite, not NaN or infinite",
     "string_type": "must be text",
     "tuple_type": "must be a list of numbers",
@@ -102,6 +101,8 @@ def _explain_first(problems: list[ErrorDetails], data: dict[str, Any]) -> str:
         cure = f"must be {first['ctx']['expected']}"
     elif kind in ("model_type", "model_attributes_type", "dict_type"):
         cure = f"must be a section of its own, [{name}]"
+    elif kind == "less_than_equal":
+        cure = f"must be at most {first['ctx']['le']:g}"
     elif kind == "value_error":
         cure = str(first["ctx"]["error"])
     else:

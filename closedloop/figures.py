@@ -10,7 +10,7 @@ import numpy as np
 
 from closedloop.errors import OutputError
 from closedloop.record import Run
-from closedloop.scenario import LineSection
+from closedloop.reference.sections import LineSection
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes

@@ -11,6 +11,7 @@ The phase says what the terms that have just arrived are for:
     STAGE     a later stage of a Runge-Kutta step
     PROBE_END the end of a trial step, taken to locate an event inside a step
     TRANSIT   the state at the instant of an event: apply the impact, change the mode
+    STRIKE    (no terms) the impulses of the impact are known
     BEGIN     the state just after an event: go on from there to the end of the step
     CLOSE     a state to be put back on the closure (projection)
 
@@ -25,10 +26,10 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from closedloop._impact_stub import impact
 from closedloop.compiled import entry_kernel, kernel
 from closedloop.contact import FREE, PRESSED, STUCK, factorise, strike, stuck_force
 from closedloop.events import IMPACT, LIFTOFF, TOUCHDOWN, write_event
+from closedloop.impact import energy_lost, impact
 from closedloop.integrate import advance
 from closedloop.solve import CHATTER, OK
 from closedloop.step import LAW_GIVEN, evaluate, locate_tip, record
@@ -39,6 +40,7 @@ from closedloop.workspace import (
     BEGIN,
     CERTAIN,
     CROSSING,
+    CUT,
     EVENTS,
     EXTRA,
     FRAME,
@@ -52,6 +54,7 @@ from closedloop.workspace import (
     IMPACT_LAW,
     IN_STEP,
     JOINTS,
+    KIND,
     LAST_EVENT,
     LAW,
     LENGTH,
@@ -92,10 +95,10 @@ from closedloop.workspace import (
 Array = NDArray[np.float64]
 
 # What `proceed` returns.
-DONE, TERMS, TERMS_AND_LAW, ROOM, FAILED = range(5)
+DONE, TERMS, TERMS_AND_LAW, ROOM, IMPACT_LAW_WANTED, FAILED = range(6)
 
 # Phases.
-ARRIVING, STAGING, PROBING, TRANSITING, BEGINNING, CLOSING = range(6)
+ARRIVING, STAGING, PROBING, TRANSITING, STRIKING, BEGINNING, CLOSING = range(7)
 
 # What a trial step is for.
 NO_TRIAL, SEARCH_EVENT, SEARCH_LOWEST, TAKE_EVENT = range(4)
@@ -144,7 +147,7 @@ def proceed(
     -------
     int
         TERMS: evaluate the terms at (q, q̇) and call again. TERMS_AND_LAW: and write the torque for now[TIME]. ROOM:
-        give a larger table of events and call again, nothing has changed. DONE, or FAILED with state[STATUS].
+        give a larger table of events and call again, nothing has changed. IMPACT_LAW_WANTED: call `collide`, and again. DONE, or FAILED with state[STATUS].
     """
     phase = state[PHASE]
     if phase == ARRIVING:
@@ -183,6 +186,10 @@ def proceed(
         return _narrow(w, k, state, tableau)
     if phase == TRANSITING:
         return _transit(H, w, k, state, events, tableau)
+    if phase == STRIKING:
+        if state[STATUS] != OK:
+            return FAILED
+        return _strike(w, k, state, events)
     # just after an event
     status = evaluate(H, C, w, k, state, table)
     if status != OK:
@@ -392,47 +399,40 @@ def _transit(H: Array, w: Work, k: Array, state: Whole, events: Array, tableau: 
     else:
         state[RUSHED] += 1
     w.now[LAST_EVENT] = t
-    frame = k[FRAME : FRAME + 9]
-    at = state[EVENTS]
-    state[EVENTS] = at + 1
     if state[CROSSING] == LIFTOFF:
         if state[RUSHED] > MOST_RUSHED:
             return _fail(state, CHATTER)
         state[MODE], state[RISEN] = FREE, 0
         w.after[0] = 0.0
         loss = 0.5 * w.u[0] * w.u[0] / w.S[0, 0] if w.S[0, 0] > 0.0 else 0.0
-        write_event(events[at], t, LIFTOFF, 0.0, frame, w.r, w.before, w.after, w.compression, w.decompression, loss)
+        write_event(
+            events[state[EVENTS]], t, LIFTOFF, 0.0, k[FRAME : FRAME + 9], w.r, w.before, w.after,
+            w.compression, w.decompression, loss,
+        )  # fmt: skip
+        state[EVENTS] += 1
         # The last act of the closure: the tip leaves from the surface itself, without what the stabiliser owed.
         state[MOVES], state[NEXT] = 0, BEGINNING
         return _close(H, w, k, state)
-    falling = w.u[0] < 0.0  # a step of first order may bring a tip down that its velocity already takes up again
-    if falling:
-        status = impact(
-            w.S, w.u, k[RESTITUTION], state[IMPACT_LAW], k[IMPACT_FRICTION], w.scratch,
-            w.compression, w.decompression, w.after,
-        )  # fmt: skip
-        if status != OK:
-            return _fail(state, status)
-    kind, cut = IMPACT, 0.0
-    state[RISEN] = 1
-    if not falling:
-        kind = TOUCHDOWN
-        state[MODE] = PRESSED
-    elif w.after[0] < k[REST_SPEED] or state[RUSHED] > MOST_RUSHED:
-        kind, cut = TOUCHDOWN, max(w.after[0], 0.0)
-        status = impact(
-            w.S, w.u, 0.0, state[IMPACT_LAW], k[IMPACT_FRICTION], w.scratch,
-            w.compression, w.decompression, w.after,
-        )  # fmt: skip
-        if status != OK:
-            return _fail(state, status)
-        state[MODE] = PRESSED
-    loss = 0.0
+    # A step of first order may bring a tip down that its velocity already takes up again: contact, without an impulse.
+    state[PHASE], state[KIND], w.now[CUT] = STRIKING, TOUCHDOWN, 0.0
+    return IMPACT_LAW_WANTED if w.u[0] < 0.0 else _strike(w, k, state, events)
+
+
+@kernel
+def _strike(w: Work, k: Array, state: Whole, events: Array) -> int:
+    """Apply the impulses of an impact to q̇, and go on in the mode that it leaves."""
     for i in range(3):
         w.F[i] = w.compression[i] + w.decompression[i]
-        loss -= 0.5 * (w.before[i] + w.after[i]) * w.F[i]
+    loss = energy_lost(w.before, w.after, w.F)
     strike(w.L, w.X, w.F, w.column, w.v)
-    write_event(events[at], t, kind, cut, frame, w.r, w.before, w.after, w.compression, w.decompression, loss)
+    write_event(
+        events[state[EVENTS]], w.now[TIME], state[KIND], w.now[CUT], k[FRAME : FRAME + 9], w.r, w.before, w.after,
+        w.compression, w.decompression, loss,
+    )  # fmt: skip
+    state[EVENTS] += 1
+    state[RISEN] = 1
+    if state[KIND] == TOUCHDOWN:
+        state[MODE] = PRESSED
     return _ask(w, state, BEGINNING)
 
 
@@ -484,6 +484,26 @@ def _close(H: Array, w: Work, k: Array, state: Whole) -> int:
             return _ask(w, state, CLOSING)
         strike(w.L, w.X, w.F, w.column, w.v)
     return _ask(w, state, state[NEXT])
+
+
+@entry_kernel
+def collide(k: Array, state: Whole, memory: Array, n: int) -> None:
+    """Find the impulses of the impact at which the machine stands, and whether it ends in contact.
+
+    It is apart from `proceed` because impacts are rare and their law takes longer to compile than all the rest.
+    """
+    w = workspace(memory, n, state[EXTRA], state[STAGES])
+    bounces = state[RUSHED] <= MOST_RUSHED
+    state[KIND], w.now[CUT] = (IMPACT, 0.0) if bounces else (TOUCHDOWN, 0.0)
+    for _ in range(2):
+        restitution = k[RESTITUTION] if state[KIND] == IMPACT else 0.0
+        state[STATUS] = impact(
+            w.S, w.before, restitution, state[IMPACT_LAW], k[IMPACT_FRICTION], w.scratch,
+            w.compression, w.decompression, w.after,
+        )  # fmt: skip
+        if state[STATUS] != OK or state[KIND] == TOUCHDOWN or w.after[0] >= k[REST_SPEED]:
+            return
+        state[KIND], w.now[CUT] = TOUCHDOWN, w.after[0]
 
 
 @entry_kernel

@@ -11,10 +11,10 @@ from numpy.typing import NDArray
 
 import robot_models
 from closedloop import workspace as space
-from closedloop._impact_stub import NEWTON, POISSON, STRONGE
 from closedloop.baumgarte import baumgarte_gains, largest_stable_ratio
 from closedloop.contact import FREE, PRESSED
 from closedloop.errors import ScenarioError
+from closedloop.impact import LAWS
 from closedloop.integrate import INTEGRATORS, Integrator
 from closedloop.machine import ARRIVING, CLOSING, RESTING, TOUCHING
 from closedloop.reference.desired import desired
@@ -31,8 +31,6 @@ MOST_NUMBERS = 200_000_000
 # How far from the surface the tip may start, m. A closure that must first pull the tip in by more does not press: with
 # the paper's stabiliser a millimetre already asks for a thousand newtons from each kilogram.
 START_GAP = 1e-3
-
-IMPACT_LAWS = {"newton": NEWTON, "poisson": POISSON, "stronge": STRONGE}
 
 
 @dataclass(frozen=True)
@@ -117,7 +115,7 @@ class Problem:
         state[space.LAW] = LAW_GIVEN if law_given else LAW_PAPER
         state[space.PROJECT], state[space.SEMI_IMPLICIT] = self.project, self.integrator.semi_implicit
         state[space.UNILATERAL] = self.scenario.surface.contact == "unilateral"
-        state[space.IMPACT_LAW] = IMPACT_LAWS[self.scenario.impact.law]
+        state[space.IMPACT_LAW] = LAWS[self.scenario.impact.law]
         state[space.MODE], state[space.SAMPLED], state[space.RISEN] = self.mode, 1, 1
         if self.project and self.mode != FREE:
             state[space.PHASE], state[space.NEXT] = CLOSING, ARRIVING

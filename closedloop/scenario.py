@@ -20,7 +20,6 @@ from pydantic import BeforeValidator, Field, ValidationError
 from closedloop.errors import ScenarioError
 from closedloop.reference.force import ConstantForceSection, ForceProfile
 from closedloop.reference.sections import HoldSection, Reference
-from closedloop.reference.sections import LineSection as LineSection
 from closedloop.sections import Flag, Gain, NotNegative, Number, PerJoint, Positive, Restitution, Section, Vector3
 
 

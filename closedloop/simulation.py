@@ -25,7 +25,7 @@ from closedloop.errors import (
     SingularClosureError,
 )
 from closedloop.events import EVENT_WIDTH, event_columns
-from closedloop.machine import DONE, ROOM, TERMS, TERMS_AND_LAW, proceed_on_pinocchio
+from closedloop.machine import DONE, IMPACT_LAW_WANTED, ROOM, TERMS, TERMS_AND_LAW, collide, proceed_on_pinocchio
 from closedloop.problem import Problem, prepare
 from closedloop.record import Run
 from closedloop.robot import Robot
@@ -145,6 +145,9 @@ def run_loop(
             request = proceed(*fixed, events)
         elif request == ROOM:
             events = np.vstack([events, np.zeros_like(events)])
+            request = proceed(*fixed, events)
+        elif request == IMPACT_LAW_WANTED:
+            collide(k, state, memory, robot.n)
             request = proceed(*fixed, events)
         elif request == DONE:
             break

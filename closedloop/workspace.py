@@ -25,16 +25,16 @@ Whole = NDArray[np.int64]
 # Where the loop is.
 (
     PHASE, ROW, STAGE, MODE, TRIAL, EVENTS, TRIES, CROSSING, NEXT, MOVES, STATUS, IN_STEP, RUSHED,
-    SAMPLED, CERTAIN, EXTRA, PIECE, RISEN,
-) = range(16, 34)  # fmt: skip
-WHOLES = 34
+    SAMPLED, CERTAIN, EXTRA, PIECE, RISEN, KIND,
+) = range(16, 35)  # fmt: skip
+WHOLES = 35
 
 # --- numbers that change, by place in `Work.now` ---------------------------------------------------------------------
 # time: of the state that terms are asked for; begin, length: of the substep under way; tau: of a trial inside it;
 # low, high: bracket of the event searched, with the gauge's value at either end.
 (
     TIME, BEGIN, LENGTH, TAU, LOW, HIGH, AT_LOW, AT_HIGH, GAUGE, RATE, GAP, RIGID, START_GAUGE, START_RATE, START_GAP,
-    SLIP, LAST_EVENT, MEASURED, DELAYED, ENERGY,
+    SLIP, LAST_EVENT, MEASURED, DELAYED, CUT,
 ) = range(20)  # fmt: skip
 NOW = 24
 
@@ -92,13 +92,13 @@ class Work(NamedTuple):
     decompression: Array  # (3,)
     after: Array  # (3,)
     reference: Array  # (2 n + 10,) row of the table at this instant
-    scratch: Array  # (n n + 3 n + 64,)
+    scratch: Array  # (n n + 3 n + 224,)
 
 
 @kernel
 def memory_size(n: int, k: int, stages: int) -> int:
     """Return how many numbers `workspace` needs."""
-    return NOW + 16 * n + (stages + 4) * (2 * n + k) + n * n + 9 * n + 9 + 60 + 2 * n + 10 + n * n + 3 * n + 64
+    return NOW + 16 * n + (stages + 4) * (2 * n + k) + n * n + 9 * n + 9 + 60 + 2 * n + 10 + n * n + 3 * n + 224
 
 
 def views(memory: Array, n: int, k: int, stages: int) -> Work:
@@ -140,7 +140,7 @@ def views(memory: Array, n: int, k: int, stages: int) -> Work:
     at += 12
     reference = memory[at : at + 2 * n + 10]
     at += 2 * n + 10
-    scratch = memory[at : at + n * n + 3 * n + 64]
+    scratch = memory[at : at + n * n + 3 * n + 224]
     return Work(
         now, q, v, z, torque, held, begin, slope, stage, qdd, dz, y, column, loss, L, J, A, X, S, r, drift, p, u,
         drift_c, a, F, b, b_stabiliser, share, direction, anchor, c, w, before, compression, decompression, after,

@@ -229,7 +229,7 @@ REFUSED = {
     "section that is a number": ({"law": 3}, ["law", "[law]"]),
     "unknown key below a kind": ({"reference.kind": "hold", "reference.speed": 1}, ["reference.speed"]),
     # kinds
-    "unknown reference": ({"reference.kind": "circle"}, ["reference.kind", "'circle'", "'line'", "'hold'"]),
+    "unknown reference": ({"reference.kind": "spiral"}, ["reference.kind", "'spiral'", "'line'", "'hold'"]),
     "unknown surface": ({"surface.kind": "sphere"}, ["surface.kind", "'sphere'", "'plane'"]),
     "unknown law": ({"law.kind": "pid"}, ["law.kind", "'pid'", "'paper'"]),
     "unknown integrator": ({"time.integrator": "rk5"}, ["time.integrator", "'rk5'", "'rk4'"]),

@@ -1,0 +1,137 @@
+"""Very many impacts in a compiled loop: always an end, finite, never energy; and the same without compilation."""
+
+import json
+import os
+import subprocess
+import sys
+
+import numpy as np
+import pytest
+
+from closedloop.compiled import kernel
+from closedloop.impact import (
+    CUT,
+    IMPACT_WORK,
+    JAM,
+    MODES,
+    NEWTON,
+    POISSON,
+    RECOMPRESSION,
+    REVERSAL,
+    SLIP,
+    STICK,
+    STRONGE,
+    TURN,
+    WEDGE,
+    impact,
+)
+from closedloop.solve import DIVERGED, OK, SINGULAR
+
+ALL = SLIP | STICK | REVERSAL | TURN | JAM | RECOMPRESSION | CUT | WEDGE
+
+
+@kernel
+def many(S, u, restitution, law, mu, work, compression, decompression, after, status, happened):
+    """Do one impact a row."""
+    for k in range(u.shape[0]):
+        status[k] = impact(
+            S[k], u[k], restitution[k], law[k], mu[k], work, compression[k], decompression[k], after[k]
+        )  # fmt: skip
+        happened[k] = int(work[MODES])
+
+
+@pytest.mark.slow  # compiles the loop, some ten seconds
+def test_a_hundred_thousand_impacts():
+    """Mobilities of rank 1 to 4, of any shape, all laws, every mode met: no failure, no NaN, no energy, in the cone."""
+    count, rng = 100_000, np.random.default_rng(1)
+    B = rng.normal(size=(count, 3, 4))
+    for rank in (1, 2, 3):
+        B[rank::5, :, rank:] = 0.0
+    B *= np.exp(rng.integers(0, 3, size=(count, 1, 1)) * rng.normal(size=(count, 3, 1)))
+    B[::11, 2] = 0.0
+    S = B @ B.transpose(0, 2, 1)
+    v = rng.normal(size=(count, 4, 1))
+    u = (B @ v)[:, :, 0]
+    u[u[:, 0] > 0.0] *= -1.0
+    mu = np.exp(1.5 * rng.normal(size=count) - 0.5)
+    law = rng.integers(0, 3, size=count)
+    compression, decompression, after = np.full((3, count, 3), np.nan)
+    status, happened = np.full((2, count), -1)
+    eps, work = rng.uniform(size=count), np.zeros(IMPACT_WORK)
+    many(S, u, eps, law, mu, work, compression, decompression, after, status, happened)
+    assert np.all(status == OK)
+    assert np.bitwise_or.reduce(happened) == ALL
+    assert np.all(np.isfinite(compression) & np.isfinite(decompression) & np.isfinite(after))
+    assert np.all(after[:, 0] >= 0.0)
+    for phase in (compression, decompression):
+        assert np.all(phase[:, 0] >= 0.0)
+        assert np.all(np.hypot(phase[:, 1], phase[:, 2]) <= mu * phase[:, 0] * (1.0 + 1e-12))
+    impulse = compression + decompression
+    lost = -0.5 * np.sum((u + after) * impulse, axis=1)
+    energy = 0.5 * np.sum(v**2, axis=(1, 2))
+    # Energy is a sum of terms u_i P_i and P_i S_ij P_j, each rounded.
+    rounding = np.einsum("ki,kij,kj->k", np.abs(impulse), np.abs(S), np.abs(impulse)) + energy
+    assert np.all(lost >= -1e-13 * rounding)
+    # Without Newton's law, not even by that
+    assert np.all(lost[law != NEWTON] > 0.0)
+
+
+def call(S, u, restitution, law, mu):
+    """Return status, modes and the nine numbers that the kernel writes, from outputs full of NaN."""
+    work = np.full(IMPACT_WORK, np.nan)
+    out = np.full((3, 3), np.nan)
+    status = impact(np.array(S), np.array(u), restitution, law, mu, work, out[0], out[1], out[2])
+    return status, int(work[MODES]), out
+
+
+def test_status_and_outputs_where_there_is_no_impact():
+    """Not finite: DIVERGED; no normal mobility, or a velocity no tip with this S has: SINGULAR; leaving: nothing."""
+    eye, u = np.eye(3), [-1.0, 0.5, 0.0]
+    nan = [-1.0, np.nan, 0.0]
+    for S, velocity, mu, expected in [
+        (eye, nan, 0.1, DIVERGED),
+        (np.full((3, 3), np.inf), u, 0.1, DIVERGED),
+        (eye, u, np.nan, DIVERGED),
+        (np.diag([0.0, 1.0, 1.0]), u, 0.1, SINGULAR),
+        (np.ones((3, 3)), [-1.0, 1.0, 1.0], 2.0, SINGULAR),
+        (eye, [0.0, 1.0, 1.0], 0.1, OK),
+        (eye, [0.2, 1.0, 1.0], 0.1, OK),
+    ]:
+        for law in (NEWTON, POISSON, STRONGE):
+            status, modes, out = call(S, velocity, 0.5, law, mu)
+            assert (status, modes) == (expected, 0)
+            assert not out[:2].any()
+            np.testing.assert_array_equal(out[2], velocity)
+
+
+SAME = """
+import json, sys
+import numpy as np
+from closedloop.impact import IMPACT_WORK, MODES, impact
+rows = []
+rng = np.random.default_rng(21)
+for k in range(24):
+    B = rng.normal(size=(3, 1 + k % 4))
+    u = B @ rng.normal(size=B.shape[1])
+    out, work = np.zeros((3, 3)), np.zeros(IMPACT_WORK)
+    impact(B @ B.T, -u * np.sign(u[0]), 0.6, k % 3, [0.0, 0.3, 0.8, 2.0, 5.0][k % 5], work, out[0], out[1], out[2])
+    rows.append([*out.ravel().tolist(), float(work[MODES])])
+json.dump(rows, sys.stdout)
+"""
+
+
+@pytest.mark.slow
+def test_the_same_without_compilation():
+    """The very same lines in plain Python give the same numbers, to the rounding that sin, cos and ** may differ by."""
+    rows = []
+    for disabled in ("0", "1"):
+        environment = os.environ | {"NUMBA_DISABLE_JIT": disabled}
+        done = subprocess.run(
+            [sys.executable, "-W", "error::RuntimeWarning", "-c", SAME],
+            env=environment, capture_output=True, text=True, check=True,
+        )  # fmt: skip
+        rows.append(json.loads(done.stdout))
+    compiled, plain = np.array(rows)
+    np.testing.assert_array_equal(plain[:, 9], compiled[:, 9])
+    np.testing.assert_allclose(plain[:, :6], compiled[:, :6], rtol=0.0, atol=1e-11 * np.max(np.abs(compiled[:, :6])))
+    assert len(set(plain[:, 9])) >= 5

@@ -29,7 +29,7 @@ from closedloop.friction.layout import (
     state_count,
 )
 from closedloop.friction.packing import pack
-from closedloop.friction.sections import Law, entries, names_of
+from closedloop.friction.sections import JointLaw, Law, entries, names_of
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -62,7 +62,7 @@ def draw(section: Law, target: str | Path | Axes, load: float = 1.0) -> None:
     """
     counts = [len(entries(getattr(section, name))) for name in names_of(section) if getattr(section, name) is not None]
     kind, rows = pack(section, max(counts, default=1)) if max(counts, default=1) > 1 else pack(section)
-    joint = "coulomb" in names_of(section)
+    joint = isinstance(section, JointLaw)
     pictures: list[Callable[..., None]] = {DAHL: [_loop], LUGRE: [_curve, _loop], SEVEN_PARAMETER: [_curve, _rise]}.get(
         kind, [_curve]
     )

@@ -35,7 +35,6 @@ Array = NDArray[np.float64]
 PLACES = {
     "coefficient": KINETIC,
     "kinetic": KINETIC,
-    "coulomb": KINETIC,
     "static": STATIC,
     "static_excess": STATIC_EXCESS,
     "stribeck_speed": STRIBECK_SPEED,

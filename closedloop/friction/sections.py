@@ -43,17 +43,17 @@ JointNotNegative = Annotated[Gain, AfterValidator(_none_negative)]
 JointPositive = Annotated[Gain, AfterValidator(_all_positive)]
 
 
-def _not_below(name: str, level: Figure, floor: Figure) -> None:
-    """Refuse a static level below the level of sliding, which is called `name`; lists must be of one length."""
-    levels, floors = entries(level), entries(floor)
+def _not_below(static: Figure, kinetic: Figure) -> None:
+    """Refuse a static level below the kinetic one; lists must be of one length."""
+    levels, floors = entries(static), entries(kinetic)
     count = max(len(levels), len(floors))
     if len(levels) not in (1, count) or len(floors) not in (1, count):
-        raise ValueError(f"must have as many entries as {name}, {len(floors)}")
+        raise ValueError(f"must have as many entries as kinetic, {len(floors)}")
     for index in range(count):
         a, b = levels[index % len(levels)], floors[index % len(floors)]
         if a < b:
             place = f"entry {index} is {a:g}: " if count > 1 else ""
-            raise ValueError(f"{place}must not be below {name}, {b:g}: static friction is the larger")
+            raise ValueError(f"{place}must not be below kinetic, {b:g}: static friction is the larger")
 
 
 class Law(Section):
@@ -62,10 +62,13 @@ class Law(Section):
     @field_validator("static", check_fields=False)
     @classmethod
     def _static_is_the_larger(cls, value: Figure, info: ValidationInfo) -> Figure:
-        for name in ("kinetic", "coulomb"):
-            if name in info.data:
-                _not_below(name, value, info.data[name])
+        if "kinetic" in info.data:  # else it is at fault itself
+            _not_below(value, info.data["kinetic"])
         return value
+
+
+class JointLaw(Law):
+    """What all sections of friction in joints share."""
 
 
 class NoFriction(Law):
@@ -148,58 +151,58 @@ class SurfaceSevenParameter(Law):
     viscous: NotNegative = Field(0.0, description="viscous coefficient F_v, N s/m, whatever the normal force")
 
 
-class JointCoulomb(Law):
+class JointCoulomb(JointLaw):
     """kind = "coulomb": of one size, against the motion."""
 
     kind: Literal["coulomb"] = "coulomb"
-    coulomb: JointNotNegative = Field(description="Coulomb torque, N m, one per joint or one for all")
+    kinetic: JointNotNegative = Field(description="kinetic (Coulomb) torque, N m, one per joint or one for all")
 
 
-class JointCoulombViscous(Law):
+class JointCoulombViscous(JointLaw):
     """kind = "coulomb_viscous": Coulomb's, and a torque proportional to the joint velocity."""
 
     kind: Literal["coulomb_viscous"] = "coulomb_viscous"
-    coulomb: JointNotNegative = Field(description="Coulomb torque, N m, one per joint or one for all")
+    kinetic: JointNotNegative = Field(description="kinetic (Coulomb) torque, N m, one per joint or one for all")
     viscous: JointNotNegative = Field(description="viscous coefficient, N m s/rad")
 
 
-class JointStribeck(Law):
-    """kind = "stribeck": falls from its static to its Coulomb level as the joint gets faster."""
+class JointStribeck(JointLaw):
+    """kind = "stribeck": falls from its static to its kinetic level as the joint gets faster."""
 
     kind: Literal["stribeck"] = "stribeck"
-    coulomb: JointNotNegative = Field(description="Coulomb torque, N m, one per joint or one for all")
-    static: JointNotNegative = Field(description="static (break-away) torque, N m; not below coulomb")
-    stribeck_speed: JointPositive = Field(description="joint speed of the fall from static to Coulomb, rad/s")
+    kinetic: JointNotNegative = Field(description="kinetic (Coulomb) torque, N m, one per joint or one for all")
+    static: JointNotNegative = Field(description="static (break-away) torque, N m; not below kinetic")
+    stribeck_speed: JointPositive = Field(description="joint speed of the fall from static to kinetic, rad/s")
     exponent: JointPositive = Field(2.0, description="exponent δ of the Stribeck curve; 2: Gaussian, 1: exponential")
     viscous: JointNotNegative = Field(0.0, description="viscous coefficient, N m s/rad")
 
 
-class JointKarnopp(Law):
+class JointKarnopp(JointLaw):
     """kind = "karnopp": motion within a band of speeds counts as none."""
 
     kind: Literal["karnopp"] = "karnopp"
-    coulomb: JointNotNegative = Field(description="Coulomb torque, N m, one per joint or one for all")
-    static: JointNotNegative = Field(description="static (break-away) torque, N m; not below coulomb")
+    kinetic: JointNotNegative = Field(description="kinetic (Coulomb) torque, N m, one per joint or one for all")
+    static: JointNotNegative = Field(description="static (break-away) torque, N m; not below kinetic")
     dead_band: JointPositive = Field(description="joint speed up to which the joint may be held, rad/s")
     viscous: JointNotNegative = Field(0.0, description="viscous coefficient, N m s/rad")
 
 
-class JointDahl(Law):
+class JointDahl(JointLaw):
     """kind = "dahl": an elastic bristle that yields at the Coulomb level."""
 
     kind: Literal["dahl"] = "dahl"
-    coulomb: JointPositive = Field(description="Coulomb torque, N m, one per joint or one for all")
+    kinetic: JointPositive = Field(description="kinetic (Coulomb) torque, N m, one per joint or one for all")
     stiffness: JointPositive = Field(description="bristle stiffness σ_0, N m/rad")
     viscous: JointNotNegative = Field(0.0, description="viscous coefficient, N m s/rad")
 
 
-class JointLuGre(Law):
+class JointLuGre(JointLaw):
     """kind = "lugre": damped bristles that yield at the Stribeck curve."""
 
     kind: Literal["lugre"] = "lugre"
-    coulomb: JointPositive = Field(description="Coulomb torque, N m, one per joint or one for all")
-    static: JointPositive = Field(description="static (break-away) torque, N m; not below coulomb")
-    stribeck_speed: JointPositive = Field(description="joint speed of the fall from static to Coulomb, rad/s")
+    kinetic: JointPositive = Field(description="kinetic (Coulomb) torque, N m, one per joint or one for all")
+    static: JointPositive = Field(description="static (break-away) torque, N m; not below kinetic")
+    stribeck_speed: JointPositive = Field(description="joint speed of the fall from static to kinetic, rad/s")
     exponent: JointPositive = Field(2.0, description="exponent δ of the Stribeck curve; 2 as published")
     stiffness: JointPositive = Field(description="bristle stiffness σ_0, N m/rad")
     damping: JointNotNegative = Field(description="bristle damping σ_1, N m s/rad")
@@ -209,11 +212,11 @@ class JointLuGre(Law):
     viscous: JointNotNegative = Field(0.0, description="viscous coefficient σ_2, N m s/rad")
 
 
-class JointSevenParameter(Law):
+class JointSevenParameter(JointLaw):
     """kind = "seven_parameter": static friction that rises with rest, friction that lags the motion."""
 
     kind: Literal["seven_parameter"] = "seven_parameter"
-    coulomb: JointNotNegative = Field(description="Coulomb torque F_C, N m, one per joint or one for all")
+    kinetic: JointNotNegative = Field(description="kinetic (Coulomb) torque F_C, N m, one per joint or one for all")
     static_excess: JointNotNegative = Field(description="F_S∞: static torque after a long rest, less F_C, N m")
     stribeck_speed: JointPositive = Field(description="joint speed v_s at which half the excess is left, rad/s")
     stiffness: JointPositive = Field(description="stiffness k_t while stuck, N m/rad")

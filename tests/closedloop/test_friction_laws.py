@@ -1,4 +1,4 @@
-"""What holds for every law of friction: direction, isotropy, energy, exact steps; and the closed forms of each."""
+"""What holds for every law of friction: direction, isotropy, curves, states."""
 
 import json
 import math
@@ -8,109 +8,40 @@ import sys
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
-from scipy.integrate import solve_ivp
 from scipy.spatial.transform import Rotation
+from test_friction_examples import (
+    EXAMPLES,
+    ROUNDING,
+    angles,
+    factor,
+    friction,
+    level,
+    patient,
+    pointing,
+    some_states,
+    speeds,
+    turned,
+)
 
 from closedloop.compiled import kernel
-from closedloop.friction import KINDS, STICKS, largest_step, pack, presliding_motion, state_count
+from closedloop.friction import KINDS, STICKS, pack, state_count
 from closedloop.friction.laws import (
     advance_states,
     capture_speed,
     contact_states,
-    holding,
     rates,
     rest_states,
     sliding,
     stick_limit,
     stick_states,
-    stored_energy,
 )
-from closedloop.friction.layout import KINETIC, STATIC, STIFFNESS
-from closedloop.friction.lugre import is_passive, passive_damping_speed, passive_viscous
+from closedloop.friction.layout import KINETIC
 from closedloop.friction.sections import (
     JointLuGre,
-    NoFriction,
-    SurfaceCoulomb,
-    SurfaceCoulombViscous,
-    SurfaceDahl,
-    SurfaceKarnopp,
-    SurfaceLuGre,
-    SurfaceSevenParameter,
     SurfaceStribeck,
 )
-
-patient = settings(deadline=None, max_examples=60)  # the first example of all compiles
-
-# Sums of a few products: their rounding, relative to the largest of them.
-ROUNDING = 1e-13
-
-EXAMPLES = {
-    "none": NoFriction(),
-    "coulomb": SurfaceCoulomb(coefficient=0.3),
-    "coulomb_viscous": SurfaceCoulombViscous(coefficient=0.3, viscous=4.0),
-    "stribeck": SurfaceStribeck(kinetic=0.2, static=0.35, stribeck_speed=2e-3, exponent=1.3, viscous=0.5),
-    "karnopp": SurfaceKarnopp(kinetic=0.2, static=0.35, dead_band=1e-4, viscous=0.5),
-    "dahl": SurfaceDahl(coefficient=0.3, stiffness=3e4, viscous=0.2),
-    "lugre": SurfaceLuGre(
-        kinetic=0.2, static=0.35, stribeck_speed=2e-3, stiffness=3e4, damping=40.0, damping_speed=0.02, viscous=0.5
-    ),
-    "seven_parameter": SurfaceSevenParameter(
-        kinetic=0.1,
-        static_excess=0.08,
-        stribeck_speed=2e-3,
-        stiffness=2e4,
-        memory_delay=0.01,
-        rise_time=0.4,
-        viscous=0.5,
-    ),
-}
-
-# Table 1 of Canudas de Wit, Olsson, Åström, Lischinsky 1995.
-PUBLISHED = SurfaceLuGre(
-    kinetic=1.0, static=1.5, stribeck_speed=1e-3, stiffness=1e5, damping=math.sqrt(1e5), viscous=0.4
-)
-
-level = st.floats(0.01, 2.0)
-factor = st.floats(1.0, 4.0)
-speeds = st.floats(-6.0, 1.0).map(lambda e: 10.0**e)
-angles = st.floats(0.0, 2.0 * math.pi)
-
-
-def pointing(size: float, angle: float) -> np.ndarray:
-    """Return the (2,) vector of this length and direction."""
-    return size * np.array([math.cos(angle), math.sin(angle)])
-
-
-def friction(kind, par, u, z, delayed_speed=None, direction=None):
-    """Return c and w of a contact that slides."""
-    c, w = np.empty_like(u), np.empty_like(u)
-    lag = float(np.linalg.norm(u)) if delayed_speed is None else delayed_speed
-    sliding(kind, par, u, lag, z, np.zeros_like(u) if direction is None else direction, c, w)
-    return c, w
-
-
-def some_states(name, par, share, angle, d=2):
-    """Return states of a law that are `share` of the largest deflection there is, along `angle`."""
-    z = np.zeros(state_count(KINDS[name], d))
-    rest_states(KINDS[name], par, z)
-    if z.size:
-        largest = stick_limit(KINDS[name], par, z) / par[STIFFNESS]
-        z[-d:] = pointing(share * largest, angle)[:d]
-    return z
-
-
-def turned(z, rotation):
-    """Return the states seen in axes that are turned."""
-    return np.concatenate([z[:-2], rotation @ z[-2:]]) if z.size else z
-
-
-def test_every_law_has_an_example():
-    """The table of laws, that of sticking and the examples of these tests name the same laws."""
-    assert set(KINDS) == set(EXAMPLES)
-    assert set(STICKS) == set(KINDS.values())
-    assert all(section.kind == name for name, section in EXAMPLES.items())
 
 
 @pytest.mark.parametrize("name", KINDS)
@@ -201,216 +132,6 @@ def test_stribeck_curve_falls_by_1_e_at_its_speed(exponent):
     assert friction(kind, par, np.array([0.01]), np.zeros(0))[0][0] == pytest.approx(0.2 + 0.3 / math.e, rel=1e-15)
 
 
-# ------------------------------------------------------------------------------------------------------- energy
-
-
-def gained(kind, par, u, z, stuck, f, delayed_speed=None):
-    """Return F_t·u + f d(stored)/dt, W, and the size of what was added."""
-    d, step = u.size, np.zeros_like(z)
-    rates(kind, par, u, stuck, z, step)
-    if stuck and STICKS[kind] == "spring":
-        c, w = np.empty_like(u), np.empty_like(u)
-        holding(kind, par, z, c, w)
-    else:
-        c, w = friction(kind, par, u, z, delayed_speed)
-    work = -f * c @ u - w @ u
-    # stored = ½σ_0|x|² of a bristle, or of a spring while it is stuck; constant otherwise
-    stores = (STICKS[kind] == "spring" and stuck) or (STICKS[kind] == "elastic" and z.size > 0)
-    storing = f * par[STIFFNESS] * z[-d:] @ step[-d:] if stores else 0.0
-    return work + storing, abs(f * c @ u) + abs(w @ u) + abs(storing)
-
-
-@pytest.mark.parametrize("name", KINDS)
-@given(
-    speed=st.one_of(speeds, st.just(0.0)), angle=angles, share=st.floats(0.0, 1.0), along=angles,
-    f=st.floats(0.0, 50.0), lag=speeds, stuck=st.booleans(),
-)  # fmt: skip
-@patient
-def test_friction_never_adds_energy(name, speed, angle, share, along, f, lag, stuck):
-    """Friction takes at least what it stores, in any state, at any slip and any constant normal force."""
-    kind, par = pack(EXAMPLES[name])
-    assert name != "lugre" or is_passive(par, 50.0)
-    gain, size = gained(kind, par, pointing(speed, angle), some_states(name, par, share, along), stuck, f, lag)
-    assert gain <= ROUNDING * size
-
-
-@given(
-    kinetic=level, ratio=factor, stiffness=st.floats(1e2, 1e6), damping=st.floats(0.0, 1e3), by_speed=st.booleans(),
-    speed=st.floats(-7.0, 3.0).map(lambda e: 10.0**e), angle=angles, share=st.floats(0.0, 1.0), f=st.floats(0.1, 50.0),
-)  # fmt: skip
-@settings(deadline=None, max_examples=300)
-def test_lugre_is_passive_where_it_says_so(kinetic, ratio, stiffness, damping, by_speed, speed, angle, share, f):
-    """Parameters that just meet one of the two conditions give no state from which energy is gained."""
-    section = SurfaceLuGre(
-        kinetic=kinetic, static=kinetic * ratio, stribeck_speed=1e-3, stiffness=stiffness, damping=damping
-    )
-    _, par = pack(section)
-    edge = passive_damping_speed(par)
-    by_speed = by_speed and math.isfinite(edge)
-    cure = {"damping_speed": edge} if by_speed else {"viscous": passive_viscous(par, f)}
-    kind, par = pack(section.model_copy(update=cure))
-    assert is_passive(par, f)
-    u, z = pointing(speed, 0.0), pointing(share * par[STATIC] / par[STIFFNESS], angle)
-    gain, size = gained(kind, par, u, z, False, f)
-    assert gain <= 1e-12 * size
-
-
-@pytest.mark.parametrize(("share", "adds"), [(0.98, True), (1.02, False)])
-def test_viscous_condition_of_lugre_is_sharp(share, adds):
-    """With constant damping, a little less viscous friction than the condition asks for adds energy at high speed."""
-    b = passive_viscous(pack(PUBLISHED)[1], load=2.0)
-    kind, par = pack(PUBLISHED.model_copy(update={"viscous": share * b}))
-    assert is_passive(par, 2.0) is not adds
-    gains = [gained(kind, par, np.array([v]), np.array([1.5e-5]), False, 2.0)[0] for v in np.logspace(-3, 3, 60)]
-    assert bool(max(gains) > 0.0) is adds
-
-
-def test_published_lugre_can_add_energy():
-    """The published figures (σ_2 = 0.4 N s/m, constant damping) meet no condition, and at 10 m/s do add energy."""
-    kind, par = pack(PUBLISHED)
-    assert not is_passive(par)
-    assert gained(kind, par, np.array([10.0]), np.array([1.5e-5]), False, 1.0)[0] > 0.0
-
-
-@pytest.mark.parametrize("name", KINDS)
-def test_stored_energy_is_half_stiffness_times_deflection_squared(name):
-    """Elastic laws store ½σ_0|z|², the spring ½k_t|x|²; the others nothing."""
-    kind, par = pack(EXAMPLES[name])
-    z = some_states(name, par, 0.7, 1.0)
-    wanted = 0.5 * par[STIFFNESS] * float(z[-2:] @ z[-2:]) if z.size else 0.0
-    assert stored_energy(kind, par, True, z, 2) == pytest.approx(wanted, rel=1e-14)
-
-
-# -------------------------------------------------------------------------------------------------- exact steps
-
-
-@pytest.mark.parametrize("name", ["dahl", "lugre"])
-@pytest.mark.parametrize("speed", [1e-6, 3e-4, 2e-3, 0.1])
-def test_exponential_step_is_the_solution(name, speed):
-    """At constant slip a step is the solution of the rates, here by Radau at 1e-11, in two dimensions."""
-    kind, par = pack(EXAMPLES[name])
-    u, z = pointing(speed, 0.3), some_states(name, par, 0.8, 2.5)
-    duration = 2.0 * float(np.linalg.norm(z)) / speed
-
-    def motion(t, state):
-        out = np.empty(2)
-        rates(kind, par, u, False, state.copy(), out)
-        return out
-
-    wanted = solve_ivp(motion, (0.0, duration), z, method="Radau", rtol=1e-11, atol=1e-20).y[:, -1]
-    advance_states(kind, par, u, False, duration, z)
-    assert z == pytest.approx(wanted, rel=1e-9, abs=1e-9 * np.linalg.norm(wanted))
-
-
-@pytest.mark.parametrize("name", ["dahl", "lugre"])
-@given(speed=st.floats(0.0, 100.0), angle=angles, share=st.floats(0.0, 1.0), h=st.floats(0.0, 1e12))
-@patient
-def test_bristles_stay_within_their_bound(name, speed, angle, share, h):
-    """However long the step and however fast the slip, the deflection stays within its bound."""
-    kind, par = pack(EXAMPLES[name])
-    bound = par[STATIC] / par[STIFFNESS]
-    z = some_states(name, par, share, angle)
-    advance_states(kind, par, pointing(speed, 0.0), False, h, z)
-    assert np.linalg.norm(z) <= bound * (1.0 + 1e-14)
-
-
-@pytest.mark.parametrize("name", ["dahl", "lugre", "seven_parameter"])
-@given(speed=st.floats(0.0, 1.0), share=st.floats(0.0, 1.0), h=st.floats(0.0, 0.1), split=st.floats(0.0, 1.0))
-@patient
-def test_two_steps_are_one(name, speed, share, h, split):
-    """A step in two parts ends where the whole one does: the step is exact, whatever its length."""
-    kind, par = pack(EXAMPLES[name])
-    once, twice = some_states(name, par, share, 1.0), some_states(name, par, share, 1.0)
-    u = pointing(speed, 4.0)
-    advance_states(kind, par, u, True, h, once)
-    advance_states(kind, par, u, True, split * h, twice)
-    advance_states(kind, par, u, True, h - split * h, twice)
-    assert twice == pytest.approx(once, rel=1e-12, abs=1e-17)
-
-
-# ------------------------------------------------------------------------------------------------- before slip
-
-
-@pytest.mark.parametrize("amplitude", [0.3, 1.0, 5.0])
-def test_loop_of_dahl(amplitude):
-    """A cycle of dahl has the force F_C tanh(σ_0 x_0/F_C) at its ends and the area 4 F_C (x_0 − F_end/σ_0)."""
-    kind, par = pack(SurfaceDahl(coefficient=0.3, stiffness=3e4))
-    x0 = amplitude * 0.3 / 3e4
-    x = x0 * np.sin(np.linspace(0.0, 40.5 * math.pi, 40501))  # 1000 steps a half cycle
-    z, force = np.zeros(1), np.zeros(x.size)
-    for i in range(1, x.size):
-        advance_states(kind, par, np.array([(x[i] - x[i - 1]) / 1e-3]), False, 1e-3, z)
-        force[i] = friction(kind, par, np.zeros(1), z)[0][0]
-    end = 0.3 * math.tanh(3e4 * x0 / 0.3)
-    assert force[-1] == pytest.approx(end, rel=1e-5)  # closed to e^(−80 σ_0 x_0/F_C)
-    assert force[-1 - 1000] == pytest.approx(-end, rel=1e-5)
-    if amplitude >= 1.0:
-        area = np.trapezoid(force[-2001:], x[-2001:])
-        assert area == pytest.approx(4.0 * 0.3 * (x0 - end / 3e4), rel=1e-4)  # rule of 1000 chords
-
-
-def test_loop_of_dahl_does_not_depend_on_speed():
-    """Dahl's friction follows the path, not the time: the same path a thousand times slower gives the same force."""
-    kind, par = pack(EXAMPLES["dahl"])
-    ends = []
-    for h in (1e-3, 1.0):
-        z = np.zeros(2)
-        for leg in (pointing(4e-6, 0.0), pointing(9e-6, 2.0), pointing(3e-6, 4.0)):
-            advance_states(kind, par, leg / h, False, h, z)
-        ends.append(z.copy())
-    assert ends[0] == pytest.approx(ends[1], rel=1e-12)
-
-
-@pytest.mark.parametrize("name", ["dahl", "lugre"])
-@pytest.mark.parametrize(("mass", "load"), [(1.0, 1.0), (3.0, 12.0)])
-def test_small_motions_are_a_spring_and_a_damper(name, mass, load):
-    """The eigenvalues of a mass held by bristles are those of ω and ζ."""
-    kind, par = pack(EXAMPLES[name])
-
-    def motion(state):
-        dz = np.empty(1)
-        rates(kind, par, state[:1].copy(), False, state[1:].copy(), dz)
-        c, w = friction(kind, par, state[:1].copy(), state[1:].copy())
-        return np.array([(-load * c[0] - w[0]) / mass, dz[0]])
-
-    tiny = 1e-10  # a is proportional to |u|, so differences have an error of this relative to |u|/z_max
-    jacobian = np.column_stack([(motion(e * tiny) - motion(-e * tiny)) / (2.0 * tiny) for e in np.eye(2)])
-    omega, zeta = presliding_motion(EXAMPLES[name], mass, load)
-    found = np.linalg.eigvals(jacobian)
-    wanted = omega * np.roots([1.0, 2.0 * zeta, 1.0])
-    assert np.sort_complex(found) == pytest.approx(np.sort_complex(wanted), rel=1e-6)
-
-
-def test_published_small_signal_figures():
-    """σ_0 = 1e5 N/m, σ_1 = √1e5, σ_2 = 0.4 and 1 kg give ω = 316.2 rad/s and ζ = 0.5006 (closed form)."""
-    assert presliding_motion(PUBLISHED, 1.0) == pytest.approx((316.2278, 0.500632), rel=1e-6)
-
-
-@pytest.mark.parametrize(("share", "grows"), [(0.99, False), (1.01, True)])
-@pytest.mark.parametrize("name", ["dahl", "lugre"])
-def test_largest_step_before_slip(name, share, grows):
-    """Semi-implicit Euler with the exponential step holds a mass on its bristles just below the limit, not above."""
-    kind, par = pack(EXAMPLES[name])
-    h = share * largest_step(*presliding_motion(EXAMPLES[name], 2.0, 5.0))
-    u, z = np.array([1e-13]), np.zeros(1)
-    peak = 0.0
-    for _ in range(1200):
-        c, w = friction(kind, par, u, z)
-        u += h / 2.0 * (-5.0 * c - w)
-        advance_states(kind, par, u, False, h, z)
-        peak = max(peak, abs(float(u[0])))
-    assert (peak > 1e3 * 1e-13) is grows  # what grows does so until the bristles yield, 1e9 times as far
-
-
-def test_presliding_is_refused_without_stiffness():
-    """A law without bristles has no motion before slip."""
-    with pytest.raises(ValueError, match="coulomb has no stiffness"):
-        presliding_motion(EXAMPLES["coulomb"], 1.0)
-
-
-# ------------------------------------------------------------------------------------------------------- states
-
-
 @pytest.mark.parametrize("name", KINDS)
 def test_states_are_all_written(name):
     """Rates and the states of rest and of a new contact leave nothing of what was in the arrays."""
@@ -440,7 +161,7 @@ def joints(kind, par, v, z, direction, c, w):
 def test_joints_within_a_kernel():
     """Slices of joint arrays go into the kernels, and give what each joint alone does."""
     kind, par = pack(
-        JointLuGre(coulomb=(0.2, 0.5), static=0.6, stribeck_speed=0.1, stiffness=500.0, damping=(1.0, 2.0)), 2
+        JointLuGre(kinetic=(0.2, 0.5), static=0.6, stribeck_speed=0.1, stiffness=500.0, damping=(1.0, 2.0)), 2
     )
     v, z, c, w = np.array([0.02, -0.3]), np.array([[1e-4], [2e-4]]), np.empty(2), np.empty(2)
     alone = [friction(kind, par[j], v[j : j + 1].copy(), z[j].copy())[0][0] for j in range(2)]

@@ -40,7 +40,6 @@ UNIT = r", (1|s|m/s|rad/s|1/m|s/m|N s/m|N m|N m/rad|N m s/rad)(,|;|$)"
 FIGURES = {
     "coefficient": 0.3,
     "kinetic": 0.2,
-    "coulomb": 0.2,
     "static": 0.3,
     "static_excess": 0.1,
     "stribeck_speed": 0.01,
@@ -112,15 +111,15 @@ def test_what_a_law_lacks_is_harmless():
 
 def test_joints_may_differ():
     """One number goes to all joints, a list to each its own."""
-    _, par = pack(JointCoulombViscous(coulomb=[0.5, 0.4, 0.3], viscous=0.1), 3)
+    _, par = pack(JointCoulombViscous(kinetic=[0.5, 0.4, 0.3], viscous=0.1), 3)
     assert par[:, KINETIC] == pytest.approx([0.5, 0.4, 0.3])
     assert par[:, VISCOUS] == pytest.approx([0.1, 0.1, 0.1])
 
 
 def test_list_of_the_wrong_length():
     """A list that does not fit the robot is refused with its name, its length and the right one."""
-    section = JointCoulombViscous(coulomb=[0.5, 0.4], viscous=0.1)
-    with pytest.raises(cl.ScenarioError, match=r"^joint_friction\.coulomb has 2 entries: must be one number or 4, one"):
+    section = JointCoulombViscous(kinetic=[0.5, 0.4], viscous=0.1)
+    with pytest.raises(cl.ScenarioError, match=r"^joint_friction\.kinetic has 2 entries: must be one number or 4, one"):
         pack(section, 4, "joint_friction")
 
 
@@ -157,26 +156,26 @@ def test_list_of_the_wrong_length():
         (SurfaceFriction, {"kind": "dahl", "coefficient": 0.3, "stiffness": -1.0}, "dahl.stiffness", "greater than 0"),
         (
             JointFriction,
-            {"kind": "coulomb", "coulomb": [0.1, -0.2]},
-            "coulomb.coulomb",
+            {"kind": "coulomb", "kinetic": [0.1, -0.2]},
+            "coulomb.kinetic",
             "entry 1 is -0.2: must not be negative",
         ),
-        (JointFriction, {"kind": "coulomb", "coulomb": -0.2}, "coulomb.coulomb", "must not be negative"),
+        (JointFriction, {"kind": "coulomb", "kinetic": -0.2}, "coulomb.kinetic", "must not be negative"),
         (
             JointFriction,
-            {"kind": "stribeck", "coulomb": [0.1, 0.2], "static": [0.2, 0.1], "stribeck_speed": 0.1},
+            {"kind": "stribeck", "kinetic": [0.1, 0.2], "static": [0.2, 0.1], "stribeck_speed": 0.1},
             "stribeck.static",
-            "entry 1 is 0.1: must not be below coulomb, 0.2: static friction is the larger",
+            "entry 1 is 0.1: must not be below kinetic, 0.2: static friction is the larger",
         ),
         (
             JointFriction,
-            {"kind": "stribeck", "coulomb": [0.1, 0.2], "static": [0.2, 0.3, 0.3], "stribeck_speed": 0.1},
+            {"kind": "stribeck", "kinetic": [0.1, 0.2], "static": [0.2, 0.3, 0.3], "stribeck_speed": 0.1},
             "stribeck.static",
-            "must have as many entries as coulomb, 2",
+            "must have as many entries as kinetic, 2",
         ),
         (
             JointFriction,
-            {"kind": "stribeck", "coulomb": 0.1, "static": 0.2, "stribeck_speed": [0.1, 0.0]},
+            {"kind": "stribeck", "kinetic": 0.1, "static": 0.2, "stribeck_speed": [0.1, 0.0]},
             "stribeck.stribeck_speed",
             "entry 1 is 0: must be greater than 0",
         ),
@@ -194,7 +193,7 @@ def test_static_friction_may_equal_kinetic():
     """The edge itself is allowed: static friction no larger than kinetic is Coulomb's."""
     section = SurfaceStribeck(kinetic=0.3, static=0.3, stribeck_speed=0.01)
     assert pack(section)[1][STATIC] == 0.3
-    assert JointStribeck(coulomb=[0.1, 0.2], static=0.2, stribeck_speed=0.1).static == 0.2
+    assert JointStribeck(kinetic=[0.1, 0.2], static=0.2, stribeck_speed=0.1).static == 0.2
 
 
 def test_energy_fault_says_what_would_be_right():
@@ -212,7 +211,7 @@ def test_energy_fault_says_what_would_be_right():
 
 def test_energy_fault_names_the_joint():
     """Of several joints the first that may gain energy is named."""
-    joints = JointLuGre(coulomb=[0.2, 0.2], static=[0.2, 0.3], stribeck_speed=0.01, stiffness=1e3, damping=1.0)
+    joints = JointLuGre(kinetic=[0.2, 0.2], static=[0.2, 0.3], stribeck_speed=0.01, stiffness=1e3, damping=1.0)
     assert "lugre of joint 1 may add energy" in energy_fault(joints, n=2)
 
 
@@ -237,16 +236,16 @@ def test_joints_that_differ_are_drawn_apart():
     from matplotlib.figure import Figure
 
     for section in (
-        JointDahl(coulomb=[0.2, 0.5, 0.3], stiffness=1e3),
+        JointDahl(kinetic=[0.2, 0.5, 0.3], stiffness=1e3),
         JointSevenParameter(
-            coulomb=0.2,
+            kinetic=0.2,
             static_excess=(0.1, 0.2, 0.3),
             stribeck_speed=0.1,
             stiffness=1e3,
             memory_delay=0.0,
             rise_time=1.0,
         ),
-        JointCoulombViscous(coulomb=(0.1, 0.2, 0.3), viscous=0.1),
+        JointCoulombViscous(kinetic=(0.1, 0.2, 0.3), viscous=0.1),
     ):
         axes = Figure().add_subplot()
         draw(section, axes)

@@ -26,7 +26,7 @@ SECTION = SurfaceSevenParameter(
 )
 KIND, PAR = pack(SECTION)
 
-patient = settings(deadline=None, max_examples=60)
+patient = settings(deadline=None, max_examples=40)
 
 
 def force(u, delayed_speed, dwell, last):

@@ -1,0 +1,141 @@
+"""Bristles: exact steps, loops, and small motions before slip."""
+
+import math
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from scipy.integrate import solve_ivp
+from test_friction_examples import EXAMPLES, PUBLISHED, angles, friction, patient, pointing, some_states
+
+from closedloop.friction import largest_step, pack, presliding_motion
+from closedloop.friction.laws import (
+    advance_states,
+    rates,
+)
+from closedloop.friction.layout import STATIC, STIFFNESS
+from closedloop.friction.sections import (
+    SurfaceDahl,
+)
+
+
+@pytest.mark.parametrize("name", ["dahl", "lugre"])
+@pytest.mark.parametrize("speed", [1e-6, 3e-4, 2e-3, 0.1])
+def test_exponential_step_is_the_solution(name, speed):
+    """At constant slip a step is the solution of the rates, here by Radau at 1e-11, in two dimensions."""
+    kind, par = pack(EXAMPLES[name])
+    u, z = pointing(speed, 0.3), some_states(name, par, 0.8, 2.5)
+    duration = 2.0 * float(np.linalg.norm(z)) / speed
+
+    def motion(t, state):
+        out = np.empty(2)
+        rates(kind, par, u, False, state.copy(), out)
+        return out
+
+    wanted = solve_ivp(motion, (0.0, duration), z, method="Radau", rtol=1e-11, atol=1e-20).y[:, -1]
+    advance_states(kind, par, u, False, duration, z)
+    assert z == pytest.approx(wanted, rel=1e-9, abs=1e-9 * np.linalg.norm(wanted))
+
+
+@pytest.mark.parametrize("name", ["dahl", "lugre"])
+@given(speed=st.floats(0.0, 100.0), angle=angles, share=st.floats(0.0, 1.0), h=st.floats(0.0, 1e12))
+@patient
+def test_bristles_stay_within_their_bound(name, speed, angle, share, h):
+    """However long the step and however fast the slip, the deflection stays within its bound."""
+    kind, par = pack(EXAMPLES[name])
+    bound = par[STATIC] / par[STIFFNESS]
+    z = some_states(name, par, share, angle)
+    advance_states(kind, par, pointing(speed, 0.0), False, h, z)
+    assert np.linalg.norm(z) <= bound * (1.0 + 1e-14)
+
+
+@pytest.mark.parametrize("name", ["dahl", "lugre", "seven_parameter"])
+@given(speed=st.floats(0.0, 1.0), share=st.floats(0.0, 1.0), h=st.floats(0.0, 0.1), split=st.floats(0.0, 1.0))
+@patient
+def test_two_steps_are_one(name, speed, share, h, split):
+    """A step in two parts ends where the whole one does: the step is exact, whatever its length."""
+    kind, par = pack(EXAMPLES[name])
+    once, twice = some_states(name, par, share, 1.0), some_states(name, par, share, 1.0)
+    u = pointing(speed, 4.0)
+    advance_states(kind, par, u, True, h, once)
+    advance_states(kind, par, u, True, split * h, twice)
+    advance_states(kind, par, u, True, h - split * h, twice)
+    assert twice == pytest.approx(once, rel=1e-12, abs=1e-17)
+
+
+@pytest.mark.parametrize("amplitude", [0.3, 1.0, 5.0])
+def test_loop_of_dahl(amplitude):
+    """A cycle of dahl has the force F_C tanh(σ_0 x_0/F_C) at its ends and the area 4 F_C (x_0 − F_end/σ_0)."""
+    kind, par = pack(SurfaceDahl(coefficient=0.3, stiffness=3e4))
+    x0 = amplitude * 0.3 / 3e4
+    x = x0 * np.sin(np.linspace(0.0, 40.5 * math.pi, 40501))  # 1000 steps a half cycle
+    z, force = np.zeros(1), np.zeros(x.size)
+    for i in range(1, x.size):
+        advance_states(kind, par, np.array([(x[i] - x[i - 1]) / 1e-3]), False, 1e-3, z)
+        force[i] = friction(kind, par, np.zeros(1), z)[0][0]
+    end = 0.3 * math.tanh(3e4 * x0 / 0.3)
+    assert force[-1] == pytest.approx(end, rel=1e-5)  # closed to e^(−80 σ_0 x_0/F_C)
+    assert force[-1 - 1000] == pytest.approx(-end, rel=1e-5)
+    if amplitude >= 1.0:
+        area = np.trapezoid(force[-2001:], x[-2001:])
+        assert area == pytest.approx(4.0 * 0.3 * (x0 - end / 3e4), rel=1e-4)  # rule of 1000 chords
+
+
+def test_loop_of_dahl_does_not_depend_on_speed():
+    """Dahl's friction follows the path, not the time: the same path a thousand times slower gives the same force."""
+    kind, par = pack(EXAMPLES["dahl"])
+    ends = []
+    for h in (1e-3, 1.0):
+        z = np.zeros(2)
+        for leg in (pointing(4e-6, 0.0), pointing(9e-6, 2.0), pointing(3e-6, 4.0)):
+            advance_states(kind, par, leg / h, False, h, z)
+        ends.append(z.copy())
+    assert ends[0] == pytest.approx(ends[1], rel=1e-12)
+
+
+@pytest.mark.parametrize("name", ["dahl", "lugre"])
+@pytest.mark.parametrize(("mass", "load"), [(1.0, 1.0), (3.0, 12.0)])
+def test_small_motions_are_a_spring_and_a_damper(name, mass, load):
+    """The eigenvalues of a mass held by bristles are those of ω and ζ."""
+    kind, par = pack(EXAMPLES[name])
+
+    def motion(state):
+        dz = np.empty(1)
+        rates(kind, par, state[:1].copy(), False, state[1:].copy(), dz)
+        c, w = friction(kind, par, state[:1].copy(), state[1:].copy())
+        return np.array([(-load * c[0] - w[0]) / mass, dz[0]])
+
+    tiny = 1e-10  # a is proportional to |u|, so differences have an error of this relative to |u|/z_max
+    jacobian = np.column_stack([(motion(e * tiny) - motion(-e * tiny)) / (2.0 * tiny) for e in np.eye(2)])
+    omega, zeta = presliding_motion(EXAMPLES[name], mass, load)
+    found = np.linalg.eigvals(jacobian)
+    wanted = omega * np.roots([1.0, 2.0 * zeta, 1.0])
+    assert np.sort_complex(found) == pytest.approx(np.sort_complex(wanted), rel=1e-6)
+
+
+def test_published_small_signal_figures():
+    """σ_0 = 1e5 N/m, σ_1 = √1e5, σ_2 = 0.4 and 1 kg give ω = 316.2 rad/s and ζ = 0.5006 (closed form)."""
+    assert presliding_motion(PUBLISHED, 1.0) == pytest.approx((316.2278, 0.500632), rel=1e-6)
+
+
+@pytest.mark.parametrize(("share", "grows"), [(0.99, False), (1.01, True)])
+@pytest.mark.parametrize("name", ["dahl", "lugre"])
+def test_largest_step_before_slip(name, share, grows):
+    """Semi-implicit Euler with the exponential step holds a mass on its bristles just below the limit, not above."""
+    kind, par = pack(EXAMPLES[name])
+    h = share * largest_step(*presliding_motion(EXAMPLES[name], 2.0, 5.0))
+    u, z = np.array([1e-13]), np.zeros(1)
+    peak = 0.0
+    for _ in range(1200):
+        c, w = friction(kind, par, u, z)
+        u += h / 2.0 * (-5.0 * c - w)
+        advance_states(kind, par, u, False, h, z)
+        peak = max(peak, abs(float(u[0])))
+    assert (peak > 1e3 * 1e-13) is grows  # what grows does so until the bristles yield, 1e9 times as far
+
+
+def test_presliding_is_refused_without_stiffness():
+    """A law without bristles has no motion before slip."""
+    with pytest.raises(ValueError, match="coulomb has no stiffness"):
+        presliding_motion(EXAMPLES["coulomb"], 1.0)

@@ -41,9 +41,12 @@ def sines(tree: Tree, q: Array, work: Array) -> None:
         for lane in range(at.LANES * tree.once):
             position = w[s + at.POSITION + lane]
             turn = k[c + at.KIND + lane] * position
-            angle = turn + k[c + at.ANGLE + lane]
+            offset = k[c + at.ANGLE + lane]
+            angle = turn + offset
+            taken = angle - turn
+            lost = (turn - (angle - taken)) + (offset - taken)  # by rounding the sum: 1e-10 rad at a million
             quarters = (angle * PER_RIGHT_ANGLE + ROUND) - ROUND
-            x = ((angle - quarters * PART_1) - quarters * PART_2) - quarters * PART_3
+            x = (((angle - quarters * PART_1) - quarters * PART_2) - quarters * PART_3) + lost
             # quarters modulo 4; rounding its quarter less 3/8 rounds down
             quarter = quarters - 4.0 * ((quarters * 0.25 - 0.375 + ROUND) - ROUND)
             x2 = x * x

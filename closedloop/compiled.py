@@ -24,6 +24,8 @@ from numba.core import config as _config
 
 numba_settings: Any = _config  # its attributes are made at run time, which type checkers cannot see
 
+_njit: Any = numba.njit  # its annotations do not know all that it takes
+
 F = TypeVar("F", bound=Callable[..., Any])
 
 
@@ -33,7 +35,13 @@ def kernel(function: F) -> F:
     Kernels own no memory, so numba need not count who refers to it (`_nrt`): counting would cost more than a step's
     arithmetic. Hence a kernel may make views, but neither arrays nor anything that it returns to Python but numbers.
     """
-    return cast(F, numba.njit(error_model="numpy", _nrt=False)(function))
+    return cast(F, _njit(error_model="numpy", _nrt=False)(function))
+
+
+def inlined_kernel(function: F) -> F:
+    """Make `function` a part of the kernel that calls it: of two large functions, one nested in the other, LLVM would
+    optimise the inner one twice."""
+    return cast(F, _njit(error_model="numpy", _nrt=False, inline="always")(function))
 
 
 def entry_kernel(function: F) -> F:
@@ -41,11 +49,16 @@ def entry_kernel(function: F) -> F:
     before = numba_settings.CACHE_DIR
     numba_settings.CACHE_DIR = str(cache_folder())
     try:
-        return cast(F, numba.njit(error_model="numpy", cache=True, _nrt=False)(function))
+        return cast(F, _njit(error_model="numpy", cache=True, _nrt=False)(function))
     except RuntimeError:  # numba found no folder that it may write: compile in every process
-        return cast(F, numba.njit(error_model="numpy", _nrt=False)(function))
+        return cast(F, _njit(error_model="numpy", _nrt=False)(function))
     finally:
         numba_settings.CACHE_DIR = before
+
+
+def plain(function: F) -> F:
+    """Return the Python function that a kernel was made of: to call it once from Python is not worth compiling it."""
+    return cast(F, getattr(function, "py_func", function))
 
 
 def needs_compiling(function: Callable[..., Any]) -> bool:

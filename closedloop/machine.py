@@ -16,7 +16,8 @@ The phase says what the terms that have just arrived are for:
     CLOSE     a state to be put back on the closure (projection)
 
 An event shows when a step arrives and its gauge is negative: the gap while the tip is free, the force of the rigid
-closure while it is pressed. The step is then taken again, shorter, until the instant is bracketed to `INSTANT`; a
+closure while it is pressed, the speed along the old direction while it slides, and what is left of the friction cone
+while it sticks. The step is then taken again, shorter, until the instant is bracketed to `INSTANT`; a
 step to that instant, the event, and a step for the remainder replace it. Every piece is a full step of the
 integrator, so its order is kept.
 """
@@ -26,24 +27,36 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from closedloop.compiled import entry_kernel, kernel
+from closedloop.compiled import entry_kernel, inlined_kernel, kernel
 from closedloop.contact import FREE, PRESSED, STUCK, factorise, strike, stuck_force
-from closedloop.events import IMPACT, LIFTOFF, TOUCHDOWN, write_event
+from closedloop.control.laws import restart
+from closedloop.events import IMPACT, LIFTOFF, REVERSAL, SLIP_AGAIN, STICK, TOUCHDOWN, write_event
+from closedloop.friction.laws import (
+    advance_states,
+    capture_speed,
+    contact_states,
+    memory_delay,
+    stick_limit,
+    stick_states,
+)
 from closedloop.impact import energy_lost, impact
 from closedloop.integrate import advance
+from closedloop.joint_friction import advance_joint_friction, stick_or_slip_joints
 from closedloop.solve import CHATTER, OK
-from closedloop.step import LAW_GIVEN, evaluate, locate_tip, record
+from closedloop.step import LAW_GIVEN, delayed_speed, evaluate, locate_tip, record
 from closedloop.tip import tip_kinematics
 from closedloop.workspace import (
     AT_HIGH,
     AT_LOW,
     BEGIN,
     CERTAIN,
-    CROSSING,
     CUT,
     EVENTS,
-    EXTRA,
     FRAME,
+    FRICTION,
+    FRICTION_AT,
+    FRICTION_STATES,
+    FRICTION_WIDTH,
     GAP,
     GAUGE,
     GRAVITY,
@@ -53,10 +66,13 @@ from closedloop.workspace import (
     IMPACT_FRICTION,
     IMPACT_LAW,
     IN_STEP,
+    JOINT_STATES,
     JOINTS,
     KIND,
     LAST_EVENT,
     LAW,
+    LAW_STATES,
+    LAW_WIDTH,
     LENGTH,
     LOW,
     MODE,
@@ -69,18 +85,26 @@ from closedloop.workspace import (
     REST_SPEED,
     RESTITUTION,
     RIGID,
+    RIGID_STICK,
     RISEN,
     ROW,
     RUSHED,
     SAMPLED,
     SEMI_IMPLICIT,
+    SENSOR_RING,
+    SENSOR_STATES,
+    SMOOTH,
+    SPRING_STICK,
     STAGE,
     STAGES,
     START_GAP,
     START_GAUGE,
     START_RATE,
+    START_SLIP,
     STATUS,
     STEPS,
+    STICK_SPEED,
+    STICKING,
     TAU,
     TIME,
     TIP,
@@ -89,6 +113,7 @@ from closedloop.workspace import (
     UNILATERAL,
     Whole,
     Work,
+    law_at,
     workspace,
 )
 
@@ -102,6 +127,9 @@ ARRIVING, STAGING, PROBING, TRANSITING, STRIKING, BEGINNING, CLOSING = range(7)
 
 # What a trial step is for.
 NO_TRIAL, SEARCH_EVENT, SEARCH_LOWEST, TAKE_EVENT = range(4)
+
+# What is to be done next inside `proceed`: ask (the terms of w.q, w.v are wanted), or one of these.
+ASK, LEAVE, SET_OUT, SET_OUT_AGAIN, TRANSIT, STRIKE, CLOSE, FINISH, FAIL, ENLARGE, COLLIDE = range(11)
 
 # An event is located to this, s; nearer than that to a row it happens at the row.
 INSTANT = 1e-14
@@ -122,9 +150,10 @@ MOST_IN_STEP = 100_000
 CLOSED, MOST_MOVES = 2e-15, 5
 
 
-@kernel
+@inlined_kernel
 def proceed(
-    H: Array, C: Array, w: Work, k: Array, state: Whole, table: Array, tableau: Array, rows: Array, events: Array
+    H: Array, C: Array, w: Work, k: Array, state: Whole, table: Array, tableau: Array, rows: Array, events: Array,
+    more: int | None,
 ) -> int:  # fmt: skip
     """Use the terms of the state that was asked for, and ask for the next.
 
@@ -134,7 +163,7 @@ def proceed(
         Terms at (q, q̇) in `w`; Jᵣ, r and J̇ᵣq̇ are in `w`.
     w, k, state
         See `closedloop.workspace`.
-    table : (P, 2 n + 10) array
+    table : (P, 2 n + 11) array
         What is desired at the instants of the stages, see `closedloop.step.reference_row`.
     tableau : (S + 1, S) array
         See `closedloop.integrate.Integrator.tableau`.
@@ -142,119 +171,155 @@ def proceed(
         The record, see `closedloop.step.Row`; row state[ROW] is the next to be written.
     events : (M, EVENT_WIDTH) array
         The table of events, of which state[EVENTS] rows are written.
+    more : int or None
+        See `closedloop.step`.
 
     Returns
     -------
     int
         TERMS: evaluate the terms at (q, q̇) and call again. TERMS_AND_LAW: and write the torque for now[TIME]. ROOM:
-        give a larger table of events and call again, nothing has changed. IMPACT_LAW_WANTED: call `collide`, and again. DONE, or FAILED with state[STATUS].
+        give a larger table of events and call again. IMPACT_LAW_WANTED: call `collide`, then again. DONE, or FAILED
+        with state[STATUS].
     """
-    phase = state[PHASE]
+    now, phase = w.now, state[PHASE]
+    if phase in (ARRIVING, STAGING, BEGINNING) or (phase in (PROBING, TRANSITING) and state[MODE] != FREE):
+        status = evaluate(H, C, w, k, state, table, rows, more)
+        if status != OK:
+            state[STATUS] = status
+            return FAILED
+    elif phase != STRIKING:
+        locate_tip(w, k)
+    todo = ASK
     if phase == ARRIVING:
-        status = evaluate(H, C, w, k, state, table)
-        if status != OK:
-            return _fail(state, status)
-        if state[UNILATERAL] != 0:
-            state[TRIAL] = _what_happened(w, state)
-            if state[TRIAL] == TAKE_EVENT:  # here and now
-                return _transit(H, w, k, state, events, tableau)
-            if state[TRIAL] != NO_TRIAL:
-                return _search(w, k, state, tableau)
-        i = state[ROW]
-        record(H, C, w, k, state, rows[i])
-        if i == state[STEPS]:
-            return DONE
-        state[ROW] = i + 1
-        state[IN_STEP], state[PIECE] = 0, 0
-        return _set_out(w, k, state, tableau, k[H_STEP])
-    if phase == STAGING:
-        status = evaluate(H, C, w, k, state, table)
-        if status != OK:
-            return _fail(state, status)
-        return _leave_stage(w, k, state, tableau)
-    if phase == CLOSING:
-        return _close(H, w, k, state)
-    if phase == PROBING:
-        if state[MODE] == FREE:
-            locate_tip(w, k)
-            w.now[GAUGE] = w.now[GAP]
-        else:
-            status = evaluate(H, C, w, k, state, table)
-            if status != OK:
-                return _fail(state, status)
-            w.now[GAUGE] = w.now[RIGID]
-        return _narrow(w, k, state, tableau)
-    if phase == TRANSITING:
-        return _transit(H, w, k, state, events, tableau)
-    if phase == STRIKING:
+        now[GAUGE] = gauge(w, k, state, more)
+        todo = _arrive(now, w.drift_c[0], state)
+        if todo == SET_OUT:
+            if more is not None:
+                stick_or_slip_joints(w, k, state, rows)
+            record(H, C, w, k, state, table, rows[state[ROW]], more)
+            if state[ROW] == state[STEPS]:
+                return DONE
+            state[ROW] += 1
+            state[IN_STEP], state[PIECE] = 0, 0
+            now[LENGTH] = k[H_STEP]
+        elif todo == SET_OUT_AGAIN and state[HOLD] > 0 and state[SAMPLED] != 0:
+            for j in range(w.torque.shape[0]):
+                w.torque[j] = w.held[j]  # until the end of the step the torque of the last sample acted
+    elif phase == STAGING:
+        todo = LEAVE
+    elif phase == PROBING:
+        now[GAUGE] = gauge(w, k, state, more)
+        todo = _narrow(now, state)
+    elif phase == TRANSITING:
+        todo = TRANSIT
+    elif phase == STRIKING:
+        todo = STRIKE
+    elif phase == CLOSING:
+        todo = CLOSE
+    else:
+        todo = _begin(w, k, state, more)
+
+    if todo == TRANSIT:
+        todo = _transit(H, w, k, state, rows, events, more)
+    if todo == STRIKE:
         if state[STATUS] != OK:
             return FAILED
-        return _strike(w, k, state, events)
-    # just after an event
-    status = evaluate(H, C, w, k, state, table)
-    if status != OK:
-        return _fail(state, status)
+        _strike(w, k, state, events, more)
+        todo = ASK
+        _ask(state, BEGINNING)
+    if todo == CLOSE:
+        todo = _close(H, w, k, state)
+    if todo == SET_OUT:
+        _remember(w, k, state, more)
+        todo = LEAVE
+    elif todo == SET_OUT_AGAIN:
+        _restore(w, state)
+        todo = LEAVE
+    if todo == LEAVE:
+        stage, tau = state[STAGE], now[TAU]
+        if more is not None and state[SEMI_IMPLICIT] != 0:
+            _advance_friction(w, k, state, tau)
+        advance(
+            stage, tau, state[SEMI_IMPLICIT] != 0, state[PIECE] != 0, tableau, w.begin, w.stages,
+            w.qdd, w.dz, w.q, w.v, w.z,
+        )  # fmt: skip
+        _leave_stage(now, k[H_STEP], state, tableau)
+    elif todo == ENLARGE:
+        return ROOM
+    elif todo == COLLIDE:
+        return IMPACT_LAW_WANTED
+    elif todo == FAIL:
+        return FAILED
+    return TERMS_AND_LAW if state[LAW] == LAW_GIVEN and state[SAMPLED] != 0 else TERMS
+
+
+@kernel
+def gauge(w: Work, k: Array, state: Whole, more: int | None) -> float:
+    """Return the number that is positive as long as the mode lasts: a gap, m, a force, N, or a speed, mm/s."""
     if state[MODE] == FREE:
-        # A tip that the surface has just let go, and that would fall back at once: the law pushes when free and pulls
-        # when pressed. It stays.
-        if w.now[GAP] <= TOUCHING and abs(w.now[RATE]) <= RESTING and w.a[0] < 0.0:
-            return _change(w, state, PRESSED)
-    elif w.now[RIGID] < 0.0:
-        state[CROSSING] = LIFTOFF
-        return _transit(H, w, k, state, events, tableau)
-    left = state[ROW] * k[H_STEP] - w.now[TIME]
-    if left <= INSTANT:
-        state[CERTAIN] = 1
-        w.now[TIME] = state[ROW] * k[H_STEP]
-        return _ask(w, state, ARRIVING)
-    state[PIECE] = 1
-    return _set_out(w, k, state, tableau, left)
+        return float(w.now[GAP])
+    least: float = w.now[RIGID] if state[UNILATERAL] != 0 else 1.0
+    if more is not None and state[STICKING] in (RIGID_STICK, SPRING_STICK):
+        least = min(least, cone(w, k, state) if state[MODE] == STUCK else 1e3 * slip_left(w, k, state))
+    return least
 
 
 @kernel
-def _fail(state: Whole, status: int) -> int:
-    state[STATUS] = status
-    return FAILED
+def cone(w: Work, k: Array, state: Whole) -> float:
+    """Return what is left of the friction cone to a tip that sticks, μ_s f − |F_t|, N."""
+    kind, par = state[FRICTION], k[FRICTION_AT : FRICTION_AT + FRICTION_WIDTH]
+    at = state[LAW_STATES] + state[SENSOR_STATES]
+    limit = stick_limit(kind, par, w.z[at : at + state[FRICTION_STATES]])
+    return float(limit * abs(w.F[0]) - np.hypot(w.F[1], w.F[2]))
 
 
 @kernel
-def _ask(w: Work, state: Whole, phase: int) -> int:
+def slip_left(w: Work, k: Array, state: Whole) -> float:
+    """Return the speed along the direction in which slip began, m/s, above the speed at which sticking is tried."""
+    band = capture_speed(state[FRICTION], k[FRICTION_AT : FRICTION_AT + FRICTION_WIDTH])
+    along = w.u[1] * w.direction[0] + w.u[2] * w.direction[1]
+    return float(along - (band if w.now[START_SLIP] > band else 0.0))
+
+
+@kernel
+def _ask(state: Whole, phase: int) -> None:
     """Say what the next terms are for, and whether the law is to be evaluated with them."""
     state[PHASE] = phase
-    if phase in (CLOSING, TRANSITING):
-        return TERMS
-    hold = state[HOLD]
-    sampled = 1
-    if hold > 0:
-        sampled = 1 if phase == ARRIVING and state[ROW] % hold == 0 else 0
-        if sampled == 1:
-            for j in range(w.torque.shape[0]):
-                w.held[j] = w.torque[j]
-    state[SAMPLED] = sampled
-    return TERMS_AND_LAW if state[LAW] == LAW_GIVEN and sampled == 1 else TERMS
+    if phase == CLOSING:
+        state[SAMPLED] = 0
+    elif state[HOLD] > 0:
+        state[SAMPLED] = 1 if phase == ARRIVING and state[ROW] % state[HOLD] == 0 else 0
+    else:
+        state[SAMPLED] = 0 if phase == TRANSITING and state[LAW] == LAW_GIVEN else 1
 
 
 @kernel
-def _set_out(w: Work, k: Array, state: Whole, tableau: Array, length: float) -> int:
-    """Remember the state and its derivative, and take a step of this length, s, from it."""
-    n, extra = w.q.shape[0], w.z.shape[0]
+def _remember(w: Work, k: Array, state: Whole, more: int | None) -> None:
+    """Keep the state and its derivative: the beginning of a substep of length now[LENGTH]."""
+    n, extra, now = w.q.shape[0], w.z.shape[0], w.now
     for j in range(n):
         w.begin[j] = w.q[j]
         w.begin[n + j] = w.v[j]
         w.slope[j] = w.qdd[j]
+        w.held[j] = w.torque[j]
     for j in range(extra):
         w.begin[2 * n + j] = w.z[j]
         w.slope[n + j] = w.dz[j]
-    w.now[BEGIN], w.now[LENGTH], w.now[TAU] = w.now[TIME], length, length
-    w.now[START_GAP], w.now[START_RATE] = w.now[GAP], w.now[RATE]
-    w.now[START_GAUGE] = w.now[GAP] if state[MODE] == FREE else w.now[RIGID]
+    now[BEGIN], now[TAU] = now[TIME], now[LENGTH]
+    now[START_GAP], now[START_RATE] = now[GAP], now[RATE]
     state[TRIAL], state[STAGE], state[CERTAIN] = NO_TRIAL, 0, 0
-    return _leave_stage(w, k, state, tableau)
+    if more is not None and state[STICKING] != SMOOTH:
+        speed = np.hypot(w.u[1], w.u[2])
+        now[START_SLIP] = speed
+        w.slip[0], w.slip[1] = w.u[1], w.u[2]
+        if state[MODE] == PRESSED and speed > k[STICK_SPEED]:
+            w.direction[0], w.direction[1] = w.u[1] / speed, w.u[2] / speed
+    now[START_GAUGE] = gauge(w, k, state, more)
 
 
 @kernel
-def _set_out_again(w: Work, k: Array, state: Whole, tableau: Array, tau: float) -> int:
-    """Take a step of another length, s, from the remembered state."""
+def _restore(w: Work, state: Whole) -> None:
+    """Go back to the remembered state, to take a step of another length, now[TAU], from it."""
     n, extra = w.q.shape[0], w.z.shape[0]
     for j in range(n):
         w.q[j] = w.begin[j]
@@ -263,187 +328,275 @@ def _set_out_again(w: Work, k: Array, state: Whole, tableau: Array, tau: float) 
     for j in range(extra):
         w.z[j] = w.begin[2 * n + j]
         w.dz[j] = w.slope[n + j]
-    w.now[TAU] = tau
     state[STAGE] = 0
-    return _leave_stage(w, k, state, tableau)
 
 
 @kernel
-def _leave_stage(w: Work, k: Array, state: Whole, tableau: Array) -> int:
-    """Advance from a stage whose derivatives are known, and ask for the terms of what comes next."""
-    stage, tau = state[STAGE], w.now[TAU]
-    advance(
-        stage, tau, state[SEMI_IMPLICIT] != 0, state[PIECE] != 0, tableau, w.begin, w.stages, w.qdd, w.dz, w.q, w.v, w.z
-    )
+def _advance_friction(w: Work, k: Array, state: Whole, h: float) -> None:
+    """Advance the states of friction by h at the velocity of the substep's beginning, exactly."""
+    at = state[LAW_STATES] + state[SENSOR_STATES]
+    if state[MODE] != FREE and state[FRICTION_STATES] > 0:
+        advance_states(
+            state[FRICTION], k[FRICTION_AT : FRICTION_AT + FRICTION_WIDTH], w.slip, state[MODE] == STUCK, h,
+            w.z[at : at + state[FRICTION_STATES]],
+        )  # fmt: skip
+    advance_joint_friction(w, k, state, h)
+
+
+@kernel
+def _leave_stage(now: Array, h: float, state: Whole, tableau: Array) -> None:
+    """Ask for the terms of the state that a stage has led to: the next stage's, or those of the substep's end."""
+    stage, tau = state[STAGE], now[TAU]
     if stage + 1 < state[STAGES]:
         state[STAGE] = stage + 1
         node = 0.0
         for i in range(stage + 1):
             node += tableau[stage + 1, i]
-        w.now[TIME] = w.now[BEGIN] + node * tau
-        return _ask(w, state, STAGING)
-    if state[TRIAL] == TAKE_EVENT:
-        w.now[TIME] = w.now[BEGIN] + tau
-        return _ask(w, state, TRANSITING)
-    if state[TRIAL] != NO_TRIAL:
-        w.now[TIME] = w.now[BEGIN] + tau
-        return _ask(w, state, PROBING)
-    w.now[TIME] = state[ROW] * k[H_STEP]
-    if state[PROJECT] != 0 and state[MODE] != FREE:
-        state[MOVES], state[NEXT] = 0, ARRIVING
-        return _ask(w, state, CLOSING)
-    return _ask(w, state, ARRIVING)
-
-
-@kernel
-def _what_happened(w: Work, state: Whole) -> int:
-    """Say what a step that has just arrived calls for: NO_TRIAL, a search, or TAKE_EVENT here and now."""
-    first = state[ROW] == 0
-    if state[MODE] != FREE:
-        state[CROSSING] = LIFTOFF
-        if not w.now[RIGID] < 0.0:
-            return NO_TRIAL
-        return TAKE_EVENT if first or state[CERTAIN] != 0 else SEARCH_EVENT
-    state[CROSSING] = IMPACT
-    if first or state[CERTAIN] != 0:
-        return TAKE_EVENT if w.now[GAP] <= TOUCHING and w.now[RATE] < -RESTING else NO_TRIAL
-    leaving = LEAVING + w.now[LENGTH] * w.now[LENGTH] * abs(w.drift_c[0])
-    if w.now[GAP] < -(SHALLOW if state[RISEN] != 0 else leaving):
-        return SEARCH_EVENT
-    if w.now[GAP] > leaving:
-        state[RISEN] = 1
-    if state[RISEN] != 0 and w.now[START_RATE] < -RESTING and w.now[RATE] > 0.0:  # down and up again: how low was it?
-        return SEARCH_LOWEST
-    return NO_TRIAL
-
-
-@kernel
-def _search(w: Work, k: Array, state: Whole, tableau: Array) -> int:
-    """Begin to look for an event between the beginning and the end of the substep."""
-    if state[HOLD] > 0 and state[SAMPLED] != 0:  # until the end of the step the torque of the last sample acted
-        for j in range(w.torque.shape[0]):
-            w.torque[j] = w.held[j]
-    state[TRIES] = 0
-    w.now[LOW], w.now[HIGH] = 0.0, w.now[LENGTH]
-    if state[TRIAL] == SEARCH_LOWEST:
-        w.now[AT_LOW], w.now[AT_HIGH] = -w.now[START_RATE], -w.now[RATE]
+        now[TIME] = now[BEGIN] + node * tau
+        _ask(state, STAGING)
+    elif state[TRIAL] != NO_TRIAL:
+        now[TIME] = now[BEGIN] + tau
+        _ask(state, TRANSITING if state[TRIAL] == TAKE_EVENT else PROBING)
     else:
-        w.now[AT_LOW] = max(w.now[START_GAUGE], 0.0)
-        w.now[AT_HIGH] = w.now[GAP] if state[MODE] == FREE else w.now[RIGID]
-    return _probe(w, k, state, tableau)
+        now[TIME] = state[ROW] * h
+        if state[PROJECT] != 0 and state[MODE] != FREE:
+            state[MOVES], state[NEXT] = 0, ARRIVING
+            _ask(state, CLOSING)
+        else:
+            _ask(state, ARRIVING)
 
 
 @kernel
-def _probe(w: Work, k: Array, state: Whole, tableau: Array) -> int:
+def _arrive(now: Array, drift: float, state: Whole) -> int:
+    """Say what a step that has just arrived calls for: SET_OUT, an event here (TRANSIT), or a search for one."""
+    here = state[ROW] == 0 or state[CERTAIN] != 0  # there is no earlier instant to look at
+    trial = NO_TRIAL
+    if state[MODE] != FREE:
+        if now[GAUGE] < 0.0:
+            trial = TAKE_EVENT if here else SEARCH_EVENT
+    elif state[UNILATERAL] != 0:
+        leaving = LEAVING + now[LENGTH] * now[LENGTH] * abs(drift)
+        if here:
+            if now[GAP] <= TOUCHING and now[RATE] < -RESTING:
+                trial = TAKE_EVENT
+        elif now[GAP] < -(SHALLOW if state[RISEN] != 0 else leaving):
+            trial = SEARCH_EVENT
+        elif state[RISEN] != 0 and now[START_RATE] < -RESTING and now[RATE] > 0.0:
+            trial = SEARCH_LOWEST  # down and up again: how low was it?
+        if now[GAP] > leaving:
+            state[RISEN] = 1
+    state[TRIAL] = trial
+    if trial == NO_TRIAL:
+        return SET_OUT
+    if trial == TAKE_EVENT:
+        return TRANSIT
+    state[TRIES] = 0
+    now[LOW], now[HIGH] = 0.0, now[LENGTH]
+    if trial == SEARCH_LOWEST:
+        now[AT_LOW], now[AT_HIGH] = -now[START_RATE], -now[RATE]
+    else:
+        now[AT_LOW], now[AT_HIGH] = max(now[START_GAUGE], 0.0), now[GAUGE]
+    _aim(now, state)
+    return SET_OUT_AGAIN
+
+
+@kernel
+def _aim(now: Array, state: Whole) -> None:
     """Choose the next instant between LOW and HIGH: by the secant, and every third time halfway."""
-    low, high = w.now[LOW], w.now[HIGH]
-    a, b = w.now[AT_LOW], w.now[AT_HIGH]
+    low, high = now[LOW], now[HIGH]
+    a, b = now[AT_LOW], now[AT_HIGH]
     tau = 0.5 * (low + high)
     if state[TRIES] % 3 != 2 and a > 0.0 > b and a > 1e-6 * -b:
         tau = low + (high - low) * (a / (a - b))
         tau = min(max(tau, low + 0.4 * INSTANT), high - 0.4 * INSTANT)
     state[TRIES] += 1
-    return _set_out_again(w, k, state, tableau, tau)
+    now[TAU] = tau
 
 
 @kernel
-def _narrow(w: Work, k: Array, state: Whole, tableau: Array) -> int:
+def _narrow(now: Array, state: Whole) -> int:
     """Use the gauge at the end of a trial step to shrink the bracket, until the instant of the event is known."""
-    tau = w.now[TAU]
-    value = w.now[GAUGE]
+    tau, value = now[TAU], now[GAUGE]
     if state[TRIAL] == SEARCH_LOWEST:
-        if w.now[GAP] < -SHALLOW:  # it went through: look for the crossing before
+        if now[GAP] < -SHALLOW:  # it went through: look for the crossing before
             state[TRIAL] = SEARCH_EVENT
-            w.now[LOW], w.now[AT_LOW] = 0.0, max(w.now[START_GAP], 0.0)
+            now[LOW], now[AT_LOW] = 0.0, max(now[START_GAP], 0.0)
         else:
-            value = -w.now[RATE]
+            value = -now[RATE]
     # The end that stays twice has its value halved, so that the secant moves towards it (Illinois).
     if value > 0.0 or (value == 0.0 and state[MODE] == FREE):
-        w.now[LOW], w.now[AT_LOW] = tau, value
-        w.now[AT_HIGH] *= 0.5 if state[TRIES] > 1 else 1.0
+        now[LOW], now[AT_LOW] = tau, value
+        now[AT_HIGH] *= 0.5 if state[TRIES] > 1 else 1.0
     else:
-        w.now[HIGH], w.now[AT_HIGH] = tau, value
-        w.now[AT_LOW] *= 0.5 if state[TRIES] > 1 else 1.0
-    if w.now[HIGH] - w.now[LOW] > max(INSTANT, 4e-16 * w.now[TIME]):
-        return _probe(w, k, state, tableau)
-    if state[TRIAL] == SEARCH_LOWEST or w.now[HIGH] == w.now[LENGTH]:
+        now[HIGH], now[AT_HIGH] = tau, value
+        now[AT_LOW] *= 0.5 if state[TRIES] > 1 else 1.0
+    if now[HIGH] - now[LOW] > max(INSTANT, 4e-16 * now[TIME]):
+        _aim(now, state)
+    elif state[TRIAL] == SEARCH_LOWEST or now[HIGH] == now[LENGTH]:
         # It only came near, or it happens at the row itself: the step stands as it was.
         state[TRIAL], state[CERTAIN] = NO_TRIAL, 1
-        return _set_out_again(w, k, state, tableau, w.now[LENGTH])
-    # A tip that comes down is taken before it is inside, a force that fades after it is gone.
-    state[TRIAL] = TAKE_EVENT
-    return _set_out_again(w, k, state, tableau, w.now[LOW] if state[MODE] == FREE else w.now[HIGH])
+        now[TAU] = now[LENGTH]
+    else:
+        # A tip that comes down is taken before it is inside, what else ends after it has ended.
+        state[TRIAL] = TAKE_EVENT
+        now[TAU] = now[LOW] if state[MODE] == FREE else now[HIGH]
+    return SET_OUT_AGAIN
 
 
 @kernel
-def _transit(H: Array, w: Work, k: Array, state: Whole, events: Array, tableau: Array) -> int:
-    """Apply the event at this state: an impact or the end of the contact."""
+def _begin(w: Work, k: Array, state: Whole, more: int | None) -> int:
+    """Look at the state just after an event, and set out from it for the end of the step, unless its mode cannot be."""
+    now = w.now
+    if state[MODE] == FREE:
+        # A tip that the surface has just let go, and that would fall back at once: the law pushes when free and pulls
+        # when pressed. It stays.
+        if now[GAP] <= TOUCHING and abs(now[RATE]) <= RESTING and w.a[0] < 0.0:
+            state[MODE] = PRESSED
+            state[IN_STEP] += 1
+            if state[IN_STEP] > MOST_IN_STEP or state[RUSHED] > MOST_RUSHED:
+                state[STATUS] = CHATTER
+                return FAIL
+            _ask(state, BEGINNING)
+            return ASK
+    elif (state[UNILATERAL] != 0 and now[RIGID] < 0.0) or (
+        more is not None and state[MODE] == STUCK and cone(w, k, state) < 0.0
+    ):
+        return TRANSIT
+    left = state[ROW] * k[H_STEP] - now[TIME]
+    if left <= INSTANT:
+        state[CERTAIN] = 1
+        now[TIME] = state[ROW] * k[H_STEP]
+        _ask(state, ARRIVING)
+        return ASK
+    state[PIECE] = 1
+    now[LENGTH] = left
+    return SET_OUT
+
+
+@kernel
+def _transit(H: Array, w: Work, k: Array, state: Whole, rows: Array, events: Array, more: int | None) -> int:
+    """Apply the event at this state: an impact, the end of the contact, of slip or of sticking."""
+    now = w.now
     if state[EVENTS] >= events.shape[0]:
         state[PHASE] = TRANSITING
-        return ROOM
+        return ENLARGE
     state[IN_STEP] += 1
-    if state[IN_STEP] > MOST_IN_STEP:
-        return _fail(state, CHATTER)
-    locate_tip(w, k)
-    status = factorise(H, w.A, w.L, w.X, w.S)
-    if status != OK:
-        return _fail(state, status)
+    if now[TIME] - now[LAST_EVENT] > RUSH or state[EVENTS] == 0:
+        state[RUSHED] = 0
+    else:
+        state[RUSHED] += 1
+    now[LAST_EVENT] = now[TIME]
+    if state[IN_STEP] > MOST_IN_STEP or (state[RUSHED] > MOST_RUSHED and state[MODE] != FREE):
+        state[STATUS] = CHATTER
+        return FAIL
+    if state[MODE] == FREE:
+        state[STATUS] = factorise(H, w.A, w.L, w.X, w.S)
+        if state[STATUS] != OK:
+            return FAIL
     for i in range(3):
         w.before[i] = w.u[i]
         w.after[i] = w.u[i]
         w.compression[i] = 0.0
         w.decompression[i] = 0.0
-    t = w.now[TIME]
-    if t - w.now[LAST_EVENT] > RUSH or state[EVENTS] == 0:
-        state[RUSHED] = 0
-    else:
-        state[RUSHED] += 1
-    w.now[LAST_EVENT] = t
-    if state[CROSSING] == LIFTOFF:
-        if state[RUSHED] > MOST_RUSHED:
-            return _fail(state, CHATTER)
-        state[MODE], state[RISEN] = FREE, 0
+    now[CUT] = 0.0
+    if state[MODE] == FREE:
+        # A step of first order may bring a tip down that its velocity already takes up again: contact, no impulse.
+        state[PHASE], state[KIND] = STRIKING, TOUCHDOWN
+        return COLLIDE if w.u[0] < 0.0 else STRIKE
+    if state[UNILATERAL] != 0 and now[RIGID] < 0.0:
+        state[MODE], state[RISEN], state[KIND] = FREE, 0, LIFTOFF
         w.after[0] = 0.0
-        loss = 0.5 * w.u[0] * w.u[0] / w.S[0, 0] if w.S[0, 0] > 0.0 else 0.0
-        write_event(
-            events[state[EVENTS]], t, LIFTOFF, 0.0, k[FRAME : FRAME + 9], w.r, w.before, w.after,
-            w.compression, w.decompression, loss,
-        )  # fmt: skip
-        state[EVENTS] += 1
+        _log(w, k, state, events, 0.5 * w.u[0] * w.u[0] / w.S[0, 0])
         # The last act of the closure: the tip leaves from the surface itself, without what the stabiliser owed.
         state[MOVES], state[NEXT] = 0, BEGINNING
-        return _close(H, w, k, state)
-    # A step of first order may bring a tip down that its velocity already takes up again: contact, without an impulse.
-    state[PHASE], state[KIND], w.now[CUT] = STRIKING, TOUCHDOWN, 0.0
-    return IMPACT_LAW_WANTED if w.u[0] < 0.0 else _strike(w, k, state, events)
+        return CLOSE
+    if more is not None:
+        return _turn(w, k, state, rows, events)
+    _ask(state, BEGINNING)
+    return ASK
 
 
 @kernel
-def _strike(w: Work, k: Array, state: Whole, events: Array) -> int:
-    """Apply the impulses of an impact to q̇, and go on in the mode that it leaves."""
-    for i in range(3):
-        w.F[i] = w.compression[i] + w.decompression[i]
-    loss = energy_lost(w.before, w.after, w.F)
-    strike(w.L, w.X, w.F, w.column, w.v)
+def _turn(w: Work, k: Array, state: Whole, rows: Array, events: Array) -> int:
+    """Apply the end of sticking, or of slip: it sticks, or goes on in another direction."""
+    kind, par = state[FRICTION], k[FRICTION_AT : FRICTION_AT + FRICTION_WIDTH]
+    at = state[LAW_STATES] + state[SENSOR_STATES]
+    z = w.z[at : at + state[FRICTION_STATES]]
+    loss, size = 0.0, np.hypot(w.F[1], w.F[2])
+    if state[MODE] == STUCK:  # the force that held the tip is what it now slides against
+        state[MODE], state[KIND] = PRESSED, SLIP_AGAIN
+        w.direction[0], w.direction[1] = -w.F[1] / size, -w.F[2] / size
+    else:
+        speed = np.hypot(w.u[1], w.u[2])
+        slow = speed <= max(k[STICK_SPEED], capture_speed(kind, par) * (1.0 + 1e-9))
+        if state[STICKING] == SPRING_STICK:
+            now = w.now
+            delayed = delayed_speed(w, k, state, rows, memory_delay(kind, par), speed)
+            now[GAUGE] = 0.0
+            stick_states(kind, par, delayed, w.direction, z)
+            state[MODE], state[KIND] = STUCK, STICK
+        else:
+            held = OK
+            for i in range(3):
+                w.b[i] = 0.0
+            held = stuck_force(w.S, w.a, w.b, w.F, w.share)
+            size = np.hypot(w.F[1], w.F[2])
+            if held == OK and slow and size <= stick_limit(kind, par, z) * abs(w.F[0]):
+                state[MODE], state[KIND] = STUCK, STICK
+                w.anchor[0], w.anchor[1] = w.p[1], w.p[2]
+                # What is left of the velocity within the plane goes, by an impulse as small.
+                for i in range(3):
+                    w.a[i] = w.u[i]
+                stuck_force(w.S, w.a, w.b, w.compression, w.share)
+                for i in range(3):
+                    w.after[i] = 0.0
+                strike(w.L, w.X, w.compression, w.column, w.v)
+                loss = energy_lost(w.before, w.after, w.compression)
+            else:
+                state[KIND] = REVERSAL
+                if speed > k[STICK_SPEED]:
+                    w.direction[0], w.direction[1] = w.u[1] / speed, w.u[2] / speed
+                elif size > 0.0:
+                    w.direction[0], w.direction[1] = -w.F[1] / size, -w.F[2] / size
+    _log(w, k, state, events, loss)
+    _ask(state, BEGINNING)
+    return ASK
+
+
+@kernel
+def _log(w: Work, k: Array, state: Whole, events: Array, energy: float) -> None:
+    """Write the event state[KIND] into the table."""
     write_event(
         events[state[EVENTS]], w.now[TIME], state[KIND], w.now[CUT], k[FRAME : FRAME + 9], w.r, w.before, w.after,
-        w.compression, w.decompression, loss,
+        w.compression, w.decompression, energy,
     )  # fmt: skip
     state[EVENTS] += 1
+
+
+@kernel
+def _strike(w: Work, k: Array, state: Whole, events: Array, more: int | None) -> None:
+    """Apply the impulses of an impact to q̇, and go on in the mode that it leaves."""
+    n = w.q.shape[0]
+    for i in range(3):
+        w.F[i] = w.compression[i] + w.decompression[i]
+    strike(w.L, w.X, w.F, w.column, w.v)
+    _log(w, k, state, events, energy_lost(w.before, w.after, w.F))
     state[RISEN] = 1
     if state[KIND] == TOUCHDOWN:
         state[MODE] = PRESSED
-    return _ask(w, state, BEGINNING)
-
-
-@kernel
-def _change(w: Work, state: Whole, mode: int) -> int:
-    """Change the mode without an event, and look at the same state again."""
-    state[MODE] = mode
-    state[IN_STEP] += 1
-    if state[IN_STEP] > MOST_IN_STEP or state[RUSHED] > MOST_RUSHED:
-        return _fail(state, CHATTER)
-    return _ask(w, state, BEGINNING)
+    if more is not None:
+        if state[LAW] != LAW_GIVEN:
+            at = law_at(n)
+            restart(state[LAW], k[at : at + LAW_WIDTH + 2 * n], w.column, w.z[0 : state[LAW_STATES]])
+        at = state[LAW_STATES] + state[SENSOR_STATES]
+        if state[FRICTION_STATES] > 0:
+            contact_states(w.z[at : at + state[FRICTION_STATES]])
+        speed = np.hypot(w.after[1], w.after[2])
+        if state[KIND] == TOUCHDOWN and speed <= k[STICK_SPEED] and state[STICKING] in (RIGID_STICK, SPRING_STICK):
+            state[MODE] = STUCK
+            w.anchor[0], w.anchor[1] = w.p[1], w.p[2]
+        elif speed > 0.0:
+            w.direction[0], w.direction[1] = w.after[1] / speed, w.after[2] / speed
 
 
 @kernel
@@ -453,14 +606,12 @@ def _close(H: Array, w: Work, k: Array, state: Whole) -> int:
     Of all moves that close the loop these are the smallest in the norm of the mass matrix: what a contact impulse would
     do. The force of Eq. 24 carries no share of it.
     """
-    locate_tip(w, k)
-    status = factorise(H, w.A, w.L, w.X, w.S)
-    if status != OK:
-        return _fail(state, status)
-    stuck = state[MODE] == STUCK
-    off = w.now[GAP]
+    state[STATUS] = factorise(H, w.A, w.L, w.X, w.S)
+    if state[STATUS] != OK:
+        return FAIL
+    stuck = state[MODE] == STUCK and state[STICKING] == RIGID_STICK
     for level in range(2):
-        w.a[0] = off if level == 0 else w.u[0]
+        w.a[0] = w.now[GAP] if level == 0 else w.u[0]
         size = abs(w.a[0])
         for i in range(1, 3):
             w.a[i] = 0.0
@@ -472,18 +623,20 @@ def _close(H: Array, w: Work, k: Array, state: Whole) -> int:
         if stuck:
             for i in range(3):
                 w.b[i] = 0.0
-            status = stuck_force(w.S, w.a, w.b, w.F, w.share)
-            if status != OK:
-                return _fail(state, status)
+            state[STATUS] = stuck_force(w.S, w.a, w.b, w.F, w.share)
+            if state[STATUS] != OK:
+                return FAIL
         else:
             w.F[0] = -w.a[0] / w.S[0, 0] if w.S[0, 0] > 0.0 else 0.0
             w.F[1], w.F[2] = 0.0, 0.0
         if level == 0:
             strike(w.L, w.X, w.F, w.column, w.q)
             state[MOVES] += 1
-            return _ask(w, state, CLOSING)
+            _ask(state, CLOSING)
+            return ASK
         strike(w.L, w.X, w.F, w.column, w.v)
-    return _ask(w, state, state[NEXT])
+    _ask(state, state[NEXT])
+    return ASK
 
 
 @entry_kernel
@@ -492,9 +645,9 @@ def collide(k: Array, state: Whole, memory: Array, n: int) -> None:
 
     It is apart from `proceed` because impacts are rare and their law takes longer to compile than all the rest.
     """
-    w = workspace(memory, n, state[EXTRA], state[STAGES])
+    w = workspace(memory, n, _extra(state, n), state[STAGES], state[SENSOR_RING])
     bounces = state[RUSHED] <= MOST_RUSHED
-    state[KIND], w.now[CUT] = (IMPACT, 0.0) if bounces else (TOUCHDOWN, 0.0)
+    state[KIND], w.now[CUT] = IMPACT if bounces else TOUCHDOWN, 0.0
     for _ in range(2):
         restitution = k[RESTITUTION] if state[KIND] == IMPACT else 0.0
         state[STATUS] = impact(
@@ -506,6 +659,27 @@ def collide(k: Array, state: Whole, memory: Array, n: int) -> None:
         state[KIND], w.now[CUT] = TOUCHDOWN, w.after[0]
 
 
+@kernel
+def _extra(state: Whole, n: int) -> int:
+    """Return how many numbers of state there are beside q and q̇."""
+    count = state[LAW_STATES] + state[SENSOR_STATES] + state[FRICTION_STATES] + n * state[JOINT_STATES]
+    return int(count)
+
+
+@inlined_kernel
+def _on_pinocchio(
+    H: Array, C: Array, joint_jacobian: Array, rotation: Array, origin: Array, velocity: Array, acceleration: Array,
+    k: Array, state: Whole, memory: Array, table: Array, tableau: Array, rows: Array, events: Array, more: int | None,
+) -> int:  # fmt: skip
+    n = C.shape[0]
+    w = workspace(memory, n, _extra(state, n), state[STAGES], state[SENSOR_RING])
+    tip_kinematics(
+        joint_jacobian, rotation, origin, velocity, acceleration,
+        k[TIP : TIP + 3], k[GRAVITY : GRAVITY + 3], k[JOINTS : JOINTS + n], w.J, w.r, w.drift,
+    )  # fmt: skip
+    return proceed(H, C, w, k, state, table, tableau, rows, events, more)
+
+
 @entry_kernel
 def proceed_on_pinocchio(
     H: Array, C: Array, joint_jacobian: Array, rotation: Array, origin: Array, velocity: Array, acceleration: Array,
@@ -515,10 +689,19 @@ def proceed_on_pinocchio(
 
     See `proceed`, and `closedloop.tip.tip_kinematics` for the parameters that only this function has.
     """
-    n = C.shape[0]
-    w = workspace(memory, n, state[EXTRA], state[STAGES])
-    tip_kinematics(
-        joint_jacobian, rotation, origin, velocity, acceleration,
-        k[TIP : TIP + 3], k[GRAVITY : GRAVITY + 3], k[JOINTS : JOINTS + n], w.J, w.r, w.drift,
+    return _on_pinocchio(
+        H, C, joint_jacobian, rotation, origin, velocity, acceleration, k, state, memory, table, tableau, rows, events,
+        None,
     )  # fmt: skip
-    return proceed(H, C, w, k, state, table, tableau, rows, events)
+
+
+@entry_kernel
+def proceed_with_more_on_pinocchio(
+    H: Array, C: Array, joint_jacobian: Array, rotation: Array, origin: Array, velocity: Array, acceleration: Array,
+    k: Array, state: Whole, memory: Array, table: Array, tableau: Array, rows: Array, events: Array,
+) -> int:  # fmt: skip
+    """Do the same with everything that may come on top: other laws, friction, a force sensor."""
+    return _on_pinocchio(
+        H, C, joint_jacobian, rotation, origin, velocity, acceleration, k, state, memory, table, tableau, rows, events,
+        1,
+    )  # fmt: skip

@@ -12,15 +12,23 @@ from numpy.typing import NDArray
 import robot_models
 from closedloop import workspace as space
 from closedloop.baumgarte import baumgarte_gains, largest_stable_ratio
-from closedloop.contact import FREE, PRESSED
+from closedloop.compiled import plain
+from closedloop.contact import FREE, PRESSED, STUCK
+from closedloop.control.pack import PackedLaw, pack_law
+from closedloop.control.places import PAPER
+from closedloop.control.sections import SensorSection
+from closedloop.control.sensor import PackedSensor, draws, pack_sensor, start_sensor
 from closedloop.errors import ScenarioError
+from closedloop.friction.laws import rest_states
+from closedloop.friction.layout import KINETIC, LAST, SEVEN_PARAMETER, STATIC_EXCESS, STICKS, state_count
+from closedloop.friction.packing import pack
 from closedloop.impact import LAWS
 from closedloop.integrate import INTEGRATORS, Integrator
 from closedloop.machine import ARRIVING, CLOSING, RESTING, TOUCHING
 from closedloop.reference.desired import desired
 from closedloop.robot import Robot
 from closedloop.scenario import BaumgarteGains, Scenario
-from closedloop.step import LAW_GIVEN, LAW_PAPER, Row
+from closedloop.step import LAW_GIVEN, Row
 from closedloop.surface import Plane
 from robot_models import RobotModel
 
@@ -31,6 +39,10 @@ MOST_NUMBERS = 200_000_000
 # How far from the surface the tip may start, m. A closure that must first pull the tip in by more does not press: with
 # the paper's stabiliser a millimetre already asks for a thousand newtons from each kilogram.
 START_GAP = 1e-3
+# Slip slower than this, m/s, is none: a tip that starts with it sticks, one that slows down to it may.
+STICK_SPEED = 1e-7
+
+STICKING = {"rigid": space.RIGID_STICK, "elastic": space.ELASTIC_STICK, "spring": space.SPRING_STICK}
 
 
 @dataclass(frozen=True)
@@ -53,10 +65,13 @@ class Problem:
         s_v, 1/s, and s_p, 1/s².
     pd_start : float
         Instant from which the PD part of the law acts, s.
-    gains : (2, n) array
-        See `closedloop.control.paper_law`.
-    table : (steps · nodes + 1, 2 n + 10) array
-        What is desired at every instant at which a stage is evaluated, see `closedloop.step.reference_row`.
+    law, sensor : PackedLaw, PackedSensor
+        The law with its compensation and the force sensor as numbers, see `closedloop.control.pack`.
+    friction, joint_friction : (int, array)
+        Number and parameters of the laws of friction, see `closedloop.friction.packing`.
+    table : (steps · nodes + 1, 2 n + 11) array
+        What is desired at every instant at which a stage is evaluated, see `closedloop.step.reference_row`, and a
+        standard normal number for the force sensor.
     nodes : int
         Rows of the table to a step.
     project : bool
@@ -77,7 +92,10 @@ class Problem:
     h: float
     stabiliser: Array
     pd_start: float
-    gains: Array
+    law: PackedLaw
+    friction: tuple[int, Array]
+    joint_friction: tuple[int, Array]
+    sensor: PackedSensor
     table: Array
     nodes: int
     project: bool
@@ -90,43 +108,100 @@ class Problem:
         return self.table[:, : 2 * n].reshape(-1, 2, n)
 
     @property
+    def gains(self) -> Array:
+        """K_p and K_d of every joint, (2, n), see `closedloop.control.paper_law`."""
+        return self.law.gains
+
+    @property
     def settings(self) -> Array:
         """f_des at the start, N, and the instant from which the PD part acts, s."""
-        return np.array([self.table[0, -1], self.pd_start])
+        return np.array([self.table[0, 2 * self.robot.n + 9], self.pd_start])
+
+    @property
+    def more(self) -> bool:
+        """Whether the loop needs more than the paper's law on a smooth surface, see `closedloop.step`."""
+        scenario = self.scenario
+        return bool(
+            self.law.kind != PAPER
+            or self.law.states
+            or scenario.compensation.kind != "none"
+            or self.friction[0]
+            or self.joint_friction[0]
+            or scenario.sensor != SensorSection()
+        )
 
     def constants(self) -> Array:
         """Return the loop's constants, see `closedloop.workspace`."""
         n, robot, impact = self.robot.n, self.robot, self.scenario.impact
-        k = np.zeros(space.JOINTS + 3 * n + n * space.FRICTION_WIDTH)
+        k = np.zeros(space.JOINTS + 5 * n + space.LAW_WIDTH + n * space.FRICTION_WIDTH)
         k[space.H_STEP], k[space.NODE], k[space.OFFSET_D] = self.h, self.h / self.nodes, self.plane.offset
         k[space.S_V], k[space.S_P] = self.stabiliser
         k[space.FRAME : space.FRAME + 9] = self.frame.ravel()
         k[space.TIP : space.TIP + 3], k[space.GRAVITY : space.GRAVITY + 3] = robot.tip_offset, robot.gravity
         k[space.RESTITUTION], k[space.REST_SPEED] = impact.restitution, impact.rest_speed
-        k[space.LAW_PARAMETERS] = self.pd_start
+        k[space.IMPACT_FRICTION], k[space.STICK_SPEED] = self.friction[1][KINETIC], STICK_SPEED
+        k[space.PD_AT] = self.pd_start
+        k[space.SENSOR_AT : space.SENSOR_AT + 4] = self.sensor.par
+        k[space.FRICTION_AT : space.FRICTION_AT + space.FRICTION_WIDTH] = self.friction[1]
         k[space.JOINTS : space.JOINTS + n] = robot.support
-        k[space.JOINTS + n : space.JOINTS + 3 * n] = self.gains.ravel()
+        k[space.JOINTS + n : space.JOINTS + 3 * n] = self.law.gains.ravel()
+        at = space.JOINTS + 3 * n
+        k[at : at + space.LAW_WIDTH + 2 * n] = self.law.par
+        k[at + space.LAW_WIDTH + 2 * n :] = self.joint_friction[1].ravel()
         return k
 
     def state(self, law_given: bool = False) -> NDArray[np.int64]:
         """Return the loop's whole numbers at t = 0; `law_given` if the torque comes from outside."""
         state = np.zeros(space.WHOLES, dtype=np.int64)
         state[space.STAGES], state[space.STEPS], state[space.HOLD] = self.integrator.stages, self.steps, self.hold
-        state[space.LAW] = LAW_GIVEN if law_given else LAW_PAPER
+        state[space.LAW] = LAW_GIVEN if law_given else self.law.kind
+        state[space.LAW_STATES] = 0 if law_given else self.law.states
+        state[space.PER_STEP] = self.nodes
         state[space.PROJECT], state[space.SEMI_IMPLICIT] = self.project, self.integrator.semi_implicit
         state[space.UNILATERAL] = self.scenario.surface.contact == "unilateral"
         state[space.IMPACT_LAW] = LAWS[self.scenario.impact.law]
+        kind, joints = self.friction[0], self.joint_friction[0]
+        state[space.FRICTION], state[space.FRICTION_STATES] = kind, state_count(kind, 2)
+        state[space.STICKING] = STICKING[STICKS[kind]] if kind else space.SMOOTH
+        state[space.JOINT_FRICTION], state[space.JOINT_STATES] = joints, state_count(joints, 1)
+        state[space.SENSOR_STATES], state[space.SENSOR_RING] = self.sensor.states, self.sensor.ring
+        state[space.SENSOR_SAMPLED] = self.sensor.sampled
         state[space.MODE], state[space.SAMPLED], state[space.RISEN] = self.mode, 1, 1
         if self.project and self.mode != FREE:
             state[space.PHASE], state[space.NEXT] = CLOSING, ARRIVING
         return state
 
-    def memory(self) -> Array:
+    def views(self, memory: Array, state: NDArray[np.int64]) -> space.Work:
+        """Return the named parts of the loop's memory."""
+        n = self.robot.n
+        counts = state[[space.LAW_STATES, space.SENSOR_STATES, space.FRICTION_STATES]].sum()
+        extra = int(counts + n * state[space.JOINT_STATES])
+        return space.views(memory, n, extra, self.integrator.stages, self.sensor.ring)
+
+    def memory(self, law_given: bool = False) -> Array:
         """Return the loop's memory at t = 0, with the start in it."""
-        n, extra = self.robot.n, 0
-        memory = np.zeros(space.memory_size(n, extra, self.integrator.stages))
-        w = space.views(memory, n, extra, self.integrator.stages)
+        n, state = self.robot.n, self.state(law_given)
+        law, sensor, friction = state[[space.LAW_STATES, space.SENSOR_STATES, space.FRICTION_STATES]].tolist()
+        extra = law + sensor + friction + n * int(state[space.JOINT_STATES])
+        memory = np.zeros(space.memory_size(n, extra, self.integrator.stages, self.sensor.ring))
+        w = self.views(memory, state)
         w.q[:], w.v[:] = self.q, self.v
+        terms = self.robot.terms(self.q, self.v)
+        u = self.frame @ terms.jacobian @ self.v
+        w.anchor[:] = (self.frame @ terms.position)[1:]
+        slip = float(np.hypot(u[1], u[2]))
+        if slip > 0.0:
+            w.direction[:] = u[1:] / slip
+        felt = float(self.table[0, 2 * n + 9]) if self.mode != FREE else 0.0  # the sensor has felt what is wanted
+        plain(start_sensor)(felt, self.sensor.par, w.z[law : law + sensor], w.ring)
+        w.now[space.MEASURED] = w.ring[0]
+        if friction and self.mode == STUCK:
+            rest_states(self.friction[0], self.friction[1].copy(), w.z[law + sensor : law + sensor + friction])
+        if self.joint_friction[0] == SEVEN_PARAMETER:
+            for j in range(n):
+                at = law + sensor + friction + j * int(state[space.JOINT_STATES])
+                w.stuck[j] = float(self.v[j] == 0.0)
+                w.z[at + LAST] = self.joint_friction[1][j, STATIC_EXCESS]
         return memory
 
 
@@ -173,7 +248,15 @@ def prepare(scenario: Scenario, model: RobotModel | None = None) -> Problem:
     wanted = desired(scenario, robot, plane, q, scenario.force_profile)
 
     law = scenario.law
-    start = wanted.tip.start if law.pd_start is None else law.pd_start
+    given = getattr(law, "pd_start", None)
+    start = (wanted.tip.start if given is None else given) - 1e-9 * h  # i·h and 0.5 may differ by rounding
+    packed = pack_law(law, scenario.compensation, n, pd_start=start, joint_names=model.joint_names)
+    friction = pack(scenario.friction)
+    if friction[0] and STICKS[friction[0]] != "elastic" and mode == PRESSED:
+        u = wanted.frame @ robot.terms(q, v).jacobian @ v
+        mode = STUCK if np.hypot(u[1], u[2]) <= STICK_SPEED else PRESSED
+    noise = np.zeros((instants.size, 1))
+    noise[::nodes_per_step, 0] = draws(scenario.sensor, steps + 1)
     return Problem(
         scenario=scenario,
         robot=robot,
@@ -186,9 +269,12 @@ def prepare(scenario: Scenario, model: RobotModel | None = None) -> Problem:
         steps=steps,
         h=h,
         stabiliser=np.array(_stabiliser_gains(scenario)),
-        pd_start=start - 1e-9 * h,  # i·h and 0.5 may differ by rounding
-        gains=np.array([_per_joint("law.kp", law.kp, model), _per_joint("law.kd", law.kd, model)]),
-        table=wanted.table(instants),
+        pd_start=start,
+        law=packed,
+        friction=friction,
+        joint_friction=pack(scenario.joint_friction, n, "joint_friction"),
+        sensor=pack_sensor(scenario.sensor, h),
+        table=np.hstack([wanted.table(instants), noise]),
         nodes=nodes_per_step,
         project=scenario.stabiliser.kind in ("projection", "both"),
         hold=hold,

@@ -54,6 +54,8 @@ _BY_TIME: dict[str, Column] = {
     ),
     "stabiliser_force": Column(("time",), "N", "the part of contact_force that answers the stabiliser"),
     "friction_force": Column(("time", "axis"), "N", "tangential force of the surface on the tip, base frame"),
+    "joint_friction": Column(("time", "joint"), "N m", "torque of friction on the joints"),
+    "measured_force": Column(("time",), "N", "what the force sensor says after this row, for the next"),
     "closure_error": Column(("time",), "m", "e = n.r - d; positive off the surface"),
     "closure_rate": Column(("time",), "m s-1", "time derivative of closure_error"),
     "mode": Column(("time",), "1", "0 free, 1 pressed (sliding or at rest), 2 stuck"),

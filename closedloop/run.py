@@ -53,7 +53,7 @@ def _main(arguments: list[str]) -> int:
         return DONE
     if options.scenario is None:
         raise ScenarioError(
-            f"command line: name a scenario, such as {' or '.join(shipped_scenarios()[:3])}; --list lists them"
+            "command line: name a scenario, such as wam_slide, wam_touchdown or panda_slide; --list lists them"
         )
     scenario, model, recorded_law = _open(options.scenario, overrides)
     law = _import_law(options.law) if options.law else None

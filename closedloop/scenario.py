@@ -17,7 +17,18 @@ from typing import Annotated, Any, Literal, get_args
 
 from pydantic import BeforeValidator, Field, ValidationError
 
+from closedloop.control.sections import (
+    AdmittanceLawSection,
+    CompensationSection,
+    DynamicHybridLawSection,
+    HybridLawSection,
+    ImpedanceLawSection,
+    NoCompensationSection,
+    OperationalSpaceLawSection,
+    SensorSection,
+)
 from closedloop.errors import ScenarioError
+from closedloop.friction.sections import JointFriction, NoFriction, SurfaceFriction
 from closedloop.reference.force import ConstantForceSection, ForceProfile
 from closedloop.reference.sections import HoldSection, Reference
 from closedloop.sections import Flag, Gain, NotNegative, Number, PerJoint, Positive, Restitution, Section, Vector3
@@ -139,6 +150,24 @@ Stabiliser = Annotated[
 ]
 
 
+def _paper_unless_said(value: Any) -> Any:
+    """A law without a kind is the paper's."""
+    return {"kind": "paper"} | value if isinstance(value, dict) and "kind" not in value else value
+
+
+LawSection = Annotated[
+    PaperLawSection
+    | HybridLawSection
+    | OperationalSpaceLawSection
+    | DynamicHybridLawSection
+    | ImpedanceLawSection
+    | AdmittanceLawSection,
+    Field(discriminator="kind"),
+    BeforeValidator(_paper_unless_said),
+]
+Compensation = Annotated[CompensationSection, Field(discriminator="kind")]
+
+
 class Scenario(Section):
     """Everything that determines a run; see the sections for the keys."""
 
@@ -149,7 +178,11 @@ class Scenario(Section):
     impact: ImpactSection = ImpactSection()
     start: StartSection = StartSection()
     reference: Reference = HoldSection()
-    law: PaperLawSection
+    law: LawSection
+    compensation: Compensation = NoCompensationSection()
+    sensor: SensorSection = SensorSection()
+    friction: SurfaceFriction = NoFriction()
+    joint_friction: JointFriction = NoFriction()
     force_profile: ForceProfile = ConstantForceSection()
     stabiliser: Stabiliser = BaumgarteSection()
     time: TimeSection = TimeSection()

@@ -9,7 +9,7 @@ import sys
 import time as clock
 from collections.abc import Callable
 from importlib import metadata
-from typing import Any, cast
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -25,14 +25,23 @@ from closedloop.errors import (
     SingularClosureError,
 )
 from closedloop.events import EVENT_WIDTH, event_columns
-from closedloop.machine import DONE, IMPACT_LAW_WANTED, ROOM, TERMS, TERMS_AND_LAW, collide, proceed_on_pinocchio
+from closedloop.machine import (
+    DONE,
+    IMPACT_LAW_WANTED,
+    ROOM,
+    TERMS,
+    TERMS_AND_LAW,
+    collide,
+    proceed_on_pinocchio,
+    proceed_with_more_on_pinocchio,
+)
 from closedloop.problem import Problem, prepare
 from closedloop.record import Run
 from closedloop.robot import Robot
 from closedloop.scenario import Scenario
 from closedloop.solve import CHATTER, NOT_POSITIVE_DEFINITE, PAINLEVE, SINGULAR
 from closedloop.step import SCALARS, SPEED_LIMIT, Row
-from closedloop.workspace import EVENTS, EXTRA, ROW, STATUS, TIME, views
+from closedloop.workspace import EVENTS, ROW, STATUS, TIME
 from robot_models import RobotModel
 
 Array = NDArray[np.float64]
@@ -77,7 +86,7 @@ def simulate(
         If the simulation could not go on (`SingularClosureError`, `DivergenceError`); its `run` holds what ran.
     """
     problem = prepare(scenario, model)
-    compiled_now = needs_compiling(proceed_on_pinocchio)
+    compiled_now = needs_compiling(which(problem))
     if progress is True:
         from closedloop.progress import bar
 
@@ -98,6 +107,11 @@ def _silent(done: int, total: int) -> None:
     """Report nothing."""
 
 
+def which(problem: Problem) -> Callable[..., int]:
+    """Return the form of the machine that the problem needs; the smaller one compiles and runs quicker."""
+    return proceed_with_more_on_pinocchio if problem.more else proceed_on_pinocchio
+
+
 def run_loop(
     problem: Problem, law: Law | None = None, report: Callable[[int, int], None] = _silent
 ) -> tuple[Array, Array, SimulationError | None, float]:
@@ -115,9 +129,10 @@ def run_loop(
         Time the steps after the first took, s: compilation is not counted.
     """
     robot, steps = problem.robot, problem.steps
-    k, state, memory = problem.constants(), problem.state(law is not None), problem.memory()
-    w = views(memory, robot.n, int(state[EXTRA]), problem.integrator.stages)
-    evaluate, proceed = robot.evaluator(w.q, w.v), cast(Callable[..., int], proceed_on_pinocchio)
+    given = law is not None
+    k, state, memory = problem.constants(), problem.state(given), problem.memory(given)
+    w = problem.views(memory, state)
+    evaluate, proceed = robot.evaluator(w.q, w.v), which(problem)
     user_torque = None if law is None else _checked_law(law, robot, w.q, w.v)
     rows = np.zeros((steps + 1, Row.of(robot.n).width))
     events = np.zeros((ROOM_FOR_EVENTS, EVENT_WIDTH))
@@ -261,6 +276,7 @@ def _as_run(
     }
     for name in ("q", "v", "acceleration", "torque"):
         columns[name] = block(getattr(layout, name), n)
+    columns["joint_friction"] = block(layout.joint_friction, n)
     for name in ("position", "velocity", "friction_force"):
         columns[name] = block(getattr(layout, name), 3)
     for i, name in enumerate(SCALARS):

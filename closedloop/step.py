@@ -2,6 +2,9 @@
 
 The caller provides H, C, Jᵣ, r and J̇ᵣq̇ of the state, from Pinocchio or from anything else; nothing here asks further.
 `closedloop.machine` decides which states are evaluated, and when.
+
+Everything exists in two forms, which numba makes of one source: `more` is None for the paper's law on a smooth surface,
+and a number for all that may come on top: other laws, friction of the tip and of the joints, a force sensor.
 """
 
 from __future__ import annotations
@@ -16,6 +19,7 @@ from closedloop.compiled import kernel
 from closedloop.contact import (
     FREE,
     PRESSED,
+    STUCK,
     accelerate,
     baumgarte_acceleration,
     factorise,
@@ -25,27 +29,54 @@ from closedloop.contact import (
     stuck_force,
     unloaded,
 )
-from closedloop.control import paper_law
+from closedloop.control.laws import law_rates, law_torque, start_states
+from closedloop.control.moment import Moment
+from closedloop.control.paper import paper_law
+from closedloop.control.sensor import continuous_reading, sense, sensor_rates
+from closedloop.friction.laws import holding, memory_delay, rates, sliding
+from closedloop.joint_friction import add_joint_friction, hold_joints, joint_friction_rates
 from closedloop.solve import DIVERGED, OK, SINGULAR, condition
 from closedloop.workspace import (
+    DELAYED,
     FRAME,
+    FRICTION,
+    FRICTION_AT,
+    FRICTION_STATES,
+    FRICTION_WIDTH,
     GAP,
+    H_STEP,
+    JOINT_FRICTION,
     JOINTS,
     LAW,
-    LAW_PARAMETERS,
+    LAW_STATES,
+    LAW_WIDTH,
     MEASURED,
     MODE,
     NODE,
     OFFSET_D,
+    PD_AT,
+    PER_STEP,
     RATE,
     RIGID,
+    RIGID_STICK,
+    ROW,
     S_P,
     S_V,
     SAMPLED,
+    SEMI_IMPLICIT,
+    SENSOR_AT,
+    SENSOR_RING,
+    SENSOR_SAMPLED,
+    SENSOR_STATES,
+    SMOOTH,
+    SPRING_STICK,
+    STARTED,
+    STICKING,
     TIME,
     UNILATERAL,
     Whole,
     Work,
+    law_at,
 )
 
 Array = NDArray[np.float64]
@@ -53,8 +84,8 @@ Array = NDArray[np.float64]
 # A joint at 10⁴ rad/s (m/s) is no robot any more; the run stops there, long before the numbers overflow.
 SPEED_LIMIT = 1e4
 
-# The law is evaluated outside (a user's Python function), or here.
-LAW_GIVEN, LAW_PAPER = -1, 0
+# The law is evaluated outside (a user's Python function), or here: a number of `closedloop.control.places.LAWS`.
+LAW_GIVEN = -1
 
 
 @kernel
@@ -65,7 +96,7 @@ def reference_row(t: float, spacing: float, table: Array, n: int, row: Array) ->
     ----------
     t, spacing : float
         Time, and time between two rows of the table, s.
-    table : (P, 2 n + 10) array
+    table : (P, >= 2 n + 10) array
         q_des, q̇_des, and in the contact frame p_des, u_des and u̇_des, then f_des.
     row : (2 n + 10,) array
         Written.
@@ -100,7 +131,7 @@ def locate_tip(w: Work, k: Array) -> None:
 
 
 @kernel
-def evaluate(H: Array, C: Array, w: Work, k: Array, state: Whole, table: Array) -> int:
+def evaluate(H: Array, C: Array, w: Work, k: Array, state: Whole, table: Array, rows: Array, more: int | None) -> int:
     """Evaluate law, friction, contact and Eq. 24 at the state in `w`.
 
     Parameters
@@ -112,9 +143,13 @@ def evaluate(H: Array, C: Array, w: Work, k: Array, state: Whole, table: Array) 
     k : array
         Constants, see `closedloop.workspace`.
     state : array of int
-        See `closedloop.workspace`; read.
-    table : (P, 2 n + 10) array
-        See `reference_row`.
+        See `closedloop.workspace`.
+    table : (P, 2 n + 11) array
+        See `reference_row`; the last column is the noise of the force sensor.
+    rows : (N, width) array
+        The rows recorded so far: what the memory of friction reads.
+    more : int or None
+        None: the paper's law, given or held, on a smooth surface.
 
     Returns
     -------
@@ -126,23 +161,89 @@ def evaluate(H: Array, C: Array, w: Work, k: Array, state: Whole, table: Array) 
     status = factorise(H, w.A, w.L, w.X, w.S)
     if status != OK:
         return status
-    if state[LAW] == LAW_PAPER and state[SAMPLED] != 0:
+    law = state[LAW]
+    if more is None:
+        if law != LAW_GIVEN and state[SAMPLED] != 0:
+            reference_row(w.now[TIME], k[NODE], table, n, w.reference)
+            w.scratch[0], w.scratch[1] = w.reference[2 * n + 9], k[PD_AT]
+            gains, path = k[JOINTS + n : JOINTS + 3 * n].reshape(2, n), w.reference[: 2 * n].reshape(2, n)
+            paper_law(w.now[TIME], w.scratch, gains, path, w.q, w.v, C, w.A, w.torque)
+        status = contact_force(C, w, k, state)
+        if status != OK:
+            return status
+    else:
         reference_row(w.now[TIME], k[NODE], table, n, w.reference)
-        gains = k[JOINTS + n : JOINTS + 3 * n].reshape(2, n)
-        path = w.reference[: 2 * n].reshape(2, n)
-        w.scratch[0], w.scratch[1] = w.reference[2 * n + 9], k[LAW_PARAMETERS]
-        paper_law(w.now[TIME], w.scratch, gains, path, w.q, w.v, C, w.A, w.torque)
-    unloaded(w.L, w.X, w.drift_c, w.torque, C, w.y, w.a)
+        at, count = law_at(n), state[LAW_STATES]
+        par, gains = k[at : at + LAW_WIDTH + 2 * n], k[JOINTS + n : JOINTS + 3 * n].reshape(2, n)
+        ref = w.reference
+        x = Moment(
+            w.now[TIME], w.q, w.v, C, H, w.L, w.A, w.X, w.S, w.drift_c, w.p, w.u, ref[0:n], ref[n : 2 * n],
+            ref[2 * n : 2 * n + 3], ref[2 * n + 3 : 2 * n + 6], ref[2 * n + 6 : 2 * n + 9], ref[2 * n + 9],
+            w.now[MEASURED], 0.0 if state[MODE] == FREE else 1.0,
+        )  # fmt: skip
+        if law != LAW_GIVEN:
+            if state[STARTED] == 0:
+                start_states(law, x, par, w.z[0:count])
+            if state[SAMPLED] != 0:
+                law_torque(law, x, par, gains, w.z[0:count], w.scratch, w.torque)
+        state[STARTED] = 1
+        surface_friction(w, k, state, rows)
+        add_joint_friction(w, k, state, rows)
+        status = contact_force(C, w, k, state)
+        if status != OK:
+            return status
+        if state[JOINT_FRICTION] > 0 and hold_joints(w, k, state):
+            status = contact_force(C, w, k, state)
+            if status != OK:
+                return status
+        reading = w.now[MEASURED]
+        sensor, s = state[SENSOR_STATES], k[SENSOR_AT : SENSOR_AT + 4]
+        if state[SENSOR_SAMPLED] == 0:
+            reading = continuous_reading(w.F[0], s, w.z[count : count + sensor])
+        if law != LAW_GIVEN:
+            law_rates(law, x, par, w.z[0:count], reading, w.torque, w.scratch, w.dz[0:count])
+        sensor_rates(w.F[0], s, w.z[count : count + sensor], w.dz[count : count + sensor])
+        at = count + sensor
+        for i in range(at, w.z.shape[0]):
+            w.dz[i] = 0.0  # with the semi-implicit scheme friction's states advance by themselves
+        if state[SEMI_IMPLICIT] == 0:
+            here = at + state[FRICTION_STATES]
+            if state[MODE] != FREE:
+                rates(
+                    state[FRICTION], k[FRICTION_AT : FRICTION_AT + FRICTION_WIDTH], w.u[1:3], state[MODE] == STUCK,
+                    w.z[at:here], w.dz[at:here],
+                )  # fmt: skip
+            joint_friction_rates(w, k, state)
+    total = abs(w.F[0])
+    for j in range(n):
+        total += abs(w.qdd[j])
+        if not abs(w.v[j]) <= SPEED_LIMIT:
+            return DIVERGED
+    return OK if math.isfinite(total) else DIVERGED
+
+
+@kernel
+def contact_force(C: Array, w: Work, k: Array, state: Whole) -> int:
+    """Solve Eq. 24 in the present mode for the contact force F and the acceleration q̈; return a status."""
+    for j in range(w.q.shape[0]):
+        w.column[j] = w.torque[j] + w.loss[j]
+    unloaded(w.L, w.X, w.drift_c, w.column, C, w.y, w.a)
     w.now[RIGID] = 0.0
     for i in range(3):
         w.F[i] = 0.0
         w.share[i] = 0.0
         w.b[i] = 0.0
-    if state[MODE] == PRESSED:
+    if state[MODE] == PRESSED or (state[MODE] == STUCK and state[STICKING] == SPRING_STICK):
         b = baumgarte_acceleration(k[S_V], k[S_P], w.now[RATE], w.now[GAP])
         status, share = pressed_force(w.S, w.a, b, w.c, w.w, w.F)
         if status != OK:
             return status
+        if state[UNILATERAL] == 0 and w.F[0] < 0.0 and (w.c[0] != 0.0 or w.c[1] != 0.0):
+            # A closure that pulls presses as hard from the other side.
+            w.c[0], w.c[1] = -w.c[0], -w.c[1]
+            status, share = pressed_force(w.S, w.a, b, w.c, w.w, w.F)
+            if status != OK:
+                return status
         rigid = w.F[0] - share
         if state[UNILATERAL] != 0 and w.F[0] < 0.0 <= rigid:
             # The stabiliser may push the tip off the surface but never pull it in: it is left out here.
@@ -151,7 +252,7 @@ def evaluate(H: Array, C: Array, w: Work, k: Array, state: Whole, table: Array) 
             w.F[1], w.F[2] = -w.c[0] * rigid - w.w[0], -w.c[1] * rigid - w.w[1]
         w.now[RIGID] = rigid
         w.b[0], w.share[0] = b, share
-    elif state[MODE] != FREE:
+    elif state[MODE] == STUCK:
         w.b[0] = baumgarte_acceleration(k[S_V], k[S_P], w.now[RATE], w.now[GAP])
         for i in range(1, 3):
             w.b[i] = baumgarte_acceleration(k[S_V], k[S_P], w.u[i], w.p[i] - w.anchor[i - 1])
@@ -159,12 +260,63 @@ def evaluate(H: Array, C: Array, w: Work, k: Array, state: Whole, table: Array) 
             return SINGULAR
         w.now[RIGID] = w.F[0] - w.share[0]
     accelerate(w.L, w.X, w.y, w.F, w.qdd)
-    total = abs(w.F[0])
-    for j in range(n):
-        total += abs(w.qdd[j])
-        if not abs(w.v[j]) <= SPEED_LIMIT:
-            return DIVERGED
-    return OK if math.isfinite(total) else DIVERGED
+    return OK
+
+
+@kernel
+def surface_friction(w: Work, k: Array, state: Whole, rows: Array) -> None:
+    """Write c and w of the tip's friction F_t = −c f − w in the present mode; zero where there is none."""
+    w.c[0], w.c[1], w.w[0], w.w[1] = 0.0, 0.0, 0.0, 0.0
+    sticking = state[STICKING]
+    if sticking == SMOOTH or state[MODE] == FREE or (state[MODE] == STUCK and sticking == RIGID_STICK):
+        return
+    kind, par = state[FRICTION], k[FRICTION_AT : FRICTION_AT + FRICTION_WIDTH]
+    at = state[LAW_STATES] + state[SENSOR_STATES]
+    z = w.z[at : at + state[FRICTION_STATES]]
+    if state[MODE] == STUCK:
+        holding(kind, par, z, w.c, w.w)
+        return
+    speed = math.hypot(w.u[1], w.u[2])
+    w.now[DELAYED] = delayed_speed(w, k, state, rows, memory_delay(kind, par), speed)
+    s = w.scratch[0:2]
+    s[0], s[1] = w.u[1], w.u[2]
+    along = s[0] * w.direction[0] + s[1] * w.direction[1]
+    if sticking != RIGID_STICK and sticking != SPRING_STICK:
+        along = 1.0
+    if along < 0.0:
+        # Past the instant at which slip stops the law goes on as before, so that the instant can be found.
+        s[0], s[1] = speed * w.direction[0], speed * w.direction[1]
+    sliding(kind, par, s, w.now[DELAYED], z, w.direction, w.c, w.w)
+
+
+@kernel
+def delayed_speed(w: Work, k: Array, state: Whole, rows: Array, delay: float, speed: float) -> float:
+    """Return the speed of slip `delay` seconds ago, m/s, on a line between rows; `speed` is the present one."""
+    if delay <= 0.0:
+        return speed
+    n = w.q.shape[0]
+    x = (w.now[TIME] - delay) / k[H_STEP]
+    last = state[ROW] - 1
+    if x <= 0.0 or last < 0:
+        return slip_of(rows[0], n, k) if last >= 0 else speed
+    i = int(x)
+    if i >= last:
+        since = w.now[TIME] - last * k[H_STEP]
+        s = (w.now[TIME] - delay - last * k[H_STEP]) / since if since > 0.0 else 1.0
+        return float((1.0 - s) * slip_of(rows[last], n, k) + s * speed)
+    return float((1.0 - (x - i)) * slip_of(rows[i], n, k) + (x - i) * slip_of(rows[i + 1], n, k))
+
+
+@kernel
+def slip_of(row: Array, n: int, k: Array) -> float:
+    """Return the tip's tangential speed in a recorded row, m/s."""
+    total = 0.0
+    for t in range(1, 3):
+        u = 0.0
+        for i in range(3):
+            u += k[FRAME + 3 * t + i] * row[4 * n + 3 + i]
+        total += u * u
+    return math.sqrt(total)
 
 
 class Row(NamedTuple):
@@ -177,19 +329,20 @@ class Row(NamedTuple):
     position: int
     velocity: int
     friction_force: int
+    joint_friction: int
     scalars: int
     width: int
 
     @classmethod
     def of(cls, n: int) -> Row:
         """Lay out a row for n joints."""
-        ends = np.cumsum((0, n, n, n, n, 3, 3, 3, len(SCALARS))).tolist()
+        ends = np.cumsum((0, n, n, n, n, 3, 3, 3, n, len(SCALARS))).tolist()
         return cls(*ends)
 
 
 SCALARS = (
     "contact_force", "stabiliser_force", "closure_error", "closure_rate", "mode", "residual_motion",
-    "residual_closure", "kkt_condition", "normal_mobility", "kinetic_energy",
+    "residual_closure", "kkt_condition", "normal_mobility", "kinetic_energy", "measured_force",
 )  # fmt: skip
 
 
@@ -205,14 +358,17 @@ def kinetic_energy(H: Array, v: Array) -> float:
 
 
 @kernel
-def record(H: Array, C: Array, w: Work, k: Array, state: Whole, row: Array) -> None:
+def record(H: Array, C: Array, w: Work, k: Array, state: Whole, table: Array, row: Array, more: int | None) -> None:
     """Write one row in the order of `Row`: the state, and what acted in it."""
     n = w.q.shape[0]
+    at = 4 * n + 9
     for j in range(n):
         row[j] = w.q[j]
         row[n + j] = w.v[j]
         row[2 * n + j] = w.qdd[j]
         row[3 * n + j] = w.torque[j]
+        row[at + j] = w.loss[j]
+        w.column[j] = w.torque[j] + w.loss[j]
     at = 4 * n
     for i in range(3):
         row[at + i] = w.r[i]
@@ -221,10 +377,10 @@ def record(H: Array, C: Array, w: Work, k: Array, state: Whole, row: Array) -> N
             speed += w.J[i, j] * w.v[j]
         row[at + 3 + i] = speed
         row[at + 6 + i] = k[FRAME + 3 + i] * w.F[1] + k[FRAME + 6 + i] * w.F[2]
-    at += 9
+    at += 9 + n
     mode = state[MODE]
-    closures = 0 if mode == FREE else (1 if mode == PRESSED else 3)
-    motion, closed = residuals(H, w.torque, C, w.A, w.S, w.drift_c, w.b, w.a, w.qdd, w.F, 0, closures)
+    closures = 0 if mode == FREE else (3 if mode == STUCK and state[STICKING] == RIGID_STICK else 1)
+    motion, closed = residuals(H, w.column, C, w.A, w.S, w.drift_c, w.b, w.a, w.qdd, w.F, 0, closures)
     trace = w.S[0, 0] + w.S[1, 1] + w.S[2, 2]
     row[at] = w.F[0]
     row[at + 1] = w.share[0]
@@ -237,4 +393,12 @@ def record(H: Array, C: Array, w: Work, k: Array, state: Whole, row: Array) -> N
     row[at + 7] = condition(H, w.A[0], w.L, w.X[0], w.S[0, 0], mode != FREE, w.scratch)
     row[at + 8] = w.S[0, 0] / trace if trace > 0.0 else 0.0
     row[at + 9] = kinetic_energy(H, w.v)
-    w.now[MEASURED] = w.F[0]
+    if more is None:
+        w.now[MEASURED] = w.F[0]
+    else:
+        count, sensor, i = state[LAW_STATES], state[SENSOR_STATES], state[ROW]
+        w.now[MEASURED] = sense(
+            w.F[0], i, k[SENSOR_AT : SENSOR_AT + 4], w.z[count : count + sensor],
+            table[i * state[PER_STEP], 2 * n + 10], w.ring[0 : state[SENSOR_RING]],
+        )  # fmt: skip
+    row[at + 10] = w.now[MEASURED]

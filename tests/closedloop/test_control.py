@@ -2,6 +2,7 @@
 
 import numpy as np
 import pytest
+from slides import SLIDES
 
 import closedloop as cl
 
@@ -19,7 +20,7 @@ def equation_33(scenario):
     return law
 
 
-@pytest.mark.parametrize("name", cl.shipped_scenarios())
+@pytest.mark.parametrize("name", SLIDES)
 def test_recorded_torque_is_eq_33(name, shipped_run):
     """In every shipped scenario the torque of a row is Eq. 33 in the state and reference of that row."""
     run = shipped_run(name)

@@ -5,6 +5,7 @@ import json
 
 import numpy as np
 import pytest
+from slides import SLIDES
 
 import closedloop as cl
 from closedloop.report import NEAR_SINGULAR, RESIDUAL_TOLERANCE, energy_balance, limits_exceeded, print_report
@@ -127,7 +128,7 @@ def test_summary_has_the_keys_that_others_rely_on(slide):
     assert s["wall_seconds"] > 0.0
 
 
-@pytest.mark.parametrize("name", cl.shipped_scenarios())
+@pytest.mark.parametrize("name", SLIDES)
 def test_summary_is_json(name, shipped_run):
     """The summary survives JSON, which knows neither NaN nor numpy."""
     summary = shipped_run(name).summary()

@@ -2,14 +2,15 @@
 
 import numpy as np
 import pytest
+from slides import SLIDES
 
 import closedloop as cl
 from robot_models.planar2 import closed_form
 
-EVERY = pytest.mark.parametrize("name", cl.shipped_scenarios())
+EVERY = pytest.mark.parametrize("name", SLIDES)
 
 
-@pytest.fixture(params=cl.shipped_scenarios())
+@pytest.fixture(params=SLIDES)
 def run(request, shipped_run):
     """Return the run of each shipped scenario."""
     return shipped_run(request.param)

@@ -1,0 +1,11 @@
+"""The shipped scenarios in which the tip stays on a smooth surface under the paper's law."""
+
+import closedloop as cl
+
+SLIDES = [
+    name
+    for name, scenario in ((name, cl.load_scenario(name)) for name in cl.shipped_scenarios())
+    if scenario.surface.contact == "bilateral"
+    and scenario.law.kind == "paper"
+    and scenario.friction.kind == scenario.joint_friction.kind == "none"
+]

@@ -54,7 +54,7 @@ def impacts(height, restitution, count):
     [(1.0, 0.9, 8.578949178728887), (5.0, 0.8, 9.086737992230741)],
 )
 def test_bounces_are_at_the_times_of_the_closed_form(height, restitution, zeno, ball):
-    """Times and speeds of all impacts, and the Zeno time less what the cut leaves of it, are the closed form's to 1e-10.
+    """Times and speeds of all impacts, and the Zeno time with what the cut leaves out, are the closed form's to 1e-10.
 
     The frozen Zeno times are √(2h/g) (1 + ε)/(1 − ε); the first is also that of the bouncing ball in the examples of
     Siconos. Bouncing is cut where a bounce would leave with less than rest_speed: with the speed c then cut off, the
@@ -126,7 +126,7 @@ def test_times_do_not_depend_on_the_step(step):
 def test_a_perfect_bounce_keeps_its_energy_for_ever():
     """With ε = 1 the ball never rests, every bounce takes nothing, and every flight is like the first."""
     run = drop(restitution=1.0)
-    times, speeds = impacts(1.0, 1.0, len(run.events))
+    times, _ = impacts(1.0, 1.0, len(run.events))
     assert len(run.events) == 11
     assert np.all(run.event_kind == 1)
     assert np.max(np.abs(run.event_time - times)) < 1e-10

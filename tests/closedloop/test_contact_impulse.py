@@ -1,0 +1,113 @@
+"""One impact through the simulator: the tip starts on the surface, moving into it, so the first event is at t = 0.
+
+The row at t = 0 is recorded after the event.
+"""
+
+import numpy as np
+import pinocchio as pin
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+import closedloop as cl
+from robot_models import load
+
+ARMS = {name: cl.Robot(load(name)) for name in ("planar2", "wam4", "panda")}
+SCENARIO = {"wam4": "wam_bounce", "panda": "panda_touchdown", "planar2": "planar2_drop"}
+
+
+def draw(arm, seed):
+    """Return a random q, a q̇ that takes the tip into the surface, and the surface's normal."""
+    robot, rng = ARMS[arm], np.random.default_rng(seed)
+    q = rng.uniform(robot.model.position_lower, robot.model.position_upper)
+    v = rng.normal(size=robot.n)
+    normal = rng.normal(size=3)
+    if arm == "planar2":
+        normal[1] = 0.0
+    normal /= np.linalg.norm(normal)
+    approach = normal @ robot.terms(q, v).jacobian @ v
+    return q, -np.sign(approach) * v, normal
+
+
+def strike(arm, q, v, normal, **changes):
+    """Return the run of one step that begins with an impact."""
+    scenario = {
+        "start.q": q.tolist(),
+        "start.v": v.tolist(),
+        "surface.normal": normal.tolist(),
+        "surface.gap": 0.0,
+        "reference": {"kind": "hold"},
+        "time.duration": 0.001,
+    }
+    return cl.simulate(cl.load_scenario(SCENARIO[arm], scenario | changes), model=ARMS[arm].model)
+
+
+@pytest.mark.parametrize("restitution", [0.0, 0.4, 1.0])
+@pytest.mark.parametrize("arm", ARMS)
+def test_impulse_and_velocity_are_pinocchios(arm, restitution):
+    """Impulse and q̇ after the impact are those of pinocchio.impulseDynamics, to 1e-10 of their size."""
+    robot = ARMS[arm]
+    model = robot.model.pinocchio_model()
+    data = model.createData()
+    for seed in range(25):
+        q, v, normal = draw(arm, seed)
+        run = strike(arm, q, v, normal, **{"impact.restitution": restitution})
+        terms = robot.terms(q, v)
+        A = np.ascontiguousarray((normal @ terms.jacobian)[None])
+        expected = pin.impulseDynamics(model, data, q, v, A, restitution, 0.0)
+        event = run.events[0]
+        assert event.time == 0.0
+        assert event.kind == ("touchdown" if restitution == 0.0 else "impact")
+        assert event.rate_before == pytest.approx(A[0] @ v, rel=1e-12, abs=1e-14)
+        assert event.rate_after == pytest.approx(-restitution * event.rate_before, abs=1e-12)
+        impulse = event.compression + event.decompression
+        assert impulse == pytest.approx(data.impulse_c[0], rel=1e-10)
+        assert np.max(np.abs(run.v[0] - expected)) < 1e-10 * (1 + np.max(np.abs(expected)))
+        assert np.array_equal(run.q[0], q)
+        assert event.position == pytest.approx(terms.position, abs=1e-14)
+
+
+states = st.tuples(
+    st.sampled_from(sorted(ARMS)),
+    st.integers(0, 10**6),
+    st.one_of(st.sampled_from([0.0, 1.0]), st.floats(0.0, 1.0)),
+    st.sampled_from(["newton", "poisson", "stronge"]),
+)
+
+
+@settings(max_examples=60, deadline=None)
+@given(states)
+def test_energy_never_grows_at_an_impact(state):
+    """The energy lost is never negative, is what ½ q̇ᵀH q̇ loses, and is (1 − ε²) u²/(2 S_nn) of a bounce.
+
+    Without friction the three laws are one.
+    """
+    arm, seed, restitution, law = state
+    q, v, normal = draw(arm, seed)
+    run = strike(arm, q, v, normal, **{"impact.restitution": restitution, "impact.law": law})
+    terms = ARMS[arm].terms(q, v)
+    before = 0.5 * v @ terms.mass_matrix @ v
+    lost = sum(e.energy_lost for e in run.events if e.time == 0.0)
+    assert all(e.energy_lost >= -1e-12 * before for e in run.events)
+    assert run.kinetic_energy[0] == pytest.approx(before - lost, abs=1e-11 * (1 + before))
+    event = run.events[0]
+    kept = restitution if event.kind == "impact" else 0.0
+    A = normal @ terms.jacobian
+    mobility = A @ np.linalg.solve(terms.mass_matrix, A)
+    expected = 0.5 * (1 - kept**2) * event.rate_before**2 / mobility
+    assert event.energy_lost == pytest.approx(expected, abs=1e-11 * (1 + before))
+
+
+def test_a_bounce_slower_than_rest_speed_is_cut_and_said():
+    """What restitution would have given, below rest_speed, is in rate_cut; the impact then has no decompression."""
+    q, v, normal = draw("wam4", 3)
+    approach = -normal @ ARMS["wam4"].terms(q, v).jacobian @ v
+    slow = v * 1e-3 / approach
+    run = strike("wam4", q, slow, normal, **{"impact.restitution": 0.5, "impact.rest_speed": 6e-4})
+    assert run.events[0].kind == "touchdown"
+    assert run.events[0].rate_cut == pytest.approx(5e-4, rel=1e-9)
+    assert run.events[0].decompression == 0.0
+    run = strike("wam4", q, slow, normal, **{"impact.restitution": 0.5, "impact.rest_speed": 4e-4})
+    assert run.events[0].kind == "impact"
+    assert run.events[0].rate_cut == 0.0
+    assert run.events[0].rate_after == pytest.approx(5e-4, rel=1e-9)

@@ -26,8 +26,8 @@ LANES = 4
 # cost a choice at each access, and no loop with such a choice in it is vectorised.
 INDEX = 0xFFFFFF
 
-# `Tree.links`: five rows of n whole numbers.
-PARENT, CONSTANT, SCRATCH, REVOLUTE, SUPPORT = range(5)
+# `Tree.links`: six rows of n whole numbers.
+PARENT, CONSTANT, SCRATCH, REVOLUTE, SUPPORT, RUN = range(6)
 
 # `Tree.constants`: gravity, the tip in its link, the first moment of what does not move, then the blocks.
 GRAVITY, TIP, RESTING, HEAD = 0, 3, 6, 12
@@ -71,9 +71,10 @@ class Tree(NamedTuple):
         The joint that carries the tip; −1 if it sits on the base.
     serial : int
         1 if every joint but the first hangs on the one before it, else 0.
-    links : (5 n,) array
+    links : (6 n,) array
         For each joint: its parent (−1: base; always smaller than the joint), where its constants and its scratch
-        begin, whether it is revolute, and whether it moves the tip.
+        begin, whether it is revolute, whether it moves the tip, and the first joint of its run: of the joints up to it
+        that each hang on the one before.
     constants : (HEAD + blocks * CONSTANTS,) array
         See the names of `closedloop.tree.layout`. Links have their joint axis for z; a link has its first axis square
         to its own joint axis and to that of the next joint.
@@ -95,6 +96,9 @@ def work_size(n: int) -> int:
 
 
 def kernel_inlined(function: F) -> F:
-    """Compile `function` into each kernel that calls it: it is a function for the reader only, and costs no call."""
+    """Compile `function` into each kernel that calls it: it is a function for the reader only, and costs no call.
+
+    By its name's beginning `closedloop.compiled` knows a file of kernels, whose text the cache depends on.
+    """
     njit: Any = numba.njit  # numba's declared types leave out `_nrt`
     return cast(F, njit(error_model="numpy", _nrt=False, forceinline=True)(function))

@@ -62,13 +62,16 @@ def tree_of(model: RobotModel, tip: str) -> Tree:
     if carrier >= 0:
         offset = bases[carrier].T @ offset
     carried = _move_to_base(places, masses, parents, revolute, carrier, offset)
+    run = np.arange(n)
+    for i in range(1, n):
+        run[i] = run[i - 1] if parents[i] == i - 1 else i
     support = np.zeros(n, dtype=bool)
     joint = carrier
     while joint >= 0:
         support[joint] = True
         joint = parents[joint]
     block, lane = np.divmod(np.arange(n), LANES)
-    links = np.stack([parents, HEAD + block * CONSTANTS + lane, block * SCRATCHES + lane, revolute, support])
+    links = np.stack([parents, HEAD + block * CONSTANTS + lane, block * SCRATCHES + lane, revolute, support, run])
     blocks = int(block[-1]) + 1
     constants = np.zeros(HEAD + blocks * CONSTANTS)
     constants[at.GRAVITY : at.GRAVITY + 3] = pin.gravity.linear

@@ -28,7 +28,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from closedloop.compiled import entry_kernel, inlined_kernel, kernel
-from closedloop.contact import FREE, PRESSED, STUCK, factorise, strike, stuck_force
+from closedloop.contact import FREE, PRESSED, STUCK, factorise, pressed_force, strike, stuck_force
 from closedloop.control.laws import restart
 from closedloop.events import IMPACT, LIFTOFF, REVERSAL, SLIP_AGAIN, STICK, TOUCHDOWN, write_event
 from closedloop.friction.laws import (
@@ -36,6 +36,7 @@ from closedloop.friction.laws import (
     capture_speed,
     contact_states,
     memory_delay,
+    sliding,
     stick_limit,
     stick_states,
 )
@@ -145,6 +146,8 @@ RESTING = 1e-11
 # and so many changes of mode in one step are no motion any more.
 RUSH, MOST_RUSHED = 1e-12, 20
 MOST_IN_STEP = 100_000
+# Directions of the circle at which the onset of slip is tried before it is bracketed.
+DIRECTIONS = 36
 # e = n·r − d is a sum of a few products of numbers of a metre: 4 ε each way. Newton's method is quadratic, and from the
 # nanometres or micrometres that a step leaves it is there after one move; five are for a start a millimetre off.
 CLOSED, MOST_MOVES = 2e-15, 5
@@ -278,6 +281,9 @@ def slip_left(w: Work, k: Array, state: Whole) -> float:
     """Return the speed along the direction in which slip began, m/s, above the speed at which sticking is tried."""
     band = capture_speed(state[FRICTION], k[FRICTION_AT : FRICTION_AT + FRICTION_WIDTH])
     along = w.u[1] * w.direction[0] + w.u[2] * w.direction[1]
+    slow = k[STICK_SPEED]
+    if w.now[START_SLIP] <= slow:  # slip has only begun, and its velocity is still of the size of rounding
+        return float(along + slow)
     return float(along - (band if w.now[START_SLIP] > band else 0.0))
 
 
@@ -528,7 +534,7 @@ def _turn(w: Work, k: Array, state: Whole, rows: Array, events: Array) -> int:
         w.direction[0], w.direction[1] = -w.F[1] / size, -w.F[2] / size
     else:
         speed = np.hypot(w.u[1], w.u[2])
-        slow = speed <= max(k[STICK_SPEED], capture_speed(kind, par) * (1.0 + 1e-9))
+        slow = speed <= max(2.0 * k[STICK_SPEED], capture_speed(kind, par) * (1.0 + 1e-9))
         if state[STICKING] == SPRING_STICK:
             now = w.now
             delayed = delayed_speed(w, k, state, rows, memory_delay(kind, par), speed)
@@ -552,15 +558,59 @@ def _turn(w: Work, k: Array, state: Whole, rows: Array, events: Array) -> int:
                     w.after[i] = 0.0
                 strike(w.L, w.X, w.compression, w.column, w.v)
                 loss = energy_lost(w.before, w.after, w.compression)
+            elif not slow:  # it has only turned by a right angle since the substep began
+                w.direction[0], w.direction[1] = w.u[1] / speed, w.u[2] / speed
+                _ask(state, BEGINNING)
+                return ASK
             else:
                 state[KIND] = REVERSAL
-                if speed > k[STICK_SPEED]:
-                    w.direction[0], w.direction[1] = w.u[1] / speed, w.u[2] / speed
-                elif size > 0.0:
-                    w.direction[0], w.direction[1] = -w.F[1] / size, -w.F[2] / size
+                _find_direction(w, k, state, z)
     _log(w, k, state, events, loss)
     _ask(state, BEGINNING)
     return ASK
+
+
+@kernel
+def _find_direction(w: Work, k: Array, state: Whole, z: Array) -> None:
+    """Write the direction in which slip starts that friction cannot prevent: that in which the tip then accelerates.
+
+    Friction against a direction changes the acceleration, and the tip's mobility is not the same in all: the direction
+    is a root of the angle between the two, found by a scan of the circle and bisection.
+    """
+    kind, par = state[FRICTION], k[FRICTION_AT : FRICTION_AT + FRICTION_WIDTH]
+    at_rest = w.scratch[0:2]
+    at_rest[0], at_rest[1] = 0.0, 0.0
+    best, here, before = -1.0, 0.0, 0.0
+    low = 0.0
+    for i in range(DIRECTIONS + 1):
+        angle = 2.0 * np.pi * i / DIRECTIONS
+        across, along = _onset(kind, par, at_rest, z, w, angle)
+        if i > 0 and before * across <= 0.0 and along > 0.0:
+            a, b, sign = low, angle, before
+            for _ in range(60):
+                middle = 0.5 * (a + b)
+                across_middle, along_middle = _onset(kind, par, at_rest, z, w, middle)
+                if across_middle * sign > 0.0:
+                    a = middle
+                else:
+                    b = middle
+            across_middle, along_middle = _onset(kind, par, at_rest, z, w, b)
+            if along_middle > best:
+                best, here = along_middle, b
+        low, before = angle, across
+    w.direction[0], w.direction[1] = np.cos(here), np.sin(here)
+
+
+@kernel
+def _onset(kind: int, par: Array, at_rest: Array, z: Array, w: Work, angle: float) -> tuple[float, float]:
+    """Return the acceleration across and along a direction if slip starts in it, m/s²."""
+    w.direction[0], w.direction[1] = np.cos(angle), np.sin(angle)
+    sliding(kind, par, at_rest, 0.0, z, w.direction, w.c, w.w)
+    pressed_force(w.S, w.a, 0.0, w.c, w.w, w.F)
+    a1 = w.a[1] + w.S[1, 0] * w.F[0] + w.S[1, 1] * w.F[1] + w.S[1, 2] * w.F[2]
+    a2 = w.a[2] + w.S[2, 0] * w.F[0] + w.S[2, 1] * w.F[1] + w.S[2, 2] * w.F[2]
+    d1, d2 = w.direction[0], w.direction[1]
+    return float(d1 * a2 - d2 * a1), float(d1 * a1 + d2 * a2)
 
 
 @kernel

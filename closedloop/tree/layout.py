@@ -29,7 +29,9 @@ INDEX = 0xFFFFFF
 # `Tree.links`: six rows of n whole numbers.
 PARENT, CONSTANT, SCRATCH, REVOLUTE, SUPPORT, RUN = range(6)
 
-# `Tree.constants`: gravity, the tip in its link, the first moment of what does not move, then the blocks.
+# `Tree.constants`: gravity, the tip in its link, the first moment of what does not move, then the blocks. Inertia is
+# what `closedloop.tree.model` left on a link: h has no part along z, nor Σ a square along z, and either m or h and Σ
+# are zero.
 GRAVITY, TIP, RESTING, HEAD = 0, 3, 6, 12
 (
     KIND,  # 1 for a revolute joint, 0 for a prismatic one
@@ -51,11 +53,10 @@ CONSTANTS = 28 * LANES
     X0, X1, X2, Z0, Z1, Z2, P0, P1, P2,  # first axis and joint axis of the link, origin of the joint
     O0, O1, O2, A0, A1, A2, B0, B1, B2,  # angular velocity and acceleration, acceleration of the origin, for q̈ = 0
     W0, W1, W2, V0, V1, V2,  # twist of the link per joint rate: rotation, and velocity of its point at the base origin
-    J0, J1, J2,  # column of the tip's Jacobian
     F0, F1, F2, N0, N1, N2,  # force, and moment about the base origin, that move the link with q̈ = 0
     S00, S01, S02, S11, S12, S22, H0, H1, H2,  # second and first moments about the base origin
-) = range(0, 46 * LANES, LANES)  # fmt: skip
-SCRATCHES = 46 * LANES
+) = range(0, 43 * LANES, LANES)  # fmt: skip
+SCRATCHES = 43 * LANES
 
 
 class Tree(NamedTuple):

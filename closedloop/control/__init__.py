@@ -4,8 +4,8 @@
     hybrid              position and force each along its own directions   Raibert and Craig 1981
     operational_space   the tip's own dynamics made linear                 Khatib 1987
     dynamic_hybrid      the same through joint accelerations               Yoshikawa 1987
-    impedance           a wished mass, damper and spring at the tip        Hogan 1985
-    admittance          a wished mass and damper that moves a set point    Seraji 1994
+    impedance           a wished spring and damper at the tip              Hogan 1985
+    admittance          a set point that yields to the force               Whitney 1977
 
 Names are loaded when they are first used, so that reading a scenario's sections does not load the compiler.
 """

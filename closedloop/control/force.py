@@ -5,8 +5,8 @@
 f_s is the latest reading, so K_f acts with a delay; the integral is a state. With an exact model and a rigid
 surface f = f_c + d, d being what the model leaves out. Then e_f = f_des − f obeys, without K_f, ė_f = −K_I e_f:
 the force settles like exp(−K_I t) whatever the arm. A reading that is one sample old makes of K_f alone the
-iteration f ← (1 + K_f) f_des − K_f f + d, which converges for K_f < 1 only; a slower sensor allows more
-(`closedloop.control.stability`).
+iteration f ← (1 + K_f) f_des − K_f f + d, which converges for K_f < 1 only; behind a low-pass of time
+constant T sampled every h, K_f may be up to T/h (`closedloop.control.stability`).
 
 Source: the integral force servo of Yoshikawa, IEEE J. Robotics and Automation 3(5), 1987, and of Volpe and
 Khosla, IEEE Trans. Automatic Control 38(11), 1993, who compare the explicit force laws.

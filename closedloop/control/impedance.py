@@ -1,19 +1,19 @@
-"""Impedance control: the tip answers like a mass, a damper and a spring, and presses with a wished force (Hogan 1985).
+"""Impedance control: the tip answers a push like a spring and a damper, and presses with a wished force (Hogan 1985).
 
-Along the surface   M (ü − ü_des) + B (u − u_des) + K (p − p_des) = 0
-Along n, in contact f = f_c + K_n (p − p_des)_n + B_n (u − u_des)_n
+    along the surface   M (ü − ü_des) + B (u − u_des) + K (p − p_des) = F_t
+    along n, in contact f = f_c + B_n (u − u_des)_n + K_n (p − p_des)_n
 
-The torque is that of `closedloop.control.operational_space.move_tip`, so the directions do not disturb each
-other. M = 0 stands for the inertia that the arm itself has along the surface: then only spring and damper are
-made, and a push on the tip meets M_own. With a p_des below the surface, K_n presses in the classical way, by
-K_n times the depth; with p_des on it, the force is f_c. Along n the arm's own inertia is left as it is: another
-one, M_n, would be the same as the force feedback K_f = 1/(M_n S_nn) − 1, which may be asked for by that name.
+M is the inertia that the arm itself has along the surface: changing it would need the force along the surface to be
+measured. So a push F_t displaces the tip by F_t/K. The torque is that of
+`closedloop.control.operational_space.move_tip`, so the directions do not disturb each other.
 
-In free motion the same spring, damper and f_des act along n on the arm's own inertia: a tip that is to press
-comes down at f_des/B_n, if K_n = 0.
+With a p_des below the surface K_n presses in the classical way, by K_n times the depth; with p_des on it the force is
+f_c. Another inertia M_n along n would be the same as the force feedback K_f = 1/(M_n S_nn) − 1, which may be asked for
+by that name. In free motion spring, damper and f_des act along n on the arm's own inertia: a tip that is to press comes
+down at f_des/B_n, if K_n = 0.
 
-Source: N. Hogan, Impedance control: an approach to manipulation, J. Dynamic Systems, Measurement and Control
-107(1), 1985.
+Source: N. Hogan, Impedance control: an approach to manipulation, J. Dynamic Systems, Measurement and Control 107(1),
+1985.
 """
 
 from __future__ import annotations
@@ -26,7 +26,6 @@ from closedloop.control.moment import Moment
 from closedloop.control.operational_space import move_tip
 from closedloop.control.places import (
     DAMPING,
-    INERTIA,
     NORMAL_DAMPING,
     NORMAL_STIFFNESS,
     SPARE,
@@ -45,12 +44,9 @@ def impedance(x: Moment, par: Array, gains: Array, f: float, work: Array, torque
     for i in range(1, 3):
         push[i] = par[DAMPING] * (x.u_des[i] - x.u[i]) + par[STIFFNESS] * (x.p_des[i] - x.p[i])
     for i in range(1, 3):
-        if par[INERTIA] > 0.0:
-            wanted[i] = x.a_des[i] + push[i] / par[INERTIA]
-        else:
-            wanted[i] = x.a_des[i]
-            for k in range(1, 3):
-                wanted[i] += surface_mobility(x.S, x.pressed, i, k) * push[k]
+        wanted[i] = x.a_des[i]
+        for k in range(1, 3):
+            wanted[i] += surface_mobility(x.S, x.pressed, i, k) * push[k]
     away = par[NORMAL_DAMPING] * (x.u[0] - x.u_des[0]) + par[NORMAL_STIFFNESS] * (x.p[0] - x.p_des[0])
     wanted[0] = 0.0 if x.pressed != 0.0 else x.a_des[0] - x.S[0, 0] * (f + away)
     move_tip(x, gains, f + away, work, torque)

@@ -89,7 +89,7 @@ def pack_law(
     if isinstance(law, HybridLawSection):
         par[places.K_V] = law.approach_damping
     if isinstance(law, ImpedanceLawSection):
-        par[places.INERTIA], par[places.DAMPING], par[places.STIFFNESS] = law.inertia, law.damping, law.stiffness
+        par[places.DAMPING], par[places.STIFFNESS] = law.damping, law.stiffness
         par[places.NORMAL_DAMPING], par[places.NORMAL_STIFFNESS] = law.normal_damping, law.normal_stiffness
     if isinstance(law, AdmittanceLawSection):
         par[places.INERTIA] = law.admittance_inertia

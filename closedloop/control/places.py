@@ -27,7 +27,7 @@ K_F, K_I = 0, 1  # force feedback: proportional, no unit; integral, 1/s
 PD_START = 2  # paper: instant from which the PD part acts, s
 K_P, K_V = 3, 4  # motion of the tip: 1/s², 1/s
 APPROACH = 5  # speed at which a tip that is to press seeks the surface, m/s
-INERTIA, DAMPING, STIFFNESS = 6, 7, 8  # impedance along the surface; admittance along the normal: kg, N s/m, N/m
+INERTIA, DAMPING, STIFFNESS = 6, 7, 8  # admittance: kg, N s/m, N/m; impedance along the surface: the last two
 NORMAL_DAMPING, NORMAL_STIFFNESS = 9, 10  # impedance along the normal: N s/m, N/m
 COMPENSATION = 11
 # model: friction as it is believed to be

@@ -100,12 +100,11 @@ class DynamicHybridLawSection(Approach, TipMotion):
 
 
 class ImpedanceLawSection(ForceLaw, Posture):
-    """[law] kind = "impedance": a wished mass, damper and spring at the tip, and a wished force (Hogan 1985)."""
+    """[law] kind = "impedance": a spring and a damper at the tip, and a wished force (Hogan 1985)."""
 
     kind: Literal["impedance"] = "impedance"
     stiffness: NotNegative = Field(1200.0, description="spring K along the surface, N/m")
     damping: NotNegative = Field(120.0, description="damper B along the surface, N s/m")
-    inertia: NotNegative = Field(0.0, description="mass M along the surface, kg; 0: the arm's own")
     normal_stiffness: NotNegative = Field(0.0, description="spring K_n along the normal, N/m")
     normal_damping: NotNegative = Field(
         200.0, description="damper B_n along the normal, N s/m; off the surface the tip comes down at force/B_n"

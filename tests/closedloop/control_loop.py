@@ -5,12 +5,13 @@ rows as the tip is held in.
 """
 
 import dataclasses
-from functools import lru_cache
+from functools import cache
 
 import numpy as np
 
 import closedloop as cl
 import robot_models
+from closedloop.compiled import entry_kernel
 from closedloop.control.laws import law_rates, law_torque, start_states
 from closedloop.control.moment import Moment
 from closedloop.control.pack import pack_law
@@ -32,7 +33,19 @@ POSES = {
 }
 
 
-@lru_cache(maxsize=None)
+@entry_kernel
+def cached_torque(kind, x, par, gains, z, work, torque):
+    """Do `law_torque`, compiled once for all sessions."""
+    law_torque(kind, x, par, gains, z, work, torque)
+
+
+@entry_kernel
+def cached_rates(kind, x, par, z, f, torque, work, dz):
+    """Do `law_rates`, compiled once for all sessions."""
+    law_rates(kind, x, par, z, f, torque, work, dz)
+
+
+@cache
 def arm(name):
     """Return the robot with its tip."""
     model = robot_models.load(name)
@@ -82,6 +95,10 @@ class Loop:
         self.joints = lambda t: (self.q_start, np.zeros(n))
         self.disturbance = np.zeros(n)  # joint torque that no model knows
         self.stuck = None  # where the tip sticks
+        self.restart()
+
+    def restart(self):
+        """Write the law's states as they are at the start of a run from this state."""
         start_states(self.packed.kind, self.moment(self.t, self.q, self.v)[0], self.packed.par, self.z)
 
     def moment(self, t, q, v):
@@ -104,8 +121,17 @@ class Loop:
     def torque(self, x, z=None):
         """Return Q."""
         torque = np.zeros(self.n)
-        law_torque(self.packed.kind, x, self.packed.par, self.packed.gains, self.z if z is None else z, self.work, torque)
+        cached_torque(
+            self.packed.kind, x, self.packed.par, self.packed.gains, self.z if z is None else z, self.work, torque
+        )
         return torque
+
+    def rates(self, x, f, torque, z=None):
+        """Return ż."""
+        z = self.z if z is None else z
+        dz = np.zeros_like(z)
+        cached_rates(self.packed.kind, x, self.packed.par, z, float(f), torque, self.work, dz)
+        return dz
 
     def evaluate(self, t, q, v, z):
         """Return q̈, F (3,), ż and Q of this state: Eq. 24 with friction."""
@@ -118,8 +144,7 @@ class Loop:
             qdd, F = self._pressed(x, rhs)
         else:
             qdd = np.linalg.solve(x.H, rhs)
-        dz = np.zeros_like(z)
-        law_rates(self.packed.kind, x, self.packed.par, z, float(F[0]), torque, self.work, dz)
+        dz = self.rates(x, F[0], torque, z)
         return qdd, F, dz, torque
 
     def _pressed(self, x, rhs):
@@ -130,8 +155,9 @@ class Loop:
         speed = np.hypot(x.u[1], x.u[2])
         if self.friction.static or self.friction.kinetic or self.friction.viscous:
             if self.stuck is not None:
-                rows = np.array([b, *(-x.drift[1:] - 100.0 * x.u[1:] - 2500.0 * (x.p[1:] - self.stuck))])
-                qdd, F = cl.solve_closure(x.H, rhs, x.A, rows)
+                b3 = np.array([b, *(-x.drift[1:] - 100.0 * x.u[1:] - 2500.0 * (x.p[1:] - self.stuck))])
+                held = np.linalg.norm(x.A, axis=1) > 1e-9  # a planar arm cannot be held sideways
+                qdd, F[held] = cl.solve_closure(x.H, rhs, x.A[held], b3[held])
                 return qdd, F
             direction = x.u[1:] / speed if speed > 0 else np.zeros(2)
             c = self.friction.coefficient(speed) * direction

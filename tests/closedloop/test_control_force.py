@@ -1,0 +1,203 @@
+"""Force feedback against its closed forms, and the sampled loop's limits from both sides."""
+
+import numpy as np
+import pytest
+from control_loop import Loop
+
+from closedloop.control.places import RATE
+from closedloop.control.sections import (
+    AdmittanceLawSection,
+    DynamicHybridLawSection,
+    ImpedanceLawSection,
+    ModelCompensationSection,
+    ObserverCompensationSection,
+    OperationalSpaceLawSection,
+    SensorSection,
+)
+from closedloop.control.sensor import pack_sensor, sense, sensor_rates, start_sensor
+from closedloop.control.stability import check_sampling, force_loop_radius
+from closedloop.errors import ScenarioError
+
+SECTIONS = (OperationalSpaceLawSection, DynamicHybridLawSection, ImpedanceLawSection, AdmittanceLawSection)
+
+
+def push(loop, d):
+    """Load the joints so that the force is off by d newtons, and nothing else: the plane takes all of it up."""
+    loop.disturbance = -loop.moment(0.0, loop.q, loop.v)[0].A[0] * d
+
+
+@pytest.mark.parametrize("section", SECTIONS[:3], ids=lambda s: s.__name__)
+@pytest.mark.parametrize("name", ["wam4", "planar2"])
+def test_integral_feedback_alone_decays_exponentially(section, name):
+    """e_f = e_f(0) exp(−K_I t) on any arm: 2 % are left at 3.912/K_I; a start off the set point and a load alike."""
+    for load in (False, True):
+        loop = Loop(name, section(force_integral=20.0))
+        if load:
+            push(loop, -3.0)
+        else:
+            loop.z[0] = -3.0 / 20.0
+        run = loop.run(3.912 / 20.0 + 1.5e-3, h=1e-3, scheme="rk4")
+        e = 10.0 - run["f"]
+        assert e[0] == pytest.approx(3.0, abs=1e-9)
+        assert np.max(np.abs(e - e[0] * np.exp(-20.0 * run["t"]))) < 1e-6
+        assert abs(e[-1] / e[0]) == pytest.approx(0.02, rel=2e-2)
+
+
+def test_proportional_and_integral_feedback():
+    """With both, the error under a constant load is d/(1 + K_f) exp(−K_I t/(1 + K_f)), once the samples have settled."""
+    K_f, K_I, d = 0.5, 20.0, 2.0
+    loop = Loop("wam4", OperationalSpaceLawSection(force_feedback=K_f, force_integral=K_I))
+    push(loop, d)
+    run = loop.run(0.12, h=2.5e-4)
+    e = run["f"] - 10.0
+    closed_form = d / (1.0 + K_f) * np.exp(-K_I * run["t"] / (1.0 + K_f))
+    settled = run["t"] > 0.01
+    assert np.max(np.abs(e / closed_form - 1.0)[settled]) < 1e-2
+    assert e[0] == pytest.approx(d, abs=1e-9)  # the reading is still that of before the load
+
+
+def test_proportional_feedback_leaves_a_share_of_the_error():
+    """With K_f alone d/(1 + K_f) of the error stays: the fixed point of the sampled loop."""
+    loop = Loop("panda", DynamicHybridLawSection(force_feedback=0.6))
+    push(loop, 2.0)
+    assert loop.run(0.06)["f"][-1] - 10.0 == pytest.approx(2.0 / 1.6, abs=1e-8)
+
+
+@pytest.mark.parametrize("name", ["wam4", "panda", "ur5"])
+def test_joint_friction_disturbs_the_force_as_predicted(name):
+    """Joint friction τ_f costs f the share (A H⁻¹Aᵀ)⁻¹A H⁻¹τ_f, in f_des − f; known exactly, it costs nothing."""
+    rng = np.random.default_rng(4)
+    n = len(Loop(name, SECTIONS[0]()).q)
+    v = rng.uniform(0.1, 0.3, n) * rng.choice([-1.0, 1.0], n)
+    known = ModelCompensationSection(joint_coulomb=0.8, joint_viscous=0.3, joint_smoothing_speed=1e-12)
+    errors = []
+    for compensation in (None, known):
+        loop = Loop(name, OperationalSpaceLawSection(), compensation, v=v)
+        loop.friction.joint_coulomb, loop.friction.joint_viscous = 0.8, 0.3
+        loop.joints = lambda t: (loop.q_start, v)  # noqa: B023 - evaluated at once
+        x, _ = loop.moment(0.0, loop.q, v)
+        loop.path = lambda t: (np.zeros(3), x.u, np.zeros(3))  # noqa: B023
+        loss = 0.8 * np.sign(v) + 0.3 * v
+        # the stabiliser's share of f, for a state that moves along the normal
+        share = -100.0 * x.u[0] / x.S[0, 0]
+        F = loop.evaluate(0.0, loop.q, v, loop.z)[1]
+        errors.append(F[0] - share - 10.0)
+    predicted = x.A[0] @ np.linalg.solve(x.H, loss) / x.S[0, 0]
+    assert abs(predicted) > 0.1
+    assert errors[0] == pytest.approx(predicted, abs=1e-9)
+    assert abs(errors[1]) < 1e-9
+
+
+def test_observer_takes_a_constant_load_out():
+    """A load on the joints is estimated with the rate K_o, and the force error goes with exp(−K_o t)."""
+    loop = Loop("wam4", OperationalSpaceLawSection(), ObserverCompensationSection(rate=50.0))
+    push(loop, 2.5)
+    run = loop.run(0.1, h=1e-3, scheme="rk4")
+    e = run["f"] - 10.0
+    assert np.max(np.abs(e - 2.5 * np.exp(-50.0 * run["t"]))) < 1e-6
+    x, _ = loop.moment(0.0, loop.q, loop.v)
+    estimate = loop.packed.par[RATE] * (loop.v - loop.z)
+    assert x.H @ estimate == pytest.approx(loop.disturbance, abs=0.01 * np.max(np.abs(loop.disturbance)))
+
+
+def test_admittance_moves_its_set_point_until_the_force_is_right():
+    """M ẍ + (B + K_v/S) ẋ + K_p/S x = d, and f − f_des = d − (K_v ẋ + K_p x)/S, from the two roots of it."""
+    law = AdmittanceLawSection(admittance_inertia=2.0, admittance_damping=150.0)
+    loop = Loop("wam4", law)
+    push(loop, 2.0)
+    S = loop.moment(0.0, loop.q, loop.v)[0].S[0, 0]
+    run = loop.run(0.5, h=1e-3, scheme="rk4")
+    c, k = (150.0 + 40.0 / S) / 2.0, 400.0 / S / 2.0
+    a, b = np.roots([1.0, c, k]).astype(complex)
+    t = run["t"]
+    x = (2.0 / (2.0 * k) * (1.0 - (b * np.exp(a * t) - a * np.exp(b * t)) / (b - a))).real
+    rate = (2.0 / (2.0 * k) * (-(a * b) * (np.exp(a * t) - np.exp(b * t)) / (b - a))).real
+    assert np.max(np.abs(run["z"][:, 0] - x)) < 1e-8
+    assert np.max(np.abs(run["f"] - 10.0 - (2.0 - (40.0 * rate + 400.0 * x) / S))) < 1e-5
+    assert abs(run["f"][-1] - 10.0) < 0.25
+
+
+def sampled_force(feedback, integral, section, period, samples=4000):
+    """Return the force of a rigid contact that reads its sensor every period, under a load of 1 N from the start on."""
+    sensor = pack_sensor(section, period)
+    ring, y, dy = np.zeros(sensor.ring), np.zeros(1), np.zeros(1)
+    start_sensor(10.0, sensor.par, y, ring)
+    z, measured, forces = 0.0, 10.0, []
+    for k in range(samples):
+        f = 10.0 + feedback * (10.0 - measured) + integral * z + 1.0
+        forces.append(f)
+        if abs(f) > 1e9:
+            break
+        now = y[0] if sensor.states else f
+        z += period * (10.0 - (measured if sensor.sampled else now))
+        measured = sense(f, k, sensor.par, y, 0.0, ring)
+        sensor_rates(f, sensor.par, y, dy)
+        y += period * dy
+    return np.array(forces)
+
+
+@pytest.mark.parametrize(
+    ("section", "period"),
+    [
+        (SensorSection(), 1e-3),
+        (SensorSection(delay=0.003), 1e-3),
+        (SensorSection(filter_time_constant=0.01), 1e-3),
+        (SensorSection(filter_time_constant=0.01, delay=0.004), 2e-3),
+    ],
+)
+def test_largest_feedback_is_where_the_sampled_loop_starts_to_diverge(section, period):
+    """A little below the limit the loop settles, a little above it grows: for K_f, for K_I, and in the refusal's text."""
+    for gain in ("force_feedback", "force_integral"):
+        big = 1e4
+
+        def radius(value, gain=gain):
+            pair = (value, 0.0) if gain == "force_feedback" else (0.0, value)
+            return force_loop_radius(*pair, section, period)
+
+        low, high = 0.0, big
+        for _ in range(60):
+            middle = 0.5 * (low + high)
+            low, high = (middle, high) if radius(middle) <= 1.0 else (low, middle)
+        for factor in (0.98, 1.02):
+            pair = (factor * low, 0.0) if gain == "force_feedback" else (0.0, factor * low)
+            forces = sampled_force(*pair, section, period)
+            early, late = np.ptp(forces[100:200]), np.ptp(forces[-100:])
+            assert (late < early) == (factor < 1.0), (gain, low)
+        check_sampling(OperationalSpaceLawSection(**{gain: 0.98 * low}), None, section, period)
+        with pytest.raises(ScenarioError, match=rf"law\.{gain} = .* must be below ") as refused:
+            check_sampling(OperationalSpaceLawSection(**{gain: 1.02 * low}), None, section, period)
+        assert float(str(refused.value).split("must be below ")[1].split()[0]) == pytest.approx(low, rel=0.02)
+
+
+def test_unfiltered_feedback_must_stay_below_one():
+    """A reading one sample old allows K_f < 1, whatever the period; a low-pass of T allows up to T/h."""
+    for period in (1e-4, 1e-3):
+        assert force_loop_radius(0.999, 0.0, SensorSection(), period) < 1.0 < force_loop_radius(
+            1.001, 0.0, SensorSection(), period
+        )
+    slow = SensorSection(filter_time_constant=0.02)
+    assert force_loop_radius(19.9, 0.0, slow, 1e-3) < 1.0 < force_loop_radius(20.1, 0.0, slow, 1e-3)
+
+
+def test_fast_feedback_behind_a_low_pass_in_the_closed_loop():
+    """K_f = 5 behind a 20 ms low-pass settles in the arm's own loop at d/(1 + K_f)."""
+    section = SensorSection(filter_time_constant=0.02)
+    sensor = pack_sensor(section, 1e-3)
+    loop = Loop("wam4", OperationalSpaceLawSection(force_feedback=5.0))
+    ring, y, dy = np.zeros(sensor.ring), np.zeros(1), np.zeros(1)
+    start_sensor(10.0, sensor.par, y, ring)
+    push(loop, 3.0)
+    for k in range(100):
+        F, _ = loop.step(1e-3)
+        loop.f_measured = sense(F[0], k, sensor.par, y, 0.0, ring)
+        sensor_rates(F[0], sensor.par, y, dy)
+        y += 1e-3 * dy
+    assert F[0] - 10.0 == pytest.approx(3.0 / 6.0, abs=1e-3)
+
+
+def test_observer_faster_than_the_samples_is_refused():
+    """K_o h must stay below 1."""
+    law = OperationalSpaceLawSection()
+    check_sampling(law, ObserverCompensationSection(rate=999.0), SensorSection(), 1e-3)
+    with pytest.raises(ScenarioError, match=r"compensation\.rate = 1000: must be below 1000"):
+        check_sampling(law, ObserverCompensationSection(rate=1000.0), SensorSection(), 1e-3)

@@ -44,7 +44,7 @@ def test_integral_feedback_alone_decays_exponentially(section, name):
 
 
 def test_proportional_and_integral_feedback():
-    """With both, the error under a constant load is d/(1 + K_f) exp(−K_I t/(1 + K_f)), once the samples have settled."""
+    """With both, the error under a constant load is d/(1 + K_f) exp(−K_I t/(1 + K_f)), once the samples settled."""
     K_f, K_I, d = 0.5, 20.0, 2.0
     loop = Loop("wam4", OperationalSpaceLawSection(force_feedback=K_f, force_integral=K_I))
     push(loop, d)
@@ -146,7 +146,7 @@ def sampled_force(feedback, integral, section, period, samples=4000):
     ],
 )
 def test_largest_feedback_is_where_the_sampled_loop_starts_to_diverge(section, period):
-    """A little below the limit the loop settles, a little above it grows: for K_f, for K_I, and in the refusal's text."""
+    """A little below the limit the loop settles, above it grows: for K_f, for K_I, and in the refusal's text."""
     for gain in ("force_feedback", "force_integral"):
         big = 1e4
 
@@ -172,8 +172,10 @@ def test_largest_feedback_is_where_the_sampled_loop_starts_to_diverge(section, p
 def test_unfiltered_feedback_must_stay_below_one():
     """A reading one sample old allows K_f < 1, whatever the period; a low-pass of T allows up to T/h."""
     for period in (1e-4, 1e-3):
-        assert force_loop_radius(0.999, 0.0, SensorSection(), period) < 1.0 < force_loop_radius(
-            1.001, 0.0, SensorSection(), period
+        assert (
+            force_loop_radius(0.999, 0.0, SensorSection(), period)
+            < 1.0
+            < force_loop_radius(1.001, 0.0, SensorSection(), period)
         )
     slow = SensorSection(filter_time_constant=0.02)
     assert force_loop_radius(19.9, 0.0, slow, 1e-3) < 1.0 < force_loop_radius(20.1, 0.0, slow, 1e-3)

@@ -107,7 +107,7 @@ def test_force_and_motion_are_orthogonal(kind):
         harder, f_harder = on_plane(loop, x._replace(f_des=25.0))
         assert f_harder - f == pytest.approx(15.0, abs=1e-9)
         assert np.max(np.abs(harder - a)) < 1e-9
-        off, f_off = on_plane(loop, x._replace(p_des=x.p_des + [0.0, 0.02, 0.03], q_des=x.q_des + 0.02))
+        off, f_off = on_plane(loop, x._replace(p_des=x.p_des + np.array([0.0, 0.02, 0.03]), q_des=x.q_des + 0.02))
         assert np.max(np.abs(off - a)) > 0.1
         changes[name] = abs(f_off - f)
     assert changes[kind] < 1e-9
@@ -117,7 +117,7 @@ def test_force_and_motion_are_orthogonal(kind):
 @pytest.mark.parametrize("name", POSES)
 @pytest.mark.parametrize("kind", LINEAR_MOTION)
 def test_path_error_decays_as_the_gains_say(name, kind):
-    """From a millimetre beside the path the error is that of ë + K_v ė + K_p e = 0, critically damped: e₀(1 + ωt)e^(−ωt)."""
+    """From a millimetre beside the path ë + K_v ė + K_p e = 0, critically damped: e = e₀(1 + ωt) exp(−ωt)."""
     loop = Loop(name, LAWS[kind])
     beside = np.array([0.0, 1e-3, 0.0 if name == "planar2" else -0.5e-3])
     loop.path = lambda t: (beside, np.zeros(3), np.zeros(3))
@@ -160,7 +160,7 @@ def test_paper_law_through_the_family_is_eq_33_to_the_last_bit():
 
 @pytest.mark.parametrize("name", ["wam4", "planar2", "ur5", "panda"])
 def test_the_two_inverse_dynamics_agree_without_redundancy(name):
-    """Khatib's law and Yoshikawa's are one where the tip fixes all joints, and differ in a redundant arm's joints only."""
+    """Khatib's law and Yoshikawa's are one where the tip fixes all joints, and differ only within a redundant arm."""
     laws = (
         OperationalSpaceLawSection(posture_stiffness=9.0, posture_damping=2.0),
         DynamicHybridLawSection(posture_stiffness=9.0, posture_damping=2.0),
@@ -178,7 +178,7 @@ def test_the_two_inverse_dynamics_agree_without_redundancy(name):
 @pytest.mark.parametrize("kind", EXACT)
 @pytest.mark.parametrize("name", ["wam4", "panda"])
 def test_redundant_joints_go_to_their_posture_and_leave_the_tip(name, kind):
-    """Another wanted posture moves joints, but neither the tip nor the force; without it nothing damps the inner motion."""
+    """Another wanted posture moves joints, but neither tip nor force; motion that leaves the tip at rest is damped."""
     loop, x = drawn(name, LAWS[kind], 2)
     a, f = on_plane(loop, x)
     elsewhere = x._replace(q_des=x.q_des + np.linspace(0.2, -0.3, x.q.size))
@@ -191,7 +191,9 @@ def test_redundant_joints_go_to_their_posture_and_leave_the_tip(name, kind):
     rest = x._replace(v=0.1 * within, u=np.zeros(3), drift=np.zeros(3), q_des=x.q, v_des=np.zeros(x.q.size))
     rest = rest._replace(p_des=x.p, u_des=np.zeros(3), a_des=np.zeros(3))
     qdd, _ = cl.solve_closure(x.H, loop.torque(rest) - x.C, x.A[0], 0.0)
-    assert rest.v @ x.H @ qdd == pytest.approx(-10.0 * rest.v @ x.H @ rest.v, rel=1e-2 if kind == "dynamic_hybrid" else 1e-6)
+    assert rest.v @ x.H @ qdd == pytest.approx(
+        -10.0 * rest.v @ x.H @ rest.v, rel=1e-2 if kind == "dynamic_hybrid" else 1e-6
+    )
 
 
 def test_hybrid_is_stable_where_the_inverse_jacobian_is_not():
@@ -215,7 +217,7 @@ def test_hybrid_is_stable_where_the_inverse_jacobian_is_not():
 
 
 def test_impedance_yields_to_a_push_like_its_spring():
-    """A steady push along the surface moves the tip by F/K, and a p_des below the surface adds K_n times the depth to f."""
+    """A push along the surface moves the tip by F/K, and a p_des below the surface adds K_n times the depth to f."""
     law = ImpedanceLawSection(stiffness=1000.0, damping=110.0, normal_stiffness=800.0)
     loop = Loop("wam4", law)
     push = np.array([0.0, 0.4, -0.3])

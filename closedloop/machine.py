@@ -233,7 +233,7 @@ def proceed(
     if todo == CLOSE:
         todo = _close(H, w, k, state)
     if todo == SET_OUT:
-        _remember(w, k, state, more)
+        remember(w, k, state, more)
         todo = LEAVE
     elif todo == SET_OUT_AGAIN:
         _restore(w, state)
@@ -300,7 +300,7 @@ def _ask(state: Whole, phase: int) -> None:
 
 
 @kernel
-def _remember(w: Work, k: Array, state: Whole, more: int | None) -> None:
+def remember(w: Work, k: Array, state: Whole, more: int | None) -> None:
     """Keep the state and its derivative: the beginning of a substep of length now[LENGTH]."""
     n, extra, now = w.q.shape[0], w.z.shape[0], w.now
     for j in range(n):
@@ -695,7 +695,7 @@ def collide(k: Array, state: Whole, memory: Array, n: int) -> None:
 
     It is apart from `proceed` because impacts are rare and their law takes longer to compile than all the rest.
     """
-    w = workspace(memory, n, _extra(state, n), state[STAGES], state[SENSOR_RING])
+    w = workspace(memory, n, extra_states(state, n), state[STAGES], state[SENSOR_RING])
     bounces = state[RUSHED] <= MOST_RUSHED
     state[KIND], w.now[CUT] = IMPACT if bounces else TOUCHDOWN, 0.0
     for _ in range(2):
@@ -710,7 +710,7 @@ def collide(k: Array, state: Whole, memory: Array, n: int) -> None:
 
 
 @kernel
-def _extra(state: Whole, n: int) -> int:
+def extra_states(state: Whole, n: int) -> int:
     """Return how many numbers of state there are beside q and q̇."""
     count = state[LAW_STATES] + state[SENSOR_STATES] + state[FRICTION_STATES] + n * state[JOINT_STATES]
     return int(count)
@@ -722,7 +722,7 @@ def _on_pinocchio(
     k: Array, state: Whole, memory: Array, table: Array, tableau: Array, rows: Array, events: Array, more: int | None,
 ) -> int:  # fmt: skip
     n = C.shape[0]
-    w = workspace(memory, n, _extra(state, n), state[STAGES], state[SENSOR_RING])
+    w = workspace(memory, n, extra_states(state, n), state[STAGES], state[SENSOR_RING])
     tip_kinematics(
         joint_jacobian, rotation, origin, velocity, acceleration,
         k[TIP : TIP + 3], k[GRAVITY : GRAVITY + 3], k[JOINTS : JOINTS + n], w.J, w.r, w.drift,

@@ -205,3 +205,25 @@ def test_observer_told_of_an_impact_keeps_its_estimate():
     assert np.max(np.abs(unaware - loop.torque(struck) + x.H @ (100.0 * jump))) < 1e-10
     assert np.array_equal(loop.z[:2], [0.01, 0.01])
     assert before.shape == (arm("wam4").n,)
+
+
+def test_coefficients_do_not_become_negative():
+    """A tip ahead of its path lets positive coefficients fall, and leaves those at zero where they are."""
+    loop = Loop("wam4", LAWS["operational_space"], UNKNOWING["adaptive"])
+    loop.path = lambda t: (np.array([0.0, 0.0, -1e-3]), np.array([0.0, 0.0, SPEED]), np.zeros(3))
+    x, _ = loop.moment(0.0, loop.q, np.linalg.pinv(loop.moment(0.0, loop.q, loop.v)[0].A) @ [0.0, 0.0, 2.0 * SPEED])
+    for theta, falls in (([0.0, 0.0], [False, False]), ([0.1, 0.0], [True, False]), ([0.0, 0.1], [False, True])):
+        loop.z[:] = theta
+        rates = loop.rates(x, 10.0, loop.torque(x))
+        assert np.array_equal(rates < 0.0, falls)
+        assert np.array_equal(rates == 0.0, np.logical_not(falls))
+
+
+def test_observer_starts_with_the_motion_there_is():
+    """An arm that moves at the start is not taken for a disturbed one."""
+    v = np.array([0.3, -0.2, 0.1, 0.4])
+    torques = []
+    for compensation in (None, UNKNOWING["observer"]):
+        loop = Loop("wam4", LAWS["admittance"], compensation, v=v)
+        torques.append(loop.torque(loop.moment(0.0, loop.q, loop.v)[0]))
+    assert np.array_equal(*torques)

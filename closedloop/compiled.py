@@ -49,7 +49,7 @@ def entry_kernel(function: F) -> F:
     before = numba_settings.CACHE_DIR
     numba_settings.CACHE_DIR = str(cache_folder())
     try:
-        return cast(F, _njit(error_model="numpy", cache=True, _nrt=False)(function))
+        return cast(F, _njit(error_model="numpy", cache=True, nogil=True, _nrt=False)(function))
     except RuntimeError:  # numba found no folder that it may write: compile in every process
         return cast(F, _njit(error_model="numpy", _nrt=False)(function))
     finally:

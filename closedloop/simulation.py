@@ -41,13 +41,15 @@ from closedloop.robot import Robot
 from closedloop.scenario import Scenario
 from closedloop.solve import CHATTER, NOT_POSITIVE_DEFINITE, PAINLEVE, SINGULAR
 from closedloop.step import SCALARS, SPEED_LIMIT, Row
-from closedloop.workspace import EVENTS, ROW, STATUS, TIME
+from closedloop.workspace import EVENTS, ROW, STATUS, TIME, Work
 from robot_models import RobotModel
 
 Array = NDArray[np.float64]
 
 # Steps between two calls of the progress function.
 CHUNK = 400
+# Who provides the terms.
+PINOCCHIO, COMPILED = ENGINES = ("pinocchio", "compiled")
 # Events for which there is room at first; the table grows as needed.
 ROOM_FOR_EVENTS = 64
 
@@ -58,6 +60,7 @@ def simulate(
     law: Law | None = None,
     model: RobotModel | None = None,
     progress: bool | Callable[[int, int], None] = False,
+    engine: str = PINOCCHIO,
 ) -> Run:
     """Simulate a scenario.
 
@@ -72,6 +75,9 @@ def simulate(
         The robot to use instead of loading `scenario.robot.model`: one made in Python, or the one inside a run file.
     progress : bool or callable, optional
         True draws a bar on standard error; a callable gets (steps done, steps in all).
+    engine : "pinocchio" or "compiled"
+        Who computes H, C, r, Jᵣ and J̇ᵣq̇: Pinocchio, or the package's own compiled terms (`closedloop.tree`), which
+        are equal to rounding and ten times as fast. The compiled engine takes no law of one's own.
 
     Returns
     -------
@@ -85,15 +91,19 @@ def simulate(
     SimulationError
         If the simulation could not go on (`SingularClosureError`, `DivergenceError`); its `run` holds what ran.
     """
+    if engine not in ENGINES:
+        raise ScenarioError(f"engine = {engine!r}: must be {' or '.join(map(repr, ENGINES))}")
+    if engine == COMPILED and law is not None:
+        raise ScenarioError("engine = 'compiled': takes no law of one's own; use the engine 'pinocchio' for it")
     problem = prepare(scenario, model)
     compiled_now = needs_compiling(which(problem))
     if progress is True:
         from closedloop.progress import bar
 
         with bar(scenario.name, problem.steps) as report:
-            rows, events, failure, seconds = run_loop(problem, law, report)
+            rows, events, failure, seconds = run_loop(problem, law, report, engine)
     else:
-        rows, events, failure, seconds = run_loop(problem, law, progress or _silent)
+        rows, events, failure, seconds = run_loop(problem, law, progress or _silent, engine)
     if compiled_now:
         forget_old_caches()
     run = _as_run(problem, rows, events, law, failure, seconds)
@@ -113,7 +123,7 @@ def which(problem: Problem) -> Callable[..., int]:
 
 
 def run_loop(
-    problem: Problem, law: Law | None = None, report: Callable[[int, int], None] = _silent
+    problem: Problem, law: Law | None = None, report: Callable[[int, int], None] = _silent, engine: str = PINOCCHIO
 ) -> tuple[Array, Array, SimulationError | None, float]:
     """Step the problem.
 
@@ -126,29 +136,24 @@ def run_loop(
     failure : SimulationError or None
         Why it stopped early.
     seconds : float
-        Time the steps after the first took, s: compilation is not counted.
+        Time the steps took, s; on Pinocchio those after the first. Compilation is not counted.
     """
     robot, steps = problem.robot, problem.steps
     given = law is not None
     k, state, memory = problem.constants(), problem.state(given), problem.memory(given)
     w = problem.views(memory, state)
-    evaluate, proceed = robot.evaluator(w.q, w.v), which(problem)
     user_torque = None if law is None else _checked_law(law, robot, w.q, w.v)
     rows = np.zeros((steps + 1, Row.of(robot.n).width))
     events = np.zeros((ROOM_FOR_EVENTS, EVENT_WIDTH))
-    fixed = (*robot.views, k, state, memory, problem.table, problem.integrator.tableau(), rows)
+    arrays = (k, state, memory, problem.table, problem.integrator.tableau(), rows)
+    step, many = _driver(problem, w, arrays, engine)
     failure: SimulationError | None = None
     request = TERMS if user_torque is None else TERMS_AND_LAW
-    began = clock.perf_counter()
-    first = True
     report(0, steps)
+    began, first = clock.perf_counter(), engine == PINOCCHIO
     while True:
         if request == TERMS:
-            for _ in range(CHUNK):
-                evaluate()
-                request = proceed(*fixed, events)
-                if request != TERMS:
-                    break
+            request = (step if first else many)(events)
         elif request == TERMS_AND_LAW:
             assert user_torque is not None
             fault = user_torque(float(w.now[TIME]), w.torque)
@@ -156,14 +161,13 @@ def run_loop(
                 t = float(w.now[TIME])
                 failure = DivergenceError(f"{_when(t)}: {fault}", t)
                 break
-            evaluate()
-            request = proceed(*fixed, events)
+            request = step(events)
         elif request == ROOM:
             events = np.vstack([events, np.zeros_like(events)])
-            request = proceed(*fixed, events)
+            request = step(events)
         elif request == IMPACT_LAW_WANTED:
             collide(k, state, memory, robot.n)
-            request = proceed(*fixed, events)
+            request = step(events)
         elif request == DONE:
             break
         else:
@@ -172,9 +176,45 @@ def run_loop(
         if first:  # the first call compiled the kernel, or read it from the cache
             first, began = False, clock.perf_counter()
         report(int(state[ROW]), steps)
+    seconds = clock.perf_counter() - began
     done = int(state[ROW]) + (failure is None)
     report(done - 1, steps)
-    return rows[:done], events[: int(state[EVENTS])], failure, clock.perf_counter() - began
+    return rows[:done], events[: int(state[EVENTS])], failure, seconds
+
+
+def _driver(
+    problem: Problem, w: Work, arrays: tuple[Any, ...], engine: str
+) -> tuple[Callable[[Array], int], Callable[[Array], int]]:
+    """Return two functions of the table of events that provide terms: once, and for as long as nothing else is asked."""
+    if engine == COMPILED:
+        from closedloop.compiled_engine import compiled_tree, compiled_work, run_compiled, run_compiled_with_more
+
+        run: Callable[..., int] = run_compiled_with_more if problem.more else run_compiled
+        tree, work = compiled_tree(problem), compiled_work(problem.robot.n)
+        k, state, memory, *rest = arrays
+
+        def go_on(events: Array) -> int:
+            return run(tree, work, k, state, memory, *rest, events)
+
+        return go_on, go_on
+
+    evaluate, proceed = problem.robot.evaluator(w.q, w.v), which(problem)
+    fixed = (*problem.robot.views, *arrays)
+
+    def once(events: Array) -> int:
+        evaluate()
+        return proceed(*fixed, events)
+
+    def many(events: Array) -> int:
+        request = TERMS
+        for _ in range(CHUNK):
+            evaluate()
+            request = proceed(*fixed, events)
+            if request != TERMS:
+                break
+        return request
+
+    return once, many
 
 
 def _checked_law(law: Law, robot: Robot, q: Array, v: Array) -> Callable[[float, Array], str]:

@@ -17,7 +17,7 @@ import math
 import numpy as np
 from numpy.typing import NDArray
 
-from closedloop.compiled import kernel
+from closedloop.compiled import kernel, kernel_inlined
 from closedloop.solve import (
     NOT_POSITIVE_DEFINITE,
     OK,
@@ -39,7 +39,7 @@ FREE, PRESSED, STUCK = 0, 1, 2
 IMMOBILE = 1e-10
 
 
-@kernel
+@kernel_inlined
 def into_contact_frame(
     frame: Array, J: Array, r: Array, drift: Array, v: Array, A: Array, p: Array, u: Array, drift_c: Array
 ) -> None:
@@ -68,7 +68,7 @@ def into_contact_frame(
         drift_c[k] = n0 * drift[0] + n1 * drift[1] + n2 * drift[2]
 
 
-@kernel
+@kernel_inlined
 def factorise(H: Array, A: Array, L: Array, X: Array, S: Array) -> int:
     """Write the Cholesky factor L of H, the rows X = L⁻¹Aᵀ and the tip's mobility S = A H⁻¹Aᵀ = X Xᵀ, 1/kg.
 
@@ -105,7 +105,7 @@ def factorise(H: Array, A: Array, L: Array, X: Array, S: Array) -> int:
     return OK
 
 
-@kernel
+@kernel_inlined
 def unloaded(L: Array, X: Array, drift_c: Array, torque: Array, C: Array, y: Array, a: Array) -> None:
     """Write y = L⁻¹(Q − C) and the tip's acceleration without contact, a = X y + Ȧq̇ (3,), m/s²."""
     n = torque.shape[0]
@@ -125,7 +125,7 @@ def baumgarte_acceleration(s_v: float, s_p: float, rate: float, error: float) ->
     return -s_v * rate - s_p * error
 
 
-@kernel
+@kernel_inlined
 def pressed_force(S: Array, a: Array, b_stabiliser: float, c: Array, w: Array, F: Array) -> tuple[int, float]:
     """Write the force on a tip that is held on the surface and slides: F_t = −c f − w.
 
@@ -209,7 +209,7 @@ def stuck_force(S: Array, a: Array, b_stabiliser: Array, F: Array, share: Array)
     return OK
 
 
-@kernel
+@kernel_inlined
 def accelerate(L: Array, X: Array, y: Array, F: Array, qdd: Array) -> None:
     """Write q̈ = L⁻ᵀ(y + Xᵀ F): the acceleration under the load and the contact force together."""
     for j in range(y.shape[0]):
@@ -227,7 +227,7 @@ def strike(L: Array, X: Array, impulse: Array, column: Array, v: Array) -> None:
         v[j] += column[j]
 
 
-@kernel
+@kernel_inlined
 def residuals(
     H: Array, torque: Array, C: Array, A: Array, S: Array, drift_c: Array, b: Array, a: Array, qdd: Array, F: Array,
     first: int, last: int,

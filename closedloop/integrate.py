@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from closedloop.compiled import kernel
+from closedloop.compiled import kernel_inlined
 
 Array = NDArray[np.float64]
 
@@ -81,7 +81,7 @@ INTEGRATORS: dict[str, Integrator] = {
 }
 
 
-@kernel
+@kernel_inlined
 def advance(
     stage: int, h: float, semi_implicit: bool, piece: bool, tableau: Array, begin: Array, stages: Array,
     qdd: Array, dz: Array, q: Array, v: Array, z: Array,

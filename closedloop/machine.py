@@ -27,7 +27,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from closedloop.compiled import entry_kernel, inlined_kernel, kernel
+from closedloop.compiled import entry_kernel, inlined_kernel, kernel, kernel_inlined
 from closedloop.contact import FREE, PRESSED, STUCK, factorise, pressed_force, strike, stuck_force
 from closedloop.control.laws import restart
 from closedloop.events import IMPACT, LIFTOFF, REVERSAL, SLIP_AGAIN, STICK, TOUCHDOWN, write_event
@@ -256,7 +256,7 @@ def proceed(
     return TERMS_AND_LAW if state[LAW] == LAW_GIVEN and state[SAMPLED] != 0 else TERMS
 
 
-@kernel
+@kernel_inlined
 def gauge(w: Work, k: Array, state: Whole, more: int | None) -> float:
     """Return the number that is positive as long as the mode lasts: a gap, m, a force, N, or a speed, mm/s."""
     if state[MODE] == FREE:
@@ -287,7 +287,7 @@ def slip_left(w: Work, k: Array, state: Whole) -> float:
     return float(along - (band if w.now[START_SLIP] > band else 0.0))
 
 
-@kernel
+@kernel_inlined
 def _ask(state: Whole, phase: int) -> None:
     """Say what the next terms are for, and whether the law is to be evaluated with them."""
     state[PHASE] = phase
@@ -299,7 +299,7 @@ def _ask(state: Whole, phase: int) -> None:
         state[SAMPLED] = 0 if phase == TRANSITING and state[LAW] == LAW_GIVEN else 1
 
 
-@kernel
+@kernel_inlined
 def remember(w: Work, k: Array, state: Whole, more: int | None) -> None:
     """Keep the state and its derivative: the beginning of a substep of length now[LENGTH]."""
     n, extra, now = w.q.shape[0], w.z.shape[0], w.now
@@ -323,7 +323,7 @@ def remember(w: Work, k: Array, state: Whole, more: int | None) -> None:
     now[START_GAUGE] = gauge(w, k, state, more)
 
 
-@kernel
+@kernel_inlined
 def _restore(w: Work, state: Whole) -> None:
     """Go back to the remembered state, to take a step of another length, now[TAU], from it."""
     n, extra = w.q.shape[0], w.z.shape[0]
@@ -349,7 +349,7 @@ def _advance_friction(w: Work, k: Array, state: Whole, h: float) -> None:
     advance_joint_friction(w, k, state, h)
 
 
-@kernel
+@kernel_inlined
 def _leave_stage(now: Array, h: float, state: Whole, tableau: Array) -> None:
     """Ask for the terms of the state that a stage has led to: the next stage's, or those of the substep's end."""
     stage, tau = state[STAGE], now[TAU]
@@ -372,7 +372,7 @@ def _leave_stage(now: Array, h: float, state: Whole, tableau: Array) -> None:
             _ask(state, ARRIVING)
 
 
-@kernel
+@kernel_inlined
 def _arrive(now: Array, drift: float, state: Whole) -> int:
     """Say what a step that has just arrived calls for: SET_OUT, an event here (TRANSIT), or a search for one."""
     here = state[ROW] == 0 or state[CERTAIN] != 0  # there is no earlier instant to look at

@@ -15,7 +15,7 @@ import math
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from closedloop.compiled import kernel
+from closedloop.compiled import kernel_inlined
 
 Array = NDArray[np.float64]
 
@@ -81,7 +81,7 @@ def solve_closure(H: ArrayLike, rhs: ArrayLike, A: ArrayLike, b: ArrayLike) -> t
     return solution[:n], float(force[0]) if np.ndim(A) == 1 else force
 
 
-@kernel
+@kernel_inlined
 def cholesky(M: Array, L: Array) -> bool:
     """Write the lower triangle L of M = L Lᵀ, reading M's upper triangle; False if M is not positive definite.
 
@@ -102,7 +102,7 @@ def cholesky(M: Array, L: Array) -> bool:
     return True
 
 
-@kernel
+@kernel_inlined
 def forward_substitute(L: Array, x: Array) -> None:
     """Overwrite x (n,) with L⁻¹x."""
     for i in range(x.shape[0]):
@@ -112,7 +112,7 @@ def forward_substitute(L: Array, x: Array) -> None:
         x[i] = s * L[i, i]
 
 
-@kernel
+@kernel_inlined
 def back_substitute(L: Array, x: Array) -> None:
     """Overwrite x (n,) with L⁻ᵀx."""
     for i in range(x.shape[0] - 1, -1, -1):
@@ -122,7 +122,7 @@ def back_substitute(L: Array, x: Array) -> None:
         x[i] = s * L[i, i]
 
 
-@kernel
+@kernel_inlined
 def condition(H: Array, A: Array, L: Array, X: Array, mobility: float, pressed: bool, work: Array) -> float:
     """Return the condition number of the matrix K of Eq. 24 in the 1-norm, ‖K‖₁‖K⁻¹‖₁, in SI units.
 

@@ -15,7 +15,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from closedloop.compiled import kernel
+from closedloop.compiled import kernel, kernel_inlined
 from closedloop.contact import (
     FREE,
     PRESSED,
@@ -88,7 +88,7 @@ SPEED_LIMIT = 1e4
 LAW_GIVEN = -1
 
 
-@kernel
+@kernel_inlined
 def reference_row(t: float, spacing: float, table: Array, n: int, row: Array) -> None:
     """Write what is desired at time t: between the table's instants, a cubic in position and lines for the rest.
 
@@ -122,7 +122,7 @@ def reference_row(t: float, spacing: float, table: Array, n: int, row: Array) ->
             row[j] = table[at, j] + s * (v0 + s * (3.0 * rise - 2.0 * v0 - v1 + s * (v0 + v1 - 2.0 * rise)))
 
 
-@kernel
+@kernel_inlined
 def locate_tip(w: Work, k: Array) -> None:
     """Write the tip's motion in the contact frame, and the gap and its rate."""
     into_contact_frame(k[FRAME : FRAME + 9], w.J, w.r, w.drift, w.v, w.A, w.p, w.u, w.drift_c)
@@ -130,7 +130,7 @@ def locate_tip(w: Work, k: Array) -> None:
     w.now[RATE] = w.u[0]
 
 
-@kernel
+@kernel_inlined
 def evaluate(H: Array, C: Array, w: Work, k: Array, state: Whole, table: Array, rows: Array, more: int | None) -> int:
     """Evaluate law, friction, contact and Eq. 24 at the state in `w`.
 
@@ -222,7 +222,7 @@ def evaluate(H: Array, C: Array, w: Work, k: Array, state: Whole, table: Array, 
     return OK if math.isfinite(total) else DIVERGED
 
 
-@kernel
+@kernel_inlined
 def contact_force(C: Array, w: Work, k: Array, state: Whole) -> int:
     """Solve Eq. 24 in the present mode for the contact force F and the acceleration q̈; return a status."""
     for j in range(w.q.shape[0]):
@@ -346,7 +346,7 @@ SCALARS = (
 )  # fmt: skip
 
 
-@kernel
+@kernel_inlined
 def kinetic_energy(H: Array, v: Array) -> float:
     """Return ½ q̇ᵀH q̇, J, from H's upper triangle."""
     total = 0.0
@@ -357,7 +357,7 @@ def kinetic_energy(H: Array, v: Array) -> float:
     return total
 
 
-@kernel
+@kernel_inlined
 def record(H: Array, C: Array, w: Work, k: Array, state: Whole, table: Array, row: Array, more: int | None) -> None:
     """Write one row in the order of `Row`: the state, and what acted in it."""
     n = w.q.shape[0]

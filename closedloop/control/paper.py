@@ -18,7 +18,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from closedloop.compiled import kernel
+from closedloop.compiled import kernel_inlined
 
 if TYPE_CHECKING:
     from closedloop.robot import Terms
@@ -28,7 +28,7 @@ Law = Callable[[float, Array, Array, "Terms"], ArrayLike]
 """A control law: time, s; q, q̇ (n,) read-only; `Terms` of that state -> joint torque Q (n,), N m."""
 
 
-@kernel
+@kernel_inlined
 def paper_law(
     t: float,
     settings: Array,

@@ -1,0 +1,57 @@
+"""Figs. 6 and 7: the closure error, and the gap of a tip that is off the surface."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+import numpy as np
+from numpy.typing import NDArray
+
+from closedloop.contact import FREE
+from closedloop.figures.dress import dress, explain_contact
+from closedloop.figures.style import COLOURS, length_unit, new_figure
+from closedloop.record import Run
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+    from matplotlib.figure import Figure
+
+_STABILISED = {
+    "baumgarte": "with Baumgarte's stabiliser",
+    "projection": "with projection",
+    "both": "with Baumgarte's stabiliser and projection",
+    "none": "without stabiliser",
+}
+
+
+def closure_error(run: Run) -> Figure:
+    """Draw the closure error e against time (Fig. 6 with the stabiliser, Fig. 7 without).
+
+    Off the surface e is a gap and no error, a million times larger than the error in contact: a run that has both gets
+    a panel for each.
+    """
+    touching = run.mode != FREE
+    how = _STABILISED[run.scenario.stabiliser.kind]
+    both = bool(np.any(touching) and not np.all(touching))
+    figure = new_figure(height=4.8 if both else 3.4)
+    panels = figure.subplots(2 if both else 1, 1, sharex=True, squeeze=False)[:, 0]
+    if np.all(touching):
+        unit = _draw(panels[0], run, run.closure_error)
+        dress(panels[0], run, f"Closure error e = n·r − d, {how}", f"e [{unit}]")
+    else:
+        unit = _draw(panels[0], run, run.closure_error)
+        dress(panels[0], run, "Gap e = n·r − d", f"e [{unit}]", show_events=not both)
+    if both:
+        panels[0].set_xlabel("")
+        unit = _draw(panels[1], run, np.where(touching, run.closure_error, np.nan))
+        dress(panels[1], run, f"The same in contact: closure error, {how}", f"e [{unit}]", label_marks=False)
+    explain_contact(figure, run)
+    return figure
+
+
+def _draw(axes: Axes, run: Run, error: NDArray[np.float64]) -> str:
+    """Draw an error, m, which is NaN where there is none, and return the unit in which it is drawn."""
+    axes.margins(y=0.15)
+    factor, unit = length_unit(float(np.nanmax(np.abs(error), initial=0.0)))
+    axes.plot(run.time, factor * error, color=COLOURS[1])
+    return unit

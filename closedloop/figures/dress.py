@@ -1,0 +1,171 @@
+"""What all panels over time share: titles, the marks of law and reference, and what the contact does.
+
+Modes are bands behind the curves and events are marks on the time axis. Bands differ in lightness and hatching and
+marks in shape, so that neither needs colour.
+"""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from closedloop.contact import FREE, PRESSED, STUCK
+from closedloop.events import IMPACT, KINDS, LIFTOFF, REVERSAL, SLIP_AGAIN, STICK, TOUCHDOWN
+from closedloop.figures.instants import intervals, marks, thinned
+from closedloop.record import Run
+
+if TYPE_CHECKING:
+    from matplotlib.artist import Artist
+    from matplotlib.axes import Axes
+    from matplotlib.figure import Figure
+
+BANDS: dict[int, tuple[str, dict[str, Any]]] = {
+    FREE: ("free", {"facecolor": "#DCE9F3", "edgecolor": "none"}),
+    PRESSED: ("pressed", {"facecolor": "white", "edgecolor": "0.6"}),
+    STUCK: ("stuck", {"facecolor": "#F5E9D0", "edgecolor": "#D9C08C", "hatch": "////"}),
+}
+# The first to be drawn is the lowest: one touchdown is not hidden by a hundred impacts.
+SHAPES: dict[int, dict[str, Any]] = {
+    IMPACT: {"marker": "|", "markersize": 7, "markeredgewidth": 0.9},
+    REVERSAL: {"marker": "d", "markersize": 4},
+    SLIP_AGAIN: {"marker": ">", "markersize": 5},
+    STICK: {"marker": "s", "markersize": 4},
+    TOUCHDOWN: {"marker": "v", "markersize": 6},
+    LIFTOFF: {"marker": "^", "markersize": 6},
+}
+INK = "0.15"
+# How much of a panel a label of a mark takes, as shares of its width and height.
+LABEL_WIDTH, LABEL_HEIGHT = 0.2, 0.11
+
+
+def dress(
+    axes: Axes,
+    run: Run,
+    title: str,
+    label: str,
+    *,
+    label_marks: bool = True,
+    show_events: bool = True,
+    rows: slice = slice(None),
+) -> None:
+    """Give a panel over the time of these rows its title, axes, marks, bands and events.
+
+    Parameters
+    ----------
+    title : str
+        The robot's name is added where marks are labelled.
+    label : str
+        Of the vertical axis, with its unit.
+    label_marks, show_events : bool
+        Off for all but one of several panels over the same time.
+    """
+    axes.set_title(f"{title} ({run.model.name})" if label_marks else title)
+    axes.set_xlabel("time [s]")
+    axes.set_ylabel(label)
+    begin = float(run.time[rows][0])
+    end = max(float(run.time[rows][-1]), begin + run.scenario.time.step)
+    axes.set_xlim(begin, end)
+    _draw_bands(axes, run, begin, end)
+    _draw_marks(axes, run, begin, end, label_marks)
+    if show_events:
+        _draw_events(axes, run, begin, end)
+
+
+def explain_contact(figure: Figure, run: Run) -> None:
+    """Add to a figure the one legend of its bands and events; nothing to a run whose contact never changes."""
+    from matplotlib.lines import Line2D
+    from matplotlib.patches import Patch
+
+    handles: list[Artist] = []
+    if contact_changes(run):
+        present = set(np.unique(run.mode).tolist())
+        handles += [Patch(label=name, **style) for mode, (name, style) in BANDS.items() if mode in present]
+    happened = set(np.unique(run.event_kind).tolist())
+    handles += [
+        Line2D([], [], color=INK, linestyle="none", label=KINDS[kind], **shape)
+        for kind, shape in sorted(SHAPES.items())
+        if kind in happened
+    ]
+    if handles:
+        figure.legend(handles=handles, loc="outside lower center", ncols=len(handles), fontsize=8, columnspacing=1.5)
+
+
+def legend_beside_title(axes: Axes) -> None:
+    """Put the legend of a panel beside its title, where no curve can be hidden by it."""
+    axes.legend(
+        loc="lower right", bbox_to_anchor=(1.0, 1.0), ncols=10, fontsize=8, borderaxespad=0.0, columnspacing=1.2
+    )
+
+
+def contact_changes(run: Run) -> bool:
+    """Tell whether the tip ever does anything but slide or rest on the surface."""
+    return bool(np.any(run.mode != PRESSED))
+
+
+def _draw_bands(axes: Axes, run: Run, begin: float, end: float) -> None:
+    from matplotlib.collections import PolyCollection
+
+    if not contact_changes(run):
+        return
+    for mode in (FREE, STUCK):  # pressed is the paper itself
+        spans = [(max(i.begin, begin), min(i.end, end)) for i in intervals(run) if i.mode == mode]
+        corners = [[(a, 0.0), (a, 1.0), (b, 1.0), (b, 0.0)] for a, b in spans if b > a]
+        if corners:
+            bands = PolyCollection(
+                corners, transform=axes.get_xaxis_transform(), linewidth=0, zorder=0.1, **BANDS[mode][1]
+            )
+            axes.add_collection(bands, autolim=False)
+
+
+def _draw_marks(axes: Axes, run: Run, begin: float, end: float, label: bool) -> None:
+    """Draw the marks; a label too near to the one before is set lower, and one near the end to the left of its mark."""
+    level, last, crowded = 0, -np.inf, False
+    for t, text in marks(run):
+        if not begin < t < end:
+            continue
+        axes.axvline(t, color="0.35", linestyle="--", linewidth=0.8)
+        if not label:
+            continue
+        level = level + 1 if t - last < LABEL_WIDTH * (end - begin) else 0
+        last = t
+        late = t > begin + 0.86 * (end - begin)
+        axes.annotate(
+            text, (t, 1.0), xycoords=("data", "axes fraction"), xytext=(-4 if late else 4, -11 - 11 * level),
+            textcoords="offset points", ha="right" if late else "left", fontsize=8, color="0.25",
+        )  # fmt: skip
+        left = t - LABEL_WIDTH * (end - begin) if late else t
+        right = left + LABEL_WIDTH * (end - begin)
+        crowded = crowded or _reaches_up(axes, left, right, 1.0 - LABEL_HEIGHT * (1 + level))
+    if crowded:
+        low, high = axes.get_ylim()
+        axes.set_ylim(low, high + 2 * LABEL_HEIGHT * (high - low))
+
+
+def _reaches_up(axes: Axes, begin: float, end: float, share: float) -> bool:
+    """Tell whether a curve comes up to this share of the panel's height between two times, right at these aside."""
+    low, high = axes.get_ylim()
+    aside = 0.06 * (end - begin)
+    for line in axes.lines:
+        x, y = np.asarray(line.get_xdata(), dtype=float), np.asarray(line.get_ydata(), dtype=float)
+        if x.size == 2 and np.all(x == [0.0, 1.0]):  # a level, from one side of the panel to the other
+            x = np.array([begin, end])
+        if line.get_transform().contains_branch(axes.transData) and x.size > 1:
+            inside = (x > begin + aside) & (x < end - aside)
+            if np.any(y[inside] > low + share * (high - low)):
+                return True
+    return False
+
+
+def _draw_events(axes: Axes, run: Run, begin: float, end: float) -> None:
+    from matplotlib.lines import Line2D
+    from matplotlib.transforms import offset_copy
+
+    above = offset_copy(axes.get_xaxis_transform(), fig=axes.get_figure(root=True), y=4, units="points")
+    for kind, shape in SHAPES.items():
+        times = thinned(run.event_time[run.event_kind == kind], begin, end)
+        if times.size:
+            # add_artist, not add_line: marks on the axis say nothing about the range of the data.
+            axes.add_artist(
+                Line2D(times, np.zeros_like(times), color=INK, linestyle="none", transform=above, zorder=4, **shape)
+            )

@@ -1,0 +1,72 @@
+"""The figures of a run as files."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, cast
+
+from closedloop.errors import OutputError
+from closedloop.figures.closure import closure_error
+from closedloop.figures.force import contact_force
+from closedloop.figures.friction import friction_force, has_friction
+from closedloop.figures.impacts import has_impacts, impacts
+from closedloop.figures.style import STYLE
+from closedloop.figures.tip import tip_position
+from closedloop.record import Run
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
+
+
+def draw_figures(run: Run, folder: str | Path, unstabilised: Run | None = None) -> list[Path]:
+    """Write the figures of a run into `folder`, each as PNG and SVG, and return the paths of the PNGs.
+
+    Parameters
+    ----------
+    run : Run
+        The run; one without a stabiliser gives Figs. 4, 5 and 7, one with it Figs. 4-6. One with impacts gives
+        `fig_impacts` too, one with friction `fig_friction`.
+    folder : path
+        An existing folder.
+    unstabilised : Run, optional
+        The same scenario without its stabiliser, for Fig. 7 beside Fig. 6.
+
+    Raises
+    ------
+    OutputError
+        If a figure cannot be written.
+    """
+    plain = run.scenario.stabiliser.kind == "none"
+    wanted: list[tuple[str, Callable[[Run], Figure], Run]] = [
+        ("fig4_tip_position", tip_position, run),
+        ("fig5_contact_force", contact_force, run),
+        ("fig7_closure_error_unstabilised" if plain else "fig6_closure_error", closure_error, run),
+    ]
+    if unstabilised is not None and not plain:
+        wanted.append(("fig7_closure_error_unstabilised", closure_error, unstabilised))
+    if has_impacts(run):
+        wanted.append(("fig_impacts", impacts, run))
+    if has_friction(run):
+        wanted.append(("fig_friction", friction_force, run))
+    written = []
+    for name, draw, what in wanted:
+        if len(what) == 0:
+            continue
+        written.append(save_figure(draw, what, Path(folder) / name))
+    return written
+
+
+def save_figure(draw: Callable[[Run], Figure], run: Run, path: Path) -> Path:
+    """Draw a figure of a run and write it as `path`.png and `path`.svg; return the former."""
+    import matplotlib as mpl
+
+    with mpl.rc_context(cast(Any, STYLE)):
+        figure = draw(run)
+        try:
+            for suffix in (".svg", ".png"):
+                metadata = {"Date": None} if suffix == ".svg" else {}
+                figure.savefig(path.with_suffix(suffix), metadata=metadata)
+        except OSError as error:
+            raise OutputError(f"{path}: cannot be written: {error.strerror or error}") from None
+    return path.with_suffix(".png")

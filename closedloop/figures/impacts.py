@@ -1,0 +1,114 @@
+"""The impacts of a run: how fast, how hard, at what cost."""
+
+from __future__ import annotations
+
+import math
+from typing import TYPE_CHECKING, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from closedloop.events import IMPACT, TOUCHDOWN
+from closedloop.figures.dress import legend_beside_title
+from closedloop.figures.style import COLOURS, new_figure
+from closedloop.record import Run
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+    from matplotlib.figure import Figure
+
+Array = NDArray[np.float64]
+
+# Values that span more than this ratio are drawn on a logarithmic axis; what is below this share of the largest is
+# rounding.
+WIDE, ROUNDING = 20.0, 1e-12
+
+
+class _Series(NamedTuple):
+    """Values, one an impact; their name, and how they are drawn."""
+
+    values: Array
+    label: str
+    marker: str
+    colour: str
+
+
+def _hits(run: Run) -> NDArray[np.bool_]:
+    """Return which events are meetings with the surface (M,); a touchdown without an impulse is none."""
+    return np.isin(run.event_kind, (IMPACT, TOUCHDOWN)) & (run.event_compression > 0.0)
+
+
+def has_impacts(run: Run) -> bool:
+    """Tell whether the tip ever met the surface with an impulse."""
+    return bool(np.any(_hits(run)))
+
+
+def impacts(run: Run) -> Figure:
+    """Draw the closure rate before and after each impact, its impulses, and the energy that it cost, against time.
+
+    Raises
+    ------
+    ValueError
+        If the run has no impact.
+    """
+    if not has_impacts(run):
+        raise ValueError("the run has no impact to draw")
+    hit = _hits(run)
+    time, cut, lost = run.event_time[hit], run.event_rate_cut[hit], run.event_energy_lost[hit]
+    figure = new_figure(height=6.2)
+    above, middle, below = figure.subplots(3, 1, sharex=True)
+    rates = [
+        _Series(-run.event_rate_before[hit], "before", "o", COLOURS[0]),
+        _Series(run.event_rate_after[hit], "after", "^", COLOURS[1]),
+        _Series(cut, "cut to rest", "x", "0.25"),
+    ]
+    rest = run.scenario.impact.rest_speed
+    _draw(above, time, rates, beside=rest if np.any(cut > 0.0) else None)
+    if np.any(cut > 0.0):
+        above.axhline(rest, color="0.3", linestyle=":", linewidth=1)
+        above.annotate(
+            f"impact.rest_speed = {rest:g} m/s", (0.0, rest), xycoords=("axes fraction", "data"), xytext=(4, 3),
+            textcoords="offset points", fontsize=8, color="0.25",
+        )  # fmt: skip
+    above.set_title(f"Closure rate at impacts ({run.model.name})")
+    above.set_ylabel("|ė| [m/s]")
+    impulses = [
+        _Series(run.event_compression[hit], "compression", "o", COLOURS[0]),
+        _Series(run.event_decompression[hit], "decompression", "^", COLOURS[1]),
+        _Series(np.linalg.norm(run.event_tangential[hit], axis=1), "tangential", "x", COLOURS[2]),
+    ]
+    _draw(middle, time, impulses)
+    middle.set_title("Impulse on the tip")
+    middle.set_ylabel("impulse [N s]")
+    _draw(below, time, [_Series(lost, "", "o", COLOURS[0])])
+    below.set_title(f"Kinetic energy lost, {np.sum(lost):.3g} J in all")
+    below.set_ylabel("energy [J]")
+    below.set_xlabel("time [s]")
+    margin = max(0.04 * float(np.ptp(time)), 0.1 * run.scenario.time.step)
+    below.set_xlim(float(time[0]) - margin, float(time[-1]) + margin)
+    return figure
+
+
+def _draw(axes: Axes, time: Array, series: list[_Series], beside: float | None = None) -> None:
+    """Draw what is positive of each series: zero has no place on a logarithmic axis; `beside` is to be seen too."""
+    from matplotlib.ticker import NullFormatter
+
+    least = ROUNDING * max(float(np.max(each.values)) for each in series)
+    shown = [each for each in series if np.any(each.values > least)]
+    for values, label, marker, colour in shown:
+        axes.plot(
+            time, np.where(values > least, values, np.nan), linestyle="none" if marker == "x" else ":", linewidth=0.7,
+            marker=marker, markersize=5, markerfacecolor="none" if marker == "^" else colour, color=colour, label=label,
+        )  # fmt: skip
+    everything = np.concatenate([each.values[each.values > least] for each in shown] or [np.ones(1)])
+    low, high = float(np.min(everything)), float(np.max(everything))
+    if beside is not None:
+        low, high = min(low, beside), max(high, beside)
+    if high > WIDE * low:
+        axes.set_yscale("log")
+        axes.set_ylim(10 ** math.floor(math.log10(0.8 * low)), 10 ** math.ceil(math.log10(1.25 * high)))
+        axes.yaxis.set_minor_formatter(NullFormatter())
+    else:
+        axes.set_ylim(0.0, 1.2 * high)
+    if any(each.label for each in shown):
+        legend_beside_title(axes)

@@ -1,0 +1,45 @@
+"""What all figures look like."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Any
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
+
+# Blue, orange, green of Okabe and Ito's palette: told apart by colour-blind readers and in grey print.
+COLOURS = ("#0072B2", "#D55E00", "#009E73")
+STROKES = ("-", "-", "--")
+STYLE: dict[str, Any] = {
+    "font.size": 10,
+    "axes.titlesize": 11,
+    "axes.titlelocation": "left",
+    "axes.grid": True,
+    "legend.frameon": True,
+    "legend.framealpha": 0.9,
+    "legend.edgecolor": "none",
+    "lines.linewidth": 1.2,
+    "grid.alpha": 0.3,
+    "axes.spines.top": False,
+    "axes.spines.right": False,
+    "axes.formatter.useoffset": False,
+    "hatch.linewidth": 0.5,
+    "svg.fonttype": "none",
+    "svg.hashsalt": "closedloop",
+    "savefig.dpi": 150,
+}
+
+
+def new_figure(height: float = 3.4) -> Figure:
+    """Return an empty figure as wide as a page, and `height` inches high."""
+    from matplotlib.figure import Figure
+
+    return Figure(figsize=(7.2, height), layout="constrained")
+
+
+def length_unit(size: float) -> tuple[float, str]:
+    """Return the factor and the name of the unit in which a length of `size` metres is read with ease."""
+    for factor, unit in ((1e12, "pm"), (1e9, "nm"), (1e6, "µm"), (1e3, "mm")):
+        if size * factor < 1000:
+            return factor, unit
+    return 1.0, "m"

@@ -2,6 +2,7 @@
 
 import dataclasses
 import json
+import re
 
 import numpy as np
 import pytest
@@ -9,6 +10,7 @@ from slides import SLIDES
 
 import closedloop as cl
 from closedloop.report import NEAR_SINGULAR, RESIDUAL_TOLERANCE, energy_balance, limits_exceeded, print_report
+from closedloop.report.tables import MOST_EVENTS
 
 NAMES = ("one_loop", "single_point", "contact_kept", "frictionless", "nonsingular")
 
@@ -199,3 +201,95 @@ def test_printed_report_of_a_run_without_rows(capsys):
     text = capsys.readouterr().out
     assert "nan" not in text.lower()
     assert "no row could be computed" in text
+
+
+def printed(run, capsys, width=80):
+    """Return what is printed of a run, the blanks that only fill lines taken out."""
+    capsys.readouterr()
+    print_report(run, width=width)
+    text = capsys.readouterr().out
+    assert max(map(len, text.splitlines())) <= width
+    assert "…" not in text.replace(" … ", "")
+    return re.sub(r"[ ]+", " ", text)
+
+
+@pytest.mark.parametrize("name", ["wam_touchdown", "wam_liftoff"])
+def test_contact_that_was_not_kept_says_for_how_long(name, shipped_run):
+    """A tip that starts free never kept contact, one that leaves did until then; only contact_kept fails by it."""
+    run = shipped_run(name)
+    change = np.ceil(run.events[-1].time / 0.001) * 0.001  # the first row after the touchdown, or the liftoff
+    free = change if name == "wam_touchdown" else run.time[-1] - change
+    assert failures(run) == {"contact_kept": pytest.approx(0.0 if name == "wam_touchdown" else change, abs=1e-9)}
+    said = run.summary()["assumptions"]["contact_kept"]["measured"]
+    assert said == f"free for {free:.4g} of {run.time[-1]:g} s"
+    assert run.summary()["time_in_contact"] + free == pytest.approx(run.time[-1], abs=1e-9)
+
+
+def test_contact_of_a_run_that_is_free_all_along():
+    """A run that ends before the tip arrives has no contact at all, and no closure row to meet."""
+    run = cl.simulate(cl.load_scenario("wam_touchdown", {"time.duration": 0.01}))
+    report = run.summary()["assumptions"]
+    assert failures(run) == {"contact_kept": 0.0}
+    assert report["contact_kept"]["measured"] == "free from start to end"
+    assert report["one_loop"]["measured"] == "no row: the tip is free"
+
+
+def test_force_that_fails_in_contact_is_named_before_free_time(shipped_run):
+    """A pull while in contact decides, not the time for which the tip was free."""
+    run = with_column(shipped_run("wam_touchdown"), "contact_force", {5000: -2.0})
+    assert run.summary()["assumptions"]["contact_kept"]["measured"] == "f ≥ -2 N, at 5 s"
+
+
+@pytest.mark.parametrize("width", [80, 100])
+@pytest.mark.parametrize("name", ["wam_touchdown", "wam_bounce", "wam_edge", "wam_liftoff", "planar2_drop"])
+def test_events_are_printed_as_they_were(name, width, shipped_run, capsys):
+    """Each of the first eight events is a line with its time, rates, impulses and loss; the rest are counted."""
+    run = shipped_run(name)
+    text = printed(run, capsys, width)
+    for event in run.events[:MOST_EVENTS]:
+        cells = [f"{event.time:.6f}", event.kind, f"{event.rate_before:.3g}", f"{event.rate_after:.3g}"]
+        if event.kind != "liftoff":
+            cells += [f"{x:.3g}" for x in (event.compression, event.decompression, event.energy_lost)]
+        assert " ".join(cells) in text
+    more = len(run.events) - MOST_EVENTS
+    assert (f"and {more} more, the last at {run.events[-1].time:.6f} s" in text) == (more > 0)
+    assert text.count("more, the last") == (more > 0)
+
+
+def test_late_and_large_events_fit_the_page(shipped_run, capsys):
+    """Times over a thousand seconds and figures as wide as they come keep the table within 80 columns."""
+    run = shipped_run("wam_bounce")
+    rates = [name for name in run.columns if name.startswith(("event_rate", "event_energy"))]
+    wide = {name: -1.2345e100 * run.columns[name] for name in rates}
+    late = {"event_time": run.event_time + 1000.0}
+    text = printed(dataclasses.replace(run, columns={**run.columns, **wide, **late}), capsys)
+    assert f"{1000.0 + run.event_time[0]:.6f} impact {-1.2345e100 * run.event_rate_before[0]:.3g}" in text
+
+
+def test_tables_of_a_run_that_ends_free(shipped_run, capsys):
+    """Off the surface the closure error is a gap, and the force commanded last is that of the profile."""
+    run = shipped_run("wam_liftoff")
+    assert 0.02 < run.closure_error[-1] < 0.03
+    text = printed(run, capsys, 120)
+    assert f"a gap of {run.closure_error[-1]:.3g} m at the end" in text
+    assert "free; commanded 10 N" in text
+    assert "1 liftoff" in text
+    assert "energy lost in impacts" not in text
+    ends = cl.simulate(cl.load_scenario("wam_edge", {"time.duration": 2.0}))
+    assert f"commanded {ends.reference_force[-1]:.6g} N" in printed(ends, capsys, 120)
+    assert ends.reference_force[-1] == pytest.approx(3.0)
+
+
+def test_force_in_contact_is_what_was_lowest(shipped_run, capsys):
+    """The zero force of a free tip is not the lowest force of its contact."""
+    run = shipped_run("wam_touchdown")
+    lowest = run.contact_force[run.mode != 0].min()
+    assert lowest > 3.0
+    assert f"{lowest:.4g} … {run.contact_force.max():.4g} N in contact" in printed(run, capsys, 120)
+
+
+def test_unbroken_contact_has_no_events_to_print(slide, capsys):
+    """A bilateral run without friction says nothing of events."""
+    text = printed(slide, capsys)
+    assert "event" not in text
+    assert "in contact" not in text

@@ -1,0 +1,17 @@
+"""What a run says of itself: the paper's five assumptions, and how large every error was."""
+
+from __future__ import annotations
+
+from closedloop.report.assumptions import NEAR_SINGULAR, RESIDUAL_TOLERANCE, assumptions
+from closedloop.report.summary import energy_balance, summarise
+from closedloop.report.tables import limits_exceeded, print_report
+
+__all__ = [
+    "NEAR_SINGULAR",
+    "RESIDUAL_TOLERANCE",
+    "assumptions",
+    "energy_balance",
+    "limits_exceeded",
+    "print_report",
+    "summarise",
+]

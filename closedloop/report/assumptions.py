@@ -1,0 +1,98 @@
+"""The paper's five assumptions, watched in every run.
+
+An assumption is reported as held only if it was checked at every row; the figure that decides stands beside it.
+"""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from closedloop.contact import FREE, STUCK
+
+if TYPE_CHECKING:
+    from closedloop.record import Run
+
+# Eq. 24 is solved to rounding: n additions of rounding 1e-16 each, with room for the conditioning of H.
+RESIDUAL_TOLERANCE = 1e-12
+# Below this share of its mobility the tip is within 1e-3 rad of a singular pose, and f, q̈ and Q along the normal
+# grow a thousandfold; the simulation itself stops only at `closedloop.solve.SINGULAR_MOBILITY`.
+NEAR_SINGULAR = 1e-6
+
+
+def assumptions(run: Run) -> dict[str, dict[str, Any]]:
+    """Return, for each of the paper's assumptions, whether it held, when it first failed (s), and what decided.
+
+    - ``one_loop``: Eq. 24 has a single closure row, and its solution obeys it.
+    - ``single_point``: the surface acts on the arm at the tip alone: the equation of motion is met with Jᵣᵀn f and no
+      moment beside it.
+    - ``contact_kept``: the surface never has to pull: f > 0, and a tip that may leave never does.
+    - ``frictionless``: the surface acts along its normal alone: no friction force, and the same residual.
+    - ``nonsingular``: the tip can move along the normal (`NEAR_SINGULAR`).
+    """
+    if len(run) == 0:
+        missing = {"held": None, "first_failed": 0.0, "measured": "no row could be computed"}
+        return {
+            name: dict(missing) for name in ("one_loop", "single_point", "contact_kept", "frictionless", "nonsingular")
+        }
+    motion = float(np.max(run.residual_motion))
+    stiffest = int(np.argmin(run.normal_mobility))
+    friction = np.linalg.norm(run.friction_force, axis=1)
+    only_contact = f"other forces ≤ {motion:.0e}"
+    report = {
+        "one_loop": _judge(
+            run,
+            (run.residual_closure <= RESIDUAL_TOLERANCE) & (run.mode != STUCK),
+            _rows_of_the_closure(run),
+        ),
+        "single_point": _judge(run, run.residual_motion <= RESIDUAL_TOLERANCE, only_contact),
+        "contact_kept": _judge(
+            run,
+            (run.contact_force > 0.0) & (run.mode != FREE),
+            _contact(run),
+        ),
+        "frictionless": _judge(
+            run,
+            (run.residual_motion <= RESIDUAL_TOLERANCE) & (friction == 0.0),
+            only_contact if not np.any(friction) else f"friction ≤ {np.max(friction):.3g} N",
+        ),
+        "nonsingular": _judge(
+            run,
+            run.normal_mobility > NEAR_SINGULAR,
+            f"mobility ≥ {run.normal_mobility[stiffest]:.2g}, cond. ≤ {np.max(run.kkt_condition):.2g}",
+        ),
+    }
+    if run.stopped and "singular" in run.stopped:
+        verdict = report["nonsingular"]
+        if verdict["held"]:  # no row was near it: the step after the last was
+            verdict |= {"held": False, "first_failed": float(run.time[-1]) + run.scenario.time.step}
+    return report
+
+
+def _judge(run: Run, held: NDArray[np.bool_], measured: str) -> dict[str, Any]:
+    failed = np.flatnonzero(~held)
+    first = float(run.time[failed[0]]) if failed.size else None
+    return {"held": not failed.size, "first_failed": first, "measured": measured}
+
+
+def _rows_of_the_closure(run: Run) -> str:
+    if np.all(run.mode == FREE):
+        return "no row: the tip is free"
+    if np.any(run.mode == STUCK):
+        return "three rows while the tip sticks"
+    return f"one row, met to {np.max(run.residual_closure):.0e}"
+
+
+def _contact(run: Run) -> str:
+    """Return what decides whether contact was kept: how long the tip was off the surface, else the lowest force."""
+    touching = run.mode != FREE
+    if not np.any(touching):
+        return "free from start to end"
+    held = np.where(touching, run.contact_force, np.inf)
+    lowest = int(np.argmin(held))
+    if np.all(touching) or not held[lowest] > 0.0:
+        return f"f ≥ {held[lowest]:.4g} N, at {run.time[lowest]:.4g} s"
+    free = run.scenario.time.step * np.count_nonzero(~touching[:-1])
+    return f"free for {free:.4g} of {run.time[-1]:g} s"

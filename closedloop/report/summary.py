@@ -1,0 +1,108 @@
+"""The summary of a run: how large every error was, what the contact did, and the balance of energy."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from closedloop.contact import FREE
+from closedloop.events import KINDS
+from closedloop.report.assumptions import assumptions
+
+if TYPE_CHECKING:
+    from closedloop.record import Run
+
+Array = NDArray[np.float64]
+
+
+def summarise(run: Run) -> dict[str, Any]:
+    """Return the summary of a run: what summary.json holds. Quantities that do not exist (no rows) are None."""
+    if len(run) == 0:
+        figures: dict[str, Any] = dict.fromkeys(_measure_keys())
+    else:
+        figures = _measures(run)
+    return {
+        "scenario": run.scenario.name,
+        "robot": run.model.name,
+        "law": run.law,
+        "steps": max(0, len(run) - 1),
+        "end_time": float(run.time[-1]) if len(run) else None,
+        "stopped": run.stopped,
+        **figures,
+        "events": {kind: sum(event.kind == kind for event in run.events) for kind in KINDS.values()},
+        "assumptions": assumptions(run),
+        "wall_seconds": run.wall_seconds,
+    }
+
+
+def _measure_keys() -> tuple[str, ...]:
+    return (
+        "final_contact_force",
+        "peak_contact_force",
+        "min_contact_force",
+        "max_stabiliser_force",
+        "max_abs_closure_error",
+        "final_closure_error",
+        "max_abs_closure_rate",
+        "max_tip_speed",
+        "max_kkt_residual",
+        "max_kkt_condition",
+        "min_normal_mobility",
+        "max_energy_residual",
+        "energy_exchanged",
+        "deepest_penetration",
+        "time_in_contact",
+        "max_friction_force",
+        "energy_lost_in_impacts",
+        "largest_rate_cut",
+    )
+
+
+def _measures(run: Run) -> dict[str, Any]:
+    residual, exchanged = energy_balance(run)
+    # Off the surface the closure error is a gap, not an error.
+    touching = run.mode != FREE
+    values = (
+        run.contact_force[-1],
+        np.max(run.contact_force),
+        np.min(run.contact_force),
+        np.max(np.abs(run.stabiliser_force)),
+        np.max(np.abs(run.closure_error), where=touching, initial=0.0),
+        run.closure_error[-1],
+        np.max(np.abs(run.closure_rate), where=touching, initial=0.0),
+        np.max(np.linalg.norm(run.velocity, axis=1)),
+        max(np.max(run.residual_motion), np.max(run.residual_closure)),
+        np.max(run.kkt_condition),
+        np.min(run.normal_mobility),
+        np.max(np.abs(residual)),
+        exchanged[-1],
+        max(0.0, -np.min(run.closure_error)),
+        run.scenario.time.step * np.count_nonzero(touching[:-1]),
+        np.max(np.linalg.norm(run.friction_force, axis=1)),
+        np.sum(run.event_energy_lost),
+        np.max(run.event_rate_cut, initial=0.0),
+    )
+    return {key: float(value) for key, value in zip(_measure_keys(), values, strict=True)}
+
+
+def energy_balance(run: Run) -> tuple[Array, Array]:
+    """Return the residual of the energy balance and the energy exchanged, each (N,), J, from the start to each row.
+
+    The residual is the change of kinetic and potential energy less the work of the joint torques, ∫ Qᵀq̇ dt, and of the
+    contact and friction forces, ∫ f ė + F_tᵀṙ dt, by the trapezoidal rule over the rows, plus what the events lost. It
+    shrinks with the step, as the integrator's order
+    says, but no faster than the rule's own order, two. The energy exchanged is ∫ |Qᵀq̇| dt, what the residual is small
+    or large against.
+    """
+    energy = run.kinetic_energy + run.potential_energy
+    power = np.einsum("ij,ij->i", run.torque, run.v)
+    contact = run.contact_force * run.closure_rate + np.einsum("ij,ij->i", run.friction_force, run.velocity)
+    lost = np.concatenate([[0.0], np.cumsum(run.event_energy_lost)])
+    work = _cumulative(power + contact, run.time) - lost[np.searchsorted(run.event_time, run.time, side="right")]
+    return energy - energy[0] - work, _cumulative(np.abs(power), run.time)
+
+
+def _cumulative(rate: Array, time: Array) -> Array:
+    return np.concatenate([[0.0], np.cumsum(0.5 * (rate[1:] + rate[:-1]) * np.diff(time))])

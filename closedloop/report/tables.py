@@ -1,0 +1,168 @@
+"""The tables of a run: its assumptions, its errors, and what happened to the contact."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from closedloop.contact import FREE
+
+if TYPE_CHECKING:
+    from rich.console import Console
+
+    from closedloop.record import Event, Run
+
+# How many events are printed: a bouncing tip has dozens.
+MOST_EVENTS = 8
+
+
+def limits_exceeded(run: Run) -> str:
+    """Return a line about the first joint that left its limits, or an empty string."""
+    outside = (run.q < run.model.position_lower) | (run.q > run.model.position_upper)
+    rows, joints = np.nonzero(outside)
+    if not rows.size:
+        return ""
+    k, j = int(rows[0]), int(joints[0])
+    limits = f"[{run.model.position_lower[j]:g}, {run.model.position_upper[j]:g}]"
+    name = run.model.joint_names[j]
+    return f"joint {name} leaves its limits {limits} at t = {run.time[k]:g} s (q = {run.q[k, j]:.4f})"
+
+
+_TITLES = {
+    "one_loop": "one loop",
+    "single_point": "a single point",
+    "contact_kept": "no loss of contact (f > 0)",
+    "frictionless": "no friction",
+    "nonsingular": "no singular pose",
+}
+
+
+def print_report(run: Run, width: int | None = None) -> None:
+    """Print the table of assumptions and errors on standard output."""
+    from rich import box
+    from rich.console import Console
+    from rich.table import Table
+
+    console = Console(width=width, highlight=False)
+    facts = run.summary()
+    table = Table(box=box.SIMPLE_HEAD, title=f"{run.scenario.name}: the paper's assumptions", title_justify="left")
+    table.add_column("assumption")
+    table.add_column("held")
+    table.add_column("first failed", justify="right")
+    table.add_column("decided by")
+    for name, verdict in facts["assumptions"].items():
+        held = {True: "[green]yes[/]", False: "[bold red]NO[/]", None: "unknown"}[verdict["held"]]
+        when = "" if verdict["first_failed"] is None else f"{verdict['first_failed']:.4g} s"
+        table.add_row(_TITLES[name], held, when, verdict["measured"])
+    console.print(table)
+    if len(run) == 0:
+        return
+    errors = Table(box=box.SIMPLE_HEAD, title="how large every error was, at its worst", title_justify="left")
+    errors.add_column("quantity", no_wrap=True)
+    errors.add_column("value", justify="right", no_wrap=True)
+    errors.add_column("unit", no_wrap=True)
+    errors.add_column("beside it")
+    for row in _error_rows(run, facts):
+        errors.add_row(*row)
+    console.print(errors)
+    if run.events:
+        _print_events(run, console)
+    warning = limits_exceeded(run)
+    if warning:
+        console.print(f"[yellow]note:[/] {warning}")
+
+
+def _error_rows(run: Run, facts: dict[str, Any]) -> list[tuple[str, str, str, str]]:
+    touching = run.mode != FREE
+    commanded = f"commanded {run.reference_force[-1]:.6g} N" if run.law == "scenario" else f"law {run.law}"
+    kind = run.scenario.stabiliser.kind
+    absent = {"none": "no stabiliser", "projection": "projection needs no force"}.get(kind, "")
+    force = run.contact_force[touching] if np.any(touching) else np.zeros(1)
+    where = "" if np.all(touching) else "in contact" if np.any(touching) else "never in contact"
+    end = facts["final_closure_error"]
+    return [
+        (
+            "contact force f at the end",
+            f"{facts['final_contact_force']:.9g}",
+            "N",
+            commanded if touching[-1] else f"free; {commanded}",
+        ),
+        ("f, lowest and highest", f"{np.min(force):.4g} … {np.max(force):.4g}", "N", where),
+        ("the stabiliser's part of f", f"{facts['max_stabiliser_force']:.2g}", "N", absent),
+        (
+            "closure error |e|",
+            f"{facts['max_abs_closure_error']:.2g}",
+            "m",
+            f"{end:.1g} m at the end" if touching[-1] else f"a gap of {end:.3g} m at the end",
+        ),
+        ("closure rate |ė|", f"{facts['max_abs_closure_rate']:.2g}", "m/s", ""),
+        ("residual of Eq. 24", f"{facts['max_kkt_residual']:.1g}", "relative", "rounding is 1e-16"),
+        (
+            "energy unaccounted for",
+            f"{facts['max_energy_residual']:.2g}",
+            "J",
+            f"of {facts['energy_exchanged']:.2g} J exchanged",
+        ),
+        ("tip speed", f"{facts['max_tip_speed']:.4g}", "m/s", ""),
+        *_contact_rows(run, facts),
+    ]
+
+
+def _contact_rows(run: Run, facts: dict[str, Any]) -> list[tuple[str, str, str, str]]:
+    """Return what a run in which contact changes has to say beside the rest."""
+    counts = ", ".join(f"{count} {kind}{'s' * (count > 1)}" for kind, count in facts["events"].items() if count)
+    rows = [("events", str(len(run.events)), "", counts)] if run.events else []
+    if run.scenario.surface.contact == "bilateral":
+        return rows
+    cut = facts["largest_rate_cut"]
+    rows += [
+        ("time in contact", f"{facts['time_in_contact']:.4g}", "s", f"of {run.time[-1]:g} s"),
+        ("deepest penetration", f"{facts['deepest_penetration']:.2g}", "m", ""),
+    ]
+    if facts["events"]["impact"] or facts["events"]["touchdown"]:
+        what = f"bounce cut: {cut:.2g} m/s" if cut > 0.0 else "no bounce was cut"
+        rows.append(("energy lost in impacts", f"{facts['energy_lost_in_impacts']:.3g}", "J", what))
+    return rows
+
+
+def _print_events(run: Run, console: Console) -> None:
+    """Print the first events as a table, columns that would be empty left out."""
+    from rich import box
+    from rich.table import Table
+
+    shown = run.events[:MOST_EVENTS]
+    heads = ("time\ns", "event", "rate\nbefore\nm/s", "rate\nafter\nm/s", "com-\npression\nN s",
+             "decom-\npression\nN s", "energy\nlost\nJ")  # fmt: skip
+    rows = [_event_row(event) for event in shown]
+    kept = [k for k in range(len(heads)) if any(row[k] for row in rows)]
+    # Nothing between the columns but one blank: all seven fit into 80.
+    table = Table(box=box.SIMPLE_HEAD, title="events", title_justify="left", padding=(0, 1, 0, 0))
+    for k in kept:
+        table.add_column(heads[k], justify="left" if k == 1 else "right", no_wrap=True, vertical="bottom")
+    for row in rows:
+        table.add_row(*(row[k] for k in kept))
+    console.print(table)
+    more = len(run.events) - len(shown)
+    if more:
+        console.print(f"  and {more} more, the last at {run.events[-1].time:.6f} s")
+
+
+def _event_row(event: Event) -> tuple[str, ...]:
+    """Return the cells of an event: rates where contact begins or ends, impulses and energy of an impact."""
+    normal = event.kind in ("impact", "touchdown", "liftoff")
+    impact = event.kind in ("impact", "touchdown")
+    return (
+        f"{event.time:.6f}",
+        event.kind,
+        _short(event.rate_before) if normal else "",
+        _short(event.rate_after) if normal else "",
+        _short(event.compression) if impact else "",
+        _short(event.decompression) if impact else "",
+        _short(event.energy_lost) if impact else "",
+    )
+
+
+def _short(value: float) -> str:
+    """Return a number in three digits; what is below 1e-15 is rounding."""
+    return f"{value:.3g}" if abs(value) >= 1e-15 else "0"

@@ -6,7 +6,8 @@ on the arm:
     f_k = f_des + K_f (f_des − m_{k−1}) + K_I z_k + d        m: reading, through low-pass and delay
     z_{k+1} = z_k + h (f_des − s_k)                          s: reading without the sampling, or m
 
-It converges if every eigenvalue of that recursion lies within the unit circle.
+It converges if every eigenvalue of that recursion lies within the unit circle. The disturbance observer reads the
+sensor too: along n its estimate follows f_c + d − f as the sensor gives it, so K_o is bounded as K_I is.
 """
 
 from __future__ import annotations
@@ -86,11 +87,15 @@ def check_sampling(
             f"law.force_feedback = {law.force_feedback:g}: diverges, because a reading is {period + sensor.delay:g} s "
             f"old; must be below {most:.3g} (a longer sensor.filter_time_constant allows more)"
         )
-    if isinstance(compensation, ObserverCompensationSection) and not compensation.rate * period < 1.0:
-        raise ScenarioError(
-            f"compensation.rate = {compensation.rate:g}: must be below {1.0 / period:g}, one over the {period:g} s "
-            "between two samples"
-        )
+    if isinstance(compensation, ObserverCompensationSection):
+        rate = compensation.rate
+        slow = force_loop_radius(0.0, rate, sensor, period) > 1.0
+        if slow or not rate * period < 1.0:
+            most = _most(lambda k: force_loop_radius(0.0, k, sensor, period), rate) if slow else rate
+            raise ScenarioError(
+                f"compensation.rate = {rate:g}: diverges with this sensor and {period:g} s between two samples; must "
+                f"be below {min(most, 1.0 / period):.4g}"
+            )
 
 
 def _most(radius: Callable[[float], float], above: float) -> float:

@@ -197,9 +197,29 @@ def test_fast_feedback_behind_a_low_pass_in_the_closed_loop():
     assert F[0] - 10.0 == pytest.approx(3.0 / 6.0, abs=1e-3)
 
 
-def test_observer_faster_than_the_samples_is_refused():
-    """K_o h must stay below 1."""
+def test_observer_faster_than_its_sensor_is_refused():
+    """K_o h must stay below 1, and K_o below what a late sensor allows: beyond that the arm's own loop grows."""
     law = OperationalSpaceLawSection()
     check_sampling(law, ObserverCompensationSection(rate=999.0), SensorSection(), 1e-3)
-    with pytest.raises(ScenarioError, match=r"compensation\.rate = 1000: must be below 1000"):
+    with pytest.raises(ScenarioError, match=r"compensation\.rate = 1000: diverges .* must be below 1000"):
         check_sampling(law, ObserverCompensationSection(rate=1000.0), SensorSection(), 1e-3)
+    late = SensorSection(delay=0.01)
+    with pytest.raises(ScenarioError, match=r"compensation\.rate = 900: .* must be below ") as refused:
+        check_sampling(law, ObserverCompensationSection(rate=900.0), late, 1e-3)
+    limit = float(str(refused.value).rsplit(maxsplit=1)[1])
+    assert 100.0 < limit < 200.0
+    grown = []
+    for rate in (0.9 * limit, 1.1 * limit):
+        loop = Loop("wam4", law, ObserverCompensationSection(rate=rate))
+        sensor = pack_sensor(late, 1e-3)
+        ring, readings = np.full(sensor.ring, 10.0), loop.rates
+        loop.rates = lambda x, f, torque, z=None: readings(x, loop.f_measured, torque, z)  # noqa: B023 - used at once
+        push(loop, 0.1)
+        forces = []
+        for k in range(600):
+            F, _ = loop.step(1e-3)
+            loop.f_measured = sense(F[0], k, sensor.par, np.zeros(0), 0.0, ring)
+            forces.append(F[0])
+        grown.append(np.ptp(forces[500:]) / np.ptp(forces[:100]))
+    assert grown[0] < 0.5
+    assert grown[1] > 2.0

@@ -15,7 +15,6 @@ from closedloop.baumgarte import baumgarte_gains, largest_stable_ratio
 from closedloop.compiled import plain
 from closedloop.contact import FREE, PRESSED, STUCK
 from closedloop.control.pack import PackedLaw, pack_law
-from closedloop.control.places import PAPER
 from closedloop.control.sections import SensorSection
 from closedloop.control.sensor import PackedSensor, draws, pack_sensor, start_sensor
 from closedloop.errors import ScenarioError
@@ -119,16 +118,8 @@ class Problem:
 
     @property
     def more(self) -> bool:
-        """Whether the loop needs more than the paper's law on a smooth surface, see `closedloop.step`."""
-        scenario = self.scenario
-        return bool(
-            self.law.kind != PAPER
-            or self.law.states
-            or scenario.compensation.kind != "none"
-            or self.friction[0]
-            or self.joint_friction[0]
-            or scenario.sensor != SensorSection()
-        )
+        """Whether the loop needs more than the paper's law on a smooth surface."""
+        return needs_more(self.scenario)
 
     def constants(self) -> Array:
         """Return the loop's constants, see `closedloop.workspace`."""
@@ -203,6 +194,17 @@ class Problem:
                 w.stuck[j] = float(self.v[j] == 0.0)
                 w.z[at + LAST] = self.joint_friction[1][j, STATIC_EXCESS]
         return memory
+
+
+def needs_more(scenario: Scenario) -> bool:
+    """Whether a scenario needs more than the paper's law on a smooth surface, see `closedloop.step`."""
+    return (
+        scenario.law.kind != "paper"
+        or scenario.compensation.kind != "none"
+        or scenario.friction.kind != "none"
+        or scenario.joint_friction.kind != "none"
+        or scenario.sensor != SensorSection()
+    )
 
 
 def prepare(scenario: Scenario, model: RobotModel | None = None) -> Problem:

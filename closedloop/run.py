@@ -67,10 +67,10 @@ def _main(arguments: list[str]) -> int:
     _make_writable(folder)
     from closedloop.simulation import simulate
 
-    _announce_compiling()
+    _announce_compiling(scenario, model, options.engine)
     failure: SimulationError | None = None
     try:
-        run = simulate(scenario, law=law, model=model, progress=not options.json)
+        run = simulate(scenario, law=law, model=model, progress=not options.json, engine=options.engine)
     except SimulationError as error:
         if error.run is None:
             raise
@@ -117,6 +117,12 @@ def _parser() -> argparse.ArgumentParser:
     parser.add_argument("--out", metavar="DIR", help="where results go (default: out/SCENARIO)")
     parser.add_argument("--no-figures", action="store_true", help="write run.nc and summary.json only")
     parser.add_argument("--json", action="store_true", help="print the summary as JSON instead of tables")
+    parser.add_argument(
+        "--engine",
+        choices=("pinocchio", "compiled"),
+        default="pinocchio",
+        help="who computes H, C, r, J and its drift: Pinocchio (default), or the package's own compiled terms",
+    )
     parser.add_argument(
         "--law",
         metavar="MODULE:FUNCTION",
@@ -202,13 +208,14 @@ def _make_writable(folder: Path) -> None:
         raise OutputError(f"--out {str(folder)!r}: cannot be written: {reason}; name another folder") from None
 
 
-def _announce_compiling() -> None:
+def _announce_compiling(scenario: Scenario, model: Any, engine: str) -> None:
     """Say why the first run of an installation takes longer."""
     from closedloop.compiled import needs_compiling
-    from closedloop.machine import proceed_on_pinocchio
+    from closedloop.problem import needs_more
+    from closedloop.simulation import machine
 
-    if needs_compiling(proceed_on_pinocchio):
-        print("compiling the step (once for this installation, about 5 s) ...", file=sys.stderr, flush=True)
+    if needs_compiling(machine(needs_more(scenario), engine)):
+        print("compiling the step (once for this installation, up to a minute) ...", file=sys.stderr, flush=True)
 
 
 def _write_summary(summary: dict[str, Any], path: Path) -> Path:

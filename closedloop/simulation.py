@@ -96,7 +96,7 @@ def simulate(
     if engine == COMPILED and law is not None:
         raise ScenarioError("engine = 'compiled': takes no law of one's own; use the engine 'pinocchio' for it")
     problem = prepare(scenario, model)
-    compiled_now = needs_compiling(which(problem))
+    compiled_now = needs_compiling(machine(problem.more, engine))
     if progress is True:
         from closedloop.progress import bar
 
@@ -117,9 +117,13 @@ def _silent(done: int, total: int) -> None:
     """Report nothing."""
 
 
-def which(problem: Problem) -> Callable[..., int]:
-    """Return the form of the machine that the problem needs; the smaller one compiles and runs quicker."""
-    return proceed_with_more_on_pinocchio if problem.more else proceed_on_pinocchio
+def machine(more: bool, engine: str) -> Callable[..., int]:
+    """Return the form of the machine that a problem needs; the smaller one compiles and runs quicker."""
+    if engine == COMPILED:
+        from closedloop.compiled_engine import run_compiled, run_compiled_with_more
+
+        return run_compiled_with_more if more else run_compiled
+    return proceed_with_more_on_pinocchio if more else proceed_on_pinocchio
 
 
 def run_loop(
@@ -185,11 +189,11 @@ def run_loop(
 def _driver(
     problem: Problem, w: Work, arrays: tuple[Any, ...], engine: str
 ) -> tuple[Callable[[Array], int], Callable[[Array], int]]:
-    """Return two functions of the table of events that provide terms: once, and for as long as nothing else is asked."""
+    """Return two functions of the table of events: they provide terms once, and as long as nothing else is asked."""
     if engine == COMPILED:
-        from closedloop.compiled_engine import compiled_tree, compiled_work, run_compiled, run_compiled_with_more
+        from closedloop.compiled_engine import compiled_tree, compiled_work
 
-        run: Callable[..., int] = run_compiled_with_more if problem.more else run_compiled
+        run = machine(problem.more, engine)
         tree, work = compiled_tree(problem), compiled_work(problem.robot.n)
         k, state, memory, *rest = arrays
 
@@ -198,7 +202,7 @@ def _driver(
 
         return go_on, go_on
 
-    evaluate, proceed = problem.robot.evaluator(w.q, w.v), which(problem)
+    evaluate, proceed = problem.robot.evaluator(w.q, w.v), machine(problem.more, engine)
     fixed = (*problem.robot.views, *arrays)
 
     def once(events: Array) -> int:

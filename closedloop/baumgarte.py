@@ -20,7 +20,7 @@ from closedloop.integrate import INTEGRATORS
 # An undamped mode has radius one, and a hundred roundings of 1e-16 in computing it.
 NEUTRAL = 1.0 + 1e-13
 
-__all__ = ["amplification", "baumgarte_gains", "largest_stable_ratio"]
+__all__ = ["amplification", "baumgarte_gains", "largest_stable_ratio", "recommended_ratio", "spectral_radius"]
 
 
 def baumgarte_gains(damping_ratio: float, time_constant: float) -> tuple[float, float]:
@@ -81,3 +81,23 @@ def largest_stable_ratio(integrator: str, damping_ratio: float) -> float:
         else:
             low = middle
     return low
+
+
+@lru_cache(maxsize=256)
+def recommended_ratio(integrator: str, damping_ratio: float) -> float:
+    """Return the h/T at which the closure error dies out fastest, of least spectral radius; 0 if none is stable.
+
+    This is what ``stabiliser.time_constant = "auto"`` takes. A larger T forgets more slowly; a smaller one comes near
+    the limit of stability, amplifies the rounding of e by s_p = 1/T², and rings. For ζ = 1/√2 the map of semi-implicit
+    Euler has there two real modes that coincide.
+    """
+    limit = largest_stable_ratio(integrator, damping_ratio)
+    if limit == 0.0:
+        return 0.0
+    low, high, best = 0.0, limit, 0.0
+    for _ in range(6):  # each pass looks closer around the best of the last
+        ratios = np.linspace(low, high, 65)[1:]
+        best = float(min(ratios, key=lambda x: spectral_radius(integrator, damping_ratio, float(x))))
+        width = (high - low) / 32
+        low, high = max(0.0, best - width), min(limit, best + width)
+    return best

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 import robot_models
 from closedloop import workspace as space
-from closedloop.baumgarte import baumgarte_gains, largest_stable_ratio
+from closedloop.baumgarte import baumgarte_gains, largest_stable_ratio, recommended_ratio
 from closedloop.compiled import plain
 from closedloop.contact import FREE, PRESSED, STUCK
 from closedloop.control.pack import PackedLaw, pack_law
@@ -328,7 +328,12 @@ def _stabiliser_gains(scenario: Scenario) -> tuple[float, float]:
         return 0.0, 0.0
     name = scenario.time.integrator
     limit = largest_stable_ratio(name, section.damping_ratio)
-    ratio = scenario.time.step / section.time_constant
+    if section.time_constant == "auto" and limit > 0.0:
+        return baumgarte_gains(
+            section.damping_ratio, scenario.time.step / recommended_ratio(name, section.damping_ratio)
+        )
+    constant = 1.0 if section.time_constant == "auto" else section.time_constant
+    ratio = scenario.time.step / constant
     if ratio > limit:
         if limit == 0.0:
             raise ScenarioError(
@@ -336,12 +341,12 @@ def _stabiliser_gains(scenario: Scenario) -> tuple[float, float]:
                 "use a larger damping ratio"
             )
         raise ScenarioError(
-            f"stabiliser.time_constant = {section.time_constant:g} s with time.step = {scenario.time.step:g} s: "
+            f"stabiliser.time_constant = {constant:g} s with time.step = {scenario.time.step:g} s: "
             f"Baumgarte is unstable with {name} beyond step/time_constant = {limit:.4f} at damping ratio "
-            f"{section.damping_ratio:g}; the step may be at most {_rounded(limit * section.time_constant, down=True)} "
+            f"{section.damping_ratio:g}; the step may be at most {_rounded(limit * constant, down=True)} "
             f"s, or the time constant at least {_rounded(scenario.time.step / limit, down=False)} s"
         )
-    return baumgarte_gains(section.damping_ratio, section.time_constant)
+    return baumgarte_gains(section.damping_ratio, constant)
 
 
 def _rounded(x: float, down: bool) -> str:

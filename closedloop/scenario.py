@@ -8,6 +8,7 @@ A scenario file is data: it can name a robot and numbers, never code. Unknown ke
 from __future__ import annotations
 
 import difflib
+import math
 import tomllib
 from collections.abc import Mapping
 from copy import deepcopy
@@ -95,11 +96,28 @@ class PaperLawSection(Section):
     )
 
 
+def _time_constant(value: Any) -> Any:
+    if isinstance(value, str):
+        if value != "auto":
+            raise ValueError('must be a number of seconds, or "auto"')
+        return value
+    if isinstance(value, bool) or not isinstance(value, (int, float)):
+        raise ValueError('must be a number of seconds, or "auto"')
+    if not (math.isfinite(value) and value > 0):
+        raise ValueError('must be greater than 0 and finite, or "auto"')
+    return float(value)
+
+
+TimeConstant = Annotated[float | Literal["auto"], BeforeValidator(_time_constant)]
+
+
 class BaumgarteGains(Section):
     """What Baumgarte's stabiliser is set by: s_v = 2ζ/T, s_p = 1/T²."""
 
     damping_ratio: NotNegative = Field(0.707, description="ζ")
-    time_constant: Positive = Field(0.001, description="T, s")
+    time_constant: TimeConstant = Field(
+        0.001, description='T, s, or "auto": the T at which the closure error dies out fastest with this step'
+    )
 
 
 class BaumgarteSection(BaumgarteGains):

@@ -13,7 +13,7 @@ nbformat = pytest.importorskip("nbformat", reason=_MISSING)
 nbclient = pytest.importorskip("nbclient", reason=_MISSING)
 
 FOLDER = Path(__file__).resolve().parents[2] / "notebooks"
-FIGURES = {"figures_4_to_7": 4}  # how many each notebook shows
+FIGURES = {"drift": 2, "figures_4_to_7": 4}  # how many each notebook shows
 
 # Printed numbers are of different machines: the last digit may fall to the other side, and what is below 1e-8 in the
 # unit printed is rounding. A change of the simulator that matters changes more.

@@ -67,7 +67,10 @@ def slide_oracle(of: Problem) -> Trajectory:
     stabiliser = of.scenario.stabiliser
     if isinstance(stabiliser, ProjectionSection | BothSection):
         raise ValueError("the oracle's loop does not project")
-    pair = None if stabiliser.kind == "none" else (stabiliser.damping_ratio, stabiliser.time_constant)
+    pair = None
+    if stabiliser.kind != "none":
+        constant = stabiliser.time_constant
+        pair = (stabiliser.damping_ratio, float(of.stabiliser[1] ** -0.5) if constant == "auto" else constant)
     began = clock.perf_counter()
     run = simulate_slide(
         Oracle.from_model(of.robot.model, of.robot.tip),

@@ -1,0 +1,261 @@
+"""Closure drift: how far the tip leaves the surface, against step, speed, integrator and stabiliser.
+
+Eq. 24 holds the acceleration of the closure only. What an integrator of order p leaves out of each step stays in e, so
+without a stabiliser e grows like h^p. What it leaves out is made of the velocity products of the closure, so e grows
+like v², where v is the speed of the tip. The study measures both exponents. It also measures the step beyond which
+Baumgarte's stabiliser itself is unstable and puts it beside the theory of `closedloop.baumgarte`.
+"""
+
+from __future__ import annotations
+
+import csv
+import dataclasses
+import json
+import math
+from collections.abc import Iterable, Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from closedloop.baumgarte import baumgarte_gains, largest_stable_ratio, recommended_ratio, spectral_radius
+from closedloop.errors import ClosedLoopError
+from closedloop.integrate import INTEGRATORS
+from closedloop.problem import prepare
+from closedloop.scenario import Scenario, load_scenario
+from closedloop.simulation import run_loop, simulate
+from closedloop.step import SCALARS, Row
+
+Array = NDArray[np.float64]
+
+SCHEMES = ("semi_implicit_euler", "explicit_euler", "rk4")
+STABILISERS = ("none", "baumgarte", "projection", "both")
+STEPS = (0.00025, 0.0005, 0.001, 0.002)
+SPEEDS = (0.0045, 0.009, 0.018, 0.036, 0.072)
+PAPER_STEP, PAPER_SPEED = 0.001, 0.018
+DAMPING = (0.3, 0.5, 0.707, 1.0, 1.5)
+
+
+def slide(step: float, speed: float, scheme: str, stabiliser: str) -> Scenario:
+    """Return wam_slide for four seconds, the tip moving in three of them, with these settings (s, m/s)."""
+    changes: dict[str, Any] = {
+        "time.step": step,
+        "time.integrator": scheme,
+        "time.duration": 4.0,
+        "reference.speed": speed,
+        "reference.stop": 3.5,
+        "stabiliser.kind": stabiliser,
+    }
+    if stabiliser in ("baumgarte", "both"):
+        changes["stabiliser.time_constant"] = "auto"
+    return load_scenario("wam_slide", changes)
+
+
+def largest_error(scenario: Scenario) -> tuple[float, str]:
+    """Return the largest |e| of a run, m, and why there is none if it could not be run."""
+    try:
+        return float(np.max(np.abs(simulate(scenario, engine="compiled").closure_error))), ""
+    except ClosedLoopError as error:
+        return math.nan, str(error)
+
+
+def fitted_slope(x: Sequence[float], y: Sequence[float]) -> tuple[float, float]:
+    """Return the exponent of the power law y ~ x^p through the points, and the largest deviation of log y from it."""
+    good = np.isfinite(y) & (np.asarray(y) > 0.0)
+    if np.count_nonzero(good) < 2:
+        return math.nan, math.nan
+    a, b = np.log(np.asarray(x)[good]), np.log(np.asarray(y)[good])
+    slope, offset = np.polyfit(a, b, 1)
+    return float(slope), float(np.max(np.abs(slope * a + offset - b)))
+
+
+def measured_limit(scheme: str, damping: float, steps: int = 1500) -> float:
+    """Return the largest h/T at which a real arm's closure error does not grow, by bisection of runs to 1e-3.
+
+    planar2 is pressed on the surface from a start 1 µm off it, and its closure watched over `steps` steps.
+    """
+    h = 0.001
+    tip = prepare(load_scenario("planar2_slide", {"time.duration": h})).plane
+    scenario = load_scenario(
+        "planar2_slide",
+        {
+            "reference.kind": "hold",
+            "law.kp": 0,
+            "law.kd": 0,
+            "time.integrator": scheme,
+            "time.step": h,
+            "time.duration": steps * h,
+            "surface.offset": tip.offset - 1e-6,
+            "stabiliser.damping_ratio": damping,
+            "stabiliser.time_constant": 1.0,
+        },
+    )
+    problem = prepare(scenario)
+    column = Row.of(problem.robot.n).scalars + SCALARS.index("closure_error")
+
+    def stable(ratio: float) -> bool:
+        gains = np.array(baumgarte_gains(damping, h / ratio))
+        rows, _, failure, _ = run_loop(dataclasses.replace(problem, stabiliser=gains), engine="compiled")
+        return failure is None and bool(np.max(np.abs(rows[-100:, column])) < 1e-6)
+
+    low, high = 0.02, 4.0
+    while high - low > 1e-3 * low:
+        middle = 0.5 * (low + high)
+        low, high = (middle, high) if stable(middle) else (low, middle)
+    return low
+
+
+def measure(quick: bool = False) -> dict[str, Any]:
+    """Return all figures of the study; see `print_tables` for what they mean."""
+    schemes, steps, speeds = SCHEMES, STEPS, SPEEDS[1:4] if quick else SPEEDS
+    against_step, against_speed = [], []
+    for scheme in schemes:
+        errors = [largest_error(slide(h, PAPER_SPEED, scheme, "none")) for h in steps]
+        slope, miss = fitted_slope(steps, [e for e, _ in errors])
+        against_step.append(
+            {
+                "integrator": scheme,
+                "steps": list(steps),
+                "errors": [e for e, _ in errors],
+                "reasons": [why for _, why in errors],
+                "slope": slope,
+                "theory": INTEGRATORS[scheme].order,
+                "misfit": miss,
+            }
+        )
+        errors = [largest_error(slide(PAPER_STEP, v, scheme, "none")) for v in speeds]
+        slope, miss = fitted_slope(speeds, [e for e, _ in errors])
+        against_speed.append(
+            {
+                "integrator": scheme,
+                "speeds": list(speeds),
+                "errors": [e for e, _ in errors],
+                "slope": slope,
+                "theory": 2,
+                "misfit": miss,
+            }
+        )
+    stabilisers = [
+        {"integrator": scheme, "stabiliser": kind, "error": error, "reason": why}
+        for scheme in schemes
+        for kind in STABILISERS
+        for error, why in [largest_error(slide(PAPER_STEP, PAPER_SPEED, scheme, kind))]
+    ]
+    limits = []
+    for scheme in schemes:
+        for damping in DAMPING[2:3] if quick else DAMPING:
+            theory = largest_stable_ratio(scheme, damping)
+            best = recommended_ratio(scheme, damping)
+            limits.append(
+                {
+                    "integrator": scheme,
+                    "damping_ratio": damping,
+                    "theory": theory,
+                    "measured": measured_limit(scheme, damping),
+                    "recommended": best,
+                    "spectral_radius": spectral_radius(scheme, damping, best),
+                }
+            )
+    return {
+        "against_step": against_step,
+        "against_speed": against_speed,
+        "stabilisers": stabilisers,
+        "limits": limits,
+    }
+
+
+def run(folder: Path, quick: bool = False, as_json: bool = False) -> dict[str, Any]:
+    """Do the study, write drift.json, drift.csv and the figures into `folder`, and print the tables."""
+    from closedloop.study.drift_figures import draw_drift
+
+    results = measure(quick)
+    (folder / "drift.json").write_text(json.dumps(_without_nan(results), indent=2) + "\n", encoding="utf-8")
+    with (folder / "drift.csv").open("w", newline="", encoding="utf-8") as file:
+        writer = csv.writer(file)
+        writer.writerow(["integrator", "stabiliser", "step [s]", "speed [m/s]", "largest |e| [m]"])
+        writer.writerows(_csv_rows(results))
+    figures = draw_drift(results, folder)
+    if as_json:
+        print(json.dumps(_without_nan(results), indent=2))
+    else:
+        print_tables(results)
+        names = ", ".join(["drift.json", "drift.csv", *(path.name for path in figures)])
+        print(f"wrote {folder}/: {names}")
+    return results
+
+
+def _csv_rows(results: dict[str, Any]) -> Iterable[list[Any]]:
+    for row in results["against_step"]:
+        for h, e in zip(row["steps"], row["errors"], strict=True):
+            yield [row["integrator"], "none", h, PAPER_SPEED, e]
+    for row in results["against_speed"]:
+        for v, e in zip(row["speeds"], row["errors"], strict=True):
+            yield [row["integrator"], "none", PAPER_STEP, v, e]
+    for row in results["stabilisers"]:
+        yield [row["integrator"], row["stabiliser"], PAPER_STEP, PAPER_SPEED, row["error"]]
+
+
+def _without_nan(value: Any) -> Any:
+    if isinstance(value, dict):
+        return {key: _without_nan(entry) for key, entry in value.items()}
+    if isinstance(value, list):
+        return [_without_nan(entry) for entry in value]
+    return None if isinstance(value, float) and not math.isfinite(value) else value
+
+
+def print_tables(results: dict[str, Any]) -> None:
+    """Print what was measured beside what theory says."""
+    from rich import box
+    from rich.console import Console
+    from rich.table import Table
+
+    console = Console(highlight=False)
+
+    def table(title: str, columns: Sequence[str], rows: Iterable[Sequence[str]]) -> None:
+        drawn = Table(box=box.SIMPLE_HEAD, title=title, title_justify="left")
+        for column in columns:
+            first = column == columns[0]
+            drawn.add_column(column, justify="left" if first else "right", no_wrap=first)
+        for row in rows:
+            drawn.add_row(*row)
+        console.print(drawn)
+
+    table(
+        "drift without stabiliser: |e| grows like h^p and v^q",
+        ("integrator", "p measured", "p theory", "q measured", "q theory", "|e| at 1 ms, 18 mm/s"),
+        (
+            (
+                a["integrator"],
+                f"{a['slope']:.2f}",
+                f"{a['theory']}",
+                f"{b['slope']:.2f}",
+                f"{b['theory']}",
+                f"{a['errors'][a['steps'].index(PAPER_STEP)]:.2g} m",
+            )
+            for a, b in zip(results["against_step"], results["against_speed"], strict=True)
+        ),
+    )
+    table(
+        "largest |e| in m at 1 ms and 18 mm/s, by stabiliser (Baumgarte's T: auto)",
+        ("integrator", *STABILISERS),
+        (
+            (scheme, *(f"{r['error']:.2g}" for r in results["stabilisers"] if r["integrator"] == scheme))
+            for scheme in SCHEMES
+        ),
+    )
+    table(
+        'Baumgarte: largest stable h/T, and what time_constant = "auto" takes',
+        ("integrator", "ζ", "limit, theory", "limit, measured", "h/T of auto", "e per step at most ×"),
+        (
+            (
+                r["integrator"],
+                f"{r['damping_ratio']:g}",
+                f"{r['theory']:.4f}",
+                f"{r['measured']:.4f}",
+                f"{r['recommended']:.3f}",
+                f"{r['spectral_radius']:.3f}",
+            )
+            for r in results["limits"]
+        ),
+    )

@@ -1,0 +1,76 @@
+"""Figures of the study of drift."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, cast
+
+import numpy as np
+
+from closedloop.baumgarte import spectral_radius
+from closedloop.figures import COLOURS, STYLE
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+
+NAMES = {"semi_implicit_euler": "semi-implicit Euler", "explicit_euler": "explicit Euler", "rk4": "RK4"}
+MARKERS = ("o", "s", "^")
+
+
+def draw_drift(results: dict[str, Any], folder: Path) -> list[Path]:
+    """Draw drift against step and speed, and the map of Baumgarte's stability; return the paths of the PNGs."""
+    import matplotlib as mpl
+    from matplotlib.figure import Figure
+
+    with mpl.rc_context(cast(Any, STYLE)):
+        slopes = Figure(figsize=(7.2, 3.6), layout="constrained")
+        left, right = slopes.subplots(1, 2, sharey=True)
+        power_laws(left, results["against_step"], "steps", 1e3, "step h [ms]", "h")
+        power_laws(right, results["against_speed"], "speeds", 1e3, "tip speed v [mm/s]", "v")
+        left.set_ylabel("largest |e| without stabiliser [m]")
+        stability = Figure(figsize=(7.2, 3.8), layout="constrained")
+        stability_map(stability.add_subplot(), results["limits"])
+        written = []
+        for name, figure in (("drift_slopes", slopes), ("baumgarte_stability", stability)):
+            for suffix in (".svg", ".png"):
+                figure.savefig(folder / f"{name}{suffix}", metadata={"Date": None} if suffix == ".svg" else {})
+            written.append(folder / f"{name}.png")
+    return written
+
+
+def power_laws(axes: Axes, rows: list[dict[str, Any]], key: str, factor: float, label: str, symbol: str) -> None:
+    """Draw |e| against what is in `key`, with the fitted exponent of each integrator."""
+    for row, colour, marker in zip(rows, COLOURS, MARKERS, strict=True):
+        axes.loglog(
+            factor * np.array(row[key]), row["errors"], marker, color=colour, linestyle="-",
+            label=f"{NAMES[row['integrator']]}: {symbol}$^{{{row['slope']:.2f}}}$",
+        )  # fmt: skip
+    axes.set_xlabel(label)
+    ticks = [f"{factor * x:g}" for x in rows[0][key]]
+    axes.set_xticks([factor * x for x in rows[0][key]], ticks)
+    axes.minorticks_off()
+    axes.legend(fontsize=8, loc="upper left")
+    axes.set_ylim(1e-12, 1e-2)
+    axes.set_title("worse with a longer step" if symbol == "h" else "worse at a higher speed")
+
+
+def stability_map(axes: Axes, limits: list[dict[str, Any]]) -> None:
+    """Draw where Baumgarte is stable in the plane of (s_v h, s_p h²), and the limits that were measured."""
+    x, y = np.meshgrid(np.linspace(0.02, 6.5, 220), np.linspace(0.02, 8.5, 220))  # s_v h, s_p h²
+    for scheme, colour, marker in zip(NAMES, COLOURS, MARKERS, strict=True):
+        radius = np.empty_like(x)
+        for index in np.ndindex(x.shape):
+            ratio = float(np.sqrt(y[index]))
+            radius[index] = spectral_radius(scheme, float(x[index] / (2.0 * ratio)), ratio)
+        axes.contour(x, y, radius, levels=[1.0], colors=[colour], linewidths=1.4)
+        mine = [row for row in limits if row["integrator"] == scheme]
+        measured = np.array([row["measured"] for row in mine])
+        damping = np.array([row["damping_ratio"] for row in mine])
+        axes.plot(
+            2.0 * damping * measured, measured**2, marker, color=colour, linestyle="none", label=f"{NAMES[scheme]}"
+        )
+    axes.plot([1.414], [1.0], "k*", markersize=10, label="the paper, at 1 kHz")
+    axes.set_xlabel("s_v h = 2 ζ h/T")
+    axes.set_ylabel("s_p h² = (h/T)²")
+    axes.set_title("Baumgarte is stable inside the line; marks: the limit measured on an arm")
+    axes.legend(fontsize=8, loc="upper right")

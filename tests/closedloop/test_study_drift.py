@@ -1,0 +1,105 @@
+"""The study of drift: exponents as theory has them, limits where theory puts them, and an auto that is stable."""
+
+import json
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+import closedloop as cl
+from closedloop.baumgarte import largest_stable_ratio, recommended_ratio, spectral_radius
+from closedloop.study.__main__ import main
+from closedloop.study.drift import (
+    PAPER_STEP,
+    SCHEMES,
+    STEPS,
+    fitted_slope,
+    largest_error,
+    measured_limit,
+    slide,
+)
+
+
+@pytest.mark.parametrize(("scheme", "order"), [("semi_implicit_euler", 1), ("explicit_euler", 1), ("rk4", 4)])
+def test_drift_grows_with_the_integrators_order_and_with_the_square_of_the_speed(scheme, order):
+    """|e| ~ h^p v²: a lower sampling rate and a higher speed are worse, by these exponents."""
+    errors = [largest_error(slide(h, 0.018, scheme, "none"))[0] for h in STEPS]
+    assert fitted_slope(STEPS, errors)[0] == pytest.approx(order, abs=0.12)
+    speeds = (0.009, 0.018, 0.036)
+    errors = [largest_error(slide(PAPER_STEP, v, scheme, "none"))[0] for v in speeds]
+    assert fitted_slope(speeds, errors)[0] == pytest.approx(2.0, abs=0.06)
+
+
+def test_every_stabiliser_is_better_than_none():
+    """Baumgarte takes drift down a thousandfold, projection to rounding."""
+    errors = {kind: largest_error(slide(PAPER_STEP, 0.018, "semi_implicit_euler", kind))[0] for kind in (
+        "none", "baumgarte", "projection", "both")}  # fmt: skip
+    assert errors["baumgarte"] < 2e-3 * errors["none"]
+    assert max(errors["projection"], errors["both"]) < 4e-15
+
+
+@pytest.mark.parametrize("scheme", SCHEMES)
+def test_measured_limit_is_that_of_theory(scheme):
+    """A real arm's closure shakes loose where the linear map's spectral radius passes one, to a part in a thousand."""
+    assert measured_limit(scheme, 0.707) == pytest.approx(largest_stable_ratio(scheme, 0.707), rel=2e-3)
+
+
+@settings(deadline=None, max_examples=30)
+@given(st.sampled_from(SCHEMES), st.floats(0.2, 3.0))
+def test_auto_is_stable_and_no_other_ratio_is_faster(scheme, damping):
+    """The recommended h/T lies inside the limit, and its spectral radius is the least of a scan."""
+    limit, best = largest_stable_ratio(scheme, damping), recommended_ratio(scheme, damping)
+    assert 0.0 < best <= limit
+    least = spectral_radius(scheme, damping, best)
+    assert least < 1.0
+    for ratio in np.linspace(0.02, 1.0, 40) * limit:
+        assert least <= spectral_radius(scheme, damping, float(ratio)) + 1e-3
+
+
+def test_auto_is_resolved_kept_and_better_than_the_papers_choice():
+    """`time_constant = "auto"` survives the file, becomes gains, and damps the closure in fewer steps than T = 1 ms."""
+    scenario = cl.load_scenario("wam_slide", {"stabiliser.time_constant": "auto"})
+    assert 'time_constant = "auto"' in scenario.to_toml()
+    s_v, s_p = cl.prepare(scenario).stabiliser
+    ratio = recommended_ratio("semi_implicit_euler", 0.707)
+    assert s_p == pytest.approx((ratio / 0.001) ** 2)
+    assert s_v == pytest.approx(2 * 0.707 * ratio / 0.001)
+    assert spectral_radius("semi_implicit_euler", 0.707, ratio) < 0.5 * spectral_radius("semi_implicit_euler", 0.707, 1)
+
+
+@pytest.mark.parametrize("value", ["fast", "", True, -1.0, 0.0])
+def test_another_time_constant_is_refused_in_one_line(value):
+    """What is neither a positive number nor "auto" is refused with both."""
+    with pytest.raises(cl.ScenarioError, match=r'stabiliser\.time_constant.*"auto"') as caught:
+        cl.load_scenario("wam_slide", {"stabiliser.time_constant": value})
+    assert "\n" not in str(caught.value)
+
+
+def test_slope_of_a_power_law_is_its_exponent():
+    """Points on c·x³ have slope 3 and no misfit; points that could not be measured are left out."""
+    x = [1.0, 2.0, 4.0, 8.0]
+    assert fitted_slope(x, [5 * v**3 for v in x]) == pytest.approx((3.0, 0.0), abs=1e-12)
+    assert fitted_slope(x, [5.0, 40.0, np.nan, 2560.0])[0] == pytest.approx(3.0)
+    assert np.isnan(fitted_slope(x, [np.nan] * 4)[0])
+
+
+@pytest.mark.slow
+def test_command_writes_the_study(tmp_path, capsys):
+    """The quick study leaves its numbers, a table and two figures."""
+    assert main(["drift", "--quick", "--out", str(tmp_path)]) == 0
+    assert "p measured" in " ".join(capsys.readouterr().out.split())
+    results = json.loads((tmp_path / "drift.json").read_text())
+    assert {row["integrator"] for row in results["limits"]} == set(SCHEMES)
+    for name in ("drift.csv", "drift_slopes.png", "drift_slopes.svg", "baumgarte_stability.png"):
+        assert (tmp_path / name).stat().st_size > 100
+
+
+def test_bad_command_is_one_line_and_status_2(tmp_path, capsys):
+    """An unknown study and a folder that cannot be written are the user's to mend."""
+    (tmp_path / "file").write_text("")
+    for arguments in (["drif"], ["drift", "--out", str(tmp_path / "file" / "x")]):
+        assert main(arguments) == 2
+        error = capsys.readouterr().err
+        assert error.startswith("closedloop.study: ")
+        assert error.count("\n") == 1

@@ -1,0 +1,78 @@
+"""The study of controllers: its measures on known signals, its claims on a few cells, its bad input."""
+
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+
+import closedloop as cl
+from closedloop.study import controllers
+from closedloop.study.__main__ import main
+
+
+def test_measures_of_known_signals():
+    """RMS, peak, path error and settling of signals whose values are known by construction."""
+    time = np.linspace(0.0, 8.0, 8001)
+    force = 10.0 + np.where(time >= 1.5, 0.1, 5.0) + np.where((time > 6.6) & (time < 7.0), 0.9, 0.0)
+    position = np.column_stack([0.003 * np.ones_like(time), 0.004 * np.ones_like(time), 0.5 * np.ones_like(time)])
+    run = SimpleNamespace(
+        time=time,
+        contact_force=force,
+        reference_force=np.full_like(time, 10.0),
+        position=position,
+        reference_tip=np.zeros((8001, 3)),
+        scenario=SimpleNamespace(surface=SimpleNamespace(normal=(0.0, 0.0, 2.0))),
+    )
+    found = controllers.measures(run)
+    share = 0.4 / 6.5  # of the time the error is 1 N, else 0.1 N
+    assert found["force_rms"] == pytest.approx(np.sqrt(share + (1 - share) * 0.01), rel=2e-3)
+    assert found["force_peak"] == pytest.approx(1.0)
+    assert found["path_rms"] == pytest.approx(5.0)  # the height over the surface is not counted
+    assert found["settling"] == pytest.approx(0.5, abs=2e-3)
+
+
+@pytest.mark.slow
+def test_exact_controllers_hold_the_force_without_friction():
+    """On a smooth surface the controllers that know the arm exactly are within 1e-4 N."""
+    for name in ("operational space", "dynamic hybrid", "impedance", "admittance"):
+        assert controllers.cell(name, "none")["force_peak"] < 1e-4
+
+
+@pytest.mark.slow
+def test_an_observer_mends_what_friction_spoils():
+    """On a Stribeck surface the paper's law is off by a newton; impedance with an observer by less than a tenth."""
+    rough = controllers.cell("paper", "stribeck")
+    mended = controllers.cell("impedance + observer", "stribeck")
+    blind = controllers.cell("impedance", "stribeck")
+    assert rough["force_rms"] > 0.5
+    assert mended["force_rms"] < 0.1 * rough["force_rms"]
+    assert mended["path_rms"] < 0.1 * blind["path_rms"]
+
+
+def test_a_run_that_cannot_go_on_is_a_cell_with_its_reason(monkeypatch):
+    """The study goes on; the cell says why."""
+
+    def stop(scenario):
+        raise cl.DivergenceError("stopped at t = 1 s: the motion diverges", 1.0)
+
+    monkeypatch.setattr(controllers, "simulate", stop)
+    row = controllers.cell("paper", "coulomb")
+    assert "diverges" in row["reason"]
+    assert np.isnan(row["force_rms"])
+
+
+def test_every_cell_is_a_valid_scenario():
+    """No controller and no friction of the study is refused."""
+    for name, settings in controllers.CONTROLLERS.items():
+        assert cl.load_scenario("wam_slide", settings).law.kind, name
+    for friction in controllers.FRICTIONS.values():
+        cl.load_scenario("wam_slide", {f"friction.{key}": value for key, value in friction.items()})
+
+
+@pytest.mark.slow
+def test_command_writes_the_study(tmp_path, capsys):
+    """The quick study leaves its table, its numbers and its figure."""
+    assert main(["controllers", "--quick", "--out", str(tmp_path)]) == 0
+    assert "impedance + observer" in capsys.readouterr().out
+    for name in ("controllers.json", "controllers.csv", "controllers.png", "controllers.svg"):
+        assert (tmp_path / name).stat().st_size > 100

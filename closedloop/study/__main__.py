@@ -8,7 +8,6 @@ from __future__ import annotations
 import argparse
 import sys
 from collections.abc import Sequence
-from importlib import import_module
 from pathlib import Path
 from typing import NoReturn
 
@@ -46,8 +45,14 @@ def main(arguments: Sequence[str] | None = None) -> int:
         except (OSError, ValueError) as error:
             reason = error.strerror if isinstance(error, OSError) else error
             raise OutputError(f"--out {str(folder)!r}: cannot be written: {reason}; name another folder") from None
-        module = import_module(f"closedloop.study.{options.study}")
-        module.run(folder, quick=options.quick, as_json=options.json)
+        if options.study == "drift":
+            from closedloop.study import drift
+
+            drift.run(folder, quick=options.quick, as_json=options.json)
+        else:
+            from closedloop.study import controllers
+
+            controllers.run(folder, quick=options.quick, as_json=options.json)
     except ClosedLoopError as error:
         print(f"closedloop.study: {one_line(str(error))}", file=sys.stderr)
         return 2

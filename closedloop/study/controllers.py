@@ -15,7 +15,7 @@ import csv
 import json
 import math
 from pathlib import Path
-from typing import Any
+from typing import Any, cast
 
 import numpy as np
 from numpy.typing import NDArray
@@ -159,7 +159,7 @@ def draw_controllers(results: list[dict[str, Any]], folder: Path) -> Path:
 
     controllers = list(dict.fromkeys(row["controller"] for row in results))
     frictions = list(dict.fromkeys(row["friction"] for row in results))
-    with mpl.rc_context({**STYLE, "axes.grid": False, "font.size": 8}):
+    with mpl.rc_context(cast(Any, {**STYLE, "axes.grid": False, "font.size": 8})):
         figure = Figure(figsize=(11.0, 1.6 + 0.3 * len(controllers)), layout="constrained")
         for axes, key, title, least, most in zip(
             figure.subplots(1, 2, sharey=True),

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any, cast
 import numpy as np
 
 from closedloop.baumgarte import spectral_radius
-from closedloop.figures import COLOURS, STYLE
+from closedloop.figures.style import COLOURS, STYLE
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes

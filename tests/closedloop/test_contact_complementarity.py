@@ -58,7 +58,7 @@ def test_events_make_a_story(run):
 
 
 def test_rates_and_positions_of_events_are_on_the_surface(run):
-    """An event is where the surface is: to rounding when the tip arrives, to the stabiliser's nanometre when it goes."""
+    """An event is where the surface is: to rounding as the tip arrives, to the stabiliser's nanometre as it goes."""
     normal = np.array(run.scenario.surface.normal)
     normal /= np.linalg.norm(normal)
     offset = normal @ run.position[0] - run.closure_error[0]
@@ -138,7 +138,7 @@ def test_the_whole_slide_is_the_papers():
 
 
 def test_a_held_tip_and_a_free_one_part_where_the_force_changes_its_sign():
-    """On wam_liftoff the two surfaces agree to the last bit up to the liftoff, where the bilateral one begins to pull."""
+    """On wam_liftoff both surfaces agree to the last bit up to the liftoff, where the bilateral one begins to pull."""
     changes = {"time.duration": 2.0}
     free = cl.simulate(cl.load_scenario("wam_liftoff", changes))
     held = cl.simulate(cl.load_scenario("wam_liftoff", changes | {"surface.contact": "bilateral"}))

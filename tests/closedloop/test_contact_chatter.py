@@ -1,0 +1,79 @@
+"""Laws that look at the contact and work against it: no run hangs, whatever they do."""
+
+import itertools
+
+import numpy as np
+import pytest
+
+import closedloop as cl
+from robot_models import load
+
+MODEL = load("pointmass3")
+
+
+def simulate(law, **changes):
+    """Return the run of the ball on the ground at z = 0 under this vertical force beside gravity, law(t, z, ż)."""
+    scenario = {
+        "robot.model": "pointmass3",
+        "surface.offset": 0.0,
+        "surface.gap": 0.0,
+        "start.q": [0.0, 0.0, 0.0],
+        "start.v": None,
+        "impact.restitution": 0.0,
+        "stabiliser.kind": "projection",
+        "time.duration": 0.2,
+    }
+
+    def vertical(t, q, v, terms):
+        return terms.bias + np.array([0.0, 0.0, law(t, terms.position[2], terms.jacobian[2] @ v)])
+
+    return cl.simulate(cl.load_scenario("planar2_drop", scenario | changes), law=vertical, model=MODEL)
+
+
+LAWS = {
+    "lifts when on it": lambda t, z, rate: 5.0 if z <= 0.0 else -5.0,
+    "lifts below a micrometre": lambda t, z, rate: 5.0 if z < 1e-6 else -5.0,
+    "lifts below a picometre": lambda t, z, rate: 5.0 if z < 1e-12 else -5.0,
+    "pulls off what falls": lambda t, z, rate: 50.0 if rate <= 0.0 else -50.0,
+    "shakes with the time": lambda t, z, rate: 5.0 * np.sin(4e4 * t),
+    "turns with the time": lambda t, z, rate: 5.0 if int(t * 1e5) % 2 else -5.0,
+    "leans on rounding": lambda t, z, rate: 1e-9 * np.sign(z + 1e-17),
+}
+
+
+@pytest.mark.parametrize("changes", [{}, {"time.integrator": "rk4"}, {"impact.restitution": 0.5}], ids=str)
+@pytest.mark.parametrize("name", LAWS)
+def test_no_law_makes_a_run_hang(name, changes):
+    """Whatever the law, the run ends: at its end, with no force that pulls and no tip inside, or as chattering."""
+    failure = None
+    try:
+        run = simulate(LAWS[name], **changes)
+    except cl.ChatterError as error:
+        failure, run = error, error.run
+    if failure is None:
+        assert len(run) == 201
+    else:
+        assert f"t = {failure.time:.6g}" in str(failure)
+        assert "chatters" in str(failure)
+    assert np.all(run.contact_force >= 0.0)
+    assert np.min(run.closure_error, initial=0.0) > -2e-9
+    for column in run.columns.values():
+        assert np.all(np.isfinite(column))
+
+
+def test_a_law_that_contradicts_itself_at_one_instant_is_named():
+    """A law that presses and lifts in turn, each time it is asked, ends in ChatterError: when, and what to look at."""
+    asked = itertools.count()
+    with pytest.raises(cl.ChatterError, match=r"stopped at t = .*chatters.*law that depends on the contact") as caught:
+        simulate(lambda t, z, rate: 5.0 if next(asked) % 2 else -5.0)
+    assert caught.value.run.stopped == str(caught.value)
+    assert len(caught.value.run) <= 2
+    assert next(asked) < 1000
+
+
+def test_a_law_that_is_held_does_not_chatter():
+    """Evaluated once in four steps and then held, the same contrary law gives hops, and the run reaches its end."""
+    run = simulate(LAWS["lifts below a micrometre"], **{"law.sample_period": 0.004})
+    assert len(run) == 201
+    assert len(run.events) > 4
+    assert np.all(run.torque[1:4] == run.torque[0])

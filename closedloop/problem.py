@@ -17,6 +17,7 @@ from closedloop.contact import FREE, PRESSED, STUCK
 from closedloop.control.pack import PackedLaw, pack_law
 from closedloop.control.sections import SensorSection
 from closedloop.control.sensor import PackedSensor, draws, pack_sensor, start_sensor
+from closedloop.control.stability import check_sampling
 from closedloop.errors import ScenarioError
 from closedloop.friction.laws import rest_states
 from closedloop.friction.layout import KINETIC, LAST, SEVEN_PARAMETER, STATIC_EXCESS, STICKS, state_count
@@ -26,7 +27,7 @@ from closedloop.integrate import INTEGRATORS, Integrator
 from closedloop.machine import ARRIVING, CLOSING, RESTING, TOUCHING
 from closedloop.reference.desired import desired
 from closedloop.robot import Robot
-from closedloop.scenario import BaumgarteGains, Scenario
+from closedloop.scenario import BaumgarteGains, PaperLawSection, Scenario
 from closedloop.step import LAW_GIVEN, Row
 from closedloop.surface import Plane
 from robot_models import RobotModel
@@ -253,6 +254,8 @@ def prepare(scenario: Scenario, model: RobotModel | None = None) -> Problem:
     given = getattr(law, "pd_start", None)
     start = (wanted.tip.start if given is None else given) - 1e-9 * h  # i·h and 0.5 may differ by rounding
     packed = pack_law(law, scenario.compensation, n, pd_start=start, joint_names=model.joint_names)
+    if not isinstance(law, PaperLawSection):
+        check_sampling(law, scenario.compensation, scenario.sensor, law.sample_period or h)
     friction = pack(scenario.friction)
     if friction[0] and STICKS[friction[0]] != "elastic" and mode == PRESSED:
         u = wanted.frame @ robot.terms(q, v).jacobian @ v

@@ -90,14 +90,18 @@ def test_a_tip_that_only_comes_near_has_no_event(clearance, integrator):
 
 
 def test_a_dip_is_found_in_steps_of_first_order_too():
-    """Semi-implicit Euler finds the dip in a step that begins and ends off the surface.
+    """Semi-implicit Euler finds the dip where its rows show it: at z0 − 0.4 k h + a h² k (k + 1) / 2.
 
-    With h = 30 ms its first rows are at z0 − 3 mm and z0 + 3 mm; between, −0.1 τ + 10 τ², it is 3.25 mm down.
+    With h = 20 ms the lowest are z0 − 4 mm, for k = 1 and 2: from 3.5 mm the tip meets the surface in the first step,
+    where 0.0035 − 0.4 t + 10 t² is zero. What such a scheme does between two rows that are off the surface is no
+    motion, and has no event.
     """
-    changes = {"time.integrator": "semi_implicit_euler", "time.duration": 0.09, "time.step": 0.03}
-    run = simulate(lambda t, z, rate: 10.0 * MASS, 0.0031, -0.4, **changes)
+    changes = {"time.integrator": "semi_implicit_euler", "time.duration": 0.1, "time.step": 0.02}
+    run = simulate(lambda t, z, rate: 10.0 * MASS, 0.0035, -0.4, **changes)
     assert run.events[0].kind == "impact"
-    assert np.min(run.closure_error) >= 0.0
+    assert run.events[0].time == pytest.approx((0.4 - np.sqrt(0.16 - 0.14)) / 20, abs=1e-13)
+    assert np.min(run.closure_error) > -1e-13
+    assert simulate(lambda t, z, rate: 10.0 * MASS, 0.0045, -0.4, **changes).events == ()
 
 
 def test_liftoff_at_an_instant_inside_a_step():

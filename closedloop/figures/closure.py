@@ -16,6 +16,9 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
+# Below this, m, an error is drawn as the flat line that it is: the tip's position is rounded to as much.
+ROUNDING = 1e-15
+
 _STABILISED = {
     "baumgarte": "with Baumgarte's stabiliser",
     "projection": "with projection",
@@ -52,6 +55,9 @@ def closure_error(run: Run) -> Figure:
 def _draw(axes: Axes, run: Run, error: NDArray[np.float64]) -> str:
     """Draw an error, m, which is NaN where there is none, and return the unit in which it is drawn."""
     axes.margins(y=0.15)
-    factor, unit = length_unit(float(np.nanmax(np.abs(error), initial=0.0)))
+    size = float(np.nanmax(np.abs(error), initial=0.0))
+    factor, unit = length_unit(size)
     axes.plot(run.time, factor * error, color=COLOURS[1])
+    if size < ROUNDING:
+        axes.set_ylim(-1.0, 1.0)
     return unit

@@ -176,6 +176,17 @@ def test_gap_and_closure_error_are_both_readable(shipped_run):
     assert "Baumgarte" in below.get_title("left") + below.get_title("center")
 
 
+def test_error_that_is_rounding_is_drawn_flat():
+    """Projection leaves no error but rounding, which is not blown up to look like one."""
+    run = cl.simulate(
+        cl.load_scenario(
+            "wam_slide", {"stabiliser.kind": "projection", "reference.kind": "hold", "time.duration": 0.01}
+        )
+    )
+    assert np.max(np.abs(run.closure_error)) < 1e-15
+    assert closure_error(run).axes[0].get_ylim() == (-1.0, 1.0)
+
+
 def test_run_that_never_touches_has_a_gap_only():
     """A tip that stays off the surface has one panel, and it is no error."""
     (axes,) = closure_error(start_of("wam_touchdown")).axes

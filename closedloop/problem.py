@@ -102,6 +102,14 @@ class Problem:
     hold: int
 
     @property
+    def time_constant(self) -> float | None:
+        """T of Baumgarte's stabiliser, s, as given or as "auto" means it; None without that stabiliser."""
+        section = self.scenario.stabiliser
+        if not isinstance(section, BaumgarteGains):
+            return None
+        return float(self.stabiliser[1] ** -0.5) if section.time_constant == "auto" else section.time_constant
+
+    @property
     def path(self) -> Array:
         """q_des and q̇_des of every row of the table, (P, 2, n)."""
         n = self.robot.n
@@ -331,11 +339,15 @@ def _stabiliser_gains(scenario: Scenario) -> tuple[float, float]:
         return 0.0, 0.0
     name = scenario.time.integrator
     limit = largest_stable_ratio(name, section.damping_ratio)
-    if section.time_constant == "auto" and limit > 0.0:
-        return baumgarte_gains(
-            section.damping_ratio, scenario.time.step / recommended_ratio(name, section.damping_ratio)
-        )
-    constant = 1.0 if section.time_constant == "auto" else section.time_constant
+    if section.time_constant == "auto":
+        recommended = recommended_ratio(name, section.damping_ratio)
+        if recommended == 0.0:
+            raise ScenarioError(
+                f'stabiliser.time_constant = "auto": no time constant makes the closure error die out with {name} at '
+                f"damping ratio {section.damping_ratio:g}; use a larger stabiliser.damping_ratio, such as 0.707"
+            )
+        return baumgarte_gains(section.damping_ratio, scenario.time.step / recommended)
+    constant = section.time_constant
     ratio = scenario.time.step / constant
     if ratio > limit:
         if limit == 0.0:

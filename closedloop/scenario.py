@@ -116,7 +116,7 @@ class BaumgarteGains(Section):
 
     damping_ratio: NotNegative = Field(0.707, description="ζ")
     time_constant: TimeConstant = Field(
-        0.001, description='T, s, or "auto": the T at which the closure error dies out fastest with this step'
+        0.001, description='T, s, or "auto": two steps, or twice the shortest stable T where that is longer'
     )
 
 

@@ -8,8 +8,17 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 import closedloop as cl
-from closedloop.baumgarte import amplification, baumgarte_gains, largest_stable_ratio, spectral_radius
+from closedloop.baumgarte import (
+    amplification,
+    baumgarte_gains,
+    largest_stable_ratio,
+    recommended_ratio,
+    rounding_gain,
+    sliding_error,
+    spectral_radius,
+)
 from closedloop.integrate import INTEGRATORS
+from closedloop.scenario import parse_scenario
 from closedloop.simulation import run_loop
 from closedloop.step import SCALARS, Row
 
@@ -164,3 +173,178 @@ def test_stabiliser_force_is_the_part_that_it_adds():
     difference = with_it.contact_force[0] - without.contact_force[0]
     assert abs(difference) > 0.1
     assert with_it.stabiliser_force[0] == pytest.approx(difference, rel=1e-10)
+
+
+# --- which T goes with a step --------------------------------------------------------------------------------------
+
+SCHEMES = sorted(INTEGRATORS)
+
+
+@settings(deadline=None, max_examples=60)
+@given(st.sampled_from(SCHEMES), st.floats(0.02, 50.0))
+def test_auto_is_stable_with_twice_the_step(integrator, damping):
+    """At any damping the error dies out, would with twice the step, and T is no less than two steps."""
+    ratio = recommended_ratio(integrator, damping)
+    assert 0.0 < ratio <= 0.5
+    assert spectral_radius(integrator, damping, ratio) < 1.0
+    assert spectral_radius(integrator, damping, 1.999 * ratio) < 1.0
+
+
+@settings(deadline=None, max_examples=60)
+@given(st.sampled_from(SCHEMES), st.floats(0.3, 3.0))
+def test_auto_is_quiet_and_leaves_the_force_alone(integrator, damping):
+    """Rounding is never amplified beyond 0.4 h²-units, and in steady sliding f is moved by about 1 % of a at most."""
+    ratio = recommended_ratio(integrator, damping)
+    assert rounding_gain(integrator, damping, ratio) < 0.4
+    assert abs(sliding_error(integrator, damping, ratio)[2]) < 0.012
+
+
+@settings(deadline=None, max_examples=40)
+@given(st.sampled_from(SCHEMES), st.floats(0.05, 10.0), st.floats(0.0, 0.01))
+def test_auto_changes_little_when_damping_does(integrator, damping, change):
+    """T is a continuous function of ζ: a hundredth more damping changes it by no more than some hundredths."""
+    before, after = (recommended_ratio(integrator, damping * factor) for factor in (1.0, 1.0 + change))
+    assert after == pytest.approx(before, rel=3.0 * change + 1e-9)
+
+
+def test_least_spectral_radius_would_not_do():
+    """Why the rule is not the T of least spectral radius: it is near the limit, jumps, and is wrong in f."""
+
+    def least(integrator, damping):
+        ratios = largest_stable_ratio(integrator, damping) * np.linspace(0.002, 1.0, 1500)
+        return min(ratios.tolist(), key=lambda ratio: spectral_radius(integrator, damping, ratio))
+
+    assert least("semi_implicit_euler", 0.1) > 0.99 * largest_stable_ratio("semi_implicit_euler", 0.1)
+    assert least("semi_implicit_euler", 0.77) == pytest.approx(0.46, abs=0.01)
+    assert least("semi_implicit_euler", 0.80) == pytest.approx(0.825, abs=0.01)
+    assert sliding_error("rk4", 1.0, least("rk4", 1.0))[2] == pytest.approx(0.59, abs=0.02)
+    assert sliding_error("rk4", 0.707, least("rk4", 0.707))[2] == pytest.approx(0.07, abs=0.01)
+
+
+@pytest.mark.parametrize(("integrator", "sign"), [("semi_implicit_euler", -1.0), ("explicit_euler", 1.0)])
+@pytest.mark.parametrize("damping", [0.3, 0.707, 1.0])
+@pytest.mark.parametrize("ratio", [0.1, 0.5])
+def test_sliding_error_of_the_eulers_is_the_closed_form(integrator, sign, damping, ratio):
+    """e = ∓ζ h T a, ė = ±h a/2, and no share of the force: the spring and the damper balance."""
+    error, rate, share = sliding_error(integrator, damping, ratio)
+    assert error == pytest.approx(sign * damping / ratio, rel=1e-12)
+    assert rate == pytest.approx(-0.5 * sign, rel=1e-12)
+    assert share == pytest.approx(0.0, abs=1e-15)
+
+
+def test_sliding_error_of_rk4_has_its_order():
+    """With T fixed, e falls like h⁴ and so does the share of the force."""
+    ratios = np.array([0.02, 0.04, 0.08])
+    values = np.array([sliding_error("rk4", 0.707, float(ratio)) for ratio in ratios])
+    e_slope = np.diff(np.log(np.abs(values[:, 0]) * ratios**2)) / np.log(2.0)
+    share_slope = np.diff(np.log(np.abs(values[:, 2]))) / np.log(2.0)
+    assert e_slope == pytest.approx([4.0, 4.0], abs=0.15)
+    assert share_slope == pytest.approx([4.0, 4.0], abs=0.1)
+
+
+@pytest.mark.parametrize("integrator", SCHEMES)
+@pytest.mark.parametrize("ratio", [0.2, 0.5])
+def test_run_slides_with_that_error(integrator, ratio):
+    """A sliding arm has the e and the share of f of `sliding_error`, with a the n·J̇ᵣq̇ of its state.
+
+    1 %: a changes along the path, and e follows by a few steps; the share of the Eulers is this change alone.
+    """
+    constant = STEP / ratio
+    changes = {"reference.start": 0.1, "reference.stop": 1.5, "time.duration": 1.5, "time.integrator": integrator}
+    run = cl.simulate(cl.load_scenario("wam_slide", changes | {"stabiliser.time_constant": constant}))
+    terms = cl.Robot(run.model).terms(run.q[-1], run.v[-1])
+    normal = np.array([0.0, 0.0, 1.0])
+    row = normal @ terms.jacobian
+    mobility = row @ np.linalg.solve(terms.mass_matrix, row)
+    a = float(normal @ terms.drift)
+    error, _, share = sliding_error(integrator, run.scenario.stabiliser.damping_ratio, ratio)
+    assert run.closure_error[-1] == pytest.approx(error * STEP**2 * a, rel=1e-2)
+    assert run.stabiliser_force[-1] == pytest.approx(share * a / mobility, rel=2e-2, abs=1e-4 * abs(a) / mobility)
+
+
+@pytest.mark.parametrize("integrator", SCHEMES)
+@pytest.mark.parametrize("ratio", [0.3, 0.6, 0.9])
+def test_rounding_gain_is_that_of_noise_put_into_the_map(integrator, ratio):
+    """The gain is the scatter of −s_v ė − s_p e in 40 000 steps of the scheme with a random error in e at each stage.
+
+    5 %: the scatter of a scatter estimated from 40 000 values that depend on their neighbours.
+    """
+    damping, count = 0.707, 40_000
+    scheme, z = INTEGRATORS[integrator], ratio * largest_stable_ratio(integrator, 0.707)
+    noise = np.random.default_rng(7).normal(size=(count, scheme.stages))
+    x, pushes = np.zeros(2), np.empty(count)
+    for k in range(count):
+        if scheme.semi_implicit:
+            push = -2 * damping * z * x[1] - z**2 * (x[0] + noise[k, 0])
+            pushes[k] = push
+            rate = x[1] + push
+            x = np.array([x[0] + rate, rate])
+            continue
+        slopes = []
+        for row, wrong in zip(scheme.a, noise[k], strict=True):
+            e, r = x + sum((a * np.array(s) for a, s in zip(row, slopes, strict=False)), np.zeros(2))
+            slopes.append((r, -2 * damping * z * r - z**2 * (e + wrong)))
+        pushes[k] = slopes[0][1]
+        x = x + sum(b * np.array(s) for b, s in zip(scheme.b, slopes, strict=True))
+    assert rounding_gain(integrator, damping, z) == pytest.approx(pushes[100:].std(), rel=0.05)
+
+
+def test_rounding_gain_has_no_bound_at_the_limit():
+    """It grows like z² for small z, and without bound towards the limit."""
+    limit = largest_stable_ratio("semi_implicit_euler", 0.707)
+    small = [rounding_gain("semi_implicit_euler", 0.707, z) for z in (1e-3, 2e-3)]
+    assert small[1] / small[0] == pytest.approx(4.0, rel=5e-3)
+    near = [rounding_gain("semi_implicit_euler", 0.707, (1 - gap) * limit) for gap in (1e-2, 1e-4)]
+    assert near[1] == pytest.approx(10.0 * near[0], rel=0.05)
+    assert rounding_gain("semi_implicit_euler", 0.707, limit * 1.001) == np.inf
+
+
+@pytest.mark.parametrize("integrator", SCHEMES)
+@pytest.mark.parametrize("kind", ["baumgarte", "both"])
+def test_auto_is_resolved_and_kept(integrator, kind):
+    """`time_constant = "auto"` survives the file, and becomes gains and a number that can be looked at."""
+    changes = {"stabiliser.kind": kind, "stabiliser.time_constant": "auto", "time.integrator": integrator}
+    scenario = cl.load_scenario("wam_slide", changes)
+    text = scenario.to_toml()
+    assert 'time_constant = "auto"' in text
+    assert parse_scenario(text) == scenario
+    problem = cl.prepare(scenario)
+    constant = STEP / recommended_ratio(integrator, 0.707)
+    assert problem.time_constant == pytest.approx(constant, rel=1e-12)
+    assert problem.stabiliser == pytest.approx(baumgarte_gains(0.707, constant), rel=1e-12)
+
+
+def test_time_constant_of_a_problem_is_the_one_given():
+    """A T given in seconds is the problem's, however long; without the stabiliser there is none."""
+    for constant in (0.002, 1e300):
+        scenario = cl.load_scenario("wam_slide", {"stabiliser.time_constant": constant})
+        assert cl.prepare(scenario).time_constant == constant
+    for kind in ("none", "projection"):
+        assert cl.prepare(cl.load_scenario("wam_slide", {"stabiliser.kind": kind})).time_constant is None
+
+
+@pytest.mark.parametrize("integrator", SCHEMES)
+def test_auto_without_damping_is_refused(integrator):
+    """At ζ = 0 nothing makes the error die out: one line says so, and what to change."""
+    changes = {"stabiliser.time_constant": "auto", "stabiliser.damping_ratio": 0, "time.integrator": integrator}
+    with pytest.raises(
+        cl.ScenarioError, match=r'stabiliser\.time_constant = "auto".*stabiliser\.damping_ratio'
+    ) as caught:
+        cl.prepare(cl.load_scenario("wam_slide", changes))
+    assert "\n" not in str(caught.value)
+    assert integrator in str(caught.value)
+
+
+@pytest.mark.parametrize("value", ["fast", "", "AUTO", True, [], {}])
+def test_what_is_no_time_constant_is_refused_on_the_command_line(value, command_line):
+    """Anything but a number or "auto" is one line that says what would be right, and exit status 2."""
+    words = {"": '""', True: "true"}.get(value, str(value)) if not isinstance(value, list | dict) else str(value)
+    line = command_line("wam_slide", "--stabiliser.time_constant", words, "--no-figures").refusal()
+    assert line.startswith("wam_slide: stabiliser.time_constant = ")
+    assert 'must be a number of seconds, or "auto"' in line
+
+
+def test_auto_works_on_the_command_line(command_line, short, tmp_path):
+    """--stabiliser.time_constant auto needs no quotes, and the run file keeps it."""
+    assert command_line("wam_slide", "--stabiliser.time_constant", "auto", *short, "--out", "r").status == 0
+    assert cl.load_run(tmp_path / "r" / "run.nc").scenario.stabiliser.time_constant == "auto"

@@ -381,7 +381,7 @@ def _arrive(now: Array, drift: float, state: Whole) -> int:
         if now[GAUGE] < 0.0:
             trial = TAKE_EVENT if here else SEARCH_EVENT
     elif state[UNILATERAL] != 0:
-        leaving = LEAVING + now[LENGTH] * now[LENGTH] * abs(drift)
+        leaving = LEAVING + (now[LENGTH] * now[LENGTH] * abs(drift) if state[STAGES] == 1 else 0.0)
         if here:
             if now[GAP] <= TOUCHING and now[RATE] < -RESTING:
                 trial = TAKE_EVENT

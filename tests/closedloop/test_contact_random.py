@@ -124,7 +124,6 @@ HOPS = {
 }
 
 
-@pytest.mark.xfail(strict=True, reason="until it has risen by h² n·J̇q̇ a tip may sink that deep, also with RK4")
 @pytest.mark.parametrize("arm", HOPS)
 def test_a_tiny_hop_ends_on_the_surface(arm):
     """With RK4 a tip that hops by less than a micrometre comes down on the surface, to a nanometre, not in it."""

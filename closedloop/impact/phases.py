@@ -49,6 +49,8 @@ FLAT = 1e-12
 RESIDUE = 1e-9
 # Newton's law is cut where it would create more than this share of the energy of compression: less is rounding.
 GAIN = 1e-13
+# An approach, m/s, or a restitution below this is none: its square, in the work, would underflow.
+TINY = 1e-150
 # Random impacts need less than a tenth of it; more is that of a velocity that no tip with this S can have.
 MOST_PIECES = 1000
 
@@ -104,8 +106,11 @@ def impact(
         return DIVERGED
     if not S[0, 0] > 0.0:
         return SINGULAR
-    if u[0] >= 0.0:
+    if u[0] > -TINY:
+        after[0] = max(u[0], 0.0)
         return OK
+    if restitution < TINY:
+        restitution = 0.0
     c = work[:MODES].reshape(ROWS, ORDER + 1)
     happened = _collide(S, u, restitution, law, mu, c, compression, decompression)
     if happened < 0:

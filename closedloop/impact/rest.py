@@ -45,7 +45,7 @@ def leave_rest(S: Array, mu: float) -> tuple[float, float, float]:
     # The axes are rounded in the size of the larger mobility. In the axes of S itself a light direction is not, so the
     # direction is polished there: the part of S_tn − μ S_tt s across s is to be zero.
     k = 0.0
-    for _ in range(3):
+    for _ in range(2):
         d1, d2 = S[1, 1] * s1 + S[1, 2] * s2, S[2, 1] * s1 + S[2, 2] * s2
         a1, a2 = S[1, 0] - mu * d1, S[2, 0] - mu * d2
         k = s1 * a1 + s2 * a2

@@ -212,10 +212,15 @@ def test_a_wedged_tip_does_not_rebound(law):
     assert leaves.after[0] > 1e-3
 
 
-@given(st.integers(0, 2**32 - 1), st.sampled_from([2, 3, 4]), st.floats(0.0, 1.0), st.floats(0.0, 4.0))
+@given(
+    st.integers(0, 2**32 - 1),
+    st.sampled_from([2, 3, 4]),
+    st.floats(0.0, 1.0),
+    st.floats(0.0, 4.0, allow_subnormal=False),
+)
 @patient
 def test_every_impact_obeys_its_laws(seed, rank, restitution, friction):
-    """The cone in both phases, no approach afterwards, no energy from nowhere, P_t against what slides, the ratios."""
+    """The cone in both phases, no approach afterwards, no energy from nowhere, the ratio of the law."""
     rng = np.random.default_rng(seed)
     S, u, v = draw(rng, rank)
     energy = 0.5 * v @ v
@@ -223,7 +228,7 @@ def test_every_impact_obeys_its_laws(seed, rank, restitution, friction):
         hit = two_phase_impact(S, u, restitution, law, friction)
         for phase in (hit.compression, hit.decompression):
             assert phase[0] >= 0.0
-            assert np.hypot(*phase[1:]) <= friction * phase[0] * (1.0 + 1e-12)
+            assert np.hypot(*phase[1:]) <= friction * phase[0] * (1.0 + 1e-12) + 1e-300
         assert hit.after[0] >= 0.0
         rounding = 1e-14 * scale(S, hit.impulse) + 1e-12 * energy
         np.testing.assert_allclose(hit.after, u + S @ hit.impulse, rtol=0.0, atol=1e-11 * np.sqrt(np.trace(S) * energy))

@@ -104,6 +104,21 @@ def test_status_and_outputs_where_there_is_no_impact():
             np.testing.assert_array_equal(out[2], velocity)
 
 
+@pytest.mark.parametrize("law", [NEWTON, POISSON, STRONGE])
+def test_numbers_that_underflow_are_zero(law):
+    """The smallest approach, restitution and friction there are: an end, and no decompression of rounding."""
+    tiny = 5e-324
+    for S in (np.eye(3), 1e9 * np.eye(3)):
+        status, _, out = call(S, [-tiny, 0.0, 0.0], 1.0, law, 0.5)
+        assert status == OK
+        assert not out.any()
+        for mu in (0.0, tiny):
+            status, _, out = call(S, [-1.0, 0.5, 0.0], tiny, law, mu)
+            assert status == OK
+            np.testing.assert_array_equal(out[1], 0.0)
+            assert out[0, 0] == pytest.approx(1.0 / S[0, 0], rel=1e-15)
+
+
 SAME = """
 import json, sys
 import numpy as np

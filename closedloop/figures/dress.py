@@ -23,7 +23,7 @@ if TYPE_CHECKING:
 BANDS: dict[int, tuple[str, dict[str, Any]]] = {
     FREE: ("free", {"facecolor": "#DCE9F3", "edgecolor": "none"}),
     PRESSED: ("pressed", {"facecolor": "white", "edgecolor": "0.6"}),
-    STUCK: ("stuck", {"facecolor": "#F5E9D0", "edgecolor": "#D9C08C", "hatch": "////"}),
+    STUCK: ("stuck", {"facecolor": "#F5E9D0", "edgecolor": "#DDC795", "hatch": "////"}),
 }
 # The first to be drawn is the lowest: one touchdown is not hidden by a hundred impacts.
 SHAPES: dict[int, dict[str, Any]] = {

@@ -18,6 +18,8 @@ if TYPE_CHECKING:
 
 # A force that varies by less than this share of itself, or of 1 N, is drawn flat and never enlarged.
 FLAT = 1e-3
+# Nor is a change below this share of all that the force does in the run.
+MINOR = 0.02
 # How much of the run is enlarged on either side of an instant, s, and in how many panels at most.
 SHORT, LONG = 0.02, 0.12
 MOST_PANELS = 3
@@ -26,8 +28,9 @@ MOST_PANELS = 3
 def contact_force(run: Run) -> Figure:
     """Draw the contact force against time, with the commanded force and the transients enlarged (Fig. 5).
 
-    Enlarged are the instants at which the law or the reference changes and contact begins or ends, if the force
-    changes there; of more than three those at which it changes most. Impulses are no part of the force; see `impacts`.
+    Enlarged are the instants at which the law or the reference changes and contact or sticking begins or ends, if the
+    force changes there; of more than three those at which it changes most. Impulses are no part of the force; see
+    `impacts`.
     """
     moments = transients(run)
     figure = new_figure(height=5.0 if moments else 3.4)
@@ -44,8 +47,8 @@ def contact_force(run: Run) -> Figure:
         axes = figure.add_subplot(grid[1, k])
         _draw_force(axes, run, rows, marker=".", markersize=2.5)
         dress(axes, run, text, "f [N]" if k == 0 or len(moments) < MOST_PANELS else "", label_marks=False, rows=rows)
-        if len(moments) == MOST_PANELS:
-            axes.locator_params(axis="x", nbins=4)
+        if len(moments) == MOST_PANELS or (len(moments) > 1 and run.time[-1] >= 10.0):
+            axes.locator_params(axis="x", nbins=4)  # room for the numbers
     explain_contact(figure, run)
     return figure
 
@@ -61,15 +64,16 @@ def transients(run: Run) -> list[tuple[str, slice]]:
         if run.time[0] < t < run.time[-1]
     ]
     for event in run.events:
-        if event.kind == "touchdown":
-            wanted.append((event.time, f"touchdown at {event.time:.4g} s", short, long, run.contact_force))
+        if event.kind in ("touchdown", "stick", "slip"):
+            wanted.append((event.time, f"{event.kind} at {event.time:.4g} s", short, long, run.contact_force))
         elif event.kind == "liftoff":
             wanted.append((event.time, f"liftoff at {event.time:.4g} s", long, short, run.contact_force))
+    least = MINOR * float(np.ptp(run.contact_force))
     found: list[tuple[float, float, str, slice]] = []
     for t, text, before, after, what in wanted:
         rows = slice(*np.searchsorted(run.time, (t - before, t + after)).tolist())
         change = float(np.ptp(what[rows])) if what[rows].size else 0.0
-        if change > _flat(run.contact_force[rows]):
+        if change > max(_flat(run.contact_force[rows]), least):
             found.append((-change, t, text, rows))
     chosen: list[tuple[float, str, slice]] = []
     for _, t, text, rows in sorted(found, key=lambda each: each[:2]):

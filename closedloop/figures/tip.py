@@ -27,8 +27,9 @@ def tip_position(run: Run) -> Figure:
         small = [k for k in range(3) if ROUNDING < sizes[k] < SMALL * sizes.max()]
     else:
         small = [0, 1, 2]
-    # A straight slide leaves a corner empty for the legend; other motions may go anywhere.
-    slide = run.scenario.reference.kind == "line" and not contact_changes(run) and len(marks(run)) <= 2
+    # A straight slide to larger coordinates leaves a corner empty for the legend; other motions may go anywhere.
+    upwards = moved[-1, np.argmax(sizes)] > 0.0
+    slide = run.scenario.reference.kind == "line" and upwards and not contact_changes(run) and len(marks(run)) <= 2
     figure = new_figure(height=4.6 if small else 3.4)
     ratios = [2, 1] if small else [1]
     panels = figure.subplots(len(ratios), 1, sharex=True, height_ratios=ratios, squeeze=False)[:, 0]

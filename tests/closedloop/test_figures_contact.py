@@ -217,6 +217,26 @@ def test_what_is_enlarged_is_where_the_force_changes(shipped_run):
     assert transients(start_of("wam_touchdown")) == []
 
 
+def test_sticking_is_enlarged_where_it_begins_and_ends(sliding):
+    """The slip at 0.5 s and the stick after the stop at 0.8 s are in an enlarged part each."""
+    windows = [sliding.time[rows][[0, -1]] for _, rows in transients(sliding)]
+    assert len(windows) == 2
+    for kind in ("slip", "stick"):
+        (instant,) = (event.time for event in sliding.events if event.kind == kind)
+        assert sum(begin < instant < end for begin, end in windows) == 1
+
+
+def test_small_changes_are_not_enlarged(shipped_run):
+    """Beside a force that rises from 0 to 10 N, 0.1 N at the end of a motion is nothing to enlarge; 0.5 N is."""
+    run = shipped_run("wam_touchdown")
+    assert [text.split(" at ")[0] for text, _ in transients(run)] == ["touchdown"]
+    for change, panels in ((0.1, 1), (0.5, 2)):
+        force = run.contact_force.copy()
+        force[8000:] += change  # where the motion stops
+        flawed = dataclasses.replace(run, columns={**run.columns, "contact_force": force})
+        assert len(transients(flawed)) == panels
+
+
 def test_no_more_is_enlarged_than_there_is_room_for(shipped_run):
     """Of four transients the three with the largest changes are enlarged, in order of time."""
     run = cl.simulate(cl.load_scenario("wam_edge", {"reference.timing": "constant"}))

@@ -229,7 +229,11 @@ def proceed(
             return FAILED
         _strike(w, k, state, events, more)
         todo = ASK
-        _ask(state, BEGINNING)
+        if state[PROJECT] != 0 and state[MODE] != FREE:
+            state[MOVES], state[NEXT] = 0, BEGINNING
+            _ask(state, CLOSING)
+        else:
+            _ask(state, BEGINNING)
     if todo == CLOSE:
         todo = _close(H, w, k, state)
     if todo == SET_OUT:

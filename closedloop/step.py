@@ -246,10 +246,10 @@ def contact_force(C: Array, w: Work, k: Array, state: Whole) -> int:
                 return status
         rigid = w.F[0] - share
         if state[UNILATERAL] != 0 and w.F[0] < 0.0 <= rigid:
-            # The stabiliser may push the tip off the surface but never pull it in: it is left out here.
-            b, share = 0.0, 0.0
-            w.F[0] = rigid
-            w.F[1], w.F[2] = -w.c[0] * rigid - w.w[0], -w.c[1] * rigid - w.w[1]
+            # The surface may push less to let the stabiliser have its way, down to nothing, but it cannot pull.
+            share = -rigid
+            b = share * (w.S[0, 0] - w.S[0, 1] * w.c[0] - w.S[0, 2] * w.c[1])
+            w.F[0], w.F[1], w.F[2] = 0.0, -w.w[0], -w.w[1]
         w.now[RIGID] = rigid
         w.b[0], w.share[0] = b, share
     elif state[MODE] == STUCK:

@@ -42,9 +42,9 @@ def contact_frame(normal: ArrayLike) -> Array:
     n = np.array(normal, dtype=np.float64)
     x, y, z = n
     across = math.hypot(x, y)
-    if across == 0.0 and z < 0.0:
+    if across < 1e-290 and z < 0.0:
         return np.array([n, [1.0, 0.0, 0.0], [0.0, -1.0, 0.0]])
-    c, s = (x / across, y / across) if across > 0.0 else (1.0, 0.0)
+    c, s = (x / across, y / across) if across > 1e-290 else (1.0, 0.0)
     turned = 1.0 - z
     t1 = [1.0 - turned * c * c, -turned * c * s, -x]
     t2 = [-turned * c * s, 1.0 - turned * s * s, -y]

@@ -80,6 +80,19 @@ INTEGRATORS: dict[str, Integrator] = {
     ),
 }
 
+# Schemes that choose their own steps, in `closedloop.adaptive`; the loop evaluates one state at a time for them.
+ADAPTIVE: dict[str, Integrator] = {
+    "dop853": Integrator(
+        order=8,
+        nodes=(0.0,),
+        a=((),),
+        b=(1.0,),
+        semi_implicit=False,
+        source="Prince and Dormand 1981 as DOP853; Hairer, Norsett, Wanner, Solving Ordinary Differential Equations I, "
+        "II.5 and II.6; stepped by scipy.integrate",
+    ),
+}
+
 
 @kernel_inlined
 def advance(

@@ -20,12 +20,12 @@ from closedloop.control.sensor import PackedSensor, draws, pack_sensor, start_se
 from closedloop.control.stability import check_sampling
 from closedloop.errors import ScenarioError
 from closedloop.friction.laws import rest_states
-from closedloop.friction.layout import KINETIC, LAST, SEVEN_PARAMETER, STATIC_EXCESS, STICKS, state_count
+from closedloop.friction.layout import KINDS, KINETIC, LAST, SEVEN_PARAMETER, STATIC_EXCESS, STICKS, state_count
 from closedloop.friction.packing import pack
 from closedloop.impact import LAWS
-from closedloop.integrate import INTEGRATORS, Integrator
+from closedloop.integrate import ADAPTIVE, INTEGRATORS, Integrator
 from closedloop.machine import ARRIVING, CLOSING, RESTING, TOUCHING
-from closedloop.reference.desired import desired
+from closedloop.reference.desired import Desired, desired
 from closedloop.robot import Robot
 from closedloop.scenario import BaumgarteGains, PaperLawSection, Scenario
 from closedloop.step import LAW_GIVEN, Row
@@ -41,6 +41,8 @@ MOST_NUMBERS = 200_000_000
 START_GAP = 1e-3
 # Slip slower than this, m/s, is none: a tip that starts with it sticks, one that slows down to it may.
 STICK_SPEED = 1e-7
+# What an adaptive integrator allows itself in each step, relative, unless the scenario says otherwise.
+TOLERANCE = 1e-12
 
 STICKING = {"rigid": space.RIGID_STICK, "elastic": space.ELASTIC_STICK, "spring": space.SPRING_STICK}
 
@@ -78,6 +80,10 @@ class Problem:
         Whether the state is put back on the closure after each step.
     hold : int
         Steps for which a sampled torque is held; 0: the law is evaluated at every stage.
+    wanted : Desired
+        What is desired, at any instant.
+    tolerance : float or None
+        Relative error that an adaptive integrator allows itself in a step; None: the step is fixed.
     """
 
     scenario: Scenario
@@ -100,6 +106,8 @@ class Problem:
     nodes: int
     project: bool
     hold: int
+    wanted: Desired
+    tolerance: float | None
 
     @property
     def time_constant(self) -> float | None:
@@ -242,7 +250,7 @@ def prepare(scenario: Scenario, model: RobotModel | None = None) -> Problem:
 
     plane, mode = _surface(scenario, robot, q, v)
 
-    integrator = INTEGRATORS[scenario.time.integrator]
+    integrator, tolerance = _integrator(scenario)
     steps = _whole(scenario.time.duration, scenario.time.step, "time.duration")
     most_rows = MOST_NUMBERS // Row.of(n).width
     if steps > most_rows:
@@ -291,7 +299,33 @@ def prepare(scenario: Scenario, model: RobotModel | None = None) -> Problem:
         nodes=nodes_per_step,
         project=scenario.stabiliser.kind in ("projection", "both"),
         hold=hold,
+        wanted=wanted,
+        tolerance=tolerance,
     )
+
+
+def _integrator(scenario: Scenario) -> tuple[Integrator, float | None]:
+    """Return the scheme, and the tolerance of one that chooses its own steps, refusing what such a one cannot do."""
+    section = scenario.time
+    name = section.integrator
+    if name not in ADAPTIVE:
+        if section.tolerance is not None:
+            raise ScenarioError(
+                f"time.tolerance = {section.tolerance:g}: goes with integrator = {' or '.join(map(repr, ADAPTIVE))} "
+                f"only; the error of {name!r} is set by time.step; leave it out"
+            )
+        return INTEGRATORS[name], None
+    for key, kind, possible in (
+        ("friction", scenario.friction.kind, ("elastic", "rigid")),
+        ("joint_friction", scenario.joint_friction.kind, ("elastic",)),
+    ):
+        if STICKS[KINDS[kind]] not in possible:
+            others = [repr(name) for name, number in KINDS.items() if STICKS[number] in possible]
+            raise ScenarioError(
+                f"{key}.kind = {kind!r}: depends on the step, and {name!r} has none; must be {' or '.join(others)}, or "
+                f"take an integrator of fixed step, {' or '.join(map(repr, INTEGRATORS))}"
+            )
+    return ADAPTIVE[name], TOLERANCE if section.tolerance is None else section.tolerance
 
 
 def _surface(scenario: Scenario, robot: Robot, q: Array, v: Array) -> tuple[Plane, int]:
@@ -338,6 +372,9 @@ def _stabiliser_gains(scenario: Scenario) -> tuple[float, float]:
     if not isinstance(section, BaumgarteGains):
         return 0.0, 0.0
     name = scenario.time.integrator
+    if name in ADAPTIVE:  # it takes the steps that its stability asks for
+        own = 2.0 * scenario.time.step if section.time_constant == "auto" else section.time_constant
+        return baumgarte_gains(section.damping_ratio, own)
     limit = largest_stable_ratio(name, section.damping_ratio)
     if section.time_constant == "auto":
         recommended = recommended_ratio(name, section.damping_ratio)

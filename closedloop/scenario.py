@@ -16,7 +16,7 @@ from importlib import resources
 from pathlib import Path
 from typing import Annotated, Any, Literal, get_args
 
-from pydantic import BeforeValidator, Field, ValidationError
+from pydantic import AfterValidator, BeforeValidator, Field, ValidationError
 
 from closedloop.control.sections import (
     AdmittanceLawSection,
@@ -152,15 +152,31 @@ def _name(value: Any) -> Any:
 
 
 Name = Annotated[str, BeforeValidator(_name)]
-IntegratorName = Literal["semi_implicit_euler", "explicit_euler", "rk4"]
+IntegratorName = Literal["semi_implicit_euler", "explicit_euler", "rk4", "dop853"]
+
+# A number of 53 bits cannot be told apart from its neighbours below 1e-16, nor an error estimate from rounding much
+# above; and a loose tolerance would locate no event.
+LEAST_TOLERANCE, MOST_TOLERANCE = 1e-14, 1e-3
+
+
+def _tolerance(value: float) -> float:
+    if not LEAST_TOLERANCE <= value <= MOST_TOLERANCE:
+        raise ValueError(f"must be from {LEAST_TOLERANCE:g} to {MOST_TOLERANCE:g}")
+    return value
+
+
+Tolerance = Annotated[Number, AfterValidator(_tolerance)]
 
 
 class TimeSection(Section):
     """[time]: how far and in what steps."""
 
     duration: Positive = Field(8.0, description="length of the run, s; a whole number of steps")
-    step: Positive = Field(0.001, description="step h, s")
+    step: Positive = Field(0.001, description="step h, s; with dop853 only the time between rows")
     integrator: IntegratorName = Field("semi_implicit_euler", description=", ".join(get_args(IntegratorName)))
+    tolerance: Tolerance | None = Field(
+        None, description="relative error that dop853 allows itself in each of its own steps; 1e-12 if left out"
+    )
 
 
 Stabiliser = Annotated[

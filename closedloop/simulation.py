@@ -142,11 +142,20 @@ def run_loop(
     seconds : float
         Time the steps took, s; on Pinocchio those after the first. Compilation is not counted.
     """
+    if problem.tolerance is not None:
+        from closedloop.adaptive import run_adaptive
+
+        if engine != PINOCCHIO:
+            raise ScenarioError(
+                f"engine = {engine!r}: has no integrator of its own steps, {problem.scenario.time.integrator!r}; "
+                "use the engine 'pinocchio'"
+            )
+        return run_adaptive(problem, law, report)
     robot, steps = problem.robot, problem.steps
     given = law is not None
     k, state, memory = problem.constants(), problem.state(given), problem.memory(given)
     w = problem.views(memory, state)
-    user_torque = None if law is None else _checked_law(law, robot, w.q, w.v)
+    user_torque = None if law is None else checked_law(law, robot, w.q, w.v)
     rows = np.zeros((steps + 1, Row.of(robot.n).width))
     events = np.zeros((ROOM_FOR_EVENTS, EVENT_WIDTH))
     arrays = (k, state, memory, problem.table, problem.integrator.tableau(), rows)
@@ -163,7 +172,7 @@ def run_loop(
             fault = user_torque(float(w.now[TIME]), w.torque)
             if fault:
                 t = float(w.now[TIME])
-                failure = DivergenceError(f"{_when(t)}: {fault}", t)
+                failure = DivergenceError(f"{when(t)}: {fault}", t)
                 break
             request = step(events)
         elif request == ROOM:
@@ -175,7 +184,7 @@ def run_loop(
         elif request == DONE:
             break
         else:
-            failure = _failure(int(state[STATUS]), float(w.now[TIME]), robot, problem, law, w.q, w.v)
+            failure = failure_of(int(state[STATUS]), float(w.now[TIME]), robot, problem, law, w.q, w.v)
             break
         if first:  # the first call compiled the kernel, or read it from the cache
             first, began = False, clock.perf_counter()
@@ -221,8 +230,12 @@ def _driver(
     return once, many
 
 
-def _checked_law(law: Law, robot: Robot, q: Array, v: Array) -> Callable[[float, Array], str]:
-    """Wrap a user's law: give it read-only copies, check what it returns, and write that into the torque."""
+def checked_law(law: Law, robot: Robot, q: Array, v: Array) -> Callable[[float, Array], str]:
+    """Wrap a user's law: give it read-only copies, check what it returns, and write that into the torque.
+
+    The function returned takes t, s, reads the state from q and q̇ (n,), writes Q (n,), N m, and returns what is wrong
+    with it in words, or "".
+    """
 
     def evaluate(t: float, torque: Array) -> str:
         q_, v_ = q.copy(), v.copy()
@@ -248,46 +261,48 @@ def _checked_law(law: Law, robot: Robot, q: Array, v: Array) -> Callable[[float,
     return evaluate
 
 
-def _when(t: float) -> str:
+def when(t: float) -> str:
+    """Return the beginning of the message of a run that stopped at t, s."""
     return f"stopped at t = {t:.6g} s"
 
 
-def _failure(
+def failure_of(
     status: int, t: float, robot: Robot, problem: Problem, law: Law | None, q: Array, v: Array
 ) -> SimulationError:
+    """Return what a status of `closedloop.solve` other than OK, met at q and q̇ (n,) at t, s, is in words."""
     if status == SINGULAR:
         pose = np.array2string(q, precision=4, separator=", ", suppress_small=True)
         return SingularClosureError(
-            f"{_when(t)}: singular pose: at q = {pose} the tip cannot move along the surface normal "
+            f"{when(t)}: singular pose: at q = {pose} the tip cannot move along the surface normal "
             f"{problem.plane.normal.round(4).tolist()}, so Eq. 24 does not determine the contact force; "
             "start from, or steer through, another posture",
             t,
         )
     if status == NOT_POSITIVE_DEFINITE:
         return SingularClosureError(
-            f"{_when(t)}: the mass matrix of {robot.model.name} is not positive definite; "
+            f"{when(t)}: the mass matrix of {robot.model.name} is not positive definite; "
             "some joint moves no inertia (look at the masses and tensors of the last links)",
             t,
         )
     if status == CHATTER:
         return ChatterError(
-            f"{_when(t)}: the contact chatters: at one instant the torque presses the tip on while it is off the "
+            f"{when(t)}: the contact chatters: at one instant the torque presses the tip on while it is off the "
             "surface and lifts it off while it is on; look at a law that depends on the contact, and at time.step",
             t,
         )
     if status == PAINLEVE:
         return PainleveError(
-            f"{_when(t)}: Painlevé's paradox: the tip slides so that pressing harder pulls it into the surface (the "
+            f"{when(t)}: Painlevé's paradox: the tip slides so that pressing harder pulls it into the surface (the "
             "coefficient of f in Eq. 24 with friction is not positive), and no rigid contact force exists; lower the "
             "coefficient of friction, or change the posture or the direction of sliding",
             t,
         )
     fast = int(np.argmax(np.abs(v))) if np.all(np.isfinite(v)) else 0
     name = robot.joint_names[fast]
-    if law is not None:
-        cure = "look at the signs and sizes in the law, and at time.step"
-    else:
-        cure = "look at the signs and sizes of law.kp and law.kd, and at time.step"
+    cure = "look at the signs and sizes " + ("of law.kp and law.kd" if law is None else "in the law")
+    if problem.tolerance is None:
+        cure += ", and at time.step"
+    if problem.tolerance is None and law is None:
         # A damper on a joint is itself stepped, and shakes loose where K_d h exceeds twice the inertia it acts on.
         damping = problem.gains[1] * problem.h / np.diag(robot.terms(problem.q, problem.v).mass_matrix)
         if damping[fast] > 2.0:
@@ -296,7 +311,7 @@ def _failure(
                 "most that a step can damp: lower law.kd for it"
             )
     return DivergenceError(
-        f"{_when(t)}: the motion diverges: joint {name} is beyond {SPEED_LIMIT:g} rad/s or not a number; {cure}", t
+        f"{when(t)}: the motion diverges: joint {name} is beyond {SPEED_LIMIT:g} rad/s or not a number; {cure}", t
     )
 
 

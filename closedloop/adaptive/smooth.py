@@ -1,0 +1,102 @@
+"""What is desired, stretch by stretch: between two instants at which something jumps it is a polynomial, ends included.
+
+An integrator of high order must not step over a jump, and must be able to ask for any instant. So the run is cut where
+the reference, its derivatives or the law jump. On each stretch the desired motion and force are a polynomial through
+their values at Chebyshev nodes, all of which lie inside: at the end of a stretch it has the earlier value of what
+jumps there, at the beginning the later one.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+import numpy as np
+from numpy.typing import NDArray
+
+from closedloop.reference.force import SineForceSection, StepForceSection, WaypointForceSection
+
+if TYPE_CHECKING:
+    from closedloop.reference.desired import Desired
+
+Array = NDArray[np.float64]
+
+# Two instants nearer than this, relative to 1 s or to themselves, are one: i·h and a decimal number differ by rounding.
+ROUNDING = 1e-12
+
+NODES = 16
+_ANGLES = np.pi * (np.arange(NODES) + 0.5) / NODES
+_DEGREES = np.arange(NODES, dtype=np.float64)
+# Values at the nodes to coefficients of Chebyshev polynomials.
+_TRANSFORM = np.cos(np.outer(_DEGREES, _ANGLES)) * np.where(_DEGREES == 0.0, 1.0, 2.0)[:, None] / NODES
+# Where the polynomial is compared with what it stands for, on −1 .. 1, and how far it may be off, relative to 1 or to
+# the value. Halving a stretch divides what is off by 2¹⁶; where it does not, and little is off, that is rounding.
+_CHECKS = np.array([-0.995, -0.3, 0.55, 0.999])
+MISFIT, LITTLE = 1e-13, 1e-10
+MOST_HALVINGS = 50
+
+
+@dataclass(frozen=True)
+class Stretch:
+    """What is desired from `start` to `end`, s: coefficients (NODES, 2 n + 10) of Chebyshev polynomials on it."""
+
+    start: float
+    end: float
+    coefficients: Array
+
+    def at(self, t: float) -> Array:
+        """Return the row of `Desired.table` (2 n + 10,) at an instant of the stretch, s."""
+        x = (2.0 * (t - self.start)) / (self.end - self.start) - 1.0
+        row: Array = np.cos(_DEGREES * math.acos(min(1.0, max(-1.0, x)))) @ self.coefficients
+        return row
+
+
+def stretch_from(wanted: Desired, start: float, end: float) -> Stretch:
+    """Return the stretch from `start` to `end`, s, or to an earlier instant, where no polynomial reaches so far."""
+    worst = math.inf
+    for _ in range(MOST_HALVINGS):
+        middle, half = 0.5 * (start + end), 0.5 * (end - start)
+        values = wanted.table(middle + half * np.concatenate([np.cos(_ANGLES), _CHECKS]))
+        stretch = Stretch(start, end, _TRANSFORM @ values[:NODES])
+        fitted = np.cos(np.outer(np.arccos(_CHECKS), _DEGREES)) @ stretch.coefficients
+        off = float(np.max(np.abs(fitted - values[NODES:]) / (1.0 + np.abs(values[NODES:]))))
+        if off <= MISFIT or (off <= LITTLE and off > 0.5 * worst):
+            break
+        worst, end = off, middle
+    return stretch
+
+
+def jumps(wanted: Desired, others: Array, rows: Array) -> Array:
+    """Return the instants between which everything that acts on the arm is smooth, s, increasing.
+
+    Parameters
+    ----------
+    wanted : Desired
+        Its knots, the ends of the pieces of the tip's path, and where the force profile steps or bends.
+    others : array
+        Further instants, s.
+    rows : (N,) array
+        Instants of the recorded rows, s, the first and the last of which bound the run; a jump that is one of them
+        but for rounding is that one.
+    """
+    pieces = [x for piece in wanted.tip.pieces for x in (piece.start, piece.stop)]
+    instants = np.concatenate([rows[[0, -1]], wanted.joints.times, pieces, _force_jumps(wanted), others])
+    instants = instants[(instants >= rows[0]) & (instants <= rows[-1])]
+    nearest = rows[np.clip(np.round(instants / (rows[1] - rows[0])), 0, rows.size - 1).astype(np.int64)]
+    same = np.abs(instants - nearest) <= ROUNDING * np.maximum(1.0, instants)
+    instants = np.unique(np.where(same, nearest, instants))
+    apart = np.diff(instants, prepend=-1.0) > ROUNDING * np.maximum(1.0, instants)
+    kept: Array = instants[apart]
+    return kept
+
+
+def _force_jumps(wanted: Desired) -> list[float]:
+    profile = wanted.profile
+    if isinstance(profile, StepForceSection):
+        return [profile.at]
+    if isinstance(profile, SineForceSection):
+        return [profile.start]
+    if isinstance(profile, WaypointForceSection):
+        return list(profile.times)
+    return []

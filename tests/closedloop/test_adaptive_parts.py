@@ -31,7 +31,7 @@ def bounds(desired, end, step=0.001):
     ],
 )
 def test_stretches_cover_the_run_and_say_what_the_table_says(name, changes):
-    """Between 0 and 1 s, stretch after stretch, every column at any instant is that of the table to 1e-12.
+    """Between 0 and 1 s, stretch after stretch, every column at any instant is that of the table to 1e-11.
 
     A velocity is a difference of positions of 1 rad over some 10 ms: 2e-14 rad/s of rounding, and as much again.
     """

@@ -64,7 +64,9 @@ def examine(arm, overrides):
     for k in np.flatnonzero(free & (run.closure_error < 0.0) & (np.max(np.abs(run.v), axis=1) < 30.0)):
         assert run.closure_error[k] > -deepest(arm, run, k)
     if overrides["stabiliser.kind"] in ("projection", "both"):
-        assert np.max(np.abs(run.closure_error[~free]), initial=0.0) < 1e-12
+        # From where a step at thousands of rad/s ends, a few moves of Newton's method do not lead back all the way.
+        slow = np.max(np.abs(run.v), axis=1) < 1e3
+        assert np.max(np.abs(run.closure_error[~free & slow]), initial=0.0) < 1e-12
     elif overrides["time.integrator"] == "rk4" and np.max(np.abs(run.v)) < 30.0:
         # Far too much for a contact, because of what test_a_pressed_tip_does_not_creep_off_the_surface holds.
         assert np.max(np.abs(run.closure_error[~free]), initial=0.0) < 1e-3

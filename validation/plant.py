@@ -17,10 +17,13 @@ from typing import Any
 import numpy as np
 
 import robot_models
+from closedloop.tree import Tree
 from validation.comparison import Comparison, compare, tip_of
 from validation.engines import Engine, available
+from validation.engines.compiled import Compiled
 from validation.oracle import Oracle
 from validation.oracle.spatial import Array
+from validation.plant_tree import TREE_FAULTS
 
 # Enough that some state shows every fault; the smallest margin found is far above one.
 STATES = 10
@@ -39,11 +42,14 @@ class Fault:
     methods : callable or None
         Engine, and an oracle of the sound robot to borrow from -> methods to put in place of the engine's own; empty if
         it does not compute what the fault touches.
+    tree : callable or None
+        `closedloop.tree.Tree` -> the faulty one, or None if it cannot carry the fault: for the engine that has one.
     """
 
     name: str
     robot: Callable[[Any], Any | None] | None = None
     methods: Callable[[Engine, Oracle], dict[str, Callable[..., Any]]] | None = None
+    tree: Callable[[Tree], Tree | None] | None = None
 
 
 @dataclass(frozen=True)
@@ -97,9 +103,37 @@ def plant_all(
     return catches
 
 
+def plant_runs() -> list[Catch]:
+    """Plant every fault of the compiled engine's arrays in a run, in turn: a slide in which every joint moves."""
+    from validation.engines.compiled_runs import compare_runs, faulty_tree
+
+    slide = {"reference.direction": [0.6, 0.8, 0.0], "reference.stop": 1.0, "time.duration": 1.2}
+    catches = []
+    for name, fault in TREE_FAULTS.items():
+        with faulty_tree(fault):
+            (check,) = compare_runs("wam_slide", slide)
+        by = "the run on Pinocchio"
+        catches.append(Catch(f"{name}, in a run", "compiled", not check.passed, "the rows", by, check.error))
+    return catches
+
+
 @contextmanager
 def planted(engine: Engine, fault: Fault, oracle: Oracle) -> Iterator[bool]:
-    """Give the engine the fault's methods for a while; yields whether the engine has the fault."""
+    """Give the engine the fault's methods or tree for a while; yields whether the engine has the fault."""
+    if fault.tree:
+        sound = engine.tree if isinstance(engine, Compiled) else None
+        faulty = None if sound is None else fault.tree(sound)
+        if faulty is None:
+            yield False
+            return
+        assert isinstance(engine, Compiled)
+        assert sound is not None
+        engine.tree = faulty
+        try:
+            yield True
+        finally:
+            engine.tree = sound
+        return
     methods = fault.methods(engine, oracle) if fault.methods else {}
     if fault.methods and not methods:
         yield False
@@ -251,4 +285,5 @@ FAULTS: tuple[Fault, ...] = (
     Fault("sign of Baumgarte's terms", methods=_baumgarte_sign),
     Fault("constraint silently off", methods=_silent_constraint),
     Fault("sign of f", methods=_wrong_sign_of_force),
+    *(Fault(f"compiled tree: {name}", tree=fault) for name, fault in TREE_FAULTS.items()),
 )

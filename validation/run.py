@@ -113,13 +113,16 @@ def _compare(options: argparse.Namespace) -> Any:
 
 
 def _plant(options: argparse.Namespace) -> Any:
-    from validation.plant import plant_all
+    from validation.plant import plant_all, plant_runs
     from validation.report import Report
     from validation.suite import faults_section
 
     _say("planting faults")
     catches = plant_all(options.robot or "wam4", options.tip, seed=options.seed)
-    return Report(sections=[faults_section(options.robot or "wam4", catches)])
+    sections = [faults_section(options.robot or "wam4", catches)]
+    if options.robot is None:
+        sections.append(faults_section("wam_slide, run by the compiled engine", plant_runs()))
+    return Report(sections=sections)
 
 
 def _engine(name: str) -> Any:

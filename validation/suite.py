@@ -12,6 +12,7 @@ import numpy as np
 import robot_models
 from validation.comparison import Cell, Comparison, build_all, compare, missing_cells, tip_of
 from validation.engines import ENGINES, Engine, Missing, available
+from validation.engines.compiled import Compiled
 from validation.engines.loop import ClosedLoop
 from validation.engines.symbolic import Symbolic
 from validation.identities import Residual, Sample, check_all, draw_sample, unanswered
@@ -104,6 +105,7 @@ def check_identities(trees: int, states: int) -> Section:
     judged: list[tuple[str, Callable[[Any], Any]]] = [
         ("oracle", lambda robot: Oracle(robot.tree, robot.tip)),
         ("closedloop", lambda robot: ClosedLoop(robot, robot.tip)),
+        ("compiled", lambda robot: Compiled(robot, robot.tip)),
     ]
     for name, make in judged:
         pairs = []
@@ -179,6 +181,7 @@ def run_suite(
     if not quick:
         say("sliding in every engine that can")
         report.sections.append(_slides())
+        report.sections.append(_compiled_runs(say))
     return report
 
 
@@ -211,6 +214,18 @@ def _slides() -> Section:
             section.checks.append(
                 Check(check.what, check.engine, check.error, check.tolerance, check.passed, check.argument)
             )
+    return section
+
+
+def _compiled_runs(say: Callable[[str], None]) -> Section:
+    """Compare whole runs of the compiled engine with those on Pinocchio, on every shipped scenario."""
+    from validation.engines.compiled_runs import compare_compiled
+
+    section = Section("shipped scenarios, compiled engine against Pinocchio: the error over what rounding becomes")
+    for check in compare_compiled(say):
+        section.checks.append(
+            Check(check.what, check.engine, check.error, check.tolerance, check.passed, check.argument)
+        )
     return section
 
 

@@ -216,7 +216,7 @@ def test_mjcf_with_a_locked_joint_and_a_site():
         MJCF, "mjcf", name="arm", armature=[0.2, 0.1, 0.0], tip="point", home=np.zeros(3), locked={"held": 0.7}
     )
     made = [engine for engine in available(robot, "point") if not isinstance(engine, (Missing, Refused))]
-    assert {engine.name for engine in made} == {"closedloop", "pinocchio", "mujoco"}
+    assert {engine.name for engine in made} == {"closedloop", "compiled", "pinocchio", "mujoco"}
     refused = [engine for engine in available(robot, "point") if isinstance(engine, Refused)]
     assert len(made) + len(refused) == len(ENGINES)
     assert all("URDF" in engine.reason for engine in refused)

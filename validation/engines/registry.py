@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
+from validation.engines.compiled import Compiled
 from validation.engines.drake import Drake
 from validation.engines.exudyn import Exudyn
 from validation.engines.hand_written import HandWritten
@@ -16,6 +17,7 @@ from validation.engines.symbolic import Symbolic
 ENGINES: tuple[type[Engine], ...] = (
     HandWritten,
     ClosedLoop,
+    Compiled,
     PinocchioCpp,
     MuJoCo,
     Drake,

@@ -1,0 +1,111 @@
+# ruff: noqa: D102 - what a method returns is said once, in `interface.Engine`
+"""The package's own compiled engine, `closedloop.tree` inside `closedloop.compiled_engine`, as one engine among others.
+
+The terms are asked of `closedloop.tree` alone; q̈ and f of Eq. 24 are read from a row that the compiled loop itself
+recorded, so that what is judged is the loop that runs, and not its parts put together anew.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+from closedloop import workspace as space
+from closedloop.compiled import entry_kernel
+from closedloop.compiled_engine import compiled_work, run_compiled
+from closedloop.contact import FREE, PRESSED
+from closedloop.errors import ModelError
+from closedloop.events import EVENT_WIDTH
+from closedloop.integrate import INTEGRATORS
+from closedloop.machine import DONE
+from closedloop.robot import Terms
+from closedloop.step import LAW_GIVEN, Row
+from closedloop.surface import contact_frame
+from closedloop.tree import Tree, tree_of, tree_terms, work_size
+from robot_models import RobotModel
+from validation.engines.interface import METHODS, CannotBuild, Robot
+from validation.engines.loop import ClosedLoop, as_robot_model
+from validation.oracle.spatial import Array
+
+
+class Compiled(ClosedLoop):
+    """The terms of `closedloop.tree`, and Eq. 24 as `run_compiled` solves it.
+
+    Joint order: Pinocchio's, mapped by name. Frames: tip Jacobian along base axes. Armature: `RobotModel.armature`,
+    inside H. Gravity: the robot's, inside C. Sign of f: positive along +n on the robot. Constraint: the loop is given
+    a plane, a state and a torque, and records one row; b of the closure comes in through the plane's offset, as
+    b = −nᵀJ̇ᵣq̇ − s_p e with s_p = 1/s². The impulse and b_s are `closedloop`'s arithmetic on these terms. It shares
+    with `closedloop` everything but the terms. Not covered: joints other than revolute, continuous and prismatic ones.
+    Accuracy: rounding, times the condition number of H in q̈ and f.
+    """
+
+    name = "compiled"
+    covers = frozenset(METHODS)
+
+    def __init__(self, robot: Robot, tip: str) -> None:
+        model = as_robot_model(robot, tip)
+        try:
+            self.tree = tree_of(model, tip)
+        except ModelError as error:
+            raise CannotBuild(str(error)) from None
+        super().__init__(model, tip)
+        order = {joint: i for i, joint in enumerate(model.joint_names)}
+        self._columns = np.array([order[joint] for joint in robot.joint_names])
+        self.robot = OwnTerms(self, model, tip)  # type: ignore[assignment]  # the two methods that are asked for
+
+    def free_acceleration(self, q: Array, v: Array, torque: Array) -> Array:
+        row = self._record(q, v, torque, np.array([0.0, 0.0, 1.0]), None)
+        return np.asarray(row[2 * self.n : 3 * self.n][self._columns])
+
+    def constrained(self, q: Array, v: Array, torque: Array, normal: Array, b: float) -> tuple[Array, float]:
+        row = self._record(q, v, torque, normal, b)
+        return row[2 * self.n : 3 * self.n][self._columns], float(row[Row.of(self.n).scalars])
+
+    def _record(self, q: Array, v: Array, torque: Array, normal: Array, b: float | None) -> Array:
+        """Return the row that the loop records at a state under a given torque; b None: the tip is free."""
+        n, scheme = self.n, INTEGRATORS["semi_implicit_euler"]
+        terms = self.robot.terms(self._in(q), self._in(v))
+        k = np.zeros(space.JOINTS + 5 * n + space.LAW_WIDTH + n * space.FRICTION_WIDTH)
+        k[space.H_STEP] = k[space.NODE] = 1e-3
+        k[space.FRAME : space.FRAME + 9] = contact_frame(normal).ravel()
+        state = np.zeros(space.WHOLES, dtype=np.int64)
+        state[space.LAW], state[space.SAMPLED], state[space.RISEN] = LAW_GIVEN, 1, 1
+        state[space.STAGES], state[space.PER_STEP], state[space.SEMI_IMPLICIT] = scheme.stages, 1, 1
+        state[space.MODE] = FREE
+        if b is not None:
+            state[space.MODE], k[space.S_P] = PRESSED, 1.0
+            k[space.OFFSET_D] = normal @ terms.position + b + normal @ terms.drift
+        memory = np.zeros(space.memory_size(n, 0, scheme.stages, 1))
+        w = space.views(memory, n, 0, scheme.stages, 1)
+        w.q[:], w.v[:], w.torque[:] = self._in(q), self._in(v), self._in(torque)
+        table, rows, events = np.zeros((1, 2 * n + 11)), np.zeros((1, Row.of(n).width)), np.zeros((1, EVENT_WIDTH))
+        work = compiled_work(n)
+        request = run_compiled(self.tree, work, k, state, memory, table, scheme.tableau(), rows, events)
+        if request != DONE:
+            raise np.linalg.LinAlgError("the pose is singular: the tip cannot move along the normal")
+        return np.asarray(rows[0])
+
+
+class OwnTerms:
+    """Terms from `closedloop.tree`, behind the two methods of `closedloop.Robot` that an engine asks."""
+
+    def __init__(self, engine: Compiled, model: RobotModel, tip: str) -> None:
+        self.engine, self.n = engine, len(model.joint_names)
+        self.joint_names, self.tip = model.joint_names, tip
+        self._work = np.zeros(work_size(self.n))
+
+    def terms(self, q: Array, v: Array) -> Terms:
+        if not (np.all(np.isfinite(q)) and np.all(np.isfinite(v))):
+            raise ValueError("q and v must be finite")
+        n = self.n
+        H, C, J, r, drift = (np.full(shape, np.nan) for shape in ((n, n), (n,), (3, n), (3,), (3,)))
+        _terms(self.engine.tree, q, v, self._work, H, C, J, r, drift)
+        return Terms(np.triu(H) + np.triu(H, 1).T, C, r, J, drift)
+
+    def position(self, q: Array) -> Array:
+        return self.terms(q, np.zeros(self.n)).position
+
+
+@entry_kernel
+def _terms(tree: Tree, q: Array, v: Array, work: Array, H: Array, C: Array, J: Array, r: Array, drift: Array) -> None:
+    """Do `tree_terms`, compiled once for all processes."""
+    tree_terms(tree, q, v, work, H, C, J, r, drift)

@@ -27,7 +27,7 @@ from closedloop.integrate import ADAPTIVE, INTEGRATORS, Integrator
 from closedloop.machine import ARRIVING, CLOSING, RESTING, TOUCHING
 from closedloop.reference.desired import Desired, desired
 from closedloop.robot import Robot
-from closedloop.scenario import BaumgarteGains, PaperLawSection, Scenario
+from closedloop.scenario import BaumgarteGains, Scenario
 from closedloop.step import LAW_GIVEN, Row
 from closedloop.surface import Plane
 from robot_models import RobotModel
@@ -217,6 +217,8 @@ def needs_more(scenario: Scenario) -> bool:
     """Whether a scenario needs more than the paper's law on a smooth surface, see `closedloop.step`."""
     return (
         scenario.law.kind != "paper"
+        or scenario.law.force_feedback > 0.0
+        or scenario.law.force_integral > 0.0
         or scenario.compensation.kind != "none"
         or scenario.friction.kind != "none"
         or scenario.joint_friction.kind != "none"
@@ -270,8 +272,7 @@ def prepare(scenario: Scenario, model: RobotModel | None = None) -> Problem:
     given = getattr(law, "pd_start", None)
     start = (wanted.tip.start if given is None else given) - 1e-9 * h  # i·h and 0.5 may differ by rounding
     packed = pack_law(law, scenario.compensation, n, pd_start=start, joint_names=model.joint_names)
-    if not isinstance(law, PaperLawSection):
-        check_sampling(law, scenario.compensation, scenario.sensor, law.sample_period or h)
+    check_sampling(law, scenario.compensation, scenario.sensor, law.sample_period or h)
     friction = pack(scenario.friction)
     if friction[0] and STICKS[friction[0]] != "elastic" and mode == PRESSED:
         u = wanted.frame @ robot.terms(q, v).jacobian @ v

@@ -22,6 +22,7 @@ from closedloop.control.sections import (
     AdmittanceLawSection,
     CompensationSection,
     DynamicHybridLawSection,
+    ForceLaw,
     HybridLawSection,
     ImpedanceLawSection,
     NoCompensationSection,
@@ -79,20 +80,15 @@ class StartSection(Section):
     v: PerJoint | None = Field(None, description="joint velocities, rad/s (m/s); at rest if left out")
 
 
-class PaperLawSection(Section):
-    """[law] kind = "paper": Eq. 33."""
+class PaperLawSection(ForceLaw):
+    """[law] kind = "paper": Eq. 33; with force feedback, f_des in it becomes f_c of `closedloop.control.force`."""
 
     kind: Literal["paper"] = "paper"
     kp: Gain = Field(description="position gain K_p, N m/rad, one per joint or one for all")
     kd: Gain = Field(description="velocity gain K_d, N m s/rad, one per joint or one for all")
-    force: Number = Field(10.0, description="force f_des with which the tip presses on the surface, N")
     pd_start: NotNegative | None = Field(
         None,
         description="instant from which the PD part acts, s; that at which the reference starts to move if left out",
-    )
-    sample_period: NotNegative = Field(
-        0.0,
-        description="period at which the law is evaluated and then held, s; 0: at every evaluation of Eq. 24",
     )
 
 

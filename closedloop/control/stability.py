@@ -75,13 +75,13 @@ def check_sampling(
     ScenarioError
         With the gain that is too large, and the most that would do.
     """
-    if force_loop_radius(0.0, law.force_integral, sensor, period) > 1.0:
+    if law.force_integral > 0.0 and force_loop_radius(0.0, law.force_integral, sensor, period) > 1.0:
         most = _most(lambda k: force_loop_radius(0.0, k, sensor, period), law.force_integral)
         raise ScenarioError(
             f"law.force_integral = {law.force_integral:g}: diverges with this sensor and {period:g} s between two "
             f"samples; must be below {most:.3g}"
         )
-    if force_loop_radius(law.force_feedback, law.force_integral, sensor, period) > 1.0:
+    if law.force_feedback > 0.0 and force_loop_radius(law.force_feedback, law.force_integral, sensor, period) > 1.0:
         most = _most(lambda k: force_loop_radius(k, law.force_integral, sensor, period), law.force_feedback)
         raise ScenarioError(
             f"law.force_feedback = {law.force_feedback:g}: diverges, because a reading is {period + sensor.delay:g} s "

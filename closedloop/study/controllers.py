@@ -2,11 +2,13 @@
 
 The task is wam_slide's, with the motion from rest to rest: press with 10 N and slide 108 mm in six seconds. Rows are
 controllers with what they know of friction, columns are laws of friction of about the same level (kinetic 0.25, static
-0.35). Measured from `SETTLED_FROM` on, when the contact has settled and the tip is about to move:
+0.35). The law and an ideal force sensor work at 1 kHz. The step is a quarter of that: a tip that creeps below a few
+tenths of a millimetre per second turns faster than a step of 1 ms can follow, and its friction then chatters. Measured
+from `SETTLED_FROM` on, when the tip has broken away and the force has settled:
 
     force RMS, peak   of f − f_des, N
     path RMS          of the tip's distance from its path along the surface, mm
-    settling          how long after the tip stops the force error was last over `BAND`, s
+    settling          how long after the path ends the force error was last over `BAND`, s; infinite if it still is
 """
 
 from __future__ import annotations
@@ -29,11 +31,13 @@ Array = NDArray[np.float64]
 
 SETTLED_FROM, BAND = 1.5, 0.2  # s, N
 STOP = 6.5  # s
+STEP, SAMPLE = 0.00025, 0.001  # s
 MEASURES = ("force_rms", "force_peak", "path_rms", "settling")
 
 JOINT = {"law.kp": [900.0, 900.0, 400.0, 300.0], "law.kd": [60.0, 60.0, 30.0, 20.0]}
 LAWS: dict[str, dict[str, Any]] = {
     "paper": {},
+    "paper + integral": {"law.force_integral": 20.0},
     "hybrid": {"law.kind": "hybrid", **JOINT, "law.force_integral": 20.0},
     "operational space": {"law.kind": "operational_space", "law.force_integral": 20.0},
     "dynamic hybrid": {"law.kind": "dynamic_hybrid", "law.force_integral": 20.0},
@@ -79,8 +83,8 @@ def measures(run: Run) -> dict[str, float]:
     off = run.position - run.reference_tip
     normal = np.asarray(run.scenario.surface.normal) / np.linalg.norm(run.scenario.surface.normal)
     off = (off - np.outer(off @ normal, normal))[late]
-    over = np.flatnonzero(np.abs(force) > BAND)
-    last = float(run.time[late][over[-1]]) if over.size else 0.0
+    over = np.abs(force) > BAND
+    last = float(np.max(run.time[late], where=over, initial=0.0)) if not over[-1] else math.inf
     return {
         "force_rms": float(np.sqrt(np.mean(force**2))),
         "force_peak": float(np.max(np.abs(force))),
@@ -91,11 +95,12 @@ def measures(run: Run) -> dict[str, float]:
 
 def cell(controller: str, friction: str) -> dict[str, Any]:
     """Run one controller on one kind of friction; a run that cannot go on is its reason."""
-    changes: dict[str, Any] = {"reference.timing": "minimum_jerk"} | CONTROLLERS[controller]
+    changes: dict[str, Any] = {"reference.timing": "minimum_jerk", "time.step": STEP, "law.sample_period": SAMPLE}
+    changes = CONTROLLERS[controller] | changes  # a kind first: the keys that it does not know are dropped
     changes |= {f"friction.{key}": value for key, value in FRICTIONS[friction].items()}
     row: dict[str, Any] = {"controller": controller, "friction": friction, "reason": ""}
     try:
-        return row | measures(simulate(load_scenario("wam_slide", changes)))
+        return row | measures(simulate(load_scenario("wam_slide", changes), engine="compiled"))
     except ClosedLoopError as error:
         return row | dict.fromkeys(MEASURES, math.nan) | {"reason": str(error)}
 
@@ -109,7 +114,9 @@ def measure(quick: bool = False) -> list[dict[str, Any]]:
 def run(folder: Path, quick: bool = False, as_json: bool = False) -> list[dict[str, Any]]:
     """Do the study, write controllers.json, controllers.csv and the figure into `folder`, and print the table."""
     results = measure(quick)
-    plain = [{k: None if isinstance(v, float) and math.isnan(v) else v for k, v in row.items()} for row in results]
+    plain = [
+        {k: None if isinstance(v, float) and not math.isfinite(v) else v for k, v in row.items()} for row in results
+    ]
     (folder / "controllers.json").write_text(json.dumps(plain, indent=2) + "\n", encoding="utf-8")
     with (folder / "controllers.csv").open("w", newline="", encoding="utf-8") as file:
         writer = csv.DictWriter(file, ["controller", "friction", *MEASURES, "reason"])
@@ -124,66 +131,85 @@ def run(folder: Path, quick: bool = False, as_json: bool = False) -> list[dict[s
     return results
 
 
+TITLES = {
+    "force_rms": "force error, RMS [N]",
+    "force_peak": "force error, peak [N]",
+    "path_rms": "path error along the surface, RMS [mm]",
+    "settling": "settling after the end of the path [s]",
+}
+CAPTION = f"errors from {SETTLED_FROM:g} s on; settling: from the end of the path until the force keeps to {BAND:g} N"
+
+
+def cell_text(row: dict[str, Any], key: str) -> str:
+    """Return a measure in two digits, or in a word what there is instead."""
+    value = row[key]
+    if row["reason"]:
+        return "stopped"
+    if math.isinf(value):
+        return "never"
+    return f"{value:.2g}" if value >= 1e-3 else ("0" if value == 0.0 else "<0.001")
+
+
 def print_table(results: list[dict[str, Any]]) -> None:
-    """Print each measure as a table of controllers against friction."""
+    """Print one table: a block a measure, controllers down, friction across."""
     from rich import box
     from rich.console import Console
     from rich.table import Table
+    from rich.text import Text
 
     frictions = list(dict.fromkeys(row["friction"] for row in results))
-    console = Console(highlight=False, width=max(80, 34 + 12 * len(frictions)))
-    titles = {
-        "force_rms": f"force error from {SETTLED_FROM:g} s on, RMS, in N",
-        "force_peak": "and its peak, in N",
-        "path_rms": "path error along the surface, RMS, in mm",
-        "settling": f"time after the stop until the force stays within {BAND:g} N, in s",
-    }
-    for key, title in titles.items():
-        table = Table(box=box.SIMPLE_HEAD, title=title, title_justify="left")
-        table.add_column("controller", no_wrap=True)
-        for friction in frictions:
-            table.add_column(friction, justify="right")
+    console = Console(highlight=False, width=max(80, 42 + 12 * len(frictions)))
+    table = Table(box=box.SIMPLE_HEAD, caption=CAPTION, caption_justify="left")
+    table.add_column("controller", no_wrap=True)
+    for friction in frictions:
+        table.add_column(friction, justify="right", no_wrap=True)
+    for key, title in TITLES.items():
+        table.add_row(Text(title, style="bold"))
         for controller in dict.fromkeys(row["controller"] for row in results):
             mine = [row for row in results if row["controller"] == controller]
-            table.add_row(controller, *("stopped" if row["reason"] else f"{row[key]:.2g}" for row in mine))
-        console.print(table)
+            table.add_row(f"  {controller}", *(cell_text(row, key) for row in mine))
+        table.add_section()
+    console.print(table)
 
 
 def draw_controllers(results: list[dict[str, Any]], folder: Path) -> Path:
-    """Draw force RMS and path RMS as two maps; return the path of the PNG."""
+    """Draw the four measures as maps into controllers.svg and .png; return the path of the latter."""
     import matplotlib as mpl
-    from matplotlib.colors import LogNorm
     from matplotlib.figure import Figure
 
     from closedloop.figures import STYLE
 
-    controllers = list(dict.fromkeys(row["controller"] for row in results))
-    frictions = list(dict.fromkeys(row["friction"] for row in results))
     with mpl.rc_context(cast(Any, {**STYLE, "axes.grid": False, "font.size": 8})):
-        figure = Figure(figsize=(11.0, 1.6 + 0.3 * len(controllers)), layout="constrained")
-        for axes, key, title, least, most in zip(
-            figure.subplots(1, 2, sharey=True),
-            ("force_rms", "path_rms"),
-            ("force error, RMS [N]", "path error along the surface, RMS [mm]"),
-            (1e-2, 1e-2),
-            (3.0, 10.0),
-            strict=True,
-        ):
-            values = np.array([[row[key] for row in results if row["controller"] == name] for name in controllers])
-            image = axes.imshow(np.clip(values, least, most), norm=LogNorm(least, most), cmap="cividis", aspect="auto")
-            for i, j in np.ndindex(values.shape):
-                text = (
-                    "stopped"
-                    if np.isnan(values[i, j])
-                    else (f"{values[i, j]:.2g}" if values[i, j] >= 1e-3 else "< 0.001")
-                )
-                bright = np.isfinite(values[i, j]) and values[i, j] > np.sqrt(least * most)
-                axes.text(j, i, text, ha="center", va="center", color="black" if bright else "white", fontsize=7)
-            axes.set_xticks(range(len(frictions)), frictions, rotation=35, ha="right")
-            axes.set_yticks(range(len(controllers)), controllers)
-            axes.set_title(title)
-            axes.tick_params(length=0)
-            figure.colorbar(image, ax=axes, shrink=0.9)
+        count = len({row["controller"] for row in results})
+        figure = Figure(figsize=(11.0, 2.4 + 0.52 * count), layout="constrained")
+        maps(figure, results)
         for suffix in (".svg", ".png"):
             figure.savefig(folder / f"controllers{suffix}", metadata={"Date": None} if suffix == ".svg" else {})
     return folder / "controllers.png"
+
+
+# Least and greatest of the colours: what matters of each measure.
+RANGES = {"force_rms": (1e-2, 3.0), "force_peak": (1e-2, 3.0), "path_rms": (1e-2, 10.0), "settling": (1e-2, 1.5)}
+
+
+def maps(figure: Any, results: list[dict[str, Any]], keys: tuple[str, ...] = MEASURES) -> None:
+    """Draw measures as maps of controllers against friction, two beside each other, on a matplotlib figure."""
+    from matplotlib.colors import LogNorm
+
+    controllers = list(dict.fromkeys(row["controller"] for row in results))
+    frictions = list(dict.fromkeys(row["friction"] for row in results))
+    grid = figure.subplots((len(keys) + 1) // 2, 2, sharey=True, sharex=True, squeeze=False)
+    for axes, key in zip(grid.ravel(), keys, strict=True):
+        least, most = RANGES[key]
+        rows = [[row for row in results if row["controller"] == name] for name in controllers]
+        values = np.array([[row[key] for row in mine] for mine in rows])
+        image = axes.imshow(np.clip(values, least, most), norm=LogNorm(least, most), cmap="cividis", aspect="auto")
+        for i, j in np.ndindex(values.shape):
+            bright = values[i, j] > np.sqrt(least * most)
+            colour = "black" if bright else "white" if np.isfinite(values[i, j]) else "firebrick"
+            axes.text(j, i, cell_text(rows[i][j], key), ha="center", va="center", color=colour, fontsize=7)
+        axes.set_xticks(range(len(frictions)), frictions, rotation=35, ha="right")
+        axes.set_yticks(range(len(controllers)), controllers)
+        axes.set_title(TITLES[key], fontsize=9)
+        axes.tick_params(length=0)
+        figure.colorbar(image, ax=axes, shrink=0.9)

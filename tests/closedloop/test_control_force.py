@@ -1,5 +1,7 @@
 """Force feedback against its closed forms, and the sampled loop's limits from both sides."""
 
+from functools import partial
+
 import numpy as np
 import pytest
 from control_loop import Loop
@@ -8,6 +10,7 @@ from closedloop.control.places import RATE
 from closedloop.control.sections import (
     AdmittanceLawSection,
     DynamicHybridLawSection,
+    HybridLawSection,
     ImpedanceLawSection,
     ModelCompensationSection,
     ObserverCompensationSection,
@@ -17,8 +20,10 @@ from closedloop.control.sections import (
 from closedloop.control.sensor import pack_sensor, sense, sensor_rates, start_sensor
 from closedloop.control.stability import check_sampling, force_loop_radius
 from closedloop.errors import ScenarioError
+from closedloop.scenario import PaperLawSection
 
 SECTIONS = (OperationalSpaceLawSection, DynamicHybridLawSection, ImpedanceLawSection, AdmittanceLawSection)
+JOINT_LAWS = (partial(PaperLawSection, kp=400.0, kd=30.0), partial(HybridLawSection, kp=400.0, kd=30.0))
 
 
 def push(loop, d):
@@ -26,7 +31,7 @@ def push(loop, d):
     loop.disturbance = -loop.moment(0.0, loop.q, loop.v)[0].A[0] * d
 
 
-@pytest.mark.parametrize("section", SECTIONS[:3], ids=lambda s: s.__name__)
+@pytest.mark.parametrize("section", SECTIONS[:3] + JOINT_LAWS, ids=lambda s: getattr(s, "func", s).__name__)
 @pytest.mark.parametrize("name", ["wam4", "planar2"])
 def test_integral_feedback_alone_decays_exponentially(section, name):
     """e_f = e_f(0) exp(−K_I t) on any arm: 2 % are left at 3.912/K_I; a start off the set point and a load alike."""

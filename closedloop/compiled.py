@@ -22,6 +22,8 @@ from typing import Any, TypeVar, cast
 import numba
 from numba.core import config as _config
 
+from closedloop.nested import NestedFunction
+
 numba_settings: Any = _config  # its attributes are made at run time, which type checkers cannot see
 
 _njit: Any = numba.njit  # its annotations do not know all that it takes
@@ -35,7 +37,13 @@ def kernel(function: F) -> F:
     Kernels own no memory, so numba need not count who refers to it (`_nrt`): counting would cost more than a step's
     arithmetic. Hence a kernel may make views, but neither arrays nor anything that it returns to Python but numbers.
     """
-    return cast(F, _njit(error_model="numpy", _nrt=False)(function))
+    return _nested(function, {"error_model": "numpy", "_nrt": False})
+
+
+def _nested(function: F, options: dict[str, Any]) -> F:
+    if numba_settings.DISABLE_JIT:
+        return function
+    return cast(F, NestedFunction(function, options, _njit(**options)(function)))
 
 
 def inlined_kernel(function: F) -> F:
@@ -49,7 +57,7 @@ def kernel_inlined(function: F) -> F:
 
     A call hands over each array as seven words, and the workspace of a step is forty arrays.
     """
-    return cast(F, _njit(error_model="numpy", _nrt=False, forceinline=True)(function))
+    return _nested(function, {"error_model": "numpy", "_nrt": False, "forceinline": True})
 
 
 def entry_kernel(function: F) -> F:
@@ -82,7 +90,7 @@ def cache_folder() -> Path:
     digest = hashlib.sha256()
     for path in sorted(Path(__file__).parent.rglob("*.py")):
         text = path.read_bytes()
-        if b"\n@kernel" in text or b"\n@inlined_kernel" in text or b"\n@entry_kernel" in text:
+        if any(mark in text for mark in (b"\n@kernel", b"\n@inlined_kernel", b"\n@entry_kernel", b"compiled_views")):
             digest.update(text)
     return _cache_root() / f"closedloop-{digest.hexdigest()[:16]}"
 

@@ -184,7 +184,7 @@ class Problem:
         n = self.robot.n
         counts = state[[space.LAW_STATES, space.SENSOR_STATES, space.FRICTION_STATES]].sum()
         extra = int(counts + n * state[space.JOINT_STATES])
-        return space.views(memory, n, extra, self.integrator.stages, self.sensor.ring)
+        return space.workspace(memory, n, extra, self.integrator.stages, self.sensor.ring)
 
     def memory(self, law_given: bool = False) -> Array:
         """Return the loop's memory at t = 0, with the start in it."""

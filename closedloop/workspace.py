@@ -1,7 +1,7 @@
 """The memory of the loop: one flat array of numbers, one of whole numbers, and the names of their parts.
 
 Each array handed from Python to a compiled function costs about 60 ns, so everything that the loop keeps travels as
-one block. Inside, `workspace` cuts it into named views.
+one block, which `workspace` cuts into named views.
 """
 
 from __future__ import annotations
@@ -12,6 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from closedloop.compiled import kernel
+from closedloop.layout import Count, Layout, compiled_views
 
 Array = NDArray[np.float64]
 Whole = NDArray[np.int64]
@@ -95,7 +96,7 @@ class Work(NamedTuple):
     a: Array  # (3,) acceleration without contact
     F: Array  # (3,)
     b: Array  # (3,) right-hand sides of Eq. 24
-    b_stabiliser: Array  # (3,)
+    b_stabiliser: Array  # (3,) scratch: a right-hand side that is zero
     share: Array  # (3,) the stabiliser's part of F
     slip: Array  # (2,) velocity of slip at the beginning of the substep
     direction: Array  # (2,) and its direction
@@ -113,80 +114,45 @@ class Work(NamedTuple):
     scratch: Array  # (n n + 3 n + 224,)
 
 
+# Those of a fixed size come first, then those of the joints: what a step touches is then at short distances.
+_n, _k, _stages, _ring = (Count.of(size) for size in ("n", "k", "stages", "ring"))
+LAYOUT = Layout(
+    ("n", "k", "stages", "ring"),
+    [
+        ("now", (NOW,)),
+        *((name, (3,)) for name in ("r", "drift", "p", "u", "drift_c", "a", "F", "b", "b_stabiliser", "share")),
+        ("S", (3, 3)),
+        *((name, (3,)) for name in ("before", "compression", "decompression", "after")),
+        *((name, (2,)) for name in ("slip", "direction", "anchor", "c", "w")),
+        *((name, (_n,)) for name in ("q", "v", "torque", "held", "qdd", "y", "column", "loss", "stuck")),
+        ("J", (3, _n)),
+        ("A", (3, _n)),
+        ("X", (3, _n)),
+        ("reference", (2 * _n + 10,)),
+        ("L", (_n, _n)),
+        ("gain", (_n, _n)),
+        ("scratch", (_n * _n + 3 * _n + 224,)),
+        ("z", (_k,)),
+        ("dz", (_k,)),
+        ("begin", (2 * _n + _k,)),
+        ("slope", (_n + _k,)),
+        ("stages", (_stages, 2 * _n + _k)),
+        ("ring", (_ring,)),
+    ],
+)
+
+
 def memory_size(n: int, k: int, stages: int, ring: int) -> int:
     """Return how many numbers `workspace` needs."""
-    x = 2 * n + k
-    return (
-        NOW
-        + 2 * x
-        + n
-        + 2 * x
-        + stages * x
-        + x
-        + 3 * n
-        + n * n
-        + 9 * n
-        + 9
-        + 54
-        + 2 * n
-        + 10
-        + n
-        + n * n
-        + ring
-        + (n * n + 3 * n + 224)
-    )
+    return LAYOUT.size(n, k, stages, ring)
 
 
-def views(memory: Array, n: int, k: int, stages: int, ring: int) -> Work:
-    """Cut `memory` (memory_size(n, k, stages, ring),) into views."""
-    x = 2 * n + k
-    at = NOW
-    now, q = memory[0:at], memory[at : at + n]
-    at += n
-    v, z = memory[at : at + n], memory[at + n : at + n + k]
-    at += n + k
-    torque, held = memory[at : at + n], memory[at + n : at + 2 * n]
-    at += 2 * n
-    begin, slope = memory[at : at + x], memory[at + x : at + x + n + k]
-    at += 2 * x
-    stage = memory[at : at + stages * x].reshape(stages, x)
-    at += stages * x
-    qdd, dz = memory[at : at + n], memory[at + n : at + n + k]
-    at += x
-    y, column, loss = memory[at : at + n], memory[at + n : at + 2 * n], memory[at + 2 * n : at + 3 * n]
-    at += 3 * n
-    L = memory[at : at + n * n].reshape(n, n)
-    at += n * n
-    J = memory[at : at + 3 * n].reshape(3, n)
-    A = memory[at + 3 * n : at + 6 * n].reshape(3, n)
-    X = memory[at + 6 * n : at + 9 * n].reshape(3, n)
-    at += 9 * n
-    S = memory[at : at + 9].reshape(3, 3)
-    at += 9
-    r, drift, p, u = memory[at : at + 3], memory[at + 3 : at + 6], memory[at + 6 : at + 9], memory[at + 9 : at + 12]
-    at += 12
-    drift_c, a, F, b = memory[at : at + 3], memory[at + 3 : at + 6], memory[at + 6 : at + 9], memory[at + 9 : at + 12]
-    at += 12
-    b_stabiliser, share = memory[at : at + 3], memory[at + 3 : at + 6]
-    slip, direction, anchor = memory[at + 6 : at + 8], memory[at + 8 : at + 10], memory[at + 10 : at + 12]
-    c, w = memory[at + 12 : at + 14], memory[at + 14 : at + 16]
-    at += 16
-    before, compression = memory[at : at + 3], memory[at + 3 : at + 6]
-    decompression, after = memory[at + 6 : at + 9], memory[at + 9 : at + 12]
-    at += 14
-    reference = memory[at : at + 2 * n + 10]
-    at += 2 * n + 10
-    stuck, gain = memory[at : at + n], memory[at + n : at + n + n * n].reshape(n, n)
-    at += n + n * n
-    latest = memory[at : at + ring]
-    at += ring
-    scratch = memory[at : at + n * n + 3 * n + 224]
-    return Work(
-        now, q, v, z, torque, held, begin, slope, stage, qdd, dz, y, column, loss, L, J, A, X, S, r, drift, p, u,
-        drift_c, a, F, b, b_stabiliser, share, slip, direction, anchor, c, w, before, compression, decompression, after,
-        reference, stuck, gain, latest, scratch,
-    )  # fmt: skip
+def workspace(memory: Array, n: int, k: int, stages: int, ring: int) -> Work:
+    """Cut `memory` (memory_size(n, k, stages, ring),) into views; in compiled code these are made where they are used.
+
+    See `closedloop.layout`.
+    """
+    return Work(**LAYOUT.views(memory, n, k, stages, ring))
 
 
-# The same inside a step. (A compiled function may not hand arrays back to Python, see `closedloop.compiled.kernel`.)
-workspace = kernel(views)
+compiled_views(LAYOUT, workspace)

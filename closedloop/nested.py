@@ -1,0 +1,86 @@
+"""Compile the kernels inside a step once, not once for each level of their nesting.
+
+numba optimises each compiled function together with all that it calls, makes machine code of it, and then hands the
+same code to its caller, who does so again: a function five levels deep is optimised six times, and five times the
+result is thrown away, as only the outermost function is ever called from Python. Here the inner ones stop at LLVM's
+input; the outermost is optimised once, with all of it in view.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import Any
+
+from numba.core.codegen import JITCodeLibrary
+from numba.core.compiler import CompilerBase, DefaultPassBuilder
+from numba.core.compiler_machinery import AnalysisPass, register_pass
+from numba.core.registry import CPUDispatcher
+from numba.core.typed_passes import NopythonTypeInference
+
+
+class NestedLibrary(JITCodeLibrary):
+    """Code to be linked into a caller: neither optimised nor turned into machine code by itself."""
+
+    def finalize(self) -> None:
+        """Collect what this code calls; leave the rest to the caller."""
+        self._raise_if_finalized()
+        for library in dict.fromkeys(self._linking_libraries):
+            self._reload_init.update(library._reload_init)
+            self._final_module.link_in(library._get_module_for_linking(), preserve=True)
+        self._finalized = True
+
+
+@register_pass(mutates_CFG=False, analysis_only=True)
+class KeepNested(AnalysisPass):
+    """Let the function that is being compiled end in a `NestedLibrary`."""
+
+    _name = "keep_nested"
+
+    def __init__(self) -> None:
+        AnalysisPass.__init__(self)
+
+    def run_pass(self, state: Any) -> bool:
+        """Make the library before numba would make an ordinary one."""
+        state.library = NestedLibrary(state.targetctx.codegen(), state.func_id.func_qualname)
+        state.flags.no_compile = True
+        return False
+
+
+class NestedCompiler(CompilerBase):
+    """numba's compiler, with `KeepNested`."""
+
+    def define_pipelines(self) -> list[Any]:
+        """Return numba's passes and ours among them."""
+        passes = DefaultPassBuilder.define_nopython_pipeline(self.state)
+        passes.add_pass_after(KeepNested, NopythonTypeInference)
+        passes.finalize()
+        return [passes]
+
+
+class NestedFunction(CPUDispatcher):
+    """A function that compiled code calls without compiling it twice; called from Python it is an ordinary one.
+
+    Parameters
+    ----------
+    function : callable
+        The Python function.
+    options : dict
+        numba's options of it.
+    ordinary : callable
+        The same function as numba would compile it for Python.
+    """
+
+    def __init__(self, function: Callable[..., Any], options: dict[str, Any], ordinary: Callable[..., Any]) -> None:
+        nested = options | {"nopython": True, "no_cpython_wrapper": True, "no_cfunc_wrapper": True}
+        super().__init__(function, targetoptions=nested, pipeline_class=NestedCompiler)
+        self.ordinary = ordinary
+
+    def add_overload(self, result: Any) -> None:
+        """Keep what was compiled for compiled callers; for Python there is nothing to call."""
+        result = result._replace(entry_point=object())  # what callers know it by
+        self.targetctx.insert_user_function(result.entry_point, result.fndesc, [result.library])
+        self.overloads[tuple(result.signature.args)] = result
+
+    def __call__(self, *args: Any, **kwargs: Any) -> Any:
+        """Call the ordinary form, which numba compiles on first use."""
+        return self.ordinary(*args, **kwargs)

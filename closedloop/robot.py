@@ -3,8 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 import pinocchio as pin
@@ -16,8 +15,7 @@ from robot_models import RobotModel
 Array = NDArray[np.float64]
 
 
-@dataclass(frozen=True)
-class Terms:
+class Terms(NamedTuple):
     """What the equation of motion and the closure need of one state (q, q̇); arrays are read-only copies.
 
     Attributes

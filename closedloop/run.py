@@ -81,7 +81,9 @@ def _main(arguments: list[str]) -> int:
     if not options.no_figures:
         from closedloop.figures import draw_figures
 
-        paths += draw_figures(run, folder, None if failure else _without_stabiliser(scenario, law, model))
+        paths += draw_figures(
+            run, folder, None if failure else _without_stabiliser(scenario, law, model, options.engine)
+        )
     if options.json:
         print(json.dumps(run.summary(), indent=2))
     else:
@@ -226,7 +228,7 @@ def _write_summary(summary: dict[str, Any], path: Path) -> Path:
     return path
 
 
-def _without_stabiliser(scenario: Scenario, law: Any, model: Any) -> Any:
+def _without_stabiliser(scenario: Scenario, law: Any, model: Any, engine: str) -> Any:
     """Run the scenario without its stabiliser, for Fig. 7; None if it has none, or cannot do without."""
     from closedloop.simulation import simulate
 
@@ -234,7 +236,7 @@ def _without_stabiliser(scenario: Scenario, law: Any, model: Any) -> Any:
         return None
     plain = parse_scenario(scenario.to_toml(), where=scenario.name, overrides={"stabiliser.kind": "none"})
     try:
-        return simulate(plain, law=law, model=model)
+        return simulate(plain, law=law, model=model, engine=engine)
     except SimulationError:
         return None
 

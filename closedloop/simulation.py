@@ -50,6 +50,8 @@ Array = NDArray[np.float64]
 CHUNK = 400
 # Who provides the terms.
 PINOCCHIO, COMPILED = ENGINES = ("pinocchio", "compiled")
+# What a driver may return beside what `closedloop.machine` does: a compiled law gave a torque that is not finite.
+NOT_FINITE = -1
 # Events for which there is room at first; the table grows as needed.
 ROOM_FOR_EVENTS = 64
 
@@ -77,7 +79,8 @@ def simulate(
         True draws a bar on standard error; a callable gets (steps done, steps in all).
     engine : "pinocchio" or "compiled"
         Who computes H, C, r, Jᵣ and J̇ᵣq̇: Pinocchio, or the package's own compiled terms (`closedloop.tree`), which
-        are equal to rounding and ten times as fast. The compiled engine takes no law of one's own.
+        are equal to rounding and ten times as fast. The compiled engine takes a law of one's own that numba has
+        compiled, see `closedloop.compiled_law`.
 
     Returns
     -------
@@ -94,7 +97,9 @@ def simulate(
     if engine not in ENGINES:
         raise ScenarioError(f"engine = {engine!r}: must be {' or '.join(map(repr, ENGINES))}")
     if engine == COMPILED and law is not None:
-        raise ScenarioError("engine = 'compiled': takes no law of one's own; use the engine 'pinocchio' for it")
+        from closedloop.compiled_law import compiled_law
+
+        compiled_law(law)
     problem = prepare(scenario, model)
     compiled_now = needs_compiling(machine(problem.more, engine))
     if progress is True:
@@ -155,11 +160,12 @@ def run_loop(
     given = law is not None
     k, state, memory = problem.constants(), problem.state(given), problem.memory(given)
     w = problem.views(memory, state)
-    user_torque = None if law is None else checked_law(law, robot, w.q, w.v)
+    # The compiled engine asks the law by itself.
+    user_torque = None if law is None or engine == COMPILED else checked_law(law, robot, w.q, w.v)
     rows = np.zeros((steps + 1, Row.of(robot.n).width))
     events = np.zeros((ROOM_FOR_EVENTS, EVENT_WIDTH))
     arrays = (k, state, memory, problem.table, problem.integrator.tableau(), rows)
-    step, many = _driver(problem, w, arrays, engine)
+    step, many = _driver(problem, w, arrays, engine, law)
     failure: SimulationError | None = None
     request = TERMS if user_torque is None else TERMS_AND_LAW
     report(0, steps)
@@ -183,6 +189,10 @@ def run_loop(
             request = step(events)
         elif request == DONE:
             break
+        elif request == NOT_FINITE:
+            t = float(w.now[TIME])
+            failure = DivergenceError(f"{when(t)}: {not_finite(w.torque)}", t)
+            break
         else:
             failure = failure_of(int(state[STATUS]), float(w.now[TIME]), robot, problem, law, w.q, w.v)
             break
@@ -196,7 +206,7 @@ def run_loop(
 
 
 def _driver(
-    problem: Problem, w: Work, arrays: tuple[Any, ...], engine: str
+    problem: Problem, w: Work, arrays: tuple[Any, ...], engine: str, law: Law | None
 ) -> tuple[Callable[[Array], int], Callable[[Array], int]]:
     """Return two functions of the table of events: they provide terms once, and as long as nothing else is asked."""
     if engine == COMPILED:
@@ -204,6 +214,11 @@ def _driver(
 
         run = machine(problem.more, engine)
         tree, work = compiled_tree(problem), compiled_work(problem.robot.n)
+        if law is not None:
+            from closedloop.compiled_law import compiled_law, loop_with_law
+
+            with_law = loop_with_law(run, compiled_law(law), tree, work, w, arrays)
+            return with_law, with_law
         k, state, memory, *rest = arrays
 
         def go_on(events: Array) -> int:
@@ -237,6 +252,11 @@ def checked_law(law: Law, robot: Robot, q: Array, v: Array) -> Callable[[float, 
     with it in words, or "".
     """
 
+    if hasattr(law, "py_func"):
+        from closedloop.compiled_law import as_returning
+
+        law = as_returning(law, robot.n)
+
     def evaluate(t: float, torque: Array) -> str:
         q_, v_ = q.copy(), v.copy()
         q_.setflags(write=False)
@@ -254,11 +274,16 @@ def checked_law(law: Law, robot: Robot, q: Array, v: Array) -> Callable[[float, 
                 f"the law returned Q of shape {given.shape} at t = {t:g} s: must be ({robot.n},), one torque a joint"
             )
         if not np.all(np.isfinite(given)):
-            return f"the law returned Q = {given.tolist()}, which is not finite"
+            return not_finite(given)
         torque[:] = given
         return ""
 
     return evaluate
+
+
+def not_finite(torque: Array) -> str:
+    """Return what is wrong with a law's torque Q (n,) that has an entry which is no finite number, in words."""
+    return f"the law returned Q = {torque.tolist()}, which is not finite"
 
 
 def when(t: float) -> str:

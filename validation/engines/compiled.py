@@ -75,7 +75,7 @@ class Compiled(ClosedLoop):
             state[space.MODE], k[space.S_P] = PRESSED, 1.0
             k[space.OFFSET_D] = normal @ terms.position + b + normal @ terms.drift
         memory = np.zeros(space.memory_size(n, 0, scheme.stages, 1))
-        w = space.views(memory, n, 0, scheme.stages, 1)
+        w = space.workspace(memory, n, 0, scheme.stages, 1)
         w.q[:], w.v[:], w.torque[:] = self._in(q), self._in(v), self._in(torque)
         table, rows, events = np.zeros((1, 2 * n + 11)), np.zeros((1, Row.of(n).width)), np.zeros((1, EVENT_WIDTH))
         work = compiled_work(n)

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from closedloop.report.assumptions import NEAR_SINGULAR, RESIDUAL_TOLERANCE, assumptions
 from closedloop.report.summary import energy_balance, summarise
-from closedloop.report.tables import limits_exceeded, print_report
+from closedloop.report.tables import limits_exceeded, notes, print_report
 
 __all__ = [
     "NEAR_SINGULAR",
@@ -12,6 +12,7 @@ __all__ = [
     "assumptions",
     "energy_balance",
     "limits_exceeded",
+    "notes",
     "print_report",
     "summarise",
 ]

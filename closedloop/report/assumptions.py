@@ -29,7 +29,8 @@ def assumptions(run: Run) -> dict[str, dict[str, Any]]:
     - ``single_point``: the surface acts on the arm at the tip alone: the equation of motion is met with Jᵣᵀn f and no
       moment beside it.
     - ``contact_kept``: the surface never has to pull: f > 0, and a tip that may leave never does.
-    - ``frictionless``: the surface acts along its normal alone: no friction force, and the same residual.
+    - ``frictionless``: the surface acts along its normal alone and the joints turn freely: no friction of either, and
+      the same residual.
     - ``nonsingular``: the tip can move along the normal (`NEAR_SINGULAR`).
     """
     if len(run) == 0:
@@ -40,6 +41,7 @@ def assumptions(run: Run) -> dict[str, dict[str, Any]]:
     motion = float(np.max(run.residual_motion))
     stiffest = int(np.argmin(run.normal_mobility))
     friction = np.linalg.norm(run.friction_force, axis=1)
+    in_joints = np.max(np.abs(run.joint_friction), axis=1)
     only_contact = f"other forces ≤ {motion:.0e}"
     report = {
         "one_loop": _judge(
@@ -55,8 +57,8 @@ def assumptions(run: Run) -> dict[str, dict[str, Any]]:
         ),
         "frictionless": _judge(
             run,
-            (run.residual_motion <= RESIDUAL_TOLERANCE) & (friction == 0.0),
-            only_contact if not np.any(friction) else f"friction ≤ {np.max(friction):.3g} N",
+            (run.residual_motion <= RESIDUAL_TOLERANCE) & (friction == 0.0) & (in_joints == 0.0),
+            _friction(friction, in_joints) or only_contact,
         ),
         "nonsingular": _judge(
             run,
@@ -75,6 +77,12 @@ def _judge(run: Run, held: NDArray[np.bool_], measured: str) -> dict[str, Any]:
     failed = np.flatnonzero(~held)
     first = float(run.time[failed[0]]) if failed.size else None
     return {"held": not failed.size, "first_failed": first, "measured": measured}
+
+
+def _friction(at_tip: NDArray[np.float64], in_joints: NDArray[np.float64]) -> str:
+    """Return how much friction there was, N and N m, or an empty string."""
+    parts = [(at_tip, "N"), (in_joints, "N m in joints")]
+    return ", ".join(f"friction ≤ {np.max(size):.3g} {unit}" for size, unit in parts if np.any(size))
 
 
 def _rows_of_the_closure(run: Run) -> str:

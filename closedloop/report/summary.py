@@ -55,6 +55,8 @@ def _measure_keys() -> tuple[str, ...]:
         "deepest_penetration",
         "time_in_contact",
         "max_friction_force",
+        "max_joint_friction",
+        "energy_lost_to_friction",
         "energy_lost_in_impacts",
         "largest_rate_cut",
     )
@@ -81,6 +83,8 @@ def _measures(run: Run) -> dict[str, Any]:
         max(0.0, -np.min(run.closure_error)),
         run.scenario.time.step * np.count_nonzero(touching[:-1]),
         np.max(np.linalg.norm(run.friction_force, axis=1)),
+        np.max(np.abs(run.joint_friction)),
+        -_cumulative(friction_power(run), run.time)[-1],
         np.sum(run.event_energy_lost),
         np.max(run.event_rate_cut, initial=0.0),
     )
@@ -91,17 +95,27 @@ def energy_balance(run: Run) -> tuple[Array, Array]:
     """Return the residual of the energy balance and the energy exchanged, each (N,), J, from the start to each row.
 
     The residual is the change of kinetic and potential energy less the work of the joint torques, ∫ Qᵀq̇ dt, and of the
-    contact and friction forces, ∫ f ė + F_tᵀṙ dt, by the trapezoidal rule over the rows, plus what the events lost. It
-    shrinks with the step, as the integrator's order
-    says, but no faster than the rule's own order, two. The energy exchanged is ∫ |Qᵀq̇| dt, what the residual is small
-    or large against.
+    contact force, ∫ f ė dt, and of friction at the tip and in the joints, by the trapezoidal rule over the rows, plus
+    what the events lost. It shrinks with the step, as the integrator's order says, but no faster than the rule's own
+    order, two. The energy exchanged is ∫ |Qᵀq̇| dt, what the residual is small or large against.
     """
     energy = run.kinetic_energy + run.potential_energy
     power = np.einsum("ij,ij->i", run.torque, run.v)
-    contact = run.contact_force * run.closure_rate + np.einsum("ij,ij->i", run.friction_force, run.velocity)
+    contact = run.contact_force * run.closure_rate + friction_power(run)
     lost = np.concatenate([[0.0], np.cumsum(run.event_energy_lost)])
     work = _cumulative(power + contact, run.time) - lost[np.searchsorted(run.event_time, run.time, side="right")]
     return energy - energy[0] - work, _cumulative(np.abs(power), run.time)
+
+
+def friction_power(run: Run) -> Array:
+    """Return the power of friction at the tip and in the joints, F_tᵀṙ + τᵀq̇, (N,), W: negative where it takes energy.
+
+    Bristles and springs of friction give back what they store, so the power of dahl, lugre and seven_parameter may be
+    positive for a while.
+    """
+    power: Array = np.einsum("ij,ij->i", run.friction_force, run.velocity)
+    power += np.einsum("ij,ij->i", run.joint_friction, run.v)
+    return power
 
 
 def _cumulative(rate: Array, time: Array) -> Array:

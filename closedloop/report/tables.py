@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from closedloop.contact import FREE
+from closedloop.friction.packing import energy_fault
 
 if TYPE_CHECKING:
     from rich.console import Console
@@ -27,6 +28,16 @@ def limits_exceeded(run: Run) -> str:
     limits = f"[{run.model.position_lower[j]:g}, {run.model.position_upper[j]:g}]"
     name = run.model.joint_names[j]
     return f"joint {name} leaves its limits {limits} at t = {run.time[k]:g} s (q = {run.q[k, j]:.4f})"
+
+
+def notes(run: Run) -> list[str]:
+    """Return what a reader of the run should know beside its figures: limits left, friction that may drive."""
+    load = float(np.max(np.abs(run.contact_force)))
+    faults = (
+        ("friction", energy_fault(run.scenario.friction, load)),
+        ("joint_friction", energy_fault(run.scenario.joint_friction, n=run.q.shape[1])),
+    )
+    return [text for text in (limits_exceeded(run), *(f"{key}: {fault}" for key, fault in faults if fault)) if text]
 
 
 _TITLES = {
@@ -68,9 +79,8 @@ def print_report(run: Run, width: int | None = None) -> None:
     console.print(errors)
     if run.events:
         _print_events(run, console)
-    warning = limits_exceeded(run)
-    if warning:
-        console.print(f"[yellow]note:[/] {warning}")
+    for note in notes(run):
+        console.print(f"[yellow]note:[/] {note}")
 
 
 def _error_rows(run: Run, facts: dict[str, Any]) -> list[tuple[str, str, str, str]]:
@@ -113,6 +123,8 @@ def _contact_rows(run: Run, facts: dict[str, Any]) -> list[tuple[str, str, str, 
     """Return what a run in which contact changes has to say beside the rest."""
     counts = ", ".join(f"{count} {kind}{'s' * (count > 1)}" for kind, count in facts["events"].items() if count)
     rows = [("events", str(len(run.events)), "", counts)] if run.events else []
+    if facts["max_friction_force"] or facts["max_joint_friction"]:
+        rows.append(("energy lost to friction", f"{facts['energy_lost_to_friction']:.3g}", "J", ""))
     if run.scenario.surface.contact == "bilateral":
         return rows
     cut = facts["largest_rate_cut"]

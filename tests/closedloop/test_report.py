@@ -9,7 +9,7 @@ import pytest
 from slides import SLIDES
 
 import closedloop as cl
-from closedloop.report import NEAR_SINGULAR, RESIDUAL_TOLERANCE, energy_balance, limits_exceeded, print_report
+from closedloop.report import NEAR_SINGULAR, RESIDUAL_TOLERANCE, energy_balance, limits_exceeded, notes, print_report
 from closedloop.report.tables import MOST_EVENTS
 
 NAMES = ("one_loop", "single_point", "contact_kept", "frictionless", "nonsingular")
@@ -167,6 +167,33 @@ def test_energy_balance_misses_a_work_that_is_left_out(shipped_run):
     clean, _ = energy_balance(run)
     flawed, _ = energy_balance(dataclasses.replace(run, columns={**run.columns, "torque": 1.01 * run.torque}))
     assert np.max(np.abs(flawed)) > 10 * np.max(np.abs(clean))
+
+
+def test_energy_balance_counts_friction_in_joints(shipped_run):
+    """What joints lose to friction is in the balance and in the summary, with a thousandth unaccounted for."""
+    run = shipped_run("joint_friction")
+    facts = run.summary()
+    rate = np.einsum("ij,ij->i", run.joint_friction, run.v)
+    assert facts["energy_lost_to_friction"] == pytest.approx(-np.trapezoid(rate, run.time), rel=1e-12)
+    assert facts["energy_lost_to_friction"] > 0.1
+    assert facts["max_energy_residual"] < 1e-3 * facts["energy_lost_to_friction"]
+    assert facts["max_joint_friction"] == np.max(np.abs(run.joint_friction))
+    verdict = facts["assumptions"]["frictionless"]
+    assert verdict["held"] is False
+    assert "N m in joints" in verdict["measured"]
+
+
+def test_friction_that_may_drive_is_noted():
+    """A run on LuGre's bristles with constant damping says so, with its cures; none of the other laws has a note."""
+    lugre = {"kinetic": 0.2, "static": 0.3, "stribeck_speed": 0.01, "stiffness": 1e4, "damping": 10.0, "kind": "lugre"}
+    settings = {"time.duration": 0.002}
+    run = cl.simulate(cl.load_scenario("wam_slide", settings | {"friction": lugre}))
+    (note,) = notes(run)
+    assert note.startswith("friction: lugre may add energy at high speed: damping_speed = ")
+    assert "viscous = 50 N s/m or more" in note  # 10 N × 10 s/m × (0.3 − 0.2)/0.2
+    assert notes(cl.simulate(cl.load_scenario("wam_slide", settings | {"friction": lugre | {"viscous": 51.0}}))) == []
+    (note,) = notes(cl.simulate(cl.load_scenario("wam_slide", settings | {"joint_friction": lugre})))
+    assert note.startswith("joint_friction: lugre of joint 0 may add energy")
 
 
 def test_leaving_the_joint_limits_is_noted(slide):

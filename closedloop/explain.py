@@ -73,7 +73,9 @@ def _explain_first(problems: list[ErrorDetails], data: dict[str, Any]) -> str:
     first = problems[0]
     location = [str(part) for part in first["loc"]]
     section = location[0] if location else ""
-    # pydantic names the branch of a union that it tried; a user knows only keys and places in lists.
+    # pydantic names the branch of a union that it tried, after the section; a user knows only keys and places in lists.
+    if len(variants(section)) > 1 and location[1:2] and location[1] in variants(section):
+        del location[1]
     known = _all_keys(section)
     path = [p for k, p in enumerate(location) if p.isdigit() or k == 0 or p in known or "lock" in location]
     name = "".join(f"[{p}]" if p.isdigit() else f".{p}" for p in path).removeprefix(".")
@@ -84,12 +86,11 @@ def _explain_first(problems: list[ErrorDetails], data: dict[str, Any]) -> str:
     others = {tuple(p["loc"][:2]) for p in problems} - {tuple(first["loc"][:2])}
     more = f" (and {len(others)} more)" if others else ""
     if kind == "extra_forbidden":
-        path = [p for p in location if p not in variants(section)]
-        return f"unknown key '{'.'.join(path)}'; {_known_keys(section, path, data)}{more}"
+        return f"unknown key '{'.'.join(location)}'; {_known_keys(section, location, data)}{more}"
     if kind == "missing" and location[-1].isdigit():
         name, shown, cure = name.partition("[")[0], repr(value), CURES["too_short"]
     elif kind == "missing":
-        return f"'{'.'.join(p for p in location if p not in variants(section))}' is missing{more}"
+        return f"'{'.'.join(location)}' is missing{more}"
     elif name == "surface.offset":
         cure = 'must be a finite number of metres, or "start"'
     elif kind in ("union_tag_invalid", "union_tag_not_found"):

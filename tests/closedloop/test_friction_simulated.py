@@ -118,7 +118,7 @@ def test_break_away_grows_with_the_rest_before_it():
 
     F_S(γ, t_d) = F_Sa + (F_S∞ − F_Sa) t_d/(t_d + γ), with F_Sa from the slip speed τ_L before the block stopped.
     """
-    f, F_C, F_S, v_s, tau, gamma = 5.0, 0.2, 0.15, 0.02, 0.02, 1.0
+    f, F_C, F_S, v_s, tau, gamma = 5.0, 0.2, 0.15, 0.01, 0.05, 1.0
     law = {
         "kind": "seven_parameter",
         "kinetic": F_C,
@@ -155,6 +155,6 @@ def test_break_away_grows_with_the_rest_before_it():
             rises.append(friction[row] - f * (F_C + last))
     shortest, longest = np.argmin(rests), np.argmax(rests)
     assert rests[longest] > 3.0
-    assert rests[shortest] < 0.1
-    assert rises[longest] > 0.3  # of the 0.75 N of the whole excess
-    assert rises[shortest] < 0.03
+    assert rests[shortest] < 0.2
+    assert rises[longest] > 0.25  # of the 0.75 N of the whole excess
+    assert rises[shortest] < 0.05

@@ -100,7 +100,7 @@ def _compare(options: argparse.Namespace) -> Any:
     if options.robot is None:
         if options.state is not None or options.tip is not None:
             raise InputError("--state and --tip need --robot: they belong to one robot")
-        return run_suite(states=states, seed=options.seed, quick=options.quick, engines=engines, say=_say)
+        return run_suite(states=states, seed=options.seed, quick=options.quick, engines=engines, say=say)
     model = load_robot(options.robot)
     report = Report()
     if options.state is not None:
@@ -117,7 +117,7 @@ def _plant(options: argparse.Namespace) -> Any:
     from validation.report import Report
     from validation.suite import faults_section
 
-    _say("planting faults")
+    say("planting faults")
     catches = plant_all(options.robot or "wam4", options.tip, seed=options.seed)
     sections = [faults_section(options.robot or "wam4", catches)]
     if options.robot is None:
@@ -142,7 +142,7 @@ def _engine(name: str) -> Any:
     return found
 
 
-def _say(text: str) -> None:
+def say(text: str) -> None:
     if sys.stderr.isatty():
         print(f"\033[2K{text} ...", end="\r", file=sys.stderr, flush=True)
 

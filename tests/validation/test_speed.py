@@ -1,0 +1,137 @@
+"""The measurement of speed: that every row did the same work, and that the command says what it measured.
+
+No time is asserted: it belongs to the machine.
+"""
+
+import dataclasses
+import json
+
+import numpy as np
+import pytest
+
+from validation.speed.__main__ import line_up, main
+from validation.speed.arms import ARMS, chain, slide
+from validation.speed.batch import compiled_batch, with_gains
+from validation.speed.contestants import Contestant, final, our_engine
+from validation.speed.measure import Timing, race, ratio
+from validation.speed.targets import growth, targets
+
+STEPS = 60
+
+
+@pytest.mark.parametrize("arm", ["planar2", "wam4", pytest.param("panda", marks=pytest.mark.slow), "chain12"])
+def test_every_row_does_the_same_work(arm):
+    """Whoever does the whole work ends at one q, and that is elsewhere than where it began by far."""
+    everyone, _ = line_up([arm], STEPS * 5, 2)
+    whole = [c for c in everyone if c.wanted is not None]
+    names = {c.name for c in everyone}
+    assert {"compiled", "pinocchio", "calls", "algorithms", "forward_dynamics"} <= names
+    assert {c.name for c in whole} >= {"compiled", "pinocchio", "forward_dynamics"}
+    for contestant in whole:
+        seconds, end = contestant.lap()
+        assert seconds is None or seconds > 0.0
+        assert np.max(np.abs(end - contestant.wanted)) <= contestant.tolerance, contestant
+    moved = np.max(np.abs(final(slide(arm, STEPS * 5)) - slide(arm, 1).q))
+    assert moved > 3.0 * max(c.tolerance for c in whole if c.name != "drake")
+
+
+def test_arms_grow():
+    """The arms have 2, 4, 7, 12 and 30 joints, and press at every step."""
+    assert [slide(arm, 20).robot.n for arm in ARMS] == [2, 4, 7, 12, 30]
+    assert chain(30).n == 30
+
+
+def test_one_that_does_other_work_is_caught():
+    """The negative control: a loop that takes a step less, or does not press, does not get into the table."""
+    problem = slide("planar2", STEPS)
+    lazy = our_engine("planar2", slide("planar2", STEPS - 1), "compiled")
+    lazy = dataclasses.replace(lazy, wanted=final(problem))
+    with pytest.raises(RuntimeError, match=r"compiled on planar2 ended .* not done the same work"):
+        race([lazy], 1)
+
+
+def test_runs_of_a_batch_differ_and_are_those_of_single_runs():
+    """Each run of a batch has gains of its own and ends where it ends alone, on one thread and on two."""
+    problem = slide("wam4", STEPS * 5)
+    alone = [final(with_gains(problem, 1.0 + 0.01 * i)) for i in range(3)]
+    assert np.max(np.abs(alone[0] - alone[2])) > 1e-8
+    for threads in (1, 2):
+        assert np.array_equal(compiled_batch("wam4", problem, 3, threads).lap()[1], np.concatenate(alone))
+
+
+def timing(arm, name, wall, share=1.0):
+    """Return a timing with laps that were never run."""
+    wall = np.array(wall)
+    return Timing(Contestant(name, arm, 4, 10, lambda: (None, None)), wall, np.full(wall.size, share), None)
+
+
+def test_ratio_is_of_neighbours_and_spread_of_quartiles():
+    """A disturbance that hits a whole turn leaves a ratio alone; CPU time leaves out what others had of the core."""
+    a, b = timing("x", "a", [2.0, 2.0, 20.0]), timing("x", "b", [1.0, 1.0, 10.0], share=0.5)
+    assert ratio(a, b) == 2.0
+    assert b.processor == 0.5
+    assert timing("x", "a", [1.0, 2.0, 3.0, 4.0, 5.0]).spread == pytest.approx(1.0 / 3.0)
+
+
+def test_targets_are_judged_on_the_right_side():
+    """Each target is met, missed or not measured as its figure says."""
+    laps = {"compiled": 1.0, "mujoco": 16.0, "mj_step": 4.0, "pinocchio": 12.0, "calls": 8.0}
+    timings = {("wam4", name): timing("wam4", name, [value]) for name, value in laps.items()}
+    found = [(target.measured, target.met) for target in targets(timings)]
+    assert found == [(16.0, True), (4.0, False), (None, None), (None, None), (0.75, False), (1.5, False), (None, None)]
+    both = [("compiled", 4.0, 10.0), ("algorithms", 8.0, 20.0)]
+    chains = {
+        (arm, name): timing(arm, name, [value])
+        for name, *values in both
+        for arm, value in zip(("chain12", "chain30"), values, strict=True)
+    }
+    assert growth(chains) == 0.5
+
+
+def test_command_writes_valid_json(tmp_path, capsys):
+    """A tiny run prints both tables and writes every figure, finite or null, with what was missing."""
+    file = tmp_path / "speed.json"
+    words = ["--quick", "--steps", str(STEPS), "--repeats", "2", "--runs", "2", "--arms", "planar2", "wam4"]
+    assert main([*words, "--json", str(file)]) == 0
+    out = capsys.readouterr().out
+    assert "targets" in out
+    assert "two threads of bare arithmetic" in out
+    data = json.loads(file.read_text())
+    assert {row["arm"] for row in data["rows"]} == {"machine", "planar2", "wam4"}
+    for row in data["rows"]:
+        assert len(row["laps"]) == 2
+        assert row["seconds_per_step"] == np.median(row["laps"])
+        assert row["seconds_per_step"] / row["joints"] == row["seconds_per_step_and_joint"]
+    assert len(data["targets"]) == 7
+    assert data["targets"][-1]["measured"] is None  # no chains in this run
+    assert data["cold_start_seconds"] == {}
+
+
+def test_peer_that_is_not_installed_is_a_line(monkeypatch, capsys):
+    """Without MuJoCo and Drake their rows are missing, by name and with the command that installs them."""
+    monkeypatch.setattr("validation.speed.__main__.find_spec", lambda name: None)
+    assert main(["--quick", "--steps", "20", "--repeats", "1", "--runs", "2", "--arms", "planar2"]) == 0
+    out = capsys.readouterr().out
+    assert 'mujoco: not installed: pip install "closedloop[peers]"' in out
+    assert "drake: not installed" in out
+    assert "MuJoCo from Python /" in out  # among the targets, not measured
+    assert "not measured" in out
+
+
+@pytest.mark.parametrize(
+    ("words", "expected"),
+    [
+        (["--repeats", "0"], "at least 1"),
+        (["--steps", "-3"], "at least 1"),
+        (["--arms", "wam"], "wam4"),
+        (["--json", "no/such/folder/x.json"], "cannot be written"),
+        (["--nonsense"], "--help"),
+        (["--steps", "many"], "--steps"),
+    ],
+)
+def test_bad_input_is_one_line_and_status_2(words, expected, capsys):
+    """A mistake on the command line is answered by one line, before anything is measured."""
+    assert main(words) == 2
+    lines = capsys.readouterr().err.splitlines()
+    assert len(lines) == 1
+    assert expected in lines[0]

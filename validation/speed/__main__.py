@@ -1,0 +1,131 @@
+"""The command: ``python -m validation.speed``. Exit status: 0 measured, whatever came out; 2 bad input."""
+
+from __future__ import annotations
+
+import argparse
+import json
+import sys
+from collections.abc import Sequence
+from importlib.util import find_spec
+from pathlib import Path
+from typing import Any
+
+from validation.run import BAD_INPUT, InputError, say
+from validation.speed.arms import ARMS, slide
+from validation.speed.contestants import Contestant
+
+INSTALL = 'not installed: pip install "closedloop[peers]"'
+# Drake takes so much longer that a tenth of the steps is enough.
+DRAKE_SHARE = 10
+
+
+def main(arguments: Sequence[str] | None = None) -> int:
+    """Measure, print the tables, and write JSON if asked."""
+    try:
+        return _main(sys.argv[1:] if arguments is None else list(arguments))
+    except InputError as error:
+        print(f"validation.speed: {error}", file=sys.stderr)
+        return BAD_INPUT
+
+
+def _main(words: list[str]) -> int:
+    options = _parser().parse_args(words)
+    for name in ("repeats", "steps", "runs"):
+        if getattr(options, name) is not None and getattr(options, name) < 1:
+            raise InputError(f"--{name} {getattr(options, name)}: must be at least 1")
+    unknown = [arm for arm in options.arms if arm not in ARMS]
+    if unknown:
+        raise InputError(f"--arms {unknown[0]}: must be of {', '.join(ARMS)}")
+    file = Path(options.json) if options.json else None
+    if file and (not file.parent.is_dir() or file.is_dir()):
+        raise InputError(f"--json {file}: cannot be written: name a file in a folder that exists")
+    data = measure(
+        arms=options.arms,
+        steps=options.steps or (500 if options.quick else 4000),
+        repeats=options.repeats or (3 if options.quick else 15),
+        runs=options.runs or (4 if options.quick else 16),
+        cold=not (options.quick or options.no_cold_start),
+    )
+    from validation.speed.table import show
+
+    show(data)
+    if file:
+        try:
+            file.write_text(json.dumps(data, indent=2, allow_nan=False) + "\n", encoding="utf-8")
+        except OSError as error:
+            raise InputError(f"--json {file}: cannot be written: {error.strerror}") from None
+    return 0
+
+
+class _Parser(argparse.ArgumentParser):
+    def error(self, message: str) -> Any:
+        raise InputError(f"command line: {message}; see --help")
+
+
+def _parser() -> argparse.ArgumentParser:
+    parser = _Parser(
+        prog="python -m validation.speed",
+        description="Measure a step of our engines beside peers that do the same work; the method is docs/speed.md.",
+    )
+    parser.add_argument("--quick", action="store_true", help="few steps and laps, no cold start: rough figures")
+    parser.add_argument("--repeats", type=int, help="laps of each contestant, in turns (default 15; 3 with --quick)")
+    parser.add_argument("--steps", type=int, help="steps of a lap (default 4000; 500 with --quick)")
+    parser.add_argument("--runs", type=int, help="runs of a batch (default 16; 4 with --quick)")
+    parser.add_argument("--arms", nargs="+", default=list(ARMS), metavar="ARM", help=f"of {', '.join(ARMS)}")
+    parser.add_argument("--no-cold-start", action="store_true", help="leave out the start of whole processes")
+    parser.add_argument("--json", metavar="FILE", help="write every figure")
+    return parser
+
+
+def line_up(arms: Sequence[str], steps: int, runs: int) -> tuple[list[Contestant], dict[str, str]]:
+    """Return everyone who races, and why the others do not."""
+    from validation.speed import batch, contestants
+
+    there = {name: find_spec(module) is not None for name, module in (("mujoco", "mujoco"), ("drake", "pydrake"))}
+    missing = {name: INSTALL for name, found in there.items() if not found}
+    everyone: list[Contestant] = [batch.arithmetic(threads) for threads in (1, 2)]
+    for arm in arms:
+        say(f"preparing {arm}")
+        problem = slide(arm, steps)
+        everyone += [
+            contestants.our_engine(arm, problem, "compiled"),
+            contestants.our_engine(arm, problem, "pinocchio"),
+            contestants.bare_calls(arm, problem),
+            contestants.bare_algorithms(arm, problem),
+            contestants.pinocchio_loop(arm, problem),
+        ]
+        if there["mujoco"]:
+            from validation.speed import mujoco
+
+            everyone += [mujoco.driven(arm, problem), mujoco.bare(arm, problem)]
+        if there["drake"]:
+            everyone.append(contestants.drake_loop(arm, slide(arm, max(1, steps // DRAKE_SHARE))))
+        if arm == "wam4":
+            everyone += [batch.compiled_batch(arm, problem, runs, threads) for threads in (1, 2)]
+            if there["mujoco"]:
+                everyone += [mujoco.rollout(arm, problem, runs, threads) for threads in (1, 2)]
+    return everyone, missing
+
+
+def measure(*, arms: Sequence[str], steps: int, repeats: int, runs: int, cold: bool) -> dict[str, Any]:
+    """Measure everything and return it as it goes into the JSON file."""
+    from validation.speed.cold import first_result, first_result_ever
+    from validation.speed.measure import race, ratio
+    from validation.speed.table import as_data
+    from validation.speed.targets import targets
+
+    everyone, missing = line_up(arms, steps, runs)
+    timings = race(everyone, repeats, say)
+    two = ratio(timings["machine", "arithmetic_1"], timings["machine", "arithmetic_2"])
+    starts: dict[str, float] = {}
+    if cold:
+        for engine in ("compiled", "pinocchio"):
+            say(f"starting cold with the {engine} engine")
+            starts[f"{engine} engine, compiled before"] = first_result(engine, 3)
+            starts[f"{engine} engine, compiling"] = first_result_ever(engine)
+    more = {"repeats": repeats, "cold_start_seconds": starts, "missing": missing, "two_threads": two}
+    return as_data(timings, targets(timings), more)
+
+
+if __name__ == "__main__":
+    sys.exit(main())

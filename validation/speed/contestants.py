@@ -1,0 +1,168 @@
+"""Who takes the steps: our two engines, Pinocchio's own constrained dynamics in a Python loop, and its bare calls.
+
+A contestant is prepared once and then runs laps. A lap gives the seconds that its steps took, if it knows them apart
+from setting out, and where the arm ended: those that do the whole work must end at the same q.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass, field
+
+import numpy as np
+import pinocchio as pin
+
+from closedloop.compiled import entry_kernel
+from closedloop.control import paper_law
+from closedloop.problem import Problem
+from closedloop.simulation import run_loop
+from validation.oracle.spatial import Array
+
+Lap = Callable[[], tuple[float | None, Array | None]]
+"""Runs a lap -> seconds of the steps alone, or None for all of it; q (n,) at the end, or None if it moves nothing."""
+
+
+@dataclass(frozen=True)
+class Contestant:
+    """One row of the table.
+
+    Attributes
+    ----------
+    name, arm : str
+        Who, and on which arm.
+    joints, steps : int
+        Joints of the arm, and steps of a lap.
+    lap : callable
+        See `Lap`.
+    wanted : (n,) array or None
+        q where it must end, if it does the whole work.
+    tolerance : float
+        How far from there it may end, rad.
+    what : str
+        In words.
+    """
+
+    name: str
+    arm: str
+    joints: int
+    steps: int
+    lap: Lap = field(repr=False)
+    wanted: Array | None = field(default=None, repr=False)
+    tolerance: float = 0.0
+    what: str = ""
+
+
+def final(problem: Problem) -> Array:
+    """Return where the arm ends, q (n,): what every loop that does the whole work must come to."""
+    rows, _, failure, _ = run_loop(problem, engine="compiled")
+    if failure is not None:
+        raise failure
+    return np.array(rows[-1, : problem.robot.n])
+
+
+def our_engine(arm: str, problem: Problem, engine: str) -> Contestant:
+    """Return a loop of our own: law, terms, Eq. 24, integration and recording."""
+
+    def lap() -> tuple[float | None, Array | None]:
+        rows, _, failure, seconds = run_loop(problem, engine=engine)
+        if failure is not None:
+            raise failure
+        return seconds, rows[-1, : problem.robot.n].copy()
+
+    what = "compiled engine" if engine == "compiled" else "Pinocchio engine"
+    return Contestant(engine, arm, problem.robot.n, problem.steps, lap, final(problem), 1e-11, what)
+
+
+def bare_calls(arm: str, problem: Problem) -> Contestant:
+    """Return the calls into Pinocchio that a step of our Pinocchio engine makes, by themselves: its floor."""
+    evaluate = problem.robot.evaluator(problem.q.copy(), problem.v.copy())
+    steps = problem.steps
+
+    def lap() -> tuple[float | None, Array | None]:
+        for _ in range(steps):
+            evaluate()
+        return None, None
+
+    return Contestant("calls", arm, problem.robot.n, steps, lap, what="its bare calls")
+
+
+def bare_algorithms(arm: str, problem: Problem) -> Contestant:
+    """Return Pinocchio's own crba, rnea and Cholesky decomposition: what our growth with the joints is held against."""
+    model = problem.robot.model.pinocchio_model()
+    data, n, steps = model.createData(), problem.robot.n, problem.steps
+    q, v, a = problem.q.copy(), problem.v.copy(), np.zeros(n)
+    crba, rnea, decompose = pin.crba, pin.rnea, pin.cholesky.decompose
+
+    def lap() -> tuple[float | None, Array | None]:
+        for _ in range(steps):
+            crba(model, data, q)
+            rnea(model, data, q, v, a)
+            decompose(model, data)
+        return None, None
+
+    return Contestant("algorithms", arm, n, steps, lap, what="crba, rnea, Cholesky")
+
+
+def pinocchio_loop(arm: str, problem: Problem) -> Contestant:
+    """Return a loop in Python around `pinocchio.forwardDynamics` with the closure's row: how one would write it."""
+    model = problem.robot.model.pinocchio_model()
+    data, n, steps, h = model.createData(), problem.robot.n, problem.steps, problem.h
+    frame, aligned = model.getFrameId(problem.robot.tip), pin.LOCAL_WORLD_ALIGNED
+    surface = np.array([*problem.plane.normal, problem.plane.offset, *problem.stabiliser])
+    rest, settings, gains, path = np.zeros(n), problem.settings, problem.gains, problem.path
+
+    def lap() -> tuple[float | None, Array | None]:
+        q, v = problem.q.copy(), problem.v.copy()
+        torque, A, drift = np.zeros(n), np.zeros((1, n)), np.zeros(1)
+        for i in range(steps):
+            pin.computeAllTerms(model, data, q, v)
+            pin.forwardKinematics(model, data, q, v, rest)
+            pin.updateFramePlacement(model, data, frame)
+            J = pin.getFrameJacobian(model, data, frame, aligned)
+            acceleration = pin.getFrameClassicalAcceleration(model, data, frame, aligned).linear
+            r = data.oMf[frame].translation
+            _close(i, h, surface, settings, gains, path, q, v, data.nle, J, r, acceleration, A, drift, torque)
+            pin.forwardDynamics(model, data, torque, A, drift)
+            _step(h, data.ddq, q, v)
+        return None, q
+
+    what = "forwardDynamics loop"
+    return Contestant("forward_dynamics", arm, n, steps, lap, final(problem), 1e-11, what)
+
+
+@entry_kernel
+def _close(
+    i: int, h: float, surface: Array, settings: Array, gains: Array, path: Array, q: Array, v: Array, bias: Array,
+    jacobian: Array, r: Array, acceleration: Array, A: Array, drift: Array, torque: Array,
+) -> None:  # fmt: skip
+    """Write the closure's row, its drift with Baumgarte's terms, and the torque of Eq. 33."""
+    e, rate, along = -surface[3], 0.0, 0.0
+    for k in range(3):
+        e += surface[k] * r[k]
+        along += surface[k] * acceleration[k]
+    for j in range(q.shape[0]):
+        A[0, j] = surface[0] * jacobian[0, j] + surface[1] * jacobian[1, j] + surface[2] * jacobian[2, j]
+        rate += A[0, j] * v[j]
+    drift[0] = along + surface[4] * rate + surface[5] * e
+    paper_law(i * h, settings, gains, path[i], q, v, bias, A, torque)
+
+
+@entry_kernel
+def _step(h: float, qdd: Array, q: Array, v: Array) -> None:
+    """Step by semi-implicit Euler."""
+    for j in range(q.shape[0]):
+        v[j] += h * qdd[j]
+        q[j] += h * v[j]
+
+
+def drake_loop(arm: str, problem: Problem) -> Contestant:
+    """Return Drake's discrete plant with a nearly rigid contact, driven from Python with the same law."""
+    from validation.engines.drake_slide import slide_drake
+
+    def lap() -> tuple[float | None, Array | None]:
+        run = slide_drake(problem)
+        # It takes one step more than there are, after the last row.
+        return run.seconds * problem.steps / (problem.steps + 1), run.q[-1]
+
+    what = "Drake from Python"
+    return Contestant("drake", arm, problem.robot.n, problem.steps, lap, final(problem), 1e-4, what)

@@ -1,0 +1,61 @@
+"""What the project wants of its speed, as ratios measured in one run."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+
+from validation.speed.measure import Timing, ratio
+
+Timings = dict[tuple[str, str], Timing]
+ARM = "wam4"
+
+
+@dataclass(frozen=True)
+class Target:
+    """A ratio, how large or small it should be, and what it is."""
+
+    what: str
+    wanted: float
+    least: bool
+    measured: float | None
+
+    @property
+    def met(self) -> bool | None:
+        """Whether the ratio is on the right side; None where it was not measured."""
+        if self.measured is None:
+            return None
+        return self.measured >= self.wanted if self.least else self.measured <= self.wanted
+
+
+def targets(timings: Timings) -> list[Target]:
+    """Return every target with what was measured; None where a contestant is missing."""
+
+    def times(a: str, b: str) -> float | None:
+        """How many times as long a step of a takes as one of b."""
+        pair = [timings.get((ARM, name)) for name in (a, b)]
+        return ratio(*pair) if None not in pair else None  # type: ignore[arg-type]
+
+    added = "12 → 30 joints adds: compiled / crba, rnea, Cholesky"
+    rows: list[tuple[str, float, bool, Callable[[], float | None]]] = [
+        ("MuJoCo from Python / compiled engine", 15.0, True, lambda: times("mujoco", "compiled")),
+        ("bare mj_step / compiled engine", 5.0, True, lambda: times("mj_step", "compiled")),
+        ("compiled batch, one thread / two", 1.8, True, lambda: times("batch_1", "batch_2")),
+        ("MuJoCo rollout / compiled batch, two threads", 8.0, True, lambda: times("rollout_2", "batch_2")),
+        ("Pinocchio engine / MuJoCo from Python", 0.7, False, lambda: times("pinocchio", "mujoco")),
+        ("Pinocchio engine / its bare calls", 1.4, False, lambda: times("pinocchio", "calls")),
+        (added, 1.0, False, lambda: growth(timings)),
+    ]
+    return [Target(what if what == added else f"{ARM}: {what}", w, least, of()) for what, w, least, of in rows]
+
+
+def growth(timings: Timings) -> float | None:
+    """Return the time that 18 more joints add to a whole step of ours, over what they add to Pinocchio's algorithms.
+
+    A difference leaves out what does not grow, the calls from Python among it, which would flatter ours.
+    """
+    keys = [(arm, name) for name in ("compiled", "algorithms") for arm in ("chain12", "chain30")]
+    if any(key not in timings for key in keys):
+        return None
+    ours_12, ours_30, theirs_12, theirs_30 = (timings[key].median for key in keys)
+    return (ours_30 - ours_12) / (theirs_30 - theirs_12)

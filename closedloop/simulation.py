@@ -40,7 +40,7 @@ from closedloop.record import Run
 from closedloop.robot import Robot
 from closedloop.scenario import Scenario
 from closedloop.solve import CHATTER, NOT_POSITIVE_DEFINITE, PAINLEVE, SINGULAR
-from closedloop.step import SCALARS, SPEED_LIMIT, Row
+from closedloop.step import SCALARS, SPEED_LIMIT, Row, complete_record
 from closedloop.workspace import EVENTS, ROW, STATUS, TIME, Work
 from robot_models import RobotModel
 
@@ -201,6 +201,7 @@ def run_loop(
         report(int(state[ROW]), steps)
     seconds = clock.perf_counter() - began
     done = int(state[ROW]) + (failure is None)
+    complete_record(w.pending, rows, state, done, robot.n)
     report(done - 1, steps)
     return rows[:done], events[: int(state[EVENTS])], failure, seconds
 

@@ -15,7 +15,8 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from closedloop.compiled import kernel, kernel_inlined
+from closedloop.compiled import entry_kernel, kernel, kernel_inlined
+from closedloop.condition import LANES, conditions, leave
 from closedloop.contact import (
     FREE,
     PRESSED,
@@ -35,7 +36,7 @@ from closedloop.control.paper import paper_law
 from closedloop.control.sensor import continuous_reading, sense, sensor_rates
 from closedloop.friction.laws import holding, memory_delay, rates, sliding
 from closedloop.joint_friction import add_joint_friction, hold_joints, joint_friction_rates
-from closedloop.solve import DIVERGED, OK, SINGULAR, condition
+from closedloop.solve import DIVERGED, OK, SINGULAR
 from closedloop.workspace import (
     DELAYED,
     FRAME,
@@ -55,6 +56,7 @@ from closedloop.workspace import (
     NODE,
     OFFSET_D,
     PD_AT,
+    PENDING,
     PER_STEP,
     RATE,
     RIGID,
@@ -346,6 +348,9 @@ SCALARS = (
 )  # fmt: skip
 
 
+KKT_CONDITION = SCALARS.index("kkt_condition")
+
+
 @kernel_inlined
 def kinetic_energy(H: Array, v: Array) -> float:
     """Return ½ q̇ᵀH q̇, J, from H's upper triangle."""
@@ -357,10 +362,34 @@ def kinetic_energy(H: Array, v: Array) -> float:
     return total
 
 
+@kernel
+def record_conditions(pending: Array, rows: Array, state: Whole, done: int, n: int) -> None:
+    """Write the condition numbers of the last rows up to `done`: those that have their lanes in `pending`.
+
+    Of Eq. 24 with the normal row alone; of H while the tip is free.
+    """
+    count = state[PENDING]
+    state[PENDING] = 0
+    conditions(pending, n, count)
+    at = 5 * n + 9 + KKT_CONDITION
+    for r in range(count):
+        rows[done - count + r, at] = pending[pending.shape[0] - 1, r]
+
+
+@entry_kernel
+def complete_record(pending: Array, rows: Array, state: Whole, done: int, n: int) -> None:
+    """Write what the last of `done` rows still lack, at the end of a run; see `record`."""
+    record_conditions(pending, rows, state, done, n)
+
+
 @kernel_inlined
-def record(H: Array, C: Array, w: Work, k: Array, state: Whole, table: Array, row: Array, more: int | None) -> None:
-    """Write one row in the order of `Row`: the state, and what acted in it."""
-    n = w.q.shape[0]
+def record(H: Array, C: Array, w: Work, k: Array, state: Whole, table: Array, rows: Array, more: int | None) -> None:
+    """Write row state[ROW] in the order of `Row`: the state, and what acted in it.
+
+    The condition number follows once `LANES` rows are full, or with `complete_record`.
+    """
+    n, place = w.q.shape[0], state[ROW]
+    row, lane = rows[place], state[PENDING]
     at = 4 * n + 9
     for j in range(n):
         row[j] = w.q[j]
@@ -389,16 +418,18 @@ def record(H: Array, C: Array, w: Work, k: Array, state: Whole, table: Array, ro
     row[at + 4] = mode
     row[at + 5] = motion
     row[at + 6] = closed
-    # With the normal row of Eq. 24; of H alone while the tip is free.
-    row[at + 7] = condition(H, w.A[0], w.L, w.X[0], w.S[0, 0], mode != FREE, w.scratch)
+    leave(H, w.A[0], w.L, w.X[0], w.S[0, 0], mode != FREE, w.pending, lane)
+    state[PENDING] = lane + 1
+    if lane + 1 >= LANES:
+        record_conditions(w.pending, rows, state, place + 1, n)
     row[at + 8] = w.S[0, 0] / trace if trace > 0.0 else 0.0
     row[at + 9] = kinetic_energy(H, w.v)
     if more is None:
         w.now[MEASURED] = w.F[0]
     else:
-        count, sensor, i = state[LAW_STATES], state[SENSOR_STATES], state[ROW]
+        count, sensor = state[LAW_STATES], state[SENSOR_STATES]
         w.now[MEASURED] = sense(
-            w.F[0], i, k[SENSOR_AT : SENSOR_AT + 4], w.z[count : count + sensor],
-            table[i * state[PER_STEP], 2 * n + 10], w.ring[0 : state[SENSOR_RING]],
+            w.F[0], place, k[SENSOR_AT : SENSOR_AT + 4], w.z[count : count + sensor],
+            table[place * state[PER_STEP], 2 * n + 10], w.ring[0 : state[SENSOR_RING]],
         )  # fmt: skip
     row[at + 10] = w.now[MEASURED]

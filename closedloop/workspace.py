@@ -12,6 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from closedloop.compiled import kernel
+from closedloop.condition import LANES, pending_rows
 from closedloop.layout import Count, Layout, compiled_views
 
 Array = NDArray[np.float64]
@@ -26,9 +27,9 @@ Whole = NDArray[np.int64]
 # Where the loop is.
 (
     PHASE, ROW, STAGE, MODE, TRIAL, EVENTS, TRIES, NEXT, MOVES, STATUS, IN_STEP, RUSHED, SAMPLED, CERTAIN, PIECE, RISEN,
-    KIND, STARTED,
-) = range(18, 36)  # fmt: skip
-WHOLES = 36
+    KIND, STARTED, PENDING,
+) = range(18, 37)  # fmt: skip
+WHOLES = 37
 
 # How the surface's law of friction sticks, state[STICKING].
 SMOOTH, RIGID_STICK, ELASTIC_STICK, SPRING_STICK = range(4)
@@ -111,6 +112,7 @@ class Work(NamedTuple):
     stuck: Array  # (n,) 1 for a joint that sticks as a spring
     gain: Array  # (n, n) answer of q̈ to friction in each joint
     ring: Array  # (delay + 1,) latest samples of the force sensor
+    pending: Array  # (2 n² + 6 n + 5, 32) see `closedloop.condition`
     scratch: Array  # (n n + 3 n + 224,)
 
 
@@ -131,6 +133,7 @@ LAYOUT = Layout(
         ("reference", (2 * _n + 10,)),
         ("L", (_n, _n)),
         ("gain", (_n, _n)),
+        ("pending", (pending_rows(_n), LANES)),
         ("scratch", (_n * _n + 3 * _n + 224,)),
         ("z", (_k,)),
         ("dz", (_k,)),

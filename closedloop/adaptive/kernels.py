@@ -21,7 +21,6 @@ from closedloop.workspace import (
     JOINTS,
     MODE,
     RIGID_STICK,
-    ROW,
     SENSOR_RING,
     STAGES,
     START_SLIP,
@@ -62,7 +61,7 @@ def _on_pinocchio(
             if begun > k[STICK_SPEED] and not begun > band > 0.0:  # see `Memory.happen`
                 w.now[GAUGE] = min(w.now[GAUGE], 1e3 * (slip_left(w, k, state) - k[STICK_SPEED]))
     elif use == RECORD:
-        record(H, C, w, k, state, table, rows[state[ROW]], more)
+        record(H, C, w, k, state, table, rows, more)
     return OK
 
 

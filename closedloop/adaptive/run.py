@@ -23,6 +23,7 @@ from closedloop.machine import INSTANT, SHALLOW
 from closedloop.problem import Problem
 from closedloop.simulation import failure_of, when
 from closedloop.solve import OK
+from closedloop.step import complete_record
 from closedloop.workspace import (
     EVENTS,
     GAUGE,
@@ -79,6 +80,7 @@ def run_adaptive(
             failure = failure_of(stop.status, t, problem.robot, problem, law, memory.w.q, memory.w.v)
     seconds = clock.perf_counter() - began
     done = journey.row
+    complete_record(memory.w.pending, memory.rows, memory.state, done, problem.robot.n)
     report(min(done, steps), steps)
     return memory.rows[:done], memory.events[: int(memory.state[EVENTS])], failure, seconds
 

@@ -7,6 +7,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 import closedloop as cl
+from closedloop.condition import LANES, conditions, leave, pending_rows
 from closedloop.contact import accelerate, factorise, pressed_force, residuals, stuck_force, unloaded
 from closedloop.solve import (
     NOT_POSITIVE_DEFINITE,
@@ -15,7 +16,6 @@ from closedloop.solve import (
     SINGULAR,
     SINGULAR_MOBILITY,
     bordered_matrix,
-    condition,
 )
 from closedloop.surface import contact_frame
 
@@ -57,9 +57,14 @@ class Solved:
         )
 
     def condition(self):
-        """Return the 1-norm condition number of Eq. 24 with its normal row."""
+        """Return the 1-norm condition number of Eq. 24 with its normal row; keep that of H."""
         n = len(self.tau)
-        return condition(self.H, self.A[0], self.L, self.X[0], self.S[0, 0], True, np.zeros(n * n + 3 * n))
+        pending = np.zeros((pending_rows(n), LANES))
+        for lane, pressed in ((0, False), (LANES - 1, True)):
+            leave(self.H, self.A[0], self.L, self.X[0], self.S[0, 0], pressed, pending, lane)
+        conditions(pending, n, LANES)
+        self.condition_free = pending[-1, 0]
+        return pending[-1, -1]
 
 
 def mobility_share(terms, A):
@@ -276,12 +281,13 @@ def test_stabilisers_share_is_a_difference_of_forces(problem):
 @patient
 @given(problems())
 def test_reported_condition_is_the_condition(problem):
-    """The condition number a run records is ‖K‖₁‖K⁻¹‖₁ of the matrix of Eq. 24."""
+    """The condition number a run records is ‖K‖₁‖K⁻¹‖₁ of the matrix of Eq. 24; of H while the tip is free."""
     H, tau, C, A, b, _ = problem
     matrix = bordered_matrix(H, A[0])
     theirs = np.linalg.cond(matrix, 1)
     done = Solved(H, tau, C, A, b)
     assert done.condition() == pytest.approx(theirs, rel=1e-6 + 100 * EPS * theirs * np.linalg.cond(H))
+    assert done.condition_free == pytest.approx(np.linalg.cond(H, 1), rel=1e-6 + 100 * EPS * np.linalg.cond(H))
 
 
 def test_mobility_is_the_share_of_the_normal(robot, random_states):

@@ -21,10 +21,11 @@ Source: B. Armstrong-Hélouvry, P. Dupont, C. Canudas de Wit, A survey of models
 methods for the control of machines with friction, Automatica 30 (1994) 1083-1138; the equations as public code
 quotes them, a bracket of F_S(γ, t_d) put right so that t_d = 0 gives F_Sa and a long rest F_S∞.
 
-Parameters, with the ranges of that survey as recalled (the table itself was not seen): F_C 0.001-0.1 of the
-normal force; F_v from 0, N s/m; F_S∞ 0.001-0.1 of the normal force; k_t = (F_C + F_S)/δx with δx 1-50 µm, 1/m;
-v_s 1e-5-0.1 m/s; τ_L 1-50 ms; γ 0-200 s, where 0 is a static friction that is there at once. For a joint
-torques in N m, and rad for m. States: t_d, s; F_Sa; x (d,), m (rad).
+Parameters. The ranges are those of that survey as recalled: neither its table nor a work that quotes it could be
+found to check them, so take them for orders of magnitude. F_C 0.001-0.1 of the normal force; F_v from 0, N s/m;
+F_S∞ 0.001-0.1 of the normal force; k_t = (F_C + F_S)/δx with δx 1-50 µm, 1/m; v_s 1e-5-0.1 m/s; τ_L 1-50 ms; γ
+0-200 s, where 0 is a static friction that is there at once. For a joint torques in N m, and rad for m. States:
+t_d, s; F_Sa; x (d,), m (rad).
 """
 
 from __future__ import annotations

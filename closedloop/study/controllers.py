@@ -24,7 +24,7 @@ from numpy.typing import NDArray
 
 from closedloop.errors import ClosedLoopError
 from closedloop.record import Run
-from closedloop.scenario import load_scenario
+from closedloop.scenario import Scenario, load_scenario
 from closedloop.simulation import simulate
 
 Array = NDArray[np.float64]
@@ -93,14 +93,19 @@ def measures(run: Run) -> dict[str, float]:
     }
 
 
-def cell(controller: str, friction: str) -> dict[str, Any]:
-    """Run one controller on one kind of friction; a run that cannot go on is its reason."""
+def scenario_of(controller: str, friction: str) -> Scenario:
+    """Return the slide of one controller on one kind of friction."""
     changes: dict[str, Any] = {"reference.timing": "minimum_jerk", "time.step": STEP, "law.sample_period": SAMPLE}
     changes = CONTROLLERS[controller] | changes  # a kind first: the keys that it does not know are dropped
     changes |= {f"friction.{key}": value for key, value in FRICTIONS[friction].items()}
+    return load_scenario("wam_slide", changes)
+
+
+def cell(controller: str, friction: str) -> dict[str, Any]:
+    """Run one controller on one kind of friction; a run that cannot go on is its reason."""
     row: dict[str, Any] = {"controller": controller, "friction": friction, "reason": ""}
     try:
-        return row | measures(simulate(load_scenario("wam_slide", changes), engine="compiled"))
+        return row | measures(simulate(scenario_of(controller, friction), engine="compiled"))
     except ClosedLoopError as error:
         return row | dict.fromkeys(MEASURES, math.nan) | {"reason": str(error)}
 
@@ -212,4 +217,5 @@ def maps(figure: Any, results: list[dict[str, Any]], keys: tuple[str, ...] = MEA
         axes.set_yticks(range(len(controllers)), controllers)
         axes.set_title(TITLES[key], fontsize=9)
         axes.tick_params(length=0)
+        axes.grid(visible=False)
         figure.colorbar(image, ax=axes, shrink=0.9)

@@ -6,7 +6,11 @@ from pathlib import Path
 import pytest
 from notebook_output import FOLDER, SCRIPTS, build, executed, nbclient, nbformat, number, outputs
 
-FIGURES = {"contact_life": 6, "drift": 2, "figures_4_to_7": 4}  # how many each notebook shows
+FIGURES = {"contact_life": 6, "controllers": 3, "drift": 2, "figures_4_to_7": 4}  # how many each notebook shows
+
+# A notebook of minutes of simulated time is run with the slow tests.
+SLOW = {"controllers"}
+RUN = [pytest.param(script, marks=pytest.mark.slow if script.stem in SLOW else ()) for script in SCRIPTS]
 
 # Printed numbers are of different machines: the last digit may fall to the other side, and what is below 1e-8 in the
 # unit printed is rounding. A change of the simulator that matters changes more.
@@ -52,7 +56,7 @@ def test_every_script_is_run():
     )
 
 
-@pytest.mark.parametrize("script", SCRIPTS, ids=lambda path: path.stem)
+@pytest.mark.parametrize("script", RUN, ids=lambda path: path.stem)
 def test_run_shows_its_figures(script):
     """Every code cell ran, nothing went to standard error, and the figures are there."""
     notebook = executed(script.stem)
@@ -64,7 +68,7 @@ def test_run_shows_its_figures(script):
     assert len(images(notebook)) == FIGURES[script.stem]
 
 
-@pytest.mark.parametrize("script", SCRIPTS, ids=lambda path: path.stem)
+@pytest.mark.parametrize("script", RUN, ids=lambda path: path.stem)
 def test_saved_notebook_is_that_of_its_script(script):
     """The saved notebook has the script's cells, its figures, and the numbers of today's simulator.
 

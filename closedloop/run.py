@@ -65,8 +65,9 @@ def _main(arguments: list[str]) -> int:
 
     folder = Path(options.out) if options.out else Path("out") / scenario.name
     _make_writable(folder)
-    from closedloop.simulation import simulate
+    from closedloop.simulation import check_engine, simulate
 
+    check_engine(scenario, options.engine, law)
     _announce_compiling(scenario, model, options.engine)
     failure: SimulationError | None = None
     try:

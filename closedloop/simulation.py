@@ -25,6 +25,7 @@ from closedloop.errors import (
     SingularClosureError,
 )
 from closedloop.events import EVENT_WIDTH, event_columns
+from closedloop.integrate import ADAPTIVE, INTEGRATORS
 from closedloop.machine import (
     DONE,
     IMPACT_LAW_WANTED,
@@ -94,12 +95,7 @@ def simulate(
     SimulationError
         If the simulation could not go on (`SingularClosureError`, `DivergenceError`); its `run` holds what ran.
     """
-    if engine not in ENGINES:
-        raise ScenarioError(f"engine = {engine!r}: must be {' or '.join(map(repr, ENGINES))}")
-    if engine == COMPILED and law is not None:
-        from closedloop.compiled_law import compiled_law
-
-        compiled_law(law)
+    check_engine(scenario, engine, law)
     problem = prepare(scenario, model)
     compiled_now = needs_compiling(machine(problem.more, engine))
     if progress is True:
@@ -116,6 +112,30 @@ def simulate(
         failure.run = run
         raise failure
     return run
+
+
+def check_engine(scenario: Scenario, engine: str, law: Law | None) -> None:
+    """Refuse what an engine does not cover, before anything is prepared; of the robot's joints, `tree_of` does.
+
+    Raises
+    ------
+    ScenarioError
+        If there is no such engine, or the compiled one is asked for an integrator that chooses its steps or for a law
+        that numba has not compiled, or cannot.
+    """
+    if engine not in ENGINES:
+        raise ScenarioError(f"engine = {engine!r}: must be {' or '.join(map(repr, ENGINES))}")
+    if engine == PINOCCHIO:
+        return
+    if scenario.time.integrator in ADAPTIVE:
+        raise ScenarioError(
+            f"engine = {engine!r}: has no integrator that chooses its steps, as {scenario.time.integrator!r} does; "
+            f"use the engine 'pinocchio', or one of {', '.join(map(repr, INTEGRATORS))}"
+        )
+    if law is not None:
+        from closedloop.compiled_law import compiled_law
+
+        compiled_law(law)
 
 
 def _silent(done: int, total: int) -> None:
@@ -150,11 +170,7 @@ def run_loop(
     if problem.tolerance is not None:
         from closedloop.adaptive import run_adaptive
 
-        if engine != PINOCCHIO:
-            raise ScenarioError(
-                f"engine = {engine!r}: has no integrator of its own steps, {problem.scenario.time.integrator!r}; "
-                "use the engine 'pinocchio'"
-            )
+        check_engine(problem.scenario, engine, law)
         return run_adaptive(problem, law, report)
     robot, steps = problem.robot, problem.steps
     given = law is not None

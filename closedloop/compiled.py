@@ -28,6 +28,9 @@ numba_settings: Any = _config  # its attributes are made at run time, which type
 
 _njit: Any = numba.njit  # its annotations do not know all that it takes
 
+# What tells a file whose text the compiled code depends on.
+MARKS = (b"\n@kernel", b"\n@inlined_kernel", b"\n@entry_kernel", b"@lower_builtin")
+
 F = TypeVar("F", bound=Callable[..., Any])
 
 
@@ -90,7 +93,7 @@ def cache_folder() -> Path:
     digest = hashlib.sha256()
     for path in sorted(Path(__file__).parent.rglob("*.py")):
         text = path.read_bytes()
-        if any(mark in text for mark in (b"\n@kernel", b"\n@inlined_kernel", b"\n@entry_kernel", b"compiled_views")):
+        if any(mark in text for mark in MARKS):
             digest.update(text)
     return _cache_root() / f"closedloop-{digest.hexdigest()[:16]}"
 

@@ -112,6 +112,19 @@ class Layout:
         return views
 
 
+def array_on(context: Any, builder: Any, kind: Any, data: Any, shape: list[Any]) -> Any:
+    """Return compiled code's array of a type (C or F order) and shape on the numbers at the pointer `data`."""
+    size = context.get_constant(types.intp, 8)
+    strides = [size]
+    for length in shape[:-1] if kind.layout == "F" else reversed(shape[1:]):
+        strides.append(builder.mul(strides[-1], length))
+    if kind.layout == "C":
+        strides.reverse()
+    array = make_array(kind)(context, builder)
+    populate_array(array, data=data, shape=shape, strides=strides, itemsize=size, meminfo=None, parent=None)
+    return array._getvalue()
+
+
 def compiled_views(layout: Layout, function: Any) -> None:
     """Make `function(memory, *sizes)`, in compiled code, the block's views as attributes.
 
@@ -169,11 +182,5 @@ def compiled_views(layout: Layout, function: Any) -> None:
             return total
 
         shape = [number(count) for count in layout.shape[attribute]]
-        size = context.get_constant(types.intp, 8)
-        strides = [size]
-        for length in reversed(shape[1:]):
-            strides.insert(0, builder.mul(strides[0], length))
-        array = make_array(types.Array(types.float64, len(shape), "C"))(context, builder)
         data = builder.gep(struct.base, [number(layout.at[attribute])])
-        populate_array(array, data=data, shape=shape, strides=strides, itemsize=size, meminfo=None, parent=None)
-        return array._getvalue()
+        return array_on(context, builder, types.Array(types.float64, len(shape), "C"), data, shape)

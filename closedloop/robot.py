@@ -85,19 +85,18 @@ class Robot:
             data.a_gf[carrier].vector,
         )
 
+    @property
+    def passes(self) -> tuple[Any, Any, Any, Any, Any]:
+        """Pinocchio's two passes over the tree, with what they are called with; see `evaluator`."""
+        return pin.crba, pin.nonLinearEffects, pin.Convention.WORLD, self._pin, self._data
+
     def evaluator(self, q: Array, v: Array) -> Callable[[], None]:
         """Return a function that evaluates H, C and the motion of the tip's link into `views`.
 
         `q` and `v`, each (n,), are read anew at each call, and nothing is checked: this is the inner loop's call. See
         `closedloop.tip` for the rest of the way to the tip.
         """
-        crba, bias, model, data, convention = (
-            pin.crba,
-            pin.nonLinearEffects,
-            self._pin,
-            self._data,
-            pin.Convention.WORLD,
-        )
+        crba, bias, convention, model, data = self.passes
 
         def evaluate() -> None:
             crba(model, data, q, convention)  # H, and the Jacobian of every joint

@@ -14,6 +14,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from closedloop.addresses import address_of
 from closedloop.compiled import forget_old_caches, needs_compiling
 from closedloop.control import Law
 from closedloop.errors import (
@@ -27,12 +28,15 @@ from closedloop.errors import (
 from closedloop.events import EVENT_WIDTH, event_columns
 from closedloop.integrate import ADAPTIVE, INTEGRATORS
 from closedloop.machine import (
+    AT_EVENTS,
     DONE,
+    EVENT_ROOM,
     IMPACT_LAW_WANTED,
     ROOM,
     TERMS,
     TERMS_AND_LAW,
     collide,
+    places_of,
     proceed_on_pinocchio,
     proceed_with_more_on_pinocchio,
 )
@@ -243,23 +247,27 @@ def _driver(
 
         return go_on, go_on
 
-    evaluate, proceed = problem.robot.evaluator(w.q, w.v), machine(problem.more, engine)
-    fixed = (*problem.robot.views, *arrays)
+    robot, proceed = problem.robot, machine(problem.more, engine)
+    k, state, memory, table, tableau, rows = arrays
+    places = places_of(robot.views, k, state, memory, table, tableau, rows, np.zeros((0, EVENT_WIDTH)))
+    crba, bias, convention, pinocchio, data = robot.passes
+    q, v, at = w.q, w.v, address_of(places)
 
-    def once(events: Array) -> int:
-        evaluate()
-        return proceed(*fixed, events)
+    def chunk(length: int) -> Callable[[Array], int]:
+        def go_on(events: Array) -> int:
+            places[AT_EVENTS], places[EVENT_ROOM] = address_of(events), events.shape[0]
+            request = TERMS
+            for _ in range(length):
+                crba(pinocchio, data, q, convention)  # as in `Robot.evaluator`, without a call
+                bias(pinocchio, data, q, v)
+                request = proceed(at)
+                if request != TERMS:
+                    break
+            return request
 
-    def many(events: Array) -> int:
-        request = TERMS
-        for _ in range(CHUNK):
-            evaluate()
-            request = proceed(*fixed, events)
-            if request != TERMS:
-                break
-        return request
+        return go_on
 
-    return once, many
+    return chunk(1), chunk(CHUNK)
 
 
 def checked_law(law: Law, robot: Robot, q: Array, v: Array) -> Callable[[float, Array], str]:

@@ -16,6 +16,7 @@ from closedloop.adaptive.kernels import (
     evaluate_with_more_on_pinocchio,
 )
 from closedloop.adaptive.smooth import Stretch
+from closedloop.addresses import address_of
 from closedloop.contact import FREE, PRESSED
 from closedloop.control import Law
 from closedloop.events import EVENT_WIDTH
@@ -30,6 +31,7 @@ from closedloop.machine import (
     TERMS_AND_LAW,
     TRANSITING,
     collide,
+    places_of,
 )
 from closedloop.problem import Problem
 from closedloop.simulation import PINOCCHIO, ROOM_FOR_EVENTS, checked_law, machine
@@ -229,9 +231,10 @@ class Memory:
             raise Stopped(OK, fault)
 
     def _proceed(self) -> int:
-        answer = self._machine(
-            *self.robot.views, self.k, self.state, self.numbers, self._wanted, self._tableau, self.rows, self.events
+        places = places_of(
+            self.robot.views, self.k, self.state, self.numbers, self._wanted, self._tableau, self.rows, self.events
         )
+        answer = self._machine(address_of(places))
         if answer == FAILED:
             raise Stopped(int(self.state[STATUS]))
         return answer

@@ -66,7 +66,9 @@ def test_run_is_that_of_the_same_law_in_python(case, law):
 @pytest.mark.slow
 def test_friction_with_a_law_of_ones_own():
     """The full form of the loop takes a law, too."""
-    scenario = cl.load_scenario("wam_slide", {"time.duration": 0.1, "friction.kind": "coulomb"})
+    scenario = cl.load_scenario(
+        "wam_slide", {"time.duration": 0.1, "friction.kind": "coulomb", "friction.coefficient": 0.3}
+    )
     python = cl.simulate(scenario, law=push)
     run = cl.simulate(scenario, law=writing, engine="compiled")
     assert np.max(np.abs(python.friction_force)) > 0.1

@@ -68,7 +68,8 @@ def timing(arm, name, wall, share=1.0):
 def test_ratio_is_of_neighbours_and_spread_of_quartiles():
     """A disturbance that hits a whole turn leaves a ratio alone; CPU time leaves out what others had of the core."""
     a, b = timing("x", "a", [2.0, 2.0, 20.0]), timing("x", "b", [1.0, 1.0, 10.0], share=0.5)
-    assert ratio(a, b) == 2.0
+    assert ratio(a, b, wall=True) == 2.0
+    assert ratio(a, b) == 4.0
     assert b.processor == 0.5
     assert timing("x", "a", [1.0, 2.0, 3.0, 4.0, 5.0]).spread == pytest.approx(1.0 / 3.0)
 

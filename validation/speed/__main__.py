@@ -101,6 +101,7 @@ def line_up(arms: Sequence[str], steps: int, runs: int) -> tuple[list[Contestant
         if there["drake"]:
             everyone.append(contestants.drake_loop(arm, slide(arm, max(1, steps // DRAKE_SHARE))))
         if arm == "wam4":
+            everyone.append(contestants.own_law(arm, problem))
             everyone += [batch.compiled_batch(arm, problem, runs, threads) for threads in (1, 2)]
             if there["mujoco"]:
                 everyone += [mujoco.rollout(arm, problem, runs, threads) for threads in (1, 2)]
@@ -116,7 +117,7 @@ def measure(*, arms: Sequence[str], steps: int, repeats: int, runs: int, cold: b
 
     everyone, missing = line_up(arms, steps, runs)
     timings = race(everyone, repeats, say)
-    two = ratio(timings["machine", "arithmetic_1"], timings["machine", "arithmetic_2"])
+    two = ratio(timings["machine", "arithmetic_1"], timings["machine", "arithmetic_2"], wall=True)
     starts: dict[str, float] = {}
     if cold:
         for engine in ("compiled", "pinocchio"):

@@ -8,13 +8,16 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass, field
+from typing import Any
 
+import numba
 import numpy as np
 import pinocchio as pin
 
 from closedloop.compiled import entry_kernel
 from closedloop.control import paper_law
 from closedloop.problem import Problem
+from closedloop.robot import Terms
 from closedloop.simulation import run_loop
 from validation.oracle.spatial import Array
 
@@ -71,6 +74,34 @@ def our_engine(arm: str, problem: Problem, engine: str) -> Contestant:
 
     what = "compiled engine" if engine == "compiled" else "Pinocchio engine"
     return Contestant(engine, arm, problem.robot.n, problem.steps, lap, final(problem), 1e-11, what)
+
+
+def own_law(arm: str, problem: Problem) -> Contestant:
+    """Return the compiled engine with Eq. 33 as a law of a user's own, compiled by numba."""
+    (press, pd_start), (kp, kd), path = problem.settings, problem.gains, problem.path
+    normal, h = problem.plane.normal, problem.h
+
+    @numba.njit
+    def law(t: float, q: Array, v: Array, terms: Terms, torque: Array) -> None:
+        i = int(t / h + 0.5)
+        for j in range(q.size):
+            along = 0.0
+            for k in range(3):
+                along += normal[k] * terms.jacobian[k, j]
+            torque[j] = terms.bias[j] - along * press
+            if t >= pd_start:
+                torque[j] -= kp[j] * (q[j] - path[i, 0, j]) + kd[j] * (v[j] - path[i, 1, j])
+
+    compiled: Any = law
+
+    def lap() -> tuple[float | None, Array | None]:
+        rows, _, failure, seconds = run_loop(problem, compiled, engine="compiled")
+        if failure is not None:
+            raise failure
+        return seconds, np.array(rows[-1, : problem.robot.n])
+
+    what = "compiled, a user's law"
+    return Contestant("own_law", arm, problem.robot.n, problem.steps, lap, final(problem), 1e-11, what)
 
 
 def bare_calls(arm: str, problem: Problem) -> Contestant:

@@ -19,7 +19,7 @@ def as_data(timings: Timings, found: list[Target], extra: dict[str, Any]) -> dic
             "arm": arm, "name": name, "what": t.contestant.what, "joints": t.contestant.joints,
             "steps": t.contestant.steps, "seconds_per_step": t.median, "processor_seconds_per_step": t.processor,
             "seconds_per_step_and_joint": t.median / t.contestant.joints, "spread": t.spread,
-            "cores_busy": float(t.share.mean()), "laps": t.wall.tolist(),
+            "cores_busy": float(t.share.mean()), "laps": t.wall.tolist(), "processor_laps": t.busy.tolist(),
             "over_mujoco": ratio(t, timings[arm, "mujoco"]) if (arm, "mujoco") in timings else None,
         }
         for (arm, name), t in timings.items()

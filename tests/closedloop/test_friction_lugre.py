@@ -137,3 +137,53 @@ def test_same_as_mujoco():
             advance_states(kind, par, u, False, 1e-3, z)
             mujoco.mj_step(model, data)
             assert z[0] == pytest.approx(data.act[0], rel=1e-12, abs=1e-15)
+
+
+def force_along(x, h):
+    """Return LuGre's friction without its viscous part, N, along the motion x (N,), m, sampled every h, s."""
+    kind, par = pack(PUBLISHED.model_copy(update={"viscous": 0.0}))
+    z, c, w, force = np.zeros(1), np.empty(1), np.empty(1), np.zeros_like(x)
+    for i in range(1, x.size):
+        u = np.array([(x[i] - x[i - 1]) / h])
+        advance_states(kind, par, u, False, h, z)
+        sliding(kind, par, u, abs(u[0]), z, np.zeros(1), c, w)
+        force[i] = c[0]
+    return force
+
+
+@pytest.mark.parametrize("share", [0.3, 1.0, 3.0])
+def test_slow_cycles_before_slip_are_dahls_at_the_static_level(share):
+    """Far below v_s bristles yield at F_S: cycles of amplitude x_0 have the force F_S tanh(σ_0 x_0/F_S) at their ends.
+
+    The loop is run through clockwise, force after displacement: it takes 4 F_S (x_0 − F_end/σ_0) a cycle.
+    """
+    reach = 1.5 / 1e5
+    phase = np.linspace(0.0, 20.5 * np.pi, 41001)
+    x = share * reach * np.sin(phase)
+    force = force_along(x, 10.0)  # 4.7 days: no faster than a nanometre per second
+    end = 1.5 * math.tanh(share)
+    last = phase >= 18.5 * np.pi - 1e-9
+    # Ten cycles, as where the first one began is forgotten the slower, the smaller they are.
+    assert 0.5 * np.ptp(force[last]) == pytest.approx(end, rel=2e-3)
+    assert np.trapezoid(force[last], x[last]) == pytest.approx(4.0 * 1.5 * (share * reach - end / 1e5), rel=1e-2)
+
+
+def test_friction_lags_a_speed_that_varies_the_more_the_faster_it_does():
+    """Friction is higher while slip gets faster than while it gets slower, the more so at 25 rad/s than at 1 rad/s.
+
+    What Hess and Soom measured in 1990, and the loops of the publication's figure on frictional lag (recalled).
+    """
+    widths = []
+    for omega in (1.0, 10.0, 25.0):
+        t = np.linspace(0.0, 6.0 * np.pi / omega, 30001)
+        force = force_along(2e-3 * t + 1e-3 / omega * (1.0 - np.cos(omega * t)), t[1])
+        v = 2e-3 + 1e-3 * np.sin(omega * (t - 0.5 * t[1]))
+        cycle = t > 3.5 * np.pi / omega
+        faster, slower = cycle & (np.cos(omega * t) > 0.0), cycle & (np.cos(omega * t) < 0.0)
+        order = np.argsort(v[faster]), np.argsort(v[slower])
+        at = np.linspace(1.2e-3, 2.8e-3, 50)
+        gap = np.interp(at, v[faster][order[0]], force[faster][order[0]])
+        gap -= np.interp(at, v[slower][order[1]], force[slower][order[1]])
+        widths.append(float(np.max(gap)))
+    assert 0.0 < widths[0] < 0.2 * widths[1]
+    assert widths[1] < 0.5 * widths[2]

@@ -10,6 +10,7 @@ its address and its sizes, and a view is made where it is asked for, as `block.n
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping, Sequence
 from typing import Any
 
@@ -28,6 +29,9 @@ from numba.np.arrayobj import make_array, populate_array
 from numpy.typing import NDArray
 
 Array = NDArray[np.float64]
+
+# Sizes of blocks whose places are remembered.
+MOST_PLACES = 64
 # A product of sizes, as a sorted tuple of their names, and how many of it there are.
 Terms = dict[tuple[str, ...], int]
 
@@ -96,6 +100,8 @@ class Layout:
                 size = size * count
             end = end + size
         self.end = end
+        # A batch asks for the same few sizes thousands of times.
+        self._places: dict[tuple[int, ...], list[tuple[str, int, int, tuple[int, ...]]]] = {}
 
     def size(self, *sizes: int) -> int:
         """Return how many numbers the block has."""
@@ -103,13 +109,21 @@ class Layout:
 
     def views(self, memory: Array, *sizes: int) -> dict[str, Array]:
         """Return the views of a block by their names."""
-        known = dict(zip(self.sizes, sizes, strict=True))
-        views = {}
+        places = self._places.get(sizes)
+        if places is None:
+            places = self._places_for(dict(zip(self.sizes, sizes, strict=True)))
+            if len(self._places) >= MOST_PLACES:
+                self._places.clear()
+            self._places[sizes] = places
+        return {name: memory[begin:end].reshape(shape) for name, begin, end, shape in places}
+
+    def _places_for(self, known: Mapping[str, int]) -> list[tuple[str, int, int, tuple[int, ...]]]:
+        """Return name, begin, end and shape of each field."""
+        places = []
         for name, at in self.at.items():
             shape = tuple(count.value(known) for count in self.shape[name])
-            begin = at.value(known)
-            views[name] = memory[begin : begin + int(np.prod(shape))].reshape(shape)
-        return views
+            places.append((name, at.value(known), at.value(known) + math.prod(shape), shape))
+        return places
 
 
 def array_on(context: Any, builder: Any, kind: Any, data: Any, shape: list[Any]) -> Any:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -25,7 +25,9 @@ from closedloop.friction.packing import pack
 from closedloop.impact import LAWS
 from closedloop.integrate import ADAPTIVE, INTEGRATORS, Integrator
 from closedloop.machine import ARRIVING, CLOSING, RESTING, TOUCHING
+from closedloop.pieces import Pieces
 from closedloop.reference.desired import Desired, desired
+from closedloop.reference.force import force_at
 from closedloop.robot import Robot
 from closedloop.scenario import BaumgarteGains, Scenario
 from closedloop.step import LAW_GIVEN, Row
@@ -43,6 +45,9 @@ START_GAP = 1e-3
 STICK_SPEED = 1e-7
 # What an adaptive integrator allows itself in each step, relative, unless the scenario says otherwise.
 TOLERANCE = 1e-12
+
+# What a robot takes in memory, with Pinocchio's model and data, about, in bytes.
+ROBOT_BYTES = 200_000
 
 STICKING = {"rigid": space.RIGID_STICK, "elastic": space.ELASTIC_STICK, "spring": space.SPRING_STICK}
 
@@ -226,8 +231,17 @@ def needs_more(scenario: Scenario) -> bool:
     )
 
 
-def prepare(scenario: Scenario, model: RobotModel | None = None) -> Problem:
+def prepare(scenario: Scenario, model: RobotModel | None = None, pieces: Pieces | None = None) -> Problem:
     """Turn a scenario into the numbers of a `Problem`.
+
+    Parameters
+    ----------
+    scenario : Scenario
+    model : RobotModel, optional
+        The robot to use instead of loading `scenario.robot.model`.
+    pieces : Pieces, optional
+        What earlier scenarios of this thread, with this same `model`, have left to be used again. The robot and the
+        table of an earlier `Problem` may then be this one's, and its table be overwritten.
 
     Raises
     ------
@@ -235,11 +249,9 @@ def prepare(scenario: Scenario, model: RobotModel | None = None) -> Problem:
         If something in it cannot be simulated: a wrong length, an unreachable path, a step that makes the
         stabiliser unstable, a tip that the robot does not have ...
     """
-    section = scenario.robot
-    if model is None:
-        options: dict[str, Any] = {} if section.lock is None else {"lock": section.lock}
-        model = robot_models.load(section.model, drive_inertia=section.drive_inertia, **options)
-    robot = Robot(model, section.tip)
+    pieces = Pieces() if pieces is None else pieces
+    robot = _robot(scenario, model, pieces)
+    model = robot.model
     n = robot.n
     q = model.home.copy() if scenario.start.q is None else _per_joint("start.q", scenario.start.q, model)
     v = np.zeros(n) if scenario.start.v is None else _per_joint("start.v", scenario.start.v, model)
@@ -266,7 +278,8 @@ def prepare(scenario: Scenario, model: RobotModel | None = None) -> Problem:
 
     nodes_per_step = max(1, round(1 / min((x for x in integrator.nodes if x), default=1.0)))
     instants = (h / nodes_per_step) * np.arange(steps * nodes_per_step + 1, dtype=np.float64)
-    wanted = desired(scenario, robot, plane, q, scenario.force_profile)
+    wanted, table = _desired(scenario, robot, plane, q, instants, pieces)
+    table[::nodes_per_step, 2 * n + 10] = draws(scenario.sensor, steps + 1)
 
     law = scenario.law
     given = getattr(law, "pd_start", None)
@@ -277,8 +290,6 @@ def prepare(scenario: Scenario, model: RobotModel | None = None) -> Problem:
     if friction[0] and STICKS[friction[0]] != "elastic" and mode == PRESSED:
         u = wanted.frame @ robot.terms(q, v).jacobian @ v
         mode = STUCK if np.hypot(u[1], u[2]) <= STICK_SPEED else PRESSED
-    noise = np.zeros((instants.size, 1))
-    noise[::nodes_per_step, 0] = draws(scenario.sensor, steps + 1)
     return Problem(
         scenario=scenario,
         robot=robot,
@@ -296,13 +307,51 @@ def prepare(scenario: Scenario, model: RobotModel | None = None) -> Problem:
         friction=friction,
         joint_friction=pack(scenario.joint_friction, n, "joint_friction"),
         sensor=pack_sensor(scenario.sensor, h),
-        table=np.hstack([wanted.table(instants), noise]),
+        table=table,
         nodes=nodes_per_step,
         project=scenario.stabiliser.kind in ("projection", "both"),
         hold=hold,
         wanted=wanted,
         tolerance=tolerance,
     )
+
+
+def _robot(scenario: Scenario, model: RobotModel | None, pieces: Pieces) -> Robot:
+    section = scenario.robot
+
+    def make() -> Robot:
+        if model is not None:
+            return Robot(model, section.tip)
+        options: dict[str, Any] = {} if section.lock is None else {"lock": section.lock}
+        return Robot(robot_models.load(section.model, drive_inertia=section.drive_inertia, **options), section.tip)
+
+    return pieces.get(("robot", section.model_dump_json()), make, lambda robot: ROBOT_BYTES)
+
+
+def _desired(
+    scenario: Scenario, robot: Robot, plane: Plane, q: Array, instants: Array, pieces: Pieces
+) -> tuple[Desired, Array]:
+    """Return what is desired, and the table of it at `instants` (P,), s, with a last column for the sensor's noise."""
+    n = robot.n
+    motion = (
+        scenario.robot.model_dump_json(),
+        scenario.reference.model_dump_json(),
+        q.tobytes(),
+        plane.normal.tobytes(),
+    )
+    wanted = pieces.get(
+        ("desired", *motion),
+        lambda: desired(scenario, robot, plane, q, scenario.force_profile),
+        lambda made: 3 * made.joints.q.nbytes,
+    )
+    wanted = replace(wanted, profile=scenario.force_profile, force=scenario.law.force)
+    table = pieces.get(
+        ("table", *motion, instants.size, float(instants[1])),
+        lambda: np.hstack([wanted.table(instants), np.zeros((instants.size, 1))]),
+        lambda made: made.nbytes,
+    )
+    table[:, 2 * n + 9] = force_at(wanted.profile, wanted.force, instants)
+    return wanted, table
 
 
 def _integrator(scenario: Scenario) -> tuple[Integrator, float | None]:

@@ -260,15 +260,19 @@ def parse_scenario(
         reason = "nested too deeply" if isinstance(error, RecursionError) else error
         raise ScenarioError(f"{where}: not valid TOML: {reason}") from None
     data.setdefault("name", stem)
-    for key, value in (overrides or {}).items():
+    return scenario_of(data, where, overrides or {})
+
+
+def scenario_of(data: dict[str, Any], where: str, overrides: Mapping[str, Any]) -> Scenario:
+    """Check a scenario given as the tables of its file; `data` is written to. See `parse_scenario`."""
+    for key, value in overrides.items():
         _override(data, key, deepcopy(value))
     try:
-        scenario = Scenario.model_validate(data)
+        return Scenario.model_validate(data)
     except ValidationError as error:
         from closedloop.explain import explain
 
         raise ScenarioError(f"{where}: {explain(error, data)}") from None
-    return scenario
 
 
 def _scenario_text(name: str | Path) -> tuple[str, str, str]:

@@ -46,6 +46,7 @@ from closedloop.robot import Robot
 from closedloop.scenario import Scenario
 from closedloop.solve import CHATTER, NOT_POSITIVE_DEFINITE, PAINLEVE, SINGULAR
 from closedloop.step import SCALARS, SPEED_LIMIT, Row, complete_record
+from closedloop.tree import Tree
 from closedloop.workspace import EVENTS, ROW, STATUS, TIME, Work
 from robot_models import RobotModel
 
@@ -156,9 +157,24 @@ def machine(more: bool, engine: str) -> Callable[..., int]:
 
 
 def run_loop(
-    problem: Problem, law: Law | None = None, report: Callable[[int, int], None] = _silent, engine: str = PINOCCHIO
+    problem: Problem,
+    law: Law | None = None,
+    report: Callable[[int, int], None] = _silent,
+    engine: str = PINOCCHIO,
+    *,
+    rows: Array | None = None,
+    tree: tuple[Tree, Array] | None = None,
 ) -> tuple[Array, Array, SimulationError | None, float]:
     """Step the problem.
+
+    Parameters
+    ----------
+    problem, law, report, engine
+        See `simulate`.
+    rows : (>= steps + 1, width) array, optional
+        Memory for the rows, whatever is in it.
+    tree : (Tree, array), optional
+        The problem's robot for the compiled engine, and its scratch, if they are there already.
 
     Returns
     -------
@@ -182,10 +198,10 @@ def run_loop(
     w = problem.views(memory, state)
     # The compiled engine asks the law by itself.
     user_torque = None if law is None or engine == COMPILED else checked_law(law, robot, w.q, w.v)
-    rows = np.zeros((steps + 1, Row.of(robot.n).width))
+    rows = np.zeros((steps + 1, Row.of(robot.n).width)) if rows is None else rows
     events = np.zeros((ROOM_FOR_EVENTS, EVENT_WIDTH))
     arrays = (k, state, memory, problem.table, problem.integrator.tableau(), rows)
-    step, many = _driver(problem, w, arrays, engine, law)
+    step, many = _driver(problem, w, arrays, engine, law, tree)
     failure: SimulationError | None = None
     request = TERMS if user_torque is None else TERMS_AND_LAW
     report(0, steps)
@@ -227,14 +243,19 @@ def run_loop(
 
 
 def _driver(
-    problem: Problem, w: Work, arrays: tuple[Any, ...], engine: str, law: Law | None
+    problem: Problem,
+    w: Work,
+    arrays: tuple[Any, ...],
+    engine: str,
+    law: Law | None,
+    made: tuple[Tree, Array] | None,
 ) -> tuple[Callable[[Array], int], Callable[[Array], int]]:
     """Return two functions of the table of events: they provide terms once, and as long as nothing else is asked."""
     if engine == COMPILED:
         from closedloop.compiled_engine import compiled_tree, compiled_work
 
         run = machine(problem.more, engine)
-        tree, work = compiled_tree(problem), compiled_work(problem.robot.n)
+        tree, work = made or (compiled_tree(problem), compiled_work(problem.robot.n))
         if law is not None:
             from closedloop.compiled_law import compiled_law, loop_with_law
 
@@ -369,11 +390,6 @@ def _as_run(
     problem: Problem, rows: Array, events: Array, law: Law | None, failure: SimulationError | None, seconds: float
 ) -> Run:
     n, count = problem.robot.n, rows.shape[0]
-    layout = Row.of(n)
-
-    def block(begin: int, width: int) -> Array:
-        return np.ascontiguousarray(rows[:, begin : begin + width])
-
     wanted = problem.table[:: problem.nodes][:count]
     reference_rows = problem.path[:: problem.nodes][:count]
     columns: dict[str, NDArray[Any]] = {
@@ -383,13 +399,7 @@ def _as_run(
         "reference_tip": wanted[:, 2 * n : 2 * n + 3] @ problem.frame,
         "reference_force": wanted[:, 2 * n + 9].copy(),
     }
-    for name in ("q", "v", "acceleration", "torque"):
-        columns[name] = block(getattr(layout, name), n)
-    columns["joint_friction"] = block(layout.joint_friction, n)
-    for name in ("position", "velocity", "friction_force"):
-        columns[name] = block(getattr(layout, name), 3)
-    for i, name in enumerate(SCALARS):
-        columns[name] = block(layout.scalars + i, 1)[:, 0]
+    columns |= {name: recorded(rows, n, name) for name in RECORDED}
     columns["mode"] = columns["mode"].astype(np.int8)
     columns["potential_energy"] = problem.robot.potential_energy(columns["q"])
     return Run(
@@ -401,6 +411,18 @@ def _as_run(
         stopped=str(failure) if failure else None,
         wall_seconds=seconds,
     )
+
+
+RECORDED = tuple(name for name in Row._fields if name not in ("scalars", "width")) + SCALARS
+
+
+def recorded(rows: Array, n: int, name: str) -> Array:
+    """Return a copy of one of the columns `RECORDED`, (N,) or (N, k), of the rows of a robot of n joints."""
+    layout = Row.of(n)
+    if name in SCALARS:
+        return rows[:, layout.scalars + SCALARS.index(name)].copy()
+    place = Row._fields.index(name)
+    return rows[:, layout[place] : layout[place + 1]].copy()
 
 
 def _law_name(law: Law) -> str:

@@ -20,6 +20,7 @@ RESIDUAL_TOLERANCE = 1e-12
 # Below this share of its mobility the tip is within 1e-3 rad of a singular pose, and f, q̈ and Q along the normal
 # grow a thousandfold; the simulation itself stops only at `closedloop.solve.SINGULAR_MOBILITY`.
 NEAR_SINGULAR = 1e-6
+NAMES = ("one_loop", "single_point", "contact_kept", "frictionless", "nonsingular")
 
 
 def assumptions(run: Run) -> dict[str, dict[str, Any]]:
@@ -35,9 +36,7 @@ def assumptions(run: Run) -> dict[str, dict[str, Any]]:
     """
     if len(run) == 0:
         missing = {"held": None, "first_failed": 0.0, "measured": "no row could be computed"}
-        return {
-            name: dict(missing) for name in ("one_loop", "single_point", "contact_kept", "frictionless", "nonsingular")
-        }
+        return {name: dict(missing) for name in NAMES}
     motion = float(np.max(run.residual_motion))
     stiffest = int(np.argmin(run.normal_mobility))
     friction = np.linalg.norm(run.friction_force, axis=1)

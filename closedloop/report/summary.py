@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 from closedloop.contact import FREE
 from closedloop.events import KINDS
 from closedloop.report.assumptions import assumptions
+from closedloop.report.measures import MEASURES, SETTLED
 
 if TYPE_CHECKING:
     from closedloop.record import Run
@@ -20,7 +21,7 @@ Array = NDArray[np.float64]
 def summarise(run: Run) -> dict[str, Any]:
     """Return the summary of a run: what summary.json holds. Quantities that do not exist (no rows) are None."""
     if len(run) == 0:
-        figures: dict[str, Any] = dict.fromkeys(_measure_keys())
+        figures: dict[str, Any] = dict.fromkeys(MEASURES)
     else:
         figures = _measures(run)
     return {
@@ -35,31 +36,6 @@ def summarise(run: Run) -> dict[str, Any]:
         "assumptions": assumptions(run),
         "wall_seconds": run.wall_seconds,
     }
-
-
-def _measure_keys() -> tuple[str, ...]:
-    return (
-        "final_contact_force",
-        "peak_contact_force",
-        "min_contact_force",
-        "max_stabiliser_force",
-        "max_abs_closure_error",
-        "final_closure_error",
-        "max_abs_closure_rate",
-        "max_tip_speed",
-        "max_kkt_residual",
-        "max_kkt_condition",
-        "min_normal_mobility",
-        "max_energy_residual",
-        "energy_exchanged",
-        "deepest_penetration",
-        "time_in_contact",
-        "max_friction_force",
-        "max_joint_friction",
-        "energy_lost_to_friction",
-        "energy_lost_in_impacts",
-        "largest_rate_cut",
-    )
 
 
 def _measures(run: Run) -> dict[str, Any]:
@@ -87,8 +63,23 @@ def _measures(run: Run) -> dict[str, Any]:
         -_cumulative(friction_power(run), run.time)[-1],
         np.sum(run.event_energy_lost),
         np.max(run.event_rate_cut, initial=0.0),
+        *_against_what_is_desired(run),
     )
-    return {key: float(value) for key, value in zip(_measure_keys(), values, strict=True)}
+    return {key: None if value is None else float(value) for key, value in zip(MEASURES, values, strict=True)}
+
+
+def _against_what_is_desired(run: Run) -> tuple[float | None, float | None, float]:
+    """Return the RMS of the force error in contact, N, the instant from which it stays small, s, and the path's, m."""
+    miss, touching = run.contact_force - run.reference_force, run.mode != FREE
+    rms = float(np.sqrt(np.mean(miss[touching] ** 2))) if np.any(touching) else None
+    largest = np.max(np.abs(run.reference_force))
+    missed = np.flatnonzero(np.abs(miss) > SETTLED * largest)
+    first = int(missed[-1]) + 1 if missed.size else 0
+    settled = float(run.time[first]) if largest > 0.0 and first < len(run) else None
+    normal = np.asarray(run.scenario.surface.normal)
+    off = run.position - run.reference_tip
+    off = off - np.outer(off @ normal, normal) / (normal @ normal)
+    return rms, settled, float(np.sqrt(np.mean(np.sum(off**2, axis=1))))
 
 
 def energy_balance(run: Run) -> tuple[Array, Array]:

@@ -1,0 +1,42 @@
+"""The figures of a run's summary: their names, units and meaning, in order."""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+# The force has settled where it stays within this share of the largest f_des of the run.
+SETTLED = 0.02
+
+
+class Measure(NamedTuple):
+    """Unit and meaning of a figure."""
+
+    units: str
+    meaning: str
+
+
+MEASURES: dict[str, Measure] = {
+    "final_contact_force": Measure("N", "contact force at the end"),
+    "peak_contact_force": Measure("N", "highest contact force"),
+    "min_contact_force": Measure("N", "lowest contact force"),
+    "max_stabiliser_force": Measure("N", "largest share of the contact force that answers the stabiliser"),
+    "max_abs_closure_error": Measure("m", "largest closure error in contact, either way"),
+    "final_closure_error": Measure("m", "closure error at the end; positive off the surface"),
+    "max_abs_closure_rate": Measure("m s-1", "largest closure rate in contact, either way"),
+    "max_tip_speed": Measure("m s-1", "highest tip speed"),
+    "max_kkt_residual": Measure("1", "largest relative residual of Eq. 24"),
+    "max_kkt_condition": Measure("1", "largest condition number of the matrix of Eq. 24"),
+    "min_normal_mobility": Measure("1", "lowest share of the tip's mobility along the normal; 0 at a singular pose"),
+    "max_energy_residual": Measure("J", "largest energy unaccounted for"),
+    "energy_exchanged": Measure("J", "energy that the joint torques exchanged with the arm"),
+    "deepest_penetration": Measure("m", "deepest that the tip was below the surface"),
+    "time_in_contact": Measure("s", "time in contact"),
+    "max_friction_force": Measure("N", "largest friction force on the tip"),
+    "max_joint_friction": Measure("N m", "largest torque of friction in a joint"),
+    "energy_lost_to_friction": Measure("J", "energy that friction took, at the tip and in the joints"),
+    "energy_lost_in_impacts": Measure("J", "energy that impacts took"),
+    "largest_rate_cut": Measure("m s-1", "fastest bounce that was cut to rest"),
+    "rms_force_error": Measure("N", "contact force less the desired one, RMS while in contact"),
+    "force_settled_at": Measure("s", "instant from which the contact force stays within 2 % of the desired one"),
+    "rms_path_error": Measure("m", "distance of the tip from the desired path along the surface, RMS"),
+}

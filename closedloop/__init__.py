@@ -13,6 +13,7 @@ from importlib import import_module
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
+    from closedloop.batch import simulate_batch as simulate_batch
     from closedloop.control import Law as Law
     from closedloop.errors import ChatterError as ChatterError
     from closedloop.errors import ClosedLoopError as ClosedLoopError
@@ -62,6 +63,7 @@ _HOME = {
     "prepare": "problem",
     "shipped_scenarios": "scenario",
     "simulate": "simulation",
+    "simulate_batch": "batch",
     "solve_closure": "solve",
 }
 

@@ -1,0 +1,199 @@
+"""Many runs of one scenario at once, on all cores.
+
+    table = cl.simulate_batch(cl.load_scenario("wam_slide"), {"law.force": [5.0, 10.0, 15.0]})
+    table.to_pandas()[["law.force", "min_contact_force"]]
+
+Each thread has a bench of its own and takes the next run when it is done with one. The compiled engine holds no
+interpreter's lock while it steps, so threads are as good as processes, and need not send anything to each other.
+"""
+
+from __future__ import annotations
+
+import itertools
+import os
+import threading
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from concurrent.futures import FIRST_COMPLETED, ThreadPoolExecutor, wait
+from contextlib import ExitStack
+from typing import TYPE_CHECKING, Any
+
+from closedloop.bench import Bench, Outcome, refused
+from closedloop.errors import ScenarioError
+from closedloop.integrate import ADAPTIVE
+from closedloop.scenario import Scenario
+from closedloop.simulation import COMPILED, ENGINES
+from closedloop.table import kept_columns, key_type, schema, table_of
+from closedloop.variants import Variants
+from robot_models import RobotModel
+
+if TYPE_CHECKING:
+    import pyarrow as pa
+
+
+def simulate_batch(
+    scenario: Scenario,
+    changes: Mapping[str, Sequence[Any]],
+    *,
+    grid: bool = False,
+    keep: Iterable[str] = (),
+    engine: str = COMPILED,
+    workers: int | None = None,
+    model: RobotModel | None = None,
+    progress: bool | Callable[[int, int], None] = False,
+) -> pa.Table:
+    """Simulate a scenario many times with some keys changed, and return a table of the runs.
+
+    Parameters
+    ----------
+    scenario : Scenario
+        What the runs have in common.
+    changes : mapping of str to sequence
+        Dotted keys, as `load_scenario` takes them, and for each a value per run: run i has the i-th of every key.
+    grid : bool
+        Whether every value of a key goes with every value of the others instead; the last key changes fastest.
+    keep : iterable of str
+        Columns of the runs to keep whole, as lists: "f" or "contact_force", "e" or "closure_error", "q", "torque" ...
+    engine : "compiled" or "pinocchio"
+        See `simulate`. Pinocchio takes any integrator, and one core.
+    workers : int, optional
+        Threads; as many as there are cores if left out. The table is the same, to the last bit, for any number.
+    model : RobotModel, optional
+        The robot to use instead of loading the one that the scenario names.
+    progress : bool or callable
+        True draws a bar on standard error; a callable gets (runs done, runs in all).
+
+    Returns
+    -------
+    pyarrow.Table
+        A row for each run, in order: its number, the changed keys, ``status`` ("done", "stopped", "refused") with its
+        ``reason``, the figures of `Run.summary` (empty where there is none), the events, when each of the paper's
+        assumptions failed, and the kept columns. Units and meanings are the fields' metadata. A run that fails is a row
+        like any other.
+
+    Raises
+    ------
+    ScenarioError
+        If a key is unknown, lengths differ, the engine does not cover what is asked, or no run could be read.
+    """
+    if not changes:
+        raise ScenarioError("changes: name at least one key and its values, such as {'law.force': [5.0, 10.0]}")
+    keys = tuple(changes)
+    points = _points(changes, grid)
+    columns = kept_columns(keep)
+    variants = Variants(scenario, keys)
+    check(variants.look(points), engine)
+    outcomes: list[Outcome | None] = [None] * len(points)
+
+    def one(bench: Bench, i: int) -> None:
+        outcomes[i] = run_variant(bench, variants, points[i], engine)
+
+    with ExitStack() as open_until_done:
+        if progress is True:
+            from closedloop.progress import bar
+
+            progress = open_until_done.enter_context(bar(scenario.name, len(points)))
+        side_by_side(
+            one, len(points), threads_for(engine, workers), lambda: Bench(engine, columns, model), progress or _silent
+        )
+    kinds = {key: key_type([point[k] for point in points]) for k, key in enumerate(keys)}
+    return table_of(schema(kinds, columns), 0, points, [x for x in outcomes if x is not None], columns)
+
+
+def run_variant(bench: Bench, variants: Variants, values: Sequence[Any], engine: str) -> Outcome:
+    """Run the variant with these values; one that cannot even be read says why."""
+    try:
+        scenario = variants.scenario(values)
+        check(scenario, engine)
+    except ScenarioError as error:
+        return refused(error)
+    return bench.run(scenario)
+
+
+def check(scenario: Scenario, engine: str) -> None:
+    """Refuse what an engine does not cover.
+
+    Raises
+    ------
+    ScenarioError
+        If there is no such engine, or it has not the scenario's integrator.
+    """
+    if engine not in ENGINES:
+        raise ScenarioError(f"engine = {engine!r}: must be {' or '.join(map(repr, ENGINES))}")
+    if engine == COMPILED and scenario.time.integrator in ADAPTIVE:
+        raise ScenarioError(
+            f"time.integrator = {scenario.time.integrator!r}: the compiled engine has fixed steps only; use "
+            "engine = 'pinocchio', or another integrator"
+        )
+
+
+def threads_for(engine: str, workers: int | None) -> int:
+    """Return how many threads to use: one for Pinocchio, which Python drives, else one a core, unless told."""
+    if workers is not None and workers < 1:
+        raise ScenarioError(f"workers = {workers}: must be at least 1")
+    if engine != COMPILED:
+        return 1
+    cores = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
+    return workers or cores
+
+
+def side_by_side(
+    one: Callable[[Bench, int], None],
+    count: int,
+    threads: int,
+    bench: Callable[[], Bench],
+    report: Callable[[int, int], None],
+) -> None:
+    """Call ``one(bench, i)`` for every i below `count`, in threads with a bench each; the first error ends it all."""
+    numbers, lock, stop, done = itertools.count(), threading.Lock(), threading.Event(), [0]
+
+    def mine() -> Iterator[int]:
+        while not stop.is_set():
+            with lock:
+                i = next(numbers)
+            if i >= count:
+                return
+            yield i
+
+    def work() -> None:
+        own = bench()
+        for i in mine():
+            one(own, i)
+            done[0] += 1  # only shown
+
+    report(0, count)
+    with ThreadPoolExecutor(min(threads, count), "closedloop") as pool:
+        running = {pool.submit(work) for _ in range(min(threads, count))}
+        try:
+            while running:
+                over, running = wait(running, timeout=0.1, return_when=FIRST_COMPLETED)
+                for future in over:
+                    future.result()
+                report(min(done[0], count), count)
+        finally:
+            stop.set()
+    report(count, count)
+
+
+def _points(changes: Mapping[str, Sequence[Any]], grid: bool) -> list[tuple[Any, ...]]:
+    values: list[list[Any]] = []
+    for key, given in changes.items():
+        try:
+            listed = given.tolist() if hasattr(given, "tolist") else None if isinstance(given, str) else list(given)
+        except TypeError:
+            listed = None
+        if not isinstance(listed, list):
+            raise ScenarioError(f"changes[{key!r}] = {given!r}: must be a list with one value for each run")
+        if not listed:
+            raise ScenarioError(f"changes[{key!r}]: is empty; give one value for each run")
+        values.append(listed)
+    if grid:
+        return list(itertools.product(*values))
+    lengths = {key: len(listed) for key, listed in zip(changes, values, strict=True)}
+    if len(set(lengths.values())) > 1:
+        said = ", ".join(f"{key} has {length}" for key, length in lengths.items())
+        raise ScenarioError(f"changes: {said} values: run i takes the i-th of each; or take all together: grid=True")
+    return list(zip(*values, strict=True))
+
+
+def _silent(done: int, total: int) -> None:
+    """Report nothing."""

@@ -1,0 +1,126 @@
+"""A thread's bench for many runs: what earlier runs made and later ones may use, and a run's outcome as a few numbers.
+
+Beside the steps a run of a batch costs some Python: its scenario is checked, and its numbers are packed. All that is
+large is kept here from run to run: robots, paths and tables (`closedloop.pieces`), rows, events, scratch. Nothing of an
+earlier run can be seen in a later one: the loop reads no row that it has not written.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, field
+from weakref import WeakKeyDictionary
+
+import numpy as np
+from numpy.typing import NDArray
+
+from closedloop.compiled_engine import compiled_tree, compiled_work
+from closedloop.errors import ClosedLoopError, SingularClosureError
+from closedloop.pieces import Pieces
+from closedloop.problem import Problem, prepare
+from closedloop.report.assumptions import NAMES
+from closedloop.report.measured import FAILED_AT, WIDTH, measure_rows
+from closedloop.robot import Robot
+from closedloop.scenario import Scenario
+from closedloop.simulation import COMPILED, recorded, run_loop
+from closedloop.step import Row
+from closedloop.tree import Tree
+from robot_models import RobotModel
+
+Array = NDArray[np.float64]
+
+SINGULAR_AT = FAILED_AT + NAMES.index("nonsingular")
+RAN, STOPPED, REFUSED = "done", "stopped", "refused"
+
+
+@dataclass(frozen=True)
+class Outcome:
+    """What became of a run.
+
+    Attributes
+    ----------
+    status : str
+        "done"; "stopped" (the simulation could not go on: the figures are those of what ran); "refused" (the scenario
+        is at fault: nothing ran).
+    reason : str or None
+        Why it was stopped or refused.
+    rows : int
+        How many rows it has.
+    figures : (WIDTH,) array
+        See `closedloop.report.measured`; NaN where there is none.
+    columns : mapping of str to (rows,) or (rows, k) array
+        The columns that were to be kept.
+    end_time : float
+        Instant of the last row, s; NaN if there is none.
+    """
+
+    status: str
+    reason: str | None
+    rows: int
+    figures: Array
+    end_time: float = math.nan
+    columns: dict[str, Array] = field(default_factory=dict)
+
+
+class Bench:
+    """What one thread needs to run scenarios one after the other.
+
+    Parameters
+    ----------
+    engine : str
+        "compiled" or "pinocchio", see `closedloop.simulate`.
+    keep : sequence of str
+        Columns to hand out with the figures, see `closedloop.simulation.RECORDED`.
+    model : RobotModel, optional
+        The robot to use instead of loading the one that each scenario names.
+    """
+
+    def __init__(self, engine: str = COMPILED, keep: tuple[str, ...] = (), model: RobotModel | None = None) -> None:
+        self._engine, self._keep, self._model = engine, keep, model
+        self._pieces = Pieces()
+        self._trees: WeakKeyDictionary[Robot, tuple[Tree, Array]] = WeakKeyDictionary()
+        self._rows = np.empty(0)
+
+    def run(self, scenario: Scenario) -> Outcome:
+        """Run a scenario and return its outcome; a run that fails says why."""
+        try:
+            problem = prepare(scenario, self._model, self._pieces)
+            return self._run(problem)
+        except ClosedLoopError as error:
+            return refused(error)
+
+    def _run(self, problem: Problem) -> Outcome:
+        tree = self._tree(problem)
+        rows, events, failure, _ = run_loop(problem, engine=self._engine, rows=self._room(problem), tree=tree)
+        figures = np.full(WIDTH, math.nan)
+        if len(rows) > 0:
+            measure_rows(
+                tree[0], rows, len(rows), problem.table, problem.nodes, problem.h, problem.frame, events, len(events),
+                figures,
+            )  # fmt: skip
+        columns = {name: recorded(rows, problem.robot.n, name) for name in self._keep}
+        end = problem.h * (len(rows) - 1) if len(rows) > 0 else math.nan
+        if isinstance(failure, SingularClosureError) and np.isnan(figures[SINGULAR_AT]):
+            figures[SINGULAR_AT] = end + problem.h  # no row was near it: the step after the last was
+        if failure is None:
+            return Outcome(RAN, None, len(rows), figures, end, columns)
+        return Outcome(STOPPED, str(failure), len(rows), figures, end, columns)
+
+    def _tree(self, problem: Problem) -> tuple[Tree, Array]:
+        robot = problem.robot
+        if robot not in self._trees:
+            self._trees[robot] = compiled_tree(problem), compiled_work(robot.n)
+        return self._trees[robot]
+
+    def _room(self, problem: Problem) -> Array:
+        """Return memory for the rows of a problem; the adaptive integrator has its own."""
+        width = Row.of(problem.robot.n).width
+        count = (problem.steps + 1) * width
+        if self._rows.size < count:
+            self._rows = np.empty(count)
+        return self._rows[:count].reshape(-1, width)
+
+
+def refused(error: ClosedLoopError) -> Outcome:
+    """Return the outcome of a scenario that cannot be simulated."""
+    return Outcome(REFUSED, str(error), 0, np.full(WIDTH, math.nan))

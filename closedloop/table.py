@@ -1,0 +1,131 @@
+"""The table of a batch: a row for each run, with what was changed, what became of it, and the figures of its summary.
+
+It is Arrow's, because Parquet files, pandas, polars and DuckDB all take that as it is, units travel with the columns,
+and a figure that does not exist is empty and not a number.
+"""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Iterable, Mapping, Sequence
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from closedloop.bench import Outcome
+from closedloop.errors import ScenarioError
+from closedloop.events import KINDS
+from closedloop.report.assumptions import NAMES
+from closedloop.report.measures import MEASURES
+from closedloop.simulation import RECORDED
+
+if TYPE_CHECKING:
+    import pyarrow as pa
+
+Array = NDArray[np.float64]
+
+# Short names of the columns that are kept most.
+ALIASES = {"f": "contact_force", "e": "closure_error", "r": "position", "Q": "torque"}
+
+
+def kept_columns(names: Iterable[str]) -> tuple[str, ...]:
+    """Return the columns' full names.
+
+    Raises
+    ------
+    ScenarioError
+        If there is no such column, or not in a run's rows.
+    """
+    full = tuple(dict.fromkeys(ALIASES.get(name, name) for name in names))
+    for name in full:
+        if name not in RECORDED:
+            short = ", ".join(f"{a} ({b})" for a, b in ALIASES.items())
+            raise ScenarioError(f"keep: no column {name!r}; there are {short}, {', '.join(sorted(RECORDED))}")
+    return full
+
+
+def key_type(values: Sequence[Any]) -> pa.DataType:
+    """Return the type of a column of these values; values that have no common one are written as JSON."""
+    import pyarrow as pa
+
+    kinds = {type(value) for value in values}
+    if kinds <= {bool}:
+        return pa.bool_()
+    if kinds <= {int} and all(abs(value) < 2**63 for value in values):
+        return pa.int64()
+    if kinds <= {int, float}:
+        return pa.float64()
+    return pa.string()
+
+
+def schema(types: Mapping[str, pa.DataType], keep: Sequence[str] = ()) -> pa.Schema:
+    """Return the columns of a table of runs, with units and meaning as metadata.
+
+    The columns are ``run``, its number; the changed keys; ``status``, ``reason``, ``rows``, ``end_time``; the figures
+    of `closedloop.report.measures`; the number of events of each kind; when each assumption of the paper first failed;
+    and the columns that were kept, each a list of numbers.
+    """
+    import pyarrow as pa
+
+    from closedloop.record import COLUMNS
+    from closedloop.units import key_description, key_unit
+
+    def field(name: str, kind: pa.DataType, units: str, meaning: str) -> pa.Field:
+        return pa.field(name, kind, metadata={"units": units, "meaning": meaning})
+
+    number, text, whole = pa.float64(), pa.string(), pa.int64()
+    fields = [field("run", whole, "1", "number of the run, from 0")]
+    fields += [field(key, kind, key_unit(key), key_description(key)) for key, kind in types.items()]
+    fields += [
+        field("status", text, "", "done; stopped: the figures are of what ran; refused: nothing ran"),
+        field("reason", text, "", "why it was stopped or refused"),
+        field("rows", whole, "1", "rows of the run's record"),
+        field("end_time", number, "s", "instant of the last row"),
+    ]
+    fields += [field(name, number, measure.units, measure.meaning) for name, measure in MEASURES.items()]
+    fields += [field(f"{kind}_events", whole, "1", f"number of events: {kind}") for kind in KINDS.values()]
+    fields += [
+        field(f"{name}_failed_at", number, "s", f"when the assumption {name} first failed; empty if it held")
+        for name in NAMES
+    ]
+    for name in keep:
+        wide = len(COLUMNS[name].dims) == 2
+        kind = pa.list_(pa.list_(number) if wide else number)
+        fields.append(field(name, kind, COLUMNS[name].units, COLUMNS[name].meaning))
+    return pa.schema(fields)
+
+
+def table_of(
+    columns: pa.Schema,
+    first: int,
+    points: Sequence[Sequence[Any]],
+    outcomes: Sequence[Outcome],
+    keep: Sequence[str] = (),
+) -> pa.Table:
+    """Return the rows of the runs from number `first` on: `points` are the values of the keys, `outcomes` what came."""
+    import pyarrow as pa
+
+    count = len(points)
+    figures = np.array([outcome.figures for outcome in outcomes]).reshape(count, -1)
+    data: list[Any] = [np.arange(first, first + count)]
+    for k in range(len(points[0])):
+        values = [point[k] for point in points]
+        if columns.field(1 + k).type == pa.string():
+            values = [value if isinstance(value, str) else json.dumps(value) for value in values]
+        data.append(values)
+    data += [
+        [outcome.status for outcome in outcomes],
+        [outcome.reason for outcome in outcomes],
+        [outcome.rows for outcome in outcomes],
+        [outcome.end_time for outcome in outcomes],
+    ]
+    data += list(figures.T)
+    data += [[_rows(outcome.columns.get(name)) for outcome in outcomes] for name in keep]
+    arrays = [pa.array(values, field.type, from_pandas=True) for values, field in zip(data, columns, strict=True)]
+    return pa.table(arrays, schema=columns)
+
+
+def _rows(column: Array | None) -> list[Array] | Array | None:
+    """Return a column as Arrow takes it: of a wide one its rows."""
+    return column if column is None or column.ndim == 1 else list(column)

@@ -1,0 +1,64 @@
+"""Scenarios that differ from one another in a few keys.
+
+variants = Variants(scenario, ("law.force", "law.kp"))
+variants.scenario((12.0, 900.0))
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from copy import deepcopy
+from typing import Any
+
+import numpy as np
+
+from closedloop.errors import ScenarioError
+from closedloop.scenario import Scenario, scenario_of
+
+# As many scenarios are looked at, spread over all, before a batch is begun of which none could be read.
+LOOKED_AT = 100
+
+
+class Variants:
+    """A scenario and the keys that change from run to run.
+
+    Parameters
+    ----------
+    scenario : Scenario
+        What all runs have in common.
+    keys : sequence of str
+        Dotted keys, as `load_scenario` takes them.
+    """
+
+    def __init__(self, scenario: Scenario, keys: Sequence[str]) -> None:
+        self.base, self.keys = scenario, tuple(keys)
+        self._data = scenario.model_dump(mode="python", exclude_none=True)
+        self._touched = {key.partition(".")[0] for key in self.keys} & set(self._data)
+
+    def scenario(self, values: Sequence[Any]) -> Scenario:
+        """Return the scenario in which each key has its value.
+
+        Raises
+        ------
+        ScenarioError
+            If there is no such key, or a value is at fault.
+        """
+        data = self._data | {section: deepcopy(self._data[section]) for section in self._touched}
+        return scenario_of(data, self.base.name, dict(zip(self.keys, values, strict=True)))
+
+    def look(self, points: Sequence[Sequence[Any]]) -> Scenario:
+        """Return the first of these scenarios that can be read; see `LOOKED_AT`.
+
+        Raises
+        ------
+        ScenarioError
+            What is wrong with the first, if none of those looked at can be read: a key is unknown, most likely.
+        """
+        first: ScenarioError | None = None
+        for at in sorted(set(np.linspace(0, len(points) - 1, LOOKED_AT).round().astype(int).tolist())):
+            try:
+                return self.scenario(points[at])
+            except ScenarioError as error:
+                first = first or error
+        assert first is not None
+        raise first

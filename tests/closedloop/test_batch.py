@@ -1,0 +1,245 @@
+"""Batches: the figures are those of the runs one by one, whatever ran before or beside; a failed run is a row."""
+
+import math
+
+import numpy as np
+import pyarrow as pa
+import pytest
+
+import closedloop as cl
+from closedloop.pieces import Pieces
+from closedloop.problem import prepare
+from closedloop.report.measures import MEASURES
+from closedloop.units import key_unit
+
+# What adds up is added in another order than numpy's: 8000 terms of like size, each rounded.
+SUMMED = {
+    "max_energy_residual", "energy_exchanged", "energy_lost_to_friction", "energy_lost_in_impacts", "rms_force_error",
+    "rms_path_error", "max_tip_speed", "max_friction_force", "time_in_contact",
+}  # fmt: skip
+SHORT = {"time.duration": 0.65}
+
+# A scenario, what is the same in all runs, and the range of each key that changes.
+MIXTURE = [
+    ("wam_slide", SHORT, {"law.force": (1.0, 20.0), "stabiliser.time_constant": (0.001, 0.01), "law.kp": (1.0, 900.0)}),
+    ("wam_slide", {"time.duration": 0.3, "time.integrator": "rk4"}, {"law.force": (-5.0, 5.0)}),
+    ("wam_bounce", {"time.duration": 0.8}, {"impact.restitution": (0.0, 0.9), "surface.gap": (0.001, 0.02)}),
+    ("wam_slide_friction", SHORT, {"friction.kinetic": (0.05, 0.2), "law.force": (5.0, 15.0)}),
+    ("joint_friction", {"time.duration": 0.3}, {"law.force": (5.0, 15.0)}),
+    ("wam_hybrid_friction", {"time.duration": 0.3}, {"law.force_integral": (1.0, 20.0), "sensor.noise": (0.0, 0.1)}),
+    ("panda_touchdown", {"time.duration": 0.4}, {"law.force": (5.0, 15.0)}),
+    ("planar2_drop", {"time.duration": 0.4}, {"impact.restitution": (0.0, 0.9)}),
+]
+
+
+def drawn(ranges, count, seed):
+    """Return `count` random values for each key."""
+    rng = np.random.default_rng(seed)
+    return {key: rng.uniform(low, high, count).tolist() for key, (low, high) in ranges.items()}
+
+
+def compare(row, summary, rows):
+    """Compare a row of the table with the summary of the same run."""
+    assert row["rows"] == rows
+    assert row["end_time"] == summary["end_time"]
+    assert row["reason"] == summary["stopped"]
+    exchanged = max(summary["energy_exchanged"] or 0.0, 1e-3)
+    for name in MEASURES:
+        mine, theirs = row[name], summary[name]
+        if mine is None or theirs is None:
+            assert mine is theirs is None, name
+        elif name in SUMMED:
+            # The energies differ by rounding of the potential energy too, some 10 J for these arms.
+            size = exchanged + 10.0 if name == "max_energy_residual" else abs(theirs) + 1e-3
+            assert mine == pytest.approx(theirs, rel=0.0, abs=1e-13 * math.sqrt(rows) * size), name
+        else:
+            assert mine == theirs, name
+    assert {kind: row[f"{kind}_events"] for kind in summary["events"]} == summary["events"]
+    for name, verdict in summary["assumptions"].items():
+        assert row[f"{name}_failed_at"] == verdict["first_failed"], name
+
+
+def one_by_one(scenario, values):
+    """Return the summary and the number of rows of a run on its own."""
+    try:
+        run = cl.simulate(cl.load_scenario(scenario, values), engine="compiled")
+    except cl.SimulationError as stopped:
+        run = stopped.run
+    return run.summary(), len(run)
+
+
+@pytest.mark.parametrize("case", range(len(MIXTURE)), ids=[f"{k}-{name}" for k, (name, *_) in enumerate(MIXTURE)])
+def test_random_runs_have_the_figures_of_simulate(case):
+    """Every figure of every row is that of `simulate` on its own: laws, friction, impacts, sensors, integrators."""
+    name, fixed, ranges = MIXTURE[case]
+    changes = drawn(ranges, 4, case)
+    table = cl.simulate_batch(cl.load_scenario(name, fixed), changes, workers=2)
+    for i, row in enumerate(table.to_pylist()):
+        values = {key: column[i] for key, column in changes.items()}
+        assert {key: row[key] for key in values} == values
+        compare(row, *one_by_one(name, fixed | values))
+
+
+def test_what_ran_before_leaves_no_trace():
+    """In another order, on one thread or three, with long runs before short ones: every row is the same to the bit."""
+    scenario = cl.load_scenario("wam_bounce", {"time.duration": 0.2})
+    changes = {
+        "law.force": [1.0, 5.0, 9.0, 5.0, 2.0, 7.0],
+        "surface.gap": [0.001, 0.0, 0.002, 0.01, 0.0, 0.003],
+        "time.duration": [0.3, 0.02, 0.2, 0.01, 0.25, 0.05],
+        "robot.drive_inertia": [True, False, True, True, False, False],
+    }
+    table = cl.simulate_batch(scenario, changes, workers=1, keep=["f"])
+    order = [3, 0, 5, 1, 4, 2]
+    shuffled = {key: [values[i] for i in order] for key, values in changes.items()}
+    for workers in (1, 3):
+        again = cl.simulate_batch(scenario, shuffled, workers=workers, keep=["f"])
+        assert again.drop_columns("run").equals(table.take(order).drop_columns("run"))
+
+
+def test_pieces_are_as_good_as_new():
+    """A problem made of what others have left is the problem made alone, whichever keys have changed in between."""
+    base = {"time.duration": 0.6}
+    changes = [
+        {}, {"law.force": 3.0}, {"reference.speed": 0.01}, {}, {"surface.normal": [0.1, 0, 1]}, {"sensor.noise": 0.2},
+        {"sensor.seed": 3, "sensor.noise": 0.2}, {}, {"time.step": 0.0005}, {"time.integrator": "rk4"},
+        {"robot.tip": "tip"}, {"start.q": [1.5, 1.0, 0.1, 2.0]}, {"robot.drive_inertia": False},
+        {"surface.gap": 0.1, "surface.contact": "unilateral"}, {"reference.kind": "hold"}, {},
+        {"force_profile.kind": "step", "force_profile.to": 4.0, "force_profile.at": 0.3}, {"surface.offset": 0.2651531}, {},
+    ]  # fmt: skip
+    for pieces in (Pieces(), Pieces(room=1)):
+        for more in changes:
+            scenario = cl.load_scenario("wam_slide", base | more)
+            alone, reused = prepare(scenario), prepare(scenario, None, pieces)
+            for name in ("table", "frame", "q", "v", "stabiliser"):
+                np.testing.assert_array_equal(getattr(reused, name), getattr(alone, name), err_msg=f"{name} {more}")
+            np.testing.assert_array_equal(reused.memory(), alone.memory())
+            np.testing.assert_array_equal(reused.constants(), alone.constants())
+            assert reused.wanted.profile == alone.wanted.profile
+            assert (reused.mode, reused.steps, reused.pd_start) == (alone.mode, alone.steps, alone.pd_start)
+
+
+def test_pieces_are_used_again_and_forgotten():
+    """Nothing is made twice while there is room, and what was not used for longest goes first."""
+    made = []
+
+    def piece(key, size):
+        return pieces.get(key, lambda: made.append(key), lambda _: size)
+
+    pieces = Pieces(room=10)
+    for key in ("a", "b", "a", "c", "a", "b"):
+        piece(key, 4)
+    assert made == ["a", "b", "c", "b"]
+
+
+def test_failed_runs_are_rows_with_their_reason():
+    """A refused run has no figures, a stopped one those of what ran, and their neighbours do not notice."""
+    scenario = cl.load_scenario("wam_slide", {"time.duration": 0.6, "stabiliser.kind": "none"})
+    changes = {"law.kd": [20.0, 4e4, 20.0, 20.0], "law.force": [10.0, 10.0, float("nan"), 10.0]}
+    good, stopped, refused, also = cl.simulate_batch(scenario, changes).to_pylist()
+    assert (good["status"], stopped["status"], refused["status"]) == ("done", "stopped", "refused")
+    assert good["reason"] is None
+    assert "stopped at t = " in stopped["reason"]
+    assert "law.kd" in stopped["reason"]
+    assert 0 < stopped["rows"] < 601
+    assert stopped["final_contact_force"] is not None
+    assert "wam_slide: law.force = nan: must be finite" in refused["reason"]
+    assert refused["rows"] == 0
+    assert refused["end_time"] is refused["final_contact_force"] is refused["impact_events"] is None
+    assert {k: v for k, v in also.items() if k != "run"} == {k: v for k, v in good.items() if k != "run"}
+
+
+def test_a_pose_that_becomes_singular_is_said_as_simulate_says_it():
+    """The assumption fails at the step after the last row, as in the summary of the run."""
+    straight = {"start.q": [1.57, 1.0, 0.0, 0.02], "reference.kind": "hold", "law.force": 10.0, "time.duration": 0.2}
+    base = cl.load_scenario("wam_slide", straight)
+    (row,) = cl.simulate_batch(base, {"law.kp": [0.0]}).to_pylist()
+    compare(row, *one_by_one("wam_slide", straight | {"law.kp": 0.0}))
+
+
+def test_kept_columns_are_those_of_the_run():
+    """f, e, and a column of several numbers are the run's own, to the bit."""
+    scenario = cl.load_scenario("wam_slide", {"time.duration": 0.02})
+    table = cl.simulate_batch(scenario, {"law.force": [5.0, 6.0]}, keep=["f", "closure_error", "q"])
+    run = cl.simulate(cl.load_scenario("wam_slide", {"time.duration": 0.02, "law.force": 6.0}), engine="compiled")
+    for name in ("contact_force", "closure_error", "q"):
+        np.testing.assert_array_equal(np.array(table[name][1].as_py()), getattr(run, name))
+
+
+def test_grid_takes_every_value_with_every_other():
+    """The last key changes fastest."""
+    scenario = cl.load_scenario("wam_slide", {"time.duration": 0.002})
+    table = cl.simulate_batch(scenario, {"law.force": [1.0, 2.0], "law.kp": [3.0, [4.0] * 4]}, grid=True)
+    assert table["law.force"].to_pylist() == [1.0, 1.0, 2.0, 2.0]
+    assert table["law.kp"].to_pylist() == ["3.0", "[4.0, 4.0, 4.0, 4.0]"] * 2
+    assert table["run"].to_pylist() == [0, 1, 2, 3]
+
+
+def test_columns_carry_units():
+    """Every figure has a unit and a meaning, and so has every key that changes."""
+    scenario = cl.load_scenario("wam_slide", {"time.duration": 0.002})
+    table = cl.simulate_batch(scenario, {"law.force": [1.0], "stabiliser.time_constant": [0.001]})
+    units = {field.name: field.metadata[b"units"].decode() for field in table.schema}
+    assert units["law.force"] == "N"
+    assert units["stabiliser.time_constant"] == "s"
+    assert units["max_abs_closure_error"] == "m"
+    assert all(field.metadata[b"meaning"] for field in table.schema)
+    assert key_unit("law.damping") == "N s/m"
+    assert key_unit("reference.turns") == key_unit("surface.normal") == key_unit("no.such") == ""
+
+
+def test_pinocchio_gives_the_same_table_to_rounding_and_takes_any_integrator():
+    """The engines differ by rounding; the adaptive scheme runs on Pinocchio."""
+    scenario = cl.load_scenario("wam_slide", {"time.duration": 0.05, "law.kp": 0.0})
+    changes = {"law.force": [5.0, 6.0]}
+    ours, theirs = (cl.simulate_batch(scenario, changes, engine=name) for name in ("compiled", "pinocchio"))
+    np.testing.assert_allclose(ours["peak_contact_force"], theirs["peak_contact_force"], rtol=1e-9)
+    adaptive = cl.simulate_batch(scenario, {"time.integrator": ["dop853", "rk4"]}, engine="pinocchio")
+    assert adaptive["status"].to_pylist() == ["done", "done"]
+
+
+def test_progress_counts_to_the_end():
+    """The callable hears of the first and of the last run."""
+    heard = []
+    scenario = cl.load_scenario("wam_slide", {"time.duration": 0.002})
+    cl.simulate_batch(scenario, {"law.force": [1.0, 2.0]}, progress=lambda *counts: heard.append(counts))
+    assert heard[0] == (0, 2)
+    assert heard[-1] == (2, 2)
+
+
+@pytest.mark.parametrize(
+    ("changes", "options", "said"),
+    [
+        ({"law.forse": [1.0]}, {}, "wam_slide: unknown key 'law.forse'; did you mean 'law.force'?"),
+        ({"law.force": [1.0, 2.0], "law.kp": [1.0]}, {}, "law.force has 2, law.kp has 1 values: run i takes the i-th"),
+        ({"law.force": []}, {}, "changes['law.force']: is empty"),
+        ({"law.force": "5:15:3"}, {}, "must be a list with one value for each run"),
+        ({"law.force": 5.0}, {}, "must be a list with one value for each run"),
+        ({}, {}, "name at least one key"),
+        ({"law.force": [-1.0]}, {"engine": "mujoco"}, "engine = 'mujoco': must be 'pinocchio' or 'compiled'"),
+        ({"law.force": [-1.0]}, {"keep": ["g"]}, "no column 'g'; there are f (contact_force)"),
+        ({"law.force": [-1.0]}, {"workers": 0}, "workers = 0: must be at least 1"),
+        ({"time.integrator": ["dop853"]}, {}, "the compiled engine has fixed steps only; use engine = 'pinocchio'"),
+    ],
+)
+def test_refusals(changes, options, said):
+    """What cannot be meant is refused before anything runs."""
+    with pytest.raises(cl.ScenarioError) as refusal:
+        cl.simulate_batch(cl.load_scenario("wam_slide"), changes, **options)
+    assert said in str(refusal.value)
+
+
+def test_an_error_of_ours_ends_the_batch(monkeypatch):
+    """What is no fault of a scenario is not hidden in a row."""
+    monkeypatch.setattr("closedloop.bench.measure_rows", lambda *_: 1 / 0)
+    with pytest.raises(ZeroDivisionError):
+        cl.simulate_batch(cl.load_scenario("wam_slide", {"time.duration": 0.002}), {"law.force": [1.0, 2.0]})
+
+
+def test_table_is_arrow():
+    """A row for each run, with its number first."""
+    scenario = cl.load_scenario("wam_slide", {"time.duration": 0.002})
+    table = cl.simulate_batch(scenario, {"law.force": np.array([1.0, 2.0, 3.0])})
+    assert isinstance(table, pa.Table)
+    assert table.column_names[:3] == ["run", "law.force", "status"]
+    assert table.num_rows == 3

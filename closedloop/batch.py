@@ -19,9 +19,8 @@ from typing import TYPE_CHECKING, Any
 
 from closedloop.bench import Bench, Outcome, refused
 from closedloop.errors import ScenarioError
-from closedloop.integrate import ADAPTIVE
 from closedloop.scenario import Scenario
-from closedloop.simulation import COMPILED, ENGINES
+from closedloop.simulation import COMPILED, check_engine
 from closedloop.table import kept_columns, key_type, schema, table_of
 from closedloop.variants import Variants
 from robot_models import RobotModel
@@ -81,7 +80,7 @@ def simulate_batch(
     points = _points(changes, grid)
     columns = kept_columns(keep)
     variants = Variants(scenario, keys)
-    check(variants.look(points), engine)
+    check_engine(variants.look(points), engine, None)
     outcomes: list[Outcome | None] = [None] * len(points)
 
     def one(bench: Bench, i: int) -> None:
@@ -103,27 +102,10 @@ def run_variant(bench: Bench, variants: Variants, values: Sequence[Any], engine:
     """Run the variant with these values; one that cannot even be read says why."""
     try:
         scenario = variants.scenario(values)
-        check(scenario, engine)
+        check_engine(scenario, engine, None)
     except ScenarioError as error:
         return refused(error)
     return bench.run(scenario)
-
-
-def check(scenario: Scenario, engine: str) -> None:
-    """Refuse what an engine does not cover.
-
-    Raises
-    ------
-    ScenarioError
-        If there is no such engine, or it has not the scenario's integrator.
-    """
-    if engine not in ENGINES:
-        raise ScenarioError(f"engine = {engine!r}: must be {' or '.join(map(repr, ENGINES))}")
-    if engine == COMPILED and scenario.time.integrator in ADAPTIVE:
-        raise ScenarioError(
-            f"time.integrator = {scenario.time.integrator!r}: the compiled engine has fixed steps only; use "
-            "engine = 'pinocchio', or another integrator"
-        )
 
 
 def threads_for(engine: str, workers: int | None) -> int:

@@ -105,7 +105,8 @@ def test_pieces_are_as_good_as_new():
         {"sensor.seed": 3, "sensor.noise": 0.2}, {}, {"time.step": 0.0005}, {"time.integrator": "rk4"},
         {"robot.tip": "tip"}, {"start.q": [1.5, 1.0, 0.1, 2.0]}, {"robot.drive_inertia": False},
         {"surface.gap": 0.1, "surface.contact": "unilateral"}, {"reference.kind": "hold"}, {},
-        {"force_profile.kind": "step", "force_profile.to": 4.0, "force_profile.at": 0.3}, {"surface.offset": 0.2651531}, {},
+        {"force_profile.kind": "step", "force_profile.to": 4.0, "force_profile.at": 0.3}, {"surface.offset": 0.2651531},
+        {},
     ]  # fmt: skip
     for pieces in (Pieces(), Pieces(room=1)):
         for more in changes:
@@ -219,7 +220,11 @@ def test_progress_counts_to_the_end():
         ({"law.force": [-1.0]}, {"engine": "mujoco"}, "engine = 'mujoco': must be 'pinocchio' or 'compiled'"),
         ({"law.force": [-1.0]}, {"keep": ["g"]}, "no column 'g'; there are f (contact_force)"),
         ({"law.force": [-1.0]}, {"workers": 0}, "workers = 0: must be at least 1"),
-        ({"time.integrator": ["dop853"]}, {}, "the compiled engine has fixed steps only; use engine = 'pinocchio'"),
+        (
+            {"time.integrator": ["dop853"]},
+            {},
+            "engine = 'compiled': has no integrator that chooses its steps, as 'dop853' does",
+        ),
     ],
 )
 def test_refusals(changes, options, said):

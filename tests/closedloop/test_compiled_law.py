@@ -1,10 +1,7 @@
 # ruff: noqa: D103 - the name of a law says what is wrong with it
 """A law of one's own in the compiled engine: the run is Python's, and what cannot be compiled is refused."""
 
-import os
 import re
-import subprocess
-import sys
 from pathlib import Path
 
 import numba
@@ -184,17 +181,16 @@ def fast(t, q, v, terms):
 """
 
 
-def test_command_line_takes_a_compiled_law(tmp_path):
+def test_command_line_takes_a_compiled_law(command_line, tmp_path):
     """--law MODULE:FUNCTION --engine compiled runs what is compiled, and refuses what is not with status 2."""
-    (tmp_path / "laws.py").write_text(LAWS)
-    line = [sys.executable, "-m", "closedloop.run", "wam_slide", "--engine", "compiled", "--time.duration", "0.01"]
-    settings = {"cwd": tmp_path, "env": {**os.environ, "PYTHONPATH": str(ROOT)}, "text": True, "capture_output": True}
-    done = subprocess.run([*line, "--law", "laws:fast", "--no-figures", "--out", "a"], check=False, **settings)
-    assert done.returncode == 0, done.stderr
+    (tmp_path / "laws_for_numba.py").write_text(LAWS)
+    words = ["wam_slide", "--engine", "compiled", "--time.duration", "0.01", "--no-figures"]
+    outcome = command_line(*words, "--law", "laws_for_numba:fast", "--out", "a")
+    assert outcome.status == 0, outcome.err
     run = cl.load_run(tmp_path / "a" / "run.nc")
-    assert run.law == "laws:fast"
+    assert run.law == "laws_for_numba:fast"
     assert run.contact_force == pytest.approx(np.full(11, 7.0))
-    done = subprocess.run([*line, "--law", "laws:plain", "--out", "b"], check=False, **settings)
-    assert done.returncode == 2
-    assert "laws:plain" in done.stderr or "law plain is not compiled" in done.stderr
-    assert len(done.stderr.splitlines()) == 1
+    outcome = command_line(*words, "--law", "laws_for_numba:plain", "--out", "b")
+    assert outcome.status == 2
+    assert "law plain is not compiled" in outcome.err
+    assert len(outcome.err.splitlines()) == 1

@@ -102,7 +102,8 @@ def test_command_writes_valid_json(tmp_path, capsys):
     for row in data["rows"]:
         assert len(row["laps"]) == 2
         assert row["seconds_per_step"] == np.median(row["laps"])
-        assert row["seconds_per_step"] / row["joints"] == row["seconds_per_step_and_joint"]
+        joint = row["processor_seconds_per_step"] / row["joints"]
+        assert joint == row["processor_seconds_per_step_and_joint"] == np.median(row["processor_laps"]) / row["joints"]
     assert len(data["targets"]) == 7
     assert data["targets"][-1]["measured"] is None  # no chains in this run
     assert data["cold_start_seconds"] == {}

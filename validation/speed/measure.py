@@ -87,8 +87,8 @@ def race(
     share: dict[tuple[str, str], list[float]] = {key: [] for key in keys}
     for k in range(repeats):
         say(f"lap {k + 1} of {repeats}")
+        gc.collect()
         for key, contestant in zip(keys, contestants, strict=True):
-            gc.collect()
             busy, began = time.process_time(), time.perf_counter()
             seconds, ends[key] = contestant.lap()
             whole, used = time.perf_counter() - began, time.process_time() - busy

@@ -18,7 +18,7 @@ def as_data(timings: Timings, found: list[Target], extra: dict[str, Any]) -> dic
         {
             "arm": arm, "name": name, "what": t.contestant.what, "joints": t.contestant.joints,
             "steps": t.contestant.steps, "seconds_per_step": t.median, "processor_seconds_per_step": t.processor,
-            "seconds_per_step_and_joint": t.median / t.contestant.joints, "spread": t.spread,
+            "processor_seconds_per_step_and_joint": t.processor / t.contestant.joints, "spread": t.spread,
             "cores_busy": float(t.share.mean()), "laps": t.wall.tolist(), "processor_laps": t.busy.tolist(),
             "over_mujoco": ratio(t, timings[arm, "mujoco"]) if (arm, "mujoco") in timings else None,
         }
@@ -33,7 +33,7 @@ def as_data(timings: Timings, found: list[Target], extra: dict[str, Any]) -> dic
 def show(data: dict[str, Any]) -> None:
     """Print both tables, the cold starts and what is missing."""
     table = Table(box=box.SIMPLE_HEAD, title=f"one step of a slide, median of {data['repeats']} laps in turns")
-    columns = ("arm", "who", "µs", "±%", "CPU µs", "µs/joint", "× MuJoCo")
+    columns = ("arm", "who", "µs", "±%", "CPU µs", "a joint", "× MuJoCo")
     for column in columns:
         table.add_column(column, justify="left" if column in ("arm", "who") else "right")
     last = ""
@@ -41,9 +41,8 @@ def show(data: dict[str, Any]) -> None:
         if row["arm"] == "machine":
             continue
         over = row["over_mujoco"]
-        micro = [
-            1e6 * row[key] for key in ("seconds_per_step", "processor_seconds_per_step", "seconds_per_step_and_joint")
-        ]
+        times = ("seconds_per_step", "processor_seconds_per_step", "processor_seconds_per_step_and_joint")
+        micro = [1e6 * row[key] for key in times]
         if last and row["arm"] != last:
             table.add_section()
         table.add_row(

@@ -17,6 +17,8 @@ from validation.speed.contestants import Contestant
 INSTALL = 'not installed: pip install "closedloop[peers]"'
 # Drake takes so much longer that a tenth of the steps is enough.
 DRAKE_SHARE = 10
+# Nothing is set up for each, so a few are as good as many.
+MOST_ROLLOUTS = 16
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
@@ -43,7 +45,7 @@ def _main(words: list[str]) -> int:
         arms=options.arms,
         steps=options.steps or (500 if options.quick else 4000),
         repeats=options.repeats or (3 if options.quick else 15),
-        runs=options.runs or (4 if options.quick else 16),
+        runs=options.runs or (16 if options.quick else 128),
         cold=not (options.quick or options.no_cold_start),
     )
     from validation.speed.table import show
@@ -70,7 +72,7 @@ def _parser() -> argparse.ArgumentParser:
     parser.add_argument("--quick", action="store_true", help="few steps and laps, no cold start: rough figures")
     parser.add_argument("--repeats", type=int, help="laps of each contestant, in turns (default 15; 3 with --quick)")
     parser.add_argument("--steps", type=int, help="steps of a lap (default 4000; 500 with --quick)")
-    parser.add_argument("--runs", type=int, help="runs of a batch (default 16; 4 with --quick)")
+    parser.add_argument("--runs", type=int, help="runs of a batch (default 128; 16 with --quick)")
     parser.add_argument("--arms", nargs="+", default=list(ARMS), metavar="ARM", help=f"of {', '.join(ARMS)}")
     parser.add_argument("--no-cold-start", action="store_true", help="leave out the start of whole processes")
     parser.add_argument("--json", metavar="FILE", help="write every figure")
@@ -104,7 +106,7 @@ def line_up(arms: Sequence[str], steps: int, runs: int) -> tuple[list[Contestant
             everyone.append(contestants.own_law(arm, problem))
             everyone += [batch.compiled_batch(arm, problem, runs, threads) for threads in (1, 2)]
             if there["mujoco"]:
-                everyone += [mujoco.rollout(arm, problem, runs, threads) for threads in (1, 2)]
+                everyone += [mujoco.rollout(arm, problem, min(runs, MOST_ROLLOUTS), threads) for threads in (1, 2)]
     return everyone, missing
 
 

@@ -22,7 +22,7 @@ from closedloop.simulation import run_loop
 from validation.oracle.spatial import Array
 
 Lap = Callable[[], tuple[float | None, Array | None]]
-"""Runs a lap -> seconds of the steps alone, or None for all of it; q (n,) at the end, or None if it moves nothing."""
+"""Runs a lap -> seconds of the steps alone, or None for all of it; what it came to, or None if it moves nothing."""
 
 
 @dataclass(frozen=True)
@@ -37,10 +37,10 @@ class Contestant:
         Joints of the arm, and steps of a lap.
     lap : callable
         See `Lap`.
-    wanted : (n,) array or None
-        q where it must end, if it does the whole work.
+    wanted : array or None
+        What it must come to, if it does the whole work: q (n,), rad, at the end.
     tolerance : float
-        How far from there it may end, rad.
+        How far from there it may be.
     what : str
         In words.
     """

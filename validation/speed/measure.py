@@ -31,8 +31,8 @@ class Timing:
         Seconds a step, by the wall's clock, of each lap.
     share : (K,) array
         Processor time over wall time of each lap: cores that were busy for it.
-    end : (n,) array or None
-        q at the end of the last lap, rad.
+    end : array or None
+        What the last lap came to.
     """
 
     contestant: Contestant
@@ -118,6 +118,6 @@ def _check_ends(contestants: Sequence[Contestant], ends: dict[tuple[str, str], A
         apart = float(np.max(np.abs(end - c.wanted)))
         if not apart <= c.tolerance:
             raise RuntimeError(
-                f"{c.name} on {c.arm} ended {apart:.1e} rad from where it should, over {c.tolerance:.0e}: "
+                f"{c.name} on {c.arm} ended {apart:.1e} from where it should, over {c.tolerance:.0e}: "
                 "it has not done the same work"
             )

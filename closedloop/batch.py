@@ -91,9 +91,8 @@ def simulate_batch(
             from closedloop.progress import bar
 
             progress = open_until_done.enter_context(bar(scenario.name, len(points)))
-        side_by_side(
-            one, len(points), threads_for(engine, workers), lambda: Bench(engine, columns, model), progress or _silent
-        )
+        threads = threads_for(engine, workers)
+        side_by_side(one, len(points), threads, lambda: Bench(engine, columns, model, len(points)), progress or _silent)
     kinds = {key: key_type([point[k] for point in points]) for k, key in enumerate(keys)}
     return table_of(schema(kinds, columns), 0, points, [x for x in outcomes if x is not None], columns)
 

@@ -73,10 +73,14 @@ class Bench:
         Columns to hand out with the figures, see `closedloop.simulation.RECORDED`.
     model : RobotModel, optional
         The robot to use instead of loading the one that each scenario names.
+    runs : int
+        How many runs there will be, on this bench and others.
     """
 
-    def __init__(self, engine: str = COMPILED, keep: tuple[str, ...] = (), model: RobotModel | None = None) -> None:
-        self._engine, self._keep, self._model = engine, keep, model
+    def __init__(
+        self, engine: str = COMPILED, keep: tuple[str, ...] = (), model: RobotModel | None = None, runs: int = 1
+    ) -> None:
+        self._engine, self._keep, self._model, self._runs = engine, keep, model, runs
         self._pieces = Pieces()
         self._trees: WeakKeyDictionary[Robot, tuple[Tree, Array]] = WeakKeyDictionary()
         self._rows = np.empty(0)
@@ -91,7 +95,9 @@ class Bench:
 
     def _run(self, problem: Problem) -> Outcome:
         tree = self._tree(problem)
-        rows, events, failure, _ = run_loop(problem, engine=self._engine, rows=self._room(problem), tree=tree)
+        rows, events, failure, _ = run_loop(
+            problem, engine=self._engine, rows=self._room(problem), tree=tree, ahead=self._runs * problem.steps
+        )
         figures = np.full(WIDTH, math.nan)
         if len(rows) > 0:
             measure_rows(

@@ -102,7 +102,7 @@ def simulate(
     """
     check_engine(scenario, engine, law)
     problem = prepare(scenario, model)
-    compiled_now = needs_compiling(machine(problem.more, engine))
+    compiled_now = needs_compiling(machine(problem.more, engine, problem.robot.n))
     if progress is True:
         from closedloop.progress import bar
 
@@ -147,12 +147,15 @@ def _silent(done: int, total: int) -> None:
     """Report nothing."""
 
 
-def machine(more: bool, engine: str) -> Callable[..., int]:
-    """Return the form of the machine that a problem needs; the smaller one compiles and runs quicker."""
-    if engine == COMPILED:
-        from closedloop.compiled_engine import run_compiled, run_compiled_with_more
+def machine(more: bool, engine: str, n: int = 0, ahead: int = 0) -> Callable[..., int]:
+    """Return the form of the machine that a problem needs; the smaller one compiles and runs quicker.
 
-        return run_compiled_with_more if more else run_compiled
+    See `closedloop.compiled_engine.compiled_loop` for the number of joints n and the steps ahead.
+    """
+    if engine == COMPILED:
+        from closedloop.compiled_engine import compiled_loop
+
+        return compiled_loop(n, more, ahead)
     return proceed_with_more_on_pinocchio if more else proceed_on_pinocchio
 
 
@@ -164,6 +167,7 @@ def run_loop(
     *,
     rows: Array | None = None,
     tree: tuple[Tree, Array] | None = None,
+    ahead: int = 0,
 ) -> tuple[Array, Array, SimulationError | None, float]:
     """Step the problem.
 
@@ -175,6 +179,8 @@ def run_loop(
         Memory for the rows, whatever is in it.
     tree : (Tree, array), optional
         The problem's robot for the compiled engine, and its scratch, if they are there already.
+    ahead : int
+        How many steps are to come, in this run and others: whether a loop for just this robot is worth compiling.
 
     Returns
     -------
@@ -201,7 +207,7 @@ def run_loop(
     rows = np.zeros((steps + 1, Row.of(robot.n).width)) if rows is None else rows
     events = np.zeros((ROOM_FOR_EVENTS, EVENT_WIDTH))
     arrays = (k, state, memory, problem.table, problem.integrator.tableau(), rows)
-    step, many = _driver(problem, w, arrays, engine, law, tree)
+    step, many = _driver(problem, w, arrays, engine, law, tree, ahead)
     failure: SimulationError | None = None
     request = TERMS if user_torque is None else TERMS_AND_LAW
     report(0, steps)
@@ -249,12 +255,13 @@ def _driver(
     engine: str,
     law: Law | None,
     made: tuple[Tree, Array] | None,
+    ahead: int,
 ) -> tuple[Callable[[Array], int], Callable[[Array], int]]:
     """Return two functions of the table of events: they provide terms once, and as long as nothing else is asked."""
     if engine == COMPILED:
         from closedloop.compiled_engine import compiled_tree, compiled_work
 
-        run = machine(problem.more, engine)
+        run = machine(problem.more, engine, problem.robot.n, ahead)
         tree, work = made or (compiled_tree(problem), compiled_work(problem.robot.n))
         if law is not None:
             from closedloop.compiled_law import compiled_law, loop_with_law

@@ -11,7 +11,10 @@ import pytest
 
 import closedloop as cl
 from closedloop.compiled import cache_folder, needs_compiling
+from closedloop.compiled_engine import MOST_WRITTEN_OUT, WORTH_COMPILING, compiled_loop, run_compiled, written_out
 from closedloop.machine import proceed_on_pinocchio
+from closedloop.problem import prepare
+from closedloop.simulation import run_loop
 
 ROOT = Path(cl.__file__).parent.parent
 
@@ -94,3 +97,15 @@ def test_folder_that_cannot_be_written_does_not_stop_a_run(tmp_path):
     )  # fmt: skip
     assert done.returncode == 0, done.stderr
     assert done.stdout.split() == ["3"]
+
+
+@pytest.mark.slow
+def test_a_loop_for_one_number_of_joints_does_the_same_to_the_last_bit():
+    """Written out or not, the compiled loop does the same arithmetic in the same order."""
+    problem = prepare(cl.load_scenario("wam_slide", {"time.duration": 1.0}))
+    general = run_loop(problem, engine="compiled")
+    own = run_loop(problem, engine="compiled", ahead=WORTH_COMPILING)
+    assert written_out(4, False).signatures
+    assert np.array_equal(general[0], own[0])
+    assert compiled_loop(4, False) in (run_compiled, written_out(4, False))
+    assert compiled_loop(MOST_WRITTEN_OUT + 1, False, WORTH_COMPILING) is run_compiled

@@ -16,16 +16,20 @@ from __future__ import annotations
 import csv
 import json
 import math
+import sys
+from itertools import product
 from pathlib import Path
 from typing import Any, cast
 
 import numpy as np
 from numpy.typing import NDArray
 
+from closedloop.compiled import needs_compiling
 from closedloop.errors import ClosedLoopError
+from closedloop.progress import bar
 from closedloop.record import Run
 from closedloop.scenario import Scenario, load_scenario
-from closedloop.simulation import simulate
+from closedloop.simulation import machine, simulate
 
 Array = NDArray[np.float64]
 
@@ -111,9 +115,16 @@ def cell(controller: str, friction: str) -> dict[str, Any]:
 
 
 def measure(quick: bool = False) -> list[dict[str, Any]]:
-    """Return a row for each controller and each kind of friction."""
+    """Return a row for each controller and each kind of friction; a bar on standard error says how far it is."""
     controllers, frictions = QUICK if quick else (tuple(CONTROLLERS), tuple(FRICTIONS))
-    return [cell(controller, friction) for controller in controllers for friction in frictions]
+    if needs_compiling(machine(True, "compiled")):
+        print("compiling the step (once for this installation, up to a minute) ...", file=sys.stderr, flush=True)
+    cells, results = list(product(controllers, frictions)), []
+    with bar("controllers", len(cells)) as report:
+        for controller, friction in cells:
+            results.append(cell(controller, friction))
+            report(len(results), len(cells))
+    return results
 
 
 def run(folder: Path, quick: bool = False, as_json: bool = False) -> list[dict[str, Any]]:

@@ -47,6 +47,7 @@ def _main(words: list[str]) -> int:
         repeats=options.repeats or (3 if options.quick else 15),
         runs=options.runs or (16 if options.quick else 128),
         cold=not (options.quick or options.no_cold_start),
+        written_out=not options.quick,
     )
     from validation.speed.table import show
 
@@ -79,18 +80,28 @@ def _parser() -> argparse.ArgumentParser:
     return parser
 
 
-def line_up(arms: Sequence[str], steps: int, runs: int) -> tuple[list[Contestant], dict[str, str]]:
-    """Return everyone who races, and why the others do not."""
+def line_up(
+    arms: Sequence[str], steps: int, runs: int, *, written_out: bool = False
+) -> tuple[list[Contestant], dict[str, str]]:
+    """Return everyone who races, and why the others do not.
+
+    `written_out` compiles a loop for the number of joints of `wam4`, if that was not done before: some ten seconds.
+    """
     from validation.speed import batch, contestants
 
     there = {name: find_spec(module) is not None for name, module in (("mujoco", "mujoco"), ("drake", "pydrake"))}
     missing = {name: INSTALL for name, found in there.items() if not found}
     everyone: list[Contestant] = [batch.arithmetic(threads) for threads in (1, 2)]
+    if written_out and "wam4" in arms:  # first, so that all that follows knows it is there
+        say("compiling a loop for four joints")
+        contestants.written_out("wam4", slide("wam4", 20)).lap()
     for arm in arms:
         say(f"preparing {arm}")
         problem = slide(arm, steps)
+        everyone.append(contestants.general(arm, problem))
+        if written_out and arm == "wam4":
+            everyone.append(contestants.written_out(arm, problem))
         everyone += [
-            contestants.our_engine(arm, problem, "compiled"),
             contestants.our_engine(arm, problem, "pinocchio"),
             contestants.bare_calls(arm, problem),
             contestants.bare_algorithms(arm, problem),
@@ -110,14 +121,16 @@ def line_up(arms: Sequence[str], steps: int, runs: int) -> tuple[list[Contestant
     return everyone, missing
 
 
-def measure(*, arms: Sequence[str], steps: int, repeats: int, runs: int, cold: bool) -> dict[str, Any]:
+def measure(
+    *, arms: Sequence[str], steps: int, repeats: int, runs: int, cold: bool, written_out: bool
+) -> dict[str, Any]:
     """Measure everything and return it as it goes into the JSON file."""
     from validation.speed.cold import first_result, first_result_ever
     from validation.speed.measure import race, ratio
     from validation.speed.table import as_data
     from validation.speed.targets import targets
 
-    everyone, missing = line_up(arms, steps, runs)
+    everyone, missing = line_up(arms, steps, runs, written_out=written_out)
     timings = race(everyone, repeats, say)
     two = ratio(timings["machine", "arithmetic_1"], timings["machine", "arithmetic_2"], wall=True)
     starts: dict[str, float] = {}

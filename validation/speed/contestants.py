@@ -7,14 +7,16 @@ from setting out, and where the arm ended: those that do the whole work must end
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import Any
+from unittest import mock
 
 import numba
 import numpy as np
 import pinocchio as pin
 
 from closedloop.compiled import entry_kernel
+from closedloop.compiled_engine import WORTH_COMPILING
 from closedloop.control import paper_law
 from closedloop.problem import Problem
 from closedloop.robot import Terms
@@ -74,6 +76,30 @@ def our_engine(arm: str, problem: Problem, engine: str) -> Contestant:
 
     what = "compiled engine" if engine == "compiled" else "Pinocchio engine"
     return Contestant(engine, arm, problem.robot.n, problem.steps, lap, final(problem), 1e-11, what)
+
+
+def general(arm: str, problem: Problem) -> Contestant:
+    """Return the compiled engine's loop for any number of joints, also where one for just this many is there."""
+    ours = our_engine(arm, problem, "compiled")
+
+    def lap() -> tuple[float | None, Array | None]:
+        with mock.patch("closedloop.compiled_engine._is_there", return_value=False):
+            return ours.lap()
+
+    return replace(ours, lap=lap)
+
+
+def written_out(arm: str, problem: Problem) -> Contestant:
+    """Return the compiled engine's loop for just this number of joints, which large batches compile."""
+    n = problem.robot.n
+
+    def lap() -> tuple[float | None, Array | None]:
+        rows, _, failure, seconds = run_loop(problem, engine="compiled", ahead=WORTH_COMPILING)
+        if failure is not None:
+            raise failure
+        return seconds, np.array(rows[-1, :n])
+
+    return Contestant("written_out", arm, n, problem.steps, lap, final(problem), 1e-11, f"compiled for {n} joints")
 
 
 def own_law(arm: str, problem: Problem) -> Contestant:

@@ -39,6 +39,7 @@ def targets(timings: Timings) -> list[Target]:
     added = "12 → 30 joints adds: compiled / crba, rnea, Cholesky"
     rows: list[tuple[str, float, bool, Callable[[], float | None]]] = [
         ("MuJoCo from Python / compiled engine", 15.0, True, lambda: times("mujoco", "compiled")),
+        ("MuJoCo from Python / compiled for its joints", 15.0, True, lambda: times("mujoco", "written_out")),
         ("bare mj_step / compiled engine", 5.0, True, lambda: times("mj_step", "compiled")),
         ("compiled batch, one thread / two", 1.8, True, lambda: times("batch_1", "batch_2", wall=True)),
         ("MuJoCo rollout / compiled batch, two threads", 8.0, True, lambda: times("rollout_2", "batch_2", wall=True)),

@@ -21,6 +21,8 @@ from closedloop.compiled import kernel, kernel_inlined
 Array = NDArray[np.float64]
 
 LANES = 32
+# The rows of a longer arm's matrices are long enough to be worked on one condition number at a time.
+LONG = 8
 
 
 def pending_rows(n: Any) -> Any:
@@ -93,6 +95,82 @@ def conditions(pending: Array, n: int, lanes: int) -> None:
     for j in range(n):
         enlarge(P[size + j], P[column + j], lanes, P[norm], P[inverse_norm])
     multiply(P[norm], P[inverse_norm], lanes, P[total])
+
+
+@kernel
+def condition_of_long(H: Array, A: Array, L: Array, X: Array, mobility: float, pressed: bool, work: Array) -> float:
+    """Return the condition number of one state of a long arm.
+
+    Parameters
+    ----------
+    H, A, L, X, mobility, pressed
+        See `leave`.
+    work : (>= n * n + 4 * n,) array
+        Scratch.
+    """
+    n = H.shape[0]
+    R = work[0 : n * n].reshape(n, n)  # L⁻¹, lower
+    x, column = work[n * n : n * n + n], work[n * n + n : n * n + 2 * n]
+    size, row = work[n * n + 2 * n : n * n + 3 * n], work[n * n + 3 * n : n * n + 4 * n]
+    share = 1.0 / mobility if pressed else 0.0
+    for i in range(n):
+        for j in range(n):
+            R[i, j] = 0.0  # above the diagonal too, so that rows may be taken four at a time
+        for k in range(0, i - 3, 4):
+            a, b, c, d = -L[i, k], -L[i, k + 1], -L[i, k + 2], -L[i, k + 3]
+            add_four(a, R[k], b, R[k + 1], c, R[k + 2], d, R[k + 3], R[i, : k + 4])
+        for k in range(i // 4 * 4, i):
+            add_multiple(-L[i, k], R[k], R[i, : k + 1])
+        inverse = L[i, i]
+        for j in range(i):
+            R[i, j] *= inverse
+        R[i, i] = L[i, i]
+        x[i] = 0.0
+    if pressed:
+        for k in range(n):
+            add_multiple(X[k], R[k], x[: k + 1])
+    last, last_inverse = 0.0, share
+    for j in range(n):
+        size[j] = abs(A[j]) if pressed else 0.0
+        column[j] = abs(x[j]) * share
+        last += size[j]
+        last_inverse += column[j]
+    for i in range(n):
+        for j in range(i + 1):
+            row[j] = 0.0
+        add_multiple(-share * x[i], x, row[: i + 1])
+        fours = i + (n - i) // 4 * 4
+        for k in range(i, fours, 4):
+            a, b, c, d = R[k, i], R[k + 1, i], R[k + 2, i], R[k + 3, i]
+            add_four(a, R[k], b, R[k + 1], c, R[k + 2], d, R[k + 3], row[: i + 1])
+        for k in range(fours, n):
+            add_multiple(R[k, i], R[k], row[: i + 1])
+        for j in range(i):
+            row[j] = abs(row[j])
+            column[j] += row[j]
+            column[i] += row[j]
+            size[j] += abs(H[j, i])
+            size[i] += abs(H[j, i])
+        column[i] += abs(row[i])
+        size[i] += abs(H[i, i])
+    for j in range(n):
+        last = max(last, size[j])
+        last_inverse = max(last_inverse, column[j])
+    return last * last_inverse
+
+
+@kernel_inlined
+def add_multiple(factor: float, x: Array, to: Array) -> None:
+    """Write to += factor x."""
+    for j in range(to.shape[0]):
+        to[j] += factor * x[j]
+
+
+@kernel_inlined
+def add_four(a: float, x: Array, b: float, y: Array, c: float, z: Array, d: float, w: Array, to: Array) -> None:
+    """Write to += a x + b y + c z + d w."""
+    for j in range(to.shape[0]):
+        to[j] += (a * x[j] + b * y[j]) + (c * z[j] + d * w[j])
 
 
 # What is done to all lanes, the last arrays being written. Were the number of lanes known to the compiler, it would

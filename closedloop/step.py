@@ -16,7 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from closedloop.compiled import entry_kernel, kernel, kernel_inlined
-from closedloop.condition import LANES, conditions, leave
+from closedloop.condition import LANES, LONG, condition_of_long, conditions, leave
 from closedloop.contact import (
     FREE,
     PRESSED,
@@ -370,7 +370,8 @@ def record_conditions(pending: Array, rows: Array, state: Whole, done: int, n: i
     """
     count = state[PENDING]
     state[PENDING] = 0
-    conditions(pending, n, count)
+    if count > 0:
+        conditions(pending, n, count)
     at = 5 * n + 9 + KKT_CONDITION
     for r in range(count):
         rows[done - count + r, at] = pending[pending.shape[0] - 1, r]
@@ -418,10 +419,13 @@ def record(H: Array, C: Array, w: Work, k: Array, state: Whole, table: Array, ro
     row[at + 4] = mode
     row[at + 5] = motion
     row[at + 6] = closed
-    leave(H, w.A[0], w.L, w.X[0], w.S[0, 0], mode != FREE, w.pending, lane)
-    state[PENDING] = lane + 1
-    if lane + 1 >= LANES:
-        record_conditions(w.pending, rows, state, place + 1, n)
+    if n > LONG:
+        row[at + 7] = condition_of_long(H, w.A[0], w.L, w.X[0], w.S[0, 0], mode != FREE, w.scratch)
+    else:
+        leave(H, w.A[0], w.L, w.X[0], w.S[0, 0], mode != FREE, w.pending, lane)
+        state[PENDING] = lane + 1
+        if lane + 1 >= LANES:
+            record_conditions(w.pending, rows, state, place + 1, n)
     row[at + 8] = w.S[0, 0] / trace if trace > 0.0 else 0.0
     row[at + 9] = kinetic_energy(H, w.v)
     if more is None:

@@ -7,7 +7,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 import closedloop as cl
-from closedloop.condition import LANES, conditions, leave, pending_rows
+from closedloop.condition import LANES, condition_of_long, conditions, leave, pending_rows
 from closedloop.contact import accelerate, factorise, pressed_force, residuals, stuck_force, unloaded
 from closedloop.solve import (
     NOT_POSITIVE_DEFINITE,
@@ -64,6 +64,11 @@ class Solved:
             leave(self.H, self.A[0], self.L, self.X[0], self.S[0, 0], pressed, pending, lane)
         conditions(pending, n, LANES)
         self.condition_free = pending[-1, 0]
+        work = np.full(n * n + 4 * n, np.nan)
+        self.long = [
+            condition_of_long(self.H, self.A[0], self.L, self.X[0], self.S[0, 0], pressed, work)
+            for pressed in (False, True)
+        ]
         return pending[-1, -1]
 
 
@@ -287,6 +292,7 @@ def test_reported_condition_is_the_condition(problem):
     theirs = np.linalg.cond(matrix, 1)
     done = Solved(H, tau, C, A, b)
     assert done.condition() == pytest.approx(theirs, rel=1e-6 + 100 * EPS * theirs * np.linalg.cond(H))
+    assert done.long == pytest.approx([done.condition_free, done.condition()], rel=1e-6 + 100 * EPS * theirs**2)
     assert done.condition_free == pytest.approx(np.linalg.cond(H, 1), rel=1e-6 + 100 * EPS * np.linalg.cond(H))
 
 

@@ -19,6 +19,7 @@ from closedloop.compiled import entry_kernel, kernel, kernel_inlined
 from closedloop.condition import LANES, LONG, condition_of_long, conditions, leave
 from closedloop.contact import (
     FREE,
+    IMMOBILE,
     PRESSED,
     STUCK,
     accelerate,
@@ -36,7 +37,7 @@ from closedloop.control.paper import paper_law
 from closedloop.control.sensor import continuous_reading, sense, sensor_rates
 from closedloop.friction.laws import holding, memory_delay, rates, sliding
 from closedloop.joint_friction import add_joint_friction, hold_joints, joint_friction_rates
-from closedloop.solve import DIVERGED, OK, SINGULAR
+from closedloop.solve import DIVERGED, OK, PAINLEVE, SINGULAR
 from closedloop.workspace import (
     DELAYED,
     FRAME,
@@ -73,6 +74,7 @@ from closedloop.workspace import (
     SMOOTH,
     SPRING_STICK,
     STARTED,
+    STEPS,
     STICKING,
     TIME,
     UNILATERAL,
@@ -238,14 +240,24 @@ def contact_force(C: Array, w: Work, k: Array, state: Whole) -> int:
     if state[MODE] == PRESSED or (state[MODE] == STUCK and state[STICKING] == SPRING_STICK):
         b = baumgarte_acceleration(k[S_V], k[S_P], w.now[RATE], w.now[GAP])
         status, share = pressed_force(w.S, w.a, b, w.c, w.w, w.F)
+        rubbed = w.c[0] != 0.0 or w.c[1] != 0.0
+        if state[UNILATERAL] == 0 and rubbed and (status == PAINLEVE or (status == OK and w.F[0] < 0.0)):
+            # A closure that pulls presses as hard from the other side. If it does, that it cannot push is no paradox.
+            w.c[0], w.c[1] = -w.c[0], -w.c[1]
+            wedged = status == PAINLEVE
+            status, share = pressed_force(w.S, w.a, b, w.c, w.w, w.F)
+            if status == OK and wedged and not w.F[0] < 0.0:
+                status = PAINLEVE
         if status != OK:
             return status
-        if state[UNILATERAL] == 0 and w.F[0] < 0.0 and (w.c[0] != 0.0 or w.c[1] != 0.0):
-            # A closure that pulls presses as hard from the other side.
-            w.c[0], w.c[1] = -w.c[0], -w.c[1]
-            status, share = pressed_force(w.S, w.a, b, w.c, w.w, w.F)
-            if status != OK:
-                return status
+        sticking = state[STICKING]
+        if state[MODE] == PRESSED and state[STEPS] > 0 and sticking in (RIGID_STICK, SPRING_STICK):
+            for _ in range(2):  # f and the direction of slip depend on each other
+                if not turn_with_slip(w, k[H_STEP]):
+                    break
+                status, share = pressed_force(w.S, w.a, b, w.c, w.w, w.F)
+                if status != OK:
+                    return status
         rigid = w.F[0] - share
         if state[UNILATERAL] != 0 and w.F[0] < 0.0 <= rigid:
             # The surface may push less to let the stabiliser have its way, down to nothing, but it cannot pull.
@@ -263,6 +275,62 @@ def contact_force(C: Array, w: Work, k: Array, state: Whole) -> int:
         w.now[RIGID] = w.F[0] - w.share[0]
     accelerate(w.L, w.X, w.y, w.F, w.qdd)
     return OK
+
+
+@kernel
+def turn_with_slip(w: Work, h: float) -> bool:
+    """Turn the friction of a slow tip to where its slip points at the end of the step; return whether it was slow.
+
+    Friction turns a slip u with the rate μ|f| s/|u|, s the mobility along the surface. Where that is above 1/h, a step
+    that takes friction against the present u throws the tip from side to side, and at last no step is short enough.
+    There the direction d is that of the slip u⁺ at the end of the step,
+
+        u⁺ + h μ|f| S_t d = u + h (a_t + S_tn f − S_t w),    d = u⁺/|u⁺|
+
+    as in time stepping (J. J. Moreau, 1988): one equation for |u⁺|, by bisection. If friction is enough to stop the tip
+    within the step, d is such that the tip goes straight to rest.
+
+    Parameters
+    ----------
+    w : Work
+        In: u, direction, S, a, w, and c = ±μ u/|u| with the F of it (minus where the closure pulls). Written: c.
+    h : float
+        The step, s.
+    """
+    level, speed, f = math.hypot(w.c[0], w.c[1]), math.hypot(w.u[1], w.u[2]), w.F[0]
+    reach = h * level * abs(f)
+    if not reach * (w.S[1, 1] + w.S[2, 2]) > speed:
+        return False
+    if not w.u[1] * w.direction[0] + w.u[2] * w.direction[1] > 0.0:
+        return False  # past the end of slip
+    det = w.S[1, 1] * w.S[2, 2] - w.S[1, 2] * w.S[1, 2]
+    if not det > IMMOBILE * (w.S[1, 1] + w.S[2, 2]) ** 2:
+        return False  # a tip that moves along a line does not turn
+    a1 = w.a[1] + w.S[1, 0] * f - w.S[1, 1] * w.w[0] - w.S[1, 2] * w.w[1]
+    a2 = w.a[2] + w.S[2, 0] * f - w.S[1, 2] * w.w[0] - w.S[2, 2] * w.w[1]
+    p1, p2 = (w.S[2, 2] * w.u[1] - w.S[1, 2] * w.u[2]) / det, (w.S[1, 1] * w.u[2] - w.S[1, 2] * w.u[1]) / det
+    q1, q2 = (w.S[2, 2] * a1 - w.S[1, 2] * a2) / det, (w.S[1, 1] * a2 - w.S[1, 2] * a1) / det
+    if math.hypot(p1 / h + q1, p2 / h + q2) < level * abs(f):
+        along, square = p1 * q1 + p2 * q2, p1 * p1 + p2 * p2
+        rate = (math.sqrt(along * along + square * ((level * f) ** 2 - q1 * q1 - q2 * q2)) - along) / square
+        d1, d2 = rate * p1 + q1, rate * p2 + q2
+    else:
+        g11, g12, g22 = reach * w.S[1, 1], reach * w.S[1, 2], reach * w.S[2, 2]
+        x1, x2 = w.u[1] + h * a1, w.u[2] + h * a2
+        low, high, d1, d2 = 0.0, math.hypot(x1, x2), x1, x2
+        for _ in range(60):
+            s = 0.5 * (low + high)
+            det = (s + g11) * (s + g22) - g12 * g12
+            d1, d2 = ((s + g22) * x1 - g12 * x2) / det, ((s + g11) * x2 - g12 * x1) / det
+            low, high = (s, high) if math.hypot(d1, d2) > 1.0 else (low, s)
+            if high - low <= 1e-14 * high:
+                break
+    size = math.hypot(d1, d2)
+    if not size > 0.0:
+        return False
+    along = math.copysign(level / size, f)
+    w.c[0], w.c[1] = along * d1, along * d2
+    return True
 
 
 @kernel

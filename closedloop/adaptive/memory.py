@@ -52,6 +52,7 @@ from closedloop.workspace import (
     ROW,
     SAMPLED,
     STATUS,
+    STEPS,
     STICK_SPEED,
     STICKING,
     TIME,
@@ -90,6 +91,7 @@ class Memory:
         robot, given = problem.robot, law is not None
         self.robot, self.n, self.h = robot, robot.n, problem.h
         self.k, self.state, self.numbers = problem.constants(), problem.state(given), problem.memory(given)
+        self.state[STEPS] = -1  # it chooses its own, and they are short where slip turns fast
         self.w = problem.views(self.numbers, self.state)
         self.hold = int(self.state[HOLD])
         self.rows = np.zeros((problem.steps + 1, Row.of(robot.n).width))

@@ -1,0 +1,107 @@
+"""Slow slip in two dimensions: friction turns with the slip at any step; a closure may pull where it cannot push."""
+
+import numpy as np
+import pytest
+
+import closedloop as cl
+import robot_models
+
+PRESSED = 1
+
+
+def errors(run):
+    """Return the errors of force (N,), N, and path along the surface (N,), m."""
+    normal = np.array(run.scenario.surface.normal) / np.linalg.norm(run.scenario.surface.normal)
+    path = run.position - run.reference_tip
+    return run.contact_force - run.reference_force, np.linalg.norm(path - np.outer(path @ normal, normal), axis=1)
+
+
+def rms(values):
+    """Return the root of the mean of squares."""
+    return float(np.sqrt(np.mean(np.square(values))))
+
+
+STEPS = [
+    ("semi_implicit_euler", 1e-3),
+    pytest.param("semi_implicit_euler", 2.5e-4, marks=pytest.mark.slow),
+    pytest.param("rk4", 5e-4, marks=pytest.mark.slow),
+]
+
+
+@pytest.mark.parametrize(("scheme", "step"), STEPS)
+def test_a_creeping_tip_is_not_thrown_from_side_to_side(scheme, step):
+    """A tip that creeps to its stop along y has no friction across y, and its force stays within 0.03 N RMS."""
+    settings = {"time.integrator": scheme, "time.step": step}
+    run = cl.simulate(cl.load_scenario("wam_hybrid_friction", settings))
+    sliding = (run.mode == PRESSED) & (run.time > 1.0)
+    assert np.max(np.abs(run.friction_force[sliding, 0])) < 0.3  # of 4 N; it was 3 N
+    force, path = errors(run)
+    assert rms(force[run.time >= 1.0]) < 0.03
+    assert rms(path[run.time >= 1.0]) < 2e-5
+
+
+@pytest.mark.parametrize(("scheme", "step"), STEPS[1:])
+def test_a_wiping_arm_is_the_same_at_any_step(scheme, step):
+    """At its corners slip turns by a right angle at next to no speed: the errors do not depend on the step."""
+    settings = {"time.integrator": scheme, "time.step": step}
+    force, path = errors(cl.simulate(cl.load_scenario("panda_wipe", settings)))
+    assert rms(force) == pytest.approx(0.03, abs=0.01)
+    assert rms(path) == pytest.approx(1.23e-4, rel=0.05)
+
+
+def test_a_slow_block_turns_as_an_adaptive_scheme_says():
+    """A block that slides off along x and is pushed along y: Euler's path nears that of DOP853 with its order, one."""
+
+    def push(t, q, v, terms):
+        return terms.bias - 2.0 * terms.jacobian[2] + 0.8 * terms.jacobian[1]
+
+    base = {
+        "robot.model": "pointmass3",
+        "start": {"v": [2e-3, 1e-4, 0.0]},
+        "reference": {"kind": "hold"},
+        "law.kp": 0.0,
+        "law.kd": 0.0,
+        "friction": {"kind": "coulomb", "coefficient": 0.3},
+        "stabiliser": {"kind": "projection"},
+    }
+
+    def run(**time):
+        return cl.simulate(
+            cl.load_scenario("wam_slide", base | {"time": {"duration": 0.1, "step": 1e-3} | time}), law=push
+        )
+
+    truth = run(integrator="dop853")
+    far = [np.max(np.abs(run(step=h).position[:: round(1e-3 / h)] - truth.position)) for h in (1e-3, 5e-4, 2.5e-4)]
+    assert far[0] < 2e-5
+    assert far[0] / far[2] == pytest.approx(4.0, rel=0.3)
+
+
+def test_a_closure_pulls_where_it_cannot_push():
+    """With μ above S_nn/|S_nt| one direction of slip wedges a tip that pushes, the other one that pulls; no more."""
+    robot = cl.Robot(robot_models.load("planar2"), "tip")
+    q = np.array([0.3, -0.4])
+    terms = robot.terms(q, np.zeros(2))
+    S = terms.jacobian @ np.linalg.solve(terms.mass_matrix, terms.jacobian.T)
+    mu, wedging = 1.5 * S[2, 2] / abs(S[2, 0]), np.sign(S[2, 0])
+    for force, direction in ((10.0, 1.0), (10.0, -1.0), (-10.0, 1.0), (-10.0, -1.0)):
+        v = np.linalg.lstsq(terms.jacobian[[0, 2]], [0.05 * direction * wedging, 0.0], rcond=None)[0]
+        scenario = cl.load_scenario(
+            "planar2_slide",
+            {
+                "start.q": q.tolist(),
+                "start.v": v.tolist(),
+                "friction": {"kind": "coulomb", "coefficient": float(mu)},
+                "reference": {"kind": "hold"},
+                "law.force": force,
+                "law.kp": 0.0,
+                "law.kd": 0.0,
+                "time.duration": 0.005,
+            },
+        )
+        if force * direction > 0.0:
+            with pytest.raises(cl.PainleveError):
+                cl.simulate(scenario)
+        else:
+            run = cl.simulate(scenario)
+            assert run.contact_force[0] * force > 0.0
+            assert run.residual_motion.max() < 1e-12

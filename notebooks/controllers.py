@@ -77,7 +77,7 @@ for name, run in runs.items():
     below.plot(run.time, off_path(run), linewidth=1.1)
 above.axhline(10.0, color="black", linewidth=0.8, linestyle=":")
 above.set_ylabel("contact force f [N]")
-above.legend(ncols=2, loc="lower right")
+above.legend(ncols=2, loc="lower center")
 below.set_ylabel("distance from the path [mm]")
 below.set_xlabel("time [s]")
 plt.show()
@@ -91,9 +91,6 @@ plt.show()
 # - **impedance + observer**: the observer sees that the joints do not move as their torques say, and adds what is
 #   missing. Force and path are right, and it was told nothing of the friction. What remains are the instants at which
 #   the tip breaks away and comes to rest.
-#
-# The fringes of the force where a tip creeps, in the first and the last moments of a slide, are the simulator's: there
-# slip turns faster than a step can follow, and friction is thrown from side to side.
 #
 # ## Why friction along the surface disturbs the force across it
 #
@@ -155,5 +152,5 @@ plt.show()
 #   *smooth* surface worse: it pushes against friction that is not there.
 # - **An observer** leaves hundredths of a millimetre and **an adaptation** a tenth, and neither is told anything.
 # - **Where friction jumps** between rest and motion (stribeck), a peak of the force is left at break-away.
-# - **Coulomb's column should be Dahl's**, whose bristles bend by a fortieth of a millimetre and are Coulomb friction
-#   otherwise. In the path error it is. In force and settling the fringes stand between them: there take Dahl's figures.
+# - **Coulomb's column is Dahl's**, whose bristles bend by a fortieth of a millimetre and are Coulomb friction
+#   otherwise: two laws that share nothing inside the simulator, one with sticking as a constraint and one without.

@@ -2,9 +2,8 @@
 
 The task is wam_slide's, with the motion from rest to rest: press with 10 N and slide 108 mm in six seconds. Rows are
 controllers with what they know of friction, columns are laws of friction of about the same level (kinetic 0.25, static
-0.35). The law and an ideal force sensor work at 1 kHz. The step is a quarter of that: a tip that creeps below a few
-tenths of a millimetre per second turns faster than a step of 1 ms can follow, and its friction then chatters. Measured
-from `SETTLED_FROM` on, when the tip has broken away and the force has settled:
+0.35). The law and an ideal force sensor work at 1 kHz, the arm moves in steps of a quarter of that. Measured from
+`SETTLED_FROM` on, when the tip has broken away and the force has settled:
 
     force RMS, peak   of f − f_des, N
     path RMS          of the tip's distance from its path along the surface, mm

@@ -36,12 +36,12 @@ def test_force_and_path_are_kept_on_an_unknown_surface(shipped_run):
     assert rms(paper_path[window]) > 10 * rms(path[window])
 
 
-def test_the_slide_between_stick_and_stick_is_quiet(shipped_run):
+def test_the_slide_is_quiet(shipped_run):
     """Between 2 s and 6 s, while the tip slides, the force is within a millinewton RMS."""
     run = shipped_run("wam_hybrid_friction")
     force, _ = errors(run)
     assert rms(force[(run.time >= 2.0) & (run.time <= 6.0)]) < 1e-3
-    assert [event.kind for event in run.events] == ["slip", "stick"]
+    assert [event.kind for event in run.events] == ["slip"]  # at its goal it creeps: the observer takes friction away
 
 
 @pytest.mark.slow
@@ -80,13 +80,14 @@ def test_a_soft_law_sticks_and_slips_by_turns(shipped_run):
 
 
 def test_a_wiping_arm_keeps_its_raster(shipped_run):
-    """Within 0.5 mm of the raster, within 0.1 N for nine tenths of the time, and 0.1 N RMS once the tip has set off."""
+    """Within 0.5 mm of the raster, within 0.1 N for nine tenths of the time, and 0.04 N RMS."""
     run = shipped_run("panda_wipe")
     force, path = errors(run)
     assert run.time[-1] == pytest.approx(13.0)
     assert path.max() < 5e-4
     assert np.mean(np.abs(force) < 0.1) > 0.9
-    assert rms(force[run.time >= SETTLED]) < 0.1
+    assert rms(force) < 0.04
+    assert np.max(np.abs(force)) < 0.5
 
 
 def test_an_observer_compensates_friction_in_joints(shipped_run):

@@ -86,7 +86,10 @@ def random_states() -> Callable[..., list[State]]:
 
 @pytest.fixture
 def command_line(capsys, monkeypatch, tmp_path) -> Callable[..., Outcome]:
-    """Return a function that runs the command line here, in an empty folder of its own."""
+    """Return a function that runs the command line here, in an empty folder of its own.
+
+    That it compiles is left out of what it says: the first test to ask for a form of the step hears it.
+    """
     monkeypatch.chdir(tmp_path)
     monkeypatch.setattr(sys, "path", list(sys.path))
     known = set(sys.modules)
@@ -98,7 +101,8 @@ def command_line(capsys, monkeypatch, tmp_path) -> Callable[..., Outcome]:
         except SystemExit as leaving:  # argparse leaves this way after --help
             status = int(leaving.code or 0)
         captured = capsys.readouterr()
-        return Outcome(status, captured.out, captured.err)
+        said = "".join(line for line in captured.err.splitlines(True) if not line.startswith("compiling the step"))
+        return Outcome(status, captured.out, said)
 
     yield call
     for name in set(sys.modules) - known:

@@ -210,6 +210,7 @@ def test_law_of_ones_own_is_the_built_in_one_written_anew():
     assert written.contact_force == pytest.approx(built_in.contact_force, abs=1e-8)
 
 
+@pytest.mark.slow
 def test_friction_stops_a_block_where_coulomb_says():
     """A block at 0.5 m/s under 4 N of friction 0.3 stops after v/(μ f/m) and stays there."""
     run = cl.simulate(

@@ -68,7 +68,14 @@ def one_by_one(scenario, values):
     return run.summary(), len(run)
 
 
-@pytest.mark.parametrize("case", range(len(MIXTURE)), ids=[f"{k}-{name}" for k, (name, *_) in enumerate(MIXTURE)])
+# The larger form of the loop, with friction, takes its time to compile.
+CASES = [
+    pytest.param(k, id=f"{k}-{name}", marks=[pytest.mark.slow] if "friction" in name else [])
+    for k, (name, *_) in enumerate(MIXTURE)
+]
+
+
+@pytest.mark.parametrize("case", CASES)
 def test_random_runs_have_the_figures_of_simulate(case):
     """Every figure of every row is that of `simulate` on its own: laws, friction, impacts, sensors, integrators."""
     name, fixed, ranges = MIXTURE[case]

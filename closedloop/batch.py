@@ -19,8 +19,9 @@ from typing import TYPE_CHECKING, Any
 
 from closedloop.bench import Bench, Outcome, refused
 from closedloop.errors import ScenarioError
+from closedloop.forms import COMPILED
 from closedloop.scenario import Scenario
-from closedloop.simulation import COMPILED, check_engine
+from closedloop.simulation import check_engine
 from closedloop.table import kept_columns, key_type, schema, table_of
 from closedloop.variants import Variants
 from robot_models import RobotModel

@@ -16,13 +16,14 @@ from numpy.typing import NDArray
 
 from closedloop.compiled_engine import compiled_tree, compiled_work
 from closedloop.errors import ClosedLoopError, SingularClosureError
+from closedloop.forms import COMPILED
 from closedloop.pieces import Pieces
 from closedloop.problem import Problem, prepare
 from closedloop.report.assumptions import NAMES
 from closedloop.report.measured import FAILED_AT, WIDTH, measure_rows
 from closedloop.robot import Robot
 from closedloop.scenario import Scenario
-from closedloop.simulation import COMPILED, recorded, run_loop
+from closedloop.simulation import recorded, run_loop
 from closedloop.step import Row
 from closedloop.tree import Tree
 from robot_models import RobotModel

@@ -26,10 +26,11 @@ from closedloop.nested import NestedFunction
 
 numba_settings: Any = _config  # its attributes are made at run time, which type checkers cannot see
 
+_typeof: Any = numba.typeof
 _njit: Any = numba.njit  # its annotations do not know all that it takes
 
 # What tells a file whose text the compiled code depends on.
-MARKS = (b"\n@kernel", b"\n@inlined_kernel", b"\n@entry_kernel", b"@lower_builtin")
+MARKS = (b"\n@kernel", b"\n@inlined_kernel", b"\n@entry_kernel", b"\n@brief_entry", b"@lower_builtin")
 
 F = TypeVar("F", bound=Callable[..., Any])
 
@@ -63,16 +64,37 @@ def kernel_inlined(function: F) -> F:
     return _nested(function, {"error_model": "numpy", "_nrt": False, "forceinline": True})
 
 
-def entry_kernel(function: F) -> F:
-    """Compile `function` on first use and cache it on disk, keyed by the text of every kernel of the package."""
+def entry_kernel(function: F, *, nogil: bool = True) -> F:
+    """Compile `function` on first use and cache it on disk, keyed by the text of every kernel of the package.
+
+    It lets other threads of Python run unless `nogil` is false: that takes 30 ns.
+    """
     before = numba_settings.CACHE_DIR
     numba_settings.CACHE_DIR = str(cache_folder())
     try:
-        return cast(F, _njit(error_model="numpy", cache=True, nogil=True, _nrt=False)(function))
+        return cast(F, _njit(error_model="numpy", cache=True, nogil=nogil, _nrt=False)(function))
     except RuntimeError:  # numba found no folder that it may write: compile in every process
         return cast(F, _njit(error_model="numpy", _nrt=False)(function))
     finally:
         numba_settings.CACHE_DIR = before
+
+
+def brief_entry(function: F) -> F:
+    """Do as `entry_kernel`, for what is done before another thread could begin."""
+    return entry_kernel(function, nogil=False)
+
+
+def direct(function: F, *arguments: Any) -> F:
+    """Return what `function` calls for arguments like these, itself: numba's choice among forms takes 70 ns each time.
+
+    Compiles or loads it if that has not been done. It no longer checks what it is given.
+    """
+    if not hasattr(function, "get_overload"):
+        return function  # as with NUMBA_DISABLE_JIT=1
+    kinds = tuple(_typeof(x) for x in arguments)
+    dispatcher = cast(Any, function)
+    dispatcher.compile(kinds)
+    return cast(F, dispatcher.get_overload(kinds))
 
 
 def plain(function: F) -> F:

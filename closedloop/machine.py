@@ -28,7 +28,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from closedloop.addresses import address_of, fortran_at, matrix_at, vector_at, whole_at
-from closedloop.compiled import entry_kernel, inlined_kernel, kernel, kernel_inlined
+from closedloop.compiled import brief_entry, entry_kernel, inlined_kernel, kernel, kernel_inlined
 from closedloop.contact import FREE, PRESSED, STUCK, factorise, pressed_force, strike, stuck_force
 from closedloop.control.laws import restart
 from closedloop.events import EVENT_WIDTH, IMPACT, LIFTOFF, REVERSAL, SLIP_AGAIN, STICK, TOUCHDOWN, write_event
@@ -754,9 +754,9 @@ def places_of(
 
 
 @inlined_kernel
-def _on_pinocchio(places: int, more: int | None) -> int:
+def on_pinocchio(n: int, places: int, more: int | None) -> int:
+    """Do `proceed_on_pinocchio` for n joints."""
     a = whole_at(places, PLACES)
-    n = a[SIZE_N]
     k, state = vector_at(a[AT_K], a[SIZE_K]), whole_at(a[AT_STATE], WHOLES)
     memory = vector_at(a[AT_MEMORY], a[SIZE_MEMORY])
     w = workspace(memory, n, extra_states(state, n), state[STAGES], state[SENSOR_RING])
@@ -773,7 +773,7 @@ def _on_pinocchio(places: int, more: int | None) -> int:
     )  # fmt: skip
 
 
-@entry_kernel
+@brief_entry
 def proceed_on_pinocchio(places: int) -> int:
     """Do `proceed` on what `pinocchio.crba` and `pinocchio.nonLinearEffects` left in their data.
 
@@ -782,10 +782,10 @@ def proceed_on_pinocchio(places: int) -> int:
     places : int
         Address of what `places_of` returned.
     """
-    return _on_pinocchio(places, None)
+    return on_pinocchio(whole_at(places, PLACES)[SIZE_N], places, None)
 
 
-@entry_kernel
+@brief_entry
 def proceed_with_more_on_pinocchio(places: int) -> int:
     """Do the same with everything that may come on top: other laws, friction, a force sensor."""
-    return _on_pinocchio(places, 1)
+    return on_pinocchio(whole_at(places, PLACES)[SIZE_N], places, 1)

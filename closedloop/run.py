@@ -214,8 +214,8 @@ def _make_writable(folder: Path) -> None:
 def _announce_compiling(scenario: Scenario, model: Any, engine: str) -> None:
     """Say why the first run of an installation takes longer."""
     from closedloop.compiled import needs_compiling
+    from closedloop.forms import machine
     from closedloop.problem import needs_more
-    from closedloop.simulation import machine
 
     if needs_compiling(machine(needs_more(scenario), engine)):
         print("compiling the step (once for this installation, up to a minute) ...", file=sys.stderr, flush=True)

@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from closedloop.addresses import address_of
-from closedloop.compiled import forget_old_caches, needs_compiling
+from closedloop.compiled import direct, forget_old_caches, needs_compiling
 from closedloop.control import Law
 from closedloop.errors import (
     ChatterError,
@@ -26,6 +26,7 @@ from closedloop.errors import (
     SingularClosureError,
 )
 from closedloop.events import EVENT_WIDTH, event_columns
+from closedloop.forms import COMPILED, ENGINES, PINOCCHIO, machine
 from closedloop.integrate import ADAPTIVE, INTEGRATORS
 from closedloop.machine import (
     AT_EVENTS,
@@ -37,8 +38,6 @@ from closedloop.machine import (
     TERMS_AND_LAW,
     collide,
     places_of,
-    proceed_on_pinocchio,
-    proceed_with_more_on_pinocchio,
 )
 from closedloop.problem import Problem, prepare
 from closedloop.record import Run
@@ -55,7 +54,6 @@ Array = NDArray[np.float64]
 # Steps between two calls of the progress function.
 CHUNK = 400
 # Who provides the terms.
-PINOCCHIO, COMPILED = ENGINES = ("pinocchio", "compiled")
 # What a driver may return beside what `closedloop.machine` does: a compiled law gave a torque that is not finite.
 NOT_FINITE = -1
 # Events for which there is room at first; the table grows as needed.
@@ -145,18 +143,6 @@ def check_engine(scenario: Scenario, engine: str, law: Law | None) -> None:
 
 def _silent(done: int, total: int) -> None:
     """Report nothing."""
-
-
-def machine(more: bool, engine: str, n: int = 0, ahead: int = 0) -> Callable[..., int]:
-    """Return the form of the machine that a problem needs; the smaller one compiles and runs quicker.
-
-    See `closedloop.compiled_engine.compiled_loop` for the number of joints n and the steps ahead.
-    """
-    if engine == COMPILED:
-        from closedloop.compiled_engine import compiled_loop
-
-        return compiled_loop(n, more, ahead)
-    return proceed_with_more_on_pinocchio if more else proceed_on_pinocchio
 
 
 def run_loop(
@@ -275,7 +261,7 @@ def _driver(
 
         return go_on, go_on
 
-    robot, proceed = problem.robot, machine(problem.more, engine)
+    robot, proceed = problem.robot, machine(problem.more, engine, problem.robot.n, ahead)
     k, state, memory, table, tableau, rows = arrays
     places = places_of(robot.views, k, state, memory, table, tableau, rows, np.zeros((0, EVENT_WIDTH)))
     crba, bias, convention, pinocchio, data = robot.passes
@@ -284,11 +270,11 @@ def _driver(
     def chunk(length: int) -> Callable[[Array], int]:
         def go_on(events: Array) -> int:
             places[AT_EVENTS], places[EVENT_ROOM] = address_of(events), events.shape[0]
-            request = TERMS
+            request, call = TERMS, direct(proceed, at)
             for _ in range(length):
                 crba(pinocchio, data, q, convention)  # as in `Robot.evaluator`, without a call
                 bias(pinocchio, data, q, v)
-                request = proceed(at)
+                request = call(at)
                 if request != TERMS:
                     break
             return request

@@ -20,6 +20,7 @@ from closedloop.addresses import address_of
 from closedloop.contact import FREE, PRESSED
 from closedloop.control import Law
 from closedloop.events import EVENT_WIDTH
+from closedloop.forms import PINOCCHIO, machine
 from closedloop.machine import (
     ARRIVING,
     BEGINNING,
@@ -34,7 +35,7 @@ from closedloop.machine import (
     places_of,
 )
 from closedloop.problem import Problem
-from closedloop.simulation import PINOCCHIO, ROOM_FOR_EVENTS, checked_law, machine
+from closedloop.simulation import ROOM_FOR_EVENTS, checked_law
 from closedloop.solve import OK
 from closedloop.step import Row
 from closedloop.workspace import (

@@ -25,10 +25,11 @@ from numpy.typing import NDArray
 
 from closedloop.compiled import needs_compiling
 from closedloop.errors import ClosedLoopError
+from closedloop.forms import machine
 from closedloop.progress import bar
 from closedloop.record import Run
 from closedloop.scenario import Scenario, load_scenario
-from closedloop.simulation import machine, simulate
+from closedloop.simulation import simulate
 
 Array = NDArray[np.float64]
 

@@ -11,7 +11,7 @@ import pytest
 
 import closedloop as cl
 from closedloop.compiled import cache_folder, needs_compiling
-from closedloop.compiled_engine import MOST_WRITTEN_OUT, WORTH_COMPILING, compiled_loop, run_compiled, written_out
+from closedloop.forms import ENGINES, MOST_WRITTEN_OUT, WORTH_COMPILING, machine, written_out
 from closedloop.machine import proceed_on_pinocchio
 from closedloop.problem import prepare
 from closedloop.simulation import run_loop
@@ -100,12 +100,20 @@ def test_folder_that_cannot_be_written_does_not_stop_a_run(tmp_path):
 
 
 @pytest.mark.slow
-def test_a_loop_for_one_number_of_joints_does_the_same_to_the_last_bit():
-    """Written out or not, the compiled loop does the same arithmetic in the same order."""
+@pytest.mark.parametrize("engine", ENGINES)
+def test_a_loop_for_one_number_of_joints_does_the_same_to_the_last_bit(engine):
+    """Written out or not, a loop does the same arithmetic in the same order."""
     problem = prepare(cl.load_scenario("wam_slide", {"time.duration": 1.0}))
-    general = run_loop(problem, engine="compiled")
-    own = run_loop(problem, engine="compiled", ahead=WORTH_COMPILING)
-    assert written_out(4, False).signatures
+    general = run_loop(problem, engine=engine)
+    own = run_loop(problem, engine=engine, ahead=WORTH_COMPILING)
+    assert written_out(4, False, engine).signatures
     assert np.array_equal(general[0], own[0])
-    assert compiled_loop(4, False) in (run_compiled, written_out(4, False))
-    assert compiled_loop(MOST_WRITTEN_OUT + 1, False, WORTH_COMPILING) is run_compiled
+
+
+@pytest.mark.parametrize("engine", ENGINES)
+def test_many_steps_ahead_are_worth_a_loop_of_their_own(engine):
+    """A loop for just one number of joints is taken where much is ahead, and no arm is too long for it."""
+    any_number = machine(False, engine)
+    assert machine(False, engine, 3, WORTH_COMPILING) is written_out(3, False, engine) is not any_number
+    assert machine(False, engine, MOST_WRITTEN_OUT + 1, WORTH_COMPILING) is any_number
+    assert machine(True, engine) is not any_number

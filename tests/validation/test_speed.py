@@ -61,10 +61,12 @@ def test_batch_does_the_work_of_its_runs():
 
 @pytest.mark.slow
 def test_loop_for_just_its_joints_does_the_same_work():
-    """The loop for four joints comes to the same q; it takes ten seconds to compile."""
+    """The loops for four joints come to the same q; each takes ten seconds to compile."""
     everyone, _ = line_up(["wam4"], STEPS, 2, written_out=True)
-    (special,) = [c for c in everyone if c.name == "written_out"]
-    assert np.max(np.abs(special.lap()[1] - special.wanted)) <= special.tolerance
+    special = [c for c in everyone if c.name in ("compiled_for_4", "pinocchio_for_4")]
+    assert len(special) == 2
+    for loop in special:
+        assert np.max(np.abs(loop.lap()[1] - loop.wanted)) <= loop.tolerance
 
 
 def timing(arm, name, wall, share=1.0):
@@ -88,7 +90,7 @@ def test_targets_are_judged_on_the_right_side():
     timings = {("wam4", name): timing("wam4", name, [value]) for name, value in laps.items()}
     found = [(target.measured, target.met) for target in targets(timings)]
     none = (None, None)
-    assert found == [(16.0, True), none, (4.0, False), none, none, (0.75, False), (1.5, False), none]
+    assert found == [(16.0, True), none, (4.0, False), none, none, (0.75, False), (1.5, False), none, none]
     both = [("compiled", 4.0, 10.0), ("algorithms", 8.0, 20.0)]
     chains = {
         (arm, name): timing(arm, name, [value])

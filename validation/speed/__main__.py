@@ -10,6 +10,7 @@ from importlib.util import find_spec
 from pathlib import Path
 from typing import Any
 
+from closedloop.forms import ENGINES
 from validation.run import BAD_INPUT, InputError, say
 from validation.speed.arms import ARMS, slide
 from validation.speed.contestants import Contestant
@@ -85,7 +86,7 @@ def line_up(
 ) -> tuple[list[Contestant], dict[str, str]]:
     """Return everyone who races, and why the others do not.
 
-    `written_out` compiles a loop for the number of joints of `wam4`, if that was not done before: some ten seconds.
+    `written_out` compiles loops for the number of joints of `wam4`, if that was not done before: some twenty seconds.
     """
     from validation.speed import batch, contestants
 
@@ -93,16 +94,17 @@ def line_up(
     missing = {name: INSTALL for name, found in there.items() if not found}
     everyone: list[Contestant] = [batch.arithmetic(threads) for threads in (1, 2)]
     if written_out and "wam4" in arms:  # first, so that all that follows knows it is there
-        say("compiling a loop for four joints")
-        contestants.written_out("wam4", slide("wam4", 20)).lap()
+        say("compiling loops for four joints")
+        for engine in ENGINES:
+            contestants.written_out("wam4", slide("wam4", 20), engine).lap()
     for arm in arms:
         say(f"preparing {arm}")
         problem = slide(arm, steps)
-        everyone.append(contestants.general(arm, problem))
+        everyone.append(contestants.general(arm, problem, "compiled"))
         if written_out and arm == "wam4":
-            everyone.append(contestants.written_out(arm, problem))
+            everyone += [contestants.written_out(arm, problem, engine) for engine in ENGINES]
         everyone += [
-            contestants.our_engine(arm, problem, "pinocchio"),
+            contestants.general(arm, problem, "pinocchio"),
             contestants.bare_calls(arm, problem),
             contestants.bare_algorithms(arm, problem),
             contestants.pinocchio_loop(arm, problem),

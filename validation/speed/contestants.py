@@ -16,8 +16,8 @@ import numpy as np
 import pinocchio as pin
 
 from closedloop.compiled import entry_kernel
-from closedloop.compiled_engine import WORTH_COMPILING
 from closedloop.control import paper_law
+from closedloop.forms import COMPILED, WORTH_COMPILING
 from closedloop.problem import Problem
 from closedloop.robot import Terms
 from closedloop.simulation import run_loop
@@ -78,28 +78,29 @@ def our_engine(arm: str, problem: Problem, engine: str) -> Contestant:
     return Contestant(engine, arm, problem.robot.n, problem.steps, lap, final(problem), 1e-11, what)
 
 
-def general(arm: str, problem: Problem) -> Contestant:
-    """Return the compiled engine's loop for any number of joints, also where one for just this many is there."""
-    ours = our_engine(arm, problem, "compiled")
+def general(arm: str, problem: Problem, engine: str) -> Contestant:
+    """Return an engine's loop for any number of joints, also where one for just this many is there."""
+    ours = our_engine(arm, problem, engine)
 
     def lap() -> tuple[float | None, Array | None]:
-        with mock.patch("closedloop.compiled_engine._is_there", return_value=False):
+        with mock.patch("closedloop.forms._is_there", return_value=False):
             return ours.lap()
 
     return replace(ours, lap=lap)
 
 
-def written_out(arm: str, problem: Problem) -> Contestant:
-    """Return the compiled engine's loop for just this number of joints, which large batches compile."""
+def written_out(arm: str, problem: Problem, engine: str) -> Contestant:
+    """Return an engine's loop for just this number of joints, which large batches compile."""
     n = problem.robot.n
 
     def lap() -> tuple[float | None, Array | None]:
-        rows, _, failure, seconds = run_loop(problem, engine="compiled", ahead=WORTH_COMPILING)
+        rows, _, failure, seconds = run_loop(problem, engine=engine, ahead=WORTH_COMPILING)
         if failure is not None:
             raise failure
         return seconds, np.array(rows[-1, :n])
 
-    return Contestant("written_out", arm, n, problem.steps, lap, final(problem), 1e-11, f"compiled for {n} joints")
+    what = f"compiled for {n} joints" if engine == COMPILED else f"Pinocchio for {n} joints"
+    return Contestant(f"{engine}_for_{n}", arm, n, problem.steps, lap, final(problem), 1e-11, what)
 
 
 def own_law(arm: str, problem: Problem) -> Contestant:

@@ -1,0 +1,65 @@
+"""Which form of the loop a problem runs in: each is compiled when it is first needed, and then kept.
+
+There are two engines; each has a small form for the paper's law on a smooth surface, and one with everything that may
+come on top. All four take any number of joints. Where many steps are ahead, a loop for just one number of joints is
+compiled: its inner loops, of known length, are written out, which saves a fifth of a step and changes no bit.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from functools import cache
+
+from closedloop.compiled import brief_entry, entry_kernel, needs_compiling
+from closedloop.machine import on_pinocchio, proceed_on_pinocchio, proceed_with_more_on_pinocchio
+
+PINOCCHIO, COMPILED = ENGINES = ("pinocchio", "compiled")
+# How many steps must be ahead for a loop for just this number of joints to be worth the ten seconds that compiling it
+# takes; and the number of joints above which inner loops are no longer written out.
+WORTH_COMPILING, MOST_WRITTEN_OUT = 50_000_000, 8
+
+
+def machine(more: bool, engine: str, n: int = 0, ahead: int = 0) -> Callable[..., int]:
+    """Return the form of the machine that a problem needs.
+
+    Parameters
+    ----------
+    more : bool
+        See `closedloop.step`.
+    engine : "pinocchio" or "compiled"
+        See `closedloop.simulate`.
+    n : int
+        Number of joints; with 0 a form for any number is returned.
+    ahead : int
+        How many steps are to come, in this run and others.
+    """
+    if 0 < n <= MOST_WRITTEN_OUT and (ahead >= WORTH_COMPILING or _is_there(n, more, engine)):
+        return written_out(n, more, engine)
+    if engine == COMPILED:
+        from closedloop.compiled_engine import run_compiled, run_compiled_with_more
+
+        return run_compiled_with_more if more else run_compiled
+    return proceed_with_more_on_pinocchio if more else proceed_on_pinocchio
+
+
+@cache
+def written_out(n: int, more: bool, engine: str) -> Callable[..., int]:
+    """Return the form for n joints and no other number, compiled when first called."""
+    form = 1 if more else None
+    if engine == COMPILED:
+        from closedloop.compiled_engine import written_out_run
+
+        loop = written_out_run(n, form)
+    else:
+
+        def loop(places: int) -> int:
+            return on_pinocchio(n, places, form)
+
+    loop.__name__ = loop.__qualname__ = f"{engine}_{n}_joints" + ("_with_more" if more else "")
+    return entry_kernel(loop) if engine == COMPILED else brief_entry(loop)
+
+
+@cache
+def _is_there(n: int, more: bool, engine: str) -> bool:
+    """Whether an earlier process has compiled a loop for n joints: asked once, since it takes a look at the disk."""
+    return not needs_compiling(written_out(n, more, engine))

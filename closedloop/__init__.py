@@ -17,6 +17,7 @@ if TYPE_CHECKING:
     from closedloop.control import Law as Law
     from closedloop.errors import ChatterError as ChatterError
     from closedloop.errors import ClosedLoopError as ClosedLoopError
+    from closedloop.errors import ClusterError as ClusterError
     from closedloop.errors import DivergenceError as DivergenceError
     from closedloop.errors import ModelError as ModelError
     from closedloop.errors import OutputError as OutputError
@@ -38,10 +39,12 @@ if TYPE_CHECKING:
     from closedloop.simulation import simulate as simulate
     from closedloop.solve import solve_closure as solve_closure
     from closedloop.surface import Plane as Plane
+    from closedloop.sweep import sweep_plot as sweep_plot
 
 _HOME = {
     "ChatterError": "errors",
     "ClosedLoopError": "errors",
+    "ClusterError": "errors",
     "DivergenceError": "errors",
     "Event": "record",
     "Law": "control",
@@ -65,6 +68,7 @@ _HOME = {
     "simulate": "simulation",
     "simulate_batch": "batch",
     "solve_closure": "solve",
+    "sweep_plot": "sweep",
 }
 
 __all__ = sorted(_HOME)

@@ -17,6 +17,7 @@ if TYPE_CHECKING:
 __all__ = [
     "ChatterError",
     "ClosedLoopError",
+    "ClusterError",
     "DivergenceError",
     "ModelError",
     "OutputError",
@@ -44,6 +45,10 @@ class RunFileError(ClosedLoopError, ValueError):
 
 class OutputError(ClosedLoopError, OSError):
     """The results cannot be written where they were asked for."""
+
+
+class ClusterError(ClosedLoopError, OSError):
+    """A cluster that was at work is lost."""
 
 
 class SimulationError(ClosedLoopError):

@@ -1,9 +1,14 @@
-"""A progress bar on standard error, where that is a terminal."""
+"""How far it is, on standard error: a bar where that is a terminal."""
 
 from __future__ import annotations
 
+import sys
+import time as clock
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
+
+# Where there is no terminal, seconds between two lines.
+BETWEEN_LINES = 10.0
 
 
 @contextmanager
@@ -24,3 +29,52 @@ def bar(name: str, steps: int) -> Iterator[Callable[[int, int], None]]:
     ) as progress:
         task = progress.add_task(name, total=steps)
         yield lambda done, total: progress.update(task, completed=done)
+
+
+@contextmanager
+def count(name: str, total: int) -> Iterator[Callable[[int, int], None]]:
+    """Yield a function of (runs done, runs in all) that shows them with their rate and the time left.
+
+    Runs that were done before the first call have no part in the rate. On a terminal it is a bar, else a line every
+    `BETWEEN_LINES` seconds.
+    """
+    from rich.console import Console
+    from rich.progress import BarColumn, Progress, TextColumn
+
+    console = Console(stderr=True)
+    began: list[tuple[float, int]] = []
+    said = [clock.monotonic()]
+    with Progress(
+        TextColumn("{task.description}"),
+        BarColumn(),
+        TextColumn("{task.fields[state]}"),
+        console=console,
+        transient=True,
+        disable=not console.is_terminal,
+    ) as progress:
+        task = progress.add_task(name, total=total, state="")
+
+        def show(done: int, total: int) -> None:
+            now = clock.monotonic()
+            if not began:
+                began.append((now, done))
+            since, first = now - began[0][0], began[0][1]
+            state = progress_text(done, total, done - first, since)
+            progress.update(task, completed=done, state=state)
+            if not console.is_terminal and done < total and now - said[0] >= BETWEEN_LINES:
+                said[0] = now
+                print(f"{name}: {state}", file=sys.stderr, flush=True)
+
+        yield show
+
+
+def progress_text(done: int, total: int, lately: int, seconds: float) -> str:
+    """Return how far it is in words, of which `lately` runs were done in so many `seconds`."""
+    text = f"{done} of {total} runs"
+    if lately > 0 and seconds > 0.0:
+        rate = lately / seconds
+        left = round((total - done) / rate)
+        hours, minutes = left // 3600, left // 60 % 60
+        time = f"{hours} h {minutes:02} min" if hours else f"{minutes} min {left % 60:02} s" if minutes else f"{left} s"
+        text += f", {rate:.3g} runs/s, {time} left"
+    return text

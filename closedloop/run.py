@@ -41,7 +41,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
 
 
 def _main(arguments: list[str]) -> int:
-    overrides, rest = _split(arguments)
+    overrides, rest = split_overrides(arguments)
     options = _parser().parse_args(rest)
     if options.version:
         from closedloop.simulation import package_versions
@@ -68,7 +68,7 @@ def _main(arguments: list[str]) -> int:
     from closedloop.simulation import check_engine, simulate
 
     check_engine(scenario, options.engine, law)
-    _announce_compiling(scenario, model, options.engine)
+    announce_compiling(scenario, model, options.engine)
     failure: SimulationError | None = None
     try:
         run = simulate(scenario, law=law, model=model, progress=not options.json, engine=options.engine)
@@ -141,7 +141,7 @@ def _list() -> None:
         print(f"{name:{width}}  {load_scenario(name).description}")
 
 
-def _split(arguments: list[str]) -> tuple[dict[str, Any], list[str]]:
+def split_overrides(arguments: list[str]) -> tuple[dict[str, Any], list[str]]:
     """Take --SECTION.KEY VALUE and --SECTION.KEY=VALUE out of the arguments; return them as overrides, and the rest."""
     overrides: dict[str, Any] = {}
     rest: list[str] = []
@@ -155,11 +155,11 @@ def _split(arguments: list[str]) -> tuple[dict[str, Any], list[str]]:
             value = next(words, "--")
             if value.startswith("--"):
                 raise ScenarioError(f"command line: {word} needs a value, such as --law.force 15")
-        overrides[key] = _toml_value(value)
+        overrides[key] = toml_value(value)
     return overrides, rest
 
 
-def _toml_value(text: str) -> Any:
+def toml_value(text: str) -> Any:
     """Read a value as TOML would; what is not TOML is text, so that --robot.model panda needs no quotes."""
     try:
         document = tomllib.loads(f"value = {text}")
@@ -211,7 +211,7 @@ def _make_writable(folder: Path) -> None:
         raise OutputError(f"--out {str(folder)!r}: cannot be written: {reason}; name another folder") from None
 
 
-def _announce_compiling(scenario: Scenario, model: Any, engine: str) -> None:
+def announce_compiling(scenario: Scenario, model: Any, engine: str) -> None:
     """Say why the first run of an installation takes longer."""
     from closedloop.compiled import needs_compiling
     from closedloop.forms import machine

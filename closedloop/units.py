@@ -1,4 +1,4 @@
-"""The unit and the meaning of a scenario's key, from its description, for labels and tables."""
+"""The unit, the meaning and the type of a scenario's key, for labels and tables."""
 
 from __future__ import annotations
 
@@ -37,3 +37,12 @@ def key_unit(key: str) -> str:
     """Return the unit of a dotted key, "" if it has none or if its kinds differ."""
     found = {match.group(1) for match in _UNIT.finditer(key_description(key).replace(" | ", ", "))}
     return found.pop() if len(found) == 1 else ""
+
+
+def takes_whole_numbers(key: str) -> bool:
+    """Return whether a dotted key takes whole numbers only."""
+    from closedloop.explain import variants
+
+    section, _, name = key.partition(".")
+    fields = [variant.model_fields.get(name) for variant in variants(section).values()]
+    return any(field is not None and field.annotation is int for field in fields)

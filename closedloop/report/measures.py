@@ -36,7 +36,7 @@ MEASURES: dict[str, Measure] = {
     "energy_lost_to_friction": Measure("J", "energy that friction took, at the tip and in the joints"),
     "energy_lost_in_impacts": Measure("J", "energy that impacts took"),
     "largest_rate_cut": Measure("m s-1", "fastest bounce that was cut to rest"),
-    "rms_force_error": Measure("N", "contact force less the desired one, RMS while in contact"),
-    "force_settled_at": Measure("s", "instant from which the contact force stays within 2 % of the desired one"),
-    "rms_path_error": Measure("m", "distance of the tip from the desired path along the surface, RMS"),
+    "rms_force_error": Measure("N", "RMS error of the contact force, while in contact"),
+    "force_settled_at": Measure("s", "instant from which the contact force stays within 2 % of that desired"),
+    "rms_path_error": Measure("m", "RMS distance of the tip from its path, along the surface"),
 }

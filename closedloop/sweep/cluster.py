@@ -1,0 +1,107 @@
+"""The parts of a sweep on a Dask cluster: its scheduler sends them to workers, and again where a worker is lost.
+
+A worker needs this package and, for a robot that is a file, that file at the same path. It is sent plain text and sends
+rows back; it writes nothing. Parts are handed over as earlier ones come back, so that a long sweep takes no more memory
+than a short one, here and there.
+"""
+
+from __future__ import annotations
+
+import logging
+from collections.abc import Callable, Iterator, Sequence
+from importlib import import_module
+from typing import TYPE_CHECKING, Any
+
+from closedloop.errors import ClusterError, OutputError, ScenarioError
+from closedloop.sweep.part import run_part_anywhere
+from closedloop.sweep.store import Store
+
+if TYPE_CHECKING:
+    from closedloop.sweep.run import Sweep
+
+# A scheduler that is there answers at once, s.
+PATIENCE = 5.0
+# Parts under way for each thread of the cluster: one at work and one waiting.
+AHEAD = 2
+
+
+def run_on_cluster(
+    sweep: Sweep, store: Store, missing: Sequence[int], address: str, finished: Callable[[int], None],
+    report: Callable[[], None],
+) -> None:  # fmt: skip
+    """Run the missing parts of a sweep and write them.
+
+    Parameters
+    ----------
+    sweep : Sweep
+    store : Store
+    missing : sequence of int
+        Numbers of the parts to run.
+    address : str
+        Of the scheduler.
+    finished : callable
+        Gets how many runs have come back.
+    report : callable
+        Shows how far it is.
+
+    Raises
+    ------
+    ScenarioError
+        If Dask is not installed, or there is no scheduler at this address.
+    ClusterError
+        If the cluster is lost on the way, or a part killed too many workers; what was written stays.
+    """
+    try:
+        distributed: Any = import_module("distributed")
+    except ImportError:
+        raise ScenarioError('--scheduler: needs Dask; pip install "closedloop[cluster]"') from None
+    client = _client(distributed, address)
+    job, parts, numbers = sweep.job, iter(missing), dict[str, int]()
+    try:
+        threads = sum(client.nthreads().values())
+
+        def submit(count: int) -> Iterator[Any]:
+            for _, part in zip(range(count), parts, strict=False):
+                runs = sweep.runs_of(part)
+                points = sweep.design[runs.start : runs.stop]
+                future = client.submit(run_part_anywhere, job, runs.start, points, pure=False)
+                numbers[future.key] = part
+                yield future
+
+        under_way = distributed.as_completed(list(submit(AHEAD * threads)))
+        for future in under_way:
+            part = numbers.pop(future.key)
+            store.write(part, *future.result())
+            finished(len(sweep.runs_of(part)))
+            future.release()
+            report()
+            under_way.update(list(submit(1)))
+    except OutputError:
+        raise
+    except distributed.KilledWorker as error:
+        raise ClusterError(f"--scheduler {address}: {error}; what was done is kept: the same command goes on") from None
+    except (OSError, distributed.CancelledError, distributed.TimeoutError) as error:
+        raise ClusterError(
+            f"--scheduler {address}: the cluster was lost ({type(error).__name__}); what was done is kept: the same "
+            "command goes on with it"
+        ) from None
+    finally:
+        client.close(timeout=PATIENCE)
+
+
+def _client(distributed: Any, address: str) -> Any:
+    for name in ("distributed.core", "distributed.client", "distributed.comm", "tornado.application"):
+        logging.getLogger(name).setLevel(logging.CRITICAL)  # what goes wrong is said in one line
+    try:
+        client = distributed.Client(address, timeout=PATIENCE, set_as_default=False)
+    except (OSError, ValueError, distributed.TimeoutError) as error:
+        reason = str(error).splitlines()[0] if isinstance(error, ValueError) else f"no answer within {PATIENCE:g} s"
+        raise ScenarioError(
+            f"--scheduler {address}: {reason}; must be the address of a Dask scheduler, such as tcp://127.0.0.1:8786"
+        ) from None
+    try:
+        client.wait_for_workers(1, timeout=PATIENCE)
+    except (OSError, distributed.TimeoutError):
+        client.close(timeout=PATIENCE)
+        raise ScenarioError(f"--scheduler {address}: has no workers; start some: dask worker {address}") from None
+    return client

@@ -1,0 +1,100 @@
+"""A part of a sweep: some runs one after the other, as rows of the table and, if asked for, whole columns."""
+
+from __future__ import annotations
+
+import threading
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from functools import lru_cache
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from closedloop.batch import run_variant
+from closedloop.bench import Bench, Outcome
+from closedloop.scenario import parse_scenario
+from closedloop.table import schema, table_of
+from closedloop.variants import Variants
+
+if TYPE_CHECKING:
+    import pyarrow as pa
+
+Array = NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class Job:
+    """What runs of a sweep have in common, as plain text, so that it can be sent anywhere.
+
+    Attributes
+    ----------
+    scenario : str
+        TOML of the scenario.
+    keys : tuple of str
+        The keys that change.
+    kinds : tuple of str
+        Types of their columns in the table, in Arrow's words.
+    engine : str
+        See `closedloop.simulate`.
+    keep : tuple of str
+        Columns to keep whole.
+    """
+
+    scenario: str
+    keys: tuple[str, ...]
+    kinds: tuple[str, ...]
+    engine: str
+    keep: tuple[str, ...]
+
+
+@lru_cache(maxsize=4)
+def _variants(job: Job) -> Variants:
+    return Variants(parse_scenario(job.scenario), job.keys)
+
+
+def columns_of(job: Job) -> pa.Schema:
+    """Return the columns of the table."""
+    import pyarrow as pa
+
+    return schema({key: pa.type_for_alias(kind) for key, kind in zip(job.keys, job.kinds, strict=True)})
+
+
+def run_part(
+    job: Job, first: int, points: Sequence[Sequence[Any]], bench: Bench, ran: Callable[[], None] = lambda: None
+) -> tuple[pa.Table, dict[str, Array]]:
+    """Run the runs from number `first` on, with these values of the keys.
+
+    Returns
+    -------
+    table : pyarrow.Table
+        A row for each run.
+    columns : dict of str to (runs, rows) or (runs, rows, k) array
+        The columns kept; after a run's last row NaN.
+    """
+    outcomes = []
+    for values in points:
+        outcomes.append(run_variant(bench, _variants(job), values, job.engine))
+        ran()
+    return table_of(columns_of(job), first, points, outcomes), {name: _stacked(outcomes, name) for name in job.keep}
+
+
+def _stacked(outcomes: Sequence[Outcome], name: str) -> Array:
+    parts = [outcome.columns.get(name) for outcome in outcomes]
+    rows = max((len(part) for part in parts if part is not None), default=0)
+    wide = next((part.shape[1:] for part in parts if part is not None), ())
+    whole = np.full((len(parts), rows, *wide), np.nan)
+    for place, part in zip(whole, parts, strict=True):
+        if part is not None:
+            place[: len(part)] = part
+    return whole
+
+
+_here = threading.local()
+
+
+def run_part_anywhere(job: Job, first: int, points: Sequence[Sequence[Any]]) -> tuple[pa.Table, dict[str, Array]]:
+    """Do `run_part` on a bench that this thread keeps from part to part: what a worker of a cluster is sent."""
+    if getattr(_here, "job", None) != job:
+        _here.job, _here.bench = job, Bench(job.engine, job.keep)
+    return run_part(job, first, points, _here.bench)

@@ -1,0 +1,335 @@
+"""Sweeps: axes and designs, the table and where it came from, and that nothing is lost, doubled or overwritten."""
+
+import json
+import re
+from pathlib import Path
+
+import h5netcdf
+import numpy as np
+import pyarrow as pa
+import pytest
+from pyarrow import parquet
+from sweeps import SMALL, refusal, sweep
+
+import closedloop as cl
+from closedloop.sweep import Design, Sweep, parse_axis, run_sweep
+from closedloop.sweep import store as store_module
+from closedloop.sweep.design import BLOCK
+
+
+def values_of(text, drawn=False):
+    """Return all values of an axis in a grid."""
+    axis = parse_axis(text, drawn)
+    return [axis.at(i) for i in range(len(axis))]
+
+
+def small(keep=(), runs=6):
+    """Return a sweep of runs of ten steps."""
+    scenario = cl.load_scenario("wam_slide", {"time.duration": 0.01})
+    return Sweep.of(scenario, Design([parse_axis(f"law.force=5:15:{runs}")]), keep)
+
+
+def same_columns(a, b):
+    """Return whether two NetCDF files have the same variables, to the bit (the files have times of writing in them)."""
+    with h5netcdf.File(a) as first, h5netcdf.File(b) as second:
+        return set(first.variables) == set(second.variables) and all(
+            np.array_equal(first.variables[name][...], second.variables[name][...], equal_nan=True)
+            for name in first.variables
+        )
+
+
+def test_axes_are_what_they_say():
+    """Ends are exact, a logarithmic range has a constant ratio, a list is of numbers, words or lists."""
+    np.testing.assert_allclose(values_of("law.force=5:15:11"), np.arange(5.0, 16.0), rtol=1e-15)
+    values = values_of("stabiliser.time_constant=log:1e-4:1e-2:5")
+    assert (values[0], values[-1]) == (1e-4, 1e-2)
+    np.testing.assert_allclose(np.diff(np.log(values)), np.log(100) / 4, rtol=1e-12)
+    assert values_of("law.force=15:5:3") == [15.0, 10.0, 5.0]
+    assert values_of("law.force=5,10") == [5.0, 10.0]
+    assert values_of("time.integrator=rk4, explicit_euler") == ["rk4", "explicit_euler"]
+    assert values_of("robot.drive_inertia=true,false") == [True, False]
+    assert values_of("law.kp=[1, 2, 3, 4],5") == [[1, 2, 3, 4], 5]
+    assert values_of('stabiliser.time_constant="auto",0.001') == ["auto", 0.001]
+    assert values_of("sensor.seed=0:4:5") == [0, 1, 2, 3, 4]
+    assert all(isinstance(seed, int) for seed in values_of("sensor.seed=0:4:5"))
+
+
+@pytest.mark.parametrize(
+    ("text", "said"),
+    [
+        ("law.force", "must be KEY=VALUES with a key such as law.force"),
+        ("force=1,2", "must be KEY=VALUES with a key such as law.force"),
+        ("law.force=", "has no values; they are 5:15:11"),
+        ("law.force=,", "has no values"),
+        ("law.force=5:15:0", "0 values: must be a whole number from 2 on"),
+        ("law.force=5:15:2.5", "2.5 values: must be a whole number from 2 on"),
+        ("law.force=5:5:3", "is empty: it ends where it begins; a single value is written law.force=5"),
+        ("law.force=5:15", "how many values? such as 5:15:11"),
+        ("law.force=5:15:3:4", "a range has two ends and how many values it has"),
+        ("law.force=5:inf:3", "both ends must be finite"),
+        ("law.force=log:0:1:3", "both ends of a logarithmic range must be above 0"),
+        ("law.force=log:a:1:3", "not a range of numbers"),
+        ("law.force=a:b:c", "not a range of numbers"),
+        ("law.force=5,5.0", "the same value twice"),
+        ("sensor.seed=0:1:5", "sensor.seed takes whole numbers only; name them"),
+    ],
+)
+def test_axes_at_fault(text, said):
+    """Each is refused with the word that is wrong and what would be right."""
+    with pytest.raises(cl.ScenarioError, match=re.escape(said)) as refused:
+        parse_axis(text)
+    assert str(refused.value).startswith(f"--over {text}: ")
+
+
+def test_grid_has_every_pair_once_the_last_axis_fastest():
+    """Every value goes with every other, once."""
+    design = Design([parse_axis("law.force=1,2,3"), parse_axis("law.kp=4,5")])
+    assert list(design) == [(f, k) for f in (1.0, 2.0, 3.0) for k in (4.0, 5.0)]
+    assert design[2:4] == [(2.0, 4.0), (2.0, 5.0)]
+
+
+def test_random_draws_depend_on_seed_and_number_alone():
+    """Run i is the same whoever asks for it and in whatever order, and another with another seed; all are in range."""
+    axes = [parse_axis("law.force=5:15", drawn=True), parse_axis("stabiliser.time_constant=log:1e-4:1e-2", drawn=True)]
+    design, again = Design(axes, "random", 3000, 7), Design(axes, "random", 3000, 7)
+    backwards = [again[i] for i in reversed(range(3000))][::-1]
+    assert list(design) == backwards
+    assert Design(axes, "random", 3000, 8)[0] != design[0]
+    values = np.array(list(design))
+    assert len(set(map(tuple, values))) == 3000 > 2 * BLOCK
+    assert np.all((values[:, 0] >= 5.0) & (values[:, 0] < 15.0))
+    # Even in its logarithm: half are below the geometric mean; 3000 draws miss that by 1 % (one standard deviation).
+    assert np.mean(values[:, 1] < 1e-3) == pytest.approx(0.5, abs=0.05)
+
+
+def test_latin_hypercube_has_one_run_in_each_interval():
+    """Each axis, cut into as many equal intervals as there are runs, has exactly one run in each."""
+    axes = [parse_axis("law.force=5:15", drawn=True), parse_axis("law.kp=log:1:100", drawn=True)]
+    values = np.array(list(Design(axes, "latin", 50, 3)))
+    force = np.floor((values[:, 0] - 5.0) / 10.0 * 50)
+    stiffness = np.floor(np.log(values[:, 1]) / np.log(100.0) * 50)
+    assert sorted(force) == sorted(stiffness) == list(range(50))
+
+
+def test_whole_numbers_are_drawn_whole_and_words_evenly():
+    """Both ends of a range of whole numbers are drawn, and every word of a list."""
+    axes = [parse_axis("sensor.seed=1:3", drawn=True), parse_axis("time.integrator=rk4,explicit_euler", drawn=True)]
+    drawn = list(Design(axes, "random", 200, 0))
+    assert {seed for seed, _ in drawn} == {1, 2, 3}
+    assert {word for _, word in drawn} == {"rk4", "explicit_euler"}
+
+
+def test_a_sweep_is_the_batch_of_its_points(capsys, tmp_path):
+    """The table has the same rows as `simulate_batch`, refused runs among them, and says what made it."""
+    status, out, err = sweep(capsys, *SMALL, "--out", tmp_path / "small.parquet")
+    assert (status, err) == (0, "")
+    assert "12 runs: 8 done, 4 refused" in out
+    table = parquet.read_table(tmp_path / "small.parquet")
+    batch = cl.simulate_batch(
+        cl.load_scenario("wam_slide", {"time.duration": 0.02}),
+        {"law.force": values_of("law.force=5:15:4"), "stabiliser.time_constant": [5e-4, 0.001, 0.01]},
+        grid=True,
+    )
+    assert table.replace_schema_metadata().equals(batch, check_metadata=True)
+    assert "Baumgarte is unstable" in table["reason"][0].as_py()
+    identity = json.loads(table.schema.metadata[b"closedloop_sweep"])["identity"]
+    assert identity["axes"]["law.force"] == "5:15:4"
+    assert identity["versions"]["closedloop"]
+    assert [path.name for path in tmp_path.iterdir()] == ["small.parquet"]
+
+
+@pytest.mark.parametrize("draw", [(), ("--random", "20", "--seed", "3"), ("--latin", "20", "--seed", "3")])
+def test_the_table_does_not_depend_on_the_workers(capsys, tmp_path, draw):
+    """One thread and three write the same file, byte by byte."""
+    arguments = ("wam_bounce", "--time.duration", "0.15", "--over", "surface.gap=0:0.01:20", "--keep", "f", *draw)
+    files = []
+    for workers in (1, 3):
+        folder = tmp_path / str(workers)
+        assert sweep(capsys, *arguments, "--workers", workers, "--out", folder / "t.parquet")[0] == 0
+        files.append((folder / "t.parquet").read_bytes())
+    assert files[0] == files[1]
+
+
+def test_whole_columns_are_those_of_the_runs(capsys, tmp_path):
+    """The NetCDF file has f, e and q of every run; what a run did not reach is NaN."""
+    out = tmp_path / "kept.parquet"
+    arguments = ("wam_slide", "--over", "time.duration=0.01,0.02,0.0005", "--over", "law.force=5,6", "--keep", "f,e,q")
+    assert sweep(capsys, *arguments, "--out", out)[0] == 0
+    run = cl.simulate(cl.load_scenario("wam_slide", {"time.duration": 0.02, "law.force": 6.0}), engine="compiled")
+    with h5netcdf.File(out.with_suffix(".nc")) as file:
+        assert file.variables["contact_force"].dimensions == ("run", "time")
+        assert file.variables["contact_force"].attrs["units"] == "N"
+        np.testing.assert_array_equal(file.variables["contact_force"][3], run.contact_force)
+        np.testing.assert_array_equal(file.variables["q"][3], run.q)
+        np.testing.assert_allclose(file.variables["time"][:], run.time, atol=1e-15)
+        short = file.variables["closure_error"][0]
+        assert np.isfinite(short[:11]).all()
+        assert np.isnan(short[11:]).all()
+        assert np.isnan(file.variables["contact_force"][4:]).all()  # refused: 0.0005 s is no whole number of steps
+
+
+class Killed(BaseException):
+    """What stands for the end of the process."""
+
+
+@pytest.mark.parametrize("keep", [(), ("f",)], ids=["table", "columns"])
+def test_an_end_before_or_after_any_rename_costs_nothing(tmp_path, monkeypatch, keep):
+    """Ended at each file's rename in turn, just before or just after, and gone on with: the same table in the end."""
+    whole = run_sweep(small(keep), tmp_path / "whole.parquet", workers=1).table.read_bytes()
+    replace = Path.replace
+    for after in (False, True):
+        out, deaths = tmp_path / f"ended_{after}.parquet", 0
+        while True:
+            renames = iter(range(100))
+
+            def rename(self, target, renames=renames, after=after):
+                # A part is done with its last file: less than a part each time would never come to an end.
+                if next(renames) == (len(keep) if after else 1 + len(keep)):
+                    if after:
+                        replace(self, target)
+                    raise Killed
+                return replace(self, target)
+
+            with monkeypatch.context() as patch:
+                patch.setattr(Path, "replace", rename)
+                try:
+                    run_sweep(small(keep), out, workers=1)
+                    break
+                except Killed:
+                    deaths += 1
+        assert deaths >= 6
+        assert out.read_bytes() == whole
+        assert not keep or same_columns(out.with_suffix(".nc"), tmp_path / "whole.nc")
+        assert not out.with_name(f"{out.name}.parts").exists()
+
+
+def test_only_what_is_missing_is_run(tmp_path, monkeypatch):
+    """Parts that are there are not run again; a part that is damaged is; leftovers of a killed writer go."""
+    made = []
+
+    def counted(job, first, *rest):
+        made.append(first)
+        return run_part(job, first, *rest)
+
+    from closedloop.sweep.part import run_part
+
+    monkeypatch.setattr("closedloop.sweep.run.run_part", counted)
+    monkeypatch.setattr("closedloop.sweep.run.join", lambda *_: None)
+    out = tmp_path / "t.parquet"
+    folder = tmp_path / "t.parquet.parts"
+    run_sweep(small(), out, workers=1)
+    assert made == list(range(6))
+    (folder / "part-00000002.arrow").unlink()
+    (folder / "part-00000004.arrow").write_bytes(b"")
+    (folder / ".part-00000005.arrow.unfinished").write_bytes(b"half")
+    made.clear()
+    run_sweep(small(), out, workers=1)
+    assert made == [2, 4]
+    assert not (folder / ".part-00000005.arrow.unfinished").exists()
+
+
+def test_a_sweep_that_is_done_is_not_run_again(capsys, tmp_path, monkeypatch):
+    """The same command says that all is there; a folder left by a kill after the last rename goes."""
+    out = tmp_path / "t.parquet"
+    assert sweep(capsys, *SMALL, "--out", out)[0] == 0
+    before = out.read_bytes()
+    (tmp_path / "t.parquet.parts").mkdir()
+    monkeypatch.setattr("closedloop.sweep.run.side_by_side", lambda *_: 1 / 0)
+    status, said, _ = sweep(capsys, *SMALL, "--out", out)
+    assert status == 0
+    assert "all were there before" in said
+    assert out.read_bytes() == before
+    assert [path.name for path in tmp_path.iterdir()] == ["t.parquet"]
+
+
+def test_two_at_once_are_one_too_many(tmp_path):
+    """While one process is at work on a sweep, another is refused."""
+    sweep_ = small()
+    with store_module.Store(sweep_.identity, tmp_path / "t.parquet"), pytest.raises(cl.OutputError) as refused:
+        run_sweep(sweep_, tmp_path / "t.parquet")
+    assert "another process is at work on this sweep" in str(refused.value)
+
+
+@pytest.mark.parametrize(
+    ("arguments", "said"),
+    [
+        (("--over", "law.forse=1,2"), "wam_slide: unknown key 'law.forse'; did you mean 'law.force'?"),
+        (("--over", "law.force=5:15:0"), "--over law.force=5:15:0: 0 values: must be"),
+        ((), "--over: name at least one key and its values, such as --over law.force=5:15:11"),
+        (("--over", "law.force=1,2", "--over", "law.force=3"), "--over law.force: comes twice"),
+        (("--over", "law.force=1:2", "--random", "0"), "--random 0: must be at least 1"),
+        (("--over", "law.force=1:2", "--random", "2", "--seed", "-1"), "--seed -1: must be 0 or above"),
+        (("--over", "law.force=1:2", "--latin", "2000000"), "2000000 runs: a latin sweep may have 1000000"),
+        (("--over", "law.force=1:2:20000", "--over", "law.kp=1:2:20000"), "400000000 runs: a grid sweep may have"),
+        (("--over", "law.force=1,2", "--keep", "g"), "keep: no column 'g'; there are f (contact_force)"),
+        (("--over", "robot.drive_inertia=true,false", "--keep", "q"), "keep: q has a number a joint, and the robot"),
+        (("--over", "law.force=1,2", "--time.integrator", "dop853"), "engine = 'compiled': has no integrator that"),
+        (("--over", "law.force=1,2", "--workers", "0"), "workers = 0: must be at least 1"),
+        (("--over", "law.force=1,2", "--bogus"), "command line: unrecognized arguments: --bogus; see --help"),
+        (("--over", "law.force=1,2", "--robot.model", "nobody"), "no robot is named 'nobody'"),
+        (("--over", "law.force=1,2", "--out", "t.csv"), "--out t.csv: must end in .parquet"),
+        (
+            ("--over", "law.force=1,2", "--out", "a_file/t.parquet"),
+            "--out a_file/t.parquet: cannot be written: Not a dir",
+        ),
+        (("--over", "law.force=1,2", "--out", "a_folder.parquet"), "--out a_folder.parquet: is there and is no sweep"),
+        (("--over", "law.force=1,2", "--scheduler", "nowhere"), "--scheduler nowhere: "),
+        (("--over", "law.force=1,2", "--scheduler", "tcp://127.0.0.1:1"), "must be the address of a Dask scheduler"),
+    ],
+)
+def test_refusals(capsys, tmp_path, monkeypatch, arguments, said):
+    """One line, exit status 2, and nothing is written."""
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.setattr("closedloop.sweep.cluster.PATIENCE", 0.5)
+    (tmp_path / "a_file").write_text("mine")
+    (tmp_path / "a_folder.parquet").mkdir()
+    assert said in refusal(capsys, "wam_slide", *arguments)
+    assert not list(tmp_path.glob("**/*.arrow"))
+    assert (tmp_path / "a_file").read_text() == "mine"
+
+
+def test_what_is_not_this_sweeps_is_never_overwritten(capsys, tmp_path):
+    """A text, another table, another sweep's table, another folder, another NetCDF file: each stays as it is."""
+    out = tmp_path / "t.parquet"
+    small_with_columns = (*SMALL, "--keep", "f")
+
+    def refused_with(*content, arguments=SMALL):
+        for path, text in content:
+            path.parent.mkdir(exist_ok=True)
+            path.write_bytes(text)
+        line = refusal(capsys, *arguments, "--out", out)
+        for path, text in content:
+            assert path.read_bytes() == text
+            path.unlink()
+        return line
+
+    assert "is there and is no sweep; nothing was overwritten" in refused_with((out, b"my notes"))
+    parquet.write_table(pa.table({"a": [1]}), out)
+    assert "is there and is no sweep" in refused_with((out, out.read_bytes()))
+    assert sweep(capsys, *SMALL, "--out", out)[0] == 0
+    line = refused_with((out, out.read_bytes()), arguments=(*SMALL, "--law.kd", "30"))
+    assert "belongs to another sweep: not the same scenario; nothing was overwritten" in line
+    assert "is there and is no sweep" in refused_with((out.with_suffix(".nc"), b"data"), arguments=small_with_columns)
+    folder = tmp_path / "t.parquet.parts"
+    assert "is there and holds no sweep" in refused_with((folder / "mine.txt", b"mine"))
+    other = json.dumps({"format": store_module.FORMAT, "identity": {"scenario": "other"}}).encode()
+    assert "belongs to another sweep: not the same scenario, " in refused_with((folder / "sweep.json", other))
+
+
+def test_identity_is_all_that_the_table_depends_on(tmp_path):
+    """Another force, seed, range, column or robot file is another sweep; the number of workers is not part of it."""
+    urdf = Path(cl.__file__).parent.parent / "robot_models" / "planar2" / "planar2.urdf"
+    mine = tmp_path / "mine.urdf"
+    mine.write_text(urdf.read_text())
+
+    def identity(force=10.0, spec="law.kp=1:2", seed=0, keep=()):
+        values = {"robot.model": str(mine), "robot.tip": "tip", "start.q": [0.5, 0.7], "law.force": force}
+        scenario = cl.load_scenario("planar2_slide", values)
+        return Sweep.of(scenario, Design([parse_axis(spec, True)], "random", 5, seed), keep).identity
+
+    base = identity()
+    assert identity() == base
+    for change in ({"force": 11.0}, {"spec": "law.kp=1:3"}, {"seed": 1}, {"keep": ("f",)}):
+        assert identity(**change) != base, change
+    mine.write_text(re.sub(r'mass value="([^"]*)"', 'mass value="1.2345"', urdf.read_text()))
+    assert identity()["robot"] != base["robot"]

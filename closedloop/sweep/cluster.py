@@ -7,9 +7,11 @@ than a short one, here and there.
 
 from __future__ import annotations
 
+import asyncio
+import itertools
 import logging
 from collections.abc import Callable, Iterator, Sequence
-from importlib import import_module
+from concurrent.futures import ThreadPoolExecutor
 from typing import TYPE_CHECKING, Any
 
 from closedloop.errors import ClusterError, OutputError, ScenarioError
@@ -52,35 +54,37 @@ def run_on_cluster(
         If the cluster is lost on the way, or a part killed too many workers; what was written stays.
     """
     try:
-        distributed: Any = import_module("distributed")
+        import distributed as dask_distributed
+
+        distributed: Any = dask_distributed  # annotated in parts only
     except ImportError:
         raise ScenarioError('--scheduler: needs Dask; pip install "closedloop[cluster]"') from None
     client = _client(distributed, address)
     job, parts, numbers = sweep.job, iter(missing), dict[str, int]()
     try:
-        threads = sum(client.nthreads().values())
 
-        def submit(count: int) -> Iterator[Any]:
-            for _, part in zip(range(count), parts, strict=False):
+        def submit() -> Iterator[Any]:
+            threads = sum(client.nthreads().values())  # workers come and go
+            for part in itertools.islice(parts, max(AHEAD * threads - len(numbers), not numbers)):
                 runs = sweep.runs_of(part)
                 points = sweep.design[runs.start : runs.stop]
                 future = client.submit(run_part_anywhere, job, runs.start, points, pure=False)
                 numbers[future.key] = part
                 yield future
 
-        under_way = distributed.as_completed(list(submit(AHEAD * threads)))
+        under_way = distributed.as_completed(list(submit()), loop=client.loop)
         for future in under_way:
             part = numbers.pop(future.key)
             store.write(part, *future.result())
             finished(len(sweep.runs_of(part)))
             future.release()
             report()
-            under_way.update(list(submit(1)))
+            under_way.update(list(submit()))
     except OutputError:
         raise
     except distributed.KilledWorker as error:
         raise ClusterError(f"--scheduler {address}: {error}; what was done is kept: the same command goes on") from None
-    except (OSError, distributed.CancelledError, distributed.TimeoutError) as error:
+    except (OSError, TimeoutError, distributed.CancelledError) as error:
         raise ClusterError(
             f"--scheduler {address}: the cluster was lost ({type(error).__name__}); what was done is kept: the same "
             "command goes on with it"
@@ -93,15 +97,25 @@ def _client(distributed: Any, address: str) -> Any:
     for name in ("distributed.core", "distributed.client", "distributed.comm", "tornado.application"):
         logging.getLogger(name).setLevel(logging.CRITICAL)  # what goes wrong is said in one line
     try:
+        # In a thread, for there may be a loop here already (a notebook). A client by itself would wait for ever for
+        # something that listens and says nothing.
+        with ThreadPoolExecutor(1) as pool:
+            pool.submit(asyncio.run, _shake_hands(distributed, address)).result()
         client = distributed.Client(address, timeout=PATIENCE, set_as_default=False)
-    except (OSError, ValueError, distributed.TimeoutError) as error:
+    except (OSError, ValueError, TimeoutError) as error:
         reason = str(error).splitlines()[0] if isinstance(error, ValueError) else f"no answer within {PATIENCE:g} s"
         raise ScenarioError(
             f"--scheduler {address}: {reason}; must be the address of a Dask scheduler, such as tcp://127.0.0.1:8786"
         ) from None
     try:
         client.wait_for_workers(1, timeout=PATIENCE)
-    except (OSError, distributed.TimeoutError):
+    except (OSError, TimeoutError):
         client.close(timeout=PATIENCE)
         raise ScenarioError(f"--scheduler {address}: has no workers; start some: dask worker {address}") from None
     return client
+
+
+async def _shake_hands(distributed: Any, address: str) -> None:
+    arguments = distributed.Security().get_connection_args("client")
+    comm = await asyncio.wait_for(distributed.core.connect(address, timeout=PATIENCE, **arguments), PATIENCE)
+    await comm.close()

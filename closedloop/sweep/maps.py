@@ -166,7 +166,7 @@ def _curves(axes: Axes, table: pa.Table, key: str, name: str, others: Sequence[s
         axes.legend(fontsize=8)
     _perhaps_log(axes, values)
     scale.dress(axes, "x")
-    axes.set_title(title, fontsize=9)
+    axes.set_title(title, fontsize=9, loc="left")
     axes.set_ylabel(unit)
 
 
@@ -217,4 +217,4 @@ def _map(figure: Figure, axes: Axes, table: pa.Table, x: str, y: str, name: str)
     up.dress(axes, "y")
     bar = figure.colorbar(image, ax=axes)
     bar.set_label(unit)
-    axes.set_title(title, fontsize=9)
+    axes.set_title(title, fontsize=9, loc="left")

@@ -108,6 +108,8 @@ def test_files_from_users_cannot_make_code_run():
                 name = node.func.attr if isinstance(node.func, ast.Attribute) else getattr(node.func, "id", "")
                 if name in ("eval", "exec", "loads", "load", "import_module", "__import__"):
                     owner = getattr(getattr(node.func, "value", None), "id", "")
+                    if any(k.arg == "allow_pickle" and k.value.value is False for k in node.keywords):
+                        continue  # numpy reads numbers, and refuses the rest
                     calls.append((file.name, f"{owner}.{name}".lstrip(".")))
     assert {call for _, call in calls} <= {
         "tomllib.loads",

@@ -1,0 +1,155 @@
+"""A sweep as a process that is killed, and as one on a cluster that loses a worker: the table is the same."""
+
+import os
+import random
+import signal
+import socket
+import threading
+import time
+from pathlib import Path
+
+import h5netcdf
+import numpy as np
+import pyarrow as pa
+import pytest
+from pyarrow import parquet
+from sweeps import process, refusal, sweep
+
+import closedloop as cl
+
+# 640 runs in 128 parts, a few seconds' work; short contacts and impacts, and some runs that are refused.
+ARGUMENTS = (
+    "wam_bounce", "--time.duration", "1", "--over", "impact.restitution=-0.05:0.8", "--over", "surface.gap=0.001:0.02",
+    "--random", "640", "--seed", "5",
+)  # fmt: skip
+KILLS = 10
+
+
+@pytest.fixture(scope="module")
+def uninterrupted(tmp_path_factory):
+    """Return the folder with the table and the columns of the sweep, never killed."""
+    folder = tmp_path_factory.mktemp("whole")
+    run = process(folder, *ARGUMENTS, "--keep", "f", "--out", "t.parquet")
+    out, err = run.communicate(timeout=300)
+    assert run.returncode == 0, err
+    assert "640 runs: " in out
+    return folder
+
+
+def parts(folder: Path) -> set[str]:
+    """Return the parts that are there."""
+    return {path.name for path in folder.glob("t.parquet.parts/*.arrow")}
+
+
+def kill_after(run, seconds, ready):
+    """Kill a process some seconds after `ready()`, unless it ends before; return whether it was killed."""
+    while run.poll() is None and not ready():
+        time.sleep(0.002)
+    time.sleep(seconds)
+    if run.poll() is None:
+        run.send_signal(signal.SIGKILL)
+    run.communicate()
+    return run.returncode == -signal.SIGKILL
+
+
+@pytest.mark.slow
+def test_killed_ten_times_the_table_is_the_same(tmp_path, uninterrupted):
+    """kill -9 at ten random moments, some before anything is done: no row is lost, none doubled, none another."""
+    rng = random.Random(11)
+    killed = 0
+    for k in range(KILLS):
+        before = parts(tmp_path)
+        run = process(tmp_path, *ARGUMENTS, "--keep", "f", "--out", "t.parquet")
+        if k % 5 == 4:
+            killed += kill_after(run, rng.uniform(0.0, 2.0), lambda: True)
+        else:
+            killed += kill_after(run, rng.uniform(0.0, 0.2), lambda before=before: parts(tmp_path) - before)
+        assert before <= parts(tmp_path)
+        assert not (tmp_path / "t.parquet").exists()
+    assert killed == KILLS
+    assert 4 <= len(parts(tmp_path)) < 128
+    run = process(tmp_path, *ARGUMENTS, "--keep", "f", "--out", "t.parquet")
+    out, err = run.communicate(timeout=300)
+    assert run.returncode == 0, err
+    assert "were there before" in out
+    assert (tmp_path / "t.parquet").read_bytes() == (uninterrupted / "t.parquet").read_bytes()
+    with h5netcdf.File(tmp_path / "t.nc") as mine, h5netcdf.File(uninterrupted / "t.nc") as whole:
+        np.testing.assert_array_equal(mine.variables["contact_force"][...], whole.variables["contact_force"][...])
+    assert sorted(path.name for path in tmp_path.iterdir()) == ["t.nc", "t.parquet"]
+
+
+@pytest.mark.slow
+def test_the_killed_sweep_is_the_batch(uninterrupted):
+    """What the processes made is what `simulate_batch` makes of the same values, in order, failures and all."""
+    table = parquet.read_table(uninterrupted / "t.parquet").replace_schema_metadata()
+    keys = ("impact.restitution", "surface.gap")
+    changes = {key: table[key].to_pylist() for key in keys}
+    batch = cl.simulate_batch(cl.load_scenario("wam_bounce", {"time.duration": 1.0}), changes)
+    assert table.equals(batch)
+    assert {"done", "refused"} == set(table["status"].to_pylist())
+
+
+@pytest.mark.slow
+def test_a_cluster_that_loses_a_worker_gives_the_same_table(capsys, tmp_path, uninterrupted):
+    """Three worker processes, one of them killed in the middle: the same bytes as the threads wrote."""
+    distributed = pytest.importorskip("distributed")
+    with distributed.LocalCluster(
+        n_workers=3, threads_per_worker=1, processes=True, dashboard_address=None, memory_limit=0
+    ) as cluster:
+        victim = next(iter(cluster.workers.values()))
+        pid = victim.process.pid
+
+        def kill() -> None:
+            while len(parts(tmp_path)) < 10:
+                time.sleep(0.005)
+            os.kill(pid, signal.SIGKILL)
+            deaths.append(len(parts(tmp_path)))
+
+        deaths: list[int] = []
+        killer = threading.Thread(target=kill, daemon=True)
+        killer.start()
+        out = tmp_path / "t.parquet"
+        status, _, err = sweep(
+            capsys, *ARGUMENTS, "--keep", "f", "--out", out, "--scheduler", cluster.scheduler_address
+        )
+        assert status == 0, err
+        killer.join(timeout=10)
+    assert 10 <= deaths[0] < 128
+    assert out.read_bytes() == (uninterrupted / "t.parquet").read_bytes()
+    with h5netcdf.File(tmp_path / "t.nc") as mine, h5netcdf.File(uninterrupted / "t.nc") as whole:
+        np.testing.assert_array_equal(mine.variables["contact_force"][...], whole.variables["contact_force"][...])
+
+
+@pytest.mark.slow
+def test_a_scheduler_that_does_not_answer_is_given_up(capsys, tmp_path):
+    """Something listens at the address and says nothing: one line after a few seconds, and nothing is lost."""
+    with socket.socket() as silent:
+        silent.bind(("127.0.0.1", 0))
+        silent.listen()
+        address = f"tcp://127.0.0.1:{silent.getsockname()[1]}"
+        began = time.monotonic()
+        line = refusal(capsys, *ARGUMENTS, "--out", tmp_path / "t.parquet", "--scheduler", address)
+        assert time.monotonic() - began < 60.0  # it comes back at all
+    assert f"--scheduler {address}: no answer within 5 s" in line
+
+
+@pytest.mark.slow
+def test_a_cluster_that_goes_away_is_gone_on_without(capsys, tmp_path, uninterrupted):
+    """The whole cluster dies in the middle: exit status 3, and the same command without it ends the sweep."""
+    distributed = pytest.importorskip("distributed")
+    cluster = distributed.LocalCluster(
+        n_workers=2, threads_per_worker=1, processes=True, dashboard_address=None, memory_limit=0
+    )
+    try:
+        out, folder = tmp_path / "t.parquet", tmp_path
+        run = process(folder, *ARGUMENTS, "--keep", "f", "--out", "t.parquet", "--scheduler", cluster.scheduler_address)
+        while run.poll() is None and len(parts(folder)) < 10:
+            time.sleep(0.005)
+    finally:
+        cluster.close()
+    _, err = run.communicate(timeout=120)
+    assert run.returncode == 3, err
+    assert "the cluster was lost" in err.splitlines()[-1]
+    assert sweep(capsys, *ARGUMENTS, "--keep", "f", "--out", out)[0] == 0
+    assert out.read_bytes() == (uninterrupted / "t.parquet").read_bytes()
+    assert isinstance(parquet.read_table(out), pa.Table)

@@ -1,0 +1,88 @@
+"""Maps of a sweep: one panel a figure, axes with units, failed runs in sight; what is not there is refused."""
+
+import numpy as np
+import pytest
+from sweeps import SMALL, refusal, sweep
+
+import closedloop as cl
+from closedloop.sweep.maps import draw_maps
+from closedloop.sweep.scale import Scale
+
+
+@pytest.fixture(scope="module")
+def table():
+    """Return a grid of 3 forces and 5 time constants, of which the shortest is refused."""
+    scenario = cl.load_scenario("wam_slide", {"time.duration": 0.02})
+    changes = {"law.force": [5.0, 10.0, 15.0], "stabiliser.time_constant": np.geomspace(5e-4, 0.05, 5)}
+    return cl.simulate_batch(scenario, changes, grid=True)
+
+
+def test_a_grid_is_a_map_with_every_run_in_its_cell(table):
+    """The cell of a force and a time constant has that run's figure; axes have units; the refused ones are bare."""
+    figure = draw_maps(table, ["peak_contact_force"])
+    panel, bar = figure.axes
+    assert panel.get_xlabel() == "law.force [N]"
+    assert panel.get_ylabel() == "stabiliser.time_constant [s]"
+    assert (panel.get_xscale(), panel.get_yscale()) == ("linear", "log")
+    assert panel.get_title(loc="left") == "highest contact force"
+    assert bar.get_ylabel() == "N"
+    (mesh,) = panel.collections
+    cells = np.ma.filled(mesh.get_array().reshape(5, 3), np.nan)
+    np.testing.assert_array_equal(cells, table["peak_contact_force"].to_numpy().reshape(3, 5).T)
+    assert np.isnan(cells[0]).all()
+    assert np.isfinite(cells[1:]).all()
+    assert "15 runs, 3 refused" in figure.get_suptitle()
+
+
+def test_one_key_is_a_curve_and_a_second_few_more(table):
+    """A curve for each value of the other key where x alone is named; lengths are in a unit that reads well."""
+    (panel,) = draw_maps(table, ["max_abs_closure_error"], x="stabiliser.time_constant").axes
+    curves = [line for line in panel.lines if line.get_label().startswith("law.force = ")]
+    assert [line.get_label() for line in curves] == ["law.force = 5", "law.force = 10", "law.force = 15"]
+    error = table["max_abs_closure_error"].to_numpy().reshape(3, 5)[1]
+    factor = {"pm": 1e12, "nm": 1e9, "µm": 1e6}[panel.get_ylabel()]
+    np.testing.assert_allclose(curves[1].get_ydata(), factor * error)
+    assert [line.get_label() for line in panel.lines][-1] == "failed, or none"
+
+
+def test_draws_are_dots_and_words_are_in_order():
+    """Random values of two keys are dots at their places; words keep the order in which they came."""
+    scenario = cl.load_scenario("wam_slide", {"time.duration": 0.004})
+    force, kp = [5.0, 7.0, 6.5, 9.0], [100.0, 300.0, 200.0, 500.0]
+    drawn = cl.simulate_batch(scenario, {"law.force": force, "law.kp": kp})
+    (dots,) = draw_maps(drawn, ["peak_contact_force"]).axes[0].collections
+    np.testing.assert_array_equal(dots.get_offsets(), np.column_stack([force, kp]))
+    words = cl.simulate_batch(scenario, {"time.integrator": ["rk4", "explicit_euler", "rk4"]})
+    assert Scale(words, "time.integrator").words == ["rk4", "explicit_euler"]
+    assert draw_maps(words).axes[0].get_xticklabels()[1].get_text() == "explicit_euler"
+
+
+def test_the_command_draws_a_file(capsys, tmp_path):
+    """A picture beside the table, or where it is wanted."""
+    out = tmp_path / "t.parquet"
+    assert sweep(capsys, *SMALL, "--out", out)[0] == 0
+    status, said, _ = sweep(capsys, "plot", out)
+    assert status == 0
+    assert said == f"wrote {tmp_path / 't.png'}\n"
+    assert (tmp_path / "t.png").read_bytes().startswith(b"\x89PNG")
+    assert sweep(capsys, "plot", out, "--of", "rms_force_error", "--out", tmp_path / "deep" / "t.svg")[0] == 0
+    assert b"RMS error of the contact force" in (tmp_path / "deep" / "t.svg").read_bytes()
+
+
+@pytest.mark.parametrize(
+    ("arguments", "said"),
+    [
+        (("no.parquet",), "no.parquet: there is no such file; name the table of a sweep"),
+        (("text.parquet",), "text.parquet: is no Parquet file"),
+        (("t.parquet", "--of", "beauty"), "beauty: is no figure of this sweep; they are rows, end_time"),
+        (("t.parquet", "--x", "law.kp"), "law.kp: is no key of this sweep; they are law.force, stab"),
+        (("t.parquet", "--out", "t.odt"), "--out t.odt: cannot be written: Format 'odt' is not supported"),
+        (("t.parquet", "--out", "text.parquet/t.png"), "--out text.parquet/t.png: cannot be written: "),
+    ],
+)  # fmt: skip
+def test_refusals(capsys, tmp_path, monkeypatch, arguments, said):
+    """One line and exit status 2."""
+    monkeypatch.chdir(tmp_path)
+    sweep(capsys, *SMALL, "--out", "t.parquet")
+    (tmp_path / "text.parquet").write_text("not a table")
+    assert said in refusal(capsys, "plot", *arguments)

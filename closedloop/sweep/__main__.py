@@ -14,8 +14,8 @@ from pathlib import Path
 from typing import NoReturn
 
 from closedloop.errors import ClosedLoopError, ClusterError, ScenarioError, one_line
+from closedloop.forms import COMPILED, ENGINES
 from closedloop.run import BAD_INPUT, DONE, STOPPED, split_overrides
-from closedloop.simulation import COMPILED, ENGINES
 
 INTERRUPTED = 130
 

@@ -39,6 +39,8 @@ class Job:
         See `closedloop.simulate`.
     keep : tuple of str
         Columns to keep whole.
+    runs : int
+        How many runs the sweep has.
     """
 
     scenario: str
@@ -46,6 +48,7 @@ class Job:
     kinds: tuple[str, ...]
     engine: str
     keep: tuple[str, ...]
+    runs: int
 
 
 @lru_cache(maxsize=4)
@@ -90,11 +93,16 @@ def _stacked(outcomes: Sequence[Outcome], name: str) -> Array:
     return whole
 
 
+def bench_for(job: Job) -> Bench:
+    """Return a bench for a thread."""
+    return Bench(job.engine, job.keep, runs=job.runs)
+
+
 _here = threading.local()
 
 
 def run_part_anywhere(job: Job, first: int, points: Sequence[Sequence[Any]]) -> tuple[pa.Table, dict[str, Array]]:
     """Do `run_part` on a bench that this thread keeps from part to part: what a worker of a cluster is sent."""
     if getattr(_here, "job", None) != job:
-        _here.job, _here.bench = job, Bench(job.engine, job.keep)
+        _here.job, _here.bench = job, bench_for(job)
     return run_part(job, first, points, _here.bench)

@@ -17,12 +17,13 @@ from closedloop.batch import side_by_side, threads_for
 from closedloop.bench import Bench
 from closedloop.compiled import cache_folder
 from closedloop.errors import ScenarioError
+from closedloop.forms import COMPILED
 from closedloop.record import COLUMNS
 from closedloop.scenario import Scenario
-from closedloop.simulation import COMPILED, check_engine, package_versions
+from closedloop.simulation import check_engine, package_versions
 from closedloop.sweep.design import GRID, LATIN, Design
 from closedloop.sweep.join import Joined, already_there, join
-from closedloop.sweep.part import Job, columns_of, run_part
+from closedloop.sweep.part import Job, bench_for, columns_of, run_part
 from closedloop.sweep.store import Store
 from closedloop.table import kept_columns
 from closedloop.variants import Variants
@@ -96,7 +97,7 @@ class Sweep:
     def job(self) -> Job:
         """What a worker needs to run any part."""
         kinds = tuple(axis.kind for axis in self.design.axes)
-        return Job(self.scenario.to_toml(), self.design.keys, kinds, self.engine, self.keep)
+        return Job(self.scenario.to_toml(), self.design.keys, kinds, self.engine, self.keep, self.design.runs)
 
     @cached_property
     def part_size(self) -> int:
@@ -201,7 +202,7 @@ def run_sweep(
                 store.write(missing[at], *run_part(job, runs.start, points, bench, lambda: finished(1)))
 
             side_by_side(
-                one, len(missing), threads, lambda: Bench(sweep.engine, sweep.keep),
+                one, len(missing), threads, lambda: bench_for(job),
                 lambda parts, of: report(done[0], sweep.design.runs),
             )  # fmt: skip
         return join(store, out, sweep.parts, columns_of(sweep.job), sweep.scenario.time.step)

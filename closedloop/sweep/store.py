@@ -15,6 +15,7 @@ from __future__ import annotations
 import json
 import os
 import shutil
+import zipfile
 from collections.abc import Callable
 from contextlib import suppress
 from pathlib import Path
@@ -110,7 +111,7 @@ class Store:
             if complete and self.identity["keep"]:
                 with np.load(self.columns_of(part), allow_pickle=False) as columns:
                     complete = set(columns.files) == set(self.identity["keep"])
-        except (OSError, ValueError):  # of a disk that lost its power
+        except (OSError, ValueError, EOFError, zipfile.BadZipFile):  # of a disk that lost its power
             complete = False
         return complete
 

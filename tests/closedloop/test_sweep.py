@@ -203,6 +203,18 @@ def test_an_end_before_or_after_any_rename_costs_nothing(tmp_path, monkeypatch, 
         assert not out.with_name(f"{out.name}.parts").exists()
 
 
+@pytest.mark.parametrize("damage", [b"", b"PK", b"not a zip"])
+def test_damaged_columns_are_made_again(tmp_path, monkeypatch, damage):
+    """Columns that a disk has lost are no part, whatever is left of them."""
+    with monkeypatch.context() as patch:
+        patch.setattr("closedloop.sweep.run.join", lambda *_: None)
+        run_sweep(small(["f"]), tmp_path / "t.parquet", workers=1)
+    (tmp_path / "t.parquet.parts" / "part-00000003.npz").write_bytes(damage)
+    run_sweep(small(["f"]), tmp_path / "t.parquet", workers=1)
+    with h5netcdf.File(tmp_path / "t.nc") as file:
+        assert np.isfinite(file.variables["contact_force"][...]).all()
+
+
 def test_only_what_is_missing_is_run(tmp_path, monkeypatch):
     """Parts that are there are not run again; a part that is damaged is; leftovers of a killed writer go."""
     made = []
@@ -333,3 +345,18 @@ def test_identity_is_all_that_the_table_depends_on(tmp_path):
         assert identity(**change) != base, change
     mine.write_text(re.sub(r'mass value="([^"]*)"', 'mass value="1.2345"', urdf.read_text()))
     assert identity()["robot"] != base["robot"]
+
+
+def test_the_commands_of_the_readme_run(capsys, tmp_path, monkeypatch):
+    """With fewer and shorter runs, as they stand there."""
+    monkeypatch.chdir(tmp_path)
+    readme = (Path(__file__).parents[2] / "README.md").read_text(encoding="utf-8")
+    commands = re.findall(r"^    python -m closedloop\.sweep (.*)$", readme, re.MULTILINE)
+    assert len(commands) == 3
+    for command in commands:
+        few = re.sub(r":(101|20)\b", ":3", command).replace("--random 10000", "--random 5")
+        short = () if few.startswith("plot") else ("--time.duration", "0.02")
+        status, out, err = sweep(capsys, *few.split(), *short)
+        assert (status, err) == (0, ""), err
+        assert "wrote " in out
+    assert {path.name for path in tmp_path.iterdir()} == {"sweep.parquet", "random.parquet", "sweep.png"}

@@ -218,7 +218,7 @@ def announce_compiling(scenario: Scenario, model: Any, engine: str) -> None:
     from closedloop.problem import needs_more
 
     if needs_compiling(machine(needs_more(scenario), engine)):
-        print("compiling the step (once for this installation, up to a minute) ...", file=sys.stderr, flush=True)
+        print("compiling the step (once for this installation, some twenty seconds) ...", file=sys.stderr, flush=True)
 
 
 def _write_summary(summary: dict[str, Any], path: Path) -> Path:

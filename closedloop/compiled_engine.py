@@ -14,7 +14,8 @@ from numpy.typing import NDArray
 
 from closedloop.compiled import entry_kernel, inlined_kernel
 from closedloop.errors import ModelError, ScenarioError
-from closedloop.machine import TERMS, extra_states, proceed
+from closedloop.machine.phases import TERMS, extra_states
+from closedloop.machine.proceed import proceed
 from closedloop.problem import Problem
 from closedloop.tree import Tree, tree_of, tree_terms, work_size
 from closedloop.workspace import SENSOR_RING, STAGES, Whole, workspace

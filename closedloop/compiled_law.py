@@ -32,7 +32,7 @@ from closedloop.compiled import entry_kernel
 from closedloop.control import Law
 from closedloop.errors import ScenarioError, one_line
 from closedloop.events import EVENT_WIDTH
-from closedloop.machine import TERMS, TERMS_AND_LAW
+from closedloop.machine.phases import TERMS, TERMS_AND_LAW
 from closedloop.robot import Terms
 from closedloop.simulation import NOT_FINITE
 from closedloop.tree import Tree, tree_terms, work_size

@@ -11,7 +11,7 @@ from collections.abc import Callable
 from functools import cache
 
 from closedloop.compiled import brief_entry, entry_kernel, needs_compiling
-from closedloop.machine import on_pinocchio, proceed_on_pinocchio, proceed_with_more_on_pinocchio
+from closedloop.pinocchio_engine import on_pinocchio, proceed_on_pinocchio, proceed_with_more_on_pinocchio
 
 PINOCCHIO, COMPILED = ENGINES = ("pinocchio", "compiled")
 # How many steps must be ahead for a loop for just this number of joints to be worth the ten seconds that compiling it

@@ -24,7 +24,7 @@ from closedloop.friction.layout import KINDS, KINETIC, LAST, SEVEN_PARAMETER, ST
 from closedloop.friction.packing import pack
 from closedloop.impact import LAWS
 from closedloop.integrate import ADAPTIVE, INTEGRATORS, Integrator
-from closedloop.machine import ARRIVING, CLOSING, RESTING, TOUCHING
+from closedloop.machine.phases import ARRIVING, CLOSING, RESTING, TOUCHING
 from closedloop.pieces import Pieces
 from closedloop.reference.desired import Desired, desired
 from closedloop.reference.force import force_at

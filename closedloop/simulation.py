@@ -28,17 +28,9 @@ from closedloop.errors import (
 from closedloop.events import EVENT_WIDTH, event_columns
 from closedloop.forms import COMPILED, ENGINES, PINOCCHIO, machine
 from closedloop.integrate import ADAPTIVE, INTEGRATORS
-from closedloop.machine import (
-    AT_EVENTS,
-    DONE,
-    EVENT_ROOM,
-    IMPACT_LAW_WANTED,
-    ROOM,
-    TERMS,
-    TERMS_AND_LAW,
-    collide,
-    places_of,
-)
+from closedloop.machine.events import collide
+from closedloop.machine.phases import DONE, IMPACT_LAW_WANTED, ROOM, TERMS, TERMS_AND_LAW
+from closedloop.pinocchio_engine import AT_EVENTS, EVENT_ROOM, places_of
 from closedloop.problem import Problem, prepare
 from closedloop.record import Run
 from closedloop.robot import Robot

@@ -8,7 +8,9 @@ from numpy.typing import NDArray
 from closedloop.compiled import entry_kernel, inlined_kernel
 from closedloop.contact import PRESSED
 from closedloop.friction.laws import capture_speed
-from closedloop.machine import extra_states, gauge, remember, slip_left
+from closedloop.machine.locate import gauge, slip_left
+from closedloop.machine.phases import extra_states
+from closedloop.machine.steps import remember
 from closedloop.solve import OK
 from closedloop.step import evaluate, record
 from closedloop.tip import tip_kinematics
@@ -72,8 +74,8 @@ def evaluate_on_pinocchio(
 ) -> int:  # fmt: skip
     """Do `closedloop.step.evaluate` on what Pinocchio left in its data, and return its status.
 
-    See `closedloop.machine.proceed_on_pinocchio`; `wanted` (1, 2 n + 11) stands for the table at this instant, and
-    `use` says what the state is for: DERIVE, SET_OUT, GAUGE_IT or RECORD.
+    H ... rows are as in `closedloop.machine.proceed` and `closedloop.tip`; `wanted` (1, 2 n + 11) stands for the table
+    at this instant, and `use` says what the state is for: DERIVE, SET_OUT, GAUGE_IT or RECORD.
     """
     return _on_pinocchio(
         H, C, joint_jacobian, rotation, origin, velocity, acceleration, k, state, memory, wanted, table, rows, use, None

@@ -21,7 +21,8 @@ from closedloop.contact import FREE, PRESSED
 from closedloop.control import Law
 from closedloop.events import EVENT_WIDTH
 from closedloop.forms import PINOCCHIO, machine
-from closedloop.machine import (
+from closedloop.machine.events import collide
+from closedloop.machine.phases import (
     ARRIVING,
     BEGINNING,
     CLOSING,
@@ -31,9 +32,8 @@ from closedloop.machine import (
     TERMS,
     TERMS_AND_LAW,
     TRANSITING,
-    collide,
-    places_of,
 )
+from closedloop.pinocchio_engine import places_of
 from closedloop.problem import Problem
 from closedloop.simulation import ROOM_FOR_EVENTS, checked_law
 from closedloop.solve import OK

@@ -19,7 +19,7 @@ from closedloop.control import Law
 from closedloop.control.places import K_F
 from closedloop.errors import DivergenceError, SimulationError
 from closedloop.events import LIFTOFF
-from closedloop.machine import INSTANT, SHALLOW
+from closedloop.machine.phases import INSTANT, SHALLOW
 from closedloop.problem import Problem
 from closedloop.simulation import failure_of, when
 from closedloop.solve import OK

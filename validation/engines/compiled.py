@@ -16,7 +16,7 @@ from closedloop.contact import FREE, PRESSED
 from closedloop.errors import ModelError
 from closedloop.events import EVENT_WIDTH
 from closedloop.integrate import INTEGRATORS
-from closedloop.machine import DONE
+from closedloop.machine.phases import DONE
 from closedloop.robot import Terms
 from closedloop.step import LAW_GIVEN, Row
 from closedloop.surface import contact_frame

@@ -102,7 +102,7 @@ class Bench:
         figures = np.full(WIDTH, math.nan)
         if len(rows) > 0:
             measure_rows(
-                tree[0], rows, len(rows), problem.table, problem.nodes, problem.h, problem.frame, events, len(events),
+                *tree, rows, len(rows), problem.table, problem.nodes, problem.h, problem.frame, events, len(events),
                 figures,
             )  # fmt: skip
         columns = {name: recorded(rows, problem.robot.n, name) for name in self._keep}

@@ -48,8 +48,8 @@ EVENT_TIME, EVENT_KIND, EVENT_CUT, EVENT_LOSS = (
 
 @entry_kernel
 def measure_rows(
-    tree: Tree, rows: Array, count: int, table: Array, nodes: int, h: float, frame: Array, events: Array, happened: int,
-    out: Array,
+    tree: Tree, scratch: Array, rows: Array, count: int, table: Array, nodes: int, h: float, frame: Array,
+    events: Array, happened: int, out: Array,
 ) -> None:  # fmt: skip
     """Write the figures of a run; those that do not exist are NaN.
 
@@ -57,6 +57,8 @@ def measure_rows(
     ----------
     tree : Tree
         The robot, for its potential energy.
+    scratch : array
+        From `closedloop.compiled_engine.compiled_work`.
     rows : (>= count, width) array
         The record, in the order of `closedloop.step.Row`, of which `count` >= 1 rows are the run's, `h` seconds apart.
     table : (P, >= 2 n + 10) array
@@ -69,6 +71,7 @@ def measure_rows(
         Written: `MEASURES` in their order, counts of `KINDS`, and when the assumptions first failed.
     """
     n = tree.n
+    sines = scratch[n * n + n :]  # what the terms leave there, and more
     tip, scalars = 4 * n, 5 * n + 9
     for i in range(WIDTH):
         out[i] = 0.0 if i < FAILED_AT else math.nan
@@ -123,7 +126,7 @@ def measure_rows(
         tip_squares, friction_squares = max(tip_squares, speed), max(friction_squares, friction)
         in_joints = max(in_joints, most)
 
-        energy = row[scalars + KINETIC_ENERGY] + tree_potential_energy(tree, row[0:n])
+        energy = row[scalars + KINETIC_ENERGY] + tree_potential_energy(tree, row[0:n], sines)
         if i == 0:
             start = energy
         else:

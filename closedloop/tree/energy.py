@@ -2,20 +2,20 @@
 
 from __future__ import annotations
 
-import math
-
 from closedloop.compiled import kernel
 from closedloop.tree import layout as at
+from closedloop.tree.angles import sines
 from closedloop.tree.layout import Array, Tree
 
 
 @kernel
-def tree_potential_energy(tree: Tree, q: Array) -> float:
+def tree_potential_energy(tree: Tree, q: Array, work: Array) -> float:
     """Return −g·∫ r dm over all moving links at q (n,), J: zero where the mass would be at the base origin.
 
     First moments are carried from the tips to the base. Where a run of joints ends at a branching, its own moment goes
-    on alone, so that nothing need be kept.
+    on alone, so that nothing need be kept but the sines, in `work` (work_size(n),).
     """
+    sines(tree, q, work)
     n, table, k = tree.n, tree.links, tree.constants
     total0, total1, total2 = k[at.RESTING], k[at.RESTING + 1], k[at.RESTING + 2]
     h0 = h1 = h2 = mass = 0.0
@@ -27,9 +27,8 @@ def tree_potential_energy(tree: Tree, q: Array) -> float:
         mass += k[c + at.MASS]
         while joint >= 0:
             c = table[at.CONSTANT * n + (joint & at.INDEX)] & at.INDEX
-            turn = k[c + at.KIND] * q[joint & at.INDEX]
-            slide = q[joint & at.INDEX] - turn
-            sine, cosine = math.sin(turn + k[c + at.ANGLE]), math.cos(turn + k[c + at.ANGLE])
+            s = table[at.SCRATCH * n + (joint & at.INDEX)] & at.INDEX
+            sine, cosine, slide = work[s + at.SINE], work[s + at.COSINE], work[s + at.SLIDE]
             h0, h1, h2 = cosine * h0 - sine * h1, sine * h0 + cosine * h1, h2 + mass * slide
             parent = table[at.PARENT * n + (joint & at.INDEX)]
             if parent < 0:

@@ -54,8 +54,9 @@ tree = tree_of(model, "tip")
 n = tree.n
 q, v = np.linspace(-2, 2, n), np.linspace(1, -1, n)
 H, C, J, r, drift = np.zeros((n, n)), np.zeros(n), np.zeros((3, n)), np.zeros(3), np.zeros(3)
-tree_terms(tree, q, v, np.zeros(work_size(n)), H, C, J, r, drift)
-for x in (*H.ravel(), *C, *J.ravel(), *r, *drift, tree_potential_energy(tree, q)):
+work = np.zeros(work_size(n))
+tree_terms(tree, q, v, work, H, C, J, r, drift)
+for x in (*H.ravel(), *C, *J.ravel(), *r, *drift, tree_potential_energy(tree, q, work)):
     print(float(x).hex())
 """
 

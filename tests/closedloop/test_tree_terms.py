@@ -33,7 +33,7 @@ def check_random_tree(seed, states=5):
     for _ in range(states):
         q, v = rng.uniform(-3.0, 3.0, theirs.n), rng.normal(size=theirs.n)
         assert_equal_terms(own.terms(q, v), theirs.terms(q, v))
-        assert close(tree_potential_energy(own.tree, q), theirs.potential_energy(q[None])[0])
+        assert close(tree_potential_energy(own.tree, q, own.work), theirs.potential_energy(q[None])[0])
 
 
 @pytest.mark.parametrize("seed", range(12))

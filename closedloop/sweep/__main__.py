@@ -43,6 +43,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
 def _sweep(arguments: list[str]) -> int:
     overrides, rest = split_overrides(arguments)
     options = _sweep_parser().parse_args(rest)
+    import robot_models
     from closedloop.progress import count
     from closedloop.run import announce_compiling
     from closedloop.scenario import load_scenario
@@ -57,7 +58,10 @@ def _sweep(arguments: list[str]) -> int:
     sweep = Sweep.of(scenario, design, keep, options.engine)
     out = Path(options.out) if options.out else Path("out") / scenario.name / "sweep.parquet"
     if options.scheduler is None:
-        announce_compiling(scenario, None, options.engine)
+        fixed = not any(key.startswith("robot.") for key in design.keys)
+        model = robot_models.load(scenario.robot.model) if fixed else None
+        ahead = len(design) * int(scenario.time.duration / scenario.time.step)
+        announce_compiling(scenario, model, options.engine, ahead)
     began = clock.monotonic()
     done: list[tuple[int, int]] = []
     with count("closedloop.sweep", len(design)) as show:
@@ -85,9 +89,11 @@ def _sweep_parser() -> argparse.ArgumentParser:
     parser = _Parser(
         prog="closedloop.sweep",
         description="Run a scenario many times with some keys changed, into a table of what came of each run.",
-        epilog="Any other key of the scenario can be set for all runs, as --law.kp 900 (see python -m closedloop.run "
+        epilog="Any other key of the scenario can be set for all runs, as --law.kp 900 (see python -m closedloop.run\n"
         "--help). A sweep that was killed goes on where it was with the same command.\n\n"
-        "python -m closedloop.sweep plot FILE draws maps of the table.",
+        "python -m closedloop.sweep plot FILE draws maps of the table.\n\n"
+        "exit status: 0 done, and runs that failed are rows that say why; 2 the input is at fault; 3 a cluster was\n"
+        "lost on the way, and 130 interrupted: the same command goes on from there",
         formatter_class=argparse.RawDescriptionHelpFormatter,
         allow_abbrev=False,
     )

@@ -12,6 +12,7 @@ from pyarrow import parquet
 from sweeps import SMALL, refusal, sweep
 
 import closedloop as cl
+from closedloop.progress import progress_text
 from closedloop.sweep import Design, Sweep, parse_axis, run_sweep
 from closedloop.sweep import store as store_module
 from closedloop.sweep.design import BLOCK
@@ -360,3 +361,21 @@ def test_the_commands_of_the_readme_run(capsys, tmp_path, monkeypatch):
         assert (status, err) == (0, ""), err
         assert "wrote " in out
     assert {path.name for path in tmp_path.iterdir()} == {"sweep.parquet", "random.parquet", "sweep.png"}
+
+
+def test_an_interrupted_sweep_says_how_to_go_on(capsys, tmp_path, monkeypatch):
+    """Ctrl-C ends it with exit status 130 and one line."""
+
+    def interrupt(*_):
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr("closedloop.sweep.run.run_part", interrupt)
+    status, _, err = sweep(capsys, *SMALL, "--out", tmp_path / "t.parquet")
+    assert (status, err) == (130, "closedloop.sweep: interrupted; the same command goes on from here\n")
+
+
+def test_progress_has_rate_and_time_left():
+    """What was done before has no part in the rate; long times are in hours."""
+    assert progress_text(0, 10, 0, 0.0) == "0 of 10 runs"
+    assert progress_text(150, 1000, 50, 10.0) == "150 of 1000 runs, 5 runs/s, 2 min 50 s left"
+    assert progress_text(10, 100_000, 10, 1.0) == "10 of 100000 runs, 10 runs/s, 2 h 46 min left"

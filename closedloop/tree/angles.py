@@ -9,8 +9,9 @@ from __future__ import annotations
 
 import math
 
+from closedloop.compiled import kernel_inlined
 from closedloop.tree import layout as at
-from closedloop.tree.layout import Array, Tree, kernel_inlined
+from closedloop.tree.layout import Array, Tree
 
 # π/2 in parts of 33, 33 and 53 bits: a multiple below 2²⁰ of each of the first two is exact.
 PART_1, PART_2, PART_3 = 1.57079632673412561417, 6.07710050630396597660e-11, 2.02226624879595063154e-21

@@ -16,8 +16,9 @@ D. E. Orin, J. Dyn. Sys. Meas. Control 104, 1982) and C by recursive Newton-Eule
 
 from __future__ import annotations
 
+from closedloop.compiled import kernel_inlined
 from closedloop.tree import layout as at
-from closedloop.tree.layout import Array, Tree, kernel_inlined
+from closedloop.tree.layout import Array, Tree
 
 
 @kernel_inlined

@@ -11,8 +11,9 @@ where a revolute joint has no ḋ, and a prismatic one adds nothing to ω and α
 
 from __future__ import annotations
 
+from closedloop.compiled import kernel_inlined
 from closedloop.tree import layout as at
-from closedloop.tree.layout import Array, Tree, kernel_inlined
+from closedloop.tree.layout import Array, Tree
 
 
 @kernel_inlined

@@ -7,10 +7,8 @@ named by where they begin in a block; lanes without a joint hold zeros and are c
 
 from __future__ import annotations
 
-from collections.abc import Callable
-from typing import Any, NamedTuple, TypeVar, cast
+from typing import NamedTuple
 
-import numba
 import numpy as np
 from numpy.typing import NDArray
 
@@ -18,7 +16,6 @@ from closedloop.compiled import kernel
 
 Array = NDArray[np.float64]
 Whole = NDArray[np.int64]
-F = TypeVar("F", bound=Callable[..., Any])
 
 LANES = 4
 
@@ -94,12 +91,3 @@ class Tree(NamedTuple):
 def work_size(n: int) -> int:
     """Return how many numbers of scratch the kernels need for n joints; they begin as zeros."""
     return (n + LANES - 1) // LANES * SCRATCHES
-
-
-def kernel_inlined(function: F) -> F:
-    """Compile `function` into each kernel that calls it: it is a function for the reader only, and costs no call.
-
-    By its name's beginning `closedloop.compiled` knows a file of kernels, whose text the cache depends on.
-    """
-    njit: Any = numba.njit  # numba's declared types leave out `_nrt`
-    return cast(F, njit(error_model="numpy", _nrt=False, forceinline=True)(function))

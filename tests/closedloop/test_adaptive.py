@@ -223,6 +223,7 @@ def test_friction_stops_a_block_where_coulomb_says():
     assert run.mode[-1] == 2
 
 
+@pytest.mark.slow
 def test_friction_holds_a_block_until_the_pull_is_too_strong():
     """A pull of 2 t N tears a block loose that 1.2 N of friction hold, at 0.6 s; then m ẍ = 2 t − 1.2."""
     scenario = point(**{"law.force": 4.0, "friction.kind": "coulomb", "friction.coefficient": 0.3})
@@ -239,6 +240,7 @@ def test_friction_holds_a_block_until_the_pull_is_too_strong():
     assert np.max(np.abs(run.q[:, 0] - since**3 / 3 / MASS)) < 1e-12
 
 
+@pytest.mark.slow
 def test_elastic_friction_is_the_limit_of_short_steps():
     """LuGre's bristles are states beside q and q̇: RK4 with a short step gives the same run."""
     changes = {

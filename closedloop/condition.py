@@ -22,7 +22,7 @@ Array = NDArray[np.float64]
 
 LANES = 32
 # The rows of a longer arm's matrices are long enough to be worked on one condition number at a time.
-LONG = 8
+LONG = 16
 
 
 def pending_rows(n: Any) -> Any:

@@ -60,7 +60,7 @@ def test_friction_never_adds_energy(name, speed, angle, share, along, f, lag, st
     kind, par = pack(EXAMPLES[name])
     assert name != "lugre" or is_passive(par, 50.0)
     gain, size = gained(kind, par, pointing(speed, angle), some_states(name, par, share, along), stuck, f, lag)
-    assert gain <= ROUNDING * size
+    assert gain <= ROUNDING * size + 1e-300  # below it numbers have no relative rounding
 
 
 @given(
@@ -81,7 +81,7 @@ def test_lugre_is_passive_where_it_says_so(kinetic, ratio, stiffness, damping, b
     assert is_passive(par, f)
     u, z = pointing(speed, 0.0), pointing(share * par[STATIC] / par[STIFFNESS], angle)
     gain, size = gained(kind, par, u, z, False, f)
-    assert gain <= 1e-12 * size
+    assert gain <= 1e-12 * size + 1e-300
 
 
 @pytest.mark.parametrize(("share", "adds"), [(0.98, True), (1.02, False)])

@@ -70,16 +70,16 @@ def conditions(pending: Array, n: int, lanes: int) -> None:
     y, column, size = inverse + n * n, inverse + n * n + n, inverse + n * n + 2 * n
     norm, inverse_norm, total = size + n, size + n + 1, size + n + 3
     for j in range(n):
-        scale(P[diagonal + j], 1.0, lanes, P[inverse + j * n + j])
+        copy(P[diagonal + j], lanes, P[inverse + j * n + j])
         for i in range(j + 1, n):
-            scale(P[total], 0.0, lanes, P[total])
+            clear(P[total], lanes)
             for k in range(j, i):
                 take_product(P[i * n + k], P[inverse + k * n + j], lanes, P[total])
             multiply(P[total], P[diagonal + i], lanes, P[inverse + i * n + j])
-    scale(P[norm], 0.0, lanes, P[norm])
-    scale(P[share], 1.0, lanes, P[inverse_norm])
+    clear(P[norm], lanes)
+    copy(P[share], lanes, P[inverse_norm])
     for j in range(n):
-        scale(P[y + j], 0.0, lanes, P[y + j])
+        clear(P[y + j], lanes)
         for k in range(j, n):
             take_product(P[inverse + k * n + j], P[x + k], lanes, P[y + j])  # −(H⁻¹Aᵀ)ⱼ; its sign matters to nothing
         begin_columns(P[y + j], P[share], P[a + j], lanes, P[column + j], P[inverse_norm], P[size + j], P[norm])
@@ -176,10 +176,17 @@ def add_four(a: float, x: Array, b: float, y: Array, c: float, z: Array, d: floa
 # What is done to all lanes, the last arrays being written. Were the number of lanes known to the compiler, it would
 # write each loop out and not see that it does the same to all.
 @kernel_inlined
-def scale(x: Array, factor: float, lanes: int, to: Array) -> None:
-    """Write to = factor x; 0 for a factor of 0, whatever x is."""
+def clear(to: Array, lanes: int) -> None:
+    """Write to = 0."""
     for r in range(lanes):
-        to[r] = factor * x[r] if factor != 0.0 else 0.0
+        to[r] = 0.0
+
+
+@kernel_inlined
+def copy(x: Array, lanes: int, to: Array) -> None:
+    """Write to = x."""
+    for r in range(lanes):
+        to[r] = x[r]
 
 
 @kernel_inlined

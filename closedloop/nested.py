@@ -41,7 +41,7 @@ class KeepNested(AnalysisPass):
 
     def run_pass(self, state: Any) -> bool:
         """Make the library before numba would make an ordinary one."""
-        state.library = NestedLibrary(state.targetctx.codegen(), state.func_id.func_qualname)
+        state["library"] = NestedLibrary(state.targetctx.codegen(), state.func_id.func_qualname)
         state.flags.no_compile = True
         return False
 
@@ -77,9 +77,10 @@ class NestedFunction(CPUDispatcher):
 
     def add_overload(self, result: Any) -> None:
         """Keep what was compiled for compiled callers; for Python there is nothing to call."""
-        result = result._replace(entry_point=object())  # what callers know it by
-        self.targetctx.insert_user_function(result.entry_point, result.fndesc, [result.library])
-        self.overloads[tuple(result.signature.args)] = result
+        key = object()  # what callers know it by
+        parts = result._asdict()
+        self.targetctx.insert_user_function(key, parts["fndesc"], [parts["library"]])
+        self.overloads[tuple(result.signature.args)] = result._replace(entry_point=key)
 
     def __call__(self, *args: Any, **kwargs: Any) -> Any:
         """Call the ordinary form, which numba compiles on first use."""

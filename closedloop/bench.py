@@ -20,7 +20,7 @@ from closedloop.forms import COMPILED
 from closedloop.pieces import Pieces
 from closedloop.problem import Problem, prepare
 from closedloop.report.assumptions import NAMES
-from closedloop.report.measured import FAILED_AT, WIDTH, measure_rows
+from closedloop.report.measured import FAILED_AT, TALLY, WIDTH, measure_rows
 from closedloop.robot import Robot
 from closedloop.scenario import Scenario
 from closedloop.simulation import recorded, run_loop
@@ -84,7 +84,7 @@ class Bench:
         self._engine, self._keep, self._model, self._runs = engine, keep, model, runs
         self._pieces = Pieces()
         self._trees: WeakKeyDictionary[Robot, tuple[Tree, Array]] = WeakKeyDictionary()
-        self._rows = np.empty(0)
+        self._rows, self._tally = np.empty(0), np.empty(TALLY)
 
     def run(self, scenario: Scenario) -> Outcome:
         """Run a scenario and return its outcome; a run that fails says why."""
@@ -102,8 +102,8 @@ class Bench:
         figures = np.full(WIDTH, math.nan)
         if len(rows) > 0:
             measure_rows(
-                *tree, rows, len(rows), problem.table, problem.nodes, problem.h, problem.frame, events, len(events),
-                figures,
+                *tree, rows, len(rows), problem.table, problem.nodes, problem.h, problem.frame.ravel(), events,
+                len(events), self._tally, figures,
             )  # fmt: skip
         columns = {name: recorded(rows, problem.robot.n, name) for name in self._keep}
         end = problem.h * (len(rows) - 1) if len(rows) > 0 else math.nan

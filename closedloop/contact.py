@@ -18,6 +18,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from closedloop.compiled import kernel, kernel_inlined
+from closedloop.octet import every, select
 from closedloop.solve import (
     NOT_POSITIVE_DEFINITE,
     OK,
@@ -148,10 +149,10 @@ def pressed_force(S: Array, a: Array, b_stabiliser: float, c: Array, w: Array, F
     share : float
         The part of f that answers the stabiliser, N.
     """
-    if not S[0, 0] > SINGULAR_MOBILITY * (S[0, 0] + S[1, 1] + S[2, 2]):
+    if not every(S[0, 0] > SINGULAR_MOBILITY * (S[0, 0] + S[1, 1] + S[2, 2])):
         return SINGULAR, 0.0
     mobility = S[0, 0] - S[0, 1] * c[0] - S[0, 2] * c[1]
-    if not mobility > SINGULAR_MOBILITY * (S[0, 0] + S[1, 1] + S[2, 2]):
+    if not every(mobility > SINGULAR_MOBILITY * (S[0, 0] + S[1, 1] + S[2, 2])):
         return PAINLEVE, 0.0
     rigid = (-a[0] + S[0, 1] * w[0] + S[0, 2] * w[1]) / mobility
     share = b_stabiliser / mobility
@@ -253,7 +254,7 @@ def residuals(
             s += abs(A[k, i] * F[k])
         worst = max(worst, abs(r))
         scale = max(scale, s)
-    motion = worst / scale if scale > 0.0 else 0.0
+    motion = select(scale > 0.0, worst / scale, 0.0)
     worst, scale = 0.0, 0.0
     for k in range(first, last):
         r = drift_c[k] - b[k]
@@ -265,7 +266,7 @@ def residuals(
             s += abs(S[k, i] * F[i])
         worst = max(worst, abs(r))
         scale = max(scale, s)
-    return motion, worst / scale if scale > 0.0 else 0.0
+    return motion, select(scale > 0.0, worst / scale, 0.0)
 
 
 @kernel

@@ -108,14 +108,15 @@ class Layout:
         return self.end.value(dict(zip(self.sizes, sizes, strict=True)))
 
     def views(self, memory: Array, *sizes: int) -> dict[str, Array]:
-        """Return the views of a block by their names."""
+        """Return the views of a block by their names; of a block of arrays, memory (size, ...), those of each."""
         places = self._places.get(sizes)
         if places is None:
             places = self._places_for(dict(zip(self.sizes, sizes, strict=True)))
             if len(self._places) >= MOST_PLACES:
                 self._places.clear()
             self._places[sizes] = places
-        return {name: memory[begin:end].reshape(shape) for name, begin, end, shape in places}
+        each = memory.shape[1:]
+        return {name: memory[begin:end].reshape(shape + each) for name, begin, end, shape in places}
 
     def _places_for(self, known: Mapping[str, int]) -> list[tuple[str, int, int, tuple[int, ...]]]:
         """Return name, begin, end and shape of each field."""
@@ -128,7 +129,7 @@ class Layout:
 
 def array_on(context: Any, builder: Any, kind: Any, data: Any, shape: list[Any]) -> Any:
     """Return compiled code's array of a type (C or F order) and shape on the numbers at the pointer `data`."""
-    size = context.get_constant(types.intp, 8)
+    size = context.get_constant(types.intp, context.get_abi_sizeof(context.get_data_type(kind.dtype)))
     strides = [size]
     for length in shape[:-1] if kind.layout == "F" else reversed(shape[1:]):
         strides.append(builder.mul(strides[-1], length))
@@ -142,20 +143,20 @@ def array_on(context: Any, builder: Any, kind: Any, data: Any, shape: list[Any])
 def compiled_views(layout: Layout, function: Any) -> None:
     """Make `function(memory, *sizes)`, in compiled code, the block's views as attributes.
 
-    The memory must outlive the views; numba does not count who refers to it.
+    Memory of float64 has views of float64, of octets (`closedloop.octet`) views of octets. It must outlive the views;
+    numba does not count who refers to it.
     """
 
     class Block(types.Type):
-        def __init__(self) -> None:
-            super().__init__(name="Block of " + ", ".join(layout.at))
-
-    block = Block()
-    members = [("base", types.CPointer(types.float64)), *((name, types.intp) for name in layout.sizes)]
+        def __init__(self, dtype: Any) -> None:
+            self.dtype = dtype
+            super().__init__(name=f"Block of {dtype}: " + ", ".join(layout.at))
 
     @register_model(Block)
     class Model(models.StructModel):
         def __init__(self, dmm: Any, fe_type: Any) -> None:
-            super().__init__(dmm, fe_type, members)
+            sizes = ((name, types.intp) for name in layout.sizes)
+            super().__init__(dmm, fe_type, [("base", types.CPointer(fe_type.dtype)), *sizes])
 
     @infer_global(function)
     class Views(AbstractTemplate):
@@ -163,11 +164,11 @@ def compiled_views(layout: Layout, function: Any) -> None:
 
         def generic(self, args: Any, kws: Any) -> Any:
             fits = isinstance(args[0], types.Array) and len(args) == 1 + len(layout.sizes) and not kws
-            return signature(block, *args) if fits and args[0].layout == "C" else None
+            return signature(Block(args[0].dtype), *args) if fits and args[0].layout == "C" else None
 
     @lower_builtin(function, types.Array, types.VarArg(types.Any))
     def lower_views(context: Any, builder: Any, call: Any, arguments: Any) -> Any:
-        struct = cgutils.create_struct_proxy(block)(context, builder)
+        struct = cgutils.create_struct_proxy(call.return_type)(context, builder)
         struct.base = make_array(call.args[0])(context, builder, value=arguments[0]).data
         for name, kind, value in zip(layout.sizes, call.args[1:], arguments[1:], strict=True):
             setattr(struct, name, context.cast(builder, value, kind, types.intp))
@@ -179,11 +180,11 @@ def compiled_views(layout: Layout, function: Any) -> None:
 
         def generic_resolve(self, value: Any, attribute: str) -> Any:  # type: ignore[override]
             shape = layout.shape.get(attribute)
-            return None if shape is None else types.Array(types.float64, len(shape), "C")
+            return None if shape is None else types.Array(value.dtype, len(shape), "C")
 
     @lower_getattr_generic(Block)
     def lower_attribute(context: Any, builder: Any, kind: Any, value: Any, attribute: str) -> Any:
-        struct = cgutils.create_struct_proxy(block)(context, builder, value=value)
+        struct = cgutils.create_struct_proxy(kind)(context, builder, value=value)
 
         def number(count: Count) -> Any:
             total = context.get_constant(types.intp, count.terms.get((), 0))
@@ -197,4 +198,4 @@ def compiled_views(layout: Layout, function: Any) -> None:
 
         shape = [number(count) for count in layout.shape[attribute]]
         data = builder.gep(struct.base, [number(layout.at[attribute])])
-        return array_on(context, builder, types.Array(types.float64, len(shape), "C"), data, shape)
+        return array_on(context, builder, types.Array(kind.dtype, len(shape), "C"), data, shape)

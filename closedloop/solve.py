@@ -16,6 +16,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from closedloop.compiled import kernel_inlined
+from closedloop.octet import every
 
 Array = NDArray[np.float64]
 
@@ -94,7 +95,7 @@ def cholesky(M: Array, L: Array) -> bool:
             for k in range(j):
                 s -= L[i, k] * L[j, k]
             if i == j:
-                if not s > 0.0:
+                if not every(s > 0.0):
                     return False
                 L[j, j] = 1.0 / math.sqrt(s)
             else:

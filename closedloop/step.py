@@ -16,7 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from closedloop.compiled import entry_kernel, kernel, kernel_inlined
-from closedloop.condition import LANES, LONG, condition_of_long, conditions, leave
+from closedloop.condition import LONG, condition_of_long, conditions, leave
 from closedloop.contact import (
     FREE,
     IMMOBILE,
@@ -37,6 +37,7 @@ from closedloop.control.paper import paper_law
 from closedloop.control.sensor import continuous_reading, sense, sensor_rates
 from closedloop.friction.laws import holding, memory_delay, rates, sliding
 from closedloop.joint_friction import add_joint_friction, hold_joints, joint_friction_rates
+from closedloop.octet import every, select
 from closedloop.solve import DIVERGED, OK, PAINLEVE, SINGULAR
 from closedloop.workspace import (
     DELAYED,
@@ -218,12 +219,18 @@ def evaluate(H: Array, C: Array, w: Work, k: Array, state: Whole, table: Array, 
                     w.z[at:here], w.dz[at:here],
                 )  # fmt: skip
             joint_friction_rates(w, k, state)
+    return OK if bounded(w) else DIVERGED
+
+
+@kernel_inlined
+def bounded(w: Work) -> bool:
+    """Whether F, q̈ and q̇ are numbers, and q̇ within `SPEED_LIMIT`."""
     total = abs(w.F[0])
-    for j in range(n):
+    for j in range(w.q.shape[0]):
         total += abs(w.qdd[j])
-        if not abs(w.v[j]) <= SPEED_LIMIT:
-            return DIVERGED
-    return OK if math.isfinite(total) else DIVERGED
+        if not every(abs(w.v[j]) <= SPEED_LIMIT):
+            return False
+    return every(total < math.inf)
 
 
 @kernel_inlined
@@ -452,12 +459,14 @@ def complete_record(pending: Array, rows: Array, state: Whole, done: int, n: int
 
 
 @kernel_inlined
-def record(H: Array, C: Array, w: Work, k: Array, state: Whole, table: Array, rows: Array, more: int | None) -> None:
-    """Write row state[ROW] in the order of `Row`: the state, and what acted in it.
+def record(
+    H: Array, C: Array, w: Work, k: Array, state: Whole, table: Array, rows: Array, place: int, more: int | None
+) -> None:
+    """Write a row in the order of `Row`: the state, and what acted in it.
 
-    The condition number follows once `LANES` rows are full, or with `complete_record`.
+    The condition number follows once the rows of `Work.pending` are full, or with `complete_record`.
     """
-    n, place = w.q.shape[0], state[ROW]
+    n = w.q.shape[0]
     row, lane = rows[place], state[PENDING]
     at = 4 * n + 9
     for j in range(n):
@@ -492,9 +501,9 @@ def record(H: Array, C: Array, w: Work, k: Array, state: Whole, table: Array, ro
     else:
         leave(H, w.A[0], w.L, w.X[0], w.S[0, 0], mode != FREE, w.pending, lane)
         state[PENDING] = lane + 1
-        if lane + 1 >= LANES:
+        if lane + 1 >= w.pending.shape[1]:
             record_conditions(w.pending, rows, state, place + 1, n)
-    row[at + 8] = w.S[0, 0] / trace if trace > 0.0 else 0.0
+    row[at + 8] = select(trace > 0.0, w.S[0, 0] / trace, 0.0)
     row[at + 9] = kinetic_energy(H, w.v)
     if more is None:
         w.now[MEASURED] = w.F[0]

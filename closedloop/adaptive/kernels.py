@@ -6,6 +6,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from closedloop.compiled import entry_kernel, inlined_kernel
+from closedloop.condition import LANES
 from closedloop.contact import PRESSED
 from closedloop.friction.laws import capture_speed
 from closedloop.machine.locate import gauge, slip_left
@@ -23,6 +24,7 @@ from closedloop.workspace import (
     JOINTS,
     MODE,
     RIGID_STICK,
+    ROW,
     SENSOR_RING,
     STAGES,
     START_SLIP,
@@ -45,7 +47,7 @@ def _on_pinocchio(
     k: Array, state: Whole, memory: Array, wanted: Array, table: Array, rows: Array, use: int, more: int | None,
 ) -> int:  # fmt: skip
     n = C.shape[0]
-    w = workspace(memory, n, extra_states(state, n), state[STAGES], state[SENSOR_RING])
+    w = workspace(memory, n, extra_states(state, n), state[STAGES], state[SENSOR_RING], LANES)
     tip_kinematics(
         joint_jacobian, rotation, origin, velocity, acceleration,
         k[TIP : TIP + 3], k[GRAVITY : GRAVITY + 3], k[JOINTS : JOINTS + n], w.J, w.r, w.drift,
@@ -63,7 +65,7 @@ def _on_pinocchio(
             if begun > k[STICK_SPEED] and not begun > band > 0.0:  # see `Memory.happen`
                 w.now[GAUGE] = min(w.now[GAUGE], 1e3 * (slip_left(w, k, state) - k[STICK_SPEED]))
     elif use == RECORD:
-        record(H, C, w, k, state, table, rows, more)
+        record(H, C, w, k, state, table, rows, state[ROW], more)
     return OK
 
 

@@ -22,6 +22,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from closedloop.compiled import kernel_inlined
+from closedloop.octet import select
 
 if TYPE_CHECKING:
     from closedloop.robot import Terms
@@ -62,7 +63,7 @@ def paper_law(
     torque : (n,) array
         Written: Q, N m.
     """
-    pd = 1.0 if t >= settings[1] else 0.0
+    pd = select(t >= settings[1], 1.0, 0.0)
     for j in range(q.shape[0]):
         torque[j] = (
             C[j] - A[0, j] * settings[0] - pd * (gains[0, j] * (q[j] - path[0, j]) + gains[1, j] * (v[j] - path[1, j]))

@@ -136,7 +136,7 @@ def proceed(
         if todo == SET_OUT:
             if more is not None:
                 stick_or_slip_joints(w, k, state, rows)
-            record(H, C, w, k, state, table, rows, more)
+            record(H, C, w, k, state, table, rows, state[ROW], more)
             if state[ROW] == state[STEPS]:
                 return DONE
             state[ROW] += 1

@@ -11,9 +11,10 @@ import math
 import numpy as np
 from numpy.typing import NDArray
 
-from closedloop.compiled import entry_kernel
+from closedloop.compiled import entry_kernel, kernel, kernel_inlined
 from closedloop.contact import FREE, STUCK
 from closedloop.events import EVENT_COLUMNS, KINDS
+from closedloop.octet import select
 from closedloop.report.assumptions import NAMES, NEAR_SINGULAR, RESIDUAL_TOLERANCE
 from closedloop.report.measures import MEASURES, SETTLED
 from closedloop.step import SCALARS
@@ -46,10 +47,20 @@ EVENT_TIME, EVENT_KIND, EVENT_CUT, EVENT_LOSS = (
 )
 
 
+# What the figures of the rows so far come to.
+(
+    PEAK, LEAST, LEAST_MOBILITY, LARGEST_SHARE, LARGEST_RESIDUAL, LARGEST_CONDITION, DEEPEST, WORST, FASTEST, IN_JOINTS,
+    UNACCOUNTED, WORK, WORK_SIZE, RUBBING, FORCE_SQUARES, PATH_SQUARES, TIP_SQUARES, FRICTION_SQUARES, START_ENERGY,
+    POWER_BEFORE, DRIVE_BEFORE, FRICTION_BEFORE, TOUCHES, TOUCHED_BEFORE, STEPS_IN_CONTACT, UNSETTLED,
+) = range(26)  # fmt: skip
+FAILED = 26
+TALLY = FAILED + len(NAMES)
+
+
 @entry_kernel
 def measure_rows(
     tree: Tree, scratch: Array, rows: Array, count: int, table: Array, nodes: int, h: float, frame: Array,
-    events: Array, happened: int, out: Array,
+    events: Array, happened: int, tally: Array, out: Array,
 ) -> None:  # fmt: skip
     """Write the figures of a run; those that do not exist are NaN.
 
@@ -63,103 +74,145 @@ def measure_rows(
         The record, in the order of `closedloop.step.Row`, of which `count` >= 1 rows are the run's, `h` seconds apart.
     table : (P, >= 2 n + 10) array
         What is desired, `nodes` rows to each of the record's, see `closedloop.step.reference_row`.
-    frame : (3, 3) array
+    frame : (9,) array
         Contact frame: rows n, t1, t2 in base axes.
     events : (>= happened, EVENT_WIDTH) array
         See `closedloop.events`.
+    tally : (TALLY,) array
+        Scratch.
     out : (WIDTH,) array
         Written: `MEASURES` in their order, counts of `KINDS`, and when the assumptions first failed.
     """
     n = tree.n
-    sines = scratch[n * n + n :]  # what the terms leave there, and more
-    tip, scalars = 4 * n, 5 * n + 9
-    for i in range(WIDTH):
-        out[i] = 0.0 if i < FAILED_AT else math.nan
-    # What is written to `out` at once would be written at every row: locals stay in registers.
-    peak, least, least_mobility = -math.inf, math.inf, math.inf
-    stabiliser = residual = condition = depth = worst = fastest = in_joints = unaccounted = 0.0
     largest = 0.0
     for i in range(count):
         largest = max(largest, abs(table[i * nodes, 2 * n + 9]))
-    start = work = exchanged = rubbed = lost = before = power_before = friction_before = 0.0
-    force_squares = path_squares = tip_squares = friction_squares = 0.0
-    touches, in_contact, unsettled, event = 0, 0, -1, 0
+    begin_tally(tally)
+    sines = scratch[n * n + n :]  # what the terms leave there, and more
+    lost, event = 0.0, 0
     for i in range(count):
-        row = rows[i]
-        force, error, rate = row[scalars + CONTACT_FORCE], row[scalars + CLOSURE_ERROR], row[scalars + CLOSURE_RATE]
-        mode, motion = row[scalars + MODE], row[scalars + MOTION_RESIDUAL]
-        mobility = row[scalars + NORMAL_MOBILITY]
-        touching = mode != FREE
-        peak, least, least_mobility = max(peak, force), min(least, force), min(least_mobility, mobility)
-        stabiliser = max(stabiliser, abs(row[scalars + STABILISER_FORCE]))
-        residual = max(residual, motion, row[scalars + CLOSURE_RESIDUAL])
-        condition = max(condition, row[scalars + KKT_CONDITION])
-        depth = max(depth, -error)
-
-        wanted = table[i * nodes]
-        miss = force - wanted[2 * n + 9]
-        if abs(miss) > SETTLED * largest:
-            unsettled = i
-        if touching:
-            touches += 1
-            in_contact += 1 if i < count - 1 else 0
-            force_squares += miss * miss
-            worst, fastest = max(worst, abs(error)), max(fastest, abs(rate))
-        for t in range(1, 3):
-            off = -wanted[2 * n + t]
-            for k in range(3):
-                off += frame[t, k] * row[tip + k]
-            path_squares += off * off
-
-        power = joint_power = most = 0.0
-        for j in range(n):
-            power += row[3 * n + j] * row[n + j]
-            joint_power += row[tip + 9 + j] * row[n + j]
-            most = max(most, abs(row[tip + 9 + j]))
-        friction = speed = rubbing = 0.0
-        for k in range(3):
-            friction += row[tip + 6 + k] * row[tip + 6 + k]
-            speed += row[tip + 3 + k] * row[tip + 3 + k]
-            rubbing += row[tip + 6 + k] * row[tip + 3 + k]
-        friction_power = rubbing + joint_power
-        total = power + (force * rate + friction_power)
-        tip_squares, friction_squares = max(tip_squares, speed), max(friction_squares, friction)
-        in_joints = max(in_joints, most)
-
-        energy = row[scalars + KINETIC_ENERGY] + tree_potential_energy(tree, row[0:n], sines)
-        if i == 0:
-            start = energy
-        else:
-            dt = h * i - h * (i - 1)
-            work += 0.5 * (total + before) * dt
-            exchanged += 0.5 * (abs(power) + abs(power_before)) * dt
-            rubbed += 0.5 * (friction_power + friction_before) * dt
         while event < happened and events[event, EVENT_TIME] <= h * i:
             lost += events[event, EVENT_LOSS]
             event += 1
-        unaccounted = max(unaccounted, abs(energy - start - (work - lost)))
-        before, power_before, friction_before = total, power, friction_power
-
-        met = motion <= RESIDUAL_TOLERANCE
-        one_row = row[scalars + CLOSURE_RESIDUAL] <= RESIDUAL_TOLERANCE and mode != STUCK
-        held = (
-            one_row, met, force > 0.0 and touching, met and friction == 0.0 and most == 0.0, mobility > NEAR_SINGULAR
-        )  # fmt: skip
-        for a in range(5):
-            if not held[a] and math.isnan(out[FAILED_AT + a]):
-                out[FAILED_AT + a] = h * i
-
-    last = rows[count - 1]
-    out[FINAL_FORCE], out[PEAK_FORCE], out[LEAST_FORCE] = last[scalars + CONTACT_FORCE], peak, least
-    out[STABILISER], out[RESIDUAL], out[CONDITION], out[MOBILITY] = stabiliser, residual, condition, least_mobility
-    out[ERROR], out[FINAL_ERROR], out[CLOSURE_SPEED] = worst, last[scalars + CLOSURE_ERROR], fastest
-    out[DEPTH], out[JOINT_FRICTION], out[ENERGY] = depth, in_joints, unaccounted
-    out[TIP_SPEED], out[FRICTION] = math.sqrt(tip_squares), math.sqrt(friction_squares)
-    out[CONTACT_TIME], out[EXCHANGED], out[RUBBED] = h * in_contact, exchanged, -rubbed
+        count_row(tree, sines, rows[i], table[i * nodes], i, h, frame, largest, lost, tally)
+    write_figures(rows[count - 1, 5 * n + 9 :], count, h, largest, tally, out)
     for i in range(happened):
         out[STRUCK] += events[i, EVENT_LOSS]
         out[RATE_CUT] = max(out[RATE_CUT], events[i, EVENT_CUT])
         out[EVENTS_AT + int(events[i, EVENT_KIND]) - 1] += 1.0
-    out[FORCE_RMS] = math.sqrt(force_squares / touches) if touches > 0 else math.nan
-    out[SETTLED_AT] = h * (unsettled + 1) if largest > 0.0 and unsettled < count - 1 else math.nan
-    out[PATH_RMS] = math.sqrt(path_squares / count)
+
+
+@kernel
+def begin_tally(tally: Array) -> None:
+    """Write the tally (TALLY,) of no row."""
+    for i in range(TALLY):
+        tally[i] = 0.0 if i < FAILED else math.nan
+    tally[PEAK], tally[LEAST], tally[LEAST_MOBILITY] = -math.inf, math.inf, math.inf
+    tally[UNSETTLED] = -1.0
+
+
+@kernel_inlined
+def count_row(
+    tree: Tree, sines: Array, row: Array, wanted: Array, i: int, h: float, frame: Array, largest: float, lost: float,
+    tally: Array,
+) -> None:  # fmt: skip
+    """Count row i in.
+
+    Parameters
+    ----------
+    tree, h, frame
+        See `measure_rows`.
+    sines : (work_size(n),) array
+        Scratch of the terms.
+    row, wanted : (width,), (>= 2 n + 10,) arrays
+        The row, and what is desired at its instant.
+    largest : float
+        Largest |f_des| of the run, N.
+    lost : float
+        Energy that events up to the row took, J.
+    tally : (TALLY,) array
+        Changed.
+    """
+    n, t = tree.n, tally
+    tip, scalars = 4 * n, 5 * n + 9
+    force, error, rate = row[scalars + CONTACT_FORCE], row[scalars + CLOSURE_ERROR], row[scalars + CLOSURE_RATE]
+    mode, motion = row[scalars + MODE], row[scalars + MOTION_RESIDUAL]
+    closed, mobility = row[scalars + CLOSURE_RESIDUAL], row[scalars + NORMAL_MOBILITY]
+    t[PEAK], t[LEAST] = max(t[PEAK], force), min(t[LEAST], force)
+    t[LEAST_MOBILITY] = min(t[LEAST_MOBILITY], mobility)
+    t[LARGEST_SHARE] = max(t[LARGEST_SHARE], abs(row[scalars + STABILISER_FORCE]))
+    t[LARGEST_RESIDUAL] = max(max(t[LARGEST_RESIDUAL], motion), closed)
+    t[LARGEST_CONDITION] = max(t[LARGEST_CONDITION], row[scalars + KKT_CONDITION])
+    t[DEEPEST] = max(t[DEEPEST], -error)
+
+    touching = mode != FREE
+    miss = force - wanted[2 * n + 9]
+    t[UNSETTLED] = select(abs(miss) > SETTLED * largest, 1.0 * i, t[UNSETTLED])
+    t[STEPS_IN_CONTACT] += t[TOUCHED_BEFORE]
+    t[TOUCHED_BEFORE] = select(touching, 1.0, 0.0)
+    t[TOUCHES] += t[TOUCHED_BEFORE]
+    t[FORCE_SQUARES] += select(touching, miss * miss, 0.0)
+    t[WORST] = max(t[WORST], select(touching, abs(error), 0.0))
+    t[FASTEST] = max(t[FASTEST], select(touching, abs(rate), 0.0))
+    for axis in range(1, 3):
+        off = -wanted[2 * n + axis]
+        for k in range(3):
+            off += frame[3 * axis + k] * row[tip + k]
+        t[PATH_SQUARES] += off * off
+
+    drive = joint_power = most = 0.0
+    for j in range(n):
+        drive += row[3 * n + j] * row[n + j]
+        joint_power += row[tip + 9 + j] * row[n + j]
+        most = max(most, abs(row[tip + 9 + j]))
+    friction = speed = rubbing = 0.0
+    for k in range(3):
+        friction += row[tip + 6 + k] * row[tip + 6 + k]
+        speed += row[tip + 3 + k] * row[tip + 3 + k]
+        rubbing += row[tip + 6 + k] * row[tip + 3 + k]
+    friction_power = rubbing + joint_power
+    power = drive + (force * rate + friction_power)
+    t[TIP_SQUARES], t[FRICTION_SQUARES] = max(t[TIP_SQUARES], speed), max(t[FRICTION_SQUARES], friction)
+    t[IN_JOINTS] = max(t[IN_JOINTS], most)
+
+    energy = row[scalars + KINETIC_ENERGY] + tree_potential_energy(tree, row[0:n], sines)
+    if i == 0:
+        t[START_ENERGY] = energy
+    else:
+        dt = h * i - h * (i - 1)
+        t[WORK] += 0.5 * (power + t[POWER_BEFORE]) * dt
+        t[WORK_SIZE] += 0.5 * (abs(drive) + abs(t[DRIVE_BEFORE])) * dt
+        t[RUBBING] += 0.5 * (friction_power + t[FRICTION_BEFORE]) * dt
+    t[UNACCOUNTED] = max(t[UNACCOUNTED], abs(energy - t[START_ENERGY] - (t[WORK] - lost)))
+    t[POWER_BEFORE], t[DRIVE_BEFORE], t[FRICTION_BEFORE] = power, drive, friction_power
+
+    met = motion <= RESIDUAL_TOLERANCE
+    held = (
+        (closed <= RESIDUAL_TOLERANCE) & (mode != STUCK),
+        met,
+        (force > 0.0) & touching,
+        met & (friction == 0.0) & (most == 0.0),
+        mobility > NEAR_SINGULAR,
+    )
+    for a in range(5):
+        failed = t[FAILED + a]
+        t[FAILED + a] = select(held[a] | (failed == failed), failed, h * i)
+
+
+@kernel
+def write_figures(last: Array, count: int, h: float, largest: float, tally: Array, out: Array) -> None:
+    """Write the figures `out` (WIDTH,) of `count` rows of which there is a tally; `last` are the last row's scalars."""
+    t = tally
+    for i in range(WIDTH):
+        out[i] = 0.0 if i < FAILED_AT else t[FAILED + i - FAILED_AT]
+    out[FINAL_FORCE], out[FINAL_ERROR] = last[CONTACT_FORCE], last[CLOSURE_ERROR]
+    out[PEAK_FORCE], out[LEAST_FORCE], out[MOBILITY] = t[PEAK], t[LEAST], t[LEAST_MOBILITY]
+    out[STABILISER], out[RESIDUAL], out[CONDITION] = t[LARGEST_SHARE], t[LARGEST_RESIDUAL], t[LARGEST_CONDITION]
+    out[ERROR], out[CLOSURE_SPEED], out[DEPTH] = t[WORST], t[FASTEST], t[DEEPEST]
+    out[JOINT_FRICTION], out[ENERGY] = t[IN_JOINTS], t[UNACCOUNTED]
+    out[TIP_SPEED], out[FRICTION] = math.sqrt(t[TIP_SQUARES]), math.sqrt(t[FRICTION_SQUARES])
+    out[CONTACT_TIME], out[EXCHANGED], out[RUBBED] = h * t[STEPS_IN_CONTACT], t[WORK_SIZE], -t[RUBBING]
+    out[FORCE_RMS] = math.sqrt(select(t[TOUCHES] > 0.0, t[FORCE_SQUARES] / t[TOUCHES], math.nan))
+    settles = (largest > 0.0) & (t[UNSETTLED] < count - 1)
+    out[SETTLED_AT] = select(settles, h * (t[UNSETTLED] + 1), math.nan)
+    out[PATH_RMS] = math.sqrt(t[PATH_SQUARES] / count)

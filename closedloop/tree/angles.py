@@ -10,13 +10,13 @@ from __future__ import annotations
 import math
 
 from closedloop.compiled import kernel_inlined
+from closedloop.octet import nearest, select
 from closedloop.tree import layout as at
 from closedloop.tree.layout import Array, Tree
 
 # π/2 in parts of 33, 33 and 53 bits: a multiple below 2²⁰ of each of the first two is exact.
 PART_1, PART_2, PART_3 = 1.57079632673412561417, 6.07710050630396597660e-11, 2.02226624879595063154e-21
 PER_RIGHT_ANGLE = 2.0 / math.pi
-LARGEST = 1e6
 
 # x + ROUND − ROUND is x rounded to a whole number: no bits are left for a fraction.
 ROUND = 1.5 * 2.0**52
@@ -33,8 +33,8 @@ def sines(tree: Tree, q: Array, work: Array) -> None:
     n, links, k, w = tree.n, tree.links, tree.constants, work
     for i in range(n):
         x = q[i]
-        if not abs(x) <= LARGEST and links[at.REVOLUTE * n + i] != 0:
-            x = math.atan2(math.sin(x), math.cos(x))
+        if links[at.REVOLUTE * n + i] != 0:
+            x = nearest(x)
         w[(links[at.SCRATCH * n + i] & at.INDEX) + at.POSITION] = x
     for block in range(tree.blocks):
         c = (at.HEAD + block * at.CONSTANTS) & at.INDEX
@@ -58,8 +58,8 @@ def sines(tree: Tree, q: Array, work: Array) -> None:
             rest = x4 * ((C1 + x2 * C2) + x4 * ((C3 + x2 * C4) + x4 * (C5 + x2 * C6)))
             cosine = near + ((1.0 - near - half) + rest)
             odd = (quarter == 1.0) | (quarter == 3.0)
-            a = cosine if odd else sine
-            b = sine if odd else cosine
-            w[s + at.SINE + lane] = -a if quarter >= 2.0 else a
-            w[s + at.COSINE + lane] = -b if (quarter == 1.0) | (quarter == 2.0) else b
+            a = select(odd, cosine, sine)
+            b = select(odd, sine, cosine)
+            w[s + at.SINE + lane] = select(quarter >= 2.0, -a, a)
+            w[s + at.COSINE + lane] = select((quarter == 1.0) | (quarter == 2.0), -b, b)
             w[s + at.SLIDE + lane] = position - turn

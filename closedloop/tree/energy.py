@@ -48,4 +48,5 @@ def tree_potential_energy(tree: Tree, q: Array, work: Array) -> float:
             joint = parent
         if joint < 0:
             h0 = h1 = h2 = mass = 0.0
-    return -float(k[at.GRAVITY] * total0 + k[at.GRAVITY + 1] * total1 + k[at.GRAVITY + 2] * total2)
+    energy: float = -(k[at.GRAVITY] * total0 + k[at.GRAVITY + 1] * total1 + k[at.GRAVITY + 2] * total2)
+    return energy

@@ -1,0 +1,229 @@
+"""Eight runs abreast: a batch's runs of the paper's law on a smooth surface that holds the tip, in one loop.
+
+Such a run never has to decide anything: no event, no impact, no friction. So eight of them can take each step together,
+in octets (`closedloop.octet`), by the very kernels that one run goes through alone, and to the same last bit. What is
+here is only their order, that of `closedloop.machine` without its decisions. A row is counted as soon as it is there
+(`closedloop.report.measured`), and kept only if asked for.
+
+If in one of the eight something does come up, a singular pose or a motion that diverges, the loop gives up and says so:
+each of the eight is then run alone.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Hashable, Sequence
+
+import numpy as np
+from numpy.typing import NDArray
+
+from closedloop import workspace as space
+from closedloop.addresses import address_of, matrix_at, vector_at
+from closedloop.compiled import entry_kernel, kernel_inlined, numba_settings
+from closedloop.contact import PRESSED, accelerate, baumgarte_acceleration, factorise, pressed_force, unloaded
+from closedloop.control.paper import paper_law
+from closedloop.integrate import advance
+from closedloop.octet import WIDE, aligned, octets_at, with_lane
+from closedloop.problem import Problem
+from closedloop.report.measured import TALLY, WIDTH, begin_tally, count_row, write_figures
+from closedloop.solve import DIVERGED, OK
+from closedloop.step import SCALARS, Row, bounded, locate_tip, record
+from closedloop.tree import Tree, tree_terms, work_size
+from closedloop.workspace import Whole, Work, workspace
+
+Array = NDArray[np.float64]
+
+# The parts of the loop's memory, in `places`: each an array of octets.
+MEMORY, TERMS, CONSTANTS, FORCES, LARGEST, ROWS, TALLIES, FIGURES = range(8)
+
+SCALAR_COUNT = len(SCALARS)
+
+
+def kind_of(problem: Problem) -> Hashable | None:
+    """Return what runs that go abreast must have in common; None for one that must go alone.
+
+    Parameters
+    ----------
+    problem : Problem
+        Of the compiled engine.
+    """
+    alone = (
+        problem.more
+        or problem.tolerance is not None
+        or problem.project
+        or problem.mode != PRESSED
+        or problem.scenario.surface.contact != "bilateral"
+        or numba_settings.DISABLE_JIT
+    )
+    if alone:
+        return None
+    return problem.robot, problem.steps, problem.h, problem.nodes, problem.hold, problem.scenario.time.integrator
+
+
+class Abreast:
+    """Memory for eight runs of one kind; see `kind_of`.
+
+    Parameters
+    ----------
+    like : Problem
+        One of them.
+    keep : bool
+        Whether all rows are to be kept.
+    """
+
+    def __init__(self, like: Problem, keep: bool) -> None:
+        n, stages = like.robot.n, like.integrator.stages
+        self._n, self._table = n, like.table.shape
+        self._state, self._tableau = like.state(), like.integrator.tableau()
+        self._h, self._spacing = like.h, like.h / like.nodes
+        self._memory = aligned(space.memory_size(n, 0, stages, 1, 1))
+        self._work = space.workspace(self._memory, n, 0, stages, 1, 1)
+        self._constants = aligned(like.constants().size)
+        self._forces, self._largest = aligned(like.table.shape[0]), aligned(1)
+        self._rows = aligned(like.steps + 1 if keep else 1, Row.of(n).width)
+        self._figures = aligned(WIDTH)
+        self._parts = (
+            self._memory, aligned(n * n + n + work_size(n)), self._constants, self._forces, self._largest, self._rows,
+            aligned(TALLY), self._figures,
+        )  # fmt: skip
+        self._places = np.array([address_of(part) for part in self._parts])
+        self._tables: list[Array] = [like.table] * WIDE
+
+    @property
+    def bytes(self) -> int:
+        """Return how much memory that is."""
+        return sum(part.nbytes for part in self._parts)
+
+    def take(self, lane: int, problem: Problem) -> None:
+        """Let a problem be run number `lane`; its table may be overwritten but for what is desired of the motion."""
+        n = self._n
+        self._constants[:, lane] = problem.constants()
+        self._work.q[:, lane], self._work.v[:, lane] = problem.q, problem.v
+        force = problem.table[:, 2 * n + 9]
+        self._forces[:, lane] = force
+        self._largest[0, lane] = np.abs(force[:: problem.nodes]).max()
+        self._tables[lane] = problem.table
+
+    def run(self, tree: Tree) -> bool:
+        """Run the eight; False if something came up in one of them."""
+        tables = np.array([address_of(table) for table in self._tables])
+        self._state[space.PENDING] = 0
+        status = run_abreast(
+            tree, self._places, self._constants.shape[0], self._state, self._h, self._spacing, self._tableau, tables,
+            *self._table, self._rows.shape[0],
+        )  # fmt: skip
+        return status == OK
+
+    def figures(self, lane: int) -> Array:
+        """Return the figures of a run, see `closedloop.report.measured`."""
+        return self._figures[:, lane].copy()
+
+    def rows(self, lane: int) -> Array:
+        """Return the rows of a run, if they were kept; they are overwritten by the next."""
+        return self._rows[:, :, lane]
+
+
+@entry_kernel
+def run_abreast(
+    tree: Tree, places: Whole, constants: int, state: Whole, h: float, spacing: float, tableau: Array, tables: Whole,
+    instants: int, columns: int, kept: int,
+) -> int:  # fmt: skip
+    """Run eight problems from start to end.
+
+    Parameters
+    ----------
+    tree : Tree
+        Their robot.
+    places : (8,) array of int
+        Addresses of the parts of the memory, see `Abreast`.
+    constants : int
+        How many constants there are, see `closedloop.workspace`.
+    state : array of int
+        See `closedloop.workspace`; the same for all.
+    h, spacing : float
+        Step, and time between two rows of a table, s.
+    tableau : (S + 1, S) array
+        See `closedloop.integrate.Integrator.tableau`.
+    tables : (8,) array of int
+        Addresses of what is desired of each, (instants, columns), see `closedloop.step.reference_row`.
+    kept : int
+        How many rows there is room for: all, or one that is overwritten.
+
+    Returns
+    -------
+    int
+        OK, or a status of `closedloop.solve` if something came up in at least one of them.
+    """
+    n, stages, steps, hold = tree.n, state[space.STAGES], state[space.STEPS], state[space.HOLD]
+    semi_implicit = state[space.SEMI_IMPLICIT] != 0
+    w = workspace(octets_at(places[MEMORY], 0), n, 0, stages, 1, 1)
+    terms = octets_at(places[TERMS], n * n + n + work_size(n))
+    H, C, scratch = terms[0 : n * n].reshape(n, n), terms[n * n : n * n + n], terms[n * n + n :]
+    k, largest = octets_at(places[CONSTANTS], constants), octets_at(places[LARGEST], 1)[0]
+    forces = octets_at(places[FORCES], instants)
+    width = 5 * n + 9 + SCALAR_COUNT
+    rows = octets_at(places[ROWS], kept * width).reshape(kept, width)
+    tally, out = octets_at(places[TALLIES], TALLY), octets_at(places[FIGURES], WIDTH)
+    frame = k[space.FRAME : space.FRAME + 9]
+    begin_tally(tally)
+    for row in range(steps + 1):
+        begin, place = row * h, row if kept > 1 else 0
+        for stage in range(stages if row < steps else 1):
+            node = 0.0
+            for i in range(stage):
+                node += tableau[stage, i]
+            t = begin + node * h
+            tree_terms(tree, w.q, w.v, scratch, H, C, w.J, w.r, w.drift)
+            desired(t, spacing, tables, instants, columns, forces, w.reference)
+            sampled = hold == 0 or (stage == 0 and row % hold == 0)
+            status = press(H, C, w, k, t, sampled)
+            if status != OK:
+                return status
+            if stage == 0:
+                record(H, C, w, k, state, tableau, rows, place, None)
+                count_row(tree, scratch, rows[place], w.reference, row, h, frame, largest, 0.0, tally)
+                for j in range(n):
+                    w.begin[j] = w.q[j]
+                    w.begin[n + j] = w.v[j]
+            if row < steps:
+                advance(stage, h, semi_implicit, False, tableau, w.begin, w.stages, w.qdd, w.dz, w.q, w.v, w.z)
+    write_figures(rows[(steps if kept > 1 else 0), 5 * n + 9 :], steps + 1, h, largest, tally, out)
+    return OK
+
+
+@kernel_inlined
+def desired(
+    t: float, spacing: float, tables: Whole, instants: int, columns: int, forces: Array, reference: Array
+) -> None:
+    """Write what is desired of each run at t, an instant of the tables; see `closedloop.step.reference_row`."""
+    at = min(round(t / spacing), instants - 1)
+    width = reference.shape[0]
+    first = matrix_at(tables[0], instants, columns)
+    for j in range(width):
+        reference[j] = first[at, j]
+    for i in range(1, WIDE):
+        if tables[i] != tables[0]:
+            own = matrix_at(tables[i], instants, columns)
+            for j in range(width):
+                reference[j] = with_lane(reference[j], i, own[at, j])
+    reference[width - 1] = forces[at]
+
+
+@kernel_inlined
+def press(H: Array, C: Array, w: Work, k: Array, t: float, sampled: bool) -> int:
+    """Evaluate law, contact and Eq. 24 of a tip that is held on a smooth surface; see `closedloop.step.evaluate`."""
+    n = w.q.shape[0]
+    locate_tip(w, k)
+    status = factorise(H, w.A, w.L, w.X, w.S)
+    if status != OK:
+        return status
+    if sampled:
+        w.scratch[0], w.scratch[1] = w.reference[2 * n + 9], k[space.PD_AT]
+        gains = k[space.JOINTS + n : space.JOINTS + 3 * n].reshape(2, n)
+        paper_law(t, w.scratch, gains, w.reference[: 2 * n].reshape(2, n), w.q, w.v, C, w.A, w.torque)
+    unloaded(w.L, w.X, w.drift_c, w.torque, C, w.y, w.a)
+    w.b[0] = baumgarte_acceleration(k[space.S_V], k[space.S_P], w.now[space.RATE], w.now[space.GAP])
+    status, w.share[0] = pressed_force(w.S, w.a, w.b[0], w.c, w.w, w.F)
+    if status != OK:
+        return status
+    accelerate(w.L, w.X, w.y, w.F, w.qdd)
+    return OK if bounded(w) else DIVERGED

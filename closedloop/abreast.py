@@ -11,23 +11,24 @@ each of the eight is then run alone.
 
 from __future__ import annotations
 
-from collections.abc import Hashable, Sequence
+from collections.abc import Hashable
 
 import numpy as np
 from numpy.typing import NDArray
 
 from closedloop import workspace as space
-from closedloop.addresses import address_of, matrix_at, vector_at
+from closedloop.addresses import address_of, matrix_at
 from closedloop.compiled import entry_kernel, kernel_inlined, numba_settings
-from closedloop.contact import PRESSED, accelerate, baumgarte_acceleration, factorise, pressed_force, unloaded
+from closedloop.contact import accelerate, baumgarte_acceleration, factorise, pressed_force, unloaded
 from closedloop.control.paper import paper_law
-from closedloop.integrate import advance
+from closedloop.integrate import INTEGRATORS, advance
 from closedloop.octet import WIDE, aligned, octets_at, with_lane
-from closedloop.problem import Problem
-from closedloop.report.measured import TALLY, WIDTH, begin_tally, count_row, write_figures
+from closedloop.problem import Problem, needs_more
+from closedloop.report.measured import TALLY, WIDTH, begin_tally, count_condition, count_row, write_figures
+from closedloop.scenario import Scenario
 from closedloop.solve import DIVERGED, OK
-from closedloop.step import SCALARS, Row, bounded, locate_tip, record
-from closedloop.tree import Tree, tree_terms, work_size
+from closedloop.step import SCALARS, Row, bounded, locate_tip, record, record_conditions
+from closedloop.tree import Tree, energy_there, tree_terms, work_size
 from closedloop.workspace import Whole, Work, workspace
 
 Array = NDArray[np.float64]
@@ -36,25 +37,24 @@ Array = NDArray[np.float64]
 MEMORY, TERMS, CONSTANTS, FORCES, LARGEST, ROWS, TALLIES, FIGURES = range(8)
 
 SCALAR_COUNT = len(SCALARS)
+# Rows whose condition numbers are worked out at once.
+TOGETHER = 4
+
+
+def can_go_abreast(scenario: Scenario) -> bool:
+    """Whether nothing needs to be decided in a run: the paper's law, and a closure that holds the tip."""
+    return (
+        not needs_more(scenario)
+        and scenario.surface.contact == "bilateral"
+        and scenario.stabiliser.kind in ("baumgarte", "none")
+        and scenario.time.integrator in INTEGRATORS
+        and not numba_settings.DISABLE_JIT
+    )
 
 
 def kind_of(problem: Problem) -> Hashable | None:
-    """Return what runs that go abreast must have in common; None for one that must go alone.
-
-    Parameters
-    ----------
-    problem : Problem
-        Of the compiled engine.
-    """
-    alone = (
-        problem.more
-        or problem.tolerance is not None
-        or problem.project
-        or problem.mode != PRESSED
-        or problem.scenario.surface.contact != "bilateral"
-        or numba_settings.DISABLE_JIT
-    )
-    if alone:
+    """Return what runs that go abreast must have in common; None for one that must go alone."""
+    if not can_go_abreast(problem.scenario):
         return None
     return problem.robot, problem.steps, problem.h, problem.nodes, problem.hold, problem.scenario.time.integrator
 
@@ -68,18 +68,26 @@ class Abreast:
         One of them.
     keep : bool
         Whether all rows are to be kept.
+
+    Attributes
+    ----------
+    n, steps : int
+        Joints, and steps of a run.
+    end : float
+        Instant of the last row, s.
     """
 
     def __init__(self, like: Problem, keep: bool) -> None:
         n, stages = like.robot.n, like.integrator.stages
-        self._n, self._table = n, like.table.shape
+        self.n, self.steps, self.end = n, like.steps, like.h * like.steps
+        self._instants, self._columns = like.table.shape
         self._state, self._tableau = like.state(), like.integrator.tableau()
         self._h, self._spacing = like.h, like.h / like.nodes
-        self._memory = aligned(space.memory_size(n, 0, stages, 1, 1))
-        self._work = space.workspace(self._memory, n, 0, stages, 1, 1)
+        self._memory = aligned(space.memory_size(n, 0, stages, 1, TOGETHER))
+        self._work = space.workspace(self._memory, n, 0, stages, 1, TOGETHER)
         self._constants = aligned(like.constants().size)
         self._forces, self._largest = aligned(like.table.shape[0]), aligned(1)
-        self._rows = aligned(like.steps + 1 if keep else 1, Row.of(n).width)
+        self._rows = aligned(like.steps + 1 if keep else TOGETHER, Row.of(n).width)
         self._figures = aligned(WIDTH)
         self._parts = (
             self._memory, aligned(n * n + n + work_size(n)), self._constants, self._forces, self._largest, self._rows,
@@ -94,8 +102,8 @@ class Abreast:
         return sum(part.nbytes for part in self._parts)
 
     def take(self, lane: int, problem: Problem) -> None:
-        """Let a problem be run number `lane`; its table may be overwritten but for what is desired of the motion."""
-        n = self._n
+        """Let a problem be run number `lane`; afterwards the table's forces and noise may be overwritten."""
+        n = self.n
         self._constants[:, lane] = problem.constants()
         self._work.q[:, lane], self._work.v[:, lane] = problem.q, problem.v
         force = problem.table[:, 2 * n + 9]
@@ -103,13 +111,16 @@ class Abreast:
         self._largest[0, lane] = np.abs(force[:: problem.nodes]).max()
         self._tables[lane] = problem.table
 
-    def run(self, tree: Tree) -> bool:
-        """Run the eight; False if something came up in one of them."""
+    def run(self, tree: Tree, count: int) -> bool:
+        """Run the first `count` of the eight; False if something came up in one of them."""
+        for part in (self._constants, self._forces, self._largest, self._work.q, self._work.v):
+            part[..., count:] = part[..., :1]  # the others do what the first does
+        self._tables[count:] = [self._tables[0]] * (WIDE - count)
         tables = np.array([address_of(table) for table in self._tables])
         self._state[space.PENDING] = 0
         status = run_abreast(
             tree, self._places, self._constants.shape[0], self._state, self._h, self._spacing, self._tableau, tables,
-            *self._table, self._rows.shape[0],
+            self._instants, self._columns, self._rows.shape[0],
         )  # fmt: skip
         return status == OK
 
@@ -146,7 +157,7 @@ def run_abreast(
     tables : (8,) array of int
         Addresses of what is desired of each, (instants, columns), see `closedloop.step.reference_row`.
     kept : int
-        How many rows there is room for: all, or one that is overwritten.
+        How many rows there is room for: all, or `TOGETHER`, over and over again.
 
     Returns
     -------
@@ -155,7 +166,7 @@ def run_abreast(
     """
     n, stages, steps, hold = tree.n, state[space.STAGES], state[space.STEPS], state[space.HOLD]
     semi_implicit = state[space.SEMI_IMPLICIT] != 0
-    w = workspace(octets_at(places[MEMORY], 0), n, 0, stages, 1, 1)
+    w = workspace(octets_at(places[MEMORY], 0), n, 0, stages, 1, TOGETHER)
     terms = octets_at(places[TERMS], n * n + n + work_size(n))
     H, C, scratch = terms[0 : n * n].reshape(n, n), terms[n * n : n * n + n], terms[n * n + n :]
     k, largest = octets_at(places[CONSTANTS], constants), octets_at(places[LARGEST], 1)[0]
@@ -166,7 +177,7 @@ def run_abreast(
     frame = k[space.FRAME : space.FRAME + 9]
     begin_tally(tally)
     for row in range(steps + 1):
-        begin, place = row * h, row if kept > 1 else 0
+        begin, place = row * h, row % kept
         for stage in range(stages if row < steps else 1):
             node = 0.0
             for i in range(stage):
@@ -180,13 +191,19 @@ def run_abreast(
                 return status
             if stage == 0:
                 record(H, C, w, k, state, tableau, rows, place, None)
-                count_row(tree, scratch, rows[place], w.reference, row, h, frame, largest, 0.0, tally)
+                potential = energy_there(tree, scratch)
+                count_row(rows[place], potential, w.reference, row, h, frame, largest, 0.0, tally)
+                if row == steps:
+                    record_conditions(w.pending, rows, state, place + 1, n)
+                if state[space.PENDING] == 0:
+                    for i in range(place - place % TOGETHER, place + 1):
+                        count_condition(rows[i], tally)
                 for j in range(n):
                     w.begin[j] = w.q[j]
                     w.begin[n + j] = w.v[j]
             if row < steps:
                 advance(stage, h, semi_implicit, False, tableau, w.begin, w.stages, w.qdd, w.dz, w.q, w.v, w.z)
-    write_figures(rows[(steps if kept > 1 else 0), 5 * n + 9 :], steps + 1, h, largest, tally, out)
+    write_figures(rows[steps % kept, 5 * n + 9 :], steps + 1, h, largest, tally, out)
     return OK
 
 

@@ -3,7 +3,7 @@
     table = cl.simulate_batch(cl.load_scenario("wam_slide"), {"law.force": [5.0, 10.0, 15.0]})
     table.to_pandas()[["law.force", "min_contact_force"]]
 
-Each thread has a bench of its own and takes the next run when it is done with one. The compiled engine holds no
+Each thread has a bench of its own and takes the next few runs when it is done with some. The compiled engine holds no
 interpreter's lock while it steps, so threads are as good as processes, and need not send anything to each other.
 """
 
@@ -20,6 +20,7 @@ from typing import TYPE_CHECKING, Any
 from closedloop.bench import Bench, Outcome, refused
 from closedloop.errors import ScenarioError
 from closedloop.forms import COMPILED
+from closedloop.octet import WIDE
 from closedloop.scenario import Scenario
 from closedloop.simulation import check_engine
 from closedloop.table import kept_columns, key_type, schema, table_of
@@ -82,30 +83,49 @@ def simulate_batch(
     columns = kept_columns(keep)
     variants = Variants(scenario, keys)
     check_engine(variants.look(points), engine, None)
-    outcomes: list[Outcome | None] = [None] * len(points)
+    threads, finished = threads_for(engine, workers), itertools.count(1)
+    each = min(WIDE, -(-len(points) // threads)) if engine == COMPILED else 1
+    blocks = [points[first : first + each] for first in range(0, len(points), each)]
+    outcomes: list[list[Outcome]] = [[]] * len(blocks)
+    done = [0]
+
+    def ran() -> None:
+        done[0] = next(finished)
 
     def one(bench: Bench, i: int) -> None:
-        outcomes[i] = run_variant(bench, variants, points[i], engine)
+        outcomes[i] = run_variants(bench, variants, blocks[i], engine, ran)
 
     with ExitStack() as open_until_done:
         if progress is True:
             from closedloop.progress import bar
 
             progress = open_until_done.enter_context(bar(scenario.name, len(points)))
-        threads = threads_for(engine, workers)
-        side_by_side(one, len(points), threads, lambda: Bench(engine, columns, model, len(points)), progress or _silent)
+        report = progress or _silent
+        side_by_side(
+            one, len(blocks), threads, lambda: Bench(engine, columns, model, len(points)),
+            lambda blocks_done, of: report(done[0], len(points)),
+        )  # fmt: skip
     kinds = {key: key_type([point[k] for point in points]) for k, key in enumerate(keys)}
-    return table_of(schema(kinds, columns), 0, points, [x for x in outcomes if x is not None], columns)
+    return table_of(schema(kinds, columns), 0, points, [x for block in outcomes for x in block], columns)
 
 
-def run_variant(bench: Bench, variants: Variants, values: Sequence[Any], engine: str) -> Outcome:
-    """Run the variant with these values; one that cannot even be read says why."""
-    try:
-        scenario = variants.scenario(values)
-        check_engine(scenario, engine, None)
-    except ScenarioError as error:
-        return refused(error)
-    return bench.run(scenario)
+def run_variants(
+    bench: Bench, variants: Variants, points: Sequence[Sequence[Any]], engine: str, ran: Callable[[], None]
+) -> list[Outcome]:
+    """Run the variants with these values, calling `ran` after each; one that cannot even be read says why."""
+    outcomes: list[Outcome | None] = []
+    scenarios = []
+    for values in points:
+        try:
+            scenario = variants.scenario(values)
+            check_engine(scenario, engine, None)
+            scenarios.append(scenario)
+            outcomes.append(None)
+        except ScenarioError as error:
+            outcomes.append(refused(error))
+            ran()
+    came_to = iter(bench.run_all(scenarios, ran))
+    return [next(came_to) if outcome is None else outcome for outcome in outcomes]
 
 
 def threads_for(engine: str, workers: int | None) -> int:

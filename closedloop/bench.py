@@ -3,20 +3,25 @@
 Beside the steps a run of a batch costs some Python: its scenario is checked, and its numbers are packed. All that is
 large is kept here from run to run: robots, paths and tables (`closedloop.pieces`), rows, events, scratch. Nothing of an
 earlier run can be seen in a later one: the loop reads no row that it has not written.
+
+Runs that are alike enough go eight abreast (`closedloop.abreast`), which changes no bit of what they come to.
 """
 
 from __future__ import annotations
 
 import math
+from collections.abc import Callable, Hashable, Sequence
 from dataclasses import dataclass, field
 from weakref import WeakKeyDictionary
 
 import numpy as np
 from numpy.typing import NDArray
 
+from closedloop.abreast import Abreast, kind_of
 from closedloop.compiled_engine import compiled_tree, compiled_work
 from closedloop.errors import ClosedLoopError, SingularClosureError
-from closedloop.forms import COMPILED
+from closedloop.forms import COMPILED, worth_going_abreast
+from closedloop.octet import WIDE
 from closedloop.pieces import Pieces
 from closedloop.problem import Problem, prepare
 from closedloop.report.assumptions import NAMES
@@ -32,6 +37,11 @@ Array = NDArray[np.float64]
 
 SINGULAR_AT = FAILED_AT + NAMES.index("nonsingular")
 RAN, STOPPED, REFUSED = "done", "stopped", "refused"
+
+# Eight runs abreast take as long as two alone; fewer than this many are run alone.
+FEWEST_ABREAST = 3
+# Rows of eight runs that are kept whole may take this many bytes.
+ROOM_ABREAST = 64_000_000
 
 
 @dataclass(frozen=True)
@@ -61,6 +71,15 @@ class Outcome:
     figures: Array
     end_time: float = math.nan
     columns: dict[str, Array] = field(default_factory=dict)
+
+
+@dataclass(frozen=True)
+class Rank:
+    """Runs that will go abreast: their memory, their robot, and their numbers so far."""
+
+    abreast: Abreast
+    tree: Tree
+    members: list[int]
 
 
 class Bench:
@@ -94,10 +113,68 @@ class Bench:
         except ClosedLoopError as error:
             return refused(error)
 
+    def run_all(self, scenarios: Sequence[Scenario], ran: Callable[[], None] = lambda: None) -> list[Outcome]:
+        """Run scenarios, abreast where they can, and return their outcomes in order; `ran` is called after each."""
+        outcomes: dict[int, Outcome] = {}
+        ranks: dict[Hashable, Rank] = {}
+
+        def done(members: Sequence[int], came_to: Sequence[Outcome]) -> None:
+            for i, outcome in zip(members, came_to, strict=True):
+                outcomes[i] = outcome
+                ran()
+
+        for i, scenario in enumerate(scenarios):
+            try:
+                problem = prepare(scenario, self._model, self._pieces)
+                rank = self._rank(problem, ranks)
+                if rank is None:
+                    done([i], [self._run(problem)])
+                    continue
+            except ClosedLoopError as error:
+                done([i], [refused(error)])
+                continue
+            rank.abreast.take(len(rank.members), problem)
+            rank.members.append(i)
+            if len(rank.members) == WIDE:
+                done(rank.members, self._run_rank(rank, scenarios))
+                rank.members.clear()
+        for rank in ranks.values():
+            done(rank.members, self._run_rank(rank, scenarios))
+        return [outcomes[i] for i in range(len(scenarios))]
+
+    def _rank(self, problem: Problem, ranks: dict[Hashable, Rank]) -> Rank | None:
+        """Return the rank in which a problem may go, found among `ranks` or put there; None if it must go alone."""
+        kind = kind_of(problem)
+        if self._engine != COMPILED or kind is None or not worth_going_abreast(self._runs * problem.steps):
+            return None
+        rows = (problem.steps + 1) * Row.of(problem.robot.n).width
+        if self._keep and rows * WIDE * self._rows.itemsize > ROOM_ABREAST:
+            return None
+        if kind not in ranks:
+            abreast = self._pieces.get(
+                ("abreast", kind), lambda: Abreast(problem, bool(self._keep)), lambda made: made.bytes
+            )
+            ranks[kind] = Rank(abreast, self._tree(problem)[0], [])
+        return ranks[kind]
+
+    def _run_rank(self, rank: Rank, scenarios: Sequence[Scenario]) -> list[Outcome]:
+        """Return the outcomes of a rank's members."""
+        abreast, count = rank.abreast, len(rank.members)
+        if count < FEWEST_ABREAST or not abreast.run(rank.tree, count):
+            return [self.run(scenarios[i]) for i in rank.members]
+        outcomes = []
+        for lane in range(count):
+            rows = abreast.rows(lane)
+            columns = {name: recorded(rows, abreast.n, name) for name in self._keep}
+            outcomes.append(Outcome(RAN, None, abreast.steps + 1, abreast.figures(lane), abreast.end, columns))
+        return outcomes
+
     def _run(self, problem: Problem) -> Outcome:
-        tree = self._tree(problem)
+        tree, ahead = self._tree(problem), self._runs * problem.steps
+        if kind_of(problem) is not None and worth_going_abreast(ahead):
+            ahead = 0  # but for this one they go abreast
         rows, events, failure, _ = run_loop(
-            problem, engine=self._engine, rows=self._room(problem), tree=tree, ahead=self._runs * problem.steps
+            problem, engine=self._engine, rows=self._room(problem), tree=tree, ahead=ahead
         )
         figures = np.full(WIDTH, math.nan)
         if len(rows) > 0:

@@ -20,7 +20,7 @@ from typing import Any
 import numpy as np
 from llvmlite import ir
 from numba import types
-from numba.core.typeconv import Conversion
+from numba.core.typeconv.castgraph import Conversion
 from numba.core.typing.templates import AbstractTemplate, infer_global, signature
 from numba.extending import intrinsic, lower_builtin, lower_cast, models, overload, register_model
 from numpy.typing import NDArray
@@ -28,6 +28,8 @@ from numpy.typing import NDArray
 from closedloop.layout import array_on
 
 Array = NDArray[np.float64]
+
+_intrinsic: Any = intrinsic  # its annotations know only the function that is written, not the one that is called
 
 WIDE = 8
 _DOUBLES = ir.VectorType(ir.DoubleType(), WIDE)
@@ -219,7 +221,8 @@ def _lower_every(context: Any, builder: Any, call: Any, values: Any) -> Any:
     return values[0]
 
 
-@intrinsic
+# For compiled code alone.
+@_intrinsic
 def lane(typingctx: Any, x: Any, i: Any) -> Any:
     """Return number i of an octet."""
 
@@ -229,7 +232,7 @@ def lane(typingctx: Any, x: Any, i: Any) -> Any:
     return types.float64(octet, types.intp), lower
 
 
-@intrinsic
+@_intrinsic
 def with_lane(typingctx: Any, x: Any, i: Any, number: Any) -> Any:
     """Return an octet with its number i replaced."""
 
@@ -239,7 +242,7 @@ def with_lane(typingctx: Any, x: Any, i: Any, number: Any) -> Any:
     return octet(octet, types.intp, types.float64), lower
 
 
-@intrinsic
+@_intrinsic
 def octets_at(typingctx: Any, address: Any, count: Any) -> Any:
     """Return the (count,) array of octets at an address: the memory of an array from `aligned`."""
     kind = types.Array(octet, 1, "C")

@@ -390,7 +390,7 @@ def _surface(scenario: Scenario, robot: Robot, q: Array, v: Array) -> tuple[Plan
     else:
         plane = Plane.of(section.normal, float(section.offset))
     gap = section.gap if section.offset == "start" else plane.gap(tip)
-    rate = float(plane.normal @ robot.terms(q, v).jacobian @ v)
+    rate = float(plane.normal @ robot.terms(q, v).jacobian @ v) if v.any() else 0.0
     where = float(plane.normal @ tip)
     given = "surface.gap" if section.offset == "start" else "surface.offset"
     value = section.gap if section.offset == "start" else float(section.offset)

@@ -214,10 +214,9 @@ def _make_writable(folder: Path) -> None:
 def announce_compiling(scenario: Scenario, model: Any, engine: str, ahead: int = 0) -> None:
     """Say why the first run of an installation takes longer, or that of many, with so many steps `ahead`."""
     from closedloop.compiled import needs_compiling
-    from closedloop.forms import machine
-    from closedloop.problem import needs_more
+    from closedloop.forms import loop_of
 
-    if needs_compiling(machine(needs_more(scenario), engine, 0 if model is None else model.n, ahead)):
+    if needs_compiling(loop_of(scenario, engine, 0 if model is None else model.n, ahead)):
         print("compiling the step (once for this installation, some twenty seconds) ...", file=sys.stderr, flush=True)
 
 

@@ -94,7 +94,9 @@ def measure_rows(
         while event < happened and events[event, EVENT_TIME] <= h * i:
             lost += events[event, EVENT_LOSS]
             event += 1
-        count_row(tree, sines, rows[i], table[i * nodes], i, h, frame, largest, lost, tally)
+        potential = tree_potential_energy(tree, rows[i, 0:n], sines)
+        count_row(rows[i], potential, table[i * nodes], i, h, frame, largest, lost, tally)
+        count_condition(rows[i], tally)
     write_figures(rows[count - 1, 5 * n + 9 :], count, h, largest, tally, out)
     for i in range(happened):
         out[STRUCK] += events[i, EVENT_LOSS]
@@ -113,19 +115,19 @@ def begin_tally(tally: Array) -> None:
 
 @kernel_inlined
 def count_row(
-    tree: Tree, sines: Array, row: Array, wanted: Array, i: int, h: float, frame: Array, largest: float, lost: float,
+    row: Array, potential: float, wanted: Array, i: int, h: float, frame: Array, largest: float, lost: float,
     tally: Array,
 ) -> None:  # fmt: skip
-    """Count row i in.
+    """Count row i in, all but its condition number.
 
     Parameters
     ----------
-    tree, h, frame
-        See `measure_rows`.
-    sines : (work_size(n),) array
-        Scratch of the terms.
     row, wanted : (width,), (>= 2 n + 10,) arrays
         The row, and what is desired at its instant.
+    potential : float
+        Potential energy, J.
+    h, frame
+        See `measure_rows`.
     largest : float
         Largest |f_des| of the run, N.
     lost : float
@@ -133,7 +135,7 @@ def count_row(
     tally : (TALLY,) array
         Changed.
     """
-    n, t = tree.n, tally
+    n, t = (row.shape[0] - len(SCALARS) - 9) // 5, tally
     tip, scalars = 4 * n, 5 * n + 9
     force, error, rate = row[scalars + CONTACT_FORCE], row[scalars + CLOSURE_ERROR], row[scalars + CLOSURE_RATE]
     mode, motion = row[scalars + MODE], row[scalars + MOTION_RESIDUAL]
@@ -142,7 +144,6 @@ def count_row(
     t[LEAST_MOBILITY] = min(t[LEAST_MOBILITY], mobility)
     t[LARGEST_SHARE] = max(t[LARGEST_SHARE], abs(row[scalars + STABILISER_FORCE]))
     t[LARGEST_RESIDUAL] = max(max(t[LARGEST_RESIDUAL], motion), closed)
-    t[LARGEST_CONDITION] = max(t[LARGEST_CONDITION], row[scalars + KKT_CONDITION])
     t[DEEPEST] = max(t[DEEPEST], -error)
 
     touching = mode != FREE
@@ -175,7 +176,7 @@ def count_row(
     t[TIP_SQUARES], t[FRICTION_SQUARES] = max(t[TIP_SQUARES], speed), max(t[FRICTION_SQUARES], friction)
     t[IN_JOINTS] = max(t[IN_JOINTS], most)
 
-    energy = row[scalars + KINETIC_ENERGY] + tree_potential_energy(tree, row[0:n], sines)
+    energy = row[scalars + KINETIC_ENERGY] + potential
     if i == 0:
         t[START_ENERGY] = energy
     else:
@@ -197,6 +198,13 @@ def count_row(
     for a in range(5):
         failed = t[FAILED + a]
         t[FAILED + a] = select(held[a] | (failed == failed), failed, h * i)
+
+
+@kernel_inlined
+def count_condition(row: Array, tally: Array) -> None:
+    """Count a row's condition number in."""
+    condition = row[row.shape[0] - len(SCALARS) + KKT_CONDITION]
+    tally[LARGEST_CONDITION] = max(tally[LARGEST_CONDITION], condition)
 
 
 @kernel

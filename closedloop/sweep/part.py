@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
-from closedloop.batch import run_variant
+from closedloop.batch import run_variants
 from closedloop.bench import Bench, Outcome
 from closedloop.scenario import parse_scenario
 from closedloop.table import schema, table_of
@@ -75,10 +75,7 @@ def run_part(
     columns : dict of str to (runs, rows) or (runs, rows, k) array
         The columns kept; after a run's last row NaN.
     """
-    outcomes = []
-    for values in points:
-        outcomes.append(run_variant(bench, _variants(job), values, job.engine))
-        ran()
+    outcomes = run_variants(bench, _variants(job), points, job.engine, ran)
     return table_of(columns_of(job), first, points, outcomes), {name: _stacked(outcomes, name) for name in job.keep}
 
 

@@ -7,9 +7,9 @@
 Tests hold it equal to Pinocchio; the two are the simulator's two engines.
 """
 
-from closedloop.tree.energy import tree_potential_energy
+from closedloop.tree.energy import energy_there, tree_potential_energy
 from closedloop.tree.layout import Tree, work_size
 from closedloop.tree.model import tree_of
 from closedloop.tree.terms import tree_kinematics, tree_terms
 
-__all__ = ["Tree", "tree_kinematics", "tree_of", "tree_potential_energy", "tree_terms", "work_size"]
+__all__ = ["Tree", "energy_there", "tree_kinematics", "tree_of", "tree_potential_energy", "tree_terms", "work_size"]

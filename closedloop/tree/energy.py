@@ -12,10 +12,19 @@ from closedloop.tree.layout import Array, Tree
 def tree_potential_energy(tree: Tree, q: Array, work: Array) -> float:
     """Return −g·∫ r dm over all moving links at q (n,), J: zero where the mass would be at the base origin.
 
-    First moments are carried from the tips to the base. Where a run of joints ends at a branching, its own moment goes
-    on alone, so that nothing need be kept but the sines, in `work` (work_size(n),).
+    `work` (work_size(n),) is scratch.
     """
     sines(tree, q, work)
+    return energy_there(tree, work)
+
+
+@kernel
+def energy_there(tree: Tree, work: Array) -> float:
+    """Return the same for the q whose sines are in `work`: what the terms of q have left there.
+
+    First moments are carried from the tips to the base. Where a run of joints ends at a branching, its own moment goes
+    on alone, so that nothing need be kept but the sines.
+    """
     n, table, k = tree.n, tree.links, tree.constants
     total0, total1, total2 = k[at.RESTING], k[at.RESTING + 1], k[at.RESTING + 2]
     h0 = h1 = h2 = mass = 0.0

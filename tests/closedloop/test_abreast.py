@@ -1,0 +1,142 @@
+"""Eight runs abreast come to what each comes to alone, to the last bit; and what cannot go abreast goes alone."""
+
+import numpy as np
+import pytest
+
+import closedloop as cl
+from closedloop.abreast import Abreast, kind_of
+from closedloop.bench import FEWEST_ABREAST, Bench
+from closedloop.octet import WIDE
+from closedloop.problem import prepare
+from robot_models import load
+
+KEPT = ("q", "torque", "contact_force", "closure_error", "kkt_condition", "residual_motion")
+SHORT = {"time.duration": 0.6}
+
+# A scenario, what is the same in all runs, and what is drawn for each.
+KINDS = {
+    "forces, gains and stabilisers": (
+        "wam_slide", SHORT,
+        {"law.force": (1.0, 20.0), "law.kp": (1.0, 900.0), "stabiliser.time_constant": (1e-3, 1e-2)},
+    ),
+    "paths": ("wam_slide", SHORT, {"reference.speed": (0.005, 0.04), "law.pd_start": (0.0, 0.5)}),
+    "runge-kutta": ("wam_slide", {"time.duration": 0.2, "time.integrator": "rk4"}, {"law.force": (-5.0, 5.0)}),
+    "explicit": ("wam_slide_unstabilised", SHORT | {"time.integrator": "explicit_euler"}, {"law.force": (1.0, 9.0)}),
+    "held": ("wam_slide", SHORT | {"law.sample_period": 0.005}, {"law.kd": (5.0, 30.0)}),
+    "force that changes": (
+        "wam_slide",
+        SHORT | {"force_profile.kind": "sine", "force_profile.amplitude": 3.0, "force_profile.frequency": 5.0},
+        {"law.force": (5.0, 15.0)},
+    ),
+    "two joints": ("planar2_slide", {"time.duration": 0.3}, {"law.force": (1.0, 5.0)}),
+    "seven joints": ("panda_slide", {"time.duration": 0.2}, {"law.force": (1.0, 20.0)}),
+}  # fmt: skip
+
+
+@pytest.fixture
+def go_abreast(monkeypatch):
+    """Let all go abreast that can, however few; return a list of how many went each time."""
+    monkeypatch.setattr("closedloop.bench.worth_going_abreast", lambda ahead: True)
+    went, run = [], Abreast.run
+
+    def counted(self, tree, count):
+        went.append(count)
+        return run(self, tree, count)
+
+    monkeypatch.setattr(Abreast, "run", counted)
+    return went
+
+
+def drawn(ranges, count, seed=0):
+    """Return `count` random values for each key."""
+    rng = np.random.default_rng(seed)
+    return {key: rng.uniform(low, high, count).tolist() for key, (low, high) in ranges.items()}
+
+
+def alone(monkeypatch, *args, **options):
+    """Return the table of a batch in which each run goes by itself."""
+    with monkeypatch.context() as now:
+        now.setattr("closedloop.bench.worth_going_abreast", lambda ahead: False)
+        return cl.simulate_batch(*args, **options)
+
+
+@pytest.mark.parametrize("kind", KINDS)
+def test_to_the_last_bit(kind, go_abreast, monkeypatch):
+    """All figures and all columns, with ranks of eight and of what is left over."""
+    name, fixed, ranges = KINDS[kind]
+    scenario = cl.load_scenario(name, overrides=fixed)
+    changes = drawn(ranges, 2 * WIDE + FEWEST_ABREAST)
+    options = {"keep": KEPT, "workers": 1}
+    table = cl.simulate_batch(scenario, changes, **options)
+    assert go_abreast == [WIDE, WIDE, FEWEST_ABREAST]
+    assert table.equals(alone(monkeypatch, scenario, changes, **options))
+    assert cl.simulate_batch(scenario, changes).equals(table.select(cl.simulate_batch(scenario, changes).column_names))
+
+
+def test_rows_are_those_of_a_run(go_abreast):
+    """What is kept of a run abreast is what `simulate` records."""
+    scenario = cl.load_scenario("wam_slide", overrides=SHORT)
+    table = cl.simulate_batch(scenario, {"law.force": [4.0, 5.0, 6.0, 7.0]}, keep=["q", "f", "e"], workers=1)
+    assert go_abreast
+    run = cl.simulate(cl.load_scenario("wam_slide", overrides=SHORT | {"law.force": 6.0}), engine="compiled")
+    assert np.array_equal(np.array(table["contact_force"][2].as_py()), run.contact_force)
+    assert np.array_equal(np.array(table["closure_error"][2].as_py()), run.closure_error)
+    assert np.array_equal(np.reshape(table["q"][2].as_py(), (-1, 4)), run.q)
+
+
+def test_a_run_that_fails_takes_nobody_along(go_abreast, monkeypatch):
+    """One that diverges, one that cannot be read: seven neighbours come to what they come to without them."""
+    scenario = cl.load_scenario("wam_slide", overrides=SHORT)
+    changes = {"law.kd": [10.0, 12.0, 14.0, 5000.0, *(18.0 + i for i in range(6))], "law.kp": [400.0] * 10}
+    changes["law.kp"][5] = float("nan")
+    table = cl.simulate_batch(scenario, changes, workers=1)
+    assert go_abreast
+    status = ["done"] * 10
+    status[3], status[5] = "stopped", "refused"
+    assert table["status"].to_pylist() == status
+    assert table.equals(alone(monkeypatch, scenario, changes, workers=1))
+
+
+def test_what_differs_in_kind_goes_in_ranks_of_its_own(go_abreast, monkeypatch):
+    """Steps of different length, and a contact that may break, in one batch."""
+    scenario = cl.load_scenario("wam_slide", overrides=SHORT)
+    changes = {
+        "time.step": [0.001, 0.002] * 8,
+        "surface.contact": ["bilateral"] * 13 + ["unilateral"] * 3,
+        "stabiliser.time_constant": [0.004] * 16,
+        "law.force": [5.0 + i for i in range(16)],
+    }
+    table = cl.simulate_batch(scenario, changes, workers=1)
+    assert set(table["status"].to_pylist()) == {"done"}
+    assert go_abreast == [4, 4, 3]  # of the first eight, and of the five after them; two are too few
+    assert table.equals(alone(monkeypatch, scenario, changes, workers=1))
+
+
+@pytest.mark.parametrize(
+    ("name", "changes"),
+    [
+        ("wam_touchdown", {}),
+        ("wam_slide_friction", {}),
+        ("joint_friction", {}),
+        ("wam_slide", {"stabiliser.kind": "projection"}),
+        ("wam_slide", {"law.force_feedback": 0.5}),
+        ("wam_slide", {"time.integrator": "dop853"}),
+        ("wam_slide", {"surface.contact": "unilateral"}),
+    ],
+)
+def test_what_may_have_to_decide_goes_alone(name, changes):
+    """Everything with events, friction, projection or another law."""
+    scenario = cl.load_scenario(name, overrides=changes)
+    assert kind_of(prepare(scenario)) is None
+    assert kind_of(prepare(cl.load_scenario("wam_slide"))) is not None
+
+
+def test_few_steps_are_not_worth_compiling_for(monkeypatch):
+    """The loop is used where there is much to do, or where it has been compiled before."""
+    monkeypatch.setattr("closedloop.forms._abreast_is_there", lambda: False)
+    monkeypatch.setattr(Abreast, "run", lambda self, tree, count: 1 / 0)
+    scenario, model = cl.load_scenario("wam_slide", overrides={"time.duration": 0.01}), load("wam4")
+    scenarios = [scenario] * WIDE
+    assert {outcome.status for outcome in Bench(model=model, runs=8).run_all(scenarios)} == {"done"}
+    with pytest.raises(ZeroDivisionError):
+        Bench(model=model, runs=10_000_000).run_all(scenarios)

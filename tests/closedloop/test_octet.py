@@ -1,0 +1,143 @@
+"""Octets: every operation gives each of the eight what it gives a float, to the last bit."""
+
+import math
+
+import numba
+import numpy as np
+import pytest
+from numba.core.errors import TypingError
+
+from closedloop.addresses import address_of
+from closedloop.octet import WIDE, aligned, every, lane, nearest, octets_at, select, with_lane
+
+compiled = numba.njit(error_model="numpy")
+TRICKY = [0.0, -0.0, 1.0, -1.5, 1e308, 5e-324, math.inf, -math.inf, math.nan, 0.1, 1e16 + 2.0, 2.0 / 3.0]
+
+
+def pairs():
+    """Return two arrays (K, WIDE) with every pair of tricky numbers and many ordinary ones."""
+    rng = np.random.default_rng(0)
+    x, y = np.meshgrid(TRICKY, TRICKY)
+    x, y = ([*given.ravel(), *rng.normal(size=112)] for given in (x, y))
+    assert len(x) % WIDE == 0
+    return np.reshape(x, (-1, WIDE)), np.reshape(y, (-1, WIDE))
+
+
+def same(a, b):
+    """Whether two arrays agree bit by bit, one NaN being as good as another."""
+    return np.array_equal(np.where(np.isnan(a), 0.0, a).view(np.int64), np.where(np.isnan(b), 0.0, b).view(np.int64))
+
+
+def both_ways(function, *given):
+    """Return what a compiled function of numbers gives for octets, and for their numbers one by one."""
+    inner = compiled(function)
+    count, arity = len(given[0]), len(given)
+    memory = aligned(arity + 1, count)
+    for place, values in zip(memory, given, strict=False):
+        place[:] = values
+
+    if arity == 1:
+
+        @compiled
+        def all_octets(at):
+            x, out = octets_at(at, count), octets_at(at + count * 8 * WIDE, count)
+            for i in range(count):
+                out[i] = inner(x[i])
+    else:
+
+        @compiled
+        def all_octets(at):
+            x, y = octets_at(at, count), octets_at(at + count * 8 * WIDE, count)
+            out = octets_at(at + 2 * count * 8 * WIDE, count)
+            for i in range(count):
+                out[i] = inner(x[i], y[i])
+
+    all_octets(address_of(memory))
+    alone = np.array([inner(*(float(x) for x in numbers)) for numbers in zip(*(g.ravel() for g in given), strict=True)])
+    return memory[-1], alone.reshape(count, WIDE)
+
+
+@pytest.mark.parametrize(
+    "function",
+    [
+        lambda x, y: x + y, lambda x, y: x - y, lambda x, y: x * y, lambda x, y: x / y,
+        lambda x, y: max(x, y), lambda x, y: min(x, y), lambda x, y: x + 3 * y - 0.5,
+        lambda x, y: select(x < y, x, 1.0), lambda x, y: select(x <= y, x, y), lambda x, y: select(x > y, 2, y),
+        lambda x, y: select(x >= y, x, y), lambda x, y: select(x == y, x, -y), lambda x, y: select(x != y, x, -y),
+        lambda x, y: select((x < 1.0) & (y < 1.0), x, y), lambda x, y: select((x < 1.0) | (y < 1.0), x, y),
+    ],
+)  # fmt: skip
+def test_two_octets(function):
+    """Arithmetic, comparisons and choices of two octets are those of their numbers."""
+    octets, alone = both_ways(function, *pairs())
+    assert same(octets, alone)
+
+
+@pytest.mark.parametrize("function", [lambda x: -x, lambda x: abs(x), lambda x: math.sqrt(x)])
+def test_one_octet(function):
+    """And of one."""
+    octets, alone = both_ways(function, pairs()[0])
+    assert same(octets, alone)
+
+
+def test_angles_of_many_turns():
+    """Only angles of many turns are brought near, whichever of the eight they are."""
+    x = np.array([0.0, 1e6, -1e6, 1.0000001e6, -3e9, 1e15, 2.5, -1e7] * 2).reshape(2, WIDE)
+    x[1] /= 1e5  # none of many turns but one
+    octets, alone = both_ways(lambda x: nearest(x), x)
+    assert same(octets, alone)
+    assert np.all(np.abs(octets) <= 1e6)
+    assert np.allclose(np.sin(octets), np.sin(x), rtol=0, atol=1e-12)
+
+
+def test_every_needs_all_eight():
+    """A check holds if it holds in all eight; what is not a number fails it."""
+    memory = aligned(1)
+
+    @compiled
+    def all_positive(at):
+        return every(octets_at(at, 1)[0] > 0.0)
+
+    memory[:] = 1.0
+    assert all_positive(address_of(memory))
+    for i in range(WIDE):
+        for bad in (0.0, math.nan):
+            memory[:] = 1.0
+            memory[0, i] = bad
+            assert not all_positive(address_of(memory))
+    assert compiled(lambda x: every(x > 0.0))(1.0)
+    assert not compiled(lambda x: every(x > 0.0))(-1.0)
+
+
+def test_lanes_are_read_and_written_one_by_one():
+    """An octet's numbers can be taken out and put in."""
+    memory = aligned(2)
+    memory[0] = np.arange(WIDE)
+
+    @compiled
+    def turn(at):
+        x = octets_at(at, 2)
+        for i in range(WIDE):
+            x[1] = with_lane(x[1], i, lane(x[0], WIDE - 1 - i))
+
+    turn(address_of(memory))
+    assert np.array_equal(memory[1], np.arange(WIDE)[::-1])
+
+
+def test_an_octet_decides_nothing():
+    """A branch on eight answers at once would be wrong for some of them, so it must not compile."""
+
+    @compiled
+    def branch(at):
+        return 1 if octets_at(at, 1)[0] > 0.0 else 0
+
+    with pytest.raises(TypingError):
+        branch(address_of(aligned(1)))
+
+
+def test_as_plain_python():
+    """The same names work in plain Python, for numbers."""
+    assert (select(True, 1.0, 2.0), select(False, 1.0, 2.0)) == (1.0, 2.0)
+    assert (every(True), every(False)) == (True, False)
+    assert nearest(3.0) == 3.0
+    assert abs(nearest(1e7 * math.tau + 1.0) - 1.0) < 1e-8

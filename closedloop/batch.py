@@ -21,6 +21,7 @@ from closedloop.bench import Bench, Outcome, refused
 from closedloop.errors import ScenarioError
 from closedloop.forms import COMPILED
 from closedloop.octet import WIDE
+from closedloop.pieces import Pieces
 from closedloop.scenario import Scenario
 from closedloop.simulation import check_engine
 from closedloop.table import kept_columns, key_type, schema, table_of
@@ -87,7 +88,7 @@ def simulate_batch(
     each = min(WIDE, -(-len(points) // threads)) if engine == COMPILED else 1
     blocks = [points[first : first + each] for first in range(0, len(points), each)]
     outcomes: list[list[Outcome]] = [[]] * len(blocks)
-    done = [0]
+    done, common = [0], Pieces()
 
     def ran() -> None:
         done[0] = next(finished)
@@ -102,7 +103,7 @@ def simulate_batch(
             progress = open_until_done.enter_context(bar(scenario.name, len(points)))
         report = progress or _silent
         side_by_side(
-            one, len(blocks), threads, lambda: Bench(engine, columns, model, len(points)),
+            one, len(blocks), threads, lambda: Bench(engine, columns, model, len(points), common),
             lambda blocks_done, of: report(done[0], len(points)),
         )  # fmt: skip
     kinds = {key: key_type([point[k] for point in points]) for k, key in enumerate(keys)}

@@ -95,13 +95,20 @@ class Bench:
         The robot to use instead of loading the one that each scenario names.
     runs : int
         How many runs there will be, on this bench and others.
+    common : Pieces, optional
+        What the threads share, see `closedloop.pieces`.
     """
 
     def __init__(
-        self, engine: str = COMPILED, keep: tuple[str, ...] = (), model: RobotModel | None = None, runs: int = 1
+        self,
+        engine: str = COMPILED,
+        keep: tuple[str, ...] = (),
+        model: RobotModel | None = None,
+        runs: int = 1,
+        common: Pieces | None = None,
     ) -> None:
         self._engine, self._keep, self._model, self._runs = engine, keep, model, runs
-        self._pieces = Pieces()
+        self._pieces = Pieces(common=common)
         self._trees: WeakKeyDictionary[Robot, tuple[Tree, Array]] = WeakKeyDictionary()
         self._rows, self._tally = np.empty(0), np.empty(TALLY)
 

@@ -7,6 +7,7 @@ it is made from, so it is the same piece, to the last bit, as one made anew.
 
 from __future__ import annotations
 
+import threading
 from collections import OrderedDict
 from collections.abc import Callable, Hashable
 from typing import Any, TypeVar, cast
@@ -24,10 +25,12 @@ class Pieces:
     ----------
     room : int
         Bytes that may be kept; a piece larger than that is kept until the next.
+    common : Pieces, optional
+        Pieces of several threads: those that are only read, such as paths.
     """
 
-    def __init__(self, room: int = ROOM) -> None:
-        self._room = room
+    def __init__(self, room: int = ROOM, common: Pieces | None = None) -> None:
+        self._room, self._common, self._lock = room, common, threading.Lock()
         self._kept: OrderedDict[Hashable, tuple[Any, int]] = OrderedDict()
         self._taken = 0
 
@@ -42,3 +45,9 @@ class Pieces:
         while self._taken > self._room and len(self._kept) > 1:
             self._taken -= self._kept.popitem(last=False)[1][1]
         return piece
+
+    def get_common(self, key: Hashable, make: Callable[[], T], size: Callable[[T], int]) -> T:
+        """Return a piece that is only read: one for all threads, made by the first that asks while the others wait."""
+        common = self._common or self
+        with common._lock:
+            return common.get(key, make, size)

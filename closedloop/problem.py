@@ -339,7 +339,7 @@ def _desired(
         q.tobytes(),
         plane.normal.tobytes(),
     )
-    wanted = pieces.get(
+    wanted = pieces.get_common(
         ("desired", *motion),
         lambda: desired(scenario, robot, plane, q, scenario.force_profile),
         lambda made: 3 * made.joints.q.nbytes,

@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 
 from closedloop.batch import run_variants
 from closedloop.bench import Bench, Outcome
+from closedloop.pieces import Pieces
 from closedloop.scenario import parse_scenario
 from closedloop.table import schema, table_of
 from closedloop.variants import Variants
@@ -90,9 +91,9 @@ def _stacked(outcomes: Sequence[Outcome], name: str) -> Array:
     return whole
 
 
-def bench_for(job: Job) -> Bench:
-    """Return a bench for a thread."""
-    return Bench(job.engine, job.keep, runs=job.runs)
+def bench_for(job: Job, common: Pieces | None = None) -> Bench:
+    """Return a bench for a thread; `common` is what it shares with others."""
+    return Bench(job.engine, job.keep, runs=job.runs, common=common)
 
 
 _here = threading.local()

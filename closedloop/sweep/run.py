@@ -18,6 +18,7 @@ from closedloop.bench import Bench
 from closedloop.compiled import cache_folder
 from closedloop.errors import ScenarioError
 from closedloop.forms import COMPILED
+from closedloop.pieces import Pieces
 from closedloop.record import COLUMNS
 from closedloop.scenario import Scenario
 from closedloop.simulation import check_engine, package_versions
@@ -194,7 +195,7 @@ def run_sweep(
 
             run_on_cluster(sweep, store, missing, scheduler, finished, lambda: report(done[0], sweep.design.runs))
         elif missing:
-            job = sweep.job
+            job, common = sweep.job, Pieces()
 
             def one(bench: Bench, at: int) -> None:
                 runs = sweep.runs_of(missing[at])
@@ -202,7 +203,7 @@ def run_sweep(
                 store.write(missing[at], *run_part(job, runs.start, points, bench, lambda: finished(1)))
 
             side_by_side(
-                one, len(missing), threads, lambda: bench_for(job),
+                one, len(missing), threads, lambda: bench_for(job, common),
                 lambda parts, of: report(done[0], sweep.design.runs),
             )  # fmt: skip
         return join(store, out, sweep.parts, columns_of(sweep.job), sweep.scenario.time.step)

@@ -46,7 +46,7 @@ def _main(words: list[str]) -> int:
         arms=options.arms,
         steps=options.steps or (500 if options.quick else 4000),
         repeats=options.repeats or (3 if options.quick else 15),
-        runs=options.runs or (16 if options.quick else 128),
+        runs=options.runs or (16 if options.quick else 256),
         cold=not (options.quick or options.no_cold_start),
         written_out=not options.quick,
     )
@@ -74,7 +74,7 @@ def _parser() -> argparse.ArgumentParser:
     parser.add_argument("--quick", action="store_true", help="few steps and laps, no cold start: rough figures")
     parser.add_argument("--repeats", type=int, help="laps of each contestant, in turns (default 15; 3 with --quick)")
     parser.add_argument("--steps", type=int, help="steps of a lap (default 4000; 500 with --quick)")
-    parser.add_argument("--runs", type=int, help="runs of a batch (default 128; 16 with --quick)")
+    parser.add_argument("--runs", type=int, help="runs of a batch (default 256; 16 with --quick)")
     parser.add_argument("--arms", nargs="+", default=list(ARMS), metavar="ARM", help=f"of {', '.join(ARMS)}")
     parser.add_argument("--no-cold-start", action="store_true", help="leave out the start of whole processes")
     parser.add_argument("--json", metavar="FILE", help="write every figure")
@@ -86,7 +86,8 @@ def line_up(
 ) -> tuple[list[Contestant], dict[str, str]]:
     """Return everyone who races, and why the others do not.
 
-    `written_out` compiles loops for the number of joints of `wam4`, if that was not done before: some twenty seconds.
+    `written_out` compiles what large batches do, if that was not done before: loops for the number of joints of `wam4`,
+    and of eight runs abreast. That takes some thirty seconds.
     """
     from validation.speed import batch, contestants
 
@@ -94,15 +95,17 @@ def line_up(
     missing = {name: INSTALL for name, found in there.items() if not found}
     everyone: list[Contestant] = [batch.arithmetic(threads) for threads in (1, 2)]
     if written_out and "wam4" in arms:  # first, so that all that follows knows it is there
-        say("compiling loops for four joints")
+        say("compiling loops for four joints, and of eight runs")
         for engine in ENGINES:
             contestants.written_out("wam4", slide("wam4", 20), engine).lap()
+        batch.eight_abreast("wam4", slide("wam4", 20)).lap()
     for arm in arms:
         say(f"preparing {arm}")
         problem = slide(arm, steps)
         everyone.append(contestants.general(arm, problem, "compiled"))
         if written_out and arm == "wam4":
             everyone += [contestants.written_out(arm, problem, engine) for engine in ENGINES]
+            everyone.append(batch.eight_abreast(arm, problem))
         everyone += [
             contestants.general(arm, problem, "pinocchio"),
             contestants.bare_calls(arm, problem),
@@ -117,7 +120,8 @@ def line_up(
             everyone.append(contestants.drake_loop(arm, slide(arm, max(1, steps // DRAKE_SHARE))))
         if arm == "wam4":
             everyone.append(contestants.own_law(arm, problem))
-            everyone += [batch.compiled_batch(arm, problem, runs, threads) for threads in (1, 2)]
+            whole = slide(arm, 2 * steps)  # by default as long as `wam_slide`
+            everyone += [batch.compiled_batch(arm, whole, runs, threads) for threads in (1, 2)]
             if there["mujoco"]:
                 everyone += [mujoco.rollout(arm, problem, min(runs, MOST_ROLLOUTS), threads) for threads in (1, 2)]
     return everyone, missing

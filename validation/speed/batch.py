@@ -6,16 +6,20 @@ shared one it may be hardly more than to one, and no batch can be better.
 
 from __future__ import annotations
 
+import time as clock
 from concurrent.futures import ThreadPoolExecutor
 
 import numpy as np
 
 import closedloop as cl
+from closedloop.abreast import Abreast
 from closedloop.compiled import entry_kernel
+from closedloop.compiled_engine import compiled_tree
+from closedloop.octet import WIDE
 from closedloop.problem import Problem
 from closedloop.scenario import parse_scenario
 from validation.oracle.spatial import Array
-from validation.speed.contestants import Contestant
+from validation.speed.contestants import Contestant, final
 
 SPINS, SPINNERS = 400_000, 4
 
@@ -38,6 +42,23 @@ def compiled_batch(arm: str, problem: Problem, runs: int, threads: int) -> Conte
     wanted = np.array([alone(force) for force in forces])
     what = f"compiled batch, {threads} thread{'s' * (threads > 1)}"
     return Contestant(f"batch_{threads}", arm, problem.robot.n, problem.steps * runs, lap, wanted, 1e-12, what)
+
+
+def eight_abreast(arm: str, problem: Problem) -> Contestant:
+    """Return the loop in which a batch's runs go, without what a batch does beside: a step is one of one run."""
+    abreast, tree, n = Abreast(problem, keep=False), compiled_tree(problem), problem.robot.n
+
+    def lap() -> tuple[float | None, Array | None]:
+        for lane in range(WIDE):
+            abreast.take(lane, problem)
+        began = clock.perf_counter()
+        ran = abreast.run(tree, WIDE)
+        seconds = clock.perf_counter() - began
+        rows = abreast.rows(WIDE - 1)
+        return seconds, rows[problem.steps % len(rows), :n].copy() if ran else None
+
+    what = "compiled, eight abreast"
+    return Contestant("abreast", arm, n, WIDE * problem.steps, lap, final(problem), 1e-11, what)
 
 
 def arithmetic(threads: int) -> Contestant:

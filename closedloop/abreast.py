@@ -25,9 +25,10 @@ from closedloop.integrate import INTEGRATORS, advance
 from closedloop.octet import WIDE, aligned, octets_at, with_lane
 from closedloop.problem import Problem, needs_more
 from closedloop.report.measured import TALLY, WIDTH, begin_tally, count_condition, count_row, write_figures
+from closedloop.rows import SCALARS, Row, record, record_conditions
 from closedloop.scenario import Scenario
 from closedloop.solve import DIVERGED, OK
-from closedloop.step import SCALARS, Row, bounded, locate_tip, record, record_conditions
+from closedloop.step import bounded, locate_tip
 from closedloop.tree import Tree, energy_there, tree_terms, work_size
 from closedloop.workspace import Whole, Work, workspace
 

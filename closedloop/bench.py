@@ -27,9 +27,9 @@ from closedloop.problem import Problem, prepare
 from closedloop.report.assumptions import NAMES
 from closedloop.report.measured import FAILED_AT, TALLY, WIDTH, measure_rows
 from closedloop.robot import Robot
+from closedloop.rows import Row
 from closedloop.scenario import Scenario
 from closedloop.simulation import recorded, run_loop
-from closedloop.step import Row
 from closedloop.tree import Tree
 from robot_models import RobotModel
 

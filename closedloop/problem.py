@@ -29,8 +29,9 @@ from closedloop.pieces import Pieces
 from closedloop.reference.desired import Desired, desired
 from closedloop.reference.force import force_at
 from closedloop.robot import Robot
+from closedloop.rows import Row
 from closedloop.scenario import BaumgarteGains, Scenario
-from closedloop.step import LAW_GIVEN, Row
+from closedloop.step import LAW_GIVEN
 from closedloop.surface import Plane
 from robot_models import RobotModel
 

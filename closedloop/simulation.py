@@ -34,9 +34,10 @@ from closedloop.pinocchio_engine import AT_EVENTS, EVENT_ROOM, places_of
 from closedloop.problem import Problem, prepare
 from closedloop.record import Run
 from closedloop.robot import Robot
+from closedloop.rows import SCALARS, Row, complete_record
 from closedloop.scenario import Scenario
 from closedloop.solve import CHATTER, NOT_POSITIVE_DEFINITE, PAINLEVE, SINGULAR
-from closedloop.step import SCALARS, SPEED_LIMIT, Row, complete_record
+from closedloop.step import SPEED_LIMIT
 from closedloop.tree import Tree
 from closedloop.workspace import EVENTS, ROW, STATUS, TIME, Work
 from robot_models import RobotModel
@@ -163,7 +164,7 @@ def run_loop(
     Returns
     -------
     rows : (N, width) array
-        What was recorded, in the order of `closedloop.step.Row`.
+        What was recorded, in the order of `closedloop.rows.Row`.
     events : (M, EVENT_WIDTH) array
         What happened between rows, see `closedloop.events`.
     failure : SimulationError or None

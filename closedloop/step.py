@@ -10,16 +10,13 @@ and a number for all that may come on top: other laws, friction of the tip and o
 from __future__ import annotations
 
 import math
-from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
-from closedloop.compiled import entry_kernel, kernel, kernel_inlined
-from closedloop.condition import LONG, condition_of_long, conditions, leave
+from closedloop.compiled import kernel_inlined
 from closedloop.contact import (
     FREE,
-    IMMOBILE,
     PRESSED,
     STUCK,
     accelerate,
@@ -27,20 +24,19 @@ from closedloop.contact import (
     factorise,
     into_contact_frame,
     pressed_force,
-    residuals,
     stuck_force,
     unloaded,
 )
 from closedloop.control.laws import law_rates, law_torque, start_states
 from closedloop.control.moment import Moment
 from closedloop.control.paper import paper_law
-from closedloop.control.sensor import continuous_reading, sense, sensor_rates
-from closedloop.friction.laws import holding, memory_delay, rates, sliding
+from closedloop.control.sensor import continuous_reading, sensor_rates
+from closedloop.friction.laws import rates
 from closedloop.joint_friction import add_joint_friction, hold_joints, joint_friction_rates
-from closedloop.octet import every, select
+from closedloop.octet import every
+from closedloop.slip import surface_friction, turn_with_slip
 from closedloop.solve import DIVERGED, OK, PAINLEVE, SINGULAR
 from closedloop.workspace import (
-    DELAYED,
     FRAME,
     FRICTION,
     FRICTION_AT,
@@ -58,21 +54,16 @@ from closedloop.workspace import (
     NODE,
     OFFSET_D,
     PD_AT,
-    PENDING,
-    PER_STEP,
     RATE,
     RIGID,
     RIGID_STICK,
-    ROW,
     S_P,
     S_V,
     SAMPLED,
     SEMI_IMPLICIT,
     SENSOR_AT,
-    SENSOR_RING,
     SENSOR_SAMPLED,
     SENSOR_STATES,
-    SMOOTH,
     SPRING_STICK,
     STARTED,
     STEPS,
@@ -282,235 +273,3 @@ def contact_force(C: Array, w: Work, k: Array, state: Whole) -> int:
         w.now[RIGID] = w.F[0] - w.share[0]
     accelerate(w.L, w.X, w.y, w.F, w.qdd)
     return OK
-
-
-@kernel
-def turn_with_slip(w: Work, h: float) -> bool:
-    """Turn the friction of a slow tip to where its slip points at the end of the step; return whether it was slow.
-
-    Friction turns a slip u with the rate μ|f| s/|u|, s the mobility along the surface. Where that is above 1/h, a step
-    that takes friction against the present u throws the tip from side to side, and at last no step is short enough.
-    There the direction d is that of the slip u⁺ at the end of the step,
-
-        u⁺ + h μ|f| S_t d = u + h (a_t + S_tn f − S_t w),    d = u⁺/|u⁺|
-
-    as in time stepping (J. J. Moreau, 1988): one equation for |u⁺|, by bisection. If friction is enough to stop the tip
-    within the step, d is such that the tip goes straight to rest.
-
-    Parameters
-    ----------
-    w : Work
-        In: u, direction, S, a, w, and c = ±μ u/|u| with the F of it (minus where the closure pulls). Written: c.
-    h : float
-        The step, s.
-    """
-    level, speed, f = math.hypot(w.c[0], w.c[1]), math.hypot(w.u[1], w.u[2]), w.F[0]
-    reach = h * level * abs(f)
-    if not reach * (w.S[1, 1] + w.S[2, 2]) > speed:
-        return False
-    if not w.u[1] * w.direction[0] + w.u[2] * w.direction[1] > 0.0:
-        return False  # past the end of slip
-    det = w.S[1, 1] * w.S[2, 2] - w.S[1, 2] * w.S[1, 2]
-    if not det > IMMOBILE * (w.S[1, 1] + w.S[2, 2]) ** 2:
-        return False  # a tip that moves along a line does not turn
-    a1 = w.a[1] + w.S[1, 0] * f - w.S[1, 1] * w.w[0] - w.S[1, 2] * w.w[1]
-    a2 = w.a[2] + w.S[2, 0] * f - w.S[1, 2] * w.w[0] - w.S[2, 2] * w.w[1]
-    p1, p2 = (w.S[2, 2] * w.u[1] - w.S[1, 2] * w.u[2]) / det, (w.S[1, 1] * w.u[2] - w.S[1, 2] * w.u[1]) / det
-    q1, q2 = (w.S[2, 2] * a1 - w.S[1, 2] * a2) / det, (w.S[1, 1] * a2 - w.S[1, 2] * a1) / det
-    if math.hypot(p1 / h + q1, p2 / h + q2) < level * abs(f):
-        along, square = p1 * q1 + p2 * q2, p1 * p1 + p2 * p2
-        rate = (math.sqrt(along * along + square * ((level * f) ** 2 - q1 * q1 - q2 * q2)) - along) / square
-        d1, d2 = rate * p1 + q1, rate * p2 + q2
-    else:
-        g11, g12, g22 = reach * w.S[1, 1], reach * w.S[1, 2], reach * w.S[2, 2]
-        x1, x2 = w.u[1] + h * a1, w.u[2] + h * a2
-        low, high, d1, d2 = 0.0, math.hypot(x1, x2), x1, x2
-        for _ in range(60):
-            s = 0.5 * (low + high)
-            det = (s + g11) * (s + g22) - g12 * g12
-            d1, d2 = ((s + g22) * x1 - g12 * x2) / det, ((s + g11) * x2 - g12 * x1) / det
-            low, high = (s, high) if math.hypot(d1, d2) > 1.0 else (low, s)
-            if high - low <= 1e-14 * high:
-                break
-    size = math.hypot(d1, d2)
-    if not size > 0.0:
-        return False
-    along = math.copysign(level / size, f)
-    w.c[0], w.c[1] = along * d1, along * d2
-    return True
-
-
-@kernel
-def surface_friction(w: Work, k: Array, state: Whole, rows: Array) -> None:
-    """Write c and w of the tip's friction F_t = −c f − w in the present mode; zero where there is none."""
-    w.c[0], w.c[1], w.w[0], w.w[1] = 0.0, 0.0, 0.0, 0.0
-    sticking = state[STICKING]
-    if sticking == SMOOTH or state[MODE] == FREE or (state[MODE] == STUCK and sticking == RIGID_STICK):
-        return
-    kind, par = state[FRICTION], k[FRICTION_AT : FRICTION_AT + FRICTION_WIDTH]
-    at = state[LAW_STATES] + state[SENSOR_STATES]
-    z = w.z[at : at + state[FRICTION_STATES]]
-    if state[MODE] == STUCK:
-        holding(kind, par, z, w.c, w.w)
-        return
-    speed = math.hypot(w.u[1], w.u[2])
-    w.now[DELAYED] = delayed_speed(w, k, state, rows, memory_delay(kind, par), speed)
-    s = w.scratch[0:2]
-    s[0], s[1] = w.u[1], w.u[2]
-    along = s[0] * w.direction[0] + s[1] * w.direction[1]
-    if sticking != RIGID_STICK and sticking != SPRING_STICK:
-        along = 1.0
-    if along < 0.0:
-        # Past the instant at which slip stops the law goes on as before, so that the instant can be found.
-        s[0], s[1] = speed * w.direction[0], speed * w.direction[1]
-    sliding(kind, par, s, w.now[DELAYED], z, w.direction, w.c, w.w)
-
-
-@kernel
-def delayed_speed(w: Work, k: Array, state: Whole, rows: Array, delay: float, speed: float) -> float:
-    """Return the speed of slip `delay` seconds ago, m/s, on a line between rows; `speed` is the present one."""
-    if delay <= 0.0:
-        return speed
-    n = w.q.shape[0]
-    x = (w.now[TIME] - delay) / k[H_STEP]
-    last = state[ROW] - 1
-    if x <= 0.0 or last < 0:
-        return slip_of(rows[0], n, k) if last >= 0 else speed
-    i = int(x)
-    if i >= last:
-        since = w.now[TIME] - last * k[H_STEP]
-        s = (w.now[TIME] - delay - last * k[H_STEP]) / since if since > 0.0 else 1.0
-        return float((1.0 - s) * slip_of(rows[last], n, k) + s * speed)
-    return float((1.0 - (x - i)) * slip_of(rows[i], n, k) + (x - i) * slip_of(rows[i + 1], n, k))
-
-
-@kernel
-def slip_of(row: Array, n: int, k: Array) -> float:
-    """Return the tip's tangential speed in a recorded row, m/s."""
-    total = 0.0
-    for t in range(1, 3):
-        u = 0.0
-        for i in range(3):
-            u += k[FRAME + 3 * t + i] * row[4 * n + 3 + i]
-        total += u * u
-    return math.sqrt(total)
-
-
-class Row(NamedTuple):
-    """Where each column begins in a recorded row; `width` is the row's length."""
-
-    q: int
-    v: int
-    acceleration: int
-    torque: int
-    position: int
-    velocity: int
-    friction_force: int
-    joint_friction: int
-    scalars: int
-    width: int
-
-    @classmethod
-    def of(cls, n: int) -> Row:
-        """Lay out a row for n joints."""
-        ends = np.cumsum((0, n, n, n, n, 3, 3, 3, n, len(SCALARS))).tolist()
-        return cls(*ends)
-
-
-SCALARS = (
-    "contact_force", "stabiliser_force", "closure_error", "closure_rate", "mode", "residual_motion",
-    "residual_closure", "kkt_condition", "normal_mobility", "kinetic_energy", "measured_force",
-)  # fmt: skip
-
-
-KKT_CONDITION = SCALARS.index("kkt_condition")
-
-
-@kernel_inlined
-def kinetic_energy(H: Array, v: Array) -> float:
-    """Return ½ q̇ᵀH q̇, J, from H's upper triangle."""
-    total = 0.0
-    for i in range(v.shape[0]):
-        total += 0.5 * H[i, i] * v[i] * v[i]
-        for j in range(i + 1, v.shape[0]):
-            total += H[i, j] * v[i] * v[j]
-    return total
-
-
-@kernel
-def record_conditions(pending: Array, rows: Array, state: Whole, done: int, n: int) -> None:
-    """Write the condition numbers of the last rows up to `done`: those that have their lanes in `pending`.
-
-    Of Eq. 24 with the normal row alone; of H while the tip is free.
-    """
-    count = state[PENDING]
-    state[PENDING] = 0
-    if count > 0:
-        conditions(pending, n, count)
-    at = 5 * n + 9 + KKT_CONDITION
-    for r in range(count):
-        rows[done - count + r, at] = pending[pending.shape[0] - 1, r]
-
-
-@entry_kernel
-def complete_record(pending: Array, rows: Array, state: Whole, done: int, n: int) -> None:
-    """Write what the last of `done` rows still lack, at the end of a run; see `record`."""
-    record_conditions(pending, rows, state, done, n)
-
-
-@kernel_inlined
-def record(
-    H: Array, C: Array, w: Work, k: Array, state: Whole, table: Array, rows: Array, place: int, more: int | None
-) -> None:
-    """Write a row in the order of `Row`: the state, and what acted in it.
-
-    The condition number follows once the rows of `Work.pending` are full, or with `complete_record`.
-    """
-    n = w.q.shape[0]
-    row, lane = rows[place], state[PENDING]
-    at = 4 * n + 9
-    for j in range(n):
-        row[j] = w.q[j]
-        row[n + j] = w.v[j]
-        row[2 * n + j] = w.qdd[j]
-        row[3 * n + j] = w.torque[j]
-        row[at + j] = w.loss[j]
-        w.column[j] = w.torque[j] + w.loss[j]
-    at = 4 * n
-    for i in range(3):
-        row[at + i] = w.r[i]
-        speed = 0.0
-        for j in range(n):
-            speed += w.J[i, j] * w.v[j]
-        row[at + 3 + i] = speed
-        row[at + 6 + i] = k[FRAME + 3 + i] * w.F[1] + k[FRAME + 6 + i] * w.F[2]
-    at += 9 + n
-    mode = state[MODE]
-    closures = 0 if mode == FREE else (3 if mode == STUCK and state[STICKING] == RIGID_STICK else 1)
-    motion, closed = residuals(H, w.column, C, w.A, w.S, w.drift_c, w.b, w.a, w.qdd, w.F, 0, closures)
-    trace = w.S[0, 0] + w.S[1, 1] + w.S[2, 2]
-    row[at] = w.F[0]
-    row[at + 1] = w.share[0]
-    row[at + 2] = w.now[GAP]
-    row[at + 3] = w.now[RATE]
-    row[at + 4] = mode
-    row[at + 5] = motion
-    row[at + 6] = closed
-    if n > LONG:
-        row[at + 7] = condition_of_long(H, w.A[0], w.L, w.X[0], w.S[0, 0], mode != FREE, w.scratch)
-    else:
-        leave(H, w.A[0], w.L, w.X[0], w.S[0, 0], mode != FREE, w.pending, lane)
-        state[PENDING] = lane + 1
-        if lane + 1 >= w.pending.shape[1]:
-            record_conditions(w.pending, rows, state, place + 1, n)
-    row[at + 8] = select(trace > 0.0, w.S[0, 0] / trace, 0.0)
-    row[at + 9] = kinetic_energy(H, w.v)
-    if more is None:
-        w.now[MEASURED] = w.F[0]
-    else:
-        count, sensor = state[LAW_STATES], state[SENSOR_STATES]
-        w.now[MEASURED] = sense(
-            w.F[0], place, k[SENSOR_AT : SENSOR_AT + 4], w.z[count : count + sensor],
-            table[place * state[PER_STEP], 2 * n + 10], w.ring[0 : state[SENSOR_RING]],
-        )  # fmt: skip
-    row[at + 10] = w.now[MEASURED]

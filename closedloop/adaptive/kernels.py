@@ -12,8 +12,9 @@ from closedloop.friction.laws import capture_speed
 from closedloop.machine.locate import gauge, slip_left
 from closedloop.machine.phases import extra_states
 from closedloop.machine.steps import remember
+from closedloop.rows import record
 from closedloop.solve import OK
-from closedloop.step import evaluate, record
+from closedloop.step import evaluate
 from closedloop.tip import tip_kinematics
 from closedloop.workspace import (
     FRICTION,

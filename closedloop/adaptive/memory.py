@@ -35,9 +35,9 @@ from closedloop.machine.phases import (
 )
 from closedloop.pinocchio_engine import places_of
 from closedloop.problem import Problem
+from closedloop.rows import Row
 from closedloop.simulation import ROOM_FOR_EVENTS, checked_law
 from closedloop.solve import OK
-from closedloop.step import Row
 from closedloop.workspace import (
     H_STEP,
     HOLD,

@@ -21,9 +21,9 @@ from closedloop.errors import DivergenceError, SimulationError
 from closedloop.events import LIFTOFF
 from closedloop.machine.phases import INSTANT, SHALLOW
 from closedloop.problem import Problem
+from closedloop.rows import complete_record
 from closedloop.simulation import failure_of, when
 from closedloop.solve import OK
-from closedloop.step import complete_record
 from closedloop.workspace import (
     EVENTS,
     GAUGE,

@@ -36,8 +36,9 @@ from closedloop.machine.phases import (
     ask,
     extra_states,
 )
+from closedloop.slip import delayed_speed
 from closedloop.solve import CHATTER, OK
-from closedloop.step import LAW_GIVEN, delayed_speed
+from closedloop.step import LAW_GIVEN
 from closedloop.workspace import (
     CERTAIN,
     CUT,

@@ -61,8 +61,9 @@ from closedloop.machine.phases import (
     ask,
 )
 from closedloop.machine.steps import advance_friction, arrive, leave_stage, remember, restore
+from closedloop.rows import record
 from closedloop.solve import OK
-from closedloop.step import LAW_GIVEN, evaluate, locate_tip, record
+from closedloop.step import LAW_GIVEN, evaluate, locate_tip
 from closedloop.workspace import (
     GAUGE,
     H_STEP,
@@ -108,7 +109,7 @@ def proceed(
     tableau : (S + 1, S) array
         See `closedloop.integrate.Integrator.tableau`.
     rows : (N, width) array
-        The record, see `closedloop.step.Row`; row state[ROW] is the next to be written.
+        The record, see `closedloop.rows.Row`; row state[ROW] is the next to be written.
     events : (M, EVENT_WIDTH) array
         The table of events, of which state[EVENTS] rows are written.
     more : int or None

@@ -17,7 +17,7 @@ from closedloop.events import EVENT_COLUMNS, KINDS
 from closedloop.octet import select
 from closedloop.report.assumptions import NAMES, NEAR_SINGULAR, RESIDUAL_TOLERANCE
 from closedloop.report.measures import MEASURES, SETTLED
-from closedloop.step import SCALARS
+from closedloop.rows import SCALARS
 from closedloop.tree import Tree, tree_potential_energy
 
 Array = NDArray[np.float64]
@@ -71,7 +71,7 @@ def measure_rows(
     scratch : array
         From `closedloop.compiled_engine.compiled_work`.
     rows : (>= count, width) array
-        The record, in the order of `closedloop.step.Row`, of which `count` >= 1 rows are the run's, `h` seconds apart.
+        The record, in the order of `closedloop.rows.Row`, of which `count` >= 1 rows are the run's, `h` seconds apart.
     table : (P, >= 2 n + 10) array
         What is desired, `nodes` rows to each of the record's, see `closedloop.step.reference_row`.
     frame : (9,) array

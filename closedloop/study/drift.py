@@ -23,9 +23,9 @@ from closedloop.baumgarte import baumgarte_gains, largest_stable_ratio, recommen
 from closedloop.errors import ClosedLoopError
 from closedloop.integrate import INTEGRATORS
 from closedloop.problem import prepare
+from closedloop.rows import SCALARS, Row
 from closedloop.scenario import Scenario, load_scenario
 from closedloop.simulation import run_loop, simulate
-from closedloop.step import SCALARS, Row
 
 Array = NDArray[np.float64]
 

@@ -18,9 +18,9 @@ from closedloop.baumgarte import (
     spectral_radius,
 )
 from closedloop.integrate import INTEGRATORS
+from closedloop.rows import SCALARS, Row
 from closedloop.scenario import parse_scenario
 from closedloop.simulation import run_loop
-from closedloop.step import SCALARS, Row
 
 ROOT_HALF = 1.0 / np.sqrt(2.0)
 STEP = 0.001  # s

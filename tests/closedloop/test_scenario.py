@@ -11,8 +11,8 @@ from hypothesis import strategies as st
 import closedloop as cl
 from closedloop.explain import describe_keys
 from closedloop.problem import MOST_NUMBERS
+from closedloop.rows import Row
 from closedloop.scenario import parse_scenario
-from closedloop.step import Row
 from robot_models.shipped import path_of
 
 MINIMAL = "[law]\nkp = 1\nkd = 1\n"

@@ -18,7 +18,8 @@ from closedloop.events import EVENT_WIDTH
 from closedloop.integrate import INTEGRATORS
 from closedloop.machine.phases import DONE
 from closedloop.robot import Terms
-from closedloop.step import LAW_GIVEN, Row
+from closedloop.rows import Row
+from closedloop.step import LAW_GIVEN
 from closedloop.surface import contact_frame
 from closedloop.tree import Tree, tree_of, tree_terms, work_size
 from robot_models import RobotModel

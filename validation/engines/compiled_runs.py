@@ -19,8 +19,8 @@ import numpy as np
 
 import closedloop
 from closedloop.problem import Problem
+from closedloop.rows import Row
 from closedloop.simulation import run_loop
-from closedloop.step import Row
 from closedloop.tree import Tree, tree_of
 from validation.engines.slides import SAME_SCHEME, SlideCheck
 from validation.oracle.spatial import Array
@@ -46,7 +46,7 @@ LOST = 1e-6
 
 @dataclass(frozen=True)
 class Recorded:
-    """What an engine recorded: rows, in the order of `closedloop.step.Row`, and events."""
+    """What an engine recorded: rows, in the order of `closedloop.rows.Row`, and events."""
 
     rows: Array
     events: Array

@@ -40,8 +40,8 @@ RAN, STOPPED, REFUSED = "done", "stopped", "refused"
 
 # Eight runs abreast take as long as two alone; fewer than this many are run alone.
 FEWEST_ABREAST = 3
-# Rows of eight runs that are kept whole may take this many bytes.
-ROOM_ABREAST = 64_000_000
+# Rows of eight runs that are kept whole may take this many bytes: less than what there is room for in `Pieces`.
+ROOM_ABREAST = 24_000_000
 
 
 @dataclass(frozen=True)

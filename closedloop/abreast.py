@@ -1,17 +1,17 @@
-"""Eight runs abreast: a batch's runs of the paper's law on a smooth surface that holds the tip, in one loop.
+"""Eight runs abreast: a batch's runs of the paper's law with the tip on a smooth surface, in one loop.
 
-Such a run never has to decide anything: no event, no impact, no friction. So eight of them can take each step together,
+Such a run has nothing to decide: no event, no impact, no friction. So eight of them can take each step together,
 in octets (`closedloop.octet`), by the very kernels that one run goes through alone, and to the same last bit. What is
 here is only their order, that of `closedloop.machine` without its decisions. A row is counted as soon as it is there
 (`closedloop.report.measured`), and kept only if asked for.
 
-If in one of the eight something does come up, a singular pose or a motion that diverges, the loop gives up and says so:
-each of the eight is then run alone.
+If in one of the eight something does come up, a tip that leaves, a singular pose or a motion that diverges, the loop
+gives up and says so: each of the eight is then run alone.
 """
 
 from __future__ import annotations
 
-from collections.abc import Hashable
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -19,12 +19,13 @@ from numpy.typing import NDArray
 from closedloop import workspace as space
 from closedloop.addresses import address_of, matrix_at
 from closedloop.compiled import entry_kernel, kernel_inlined, numba_settings
-from closedloop.contact import accelerate, baumgarte_acceleration, factorise, pressed_force, unloaded
+from closedloop.contact import PRESSED, accelerate, baumgarte_acceleration, factorise, pressed_force, unloaded
 from closedloop.control.paper import paper_law
 from closedloop.integrate import INTEGRATORS, advance
-from closedloop.octet import WIDE, aligned, octets_at, with_lane
+from closedloop.octet import WIDE, aligned, every, octets_at, with_lane
 from closedloop.problem import Problem, needs_more
 from closedloop.report.measured import TALLY, WIDTH, begin_tally, count_condition, count_row, write_figures
+from closedloop.robot import Robot
 from closedloop.rows import SCALARS, Row, record, record_conditions
 from closedloop.scenario import Scenario
 from closedloop.solve import DIVERGED, OK
@@ -40,24 +41,42 @@ MEMORY, TERMS, CONSTANTS, FORCES, LARGEST, ROWS, TALLIES, FIGURES = range(8)
 SCALAR_COUNT = len(SCALARS)
 # Rows whose condition numbers are worked out at once.
 TOGETHER = 4
+# A tip may leave the surface, or the stabiliser would pull: there is something to decide.
+LEFT = -1
 
 
 def can_go_abreast(scenario: Scenario) -> bool:
-    """Whether nothing needs to be decided in a run: the paper's law, and a closure that holds the tip."""
+    """Whether a run may have nothing to decide: the paper's law, on a smooth surface from the start."""
     return (
         not needs_more(scenario)
-        and scenario.surface.contact == "bilateral"
+        and not scenario.surface.gap > 0.0
         and scenario.stabiliser.kind in ("baumgarte", "none")
         and scenario.time.integrator in INTEGRATORS
         and not numba_settings.DISABLE_JIT
     )
 
 
-def kind_of(problem: Problem) -> Hashable | None:
-    """Return what runs that go abreast must have in common; None for one that must go alone."""
-    if not can_go_abreast(problem.scenario):
+class Kind(NamedTuple):
+    """What runs that go abreast have in common."""
+
+    contact: str
+    integrator: str
+    robot: Robot
+    steps: int
+    h: float
+    nodes: int
+    hold: int
+
+
+def kind_of(problem: Problem) -> Kind | None:
+    """Return what a run must have in common with others to go abreast with them; None for one that must go alone."""
+    scenario = problem.scenario
+    if not can_go_abreast(scenario) or problem.mode != PRESSED:
         return None
-    return problem.robot, problem.steps, problem.h, problem.nodes, problem.hold, problem.scenario.time.integrator
+    return Kind(
+        scenario.surface.contact, scenario.time.integrator, problem.robot, problem.steps, problem.h, problem.nodes,
+        problem.hold,
+    )  # fmt: skip
 
 
 class Abreast:
@@ -163,10 +182,10 @@ def run_abreast(
     Returns
     -------
     int
-        OK, or a status of `closedloop.solve` if something came up in at least one of them.
+        OK, or a status of `closedloop.solve`, or LEFT, if something came up in at least one of them.
     """
     n, stages, steps, hold = tree.n, state[space.STAGES], state[space.STEPS], state[space.HOLD]
-    semi_implicit = state[space.SEMI_IMPLICIT] != 0
+    semi_implicit, unilateral = state[space.SEMI_IMPLICIT] != 0, state[space.UNILATERAL] != 0
     w = workspace(octets_at(places[MEMORY], 0), n, 0, stages, 1, TOGETHER)
     terms = octets_at(places[TERMS], n * n + n + work_size(n))
     H, C, scratch = terms[0 : n * n].reshape(n, n), terms[n * n : n * n + n], terms[n * n + n :]
@@ -190,6 +209,8 @@ def run_abreast(
             status = press(H, C, w, k, t, sampled)
             if status != OK:
                 return status
+            if unilateral and not (every(w.F[0] >= 0.0) and every(w.F[0] - w.share[0] >= 0.0)):
+                return LEFT
             if stage == 0:
                 record(H, C, w, k, state, tableau, rows, place, None)
                 potential = energy_there(tree, scratch)

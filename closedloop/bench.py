@@ -10,14 +10,15 @@ Runs that are alike enough go eight abreast (`closedloop.abreast`), which change
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Hashable, Sequence
+from collections import Counter
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 from weakref import WeakKeyDictionary
 
 import numpy as np
 from numpy.typing import NDArray
 
-from closedloop.abreast import Abreast, kind_of
+from closedloop.abreast import Abreast, Kind, kind_of
 from closedloop.compiled_engine import compiled_tree, compiled_work
 from closedloop.errors import ClosedLoopError, SingularClosureError
 from closedloop.forms import COMPILED, worth_going_abreast
@@ -40,6 +41,8 @@ RAN, STOPPED, REFUSED = "done", "stopped", "refused"
 
 # Eight runs abreast take as long as two alone; fewer than this many are run alone.
 FEWEST_ABREAST = 3
+# After so many ranks in a row in which something came up, runs of the same kind of contact go alone.
+MOST_MISSES = 2
 # Rows of eight runs that are kept whole may take this many bytes: less than what there is room for in `Pieces`.
 ROOM_ABREAST = 24_000_000
 
@@ -75,8 +78,9 @@ class Outcome:
 
 @dataclass(frozen=True)
 class Rank:
-    """Runs that will go abreast: their memory, their robot, and their numbers so far."""
+    """Runs that will go abreast: their kind, their memory, their robot, and their numbers so far."""
 
+    kind: Kind
     abreast: Abreast
     tree: Tree
     members: list[int]
@@ -110,6 +114,7 @@ class Bench:
         self._engine, self._keep, self._model, self._runs = engine, keep, model, runs
         self._pieces = Pieces(common=common)
         self._trees: WeakKeyDictionary[Robot, tuple[Tree, Array]] = WeakKeyDictionary()
+        self._misses: Counter[str] = Counter()
         self._rows, self._tally = np.empty(0), np.empty(TALLY)
 
     def run(self, scenario: Scenario) -> Outcome:
@@ -123,7 +128,7 @@ class Bench:
     def run_all(self, scenarios: Sequence[Scenario], ran: Callable[[], None] = lambda: None) -> list[Outcome]:
         """Run scenarios, abreast where they can, and return their outcomes in order; `ran` is called after each."""
         outcomes: dict[int, Outcome] = {}
-        ranks: dict[Hashable, Rank] = {}
+        ranks: dict[Kind, Rank] = {}
 
         def done(members: Sequence[int], came_to: Sequence[Outcome]) -> None:
             for i, outcome in zip(members, came_to, strict=True):
@@ -149,25 +154,35 @@ class Bench:
             done(rank.members, self._run_rank(rank, scenarios))
         return [outcomes[i] for i in range(len(scenarios))]
 
-    def _rank(self, problem: Problem, ranks: dict[Hashable, Rank]) -> Rank | None:
-        """Return the rank in which a problem may go, found among `ranks` or put there; None if it must go alone."""
-        kind = kind_of(problem)
-        if self._engine != COMPILED or kind is None or not worth_going_abreast(self._runs * problem.steps):
+    def _kind(self, problem: Problem) -> Kind | None:
+        """Return the kind in which a problem goes abreast with others; None if it goes alone."""
+        kind = kind_of(problem) if self._engine == COMPILED else None
+        if kind is None or not worth_going_abreast(self._runs * problem.steps):
             return None
         rows = (problem.steps + 1) * Row.of(problem.robot.n).width
-        if self._keep and rows * WIDE * self._rows.itemsize > ROOM_ABREAST:
+        too_large = bool(self._keep) and rows * WIDE * self._rows.itemsize > ROOM_ABREAST
+        return None if too_large or self._misses[kind.contact] >= MOST_MISSES else kind
+
+    def _rank(self, problem: Problem, ranks: dict[Kind, Rank]) -> Rank | None:
+        """Return the rank in which a problem may go, found among `ranks` or put there; None if it must go alone."""
+        kind = self._kind(problem)
+        if kind is None:
             return None
         if kind not in ranks:
             abreast = self._pieces.get(
                 ("abreast", kind), lambda: Abreast(problem, bool(self._keep)), lambda made: made.bytes
             )
-            ranks[kind] = Rank(abreast, self._tree(problem)[0], [])
+            ranks[kind] = Rank(kind, abreast, self._tree(problem)[0], [])
         return ranks[kind]
 
     def _run_rank(self, rank: Rank, scenarios: Sequence[Scenario]) -> list[Outcome]:
         """Return the outcomes of a rank's members."""
         abreast, count = rank.abreast, len(rank.members)
-        if count < FEWEST_ABREAST or not abreast.run(rank.tree, count):
+        alone = count < FEWEST_ABREAST
+        if not alone:
+            alone = not abreast.run(rank.tree, count)
+            self._misses[rank.kind.contact] = self._misses[rank.kind.contact] + 1 if alone else 0
+        if alone:
             return [self.run(scenarios[i]) for i in rank.members]
         outcomes = []
         for lane in range(count):
@@ -177,9 +192,8 @@ class Bench:
         return outcomes
 
     def _run(self, problem: Problem) -> Outcome:
-        tree, ahead = self._tree(problem), self._runs * problem.steps
-        if kind_of(problem) is not None and worth_going_abreast(ahead):
-            ahead = 0  # but for this one they go abreast
+        tree = self._tree(problem)
+        ahead = self._runs * problem.steps if self._kind(problem) is None else 0  # those to come go abreast
         rows, events, failure, _ = run_loop(
             problem, engine=self._engine, rows=self._room(problem), tree=tree, ahead=ahead
         )

@@ -28,6 +28,7 @@ KINDS = {
         SHORT | {"force_profile.kind": "sine", "force_profile.amplitude": 3.0, "force_profile.frequency": 5.0},
         {"law.force": (5.0, 15.0)},
     ),
+    "a contact that could break": ("wam_slide", SHORT | {"surface.contact": "unilateral"}, {"law.force": (5.0, 15.0)}),
     "two joints": ("planar2_slide", {"time.duration": 0.3}, {"law.force": (1.0, 5.0)}),
     "seven joints": ("panda_slide", {"time.duration": 0.2}, {"law.force": (1.0, 20.0)}),
 }  # fmt: skip
@@ -97,12 +98,23 @@ def test_a_run_that_fails_takes_nobody_along(go_abreast, monkeypatch):
     assert table.equals(alone(monkeypatch, scenario, changes, workers=1))
 
 
+def test_tips_that_leave_go_alone(go_abreast, monkeypatch):
+    """A law that pulls lifts some tips off; ranks in which that happens are given up, and at last not tried."""
+    scenario = cl.load_scenario("wam_liftoff", overrides={"time.duration": 2.0})
+    changes = {"stabiliser.time_constant": np.linspace(0.002, 0.004, 4 * WIDE).tolist()}
+    table = cl.simulate_batch(scenario, changes, workers=1)
+    assert min(table["liftoff_events"].to_pylist()) >= 1
+    assert go_abreast == [WIDE, WIDE]
+    assert table.equals(alone(monkeypatch, scenario, changes, workers=1))
+
+
 def test_what_differs_in_kind_goes_in_ranks_of_its_own(go_abreast, monkeypatch):
     """Steps of different length, and a contact that may break, in one batch."""
     scenario = cl.load_scenario("wam_slide", overrides=SHORT)
     changes = {
         "time.step": [0.001, 0.002] * 8,
         "surface.contact": ["bilateral"] * 13 + ["unilateral"] * 3,
+        "surface.gap": [0.0] * 13 + [0.001] * 3,
         "stabiliser.time_constant": [0.004] * 16,
         "law.force": [5.0 + i for i in range(16)],
     }
@@ -121,7 +133,7 @@ def test_what_differs_in_kind_goes_in_ranks_of_its_own(go_abreast, monkeypatch):
         ("wam_slide", {"stabiliser.kind": "projection"}),
         ("wam_slide", {"law.force_feedback": 0.5}),
         ("wam_slide", {"time.integrator": "dop853"}),
-        ("wam_slide", {"surface.contact": "unilateral"}),
+        ("wam_bounce", {"friction.kind": "none"}),
     ],
 )
 def test_what_may_have_to_decide_goes_alone(name, changes):

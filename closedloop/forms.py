@@ -3,7 +3,8 @@
 There are two engines; each has a small form for the paper's law on a smooth surface, and one with everything that may
 come on top. All four take any number of joints. Where many steps are ahead, a loop for just one number of joints is
 compiled: its inner loops, of known length, are written out, which saves a fifth of a step and changes no bit. And a
-batch's runs of the paper's law on a smooth surface may go eight abreast (`closedloop.abreast`), which takes a quarter of the time.
+batch's runs of the paper's law on a smooth surface may go eight abreast (`closedloop.abreast`), in a quarter of the
+time.
 """
 
 from __future__ import annotations

@@ -26,8 +26,8 @@ if TYPE_CHECKING:
     from closedloop.errors import ScenarioError as ScenarioError
     from closedloop.errors import SimulationError as SimulationError
     from closedloop.errors import SingularClosureError as SingularClosureError
+    from closedloop.preparation import prepare as prepare
     from closedloop.problem import Problem as Problem
-    from closedloop.problem import prepare as prepare
     from closedloop.record import Event as Event
     from closedloop.record import Run as Run
     from closedloop.robot import Robot as Robot
@@ -63,7 +63,7 @@ _HOME = {
     "Terms": "robot",
     "load_run": "runfile",
     "load_scenario": "scenario",
-    "prepare": "problem",
+    "prepare": "preparation",
     "shipped_scenarios": "scenario",
     "simulate": "simulation",
     "simulate_batch": "batch",

@@ -24,7 +24,8 @@ from closedloop.errors import ClosedLoopError, SingularClosureError
 from closedloop.forms import COMPILED, worth_going_abreast
 from closedloop.octet import WIDE
 from closedloop.pieces import Pieces
-from closedloop.problem import Problem, prepare
+from closedloop.preparation import prepare
+from closedloop.problem import Problem
 from closedloop.report.assumptions import NAMES
 from closedloop.report.measured import FAILED_AT, TALLY, WIDTH, measure_rows
 from closedloop.robot import Robot

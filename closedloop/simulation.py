@@ -31,7 +31,8 @@ from closedloop.integrate import ADAPTIVE, INTEGRATORS
 from closedloop.machine.events import collide
 from closedloop.machine.phases import DONE, IMPACT_LAW_WANTED, ROOM, TERMS, TERMS_AND_LAW
 from closedloop.pinocchio_engine import AT_EVENTS, EVENT_ROOM, places_of
-from closedloop.problem import Problem, prepare
+from closedloop.preparation import prepare
+from closedloop.problem import Problem
 from closedloop.record import Run
 from closedloop.robot import Robot
 from closedloop.rows import SCALARS, Row, complete_record

@@ -22,7 +22,7 @@ from numpy.typing import NDArray
 from closedloop.baumgarte import baumgarte_gains, largest_stable_ratio, recommended_ratio, spectral_radius
 from closedloop.errors import ClosedLoopError
 from closedloop.integrate import INTEGRATORS
-from closedloop.problem import prepare
+from closedloop.preparation import prepare
 from closedloop.rows import SCALARS, Row
 from closedloop.scenario import Scenario, load_scenario
 from closedloop.simulation import run_loop, simulate

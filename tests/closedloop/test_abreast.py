@@ -7,7 +7,7 @@ import closedloop as cl
 from closedloop.abreast import Abreast, kind_of
 from closedloop.bench import FEWEST_ABREAST, Bench
 from closedloop.octet import WIDE
-from closedloop.problem import prepare
+from closedloop.preparation import prepare
 from robot_models import load
 
 KEPT = ("q", "torque", "contact_force", "closure_error", "kkt_condition", "residual_motion")

@@ -8,7 +8,7 @@ import pytest
 
 import closedloop as cl
 from closedloop.pieces import Pieces
-from closedloop.problem import prepare
+from closedloop.preparation import prepare
 from closedloop.report.measures import MEASURES
 from closedloop.units import key_unit
 

@@ -13,7 +13,7 @@ import closedloop as cl
 from closedloop.compiled import cache_folder, needs_compiling
 from closedloop.forms import ENGINES, MOST_WRITTEN_OUT, WORTH_COMPILING, machine, written_out
 from closedloop.pinocchio_engine import proceed_on_pinocchio
-from closedloop.problem import prepare
+from closedloop.preparation import prepare
 from closedloop.simulation import run_loop
 
 ROOT = Path(cl.__file__).parent.parent

@@ -10,7 +10,7 @@ from hypothesis import strategies as st
 
 import closedloop as cl
 from closedloop.explain import describe_keys
-from closedloop.problem import MOST_NUMBERS
+from closedloop.preparation import MOST_NUMBERS
 from closedloop.rows import Row
 from closedloop.scenario import parse_scenario
 from robot_models.shipped import path_of

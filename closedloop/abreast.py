@@ -86,20 +86,24 @@ class Abreast:
     ----------
     like : Problem
         One of them.
+    kind : Kind
+        Its kind.
     keep : bool
         Whether all rows are to be kept.
 
     Attributes
     ----------
-    n, steps : int
-        Joints, and steps of a run.
+    kind : Kind
+        Of what kind they are.
+    n : int
+        Joints.
     end : float
         Instant of the last row, s.
     """
 
-    def __init__(self, like: Problem, keep: bool) -> None:
+    def __init__(self, like: Problem, kind: Kind, keep: bool) -> None:
         n, stages = like.robot.n, like.integrator.stages
-        self.n, self.steps, self.end = n, like.steps, like.h * like.steps
+        self.kind, self.n, self.end = kind, n, like.h * like.steps
         self._instants, self._columns = like.table.shape
         self._state, self._tableau = like.state(), like.integrator.tableau()
         self._h, self._spacing = like.h, like.h / like.nodes
@@ -114,7 +118,7 @@ class Abreast:
             aligned(TALLY), self._figures,
         )  # fmt: skip
         self._places = np.array([address_of(part) for part in self._parts])
-        self._tables: list[Array] = [like.table] * WIDE
+        self._tables: list[Array] = []
 
     @property
     def bytes(self) -> int:
@@ -124,24 +128,27 @@ class Abreast:
     def take(self, lane: int, problem: Problem) -> None:
         """Let a problem be run number `lane`; afterwards the table's forces and noise may be overwritten."""
         n = self.n
+        if lane == 0:
+            self._tables.clear()
         self._constants[:, lane] = problem.constants()
         self._work.q[:, lane], self._work.v[:, lane] = problem.q, problem.v
         force = problem.table[:, 2 * n + 9]
         self._forces[:, lane] = force
         self._largest[0, lane] = np.abs(force[:: problem.nodes]).max()
-        self._tables[lane] = problem.table
+        self._tables.append(problem.table)
 
     def run(self, tree: Tree, count: int) -> bool:
         """Run the first `count` of the eight; False if something came up in one of them."""
         for part in (self._constants, self._forces, self._largest, self._work.q, self._work.v):
             part[..., count:] = part[..., :1]  # the others do what the first does
-        self._tables[count:] = [self._tables[0]] * (WIDE - count)
-        tables = np.array([address_of(table) for table in self._tables])
+        places = [address_of(table) for table in self._tables[:count]]
+        tables = np.array(places + places[:1] * (WIDE - count))
         self._state[space.PENDING] = 0
         status = run_abreast(
             tree, self._places, self._constants.shape[0], self._state, self._h, self._spacing, self._tableau, tables,
             self._instants, self._columns, self._rows.shape[0],
         )  # fmt: skip
+        self._tables.clear()
         return status == OK
 
     def figures(self, lane: int) -> Array:

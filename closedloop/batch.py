@@ -17,9 +17,9 @@ from concurrent.futures import FIRST_COMPLETED, ThreadPoolExecutor, wait
 from contextlib import ExitStack
 from typing import TYPE_CHECKING, Any
 
-from closedloop.bench import Bench, Outcome, refused
+from closedloop.bench import FEWEST_ABREAST, Bench, Outcome, refused
 from closedloop.errors import ScenarioError
-from closedloop.forms import COMPILED
+from closedloop.forms import COMPILED, goes_abreast
 from closedloop.octet import WIDE
 from closedloop.pieces import Pieces
 from closedloop.scenario import Scenario
@@ -30,6 +30,12 @@ from robot_models import RobotModel
 
 if TYPE_CHECKING:
     import pyarrow as pa
+
+# Keys in which runs that go abreast may differ; see `closedloop.abreast.Kind`.
+OF_ANY_KIND = (
+    "law.force", "law.kp", "law.kd", "law.pd_start", "stabiliser.time_constant", "stabiliser.damping_ratio", "start.",
+    "reference.", "force_profile.", "surface.normal", "surface.offset",
+)  # fmt: skip
 
 
 def simulate_batch(
@@ -84,17 +90,19 @@ def simulate_batch(
     columns = kept_columns(keep)
     variants = Variants(scenario, keys)
     check_engine(variants.look(points), engine, None)
-    threads, finished = threads_for(engine, workers), itertools.count(1)
-    each = min(WIDE, -(-len(points) // threads)) if engine == COMPILED else 1
-    blocks = [points[first : first + each] for first in range(0, len(points), each)]
-    outcomes: list[list[Outcome]] = [[]] * len(blocks)
-    done, common = [0], Pieces()
+    threads, common = threads_for(engine, workers), Pieces()
+    blocks = in_blocks(variants, points, engine, len(points), threads)
+    outcomes: list[Outcome | None] = [None] * len(points)
+    done, lock = [0], threading.Lock()
 
     def ran() -> None:
-        done[0] = next(finished)
+        with lock:
+            done[0] += 1
 
-    def one(bench: Bench, i: int) -> None:
-        outcomes[i] = run_variants(bench, variants, blocks[i], engine, ran)
+    def one(bench: Bench, at: int) -> None:
+        some = run_variants(bench, variants, [points[i] for i in blocks[at]], engine, ran)
+        for i, outcome in zip(blocks[at], some, strict=True):
+            outcomes[i] = outcome
 
     with ExitStack() as open_until_done:
         if progress is True:
@@ -107,13 +115,52 @@ def simulate_batch(
             lambda blocks_done, of: report(done[0], len(points)),
         )  # fmt: skip
     kinds = {key: key_type([point[k] for point in points]) for k, key in enumerate(keys)}
-    return table_of(schema(kinds, columns), 0, points, [x for block in outcomes for x in block], columns)
+    return table_of(schema(kinds, columns), 0, points, [x for x in outcomes if x is not None], columns)
+
+
+def in_blocks(
+    variants: Variants, points: Sequence[Sequence[Any]], engine: str, runs: int, threads: int = 1
+) -> list[list[int]]:
+    """Return the numbers of all points, in blocks of those that may go abreast and one by one for others.
+
+    Parameters
+    ----------
+    variants, points
+        What the values of the points are of, and the values.
+    engine : str
+        See `simulate`.
+    runs : int
+        How many runs there are in all, these and others.
+    threads : int
+        How many threads take blocks; each should get some.
+    """
+    tells_kinds = [at for at, key in enumerate(variants.keys) if not key.startswith(OF_ANY_KIND)]
+    kinds: dict[tuple[str, ...], list[int]] = {}
+    for i, point in enumerate(points):
+        kinds.setdefault(tuple(repr(point[at]) for at in tells_kinds), []).append(i)
+    width = max(FEWEST_ABREAST, min(WIDE, -(-len(points) // threads)))
+    blocks = []
+    for members in kinds.values():
+        few = len(members) < FEWEST_ABREAST
+        each = 1 if few or not _go_abreast(variants, [points[i] for i in members[:WIDE]], engine, runs) else width
+        blocks += [members[first : first + each] for first in range(0, len(members), each)]
+    return blocks
+
+
+def _go_abreast(variants: Variants, points: Sequence[Sequence[Any]], engine: str, runs: int) -> bool:
+    """Whether the runs with these values, of one kind, go abreast: as the first of them does that can be read."""
+    for values in points:
+        try:
+            return goes_abreast(variants.scenario(values), engine, runs)
+        except ScenarioError:
+            continue
+    return False
 
 
 def run_variants(
     bench: Bench, variants: Variants, points: Sequence[Sequence[Any]], engine: str, ran: Callable[[], None]
 ) -> list[Outcome]:
-    """Run the variants with these values, calling `ran` after each; one that cannot even be read says why."""
+    """Run the variants with these values, a block of `in_blocks`, calling `ran` after each; one that cannot be read says why."""
     outcomes: list[Outcome | None] = []
     scenarios = []
     for values in points:

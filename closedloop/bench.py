@@ -21,7 +21,7 @@ from numpy.typing import NDArray
 from closedloop.abreast import Abreast, Kind, kind_of
 from closedloop.compiled_engine import compiled_tree, compiled_work
 from closedloop.errors import ClosedLoopError, SingularClosureError
-from closedloop.forms import COMPILED, worth_going_abreast
+from closedloop.forms import COMPILED, goes_abreast
 from closedloop.octet import WIDE
 from closedloop.pieces import Pieces
 from closedloop.preparation import prepare
@@ -42,8 +42,6 @@ RAN, STOPPED, REFUSED = "done", "stopped", "refused"
 
 # Eight runs abreast take as long as two alone; fewer than this many are run alone.
 FEWEST_ABREAST = 3
-# After so many ranks in a row in which something came up, runs of the same kind of contact go alone.
-MOST_MISSES = 2
 # Rows of eight runs that are kept whole may take this many bytes: less than what there is room for in `Pieces`.
 ROOM_ABREAST = 24_000_000
 
@@ -77,16 +75,6 @@ class Outcome:
     columns: dict[str, Array] = field(default_factory=dict)
 
 
-@dataclass(frozen=True)
-class Rank:
-    """Runs that will go abreast: their kind, their memory, their robot, and their numbers so far."""
-
-    kind: Kind
-    abreast: Abreast
-    tree: Tree
-    members: list[int]
-
-
 class Bench:
     """What one thread needs to run scenarios one after the other.
 
@@ -115,7 +103,8 @@ class Bench:
         self._engine, self._keep, self._model, self._runs = engine, keep, model, runs
         self._pieces = Pieces(common=common)
         self._trees: WeakKeyDictionary[Robot, tuple[Tree, Array]] = WeakKeyDictionary()
-        self._misses: Counter[str] = Counter()
+        self._misses: Counter[str] = Counter()  # eights in a row in which something came up, by kind of contact
+        self._waits: Counter[str] = Counter()  # eights that are still to go alone
         self._rows, self._tally = np.empty(0), np.empty(TALLY)
 
     def run(self, scenario: Scenario) -> Outcome:
@@ -127,74 +116,74 @@ class Bench:
             return refused(error)
 
     def run_all(self, scenarios: Sequence[Scenario], ran: Callable[[], None] = lambda: None) -> list[Outcome]:
-        """Run scenarios, abreast where they can, and return their outcomes in order; `ran` is called after each."""
-        outcomes: dict[int, Outcome] = {}
-        ranks: dict[Kind, Rank] = {}
+        """Run up to eight scenarios, abreast if they are of one kind, and return their outcomes in order.
 
-        def done(members: Sequence[int], came_to: Sequence[Outcome]) -> None:
-            for i, outcome in zip(members, came_to, strict=True):
-                outcomes[i] = outcome
-                ran()
+        `ran` is called after each.
+        """
+        outcomes: dict[int, Outcome] = {}
+        members: list[int] = []
+        abreast: Abreast | None = None
+        together = len(scenarios) >= FEWEST_ABREAST and self._try_abreast(scenarios[0])
+
+        def done(i: int, outcome: Outcome) -> None:
+            outcomes[i] = outcome
+            ran()
 
         for i, scenario in enumerate(scenarios):
             try:
                 problem = prepare(scenario, self._model, self._pieces)
-                rank = self._rank(problem, ranks)
-                if rank is None:
-                    done([i], [self._run(problem)])
+                kind = kind_of(problem) if together else None
+                if abreast is None and kind is not None:
+                    abreast = self._abreast(problem, kind)
+                if abreast is None or kind != abreast.kind:
+                    done(i, self._run(problem))
                     continue
             except ClosedLoopError as error:
-                done([i], [refused(error)])
+                done(i, refused(error))
                 continue
-            rank.abreast.take(len(rank.members), problem)
-            rank.members.append(i)
-            if len(rank.members) == WIDE:
-                done(rank.members, self._run_rank(rank, scenarios))
-                rank.members.clear()
-        for rank in ranks.values():
-            done(rank.members, self._run_rank(rank, scenarios))
+            abreast.take(len(members), problem)
+            members.append(i)
+        if abreast is not None:
+            ended_well = len(members) >= FEWEST_ABREAST
+            if ended_well:
+                ended_well = abreast.run(self._trees[abreast.kind.robot][0], len(members))
+                self._remember(abreast.kind.contact, ended_well)
+            for lane, i in enumerate(members):
+                done(i, self._outcome(abreast, lane) if ended_well else self.run(scenarios[i]))
         return [outcomes[i] for i in range(len(scenarios))]
 
-    def _kind(self, problem: Problem) -> Kind | None:
-        """Return the kind in which a problem goes abreast with others; None if it goes alone."""
-        kind = kind_of(problem) if self._engine == COMPILED else None
-        if kind is None or not worth_going_abreast(self._runs * problem.steps):
-            return None
+    def _try_abreast(self, scenario: Scenario) -> bool:
+        """Whether scenarios like this one should go abreast: not if that has failed again and again of late."""
+        if not goes_abreast(scenario, self._engine, self._runs):
+            return False
+        contact = scenario.surface.contact
+        self._waits[contact] -= 1
+        return self._waits[contact] < 0
+
+    def _remember(self, contact: str, ended_well: bool) -> None:
+        """Let the next 2, 6, 14 or 30 eights go alone after 2, 3, 4 or 5 in a row in which something came up."""
+        self._misses[contact] = 0 if ended_well else min(self._misses[contact] + 1, 5)
+        self._waits[contact] = max(0, 2 ** self._misses[contact] - 2)
+
+    def _abreast(self, problem: Problem, kind: Kind) -> Abreast | None:
+        """Return the memory for runs of a kind; None if they would need too much."""
         rows = (problem.steps + 1) * Row.of(problem.robot.n).width
-        too_large = bool(self._keep) and rows * WIDE * self._rows.itemsize > ROOM_ABREAST
-        return None if too_large or self._misses[kind.contact] >= MOST_MISSES else kind
-
-    def _rank(self, problem: Problem, ranks: dict[Kind, Rank]) -> Rank | None:
-        """Return the rank in which a problem may go, found among `ranks` or put there; None if it must go alone."""
-        kind = self._kind(problem)
-        if kind is None:
+        if self._keep and rows * WIDE * self._rows.itemsize > ROOM_ABREAST:
             return None
-        if kind not in ranks:
-            abreast = self._pieces.get(
-                ("abreast", kind), lambda: Abreast(problem, bool(self._keep)), lambda made: made.bytes
-            )
-            ranks[kind] = Rank(kind, abreast, self._tree(problem)[0], [])
-        return ranks[kind]
+        self._tree(problem)
+        return self._pieces.get(
+            ("abreast", kind), lambda: Abreast(problem, kind, bool(self._keep)), lambda made: made.bytes
+        )
 
-    def _run_rank(self, rank: Rank, scenarios: Sequence[Scenario]) -> list[Outcome]:
-        """Return the outcomes of a rank's members."""
-        abreast, count = rank.abreast, len(rank.members)
-        alone = count < FEWEST_ABREAST
-        if not alone:
-            alone = not abreast.run(rank.tree, count)
-            self._misses[rank.kind.contact] = self._misses[rank.kind.contact] + 1 if alone else 0
-        if alone:
-            return [self.run(scenarios[i]) for i in rank.members]
-        outcomes = []
-        for lane in range(count):
-            rows = abreast.rows(lane)
-            columns = {name: recorded(rows, abreast.n, name) for name in self._keep}
-            outcomes.append(Outcome(RAN, None, abreast.steps + 1, abreast.figures(lane), abreast.end, columns))
-        return outcomes
+    def _outcome(self, abreast: Abreast, lane: int) -> Outcome:
+        rows = abreast.rows(lane)
+        columns = {name: recorded(rows, abreast.n, name) for name in self._keep}
+        return Outcome(RAN, None, abreast.kind.steps + 1, abreast.figures(lane), abreast.end, columns)
 
     def _run(self, problem: Problem) -> Outcome:
         tree = self._tree(problem)
-        ahead = self._runs * problem.steps if self._kind(problem) is None else 0  # those to come go abreast
+        others_abreast = goes_abreast(problem.scenario, self._engine, self._runs)
+        ahead = 0 if others_abreast else self._runs * problem.steps
         rows, events, failure, _ = run_loop(
             problem, engine=self._engine, rows=self._room(problem), tree=tree, ahead=ahead
         )

@@ -254,7 +254,7 @@ def residuals(
             s += abs(A[k, i] * F[k])
         worst = max(worst, abs(r))
         scale = max(scale, s)
-    motion = select(scale > 0.0, worst / scale, 0.0)
+    motion = worst / select(scale > 0.0, scale, 1.0)
     worst, scale = 0.0, 0.0
     for k in range(first, last):
         r = drift_c[k] - b[k]
@@ -266,7 +266,7 @@ def residuals(
             s += abs(S[k, i] * F[i])
         worst = max(worst, abs(r))
         scale = max(scale, s)
-    return motion, select(scale > 0.0, worst / scale, 0.0)
+    return motion, worst / select(scale > 0.0, scale, 1.0)
 
 
 @kernel

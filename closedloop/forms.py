@@ -73,21 +73,32 @@ def _is_there(n: int, more: bool, engine: str) -> bool:
     return not needs_compiling(written_out(n, more, engine))
 
 
-def loop_of(scenario: Scenario, engine: str, n: int, ahead: int) -> Callable[..., int]:
-    """Return the loop in which most runs of a scenario go, of a robot of n joints, with so many steps to come."""
-    if engine == COMPILED and ahead > scenario.time.duration / scenario.time.step:
-        from closedloop.abreast import can_go_abreast, run_abreast
-
-        if can_go_abreast(scenario) and worth_going_abreast(ahead):
-            return run_abreast
+def loop_of(scenario: Scenario, engine: str, n: int, runs: int = 1) -> Callable[..., int]:
+    """Return the loop in which most of so many runs of a scenario go, of a robot of n joints (0: of any number)."""
     from closedloop.problem import needs_more
 
-    return machine(needs_more(scenario), engine, n, ahead)
+    if runs > 1 and goes_abreast(scenario, engine, runs):
+        from closedloop.abreast import run_abreast
+
+        return run_abreast
+    return machine(needs_more(scenario), engine, n, runs * steps_of(scenario))
 
 
-def worth_going_abreast(ahead: int) -> bool:
-    """Whether runs that can go abreast should, with so many steps to come: compiled already, or worth compiling."""
-    return ahead >= WORTH_GOING_ABREAST or _abreast_is_there()
+def goes_abreast(scenario: Scenario, engine: str, runs: int) -> bool:
+    """Whether a scenario can and should go abreast with others like it, so many in all.
+
+    The loop is compiled already, or worth compiling.
+    """
+    from closedloop.abreast import can_go_abreast
+
+    if engine != COMPILED or not can_go_abreast(scenario):
+        return False
+    return runs * steps_of(scenario) >= WORTH_GOING_ABREAST or _abreast_is_there()
+
+
+def steps_of(scenario: Scenario) -> int:
+    """Return the number of steps of a run, about."""
+    return int(scenario.time.duration / scenario.time.step)
 
 
 @cache

@@ -84,7 +84,7 @@ class _AnswersModel(models.PrimitiveModel):
 
 
 def select(condition: Any, yes: Any, no: Any) -> Any:
-    """Return `yes` where the condition holds, else `no`; both are worked out."""
+    """Return `yes` where the condition holds, else `no`; both are worked out, so neither may fail."""
     return yes if condition else no
 
 

@@ -140,7 +140,7 @@ def record(
         state[PENDING] = lane + 1
         if lane + 1 >= w.pending.shape[1]:
             record_conditions(w.pending, rows, state, place + 1, n)
-    row[at + 8] = select(trace > 0.0, w.S[0, 0] / trace, 0.0)
+    row[at + 8] = w.S[0, 0] / select(trace > 0.0, trace, 1.0)
     row[at + 9] = kinetic_energy(H, w.v)
     if more is None:
         w.now[MEASURED] = w.F[0]

@@ -211,12 +211,12 @@ def _make_writable(folder: Path) -> None:
         raise OutputError(f"--out {str(folder)!r}: cannot be written: {reason}; name another folder") from None
 
 
-def announce_compiling(scenario: Scenario, model: Any, engine: str, ahead: int = 0) -> None:
-    """Say why the first run of an installation takes longer, or that of many, with so many steps `ahead`."""
+def announce_compiling(scenario: Scenario, model: Any, engine: str, runs: int = 1) -> None:
+    """Say why the first run of an installation takes longer, or the first of so many."""
     from closedloop.compiled import needs_compiling
     from closedloop.forms import loop_of
 
-    if needs_compiling(loop_of(scenario, engine, 0 if model is None else model.n, ahead)):
+    if needs_compiling(loop_of(scenario, engine, 0 if model is None else model.n, runs)):
         print("compiling the step (once for this installation, some twenty seconds) ...", file=sys.stderr, flush=True)
 
 

@@ -220,7 +220,8 @@ def write_figures(last: Array, count: int, h: float, largest: float, tally: Arra
     out[JOINT_FRICTION], out[ENERGY] = t[IN_JOINTS], t[UNACCOUNTED]
     out[TIP_SPEED], out[FRICTION] = math.sqrt(t[TIP_SQUARES]), math.sqrt(t[FRICTION_SQUARES])
     out[CONTACT_TIME], out[EXCHANGED], out[RUBBED] = h * t[STEPS_IN_CONTACT], t[WORK_SIZE], -t[RUBBING]
-    out[FORCE_RMS] = math.sqrt(select(t[TOUCHES] > 0.0, t[FORCE_SQUARES] / t[TOUCHES], math.nan))
+    touches = select(t[TOUCHES] > 0.0, t[TOUCHES], math.nan)
+    out[FORCE_RMS] = math.sqrt(t[FORCE_SQUARES] / touches)
     settles = (largest > 0.0) & (t[UNSETTLED] < count - 1)
     out[SETTLED_AT] = select(settles, h * (t[UNSETTLED] + 1), math.nan)
     out[PATH_RMS] = math.sqrt(t[PATH_SQUARES] / count)

@@ -60,8 +60,7 @@ def _sweep(arguments: list[str]) -> int:
     if options.scheduler is None:
         fixed = not any(key.startswith("robot.") for key in design.keys)
         model = robot_models.load(scenario.robot.model) if fixed else None
-        ahead = len(design) * int(scenario.time.duration / scenario.time.step)
-        announce_compiling(scenario, model, options.engine, ahead)
+        announce_compiling(scenario, model, options.engine, len(design))
     began = clock.monotonic()
     done: list[tuple[int, int]] = []
     with count("closedloop.sweep", len(design)) as show:

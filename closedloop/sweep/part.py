@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
-from closedloop.batch import run_variants
+from closedloop.batch import in_blocks, run_variants
 from closedloop.bench import Bench, Outcome
 from closedloop.pieces import Pieces
 from closedloop.scenario import parse_scenario
@@ -76,7 +76,11 @@ def run_part(
     columns : dict of str to (runs, rows) or (runs, rows, k) array
         The columns kept; after a run's last row NaN.
     """
-    outcomes = run_variants(bench, _variants(job), points, job.engine, ran)
+    came_to: dict[int, Outcome] = {}
+    for block in in_blocks(_variants(job), points, job.engine, job.runs):
+        some = run_variants(bench, _variants(job), [points[i] for i in block], job.engine, ran)
+        came_to |= dict(zip(block, some, strict=True))
+    outcomes = [came_to[i] for i in range(len(points))]
     return table_of(columns_of(job), first, points, outcomes), {name: _stacked(outcomes, name) for name in job.keep}
 
 

@@ -37,7 +37,7 @@ KINDS = {
 @pytest.fixture
 def go_abreast(monkeypatch):
     """Let all go abreast that can, however few; return a list of how many went each time."""
-    monkeypatch.setattr("closedloop.bench.worth_going_abreast", lambda ahead: True)
+    monkeypatch.setattr("closedloop.forms._abreast_is_there", lambda: True)
     went, run = [], Abreast.run
 
     def counted(self, tree, count):
@@ -57,7 +57,7 @@ def drawn(ranges, count, seed=0):
 def alone(monkeypatch, *args, **options):
     """Return the table of a batch in which each run goes by itself."""
     with monkeypatch.context() as now:
-        now.setattr("closedloop.bench.worth_going_abreast", lambda ahead: False)
+        now.setattr("closedloop.forms._abreast_is_there", lambda: False)
         return cl.simulate_batch(*args, **options)
 
 
@@ -99,7 +99,7 @@ def test_a_run_that_fails_takes_nobody_along(go_abreast, monkeypatch):
 
 
 def test_tips_that_leave_go_alone(go_abreast, monkeypatch):
-    """A law that pulls lifts some tips off; ranks in which that happens are given up, and at last not tried."""
+    """A path draws the tips off the surface; eights in which that happens are given up, and after two wait."""
     scenario = cl.load_scenario("wam_liftoff", overrides={"time.duration": 2.0})
     changes = {"stabiliser.time_constant": np.linspace(0.002, 0.004, 4 * WIDE).tolist()}
     table = cl.simulate_batch(scenario, changes, workers=1)
@@ -120,7 +120,7 @@ def test_what_differs_in_kind_goes_in_ranks_of_its_own(go_abreast, monkeypatch):
     }
     table = cl.simulate_batch(scenario, changes, workers=1)
     assert set(table["status"].to_pylist()) == {"done"}
-    assert go_abreast == [4, 4, 3]  # of the first eight, and of the five after them; two are too few
+    assert go_abreast == [7, 6]  # each step's; a contact that is open at first goes alone
     assert table.equals(alone(monkeypatch, scenario, changes, workers=1))
 
 

@@ -32,6 +32,7 @@ cl.simulate(cl.load_scenario(name, changes)).save(file)
     [
         ("wam_slide", {"reference.start": 0.02}),
         ("planar2_slide", {"reference.start": 0.02, "time.integrator": "rk4", "law.sample_period": 0.002}),
+        ("wam_touchdown", {"surface.gap": 0.001}),
     ],
 )
 def test_interpreted_run_is_the_compiled_one(name, changes, tmp_path):

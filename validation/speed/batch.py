@@ -12,7 +12,7 @@ from concurrent.futures import ThreadPoolExecutor
 import numpy as np
 
 import closedloop as cl
-from closedloop.abreast import Abreast
+from closedloop.abreast import Abreast, kind_of
 from closedloop.compiled import entry_kernel
 from closedloop.compiled_engine import compiled_tree
 from closedloop.octet import WIDE
@@ -46,7 +46,9 @@ def compiled_batch(arm: str, problem: Problem, runs: int, threads: int) -> Conte
 
 def eight_abreast(arm: str, problem: Problem) -> Contestant:
     """Return the loop in which a batch's runs go, without what a batch does beside: a step is one of one run."""
-    abreast, tree, n = Abreast(problem, keep=False), compiled_tree(problem), problem.robot.n
+    kind, tree, n = kind_of(problem), compiled_tree(problem), problem.robot.n
+    assert kind is not None
+    abreast = Abreast(problem, kind, keep=False)
 
     def lap() -> tuple[float | None, Array | None]:
         for lane in range(WIDE):

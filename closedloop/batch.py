@@ -160,7 +160,10 @@ def _go_abreast(variants: Variants, points: Sequence[Sequence[Any]], engine: str
 def run_variants(
     bench: Bench, variants: Variants, points: Sequence[Sequence[Any]], engine: str, ran: Callable[[], None]
 ) -> list[Outcome]:
-    """Run the variants with these values, a block of `in_blocks`, calling `ran` after each; one that cannot be read says why."""
+    """Run the variants with these values, a block of `in_blocks`; one that cannot even be read says why.
+
+    `ran` is called after each.
+    """
     outcomes: list[Outcome | None] = []
     scenarios = []
     for values in points:

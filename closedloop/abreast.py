@@ -19,6 +19,7 @@ from numpy.typing import NDArray
 from closedloop import workspace as space
 from closedloop.addresses import address_of, matrix_at
 from closedloop.compiled import entry_kernel, kernel_inlined, numba_settings
+from closedloop.condition import LANES
 from closedloop.contact import PRESSED, accelerate, baumgarte_acceleration, factorise, pressed_force, unloaded
 from closedloop.control.paper import paper_law
 from closedloop.integrate import INTEGRATORS, advance
@@ -39,8 +40,6 @@ Array = NDArray[np.float64]
 MEMORY, TERMS, CONSTANTS, FORCES, LARGEST, ROWS, TALLIES, FIGURES = range(8)
 
 SCALAR_COUNT = len(SCALARS)
-# Rows whose condition numbers are worked out at once.
-TOGETHER = 4
 # A tip may leave the surface, or the stabiliser would pull: there is something to decide.
 LEFT = -1
 
@@ -107,11 +106,11 @@ class Abreast:
         self._instants, self._columns = like.table.shape
         self._state, self._tableau = like.state(), like.integrator.tableau()
         self._h, self._spacing = like.h, like.h / like.nodes
-        self._memory = aligned(space.memory_size(n, 0, stages, 1, TOGETHER))
-        self._work = space.workspace(self._memory, n, 0, stages, 1, TOGETHER)
+        self._memory = aligned(space.memory_size(n, 0, stages, 1))
+        self._work = space.workspace(self._memory, n, 0, stages, 1)
         self._constants = aligned(like.constants().size)
         self._forces, self._largest = aligned(like.table.shape[0]), aligned(1)
-        self._rows = aligned(like.steps + 1 if keep else TOGETHER, Row.of(n).width)
+        self._rows = aligned(like.steps + 1 if keep else LANES, Row.of(n).width)
         self._figures = aligned(WIDTH)
         self._parts = (
             self._memory, aligned(n * n + n + work_size(n)), self._constants, self._forces, self._largest, self._rows,
@@ -184,7 +183,7 @@ def run_abreast(
     tables : (8,) array of int
         Addresses of what is desired of each, (instants, columns), see `closedloop.step.reference_row`.
     kept : int
-        How many rows there is room for: all, or `TOGETHER`, over and over again.
+        How many rows there is room for: all, or `LANES`, over and over again.
 
     Returns
     -------
@@ -193,7 +192,7 @@ def run_abreast(
     """
     n, stages, steps, hold = tree.n, state[space.STAGES], state[space.STEPS], state[space.HOLD]
     semi_implicit, unilateral = state[space.SEMI_IMPLICIT] != 0, state[space.UNILATERAL] != 0
-    w = workspace(octets_at(places[MEMORY], 0), n, 0, stages, 1, TOGETHER)
+    w = workspace(octets_at(places[MEMORY], 0), n, 0, stages, 1)
     terms = octets_at(places[TERMS], n * n + n + work_size(n))
     H, C, scratch = terms[0 : n * n].reshape(n, n), terms[n * n : n * n + n], terms[n * n + n :]
     k, largest = octets_at(places[CONSTANTS], constants), octets_at(places[LARGEST], 1)[0]
@@ -225,7 +224,7 @@ def run_abreast(
                 if row == steps:
                     record_conditions(w.pending, rows, state, place + 1, n)
                 if state[space.PENDING] == 0:
-                    for i in range(place - place % TOGETHER, place + 1):
+                    for i in range(place - place % LANES, place + 1):
                         count_condition(rows[i], tally)
                 for j in range(n):
                     w.begin[j] = w.q[j]

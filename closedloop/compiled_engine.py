@@ -13,7 +13,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from closedloop.compiled import entry_kernel, inlined_kernel
-from closedloop.condition import LANES
 from closedloop.errors import ModelError, ScenarioError
 from closedloop.machine.phases import TERMS, extra_states
 from closedloop.machine.proceed import proceed
@@ -29,7 +28,7 @@ def _run(
     n: int, tree: Tree, work: Array, k: Array, state: Whole, memory: Array, table: Array, tableau: Array, rows: Array,
     events: Array, more: int | None,
 ) -> int:  # fmt: skip
-    w = workspace(memory, n, extra_states(state, n), state[STAGES], state[SENSOR_RING], LANES)
+    w = workspace(memory, n, extra_states(state, n), state[STAGES], state[SENSOR_RING])
     H, C, scratch = work[0 : n * n].reshape(n, n), work[n * n : n * n + n], work[n * n + n :]
     request = TERMS
     while request == TERMS:

@@ -7,7 +7,6 @@ from numpy.typing import NDArray
 
 from closedloop.addresses import address_of, fortran_at, matrix_at, vector_at, whole_at
 from closedloop.compiled import brief_entry, inlined_kernel
-from closedloop.condition import LANES
 from closedloop.events import EVENT_WIDTH
 from closedloop.machine.phases import extra_states
 from closedloop.machine.proceed import proceed
@@ -53,7 +52,7 @@ def on_pinocchio(n: int, places: int, more: int | None) -> int:
     a = whole_at(places, PLACES)
     k, state = vector_at(a[AT_K], a[SIZE_K]), whole_at(a[AT_STATE], WHOLES)
     memory = vector_at(a[AT_MEMORY], a[SIZE_MEMORY])
-    w = workspace(memory, n, extra_states(state, n), state[STAGES], state[SENSOR_RING], LANES)
+    w = workspace(memory, n, extra_states(state, n), state[STAGES], state[SENSOR_RING])
     tip_kinematics(
         fortran_at(a[AT_JACOBIAN], 6, n), fortran_at(a[AT_ROTATION], 3, 3), vector_at(a[AT_ORIGIN], 3),
         vector_at(a[AT_VELOCITY], 6), vector_at(a[AT_ACCELERATION], 6),

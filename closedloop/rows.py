@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from closedloop.compiled import entry_kernel, kernel, kernel_inlined
-from closedloop.condition import LONG, condition_of_long, conditions, leave
+from closedloop.condition import LANES, LONG, condition_of_long, conditions, leave
 from closedloop.contact import FREE, STUCK, residuals
 from closedloop.control.sensor import sense
 from closedloop.octet import select
@@ -101,7 +101,7 @@ def record(
 ) -> None:
     """Write a row in the order of `Row`: the state, and what acted in it.
 
-    The condition number follows once the rows of `Work.pending` are full, or with `complete_record`.
+    The condition number follows once `LANES` rows are full, or with `complete_record`.
     """
     n = w.q.shape[0]
     row, lane = rows[place], state[PENDING]
@@ -138,7 +138,7 @@ def record(
     else:
         leave(H, w.A[0], w.L, w.X[0], w.S[0, 0], mode != FREE, w.pending, lane)
         state[PENDING] = lane + 1
-        if lane + 1 >= w.pending.shape[1]:
+        if lane + 1 >= LANES:
             record_conditions(w.pending, rows, state, place + 1, n)
     row[at + 8] = w.S[0, 0] / select(trace > 0.0, trace, 1.0)
     row[at + 9] = kinetic_energy(H, w.v)

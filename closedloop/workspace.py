@@ -112,14 +112,14 @@ class Work(NamedTuple):
     stuck: Array  # (n,) 1 for a joint that sticks as a spring
     gain: Array  # (n, n) answer of q̈ to friction in each joint
     ring: Array  # (delay + 1,) latest samples of the force sensor
-    pending: Array  # (2 n² + 6 n + 5, together) see `closedloop.condition`
+    pending: Array  # (2 n² + 6 n + 5, 32) see `closedloop.condition`
     scratch: Array  # (n n + 3 n + 224,)
 
 
 # Those of a fixed size come first, then those of the joints: what a step touches is then at short distances.
-_n, _k, _stages, _ring, _together = (Count.of(size) for size in ("n", "k", "stages", "ring", "together"))
+_n, _k, _stages, _ring = (Count.of(size) for size in ("n", "k", "stages", "ring"))
 LAYOUT = Layout(
-    ("n", "k", "stages", "ring", "together"),
+    ("n", "k", "stages", "ring"),
     [
         ("now", (NOW,)),
         *((name, (3,)) for name in ("r", "drift", "p", "u", "drift_c", "a", "F", "b", "b_stabiliser", "share")),
@@ -133,7 +133,7 @@ LAYOUT = Layout(
         ("reference", (2 * _n + 10,)),
         ("L", (_n, _n)),
         ("gain", (_n, _n)),
-        ("pending", (pending_rows(_n), _together)),
+        ("pending", (pending_rows(_n), LANES)),
         ("scratch", (_n * _n + 3 * _n + 224,)),
         ("z", (_k,)),
         ("dz", (_k,)),
@@ -145,17 +145,17 @@ LAYOUT = Layout(
 )
 
 
-def memory_size(n: int, k: int, stages: int, ring: int, together: int = LANES) -> int:
+def memory_size(n: int, k: int, stages: int, ring: int) -> int:
     """Return how many numbers `workspace` needs."""
-    return LAYOUT.size(n, k, stages, ring, together)
+    return LAYOUT.size(n, k, stages, ring)
 
 
-def workspace(memory: Array, n: int, k: int, stages: int, ring: int, together: int = LANES) -> Work:
-    """Cut `memory` (memory_size(...),) into views; in compiled code these are made where they are used.
+def workspace(memory: Array, n: int, k: int, stages: int, ring: int) -> Work:
+    """Cut `memory` (memory_size(n, k, stages, ring),) into views; in compiled code these are made where they are used.
 
-    See `closedloop.layout`; `together` is the number of rows whose condition numbers are worked out at once.
+    See `closedloop.layout`.
     """
-    return Work(**LAYOUT.views(memory, n, k, stages, ring, together))
+    return Work(**LAYOUT.views(memory, n, k, stages, ring))
 
 
 compiled_views(LAYOUT, workspace)

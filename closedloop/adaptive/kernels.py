@@ -6,7 +6,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from closedloop.compiled import entry_kernel, inlined_kernel
-from closedloop.condition import LANES
 from closedloop.contact import PRESSED
 from closedloop.friction.laws import capture_speed
 from closedloop.machine.locate import gauge, slip_left
@@ -48,7 +47,7 @@ def _on_pinocchio(
     k: Array, state: Whole, memory: Array, wanted: Array, table: Array, rows: Array, use: int, more: int | None,
 ) -> int:  # fmt: skip
     n = C.shape[0]
-    w = workspace(memory, n, extra_states(state, n), state[STAGES], state[SENSOR_RING], LANES)
+    w = workspace(memory, n, extra_states(state, n), state[STAGES], state[SENSOR_RING])
     tip_kinematics(
         joint_jacobian, rotation, origin, velocity, acceleration,
         k[TIP : TIP + 3], k[GRAVITY : GRAVITY + 3], k[JOINTS : JOINTS + n], w.J, w.r, w.drift,

@@ -6,7 +6,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from closedloop.compiled import entry_kernel, kernel
-from closedloop.condition import LANES
 from closedloop.contact import FREE, PRESSED, STUCK, factorise, pressed_force, strike, stuck_force
 from closedloop.control.laws import restart
 from closedloop.events import IMPACT, LIFTOFF, REVERSAL, SLIP_AGAIN, STICK, TOUCHDOWN, write_event
@@ -297,7 +296,7 @@ def collide(k: Array, state: Whole, memory: Array, n: int) -> None:
 
     It is apart from `proceed` because impacts are rare and their law takes longer to compile than all the rest.
     """
-    w = workspace(memory, n, extra_states(state, n), state[STAGES], state[SENSOR_RING], LANES)
+    w = workspace(memory, n, extra_states(state, n), state[STAGES], state[SENSOR_RING])
     bounces = state[RUSHED] <= MOST_RUSHED
     state[KIND], w.now[CUT] = IMPACT if bounces else TOUCHDOWN, 0.0
     for _ in range(2):

@@ -10,7 +10,7 @@ from __future__ import annotations
 import math
 
 from closedloop.compiled import kernel_inlined
-from closedloop.octet import nearest, select
+from closedloop.octet import MANY_TURNS, every, nearest, select
 from closedloop.tree import layout as at
 from closedloop.tree.layout import Array, Tree
 
@@ -33,7 +33,7 @@ def sines(tree: Tree, q: Array, work: Array) -> None:
     n, links, k, w = tree.n, tree.links, tree.constants, work
     for i in range(n):
         x = q[i]
-        if links[at.REVOLUTE * n + i] != 0:
+        if not every(abs(x) <= MANY_TURNS) and links[at.REVOLUTE * n + i] != 0:
             x = nearest(x)
         w[(links[at.SCRATCH * n + i] & at.INDEX) + at.POSITION] = x
     for block in range(tree.blocks):

@@ -8,7 +8,7 @@ from closedloop.compiled import kernel
 from closedloop.layout import Count, Layout
 from closedloop.workspace import LAYOUT, Work, memory_size, workspace
 
-SIZES = [(1, 0, 1, 1, 32), (2, 3, 4, 1, 4), (4, 0, 1, 1, 32), (7, 21, 4, 6, 4), (30, 5, 1, 2, 1)]
+SIZES = [(1, 0, 1, 1), (2, 3, 4, 1), (4, 0, 1, 1), (7, 21, 4, 6), (30, 5, 1, 2)]
 
 
 @pytest.mark.parametrize("sizes", SIZES)
@@ -32,8 +32,8 @@ _mark = kernel(_made["mark"])
 
 
 @numba.njit
-def _mark_all(memory, n, k, stages, ring, together, shapes):
-    block = workspace(memory, n, k, stages, ring, together)
+def _mark_all(memory, n, k, stages, ring, shapes):
+    block = workspace(memory, n, k, stages, ring)
     _mark(block, shapes)
 
 

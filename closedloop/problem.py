@@ -188,7 +188,7 @@ class Problem:
             w.direction[:] = u[1:] / slip
         felt = float(self.table[0, 2 * n + 9]) if self.mode != FREE else 0.0  # the sensor has felt what is wanted
         plain(start_sensor)(felt, self.sensor.par, w.z[law : law + sensor], w.ring)
-        w.now[space.MEASURED] = w.ring[0]
+        w.now[space.MEASURED], w.now[space.LAST_EVENT] = w.ring[0], -np.inf
         if friction and self.mode == STUCK:
             rest_states(self.friction[0], self.friction[1].copy(), w.z[law + sensor : law + sensor + friction])
         if self.joint_friction[0] == SEVEN_PARAMETER:

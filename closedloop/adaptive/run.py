@@ -18,7 +18,6 @@ from closedloop.contact import FREE
 from closedloop.control import Law
 from closedloop.control.places import K_F
 from closedloop.errors import DivergenceError, SimulationError
-from closedloop.events import LIFTOFF
 from closedloop.machine.phases import INSTANT, SHALLOW
 from closedloop.problem import Problem
 from closedloop.rows import complete_record
@@ -27,7 +26,6 @@ from closedloop.solve import OK
 from closedloop.workspace import (
     EVENTS,
     GAUGE,
-    KIND,
     MODE,
     RATE,
     RIGID_STICK,
@@ -233,8 +231,7 @@ class _Journey:
     def refused(self, before: Whole) -> bool:
         """Whether the machine found nothing to do, or let the tip go and took it back."""
         state = self.memory.state
-        events = state[EVENTS] - before[EVENTS]
-        return bool(state[MODE] == before[MODE] and (events == 0 or (events == 1 and state[KIND] == LIFTOFF)))
+        return bool(state[MODE] == before[MODE] and state[EVENTS] == before[EVENTS])
 
     def record_until(self, end: float, within: Callable[[float], Array], stretch: Stretch) -> None:
         """Record the rows of the step before `end`, s."""

@@ -95,10 +95,12 @@ def begin_piece(w: Work, k: Array, state: Whole, more: int | None) -> int:
     """Look at the state just after an event, and set out from it for the end of the step, unless its mode cannot be."""
     now = w.now
     if state[MODE] == FREE:
-        # A tip that the surface has just let go, and that would fall back at once: the law pushes when free and pulls
-        # when pressed. It stays.
-        if now[GAP] <= TOUCHING and abs(now[RATE]) <= RESTING and w.a[0] < 0.0:
-            state[MODE] = PRESSED
+        # A tip that the surface has just let go, and that would fall back at once, has not left: on the closure, where
+        # its last act has put the tip, f is still positive; or the law pushes when free and pulls when pressed.
+        let_go = state[KIND] == LIFTOFF and now[LAST_EVENT] == now[TIME]
+        if let_go and now[GAP] <= TOUCHING and abs(now[RATE]) <= RESTING and w.a[0] < 0.0:
+            make_contact(w, k, state, np.hypot(w.u[1], w.u[2]))
+            state[EVENTS] -= 1
             state[IN_STEP] += 1
             if state[IN_STEP] > MOST_IN_STEP or state[RUSHED] > MOST_RUSHED:
                 state[STATUS] = CHATTER
@@ -128,7 +130,7 @@ def transit(H: Array, w: Work, k: Array, state: Whole, rows: Array, events: Arra
         state[PHASE] = TRANSITING
         return ENLARGE
     state[IN_STEP] += 1
-    if now[TIME] - now[LAST_EVENT] > RUSH or state[EVENTS] == 0:
+    if now[TIME] - now[LAST_EVENT] > RUSH:
         state[RUSHED] = 0
     else:
         state[RUSHED] += 1
@@ -273,8 +275,6 @@ def strike_tip(w: Work, k: Array, state: Whole, events: Array, more: int | None)
     strike(w.L, w.X, w.F, w.column, w.v)
     log(w, k, state, events, energy_lost(w.before, w.after, w.F))
     state[RISEN] = 1
-    if state[KIND] == TOUCHDOWN:
-        state[MODE] = PRESSED
     if more is not None:
         if state[LAW] != LAW_GIVEN:
             at = law_at(n)
@@ -283,11 +283,19 @@ def strike_tip(w: Work, k: Array, state: Whole, events: Array, more: int | None)
         if state[FRICTION_STATES] > 0:
             contact_states(w.z[at : at + state[FRICTION_STATES]])
         speed = np.hypot(w.after[1], w.after[2])
-        if state[KIND] == TOUCHDOWN and speed <= k[STICK_SPEED] and state[STICKING] in (RIGID_STICK, SPRING_STICK):
-            state[MODE] = STUCK
-            w.anchor[0], w.anchor[1] = w.p[1], w.p[2]
-        elif speed > 0.0:
+        if speed > 0.0:
             w.direction[0], w.direction[1] = w.after[1] / speed, w.after[2] / speed
+    if state[KIND] == TOUCHDOWN:
+        make_contact(w, k, state, np.hypot(w.after[1], w.after[2]))
+
+
+@kernel
+def make_contact(w: Work, k: Array, state: Whole, speed: float) -> None:
+    """Let a tip on the surface slide, or stick where it is if its friction may hold it and it is slow enough, m/s."""
+    state[MODE] = PRESSED
+    if state[STICKING] in (RIGID_STICK, SPRING_STICK) and speed <= k[STICK_SPEED]:
+        state[MODE] = STUCK
+        w.anchor[0], w.anchor[1] = w.p[1], w.p[2]
 
 
 @entry_kernel

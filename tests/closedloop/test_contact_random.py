@@ -6,6 +6,7 @@ normal, or flies apart) says why and when, and keeps its rows.
 
 import numpy as np
 import pytest
+from contact_story import assert_one_story
 
 import closedloop as cl
 from robot_models import load
@@ -72,7 +73,7 @@ def examine(arm, overrides):
         assert np.max(np.abs(run.closure_error[~free]), initial=0.0) < 1e-3
     scale = 1e-12 * (1.0 + np.max(run.kinetic_energy))
     assert np.all(run.event_energy_lost >= -scale)
-    assert np.all(np.diff(run.event_time) >= 0.0)
+    assert_one_story(run)
     return ended
 
 

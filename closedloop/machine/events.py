@@ -172,6 +172,9 @@ def turn(w: Work, k: Array, state: Whole, rows: Array, events: Array) -> int:
     at = state[LAW_STATES] + state[SENSOR_STATES]
     z = w.z[at : at + state[FRICTION_STATES]]
     loss, size = 0.0, np.hypot(w.F[1], w.F[2])
+    if state[MODE] == STUCK and not size > 0.0:  # nothing drags it: f is about to end, and it is not negative yet
+        ask(state, BEGINNING)
+        return ASK
     if state[MODE] == STUCK:  # the force that held the tip is what it now slides against
         state[MODE], state[KIND] = PRESSED, SLIP_AGAIN
         w.direction[0], w.direction[1] = -w.F[1] / size, -w.F[2] / size

@@ -241,6 +241,24 @@ def test_friction_holds_a_block_until_the_pull_is_too_strong():
 
 
 @pytest.mark.slow
+def test_a_stuck_block_that_nothing_drags_is_lifted_straight_off():
+    """A block pressed with 10 cos ωt N leaves at π/2ω although f ends and friction's cone closes at the same instant.
+
+    From there z = 10 N/(m ω) (t − π/2ω + cos(ωt)/ω), which does not come down.
+    """
+    omega = 20.0
+    scenario = point(**{"friction.kind": "coulomb", "friction.coefficient": 0.3, "time.duration": 0.3})
+    run = cl.simulate(scenario, law=lambda t, q, v, terms: terms.bias - 10.0 * np.cos(omega * t) * terms.jacobian[2])
+    off = np.pi / (2 * omega)
+    assert [e.kind for e in run.events] == ["liftoff"]
+    assert abs(run.event_time[0] - off) < 1e-14
+    up = run.time > off
+    assert np.array_equal(run.mode, np.where(up, 0, 2))
+    height = 10.0 / (MASS * omega) * (run.time - off + np.cos(omega * run.time) / omega)
+    assert np.max(np.abs(run.closure_error - np.where(up, height, 0.0))) < 1e-12
+
+
+@pytest.mark.slow
 def test_elastic_friction_is_the_limit_of_short_steps():
     """LuGre's bristles are states beside q and q̇: RK4 with a short step gives the same run."""
     changes = {

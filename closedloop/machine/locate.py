@@ -8,7 +8,17 @@ from numpy.typing import NDArray
 from closedloop.compiled import kernel, kernel_inlined
 from closedloop.contact import FREE, STUCK
 from closedloop.friction.laws import capture_speed, stick_limit
-from closedloop.machine.phases import INSTANT, NO_TRIAL, SEARCH_EVENT, SEARCH_LOWEST, SET_OUT_AGAIN, SHALLOW, TAKE_EVENT
+from closedloop.machine.phases import (
+    INSTANT,
+    LOOK,
+    LOOKED,
+    NO_TRIAL,
+    SEARCH_EVENT,
+    SEARCH_LOWEST,
+    SET_OUT_AGAIN,
+    SHALLOW,
+    TAKE_EVENT,
+)
 from closedloop.workspace import (
     AT_HIGH,
     AT_LOW,
@@ -93,6 +103,11 @@ def aim(now: Array, state: Whole) -> None:
 def narrow(now: Array, state: Whole) -> int:
     """Use the gauge at the end of a trial step to shrink the bracket, until the instant of the event is known."""
     tau, value = now[TAU], now[GAUGE]
+    if state[TRIAL] == LOOK:
+        state[TRIAL] = SEARCH_EVENT if value < 0.0 else LOOKED
+        if state[TRIAL] == LOOKED:
+            now[TAU] = now[LENGTH]
+            return SET_OUT_AGAIN
     if state[TRIAL] == SEARCH_LOWEST:
         if now[GAP] < -SHALLOW:  # it went through: look for the crossing before
             state[TRIAL] = SEARCH_EVENT

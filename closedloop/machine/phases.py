@@ -28,8 +28,8 @@ DONE, TERMS, TERMS_AND_LAW, ROOM, IMPACT_LAW_WANTED, FAILED = range(6)
 # Phases.
 ARRIVING, STAGING, PROBING, TRANSITING, STRIKING, BEGINNING, CLOSING = range(7)
 
-# What a trial step is for.
-NO_TRIAL, SEARCH_EVENT, SEARCH_LOWEST, TAKE_EVENT = range(4)
+# What a trial step is for. LOOKED is none: the step as it was, after a look at what one of its stages had shown.
+NO_TRIAL, LOOKED, LOOK, SEARCH_EVENT, SEARCH_LOWEST, TAKE_EVENT = range(6)
 
 # What is to be done next inside `proceed`: ask (the terms of w.q, w.v are wanted), or one of these.
 ASK, LEAVE, SET_OUT, SET_OUT_AGAIN, TRANSIT, STRIKE, CLOSE, FINISH, FAIL, ENLARGE, COLLIDE = range(11)

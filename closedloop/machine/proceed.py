@@ -17,9 +17,11 @@ The phase says what the terms that have just arrived are for:
 
 An event shows when a step arrives and its gauge is negative: the gap while the tip is free, the force of the rigid
 closure while it is pressed, the speed along the old direction while it slides, and what is left of the friction cone
-while it sticks. The step is then taken again, shorter, until the instant is bracketed to `INSTANT`; a
-step to that instant, the event, and a step for the remainder replace it. Every piece is a full step of the
-integrator, so its order is kept.
+while it sticks. It also shows when a stage inside a step finds that the rigid closure of a pressed tip pulls, and when
+a free tip goes down at the beginning of a step and up at its end. The step is then taken again, shorter, until the
+instant is bracketed to `INSTANT`; a step to that instant, the event, and a step for the remainder replace it. Every
+piece is a full step of the integrator, so its order is kept. What begins and ends between two evaluations leaves no
+trace: a pull that no stage sees, and a free tip that rises, dips into the surface and rises again in one step.
 """
 
 from __future__ import annotations
@@ -60,7 +62,7 @@ from closedloop.machine.phases import (
     TRANSITING,
     ask,
 )
-from closedloop.machine.steps import advance_friction, arrive, leave_stage, remember, restore
+from closedloop.machine.steps import advance_friction, arrive, leave_stage, look, remember, restore
 from closedloop.rows import record
 from closedloop.solve import OK
 from closedloop.step import LAW_GIVEN, evaluate, locate_tip
@@ -84,6 +86,7 @@ from closedloop.workspace import (
     STATUS,
     STEPS,
     TAU,
+    UNILATERAL,
     Whole,
     Work,
 )
@@ -147,7 +150,7 @@ def proceed(
             for j in range(w.torque.shape[0]):
                 w.torque[j] = w.held[j]  # until the end of the step the torque of the last sample acted
     elif phase == STAGING:
-        todo = LEAVE
+        todo = look(now, state) if state[UNILATERAL] != 0 else LEAVE
     elif phase == PROBING:
         now[GAUGE] = gauge(w, k, state, more)
         todo = narrow(now, state)

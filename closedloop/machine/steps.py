@@ -13,7 +13,11 @@ from closedloop.machine.locate import aim, gauge
 from closedloop.machine.phases import (
     ARRIVING,
     CLOSING,
+    INSTANT,
+    LEAVE,
     LEAVING,
+    LOOK,
+    LOOKED,
     NO_TRIAL,
     PROBING,
     RESTING,
@@ -49,6 +53,7 @@ from closedloop.workspace import (
     NEXT,
     PROJECT,
     RATE,
+    RIGID,
     RISEN,
     ROW,
     SENSOR_STATES,
@@ -134,7 +139,7 @@ def leave_stage(now: Array, h: float, state: Whole, tableau: Array) -> None:
             node += tableau[stage + 1, i]
         now[TIME] = now[BEGIN] + node * tau
         ask(state, STAGING)
-    elif state[TRIAL] != NO_TRIAL:
+    elif state[TRIAL] > LOOKED:
         now[TIME] = now[BEGIN] + tau
         ask(state, TRANSITING if state[TRIAL] == TAKE_EVENT else PROBING)
     else:
@@ -144,6 +149,22 @@ def leave_stage(now: Array, h: float, state: Whole, tableau: Array) -> None:
             ask(state, CLOSING)
         else:
             ask(state, ARRIVING)
+
+
+@kernel_inlined
+def look(now: Array, state: Whole) -> int:
+    """Say what a stage calls for: LEAVE, or a trial step to its instant if the surface would pull in it.
+
+    A pull that begins and ends within the step is then found, if it lasts over a stage. A stage is of lower order than
+    the step, and is not believed: only if f is negative at the end of the trial step too is the event searched for.
+    """
+    tau = now[TIME] - now[BEGIN]
+    if state[TRIAL] != NO_TRIAL or state[MODE] == FREE or not now[RIGID] < 0.0 or tau > now[LENGTH] - INSTANT:
+        return LEAVE
+    state[TRIAL], state[TRIES] = LOOK, 0
+    now[LOW], now[HIGH], now[TAU] = 0.0, tau, tau
+    now[AT_LOW] = max(now[START_GAUGE], 0.0)
+    return SET_OUT_AGAIN
 
 
 @kernel_inlined

@@ -118,6 +118,64 @@ def test_liftoff_at_an_instant_inside_a_step():
     assert run.contact_force[~after] == pytest.approx(10 - 30 * run.time[~after], abs=1e-12)
 
 
+def press_but_between(middle, half):
+    """Return a force that presses but for 2 half seconds around `middle`, c ((t − middle)² − half²), N."""
+    return lambda t, z, rate: -4e3 * ((t - middle) ** 2 - half**2)
+
+
+@pytest.mark.parametrize("stabiliser", ["projection", "baumgarte"])
+def test_a_pull_inside_a_step_lets_go(stabiliser):
+    """A force that presses at both ends of a step and pulls in its middle lifts the ball, and presses it down again.
+
+    With s = (t − 0.35 s)/half the ball is at z ~ (s + 1)³ (3 − s): it leaves at s = −1 and arrives at s = 3. The force
+    is a parabola in time, which RK4 integrates exactly.
+    """
+    half = 0.02
+    changes = {"stabiliser.kind": stabiliser, "impact.restitution": 0.0, "time.duration": 0.6}
+    if stabiliser == "baumgarte":
+        changes["stabiliser.time_constant"] = "auto"
+    run = simulate(press_but_between(0.35, half), 0.0, **changes)
+    assert [e.kind for e in run.events] == ["liftoff", "touchdown"]
+    assert run.event_time == pytest.approx([0.35 - half, 0.35 + 3 * half], abs=1e-12)
+    rows = np.searchsorted(run.event_time, run.time) == 1
+    s = (run.time[rows] - 0.35) / half
+    assert s.size == 1
+    assert run.closure_error[rows] == pytest.approx(4e3 / MASS * half**4 / 12 * (s + 1) ** 3 * (3 - s), abs=1e-13)
+    assert_one_story(run)
+
+
+@pytest.mark.parametrize("integrator", ["rk4", "semi_implicit_euler", "dop853"])
+def test_a_pull_between_all_evaluations_is_seen_by_the_adaptive_integrator_only(integrator):
+    """What begins and ends between the evaluations of a step of fixed length leaves no trace in it.
+
+    RK4 evaluates at both ends and in the middle, an Euler scheme at the ends.
+    """
+    middle = 0.325 if integrator == "rk4" else 0.35
+    changes = {"time.integrator": integrator, "impact.restitution": 0.0, "time.duration": 0.6}
+    run = simulate(press_but_between(middle, 0.02), 0.0, **changes)
+    seen = ["liftoff", "touchdown"] if integrator == "dop853" else []
+    assert [e.kind for e in run.events] == seen
+    assert np.all(run.contact_force >= 0.0)
+
+
+@pytest.mark.parametrize("integrator", ["rk4", "dop853"])
+def test_a_dip_between_two_rises_is_seen_by_the_adaptive_integrator_only(integrator):
+    """On z = 10 mm (4 x³ − 6 x² + 2.2 x + 0.02), x = t/h, the ball rises, is 0.18 mm deep at x = 0.76, and rises."""
+    size, step = 0.01, 0.1
+    roots = np.roots([4.0, -6.0, 2.2, 0.02])
+    first = np.sort(roots[(abs(roots.imag) < 1e-12) & (roots.real > 0.0)].real)[0]
+    run = simulate(
+        lambda t, z, rate: MASS * size * (24.0 * t / step - 12.0) / step**2, 0.02 * size, 2.2 * size / step,
+        **{"time.integrator": integrator, "time.duration": step},
+    )  # fmt: skip
+    if integrator == "rk4":
+        assert run.events == ()
+        assert run.closure_error == pytest.approx([0.02 * size, 0.22 * size], abs=1e-15)
+    else:
+        assert run.events[0].kind == "impact"
+        assert run.events[0].time == pytest.approx(first * step, abs=1e-12)
+
+
 def smooth_pull(t, q, v, terms):
     """Press with 10 cos 4t N and pull sideways."""
     return terms.bias - 10 * np.cos(4 * t) * terms.jacobian[2] + np.sin(3 * t) * terms.jacobian[0] - 0.3 * v

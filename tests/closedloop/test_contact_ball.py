@@ -49,24 +49,33 @@ def impacts(height, restitution, count):
     return first * (1 + 2 * np.concatenate([[0.0], np.cumsum(shares[1:])])), GRAVITY * first * shares
 
 
-@pytest.mark.parametrize(
-    ("height", "restitution", "zeno"),
-    [(1.0, 0.9, 8.578949178728887), (5.0, 0.8, 9.086737992230741)],
-)
-def test_bounces_are_at_the_times_of_the_closed_form(height, restitution, zeno, ball):
-    """Times and speeds of all impacts, and the Zeno time with what the cut leaves out, are the closed form's to 1e-10.
+# Height, m, restitution, Zeno time, s, and path until the ball rests, m: √(2h/g) (1 + ε)/(1 − ε) and
+# h (1 + ε²)/(1 − ε²) at g = 9.81 m/s², once evaluated and frozen. The first case is the bouncing ball in the tests of
+# Siconos (bouncing_ball.cpp: h = 1 m, ε = 0.9).
+CLOSED_FORM = [
+    (1.0, 0.9, 8.578949178728887, 9.526315789473687),
+    (1.0, 0.5, 1.3545709229571927, 1.6666666666666667),
+    (5.0, 0.8, 9.086737992230741, 22.77777777777779),
+]
 
-    The frozen Zeno times are √(2h/g) (1 + ε)/(1 − ε); the first is also that of the bouncing ball in the examples of
-    Siconos. Bouncing is cut where a bounce would leave with less than rest_speed: with the speed c then cut off, the
-    bounces to come would last 2 (c/g)(1 + ε + ε² + ...) = 2 c / (g (1 − ε)).
+
+@pytest.mark.parametrize(("height", "restitution", "zeno", "path"), CLOSED_FORM)
+def test_bounces_are_those_of_the_closed_form(height, restitution, zeno, path, ball):
+    """Times and speeds of all impacts, the Zeno time and the path with what the cut leaves out, are the closed form's.
+
+    To 1e-10. Bouncing is cut where a bounce would leave with less than rest_speed: with the speed c then cut off, the
+    bounces to come would last 2 (c/g)(1 + ε + ε² + ...) = 2 c/(g (1 − ε)), and go up and down by
+    2 (c²/2g)(1 + ε² + ε⁴ + ...) = c²/(g (1 − ε²)).
     """
-    run = ball if height == 1.0 else drop(height, restitution)
+    run = ball if (height, restitution) == (1.0, 0.9) else drop(height, restitution)
     times, speeds = impacts(height, restitution, len(run.events))
     assert zeno == pytest.approx(np.sqrt(2 * height / GRAVITY) * (1 + restitution) / (1 - restitution), rel=1e-15)
     assert np.max(np.abs(run.event_time - times)) < 1e-10
     assert np.max(np.abs(run.event_rate_before + speeds)) < 1e-10
     last = run.events[-1]
     assert last.time + 2 * last.rate_cut / (GRAVITY * (1 - restitution)) == pytest.approx(zeno, abs=1e-10)
+    bounced = height + np.sum(run.event_rate_after[:-1] ** 2) / GRAVITY
+    assert bounced + last.rate_cut**2 / (GRAVITY * (1 - restitution**2)) == pytest.approx(path, abs=1e-10)
 
 
 def test_every_bounce_is_an_impact_but_the_last(ball):

@@ -1,7 +1,7 @@
 """Random drops of an arm onto a plane: whatever the start, a run ends as it should, with nothing through the surface.
 
 A start is drawn anew until the tip is above a random plane. A run that cannot go on (the arm stretches along the
-normal, or flies apart) says why and when, and keeps its rows.
+normal, or flies apart) says why and when, and keeps its rows; with the torques of a controller that does not happen.
 """
 
 import numpy as np
@@ -36,8 +36,28 @@ def draw(arm, rng):
     }
 
 
-def examine(arm, overrides):
-    """Simulate a drop and check what every run obeys; return "done" or the name of the error."""
+# How far a pressed tip may be from the surface, m, and how large |e f| may be, N m, by stabiliser and integrator. With
+# a projection that is rounding. Baumgarte's stabiliser is left with what a step of 1 ms of the integrator leaves out,
+# and without any that adds up to drift, here over 0.3 s. The worst of ten thousand drops of each arm: projection
+# 2e-15 m and 7e-13 N m; Baumgarte 2e-5 m and 3e-3 N m with Euler, 1.2e-6 m and 2e-4 N m with RK4; none 3 mm and
+# 0.03 N m with Euler, 1e-9 m and 3e-8 N m with RK4.
+CLOSED = {
+    ("projection", "semi_implicit_euler"): (1e-12, 1e-11),
+    ("projection", "rk4"): (1e-12, 1e-11),
+    ("both", "semi_implicit_euler"): (1e-12, 1e-11),
+    ("both", "rk4"): (1e-12, 1e-11),
+    ("baumgarte", "semi_implicit_euler"): (5e-5, 1e-2),
+    ("baumgarte", "rk4"): (1e-5, 1e-3),
+    ("none", "semi_implicit_euler"): (1e-2, 0.2),
+    ("none", "rk4"): (1e-8, 1e-6),
+}
+
+
+def examine(arm, overrides, tame=True):
+    """Simulate a drop and check what every run obeys; return "done" or the name of the error.
+
+    How well contact is kept is for the tame only: wild torques make wild accelerations.
+    """
     failure = None
     try:
         run = cl.simulate(cl.load_scenario(SCENARIO[arm], overrides), model=ARMS[arm].model)
@@ -64,13 +84,14 @@ def examine(arm, overrides):
     # At the speeds of an arm that flies apart a step of a millisecond knows nothing of the way between two rows.
     for k in np.flatnonzero(free & (run.closure_error < 0.0) & (np.max(np.abs(run.v), axis=1) < 30.0)):
         assert run.closure_error[k] > -deepest(arm, run, k)
-    if overrides["stabiliser.kind"] in ("projection", "both"):
+    if tame:
+        error, product = CLOSED[overrides["stabiliser.kind"], overrides["time.integrator"]]
+        assert np.max(np.abs(run.closure_error[~free]), initial=0.0) < error
+        assert np.max(np.abs(run.closure_error * run.contact_force)) < product
+    elif overrides["stabiliser.kind"] in ("projection", "both"):
         # From where a step at thousands of rad/s ends, a few moves of Newton's method do not lead back all the way.
         slow = np.max(np.abs(run.v), axis=1) < 1e3
         assert np.max(np.abs(run.closure_error[~free & slow]), initial=0.0) < 1e-12
-    elif overrides["time.integrator"] == "rk4" and np.max(np.abs(run.v)) < 30.0:
-        # Far too much for a contact, because of what test_a_pressed_tip_does_not_creep_off_the_surface holds.
-        assert np.max(np.abs(run.closure_error[~free]), initial=0.0) < 1e-3
     scale = 1e-12 * (1.0 + np.max(run.kinetic_energy))
     assert np.all(run.event_energy_lost >= -scale)
     assert_one_story(run)
@@ -91,14 +112,14 @@ def deepest(arm, run, k):
     return 1e-9 + 1.01 * run.scenario.time.step**2 * abs(drift)
 
 
-def drops(arm, seed, count, draw=draw):
+def drops(arm, seed, count, wild=False):
     """Examine `count` drops; return how often each end came."""
     rng = np.random.default_rng(seed)
     ends = {}
     for _ in range(count):
-        overrides = draw(arm, rng)
+        overrides = draw_wild(arm, rng) if wild else draw(arm, rng)
         try:
-            end = examine(arm, overrides)
+            end = examine(arm, overrides, tame=not wild)
         except Exception as fault:
             fault.add_note(f"{arm}: {overrides}")
             raise
@@ -158,9 +179,8 @@ def test_a_pressed_tip_does_not_creep_off_the_surface():
 
 @pytest.mark.parametrize("arm", ARMS)
 def test_a_hundred_random_drops(arm):
-    """A hundred drops: each ends at its end or says why not."""
-    ends = drops(arm, 1, 100)
-    assert ends["done"] > 50
+    """A hundred drops, and each comes to its end."""
+    assert drops(arm, 1, 100) == {"done": 100}
 
 
 def draw_wild(arm, rng):
@@ -181,7 +201,7 @@ def draw_wild(arm, rng):
 @pytest.mark.parametrize("arm", ARMS)
 def test_wild_drops_end_as_well(arm):
     """Drops with absurd torques end, many of them in an error that says when and why."""
-    ends = drops(arm, 2, 40, draw_wild)
+    ends = drops(arm, 2, 40, wild=True)
     assert ends["done"] > 0
     assert ends["DivergenceError"] > 0
 
@@ -203,5 +223,4 @@ def test_a_singular_start_on_the_surface_stops_at_once(arm):
 @pytest.mark.parametrize("arm", ARMS)
 def test_a_thousand_random_drops(arm, seed):
     """The same with a thousand of each seed, ten thousand in all for each arm."""
-    ends = drops(arm, 100 + seed, 1000)
-    assert ends["done"] > 500
+    assert drops(arm, 100 + seed, 1000) == {"done": 1000}

@@ -9,29 +9,52 @@ import closedloop as cl
 from closedloop.baumgarte import largest_stable_ratio
 from closedloop.study.__main__ import main
 from closedloop.study.drift import (
-    PAPER_STEP,
     SCHEMES,
     STEPS,
+    TOLERANCES,
     fitted_slope,
     largest_error,
     measured_limit,
+    power_law,
     slide,
 )
+
+SPEEDS = (0.009, 0.018, 0.036)
 
 
 @pytest.mark.parametrize(("scheme", "order"), [("semi_implicit_euler", 1), ("explicit_euler", 1), ("rk4", 4)])
 def test_drift_grows_with_the_integrators_order_and_with_the_square_of_the_speed(scheme, order):
     """|e| ~ h^p v²: a lower sampling rate and a higher speed are worse, by these exponents."""
-    errors = [largest_error(slide(h, 0.018, scheme, "none"))[0] for h in STEPS]
-    assert fitted_slope(STEPS, errors)[0] == pytest.approx(order, abs=0.12)
-    speeds = (0.009, 0.018, 0.036)
-    errors = [largest_error(slide(PAPER_STEP, v, scheme, "none"))[0] for v in speeds]
-    assert fitted_slope(speeds, errors)[0] == pytest.approx(2.0, abs=0.06)
+    assert power_law("step", STEPS, order, scheme, "none")["slope"] == pytest.approx(order, abs=0.12)
+    assert power_law("speed", SPEEDS, 2, scheme, "none")["slope"] == pytest.approx(2.0, abs=0.06)
+
+
+@pytest.mark.parametrize("scheme", SCHEMES)
+def test_what_baumgarte_leaves_grows_with_the_squares_of_step_and_speed(scheme):
+    """With T of two steps |e| settles at ~ h² v² under every scheme.
+
+    For semi-implicit Euler it is 2 ζ T/h = 4 ζ of what a step leaves out, that is of the drift without stabiliser over
+    the steps of the path.
+    """
+    row = power_law("step", STEPS, 2, scheme, "baumgarte")
+    assert row["slope"] == pytest.approx(2.0, abs=0.2)
+    assert power_law("speed", SPEEDS, 2, scheme, "baumgarte")["slope"] == pytest.approx(2.0, abs=0.03)
+    if scheme == "semi_implicit_euler":
+        drift = power_law("step", STEPS, 1, scheme, "none")["errors"]
+        left_out = np.array(drift) * np.array(STEPS) / 3.0  # the tip moves for 3 s
+        assert np.array(row["errors"]) == pytest.approx(4 * 0.707 * left_out, rel=0.2)
+
+
+def test_the_adaptive_scheme_drifts_like_its_tolerance():
+    """Without stabiliser DOP853 drifts by a share of time.tolerance, down to 0.1 pm at 1e-8: far below any other."""
+    row = power_law("tolerance", TOLERANCES, 1, "dop853", "none")
+    assert row["slope"] == pytest.approx(1.0, abs=0.25)
+    assert row["errors"][-1] < 1e-12
 
 
 def test_every_stabiliser_is_better_than_none():
     """Baumgarte takes drift down a thousandfold, projection to rounding."""
-    errors = {kind: largest_error(slide(PAPER_STEP, 0.018, "semi_implicit_euler", kind))[0] for kind in (
+    errors = {kind: largest_error(slide(scheme="semi_implicit_euler", stabiliser=kind))[0] for kind in (
         "none", "baumgarte", "projection", "both")}  # fmt: skip
     assert errors["baumgarte"] < 2e-3 * errors["none"]
     assert max(errors["projection"], errors["both"]) < 4e-15
@@ -67,6 +90,7 @@ def test_command_writes_the_study(tmp_path, capsys, monkeypatch):
     assert "p measured" in " ".join(capsys.readouterr().out.split())
     results = json.loads((tmp_path / "drift.json").read_text())
     assert {row["integrator"] for row in results["limits"]} == set(SCHEMES)
+    assert [len(results[name]) for name in ("against_step", "against_speed", "against_tolerance")] == [6, 6, 1]
     for name in ("drift.csv", "drift_slopes.png", "drift_slopes.svg", "baumgarte_stability.png"):
         assert (tmp_path / name).stat().st_size > 100
 

@@ -49,6 +49,7 @@ def test_a_wiping_arm_is_the_same_at_any_step(scheme, step):
     assert rms(path) == pytest.approx(1.23e-4, rel=0.05)
 
 
+@pytest.mark.slow  # compiles the adaptive scheme with friction
 def test_a_slow_block_turns_as_an_adaptive_scheme_says():
     """A block that slides off along x and is pushed along y: Euler's path nears that of DOP853 with its order, one."""
 

@@ -42,10 +42,10 @@ print_tables(results)
 # DOP853 has a tolerance in place of a step, and drifts in proportion to it (third table).
 
 # %%
-figure, (left, right) = plt.subplots(1, 2, figsize=(7.2, 3.6), sharey=True, layout="constrained")
+figure, (left, right) = plt.subplots(1, 2, figsize=(7.2, 5.4), sharey=True, layout="constrained")
 power_laws(left, results["against_step"], 1e3, "step h [ms]", "h")
 power_laws(right, results["against_speed"], 1e3, "tip speed v [mm/s]", "v")
-left.set_ylabel("largest |e| without stabiliser [m]")
+left.set_ylabel("largest |e| [m]")
 plt.show()
 
 # %% [markdown]

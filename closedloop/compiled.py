@@ -106,7 +106,7 @@ def needs_compiling(function: Callable[..., Any]) -> bool:
     """Whether calling `function` now would compile it first, which takes seconds."""
     if numba_settings.DISABLE_JIT or getattr(function, "signatures", ()):
         return False
-    return not any(cache_folder().rglob(f"*{function.__name__}*.nbc"))
+    return not any(cache_folder().rglob(f"*.{function.__name__}-*.nbc"))
 
 
 @lru_cache(maxsize=1)

@@ -1,8 +1,10 @@
 """Which form of the loop a problem runs in: each is compiled when it is first needed, and then kept.
 
 There are two engines; each has a small form for the paper's law on a smooth surface, and one with everything that may
-come on top. All four take any number of joints. Where many steps are ahead, a loop for just one number of joints is
-compiled: its inner loops, of known length, are written out, which saves a fifth of a step and changes no bit. And a
+come on top. All four take any number of joints. A loop for just one number of joints saves a fifth of a step, as its
+inner loops, of known length, are written out; it changes no bit. It is compiled where many steps are ahead, and for the
+first arm of an installation under the paper's law: that takes as long as the loop for any number, of which others that
+follow then share one. And a
 batch's runs of the paper's law on a smooth surface may go eight abreast (`closedloop.abreast`), in a quarter of the
 time.
 """
@@ -25,6 +27,8 @@ PINOCCHIO, COMPILED = ENGINES = ("pinocchio", "compiled")
 WORTH_COMPILING, MOST_WRITTEN_OUT = 50_000_000, 8
 # And for the loop of eight runs abreast to be, which takes as long to compile and saves more.
 WORTH_GOING_ABREAST = 20_000_000
+# Whether the first arm of an installation has a loop for just its joints.
+FIRST_HAS_ITS_OWN = True
 
 
 def machine(more: bool, engine: str, n: int = 0, ahead: int = 0) -> Callable[..., int]:
@@ -41,8 +45,10 @@ def machine(more: bool, engine: str, n: int = 0, ahead: int = 0) -> Callable[...
     ahead : int
         How many steps are to come, in this run and others.
     """
-    if 0 < n <= MOST_WRITTEN_OUT and (ahead >= WORTH_COMPILING or _is_there(n, more, engine)):
-        return written_out(n, more, engine)
+    if 0 < n <= MOST_WRITTEN_OUT:
+        first = FIRST_HAS_ITS_OWN and not more and _is_first(engine)
+        if ahead >= WORTH_COMPILING or first or _is_there(n, more, engine):
+            return written_out(n, more, engine)
     if engine == COMPILED:
         from closedloop.compiled_engine import run_compiled, run_compiled_with_more
 
@@ -67,10 +73,22 @@ def written_out(n: int, more: bool, engine: str) -> Callable[..., int]:
     return entry_kernel(loop) if engine == COMPILED else brief_entry(loop)
 
 
-@cache
 def _is_there(n: int, more: bool, engine: str) -> bool:
-    """Whether an earlier process has compiled a loop for n joints: asked once, since it takes a look at the disk."""
+    """Whether a loop for n joints has been compiled."""
+    return bool(getattr(written_out(n, more, engine), "signatures", ())) or _was_there(n, more, engine)
+
+
+@cache
+def _was_there(n: int, more: bool, engine: str) -> bool:
+    """Whether an earlier process has compiled it: asked once, since it takes a look at the disk."""
     return not needs_compiling(written_out(n, more, engine))
+
+
+def _is_first(engine: str) -> bool:
+    """Whether no loop for the paper's law has been compiled, for any or for some number of joints."""
+    if not needs_compiling(machine(False, engine)):
+        return False
+    return not any(_is_there(n, False, engine) for n in range(1, MOST_WRITTEN_OUT + 1))
 
 
 def loop_of(scenario: Scenario, engine: str, n: int, runs: int = 1) -> Callable[..., int]:

@@ -92,7 +92,7 @@ def _main(arguments: list[str]) -> int:
 
         print_report(run)
         steps = max(0, len(run) - 1)
-        print(f"{steps} steps in {run.wall_seconds:.2f} s; wrote {folder}{os.sep}: {', '.join(p.name for p in paths)}")
+        print(f"{steps} steps in {run.wall_seconds:.2g} s; wrote {folder}{os.sep}: {', '.join(p.name for p in paths)}")
     if failure:
         raise failure
     return DONE

@@ -252,10 +252,11 @@ def _driver(
 
             with_law = loop_with_law(run, compiled_law(law), tree, work, w, arrays)
             return with_law, with_law
-        k, state, memory, *rest = arrays
+        if not getattr(run, "signatures", ()):
+            direct(run, tree, work, *arrays, np.zeros((0, EVENT_WIDTH)))  # compiled, or read, before the clock starts
 
         def go_on(events: Array) -> int:
-            return run(tree, work, k, state, memory, *rest, events)
+            return run(tree, work, *arrays, events)
 
         return go_on, go_on
 

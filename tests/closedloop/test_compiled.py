@@ -10,9 +10,9 @@ import numpy as np
 import pytest
 
 import closedloop as cl
+from closedloop import forms
 from closedloop.compiled import cache_folder, needs_compiling
-from closedloop.forms import ENGINES, MOST_WRITTEN_OUT, WORTH_COMPILING, machine, written_out
-from closedloop.pinocchio_engine import proceed_on_pinocchio
+from closedloop.forms import ENGINES, MOST_WRITTEN_OUT, PINOCCHIO, WORTH_COMPILING, machine, written_out
 from closedloop.preparation import prepare
 from closedloop.simulation import run_loop
 
@@ -58,8 +58,9 @@ def test_interpreted_run_is_the_compiled_one(name, changes, tmp_path):
 
 
 def test_compiled_code_is_kept_by_the_text_of_its_source():
-    """After a run nothing is left to compile, and the cache's folder is named after a digest."""
-    assert not needs_compiling(proceed_on_pinocchio)
+    """After a run nothing of it is left to compile, and the cache's folder is named after a digest."""
+    cl.simulate(cl.load_scenario("wam_slide", {"time.duration": 0.01}))
+    assert not needs_compiling(machine(False, PINOCCHIO, 4))
     assert len(cache_folder().name.removeprefix("closedloop-")) == 16
 
 
@@ -109,6 +110,25 @@ def test_a_loop_for_one_number_of_joints_does_the_same_to_the_last_bit(engine):
     own = run_loop(problem, engine=engine, ahead=WORTH_COMPILING)
     assert written_out(4, False, engine).signatures
     assert np.array_equal(general[0], own[0])
+
+
+@pytest.mark.parametrize("engine", ENGINES)
+def test_the_first_arm_has_a_loop_of_its_own(engine, monkeypatch):
+    """Where nothing has been compiled, the first arm's loop is for its joints; those that follow share one."""
+    compiled: set = set()
+    monkeypatch.setattr(forms, "FIRST_HAS_ITS_OWN", True)
+    monkeypatch.setattr(forms, "needs_compiling", lambda loop: loop not in compiled)
+    monkeypatch.setattr(forms, "_is_there", lambda n, more, engine: written_out(n, more, engine) in compiled)
+    for_any, for_four = machine(False, engine), written_out(4, False, engine)
+    assert machine(False, engine, 4) is for_four
+    assert machine(False, engine, MOST_WRITTEN_OUT + 1) is for_any
+    assert machine(True, engine, 4) is machine(True, engine)
+    compiled.add(for_four)
+    assert machine(False, engine, 4) is for_four
+    assert machine(False, engine, 7) is for_any
+    compiled.clear()
+    compiled.add(for_any)
+    assert machine(False, engine, 4) is for_any
 
 
 @pytest.mark.parametrize("engine", ENGINES)

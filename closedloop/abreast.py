@@ -21,7 +21,6 @@ from closedloop.addresses import address_of, matrix_at
 from closedloop.compiled import entry_kernel, kernel_inlined, numba_settings
 from closedloop.condition import LANES
 from closedloop.contact import PRESSED, accelerate, baumgarte_acceleration, factorise, pressed_force, unloaded
-from closedloop.control.paper import paper_law
 from closedloop.integrate import INTEGRATORS, advance
 from closedloop.octet import WIDE, aligned, every, octets_at, with_lane
 from closedloop.problem import Problem, needs_more
@@ -30,7 +29,7 @@ from closedloop.robot import Robot
 from closedloop.rows import SCALARS, Row, record, record_conditions
 from closedloop.scenario import Scenario
 from closedloop.solve import DIVERGED, OK
-from closedloop.step import bounded, locate_tip
+from closedloop.step import bounded, locate_tip, paper_torque
 from closedloop.tree import Tree, energy_there, tree_terms, work_size
 from closedloop.workspace import Whole, Work, workspace
 
@@ -256,15 +255,12 @@ def desired(
 @kernel_inlined
 def press(H: Array, C: Array, w: Work, k: Array, t: float, sampled: bool) -> int:
     """Evaluate law, contact and Eq. 24 of a tip that is held on a smooth surface; see `closedloop.step.evaluate`."""
-    n = w.q.shape[0]
     locate_tip(w, k)
     status = factorise(H, w.A, w.L, w.X, w.S)
     if status != OK:
         return status
     if sampled:
-        w.scratch[0], w.scratch[1] = w.reference[2 * n + 9], k[space.PD_AT]
-        gains = k[space.JOINTS + n : space.JOINTS + 3 * n].reshape(2, n)
-        paper_law(t, w.scratch, gains, w.reference[: 2 * n].reshape(2, n), w.q, w.v, C, w.A, w.torque)
+        paper_torque(C, w, k, t)
     unloaded(w.L, w.X, w.drift_c, w.torque, C, w.y, w.a)
     w.b[0] = baumgarte_acceleration(k[space.S_V], k[space.S_P], w.now[space.RATE], w.now[space.GAP])
     status, w.share[0] = pressed_force(w.S, w.a, w.b[0], w.c, w.w, w.F)

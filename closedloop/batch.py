@@ -93,14 +93,10 @@ def simulate_batch(
     threads, common = threads_for(engine, workers), Pieces()
     blocks = in_blocks(variants, points, engine, len(points), threads)
     outcomes: list[Outcome | None] = [None] * len(points)
-    done, lock = [0], threading.Lock()
-
-    def ran() -> None:
-        with lock:
-            done[0] += 1
+    done = Done()
 
     def one(bench: Bench, at: int) -> None:
-        some = run_variants(bench, variants, [points[i] for i in blocks[at]], engine, ran)
+        some = run_variants(bench, variants, [points[i] for i in blocks[at]], engine, done.add)
         for i, outcome in zip(blocks[at], some, strict=True):
             outcomes[i] = outcome
 
@@ -112,7 +108,7 @@ def simulate_batch(
         report = progress or _silent
         side_by_side(
             one, len(blocks), threads, lambda: Bench(engine, columns, model, len(points), common),
-            lambda blocks_done, of: report(done[0], len(points)),
+            lambda: report(done.count, len(points)),
         )  # fmt: skip
     kinds = {key: key_type([point[k] for point in points]) for k, key in enumerate(keys)}
     return table_of(schema(kinds, columns), 0, points, [x for x in outcomes if x is not None], columns)
@@ -189,15 +185,30 @@ def threads_for(engine: str, workers: int | None) -> int:
     return workers or cores
 
 
+class Done:
+    """How many runs are done: a count to which threads add."""
+
+    def __init__(self, count: int = 0) -> None:
+        self.count, self._lock = count, threading.Lock()
+
+    def add(self, runs: int = 1) -> None:
+        """Add to the count."""
+        with self._lock:
+            self.count += runs
+
+
 def side_by_side(
     one: Callable[[Bench, int], None],
     count: int,
     threads: int,
     bench: Callable[[], Bench],
-    report: Callable[[int, int], None],
+    report: Callable[[], None],
 ) -> None:
-    """Call ``one(bench, i)`` for every i below `count`, in threads with a bench each; the first error ends it all."""
-    numbers, lock, stop, done = itertools.count(), threading.Lock(), threading.Event(), [0]
+    """Call ``one(bench, i)`` for every i below `count`, in threads with a bench each; the first error ends it all.
+
+    `report` is called before, now and then, and after.
+    """
+    numbers, lock, stop = itertools.count(), threading.Lock(), threading.Event()
 
     def mine() -> Iterator[int]:
         while not stop.is_set():
@@ -211,9 +222,8 @@ def side_by_side(
         own = bench()
         for i in mine():
             one(own, i)
-            done[0] += 1  # only shown
 
-    report(0, count)
+    report()
     with ThreadPoolExecutor(min(threads, count), "closedloop") as pool:
         running = {pool.submit(work) for _ in range(min(threads, count))}
         try:
@@ -221,10 +231,10 @@ def side_by_side(
                 over, running = wait(running, timeout=0.1, return_when=FIRST_COMPLETED)
                 for future in over:
                     future.result()
-                report(min(done[0], count), count)
+                report()
         finally:
             stop.set()
-    report(count, count)
+    report()
 
 
 def _points(changes: Mapping[str, Sequence[Any]], grid: bool) -> list[tuple[Any, ...]]:

@@ -4,9 +4,8 @@ There are two engines; each has a small form for the paper's law on a smooth sur
 come on top. All four take any number of joints. A loop for just one number of joints saves a fifth of a step, as its
 inner loops, of known length, are written out; it changes no bit. It is compiled where many steps are ahead, and for the
 first arm of an installation under the paper's law: that takes as long as the loop for any number, of which others that
-follow then share one. And a
-batch's runs of the paper's law on a smooth surface may go eight abreast (`closedloop.abreast`), in a quarter of the
-time.
+follow then share one. And a batch's runs of the paper's law on a smooth surface may go eight abreast
+(`closedloop.abreast`), in a quarter of the time.
 """
 
 from __future__ import annotations
@@ -46,8 +45,9 @@ def machine(more: bool, engine: str, n: int = 0, ahead: int = 0) -> Callable[...
         How many steps are to come, in this run and others.
     """
     if 0 < n <= MOST_WRITTEN_OUT:
-        first = FIRST_HAS_ITS_OWN and not more and _is_first(engine)
-        if ahead >= WORTH_COMPILING or first or _is_there(n, more, engine):
+        # Whether it is the first is asked last: that takes a look at the disk, in a batch at every run.
+        first = FIRST_HAS_ITS_OWN and not more
+        if ahead >= WORTH_COMPILING or _is_there(n, more, engine) or (first and _is_first(engine)):
             return written_out(n, more, engine)
     if engine == COMPILED:
         from closedloop.compiled_engine import run_compiled, run_compiled_with_more

@@ -134,10 +134,16 @@ def _robot(scenario: Scenario, model: RobotModel | None, pieces: Pieces) -> Robo
     def make() -> Robot:
         if model is not None:
             return Robot(model, section.tip)
-        options: dict[str, Any] = {} if section.lock is None else {"lock": section.lock}
-        return Robot(robot_models.load(section.model, drive_inertia=section.drive_inertia, **options), section.tip)
+        return Robot(load_model(scenario), section.tip)
 
     return pieces.get(("robot", section.model_dump_json()), make, lambda robot: ROBOT_BYTES)
+
+
+def load_model(scenario: Scenario) -> RobotModel:
+    """Return the robot that a scenario names."""
+    section = scenario.robot
+    options: dict[str, Any] = {} if section.lock is None else {"lock": section.lock}
+    return robot_models.load(section.model, drive_inertia=section.drive_inertia, **options)
 
 
 def _desired(

@@ -65,10 +65,11 @@ def _main(arguments: list[str]) -> int:
 
     folder = Path(options.out) if options.out else Path("out") / scenario.name
     _make_writable(folder)
+    from closedloop.preparation import load_model
     from closedloop.simulation import check_engine, simulate
 
     check_engine(scenario, options.engine, law)
-    announce_compiling(scenario, model, options.engine)
+    announce_compiling(scenario, (load_model(scenario) if model is None else model).n, options.engine)
     failure: SimulationError | None = None
     try:
         run = simulate(scenario, law=law, model=model, progress=not options.json, engine=options.engine)
@@ -211,12 +212,12 @@ def _make_writable(folder: Path) -> None:
         raise OutputError(f"--out {str(folder)!r}: cannot be written: {reason}; name another folder") from None
 
 
-def announce_compiling(scenario: Scenario, model: Any, engine: str, runs: int = 1) -> None:
-    """Say why the first run of an installation takes longer, or the first of so many."""
+def announce_compiling(scenario: Scenario, n: int, engine: str, runs: int = 1) -> None:
+    """Say why the first run of an installation takes longer, or the first of so many; n joints, 0: any number."""
     from closedloop.compiled import needs_compiling
     from closedloop.forms import loop_of
 
-    if needs_compiling(loop_of(scenario, engine, 0 if model is None else model.n, runs)):
+    if needs_compiling(loop_of(scenario, engine, n, runs)):
         print("compiling the step (once for this installation, some twenty seconds) ...", file=sys.stderr, flush=True)
 
 

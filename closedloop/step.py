@@ -161,9 +161,7 @@ def evaluate(H: Array, C: Array, w: Work, k: Array, state: Whole, table: Array, 
     if more is None:
         if law != LAW_GIVEN and state[SAMPLED] != 0:
             reference_row(w.now[TIME], k[NODE], table, n, w.reference)
-            w.scratch[0], w.scratch[1] = w.reference[2 * n + 9], k[PD_AT]
-            gains, path = k[JOINTS + n : JOINTS + 3 * n].reshape(2, n), w.reference[: 2 * n].reshape(2, n)
-            paper_law(w.now[TIME], w.scratch, gains, path, w.q, w.v, C, w.A, w.torque)
+            paper_torque(C, w, k, w.now[TIME])
         status = contact_force(C, w, k, state)
         if status != OK:
             return status
@@ -211,6 +209,15 @@ def evaluate(H: Array, C: Array, w: Work, k: Array, state: Whole, table: Array, 
                 )  # fmt: skip
             joint_friction_rates(w, k, state)
     return OK if bounded(w) else DIVERGED
+
+
+@kernel_inlined
+def paper_torque(C: Array, w: Work, k: Array, t: float) -> None:
+    """Write the torque of the paper's law at t, s, with what is desired in the reference."""
+    n = w.q.shape[0]
+    w.scratch[0], w.scratch[1] = w.reference[2 * n + 9], k[PD_AT]
+    gains, path = k[JOINTS + n : JOINTS + 3 * n].reshape(2, n), w.reference[: 2 * n].reshape(2, n)
+    paper_law(t, w.scratch, gains, path, w.q, w.v, C, w.A, w.torque)
 
 
 @kernel_inlined

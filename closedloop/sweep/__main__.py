@@ -43,7 +43,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
 def _sweep(arguments: list[str]) -> int:
     overrides, rest = split_overrides(arguments)
     options = _sweep_parser().parse_args(rest)
-    import robot_models
+    from closedloop.preparation import load_model
     from closedloop.progress import count
     from closedloop.run import announce_compiling
     from closedloop.scenario import load_scenario
@@ -59,8 +59,7 @@ def _sweep(arguments: list[str]) -> int:
     out = Path(options.out) if options.out else Path("out") / scenario.name / "sweep.parquet"
     if options.scheduler is None:
         fixed = not any(key.startswith("robot.") for key in design.keys)
-        model = robot_models.load(scenario.robot.model) if fixed else None
-        announce_compiling(scenario, model, options.engine, len(design))
+        announce_compiling(scenario, load_model(scenario).n if fixed else 0, options.engine, len(design))
     began = clock.monotonic()
     done: list[tuple[int, int]] = []
     with count("closedloop.sweep", len(design)) as show:

@@ -5,7 +5,6 @@ from __future__ import annotations
 import hashlib
 import json
 import math
-import threading
 from collections.abc import Callable, Iterable
 from dataclasses import dataclass
 from functools import cached_property
@@ -13,7 +12,7 @@ from pathlib import Path
 from typing import Any
 
 import robot_models
-from closedloop.batch import side_by_side, threads_for
+from closedloop.batch import Done, side_by_side, threads_for
 from closedloop.bench import Bench
 from closedloop.compiled import cache_folder
 from closedloop.errors import ScenarioError
@@ -182,30 +181,26 @@ def run_sweep(
         return there
     with Store(sweep.identity, out) as store:
         missing = [part for part in range(sweep.parts) if not store.has(part, len(sweep.runs_of(part)))]
-        done, lock = [sweep.design.runs - sum(len(sweep.runs_of(part)) for part in missing)], threading.Lock()
-        report = progress or (lambda done, total: None)
+        done = Done(sweep.design.runs - sum(len(sweep.runs_of(part)) for part in missing))
 
-        def finished(runs: int) -> None:
-            with lock:
-                done[0] += runs
+        def report() -> None:
+            if progress is not None:
+                progress(done.count, sweep.design.runs)
 
-        report(done[0], sweep.design.runs)
+        report()
         if missing and scheduler is not None:
             from closedloop.sweep.cluster import run_on_cluster
 
-            run_on_cluster(sweep, store, missing, scheduler, finished, lambda: report(done[0], sweep.design.runs))
+            run_on_cluster(sweep, store, missing, scheduler, done.add, report)
         elif missing:
             job, common = sweep.job, Pieces()
 
             def one(bench: Bench, at: int) -> None:
                 runs = sweep.runs_of(missing[at])
                 points = sweep.design[runs.start : runs.stop]
-                store.write(missing[at], *run_part(job, runs.start, points, bench, lambda: finished(1)))
+                store.write(missing[at], *run_part(job, runs.start, points, bench, done.add))
 
-            side_by_side(
-                one, len(missing), threads, lambda: bench_for(job, common),
-                lambda parts, of: report(done[0], sweep.design.runs),
-            )  # fmt: skip
+            side_by_side(one, len(missing), threads, lambda: bench_for(job, common), report)
         return join(store, out, sweep.parts, columns_of(sweep.job), sweep.scenario.time.step)
 
 

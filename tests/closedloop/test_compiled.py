@@ -14,6 +14,7 @@ from closedloop import forms
 from closedloop.compiled import cache_folder, needs_compiling
 from closedloop.forms import ENGINES, MOST_WRITTEN_OUT, PINOCCHIO, WORTH_COMPILING, machine, written_out
 from closedloop.preparation import prepare
+from closedloop.run import announce_compiling
 from closedloop.simulation import run_loop
 
 ROOT = Path(cl.__file__).parent.parent
@@ -129,6 +130,19 @@ def test_the_first_arm_has_a_loop_of_its_own(engine, monkeypatch):
     compiled.clear()
     compiled.add(for_any)
     assert machine(False, engine, 4) is for_any
+
+
+@pytest.mark.parametrize("engine", ENGINES)
+def test_only_what_will_be_compiled_is_announced(engine, monkeypatch, capsys):
+    """An arm whose own loop is there waits for nothing, whether or not the loop for any number is there too."""
+    monkeypatch.setattr(forms, "needs_compiling", lambda loop: loop is not written_out(4, False, engine))
+    monkeypatch.setattr("closedloop.compiled.needs_compiling", forms.needs_compiling)
+    monkeypatch.setattr(forms, "_is_there", lambda n, more, engine: n == 4)
+    scenario = cl.load_scenario("wam_slide")
+    announce_compiling(scenario, 4, engine)
+    assert capsys.readouterr().err == ""
+    announce_compiling(scenario, 7, engine)
+    assert capsys.readouterr().err.startswith("compiling the step")
 
 
 @pytest.mark.parametrize("engine", ENGINES)

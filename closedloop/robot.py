@@ -21,9 +21,9 @@ class Terms(NamedTuple):
     Attributes
     ----------
     mass_matrix : (n, n) array
-        H, kg m² (kg for prismatic joints), drive inertia included (Eq. 1).
+        H, kg m² (kg for prismatic joints), drive inertia included (Eq. 8).
     bias : (n,) array
-        C, N m: Coriolis, centrifugal and gravity terms (Eq. 1).
+        C, N m: Coriolis, centrifugal and gravity terms (Eq. 8).
     position : (3,) array
         r, tip in the base frame, m.
     jacobian : (3, n) array

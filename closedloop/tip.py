@@ -1,4 +1,4 @@
-"""The tip's motion from that of the link it sits on: Eqs. 12-18 on what Pinocchio's passes leave behind.
+"""The tip's motion from that of the link it sits on: Eqs. 13-18 on what Pinocchio's passes leave behind.
 
 `pinocchio.crba` leaves the Jacobian of every joint and `pinocchio.nonLinearEffects` the velocity and acceleration of
 every link, the latter for q̈ = 0 in a base that accelerates upwards instead of gravity. Moving them to the tip is all

@@ -42,9 +42,9 @@ PROBED = ("constrained", "impulse")
 # s_v and s_p of the paper, 1/s and 1/s².
 STABILISER = (1414.0, 1e6)
 
-# Fifty digits take 20 ms a state and a multibody system's start-up 4 ms: such an engine is asked at the first so many
-# states only, and the report says at how many.
-MOST_STATES = {"symbolic": 50, "exudyn": 50}
+# Fifty digits take 20 ms a state, a multibody system's start-up 4 ms, Newton-Euler passes in Python 10 to 100 ms: such
+# an engine is asked at the first so many states only, and the report says at how many.
+MOST_STATES = {"symbolic": 50, "exudyn": 50, "robotics toolbox": 20}
 
 EngineClass = Callable[[Any, str], Engine]
 

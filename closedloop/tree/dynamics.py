@@ -10,8 +10,8 @@ momentum l = w × h + m v and the angular momentum L = (tr Σ 1 − Σ) w + h ×
 
     C_i = w_i·N_i + v_i·F_i            H_ji = w_j·L_i + v_j·l_i       for j between the base and i
 
-with F_i, N_i, Σ_i, h_i summed over all that joint i carries. These are Eqs. 4-5 by composite bodies (M. W. Walker and
-D. E. Orin, J. Dyn. Sys. Meas. Control 104, 1982) and C by recursive Newton-Euler.
+with F_i, N_i, Σ_i, h_i summed over all that joint i carries. These are the H of Eq. 8 by composite bodies
+(R. Featherstone, Robot Dynamics Algorithms, 1987) and its C by recursive Newton-Euler.
 """
 
 from __future__ import annotations

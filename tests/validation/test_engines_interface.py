@@ -75,10 +75,10 @@ def test_no_class_may_leave_a_method_out():
 def test_not_installed_is_said_with_the_install_line(wam, monkeypatch):
     """A peer whose package is absent stands in the list as missing, never as an engine."""
     find = importlib.util.find_spec
-    absent = {"mujoco", "pydrake", "exudyn", "sympy"}
+    absent = {"mujoco", "pydrake", "exudyn", "roboticstoolbox", "sympy"}
     monkeypatch.setattr("validation.engines.interface.find_spec", lambda name: None if name in absent else find(name))
     made = available(wam, "tip")
-    assert [type(engine) for engine in made].count(Missing) == 4
+    assert [type(engine) for engine in made].count(Missing) == 5
     assert 'pip install "mujoco>=3.17,!=4.0.0"' in " ".join(map(str, made))
     assert len(made) == len(ENGINES)
 

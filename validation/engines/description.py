@@ -8,7 +8,7 @@ from validation.engines.interface import CannotBuild
 
 _LEFT_OUT = {
     "link": ("visual", "collision"),  # meshes may be absent; MuJoCo and Drake would look for them
-    "joint": ("dynamics", "mimic", "safety_controller", "calibration"),  # damping, friction, ties: not in Eq. 1
+    "joint": ("dynamics", "mimic", "safety_controller", "calibration"),  # damping, friction, ties: not in Eq. 8
 }
 _KEPT = ("link", "joint")
 

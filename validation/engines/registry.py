@@ -12,6 +12,7 @@ from validation.engines.interface import CannotBuild, Engine, Missing, Refused, 
 from validation.engines.loop import ClosedLoop
 from validation.engines.mujoco import MuJoCo
 from validation.engines.pinocchio_cpp import PinocchioCpp
+from validation.engines.robotics_toolbox import RoboticsToolbox
 from validation.engines.symbolic import Symbolic
 
 ENGINES: tuple[type[Engine], ...] = (
@@ -22,6 +23,7 @@ ENGINES: tuple[type[Engine], ...] = (
     MuJoCo,
     Drake,
     Exudyn,
+    RoboticsToolbox,
     Symbolic,
 )
 """Every engine that this project knows; a new one is a file beside these and a line here."""

@@ -1,12 +1,13 @@
-"""Closing the loop: Eqs. 2–11 and 19–24 of the paper, for the plane and for any loop joint.
+"""Closing the loop: Eqs. 1–3, 6–7, 9–11 and 19–24 of the paper, for any loop joint and for the plane.
 
 A loop joint lets the tip move freely in some directions and forbids others. The columns of R (6, m) are unit
-force vectors along the forbidden ones: the motion obeys Rᵀ (vₙ − v₀) = 0, and the closure force is R f. The
-plane is the smallest case: one column, the force along n through the tip. Sign of f, everywhere: positive is
-the force of the surface *on the robot* along +n [N].
+force vectors along the forbidden ones, the contact force space: the motion obeys Rᵀ (vₙ − v₀) = 0 (Eq. 2), and
+the closure force is R f. The plane is the smallest case: one column, the force along n through the tip. Sign of f,
+everywhere: positive is the force of the surface *on the robot* along +n [N].
 
-The paper's Eqs. 2–10 treat the general joint and Eqs. 19–22 the differentiation and the stabiliser; how the
-numbers fall on the functions within each group is our reading.
+Eqs. 1–10 are the general loop joint, Eqs. 11–12 put the plane in its place, Eqs. 19–24 differentiate its error,
+stabilise it and solve. Two misprints of the paper are put right here: Eq. 12 has Jᵣ for Jᵣᵀ, and Eq. 23 counts
+nᵀ[ṙ×ᵀ 0] J q̇ beside nᵀJ̇ᵣq̇, which contains it by Eq. 18 (and names the tip k there).
 """
 
 from __future__ import annotations
@@ -88,7 +89,7 @@ def weld(tip: str, point: Array, rotation: Array, base: str | None = None) -> Lo
 
 
 def constraint_matrix(normals: Array, r: Array, *, couples: bool = False) -> Array:
-    """Return R, whose columns (r×n, n) span the force that the loop joint can bear (Eq. 2, Eq. 3).
+    """Return R of Eq. 2, whose columns (r×n, n) span the force that the loop joint can bear.
 
     The motion is restricted to Rᵀ (vₙ − v₀) = 0, and the force that this takes is R f.
 
@@ -107,7 +108,7 @@ def constraint_matrix(normals: Array, r: Array, *, couples: bool = False) -> Arr
 
 
 def constraint_matrix_rate(normals: Array, r: Array, r_dot: Array, omega: Array, *, couples: bool = False) -> Array:
-    """Return Ṙ as the tip moves at ṙ and the normals turn at ω with what they are fixed to (Eq. 9).
+    """Return Ṙ as the tip moves at ṙ and the normals turn at ω with what they are fixed to: Ṙ of Eq. 3.
 
     Parameters
     ----------
@@ -126,7 +127,7 @@ def constraint_matrix_rate(normals: Array, r: Array, r_dot: Array, omega: Array,
 
 
 def closure_torque(R: Array, J: Array, f: Array) -> Array:
-    """Return Jᵀ R f, what the closure force adds to Q in H q̈ + C = Q + Jᵀ R f (Eq. 4, Eq. 5).
+    """Return Jᵀ R f, what the closure force adds to Q in H q̈ + C = Q + Jᵀ R f (Eq. 7; T_equ of Eq. 1).
 
     Parameters
     ----------
@@ -140,9 +141,10 @@ def closure_torque(R: Array, J: Array, f: Array) -> Array:
 
 
 def loop_rows(tree: Tree, pose: Pose, v: Array, joint: LoopJoint) -> Rows:
-    """Return A = Rᵀ (Jₙ − J₀), since Rᵀ (vₙ − v₀) = 0 and v = J q̇, with its drift (Eq. 6, Eq. 7, Eq. 8).
+    """Return the rows A = RᵀJ of Eq. 6 with their drift −b of Eq. 10, their error c(q) of Eq. 1 and its rate.
 
-    The drift is Ṙᵀ (vₙ − v₀) + Rᵀ (J̇ₙ − J̇₀) q̇, Eq. 8 differentiated (Eq. 10). The error of an orientation
+    J is the Jacobian across the loop joint, that of link n less that of link 0 (Eq. 4 for both; the paper's link 0
+    is the base, at rest). The drift is Ṙᵀ (vₙ − v₀) + Rᵀ (aₙ − a₀) at q̈ = 0 (Eq. 3, Eq. 5). The error of an orientation
     is the rotation vector to first order, ½ vee(E − Eᵀ) with E = R_tip R_heldᵀ; its rate is exact only where
     that error is zero.
     """
@@ -174,22 +176,22 @@ def loop_rows(tree: Tree, pose: Pose, v: Array, joint: LoopJoint) -> Rows:
 
 
 def closure_error(normal: Array, offset: float, r: Array) -> Array:
-    """Return e = n·r − d [m], zero on the plane and positive off the surface (Eq. 11)."""
+    """Return e = n·r − d [m], zero on the plane and positive off the surface (Eq. 19)."""
     return np.asarray(normal @ r - offset)
 
 
 def closure_rate(normal: Array, jacobian: Array, v: Array) -> Array:
-    """Return ė = nᵀJᵣ q̇ [m/s], the closure differentiated once (Eq. 19)."""
+    """Return ė = nᵀJᵣ q̇ [m/s], the closure error differentiated once (Eq. 20)."""
     return np.asarray(normal @ (jacobian @ v))
 
 
 def closure_acceleration(normal: Array, jacobian: Array, drift: Array, a: Array) -> Array:
-    """Return ë = nᵀ (Jᵣ q̈ + J̇ᵣq̇) [m/s²], the closure differentiated twice (Eq. 20)."""
+    """Return ë = nᵀ (Jᵣ q̈ + J̇ᵣq̇) [m/s²], the closure error differentiated twice (Eq. 21)."""
     return np.asarray(normal @ (jacobian @ a + drift))
 
 
 def stabiliser_gains(damping_ratio: float, time_constant: float) -> tuple[float, float]:
-    """Return s_v = 2ζ/T [1/s] and s_p = 1/T² [1/s²] of ë + s_v ė + s_p e = 0 (Eq. 21, Eq. 22)."""
+    """Return s_v = 2ζ/T [1/s] and s_p = 1/T² [1/s²] of ë + s_v ė + s_p e = 0 (Eq. 22)."""
     return 2.0 * damping_ratio / time_constant, 1.0 / time_constant**2
 
 
@@ -206,7 +208,7 @@ def stabilised_drift(drift: Array, error: Array, rate: Array, gains: tuple[float
 
 
 def solve_bordered(H: Array, forcing: Array, A: Array, b: Array) -> tuple[Array, Array]:
-    """Solve [[H, Aᵀ], [A, 0]] [q̈; −f] = [Q − C; b_s] as one dense system (Eq. 24).
+    """Solve [[H, Aᵀ], [A, 0]] [q̈; −f] = [Q − C; b_s] as one dense system: Eq. 24, and Eq. 9 for any loop joint.
 
     Parameters
     ----------

@@ -1,4 +1,4 @@
-"""Dynamics of the open tree: H, C and the energies of Eq. 1, H q̈ + C = Q.
+"""Dynamics of the open tree: H, C and the energies of Eq. 8, H q̈ = Q − C.
 
 H by the composite-rigid-body algorithm, C and the inverse dynamics by recursive Newton–Euler, both in base
 coordinates at O (see `spatial`). C holds Coriolis, centrifugal *and* gravity terms. Functions that solve no
@@ -15,7 +15,7 @@ from validation.oracle.tree import GROUND, Tree
 
 
 def mass_matrix(tree: Tree, pose: Pose) -> Array:
-    """Return H (n, n) of Eq. 1: H_ji = s_j · I_i^c s_i with j on the path to i; armature on the diagonal.
+    """Return H (n, n) of Eq. 8: H_ji = s_j · I_i^c s_i with j on the path to i; armature on the diagonal.
 
     I_i^c is the inertia of body i and of all that it carries, taken as one rigid body (composite-rigid-body
     algorithm).
@@ -27,8 +27,18 @@ def mass_matrix(tree: Tree, pose: Pose) -> Array:
     return np.asarray(upper + upper.T + np.diag(tree.armature - diagonal))
 
 
+def mass_matrix_by_newton_euler(tree: Tree, pose: Pose) -> Array:
+    """Return H (n, n) of Eq. 8, a column a Newton–Euler pass: the torque of q̈_j = 1 alone, at rest, without weight.
+
+    The method of Walker and Orin (1982), which the paper calls easy to implement but costly beside the composite
+    bodies of `mass_matrix`: n passes over n bodies are O(n²), with the whole of a pass for each.
+    """
+    columns = [_newton_euler(tree, pose, np.zeros(tree.size), unit, np.zeros(3)) for unit in np.eye(tree.size)]
+    return np.stack(columns, axis=1)
+
+
 def inverse_dynamics(tree: Tree, pose: Pose, v: Array, a: Array, *, push: Array | None = None) -> Array:
-    """Return Q = H q̈ + C − (what `push` does) of Eq. 1 by recursive Newton–Euler.
+    """Return Q = H q̈ + C − (what `push` does) of Eq. 8 by recursive Newton–Euler.
 
     Parameters
     ----------
@@ -39,12 +49,16 @@ def inverse_dynamics(tree: Tree, pose: Pose, v: Array, a: Array, *, push: Array 
     -------
     (n,) [N m] or [N]
     """
+    return _newton_euler(tree, pose, v, a, tree.gravity, push)
+
+
+def _newton_euler(tree: Tree, pose: Pose, v: Array, a: Array, gravity: Array, push: Array | None = None) -> Array:
     v, a = np.asarray(v), np.asarray(a)
     velocity = body_velocities(tree, pose, v)
     own = pose.axes * a[:, None] + axis_rates(pose, velocity) * v[:, None]
     acceleration = accelerations(tree, own)
     # Weight is the force that would accelerate the bodies upwards in free space: a_0 = −g.
-    acceleration[:, 3:] = acceleration[:, 3:] - tree.gravity
+    acceleration[:, 3:] = acceleration[:, 3:] - gravity
     momentum = pose.inertia @ velocity[..., None]
     force = (pose.inertia @ acceleration[..., None] + cross_force(velocity) @ momentum)[..., 0]
     carried = sum_over_carried(tree, force if push is None else force - push)
@@ -61,7 +75,7 @@ def sum_over_carried(tree: Tree, own: Array) -> Array:
 
 
 def bias(tree: Tree, pose: Pose, v: Array) -> Array:
-    """Return C (n,) of Eq. 1: the torque of inverse dynamics at q̈ = 0; Coriolis, centrifugal and gravity."""
+    """Return C (n,) of Eq. 8: the torque of inverse dynamics at q̈ = 0; Coriolis, centrifugal and gravity."""
     return inverse_dynamics(tree, pose, v, np.zeros(tree.size))
 
 
@@ -72,7 +86,7 @@ def gravity_term(tree: Tree, pose: Pose) -> Array:
 
 
 def forward_dynamics(tree: Tree, pose: Pose, v: Array, torque: Array) -> Array:
-    """Return q̈ = H⁻¹ (Q − C), Eq. 1 of the arm that touches nothing, (n,)."""
+    """Return q̈ = H⁻¹ (Q − C), Eq. 8 for the arm that touches nothing, (n,)."""
     return np.asarray(np.linalg.solve(mass_matrix(tree, pose), torque - bias(tree, pose, v)))
 
 

@@ -1,8 +1,7 @@
-"""Kinematics of the tree and of its tip: Eqs. 12–18 and 25–32 of the paper.
+"""Kinematics of the tree and of its tip: Eqs. 4–5, 13–18 and 25–32 of the paper.
 
 All spatial vectors are in base coordinates at the base origin O (see `spatial`), where the paper's recursions
-carry no transforms. The numbers 12–18 and 28–32 are split among the functions as we read the paper: Eqs. 13,
-18 and 25 are sure, and so is what each group as a whole computes.
+carry no transforms.
 
 q, v and what follows from them may be float, complex or object (mpmath) arrays.
 """
@@ -81,7 +80,7 @@ def joint_axes(tree: Tree, rotation: Array, position: Array) -> Array:
 
 
 def body_velocities(tree: Tree, pose: Pose, v: Array) -> Array:
-    """Return the spatial velocity of every body, v_i = v_λ(i) + s_i q̇_i with v_0 = 0 (Eq. 28).
+    """Return the spatial velocity of every body, v_i = v_λ(i) + s_i q̇_i with v_0 = 0: J q̇ of Eq. 4.
 
     Parameters
     ----------
@@ -99,7 +98,7 @@ def body_velocities(tree: Tree, pose: Pose, v: Array) -> Array:
 
 
 def axis_rates(pose: Pose, velocities: Array) -> Array:
-    """Return ṡ_i = v_i × s_i, the rate of a joint axis carried along by its body (Eq. 29).
+    """Return ṡ_i = v_i × s_i, the rate of a joint axis carried along by its body (in Eq. 28).
 
     Parameters
     ----------
@@ -113,7 +112,7 @@ def axis_rates(pose: Pose, velocities: Array) -> Array:
 
 
 def bias_accelerations(tree: Tree, pose: Pose, v: Array) -> Array:
-    """Return all bodies' accelerations at q̈ = 0, a_i = a_λ(i) + v_i × s_i q̇_i, a_0 = 0 (Eq. 30, Eq. 31).
+    """Return all bodies' accelerations at q̈ = 0, a_i = a_λ(i) + v_i × s_i q̇_i, a_0 = 0 (Eq. 31, Eq. 32).
 
     Parameters
     ----------
@@ -127,7 +126,10 @@ def bias_accelerations(tree: Tree, pose: Pose, v: Array) -> Array:
 
 
 def accelerations(tree: Tree, own: Array) -> Array:
-    """Return the sums from the base outwards, a_i = a_λ(i) + own_i with a_0 = 0, of (n, 6) vectors."""
+    """Return the sums from the base outwards, a_i = a_λ(i) + own_i with a_0 = 0, of (n, 6) vectors.
+
+    With own_i = s_i q̈_i + ṡ_i q̇_i these are the accelerations of the bodies (Eq. 28).
+    """
     out = np.array(own)
     for i, above in enumerate(tree.parent):
         if above != GROUND:
@@ -136,7 +138,7 @@ def accelerations(tree: Tree, own: Array) -> Array:
 
 
 def spatial_jacobian(tree: Tree, pose: Pose, body: int) -> Array:
-    """Return J of a body: its column i is s_i if joint i carries the body, else zero; v_body = J q̇ (Eq. 25).
+    """Return J of a body: its column i is s_i if joint i carries the body, else zero; v_body = J q̇ (Eq. 25, Eq. 4).
 
     Returns
     -------
@@ -147,10 +149,30 @@ def spatial_jacobian(tree: Tree, pose: Pose, body: int) -> Array:
     return np.asarray((pose.axes * tree.supports[:, body, None]).T)
 
 
-def loop_jacobians(tree: Tree, pose: Pose, tip: str, base: str | None = None) -> tuple[Array, Array]:
-    """Return J₀ and Jₙ, the Jacobians of the two links that the loop joint connects (Eq. 26, Eq. 27).
+def toolbox_jacobians(jacobian: Array, r: Array, rotation: Array) -> tuple[Array, Array]:
+    """Return J₀ and Jₙ of the Robotics Toolbox from J (Eq. 26, Eq. 27).
 
-    The velocity across the loop joint is (Jₙ − J₀) q̇. With the surface at rest, J₀ = 0.
+    Both are of the point r, along the base axes and along the axes of the tip's frame.
+
+    Parameters
+    ----------
+    jacobian : (6, n) spatial Jacobian at O (Eq. 25)
+    r : (3,) base frame [m]
+    rotation : (3, 3) axes of the tip's frame in base axes; its transpose is the paper's E
+
+    Returns
+    -------
+    (6, n), (6, n) angular rows first
+    """
+    at_tip = np.concatenate([jacobian[:3], translational_jacobian(jacobian, r)])
+    own = rotation.T
+    return at_tip, np.concatenate([own @ at_tip[:3], own @ at_tip[3:]])
+
+
+def loop_jacobians(tree: Tree, pose: Pose, tip: str, base: str | None = None) -> tuple[Array, Array]:
+    """Return the Jacobians of the two links that the loop joint connects, link 0 and link n (Eq. 4).
+
+    The velocity across the loop joint is their difference times q̇. With the surface at rest the first is zero.
 
     Parameters
     ----------
@@ -166,7 +188,9 @@ def loop_jacobians(tree: Tree, pose: Pose, tip: str, base: str | None = None) ->
 
 
 def spatial_drift(tree: Tree, pose: Pose, v: Array, body: int) -> Array:
-    """Return J̇q̇ of a body, by the recursion: the acceleration that its velocity alone gives it (Eq. 32).
+    """Return J̇q̇ of a body, by the recursion: the acceleration that its velocity alone gives it.
+
+    It is a_n^vp of Eq. 30, the last term of Eq. 5 and of Eq. 29.
 
     Returns
     -------
@@ -178,7 +202,7 @@ def spatial_drift(tree: Tree, pose: Pose, v: Array, body: int) -> Array:
 
 
 def tip_position(tree: Tree, pose: Pose, tip: str) -> Array:
-    """Return the tip's position r (3,), base frame [m]."""
+    """Return the tip's position r (3,), base frame [m]: k_r of Eq. 15."""
     frame = tree.frame(tip)
     if frame.body == GROUND:
         return np.array(frame.translation)
@@ -194,7 +218,7 @@ def tip_rotation(tree: Tree, pose: Pose, tip: str) -> Array:
 
 
 def point_velocity(velocity: Array, r: Array) -> Array:
-    """Return ṙ = v_O + ω × r of the body-fixed point at r (Eq. 12, Eq. 13).
+    """Return ṙ = v_O + ω × r of the body-fixed point at r (Eq. 16).
 
     Parameters
     ----------
@@ -209,7 +233,7 @@ def point_velocity(velocity: Array, r: Array) -> Array:
 
 
 def translational_jacobian(jacobian: Array, r: Array) -> Array:
-    """Return Jᵣ = J_lin − r×J_ang, so that ṙ = Jᵣ q̇: Eq. 13 for every column of J (Eq. 14, Eq. 15).
+    """Return Jᵣ = J_lin − r×J_ang, so that ṙ = Jᵣ q̇ (Eq. 13, with r× of Eq. 14).
 
     Parameters
     ----------
@@ -224,9 +248,9 @@ def translational_jacobian(jacobian: Array, r: Array) -> Array:
 
 
 def point_acceleration(acceleration: Array, velocity: Array, r: Array) -> Array:
-    """Return r̈ = a_O + ω̇ × r + ω × ṙ, Eq. 13 differentiated (Eq. 16, Eq. 17).
+    """Return r̈ = a_O + ω̇ × r + ω × ṙ of the body-fixed point at r (Eq. 17).
 
-    With the spatial bias acceleration J̇q̇ as `acceleration`, this is the drift J̇ᵣq̇ (Eq. 18).
+    With the spatial bias acceleration J̇q̇ as `acceleration`, this is the drift J̇ᵣq̇: Eq. 18.
 
     Parameters
     ----------

@@ -10,7 +10,7 @@ O;
 - their product n_O·ω + f·v_O is a power.
 
 Spatial vectors of different bodies can then be added without any transform, which is why the recursions
-of the oracle are so short, and the velocity of a point r is simply v_O + ω × r (Eq. 13 of the paper).
+of the oracle are so short, and the velocity of a point r is simply v_O + ω × r (Eqs. 13 and 16 of the paper).
 
 The functions take arrays with leading batch axes and any numeric dtype: float, complex (for complex-step
 differentiation) and object holding mpmath numbers (for a reference in as many digits as one likes).

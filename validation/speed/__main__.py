@@ -89,7 +89,7 @@ def line_up(
     `written_out` compiles what large batches do, if that was not done before: loops for the number of joints of `wam4`,
     and of eight runs abreast. That takes some thirty seconds.
     """
-    from validation.speed import batch, contestants
+    from validation.speed import batch, contestants, inertia
 
     there = {name: find_spec(module) is not None for name, module in (("mujoco", "mujoco"), ("drake", "pydrake"))}
     missing = {name: INSTALL for name, found in there.items() if not found}
@@ -110,6 +110,8 @@ def line_up(
             contestants.general(arm, problem, "pinocchio"),
             contestants.bare_calls(arm, problem),
             contestants.bare_algorithms(arm, problem),
+            inertia.composite_bodies(arm, problem),
+            inertia.newton_euler_columns(arm, problem),
             contestants.pinocchio_loop(arm, problem),
         ]
         if there["mujoco"]:

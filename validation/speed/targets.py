@@ -46,6 +46,7 @@ def targets(timings: Timings) -> list[Target]:
         ("Pinocchio for any joints / MuJoCo from Python", 0.7, False, lambda: times("pinocchio", "mujoco")),
         ("Pinocchio for any joints / its bare calls", 1.4, False, lambda: times("pinocchio", "calls")),
         ("Pinocchio for its joints / its bare calls", 1.4, False, lambda: times("pinocchio_for_4", "calls")),
+        ("H by Newton–Euler columns / composite bodies", 1.0, True, lambda: times("rnea_columns", "crba")),
         (added, 1.0, False, lambda: growth(timings)),
     ]
     return [Target(what if what == added else f"{ARM}: {what}", w, least, of()) for what, w, least, of in rows]

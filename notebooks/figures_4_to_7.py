@@ -12,7 +12,7 @@
 # # Figures 4–7: an arm slides along a plane and presses on it
 #
 # A Barrett WAM with four joints presses on a horizontal plane with 10 N. After half a second its tip starts to slide
-# along +y at 18 mm/s; six seconds later it stops. At every step the equation of motion and the contact constraint
+# along +y at 10 mm/s; six seconds later it stops. At every step the equation of motion and the contact constraint
 # are solved together,
 #
 # $$
@@ -50,8 +50,9 @@ print(stabilised)
 print(unstabilised)
 
 # %% [markdown]
-# The start posture, the gains of the control law, the stabiliser and the step come from the scenario. The figures
-# belong to these values: other gains give other transients.
+# The stabiliser, the step, the 10 N and the half second are the paper's. It prints neither posture, path nor gains: these
+# are the scenario's own, chosen so that the arm stretches out along y. The figures belong to these values: other gains
+# give other transients, and with the elbow up the overshoot at the start would be a dip.
 
 # %%
 for section in ("start", "reference", "law", "stabiliser", "time"):
@@ -120,7 +121,7 @@ for name, k in (("start", start), ("stop", stop)):
     print(f"{name:5}  predicted {predicted:+.4f} N, simulated {f[k] - f[k - 1]:+.4f} N")
 
 # %% [markdown]
-# The dip and the overshoot are therefore the law's answer to a path with velocity steps, not a property of the
+# The overshoot and the dip are therefore the law's answer to a path with velocity steps, not a property of the
 # contact; they differ in size because the arm's pose does. A path that starts and stops with a continuous velocity has
 # no such jump. The millinewtons in steady motion come from the inertia torque $H \ddot q_{des}$, which the law leaves
 # out.
@@ -144,8 +145,8 @@ print(f"the stabiliser's part of f    {1e3 * part:.2f} mN at most")
 # %% [markdown]
 # Differentiated twice, the constraint holds accelerations only; the stabiliser adds a damper on $\dot e$ and a spring
 # on $e$ to it. Each step of the integrator leaves a little truncation error. In steady motion it shows as a rate
-# $\dot e > 0$, and the spring balances the damper, $s_p e = -s_v \dot e$, which is $e = -2 \zeta T \dot e$: the tip
-# runs a fraction of a nanometre below the surface. `stabiliser_force` is the share of $f$ that this costs.
+# $\dot e < 0$, and the spring balances the damper, $s_p e = -s_v \dot e$, which is $e = -2 \zeta T \dot e$: the tip
+# runs a tenth of a nanometre above the surface. `stabiliser_force` is the share of $f$ that this costs.
 
 # %% [markdown]
 # ## Fig. 7: closure error without it
@@ -156,19 +157,19 @@ closure_error(unstabilised)
 # %%
 half = cl.simulate(cl.load_scenario("wam_slide_unstabilised", {"time.step": h / 2}))
 drift = unstabilised.closure_error
-climb = (drift[stop] - drift[start]) / (time[stop] - time[start])
-print(f"e when the motion stops       {1e6 * drift[stop]:.2f} µm, a climb of {1e6 * climb:.2f} µm/s")
+slope = (drift[stop] - drift[start]) / (time[stop] - time[start])
+print(f"e when the motion stops       {1e6 * drift[stop]:.2f} µm, a rate of {1e6 * slope:.2f} µm/s")
 print(f"e at the end                  {1e6 * drift[-1]:.2f} µm")
 print(f"the same with half the step   {1e6 * half.closure_error[-1]:.2f} µm")
 print(f"f at the end                  {unstabilised.contact_force[-1]:.4f} N")
 print(f"f differs from Fig. 5 by up to {1e3 * np.abs(unstabilised.contact_force - f).max():.1f} mN")
 
 # %% [markdown]
-# Nothing removes the truncation error now, and the tip climbs off the surface as long as it moves. Half the step gives
+# Nothing removes the truncation error now, and the tip sinks through the surface as long as it moves. Half the step gives
 # half the drift: it is the error of a first-order integrator, not of the model. After the stop a small rate $\dot e$
-# remains, and $e$ goes on growing with it. The law sees the lifted tip as a position error and presses it down, which
-# is why $f$ does not return to 10 N exactly. Eq. 24 still reports a contact although the tip has left the surface by
-# these micrometres; only the column `closure_error` tells.
+# remains, and $e$ goes on growing with it. The law sees the lowered tip as a position error and lifts it, which is why
+# $f$ does not return to 10 N exactly. Eq. 24 still reports the force of a rigid contact although the tip has left the
+# surface by half a micrometre; only the column `closure_error` tells.
 
 # %% [markdown]
 # ## Energy, and the assumptions

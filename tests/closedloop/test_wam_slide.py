@@ -7,7 +7,8 @@ import closedloop as cl
 
 START, STOP = 0.5, 6.5  # s: the tip moves between these
 FORCE = 10.0  # N, commanded
-TRAVEL = 0.018 * (STOP - START)  # m
+SPEED = 0.010  # m/s
+TRAVEL = SPEED * (STOP - START)  # m
 
 
 @pytest.fixture(scope="module")
@@ -59,18 +60,27 @@ def test_force_jumps_as_eq_24_says_when_the_motion_starts(slide):
     assert abs(slide.contact_force[k] - FORCE) > 1.0
 
 
-def test_force_dips_at_the_start_and_overshoots_at_the_stop(slide):
-    """The velocity steps are visible in the force: a dip at 0.5 s and an overshoot at 6.5 s, of one to three newtons.
+def test_force_overshoots_as_the_motion_starts(slide):
+    """The velocity steps are visible in the force: an overshoot at 0.5 s, as the paper has it, and a dip at 6.5 s.
 
-    A tip that must at once run at 18 mm/s, or stand, gets K_d q̇_des of torque too much, of which 1.45 N and 2.2 N
+    A tip that must at once run at 10 mm/s, or stand, gets K_d q̇_des of torque too much, of which 1.7 N and 2.4 N
     reach the normal (the test above has the very number). A step of less than 1 N would not be the paper's, and one
     of more than 3 N would be shaking. The contact is never lost.
     """
     lowest, highest = int(np.argmin(slide.contact_force)), int(np.argmax(slide.contact_force))
-    assert slide.time[lowest] == pytest.approx(START)
-    assert 7.0 < slide.contact_force[lowest] < 9.0
-    assert slide.time[highest] == pytest.approx(STOP)
+    assert slide.time[highest] == pytest.approx(START)
     assert 11.0 < slide.contact_force[highest] < 13.0
+    assert slide.time[lowest] == pytest.approx(STOP)
+    assert 7.0 < slide.contact_force[lowest] < 9.0
+
+
+def test_the_arm_stretches_out_along_y(slide):
+    """The elbow opens steadily while the tip runs along +y, away from the base, below 20 mm/s."""
+    moving = rows(slide, START + 0.1, STOP - 0.1)
+    elbow = np.abs(slide.q[moving, 3])  # 0: stretched
+    assert np.all(np.diff(elbow) < 0.0)
+    reach = np.linalg.norm(slide.position[moving][:, :2], axis=1)
+    assert np.all(np.diff(reach) > 0.0)
 
 
 def test_force_settles_within_the_motion_and_after_it(slide):
@@ -99,12 +109,12 @@ def test_stabiliser_keeps_the_closure(slide):
 
 
 def test_without_the_stabiliser_the_closure_drifts_steadily(slide, unstabilised):
-    """Without the stabiliser |e| grows through the motion, past a micrometre, and stays there (Fig. 7)."""
+    """Without the stabiliser |e| grows through the motion, past half a micrometre, and stays there (Fig. 7)."""
     sizes = [size_at(unstabilised, second) for second in (1, 2, 3, 4, 5, 6)]
     increments = np.diff(sizes)
     assert np.all(increments > 0.0)
     assert increments.max() < 5.0 * increments.min()  # a creep, not a blow-up
-    assert 1e-6 < abs(unstabilised.closure_error[-1]) < 1e-5
+    assert 3e-7 < abs(unstabilised.closure_error[-1]) < 3e-6
     assert abs(unstabilised.closure_error[-1]) > 100 * np.max(np.abs(slide.closure_error))
 
 
@@ -118,7 +128,7 @@ def test_drift_is_truncation_and_falls_with_the_step(unstabilised):
 def test_force_hardly_feels_the_stabiliser(slide, unstabilised):
     """With and without the stabiliser the force is the same to 0.02 N: the stabiliser is no hidden spring.
 
-    Without it the tip is up to 2 µm off, which moves the PD torques by 900 N m/rad × 4e-6 rad and the force by a few
+    Without it the tip is up to 0.5 µm off, which moves the PD torques by 900 N m/rad × 1e-6 rad and the force by a few
     millinewtons. With it, the stabiliser's own share of f is that of ë = e/T² = 6e-10/1e-6 m/s² of a few kilograms:
     a few millinewtons at most.
     """
@@ -128,16 +138,16 @@ def test_force_hardly_feels_the_stabiliser(slide, unstabilised):
 
 
 def test_tip_moves_as_slowly_as_it_is_told(slide):
-    """The tip runs at 18 mm/s with less than a tenth of overshoot, and comes to rest."""
+    """The tip runs at 10 mm/s with less than a tenth of overshoot, and comes to rest."""
     speed = np.linalg.norm(slide.velocity, axis=1)
-    assert speed.max() < 0.02
+    assert speed.max() < 1.1 * SPEED < 0.02
     middle = rows(slide, 2.0, 6.0)
-    assert np.all(np.abs(speed[middle] - 0.018) < 1e-5)
+    assert np.all(np.abs(speed[middle] - SPEED) < 1e-5)
     assert speed[-1] < 1e-9
 
 
 def test_tip_goes_straight_along_y(slide):
-    """Only y changes: x and z stay within a micrometre, and y ends 108 mm further to 10 µm.
+    """Only y changes: x and z stay within a micrometre, and y ends 60 mm further to 10 µm.
 
     z is held by the closure (nanometres), x by the PD part alone, which lags behind the path in x by the same
     neglected H q̈_des that shows in the force: 1e-3 N over K_p, some 1e-8 m.

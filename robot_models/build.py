@@ -50,7 +50,7 @@ def build(text: str, format: str, locked: Mapping[str, float], where: str) -> Bu
     -------
     Built
         With nq == nv == n ≥ 1. The armature is that of the text (zero for a URDF), the gravity Pinocchio's
-        own.
+        own. A limit that the text does not give, and an effort or velocity limit of 0, is infinite.
 
     Raises
     ------
@@ -84,7 +84,12 @@ def build(text: str, format: str, locked: Mapping[str, float], where: str) -> Bu
     types = tuple(kinds[name] for name in list(model.names)[1:])
     for side in ("lowerPositionLimit", "upperPositionLimit", "velocityLimit", "effortLimit"):
         bound = np.array(getattr(model, side))
-        setattr(model, side, np.where(np.abs(bound) >= _NO_BOUND, np.copysign(np.inf, bound), bound))
+        bound = np.where(np.abs(bound) >= _NO_BOUND, np.copysign(np.inf, bound), bound)
+        if side in ("velocityLimit", "effortLimit"):
+            # A URDF has to give both numbers, and who knows neither writes 0: a joint that can neither move nor
+            # be driven is not what is meant.
+            bound = np.where(bound == 0.0, np.inf, bound)
+        setattr(model, side, bound)
     return Built(model, types)
 
 

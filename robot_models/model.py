@@ -37,9 +37,9 @@ class RobotModel:
     position_lower: Vector
     #: (n,) rad; ∞ where there is none.
     position_upper: Vector
-    #: (n,) rad/s; ∞ where there is none.
+    #: (n,) rad/s; ∞ where there is none, which a URDF writes as 0. A run is judged by it, not held to it.
     velocity_limit: Vector
-    #: (n,) N m; ∞ where there is none.
+    #: (n,) N m; ∞ where there is none, which a URDF writes as 0. A run is judged by it, not held to it.
     effort_limit: Vector
     #: "revolute", "continuous" or "prismatic".
     joint_types: tuple[str, ...]

@@ -1,27 +1,24 @@
 """From text to a Pinocchio model: one variable a joint, locked joints welded, limits as the text says.
 
-Pinocchio gives a continuous URDF joint the pair (cos q, sin q), which would make nq ≠ nv. Here it is built
-as a revolute joint without bounds: the same mechanism, one angle.
+What stands in the end is compared with the text.
 """
 
 import tempfile
-import xml.etree.ElementTree as ET
 from collections.abc import Mapping
 from dataclasses import dataclass
 from difflib import get_close_matches
 from pathlib import Path
+from sys import float_info
 from typing import TYPE_CHECKING
 
 import numpy as np
 
-from robot_models import mjcf, urdf
+from robot_models import mjcf, urdf, urdf_mechanism
+from robot_models.compare import check_built
 from robot_models.errors import ModelError
 
 if TYPE_CHECKING:
     import pinocchio as pin
-
-# urdfdom reads no "inf": no bound is written as this, and read back as infinity once the model stands.
-_NO_BOUND = 1e300
 
 
 @dataclass(frozen=True)
@@ -55,13 +52,14 @@ def build(text: str, format: str, locked: Mapping[str, float], where: str) -> Bu
     Raises
     ------
     ModelError
-        Pinocchio refuses the text, a locked joint is not in it, or nothing is left to move.
+        Pinocchio refuses the text or reads another mechanism than it says, a locked joint is not in it, or
+        nothing is left to move.
     """
     import pinocchio as pin
 
     kinds = urdf.joint_types(text) if format == "urdf" else {}
     try:
-        model = pin.buildModelFromXML(_bounded(text)) if format == "urdf" else _from_mjcf(text)
+        model = pin.buildModelFromXML(urdf_mechanism.for_pinocchio(text)) if format == "urdf" else _from_mjcf(text)
     except (ValueError, RuntimeError) as error:
         raise ModelError(f"{where}: Pinocchio cannot read it: {str(error).strip().splitlines()[0]}") from None
     names = list(model.names)[1:]
@@ -70,7 +68,7 @@ def build(text: str, format: str, locked: Mapping[str, float], where: str) -> Bu
             near = get_close_matches(name, names, n=1)
             hint = f"did you mean {near[0]!r}?" if near else f"the joints are {', '.join(names)}"
             raise ModelError(f"{where}: cannot lock {name!r}, no joint that moves: {hint}")
-        if not isinstance(value, int | float) or not np.isfinite(value):
+        if isinstance(value, bool) or not isinstance(value, int | float) or not abs(value) <= float_info.max:
             raise ModelError(f"{where}: cannot lock {name!r} at {value!r}: it must be a finite number")
     if locked:
         posture = np.zeros(model.nq)
@@ -84,12 +82,10 @@ def build(text: str, format: str, locked: Mapping[str, float], where: str) -> Bu
     types = tuple(kinds[name] for name in list(model.names)[1:])
     for side in ("lowerPositionLimit", "upperPositionLimit", "velocityLimit", "effortLimit"):
         bound = np.array(getattr(model, side))
-        bound = np.where(np.abs(bound) >= _NO_BOUND, np.copysign(np.inf, bound), bound)
-        if side in ("velocityLimit", "effortLimit"):
-            # A URDF has to give both numbers, and who knows neither writes 0: a joint that can neither move nor
-            # be driven is not what is meant.
-            bound = np.where(bound == 0.0, np.inf, bound)
+        bound = np.where(np.abs(bound) >= urdf_mechanism.NO_BOUND, np.copysign(np.inf, bound), bound)
         setattr(model, side, bound)
+    if format == "urdf":
+        check_built(model, urdf_mechanism.mechanism(text), locked, where)
     return Built(model, types)
 
 
@@ -104,22 +100,6 @@ def mjcf_joint_types(model: "pin.Model") -> dict[str, str]:
         else:
             types[model.names[joint]] = "revolute" if np.isfinite(model.upperPositionLimit[at]) else "continuous"
     return types
-
-
-def _bounded(text: str) -> str:
-    root = ET.fromstring(text)
-    touched = False
-    for joint in root.findall("joint"):
-        if joint.get("type") != "continuous":
-            continue
-        touched = True
-        joint.set("type", "revolute")
-        limit = joint.find("limit")
-        if limit is None:
-            limit = ET.SubElement(joint, "limit", effort=f"{_NO_BOUND}", velocity=f"{_NO_BOUND}")
-        limit.set("lower", f"{-_NO_BOUND}")
-        limit.set("upper", f"{_NO_BOUND}")
-    return ET.tostring(root, encoding="unicode") if touched else text
 
 
 def _from_mjcf(text: str) -> "pin.Model":

@@ -15,7 +15,7 @@ from typing import TYPE_CHECKING
 
 from robot_models.errors import ModelError
 from robot_models.physics import check_tensor
-from robot_models.xml_text import numbers, parse
+from robot_models.xml_text import numbers, parse, tidy
 
 if TYPE_CHECKING:
     import yourdfpy
@@ -30,11 +30,11 @@ _UNIT = 1e-6
 
 
 def read(text: str, where: str) -> str:
-    """Parse a URDF and return its text with unit joint axes.
+    """Parse a URDF and return its text with unit joint axes and without stray blanks in its attributes.
 
     Pinocchio scales a joint's axis to unit length; yourdfpy does so for revolute joints and not for prismatic
-    ones. Where an axis is not of unit length the text is written anew with the scaled one; otherwise it is
-    returned as it came.
+    ones. Where an axis is not of unit length, or an attribute has blanks that readers take differently, the text is
+    written anew; otherwise it is returned as it came.
 
     Raises
     ------
@@ -48,9 +48,9 @@ def read(text: str, where: str) -> str:
         raise ModelError(f"{where}: <robot> has no name")
     if any("xacro" in key for element in root.iter() for key in (element.tag, *element.attrib)):
         raise ModelError(f"{where} is a xacro template: expand it to a URDF first")
+    changed = tidy(root)
     _check_links(root, where)
     _check_joints(root, where)
-    rescaled = False
     for joint in root.findall("joint"):
         axis = joint.find("axis")
         if axis is None or joint.get("type") not in MOVING:
@@ -63,8 +63,8 @@ def read(text: str, where: str) -> str:
             raise ModelError(f"{at}: axis is {axis.get('xyz')!r}: a moving joint needs a direction")
         if abs(length - 1.0) > _UNIT:
             axis.set("xyz", " ".join(repr(x / length) for x in xyz))
-            rescaled = True
-    return ET.tostring(root, encoding="unicode") if rescaled else text
+            changed = True
+    return ET.tostring(root, encoding="unicode") if changed else text
 
 
 def joint_types(text: str) -> dict[str, str]:

@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from robot_models import mjcf, urdf, urdf_mechanism
+from robot_models import mjcf, mjcf_mechanism, urdf, urdf_mechanism
 from robot_models.compare import check_built
 from robot_models.errors import ModelError
 
@@ -84,8 +84,8 @@ def build(text: str, format: str, locked: Mapping[str, float], where: str) -> Bu
         bound = np.array(getattr(model, side))
         bound = np.where(np.abs(bound) >= urdf_mechanism.NO_BOUND, np.copysign(np.inf, bound), bound)
         setattr(model, side, bound)
-    if format == "urdf":
-        check_built(model, urdf_mechanism.mechanism(text), locked, where)
+    links = urdf_mechanism.mechanism(text) if format == "urdf" else mjcf_mechanism.mechanism(text, mjcf.STILL)
+    check_built(model, links, locked, where)
     return Built(model, types)
 
 

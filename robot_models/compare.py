@@ -41,7 +41,7 @@ def check_built(model: "pin.Model", links: Sequence[Link], locked: Mapping[str, 
     ------
     ModelError
         A link is missing, stands or hangs elsewhere, or what a joint carries has another mass, centre of mass or
-        tensor; a joint has another axis or another limit; or a number is not finite.
+        tensor; a joint has another axis, limit or armature; or a number is not finite.
     """
     with np.errstate(all="ignore"):  # what overflows is refused by name
         _check(model, links, locked, where)
@@ -101,6 +101,7 @@ def _check_joint(model: "pin.Model", link: Link, parent: int, placement: Array, 
         ("upper limit", model.upperPositionLimit[q], bounds.upper),
         ("velocity limit", model.velocityLimit[v], bounds.velocity),
         ("effort limit", model.effortLimit[v], bounds.effort),
+        ("armature", model.armature[v], link.armature),
     ):
         if not (is_ == said or abs(is_ - said) <= EQUAL * abs(said)):
             raise _differs(at, what, is_, said)
@@ -112,15 +113,15 @@ def _check_weight(held: "pin.Inertia", links: list[Link], poses: list[Array], le
     weights = [link.weight for link in links]
     said = lumped(weights, poses)
     named = ", ".join(repr(link.name) for link in links if link.weight.mass or link.weight.tensor.any())
-    at = f"{where}: link{'s' * (',' in named)} {named or repr(links[0].name if links else 'universe')}"
-    numbers = np.concatenate([[said.mass], said.centre, said.tensor.ravel()])
-    if not np.isfinite(numbers).all():
-        raise ModelError(f"{at}: the inertia is not finite: some number is far too large")
+    at = f"{where}: link{'s' * (',' in named)} {named or repr(links[0].name if links else 'world')}"
     mass = sum(abs(weight.mass) for weight in weights)
-    if not abs(held.mass - said.mass) <= EQUAL * mass:
+    if np.isfinite(mass) and not abs(held.mass - said.mass) <= EQUAL * mass:
         raise _differs(_culprit(at, where, links, poses, held), "mass", held.mass, said.mass)
     centres = [pose[:3, :3] @ weight.centre + pose[:3, 3] for weight, pose in zip(weights, poses, strict=True)]
     reach = max((float(np.linalg.norm(centre)) for centre in centres), default=0.0)
+    numbers = np.concatenate([[said.mass * (reach + length) ** 2], said.centre, said.tensor.ravel()])
+    if not np.isfinite(numbers).all():
+        raise ModelError(f"{at}: the inertia is not finite: some number is far too large")
     if said.mass and not np.abs(held.lever - said.centre).max() <= EQUAL * reach + _ROUNDING * length:
         raise _differs(at, "centre of mass", np.array(held.lever), said.centre)
     size = sum(float(np.abs(weight.tensor).max()) for weight in weights) + float(np.abs(said.tensor).max())

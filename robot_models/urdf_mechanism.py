@@ -13,7 +13,10 @@ NO_BOUND = 1e300
 # them are not the mechanism, and where urdfdom stumbles over one of them it drops the whole joint or file.
 _INERTIAL = {"origin": ("xyz", "rpy"), "mass": ("value",), "inertia": ("ixx", "ixy", "ixz", "iyy", "iyz", "izz")}
 _JOINT = {
-    **{"parent": ("link",), "child": ("link",), "origin": ("xyz", "rpy"), "axis": ("xyz",)},
+    "parent": ("link",),
+    "child": ("link",),
+    "origin": ("xyz", "rpy"),
+    "axis": ("xyz",),
     "dynamics": ("damping", "friction"),
 }
 

@@ -29,6 +29,7 @@ class Built:
     joint_types: tuple[str, ...]
 
 
+@np.errstate(all="ignore")  # what overflows is refused by name
 def build(text: str, format: str, locked: Mapping[str, float], where: str) -> Built:
     """Build the model that a canonical text describes.
 

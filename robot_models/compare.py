@@ -43,11 +43,6 @@ def check_built(model: "pin.Model", links: Sequence[Link], locked: Mapping[str, 
         A link is missing, stands or hangs elsewhere, or what a joint carries has another mass, centre of mass or
         tensor; a joint has another axis, limit or armature; or a number is not finite.
     """
-    with np.errstate(all="ignore"):  # what overflows is refused by name
-        _check(model, links, locked, where)
-
-
-def _check(model: "pin.Model", links: Sequence[Link], locked: Mapping[str, float], where: str) -> None:
     import pinocchio as pin
 
     body = {f.name: f for f in model.frames if f.type == pin.FrameType.BODY}
@@ -68,7 +63,7 @@ def _check(model: "pin.Model", links: Sequence[Link], locked: Mapping[str, float
             raise ModelError(f"{at} has a pose that is not finite: some number is far too large")
         frame = (site if link.site else body).get(link.name)
         if frame is None or frame.parentJoint != carrier or not _same_pose(frame.placement, pose, length):
-            raise _differs(at, "place", np.array(frame.placement.translation) if frame else "nothing", pose[:3, 3])
+            raise _misplaced(at, frame.placement if frame else None, pose)
         carriers.append(carrier)
         poses.append(pose)
     moving = {link.joint for link in links if link.kind != "fixed" and link.joint not in locked}
@@ -89,7 +84,7 @@ def _check_joint(model: "pin.Model", link: Link, parent: int, placement: Array, 
         raise ModelError(f"{at} has a pose that is not finite: some number is far too large")
     held = model.jointPlacements[joint]
     if model.parents[joint] != parent or not _same_pose(held, placement, length):
-        raise _differs(at, "place", np.array(held.translation), placement[:3, 3])
+        raise _misplaced(at, held, placement)
     # The subspace of the joint's motion is its axis: the lower half of a revolute joint's, the upper of a slider's.
     motion = np.array(model.joints[joint].createData().S).ravel()
     wanted = np.concatenate([link.axis, np.zeros(3)] if link.kind == "prismatic" else [np.zeros(3), link.axis])
@@ -148,6 +143,15 @@ def _same_pose(held: "pin.SE3", said: Array, length: float) -> bool:
     turn = float(np.abs(held.rotation - said[:3, :3]).max())
     shift = float(np.abs(held.translation - said[:3, 3]).max())
     return turn <= EQUAL and shift <= EQUAL * float(np.abs(said[:3, 3]).max()) + _ROUNDING * length
+
+
+def _misplaced(at: str, held: "pin.SE3 | None", said: Array) -> ModelError:
+    if held is None:
+        return ModelError(f"{at} is not in Pinocchio's model")
+    moved = np.abs(held.translation - said[:3, 3]).max() > EQUAL * np.abs(said[:3, 3]).max()
+    if moved:
+        return _differs(at, "place", np.array(held.translation), said[:3, 3])
+    return _differs(at, "orientation", np.array(held.rotation).ravel(), said[:3, :3].ravel())
 
 
 def _differs(at: str, what: str, held: object, said: object) -> ModelError:

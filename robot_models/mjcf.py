@@ -8,7 +8,8 @@ Read against Pinocchio 4.1 and MuJoCo 3.17, Pinocchio's own reader
 - mixes a joint's class with the `childclass` around it, where MuJoCo takes the class alone;
 - counts no geom without contact in an inertia that is inferred from geoms, and, under
   `inertiafromgeom="true"`, leaves a body without geoms massless, where MuJoCo does neither;
-- turns a negative mass into 0;
+- turns a negative mass into 0, and takes the axis of an axisangle for a unit vector and the
+  range of a slide joint for degrees;
 - looks for mesh files even where no inertia depends on them;
 - wants `<compiler>` to stand before the bodies, and counts several joints of one body as one.
 
@@ -25,7 +26,7 @@ from pathlib import Path
 from robot_models.errors import ModelError
 from robot_models.mechanism import check_size
 from robot_models.mjcf_defaults import Defaults
-from robot_models.mjcf_mechanism import Units, mechanism
+from robot_models.mjcf_mechanism import TURNS, Units, mechanism, pose
 from robot_models.mjcf_schema import check_schema
 from robot_models.mjcf_values import (
     check_geom,
@@ -37,6 +38,7 @@ from robot_models.mjcf_values import (
     check_weighing_geom,
     is_mesh,
 )
+from robot_models.notes import LEFT_OUT
 from robot_models.xml_text import MAX_DEPTH, MAX_ELEMENTS, numbers, parse, read_text, tidy
 
 #: Sections that would change the motion.
@@ -45,7 +47,7 @@ _IN_BODY = ("body", "joint", "inertial", "geom", "site")
 _IGNORED_IN_BODY = ("camera", "light")
 
 #: Attributes that survive: everything that places, moves or weighs something, and what a viewer draws.
-_POSE = ("pos", "quat", "axisangle", "euler", "xyaxes", "zaxis")
+_POSE = ("pos", *TURNS)
 _ATTRIBUTES = {
     "body": ("name", *_POSE),
     "inertial": ("mass", "diaginertia", "fullinertia", *_POSE),
@@ -56,6 +58,9 @@ _ATTRIBUTES = {
 
 #: Files that one model may include.
 MAX_INCLUDES = 100
+
+# What a joint says of friction; it does not act.
+_FRICTION = ("damping", "frictionloss")
 
 #: The body that `for_pinocchio` adds; no body of a file may be named so.
 STILL = "robot_models/world"
@@ -112,9 +117,14 @@ def read(text: str, where: str, folder: Path | None) -> str:
     defaults = Defaults(root, where)
     defaults.check_references(root)
     names: set[tuple[str, str]] = set()
+    # Joints with friction, from the file itself or from a canonical text that was written before.
+    rough = [e.get("data", "") for e in root.iterfind("custom/text") if e.get("name") == LEFT_OUT]
     for element in root.findall("worldbody"):
-        _copy_body(element, world, defaults, Units(out), None, False, f"{where}: the world", names)
+        _copy_body(element, world, defaults, Units(out), None, False, f"{where}: the world", names, rough)
     check_weighing_bodies(mechanism(ET.tostring(out, encoding="unicode"), STILL), where)
+    if rough:
+        custom = ET.SubElement(out, "custom")
+        ET.SubElement(custom, "text", name=LEFT_OUT, data="\n".join(rough))
     keys = ET.SubElement(out, "keyframe")
     for key in root.iterfind("keyframe/key[@qpos]"):
         numbers(key.attrib["qpos"], None, f"{where}: keyframe qpos")
@@ -140,18 +150,38 @@ def for_pinocchio(text: str) -> str:
     """Put all bodies of a canonical MJCF under one still body at the origin, and drop keyframes and idle geoms.
 
     Pinocchio reads one body of the world and loses its pose if it has no joint: a still one at the origin has
-    none to lose. Its name cannot clash: `read` refuses it.
+    none to lose. It loses the sites of the world, too, so these are left out. Its name cannot clash: `read` refuses it.
     """
     root = ET.fromstring(text)
     world = root.find("worldbody")
     still = ET.Element("body", name=STILL)
     if world is not None:
-        still.extend([element for element in world if element.tag in ("body", "site")])
+        still.extend(world.findall("body"))
         world[:] = [still]
         _drop_idle_geoms(still, False)
+        _write_plainly(still, Units(root))
+    for compiler in root.findall("compiler"):
+        compiler.set("angle", "radian")
     for keyframe in root.findall("keyframe"):
         root.remove(keyframe)
     return ET.tostring(root, encoding="unicode")
+
+
+def _write_plainly(body: ET.Element, units: Units) -> None:
+    """Write every turn as a unit quaternion and every range in rad (m), in place."""
+    import pinocchio as pin
+
+    for joint in body.iter("joint"):
+        if "range" in joint.attrib and joint.get("type") != "slide":
+            low, high = (units.angle(float(word)) for word in joint.attrib["range"].split())
+            joint.set("range", f"{low!r} {high!r}")
+    for element in body.iter():
+        if any(key in element.attrib for key in TURNS):
+            turn = pose(element.attrib, units)[:3, :3]
+            for key in TURNS:
+                element.attrib.pop(key, None)
+            x, y, z, w = pin.Quaternion(turn).coeffs().tolist()
+            element.set("quat", f"{w!r} {x!r} {y!r} {z!r}")
 
 
 def _drop_idle_geoms(body: ET.Element, moves: bool) -> None:
@@ -196,6 +226,7 @@ def _copy_body(
     moves: bool,
     at: str,
     names: set[tuple[str, str]],
+    rough: list[str],
 ) -> None:
     childclass = source.get("childclass", childclass)
     where = at.split(": ")[0]
@@ -224,11 +255,15 @@ def _copy_body(
             continue
         if child.tag in ("body", "joint"):
             _check_name(child.tag, given, at, here, names)
+        if child.tag == "site" and source.tag == "worldbody":
+            continue
         copy = ET.SubElement(target, child.tag, {k: given[k] for k in _ATTRIBUTES[child.tag] if k in given})
         if child.tag == "body":
-            _copy_body(child, copy, defaults, units, childclass, moves, here, names)
+            _copy_body(child, copy, defaults, units, childclass, moves, here, names, rough)
         elif child.tag == "joint":
             check_joint(given, here)
+            if any(word.strip("0.") for key in _FRICTION for word in given.get(key, "").split()):
+                rough.append(given["name"])
         elif child.tag == "inertial":
             check_inertial(given, at)
 

@@ -11,6 +11,9 @@ from robot_models.mechanism import Array, Bounds, Link, Weight, lumped, transfor
 #: A direction or a turn shorter than this is none, as for MuJoCo.
 LEAST_LENGTH = 1e-10
 
+#: The attributes that turn an element; one of them at most.
+TURNS = ("quat", "axisangle", "euler", "xyaxes", "zaxis")
+
 #: kg/m³ of a geom that does not say.
 _DENSITY = 1000.0
 

@@ -6,11 +6,9 @@ import numpy as np
 
 from robot_models.errors import ModelError
 from robot_models.mechanism import Link
-from robot_models.mjcf_mechanism import LEAST_LENGTH, Units, pose, sizes, tensor_of
+from robot_models.mjcf_mechanism import LEAST_LENGTH, TURNS, Units, pose, sizes, tensor_of
 from robot_models.physics import LEAST_INERTIA, check_tensor
 from robot_models.xml_text import numbers
-
-_TURNS = ("quat", "axisangle", "euler", "xyaxes", "zaxis")
 
 # The least and the most numbers that an attribute holds; None leaves it open. Others are words.
 _COUNTS: dict[str, tuple[int, int | None]] = {
@@ -84,7 +82,7 @@ def check_values(tag: str, given: dict[str, str], units: Units, at: str) -> None
         words = _WORDS.get((tag, key))
         if words is not None and value not in words:
             raise ModelError(f"{at}: {key} is {value!r}: it must be one of {', '.join(words)}")
-    turns = [key for key in _TURNS if key in given]
+    turns = [key for key in TURNS if key in given]
     if len(turns) > 1:
         raise ModelError(f"{at} is turned by {' and '.join(turns)}: one of them is allowed")
     try:
@@ -119,7 +117,7 @@ def check_inertial(given: dict[str, str], at: str) -> None:
     for key, alternatives in (("pos", ("pos",)), ("mass", ("mass",)), ("diaginertia", ("diaginertia", "fullinertia"))):
         if not any(name in given for name in alternatives):
             raise ModelError(f"{at}: <inertial> lacks {key!r}")
-    if "fullinertia" in given and (more := [key for key in ("diaginertia", *_TURNS) if key in given]):
+    if "fullinertia" in given and (more := [key for key in ("diaginertia", *TURNS) if key in given]):
         raise ModelError(f"{at}: <inertial> has fullinertia and {more[0]}: one of them is allowed")
     (mass,) = numbers(given["mass"], 1, f"{at}: mass")
     if mass < 0.0:
@@ -162,9 +160,8 @@ def check_weighing_bodies(links: list[Link], where: str) -> None:
     weighs = [False] * len(links)
     for at in range(len(links) - 1, -1, -1):  # children before their parents
         weight = links[at].weight
-        with np.errstate(all="ignore"):
-            finite = np.isfinite(weight.tensor).all()
-            heavy = weight.mass > LEAST_INERTIA and finite and np.linalg.eigvalsh(weight.tensor).min() > LEAST_INERTIA
+        finite = np.isfinite(weight.tensor).all()
+        heavy = weight.mass > LEAST_INERTIA and finite and np.linalg.eigvalsh(weight.tensor).min() > LEAST_INERTIA
         weighs[at] = weighs[at] or bool(heavy) or not finite  # what is not finite is refused for that
         if links[at].kind != "fixed" and not weighs[at]:
             raise ModelError(

@@ -55,6 +55,8 @@ class RobotModel:
     gravity: Vector = field(default_factory=lambda: np.array([0.0, 0.0, -9.81]))
     description: str = ""
     source: str = ""
+    #: What the text says and a run does not act on, a line each: friction, limits.
+    notes: tuple[str, ...] = ()
 
     def __post_init__(self) -> None:
         for entry in fields(self):

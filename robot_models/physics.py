@@ -58,8 +58,7 @@ def check_tensor(tensor: NDArray[np.float64], mass: float, what: str, rounding: 
         inequality fails, by more than rounding of printed digits.
     """
     try:
-        with np.errstate(all="ignore"):
-            low, mid, high = np.linalg.eigvalsh(tensor)
+        low, mid, high = np.linalg.eigvalsh(tensor)
     except np.linalg.LinAlgError:
         low = mid = high = np.nan
     if not np.isfinite([low, mid, high]).all():

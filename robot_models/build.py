@@ -1,27 +1,24 @@
 """From text to a Pinocchio model: one variable a joint, locked joints welded, limits as the text says.
 
-Pinocchio gives a continuous URDF joint the pair (cos q, sin q), which would make nq ≠ nv. Here it is built
-as a revolute joint without bounds: the same mechanism, one angle.
+What stands in the end is compared with the text.
 """
 
 import tempfile
-import xml.etree.ElementTree as ET
 from collections.abc import Mapping
 from dataclasses import dataclass
 from difflib import get_close_matches
 from pathlib import Path
+from sys import float_info
 from typing import TYPE_CHECKING
 
 import numpy as np
 
-from robot_models import mjcf, urdf
+from robot_models import mjcf, mjcf_mechanism, urdf, urdf_mechanism
+from robot_models.compare import check_built
 from robot_models.errors import ModelError
 
 if TYPE_CHECKING:
     import pinocchio as pin
-
-# urdfdom reads no "inf": no bound is written as this, and read back as infinity once the model stands.
-_NO_BOUND = 1e300
 
 
 @dataclass(frozen=True)
@@ -32,6 +29,7 @@ class Built:
     joint_types: tuple[str, ...]
 
 
+@np.errstate(all="ignore")  # what overflows is refused by name
 def build(text: str, format: str, locked: Mapping[str, float], where: str) -> Built:
     """Build the model that a canonical text describes.
 
@@ -50,18 +48,19 @@ def build(text: str, format: str, locked: Mapping[str, float], where: str) -> Bu
     -------
     Built
         With nq == nv == n ≥ 1. The armature is that of the text (zero for a URDF), the gravity Pinocchio's
-        own.
+        own. A limit that the text does not give, and an effort or velocity limit of 0, is infinite.
 
     Raises
     ------
     ModelError
-        Pinocchio refuses the text, a locked joint is not in it, or nothing is left to move.
+        Pinocchio refuses the text or reads another mechanism than it says, a locked joint is not in it, or
+        nothing is left to move.
     """
     import pinocchio as pin
 
     kinds = urdf.joint_types(text) if format == "urdf" else {}
     try:
-        model = pin.buildModelFromXML(_bounded(text)) if format == "urdf" else _from_mjcf(text)
+        model = pin.buildModelFromXML(urdf_mechanism.for_pinocchio(text)) if format == "urdf" else _from_mjcf(text)
     except (ValueError, RuntimeError) as error:
         raise ModelError(f"{where}: Pinocchio cannot read it: {str(error).strip().splitlines()[0]}") from None
     names = list(model.names)[1:]
@@ -70,7 +69,7 @@ def build(text: str, format: str, locked: Mapping[str, float], where: str) -> Bu
             near = get_close_matches(name, names, n=1)
             hint = f"did you mean {near[0]!r}?" if near else f"the joints are {', '.join(names)}"
             raise ModelError(f"{where}: cannot lock {name!r}, no joint that moves: {hint}")
-        if not isinstance(value, int | float) or not np.isfinite(value):
+        if isinstance(value, bool) or not isinstance(value, int | float) or not abs(value) <= float_info.max:
             raise ModelError(f"{where}: cannot lock {name!r} at {value!r}: it must be a finite number")
     if locked:
         posture = np.zeros(model.nq)
@@ -84,7 +83,10 @@ def build(text: str, format: str, locked: Mapping[str, float], where: str) -> Bu
     types = tuple(kinds[name] for name in list(model.names)[1:])
     for side in ("lowerPositionLimit", "upperPositionLimit", "velocityLimit", "effortLimit"):
         bound = np.array(getattr(model, side))
-        setattr(model, side, np.where(np.abs(bound) >= _NO_BOUND, np.copysign(np.inf, bound), bound))
+        bound = np.where(np.abs(bound) >= urdf_mechanism.NO_BOUND, np.copysign(np.inf, bound), bound)
+        setattr(model, side, bound)
+    links = urdf_mechanism.mechanism(text) if format == "urdf" else mjcf_mechanism.mechanism(text, mjcf.STILL)
+    check_built(model, links, locked, where)
     return Built(model, types)
 
 
@@ -99,22 +101,6 @@ def mjcf_joint_types(model: "pin.Model") -> dict[str, str]:
         else:
             types[model.names[joint]] = "revolute" if np.isfinite(model.upperPositionLimit[at]) else "continuous"
     return types
-
-
-def _bounded(text: str) -> str:
-    root = ET.fromstring(text)
-    touched = False
-    for joint in root.findall("joint"):
-        if joint.get("type") != "continuous":
-            continue
-        touched = True
-        joint.set("type", "revolute")
-        limit = joint.find("limit")
-        if limit is None:
-            limit = ET.SubElement(joint, "limit", effort=f"{_NO_BOUND}", velocity=f"{_NO_BOUND}")
-        limit.set("lower", f"{-_NO_BOUND}")
-        limit.set("upper", f"{_NO_BOUND}")
-    return ET.tostring(root, encoding="unicode") if touched else text
 
 
 def _from_mjcf(text: str) -> "pin.Model":

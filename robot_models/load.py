@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Literal
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from robot_models import build, example_robots, inspected, mjcf, physics, shipped, urdf
+from robot_models import build, example_robots, inspected, mjcf, notes, physics, shipped, urdf
 from robot_models.errors import ModelError
 from robot_models.model import RobotModel
 from robot_models.sidecar import Sidecar, read_sidecar
@@ -40,6 +40,7 @@ class _Description:
     sidecar: Sidecar
 
 
+@np.errstate(all="ignore")  # what overflows is refused by name
 def load(name: "str | PathLike[str]", *, drive_inertia: bool = True, lock: Lock = ()) -> RobotModel:
     """Load a robot on a fixed base.
 
@@ -79,6 +80,7 @@ def load(name: "str | PathLike[str]", *, drive_inertia: bool = True, lock: Lock 
     return _finish(built, home, found, locked, _default_tip(model) if defaults.tip is None else defaults.tip, None)
 
 
+@np.errstate(all="ignore")  # what overflows is refused by name
 def from_text(
     text: str,
     format: Format,
@@ -256,11 +258,12 @@ def _finish(
     physics.check_mechanism(model, home, found.where)
     if gravity is None:
         gravity = np.array(mjcf.gravity(found.text) if found.format == "mjcf" else (0.0, 0.0, -9.81))
+    joints = tuple(model.names)[1:]
     robot = RobotModel(
         name=found.name,
         format=found.format,
         text=found.text,
-        joint_names=tuple(model.names)[1:],
+        joint_names=joints,
         armature=model.armature,
         position_lower=model.lowerPositionLimit,
         position_upper=model.upperPositionLimit,
@@ -274,6 +277,7 @@ def _finish(
         gravity=gravity,
         description=found.sidecar.description,
         source=found.sidecar.source,
+        notes=notes.notes(found.text, found.format, joints, model.velocityLimit, model.effortLimit),
     )
     if tip is not None:
         robot.require_frame(tip)

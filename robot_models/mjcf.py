@@ -8,7 +8,8 @@ Read against Pinocchio 4.1 and MuJoCo 3.17, Pinocchio's own reader
 - mixes a joint's class with the `childclass` around it, where MuJoCo takes the class alone;
 - counts no geom without contact in an inertia that is inferred from geoms, and, under
   `inertiafromgeom="true"`, leaves a body without geoms massless, where MuJoCo does neither;
-- turns a negative mass into 0;
+- turns a negative mass into 0, and takes the axis of an axisangle for a unit vector and the
+  range of a slide joint for degrees;
 - looks for mesh files even where no inertia depends on them;
 - wants `<compiler>` to stand before the bodies, and counts several joints of one body as one.
 
@@ -22,21 +23,31 @@ import xml.etree.ElementTree as ET
 from collections.abc import Iterator
 from pathlib import Path
 
-import numpy as np
-
 from robot_models.errors import ModelError
+from robot_models.mechanism import check_size
 from robot_models.mjcf_defaults import Defaults
-from robot_models.physics import check_tensor
-from robot_models.xml_text import numbers, parse, read_text
+from robot_models.mjcf_mechanism import TURNS, Units, mechanism, pose
+from robot_models.mjcf_schema import check_schema
+from robot_models.mjcf_values import (
+    check_geom,
+    check_inertial,
+    check_joint,
+    check_neutral,
+    check_values,
+    check_weighing_bodies,
+    check_weighing_geom,
+    is_mesh,
+)
+from robot_models.notes import LEFT_OUT
+from robot_models.xml_text import MAX_DEPTH, MAX_ELEMENTS, numbers, parse, read_text, tidy
 
-#: Sections that describe the mechanism, and those that may stand in a file and have no part in it.
-_KEPT = ("compiler", "option", "default", "worldbody", "keyframe")
-_LEFT_OUT = ("actuator", "asset", "contact", "custom", "sensor", "size", "statistic", "visual")
+#: Sections that would change the motion.
+_REFUSED = ("deformable", "equality", "extension", "tendon")
 _IN_BODY = ("body", "joint", "inertial", "geom", "site")
 _IGNORED_IN_BODY = ("camera", "light")
 
 #: Attributes that survive: everything that places, moves or weighs something, and what a viewer draws.
-_POSE = ("pos", "quat", "axisangle", "euler", "xyaxes", "zaxis")
+_POSE = ("pos", *TURNS)
 _ATTRIBUTES = {
     "body": ("name", *_POSE),
     "inertial": ("mass", "diaginertia", "fullinertia", *_POSE),
@@ -45,41 +56,14 @@ _ATTRIBUTES = {
     "geom": ("name", "type", "size", "fromto", "mass", "density", "rgba", "contype", "conaffinity", *_POSE),
 }
 
-# How many numbers an attribute holds; None leaves it open. Others are words.
-_COUNTS: dict[str, int | None] = {
-    **dict.fromkeys(("mass", "armature", "density", "contype", "conaffinity"), 1),
-    **dict.fromkeys(("range", "actuatorfrcrange"), 2),
-    **dict.fromkeys(("pos", "euler", "zaxis", "axis", "diaginertia"), 3),
-    **dict.fromkeys(("quat", "axisangle", "rgba"), 4),
-    **dict.fromkeys(("xyaxes", "fullinertia", "fromto"), 6),
-    "size": None,
-}
+#: Files that one model may include.
+MAX_INCLUDES = 100
+
+# What a joint says of friction; it does not act.
+_FRICTION = ("damping", "frictionloss")
 
 #: The body that `for_pinocchio` adds; no body of a file may be named so.
 STILL = "robot_models/world"
-
-# What would change the motion if it were dropped: element, attribute, the values that change nothing.
-_NEUTRAL = (
-    ("joint", "stiffness", ("0",), "a spring is not simulated"),
-    ("joint", "ref", ("0",), "a joint's zero is where the model is drawn"),
-    ("joint", "limited", ("auto", "true"), "drop the range instead"),
-    ("joint", "springdamper", ("0 0",), "a spring is not simulated"),
-    ("body", "gravcomp", ("0",), "gravity compensation is not simulated"),
-    ("body", "mocap", ("false",), "a mocap body is not simulated"),
-    ("option", "density", ("0",), "a medium is not simulated"),
-    ("option", "viscosity", ("0",), "a medium is not simulated"),
-    ("flag", "gravity", ("enable",), 'write gravity="0 0 0"'),
-    ("compiler", "angle", ("degree", "radian"), "use degree or radian"),
-    ("compiler", "inertiafromgeom", ("auto", "false"), "give every body its <inertial>"),
-    ("compiler", "inertiagrouprange", (), "give every body its <inertial>"),
-    ("compiler", "autolimits", ("true",), "let a range mean a limit"),
-    ("compiler", "coordinate", ("local",), "use local coordinates"),
-    ("compiler", "balanceinertia", ("false",), "give the inertia that is meant"),
-    ("compiler", "settotalmass", ("-1",), "give the masses that are meant"),
-    ("compiler", "boundmass", ("0",), "give the masses that are meant"),
-    ("compiler", "boundinertia", ("0",), "give the inertias that are meant"),
-    ("compiler", "alignfree", ("auto", "false"), "it concerns free joints"),
-)
 
 
 def read(text: str, where: str, folder: Path | None) -> str:
@@ -103,13 +87,19 @@ def read(text: str, where: str, folder: Path | None) -> str:
     if root.tag != "mujoco":
         raise ModelError(f"{where} is no MJCF: its root is <{root.tag}>, not <mujoco>")
     _include(root, where, folder, set())
+    if sum(1 for _ in root.iter()) > MAX_ELEMENTS:
+        raise ModelError(f"{where} has more than {MAX_ELEMENTS} elements with what it includes")
+    moving = root.findall("worldbody//joint")
+    check_size(len(root.findall("worldbody//body")) + len(root.findall("worldbody//site")), len(moving), where)
+    tidy(root)
     for section in root:
-        if section.tag not in (*_KEPT, *_LEFT_OUT):
+        if section.tag in _REFUSED:
             raise ModelError(f"{where}: <{section.tag}> is not simulated: the model must do without it")
+    check_schema(root, where)
     out = ET.Element("mujoco", model=root.get("model") or "model")
     compiler = ET.SubElement(out, "compiler")
     for element in root.findall("compiler"):
-        _check_neutral(element, dict(element.attrib), f"{where}: <compiler>")
+        check_neutral(element, dict(element.attrib), f"{where}: <compiler>")
         sequence = element.get("eulerseq", "xyz")
         if len(sequence) != 3 or not set(sequence) <= set("xyz"):
             raise ModelError(
@@ -119,15 +109,22 @@ def read(text: str, where: str, folder: Path | None) -> str:
         compiler.attrib.update({k: v for k, v in element.attrib.items() if k in ("angle", "eulerseq")})
     for element in root.findall("option"):
         for part in element.iter():
-            _check_neutral(part, dict(part.attrib), f"{where}: <{part.tag}>")
+            check_neutral(part, dict(part.attrib), f"{where}: <{part.tag}>")
         if "gravity" in element.attrib:
             numbers(element.attrib["gravity"], 3, f"{where}: option gravity")
             ET.SubElement(out, "option", gravity=element.attrib["gravity"])
     world = ET.SubElement(out, "worldbody")
     defaults = Defaults(root, where)
+    defaults.check_references(root)
     names: set[tuple[str, str]] = set()
+    # Joints with friction, from the file itself or from a canonical text that was written before.
+    rough = [e.get("data", "") for e in root.iterfind("custom/text") if e.get("name") == LEFT_OUT]
     for element in root.findall("worldbody"):
-        _copy_body(element, world, defaults, None, False, f"{where}: the world", names)
+        _copy_body(element, world, defaults, Units(out), None, False, f"{where}: the world", names, rough)
+    check_weighing_bodies(mechanism(ET.tostring(out, encoding="unicode"), STILL), where)
+    if rough:
+        custom = ET.SubElement(out, "custom")
+        ET.SubElement(custom, "text", name=LEFT_OUT, data="\n".join(rough))
     keys = ET.SubElement(out, "keyframe")
     for key in root.iterfind("keyframe/key[@qpos]"):
         numbers(key.attrib["qpos"], None, f"{where}: keyframe qpos")
@@ -150,29 +147,61 @@ def home(text: str) -> list[float] | None:
 
 
 def for_pinocchio(text: str) -> str:
-    """Put all bodies of a canonical MJCF under one still body at the origin, and drop the keyframes.
+    """Put all bodies of a canonical MJCF under one still body at the origin, and drop keyframes and idle geoms.
 
     Pinocchio reads one body of the world and loses its pose if it has no joint: a still one at the origin has
-    none to lose. Its name cannot clash: `read` refuses it.
+    none to lose. It loses the sites of the world, too, so these are left out. Its name cannot clash: `read` refuses it.
     """
     root = ET.fromstring(text)
     world = root.find("worldbody")
     still = ET.Element("body", name=STILL)
     if world is not None:
-        still.extend([element for element in world if element.tag in ("body", "site")])
+        still.extend(world.findall("body"))
         world[:] = [still]
+        _drop_idle_geoms(still, False)
+        _write_plainly(still, Units(root))
+    for compiler in root.findall("compiler"):
+        compiler.set("angle", "radian")
     for keyframe in root.findall("keyframe"):
         root.remove(keyframe)
     return ET.tostring(root, encoding="unicode")
 
 
-def _include(element: ET.Element, where: str, folder: Path | None, seen: set[Path]) -> None:
+def _write_plainly(body: ET.Element, units: Units) -> None:
+    """Write every turn as a unit quaternion and every range in rad (m), in place."""
+    import pinocchio as pin
+
+    for joint in body.iter("joint"):
+        if "range" in joint.attrib and joint.get("type") != "slide":
+            low, high = (units.angle(float(word)) for word in joint.attrib["range"].split())
+            joint.set("range", f"{low!r} {high!r}")
+    for element in body.iter():
+        if any(key in element.attrib for key in TURNS):
+            turn = pose(element.attrib, units)[:3, :3]
+            for key in TURNS:
+                element.attrib.pop(key, None)
+            x, y, z, w = pin.Quaternion(turn).coeffs().tolist()
+            element.set("quat", f"{w!r} {x!r} {y!r} {z!r}")
+
+
+def _drop_idle_geoms(body: ET.Element, moves: bool) -> None:
+    """Drop the geoms that no inertia is taken from: of bodies that never move, and of those with an <inertial>."""
+    if not moves or body.find("inertial") is not None:
+        for geom in body.findall("geom"):
+            body.remove(geom)
+    for child in body.findall("body"):
+        _drop_idle_geoms(child, moves or child.find("joint") is not None)
+
+
+def _include(element: ET.Element, where: str, folder: Path | None, seen: set[Path], depth: int = 0) -> None:
     """Replace every <include> by its file's content: each file once, relative to the model's folder."""
+    if depth > MAX_DEPTH or len(seen) > MAX_INCLUDES:
+        raise ModelError(f"{where}: more than {MAX_DEPTH} levels or {MAX_INCLUDES} files with what it includes")
     position = 0
     while position < len(element):
         child = element[position]
         if child.tag != "include":
-            _include(child, where, folder, seen)
+            _include(child, where, folder, seen, depth + 1)
             position += 1
             continue
         name = child.get("file")
@@ -192,10 +221,12 @@ def _copy_body(
     source: ET.Element,
     target: ET.Element,
     defaults: Defaults,
+    units: Units,
     childclass: str | None,
     moves: bool,
     at: str,
     names: set[tuple[str, str]],
+    rough: list[str],
 ) -> None:
     childclass = source.get("childclass", childclass)
     where = at.split(": ")[0]
@@ -214,21 +245,27 @@ def _copy_body(
         given = defaults.resolve(child, childclass)
         name = f"{child.tag} {given['name']!r}" if "name" in given else f"a {child.tag} without a name"
         here = f"{where}: {name}"
-        _check_neutral(child, given, here)
-        _check_numbers(child.tag, given, here)
+        check_neutral(child, given, here)
+        check_values(child.tag, given, units, here)
+        if child.tag == "geom":
+            check_geom(given, here)
         if child.tag == "geom" and weighs:
-            _check_weighing_geom(given, at)
-        elif child.tag == "geom" and _is_mesh(given):
+            check_weighing_geom(given, at)
+        elif child.tag == "geom" and is_mesh(given):
             continue
         if child.tag in ("body", "joint"):
             _check_name(child.tag, given, at, here, names)
+        if child.tag == "site" and source.tag == "worldbody":
+            continue
         copy = ET.SubElement(target, child.tag, {k: given[k] for k in _ATTRIBUTES[child.tag] if k in given})
         if child.tag == "body":
-            _copy_body(child, copy, defaults, childclass, moves, here, names)
+            _copy_body(child, copy, defaults, units, childclass, moves, here, names, rough)
         elif child.tag == "joint":
-            _check_joint(given, here)
+            check_joint(given, here)
+            if any(word.strip("0.") for key in _FRICTION for word in given.get(key, "").split()):
+                rough.append(given["name"])
         elif child.tag == "inertial":
-            _check_inertial(given, at)
+            check_inertial(given, at)
 
 
 def _check_name(tag: str, given: dict[str, str], at: str, here: str, names: set[tuple[str, str]]) -> None:
@@ -238,70 +275,6 @@ def _check_name(tag: str, given: dict[str, str], at: str, here: str, names: set[
     if (tag, name) in names:
         raise ModelError(f"{here}: the name is taken: names must differ")
     names.add((tag, name))
-
-
-def _check_neutral(element: ET.Element, given: dict[str, str], at: str) -> None:
-    for tag, key, neutral, cure in _NEUTRAL:
-        if tag == element.tag and key in given and given[key] not in neutral:
-            try:
-                if float(given[key]) in {float(value) for value in neutral}:
-                    continue
-            except ValueError:
-                pass
-            raise ModelError(f"{at}: {key} is {given[key]!r}, which is not honoured: {cure}")
-
-
-def _check_numbers(tag: str, given: dict[str, str], at: str) -> None:
-    for key in _ATTRIBUTES[tag]:
-        if key in given and key in _COUNTS:
-            numbers(given[key], _COUNTS[key], f"{at}: {key}")
-    turns = [key for key in _POSE[1:] if key in given]
-    if len(turns) > 1:
-        raise ModelError(f"{at} is turned by {' and '.join(turns)}: one of them is allowed")
-    if tag == "site" and "fromto" in given:
-        raise ModelError(f"{at}: fromto is not honoured on a site: give its pos")
-
-
-def _check_joint(given: dict[str, str], at: str) -> None:
-    kind = given.get("type", "hinge")
-    if kind not in ("hinge", "slide"):
-        raise ModelError(f"{at} is of type {kind!r}, a joint type that is not simulated: it must be hinge or slide")
-    if np.linalg.norm(numbers(given.get("axis", "0 0 1"), 3, f"{at}: axis")) < 1e-9:
-        raise ModelError(f"{at}: axis is {given['axis']!r}: a moving joint needs a direction")
-    low, high = numbers(given.get("range", "0 0"), 2, f"{at}: range")
-    if low > high:
-        raise ModelError(f"{at}: lower limit {low:g} is above its upper limit {high:g}")
-    if numbers(given.get("armature", "0"), 1, f"{at}: armature")[0] < 0.0:
-        raise ModelError(f"{at}: armature is {given['armature']}: it must not be negative")
-
-
-def _check_inertial(given: dict[str, str], at: str) -> None:
-    for key, alternatives in (("mass", ("mass",)), ("diaginertia", ("diaginertia", "fullinertia"))):
-        if not any(name in given for name in alternatives):
-            raise ModelError(f"{at}: <inertial> lacks {key!r}")
-    (mass,) = numbers(given["mass"], 1, f"{at}: mass")
-    if mass < 0.0:
-        raise ModelError(f"{at} has a mass of {mass:g} kg: it must be positive")
-    check_tensor(_tensor(given, at), mass, f"{at}: its inertia tensor")
-
-
-def _tensor(given: dict[str, str], at: str) -> np.ndarray[tuple[int, int], np.dtype[np.float64]]:
-    if "fullinertia" in given:
-        xx, yy, zz, xy, xz, yz = numbers(given["fullinertia"], 6, f"{at}: fullinertia")
-        return np.array([[xx, xy, xz], [xy, yy, yz], [xz, yz, zz]])
-    return np.array(np.diag(numbers(given["diaginertia"], 3, f"{at}: diaginertia")))
-
-
-def _is_mesh(given: dict[str, str]) -> bool:
-    return "mesh" in given or given.get("type", "sphere") in ("mesh", "hfield", "sdf", "plane")
-
-
-def _check_weighing_geom(given: dict[str, str], at: str) -> None:
-    """A body without <inertial> has the inertia of its geoms: refuse those that engines weigh differently."""
-    if _is_mesh(given):
-        raise ModelError(f"{at} takes its inertia from a mesh, which is not read: give it an <inertial>")
-    if given.get("contype") == "0" and given.get("conaffinity") == "0":
-        raise ModelError(f"{at} takes its inertia from a geom without contact: give it an <inertial>")
 
 
 def iter_names(text: str, tag: str) -> Iterator[str]:

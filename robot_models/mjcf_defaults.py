@@ -16,7 +16,7 @@ class Defaults:
     Raises
     ------
     ModelError
-        Two outermost `<default>` sections, or a nested one without a class.
+        Two outermost `<default>` sections, one that is not "main", a nested one without a class, or two of a class.
     """
 
     def __init__(self, root: ET.Element, where: str):
@@ -27,8 +27,9 @@ class Defaults:
         if len(sections) > 1:
             raise ModelError(f"{where}: {len(sections)} <default> sections: merge them into one")
         for section in sections:
-            name = section.get("class", "main")
-            self._main = self._classes[name] = self._read(section, self._main)
+            if section.get("class", "main") != "main":
+                raise ModelError(f"{where}: the outermost <default> is class 'main', not {section.get('class')!r}")
+            self._main = self._classes["main"] = self._read(section, self._main)
 
     def _read(self, section: ET.Element, parent: dict[str, dict[str, str]]) -> dict[str, dict[str, str]]:
         own = {tag: dict(parent[tag]) for tag in _TAGS}
@@ -39,8 +40,26 @@ class Defaults:
             name = nested.get("class")
             if not name:
                 raise ModelError(f"{self._where}: a nested <default> has no class")
+            if name in self._classes or name == "main":
+                raise ModelError(f"{self._where}: two classes are named {name!r}: names must differ")
+            self._classes[name] = {}
             self._classes[name] = self._read(nested, own)
         return own
+
+    def check_references(self, root: ET.Element) -> None:
+        """Refuse a document in which an element is of a class that is not defined.
+
+        Raises
+        ------
+        ModelError
+            The class is not defined.
+        """
+        for section in root:
+            for element in section.iter() if section.tag != "default" else ():
+                for key in ("class", "childclass"):
+                    name = element.get(key, "main")
+                    if name not in self._classes:
+                        raise ModelError(f"{self._where}: {key} {name!r} is not defined in <default>")
 
     def resolve(self, element: ET.Element, childclass: str | None) -> dict[str, str]:
         """Return an element's attributes with its class filled in.

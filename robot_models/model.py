@@ -37,9 +37,9 @@ class RobotModel:
     position_lower: Vector
     #: (n,) rad; ∞ where there is none.
     position_upper: Vector
-    #: (n,) rad/s; ∞ where there is none.
+    #: (n,) rad/s; ∞ where there is none, which a URDF writes as 0. A run is judged by it, not held to it.
     velocity_limit: Vector
-    #: (n,) N m; ∞ where there is none.
+    #: (n,) N m; ∞ where there is none, which a URDF writes as 0. A run is judged by it, not held to it.
     effort_limit: Vector
     #: "revolute", "continuous" or "prismatic".
     joint_types: tuple[str, ...]
@@ -55,6 +55,8 @@ class RobotModel:
     gravity: Vector = field(default_factory=lambda: np.array([0.0, 0.0, -9.81]))
     description: str = ""
     source: str = ""
+    #: What the text says and a run does not act on, a line each: friction, limits.
+    notes: tuple[str, ...] = ()
 
     def __post_init__(self) -> None:
         for entry in fields(self):

@@ -9,18 +9,22 @@ leaves it out of its bias and of its forward dynamics, and here friction belongs
 """
 
 import xml.etree.ElementTree as ET
+from collections import Counter
 from collections.abc import Collection
 from math import hypot
 from typing import TYPE_CHECKING
 
 from robot_models.errors import ModelError
+from robot_models.mechanism import check_size
 from robot_models.physics import check_tensor
-from robot_models.xml_text import numbers, parse
+from robot_models.xml_text import numbers, parse, tidy
 
 if TYPE_CHECKING:
     import yourdfpy
 
 MOVING = ("revolute", "continuous", "prismatic")
+
+_VERSIONS = ("1", "1.0", "1.1", "1.2")
 
 _TENSOR = ("ixx", "ixy", "ixz", "iyy", "iyz", "izz")
 
@@ -30,11 +34,11 @@ _UNIT = 1e-6
 
 
 def read(text: str, where: str) -> str:
-    """Parse a URDF and return its text with unit joint axes.
+    """Parse a URDF and return its text with unit joint axes and without stray blanks in its attributes.
 
     Pinocchio scales a joint's axis to unit length; yourdfpy does so for revolute joints and not for prismatic
-    ones. Where an axis is not of unit length the text is written anew with the scaled one; otherwise it is
-    returned as it came.
+    ones. Where an axis is not of unit length, or an attribute has blanks that readers take differently, the text is
+    written anew; otherwise it is returned as it came.
 
     Raises
     ------
@@ -48,9 +52,14 @@ def read(text: str, where: str) -> str:
         raise ModelError(f"{where}: <robot> has no name")
     if any("xacro" in key for element in root.iter() for key in (element.tag, *element.attrib)):
         raise ModelError(f"{where} is a xacro template: expand it to a URDF first")
+    joints = [joint for joint in root.findall("joint") if joint.get("type", "").strip() in MOVING]
+    check_size(len(root.findall("link")), len(joints), where)
+    changed = tidy(root)
+    version = root.get("version", "1.0")
+    if version not in _VERSIONS:
+        raise ModelError(f"{where}: <robot> has version {version!r}: it must be one of {', '.join(_VERSIONS)}")
     _check_links(root, where)
     _check_joints(root, where)
-    rescaled = False
     for joint in root.findall("joint"):
         axis = joint.find("axis")
         if axis is None or joint.get("type") not in MOVING:
@@ -63,8 +72,8 @@ def read(text: str, where: str) -> str:
             raise ModelError(f"{at}: axis is {axis.get('xyz')!r}: a moving joint needs a direction")
         if abs(length - 1.0) > _UNIT:
             axis.set("xyz", " ".join(repr(x / length) for x in xyz))
-            rescaled = True
-    return ET.tostring(root, encoding="unicode") if rescaled else text
+            changed = True
+    return ET.tostring(root, encoding="unicode") if changed else text
 
 
 def joint_types(text: str) -> dict[str, str]:
@@ -74,10 +83,11 @@ def joint_types(text: str) -> dict[str, str]:
 
 def _names(root: ET.Element, tag: str, where: str) -> list[str]:
     names = [element.get("name", "") for element in root.findall(tag)]
+    times = Counter(names)
     for name in names:
         if not name:
             raise ModelError(f"{where}: a <{tag}> has no name")
-        if names.count(name) > 1:
+        if times[name] > 1:
             raise ModelError(f"{where}: two {tag}s are named {name!r}: names must differ")
     return names
 
@@ -85,10 +95,9 @@ def _names(root: ET.Element, tag: str, where: str) -> list[str]:
 def _check_links(root: ET.Element, where: str) -> None:
     for name, link in zip(_names(root, "link", where), root.findall("link"), strict=True):
         at = f"{where}: link {name!r}"
-        inertials = link.findall("inertial")
-        if len(inertials) > 1:
-            raise ModelError(f"{at} has {len(inertials)} <inertial> elements: one is allowed")
-        for inertial in inertials:
+        _check_single(link, at, "inertial")
+        for inertial in link.findall("inertial"):
+            _check_single(inertial, f"{at}: <inertial>", "origin", "mass", "inertia")
             _check_origin(inertial, f"{at}: inertial")
             for tag, keys in (("mass", ("value",)), ("inertia", _TENSOR)):
                 element = inertial.find(tag)
@@ -100,6 +109,7 @@ def _check_links(root: ET.Element, where: str) -> None:
 
 def _check_joints(root: ET.Element, where: str) -> None:
     links = _names(root, "link", where)
+    known = set(links)
     parents: dict[str, str] = {}
     for name, joint in zip(_names(root, "joint", where), root.findall("joint"), strict=True):
         at = f"{where}: joint {name!r}"
@@ -109,11 +119,12 @@ def _check_joints(root: ET.Element, where: str) -> None:
                 f"{at} is of type {kind!r}, a joint type that is not simulated: "
                 f"it must be one of {', '.join((*MOVING, 'fixed'))}"
             )
+        _check_single(joint, at, "origin", "parent", "child", "axis", "limit", "dynamics", "mimic")
         ends = []
         for tag in ("parent", "child"):
             element = joint.find(tag)
             link = element.get("link") if element is not None else None
-            if link not in links:
+            if link not in known:
                 raise ModelError(f"{at}: its {tag} link {link!r} is not in the file")
             ends.append(link)
         if ends[1] in parents:
@@ -128,9 +139,17 @@ def _check_joints(root: ET.Element, where: str) -> None:
     _check_tree(links, parents, where)
 
 
+def _check_single(element: ET.Element, at: str, *tags: str) -> None:
+    for tag in tags:
+        if (count := len(element.findall(tag))) > 1:
+            raise ModelError(f"{at} has {count} <{tag}> elements: one is allowed")
+
+
 def _check_origin(element: ET.Element, at: str) -> None:
     origin = element.find("origin")
     for key, value in (origin.attrib if origin is not None else {}).items():
+        if key == "quat_xyzw":
+            raise ModelError(f"{at}: origin quat_xyzw is not read by every reader: give rpy")
         if key in ("xyz", "rpy"):
             numbers(value, 3, f"{at}: origin {key}")
 
@@ -158,16 +177,22 @@ def _check_limit(joint: ET.Element, kind: str, at: str) -> None:
 def _check_tree(links: list[str], parents: dict[str, str], where: str) -> None:
     roots = [link for link in links if link not in parents]
     if len(roots) > 1:
-        raise ModelError(f"{where}: {len(roots)} links have no parent ({', '.join(roots)}): one root is allowed")
+        raise ModelError(f"{where}: {len(roots)} links have no parent ({_some(roots)}): one root is allowed")
+    grounded: set[str] = set(roots)
     for link in links:
-        walked = {link}
-        while (parent := parents.get(link)) is not None:
-            if parent in walked:
-                raise ModelError(f"{where}: link {parent!r} is its own ancestor: the links must form a tree")
-            walked.add(parent)
-            link = parent
+        walked: dict[str, None] = {}
+        while link not in grounded:
+            if link in walked:
+                raise ModelError(f"{where}: link {link!r} is its own ancestor: the links must form a tree")
+            walked[link] = None
+            link = parents[link]
+        grounded.update(walked)
     if not links:
         raise ModelError(f"{where} has no links")
+
+
+def _some(names: list[str]) -> str:
+    return ", ".join(names[:5]) + (", …" if len(names) > 5 else "")
 
 
 def inspect(text: str, where: str, locked: Collection[str]) -> None:

@@ -167,6 +167,15 @@ def test_continuous_joints_have_no_bounds():
     np.testing.assert_array_equal(robot.effort_limit, [np.inf, 5.0])
 
 
+def test_a_limit_of_zero_is_no_limit(write):
+    """A URDF must give effort and velocity, so 0 is how "not known" is written; what is known stays."""
+    unknown = LIMIT.replace('effort="5" velocity="2"', 'effort="0" velocity="0.0"')
+    robot = robot_models.load(write(arm(elbow=joint("elbow", "upper", "fore", limit=unknown))))
+    np.testing.assert_array_equal(robot.effort_limit, [5.0, np.inf])
+    np.testing.assert_array_equal(robot.velocity_limit, [2.0, np.inf])
+    np.testing.assert_array_equal(robot.position_upper, [1.0, 1.0])
+
+
 @pytest.mark.parametrize("value", [0.0, 0.7, -2.0])
 def test_locked_joints_are_welded(write, value):
     """Locking is Pinocchio's reduced model: for a whole arm, and at any value."""

@@ -111,6 +111,7 @@ URDF = {
     ),
 }
 
+MESH = '<asset><mesh name="a" vertex="0 0 0 1 0 0 0 1 0 0 0 1"/></asset>'
 HINGE = '<joint name="shoulder" axis="0 1 0"/>'
 
 MJCF = {
@@ -156,7 +157,11 @@ MJCF = {
         mjcf(inertial='<inertial pos="0 0 0" mass="1"/>'),
         ["'upper'", "diaginertia"],
     ),
-    "mesh weighs": (mjcf(inertial='<geom type="mesh" mesh="a"/>'), ["'upper'", "mesh", "<inertial>"]),
+    "mesh weighs": (
+        mjcf(head=MESH, inertial='<geom type="mesh" mesh="a"/>'),
+        ["'upper'", "mesh", "<inertial>"],
+    ),
+    "mesh that is not there": (mjcf(inner='<geom type="mesh" mesh="a"/>'), ["<geom>", "mesh 'a'", "not in the model"]),
     "visual geom weighs": (
         mjcf(inertial='<geom size="0.1" contype="0" conaffinity="0"/>'),
         ["'upper'", "without contact"],
@@ -173,7 +178,7 @@ MJCF = {
     "pose is nan": (mjcf(base='<body name="base" quat="1 0 nan 0">'), ["'base'", "quat", "'nan'"]),
     "far too large": (
         mjcf(inertial=MJCF_INERTIAL.replace("0.1 0.02", "1e200 0")),
-        ["'shoulder'", "not finite"],
+        ["'upper'", "not finite"],
     ),
     "limits reversed": (mjcf(joint='<joint name="shoulder" range="1 -1"/>'), ["'shoulder'", "lower limit 1"]),
     "negative armature": (mjcf(joint='<joint name="shoulder" armature="-1"/>'), ["'shoulder'", "armature"]),

@@ -1,0 +1,142 @@
+"""What may stand in an MJCF: elements, attributes, names and references, for the whole file.
+
+MuJoCo refuses a misspelt attribute, a name that occurs twice and a reference to nothing; a file that it refuses is not
+a model, even where the fault lies in a section that has no part in the mechanism.
+"""
+
+import xml.etree.ElementTree as ET
+from dataclasses import dataclass, field
+from difflib import get_close_matches
+from functools import cache
+from pathlib import Path
+
+from robot_models.errors import ModelError
+
+# One element a line, indented by dots: its tag, how often it may stand in its parent (?, *, ! for once, R for nested)
+# and its attributes. Written from mj_printSchema of MuJoCo 3.17; a test compares the two.
+_FILE = Path(__file__).with_name("mjcf_schema.txt")
+
+#: Elements that enclose bodies; what may stand in them is judged where they are read.
+_BODIES = ("worldbody", "body", "frame", "replicate")
+
+# Sections in which all elements share one space of names.
+_SHARED = ("actuator", "sensor", "tendon", "equality")
+
+# Which attribute names an element of which space, wherever it stands.
+_REFERENCES = {
+    **dict.fromkeys(("joint", "jointinparent", "joint1", "joint2"), "joint"),
+    **dict.fromkeys(("site", "refsite", "cranksite", "slidersite", "sidesite"), "site"),
+    **dict.fromkeys(("body", "body1", "body2", "target"), "body"),
+    **dict.fromkeys(("geom", "geom1", "geom2"), "geom"),
+    **{name: name for name in ("material", "mesh", "texture", "hfield", "tendon", "actuator")},
+}
+
+
+@dataclass
+class _Element:
+    """One line of the schema."""
+
+    many: str
+    attributes: frozenset[str]
+    children: dict[str, "_Element"] = field(default_factory=dict)
+
+
+@cache
+def _schema() -> _Element:
+    path: list[_Element] = []
+    for line in _FILE.read_text(encoding="utf-8").splitlines():
+        tag, many, *attributes = line.split()
+        depth = (len(tag) - len(tag.lstrip("."))) // 2
+        element = _Element(many, frozenset(attributes))
+        del path[depth:]
+        if path:
+            path[-1].children[tag.lstrip(".")] = element
+        path.append(element)
+    return path[0]
+
+
+def check_schema(root: ET.Element, where: str) -> None:
+    """Refuse elements and attributes that MJCF does not know, repeated names and dangling references.
+
+    Parameters
+    ----------
+    root
+        The document, its includes resolved.
+    where
+        How to name it in a message.
+
+    Raises
+    ------
+    ModelError
+        The first fault, by its element.
+    """
+    schema = _schema()
+    names: dict[str, set[str]] = {"body": {"world"}}
+    _check_attributes(root, schema, f"{where}: <mujoco>")
+    for section in root:
+        if section.tag in _BODIES:
+            continue  # below, with what it holds
+        if section.tag not in schema.children:
+            raise ModelError(f"{where}: <mujoco> does not know <{section.tag}>{_near(section.tag, schema.children)}")
+        _walk(section, schema.children[section.tag], section.tag, names, where)
+    for section in root.findall("worldbody"):
+        _walk(section, schema.children["body"], "worldbody", names, where)
+    for section in root:
+        _check_references(section, names, where)
+
+
+def _walk(element: ET.Element, schema: _Element, section: str, names: dict[str, set[str]], where: str) -> None:
+    at = f"{where}: <{element.tag}>" + (f" {element.get('name')!r}" if element.get("name") else "")
+    _check_attributes(element, schema, at)
+    name = element.get("name") or (_stem(element) if section == "asset" else "")
+    if name and element.tag != section:
+        space = section if section in _SHARED else {"freejoint": "joint"}.get(element.tag, element.tag)
+        taken = names.setdefault(space, set())
+        if name in taken:
+            raise ModelError(f"{at}: the name is taken: names must differ")
+        taken.add(name)
+    counts: dict[str, int] = {}
+    for child in element:
+        inside = schema.children.get(child.tag)
+        if inside is None and child.tag in ("body", "default") and child.tag in (element.tag, _alias(element.tag)):
+            inside = schema
+        if inside is None:
+            if element.tag in _BODIES:
+                continue  # refused by name, with the reason, where bodies are read
+            raise ModelError(f"{at} does not know <{child.tag}>{_near(child.tag, schema.children)}")
+        counts[child.tag] = counts.get(child.tag, 0) + 1
+        if inside.many == "?" and counts[child.tag] > 1:
+            raise ModelError(f"{at} has {counts[child.tag]} <{child.tag}>: one is allowed")
+        _walk(child, inside, section, names, where)
+
+
+def _alias(tag: str) -> str:
+    return "body" if tag == "worldbody" else tag
+
+
+def _check_attributes(element: ET.Element, schema: _Element, at: str) -> None:
+    for key in element.attrib:
+        if key not in schema.attributes:
+            raise ModelError(f"{at}: unknown attribute {key!r}{_near(key, schema.attributes)}")
+    if element.tag == "worldbody" and element.attrib:
+        raise ModelError(f"{at}: the world has no attributes: give them to a body in it")
+
+
+def _check_references(section: ET.Element, names: dict[str, set[str]], where: str) -> None:
+    if section.tag in ("default", "visual", "extension", "custom"):
+        return
+    for element in section.iter():
+        for key, value in element.attrib.items():
+            space = _REFERENCES.get(key, "")
+            if space and value not in names.get(space, ()):
+                raise ModelError(f"{where}: <{element.tag}>: {key} {value!r} is not in the model")
+
+
+def _stem(element: ET.Element) -> str:
+    """Return the name that an asset takes from its file."""
+    return Path(element.get("file", "")).stem
+
+
+def _near(word: str, known: object) -> str:
+    near = get_close_matches(word, list(known), n=1)  # type: ignore[call-overload]
+    return f": did you mean {near[0]!r}?" if near else ""

@@ -1,0 +1,66 @@
+"""What a robot's text says and a run does not act on: one line each, for its report."""
+
+import xml.etree.ElementTree as ET
+from collections.abc import Collection
+
+import numpy as np
+from numpy.typing import NDArray
+
+# The name under which a canonical MJCF keeps the joints whose damping and friction were left out of it.
+LEFT_OUT = "robot_models/left_out"
+
+
+def notes(
+    text: str,
+    format: str,
+    joints: Collection[str],
+    velocity_limit: NDArray[np.float64],
+    effort_limit: NDArray[np.float64],
+) -> tuple[str, ...]:
+    """Return what a reader of a run should know about its robot.
+
+    Parameters
+    ----------
+    text, format
+        The canonical text, and "urdf" or "mjcf".
+    joints
+        Those that move.
+    velocity_limit, effort_limit : (n,)
+        rad/s and N m; infinite where there is none.
+    """
+    root = ET.fromstring(text)
+    found = _rough_urdf(root) if format == "urdf" else _rough_mjcf(root)
+    rough = [joint for joint in joints if joint in found]
+    lines = []
+    if rough:
+        element = "<dynamics>" if format == "urdf" else "damping and frictionloss"
+        lines.append(
+            f"what the robot's file says of friction ({element}; {_some(rough)}) does not act: "
+            "friction is what the scenario says"
+        )
+    limits = [w for w, b in (("effort", effort_limit), ("velocity", velocity_limit)) if np.isfinite(b).any()]
+    if limits:
+        lines.append(f"{' and '.join(limits)} limits of the robot's file do not act: a run may exceed them")
+    return tuple(lines)
+
+
+def _rough_urdf(root: ET.Element) -> set[str]:
+    rough = set()
+    for joint in root.findall("joint"):
+        dynamics = joint.find("dynamics")
+        values = [dynamics.get(key, "0") for key in ("damping", "friction")] if dynamics is not None else []
+        if any(float(value) for value in values):
+            rough.add(joint.get("name", ""))
+    return rough
+
+
+def _rough_mjcf(root: ET.Element) -> set[str]:
+    return {
+        word
+        for element in root.findall(f"custom/text[@name='{LEFT_OUT}']")
+        for word in element.get("data", "").split("\n")
+    }
+
+
+def _some(names: list[str]) -> str:
+    return ", ".join(names[:4]) + (f" and {len(names) - 4} more" if len(names) > 4 else "")

@@ -69,8 +69,8 @@ def held_back() -> Iterator[None]:
     try:
         yield
     finally:
-        for number, before in usual.items():
+        for which, handler in usual.items():
             with suppress(ValueError, TypeError):
-                signal.signal(number, before)
+                signal.signal(which, handler)
     if waiting:
         usual[waiting[0][0]](*waiting[0])

@@ -22,8 +22,9 @@ import robot_models
 from closedloop.errors import ClosedLoopError, RunFileError
 from closedloop.files import reason_of, write_whole
 from closedloop.record import COLUMNS, Run
-from closedloop.scenario import parse_scenario
+from closedloop.scenario import Scenario, parse_scenario
 from closedloop.sealed import read_sealed, seal
+from robot_models import RobotModel
 
 FORMAT, FORMAT_VERSION = "closedloop run", 2
 CHECKSUM = "checksum"
@@ -34,21 +35,27 @@ _LATER = {"engine": "pinocchio", "law_digest": "", "not_finite": '["kkt_conditio
 ATTRIBUTES = {"format", "format_version", "seed", "wall_seconds", "summary", *_TEXTS, *_LATER}
 
 
-def attributes(run: Run) -> dict[str, Any]:
-    """Return what made the run, as plain text and numbers."""
-    model = run.model
+def question(scenario: Scenario, model: RobotModel, law: str, law_digest: str, engine: str) -> dict[str, str]:
+    """Return what determines a run to the last bit, on one machine, as the texts that its file has as attributes."""
     robot = {name: getattr(model, name) for name in ("name", "format", "tip", "description", "source")}
     robot |= {name: getattr(model, name).tolist() for name in ("armature", "home", "gravity")}
     robot["locked"] = dict(model.locked)
     return {
-        "format": FORMAT,
-        "format_version": FORMAT_VERSION,
-        "scenario": run.scenario.to_toml(),
+        "scenario": scenario.to_toml(),
         "robot_text": model.text,
         "robot": json.dumps(robot),  # floats in their shortest exact form
-        "law": run.law,
-        "law_digest": run.law_digest,
-        "engine": run.engine,
+        "law": law,
+        "law_digest": law_digest,
+        "engine": engine,
+    }
+
+
+def attributes(run: Run) -> dict[str, Any]:
+    """Return what made the run, as plain text and numbers."""
+    return {
+        "format": FORMAT,
+        "format_version": FORMAT_VERSION,
+        **question(run.scenario, run.model, run.law, run.law_digest, run.engine),
         "seed": _seed(run),
         "versions": json.dumps(dict(run.versions)),
         "stopped": run.stopped or "",
@@ -163,6 +170,8 @@ def _run_of(found: Mapping[str, Any], columns: dict[str, NDArray[Any]]) -> Run:
     robot, versions = json.loads(found["robot"]), json.loads(found["versions"])
     if not (isinstance(robot, dict) and isinstance(versions, dict) and isinstance(robot.get("name"), str)):
         raise RunFileError("is damaged: its attributes 'robot' and 'versions' must be tables")
+    if found["engine"] not in ("pinocchio", "compiled"):
+        raise RunFileError(f"is damaged: attribute 'engine' is {found['engine'][:40]!r}")
     model = robot_models.from_text(found["robot_text"], **robot)
     _check_columns(columns, model.n, json.loads(found["not_finite"]))
     return Run(

@@ -19,6 +19,8 @@ if TYPE_CHECKING:
     from closedloop.errors import ClosedLoopError as ClosedLoopError
     from closedloop.errors import ClusterError as ClusterError
     from closedloop.errors import DivergenceError as DivergenceError
+    from closedloop.errors import InterruptedRunError as InterruptedRunError
+    from closedloop.errors import LawError as LawError
     from closedloop.errors import ModelError as ModelError
     from closedloop.errors import OutputError as OutputError
     from closedloop.errors import PainleveError as PainleveError
@@ -47,7 +49,9 @@ _HOME = {
     "ClusterError": "errors",
     "DivergenceError": "errors",
     "Event": "record",
+    "InterruptedRunError": "errors",
     "Law": "control",
+    "LawError": "errors",
     "ModelError": "errors",
     "OutputError": "errors",
     "PainleveError": "errors",

@@ -33,8 +33,9 @@ from closedloop.control import Law
 from closedloop.errors import ScenarioError, one_line
 from closedloop.events import EVENT_WIDTH
 from closedloop.machine.phases import TERMS, TERMS_AND_LAW
+from closedloop.own_law import law_failure
 from closedloop.robot import Terms
-from closedloop.simulation import NOT_FINITE
+from closedloop.simulation import NOT_FINITE, not_a_torque
 from closedloop.tree import Tree, tree_terms, work_size
 from closedloop.workspace import TIME, Whole, Work
 
@@ -208,7 +209,7 @@ def _go_on(
 
 
 def loop_with_law(
-    run: Any, law: Any, tree: Tree, work: Array, w: Work, arrays: tuple[Any, ...]
+    run: Any, law: Any, call: Any, tree: Tree, work: Array, w: Work, arrays: tuple[Any, ...]
 ) -> Callable[[Array], int]:
     """Return a function of the table of events that goes on with a run, the law included; see `_go_on`.
 
@@ -216,8 +217,8 @@ def loop_with_law(
     ----------
     run : function
         `run_compiled` or `run_compiled_with_more`.
-    law : function
-        From `compiled_law`.
+    law, call : functions
+        The law, and what `compiled_law` made of it.
     tree, work, w, arrays
         What `run` takes before the events, and the views into its memory.
     """
@@ -235,12 +236,13 @@ def loop_with_law(
 
     def go_on(events: Array) -> int:
         nonlocal request
-        answer = int(entry(run, law, request, tree, work, *arrays, events, *views))
+        try:
+            answer = int(entry(run, call, request, tree, work, *arrays, events, *views))
+        except Exception as error:  # only the law can raise here
+            raise law_failure(law, error, float(w.now[TIME])) from error
         request = TERMS
         if answer == WRONG_LENGTH:
-            raise ScenarioError(
-                f"the law returned Q of another length at t = {w.now[TIME]:g} s: must be ({n},), one torque a joint"
-            )
+            raise not_a_torque("Q of another length", float(w.now[TIME]), n)
         return answer
 
     return go_on

@@ -19,6 +19,8 @@ __all__ = [
     "ClosedLoopError",
     "ClusterError",
     "DivergenceError",
+    "InterruptedRunError",
+    "LawError",
     "ModelError",
     "OutputError",
     "PainleveError",
@@ -82,3 +84,11 @@ class ChatterError(SimulationError):
 
 class PainleveError(SimulationError):
     """Friction leaves no rigid contact force: pressing harder would pull the tip into the surface."""
+
+
+class LawError(SimulationError):
+    """A law of one's own raised an exception, which is the cause, or returned something that is no torque."""
+
+
+class InterruptedRunError(SimulationError, KeyboardInterrupt):
+    """Ctrl-C, or another signal that raises KeyboardInterrupt, came while the simulation ran."""

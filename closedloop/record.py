@@ -116,6 +116,10 @@ class Run:
         Why the simulation could not go on; None if it ran to its end.
     wall_seconds : float
         Time the simulation took, s.
+    engine : "pinocchio" or "compiled"
+        Who computed the terms; the last bits of a run depend on it.
+    law_digest : str
+        SHA-256 of the text of the user's law, see `closedloop.own_law.law_digest`; "" if it is not known.
     """
 
     scenario: Scenario
@@ -125,6 +129,8 @@ class Run:
     versions: Mapping[str, str] = field(default_factory=dict)
     stopped: str | None = None
     wall_seconds: float = 0.0
+    engine: str = "pinocchio"
+    law_digest: str = ""
 
     def __post_init__(self) -> None:
         for column in self.columns.values():

@@ -95,6 +95,14 @@ def complete_record(pending: Array, rows: Array, state: Whole, done: int, n: int
     record_conditions(pending, rows, state, done, n)
 
 
+def rows_there(state: Whole, done: int, n: int) -> int:
+    """Return how many rows are recorded when `done` of them, or one more that was not counted yet, may be.
+
+    Each leaves a lane, and a full set of lanes is emptied.
+    """
+    return done if n > LONG or state[PENDING] == done % LANES else done + 1
+
+
 @kernel_inlined
 def record(
     H: Array, C: Array, w: Work, k: Array, state: Whole, table: Array, rows: Array, place: int, more: int | None

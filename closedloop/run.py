@@ -1,7 +1,7 @@
 """The command line: ``python -m closedloop.run wam_slide``.
 
 Exit status: 0 done; 2 the input is at fault (one line on standard error); 3 the simulation could not go on (what ran
-until then is saved, and the line says when and why).
+until then is saved, and the line says when and why); 130 interrupted by Ctrl-C, 143 by SIGTERM (what ran is saved).
 """
 
 from __future__ import annotations
@@ -15,10 +15,14 @@ import tomllib
 from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
-from typing import Any, NoReturn
+from typing import TYPE_CHECKING, Any, NoReturn
 
-from closedloop.errors import ClosedLoopError, OutputError, ScenarioError, SimulationError, one_line
+from closedloop.errors import ClosedLoopError, InterruptedRunError, ScenarioError, SimulationError, one_line
+from closedloop.interrupts import Terminated, exit_status, terminable, word_for
 from closedloop.scenario import Scenario, load_scenario, parse_scenario, shipped_scenarios
+
+if TYPE_CHECKING:
+    from closedloop.record import Run
 
 DONE, BAD_INPUT, STOPPED = 0, 2, 3
 
@@ -31,7 +35,11 @@ class _Parser(argparse.ArgumentParser):
 def main(arguments: Sequence[str] | None = None) -> int:
     """Run the command line and return the exit status."""
     try:
-        return _main(sys.argv[1:] if arguments is None else list(arguments))
+        with terminable():
+            return _main(sys.argv[1:] if arguments is None else list(arguments))
+    except KeyboardInterrupt as stop:
+        print(f"closedloop: {one_line(str(stop)) or word_for(stop)}", file=sys.stderr)
+        return exit_status(stop)
     except ClosedLoopError as error:
         print(f"closedloop: {one_line(str(error))}", file=sys.stderr)
         return STOPPED if isinstance(error, SimulationError) else BAD_INPUT
@@ -55,37 +63,47 @@ def _main(arguments: list[str]) -> int:
         raise ScenarioError(
             "command line: name a scenario, such as wam_slide, wam_touchdown or panda_slide; --list lists them"
         )
-    scenario, model, recorded_law = _open(options.scenario, overrides)
+    scenario, model, earlier = _open(options.scenario, overrides)
     law = _import_law(options.law) if options.law else None
-    if law is None and recorded_law != "scenario":
+    if law is None and earlier is not None and earlier.law != "scenario":
         raise ScenarioError(
-            f"{options.scenario}: was made with the law {recorded_law}, which a run file does not carry; "
+            f"{options.scenario}: was made with the law {earlier.law}, which a run file does not carry; "
             "add --law MODULE:FUNCTION"
         )
 
-    folder = Path(options.out) if options.out else Path("out") / scenario.name
-    _make_writable(folder)
+    from closedloop.own_law import law_digest
     from closedloop.preparation import load_model
+    from closedloop.results import Results
+    from closedloop.runfile import question
     from closedloop.simulation import check_engine, simulate
 
-    check_engine(scenario, options.engine, law)
-    announce_compiling(scenario, (load_model(scenario) if model is None else model).n, options.engine)
+    engine = options.engine or (earlier.engine if earlier else "pinocchio")
+    check_engine(scenario, engine, law)
+    robot = load_model(scenario) if model is None else model
+    digest = "" if law is None else law_digest(law)
+    folder = Path(options.out) if options.out else Path("out") / scenario.name
+    results = Results(folder, question(scenario, robot, options.law or "scenario", digest, engine), options.overwrite)
+    if earlier and earlier.law == options.law and digest != earlier.law_digest != "":
+        print(
+            f"closedloop: the text of {options.law} is not the one that {options.scenario} was made with",
+            file=sys.stderr,
+        )
+    announce_compiling(scenario, robot.n, engine)
     failure: SimulationError | None = None
     try:
-        run = simulate(scenario, law=law, model=model, progress=not options.json, engine=options.engine)
+        run = simulate(scenario, law=law, model=model, progress=not options.json, engine=engine)
     except SimulationError as error:
-        if error.run is None:
+        if error.run is None or (isinstance(error, InterruptedRunError) and len(error.run) == 0):
             raise
         run, failure = error.run, error
     if options.law:
         run = replace(run, law=options.law)
-    paths = [run.save(folder / "run.nc"), _write_summary(run.summary(), folder / "summary.json")]
+    paths = results.save(run, failure)
+    if isinstance(failure, InterruptedRunError):
+        where = f"what ran is in {folder}{os.sep}" if paths else f"{folder}{os.sep} holds more of this run already"
+        raise InterruptedRunError(f"{failure}; {where}", failure.time, run) from failure.__cause__
     if not options.no_figures:
-        from closedloop.figures import draw_figures
-
-        paths += draw_figures(
-            run, folder, None if failure else _without_stabiliser(scenario, law, model, options.engine)
-        )
+        paths += _draw(run, folder, failure, law, model)
     if options.json:
         print(json.dumps(run.summary(), indent=2))
     else:
@@ -99,6 +117,16 @@ def _main(arguments: list[str]) -> int:
     return DONE
 
 
+def _draw(run: Run, folder: Path, failure: SimulationError | None, law: Any, model: Any) -> list[Path]:
+    from closedloop.figures import draw_figures
+
+    try:
+        return draw_figures(run, folder, None if failure else _without_stabiliser(run.scenario, law, model, run.engine))
+    except KeyboardInterrupt as stop:
+        said = f"{word_for(stop)} while drawing; run.nc and summary.json are in {folder}{os.sep}"
+        raise type(stop)(said) if isinstance(stop, Terminated) else KeyboardInterrupt(said) from None
+
+
 def _parser() -> argparse.ArgumentParser:
     from closedloop.explain import describe_keys
 
@@ -107,7 +135,8 @@ def _parser() -> argparse.ArgumentParser:
         prog="closedloop",
         description="Simulate a robot arm whose tip is in contact with a surface.",
         epilog="Any key of the scenario can be set, with a value as in TOML (lists in quotes):\n" + keys
-        + "\n\nexit status: 0 done; 2 the input is at fault; 3 the simulation could not go on (what ran is saved)",
+        + "\n\nexit status: 0 done; 2 the input is at fault; 3 the simulation could not go on (what ran is saved); "
+        "130 interrupted by Ctrl-C, 143 by SIGTERM (what ran is saved)",
         formatter_class=argparse.RawDescriptionHelpFormatter,
         allow_abbrev=False,
     )  # fmt: skip
@@ -119,13 +148,14 @@ def _parser() -> argparse.ArgumentParser:
     parser.add_argument("--version", action="store_true", help="print the versions that a run depends on and stop")
     parser.add_argument("--list", action="store_true", help="list the shipped scenarios and stop")
     parser.add_argument("--out", metavar="DIR", help="where results go (default: out/SCENARIO)")
+    parser.add_argument("--overwrite", action="store_true", help="replace results of another run in that folder")
     parser.add_argument("--no-figures", action="store_true", help="write run.nc and summary.json only")
     parser.add_argument("--json", action="store_true", help="print the summary as JSON instead of tables")
     parser.add_argument(
         "--engine",
         choices=("pinocchio", "compiled"),
-        default="pinocchio",
-        help="who computes H, C, r, J and its drift: Pinocchio (default), or the package's own compiled terms",
+        help="who computes H, C, r, J and its drift: Pinocchio (default), or the package's own compiled terms; "
+        "a run.nc is repeated with the engine that made it",
     )
     parser.add_argument(
         "--law",
@@ -169,16 +199,16 @@ def toml_value(text: str) -> Any:
     return document["value"] if len(document) == 1 else text
 
 
-def _open(name: str, overrides: dict[str, Any]) -> tuple[Scenario, Any, str]:
-    """Return the scenario, the robot if it came from a run file, and the name of the law that made the file."""
+def _open(name: str, overrides: dict[str, Any]) -> tuple[Scenario, Any, Run | None]:
+    """Return the scenario, and the robot and the run if it came from a run file."""
     if not name.endswith(".nc"):
-        return load_scenario(name, overrides), None, "scenario"
+        return load_scenario(name, overrides), None, None
     from closedloop.runfile import load_run
 
     earlier = load_run(name)
     scenario = parse_scenario(earlier.scenario.to_toml(), where=name, overrides=overrides)
     changed = any(key.startswith("robot.") and key != "robot.tip" for key in overrides)
-    return scenario, None if changed else earlier.model, earlier.law
+    return scenario, None if changed else earlier.model, earlier
 
 
 def _import_law(name: str) -> Any:
@@ -200,18 +230,6 @@ def _import_law(name: str) -> Any:
     return law
 
 
-def _make_writable(folder: Path) -> None:
-    """Make the output folder before anything is simulated, so that no result is lost for want of a place."""
-    try:
-        folder.mkdir(parents=True, exist_ok=True)
-        probe = folder / f".writable.{os.getpid()}"
-        probe.touch()
-        probe.unlink()
-    except (OSError, ValueError) as error:
-        reason = error.strerror if isinstance(error, OSError) else error
-        raise OutputError(f"--out {str(folder)!r}: cannot be written: {reason}; name another folder") from None
-
-
 def announce_compiling(scenario: Scenario, n: int, engine: str, runs: int = 1) -> None:
     """Say why the first run of an installation takes longer, or the first of so many; n joints, 0: any number."""
     from closedloop.compiled import needs_compiling
@@ -219,14 +237,6 @@ def announce_compiling(scenario: Scenario, n: int, engine: str, runs: int = 1) -
 
     if needs_compiling(loop_of(scenario, engine, n, runs)):
         print("compiling the step (once for this installation, some twenty seconds) ...", file=sys.stderr, flush=True)
-
-
-def _write_summary(summary: dict[str, Any], path: Path) -> Path:
-    try:
-        path.write_text(json.dumps(summary, indent=2) + "\n", encoding="utf-8")
-    except OSError as error:
-        raise OutputError(f"{path}: cannot be written: {error.strerror}") from None
-    return path
 
 
 def _without_stabiliser(scenario: Scenario, law: Any, model: Any, engine: str) -> Any:
@@ -238,6 +248,8 @@ def _without_stabiliser(scenario: Scenario, law: Any, model: Any, engine: str) -
     plain = parse_scenario(scenario.to_toml(), where=scenario.name, overrides={"stabiliser.kind": "none"})
     try:
         return simulate(plain, law=law, model=model, engine=engine)
+    except InterruptedRunError:
+        raise
     except SimulationError:
         return None
 

@@ -20,6 +20,8 @@ from closedloop.control import Law
 from closedloop.errors import (
     ChatterError,
     DivergenceError,
+    InterruptedRunError,
+    LawError,
     PainleveError,
     ScenarioError,
     SimulationError,
@@ -28,14 +30,16 @@ from closedloop.errors import (
 from closedloop.events import EVENT_WIDTH, event_columns
 from closedloop.forms import COMPILED, ENGINES, PINOCCHIO, machine
 from closedloop.integrate import ADAPTIVE, INTEGRATORS
+from closedloop.interrupts import held_back, word_for
 from closedloop.machine.events import collide
 from closedloop.machine.phases import DONE, IMPACT_LAW_WANTED, ROOM, TERMS, TERMS_AND_LAW
+from closedloop.own_law import law_digest, law_failure
 from closedloop.pinocchio_engine import AT_EVENTS, EVENT_ROOM, places_of
 from closedloop.preparation import prepare
 from closedloop.problem import Problem
 from closedloop.record import Run
 from closedloop.robot import Robot
-from closedloop.rows import SCALARS, Row, complete_record
+from closedloop.rows import SCALARS, Row, complete_record, rows_there
 from closedloop.scenario import Scenario
 from closedloop.solve import CHATTER, NOT_POSITIVE_DEFINITE, PAINLEVE, SINGULAR
 from closedloop.step import SPEED_LIMIT
@@ -90,7 +94,9 @@ def simulate(
     ScenarioError, ModelError
         If the scenario or the robot is at fault; nothing was simulated.
     SimulationError
-        If the simulation could not go on (`SingularClosureError`, `DivergenceError`); its `run` holds what ran.
+        If the simulation could not go on; its `run` holds what ran. `SingularClosureError`, `DivergenceError` and
+        others name the reason; `LawError` has what a law of one's own raised as its cause, and `InterruptedRunError`,
+        which is a KeyboardInterrupt too, says that Ctrl-C came: between two steps, or at the end of the compiled loop.
     """
     check_engine(scenario, engine, law)
     problem = prepare(scenario, model)
@@ -99,12 +105,16 @@ def simulate(
         from closedloop.progress import bar
 
         with bar(scenario.name, problem.steps) as report:
-            rows, events, failure, seconds = run_loop(problem, law, report, engine)
+            rows, events, failure, seconds = run_loop(problem, law, report, engine, keep_interrupted=True)
     else:
-        rows, events, failure, seconds = run_loop(problem, law, progress or _silent, engine)
-    if compiled_now:
-        forget_old_caches()
-    run = _as_run(problem, rows, events, law, failure, seconds)
+        rows, events, failure, seconds = run_loop(problem, law, progress or _silent, engine, keep_interrupted=True)
+    try:
+        with held_back():
+            if compiled_now:
+                forget_old_caches()
+            run = _as_run(problem, rows, events, law, failure, seconds, engine)
+    except KeyboardInterrupt as stop:  # it came while the record was being put together
+        failure = failure or interrupted(stop, float(run.time[-1]))
     if failure is not None:
         failure.run = run
         raise failure
@@ -148,6 +158,7 @@ def run_loop(
     rows: Array | None = None,
     tree: tuple[Tree, Array] | None = None,
     ahead: int = 0,
+    keep_interrupted: bool = False,
 ) -> tuple[Array, Array, SimulationError | None, float]:
     """Step the problem.
 
@@ -161,6 +172,8 @@ def run_loop(
         The problem's robot for the compiled engine, and its scratch, if they are there already.
     ahead : int
         How many steps are to come, in this run and others: whether a loop for just this robot is worth compiling.
+    keep_interrupted : bool
+        Whether Ctrl-C is a failure that leaves a record, as others do; else it goes through.
 
     Returns
     -------
@@ -177,7 +190,7 @@ def run_loop(
         from closedloop.adaptive import run_adaptive
 
         check_engine(problem.scenario, engine, law)
-        return run_adaptive(problem, law, report)
+        return run_adaptive(problem, law, report, keep_interrupted)
     robot, steps = problem.robot, problem.steps
     given = law is not None
     k, state, memory = problem.constants(), problem.state(given), problem.memory(given)
@@ -190,45 +203,56 @@ def run_loop(
     step, many = _driver(problem, w, arrays, engine, law, tree, ahead)
     failure: SimulationError | None = None
     request = TERMS if user_torque is None else TERMS_AND_LAW
-    report(0, steps)
     began, first, impacts = clock.perf_counter(), engine == PINOCCHIO, False
-    while True:
-        if request == TERMS:
-            request = (step if first else many)(events)
-        elif request == TERMS_AND_LAW:
-            assert user_torque is not None
-            fault = user_torque(float(w.now[TIME]), w.torque)
-            if fault:
-                t = float(w.now[TIME])
-                failure = DivergenceError(f"{when(t)}: {fault}", t)
+    try:
+        report(0, steps)
+        while True:
+            if request == TERMS:
+                request = (step if first else many)(events)
+            elif request == TERMS_AND_LAW:
+                assert user_torque is not None
+                fault = user_torque(float(w.now[TIME]), w.torque)
+                if fault:
+                    t = float(w.now[TIME])
+                    failure = DivergenceError(f"{when(t)}: {fault}", t)
+                    break
+                request = step(events)
+            elif request == ROOM:
+                events = np.vstack([events, np.zeros_like(events)])
+                request = step(events)
+            elif request == IMPACT_LAW_WANTED:
+                struck = clock.perf_counter()
+                collide(k, state, memory, robot.n)
+                if not impacts:  # the first may have compiled it
+                    began += clock.perf_counter() - struck
+                impacts = True
+                request = step(events)
+            elif request == DONE:
                 break
-            request = step(events)
-        elif request == ROOM:
-            events = np.vstack([events, np.zeros_like(events)])
-            request = step(events)
-        elif request == IMPACT_LAW_WANTED:
-            struck = clock.perf_counter()
-            collide(k, state, memory, robot.n)
-            if not impacts:  # the first may have compiled it
-                began += clock.perf_counter() - struck
-            impacts = True
-            request = step(events)
-        elif request == DONE:
-            break
-        elif request == NOT_FINITE:
-            t = float(w.now[TIME])
-            failure = DivergenceError(f"{when(t)}: {not_finite(w.torque)}", t)
-            break
-        else:
-            failure = failure_of(int(state[STATUS]), float(w.now[TIME]), robot, problem, law, w.q, w.v)
-            break
-        if first:  # the first call compiled the kernel, or read it from the cache
-            first, began = False, clock.perf_counter()
-        report(int(state[ROW]), steps)
+            elif request == NOT_FINITE:
+                t = float(w.now[TIME])
+                failure = DivergenceError(f"{when(t)}: {not_finite(w.torque)}", t)
+                break
+            else:
+                failure = failure_of(int(state[STATUS]), float(w.now[TIME]), robot, problem, law, w.q, w.v)
+                break
+            if first:  # the first call compiled the kernel, or read it from the cache
+                first, began = False, clock.perf_counter()
+            report(int(state[ROW]), steps)
+        if failure is None:
+            report(steps, steps)
+        complete_record(w.pending, rows, state, int(state[ROW]) + (failure is None), robot.n)
+    except LawError as error:
+        failure = error
+    except KeyboardInterrupt as stop:
+        if not keep_interrupted:
+            raise
+        failure = interrupted(stop, float(w.now[TIME]))
     seconds = clock.perf_counter() - began
     done = int(state[ROW]) + (failure is None)
-    complete_record(w.pending, rows, state, done, robot.n)
-    report(done - 1, steps)
+    if isinstance(failure, InterruptedRunError):
+        done = rows_there(state, done, robot.n)
+    complete_record(w.pending, rows, state, done, robot.n)  # what an exception left; else there is nothing left
     return rows[:done], events[: int(state[EVENTS])], failure, seconds
 
 
@@ -250,7 +274,7 @@ def _driver(
         if law is not None:
             from closedloop.compiled_law import compiled_law, loop_with_law
 
-            with_law = loop_with_law(run, compiled_law(law), tree, work, w, arrays)
+            with_law = loop_with_law(run, law, compiled_law(law), tree, work, w, arrays)
             return with_law, with_law
         if not getattr(run, "signatures", ()):
             direct(run, tree, work, *arrays, np.zeros((0, EVENT_WIDTH)))  # compiled, or read, before the clock starts
@@ -299,18 +323,21 @@ def checked_law(law: Law, robot: Robot, q: Array, v: Array) -> Callable[[float, 
         q_, v_ = q.copy(), v.copy()
         q_.setflags(write=False)
         v_.setflags(write=False)
-        answer = law(t, q_, v_, robot.terms(q, v))
+        try:
+            answer = law(t, q_, v_, robot.terms(q, v))
+        except (Exception, SystemExit) as error:
+            raise law_failure(law, error, t) from error
+        fault = ""
         try:
             given = np.asarray(answer)
-            given = given.astype(np.float64, casting="same_kind" if given.dtype.kind in "iufc" else "unsafe")
-        except (TypeError, ValueError):
-            raise ScenarioError(
-                f"the law returned {str(answer)[:60]!r} at t = {t:g} s: must be {robot.n} numbers, one torque a joint"
-            ) from None
-        if given.shape != torque.shape:
-            raise ScenarioError(
-                f"the law returned Q of shape {given.shape} at t = {t:g} s: must be ({robot.n},), one torque a joint"
-            )
+        except (TypeError, ValueError):  # lists of different lengths
+            given, fault = np.zeros(0), f"{str(answer)[:60]!r}"
+        if given.dtype.kind not in "iuf":
+            fault = f"{str(answer)[:60]!r}"
+        elif not fault and given.shape != torque.shape:
+            fault = f"Q of shape {given.shape}"
+        if fault:
+            raise not_a_torque(fault, t, robot.n)
         if not np.all(np.isfinite(given)):
             return not_finite(given)
         torque[:] = given
@@ -324,9 +351,22 @@ def not_finite(torque: Array) -> str:
     return f"the law returned Q = {torque.tolist()}, which is not finite"
 
 
+def not_a_torque(returned: str, t: float, n: int) -> ScenarioError | LawError:
+    """Return the error of a law that returned at t, s, what is no torque of n joints; at t = 0 s nothing ran yet."""
+    what = f"the law returned {returned} at t = {t:g} s: must be {n} real numbers, one torque a joint, ({n},)"
+    return LawError(f"{when(t)}: {what}", t) if t > 0.0 else ScenarioError(what)
+
+
 def when(t: float) -> str:
     """Return the beginning of the message of a run that stopped at t, s."""
     return f"stopped at t = {t:.6g} s"
+
+
+def interrupted(stop: KeyboardInterrupt, t: float) -> InterruptedRunError:
+    """Return the error of a run that Ctrl-C, or another signal, stopped at t, s."""
+    error = InterruptedRunError(f"{when(t)}: {word_for(stop)}", t)
+    error.__cause__ = stop
+    return error
 
 
 def failure_of(
@@ -379,7 +419,13 @@ def failure_of(
 
 
 def _as_run(
-    problem: Problem, rows: Array, events: Array, law: Law | None, failure: SimulationError | None, seconds: float
+    problem: Problem,
+    rows: Array,
+    events: Array,
+    law: Law | None,
+    failure: SimulationError | None,
+    seconds: float,
+    engine: str,
 ) -> Run:
     n, count = problem.robot.n, rows.shape[0]
     wanted = problem.table[:: problem.nodes][:count]
@@ -402,6 +448,8 @@ def _as_run(
         versions=package_versions(),
         stopped=str(failure) if failure else None,
         wall_seconds=seconds,
+        engine=engine,
+        law_digest="" if law is None else law_digest(law),
     )
 
 

@@ -17,11 +17,11 @@ from closedloop.adaptive.smooth import Stretch, jumps, stretch_from
 from closedloop.contact import FREE
 from closedloop.control import Law
 from closedloop.control.places import K_F
-from closedloop.errors import DivergenceError, SimulationError
+from closedloop.errors import DivergenceError, InterruptedRunError, LawError, SimulationError
 from closedloop.machine.phases import INSTANT, SHALLOW
 from closedloop.problem import Problem
-from closedloop.rows import complete_record
-from closedloop.simulation import failure_of, when
+from closedloop.rows import complete_record, rows_there
+from closedloop.simulation import failure_of, interrupted, when
 from closedloop.solve import OK
 from closedloop.workspace import (
     EVENTS,
@@ -59,27 +59,36 @@ STALLED = (
 
 
 def run_adaptive(
-    problem: Problem, law: Law | None, report: Callable[[int, int], None]
+    problem: Problem, law: Law | None, report: Callable[[int, int], None], keep_interrupted: bool = False
 ) -> tuple[Array, Array, SimulationError | None, float]:
     """Run the problem to its end, or to where it cannot go on; see `closedloop.simulation.run_loop`."""
     journey = _Journey(problem, law, report)
     memory, steps = journey.memory, problem.steps
     failure: SimulationError | None = None
     began = clock.perf_counter()
-    report(0, steps)
     try:
+        report(0, steps)
         began = journey.start()
         journey.go()
+        report(steps, steps)
+        complete_record(memory.w.pending, memory.rows, memory.state, journey.row, problem.robot.n)
     except Stopped as stop:
         t = journey.time
         if stop.fault:
             failure = DivergenceError(f"{when(t)}: {stop.fault}", t)
         else:
             failure = failure_of(stop.status, t, problem.robot, problem, law, memory.w.q, memory.w.v)
+    except LawError as error:
+        failure = error
+    except KeyboardInterrupt as stop:
+        if not keep_interrupted:
+            raise
+        failure = interrupted(stop, journey.time)
     seconds = clock.perf_counter() - began
     done = journey.row
+    if isinstance(failure, InterruptedRunError):
+        done = rows_there(memory.state, done, problem.robot.n)
     complete_record(memory.w.pending, memory.rows, memory.state, done, problem.robot.n)
-    report(min(done, steps), steps)
     return memory.rows[:done], memory.events[: int(memory.state[EVENTS])], failure, seconds
 
 

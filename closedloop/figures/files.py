@@ -2,17 +2,18 @@
 
 from __future__ import annotations
 
+import io
 from collections.abc import Callable
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, cast
 
-from closedloop.errors import OutputError
 from closedloop.figures.closure import closure_error
 from closedloop.figures.force import contact_force
 from closedloop.figures.friction import friction_force, has_friction
 from closedloop.figures.impacts import has_impacts, impacts
 from closedloop.figures.style import STYLE
 from closedloop.figures.tip import tip_position
+from closedloop.files import write_whole
 from closedloop.record import Run
 
 if TYPE_CHECKING:
@@ -63,10 +64,10 @@ def save_figure(draw: Callable[[Run], Figure], run: Run, path: Path) -> Path:
 
     with mpl.rc_context(cast(Any, STYLE)):
         figure = draw(run)
-        try:
-            for suffix in (".svg", ".png"):
-                metadata = {"Date": None} if suffix == ".svg" else {}
-                figure.savefig(path.with_suffix(suffix), metadata=metadata)
-        except OSError as error:
-            raise OutputError(f"{path}: cannot be written: {error.strerror or error}") from None
+        for suffix in (".svg", ".png"):
+            # Who made it, so that results of another run may be told and removed.
+            metadata = {"Source": "closedloop"} | ({"Date": None} if suffix == ".svg" else {})
+            image = io.BytesIO()
+            figure.savefig(image, format=suffix[1:], metadata=metadata)
+            write_whole(path.with_suffix(suffix), image.getvalue())
     return path.with_suffix(".png")

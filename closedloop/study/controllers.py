@@ -24,7 +24,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from closedloop.compiled import needs_compiling
-from closedloop.errors import ClosedLoopError
+from closedloop.errors import ClosedLoopError, InterruptedRunError
 from closedloop.forms import machine
 from closedloop.progress import bar
 from closedloop.record import Run
@@ -110,6 +110,8 @@ def cell(controller: str, friction: str) -> dict[str, Any]:
     row: dict[str, Any] = {"controller": controller, "friction": friction, "reason": ""}
     try:
         return row | measures(simulate(scenario_of(controller, friction), engine="compiled"))
+    except InterruptedRunError:
+        raise
     except ClosedLoopError as error:
         return row | dict.fromkeys(MEASURES, math.nan) | {"reason": str(error)}
 

@@ -26,7 +26,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from closedloop.baumgarte import baumgarte_gains, largest_stable_ratio, recommended_ratio, spectral_radius
-from closedloop.errors import ClosedLoopError
+from closedloop.errors import ClosedLoopError, InterruptedRunError
 from closedloop.integrate import INTEGRATORS
 from closedloop.preparation import prepare
 from closedloop.rows import SCALARS, Row
@@ -72,6 +72,8 @@ def largest_error(scenario: Scenario) -> tuple[float, str]:
     engine = "compiled" if scenario.time.integrator in INTEGRATORS else "pinocchio"
     try:
         return float(np.max(np.abs(simulate(scenario, engine=engine).closure_error))), ""
+    except InterruptedRunError:
+        raise
     except ClosedLoopError as error:
         return math.nan, str(error)
 

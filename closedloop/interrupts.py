@@ -1,0 +1,76 @@
+"""Ctrl-C and SIGTERM: as an exception of their own kind, or held back while something is being finished."""
+
+from __future__ import annotations
+
+import signal
+import threading
+from collections.abc import Iterator
+from contextlib import contextmanager, suppress
+from types import FrameType
+from typing import Any
+
+# Exit statuses, as a shell gives them to what such a signal ended.
+INTERRUPTED, TERMINATED = 128 + signal.SIGINT, 128 + signal.SIGTERM
+_SIGNALS = (signal.SIGINT, signal.SIGTERM)
+
+
+class Terminated(KeyboardInterrupt):
+    """SIGTERM: somebody, or a batch system, asks the program to end."""
+
+
+def exit_status(interruption: BaseException) -> int:
+    """Return the exit status for what Ctrl-C or SIGTERM raised, itself or as the cause."""
+    asked = (interruption, interruption.__cause__)
+    return TERMINATED if any(isinstance(error, Terminated) for error in asked) else INTERRUPTED
+
+
+def word_for(interruption: BaseException) -> str:
+    """Return what happened, in one word."""
+    return "terminated" if exit_status(interruption) == TERMINATED else "interrupted"
+
+
+@contextmanager
+def terminable() -> Iterator[None]:
+    """Let SIGTERM raise `Terminated`, unless somebody else deals with it."""
+    ours = threading.current_thread() is threading.main_thread()
+    if not ours or signal.getsignal(signal.SIGTERM) is not signal.SIG_DFL:
+        yield
+        return
+    signal.signal(signal.SIGTERM, _terminate)
+    try:
+        yield
+    finally:
+        signal.signal(signal.SIGTERM, signal.SIG_DFL)
+
+
+def _terminate(number: int, frame: FrameType | None) -> None:
+    raise Terminated
+
+
+@contextmanager
+def held_back() -> Iterator[None]:
+    """Let the first Ctrl-C or SIGTERM wait until the block is done, and then act; a second one does not wait."""
+    if threading.current_thread() is not threading.main_thread():
+        yield  # exceptions of signals come in the main thread only
+        return
+    waiting: list[tuple[int, FrameType | None]] = []
+    usual: dict[int, Any] = {}
+
+    def hold(number: int, frame: FrameType | None) -> None:
+        if waiting:
+            usual[number](number, frame)
+        waiting.append((number, frame))
+
+    for number in _SIGNALS:
+        before = signal.getsignal(number)
+        if callable(before):  # not ignored, nor left to the system
+            usual[number] = before
+            signal.signal(number, hold)
+    try:
+        yield
+    finally:
+        for which, handler in usual.items():
+            with suppress(ValueError, TypeError):
+                signal.signal(which, handler)
+    if waiting:
+        usual[waiting[0][0]](*waiting[0])

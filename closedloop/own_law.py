@@ -1,0 +1,67 @@
+"""A law of one's own, as a piece of source: where it failed, and whether it is still the same text."""
+
+from __future__ import annotations
+
+import hashlib
+import inspect
+import os
+import sys
+import traceback
+from functools import partial
+from pathlib import Path
+from typing import Any
+
+from closedloop.errors import LawError, one_line
+
+
+def law_failure(law: Any, error: BaseException, t: float) -> LawError:
+    """Return what a law raised at t, s, as the error of the run: file, line, type and message in one line."""
+    what = one_line(f"{type(error).__name__}: {error}" if str(error) else type(error).__name__)
+    return LawError(f"stopped at t = {t:.6g} s: the law failed: {_where(law, error)}{what}", t)
+
+
+def law_digest(law: Any) -> str:
+    """Return the SHA-256 of the text that a law is defined in, "" where there is none to be had.
+
+    That is its module, so that the functions it calls there count too; in a notebook or a console its own text.
+    """
+    text = _source(_function(law))
+    return hashlib.sha256(text.encode("utf-8", "surrogatepass")).hexdigest() if text else ""
+
+
+def _source(function: Any) -> str:
+    for what in (sys.modules.get(getattr(function, "__module__", None) or "__main__"), function):
+        file = getattr(what, "__file__", None)
+        if file and str(file).endswith(".py"):
+            try:
+                return Path(file).read_text(encoding="utf-8", errors="surrogateescape")
+            except OSError:
+                continue
+    try:
+        return inspect.getsource(function)
+    except (OSError, TypeError):
+        return ""
+
+
+def _function(law: Any) -> Any:
+    """Return the function, or the class of the object, that a law was written as."""
+    while isinstance(law, partial):
+        law = law.func
+    law = getattr(law, "py_func", law)
+    return law if hasattr(law, "__code__") or hasattr(law, "__func__") else type(law)
+
+
+def _where(law: Any, error: BaseException) -> str:
+    """Return 'file:line: ' of the last line of the law's own file on the way to an error, else of the last line."""
+    frames = traceback.extract_tb(error.__traceback__)[1:]  # the first is the caller
+    if not frames:
+        return ""
+    code = getattr(_function(law), "__code__", None)
+    own = [frame for frame in frames if code is not None and frame.filename == code.co_filename]
+    last = (own or frames)[-1]
+    file = last.filename
+    try:
+        near = os.path.relpath(file)
+    except (OSError, ValueError):  # another drive, or the working folder is gone
+        near = file
+    return f"{one_line(file if near.startswith(os.pardir) or file.startswith('<') else near)}:{last.lineno}: "

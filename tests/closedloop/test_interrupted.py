@@ -1,0 +1,220 @@
+"""A run that a law or a signal ends early: everything until then is there, to the bit, and the reason in one line."""
+
+import signal
+
+import numba
+import numpy as np
+import pytest
+
+import closedloop as cl
+from closedloop.errors import ClosedLoopError
+from closedloop.interrupts import Terminated, held_back, terminable
+from closedloop.record import COLUMNS
+
+INTEGRATORS = ("semi_implicit_euler", "rk4", "dop853")
+LATE = 0.101
+
+
+def scenario(integrator="semi_implicit_euler", **changes):
+    """Return a slide of 0.15 s."""
+    return cl.load_scenario("wam_slide", {"time.duration": 0.15, "time.integrator": integrator} | changes)
+
+
+def soft(t, q, v, terms):
+    """Press gently, and follow nothing."""
+    return terms.bias - 5.0 * terms.jacobian[2] - 5.0 * v
+
+
+def soft_until(late):
+    """Return the same law with another end."""
+    return lambda t, q, v, terms: soft(t, q, v, terms) if t < LATE - 1e-9 else late()
+
+
+def begins_as(run, whole):
+    """Whether a run is the beginning of another, to the last bit."""
+    for name, column in COLUMNS.items():
+        if column.dims[0] == "time":
+            assert np.array_equal(getattr(run, name), getattr(whole, name)[: len(run)]), name
+    return True
+
+
+def fail():
+    """Raise what a slip in a law raises."""
+    raise IndexError("tuple index out of range")
+
+
+@pytest.mark.parametrize("integrator", INTEGRATORS)
+def test_an_exception_in_a_law_keeps_what_ran(integrator):
+    """The error has the law's file, line, type and message, the exception as its cause, and all rows before it."""
+    with pytest.raises(cl.LawError) as caught:
+        cl.simulate(scenario(integrator), law=soft_until(fail))
+    line = fail.__code__.co_firstlineno + 2
+    message = str(caught.value)
+    assert f"test_interrupted.py:{line}: IndexError: tuple index out of range" in message
+    assert "\n" not in message
+    assert isinstance(caught.value.__cause__, IndexError)
+    run = caught.value.run
+    assert run.stopped == message
+    assert len(run) == 101
+    # dop853 cuts its steps at the rows, so that it is the same to the bit too.
+    assert begins_as(run, cl.simulate(scenario(integrator), law=soft))
+
+
+NO_TORQUE = {
+    "short": lambda: [1.0],
+    "ragged": lambda: [[1.0], [1.0, 2.0]],
+    "none": lambda: None,
+    "text": lambda: ["1", "2", "3", "4"],
+    "bool": lambda: np.ones(4, dtype=bool),
+    "dates": lambda: np.ones(4, dtype="M8[s]"),
+    "spans": lambda: np.ones(4, dtype="m8[s]"),
+    "complex": lambda: np.ones(4, dtype=complex),
+    "objects": lambda: np.ones(4, dtype=object),
+}
+
+
+@pytest.mark.parametrize("answer", NO_TORQUE)
+@pytest.mark.parametrize("integrator", ["rk4", "dop853"])
+def test_what_is_no_torque_ends_the_run_and_keeps_it(answer, integrator):
+    """Text, truth values, dates, complex numbers and other shapes are refused wherever in the run they come."""
+    with pytest.raises(cl.LawError, match="4 real numbers") as caught:
+        cl.simulate(scenario(integrator), law=soft_until(NO_TORQUE[answer]))
+    assert len(caught.value.run) == 101
+
+
+@pytest.mark.parametrize("answer", NO_TORQUE)
+def test_what_is_no_torque_at_the_start_is_an_input_at_fault(answer):
+    """Before anything ran, the law is refused as an input."""
+    with pytest.raises(cl.ScenarioError, match="4 real numbers"):
+        cl.simulate(scenario(), law=lambda t, q, v, terms: NO_TORQUE[answer]())
+
+
+@pytest.mark.parametrize("kind", [int, np.float32, np.uint8, np.longdouble])
+def test_real_numbers_of_every_kind_are_torques(kind):
+    """Whole numbers and floats of any width are taken."""
+    run = cl.simulate(scenario(**{"time.duration": 0.002}), law=lambda t, q, v, terms: np.full(4, kind(3)))
+    assert np.all(run.torque == 3.0)
+
+
+def test_a_law_that_leaves_python_is_a_law_that_failed():
+    """`sys.exit` in a law loses no rows."""
+
+    def leave():
+        raise SystemExit(0)
+
+    with pytest.raises(cl.LawError, match="SystemExit") as caught:
+        cl.simulate(scenario(), law=soft_until(leave))
+    assert len(caught.value.run) == 101
+
+
+@pytest.mark.slow
+def test_an_exception_in_a_compiled_law_keeps_what_ran():
+    """What a law raises inside the compiled loop comes out as it does from Python's, with the same rows before it."""
+
+    @numba.njit
+    def law(t, q, v, terms):
+        if t > 0.1005:
+            raise ValueError("no more")
+        return terms.bias - 5.0 * terms.jacobian[2] - 5.0 * v
+
+    with pytest.raises(cl.LawError, match=r"test_interrupted.py:\d+: ValueError: no more") as caught:
+        cl.simulate(scenario(), law=law, engine="compiled")
+    assert isinstance(caught.value.__cause__, ValueError)
+    assert len(caught.value.run) == 101
+    assert caught.value.run.engine == "compiled"
+
+
+@pytest.mark.parametrize("integrator", INTEGRATORS)
+def test_ctrl_c_keeps_what_ran(integrator):
+    """Ctrl-C in the middle ends the run with an error that is a KeyboardInterrupt too, and has all rows before it."""
+    with pytest.raises(KeyboardInterrupt) as caught:
+        cl.simulate(scenario(integrator), law=soft_until(interrupt))
+    assert isinstance(caught.value, cl.InterruptedRunError)
+    assert isinstance(caught.value, ClosedLoopError)
+    assert "interrupted" in str(caught.value)
+    assert len(caught.value.run) == 101
+    assert begins_as(caught.value.run, cl.simulate(scenario(integrator), law=soft))
+
+
+@pytest.fixture
+def alarm():
+    """Return a function that raises KeyboardInterrupt after so many seconds, wherever Python is then."""
+
+    def ring(number, frame):
+        raise KeyboardInterrupt
+
+    before = signal.signal(signal.SIGALRM, ring)
+    yield lambda seconds: signal.setitimer(signal.ITIMER_REAL, seconds)
+    signal.setitimer(signal.ITIMER_REAL, 0)
+    signal.signal(signal.SIGALRM, before)
+
+
+@pytest.mark.parametrize(
+    ("integrator", "law", "duration", "times"),
+    [
+        ("rk4", None, 8.0, 6),
+        ("rk4", soft, 0.1, 6),
+        pytest.param("dop853", None, 0.3, 20, marks=pytest.mark.slow),
+        pytest.param("dop853", soft, 0.1, 20, marks=pytest.mark.slow),
+    ],
+    ids=["rk4", "rk4, a law", "dop853", "dop853, a law"],
+)
+def test_ctrl_c_at_any_moment(integrator, law, duration, times, alarm):
+    """Wherever an interruption strikes, what is left is a beginning of the whole run, condition numbers included."""
+    asked = scenario(integrator, **{"time.duration": duration})
+    whole = cl.simulate(asked, law=law)
+    rng, left = np.random.default_rng(5), []
+    for _ in range(times):
+        alarm(rng.uniform(0.0, 1.0) * whole.wall_seconds + 0.001)
+        try:
+            cl.simulate(asked, law=law)
+        except cl.InterruptedRunError as error:
+            left.append(error.run)
+        except KeyboardInterrupt:
+            pass  # before the first step: nothing is lost
+        finally:
+            alarm(0.0)
+    assert left
+    assert all(begins_as(run, whole) for run in left)
+
+
+def interrupt():
+    """Do what Ctrl-C does."""
+    signal.raise_signal(signal.SIGINT)
+
+
+def test_a_signal_waits_for_what_must_be_finished():
+    """Inside `held_back` the first Ctrl-C waits for the end of the block; a second one does not."""
+    done = []
+
+    def finish():
+        with held_back():
+            interrupt()
+            done.append("whole")
+
+    def insist():
+        with held_back():
+            interrupt()
+            interrupt()
+            done.append("never")
+
+    with pytest.raises(KeyboardInterrupt):
+        finish()
+    assert done == ["whole"]
+    with pytest.raises(KeyboardInterrupt):
+        insist()
+    assert done == ["whole"]
+    assert signal.getsignal(signal.SIGINT) is signal.default_int_handler
+
+
+def test_sigterm_is_an_interruption_with_a_name():
+    """SIGTERM ends a run as Ctrl-C does, within `terminable` alone."""
+
+    def end():
+        signal.raise_signal(signal.SIGTERM)
+
+    with terminable(), pytest.raises(cl.InterruptedRunError, match="terminated") as caught:
+        cl.simulate(scenario(), law=soft_until(end))
+    assert isinstance(caught.value.__cause__, Terminated)
+    assert len(caught.value.run) == 101
+    assert signal.getsignal(signal.SIGTERM) is signal.SIG_DFL

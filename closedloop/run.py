@@ -214,11 +214,12 @@ def _make_writable(folder: Path) -> None:
 
 def announce_compiling(scenario: Scenario, n: int, engine: str, runs: int = 1) -> None:
     """Say why the first run of an installation takes longer, or the first of so many; n joints, 0: any number."""
+    from closedloop.cache_folder import compiling_notice
     from closedloop.compiled import needs_compiling
     from closedloop.forms import loop_of
 
     if needs_compiling(loop_of(scenario, engine, n, runs)):
-        print("compiling the step (once for this installation, some twenty seconds) ...", file=sys.stderr, flush=True)
+        print(compiling_notice(), file=sys.stderr, flush=True)
 
 
 def _write_summary(summary: dict[str, Any], path: Path) -> Path:

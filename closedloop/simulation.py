@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from closedloop.addresses import address_of
-from closedloop.compiled import direct, forget_old_caches, needs_compiling
+from closedloop.compiled import direct
 from closedloop.control import Law
 from closedloop.errors import (
     ChatterError,
@@ -94,7 +94,6 @@ def simulate(
     """
     check_engine(scenario, engine, law)
     problem = prepare(scenario, model)
-    compiled_now = needs_compiling(machine(problem.more, engine, problem.robot.n))
     if progress is True:
         from closedloop.progress import bar
 
@@ -102,8 +101,6 @@ def simulate(
             rows, events, failure, seconds = run_loop(problem, law, report, engine)
     else:
         rows, events, failure, seconds = run_loop(problem, law, progress or _silent, engine)
-    if compiled_now:
-        forget_old_caches()
     run = _as_run(problem, rows, events, law, failure, seconds)
     if failure is not None:
         failure.run = run

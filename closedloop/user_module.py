@@ -65,7 +65,7 @@ def _look_here(option: str, name: str, top: str) -> None:
     ours, other = PathFinder.find_spec(top, [here]), _installed(top)
     if ours is not None and ours.origin is not None and other is not None and not _same(ours.origin, other.origin):
         raise ScenarioError(
-            f"{option} {name}: {os.path.relpath(ours.origin)} has the name of another module, "
+            f"{option} {name}: {_short(ours.origin)} has the name of another module, "
             f"{other.origin or top}: rename it"
         )
     if here not in sys.path:
@@ -92,16 +92,23 @@ def _where_and_what(error: BaseException) -> str:
     """Return file:line: what, of the line of the user's file."""
     if isinstance(error, SyntaxError) and error.filename:
         return f"{_short(error.filename)}:{error.lineno or 1}: {error.msg}"
-    frames = [frame for frame in traceback.extract_tb(error.__traceback__) if os.path.isfile(frame.filename)]
-    theirs = [frame for frame in frames if not os.path.relpath(frame.filename).startswith(os.pardir)]
-    last = (theirs or frames)[-1]
+    frames = [frame for frame in traceback.extract_tb(error.__traceback__) if _is_users(frame.filename)]
+    here = [frame for frame in frames if not os.path.isabs(_short(frame.filename))]
     lines = str(error).splitlines()
-    what = f"calls sys.exit({error.code!r})" if isinstance(error, SystemExit) else ": ".join(
-        [type(error).__name__, *lines[:1]]
-    )  # fmt: skip
-    return f"{_short(last.filename)}:{last.lineno}: {what}"
+    what = ": ".join([type(error).__name__, *lines[:1]])
+    if isinstance(error, SystemExit):
+        what = f"calls sys.exit({error.code!r})"
+    return "".join(f"{_short(frame.filename)}:{frame.lineno}: " for frame in (here or frames)[-1:]) + what
+
+
+def _is_users(path: str) -> bool:
+    return os.path.isfile(path) and path not in (__file__, importlib.__file__)
 
 
 def _short(path: str) -> str:
-    short = os.path.relpath(path)
+    """Return a path below the current folder from there, another as it is."""
+    try:
+        short = os.path.relpath(path)
+    except (OSError, ValueError):  # no current folder, or another drive
+        return path
     return path if short.startswith(os.pardir) else short

@@ -144,8 +144,15 @@ def split_overrides(arguments: list[str]) -> tuple[dict[str, Any], list[str]]:
             value = next(words, "--")
             if value.startswith("--"):
                 raise ScenarioError(f"command line: {word} needs a value, such as --law.force 15")
+        if not _is_text(word + value):
+            raise ScenarioError(f"command line: --{key}: its value must be text in the encoding of this locale")
         overrides[key] = toml_value(value)
     return overrides, rest
+
+
+def _is_text(word: str) -> bool:
+    """Whether a word can be written into a file: bytes that the locale does not know came in as halves of characters."""
+    return not any("\ud800" <= character <= "\udfff" for character in word)
 
 
 def toml_value(text: str) -> Any:

@@ -41,7 +41,7 @@ def load_named(option: str, name: str, example: str) -> Any:
     module_name, _, attribute = name.partition(":")
     if not (attribute and all(part.isidentifier() for part in module_name.split("."))):
         raise ScenarioError(f"{option} {name}: must be {example}")
-    _look_here(option, name, module_name.partition(".")[0])
+    file = _look_here(option, name, module_name.partition(".")[0])
     try:
         with redirect_stdout(sys.stderr):
             return getattr(importlib.import_module(module_name), attribute, None)
@@ -51,25 +51,25 @@ def load_named(option: str, name: str, example: str) -> Any:
         if isinstance(error, ModuleNotFoundError) and f"{module_name}.".startswith(f"{error.name}."):
             what = f"there is no module '{module_name}' here or among the installed packages"
         else:
-            what = _where_and_what(error)
+            what = _where_and_what(error, file)
         raise ScenarioError(f"{option} {name}: {what}") from None
 
 
-def _look_here(option: str, name: str, top: str) -> None:
-    """Let modules of the current folder be found, after all others."""
+def _look_here(option: str, name: str, top: str) -> str:
+    """Let modules of the current folder be found, after all others; return the file of the one asked for, or ""."""
     try:
         here = os.getcwd()
     except OSError:  # it was deleted
-        return
+        return ""
     importlib.invalidate_caches()
     ours, other = PathFinder.find_spec(top, [here]), _installed(top)
     if ours is not None and ours.origin is not None and other is not None and not _same(ours.origin, other.origin):
         raise ScenarioError(
-            f"{option} {name}: {_short(ours.origin)} has the name of another module, "
-            f"{other.origin or top}: rename it"
+            f"{option} {name}: {_short(ours.origin)} has the name of another module, {other.origin or top}: rename it"
         )
     if here not in sys.path:
         sys.path.append(here)
+    return "" if ours is None else ours.origin or ""
 
 
 def _installed(top: str) -> ModuleSpec | None:
@@ -88,8 +88,8 @@ def _same(a: str, b: str | None) -> bool:
         return False
 
 
-def _where_and_what(error: BaseException) -> str:
-    """Return file:line: what, of the line of the user's file."""
+def _where_and_what(error: BaseException, file: str) -> str:
+    """Return file:line: what, of the line of the user's file; `file` is where to look if no line of it ran."""
     if isinstance(error, SyntaxError) and error.filename:
         return f"{_short(error.filename)}:{error.lineno or 1}: {error.msg}"
     frames = [frame for frame in traceback.extract_tb(error.__traceback__) if _is_users(frame.filename)]
@@ -98,7 +98,9 @@ def _where_and_what(error: BaseException) -> str:
     what = ": ".join([type(error).__name__, *lines[:1]])
     if isinstance(error, SystemExit):
         what = f"calls sys.exit({error.code!r})"
-    return "".join(f"{_short(frame.filename)}:{frame.lineno}: " for frame in (here or frames)[-1:]) + what
+    for frame in reversed(here or frames):
+        return f"{_short(frame.filename)}:{frame.lineno}: {what}"
+    return f"{_short(file)}: {what}" if file else what
 
 
 def _is_users(path: str) -> bool:

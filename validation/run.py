@@ -47,7 +47,7 @@ def _main(words: list[str]) -> int:
     for kind, path in files.items():
         text = {"json": report.to_json, "html": report.to_html, "markdown": report.to_markdown}[kind]()
         try:
-            path.write_text(text + "\n", encoding="utf-8")
+            path.write_text(text + "\n", encoding="utf-8", errors="backslashreplace")
         except OSError as error:
             raise InputError(f"--{kind} {path}: cannot be written: {error.strerror}") from None
     return PASSED if report.passed else FAILED

@@ -9,8 +9,12 @@ Names are loaded when they are first used, so that ``import closedloop`` is quic
 
 from __future__ import annotations
 
-from importlib import import_module
-from typing import TYPE_CHECKING, Any
+from closedloop.current_folder import leave_out_current_folder
+
+leave_out_current_folder(__file__)  # before anything else is imported
+
+from importlib import import_module  # noqa: E402
+from typing import TYPE_CHECKING, Any  # noqa: E402
 
 if TYPE_CHECKING:
     from closedloop.batch import simulate_batch as simulate_batch

@@ -7,45 +7,28 @@ until then is saved, and the line says when and why); 130 interrupted by Ctrl-C,
 from __future__ import annotations
 
 import argparse
-import importlib
 import json
 import os
 import sys
 import tomllib
 from collections.abc import Sequence
+from contextlib import redirect_stdout
 from dataclasses import replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, NoReturn
+from typing import TYPE_CHECKING, Any
 
-from closedloop.errors import ClosedLoopError, InterruptedRunError, ScenarioError, SimulationError, one_line
-from closedloop.interrupts import Terminated, exit_status, terminable, word_for
+from closedloop.command import DONE, Parser, run_command
+from closedloop.errors import InterruptedRunError, ScenarioError, SimulationError
+from closedloop.interrupts import Terminated, word_for
 from closedloop.scenario import Scenario, load_scenario, parse_scenario, shipped_scenarios
 
 if TYPE_CHECKING:
     from closedloop.record import Run
 
-DONE, BAD_INPUT, STOPPED = 0, 2, 3
-
-
-class _Parser(argparse.ArgumentParser):
-    def error(self, message: str) -> NoReturn:
-        raise ScenarioError(f"command line: {message}; a key of the scenario is set as --law.force 15; see --help")
-
 
 def main(arguments: Sequence[str] | None = None) -> int:
     """Run the command line and return the exit status."""
-    try:
-        with terminable():
-            return _main(sys.argv[1:] if arguments is None else list(arguments))
-    except KeyboardInterrupt as stop:
-        print(f"closedloop: {one_line(str(stop)) or word_for(stop)}", file=sys.stderr)
-        return exit_status(stop)
-    except ClosedLoopError as error:
-        print(f"closedloop: {one_line(str(error))}", file=sys.stderr)
-        return STOPPED if isinstance(error, SimulationError) else BAD_INPUT
-    except BrokenPipeError:  # the reader of our output has gone: `... --list | head -1`
-        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
-        return DONE
+    return run_command("closedloop", _main, arguments)
 
 
 def _main(arguments: list[str]) -> int:
@@ -91,7 +74,8 @@ def _main(arguments: list[str]) -> int:
     announce_compiling(scenario, robot.n, engine)
     failure: SimulationError | None = None
     try:
-        run = simulate(scenario, law=law, model=model, progress=not options.json, engine=engine)
+        with redirect_stdout(sys.stderr):  # what a law prints is no result
+            run = simulate(scenario, law=law, model=model, progress=not options.json, engine=engine)
     except SimulationError as error:
         if error.run is None or (isinstance(error, InterruptedRunError) and len(error.run) == 0):
             raise
@@ -127,18 +111,18 @@ def _draw(run: Run, folder: Path, failure: SimulationError | None, law: Any, mod
         raise type(stop)(said) if isinstance(stop, Terminated) else KeyboardInterrupt(said) from None
 
 
-def _parser() -> argparse.ArgumentParser:
+def _parser() -> Parser:
     from closedloop.explain import describe_keys
 
     keys = "\n".join(f"  --{key} VALUE\n        {what}" for key, what in describe_keys())
-    parser = _Parser(
+    parser = Parser(
         prog="closedloop",
         description="Simulate a robot arm whose tip is in contact with a surface.",
         epilog="Any key of the scenario can be set, with a value as in TOML (lists in quotes):\n" + keys
         + "\n\nexit status: 0 done; 2 the input is at fault; 3 the simulation could not go on (what ran is saved); "
         "130 interrupted by Ctrl-C, 143 by SIGTERM (what ran is saved)",
         formatter_class=argparse.RawDescriptionHelpFormatter,
-        allow_abbrev=False,
+        cure="a key of the scenario is set as --law.force 15; see --help",
     )  # fmt: skip
     parser.add_argument(
         "scenario",
@@ -186,8 +170,15 @@ def split_overrides(arguments: list[str]) -> tuple[dict[str, Any], list[str]]:
             value = next(words, "--")
             if value.startswith("--"):
                 raise ScenarioError(f"command line: {word} needs a value, such as --law.force 15")
+        if not _is_text(word + value):
+            raise ScenarioError(f"command line: --{key}: its value must be text in the encoding of this locale")
         overrides[key] = toml_value(value)
     return overrides, rest
+
+
+def _is_text(word: str) -> bool:
+    """Whether a word can be written into a file: bytes that the locale does not know came in as halves of characters."""
+    return not any("\ud800" <= character <= "\udfff" for character in word)
 
 
 def toml_value(text: str) -> Any:
@@ -212,31 +203,23 @@ def _open(name: str, overrides: dict[str, Any]) -> tuple[Scenario, Any, Run | No
 
 
 def _import_law(name: str) -> Any:
-    module_name, _, function_name = name.partition(":")
-    if not (function_name and all(part.isidentifier() for part in module_name.split("."))):
-        raise ScenarioError(f"--law {name}: must be MODULE:FUNCTION, such as my_laws:soft_touch")
-    sys.path.insert(0, os.getcwd())
-    try:
-        module = importlib.import_module(module_name)
-    except ModuleNotFoundError as error:
-        if not f"{module_name}.".startswith(f"{error.name}."):
-            raise  # the module is there, and lacks one that it needs itself
-        raise ScenarioError(
-            f"--law {name}: there is no module '{module_name}' here or among the installed packages"
-        ) from None
-    law = getattr(module, function_name, None)
+    from closedloop.user_module import load_named
+
+    law = load_named("--law", name, "MODULE:FUNCTION, such as my_laws:soft_touch")
     if not callable(law):
-        raise ScenarioError(f"--law {name}: '{module_name}' has no function '{function_name}'")
+        module, _, function = name.partition(":")
+        raise ScenarioError(f"--law {name}: '{module}' has no function '{function}'")
     return law
 
 
 def announce_compiling(scenario: Scenario, n: int, engine: str, runs: int = 1) -> None:
     """Say why the first run of an installation takes longer, or the first of so many; n joints, 0: any number."""
+    from closedloop.cache_folder import compiling_notice
     from closedloop.compiled import needs_compiling
     from closedloop.forms import loop_of
 
     if needs_compiling(loop_of(scenario, engine, n, runs)):
-        print("compiling the step (once for this installation, some twenty seconds) ...", file=sys.stderr, flush=True)
+        print(compiling_notice(), file=sys.stderr, flush=True)
 
 
 def _without_stabiliser(scenario: Scenario, law: Any, model: Any, engine: str) -> Any:
@@ -247,7 +230,8 @@ def _without_stabiliser(scenario: Scenario, law: Any, model: Any, engine: str) -
         return None
     plain = parse_scenario(scenario.to_toml(), where=scenario.name, overrides={"stabiliser.kind": "none"})
     try:
-        return simulate(plain, law=law, model=model, engine=engine)
+        with redirect_stdout(sys.stderr):
+            return simulate(plain, law=law, model=model, engine=engine)
     except InterruptedRunError:
         raise
     except SimulationError:

@@ -280,7 +280,7 @@ def _scenario_text(name: str | Path) -> tuple[str, str, str]:
     as_path = Path(name)
     if as_path.suffix == ".toml" or isinstance(name, Path):
         try:
-            return as_path.read_text(encoding="utf-8"), as_path.stem, str(as_path)
+            return as_path.read_text(encoding="utf-8-sig"), as_path.stem, str(as_path)
         except OSError as error:
             raise ScenarioError(f"{as_path}: cannot be read: {error.strerror}") from None
         except UnicodeDecodeError:

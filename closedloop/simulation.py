@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from closedloop.addresses import address_of
-from closedloop.compiled import direct, forget_old_caches, needs_compiling
+from closedloop.compiled import direct
 from closedloop.control import Law
 from closedloop.errors import (
     ChatterError,
@@ -100,7 +100,6 @@ def simulate(
     """
     check_engine(scenario, engine, law)
     problem = prepare(scenario, model)
-    compiled_now = needs_compiling(machine(problem.more, engine, problem.robot.n))
     if progress is True:
         from closedloop.progress import bar
 
@@ -110,8 +109,6 @@ def simulate(
         rows, events, failure, seconds = run_loop(problem, law, progress or _silent, engine, keep_interrupted=True)
     try:
         with held_back():
-            if compiled_now:
-                forget_old_caches()
             run = _as_run(problem, rows, events, law, failure, seconds, engine)
     except KeyboardInterrupt as stop:  # it came while the record was being put together
         failure = failure or interrupted(stop, float(run.time[-1]))

@@ -8,8 +8,10 @@ report.show()
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from typing import TYPE_CHECKING, Any
+import closedloop as _closedloop  # noqa: F401  # before anything else: it looks after the current folder
+
+from collections.abc import Sequence  # isort: skip
+from typing import TYPE_CHECKING, Any  # isort: skip
 
 if TYPE_CHECKING:
     from validation.engines import Engine

@@ -7,14 +7,13 @@ input is at fault (one line on standard error).
 from __future__ import annotations
 
 import argparse
-import importlib
-import os
 import sys
 import time
 from collections.abc import Sequence
 from pathlib import Path
-from typing import Any, NoReturn
+from typing import Any
 
+from closedloop.command import Parser, run_command
 from robot_models import ClosedLoopError, ModelError
 
 PASSED, FAILED, BAD_INPUT = 0, 1, 2
@@ -24,22 +23,9 @@ class InputError(ClosedLoopError, ValueError):
     """An argument is at fault."""
 
 
-class _Parser(argparse.ArgumentParser):
-    def error(self, message: str) -> NoReturn:
-        raise InputError(f"command line: {message}; see --help")
-
-
 def main(arguments: Sequence[str] | None = None) -> int:
     """Run the command line and return the exit status."""
-    words = sys.argv[1:] if arguments is None else list(arguments)
-    try:
-        return _main(words)
-    except ClosedLoopError as error:
-        print(f"validation: {error}", file=sys.stderr)
-        return BAD_INPUT
-    except BrokenPipeError:  # the reader of our output has gone: `... | head`
-        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
-        return PASSED
+    return run_command("validation", _main, arguments, stopped=())
 
 
 def _main(words: list[str]) -> int:
@@ -61,14 +47,14 @@ def _main(words: list[str]) -> int:
     for kind, path in files.items():
         text = {"json": report.to_json, "html": report.to_html, "markdown": report.to_markdown}[kind]()
         try:
-            path.write_text(text + "\n", encoding="utf-8")
+            path.write_text(text + "\n", encoding="utf-8", errors="backslashreplace")
         except OSError as error:
             raise InputError(f"--{kind} {path}: cannot be written: {error.strerror}") from None
     return PASSED if report.passed else FAILED
 
 
-def _parser() -> argparse.ArgumentParser:
-    parser = _Parser(
+def _parser() -> Parser:
+    parser = Parser(
         prog="python -m validation.run",
         description="Compare every quantity of the simulator with engines that share nothing with it.",
         epilog="exit status: 0 all within tolerance; 1 something is not, or a fault went unseen; 2 bad input",
@@ -127,18 +113,13 @@ def _plant(options: argparse.Namespace) -> Any:
 
 def _engine(name: str) -> Any:
     """Import a user's engine class, which must be asked for by name on the command line."""
+    from closedloop.user_module import load_named
     from validation.engines import Engine
 
-    module_name, _, class_name = name.partition(":")
-    sys.path.insert(0, os.getcwd())
-    try:
-        found = getattr(importlib.import_module(module_name), class_name, None) if class_name else None
-    except ModuleNotFoundError as error:
-        if error.name != module_name.split(".")[0]:
-            raise
-        found = None
+    wanted = "MODULE:CLASS of a subclass of validation.engines.Engine"
+    found = load_named("--engine", name, wanted)
     if not (isinstance(found, type) and issubclass(found, Engine)):
-        raise InputError(f"--engine {name}: must be MODULE:CLASS of a subclass of validation.engines.Engine")
+        raise InputError(f"--engine {name}: must be {wanted}")
     return found
 
 

@@ -9,9 +9,9 @@ import argparse
 import sys
 from collections.abc import Sequence
 from pathlib import Path
-from typing import NoReturn
 
-from closedloop.errors import ClosedLoopError, OutputError, ScenarioError, one_line
+from closedloop.command import DONE, Parser, run_command
+from closedloop.errors import OutputError
 
 STUDIES = {
     "drift": "closure drift against step, speed, integrator and stabiliser; the stability limit of Baumgarte",
@@ -19,44 +19,38 @@ STUDIES = {
 }
 
 
-class _Parser(argparse.ArgumentParser):
-    def error(self, message: str) -> NoReturn:
-        raise ScenarioError(f"command line: {message}; see --help")
-
-
 def main(arguments: Sequence[str] | None = None) -> int:
     """Run the command line and return the exit status."""
+    return run_command("closedloop.study", _main, arguments)
+
+
+def _main(words: list[str]) -> int:
     studies = "\n".join(f"  {name:12} {what}" for name, what in STUDIES.items())
-    parser = _Parser(
+    parser = Parser(
         prog="closedloop.study",
         description="Run a study.\n\n" + studies,
         formatter_class=argparse.RawDescriptionHelpFormatter,
-        allow_abbrev=False,
     )
     parser.add_argument("study", choices=list(STUDIES))
     parser.add_argument("--out", metavar="DIR", help="where results go (default: out/study_NAME)")
     parser.add_argument("--quick", action="store_true", help="fewer points, in a few seconds")
     parser.add_argument("--json", action="store_true", help="print the results as JSON instead of tables")
+    options = parser.parse_args(words)
+    folder = Path(options.out) if options.out else Path("out") / f"study_{options.study}"
     try:
-        options = parser.parse_args(sys.argv[1:] if arguments is None else list(arguments))
-        folder = Path(options.out) if options.out else Path("out") / f"study_{options.study}"
-        try:
-            folder.mkdir(parents=True, exist_ok=True)
-        except (OSError, ValueError) as error:
-            reason = error.strerror if isinstance(error, OSError) else error
-            raise OutputError(f"--out {str(folder)!r}: cannot be written: {reason}; name another folder") from None
-        if options.study == "drift":
-            from closedloop.study import drift
+        folder.mkdir(parents=True, exist_ok=True)
+    except (OSError, ValueError) as error:
+        reason = error.strerror if isinstance(error, OSError) else error
+        raise OutputError(f"--out {str(folder)!r}: cannot be written: {reason}; name another folder") from None
+    if options.study == "drift":
+        from closedloop.study import drift
 
-            drift.run(folder, quick=options.quick, as_json=options.json)
-        else:
-            from closedloop.study import controllers
+        drift.run(folder, quick=options.quick, as_json=options.json)
+    else:
+        from closedloop.study import controllers
 
-            controllers.run(folder, quick=options.quick, as_json=options.json)
-    except ClosedLoopError as error:
-        print(f"closedloop.study: {one_line(str(error))}", file=sys.stderr)
-        return 2
-    return 0
+        controllers.run(folder, quick=options.quick, as_json=options.json)
+    return DONE
 
 
 if __name__ == "__main__":

@@ -23,6 +23,7 @@ from typing import Any, cast
 import numpy as np
 from numpy.typing import NDArray
 
+from closedloop.cache_folder import compiling_notice
 from closedloop.compiled import needs_compiling
 from closedloop.errors import ClosedLoopError, InterruptedRunError
 from closedloop.forms import machine
@@ -120,7 +121,7 @@ def measure(quick: bool = False) -> list[dict[str, Any]]:
     """Return a row for each controller and each kind of friction; a bar on standard error says how far it is."""
     controllers, frictions = QUICK if quick else (tuple(CONTROLLERS), tuple(FRICTIONS))
     if needs_compiling(machine(True, "compiled")):
-        print("compiling the step (once for this installation, some twenty seconds) ...", file=sys.stderr, flush=True)
+        print(compiling_notice(), file=sys.stderr, flush=True)
     cells, results = list(product(controllers, frictions)), []
     with bar("controllers", len(cells)) as report:
         for controller, friction in cells:

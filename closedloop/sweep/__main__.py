@@ -11,36 +11,24 @@ import sys
 import time as clock
 from collections.abc import Sequence
 from pathlib import Path
-from typing import NoReturn
 
-from closedloop.errors import ClosedLoopError, ClusterError, ScenarioError, one_line
-from closedloop.forms import COMPILED, ENGINES
-from closedloop.run import BAD_INPUT, DONE, STOPPED, split_overrides
-
-INTERRUPTED = 130
-
-
-class _Parser(argparse.ArgumentParser):
-    def error(self, message: str) -> NoReturn:
-        raise ScenarioError(f"command line: {message}; see --help")
+from closedloop.command import DONE, Parser, run_command
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
     """Run the command line and return the exit status."""
-    given = sys.argv[1:] if arguments is None else list(arguments)
-    try:
-        if given[:1] == ["plot"]:
-            return _plot(given[1:])
-        return _sweep(given)
-    except ClosedLoopError as error:
-        print(f"closedloop.sweep: {one_line(str(error))}", file=sys.stderr)
-        return STOPPED if isinstance(error, ClusterError) else BAD_INPUT
-    except KeyboardInterrupt:
-        print("closedloop.sweep: interrupted; the same command goes on from here", file=sys.stderr)
-        return INTERRUPTED
+    return run_command(
+        "closedloop.sweep", _main, arguments, interrupted="interrupted; the same command goes on from here"
+    )
+
+
+def _main(words: list[str]) -> int:
+    return _plot(words[1:]) if words[:1] == ["plot"] else _sweep(words)
 
 
 def _sweep(arguments: list[str]) -> int:
+    from closedloop.run import split_overrides
+
     overrides, rest = split_overrides(arguments)
     options = _sweep_parser().parse_args(rest)
     from closedloop.preparation import load_model
@@ -83,8 +71,10 @@ def _sweep(arguments: list[str]) -> int:
     return DONE
 
 
-def _sweep_parser() -> argparse.ArgumentParser:
-    parser = _Parser(
+def _sweep_parser() -> Parser:
+    from closedloop.forms import COMPILED, ENGINES
+
+    parser = Parser(
         prog="closedloop.sweep",
         description="Run a scenario many times with some keys changed, into a table of what came of each run.",
         epilog="Any other key of the scenario can be set for all runs, as --law.kp 900 (see python -m closedloop.run\n"
@@ -93,7 +83,6 @@ def _sweep_parser() -> argparse.ArgumentParser:
         "exit status: 0 done, and runs that failed are rows that say why; 2 the input is at fault; 3 a cluster was\n"
         "lost on the way, and 130 interrupted: the same command goes on from there",
         formatter_class=argparse.RawDescriptionHelpFormatter,
-        allow_abbrev=False,
     )
     add = parser.add_argument
     add("scenario", help="a shipped name (python -m closedloop.run --list) or a .toml file")
@@ -127,9 +116,7 @@ def _sweep_parser() -> argparse.ArgumentParser:
 
 
 def _plot(arguments: list[str]) -> int:
-    parser = _Parser(
-        prog="closedloop.sweep plot", description="Draw maps of a sweep's table.", allow_abbrev=False
-    )  # fmt: skip
+    parser = Parser(prog="closedloop.sweep plot", description="Draw maps of a sweep's table.")
     parser.add_argument("table", help="the .parquet file of a sweep")
     parser.add_argument(
         "--of",

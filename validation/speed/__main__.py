@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import argparse
 import json
 import sys
 from collections.abc import Sequence
@@ -10,8 +9,9 @@ from importlib.util import find_spec
 from pathlib import Path
 from typing import Any
 
+from closedloop.command import Parser, run_command
 from closedloop.forms import ENGINES
-from validation.run import BAD_INPUT, InputError, say
+from validation.run import InputError, say
 from validation.speed.arms import ARMS, slide
 from validation.speed.contestants import Contestant
 
@@ -24,11 +24,7 @@ MOST_ROLLOUTS = 16
 
 def main(arguments: Sequence[str] | None = None) -> int:
     """Measure, print the tables, and write JSON if asked."""
-    try:
-        return _main(sys.argv[1:] if arguments is None else list(arguments))
-    except InputError as error:
-        print(f"validation.speed: {error}", file=sys.stderr)
-        return BAD_INPUT
+    return run_command("validation.speed", _main, arguments, stopped=())
 
 
 def _main(words: list[str]) -> int:
@@ -61,13 +57,8 @@ def _main(words: list[str]) -> int:
     return 0
 
 
-class _Parser(argparse.ArgumentParser):
-    def error(self, message: str) -> Any:
-        raise InputError(f"command line: {message}; see --help")
-
-
-def _parser() -> argparse.ArgumentParser:
-    parser = _Parser(
+def _parser() -> Parser:
+    parser = Parser(
         prog="python -m validation.speed",
         description="Measure a step of our engines beside peers that do the same work; the method is docs/speed.md.",
     )

@@ -1,0 +1,33 @@
+"""The current folder holds a user's files: no module in it takes the place of one that the package needs.
+
+``python -m closedloop.run`` makes Python look there first, so that a ``numpy.py`` of the user's would be numpy.
+"""
+
+from __future__ import annotations
+
+import os
+import sys
+
+COMMANDS = ("closedloop", "validation")
+
+
+def leave_out_current_folder(package_file: str) -> None:
+    """Take the current folder from the head of `sys.path`, if ``python -m`` put it there to run a command of ours.
+
+    It stays where the package itself was found in it: a checkout that is not installed.
+    """
+    # While `-m` looks for its module, the arguments begin with it; the module's name stands before the other arguments.
+    if sys.argv[:1] != ["-m"] or sys.flags.safe_path or len(sys.orig_argv) < len(sys.argv):
+        return
+    word = sys.orig_argv[-len(sys.argv)]
+    module = word.partition("m")[2] if word.startswith("-") else word
+    if module.partition(".")[0] not in COMMANDS:
+        return
+    home = os.path.dirname(os.path.dirname(os.path.abspath(package_file)))
+    try:
+        here = os.getcwd()
+        from_here = os.path.samefile(here, home)
+    except OSError:  # the folder was deleted
+        here, from_here = "", False
+    if sys.path and sys.path[0] in (here, "") and not from_here:
+        del sys.path[0]

@@ -1,0 +1,116 @@
+"""A function or a class from a user's own module, asked for on the command line as MODULE:NAME.
+
+The module may lie in the current folder, and so may what it imports. Nothing there takes the place of an installed
+module: the folder is looked through last, and a module with the name of an installed one is refused.
+"""
+
+from __future__ import annotations
+
+import importlib
+import os
+import sys
+import traceback
+from contextlib import redirect_stdout
+from importlib.machinery import ModuleSpec, PathFinder
+from importlib.util import find_spec
+from typing import Any
+
+from closedloop.errors import ClosedLoopError, ScenarioError
+
+
+def load_named(option: str, name: str, example: str) -> Any:
+    """Return what MODULE:NAME is, None if the module has no such name.
+
+    What the module prints as it is imported goes to standard error: standard output is for results.
+
+    Parameters
+    ----------
+    option : str
+        For messages, such as ``--law``.
+    name : str
+        MODULE:NAME.
+    example : str
+        What it looks like.
+
+    Raises
+    ------
+    ScenarioError
+        If it does not look like that, there is no such module, or it cannot be imported; says in which line of which
+        file.
+    """
+    module_name, _, attribute = name.partition(":")
+    if not (attribute and all(part.isidentifier() for part in module_name.split("."))):
+        raise ScenarioError(f"{option} {name}: must be {example}")
+    file = _look_here(option, name, module_name.partition(".")[0])
+    try:
+        with redirect_stdout(sys.stderr):
+            return getattr(importlib.import_module(module_name), attribute, None)
+    except ClosedLoopError:
+        raise
+    except (Exception, SystemExit) as error:  # a user's module may raise anything
+        if isinstance(error, ModuleNotFoundError) and f"{module_name}.".startswith(f"{error.name}."):
+            what = f"there is no module '{module_name}' here or among the installed packages"
+        else:
+            what = _where_and_what(error, file)
+        raise ScenarioError(f"{option} {name}: {what}") from None
+
+
+def _look_here(option: str, name: str, top: str) -> str:
+    """Let modules of the current folder be found, after all others; return the file of the one asked for, or ""."""
+    try:
+        here = os.getcwd()
+    except OSError:  # it was deleted
+        return ""
+    importlib.invalidate_caches()
+    ours, other = PathFinder.find_spec(top, [here]), _installed(top)
+    if ours is not None and ours.origin is not None and other is not None and not _same(ours.origin, other.origin):
+        raise ScenarioError(
+            f"{option} {name}: {_short(ours.origin)} has the name of another module, {other.origin or top}: rename it"
+        )
+    if here not in sys.path:
+        sys.path.append(here)
+    return "" if ours is None else ours.origin or ""
+
+
+def _installed(top: str) -> ModuleSpec | None:
+    try:
+        found = find_spec(top)
+    except ValueError:  # such as __main__, which has none
+        return ModuleSpec(top, None)
+    # A folder without __init__.py is no module that anyone has installed.
+    return None if found is None or (found.origin is None and found.loader is None) else found
+
+
+def _same(a: str, b: str | None) -> bool:
+    try:
+        return b is not None and os.path.samefile(a, b)
+    except OSError:  # such as "built-in"
+        return False
+
+
+def _where_and_what(error: BaseException, file: str) -> str:
+    """Return file:line: what, of the line of the user's file; `file` is where to look if no line of it ran."""
+    if isinstance(error, SyntaxError) and error.filename:
+        return f"{_short(error.filename)}:{error.lineno or 1}: {error.msg}"
+    frames = [frame for frame in traceback.extract_tb(error.__traceback__) if _is_users(frame.filename)]
+    here = [frame for frame in frames if not os.path.isabs(_short(frame.filename))]
+    lines = str(error).splitlines()
+    what = ": ".join([type(error).__name__, *lines[:1]])
+    if isinstance(error, SystemExit):
+        what = f"calls sys.exit({error.code!r})"
+    for frame in reversed(here or frames):
+        return f"{_short(frame.filename)}:{frame.lineno}: {what}"
+    return f"{_short(file)}: {what}" if file else what
+
+
+def _is_users(path: str) -> bool:
+    return os.path.isfile(path) and path not in (__file__, importlib.__file__)
+
+
+def _short(path: str) -> str:
+    """Return a path below the current folder from there, another as it is."""
+    try:
+        short = os.path.relpath(path)
+    except (OSError, ValueError):  # no current folder, or another drive
+        return path
+    return path if short.startswith(os.pardir) else short

@@ -1,0 +1,219 @@
+"""The folder of compiled code: what is ours goes when nobody uses it, and nothing of anyone else's is ever touched."""
+
+import os
+import time
+from pathlib import Path
+
+import pytest
+
+from closedloop import cache_folder as caches
+from closedloop.cache_folder import (
+    MAGIC,
+    MARKER,
+    MOST_KEPT,
+    UNUSED,
+    UNUSED_OF_MANY,
+    claim,
+    forget_old_caches,
+    is_ours,
+    why_not_kept,
+)
+
+OLD, LATELY = UNUSED + 3600.0, 3600.0
+CODE = "step.run-0123456789abcdef0123456789abcdef.nbc"
+
+
+@pytest.fixture
+def root(tmp_path, monkeypatch):
+    """Return a folder for caches with that of this version in it."""
+    mine = tmp_path / "closedloop-ffffffffffffffff"
+    monkeypatch.setattr(caches, "cache_folder", lambda: mine)
+    claim(mine)
+    return tmp_path
+
+
+def cache(root: Path, number: int, unused: float = OLD) -> Path:
+    """Make the cache of another version, not used for some seconds."""
+    folder = root / f"closedloop-{number:016x}"
+    claim(folder)
+    (folder / CODE).write_bytes(MAGIC + b"code")
+    aged(folder, unused)
+    return folder
+
+
+def aged(folder: Path, unused: float) -> None:
+    """Set the time of the last use."""
+    then = time.time() - unused
+    os.utime(folder / MARKER, (then, then), follow_symlinks=False)
+
+
+def tree(root: Path) -> dict[str, bytes | None]:
+    """Return all files with their content."""
+    return {str(p.relative_to(root)): p.read_bytes() if p.is_file() else None for p in root.rglob("*")}
+
+
+def test_a_cache_that_nobody_uses_goes(root):
+    """A month after its last use a cache is removed, whole, with what a killed process left of a file."""
+    old = cache(root, 1)
+    (old / f"{CODE}.tmp.0123456789abcdef").write_bytes(MAGIC[:5])
+    (old / f"{CODE}.tmp.0123456789abcdee").write_bytes(b"")
+    forget_old_caches()
+    assert [p.name for p in root.iterdir()] == ["closedloop-ffffffffffffffff"]
+
+
+def test_versions_in_use_stay_beside_each_other(root):
+    """Two versions that share a folder do not remove each other's code; nor one's own, however old its mark."""
+    other = cache(root, 1, LATELY)
+    before = tree(root)
+    aged(root / "closedloop-ffffffffffffffff", OLD)
+    forget_old_caches()
+    assert tree(root) == before
+    assert (other / CODE).is_file()
+
+
+def test_using_a_cache_keeps_it(root):
+    """To claim a folder again is to use it."""
+    old = cache(root, 1)
+    claim(old)
+    forget_old_caches()
+    assert (old / CODE).is_file()
+
+
+def test_there_are_not_ever_more(root):
+    """Beyond a number, those not used for a day go, the longest unused; others stay."""
+    for k in range(MOST_KEPT + 4):
+        cache(root, k, UNUSED_OF_MANY + 60.0 + k)
+    forget_old_caches()
+    kept = sorted(p.name for p in root.iterdir())
+    assert len(kept) == MOST_KEPT
+    assert f"closedloop-{0:016x}" in kept
+    assert f"closedloop-{MOST_KEPT + 3:016x}" not in kept
+    for k in range(100, 100 + MOST_KEPT + 4):
+        cache(root, k, LATELY)
+    forget_old_caches()
+    assert sum(p.name.startswith("closedloop-000000000000007") for p in root.iterdir()) > 0
+    assert len(list(root.iterdir())) >= MOST_KEPT + 4
+
+
+def results(root):
+    """A folder of results beside the caches."""
+    (root / "closedloop-results").mkdir()
+    (root / "closedloop-results" / "run.nc").write_bytes(b"a week's work")
+
+
+def lookalike(root):
+    """A folder with a cache's name and something else in it."""
+    (root / "closedloop-0123456789abcdef").mkdir()
+    (root / "closedloop-0123456789abcdef" / "thesis.tex").write_bytes(b"mine")
+
+
+def earlier_format(root):
+    """A cache of numba's own files, which has no marker."""
+    (root / "closedloop-0123456789abcdef" / "step_0123").mkdir(parents=True)
+    (root / "closedloop-0123456789abcdef" / "step_0123" / "step.run-1.py311.1.nbc").write_bytes(b"code")
+
+
+def something_added(root):
+    """A cache of ours in which someone has put a file."""
+    (cache(root, 1) / "notes.txt").write_bytes(b"mine")
+    aged(root / f"closedloop-{1:016x}", OLD)
+
+
+def code_of_another(root):
+    """A cache of ours with a file of numba's in it, by its name."""
+    (cache(root, 1) / CODE.replace("0123", "3210")).write_bytes(b"not ours")
+    aged(root / f"closedloop-{1:016x}", OLD)
+
+
+def folder_added(root):
+    """A cache of ours in which someone has made a folder."""
+    (cache(root, 1) / CODE.replace("0123", "3210")).mkdir()
+    aged(root / f"closedloop-{1:016x}", OLD)
+
+
+def link_added(root):
+    """A cache of ours with a link in it to someone's code."""
+    (root / "mine.nbc").write_bytes(MAGIC)
+    (cache(root, 1) / CODE.replace("0123", "3210")).symlink_to(root / "mine.nbc")
+    aged(root / f"closedloop-{1:016x}", OLD)
+
+
+def link_to_a_cache(root):
+    """A link with a cache's name to a folder that looks like one."""
+    (root / "elsewhere").mkdir()
+    cache(root / "elsewhere", 1)
+    (root / f"closedloop-{1:016x}").symlink_to(root / "elsewhere" / f"closedloop-{1:016x}")
+
+
+def marker_is_a_link(root):
+    """A folder whose marker is a link to another's."""
+    folder = cache(root, 1)
+    (folder / MARKER).rename(root / "marker")
+    (folder / MARKER).symlink_to(root / "marker")
+    aged(folder, OLD)
+
+
+def marker_of_another(root):
+    """A folder into which another's marker was copied."""
+    text = (cache(root, 1, LATELY) / MARKER).read_bytes()
+    (root / f"closedloop-{2:016x}").mkdir()
+    (root / f"closedloop-{2:016x}" / MARKER).write_bytes(text)
+    aged(root / f"closedloop-{2:016x}", OLD)
+
+
+def name_with_more(root):
+    """A copy of a cache under a name of one's own."""
+    cache(root, 1).rename(root / f"closedloop-{1:016x}-copy")
+
+
+def a_file(root):
+    """A file with a cache's name."""
+    (root / f"closedloop-{1:016x}").write_bytes(b"mine")
+
+
+@pytest.mark.parametrize(
+    "plant",
+    [results, lookalike, earlier_format, something_added, code_of_another, folder_added, link_added, link_to_a_cache,
+     marker_is_a_link, marker_of_another, name_with_more, a_file],
+    ids=lambda plant: plant.__name__,
+)  # fmt: skip
+def test_what_is_not_provably_ours_stays(plant, root):
+    """Whatever is in a folder that we did not write, down to one file: the folder stays as it is."""
+    plant(root)
+    before = tree(root)
+    forget_old_caches()
+    assert tree(root) == before
+    plain = cache(root, 3)
+    forget_old_caches()
+    assert not plain.exists()
+    assert tree(root) == before
+
+
+def test_a_folder_with_something_in_it_never_becomes_ours(root):
+    """The marker goes into a folder that we make, or an empty one, and no other."""
+    (root / f"closedloop-{1:016x}").mkdir()
+    (root / f"closedloop-{1:016x}" / "thesis.tex").write_bytes(b"mine")
+    claim(root / f"closedloop-{1:016x}")
+    assert not is_ours(root / f"closedloop-{1:016x}")
+    (root / f"closedloop-{2:016x}").mkdir()
+    claim(root / f"closedloop-{2:016x}")
+    assert is_ours(root / f"closedloop-{2:016x}")
+
+
+@pytest.mark.skipif(not hasattr(os, "geteuid") or os.geteuid() != 0, reason="only root can give a folder away")
+def test_anothers_cache_stays(root):
+    """In a folder that several users share, each removes only what is of his own."""
+    folder = cache(root, 1)
+    for path in (folder, *folder.iterdir()):
+        os.chown(path, 65534, 65534)
+    forget_old_caches()
+    assert (folder / CODE).is_file()
+
+
+def test_why_nothing_can_be_kept(root, monkeypatch):
+    """A folder that cannot be made is named, with the reason."""
+    assert why_not_kept() == ""
+    (root / "file").write_bytes(b"")
+    monkeypatch.setattr(caches, "cache_folder", lambda: root / "file" / "closedloop-ffffffffffffffff")
+    assert why_not_kept() == f"{root / 'file' / 'closedloop-ffffffffffffffff'}: Not a directory"
+    assert "cannot be kept" in caches.compiling_notice()

@@ -58,7 +58,7 @@ def _problem(case: Case, status: int, out: str, err: str, folder: Path) -> str:
     if len(said) != (status != 0):
         return f"{len(said)} lines on standard error: {said[:2]}"
     if said and not (said[0].isprintable() and len(said[0]) <= LONGEST_LINE):
-        return f"no printable line of fewer than {LONGEST_LINE} characters: {ascii(said[0][:200])}"
+        return f"no printable line of fewer than {LONGEST_LINE} characters: {said[0][:200]!a}"
     if status == 2:
         return f"refused, but wrote {out[:100]!r}" if out else ""
     return _of_run(case, out, folder)

@@ -7,12 +7,10 @@ A scenario file is data: it can name a robot and numbers, never code. Unknown ke
 
 from __future__ import annotations
 
-import difflib
 import math
 import tomllib
 from collections.abc import Mapping
 from copy import deepcopy
-from importlib import resources
 from pathlib import Path
 from typing import Annotated, Any, Literal, get_args
 
@@ -33,6 +31,8 @@ from closedloop.errors import ScenarioError
 from closedloop.friction.sections import JointFriction, NoFriction, SurfaceFriction
 from closedloop.reference.force import ConstantForceSection, ForceProfile
 from closedloop.reference.sections import HoldSection, Reference
+from closedloop.scenario_file import scenario_text
+from closedloop.scenario_file import shipped_scenarios as shipped_scenarios
 from closedloop.sections import (
     ANGLE,
     JOINT_SPEED,
@@ -257,12 +257,6 @@ class Scenario(Section):
         return tomli_w.dumps(self.model_dump(mode="python", exclude_none=True))
 
 
-def shipped_scenarios() -> list[str]:
-    """Return the names of the scenarios that come with the package, sorted."""
-    folder = resources.files("closedloop") / "scenarios"
-    return sorted(f.name.removesuffix(".toml") for f in folder.iterdir() if f.name.endswith(".toml"))
-
-
 def load_scenario(name: str | Path, overrides: Mapping[str, Any] | None = None) -> Scenario:
     """Read a scenario and check it.
 
@@ -279,7 +273,7 @@ def load_scenario(name: str | Path, overrides: Mapping[str, Any] | None = None) 
     ScenarioError
         If there is no such scenario, or the file or an override is at fault; names the key, the value and the cure.
     """
-    text, stem, where = _scenario_text(name)
+    text, stem, where = scenario_text(name)
     return parse_scenario(text, stem, where, overrides)
 
 
@@ -298,35 +292,16 @@ def parse_scenario(
 
 def scenario_of(data: dict[str, Any], where: str, overrides: Mapping[str, Any]) -> Scenario:
     """Check a scenario given as the tables of its file; `data` is written to. See `parse_scenario`."""
-    for key, value in overrides.items():
-        _override(data, key, deepcopy(value))
     try:
+        for key, value in overrides.items():
+            _override(data, key, deepcopy(value))
         return Scenario.model_validate(data)
+    except RecursionError:
+        raise ScenarioError(f"{where}: a value is nested too deeply") from None
     except ValidationError as error:
         from closedloop.explain import explain
 
         raise ScenarioError(f"{where}: {explain(error, data)}") from None
-
-
-def _scenario_text(name: str | Path) -> tuple[str, str, str]:
-    """Return (TOML text, stem, how to call it in messages)."""
-    as_path = Path(name)
-    if as_path.suffix == ".toml" or isinstance(name, Path):
-        try:
-            return as_path.read_text(encoding="utf-8"), as_path.stem, str(as_path)
-        except OSError as error:
-            raise ScenarioError(f"{as_path}: cannot be read: {error.strerror}") from None
-        except UnicodeDecodeError:
-            raise ScenarioError(f"{as_path}: is not UTF-8 text; a scenario is a TOML file") from None
-        except ValueError as error:
-            raise ScenarioError(f"{str(name)!r}: cannot be read: {error}") from None
-    shipped = shipped_scenarios()
-    if name not in shipped:
-        near = difflib.get_close_matches(str(name), shipped, n=1, cutoff=0.4)
-        hint = f"did you mean '{near[0]}'?" if near else f"shipped are {', '.join(shipped)}"
-        raise ScenarioError(f"no scenario named {str(name)!r}; {hint} (a file of your own must end in .toml)")
-    file = resources.files("closedloop") / "scenarios" / f"{name}.toml"
-    return file.read_text(encoding="utf-8"), str(name), str(name)
 
 
 def _override(data: dict[str, Any], key: str, value: Any) -> None:

@@ -4,14 +4,14 @@ from __future__ import annotations
 
 import difflib
 import reprlib
-from typing import Any, get_args
+from typing import Annotated, Any, get_args
 
 from pydantic import ValidationError
 from pydantic_core import ErrorDetails
 
 from closedloop.errors import one_line
 from closedloop.scenario import Scenario
-from closedloop.sections import Section
+from closedloop.sections import Section, SizeError, sizes
 
 
 def variants(section: str) -> dict[str, type[Section]]:
@@ -44,7 +44,8 @@ def describe_keys() -> list[tuple[str, str]]:
                     continue
                 suffix = f" [{kind}]" if len(variants(section)) > 1 else ""
                 default = "" if field.is_required() or field.default is None else f" (default {field.default})"
-                rows.append((f"{section}.{key}", f"{field.description}{default}{suffix}"))
+                span = "".join(f"; {size}" for size in sizes(Annotated[field.annotation, *field.metadata, None]))
+                rows.append((f"{section}.{key}", f"{field.description}{span}{default}{suffix}"))
         if len(variants(section)) > 1:
             rows.append((f"{section}.kind", " | ".join(variants(section))))
     return rows
@@ -91,10 +92,12 @@ def _explain_first(problems: list[ErrorDetails], data: dict[str, Any]) -> str:
         name, shown, cure = name.partition("[")[0], repr(value), CURES["too_short"]
     elif kind == "missing":
         return f"'{'.'.join(location)}' is missing{more}"
+    elif kind == "value_error" and isinstance(first["ctx"]["error"], SizeError):
+        cure = str(first["ctx"]["error"])
     elif name == "surface.offset":
         cure = 'must be a finite number of metres, or "start"'
     elif kind in ("union_tag_invalid", "union_tag_not_found"):
-        shown = repr(first["ctx"].get("tag")) if kind == "union_tag_invalid" else "missing"
+        shown = reprlib.repr(first["ctx"].get("tag")) if kind == "union_tag_invalid" else "missing"
         more = ""  # the other faults are those of no kind
         name, cure = f"{name}.kind", f"must be {' or '.join(repr(k) for k in variants(section))}"
     elif kind == "literal_error":

@@ -37,6 +37,10 @@ MOST_NUMBERS = 200_000_000
 # How far from the surface the tip may start, m. A closure that must first pull the tip in by more does not press: with
 # the paper's stabiliser a millimetre already asks for a thousand newtons from each kilogram.
 START_GAP = 1e-3
+# How fast a tip that is held to the surface may start off along the normal, m/s: the rounding of a velocity typed to
+# four digits. The closure does not let the tip move through it: the stabiliser would first have to stop it, with 0.14 N
+# from each kilogram for so much at the paper's setting, and without a stabiliser the tip would move away for good.
+START_RATE = 1e-4
 # What an adaptive integrator allows itself in each step, relative, unless the scenario says otherwise.
 TOLERANCE = 1e-12
 # What a robot takes in memory, with Pinocchio's model and data, about, in bytes.
@@ -219,6 +223,8 @@ def _surface(scenario: Scenario, robot: Robot, q: Array, v: Array) -> tuple[Plan
                 f"{given} = {value:g}: the tip starts {abs(gap):.4g} m {side} the surface, and the closure holds it "
                 f'there from the start: use contact = "unilateral", or offset = "start" or {where:.9g}'
             )
+        if abs(rate) > START_RATE:
+            raise ScenarioError(_through_the_closure(plane.normal @ robot.terms(q, v).jacobian, v, rate))
         return plane, PRESSED
     if gap < -TOUCHING:
         raise ScenarioError(
@@ -233,6 +239,16 @@ def _surface(scenario: Scenario, robot: Robot, q: Array, v: Array) -> tuple[Plan
             "(surface.gap), or without velocity along the normal"
         )
     return plane, FREE if rate < -RESTING else PRESSED
+
+
+def _through_the_closure(A: Array, v: Array, rate: float) -> str:
+    """Return what is wrong with joint velocities v (n,) that move a tip held by n·Jᵣ = A (n,) at `rate`, m/s."""
+    along = v - A * (rate / float(A @ A))  # the nearest that obey A q̇ = 0
+    return (
+        f"start.v: the tip is held to the surface and starts through it at {rate:.4g} m/s, where {START_RATE:g} m/s is "
+        f"the most; the nearest start.v along the surface is {[float(f'{x:.9g}') for x in along]}, or use "
+        'contact = "unilateral"'
+    )
 
 
 def _stabiliser_gains(scenario: Scenario) -> tuple[float, float]:

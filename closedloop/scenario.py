@@ -7,12 +7,10 @@ A scenario file is data: it can name a robot and numbers, never code. Unknown ke
 
 from __future__ import annotations
 
-import difflib
 import math
 import tomllib
 from collections.abc import Mapping
 from copy import deepcopy
-from importlib import resources
 from pathlib import Path
 from typing import Annotated, Any, Literal, get_args
 
@@ -33,7 +31,30 @@ from closedloop.errors import ScenarioError
 from closedloop.friction.sections import JointFriction, NoFriction, SurfaceFriction
 from closedloop.reference.force import ConstantForceSection, ForceProfile
 from closedloop.reference.sections import HoldSection, Reference
-from closedloop.sections import Flag, Gain, NotNegative, Number, PerJoint, Positive, Restitution, Section, Vector3
+from closedloop.scenario_file import scenario_text
+from closedloop.scenario_file import shipped_scenarios as shipped_scenarios
+from closedloop.sections import (
+    ANGLE,
+    JOINT_SPEED,
+    PLACE,
+    STEP,
+    Flag,
+    Gain,
+    NotNegative,
+    Number,
+    PerJoint,
+    Positive,
+    Restitution,
+    Section,
+    Size,
+    Vector3,
+    gain_in,
+)
+
+REST_SPEED = Size(1e4, "m/s", "nothing bounces so fast", 1e-12, "slower motion is rounding")
+DAMPING_RATIO = Size(1e6, "", "no closure is damped so", 1e-6, "nothing would die out")
+TIME_CONSTANT = Size(1e300, "s", "no run lasts so long", 1e-9, "no step resolves it")
+DURATION = Size(1e9, "s", "no run lasts so long", 1e-9, "no step is so short")
 
 
 class RobotSection(Section):
@@ -42,7 +63,7 @@ class RobotSection(Section):
     model: str = Field("wam4", description="shipped name, example-robot-data name, or a .urdf or MJCF .xml path")
     tip: str | None = Field(None, description="frame that touches the surface; the model's own tip if left out")
     drive_inertia: Flag = Field(True, description="add the drives' inertia (armature) to the mass matrix")
-    lock: dict[str, Number] | None = Field(
+    lock: dict[str, Annotated[Number, ANGLE]] | None = Field(
         None, description="joints held rigid, and where, rad (m); the model's own choice if left out"
     )
 
@@ -52,10 +73,12 @@ class PlaneSection(Section):
 
     kind: Literal["plane"] = "plane"
     normal: Vector3 = Field((0.0, 0.0, 1.0), description="out of the surface, base frame; any length but zero")
-    offset: Number | Literal["start"] = Field(
+    offset: Annotated[Number, PLACE] | Literal["start"] = Field(
         "start", description='d for the unit normal, m, or "start": through the tip at the start'
     )
-    gap: NotNegative = Field(0.0, description='with offset = "start": how far below the tip the surface lies, m')
+    gap: Annotated[NotNegative, PLACE] = Field(
+        0.0, description='with offset = "start": how far below the tip the surface lies, m'
+    )
     contact: Literal["bilateral", "unilateral"] = Field(
         "bilateral",
         description="bilateral: the tip is held to the surface, as in the paper; unilateral: it may touch and leave",
@@ -70,22 +93,32 @@ class ImpactSection(Section):
         "stronge",
         description="restitution as a ratio of velocities (newton), impulses (poisson) or energies (stronge)",
     )
-    rest_speed: Positive = Field(1e-4, description="a bounce slower than this becomes contact, m/s")
+    rest_speed: Annotated[Positive, REST_SPEED] = Field(
+        1e-4, description="a bounce slower than this becomes contact, m/s"
+    )
 
 
 class StartSection(Section):
     """[start]: the state at t = 0."""
 
-    q: PerJoint | None = Field(None, description="joint positions, rad (m); the model's home posture if left out")
-    v: PerJoint | None = Field(None, description="joint velocities, rad/s (m/s); at rest if left out")
+    q: Annotated[PerJoint, ANGLE] | None = Field(
+        None, description="joint positions, rad (m); the model's home posture if left out"
+    )
+    v: Annotated[PerJoint, JOINT_SPEED] | None = Field(
+        None, description="joint velocities, rad/s (m/s); at rest if left out"
+    )
 
 
 class PaperLawSection(ForceLaw):
     """[law] kind = "paper": Eq. 33; with force feedback, f_des in it becomes f_c of `closedloop.control.force`."""
 
     kind: Literal["paper"] = "paper"
-    kp: Gain = Field(description="position gain K_p, N m/rad, one per joint or one for all")
-    kd: Gain = Field(description="velocity gain K_d, N m s/rad, one per joint or one for all")
+    kp: Annotated[Gain, gain_in("N m/rad")] = Field(
+        description="position gain K_p, N m/rad, one per joint or one for all"
+    )
+    kd: Annotated[Gain, gain_in("N m s/rad")] = Field(
+        description="velocity gain K_d, N m s/rad, one per joint or one for all"
+    )
     pd_start: NotNegative | None = Field(
         None,
         description="instant from which the PD part acts, s; that at which the reference starts to move if left out",
@@ -110,8 +143,8 @@ TimeConstant = Annotated[float | Literal["auto"], BeforeValidator(_time_constant
 class BaumgarteGains(Section):
     """What Baumgarte's stabiliser is set by: s_v = 2ζ/T, s_p = 1/T²."""
 
-    damping_ratio: NotNegative = Field(0.707, description="ζ")
-    time_constant: TimeConstant = Field(
+    damping_ratio: Annotated[NotNegative, DAMPING_RATIO] = Field(0.707, description="ζ")
+    time_constant: Annotated[TimeConstant, TIME_CONSTANT] = Field(
         0.001, description='T, s, or "auto": two steps, or twice the shortest stable T where that is longer'
     )
 
@@ -167,8 +200,8 @@ Tolerance = Annotated[Number, AfterValidator(_tolerance)]
 class TimeSection(Section):
     """[time]: how far and in what steps."""
 
-    duration: Positive = Field(8.0, description="length of the run, s; a whole number of steps")
-    step: Positive = Field(0.001, description="step h, s; with dop853 only the time between rows")
+    duration: Annotated[Positive, DURATION] = Field(8.0, description="length of the run, s; a whole number of steps")
+    step: Annotated[Positive, STEP] = Field(0.001, description="step h, s; with dop853 only the time between rows")
     integrator: IntegratorName = Field("semi_implicit_euler", description=", ".join(get_args(IntegratorName)))
     tolerance: Tolerance | None = Field(
         None, description="relative error that dop853 allows itself in each of its own steps; 1e-12 if left out"
@@ -224,12 +257,6 @@ class Scenario(Section):
         return tomli_w.dumps(self.model_dump(mode="python", exclude_none=True))
 
 
-def shipped_scenarios() -> list[str]:
-    """Return the names of the scenarios that come with the package, sorted."""
-    folder = resources.files("closedloop") / "scenarios"
-    return sorted(f.name.removesuffix(".toml") for f in folder.iterdir() if f.name.endswith(".toml"))
-
-
 def load_scenario(name: str | Path, overrides: Mapping[str, Any] | None = None) -> Scenario:
     """Read a scenario and check it.
 
@@ -246,7 +273,7 @@ def load_scenario(name: str | Path, overrides: Mapping[str, Any] | None = None) 
     ScenarioError
         If there is no such scenario, or the file or an override is at fault; names the key, the value and the cure.
     """
-    text, stem, where = _scenario_text(name)
+    text, stem, where = scenario_text(name)
     return parse_scenario(text, stem, where, overrides)
 
 
@@ -265,35 +292,16 @@ def parse_scenario(
 
 def scenario_of(data: dict[str, Any], where: str, overrides: Mapping[str, Any]) -> Scenario:
     """Check a scenario given as the tables of its file; `data` is written to. See `parse_scenario`."""
-    for key, value in overrides.items():
-        _override(data, key, deepcopy(value))
     try:
+        for key, value in overrides.items():
+            _override(data, key, deepcopy(value))
         return Scenario.model_validate(data)
+    except RecursionError:
+        raise ScenarioError(f"{where}: a value is nested too deeply") from None
     except ValidationError as error:
         from closedloop.explain import explain
 
         raise ScenarioError(f"{where}: {explain(error, data)}") from None
-
-
-def _scenario_text(name: str | Path) -> tuple[str, str, str]:
-    """Return (TOML text, stem, how to call it in messages)."""
-    as_path = Path(name)
-    if as_path.suffix == ".toml" or isinstance(name, Path):
-        try:
-            return as_path.read_text(encoding="utf-8-sig"), as_path.stem, str(as_path)
-        except OSError as error:
-            raise ScenarioError(f"{as_path}: cannot be read: {error.strerror}") from None
-        except UnicodeDecodeError:
-            raise ScenarioError(f"{as_path}: is not UTF-8 text; a scenario is a TOML file") from None
-        except ValueError as error:
-            raise ScenarioError(f"{str(name)!r}: cannot be read: {error}") from None
-    shipped = shipped_scenarios()
-    if name not in shipped:
-        near = difflib.get_close_matches(str(name), shipped, n=1, cutoff=0.4)
-        hint = f"did you mean '{near[0]}'?" if near else f"shipped are {', '.join(shipped)}"
-        raise ScenarioError(f"no scenario named {str(name)!r}; {hint} (a file of your own must end in .toml)")
-    file = resources.files("closedloop") / "scenarios" / f"{name}.toml"
-    return file.read_text(encoding="utf-8"), str(name), str(name)
 
 
 def _override(data: dict[str, Any], key: str, value: Any) -> None:

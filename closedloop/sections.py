@@ -1,11 +1,22 @@
-"""What the sections of a scenario are made of: numbers that are numbers, lists that are lists, nothing unknown."""
+"""What the sections of a scenario are made of: numbers that are numbers, lists that are lists, nothing unknown.
+
+A number is also of a size that means something: `Size` says from where to where, in which unit, and why. The sizes
+below are far outside of what any arm does, and far inside of what a number can hold, so that products, squares and
+quotients of what a scenario says never overflow. A key takes one of them, or its own:
+
+    force: Annotated[Number, FORCE] = Field(10.0, description=...)
+"""
 
 from __future__ import annotations
 
 import math
-from typing import Annotated, Any
+import reprlib
+from collections.abc import Iterator
+from dataclasses import dataclass
+from typing import Annotated, Any, get_args
 
-from pydantic import BaseModel, BeforeValidator, ConfigDict, Field
+from pydantic import BaseModel, BeforeValidator, ConfigDict, Field, GetCoreSchemaHandler
+from pydantic_core import CoreSchema, core_schema
 
 
 def _number(value: Any) -> Any:
@@ -32,7 +43,7 @@ def _gain(value: Any) -> Any:
         try:
             _finite(entry)
         except ValueError:
-            raise ValueError(f"entry {index} is {entry!r}: must be a finite number") from None
+            raise ValueError(f"entry {index} is {reprlib.repr(entry)}: must be a finite number") from None
     return tuple(float(entry) for entry in value)
 
 
@@ -51,6 +62,112 @@ Flag = Annotated[bool, BeforeValidator(_boolean)]
 Vector3 = tuple[Number, Number, Number]
 PerJoint = tuple[Number, ...]
 Gain = Annotated[float | tuple[float, ...], BeforeValidator(_gain)]
+
+
+class SizeError(ValueError):
+    """A number is too large or too small."""
+
+
+@dataclass(frozen=True)
+class Size:
+    """How large, and how small unless it is zero, the magnitude of a number may be; of each entry of a list.
+
+    Whether it may be zero or negative, the type says that this annotates.
+
+    Attributes
+    ----------
+    most : float
+        The largest magnitude.
+    unit : str
+        Its unit, "" for a number without one.
+    why : str
+        Why there are no larger ones, for the message.
+    least : float
+        The smallest magnitude of a number that is not zero.
+    tiny : str
+        Why there are no smaller ones.
+    """
+
+    most: float
+    unit: str
+    why: str
+    least: float = 0.0
+    tiny: str = "nothing so small is told apart from nothing"
+
+    def __get_pydantic_core_schema__(self, source: Any, handler: GetCoreSchemaHandler) -> CoreSchema:
+        """Check after whatever the annotated type checks."""
+        return core_schema.no_info_after_validator_function(self.check, handler(source))
+
+    def check(self, value: Any) -> Any:
+        """Return the value, a number or a list of numbers; anything else passes.
+
+        Raises
+        ------
+        SizeError
+            If it is too large or too small.
+        """
+        if isinstance(value, tuple):
+            for index, entry in enumerate(value):
+                if fault := self.fault(entry):
+                    raise SizeError(f"entry {index} is {entry:g}: {fault}")
+        elif isinstance(value, float) and (fault := self.fault(value)):
+            raise SizeError(fault)
+        return value
+
+    def fault(self, value: float) -> str:
+        """Return what would be right in place of this number, or "" if it is."""
+        unit = f" {self.unit}" if self.unit else ""
+        if not abs(value) <= self.most:
+            bound = f"at most {self.most:g}" if value > 0.0 else f"at least {-self.most:g}"
+            return f"must be {bound}{unit}: {self.why}"
+        if 0.0 < abs(value) < self.least:
+            return f"must be at least {self.least:g}{unit}: {self.tiny}"
+        return ""
+
+    def __str__(self) -> str:
+        span = f"at most {self.most:g}" if self.least == 0.0 else f"from {self.least:g} to {self.most:g}"
+        return f"{span} {self.unit}".rstrip()
+
+
+def sizes(annotation: Any) -> Iterator[Size]:
+    """Return the sizes anywhere in the annotation of a key."""
+    for part in get_args(annotation):
+        if isinstance(part, Size):
+            yield part
+        else:
+            yield from sizes(part)
+
+
+FORCE = Size(1e9, "N", "no arm presses so hard")
+TORQUE = Size(1e9, "N m", "no joint bears so much", 1e-12)
+PLACE = Size(1e6, "m", "no arm reaches so far")
+LENGTH = Size(1e6, "m", "no arm reaches so far", 1e-9, "no tip is placed so finely")
+ANGLE = Size(1e6, "rad (m)", "no joint turns or reaches so far")
+SPEED = Size(1e4, "m/s", "a run stops at such speeds")
+JOINT_SPEED = Size(1e4, "rad/s (m/s)", "a run stops at such speeds")
+# A speed that another is compared with: that of no slip at all below, one that is never reached above.
+SPEED_SCALE = Size(1e9, "m/s (rad/s)", "nothing slips so fast", 1e-12, "slower slip is rounding")
+COEFFICIENT = Size(1e6, "", "no surface rubs so", 1e-12)
+RATE = Size(1e12, "1/s", "no step resolves it", 1e-9, "no run lasts long enough to show it")
+ACCELERATION_GAIN = Size(1e15, "1/s²", "no step resolves it")
+INERTIA = Size(1e9, "kg", "no arm moves so much", 1e-9)
+STEP = Size(1e3, "s", "no motion is seen in such steps", 1e-9, "rounding of time would show in it")
+PERIOD = Size(1e9, "s", "no run lasts so long")
+
+
+def gain_in(unit: str) -> Size:
+    """Return the size of a gain of control in this unit."""
+    return Size(1e12, unit, "no drive is so stiff")
+
+
+def stiffness_in(unit: str) -> Size:
+    """Return the size of the stiffness of a contact or a bearing in this unit."""
+    return Size(1e15, unit, "nothing is so stiff", 1e-9)
+
+
+def viscous_in(unit: str) -> Size:
+    """Return the size of a viscous coefficient in this unit."""
+    return Size(1e12, unit, "nothing is so viscous")
 
 
 class Section(BaseModel):

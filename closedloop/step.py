@@ -9,8 +9,6 @@ and a number for all that may come on top: other laws, friction of the tip and o
 
 from __future__ import annotations
 
-import math
-
 import numpy as np
 from numpy.typing import NDArray
 
@@ -79,6 +77,9 @@ Array = NDArray[np.float64]
 
 # A joint at 10⁴ rad/s (m/s) is no robot any more; the run stops there, long before the numbers overflow.
 SPEED_LIMIT = 1e4
+
+# A force or an acceleration beyond this is none; the figures of a run take squares, which are still numbers below it.
+LARGEST = 1e100
 
 # The law is evaluated outside (a user's Python function), or here: a number of `closedloop.control.places.LAWS`.
 LAW_GIVEN = -1
@@ -222,13 +223,13 @@ def paper_torque(C: Array, w: Work, k: Array, t: float) -> None:
 
 @kernel_inlined
 def bounded(w: Work) -> bool:
-    """Whether F, q̈ and q̇ are numbers, and q̇ within `SPEED_LIMIT`."""
+    """Whether F, q̈ and q̇ are numbers, F and q̈ within `LARGEST`, and q̇ within `SPEED_LIMIT`."""
     total = abs(w.F[0])
     for j in range(w.q.shape[0]):
         total += abs(w.qdd[j])
         if not every(abs(w.v[j]) <= SPEED_LIMIT):
             return False
-    return every(total < math.inf)
+    return every(total < LARGEST)
 
 
 @kernel_inlined

@@ -11,7 +11,25 @@ from typing import Annotated, Any, Literal
 from pydantic import AfterValidator, BeforeValidator, Field, field_validator
 from pydantic_core.core_schema import ValidationInfo
 
-from closedloop.sections import Gain, NotNegative, Number, Positive, Section
+from closedloop.sections import (
+    ACCELERATION_GAIN,
+    COEFFICIENT,
+    FORCE,
+    INERTIA,
+    PERIOD,
+    RATE,
+    SPEED,
+    SPEED_SCALE,
+    TORQUE,
+    Gain,
+    NotNegative,
+    Number,
+    Positive,
+    Section,
+    Size,
+    gain_in,
+    viscous_in,
+)
 
 
 def _gains_not_negative(value: float | tuple[float, ...]) -> float | tuple[float, ...]:
@@ -33,21 +51,24 @@ def _seed(value: Any) -> Any:
 
 GainNotNegative = Annotated[Gain, AfterValidator(_gains_not_negative)]
 Seed = Annotated[int, BeforeValidator(_seed)]
+QUANTUM = Size(1e9, "N", "no sensor is so coarse", 1e-12, "no sensor is so fine")
 
 
 class ForceLaw(Section):
     """What all laws share: the force, and how the force sensor is used."""
 
-    force: Number = Field(10.0, description="force f_des with which the tip presses on the surface, N")
-    sample_period: NotNegative = Field(
+    force: Annotated[Number, FORCE] = Field(
+        10.0, description="force f_des with which the tip presses on the surface, N"
+    )
+    sample_period: Annotated[NotNegative, PERIOD] = Field(
         0.0,
         description="period at which the law is evaluated and then held, s; 0: at every evaluation of Eq. 24",
     )
-    force_feedback: NotNegative = Field(
+    force_feedback: Annotated[NotNegative, gain_in("")] = Field(
         0.0,
         description="K_f, newtons of command per newton of error in the latest reading; below 1 for a fast sensor",
     )
-    force_integral: NotNegative = Field(
+    force_integral: Annotated[NotNegative, RATE] = Field(
         0.0, description="K_I, 1/s: a force error settles like exp(-K_I t), to 2 % in 3.9/K_I"
     )
 
@@ -55,7 +76,7 @@ class ForceLaw(Section):
 class Approach(ForceLaw):
     """Of a law that seeks the surface at a set speed."""
 
-    approach_speed: Positive = Field(
+    approach_speed: Annotated[Positive, SPEED] = Field(
         0.05, description="speed along the normal at which a tip off the surface comes down to press, m/s"
     )
 
@@ -63,10 +84,10 @@ class Approach(ForceLaw):
 class Posture(Section):
     """Of a law for the tip: what joints do that the tip leaves free (redundant arms)."""
 
-    posture_stiffness: GainNotNegative = Field(
+    posture_stiffness: Annotated[GainNotNegative, ACCELERATION_GAIN] = Field(
         25.0, description="pull of free joint motion to the reference's, 1/s², one per joint or one for all"
     )
-    posture_damping: GainNotNegative = Field(
+    posture_damping: Annotated[GainNotNegative, RATE] = Field(
         10.0, description="damping of free joint motion, 1/s, one per joint or one for all"
     )
 
@@ -74,17 +95,25 @@ class Posture(Section):
 class TipMotion(Posture):
     """Of a law that makes the tip's motion linear: ë + K_v ė + K_p e = 0."""
 
-    motion_stiffness: NotNegative = Field(400.0, description="K_p of the tip's motion along the surface, 1/s²")
-    motion_damping: Positive = Field(40.0, description="K_v of the tip's motion along the surface, 1/s")
+    motion_stiffness: Annotated[NotNegative, ACCELERATION_GAIN] = Field(
+        400.0, description="K_p of the tip's motion along the surface, 1/s²"
+    )
+    motion_damping: Annotated[Positive, RATE] = Field(
+        40.0, description="K_v of the tip's motion along the surface, 1/s"
+    )
 
 
 class HybridLawSection(Approach):
     """[law] kind = "hybrid": position and force in their own directions, gains on the joints (Raibert, Craig 1981)."""
 
     kind: Literal["hybrid"] = "hybrid"
-    kp: GainNotNegative = Field(description="position gain K_p, N m/rad, one per joint or one for all")
-    kd: GainNotNegative = Field(description="velocity gain K_d, N m s/rad, one per joint or one for all")
-    approach_damping: Positive = Field(40.0, description="how firmly the approach speed is held, 1/s")
+    kp: Annotated[GainNotNegative, gain_in("N m/rad")] = Field(
+        description="position gain K_p, N m/rad, one per joint or one for all"
+    )
+    kd: Annotated[GainNotNegative, gain_in("N m s/rad")] = Field(
+        description="velocity gain K_d, N m s/rad, one per joint or one for all"
+    )
+    approach_damping: Annotated[Positive, RATE] = Field(40.0, description="how firmly the approach speed is held, 1/s")
 
 
 class OperationalSpaceLawSection(Approach, TipMotion):
@@ -103,10 +132,12 @@ class ImpedanceLawSection(ForceLaw, Posture):
     """[law] kind = "impedance": a spring and a damper at the tip, and a wished force (Hogan 1985)."""
 
     kind: Literal["impedance"] = "impedance"
-    stiffness: NotNegative = Field(1200.0, description="spring K along the surface, N/m")
-    damping: NotNegative = Field(120.0, description="damper B along the surface, N s/m")
-    normal_stiffness: NotNegative = Field(0.0, description="spring K_n along the normal, N/m")
-    normal_damping: NotNegative = Field(
+    stiffness: Annotated[NotNegative, gain_in("N/m")] = Field(1200.0, description="spring K along the surface, N/m")
+    damping: Annotated[NotNegative, gain_in("N s/m")] = Field(120.0, description="damper B along the surface, N s/m")
+    normal_stiffness: Annotated[NotNegative, gain_in("N/m")] = Field(
+        0.0, description="spring K_n along the normal, N/m"
+    )
+    normal_damping: Annotated[NotNegative, gain_in("N s/m")] = Field(
         200.0, description="damper B_n along the normal, N s/m; off the surface the tip comes down at force/B_n"
     )
 
@@ -115,11 +146,11 @@ class AdmittanceLawSection(ForceLaw, TipMotion):
     """[law] kind = "admittance": the force error moves a set point along the normal (Whitney 1977, Seraji 1994)."""
 
     kind: Literal["admittance"] = "admittance"
-    admittance_inertia: Positive = Field(2.0, description="mass M of the set point, kg")
-    admittance_damping: NotNegative = Field(
+    admittance_inertia: Annotated[Positive, INERTIA] = Field(2.0, description="mass M of the set point, kg")
+    admittance_damping: Annotated[NotNegative, gain_in("N s/m")] = Field(
         200.0, description="damper B of the set point, N s/m; off the surface the tip comes down at force/B"
     )
-    admittance_stiffness: NotNegative = Field(
+    admittance_stiffness: Annotated[NotNegative, gain_in("N/m")] = Field(
         0.0, description="spring K of the set point, N/m; above 0 some force error stays"
     )
 
@@ -139,20 +170,28 @@ class ModelCompensationSection(Section):
     """[compensation] kind = "model": friction as it is believed to be, fed forward along the wanted motion."""
 
     kind: Literal["model"] = "model"
-    kinetic: NotNegative = Field(0.0, description="believed kinetic coefficient of the surface's friction, 1")
-    static: NotNegative | None = Field(None, description="believed static coefficient, 1; the kinetic one if left out")
-    stribeck_speed: Positive = Field(
+    kinetic: Annotated[NotNegative, COEFFICIENT] = Field(
+        0.0, description="believed kinetic coefficient of the surface's friction, 1"
+    )
+    static: Annotated[NotNegative, COEFFICIENT] | None = Field(
+        None, description="believed static coefficient, 1; the kinetic one if left out"
+    )
+    stribeck_speed: Annotated[Positive, SPEED_SCALE] = Field(
         0.01, description="believed slip speed of the fall from static to kinetic, m/s (Gaussian)"
     )
-    viscous: NotNegative = Field(0.0, description="believed viscous coefficient of the surface's friction, N s/m")
-    smoothing_speed: Positive = Field(0.001, description="wanted speed below which the feed-forward fades, m/s")
-    joint_coulomb: GainNotNegative = Field(
+    viscous: Annotated[NotNegative, viscous_in("N s/m")] = Field(
+        0.0, description="believed viscous coefficient of the surface's friction, N s/m"
+    )
+    smoothing_speed: Annotated[Positive, SPEED_SCALE] = Field(
+        0.001, description="wanted speed below which the feed-forward fades, m/s"
+    )
+    joint_coulomb: Annotated[GainNotNegative, TORQUE] = Field(
         0.0, description="believed Coulomb torque, N m, one per joint or one for all"
     )
-    joint_viscous: GainNotNegative = Field(
+    joint_viscous: Annotated[GainNotNegative, viscous_in("N m s/rad")] = Field(
         0.0, description="believed viscous coefficient, N m s/rad, one per joint or one for all"
     )
-    joint_smoothing_speed: Positive = Field(
+    joint_smoothing_speed: Annotated[Positive, SPEED_SCALE] = Field(
         0.001, description="wanted joint speed below which its feed-forward fades, rad/s (m/s)"
     )
 
@@ -168,17 +207,27 @@ class ObserverCompensationSection(Section):
     """[compensation] kind = "observer": friction in joints and at the tip estimated from the joints' motion."""
 
     kind: Literal["observer"] = "observer"
-    rate: Positive = Field(100.0, description="K_o, 1/s: the estimate follows what disturbs the arm within 1/K_o")
+    rate: Annotated[Positive, RATE] = Field(
+        100.0, description="K_o, 1/s: the estimate follows what disturbs the arm within 1/K_o"
+    )
 
 
 class AdaptiveCompensationSection(Section):
     """[compensation] kind = "adaptive": the surface's Coulomb and viscous coefficients learned while sliding."""
 
     kind: Literal["adaptive"] = "adaptive"
-    gain: Positive = Field(100.0, description="γ, 1/m: growth of the Coulomb coefficient per metre of path error")
-    corner: Positive = Field(20.0, description="c, 1/s: weight of the path error beside its rate; below motion_damping")
-    speed_scale: Positive = Field(0.02, description="v_0, m/s: the speed at which both coefficients learn alike")
-    smoothing_speed: Positive = Field(0.001, description="wanted speed below which nothing is learned, m/s")
+    gain: Annotated[Positive, gain_in("1/m")] = Field(
+        100.0, description="γ, 1/m: growth of the Coulomb coefficient per metre of path error"
+    )
+    corner: Annotated[Positive, RATE] = Field(
+        20.0, description="c, 1/s: weight of the path error beside its rate; below motion_damping"
+    )
+    speed_scale: Annotated[Positive, SPEED_SCALE] = Field(
+        0.02, description="v_0, m/s: the speed at which both coefficients learn alike"
+    )
+    smoothing_speed: Annotated[Positive, SPEED_SCALE] = Field(
+        0.001, description="wanted speed below which nothing is learned, m/s"
+    )
 
 
 CompensationSection = (
@@ -189,9 +238,13 @@ CompensationSection = (
 class SensorSection(Section):
     """[sensor]: the force sensor; as it stands, ideal: the force at the latest sample."""
 
-    noise: NotNegative = Field(0.0, description="standard deviation of white noise, N")
-    bias: Number = Field(0.0, description="constant error, N")
-    quantisation: NotNegative = Field(0.0, description="step between two readings, N; 0: none")
-    filter_time_constant: NotNegative = Field(0.0, description="time constant of a first-order low-pass, s; 0: none")
-    delay: NotNegative = Field(0.0, description="age of a reading beside the sample's, s; a whole number of samples")
+    noise: Annotated[NotNegative, FORCE] = Field(0.0, description="standard deviation of white noise, N")
+    bias: Annotated[Number, FORCE] = Field(0.0, description="constant error, N")
+    quantisation: Annotated[NotNegative, QUANTUM] = Field(0.0, description="step between two readings, N; 0: none")
+    filter_time_constant: Annotated[NotNegative, PERIOD] = Field(
+        0.0, description="time constant of a first-order low-pass, s; 0: none"
+    )
+    delay: Annotated[NotNegative, PERIOD] = Field(
+        0.0, description="age of a reading beside the sample's, s; a whole number of samples"
+    )
     seed: Seed = Field(0, description="seed of the noise")

@@ -23,6 +23,8 @@ BIAS, NOISE, QUANTUM, TIME_CONSTANT = range(4)
 SENSOR_PARAMETERS = 4
 # A longer delay than this many samples is a slip of the keyboard.
 MOST_DELAYED = 10_000
+# A number of 53 bits has no finer steps than a quantum of which it holds so many.
+MOST_QUANTA = 2.0**52
 
 
 class PackedSensor(NamedTuple):
@@ -96,6 +98,14 @@ def continuous_reading(f_true: float, par: Array, z: Array) -> float:
 
 
 @kernel
+def quantised(reading: float, quantum: float) -> float:
+    """Return the reading in whole quanta, N; 0: as it is. So is one of more quanta than its own digits can tell."""
+    if quantum > 0.0 and abs(reading) < MOST_QUANTA * quantum:
+        return float(quantum * math.floor(reading / quantum + 0.5))
+    return reading
+
+
+@kernel
 def sense(f_true: float, sample: int, par: Array, z: Array, normal: float, ring: Array) -> float:
     """Take a sample and return the reading that the controller gets now, N.
 
@@ -112,9 +122,7 @@ def sense(f_true: float, sample: int, par: Array, z: Array, normal: float, ring:
     ring : (delay + 1,) array
         The latest samples; written.
     """
-    reading = continuous_reading(f_true, par, z) + par[NOISE] * normal
-    if par[QUANTUM] > 0.0:
-        reading = par[QUANTUM] * math.floor(reading / par[QUANTUM] + 0.5)
+    reading = quantised(continuous_reading(f_true, par, z) + par[NOISE] * normal, par[QUANTUM])
     size = ring.shape[0]
     ring[sample % size] = reading
     return float(ring[(sample + 1) % size])
@@ -125,8 +133,6 @@ def start_sensor(f_true: float, par: Array, z: Array, ring: Array) -> None:
     """Write z and the ring as if the sensor had felt f_true, N, without noise, for long."""
     if par[TIME_CONSTANT] > 0.0:
         z[0] = f_true
-    reading = f_true + par[BIAS]
-    if par[QUANTUM] > 0.0:
-        reading = par[QUANTUM] * math.floor(reading / par[QUANTUM] + 0.5)
+    reading = quantised(f_true + par[BIAS], par[QUANTUM])
     for i in range(ring.shape[0]):
         ring[i] = reading

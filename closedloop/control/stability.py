@@ -12,17 +12,38 @@ sensor too: along n its estimate follows f_c + d − f as the sensor gives it, s
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable
 
 import numpy as np
+from numpy.typing import NDArray
 
 from closedloop.control.sections import CompensationSection, ForceLaw, ObserverCompensationSection, SensorSection
 from closedloop.control.sensor import pack_sensor
 from closedloop.errors import ScenarioError
 
+Array = NDArray[np.float64]
 
-def force_loop_radius(feedback: float, integral: float, sensor: SensorSection, period: float) -> float:
-    """Return the largest modulus of an eigenvalue of the sampled force loop: it converges below 1.
+# The circle on which the loop is looked at lies so much outside the unit circle, as the rounding of a root may.
+ON_CIRCLE = 1e-12
+# Points on each of the turns that a delay makes along half the circle, before any halving.
+POINTS_A_TURN = 8
+MOST_HALVINGS = 50
+# Halvings between a gain that settles and the fourfold, for the limit in a message: three decimal digits.
+DIGITS = 12
+
+
+def force_loop_settles(feedback: float, integral: float, sensor: SensorSection, period: float) -> bool:
+    """Whether the sampled force loop converges: no root of its characteristic equation lies outside the unit circle.
+
+    With the delay as w⁻ᵐ, the low-pass as G(w) = (h/T)/(w − 1 + h/T), or 1, and a reading that is m samples old
+
+        F(w) = (w − 1)(1 + K_f w⁻ᵐ G) + h K_I (w⁻ᵐ or 1) G = 0        (without w − 1 where K_I = 0)
+
+    Nyquist's criterion: F has no pole outside the circle but that at infinity, so the turns of F along it say how many
+    roots there are outside. That costs as many evaluations as the delay has samples, where the eigenvalues of the
+    recursion cost their cube. Along the circle F is cut ever finer where it comes near zero, so the answer is that of
+    the eigenvalues but for gains within rounding of the limit, which are taken for settling.
 
     Parameters
     ----------
@@ -38,25 +59,29 @@ def force_loop_radius(feedback: float, integral: float, sensor: SensorSection, p
         If the sensor does not fit the period.
     """
     packed = pack_sensor(sensor, period)
-    # State: low-passed force y, integral z, and the readings r_1 (the latest) .. r_D+1 (the one that reaches the law).
-    size = 2 + packed.ring
-    y, z, latest, oldest = 0, 1, 2, size - 1
-    force = np.zeros(size)  # f as a row on the state, without its constants
-    force[oldest] -= feedback
-    force[z] += integral
-    unit = np.eye(size)
-    time_constant = sensor.filter_time_constant
-    now = unit[y] if time_constant > 0.0 else force  # what the sensor feels now
-    step = np.zeros((size, size))
-    share = period / time_constant if time_constant > 0.0 else 1.0  # Euler's, a little above the true one
-    step[y] = (1.0 - share) * unit[y] + share * force
-    step[z] = unit[z] - period * (unit[oldest] if packed.sampled else now)
-    step[latest] = now
-    for place in range(latest + 1, size):
-        step[place] = unit[place - 1]
-    if integral == 0.0:  # z is then not part of the loop
-        step = np.delete(np.delete(step, z, axis=0), z, axis=1)
-    return float(np.max(np.abs(np.linalg.eigvals(step))))
+    age = packed.ring  # m
+    share = period / sensor.filter_time_constant if sensor.filter_time_constant > 0.0 else 0.0
+
+    def characteristic(angle: Array) -> NDArray[np.complex128]:
+        w = (1.0 + ON_CIRCLE) * np.exp(1j * angle)
+        late = (1.0 + ON_CIRCLE) ** -age * np.exp(-1j * age * angle)
+        felt = share / (w - 1.0 + share) if share > 0.0 else np.ones_like(w)
+        F = 1.0 + feedback * late * felt
+        if integral > 0.0:
+            F = (w - 1.0) * F + period * integral * felt * (late if packed.sampled else 1.0)
+        return F
+
+    angles = np.linspace(0.0, math.pi, POINTS_A_TURN * (age + 8))
+    values = characteristic(angles)
+    for _ in range(MOST_HALVINGS):
+        sizes = np.abs(values)
+        wide = np.flatnonzero(np.abs(np.diff(values)) > 0.5 * np.minimum(sizes[1:], sizes[:-1]))
+        if not wide.size:
+            break
+        between = 0.5 * (angles[wide] + angles[wide + 1])
+        angles, values = np.insert(angles, wide + 1, between), np.insert(values, wide + 1, characteristic(between))
+    turns = round(float(np.sum(np.angle(values[1:] * values[:-1].conj()))) / math.pi)  # round the whole circle
+    return turns == (1 if integral > 0.0 else 0)
 
 
 def check_sampling(
@@ -75,33 +100,35 @@ def check_sampling(
     ScenarioError
         With the gain that is too large, and the most that would do.
     """
-    if law.force_integral > 0.0 and force_loop_radius(0.0, law.force_integral, sensor, period) > 1.0:
-        most = _most(lambda k: force_loop_radius(0.0, k, sensor, period), law.force_integral)
+    if law.force_integral > 0.0 and not force_loop_settles(0.0, law.force_integral, sensor, period):
+        most = _most(lambda k: force_loop_settles(0.0, k, sensor, period), law.force_integral)
         raise ScenarioError(
             f"law.force_integral = {law.force_integral:g}: diverges with this sensor and {period:g} s between two "
             f"samples; must be below {most:.3g}"
         )
-    if law.force_feedback > 0.0 and force_loop_radius(law.force_feedback, law.force_integral, sensor, period) > 1.0:
-        most = _most(lambda k: force_loop_radius(k, law.force_integral, sensor, period), law.force_feedback)
+    if law.force_feedback > 0.0 and not force_loop_settles(law.force_feedback, law.force_integral, sensor, period):
+        most = _most(lambda k: force_loop_settles(k, law.force_integral, sensor, period), law.force_feedback)
         raise ScenarioError(
             f"law.force_feedback = {law.force_feedback:g}: diverges, because a reading is {period + sensor.delay:g} s "
             f"old; must be below {most:.3g} (a longer sensor.filter_time_constant allows more)"
         )
     if isinstance(compensation, ObserverCompensationSection):
         rate = compensation.rate
-        slow = force_loop_radius(0.0, rate, sensor, period) > 1.0
+        slow = not force_loop_settles(0.0, rate, sensor, period)
         if slow or not rate * period < 1.0:
-            most = _most(lambda k: force_loop_radius(0.0, k, sensor, period), rate) if slow else rate
+            most = _most(lambda k: force_loop_settles(0.0, k, sensor, period), rate) if slow else rate
             raise ScenarioError(
                 f"compensation.rate = {rate:g}: diverges with this sensor and {period:g} s between two samples; must "
                 f"be below {min(most, 1.0 / period):.4g}"
             )
 
 
-def _most(radius: Callable[[float], float], above: float) -> float:
-    """Return the largest gain below `above` with radius(gain) <= 1, rounded down a little, by bisection."""
-    low, high = 0.0, above
-    for _ in range(50):
+def _most(settles: Callable[[float], bool], above: float) -> float:
+    """Return the largest gain with which the loop settles, rounded down a little; it does not with `above`."""
+    low, high = 0.25 * above, above
+    while not settles(low):  # it does with a gain of 0
+        low, high = 0.25 * low, low
+    for _ in range(DIGITS):
         middle = 0.5 * (low + high)
-        low, high = (middle, high) if radius(middle) <= 1.0 else (low, middle)
+        low, high = (middle, high) if settles(middle) else (low, middle)
     return 0.999 * low

@@ -13,7 +13,19 @@ from typing import Annotated, Any, Literal
 
 from pydantic import AfterValidator, Field, ValidationInfo, field_validator
 
-from closedloop.sections import Gain, NotNegative, Positive, Section
+from closedloop.sections import (
+    COEFFICIENT,
+    PERIOD,
+    SPEED_SCALE,
+    TORQUE,
+    Gain,
+    NotNegative,
+    Positive,
+    Section,
+    Size,
+    stiffness_in,
+    viscous_in,
+)
 
 Figure = float | tuple[float, ...]
 
@@ -39,8 +51,25 @@ def _all_positive(value: Figure) -> Figure:
     return _each(value, 5e-324, "must be greater than 0")
 
 
+EXPONENT = Size(1e3, "", "the curve is a step", 1e-3, "the curve is flat")
 JointNotNegative = Annotated[Gain, AfterValidator(_none_negative)]
 JointPositive = Annotated[Gain, AfterValidator(_all_positive)]
+
+Coefficient = Annotated[NotNegative, COEFFICIENT]
+PositiveCoefficient = Annotated[Positive, COEFFICIENT]
+Viscous = Annotated[NotNegative, viscous_in("N s/m")]
+Damping = Annotated[NotNegative, viscous_in("s/m")]
+SlipSpeed = Annotated[Positive, SPEED_SCALE]
+Stiffness = Annotated[Positive, stiffness_in("1/m")]
+Exponent = Annotated[Positive, EXPONENT]
+Span = Annotated[NotNegative, PERIOD]
+Torque = Annotated[JointNotNegative, TORQUE]
+PositiveTorque = Annotated[JointPositive, TORQUE]
+JointViscous = Annotated[JointNotNegative, viscous_in("N m s/rad")]
+JointSpeed = Annotated[JointPositive, SPEED_SCALE]
+JointStiffness = Annotated[JointPositive, stiffness_in("N m/rad")]
+JointExponent = Annotated[JointPositive, EXPONENT]
+JointSpan = Annotated[JointNotNegative, PERIOD]
 
 
 def _not_below(static: Figure, kinetic: Figure) -> None:
@@ -81,148 +110,148 @@ class SurfaceCoulomb(Law):
     """kind = "coulomb": of one size, against the slip."""
 
     kind: Literal["coulomb"] = "coulomb"
-    coefficient: NotNegative = Field(description="coefficient of friction μ, static and kinetic, 1")
+    coefficient: Coefficient = Field(description="coefficient of friction μ, static and kinetic, 1")
 
 
 class SurfaceCoulombViscous(Law):
     """kind = "coulomb_viscous": Coulomb's, and a force proportional to the slip."""
 
     kind: Literal["coulomb_viscous"] = "coulomb_viscous"
-    coefficient: NotNegative = Field(description="coefficient of friction μ, static and kinetic, 1")
-    viscous: NotNegative = Field(description="viscous coefficient b, N s/m, whatever the normal force")
+    coefficient: Coefficient = Field(description="coefficient of friction μ, static and kinetic, 1")
+    viscous: Viscous = Field(description="viscous coefficient b, N s/m, whatever the normal force")
 
 
 class SurfaceStribeck(Law):
     """kind = "stribeck": falls from its static to its kinetic level as slip gets faster."""
 
     kind: Literal["stribeck"] = "stribeck"
-    kinetic: NotNegative = Field(description="kinetic coefficient of friction μ_k, 1")
-    static: NotNegative = Field(description="static coefficient of friction μ_s, 1; not below kinetic")
-    stribeck_speed: Positive = Field(description="slip speed v_s of the fall from static to kinetic, m/s")
-    exponent: Positive = Field(2.0, description="exponent δ of the Stribeck curve; 2: Gaussian, 1: exponential")
-    viscous: NotNegative = Field(0.0, description="viscous coefficient b, N s/m, whatever the normal force")
+    kinetic: Coefficient = Field(description="kinetic coefficient of friction μ_k, 1")
+    static: Coefficient = Field(description="static coefficient of friction μ_s, 1; not below kinetic")
+    stribeck_speed: SlipSpeed = Field(description="slip speed v_s of the fall from static to kinetic, m/s")
+    exponent: Exponent = Field(2.0, description="exponent δ of the Stribeck curve; 2: Gaussian, 1: exponential")
+    viscous: Viscous = Field(0.0, description="viscous coefficient b, N s/m, whatever the normal force")
 
 
 class SurfaceKarnopp(Law):
     """kind = "karnopp": slip within a band of speeds counts as none."""
 
     kind: Literal["karnopp"] = "karnopp"
-    kinetic: NotNegative = Field(description="kinetic coefficient of friction μ_k, 1")
-    static: NotNegative = Field(description="static coefficient of friction μ_s, 1; not below kinetic")
-    dead_band: Positive = Field(description="slip speed D_v up to which the tip may be held, m/s")
-    viscous: NotNegative = Field(0.0, description="viscous coefficient b, N s/m, whatever the normal force")
+    kinetic: Coefficient = Field(description="kinetic coefficient of friction μ_k, 1")
+    static: Coefficient = Field(description="static coefficient of friction μ_s, 1; not below kinetic")
+    dead_band: SlipSpeed = Field(description="slip speed D_v up to which the tip may be held, m/s")
+    viscous: Viscous = Field(0.0, description="viscous coefficient b, N s/m, whatever the normal force")
 
 
 class SurfaceDahl(Law):
     """kind = "dahl": an elastic bristle that yields at the Coulomb level."""
 
     kind: Literal["dahl"] = "dahl"
-    coefficient: Positive = Field(description="coefficient of friction μ, 1")
-    stiffness: Positive = Field(description="bristle stiffness σ_0 per newton of normal force, 1/m")
-    viscous: NotNegative = Field(0.0, description="viscous coefficient b, N s/m, whatever the normal force")
+    coefficient: PositiveCoefficient = Field(description="coefficient of friction μ, 1")
+    stiffness: Stiffness = Field(description="bristle stiffness σ_0 per newton of normal force, 1/m")
+    viscous: Viscous = Field(0.0, description="viscous coefficient b, N s/m, whatever the normal force")
 
 
 class SurfaceLuGre(Law):
     """kind = "lugre": damped bristles that yield at the Stribeck curve."""
 
     kind: Literal["lugre"] = "lugre"
-    kinetic: Positive = Field(description="kinetic coefficient of friction μ_k, 1")
-    static: Positive = Field(description="static coefficient of friction μ_s, 1; not below kinetic")
-    stribeck_speed: Positive = Field(description="slip speed v_s of the fall from static to kinetic, m/s")
-    exponent: Positive = Field(2.0, description="exponent δ of the Stribeck curve; 2 as published")
-    stiffness: Positive = Field(description="bristle stiffness σ_0 per newton of normal force, 1/m")
-    damping: NotNegative = Field(description="bristle damping σ_1 per newton of normal force, s/m")
-    damping_speed: Positive | None = Field(
+    kinetic: PositiveCoefficient = Field(description="kinetic coefficient of friction μ_k, 1")
+    static: PositiveCoefficient = Field(description="static coefficient of friction μ_s, 1; not below kinetic")
+    stribeck_speed: SlipSpeed = Field(description="slip speed v_s of the fall from static to kinetic, m/s")
+    exponent: Exponent = Field(2.0, description="exponent δ of the Stribeck curve; 2 as published")
+    stiffness: Stiffness = Field(description="bristle stiffness σ_0 per newton of normal force, 1/m")
+    damping: Damping = Field(description="bristle damping σ_1 per newton of normal force, s/m")
+    damping_speed: SlipSpeed | None = Field(
         None, description="slip speed v_d of σ_1 exp(−(u/v_d)²), m/s; constant damping, as published, if left out"
     )
-    viscous: NotNegative = Field(0.0, description="viscous coefficient σ_2, N s/m, whatever the normal force")
+    viscous: Viscous = Field(0.0, description="viscous coefficient σ_2, N s/m, whatever the normal force")
 
 
 class SurfaceSevenParameter(Law):
     """kind = "seven_parameter": static friction that rises with rest, friction that lags the slip."""
 
     kind: Literal["seven_parameter"] = "seven_parameter"
-    kinetic: NotNegative = Field(description="Coulomb level F_C per newton of normal force, 1")
-    static_excess: NotNegative = Field(description="F_S∞: static level after a long rest, less F_C, 1")
-    stribeck_speed: Positive = Field(description="slip speed v_s at which half the excess is left, m/s")
-    stiffness: Positive = Field(description="stiffness k_t while stuck per newton of normal force, 1/m")
-    memory_delay: NotNegative = Field(description="τ_L: by how much the friction lags the slip, s")
-    rise_time: NotNegative = Field(description="γ: dwell time after which static friction has half risen, s")
-    viscous: NotNegative = Field(0.0, description="viscous coefficient F_v, N s/m, whatever the normal force")
+    kinetic: Coefficient = Field(description="Coulomb level F_C per newton of normal force, 1")
+    static_excess: Coefficient = Field(description="F_S∞: static level after a long rest, less F_C, 1")
+    stribeck_speed: SlipSpeed = Field(description="slip speed v_s at which half the excess is left, m/s")
+    stiffness: Stiffness = Field(description="stiffness k_t while stuck per newton of normal force, 1/m")
+    memory_delay: Span = Field(description="τ_L: by how much the friction lags the slip, s")
+    rise_time: Span = Field(description="γ: dwell time after which static friction has half risen, s")
+    viscous: Viscous = Field(0.0, description="viscous coefficient F_v, N s/m, whatever the normal force")
 
 
 class JointCoulomb(JointLaw):
     """kind = "coulomb": of one size, against the motion."""
 
     kind: Literal["coulomb"] = "coulomb"
-    kinetic: JointNotNegative = Field(description="kinetic (Coulomb) torque, N m, one per joint or one for all")
+    kinetic: Torque = Field(description="kinetic (Coulomb) torque, N m, one per joint or one for all")
 
 
 class JointCoulombViscous(JointLaw):
     """kind = "coulomb_viscous": Coulomb's, and a torque proportional to the joint velocity."""
 
     kind: Literal["coulomb_viscous"] = "coulomb_viscous"
-    kinetic: JointNotNegative = Field(description="kinetic (Coulomb) torque, N m, one per joint or one for all")
-    viscous: JointNotNegative = Field(description="viscous coefficient, N m s/rad")
+    kinetic: Torque = Field(description="kinetic (Coulomb) torque, N m, one per joint or one for all")
+    viscous: JointViscous = Field(description="viscous coefficient, N m s/rad")
 
 
 class JointStribeck(JointLaw):
     """kind = "stribeck": falls from its static to its kinetic level as the joint gets faster."""
 
     kind: Literal["stribeck"] = "stribeck"
-    kinetic: JointNotNegative = Field(description="kinetic (Coulomb) torque, N m, one per joint or one for all")
-    static: JointNotNegative = Field(description="static (break-away) torque, N m; not below kinetic")
-    stribeck_speed: JointPositive = Field(description="joint speed of the fall from static to kinetic, rad/s")
-    exponent: JointPositive = Field(2.0, description="exponent δ of the Stribeck curve; 2: Gaussian, 1: exponential")
-    viscous: JointNotNegative = Field(0.0, description="viscous coefficient, N m s/rad")
+    kinetic: Torque = Field(description="kinetic (Coulomb) torque, N m, one per joint or one for all")
+    static: Torque = Field(description="static (break-away) torque, N m; not below kinetic")
+    stribeck_speed: JointSpeed = Field(description="joint speed of the fall from static to kinetic, rad/s")
+    exponent: JointExponent = Field(2.0, description="exponent δ of the Stribeck curve; 2: Gaussian, 1: exponential")
+    viscous: JointViscous = Field(0.0, description="viscous coefficient, N m s/rad")
 
 
 class JointKarnopp(JointLaw):
     """kind = "karnopp": motion within a band of speeds counts as none."""
 
     kind: Literal["karnopp"] = "karnopp"
-    kinetic: JointNotNegative = Field(description="kinetic (Coulomb) torque, N m, one per joint or one for all")
-    static: JointNotNegative = Field(description="static (break-away) torque, N m; not below kinetic")
-    dead_band: JointPositive = Field(description="joint speed up to which the joint may be held, rad/s")
-    viscous: JointNotNegative = Field(0.0, description="viscous coefficient, N m s/rad")
+    kinetic: Torque = Field(description="kinetic (Coulomb) torque, N m, one per joint or one for all")
+    static: Torque = Field(description="static (break-away) torque, N m; not below kinetic")
+    dead_band: JointSpeed = Field(description="joint speed up to which the joint may be held, rad/s")
+    viscous: JointViscous = Field(0.0, description="viscous coefficient, N m s/rad")
 
 
 class JointDahl(JointLaw):
     """kind = "dahl": an elastic bristle that yields at the Coulomb level."""
 
     kind: Literal["dahl"] = "dahl"
-    kinetic: JointPositive = Field(description="kinetic (Coulomb) torque, N m, one per joint or one for all")
-    stiffness: JointPositive = Field(description="bristle stiffness σ_0, N m/rad")
-    viscous: JointNotNegative = Field(0.0, description="viscous coefficient, N m s/rad")
+    kinetic: PositiveTorque = Field(description="kinetic (Coulomb) torque, N m, one per joint or one for all")
+    stiffness: JointStiffness = Field(description="bristle stiffness σ_0, N m/rad")
+    viscous: JointViscous = Field(0.0, description="viscous coefficient, N m s/rad")
 
 
 class JointLuGre(JointLaw):
     """kind = "lugre": damped bristles that yield at the Stribeck curve."""
 
     kind: Literal["lugre"] = "lugre"
-    kinetic: JointPositive = Field(description="kinetic (Coulomb) torque, N m, one per joint or one for all")
-    static: JointPositive = Field(description="static (break-away) torque, N m; not below kinetic")
-    stribeck_speed: JointPositive = Field(description="joint speed of the fall from static to kinetic, rad/s")
-    exponent: JointPositive = Field(2.0, description="exponent δ of the Stribeck curve; 2 as published")
-    stiffness: JointPositive = Field(description="bristle stiffness σ_0, N m/rad")
-    damping: JointNotNegative = Field(description="bristle damping σ_1, N m s/rad")
-    damping_speed: JointPositive | None = Field(
+    kinetic: PositiveTorque = Field(description="kinetic (Coulomb) torque, N m, one per joint or one for all")
+    static: PositiveTorque = Field(description="static (break-away) torque, N m; not below kinetic")
+    stribeck_speed: JointSpeed = Field(description="joint speed of the fall from static to kinetic, rad/s")
+    exponent: JointExponent = Field(2.0, description="exponent δ of the Stribeck curve; 2 as published")
+    stiffness: JointStiffness = Field(description="bristle stiffness σ_0, N m/rad")
+    damping: JointViscous = Field(description="bristle damping σ_1, N m s/rad")
+    damping_speed: JointSpeed | None = Field(
         None, description="joint speed v_d of σ_1 exp(−(u/v_d)²), rad/s; constant damping, as published, if left out"
     )
-    viscous: JointNotNegative = Field(0.0, description="viscous coefficient σ_2, N m s/rad")
+    viscous: JointViscous = Field(0.0, description="viscous coefficient σ_2, N m s/rad")
 
 
 class JointSevenParameter(JointLaw):
     """kind = "seven_parameter": static friction that rises with rest, friction that lags the motion."""
 
     kind: Literal["seven_parameter"] = "seven_parameter"
-    kinetic: JointNotNegative = Field(description="kinetic (Coulomb) torque F_C, N m, one per joint or one for all")
-    static_excess: JointNotNegative = Field(description="F_S∞: static torque after a long rest, less F_C, N m")
-    stribeck_speed: JointPositive = Field(description="joint speed v_s at which half the excess is left, rad/s")
-    stiffness: JointPositive = Field(description="stiffness k_t while stuck, N m/rad")
-    memory_delay: JointNotNegative = Field(description="τ_L: by how much the friction lags the motion, s")
-    rise_time: JointNotNegative = Field(description="γ: dwell time after which static friction has half risen, s")
-    viscous: JointNotNegative = Field(0.0, description="viscous coefficient F_v, N m s/rad")
+    kinetic: Torque = Field(description="kinetic (Coulomb) torque F_C, N m, one per joint or one for all")
+    static_excess: Torque = Field(description="F_S∞: static torque after a long rest, less F_C, N m")
+    stribeck_speed: JointSpeed = Field(description="joint speed v_s at which half the excess is left, rad/s")
+    stiffness: JointStiffness = Field(description="stiffness k_t while stuck, N m/rad")
+    memory_delay: JointSpan = Field(description="τ_L: by how much the friction lags the motion, s")
+    rise_time: JointSpan = Field(description="γ: dwell time after which static friction has half risen, s")
+    viscous: JointViscous = Field(0.0, description="viscous coefficient F_v, N m s/rad")
 
 
 SurfaceFriction = Annotated[

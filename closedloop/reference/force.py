@@ -6,27 +6,18 @@ from typing import Annotated, Literal
 
 import numpy as np
 from numpy.typing import NDArray
-from pydantic import AfterValidator, Field
+from pydantic import Field
 
 from closedloop.errors import ScenarioError
 from closedloop.reference.lists import Forces, Instants
-from closedloop.sections import NotNegative, Number, Positive, Section
+from closedloop.sections import FORCE, NotNegative, Number, Positive, Section, Size
 
 Array = NDArray[np.float64]
 
 # i·h and the instant of a jump may differ by rounding: this share of the instant earlier counts as the instant itself.
 ROUNDING = 1e-12
 
-HIGHEST_FREQUENCY = 1e6  # Hz; no step resolves more
-
-
-def _resolvable(frequency: float) -> float:
-    if frequency > HIGHEST_FREQUENCY:
-        raise ValueError(f"must be at most {HIGHEST_FREQUENCY:g} Hz")
-    return frequency
-
-
-Frequency = Annotated[Positive, AfterValidator(_resolvable)]
+FREQUENCY = Size(1e6, "Hz", "no step resolves more", 1e-12)
 
 
 class ConstantForceSection(Section):
@@ -39,7 +30,7 @@ class StepForceSection(Section):
     """[force_profile] kind = "step": law.force, and another force from an instant on."""
 
     kind: Literal["step"] = "step"
-    to: Number = Field(description="desired force after the step, N")
+    to: Annotated[Number, FORCE] = Field(description="desired force after the step, N")
     at: NotNegative = Field(description="instant of the step, s")
 
 
@@ -47,8 +38,8 @@ class SineForceSection(Section):
     """[force_profile] kind = "sine": a sine about law.force."""
 
     kind: Literal["sine"] = "sine"
-    amplitude: Number = Field(description="amplitude of the sine, N; negative begins downwards")
-    frequency: Frequency = Field(description="frequency of the sine, Hz; at most 1e6")
+    amplitude: Annotated[Number, FORCE] = Field(description="amplitude of the sine, N; negative begins downwards")
+    frequency: Annotated[Positive, FREQUENCY] = Field(description="frequency of the sine, Hz")
     start: NotNegative = Field(0.0, description="instant at which the sine begins, s; law.force before")
 
 
@@ -57,7 +48,7 @@ class WaypointForceSection(Section):
 
     kind: Literal["waypoints"] = "waypoints"
     times: Instants = Field(description="instants at which the desired force is as given, s, increasing")
-    forces: Forces = Field(description="desired force at those instants, N; the last stays")
+    forces: Annotated[Forces, FORCE] = Field(description="desired force at those instants, N; the last stays")
 
 
 ForceProfile = Annotated[

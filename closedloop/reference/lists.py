@@ -3,9 +3,12 @@
 from __future__ import annotations
 
 import math
+import reprlib
 from typing import Annotated, Any
 
 from pydantic import BeforeValidator
+
+from closedloop.sections import PLACE
 
 
 def _numbers(value: Any, what: str) -> tuple[float, ...]:
@@ -13,7 +16,7 @@ def _numbers(value: Any, what: str) -> tuple[float, ...]:
         raise ValueError(f"must be a list of {what}")
     for index, entry in enumerate(value):
         if isinstance(entry, bool) or not isinstance(entry, (int, float)):
-            raise ValueError(f"entry {index} is {entry!r}: must be a number")
+            raise ValueError(f"entry {index} is {reprlib.repr(entry)}: must be a number")
         try:
             number = float(entry)
         except OverflowError:
@@ -59,4 +62,4 @@ def _points(value: Any) -> tuple[tuple[float, ...], ...]:
 Forces = Annotated[tuple[float, ...], BeforeValidator(lambda value: _numbers(value, "forces, N"))]
 Instants = Annotated[tuple[float, ...], BeforeValidator(_instants)]
 MotionInstants = Annotated[tuple[float, ...], BeforeValidator(lambda value: _at_least_two(_instants(value)))]
-Points = Annotated[tuple[tuple[float, float, float], ...], BeforeValidator(_points)]
+Points = Annotated[tuple[Annotated[tuple[float, float, float], PLACE], ...], BeforeValidator(_points)]

@@ -7,10 +7,11 @@ from typing import Annotated, Any, Literal
 from pydantic import BeforeValidator, Field
 
 from closedloop.reference.lists import MotionInstants, Points
-from closedloop.sections import NotNegative, Number, Positive, Section, Vector3
+from closedloop.sections import LENGTH, SPEED, NotNegative, Number, Positive, Section, Size, Vector3
 
 # More passes than this are a slip of the keyboard.
 MOST_PASSES = 1000
+TURNS = Size(1e6, "", "no path goes round so often", 1e-9)
 
 
 def _passes(value: Any) -> Any:
@@ -32,7 +33,9 @@ class LineSection(Section):
 
     kind: Literal["line"] = "line"
     direction: Vector3 = Field(description="direction of the tip's motion, base frame; any length but zero")
-    speed: Number = Field(description="tip speed, m/s, the mean one with minimum_jerk; negative runs backwards")
+    speed: Annotated[Number, SPEED] = Field(
+        description="tip speed, m/s, the mean one with minimum_jerk; negative runs backwards"
+    )
     start: NotNegative = Field(0.5, description="instant at which the tip starts to move, s")
     stop: NotNegative = Field(description="instant at which it stops, s")
     timing: Literal["constant", "minimum_jerk"] = Field(
@@ -48,8 +51,8 @@ class CircleSection(Section):
     direction: Vector3 = Field(
         description="direction from the tip's start to the centre, along the surface, base frame; any length but zero"
     )
-    radius: Positive = Field(description="radius of the circle, m")
-    turns: Number = Field(
+    radius: Annotated[Positive, LENGTH] = Field(description="radius of the circle, m")
+    turns: Annotated[Number, TURNS] = Field(
         1.0, description="how many times round; positive: counter-clockwise seen from off the surface; not zero"
     )
     start: NotNegative = Field(0.5, description="instant at which the tip starts to move, s")
@@ -64,9 +67,9 @@ class FigureEightSection(Section):
 
     kind: Literal["figure_eight"] = "figure_eight"
     direction: Vector3 = Field(description="along the eight, in the surface, base frame; any length but zero")
-    width: Positive = Field(description="extent of the eight along direction, m")
-    height: Positive = Field(description="extent of the eight across it, m")
-    turns: Positive = Field(1.0, description="how many times round the eight")
+    width: Annotated[Positive, LENGTH] = Field(description="extent of the eight along direction, m")
+    height: Annotated[Positive, LENGTH] = Field(description="extent of the eight across it, m")
+    turns: Annotated[Positive, TURNS] = Field(1.0, description="how many times round the eight")
     start: NotNegative = Field(0.5, description="instant at which the tip starts to move, s")
     stop: NotNegative = Field(description="instant at which it stops, s")
 
@@ -80,8 +83,8 @@ class RasterSection(Section):
 
     kind: Literal["raster"] = "raster"
     direction: Vector3 = Field(description="direction of the first pass, along the surface, base frame")
-    length: Positive = Field(description="length of a pass, m")
-    pitch: Number = Field(
+    length: Annotated[Positive, LENGTH] = Field(description="length of a pass, m")
+    pitch: Annotated[Number, LENGTH] = Field(
         description="distance from a pass to the next, m; positive: to the left of direction seen from off the surface"
     )
     passes: Annotated[int, BeforeValidator(_passes)] = Field(description=f"how many passes, 1 to {MOST_PASSES}")

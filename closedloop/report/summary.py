@@ -11,6 +11,7 @@ from closedloop.contact import FREE
 from closedloop.events import KINDS
 from closedloop.report.assumptions import assumptions
 from closedloop.report.measures import MEASURES, SETTLED
+from closedloop.surface import unit
 
 if TYPE_CHECKING:
     from closedloop.record import Run
@@ -76,9 +77,9 @@ def _against_what_is_desired(run: Run) -> tuple[float | None, float | None, floa
     missed = np.flatnonzero(np.abs(miss) > SETTLED * largest)
     first = int(missed[-1]) + 1 if missed.size else 0
     settled = float(run.time[first]) if largest > 0.0 and first < len(run) else None
-    normal = np.asarray(run.scenario.surface.normal)
+    normal = unit(run.scenario.surface.normal, "surface.normal")
     off = run.position - run.reference_tip
-    off = off - np.outer(off @ normal, normal) / (normal @ normal)
+    off = off - np.outer(off @ normal, normal)
     return rms, settled, float(np.sqrt(np.mean(np.sum(off**2, axis=1))))
 
 

@@ -16,6 +16,8 @@ from closedloop.control.laws import law_rates, law_torque, start_states
 from closedloop.control.moment import Moment
 from closedloop.control.pack import pack_law
 from closedloop.control.places import work_size
+from closedloop.control.sections import SensorSection
+from closedloop.control.sensor import pack_sensor
 from closedloop.surface import contact_frame
 
 # Where the arms press, and how their surface lies.
@@ -227,3 +229,44 @@ class Loop:
 def rms(x):
     """Return the root mean square."""
     return float(np.sqrt(np.mean(np.square(x))))
+
+
+def force_loop_radius(feedback: float, integral: float, sensor: SensorSection, period: float) -> float:
+    """Return the largest modulus of an eigenvalue of the sampled force loop: it converges below 1.
+
+        f_k = f_des + K_f (f_des − m_{k−1}) + K_I z_k + d        m: reading, through low-pass and delay
+        z_{k+1} = z_k + h (f_des − s_k)                          s: reading without the sampling, or m
+
+    Parameters
+    ----------
+    feedback, integral : float
+        K_f, and K_I, 1/s.
+    sensor : SensorSection
+    period : float
+        Time between two samples, s.
+
+    Raises
+    ------
+    ScenarioError
+        If the sensor does not fit the period.
+    """
+    packed = pack_sensor(sensor, period)
+    # State: low-passed force y, integral z, and the readings r_1 (the latest) .. r_D+1 (the one that reaches the law).
+    size = 2 + packed.ring
+    y, z, latest, oldest = 0, 1, 2, size - 1
+    force = np.zeros(size)  # f as a row on the state, without its constants
+    force[oldest] -= feedback
+    force[z] += integral
+    unit = np.eye(size)
+    time_constant = sensor.filter_time_constant
+    now = unit[y] if time_constant > 0.0 else force  # what the sensor feels now
+    step = np.zeros((size, size))
+    share = period / time_constant if time_constant > 0.0 else 1.0  # Euler's, a little above the true one
+    step[y] = (1.0 - share) * unit[y] + share * force
+    step[z] = unit[z] - period * (unit[oldest] if packed.sampled else now)
+    step[latest] = now
+    for place in range(latest + 1, size):
+        step[place] = unit[place - 1]
+    if integral == 0.0:  # z is then not part of the loop
+        step = np.delete(np.delete(step, z, axis=0), z, axis=1)
+    return float(np.max(np.abs(np.linalg.eigvals(step))))

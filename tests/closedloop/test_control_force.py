@@ -4,7 +4,7 @@ from functools import partial
 
 import numpy as np
 import pytest
-from control_loop import Loop
+from control_loop import Loop, force_loop_radius
 
 from closedloop.control.places import RATE
 from closedloop.control.sections import (
@@ -18,7 +18,7 @@ from closedloop.control.sections import (
     SensorSection,
 )
 from closedloop.control.sensor import pack_sensor, sense, sensor_rates, start_sensor
-from closedloop.control.stability import check_sampling, force_loop_radius
+from closedloop.control.stability import check_sampling, force_loop_settles
 from closedloop.errors import ScenarioError
 from closedloop.scenario import PaperLawSection
 
@@ -174,16 +174,49 @@ def test_largest_feedback_is_where_the_sampled_loop_starts_to_diverge(section, p
         assert float(str(refused.value).split("must be below ")[1].split()[0]) == pytest.approx(low, rel=0.02)
 
 
+def test_nyquist_and_eigenvalues_agree_on_the_sampled_loop():
+    """Over gains, low-passes and delays the loop settles where all eigenvalues of its recursion are within the circle."""
+    draw, verdicts = np.random.default_rng(8), []
+    for _ in range(400):
+        period = 10.0 ** draw.uniform(-4, -2)
+        section = SensorSection(
+            delay=period * draw.integers(0, 25),
+            filter_time_constant=period * draw.choice([0.0, 1.0, draw.uniform(1.0, 200.0)]),
+            noise=draw.choice([0.0, 1.0]),
+        )
+        feedback = draw.choice([0.0, 10.0 ** draw.uniform(-2, 2)])
+        integral = draw.choice([0.0, 10.0 ** draw.uniform(-3, 0.5) / period])
+        radius = force_loop_radius(feedback, integral, section, period)
+        if abs(radius - 1.0) > 1e-9:
+            verdicts.append(radius < 1.0)
+            assert force_loop_settles(feedback, integral, section, period) == verdicts[-1], (
+                section,
+                feedback,
+                integral,
+            )
+    assert 100 < sum(verdicts) < len(verdicts) - 100
+
+
+def test_limit_with_a_long_delay():
+    """A reading m samples old bounds K_I at 2 sin(π/(4m + 2))/h, and K_f at 1: for any m, at once."""
+    for delay in (0, 1, 20, 999, 9999):
+        section, age = SensorSection(delay=1e-3 * delay), delay + 1
+        if delay:  # else the integral is of the force itself
+            limit = 2.0 * np.sin(np.pi / (4 * age + 2)) / 1e-3
+            assert force_loop_settles(0.0, 0.9999 * limit, section, 1e-3)
+            assert not force_loop_settles(0.0, 1.0001 * limit, section, 1e-3)
+        assert force_loop_settles(0.9999, 0.0, section, 1e-3)
+        assert not force_loop_settles(1.0001, 0.0, section, 1e-3)
+
+
 def test_unfiltered_feedback_must_stay_below_one():
     """A reading one sample old allows K_f < 1, whatever the period; a low-pass of T allows up to T/h."""
     for period in (1e-4, 1e-3):
-        assert (
-            force_loop_radius(0.999, 0.0, SensorSection(), period)
-            < 1.0
-            < force_loop_radius(1.001, 0.0, SensorSection(), period)
-        )
+        assert force_loop_settles(0.999, 0.0, SensorSection(), period)
+        assert not force_loop_settles(1.001, 0.0, SensorSection(), period)
     slow = SensorSection(filter_time_constant=0.02)
-    assert force_loop_radius(19.9, 0.0, slow, 1e-3) < 1.0 < force_loop_radius(20.1, 0.0, slow, 1e-3)
+    assert force_loop_settles(19.9, 0.0, slow, 1e-3)
+    assert not force_loop_settles(20.1, 0.0, slow, 1e-3)
 
 
 def test_fast_feedback_behind_a_low_pass_in_the_closed_loop():

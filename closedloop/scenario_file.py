@@ -1,0 +1,65 @@
+"""The text of a scenario: of a shipped one by its name, or of a file, which may be anything and is looked at first."""
+
+from __future__ import annotations
+
+import difflib
+import reprlib
+import stat
+from importlib import resources
+from pathlib import Path
+
+from closedloop.errors import ScenarioError
+
+# A scenario is a few kilobytes; one with a hundred thousand waypoints is a few megabytes.
+MOST_BYTES = 16_000_000
+
+
+def shipped_scenarios() -> list[str]:
+    """Return the names of the scenarios that come with the package, sorted."""
+    folder = resources.files("closedloop") / "scenarios"
+    return sorted(f.name.removesuffix(".toml") for f in folder.iterdir() if f.name.endswith(".toml"))
+
+
+def scenario_text(name: str | Path) -> tuple[str, str, str]:
+    """Return (TOML text, stem, how to call it in messages) of a shipped scenario or of a file.
+
+    Raises
+    ------
+    ScenarioError
+        If there is no such scenario, or the file cannot be read, is no file of text, or is larger than `MOST_BYTES`.
+    """
+    as_path = Path(name)
+    if as_path.suffix == ".toml" or isinstance(name, Path):
+        return _read(as_path), as_path.stem, str(as_path)
+    shipped = shipped_scenarios()
+    if name not in shipped:
+        near = difflib.get_close_matches(str(name)[:100], shipped, n=1, cutoff=0.4)
+        hint = f"did you mean '{near[0]}'?" if near else f"shipped are {', '.join(shipped)}"
+        raise ScenarioError(
+            f"no scenario named {reprlib.repr(str(name))}; {hint} (a file of your own must end in .toml)"
+        )
+    file = resources.files("closedloop") / "scenarios" / f"{name}.toml"
+    return file.read_text(encoding="utf-8"), str(name), str(name)
+
+
+def _read(path: Path) -> str:
+    """Return the text of a file; one that would block, never end or fill the memory is not opened."""
+    try:
+        about = path.stat()
+        if stat.S_ISDIR(about.st_mode):
+            raise ScenarioError(f"{path}: cannot be read: is a folder; name the .toml file in it")
+        if not stat.S_ISREG(about.st_mode):
+            raise ScenarioError(f"{path}: cannot be read: is a device, pipe or socket; a scenario is a TOML file")
+        if about.st_size > MOST_BYTES:
+            raise ScenarioError(
+                f"{path}: is {about.st_size / 1e6:.4g} MB; a scenario is a TOML file of at most {MOST_BYTES / 1e6:g} MB"
+            )
+        return path.read_text(encoding="utf-8-sig")
+    except OSError as error:
+        raise ScenarioError(f"{path}: cannot be read: {error.strerror}") from None
+    except UnicodeDecodeError:
+        raise ScenarioError(f"{path}: is not UTF-8 text; a scenario is a TOML file") from None
+    except ScenarioError:
+        raise
+    except ValueError as error:  # a null in the name
+        raise ScenarioError(f"{str(path)!r}: cannot be read: {error}") from None

@@ -26,6 +26,7 @@ from closedloop.workspace import (
     SMOOTH,
     SPRING_STICK,
     STICKING,
+    STRAIGHT,
     TIME,
     Whole,
     Work,
@@ -83,8 +84,8 @@ def turn_with_slip(w: Work, h: float) -> bool:
             if high - low <= 1e-14 * high:
                 break
     size = math.hypot(d1, d2)
-    if not size > 0.0:
-        return False
+    if not size > 0.0 or d1 * w.u[1] + d2 * w.u[2] < 0.0:
+        return False  # slip ends within the step; until then friction is against it
     along = math.copysign(level / size, f)
     w.c[0], w.c[1] = along * d1, along * d2
     return True
@@ -110,7 +111,7 @@ def surface_friction(w: Work, k: Array, state: Whole, rows: Array) -> None:
     along = s[0] * w.direction[0] + s[1] * w.direction[1]
     if sticking != RIGID_STICK and sticking != SPRING_STICK:
         along = 1.0
-    if along < 0.0:
+    if along < 0.0 or speed <= w.now[STRAIGHT]:
         # Past the instant at which slip stops the law goes on as before, so that the instant can be found.
         s[0], s[1] = speed * w.direction[0], speed * w.direction[1]
     sliding(kind, par, s, w.now[DELAYED], z, w.direction, w.c, w.w)

@@ -36,11 +36,12 @@ SMOOTH, RIGID_STICK, ELASTIC_STICK, SPRING_STICK = range(4)
 
 # --- numbers that change, by place in `Work.now` ---------------------------------------------------------------------
 # time: of the state that terms are asked for; begin, length: of the substep under way; tau: of a trial inside it;
-# low, high: bracket of the event searched, with the gauge's value at either end.
+# low, high: bracket of the event searched, with the gauge's value at either end. straight: slip up to this speed, m/s,
+# is resisted along `Work.direction`, whichever way it points.
 (
     TIME, BEGIN, LENGTH, TAU, LOW, HIGH, AT_LOW, AT_HIGH, GAUGE, RATE, GAP, RIGID, START_GAUGE, START_RATE, START_GAP,
-    START_SLIP, LAST_EVENT, MEASURED, DELAYED, CUT,
-) = range(20)  # fmt: skip
+    START_SLIP, LAST_EVENT, MEASURED, DELAYED, CUT, STRAIGHT,
+) = range(21)  # fmt: skip
 NOW = 24
 
 # --- constants, by place ---------------------------------------------------------------------------------------------

@@ -2,17 +2,19 @@
 
 from __future__ import annotations
 
+import math
 import time as clock
 from collections.abc import Callable
 from typing import Any, cast
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.integrate import DOP853
+from scipy.integrate import DOP853, Radau
 
 from closedloop.adaptive.crossing import first_crossing
 from closedloop.adaptive.kernels import GAUGE_IT, RECORD, SET_OUT
 from closedloop.adaptive.memory import Memory, Stopped
+from closedloop.adaptive.slow import KEPT, PLAIN, SETTLED, STIFF, jacobian, manner_of, tolerance_for
 from closedloop.adaptive.smooth import Stretch, jumps, stretch_from
 from closedloop.contact import FREE
 from closedloop.control import Law
@@ -34,6 +36,7 @@ from closedloop.workspace import (
     SAMPLED,
     SMOOTH,
     STICKING,
+    STRAIGHT,
     UNILATERAL,
     Whole,
 )
@@ -44,6 +47,8 @@ Array = NDArray[np.float64]
 ABSOLUTE = 0.1
 # The first step, as a share of the time between rows, from where it may grow tenfold a step, and the longest step, s.
 FIRST, LONGEST = 0.01, 0.1
+# What the implicit scheme is told of the tolerance where it asks once and for all: it ends Newton's method at 1e-2 of it.
+STIFF_RTOL = 1e-4
 # A step in which a state cannot be evaluated is tried again, ever shorter, down to this, s.
 SHORTEST = 1e-13
 # So many steps without a row, or so many in so little time, s, are no progress.
@@ -105,6 +110,7 @@ class _Journey:
         self.row, self.time, self.y = 0, 0.0, self.memory.get()
         self.tolerance = cast(float, problem.tolerance)
         self.next_step, self.steps_since_row, self.looked = FIRST * problem.h, 0, 0.0
+        self.manner = PLAIN
         others = [problem.pd_start + 1e-9 * problem.h]
         if self.memory.hold:
             others += self.instants[:: self.memory.hold].tolist()
@@ -142,25 +148,45 @@ class _Journey:
         hold = memory.hold
         due = self.instants[i] <= self.time + INSTANT
         memory.state[SAMPLED] = hold == 0 or (due and i % hold == 0)
-        memory.evaluate(self.time, self.y, stretch, SET_OUT)
+        self.look(stretch)
         if self.turns:
             memory.begin(self.time)
             self.y = memory.get()
+            self.look(stretch)
         memory.state[SAMPLED] = hold == 0
         if due:
             self.y = memory.closed(self.y)
             self.record(self.y, self.time, stretch)
 
+    def look(self, stretch: Stretch) -> None:
+        """Evaluate the state here, to set out from it, and choose how to go on."""
+        memory, before = self.memory, self.manner
+        memory.evaluate(self.time, self.y, stretch, SET_OUT)
+        if self.rubs:
+            self.manner = manner_of(memory.w, memory.state, before)
+            if (self.manner == KEPT) != (before == KEPT):
+                memory.w.now[STRAIGHT] = math.inf if self.manner == KEPT else 0.0
+                memory.evaluate(self.time, self.y, stretch, SET_OUT)
+
     def advance(self, stretch: Stretch) -> None:
         """Go on to the end of the stretch, or to just after the next event."""
         while self.time < stretch.end:
-            solver = self.solver(stretch)
+            manner, solver = self.manner, self.solver(stretch)
             while solver.status == "running":
                 if self.rubs:
-                    self.memory.evaluate(self.time, self.y, stretch, SET_OUT)
+                    self.look(stretch)
+                    if self.manner != manner:
+                        break
+                    self.allow(solver)
                 self.step(solver)
                 within, length = solver.dense_output(), solver.t - self.time
                 event = self.crossing(within, length, stretch) if self.turns else None
+                grown = self.grown(within, length if event is None else event, stretch) if manner == KEPT else None
+                if grown is not None:
+                    self.record_until(self.time + grown, within, stretch)
+                    self.time, self.next_step = self.time + grown, grown
+                    self.y = within(self.time)
+                    break
                 self.record_until(self.time + (length if event is None else event), within, stretch)
                 if event is not None:
                     self.happen(within, event, stretch)
@@ -173,14 +199,24 @@ class _Journey:
 
     def solver(self, stretch: Stretch) -> Any:
         """Return scipy's solver, ready to step from here."""
-        rate = self.memory.rate
-        solver = DOP853(
-            lambda t, y: rate(t, y, stretch), self.time, self.y, stretch.end, max_step=LONGEST,
-            first_step=min(self.next_step, stretch.end - self.time),
+
+        def rate(t: float, y: Array) -> Array:
+            return self.memory.rate(t, y, stretch)
+
+        scheme: Any = Radau if self.manner == STIFF else DOP853
+        more = {"jac": lambda t, y: jacobian(rate, t, y, self.memory.w), "rtol": STIFF_RTOL} if scheme is Radau else {}
+        solver = scheme(
+            rate, self.time, self.y, stretch.end, max_step=LONGEST,
+            first_step=min(self.next_step, stretch.end - self.time), **more,
         )  # fmt: skip
-        # Set here, because scipy would take no relative tolerance below 2e-14.
-        solver.rtol, solver.atol = self.tolerance, ABSOLUTE * self.tolerance
+        self.allow(solver)
         return solver
+
+    def allow(self, solver: Any) -> None:
+        """Tell the solver which error its steps may make."""
+        # Set here, because scipy would take no relative tolerance below 2e-14.
+        solver.rtol = tolerance_for(self.memory.w, self.manner, self.tolerance)
+        solver.atol = ABSOLUTE * solver.rtol
 
     def step(self, solver: Any) -> None:
         """Take one step of the solver, as long as its error allows and as every state on the way can be evaluated."""
@@ -194,6 +230,7 @@ class _Journey:
                 if room < SHORTEST:
                     raise
                 solver.h_abs = 0.25 * room
+                solver.LU_real = None  # the implicit scheme's, of the longer step
         stalled = solver.status == "failed" or self.steps_since_row > MOST_STEPS
         if self.steps_since_row % STALL_STEPS == 0:
             stalled, self.looked = stalled or self.time - self.looked < STALL_TIME, self.time
@@ -201,6 +238,16 @@ class _Journey:
             raise Stopped(OK, STALLED)
         # The end of a stretch may have cut the step short.
         self.next_step = max(solver.h_abs, self.next_step) if solver.status == "finished" else solver.h_abs
+
+    def grown(self, within: Callable[[float], Array], length: float, stretch: Stretch) -> float | None:
+        """Return how long after the beginning of the step slip has a direction of its own, s, None if not yet."""
+        memory, begin = self.memory, self.time
+
+        def short(after: float) -> float:
+            memory.evaluate(begin + after, within(begin + after), stretch, GAUGE_IT)
+            return SETTLED - float(np.hypot(*memory.w.u[1:]))
+
+        return first_crossing(short, length)
 
     def crossing(self, within: Callable[[float], Array], length: float, stretch: Stretch) -> float | None:
         """Return how long after the beginning of the step the next event is, s, None if there is none in it."""

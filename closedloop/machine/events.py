@@ -178,6 +178,8 @@ def turn(w: Work, k: Array, state: Whole, rows: Array, events: Array) -> int:
     if state[MODE] == STUCK:  # the force that held the tip is what it now slides against
         state[MODE], state[KIND] = PRESSED, SLIP_AGAIN
         w.direction[0], w.direction[1] = -w.F[1] / size, -w.F[2] / size
+        if state[STICKING] == RIGID_STICK:  # slip starts from rest: what errors have left of a velocity goes
+            loss = halt(w)
     else:
         speed = np.hypot(w.u[1], w.u[2])
         slow = speed <= max(2.0 * k[STICK_SPEED], capture_speed(kind, par) * (1.0 + 1e-9))
@@ -196,14 +198,7 @@ def turn(w: Work, k: Array, state: Whole, rows: Array, events: Array) -> int:
             if held == OK and slow and size <= stick_limit(kind, par, z) * abs(w.F[0]):
                 state[MODE], state[KIND] = STUCK, STICK
                 w.anchor[0], w.anchor[1] = w.p[1], w.p[2]
-                # What is left of the velocity within the plane goes, by an impulse as small.
-                for i in range(3):
-                    w.a[i] = w.u[i]
-                stuck_force(w.S, w.a, w.b, w.compression, w.share)
-                for i in range(3):
-                    w.after[i] = 0.0
-                strike(w.L, w.X, w.compression, w.column, w.v)
-                loss = energy_lost(w.before, w.after, w.compression)
+                loss = halt(w)
             elif not slow:  # it has only turned by a right angle since the substep began
                 w.direction[0], w.direction[1] = w.u[1] / speed, w.u[2] / speed
                 ask(state, BEGINNING)
@@ -214,6 +209,18 @@ def turn(w: Work, k: Array, state: Whole, rows: Array, events: Array) -> int:
     log(w, k, state, events, loss)
     ask(state, BEGINNING)
     return ASK
+
+
+@kernel
+def halt(w: Work) -> float:
+    """Take away what is left of the tip's velocity u, by an impulse as small; return the energy that goes, J."""
+    for i in range(3):
+        w.a[i], w.b[i] = w.u[i], 0.0
+    stuck_force(w.S, w.a, w.b, w.compression, w.share)
+    for i in range(3):
+        w.after[i] = 0.0
+    strike(w.L, w.X, w.compression, w.column, w.v)
+    return float(energy_lost(w.before, w.after, w.compression))
 
 
 @kernel

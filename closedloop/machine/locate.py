@@ -8,6 +8,7 @@ from numpy.typing import NDArray
 from closedloop.compiled import kernel, kernel_inlined
 from closedloop.contact import FREE, STUCK
 from closedloop.friction.laws import capture_speed, stick_limit
+from closedloop.friction.layout import STILL
 from closedloop.machine.phases import (
     INSTANT,
     LOOK,
@@ -41,7 +42,6 @@ from closedloop.workspace import (
     SPRING_STICK,
     START_GAP,
     START_SLIP,
-    STICK_SPEED,
     STICKING,
     TAU,
     TIME,
@@ -80,9 +80,8 @@ def slip_left(w: Work, k: Array, state: Whole) -> float:
     """Return the speed along the direction in which slip began, m/s, above the speed at which sticking is tried."""
     band = capture_speed(state[FRICTION], k[FRICTION_AT : FRICTION_AT + FRICTION_WIDTH])
     along = w.u[1] * w.direction[0] + w.u[2] * w.direction[1]
-    slow = k[STICK_SPEED]
-    if w.now[START_SLIP] <= slow:  # slip has only begun, and its velocity is still of the size of rounding
-        return float(along + slow)
+    if w.now[START_SLIP] <= STILL:  # slip has only begun, and its velocity is still of the size of rounding
+        return float(along + STILL)
     return float(along - (band if w.now[START_SLIP] > band else 0.0))
 
 

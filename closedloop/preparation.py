@@ -37,6 +37,8 @@ MOST_NUMBERS = 200_000_000
 # How far from the surface the tip may start, m. A closure that must first pull the tip in by more does not press: with
 # the paper's stabiliser a millimetre already asks for a thousand newtons from each kilogram.
 START_GAP = 1e-3
+# And how fast it may start through the closure, m/s, where a stabiliser then stops it, and where none does.
+START_RATE, START_RATE_UNSTABILISED = 1e-3, 1e-9
 # What an adaptive integrator allows itself in each step, relative, unless the scenario says otherwise.
 TOLERANCE = 1e-12
 # What a robot takes in memory, with Pinocchio's model and data, about, in bytes.
@@ -218,6 +220,12 @@ def _surface(scenario: Scenario, robot: Robot, q: Array, v: Array) -> tuple[Plan
             raise ScenarioError(
                 f"{given} = {value:g}: the tip starts {abs(gap):.4g} m {side} the surface, and the closure holds it "
                 f'there from the start: use contact = "unilateral", or offset = "start" or {where:.9g}'
+            )
+        most = START_RATE_UNSTABILISED if scenario.stabiliser.kind == "none" else START_RATE
+        if abs(rate) > most:
+            raise ScenarioError(
+                f"start.v: the tip starts through the closure at {rate:.4g} m/s along the surface normal, and may at "
+                f'{most:g} m/s: give a velocity along the surface, or use contact = "unilateral"'
             )
         return plane, PRESSED
     if gap < -TOUCHING:

@@ -84,7 +84,7 @@ def run_adaptive(
 
 
 class _Journey:
-    """How far a run has come: `time`, s, the state y (2 n + k,) there, and `row`, the next to be recorded."""
+    """How far a run has come: `time`, s, the state y (2 n + k + 1,) there, and `row`, the next to be recorded."""
 
     def __init__(self, problem: Problem, law: Law | None, report: Callable[[int, int], None]) -> None:
         self.problem, self.report = problem, report
@@ -170,7 +170,8 @@ class _Journey:
             first_step=min(self.next_step, stretch.end - self.time),
         )  # fmt: skip
         # Set here, because scipy would take no relative tolerance below 2e-14.
-        solver.rtol, solver.atol = self.tolerance, ABSOLUTE * self.tolerance
+        solver.rtol, solver.atol = self.tolerance, np.full(self.y.size, ABSOLUTE * self.tolerance)
+        solver.atol[-1] = np.inf  # the energy supplied is a sum over the motion, and does not choose its steps
         return solver
 
     def step(self, solver: Any) -> None:

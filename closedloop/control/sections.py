@@ -38,7 +38,11 @@ Seed = Annotated[int, BeforeValidator(_seed)]
 class ForceLaw(Section):
     """What all laws share: the force, and how the force sensor is used."""
 
-    force: Number = Field(10.0, description="force f_des with which the tip presses on the surface, N")
+    force: Number = Field(
+        10.0,
+        description="force f_des with which the tip presses on the surface, N; 0: it rests there without pressing; "
+        "below 0: it pulls where surface.contact is bilateral, and leaves where it is unilateral",
+    )
     sample_period: NotNegative = Field(
         0.0,
         description="period at which the law is evaluated and then held, s; 0: at every evaluation of Eq. 24",
@@ -56,7 +60,9 @@ class Approach(ForceLaw):
     """Of a law that seeks the surface at a set speed."""
 
     approach_speed: Positive = Field(
-        0.05, description="speed along the normal at which a tip off the surface comes down to press, m/s"
+        0.05,
+        description="largest speed along the normal off the surface, m/s: at it a tip comes down to press (force > 0); "
+        "with force = 0 it follows the path, with force < 0 it leaves and stays away",
     )
 
 

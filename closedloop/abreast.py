@@ -30,6 +30,7 @@ from closedloop.rows import SCALARS, Row, record, record_conditions
 from closedloop.scenario import Scenario
 from closedloop.solve import DIVERGED, OK
 from closedloop.step import bounded, locate_tip, paper_torque
+from closedloop.supply import gain, remember_power, settle
 from closedloop.tree import Tree, energy_there, tree_terms, work_size
 from closedloop.workspace import Whole, Work, workspace
 
@@ -201,6 +202,7 @@ def run_abreast(
     tally, out = octets_at(places[TALLIES], TALLY), octets_at(places[FIGURES], WIDTH)
     frame = k[space.FRAME : space.FRAME + 9]
     begin_tally(tally)
+    w.now[space.SUPPLIED] = 0.0
     for row in range(steps + 1):
         begin, place = row * h, row % kept
         for stage in range(stages if row < steps else 1):
@@ -219,7 +221,7 @@ def run_abreast(
             if stage == 0:
                 record(H, C, w, k, state, tableau, rows, place, None)
                 potential = energy_there(tree, scratch)
-                count_row(rows[place], potential, w.reference, row, h, frame, largest, 0.0, tally)
+                count_row(rows[place], potential, w.reference, row, h, frame, largest, tally)
                 if row == steps:
                     record_conditions(w.pending, rows, state, place + 1, n)
                 if state[space.PENDING] == 0:
@@ -228,8 +230,11 @@ def run_abreast(
                 for j in range(n):
                     w.begin[j] = w.q[j]
                     w.begin[n + j] = w.v[j]
+                remember_power(w, state)
             if row < steps:
+                gain(w, stage, h, tableau[stages, stage])
                 advance(stage, h, semi_implicit, False, tableau, w.begin, w.stages, w.qdd, w.dz, w.q, w.v, w.z)
+        settle(w.now)
     write_figures(rows[steps % kept, 5 * n + 9 :], steps + 1, h, largest, tally, out)
     return OK
 

@@ -35,6 +35,9 @@ Array = NDArray[np.float64]
 # What the tip does: values of the run's column `mode`.
 FREE, PRESSED, STUCK = 0, 1, 2
 
+# Q and C are sums of dozens of products: what their difference says of a force is good to this share of their size.
+LOAD_ROUNDING = 1e-13
+
 # Along a tangent in which its mobility is below this share of the whole, the tip cannot move at all (a planar arm,
 # sideways): there is nothing to hold there, and no force is needed to hold it.
 IMMOBILE = 1e-10
@@ -42,8 +45,9 @@ IMMOBILE = 1e-10
 
 @kernel_inlined
 def into_contact_frame(
-    frame: Array, J: Array, r: Array, drift: Array, v: Array, A: Array, p: Array, u: Array, drift_c: Array
-) -> None:
+    frame: Array, J: Array, r: Array, drift: Array, v: Array, A: Array, p: Array, u: Array, drift_c: Array,
+    rounding: float,
+) -> None:  # fmt: skip
     """Write A = N Jᵣ, p = N r, u = A q̇ and N J̇ᵣq̇ for the contact frame N (rows n, t1, t2).
 
     Parameters
@@ -56,12 +60,17 @@ def into_contact_frame(
         q̇.
     A, p, u, drift_c : (3, n), (3,), (3,), (3,) arrays
         Written.
+    rounding : float
+        An entry of A no larger than this, m, is zero: what is left of it where lengths have cancelled is rounding. A
+        tip on the only axis that could move it along n has then no mobility there, instead of one that is rounding
+        (`Robot.rounding`).
     """
     for k in range(3):
         n0, n1, n2 = frame[3 * k], frame[3 * k + 1], frame[3 * k + 2]
         speed = 0.0
         for j in range(v.shape[0]):
             a = n0 * J[0, j] + n1 * J[1, j] + n2 * J[2, j]
+            a = select(abs(a) > rounding, a, 0.0)
             A[k, j] = a
             speed += a * v[j]
         u[k] = speed
@@ -118,6 +127,22 @@ def unloaded(L: Array, X: Array, drift_c: Array, torque: Array, C: Array, y: Arr
         for j in range(n):
             s += X[k, j] * y[j]
         a[k] = s
+
+
+@kernel
+def normal_rounding(L: Array, X: Array, drift_c: Array, torque: Array, loss: Array, C: Array, g: Array) -> float:
+    """Return how much of the tip's unloaded acceleration along n may be rounding, m/s².
+
+    Q and C are each known to rounding, and a_n = gᵀ(Q − C) + ... with g = H⁻¹Aᵀn = L⁻ᵀX_n; `g` (n,) is scratch.
+    """
+    n = C.shape[0]
+    for j in range(n):
+        g[j] = X[0, j]
+    back_substitute(L, g)
+    total: float = abs(drift_c[0])
+    for j in range(n):
+        total += abs(g[j]) * (abs(torque[j]) + abs(loss[j]) + abs(C[j]))
+    return LOAD_ROUNDING * total
 
 
 @kernel

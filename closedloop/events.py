@@ -58,14 +58,20 @@ EVENT_COLUMNS: dict[str, EventColumn] = {
     "event_position": EventColumn(("event", "axis"), "m", "tip position r, base frame", 11),
     "event_slip_before": EventColumn(("event",), "m s-1", "speed of slip just before the event", 14),
     "event_slip_after": EventColumn(("event",), "m s-1", "speed of slip just after the event", 15),
+    "event_restitution": EventColumn(
+        ("event",),
+        "1",
+        "restitution that an impact gave; less than impact.restitution where newton's law would have created energy",
+        16,
+    ),
 }
-EVENT_WIDTH = 16
+EVENT_WIDTH = 17
 
 
 @kernel
 def write_event(
-    row: Array, t: float, kind: int, cut: float, frame: Array, r: Array, before: Array, after: Array,
-    compression: Array, decompression: Array, energy_lost: float,
+    row: Array, t: float, kind: int, cut: float, restitution: float, frame: Array, r: Array, before: Array,
+    after: Array, compression: Array, decompression: Array, energy_lost: float,
 ) -> None:  # fmt: skip
     """Write one row of the table; velocities and impulses are in the contact frame, r in the base frame."""
     row[0], row[1], row[2], row[3], row[4] = t, kind, before[0], after[0], cut
@@ -76,6 +82,7 @@ def write_event(
         row[11 + k] = r[k]
     row[14] = np.hypot(before[1], before[2])
     row[15] = np.hypot(after[1], after[2])
+    row[16] = restitution
 
 
 def event_columns(table: Array) -> dict[str, NDArray[Any]]:

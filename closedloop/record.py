@@ -65,6 +65,9 @@ _BY_TIME: dict[str, Column] = {
     "normal_mobility": Column(("time",), "1", "A H^-1 A^T over the trace of J H^-1 J^T; 0 at a singular pose"),
     "kinetic_energy": Column(("time",), "J", "kinetic energy, drives included"),
     "potential_energy": Column(("time",), "J", "potential energy of gravity"),
+    "energy_supplied": Column(
+        ("time",), "J", "work of torque, contact force and friction since the start, less what the events took"
+    ),
 }
 
 
@@ -75,7 +78,8 @@ class Event(NamedTuple):
     """One event of the contact: an impact, the beginning or the end of contact, of sticking or of slip.
 
     Rates are those of the closure error; impulses act on the tip, the tangential one in the base frame. `rate_cut` is
-    the rate of a bounce that `impact.rest_speed` turned into contact.
+    the rate of a bounce that `impact.rest_speed` turned into contact. `restitution` is what an impact gave: what
+    `impact.restitution` asks for, but where Newton's law would have created energy; 0 of all other events.
     """
 
     time: float
@@ -90,6 +94,7 @@ class Event(NamedTuple):
     position: Array
     slip_before: float
     slip_after: float
+    restitution: float
 
 
 @dataclass(frozen=True, eq=False)

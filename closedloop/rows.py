@@ -26,6 +26,7 @@ from closedloop.workspace import (
     SENSOR_RING,
     SENSOR_STATES,
     STICKING,
+    SUPPLIED,
     Whole,
     Work,
 )
@@ -56,7 +57,7 @@ class Row(NamedTuple):
 
 SCALARS = (
     "contact_force", "stabiliser_force", "closure_error", "closure_rate", "mode", "residual_motion",
-    "residual_closure", "kkt_condition", "normal_mobility", "kinetic_energy", "measured_force",
+    "residual_closure", "kkt_condition", "normal_mobility", "kinetic_energy", "measured_force", "energy_supplied",
 )  # fmt: skip
 
 
@@ -159,3 +160,4 @@ def record(
             table[place * state[PER_STEP], 2 * n + 10], w.ring[0 : state[SENSOR_RING]],
         )  # fmt: skip
     row[at + 10] = w.now[MEASURED]
+    row[at + 11] = w.now[SUPPLIED]

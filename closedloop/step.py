@@ -21,6 +21,7 @@ from closedloop.contact import (
     baumgarte_acceleration,
     factorise,
     into_contact_frame,
+    normal_rounding,
     pressed_force,
     stuck_force,
     unloaded,
@@ -55,6 +56,7 @@ from closedloop.workspace import (
     RATE,
     RIGID,
     RIGID_STICK,
+    ROUNDING,
     S_P,
     S_V,
     SAMPLED,
@@ -122,7 +124,7 @@ def reference_row(t: float, spacing: float, table: Array, n: int, row: Array) ->
 @kernel_inlined
 def locate_tip(w: Work, k: Array) -> None:
     """Write the tip's motion in the contact frame, and the gap and its rate."""
-    into_contact_frame(k[FRAME : FRAME + 9], w.J, w.r, w.drift, w.v, w.A, w.p, w.u, w.drift_c)
+    into_contact_frame(k[FRAME : FRAME + 9], w.J, w.r, w.drift, w.v, w.A, w.p, w.u, w.drift_c, k[ROUNDING])
     w.now[GAP] = w.p[0] - k[OFFSET_D]
     w.now[RATE] = w.u[0]
 
@@ -265,12 +267,12 @@ def contact_force(C: Array, w: Work, k: Array, state: Whole) -> int:
                 if status != OK:
                     return status
         rigid = w.F[0] - share
-        if state[UNILATERAL] != 0 and w.F[0] < 0.0 <= rigid:
+        w.now[RIGID] = kept_force(rigid, C, w, state)
+        if state[UNILATERAL] != 0 and w.F[0] < 0.0 <= w.now[RIGID]:
             # The surface may push less to let the stabiliser have its way, down to nothing, but it cannot pull.
             share = -rigid
             b = share * (w.S[0, 0] - w.S[0, 1] * w.c[0] - w.S[0, 2] * w.c[1])
             w.F[0], w.F[1], w.F[2] = 0.0, -w.w[0], -w.w[1]
-        w.now[RIGID] = rigid
         w.b[0], w.share[0] = b, share
     elif state[MODE] == STUCK:
         w.b[0] = baumgarte_acceleration(k[S_V], k[S_P], w.now[RATE], w.now[GAP])
@@ -278,6 +280,19 @@ def contact_force(C: Array, w: Work, k: Array, state: Whole) -> int:
             w.b[i] = baumgarte_acceleration(k[S_V], k[S_P], w.u[i], w.p[i] - w.anchor[i - 1])
         if stuck_force(w.S, w.a, w.b, w.F, w.share) != OK:
             return SINGULAR
-        w.now[RIGID] = w.F[0] - w.share[0]
+        w.now[RIGID] = kept_force(w.F[0] - w.share[0], C, w, state)
     accelerate(w.L, w.X, w.y, w.F, w.qdd)
     return OK
+
+
+@kernel_inlined
+def kept_force(rigid: float, C: Array, w: Work, state: Whole) -> float:
+    """Return the force of the rigid closure, N, by which contact is judged: negative where the tip is to leave.
+
+    A surface that cannot pull lets go where the closure would have to, by more than rounding: under a command of zero
+    the force is rounding, of either sign, and the tip stays where it is. The force is then none.
+    """
+    kept = rigid
+    if state[UNILATERAL] != 0 and rigid < 0.0:
+        kept += normal_rounding(w.L, w.X, w.drift_c, w.torque, w.loss, C, w.column) / w.S[0, 0]
+    return kept

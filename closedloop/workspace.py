@@ -37,12 +37,13 @@ SMOOTH, RIGID_STICK, ELASTIC_STICK, SPRING_STICK = range(4)
 # --- numbers that change, by place in `Work.now` ---------------------------------------------------------------------
 # time: of the state that terms are asked for; begin, length: of the substep under way; tau: of a trial inside it;
 # low, high: bracket of the event searched, with the gauge's value at either end. straight: slip up to this speed, m/s,
-# is resisted along `Work.direction`, whichever way it points.
+# is resisted along `Work.direction`, whichever way it points. cut, given: of a restitution.
+# supplied, gained: see `closedloop.supply`.
 (
     TIME, BEGIN, LENGTH, TAU, LOW, HIGH, AT_LOW, AT_HIGH, GAUGE, RATE, GAP, RIGID, START_GAUGE, START_RATE, START_GAP,
-    START_SLIP, LAST_EVENT, MEASURED, DELAYED, CUT, STRAIGHT,
-) = range(21)  # fmt: skip
-NOW = 24
+    START_SLIP, LAST_EVENT, MEASURED, DELAYED, CUT, STRAIGHT, GIVEN, SUPPLIED, GAINED, START_POWER, START_GROWTH,
+) = range(26)  # fmt: skip
+NOW = 32
 
 # --- constants, by place ---------------------------------------------------------------------------------------------
 H_STEP, NODE, OFFSET_D, S_V, S_P = range(5)
@@ -52,7 +53,8 @@ GRAVITY = 17  # 3
 RESTITUTION, REST_SPEED, IMPACT_FRICTION, STICK_SPEED, PD_AT = range(20, 25)
 SENSOR_AT = 25  # 4
 FRICTION_AT = 29  # 12
-JOINTS = 41  # 3 n: support, K_p, K_d; then the law's parameters, 18 + 2 n; then those of joint friction, 12 n
+ROUNDING = 41  # an entry of A below this is rounding, see `closedloop.contact.into_contact_frame`
+JOINTS = 42  # 3 n: support, K_p, K_d; then the law's parameters, 18 + 2 n; then those of joint friction, 12 n
 LAW_WIDTH, FRICTION_WIDTH = 18, 12
 
 

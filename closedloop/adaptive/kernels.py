@@ -14,6 +14,7 @@ from closedloop.machine.steps import remember
 from closedloop.rows import record
 from closedloop.solve import OK
 from closedloop.step import evaluate
+from closedloop.supply import power
 from closedloop.tip import tip_kinematics
 from closedloop.workspace import (
     FRICTION,
@@ -27,6 +28,7 @@ from closedloop.workspace import (
     ROW,
     SENSOR_RING,
     STAGES,
+    START_POWER,
     START_SLIP,
     STICK_SPEED,
     STICKING,
@@ -55,7 +57,9 @@ def _on_pinocchio(
     status = evaluate(H, C, w, k, state, wanted, rows, more)
     if status != OK:
         return status
-    if use == SET_OUT:
+    if use == DERIVE:
+        w.now[START_POWER] = power(w)
+    elif use == SET_OUT:
         remember(w, k, state, more)
     elif use == GAUGE_IT:
         w.now[GAUGE] = gauge(w, k, state, more)

@@ -52,10 +52,12 @@ from closedloop.workspace import (
     RIGID_STICK,
     ROW,
     SAMPLED,
+    START_POWER,
     STATUS,
     STEPS,
     STICK_SPEED,
     STICKING,
+    SUPPLIED,
     TIME,
 )
 
@@ -74,7 +76,7 @@ class Stopped(Exception):
 
 
 class Memory:
-    """The loop's memory, and the calls on it. A state y is q, q̇ and z in one array (2 n + k,).
+    """The loop's memory, and the calls on it. A state y is q, q̇, z and the energy supplied in one array (2 n + k + 1,).
 
     Attributes
     ----------
@@ -107,11 +109,12 @@ class Memory:
 
     def put(self, y: Array) -> None:
         """Make y the state in the memory."""
-        self.w.q[:], self.w.v[:], self.w.z[:] = y[: self.n], y[self.n : 2 * self.n], y[2 * self.n :]
+        self.w.q[:], self.w.v[:], self.w.z[:] = y[: self.n], y[self.n : 2 * self.n], y[2 * self.n : -1]
+        self.w.now[SUPPLIED] = y[-1]
 
     def get(self) -> Array:
         """Return a copy of the state in the memory."""
-        return np.concatenate([self.w.q, self.w.v, self.w.z])
+        return np.concatenate([self.w.q, self.w.v, self.w.z, self.w.now[SUPPLIED : SUPPLIED + 1]])
 
     def evaluate(self, t: float, y: Array, stretch: Stretch, use: int) -> None:
         """Evaluate law, friction, contact and Eq. 24 at y at the instant t, s.
@@ -147,9 +150,9 @@ class Memory:
         self.w.now[TIME], self.k[NODE] = instant, instant if instant > 0.0 else 1.0
 
     def rate(self, t: float, y: Array, stretch: Stretch) -> Array:
-        """Return ẏ (2 n + k,)."""
+        """Return ẏ (2 n + k + 1,)."""
         self.evaluate(t, y, stretch, DERIVE)
-        return np.concatenate([self.w.v, self.w.qdd, self.w.dz])
+        return np.concatenate([self.w.v, self.w.qdd, self.w.dz, self.w.now[START_POWER : START_POWER + 1]])
 
     def start(self) -> float:
         """Write the row of t = 0 with whatever happens there, as the machine does for steps of fixed length.
@@ -164,7 +167,7 @@ class Memory:
             self._serve(answer)
             answer = self._proceed()
         # The machine has set out on a step already.
-        self.put(self.w.begin)
+        self.put(np.append(self.w.begin, self.w.now[SUPPLIED]))
         self._terms()
         self._evaluate(
             *self.robot.views, self.k, self.state, self.numbers, self._wanted, self._table, self.rows, SET_OUT
@@ -191,7 +194,7 @@ class Memory:
             if left > 0.0:
                 t += left
                 mean = w.v + 0.5 * left * w.qdd
-                self.evaluate(t, self.get() + left * np.concatenate([mean, w.qdd, w.dz]), stretch, GAUGE_IT)
+                self.evaluate(t, self.get() + left * np.concatenate([mean, w.qdd, w.dz, [0.0]]), stretch, GAUGE_IT)
         w.now[TIME] = t
         self._work(TRANSITING)
         return t

@@ -98,7 +98,7 @@ def run_adaptive(
 
 
 class _Journey:
-    """How far a run has come: `time`, s, the state y (2 n + k,) there, and `row`, the next to be recorded."""
+    """How far a run has come: `time`, s, the state y (2 n + k + 1,) there, and `row`, the next to be recorded."""
 
     def __init__(self, problem: Problem, law: Law | None, report: Callable[[int, int], None]) -> None:
         self.problem, self.report = problem, report
@@ -216,7 +216,8 @@ class _Journey:
         """Tell the solver which error its steps may make."""
         # Set here, because scipy would take no relative tolerance below 2e-14.
         solver.rtol = tolerance_for(self.memory.w, self.manner, self.tolerance)
-        solver.atol = ABSOLUTE * solver.rtol
+        solver.atol = np.full(self.y.size, ABSOLUTE * solver.rtol)
+        solver.atol[-1] = np.inf  # the energy supplied is a sum over the motion, and does not choose its steps
 
     def step(self, solver: Any) -> None:
         """Take one step of the solver, as long as its error allows and as every state on the way can be evaluated."""

@@ -10,7 +10,8 @@ f_c + d − (K_v ẋ_a + K_p x_a)/S_nn, hence with K = 0
     M ẍ_a + (B + K_v/S_nn) ẋ_a + K_p/S_nn x_a = d
 
 and the force settles at f_des whatever the disturbance d, with no integral of the force error but the set
-point's motion. In free motion f = 0: the set point, and the tip after it, come down at f_des/B.
+point's motion. In free motion f = 0: the set point, and the tip after it, come down at f_des/B. A tip that is to leave
+(f_des < 0) is pushed off by −f_des besides, as it was in contact, and its set point rises at −f_des/B.
 
 Sources: D. Whitney, Force feedback control of manipulator fine motions, J. Dynamic Systems, Measurement and
 Control 99(2), 1977; H. Seraji, Adaptive admittance control: an approach to explicit force control in compliant
@@ -41,7 +42,7 @@ def admittance(x: Moment, par: Array, gains: Array, f: float, z: Array, work: Ar
         wanted[0] = 0.0
         f -= a / x.S[0, 0]
     else:
-        wanted[0] = a
+        wanted[0] = a - x.S[0, 0] * min(f, 0.0)
     move_tip(x, gains, f, work, torque)
 
 

@@ -5,7 +5,8 @@
 For a plane Yoshikawa's E_F is nᵀ and E_P is (t1, t2)ᵀ, both constant, so a is the motion servo a_des + K_v
 (u_des − u) + K_p (p_des − p) along the surface and zero along n. A⁺ is the inverse of least joint acceleration;
 for an arm without redundancy it is A⁻¹ and the law is that of `operational_space`, for others it spends the
-freedom differently: q̈₀ is followed as closely in joint acceleration, not in kinetic energy, as the tip allows.
+freedom differently: q̈₀ is followed as closely in joint acceleration, not in kinetic energy, as the tip allows. Off the
+surface a along n is that of `closedloop.control.tip_space.motion_along_normal`: towards the surface only if f_des > 0.
 
 Source: T. Yoshikawa, Dynamic hybrid position/force control of robot manipulators: description of hand constraints and
 calculation of joint driving force, IEEE J. Robotics and Automation 3(5), 1987.

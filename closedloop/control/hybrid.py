@@ -8,6 +8,9 @@ through (S J)⁺, because with J⁻¹S the loop is unstable in some postures tho
 Hollerbach 1987), and (S J)⁺S J is a projection, which is not (Fisher and Mujtaba 1992). The original leaves
 gravity to the integral terms; here C is fed forward, as in Eq. 33.
 
+Off the surface the normal direction is the motion of `closedloop.control.tip_space.motion_along_normal`: towards the
+surface only if f_des > 0.
+
 Nothing decouples the directions: while joint errors last, the force deviates from f_c by −(nᵀA H⁻¹(...))/(nᵀS n).
 
 Sources: M. Raibert, J. Craig, J. Dynamic Systems, Measurement and Control 103(2), 1981; W. Fisher, S. Mujtaba, Hybrid

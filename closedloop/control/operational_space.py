@@ -6,7 +6,8 @@ a is the acceleration wanted of the tip: along the surface a_des + K_v (u_des �
 zero, since there the force is controlled (Khatib's Ω and Ω̃ are diagonal in the contact frame). q̈₀ draws the
 joints towards q_des; its part that would move the tip is taken out through the dynamically consistent inverse
 H⁻¹AᵀΛ, so it moves a redundant arm within itself, without touching tip or force. On a rigid surface without
-friction the tip then obeys ë + K_v ė + K_p e = 0 along the surface, and f = f_c.
+friction the tip then obeys ë + K_v ė + K_p e = 0 along the surface, and f = f_c. Off the surface a along n is that of
+`closedloop.control.tip_space.motion_along_normal`: towards the surface only if f_des > 0.
 
 Source: O. Khatib, A unified approach for motion and force control of robot manipulators: the operational space
 formulation, IEEE J. Robotics and Automation 3(1), 1987. All of C is compensated here, not only what the tip feels.

@@ -58,7 +58,9 @@ class ForceLaw(Section):
     """What all laws share: the force, and how the force sensor is used."""
 
     force: Annotated[Number, FORCE] = Field(
-        10.0, description="force f_des with which the tip presses on the surface, N"
+        10.0,
+        description="force f_des with which the tip presses on the surface, N; 0: it rests there without pressing; "
+        "below 0: it pulls where surface.contact is bilateral, and leaves where it is unilateral",
     )
     sample_period: Annotated[NotNegative, PERIOD] = Field(
         0.0,
@@ -77,7 +79,9 @@ class Approach(ForceLaw):
     """Of a law that seeks the surface at a set speed."""
 
     approach_speed: Annotated[Positive, SPEED] = Field(
-        0.05, description="speed along the normal at which a tip off the surface comes down to press, m/s"
+        0.05,
+        description="largest speed along the normal off the surface, m/s: at it a tip comes down to press (force > 0); "
+        "with force = 0 it follows the path, with force < 0 it leaves and stays away",
     )
 
 

@@ -109,14 +109,21 @@ def motion_along_surface(x: Moment, par: Array, wanted: Array) -> None:
 def motion_along_normal(x: Moment, stiffness: float, damping: float, speed: float) -> float:
     """Return the acceleration wanted along n, m/s²: none in contact, where the force is controlled instead.
 
-    In free motion a tip that is to press (f_des > 0) comes down at `speed`, whatever the height; otherwise it follows
-    p_des, no faster than `speed`.
+    In free motion the sign of f_des says where to: a tip that is to press (f_des > 0) comes down at `speed`, whatever
+    the height; one that is not to (f_des = 0) follows p_des; one that is to leave (f_des < 0) goes up with S_nn f_des
+    over `damping`, follows p_des upwards too, and never comes down. All this no faster than `speed`.
+
+    Neither accelerates the tip towards the surface more than f_des would in contact. So no law for the tip both lets go
+    of the surface in contact and presses when free, at one state: it would chatter.
     """
     if x.pressed != 0.0:
         return 0.0
+    push = x.S[0, 0] * x.f_des
     if x.f_des > 0.0:
-        return float(damping * (-speed - x.u[0]))
+        return float(max(damping * (-speed - x.u[0]), -push - damping * max(x.u[0], 0.0)))
     towards = x.u_des[0] + stiffness / damping * (x.p_des[0] - x.p[0])
+    if x.f_des < 0.0:
+        towards = max(towards, 0.0) - push / damping
     return float(damping * (min(max(towards, -speed), speed) - x.u[0]))
 
 

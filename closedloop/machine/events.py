@@ -6,11 +6,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from closedloop.compiled import entry_kernel, kernel
-from closedloop.contact import FREE, PRESSED, STUCK, factorise, pressed_force, strike, stuck_force
+from closedloop.contact import FREE, PRESSED, STUCK, factorise, normal_rounding, pressed_force, strike, stuck_force
 from closedloop.control.laws import restart
 from closedloop.events import IMPACT, LIFTOFF, REVERSAL, SLIP_AGAIN, STICK, TOUCHDOWN, write_event
 from closedloop.friction.laws import capture_speed, contact_states, memory_delay, sliding, stick_limit, stick_states
-from closedloop.impact import energy_lost, impact
+from closedloop.impact import CUT as ENERGY_CUT
+from closedloop.impact import MODES, energy_lost, impact
 from closedloop.machine.locate import cone
 from closedloop.machine.phases import (
     ARRIVING,
@@ -49,6 +50,7 @@ from closedloop.workspace import (
     FRICTION_WIDTH,
     GAP,
     GAUGE,
+    GIVEN,
     H_STEP,
     IMPACT_FRICTION,
     IMPACT_LAW,
@@ -79,6 +81,7 @@ from closedloop.workspace import (
     STATUS,
     STICK_SPEED,
     STICKING,
+    SUPPLIED,
     TIME,
     UNILATERAL,
     Whole,
@@ -91,14 +94,15 @@ Array = NDArray[np.float64]
 
 
 @kernel
-def begin_piece(w: Work, k: Array, state: Whole, more: int | None) -> int:
+def begin_piece(C: Array, w: Work, k: Array, state: Whole, more: int | None) -> int:
     """Look at the state just after an event, and set out from it for the end of the step, unless its mode cannot be."""
     now = w.now
     if state[MODE] == FREE:
         # A tip that the surface has just let go, and that would fall back at once, has not left: on the closure, where
         # its last act has put the tip, f is still positive; or the law pushes when free and pulls when pressed.
         let_go = state[KIND] == LIFTOFF and now[LAST_EVENT] == now[TIME]
-        if let_go and now[GAP] <= TOUCHING and abs(now[RATE]) <= RESTING and w.a[0] < 0.0:
+        back = let_go and now[GAP] <= TOUCHING and abs(now[RATE]) <= RESTING and w.a[0] < 0.0
+        if back and w.a[0] < -normal_rounding(w.L, w.X, w.drift_c, w.torque, w.loss, C, w.column):
             make_contact(w, k, state, np.hypot(w.u[1], w.u[2]))
             state[EVENTS] -= 1
             state[IN_STEP] += 1
@@ -147,7 +151,7 @@ def transit(H: Array, w: Work, k: Array, state: Whole, rows: Array, events: Arra
         w.after[i] = w.u[i]
         w.compression[i] = 0.0
         w.decompression[i] = 0.0
-    now[CUT] = 0.0
+    now[CUT], now[GIVEN] = 0.0, 0.0
     if state[MODE] == FREE:
         # A step of first order may bring a tip down that its velocity already takes up again: contact, no impulse.
         state[PHASE], state[KIND] = STRIKING, TOUCHDOWN
@@ -268,12 +272,13 @@ def onset(kind: int, par: Array, at_rest: Array, z: Array, w: Work, angle: float
 
 @kernel
 def log(w: Work, k: Array, state: Whole, events: Array, energy: float) -> None:
-    """Write the event state[KIND] into the table."""
+    """Write the event state[KIND] into the table, and book the energy that it took."""
     write_event(
-        events[state[EVENTS]], w.now[TIME], state[KIND], w.now[CUT], k[FRAME : FRAME + 9], w.r, w.before, w.after,
-        w.compression, w.decompression, energy,
+        events[state[EVENTS]], w.now[TIME], state[KIND], w.now[CUT], w.now[GIVEN], k[FRAME : FRAME + 9], w.r, w.before,
+        w.after, w.compression, w.decompression, energy,
     )  # fmt: skip
     state[EVENTS] += 1
+    w.now[SUPPLIED] -= energy
 
 
 @kernel
@@ -316,13 +321,17 @@ def collide(k: Array, state: Whole, memory: Array, n: int) -> None:
     """
     w = workspace(memory, n, extra_states(state, n), state[STAGES], state[SENSOR_RING])
     bounces = state[RUSHED] <= MOST_RUSHED
-    state[KIND], w.now[CUT] = IMPACT if bounces else TOUCHDOWN, 0.0
+    state[KIND], w.now[CUT], w.now[GIVEN] = IMPACT if bounces else TOUCHDOWN, 0.0, 0.0
     for _ in range(2):
         restitution = k[RESTITUTION] if state[KIND] == IMPACT else 0.0
         state[STATUS] = impact(
             w.S, w.before, restitution, state[IMPACT_LAW], k[IMPACT_FRICTION], w.scratch,
             w.compression, w.decompression, w.after,
         )  # fmt: skip
-        if state[STATUS] != OK or state[KIND] == TOUCHDOWN or w.after[0] >= k[REST_SPEED]:
+        if state[STATUS] != OK or state[KIND] == TOUCHDOWN:
+            return
+        if w.after[0] >= k[REST_SPEED]:
+            cut = int(w.scratch[MODES]) & ENERGY_CUT != 0
+            w.now[GIVEN] = -w.after[0] / w.before[0] if cut else restitution
             return
         state[KIND], w.now[CUT] = TOUCHDOWN, w.after[0]

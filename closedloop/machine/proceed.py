@@ -66,6 +66,7 @@ from closedloop.machine.steps import advance_friction, arrive, leave_stage, look
 from closedloop.rows import record
 from closedloop.solve import OK
 from closedloop.step import LAW_GIVEN, evaluate, locate_tip
+from closedloop.supply import gain, settle
 from closedloop.workspace import (
     GAUGE,
     H_STEP,
@@ -138,6 +139,7 @@ def proceed(
         now[GAUGE] = gauge(w, k, state, more)
         todo = arrive(now, w.drift_c[0], state)
         if todo == SET_OUT:
+            settle(now)
             if more is not None:
                 stick_or_slip_joints(w, k, state, rows)
             record(H, C, w, k, state, table, rows, state[ROW], more)
@@ -161,9 +163,10 @@ def proceed(
     elif phase == CLOSING:
         todo = CLOSE
     else:
-        todo = begin_piece(w, k, state, more)
+        todo = begin_piece(C, w, k, state, more)
 
     if todo == TRANSIT:
+        settle(now)
         todo = transit(H, w, k, state, rows, events, more)
     if todo == STRIKE:
         if state[STATUS] != OK:
@@ -185,6 +188,7 @@ def proceed(
         todo = LEAVE
     if todo == LEAVE:
         stage, tau = state[STAGE], now[TAU]
+        gain(w, stage, tau, tableau[tableau.shape[0] - 1, stage])
         if more is not None and state[SEMI_IMPLICIT] != 0:
             advance_friction(w, k, state, tau)
         advance(

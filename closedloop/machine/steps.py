@@ -34,6 +34,7 @@ from closedloop.machine.phases import (
     TRANSITING,
     ask,
 )
+from closedloop.supply import remember_power
 from closedloop.workspace import (
     AT_HIGH,
     AT_LOW,
@@ -101,6 +102,7 @@ def remember(w: Work, k: Array, state: Whole, more: int | None) -> None:
         if state[MODE] == PRESSED and speed > max(STILL, now[STRAIGHT]):
             w.direction[0], w.direction[1] = w.u[1] / speed, w.u[2] / speed
     now[START_GAUGE] = gauge(w, k, state, more)
+    remember_power(w, state)
 
 
 @kernel_inlined

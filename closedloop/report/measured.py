@@ -34,26 +34,24 @@ WIDTH = FAILED_AT + len(NAMES)
 
 (
     CONTACT_FORCE, STABILISER_FORCE, CLOSURE_ERROR, CLOSURE_RATE, MODE, MOTION_RESIDUAL, CLOSURE_RESIDUAL,
-    KKT_CONDITION, NORMAL_MOBILITY, KINETIC_ENERGY,
+    KKT_CONDITION, NORMAL_MOBILITY, KINETIC_ENERGY, ENERGY_SUPPLIED,
 ) = (
     SCALARS.index(name)
     for name in (
         "contact_force", "stabiliser_force", "closure_error", "closure_rate", "mode", "residual_motion",
-        "residual_closure", "kkt_condition", "normal_mobility", "kinetic_energy",
+        "residual_closure", "kkt_condition", "normal_mobility", "kinetic_energy", "energy_supplied",
     )
 )  # fmt: skip
-EVENT_TIME, EVENT_KIND, EVENT_CUT, EVENT_LOSS = (
-    EVENT_COLUMNS[f"event_{name}"].at for name in ("time", "kind", "rate_cut", "energy_lost")
-)
+EVENT_KIND, EVENT_CUT, EVENT_LOSS = (EVENT_COLUMNS[f"event_{name}"].at for name in ("kind", "rate_cut", "energy_lost"))
 
 
 # What the figures of the rows so far come to.
 (
     PEAK, LEAST, LEAST_MOBILITY, LARGEST_SHARE, LARGEST_RESIDUAL, LARGEST_CONDITION, DEEPEST, WORST, FASTEST, IN_JOINTS,
-    UNACCOUNTED, WORK, WORK_SIZE, RUBBING, FORCE_SQUARES, PATH_SQUARES, TIP_SQUARES, FRICTION_SQUARES, START_ENERGY,
-    POWER_BEFORE, DRIVE_BEFORE, FRICTION_BEFORE, TOUCHES, TOUCHED_BEFORE, STEPS_IN_CONTACT, UNSETTLED,
-) = range(26)  # fmt: skip
-FAILED = 26
+    UNACCOUNTED, WORK_SIZE, RUBBING, FORCE_SQUARES, PATH_SQUARES, TIP_SQUARES, FRICTION_SQUARES, START_ENERGY,
+    START_SUPPLIED, DRIVE_BEFORE, FRICTION_BEFORE, TOUCHES, TOUCHED_BEFORE, STEPS_IN_CONTACT, UNSETTLED,
+) = range(25)  # fmt: skip
+FAILED = 25
 TALLY = FAILED + len(NAMES)
 
 
@@ -89,13 +87,9 @@ def measure_rows(
         largest = max(largest, abs(table[i * nodes, 2 * n + 9]))
     begin_tally(tally)
     sines = scratch[n * n + n :]  # what the terms leave there, and more
-    lost, event = 0.0, 0
     for i in range(count):
-        while event < happened and events[event, EVENT_TIME] <= h * i:
-            lost += events[event, EVENT_LOSS]
-            event += 1
         potential = tree_potential_energy(tree, rows[i, 0:n], sines)
-        count_row(rows[i], potential, table[i * nodes], i, h, frame, largest, lost, tally)
+        count_row(rows[i], potential, table[i * nodes], i, h, frame, largest, tally)
         count_condition(rows[i], tally)
     write_figures(rows[count - 1, 5 * n + 9 :], count, h, largest, tally, out)
     for i in range(happened):
@@ -115,8 +109,7 @@ def begin_tally(tally: Array) -> None:
 
 @kernel_inlined
 def count_row(
-    row: Array, potential: float, wanted: Array, i: int, h: float, frame: Array, largest: float, lost: float,
-    tally: Array,
+    row: Array, potential: float, wanted: Array, i: int, h: float, frame: Array, largest: float, tally: Array,
 ) -> None:  # fmt: skip
     """Count row i in, all but its condition number.
 
@@ -130,8 +123,6 @@ def count_row(
         See `measure_rows`.
     largest : float
         Largest |f_des| of the run, N.
-    lost : float
-        Energy that events up to the row took, J.
     tally : (TALLY,) array
         Changed.
     """
@@ -172,20 +163,18 @@ def count_row(
         speed += row[tip + 3 + k] * row[tip + 3 + k]
         rubbing += row[tip + 6 + k] * row[tip + 3 + k]
     friction_power = rubbing + joint_power
-    power = drive + (force * rate + friction_power)
     t[TIP_SQUARES], t[FRICTION_SQUARES] = max(t[TIP_SQUARES], speed), max(t[FRICTION_SQUARES], friction)
     t[IN_JOINTS] = max(t[IN_JOINTS], most)
 
-    energy = row[scalars + KINETIC_ENERGY] + potential
+    energy, supplied = row[scalars + KINETIC_ENERGY] + potential, row[scalars + ENERGY_SUPPLIED]
     if i == 0:
-        t[START_ENERGY] = energy
+        t[START_ENERGY], t[START_SUPPLIED] = energy, supplied
     else:
         dt = h * i - h * (i - 1)
-        t[WORK] += 0.5 * (power + t[POWER_BEFORE]) * dt
         t[WORK_SIZE] += 0.5 * (abs(drive) + abs(t[DRIVE_BEFORE])) * dt
         t[RUBBING] += 0.5 * (friction_power + t[FRICTION_BEFORE]) * dt
-    t[UNACCOUNTED] = max(t[UNACCOUNTED], abs(energy - t[START_ENERGY] - (t[WORK] - lost)))
-    t[POWER_BEFORE], t[DRIVE_BEFORE], t[FRICTION_BEFORE] = power, drive, friction_power
+    t[UNACCOUNTED] = max(t[UNACCOUNTED], abs(energy - t[START_ENERGY] - (supplied - t[START_SUPPLIED])))
+    t[DRIVE_BEFORE], t[FRICTION_BEFORE] = drive, friction_power
 
     met = motion <= RESIDUAL_TOLERANCE
     held = (

@@ -86,17 +86,14 @@ def _against_what_is_desired(run: Run) -> tuple[float | None, float | None, floa
 def energy_balance(run: Run) -> tuple[Array, Array]:
     """Return the residual of the energy balance and the energy exchanged, each (N,), J, from the start to each row.
 
-    The residual is the change of kinetic and potential energy less the work of the joint torques, ∫ Qᵀq̇ dt, and of the
-    contact force, ∫ f ė dt, and of friction at the tip and in the joints, by the trapezoidal rule over the rows, plus
-    what the events lost. It shrinks with the step, as the integrator's order says, but no faster than the rule's own
-    order, two. The energy exchanged is ∫ |Qᵀq̇| dt, what the residual is small or large against.
+    The residual is the change of kinetic and potential energy less the energy that the arm was given: the work of the
+    joint torques, ∫ Qᵀq̇ dt, of the contact force, ∫ f ė dt, and of friction at the tip and in the joints, less what the
+    events took (`closedloop.supply`). It shrinks with the step, impacts or not, as the integrator's order says. The
+    energy exchanged is ∫ |Qᵀq̇| dt, by the trapezoidal rule over the rows: what the residual is small or large against.
     """
-    energy = run.kinetic_energy + run.potential_energy
+    energy, supplied = run.kinetic_energy + run.potential_energy, run.energy_supplied
     power = np.einsum("ij,ij->i", run.torque, run.v)
-    contact = run.contact_force * run.closure_rate + friction_power(run)
-    lost = np.concatenate([[0.0], np.cumsum(run.event_energy_lost)])
-    work = _cumulative(power + contact, run.time) - lost[np.searchsorted(run.event_time, run.time, side="right")]
-    return energy - energy[0] - work, _cumulative(np.abs(power), run.time)
+    return energy - energy[0] - (supplied - supplied[0]), _cumulative(np.abs(power), run.time)
 
 
 def friction_power(run: Run) -> Array:

@@ -87,7 +87,7 @@ class ClosedLoop(Engine):
         terms, before = self.robot.terms(self._in(q), self._in(v)), self._in(v)
         A, (p, u, drift) = np.empty((3, self.n)), np.empty((3, 3))
         J, r, moving = (np.array(x) for x in (terms.jacobian, terms.position, terms.drift))
-        into_contact_frame(contact_frame(normal).ravel(), J, r, moving, before, A, p, u, drift)
+        into_contact_frame(contact_frame(normal).ravel(), J, r, moving, before, A, p, u, drift, 0.0)
         return float(-drift[0] + baumgarte_acceleration(gains[0], gains[1], u[0], p[0] - offset))
 
     def impulse(self, q: Array, v: Array, normal: Array, restitution: float) -> tuple[Array, float]:

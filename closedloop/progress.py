@@ -6,9 +6,18 @@ import sys
 import time as clock
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
+from typing import TYPE_CHECKING
+
+if TYPE_CHECKING:
+    from rich.console import Console
 
 # Where there is no terminal, seconds between two lines.
 BETWEEN_LINES = 10.0
+
+
+def _is_terminal(console: Console) -> bool:
+    """Whether a bar can be drawn: with FORCE_COLOR rich takes a file for a terminal, which is to have colours."""
+    return console.is_terminal and sys.stderr.isatty()
 
 
 @contextmanager
@@ -25,7 +34,7 @@ def bar(name: str, steps: int) -> Iterator[Callable[[int, int], None]]:
         TimeRemainingColumn(),
         console=console,
         transient=True,
-        disable=not console.is_terminal,
+        disable=not _is_terminal(console),
     ) as progress:
         task = progress.add_task(name, total=steps)
         yield lambda done, total: progress.update(task, completed=done)
@@ -50,7 +59,7 @@ def count(name: str, total: int) -> Iterator[Callable[[int, int], None]]:
         TextColumn("{task.fields[state]}"),
         console=console,
         transient=True,
-        disable=not console.is_terminal,
+        disable=not _is_terminal(console),
     ) as progress:
         task = progress.add_task(name, total=total, state="")
 
@@ -61,7 +70,7 @@ def count(name: str, total: int) -> Iterator[Callable[[int, int], None]]:
             since, first = now - began[0][0], began[0][1]
             state = progress_text(done, total, done - first, since)
             progress.update(task, completed=done, state=state)
-            if not console.is_terminal and done < total and now - said[0] >= BETWEEN_LINES:
+            if not _is_terminal(console) and done < total and now - said[0] >= BETWEEN_LINES:
                 said[0] = now
                 print(f"{name}: {state}", file=sys.stderr, flush=True)
 

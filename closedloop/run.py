@@ -177,7 +177,7 @@ def split_overrides(arguments: list[str]) -> tuple[dict[str, Any], list[str]]:
 
 
 def _is_text(word: str) -> bool:
-    """Whether a word can be written into a file: bytes that the locale does not know came in as halves of characters."""
+    """Whether a word can be written into a file: what the locale does not know comes as half a character."""
     return not any("\ud800" <= character <= "\udfff" for character in word)
 
 

@@ -77,8 +77,8 @@ def _installed(top: str) -> ModuleSpec | None:
         found = find_spec(top)
     except ValueError:  # such as __main__, which has none
         return ModuleSpec(top, None)
-    # A folder without __init__.py is no module that anyone has installed.
-    return None if found is None or (found.origin is None and found.loader is None) else found
+    # A folder without __init__.py has no origin, and takes the place of no module.
+    return None if found is None or found.origin is None else found
 
 
 def _same(a: str, b: str | None) -> bool:

@@ -1,244 +1,12 @@
-"""Every command in many surroundings, as a process: its status is the documented one, and it says one line or nothing.
-
-A case is a shell's line, run in a folder of its own. `{run}`, `{sweep}`, `{study}` and `{validation}` are the commands,
-SHORT a run of ten steps. The kernels are interpreted. Cases that stand for their kind belong to the quick suite.
-"""
+"""Every command in many surroundings, as a process: a documented status, and one line or nothing."""
 
 import os
 import re
 import shutil
 import subprocess
-import sys
-from collections.abc import Callable
-from dataclasses import dataclass, field
-from pathlib import Path
 
 import pytest
-
-import closedloop as cl
-
-ROOT = Path(cl.__file__).parent.parent
-COMMANDS = {
-    "run": f'"{sys.executable}" -m closedloop.run',
-    "sweep": f'"{sys.executable}" -m closedloop.sweep',
-    "study": f'"{sys.executable}" -m closedloop.study',
-    "validation": f'"{sys.executable}" -m validation.run',
-}
-SHORT = "{run} planar2_slide --time.duration 0.01 --out r --no-figures"
-DRAWN = "{run} planar2_slide --time.duration 0.01 --out r"
-SWEPT = "{sweep} planar2_slide --time.duration 0.01 --over law.force=1:2:2 --engine pinocchio --out r/t.parquet"
-# A process that root's right to pass over permissions has been taken from.
-UNPRIVILEGED = "setpriv --inh-caps=-all --bounding-set=-dac_override,-dac_read_search"
-FULL = "standard output: cannot be written: No space left on device"
-
-
-@dataclass(frozen=True)
-class Case:
-    """One command in one surrounding.
-
-    Attributes
-    ----------
-    name : str
-    line : str
-        The command.
-    where : str
-        Redirections of it, and what reads it.
-    env : dict
-        Variables; None: not set.
-    status : int
-    says : str
-        Pattern of the one line on standard error; none with "".
-    before : str
-        What the shell does before.
-    check : callable
-        Of the folder and the standard output.
-    quick : bool
-    """
-
-    name: str
-    line: str
-    where: str = ""
-    env: dict[str, str | None] = field(default_factory=dict)
-    status: int = 0
-    says: str = ""
-    before: str = ":"
-    check: Callable[[Path, str], None] = lambda folder, out: None
-    quick: bool = False
-
-
-def saved(folder, out):
-    """The run is there and whole."""
-    assert len(cl.load_run(folder / "r" / "run.nc")) == 11
-
-
-def drawn(folder, out):
-    """The figures are there."""
-    assert (folder / "r" / "fig5_contact_force.png").stat().st_size > 10_000
-
-
-def ascii_only(folder, out):
-    """What is printed is ASCII that still names the Greek."""
-    assert out.isascii()
-    assert "\\u" not in out
-
-
-def helpful(folder, out):
-    """The page is there, to its last line."""
-    assert "exit status" in out
-
-
-def damping_named(folder, out):
-    """The help in ASCII names the damping ratio."""
-    assert out.isascii()
-    assert re.search(r"damping_ratio VALUE\n +zeta", out)
-
-
-def pure_json(folder, out):
-    """What the law prints is not among the results."""
-    assert out.startswith("{")
-    assert out.rstrip().endswith("}")
-
-
-C_LOCALE = {"LC_ALL": "C", "PYTHONUTF8": "0", "PYTHONCOERCECLOCALE": "0"}
-PLANT = "for m in numpy json argparse scipy pydantic; do echo 'raise RuntimeError(\"not ours\")' >$m.py; done"
-PLANT_FOLDERS = (
-    "mkdir robot_models closedloop; echo 'raise RuntimeError' >robot_models/__init__.py; echo mine >closedloop/results"
-)
-LAW = (
-    "printf 'import numpy as np\\nprint(1)\\ndef f(t, q, v, terms):\\n    print(2)\\n    return terms.bias\\n' >mine.py"
-)
-GONE = "mkdir gone; cd gone; rmdir ../gone"
-
-
-def one_of_ours(text):
-    """A pattern of one line of a command."""
-    return rf"(closedloop|closedloop\.\w+|validation): {text}"
-
-
-ENCODINGS = [
-    Case("C locale, help", "{run} --help", env=C_LOCALE, check=damping_named, quick=True),
-    Case("C locale, run", SHORT, env=C_LOCALE, check=ascii_only),
-    Case("C locale, sweep", SWEPT, env=C_LOCALE),
-    Case("C locale, validation", "{validation} --help", env=C_LOCALE, check=helpful),
-    Case("C locale, study", "{study} --help", env=C_LOCALE),
-    Case("POSIX locale", SHORT, env={**C_LOCALE, "LC_ALL": "POSIX"}, check=ascii_only),
-    *(
-        Case(f"{coding}, {kind}", line, env={"PYTHONIOENCODING": coding}, check=check)
-        for coding in ("latin-1", "cp1252", "ascii", "ascii:strict", "cp437", "koi8-r", "shift_jis", "utf-16")
-        for kind, line, check in (("help", "{run} --help", lambda folder, out: None), ("run", SHORT, saved))
-    ),
-    Case("refusal in ascii", "{run} wam_slide --law.force ζ", env={"PYTHONIOENCODING": "ascii"}, status=2,
-         says=one_of_ours("law.force.*zeta.*")),
-    Case("bytes that are no text", "{run} $(printf 'a\\377b')", status=2, says=one_of_ours("no scenario named.*")),
-    Case("Greek file in the C locale", "{run} μ.toml", env=C_LOCALE, status=2, says=one_of_ours(".*No such file.*")),
-    Case("Greek folder in the C locale", SHORT.replace("--out r", "--out μ"), env=C_LOCALE),
-    *(
-        Case(f"locale {name}", SHORT, env={"LC_ALL": name, "LANG": name}, check=saved)
-        for name in ("ru_RU.KOI8-R", "zh_CN.GB18030", "el_GR.ISO8859-7", "de_DE", "nosuch")
-    ),
-]  # fmt: skip
-OUTPUTS = [
-    Case("| true", "{run} --list", "| true", quick=True),
-    Case("| head -1", "{run} --list", "| head -1"),
-    Case("help | head -c 1", "{run} --help", "| head -c 1"),
-    Case("run | true", SHORT, "| true", check=saved, quick=True),
-    Case("json | head -1", f"{SHORT} --json", "| head -1", check=saved),
-    Case("run 2>&1 | true", SHORT, "2>&1 | true", check=saved),
-    Case("refusal 2>&1 | true", "{run} nosuch", "2>&1 | true", status=2),
-    Case("stopped 2>&1 | true", f"{SHORT} --start.q '[0, 0]' --surface.normal '[1, 0, 0]' --reference.kind hold",
-         "2>&1 | true", status=3),
-    Case("sweep | true", SWEPT, "| true"),
-    Case("sweep 2>&1 | true", SWEPT, "2>&1 | true"),
-    Case("study help | true", "{study} --help", "| true"),
-    Case("validation help | head -1", "{validation} --help", "| head -1"),
-    Case("list to a full device", "{run} --list", ">/dev/full", status=2, says=one_of_ours(FULL), quick=True),
-    Case("run to a full device", SHORT, ">/dev/full", status=2, says=one_of_ours(FULL), check=saved),
-    Case("json to a full device", f"{SHORT} --json", ">/dev/full", status=2, says=one_of_ours(FULL), check=saved),
-    Case("stopped to a full device",
-         f"{SHORT} --start.q '[0, 0]' --surface.normal '[1, 0, 0]' --reference.kind hold",
-         ">/dev/full", status=3, says=one_of_ours("stopped at.*")),
-    Case("errors to a full device", SHORT, "2>/dev/full", check=saved),
-    Case("refusal to a full device", "{run} nosuch", "2>/dev/full", status=2),
-    Case("all to a full device", SHORT, ">/dev/full 2>&1", status=2, check=saved),
-    Case("sweep to a full device", SWEPT, ">/dev/full", status=2, says=one_of_ours(FULL)),
-    Case("study help to a full device", "{study} --help", ">/dev/full", status=2, says=one_of_ours(FULL)),
-    Case("validation help to a full device", "{validation} --help", ">/dev/full", status=2, says=one_of_ours(FULL)),
-    Case("unbuffered to a full device", "{run} --list", ">/dev/full", env={"PYTHONUNBUFFERED": "1"}, status=2,
-         says=one_of_ours(FULL)),
-    Case("unbuffered | true", "{run} --list", "| true", env={"PYTHONUNBUFFERED": "1"}),
-    Case("output closed", SHORT, ">&-", check=saved, quick=True),
-    Case("errors closed", SHORT, "2>&-", check=saved),
-    Case("input closed", SHORT, "<&-", check=saved),
-    Case("all closed", DRAWN, ">&- 2>&- <&-", check=lambda folder, out: (saved(folder, out), drawn(folder, out))),
-    Case("help closed", "{run} --help", ">&-"),
-    Case("refusal closed", "{run} nosuch", "2>&-", status=2),
-    Case("sweep closed", SWEPT, ">&- 2>&-"),
-    Case("validation closed", "{validation} --help", ">&- 2>&-"),
-    Case("study closed", "{study} nosuch", ">&- 2>&-", status=2),
-]  # fmt: skip
-FOLDERS = [
-    Case("folder deleted, list", "{run} --list", before=GONE),
-    Case("folder deleted, run", SHORT, before=GONE, status=2, says=one_of_ours("--out 'r': cannot be written.*")),
-    Case("folder deleted, out elsewhere", DRAWN.replace("--out r", '--out "$OLDPWD/r"'), before=GONE, check=drawn),
-    Case("folder deleted, law", f"{SHORT} --law mine:f", before=GONE, status=2, says=one_of_ours(".*no module 'mine'.*")),
-    Case("folder deleted, sweep", SWEPT, before=GONE, status=2, says=one_of_ours("--out .*cannot be written.*")),
-    Case("folder deleted, study", "{study} drift", before=GONE, status=2, says=one_of_ours("--out .*cannot be written.*")),
-    Case("folder deleted, validation", "{validation} --json x.json --states 0", before=GONE, status=2, says=one_of_ours(".*")),
-    Case("no home", DRAWN, env={"HOME": "/proc/nowhere"}, check=drawn),
-    Case("home not set", DRAWN, env={"HOME": None}, check=drawn),
-    Case("home a file", DRAWN, env={"HOME": "/dev/null"}, check=drawn),
-    Case("no folder for matplotlib", DRAWN, env={"MPLCONFIGDIR": "/proc/nowhere"}, check=drawn),
-    Case("no temporary folder", SHORT, env={"TMPDIR": "/proc/nowhere"}, check=saved),
-    Case("no folder for caches", DRAWN, env={"XDG_CACHE_HOME": "/dev/null", "XDG_CONFIG_HOME": "/dev/null"}, check=drawn),
-    Case("folder read-only", f"{UNPRIVILEGED} {SHORT}", before="chmod 500 .", status=2,
-         says=one_of_ours("--out 'r': cannot be written: Permission denied.*")),
-    Case("umask 777", f"{UNPRIVILEGED} {SHORT}", before="umask 777", status=2,
-         says=one_of_ours("--out 'r': cannot be written: Permission denied.*")),
-    Case("sweep, folder read-only", f"{UNPRIVILEGED} {SWEPT}", before="chmod 500 .", status=2,
-         says=one_of_ours("--out .*Permission denied.*")),
-    Case("settings of matplotlib here", DRAWN, before="echo 'backend: nosuch' >matplotlibrc", check=drawn),
-    Case("modules of the same name here", SHORT, before=f"{PLANT}; {PLANT_FOLDERS}", check=saved, quick=True),
-    Case("modules of the same name, law", f"{SHORT} --law mine:f --json", before=f"{PLANT}; {PLANT_FOLDERS}; {LAW}",
-         says="2.*1?.*", check=pure_json),
-    Case("modules of the same name, sweep", SWEPT, before=f"{PLANT}; {PLANT_FOLDERS}"),
-    Case("modules of the same name, study", "{study} --help", before=f"{PLANT}; {PLANT_FOLDERS}"),
-    Case("modules of the same name, validation", "{validation} --help", before=f"{PLANT}; {PLANT_FOLDERS}"),
-]  # fmt: skip
-VARIABLES = [
-    Case("no such backend", DRAWN, env={"MPLBACKEND": "nosuch"}, check=drawn, quick=True),
-    Case("backend without a screen", DRAWN, env={"MPLBACKEND": "TkAgg", "DISPLAY": None}, check=drawn),
-    *(
-        Case(" ".join(f"{key}={value}" for key, value in env.items()), SHORT, env=env, check=saved)
-        for env in (
-            {"TERM": "dumb"}, {"TERM": "nosuch"}, {"TERM": None}, {"NO_COLOR": "1"}, {"FORCE_COLOR": "1"},
-            {"COLUMNS": "1"}, {"COLUMNS": "0"}, {"COLUMNS": "-5"}, {"COLUMNS": "wide"}, {"COLUMNS": "1000000"},
-            {"LINES": "0"}, {"PYTHONOPTIMIZE": "1"}, {"PYTHONOPTIMIZE": "2"}, {"PYTHONHASHSEED": "0"},
-            {"PYTHONHASHSEED": "4294967295"}, {"PYTHONDONTWRITEBYTECODE": "1"}, {"PYTHONSAFEPATH": "1"},
-            {"PYTHONPATH": f"{ROOT}:/proc/nowhere"}, {"PYTHONPATH": f"{ROOT}:"}, {"PYTHONFAULTHANDLER": "1"},
-            {"PYTHONMALLOC": "debug"}, {"PYTHONINTMAXSTRDIGITS": "640"}, {"PYTHONUTF8": "1"}, {"TZ": "No/Where"},
-            {"TZ": ""}, {"LC_NUMERIC": "de_DE.UTF-8"}, {"LANGUAGE": "el:zh"}, {"PYTHONWARNINGS": "error"},
-            {"PYTHONWARNINGS": "ignore"}, {"NUMBA_CACHE_DIR": "/dev/null"}, {"NUMBA_CACHE_DIR": "/proc/nowhere"},
-            {"NUMBA_CACHE_DIR": "relative"}, {"NUMBA_CACHE_DIR": ""}, {"OMP_NUM_THREADS": "many"},
-            {"PATH": ""}, {"SHELL": ""}, {"USER": None, "LOGNAME": None},
-        )
-    ),
-    Case("help, one column", "{run} --help", env={"COLUMNS": "1"}, check=helpful),
-    Case("help without docstrings", "{run} --help", env={"PYTHONOPTIMIZE": "2"}, check=helpful),
-    Case("sweep, warnings are errors", SWEPT, env={"PYTHONWARNINGS": "error"}),
-    Case("figures, warnings are errors", DRAWN, env={"PYTHONWARNINGS": "error"}, check=drawn),
-    Case("sweep without docstrings", SWEPT, env={"PYTHONOPTIMIZE": "2"}),
-    Case("study, warnings are errors", "{study} --help", env={"PYTHONWARNINGS": "error"}),
-    Case("validation, warnings are errors", "{validation} --help", env={"PYTHONWARNINGS": "error"}),
-]  # fmt: skip
-FILES = [
-    Case("scenario with a byte order mark", "{run} bom.toml --time.duration 0.01 --out r --no-figures", check=saved,
-         before=f"printf '\\357\\273\\277' >bom.toml; cat '{ROOT}/closedloop/scenarios/planar2_slide.toml' >>bom.toml"),
-    Case("scenario in UTF-16", "{run} wide.toml", status=2, says=one_of_ours("wide.toml: is not UTF-8 text.*"),
-         before="printf '\\377\\376[\\000' >wide.toml"),
-    Case("few files may be open", "{run} --list", before="ulimit -n 24"),
-    Case("no file may grow", SHORT, before="true >status; ulimit -f 0", status=2, says=one_of_ours(".*(too large|cannot be written).*")),
-]  # fmt: skip
-CASES = [*ENCODINGS, *OUTPUTS, *FOLDERS, *VARIABLES, *FILES]
+from surroundings import CASES, COMMANDS, ROOT
 
 
 def test_there_are_many():
@@ -249,26 +17,28 @@ def test_there_are_many():
 @pytest.mark.parametrize(
     "case", [pytest.param(case, id=case.name, marks=() if case.quick else pytest.mark.slow) for case in CASES]
 )
-def test_status_and_one_line(case, tmp_path):
+def test_status_and_one_line(case, tmp_path, tmp_path_factory):
     """The status is the documented one, at most one line is said, and what should be there is there."""
     if "setpriv" in case.line and (os.geteuid() != 0 or shutil.which("setpriv") is None):
         pytest.skip("needs to be root, with setpriv to be less")
     folder = tmp_path / "here"
     folder.mkdir()
-    environment = {"PATH": os.environ["PATH"], "HOME": str(tmp_path), "LANG": "C.UTF-8", "NUMBA_DISABLE_JIT": "1"}
-    environment |= {"PYTHONPATH": str(ROOT), "MPLCONFIGDIR": os.environ.get("MPLCONFIGDIR", "")} | {
-        key: value for key, value in case.env.items() if value is not None
-    }
-    for key in [key for key in environment if case.env.get(key, "") is None or not environment[key]]:
-        if key not in case.env or case.env[key] is None:
-            del environment[key]
+    settings = {
+        "PATH": os.environ["PATH"],
+        "PYTHONPATH": str(ROOT),
+        "HOME": str(tmp_path),
+        "MPLCONFIGDIR": str(tmp_path_factory.getbasetemp() / "matplotlib"),  # it takes seconds to fill
+        "LANG": "C.UTF-8",
+        "NUMBA_DISABLE_JIT": "1",
+    } | case.env
+    environment = {key: value for key, value in settings.items() if value is not None}
     line = case.line.format(**COMMANDS)
     script = f"status=$PWD/../status\n{case.before}\n{{ {line}; echo $? >$status; }} {case.where}\n"
     done = subprocess.run(
         ["/bin/sh", "-c", script], cwd=folder, env=environment, capture_output=True, timeout=300, check=False
     )
     folder.chmod(0o700)
-    err = done.stderr.decode(errors="backslashreplace")
+    err = re.sub(r"closedloop\.sweep: \d+ of \d+ runs, .*\n", "", done.stderr.decode(errors="backslashreplace"))
     assert int((tmp_path / "status").read_text() or -1) == case.status, err
     if case.says:
         assert re.fullmatch(case.says, err.rstrip("\n")), err

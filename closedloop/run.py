@@ -1,7 +1,7 @@
 """The command line: ``python -m closedloop.run wam_slide``.
 
 Exit status: 0 done; 2 the input is at fault (one line on standard error); 3 the simulation could not go on (what ran
-until then is saved, and the line says when and why).
+until then is saved, and the line says when and why); 4 the run ended, but its verdict is bad, with --strict.
 """
 
 from __future__ import annotations
@@ -20,7 +20,7 @@ from typing import Any, NoReturn
 from closedloop.errors import ClosedLoopError, OutputError, ScenarioError, SimulationError, one_line
 from closedloop.scenario import Scenario, load_scenario, parse_scenario, shipped_scenarios
 
-DONE, BAD_INPUT, STOPPED = 0, 2, 3
+DONE, BAD_INPUT, STOPPED, NOT_GOOD = 0, 2, 3, 4
 
 
 class _Parser(argparse.ArgumentParser):
@@ -69,7 +69,10 @@ def _main(arguments: list[str]) -> int:
     from closedloop.simulation import check_engine, simulate
 
     check_engine(scenario, options.engine, law)
-    announce_compiling(scenario, (load_model(scenario) if model is None else model).n, options.engine)
+    known = load_model(scenario) if model is None else model
+    if law is None:
+        _warn_of_gains(scenario, known)
+    announce_compiling(scenario, known.n, options.engine)
     failure: SimulationError | None = None
     try:
         run = simulate(scenario, law=law, model=model, progress=not options.json, engine=options.engine)
@@ -96,7 +99,7 @@ def _main(arguments: list[str]) -> int:
         print(f"{steps} steps in {run.wall_seconds:.2g} s; wrote {folder}{os.sep}: {', '.join(p.name for p in paths)}")
     if failure:
         raise failure
-    return DONE
+    return NOT_GOOD if options.strict and not run.summary()["verdict"]["good"] else DONE
 
 
 def _parser() -> argparse.ArgumentParser:
@@ -107,7 +110,8 @@ def _parser() -> argparse.ArgumentParser:
         prog="closedloop",
         description="Simulate a robot arm whose tip is in contact with a surface.",
         epilog="Any key of the scenario can be set, with a value as in TOML (lists in quotes):\n" + keys
-        + "\n\nexit status: 0 done; 2 the input is at fault; 3 the simulation could not go on (what ran is saved)",
+        + "\n\nexit status: 0 done; 2 the input is at fault; 3 the simulation could not go on (what ran is saved);"
+        "\n4 the run ended and is saved, but its verdict is bad, with --strict",
         formatter_class=argparse.RawDescriptionHelpFormatter,
         allow_abbrev=False,
     )  # fmt: skip
@@ -121,6 +125,7 @@ def _parser() -> argparse.ArgumentParser:
     parser.add_argument("--out", metavar="DIR", help="where results go (default: out/SCENARIO)")
     parser.add_argument("--no-figures", action="store_true", help="write run.nc and summary.json only")
     parser.add_argument("--json", action="store_true", help="print the summary as JSON instead of tables")
+    parser.add_argument("--strict", action="store_true", help="exit with status 4 if the run's verdict is bad")
     parser.add_argument(
         "--engine",
         choices=("pinocchio", "compiled"),
@@ -219,6 +224,19 @@ def announce_compiling(scenario: Scenario, n: int, engine: str, runs: int = 1) -
 
     if needs_compiling(loop_of(scenario, engine, n, runs)):
         print("compiling the step (once for this installation, some twenty seconds) ...", file=sys.stderr, flush=True)
+
+
+def _warn_of_gains(scenario: Scenario, model: Any) -> None:
+    """Say before anything is simulated that the step cannot carry the gains; contact may, so it is no refusal."""
+    from closedloop.control.gains import gains_fault
+    from closedloop.robot import Robot
+
+    try:
+        fault = gains_fault(scenario, Robot(model, scenario.robot.tip))
+    except ScenarioError:  # it cannot be prepared, and `simulate` says why
+        return
+    if fault:
+        print(f"closedloop: warning: {one_line(fault)}", file=sys.stderr, flush=True)
 
 
 def _write_summary(summary: dict[str, Any], path: Path) -> Path:

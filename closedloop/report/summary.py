@@ -45,12 +45,14 @@ def summarise(run: Run) -> dict[str, Any]:
 
 
 def _facts(run: Run, figures: dict[str, Any], joints: dict[str, Array], held: dict[str, dict[str, Any]]) -> Facts:
-    failed = {name: v["first_failed"] for name, v in held.items() if v["held"] is False and v["expected"]}
+    failed = {
+        name: (v["first_failed"], v["measured"]) for name, v in held.items() if v["held"] is False and v["expected"]
+    }
     columns = {name: column.tolist() for name, column in joints.items()}
     return Facts(run.scenario, run.model, run.stopped, len(run) - 1, figures, len(run.events), failed, columns)
 
 
-def _gains_fault(run: Run) -> str:
+def run_gains_fault(run: Run) -> str:
     """Return what is wrong with the gains for this step; of a law of one's own nothing is known."""
     if run.law != "scenario":
         return ""

@@ -23,7 +23,7 @@ def verdict_of(scenario: Scenario, robot: Robot, figures: Array, steps: int, sto
     numbers, n = figures.tolist(), robot.n
     outside = outside_by_the_scenario(scenario)
     failed = {
-        name: at
+        name: (at, "")
         for name, at in zip(NAMES, numbers[FAILED_AT:WIDTH], strict=True)
         if not math.isnan(at) and name not in outside
     }

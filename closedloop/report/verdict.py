@@ -56,7 +56,7 @@ CLOSURE_BOUND = 1e-4
 # Problems with which gains that the step cannot carry show.
 SHAKEN = {"stopped", "energy", "chatter", "closure"}
 
-# What a joint's limits are about: the verdict's name, figure, when, unit, and what to say.
+# What a joint's limits are about: the problem's name, figure, when, and its units if the joint turns and if it slides.
 _LIMITS = (
     ("position_limit", "position_excess", "position_limit_left_at", "rad", "m"),
     ("velocity_limit", "max_joint_velocity", "velocity_limit_exceeded_at", "rad/s", "m/s"),
@@ -79,8 +79,8 @@ class Facts(NamedTuple):
         See `closedloop.report.measures.MEASURES`.
     events : int
         How many events there were.
-    failed : mapping of str to float
-        When the assumptions that failed though they were expected to hold did so first, s.
+    failed : mapping of str to (float, str)
+        Of the assumptions that failed though they were expected to hold: when first, s, and what decided, in words.
     joints : mapping of str to sequence of float
         See `closedloop.report.measures.JOINT_MEASURES`; when is NaN where it never was.
     """
@@ -91,7 +91,7 @@ class Facts(NamedTuple):
     steps: int
     measures: Mapping[str, float | None]
     events: int
-    failed: Mapping[str, float]
+    failed: Mapping[str, tuple[float, str]]
     joints: Mapping[str, Sequence[float]]
 
 
@@ -133,8 +133,8 @@ def judge(facts: Facts, gains: Callable[[], str]) -> list[dict[str, Any]]:
     if facts.steps >= 0:
         problems += _limits(facts)
         problems += [
-            _problem(name, f"the paper's assumption {name} failed, though the scenario keeps to it", at)
-            for name, at in facts.failed.items()
+            _problem(name, f"the scenario keeps to this assumption of the paper, and it failed: {measured}", at)
+            for name, (at, measured) in facts.failed.items()
         ]
     return problems
 

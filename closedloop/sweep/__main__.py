@@ -97,8 +97,8 @@ def _sweep_parser() -> argparse.ArgumentParser:
         "--help). A sweep that was killed goes on where it was with the same command.\n\n"
         "python -m closedloop.sweep plot FILE draws maps of the table.\n\n"
         "exit status: 0 done, and runs that failed are rows that say why; 2 the input is at fault; 3 a cluster was\n"
-        "lost on the way, and 130 interrupted: the same command goes on from there; 4 done, but the verdict of some run\n"
-        "is bad, with --strict",
+        "lost on the way, and 130 interrupted: the same command goes on from there; 4 done, but the verdict of some\n"
+        "run is bad, with --strict",
         formatter_class=argparse.RawDescriptionHelpFormatter,
         allow_abbrev=False,
     )

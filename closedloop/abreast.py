@@ -18,13 +18,21 @@ from numpy.typing import NDArray
 
 from closedloop import workspace as space
 from closedloop.addresses import address_of, matrix_at
-from closedloop.compiled import entry_kernel, kernel_inlined, numba_settings
+from closedloop.compiled import entry_kernel, kernel_inlined, numba_settings, plain
 from closedloop.condition import LANES
 from closedloop.contact import PRESSED, accelerate, baumgarte_acceleration, factorise, pressed_force, unloaded
 from closedloop.integrate import INTEGRATORS, advance
 from closedloop.octet import WIDE, aligned, every, octets_at, with_lane
 from closedloop.problem import Problem, needs_more
-from closedloop.report.measured import TALLY, WIDTH, begin_tally, count_condition, count_row, write_figures
+from closedloop.report.joint_figures import joint_limits
+from closedloop.report.measured import (
+    begin_tally,
+    count_condition,
+    count_row,
+    figure_count,
+    tally_size,
+    write_figures,
+)
 from closedloop.robot import Robot
 from closedloop.rows import SCALARS, Row, record, record_conditions
 from closedloop.scenario import Scenario
@@ -111,10 +119,11 @@ class Abreast:
         self._constants = aligned(like.constants().size)
         self._forces, self._largest = aligned(like.table.shape[0]), aligned(1)
         self._rows = aligned(like.steps + 1 if keep else LANES, Row.of(n).width)
-        self._figures = aligned(WIDTH)
+        self._figures = aligned(plain(figure_count)(n))
+        self._limits = joint_limits(like.robot.model)
         self._parts = (
             self._memory, aligned(n * n + n + work_size(n)), self._constants, self._forces, self._largest, self._rows,
-            aligned(TALLY), self._figures,
+            aligned(plain(tally_size)(n)), self._figures,
         )  # fmt: skip
         self._places = np.array([address_of(part) for part in self._parts])
         self._tables: list[Array] = []
@@ -145,7 +154,7 @@ class Abreast:
         self._state[space.PENDING] = 0
         status = run_abreast(
             tree, self._places, self._constants.shape[0], self._state, self._h, self._spacing, self._tableau, tables,
-            self._instants, self._columns, self._rows.shape[0],
+            self._instants, self._columns, self._rows.shape[0], self._limits,
         )  # fmt: skip
         self._tables.clear()
         return status == OK
@@ -162,7 +171,7 @@ class Abreast:
 @entry_kernel
 def run_abreast(
     tree: Tree, places: Whole, constants: int, state: Whole, h: float, spacing: float, tableau: Array, tables: Whole,
-    instants: int, columns: int, kept: int,
+    instants: int, columns: int, kept: int, limits: Array,
 ) -> int:  # fmt: skip
     """Run eight problems from start to end.
 
@@ -184,6 +193,8 @@ def run_abreast(
         Addresses of what is desired of each, (instants, columns), see `closedloop.step.reference_row`.
     kept : int
         How many rows there is room for: all, or `LANES`, over and over again.
+    limits : (4, n) array
+        See `closedloop.report.joint_figures.joint_limits`.
 
     Returns
     -------
@@ -199,9 +210,9 @@ def run_abreast(
     forces = octets_at(places[FORCES], instants)
     width = 5 * n + 9 + SCALAR_COUNT
     rows = octets_at(places[ROWS], kept * width).reshape(kept, width)
-    tally, out = octets_at(places[TALLIES], TALLY), octets_at(places[FIGURES], WIDTH)
+    tally, out = octets_at(places[TALLIES], tally_size(n)), octets_at(places[FIGURES], figure_count(n))
     frame = k[space.FRAME : space.FRAME + 9]
-    begin_tally(tally)
+    begin_tally(tally, n)
     w.now[space.SUPPLIED] = 0.0
     for row in range(steps + 1):
         begin, place = row * h, row % kept
@@ -221,7 +232,7 @@ def run_abreast(
             if stage == 0:
                 record(H, C, w, k, state, tableau, rows, place, None)
                 potential = energy_there(tree, scratch)
-                count_row(rows[place], potential, w.reference, row, h, frame, largest, tally)
+                count_row(rows[place], potential, w.reference, row, h, frame, limits, largest, tally)
                 if row == steps:
                     record_conditions(w.pending, rows, state, place + 1, n)
                 if state[space.PENDING] == 0:
@@ -235,7 +246,7 @@ def run_abreast(
                 gain(w, stage, h, tableau[stages, stage])
                 advance(stage, h, semi_implicit, False, tableau, w.begin, w.stages, w.qdd, w.dz, w.q, w.v, w.z)
         settle(w.now)
-    write_figures(rows[steps % kept, 5 * n + 9 :], steps + 1, h, largest, tally, out)
+    write_figures(rows[steps % kept, 5 * n + 9 :], n, steps + 1, h, largest, tally, out)
     return OK
 
 

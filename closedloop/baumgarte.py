@@ -35,7 +35,7 @@ from functools import lru_cache
 import numpy as np
 from numpy.typing import NDArray
 
-from closedloop.integrate import INTEGRATORS
+from closedloop.integrate import INTEGRATORS, Integrator
 
 # An undamped mode has radius one, and a hundred roundings of 1e-16 in computing it.
 NEUTRAL = 1.0 + 1e-13
@@ -46,6 +46,7 @@ __all__ = [
     "amplification",
     "baumgarte_gains",
     "largest_stable_ratio",
+    "linear_step",
     "recommended_ratio",
     "rounding_gain",
     "sliding_error",
@@ -70,16 +71,20 @@ def amplification(integrator: str, damping_ratio: float, ratio: float) -> Array:
     damping_ratio, ratio : float
         ζ and h/T, dimensionless.
     """
-    scheme = INTEGRATORS[integrator]
     # (e, hė)' = M (e, hė)/h with the stabilised closure ë = −s_v ė − s_p e
-    M = np.array([[0.0, 1.0], [-(ratio**2), -2.0 * damping_ratio * ratio]])
+    return linear_step(INTEGRATORS[integrator], np.array([[0.0, 1.0], [-(ratio**2), -2.0 * damping_ratio * ratio]]))
+
+
+def linear_step(scheme: Integrator, M: Array) -> Array:
+    """Return the (2 m, 2 m) map of (x, hẋ) over one step h of a scheme, where (x, hẋ)' = M (x, hẋ)/h; x is (m,)."""
+    m, eye = M.shape[0] // 2, np.eye(M.shape[0])
     if scheme.semi_implicit:
-        rate_row = np.array([0.0, 1.0]) + M[1]
-        return np.array([np.array([1.0, 0.0]) + rate_row, rate_row])
+        rates = eye[m:] + M[m:]
+        return np.vstack([eye[:m] + rates, rates])
     stages: list[Array] = []
     for row in scheme.a:
-        stages.append(M @ (np.eye(2) + sum((a * k for a, k in zip(row, stages, strict=False)), np.zeros((2, 2)))))
-    return np.eye(2) + sum((b * k for b, k in zip(scheme.b, stages, strict=True)), np.zeros((2, 2)))
+        stages.append(M @ (eye + sum((a * k for a, k in zip(row, stages, strict=False)), np.zeros_like(M))))
+    return eye + sum((b * k for b, k in zip(scheme.b, stages, strict=True)), np.zeros_like(M))
 
 
 def spectral_radius(integrator: str, damping_ratio: float, ratio: float) -> float:

@@ -19,6 +19,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from closedloop.abreast import Abreast, Kind, kind_of
+from closedloop.compiled import plain
 from closedloop.compiled_engine import compiled_tree, compiled_work
 from closedloop.errors import ClosedLoopError, SingularClosureError
 from closedloop.forms import COMPILED, goes_abreast
@@ -27,7 +28,9 @@ from closedloop.pieces import Pieces
 from closedloop.preparation import prepare
 from closedloop.problem import Problem
 from closedloop.report.assumptions import NAMES
-from closedloop.report.measured import FAILED_AT, TALLY, WIDTH, measure_rows
+from closedloop.report.joint_figures import joint_limits
+from closedloop.report.measured import FAILED_AT, WIDTH, figure_count, measure_rows, tally_size
+from closedloop.report.tabled import verdict_of
 from closedloop.robot import Robot
 from closedloop.rows import Row
 from closedloop.scenario import Scenario
@@ -59,12 +62,14 @@ class Outcome:
         Why it was stopped or refused.
     rows : int
         How many rows it has.
-    figures : (WIDTH,) array
-        See `closedloop.report.measured`; NaN where there is none.
+    figures : (figure_count(n),) array
+        See `closedloop.report.measured`; NaN where there is none, and (WIDTH,) if nothing ran.
     columns : mapping of str to (rows,) or (rows, k) array
         The columns that were to be kept.
     end_time : float
         Instant of the last row, s; NaN if there is none.
+    verdict : str or None
+        "good", or what is wrong with it, see `closedloop.report.verdict`; None: as its status says.
     """
 
     status: str
@@ -73,6 +78,7 @@ class Outcome:
     figures: Array
     end_time: float = math.nan
     columns: dict[str, Array] = field(default_factory=dict)
+    verdict: str | None = None
 
 
 class Bench:
@@ -105,7 +111,7 @@ class Bench:
         self._trees: WeakKeyDictionary[Robot, tuple[Tree, Array]] = WeakKeyDictionary()
         self._misses: Counter[str] = Counter()  # eights in a row in which something came up, by kind of contact
         self._waits: Counter[str] = Counter()  # eights that are still to go alone
-        self._rows, self._tally = np.empty(0), np.empty(TALLY)
+        self._rows = np.empty(0)
 
     def run(self, scenario: Scenario) -> Outcome:
         """Run a scenario and return its outcome; a run that fails says why."""
@@ -149,7 +155,7 @@ class Bench:
                 ended_well = abreast.run(self._trees[abreast.kind.robot][0], len(members))
                 self._remember(abreast.kind.contact, ended_well)
             for lane, i in enumerate(members):
-                done(i, self._outcome(abreast, lane) if ended_well else self.run(scenarios[i]))
+                done(i, self._outcome(abreast, lane, scenarios[i]) if ended_well else self.run(scenarios[i]))
         return [outcomes[i] for i in range(len(scenarios))]
 
     def _try_abreast(self, scenario: Scenario) -> bool:
@@ -175,10 +181,12 @@ class Bench:
             ("abreast", kind), lambda: Abreast(problem, kind, bool(self._keep)), lambda made: made.bytes
         )
 
-    def _outcome(self, abreast: Abreast, lane: int) -> Outcome:
+    def _outcome(self, abreast: Abreast, lane: int, scenario: Scenario) -> Outcome:
         rows = abreast.rows(lane)
         columns = {name: recorded(rows, abreast.n, name) for name in self._keep}
-        return Outcome(RAN, None, abreast.kind.steps + 1, abreast.figures(lane), abreast.end, columns)
+        steps, figures = abreast.kind.steps, abreast.figures(lane)
+        verdict = verdict_of(scenario, abreast.kind.robot, figures, steps)
+        return Outcome(RAN, None, steps + 1, figures, abreast.end, columns, verdict)
 
     def _run(self, problem: Problem) -> Outcome:
         tree = self._tree(problem)
@@ -187,19 +195,20 @@ class Bench:
         rows, events, failure, _ = run_loop(
             problem, engine=self._engine, rows=self._room(problem), tree=tree, ahead=ahead
         )
-        figures = np.full(WIDTH, math.nan)
+        n = problem.robot.n
+        figures = np.full(plain(figure_count)(n), math.nan)
         if len(rows) > 0:
             measure_rows(
-                *tree, rows, len(rows), problem.table, problem.nodes, problem.h, problem.frame.ravel(), events,
-                len(events), self._tally, figures,
+                *tree, rows, len(rows), problem.table, problem.nodes, problem.h, problem.frame.ravel(),
+                joint_limits(problem.robot.model), events, len(events), np.empty(plain(tally_size)(n)), figures,
             )  # fmt: skip
         columns = {name: recorded(rows, problem.robot.n, name) for name in self._keep}
         end = problem.h * (len(rows) - 1) if len(rows) > 0 else math.nan
         if isinstance(failure, SingularClosureError) and np.isnan(figures[SINGULAR_AT]):
             figures[SINGULAR_AT] = end + problem.h  # no row was near it: the step after the last was
-        if failure is None:
-            return Outcome(RAN, None, len(rows), figures, end, columns)
-        return Outcome(STOPPED, str(failure), len(rows), figures, end, columns)
+        reason = None if failure is None else str(failure)
+        verdict = verdict_of(problem.scenario, problem.robot, figures, len(rows) - 1, reason)
+        return Outcome(RAN if failure is None else STOPPED, reason, len(rows), figures, end, columns, verdict)
 
     def _tree(self, problem: Problem) -> tuple[Tree, Array]:
         robot = problem.robot

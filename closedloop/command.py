@@ -1,7 +1,8 @@
 """The border that all commands share: arguments in, an exit status out, and one line for whatever went wrong.
 
 Exit status: 0 done; 2 the input is at fault, or something around the command (a file, the output, memory); 3 what was
-begun could not go on; 130 interrupted by Ctrl-C, 143 by SIGTERM.
+begun could not go on; 4 it ended, but its verdict is bad, where that was asked; 130 interrupted by Ctrl-C, 143 by
+SIGTERM.
 """
 
 from __future__ import annotations
@@ -20,7 +21,7 @@ from closedloop.errors import ClosedLoopError, ClusterError, ScenarioError, Simu
 from closedloop.interrupts import exit_status, terminable, word_for
 from closedloop.streams import patient_output
 
-DONE, BAD_INPUT, STOPPED = 0, 2, 3
+DONE, BAD_INPUT, STOPPED, NOT_GOOD = 0, 2, 3, 4
 
 
 class Left(Exception):

@@ -1,7 +1,8 @@
 """The command line: ``python -m closedloop.run wam_slide``.
 
 Exit status: 0 done; 2 the input is at fault (one line on standard error); 3 the simulation could not go on (what ran
-until then is saved, and the line says when and why); 130 interrupted by Ctrl-C, 143 by SIGTERM (what ran is saved).
+until then is saved, and the line says when and why); 4 the run ended, but its verdict is bad, with --strict; 130
+interrupted by Ctrl-C, 143 by SIGTERM (what ran is saved).
 """
 
 from __future__ import annotations
@@ -17,8 +18,8 @@ from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from closedloop.command import DONE, Parser, run_command
-from closedloop.errors import InterruptedRunError, ScenarioError, SimulationError
+from closedloop.command import DONE, NOT_GOOD, Parser, run_command
+from closedloop.errors import InterruptedRunError, ScenarioError, SimulationError, one_line
 from closedloop.interrupts import Terminated, word_for
 from closedloop.scenario import Scenario, load_scenario, parse_scenario, shipped_scenarios
 
@@ -71,6 +72,8 @@ def _main(arguments: list[str]) -> int:
             f"closedloop: the text of {options.law} is not the one that {options.scenario} was made with",
             file=sys.stderr,
         )
+    if law is None:
+        _warn_of_gains(scenario, robot)
     announce_compiling(scenario, robot.n, engine)
     failure: SimulationError | None = None
     try:
@@ -98,7 +101,7 @@ def _main(arguments: list[str]) -> int:
         print(f"{steps} steps in {run.wall_seconds:.2g} s; wrote {folder}{os.sep}: {', '.join(p.name for p in paths)}")
     if failure:
         raise failure
-    return DONE
+    return NOT_GOOD if options.strict and not run.summary()["verdict"]["good"] else DONE
 
 
 def _draw(run: Run, folder: Path, failure: SimulationError | None, law: Any, model: Any) -> list[Path]:
@@ -119,8 +122,9 @@ def _parser() -> Parser:
         prog="closedloop",
         description="Simulate a robot arm whose tip is in contact with a surface.",
         epilog="Any key of the scenario can be set, with a value as in TOML (lists in quotes):\n" + keys
-        + "\n\nexit status: 0 done; 2 the input is at fault; 3 the simulation could not go on (what ran is saved); "
-        "130 interrupted by Ctrl-C, 143 by SIGTERM (what ran is saved)",
+        + "\n\nexit status: 0 done; 2 the input is at fault; 3 the simulation could not go on (what ran is saved);\n"
+        "4 the run ended and is saved, but its verdict is bad, with --strict; 130 interrupted by Ctrl-C, 143 by\n"
+        "SIGTERM (what ran is saved)",
         formatter_class=argparse.RawDescriptionHelpFormatter,
         cure="a key of the scenario is set as --law.force 15; see --help",
     )  # fmt: skip
@@ -135,6 +139,7 @@ def _parser() -> Parser:
     parser.add_argument("--overwrite", action="store_true", help="replace results of another run in that folder")
     parser.add_argument("--no-figures", action="store_true", help="write run.nc and summary.json only")
     parser.add_argument("--json", action="store_true", help="print the summary as JSON instead of tables")
+    parser.add_argument("--strict", action="store_true", help="exit with status 4 if the run's verdict is bad")
     parser.add_argument(
         "--engine",
         choices=("pinocchio", "compiled"),
@@ -220,6 +225,19 @@ def announce_compiling(scenario: Scenario, n: int, engine: str, runs: int = 1) -
 
     if needs_compiling(loop_of(scenario, engine, n, runs)):
         print(compiling_notice(), file=sys.stderr, flush=True)
+
+
+def _warn_of_gains(scenario: Scenario, model: Any) -> None:
+    """Say before anything is simulated that the step cannot carry the gains; contact may, so it is no refusal."""
+    from closedloop.control.gains import gains_fault
+    from closedloop.robot import Robot
+
+    try:
+        fault = gains_fault(scenario, Robot(model, scenario.robot.tip))
+    except ScenarioError:  # it cannot be prepared, and `simulate` says why
+        return
+    if fault:
+        print(f"closedloop: warning: {one_line(fault)}", file=sys.stderr, flush=True)
 
 
 def _without_stabiliser(scenario: Scenario, law: Any, model: Any, engine: str) -> Any:

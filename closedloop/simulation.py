@@ -17,6 +17,7 @@ from numpy.typing import NDArray
 from closedloop.addresses import address_of
 from closedloop.compiled import direct
 from closedloop.control import Law
+from closedloop.control.gains import gains_fault
 from closedloop.errors import (
     ChatterError,
     DivergenceError,
@@ -402,14 +403,8 @@ def failure_of(
     cure = "look at the signs and sizes " + ("of law.kp and law.kd" if law is None else "in the law")
     if problem.tolerance is None:
         cure += ", and at time.step"
-    if problem.tolerance is None and law is None:
-        # A damper on a joint is itself stepped, and shakes loose where K_d h exceeds twice the inertia it acts on.
-        damping = problem.gains[1] * problem.h / np.diag(robot.terms(problem.q, problem.v).mass_matrix)
-        if damping[fast] > 2.0:
-            cure = (
-                f"law.kd[{fast}] times time.step is {damping[fast]:.3g} times that joint's inertia, where 2 is the "
-                "most that a step can damp: lower law.kd for it"
-            )
+    if law is None:
+        cure = gains_fault(problem.scenario, robot) or cure
     return DivergenceError(
         f"{when(t)}: the motion diverges: joint {name} is beyond {SPEED_LIMIT:g} rad/s or not a number; {cure}", t
     )

@@ -17,7 +17,8 @@ from closedloop.bench import Outcome
 from closedloop.errors import ScenarioError
 from closedloop.events import KINDS
 from closedloop.report.assumptions import NAMES
-from closedloop.report.measures import MEASURES
+from closedloop.report.measured import WIDTH
+from closedloop.report.measures import JOINT_MEASURES, MEASURES
 from closedloop.simulation import RECORDED
 
 if TYPE_CHECKING:
@@ -62,9 +63,10 @@ def key_type(values: Sequence[Any]) -> pa.DataType:
 def schema(types: Mapping[str, pa.DataType], keep: Sequence[str] = ()) -> pa.Schema:
     """Return the columns of a table of runs, with units and meaning as metadata.
 
-    The columns are ``run``, its number; the changed keys; ``status``, ``reason``, ``rows``, ``end_time``; the figures
-    of `closedloop.report.measures`; the number of events of each kind; when each assumption of the paper first failed;
-    and the columns that were kept, each a list of numbers.
+    The columns are ``run``, its number; the changed keys; ``status``, ``verdict``, ``reason``, ``rows``, ``end_time``;
+    the figures of `closedloop.report.measures`; the number of events of each kind; when each assumption of the paper
+    first failed; the figures of the joints, each a list of a number for each joint; and the columns that were kept,
+    each a list of numbers.
     """
     import pyarrow as pa
 
@@ -79,6 +81,7 @@ def schema(types: Mapping[str, pa.DataType], keep: Sequence[str] = ()) -> pa.Sch
     fields += [field(key, kind, key_unit(key), key_description(key)) for key, kind in types.items()]
     fields += [
         field("status", text, "", "done; stopped: the figures are of what ran; refused: nothing ran"),
+        field("verdict", text, "", "good, or what is wrong with the run, see closedloop.report.verdict"),
         field("reason", text, "", "why it was stopped or refused"),
         field("rows", whole, "1", "rows of the run's record"),
         field("end_time", number, "s", "instant of the last row"),
@@ -89,6 +92,7 @@ def schema(types: Mapping[str, pa.DataType], keep: Sequence[str] = ()) -> pa.Sch
         field(f"{name}_failed_at", number, "s", f"when the assumption {name} first failed; empty if it held")
         for name in NAMES
     ]
+    fields += [field(name, pa.list_(number), m.units, f"{m.meaning}, by joint") for name, m in JOINT_MEASURES.items()]
     for name in keep:
         wide = len(COLUMNS[name].dims) == 2
         kind = pa.list_(pa.list_(number) if wide else number)
@@ -107,7 +111,7 @@ def table_of(
     import pyarrow as pa
 
     count = len(points)
-    figures = np.array([outcome.figures for outcome in outcomes]).reshape(count, -1)
+    figures = np.array([outcome.figures[:WIDTH] for outcome in outcomes]).reshape(count, -1)
     data: list[Any] = [np.arange(first, first + count)]
     for k in range(len(points[0])):
         values = [point[k] for point in points]
@@ -116,14 +120,29 @@ def table_of(
         data.append(values)
     data += [
         [outcome.status for outcome in outcomes],
+        [outcome.verdict or outcome.status for outcome in outcomes],
         [outcome.reason for outcome in outcomes],
         [outcome.rows for outcome in outcomes],
         [outcome.end_time for outcome in outcomes],
     ]
     data += list(figures.T)
+    data += [_by_joint([outcome.figures[WIDTH:] for outcome in outcomes], m) for m in range(len(JOINT_MEASURES))]
     data += [[_rows(outcome.columns.get(name)) for outcome in outcomes] for name in keep]
-    arrays = [pa.array(values, field.type, from_pandas=True) for values, field in zip(data, columns, strict=True)]
+    arrays = [
+        values if isinstance(values, pa.Array) else pa.array(values, field.type, from_pandas=True)
+        for values, field in zip(data, columns, strict=True)
+    ]
     return pa.table(arrays, schema=columns)
+
+
+def _by_joint(figures: Sequence[Array], which: int) -> pa.Array:
+    """Return one of `JOINT_MEASURES` of each run, as a list of a number for each joint, empty if nothing ran."""
+    import pyarrow as pa
+
+    parts = [own.reshape(len(JOINT_MEASURES), -1)[which] for own in figures]
+    ends = np.cumsum([0, *(part.size for part in parts)])
+    flat = pa.array(np.concatenate([np.empty(0), *parts]), pa.float64(), from_pandas=True)
+    return pa.ListArray.from_arrays(pa.array(ends, pa.int32()), flat)
 
 
 def _rows(column: Array | None) -> list[Array] | Array | None:

@@ -1,17 +1,16 @@
-"""What a run says of itself: the paper's five assumptions, and how large every error was."""
+"""What a run says of itself: its verdict, the paper's five assumptions, and how large every error was."""
 
 from __future__ import annotations
 
 from closedloop.report.assumptions import NEAR_SINGULAR, RESIDUAL_TOLERANCE, assumptions
 from closedloop.report.summary import energy_balance, summarise
-from closedloop.report.tables import limits_exceeded, notes, print_report
+from closedloop.report.tables import notes, print_report
 
 __all__ = [
     "NEAR_SINGULAR",
     "RESIDUAL_TOLERANCE",
     "assumptions",
     "energy_balance",
-    "limits_exceeded",
     "notes",
     "print_report",
     "summarise",

@@ -11,6 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from closedloop.contact import FREE, STUCK
+from closedloop.report.verdict import outside_by_the_scenario
 
 if TYPE_CHECKING:
     from closedloop.record import Run
@@ -26,6 +27,9 @@ NAMES = ("one_loop", "single_point", "contact_kept", "frictionless", "nonsingula
 def assumptions(run: Run) -> dict[str, dict[str, Any]]:
     """Return, for each of the paper's assumptions, whether it held, when it first failed (s), and what decided.
 
+    ``expected`` says whether it should hold: False where the scenario itself gives it up, see
+    `closedloop.report.verdict.outside_by_the_scenario`.
+
     - ``one_loop``: Eq. 24 has a single closure row, and its solution obeys it.
     - ``single_point``: the surface acts on the arm at the tip alone: the equation of motion is met with Jᵣᵀn f and no
       moment beside it.
@@ -34,9 +38,10 @@ def assumptions(run: Run) -> dict[str, dict[str, Any]]:
       the same residual.
     - ``nonsingular``: the tip can move along the normal (`NEAR_SINGULAR`).
     """
+    outside = outside_by_the_scenario(run.scenario)
     if len(run) == 0:
         missing = {"held": None, "first_failed": 0.0, "measured": "no row could be computed"}
-        return {name: dict(missing) for name in NAMES}
+        return {name: missing | {"expected": name not in outside} for name in NAMES}
     motion = float(np.max(run.residual_motion))
     stiffest = int(np.argmin(run.normal_mobility))
     friction = np.linalg.norm(run.friction_force, axis=1)
@@ -69,6 +74,8 @@ def assumptions(run: Run) -> dict[str, dict[str, Any]]:
         verdict = report["nonsingular"]
         if verdict["held"]:  # no row was near it: the step after the last was
             verdict |= {"held": False, "first_failed": float(run.time[-1]) + run.scenario.time.step}
+    for name, verdict in report.items():
+        verdict["expected"] = name not in outside
     return report
 
 

@@ -16,7 +16,18 @@ from closedloop.contact import FREE, STUCK
 from closedloop.events import EVENT_COLUMNS, KINDS
 from closedloop.octet import select
 from closedloop.report.assumptions import NAMES, NEAR_SINGULAR, RESIDUAL_TOLERANCE
-from closedloop.report.measures import MEASURES, SETTLED
+from closedloop.report.joint_figures import (
+    ALTERNATING,
+    JOINT_TALLY,
+    SIGNAL_TALLY,
+    SIZE,
+    begin_joints,
+    count_joint,
+    count_signal,
+    share_of,
+    write_joints,
+)
+from closedloop.report.measures import JOINT_MEASURES, MEASURES, SETTLED
 from closedloop.rows import SCALARS
 from closedloop.tree import Tree, tree_potential_energy
 
@@ -25,12 +36,13 @@ Array = NDArray[np.float64]
 (
     FINAL_FORCE, PEAK_FORCE, LEAST_FORCE, STABILISER, ERROR, FINAL_ERROR, CLOSURE_SPEED, TIP_SPEED, RESIDUAL, CONDITION,
     MOBILITY, ENERGY, EXCHANGED, DEPTH, CONTACT_TIME, FRICTION, JOINT_FRICTION, RUBBED, STRUCK, RATE_CUT,
-    FORCE_RMS, SETTLED_AT, PATH_RMS,
+    FORCE_RMS, SETTLED_AT, PATH_RMS, MOST_KINETIC, START_ERROR, FORCE_CHATTER,
 ) = range(len(MEASURES))  # fmt: skip
 # After them: how often each kind of event was, and when each assumption first failed, s, NaN if it held.
 EVENTS_AT = len(MEASURES)
 FAILED_AT = EVENTS_AT + len(KINDS)
 WIDTH = FAILED_AT + len(NAMES)
+# Then those of each joint, see `closedloop.report.joint_figures`.
 
 (
     CONTACT_FORCE, STABILISER_FORCE, CLOSURE_ERROR, CLOSURE_RATE, MODE, MOTION_RESIDUAL, CLOSURE_RESIDUAL,
@@ -49,16 +61,30 @@ EVENT_KIND, EVENT_CUT, EVENT_LOSS = (EVENT_COLUMNS[f"event_{name}"].at for name 
 (
     PEAK, LEAST, LEAST_MOBILITY, LARGEST_SHARE, LARGEST_RESIDUAL, LARGEST_CONDITION, DEEPEST, WORST, FASTEST, IN_JOINTS,
     UNACCOUNTED, WORK_SIZE, RUBBING, FORCE_SQUARES, PATH_SQUARES, TIP_SQUARES, FRICTION_SQUARES, START_ENERGY,
-    START_SUPPLIED, DRIVE_BEFORE, FRICTION_BEFORE, TOUCHES, TOUCHED_BEFORE, STEPS_IN_CONTACT, UNSETTLED,
-) = range(25)  # fmt: skip
-FAILED = 25
-TALLY = FAILED + len(NAMES)
+    START_SUPPLIED, DRIVE_BEFORE, FRICTION_BEFORE, TOUCHES, TOUCHED_BEFORE, STEPS_IN_CONTACT, UNSETTLED, KINETIC,
+    ERROR_AT_START,
+) = range(27)  # fmt: skip
+FAILED = 27
+SIGNAL = FAILED + len(NAMES)
+TALLY = SIGNAL + SIGNAL_TALLY
+
+
+@kernel
+def figure_count(n: int) -> int:
+    """Return how many figures a run of a robot of n joints has."""
+    return WIDTH + len(JOINT_MEASURES) * n
+
+
+@kernel
+def tally_size(n: int) -> int:
+    """Return how many numbers a tally of the rows of a robot of n joints takes."""
+    return TALLY + JOINT_TALLY * n
 
 
 @entry_kernel
 def measure_rows(
     tree: Tree, scratch: Array, rows: Array, count: int, table: Array, nodes: int, h: float, frame: Array,
-    events: Array, happened: int, tally: Array, out: Array,
+    limits: Array, events: Array, happened: int, tally: Array, out: Array,
 ) -> None:  # fmt: skip
     """Write the figures of a run; those that do not exist are NaN.
 
@@ -74,24 +100,27 @@ def measure_rows(
         What is desired, `nodes` rows to each of the record's, see `closedloop.step.reference_row`.
     frame : (9,) array
         Contact frame: rows n, t1, t2 in base axes.
+    limits : (4, n) array
+        See `closedloop.report.joint_figures.joint_limits`.
     events : (>= happened, EVENT_WIDTH) array
         See `closedloop.events`.
-    tally : (TALLY,) array
+    tally : (>= tally_size(n),) array
         Scratch.
-    out : (WIDTH,) array
-        Written: `MEASURES` in their order, counts of `KINDS`, and when the assumptions first failed.
+    out : (figure_count(n),) array
+        Written: `MEASURES` in their order, counts of `KINDS`, when the assumptions first failed, and each of
+        `JOINT_MEASURES` for all joints.
     """
     n = tree.n
     largest = 0.0
     for i in range(count):
         largest = max(largest, abs(table[i * nodes, 2 * n + 9]))
-    begin_tally(tally)
+    begin_tally(tally, n)
     sines = scratch[n * n + n :]  # what the terms leave there, and more
     for i in range(count):
         potential = tree_potential_energy(tree, rows[i, 0:n], sines)
-        count_row(rows[i], potential, table[i * nodes], i, h, frame, largest, tally)
+        count_row(rows[i], potential, table[i * nodes], i, h, frame, limits, largest, tally)
         count_condition(rows[i], tally)
-    write_figures(rows[count - 1, 5 * n + 9 :], count, h, largest, tally, out)
+    write_figures(rows[count - 1, 5 * n + 9 :], n, count, h, largest, tally, out)
     for i in range(happened):
         out[STRUCK] += events[i, EVENT_LOSS]
         out[RATE_CUT] = max(out[RATE_CUT], events[i, EVENT_CUT])
@@ -99,17 +128,19 @@ def measure_rows(
 
 
 @kernel
-def begin_tally(tally: Array) -> None:
-    """Write the tally (TALLY,) of no row."""
+def begin_tally(tally: Array, n: int) -> None:
+    """Write the tally (>= tally_size(n),) of no row of a robot of n joints."""
     for i in range(TALLY):
-        tally[i] = 0.0 if i < FAILED else math.nan
+        tally[i] = math.nan if FAILED <= i < SIGNAL else 0.0
+    begin_joints(tally[TALLY:], n)
     tally[PEAK], tally[LEAST], tally[LEAST_MOBILITY] = -math.inf, math.inf, math.inf
     tally[UNSETTLED] = -1.0
 
 
 @kernel_inlined
 def count_row(
-    row: Array, potential: float, wanted: Array, i: int, h: float, frame: Array, largest: float, tally: Array,
+    row: Array, potential: float, wanted: Array, i: int, h: float, frame: Array, limits: Array, largest: float,
+    tally: Array,
 ) -> None:  # fmt: skip
     """Count row i in, all but its condition number.
 
@@ -119,7 +150,7 @@ def count_row(
         The row, and what is desired at its instant.
     potential : float
         Potential energy, J.
-    h, frame
+    h, frame, limits
         See `measure_rows`.
     largest : float
         Largest |f_des| of the run, N.
@@ -157,6 +188,9 @@ def count_row(
         drive += row[3 * n + j] * row[n + j]
         joint_power += row[tip + 9 + j] * row[n + j]
         most = max(most, abs(row[tip + 9 + j]))
+        at = TALLY + JOINT_TALLY * j
+        count_joint(row[j], row[n + j], row[3 * n + j], j, i, h, limits, t[at : at + JOINT_TALLY])
+    count_signal(force, i, t[SIGNAL:TALLY])
     friction = speed = rubbing = 0.0
     for k in range(3):
         friction += row[tip + 6 + k] * row[tip + 6 + k]
@@ -167,8 +201,10 @@ def count_row(
     t[IN_JOINTS] = max(t[IN_JOINTS], most)
 
     energy, supplied = row[scalars + KINETIC_ENERGY] + potential, row[scalars + ENERGY_SUPPLIED]
+    t[KINETIC] = max(t[KINETIC], row[scalars + KINETIC_ENERGY])
     if i == 0:
         t[START_ENERGY], t[START_SUPPLIED] = energy, supplied
+        t[ERROR_AT_START] = select(touching, error, 0.0)
     else:
         dt = h * i - h * (i - 1)
         t[WORK_SIZE] += 0.5 * (abs(drive) + abs(t[DRIVE_BEFORE])) * dt
@@ -197,8 +233,8 @@ def count_condition(row: Array, tally: Array) -> None:
 
 
 @kernel
-def write_figures(last: Array, count: int, h: float, largest: float, tally: Array, out: Array) -> None:
-    """Write the figures `out` (WIDTH,) of `count` rows of which there is a tally; `last` are the last row's scalars."""
+def write_figures(last: Array, n: int, count: int, h: float, largest: float, tally: Array, out: Array) -> None:
+    """Write the figures `out` (figure_count(n),) of `count` rows with this tally; `last` are the last row's scalars."""
     t = tally
     for i in range(WIDTH):
         out[i] = 0.0 if i < FAILED_AT else t[FAILED + i - FAILED_AT]
@@ -214,3 +250,6 @@ def write_figures(last: Array, count: int, h: float, largest: float, tally: Arra
     settles = (largest > 0.0) & (t[UNSETTLED] < count - 1)
     out[SETTLED_AT] = select(settles, h * (t[UNSETTLED] + 1), math.nan)
     out[PATH_RMS] = math.sqrt(t[PATH_SQUARES] / count)
+    out[MOST_KINETIC], out[START_ERROR] = t[KINETIC], t[ERROR_AT_START]
+    out[FORCE_CHATTER] = share_of(t[SIGNAL + ALTERNATING], t[SIGNAL + SIZE])
+    write_joints(t[TALLY:], n, out[WIDTH:])

@@ -1,4 +1,4 @@
-"""The figures of a run's summary: their names, units and meaning, in order."""
+"""The figures of a run's summary: their names, units and meaning, in order; first the run's, then each joint's."""
 
 from __future__ import annotations
 
@@ -39,4 +39,20 @@ MEASURES: dict[str, Measure] = {
     "rms_force_error": Measure("N", "RMS error of the contact force, while in contact"),
     "force_settled_at": Measure("s", "instant from which the contact force stays within 2 % of that desired"),
     "rms_path_error": Measure("m", "RMS distance of the tip from its path, along the surface"),
+    "max_kinetic_energy": Measure("J", "highest kinetic energy"),
+    "start_closure_error": Measure("m", "closure error at the start, if in contact then; positive off the surface"),
+    "force_chatter": Measure("1", "share of the contact force that alternates from row to row"),
 }
+
+# Of each joint, in the robot's order; for a prismatic joint read m, m/s and N.
+JOINT_MEASURES: dict[str, Measure] = {
+    "position_excess": Measure("rad", "farthest that the joint was beyond its position limits"),
+    "position_limit_left_at": Measure("s", "when the joint first left its position limits"),
+    "max_joint_velocity": Measure("rad s-1", "highest speed of the joint"),
+    "velocity_limit_exceeded_at": Measure("s", "when the joint was first faster than its velocity limit"),
+    "max_joint_torque": Measure("N m", "largest torque asked of the joint"),
+    "effort_limit_exceeded_at": Measure("s", "when the torque asked of the joint was first beyond its effort limit"),
+    "torque_chatter": Measure("1", "share of the joint's torque that alternates from row to row"),
+}
+# A joint's torque counts as at least this share of the joints' mean: where next to none is asked, rounding alternates.
+LEAST_TORQUE = 0.01

@@ -1,4 +1,4 @@
-"""The summary of a run: how large every error was, what the contact did, and the balance of energy."""
+"""The summary of a run: its verdict, how large every error was, what the contact did, and the balance of energy."""
 
 from __future__ import annotations
 
@@ -10,7 +10,8 @@ from numpy.typing import NDArray
 from closedloop.contact import FREE
 from closedloop.events import KINDS
 from closedloop.report.assumptions import assumptions
-from closedloop.report.measures import MEASURES, SETTLED
+from closedloop.report.measures import JOINT_MEASURES, LEAST_TORQUE, MEASURES, SETTLED
+from closedloop.report.verdict import Facts, judge
 from closedloop.surface import unit
 
 if TYPE_CHECKING:
@@ -21,11 +22,12 @@ Array = NDArray[np.float64]
 
 def summarise(run: Run) -> dict[str, Any]:
     """Return the summary of a run: what summary.json holds. Quantities that do not exist (no rows) are None."""
-    if len(run) == 0:
-        figures: dict[str, Any] = dict.fromkeys(MEASURES)
-    else:
-        figures = _measures(run)
+    figures: dict[str, Any] = _measures(run) if len(run) else dict.fromkeys(MEASURES)
+    joints = joint_measures(run)
+    held = assumptions(run)
+    problems = judge(_facts(run, figures, joints, held), lambda: run_gains_fault(run))
     return {
+        "verdict": {"good": not problems, "problems": problems},
         "scenario": run.scenario.name,
         "robot": run.model.name,
         "law": run.law,
@@ -34,9 +36,73 @@ def summarise(run: Run) -> dict[str, Any]:
         "stopped": run.stopped,
         **figures,
         "events": {kind: sum(event.kind == kind for event in run.events) for kind in KINDS.values()},
-        "assumptions": assumptions(run),
+        "assumptions": held,
+        "joints": {
+            name: {key: _finite(column[j]) for key, column in joints.items()}
+            for j, name in enumerate(run.model.joint_names if len(run) else ())
+        },
         "wall_seconds": run.wall_seconds,
     }
+
+
+def _facts(run: Run, figures: dict[str, Any], joints: dict[str, Array], held: dict[str, dict[str, Any]]) -> Facts:
+    failed = {
+        name: (v["first_failed"], v["measured"]) for name, v in held.items() if v["held"] is False and v["expected"]
+    }
+    columns = {name: column.tolist() for name, column in joints.items()}
+    return Facts(run.scenario, run.model, run.stopped, len(run) - 1, figures, len(run.events), failed, columns)
+
+
+def run_gains_fault(run: Run) -> str:
+    """Return what is wrong with the gains for this step; of a law of one's own nothing is known."""
+    if run.law != "scenario":
+        return ""
+    from closedloop.control.gains import gains_fault
+    from closedloop.robot import Robot
+
+    return gains_fault(run.scenario, Robot(run.model, run.scenario.robot.tip))
+
+
+def _finite(value: float) -> float | None:
+    return float(value) if np.isfinite(value) else None
+
+
+def joint_measures(run: Run) -> dict[str, Array]:
+    """Return `JOINT_MEASURES`, each (n,); an instant is NaN where there is none. Without rows nothing exists: NaN."""
+    model, n = run.model, run.model.n
+    if len(run) == 0:
+        return {name: np.full(n, np.nan) for name in JOINT_MEASURES}
+    excess = np.maximum(run.q - model.position_upper, model.position_lower - run.q)
+    speed, torque = np.abs(run.v), np.abs(run.torque)
+    alternating, size = alternation(run.torque), np.sum(torque, axis=0)
+    size = np.maximum(size, LEAST_TORQUE * np.mean(size))
+    values = (
+        np.maximum(np.max(excess, axis=0), 0.0),
+        _first(run, excess > 0.0),
+        np.max(speed, axis=0),
+        _first(run, speed > model.velocity_limit),
+        np.max(torque, axis=0),
+        _first(run, torque > model.effort_limit),
+        np.divide(alternating, size, where=size > 0.0, out=np.zeros(n)),
+    )
+    return dict(zip(JOINT_MEASURES, values, strict=True))
+
+
+def _first(run: Run, beyond: NDArray[np.bool_]) -> Array:
+    """Return the instant of the first row in which each column (N, n) is true, NaN if none is, (n,)."""
+    return np.where(np.any(beyond, axis=0), run.time[np.argmax(beyond, axis=0)], np.nan)
+
+
+def alternation(signal: Array) -> Array:
+    """Return how much of each column (N, n) alternates from row to row, summed over the rows, (n,).
+
+    See `closedloop.report.joint_figures.count_signal`.
+    """
+    turn = np.diff(signal, 2, axis=0)
+    alternates = turn[1:] * turn[:-1] < 0.0
+    amplitude: Array = 0.25 * np.minimum(np.abs(turn[1:]), np.abs(turn[:-1]))
+    total: Array = np.sum(amplitude, axis=0, where=alternates)
+    return total
 
 
 def _measures(run: Run) -> dict[str, Any]:
@@ -65,8 +131,16 @@ def _measures(run: Run) -> dict[str, Any]:
         np.sum(run.event_energy_lost),
         np.max(run.event_rate_cut, initial=0.0),
         *_against_what_is_desired(run),
+        np.max(run.kinetic_energy),
+        run.closure_error[0] if touching[0] else 0.0,
+        _force_chatter(run),
     )
     return {key: None if value is None else float(value) for key, value in zip(MEASURES, values, strict=True)}
+
+
+def _force_chatter(run: Run) -> float:
+    size = float(np.sum(np.abs(run.contact_force)))
+    return float(alternation(run.contact_force[:, None])[0]) / size if size > 0.0 else 0.0
 
 
 def _against_what_is_desired(run: Run) -> tuple[float | None, float | None, float]:

@@ -1,4 +1,4 @@
-"""The tables of a run: its assumptions, its errors, and what happened to the contact."""
+"""What is printed of a run: its verdict, its assumptions, its errors, and what happened to the contact."""
 
 from __future__ import annotations
 
@@ -8,6 +8,8 @@ import numpy as np
 
 from closedloop.contact import FREE
 from closedloop.friction.packing import energy_fault
+from closedloop.report.summary import joint_measures, run_gains_fault
+from closedloop.report.verdict import GOOD, names_of
 
 if TYPE_CHECKING:
     from rich.console import Console
@@ -18,26 +20,16 @@ if TYPE_CHECKING:
 MOST_EVENTS = 8
 
 
-def limits_exceeded(run: Run) -> str:
-    """Return a line about the first joint that left its limits, or an empty string."""
-    outside = (run.q < run.model.position_lower) | (run.q > run.model.position_upper)
-    rows, joints = np.nonzero(outside)
-    if not rows.size:
-        return ""
-    k, j = int(rows[0]), int(joints[0])
-    limits = f"[{run.model.position_lower[j]:g}, {run.model.position_upper[j]:g}]"
-    name = run.model.joint_names[j]
-    return f"joint {name} leaves its limits {limits} at t = {run.time[k]:g} s (q = {run.q[k, j]:.4f})"
-
-
 def notes(run: Run) -> list[str]:
-    """Return what a reader of the run should know beside its figures: limits left, friction that may drive."""
+    """Return what a reader of the run should know beside its figures: friction that may drive, gains near trouble."""
     load = float(np.max(np.abs(run.contact_force)))
     faults = (
         ("friction", energy_fault(run.scenario.friction, load)),
         ("joint_friction", energy_fault(run.scenario.joint_friction, n=run.q.shape[1])),
+        ("gains", run_gains_fault(run)),
     )
-    return [text for text in (limits_exceeded(run), *(f"{key}: {fault}" for key, fault in faults if fault)) if text]
+    told = {problem["name"] for problem in run.summary()["verdict"]["problems"]}
+    return [f"{key}: {fault}" for key, fault in faults if fault and key not in told]
 
 
 _TITLES = {
@@ -50,13 +42,14 @@ _TITLES = {
 
 
 def print_report(run: Run, width: int | None = None) -> None:
-    """Print the table of assumptions and errors on standard output."""
+    """Print the verdict, in the first line, and the tables of assumptions and errors on standard output."""
     from rich import box
     from rich.console import Console
     from rich.table import Table
 
     console = Console(width=width, highlight=False)
     facts = run.summary()
+    _print_verdict(facts["verdict"], console)
     table = Table(box=box.SIMPLE_HEAD, title=f"{run.scenario.name}: the paper's assumptions", title_justify="left")
     table.add_column("assumption")
     table.add_column("held")
@@ -64,6 +57,8 @@ def print_report(run: Run, width: int | None = None) -> None:
     table.add_column("decided by")
     for name, verdict in facts["assumptions"].items():
         held = {True: "[green]yes[/]", False: "[bold red]NO[/]", None: "unknown"}[verdict["held"]]
+        if verdict["held"] is False and not verdict["expected"]:
+            held = "outside, by\nthe scenario"
         when = "" if verdict["first_failed"] is None else f"{verdict['first_failed']:.4g} s"
         table.add_row(_TITLES[name], held, when, verdict["measured"])
     console.print(table)
@@ -81,6 +76,35 @@ def print_report(run: Run, width: int | None = None) -> None:
         _print_events(run, console)
     for note in notes(run):
         console.print(f"[yellow]note:[/] {note}")
+
+
+def _print_verdict(verdict: dict[str, Any], console: Console) -> None:
+    """Print the verdict in one line, and what is wrong in a line each."""
+    from rich.markup import escape
+
+    problems = verdict["problems"]
+    if verdict["good"]:
+        console.print(f"verdict: [green]{GOOD}[/]")
+        return
+    console.print(f"verdict: [bold red]BAD[/]: {names_of(problems)}")
+    for problem in problems:
+        when = "" if problem["at"] is None else f" (from {problem['at']:.4g} s)"
+        console.print(f"  [bold red]{problem['name']}[/]: {escape(problem['text'])}{when}")
+
+
+def _joint_rows(run: Run) -> list[tuple[str, str, str, str]]:
+    """Return how near to its limits the arm came, where it has any."""
+    found = joint_measures(run)
+    rows = []
+    for title, key, limit in (
+        ("joint speed, of its limit", "max_joint_velocity", run.model.velocity_limit),
+        ("joint torque, of its limit", "max_joint_torque", run.model.effort_limit),
+    ):
+        share = np.divide(found[key], limit, where=limit > 0.0, out=np.full(run.model.n, np.inf))
+        j = int(np.argmax(share))
+        if np.any(np.isfinite(limit)):
+            rows.append((title, f"{100.0 * share[j]:.3g}", "%", f"joint {run.model.joint_names[j]}"))
+    return rows
 
 
 def _error_rows(run: Run, facts: dict[str, Any]) -> list[tuple[str, str, str, str]]:
@@ -115,6 +139,7 @@ def _error_rows(run: Run, facts: dict[str, Any]) -> list[tuple[str, str, str, st
             f"of {facts['energy_exchanged']:.2g} J exchanged",
         ),
         ("tip speed", f"{facts['max_tip_speed']:.4g}", "m/s", ""),
+        *_joint_rows(run),
         *_contact_rows(run, facts),
     ]
 

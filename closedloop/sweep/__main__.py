@@ -1,7 +1,8 @@
 """The command line of sweeps: ``python -m closedloop.sweep wam_slide --over law.force=5:15:101 --out force.parquet``.
 
 Exit status: 0 done, and runs that failed are rows that say why; 2 the input is at fault (one line on standard error);
-3 a cluster was lost on the way, and 130 interrupted: the same command goes on from there.
+3 a cluster was lost on the way, and 130 interrupted: the same command goes on from there; 4 done, but the verdict of
+some run is bad, with --strict.
 """
 
 from __future__ import annotations
@@ -12,7 +13,8 @@ import time as clock
 from collections.abc import Sequence
 from pathlib import Path
 
-from closedloop.command import DONE, Parser, run_command
+from closedloop.command import DONE, NOT_GOOD, Parser, run_command
+from closedloop.report.verdict import GOOD
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
@@ -67,8 +69,12 @@ def _sweep(arguments: list[str]) -> int:
         made = f"{runs} in {seconds:.1f} s, {runs / seconds:.3g} runs/s{earlier}; wrote {result.table}{columns}"
     else:
         made = f"all were there before, in {result.table}{columns}"
-    print(f"{len(design)} runs: {statuses}; {made}")
-    return DONE
+    bad = {verdict: many for verdict, many in result.verdicts.items() if verdict != GOOD}
+    not_good = sum(bad.values())
+    most = max(bad, key=lambda verdict: bad[verdict], default="")
+    judged = f"; {not_good} with a bad verdict, most often: {most}" if not_good else ""
+    print(f"{len(design)} runs: {statuses}{judged}; {made}")
+    return NOT_GOOD if options.strict and not_good else DONE
 
 
 def _sweep_parser() -> Parser:
@@ -81,7 +87,8 @@ def _sweep_parser() -> Parser:
         "--help). A sweep that was killed goes on where it was with the same command.\n\n"
         "python -m closedloop.sweep plot FILE draws maps of the table.\n\n"
         "exit status: 0 done, and runs that failed are rows that say why; 2 the input is at fault; 3 a cluster was\n"
-        "lost on the way, and 130 interrupted: the same command goes on from there",
+        "lost on the way, and 130 interrupted: the same command goes on from there; 4 done, but the verdict of some\n"
+        "run is bad, with --strict",
         formatter_class=argparse.RawDescriptionHelpFormatter,
     )
     add = parser.add_argument
@@ -111,6 +118,7 @@ def _sweep_parser() -> Parser:
     add(
         "--workers", type=int, metavar="N", help="threads (default: one for each core); the table does not depend on it"
     )
+    add("--strict", action="store_true", help="exit with status 4 if the verdict of any run is bad")
     add("--scheduler", metavar="ADDRESS", help="run on the Dask cluster of this scheduler, such as tcp://host:8786")
     return parser
 

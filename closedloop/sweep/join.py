@@ -41,11 +41,14 @@ class Joined:
         The NetCDF file of whole columns.
     counts : mapping of str to int
         How many runs have each status.
+    verdicts : mapping of str to int
+        How many runs have each verdict.
     """
 
     table: Path
     columns: Path | None
     counts: dict[str, int]
+    verdicts: dict[str, int]
 
 
 def already_there(identity: dict[str, Any], out: Path) -> Joined | None:
@@ -81,7 +84,8 @@ def already_there(identity: dict[str, Any], out: Path) -> Joined | None:
     store = Store(identity, out)
     if store.folder.exists():  # killed after the last file was there
         store.remove()
-    return Joined(out, kept, Counter(parquet.read_table(out, columns=["status"])["status"].to_pylist()))
+    table = parquet.read_table(out, columns=["status", "verdict"])
+    return Joined(out, kept, *(Counter(table[name].to_pylist()) for name in ("status", "verdict")))
 
 
 def join(store: Store, out: Path, parts: int, columns: pa.Schema, step: float) -> Joined:
@@ -110,14 +114,17 @@ def join(store: Store, out: Path, parts: int, columns: pa.Schema, step: float) -
 
     description = json.dumps({"format": FORMAT, "identity": store.identity})
     counts: Counter[str] = Counter()
+    verdicts: Counter[str] = Counter()
 
     def write_table(path: Path) -> None:
         counts.clear()
+        verdicts.clear()
         with parquet.ParquetWriter(path, columns.with_metadata({METADATA: description})) as writer:
             waiting: list[pa.Table] = []
             for part in range(parts):
                 waiting.append(store.read(part))
                 counts.update(waiting[-1]["status"].to_pylist())
+                verdicts.update(waiting[-1]["verdict"].to_pylist())
                 if part == parts - 1 or sum(map(len, waiting)) >= ROWS_TOGETHER:
                     writer.write_table(pa.concat_tables(waiting).replace_schema_metadata(), row_group_size=2**30)
                     waiting = []
@@ -130,7 +137,7 @@ def join(store: Store, out: Path, parts: int, columns: pa.Schema, step: float) -
     except OSError as error:
         raise unwritable(out, error) from None
     store.remove()
-    return Joined(out, kept, counts)
+    return Joined(out, kept, counts, verdicts)
 
 
 def _write_columns(path: Path, store: Store, parts: int, description: str, step: float) -> None:

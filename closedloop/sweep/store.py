@@ -32,7 +32,7 @@ if TYPE_CHECKING:
 
 Array = NDArray[np.float64]
 
-FORMAT = "closedloop sweep 1"
+FORMAT = "closedloop sweep 2"
 UNFINISHED = ".unfinished"
 
 

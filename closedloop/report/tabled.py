@@ -1,0 +1,35 @@
+"""The verdict of a run of which there are but the figures: a row of a batch's table."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+from numpy.typing import NDArray
+
+from closedloop.control.gains import gains_fault
+from closedloop.report.assumptions import NAMES
+from closedloop.report.measured import EVENTS_AT, FAILED_AT, WIDTH
+from closedloop.report.measures import JOINT_MEASURES, MEASURES
+from closedloop.report.verdict import Facts, judge, names_of, outside_by_the_scenario
+from closedloop.robot import Robot
+from closedloop.scenario import Scenario
+
+Array = NDArray[np.float64]
+
+
+def verdict_of(scenario: Scenario, robot: Robot, figures: Array, steps: int, stopped: str | None = None) -> str:
+    """Return "good", or the names of what is wrong with a run, as `closedloop.report.verdict` judges its figures."""
+    numbers, n = figures.tolist(), robot.n
+    outside = outside_by_the_scenario(scenario)
+    failed = {
+        name: (at, "")
+        for name, at in zip(NAMES, numbers[FAILED_AT:WIDTH], strict=True)
+        if not math.isnan(at) and name not in outside
+    }
+    facts = Facts(
+        scenario, robot.model, stopped, steps, dict(zip(MEASURES, numbers[:EVENTS_AT], strict=True)),
+        0 if steps < 0 else int(sum(numbers[EVENTS_AT:FAILED_AT])), failed,
+        {name: numbers[WIDTH + n * m : WIDTH + n * (m + 1)] for m, name in enumerate(JOINT_MEASURES)},
+    )  # fmt: skip
+    return names_of(judge(facts, lambda: gains_fault(scenario, robot)))

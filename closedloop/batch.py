@@ -17,7 +17,7 @@ from concurrent.futures import FIRST_COMPLETED, ThreadPoolExecutor, wait
 from contextlib import ExitStack
 from typing import TYPE_CHECKING, Any
 
-from closedloop.bench import FEWEST_ABREAST, Bench, Outcome, refused
+from closedloop.bench import FEWEST_ABREAST, Bench, Outcome, failed
 from closedloop.errors import ScenarioError
 from closedloop.forms import COMPILED, goes_abreast
 from closedloop.octet import WIDE
@@ -73,10 +73,10 @@ def simulate_batch(
     Returns
     -------
     pyarrow.Table
-        A row for each run, in order: its number, the changed keys, ``status`` ("done", "stopped", "refused") with its
-        ``reason``, the figures of `Run.summary` (empty where there is none), the events, when each of the paper's
-        assumptions failed, and the kept columns. Units and meanings are the fields' metadata. A run that fails is a row
-        like any other.
+        A row for each run, in order: its number, the changed keys, ``status`` ("done", "stopped", "refused", "failed":
+        an error that nobody foresaw) with its ``reason``, the figures of `Run.summary` (empty where there is none), the
+        events, when each of the paper's assumptions failed, and the kept columns. Units and meanings are the fields'
+        metadata. A run that fails is a row like any other.
 
     Raises
     ------
@@ -148,7 +148,7 @@ def _go_abreast(variants: Variants, points: Sequence[Sequence[Any]], engine: str
     for values in points:
         try:
             return goes_abreast(variants.scenario(values), engine, runs)
-        except ScenarioError:
+        except Exception:  # of its own row, which says it
             continue
     return False
 
@@ -168,8 +168,8 @@ def run_variants(
             check_engine(scenario, engine, None)
             scenarios.append(scenario)
             outcomes.append(None)
-        except ScenarioError as error:
-            outcomes.append(refused(error))
+        except Exception as error:  # the border of a row: see `failed`
+            outcomes.append(failed(error))
             ran()
     came_to = iter(bench.run_all(scenarios, ran))
     return [next(came_to) if outcome is None else outcome for outcome in outcomes]

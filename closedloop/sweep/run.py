@@ -129,10 +129,10 @@ class Sweep:
         for name in sorted(names):
             try:
                 model = robot_models.load(name)
-            except robot_models.ModelError as error:
+            except Exception as error:  # of the runs with this robot, which say it, as long as there are others
                 if len(names) == 1:
                     raise
-                digests[name] = str(error)
+                digests[name] = f"{type(error).__name__}: {error}"
                 continue
             whole = (model.text, model.armature.tolist(), model.home.tolist(), model.tip)
             digests[name] = hashlib.sha256(json.dumps(whole).encode()).hexdigest()

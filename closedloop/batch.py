@@ -11,9 +11,7 @@ from __future__ import annotations
 
 import itertools
 import os
-import threading
-from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
-from concurrent.futures import FIRST_COMPLETED, ThreadPoolExecutor, wait
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from contextlib import ExitStack
 from typing import TYPE_CHECKING, Any
 
@@ -25,6 +23,7 @@ from closedloop.pieces import Pieces
 from closedloop.scenario import Scenario
 from closedloop.simulation import check_engine
 from closedloop.table import kept_columns, key_type, schema, table_of
+from closedloop.threads import Done, side_by_side
 from closedloop.variants import Variants
 from robot_models import RobotModel
 
@@ -108,7 +107,7 @@ def simulate_batch(
         report = progress or _silent
         side_by_side(
             one, len(blocks), threads, lambda: Bench(engine, columns, model, len(points), common),
-            lambda: report(done.count, len(points)),
+            lambda: report(done.count, len(points)), done,
         )  # fmt: skip
     kinds = {key: key_type([point[k] for point in points]) for k, key in enumerate(keys)}
     return table_of(schema(kinds, columns), 0, points, [x for x in outcomes if x is not None], columns)
@@ -183,58 +182,6 @@ def threads_for(engine: str, workers: int | None) -> int:
         return 1
     cores = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
     return workers or cores
-
-
-class Done:
-    """How many runs are done: a count to which threads add."""
-
-    def __init__(self, count: int = 0) -> None:
-        self.count, self._lock = count, threading.Lock()
-
-    def add(self, runs: int = 1) -> None:
-        """Add to the count."""
-        with self._lock:
-            self.count += runs
-
-
-def side_by_side(
-    one: Callable[[Bench, int], None],
-    count: int,
-    threads: int,
-    bench: Callable[[], Bench],
-    report: Callable[[], None],
-) -> None:
-    """Call ``one(bench, i)`` for every i below `count`, in threads with a bench each; the first error ends it all.
-
-    `report` is called before, now and then, and after.
-    """
-    numbers, lock, stop = itertools.count(), threading.Lock(), threading.Event()
-
-    def mine() -> Iterator[int]:
-        while not stop.is_set():
-            with lock:
-                i = next(numbers)
-            if i >= count:
-                return
-            yield i
-
-    def work() -> None:
-        own = bench()
-        for i in mine():
-            one(own, i)
-
-    report()
-    with ThreadPoolExecutor(min(threads, count), "closedloop") as pool:
-        running = {pool.submit(work) for _ in range(min(threads, count))}
-        try:
-            while running:
-                over, running = wait(running, timeout=0.1, return_when=FIRST_COMPLETED)
-                for future in over:
-                    future.result()
-                report()
-        finally:
-            stop.set()
-    report()
 
 
 def _points(changes: Mapping[str, Sequence[Any]], grid: bool) -> list[tuple[Any, ...]]:

@@ -11,13 +11,11 @@ from __future__ import annotations
 
 import itertools
 import os
-import threading
-from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
-from concurrent.futures import FIRST_COMPLETED, ThreadPoolExecutor, wait
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from contextlib import ExitStack
 from typing import TYPE_CHECKING, Any
 
-from closedloop.bench import FEWEST_ABREAST, Bench, Outcome, refused
+from closedloop.bench import FEWEST_ABREAST, Bench, Outcome, failed
 from closedloop.errors import ScenarioError
 from closedloop.forms import COMPILED, goes_abreast
 from closedloop.octet import WIDE
@@ -25,6 +23,7 @@ from closedloop.pieces import Pieces
 from closedloop.scenario import Scenario
 from closedloop.simulation import check_engine
 from closedloop.table import kept_columns, key_type, schema, table_of
+from closedloop.threads import Done, side_by_side
 from closedloop.variants import Variants
 from robot_models import RobotModel
 
@@ -73,10 +72,10 @@ def simulate_batch(
     Returns
     -------
     pyarrow.Table
-        A row for each run, in order: its number, the changed keys, ``status`` ("done", "stopped", "refused") with its
-        ``reason``, the figures of `Run.summary` (empty where there is none), the events, when each of the paper's
-        assumptions failed, and the kept columns. Units and meanings are the fields' metadata. A run that fails is a row
-        like any other.
+        A row for each run, in order: its number, the changed keys, ``status`` ("done", "stopped", "refused", "failed":
+        an error that nobody foresaw) with its ``reason``, the figures of `Run.summary` (empty where there is none), the
+        events, when each of the paper's assumptions failed, and the kept columns. Units and meanings are the fields'
+        metadata. A run that fails is a row like any other.
 
     Raises
     ------
@@ -108,7 +107,7 @@ def simulate_batch(
         report = progress or _silent
         side_by_side(
             one, len(blocks), threads, lambda: Bench(engine, columns, model, len(points), common),
-            lambda: report(done.count, len(points)),
+            lambda: report(done.count, len(points)), done,
         )  # fmt: skip
     kinds = {key: key_type([point[k] for point in points]) for k, key in enumerate(keys)}
     return table_of(schema(kinds, columns), 0, points, [x for x in outcomes if x is not None], columns)
@@ -148,7 +147,7 @@ def _go_abreast(variants: Variants, points: Sequence[Sequence[Any]], engine: str
     for values in points:
         try:
             return goes_abreast(variants.scenario(values), engine, runs)
-        except ScenarioError:
+        except Exception:  # of its own row, which says it
             continue
     return False
 
@@ -168,8 +167,8 @@ def run_variants(
             check_engine(scenario, engine, None)
             scenarios.append(scenario)
             outcomes.append(None)
-        except ScenarioError as error:
-            outcomes.append(refused(error))
+        except Exception as error:  # the border of a row: see `failed`
+            outcomes.append(failed(error))
             ran()
     came_to = iter(bench.run_all(scenarios, ran))
     return [next(came_to) if outcome is None else outcome for outcome in outcomes]
@@ -183,58 +182,6 @@ def threads_for(engine: str, workers: int | None) -> int:
         return 1
     cores = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
     return workers or cores
-
-
-class Done:
-    """How many runs are done: a count to which threads add."""
-
-    def __init__(self, count: int = 0) -> None:
-        self.count, self._lock = count, threading.Lock()
-
-    def add(self, runs: int = 1) -> None:
-        """Add to the count."""
-        with self._lock:
-            self.count += runs
-
-
-def side_by_side(
-    one: Callable[[Bench, int], None],
-    count: int,
-    threads: int,
-    bench: Callable[[], Bench],
-    report: Callable[[], None],
-) -> None:
-    """Call ``one(bench, i)`` for every i below `count`, in threads with a bench each; the first error ends it all.
-
-    `report` is called before, now and then, and after.
-    """
-    numbers, lock, stop = itertools.count(), threading.Lock(), threading.Event()
-
-    def mine() -> Iterator[int]:
-        while not stop.is_set():
-            with lock:
-                i = next(numbers)
-            if i >= count:
-                return
-            yield i
-
-    def work() -> None:
-        own = bench()
-        for i in mine():
-            one(own, i)
-
-    report()
-    with ThreadPoolExecutor(min(threads, count), "closedloop") as pool:
-        running = {pool.submit(work) for _ in range(min(threads, count))}
-        try:
-            while running:
-                over, running = wait(running, timeout=0.1, return_when=FIRST_COMPLETED)
-                for future in over:
-                    future.result()
-                report()
-        finally:
-            stop.set()
-    report()
 
 
 def _points(changes: Mapping[str, Sequence[Any]], grid: bool) -> list[tuple[Any, ...]]:

@@ -9,10 +9,13 @@ Runs that are alike enough go eight abreast (`closedloop.abreast`), which change
 
 from __future__ import annotations
 
+import logging
 import math
+import traceback
 from collections import Counter
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
+from pathlib import Path
 from weakref import WeakKeyDictionary
 
 import numpy as np
@@ -21,7 +24,7 @@ from numpy.typing import NDArray
 from closedloop.abreast import Abreast, Kind, kind_of
 from closedloop.compiled import plain
 from closedloop.compiled_engine import compiled_tree, compiled_work
-from closedloop.errors import ClosedLoopError, SingularClosureError
+from closedloop.errors import ClosedLoopError, SingularClosureError, one_line
 from closedloop.forms import COMPILED, goes_abreast
 from closedloop.octet import WIDE
 from closedloop.pieces import Pieces
@@ -41,7 +44,11 @@ from robot_models import RobotModel
 Array = NDArray[np.float64]
 
 SINGULAR_AT = FAILED_AT + NAMES.index("nonsingular")
-RAN, STOPPED, REFUSED = "done", "stopped", "refused"
+RAN, STOPPED, REFUSED, FAILED = "done", "stopped", "refused", "failed"
+# Frames of an unforeseen error that its row names, from where it was raised outwards.
+FRAMES = 3
+# Characters of its message.
+MOST_SAID = 300
 
 # Eight runs abreast take as long as two alone; fewer than this many are run alone.
 FEWEST_ABREAST = 3
@@ -57,9 +64,9 @@ class Outcome:
     ----------
     status : str
         "done"; "stopped" (the simulation could not go on: the figures are those of what ran); "refused" (the scenario
-        is at fault: nothing ran).
+        is at fault: nothing ran); "failed" (an error that nobody foresaw: a fault of this package, or no memory left).
     reason : str or None
-        Why it was stopped or refused.
+        Why it was stopped, was refused or failed.
     rows : int
         How many rows it has.
     figures : (figure_count(n),) array
@@ -116,10 +123,14 @@ class Bench:
     def run(self, scenario: Scenario) -> Outcome:
         """Run a scenario and return its outcome; a run that fails says why."""
         try:
-            problem = prepare(scenario, self._model, self._pieces)
-            return self._run(problem)
-        except ClosedLoopError as error:
-            return refused(error)
+            return self._run(prepare(scenario, self._model, self._pieces))
+        except Exception as error:  # the border of a row: see `failed`
+            return self._failed(error)
+
+    def _failed(self, error: Exception) -> Outcome:
+        if not isinstance(error, ClosedLoopError):
+            self._pieces.forget()  # what it left half done is not used again
+        return failed(error)
 
     def run_all(self, scenarios: Sequence[Scenario], ran: Callable[[], None] = lambda: None) -> list[Outcome]:
         """Run up to eight scenarios, abreast if they are of one kind, and return their outcomes in order.
@@ -141,22 +152,30 @@ class Bench:
                 kind = kind_of(problem) if together else None
                 if abreast is None and kind is not None:
                     abreast = self._abreast(problem, kind)
-                if abreast is None or kind != abreast.kind:
-                    done(i, self._run(problem))
+                if abreast is not None and kind == abreast.kind:
+                    abreast.take(len(members), problem)
+                    members.append(i)
                     continue
-            except ClosedLoopError as error:
-                done(i, refused(error))
-                continue
-            abreast.take(len(members), problem)
-            members.append(i)
-        if abreast is not None:
-            ended_well = len(members) >= FEWEST_ABREAST
-            if ended_well:
-                ended_well = abreast.run(self._trees[abreast.kind.robot][0], len(members))
-                self._remember(abreast.kind.contact, ended_well)
-            for lane, i in enumerate(members):
-                done(i, self._outcome(abreast, lane, scenarios[i]) if ended_well else self.run(scenarios[i]))
+                outcome = self._run(problem)
+            except Exception as error:  # the border of a row: see `failed`
+                outcome = self._failed(error)
+            done(i, outcome)
+        came_to = self._run_abreast(abreast, [scenarios[i] for i in members]) if abreast is not None else None
+        for lane, i in enumerate(members):
+            done(i, self.run(scenarios[i]) if came_to is None else came_to[lane])
         return [outcomes[i] for i in range(len(scenarios))]
+
+    def _run_abreast(self, abreast: Abreast, scenarios: Sequence[Scenario]) -> list[Outcome] | None:
+        """Return what the runs of these scenarios, a lane each, came to; None if they have to go alone."""
+        if len(scenarios) < FEWEST_ABREAST:
+            return None
+        try:
+            ended_well = abreast.run(self._trees[abreast.kind.robot][0], len(scenarios))
+            self._remember(abreast.kind.contact, ended_well)
+            return [self._outcome(abreast, i, each) for i, each in enumerate(scenarios)] if ended_well else None
+        except Exception as error:  # alone, the one at fault fails by itself
+            self._failed(error)
+            return None
 
     def _try_abreast(self, scenario: Scenario) -> bool:
         """Whether scenarios like this one should go abreast: not if that has failed again and again of late."""
@@ -225,6 +244,17 @@ class Bench:
         return self._rows[:count].reshape(-1, width)
 
 
-def refused(error: ClosedLoopError) -> Outcome:
-    """Return the outcome of a scenario that cannot be simulated."""
-    return Outcome(REFUSED, str(error), 0, np.full(WIDTH, math.nan))
+def failed(error: Exception) -> Outcome:
+    """Return the outcome of a run that an error kept from coming to anything.
+
+    One of ours says what is wrong with the scenario. Any other is a fault that nobody foresaw, in this package or in
+    the machine: it costs its row and no other, the row says what and where, and the traceback goes to the log
+    ``closedloop.bench``. `simulate` of the row's values alone raises it.
+    """
+    if isinstance(error, ClosedLoopError):
+        return Outcome(REFUSED, str(error), 0, np.full(WIDTH, math.nan))
+    logging.getLogger(__name__).debug("a run failed", exc_info=error)
+    frames = traceback.extract_tb(error.__traceback__)[: -FRAMES - 1 : -1]
+    where = ", called from ".join(f"{Path(frame.filename).name}:{frame.lineno} in {frame.name}" for frame in frames)
+    reason = one_line(f"{type(error).__name__}: {' '.join(str(error).split())}"[:MOST_SAID])
+    return Outcome(FAILED, f"{reason} ({where})", 0, np.full(WIDTH, math.nan))

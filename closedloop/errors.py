@@ -7,7 +7,7 @@ The command line turns `ScenarioError` and `ModelError` into exit status 2 and
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 from robot_models.errors import ClosedLoopError, ModelError
 
@@ -68,6 +68,11 @@ class SimulationError(ClosedLoopError):
         super().__init__(message)
         self.time = time
         self.run = run
+
+    def __reduce__(self) -> tuple[Any, ...]:
+        # An exception is otherwise made anew from its message alone, which fails where a pool hands it over, and the
+        # pool waits for ever.
+        return type(self), (*self.args, self.time, self.run), dict(self.__dict__)
 
 
 class SingularClosureError(SimulationError):

@@ -46,6 +46,11 @@ class Pieces:
             self._taken -= self._kept.popitem(last=False)[1][1]
         return piece
 
+    def forget(self) -> None:
+        """Forget all, but what is common to several threads."""
+        self._kept.clear()
+        self._taken = 0
+
     def get_common(self, key: Hashable, make: Callable[[], T], size: Callable[[T], int]) -> T:
         """Return a piece that is only read: one for all threads, made by the first that asks while the others wait."""
         common = self._common or self

@@ -141,6 +141,11 @@ class Run:
         for column in self.columns.values():
             column.setflags(write=False)
 
+    def __setstate__(self, state: dict[str, Any]) -> None:
+        # An array that was pickled or copied may be written to again.
+        self.__dict__.update(state)
+        self.__post_init__()
+
     def __getattr__(self, name: str) -> NDArray[Any]:
         if name in COLUMNS:
             column: NDArray[Any] = self.columns[name]

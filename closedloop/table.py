@@ -80,9 +80,14 @@ def schema(types: Mapping[str, pa.DataType], keep: Sequence[str] = ()) -> pa.Sch
     fields = [field("run", whole, "1", "number of the run, from 0")]
     fields += [field(key, kind, key_unit(key), key_description(key)) for key, kind in types.items()]
     fields += [
-        field("status", text, "", "done; stopped: the figures are of what ran; refused: nothing ran"),
+        field(
+            "status",
+            text,
+            "",
+            "done; stopped: the figures are of what ran; refused: nothing ran; failed: an error that nobody foresaw",
+        ),
         field("verdict", text, "", "good, or what is wrong with the run, see closedloop.report.verdict"),
-        field("reason", text, "", "why it was stopped or refused"),
+        field("reason", text, "", "why it was stopped, was refused or failed"),
         field("rows", whole, "1", "rows of the run's record"),
         field("end_time", number, "s", "instant of the last row"),
     ]
@@ -127,10 +132,13 @@ def table_of(
     ]
     data += list(figures.T)
     data += [_by_joint([outcome.figures[WIDTH:] for outcome in outcomes], m) for m in range(len(JOINT_MEASURES))]
-    data += [[_rows(outcome.columns.get(name)) for outcome in outcomes] for name in keep]
-    arrays = [
-        values if isinstance(values, pa.Array) else pa.array(values, field.type, from_pandas=True)
-        for values, field in zip(data, columns, strict=True)
+    arrays: list[Any] = [
+        values if isinstance(values, pa.Array) else pa.array(values, columns.field(k).type, from_pandas=True)
+        for k, values in enumerate(data)
+    ]
+    arrays += [
+        pa.chunked_array([_whole_column(outcome.columns.get(name), columns.field(name).type) for outcome in outcomes])
+        for name in keep
     ]
     return pa.table(arrays, schema=columns)
 
@@ -145,6 +153,14 @@ def _by_joint(figures: Sequence[Array], which: int) -> pa.Array:
     return pa.ListArray.from_arrays(pa.array(ends, pa.int32()), flat)
 
 
-def _rows(column: Array | None) -> list[Array] | Array | None:
-    """Return a column as Arrow takes it: of a wide one its rows."""
-    return column if column is None or column.ndim == 1 else list(column)
+def _whole_column(column: Array | None, kind: pa.DataType) -> pa.Array:
+    """Return a run's whole column, (N,) or (N, k), as one list of Arrow's about the same memory: nothing is copied."""
+    import pyarrow as pa
+
+    if column is None:
+        return pa.nulls(1, kind)
+    values = pa.array(column.ravel(), pa.float64(), from_pandas=True)
+    if column.ndim == 2:
+        count, wide = column.shape
+        values = pa.ListArray.from_arrays(pa.array(wide * np.arange(count + 1, dtype=np.int32)), values)
+    return pa.ListArray.from_arrays(pa.array([0, len(column)], pa.int32()), values).cast(kind)

@@ -12,7 +12,6 @@ from typing import Any
 
 import numpy as np
 
-from closedloop.errors import ScenarioError
 from closedloop.scenario import Scenario, scenario_of
 
 # As many scenarios are looked at, spread over all, before a batch is begun of which none could be read.
@@ -52,13 +51,14 @@ class Variants:
         Raises
         ------
         ScenarioError
-            What is wrong with the first, if none of those looked at can be read: a key is unknown, most likely.
+            What is wrong with the first, if none of those looked at can be read: a key is unknown, most likely. An
+            error that nobody foresaw is raised as it is.
         """
-        first: ScenarioError | None = None
+        first: Exception | None = None
         for at in sorted(set(np.linspace(0, len(points) - 1, LOOKED_AT).round().astype(int).tolist())):
             try:
                 return self.scenario(points[at])
-            except ScenarioError as error:
+            except Exception as error:  # of its own run, which says it, as long as there are others
                 first = first or error
         assert first is not None
         raise first

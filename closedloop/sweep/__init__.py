@@ -6,11 +6,38 @@
 The table is made of parts, and a part of rows. A part is written whole or not at all, in a folder beside the table; a
 sweep that was killed finds the parts that are there, and runs the others. What a part holds depends on its number and
 on the sweep's identity alone, never on who ran it, so threads here and workers of a cluster give the same table.
+
+Names are loaded when they are first used, so that the command line can answer an interruption from its start.
 """
 
-from closedloop.sweep.axes import Axis, parse_axis
-from closedloop.sweep.design import Design
-from closedloop.sweep.maps import sweep_plot
-from closedloop.sweep.run import Sweep, run_sweep
+from __future__ import annotations
 
-__all__ = ["Axis", "Design", "Sweep", "parse_axis", "run_sweep", "sweep_plot"]
+from importlib import import_module
+from typing import TYPE_CHECKING, Any
+
+if TYPE_CHECKING:
+    from closedloop.sweep.axes import Axis as Axis
+    from closedloop.sweep.axes import parse_axis as parse_axis
+    from closedloop.sweep.design import Design as Design
+    from closedloop.sweep.maps import sweep_plot as sweep_plot
+    from closedloop.sweep.run import Sweep as Sweep
+    from closedloop.sweep.run import run_sweep as run_sweep
+
+_HOME = {
+    "Axis": "axes",
+    "Design": "design",
+    "Sweep": "run",
+    "parse_axis": "axes",
+    "run_sweep": "run",
+    "sweep_plot": "maps",
+}
+
+__all__ = sorted(_HOME)
+
+
+def __getattr__(name: str) -> Any:
+    if name not in _HOME:
+        raise AttributeError(f"module 'closedloop.sweep' has no attribute '{name}'")
+    value = getattr(import_module(f"closedloop.sweep.{_HOME[name]}"), name)
+    globals()[name] = value
+    return value

@@ -1,45 +1,90 @@
 """The command line of sweeps: ``python -m closedloop.sweep wam_slide --over law.force=5:15:101 --out force.parquet``.
 
-Exit status: 0 done, and runs that failed are rows that say why; 2 the input is at fault (one line on standard error);
-3 a cluster was lost on the way, and 130 interrupted: the same command goes on from there; 4 done, but the verdict of
-some run is bad, with --strict.
+Exit status: 0 done, and runs that were stopped or refused are rows that say why; 2 the input is at fault (one line on
+standard error); 3 an error that nobody foresaw kept a run from its end (its row says what and where), or a cluster was
+lost on the way; 4 with --strict, a run that did not end, failed or has a bad verdict. 130 interrupted, 143 ended by
+SIGTERM: the same command goes on from there, as after a cluster was lost.
 """
 
 from __future__ import annotations
 
 import argparse
+import os
+import signal
 import sys
+import threading
 import time as clock
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager, suppress
 from pathlib import Path
+from types import FrameType
+from typing import TYPE_CHECKING, NoReturn
 
-from closedloop.command import DONE, NOT_GOOD, Parser, run_command
-from closedloop.report.verdict import GOOD
+from closedloop.command import DONE, NOT_GOOD, STOPPED, Parser, run_command
+from closedloop.interrupts import Terminated, exit_status, word_for
+
+if TYPE_CHECKING:
+    from closedloop.sweep.join import Joined
+
+# Different verdicts that the last line names.
+MOST_VERDICTS = 4
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
     """Run the command line and return the exit status."""
-    return run_command(
-        "closedloop.sweep", _main, arguments, interrupted="interrupted; the same command goes on from here"
-    )
+    return run_command("closedloop.sweep", _main, arguments)
 
 
 def _main(words: list[str]) -> int:
-    return _plot(words[1:]) if words[:1] == ["plot"] else _sweep(words)
+    try:
+        return _plot(words[1:]) if words[:1] == ["plot"] else _sweep(words)
+    except KeyboardInterrupt as stop:
+        raise type(stop)(_last_words(stop, words)) from None
+
+
+def _last_words(stop: KeyboardInterrupt, words: Sequence[str]) -> str:
+    """Return what is said when a signal has ended it."""
+    then = "nothing was drawn" if words[:1] == ["plot"] else "the same command goes on from here"
+    return f"{word_for(stop)}; {then}"
+
+
+@contextmanager
+def _signals_raise() -> Iterator[None]:
+    """Raise `KeyboardInterrupt` in here at Ctrl-C, and `Terminated` at SIGTERM."""
+
+    def end(signum: int, frame: FrameType | None) -> NoReturn:
+        signal.signal(signal.SIGTERM, signal.SIG_IGN)  # it is on its way out
+        raise Terminated
+
+    if threading.current_thread() is not threading.main_thread():
+        yield
+        return
+    before = {
+        signal.SIGTERM: signal.signal(signal.SIGTERM, end),
+        signal.SIGINT: signal.signal(signal.SIGINT, signal.default_int_handler),
+    }
+    try:
+        yield
+    finally:
+        for signum, handler in before.items():
+            signal.signal(signum, signal.SIG_DFL if handler is None else handler)
 
 
 def _sweep(arguments: list[str]) -> int:
-    from closedloop.run import split_overrides
-
-    overrides, rest = split_overrides(arguments)
-    options = _sweep_parser().parse_args(rest)
     from closedloop.preparation import load_model
     from closedloop.progress import count
-    from closedloop.run import announce_compiling
+    from closedloop.run import announce_compiling, split_overrides
     from closedloop.scenario import load_scenario
     from closedloop.sweep import Design, Sweep, parse_axis, run_sweep
     from closedloop.sweep.design import GRID, LATIN, RANDOM
 
+    overrides, rest = split_overrides(arguments)
+    options = _sweep_parser().parse_args(rest)
+    if options.debug:
+        import logging
+
+        logging.basicConfig()
+        logging.getLogger("closedloop").setLevel(logging.DEBUG)
     kind = RANDOM if options.random is not None else LATIN if options.latin is not None else GRID
     axes = [parse_axis(text, drawn=kind != GRID) for text in options.over]
     design = Design(axes, kind, {RANDOM: options.random, LATIN: options.latin}.get(kind) or 0, options.seed)
@@ -58,23 +103,35 @@ def _sweep(arguments: list[str]) -> int:
             done.append((runs, total)) if not done else done.__setitem__(slice(1, None), [(runs, total)])
             show(runs, total)
 
-        result = run_sweep(sweep, out, workers=options.workers, scheduler=options.scheduler, progress=progress)
+        with _signals_raise():
+            result = run_sweep(sweep, out, workers=options.workers, scheduler=options.scheduler, progress=progress)
     seconds = clock.monotonic() - began
     runs = done[-1][0] - done[0][0] if done else 0
     before = len(design) - runs
-    statuses = ", ".join(f"{many} {status}" for status, many in sorted(result.counts.items()))
     columns = f" and {result.columns.name}" if result.columns else ""
     if runs:
         earlier = f" ({before} were there before)" if before else ""
         made = f"{runs} in {seconds:.1f} s, {runs / seconds:.3g} runs/s{earlier}; wrote {result.table}{columns}"
     else:
         made = f"all were there before, in {result.table}{columns}"
-    bad = {verdict: many for verdict, many in result.verdicts.items() if verdict != GOOD}
-    not_good = sum(bad.values())
-    most = max(bad, key=lambda verdict: bad[verdict], default="")
-    judged = f"; {not_good} with a bad verdict, most often: {most}" if not_good else ""
-    print(f"{len(design)} runs: {statuses}{judged}; {made}")
-    return NOT_GOOD if options.strict and not_good else DONE
+    print(f"{len(design)} runs: {_counted(result)}; {made}")
+    from closedloop.bench import FAILED
+    from closedloop.bench import STOPPED as HALTED
+
+    if options.strict and (result.verdicts or {HALTED, FAILED} & result.counts.keys()):
+        return NOT_GOOD
+    return STOPPED if FAILED in result.counts else DONE
+
+
+def _counted(result: Joined) -> str:
+    """Return how many runs ended how, and how many with a bad verdict, the commonest first."""
+    text = ", ".join(f"{many} {status}" for status, many in sorted(result.counts.items()))
+    if result.verdicts:
+        worst = sorted(result.verdicts.items(), key=lambda item: (-item[1], item[0]))
+        text += f"; {sum(result.verdicts.values())} with a bad verdict: "
+        text += "; ".join(f"{many} {said}" for said, many in worst[:MOST_VERDICTS])
+        text += "; ..." if len(worst) > MOST_VERDICTS else ""
+    return text
 
 
 def _sweep_parser() -> Parser:
@@ -86,9 +143,9 @@ def _sweep_parser() -> Parser:
         epilog="Any other key of the scenario can be set for all runs, as --law.kp 900 (see python -m closedloop.run\n"
         "--help). A sweep that was killed goes on where it was with the same command.\n\n"
         "python -m closedloop.sweep plot FILE draws maps of the table.\n\n"
-        "exit status: 0 done, and runs that failed are rows that say why; 2 the input is at fault; 3 a cluster was\n"
-        "lost on the way, and 130 interrupted: the same command goes on from there; 4 done, but the verdict of some\n"
-        "run is bad, with --strict",
+        "exit status: 0 done, and runs that were stopped or refused are rows that say why; 2 the input is at fault;\n"
+        "3 an error that nobody foresaw kept a run from its end, or a cluster was lost; 4 with --strict, a run did\n"
+        "not end or has a bad verdict; 130 interrupted, 143 ended by SIGTERM: the same command goes on from there",
         formatter_class=argparse.RawDescriptionHelpFormatter,
     )
     add = parser.add_argument
@@ -118,7 +175,8 @@ def _sweep_parser() -> Parser:
     add(
         "--workers", type=int, metavar="N", help="threads (default: one for each core); the table does not depend on it"
     )
-    add("--strict", action="store_true", help="exit with status 4 if the verdict of any run is bad")
+    add("--strict", action="store_true", help="exit status 4 if a run was stopped, failed or has a bad verdict")
+    add("--debug", action="store_true", help="print the traceback of a run that fails by an error that nobody foresaw")
     add("--scheduler", metavar="ADDRESS", help="run on the Dask cluster of this scheduler, such as tcp://host:8786")
     return parser
 
@@ -147,5 +205,36 @@ def _plot(arguments: list[str]) -> int:
     return DONE
 
 
+def _end_at_once_at_a_signal() -> None:
+    """Let Ctrl-C and SIGTERM end the process, as long as no sweep is at work: there is nothing to be tidied up.
+
+    An exception in the middle of the import of a large package would come out as whatever that package makes of it.
+    """
+
+    def end(signum: int, frame: FrameType | None) -> NoReturn:
+        stop = KeyboardInterrupt() if signum == signal.SIGINT else Terminated()
+        with suppress(OSError):
+            os.write(2, f"closedloop.sweep: {_last_words(stop, sys.argv[1:])}\n".encode())
+        os._exit(exit_status(stop))
+
+    for signum in (signal.SIGINT, signal.SIGTERM):
+        if signal.getsignal(signum) is not signal.SIG_IGN:  # as with nohup
+            signal.signal(signum, end)
+
+
+def _leave(status: int) -> NoReturn:
+    """End the process, without waiting for a run that is still under way though nobody wants it any more."""
+    from closedloop.threads import still_at_work
+
+    if still_at_work():
+        with suppress(OSError):
+            sys.stdout.flush()
+        with suppress(OSError):
+            sys.stderr.flush()
+        os._exit(status)
+    sys.exit(status)
+
+
 if __name__ == "__main__":
-    sys.exit(main())
+    _end_at_once_at_a_signal()
+    _leave(main())

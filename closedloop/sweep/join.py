@@ -1,8 +1,8 @@
 """From the parts of a sweep to its table, in order of the runs, part by part.
 
 The table is a Parquet file: typed columns, compressed, read by everything, in pieces if need be. Whole columns of the
-runs go into a NetCDF-4 file, as those of a single run do (`closedloop.runfile`), so that MATLAB, xarray and h5py open
-both alike. Zarr could be written in place, part by part, but is a folder of thousands of files that needs one more
+runs go into a NetCDF-4 file (`closedloop.sweep.columns`), as those of a single run do, so that MATLAB, xarray and h5py
+open both alike. Zarr could be written in place, part by part, but is a folder of thousands of files that needs one more
 package to be read; and HDF5, which a kill in the middle of writing would spoil, is written here only, from parts that
 are safe, under another name until it is whole.
 """
@@ -11,20 +11,24 @@ from __future__ import annotations
 
 import json
 from collections import Counter
+from collections.abc import Callable, Iterator
+from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
-
-import numpy as np
+from typing import TYPE_CHECKING, Any, BinaryIO
 
 from closedloop.errors import OutputError
-from closedloop.record import COLUMNS
-from closedloop.sweep.store import FORMAT, Store, check_identity, unwritable, whole
+from closedloop.files import remove_unfinished, write_whole
+from closedloop.sweep.columns import write_columns
+from closedloop.sweep.store import FORMAT, Store, check_identity, unwritable
+from closedloop.threads import Done, uninterrupted
 
 if TYPE_CHECKING:
     import pyarrow as pa
 
 METADATA = "closedloop_sweep"
+# The column that judges a run, where the table has it, and what it says of a good one.
+VERDICT, GOOD = "verdict", "good"
 # Rows of the table that are compressed together.
 ROWS_TOGETHER = 8192
 
@@ -42,7 +46,7 @@ class Joined:
     counts : mapping of str to int
         How many runs have each status.
     verdicts : mapping of str to int
-        How many runs have each verdict.
+        How many runs have each verdict that is not good.
     """
 
     table: Path
@@ -66,26 +70,28 @@ def already_there(identity: dict[str, Any], out: Path) -> Joined | None:
         raise OutputError(f"--out {out}: must end in .parquet")
     kept = out.with_suffix(".nc") if identity["keep"] else None
     try:
+        for path in (out, kept):
+            if path is not None and path.is_symlink() and not path.exists():
+                raise OutputError(f"--out {out}: {path} is a link to nothing; nothing was overwritten; remove it")
         if not out.exists():
             if kept is not None and kept.exists():
                 check_identity(_of_netcdf(kept), identity, kept)
             return None
-        try:
-            if out.is_dir():
-                raise ValueError("a folder")
-            found = json.loads((parquet.read_schema(out).metadata or {})[METADATA.encode()])
-        except (pa.ArrowInvalid, ValueError, KeyError):
-            found = None
+        found = counted = None
+        if out.is_file():  # and no folder, nor a pipe, which would be waited for
+            with suppress(pa.ArrowException, ValueError, KeyError):
+                found = json.loads((parquet.read_schema(out).metadata or {})[METADATA.encode()])
+                counted = _counted(parquet.read_table(out, columns=[*_judged(parquet.read_schema(out))]))
     except OSError as error:
+        if isinstance(error, OutputError):
+            raise
         raise unwritable(out, error) from None
     check_identity(found, identity, out)
+    if counted is None:
+        raise OutputError(f"--out {out}: is damaged; nothing was overwritten; remove it to run the sweep again")
     if kept is not None and not kept.exists():
         raise OutputError(f"--out {out}: is done, but {kept} is gone; remove the table to run it again")
-    store = Store(identity, out)
-    if store.folder.exists():  # killed after the last file was there
-        store.remove()
-    table = parquet.read_table(out, columns=["status", "verdict"])
-    return Joined(out, kept, *(Counter(table[name].to_pylist()) for name in ("status", "verdict")))
+    return Joined(out, kept, *counted)
 
 
 def join(store: Store, out: Path, parts: int, columns: pa.Schema, step: float) -> Joined:
@@ -107,78 +113,65 @@ def join(store: Store, out: Path, parts: int, columns: pa.Schema, step: float) -
     Raises
     ------
     OutputError
-        If a file cannot be written.
+        If a file cannot be written; the parts stay.
     """
-    import pyarrow as pa
-    from pyarrow import parquet
-
     description = json.dumps({"format": FORMAT, "identity": store.identity})
+    attributes = {METADATA: description}
+    kept = out.with_suffix(".nc") if store.identity["keep"] else None
     counts: Counter[str] = Counter()
     verdicts: Counter[str] = Counter()
 
-    def write_table(path: Path) -> None:
-        counts.clear()
-        verdicts.clear()
-        with parquet.ParquetWriter(path, columns.with_metadata({METADATA: description})) as writer:
-            waiting: list[pa.Table] = []
-            for part in range(parts):
-                waiting.append(store.read(part))
-                counts.update(waiting[-1]["status"].to_pylist())
-                verdicts.update(waiting[-1]["verdict"].to_pylist())
-                if part == parts - 1 or sum(map(len, waiting)) >= ROWS_TOGETHER:
-                    writer.write_table(pa.concat_tables(waiting).replace_schema_metadata(), row_group_size=2**30)
-                    waiting = []
+    def write(done: Done) -> None:
+        def write_table(file: BinaryIO) -> None:
+            for rows in _write_table(file, store, parts, columns.with_metadata(attributes), done.check):
+                statuses, bad = _counted(rows)
+                counts.update(statuses)
+                verdicts.update(bad)
 
-    kept = out.with_suffix(".nc") if store.identity["keep"] else None
-    try:
         if kept is not None:  # first: where the table is, all is there
-            whole(kept, lambda path: _write_columns(path, store, parts, description, step))
-        whole(out, write_table)
+            write_whole(kept, lambda file: write_columns(file, store, parts, attributes, step, done.check))
+        write_whole(out, write_table)
+
+    remove_unfinished(out.parent)  # of a process that was killed while it joined
+    try:
+        uninterrupted(write)
     except OSError as error:
-        raise unwritable(out, error) from None
+        raise OutputError(
+            f"--out {out}: {error}; what was done is kept: once there is room, the same command goes on"
+        ) from None
     store.remove()
-    return Joined(out, kept, counts, verdicts)
+    return Joined(out, kept, dict(counts), dict(verdicts))
 
 
-def _write_columns(path: Path, store: Store, parts: int, description: str, step: float) -> None:
-    import h5netcdf
+def _write_table(
+    file: BinaryIO, store: Store, parts: int, columns: pa.Schema, check: Callable[[], None]
+) -> Iterator[pa.Table]:
+    """Write the rows of all parts as Parquet into a file, and yield them some at a time."""
+    import pyarrow as pa
+    from pyarrow import parquet
 
-    runs, rows = store.identity["runs"], 0
-    for part in range(parts):
-        rows = max(rows, max(store.read(part)["rows"].to_pylist(), default=0))
-    with h5netcdf.File(path, "w") as file:
-        file.attrs[METADATA] = description
-        file.dimensions = {"run": runs, "time": rows, "axis": 3}
-        if "time.step" in store.identity["axes"]:
-            steps = file.create_variable("time_step", ("run",), "f8")
-            steps.attrs["units"] = "s"
-        else:
-            file.create_variable("time", ("time",), data=step * np.arange(rows)).attrs["units"] = "s"
-        first = 0
+    with parquet.ParquetWriter(file, columns) as writer:
+        waiting: list[pa.Table] = []
         for part in range(parts):
-            table = store.read(part)
-            stop = first + len(table)
-            if "time.step" in store.identity["axes"]:
-                steps[first:stop] = table["time.step"].to_numpy()
-            with np.load(store.columns_of(part), allow_pickle=False) as whole_columns:
-                for name in whole_columns.files:
-                    data = whole_columns[name]
-                    if data.shape[1] == 0:  # no run of this part has a row
-                        continue
-                    if name not in file.variables:
-                        _create(file, name, rows, data.shape[2:])
-                    file.variables[name][first:stop, : data.shape[1]] = data
-            first = stop
+            check()
+            waiting.append(store.read(part))
+            if part == parts - 1 or sum(map(len, waiting)) >= ROWS_TOGETHER:
+                rows = pa.concat_tables(waiting).replace_schema_metadata()
+                writer.write_table(rows, row_group_size=2**30)
+                yield rows
+                waiting = []
 
 
-def _create(file: Any, name: str, rows: int, wide: tuple[int, ...]) -> None:
-    column = COLUMNS[name]
-    if wide and column.dims[1] not in file.dimensions:
-        file.dimensions[column.dims[1]] = wide[0]
-    variable = file.create_variable(
-        name, ("run", *column.dims), "f8", fillvalue=np.nan, chunks=(1, max(rows, 1), *wide)
-    )  # fmt: skip
-    variable.attrs["units"], variable.attrs["long_name"] = column.units, column.meaning
+def _judged(columns: pa.Schema) -> list[str]:
+    """Return the columns that say how a run went."""
+    return [name for name in ("status", VERDICT) if name in columns.names]
+
+
+def _counted(rows: pa.Table) -> tuple[dict[str, int], dict[str, int]]:
+    """Return how many runs have each status, and each verdict that is not good."""
+    statuses = Counter(rows["status"].to_pylist())
+    verdicts = Counter(rows[VERDICT].to_pylist() if VERDICT in rows.column_names else ())
+    return dict(statuses), {said: many for said, many in verdicts.items() if said not in (None, GOOD)}
 
 
 def _of_netcdf(path: Path) -> Any:

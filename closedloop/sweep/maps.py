@@ -6,6 +6,7 @@ failed are marked where they are, not left out in silence.
 
 from __future__ import annotations
 
+import io
 from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, cast
@@ -15,6 +16,7 @@ from numpy.typing import NDArray
 
 from closedloop.errors import OutputError, ScenarioError
 from closedloop.figures.style import COLOURS, STYLE
+from closedloop.files import reason_of, write_whole
 from closedloop.sweep.scale import Scale, figure_of, flat, span
 
 if TYPE_CHECKING:
@@ -65,14 +67,13 @@ def sweep_plot(
         out = Path(table).with_suffix(".png")
     found = _read(Path(table)) if isinstance(table, (str, Path)) else table
     with mpl.rc_context(cast(Any, STYLE)):
-        figure = draw_maps(found, of, x, y)
+        figure, picture = draw_maps(found, of, x, y), io.BytesIO()
         try:
+            figure.savefig(picture, format=Path(out).suffix.removeprefix(".") or None)
             Path(out).parent.mkdir(parents=True, exist_ok=True)
-            figure.savefig(out)
         except (OSError, ValueError) as error:
-            reason = error.strerror if isinstance(error, OSError) else str(error).splitlines()[0]
-            raise OutputError(f"--out {out}: cannot be written: {reason}") from None
-    return Path(out)
+            raise OutputError(f"--out {out}: cannot be written: {reason_of(error)}") from None
+    return write_whole(out, picture.getbuffer())
 
 
 def draw_maps(table: pa.Table, of: Sequence[str] | None = None, x: str | None = None, y: str | None = None) -> Figure:

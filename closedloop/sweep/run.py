@@ -12,7 +12,7 @@ from pathlib import Path
 from typing import Any
 
 import robot_models
-from closedloop.batch import Done, side_by_side, threads_for
+from closedloop.batch import threads_for
 from closedloop.bench import Bench
 from closedloop.compiled import cache_folder
 from closedloop.errors import ScenarioError
@@ -24,8 +24,9 @@ from closedloop.simulation import check_engine, package_versions
 from closedloop.sweep.design import GRID, LATIN, Design
 from closedloop.sweep.join import Joined, already_there, join
 from closedloop.sweep.part import Job, bench_for, columns_of, run_part
-from closedloop.sweep.store import Store
+from closedloop.sweep.store import Store, tidy
 from closedloop.table import kept_columns
+from closedloop.threads import Done, side_by_side
 from closedloop.variants import Variants
 
 # Runs in a part: enough that writing it costs little, few enough that a kill loses little and all cores have work to
@@ -129,10 +130,10 @@ class Sweep:
         for name in sorted(names):
             try:
                 model = robot_models.load(name)
-            except robot_models.ModelError as error:
+            except Exception as error:  # of the runs with this robot, which say it, as long as there are others
                 if len(names) == 1:
                     raise
-                digests[name] = str(error)
+                digests[name] = f"{type(error).__name__}: {error}"
                 continue
             whole = (model.text, model.armature.tolist(), model.home.tolist(), model.tip)
             digests[name] = hashlib.sha256(json.dumps(whole).encode()).hexdigest()
@@ -178,8 +179,13 @@ def run_sweep(
     threads = threads_for(sweep.engine, workers)
     there = already_there(sweep.identity, out)
     if there is not None:
+        tidy(sweep.identity, out)
         return there
     with Store(sweep.identity, out) as store:
+        there = already_there(sweep.identity, out)  # since, by another process
+        if there is not None:
+            store.remove()
+            return there
         missing = [part for part in range(sweep.parts) if not store.has(part, len(sweep.runs_of(part)))]
         done = Done(sweep.design.runs - sum(len(sweep.runs_of(part)) for part in missing))
 
@@ -200,7 +206,7 @@ def run_sweep(
                 points = sweep.design[runs.start : runs.stop]
                 store.write(missing[at], *run_part(job, runs.start, points, bench, done.add))
 
-            side_by_side(one, len(missing), threads, lambda: bench_for(job, common), report)
+            side_by_side(one, len(missing), threads, lambda: bench_for(job, common), report, done)
         return join(store, out, sweep.parts, columns_of(sweep.job), sweep.scenario.time.step)
 
 

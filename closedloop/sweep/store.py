@@ -7,25 +7,29 @@ Beside ``sweep.parquet`` lies the folder ``sweep.parquet.parts`` with
     part-00000012.npz    its whole columns, if any are kept
 
 A file is written under another name, flushed to the disk and then renamed, which the operating system does at once or
-not at all. A lock on the file ``lock``, which dies with its process, keeps a second sweep out.
+not at all (`closedloop.files`). A lock on the file ``lock``, which dies with its process, keeps a second sweep out.
+What else may be in the folder is somebody's own, and stays there.
 """
 
 from __future__ import annotations
 
+import errno
+import io
 import json
 import os
-import shutil
+import re
+import stat
 import zipfile
-from collections.abc import Callable
 from contextlib import suppress
 from pathlib import Path
 from types import TracebackType
-from typing import IO, TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from closedloop.errors import OutputError
+from closedloop.files import remove_unfinished, write_whole
 
 if TYPE_CHECKING:
     import pyarrow as pa
@@ -33,7 +37,11 @@ if TYPE_CHECKING:
 Array = NDArray[np.float64]
 
 FORMAT = "closedloop sweep 2"
-UNFINISHED = ".unfinished"
+DESCRIPTION, LOCK = "sweep.json", "lock"
+# What is written here, and so may be removed again.
+_PART = re.compile(r"part-\d{8,}\.(arrow|npz)")
+# How often the lock's file is made anew where another process removes it in between.
+TRIES = 20
 
 
 class Store:
@@ -55,42 +63,51 @@ class Store:
     def __init__(self, identity: dict[str, Any], out: Path) -> None:
         self.identity, self.out = identity, out
         self.folder = out.with_name(f"{out.name}.parts")
-        self._lock: IO[str] | None = None
+        self._lock: int | None = None
 
     def __enter__(self) -> Store:
-        description, lock = self.folder / "sweep.json", self.folder / "lock"
         try:
-            self.folder.mkdir(parents=True, exist_ok=True)
-            names = {path.name for path in self.folder.iterdir() if not path.name.endswith(UNFINISHED)}
-            if names - {"lock"} and description.name not in names:
-                raise OutputError(f"--out {self.out}: {self.folder} is there and holds no sweep; name another file")
-            self._lock = lock.open("a", encoding="utf-8")
-            _lock(self._lock, self.out)
-            for unfinished in self.folder.glob(f".*{UNFINISHED}"):  # of those that were killed: the lock is ours
-                unfinished.unlink()
-            if not description.exists():
-                text = json.dumps({"format": FORMAT, "identity": self.identity}, indent=1)
-                whole(description, lambda path: path.write_text(text, encoding="utf-8"))
-            try:
-                found = json.loads(description.read_text(encoding="utf-8"))
-            except ValueError:
-                found = None
-            check_identity(found, self.identity, self.out)
+            self._open()
         except OSError as error:
             self._close()
-            if isinstance(error, OutputError):
-                raise
-            raise unwritable(self.out, error) from None
+            raise error if isinstance(error, OutputError) else unwritable(self.out, error) from None
+        except BaseException:
+            self._close()
+            raise
         return self
+
+    def _open(self) -> None:
+        if self.folder.is_symlink():
+            raise OutputError(f"--out {self.out}: {self.folder} is a link, and nothing is written through it")
+        description = self.folder / DESCRIPTION
+        self.folder.mkdir(parents=True, exist_ok=True)
+        if self._names() - {LOCK} and not description.is_file():
+            raise OutputError(f"--out {self.out}: {self.folder} is there and holds no sweep; name another file")
+        self._lock = _locked(self.folder / LOCK, self.out)
+        remove_unfinished(self.folder)  # of those that were killed
+        if not description.exists():
+            text = json.dumps({"format": FORMAT, "identity": self.identity}, indent=1)
+            write_whole(description, text.encode())
+        try:
+            found = json.loads(description.read_text(encoding="utf-8"))
+        except (ValueError, RecursionError):
+            found = None
+        check_identity(found, self.identity, self.out)
 
     def __exit__(
         self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
     ) -> None:
+        if kind is not None and self._lock is not None and not any(map(_PART.fullmatch, self._names())):
+            self.remove()  # nothing is done that could be gone on with
         self._close()
+
+    def _names(self) -> set[str]:
+        """Return the names of what is in the folder, but for what is about to get another."""
+        return {path.name for path in self.folder.iterdir() if not path.name.endswith(".unfinished")}
 
     def _close(self) -> None:
         if self._lock is not None:
-            self._lock.close()
+            os.close(self._lock)
             self._lock = None
 
     def rows_of(self, part: int) -> Path:
@@ -103,17 +120,24 @@ class Store:
 
     def has(self, part: int, runs: int) -> bool:
         """Return whether a part is there, with this many runs."""
-        path = self.rows_of(part)
-        if not path.exists():
+        import pyarrow as pa
+
+        if not self.rows_of(part).is_file():
             return False
+        keep = self.identity["keep"]
         try:
-            complete = bool(self.read(part).num_rows == runs)
-            if complete and self.identity["keep"]:
-                with np.load(self.columns_of(part), allow_pickle=False) as columns:
-                    complete = set(columns.files) == set(self.identity["keep"])
-        except (OSError, ValueError, EOFError, zipfile.BadZipFile):  # of a disk that lost its power
-            complete = False
-        return complete
+            if self.read(part).num_rows != runs:
+                return False
+            return not keep or (self.columns_of(part).is_file() and self.read_columns(part).keys() == set(keep))
+        except (
+            OSError,
+            ValueError,
+            EOFError,
+            KeyError,
+            zipfile.BadZipFile,
+            pa.ArrowException,
+        ):  # a disk lost its power
+            return False
 
     def read(self, part: int) -> pa.Table:
         """Return the rows of a part."""
@@ -122,50 +146,56 @@ class Store:
         with pa.OSFile(str(self.rows_of(part)), "rb") as file:
             return pa.ipc.open_file(file).read_all()
 
+    def read_columns(self, part: int) -> dict[str, Array]:
+        """Return the whole columns of a part."""
+        with np.load(self.columns_of(part), allow_pickle=False) as columns:
+            return {name: columns[name] for name in columns.files}
+
     def write(self, part: int, rows: pa.Table, columns: dict[str, Array]) -> None:
-        """Write a part."""
+        """Write a part, from memory: what a library does with a disk that is full is its own affair.
+
+        Raises
+        ------
+        OutputError
+            If it cannot be written.
+        """
         import pyarrow as pa
 
-        def write_rows(path: Path) -> None:
-            with pa.OSFile(str(path), "wb") as file, pa.ipc.new_file(file, rows.schema) as writer:
-                writer.write_table(rows)
-
-        def write_columns(path: Path) -> None:
-            with path.open("wb") as file:
-                np.savez(file, **columns)  # type: ignore[arg-type]
-
+        table, whole_columns = pa.BufferOutputStream(), io.BytesIO()
+        with pa.ipc.new_file(table, rows.schema) as writer:
+            writer.write_table(rows)
         try:
             if columns:
-                whole(self.columns_of(part), write_columns)
-            whole(self.rows_of(part), write_rows)
+                np.savez(whole_columns, **columns)  # type: ignore[arg-type]
+                write_whole(self.columns_of(part), whole_columns.getbuffer())
+            write_whole(self.rows_of(part), memoryview(table.getvalue()))
         except OSError as error:
-            raise OutputError(
-                f"{self.folder}: cannot be written: {error.strerror or error}; what was done is kept"
-            ) from None
+            raise OutputError(f"{error}; what was done is kept: once there is room, the same command goes on") from None
 
     def remove(self) -> None:
-        """Remove the folder, once the table is there."""
+        """Remove what was written here, and the folder, unless something else is in it; the lock goes last."""
+        mine = [path for path in self.folder.iterdir() if _PART.fullmatch(path.name)]
+        for path in [*mine, self.folder / DESCRIPTION, self.folder / LOCK]:
+            with suppress(OSError):
+                if stat.S_ISREG(path.lstat().st_mode):
+                    path.unlink()
+        with suppress(OSError):  # not empty
+            self.folder.rmdir()
         self._close()
-        shutil.rmtree(self.folder, ignore_errors=True)
+
+
+def tidy(identity: dict[str, Any], out: Path) -> None:
+    """Remove the parts of a sweep whose table is there: it was killed after the last rename."""
+    with suppress(OutputError):
+        store = Store(identity, out)
+        if store.folder.is_dir():
+            with store:
+                store.remove()
 
 
 def unwritable(out: Path, error: OSError) -> OutputError:
     """Return the refusal of a place that cannot be written."""
     return OutputError(f"--out {out}: cannot be written: {error.strerror or error}; name another file")
-
-
-def whole(path: Path, write: Callable[[Path], object]) -> None:
-    """Write a file such that it is there whole or not at all."""
-    unfinished = path.with_name(f".{path.name}{UNFINISHED}")
-    try:
-        write(unfinished)
-        with unfinished.open("rb") as file:
-            os.fsync(file.fileno())
-        unfinished.replace(path)
-    except BaseException:
-        with suppress(OSError):
-            unfinished.unlink(missing_ok=True)
-        raise
 
 
 def check_identity(found: Any, identity: dict[str, Any], out: Path) -> None:
@@ -187,12 +217,27 @@ def check_identity(found: Any, identity: dict[str, Any], out: Path) -> None:
         )
 
 
-def _lock(file: IO[str], out: Path) -> None:
+def _locked(path: Path, out: Path) -> int:
+    """Return the descriptor of a file that this process alone has locked; it is made if it is not there."""
     try:
         import fcntl
     except ImportError:  # not a Unix
-        return
-    try:
-        fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
-    except OSError:
-        raise OutputError(f"--out {out}: another process is at work on this sweep; wait for it, or end it") from None
+        return os.open(path, os.O_RDWR | os.O_CREAT, 0o666)
+    for _ in range(TRIES):
+        path.parent.mkdir(parents=True, exist_ok=True)
+        with suppress(FileNotFoundError):  # the folder was removed in between
+            file = os.open(path, os.O_RDWR | os.O_CREAT | os.O_NOFOLLOW | os.O_CLOEXEC, 0o666)
+            try:
+                fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
+                if os.path.samestat(os.fstat(file), path.lstat()):
+                    return file
+            except BlockingIOError:
+                os.close(file)
+                break
+            except OSError as error:
+                if error.errno in (errno.ENOLCK, errno.ENOSYS, errno.ENOTSUP):
+                    return file  # a file system without locks
+                os.close(file)
+                raise
+            os.close(file)
+    raise OutputError(f"--out {out}: another process is at work on this sweep; wait for it, or end it")

@@ -7,10 +7,12 @@ import pyarrow as pa
 import pytest
 
 import closedloop as cl
+from closedloop import bench
 from closedloop.pieces import Pieces
 from closedloop.preparation import prepare
 from closedloop.report.measures import MEASURES
 from closedloop.units import key_unit
+from closedloop.variants import Variants
 
 # What adds up is added in another order than numpy's: 8000 terms of like size, each rounded.
 SUMMED = {
@@ -241,10 +243,83 @@ def test_refusals(changes, options, said):
     assert said in str(refusal.value)
 
 
-def test_an_error_of_ours_ends_the_batch(monkeypatch):
-    """What is no fault of a scenario is not hidden in a row."""
-    monkeypatch.setattr("closedloop.bench.measure_rows", lambda *_: 1 / 0)
-    with pytest.raises(ZeroDivisionError):
+def break_for(monkeypatch, force, error, where="prepare"):
+    """Let a function that a bench calls raise an error of the interpreter's in the run with this force."""
+    whole = getattr(bench, where)
+
+    def broken(asked, *rest):
+        if getattr(asked, "scenario", asked).law.force == force:
+            raise error
+        return whole(asked, *rest)
+
+    monkeypatch.setattr(bench, where, broken)
+
+
+@pytest.fixture
+def abreast(monkeypatch):
+    """Let few and short runs go abreast, which is else not worth compiling."""
+    for module in ("bench", "batch"):
+        monkeypatch.setattr(f"closedloop.{module}.goes_abreast", lambda *_: True)
+
+
+@pytest.mark.parametrize(
+    "error", [ZeroDivisionError("division\nby zero"), MemoryError(), np.linalg.LinAlgError("singular")]
+)
+@pytest.mark.parametrize("where", ["prepare", "kind_of"])
+def test_an_error_that_nobody_foresaw_costs_its_row_and_no_other(request, monkeypatch, caplog, error, where):
+    """Alone or among eight side by side: the row says type, message and where, the others are as without it."""
+    if where == "kind_of":
+        request.getfixturevalue("abreast")
+    scenario = cl.load_scenario("wam_slide", {"time.duration": 0.004})
+    forces = [float(force) for force in range(1, 14)]
+    sound = cl.simulate_batch(scenario, {"law.force": forces})
+    assert set(sound["status"].to_pylist()) == {"done"}
+    break_for(monkeypatch, 5.0, error, where)
+    with caplog.at_level("DEBUG", "closedloop.bench"):
+        table = cl.simulate_batch(scenario, {"law.force": forces}, workers=1)
+    others = [i for i in range(13) if i != 4]
+    assert table.take(others).equals(sound.take(others))
+    failed = table.to_pylist()[4]
+    assert failed["status"] == "failed"
+    assert failed["reason"].startswith(f"{type(error).__name__}: {' '.join(str(error).split())}")
+    assert "test_batch.py:" in failed["reason"]
+    assert "in broken, called from bench.py:" in failed["reason"]
+    assert failed["reason"].isprintable()
+    assert (failed["rows"], failed["end_time"], failed["final_contact_force"]) == (0, None, None)
+    assert type(error).__name__ in caplog.text
+    assert "Traceback" in caplog.text
+
+
+def test_an_error_among_eight_side_by_side_leaves_them_to_go_alone(monkeypatch, abreast):
+    """A fault of the loop for eight itself costs no row: each of the eight goes alone."""
+    scenario = cl.load_scenario("wam_slide", {"time.duration": 0.004})
+    forces = [1.0, 2.0, 3.0, 4.0]
+    sound = cl.simulate_batch(scenario, {"law.force": forces})
+    tried = []
+    monkeypatch.setattr("closedloop.abreast.Abreast.run", lambda *_: tried.append(1) or 1 / 0)
+    assert cl.simulate_batch(scenario, {"law.force": forces}, workers=1).equals(sound)
+    assert tried == [1]
+
+
+def test_an_error_in_reading_the_first_scenario_costs_its_row(monkeypatch):
+    """Not even the first run, at which a batch looks before it begins, ends it."""
+    whole = Variants.scenario
+
+    def broken(self, values):
+        return 1 / 0 if values == (1.0,) else whole(self, values)
+
+    monkeypatch.setattr(Variants, "scenario", broken)
+    table = cl.simulate_batch(cl.load_scenario("wam_slide", {"time.duration": 0.002}), {"law.force": [1.0, 2.0]})
+    assert table["status"].to_pylist() == ["failed", "done"]
+    with pytest.raises(ZeroDivisionError):  # where there is no other, it is the batch that is broken
+        cl.simulate_batch(cl.load_scenario("wam_slide", {"time.duration": 0.002}), {"law.force": [1.0]})
+
+
+@pytest.mark.parametrize("error", [KeyboardInterrupt, SystemExit])
+def test_an_interruption_is_no_error_of_a_row(monkeypatch, error):
+    """Ctrl-C ends a batch."""
+    break_for(monkeypatch, 2.0, error())
+    with pytest.raises(error):
         cl.simulate_batch(cl.load_scenario("wam_slide", {"time.duration": 0.002}), {"law.force": [1.0, 2.0]})
 
 

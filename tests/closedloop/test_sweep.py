@@ -12,6 +12,7 @@ from pyarrow import parquet
 from sweeps import SMALL, refusal, sweep
 
 import closedloop as cl
+from closedloop import files
 from closedloop.progress import progress_text
 from closedloop.sweep import Design, Sweep, parse_axis, run_sweep
 from closedloop.sweep import store as store_module
@@ -180,12 +181,12 @@ def test_an_end_before_or_after_any_rename_costs_nothing(tmp_path, monkeypatch, 
     replace = Path.replace
     for after in (False, True):
         out, deaths = tmp_path / f"ended_{after}.parquet", 0
-        while True:
+        for _ in range(20):
             renames = iter(range(100))
 
             def rename(self, target, renames=renames, after=after):
                 # A part is done with its last file: less than a part each time would never come to an end.
-                if next(renames) == (len(keep) if after else 1 + len(keep)):
+                if next(renames) == (1 + len(keep)) * (1 if after else 2):
                     if after:
                         replace(self, target)
                     raise Killed
@@ -198,7 +199,7 @@ def test_an_end_before_or_after_any_rename_costs_nothing(tmp_path, monkeypatch, 
                     break
                 except Killed:
                     deaths += 1
-        assert deaths >= 6
+        assert deaths >= 3
         assert out.read_bytes() == whole
         assert not keep or same_columns(out.with_suffix(".nc"), tmp_path / "whole.nc")
         assert not out.with_name(f"{out.name}.parts").exists()
@@ -234,11 +235,12 @@ def test_only_what_is_missing_is_run(tmp_path, monkeypatch):
     assert made == list(range(6))
     (folder / "part-00000002.arrow").unlink()
     (folder / "part-00000004.arrow").write_bytes(b"")
-    (folder / ".part-00000005.arrow.unfinished").write_bytes(b"half")
+    left = folder / files._unfinished_name()
+    left.write_bytes(b"half")
     made.clear()
     run_sweep(small(), out, workers=1)
     assert made == [2, 4]
-    assert not (folder / ".part-00000005.arrow.unfinished").exists()
+    assert not left.exists()
 
 
 def test_a_sweep_that_is_done_is_not_run_again(capsys, tmp_path, monkeypatch):

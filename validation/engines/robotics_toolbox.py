@@ -3,6 +3,7 @@
 
 from __future__ import annotations
 
+from importlib import import_module
 from types import MappingProxyType
 from typing import Any
 
@@ -105,7 +106,7 @@ def _finite(x: Array) -> Array:
 
 def _build(tree: Tree, tip: str) -> tuple[Any, list[int]]:
     """Return the toolbox's robot and the columns of the joints on the path to the tip."""
-    import roboticstoolbox as rtb
+    rtb: Any = import_module("roboticstoolbox")  # its own types confuse its classes with the modules they stand in
     from spatialmath import SE3
 
     turned = [_z_along(axis) for axis in tree.axis]

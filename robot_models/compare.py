@@ -98,7 +98,7 @@ def _check_joint(model: "pin.Model", link: Link, parent: int, placement: Array, 
         ("effort limit", model.effortLimit[v], bounds.effort),
         ("armature", model.armature[v], link.armature),
     ):
-        if not (is_ == said or abs(is_ - said) <= EQUAL * abs(said)):
+        if not (is_ == said or (np.isfinite(said) and abs(is_ - said) <= EQUAL * abs(said))):
             raise _differs(at, what, is_, said)
     return joint
 
@@ -114,13 +114,15 @@ def _check_weight(held: "pin.Inertia", links: list[Link], poses: list[Array], le
         raise _differs(_culprit(at, where, links, poses, held), "mass", held.mass, said.mass)
     centres = [pose[:3, :3] @ weight.centre + pose[:3, 3] for weight, pose in zip(weights, poses, strict=True)]
     reach = max((float(np.linalg.norm(centre)) for centre in centres), default=0.0)
-    numbers = np.concatenate([[said.mass * (reach + length) ** 2], said.centre, said.tensor.ravel()])
+    numbers = np.concatenate([[said.mass * (reach + length) * (reach + length)], said.centre, said.tensor.ravel()])
     if not np.isfinite(numbers).all():
         raise ModelError(f"{at}: the inertia is not finite: some number is far too large")
     if said.mass and not np.abs(held.lever - said.centre).max() <= EQUAL * reach + _ROUNDING * length:
         raise _differs(at, "centre of mass", np.array(held.lever), said.centre)
     size = sum(float(np.abs(weight.tensor).max()) for weight in weights) + float(np.abs(said.tensor).max())
-    if not np.abs(held.inertia - said.tensor).max() <= EQUAL * size + _ROUNDING * mass * (reach + length) ** 2:
+    if not np.abs(held.inertia - said.tensor).max() <= EQUAL * size + _ROUNDING * mass * (reach + length) * (
+        reach + length
+    ):
         raise _differs(at, "inertia tensor", np.array(held.inertia)[*_UPPER], said.tensor[*_UPPER])
 
 

@@ -29,11 +29,11 @@ from robot_models.mjcf_defaults import Defaults
 from robot_models.mjcf_mechanism import TURNS, Units, mechanism, pose
 from robot_models.mjcf_schema import check_schema
 from robot_models.mjcf_values import (
-    check_geom,
+    check_shape,
     check_inertial,
     check_joint,
     check_neutral,
-    check_values,
+    check_turns,
     check_weighing_bodies,
     check_weighing_geom,
     is_mesh,
@@ -172,6 +172,9 @@ def _write_plainly(body: ET.Element, units: Units) -> None:
     import pinocchio as pin
 
     for joint in body.iter("joint"):
+        for key in ("range", "actuatorfrcrange"):
+            if key in joint.attrib and not any(map(float, joint.attrib[key].split())):
+                del joint.attrib[key]  # two zeros are no range
         if "range" in joint.attrib and joint.get("type") != "slide":
             low, high = (units.angle(float(word)) for word in joint.attrib["range"].split())
             joint.set("range", f"{low!r} {high!r}")
@@ -246,9 +249,9 @@ def _copy_body(
         name = f"{child.tag} {given['name']!r}" if "name" in given else f"a {child.tag} without a name"
         here = f"{where}: {name}"
         check_neutral(child, given, here)
-        check_values(child.tag, given, units, here)
-        if child.tag == "geom":
-            check_geom(given, here)
+        check_turns(child.tag, given, units, here)
+        if child.tag in ("geom", "site"):
+            check_shape(child.tag, given, here)
         if child.tag == "geom" and weighs:
             check_weighing_geom(given, at)
         elif child.tag == "geom" and is_mesh(given):

@@ -4,6 +4,7 @@ MuJoCo refuses a misspelt attribute, a name that occurs twice and a reference to
 a model, even where the fault lies in a section that has no part in the mechanism.
 """
 
+import re
 import xml.etree.ElementTree as ET
 from dataclasses import dataclass, field
 from difflib import get_close_matches
@@ -11,16 +12,25 @@ from functools import cache
 from pathlib import Path
 
 from robot_models.errors import ModelError
+from robot_models.xml_text import numbers
 
 # One element a line, indented by dots: its tag, how often it may stand in its parent (?, *, ! for once, R for nested)
-# and its attributes. Written from mj_printSchema of MuJoCo 3.17; a test compares the two.
+# and its attributes, from mj_printSchema of MuJoCo 3.17; a test compares the two. Behind an attribute stands what it
+# holds, as MuJoCo's own answers to trial values say: ":3" three numbers, ":1-5" one to five, ":1-" any number of them,
+# an "i" behind for whole ones and an "f" for such as fit a float; "=a|b" one of these words.
 _FILE = Path(__file__).with_name("mjcf_schema.txt")
+
+_WHOLE = re.compile(r"[-+]?[0-9]{1,12}", re.ASCII)
+_FLOAT_MAX = 3.4e38
 
 #: Elements that enclose bodies; what may stand in them is judged where they are read.
 _BODIES = ("worldbody", "body", "frame", "replicate")
 
 # Sections in which all elements share one space of names.
 _SHARED = ("actuator", "sensor", "tendon", "equality")
+
+# What an actuator drives, one of these.
+_DRIVEN = {"joint", "jointinparent", "tendon", "slidersite", "site", "body"}
 
 # Which attribute names an element of which space, wherever it stands.
 _REFERENCES = {
@@ -37,7 +47,7 @@ class _Element:
     """One line of the schema."""
 
     many: str
-    attributes: frozenset[str]
+    attributes: dict[str, str]
     children: dict[str, "_Element"] = field(default_factory=dict)
 
 
@@ -47,12 +57,17 @@ def _schema() -> _Element:
     for line in _FILE.read_text(encoding="utf-8").splitlines():
         tag, many, *attributes = line.split()
         depth = (len(tag) - len(tag.lstrip("."))) // 2
-        element = _Element(many, frozenset(attributes))
+        element = _Element(many, dict(_split(word) for word in attributes))
         del path[depth:]
         if path:
             path[-1].children[tag.lstrip(".")] = element
         path.append(element)
     return path[0]
+
+
+def _split(word: str) -> tuple[str, str]:
+    end = min((word.index(mark) for mark in ":=" if mark in word), default=len(word))
+    return word[:end], word[end:]
 
 
 def check_schema(root: ET.Element, where: str) -> None:
@@ -115,17 +130,39 @@ def _alias(tag: str) -> str:
 
 
 def _check_attributes(element: ET.Element, schema: _Element, at: str) -> None:
-    for key in element.attrib:
+    for key, value in element.attrib.items():
         if key not in schema.attributes:
             raise ModelError(f"{at}: unknown attribute {key!r}{_near(key, schema.attributes)}")
+        _check_value(value, schema.attributes[key], f"{at}: {key}")
     if element.tag == "worldbody" and element.attrib:
         raise ModelError(f"{at}: the world has no attributes: give them to a body in it")
+
+
+def _check_value(value: str, holds: str, what: str) -> None:
+    if holds.startswith("="):
+        words = holds[1:].split("|")
+        if value not in words:
+            raise ModelError(f"{what} is {value!r}: it must be one of {', '.join(words)}")
+    if not holds.startswith(":"):
+        return
+    kind = holds[-1] if holds[-1] in "if" else ""
+    least, *most = holds[1:].removesuffix(kind).split("-")
+    exact = int(least) if not most else None
+    found = numbers(value, exact, what)
+    if most and not int(least) <= len(found) <= int(most[0] or len(found)):
+        raise ModelError(f"{what} is {value!r}: it must be {least} to {most[0]} numbers")
+    if kind == "i" and not all(_WHOLE.fullmatch(word) and abs(int(word)) < 2**31 for word in value.split()):
+        raise ModelError(f"{what} is {value!r}: it must be {'a whole number' if exact == 1 else 'whole numbers'}")
+    if kind == "f" and any(abs(number) > _FLOAT_MAX for number in found):
+        raise ModelError(f"{what} is {value!r}: some number is far too large")
 
 
 def _check_references(section: ET.Element, names: dict[str, set[str]], where: str) -> None:
     if section.tag in ("default", "visual", "extension", "custom"):
         return
     for element in section.iter():
+        if section.tag == "actuator" and element is not section and not _DRIVEN & set(element.attrib):
+            raise ModelError(f"{where}: <{element.tag}> {element.get('name', '')!r} drives nothing: give it a joint")
         for key, value in element.attrib.items():
             space = _REFERENCES.get(key, "")
             if space and value not in names.get(space, ()):

@@ -8,30 +8,7 @@ from robot_models.errors import ModelError
 from robot_models.mechanism import Link
 from robot_models.mjcf_mechanism import LEAST_LENGTH, TURNS, Units, pose, sizes, tensor_of
 from robot_models.physics import LEAST_INERTIA, check_tensor
-from robot_models.xml_text import numbers
-
-# The least and the most numbers that an attribute holds; None leaves it open. Others are words.
-_COUNTS: dict[str, tuple[int, int | None]] = {
-    **dict.fromkeys(("mass", "armature", "density", "contype", "conaffinity"), (1, 1)),
-    **dict.fromkeys(("frictionloss", "springref", "margin", "gap", "group", "condim", "priority", "solmix"), (1, 1)),
-    **dict.fromkeys(("range", "actuatorfrcrange", "springdamper"), (2, 2)),
-    **dict.fromkeys(("pos", "euler", "zaxis", "axis", "diaginertia"), (3, 3)),
-    **dict.fromkeys(("quat", "axisangle", "rgba"), (4, 4)),
-    **dict.fromkeys(("xyaxes", "fullinertia", "fromto"), (6, 6)),
-    **dict.fromkeys(("solref", "solreflimit", "solreffriction"), (1, 2)),
-    **dict.fromkeys(("solimp", "solimplimit", "solimpfriction", "fluidcoef"), (1, 5)),
-    **dict.fromkeys(("friction", "size"), (1, 3)),
-    **dict.fromkeys(("damping", "user"), (1, None)),
-}
-_WHOLE = ("contype", "conaffinity", "group", "condim", "priority")
-_SWITCH = ("false", "true", "auto")
-_WORDS = {
-    ("joint", "type"): ("free", "ball", "slide", "hinge"),
-    ("geom", "type"): ("plane", "hfield", "sphere", "capsule", "ellipsoid", "cylinder", "box", "mesh", "sdf"),
-    ("site", "type"): ("sphere", "capsule", "ellipsoid", "cylinder", "box", "mesh"),
-    **{("joint", key): _SWITCH for key in ("limited", "actuatorfrclimited")},
-    **dict.fromkeys((("joint", "actuatorgravcomp"), ("geom", "shellinertia")), ("false", "true")),
-}
+from robot_models.xml_text import angles, numbers
 
 # What would change the motion if it were dropped: element, attribute, the values that change nothing.
 _NEUTRAL = (
@@ -69,22 +46,13 @@ def check_neutral(element: ET.Element, given: dict[str, str], at: str) -> None:
             raise ModelError(f"{at}: {key} is {given[key]!r}, which is not honoured: {cure}")
 
 
-def check_values(tag: str, given: dict[str, str], units: Units, at: str) -> None:
-    """Refuse an attribute that holds no numbers, too few or too many, an unknown word, or a turn that turns nothing."""
-    for key, value in given.items():
-        if key in _COUNTS:
-            least, most = _COUNTS[key]
-            count = len(numbers(value, most if least == most else None, f"{at}: {key}"))
-            if most is not None and not least <= count <= most:
-                raise ModelError(f"{at}: {key} is {value!r}: it must be {least} to {most} numbers")
-            if key in _WHOLE and not value.lstrip("+-").isdigit():
-                raise ModelError(f"{at}: {key} is {value!r}: it must be a whole number")
-        words = _WORDS.get((tag, key))
-        if words is not None and value not in words:
-            raise ModelError(f"{at}: {key} is {value!r}: it must be one of {', '.join(words)}")
+def check_turns(tag: str, given: dict[str, str], units: Units, at: str) -> None:
+    """Refuse a turn that turns nothing, or more than one."""
     turns = [key for key in TURNS if key in given]
     if len(turns) > 1:
         raise ModelError(f"{at} is turned by {' and '.join(turns)}: one of them is allowed")
+    for key, words in (("euler", given.get("euler", "0")), ("axisangle", given.get("axisangle", "0").split()[-1])):
+        angles(words, len(words.split()), f"{at}: {key}")
     try:
         pose(given, units)
     except ModelError as error:
@@ -140,19 +108,23 @@ def check_weighing_geom(given: dict[str, str], at: str) -> None:
         raise ModelError(f"{at} takes its inertia from the shell of a geom: give it an <inertial>")
 
 
-def check_geom(given: dict[str, str], here: str) -> None:
-    """Refuse a shape without a size, and a negative mass."""
+def check_shape(tag: str, given: dict[str, str], here: str) -> None:
+    """Refuse a geom or site without a size, and a negative mass."""
     for key in ("mass", "density"):
         if key in given and float(given[key]) < 0.0:
             raise ModelError(f"{here}: {key} is {given[key]}: it must not be negative")
     kind = given.get("type", "sphere")
     if "fromto" in given and kind not in ("capsule", "cylinder", "box", "ellipsoid"):
         raise ModelError(f"{here}: fromto is for capsule, cylinder, box and ellipsoid, not for {kind}")
-    if is_mesh(given):
-        return
-    wanted, size = {"sphere": 1, "capsule": 2, "cylinder": 2}.get(kind, 3), sizes(given)
-    if len(size) < wanted or min(size) <= 0.0:
-        raise ModelError(f"{here}: size is {given.get('size', '')!r}: a {kind} needs {wanted} positive numbers")
+    least = [float(word) for word in given.get("size", "").split()]
+    if kind == "plane" and "mesh" not in given:  # two half lengths, 0 for no end, and the spacing of its grid
+        if len(least) < 3 or min(least[:2]) < 0.0 or least[2] <= 0.0:
+            raise ModelError(f"{here}: size is {given.get('size', '')!r}: a plane needs two numbers and a positive one")
+    elif not is_mesh(given):
+        wanted, size = {"sphere": 1, "capsule": 2, "cylinder": 2}.get(kind, 3), sizes(given)
+        # A site has a size of its own where it gives none.
+        if (len(size) < wanted and tag == "geom") or min(size, default=1.0) <= 0.0:
+            raise ModelError(f"{here}: size is {given.get('size', '')!r}: a {kind} needs {wanted} positive numbers")
 
 
 def check_weighing_bodies(links: list[Link], where: str) -> None:

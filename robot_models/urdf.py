@@ -17,12 +17,30 @@ from typing import TYPE_CHECKING
 from robot_models.errors import ModelError
 from robot_models.mechanism import check_size
 from robot_models.physics import check_tensor
-from robot_models.xml_text import numbers, parse, tidy
+from robot_models.xml_text import angles, numbers, parse, tidy
 
 if TYPE_CHECKING:
     import yourdfpy
 
 MOVING = ("revolute", "continuous", "prismatic")
+
+_OWN = {
+    *(
+        "robot",
+        "link",
+        "joint",
+        "inertial",
+        "origin",
+        "mass",
+        "inertia",
+        "parent",
+        "child",
+        "axis",
+        "limit",
+        "dynamics",
+    ),
+    *("mimic", "visual", "collision", "geometry", "box", "cylinder", "sphere", "mesh", "material", "color", "texture"),
+}
 
 _VERSIONS = ("1", "1.0", "1.1", "1.2")
 
@@ -52,6 +70,9 @@ def read(text: str, where: str) -> str:
         raise ModelError(f"{where}: <robot> has no name")
     if any("xacro" in key for element in root.iter() for key in (element.tag, *element.attrib)):
         raise ModelError(f"{where} is a xacro template: expand it to a URDF first")
+    for element in root.iter():
+        if element.tag.startswith("{") and element.tag.split("}")[1] in _OWN:
+            raise ModelError(f"{where}: <{element.tag.split('}')[1]}> stands in an XML namespace: drop its xmlns")
     joints = [joint for joint in root.findall("joint") if joint.get("type", "").strip() in MOVING]
     check_size(len(root.findall("link")), len(joints), where)
     changed = tidy(root)
@@ -68,7 +89,7 @@ def read(text: str, where: str) -> str:
         # Without xyz urdfdom takes no direction at all, yourdfpy takes x.
         xyz = numbers(axis.get("xyz", ""), 3, f"{at}: axis xyz")
         length = hypot(*xyz)
-        if length < 1e-9:
+        if not 1e-9 <= length <= 1e9:
             raise ModelError(f"{at}: axis is {axis.get('xyz')!r}: a moving joint needs a direction")
         if abs(length - 1.0) > _UNIT:
             axis.set("xyz", " ".join(repr(x / length) for x in xyz))
@@ -151,7 +172,7 @@ def _check_origin(element: ET.Element, at: str) -> None:
         if key == "quat_xyzw":
             raise ModelError(f"{at}: origin quat_xyzw is not read by every reader: give rpy")
         if key in ("xyz", "rpy"):
-            numbers(value, 3, f"{at}: origin {key}")
+            (angles if key == "rpy" else numbers)(value, 3, f"{at}: origin {key}")
 
 
 def _check_limit(joint: ET.Element, kind: str, at: str) -> None:

@@ -153,6 +153,24 @@ def tidy(root: ET.Element) -> bool:
     return changed
 
 
+#: An angle beyond this, rad or degrees, is no turn that anyone means, and its sine is noise.
+MAX_ANGLE = 1e6
+
+
+def angles(value: str, count: int, what: str) -> list[float]:
+    """Return the angles in an attribute, as `numbers` does.
+
+    Raises
+    ------
+    ModelError
+        Also where an angle is beyond `MAX_ANGLE`.
+    """
+    found = numbers(value, count, what)
+    if max(map(abs, found)) > MAX_ANGLE:
+        raise ModelError(f"{what} is {value!r}: an angle beyond {MAX_ANGLE:g} is no turn")
+    return found
+
+
 def numbers(value: str, count: int | None, what: str) -> list[float]:
     """Return the finite numbers in an attribute.
 

@@ -186,7 +186,7 @@ MJCF = {
     "names clash": (mjcf(joint='<joint name="elbow"/>'), ["'elbow'", "differ"]),
     "unknown class": (mjcf(joint='<joint name="shoulder" class="k"/>'), ["'k'", "<default>"]),
     "two defaults": (mjcf(head="<default/><default/>"), ["2 <default>"]),
-    "keyframe is no posture": (mjcf(tail='<keyframe><key qpos="1 x"/></keyframe>'), ["keyframe", "'x'"]),
+    "keyframe is no posture": (mjcf(tail='<keyframe><key qpos="1 x"/></keyframe>'), ["<key>", "qpos", "'x'"]),
     "doctype": ('<!DOCTYPE mujoco [<!ENTITY a "b">]>' + mjcf(), ["DOCTYPE"]),
     "include of a missing file": (mjcf(head='<include file="gone.xml"/>'), ["gone.xml", "no such file"]),
     "nothing moves": ("<mujoco><worldbody><body name='a'/></worldbody></mujoco>", ["no joint that moves"]),

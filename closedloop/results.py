@@ -13,7 +13,7 @@ from pathlib import Path
 from typing import Any
 
 from closedloop.errors import ClosedLoopError, InterruptedRunError, OutputError, RunFileError
-from closedloop.files import reason_of, remove_unfinished, write_whole
+from closedloop.files import reason_of, refuse_special, remove_unfinished, write_whole
 from closedloop.interrupts import held_back
 from closedloop.record import Run
 from closedloop.sealed import read_sealed
@@ -61,6 +61,8 @@ class Results:
     def _look(self, question: dict[str, str]) -> str:
         """Return why what is in the folder may not be replaced, and "" if it may."""
         file, summary = self.folder / RUN, self.folder / SUMMARY
+        refuse_special(file)
+        refuse_special(summary)
         if file.is_symlink() or file.exists():
             try:
                 found, columns = read_sealed(file, ["time"])

@@ -163,10 +163,14 @@ def test_torque_that_is_not_finite_stops_the_run(engine):
     assert len(caught.value.run) == 5
 
 
-def test_exception_of_a_compiled_law_is_raised():
-    """What a compiled law raises arrives, as from a law in Python."""
-    with pytest.raises(ValueError, match="enough"):
-        cl.simulate(cl.load_scenario("wam_slide", {"time.duration": 0.01}), law=gives_up, engine="compiled")
+@pytest.mark.parametrize("engine", ["pinocchio", "compiled"])
+def test_exception_of_a_compiled_law_keeps_what_ran(engine):
+    """What a compiled law raises arrives, as from a law in Python: with its line, and with the rows before it."""
+    scenario = cl.load_scenario("wam_slide", {"time.duration": 0.01})
+    with pytest.raises(cl.LawError, match=r"test_compiled_law.py:\d+: ValueError: enough") as caught:
+        cl.simulate(scenario, law=gives_up, engine=engine)
+    assert isinstance(caught.value.__cause__, ValueError)
+    assert len(caught.value.run) == 5
 
 
 LAWS = """

@@ -2,7 +2,6 @@
 
 import signal
 
-import numba
 import numpy as np
 import pytest
 
@@ -105,23 +104,6 @@ def test_a_law_that_leaves_python_is_a_law_that_failed():
     with pytest.raises(cl.LawError, match="SystemExit") as caught:
         cl.simulate(scenario(), law=soft_until(leave))
     assert len(caught.value.run) == 101
-
-
-@pytest.mark.slow
-def test_an_exception_in_a_compiled_law_keeps_what_ran():
-    """What a law raises inside the compiled loop comes out as it does from Python's, with the same rows before it."""
-
-    @numba.njit
-    def law(t, q, v, terms):
-        if t > 0.1005:
-            raise ValueError("no more")
-        return terms.bias - 5.0 * terms.jacobian[2] - 5.0 * v
-
-    with pytest.raises(cl.LawError, match=r"test_interrupted.py:\d+: ValueError: no more") as caught:
-        cl.simulate(scenario(), law=law, engine="compiled")
-    assert isinstance(caught.value.__cause__, ValueError)
-    assert len(caught.value.run) == 101
-    assert caught.value.run.engine == "compiled"
 
 
 @pytest.mark.parametrize("integrator", INTEGRATORS)

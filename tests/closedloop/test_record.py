@@ -12,6 +12,7 @@ import xarray
 import closedloop as cl
 import robot_models
 from closedloop.record import COLUMNS
+from closedloop.sealed import seal
 from robot_models.shipped import path_of
 
 
@@ -39,11 +40,13 @@ def same(one, other):
 
 
 def copy_of(saved, tmp_path, change):
-    """Return a copy of the file in which `change` has done its work."""
+    """Return a copy in which `change` has done its work, without a checksum that would tell, and with a seal anew."""
     file = tmp_path / "changed.nc"
     shutil.copy(saved, file)
     with h5py.File(file, "r+") as h5:
+        del h5.attrs["checksum"]
         change(h5)
+    file.write_bytes(file.read_bytes() + seal(file.read_bytes()))
     return file
 
 
@@ -314,6 +317,14 @@ DAMAGE = {
     "a column is missing": lambda h5: h5.__delitem__("torque"),
     "a column is shorter": replace_column("contact_force", lambda x: x[:5]),
     "a column is text": replace_column("contact_force", lambda x: np.array([b"x"] * len(x))),
+    "a number is none": replace_column("contact_force", lambda x: np.where(np.arange(len(x)) == 7, np.nan, x)),
+    "a number is infinite": replace_column("v", lambda x: x + np.inf),
+    "robot is deep": set_attribute("robot", "[" * 100_000),
+    "versions are deep": set_attribute("versions", '{"a":' * 5_000 + "1" + "}" * 5_000),
+    "a whole number is huge": set_robot(armature=[10**400, 1, 1, 1]),
+    "format version is huge": set_attribute("format_version", "9" * 5000),
+    "engine is unknown": set_attribute("engine", "warp"),
+    "scenario has a huge number": set_attribute("scenario", "law = {kp = " + "9" * 5000 + "}"),
     "a column has another shape": replace_column("torque", lambda x: x[:, :2].copy()),
 }
 
@@ -365,7 +376,7 @@ def test_foreign_file_is_refused_in_one_line(content, words, saved, tmp_path, co
 @pytest.mark.parametrize("name", ["nowhere.nc", "."])
 def test_file_that_is_not_there(name, tmp_path):
     """A missing file, or a folder, is said to be none."""
-    with pytest.raises(cl.RunFileError, match=r"no such file|not a file"):
+    with pytest.raises(cl.RunFileError, match=r"no such file|is a folder, not a run file"):
         cl.load_run(tmp_path / name)
 
 

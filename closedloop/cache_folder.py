@@ -5,8 +5,8 @@
         step.run-<32 hex>.nbc               one compiled form of one function, see `closedloop.compile_cache`
 
 Folders of other versions of the source stay for a month after their last use. What is removed was provably written
-here: the folder's name, the marker, the owner, and the name and the first bytes of every file in it are checked, no
-link is followed, and a folder with anything else in it is left as it is.
+here: the folder's name, the marker, the owner, and the name and the end of every file in it are checked, no link is
+followed, and a folder with anything else in it is left as it is.
 """
 
 from __future__ import annotations
@@ -32,7 +32,7 @@ MARKS = (b"\n@kernel", b"\n@inlined_kernel", b"\n@entry_kernel", b"\n@brief_entr
 COMPILERS = ("compiled.py", "nested.py")
 
 MARKER = "closedloop-cache"
-MAGIC = b"closedloop code 1\n"
+MAGIC = b"closedloop code 1\n"  # the end of every file
 FOLDER_NAME = re.compile(r"closedloop-[0-9a-f]{16}")
 FILE_NAME = re.compile(r"[\w.]+-[0-9a-f]{32}\.nbc(\.tmp\.[0-9a-f]{16})?")
 # Folders of other versions go when they have not been used for so long, s; of more than so many, after a shorter time.
@@ -161,5 +161,5 @@ def _is_code(entry: os.DirEntry[str]) -> bool:
     if not (found and entry.is_file(follow_symlinks=False)):
         return False
     with open(entry.path, "rb") as file:
-        begins = file.read(len(MAGIC))
-    return begins == MAGIC or (found[1] is not None and MAGIC.startswith(begins))
+        content = file.read()
+    return content.endswith(MAGIC) or found[1] is not None

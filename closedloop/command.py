@@ -9,12 +9,13 @@ from __future__ import annotations
 
 import argparse
 import errno
+import locale
 import logging
 import os
 import sys
 import warnings
 from collections.abc import Callable, Iterator, Sequence
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from typing import NoReturn
 
 from closedloop.errors import ClosedLoopError, ClusterError, ScenarioError, SimulationError, one_line
@@ -110,13 +111,15 @@ def _run(
 
 @contextmanager
 def _quiet_libraries() -> Iterator[None]:
-    """Let neither matplotlib's look for a screen nor what libraries warn of stop a command.
-
-    Figures are drawn into files only. What libraries warn of is no mistake of the user's, even where PYTHONWARNINGS
-    says that it be one.
+    """Let no library stop a command: figures are drawn into files only, without a look for a screen; what a library
+    warns of is no error, even where PYTHONWARNINGS says so; and one that reads its own files in the encoding of the
+    locale (Drake) can do so where that is ASCII.
     """
     log, backend = logging.getLogger("matplotlib"), os.environ.get("MPLBACKEND")
-    level = log.level
+    level, characters = log.level, locale.setlocale(locale.LC_CTYPE)
+    if locale.getpreferredencoding(False).upper() in ("ASCII", "US-ASCII", "ANSI_X3.4-1968", "646"):
+        with suppress(locale.Error):
+            locale.setlocale(locale.LC_CTYPE, "C.UTF-8")
     log.setLevel(logging.ERROR)  # that it found no folder for its settings
     os.environ["MPLBACKEND"] = "agg"
     try:
@@ -126,6 +129,7 @@ def _quiet_libraries() -> Iterator[None]:
             yield
     finally:
         log.setLevel(level)
+        locale.setlocale(locale.LC_CTYPE, characters)
         if backend is None:
             del os.environ["MPLBACKEND"]
         else:

@@ -1,8 +1,8 @@
 """Compiled code on disk: what numba asks for a function that was compiled before, and gives when it has compiled one.
 
-A file is a digest, and what numba needs to have the machine code back. So a file that was cut off or changed is known,
-and its function is compiled again. numba's own files have no digest, and an index in which two processes lose each
-other's entries. Whatever is wrong with the folder (no room, no permission, no folder), the code is compiled in the
+A file is what numba needs to have the machine code back, and a digest of that. So a file that was cut off or changed
+is known, and its function is compiled again. numba's own files have no digest, and an index in which two processes lose
+each other's entries. Whatever is wrong with the folder (no room, no permission, no folder), the code is compiled in the
 process and the run goes on.
 """
 
@@ -10,7 +10,6 @@ from __future__ import annotations
 
 import hashlib
 import os
-import pickle
 import re
 import sys
 import uuid
@@ -22,7 +21,7 @@ from typing import Any
 
 import llvmlite
 import numba
-from numba.core.caching import _Cache
+from numba.core.caching import IndexDataCacheFile, _Cache
 from numba.core.compiler import CompileResult
 from numba.core.serialize import dumps
 
@@ -66,11 +65,11 @@ class KernelCache(_Cache):  # type: ignore[misc]  # numba is not annotated
             content = file.read_bytes()
         except OSError:
             return None
-        code = content[len(MAGIC) + 32 :]
-        if content[: len(MAGIC) + 32] != MAGIC + hashlib.sha256(code).digest():
+        code = content[: -len(MAGIC) - 32]
+        if content[len(code) :] != _seal(code):
             return None
         try:
-            key, form = pickle.loads(code)
+            key, form = IndexDataCacheFile(str(file.parent), "", None)._load_data(file.name)
             if key != self._key(sig, codegen):
                 return None
             found = CompileResult._rebuild(target_context, *form)
@@ -90,7 +89,7 @@ class KernelCache(_Cache):  # type: ignore[misc]  # numba is not annotated
             unfinished = file.with_name(f"{file.name}.tmp.{uuid.uuid4().hex[:16]}")
             claim(file.parent)
             try:
-                unfinished.write_bytes(MAGIC + hashlib.sha256(code).digest() + code)
+                unfinished.write_bytes(code + _seal(code))
                 os.replace(unfinished, file)
             except BaseException:
                 with suppress(OSError):
@@ -126,6 +125,11 @@ class KernelCache(_Cache):  # type: ignore[misc]  # numba is not annotated
         name = re.sub(r"[^\w.]", "", f"{Path(function.__code__.co_filename).stem}.{function.__qualname__}")
         digest = hashlib.sha256(self._place(sig, codegen).encode(errors="surrogatepass")).hexdigest()
         return cache_folder() / f"{name}-{digest[:32]}.nbc"
+
+
+def _seal(code: bytes) -> bytes:
+    """Return what stands at the end of a file, where numba does not look."""
+    return hashlib.sha256(code).digest() + MAGIC
 
 
 @lru_cache(maxsize=1)

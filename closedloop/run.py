@@ -8,6 +8,7 @@ interrupted by Ctrl-C, 143 by SIGTERM (what ran is saved).
 from __future__ import annotations
 
 import argparse
+import importlib
 import json
 import os
 import sys
@@ -208,11 +209,11 @@ def _open(name: str, overrides: dict[str, Any]) -> tuple[Scenario, Any, Run | No
 
 
 def _import_law(name: str) -> Any:
-    from closedloop.user_module import load_named
+    from closedloop.user_module import importing
 
-    law = load_named("--law", name, "MODULE:FUNCTION, such as my_laws:soft_touch")
+    with importing("--law", name, "MODULE:FUNCTION, such as my_laws:soft_touch") as (module, function):
+        law = getattr(importlib.import_module(module), function, None)
     if not callable(law):
-        module, _, function = name.partition(":")
         raise ScenarioError(f"--law {name}: '{module}' has no function '{function}'")
     return law
 

@@ -10,16 +10,17 @@ import importlib
 import os
 import sys
 import traceback
-from contextlib import redirect_stdout
+from collections.abc import Iterator
+from contextlib import contextmanager, redirect_stdout
 from importlib.machinery import ModuleSpec, PathFinder
 from importlib.util import find_spec
-from typing import Any
 
 from closedloop.errors import ClosedLoopError, ScenarioError
 
 
-def load_named(option: str, name: str, example: str) -> Any:
-    """Return what MODULE:NAME is, None if the module has no such name.
+@contextmanager
+def importing(option: str, name: str, wanted: str) -> Iterator[tuple[str, str]]:
+    """Let MODULE:NAME be imported meanwhile; yield the two names.
 
     What the module prints as it is imported goes to standard error: standard output is for results.
 
@@ -29,8 +30,8 @@ def load_named(option: str, name: str, example: str) -> Any:
         For messages, such as ``--law``.
     name : str
         MODULE:NAME.
-    example : str
-        What it looks like.
+    wanted : str
+        What it should look like.
 
     Raises
     ------
@@ -38,18 +39,18 @@ def load_named(option: str, name: str, example: str) -> Any:
         If it does not look like that, there is no such module, or it cannot be imported; says in which line of which
         file.
     """
-    module_name, _, attribute = name.partition(":")
-    if not (attribute and all(part.isidentifier() for part in module_name.split("."))):
-        raise ScenarioError(f"{option} {name}: must be {example}")
-    file = _look_here(option, name, module_name.partition(".")[0])
+    module, _, attribute = name.partition(":")
+    if not (attribute and all(part.isidentifier() for part in module.split("."))):
+        raise ScenarioError(f"{option} {name}: must be {wanted}")
+    file = _look_here(option, name, module.partition(".")[0])
     try:
         with redirect_stdout(sys.stderr):
-            return getattr(importlib.import_module(module_name), attribute, None)
+            yield module, attribute
     except ClosedLoopError:
         raise
     except (Exception, SystemExit) as error:  # a user's module may raise anything
-        if isinstance(error, ModuleNotFoundError) and f"{module_name}.".startswith(f"{error.name}."):
-            what = f"there is no module '{module_name}' here or among the installed packages"
+        if isinstance(error, ModuleNotFoundError) and f"{module}.".startswith(f"{error.name}."):
+            what = f"there is no module '{module}' here or among the installed packages"
         else:
             what = _where_and_what(error, file)
         raise ScenarioError(f"{option} {name}: {what}") from None
@@ -92,7 +93,8 @@ def _where_and_what(error: BaseException, file: str) -> str:
     """Return file:line: what, of the line of the user's file; `file` is where to look if no line of it ran."""
     if isinstance(error, SyntaxError) and error.filename:
         return f"{_short(error.filename)}:{error.lineno or 1}: {error.msg}"
-    frames = [frame for frame in traceback.extract_tb(error.__traceback__) if _is_users(frame.filename)]
+    # The first two are `importing` and the command that imports.
+    frames = [frame for frame in traceback.extract_tb(error.__traceback__)[2:] if _is_users(frame.filename)]
     here = [frame for frame in frames if not os.path.isabs(_short(frame.filename))]
     lines = str(error).splitlines()
     what = ": ".join([type(error).__name__, *lines[:1]])
@@ -104,7 +106,7 @@ def _where_and_what(error: BaseException, file: str) -> str:
 
 
 def _is_users(path: str) -> bool:
-    return os.path.isfile(path) and path not in (__file__, importlib.__file__)
+    return os.path.isfile(path) and path != importlib.__file__
 
 
 def _short(path: str) -> str:

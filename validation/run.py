@@ -7,6 +7,7 @@ input is at fault (one line on standard error).
 from __future__ import annotations
 
 import argparse
+import importlib
 import sys
 import time
 from collections.abc import Sequence
@@ -113,11 +114,12 @@ def _plant(options: argparse.Namespace) -> Any:
 
 def _engine(name: str) -> Any:
     """Import a user's engine class, which must be asked for by name on the command line."""
-    from closedloop.user_module import load_named
+    from closedloop.user_module import importing
     from validation.engines import Engine
 
     wanted = "MODULE:CLASS of a subclass of validation.engines.Engine"
-    found = load_named("--engine", name, wanted)
+    with importing("--engine", name, wanted) as (module, class_name):
+        found = getattr(importlib.import_module(module), class_name, None)
     if not (isinstance(found, type) and issubclass(found, Engine)):
         raise InputError(f"--engine {name}: must be {wanted}")
     return found

@@ -94,9 +94,7 @@ PLANT = "for m in numpy json argparse scipy pydantic; do echo 'raise RuntimeErro
 PLANT_FOLDERS = (
     "mkdir robot_models closedloop; echo 'raise RuntimeError' >robot_models/__init__.py; echo mine >closedloop/results"
 )
-LAW = (
-    "printf 'import numpy as np\\nprint(1)\\ndef f(t, q, v, terms):\\n    print(2)\\n    return terms.bias\\n' >mine.py"
-)
+LAW = "printf 'import numpy as np\\ndef f(t, q, v, terms):\\n    return terms.bias\\n' >mine.py"
 GONE = "mkdir gone; cd gone; rmdir ../gone"
 
 

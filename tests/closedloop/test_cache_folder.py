@@ -36,7 +36,7 @@ def cache(root: Path, number: int, unused: float = OLD) -> Path:
     """Make the cache of another version, not used for some seconds."""
     folder = root / f"closedloop-{number:016x}"
     claim(folder)
-    (folder / CODE).write_bytes(MAGIC + b"code")
+    (folder / CODE).write_bytes(b"code" + MAGIC)
     aged(folder, unused)
     return folder
 
@@ -55,7 +55,7 @@ def tree(root: Path) -> dict[str, bytes | None]:
 def test_a_cache_that_nobody_uses_goes(root):
     """A month after its last use a cache is removed, whole, with what a killed process left of a file."""
     old = cache(root, 1)
-    (old / f"{CODE}.tmp.0123456789abcdef").write_bytes(MAGIC[:5])
+    (old / f"{CODE}.tmp.0123456789abcdef").write_bytes(b"co")
     (old / f"{CODE}.tmp.0123456789abcdee").write_bytes(b"")
     forget_old_caches()
     assert [p.name for p in root.iterdir()] == ["closedloop-ffffffffffffffff"]

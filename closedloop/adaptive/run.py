@@ -47,7 +47,7 @@ Array = NDArray[np.float64]
 ABSOLUTE = 0.1
 # The first step, as a share of the time between rows, from where it may grow tenfold a step, and the longest step, s.
 FIRST, LONGEST = 0.01, 0.1
-# What the implicit scheme is told of the tolerance where it asks once and for all: it ends Newton's method at 1e-2 of it.
+# What the implicit scheme is told of the tolerance at first, and ends Newton's method by: at 1e-2 of the true one.
 STIFF_RTOL = 1e-4
 # A step in which a state cannot be evaluated is tried again, ever shorter, down to this, s.
 SHORTEST = 1e-13

@@ -61,7 +61,7 @@ def compare(row, summary, rows):
     assert row["verdict"] == names_of(summary["verdict"]["problems"])
     for name in JOINT_MEASURES:
         theirs = [joint[name] for joint in summary["joints"].values()]
-        assert (row[name] == pytest.approx(theirs, rel=1e-11) if name in SUMMED else row[name] == theirs), name
+        assert row[name] == pytest.approx(theirs, rel=1e-11) if name in SUMMED else row[name] == theirs, name
 
 
 def one_by_one(scenario, values):

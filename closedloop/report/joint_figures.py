@@ -15,7 +15,8 @@ from robot_models import RobotModel
 Array = NDArray[np.float64]
 
 # A joint's figures, `JOINT_MEASURES`.
-EXCESS, LEFT_AT, MOST_SPEED, TOO_FAST_AT, MOST_TORQUE, TOO_STRONG_AT, CHATTER = range(len(JOINT_MEASURES))
+JOINT_FIGURES = len(JOINT_MEASURES)
+EXCESS, LEFT_AT, MOST_SPEED, TOO_FAST_AT, MOST_TORQUE, TOO_STRONG_AT, CHATTER = range(JOINT_FIGURES)
 # Of a signal that may chatter: its last value, difference and second difference, what alternates of it, and its size.
 BEFORE, SLOPE_BEFORE, TURN_BEFORE, ALTERNATING, SIZE = range(5)
 SIGNAL_TALLY = 5
@@ -73,7 +74,7 @@ def count_joint(q: float, v: float, torque: float, j: int, i: int, h: float, lim
 
 @kernel
 def write_joints(tally: Array, n: int, out: Array) -> None:
-    """Write the figures (len(JOINT_MEASURES) n,) of the joints, each for all of them, from their tally."""
+    """Write the figures (JOINT_FIGURES n,) of the joints, each for all of them, from their tally."""
     mean = 0.0
     for j in range(n):
         mean += tally[JOINT_TALLY * j + TORQUE + SIZE] / n
@@ -88,4 +89,5 @@ def write_joints(tally: Array, n: int, out: Array) -> None:
 @kernel_inlined
 def share_of(part: float, whole: float) -> float:
     """Return part/whole, 0 of nothing."""
-    return select(whole > 0.0, part / select(whole > 0.0, whole, 1.0), 0.0)
+    share: float = select(whole > 0.0, part / select(whole > 0.0, whole, 1.0), 0.0)
+    return share

@@ -18,6 +18,7 @@ from closedloop.octet import select
 from closedloop.report.assumptions import NAMES, NEAR_SINGULAR, RESIDUAL_TOLERANCE
 from closedloop.report.joint_figures import (
     ALTERNATING,
+    JOINT_FIGURES,
     JOINT_TALLY,
     SIGNAL_TALLY,
     SIZE,
@@ -27,7 +28,7 @@ from closedloop.report.joint_figures import (
     share_of,
     write_joints,
 )
-from closedloop.report.measures import JOINT_MEASURES, MEASURES, SETTLED
+from closedloop.report.measures import MEASURES, SETTLED
 from closedloop.rows import SCALARS
 from closedloop.tree import Tree, tree_potential_energy
 
@@ -72,7 +73,7 @@ TALLY = SIGNAL + SIGNAL_TALLY
 @kernel
 def figure_count(n: int) -> int:
     """Return how many figures a run of a robot of n joints has."""
-    return WIDTH + len(JOINT_MEASURES) * n
+    return WIDTH + JOINT_FIGURES * n
 
 
 @kernel

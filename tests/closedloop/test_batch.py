@@ -10,14 +10,15 @@ import closedloop as cl
 from closedloop import bench
 from closedloop.pieces import Pieces
 from closedloop.preparation import prepare
-from closedloop.report.measures import MEASURES
+from closedloop.report.measures import JOINT_MEASURES, MEASURES
+from closedloop.report.verdict import names_of
 from closedloop.units import key_unit
 from closedloop.variants import Variants
 
 # What adds up is added in another order than numpy's: 8000 terms of like size, each rounded.
 SUMMED = {
     "max_energy_residual", "energy_exchanged", "energy_lost_to_friction", "energy_lost_in_impacts", "rms_force_error",
-    "rms_path_error", "max_tip_speed", "max_friction_force", "time_in_contact",
+    "rms_path_error", "max_tip_speed", "max_friction_force", "time_in_contact", "force_chatter", "torque_chatter",
 }  # fmt: skip
 SHORT = {"time.duration": 0.65}
 
@@ -59,6 +60,10 @@ def compare(row, summary, rows):
     assert {kind: row[f"{kind}_events"] for kind in summary["events"]} == summary["events"]
     for name, verdict in summary["assumptions"].items():
         assert row[f"{name}_failed_at"] == verdict["first_failed"], name
+    assert row["verdict"] == names_of(summary["verdict"]["problems"])
+    for name in JOINT_MEASURES:
+        theirs = [joint[name] for joint in summary["joints"].values()]
+        assert row[name] == pytest.approx(theirs, rel=1e-11) if name in SUMMED else row[name] == theirs, name
 
 
 def one_by_one(scenario, values):

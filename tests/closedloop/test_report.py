@@ -9,7 +9,7 @@ import pytest
 from slides import SLIDES
 
 import closedloop as cl
-from closedloop.report import NEAR_SINGULAR, RESIDUAL_TOLERANCE, energy_balance, limits_exceeded, notes, print_report
+from closedloop.report import NEAR_SINGULAR, RESIDUAL_TOLERANCE, energy_balance, notes, print_report
 from closedloop.report.tables import MOST_EVENTS
 
 NAMES = ("one_loop", "single_point", "contact_kept", "frictionless", "nonsingular")
@@ -194,16 +194,6 @@ def test_friction_that_may_drive_is_noted():
     assert notes(cl.simulate(cl.load_scenario("wam_slide", settings | {"friction": lugre | {"viscous": 51.0}}))) == []
     (note,) = notes(cl.simulate(cl.load_scenario("wam_slide", settings | {"joint_friction": lugre})))
     assert note.startswith("joint_friction: lugre of joint 0 may add energy")
-
-
-def test_leaving_the_joint_limits_is_noted(slide):
-    """The first joint that leaves its limits is named with its row; a run inside them says nothing."""
-    assert limits_exceeded(slide) == ""
-    beyond = slide.q.copy()
-    beyond[200:, 1] = slide.model.position_upper[1] + 0.1
-    line = limits_exceeded(dataclasses.replace(slide, columns={**slide.columns, "q": beyond}))
-    assert "J2" in line
-    assert "0.2 s" in line
 
 
 @pytest.mark.parametrize("width", [80, 120, 200])

@@ -241,5 +241,5 @@ def test_a_damper_that_a_step_cannot_carry_is_named():
     """A K_d whose step is over twice the joint's inertia makes the motion diverge; the line says which and how much."""
     gains = {"law.kp": 400.0, "law.kd": 40.0, "start.v": None, "start.q": [0, -1.2, 1.6, -1.9, -1.57, 0]}
     scenario = cl.load_scenario("wam_slide", gains | {"robot.model": "ur5", "robot.tip": "tool0", "time.duration": 1.0})
-    with pytest.raises(cl.DivergenceError, match=r"law.kd\[5\] times time.step is 2.33 times that joint's inertia"):
+    with pytest.raises(cl.DivergenceError, match=r"law.kd\[5\] \(joint wrist_3_joint\) times time.step is 2.3\d times"):
         cl.simulate(scenario)

@@ -30,6 +30,7 @@ from robot_models import RobotModel
 if TYPE_CHECKING:
     import pyarrow as pa
 
+MOST_THREADS = 1000
 # Keys in which runs that go abreast may differ; see `closedloop.abreast.Kind`.
 OF_ANY_KIND = (
     "law.force", "law.kp", "law.kd", "law.pd_start", "stabiliser.time_constant", "stabiliser.damping_ratio", "start.",
@@ -176,8 +177,8 @@ def run_variants(
 
 def threads_for(engine: str, workers: int | None) -> int:
     """Return how many threads to use: one for Pinocchio, which Python drives, else one a core, unless told."""
-    if workers is not None and workers < 1:
-        raise ScenarioError(f"workers = {workers}: must be at least 1")
+    if workers is not None and not 1 <= workers <= MOST_THREADS:
+        raise ScenarioError(f"workers = {workers}: must be at least 1, and at most {MOST_THREADS}")
     if engine != COMPILED:
         return 1
     cores = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1

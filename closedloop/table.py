@@ -121,7 +121,7 @@ def table_of(
     for k in range(len(points[0])):
         values = [point[k] for point in points]
         if columns.field(1 + k).type == pa.string():
-            values = [value if isinstance(value, str) else json.dumps(value) for value in values]
+            values = [value if isinstance(value, str) else json.dumps(value, default=str) for value in values]
         data.append(values)
     data += [
         [outcome.status for outcome in outcomes],

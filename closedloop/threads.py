@@ -77,6 +77,7 @@ def side_by_side(
             yield i
 
     def work() -> None:
+        done.check()
         mine_alone = own()
         for i in mine():
             one(mine_alone, i)
@@ -118,5 +119,5 @@ def still_at_work() -> bool:
 
 def _end(pool: ThreadPoolExecutor, running: set[Future[T]], done: Done) -> None:
     done.end()
-    pool.shutdown(wait=False, cancel_futures=True)
+    pool.shutdown(wait=False)
     wait(running, timeout=GRACE)

@@ -14,6 +14,9 @@ from closedloop.table import key_type
 from closedloop.units import takes_whole_numbers
 
 FORMS = "5:15:11 (from, to, how many), log:1e-4:1e-2:20, or 5,10,15"
+# Values of one axis.
+MOST_VALUES = 1_000_000_000
+LARGEST_WHOLE = 2**53
 _KEY = re.compile(r"[A-Za-z_][\w-]*(\.[\w-]+)+")
 
 
@@ -97,6 +100,8 @@ def parse_axis(text: str, drawn: bool = False) -> Axis:
     ScenarioError
         If it is none of these, or has no values.
     """
+    if not text.isprintable():
+        raise ScenarioError(f"--over {text}: has characters that cannot be printed")
     key, equals, spec = text.partition("=")
     key, spec = key.strip(), spec.strip()
     if not (equals and _KEY.fullmatch(key)):
@@ -129,16 +134,24 @@ def _range(text: str, key: str, spec: str, numbers: list[float], log: bool, draw
     count = numbers[2] if len(numbers) == 3 else 0.0
     if not (math.isfinite(low) and math.isfinite(high)):
         raise ScenarioError(f"--over {text}: both ends must be finite")
+    if not math.isfinite(high - low):
+        raise ScenarioError(f"--over {text}: is wider than numbers go, 1.8e308")
     if low == high:
         raise ScenarioError(
             f"--over {text}: is empty: it ends where it begins; a single value is written {key}={low:g}"
         )
-    if len(numbers) == 3 and (count != math.floor(count) or not 2 <= count <= 1e9):
-        raise ScenarioError(f"--over {text}: {spec.rpartition(':')[2]} values: must be a whole number from 2 on")
+    if len(numbers) == 3 and not (2 <= count <= MOST_VALUES and count == math.floor(count)):
+        raise ScenarioError(
+            f"--over {text}: {spec.rpartition(':')[2]} values: must be a whole number from 2 on, up to {MOST_VALUES}"
+        )
     if log and not (low > 0.0 and high > 0.0):
         raise ScenarioError(f"--over {text}: both ends of a logarithmic range must be above 0")
+    if log and not 0.0 < high / low < math.inf:
+        raise ScenarioError(f"--over {text}: is wider than numbers go: the ratio of its ends is beyond 1e308")
     whole = takes_whole_numbers(key)
     axis = Axis(key, spec, (), low, high, int(count), log, whole)
+    if whole and max(abs(low), abs(high)) > LARGEST_WHOLE:
+        raise ScenarioError(f"--over {text}: whole numbers of a range may go to 2^53, which a double holds exactly")
     if whole and (log or low % 1 or high % 1 or (not drawn and (high - low) / (count - 1) % 1)):
         raise ScenarioError(f"--over {text}: {key} takes whole numbers only; name them, such as {key}=0,1,2")
     return axis

@@ -12,7 +12,7 @@ from __future__ import annotations
 import json
 from collections import Counter
 from collections.abc import Callable, Iterator
-from contextlib import suppress
+from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, BinaryIO
@@ -63,7 +63,6 @@ def already_there(identity: dict[str, Any], out: Path) -> Joined | None:
     OutputError
         If something else is there, or could not be put there.
     """
-    import pyarrow as pa
     from pyarrow import parquet
 
     if out.suffix != ".parquet":
@@ -79,9 +78,10 @@ def already_there(identity: dict[str, Any], out: Path) -> Joined | None:
             return None
         found = counted = None
         if out.is_file():  # and no folder, nor a pipe, which would be waited for
-            with suppress(pa.ArrowException, ValueError, KeyError):
-                found = json.loads((parquet.read_schema(out).metadata or {})[METADATA.encode()])
-                counted = _counted(parquet.read_table(out, columns=[*_judged(parquet.read_schema(out))]))
+            with unreadable_is_none():
+                columns = parquet.read_schema(out)
+                found = json.loads((columns.metadata or {})[METADATA.encode()])
+                counted = _counted(parquet.read_table(out, columns=_judged(columns)))
     except OSError as error:
         if isinstance(error, OutputError):
             raise
@@ -160,6 +160,20 @@ def _write_table(
                 writer.write_table(rows, row_group_size=2**30)
                 yield rows
                 waiting = []
+
+
+@contextmanager
+def unreadable_is_none() -> Iterator[None]:
+    """Pass over what Arrow says of a file that is none of its own, or damaged; not over what the system says."""
+    import pyarrow as pa
+
+    try:
+        yield
+    except (pa.ArrowException, ValueError, KeyError, RecursionError):
+        pass
+    except OSError as error:
+        if error.errno is not None:
+            raise
 
 
 def _judged(columns: pa.Schema) -> list[str]:

@@ -7,6 +7,7 @@ failed are marked where they are, not left out in silence.
 from __future__ import annotations
 
 import io
+import stat
 from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, cast
@@ -16,7 +17,8 @@ from numpy.typing import NDArray
 
 from closedloop.errors import OutputError, ScenarioError
 from closedloop.figures.style import COLOURS, STYLE
-from closedloop.files import reason_of, write_whole
+from closedloop.files import kind_of, reason_of, write_whole
+from closedloop.sweep.join import unreadable_is_none
 from closedloop.sweep.scale import Scale, figure_of, flat, span
 
 if TYPE_CHECKING:
@@ -88,12 +90,23 @@ def draw_maps(table: pa.Table, of: Sequence[str] | None = None, x: str | None = 
     numbers = [
         f.name for f in table.schema if str(f.type) in ("double", "int64") and f.name not in keys and f.name != "run"
     ]
-    for name in of or ():
+    wanted = list(of or [name for name in FIGURES if name in numbers])
+    for name in wanted:
         if name not in numbers:
             raise ScenarioError(f"{name}: is no figure of this sweep; they are {', '.join(numbers)}")
-    first = x or next(key for key in keys if key != y)
+    if not keys or not numbers or not wanted:
+        raise ScenarioError("the table has no key that changes, or no figure to draw")
+    if table.num_rows == 0:
+        raise ScenarioError("the table has no rows")
+    if x is not None and x == y:
+        raise ScenarioError(f"{x}: is asked for along both axes")
+    for name in keys:
+        if table[name].null_count:
+            raise ScenarioError(f"{name}: has no value in some rows: this is not the table of a sweep")
+    first = x or next((key for key in keys if key != y), keys[0])
+    if y is not None and first == y:
+        raise ScenarioError(f"{y}: is the only key of this sweep; --y needs another")
     second = y or (next((key for key in keys if key != first), None) if x is None or y is not None else None)
-    wanted = list(of or FIGURES)
     columns = 1 if len(wanted) == 1 else 2
     rows = -(-len(wanted) // columns)
     figure = Figure(figsize=(0.6 + 4.6 * columns, 3.3 * rows + 0.4), layout="constrained")
@@ -122,15 +135,25 @@ def _headline(table: pa.Table, others: Sequence[str]) -> str:
 
 
 def _read(path: Path) -> pa.Table:
-    import pyarrow as pa
     from pyarrow import parquet
 
+    table = None
+    reason = "is no Parquet file, or is damaged"
     try:
-        table = parquet.read_table(path)
-    except (OSError, pa.ArrowInvalid) as error:
-        reason = "there is no such file" if isinstance(error, FileNotFoundError) else "is no Parquet file"
-        raise ScenarioError(f"{path}: {reason}; name the table of a sweep") from None
-    if not {"run", "status"} <= set(table.column_names):
+        mode = path.stat().st_mode
+        if stat.S_ISREG(mode):  # a pipe would be waited for
+            with unreadable_is_none():
+                table = parquet.read_table(path)
+        else:
+            reason = f"is {kind_of(mode)}"
+    except FileNotFoundError:
+        reason = "there is no such file"
+    except (OSError, ValueError) as error:
+        reason = f"cannot be read: {reason_of(error)}"
+    if table is None:
+        raise ScenarioError(f"{path}: {reason}; name the table of a sweep")
+    names = table.column_names
+    if not {"run", "status"} <= set(names) or names[0] != "run" or len(set(names)) < len(names):
         raise ScenarioError(f"{path}: is not the table of a sweep")
     return table
 

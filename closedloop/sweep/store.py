@@ -68,11 +68,12 @@ class Store:
     def __enter__(self) -> Store:
         try:
             self._open()
-        except OSError as error:
+        except BaseException as error:
+            if self._lock is not None and not (self.folder / DESCRIPTION).exists():
+                self.remove()  # there was no sweep, and none has begun
             self._close()
-            raise error if isinstance(error, OutputError) else unwritable(self.out, error) from None
-        except BaseException:
-            self._close()
+            if isinstance(error, OSError) and not isinstance(error, OutputError):
+                raise unwritable(self.out, error) from None
             raise
         return self
 
@@ -97,7 +98,7 @@ class Store:
     def __exit__(
         self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
     ) -> None:
-        if kind is not None and self._lock is not None and not any(map(_PART.fullmatch, self._names())):
+        if kind is not None and self._lock is not None and not any(self.folder.glob("part-*.arrow")):
             self.remove()  # nothing is done that could be gone on with
         self._close()
 

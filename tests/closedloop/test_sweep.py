@@ -1,6 +1,7 @@
 """Sweeps: axes and designs, the table and where it came from, and that nothing is lost, doubled or overwritten."""
 
 import json
+import os
 import re
 from pathlib import Path
 
@@ -73,6 +74,14 @@ def test_axes_are_what_they_say():
         ("law.force=log:a:1:3", "not a range of numbers"),
         ("law.force=a:b:c", "not a range of numbers"),
         ("law.force=5,5.0", "the same value twice"),
+        ("law.force=5:15:1e12", "1e12 values: must be a whole number from 2 on, up to 1000000000"),
+        ("law.force=5:15:nan", "nan values: must be a whole number from 2 on"),
+        ("law.force=1:1e400:3", "both ends must be finite"),
+        ("law.force=nan:1:3", "both ends must be finite"),
+        ("law.force=-1e308:1e308:3", "is wider than numbers go"),
+        ("stabiliser.time_constant=log:1e-300:1e300:3", "is wider than numbers go"),
+        ("sensor.seed=0:1e30:3", "whole numbers of a range may go to 2^53"),
+        ("law.force=\udcff", "has characters that cannot be printed"),
         ("sensor.seed=0:1:5", "sensor.seed takes whole numbers only; name them"),
     ],
 )
@@ -280,6 +289,10 @@ def test_two_at_once_are_one_too_many(tmp_path):
         (("--over", "robot.drive_inertia=true,false", "--keep", "q"), "keep: q has a number a joint, and the robot"),
         (("--over", "law.force=1,2", "--time.integrator", "dop853"), "engine = 'compiled': has no integrator that"),
         (("--over", "law.force=1,2", "--workers", "0"), "workers = 0: must be at least 1"),
+        (
+            ("--over", "law.force=1,2", "--workers", "1000000"),
+            "workers = 1000000: must be at least 1, and at most 1000",
+        ),
         (("--over", "law.force=1,2", "--bogus"), "command line: unrecognized arguments: --bogus; see --help"),
         (("--over", "law.force=1,2", "--robot.model", "nobody"), "no robot is named 'nobody'"),
         (("--over", "law.force=1,2", "--out", "t.csv"), "--out t.csv: must end in .parquet"),
@@ -329,6 +342,16 @@ def test_what_is_not_this_sweeps_is_never_overwritten(capsys, tmp_path):
     assert "is there and holds no sweep" in refused_with((folder / "mine.txt", b"mine"))
     other = json.dumps({"format": store_module.FORMAT, "identity": {"scenario": "other"}}).encode()
     assert "belongs to another sweep: not the same scenario, " in refused_with((folder / "sweep.json", other))
+
+
+def test_values_that_only_toml_knows_are_text_in_the_table(capsys, tmp_path):
+    """A date among forces is a refused run, not the end of the sweep."""
+    out = tmp_path / "t.parquet"
+    dates = ("--over", "law.force=1979-05-27,5.0", "--time.duration", "0.002")
+    assert sweep(capsys, "wam_slide", *dates, "--out", out)[0] == 0
+    table = parquet.read_table(out)
+    assert table["status"].to_pylist() == ["refused", "done"]
+    assert "1979-05-27" in table["law.force"][0].as_py()
 
 
 def test_identity_is_all_that_the_table_depends_on(tmp_path):
@@ -381,3 +404,148 @@ def test_progress_has_rate_and_time_left():
     assert progress_text(0, 10, 0, 0.0) == "0 of 10 runs"
     assert progress_text(150, 1000, 50, 10.0) == "150 of 1000 runs, 5 runs/s, 2 min 50 s left"
     assert progress_text(10, 100_000, 10, 1.0) == "10 of 100000 runs, 10 runs/s, 2 h 46 min left"
+
+
+def test_a_run_that_fails_is_counted_and_not_run_again(capsys, tmp_path, monkeypatch):
+    """An error that nobody foresaw costs its row; exit status 3, now and when asked again; --debug shows where."""
+    from closedloop import bench
+
+    whole = bench.prepare
+
+    def broken(scenario, *rest):
+        return 1 / 0 if scenario.law.force == 5.0 else whole(scenario, *rest)
+
+    monkeypatch.setattr(bench, "prepare", broken)
+    out = tmp_path / "t.parquet"
+    arguments = ("wam_slide", "--time.duration", "0.01", "--over", "law.force=5,6,7", "--out", out)
+    status, said, err = sweep(capsys, *arguments)
+    assert (status, err) == (3, "")
+    assert "3 runs: 2 done, 1 failed; 3 in " in said
+    row = parquet.read_table(out).to_pylist()[0]
+    assert row["status"] == "failed"
+    assert row["reason"].startswith("ZeroDivisionError: division by zero (test_sweep.py:")
+    status, said, _ = sweep(capsys, *arguments)
+    assert status == 3
+    assert "3 runs: 2 done, 1 failed; all were there before" in said
+    out.unlink()
+    assert sweep(capsys, *arguments, "--strict")[0] == 4
+
+
+@pytest.mark.parametrize(
+    ("statuses", "verdicts", "strict", "plain", "said"),
+    [
+        (["done", "done"], None, 0, 0, "2 runs: 2 done; "),
+        (["done", "refused"], None, 0, 0, "2 runs: 1 done, 1 refused; "),
+        (["done", "stopped"], None, 4, 0, "2 runs: 1 done, 1 stopped; "),
+        (["done", "failed"], None, 4, 3, "2 runs: 1 done, 1 failed; "),
+        (["done", "refused"], ["good", None], 0, 0, "2 runs: 1 done, 1 refused; "),
+        (["done", "done"], ["good", "energy, chatter"], 4, 0, "; 1 with a bad verdict: 1 energy, chatter; "),
+        (["done", "done"], ["chatter", "chatter"], 4, 0, "; 2 with a bad verdict: 2 chatter; "),
+    ],
+)
+def test_strict_takes_bad_verdicts_and_ends_for_a_failure(
+    capsys, tmp_path, monkeypatch, statuses, verdicts, strict, plain, said
+):
+    """Exit status 4 with --strict, whether the rows are new or read from the table; the last line counts them."""
+    from closedloop.sweep import part
+
+    table_of = part.table_of
+
+    def judged(*arguments):
+        table = table_of(*arguments)
+        at = table["run"].to_pylist()
+        table = table.set_column(
+            table.column_names.index("status"), table.schema.field("status"), [[statuses[i] for i in at]]
+        )
+        return (
+            table
+            if verdicts is None
+            else table.append_column("verdict", pa.array([verdicts[i] for i in at], pa.string()))
+        )
+
+    columns_of = part.columns_of
+    monkeypatch.setattr(part, "table_of", judged)
+    if verdicts is not None:
+        more = pa.field("verdict", pa.string())
+        monkeypatch.setattr("closedloop.sweep.run.columns_of", lambda job: columns_of(job).append(more))
+    arguments = ("wam_slide", "--time.duration", "0.01", "--over", "law.force=5,6", "--out", tmp_path / "t.parquet")
+    for options, expected in (((), plain), (("--strict",), strict), ((), plain)):
+        status, out, err = sweep(capsys, *arguments, *options)
+        assert (status, err) == (expected, "")
+        assert said in out
+
+
+def test_what_is_somebody_elses_stays(capsys, tmp_path):
+    """A user's files in the folder of parts, and what a link in it leads to, outlive the sweep; ours go."""
+    out, folder, elsewhere = tmp_path / "t.parquet", tmp_path / "t.parquet.parts", tmp_path / "elsewhere"
+    elsewhere.mkdir()
+    (elsewhere / "part-00000001.arrow").write_text("theirs")
+    for path in (elsewhere / "target", elsewhere / "note"):
+        path.write_text("theirs")
+    identity = small().identity
+    with store_module.Store(identity, out):
+        (folder / "notes.txt").write_text("mine")
+        (folder / "part-1.arrow").write_text("mine")
+        (folder / "deep").mkdir()
+        (folder / "deep" / "part-00000001.arrow").write_text("mine")
+        (folder / "part-00000999.arrow").symlink_to(elsewhere / "target")
+        (folder / "part-00000998.arrow").mkdir()
+        (folder / ".unfinished").write_text("mine")
+    run_sweep(small(), out, workers=1)
+    left = {"notes.txt", "part-1.arrow", "deep", "part-00000999.arrow", "part-00000998.arrow", ".unfinished"}
+    assert {path.name for path in folder.iterdir()} == left
+    assert (folder / "deep" / "part-00000001.arrow").read_text() == "mine"
+    assert (elsewhere / "target").read_text() == "theirs"
+    assert run_sweep(small(), out, workers=1).counts == {"done": 6}  # done, whatever lies about
+    assert {path.name for path in folder.iterdir()} == left
+
+
+def test_links_are_not_written_through(tmp_path):
+    """A folder, a lock, a table that is a link to somewhere: refused, and what it leads to is as it was."""
+    elsewhere = tmp_path / "elsewhere"
+    elsewhere.mkdir()
+    out = tmp_path / "a" / "t.parquet"
+    out.parent.mkdir()
+    folder = tmp_path / "a" / "t.parquet.parts"
+    folder.symlink_to(elsewhere)
+    with pytest.raises(cl.OutputError, match="is a link, and nothing is written through it"):
+        run_sweep(small(), out)
+    folder.unlink()
+    out.symlink_to(elsewhere / "table")
+    with pytest.raises(cl.OutputError, match="is a link to nothing; nothing was overwritten"):
+        run_sweep(small(), out)
+    out.unlink()
+    folder.mkdir()
+    (folder / "lock").symlink_to(elsewhere / "lock")
+    with pytest.raises(cl.OutputError, match="cannot be written"):
+        run_sweep(small(), out)
+    assert list(elsewhere.iterdir()) == []
+
+
+def test_pipes_and_folders_where_a_table_or_a_part_should_be(tmp_path):
+    """None is waited for: a pipe as the table or its description is refused, as a part it is said."""
+    out, folder = tmp_path / "t.parquet", tmp_path / "t.parquet.parts"
+    os.mkfifo(out)
+    with pytest.raises(cl.OutputError, match="is there and is no sweep"):
+        run_sweep(small(), out)
+    out.unlink()
+    folder.mkdir()
+    os.mkfifo(folder / "sweep.json")
+    with pytest.raises(cl.OutputError, match="is there and holds no sweep"):
+        run_sweep(small(), out)
+    (folder / "sweep.json").unlink()
+    with store_module.Store(small().identity, out):
+        os.mkfifo(folder / "part-00000002.arrow")
+    with pytest.raises(cl.OutputError, match=r"part-00000002.arrow: cannot be written: there is a pipe of that name"):
+        run_sweep(small(), out, workers=1)
+
+
+def test_a_damaged_table_is_not_taken_for_a_sweep(tmp_path):
+    """Cut short, or with its pages overwritten: one line, and it stays."""
+    out = run_sweep(small(), tmp_path / "t.parquet", workers=1).table
+    text = out.read_bytes()
+    for damaged in (text[: len(text) // 2], text[:4] + bytes(len(text) // 2) + text[4 + len(text) // 2 :]):
+        out.write_bytes(damaged)
+        with pytest.raises(cl.OutputError, match=r"is there and is no sweep|is damaged"):
+            run_sweep(small(), out)
+        assert out.read_bytes() == damaged

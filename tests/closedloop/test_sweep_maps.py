@@ -1,7 +1,12 @@
 """Maps of a sweep: one panel a figure, axes with units, failed runs in sight; what is not there is refused."""
 
+import os
+
 import numpy as np
+import pyarrow as pa
+import pyarrow.compute
 import pytest
+from pyarrow import parquet
 from sweeps import SMALL, refusal, sweep
 
 import closedloop as cl
@@ -69,11 +74,27 @@ def test_the_command_draws_a_file(capsys, tmp_path):
     assert b"RMS error of the contact force" in (tmp_path / "deep" / "t.svg").read_bytes()
 
 
+def test_one_row_and_figures_without_a_value_are_drawn(table):
+    """A sweep of one run, and one of which no run came to anything, have maps too."""
+    assert draw_maps(table.slice(4, 1)).axes
+    bare = table.filter(pa.compute.equal(table["status"], "refused"))
+    assert bare["peak_contact_force"].null_count == len(bare) == 3
+    assert draw_maps(bare, ["peak_contact_force"]).axes
+
+
 @pytest.mark.parametrize(
     ("arguments", "said"),
     [
         (("no.parquet",), "no.parquet: there is no such file; name the table of a sweep"),
-        (("text.parquet",), "text.parquet: is no Parquet file"),
+        (("text.parquet",), "text.parquet: is no Parquet file, or is damaged"),
+        (("cut.parquet",), "cut.parquet: is no Parquet file, or is damaged"),
+        (("folder.parquet",), "folder.parquet: is a folder; name the table of a sweep"),
+        (("pipe.parquet",), "pipe.parquet: is a pipe; name the table of a sweep"),
+        (("other.parquet",), "other.parquet: is not the table of a sweep"),
+        (("keyless.parquet",), "the table has no key that changes, or no figure to draw"),
+        (("rowless.parquet",), "the table has no rows"),
+        (("nulls.parquet",), "law.force: has no value in some rows: this is not the table of a sweep"),
+        (("t.parquet", "--x", "law.force", "--y", "law.force"), "law.force: is asked for along both axes"),
         (("t.parquet", "--of", "beauty"), "beauty: is no figure of this sweep; they are rows, end_time"),
         (("t.parquet", "--x", "law.kp"), "law.kp: is no key of this sweep; they are law.force, stab"),
         (("t.parquet", "--out", "t.odt"), "--out t.odt: cannot be written: Format 'odt' is not supported"),
@@ -84,5 +105,13 @@ def test_refusals(capsys, tmp_path, monkeypatch, arguments, said):
     """One line and exit status 2."""
     monkeypatch.chdir(tmp_path)
     sweep(capsys, *SMALL, "--out", "t.parquet")
+    rows = parquet.read_table("t.parquet")
     (tmp_path / "text.parquet").write_text("not a table")
+    (tmp_path / "cut.parquet").write_bytes((tmp_path / "t.parquet").read_bytes()[:-100])
+    (tmp_path / "folder.parquet").mkdir()
+    os.mkfifo(tmp_path / "pipe.parquet")
+    parquet.write_table(rows.drop_columns("status"), "other.parquet")
+    parquet.write_table(rows.drop_columns(["law.force", "stabiliser.time_constant"]), "keyless.parquet")
+    parquet.write_table(rows.slice(0, 0), "rowless.parquet")
+    parquet.write_table(rows.set_column(1, "law.force", pa.nulls(12, pa.float64())), "nulls.parquet")
     assert said in refusal(capsys, "plot", *arguments)

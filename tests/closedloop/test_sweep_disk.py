@@ -1,0 +1,146 @@
+"""A disk that is full, or a limit on files, at any byte: one line, no stray file, no crash, and the sweep goes on."""
+
+import io
+
+import h5netcdf
+import numpy as np
+import pytest
+from disk import limited
+from pyarrow import parquet
+from sweeps import sweep
+
+import closedloop as cl
+from closedloop.errors import OutputError
+from closedloop.sweep import Design, Sweep, parse_axis, run_sweep
+from closedloop.sweep.columns import Unfailing
+from closedloop.sweep.store import Store
+
+KEPT = (
+    "wam_slide", "--time.duration", "0.2", "--over", "law.force=5:15:24", "--keep", "f,q", "--out", "t.parquet",
+)  # fmt: skip
+
+
+class Limited(io.BytesIO):
+    """A file on a disk with so much room."""
+
+    def __init__(self, room):
+        super().__init__()
+        self.room = room
+
+    def write(self, data):
+        """Write as much as there is room for; fail where there is none."""
+        left = self.room - self.tell()
+        if left <= 0:
+            raise OSError(28, "No space left on device")
+        return super().write(data[:left])
+
+    def truncate(self, size=None):
+        """Refuse what there is no room for."""
+        if size is not None and size > self.room:
+            raise OSError(28, "No space left on device")
+        return super().truncate(size)
+
+
+def fill(file):
+    """Write some columns as a sweep does; return what was written."""
+    values = np.random.default_rng(0).normal(size=(12, 501))
+    with h5netcdf.File(file, "w") as out:
+        out.dimensions = {"run": 12, "time": 501}
+        column = out.create_variable("f", ("run", "time"), "f8", fillvalue=np.nan, chunks=(1, 501))
+        for first in range(0, 12, 4):
+            column[first : first + 4] = values[first : first + 4]
+        np.testing.assert_array_equal(column[...], values)  # read back while the disk is full
+        column.attrs["units"] = "N"
+    return values
+
+
+def test_hdf5_never_hears_of_a_full_disk():
+    """At every 2 kB of the file: HDF5 ends in peace, the first error is there to be raised; with room, all is right."""
+    whole = Limited(10**9)
+    with_room = Unfailing(whole)
+    values = fill(with_room)
+    with_room.check()
+    with h5netcdf.File(io.BytesIO(whole.getvalue())) as file:
+        np.testing.assert_array_equal(file.variables["f"][...], values)
+    size = len(whole.getvalue())
+    assert size > 12 * 501 * 8
+    for room in range(0, size, 2000):
+        tight = Unfailing(Limited(room))
+        fill(tight)
+        with pytest.raises(OSError, match="No space left"):
+            tight.check()
+
+
+def small(**options):
+    """Return a sweep of six runs of ten steps that keeps columns."""
+    scenario = cl.load_scenario("wam_slide", {"time.duration": 0.01})
+    return Sweep.of(scenario, Design([parse_axis("law.force=5:15:6")]), ("contact_force", "q"), **options)
+
+
+@pytest.mark.parametrize(("where", "after"), [("store", 0), ("store", 1), ("store", 3), ("join", 0), ("join", 1)])
+def test_what_cannot_be_written_is_said_and_leaves_nothing(tmp_path, monkeypatch, where, after):
+    """A write that fails in the parts, or in the table: what was done is kept, nothing else, and it goes on."""
+    import closedloop.sweep.join as join_module
+    import closedloop.sweep.store as store_module
+
+    module = {"store": store_module, "join": join_module}[where]
+    calls, write_whole = [], module.write_whole
+
+    def full(path, *rest, **options):
+        calls.append(path)
+        if len(calls) > after:
+            raise OutputError(f"{path}: cannot be written: No space left on device")
+        return write_whole(path, *rest, **options)
+
+    out = tmp_path / "t.parquet"
+    with monkeypatch.context() as patch:
+        patch.setattr(module, "write_whole", full)
+        with pytest.raises(OutputError) as refused:
+            run_sweep(small(), out, workers=1)
+    assert "No space left on device" in str(refused.value)
+    assert len(str(refused.value).splitlines()) == 1
+    assert not out.exists()
+    assert not [path for path in tmp_path.rglob("*") if path.name.endswith(".unfinished")]
+    assert (tmp_path / "t.parquet.parts").exists() == (where == "join" or after == 3)
+    run_sweep(small(), out, workers=1)
+    assert sorted(path.name for path in tmp_path.iterdir()) == ["t.nc", "t.parquet"]
+
+
+def assert_goes_on(capsys, folder, done):
+    """Check what a limit has left in the folder, and that the sweep goes on from it to the end."""
+    assert done.returncode == 2, done.stderr
+    (line,) = [line for line in done.stderr.splitlines() if not line.startswith("compiling")]
+    assert "cannot be written: File too large" in line
+    assert {path.name for path in folder.iterdir()} <= {"t.parquet.parts", "t.nc"}
+    assert not [path for path in folder.rglob("*") if path.name.endswith(".unfinished")]
+    if (folder / "t.nc").exists():
+        h5netcdf.File(folder / "t.nc").close()
+    assert sweep(capsys, *KEPT[:-1], folder / "t.parquet")[0] == 0
+    assert sorted(path.name for path in folder.iterdir()) == ["t.nc", "t.parquet"]
+    table = parquet.read_table(folder / "t.parquet")
+    with h5netcdf.File(folder / "t.nc") as file:
+        np.testing.assert_array_equal(file.variables["contact_force"][:, -1], table["final_contact_force"])
+
+
+def test_a_limit_on_files_while_columns_are_joined_is_one_line(capsys, tmp_path):
+    """As with ``ulimit -f``: it was a segmentation fault in HDF5."""
+    assert_goes_on(capsys, tmp_path, limited(tmp_path, 100_000, *KEPT))
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("size", [0, 500, *range(4000, 20000, 4000), *range(20_000, 210_000, 20_000)])
+def test_a_limit_on_files_at_any_size_is_one_line(capsys, tmp_path, size):
+    """From nothing at all to just too little for the columns, at every size between."""
+    assert_goes_on(capsys, tmp_path, limited(tmp_path, size, *KEPT))
+
+
+def test_a_store_that_cannot_begin_leaves_nothing(tmp_path, monkeypatch):
+    """The first file of the folder cannot be written: the folder goes too."""
+
+    def full(path, *_):
+        raise OutputError(f"{path}: cannot be written: No space left on device")
+
+    monkeypatch.setattr("closedloop.sweep.store.write_whole", full)
+    with pytest.raises(OutputError), Store({"keep": []}, tmp_path / "t.parquet"):
+        pass
+    assert list(tmp_path.iterdir()) == []

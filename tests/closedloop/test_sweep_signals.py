@@ -1,0 +1,178 @@
+"""Ctrl-C, SIGTERM and SIGKILL at any moment of a sweep and its joining, and two sweeps at once."""
+
+import random
+import re
+import signal
+import threading
+import time
+
+import h5netcdf
+import numpy as np
+import pytest
+from pyarrow import parquet
+from sweeps import process, sweep
+
+from closedloop import threads
+from closedloop.threads import Done, Ended, side_by_side, uninterrupted
+
+# Some tenths of a second of runs, and as long to join: 200 runs of 400 steps in 100 parts, 6 MB of columns.
+ARGUMENTS = ("wam_slide", "--time.duration", "0.4", "--over", "law.force=5:15:200", "--keep", "f,q,v")
+# Some seconds of runs, so short that no loop is compiled for them.
+LONG = ("wam_bounce", "--time.duration", "1", "--over", "law.force=1:5:1500")
+LAST_LINES = {
+    signal.SIGINT: (130, "closedloop.sweep: interrupted; the same command goes on from here"),
+    signal.SIGTERM: (143, "closedloop.sweep: ended by SIGTERM; the same command goes on from here"),
+}
+
+
+def names(folder):
+    """Return the names of what is in a folder."""
+    return sorted(path.name for path in folder.iterdir())
+
+
+@pytest.fixture(scope="module")
+def whole(tmp_path_factory):
+    """Return the folder of the sweep that nothing has ended."""
+    folder = tmp_path_factory.mktemp("whole")
+    run = process(folder, *ARGUMENTS, "--out", "t.parquet")
+    assert run.communicate(timeout=300)[0].startswith("200 runs: 200 done")
+    return folder
+
+
+def send(run, number, folder, seconds):
+    """Send a signal some seconds after the first part is there; return what the process said."""
+    while run.poll() is None and seconds >= 0.0 and not list(folder.glob("t.parquet.parts/*.arrow")):
+        time.sleep(0.002)
+    time.sleep(abs(seconds))
+    if run.poll() is None:
+        run.send_signal(number)
+    return run.communicate(timeout=120)
+
+
+def assert_sound(folder, status, number, said):
+    """Check what a signal has left, whatever it hit."""
+    if status == 0:  # it came too late
+        return
+    if number != signal.SIGKILL:
+        expected, line = LAST_LINES[number]
+        assert (status, said.strip().splitlines()[-1]) == (expected, line)
+        assert "Traceback" not in said
+        assert set(names(folder)) <= {"t.parquet.parts", "t.nc", "mine.txt"}
+    assert not (folder / "t.parquet").exists()
+    if (folder / "t.nc").exists():
+        h5netcdf.File(folder / "t.nc").close()
+
+
+def assert_goes_on_to(folder, whole):
+    """Check that the sweep goes on to the same table, and that nothing else is left."""
+    run = process(folder, *ARGUMENTS, "--out", "t.parquet")
+    _, err = run.communicate(timeout=300)
+    assert run.returncode == 0, err
+    assert names(folder) == ["mine.txt", "t.nc", "t.parquet"]
+    assert (folder / "mine.txt").read_text() == "mine"
+    assert parquet.read_table(folder / "t.parquet").equals(parquet.read_table(whole / "t.parquet"))
+    with h5netcdf.File(folder / "t.nc") as mine, h5netcdf.File(whole / "t.nc") as theirs:
+        for name in ("contact_force", "q", "v"):
+            np.testing.assert_array_equal(mine.variables[name][...], theirs.variables[name][...])
+
+
+@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
+def test_a_signal_ends_a_sweep_with_one_line(tmp_path, number):
+    """While it runs: exit status 130 or 143, one line, and the parts stay."""
+    run = process(tmp_path, *LONG, "--out", "t.parquet")
+    _, err = send(run, number, tmp_path, 0.0)
+    assert_sound(tmp_path, run.returncode, number, err)
+    assert run.returncode == LAST_LINES[number][0]
+    assert list(tmp_path.glob("t.parquet.parts/*.arrow"))
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM, signal.SIGKILL])
+def test_any_signal_at_any_moment_costs_nothing(tmp_path, whole, number):
+    """From the start of the process to the renaming of the table, at random."""
+    rng = random.Random(int(number))
+    (tmp_path / "mine.txt").write_text("mine")
+    for k in range(12):
+        run = process(tmp_path, *ARGUMENTS, "--out", "t.parquet")
+        # Every third while it starts; else from the first part that is there on: the runs, then the joining.
+        _, err = send(run, number, tmp_path, -rng.uniform(0.2, 3.0) if k % 3 == 0 else rng.uniform(0.0, 1.5))
+        if run.returncode == 0:
+            for name in ("t.parquet", "t.nc"):
+                (tmp_path / name).unlink()
+        elif -run.returncode != number or number == signal.SIGKILL:  # else: before Python could heed it
+            assert_sound(tmp_path, run.returncode, number, err)
+    assert_goes_on_to(tmp_path, whole)
+
+
+def test_an_interruption_while_columns_are_joined_leaves_no_file(capsys, tmp_path, monkeypatch):
+    """Ctrl-C in the middle of the NetCDF file: it is ended between two parts, not within a call of HDF5."""
+    from closedloop.sweep import columns
+
+    waiting, main = threading.Event(), threading.main_thread().ident
+    create = columns._create
+
+    def slow(*arguments):
+        create(*arguments)
+        signal.pthread_kill(main, signal.SIGINT)
+        time.sleep(0.3)
+        waiting.set()
+
+    monkeypatch.setattr(columns, "_create", slow)
+    small = ("wam_slide", "--time.duration", "0.01", "--over", "law.force=5:15:6", "--keep", "f")
+    status, _, err = sweep(capsys, *small, "--out", tmp_path / "t.parquet")
+    assert (status, err.splitlines()[-1]) == LAST_LINES[signal.SIGINT]
+    assert waiting.is_set()
+    assert names(tmp_path) == ["t.parquet.parts"]
+    monkeypatch.undo()
+    assert sweep(capsys, *small, "--out", tmp_path / "t.parquet")[0] == 0
+    assert names(tmp_path) == ["t.nc", "t.parquet"]
+
+
+def test_threads_end_between_two_runs_when_one_fails():
+    """The error comes out at once, and the other thread ends at its next run, not at the end of its work."""
+    done, ran = Done(), []
+    failed = threading.Event()
+
+    def one(own, i):
+        if i == 1:
+            failed.set()
+            raise ZeroDivisionError
+        failed.wait(10.0)
+        while True:  # as many runs as there may be
+            time.sleep(0.001)
+            done.add()
+            ran.append(i)
+
+    with pytest.raises(ZeroDivisionError):
+        side_by_side(one, 2, 2, object, lambda: None, done)
+    assert not threads.still_at_work() or len(ran) < 1000
+    with pytest.raises(Ended):
+        done.add()
+
+
+def test_uninterrupted_returns_and_raises():
+    """What the thread returns or raises comes out."""
+    assert uninterrupted(lambda done: 3) == 3
+    with pytest.raises(ZeroDivisionError):
+        uninterrupted(lambda done: 1 / 0)
+
+
+def test_a_second_sweep_to_the_same_file_is_refused(capsys, tmp_path):
+    """While a process is at work, another that would write there, the same sweep or another, gets one line."""
+    out = tmp_path / "t.parquet"
+    first = process(tmp_path, *LONG, "--out", "t.parquet")
+    try:
+        while first.poll() is None and not list(tmp_path.glob("t.parquet.parts/*.arrow")):
+            time.sleep(0.002)
+        first.send_signal(signal.SIGSTOP)
+        assert first.poll() is None
+        for more in ((), ("--law.kd", "5")):
+            status, _, err = sweep(capsys, *LONG, *more, "--out", out)
+            assert (status, len(err.splitlines())) == (2, 1)
+            assert re.search("another process is at work on this sweep; wait for it, or end it", err)
+    finally:
+        first.kill()
+        first.communicate()
+    status, _, err = sweep(capsys, *LONG, "--law.kd", "5", "--out", out)  # the lock has died with its process
+    assert status == 2
+    assert "belongs to another sweep: not the same scenario" in err

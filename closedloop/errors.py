@@ -32,9 +32,18 @@ __all__ = [
 ]
 
 
+# Characters of a message that are shown; a name in it may be of any length.
+LONGEST_LINE = 900
+
+
 def one_line(message: str) -> str:
-    """Return the message on one line of printable characters: names in it may have come from anywhere."""
-    return message if message.isprintable() else message.encode("unicode_escape").decode("ascii")
+    """Return the message on one line of printable characters, without the middle of one that is too long to be read.
+
+    Names in it may have come from anywhere. What was wrong stands at its beginning, what would be right at its end.
+    """
+    line = message if message.isprintable() else message.encode("unicode_escape").decode("ascii")
+    half = LONGEST_LINE // 2
+    return line if len(line) <= LONGEST_LINE else f"{line[:half]} ... {line[-half:]}"
 
 
 class ScenarioError(ClosedLoopError, ValueError):

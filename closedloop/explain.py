@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import difflib
-import reprlib
 from typing import Annotated, Any, get_args
 
 from pydantic import ValidationError
@@ -12,6 +11,7 @@ from pydantic_core import ErrorDetails
 from closedloop.errors import one_line
 from closedloop.scenario import Scenario
 from closedloop.sections import Section, SizeError, sizes
+from robot_models.errors import shown as shown_value
 
 
 def variants(section: str) -> dict[str, type[Section]]:
@@ -63,6 +63,9 @@ CURES = {
 }
 
 
+LONGEST_KEY = 60  # characters, more than any has; a joint's name may
+
+
 def explain(error: ValidationError, data: dict[str, Any]) -> str:
     """Return one line about what pydantic found: which key, which value, what would be right."""
     # An unknown key first: it is often the misspelt name of one that is missing.
@@ -72,7 +75,7 @@ def explain(error: ValidationError, data: dict[str, Any]) -> str:
 
 def _explain_first(problems: list[ErrorDetails], data: dict[str, Any]) -> str:
     first = problems[0]
-    location = [str(part) for part in first["loc"]]
+    location = [_brief(str(part)) for part in first["loc"]]
     section = location[0] if location else ""
     # pydantic names the branch of a union that it tried, after the section; a user knows only keys and places in lists.
     if len(variants(section)) > 1 and location[1:2] and location[1] in variants(section):
@@ -81,7 +84,7 @@ def _explain_first(problems: list[ErrorDetails], data: dict[str, Any]) -> str:
     path = [p for k, p in enumerate(location) if p.isdigit() or k == 0 or p in known or "lock" in location]
     name = "".join(f"[{p}]" if p.isdigit() else f".{p}" for p in path).removeprefix(".")
     kind, value = first["type"], first.get("input")
-    shown = "a table" if isinstance(value, dict) else reprlib.repr(value)
+    shown = "a table" if isinstance(value, dict) else shown_value(value)
     if isinstance(value, bool):
         shown = str(value).lower()  # as TOML spells it
     others = {tuple(p["loc"][:2]) for p in problems} - {tuple(first["loc"][:2])}
@@ -89,7 +92,7 @@ def _explain_first(problems: list[ErrorDetails], data: dict[str, Any]) -> str:
     if kind == "extra_forbidden":
         return f"unknown key '{'.'.join(location)}'; {_known_keys(section, location, data)}{more}"
     if kind == "missing" and location[-1].isdigit():
-        name, shown, cure = name.partition("[")[0], repr(value), CURES["too_short"]
+        name, shown, cure = name.partition("[")[0], shown_value(value), CURES["too_short"]
     elif kind == "missing":
         return f"'{'.'.join(location)}' is missing{more}"
     elif kind == "value_error" and isinstance(first["ctx"]["error"], SizeError):
@@ -97,7 +100,7 @@ def _explain_first(problems: list[ErrorDetails], data: dict[str, Any]) -> str:
     elif name == "surface.offset":
         cure = 'must be a finite number of metres, or "start"'
     elif kind in ("union_tag_invalid", "union_tag_not_found"):
-        shown = reprlib.repr(first["ctx"].get("tag")) if kind == "union_tag_invalid" else "missing"
+        shown = shown_value(first["ctx"].get("tag")) if kind == "union_tag_invalid" else "missing"
         more = ""  # the other faults are those of no kind
         name, cure = f"{name}.kind", f"must be {' or '.join(repr(k) for k in variants(section))}"
     elif kind == "literal_error":
@@ -112,6 +115,11 @@ def _explain_first(problems: list[ErrorDetails], data: dict[str, Any]) -> str:
     else:
         cure = CURES.get(kind, first["msg"])
     return f"{name} = {shown}: {cure}{more}"
+
+
+def _brief(key: str) -> str:
+    """Return a key as messages show it: whole, but for one of absurd length."""
+    return key if len(key) <= LONGEST_KEY else f"{key[:LONGEST_KEY]}..."
 
 
 def _all_keys(section: str) -> set[str]:

@@ -8,7 +8,6 @@ A scenario file is data: it can name a robot and numbers, never code. Unknown ke
 from __future__ import annotations
 
 import math
-import tomllib
 from collections.abc import Mapping
 from copy import deepcopy
 from pathlib import Path
@@ -50,6 +49,7 @@ from closedloop.sections import (
     Vector3,
     gain_in,
 )
+from robot_models.toml_text import toml_tables
 
 REST_SPEED = Size(1e4, "m/s", "nothing bounces so fast", 1e-12, "slower motion is rounding")
 DAMPING_RATIO = Size(1e6, "", "no closure is damped so", 1e-6, "nothing would die out")
@@ -299,10 +299,9 @@ def parse_scenario(
 ) -> Scenario:
     """Read a scenario from TOML text; `where` names its origin in messages. See `load_scenario`."""
     try:
-        data = tomllib.loads(text)
-    except (ValueError, RecursionError) as error:
-        reason = "nested too deeply" if isinstance(error, RecursionError) else error
-        raise ScenarioError(f"{where}: not valid TOML: {reason}") from None
+        data = toml_tables(text)
+    except ValueError as error:
+        raise ScenarioError(f"{where}: not valid TOML: {error}") from None
     data.setdefault("name", stem)
     return scenario_of(data, where, overrides or {})
 

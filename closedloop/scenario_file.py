@@ -3,15 +3,15 @@
 from __future__ import annotations
 
 import difflib
-import reprlib
 import stat
 from importlib import resources
 from pathlib import Path
 
 from closedloop.errors import ScenarioError
+from robot_models.errors import shown
 
-# A scenario is a few kilobytes; one with a hundred thousand waypoints is a few megabytes.
-MOST_BYTES = 16_000_000
+# A scenario is a few kilobytes, one with ten thousand waypoints less than a megabyte. Larger ones take the parser long.
+MOST_BYTES = 4_000_000
 
 
 def shipped_scenarios() -> list[str]:
@@ -35,9 +35,7 @@ def scenario_text(name: str | Path) -> tuple[str, str, str]:
     if name not in shipped:
         near = difflib.get_close_matches(str(name)[:100], shipped, n=1, cutoff=0.4)
         hint = f"did you mean '{near[0]}'?" if near else f"shipped are {', '.join(shipped)}"
-        raise ScenarioError(
-            f"no scenario named {reprlib.repr(str(name))}; {hint} (a file of your own must end in .toml)"
-        )
+        raise ScenarioError(f"no scenario named {shown(str(name))}; {hint} (a file of your own must end in .toml)")
     file = resources.files("closedloop") / "scenarios" / f"{name}.toml"
     return file.read_text(encoding="utf-8"), str(name), str(name)
 

@@ -10,13 +10,14 @@ quotients of what a scenario says never overflow. A key takes one of them, or it
 from __future__ import annotations
 
 import math
-import reprlib
 from collections.abc import Iterator
 from dataclasses import dataclass
 from typing import Annotated, Any, get_args
 
 from pydantic import BaseModel, BeforeValidator, ConfigDict, Field, GetCoreSchemaHandler
 from pydantic_core import CoreSchema, core_schema
+
+from robot_models.errors import shown
 
 
 def _number(value: Any) -> Any:
@@ -43,7 +44,7 @@ def _gain(value: Any) -> Any:
         try:
             _finite(entry)
         except ValueError:
-            raise ValueError(f"entry {index} is {reprlib.repr(entry)}: must be a finite number") from None
+            raise ValueError(f"entry {index} is {shown(entry)}: must be a finite number") from None
     return tuple(float(entry) for entry in value)
 
 

@@ -1,5 +1,7 @@
 """The root of the project's errors, and the one that this package raises."""
 
+import reprlib
+
 
 class ClosedLoopError(Exception):
     """Root of every error that the project raises on purpose: catching it catches them all."""
@@ -18,3 +20,10 @@ class ModelError(ClosedLoopError, ValueError):
 
     def __init__(self, text: str) -> None:
         super().__init__(text if len(text) <= _LONG else f"{text[: _LONG - 200]} … {text[-150:]}")
+
+def shown(value: object) -> str:
+    """Return a value from a file as a message shows it: a line of a few words, however large the value is."""
+    try:
+        return reprlib.repr(value)
+    except ValueError:  # Python writes out no whole number of more than some thousand digits
+        return "a number of thousands of digits"

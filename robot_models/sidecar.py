@@ -18,18 +18,20 @@
 Every key is optional and no other is known.
 """
 
-import tomllib
 from collections.abc import Collection, Mapping
 from dataclasses import dataclass, field
 from difflib import get_close_matches
-from math import isfinite
 from pathlib import Path
 
-from robot_models.errors import ModelError
+from robot_models.errors import ModelError, shown
+from robot_models.toml_text import toml_tables
 from robot_models.xml_text import read_text
 
 _TEXTS = ("description", "source", "tip")
 _TABLES = ("home", "lock", "drive_inertia")
+
+# No joint turns or reaches farther, and no drive is heavier: products of larger figures might not be numbers.
+MOST_POSITION, MOST_INERTIA = 1e6, 1e9
 
 
 @dataclass(frozen=True)
@@ -62,15 +64,17 @@ def read_sidecar(path: Path, joints: Collection[str]) -> Sidecar:
     if not path.exists():
         return Sidecar()
     try:
-        table = tomllib.loads(read_text(path))
-    except tomllib.TOMLDecodeError as error:
+        table = toml_tables(read_text(path))
+    except ModelError:
+        raise
+    except ValueError as error:
         raise ModelError(f"{path} is not valid TOML: {error}") from None
     for key, value in table.items():
         if key not in _TEXTS + _TABLES:
             hint = " (it looks like a scenario: give it another name than the robot's)" if "law" in table else ""
-            raise ModelError(f"{path}: unknown key {key!r}: known are {', '.join(_TEXTS + _TABLES)}{hint}")
+            raise ModelError(f"{path}: unknown key {shown(key)}: known are {', '.join(_TEXTS + _TABLES)}{hint}")
         if key in _TEXTS and not (isinstance(value, str) and value.strip()):
-            raise ModelError(f"{path}: {key} is {value!r}: it must be a text")
+            raise ModelError(f"{path}: {key} is {shown(value)}: it must be a text")
         if key in _TABLES:
             _check_table(path, key, value, joints)
     return Sidecar(**table)
@@ -78,13 +82,14 @@ def read_sidecar(path: Path, joints: Collection[str]) -> Sidecar:
 
 def _check_table(path: Path, key: str, table: object, joints: Collection[str]) -> None:
     if not isinstance(table, dict):
-        raise ModelError(f"{path}: {key} is {table!r}: it must be a table of joints, [{key}]")
+        raise ModelError(f"{path}: {key} is {shown(table)}: it must be a table of joints, [{key}]")
     for joint, value in table.items():
         if joint not in joints:
             near = get_close_matches(joint, joints, n=1)
             hint = f"did you mean {near[0]!r}?" if near else f"the joints are {', '.join(joints)}"
-            raise ModelError(f"{path}: [{key}] names {joint!r}, which is no moving joint: {hint}")
-        number = isinstance(value, int | float) and not isinstance(value, bool) and isfinite(value)
-        if not number or (key == "drive_inertia" and value < 0):
-            wanted = "a finite number, zero or more" if key == "drive_inertia" else "a finite number"
-            raise ModelError(f"{path}: [{key}] {joint} is {value!r}: it must be {wanted}")
+            raise ModelError(f"{path}: [{key}] names {shown(joint)}, which is no moving joint: {hint}")
+        most, unit = (MOST_INERTIA, "kg m² (kg)") if key == "drive_inertia" else (MOST_POSITION, "rad (m)")
+        number = isinstance(value, int | float) and not isinstance(value, bool)
+        if not number or not abs(value) <= most or (key == "drive_inertia" and value < 0):
+            wanted = f"zero or more, at most {most:g} {unit}" if key == "drive_inertia" else f"at most {most:g} {unit}"
+            raise ModelError(f"{path}: [{key}] {joint} is {shown(value)}: it must be a finite number, {wanted}")

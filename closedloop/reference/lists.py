@@ -3,12 +3,12 @@
 from __future__ import annotations
 
 import math
-import reprlib
 from typing import Annotated, Any
 
 from pydantic import BeforeValidator
 
 from closedloop.sections import PLACE
+from robot_models.errors import shown
 
 
 def _numbers(value: Any, what: str) -> tuple[float, ...]:
@@ -16,7 +16,7 @@ def _numbers(value: Any, what: str) -> tuple[float, ...]:
         raise ValueError(f"must be a list of {what}")
     for index, entry in enumerate(value):
         if isinstance(entry, bool) or not isinstance(entry, (int, float)):
-            raise ValueError(f"entry {index} is {reprlib.repr(entry)}: must be a number")
+            raise ValueError(f"entry {index} is {shown(entry)}: must be a number")
         try:
             number = float(entry)
         except OverflowError:

@@ -175,7 +175,7 @@ def test_largest_feedback_is_where_the_sampled_loop_starts_to_diverge(section, p
 
 
 def test_nyquist_and_eigenvalues_agree_on_the_sampled_loop():
-    """Over gains, low-passes and delays the loop settles where all eigenvalues of its recursion are within the circle."""
+    """Over gains, low-passes and delays the loop settles where all eigenvalues of its recursion do."""
     draw, verdicts = np.random.default_rng(8), []
     for _ in range(400):
         period = 10.0 ** draw.uniform(-4, -2)

@@ -29,10 +29,10 @@ from robot_models.mjcf_defaults import Defaults
 from robot_models.mjcf_mechanism import TURNS, Units, mechanism, pose
 from robot_models.mjcf_schema import check_schema
 from robot_models.mjcf_values import (
-    check_shape,
     check_inertial,
     check_joint,
     check_neutral,
+    check_shape,
     check_turns,
     check_weighing_bodies,
     check_weighing_geom,

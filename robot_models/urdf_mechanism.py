@@ -51,7 +51,9 @@ def _copy(source: ET.Element, target: ET.Element, kept: dict[str, tuple[str, ...
     for tag, keys in kept.items():
         element = source.find(tag)
         if element is not None:
-            ET.SubElement(target, tag, {key: element.attrib[key] for key in keys if key in element.attrib})
+            given = {key: element.attrib[key] for key in keys if key in element.attrib}
+            # A link's name may have blanks in it; between numbers one is enough.
+            ET.SubElement(target, tag, {k: v if k == "link" else " ".join(v.split()) for k, v in given.items()})
 
 
 def mechanism(text: str) -> list[Link]:

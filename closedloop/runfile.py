@@ -11,6 +11,7 @@ from __future__ import annotations
 import hashlib
 import io
 import json
+import math
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Any, BinaryIO
@@ -172,6 +173,8 @@ def _run_of(found: Mapping[str, Any], columns: dict[str, NDArray[Any]]) -> Run:
         raise RunFileError("is damaged: its attributes 'robot' and 'versions' must be tables")
     if found["engine"] not in ("pinocchio", "compiled"):
         raise RunFileError(f"is damaged: attribute 'engine' is {found['engine'][:40]!r}")
+    if not 0.0 <= float(found["wall_seconds"]) < math.inf:
+        raise RunFileError(f"is damaged: attribute 'wall_seconds' is {found['wall_seconds']}")
     model = robot_models.from_text(found["robot_text"], **robot)
     _check_columns(columns, model.n, json.loads(found["not_finite"]))
     return Run(

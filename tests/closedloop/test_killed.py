@@ -115,15 +115,15 @@ ALLOWED = {
 
 @pytest.mark.parametrize("number", ALLOWED)
 def test_signal_at_a_few_moments(number, place):
-    """Five moments each."""
-    statuses, _ = judge(place, number, 5, 0)
+    """Three moments each."""
+    statuses, _ = judge(place, number, 3, 0)
     assert statuses <= ALLOWED[number]
 
 
 @pytest.mark.slow
 @pytest.mark.parametrize("number", ALLOWED)
 def test_signal_at_many_moments(number, place):
-    """Sixty moments each, of which some are in the middle of the run."""
-    statuses, lengths = judge(place, number, 60, 1)
+    """Forty moments each, of which some are in the middle of the run."""
+    statuses, lengths = judge(place, number, 40, 1)
     assert statuses <= ALLOWED[number]
     assert number == signal.SIGKILL or len(lengths) > 3

@@ -311,6 +311,7 @@ DAMAGE = {
     ),
     "versions are no table": set_attribute("versions", "[1]"),
     "versions are no JSON": set_attribute("versions", "{"),
+    "seconds are not finite": set_attribute("wall_seconds", float("nan")),
     "seconds are no number": set_attribute("wall_seconds", "abc"),
     "format version is no number": set_attribute("format_version", "x"),
     "format is another": set_attribute("format", "another"),

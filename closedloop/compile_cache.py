@@ -28,7 +28,7 @@ from numba.core.serialize import dumps
 from closedloop.cache_folder import MAGIC, cache_folder, claim, forget_old_caches
 
 
-class KernelCache(_Cache):  # type: ignore[misc]  # numba is not annotated
+class KernelCache(_Cache):
     """What a dispatcher of numba asks for code that is there already, and gives what it has compiled.
 
     Parameters

@@ -17,7 +17,8 @@ from typing import Any, TypeVar, cast
 import numba
 
 from closedloop.cache_folder import cache_folder as cache_folder
-from closedloop.cache_folder import is_kept, numba_settings
+from closedloop.cache_folder import is_kept
+from closedloop.cache_folder import numba_settings as numba_settings
 from closedloop.compile_cache import KernelCache
 from closedloop.nested import NestedFunction
 

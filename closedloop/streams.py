@@ -14,12 +14,9 @@ import select
 import sys
 from collections.abc import Iterator
 from contextlib import contextmanager, suppress
-from typing import IO, TYPE_CHECKING, Any
+from typing import IO, Any
 
 from closedloop.plain_text import HANDLER
-
-if TYPE_CHECKING:
-    from collections.abc import Buffer
 
 
 class Patient(io.RawIOBase):
@@ -48,7 +45,7 @@ class Patient(io.RawIOBase):
         """Whether it is a terminal."""
         return bool(self.inner.isatty())
 
-    def write(self, data: Buffer, /) -> int:
+    def write(self, data: Any, /) -> int:
         """Write, or know why not."""
         view = memoryview(data).cast("B")
         while self.failure is None:

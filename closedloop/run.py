@@ -87,7 +87,7 @@ def _main(arguments: list[str]) -> int:
             run, folder, None if failure else _without_stabiliser(scenario, law, model, options.engine)
         )
     if options.json:
-        print(json.dumps(run.summary(), indent=2))
+        print(json.dumps(run.summary(), indent=2, allow_nan=False))
     else:
         from closedloop.report import print_report
 
@@ -223,7 +223,7 @@ def announce_compiling(scenario: Scenario, n: int, engine: str, runs: int = 1) -
 
 def _write_summary(summary: dict[str, Any], path: Path) -> Path:
     try:
-        path.write_text(json.dumps(summary, indent=2) + "\n", encoding="utf-8")
+        path.write_text(json.dumps(summary, indent=2, allow_nan=False) + "\n", encoding="utf-8")
     except OSError as error:
         raise OutputError(f"{path}: cannot be written: {error.strerror}") from None
     return path

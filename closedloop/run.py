@@ -93,7 +93,7 @@ def _main(arguments: list[str]) -> int:
     if not options.no_figures:
         paths += _draw(run, folder, failure, law, model)
     if options.json:
-        print(json.dumps(run.summary(), indent=2))
+        print(json.dumps(run.summary(), indent=2, allow_nan=False))
     else:
         from closedloop.report import print_report
 

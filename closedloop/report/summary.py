@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -21,7 +22,10 @@ Array = NDArray[np.float64]
 
 
 def summarise(run: Run) -> dict[str, Any]:
-    """Return the summary of a run: what summary.json holds. Quantities that do not exist (no rows) are None."""
+    """Return the summary of a run: what summary.json holds, which is strict JSON.
+
+    Quantities that do not exist (no rows) are None. So is a figure that is no finite number; `not_finite` names it.
+    """
     figures: dict[str, Any] = _measures(run) if len(run) else dict.fromkeys(MEASURES)
     joints = joint_measures(run)
     held = assumptions(run)
@@ -34,7 +38,8 @@ def summarise(run: Run) -> dict[str, Any]:
         "steps": max(0, len(run) - 1),
         "end_time": float(run.time[-1]) if len(run) else None,
         "stopped": run.stopped,
-        **figures,
+        **{name: figure if _exists(figure) else None for name, figure in figures.items()},
+        "not_finite": [name for name, figure in figures.items() if not _exists(figure)],
         "events": {kind: sum(event.kind == kind for event in run.events) for kind in KINDS.values()},
         "assumptions": held,
         "joints": {
@@ -105,6 +110,12 @@ def alternation(signal: Array) -> Array:
     return total
 
 
+def _exists(figure: float | None) -> bool:
+    """Whether a figure is a number, or is known not to exist."""
+    return figure is None or math.isfinite(figure)
+
+
+@np.errstate(all="ignore")  # what overflows is named
 def _measures(run: Run) -> dict[str, Any]:
     residual, exchanged = energy_balance(run)
     # Off the surface the closure error is a gap, not an error.

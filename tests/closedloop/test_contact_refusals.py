@@ -1,10 +1,13 @@
 """Bad input of a surface that the tip may leave: one clear line, exit status 2; a run that stops: 3, and its file."""
 
 import json
+import re
 
+import numpy as np
 import pytest
 
 import closedloop as cl
+from closedloop.preparation import START_RATE
 
 REFUSED = [
     ("wam_bounce", {"impact.restitution": 1.2}, r"impact\.restitution = 1\.2.*1"),
@@ -29,6 +32,43 @@ REFUSED = [
         r"start\.v: the tip starts on the surface and leaves it at 0\.\d+ m/s.*surface\.gap",
     ),
 ]
+
+
+@pytest.mark.parametrize("v", [[0.0, 0.1, 0.0, 0.2], [0.3, 0.0, -0.5, 1.0], [0.0, -1e-3, 0.0, 0.0]])
+def test_held_tip_does_not_start_through_its_closure(v):
+    """A bilateral start with velocity along the normal is refused with the rate, and with velocities that would do.
+
+    It ran before: at 0.12 m/s the tip was 0.23 m off in the end, without a word. Those velocities along the surface are
+    accepted, and the run starts with them.
+    """
+    slide = {"time.duration": 0.01, "start.v": v}
+    with pytest.raises(cl.ScenarioError) as caught:
+        cl.prepare(cl.load_scenario("wam_slide", slide))
+    said = re.search(
+        r"starts through it at (\S+) m/s, where 0\.0001 m/s is the most; .* is (\[.*\]), or", str(caught.value)
+    )
+    problem = cl.prepare(cl.load_scenario("wam_slide", slide | {"start.v": json.loads(said[2])}))
+    A = problem.plane.normal @ problem.robot.terms(problem.q, problem.v).jacobian
+    assert float(said[1]) == pytest.approx(A @ v, rel=1e-3)
+    assert abs(A @ problem.v) < 1e-8
+    assert np.linalg.norm(problem.v - v) <= abs(A @ v) / np.linalg.norm(A) * (1 + 1e-6)
+    cl.prepare(
+        cl.load_scenario("wam_slide", slide | {"surface.contact": "unilateral", "start.v": [0.0, 0.1, 0.0, 0.2]})
+    )
+
+
+@pytest.mark.parametrize("factor", [0.9, 1.1])
+def test_rate_of_a_held_start_from_both_sides(factor, robot):
+    """The tolerance is `START_RATE`: a little below it a start is accepted, a little above refused."""
+    q = [1.5707963267948966, 1.0, 0.0, 2.0]
+    A = robot("wam4").position_and_jacobian(np.array(q))[1][2]
+    v = (factor * START_RATE * A / (A @ A)).tolist()
+    scenario = cl.load_scenario("wam_slide", {"time.duration": 0.01, "start.v": v})
+    if factor < 1.0:
+        cl.prepare(scenario)
+    else:
+        with pytest.raises(cl.ScenarioError, match=r"start\.v: the tip is held"):
+            cl.prepare(scenario)
 
 
 def ident(case):

@@ -42,6 +42,28 @@ def test_every_assumption_holds_in_a_good_run(slide):
     assert all(verdict["measured"] for verdict in report.values())
 
 
+def test_figure_that_is_no_number_is_null_and_named(slide):
+    """A summary is strict JSON: a figure whose squares overflow is null, and its name stands beside; else none does."""
+    assert slide.summary()["not_finite"] == []
+    summary = with_column(slide, "velocity", {5: np.full(3, 1e200)}).summary()
+    assert summary["max_tip_speed"] is None
+    assert "max_tip_speed" in summary["not_finite"]
+    assert all(summary[name] is None for name in summary["not_finite"])
+    json.dumps(summary, allow_nan=False)
+
+
+def test_force_beyond_all_bounds_is_divergence():
+    """A torque beyond what squares can hold stops the run, and its summary is JSON."""
+    with pytest.raises(cl.DivergenceError) as caught:
+        cl.simulate(
+            cl.load_scenario("wam_slide", {"time.duration": 0.01}), law=lambda t, q, v, terms: [1e200 * (t > 0.004)] * 4
+        )
+    run = caught.value.run
+    assert len(run) == 5
+    assert run.summary()["not_finite"] == []
+    json.dumps(run.summary(), allow_nan=False)
+
+
 def test_pulling_is_a_contact_that_is_lost_from_the_start():
     """A law that pulls with 5 N would lift the tip: the contact is not kept, from the first row on."""
     run = cl.simulate(cl.load_scenario("wam_slide", {"law.force": -5.0, "time.duration": 0.01}))

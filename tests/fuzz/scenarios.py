@@ -16,6 +16,7 @@ from scenario_cases import SEED, Case, all_cases, tables
 # One of each form of the loop, so that nothing is compiled while a case's time is counted.
 FIRST = [
     *(Case(robot, tables(robot, {}), {}) for robot in ("wam4", "pointmass3", "planar2")),
+    Case("adaptive", tables("planar2", {"law": "paper"}), {}),
     Case("impact", tables("pointmass3", {}) | {"surface": {"contact": "unilateral", "gap": 1e-5},
                                                "start": {"v": [0.0, 0.01, -0.1]}}, {}),
     Case("adaptive impact", tables("planar2", {}) | {"surface": {"contact": "unilateral", "gap": 1e-5},
@@ -42,7 +43,7 @@ def main() -> None:
             print(f"{case.name[:300]}\n    {words}", flush=True)
         elif spent > options.slow:
             print(f"{case.name[:300]}\n    {spent:.1f} s: {words}", flush=True)
-        if counts.total() % 1000 == 0:
+        if counts.total() % 500 == 0:
             print(dict(counts), flush=True)
     print(f"{len(cases)} scenarios: {dict(counts)}")
 

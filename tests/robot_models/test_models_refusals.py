@@ -288,6 +288,14 @@ def test_unreadable_files(tmp_path, make, says):
         ("[lock]\nend = 0.0", ["'end'", "no moving joint"]),
         ("tip = 'hand'", ["'hand'", "did you mean"]),
         ("tip = ", ["not valid TOML"]),
+        ("[home]\nelbow = 1" + "0" * 400, ["elbow", "at most 1e+06 rad (m)"]),
+        ("[home]\nelbow = 0x" + "f" * 10_000, ["elbow is a number of thousands of digits", "at most 1e+06 rad (m)"]),
+        ("[home]\nelbow = 1" + "0" * 5000, ["not valid TOML"]),
+        ("[lock]\nelbow = 1e300", ["elbow", "1e+300", "at most 1e+06 rad (m)"]),
+        ("[drive_inertia]\nelbow = 9223372036854775808000000000", ["elbow", "zero or more, at most 1e+09 kg m²"]),
+        ("tip = " + "[" * 100_000, ["not valid TOML: nested too deeply"]),
+        ("tip" + ".a" * 50_000 + " = 1", ["not valid TOML: a key has more than 20 parts"]),
+        ("tip = [" + "1, " * 10_000 + "]", ["tip is [1, 1, 1, 1, 1, 1, ...]"]),
     ],
 )
 def test_sidecar_is_read_strictly(tmp_path, toml, says):

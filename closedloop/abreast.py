@@ -272,7 +272,7 @@ def desired(
 def press(H: Array, C: Array, w: Work, k: Array, t: float, sampled: bool) -> int:
     """Evaluate law, contact and Eq. 24 of a tip that is held on a smooth surface; see `closedloop.step.evaluate`."""
     locate_tip(w, k)
-    status = factorise(H, w.A, w.L, w.X, w.S)
+    status = factorise(H, w.A, w.L, w.X, w.S, k[space.REACH])
     if status != OK:
         return status
     if sampled:

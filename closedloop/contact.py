@@ -45,9 +45,8 @@ IMMOBILE = 1e-10
 
 @kernel_inlined
 def into_contact_frame(
-    frame: Array, J: Array, r: Array, drift: Array, v: Array, A: Array, p: Array, u: Array, drift_c: Array,
-    rounding: float,
-) -> None:  # fmt: skip
+    frame: Array, J: Array, r: Array, drift: Array, v: Array, A: Array, p: Array, u: Array, drift_c: Array
+) -> None:
     """Write A = N Jᵣ, p = N r, u = A q̇ and N J̇ᵣq̇ for the contact frame N (rows n, t1, t2).
 
     Parameters
@@ -60,17 +59,12 @@ def into_contact_frame(
         q̇.
     A, p, u, drift_c : (3, n), (3,), (3,), (3,) arrays
         Written.
-    rounding : float
-        An entry of A no larger than this, m, is zero: what is left of it where lengths have cancelled is rounding. A
-        tip on the only axis that could move it along n has then no mobility there, instead of one that is rounding
-        (`Robot.rounding`).
     """
     for k in range(3):
         n0, n1, n2 = frame[3 * k], frame[3 * k + 1], frame[3 * k + 2]
         speed = 0.0
         for j in range(v.shape[0]):
             a = n0 * J[0, j] + n1 * J[1, j] + n2 * J[2, j]
-            a = select(abs(a) > rounding, a, 0.0)
             A[k, j] = a
             speed += a * v[j]
         u[k] = speed
@@ -79,7 +73,7 @@ def into_contact_frame(
 
 
 @kernel_inlined
-def factorise(H: Array, A: Array, L: Array, X: Array, S: Array) -> int:
+def factorise(H: Array, A: Array, L: Array, X: Array, S: Array, reach: float) -> int:
     """Write the Cholesky factor L of H, the rows X = L⁻¹Aᵀ and the tip's mobility S = A H⁻¹Aᵀ = X Xᵀ, 1/kg.
 
     Parameters
@@ -89,7 +83,11 @@ def factorise(H: Array, A: Array, L: Array, X: Array, S: Array) -> int:
     A : (3, n) array
         Rows n, t1, t2.
     L, X, S : (n, n), (3, n), (3, 3) arrays
-        Written; L's diagonal holds reciprocals, see `closedloop.solve.cholesky`.
+        Written; L's diagonal holds reciprocals, see `closedloop.solve.cholesky`. S_nn is zero where no joint has a
+        lever along n: |A_n|² is no more than SINGULAR_MOBILITY of the arm's reach squared. Where the whole of Jᵣ is
+        rounding, as of a tip on the only axis, a share of the tip's own mobility would not tell.
+    reach : float
+        Of the arm, squared, m², see `Robot.reach`.
 
     Returns
     -------
@@ -112,6 +110,10 @@ def factorise(H: Array, A: Array, L: Array, X: Array, S: Array) -> int:
                 s += X[k, j] * X[i, j]
             S[k, i] = s
             S[i, k] = s
+    lever = 0.0
+    for j in range(n):
+        lever += A[0, j] * A[0, j]
+    S[0, 0] = select(lever > SINGULAR_MOBILITY * reach, S[0, 0], 0.0)
     return OK
 
 

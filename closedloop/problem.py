@@ -134,7 +134,7 @@ class Problem:
         k[space.TIP : space.TIP + 3], k[space.GRAVITY : space.GRAVITY + 3] = robot.tip_offset, robot.gravity
         k[space.RESTITUTION], k[space.REST_SPEED] = impact.restitution, impact.rest_speed
         k[space.IMPACT_FRICTION], k[space.STICK_SPEED] = self.friction[1][KINETIC], STICK_SPEED
-        k[space.PD_AT], k[space.ROUNDING] = self.pd_start, robot.rounding
+        k[space.PD_AT], k[space.REACH] = self.pd_start, robot.reach**2
         k[space.SENSOR_AT : space.SENSOR_AT + 4] = self.sensor.par
         k[space.FRICTION_AT : space.FRICTION_AT + space.FRICTION_WIDTH] = self.friction[1]
         k[space.JOINTS : space.JOINTS + n] = robot.support

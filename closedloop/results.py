@@ -89,7 +89,7 @@ class Results:
         with held_back():
             if self._other:
                 self._clear()
-            summary = json.dumps(run.summary(), indent=2) + "\n"
+            summary = json.dumps(run.summary(), indent=2, allow_nan=False) + "\n"
             return [
                 run.save(self.folder / RUN), write_whole(self.folder / SUMMARY, summary.encode())
             ]  # fmt: skip

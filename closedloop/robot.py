@@ -39,18 +39,13 @@ class Terms(NamedTuple):
     drift: Array
 
 
-# An entry of Jᵣ is a lever, made of sums of products of the arm's lengths with numbers below one: it carries a few
-# roundings of the arm's length for each joint on the way. This share of that length is some hundred of them.
-JACOBIAN_ROUNDING = 2e-14
-
-
 class Robot:
     """A robot model with a tip, ready to be evaluated.
 
     Attributes
     ----------
-    rounding : float
-        An entry of Jᵣ along any direction that is no larger than this, m, is zero but for rounding.
+    reach : float
+        Length of the arm stretched out, from the base frame to the tip, m; a sliding joint counts 1 m.
 
     Parameters
     ----------
@@ -83,7 +78,7 @@ class Robot:
         self.support: Array = np.zeros(self.n)
         for joint in list(self._pin.supports[carrier])[1:]:
             self.support[self._pin.joints[joint].idx_v] = 1.0
-        self.rounding = JACOBIAN_ROUNDING * self._reach()
+        self.reach = self._reach()
         data = self._data
         # Views into Pinocchio's own memory: valid, and always current, as long as `_data` lives.
         self.views: tuple[Array, ...] = (
@@ -97,7 +92,7 @@ class Robot:
         )
 
     def _reach(self) -> float:
-        """Return the length of the arm stretched out, m, from the base frame to the tip; a sliding joint counts 1 m."""
+        """Return the attribute `reach`."""
         chain = [int(joint) for joint in self._pin.supports[self._pin.frames[self._frame].parentJoint]][1:]
         links = sum(float(np.linalg.norm(self._pin.jointPlacements[joint].translation)) for joint in chain)
         sliding = sum(self.model.joint_types[self._pin.joints[joint].idx_v] == "prismatic" for joint in chain)

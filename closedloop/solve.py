@@ -23,7 +23,8 @@ Array = NDArray[np.float64]
 # A H⁻¹Aᵀ is the tip's mobility along the normal, 1/kg: acceleration per newton. Below this share of its mobility
 # in all directions together (the trace of Jᵣ H⁻¹Jᵣᵀ) the pose counts as singular. The share falls with the square
 # of the Jacobian's angle to the singular pose: at 1e-12 that angle is 1e-6 rad, f is ill-determined to about six of
-# its sixteen digits, and a force of 10 N along the normal asks for a million times the joint acceleration.
+# its sixteen digits, and a force of 10 N along the normal asks for a million times the joint acceleration. So it does
+# where no joint's lever along the normal is above 1e-6 of the arm's reach, its square above this share of that squared.
 SINGULAR_MOBILITY = 1e-12
 
 OK, SINGULAR, NOT_POSITIVE_DEFINITE, DIVERGED, PAINLEVE, CHATTER = 0, 1, 2, 3, 4, 5

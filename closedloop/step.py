@@ -54,9 +54,9 @@ from closedloop.workspace import (
     OFFSET_D,
     PD_AT,
     RATE,
+    REACH,
     RIGID,
     RIGID_STICK,
-    ROUNDING,
     S_P,
     S_V,
     SAMPLED,
@@ -124,7 +124,7 @@ def reference_row(t: float, spacing: float, table: Array, n: int, row: Array) ->
 @kernel_inlined
 def locate_tip(w: Work, k: Array) -> None:
     """Write the tip's motion in the contact frame, and the gap and its rate."""
-    into_contact_frame(k[FRAME : FRAME + 9], w.J, w.r, w.drift, w.v, w.A, w.p, w.u, w.drift_c, k[ROUNDING])
+    into_contact_frame(k[FRAME : FRAME + 9], w.J, w.r, w.drift, w.v, w.A, w.p, w.u, w.drift_c)
     w.now[GAP] = w.p[0] - k[OFFSET_D]
     w.now[RATE] = w.u[0]
 
@@ -157,7 +157,7 @@ def evaluate(H: Array, C: Array, w: Work, k: Array, state: Whole, table: Array, 
     """
     n = w.q.shape[0]
     locate_tip(w, k)
-    status = factorise(H, w.A, w.L, w.X, w.S)
+    status = factorise(H, w.A, w.L, w.X, w.S, k[REACH])
     if status != OK:
         return status
     law = state[LAW]

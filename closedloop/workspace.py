@@ -53,7 +53,7 @@ GRAVITY = 17  # 3
 RESTITUTION, REST_SPEED, IMPACT_FRICTION, STICK_SPEED, PD_AT = range(20, 25)
 SENSOR_AT = 25  # 4
 FRICTION_AT = 29  # 12
-ROUNDING = 41  # an entry of A below this is rounding, see `closedloop.contact.into_contact_frame`
+REACH = 41  # of the arm, squared
 JOINTS = 42  # 3 n: support, K_p, K_d; then the law's parameters, 18 + 2 n; then those of joint friction, 12 n
 LAW_WIDTH, FRICTION_WIDTH = 18, 12
 

@@ -39,6 +39,7 @@ from closedloop.rows import Row
 from closedloop.simulation import ROOM_FOR_EVENTS, checked_law
 from closedloop.solve import OK
 from closedloop.workspace import (
+    GAINED,
     H_STEP,
     HOLD,
     IN_STEP,
@@ -168,6 +169,7 @@ class Memory:
             answer = self._proceed()
         # The machine has set out on a step already.
         self.put(np.append(self.w.begin, self.w.now[SUPPLIED]))
+        self.w.now[GAINED] = 0.0
         self._terms()
         self._evaluate(
             *self.robot.views, self.k, self.state, self.numbers, self._wanted, self._table, self.rows, SET_OUT

@@ -39,7 +39,7 @@ def dynamic_hybrid(x: Moment, par: Array, gains: Array, f: float, work: Array, t
     inverse = work[INVERSE : INVERSE + 9].reshape(3, 3)
     wanted, y, rest = work[WANTED : WANTED + 3], work[FORCE : FORCE + 3], work[SPARE : SPARE + 3]
     a = work[VECTORS : VECTORS + n]
-    wanted_acceleration(x, par, wanted)
+    wanted_acceleration(x, par, f, wanted)
     jacobian_gram(x.A, 0, inverse)
     pseudo_inverse(inverse, work[EIGEN : EIGEN + 18], inverse)
     posture(x, gains, a)

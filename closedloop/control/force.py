@@ -26,18 +26,28 @@ Array = NDArray[np.float64]
 
 @kernel
 def commanded_force(x: Moment, par: Array, z: Array) -> float:
-    """Return f_c, N; f_des itself in free motion, where there is no force to be fed back."""
-    f = x.f_des
-    if x.pressed != 0.0:
-        if par[K_F] != 0.0:
-            f += par[K_F] * (x.f_des - x.f_measured)
-        if par[K_I] != 0.0:
-            f += par[K_I] * z[0]
-    return f
+    """Return f_c, N.
+
+    In free motion there is no force to be fed back, and f_c = f_des; but feedback that drew the tip off the surface, as
+    after too high a reading, does not press it back in the same instant: what it takes from f_des it takes there too,
+    until the reading is that of free motion and the integral has recovered.
+    """
+    feedback = 0.0
+    if par[K_F] != 0.0:
+        feedback += par[K_F] * (x.f_des - x.f_measured)
+    if par[K_I] != 0.0:
+        feedback += par[K_I] * z[0]
+    if x.pressed == 0.0:
+        feedback = min(feedback, 0.0)
+    return x.f_des + feedback
 
 
 @kernel
-def integral_rate(x: Moment, par: Array, f: float, dz: Array) -> None:
-    """Write the rate of z[0] = ∫ (f_des − f) dt, N s; it rests in free motion, so that it does not wind up."""
+def integral_rate(x: Moment, par: Array, z: Array, f: float, dz: Array) -> None:
+    """Write the rate of z[0] = ∫ (f_des − f) dt, N s.
+
+    In free motion it rests, so that it does not wind up; only what is below zero recovers, if the tip is to press.
+    """
     if par[K_I] != 0.0:
-        dz[0] = (x.f_des - f) if x.pressed != 0.0 else 0.0
+        rate = x.f_des - f
+        dz[0] = rate if x.pressed != 0.0 or (z[0] < 0.0 < min(rate, x.f_des)) else 0.0

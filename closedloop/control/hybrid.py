@@ -52,7 +52,7 @@ def hybrid(x: Moment, par: Array, gains: Array, f: float, work: Array, torque: A
     inverse, error = work[INVERSE : INVERSE + 9].reshape(3, 3), work[VECTORS : VECTORS + n]
     push = -f
     if x.pressed == 0.0:
-        a = motion_along_normal(x, 0.25 * par[K_V] * par[K_V], par[K_V], par[APPROACH])  # critically damped
+        a = motion_along_normal(x, f, 0.25 * par[K_V] * par[K_V], par[K_V], par[APPROACH])  # critically damped
         push = a / x.S[0, 0] if x.S[0, 0] > 0.0 else 0.0
     for j in range(n):
         torque[j] = x.C[j] + x.A[0, j] * push

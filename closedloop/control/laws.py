@@ -106,7 +106,7 @@ def law_rates(kind: int, x: Moment, par: Array, z: Array, f: float, torque: Arra
         Written.
     """
     n = torque.shape[0]
-    integral_rate(x, par, f, dz)
+    integral_rate(x, par, z, f, dz)
     if kind == ADMITTANCE:
         at = law_place(par)
         admittance_rates(x, par, z[at : at + 2], f, dz[at : at + 2])

@@ -51,7 +51,7 @@ def operational_space(x: Moment, par: Array, gains: Array, f: float, work: Array
     torque : (n,) array
         Written, N m.
     """
-    wanted_acceleration(x, par, work[WANTED : WANTED + 3])
+    wanted_acceleration(x, par, f, work[WANTED : WANTED + 3])
     move_tip(x, gains, f, work, torque)
 
 

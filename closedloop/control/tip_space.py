@@ -106,19 +106,19 @@ def motion_along_surface(x: Moment, par: Array, wanted: Array) -> None:
 
 
 @kernel
-def motion_along_normal(x: Moment, stiffness: float, damping: float, speed: float) -> float:
+def motion_along_normal(x: Moment, f: float, stiffness: float, damping: float, speed: float) -> float:
     """Return the acceleration wanted along n, m/s²: none in contact, where the force is controlled instead.
 
     In free motion the sign of f_des says where to: a tip that is to press (f_des > 0) comes down at `speed`, whatever
-    the height; one that is not to (f_des = 0) follows p_des; one that is to leave (f_des < 0) goes up with S_nn f_des
+    the height; one that is not to (f_des = 0) follows p_des; one that is to leave (f_des < 0) goes up with −S_nn f
     over `damping`, follows p_des upwards too, and never comes down. All this no faster than `speed`.
 
-    Neither accelerates the tip towards the surface more than f_des would in contact. So no law for the tip both lets go
-    of the surface in contact and presses when free, at one state: it would chatter.
+    A tip is accelerated towards the surface no more than f, the f_c of free motion in N, would do in contact. So no law
+    for the tip lets go of the surface in contact and presses when free at one and the same state: it would chatter.
     """
     if x.pressed != 0.0:
         return 0.0
-    push = x.S[0, 0] * x.f_des
+    push = x.S[0, 0] * f
     if x.f_des > 0.0:
         return float(max(damping * (-speed - x.u[0]), -push - damping * max(x.u[0], 0.0)))
     towards = x.u_des[0] + stiffness / damping * (x.p_des[0] - x.p[0])
@@ -128,9 +128,9 @@ def motion_along_normal(x: Moment, stiffness: float, damping: float, speed: floa
 
 
 @kernel
-def wanted_acceleration(x: Moment, par: Array, wanted: Array) -> None:
+def wanted_acceleration(x: Moment, par: Array, f: float, wanted: Array) -> None:
     """Write the tip acceleration (3,), m/s², that the motion law asks for in all three directions."""
-    wanted[0] = motion_along_normal(x, par[K_P], par[K_V], par[APPROACH])
+    wanted[0] = motion_along_normal(x, f, par[K_P], par[K_V], par[APPROACH])
     motion_along_surface(x, par, wanted)
 
 

@@ -9,7 +9,7 @@ from closedloop.compiled import kernel
 from closedloop.contact import STUCK, factorise, strike, stuck_force
 from closedloop.machine.phases import ASK, CLOSED, CLOSING, FAIL, MOST_MOVES, ask
 from closedloop.solve import OK
-from closedloop.workspace import GAP, MODE, MOVES, NEXT, RIGID_STICK, STATUS, STICKING, Whole, Work
+from closedloop.workspace import GAP, MODE, MOVES, NEXT, REACH, RIGID_STICK, STATUS, STICKING, Whole, Work
 
 Array = NDArray[np.float64]
 
@@ -21,7 +21,7 @@ def close(H: Array, w: Work, k: Array, state: Whole) -> int:
     Of all moves that close the loop these are the smallest in the norm of the mass matrix: what a contact impulse would
     do. The force of Eq. 24 carries no share of it.
     """
-    state[STATUS] = factorise(H, w.A, w.L, w.X, w.S)
+    state[STATUS] = factorise(H, w.A, w.L, w.X, w.S, k[REACH])
     if state[STATUS] != OK:
         return FAIL
     stuck = state[MODE] == STUCK and state[STICKING] == RIGID_STICK

@@ -67,6 +67,7 @@ from closedloop.workspace import (
     PHASE,
     PIECE,
     RATE,
+    REACH,
     REST_SPEED,
     RESTITUTION,
     RIGID,
@@ -143,7 +144,7 @@ def transit(H: Array, w: Work, k: Array, state: Whole, rows: Array, events: Arra
         state[STATUS] = CHATTER
         return FAIL
     if state[MODE] == FREE:
-        state[STATUS] = factorise(H, w.A, w.L, w.X, w.S)
+        state[STATUS] = factorise(H, w.A, w.L, w.X, w.S, k[REACH])
         if state[STATUS] != OK:
             return FAIL
     for i in range(3):

@@ -7,7 +7,9 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from closedloop.contact import FREE
+from closedloop.events import IMPACT, TOUCHDOWN
 from closedloop.friction.packing import energy_fault
+from closedloop.integrate import ADAPTIVE, INTEGRATORS
 from closedloop.report.summary import joint_measures, run_gains_fault
 from closedloop.report.verdict import GOOD, names_of
 
@@ -20,8 +22,31 @@ if TYPE_CHECKING:
 MOST_EVENTS = 8
 
 
+def restitution_cut(run: Run) -> str:
+    """Return a line about impacts that gave less restitution than was asked for, or an empty string."""
+    asked, impacts = run.scenario.impact.restitution, run.event_kind == IMPACT
+    given = run.event_restitution[impacts & (run.event_restitution < asked)]
+    if not given.size:
+        return ""
+    return (
+        f"impact.restitution = {asked:g}: {given.size} of {np.count_nonzero(impacts)} impacts gave less, at least "
+        f"{np.min(given):.3g}: with friction Newton's law would have created energy; poisson and stronge never do"
+    )
+
+
+def shifted_events(run: Run) -> str:
+    """Return a line about a scheme of order 1 in a run with impacts, or an empty string."""
+    name = run.scenario.time.integrator
+    if (INTEGRATORS | ADAPTIVE)[name].order > 1 or not np.any(np.isin(run.event_kind, (IMPACT, TOUCHDOWN))):
+        return ""
+    return (
+        f"time.integrator = {name!r} is of order 1: impacts are off by up to several steps of "
+        f"{run.scenario.time.step:g} s, and small ones may be missed; rk4 and dop853 locate them"
+    )
+
+
 def notes(run: Run) -> list[str]:
-    """Return what a reader of the run should know beside its figures: friction that may drive, gains near trouble."""
+    """Return what a reader of the run should know beside its figures: what was left out, friction that may drive ..."""
     load = float(np.max(np.abs(run.contact_force)))
     faults = (
         ("friction", energy_fault(run.scenario.friction, load)),
@@ -29,7 +54,8 @@ def notes(run: Run) -> list[str]:
         ("gains", run_gains_fault(run)),
     )
     told = {problem["name"] for problem in run.summary()["verdict"]["problems"]}
-    return [f"{key}: {fault}" for key, fault in faults if fault and key not in told]
+    lines = [*run.model.notes, restitution_cut(run), shifted_events(run)]
+    return [text for text in lines if text] + [f"{key}: {fault}" for key, fault in faults if fault and key not in told]
 
 
 _TITLES = {
@@ -115,6 +141,9 @@ def _error_rows(run: Run, facts: dict[str, Any]) -> list[tuple[str, str, str, st
     force = run.contact_force[touching] if np.any(touching) else np.zeros(1)
     where = "" if np.all(touching) else "in contact" if np.any(touching) else "never in contact"
     end = facts["final_closure_error"]
+    time = run.scenario.time
+    scheme = (INTEGRATORS | ADAPTIVE)[time.integrator]
+    step = "steps of its own" if time.integrator in ADAPTIVE else f"step {time.step:g} s"
     return [
         (
             "contact force f at the end",
@@ -138,6 +167,7 @@ def _error_rows(run: Run, facts: dict[str, Any]) -> list[tuple[str, str, str, st
             "J",
             f"of {facts['energy_exchanged']:.2g} J exchanged",
         ),
+        ("integrator", time.integrator, "", f"order {scheme.order}, {step}"),
         ("tip speed", f"{facts['max_tip_speed']:.4g}", "m/s", ""),
         *_joint_rows(run),
         *_contact_rows(run, facts),

@@ -37,7 +37,7 @@ class Solved:
         self.b, self.m = np.array(b, dtype=float), m
         self.L, self.X, self.S = np.zeros((n, n)), np.zeros((3, n)), np.zeros((3, 3))
         self.y, self.a, self.F, self.qdd, self.share = (np.zeros(k) for k in (n, 3, 3, n, 3))
-        self.status = factorise(self.H, self.A, self.L, self.X, self.S)
+        self.status = factorise(self.H, self.A, self.L, self.X, self.S, 0.0)
         if self.status != OK:
             return
         share = np.zeros(3) if share is None else share

@@ -73,7 +73,7 @@ class ClosedLoop(Engine):
         terms, n = self.robot.terms(self._in(q), self._in(v)), self.n
         L, X, S, y, a, F, qdd = (np.empty(k) for k in ((n, n), (3, n), (3, 3), n, 3, 3, n))
         A = contact_frame(normal) @ terms.jacobian
-        status = factorise(np.array(terms.mass_matrix), A, L, X, S)
+        status = factorise(np.array(terms.mass_matrix), A, L, X, S, 0.0)
         if status == OK:
             # The closure asks A q̈ = b, whatever the drift: the kernel is told that the drift is −b.
             unloaded(L, X, np.array([-b, 0.0, 0.0]), self._in(torque), np.array(terms.bias), y, a)
@@ -87,7 +87,7 @@ class ClosedLoop(Engine):
         terms, before = self.robot.terms(self._in(q), self._in(v)), self._in(v)
         A, (p, u, drift) = np.empty((3, self.n)), np.empty((3, 3))
         J, r, moving = (np.array(x) for x in (terms.jacobian, terms.position, terms.drift))
-        into_contact_frame(contact_frame(normal).ravel(), J, r, moving, before, A, p, u, drift, 0.0)
+        into_contact_frame(contact_frame(normal).ravel(), J, r, moving, before, A, p, u, drift)
         return float(-drift[0] + baumgarte_acceleration(gains[0], gains[1], u[0], p[0] - offset))
 
     def impulse(self, q: Array, v: Array, normal: Array, restitution: float) -> tuple[Array, float]:

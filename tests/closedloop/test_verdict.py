@@ -236,7 +236,7 @@ def test_strict_sweep_ends_with_status_4_if_any_run_is_bad(capsys, tmp_path):
     for strict, status in (((), 0), (("--strict",), 4)):
         assert run_sweeps([*sweep, *strict]) == status
         assert "3 runs: 3 done; 1 with a bad verdict, most often: contact_kept; " in capsys.readouterr().out
-    assert parquet.read_table(tmp_path / "t.parquet")["verdict"].to_pylist() == ["good", "contact_kept", "good"]
+    assert parquet.read_table(out)["verdict"].to_pylist() == ["good", "contact_kept", "good"]
     good = [word.replace("10,-5,12", "10,12").replace("t.parquet", "good.parquet") for word in sweep]
     assert run_sweeps([*good, "--strict"]) == 0
     assert "2 runs: 2 done; 2 in " in capsys.readouterr().out

@@ -224,15 +224,8 @@ def test_gains_are_warned_of_before_the_run(command_line):
 
 def test_strict_sweep_ends_with_status_4_if_any_run_is_bad(capsys, tmp_path):
     """The column names what is wrong, the last line counts it, and a sweep that is done already says it again."""
-    sweep = [
-        "wam_slide",
-        "--time.duration",
-        "0.02",
-        "--over",
-        "law.force=10,-5,12",
-        "--out",
-        str(tmp_path / "t.parquet"),
-    ]
+    out = str(tmp_path / "t.parquet")
+    sweep = ["wam_slide", "--time.duration", "0.02", "--over", "law.force=10,-5,12", "--out", out]
     for strict, status in (((), 0), (("--strict",), 4)):
         assert run_sweeps([*sweep, *strict]) == status
         assert "3 runs: 3 done; 1 with a bad verdict, most often: contact_kept; " in capsys.readouterr().out

@@ -97,7 +97,8 @@ def schema(types: Mapping[str, pa.DataType], keep: Sequence[str] = ()) -> pa.Sch
         field(f"{name}_failed_at", number, "s", f"when the assumption {name} first failed; empty if it held")
         for name in NAMES
     ]
-    fields += [field(name, pa.list_(number), m.units, f"{m.meaning}, by joint") for name, m in JOINT_MEASURES.items()]
+    by_joint = pa.list_(pa.field("element", number))  # as Parquet calls it
+    fields += [field(name, by_joint, m.units, f"{m.meaning}, by joint") for name, m in JOINT_MEASURES.items()]
     for name in keep:
         wide = len(COLUMNS[name].dims) == 2
         kind = pa.list_(pa.list_(number) if wide else number)
@@ -133,8 +134,8 @@ def table_of(
     data += list(figures.T)
     data += [_by_joint([outcome.figures[WIDTH:] for outcome in outcomes], m) for m in range(len(JOINT_MEASURES))]
     arrays: list[Any] = [
-        values if isinstance(values, pa.Array) else pa.array(values, columns.field(k).type, from_pandas=True)
-        for k, values in enumerate(data)
+        values.cast(field.type) if isinstance(values, pa.Array) else pa.array(values, field.type, from_pandas=True)
+        for values, field in zip(data, columns, strict=False)
     ]
     arrays += [
         pa.chunked_array([_whole_column(outcome.columns.get(name), columns.field(name).type) for outcome in outcomes])

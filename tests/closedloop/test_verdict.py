@@ -5,6 +5,7 @@ import json
 
 import numpy as np
 import pytest
+from pyarrow import parquet
 
 import closedloop as cl
 import robot_models
@@ -12,6 +13,7 @@ from closedloop.report import print_report
 from closedloop.report.measures import JOINT_MEASURES, MEASURES
 from closedloop.report.summary import alternation, joint_measures
 from closedloop.report.verdict import CHATTER_SHARE, CLOSURE_BOUND, ENERGY_SHARE, Facts, energy_bound, judge, names_of
+from closedloop.sweep.__main__ import main as run_sweeps
 
 SHORT = {"time.duration": 0.65}
 COARSE = {"time.step": 0.05, "stabiliser.time_constant": "auto"}
@@ -218,3 +220,16 @@ def test_gains_are_warned_of_before_the_run(command_line):
     assert len(outcome.err.splitlines()) == 1
     assert "note: gains: law.kd[3]" in outcome.out
     assert command_line("wam_slide", "--time.duration", "0.01", "--no-figures").err == ""
+
+
+def test_strict_sweep_ends_with_status_4_if_any_run_is_bad(capsys, tmp_path):
+    """The column names what is wrong, the last line counts it, and a sweep that is done already says it again."""
+    out = str(tmp_path / "t.parquet")
+    sweep = ["wam_slide", "--time.duration", "0.02", "--over", "law.force=10,-5,12", "--out", out]
+    for strict, status in (((), 0), (("--strict",), 4)):
+        assert run_sweeps([*sweep, *strict]) == status
+        assert "3 runs: 3 done; 1 with a bad verdict, most often: contact_kept; " in capsys.readouterr().out
+    assert parquet.read_table(out)["verdict"].to_pylist() == ["good", "contact_kept", "good"]
+    good = [word.replace("10,-5,12", "10,12").replace("t.parquet", "good.parquet") for word in sweep]
+    assert run_sweeps([*good, "--strict"]) == 0
+    assert "2 runs: 2 done; 2 in " in capsys.readouterr().out

@@ -99,6 +99,22 @@ def remove_unfinished(folder: str | Path) -> list[Path]:
     return gone
 
 
+def probe_folder(folder: Path) -> None:
+    """Make a folder if need be, and a file in it that is gone again at once.
+
+    Raises
+    ------
+    OSError, ValueError
+        If that cannot be done.
+    """
+    folder.mkdir(parents=True, exist_ok=True)
+    probe = folder / _unfinished_name()
+    try:
+        probe.touch(exist_ok=False)
+    finally:
+        probe.unlink(missing_ok=True)
+
+
 def refuse_special(path: Path) -> None:
     """Refuse to replace what is no regular file, and no link.
 

@@ -7,13 +7,12 @@ another are replaced only if that was asked for, and then none of its files stay
 from __future__ import annotations
 
 import json
-import os
 import tomllib
 from pathlib import Path
 from typing import Any
 
 from closedloop.errors import ClosedLoopError, InterruptedRunError, OutputError, RunFileError
-from closedloop.files import reason_of, refuse_special, remove_unfinished, write_whole
+from closedloop.files import probe_folder, reason_of, refuse_special, remove_unfinished, write_whole
 from closedloop.interrupts import held_back
 from closedloop.record import Run
 from closedloop.sealed import read_sealed
@@ -111,10 +110,8 @@ class Results:
 def _make_writable(folder: Path) -> None:
     """Make the output folder before anything is simulated, so that no result is lost for want of a place."""
     try:
-        folder.mkdir(parents=True, exist_ok=True)
-        probe = folder / f".writable.{os.getpid()}"
-        probe.touch(exist_ok=False)
-        probe.unlink()
+        with held_back():
+            probe_folder(folder)
     except (OSError, ValueError) as error:
         raise OutputError(
             f"--out {str(folder)!r}: cannot be written: {reason_of(error)}; name another folder"

@@ -64,10 +64,17 @@ def save_figure(draw: Callable[[Run], Figure], run: Run, path: Path) -> Path:
 
     with mpl.rc_context(cast(Any, STYLE)):
         figure = draw(run)
-        for suffix in (".svg", ".png"):
-            # Who made it, so that results of another run may be told and removed.
-            metadata = {"Source": "closedloop"} | ({"Date": None} if suffix == ".svg" else {})
-            image = io.BytesIO()
-            figure.savefig(image, format=suffix[1:], metadata=metadata)
-            write_whole(path.with_suffix(suffix), image.getvalue())
+        return write_figure(figure, path)
+
+
+def write_figure(figure: Figure, path: Path) -> Path:
+    """Write a figure that is drawn as `path`.png and `path`.svg, whole or not at all; return the former.
+
+    Each says who made it, so that results of another run may be told and removed, and not when.
+    """
+    for suffix in (".svg", ".png"):
+        metadata = {"Source": "closedloop"} | ({"Date": None} if suffix == ".svg" else {})
+        image = io.BytesIO()
+        figure.savefig(image, format=suffix[1:], metadata=metadata)
+        write_whole(path.with_suffix(suffix), image.getvalue())
     return path.with_suffix(".png")

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any, cast
 import numpy as np
 from numpy.typing import NDArray
 
-from closedloop.errors import OutputError
+from closedloop.files import write_whole
 from closedloop.friction.laws import advance_states, rest_states, sliding, stick_limit
 from closedloop.friction.layout import (
     DAHL,
@@ -79,10 +79,8 @@ def draw(section: Law, target: str | Path | Axes, load: float = 1.0) -> None:
         figure: Figure = Figure(figsize=(4.8 * len(pictures), 3.4), layout="constrained")
         for axes, picture in zip(figure.subplots(1, len(pictures), squeeze=False)[0], pictures, strict=True):
             picture(axes, kind, np.atleast_2d(rows), load, joint)
-        try:
-            figure.savefig(target)
-        except (OSError, ValueError) as error:  # ValueError: a kind of file that matplotlib cannot write
-            raise OutputError(f"{target}: cannot be written: {error}") from None
+        path = Path(target) if Path(target).suffix else Path(target).with_suffix(".png")
+        write_whole(path, lambda file: figure.savefig(file, format=path.suffix[1:]))
 
 
 def _curve(axes: Axes, kind: int, rows: Array, load: float, joint: bool) -> None:

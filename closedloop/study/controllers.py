@@ -13,6 +13,7 @@ controllers with what they know of friction, columns are laws of friction of abo
 from __future__ import annotations
 
 import csv
+import io
 import json
 import math
 import sys
@@ -26,6 +27,7 @@ from numpy.typing import NDArray
 from closedloop.cache_folder import compiling_notice
 from closedloop.compiled import needs_compiling
 from closedloop.errors import ClosedLoopError, InterruptedRunError
+from closedloop.files import write_whole
 from closedloop.forms import machine
 from closedloop.progress import bar
 from closedloop.record import Run
@@ -136,11 +138,12 @@ def run(folder: Path, quick: bool = False, as_json: bool = False) -> list[dict[s
     plain = [
         {k: None if isinstance(v, float) and not math.isfinite(v) else v for k, v in row.items()} for row in results
     ]
-    (folder / "controllers.json").write_text(json.dumps(plain, indent=2) + "\n", encoding="utf-8")
-    with (folder / "controllers.csv").open("w", newline="", encoding="utf-8") as file:
-        writer = csv.DictWriter(file, ["controller", "friction", *MEASURES, "reason"])
-        writer.writeheader()
-        writer.writerows(plain)
+    write_whole(folder / "controllers.json", (json.dumps(plain, indent=2) + "\n").encode())
+    text = io.StringIO(newline="")
+    writer = csv.DictWriter(text, ["controller", "friction", *MEASURES, "reason"])
+    writer.writeheader()
+    writer.writerows(plain)
+    write_whole(folder / "controllers.csv", text.getvalue().encode())
     figure = draw_controllers(results, folder)
     if as_json:
         print(json.dumps(plain, indent=2))
@@ -197,14 +200,13 @@ def draw_controllers(results: list[dict[str, Any]], folder: Path) -> Path:
     from matplotlib.figure import Figure
 
     from closedloop.figures import STYLE
+    from closedloop.figures.files import write_figure
 
     with mpl.rc_context(cast(Any, {**STYLE, "axes.grid": False, "font.size": 8})):
         count = len({row["controller"] for row in results})
         figure = Figure(figsize=(11.0, 2.4 + 0.52 * count), layout="constrained")
         maps(figure, results)
-        for suffix in (".svg", ".png"):
-            figure.savefig(folder / f"controllers{suffix}", metadata={"Date": None} if suffix == ".svg" else {})
-    return folder / "controllers.png"
+        return write_figure(figure, folder / "controllers")
 
 
 # Least and greatest of the colours: what matters of each measure.

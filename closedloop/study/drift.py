@@ -16,6 +16,7 @@ from __future__ import annotations
 
 import csv
 import dataclasses
+import io
 import json
 import math
 from collections.abc import Iterable, Sequence
@@ -27,6 +28,7 @@ from numpy.typing import NDArray
 
 from closedloop.baumgarte import baumgarte_gains, largest_stable_ratio, recommended_ratio, spectral_radius
 from closedloop.errors import ClosedLoopError, InterruptedRunError
+from closedloop.files import write_whole
 from closedloop.integrate import INTEGRATORS
 from closedloop.preparation import prepare
 from closedloop.rows import SCALARS, Row
@@ -198,11 +200,12 @@ def run(folder: Path, quick: bool = False, as_json: bool = False) -> dict[str, A
     from closedloop.study.drift_figures import draw_drift
 
     results = measure(quick)
-    (folder / "drift.json").write_text(json.dumps(_without_nan(results), indent=2) + "\n", encoding="utf-8")
-    with (folder / "drift.csv").open("w", newline="", encoding="utf-8") as file:
-        writer = csv.writer(file)
-        writer.writerow(["integrator", "stabiliser", "step [s]", "speed [m/s]", "tolerance", "largest |e| [m]"])
-        writer.writerows(_csv_rows(results))
+    write_whole(folder / "drift.json", (json.dumps(_without_nan(results), indent=2) + "\n").encode())
+    text = io.StringIO(newline="")
+    writer = csv.writer(text)
+    writer.writerow(["integrator", "stabiliser", "step [s]", "speed [m/s]", "tolerance", "largest |e| [m]"])
+    writer.writerows(_csv_rows(results))
+    write_whole(folder / "drift.csv", text.getvalue().encode())
     figures = draw_drift(results, folder)
     if as_json:
         print(json.dumps(_without_nan(results), indent=2))

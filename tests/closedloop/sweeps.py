@@ -2,6 +2,7 @@
 
 import os
 import re
+import signal
 import subprocess
 import sys
 from pathlib import Path
@@ -36,10 +37,15 @@ def refusal(capsys, *arguments):
     return err.removeprefix("closedloop.sweep: ")
 
 
+def _heed_interrupts():
+    """Undo what a shell does to the tests if it runs them in the background."""
+    signal.signal(signal.SIGINT, signal.SIG_DFL)
+
+
 def process(folder: Path, *arguments):
     """Start the command line as a process of its own in `folder`."""
     return subprocess.Popen(
         [sys.executable, "-m", "closedloop.sweep", *map(str, arguments)],
         cwd=folder, env=os.environ | {"PYTHONPATH": os.pathsep.join(sys.path)}, text=True,
-        stdout=subprocess.PIPE, stderr=subprocess.PIPE,
+        stdout=subprocess.PIPE, stderr=subprocess.PIPE, preexec_fn=_heed_interrupts,
     )  # fmt: skip

@@ -22,8 +22,8 @@ import tomllib
 from collections.abc import Collection, Mapping
 from dataclasses import dataclass, field
 from difflib import get_close_matches
-from math import isfinite
 from pathlib import Path
+from sys import float_info
 
 from robot_models.errors import ModelError
 from robot_models.xml_text import read_text
@@ -63,8 +63,10 @@ def read_sidecar(path: Path, joints: Collection[str]) -> Sidecar:
         return Sidecar()
     try:
         table = tomllib.loads(read_text(path))
-    except tomllib.TOMLDecodeError as error:
-        raise ModelError(f"{path} is not valid TOML: {error}") from None
+    except (ValueError, RecursionError) as error:  # also a number of thousands of digits, and endless nesting
+        if isinstance(error, ModelError):
+            raise
+        raise ModelError(f"{path} is not valid TOML: {str(error).splitlines()[0]}") from None
     for key, value in table.items():
         if key not in _TEXTS + _TABLES:
             hint = " (it looks like a scenario: give it another name than the robot's)" if "law" in table else ""
@@ -84,7 +86,7 @@ def _check_table(path: Path, key: str, table: object, joints: Collection[str]) -
             near = get_close_matches(joint, joints, n=1)
             hint = f"did you mean {near[0]!r}?" if near else f"the joints are {', '.join(joints)}"
             raise ModelError(f"{path}: [{key}] names {joint!r}, which is no moving joint: {hint}")
-        number = isinstance(value, int | float) and not isinstance(value, bool) and isfinite(value)
+        number = isinstance(value, int | float) and not isinstance(value, bool) and abs(value) <= float_info.max
         if not number or (key == "drive_inertia" and value < 0):
             wanted = "a finite number, zero or more" if key == "drive_inertia" else "a finite number"
             raise ModelError(f"{path}: [{key}] {joint} is {value!r}: it must be {wanted}")

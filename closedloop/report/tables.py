@@ -31,13 +31,16 @@ def limits_exceeded(run: Run) -> str:
 
 
 def notes(run: Run) -> list[str]:
-    """Return what a reader of the run should know beside its figures: limits left, friction that may drive."""
+    """Return what a reader of the run should know beside its figures: limits left, friction that may drive, what of
+    the robot's file does not act.
+    """
     load = float(np.max(np.abs(run.contact_force)))
     faults = (
         ("friction", energy_fault(run.scenario.friction, load)),
         ("joint_friction", energy_fault(run.scenario.joint_friction, n=run.q.shape[1])),
     )
-    return [text for text in (limits_exceeded(run), *(f"{key}: {fault}" for key, fault in faults if fault)) if text]
+    said = (limits_exceeded(run), *(f"{key}: {fault}" for key, fault in faults if fault), *run.model.notes)
+    return [text for text in said if text]
 
 
 _TITLES = {

@@ -198,8 +198,8 @@ def _drop_idle_geoms(body: ET.Element, moves: bool) -> None:
 
 def _include(element: ET.Element, where: str, folder: Path | None, seen: set[Path], depth: int = 0) -> None:
     """Replace every <include> by its file's content: each file once, relative to the model's folder."""
-    if depth > MAX_DEPTH or len(seen) > MAX_INCLUDES:
-        raise ModelError(f"{where}: more than {MAX_DEPTH} levels or {MAX_INCLUDES} files with what it includes")
+    if depth > MAX_DEPTH:
+        raise ModelError(f"{where}: elements are nested deeper than {MAX_DEPTH} levels with what it includes")
     position = 0
     while position < len(element):
         child = element[position]
@@ -214,6 +214,8 @@ def _include(element: ET.Element, where: str, folder: Path | None, seen: set[Pat
         if path in seen:
             raise ModelError(f"{where}: {name!r} is included twice: a file may be included once")
         seen.add(path)
+        if len(seen) > MAX_INCLUDES:
+            raise ModelError(f"{where} includes more than {MAX_INCLUDES} files: merge some")
         try:
             element[position : position + 1] = list(parse(read_text(path), name))
         except ModelError as error:

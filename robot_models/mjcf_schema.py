@@ -17,7 +17,8 @@ from robot_models.xml_text import numbers
 # One element a line, indented by dots: its tag, how often it may stand in its parent (?, *, ! for once, R for nested)
 # and its attributes, from mj_printSchema of MuJoCo 3.17; a test compares the two. Behind an attribute stands what it
 # holds, as MuJoCo's own answers to trial values say: ":3" three numbers, ":1-5" one to five, ":1-" any number of them,
-# an "i" behind for whole ones and an "f" for such as fit a float; "=a|b" one of these words.
+# an "i" behind for whole ones and an "f" for such as fit a float; "=a|b" one of these words; "!" that it must be
+# given.
 _FILE = Path(__file__).with_name("mjcf_schema.txt")
 
 _WHOLE = re.compile(r"[-+]?[0-9]{1,12}", re.ASCII)
@@ -66,7 +67,7 @@ def _schema() -> _Element:
 
 
 def _split(word: str) -> tuple[str, str]:
-    end = min((word.index(mark) for mark in ":=" if mark in word), default=len(word))
+    end = min((word.index(mark) for mark in "!:=" if mark in word), default=len(word))
     return word[:end], word[end:]
 
 
@@ -134,11 +135,15 @@ def _check_attributes(element: ET.Element, schema: _Element, at: str) -> None:
         if key not in schema.attributes:
             raise ModelError(f"{at}: unknown attribute {key!r}{_near(key, schema.attributes)}")
         _check_value(value, schema.attributes[key], f"{at}: {key}")
+    for key, holds in schema.attributes.items():
+        if holds.startswith("!") and key not in element.attrib:
+            raise ModelError(f"{at} lacks {key!r}")
     if element.tag == "worldbody" and element.attrib:
         raise ModelError(f"{at}: the world has no attributes: give them to a body in it")
 
 
 def _check_value(value: str, holds: str, what: str) -> None:
+    holds = holds.removeprefix("!")
     if holds.startswith("="):
         words = holds[1:].split("|")
         if value not in words:

@@ -68,7 +68,7 @@ def read_sidecar(path: Path, joints: Collection[str]) -> Sidecar:
     except ModelError:
         raise
     except ValueError as error:
-        raise ModelError(f"{path} is not valid TOML: {error}") from None
+        raise ModelError(f"{path} is not valid TOML: {str(error).splitlines()[0]}") from None
     for key, value in table.items():
         if key not in _TEXTS + _TABLES:
             hint = " (it looks like a scenario: give it another name than the robot's)" if "law" in table else ""

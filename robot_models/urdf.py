@@ -277,6 +277,6 @@ def _typed(text: str, where: str) -> "yourdfpy.Robot":
     stream = io.BytesIO(text.encode())
     try:
         return URDF.load(stream, build_scene_graph=False, load_meshes=False).robot
-    except (ValueError, KeyError, TypeError, AttributeError) as error:
+    except (ValueError, LookupError, TypeError, AttributeError, ArithmeticError) as error:
         reason = str(error).splitlines()[0] if str(error) else type(error).__name__
         raise ModelError(f"{where}: yourdfpy cannot read it: {reason}") from None

@@ -20,11 +20,17 @@ def same_robot(robot, reference):
         if not np.array_equal(getattr(robot, field), getattr(other, field)):
             return f"{field}: {getattr(robot, field)} instead of {getattr(other, field)}"
     one, two = robot.pinocchio_model(), other.pinocchio_model()
-    same = all(np.array_equal(a.homogeneous, b.homogeneous) for a, b in zip(one.jointPlacements, two.jointPlacements))
-    same &= all(np.array_equal(a.matrix(), b.matrix()) for a, b in zip(one.inertias, two.inertias))
-    same &= all(
-        np.array_equal(a.placement.homogeneous, b.placement.homogeneous) for a, b in zip(one.frames, two.frames)
-    )
+    numbers = [
+        np.concatenate(
+            [
+                *(place.homogeneous.ravel() for place in model.jointPlacements),
+                *(body.matrix().ravel() for body in model.inertias),
+                *(frame.placement.homogeneous.ravel() for frame in model.frames),
+            ]
+        )
+        for model in (one, two)
+    ]
+    same = np.array_equal(*numbers)
     return "" if same else "Pinocchio's models differ"
 
 

@@ -49,7 +49,7 @@ def test_all_attributes_at_once(tmp_path, name, kind):
     path = tmp_path / "robot.urdf"
     path.write_bytes(ET.tostring(root, encoding="utf-8"))
     (tmp_path / "plain.urdf").write_text(text_of(name), encoding="utf-8")
-    lock = {j: 0.0 for j in robot_models.load(name).locked}
+    lock = dict.fromkeys(robot_models.load(name).locked, 0.0)
     robot, plain = (robot_models.load(p, lock=lock) for p in (path, tmp_path / "plain.urdf"))
     for field in ("joint_names", "joint_types", "frames", "tip", "notes"):
         assert getattr(robot, field) == getattr(plain, field)

@@ -1,4 +1,4 @@
-"""The masses, centres and tensors that Pinocchio holds equal the text's, link by link, for every robot that there is."""
+"""The masses, centres and tensors that Pinocchio holds equal the text's, link by link, for every robot."""
 
 import io
 import xml.etree.ElementTree as ET
@@ -34,7 +34,7 @@ def unwelded(text):
 @pytest.mark.slow
 @pytest.mark.parametrize("name", NAMES)
 def test_every_link_weighs_what_its_text_says(name):
-    """Held against yourdfpy's reading of the file as it lies there; robots that are refused as mechanisms included."""
+    """Against yourdfpy's reading of the file as it lies there; robots that are refused as mechanisms included."""
     own = name in robot_models.shipped_names()
     raw = shipped.path_of(name).read_text(encoding="utf-8") if own else example_robots.find(name).text
     model = pin.buildModelFromXML(unwelded(urdf.read(raw, name)))

@@ -16,7 +16,7 @@ WELDED = joint("end", "fore", "tip", kind="fixed", limit="")
 def check(held, said, locked=None):
     """Hold Pinocchio's model of one text against another text."""
     model = pin.buildModelFromXML(urdf_mechanism.for_pinocchio(held))
-    names = [name for name in locked or {}]
+    names = list(locked or {})
     if names:
         posture = np.zeros(model.nq)
         for name in names:
@@ -30,6 +30,7 @@ def elbow(**options):
     return arm(elbow=joint("elbow", "upper", "fore", **{"axis": "0 0 1", **options}))
 
 
+TURNED = '<origin rpy="0 0 1e-6"'
 WEIGHT = ("upper", INERTIAL.replace("0.1 0.02 0.3", "0.1 0.02 0.3001"))
 DIFFERENT = {
     "mass": (arm(upper=link("upper", INERTIAL.replace('"2"', '"2.000001"'))), ["link 'upper'", "mass", "2.000001"]),
@@ -44,7 +45,7 @@ DIFFERENT = {
     "another parent": (arm(elbow=joint("elbow", "base", "fore", axis="0 0 1")), ["joint 'elbow'"]),
     "missing joint": (arm(without="end"), ["'tip'", "not in Pinocchio's model"]),
     "place of a welded link": (arm(end=WELDED.replace("0 0 0.5", "0 0 0.6")), ["link 'tip'", "place", "0 0 0.6"]),
-    "turn of a welded link": (arm(end=WELDED.replace("<origin", '<origin rpy="0 0 1e-6"')), ["link 'tip'", "orientation"]),
+    "turn of a welded link": (arm(end=WELDED.replace("<origin", TURNED)), ["link 'tip'", "orientation"]),
     "a link more": (arm(plus=link("more") + joint("new", "tip", "more")), ["'new'", "not in the text"]),
 }  # fmt: skip
 

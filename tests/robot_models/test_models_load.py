@@ -229,16 +229,28 @@ def test_axes_are_made_unit(write):
     assert unit.text == arm(elbow=joint("elbow", "upper", "fore", kind="prismatic", axis="0 0 1"))
 
 
+def rough_path(write, dynamic):
+    """Return the path of the sample arm with friction in its elbow."""
+    return write(arm(elbow=joint("elbow", "upper", "fore", axis="0 0 1", extra=dynamic)))
+
+
 def test_damping_and_friction_of_a_urdf_do_not_act(write):
     """Friction belongs to the scenario: the same motion with and without <dynamics>."""
     dynamic = '<dynamics damping="3" friction="2"/>'
     plain = robot_models.load(write(arm())).pinocchio_model()
     rough = robot_models.load(write(arm(elbow=joint("elbow", "upper", "fore", axis="0 0 1", extra=dynamic))))
+    assert "friction (<dynamics>; elbow) does not act" in rough.notes[0]
+    assert again(rough).notes == rough.notes
+    assert pickle.loads(pickle.dumps(rough)).notes == rough.notes
+    assert robot_models.load(rough_path(write, dynamic), lock=["elbow"]).notes[0].startswith("effort")
     rough = rough.pinocchio_model()
     assert rough.damping[1] == 3
     q, v = np.array([0.3, 0.4]), np.array([1.0, 2.0])
     for one, other in zip(dynamics(plain, q, v), dynamics(rough, q, v), strict=True):
         np.testing.assert_array_equal(one, other)
+    assert robot_models.load(write(arm())).notes == (
+        "effort and velocity limits of the robot's file do not act: a run may exceed them",
+    )
     accelerations = [pin.aba(m, m.createData(), q, v, np.zeros(2)) for m in (plain, rough)]
     np.testing.assert_array_equal(*accelerations)
 

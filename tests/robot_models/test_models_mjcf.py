@@ -33,6 +33,11 @@ SAME = {
     "full inertia": mjcf(inertial='<inertial pos="0 0.1 0" mass="1" fullinertia="1 1.2 1.3 0.1 0.2 0.3"/>'),
     "moving base": mjcf(base=f'<body name="base" pos="0 0 1"><joint name="rail" type="slide"/>{MJCF_INERTIAL}'),
     "welded link": mjcf(joint=""),
+    "a long axis of a turn": mjcf(base='<body name="base" axisangle="0 3 4 40">'),
+    "two axes": mjcf(base='<body name="base" xyaxes="1 2 0 0 1 1">'),
+    "z axis": mjcf(base='<body name="base" zaxis="1 2 3">'),
+    "z axis turned over": mjcf(base='<body name="base" zaxis="0 0 -2">'),
+    "range of a slide, in metres": mjcf(joint='<joint name="shoulder" type="slide" range="-0.1 0.4"/>'),
     "two arms": mjcf(world=f'<body name="other" pos="1 0 0"><joint name="free"/>{MJCF_INERTIAL}</body>'),
     "visual mesh": mjcf(
         inner='<geom type="mesh" mesh="m"/>',
@@ -83,6 +88,8 @@ def test_agrees_with_mujoco(tmp_path, case):
             np.testing.assert_allclose(data.oMf[model.getFrameId(name)].translation, place, atol=1e-13)
         bounded = np.array([theirs.joint(name).limited[0] for name in robot.joint_names], dtype=bool)
         np.testing.assert_array_equal(np.isfinite(robot.position_upper), bounded)
+        upper = np.array([theirs.joint(name).range[1] for name in robot.joint_names])
+        np.testing.assert_allclose(robot.position_upper[bounded], upper[bounded], rtol=1e-12)
 
 
 def _mass_column(mujoco, model, data, k):
@@ -165,3 +172,42 @@ def test_locking_in_an_mjcf(tmp_path):
     robot = robot_models.load(path, lock={"elbow": 0.5})
     assert robot.joint_names == ("shoulder",)
     assert robot.armature.tolist() == [0.3]
+
+
+def test_friction_of_an_mjcf_is_noted(tmp_path):
+    """Damping and friction loss do not act; a line says so, also for what a run stored."""
+    robot = load(tmp_path, mjcf())
+    assert any("damping and frictionloss; shoulder" in note for note in robot.notes)
+    copy = robot_models.from_text(
+        robot.text, "mjcf", name="a", armature=robot.armature, tip="hand", home=robot.home, locked={}
+    )
+    assert (copy.text, copy.notes) == (robot.text, robot.notes)
+    smooth = load(tmp_path, mjcf(joint='<joint name="shoulder" axis="0 1 0" damping="0.0"/>'))
+    assert smooth.notes == ()
+
+
+def test_two_zeros_are_no_range(tmp_path):
+    """As in MuJoCo, a range of two zeros is none."""
+    robot = load(tmp_path, mjcf(joint='<joint name="shoulder" range="0 0" actuatorfrcrange="0 0"/>'))
+    assert robot.position_upper[0] == robot.effort_limit[0] == np.inf
+    assert robot.joint_types[0] == "continuous"
+
+
+def test_the_schema_is_mujocos():
+    """Every element and attribute that MuJoCo lists, and no other."""
+    import re
+
+    mujoco = pytest.importorskip("mujoco")
+    from robot_models.mjcf_schema import _FILE, _split
+
+    listed: list[list[str]] = []
+    for line in mujoco.mj_printSchema(False, True).splitlines():
+        begins = re.match(r"^( {0,15})([a-zA-Z0-9_()]+) \((.)\)(.*)$", line)
+        if begins:
+            depth, tag = len(begins[1]) // 3, begins[2].replace("(world)", "")
+            listed.append([".." * depth + tag, begins[3], *begins[4].split()])
+        elif line.strip():
+            listed[-1] += line.split()
+    held = [line.split() for line in _FILE.read_text().splitlines()]
+    ours = [[*line[:2], *(_split(word)[0] for word in line[2:])] for line in held]
+    assert ours == [[*line[:2], *sorted(line[2:])] for line in listed]

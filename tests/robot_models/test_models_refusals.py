@@ -1,5 +1,7 @@
 """What cannot be simulated is refused by name, in one line, with the cure; it is never built otherwise."""
 
+import os
+
 import numpy as np
 import pytest
 from model_texts import ARM, INERTIAL, LIMIT, MJCF_INERTIAL, arm, joint, link, mjcf, urdf
@@ -58,6 +60,18 @@ URDF = {
         ["'fore'", "triangle inequality", "3 kg m²"],
     ),
     "zero axis": (elbow(axis="0 0 0"), ["'elbow'", "axis", "direction"]),
+    "axis of no length": (elbow(axis="0 0 1e200"), ["'elbow'", "axis"]),
+    "two masses": (arm(fore=link("fore", INERTIAL.replace("<mass", '<mass value="3"/><mass'))), ["'fore'", "2 <mass>"]),
+    "two origins": (elbow(extra='<origin xyz="1 0 0"/>'), ["'elbow'", "2 <origin>"]),
+    "a turn by quaternion": (
+        elbow().replace("<origin", '<origin quat_xyzw="0 0 0 1"'),
+        ["'upper'", "quat_xyzw", "rpy"],
+    ),
+    "an angle beyond reason": (elbow().replace("<origin", '<origin rpy="0 0 1e9"'), ["origin rpy", "no turn"]),
+    "another version": (arm().replace("<robot", '<robot version="2.0"'), ["version '2.0'"]),
+    "a namespace": (arm().replace("<mass", '<mass xmlns="u"'), ["<mass>", "namespace"]),
+    "mass too small for a double": (arm(fore=link("fore", weighing("1e-400"))), ["'fore'", "too small"]),
+    "empty geometry": (arm(tip=link("tip", "<visual><geometry/></visual>")), ["yourdfpy cannot read"]),
     "axis without xyz": (arm().replace('<axis xyz="0 0 1"/>', "<axis/>"), ["'elbow'", "axis xyz"]),
     "damping is nan": (elbow(extra='<dynamics damping="nan"/>'), ["'elbow'", "dynamics damping", "'nan'"]),
     "robot without a name": (arm().replace(' name="sample"', ""), ["<robot> has no name"]),
@@ -183,6 +197,30 @@ MJCF = {
     "limits reversed": (mjcf(joint='<joint name="shoulder" range="1 -1"/>'), ["'shoulder'", "lower limit 1"]),
     "negative armature": (mjcf(joint='<joint name="shoulder" armature="-1"/>'), ["'shoulder'", "armature"]),
     "joint without a name": (mjcf(joint="<joint/>"), ["'upper'", "joint has no name"]),
+    "quaternion of length zero": (mjcf(base='<body name="base" quat="0 0 0 0">'), ["'base'", "quat", "turns nothing"]),
+    "axis of a turn of length zero": (mjcf(base='<body name="base" axisangle="0 0 0 1">'), ["'base'", "axisangle"]),
+    "parallel axes": (mjcf(base='<body name="base" xyaxes="1 0 0 2 0 0">'), ["'base'", "xyaxes"]),
+    "zaxis of length zero": (mjcf(base='<body name="base" zaxis="0 0 0">'), ["'base'", "zaxis"]),
+    "misspelt attribute": (mjcf(joint='<joint name="shoulder" rnage="0 1"/>'), ["'shoulder'", "'rnage'", "'range'"]),
+    "misspelt section": (mjcf(tail="<keyframes/>"), ["<keyframes>", "'keyframe'"]),
+    "unknown word": (mjcf(inner='<geom type="ball" size="1"/>'), ["type", "'ball'", "sphere"]),
+    "no whole number": (mjcf(inner='<geom contype="0.5" size="1"/>'), ["contype", "whole number"]),
+    "a size of zero": (mjcf(inner='<geom size="0"/>'), ["size", "positive"]),
+    "two numbers of a size": (mjcf(inner='<geom type="box" size="1 1"/>'), ["size", "3 positive"]),
+    "a weightless body that moves": (
+        mjcf(inertial='<inertial pos="0 0 0" mass="0" diaginertia="0 0 0"/>'),
+        ["'upper'", "moves", "<inertial>"],
+    ),
+    "inertia said twice": (
+        mjcf(inertial='<inertial pos="0 0 0" mass="1" diaginertia="1 1 1" fullinertia="1 1 1 0 0 0"/>'),
+        ["'upper'", "fullinertia", "one of them"],
+    ),
+    "sites of one name": (mjcf(inner='<site name="touch"/>'), ["'touch'", "differ"]),
+    "motor of no joint": (mjcf(tail='<actuator><motor joint="knee"/></actuator>'), ["<motor>", "'knee'"]),
+    "motor of nothing": (mjcf(tail='<actuator><motor name="m"/></actuator>'), ["'m'", "drives nothing"]),
+    "world with a pose": (mjcf().replace("<worldbody", '<worldbody pos="1 0 0"'), ["<worldbody>", "no attributes"]),
+    "class said twice": (mjcf(head="<default>" + "<default class='k'/>" * 2 + "</default>"), ["'k'", "differ"]),
+    "range of one point": (mjcf(joint='<joint name="shoulder" range="1 1"/>'), ["'shoulder'", "range"]),
     "names clash": (mjcf(joint='<joint name="elbow"/>'), ["'elbow'", "differ"]),
     "unknown class": (mjcf(joint='<joint name="shoulder" class="k"/>'), ["'k'", "<default>"]),
     "two defaults": (mjcf(head="<default/><default/>"), ["2 <default>"]),
@@ -274,9 +312,38 @@ def test_unreadable_files(tmp_path, make, says):
         robot_models.load(path)
 
 
+def test_pipes_and_devices_are_no_files(tmp_path):
+    """Refused before they are opened: a pipe that nobody writes to never answers, and /dev/zero never ends."""
+    os.mkfifo(tmp_path / "robot.urdf")
+    (tmp_path / "zero.urdf").symlink_to("/dev/zero")
+    (tmp_path / "folder.xml").mkdir()
+    for name, says in (("robot.urdf", "pipe"), ("zero.urdf", "device"), ("folder.xml", "folder")):
+        with pytest.raises(ModelError, match=says):
+            robot_models.load(tmp_path / name)
+    (tmp_path / "arm.urdf").write_text(arm())
+    os.mkfifo(tmp_path / "arm.toml")
+    with pytest.raises(ModelError, match=r"arm\.toml is a pipe"):
+        robot_models.load(tmp_path / "arm.urdf")
+    (tmp_path / "arm.xml").write_text(mjcf(head='<include file="robot.urdf"/>'))
+    with pytest.raises(ModelError, match=r"included robot\.urdf: .*pipe"):
+        robot_models.load(tmp_path / "arm.xml")
+
+
+def test_includes_are_bounded(tmp_path):
+    """Three hundred files, each including the next, are no robot."""
+    for k in range(300):
+        (tmp_path / f"{k}.xml").write_text(f'<mujocoinclude><include file="{k + 1}.xml"/></mujocoinclude>')
+    (tmp_path / "robot.xml").write_text(mjcf(head='<include file="0.xml"/>'))
+    with pytest.raises(ModelError, match="100 files"):
+        robot_models.load(tmp_path / "robot.xml")
+
+
 @pytest.mark.parametrize(
     ("toml", "says"),
     [
+        (f"[home]\nelbow = {10**400}", ["elbow", "finite number"]),
+        (f"[home]\nelbow = 1{'0' * 5000}", ["not valid TOML"]),
+        (f"tip = {'[' * 5000}", ["not valid TOML"]),
         ("colour = 1", ["unknown key 'colour'", "drive_inertia"]),
         ("tip = 3", ["tip is 3"]),
         ("drive_inertia = 3", ["table"]),

@@ -50,9 +50,9 @@ print(stabilised)
 print(unstabilised)
 
 # %% [markdown]
-# The stabiliser, the step, the 10 N and the half second are the paper's. It prints neither posture, path nor gains: these
-# are the scenario's own, chosen so that the arm stretches out along y. The figures belong to these values: other gains
-# give other transients, and with the elbow up the overshoot at the start would be a dip.
+# The stabiliser, the step, the 10 N and the half second are the paper's. It prints neither posture, path nor gains:
+# these are the scenario's own, chosen so that the arm stretches out along y. The figures belong to these values: other
+# gains give other transients, and with the elbow up the overshoot at the start would be a dip.
 
 # %%
 for section in ("start", "reference", "law", "stabiliser", "time"):
@@ -165,8 +165,8 @@ print(f"f at the end                  {unstabilised.contact_force[-1]:.4f} N")
 print(f"f differs from Fig. 5 by up to {1e3 * np.abs(unstabilised.contact_force - f).max():.1f} mN")
 
 # %% [markdown]
-# Nothing removes the truncation error now, and the tip sinks through the surface as long as it moves. Half the step gives
-# half the drift: it is the error of a first-order integrator, not of the model. After the stop a small rate $\dot e$
+# Nothing removes the truncation error now, and the tip sinks through the surface as long as it moves. Half the step
+# gives half the drift: it is the error of a first-order integrator, not of the model. After the stop a small rate $\dot e$
 # remains, and $e$ goes on growing with it. The law sees the lowered tip as a position error and lifts it, which is why
 # $f$ does not return to 10 N exactly. Eq. 24 still reports the force of a rigid contact although the tip has left the
 # surface by half a micrometre; only the column `closure_error` tells.

@@ -21,6 +21,7 @@ class ModelError(ClosedLoopError, ValueError):
     def __init__(self, text: str) -> None:
         super().__init__(text if len(text) <= _LONG else f"{text[: _LONG - 200]} … {text[-150:]}")
 
+
 def shown(value: object) -> str:
     """Return a value from a file as a message shows it: a line of a few words, however large the value is."""
     try:

@@ -62,7 +62,8 @@ def load(name: "str | PathLike[str]", *, drive_inertia: bool = True, lock: Lock 
     ------
     ModelError
         There is no such robot, or it cannot be simulated; the message says what is wrong, where, and the
-        cure.
+        cure. A file may have 16 MB and 100 000 elements, a robot 2000 links and 128 joints that move
+        (`robot_models.mechanism`); what is beyond is refused before it is built.
     """
     found = _find(name)
     defaults = found.sidecar

@@ -83,7 +83,7 @@ ROBOTS: dict[str, dict[str, Any]] = {
     },
 }
 
-# Extreme values of these make the motion stiff, and an integrator that chooses its steps takes as many as that asks for,
+# Extremes of these make the motion stiff, and an integrator that chooses its steps takes as many as that asks for,
 # up to a hundred thousand between two rows: minutes, as asked. They are tried with fixed steps.
 STIFF = {"law", "compensation", "sensor", "friction", "joint_friction", "force_profile", "stabiliser"}
 

@@ -44,7 +44,7 @@ def test_same_law_in_python_gives_the_same_run(integrator):
     """Eq. 33 written by a user in numpy, and the built-in law, give the same run to rounding."""
     changes = {
         "reference.kind": "hold",
-        "start.v": [0.0, 0.0, 0.3, 0.1],
+        "start.v": [0.2, 0.0, 0.3, 0.0],
         "law.pd_start": 0.02,
         "time.duration": 0.1,
         "time.integrator": integrator,

@@ -83,6 +83,10 @@ ROBOTS: dict[str, dict[str, Any]] = {
     },
 }
 
+# Extremes of these make the motion stiff, and an integrator that chooses its steps takes as many as that asks for,
+# up to a hundred thousand between two rows: minutes, as asked. They are tried with fixed steps.
+STIFF = {"law", "compensation", "sensor", "friction", "joint_friction", "force_profile", "stabiliser"}
+
 Place = tuple[str, str, str]
 """Section, kind ("" where there is one) and key ("" for a key that stands outside the sections)."""
 
@@ -139,6 +143,8 @@ def tables(robot: str, kinds: dict[str, str]) -> dict[str, Any]:
             dotted = f"{section}.{key}"
             if key not in table and (field.is_required() or (section == "reference" and dotted in EXAMPLES)):
                 table[key] = deepcopy(EXAMPLES.get(dotted, 1.0))
+    if STIFF & set(kinds) and data["time"]["integrator"] == "dop853":
+        data["time"]["integrator"] = "explicit_euler"
     if robot == "planar2" and "direction" in data["reference"]:
         data["reference"]["direction"] = [1.0, 0.0, 0.0]
     return data

@@ -162,10 +162,12 @@ def test_energy_balance_accounts_for_every_work():
 
 
 def test_energy_balance_misses_a_work_that_is_left_out(shipped_run):
-    """The balance notices a torque that is recorded 1 % too high: a negative control."""
+    """The balance notices a work that is recorded 1 % too high: a negative control."""
     run = shipped_run("wam_slide")
     clean, _ = energy_balance(run)
-    flawed, _ = energy_balance(dataclasses.replace(run, columns={**run.columns, "torque": 1.01 * run.torque}))
+    flawed, _ = energy_balance(
+        dataclasses.replace(run, columns={**run.columns, "energy_supplied": 1.01 * run.energy_supplied})
+    )
     assert np.max(np.abs(flawed)) > 10 * np.max(np.abs(clean))
 
 

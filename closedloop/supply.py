@@ -23,7 +23,7 @@ Array = NDArray[np.float64]
 @kernel_inlined
 def power(w: Work) -> float:
     """Return the power P of all forces but gravity at the state evaluated last, W."""
-    total = w.F[0] * w.u[0] + w.F[1] * w.u[1] + w.F[2] * w.u[2]
+    total: float = w.F[0] * w.u[0] + w.F[1] * w.u[1] + w.F[2] * w.u[2]
     for j in range(w.v.shape[0]):
         total += (w.torque[j] + w.loss[j]) * w.v[j]
     return total

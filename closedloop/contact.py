@@ -36,7 +36,7 @@ Array = NDArray[np.float64]
 FREE, PRESSED, STUCK = 0, 1, 2
 
 # Q and C are sums of dozens of products: what their difference says of a force is good to this share of their size.
-LOAD_ROUNDING = 1e-13
+LOAD_ROUNDING = 2e-14
 
 # Along a tangent in which its mobility is below this share of the whole, the tip cannot move at all (a planar arm,
 # sideways): there is nothing to hold there, and no force is needed to hold it.

@@ -19,10 +19,7 @@ WITH_IMPACTS = ("wam_bounce", "planar2_drop", "wam_touchdown", "panda_touchdown"
         ('[surface]\ncontact = "unilateral"', "rk4"),
         ('[surface]\ncontact = "unilateral"\n[time]\nintegrator = "auto"', "rk4"),
         ('[surface]\ncontact = "unilateral"\n[time]\nintegrator = "explicit_euler"', "explicit_euler"),
-        (
-            '[surface]\ncontact = "unilateral"\n[friction]\nkind = "lugre"\nkinetic = 0.2\nstatic = 0.3',
-            "semi_implicit_euler",
-        ),
+        ("semi_implicit_euler",),
     ],
 )
 def test_a_scenario_without_an_integrator_gets_one_that_fits(text, expected):

@@ -112,7 +112,7 @@ def _print_verdict(verdict: dict[str, Any], console: Console) -> None:
     if verdict["good"]:
         console.print(f"verdict: [green]{GOOD}[/]")
         return
-    console.print(f"verdict: [bold red]BAD[/]: {names_of(problems)}")
+    console.print(f"verdict: [bold red]BAD[/]: {names_of(problems)}", soft_wrap=True)  # one line, whatever the width
     for problem in problems:
         when = "" if problem["at"] is None else f" (from {problem['at']:.4g} s)"
         console.print(f"  [bold red]{problem['name']}[/]: {escape(problem['text'])}{when}")

@@ -55,7 +55,7 @@ def test_planted_nonsense_is_named_everywhere(kind, capsys):
     assert set(expected) <= set(told)
     assert not only or set(expected) == set(told)
     capsys.readouterr()
-    print_report(run, width=200)
+    print_report(run, width=80)
     first = capsys.readouterr().out.splitlines()[0]
     assert first.startswith("verdict: good" if verdict["good"] else "verdict: BAD: ")
     assert all(word in first for word in expected)

@@ -8,7 +8,6 @@ from numpy.typing import NDArray
 from closedloop.compiled import kernel, kernel_inlined
 from closedloop.contact import FREE, STUCK
 from closedloop.friction.laws import capture_speed, stick_limit
-from closedloop.friction.layout import STILL
 from closedloop.machine.phases import (
     INSTANT,
     LOOK,
@@ -42,6 +41,7 @@ from closedloop.workspace import (
     SPRING_STICK,
     START_GAP,
     START_SLIP,
+    STICK_SPEED,
     STICKING,
     TAU,
     TIME,
@@ -80,8 +80,8 @@ def slip_left(w: Work, k: Array, state: Whole) -> float:
     """Return the speed along the direction in which slip began, m/s, above the speed at which sticking is tried."""
     band = capture_speed(state[FRICTION], k[FRICTION_AT : FRICTION_AT + FRICTION_WIDTH])
     along = w.u[1] * w.direction[0] + w.u[2] * w.direction[1]
-    if w.now[START_SLIP] <= STILL:  # slip has only begun, and its velocity is still of the size of rounding
-        return float(along + STILL)
+    if w.now[START_SLIP] <= k[STICK_SPEED]:  # slip has only begun, and its velocity is still of the size of rounding
+        return float(along + k[STICK_SPEED])
     return float(along - (band if w.now[START_SLIP] > band else 0.0))
 
 

@@ -8,7 +8,6 @@ from numpy.typing import NDArray
 from closedloop.compiled import kernel, kernel_inlined
 from closedloop.contact import FREE, PRESSED, STUCK
 from closedloop.friction.laws import advance_states
-from closedloop.friction.layout import STILL
 from closedloop.joint_friction import advance_joint_friction
 from closedloop.machine.locate import aim, gauge
 from closedloop.machine.phases import (
@@ -66,6 +65,7 @@ from closedloop.workspace import (
     START_GAUGE,
     START_RATE,
     START_SLIP,
+    STICK_SPEED,
     STICKING,
     STRAIGHT,
     TAU,
@@ -99,7 +99,7 @@ def remember(w: Work, k: Array, state: Whole, more: int | None) -> None:
         speed = np.hypot(w.u[1], w.u[2])
         now[START_SLIP] = speed
         w.slip[0], w.slip[1] = w.u[1], w.u[2]
-        if state[MODE] == PRESSED and speed > max(STILL, now[STRAIGHT]):
+        if state[MODE] == PRESSED and speed > max(k[STICK_SPEED], now[STRAIGHT]):
             w.direction[0], w.direction[1] = w.u[1] / speed, w.u[2] / speed
     now[START_GAUGE] = gauge(w, k, state, more)
     remember_power(w, state)

@@ -7,7 +7,6 @@ A scenario file is data: it can name a robot and numbers, never code. Unknown ke
 
 from __future__ import annotations
 
-import math
 from collections.abc import Mapping
 from copy import deepcopy
 from pathlib import Path
@@ -132,7 +131,7 @@ def _time_constant(value: Any) -> Any:
         return value
     if isinstance(value, bool) or not isinstance(value, (int, float)):
         raise ValueError('must be a number of seconds, or "auto"')
-    if not (math.isfinite(value) and value > 0):
+    if not 0 < value <= TIME_CONSTANT.most:  # compared as it is: a whole number may be too large for a float
         raise ValueError('must be greater than 0 and finite, or "auto"')
     return float(value)
 

@@ -53,6 +53,8 @@ def test_help_says_the_sizes():
         ({"law.kd": 1e308}, "law.kd = 1e+308: must be at most 1e+12 N m s/rad: no drive is so stiff"),
         ({"time.step": 1e-12}, "time.step = 1e-12: must be at least 1e-09 s: rounding of time would show in it"),
         ({"stabiliser.time_constant": 5e-324}, "stabiliser.time_constant = 5e-324: must be at least 1e-09 s"),
+        ({"stabiliser.time_constant": -(10**400)}, "must be greater than 0 and finite"),
+        ({"stabiliser.time_constant": 10**400}, "must be greater than 0 and finite"),
         ({"stabiliser.damping_ratio": 1e308}, "stabiliser.damping_ratio = 1e+308: must be at most 1e+06: no closure"),
         ({"sensor.quantisation": 1e-308}, "sensor.quantisation = 1e-308: must be at least 1e-12 N: no sensor is"),
         ({"sensor.noise": 2**63}, "sensor.noise = 9223372036854775808: must be at most 1e+09 N"),

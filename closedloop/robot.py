@@ -96,7 +96,7 @@ class Robot:
         chain = [int(joint) for joint in self._pin.supports[self._pin.frames[self._frame].parentJoint]][1:]
         links = sum(float(np.linalg.norm(self._pin.jointPlacements[joint].translation)) for joint in chain)
         sliding = sum(self.model.joint_types[self._pin.joints[joint].idx_v] == "prismatic" for joint in chain)
-        return links + float(np.linalg.norm(self.tip_offset)) + sliding
+        return links + float(np.linalg.norm(self.tip_offset)) + float(sliding)
 
     @property
     def passes(self) -> tuple[Any, Any, Any, Any, Any]:

@@ -9,6 +9,7 @@ from closedloop.integrate import ADAPTIVE, INTEGRATORS
 from closedloop.report import notes
 from closedloop.scenario import parse_scenario, shipped_scenarios
 
+DAHL = '[friction]\nkind = "dahl"\ncoefficient = 0.2\nstiffness = 1e4'
 WITH_IMPACTS = ("wam_bounce", "planar2_drop", "wam_touchdown", "panda_touchdown", "wam_edge", "wam_liftoff")
 
 
@@ -19,7 +20,7 @@ WITH_IMPACTS = ("wam_bounce", "planar2_drop", "wam_touchdown", "panda_touchdown"
         ('[surface]\ncontact = "unilateral"', "rk4"),
         ('[surface]\ncontact = "unilateral"\n[time]\nintegrator = "auto"', "rk4"),
         ('[surface]\ncontact = "unilateral"\n[time]\nintegrator = "explicit_euler"', "explicit_euler"),
-        ("semi_implicit_euler",),
+        (f'[surface]\ncontact = "unilateral"\n{DAHL}', "semi_implicit_euler"),
     ],
 )
 def test_a_scenario_without_an_integrator_gets_one_that_fits(text, expected):

@@ -40,7 +40,7 @@ def notes(
         )
     limits = [w for w, b in (("effort", effort_limit), ("velocity", velocity_limit)) if np.isfinite(b).any()]
     if limits:
-        lines.append(f"{' and '.join(limits)} limits of the robot's file do not act: a run may exceed them")
+        lines.append(f"{' and '.join(limits)} limits of the robot's file cut nothing: the verdict names what exceeds them")
     return tuple(lines)
 
 

@@ -167,7 +167,7 @@ def _error_rows(run: Run, facts: dict[str, Any]) -> list[tuple[str, str, str, st
             "J",
             f"of {facts['energy_exchanged']:.2g} J exchanged",
         ),
-        ("integrator", time.integrator, "", f"order {scheme.order}, {step}"),
+        ("order of the integrator", f"{scheme.order}", "", f"{time.integrator}, {step}"),
         ("tip speed", f"{facts['max_tip_speed']:.4g}", "m/s", ""),
         *_joint_rows(run),
         *_contact_rows(run, facts),

@@ -211,7 +211,9 @@ class TimeSection(Section):
         f"({', '.join(BRISTLES)}) and where contact is bilateral",
     )
     tolerance: Tolerance | None = Field(
-        None, description="relative error that dop853 allows itself in each of its own steps; 1e-12 if left out"
+        None,
+        description="relative error that dop853 allows itself in each of its own steps; if left out 1e-12, and 1e-9 "
+        "with friction at the tip",
     )
 
 

@@ -76,7 +76,7 @@ class Outcome:
     end_time : float
         Instant of the last row, s; NaN if there is none.
     verdict : str or None
-        "good", or what is wrong with it, see `closedloop.report.verdict`; None: as its status says.
+        "good", or what is wrong with what ran, see `closedloop.report.verdict`; None if it was refused or failed.
     """
 
     status: str

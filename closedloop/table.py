@@ -86,7 +86,12 @@ def schema(types: Mapping[str, pa.DataType], keep: Sequence[str] = ()) -> pa.Sch
             "",
             "done; stopped: the figures are of what ran; refused: nothing ran; failed: an error that nobody foresaw",
         ),
-        field("verdict", text, "", "good, or what is wrong with the run, see closedloop.report.verdict"),
+        field(
+            "verdict",
+            text,
+            "",
+            "good, or what is wrong with what ran, see closedloop.report.verdict; empty if it was refused or failed",
+        ),
         field("reason", text, "", "why it was stopped, was refused or failed"),
         field("rows", whole, "1", "rows of the run's record"),
         field("end_time", number, "s", "instant of the last row"),
@@ -126,7 +131,7 @@ def table_of(
         data.append(values)
     data += [
         [outcome.status for outcome in outcomes],
-        [outcome.verdict or outcome.status for outcome in outcomes],
+        [outcome.verdict for outcome in outcomes],
         [outcome.reason for outcome in outcomes],
         [outcome.rows for outcome in outcomes],
         [outcome.end_time for outcome in outcomes],

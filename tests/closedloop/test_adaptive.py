@@ -126,6 +126,8 @@ def test_limp_arm_on_the_surface_keeps_its_energy_and_the_closure(name, stabilis
     second is that of the tolerance.
     """
     changes = {"time.integrator": "dop853", "time.step": 0.01, "time.duration": 1.0, "stabiliser.kind": stabiliser}
+    if name == "wam_slide":
+        changes["start.q"] = [np.pi / 2, 1.0, 0.0, 2.0]  # the elbow up: it falls far; hanging, it has little to lose
     run = cl.simulate(cl.load_scenario(name, changes), law=limp)
     moved = np.ptp(run.kinetic_energy)
     assert moved > 1.0

@@ -60,8 +60,8 @@ def test_held_tip_does_not_start_through_its_closure(v):
 @pytest.mark.parametrize("factor", [0.9, 1.1])
 def test_rate_of_a_held_start_from_both_sides(factor, robot):
     """The tolerance is `START_RATE`: a little below it a start is accepted, a little above refused."""
-    q = [1.5707963267948966, 1.0, 0.0, 2.0]
-    A = robot("wam4").position_and_jacobian(np.array(q))[1][2]
+    q = np.array(cl.load_scenario("wam_slide").start.q)
+    A = robot("wam4").position_and_jacobian(q)[1][2]
     v = (factor * START_RATE * A / (A @ A)).tolist()
     scenario = cl.load_scenario("wam_slide", {"time.duration": 0.01, "start.v": v})
     if factor < 1.0:

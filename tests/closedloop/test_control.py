@@ -44,7 +44,7 @@ def test_same_law_in_python_gives_the_same_run(integrator):
     """Eq. 33 written by a user in numpy, and the built-in law, give the same run to rounding."""
     changes = {
         "reference.kind": "hold",
-        "start.v": [0.2, 0.0, 0.3, 0.0],
+        "start.v": [0.4, 0.0, 0.6, 0.0],
         "law.pd_start": 0.02,
         "time.duration": 0.1,
         "time.integrator": integrator,
@@ -193,10 +193,12 @@ def test_law_that_returns_nan_stops_the_run_and_keeps_it():
 
 
 def test_exceptions_of_a_law_come_through():
-    """What a user's law raises reaches the user as it is: hiding it would hide the law's bug."""
+    """What a user's law raises is told with its place, and is the cause: hiding it would hide the law's bug."""
 
     def law(t, q, v, terms):
         raise KeyError("mine")
 
-    with pytest.raises(KeyError, match="mine"):
+    with pytest.raises(cl.LawError, match=r"test_control\.py:\d+: KeyError: 'mine'$") as caught:
         cl.simulate(cl.load_scenario("wam_slide", {"time.duration": 0.01}), law=law)
+    assert isinstance(caught.value.__cause__, KeyError)
+    assert caught.value.__cause__.args == ("mine",)

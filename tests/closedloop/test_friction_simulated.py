@@ -86,14 +86,13 @@ def test_published_stick_slip_at_a_millisecond():
     assert ends[0] / ends[1] == pytest.approx(2.0, rel=0.05)
 
 
-@pytest.mark.parametrize(
-    ("scheme", "order"), [("semi_implicit_euler", 1), pytest.param("rk4", 2, marks=pytest.mark.slow)]
-)
+@pytest.mark.parametrize("scheme", ["semi_implicit_euler", pytest.param("rk4", marks=pytest.mark.slow)])
 @pytest.mark.parametrize("kind", LAWS)
-def test_energy_that_friction_takes_is_what_is_missing(kind, scheme, order):
-    """A block thrown askew against a spring: the balance is met to the scheme's order, at most the balance's own, two.
+def test_energy_that_friction_takes_is_what_is_missing(kind, scheme):
+    """A block thrown askew against a spring: all its energy is accounted for, whether it slides, sticks or goes on.
 
-    Half the step leaves 2 or 4 times less unaccounted for, whether the block slides, sticks or goes on in between.
+    A scheme of one stage holds the forces over a step: where the inertia is constant their work is that times the mean
+    velocity, without an error but rounding's. With rk4 half the step leaves at least 4 times less unaccounted for.
     """
     left = []
     for h in (1e-3, 5e-4):
@@ -108,8 +107,11 @@ def test_energy_that_friction_takes_is_what_is_missing(kind, scheme, order):
         )
         left.append(np.max(np.abs(energy_balance(run)[0])))
         assert run.summary()["energy_lost_to_friction"] > 0.05  # of the 0.13 J that it was thrown with
-    assert left[1] < 2e-3
-    assert left[0] / left[1] > 0.95 * 2**order
+    if scheme == "semi_implicit_euler":
+        assert max(left) < 1e-14
+    else:
+        assert left[1] < 2e-3
+        assert left[0] / left[1] > 0.95 * 2**2
 
 
 @pytest.mark.slow

@@ -168,7 +168,7 @@ def test_run_is_repeated_from_its_file_alone(run, saved, command_line, tmp_path)
         {
             "robot.lock": {"J3": 0.1},
             "start.q": [1.5, 1.0, 2.0],
-            "start.v": [0.0, 0.0, 0.1],
+            "start.v": [0.0, -0.0158520976, 0.0974205757],  # along the surface
             "law.kp": 100.0,
             "law.kd": 10.0,
             "reference.kind": "hold",

@@ -235,7 +235,7 @@ def test_leaving_the_limits_is_refused_with_the_joint_and_the_instant_of_the_way
 @pytest.mark.parametrize(
     "section",
     [
-        pytest.param(CircleSection(direction=(0, 1, 0), radius=0.02, turns=1e9, stop=4.0), marks=pytest.mark.slow),
+        pytest.param(CircleSection(direction=(0, 1, 0), radius=0.02, turns=1e6, stop=4.0), marks=pytest.mark.slow),
         CircleSection(direction=(0, 1, 0), radius=0.02, stop=0.5 + 1e-14),
         LineSection(direction=(0, 1, 0), speed=1e-309, stop=1.7e308, timing="minimum_jerk"),
         LineSection(direction=(0, 1, 0), speed=1.7e308, stop=1.7e308),

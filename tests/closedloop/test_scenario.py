@@ -363,7 +363,7 @@ def test_surface_that_the_tip_does_not_start_on_is_refused(side, robot):
 
     The closure is rigid and holds the tip wherever it starts: a wall in mid-air would be silently wrong.
     """
-    height = float(robot("wam4").position([1.5707963267948966, 1.0, 0.0, 2.0])[2])
+    height = float(robot("wam4").position(cl.load_scenario("wam_slide").start.q)[2])
     cl.prepare(cl.load_scenario("wam_slide", {"surface.offset": height + side * 1e-6, "time.duration": 0.01}))
     line = refusal({"surface.offset": height - side * 0.05})
     assert "0.05 m off" in line if side > 0 else "0.05 m inside" in line

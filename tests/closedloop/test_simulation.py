@@ -166,7 +166,7 @@ def test_problem_can_be_looked_at_before_it_runs():
     problem = cl.prepare(cl.load_scenario("wam_slide"))
     assert problem.steps == 8000
     assert problem.path.shape == (8001, 2, 4)
-    assert np.array_equal(problem.q, [1.5707963267948966, 1.0, 0.0, 2.0])
+    assert np.array_equal(problem.q, [1.5707963267948966, 1.9, 0.0, -0.85])
     assert problem.plane.gap(problem.robot.position(problem.q)) == 0.0
     assert problem.stabiliser == pytest.approx([1414.0, 1e6])
     assert np.array_equal(problem.gains, [[900, 900, 400, 300], [60, 60, 30, 20]])

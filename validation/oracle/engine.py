@@ -79,7 +79,10 @@ class Oracle:
         return dynamics.inverse_dynamics(self.tree, self.pose(q), v, a)
 
     def pushed_inverse_dynamics(self, q: Array, v: Array, a: Array, force: Array) -> Array:
-        """Return Q (n,) for accelerations a while `force` (3,) pushes the tip, base frame [N]."""
+        """Return Q (n,) of Eq. 12, H q̈ + C = Q + Jᵣᵀ F, for accelerations a while F = `force` (3,) pushes the tip [N].
+
+        F is in the base frame; the paper's is n f, along the normal n of the surface.
+        """
         pose, body = self.pose(q), self.tree.frame(self.tip).body
         couple = skew(kinematics.tip_position(self.tree, pose, self.tip)) @ force
         push = np.zeros((self.tree.size, 6), dtype=couple.dtype)

@@ -32,6 +32,8 @@ CHECKSUM = "checksum"
 # Attributes that must be text, and that files from before there was a checksum may lack.
 _TEXTS = ("scenario", "robot_text", "robot", "law", "versions", "stopped")
 _LATER = {"engine": "pinocchio", "law_digest": "", "not_finite": '["kkt_condition"]'}
+# Columns that files of earlier versions may lack, and a column as long: what nobody wrote down is NaN.
+_LATER_COLUMNS = {"energy_supplied": "time", "event_restitution": "event_time"}
 # What the checksum is of.
 ATTRIBUTES = {"format", "format_version", "seed", "wall_seconds", "summary", *_TEXTS, *_LATER}
 
@@ -79,7 +81,7 @@ def _not_finite(columns: Mapping[str, NDArray[Any]]) -> list[str]:
 
 
 def checksum(found: Mapping[str, Any], columns: Mapping[str, NDArray[Any]]) -> str:
-    """Return the SHA-256 of the attributes of a file, its own left out, and of all columns of a run.
+    """Return the SHA-256 of the attributes of a file, its own left out, and of the columns of a run that it has.
 
     Each attribute in order of the alphabet as the JSON of [name, value]; each column as that of [name, type, shape] and
     its bytes, rows first.
@@ -87,7 +89,7 @@ def checksum(found: Mapping[str, Any], columns: Mapping[str, NDArray[Any]]) -> s
     total = hashlib.sha256()
     for name in sorted(found):
         total.update(json.dumps([name, found[name]]).encode())
-    for name in COLUMNS:
+    for name in (name for name in COLUMNS if name in columns):
         column = np.ascontiguousarray(columns[name])
         total.update(json.dumps([name, column.dtype.str, column.shape]).encode())
         total.update(column.tobytes())
@@ -134,7 +136,7 @@ def save_run(run: Run, path: str | Path) -> Path:
 
 
 def load_run(path: str | Path) -> Run:
-    """Read a run that `save_run` wrote.
+    """Read a run that `save_run` wrote, now or in an earlier version with this format: a column it lacks is NaN.
 
     Raises
     ------
@@ -176,7 +178,9 @@ def _run_of(found: Mapping[str, Any], columns: dict[str, NDArray[Any]]) -> Run:
     if not 0.0 <= float(found["wall_seconds"]) < math.inf:
         raise RunFileError(f"is damaged: attribute 'wall_seconds' is {found['wall_seconds']}")
     model = robot_models.from_text(found["robot_text"], **robot)
-    _check_columns(columns, model.n, json.loads(found["not_finite"]))
+    absent = [name for name in _LATER_COLUMNS if name not in columns]
+    columns |= {name: np.full(columns[_LATER_COLUMNS[name]].size, np.nan) for name in absent}
+    _check_columns(columns, model.n, [*json.loads(found["not_finite"]), *absent])
     return Run(
         scenario=parse_scenario(found["scenario"], where="attribute 'scenario'"),
         model=model,

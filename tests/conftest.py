@@ -6,6 +6,10 @@ of its own for being the first: the tests have arms of many sizes, and each woul
 python -m pytest --hypothesis-profile=explore      # other examples each time, to look for what was missed
 """
 
+import sys
+from pathlib import Path
+
+import pytest
 from hypothesis import settings
 
 from closedloop import forms
@@ -14,3 +18,19 @@ settings.register_profile("same", derandomize=True)
 settings.register_profile("explore")
 settings.load_profile("same")
 forms.FIRST_HAS_ITS_OWN = False
+
+
+@pytest.fixture(autouse=True)
+def no_modules_left(tmp_path_factory, monkeypatch):
+    """Forget the modules that a test has written and imported, and where it looked for them.
+
+    The next test may write a module of the same name.
+    """
+    monkeypatch.setattr(sys, "path", list(sys.path))
+    known = set(sys.modules)
+    yield
+    below = tmp_path_factory.getbasetemp()
+    for name in sys.modules.keys() - known:
+        file = getattr(sys.modules[name], "__file__", None)
+        if file and Path(file).is_relative_to(below):
+            del sys.modules[name]

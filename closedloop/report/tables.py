@@ -147,31 +147,36 @@ def _error_rows(run: Run, facts: dict[str, Any]) -> list[tuple[str, str, str, st
     return [
         (
             "contact force f at the end",
-            f"{facts['final_contact_force']:.9g}",
+            _shown(facts["final_contact_force"], ".9g"),
             "N",
             commanded if touching[-1] else f"free; {commanded}",
         ),
         ("f, lowest and highest", f"{np.min(force):.4g} … {np.max(force):.4g}", "N", where),
-        ("the stabiliser's part of f", f"{facts['max_stabiliser_force']:.2g}", "N", absent),
+        ("the stabiliser's part of f", _shown(facts["max_stabiliser_force"], ".2g"), "N", absent),
         (
             "closure error |e|",
-            f"{facts['max_abs_closure_error']:.2g}",
+            _shown(facts["max_abs_closure_error"], ".2g"),
             "m",
-            f"{end:.1g} m at the end" if touching[-1] else f"a gap of {end:.3g} m at the end",
+            f"{_shown(end, '.1g')} m at the end" if touching[-1] else f"a gap of {_shown(end, '.3g')} m at the end",
         ),
-        ("closure rate |ė|", f"{facts['max_abs_closure_rate']:.2g}", "m/s", ""),
-        ("residual of Eq. 24", f"{facts['max_kkt_residual']:.1g}", "relative", "rounding is 1e-16"),
+        ("closure rate |ė|", _shown(facts["max_abs_closure_rate"], ".2g"), "m/s", ""),
+        ("residual of Eq. 24", _shown(facts["max_kkt_residual"], ".1g"), "relative", "rounding is 1e-16"),
         (
             "energy unaccounted for",
-            f"{facts['max_energy_residual']:.2g}",
+            _shown(facts["max_energy_residual"], ".2g"),
             "J",
-            f"of {facts['energy_exchanged']:.2g} J exchanged",
+            f"of {_shown(facts['energy_exchanged'], '.2g')} J exchanged",
         ),
         ("order of the integrator", f"{scheme.order}", "", f"{time.integrator}, {step}"),
-        ("tip speed", f"{facts['max_tip_speed']:.4g}", "m/s", ""),
+        ("tip speed", _shown(facts["max_tip_speed"], ".4g"), "m/s", ""),
         *_joint_rows(run),
         *_contact_rows(run, facts),
     ]
+
+
+def _shown(figure: float | None, form: str) -> str:
+    """Return a figure of the summary; None is one that is no finite number."""
+    return "not known" if figure is None else format(figure, form)
 
 
 def _contact_rows(run: Run, facts: dict[str, Any]) -> list[tuple[str, str, str, str]]:
@@ -179,17 +184,17 @@ def _contact_rows(run: Run, facts: dict[str, Any]) -> list[tuple[str, str, str, 
     counts = ", ".join(f"{count} {kind}{'s' * (count > 1)}" for kind, count in facts["events"].items() if count)
     rows = [("events", str(len(run.events)), "", counts)] if run.events else []
     if facts["max_friction_force"] or facts["max_joint_friction"]:
-        rows.append(("energy lost to friction", f"{facts['energy_lost_to_friction']:.3g}", "J", ""))
+        rows.append(("energy lost to friction", _shown(facts["energy_lost_to_friction"], ".3g"), "J", ""))
     if run.scenario.surface.contact == "bilateral":
         return rows
-    cut = facts["largest_rate_cut"]
+    cut = facts["largest_rate_cut"] or 0.0
     rows += [
-        ("time in contact", f"{facts['time_in_contact']:.4g}", "s", f"of {run.time[-1]:g} s"),
-        ("deepest penetration", f"{facts['deepest_penetration']:.2g}", "m", ""),
+        ("time in contact", _shown(facts["time_in_contact"], ".4g"), "s", f"of {run.time[-1]:g} s"),
+        ("deepest penetration", _shown(facts["deepest_penetration"], ".2g"), "m", ""),
     ]
     if facts["events"]["impact"] or facts["events"]["touchdown"]:
         what = f"bounce cut: {cut:.2g} m/s" if cut > 0.0 else "no bounce was cut"
-        rows.append(("energy lost in impacts", f"{facts['energy_lost_in_impacts']:.3g}", "J", what))
+        rows.append(("energy lost in impacts", _shown(facts["energy_lost_in_impacts"], ".3g"), "J", what))
     return rows
 
 

@@ -1,10 +1,8 @@
 """What several tests of the simulator need: runs made once, random states, the command line in this process."""
 
 import dataclasses
-import sys
 from collections.abc import Callable
 from functools import lru_cache
-from pathlib import Path
 
 import numpy as np
 import pytest
@@ -91,8 +89,6 @@ def command_line(capsys, monkeypatch, tmp_path) -> Callable[..., Outcome]:
     That it compiles is left out of what it says: the first test to ask for a form of the step hears it.
     """
     monkeypatch.chdir(tmp_path)
-    monkeypatch.setattr(sys, "path", list(sys.path))
-    known = set(sys.modules)
 
     def call(*arguments: object) -> Outcome:
         capsys.readouterr()
@@ -104,11 +100,7 @@ def command_line(capsys, monkeypatch, tmp_path) -> Callable[..., Outcome]:
         said = "".join(line for line in captured.err.splitlines(True) if not line.startswith("compiling the step"))
         return Outcome(status, captured.out, said)
 
-    yield call
-    for name in set(sys.modules) - known:
-        file = getattr(sys.modules[name], "__file__", None)
-        if file and Path(file).is_relative_to(tmp_path):
-            del sys.modules[name]
+    return call
 
 
 @pytest.fixture

@@ -130,7 +130,7 @@ OUTPUTS = [
     Case("| true", "{run} --list", "| true", quick=True),
     Case("| head -1", "{run} --list", "| head -1"),
     Case("help | head -c 1", "{run} --help", "| head -c 1"),
-    Case("run | true", SHORT, "| true", check=saved, quick=True),
+    Case("run | true", SHORT, "| true", check=saved),
     Case("json | head -1", f"{SHORT} --json", "| head -1", check=saved),
     Case("run 2>&1 | true", SHORT, "2>&1 | true", check=saved),
     Case("refusal 2>&1 | true", "{run} nosuch", "2>&1 | true", status=2),
@@ -157,7 +157,7 @@ OUTPUTS = [
     Case("unbuffered to a full device", "{run} --list", ">/dev/full", env={"PYTHONUNBUFFERED": "1"}, status=2,
          says=one_of_ours(FULL)),
     Case("unbuffered | true", "{run} --list", "| true", env={"PYTHONUNBUFFERED": "1"}),
-    Case("output closed", SHORT, ">&-", check=saved, quick=True),
+    Case("output closed", SHORT, ">&-", check=saved),
     Case("errors closed", SHORT, "2>&-", check=saved),
     Case("input closed", SHORT, "<&-", check=saved),
     Case("all closed", DRAWN, ">&- 2>&- <&-", check=lambda folder, out: (saved(folder, out), drawn(folder, out))),
@@ -197,7 +197,7 @@ FOLDERS = [
     Case("modules of the same name, validation", "{validation} --help", before=f"{PLANT}; {PLANT_FOLDERS}"),
 ]  # fmt: skip
 VARIABLES = [
-    Case("no such backend", DRAWN, env={"MPLBACKEND": "nosuch"}, check=drawn, quick=True),
+    Case("no such backend", DRAWN, env={"MPLBACKEND": "nosuch"}, check=drawn),
     Case("backend without a screen", DRAWN, env={"MPLBACKEND": "TkAgg", "DISPLAY": None}, check=drawn),
     *(
         Case(" ".join(f"{key}={value}" for key, value in env.items()), SHORT, env=env, check=saved)

@@ -37,6 +37,7 @@ def adaptive():
     return json.loads(done.stdout)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("law", "tolerance"), PULLED)
 def test_an_adaptive_step_breaks_away_along_the_pull(adaptive, law, tolerance):
     """Pulled askew ever harder, a block slides off when and as the closed form says, straight along the pull.
@@ -53,6 +54,7 @@ def test_an_adaptive_step_breaks_away_along_the_pull(adaptive, law, tolerance):
     assert found["driven"] <= 1e-14
 
 
+@pytest.mark.slow
 def test_an_adaptive_step_breaks_away_on_a_path_that_turns(adaptive):
     """With friction that falls smoothly from its static level slip starts as t², and its direction turns: one event."""
     assert adaptive["turning"]["rows"] == 31

@@ -81,6 +81,7 @@ def test_a_sample_is_seeded():
     assert lines == sorted(lines)
 
 
+@pytest.mark.slow
 @pytest.mark.skipif(not hasattr(mutate.os, "fork"), reason="forks")
 def test_a_strong_test_kills_what_a_weak_one_lets_live(tmp_path, capsys):
     """Of the same mutants the strong test kills all; the weak one lets most live."""
@@ -98,6 +99,7 @@ def test_a_strong_test_kills_what_a_weak_one_lets_live(tmp_path, capsys):
             assert "SURVIVED" in said
 
 
+@pytest.mark.slow
 @pytest.mark.skipif(not hasattr(mutate.os, "fork"), reason="forks")
 def test_tests_that_fail_without_a_mutant_measure_nothing(tmp_path):
     """A score on a red suite would be 100 %."""

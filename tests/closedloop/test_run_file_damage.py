@@ -11,7 +11,9 @@ import pytest
 
 import closedloop as cl
 from closedloop import sealed
+from closedloop.figures import draw_figures
 from closedloop.record import COLUMNS
+from closedloop.report import print_report
 from closedloop.runfile import attributes
 
 
@@ -79,7 +81,7 @@ def test_additions_of_others_are_no_damage(copy, saved):
     assert same(copy, saved)
 
 
-@pytest.mark.parametrize("what", ["column", "scenario", "engine", "no law", "no column"])
+@pytest.mark.parametrize("what", ["column", "scenario", "engine", "no law", "no column", "no added column"])
 def test_changes_by_others_are_told(what, copy):
     """A number, a text or an attribute changed or removed through h5py is told by the checksum."""
     with h5py.File(copy, "r+") as h5:
@@ -89,6 +91,8 @@ def test_changes_by_others_are_told(what, copy):
             del h5.attrs["law"]
         elif what == "no column":
             del h5["kinetic_energy"]
+        elif what == "no added column":
+            del h5["energy_supplied"]
         else:
             h5.attrs[what] = "compiled" if what == "engine" else h5.attrs[what].replace("10", "11")
     with pytest.raises(cl.RunFileError, match=r"copy.nc: is .*damaged"):
@@ -102,6 +106,54 @@ def test_file_from_before_there_was_a_checksum_is_read(copy, saved):
             del h5.attrs[name]
     assert same(copy, saved)
     assert cl.load_run(copy).engine == "pinocchio"
+
+
+def test_file_from_before_there_were_all_columns_is_read(copy, saved):
+    """What an earlier version did not write is no number, and whatever is made of it says so; the rest is the same."""
+    with h5py.File(copy, "r+") as h5:
+        for name in ("checksum", "engine", "law_digest", "not_finite"):
+            del h5.attrs[name]
+        for name in ("energy_supplied", "event_restitution"):
+            del h5[name]
+    old, run = cl.load_run(copy), cl.load_run(saved)
+    assert np.all(np.isnan(old.energy_supplied))
+    assert len(old) == len(run)
+    figures, whole = old.summary(), run.summary()
+    assert figures["not_finite"] == ["max_energy_residual"]
+    assert figures["max_energy_residual"] is None
+    assert whole["verdict"]["good"]
+    assert [problem["name"] for problem in figures["verdict"]["problems"]] == ["energy"]
+    assert "not known" in figures["verdict"]["problems"][0]["text"]
+    assert {name for name in whole if whole[name] != figures[name]} == {"max_energy_residual", "not_finite", "verdict"}
+
+
+def test_everything_is_made_of_a_file_of_an_earlier_version(tmp_path, capsys):
+    """A bouncing run without the columns added since: its report, its figures and its file are made all the same."""
+    path = cl.simulate(cl.load_scenario("planar2_drop", {"time.duration": 0.5})).save(tmp_path / "run.nc")
+    with h5py.File(path, "r+") as h5:
+        for name in ("checksum", "not_finite"):
+            del h5.attrs[name]
+        for name in ("energy_supplied", "event_restitution"):
+            del h5[name]
+    old = cl.load_run(path)
+    assert len(old.events) >= 2
+    assert np.isnan(old.events[0].restitution)
+    print_report(old)
+    said = capsys.readouterr().out
+    assert "verdict: BAD: energy" in said
+    assert "gave less" not in said
+    assert len(draw_figures(old, tmp_path)) >= 4
+    again = cl.load_run(old.save(tmp_path / "again.nc"))
+    assert np.array_equal(again.energy_supplied, old.energy_supplied, equal_nan=True)
+
+
+def test_column_that_all_versions_wrote_is_asked_for(copy):
+    """Only what was added since may be missing."""
+    with h5py.File(copy, "r+") as h5:
+        del h5.attrs["checksum"]
+        del h5["kinetic_energy"]
+    with pytest.raises(cl.RunFileError, match="'kinetic_energy' is missing"):
+        cl.load_run(copy)
 
 
 def test_reading_that_does_not_end_is_ended(copy, saved, monkeypatch):

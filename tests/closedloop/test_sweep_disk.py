@@ -122,15 +122,10 @@ def assert_goes_on(capsys, folder, done):
         np.testing.assert_array_equal(file.variables["contact_force"][:, -1], table["final_contact_force"])
 
 
-def test_a_limit_on_files_while_columns_are_joined_is_one_line(capsys, tmp_path):
-    """As with ``ulimit -f``: it was a segmentation fault in HDF5."""
-    assert_goes_on(capsys, tmp_path, limited(tmp_path, 100_000, *KEPT))
-
-
 @pytest.mark.slow
 @pytest.mark.parametrize("size", [0, 500, *range(4000, 20000, 4000), *range(20_000, 210_000, 20_000)])
 def test_a_limit_on_files_at_any_size_is_one_line(capsys, tmp_path, size):
-    """From nothing at all to just too little for the columns, at every size between."""
+    """From nothing at all, as with ``ulimit -f``, to just too little for the columns: it was a segmentation fault."""
     assert_goes_on(capsys, tmp_path, limited(tmp_path, size, *KEPT))
 
 

@@ -76,7 +76,7 @@ def assert_goes_on_to(folder, whole):
             np.testing.assert_array_equal(mine.variables[name][...], theirs.variables[name][...])
 
 
-@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
+@pytest.mark.parametrize("number", [signal.SIGINT, pytest.param(signal.SIGTERM, marks=pytest.mark.slow)])
 def test_a_signal_ends_a_sweep_with_one_line(tmp_path, number):
     """While it runs: exit status 130 or 143, one line, and the parts stay."""
     run = process(tmp_path, *LONG, "--out", "t.parquet")
@@ -157,6 +157,7 @@ def test_uninterrupted_returns_and_raises():
         uninterrupted(lambda done: 1 / 0)
 
 
+@pytest.mark.slow
 def test_a_second_sweep_to_the_same_file_is_refused(capsys, tmp_path):
     """While a process is at work, another that would write there, the same sweep or another, gets one line."""
     out = tmp_path / "t.parquet"

@@ -35,6 +35,7 @@ def test_every_kind_of_every_section_has_a_legal_scenario_to_start_from():
                 scenario_of(tables(robot, {section: kind}), "fuzz", {})
 
 
+@pytest.mark.slow
 def test_every_key_is_tried_and_there_are_many_cases():
     """The cases are as many as asked for, each its own, and the same for the same seed."""
     names = [case.name for case in one_wrong_value()]

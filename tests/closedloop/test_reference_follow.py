@@ -246,7 +246,7 @@ def test_leaving_the_limits_is_refused_with_the_joint_and_the_instant_of_the_way
     ids=lambda section: section.kind,
 )
 def test_extreme_paths_are_followed_or_refused(section, robot, capfd):
-    """Numbers at their bounds are followed or refused in one line: no warning, nothing not finite, no word of LAPACK's."""
+    """What the bounds allow is followed or refused in one line: no warning, all finite, no word of LAPACK's."""
     arm, refused, values = robot("wam4"), "reference: ", (np.zeros(1),)
     try:
         values = follow_section(arm, WAM_START, section)[1].sample(np.array([0.0, 0.5, 1.0, 1e3]))

@@ -19,7 +19,10 @@ KINDS = {
         "wam_slide", SHORT,
         {"law.force": (1.0, 20.0), "law.kp": (1.0, 900.0), "stabiliser.time_constant": (1e-3, 1e-2)},
     ),
-    "paths": ("wam_slide", SHORT | {"reference.stop": 2.0}, {"reference.speed": (0.005, 0.04), "law.pd_start": (0.0, 0.5)}),
+    "paths": (
+        "wam_slide", SHORT | {"reference.stop": 2.0},
+        {"reference.speed": (0.005, 0.04), "law.pd_start": (0.0, 0.5)},
+    ),
     "runge-kutta": ("wam_slide", {"time.duration": 0.2, "time.integrator": "rk4"}, {"law.force": (-5.0, 5.0)}),
     "explicit": ("wam_slide_unstabilised", SHORT | {"time.integrator": "explicit_euler"}, {"law.force": (1.0, 9.0)}),
     "held": ("wam_slide", SHORT | {"law.sample_period": 0.005}, {"law.kd": (5.0, 30.0)}),

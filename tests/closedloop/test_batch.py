@@ -154,6 +154,8 @@ def test_failed_runs_are_rows_with_their_reason():
     good, stopped, refused, also = cl.simulate_batch(scenario, changes).to_pylist()
     assert (good["status"], stopped["status"], refused["status"]) == ("done", "stopped", "refused")
     assert good["reason"] is None
+    assert (good["verdict"], refused["verdict"]) == ("good", None)  # what never ran is not judged
+    assert "stopped" in stopped["verdict"].split(", ")
     assert "stopped at t = " in stopped["reason"]
     assert "law.kd" in stopped["reason"]
     assert 0 < stopped["rows"] < 601

@@ -219,7 +219,7 @@ def test_gains_are_warned_of_before_the_run(command_line):
     assert outcome.err.startswith("closedloop: warning: law.kd[3] (joint J4) times time.step is 2.8 times the inertia")
     assert len(outcome.err.splitlines()) == 1
     assert "note: gains: law.kd[3]" in outcome.out
-    assert command_line("wam_slide", "--time.duration", "0.01", "--no-figures").err == ""
+    assert command_line("wam_slide", "--time.duration", "0.01", "--no-figures", "--out", "good").err == ""
 
 
 def test_strict_sweep_ends_with_status_4_if_any_run_is_bad(capsys, tmp_path):

@@ -14,11 +14,14 @@ from validation.plant_tree import TREE_FAULTS
 
 # Free, pressed and let go; an impact; a slide: one of each, in a second or less.
 SHORT = [
-    ("wam_slide", {"reference.direction": [0.6, 0.8, 0.0], "reference.stop": 1.0, "time.duration": 1.2}),
+    (
+        "wam_slide",
+        {"reference.direction": [0.6, 0.8, 0.0], "reference.speed": 0.1, "reference.stop": 1.0, "time.duration": 1.2},
+    ),
     ("planar2_drop", {}),
     ("wam_liftoff", {}),
 ]
-# Every joint of the WAM moves in it, so that every constant counts.
+# Every joint of the WAM moves in it, and at 0.1 m/s fast enough that every constant counts.
 ALL_MOVE = SHORT[0]
 
 

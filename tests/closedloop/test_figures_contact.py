@@ -315,7 +315,7 @@ def test_both_levels_of_friction_are_drawn_where_there_are_two():
     [
         ("wam_touchdown", ["fig_impacts"]),
         ("wam_liftoff", []),
-        ("wam_edge", ["fig_impacts"]),
+        pytest.param("wam_edge", ["fig_impacts"], marks=pytest.mark.slow),
         ("sliding", ["fig_friction"]),
     ],
 )

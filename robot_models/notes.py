@@ -40,7 +40,8 @@ def notes(
         )
     limits = [w for w, b in (("effort", effort_limit), ("velocity", velocity_limit)) if np.isfinite(b).any()]
     if limits:
-        lines.append(f"{' and '.join(limits)} limits of the robot's file cut nothing: the verdict names what exceeds them")
+        named = " and ".join(limits)
+        lines.append(f"{named} limits of the robot's file cut nothing: the verdict names what exceeds them")
     return tuple(lines)
 
 

@@ -9,7 +9,7 @@ Names are loaded when they are first used, so that ``import closedloop`` is quic
 
 from __future__ import annotations
 
-from closedloop.current_folder import leave_out_current_folder
+from closedloop.command.current_folder import leave_out_current_folder
 
 leave_out_current_folder(__file__)  # before anything else is imported
 
@@ -17,8 +17,10 @@ from importlib import import_module  # noqa: E402
 from typing import TYPE_CHECKING, Any  # noqa: E402
 
 if TYPE_CHECKING:
-    from closedloop.batch import simulate_batch as simulate_batch
+    from closedloop.batch.simulate_batch import simulate_batch as simulate_batch
+    from closedloop.closure.solve import solve_closure as solve_closure
     from closedloop.control import Law as Law
+    from closedloop.engines.problem import Problem as Problem
     from closedloop.errors import ChatterError as ChatterError
     from closedloop.errors import ClosedLoopError as ClosedLoopError
     from closedloop.errors import ClusterError as ClusterError
@@ -32,19 +34,17 @@ if TYPE_CHECKING:
     from closedloop.errors import ScenarioError as ScenarioError
     from closedloop.errors import SimulationError as SimulationError
     from closedloop.errors import SingularClosureError as SingularClosureError
-    from closedloop.preparation import prepare as prepare
-    from closedloop.problem import Problem as Problem
-    from closedloop.record import Event as Event
-    from closedloop.record import Run as Run
-    from closedloop.robot import Robot as Robot
-    from closedloop.robot import Terms as Terms
-    from closedloop.runfile import load_run as load_run
-    from closedloop.scenario import Scenario as Scenario
-    from closedloop.scenario import load_scenario as load_scenario
-    from closedloop.scenario import shipped_scenarios as shipped_scenarios
-    from closedloop.simulation import simulate as simulate
-    from closedloop.solve import solve_closure as solve_closure
-    from closedloop.surface import Plane as Plane
+    from closedloop.record.netcdf import load_run as load_run
+    from closedloop.record.run import Event as Event
+    from closedloop.record.run import Run as Run
+    from closedloop.robot.pinocchio import Robot as Robot
+    from closedloop.robot.pinocchio import Terms as Terms
+    from closedloop.scenario.scenario import Scenario as Scenario
+    from closedloop.scenario.scenario import load_scenario as load_scenario
+    from closedloop.scenario.scenario import shipped_scenarios as shipped_scenarios
+    from closedloop.simulation.prepare import prepare as prepare
+    from closedloop.simulation.simulate import simulate as simulate
+    from closedloop.surface.plane import Plane as Plane
     from closedloop.sweep import sweep_plot as sweep_plot
 
 _HOME = {

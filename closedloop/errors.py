@@ -7,12 +7,9 @@ The command line turns `ScenarioError` and `ModelError` into exit status 2 and
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 from robot_models.errors import ClosedLoopError, ModelError
-
-if TYPE_CHECKING:
-    from closedloop.record import Run
 
 __all__ = [
     "ChatterError",
@@ -73,7 +70,7 @@ class SimulationError(ClosedLoopError):
         Everything that was simulated until then.
     """
 
-    def __init__(self, message: str, time: float, run: Run | None = None) -> None:
+    def __init__(self, message: str, time: float, run: Any = None) -> None:
         super().__init__(message)
         self.time = time
         self.run = run

@@ -12,20 +12,21 @@ import importlib
 import json
 import os
 import sys
-import tomllib
 from collections.abc import Sequence
 from contextlib import redirect_stdout
 from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from closedloop.command import DONE, NOT_GOOD, Parser, run_command
+from closedloop.command.announce import announce_compiling
+from closedloop.command.border import DONE, NOT_GOOD, Parser, run_command
 from closedloop.errors import InterruptedRunError, ScenarioError, SimulationError, one_line
 from closedloop.interrupts import Terminated, word_for
-from closedloop.scenario import Scenario, load_scenario, parse_scenario, shipped_scenarios
+from closedloop.scenario.overrides import split_overrides
+from closedloop.scenario.scenario import Scenario, load_scenario, parse_scenario, shipped_scenarios
 
 if TYPE_CHECKING:
-    from closedloop.record import Run
+    from closedloop.record.run import Run
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
@@ -37,7 +38,7 @@ def _main(arguments: list[str]) -> int:
     overrides, rest = split_overrides(arguments)
     options = _parser().parse_args(rest)
     if options.version:
-        from closedloop.simulation import package_versions
+        from closedloop.record.versions import package_versions
 
         print(", ".join(f"{name} {version}" for name, version in package_versions().items()))
         return DONE
@@ -56,11 +57,11 @@ def _main(arguments: list[str]) -> int:
             "add --law MODULE:FUNCTION"
         )
 
-    from closedloop.own_law import law_digest
-    from closedloop.preparation import load_model
-    from closedloop.results import Results
-    from closedloop.runfile import question
-    from closedloop.simulation import check_engine, simulate
+    from closedloop.command.results import Results
+    from closedloop.engines.own_law import law_digest
+    from closedloop.record.netcdf import question
+    from closedloop.simulation.prepare import load_model
+    from closedloop.simulation.simulate import check_engine, simulate
 
     engine = options.engine or (earlier.engine if earlier else "pinocchio")
     check_engine(scenario, engine, law)
@@ -116,7 +117,7 @@ def _draw(run: Run, folder: Path, failure: SimulationError | None, law: Any, mod
 
 
 def _parser() -> Parser:
-    from closedloop.explain import describe_keys
+    from closedloop.scenario.messages import describe_keys
 
     keys = "\n".join(f"  --{key} VALUE\n        {what}" for key, what in describe_keys())
     parser = Parser(
@@ -162,45 +163,11 @@ def _list() -> None:
         print(f"{name:{width}}  {load_scenario(name).description}")
 
 
-def split_overrides(arguments: list[str]) -> tuple[dict[str, Any], list[str]]:
-    """Take --SECTION.KEY VALUE and --SECTION.KEY=VALUE out of the arguments; return them as overrides, and the rest."""
-    overrides: dict[str, Any] = {}
-    rest: list[str] = []
-    words = iter(arguments)
-    for word in words:
-        key, equals, value = word.removeprefix("--").partition("=")
-        if not word.startswith("--") or "." not in key:
-            rest.append(word)
-            continue
-        if not equals:
-            value = next(words, "--")
-            if value.startswith("--"):
-                raise ScenarioError(f"command line: {word} needs a value, such as --law.force 15")
-        if not _is_text(word + value):
-            raise ScenarioError(f"command line: --{key}: its value must be text in the encoding of this locale")
-        overrides[key] = toml_value(value)
-    return overrides, rest
-
-
-def _is_text(word: str) -> bool:
-    """Whether a word can be written into a file: what the locale does not know comes as half a character."""
-    return not any("\ud800" <= character <= "\udfff" for character in word)
-
-
-def toml_value(text: str) -> Any:
-    """Read a value as TOML would; what is not TOML is text, so that --robot.model panda needs no quotes."""
-    try:
-        document = tomllib.loads(f"value = {text}")
-    except (ValueError, RecursionError):  # no TOML, a number of thousands of digits, a thousand brackets
-        return text
-    return document["value"] if len(document) == 1 else text
-
-
 def _open(name: str, overrides: dict[str, Any]) -> tuple[Scenario, Any, Run | None]:
     """Return the scenario, and the robot and the run if it came from a run file."""
     if not name.endswith(".nc"):
         return load_scenario(name, overrides), None, None
-    from closedloop.runfile import load_run
+    from closedloop.record.netcdf import load_run
 
     earlier = load_run(name)
     scenario = parse_scenario(earlier.scenario.to_toml(), where=name, overrides=overrides)
@@ -209,7 +176,7 @@ def _open(name: str, overrides: dict[str, Any]) -> tuple[Scenario, Any, Run | No
 
 
 def _import_law(name: str) -> Any:
-    from closedloop.user_module import importing
+    from closedloop.command.user_module import importing
 
     with importing("--law", name, "MODULE:FUNCTION, such as my_laws:soft_touch") as (module, function):
         law = getattr(importlib.import_module(module), function, None)
@@ -218,20 +185,10 @@ def _import_law(name: str) -> Any:
     return law
 
 
-def announce_compiling(scenario: Scenario, n: int, engine: str, runs: int = 1) -> None:
-    """Say why the first run of an installation takes longer, or the first of so many; n joints, 0: any number."""
-    from closedloop.cache_folder import compiling_notice
-    from closedloop.compiled import needs_compiling
-    from closedloop.forms import loop_of
-
-    if needs_compiling(loop_of(scenario, engine, n, runs)):
-        print(compiling_notice(), file=sys.stderr, flush=True)
-
-
 def _warn_of_gains(scenario: Scenario, model: Any) -> None:
     """Say before anything is simulated that the step cannot carry the gains; contact may, so it is no refusal."""
-    from closedloop.control.gains import gains_fault
-    from closedloop.robot import Robot
+    from closedloop.robot.pinocchio import Robot
+    from closedloop.scenario.gains import gains_fault
 
     try:
         fault = gains_fault(scenario, Robot(model, scenario.robot.tip))
@@ -243,7 +200,7 @@ def _warn_of_gains(scenario: Scenario, model: Any) -> None:
 
 def _without_stabiliser(scenario: Scenario, law: Any, model: Any, engine: str) -> Any:
     """Run the scenario without its stabiliser, for Fig. 7; None if it has none, or cannot do without."""
-    from closedloop.simulation import simulate
+    from closedloop.simulation.simulate import simulate
 
     if scenario.stabiliser.kind == "none":
         return None

@@ -22,8 +22,8 @@ import numpy as np
 
 import closedloop as cl
 from closedloop.figures import STYLE
-from closedloop.friction import draw
-from closedloop.scenario import load_scenario
+from closedloop.figures.friction_laws import draw
+from closedloop.scenario.scenario import load_scenario
 from closedloop.study import controllers as study
 
 plt.rcParams.update(STYLE)

@@ -19,7 +19,7 @@
 # %matplotlib inline
 import matplotlib.pyplot as plt
 
-from closedloop.baumgarte import recommended_ratio, spectral_radius
+from closedloop.closure.baumgarte import recommended_ratio, spectral_radius
 from closedloop.figures import STYLE
 from closedloop.study.drift import measure, print_tables
 from closedloop.study.drift_figures import power_laws, stability_map

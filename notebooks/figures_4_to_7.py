@@ -167,9 +167,9 @@ print(f"f differs from Fig. 5 by up to {1e3 * np.abs(unstabilised.contact_force 
 # %% [markdown]
 # Nothing removes the truncation error now, and the tip sinks through the surface as long as it moves. Half the step
 # gives half the drift: it is the error of a first-order integrator, not of the model. After the stop a small rate
-# $\dot e$ remains, and $e$ goes on growing with it. The law sees the lowered tip as a position error and lifts it, which
-# is why $f$ does not return to 10 N exactly. Eq. 24 still reports the force of a rigid contact although the tip has left
-# the surface by half a micrometre; only the column `closure_error` tells.
+# $\dot e$ remains, and $e$ goes on growing with it. The law sees the lowered tip as a position error and lifts it,
+# which is why $f$ does not return to 10 N exactly. Eq. 24 still reports the force of a rigid contact although the tip
+# has left the surface by half a micrometre; only the column `closure_error` tells.
 
 # %% [markdown]
 # ## Energy, and the assumptions

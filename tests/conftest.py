@@ -12,7 +12,7 @@ from pathlib import Path
 import pytest
 from hypothesis import settings
 
-from closedloop import forms
+from closedloop.engines import specialise as forms
 
 settings.register_profile("same", derandomize=True)
 settings.register_profile("explore")

@@ -1,6 +1,6 @@
 """Faults planted in a module, one at a time: which of them do its tests see?
 
-    python -m tests.mutate --module closedloop.contact --limit 40 --seed 0
+    python -m tests.mutate --module closedloop.closure.contact_force --limit 40 --seed 0
 
 A mutant is the module with one small change: + for −, < for ≤, a constant of the other sign, `and` for `or`, a term
 left out, min for max, an index off by one, a statement left out. Each is put into a copy of the tree, and the tests of
@@ -34,23 +34,23 @@ IN = "tests/closedloop/"
 
 # The quick tests that hold each module, or options of pytest that choose them.
 TESTS: dict[str, tuple[str, ...]] = {
-    "closedloop.contact": (
+    "closedloop.closure.contact_force": (
         f"{IN}test_solve.py",
         f"{IN}test_contact_impulse.py",
         f"{IN}test_contact_complementarity.py",
     ),
-    "closedloop.solve": (f"{IN}test_solve.py",),
-    "closedloop.integrate": (f"{IN}test_integrate.py",),
-    "closedloop.slip": (f"{IN}test_kernel_faults.py", f"{IN}test_friction_turning.py"),
-    "closedloop.step": (f"{IN}test_reference_desired.py", f"{IN}test_kernel_faults.py"),
-    "closedloop.machine.locate": (f"{IN}test_kernel_faults.py", f"{IN}test_contact_events.py"),
+    "closedloop.closure.solve": (f"{IN}test_solve.py",),
+    "closedloop.integrators": (f"{IN}test_integrate.py",),
+    "closedloop.step.tip_friction": (f"{IN}test_kernel_faults.py", f"{IN}test_friction_turning.py"),
+    "closedloop.step.evaluate": (f"{IN}test_reference_desired.py", f"{IN}test_kernel_faults.py"),
+    "closedloop.events.locate": (f"{IN}test_kernel_faults.py", f"{IN}test_contact_events.py"),
     "closedloop.impact.phases": (f"{IN}test_impact_planar.py", f"{IN}test_impact.py"),
     "closedloop.impact.single": (f"{IN}test_impact.py", f"{IN}test_impact_planar.py"),
     "closedloop.friction.laws": (f"{IN}test_friction_laws.py", f"{IN}test_friction_bristles.py"),
     "closedloop.friction.stribeck": (f"{IN}test_friction_laws.py",),
     "closedloop.friction.dahl": (f"{IN}test_friction_laws.py", f"{IN}test_friction_bristles.py"),
     "closedloop.control.tip_space": (f"{IN}test_control_laws.py",),
-    "closedloop.tree.dynamics": (f"{IN}test_tree_kernels.py", f"{IN}test_tree_terms.py"),
+    "closedloop.robot.tree.dynamics": (f"{IN}test_tree_kernels.py", f"{IN}test_tree_terms.py"),
 }
 
 ARITHMETIC = {ast.Add: ast.Sub, ast.Sub: ast.Add, ast.Mult: ast.Div, ast.Div: ast.Mult}

@@ -17,7 +17,7 @@ from typing import Any
 import numpy as np
 
 import robot_models
-from closedloop.tree import Tree
+from closedloop.robot.tree import Tree
 from validation.comparison import Comparison, compare, tip_of
 from validation.engines import Engine, available
 from validation.engines.compiled import Compiled
@@ -43,7 +43,8 @@ class Fault:
         Engine, and an oracle of the sound robot to borrow from -> methods to put in place of the engine's own; empty if
         it does not compute what the fault touches.
     tree : callable or None
-        `closedloop.tree.Tree` -> the faulty one, or None if it cannot carry the fault: for the engine that has one.
+        `closedloop.robot.tree.Tree` -> the faulty one, or None if it cannot carry the fault: for the engine that has
+        one.
     """
 
     name: str

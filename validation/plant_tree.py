@@ -1,4 +1,5 @@
-"""Faults in the arrays of the compiled engine: what `closedloop.tree.tree_of` made of the robot, made a little wrong.
+"""Faults in the arrays of the compiled engine: what `closedloop.robot.tree.tree_of` made of the robot, made a little
+wrong.
 
 A robot's text read wrongly is planted in every engine (`validation.plant`); these are faults of the compiled engine's
 own: one constant of one joint, the tip, gravity, the links' order.
@@ -10,8 +11,8 @@ from collections.abc import Callable
 
 import numpy as np
 
-from closedloop.tree import Tree
-from closedloop.tree import layout as at
+from closedloop.robot.tree import Tree
+from closedloop.robot.tree import layout as at
 
 PART = 1e-6
 

@@ -14,7 +14,7 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
-from closedloop.command import Parser, run_command
+from closedloop.command.border import Parser, run_command
 from robot_models import ClosedLoopError, ModelError
 
 PASSED, FAILED, BAD_INPUT = 0, 1, 2
@@ -114,7 +114,7 @@ def _plant(options: argparse.Namespace) -> Any:
 
 def _engine(name: str) -> Any:
     """Import a user's engine class, which must be asked for by name on the command line."""
-    from closedloop.user_module import importing
+    from closedloop.command.user_module import importing
     from validation.engines import Engine
 
     wanted = "MODULE:CLASS of a subclass of validation.engines.Engine"

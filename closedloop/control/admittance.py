@@ -23,11 +23,11 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from closedloop.compiled import kernel
-from closedloop.control.moment import Moment
+from closedloop.control.law_input import Moment
 from closedloop.control.operational_space import move_tip
-from closedloop.control.places import DAMPING, INERTIA, K_P, K_V, STIFFNESS, WANTED
+from closedloop.control.parameters import DAMPING, INERTIA, K_P, K_V, STIFFNESS, WANTED
 from closedloop.control.tip_space import motion_along_surface
+from closedloop.jit.kernel import kernel
 
 Array = NDArray[np.float64]
 

@@ -17,9 +17,8 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from closedloop.compiled import kernel
-from closedloop.control.moment import Moment
-from closedloop.control.places import EIGEN, FORCE, INVERSE, SPARE, VECTORS, WANTED
+from closedloop.control.law_input import Moment
+from closedloop.control.parameters import EIGEN, FORCE, INVERSE, SPARE, VECTORS, WANTED
 from closedloop.control.tip_space import (
     add_mass_times,
     jacobian_gram,
@@ -28,6 +27,7 @@ from closedloop.control.tip_space import (
     rest_of,
     wanted_acceleration,
 )
+from closedloop.jit.kernel import kernel
 
 Array = NDArray[np.float64]
 

@@ -17,9 +17,9 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from closedloop.compiled import kernel
-from closedloop.control.moment import Moment
-from closedloop.control.places import K_F, K_I
+from closedloop.control.law_input import Moment
+from closedloop.control.parameters import K_F, K_I
+from closedloop.jit.kernel import kernel
 
 Array = NDArray[np.float64]
 

@@ -22,10 +22,10 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from closedloop.compiled import kernel
-from closedloop.control.moment import Moment
-from closedloop.control.places import APPROACH, EIGEN, FORCE, INVERSE, K_V, SPARE, VECTORS
+from closedloop.control.law_input import Moment
+from closedloop.control.parameters import APPROACH, EIGEN, FORCE, INVERSE, K_V, SPARE, VECTORS
 from closedloop.control.tip_space import jacobian_gram, motion_along_normal, pseudo_inverse
+from closedloop.jit.kernel import kernel
 
 Array = NDArray[np.float64]
 
@@ -38,7 +38,7 @@ def hybrid(x: Moment, par: Array, gains: Array, f: float, work: Array, torque: A
     ----------
     x : Moment
     par : array
-        See `closedloop.control.places`.
+        See `closedloop.control.parameters`.
     gains : (2, n) array
         K_p, N m/rad, and K_d, N m s/rad, per joint.
     f : float

@@ -21,10 +21,9 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from closedloop.compiled import kernel
-from closedloop.control.moment import Moment
+from closedloop.control.law_input import Moment
 from closedloop.control.operational_space import move_tip
-from closedloop.control.places import (
+from closedloop.control.parameters import (
     DAMPING,
     NORMAL_DAMPING,
     NORMAL_STIFFNESS,
@@ -33,6 +32,7 @@ from closedloop.control.places import (
     WANTED,
 )
 from closedloop.control.tip_space import surface_mobility
+from closedloop.jit.kernel import kernel
 
 Array = NDArray[np.float64]
 

@@ -11,7 +11,6 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from closedloop.compiled import kernel
 from closedloop.control.admittance import admittance, admittance_rates
 from closedloop.control.compensation.adaptive import adaptive_rates, add_adapted
 from closedloop.control.compensation.model import add_model
@@ -20,10 +19,10 @@ from closedloop.control.dynamic_hybrid import dynamic_hybrid
 from closedloop.control.force import commanded_force, integral_rate
 from closedloop.control.hybrid import hybrid
 from closedloop.control.impedance import impedance
-from closedloop.control.moment import Moment
+from closedloop.control.law_input import Moment
 from closedloop.control.operational_space import operational_space
 from closedloop.control.paper import paper_law
-from closedloop.control.places import (
+from closedloop.control.parameters import (
     ADAPTIVE,
     ADMITTANCE,
     COMPENSATION,
@@ -39,6 +38,7 @@ from closedloop.control.places import (
     compensation_place,
     law_place,
 )
+from closedloop.jit.kernel import kernel
 
 Array = NDArray[np.float64]
 
@@ -50,7 +50,7 @@ def law_torque(kind: int, x: Moment, par: Array, gains: Array, z: Array, work: A
     Parameters
     ----------
     kind : int
-        See `closedloop.control.places.LAWS`.
+        See `closedloop.control.parameters.LAWS`.
     x : Moment
     par, gains : (PARAMETERS + 2 n,), (2, n) arrays
         From `closedloop.control.pack.pack_law`.

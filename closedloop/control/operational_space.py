@@ -18,9 +18,8 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from closedloop.compiled import kernel
-from closedloop.control.moment import Moment
-from closedloop.control.places import EIGEN, FORCE, INVERSE, SPARE, VECTORS, WANTED
+from closedloop.control.law_input import Moment
+from closedloop.control.parameters import EIGEN, FORCE, INVERSE, SPARE, VECTORS, WANTED
 from closedloop.control.tip_space import (
     add_mass_times,
     add_tip_force,
@@ -29,6 +28,7 @@ from closedloop.control.tip_space import (
     rest_of,
     wanted_acceleration,
 )
+from closedloop.jit.kernel import kernel
 
 Array = NDArray[np.float64]
 
@@ -41,7 +41,7 @@ def operational_space(x: Moment, par: Array, gains: Array, f: float, work: Array
     ----------
     x : Moment
     par : array
-        See `closedloop.control.places`.
+        See `closedloop.control.parameters`.
     gains : (2, n) array
         Of the posture, 1/s² and 1/s.
     f : float

@@ -8,7 +8,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from closedloop.control import places
+from closedloop.control import parameters as places
 from closedloop.control.sections import (
     AdaptiveCompensationSection,
     AdmittanceLawSection,
@@ -20,11 +20,11 @@ from closedloop.control.sections import (
     ModelCompensationSection,
     NoCompensationSection,
     ObserverCompensationSection,
+    PaperLawSection,
     Posture,
     TipMotion,
 )
 from closedloop.errors import ScenarioError
-from closedloop.scenario import PaperLawSection
 
 Array = NDArray[np.float64]
 
@@ -35,9 +35,9 @@ class PackedLaw(NamedTuple):
     Attributes
     ----------
     kind : int
-        See `closedloop.control.places.LAWS`.
+        See `closedloop.control.parameters.LAWS`.
     par : (PARAMETERS + 2 n,) array
-        See `closedloop.control.places`.
+        See `closedloop.control.parameters`.
     gains : (2, n) array
         Per joint: K_p, N m/rad, and K_d, N m s/rad, of `paper` and `hybrid`; of the others those of the posture, 1/s²
         and 1/s.

@@ -10,7 +10,7 @@ hence the minus sign of the last term, and the surface answers with f along +n.
 The paper has no force sensor. With `force_feedback` or `force_integral`, which are beside the paper, f_c of
 `closedloop.control.force` takes the place of f_des.
 
-A law of one's own is a function ``law(t, q, v, terms) -> Q`` (see `closedloop.simulation`).
+A law of one's own is a function ``law(t, q, v, terms) -> Q`` (see `closedloop.simulation.simulate`).
 """
 
 from __future__ import annotations
@@ -21,11 +21,11 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from closedloop.compiled import kernel_inlined
-from closedloop.octet import select
+from closedloop.jit.kernel import kernel_inlined
+from closedloop.jit.simd8 import select
 
 if TYPE_CHECKING:
-    from closedloop.robot import Terms
+    from closedloop.robot.pinocchio import Terms
 
 Array = NDArray[np.float64]
 Law = Callable[[float, Array, Array, "Terms"], ArrayLike]

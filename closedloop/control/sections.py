@@ -1,4 +1,4 @@
-"""What [law], [compensation] and [sensor] of a scenario may say; the paper's law is in `closedloop.scenario`.
+"""What [law], [compensation] and [sensor] of a scenario may say; one section for each law.
 
 Gains of the tip's motion are accelerations per error, 1/s² and 1/s, so the same figures serve any arm: K_p = ω², K_v =
 2 ζ ω gives the tip the natural frequency ω and the damping ratio ζ.
@@ -252,3 +252,19 @@ class SensorSection(Section):
         0.0, description="age of a reading beside the sample's, s; a whole number of samples"
     )
     seed: Seed = Field(0, description="seed of the noise")
+
+
+class PaperLawSection(ForceLaw):
+    """[law] kind = "paper": Eq. 33; with force feedback, f_des in it becomes f_c of `closedloop.control.force`."""
+
+    kind: Literal["paper"] = "paper"
+    kp: Annotated[Gain, gain_in("N m/rad")] = Field(
+        description="position gain K_p, N m/rad, one per joint or one for all"
+    )
+    kd: Annotated[Gain, gain_in("N m s/rad")] = Field(
+        description="velocity gain K_d, N m s/rad, one per joint or one for all"
+    )
+    pd_start: NotNegative | None = Field(
+        None,
+        description="instant from which the PD part acts, s; that at which the reference starts to move if left out",
+    )

@@ -12,9 +12,9 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from closedloop.compiled import kernel
 from closedloop.control.sections import SensorSection
 from closedloop.errors import ScenarioError
+from closedloop.jit.kernel import kernel
 
 Array = NDArray[np.float64]
 

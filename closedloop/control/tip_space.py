@@ -7,10 +7,10 @@ import math
 import numpy as np
 from numpy.typing import NDArray
 
-from closedloop.compiled import kernel
-from closedloop.contact import IMMOBILE
-from closedloop.control.moment import Moment
-from closedloop.control.places import APPROACH, K_P, K_V
+from closedloop.closure.contact_force import IMMOBILE
+from closedloop.control.law_input import Moment
+from closedloop.control.parameters import APPROACH, K_P, K_V
+from closedloop.jit.kernel import kernel
 
 Array = NDArray[np.float64]
 

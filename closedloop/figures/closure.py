@@ -7,10 +7,10 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import NDArray
 
-from closedloop.contact import FREE
+from closedloop.closure.contact_force import FREE
 from closedloop.figures.dress import dress, explain_contact
 from closedloop.figures.style import COLOURS, length_unit, new_figure
-from closedloop.record import Run
+from closedloop.record.run import Run
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes

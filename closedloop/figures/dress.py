@@ -10,10 +10,10 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from closedloop.contact import FREE, PRESSED, STUCK
-from closedloop.events import IMPACT, KINDS, LIFTOFF, REVERSAL, SLIP_AGAIN, STICK, TOUCHDOWN
+from closedloop.closure.contact_force import FREE, PRESSED, STUCK
+from closedloop.events.table import IMPACT, KINDS, LIFTOFF, REVERSAL, SLIP_AGAIN, STICK, TOUCHDOWN
 from closedloop.figures.instants import intervals, marks, thinned
-from closedloop.record import Run
+from closedloop.record.run import Run
 
 if TYPE_CHECKING:
     from matplotlib.artist import Artist

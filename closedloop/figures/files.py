@@ -14,7 +14,7 @@ from closedloop.figures.impacts import has_impacts, impacts
 from closedloop.figures.style import STYLE
 from closedloop.figures.tip import tip_position
 from closedloop.files import write_whole
-from closedloop.record import Run
+from closedloop.record.run import Run
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from closedloop.figures.dress import contact_changes, dress, explain_contact, legend_beside_title
 from closedloop.figures.instants import FORCE_STEPS, marks
 from closedloop.figures.style import COLOURS, new_figure
-from closedloop.record import Run
+from closedloop.record.run import Run
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes

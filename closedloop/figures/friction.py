@@ -6,13 +6,13 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from closedloop.contact import FREE
+from closedloop.closure.contact_force import FREE
 from closedloop.figures.dress import dress, explain_contact, legend_beside_title
 from closedloop.figures.style import COLOURS, new_figure
 from closedloop.friction.layout import KINETIC, STATIC
 from closedloop.friction.packing import pack
-from closedloop.record import Run
-from closedloop.surface import unit
+from closedloop.record.run import Run
+from closedloop.surface.plane import unit
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure

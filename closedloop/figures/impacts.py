@@ -8,10 +8,10 @@ from typing import TYPE_CHECKING, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from closedloop.events import IMPACT, TOUCHDOWN
+from closedloop.events.table import IMPACT, TOUCHDOWN
 from closedloop.figures.dress import legend_beside_title
 from closedloop.figures.style import COLOURS, new_figure
-from closedloop.record import Run
+from closedloop.record.run import Run
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes

@@ -7,8 +7,8 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from closedloop.events import IMPACT, REVERSAL
-from closedloop.record import Run
+from closedloop.events.table import IMPACT, REVERSAL
+from closedloop.record.run import Run
 from closedloop.reference.force import StepForceSection
 from closedloop.reference.sections import HoldSection, Reference, WaypointsSection
 

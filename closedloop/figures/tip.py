@@ -9,7 +9,7 @@ import numpy as np
 from closedloop.figures.dress import contact_changes, dress, explain_contact, legend_beside_title
 from closedloop.figures.instants import marks
 from closedloop.figures.style import COLOURS, STROKES, length_unit, new_figure
-from closedloop.record import Run
+from closedloop.record.run import Run
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure

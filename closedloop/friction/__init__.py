@@ -11,7 +11,7 @@
 
 A file for each has its equations, source, parameters with units and ranges. `sections` is what a scenario may
 say, `packing` makes arrays of it, `laws` is the one interface of all laws for the code inside a step, `layout`
-the numbers of laws, parameters and states. `figures` draws a law; `block` pulls a block with one.
+the numbers of laws, parameters and states. `block` pulls a block with one.
 
     section = SurfaceLuGre(kinetic=0.2, static=0.3, stribeck_speed=1e-3, stiffness=1e4, damping=30.0)
     kind, par = pack(section)
@@ -27,7 +27,6 @@ from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
     from closedloop.friction.block import pull_block as pull_block
-    from closedloop.friction.figures import draw as draw
     from closedloop.friction.layout import KINDS as KINDS
     from closedloop.friction.layout import STICKS as STICKS
     from closedloop.friction.layout import state_count as state_count
@@ -43,7 +42,6 @@ _HOME = {
     "STICKS": "layout",
     "JointFriction": "sections",
     "SurfaceFriction": "sections",
-    "draw": "figures",
     "energy_fault": "packing",
     "largest_step": "presliding",
     "pack": "packing",

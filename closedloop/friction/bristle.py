@@ -21,7 +21,7 @@ import math
 import numpy as np
 from numpy.typing import NDArray
 
-from closedloop.compiled import kernel
+from closedloop.jit.kernel import kernel
 
 Array = NDArray[np.float64]
 

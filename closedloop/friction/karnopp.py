@@ -19,8 +19,8 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from closedloop.compiled import kernel
 from closedloop.friction.layout import DEAD_BAND, KINETIC
+from closedloop.jit.kernel import kernel
 
 Array = NDArray[np.float64]
 

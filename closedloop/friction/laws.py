@@ -23,7 +23,6 @@ import math
 import numpy as np
 from numpy.typing import NDArray
 
-from closedloop.compiled import kernel
 from closedloop.friction import bristle, coulomb, coulomb_viscous, dahl, karnopp, lugre, none, seven_parameter, stribeck
 from closedloop.friction.layout import (
     COULOMB,
@@ -43,6 +42,7 @@ from closedloop.friction.layout import (
     STILL,
     STRIBECK,
 )
+from closedloop.jit.kernel import kernel
 
 Array = NDArray[np.float64]
 

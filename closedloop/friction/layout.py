@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from closedloop.compiled import kernel
+from closedloop.jit.kernel import kernel
 
 NONE, COULOMB, COULOMB_VISCOUS, STRIBECK, KARNOPP, DAHL, LUGRE, SEVEN_PARAMETER = range(8)
 

@@ -42,9 +42,9 @@ import math
 import numpy as np
 from numpy.typing import NDArray
 
-from closedloop.compiled import kernel
 from closedloop.friction.layout import DAMPING, DAMPING_SPEED, KINETIC, STATIC, STIFFNESS, VISCOUS
 from closedloop.friction.stribeck import level
+from closedloop.jit.kernel import kernel
 
 Array = NDArray[np.float64]
 

@@ -10,7 +10,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from closedloop.compiled import kernel
+from closedloop.jit.kernel import kernel
 
 Array = NDArray[np.float64]
 

@@ -35,7 +35,6 @@ import math
 import numpy as np
 from numpy.typing import NDArray
 
-from closedloop.compiled import kernel
 from closedloop.friction.layout import (
     DISPLACEMENT,
     DWELL,
@@ -46,6 +45,7 @@ from closedloop.friction.layout import (
     STIFFNESS,
     STRIBECK_SPEED,
 )
+from closedloop.jit.kernel import kernel
 
 Array = NDArray[np.float64]
 

@@ -19,8 +19,8 @@ import math
 import numpy as np
 from numpy.typing import NDArray
 
-from closedloop.compiled import kernel
 from closedloop.friction.layout import EXPONENT, KINETIC, STATIC, STRIBECK_SPEED
+from closedloop.jit.kernel import kernel
 
 Array = NDArray[np.float64]
 

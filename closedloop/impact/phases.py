@@ -12,7 +12,7 @@ import math
 import numpy as np
 from numpy.typing import NDArray
 
-from closedloop.compiled import kernel
+from closedloop.closure.solve import DIVERGED, OK, SINGULAR
 from closedloop.impact.begin import RESTING, STILL, TURNING, begin_piece, to_extremum
 from closedloop.impact.modes import (
     CUT,
@@ -39,11 +39,11 @@ from closedloop.impact.piece import (
     first_reach,
     value,
 )
-from closedloop.solve import DIVERGED, OK, SINGULAR
+from closedloop.jit.kernel import kernel
 
 Array = NDArray[np.float64]
 
-# Normal mobility below this share of S_nn is none: the tip is wedged (as `closedloop.solve.SINGULAR_MOBILITY`).
+# Normal mobility below this share of S_nn is none: the tip is wedged (as `closedloop.closure.solve.SINGULAR_MOBILITY`).
 FLAT = 1e-12
 # What of a normal velocity may be left, as a share of the tip's speed, where a wedged tip comes to rest.
 RESIDUE = 1e-9

@@ -8,11 +8,11 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from closedloop.compiled import entry_kernel
+from closedloop.closure.solve import OK
 from closedloop.errors import ScenarioError
 from closedloop.impact.modes import IMPACT_WORK, LAWS, MODE_NAMES, MODES
 from closedloop.impact.phases import impact
-from closedloop.solve import OK
+from closedloop.jit.kernel import entry_kernel
 
 Array = NDArray[np.float64]
 

@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from closedloop.errors import ScenarioError
-from closedloop.surface import unit
+from closedloop.surface.plane import unit
 
 Array = NDArray[np.float64]
 

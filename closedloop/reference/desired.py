@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Protocol
 
 import numpy as np
 from numpy.typing import NDArray
@@ -25,14 +25,33 @@ from closedloop.reference.sections import (
 )
 from closedloop.reference.tip_path import TipPath
 from closedloop.reference.waypoints import waypoints
-from closedloop.surface import contact_frame
+from closedloop.surface.plane import contact_frame
 
 if TYPE_CHECKING:
-    from closedloop.robot import Robot
-    from closedloop.scenario import Scenario
-    from closedloop.surface import Plane
+    from closedloop.robot.pinocchio import Robot
+    from closedloop.surface.plane import Plane
 
 Array = NDArray[np.float64]
+
+
+class PressingLaw(Protocol):
+    """A law that presses: `force`, N."""
+
+    @property
+    def force(self) -> float:
+        """law.force, N."""
+
+
+class Asked(Protocol):
+    """What of a scenario says where the tip shall go and how hard it shall press."""
+
+    @property
+    def reference(self) -> Reference:
+        """The motion."""
+
+    @property
+    def law(self) -> PressingLaw:
+        """The law."""
 
 
 @dataclass(frozen=True)
@@ -70,7 +89,7 @@ class Desired:
         return np.hstack([q, v, *along, force_at(self.profile, self.force, instants)[:, None]])
 
 
-def desired(scenario: Scenario, robot: Robot, plane: Plane, q: Array, profile: ForceProfile | None = None) -> Desired:
+def desired(scenario: Asked, robot: Robot, plane: Plane, q: Array, profile: ForceProfile | None = None) -> Desired:
     """Return what the scenario wants of a robot that starts at joint positions q (n,).
 
     Raises

@@ -20,7 +20,7 @@ from closedloop.errors import ScenarioError
 from closedloop.reference.joint_path import JointPath
 from closedloop.reference.least_norm import RANK_TOLERANCE, least_norm
 from closedloop.reference.tip_path import Piece, TipPath
-from closedloop.robot import Robot
+from closedloop.robot.pinocchio import Robot
 
 Array = NDArray[np.float64]
 

@@ -10,16 +10,16 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
-from closedloop.contact import FREE, STUCK
+from closedloop.closure.contact_force import FREE, STUCK
 from closedloop.report.verdict import outside_by_the_scenario
 
 if TYPE_CHECKING:
-    from closedloop.record import Run
+    from closedloop.record.run import Run
 
 # Eq. 24 is solved to rounding: n additions of rounding 1e-16 each, with room for the conditioning of H.
 RESIDUAL_TOLERANCE = 1e-12
 # Below this share of its mobility the tip is within 1e-3 rad of a singular pose, and f, q̈ and Q along the normal
-# grow a thousandfold; the simulation itself stops only at `closedloop.solve.SINGULAR_MOBILITY`.
+# grow a thousandfold; the simulation itself stops only at `closedloop.closure.solve.SINGULAR_MOBILITY`.
 NEAR_SINGULAR = 1e-6
 NAMES = ("one_loop", "single_point", "contact_kept", "frictionless", "nonsingular")
 

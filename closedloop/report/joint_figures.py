@@ -7,8 +7,8 @@ import math
 import numpy as np
 from numpy.typing import NDArray
 
-from closedloop.compiled import kernel, kernel_inlined
-from closedloop.octet import select
+from closedloop.jit.kernel import kernel, kernel_inlined
+from closedloop.jit.simd8 import select
 from closedloop.report.measures import JOINT_MEASURES, LEAST_TORQUE
 from robot_models import RobotModel
 

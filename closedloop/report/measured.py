@@ -11,10 +11,10 @@ import math
 import numpy as np
 from numpy.typing import NDArray
 
-from closedloop.compiled import entry_kernel, kernel, kernel_inlined
-from closedloop.contact import FREE, STUCK
-from closedloop.events import EVENT_COLUMNS, KINDS
-from closedloop.octet import select
+from closedloop.closure.contact_force import FREE, STUCK
+from closedloop.events.table import EVENT_COLUMNS, KINDS
+from closedloop.jit.kernel import entry_kernel, kernel, kernel_inlined
+from closedloop.jit.simd8 import select
 from closedloop.report.assumptions import NAMES, NEAR_SINGULAR, RESIDUAL_TOLERANCE
 from closedloop.report.joint_figures import (
     ALTERNATING,
@@ -29,8 +29,8 @@ from closedloop.report.joint_figures import (
     write_joints,
 )
 from closedloop.report.measures import MEASURES, SETTLED
-from closedloop.rows import SCALARS
-from closedloop.tree import Tree, tree_potential_energy
+from closedloop.robot.tree import Tree, tree_potential_energy
+from closedloop.step.record_row import SCALARS
 
 Array = NDArray[np.float64]
 
@@ -94,17 +94,18 @@ def measure_rows(
     tree : Tree
         The robot, for its potential energy.
     scratch : array
-        From `closedloop.compiled_engine.compiled_work`.
+        From `closedloop.engines.compiled.compiled_work`.
     rows : (>= count, width) array
-        The record, in the order of `closedloop.rows.Row`, of which `count` >= 1 rows are the run's, `h` seconds apart.
+        The record, in the order of `closedloop.step.record_row.Row`, of which `count` >= 1 rows are the run's, `h`
+        seconds apart.
     table : (P, >= 2 n + 10) array
-        What is desired, `nodes` rows to each of the record's, see `closedloop.step.reference_row`.
+        What is desired, `nodes` rows to each of the record's, see `closedloop.step.evaluate.reference_row`.
     frame : (9,) array
         Contact frame: rows n, t1, t2 in base axes.
     limits : (4, n) array
         See `closedloop.report.joint_figures.joint_limits`.
     events : (>= happened, EVENT_WIDTH) array
-        See `closedloop.events`.
+        See `closedloop.events.table`.
     tally : (>= tally_size(n),) array
         Scratch.
     out : (figure_count(n),) array

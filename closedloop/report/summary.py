@@ -8,15 +8,15 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
-from closedloop.contact import FREE
-from closedloop.events import KINDS
+from closedloop.closure.contact_force import FREE
+from closedloop.events.table import KINDS
 from closedloop.report.assumptions import assumptions
 from closedloop.report.measures import JOINT_MEASURES, LEAST_TORQUE, MEASURES, SETTLED
 from closedloop.report.verdict import Facts, judge
-from closedloop.surface import unit
+from closedloop.surface.plane import unit
 
 if TYPE_CHECKING:
-    from closedloop.record import Run
+    from closedloop.record.run import Run
 
 Array = NDArray[np.float64]
 
@@ -62,8 +62,8 @@ def run_gains_fault(run: Run) -> str:
     """Return what is wrong with the gains for this step; of a law of one's own nothing is known."""
     if run.law != "scenario":
         return ""
-    from closedloop.control.gains import gains_fault
-    from closedloop.robot import Robot
+    from closedloop.robot.pinocchio import Robot
+    from closedloop.scenario.gains import gains_fault
 
     return gains_fault(run.scenario, Robot(run.model, run.scenario.robot.tip))
 
@@ -172,9 +172,10 @@ def energy_balance(run: Run) -> tuple[Array, Array]:
     """Return the residual of the energy balance and the energy exchanged, each (N,), J, from the start to each row.
 
     The residual is the change of kinetic and potential energy less the energy that the arm was given: the work of the
-    joint torques, ∫ Qᵀq̇ dt, of the contact force, ∫ f ė dt, and of friction at the tip and in the joints, less what the
-    events took (`closedloop.supply`). It shrinks with the step, impacts or not, as the integrator's order says. The
-    energy exchanged is ∫ |Qᵀq̇| dt, by the trapezoidal rule over the rows: what the residual is small or large against.
+    joint torques, ∫ Qᵀq̇ dt, of the contact force, ∫ f ė dt, and of friction at the tip and in the joints, less what
+    the events took (`closedloop.step.energy_supplied`). It shrinks with the step, impacts or not, as the integrator's
+    order says. The energy exchanged is ∫ |Qᵀq̇| dt, by the trapezoidal rule over the rows: what the residual is small
+    or large against.
     """
     energy, supplied = run.kinetic_energy + run.potential_energy, run.energy_supplied
     power = np.einsum("ij,ij->i", run.torque, run.v)

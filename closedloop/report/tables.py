@@ -6,17 +6,17 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from closedloop.contact import FREE
-from closedloop.events import IMPACT, TOUCHDOWN
+from closedloop.closure.contact_force import FREE
+from closedloop.events.table import IMPACT, TOUCHDOWN
 from closedloop.friction.packing import energy_fault
-from closedloop.integrate import ADAPTIVE, INTEGRATORS
+from closedloop.integrators import ADAPTIVE, INTEGRATORS
 from closedloop.report.summary import joint_measures, run_gains_fault
 from closedloop.report.verdict import GOOD, names_of
 
 if TYPE_CHECKING:
     from rich.console import Console
 
-    from closedloop.record import Event, Run
+    from closedloop.record.run import Event, Run
 
 # How many events are printed: a bouncing tip has dozens.
 MOST_EVENTS = 8

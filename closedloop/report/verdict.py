@@ -5,7 +5,7 @@ verdict stands in the first line of the report, in ``summary.json`` and in a col
 
 ========================  ==============================================================================
 ``stopped``               the simulation could not go on
-``gains``                 gains that the step cannot carry (`closedloop.control.gains`), and it shows
+``gains``                 gains that the step cannot carry (`closedloop.scenario.gains`), and it shows
 ``energy``                energy unaccounted for
 ``chatter``               force or torque that alternates from row to row, or events without end
 ``closure``               the tip in contact is off the surface, or inside it
@@ -25,8 +25,8 @@ import math
 from collections.abc import Callable, Mapping, Sequence
 from typing import Any, NamedTuple
 
-from closedloop.integrate import ADAPTIVE, INTEGRATORS
-from closedloop.scenario import Scenario
+from closedloop.integrators import ADAPTIVE, INTEGRATORS
+from closedloop.scenario.scenario import Scenario
 from robot_models import RobotModel
 
 GOOD = "good"
@@ -50,7 +50,7 @@ EVENTS_OF_A_BOUNCE = 100
 STEPS_TO_AN_EVENT = 20
 # The repeatability of such arms is ±0.03 to ±0.1 mm: a tip that is farther than that from the surface it is on is not
 # on it. With Baumgarte's stabiliser shipped scenarios keep 1e-8 m, without one 2e-6 m. A closure may start farther off
-# (`closedloop.preparation.START_GAP`) and comes to it from there.
+# (`closedloop.simulation.prepare.START_GAP`) and comes to it from there.
 CLOSURE_BOUND = 1e-4
 
 # Problems with which gains that the step cannot carry show.
@@ -118,7 +118,7 @@ def judge(facts: Facts, gains: Callable[[], str]) -> list[dict[str, Any]]:
     ----------
     facts : Facts
     gains : callable
-        Returns what is wrong with the gains for this step (`closedloop.control.gains.gains_fault`); called only if
+        Returns what is wrong with the gains for this step (`closedloop.scenario.gains.gains_fault`); called only if
         something else is wrong.
     """
     problems = []

@@ -10,7 +10,7 @@ import sys
 from collections.abc import Sequence
 from pathlib import Path
 
-from closedloop.command import DONE, Parser, run_command
+from closedloop.command.border import DONE, Parser, run_command
 from closedloop.errors import OutputError
 
 STUDIES = {

@@ -24,15 +24,15 @@ from typing import Any, cast
 import numpy as np
 from numpy.typing import NDArray
 
-from closedloop.cache_folder import compiling_notice
-from closedloop.compiled import needs_compiling
+from closedloop.engines.specialise import machine
 from closedloop.errors import ClosedLoopError, InterruptedRunError
 from closedloop.files import write_whole
-from closedloop.forms import machine
+from closedloop.jit.cache_folder import compiling_notice
+from closedloop.jit.kernel import needs_compiling
 from closedloop.progress import bar
-from closedloop.record import Run
-from closedloop.scenario import Scenario, load_scenario
-from closedloop.simulation import simulate
+from closedloop.record.run import Run
+from closedloop.scenario.scenario import Scenario, load_scenario
+from closedloop.simulation.simulate import simulate
 
 Array = NDArray[np.float64]
 

@@ -9,7 +9,7 @@ be pulled back at the rate δ/h: s_p e = s_v δ/h, so e = 2 ζ T δ/h. RK4 errs 
 The T that the study takes is two steps, "auto", and e grows like h² v² under all of them.
 
 The adaptive scheme has a tolerance in place of h. The study also measures the step beyond which Baumgarte's stabiliser
-itself is unstable and puts it beside the theory of `closedloop.baumgarte`.
+itself is unstable and puts it beside the theory of `closedloop.closure.baumgarte`.
 """
 
 from __future__ import annotations
@@ -26,14 +26,14 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from closedloop.baumgarte import baumgarte_gains, largest_stable_ratio, recommended_ratio, spectral_radius
+from closedloop.closure.baumgarte import baumgarte_gains, largest_stable_ratio, recommended_ratio, spectral_radius
 from closedloop.errors import ClosedLoopError, InterruptedRunError
 from closedloop.files import write_whole
-from closedloop.integrate import INTEGRATORS
-from closedloop.preparation import prepare
-from closedloop.rows import SCALARS, Row
-from closedloop.scenario import Scenario, load_scenario
-from closedloop.simulation import run_loop, simulate
+from closedloop.integrators import INTEGRATORS
+from closedloop.scenario.scenario import Scenario, load_scenario
+from closedloop.simulation.prepare import prepare
+from closedloop.simulation.simulate import run_loop, simulate
+from closedloop.step.record_row import SCALARS, Row
 
 Array = NDArray[np.float64]
 

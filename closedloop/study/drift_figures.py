@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Any, cast
 
 import numpy as np
 
-from closedloop.baumgarte import spectral_radius
+from closedloop.closure.baumgarte import spectral_radius
 from closedloop.figures.files import write_figure
 from closedloop.figures.style import COLOURS, STYLE
 

@@ -20,8 +20,8 @@ if TYPE_CHECKING:
     from closedloop.sweep.axes import parse_axis as parse_axis
     from closedloop.sweep.design import Design as Design
     from closedloop.sweep.maps import sweep_plot as sweep_plot
-    from closedloop.sweep.run import Sweep as Sweep
     from closedloop.sweep.run import run_sweep as run_sweep
+    from closedloop.sweep.sweep import Sweep as Sweep
 
 _HOME = {
     "Axis": "axes",

@@ -20,7 +20,7 @@ from pathlib import Path
 from types import FrameType
 from typing import TYPE_CHECKING, NoReturn
 
-from closedloop.command import DONE, NOT_GOOD, STOPPED, Parser, run_command
+from closedloop.command.border import DONE, NOT_GOOD, STOPPED, Parser, run_command
 from closedloop.interrupts import Terminated, exit_status, word_for
 
 if TYPE_CHECKING:
@@ -70,10 +70,11 @@ def _signals_raise() -> Iterator[None]:
 
 
 def _sweep(arguments: list[str]) -> int:
-    from closedloop.preparation import load_model
+    from closedloop.command.announce import announce_compiling
     from closedloop.progress import count
-    from closedloop.run import announce_compiling, split_overrides
-    from closedloop.scenario import load_scenario
+    from closedloop.scenario.overrides import split_overrides
+    from closedloop.scenario.scenario import load_scenario
+    from closedloop.simulation.prepare import load_model
     from closedloop.sweep import Design, Sweep, parse_axis, run_sweep
     from closedloop.sweep.design import GRID, LATIN, RANDOM
 
@@ -114,8 +115,8 @@ def _sweep(arguments: list[str]) -> int:
     else:
         made = f"all were there before, in {result.table}{columns}"
     print(f"{len(design)} runs: {_counted(result)}; {made}")
-    from closedloop.bench import FAILED
-    from closedloop.bench import STOPPED as HALTED
+    from closedloop.batch.worker import FAILED
+    from closedloop.batch.worker import STOPPED as HALTED
 
     if options.strict and (result.verdicts or {HALTED, FAILED} & result.counts.keys()):
         return NOT_GOOD
@@ -134,7 +135,7 @@ def _counted(result: Joined) -> str:
 
 
 def _sweep_parser() -> Parser:
-    from closedloop.forms import COMPILED, ENGINES
+    from closedloop.engines.specialise import COMPILED, ENGINES
 
     parser = Parser(
         prog="closedloop.sweep",
@@ -223,7 +224,7 @@ def _end_at_once_at_a_signal() -> None:
 
 def _leave(status: int) -> NoReturn:
     """End the process, without waiting for a run that is still under way though nobody wants it any more."""
-    from closedloop.threads import still_at_work
+    from closedloop.batch.threads import still_at_work
 
     if still_at_work():
         with suppress(OSError):

@@ -8,10 +8,10 @@ import tomllib
 from dataclasses import dataclass
 from typing import Any
 
+from closedloop.batch.table import key_type
 from closedloop.errors import ScenarioError
-from closedloop.run import toml_value
-from closedloop.table import key_type
-from closedloop.units import takes_whole_numbers
+from closedloop.scenario.overrides import toml_value
+from closedloop.scenario.units import takes_whole_numbers
 
 FORMS = "5:15:11 (from, to, how many), log:1e-4:1e-2:20, or 5,10,15"
 # Values of one axis.

@@ -19,7 +19,7 @@ from closedloop.sweep.part import run_part_anywhere
 from closedloop.sweep.store import Store
 
 if TYPE_CHECKING:
-    from closedloop.sweep.run import Sweep
+    from closedloop.sweep.sweep import Sweep
 
 # A scheduler that is there answers at once, s.
 PATIENCE = 5.0

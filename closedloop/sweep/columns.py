@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, Any, BinaryIO
 
 import numpy as np
 
-from closedloop.record import COLUMNS
+from closedloop.record.run import COLUMNS
 
 if TYPE_CHECKING:
     from closedloop.sweep.store import Store

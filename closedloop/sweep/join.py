@@ -17,11 +17,11 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, BinaryIO
 
+from closedloop.batch.threads import Done, uninterrupted
 from closedloop.errors import OutputError
 from closedloop.files import remove_unfinished, write_whole
 from closedloop.sweep.columns import write_columns
 from closedloop.sweep.store import FORMAT, Store, check_identity, unwritable
-from closedloop.threads import Done, uninterrupted
 
 if TYPE_CHECKING:
     import pyarrow as pa

@@ -11,12 +11,12 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
-from closedloop.batch import in_blocks, run_variants
-from closedloop.bench import Bench, Outcome
-from closedloop.pieces import Pieces
-from closedloop.scenario import parse_scenario
-from closedloop.table import schema, table_of
-from closedloop.variants import Variants
+from closedloop.batch.simulate_batch import in_blocks, run_variants
+from closedloop.batch.table import schema, table_of
+from closedloop.batch.worker import Bench, Outcome
+from closedloop.scenario.overrides import Variants
+from closedloop.scenario.scenario import parse_scenario
+from closedloop.simulation.cache import Pieces
 
 if TYPE_CHECKING:
     import pyarrow as pa

@@ -2,142 +2,17 @@
 
 from __future__ import annotations
 
-import hashlib
-import json
-import math
-from collections.abc import Callable, Iterable
-from dataclasses import dataclass
-from functools import cached_property
+from collections.abc import Callable
 from pathlib import Path
-from typing import Any
 
-import robot_models
-from closedloop.batch import threads_for
-from closedloop.bench import Bench
-from closedloop.compiled import cache_folder
-from closedloop.errors import ScenarioError
-from closedloop.forms import COMPILED
-from closedloop.pieces import Pieces
-from closedloop.record import COLUMNS
-from closedloop.scenario import Scenario
-from closedloop.simulation import check_engine, package_versions
-from closedloop.sweep.design import GRID, LATIN, Design
+from closedloop.batch.simulate_batch import threads_for
+from closedloop.batch.threads import Done, side_by_side
+from closedloop.batch.worker import Bench
+from closedloop.simulation.cache import Pieces
 from closedloop.sweep.join import Joined, already_there, join
-from closedloop.sweep.part import Job, bench_for, columns_of, run_part
+from closedloop.sweep.part import bench_for, columns_of, run_part
 from closedloop.sweep.store import Store, tidy
-from closedloop.table import kept_columns
-from closedloop.threads import Done, side_by_side
-from closedloop.variants import Variants
-
-# Runs in a part: enough that writing it costs little, few enough that a kill loses little and all cores have work to
-# the end. It depends on the sweep only, so that the parts are the same whoever makes them.
-MOST_IN_PART, PARTS = 256, 128
-# Numbers of whole columns in a part, 32 MB.
-MOST_KEPT = 4_000_000
-
-
-@dataclass(frozen=True)
-class Sweep:
-    """What is to be run: all that the table depends on.
-
-    Attributes
-    ----------
-    scenario : Scenario
-        What the runs have in common.
-    design : Design
-        The keys that change, and their values.
-    keep : tuple of str
-        Full names of the columns to keep whole, see `closedloop.table.kept_columns`.
-    engine : str
-        See `closedloop.simulate`.
-    """
-
-    scenario: Scenario
-    design: Design
-    keep: tuple[str, ...] = ()
-    engine: str = COMPILED
-
-    @classmethod
-    def of(cls, scenario: Scenario, design: Design, keep: Iterable[str] = (), engine: str = COMPILED) -> Sweep:
-        """Return a sweep that can begin.
-
-        Raises
-        ------
-        ScenarioError, ModelError
-            If a key is unknown, the engine does not cover what is asked, a column is not there to be kept, or the robot
-            is at fault.
-        """
-        sweep = cls(scenario, design, kept_columns(keep), engine)
-        check_engine(Variants(scenario, design.keys).look(design), engine, None)
-        for name in sweep.keep:
-            if "joint" in COLUMNS[name].dims and any(key.startswith("robot.") for key in design.keys):
-                raise ScenarioError(f"keep: {name} has a number a joint, and the robot changes from run to run")
-        return sweep
-
-    @cached_property
-    def identity(self) -> dict[str, Any]:
-        """What the table depends on, as JSON has it."""
-        design = self.design
-        versions = package_versions()
-        if design.kind == LATIN:
-            versions["scipy"] = _version_of_scipy()
-        return {
-            "scenario": self.scenario.to_toml(),
-            "robot": self._robots(),
-            "design": design.kind,
-            "axes": {axis.key: axis.spec for axis in design.axes},
-            "runs": design.runs,
-            "seed": design.seed if design.kind != GRID else None,
-            "keep": list(self.keep),
-            "engine": self.engine,
-            "versions": versions,
-            "kernels": cache_folder().name,
-        }
-
-    @property
-    def job(self) -> Job:
-        """What a worker needs to run any part."""
-        kinds = tuple(axis.kind for axis in self.design.axes)
-        return Job(self.scenario.to_toml(), self.design.keys, kinds, self.engine, self.keep, self.design.runs)
-
-    @cached_property
-    def part_size(self) -> int:
-        """Runs in a part."""
-        size = min(MOST_IN_PART, math.ceil(self.design.runs / PARTS))
-        if self.keep:
-            rows = self.scenario.time.duration / self.scenario.time.step + 1.0
-            size = min(size, max(1, int(MOST_KEPT / (rows * 3 * len(self.keep)))))
-        return size
-
-    @property
-    def parts(self) -> int:
-        """How many parts there are."""
-        return math.ceil(self.design.runs / self.part_size)
-
-    def runs_of(self, part: int) -> range:
-        """Return the numbers of a part's runs."""
-        first = part * self.part_size
-        return range(first, min(first + self.part_size, self.design.runs))
-
-    def _robots(self) -> dict[str, str]:
-        """Return a digest of each robot that a run may load: a file may change between a kill and what follows."""
-        section = self.scenario.robot
-        names = {section.model}
-        for axis in self.design.axes:
-            if axis.key == "robot.model":
-                names = {str(value) for value in axis.values}
-        digests = {}
-        for name in sorted(names):
-            try:
-                model = robot_models.load(name)
-            except Exception as error:  # of the runs with this robot, which say it, as long as there are others
-                if len(names) == 1:
-                    raise
-                digests[name] = f"{type(error).__name__}: {error}"
-                continue
-            whole = (model.text, model.armature.tolist(), model.home.tolist(), model.tip)
-            digests[name] = hashlib.sha256(json.dumps(whole).encode()).hexdigest()
-        return digests
+from closedloop.sweep.sweep import Sweep
 
 
 def run_sweep(
@@ -208,9 +83,3 @@ def run_sweep(
 
             side_by_side(one, len(missing), threads, lambda: bench_for(job, common), report, done)
         return join(store, out, sweep.parts, columns_of(sweep.job), sweep.scenario.time.step)
-
-
-def _version_of_scipy() -> str:
-    import scipy
-
-    return str(scipy.__version__)

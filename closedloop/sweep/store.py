@@ -50,7 +50,7 @@ class Store:
     Parameters
     ----------
     identity : dict
-        What the sweep is, see `closedloop.sweep.run.Sweep.identity`.
+        What the sweep is, see `closedloop.sweep.sweep.Sweep.identity`.
     out : Path
         The table that the parts will become.
 

@@ -11,14 +11,14 @@ import numpy as np
 
 import closedloop as cl
 import robot_models
-from closedloop.compiled import entry_kernel
+from closedloop.control.law_input import Moment
 from closedloop.control.laws import law_rates, law_torque, start_states
-from closedloop.control.moment import Moment
 from closedloop.control.pack import pack_law
-from closedloop.control.places import work_size
+from closedloop.control.parameters import work_size
 from closedloop.control.sections import SensorSection
 from closedloop.control.sensor import pack_sensor
-from closedloop.surface import contact_frame
+from closedloop.jit.kernel import entry_kernel
+from closedloop.surface.plane import contact_frame
 
 # Where the arms press, and how their surface lies.
 NORMALS = {

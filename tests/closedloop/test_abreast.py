@@ -4,10 +4,10 @@ import numpy as np
 import pytest
 
 import closedloop as cl
-from closedloop.abreast import Abreast, kind_of
-from closedloop.bench import FEWEST_ABREAST, Bench
-from closedloop.octet import WIDE
-from closedloop.preparation import prepare
+from closedloop.batch.worker import FEWEST_ABREAST, Bench
+from closedloop.engines.lanes import Abreast, kind_of
+from closedloop.jit.simd8 import WIDE
+from closedloop.simulation.prepare import prepare
 from robot_models import load
 
 KEPT = ("q", "torque", "contact_force", "closure_error", "kkt_condition", "residual_motion")
@@ -40,7 +40,7 @@ KINDS = {
 @pytest.fixture
 def go_abreast(monkeypatch):
     """Let all go abreast that can, however few; return a list of how many went each time."""
-    monkeypatch.setattr("closedloop.forms._abreast_is_there", lambda: True)
+    monkeypatch.setattr("closedloop.engines.lanes._abreast_is_there", lambda: True)
     went, run = [], Abreast.run
 
     def counted(self, tree, count):
@@ -60,7 +60,7 @@ def drawn(ranges, count, seed=0):
 def alone(monkeypatch, *args, **options):
     """Return the table of a batch in which each run goes by itself."""
     with monkeypatch.context() as now:
-        now.setattr("closedloop.forms._abreast_is_there", lambda: False)
+        now.setattr("closedloop.engines.lanes._abreast_is_there", lambda: False)
         return cl.simulate_batch(*args, **options)
 
 
@@ -148,7 +148,7 @@ def test_what_may_have_to_decide_goes_alone(name, changes):
 
 def test_few_steps_are_not_worth_compiling_for(monkeypatch):
     """The loop is used where there is much to do, or where it has been compiled before."""
-    monkeypatch.setattr("closedloop.forms._abreast_is_there", lambda: False)
+    monkeypatch.setattr("closedloop.engines.lanes._abreast_is_there", lambda: False)
     asked = []
     monkeypatch.setattr(Abreast, "run", lambda self, tree, count: asked.append(count))  # None: they have to go alone
     scenario, model = cl.load_scenario("wam_slide", overrides={"time.duration": 0.01}), load("wam4")

@@ -4,8 +4,8 @@ import numpy as np
 import pytest
 
 import closedloop as cl
-from closedloop.adaptive.crossing import first_crossing, root
-from closedloop.adaptive.smooth import jumps, stretch_from
+from closedloop.engines.adaptive.crossing import first_crossing, root
+from closedloop.engines.adaptive.smooth import jumps, stretch_from
 
 
 def wanted(name, **changes):

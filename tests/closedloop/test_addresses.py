@@ -2,8 +2,8 @@
 
 import numpy as np
 
-from closedloop.addresses import address_of, fortran_at, matrix_at, vector_at, whole_at
-from closedloop.compiled import kernel
+from closedloop.jit.kernel import kernel
+from closedloop.jit.pointers import address_of, fortran_at, matrix_at, vector_at, whole_at
 
 
 @kernel

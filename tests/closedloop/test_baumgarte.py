@@ -8,7 +8,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 import closedloop as cl
-from closedloop.baumgarte import (
+from closedloop.closure.baumgarte import (
     amplification,
     baumgarte_gains,
     largest_stable_ratio,
@@ -17,10 +17,10 @@ from closedloop.baumgarte import (
     sliding_error,
     spectral_radius,
 )
-from closedloop.integrate import INTEGRATORS
-from closedloop.rows import SCALARS, Row
-from closedloop.scenario import parse_scenario
-from closedloop.simulation import run_loop
+from closedloop.integrators import INTEGRATORS
+from closedloop.scenario.scenario import parse_scenario
+from closedloop.simulation.simulate import run_loop
+from closedloop.step.record_row import SCALARS, Row
 
 ROOT_HALF = 1.0 / np.sqrt(2.0)
 STEP = 0.001  # s

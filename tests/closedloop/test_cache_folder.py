@@ -6,8 +6,8 @@ from pathlib import Path
 
 import pytest
 
-from closedloop import cache_folder as caches
-from closedloop.cache_folder import (
+from closedloop.jit import cache_folder as caches
+from closedloop.jit.cache_folder import (
     MAGIC,
     MARKER,
     MOST_KEPT,

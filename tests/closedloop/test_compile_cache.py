@@ -10,12 +10,12 @@ from pathlib import Path
 import pytest
 
 import closedloop as cl
-from closedloop import compile_cache
-from closedloop.cache_folder import MARKER
+from closedloop.jit import compile_cache
+from closedloop.jit.cache_folder import MARKER
 
 ROOT = Path(cl.__file__).parent.parent
 SOURCE = """
-from closedloop.compiled import entry_kernel
+from closedloop.jit.kernel import entry_kernel
 
 @entry_kernel
 def twice(x):

@@ -10,12 +10,12 @@ import numpy as np
 import pytest
 
 import closedloop as cl
-from closedloop import forms
-from closedloop.compiled import cache_folder, needs_compiling
-from closedloop.forms import ENGINES, MOST_WRITTEN_OUT, PINOCCHIO, WORTH_COMPILING, machine, written_out
-from closedloop.preparation import prepare
-from closedloop.run import announce_compiling
-from closedloop.simulation import run_loop
+from closedloop.command.announce import announce_compiling
+from closedloop.engines import specialise as forms
+from closedloop.engines.specialise import ENGINES, MOST_WRITTEN_OUT, PINOCCHIO, WORTH_COMPILING, machine, written_out
+from closedloop.jit.kernel import cache_folder, needs_compiling
+from closedloop.simulation.prepare import prepare
+from closedloop.simulation.simulate import run_loop
 
 ROOT = Path(cl.__file__).parent.parent
 
@@ -67,7 +67,7 @@ def test_compiled_code_is_kept_by_the_text_of_its_source():
 
 def test_changed_source_gets_another_cache(tmp_path):
     """A change in any kernel's file, of a comment even, changes the cache: stale compiled code is never used."""
-    code = "from closedloop.compiled import cache_folder; print(cache_folder().name)"
+    code = "from closedloop.jit.kernel import cache_folder; print(cache_folder().name)"
     names = []
     for comment in ("", "\n# changed\n"):
         folder = tmp_path / f"copy{len(comment)}"
@@ -136,7 +136,7 @@ def test_the_first_arm_has_a_loop_of_its_own(engine, monkeypatch):
 def test_only_what_will_be_compiled_is_announced(engine, monkeypatch, capsys):
     """An arm whose own loop is there waits for nothing, whether or not the loop for any number is there too."""
     monkeypatch.setattr(forms, "needs_compiling", lambda loop: loop is not written_out(4, False, engine))
-    monkeypatch.setattr("closedloop.compiled.needs_compiling", forms.needs_compiling)
+    monkeypatch.setattr("closedloop.jit.kernel.needs_compiling", forms.needs_compiling)
     monkeypatch.setattr(forms, "_is_there", lambda n, more, engine: n == 4)
     scenario = cl.load_scenario("wam_slide")
     announce_compiling(scenario, 4, engine)

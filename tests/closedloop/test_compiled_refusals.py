@@ -4,7 +4,7 @@ import pinocchio as pin
 import pytest
 
 import closedloop as cl
-from closedloop.compiled_engine import compiled_tree
+from closedloop.engines.compiled import compiled_tree
 
 
 @pytest.mark.parametrize(

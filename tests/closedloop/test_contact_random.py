@@ -101,8 +101,8 @@ def examine(arm, overrides, tame=True):
 def deepest(arm, run, k):
     """Return how deep a free tip may be at row k, m.
 
-    After an impact: rounding. Of a tip that the surface has let go: the stabiliser's nanometre, and h² nᵀJ̇ᵣq̇, by which
-    a first-order step misses the curve of its way.
+    After an impact: rounding. Of a tip that the surface has let go: the stabiliser's nanometre, and h² nᵀJ̇ᵣq̇, by
+    which a first-order step misses the curve of its way.
     """
     before = np.flatnonzero(run.event_time < run.time[k] - 1e-12)
     if not before.size or run.events[before[-1]].kind != "liftoff":

@@ -5,7 +5,7 @@ import pytest
 from control_loop import Friction, Loop, arm, rms
 
 from closedloop.control.laws import restart
-from closedloop.control.places import CORNER, K_P, K_V
+from closedloop.control.parameters import CORNER, K_P, K_V
 from closedloop.control.sections import (
     AdaptiveCompensationSection,
     AdmittanceLawSection,

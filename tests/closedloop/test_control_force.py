@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from control_loop import Loop, force_loop_radius
 
-from closedloop.control.places import RATE
+from closedloop.control.parameters import RATE
 from closedloop.control.sections import (
     AdmittanceLawSection,
     DynamicHybridLawSection,
@@ -15,12 +15,12 @@ from closedloop.control.sections import (
     ModelCompensationSection,
     ObserverCompensationSection,
     OperationalSpaceLawSection,
+    PaperLawSection,
     SensorSection,
 )
 from closedloop.control.sensor import pack_sensor, sense, sensor_rates, start_sensor
 from closedloop.control.stability import check_sampling, force_loop_settles
 from closedloop.errors import ScenarioError
-from closedloop.scenario import PaperLawSection
 
 SECTIONS = (OperationalSpaceLawSection, DynamicHybridLawSection, ImpedanceLawSection, AdmittanceLawSection)
 JOINT_LAWS = (partial(PaperLawSection, kp=400.0, kd=30.0), partial(HybridLawSection, kp=400.0, kd=30.0))

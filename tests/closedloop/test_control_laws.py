@@ -16,9 +16,9 @@ from closedloop.control.sections import (
     ModelCompensationSection,
     ObserverCompensationSection,
     OperationalSpaceLawSection,
+    PaperLawSection,
 )
 from closedloop.control.tip_space import pseudo_inverse, surface_mobility
-from closedloop.scenario import PaperLawSection
 
 LAWS = {
     "paper": PaperLawSection(kp=400.0, kd=30.0),

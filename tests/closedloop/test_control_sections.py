@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from pydantic import Field, TypeAdapter, ValidationError
 
-from closedloop.control import places
+from closedloop.control import parameters as places
 from closedloop.control.pack import pack_law
 from closedloop.control.sections import (
     AdaptiveCompensationSection,
@@ -20,10 +20,10 @@ from closedloop.control.sections import (
     NoCompensationSection,
     ObserverCompensationSection,
     OperationalSpaceLawSection,
+    PaperLawSection,
     SensorSection,
 )
 from closedloop.errors import ScenarioError
-from closedloop.scenario import PaperLawSection
 
 LAWS = (
     PaperLawSection(kp=400.0, kd=30.0),

@@ -6,7 +6,7 @@ from pathlib import Path
 import pytest
 
 import closedloop as cl
-from closedloop.current_folder import leave_out_current_folder
+from closedloop.command.current_folder import leave_out_current_folder
 
 FILE = cl.__file__
 CHECKOUT = Path(FILE).parent.parent
@@ -67,5 +67,5 @@ def test_a_deleted_folder(started, monkeypatch):
         raise FileNotFoundError
 
     with monkeypatch.context() as here:
-        here.setattr("closedloop.current_folder.os.getcwd", gone)
+        here.setattr("closedloop.command.current_folder.os.getcwd", gone)
         assert started("-m", "closedloop.run", path="") == ["/elsewhere"]

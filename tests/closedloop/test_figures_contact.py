@@ -10,8 +10,8 @@ from matplotlib.collections import PolyCollection
 from matplotlib.colors import to_rgb
 
 import closedloop as cl
-from closedloop.contact import FREE, PRESSED, STUCK
-from closedloop.events import IMPACT, KINDS
+from closedloop.closure.contact_force import FREE, PRESSED, STUCK
+from closedloop.events.table import IMPACT, KINDS
 from closedloop.figures import closure_error, contact_force, draw_figures, friction_force, impacts, tip_position
 from closedloop.figures.dress import BANDS, SHAPES
 from closedloop.figures.force import transients

@@ -25,7 +25,6 @@ from test_friction_examples import (
     turned,
 )
 
-from closedloop.compiled import kernel
 from closedloop.friction import KINDS, STICKS, pack, state_count
 from closedloop.friction.laws import (
     advance_states,
@@ -42,6 +41,7 @@ from closedloop.friction.sections import (
     JointLuGre,
     SurfaceStribeck,
 )
+from closedloop.jit.kernel import kernel
 
 
 @pytest.mark.parametrize("name", KINDS)

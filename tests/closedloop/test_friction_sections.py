@@ -9,7 +9,8 @@ from pydantic import TypeAdapter, ValidationError
 
 import closedloop as cl
 import closedloop.friction
-from closedloop.friction import KINDS, JointFriction, SurfaceFriction, draw, energy_fault, pack
+from closedloop.figures.friction_laws import draw
+from closedloop.friction import KINDS, JointFriction, SurfaceFriction, energy_fault, pack
 from closedloop.friction.layout import (
     DAMPING_SPEED,
     KINETIC,

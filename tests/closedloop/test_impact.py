@@ -74,7 +74,9 @@ def test_velocity_and_impulse_are_pinocchios(name, restitution, robot, random_st
 @pytest.mark.parametrize("law", LAWS)
 @pytest.mark.parametrize("name", ["planar2", "wam4", "panda"])
 def test_energy_lost_is_that_of_the_joints(name, law, robot, random_states):
-    """With friction, ½ q̇ᵀH q̇ falls by `energy_lost`, and A q̇ after the impact is `after`; in a plane and in space."""
+    """With friction, ½ q̇ᵀH q̇ falls by `energy_lost`, and A q̇ after the impact is `after`; in a plane and in
+    space.
+    """
     arm = robot(name)
     for s in random_states(arm, 20, 6):
         normal = s.normal if name != "planar2" else in_plane(arm, s)

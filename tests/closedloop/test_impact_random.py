@@ -8,7 +8,7 @@ import sys
 import numpy as np
 import pytest
 
-from closedloop.compiled import kernel
+from closedloop.closure.solve import DIVERGED, OK, SINGULAR
 from closedloop.impact import (
     CUT,
     IMPACT_WORK,
@@ -25,7 +25,7 @@ from closedloop.impact import (
     WEDGE,
     impact,
 )
-from closedloop.solve import DIVERGED, OK, SINGULAR
+from closedloop.jit.kernel import kernel
 
 ALL = SLIP | STICK | REVERSAL | TURN | JAM | RECOMPRESSION | CUT | WEDGE
 

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 import closedloop as cl
-from closedloop.integrate import INTEGRATORS
+from closedloop.integrators import INTEGRATORS
 from closedloop.report import energy_balance
 
 DURATION = 0.2  # s

@@ -4,10 +4,10 @@ import numpy as np
 import pytest
 
 import closedloop as cl
-from closedloop.explain import describe_keys
-from closedloop.integrate import ADAPTIVE, INTEGRATORS
+from closedloop.integrators import ADAPTIVE, INTEGRATORS
 from closedloop.report import notes
-from closedloop.scenario import parse_scenario, shipped_scenarios
+from closedloop.scenario.messages import describe_keys
+from closedloop.scenario.scenario import parse_scenario, shipped_scenarios
 
 DAHL = '[friction]\nkind = "dahl"\ncoefficient = 0.2\nstiffness = 1e4'
 WITH_IMPACTS = ("wam_bounce", "planar2_drop", "wam_touchdown", "panda_touchdown", "wam_edge", "wam_liftoff")

@@ -8,7 +8,7 @@ import pytest
 import closedloop as cl
 from closedloop.errors import ClosedLoopError
 from closedloop.interrupts import Terminated, held_back, terminable
-from closedloop.record import COLUMNS
+from closedloop.record.run import COLUMNS
 
 INTEGRATORS = ("semi_implicit_euler", "rk4", "dop853")
 LATE = 0.021

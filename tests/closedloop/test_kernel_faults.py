@@ -8,9 +8,9 @@ import pytest
 import scipy.linalg
 
 import closedloop as cl
-from closedloop.compiled import plain
-from closedloop.slip import turn_with_slip
-from closedloop.step import reference_row
+from closedloop.jit.kernel import plain
+from closedloop.step.evaluate import reference_row
+from closedloop.step.tip_friction import turn_with_slip
 
 
 def test_the_reference_between_two_instants_is_the_cubic_through_both():

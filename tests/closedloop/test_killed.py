@@ -12,7 +12,7 @@ import pytest
 
 import closedloop as cl
 from closedloop.files import remove_unfinished
-from closedloop.record import COLUMNS
+from closedloop.record.run import COLUMNS
 from closedloop.run import main
 
 pytestmark = pytest.mark.skipif(not hasattr(os, "fork"), reason="this system has no fork")

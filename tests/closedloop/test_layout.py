@@ -4,9 +4,9 @@ import numba
 import numpy as np
 import pytest
 
-from closedloop.compiled import kernel
-from closedloop.layout import Count, Layout
-from closedloop.workspace import LAYOUT, Work, memory_size, workspace
+from closedloop.jit.kernel import kernel
+from closedloop.jit.memory_views import Count, Layout
+from closedloop.step.memory import LAYOUT, Work, memory_size, workspace
 
 SIZES = [(1, 0, 1, 1), (2, 3, 4, 1), (4, 0, 1, 1), (7, 21, 4, 6), (30, 5, 1, 2)]
 

@@ -11,8 +11,8 @@ import xarray
 
 import closedloop as cl
 import robot_models
-from closedloop.record import COLUMNS
-from closedloop.sealed import seal
+from closedloop.record.run import COLUMNS
+from closedloop.record.sealed import seal
 from robot_models.shipped import path_of
 
 

@@ -6,9 +6,9 @@ import numpy as np
 import pytest
 
 import closedloop as cl
-from closedloop.explain import describe_keys
 from closedloop.reference.desired import desired
-from closedloop.scenario import parse_scenario
+from closedloop.scenario.messages import describe_keys
+from closedloop.scenario.scenario import parse_scenario
 
 CIRCLE = {"kind": "circle", "direction": [0, 1, 0], "radius": 0.03, "start": 0.2, "stop": 2.0}
 EIGHT = {"kind": "figure_eight", "direction": [0, 1, 0], "width": 0.06, "height": 0.03, "start": 0.2, "stop": 2.0}

@@ -95,7 +95,8 @@ def test_joint_velocity_and_acceleration_are_the_derivatives(followed):
 
 
 def test_joint_motion_gives_the_tip_its_velocity_and_acceleration(followed):
-    """Jᵣq̇_des is the tip's velocity and Jᵣq̈_des + J̇ᵣq̇_des its acceleration, as closely as a cubic between knots gives.
+    """Jᵣq̇_des is the tip's velocity and Jᵣq̈_des + J̇ᵣq̇_des its acceleration, as closely as a cubic between knots
+    gives.
 
     A cubic that is off by 1e-10 m has a slope off by some 1e-10/h and a second derivative by 1e-10 · 40/h², h the
     spacing of knots.

@@ -10,11 +10,11 @@ import numpy as np
 import pytest
 
 import closedloop as cl
-from closedloop import sealed
 from closedloop.figures import draw_figures
-from closedloop.record import COLUMNS
+from closedloop.record import sealed
+from closedloop.record.netcdf import attributes
+from closedloop.record.run import COLUMNS
 from closedloop.report import print_report
-from closedloop.runfile import attributes
 
 
 @pytest.fixture(scope="module")

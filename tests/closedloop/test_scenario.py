@@ -9,11 +9,11 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 import closedloop as cl
-from closedloop.explain import describe_keys
-from closedloop.preparation import MOST_NUMBERS
-from closedloop.rows import Row
-from closedloop.scenario import parse_scenario
+from closedloop.scenario.messages import describe_keys
+from closedloop.scenario.scenario import parse_scenario
 from closedloop.sections import ANGLE, PLACE
+from closedloop.simulation.prepare import MOST_NUMBERS
+from closedloop.step.record_row import Row
 from robot_models.shipped import path_of
 
 MINIMAL = "[law]\nkp = 1\nkd = 1\n"

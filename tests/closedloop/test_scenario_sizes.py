@@ -10,8 +10,8 @@ import closedloop as cl
 from closedloop.control.sections import SensorSection
 from closedloop.control.sensor import MOST_QUANTA, pack_sensor, sense
 from closedloop.errors import LONGEST_LINE, one_line
-from closedloop.explain import describe_keys, variants
-from closedloop.scenario import Scenario
+from closedloop.scenario.messages import describe_keys, variants
+from closedloop.scenario.scenario import Scenario
 from closedloop.sections import Section, Size, sizes
 
 # Numbers of any size: instants beyond the end of a run, and what has a bound or a check of its own.

@@ -7,9 +7,9 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 import closedloop as cl
-from closedloop.condition import LANES, condition_of_long, conditions, leave, pending_rows
-from closedloop.contact import accelerate, factorise, pressed_force, residuals, stuck_force, unloaded
-from closedloop.solve import (
+from closedloop.closure.conditioning import LANES, condition_of_long, conditions, leave, pending_rows
+from closedloop.closure.contact_force import accelerate, factorise, pressed_force, residuals, stuck_force, unloaded
+from closedloop.closure.solve import (
     NOT_POSITIVE_DEFINITE,
     OK,
     PAINLEVE,
@@ -17,7 +17,7 @@ from closedloop.solve import (
     SINGULAR_MOBILITY,
     bordered_matrix,
 )
-from closedloop.surface import contact_frame
+from closedloop.surface.plane import contact_frame
 
 EPS = np.finfo(float).eps
 # Both solutions carry rounding times the condition of Eq. 24. Away from singular poses (`WELL` below) that is

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 import closedloop as cl
-from closedloop.baumgarte import largest_stable_ratio
+from closedloop.closure.baumgarte import largest_stable_ratio
 from closedloop.study.__main__ import main
 from closedloop.study.drift import (
     SCHEMES,

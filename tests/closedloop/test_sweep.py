@@ -408,7 +408,7 @@ def test_progress_has_rate_and_time_left():
 
 def test_a_run_that_fails_is_counted_and_not_run_again(capsys, tmp_path, monkeypatch):
     """An error that nobody foresaw costs its row; exit status 3, now and when asked again; --debug shows where."""
-    from closedloop import bench
+    from closedloop.batch import worker as bench
 
     whole = bench.prepare
 

@@ -12,8 +12,8 @@ import pytest
 from pyarrow import parquet
 from sweeps import process, sweep
 
-from closedloop import threads
-from closedloop.threads import Done, Ended, side_by_side, uninterrupted
+from closedloop.batch import threads
+from closedloop.batch.threads import Done, Ended, side_by_side, uninterrupted
 
 # Some tenths of a second of runs, and as long to join: 200 runs of 400 steps in 100 parts, 6 MB of columns.
 ARGUMENTS = ("wam_slide", "--time.duration", "0.4", "--over", "law.force=5:15:200", "--keep", "f,q,v")

@@ -8,7 +8,7 @@ from tree_cases import Own, assert_equal_terms, close, random_case, random_model
 import closedloop as cl
 import robot_models
 from closedloop.errors import ModelError
-from closedloop.tree import tree_of, tree_potential_energy
+from closedloop.robot.tree import tree_of, tree_potential_energy
 from robot_models.planar2 import closed_form
 
 # name and tip; solo12 has four legs, ur5 and panda come from example-robot-data

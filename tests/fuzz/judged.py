@@ -22,10 +22,10 @@ import numpy as np
 from scenario_cases import Case
 
 from closedloop.errors import ClosedLoopError, SimulationError, one_line
-from closedloop.record import Run
-from closedloop.runfile import load_run
-from closedloop.scenario import Scenario, load_scenario, parse_scenario
-from closedloop.simulation import simulate
+from closedloop.record.netcdf import load_run
+from closedloop.record.run import Run
+from closedloop.scenario.scenario import Scenario, load_scenario, parse_scenario
+from closedloop.simulation.simulate import simulate
 
 LONGEST_LINE = 1000  # characters: more is not read
 REFUSED, RAN, STOPPED, FAULTY = "refused", "ran", "stopped", "FAULTY"

@@ -1,7 +1,7 @@
 """Scenarios with wrong and with extreme values, made from the section types themselves.
 
-Every key of every kind of every section is found in `closedloop.scenario.Scenario`, so a key that is added later is
-tried without a word here. One that must be given needs an example in `EXAMPLES` unless 1.0 will do.
+Every key of every kind of every section is found in `closedloop.scenario.scenario.Scenario`, so a key that is added
+later is tried without a word here. One that must be given needs an example in `EXAMPLES` unless 1.0 will do.
 
     one_wrong_value()        each key with each of `wrong_values`
     legal_extremes(count)    two to four keys at once, each at an edge of what is accepted
@@ -22,8 +22,8 @@ from typing import Any
 import tomli_w
 
 from closedloop.errors import ScenarioError
-from closedloop.explain import variants
-from closedloop.scenario import Scenario, scenario_of
+from closedloop.scenario.messages import variants
+from closedloop.scenario.scenario import Scenario, scenario_of
 
 SEED = 20_240_611
 

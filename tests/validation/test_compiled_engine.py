@@ -5,8 +5,8 @@ import pytest
 
 import closedloop as cl
 import robot_models
-from closedloop.problem import needs_more
-from closedloop.tree import tree_of
+from closedloop.engines.problem import needs_more
+from closedloop.robot.tree import tree_of
 from validation.engines import CannotBuild, available
 from validation.engines.compiled import Compiled
 from validation.engines.compiled_runs import compare_runs, faulty_tree, record, shipped, twin

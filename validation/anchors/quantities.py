@@ -91,7 +91,9 @@ def angular_velocity(engine: Asked, q: Array, v: Array) -> Array:
 
 
 def angular_acceleration(engine: Asked, q: Array, v: Array, a: Array) -> Array:
-    """Return ω̇ of the tip's link (3,) [rad/s²]: ë = ω̇ × e + ω × (ω × e) for each axis e, and Σ e × (ω̇ × e) = 2 ω̇."""
+    """Return ω̇ of the tip's link (3,) [rad/s²]: ë = ω̇ × e + ω × (ω × e) for each axis e, and Σ e × (ω̇ × e) = 2
+    ω̇.
+    """
     R, omega = rotation(engine, q), angular_velocity(engine, q, v)
     own = tip_acceleration(engine, q, v, a)
     out = np.zeros(3)

@@ -1,27 +1,28 @@
 # ruff: noqa: D102 - what a method returns is said once, in `interface.Engine`
-"""The package's own compiled engine, `closedloop.tree` inside `closedloop.compiled_engine`, as one engine among others.
+"""The package's own compiled engine, `closedloop.robot.tree` inside `closedloop.engines.compiled`, as one engine among
+others.
 
-The terms are asked of `closedloop.tree` alone; q̈ and f of Eq. 24 are read from a row that the compiled loop itself
-recorded, so that what is judged is the loop that runs, and not its parts put together anew.
+The terms are asked of `closedloop.robot.tree` alone; q̈ and f of Eq. 24 are read from a row that the compiled loop
+itself recorded, so that what is judged is the loop that runs, and not its parts put together anew.
 """
 
 from __future__ import annotations
 
 import numpy as np
 
-from closedloop import workspace as space
-from closedloop.compiled import entry_kernel
-from closedloop.compiled_engine import compiled_work, run_compiled
-from closedloop.contact import FREE, PRESSED
+from closedloop.closure.contact_force import FREE, PRESSED
+from closedloop.engines.compiled import compiled_work, run_compiled
 from closedloop.errors import ModelError
-from closedloop.events import EVENT_WIDTH
-from closedloop.integrate import INTEGRATORS
-from closedloop.machine.phases import DONE
-from closedloop.robot import Terms
-from closedloop.rows import Row
-from closedloop.step import LAW_GIVEN
-from closedloop.surface import contact_frame
-from closedloop.tree import Tree, tree_of, tree_terms, work_size
+from closedloop.events.phases import DONE
+from closedloop.events.table import EVENT_WIDTH
+from closedloop.integrators import INTEGRATORS
+from closedloop.jit.kernel import entry_kernel
+from closedloop.robot.pinocchio import Terms
+from closedloop.robot.tree import Tree, tree_of, tree_terms, work_size
+from closedloop.step import memory as space
+from closedloop.step.evaluate import LAW_GIVEN
+from closedloop.step.record_row import Row
+from closedloop.surface.plane import contact_frame
 from robot_models import RobotModel
 from validation.engines.interface import METHODS, CannotBuild, Robot
 from validation.engines.loop import ClosedLoop, as_robot_model
@@ -29,7 +30,7 @@ from validation.oracle.spatial import Array
 
 
 class Compiled(ClosedLoop):
-    """The terms of `closedloop.tree`, and Eq. 24 as `run_compiled` solves it.
+    """The terms of `closedloop.robot.tree`, and Eq. 24 as `run_compiled` solves it.
 
     Joint order: Pinocchio's, mapped by name. Frames: tip Jacobian along base axes. Armature: `RobotModel.armature`,
     inside H. Gravity: the robot's, inside C. Sign of f: positive along +n on the robot. Constraint: the loop is given
@@ -87,7 +88,7 @@ class Compiled(ClosedLoop):
 
 
 class OwnTerms:
-    """Terms from `closedloop.tree`, behind the two methods of `closedloop.Robot` that an engine asks."""
+    """Terms from `closedloop.robot.tree`, behind the two methods of `closedloop.Robot` that an engine asks."""
 
     def __init__(self, engine: Compiled, model: RobotModel, tip: str) -> None:
         self.engine, self.n = engine, len(model.joint_names)

@@ -6,7 +6,7 @@ from __future__ import annotations
 import numpy as np
 
 import robot_models
-from closedloop.contact import (
+from closedloop.closure.contact_force import (
     accelerate,
     baumgarte_acceleration,
     factorise,
@@ -14,9 +14,9 @@ from closedloop.contact import (
     pressed_force,
     unloaded,
 )
-from closedloop.robot import Robot as LoopRobot
-from closedloop.solve import OK, solve_closure
-from closedloop.surface import contact_frame
+from closedloop.closure.solve import OK, solve_closure
+from closedloop.robot.pinocchio import Robot as LoopRobot
+from closedloop.surface.plane import contact_frame
 from validation.engines.interface import METHODS, CannotBuild, Engine, Robot
 from validation.oracle.spatial import Array
 

@@ -11,7 +11,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from closedloop.problem import Problem
+from closedloop.engines.problem import Problem
 from validation.engines.drake import Drake
 from validation.engines.drake_slide import slide_drake
 from validation.engines.exudyn import Exudyn

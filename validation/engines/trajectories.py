@@ -11,8 +11,8 @@ import numpy as np
 
 import closedloop
 from closedloop import Problem
-from closedloop.scenario import BothSection, ProjectionSection
-from closedloop.simulation import simulate
+from closedloop.scenario.scenario import BothSection, ProjectionSection
+from closedloop.simulation.simulate import simulate
 from validation.oracle import Law, Oracle, simulate_slide
 from validation.oracle.spatial import Array
 

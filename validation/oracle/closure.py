@@ -144,9 +144,9 @@ def loop_rows(tree: Tree, pose: Pose, v: Array, joint: LoopJoint) -> Rows:
     """Return the rows A = RᵀJ of Eq. 6 with their drift −b of Eq. 10, their error c(q) of Eq. 1 and its rate.
 
     J is the Jacobian across the loop joint, that of link n less that of link 0 (Eq. 4 for both; the paper's link 0
-    is the base, at rest). The drift is Ṙᵀ (vₙ − v₀) + Rᵀ (aₙ − a₀) at q̈ = 0 (Eq. 3, Eq. 5). The error of an orientation
-    is the rotation vector to first order, ½ vee(E − Eᵀ) with E = R_tip R_heldᵀ; its rate is exact only where
-    that error is zero.
+    is the base, at rest). The drift is Ṙᵀ (vₙ − v₀) + Rᵀ (aₙ − a₀) at q̈ = 0 (Eq. 3, Eq. 5). The error of an
+    orientation is the rotation vector to first order, ½ vee(E − Eᵀ) with E = R_tip R_heldᵀ; its rate is exact only
+    where that error is zero.
     """
     v = np.asarray(v)
     r = tip_position(tree, pose, joint.tip)

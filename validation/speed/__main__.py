@@ -9,8 +9,8 @@ from importlib.util import find_spec
 from pathlib import Path
 from typing import Any
 
-from closedloop.command import Parser, run_command
-from closedloop.forms import ENGINES
+from closedloop.command.border import Parser, run_command
+from closedloop.engines.specialise import ENGINES
 from validation.run import InputError, say
 from validation.speed.arms import ARMS, slide
 from validation.speed.contestants import Contestant

@@ -12,12 +12,12 @@ from concurrent.futures import ThreadPoolExecutor
 import numpy as np
 
 import closedloop as cl
-from closedloop.abreast import Abreast, kind_of
-from closedloop.compiled import entry_kernel
-from closedloop.compiled_engine import compiled_tree
-from closedloop.octet import WIDE
-from closedloop.problem import Problem
-from closedloop.scenario import parse_scenario
+from closedloop.engines.compiled import compiled_tree
+from closedloop.engines.lanes import Abreast, kind_of
+from closedloop.engines.problem import Problem
+from closedloop.jit.kernel import entry_kernel
+from closedloop.jit.simd8 import WIDE
+from closedloop.scenario.scenario import parse_scenario
 from validation.oracle.spatial import Array
 from validation.speed.contestants import Contestant, final
 

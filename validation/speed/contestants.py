@@ -15,12 +15,12 @@ import numba
 import numpy as np
 import pinocchio as pin
 
-from closedloop.compiled import entry_kernel
 from closedloop.control import paper_law
-from closedloop.forms import COMPILED, WORTH_COMPILING
-from closedloop.problem import Problem
-from closedloop.robot import Terms
-from closedloop.simulation import run_loop
+from closedloop.engines.problem import Problem
+from closedloop.engines.specialise import COMPILED, WORTH_COMPILING
+from closedloop.jit.kernel import entry_kernel
+from closedloop.robot.pinocchio import Terms
+from closedloop.simulation.simulate import run_loop
 from validation.oracle.spatial import Array
 
 Lap = Callable[[], tuple[float | None, Array | None]]
@@ -83,7 +83,7 @@ def general(arm: str, problem: Problem, engine: str) -> Contestant:
     ours = our_engine(arm, problem, engine)
 
     def lap() -> tuple[float | None, Array | None]:
-        with mock.patch("closedloop.forms.MOST_WRITTEN_OUT", 0):
+        with mock.patch("closedloop.engines.specialise.MOST_WRITTEN_OUT", 0):
             return ours.lap()
 
     return replace(ours, lap=lap)

@@ -11,9 +11,9 @@ from typing import Any
 
 import numpy as np
 
-from closedloop.compiled import entry_kernel
 from closedloop.control import paper_law
-from closedloop.problem import Problem
+from closedloop.engines.problem import Problem
+from closedloop.jit.kernel import entry_kernel
 from validation.engines.mujoco import TIP, build_spec, columns, compile_spec
 from validation.oracle.spatial import Array
 from validation.speed.contestants import Contestant, final

@@ -21,11 +21,11 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from closedloop.compiled import kernel
 from closedloop.control.compensation.model import wanted_direction
-from closedloop.control.moment import Moment
-from closedloop.control.places import ADAPTATION, CORNER, SMOOTHING, SPEED_SCALE
+from closedloop.control.law_input import Moment
+from closedloop.control.parameters import ADAPTATION, CORNER, SMOOTHING, SPEED_SCALE
 from closedloop.control.tip_space import surface_mobility
+from closedloop.jit.kernel import kernel
 
 Array = NDArray[np.float64]
 

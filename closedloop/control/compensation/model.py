@@ -16,9 +16,8 @@ import math
 import numpy as np
 from numpy.typing import NDArray
 
-from closedloop.compiled import kernel
-from closedloop.control.moment import Moment
-from closedloop.control.places import (
+from closedloop.control.law_input import Moment
+from closedloop.control.parameters import (
     JOINT_SMOOTHING,
     KINETIC,
     PARAMETERS,
@@ -27,6 +26,7 @@ from closedloop.control.places import (
     STRIBECK_SPEED,
     VISCOUS,
 )
+from closedloop.jit.kernel import kernel
 
 Array = NDArray[np.float64]
 

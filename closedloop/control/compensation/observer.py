@@ -18,11 +18,11 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from closedloop.compiled import kernel
-from closedloop.control.moment import Moment
-from closedloop.control.places import RATE, VECTORS
+from closedloop.closure.solve import back_substitute, forward_substitute
+from closedloop.control.law_input import Moment
+from closedloop.control.parameters import RATE, VECTORS
 from closedloop.control.tip_space import add_mass_times
-from closedloop.solve import back_substitute, forward_substitute
+from closedloop.jit.kernel import kernel
 
 Array = NDArray[np.float64]
 

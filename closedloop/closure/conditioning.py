@@ -1,0 +1,253 @@
+"""How well Eq. 24 was conditioned at each recorded row, worked out for many rows at once.
+
+The condition number of K, the matrix of Eq. 24, in the 1-norm, ‖K‖₁‖K⁻¹‖₁, in SI units, takes the inverse:
+
+    K⁻¹ = [[H⁻¹ − x xᵀ/s, x/s], [xᵀ/s, −1/s]],    x = H⁻¹Aᵀ,  s = A H⁻¹Aᵀ,  H⁻¹ = L⁻ᵀL⁻¹
+
+That is nearly as much arithmetic as the step itself, and of small triangles, which a processor is slow at. It matters
+to nothing that follows. So a row only leaves what is needed in its lane of `pending`, and once all lanes are full each
+operation is done for all rows together.
+"""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from closedloop.jit.kernel import kernel, kernel_inlined
+
+Array = NDArray[np.float64]
+
+LANES = 32
+# The rows of a longer arm's matrices are long enough to be worked on one condition number at a time.
+LONG = 16
+
+
+def pending_rows(n: Any) -> Any:
+    """Return how many numbers of each row `pending` (pending_rows(n), LANES) holds, for n joints (int or `Count`)."""
+    return 2 * n * n + 6 * n + 5
+
+
+@kernel_inlined
+def leave(H: Array, A: Array, L: Array, X: Array, mobility: float, pressed: bool, pending: Array, lane: int) -> None:
+    """Leave in a lane what the condition number of a row needs.
+
+    Parameters
+    ----------
+    H, L : (n, n) arrays
+        Mass matrix, upper triangle; its Cholesky factor with the reciprocals of its diagonal.
+    A, X : (n,) arrays
+        The closure's row, and L⁻¹Aᵀ.
+    mobility : float
+        s, 1/kg.
+    pressed : bool
+        Whether there is a closure; without one K is H.
+    pending : (pending_rows(n), LANES) array
+        Written at `lane`: H and below it L, the diagonal of L, A, X and 1/s.
+    """
+    n = H.shape[0]
+    at = n * n
+    for i in range(n):
+        for j in range(i):
+            pending[i * n + j, lane] = L[i, j]
+            pending[j * n + i, lane] = H[j, i]
+        pending[i * n + i, lane] = H[i, i]
+        pending[at + i, lane] = L[i, i]
+        pending[at + n + i, lane] = A[i] if pressed else 0.0
+        pending[at + 2 * n + i, lane] = X[i] if pressed else 0.0
+    pending[at + 3 * n, lane] = 1.0 / mobility if pressed else 0.0
+
+
+@kernel
+def conditions(pending: Array, n: int, lanes: int) -> None:
+    """Overwrite the last row of `pending` with the condition numbers of its first `lanes` lanes."""
+    P = pending
+    diagonal, a, x = n * n, n * n + n, n * n + 2 * n
+    share = x + n
+    inverse = share + 1
+    y, column, size = inverse + n * n, inverse + n * n + n, inverse + n * n + 2 * n
+    norm, inverse_norm, total = size + n, size + n + 1, size + n + 3
+    for j in range(n):
+        copy(P[diagonal + j], lanes, P[inverse + j * n + j])
+        for i in range(j + 1, n):
+            clear(P[total], lanes)
+            for k in range(j, i):
+                take_product(P[i * n + k], P[inverse + k * n + j], lanes, P[total])
+            multiply(P[total], P[diagonal + i], lanes, P[inverse + i * n + j])
+    clear(P[norm], lanes)
+    copy(P[share], lanes, P[inverse_norm])
+    for j in range(n):
+        clear(P[y + j], lanes)
+        for k in range(j, n):
+            take_product(P[inverse + k * n + j], P[x + k], lanes, P[y + j])  # −(H⁻¹Aᵀ)ⱼ; its sign matters to nothing
+        begin_columns(P[y + j], P[share], P[a + j], lanes, P[column + j], P[inverse_norm], P[size + j], P[norm])
+    for j in range(n):
+        for i in range(j, n):
+            product_of_three(P[y + i], P[y + j], P[share], lanes, P[total])
+            for k in range(i, n):
+                take_product(P[inverse + k * n + i], P[inverse + k * n + j], lanes, P[total])
+            if i == j:
+                add_magnitudes(P[total], P[i * n + i], lanes, P[column + i], P[size + i])
+            else:
+                add_to_both(P[total], P[j * n + i], lanes, P[column + i], P[column + j], P[size + i], P[size + j])
+    for j in range(n):
+        enlarge(P[size + j], P[column + j], lanes, P[norm], P[inverse_norm])
+    multiply(P[norm], P[inverse_norm], lanes, P[total])
+
+
+@kernel
+def condition_of_long(H: Array, A: Array, L: Array, X: Array, mobility: float, pressed: bool, work: Array) -> float:
+    """Return the condition number of one state of a long arm.
+
+    Parameters
+    ----------
+    H, A, L, X, mobility, pressed
+        See `leave`.
+    work : (>= n * n + 4 * n,) array
+        Scratch.
+    """
+    n = H.shape[0]
+    R = work[0 : n * n].reshape(n, n)  # L⁻¹, lower
+    x, column = work[n * n : n * n + n], work[n * n + n : n * n + 2 * n]
+    size, row = work[n * n + 2 * n : n * n + 3 * n], work[n * n + 3 * n : n * n + 4 * n]
+    share = 1.0 / mobility if pressed else 0.0
+    for i in range(n):
+        for j in range(n):
+            R[i, j] = 0.0  # above the diagonal too, so that rows may be taken four at a time
+        for k in range(0, i - 3, 4):
+            a, b, c, d = -L[i, k], -L[i, k + 1], -L[i, k + 2], -L[i, k + 3]
+            add_four(a, R[k], b, R[k + 1], c, R[k + 2], d, R[k + 3], R[i, : k + 4])
+        for k in range(i // 4 * 4, i):
+            add_multiple(-L[i, k], R[k], R[i, : k + 1])
+        inverse = L[i, i]
+        for j in range(i):
+            R[i, j] *= inverse
+        R[i, i] = L[i, i]
+        x[i] = 0.0
+    if pressed:
+        for k in range(n):
+            add_multiple(X[k], R[k], x[: k + 1])
+    last, last_inverse = 0.0, share
+    for j in range(n):
+        size[j] = abs(A[j]) if pressed else 0.0
+        column[j] = abs(x[j]) * share
+        last += size[j]
+        last_inverse += column[j]
+    for i in range(n):
+        for j in range(i + 1):
+            row[j] = 0.0
+        add_multiple(-share * x[i], x, row[: i + 1])
+        fours = i + (n - i) // 4 * 4
+        for k in range(i, fours, 4):
+            a, b, c, d = R[k, i], R[k + 1, i], R[k + 2, i], R[k + 3, i]
+            add_four(a, R[k], b, R[k + 1], c, R[k + 2], d, R[k + 3], row[: i + 1])
+        for k in range(fours, n):
+            add_multiple(R[k, i], R[k], row[: i + 1])
+        for j in range(i):
+            row[j] = abs(row[j])
+            column[j] += row[j]
+            column[i] += row[j]
+            size[j] += abs(H[j, i])
+            size[i] += abs(H[j, i])
+        column[i] += abs(row[i])
+        size[i] += abs(H[i, i])
+    for j in range(n):
+        last = max(last, size[j])
+        last_inverse = max(last_inverse, column[j])
+    return last * last_inverse
+
+
+@kernel_inlined
+def add_multiple(factor: float, x: Array, to: Array) -> None:
+    """Write to += factor x."""
+    for j in range(to.shape[0]):
+        to[j] += factor * x[j]
+
+
+@kernel_inlined
+def add_four(a: float, x: Array, b: float, y: Array, c: float, z: Array, d: float, w: Array, to: Array) -> None:
+    """Write to += a x + b y + c z + d w."""
+    for j in range(to.shape[0]):
+        to[j] += (a * x[j] + b * y[j]) + (c * z[j] + d * w[j])
+
+
+# What is done to all lanes, the last arrays being written. Were the number of lanes known to the compiler, it would
+# write each loop out and not see that it does the same to all.
+@kernel_inlined
+def clear(to: Array, lanes: int) -> None:
+    """Write to = 0."""
+    for r in range(lanes):
+        to[r] = 0.0
+
+
+@kernel_inlined
+def copy(x: Array, lanes: int, to: Array) -> None:
+    """Write to = x."""
+    for r in range(lanes):
+        to[r] = x[r]
+
+
+@kernel_inlined
+def multiply(x: Array, y: Array, lanes: int, to: Array) -> None:
+    """Write to = x y."""
+    for r in range(lanes):
+        to[r] = x[r] * y[r]
+
+
+@kernel_inlined
+def take_product(x: Array, y: Array, lanes: int, to: Array) -> None:
+    """Write to −= x y."""
+    for r in range(lanes):
+        to[r] -= x[r] * y[r]
+
+
+@kernel_inlined
+def product_of_three(x: Array, y: Array, z: Array, lanes: int, to: Array) -> None:
+    """Write to = x y z."""
+    for r in range(lanes):
+        to[r] = x[r] * y[r] * z[r]
+
+
+@kernel_inlined
+def begin_columns(
+    y: Array, share: Array, a: Array, lanes: int, column: Array, inverse_norm: Array, size: Array, norm: Array
+) -> None:
+    """Begin the sums of the columns of K⁻¹ and K with their last entries, and add those to the last columns' sums."""
+    for r in range(lanes):
+        entry = abs(y[r] * share[r])
+        column[r] = entry
+        inverse_norm[r] += entry
+        size[r] = abs(a[r])
+        norm[r] += abs(a[r])
+
+
+@kernel_inlined
+def add_magnitudes(x: Array, h: Array, lanes: int, column: Array, size: Array) -> None:
+    """Write column += |x|, size += |h|."""
+    for r in range(lanes):
+        column[r] += abs(x[r])
+        size[r] += abs(h[r])
+
+
+@kernel_inlined
+def add_to_both(
+    x: Array, h: Array, lanes: int, column: Array, other_column: Array, size: Array, other_size: Array
+) -> None:
+    """Do the same for an entry and its mirror image."""
+    for r in range(lanes):
+        entry = abs(x[r])
+        column[r] += entry
+        other_column[r] += entry
+        entry = abs(h[r])
+        size[r] += entry
+        other_size[r] += entry
+
+
+@kernel_inlined
+def enlarge(x: Array, y: Array, lanes: int, most_x: Array, most_y: Array) -> None:
+    """Write most = max(most, x), for two pairs."""
+    for r in range(lanes):
+        most_x[r] = max(most_x[r], x[r])
+        most_y[r] = max(most_y[r], y[r])

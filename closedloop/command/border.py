@@ -1,0 +1,136 @@
+"""The border that all commands share: arguments in, an exit status out, and one line for whatever went wrong.
+
+Exit status: 0 done; 2 the input is at fault, or something around the command (a file, the output, memory); 3 what was
+begun could not go on; 4 it ended, but its verdict is bad, where that was asked; 130 interrupted by Ctrl-C, 143 by
+SIGTERM.
+"""
+
+from __future__ import annotations
+
+import argparse
+import errno
+import locale
+import logging
+import os
+import sys
+import warnings
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager, suppress
+from typing import NoReturn
+
+from closedloop.command.streams import patient_output
+from closedloop.errors import ClosedLoopError, ClusterError, ScenarioError, SimulationError, one_line
+from closedloop.interrupts import exit_status, terminable, word_for
+
+DONE, BAD_INPUT, STOPPED, NOT_GOOD = 0, 2, 3, 4
+
+
+class Left(Exception):
+    """The parser has done what was asked, such as --help."""
+
+
+class Parser(argparse.ArgumentParser):
+    """A parser that raises what the border turns into a line and a status.
+
+    Parameters
+    ----------
+    cure : str
+        What to say at the end of a refusal.
+    """
+
+    def __init__(self, *, cure: str = "see --help", **settings: object) -> None:
+        super().__init__(**settings, allow_abbrev=False)  # type: ignore[arg-type]
+        self._cure = cure
+
+    def error(self, message: str) -> NoReturn:
+        """Refuse the arguments."""
+        raise ScenarioError(f"command line: {message}; {self._cure}")
+
+    def exit(self, status: int = 0, message: str | None = None) -> NoReturn:
+        """Leave after --help."""
+        raise Left
+
+
+def run_command(
+    name: str,
+    main: Callable[[list[str]], int],
+    arguments: Sequence[str] | None = None,
+    *,
+    stopped: tuple[type[ClosedLoopError], ...] = (SimulationError, ClusterError),
+    interrupted: str = "",
+) -> int:
+    """Run a command and return its exit status, whatever happens in it or to its output.
+
+    Parameters
+    ----------
+    name : str
+        What its lines on standard error begin with.
+    main : callable
+        Takes the words of the command line and returns the status.
+    arguments : sequence of str, optional
+        The words; those of the process if left out.
+    stopped : tuple of types
+        Errors with the status 3.
+    interrupted : str
+        What to say after Ctrl-C or SIGTERM, if the exception does not say it.
+    """
+    words = sys.argv[1:] if arguments is None else list(arguments)
+    with patient_output() as output, _quiet_libraries():
+        status, said = _run(main, words, stopped, interrupted)
+        sys.stdout.flush()
+        failure = next((raw.failure for raw in output), None)
+        # A reader who has gone has seen what he wanted; on Windows that is EINVAL.
+        if failure is not None and not (isinstance(failure, BrokenPipeError) or failure.errno == errno.EINVAL):
+            said = said or f"standard output: cannot be written: {failure.strerror}"
+            status = status or BAD_INPUT
+        if said:
+            print(f"{name}: {one_line(said)}", file=sys.stderr)
+    return status
+
+
+def _run(
+    main: Callable[[list[str]], int], words: list[str], stopped: tuple[type[ClosedLoopError], ...], interrupted: str
+) -> tuple[int, str]:
+    try:
+        with terminable():
+            return main(words), ""
+    except Left:
+        return DONE, ""
+    except KeyboardInterrupt as stop:  # an interrupted run is a ClosedLoopError too
+        return exit_status(stop), str(stop) or interrupted or word_for(stop)
+    except ClosedLoopError as error:
+        return STOPPED if isinstance(error, stopped) else BAD_INPUT, str(error)
+    except MemoryError:
+        return BAD_INPUT, "out of memory: ask for fewer steps, runs or columns"
+    except OSError as error:  # a file or a folder that the package or a library of it needs
+        where = "" if error.filename is None else f"{os.fspath(error.filename)!r}: "
+        return BAD_INPUT, f"{where}{error.strerror or error}"
+    except SystemExit as leaving:  # our own parsers raise Left
+        return BAD_INPUT, f"something that was run, such as a law, called sys.exit({leaving.code!r})"
+
+
+@contextmanager
+def _quiet_libraries() -> Iterator[None]:
+    """Let no library stop a command: figures are drawn into files only, without a look for a screen; what a library
+    warns of is no error, even where PYTHONWARNINGS says so; and one that reads its own files in the encoding of the
+    locale (Drake) can do so where that is ASCII.
+    """
+    log, backend = logging.getLogger("matplotlib"), os.environ.get("MPLBACKEND")
+    level, characters = log.level, locale.setlocale(locale.LC_CTYPE)
+    if locale.getpreferredencoding(False).upper() in ("ASCII", "US-ASCII", "ANSI_X3.4-1968", "646"):
+        with suppress(locale.Error):
+            locale.setlocale(locale.LC_CTYPE, "C.UTF-8")
+    log.setLevel(logging.ERROR)  # that it found no folder for its settings
+    os.environ["MPLBACKEND"] = "agg"
+    try:
+        with warnings.catch_warnings():
+            if any(option.startswith("e") for option in sys.warnoptions):
+                warnings.simplefilter("ignore")
+            yield
+    finally:
+        log.setLevel(level)
+        locale.setlocale(locale.LC_CTYPE, characters)
+        if backend is None:
+            del os.environ["MPLBACKEND"]
+        else:
+            os.environ["MPLBACKEND"] = backend

@@ -1,0 +1,153 @@
+"""The folder of a run's results: run.nc, summary.json and the figures, and what of an earlier run may be replaced.
+
+The same question (scenario, robot, law, engine) has the same answer, so its results may be written again. Those of
+another are replaced only if that was asked for, and then none of its files stays beside the new ones.
+"""
+
+from __future__ import annotations
+
+import json
+import tomllib
+from pathlib import Path
+from typing import Any
+
+from closedloop.errors import ClosedLoopError, InterruptedRunError, OutputError, RunFileError
+from closedloop.files import probe_folder, reason_of, refuse_special, remove_unfinished, write_whole
+from closedloop.interrupts import held_back
+from closedloop.record.run import Run
+from closedloop.record.sealed import read_sealed
+
+RUN, SUMMARY = "run.nc", "summary.json"
+# What a figure says of itself near its beginning.
+MARK = b"closedloop"
+_MARKED_WITHIN = 16_384
+_NAMES = {
+    "scenario": "scenario", "robot_text": "robot", "robot": "robot", "law": "law", "law_digest": "text of the law",
+    "engine": "engine",
+}  # fmt: skip
+
+
+class Results:
+    """Where the results of a run go.
+
+    Parameters
+    ----------
+    folder : path
+        It is made if need be, and what killed writers left in it is removed.
+    question : mapping of str to str
+        What is asked, see `closedloop.record.netcdf.question`.
+    overwrite : bool
+        Whether results of another question may be replaced.
+
+    Raises
+    ------
+    OutputError
+        If the folder cannot be written, or holds something else that may not be replaced.
+    """
+
+    def __init__(self, folder: Path, question: dict[str, str], overwrite: bool) -> None:
+        self.folder = folder
+        _make_writable(folder)
+        remove_unfinished(folder)
+        self._rows, self._other = -1, False
+        fault = self._look(question)
+        if fault and not overwrite:
+            raise OutputError(
+                f"--out {str(folder)!r}: {fault}; name another folder with --out, or replace it with --overwrite"
+            )
+        self._other = bool(fault)
+
+    def _look(self, question: dict[str, str]) -> str:
+        """Return why what is in the folder may not be replaced, and "" if it may."""
+        file, summary = self.folder / RUN, self.folder / SUMMARY
+        refuse_special(file)
+        refuse_special(summary)
+        if file.is_symlink() or file.exists():
+            try:
+                found, columns = read_sealed(file, ["time"])
+            except (RunFileError, OSError) as error:
+                words = str(error) if isinstance(error, RunFileError) else reason_of(error)
+                return f"its {RUN} {words}"
+            differing = [key for key, value in question.items() if found.get(key, value) != value]
+            if differing:
+                return f"holds another run: {_difference(differing, found, question)}"
+            if found.get("format") is None:
+                return f"its {RUN} is not a run file"
+            self._rows = columns["time"].size if "time" in columns else -1
+        elif (summary.is_symlink() or summary.exists()) and not _is_summary(summary):
+            return f"its {SUMMARY} is not that of a run"
+        return ""
+
+    def save(self, run: Run, failure: ClosedLoopError | None) -> list[Path]:
+        """Write run.nc and summary.json, and return their paths; none if an earlier run already holds more of this.
+
+        Ctrl-C and SIGTERM wait until both are there.
+        """
+        if isinstance(failure, InterruptedRunError) and not self._other and len(run) <= self._rows:
+            return []
+        with held_back():
+            if self._other:
+                self._clear()
+            summary = json.dumps(run.summary(), indent=2, allow_nan=False) + "\n"
+            return [
+                run.save(self.folder / RUN), write_whole(self.folder / SUMMARY, summary.encode())
+            ]  # fmt: skip
+
+    def _clear(self) -> None:
+        """Remove what would stand beside the new run and belong to another: its summary and its figures."""
+        for path in [self.folder / SUMMARY, *self.folder.glob("fig*.png"), *self.folder.glob("fig*.svg")]:
+            if path.is_symlink() or not path.is_file():
+                continue
+            try:
+                with path.open("rb") as file:
+                    ours = path.name == SUMMARY or MARK in file.read(_MARKED_WITHIN)
+                if ours:
+                    path.unlink()
+            except OSError as error:
+                raise OutputError(f"{path}: cannot be removed: {reason_of(error)}") from None
+
+
+def _make_writable(folder: Path) -> None:
+    """Make the output folder before anything is simulated, so that no result is lost for want of a place."""
+    try:
+        with held_back():
+            probe_folder(folder)
+    except (OSError, ValueError) as error:
+        raise OutputError(
+            f"--out {str(folder)!r}: cannot be written: {reason_of(error)}; name another folder"
+        ) from None
+
+
+def _is_summary(path: Path) -> bool:
+    if not path.is_file():
+        return True  # writing it will say what it is
+    try:
+        found = json.loads(path.read_bytes())
+    except (OSError, ValueError, RecursionError):
+        return False
+    return isinstance(found, dict) and {"scenario", "assumptions"} <= set(found)
+
+
+def _difference(keys: list[str], found: dict[str, Any], question: dict[str, str]) -> str:
+    """Return in words in what a run differs from what is asked."""
+    names = dict.fromkeys(_NAMES[key] for key in keys)
+    if "scenario" in names:
+        try:
+            there, here = (_flat(tomllib.loads(str(text["scenario"]))) for text in (found, question))
+        except (ValueError, RecursionError):
+            there = here = {}
+        changed = [key for key in there | here if there.get(key) != here.get(key)]
+        if changed:
+            key, more = changed[0], len(changed) - 1
+            names.pop("scenario")
+            told = f"{key} is {there.get(key, 'not set')} there and {here.get(key, 'not set')} here"
+            names = {told[:200] + (f", {more} more keys differ" if more else ""): None} | names
+    named = [name if " is " in name else f"the {name} differs" for name in names]
+    return ", ".join(named)
+
+
+def _flat(table: dict[str, Any], prefix: str = "") -> dict[str, Any]:
+    flat: dict[str, Any] = {}
+    for key, value in table.items():
+        flat |= _flat(value, f"{prefix}{key}.") if isinstance(value, dict) else {prefix + key: value}
+    return flat

@@ -1,0 +1,69 @@
+"""What a control law knows at one instant."""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+Array = NDArray[np.float64]
+
+
+class Moment(NamedTuple):
+    """The state of the arm, what is wanted of it, and what its sensors say.
+
+    Contact frame: axes n (out of the surface), t1, t2; the three numbers of every (3,) array are in that order.
+
+    Attributes
+    ----------
+    t : float
+        Time, s.
+    q, v, C : (n,) arrays
+        Joint positions, rad (m); velocities; bias torque (Coriolis, centrifugal, gravity), N m.
+    H : (n, n) array
+        Mass matrix; its upper triangle is read.
+    L : (n, n) array
+        Lower Cholesky factor of H whose diagonal holds reciprocals, see `closedloop.closure.solve.cholesky`.
+    A : (3, n) array
+        Tip Jacobian, contact frame: u = A q̇.
+    X : (3, n) array
+        L⁻¹Aᵀ, transposed.
+    S : (3, 3) array
+        A H⁻¹Aᵀ, the tip's mobility, 1/kg; positive semi-definite.
+    drift : (3,) array
+        Ȧ q̇, m/s².
+    p, u : (3,) arrays
+        Tip position, m, and velocity, m/s.
+    q_des, v_des : (n,) arrays
+        Wanted joint motion.
+    p_des, u_des, a_des : (3,) arrays
+        Wanted motion of the tip, m, m/s, m/s².
+    f_des : float
+        Wanted force, N: what the tip presses with, and so what the surface answers along +n.
+    f_measured : float
+        Latest reading of the force sensor, N: of an instant before this one.
+    pressed : float
+        1 while the tip is in contact, else 0.
+    """
+
+    t: float
+    q: Array
+    v: Array
+    C: Array
+    H: Array
+    L: Array
+    A: Array
+    X: Array
+    S: Array
+    drift: Array
+    p: Array
+    u: Array
+    q_des: Array
+    v_des: Array
+    p_des: Array
+    u_des: Array
+    a_des: Array
+    f_des: float
+    f_measured: float
+    pressed: float

@@ -1,0 +1,1 @@
+"""Who provides the terms and who drives the loop."""

@@ -1,0 +1,84 @@
+"""Why a run stopped, in words."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from closedloop.closure.solve import CHATTER, NOT_POSITIVE_DEFINITE, PAINLEVE, SINGULAR
+from closedloop.control import Law
+from closedloop.engines.problem import Problem
+from closedloop.errors import (
+    ChatterError,
+    DivergenceError,
+    InterruptedRunError,
+    PainleveError,
+    SimulationError,
+    SingularClosureError,
+)
+from closedloop.interrupts import word_for
+from closedloop.robot.pinocchio import Robot
+from closedloop.scenario.gains import gains_fault
+from closedloop.step.evaluate import SPEED_LIMIT
+
+Array = NDArray[np.float64]
+
+
+def not_finite(torque: Array) -> str:
+    """Return what is wrong with a law's torque Q (n,) that has an entry which is no finite number, in words."""
+    return f"the law returned Q = {torque.tolist()}, which is not finite"
+
+
+def when(t: float) -> str:
+    """Return the beginning of the message of a run that stopped at t, s."""
+    return f"stopped at t = {t:.6g} s"
+
+
+def interrupted(stop: KeyboardInterrupt, t: float) -> InterruptedRunError:
+    """Return the error of a run that Ctrl-C, or another signal, stopped at t, s."""
+    error = InterruptedRunError(f"{when(t)}: {word_for(stop)}", t)
+    error.__cause__ = stop
+    return error
+
+
+def failure_of(
+    status: int, t: float, robot: Robot, problem: Problem, law: Law | None, q: Array, v: Array
+) -> SimulationError:
+    """Return what a status of `closedloop.closure.solve` other than OK, met at q and q̇ (n,) at t, s, is in words."""
+    if status == SINGULAR:
+        pose = np.array2string(q, precision=4, separator=", ", suppress_small=True)
+        return SingularClosureError(
+            f"{when(t)}: singular pose: at q = {pose} the tip cannot move along the surface normal "
+            f"{problem.plane.normal.round(4).tolist()}, so Eq. 24 does not determine the contact force; "
+            "start from, or steer through, another posture",
+            t,
+        )
+    if status == NOT_POSITIVE_DEFINITE:
+        return SingularClosureError(
+            f"{when(t)}: the mass matrix of {robot.model.name} is not positive definite; "
+            "some joint moves no inertia (look at the masses and tensors of the last links)",
+            t,
+        )
+    if status == CHATTER:
+        return ChatterError(
+            f"{when(t)}: the contact chatters: at one instant the torque presses the tip on while it is off the "
+            "surface and lifts it off while it is on; look at a law that depends on the contact, and at time.step",
+            t,
+        )
+    if status == PAINLEVE:
+        return PainleveError(
+            f"{when(t)}: Painlevé's paradox: the tip slides so that pressing harder pulls it into the surface (the "
+            "coefficient of f in Eq. 24 with friction is not positive), and no rigid contact force exists; lower the "
+            "coefficient of friction, or change the posture or the direction of sliding",
+            t,
+        )
+    fast = int(np.argmax(np.abs(v))) if np.all(np.isfinite(v)) else 0
+    name = robot.joint_names[fast]
+    cure = "look at the signs and sizes " + ("of law.kp and law.kd" if law is None else "in the law")
+    if problem.tolerance is None:
+        cure += ", and at time.step"
+    if law is None:
+        cure = gains_fault(problem.scenario, robot) or cure
+    return DivergenceError(
+        f"{when(t)}: the motion diverges: joint {name} is beyond {SPEED_LIMIT:g} rad/s or not a number; {cure}", t
+    )

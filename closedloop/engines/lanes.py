@@ -1,0 +1,342 @@
+"""Eight runs abreast: a batch's runs of the paper's law with the tip on a smooth surface, in one loop.
+
+Such a run has nothing to decide: no event, no impact, no friction. So eight of them can take each step together,
+in octets (`closedloop.jit.simd8`), by the very kernels that one run goes through alone, and to the same last bit. What
+is here is only their order, that of `closedloop.events` without its decisions. A row is counted as soon as it is there
+(`closedloop.report.measured`), and kept only if asked for.
+
+If in one of the eight something does come up, a tip that leaves, a singular pose or a motion that diverges, the loop
+gives up and says so: each of the eight is then run alone.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from functools import cache
+from typing import TYPE_CHECKING, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from closedloop.closure.conditioning import LANES
+from closedloop.closure.contact_force import (
+    PRESSED,
+    accelerate,
+    baumgarte_acceleration,
+    factorise,
+    pressed_force,
+    unloaded,
+)
+from closedloop.closure.solve import DIVERGED, OK
+from closedloop.engines.problem import Problem, needs_more
+from closedloop.engines.specialise import COMPILED, machine
+from closedloop.integrators import INTEGRATORS, advance
+from closedloop.jit.kernel import entry_kernel, kernel_inlined, needs_compiling, numba_settings, plain
+from closedloop.jit.pointers import address_of, matrix_at
+from closedloop.jit.simd8 import WIDE, aligned, every, octets_at, with_lane
+from closedloop.report.joint_figures import joint_limits
+from closedloop.report.measured import (
+    begin_tally,
+    count_condition,
+    count_row,
+    figure_count,
+    tally_size,
+    write_figures,
+)
+from closedloop.robot.pinocchio import Robot
+from closedloop.robot.tree import Tree, energy_there, tree_terms, work_size
+from closedloop.scenario.scenario import Scenario
+from closedloop.step import memory as space
+from closedloop.step.energy_supplied import gain, remember_power, settle
+from closedloop.step.evaluate import bounded, locate_tip, paper_torque
+from closedloop.step.memory import Whole, Work, workspace
+from closedloop.step.record_row import SCALARS, Row, record, record_conditions
+
+if TYPE_CHECKING:
+    from closedloop.scenario.scenario import Scenario
+
+Array = NDArray[np.float64]
+
+# The parts of the loop's memory, in `places`: each an array of octets.
+MEMORY, TERMS, CONSTANTS, FORCES, LARGEST, ROWS, TALLIES, FIGURES = range(8)
+
+SCALAR_COUNT = len(SCALARS)
+# A tip may leave the surface, or the stabiliser would pull: there is something to decide.
+LEFT = -1
+
+
+def can_go_abreast(scenario: Scenario) -> bool:
+    """Whether a run may have nothing to decide: the paper's law, on a smooth surface from the start."""
+    return (
+        not needs_more(scenario)
+        and not scenario.surface.gap > 0.0
+        and scenario.stabiliser.kind in ("baumgarte", "none")
+        and scenario.time.integrator in INTEGRATORS
+        and not numba_settings.DISABLE_JIT
+    )
+
+
+class Kind(NamedTuple):
+    """What runs that go abreast have in common."""
+
+    contact: str
+    integrator: str
+    robot: Robot
+    steps: int
+    h: float
+    nodes: int
+    hold: int
+
+
+def kind_of(problem: Problem) -> Kind | None:
+    """Return what a run must have in common with others to go abreast with them; None for one that must go alone."""
+    scenario = problem.scenario
+    if not can_go_abreast(scenario) or problem.mode != PRESSED:
+        return None
+    return Kind(
+        scenario.surface.contact, scenario.time.integrator, problem.robot, problem.steps, problem.h, problem.nodes,
+        problem.hold,
+    )  # fmt: skip
+
+
+class Abreast:
+    """Memory for eight runs of one kind; see `kind_of`.
+
+    Parameters
+    ----------
+    like : Problem
+        One of them.
+    kind : Kind
+        Its kind.
+    keep : bool
+        Whether all rows are to be kept.
+
+    Attributes
+    ----------
+    kind : Kind
+        Of what kind they are.
+    n : int
+        Joints.
+    end : float
+        Instant of the last row, s.
+    """
+
+    def __init__(self, like: Problem, kind: Kind, keep: bool) -> None:
+        n, stages = like.robot.n, like.integrator.stages
+        self.kind, self.n, self.end = kind, n, like.h * like.steps
+        self._instants, self._columns = like.table.shape
+        self._state, self._tableau = like.state(), like.integrator.tableau()
+        self._h, self._spacing = like.h, like.h / like.nodes
+        self._memory = aligned(space.memory_size(n, 0, stages, 1))
+        self._work = space.workspace(self._memory, n, 0, stages, 1)
+        self._constants = aligned(like.constants().size)
+        self._forces, self._largest = aligned(like.table.shape[0]), aligned(1)
+        self._rows = aligned(like.steps + 1 if keep else LANES, Row.of(n).width)
+        self._figures = aligned(plain(figure_count)(n))
+        self._limits = joint_limits(like.robot.model)
+        self._parts = (
+            self._memory, aligned(n * n + n + work_size(n)), self._constants, self._forces, self._largest, self._rows,
+            aligned(plain(tally_size)(n)), self._figures,
+        )  # fmt: skip
+        self._places = np.array([address_of(part) for part in self._parts])
+        self._tables: list[Array] = []
+
+    @property
+    def bytes(self) -> int:
+        """Return how much memory that is."""
+        return sum(part.nbytes for part in self._parts)
+
+    def take(self, lane: int, problem: Problem) -> None:
+        """Let a problem be run number `lane`; afterwards the table's forces and noise may be overwritten."""
+        n = self.n
+        if lane == 0:
+            self._tables.clear()
+        self._constants[:, lane] = problem.constants()
+        self._work.q[:, lane], self._work.v[:, lane] = problem.q, problem.v
+        force = problem.table[:, 2 * n + 9]
+        self._forces[:, lane] = force
+        self._largest[0, lane] = np.abs(force[:: problem.nodes]).max()
+        self._tables.append(problem.table)
+
+    def run(self, tree: Tree, count: int) -> bool:
+        """Run the first `count` of the eight; False if something came up in one of them."""
+        for part in (self._constants, self._forces, self._largest, self._work.q, self._work.v):
+            part[..., count:] = part[..., :1]  # the others do what the first does
+        places = [address_of(table) for table in self._tables[:count]]
+        tables = np.array(places + places[:1] * (WIDE - count))
+        self._state[space.PENDING] = 0
+        status = run_abreast(
+            tree, self._places, self._constants.shape[0], self._state, self._h, self._spacing, self._tableau, tables,
+            self._instants, self._columns, self._rows.shape[0], self._limits,
+        )  # fmt: skip
+        self._tables.clear()
+        return status == OK
+
+    def figures(self, lane: int) -> Array:
+        """Return the figures of a run, see `closedloop.report.measured`."""
+        return self._figures[:, lane].copy()
+
+    def rows(self, lane: int) -> Array:
+        """Return the rows of a run, if they were kept; they are overwritten by the next."""
+        return self._rows[:, :, lane]
+
+
+@entry_kernel
+def run_abreast(
+    tree: Tree, places: Whole, constants: int, state: Whole, h: float, spacing: float, tableau: Array, tables: Whole,
+    instants: int, columns: int, kept: int, limits: Array,
+) -> int:  # fmt: skip
+    """Run eight problems from start to end.
+
+    Parameters
+    ----------
+    tree : Tree
+        Their robot.
+    places : (8,) array of int
+        Addresses of the parts of the memory, see `Abreast`.
+    constants : int
+        How many constants there are, see `closedloop.step.memory`.
+    state : array of int
+        See `closedloop.step.memory`; the same for all.
+    h, spacing : float
+        Step, and time between two rows of a table, s.
+    tableau : (S + 1, S) array
+        See `closedloop.integrators.Integrator.tableau`.
+    tables : (8,) array of int
+        Addresses of what is desired of each, (instants, columns), see `closedloop.step.evaluate.reference_row`.
+    kept : int
+        How many rows there is room for: all, or `LANES`, over and over again.
+    limits : (4, n) array
+        See `closedloop.report.joint_figures.joint_limits`.
+
+    Returns
+    -------
+    int
+        OK, or a status of `closedloop.closure.solve`, or LEFT, if something came up in at least one of them.
+    """
+    n, stages, steps, hold = tree.n, state[space.STAGES], state[space.STEPS], state[space.HOLD]
+    semi_implicit, unilateral = state[space.SEMI_IMPLICIT] != 0, state[space.UNILATERAL] != 0
+    w = workspace(octets_at(places[MEMORY], 0), n, 0, stages, 1)
+    terms = octets_at(places[TERMS], n * n + n + work_size(n))
+    H, C, scratch = terms[0 : n * n].reshape(n, n), terms[n * n : n * n + n], terms[n * n + n :]
+    k, largest = octets_at(places[CONSTANTS], constants), octets_at(places[LARGEST], 1)[0]
+    forces = octets_at(places[FORCES], instants)
+    width = 5 * n + 9 + SCALAR_COUNT
+    rows = octets_at(places[ROWS], kept * width).reshape(kept, width)
+    tally, out = octets_at(places[TALLIES], tally_size(n)), octets_at(places[FIGURES], figure_count(n))
+    frame = k[space.FRAME : space.FRAME + 9]
+    begin_tally(tally, n)
+    w.now[space.SUPPLIED] = 0.0
+    for row in range(steps + 1):
+        begin, place = row * h, row % kept
+        for stage in range(stages if row < steps else 1):
+            node = 0.0
+            for i in range(stage):
+                node += tableau[stage, i]
+            t = begin + node * h
+            tree_terms(tree, w.q, w.v, scratch, H, C, w.J, w.r, w.drift)
+            desired(t, spacing, tables, instants, columns, forces, w.reference)
+            sampled = hold == 0 or (stage == 0 and row % hold == 0)
+            status = press(H, C, w, k, t, sampled)
+            if status != OK:
+                return status
+            if unilateral and not (every(w.F[0] >= 0.0) and every(w.F[0] - w.share[0] >= 0.0)):
+                return LEFT
+            if stage == 0:
+                record(H, C, w, k, state, tableau, rows, place, None)
+                potential = energy_there(tree, scratch)
+                count_row(rows[place], potential, w.reference, row, h, frame, limits, largest, tally)
+                if row == steps:
+                    record_conditions(w.pending, rows, state, place + 1, n)
+                if state[space.PENDING] == 0:
+                    for i in range(place - place % LANES, place + 1):
+                        count_condition(rows[i], tally)
+                for j in range(n):
+                    w.begin[j] = w.q[j]
+                    w.begin[n + j] = w.v[j]
+                remember_power(w, state)
+            if row < steps:
+                gain(w, stage, h, tableau[stages, stage])
+                advance(stage, h, semi_implicit, False, tableau, w.begin, w.stages, w.qdd, w.dz, w.q, w.v, w.z)
+        settle(w.now)
+    write_figures(rows[steps % kept, 5 * n + 9 :], n, steps + 1, h, largest, tally, out)
+    return OK
+
+
+@kernel_inlined
+def desired(
+    t: float, spacing: float, tables: Whole, instants: int, columns: int, forces: Array, reference: Array
+) -> None:
+    """Write what is desired of each run at t, an instant of the tables; see
+    `closedloop.step.evaluate.reference_row`.
+    """
+    at = min(round(t / spacing), instants - 1)
+    width = reference.shape[0]
+    first = matrix_at(tables[0], instants, columns)
+    for j in range(width):
+        reference[j] = first[at, j]
+    for i in range(1, WIDE):
+        if tables[i] != tables[0]:
+            own = matrix_at(tables[i], instants, columns)
+            for j in range(width):
+                reference[j] = with_lane(reference[j], i, own[at, j])
+    reference[width - 1] = forces[at]
+
+
+@kernel_inlined
+def press(H: Array, C: Array, w: Work, k: Array, t: float, sampled: bool) -> int:
+    """Evaluate law, contact and Eq. 24 of a tip that is held on a smooth surface; see
+    `closedloop.step.evaluate.evaluate`.
+    """
+    locate_tip(w, k)
+    status = factorise(H, w.A, w.L, w.X, w.S, k[space.REACH])
+    if status != OK:
+        return status
+    if sampled:
+        paper_torque(C, w, k, t)
+    unloaded(w.L, w.X, w.drift_c, w.torque, C, w.y, w.a)
+    w.b[0] = baumgarte_acceleration(k[space.S_V], k[space.S_P], w.now[space.RATE], w.now[space.GAP])
+    status, w.share[0] = pressed_force(w.S, w.a, w.b[0], w.c, w.w, w.F)
+    if status != OK:
+        return status
+    accelerate(w.L, w.X, w.y, w.F, w.qdd)
+    return OK if bounded(w) else DIVERGED
+
+
+# And for the loop of eight runs abreast to be, which takes as long to compile and saves more.
+WORTH_GOING_ABREAST = 20_000_000
+
+
+def loop_of(scenario: Scenario, engine: str, n: int, runs: int = 1) -> Callable[..., int]:
+    """Return the loop in which most of so many runs of a scenario go, of a robot of n joints (0: of any number)."""
+    from closedloop.engines.problem import needs_more
+
+    if runs > 1 and goes_abreast(scenario, engine, runs):
+        from closedloop.engines.lanes import run_abreast
+
+        return run_abreast
+    return machine(needs_more(scenario), engine, n, runs * steps_of(scenario))
+
+
+def goes_abreast(scenario: Scenario, engine: str, runs: int) -> bool:
+    """Whether a scenario can and should go abreast with others like it, so many in all.
+
+    The loop is compiled already, or worth compiling.
+    """
+    from closedloop.engines.lanes import can_go_abreast
+
+    if engine != COMPILED or not can_go_abreast(scenario):
+        return False
+    return runs * steps_of(scenario) >= WORTH_GOING_ABREAST or _abreast_is_there()
+
+
+def steps_of(scenario: Scenario) -> int:
+    """Return the number of steps of a run, about."""
+    return int(scenario.time.duration / scenario.time.step)
+
+
+@cache
+def _abreast_is_there() -> bool:
+    from closedloop.engines.lanes import run_abreast
+
+    return not needs_compiling(run_abreast)

@@ -1,0 +1,205 @@
+"""The loop as a machine that asks for what it needs: steps, events, impacts and projections in one place.
+
+`proceed` is called with the terms (H, C, Jᵣ, r, J̇ᵣq̇) of the state it asked for, does everything that can be done with
+them, and returns with the next state to be evaluated in `Work.q` and `Work.v`. Who evaluates it is not its business:
+Pinocchio, called from Python, or terms of our own, compiled. This way of turning a loop inside out is known as reverse
+communication.
+
+The phase says what the terms that have just arrived are for:
+
+    ARRIVE    the end of a step (or the start): record the row, or find that something happened on the way
+    STAGE     a later stage of a Runge-Kutta step
+    PROBE_END the end of a trial step, taken to locate an event inside a step
+    TRANSIT   the state at the instant of an event: apply the impact, change the mode
+    STRIKE    (no terms) the impulses of the impact are known
+    BEGIN     the state just after an event: go on from there to the end of the step
+    CLOSE     a state to be put back on the closure (projection)
+
+An event shows when a step arrives and its gauge is negative: the gap while the tip is free, the force of the rigid
+closure while it is pressed, the speed along the old direction while it slides, and what is left of the friction cone
+while it sticks. It also shows when a stage inside a step finds that the rigid closure of a pressed tip pulls, and when
+a free tip goes down at the beginning of a step and up at its end. The step is then taken again, shorter, until the
+instant is bracketed to `INSTANT`; a step to that instant, the event, and a step for the remainder replace it. Every
+piece is a full step of the integrator, so its order is kept. What begins and ends between two evaluations leaves no
+trace: a pull that no stage sees, and a free tip that rises, dips into the surface and rises again in one step.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from closedloop.closure.contact_force import FREE
+from closedloop.closure.solve import OK
+from closedloop.events.locate import gauge, narrow
+from closedloop.events.phases import (
+    ARRIVING,
+    ASK,
+    BEGINNING,
+    CLOSE,
+    CLOSING,
+    COLLIDE,
+    DONE,
+    ENLARGE,
+    FAIL,
+    FAILED,
+    IMPACT_LAW_WANTED,
+    LEAVE,
+    PROBING,
+    ROOM,
+    SET_OUT,
+    SET_OUT_AGAIN,
+    STAGING,
+    STRIKE,
+    STRIKING,
+    TERMS,
+    TERMS_AND_LAW,
+    TRANSIT,
+    TRANSITING,
+    ask,
+)
+from closedloop.events.projection import close
+from closedloop.events.substep import advance_friction, arrive, leave_stage, look, remember, restore
+from closedloop.events.transitions import begin_piece, strike_tip, transit
+from closedloop.integrators import advance
+from closedloop.jit.kernel import inlined_kernel
+from closedloop.step.energy_supplied import gain, settle
+from closedloop.step.evaluate import LAW_GIVEN, evaluate, locate_tip
+from closedloop.step.joint_friction import stick_or_slip_joints
+from closedloop.step.memory import (
+    GAUGE,
+    H_STEP,
+    HOLD,
+    IN_STEP,
+    LAW,
+    LENGTH,
+    MODE,
+    MOVES,
+    NEXT,
+    PHASE,
+    PIECE,
+    PROJECT,
+    ROW,
+    SAMPLED,
+    SEMI_IMPLICIT,
+    STAGE,
+    STATUS,
+    STEPS,
+    TAU,
+    UNILATERAL,
+    Whole,
+    Work,
+)
+from closedloop.step.record_row import record
+
+Array = NDArray[np.float64]
+
+
+@inlined_kernel
+def proceed(
+    H: Array, C: Array, w: Work, k: Array, state: Whole, table: Array, tableau: Array, rows: Array, events: Array,
+    more: int | None,
+) -> int:  # fmt: skip
+    """Use the terms of the state that was asked for, and ask for the next.
+
+    Parameters
+    ----------
+    H, C : (n, n), (n,) arrays
+        Terms at (q, q̇) in `w`; Jᵣ, r and J̇ᵣq̇ are in `w`.
+    w, k, state
+        See `closedloop.step.memory`.
+    table : (P, 2 n + 11) array
+        What is desired at the instants of the stages, see `closedloop.step.evaluate.reference_row`.
+    tableau : (S + 1, S) array
+        See `closedloop.integrators.Integrator.tableau`.
+    rows : (N, width) array
+        The record, see `closedloop.step.record_row.Row`; row state[ROW] is the next to be written.
+    events : (M, EVENT_WIDTH) array
+        The table of events, of which state[EVENTS] rows are written.
+    more : int or None
+        See `closedloop.step.evaluate`.
+
+    Returns
+    -------
+    int
+        TERMS: evaluate the terms at (q, q̇) and call again. TERMS_AND_LAW: and write the torque for now[TIME]. ROOM:
+        give a larger table of events and call again. IMPACT_LAW_WANTED: call `collide`, then again. DONE, or FAILED
+        with state[STATUS].
+    """
+    now, phase = w.now, state[PHASE]
+    if phase in (ARRIVING, STAGING, BEGINNING) or (phase in (PROBING, TRANSITING) and state[MODE] != FREE):
+        status = evaluate(H, C, w, k, state, table, rows, more)
+        if status != OK:
+            state[STATUS] = status
+            return FAILED
+    elif phase != STRIKING:
+        locate_tip(w, k)
+    todo = ASK
+    if phase == ARRIVING:
+        now[GAUGE] = gauge(w, k, state, more)
+        todo = arrive(now, w.drift_c[0], state)
+        if todo == SET_OUT:
+            settle(now)
+            if more is not None:
+                stick_or_slip_joints(w, k, state, rows)
+            record(H, C, w, k, state, table, rows, state[ROW], more)
+            if state[ROW] == state[STEPS]:
+                return DONE
+            state[ROW] += 1
+            state[IN_STEP], state[PIECE] = 0, 0
+            now[LENGTH] = k[H_STEP]
+        elif todo == SET_OUT_AGAIN and state[HOLD] > 0 and state[SAMPLED] != 0:
+            for j in range(w.torque.shape[0]):
+                w.torque[j] = w.held[j]  # until the end of the step the torque of the last sample acted
+    elif phase == STAGING:
+        todo = look(now, state) if state[UNILATERAL] != 0 else LEAVE
+    elif phase == PROBING:
+        now[GAUGE] = gauge(w, k, state, more)
+        todo = narrow(now, state)
+    elif phase == TRANSITING:
+        todo = TRANSIT
+    elif phase == STRIKING:
+        todo = STRIKE
+    elif phase == CLOSING:
+        todo = CLOSE
+    else:
+        todo = begin_piece(C, w, k, state, more)
+
+    if todo == TRANSIT:
+        settle(now)
+        todo = transit(H, w, k, state, rows, events, more)
+    if todo == STRIKE:
+        if state[STATUS] != OK:
+            return FAILED
+        strike_tip(w, k, state, events, more)
+        todo = ASK
+        if state[PROJECT] != 0 and state[MODE] != FREE:
+            state[MOVES], state[NEXT] = 0, BEGINNING
+            ask(state, CLOSING)
+        else:
+            ask(state, BEGINNING)
+    if todo == CLOSE:
+        todo = close(H, w, k, state)
+    if todo == SET_OUT:
+        remember(w, k, state, more)
+        todo = LEAVE
+    elif todo == SET_OUT_AGAIN:
+        restore(w, state)
+        todo = LEAVE
+    if todo == LEAVE:
+        stage, tau = state[STAGE], now[TAU]
+        gain(w, stage, tau, tableau[tableau.shape[0] - 1, stage])
+        if more is not None and state[SEMI_IMPLICIT] != 0:
+            advance_friction(w, k, state, tau)
+        advance(
+            stage, tau, state[SEMI_IMPLICIT] != 0, state[PIECE] != 0, tableau, w.begin, w.stages,
+            w.qdd, w.dz, w.q, w.v, w.z,
+        )  # fmt: skip
+        leave_stage(now, k[H_STEP], state, tableau)
+    elif todo == ENLARGE:
+        return ROOM
+    elif todo == COLLIDE:
+        return IMPACT_LAW_WANTED
+    elif todo == FAIL:
+        return FAILED
+    return TERMS_AND_LAW if state[LAW] == LAW_GIVEN and state[SAMPLED] != 0 else TERMS

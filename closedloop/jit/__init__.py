@@ -1,0 +1,1 @@
+"""Everything that knows the compiler, and nothing of mechanics."""

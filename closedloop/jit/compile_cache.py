@@ -1,0 +1,142 @@
+"""Compiled code on disk: what numba asks for a function that was compiled before, and gives when it has compiled one.
+
+A file is what numba needs to have the machine code back, and a digest of that. So a file that was cut off or changed
+is known, and its function is compiled again. numba's own files have no digest, and an index in which two processes lose
+each other's entries. Whatever is wrong with the folder (no room, no permission, no folder), the code is compiled in the
+process and the run goes on.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import os
+import re
+import sys
+import uuid
+from collections.abc import Callable
+from contextlib import suppress
+from functools import cached_property, lru_cache
+from pathlib import Path
+from typing import Any
+
+import llvmlite
+import numba
+from numba.core.caching import IndexDataCacheFile, _Cache
+from numba.core.compiler import CompileResult
+from numba.core.serialize import dumps
+
+from closedloop.jit.cache_folder import MAGIC, cache_folder, claim, forget_old_caches
+
+
+class KernelCache(_Cache):
+    """What a dispatcher of numba asks for code that is there already, and gives what it has compiled.
+
+    Parameters
+    ----------
+    function : callable
+        The Python function; its source must be a file.
+    """
+
+    def __init__(self, function: Callable[..., Any]) -> None:
+        self._function = function
+
+    @property
+    def cache_path(self) -> str:
+        """The folder."""
+        return str(cache_folder())
+
+    def enable(self) -> None:
+        """Do nothing: it is never disabled."""
+
+    def disable(self) -> None:
+        """Do nothing: it is never disabled."""
+
+    def flush(self) -> None:
+        """Do nothing: what is compiled again takes the place of what was there."""
+
+    def load_overload(self, sig: Any, target_context: Any) -> Any:
+        """Return the compiled form for a signature, or None if it is not there as it was written."""
+        target_context.refresh()
+        codegen = target_context.codegen()
+        try:
+            file = self._file(sig, codegen)
+            if not file.is_file():
+                return None
+            content = file.read_bytes()
+        except OSError:
+            return None
+        code = content[: -len(MAGIC) - 32]
+        if content[len(code) :] != _seal(code):
+            return None
+        try:
+            key, form = IndexDataCacheFile(str(file.parent), "", None)._load_data(file.name)
+            if key != self._key(sig, codegen):
+                return None
+            found = CompileResult._rebuild(target_context, *form)
+        except Exception:  # as it was written, but by another version of some package: anything may be missing
+            return None
+        with suppress(OSError):
+            _claim_once()
+        return found
+
+    def save_overload(self, sig: Any, data: Any) -> None:
+        """Keep a compiled form; what cannot be kept is compiled again in the next process."""
+        if data.library.has_dynamic_globals or any(not lifted.can_cache for lifted in data.lifted):
+            return
+        try:
+            code = dumps((self._key(sig, data.codegen), data._reduce()))
+            file = self._file(sig, data.codegen)
+            unfinished = file.with_name(f"{file.name}.tmp.{uuid.uuid4().hex[:16]}")
+            claim(file.parent)
+            try:
+                unfinished.write_bytes(code + _seal(code))
+                os.replace(unfinished, file)
+            except BaseException:
+                with suppress(OSError):
+                    unfinished.unlink()
+                raise
+        except OSError:
+            return
+        _forget_once()
+
+    @cached_property
+    def _identity(self) -> tuple[bytes, ...]:
+        """Digests of what the code depends on beside the kernels: the function, what it encloses, its file."""
+        cells = self._function.__closure__ or ()
+        parts = (
+            dumps(tuple(cell.cell_contents for cell in cells)) if cells else b"",
+            self._function.__code__.co_code,
+            Path(self._function.__code__.co_filename).read_bytes(),
+        )
+        return tuple(hashlib.sha256(part).digest() for part in parts)
+
+    def _key(self, sig: Any, codegen: Any) -> tuple[Any, ...]:
+        return (sig, self._place(sig, codegen), *self._identity)
+
+    def _place(self, sig: Any, codegen: Any) -> str:
+        """Return what tells the files of a function apart: its signature, what it encloses, processor and versions."""
+        code = self._function.__code__
+        versions = (numba.__version__, llvmlite.__version__, sys.implementation.cache_tag, sys.flags.optimize)
+        where = (os.path.abspath(code.co_filename), code.co_firstlineno, self._identity[0])
+        return repr((str(sig), codegen.magic_tuple(), versions, where))
+
+    def _file(self, sig: Any, codegen: Any) -> Path:
+        function = self._function
+        name = re.sub(r"[^\w.]", "", f"{Path(function.__code__.co_filename).stem}.{function.__qualname__}")
+        digest = hashlib.sha256(self._place(sig, codegen).encode(errors="surrogatepass")).hexdigest()
+        return cache_folder() / f"{name}-{digest[:32]}.nbc"
+
+
+def _seal(code: bytes) -> bytes:
+    """Return what stands at the end of a file, where numba does not look."""
+    return hashlib.sha256(code).digest() + MAGIC
+
+
+@lru_cache(maxsize=1)
+def _claim_once() -> None:
+    claim(cache_folder())
+
+
+@lru_cache(maxsize=1)
+def _forget_once() -> None:
+    forget_old_caches()

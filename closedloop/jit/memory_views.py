@@ -1,0 +1,201 @@
+"""Named views into one block of numbers, for compiled code at no cost.
+
+A block is described by its fields, in order, each with its shape in a few sizes (number of joints, of stages ...) that
+are known only when the block is made. `Layout` counts with such sizes as symbols, so that the one description gives
+the size of the block and its views in Python.
+
+Inside compiled code a tuple of forty arrays would travel as three hundred words from call to call. There a block is
+its address and its sizes, and a view is made where it is asked for, as `block.name`: `compiled_views` teaches numba to.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping, Sequence
+from typing import Any
+
+import numpy as np
+from numba import types
+from numba.core import cgutils
+from numba.core.typing.templates import AbstractTemplate, AttributeTemplate, infer_global, signature
+from numba.extending import (
+    infer_getattr,
+    lower_builtin,
+    lower_getattr_generic,
+    models,
+    register_model,
+)
+from numba.np.arrayobj import make_array, populate_array
+from numpy.typing import NDArray
+
+Array = NDArray[np.float64]
+
+# Sizes of blocks whose places are remembered.
+MOST_PLACES = 64
+# A product of sizes, as a sorted tuple of their names, and how many of it there are.
+Terms = dict[tuple[str, ...], int]
+
+
+class Count:
+    """A whole number in terms of sizes that are not yet known: a polynomial."""
+
+    def __init__(self, terms: Terms) -> None:
+        self.terms = {product: count for product, count in terms.items() if count}
+
+    @classmethod
+    def of(cls, x: Count | int | str) -> Count:
+        """Return a number, or a size by its name, as a count."""
+        if isinstance(x, Count):
+            return x
+        return cls({(x,): 1} if isinstance(x, str) else {(): x})
+
+    def __add__(self, other: Count | int) -> Count:
+        terms = dict(self.terms)
+        for product, count in Count.of(other).terms.items():
+            terms[product] = terms.get(product, 0) + count
+        return Count(terms)
+
+    def __mul__(self, other: Count | int) -> Count:
+        terms: Terms = {}
+        for a, x in self.terms.items():
+            for b, y in Count.of(other).terms.items():
+                product = tuple(sorted(a + b))
+                terms[product] = terms.get(product, 0) + x * y
+        return Count(terms)
+
+    __radd__ = __add__
+    __rmul__ = __mul__
+
+    def value(self, sizes: Mapping[str, int]) -> int:
+        """Return the number once the sizes are known."""
+        total = 0
+        for product, count in self.terms.items():
+            for name in product:
+                count *= sizes[name]
+            total += count
+        return total
+
+
+class Layout:
+    """Where each field of a block is, in order.
+
+    Parameters
+    ----------
+    sizes : sequence of str
+        Names of the sizes, in the order in which they are given later.
+    fields : sequence of (name, shape)
+        A shape is a tuple of numbers and `Count`s; all fields are of float64 and follow each other.
+    """
+
+    def __init__(self, sizes: Sequence[str], fields: Sequence[tuple[str, tuple[Count | int, ...]]]) -> None:
+        self.sizes = tuple(sizes)
+        self.at: dict[str, Count] = {}
+        self.shape: dict[str, tuple[Count, ...]] = {}
+        end = Count({})
+        for name, shape in fields:
+            counts = tuple(Count.of(x) for x in shape)
+            self.at[name], self.shape[name] = end, counts
+            size = Count.of(1)
+            for count in counts:
+                size = size * count
+            end = end + size
+        self.end = end
+        # A batch asks for the same few sizes thousands of times.
+        self._places: dict[tuple[int, ...], list[tuple[str, int, int, tuple[int, ...]]]] = {}
+
+    def size(self, *sizes: int) -> int:
+        """Return how many numbers the block has."""
+        return self.end.value(dict(zip(self.sizes, sizes, strict=True)))
+
+    def views(self, memory: Array, *sizes: int) -> dict[str, Array]:
+        """Return the views of a block by their names; of a block of arrays, memory (size, ...), those of each."""
+        places = self._places.get(sizes)
+        if places is None:
+            places = self._places_for(dict(zip(self.sizes, sizes, strict=True)))
+            if len(self._places) >= MOST_PLACES:
+                self._places.clear()
+            self._places[sizes] = places
+        each = memory.shape[1:]
+        return {name: memory[begin:end].reshape(shape + each) for name, begin, end, shape in places}
+
+    def _places_for(self, known: Mapping[str, int]) -> list[tuple[str, int, int, tuple[int, ...]]]:
+        """Return name, begin, end and shape of each field."""
+        places = []
+        for name, at in self.at.items():
+            shape = tuple(count.value(known) for count in self.shape[name])
+            places.append((name, at.value(known), at.value(known) + math.prod(shape), shape))
+        return places
+
+
+def array_on(context: Any, builder: Any, kind: Any, data: Any, shape: list[Any]) -> Any:
+    """Return compiled code's array of a type (C or F order) and shape on the numbers at the pointer `data`."""
+    size = context.get_constant(types.intp, context.get_abi_sizeof(context.get_data_type(kind.dtype)))
+    strides = [size]
+    for length in shape[:-1] if kind.layout == "F" else reversed(shape[1:]):
+        strides.append(builder.mul(strides[-1], length))
+    if kind.layout == "C":
+        strides.reverse()
+    array = make_array(kind)(context, builder)
+    populate_array(array, data=data, shape=shape, strides=strides, itemsize=size, meminfo=None, parent=None)
+    return array._getvalue()
+
+
+def compiled_views(layout: Layout, function: Any) -> None:
+    """Make `function(memory, *sizes)`, in compiled code, the block's views as attributes.
+
+    Memory of float64 has views of float64, of octets (`closedloop.jit.simd8`) views of octets. It must outlive the
+    views; numba does not count who refers to it.
+    """
+
+    class Block(types.Type):
+        def __init__(self, dtype: Any) -> None:
+            self.dtype = dtype
+            super().__init__(name=f"Block of {dtype}: " + ", ".join(layout.at))
+
+    @register_model(Block)
+    class Model(models.StructModel):
+        def __init__(self, dmm: Any, fe_type: Any) -> None:
+            sizes = ((name, types.intp) for name in layout.sizes)
+            super().__init__(dmm, fe_type, [("base", types.CPointer(fe_type.dtype)), *sizes])
+
+    @infer_global(function)
+    class Views(AbstractTemplate):
+        key = function
+
+        def generic(self, args: Any, kws: Any) -> Any:
+            fits = isinstance(args[0], types.Array) and len(args) == 1 + len(layout.sizes) and not kws
+            return signature(Block(args[0].dtype), *args) if fits and args[0].layout == "C" else None
+
+    @lower_builtin(function, types.Array, types.VarArg(types.Any))
+    def lower_views(context: Any, builder: Any, call: Any, arguments: Any) -> Any:
+        struct = cgutils.create_struct_proxy(call.return_type)(context, builder)
+        struct.base = make_array(call.args[0])(context, builder, value=arguments[0]).data
+        for name, kind, value in zip(layout.sizes, call.args[1:], arguments[1:], strict=True):
+            setattr(struct, name, context.cast(builder, value, kind, types.intp))
+        return struct._getvalue()
+
+    @infer_getattr
+    class Attributes(AttributeTemplate):
+        key = Block
+
+        def generic_resolve(self, value: Any, attribute: str) -> Any:  # type: ignore[override]
+            shape = layout.shape.get(attribute)
+            return None if shape is None else types.Array(value.dtype, len(shape), "C")
+
+    @lower_getattr_generic(Block)
+    def lower_attribute(context: Any, builder: Any, kind: Any, value: Any, attribute: str) -> Any:
+        struct = cgutils.create_struct_proxy(kind)(context, builder, value=value)
+
+        def number(count: Count) -> Any:
+            total = context.get_constant(types.intp, count.terms.get((), 0))
+            for product, times in count.terms.items():
+                if product:
+                    x = getattr(struct, product[0])
+                    for name in product[1:]:
+                        x = builder.mul(x, getattr(struct, name))
+                    total = builder.add(total, builder.mul(x, context.get_constant(types.intp, times)))
+            return total
+
+        shape = [number(count) for count in layout.shape[attribute]]
+        data = builder.gep(struct.base, [number(layout.at[attribute])])
+        return array_on(context, builder, types.Array(kind.dtype, len(shape), "C"), data, shape)

@@ -1,0 +1,272 @@
+"""Eight numbers that take part in arithmetic as one: a number of each of eight runs.
+
+A processor adds eight pairs of numbers in about the time of one. The arithmetic of a step has few loops in which it
+could: its matrices are small and each line waits for the one before. But eight runs do the same at every step. So
+compiled code knows a number `octet`, eight float64 in one register, and arrays of it; a kernel that is given octets
+where it would be given floats is compiled for them, and its lines, in the same order, are done for eight runs. Nothing
+in it is different: each of the eight comes out to the last bit as it would alone.
+
+What a kernel cannot do is decide: a comparison of octets has eight answers, and numba refuses to branch on it. Kernels
+that are meant for both say `select` for a number that depends on a comparison, and `every` for a check.
+"""
+
+from __future__ import annotations
+
+import math
+import operator
+from collections.abc import Callable
+from typing import Any
+
+import numpy as np
+from llvmlite import ir
+from numba import types
+from numba.core.typeconv.castgraph import Conversion
+from numba.core.typing.templates import AbstractTemplate, infer_global, signature
+from numba.extending import intrinsic, lower_builtin, lower_cast, models, overload, register_model
+from numpy.typing import NDArray
+
+from closedloop.jit.memory_views import array_on
+
+Array = NDArray[np.float64]
+
+_intrinsic: Any = intrinsic  # its annotations know only the function that is written, not the one that is called
+
+WIDE = 8
+_DOUBLES = ir.VectorType(ir.DoubleType(), WIDE)
+_ANSWERS = ir.VectorType(ir.IntType(1), WIDE)
+_INDEX = ir.IntType(32)
+_ALL = ir.IntType(WIDE)((1 << WIDE) - 1)
+
+
+class Octet(types.Type):
+    """The type of eight float64; a float or a whole number becomes one by being there eight times."""
+
+    def __init__(self) -> None:
+        super().__init__(name="octet")
+
+    def can_convert_from(self, typingctx: Any, other: Any) -> Any:
+        """Say how another type becomes this one."""
+        return Conversion.safe if isinstance(other, (types.Float, types.Integer)) else None
+
+    def unify(self, typingctx: Any, other: Any) -> Any:
+        """Return the type of a variable that is at times this, at times the other."""
+        return self if isinstance(other, (types.Float, types.Integer)) else None
+
+
+class Answers(types.Type):
+    """The type of what a comparison of octets says: eight times yes or no."""
+
+    def __init__(self) -> None:
+        super().__init__(name="answers of octets")
+
+    def can_convert_from(self, typingctx: Any, other: Any) -> Any:
+        """Say how another type becomes this one: numba takes a sum for a float until it has seen what is added."""
+        return Conversion.safe if isinstance(other, types.Boolean) else None
+
+    def unify(self, typingctx: Any, other: Any) -> Any:
+        """Return the type of a variable that is at times this, at times the other."""
+        return self if isinstance(other, types.Boolean) else None
+
+
+octet, answers = Octet(), Answers()
+
+
+@register_model(Octet)
+class _OctetModel(models.PrimitiveModel):
+    def __init__(self, dmm: Any, fe_type: Any) -> None:
+        super().__init__(dmm, fe_type, _DOUBLES)
+
+
+@register_model(Answers)
+class _AnswersModel(models.PrimitiveModel):
+    def __init__(self, dmm: Any, fe_type: Any) -> None:
+        super().__init__(dmm, fe_type, _ANSWERS)
+
+
+def select(condition: Any, yes: Any, no: Any) -> Any:
+    """Return `yes` where the condition holds, else `no`; both are worked out, so neither may fail."""
+    return yes if condition else no
+
+
+def every(condition: Any) -> bool:
+    """Whether a condition holds, for octets in all eight."""
+    return bool(condition)
+
+
+def nearest(x: float) -> float:
+    """Return an angle as it is, or, where it is many turns, within half a turn of zero."""
+    return x if abs(x) <= MANY_TURNS else math.atan2(math.sin(x), math.cos(x))
+
+
+# Beyond this an angle's multiple of π/2 is no longer subtracted exactly, see `closedloop.robot.tree.angles`.
+MANY_TURNS = 1e6
+
+
+def aligned(*shape: int) -> Array:
+    """Return zeros (*shape, WIDE) whose memory begins where an octet may, for `octets_at`."""
+    count = math.prod(shape) * WIDE
+    room = np.zeros(count + WIDE)
+    first = -(room.ctypes.data // room.itemsize) % WIDE
+    return room[first : first + count].reshape(*shape, WIDE)
+
+
+@lower_cast(types.Float, Octet)
+@lower_cast(types.Integer, Octet)
+def _eight_times(context: Any, builder: Any, given: Any, wanted: Any, value: Any) -> Any:
+    return _repeated(builder, context.cast(builder, value, given, types.float64), _DOUBLES)
+
+
+@lower_cast(types.Boolean, Answers)
+def _eight_answers(context: Any, builder: Any, given: Any, wanted: Any, value: Any) -> Any:
+    return _repeated(builder, context.cast(builder, value, given, types.boolean), _ANSWERS)
+
+
+def _repeated(builder: Any, value: Any, kind: Any) -> Any:
+    nothing = ir.Constant(kind, ir.Undefined)
+    first = builder.insert_element(nothing, value, _INDEX(0))
+    return builder.shuffle_vector(first, nothing, ir.Constant(ir.VectorType(_INDEX, WIDE), [0] * WIDE))
+
+
+def _teach(function: Any, kinds: tuple[Any, ...], result: Any, emit: Callable[..., Any]) -> None:
+    """Teach numba a function of octets (or answers): `emit(builder, *values)` writes its code."""
+
+    @infer_global(function)
+    class Typing(AbstractTemplate):
+        key = function
+
+        def generic(self, args: Any, kws: Any) -> Any:
+            own = any(isinstance(x, (Octet, Answers)) for x in args)
+            fits = len(args) == len(kinds) and all(
+                x == kind or (kind is octet and isinstance(x, (types.Float, types.Integer)))
+                for x, kind in zip(args, kinds, strict=True)
+            )
+            return signature(result, *kinds) if own and fits and not kws else None
+
+    @lower_builtin(function, *kinds)
+    def lower(context: Any, builder: Any, call: Any, values: Any) -> Any:
+        return emit(builder, *values)
+
+
+def _bits(builder: Any, x: Any) -> Any:
+    return builder.bitcast(x, _ALL.type)
+
+
+def _one_instruction(name: str) -> Callable[..., Any]:
+    return lambda builder, *values: getattr(builder, name)(*values)
+
+
+def _comparison(sign: str) -> Callable[..., Any]:
+    ordered = sign != "!="  # what is not a number differs from everything, itself included
+    return lambda builder, x, y: (builder.fcmp_ordered if ordered else builder.fcmp_unordered)(sign, x, y)
+
+
+def _library(name: str) -> Callable[..., Any]:
+    kind = ir.FunctionType(_DOUBLES, [_DOUBLES])
+    return lambda builder, x: builder.call(builder.module.declare_intrinsic(name, fnty=kind), [x])
+
+
+def _larger(builder: Any, x: Any, y: Any) -> Any:
+    return builder.select(builder.fcmp_ordered(">", y, x), y, x)
+
+
+def _smaller(builder: Any, x: Any, y: Any) -> Any:
+    return builder.select(builder.fcmp_ordered("<", y, x), y, x)
+
+
+for _name, _instruction in (("add", "fadd"), ("sub", "fsub"), ("mul", "fmul"), ("truediv", "fdiv")):
+    for _function in (getattr(operator, _name), getattr(operator, f"i{_name}")):
+        _teach(_function, (octet, octet), octet, _one_instruction(_instruction))
+for _name, _sign in (("lt", "<"), ("le", "<="), ("gt", ">"), ("ge", ">="), ("eq", "=="), ("ne", "!=")):
+    _teach(getattr(operator, _name), (octet, octet), answers, _comparison(_sign))
+_teach(operator.neg, (octet,), octet, _one_instruction("fneg"))
+_teach(abs, (octet,), octet, _library(f"llvm.fabs.v{WIDE}f64"))
+_teach(math.sqrt, (octet,), octet, _library(f"llvm.sqrt.v{WIDE}f64"))
+_teach(max, (octet, octet), octet, _larger)
+_teach(min, (octet, octet), octet, _smaller)
+_teach(operator.and_, (answers, answers), answers, _one_instruction("and_"))
+_teach(operator.or_, (answers, answers), answers, _one_instruction("or_"))
+
+
+@infer_global(select)
+class _Select(AbstractTemplate):
+    key = select
+
+    def generic(self, args: Any, kws: Any) -> Any:
+        if len(args) != 3 or kws:
+            return None
+        if args[0] == answers:
+            return signature(octet, answers, octet, octet)
+        kind = self.context.unify_types(*args[1:])
+        return signature(kind, types.boolean, kind, kind) if isinstance(kind, types.Number) else None
+
+
+@lower_builtin(select, types.Any, types.Any, types.Any)
+def _lower_select(context: Any, builder: Any, call: Any, values: Any) -> Any:
+    return builder.select(*values)
+
+
+_teach(every, (answers,), types.boolean, lambda builder, x: builder.icmp_unsigned("==", _bits(builder, x), _ALL))
+
+
+@infer_global(every)
+class _Every(AbstractTemplate):
+    key = every
+
+    def generic(self, args: Any, kws: Any) -> Any:
+        return signature(types.boolean, types.boolean) if args == (types.boolean,) and not kws else None
+
+
+@lower_builtin(every, types.boolean)
+def _lower_every(context: Any, builder: Any, call: Any, values: Any) -> Any:
+    return values[0]
+
+
+# For compiled code alone.
+@_intrinsic
+def lane(typingctx: Any, x: Any, i: Any) -> Any:
+    """Return number i of an octet."""
+
+    def lower(context: Any, builder: Any, call: Any, values: Any) -> Any:
+        return builder.extract_element(values[0], builder.trunc(values[1], _INDEX))
+
+    return types.float64(octet, types.intp), lower
+
+
+@_intrinsic
+def with_lane(typingctx: Any, x: Any, i: Any, number: Any) -> Any:
+    """Return an octet with its number i replaced."""
+
+    def lower(context: Any, builder: Any, call: Any, values: Any) -> Any:
+        return builder.insert_element(values[0], values[2], builder.trunc(values[1], _INDEX))
+
+    return octet(octet, types.intp, types.float64), lower
+
+
+@_intrinsic
+def octets_at(typingctx: Any, address: Any, count: Any) -> Any:
+    """Return the (count,) array of octets at an address: the memory of an array from `aligned`."""
+    kind = types.Array(octet, 1, "C")
+
+    def lower(context: Any, builder: Any, call: Any, values: Any) -> Any:
+        data = builder.inttoptr(values[0], _DOUBLES.as_pointer())
+        return array_on(context, builder, kind, data, [values[1]])
+
+    return kind(types.intp, types.intp), lower
+
+
+# numba wants the same names and annotations from what it is given and what it gets.
+@overload(nearest)
+def _nearest(x: Any) -> Any:
+    def of_octets(x: Any) -> Any:
+        near = x
+        if not every(abs(x) <= MANY_TURNS):
+            for i in range(WIDE):
+                one = lane(x, i)
+                if not abs(one) <= MANY_TURNS:
+                    near = with_lane(near, i, math.atan2(math.sin(one), math.cos(one)))
+        return near
+
+    def of_numbers(x: Any) -> Any:
+        return x if abs(x) <= MANY_TURNS else math.atan2(math.sin(x), math.cos(x))
+
+    return of_octets if isinstance(x, Octet) else of_numbers

@@ -1,0 +1,213 @@
+"""A run as a file: NetCDF-4, which is HDF5, with everything that is needed to repeat it as attributes.
+
+xarray, h5py and MATLAB open it. Reading trusts nothing: what is not exactly a run is refused with the file's name. Two
+digests tell damage: the file's seal (`closedloop.record.sealed`), of all its bytes, and the attribute `checksum`, of
+what a run is made of, which still holds when another program has added to the file. Files from before there were any
+are read too; of them only what cannot be a run is refused.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import io
+import json
+import math
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any, BinaryIO
+
+import numpy as np
+from numpy.typing import NDArray
+
+import robot_models
+from closedloop.errors import ClosedLoopError, RunFileError
+from closedloop.files import reason_of, write_whole
+from closedloop.record.run import COLUMNS, Run
+from closedloop.record.sealed import read_sealed, seal
+from closedloop.scenario.scenario import Scenario, parse_scenario
+from robot_models import RobotModel
+
+FORMAT, FORMAT_VERSION = "closedloop run", 2
+CHECKSUM = "checksum"
+# Attributes that must be text, and that files from before there was a checksum may lack.
+_TEXTS = ("scenario", "robot_text", "robot", "law", "versions", "stopped")
+_LATER = {"engine": "pinocchio", "law_digest": "", "not_finite": '["kkt_condition"]'}
+# Columns that files of earlier versions may lack, and a column as long: what nobody wrote down is NaN.
+_LATER_COLUMNS = {"energy_supplied": "time", "event_restitution": "event_time"}
+# What the checksum is of.
+ATTRIBUTES = {"format", "format_version", "seed", "wall_seconds", "summary", *_TEXTS, *_LATER}
+
+
+def question(scenario: Scenario, model: RobotModel, law: str, law_digest: str, engine: str) -> dict[str, str]:
+    """Return what determines a run to the last bit, on one machine, as the texts that its file has as attributes."""
+    robot = {name: getattr(model, name) for name in ("name", "format", "tip", "description", "source")}
+    robot |= {name: getattr(model, name).tolist() for name in ("armature", "home", "gravity")}
+    robot["locked"] = dict(model.locked)
+    return {
+        "scenario": scenario.to_toml(),
+        "robot_text": model.text,
+        "robot": json.dumps(robot),  # floats in their shortest exact form
+        "law": law,
+        "law_digest": law_digest,
+        "engine": engine,
+    }
+
+
+def attributes(run: Run) -> dict[str, Any]:
+    """Return what made the run, as plain text and numbers."""
+    return {
+        "format": FORMAT,
+        "format_version": FORMAT_VERSION,
+        **question(run.scenario, run.model, run.law, run.law_digest, run.engine),
+        "seed": _seed(run),
+        "versions": json.dumps(dict(run.versions)),
+        "stopped": run.stopped or "",
+        "wall_seconds": run.wall_seconds,
+        "not_finite": json.dumps(_not_finite(run.columns)),
+        "summary": json.dumps(run.summary()),
+    }
+
+
+def _seed(run: Run) -> str:
+    sensor = run.scenario.sensor
+    if sensor is not None and sensor.noise > 0.0:
+        return f"{sensor.seed}: the noise of the force sensor; nothing else in this run is random"
+    return "none: nothing in this run is random"
+
+
+def _not_finite(columns: Mapping[str, NDArray[Any]]) -> list[str]:
+    """Return the columns in which a number is infinite or none at all."""
+    return [name for name in COLUMNS if not np.all(np.isfinite(columns[name]))]
+
+
+def checksum(found: Mapping[str, Any], columns: Mapping[str, NDArray[Any]]) -> str:
+    """Return the SHA-256 of the attributes of a file, its own left out, and of the columns of a run that it has.
+
+    Each attribute in order of the alphabet as the JSON of [name, value]; each column as that of [name, type, shape] and
+    its bytes, rows first.
+    """
+    total = hashlib.sha256()
+    for name in sorted(found):
+        total.update(json.dumps([name, found[name]]).encode())
+    for name in (name for name in COLUMNS if name in columns):
+        column = np.ascontiguousarray(columns[name])
+        total.update(json.dumps([name, column.dtype.str, column.shape]).encode())
+        total.update(column.tobytes())
+    return f"sha256:{total.hexdigest()}"
+
+
+def save_run(run: Run, path: str | Path) -> Path:
+    """Write a run and return the path; an older file is replaced only once the new one is whole.
+
+    Raises
+    ------
+    OutputError
+        If the file cannot be written.
+    """
+    import h5netcdf
+    import h5py
+
+    # In memory: HDF5 would end the process over a full disk.
+    image = io.BytesIO()
+    with h5netcdf.File(image, "w") as file:
+        file.dimensions = {"time": len(run), "joint": run.model.n, "axis": 3, "event": len(run.events)}
+        for name, spec in COLUMNS.items():
+            variable = file.create_variable(name, spec.dims, data=np.asarray(run.columns[name]))
+            variable.attrs["units"] = run.units(name)
+            variable.attrs["long_name"] = spec.meaning
+        labels = {
+            "joint": ("joint", run.model.joint_names),
+            "joint_type": ("joint", run.model.joint_types),
+            "axis": ("axis", ("x", "y", "z")),
+        }
+        for name, (dimension, words) in labels.items():
+            text = file.create_variable(name, (dimension,), dtype=h5py.string_dtype())
+            text[:] = np.array(words, dtype=object)
+        made = attributes(run)
+        for key, value in (made | {CHECKSUM: checksum(made, run.columns)}).items():
+            file.attrs[key] = value
+    content = image.getbuffer()
+
+    def write(file: BinaryIO) -> None:
+        file.write(content)
+        file.write(seal(content))
+
+    return write_whole(path, write)
+
+
+def load_run(path: str | Path) -> Run:
+    """Read a run that `save_run` wrote, now or in an earlier version with this format: a column it lacks is NaN.
+
+    Raises
+    ------
+    RunFileError
+        If there is no such file, or it is not a run, or it is damaged.
+    """
+    path = Path(path)
+    try:
+        run = _run_of(*read_sealed(path, list(COLUMNS)))
+    except KeyError as error:
+        raise RunFileError(f"{path}: is not a run file, or is damaged: {error} is missing") from None
+    except ClosedLoopError as error:
+        raise RunFileError(f"{path}: {error}") from None
+    except RecursionError:
+        raise RunFileError(f"{path}: is damaged: an attribute is nested too deep") from None
+    except (OSError, ValueError, TypeError, AttributeError, ArithmeticError, LookupError, RuntimeError) as error:
+        raise RunFileError(f"{path}: is not a run file, or is damaged: {reason_of(error)}") from None
+    return run
+
+
+def _run_of(found: Mapping[str, Any], columns: dict[str, NDArray[Any]]) -> Run:
+    """Make a run of what a file holds, which may be anything."""
+    if found.get("format") != FORMAT:
+        raise RunFileError(f"is not a run file (its 'format' attribute is not '{FORMAT}')")
+    version = int(found["format_version"])
+    if version != FORMAT_VERSION:
+        age, cure = ("a newer", "") if version > FORMAT_VERSION else ("an older", "; run its scenario again")
+        raise RunFileError(f"was written by {age} version: format {version}, this one reads {FORMAT_VERSION}{cure}")
+    if CHECKSUM in found:
+        _verify(found, columns)
+    found = _LATER | dict(found)
+    if wrong := [key for key in (*_TEXTS, *_LATER) if not isinstance(found[key], str)]:
+        raise RunFileError(f"is damaged: attribute '{wrong[0]}' is not text")
+    robot, versions = json.loads(found["robot"]), json.loads(found["versions"])
+    if not (isinstance(robot, dict) and isinstance(versions, dict) and isinstance(robot.get("name"), str)):
+        raise RunFileError("is damaged: its attributes 'robot' and 'versions' must be tables")
+    if found["engine"] not in ("pinocchio", "compiled"):
+        raise RunFileError(f"is damaged: attribute 'engine' is {found['engine'][:40]!r}")
+    if not 0.0 <= float(found["wall_seconds"]) < math.inf:
+        raise RunFileError(f"is damaged: attribute 'wall_seconds' is {found['wall_seconds']}")
+    model = robot_models.from_text(found["robot_text"], **robot)
+    absent = [name for name in _LATER_COLUMNS if name not in columns]
+    columns |= {name: np.full(columns[_LATER_COLUMNS[name]].size, np.nan) for name in absent}
+    _check_columns(columns, model.n, [*json.loads(found["not_finite"]), *absent])
+    return Run(
+        scenario=parse_scenario(found["scenario"], where="attribute 'scenario'"),
+        model=model,
+        columns=columns,
+        law=found["law"],
+        versions=versions,
+        stopped=found["stopped"] or None,
+        wall_seconds=float(found["wall_seconds"]),
+        engine=found["engine"],
+        law_digest=found["law_digest"],
+    )
+
+
+def _verify(found: Mapping[str, Any], columns: Mapping[str, NDArray[Any]]) -> None:
+    """Compare the checksum with that of what was written, whatever else another program has added since."""
+    ours = {name: value for name, value in found.items() if name in ATTRIBUTES}
+    if found[CHECKSUM] != checksum(ours, columns):
+        raise RunFileError("is damaged, or was changed: its checksum is not that of its columns and attributes")
+
+
+def _check_columns(columns: Mapping[str, NDArray[Any]], joints: int, not_finite: list[str]) -> None:
+    sizes = {"time": columns["time"].size, "joint": joints, "axis": 3, "event": columns["event_time"].size}
+    for name, spec in COLUMNS.items():
+        column, shape = columns[name], tuple(sizes[dim] for dim in spec.dims)
+        if column.shape != shape or column.dtype.kind not in "fi":
+            raise RunFileError(
+                f"is damaged: column '{name}' is {column.dtype} of shape {column.shape}, not numbers of shape {shape}"
+            )
+    if wrong := [name for name in _not_finite(columns) if name not in not_finite]:
+        raise RunFileError(f"is damaged: column '{wrong[0]}' has entries that are not finite numbers")

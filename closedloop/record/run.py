@@ -1,0 +1,217 @@
+"""A run: named columns with units, and with them everything that made them.
+
+Row k holds the state at time[k] and what acted in that state: the acceleration, torque and contact force of a row
+belong to the q and q̇ of the same row. The file is NetCDF-4, which is HDF5: xarray, h5py and MATLAB open it.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from copy import deepcopy
+from dataclasses import dataclass, field
+from functools import cached_property
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from closedloop.events.table import EVENT_COLUMNS, KINDS
+from closedloop.scenario.scenario import Scenario
+from robot_models import RobotModel
+
+if TYPE_CHECKING:
+    import xarray
+
+Array = NDArray[np.float64]
+
+
+class Column(NamedTuple):
+    """Dimensions, unit and meaning of a column."""
+
+    dims: tuple[str, ...]
+    units: str
+    meaning: str
+
+
+# Joint quantities are in rad, rad/s, rad/s² and N m for revolute joints; for prismatic ones m, m/s, m/s² and N.
+_BY_TIME: dict[str, Column] = {
+    "time": Column(("time",), "s", "time since the start of the run"),
+    "q": Column(("time", "joint"), "rad", "joint positions"),
+    "v": Column(("time", "joint"), "rad s-1", "joint velocities"),
+    "acceleration": Column(("time", "joint"), "rad s-2", "joint accelerations, solution of Eq. 24"),
+    "torque": Column(("time", "joint"), "N m", "torque Q of the control law on the joints (Eq. 33)"),
+    "reference_position": Column(("time", "joint"), "rad", "q_des"),
+    "reference_velocity": Column(("time", "joint"), "rad s-1", "time derivative of q_des"),
+    "reference_tip": Column(("time", "axis"), "m", "desired tip position, base frame"),
+    "reference_force": Column(("time",), "N", "desired contact force f_des"),
+    "position": Column(("time", "axis"), "m", "tip position r, base frame"),
+    "velocity": Column(("time", "axis"), "m s-1", "tip velocity, base frame"),
+    "contact_force": Column(
+        ("time",),
+        "N",
+        "force of the surface on the tip along the surface normal; positive pushes the robot away",
+    ),
+    "stabiliser_force": Column(("time",), "N", "the part of contact_force that answers the stabiliser"),
+    "friction_force": Column(("time", "axis"), "N", "tangential force of the surface on the tip, base frame"),
+    "joint_friction": Column(("time", "joint"), "N m", "torque of friction on the joints"),
+    "measured_force": Column(("time",), "N", "what the force sensor says after this row, for the next"),
+    "closure_error": Column(("time",), "m", "e = n.r - d; positive off the surface"),
+    "closure_rate": Column(("time",), "m s-1", "time derivative of closure_error"),
+    "mode": Column(("time",), "1", "0 free, 1 pressed (sliding or at rest), 2 stuck"),
+    "residual_motion": Column(("time",), "1", "relative residual of the equation of motion in Eq. 24"),
+    "residual_closure": Column(("time",), "1", "relative residual of the closure row in Eq. 24"),
+    "kkt_condition": Column(("time",), "1", "condition number of the matrix of Eq. 24, 1-norm, SI units"),
+    "normal_mobility": Column(("time",), "1", "A H^-1 A^T over the trace of J H^-1 J^T; 0 at a singular pose"),
+    "kinetic_energy": Column(("time",), "J", "kinetic energy, drives included"),
+    "potential_energy": Column(("time",), "J", "potential energy of gravity"),
+    "energy_supplied": Column(
+        ("time",), "J", "work of torque, contact force and friction since the start, less what the events took"
+    ),
+}
+
+
+COLUMNS: dict[str, Column] = _BY_TIME | {name: Column(*spec[:3]) for name, spec in EVENT_COLUMNS.items()}
+
+
+class Event(NamedTuple):
+    """One event of the contact: an impact, the beginning or the end of contact, of sticking or of slip.
+
+    Rates are those of the closure error; impulses act on the tip, the tangential one in the base frame. `rate_cut` is
+    the rate of a bounce that `impact.rest_speed` turned into contact. `restitution` is what an impact gave: what
+    `impact.restitution` asks for, but where Newton's law would have created energy; 0 of all other events.
+    """
+
+    time: float
+    kind: str
+    rate_before: float
+    rate_after: float
+    rate_cut: float
+    compression: float
+    decompression: float
+    tangential: Array
+    energy_lost: float
+    position: Array
+    slip_before: float
+    slip_after: float
+    restitution: float
+
+
+@dataclass(frozen=True, eq=False)
+class Run:
+    """The record of a simulation, and what produced it.
+
+    Every column in `COLUMNS` is also an attribute: `run.time` (N,), `run.q` (N, n), `run.position` (N, 3),
+    `run.contact_force` (N,) ... So is every column of the table of events (`closedloop.events.table.EVENT_COLUMNS`),
+    which `run.events` reads row by row. All are read-only.
+
+    Attributes
+    ----------
+    scenario : Scenario
+        What was asked for.
+    model : RobotModel
+        The robot, whole: the run can be repeated without any other file.
+    columns : mapping of str to array
+        The record.
+    law : str
+        "scenario" for the scenario's own law, else the name of the user's.
+    versions : mapping of str to str
+        Packages that made the run.
+    stopped : str or None
+        Why the simulation could not go on; None if it ran to its end.
+    wall_seconds : float
+        Time the simulation took, s.
+    engine : "pinocchio" or "compiled"
+        Who computed the terms; the last bits of a run depend on it.
+    law_digest : str
+        SHA-256 of the text of the user's law, see `closedloop.engines.own_law.law_digest`; "" if it is not known.
+    """
+
+    scenario: Scenario
+    model: RobotModel
+    columns: Mapping[str, NDArray[Any]]
+    law: str = "scenario"
+    versions: Mapping[str, str] = field(default_factory=dict)
+    stopped: str | None = None
+    wall_seconds: float = 0.0
+    engine: str = "pinocchio"
+    law_digest: str = ""
+
+    def __post_init__(self) -> None:
+        for column in self.columns.values():
+            column.setflags(write=False)
+
+    def __setstate__(self, state: dict[str, Any]) -> None:
+        # An array that was pickled or copied may be written to again.
+        self.__dict__.update(state)
+        self.__post_init__()
+
+    def __getattr__(self, name: str) -> NDArray[Any]:
+        if name in COLUMNS:
+            column: NDArray[Any] = self.columns[name]
+            return column
+        raise AttributeError(f"a Run has no '{name}'; its columns are {', '.join(COLUMNS)}")
+
+    def __dir__(self) -> list[str]:
+        return [*super().__dir__(), *COLUMNS]
+
+    def __len__(self) -> int:
+        return int(self.columns["time"].size)
+
+    def __repr__(self) -> str:
+        end = self.columns["time"][-1] if len(self) else 0.0
+        early = ", stopped early" if self.stopped else ""
+        return f"<Run of {self.scenario.name}: {len(self)} rows, 0 to {end:g} s{early}>"
+
+    @cached_property
+    def events(self) -> tuple[Event, ...]:
+        """What happened to the contact, in order of time."""
+        parts = [self.columns[name] for name in EVENT_COLUMNS]
+        rows = zip(*(part if part.ndim == 2 else part.tolist() for part in parts), strict=True)
+        return tuple(Event(row[0], KINDS[row[1]], *row[2:]) for row in rows)
+
+    @cached_property
+    def _summary(self) -> dict[str, Any]:
+        from closedloop.report import summarise
+
+        return summarise(self)
+
+    def summary(self) -> dict[str, Any]:
+        """Return what the command line prints and writes as summary.json; see `closedloop.report`."""
+        return deepcopy(self._summary)
+
+    def units(self, name: str) -> str:
+        """Return the unit of a column; of a robot that turns and slides both, by joint type ("rad | m")."""
+        spec = COLUMNS[name]
+        sliding = spec.units.replace("rad", "m").replace("N m", "N")
+        if "joint" not in spec.dims or sliding == spec.units:
+            return spec.units
+        kinds = {kind == "prismatic" for kind in self.model.joint_types}
+        return f"{spec.units} | {sliding}" if len(kinds) == 2 else (sliding if kinds == {True} else spec.units)
+
+    def to_xarray(self) -> xarray.Dataset:
+        """Return the run as an xarray Dataset with units and the attributes of the file."""
+        import xarray
+
+        from closedloop.record.netcdf import attributes
+
+        def variable(name: str) -> tuple[tuple[str, ...], NDArray[Any], dict[str, str]]:
+            spec = COLUMNS[name]
+            return spec.dims, np.asarray(self.columns[name]), {"units": self.units(name), "long_name": spec.meaning}
+
+        return xarray.Dataset(
+            {name: variable(name) for name in COLUMNS if name != "time"},
+            {
+                "time": variable("time"),
+                "joint": list(self.model.joint_names),
+                "joint_type": ("joint", list(self.model.joint_types)),
+                "axis": ["x", "y", "z"],
+            },
+            attributes(self),
+        )
+
+    def save(self, path: str | Path) -> Path:
+        """Write the run as NetCDF-4 (HDF5) and return the path; see `closedloop.record.netcdf.save_run`."""
+        from closedloop.record.netcdf import save_run
+
+        return save_run(self, path)

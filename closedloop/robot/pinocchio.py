@@ -1,0 +1,181 @@
+"""The border to Pinocchio: everything the simulator knows of a robot's mechanics passes through this file."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import Any, NamedTuple
+
+import numpy as np
+import pinocchio as pin
+from numpy.typing import ArrayLike, NDArray
+
+from closedloop.errors import ModelError
+from robot_models import RobotModel
+
+Array = NDArray[np.float64]
+
+
+class Terms(NamedTuple):
+    """What the equation of motion and the closure need of one state (q, q̇); arrays are read-only copies.
+
+    Attributes
+    ----------
+    mass_matrix : (n, n) array
+        H, kg m² (kg for prismatic joints), drive inertia included (Eq. 8).
+    bias : (n,) array
+        C, N m: Coriolis, centrifugal and gravity terms (Eq. 8).
+    position : (3,) array
+        r, tip in the base frame, m.
+    jacobian : (3, n) array
+        Jᵣ, tip velocity per joint velocity, base axes (Eq. 13).
+    drift : (3,) array
+        J̇ᵣq̇, m/s², base axes (Eq. 18).
+    """
+
+    mass_matrix: Array
+    bias: Array
+    position: Array
+    jacobian: Array
+    drift: Array
+
+
+class Robot:
+    """A robot model with a tip, ready to be evaluated.
+
+    Attributes
+    ----------
+    reach : float
+        Length of the arm stretched out, from the base frame to the tip, m; a sliding joint counts 1 m.
+
+    Parameters
+    ----------
+    model : RobotModel
+        From `robot_models.load`.
+    tip : str, optional
+        Frame whose origin touches the surface; the model's own default if left out.
+
+    Raises
+    ------
+    ModelError
+        If the robot has no such frame, or no default tip.
+    """
+
+    def __init__(self, model: RobotModel, tip: str | None = None) -> None:
+        self.model = model
+        name = tip if tip is not None else model.tip
+        if name is None:
+            raise ModelError(f"{model.name} has no default tip: name one of its frames, {', '.join(model.frames)}")
+        self.tip = model.require_frame(name)
+        self.joint_names = model.joint_names
+        self.n = len(model.joint_names)
+        self._pin: Any = model.pinocchio_model()
+        self._data: Any = self._pin.createData()
+        self._frame: int = self._pin.getFrameId(self.tip)
+        self._rest = np.zeros(self.n)
+        carrier = self._pin.frames[self._frame].parentJoint
+        self.tip_offset: Array = np.array(self._pin.frames[self._frame].placement.translation)
+        self.gravity: Array = np.array(self._pin.gravity.linear)
+        self.support: Array = np.zeros(self.n)
+        for joint in list(self._pin.supports[carrier])[1:]:
+            self.support[self._pin.joints[joint].idx_v] = 1.0
+        self.reach = self._reach()
+        data = self._data
+        # Views into Pinocchio's own memory: valid, and always current, as long as `_data` lives.
+        self.views: tuple[Array, ...] = (
+            data.M,
+            data.nle,
+            data.J.reshape(6, self.n),  # Pinocchio hands out the one column of a single joint as a vector
+            data.oMi[carrier].rotation,
+            data.oMi[carrier].translation,
+            data.v[carrier].vector,
+            data.a_gf[carrier].vector,
+        )
+
+    def _reach(self) -> float:
+        """Return the attribute `reach`."""
+        chain = [int(joint) for joint in self._pin.supports[self._pin.frames[self._frame].parentJoint]][1:]
+        links = sum(float(np.linalg.norm(self._pin.jointPlacements[joint].translation)) for joint in chain)
+        sliding = sum(self.model.joint_types[self._pin.joints[joint].idx_v] == "prismatic" for joint in chain)
+        return float(links + np.linalg.norm(self.tip_offset) + sliding)
+
+    @property
+    def passes(self) -> tuple[Any, Any, Any, Any, Any]:
+        """Pinocchio's two passes over the tree, with what they are called with; see `evaluator`."""
+        return pin.crba, pin.nonLinearEffects, pin.Convention.WORLD, self._pin, self._data
+
+    def evaluator(self, q: Array, v: Array) -> Callable[[], None]:
+        """Return a function that evaluates H, C and the motion of the tip's link into `views`.
+
+        `q` and `v`, each (n,), are read anew at each call, and nothing is checked: this is the inner loop's call. See
+        `closedloop.robot.tip` for the rest of the way to the tip.
+        """
+        crba, bias, convention, model, data = self.passes
+
+        def evaluate() -> None:
+            crba(model, data, q, convention)  # H, and the Jacobian of every joint
+            bias(model, data, q, v)  # C: recursive Newton-Euler with q̈ = 0
+
+        return evaluate
+
+    def terms(self, q: ArrayLike, v: ArrayLike) -> Terms:
+        """Return H, C, r, Jᵣ and J̇ᵣq̇ of one state, from Pinocchio's frame functions.
+
+        Parameters
+        ----------
+        q, v : (n,) arrays
+            Joint positions, rad (m), and velocities, rad/s (m/s).
+
+        Raises
+        ------
+        ValueError
+            If a length is wrong or an entry is not finite (Pinocchio itself would let NaN pass).
+        """
+        q, v = self._checked(q, "q"), self._checked(v, "v")
+        model, data, frame = self._pin, self._data, self._frame
+        self.evaluator(q, v)()
+        H = np.triu(data.M)
+        H += np.triu(H, 1).T
+        bias = data.nle.copy()
+        pin.forwardKinematics(model, data, q, v, self._rest)  # q̈ = 0 leaves the velocity-product accelerations
+        pin.updateFramePlacement(model, data, frame)
+        return Terms(
+            _frozen(H),
+            _frozen(bias),
+            _frozen(data.oMf[frame].translation.copy()),
+            _frozen(np.ascontiguousarray(pin.getFrameJacobian(model, data, frame, _ALIGNED).reshape(6, self.n)[:3])),
+            _frozen(pin.getFrameClassicalAcceleration(model, data, frame, _ALIGNED).linear.copy()),
+        )
+
+    def position(self, q: ArrayLike) -> Array:
+        """Return the tip position r (3,), m, base frame, at joint positions q (n,)."""
+        pin.framesForwardKinematics(self._pin, self._data, self._checked(q, "q"))
+        return np.array(self._data.oMf[self._frame].translation)
+
+    def position_and_jacobian(self, q: Array) -> tuple[Array, Array]:
+        """Return r (3,) and Jᵣ (3, n), base axes, at q (n,); nothing is checked."""
+        jacobian = pin.computeFrameJacobian(self._pin, self._data, q, self._frame, _ALIGNED).reshape(6, self.n)
+        pin.updateFramePlacement(self._pin, self._data, self._frame)
+        return self._data.oMf[self._frame].translation.copy(), jacobian[:3]
+
+    def potential_energy(self, q: Array) -> Array:
+        """Return the potential energy of each row of q (N, n), J."""
+        model, data = self._pin, self._data
+        return np.array([pin.computePotentialEnergy(model, data, row) for row in np.ascontiguousarray(q)])
+
+    def _checked(self, x: ArrayLike, name: str) -> Array:
+        array = np.ascontiguousarray(x, dtype=np.float64)
+        if array.shape != (self.n,):
+            raise ValueError(
+                f"{name} has shape {array.shape}: {self.model.name} has {self.n} joints {list(self.joint_names)}"
+            )
+        if not np.all(np.isfinite(array)):
+            raise ValueError(f"{name} = {array.tolist()}: must be finite")
+        return array
+
+
+_ALIGNED = pin.LOCAL_WORLD_ALIGNED
+
+
+def _frozen(array: Array) -> Array:
+    array.setflags(write=False)
+    return array

@@ -1,0 +1,64 @@
+"""The tip's motion from that of the link it sits on: Eqs. 13-18 on what Pinocchio's passes leave behind.
+
+`pinocchio.crba` leaves the Jacobian of every joint and `pinocchio.nonLinearEffects` the velocity and acceleration of
+every link, the latter for q̈ = 0 in a base that accelerates upwards instead of gravity. Moving them to the tip is all
+that is left to do, and doing it inside the compiled step saves three calls. `Robot.terms` asks Pinocchio's own frame
+functions for the same quantities; a test holds the two equal.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from closedloop.jit.kernel import kernel
+
+Array = NDArray[np.float64]
+
+
+@kernel
+def tip_kinematics(
+    joint_jacobian: Array, rotation: Array, origin: Array, velocity: Array, acceleration: Array,
+    offset: Array, gravity: Array, support: Array, J: Array, r: Array, drift: Array,
+) -> None:  # fmt: skip
+    """Write the tip's Jacobian, position and drift.
+
+    Parameters
+    ----------
+    joint_jacobian : (6, n) array
+        Spatial Jacobian, linear part first, of the point of each link's body that is at the base origin; base axes.
+    rotation, origin : (3, 3), (3,) arrays
+        Axes and origin of the link's joint frame in the base frame.
+    velocity, acceleration : (6,) arrays
+        Spatial velocity and acceleration of the link, linear part first, in its joint frame; the acceleration is
+        for q̈ = 0 and includes −gravity.
+    offset : (3,) array
+        Tip in the link's joint frame, m.
+    gravity : (3,) array
+        m/s², base frame.
+    support : (n,) array
+        1 for joints between the base and the tip, else 0.
+    J, r, drift : (3, n), (3,), (3,) arrays
+        Written: Jᵣ (Eq. 13), r, m, and J̇ᵣq̇ (Eq. 18), m/s², base axes.
+    """
+    # ṗ = v + ω × o at the tip, in the joint frame
+    w0, w1, w2 = velocity[3], velocity[4], velocity[5]
+    a0, a1, a2 = acceleration[3], acceleration[4], acceleration[5]
+    o0, o1, o2 = offset[0], offset[1], offset[2]
+    u0 = velocity[0] + w1 * o2 - w2 * o1
+    u1 = velocity[1] + w2 * o0 - w0 * o2
+    u2 = velocity[2] + w0 * o1 - w1 * o0
+    # p̈ = a + α × o + ω × ṗ: the spatial acceleration moved to the tip, and the r× term that makes it classical
+    c0 = acceleration[0] + a1 * o2 - a2 * o1 + w1 * u2 - w2 * u1
+    c1 = acceleration[1] + a2 * o0 - a0 * o2 + w2 * u0 - w0 * u2
+    c2 = acceleration[2] + a0 * o1 - a1 * o0 + w0 * u1 - w1 * u0
+    for k in range(3):
+        r[k] = origin[k] + rotation[k, 0] * o0 + rotation[k, 1] * o1 + rotation[k, 2] * o2
+        drift[k] = gravity[k] + rotation[k, 0] * c0 + rotation[k, 1] * c1 + rotation[k, 2] * c2
+    # Jᵣ = J_lin − r × J_ang (Eq. 13)
+    for j in range(J.shape[1]):
+        s = support[j]
+        b0, b1, b2 = joint_jacobian[3, j], joint_jacobian[4, j], joint_jacobian[5, j]
+        J[0, j] = s * (joint_jacobian[0, j] + b1 * r[2] - b2 * r[1])
+        J[1, j] = s * (joint_jacobian[1, j] + b2 * r[0] - b0 * r[2])
+        J[2, j] = s * (joint_jacobian[2, j] + b0 * r[1] - b1 * r[0])

@@ -1,0 +1,15 @@
+"""Any tree of revolute, continuous and prismatic joints, in compiled code of our own: H, C, Jᵣ, r, J̇ᵣq̇ and energy.
+
+    tree = tree_of(robot_models.load("wam4"), "tip")
+    work = np.zeros(work_size(tree.n))
+    tree_terms(tree, q, v, work, H, C, J, r, drift)
+
+Tests hold it equal to Pinocchio; the two are the simulator's two engines.
+"""
+
+from closedloop.robot.tree.energy import energy_there, tree_potential_energy
+from closedloop.robot.tree.layout import Tree, work_size
+from closedloop.robot.tree.model import tree_of
+from closedloop.robot.tree.terms import tree_kinematics, tree_terms
+
+__all__ = ["Tree", "energy_there", "tree_kinematics", "tree_of", "tree_potential_energy", "tree_terms", "work_size"]

@@ -1,0 +1,52 @@
+"""The terms of the equation of motion and of the tip, of one state: what Pinocchio gives, from the package's own code.
+
+Pinocchio's calls cost half a microsecond each and must come from Python. These kernels are compiled into the loop
+that uses them.
+"""
+
+from __future__ import annotations
+
+from closedloop.jit.kernel import kernel
+from closedloop.robot.tree.angles import sines
+from closedloop.robot.tree.dynamics import bodies, matrix_and_bias
+from closedloop.robot.tree.kinematics import jacobian, motion, tip
+from closedloop.robot.tree.layout import Array, Tree
+
+
+@kernel
+def tree_terms(
+    tree: Tree, q: Array, v: Array, work: Array, H: Array, C: Array, J: Array, r: Array, drift: Array
+) -> None:
+    """Write everything that Eq. 24 needs to know of the robot at (q, v).
+
+    Parameters
+    ----------
+    tree : Tree
+        From `tree_of`.
+    q, v : (n,) arrays
+        Joint positions, rad (m), and rates, rad/s (m/s).
+    work : (work_size(n),) array
+        Scratch, zeros at first; not shared by threads.
+    H : (n, n) array
+        Written: mass matrix, kg m² (kg), armature included, the upper triangle; below it nothing is written.
+    C : (n,) array
+        Written: Coriolis, centrifugal and gravity terms, N m (N).
+    J, r, drift : (3, n), (3,), (3,) arrays
+        Written: the tip's Jacobian Jᵣ (Eq. 13; zero for joints that do not move it), position, m, and J̇ᵣq̇ (Eq. 18),
+        m/s², in base axes.
+    """
+    sines(tree, q, work)
+    motion(tree, v, work)
+    tip(tree, work, r, drift)
+    jacobian(tree, work, r, J)
+    bodies(tree, work)
+    matrix_and_bias(tree, work, H, C)
+
+
+@kernel
+def tree_kinematics(tree: Tree, q: Array, v: Array, work: Array, J: Array, r: Array, drift: Array) -> None:
+    """Write J (3, n), r (3,) and drift (3,) alone; see `tree_terms`."""
+    sines(tree, q, work)
+    motion(tree, v, work)
+    tip(tree, work, r, drift)
+    jacobian(tree, work, r, J)

@@ -1,0 +1,197 @@
+"""What gains a step can carry: the law's damping and stiffness against the inertia that they act on.
+
+With the model fed forward, as the laws do, what a law feeds back leaves the arm with ẍ = −K x − D ẋ, in the joints with
+K = H⁻¹K_p and D = H⁻¹K_d. A damper on a mass is itself stepped: one explicit step multiplies the rate by 1 − D h,
+which grows where the largest eigenvalue of D h exceeds 2, and a torque that is held between samples is such a step
+whatever the integrator. A spring adds its K h². So gains are judged by the spectral radius of the step's whole linear
+map, at the start posture, in every direction in which the arm can move.
+
+A tip that is held on a surface cannot move along the normal, so H⁻¹ is the one with that direction taken out; one that
+may leave is judged free. Contact, friction and other postures change this, so the answer is a warning and no refusal.
+"""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from closedloop.closure.baumgarte import linear_step
+from closedloop.control.pack import per_joint
+from closedloop.control.sections import HybridLawSection, ImpedanceLawSection, Posture, TipMotion
+from closedloop.integrators import ADAPTIVE, INTEGRATORS
+from closedloop.robot.pinocchio import Robot
+from closedloop.scenario.scenario import Scenario
+from closedloop.surface.plane import Plane, contact_frame
+
+Array = NDArray[np.float64]
+
+# Rates that nothing pulls at leave a double eigenvalue one, which rounding of 1e-16 splits by its square root, 1e-8.
+GROWING = 1.0 + 1e-6
+
+
+class Feedback(NamedTuple):
+    """What a part of a law feeds back: ẍ = −stiffness x − damping ẋ, (m, m), 1/s² and 1/s, and its keys."""
+
+    spring: str
+    damper: str
+    stiffness: Array
+    damping: Array
+
+
+def growth(feedback: Feedback, integrator: str, h: float, hold: int = 0) -> float:
+    """Return by how much one step, or one held sample, at most multiplies an error in the long run: good up to 1.
+
+    Parameters
+    ----------
+    feedback : Feedback
+    integrator : str
+        See `closedloop.integrators`; one that chooses its steps carries any gains but held ones.
+    h : float
+        Step, s.
+    hold : int
+        Steps for which a sampled torque is held; 0: the law is evaluated at every stage.
+    """
+    K, D = h * h * feedback.stiffness, h * feedback.damping
+    m, eye = K.shape[0], np.eye(K.shape[0])
+    if hold == 0:
+        if integrator in ADAPTIVE:
+            return 1.0
+        step = linear_step(INTEGRATORS[integrator], np.block([[np.zeros((m, m)), eye], [-K, -D]]))
+    else:
+        # Under a constant acceleration the schemes differ in which rate the position advances with.
+        early = {"semi_implicit_euler": 0.5, "explicit_euler": -0.5}.get(integrator, 0.0)
+        pushed = np.vstack([hold * (0.5 * hold + early) * eye, hold * eye]) @ np.hstack([-K, -D])
+        step = np.block([[eye, hold * eye], [np.zeros((m, m)), eye]]) + pushed
+    if not np.all(np.isfinite(step)):
+        return np.inf
+    return float(np.max(np.abs(np.linalg.eigvals(step))))
+
+
+def gains_fault(scenario: Scenario, robot: Robot) -> str:
+    """Return a line about gains of the scenario's law that its step cannot carry, or an empty string.
+
+    Parameters
+    ----------
+    scenario : Scenario
+        One that can be prepared.
+    robot : Robot
+        Its robot with its tip.
+    """
+    h, period = scenario.time.step, scenario.law.sample_period
+    hold = round(period / h) if period else 0
+    start = getattr(scenario.law, "pd_start", None)
+    if start is not None and start >= scenario.time.duration:
+        return ""
+    with np.errstate(over="ignore", invalid="ignore"):  # what is not finite is judged
+        for feedback in feedbacks(scenario, robot):
+            fault = _fault(feedback, scenario, robot, hold)
+            if fault:
+                return fault
+    return ""
+
+
+def _fault(feedback: Feedback, scenario: Scenario, robot: Robot, hold: int) -> str:
+    """Return what is wrong with a feedback that the step cannot carry, and the step that could, or an empty string."""
+    name, span = scenario.time.integrator, scenario.time.step * max(hold, 1)
+    if not all(np.all(np.isfinite(matrix)) for matrix in feedback[2:]):
+        return f"{feedback.spring} or {feedback.damper} is too large for any step"
+    # A negative gain drives the arm away at any step: that is the law's, not the step's.
+    drives = any(np.min(np.linalg.eigvals(matrix).real) < -1e-9 * np.linalg.norm(matrix) for matrix in feedback[2:])
+    if drives or growth(feedback, name, scenario.time.step, hold) <= GROWING:
+        return ""
+    share = _largest_share(feedback, name, scenario.time.step, hold)
+    step = "law.sample_period" if hold else "time.step"
+    what = "a held torque" if hold else f"a step of {name}"
+    cure = "lower it" + (f", or take {step} below {_down(share * span)} s" if share > 1e-6 else "")
+    undamped = feedback._replace(stiffness=np.zeros_like(feedback.stiffness))
+    if growth(undamped, name, scenario.time.step, hold) > GROWING:
+        rates, shapes = np.linalg.eig(feedback.damping)
+        fastest = int(np.argmax(rates.real))
+        damping = float(rates[fastest].real) * span
+        return (
+            f"{_named(feedback.damper, shapes[:, fastest], scenario, robot)} times {step} is {damping:.3g}"
+            f"{_of_inertia(feedback.damper)}, where {damping * share:.3g} is the most that {what} can damp: {cure}"
+        )
+    stiffest = float(np.max(np.linalg.eigvals(feedback.stiffness).real)) * span * span
+    return (
+        f"{feedback.spring} times the square of {step} is {stiffest:.3g}{_of_inertia(feedback.spring)}, more than "
+        f"{what} can carry with this {feedback.damper}: {cure}"
+    )
+
+
+def _of_inertia(key: str) -> str:
+    """Return what a gain is measured against: nothing if it is an acceleration already."""
+    accelerations = ("law.motion_", "law.posture_", "law.approach_")
+    return "" if key.startswith(accelerations) else " times the inertia that it acts on"
+
+
+def _largest_share(feedback: Feedback, integrator: str, h: float, hold: int) -> float:
+    """Return the largest share of a step that would do, by bisection; 0 if none does."""
+    low, high = 0.0, 1.0
+    for _ in range(40):
+        middle = 0.5 * (low + high)
+        low, high = (middle, high) if growth(feedback, integrator, middle * h, hold) <= GROWING else (low, middle)
+    return low
+
+
+def _down(x: float) -> str:
+    """Return x to two digits, rounded down."""
+    unit = 10.0 ** (np.floor(np.log10(x)) - 1)
+    return f"{np.floor(x / unit) * unit:.2g}"
+
+
+def _named(key: str, shape: Array, scenario: Scenario, robot: Robot) -> str:
+    """Return a key of the law, of a gain on joints that of the joint that it damps most in a motion of this shape."""
+    if key != "law.kd":
+        return key
+    gains = per_joint(key, scenario.law.kd, robot.n)  # type: ignore[union-attr]
+    joint = int(np.argmax(gains * np.abs(shape) ** 2))
+    return f"law.kd[{joint}] (joint {robot.joint_names[joint]})"
+
+
+def feedbacks(scenario: Scenario, robot: Robot) -> list[Feedback]:
+    """Return what the scenario's law feeds back at the start posture, in parts that do not disturb each other."""
+    law, n = scenario.law, robot.n
+    q = robot.model.home if scenario.start.q is None else np.array(per_joint("start.q", scenario.start.q, n))
+    terms = robot.terms(q, np.zeros(n))
+    A = contact_frame(Plane.through(terms.position, scenario.surface.normal).normal) @ terms.jacobian
+    held = scenario.surface.contact == "bilateral"
+    try:
+        mobility = np.linalg.inv(terms.mass_matrix)
+    except np.linalg.LinAlgError:  # some joint moves no inertia: the run says so
+        return []
+    S = A @ mobility @ A.T
+    if held and S[0, 0] > 0.0:
+        column = mobility @ A[0]
+        mobility -= np.outer(column, column) / S[0, 0]
+        S -= np.outer(S[:, 0], S[0]) / S[0, 0]
+    parts: list[Feedback] = []
+    if law.kind in ("paper", "hybrid"):
+        kp, kd = (mobility * per_joint(f"law.{name}", getattr(law, name), n) for name in ("kp", "kd"))
+        acts = np.eye(n)
+        if isinstance(law, HybridLawSection):  # T⁺T + N of `closedloop.control.hybrid`
+            acts += np.linalg.pinv(A[1:]) @ A[1:] - np.linalg.pinv(A) @ A
+        parts.append(Feedback("law.kp", "law.kd", kp @ acts, kd @ acts))
+    if isinstance(law, HybridLawSection) and not held:
+        parts.append(_scalar("law.approach_damping", 0.0, "law.approach_damping", law.approach_damping))
+    if isinstance(law, TipMotion):
+        parts.append(_scalar("law.motion_stiffness", law.motion_stiffness, "law.motion_damping", law.motion_damping))
+    if isinstance(law, ImpedanceLawSection):
+        along = S[1:, 1:]
+        parts.append(Feedback("law.stiffness", "law.damping", law.stiffness * along, law.damping * along))
+        if not held:
+            parts.append(
+                _scalar("law.normal_stiffness", law.normal_stiffness * S[0, 0],
+                        "law.normal_damping", law.normal_damping * S[0, 0])
+            )  # fmt: skip
+    if isinstance(law, Posture) and n > np.linalg.matrix_rank(A):
+        names = ("law.posture_stiffness", "law.posture_damping")
+        pull, damping = (per_joint(name, getattr(law, name.removeprefix("law.")), n) for name in names)
+        parts.append(Feedback(*names, np.diag(pull), np.diag(damping)))
+    return parts
+
+
+def _scalar(spring: str, stiffness: float, damper: str, damping: float) -> Feedback:
+    return Feedback(spring, damper, np.array([[stiffness]]), np.array([[damping]]))

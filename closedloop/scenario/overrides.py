@@ -1,0 +1,103 @@
+"""Scenarios that differ from one another in a few keys.
+
+variants = Variants(scenario, ("law.force", "law.kp"))
+variants.scenario((12.0, 900.0))
+"""
+
+from __future__ import annotations
+
+import tomllib
+from collections.abc import Sequence
+from copy import deepcopy
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from closedloop.errors import ScenarioError
+from closedloop.scenario.scenario import Scenario, scenario_of
+
+if TYPE_CHECKING:
+    pass
+
+# As many scenarios are looked at, spread over all, before a batch is begun of which none could be read.
+LOOKED_AT = 100
+
+
+class Variants:
+    """A scenario and the keys that change from run to run.
+
+    Parameters
+    ----------
+    scenario : Scenario
+        What all runs have in common.
+    keys : sequence of str
+        Dotted keys, as `load_scenario` takes them.
+    """
+
+    def __init__(self, scenario: Scenario, keys: Sequence[str]) -> None:
+        self.base, self.keys = scenario, tuple(keys)
+        self._data = scenario.model_dump(mode="python", exclude_none=True)
+        self._touched = {key.partition(".")[0] for key in self.keys} & set(self._data)
+
+    def scenario(self, values: Sequence[Any]) -> Scenario:
+        """Return the scenario in which each key has its value.
+
+        Raises
+        ------
+        ScenarioError
+            If there is no such key, or a value is at fault.
+        """
+        data = self._data | {section: deepcopy(self._data[section]) for section in self._touched}
+        return scenario_of(data, self.base.name, dict(zip(self.keys, values, strict=True)))
+
+    def look(self, points: Sequence[Sequence[Any]]) -> Scenario:
+        """Return the first of these scenarios that can be read; see `LOOKED_AT`.
+
+        Raises
+        ------
+        ScenarioError
+            What is wrong with the first, if none of those looked at can be read: a key is unknown, most likely. An
+            error that nobody foresaw is raised as it is.
+        """
+        first: Exception | None = None
+        for at in sorted(set(np.linspace(0, len(points) - 1, LOOKED_AT).round().astype(int).tolist())):
+            try:
+                return self.scenario(points[at])
+            except Exception as error:  # of its own run, which says it, as long as there are others
+                first = first or error
+        assert first is not None
+        raise first
+
+
+def split_overrides(arguments: list[str]) -> tuple[dict[str, Any], list[str]]:
+    """Take --SECTION.KEY VALUE and --SECTION.KEY=VALUE out of the arguments; return them as overrides, and the rest."""
+    overrides: dict[str, Any] = {}
+    rest: list[str] = []
+    words = iter(arguments)
+    for word in words:
+        key, equals, value = word.removeprefix("--").partition("=")
+        if not word.startswith("--") or "." not in key:
+            rest.append(word)
+            continue
+        if not equals:
+            value = next(words, "--")
+            if value.startswith("--"):
+                raise ScenarioError(f"command line: {word} needs a value, such as --law.force 15")
+        if not _is_text(word + value):
+            raise ScenarioError(f"command line: --{key}: its value must be text in the encoding of this locale")
+        overrides[key] = toml_value(value)
+    return overrides, rest
+
+
+def _is_text(word: str) -> bool:
+    """Whether a word can be written into a file: what the locale does not know comes as half a character."""
+    return not any("\ud800" <= character <= "\udfff" for character in word)
+
+
+def toml_value(text: str) -> Any:
+    """Read a value as TOML would; what is not TOML is text, so that --robot.model panda needs no quotes."""
+    try:
+        document = tomllib.loads(f"value = {text}")
+    except (ValueError, RecursionError):  # no TOML, a number of thousands of digits, a thousand brackets
+        return text
+    return document["value"] if len(document) == 1 else text

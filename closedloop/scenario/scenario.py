@@ -1,0 +1,319 @@
+"""A scenario: everything that determines a run, typed, frozen and validated (TOML in, TOML out).
+
+    scenario = load_scenario("wam_slide", {"law.force": 15.0})
+
+A scenario file is data: it can name a robot and numbers, never code. Unknown keys are errors; `kind` picks a variant.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from copy import deepcopy
+from pathlib import Path
+from typing import Annotated, Any, Literal, Self
+
+from pydantic import AfterValidator, BeforeValidator, Field, ValidationError, model_validator
+
+from closedloop.control.sections import (
+    AdmittanceLawSection,
+    CompensationSection,
+    DynamicHybridLawSection,
+    HybridLawSection,
+    ImpedanceLawSection,
+    NoCompensationSection,
+    OperationalSpaceLawSection,
+    PaperLawSection,
+    SensorSection,
+)
+from closedloop.errors import ScenarioError
+from closedloop.friction.sections import JointFriction, NoFriction, SurfaceFriction
+from closedloop.reference.force import ConstantForceSection, ForceProfile
+from closedloop.reference.sections import HoldSection, Reference
+from closedloop.scenario.file import scenario_text
+from closedloop.scenario.file import shipped_scenarios as shipped_scenarios
+from closedloop.sections import (
+    ANGLE,
+    JOINT_SPEED,
+    PLACE,
+    STEP,
+    Flag,
+    NotNegative,
+    Number,
+    PerJoint,
+    Positive,
+    Restitution,
+    Section,
+    Size,
+    Vector3,
+)
+from robot_models.toml_text import toml_tables
+
+REST_SPEED = Size(1e4, "m/s", "nothing bounces so fast", 1e-12, "slower motion is rounding")
+DAMPING_RATIO = Size(1e6, "", "no closure is damped so", 1e-6, "nothing would die out")
+TIME_CONSTANT = Size(1e300, "s", "no run lasts so long", 1e-9, "no step resolves it")
+DURATION = Size(1e9, "s", "no run lasts so long", 1e-9, "no step is so short")
+
+
+class RobotSection(Section):
+    """[robot]: the arm."""
+
+    model: str = Field("wam4", description="shipped name, example-robot-data name, or a .urdf or MJCF .xml path")
+    tip: str | None = Field(None, description="frame that touches the surface; the model's own tip if left out")
+    drive_inertia: Flag = Field(True, description="add the drives' inertia (armature) to the mass matrix")
+    lock: dict[str, Annotated[Number, ANGLE]] | None = Field(
+        None, description="joints held rigid, and where, rad (m); the model's own choice if left out"
+    )
+
+
+class PlaneSection(Section):
+    """[surface] kind = "plane": n·p = d in the base frame."""
+
+    kind: Literal["plane"] = "plane"
+    normal: Vector3 = Field((0.0, 0.0, 1.0), description="out of the surface, base frame; any length but zero")
+    offset: Annotated[Number, PLACE] | Literal["start"] = Field(
+        "start", description='d for the unit normal, m, or "start": through the tip at the start'
+    )
+    gap: Annotated[NotNegative, PLACE] = Field(
+        0.0, description='with offset = "start": how far below the tip the surface lies, m'
+    )
+    contact: Literal["bilateral", "unilateral"] = Field(
+        "bilateral",
+        description="bilateral: the tip is held to the surface, as in the paper; unilateral: it may touch and leave",
+    )
+
+
+class ImpactSection(Section):
+    """[impact]: what happens when the tip meets the surface; only where surface.contact is "unilateral"."""
+
+    restitution: Restitution = Field(0.0, description="coefficient of restitution, 0 to 1")
+    law: Literal["newton", "poisson", "stronge"] = Field(
+        "stronge",
+        description="restitution as a ratio of velocities (newton), impulses (poisson) or energies (stronge)",
+    )
+    rest_speed: Annotated[Positive, REST_SPEED] = Field(
+        1e-4, description="a bounce slower than this becomes contact, m/s"
+    )
+
+
+class StartSection(Section):
+    """[start]: the state at t = 0."""
+
+    q: Annotated[PerJoint, ANGLE] | None = Field(
+        None, description="joint positions, rad (m); the model's home posture if left out"
+    )
+    v: Annotated[PerJoint, JOINT_SPEED] | None = Field(
+        None, description="joint velocities, rad/s (m/s); at rest if left out"
+    )
+
+
+def _time_constant(value: Any) -> Any:
+    if isinstance(value, str):
+        if value != "auto":
+            raise ValueError('must be a number of seconds, or "auto"')
+        return value
+    if isinstance(value, bool) or not isinstance(value, (int, float)):
+        raise ValueError('must be a number of seconds, or "auto"')
+    if not 0 < value <= TIME_CONSTANT.most:  # compared as it is: a whole number may be too large for a float
+        raise ValueError('must be greater than 0 and finite, or "auto"')
+    return float(value)
+
+
+TimeConstant = Annotated[float | Literal["auto"], BeforeValidator(_time_constant)]
+
+
+class BaumgarteGains(Section):
+    """What Baumgarte's stabiliser is set by: s_v = 2ζ/T, s_p = 1/T²."""
+
+    damping_ratio: Annotated[NotNegative, DAMPING_RATIO] = Field(0.707, description="ζ")
+    time_constant: Annotated[TimeConstant, TIME_CONSTANT] = Field(
+        0.001, description='T, s, or "auto": two steps, or twice the shortest stable T where that is longer'
+    )
+
+
+class BaumgarteSection(BaumgarteGains):
+    """[stabiliser] kind = "baumgarte": a spring and a damper inside Eq. 24, as in the paper."""
+
+    kind: Literal["baumgarte"] = "baumgarte"
+
+
+class ProjectionSection(Section):
+    """[stabiliser] kind = "projection": position and velocity are put back on the closure after each step."""
+
+    kind: Literal["projection"] = "projection"
+
+
+class BothSection(BaumgarteGains):
+    """[stabiliser] kind = "both": Baumgarte inside the step, projection after it."""
+
+    kind: Literal["both"] = "both"
+
+
+class NoStabiliserSection(Section):
+    """[stabiliser] kind = "none": the closure drifts (Fig. 7)."""
+
+    kind: Literal["none"] = "none"
+
+
+def _name(value: Any) -> Any:
+    """A name becomes a folder that results are written to, so it must not lead anywhere else."""
+    if isinstance(value, str) and (not value.isprintable() or set(value) & set("/\\:") or value.startswith(".")):
+        raise ValueError("must be a plain name without slashes, colons or a leading dot")
+    return value
+
+
+Name = Annotated[str, BeforeValidator(_name)]
+IntegratorName = Literal["auto", "semi_implicit_euler", "explicit_euler", "rk4", "dop853"]
+# Laws of friction with states that are stiff: the semi-implicit scheme takes them exactly, rk4 does not at such steps.
+BRISTLES = ("dahl", "lugre", "seven_parameter")
+
+# A number of 53 bits cannot be told apart from its neighbours below 1e-16, nor an error estimate from rounding much
+# above; and a loose tolerance would locate no event.
+LEAST_TOLERANCE, MOST_TOLERANCE = 1e-14, 1e-3
+
+
+def _tolerance(value: float) -> float:
+    if not LEAST_TOLERANCE <= value <= MOST_TOLERANCE:
+        raise ValueError(f"must be from {LEAST_TOLERANCE:g} to {MOST_TOLERANCE:g}")
+    return value
+
+
+Tolerance = Annotated[Number, AfterValidator(_tolerance)]
+
+
+class TimeSection(Section):
+    """[time]: how far and in what steps."""
+
+    duration: Annotated[Positive, DURATION] = Field(8.0, description="length of the run, s; a whole number of steps")
+    step: Annotated[Positive, STEP] = Field(0.001, description="step h, s; with dop853 only the time between rows")
+    integrator: IntegratorName = Field(
+        "auto",
+        description="semi_implicit_euler (order 1, the paper's), explicit_euler (order 1), rk4 (order 4), dop853 "
+        "(order 8, chooses its own steps); auto: rk4 where surface.contact is unilateral, since a scheme of order 1 "
+        "shifts impacts by up to several steps, but semi_implicit_euler with a friction of bristles "
+        f"({', '.join(BRISTLES)}) and where contact is bilateral",
+    )
+    tolerance: Tolerance | None = Field(
+        None,
+        description="relative error that dop853 allows itself in each of its own steps; if left out 1e-12, and 1e-9 "
+        "with friction at the tip",
+    )
+
+
+Stabiliser = Annotated[
+    BaumgarteSection | ProjectionSection | BothSection | NoStabiliserSection, Field(discriminator="kind")
+]
+
+
+def _paper_unless_said(value: Any) -> Any:
+    """A law without a kind is the paper's."""
+    return {"kind": "paper"} | value if isinstance(value, dict) and "kind" not in value else value
+
+
+LawSection = Annotated[
+    PaperLawSection
+    | HybridLawSection
+    | OperationalSpaceLawSection
+    | DynamicHybridLawSection
+    | ImpedanceLawSection
+    | AdmittanceLawSection,
+    Field(discriminator="kind"),
+    BeforeValidator(_paper_unless_said),
+]
+Compensation = Annotated[CompensationSection, Field(discriminator="kind")]
+
+
+class Scenario(Section):
+    """Everything that determines a run; see the sections for the keys."""
+
+    name: Name = Field("unnamed", description="the shipped name or the file's stem")
+    description: str = Field("", description="one line for --list")
+    robot: RobotSection = RobotSection()
+    surface: PlaneSection = PlaneSection()
+    impact: ImpactSection = ImpactSection()
+    start: StartSection = StartSection()
+    reference: Reference = HoldSection()
+    law: LawSection
+    compensation: Compensation = NoCompensationSection()
+    sensor: SensorSection = SensorSection()
+    friction: SurfaceFriction = NoFriction()
+    joint_friction: JointFriction = NoFriction()
+    force_profile: ForceProfile = ConstantForceSection()
+    stabiliser: Stabiliser = BaumgarteSection()
+    time: TimeSection = TimeSection()
+
+    @model_validator(mode="after")
+    def _choose_integrator(self) -> Self:
+        """Put a scheme where "auto" stands: what a scenario says is what it runs with."""
+        if self.time.integrator == "auto":
+            bristles = self.friction.kind in BRISTLES or self.joint_friction.kind in BRISTLES
+            chosen = "rk4" if self.surface.contact == "unilateral" and not bristles else "semi_implicit_euler"
+            self.__dict__["time"] = self.time.model_copy(update={"integrator": chosen})
+        return self
+
+    def to_toml(self) -> str:
+        """Return the scenario as TOML text that `load_scenario` reads back to an equal one."""
+        import tomli_w
+
+        return tomli_w.dumps(self.model_dump(mode="python", exclude_none=True))
+
+
+def load_scenario(name: str | Path, overrides: Mapping[str, Any] | None = None) -> Scenario:
+    """Read a scenario and check it.
+
+    Parameters
+    ----------
+    name : str or Path
+        A shipped name (see `shipped_scenarios`) or a path to a .toml file.
+    overrides : mapping, optional
+        Dotted keys and values laid over the file before it is checked, such as ``{"law.force": 15.0}``. Overriding a
+        `kind` drops the keys of the old kind that the new one does not know.
+
+    Raises
+    ------
+    ScenarioError
+        If there is no such scenario, or the file or an override is at fault; names the key, the value and the cure.
+    """
+    text, stem, where = scenario_text(name)
+    return parse_scenario(text, stem, where, overrides)
+
+
+def parse_scenario(
+    text: str, stem: str = "unnamed", where: str = "scenario", overrides: Mapping[str, Any] | None = None
+) -> Scenario:
+    """Read a scenario from TOML text; `where` names its origin in messages. See `load_scenario`."""
+    try:
+        data = toml_tables(text)
+    except ValueError as error:
+        raise ScenarioError(f"{where}: not valid TOML: {error}") from None
+    data.setdefault("name", stem)
+    return scenario_of(data, where, overrides or {})
+
+
+def scenario_of(data: dict[str, Any], where: str, overrides: Mapping[str, Any]) -> Scenario:
+    """Check a scenario given as the tables of its file; `data` is written to. See `parse_scenario`."""
+    try:
+        for key, value in overrides.items():
+            _override(data, key, deepcopy(value))
+        return Scenario.model_validate(data)
+    except RecursionError:
+        raise ScenarioError(f"{where}: a value is nested too deeply") from None
+    except ValidationError as error:
+        from closedloop.scenario.messages import explain
+
+        raise ScenarioError(f"{where}: {explain(error, data)}") from None
+
+
+def _override(data: dict[str, Any], key: str, value: Any) -> None:
+    parts = key.split(".")
+    section = data
+    for part in parts[:-1]:
+        section = section.setdefault(part, {})
+        if not isinstance(section, dict):
+            raise ScenarioError(f"{key}: '{part}' is not a section")
+    if parts[-1] == "kind" and len(parts) == 2 and isinstance(value, str) and section.get("kind") != value:
+        from closedloop.scenario.messages import variant_keys
+
+        known = variant_keys(parts[0], value)
+        for stale in [k for k in section if k not in known]:
+            del section[stale]
+    section[parts[-1]] = value

@@ -1,0 +1,313 @@
+"""From a scenario to a `Problem`, or to the one line that says what is wrong with it."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+import robot_models
+from closedloop.closure.baumgarte import baumgarte_gains, largest_stable_ratio, recommended_ratio
+from closedloop.closure.contact_force import FREE, PRESSED, STUCK
+from closedloop.control.pack import pack_law
+from closedloop.control.sensor import draws, pack_sensor
+from closedloop.control.stability import check_sampling
+from closedloop.engines.problem import STICK_SPEED, Problem
+from closedloop.errors import ScenarioError
+from closedloop.events.phases import RESTING, TOUCHING
+from closedloop.friction.layout import KINDS, STICKS
+from closedloop.friction.packing import pack
+from closedloop.integrators import ADAPTIVE, INTEGRATORS, Integrator
+from closedloop.reference.desired import Desired, desired
+from closedloop.reference.force import force_at
+from closedloop.robot.pinocchio import Robot
+from closedloop.scenario.scenario import BaumgarteGains, Scenario
+from closedloop.simulation.cache import Pieces
+from closedloop.step.record_row import Row
+from closedloop.surface.plane import Plane
+from robot_models import RobotModel
+
+Array = NDArray[np.float64]
+
+# A run is held in memory, once as rows and once as columns: this many numbers in the rows are about 4 GB in all.
+MOST_NUMBERS = 200_000_000
+# How far from the surface the tip may start, m. A closure that must first pull the tip in by more does not press: with
+# the paper's stabiliser a millimetre already asks for a thousand newtons from each kilogram.
+START_GAP = 1e-3
+# How fast a tip that is held to the surface may start off along the normal, m/s: the rounding of a velocity typed to
+# four digits. The closure does not let the tip move through it: the stabiliser would first have to stop it, with 0.14 N
+# from each kilogram for so much at the paper's setting, and without a stabiliser the tip would move away for good.
+START_RATE = 1e-4
+# What an adaptive integrator allows itself in each step, relative, unless the scenario says otherwise. With friction at
+# the tip 1e-12 takes 16 s of processor for the 8 s of wam_slide_friction, and 1e-9 takes 6 s: break-away and sticking
+# then come within 2e-8 s of those at 1e-12.
+TOLERANCE, TOLERANCE_WITH_FRICTION = 1e-12, 1e-9
+# What a robot takes in memory, with Pinocchio's model and data, about, in bytes.
+ROBOT_BYTES = 200_000
+
+
+def prepare(scenario: Scenario, model: RobotModel | None = None, pieces: Pieces | None = None) -> Problem:
+    """Turn a scenario into the numbers of a `Problem`.
+
+    Parameters
+    ----------
+    scenario : Scenario
+    model : RobotModel, optional
+        The robot to use instead of loading `scenario.robot.model`.
+    pieces : Pieces, optional
+        What earlier scenarios of this thread, with this same `model`, have left to be used again. The robot and the
+        table of an earlier `Problem` may then be this one's, and its table be overwritten.
+
+    Raises
+    ------
+    ScenarioError, ModelError
+        If something in it cannot be simulated: a wrong length, an unreachable path, a step that makes the
+        stabiliser unstable, a tip that the robot does not have ...
+    """
+    pieces = Pieces() if pieces is None else pieces
+    robot = _robot(scenario, model, pieces)
+    model = robot.model
+    n = robot.n
+    q = model.home.copy() if scenario.start.q is None else _per_joint("start.q", scenario.start.q, model)
+    v = np.zeros(n) if scenario.start.v is None else _per_joint("start.v", scenario.start.v, model)
+    for j, (low, high) in enumerate(zip(model.position_lower, model.position_upper, strict=True)):
+        if not low <= q[j] <= high:
+            raise ScenarioError(
+                f"start.q[{j}] = {q[j]:g}: joint {model.joint_names[j]} of {model.name} "
+                f"moves within [{low:g}, {high:g}]"
+            )
+
+    plane, mode = _surface(scenario, robot, q, v)
+
+    integrator, tolerance = _integrator(scenario)
+    steps = _whole(scenario.time.duration, scenario.time.step, "time.duration")
+    most_rows = MOST_NUMBERS // Row.of(n).width
+    if steps > most_rows:
+        raise ScenarioError(
+            f"time.step = {scenario.time.step:g}: {scenario.time.duration:g} s would be {steps:.3g} rows, over the "
+            f"{most_rows} that a run of this robot may have; use a larger step or a shorter duration"
+        )
+    h = scenario.time.step
+    period = scenario.law.sample_period
+    hold = _whole(period, h, "law.sample_period") if period else 0
+
+    nodes_per_step = max(1, round(1 / min((x for x in integrator.nodes if x), default=1.0)))
+    instants = (h / nodes_per_step) * np.arange(steps * nodes_per_step + 1, dtype=np.float64)
+    wanted, table = _desired(scenario, robot, plane, q, instants, pieces)
+    table[::nodes_per_step, 2 * n + 10] = draws(scenario.sensor, steps + 1)
+
+    law = scenario.law
+    given = getattr(law, "pd_start", None)
+    start = (wanted.tip.start if given is None else given) - 1e-9 * h  # i·h and 0.5 may differ by rounding
+    packed = pack_law(law, scenario.compensation, n, pd_start=start, joint_names=model.joint_names)
+    check_sampling(law, scenario.compensation, scenario.sensor, law.sample_period or h)
+    friction = pack(scenario.friction)
+    if friction[0] and STICKS[friction[0]] != "elastic" and mode == PRESSED:
+        u = wanted.frame @ robot.terms(q, v).jacobian @ v
+        mode = STUCK if np.hypot(u[1], u[2]) <= STICK_SPEED else PRESSED
+    return Problem(
+        scenario=scenario,
+        robot=robot,
+        plane=plane,
+        frame=wanted.frame,
+        integrator=integrator,
+        q=q,
+        v=v,
+        mode=mode,
+        steps=steps,
+        h=h,
+        stabiliser=np.array(_stabiliser_gains(scenario)),
+        pd_start=start,
+        law=packed,
+        friction=friction,
+        joint_friction=pack(scenario.joint_friction, n, "joint_friction"),
+        sensor=pack_sensor(scenario.sensor, h),
+        table=table,
+        nodes=nodes_per_step,
+        project=scenario.stabiliser.kind in ("projection", "both"),
+        hold=hold,
+        wanted=wanted,
+        tolerance=tolerance,
+    )
+
+
+def _robot(scenario: Scenario, model: RobotModel | None, pieces: Pieces) -> Robot:
+    section = scenario.robot
+
+    def make() -> Robot:
+        if model is not None:
+            return Robot(model, section.tip)
+        return Robot(load_model(scenario), section.tip)
+
+    return pieces.get(("robot", section.model_dump_json()), make, lambda robot: ROBOT_BYTES)
+
+
+def load_model(scenario: Scenario) -> RobotModel:
+    """Return the robot that a scenario names."""
+    section = scenario.robot
+    options: dict[str, Any] = {} if section.lock is None else {"lock": section.lock}
+    return robot_models.load(section.model, drive_inertia=section.drive_inertia, **options)
+
+
+def _desired(
+    scenario: Scenario, robot: Robot, plane: Plane, q: Array, instants: Array, pieces: Pieces
+) -> tuple[Desired, Array]:
+    """Return what is desired, and the table of it at `instants` (P,), s, with a last column for the sensor's noise."""
+    n = robot.n
+    motion = (
+        scenario.robot.model_dump_json(),
+        scenario.reference.model_dump_json(),
+        q.tobytes(),
+        plane.normal.tobytes(),
+    )
+    wanted = pieces.get_common(
+        ("desired", *motion),
+        lambda: desired(scenario, robot, plane, q, scenario.force_profile),
+        lambda made: 3 * made.joints.q.nbytes,
+    )
+    wanted = replace(wanted, profile=scenario.force_profile, force=scenario.law.force)
+    table = pieces.get(
+        ("table", *motion, instants.size, float(instants[1])),
+        lambda: np.hstack([wanted.table(instants), np.zeros((instants.size, 1))]),
+        lambda made: made.nbytes,
+    )
+    table[:, 2 * n + 9] = force_at(wanted.profile, wanted.force, instants)
+    return wanted, table
+
+
+def _integrator(scenario: Scenario) -> tuple[Integrator, float | None]:
+    """Return the scheme, and the tolerance of one that chooses its own steps, refusing what such a one cannot do."""
+    section = scenario.time
+    name = section.integrator
+    if name not in ADAPTIVE:
+        if section.tolerance is not None:
+            raise ScenarioError(
+                f"time.tolerance = {section.tolerance:g}: goes with integrator = {' or '.join(map(repr, ADAPTIVE))} "
+                f"only; the error of {name!r} is set by time.step; leave it out"
+            )
+        return INTEGRATORS[name], None
+    for key, kind, possible in (
+        ("friction", scenario.friction.kind, ("elastic", "rigid")),
+        ("joint_friction", scenario.joint_friction.kind, ("elastic",)),
+    ):
+        if STICKS[KINDS[kind]] not in possible:
+            others = [repr(name) for name, number in KINDS.items() if STICKS[number] in possible]
+            raise ScenarioError(
+                f"{key}.kind = {kind!r}: depends on the step, and {name!r} has none; must be {' or '.join(others)}, or "
+                f"take an integrator of fixed step, {' or '.join(map(repr, INTEGRATORS))}"
+            )
+    usual = TOLERANCE if scenario.friction.kind == "none" else TOLERANCE_WITH_FRICTION
+    return ADAPTIVE[name], usual if section.tolerance is None else section.tolerance
+
+
+def _surface(scenario: Scenario, robot: Robot, q: Array, v: Array) -> tuple[Plane, int]:
+    """Return the surface and what the tip does on it at the start, refusing a start that is neither on nor off it."""
+    section = scenario.surface
+    tip = robot.position(q)
+    if section.offset == "start":
+        plane = Plane.through(tip, section.normal)
+        plane = Plane(plane.normal, plane.offset - section.gap)
+    elif section.gap:
+        raise ScenarioError('surface.gap: goes with offset = "start" only; leave it out')
+    else:
+        plane = Plane.of(section.normal, float(section.offset))
+    gap = section.gap if section.offset == "start" else plane.gap(tip)
+    rate = float(plane.normal @ robot.terms(q, v).jacobian @ v) if v.any() else 0.0
+    where = float(plane.normal @ tip)
+    given = "surface.gap" if section.offset == "start" else "surface.offset"
+    value = section.gap if section.offset == "start" else float(section.offset)
+    if section.contact == "bilateral":
+        if abs(gap) > START_GAP:
+            side = "off" if gap > 0 else "inside"
+            raise ScenarioError(
+                f"{given} = {value:g}: the tip starts {abs(gap):.4g} m {side} the surface, and the closure holds it "
+                f'there from the start: use contact = "unilateral", or offset = "start" or {where:.9g}'
+            )
+        if abs(rate) > START_RATE:
+            raise ScenarioError(_through_the_closure(plane.normal @ robot.terms(q, v).jacobian, v, rate))
+        return plane, PRESSED
+    if gap < -TOUCHING:
+        raise ScenarioError(
+            f"{given} = {value:.9g}: the tip starts {-gap:.4g} m inside the surface: "
+            f"surface.offset may be at most {where:.9g} for this start"
+        )
+    if gap > TOUCHING:
+        return plane, FREE
+    if rate > RESTING:
+        raise ScenarioError(
+            f"start.v: the tip starts on the surface and leaves it at {rate:.4g} m/s: start it off the surface "
+            "(surface.gap), or without velocity along the normal"
+        )
+    return plane, FREE if rate < -RESTING else PRESSED
+
+
+def _through_the_closure(A: Array, v: Array, rate: float) -> str:
+    """Return what is wrong with joint velocities v (n,) that move a tip held by n·Jᵣ = A (n,) at `rate`, m/s."""
+    along = v - A * (rate / float(A @ A))  # the nearest that obey A q̇ = 0
+    return (
+        f"start.v: the tip is held to the surface and starts through it at {rate:.4g} m/s, where {START_RATE:g} m/s is "
+        f"the most; the nearest start.v along the surface is {[float(f'{x:.9g}') for x in along]}, or use "
+        'contact = "unilateral"'
+    )
+
+
+def _stabiliser_gains(scenario: Scenario) -> tuple[float, float]:
+    section = scenario.stabiliser
+    if not isinstance(section, BaumgarteGains):
+        return 0.0, 0.0
+    name = scenario.time.integrator
+    if name in ADAPTIVE:  # it takes the steps that its stability asks for
+        own = 2.0 * scenario.time.step if section.time_constant == "auto" else section.time_constant
+        return baumgarte_gains(section.damping_ratio, own)
+    limit = largest_stable_ratio(name, section.damping_ratio)
+    if section.time_constant == "auto":
+        recommended = recommended_ratio(name, section.damping_ratio)
+        if recommended == 0.0:
+            raise ScenarioError(
+                f'stabiliser.time_constant = "auto": no time constant makes the closure error die out with {name} at '
+                f"damping ratio {section.damping_ratio:g}; use a larger stabiliser.damping_ratio, such as 0.707"
+            )
+        return baumgarte_gains(section.damping_ratio, scenario.time.step / recommended)
+    constant = section.time_constant
+    ratio = scenario.time.step / constant
+    if ratio > limit:
+        if limit == 0.0:
+            raise ScenarioError(
+                f"stabiliser.damping_ratio = {section.damping_ratio:g}: Baumgarte is unstable with {name} at any step; "
+                "use a larger damping ratio"
+            )
+        raise ScenarioError(
+            f"stabiliser.time_constant = {constant:g} s with time.step = {scenario.time.step:g} s: "
+            f"Baumgarte is unstable with {name} beyond step/time_constant = {limit:.4f} at damping ratio "
+            f"{section.damping_ratio:g}; the step may be at most {_rounded(limit * constant, down=True)} "
+            f"s, or the time constant at least {_rounded(scenario.time.step / limit, down=False)} s"
+        )
+    return baumgarte_gains(section.damping_ratio, constant)
+
+
+def _rounded(x: float, down: bool) -> str:
+    """Return x to four digits, rounded to the side on which it is still a valid limit."""
+    unit = 10.0 ** (math.floor(math.log10(x)) - 3)
+    return f"{(math.floor(x / unit) if down else math.ceil(x / unit)) * unit:.4g}"
+
+
+def _per_joint(key: str, value: float | tuple[float, ...], model: RobotModel) -> Array:
+    if isinstance(value, float):
+        return np.full(model.n, value)
+    if len(value) != model.n:
+        raise ScenarioError(
+            f"{key} has {len(value)} entries: {model.name} has {model.n} joints, {', '.join(model.joint_names)}"
+        )
+    return np.array(value)
+
+
+def _whole(span: float, h: float, key: str) -> int:
+    """Return how many steps h the span is, refusing a span that is no whole number of them."""
+    count = round(span / h) if np.isfinite(span / h) else 0
+    if count < 1 or abs(count * h - span) > 1e-9 * span:
+        near = max(1, count) * h
+        raise ScenarioError(f"{key} = {span:g} s: must be a whole number of steps of {h:g} s, such as {near:.10g} s")
+    return count

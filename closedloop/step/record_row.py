@@ -1,0 +1,175 @@
+"""The record of a run: a row for each sample, what its columns are, and how a row is written."""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from closedloop.closure.conditioning import LANES, LONG, condition_of_long, conditions, leave
+from closedloop.closure.contact_force import FREE, STUCK, residuals
+from closedloop.control.sensor import sense
+from closedloop.jit.kernel import entry_kernel, kernel, kernel_inlined
+from closedloop.jit.simd8 import select
+from closedloop.step.memory import (
+    FRAME,
+    GAP,
+    LAW_STATES,
+    MEASURED,
+    MODE,
+    PENDING,
+    PER_STEP,
+    RATE,
+    RIGID_STICK,
+    SENSOR_AT,
+    SENSOR_RING,
+    SENSOR_STATES,
+    STICKING,
+    SUPPLIED,
+    Whole,
+    Work,
+)
+
+Array = NDArray[np.float64]
+
+
+class Row(NamedTuple):
+    """Where each column begins in a recorded row; `width` is the row's length."""
+
+    q: int
+    v: int
+    acceleration: int
+    torque: int
+    position: int
+    velocity: int
+    friction_force: int
+    joint_friction: int
+    scalars: int
+    width: int
+
+    @classmethod
+    def of(cls, n: int) -> Row:
+        """Lay out a row for n joints."""
+        ends = np.cumsum((0, n, n, n, n, 3, 3, 3, n, len(SCALARS))).tolist()
+        return cls(*ends)
+
+
+SCALARS = (
+    "contact_force", "stabiliser_force", "closure_error", "closure_rate", "mode", "residual_motion",
+    "residual_closure", "kkt_condition", "normal_mobility", "kinetic_energy", "measured_force", "energy_supplied",
+)  # fmt: skip
+
+
+KKT_CONDITION = SCALARS.index("kkt_condition")
+
+
+@kernel_inlined
+def kinetic_energy(H: Array, v: Array) -> float:
+    """Return ½ q̇ᵀH q̇, J, from H's upper triangle."""
+    total = 0.0
+    for i in range(v.shape[0]):
+        total += 0.5 * H[i, i] * v[i] * v[i]
+        for j in range(i + 1, v.shape[0]):
+            total += H[i, j] * v[i] * v[j]
+    return total
+
+
+@kernel
+def record_conditions(pending: Array, rows: Array, state: Whole, done: int, n: int) -> None:
+    """Write the condition numbers of the last rows up to `done`: those that have their lanes in `pending`.
+
+    Of Eq. 24 with the normal row alone; of H while the tip is free.
+    """
+    count = state[PENDING]
+    state[PENDING] = 0
+    if count > 0:
+        conditions(pending, n, count)
+    at = 5 * n + 9 + KKT_CONDITION
+    for r in range(count):
+        rows[done - count + r, at] = pending[pending.shape[0] - 1, r]
+
+
+@entry_kernel
+def complete_record(pending: Array, rows: Array, state: Whole, done: int, n: int) -> None:
+    """Write what the last of `done` rows still lack, at the end of a run; see `record`."""
+    record_conditions(pending, rows, state, done, n)
+
+
+def rows_there(state: Whole, done: int, n: int) -> int:
+    """Return how many rows are recorded when `done` of them, or one more that was not counted yet, may be.
+
+    Each leaves a lane, and a full set of lanes is emptied.
+    """
+    return done if n > LONG or state[PENDING] == done % LANES else done + 1
+
+
+@kernel_inlined
+def record(
+    H: Array, C: Array, w: Work, k: Array, state: Whole, table: Array, rows: Array, place: int, more: int | None
+) -> None:
+    """Write a row in the order of `Row`: the state, and what acted in it.
+
+    The condition number follows once `LANES` rows are full, or with `complete_record`.
+    """
+    n = w.q.shape[0]
+    row, lane = rows[place], state[PENDING]
+    at = 4 * n + 9
+    for j in range(n):
+        row[j] = w.q[j]
+        row[n + j] = w.v[j]
+        row[2 * n + j] = w.qdd[j]
+        row[3 * n + j] = w.torque[j]
+        row[at + j] = w.loss[j]
+        w.column[j] = w.torque[j] + w.loss[j]
+    at = 4 * n
+    for i in range(3):
+        row[at + i] = w.r[i]
+        speed = 0.0
+        for j in range(n):
+            speed += w.J[i, j] * w.v[j]
+        row[at + 3 + i] = speed
+        row[at + 6 + i] = k[FRAME + 3 + i] * w.F[1] + k[FRAME + 6 + i] * w.F[2]
+    at += 9 + n
+    mode = state[MODE]
+    closures = 0 if mode == FREE else (3 if mode == STUCK and state[STICKING] == RIGID_STICK else 1)
+    motion, closed = residuals(H, w.column, C, w.A, w.S, w.drift_c, w.b, w.a, w.qdd, w.F, 0, closures)
+    trace = w.S[0, 0] + w.S[1, 1] + w.S[2, 2]
+    row[at] = w.F[0]
+    row[at + 1] = w.share[0]
+    row[at + 2] = w.now[GAP]
+    row[at + 3] = w.now[RATE]
+    row[at + 4] = mode
+    row[at + 5] = motion
+    row[at + 6] = closed
+    if n > LONG:
+        row[at + 7] = condition_of_long(H, w.A[0], w.L, w.X[0], w.S[0, 0], mode != FREE, w.scratch)
+    else:
+        leave(H, w.A[0], w.L, w.X[0], w.S[0, 0], mode != FREE, w.pending, lane)
+        state[PENDING] = lane + 1
+        if lane + 1 >= LANES:
+            record_conditions(w.pending, rows, state, place + 1, n)
+    row[at + 8] = w.S[0, 0] / select(trace > 0.0, trace, 1.0)
+    row[at + 9] = kinetic_energy(H, w.v)
+    if more is None:
+        w.now[MEASURED] = w.F[0]
+    else:
+        count, sensor = state[LAW_STATES], state[SENSOR_STATES]
+        w.now[MEASURED] = sense(
+            w.F[0], place, k[SENSOR_AT : SENSOR_AT + 4], w.z[count : count + sensor],
+            table[place * state[PER_STEP], 2 * n + 10], w.ring[0 : state[SENSOR_RING]],
+        )  # fmt: skip
+    row[at + 10] = w.now[MEASURED]
+    row[at + 11] = w.now[SUPPLIED]
+
+
+RECORDED = tuple(name for name in Row._fields if name not in ("scalars", "width")) + SCALARS
+
+
+def recorded(rows: Array, n: int, name: str) -> Array:
+    """Return a copy of one of the columns `RECORDED`, (N,) or (N, k), of the rows of a robot of n joints."""
+    layout = Row.of(n)
+    if name in SCALARS:
+        return rows[:, layout.scalars + SCALARS.index(name)].copy()
+    place = Row._fields.index(name)
+    return rows[:, layout[place] : layout[place + 1]].copy()

@@ -1,0 +1,147 @@
+"""Friction between tip and surface inside a step: what its law makes of the present slip, and where it points."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+from numpy.typing import NDArray
+
+from closedloop.closure.contact_force import FREE, IMMOBILE, STUCK
+from closedloop.friction.laws import holding, memory_delay, sliding
+from closedloop.jit.kernel import kernel
+from closedloop.step.memory import (
+    DELAYED,
+    FRAME,
+    FRICTION,
+    FRICTION_AT,
+    FRICTION_STATES,
+    FRICTION_WIDTH,
+    H_STEP,
+    LAW_STATES,
+    MODE,
+    RIGID_STICK,
+    ROW,
+    SENSOR_STATES,
+    SMOOTH,
+    SPRING_STICK,
+    STICKING,
+    STRAIGHT,
+    TIME,
+    Whole,
+    Work,
+)
+
+Array = NDArray[np.float64]
+
+
+@kernel
+def turn_with_slip(w: Work, h: float) -> bool:
+    """Turn the friction of a slow tip to where its slip points at the end of the step; return whether it was slow.
+
+    Friction turns a slip u with the rate μ|f| s/|u|, s the mobility along the surface. Where that is above 1/h, a step
+    that takes friction against the present u throws the tip from side to side, and at last no step is short enough.
+    There the direction d is that of the slip u⁺ at the end of the step,
+
+        u⁺ + h μ|f| S_t d = u + h (a_t + S_tn f − S_t w),    d = u⁺/|u⁺|
+
+    as in time stepping (J. J. Moreau, 1988): one equation for |u⁺|, by bisection. If friction is enough to stop the tip
+    within the step, d is such that the tip goes straight to rest.
+
+    Parameters
+    ----------
+    w : Work
+        In: u, direction, S, a, w, and c = ±μ u/|u| with the F of it (minus where the closure pulls). Written: c.
+    h : float
+        The step, s.
+    """
+    level, speed, f = math.hypot(w.c[0], w.c[1]), math.hypot(w.u[1], w.u[2]), w.F[0]
+    reach = h * level * abs(f)
+    if not reach * (w.S[1, 1] + w.S[2, 2]) > speed:
+        return False
+    if not w.u[1] * w.direction[0] + w.u[2] * w.direction[1] > 0.0:
+        return False  # past the end of slip
+    det = w.S[1, 1] * w.S[2, 2] - w.S[1, 2] * w.S[1, 2]
+    if not det > IMMOBILE * (w.S[1, 1] + w.S[2, 2]) ** 2:
+        return False  # a tip that moves along a line does not turn
+    a1 = w.a[1] + w.S[1, 0] * f - w.S[1, 1] * w.w[0] - w.S[1, 2] * w.w[1]
+    a2 = w.a[2] + w.S[2, 0] * f - w.S[1, 2] * w.w[0] - w.S[2, 2] * w.w[1]
+    p1, p2 = (w.S[2, 2] * w.u[1] - w.S[1, 2] * w.u[2]) / det, (w.S[1, 1] * w.u[2] - w.S[1, 2] * w.u[1]) / det
+    q1, q2 = (w.S[2, 2] * a1 - w.S[1, 2] * a2) / det, (w.S[1, 1] * a2 - w.S[1, 2] * a1) / det
+    if math.hypot(p1 / h + q1, p2 / h + q2) < level * abs(f):
+        along, square = p1 * q1 + p2 * q2, p1 * p1 + p2 * p2
+        rate = (math.sqrt(along * along + square * ((level * f) ** 2 - q1 * q1 - q2 * q2)) - along) / square
+        d1, d2 = rate * p1 + q1, rate * p2 + q2
+    else:
+        g11, g12, g22 = reach * w.S[1, 1], reach * w.S[1, 2], reach * w.S[2, 2]
+        x1, x2 = w.u[1] + h * a1, w.u[2] + h * a2
+        low, high, d1, d2 = 0.0, math.hypot(x1, x2), x1, x2
+        for _ in range(60):
+            s = 0.5 * (low + high)
+            det = (s + g11) * (s + g22) - g12 * g12
+            d1, d2 = ((s + g22) * x1 - g12 * x2) / det, ((s + g11) * x2 - g12 * x1) / det
+            low, high = (s, high) if math.hypot(d1, d2) > 1.0 else (low, s)
+            if high - low <= 1e-14 * high:
+                break
+    size = math.hypot(d1, d2)
+    if not size > 0.0 or d1 * w.u[1] + d2 * w.u[2] < 0.0:
+        return False  # slip ends within the step; until then friction is against it
+    along = math.copysign(level / size, f)
+    w.c[0], w.c[1] = along * d1, along * d2
+    return True
+
+
+@kernel
+def surface_friction(w: Work, k: Array, state: Whole, rows: Array) -> None:
+    """Write c and w of the tip's friction F_t = −c f − w in the present mode; zero where there is none."""
+    w.c[0], w.c[1], w.w[0], w.w[1] = 0.0, 0.0, 0.0, 0.0
+    sticking = state[STICKING]
+    if sticking == SMOOTH or state[MODE] == FREE or (state[MODE] == STUCK and sticking == RIGID_STICK):
+        return
+    kind, par = state[FRICTION], k[FRICTION_AT : FRICTION_AT + FRICTION_WIDTH]
+    at = state[LAW_STATES] + state[SENSOR_STATES]
+    z = w.z[at : at + state[FRICTION_STATES]]
+    if state[MODE] == STUCK:
+        holding(kind, par, z, w.c, w.w)
+        return
+    speed = math.hypot(w.u[1], w.u[2])
+    w.now[DELAYED] = delayed_speed(w, k, state, rows, memory_delay(kind, par), speed)
+    s = w.scratch[0:2]
+    s[0], s[1] = w.u[1], w.u[2]
+    along = s[0] * w.direction[0] + s[1] * w.direction[1]
+    if sticking != RIGID_STICK and sticking != SPRING_STICK:
+        along = 1.0
+    if along < 0.0 or speed <= w.now[STRAIGHT]:
+        # Past the instant at which slip stops the law goes on as before, so that the instant can be found.
+        s[0], s[1] = speed * w.direction[0], speed * w.direction[1]
+    sliding(kind, par, s, w.now[DELAYED], z, w.direction, w.c, w.w)
+
+
+@kernel
+def delayed_speed(w: Work, k: Array, state: Whole, rows: Array, delay: float, speed: float) -> float:
+    """Return the speed of slip `delay` seconds ago, m/s, on a line between rows; `speed` is the present one."""
+    if delay <= 0.0:
+        return speed
+    n = w.q.shape[0]
+    x = (w.now[TIME] - delay) / k[H_STEP]
+    last = state[ROW] - 1
+    if x <= 0.0 or last < 0:
+        return slip_of(rows[0], n, k) if last >= 0 else speed
+    i = int(x)
+    if i >= last:
+        since = w.now[TIME] - last * k[H_STEP]
+        s = (w.now[TIME] - delay - last * k[H_STEP]) / since if since > 0.0 else 1.0
+        return float((1.0 - s) * slip_of(rows[last], n, k) + s * speed)
+    return float((1.0 - (x - i)) * slip_of(rows[i], n, k) + (x - i) * slip_of(rows[i + 1], n, k))
+
+
+@kernel
+def slip_of(row: Array, n: int, k: Array) -> float:
+    """Return the tip's tangential speed in a recorded row, m/s."""
+    total = 0.0
+    for t in range(1, 3):
+        u = 0.0
+        for i in range(3):
+            u += k[FRAME + 3 * t + i] * row[4 * n + 3 + i]
+        total += u * u
+    return math.sqrt(total)

@@ -26,7 +26,7 @@ if TYPE_CHECKING:
 _HOME = {
     "Axis": "axes",
     "Design": "design",
-    "Sweep": "run",
+    "Sweep": "sweep",
     "parse_axis": "axes",
     "run_sweep": "run",
     "sweep_plot": "maps",

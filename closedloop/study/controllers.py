@@ -1,6 +1,6 @@
 """Every controller on every kind of friction: does it still hold 10 N when the surface is rough?
 
-The task is wam_slide's, with the motion from rest to rest: press with 10 N and slide 108 mm in six seconds. Rows are
+The task is wam_slide's with the elbow up, the motion from rest to rest: press with 10 N and slide 108 mm in six seconds. Rows are
 controllers with what they know of friction, columns are laws of friction of about the same level (kinetic 0.25, static
 0.35). The law and an ideal force sensor work at 1 kHz, the arm moves in steps of a quarter of that. Measured from
 `SETTLED_FROM` on, when the tip has broken away and the force has settled:
@@ -33,12 +33,14 @@ from closedloop.progress import bar
 from closedloop.record.run import Run
 from closedloop.scenario.scenario import Scenario, load_scenario
 from closedloop.simulation.simulate import simulate
+from closedloop.study.posture import ELBOW_UP
 
 Array = NDArray[np.float64]
 
 SETTLED_FROM, BAND = 1.5, 0.2  # s, N
 STOP = 6.5  # s
 STEP, SAMPLE = 0.00025, 0.001  # s
+SPEED = 0.018  # m/s, the mean one: 108 mm, for which there is room with the elbow up
 MEASURES = ("force_rms", "force_peak", "path_rms", "settling")
 
 JOINT = {"law.kp": [900.0, 900.0, 400.0, 300.0], "law.kd": [60.0, 60.0, 30.0, 20.0]}
@@ -102,7 +104,13 @@ def measures(run: Run) -> dict[str, float]:
 
 def scenario_of(controller: str, friction: str) -> Scenario:
     """Return the slide of one controller on one kind of friction."""
-    changes: dict[str, Any] = {"reference.timing": "minimum_jerk", "time.step": STEP, "law.sample_period": SAMPLE}
+    changes: dict[str, Any] = {
+        "start.q": ELBOW_UP,
+        "reference.speed": SPEED,
+        "reference.timing": "minimum_jerk",
+        "time.step": STEP,
+        "law.sample_period": SAMPLE,
+    }
     changes = CONTROLLERS[controller] | changes  # a kind first: the keys that it does not know are dropped
     changes |= {f"friction.{key}": value for key, value in FRICTIONS[friction].items()}
     return load_scenario("wam_slide", changes)

@@ -34,6 +34,7 @@ from closedloop.scenario.scenario import Scenario, load_scenario
 from closedloop.simulation.prepare import prepare
 from closedloop.simulation.simulate import run_loop, simulate
 from closedloop.step.record_row import SCALARS, Row
+from closedloop.study.posture import ELBOW_UP
 
 Array = NDArray[np.float64]
 
@@ -42,8 +43,6 @@ STABILISERS = ("none", "baumgarte", "projection", "both")
 STEPS = (0.00025, 0.0005, 0.001, 0.002)
 SPEEDS = (0.0045, 0.009, 0.018, 0.036, 0.072)
 PAPER_STEP, PAPER_SPEED = 0.001, 0.018
-# With the elbow up there is room for the path at all of these speeds.
-ELBOW_UP = (math.pi / 2, 1.0, 0.0, 2.0)
 TOLERANCES = (1e-3, 1e-4, 1e-5, 1e-6, 1e-7, 1e-8)
 DAMPING = (0.3, 0.5, 0.707, 1.0, 1.5)
 

@@ -20,10 +20,11 @@ from pathlib import Path
 from types import FrameType
 from typing import TYPE_CHECKING, NoReturn
 
-from closedloop.command.border import DONE, NOT_GOOD, STOPPED, Parser, run_command
 from closedloop.interrupts import Terminated, exit_status, word_for
 
+# What takes time to import is imported below, once signals are answered.
 if TYPE_CHECKING:
+    from closedloop.command.border import Parser
     from closedloop.sweep.join import Joined
 
 # Different verdicts that the last line names.
@@ -32,6 +33,8 @@ MOST_VERDICTS = 4
 
 def main(arguments: Sequence[str] | None = None) -> int:
     """Run the command line and return the exit status."""
+    from closedloop.command.border import run_command
+
     return run_command("closedloop.sweep", _main, arguments)
 
 
@@ -71,6 +74,7 @@ def _signals_raise() -> Iterator[None]:
 
 def _sweep(arguments: list[str]) -> int:
     from closedloop.command.announce import announce_compiling
+    from closedloop.command.border import DONE, NOT_GOOD, STOPPED
     from closedloop.progress import count
     from closedloop.scenario.overrides import split_overrides
     from closedloop.scenario.scenario import load_scenario
@@ -135,6 +139,7 @@ def _counted(result: Joined) -> str:
 
 
 def _sweep_parser() -> Parser:
+    from closedloop.command.border import Parser
     from closedloop.engines.specialise import COMPILED, ENGINES
 
     parser = Parser(
@@ -182,6 +187,8 @@ def _sweep_parser() -> Parser:
 
 
 def _plot(arguments: list[str]) -> int:
+    from closedloop.command.border import DONE, Parser
+
     parser = Parser(prog="closedloop.sweep plot", description="Draw maps of a sweep's table.")
     parser.add_argument("table", help="the .parquet file of a sweep")
     parser.add_argument(

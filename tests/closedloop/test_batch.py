@@ -265,8 +265,8 @@ def break_for(monkeypatch, force, error, where="prepare"):
 @pytest.fixture
 def abreast(monkeypatch):
     """Let few and short runs go abreast, which is else not worth compiling."""
-    for module in ("bench", "batch"):
-        monkeypatch.setattr(f"closedloop.{module}.goes_abreast", lambda *_: True)
+    for module in ("worker", "simulate_batch"):
+        monkeypatch.setattr(f"closedloop.batch.{module}.goes_abreast", lambda *_: True)
 
 
 @pytest.mark.parametrize(
@@ -290,7 +290,7 @@ def test_an_error_that_nobody_foresaw_costs_its_row_and_no_other(request, monkey
     assert failed["status"] == "failed"
     assert failed["reason"].startswith(f"{type(error).__name__}: {' '.join(str(error).split())}")
     assert "test_batch.py:" in failed["reason"]
-    assert "in broken, called from bench.py:" in failed["reason"]
+    assert "in broken, called from worker.py:" in failed["reason"]
     assert failed["reason"].isprintable()
     assert (failed["rows"], failed["end_time"], failed["final_contact_force"]) == (0, None, None)
     assert type(error).__name__ in caplog.text

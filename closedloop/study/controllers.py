@@ -1,9 +1,9 @@
 """Every controller on every kind of friction: does it still hold 10 N when the surface is rough?
 
-The task is wam_slide's with the elbow up, the motion from rest to rest: press with 10 N and slide 108 mm in six seconds. Rows are
-controllers with what they know of friction, columns are laws of friction of about the same level (kinetic 0.25, static
-0.35). The law and an ideal force sensor work at 1 kHz, the arm moves in steps of a quarter of that. Measured from
-`SETTLED_FROM` on, when the tip has broken away and the force has settled:
+The task is wam_slide's with the elbow up, the motion from rest to rest: press with 10 N and slide 108 mm in six
+seconds. Rows are controllers with what they know of friction, columns are laws of friction of about the same level
+(kinetic 0.25, static 0.35). The law and an ideal force sensor work at 1 kHz, the arm moves in steps of a quarter of
+that. Measured from `SETTLED_FROM` on, when the tip has broken away and the force has settled:
 
     force RMS, peak   of f − f_des, N
     path RMS          of the tip's distance from its path along the surface, mm

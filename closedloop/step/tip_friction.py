@@ -9,6 +9,7 @@ from numpy.typing import NDArray
 
 from closedloop.closure.contact_force import FREE, IMMOBILE, STUCK
 from closedloop.friction.laws import holding, memory_delay, sliding
+from closedloop.friction.layout import STILL
 from closedloop.jit.kernel import kernel
 from closedloop.step.memory import (
     DELAYED,
@@ -46,7 +47,8 @@ def turn_with_slip(w: Work, h: float) -> bool:
         u⁺ + h μ|f| S_t d = u + h (a_t + S_tn f − S_t w),    d = u⁺/|u⁺|
 
     as in time stepping (J. J. Moreau, 1988): one equation for |u⁺|, by bisection. If friction is enough to stop the tip
-    within the step, d is such that the tip goes straight to rest.
+    within the step, d is such that the tip goes straight to rest. A slip that has only just broken away is u = 0: what
+    rounding has left of it has no direction, and must decide nothing.
 
     Parameters
     ----------
@@ -59,22 +61,27 @@ def turn_with_slip(w: Work, h: float) -> bool:
     reach = h * level * abs(f)
     if not reach * (w.S[1, 1] + w.S[2, 2]) > speed:
         return False
-    if not w.u[1] * w.direction[0] + w.u[2] * w.direction[1] > 0.0:
+    u1, u2, before1, before2 = w.u[1], w.u[2], w.u[1], w.u[2]
+    if speed <= STILL:
+        u1, u2, before1, before2 = 0.0, 0.0, w.direction[0], w.direction[1]
+    elif not u1 * w.direction[0] + u2 * w.direction[1] > 0.0:
         return False  # past the end of slip
     det = w.S[1, 1] * w.S[2, 2] - w.S[1, 2] * w.S[1, 2]
     if not det > IMMOBILE * (w.S[1, 1] + w.S[2, 2]) ** 2:
         return False  # a tip that moves along a line does not turn
     a1 = w.a[1] + w.S[1, 0] * f - w.S[1, 1] * w.w[0] - w.S[1, 2] * w.w[1]
     a2 = w.a[2] + w.S[2, 0] * f - w.S[1, 2] * w.w[0] - w.S[2, 2] * w.w[1]
-    p1, p2 = (w.S[2, 2] * w.u[1] - w.S[1, 2] * w.u[2]) / det, (w.S[1, 1] * w.u[2] - w.S[1, 2] * w.u[1]) / det
+    p1, p2 = (w.S[2, 2] * u1 - w.S[1, 2] * u2) / det, (w.S[1, 1] * u2 - w.S[1, 2] * u1) / det
     q1, q2 = (w.S[2, 2] * a1 - w.S[1, 2] * a2) / det, (w.S[1, 1] * a2 - w.S[1, 2] * a1) / det
     if math.hypot(p1 / h + q1, p2 / h + q2) < level * abs(f):
+        if speed <= STILL:
+            return False  # it does not leave: friction is against the direction in which it is pulled
         along, square = p1 * q1 + p2 * q2, p1 * p1 + p2 * p2
         rate = (math.sqrt(along * along + square * ((level * f) ** 2 - q1 * q1 - q2 * q2)) - along) / square
         d1, d2 = rate * p1 + q1, rate * p2 + q2
     else:
         g11, g12, g22 = reach * w.S[1, 1], reach * w.S[1, 2], reach * w.S[2, 2]
-        x1, x2 = w.u[1] + h * a1, w.u[2] + h * a2
+        x1, x2 = u1 + h * a1, u2 + h * a2
         low, high, d1, d2 = 0.0, math.hypot(x1, x2), x1, x2
         for _ in range(60):
             s = 0.5 * (low + high)
@@ -84,7 +91,7 @@ def turn_with_slip(w: Work, h: float) -> bool:
             if high - low <= 1e-14 * high:
                 break
     size = math.hypot(d1, d2)
-    if not size > 0.0 or d1 * w.u[1] + d2 * w.u[2] < 0.0:
+    if not size > 0.0 or d1 * before1 + d2 * before2 < 0.0:
         return False  # slip ends within the step; until then friction is against it
     along = math.copysign(level / size, f)
     w.c[0], w.c[1] = along * d1, along * d2

@@ -82,7 +82,8 @@ def direct(function: F, *arguments: Any) -> F:
         return function  # as with NUMBA_DISABLE_JIT=1
     kinds = tuple(_typeof(x) for x in arguments)
     dispatcher = cast(Any, function)
-    dispatcher.compile(kinds)
+    if kinds not in dispatcher.overloads:  # numba's lock would stay taken if Ctrl-C came as it is entered
+        dispatcher.compile(kinds)
     return cast(F, dispatcher.get_overload(kinds))
 
 

@@ -65,18 +65,18 @@ def _main(arguments: list[str]) -> int:
 
     engine = options.engine or (earlier.engine if earlier else "pinocchio")
     check_engine(scenario, engine, law)
-    robot = load_model(scenario) if model is None else model
+    model = load_model(scenario) if model is None else model
     digest = "" if law is None else law_digest(law)
     folder = Path(options.out) if options.out else Path("out") / scenario.name
-    results = Results(folder, question(scenario, robot, options.law or "scenario", digest, engine), options.overwrite)
+    results = Results(folder, question(scenario, model, options.law or "scenario", digest, engine), options.overwrite)
     if earlier and earlier.law == options.law and digest != earlier.law_digest != "":
         print(
             f"closedloop: the text of {options.law} is not the one that {options.scenario} was made with",
             file=sys.stderr,
         )
     if law is None:
-        _warn_of_gains(scenario, robot)
-    announce_compiling(scenario, robot.n, engine)
+        _warn_of_gains(scenario, model)
+    announce_compiling(scenario, model.n, engine)
     failure: SimulationError | None = None
     try:
         with redirect_stdout(sys.stderr):  # what a law prints is no result

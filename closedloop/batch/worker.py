@@ -218,7 +218,7 @@ class Bench:
         figures = np.full(plain(figure_count)(n), math.nan)
         if len(rows) > 0:
             measure_rows(
-                *tree, rows, len(rows), problem.table, problem.nodes, problem.h, problem.frame.ravel(),
+                *tree, rows, len(rows), problem.table, problem.nodes, problem.h, problem.frame,
                 joint_limits(problem.robot.model), events, len(events), np.empty(plain(tally_size)(n)), figures,
             )  # fmt: skip
         columns = {name: recorded(rows, problem.robot.n, name) for name in self._keep}

@@ -51,8 +51,8 @@ def into_contact_frame(
 
     Parameters
     ----------
-    frame : (9,) array
-        N, row by row, base axes.
+    frame : (3, 3) array
+        N, base axes.
     J, r, drift : (3, n), (3,), (3,) arrays
         Tip Jacobian, position, m, and J̇ᵣq̇, m/s², base axes.
     v : (n,) array
@@ -61,7 +61,7 @@ def into_contact_frame(
         Written.
     """
     for k in range(3):
-        n0, n1, n2 = frame[3 * k], frame[3 * k + 1], frame[3 * k + 2]
+        n0, n1, n2 = frame[k, 0], frame[k, 1], frame[k, 2]
         speed = 0.0
         for j in range(v.shape[0]):
             a = n0 * J[0, j] + n1 * J[1, j] + n2 * J[2, j]
@@ -118,7 +118,7 @@ def factorise(H: Array, A: Array, L: Array, X: Array, S: Array, reach: float) ->
 
 
 @kernel_inlined
-def unloaded(L: Array, X: Array, drift_c: Array, torque: Array, C: Array, y: Array, a: Array) -> None:
+def free_acceleration(L: Array, X: Array, drift_c: Array, torque: Array, C: Array, y: Array, a: Array) -> None:
     """Write y = L⁻¹(Q − C) and the tip's acceleration without contact, a = X y + Ȧq̇ (3,), m/s²."""
     n = torque.shape[0]
     for j in range(n):
@@ -246,7 +246,7 @@ def accelerate(L: Array, X: Array, y: Array, F: Array, qdd: Array) -> None:
 
 
 @kernel
-def strike(L: Array, X: Array, impulse: Array, column: Array, v: Array) -> None:
+def apply_impulse(L: Array, X: Array, impulse: Array, column: Array, v: Array) -> None:
     """Change q̇ by H⁻¹Aᵀ P, what an impulse P (3,), N s, on the tip does to it; `column` (n,) is scratch."""
     for j in range(v.shape[0]):
         column[j] = X[0, j] * impulse[0] + X[1, j] * impulse[1] + X[2, j] * impulse[2]

@@ -23,7 +23,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from closedloop.control.law_input import Moment
+from closedloop.control.law_input import LawInput
 from closedloop.control.operational_space import move_tip
 from closedloop.control.parameters import DAMPING, INERTIA, K_P, K_V, STIFFNESS, WANTED
 from closedloop.control.tip_space import motion_along_surface
@@ -33,7 +33,7 @@ Array = NDArray[np.float64]
 
 
 @kernel
-def admittance(x: Moment, par: Array, gains: Array, f: float, z: Array, work: Array, torque: Array) -> None:
+def admittance(x: LawInput, par: Array, gains: Array, f: float, z: Array, work: Array, torque: Array) -> None:
     """Write Q (n,); z (2,) is (x_a, ẋ_a), m, m/s, the rest as for `closedloop.control.operational_space`."""
     wanted = work[WANTED : WANTED + 3]
     motion_along_surface(x, par, wanted)
@@ -47,7 +47,7 @@ def admittance(x: Moment, par: Array, gains: Array, f: float, z: Array, work: Ar
 
 
 @kernel
-def admittance_rates(x: Moment, par: Array, z: Array, f: float, dz: Array) -> None:
+def admittance_rates(x: LawInput, par: Array, z: Array, f: float, dz: Array) -> None:
     """Write the rates of z (2,): f is the measured force, N; it is zero in free motion."""
     force = f if x.pressed != 0.0 else 0.0
     dz[0] = z[1]

@@ -17,7 +17,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from closedloop.control.law_input import Moment
+from closedloop.control.law_input import LawInput
 from closedloop.control.parameters import EIGEN, FORCE, INVERSE, SPARE, VECTORS, WANTED
 from closedloop.control.tip_space import (
     add_mass_times,
@@ -33,7 +33,7 @@ Array = NDArray[np.float64]
 
 
 @kernel
-def dynamic_hybrid(x: Moment, par: Array, gains: Array, f: float, work: Array, torque: Array) -> None:
+def dynamic_hybrid(x: LawInput, par: Array, gains: Array, f: float, work: Array, torque: Array) -> None:
     """Write Q (n,); parameters as for `closedloop.control.operational_space.operational_space`."""
     n = x.q.shape[0]
     inverse = work[INVERSE : INVERSE + 9].reshape(3, 3)

@@ -17,7 +17,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from closedloop.control.law_input import Moment
+from closedloop.control.law_input import LawInput
 from closedloop.control.parameters import K_F, K_I
 from closedloop.jit.kernel import kernel
 
@@ -25,7 +25,7 @@ Array = NDArray[np.float64]
 
 
 @kernel
-def commanded_force(x: Moment, par: Array, z: Array) -> float:
+def commanded_force(x: LawInput, par: Array, z: Array) -> float:
     """Return f_c, N.
 
     In free motion there is no force to be fed back, and f_c = f_des; but feedback that drew the tip off the surface, as
@@ -43,7 +43,7 @@ def commanded_force(x: Moment, par: Array, z: Array) -> float:
 
 
 @kernel
-def integral_rate(x: Moment, par: Array, z: Array, f: float, dz: Array) -> None:
+def integral_rate(x: LawInput, par: Array, z: Array, f: float, dz: Array) -> None:
     """Write the rate of z[0] = ∫ (f_des − f) dt, N s.
 
     In free motion it rests, so that it does not wind up; only what is below zero recovers, if the tip is to press.

@@ -22,7 +22,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from closedloop.control.law_input import Moment
+from closedloop.control.law_input import LawInput
 from closedloop.control.parameters import APPROACH, EIGEN, FORCE, INVERSE, K_V, SPARE, VECTORS
 from closedloop.control.tip_space import jacobian_gram, motion_along_normal, pseudo_inverse
 from closedloop.jit.kernel import kernel
@@ -31,12 +31,12 @@ Array = NDArray[np.float64]
 
 
 @kernel
-def hybrid(x: Moment, par: Array, gains: Array, f: float, work: Array, torque: Array) -> None:
+def hybrid(x: LawInput, par: Array, gains: Array, f: float, work: Array, torque: Array) -> None:
     """Write Q (n,).
 
     Parameters
     ----------
-    x : Moment
+    x : LawInput
     par : array
         See `closedloop.control.parameters`.
     gains : (2, n) array

@@ -21,7 +21,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from closedloop.control.law_input import Moment
+from closedloop.control.law_input import LawInput
 from closedloop.control.operational_space import move_tip
 from closedloop.control.parameters import (
     DAMPING,
@@ -38,7 +38,7 @@ Array = NDArray[np.float64]
 
 
 @kernel
-def impedance(x: Moment, par: Array, gains: Array, f: float, work: Array, torque: Array) -> None:
+def impedance(x: LawInput, par: Array, gains: Array, f: float, work: Array, torque: Array) -> None:
     """Write Q (n,); parameters as for `closedloop.control.operational_space.operational_space`."""
     wanted, push = work[WANTED : WANTED + 3], work[SPARE : SPARE + 3]
     for i in range(1, 3):

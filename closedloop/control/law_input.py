@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 Array = NDArray[np.float64]
 
 
-class Moment(NamedTuple):
+class LawInput(NamedTuple):
     """The state of the arm, what is wanted of it, and what its sensors say.
 
     Contact frame: axes n (out of the surface), t1, t2; the three numbers of every (3,) array are in that order.

@@ -19,7 +19,7 @@ from closedloop.control.dynamic_hybrid import dynamic_hybrid
 from closedloop.control.force import commanded_force, integral_rate
 from closedloop.control.hybrid import hybrid
 from closedloop.control.impedance import impedance
-from closedloop.control.law_input import Moment
+from closedloop.control.law_input import LawInput
 from closedloop.control.operational_space import operational_space
 from closedloop.control.paper import paper_law
 from closedloop.control.parameters import (
@@ -44,14 +44,14 @@ Array = NDArray[np.float64]
 
 
 @kernel
-def law_torque(kind: int, x: Moment, par: Array, gains: Array, z: Array, work: Array, torque: Array) -> None:
+def law_torque(kind: int, x: LawInput, par: Array, gains: Array, z: Array, work: Array, torque: Array) -> None:
     """Write Q (n,), N m.
 
     Parameters
     ----------
     kind : int
         See `closedloop.control.parameters.LAWS`.
-    x : Moment
+    x : LawInput
     par, gains : (PARAMETERS + 2 n,), (2, n) arrays
         From `closedloop.control.pack.pack_law`.
     z : (states(kind, par, n),) array
@@ -91,7 +91,7 @@ def law_torque(kind: int, x: Moment, par: Array, gains: Array, z: Array, work: A
 
 
 @kernel
-def law_rates(kind: int, x: Moment, par: Array, z: Array, f: float, torque: Array, work: Array, dz: Array) -> None:
+def law_rates(kind: int, x: LawInput, par: Array, z: Array, f: float, torque: Array, work: Array, dz: Array) -> None:
     """Write ż.
 
     Parameters
@@ -119,7 +119,7 @@ def law_rates(kind: int, x: Moment, par: Array, z: Array, f: float, torque: Arra
 
 
 @kernel
-def start_states(kind: int, x: Moment, par: Array, z: Array) -> None:
+def start_states(kind: int, x: LawInput, par: Array, z: Array) -> None:
     """Write z at the start: nothing learned, the set point of an admittance at the tip, the observer at rest."""
     for i in range(z.shape[0]):
         z[i] = 0.0

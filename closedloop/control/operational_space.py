@@ -18,7 +18,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from closedloop.control.law_input import Moment
+from closedloop.control.law_input import LawInput
 from closedloop.control.parameters import EIGEN, FORCE, INVERSE, SPARE, VECTORS, WANTED
 from closedloop.control.tip_space import (
     add_mass_times,
@@ -34,12 +34,12 @@ Array = NDArray[np.float64]
 
 
 @kernel
-def operational_space(x: Moment, par: Array, gains: Array, f: float, work: Array, torque: Array) -> None:
+def operational_space(x: LawInput, par: Array, gains: Array, f: float, work: Array, torque: Array) -> None:
     """Write Q (n,).
 
     Parameters
     ----------
-    x : Moment
+    x : LawInput
     par : array
         See `closedloop.control.parameters`.
     gains : (2, n) array
@@ -56,7 +56,7 @@ def operational_space(x: Moment, par: Array, gains: Array, f: float, work: Array
 
 
 @kernel
-def move_tip(x: Moment, gains: Array, f: float, work: Array, torque: Array) -> None:
+def move_tip(x: LawInput, gains: Array, f: float, work: Array, torque: Array) -> None:
     """Write the torque that gives the tip the acceleration in `work[WANTED:]` and presses with f, N, if in contact."""
     n = x.q.shape[0]
     inverse = work[INVERSE : INVERSE + 9].reshape(3, 3)

@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from closedloop.closure.contact_force import IMMOBILE
-from closedloop.control.law_input import Moment
+from closedloop.control.law_input import LawInput
 from closedloop.control.parameters import APPROACH, K_P, K_V
 from closedloop.jit.kernel import kernel
 
@@ -99,14 +99,14 @@ def surface_mobility(S: Array, pressed: float, i: int, k: int) -> float:
 
 
 @kernel
-def motion_along_surface(x: Moment, par: Array, wanted: Array) -> None:
+def motion_along_surface(x: LawInput, par: Array, wanted: Array) -> None:
     """Write ü_des + K_v (u_des − u) + K_p (p_des − p) along t1 and t2 into `wanted` (3,), m/s²."""
     for i in range(1, 3):
         wanted[i] = x.a_des[i] + par[K_V] * (x.u_des[i] - x.u[i]) + par[K_P] * (x.p_des[i] - x.p[i])
 
 
 @kernel
-def motion_along_normal(x: Moment, f: float, stiffness: float, damping: float, speed: float) -> float:
+def motion_along_normal(x: LawInput, f: float, stiffness: float, damping: float, speed: float) -> float:
     """Return the acceleration wanted along n, m/s²: none in contact, where the force is controlled instead.
 
     In free motion the sign of f_des says where to: a tip that is to press (f_des > 0) comes down at `speed`, whatever
@@ -128,21 +128,21 @@ def motion_along_normal(x: Moment, f: float, stiffness: float, damping: float, s
 
 
 @kernel
-def wanted_acceleration(x: Moment, par: Array, f: float, wanted: Array) -> None:
+def wanted_acceleration(x: LawInput, par: Array, f: float, wanted: Array) -> None:
     """Write the tip acceleration (3,), m/s², that the motion law asks for in all three directions."""
     wanted[0] = motion_along_normal(x, f, par[K_P], par[K_V], par[APPROACH])
     motion_along_surface(x, par, wanted)
 
 
 @kernel
-def posture(x: Moment, gains: Array, a: Array) -> None:
+def posture(x: LawInput, gains: Array, a: Array) -> None:
     """Write K_d (q̇_des − q̇) + K_p (q_des − q), rad/s², into `a` (n,): where joints go that the tip leaves free."""
     for j in range(x.q.shape[0]):
         a[j] = gains[0, j] * (x.q_des[j] - x.q[j]) + gains[1, j] * (x.v_des[j] - x.v[j])
 
 
 @kernel
-def rest_of(x: Moment, wanted: Array, a: Array, rest: Array) -> None:
+def rest_of(x: LawInput, wanted: Array, a: Array, rest: Array) -> None:
     """Write wanted − Ȧq̇ − A a (3,), m/s²: what is still missing when the joints accelerate with `a` (n,)."""
     for i in range(3):
         s = wanted[i] - x.drift[i]

@@ -18,51 +18,52 @@ from closedloop.events.phases import TERMS, extra_states
 from closedloop.events.proceed import proceed
 from closedloop.jit.kernel import entry_kernel, inlined_kernel
 from closedloop.robot.tree import Tree, tree_of, tree_terms, work_size
-from closedloop.step.memory import SENSOR_RING, STAGES, Whole, workspace
+from closedloop.step.memory import Constants, State, Whole, Work
 
 Array = NDArray[np.float64]
 
 
 @inlined_kernel
 def _run(
-    n: int, tree: Tree, work: Array, k: Array, state: Whole, memory: Array, table: Array, tableau: Array, rows: Array,
-    events: Array, more: int | None,
+    n: int, tree: Tree, work: Array, constant_numbers: Array, state_numbers: Whole, work_numbers: Array, table: Array,
+    tableau: Array, rows: Array, events: Array, more: int | None,
 ) -> int:  # fmt: skip
-    w = workspace(memory, n, extra_states(state, n), state[STAGES], state[SENSOR_RING])
+    constants, state = Constants(constant_numbers, n), State(state_numbers)
+    w = Work(work_numbers, n, extra_states(state, n), state.stages, state.sensor_ring)
     H, C, scratch = work[0 : n * n].reshape(n, n), work[n * n : n * n + n], work[n * n + n :]
     request = TERMS
     while request == TERMS:
         tree_terms(tree, w.q, w.v, scratch, H, C, w.J, w.r, w.drift)
-        request = proceed(H, C, w, k, state, table, tableau, rows, events, more)
+        request = proceed(H, C, w, constants, state, table, tableau, rows, events, more)
     return request
 
 
 @entry_kernel
 def run_compiled(
-    tree: Tree, work: Array, k: Array, state: Whole, memory: Array, table: Array, tableau: Array, rows: Array,
-    events: Array,
+    tree: Tree, work: Array, constant_numbers: Array, state_numbers: Whole, work_numbers: Array, table: Array,
+    tableau: Array, rows: Array, events: Array,
 ) -> int:  # fmt: skip
     """Go on until something other than terms is asked for, and return what; see `closedloop.events.proceed`."""
-    return _run(tree.n, tree, work, k, state, memory, table, tableau, rows, events, None)
+    return _run(tree.n, tree, work, constant_numbers, state_numbers, work_numbers, table, tableau, rows, events, None)
 
 
 @entry_kernel
 def run_compiled_with_more(
-    tree: Tree, work: Array, k: Array, state: Whole, memory: Array, table: Array, tableau: Array, rows: Array,
-    events: Array,
+    tree: Tree, work: Array, constant_numbers: Array, state_numbers: Whole, work_numbers: Array, table: Array,
+    tableau: Array, rows: Array, events: Array,
 ) -> int:  # fmt: skip
     """Do the same with everything that may come on top: other laws, friction, a force sensor."""
-    return _run(tree.n, tree, work, k, state, memory, table, tableau, rows, events, 1)
+    return _run(tree.n, tree, work, constant_numbers, state_numbers, work_numbers, table, tableau, rows, events, 1)
 
 
 def written_out_run(n: int, more: int | None) -> Callable[..., int]:
     """Return the body of a loop for n joints alone, not yet compiled; see `closedloop.engines.specialise`."""
 
     def run(
-        tree: Tree, work: Array, k: Array, state: Whole, memory: Array, table: Array, tableau: Array, rows: Array,
-        events: Array,
+        tree: Tree, work: Array, constant_numbers: Array, state_numbers: Whole, work_numbers: Array, table: Array,
+        tableau: Array, rows: Array, events: Array,
     ) -> int:  # fmt: skip
-        return _run(n, tree, work, k, state, memory, table, tableau, rows, events, more)
+        return _run(n, tree, work, constant_numbers, state_numbers, work_numbers, table, tableau, rows, events, more)
 
     return run
 

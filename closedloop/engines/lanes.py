@@ -1,9 +1,9 @@
 """Eight runs abreast: a batch's runs of the paper's law with the tip on a smooth surface, in one loop.
 
 Such a run has nothing to decide: no event, no impact, no friction. So eight of them can take each step together,
-in octets (`closedloop.jit.simd8`), by the very kernels that one run goes through alone, and to the same last bit. What
-is here is only their order, that of `closedloop.events` without its decisions. A row is counted as soon as it is there
-(`closedloop.report.measured`), and kept only if asked for.
+in float64x8 (`closedloop.jit.simd8`), by the very kernels that one run goes through alone, and to the same last bit.
+What is here is only their order, that of `closedloop.events` without its decisions. A row is counted as soon as it is
+there (`closedloop.report.measured`), and kept only if asked for.
 
 If in one of the eight something does come up, a tip that leaves, a singular pose or a motion that diverges, the loop
 gives up and says so: each of the eight is then run alone.
@@ -24,8 +24,8 @@ from closedloop.closure.contact_force import (
     accelerate,
     baumgarte_acceleration,
     factorise,
+    free_acceleration,
     pressed_force,
-    unloaded,
 )
 from closedloop.closure.solve import DIVERGED, OK
 from closedloop.engines.problem import Problem, needs_more
@@ -33,7 +33,7 @@ from closedloop.engines.specialise import COMPILED, machine
 from closedloop.integrators import INTEGRATORS, advance
 from closedloop.jit.kernel import entry_kernel, kernel_inlined, needs_compiling, numba_settings, plain
 from closedloop.jit.pointers import address_of, matrix_at
-from closedloop.jit.simd8 import WIDE, aligned, every, octets_at, with_lane
+from closedloop.jit.simd8 import WIDE, aligned, every, float64x8_at, with_lane
 from closedloop.report.joint_figures import joint_limits
 from closedloop.report.measured import (
     begin_tally,
@@ -46,10 +46,9 @@ from closedloop.report.measured import (
 from closedloop.robot.pinocchio import Robot
 from closedloop.robot.tree import Tree, energy_there, tree_terms, work_size
 from closedloop.scenario.scenario import Scenario
-from closedloop.step import memory as space
 from closedloop.step.energy_supplied import gain, remember_power, settle
 from closedloop.step.evaluate import bounded, locate_tip, paper_torque
-from closedloop.step.memory import Whole, Work, workspace
+from closedloop.step.memory import Constants, State, Whole, Work
 from closedloop.step.record_row import SCALARS, Row, record, record_conditions
 
 if TYPE_CHECKING:
@@ -57,8 +56,8 @@ if TYPE_CHECKING:
 
 Array = NDArray[np.float64]
 
-# The parts of the loop's memory, in `places`: each an array of octets.
-MEMORY, TERMS, CONSTANTS, FORCES, LARGEST, ROWS, TALLIES, FIGURES = range(8)
+# The parts of the loop's memory, in `places`: each an array of float64x8.
+WORK, TERMS, CONSTANTS, FORCES, LARGEST, ROWS, TALLIES, FIGURES = range(8)
 
 SCALAR_COUNT = len(SCALARS)
 # A tip may leave the surface, or the stabiliser would pull: there is something to decide.
@@ -127,16 +126,15 @@ class Abreast:
         self._instants, self._columns = like.table.shape
         self._state, self._tableau = like.state(), like.integrator.tableau()
         self._h, self._spacing = like.h, like.h / like.nodes
-        self._memory = aligned(space.memory_size(n, 0, stages, 1))
-        self._work = space.workspace(self._memory, n, 0, stages, 1)
-        self._constants = aligned(like.constants().size)
+        self._work = Work(aligned(Work.count(n, 0, stages, 1)), n, 0, stages, 1)
+        self._constants = aligned(Constants.count(n))
         self._forces, self._largest = aligned(like.table.shape[0]), aligned(1)
         self._rows = aligned(like.steps + 1 if keep else LANES, Row.of(n).width)
         self._figures = aligned(plain(figure_count)(n))
         self._limits = joint_limits(like.robot.model)
         self._parts = (
-            self._memory, aligned(n * n + n + work_size(n)), self._constants, self._forces, self._largest, self._rows,
-            aligned(plain(tally_size)(n)), self._figures,
+            self._work.memory, aligned(n * n + n + work_size(n)), self._constants, self._forces, self._largest,
+            self._rows, aligned(plain(tally_size)(n)), self._figures,
         )  # fmt: skip
         self._places = np.array([address_of(part) for part in self._parts])
         self._tables: list[Array] = []
@@ -151,7 +149,7 @@ class Abreast:
         n = self.n
         if lane == 0:
             self._tables.clear()
-        self._constants[:, lane] = problem.constants()
+        self._constants[:, lane] = problem.constants().memory
         self._work.q[:, lane], self._work.v[:, lane] = problem.q, problem.v
         force = problem.table[:, 2 * n + 9]
         self._forces[:, lane] = force
@@ -164,9 +162,9 @@ class Abreast:
             part[..., count:] = part[..., :1]  # the others do what the first does
         places = [address_of(table) for table in self._tables[:count]]
         tables = np.array(places + places[:1] * (WIDE - count))
-        self._state[space.PENDING] = 0
+        self._state.pending = 0
         status = run_abreast(
-            tree, self._places, self._constants.shape[0], self._state, self._h, self._spacing, self._tableau, tables,
+            tree, self._places, self._state.memory, self._h, self._spacing, self._tableau, tables,
             self._instants, self._columns, self._rows.shape[0], self._limits,
         )  # fmt: skip
         self._tables.clear()
@@ -183,7 +181,7 @@ class Abreast:
 
 @entry_kernel
 def run_abreast(
-    tree: Tree, places: Whole, constants: int, state: Whole, h: float, spacing: float, tableau: Array, tables: Whole,
+    tree: Tree, places: Whole, state_numbers: Whole, h: float, spacing: float, tableau: Array, tables: Whole,
     instants: int, columns: int, kept: int, limits: Array,
 ) -> int:  # fmt: skip
     """Run eight problems from start to end.
@@ -194,9 +192,7 @@ def run_abreast(
         Their robot.
     places : (8,) array of int
         Addresses of the parts of the memory, see `Abreast`.
-    constants : int
-        How many constants there are, see `closedloop.step.memory`.
-    state : array of int
+    state_numbers : array of int
         See `closedloop.step.memory`; the same for all.
     h, spacing : float
         Step, and time between two rows of a table, s.
@@ -214,19 +210,20 @@ def run_abreast(
     int
         OK, or a status of `closedloop.closure.solve`, or LEFT, if something came up in at least one of them.
     """
-    n, stages, steps, hold = tree.n, state[space.STAGES], state[space.STEPS], state[space.HOLD]
-    semi_implicit, unilateral = state[space.SEMI_IMPLICIT] != 0, state[space.UNILATERAL] != 0
-    w = workspace(octets_at(places[MEMORY], 0), n, 0, stages, 1)
-    terms = octets_at(places[TERMS], n * n + n + work_size(n))
+    n, state = tree.n, State(state_numbers)
+    stages, steps, hold = state.stages, state.steps, state.hold
+    semi_implicit, unilateral = state.semi_implicit != 0, state.unilateral != 0
+    w = Work(float64x8_at(places[WORK], 0), n, 0, stages, 1)
+    terms = float64x8_at(places[TERMS], n * n + n + work_size(n))
     H, C, scratch = terms[0 : n * n].reshape(n, n), terms[n * n : n * n + n], terms[n * n + n :]
-    k, largest = octets_at(places[CONSTANTS], constants), octets_at(places[LARGEST], 1)[0]
-    forces = octets_at(places[FORCES], instants)
+    constants, largest = Constants(float64x8_at(places[CONSTANTS], 0), n), float64x8_at(places[LARGEST], 1)[0]
+    forces = float64x8_at(places[FORCES], instants)
     width = 5 * n + 9 + SCALAR_COUNT
-    rows = octets_at(places[ROWS], kept * width).reshape(kept, width)
-    tally, out = octets_at(places[TALLIES], tally_size(n)), octets_at(places[FIGURES], figure_count(n))
-    frame = k[space.FRAME : space.FRAME + 9]
+    rows = float64x8_at(places[ROWS], kept * width).reshape(kept, width)
+    tally, out = float64x8_at(places[TALLIES], tally_size(n)), float64x8_at(places[FIGURES], figure_count(n))
+    frame = constants.frame
     begin_tally(tally, n)
-    w.now[space.SUPPLIED] = 0.0
+    w.supplied = 0.0
     for row in range(steps + 1):
         begin, place = row * h, row % kept
         for stage in range(stages if row < steps else 1):
@@ -237,18 +234,18 @@ def run_abreast(
             tree_terms(tree, w.q, w.v, scratch, H, C, w.J, w.r, w.drift)
             desired(t, spacing, tables, instants, columns, forces, w.reference)
             sampled = hold == 0 or (stage == 0 and row % hold == 0)
-            status = press(H, C, w, k, t, sampled)
+            status = press(H, C, w, constants, t, sampled)
             if status != OK:
                 return status
-            if unilateral and not (every(w.F[0] >= 0.0) and every(w.F[0] - w.share[0] >= 0.0)):
+            if unilateral and not (every(w.F[0] >= 0.0) and every(w.F[0] - w.stabiliser_force[0] >= 0.0)):
                 return LEFT
             if stage == 0:
-                record(H, C, w, k, state, tableau, rows, place, None)
+                record(H, C, w, constants, state, tableau, rows, place, None)
                 potential = energy_there(tree, scratch)
                 count_row(rows[place], potential, w.reference, row, h, frame, limits, largest, tally)
                 if row == steps:
                     record_conditions(w.pending, rows, state, place + 1, n)
-                if state[space.PENDING] == 0:
+                if state.pending == 0:
                     for i in range(place - place % LANES, place + 1):
                         count_condition(rows[i], tally)
                 for j in range(n):
@@ -258,7 +255,7 @@ def run_abreast(
             if row < steps:
                 gain(w, stage, h, tableau[stages, stage])
                 advance(stage, h, semi_implicit, False, tableau, w.begin, w.stages, w.qdd, w.dz, w.q, w.v, w.z)
-        settle(w.now)
+        settle(w)
     write_figures(rows[steps % kept, 5 * n + 9 :], n, steps + 1, h, largest, tally, out)
     return OK
 
@@ -284,19 +281,19 @@ def desired(
 
 
 @kernel_inlined
-def press(H: Array, C: Array, w: Work, k: Array, t: float, sampled: bool) -> int:
+def press(H: Array, C: Array, w: Work, constants: Constants, t: float, sampled: bool) -> int:
     """Evaluate law, contact and Eq. 24 of a tip that is held on a smooth surface; see
     `closedloop.step.evaluate.evaluate`.
     """
-    locate_tip(w, k)
-    status = factorise(H, w.A, w.L, w.X, w.S, k[space.REACH])
+    locate_tip(w, constants)
+    status = factorise(H, w.A, w.L, w.X, w.S, constants.reach)
     if status != OK:
         return status
     if sampled:
-        paper_torque(C, w, k, t)
-    unloaded(w.L, w.X, w.drift_c, w.torque, C, w.y, w.a)
-    w.b[0] = baumgarte_acceleration(k[space.S_V], k[space.S_P], w.now[space.RATE], w.now[space.GAP])
-    status, w.share[0] = pressed_force(w.S, w.a, w.b[0], w.c, w.w, w.F)
+        paper_torque(C, w, constants, t)
+    free_acceleration(w.L, w.X, w.drift_c, w.torque, C, w.y, w.a)
+    w.b[0] = baumgarte_acceleration(constants.s_v, constants.s_p, w.rate, w.gap)
+    status, w.stabiliser_force[0] = pressed_force(w.S, w.a, w.b[0], w.c, w.viscous, w.F)
     if status != OK:
         return status
     accelerate(w.L, w.X, w.y, w.F, w.qdd)

@@ -11,7 +11,7 @@ from closedloop.closure.contact_force import FREE, STUCK
 from closedloop.control.pack import PackedLaw
 from closedloop.control.sections import SensorSection
 from closedloop.control.sensor import PackedSensor, start_sensor
-from closedloop.events.phases import ARRIVING, CLOSING
+from closedloop.events.phases import ARRIVING, PROJECTING, extra_states
 from closedloop.friction.laws import rest_states
 from closedloop.friction.layout import KINETIC, LAST, SEVEN_PARAMETER, STATIC_EXCESS, STICKS, state_count
 from closedloop.impact import LAWS
@@ -20,8 +20,8 @@ from closedloop.jit.kernel import plain
 from closedloop.reference.desired import Desired
 from closedloop.robot.pinocchio import Robot
 from closedloop.scenario.scenario import BaumgarteGains, Scenario
-from closedloop.step import memory as space
 from closedloop.step.evaluate import LAW_GIVEN
+from closedloop.step.memory import ELASTIC_STICK, RIGID_STICK, SMOOTH, SPRING_STICK, Constants, State, Work
 from closedloop.surface.plane import Plane
 
 Array = NDArray[np.float64]
@@ -30,7 +30,7 @@ Array = NDArray[np.float64]
 STICK_SPEED = 1e-7
 
 
-STICKING = {"rigid": space.RIGID_STICK, "elastic": space.ELASTIC_STICK, "spring": space.SPRING_STICK}
+STICKING = {"rigid": RIGID_STICK, "elastic": ELASTIC_STICK, "spring": SPRING_STICK}
 
 
 @dataclass(frozen=True)
@@ -124,61 +124,48 @@ class Problem:
         """Whether the loop needs more than the paper's law on a smooth surface."""
         return needs_more(self.scenario)
 
-    def constants(self) -> Array:
-        """Return the loop's constants, see `closedloop.step.memory`."""
+    def constants(self) -> Constants:
+        """Return what the loop takes as constant."""
         n, robot, impact = self.robot.n, self.robot, self.scenario.impact
-        k = np.zeros(space.JOINTS + 5 * n + space.LAW_WIDTH + n * space.FRICTION_WIDTH)
-        k[space.H_STEP], k[space.NODE], k[space.OFFSET_D] = self.h, self.h / self.nodes, self.plane.offset
-        k[space.S_V], k[space.S_P] = self.stabiliser
-        k[space.FRAME : space.FRAME + 9] = self.frame.ravel()
-        k[space.TIP : space.TIP + 3], k[space.GRAVITY : space.GRAVITY + 3] = robot.tip_offset, robot.gravity
-        k[space.RESTITUTION], k[space.REST_SPEED] = impact.restitution, impact.rest_speed
-        k[space.IMPACT_FRICTION], k[space.STICK_SPEED] = self.friction[1][KINETIC], STICK_SPEED
-        k[space.PD_AT], k[space.REACH] = self.pd_start, robot.reach**2
-        k[space.SENSOR_AT : space.SENSOR_AT + 4] = self.sensor.par
-        k[space.FRICTION_AT : space.FRICTION_AT + space.FRICTION_WIDTH] = self.friction[1]
-        k[space.JOINTS : space.JOINTS + n] = robot.support
-        k[space.JOINTS + n : space.JOINTS + 3 * n] = self.law.gains.ravel()
-        at = space.JOINTS + 3 * n
-        k[at : at + space.LAW_WIDTH + 2 * n] = self.law.par
-        k[at + space.LAW_WIDTH + 2 * n :] = self.joint_friction[1].ravel()
-        return k
+        constants = Constants(np.zeros(Constants.count(n)), n)
+        constants.h, constants.node, constants.offset = self.h, self.h / self.nodes, self.plane.offset
+        constants.s_v, constants.s_p = self.stabiliser
+        constants.frame[:] = self.frame
+        constants.tip[:], constants.gravity[:], constants.reach = robot.tip_offset, robot.gravity, robot.reach**2
+        constants.restitution, constants.rest_speed = impact.restitution, impact.rest_speed
+        constants.impact_friction, constants.stick_speed = self.friction[1][KINETIC], STICK_SPEED
+        constants.pd_start = self.pd_start
+        constants.sensor[:], constants.friction[:] = self.sensor.par, self.friction[1]
+        constants.support[:], constants.gains[:], constants.law[:] = robot.support, self.law.gains, self.law.par
+        constants.joint_friction[:] = self.joint_friction[1]
+        return constants
 
-    def state(self, law_given: bool = False) -> NDArray[np.int64]:
+    def state(self, law_given: bool = False) -> State:
         """Return the loop's whole numbers at t = 0; `law_given` if the torque comes from outside."""
-        state = np.zeros(space.WHOLES, dtype=np.int64)
-        state[space.STAGES], state[space.STEPS], state[space.HOLD] = self.integrator.stages, self.steps, self.hold
-        state[space.LAW] = LAW_GIVEN if law_given else self.law.kind
-        state[space.LAW_STATES] = 0 if law_given else self.law.states
-        state[space.PER_STEP] = self.nodes
-        state[space.PROJECT], state[space.SEMI_IMPLICIT] = self.project, self.integrator.semi_implicit
-        state[space.UNILATERAL] = self.scenario.surface.contact == "unilateral"
-        state[space.IMPACT_LAW] = LAWS[self.scenario.impact.law]
+        state = State(np.zeros(State.count(), dtype=np.int64))
+        state.stages, state.steps, state.hold = self.integrator.stages, self.steps, self.hold
+        state.law = LAW_GIVEN if law_given else self.law.kind
+        state.law_states = 0 if law_given else self.law.states
+        state.nodes_per_step = self.nodes
+        state.project, state.semi_implicit = self.project, self.integrator.semi_implicit
+        state.unilateral = self.scenario.surface.contact == "unilateral"
+        state.impact_law = LAWS[self.scenario.impact.law]
         kind, joints = self.friction[0], self.joint_friction[0]
-        state[space.FRICTION], state[space.FRICTION_STATES] = kind, state_count(kind, 2)
-        state[space.STICKING] = STICKING[STICKS[kind]] if kind else space.SMOOTH
-        state[space.JOINT_FRICTION], state[space.JOINT_STATES] = joints, state_count(joints, 1)
-        state[space.SENSOR_STATES], state[space.SENSOR_RING] = self.sensor.states, self.sensor.ring
-        state[space.SENSOR_SAMPLED] = self.sensor.sampled
-        state[space.MODE], state[space.SAMPLED], state[space.RISEN] = self.mode, 1, 1
+        state.friction, state.friction_states = kind, state_count(kind, 2)
+        state.sticking = STICKING[STICKS[kind]] if kind else SMOOTH
+        state.joint_friction, state.joint_states = joints, state_count(joints, 1)
+        state.sensor_states, state.sensor_ring = self.sensor.states, self.sensor.ring
+        state.sensor_sampled = self.sensor.sampled
+        state.mode, state.sampled, state.risen = self.mode, 1, 1
         if self.project and self.mode != FREE:
-            state[space.PHASE], state[space.NEXT] = CLOSING, ARRIVING
+            state.phase, state.next_phase = PROJECTING, ARRIVING
         return state
 
-    def views(self, memory: Array, state: NDArray[np.int64]) -> space.Work:
-        """Return the named parts of the loop's memory."""
-        n = self.robot.n
-        counts = state[[space.LAW_STATES, space.SENSOR_STATES, space.FRICTION_STATES]].sum()
-        extra = int(counts + n * state[space.JOINT_STATES])
-        return space.workspace(memory, n, extra, self.integrator.stages, self.sensor.ring)
-
-    def memory(self, law_given: bool = False) -> Array:
-        """Return the loop's memory at t = 0, with the start in it."""
-        n, state = self.robot.n, self.state(law_given)
-        law, sensor, friction = state[[space.LAW_STATES, space.SENSOR_STATES, space.FRICTION_STATES]].tolist()
-        extra = law + sensor + friction + n * int(state[space.JOINT_STATES])
-        memory = np.zeros(space.memory_size(n, extra, self.integrator.stages, self.sensor.ring))
-        w = self.views(memory, state)
+    def work(self, state: State) -> Work:
+        """Return the state at t = 0 that the loop works on; `state` from the method of that name."""
+        n, extra = self.robot.n, plain(extra_states)(state, self.robot.n)
+        sizes = (n, extra, self.integrator.stages, self.sensor.ring)
+        w = Work(np.zeros(Work.count(*sizes)), *sizes)
         w.q[:], w.v[:] = self.q, self.v
         terms = self.robot.terms(self.q, self.v)
         u = self.frame @ terms.jacobian @ self.v
@@ -187,16 +174,18 @@ class Problem:
         if slip > 0.0:
             w.direction[:] = u[1:] / slip
         felt = float(self.table[0, 2 * n + 9]) if self.mode != FREE else 0.0  # the sensor has felt what is wanted
-        plain(start_sensor)(felt, self.sensor.par, w.z[law : law + sensor], w.ring)
-        w.now[space.MEASURED], w.now[space.LAST_EVENT] = w.ring[0], -np.inf
-        if friction and self.mode == STUCK:
-            rest_states(self.friction[0], self.friction[1].copy(), w.z[law + sensor : law + sensor + friction])
+        sensor = int(state.law_states)
+        friction = sensor + int(state.sensor_states)
+        joints = friction + int(state.friction_states)
+        plain(start_sensor)(felt, self.sensor.par, w.z[sensor:friction], w.ring)
+        w.measured, w.last_event = w.ring[0], -np.inf
+        if joints > friction and self.mode == STUCK:
+            rest_states(self.friction[0], self.friction[1].copy(), w.z[friction:joints])
         if self.joint_friction[0] == SEVEN_PARAMETER:
             for j in range(n):
-                at = law + sensor + friction + j * int(state[space.JOINT_STATES])
                 w.stuck[j] = float(self.v[j] == 0.0)
-                w.z[at + LAST] = self.joint_friction[1][j, STATIC_EXCESS]
-        return memory
+                w.z[joints + j * state.joint_states + LAST] = self.joint_friction[1][j, STATIC_EXCESS]
+        return w
 
 
 def needs_more(scenario: Scenario) -> bool:

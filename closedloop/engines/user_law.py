@@ -40,7 +40,7 @@ from closedloop.events.table import EVENT_WIDTH
 from closedloop.jit.kernel import entry_kernel
 from closedloop.robot.pinocchio import Robot, Terms
 from closedloop.robot.tree import Tree, tree_terms, work_size
-from closedloop.step.memory import TIME, Whole, Work
+from closedloop.step.memory import Whole, Work
 
 Array = NDArray[np.float64]
 
@@ -186,11 +186,13 @@ def _why(error: NumbaError) -> str:
 
 @entry_kernel
 def _go_on(
-    run: Any, law: Any, request: int, tree: Tree, work: Array, k: Array, state: Whole, memory: Array, table: Array,
-    tableau: Array, rows: Array, events: Array, now: Array, q: Array, v: Array, torque: Array, own: Array,
+    run: Any, law: Any, request: int, tree: Tree, work: Array, constant_numbers: Array, state_numbers: Whole,
+    work_numbers: Array, table: Array, tableau: Array, rows: Array, events: Array, q: Array, v: Array, torque: Array,
+    own: Array,
 ) -> int:  # fmt: skip
     """Go on as `run` does, and evaluate the law whenever it is asked for."""
     n = q.shape[0]
+    w = Work(work_numbers, n, 0, 0, 0)
     H, C, J = own[0 : n * n].reshape(n, n), own[n * n : n * n + n], own[n * n + n : n * n + 4 * n].reshape(3, n)
     at = n * n + 4 * n
     r, drift, scratch = own[at : at + 3], own[at + 3 : at + 6], own[at + 6 :]
@@ -201,13 +203,13 @@ def _go_on(
                 torque[i] = 0.0
                 for j in range(i):
                     H[i, j] = H[j, i]
-            status = law(now[TIME], q, v, H, C, r, J, drift, torque)
+            status = law(w.time, q, v, H, C, r, J, drift, torque)
             if status != 0:
                 return WRONG_LENGTH
             for i in range(n):
                 if not math.isfinite(torque[i]):
                     return NOT_FINITE
-        request = run(tree, work, k, state, memory, table, tableau, rows, events)
+        request = run(tree, work, constant_numbers, state_numbers, work_numbers, table, tableau, rows, events)
     return request
 
 
@@ -226,7 +228,7 @@ def loop_with_law(
         What `run` takes before the events, and the views into its memory.
     """
     n = w.q.shape[0]
-    views = (w.now, w.q, w.v, w.torque, np.zeros(n * n + 4 * n + 6 + work_size(n)))
+    views = (w.q, w.v, w.torque, np.zeros(n * n + 4 * n + 6 + work_size(n)))
     # By address (`FunctionType`), so that one compilation serves every law; numba would make one for each.
     numbers = [_typeof(x) for x in (tree, work, *arrays, np.zeros((1, EVENT_WIDTH)))]
     signature = types.int64(
@@ -242,10 +244,10 @@ def loop_with_law(
         try:
             answer = int(entry(run, call, request, tree, work, *arrays, events, *views))
         except Exception as error:  # only the law can raise here
-            raise law_failure(law, error, float(w.now[TIME])) from error
+            raise law_failure(law, error, float(w.time)) from error
         request = TERMS
         if answer == WRONG_LENGTH:
-            raise not_a_torque("Q of another length", float(w.now[TIME]), n)
+            raise not_a_torque("Q of another length", float(w.time), n)
         return answer
 
     return go_on

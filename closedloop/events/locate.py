@@ -1,4 +1,4 @@
-"""When an event happens: the gauge that tells that a mode has ended, and the bracket that closes in on the instant."""
+"""When an event happens: the event function, negative once a mode has ended, and the bracket around its instant."""
 
 from __future__ import annotations
 
@@ -19,115 +19,86 @@ from closedloop.events.phases import (
 )
 from closedloop.friction.laws import capture_speed, stick_limit
 from closedloop.jit.kernel import kernel, kernel_inlined
-from closedloop.step.memory import (
-    AT_HIGH,
-    AT_LOW,
-    CERTAIN,
-    FRICTION,
-    FRICTION_AT,
-    FRICTION_STATES,
-    FRICTION_WIDTH,
-    GAP,
-    GAUGE,
-    HIGH,
-    LAW_STATES,
-    LENGTH,
-    LOW,
-    MODE,
-    RATE,
-    RIGID,
-    RIGID_STICK,
-    SENSOR_STATES,
-    SPRING_STICK,
-    START_GAP,
-    START_SLIP,
-    STICK_SPEED,
-    STICKING,
-    TAU,
-    TIME,
-    TRIAL,
-    TRIES,
-    UNILATERAL,
-    Whole,
-    Work,
-)
+from closedloop.step.memory import RIGID_STICK, SPRING_STICK, Constants, State, Work
 
 Array = NDArray[np.float64]
 
 
 @kernel_inlined
-def gauge(w: Work, k: Array, state: Whole, more: int | None) -> float:
+def event_function(w: Work, constants: Constants, state: State, more: int | None) -> float:
     """Return the number that is positive as long as the mode lasts: a gap, m, a force, N, or a speed, mm/s."""
-    if state[MODE] == FREE:
-        return float(w.now[GAP])
-    least: float = w.now[RIGID] if state[UNILATERAL] != 0 else 1.0
-    if more is not None and state[STICKING] in (RIGID_STICK, SPRING_STICK):
-        least = min(least, cone(w, k, state) if state[MODE] == STUCK else 1e3 * slip_left(w, k, state))
+    if state.mode == FREE:
+        return float(w.gap)
+    least: float = w.rigid_force if state.unilateral != 0 else 1.0
+    if more is not None and state.sticking in (RIGID_STICK, SPRING_STICK):
+        least = min(least, cone(w, constants, state) if state.mode == STUCK else 1e3 * slip_left(w, constants, state))
     return least
 
 
 @kernel
-def cone(w: Work, k: Array, state: Whole) -> float:
+def cone(w: Work, constants: Constants, state: State) -> float:
     """Return what is left of the friction cone to a tip that sticks, μ_s f − |F_t|, N."""
-    kind, par = state[FRICTION], k[FRICTION_AT : FRICTION_AT + FRICTION_WIDTH]
-    at = state[LAW_STATES] + state[SENSOR_STATES]
-    limit = stick_limit(kind, par, w.z[at : at + state[FRICTION_STATES]])
+    kind, par = state.friction, constants.friction
+    at = state.law_states + state.sensor_states
+    limit = stick_limit(kind, par, w.z[at : at + state.friction_states])
     return float(limit * abs(w.F[0]) - np.hypot(w.F[1], w.F[2]))
 
 
 @kernel
-def slip_left(w: Work, k: Array, state: Whole) -> float:
+def slip_left(w: Work, constants: Constants, state: State) -> float:
     """Return the speed along the direction in which slip began, m/s, above the speed at which sticking is tried."""
-    band = capture_speed(state[FRICTION], k[FRICTION_AT : FRICTION_AT + FRICTION_WIDTH])
+    band = capture_speed(state.friction, constants.friction)
     along = w.u[1] * w.direction[0] + w.u[2] * w.direction[1]
-    if w.now[START_SLIP] <= k[STICK_SPEED]:  # slip has only begun, and its velocity is still of the size of rounding
-        return float(along + k[STICK_SPEED])
-    return float(along - (band if w.now[START_SLIP] > band else 0.0))
+    if (
+        w.start_slip_speed <= constants.stick_speed
+    ):  # slip has only begun, and its velocity is still of the size of rounding
+        return float(along + constants.stick_speed)
+    return float(along - (band if w.start_slip_speed > band else 0.0))
 
 
 @kernel
-def aim(now: Array, state: Whole) -> None:
+def aim(w: Work, state: State) -> None:
     """Choose the next instant between LOW and HIGH: by the secant, and every third time halfway."""
-    low, high = now[LOW], now[HIGH]
-    a, b = now[AT_LOW], now[AT_HIGH]
+    low, high = w.low, w.high
+    a, b = w.at_low, w.at_high
     tau = 0.5 * (low + high)
-    if state[TRIES] % 3 != 2 and a > 0.0 > b and a > 1e-6 * -b:
+    if state.tries % 3 != 2 and a > 0.0 > b and a > 1e-6 * -b:
         tau = low + (high - low) * (a / (a - b))
         tau = min(max(tau, low + 0.4 * INSTANT), high - 0.4 * INSTANT)
-    state[TRIES] += 1
-    now[TAU] = tau
+    state.tries += 1
+    w.tau = tau
 
 
 @kernel
-def narrow(now: Array, state: Whole) -> int:
-    """Use the gauge at the end of a trial step to shrink the bracket, until the instant of the event is known."""
-    tau, value = now[TAU], now[GAUGE]
-    if state[TRIAL] == LOOK:
-        state[TRIAL] = SEARCH_EVENT if value < 0.0 else LOOKED
-        if state[TRIAL] == LOOKED:
-            now[TAU] = now[LENGTH]
+def narrow(w: Work, state: State) -> int:
+    """Use the event function at the end of a trial step to shrink the bracket, until the instant is known."""
+    tau, value = w.tau, w.event_value
+    if state.trial == LOOK:
+        state.trial = SEARCH_EVENT if value < 0.0 else LOOKED
+        if state.trial == LOOKED:
+            w.tau = w.length
             return SET_OUT_AGAIN
-    if state[TRIAL] == SEARCH_LOWEST:
-        if now[GAP] < -SHALLOW:  # it went through: look for the crossing before
-            state[TRIAL] = SEARCH_EVENT
-            now[LOW], now[AT_LOW] = 0.0, max(now[START_GAP], 0.0)
+    if state.trial == SEARCH_LOWEST:
+        if w.gap < -SHALLOW:  # it went through: look for the crossing before
+            state.trial = SEARCH_EVENT
+            w.low, w.at_low = 0.0, max(w.start_gap, 0.0)
         else:
-            value = -now[RATE]
+            value = -w.rate
     # The end that stays twice has its value halved, so that the secant moves towards it (Illinois).
-    if value > 0.0 or (value == 0.0 and state[MODE] == FREE):
-        now[LOW], now[AT_LOW] = tau, value
-        now[AT_HIGH] *= 0.5 if state[TRIES] > 1 else 1.0
+    if value > 0.0 or (value == 0.0 and state.mode == FREE):
+        w.low, w.at_low = tau, value
+        w.at_high *= 0.5 if state.tries > 1 else 1.0
     else:
-        now[HIGH], now[AT_HIGH] = tau, value
-        now[AT_LOW] *= 0.5 if state[TRIES] > 1 else 1.0
-    if now[HIGH] - now[LOW] > max(INSTANT, 4e-16 * now[TIME]):
-        aim(now, state)
-    elif state[TRIAL] == SEARCH_LOWEST or now[HIGH] == now[LENGTH]:
+        w.high, w.at_high = tau, value
+        w.at_low *= 0.5 if state.tries > 1 else 1.0
+    if w.high - w.low > max(INSTANT, 4e-16 * w.time):
+        aim(w, state)
+    elif state.trial == SEARCH_LOWEST or w.high == w.length:
         # It only came near, or it happens at the row itself: the step stands as it was.
-        state[TRIAL], state[CERTAIN] = NO_TRIAL, 1
-        now[TAU] = now[LENGTH]
+        state.trial, state.certain = NO_TRIAL, 1
+        w.tau = w.length
     else:
         # A tip that comes down is taken before it is inside, what else ends after it has ended.
-        state[TRIAL] = TAKE_EVENT
-        now[TAU] = now[LOW] if state[MODE] == FREE else now[HIGH]
+        state.trial = TAKE_EVENT
+        w.tau = w.low if state.mode == FREE else w.high
     return SET_OUT_AGAIN

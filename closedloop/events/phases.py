@@ -7,18 +7,7 @@ from numpy.typing import NDArray
 
 from closedloop.jit.kernel import kernel, kernel_inlined
 from closedloop.step.evaluate import LAW_GIVEN
-from closedloop.step.memory import (
-    FRICTION_STATES,
-    HOLD,
-    JOINT_STATES,
-    LAW,
-    LAW_STATES,
-    PHASE,
-    ROW,
-    SAMPLED,
-    SENSOR_STATES,
-    Whole,
-)
+from closedloop.step.memory import State
 
 Array = NDArray[np.float64]
 
@@ -26,13 +15,13 @@ Array = NDArray[np.float64]
 DONE, TERMS, TERMS_AND_LAW, ROOM, IMPACT_LAW_WANTED, FAILED = range(6)
 
 # Phases.
-ARRIVING, STAGING, PROBING, TRANSITING, STRIKING, BEGINNING, CLOSING = range(7)
+ARRIVING, STAGING, PROBING, AT_EVENT, IMPACTING, BEGINNING, PROJECTING = range(7)
 
 # What a trial step is for. LOOKED is none: the step as it was, after a look at what one of its stages had shown.
 NO_TRIAL, LOOKED, LOOK, SEARCH_EVENT, SEARCH_LOWEST, TAKE_EVENT = range(6)
 
 # What is to be done next inside `proceed`: ask (the terms of w.q, w.v are wanted), or one of these.
-ASK, LEAVE, SET_OUT, SET_OUT_AGAIN, TRANSIT, STRIKE, CLOSE, FINISH, FAIL, ENLARGE, COLLIDE = range(11)
+ASK, LEAVE, SET_OUT, SET_OUT_AGAIN, APPLY_EVENT, APPLY_IMPACT, PROJECT, FINISH, FAIL, ENLARGE, COLLIDE = range(11)
 
 # An event is located to this, s; nearer than that to a row it happens at the row.
 INSTANT = 1e-14
@@ -56,21 +45,21 @@ CLOSED, MOST_MOVES = 2e-15, 5
 
 
 @kernel_inlined
-def ask(state: Whole, phase: int) -> None:
+def ask(state: State, phase: int) -> None:
     """Say what the next terms are for, and whether the law is to be evaluated with them."""
-    state[PHASE] = phase
-    if phase == CLOSING:
-        state[SAMPLED] = 0
-    elif state[HOLD] > 0:
-        state[SAMPLED] = 1 if phase == ARRIVING and state[ROW] % state[HOLD] == 0 else 0
+    state.phase = phase
+    if phase == PROJECTING:
+        state.sampled = 0
+    elif state.hold > 0:
+        state.sampled = 1 if phase == ARRIVING and state.row % state.hold == 0 else 0
     else:
-        state[SAMPLED] = 0 if phase == TRANSITING and state[LAW] == LAW_GIVEN else 1
+        state.sampled = 0 if phase == AT_EVENT and state.law == LAW_GIVEN else 1
 
 
 @kernel
-def extra_states(state: Whole, n: int) -> int:
+def extra_states(state: State, n: int) -> int:
     """Return how many numbers of state there are beside q and q̇."""
-    count = state[LAW_STATES] + state[SENSOR_STATES] + state[FRICTION_STATES] + n * state[JOINT_STATES]
+    count = state.law_states + state.sensor_states + state.friction_states + n * state.joint_states
     return int(count)
 
 

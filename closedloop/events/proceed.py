@@ -10,15 +10,15 @@ The phase says what the terms that have just arrived are for:
     ARRIVE    the end of a step (or the start): record the row, or find that something happened on the way
     STAGE     a later stage of a Runge-Kutta step
     PROBE_END the end of a trial step, taken to locate an event inside a step
-    TRANSIT   the state at the instant of an event: apply the impact, change the mode
-    STRIKE    (no terms) the impulses of the impact are known
+    APPLY_EVENT   the state at the instant of an event: apply the impact, change the mode
+    APPLY_IMPACT    (no terms) the impulses of the impact are known
     BEGIN     the state just after an event: go on from there to the end of the step
-    CLOSE     a state to be put back on the closure (projection)
+    PROJECT     a state to be put back on the closure (projection)
 
-An event shows when a step arrives and its gauge is negative: the gap while the tip is free, the force of the rigid
-closure while it is pressed, the speed along the old direction while it slides, and what is left of the friction cone
-while it sticks. It also shows when a stage inside a step finds that the rigid closure of a pressed tip pulls, and when
-a free tip goes down at the beginning of a step and up at its end. The step is then taken again, shorter, until the
+An event shows when a step arrives and its event function is negative: the gap while the tip is free, the force of the
+rigid closure while it is pressed, the speed along the old direction while it slides, and what is left of the friction
+cone while it sticks. It also shows when a stage inside a step finds that the rigid closure of a pressed tip pulls, and
+when a free tip goes down at the beginning of a step and up at its end. The step is then taken again, shorter, until the
 instant is bracketed to `INSTANT`; a step to that instant, the event, and a step for the remainder replace it. Every
 piece is a full step of the integrator, so its order is kept. What begins and ends between two evaluations leaves no
 trace: a pull that no stage sees, and a free tip that rises, dips into the surface and rises again in one step.
@@ -31,65 +31,42 @@ from numpy.typing import NDArray
 
 from closedloop.closure.contact_force import FREE
 from closedloop.closure.solve import OK
-from closedloop.events.locate import gauge, narrow
+from closedloop.events.locate import event_function, narrow
 from closedloop.events.phases import (
+    APPLY_EVENT,
+    APPLY_IMPACT,
     ARRIVING,
     ASK,
+    AT_EVENT,
     BEGINNING,
-    CLOSE,
-    CLOSING,
     COLLIDE,
     DONE,
     ENLARGE,
     FAIL,
     FAILED,
     IMPACT_LAW_WANTED,
+    IMPACTING,
     LEAVE,
     PROBING,
+    PROJECT,
+    PROJECTING,
     ROOM,
     SET_OUT,
     SET_OUT_AGAIN,
     STAGING,
-    STRIKE,
-    STRIKING,
     TERMS,
     TERMS_AND_LAW,
-    TRANSIT,
-    TRANSITING,
     ask,
 )
-from closedloop.events.projection import close
+from closedloop.events.projection import project
 from closedloop.events.substep import advance_friction, arrive, leave_stage, look, remember, restore
-from closedloop.events.transitions import begin_piece, strike_tip, transit
+from closedloop.events.transitions import apply_event, apply_impact, begin_piece
 from closedloop.integrators import advance
 from closedloop.jit.kernel import inlined_kernel
 from closedloop.step.energy_supplied import gain, settle
 from closedloop.step.evaluate import LAW_GIVEN, evaluate, locate_tip
 from closedloop.step.joint_friction import stick_or_slip_joints
-from closedloop.step.memory import (
-    GAUGE,
-    H_STEP,
-    HOLD,
-    IN_STEP,
-    LAW,
-    LENGTH,
-    MODE,
-    MOVES,
-    NEXT,
-    PHASE,
-    PIECE,
-    PROJECT,
-    ROW,
-    SAMPLED,
-    SEMI_IMPLICIT,
-    STAGE,
-    STATUS,
-    STEPS,
-    TAU,
-    UNILATERAL,
-    Whole,
-    Work,
-)
+from closedloop.step.memory import Constants, State, Work
 from closedloop.step.record_row import record
 
 Array = NDArray[np.float64]
@@ -97,8 +74,8 @@ Array = NDArray[np.float64]
 
 @inlined_kernel
 def proceed(
-    H: Array, C: Array, w: Work, k: Array, state: Whole, table: Array, tableau: Array, rows: Array, events: Array,
-    more: int | None,
+    H: Array, C: Array, w: Work, constants: Constants, state: State, table: Array, tableau: Array, rows: Array,
+    events: Array, more: int | None,
 ) -> int:  # fmt: skip
     """Use the terms of the state that was asked for, and ask for the next.
 
@@ -113,93 +90,93 @@ def proceed(
     tableau : (S + 1, S) array
         See `closedloop.integrators.Integrator.tableau`.
     rows : (N, width) array
-        The record, see `closedloop.step.record_row.Row`; row state[ROW] is the next to be written.
+        The record, see `closedloop.step.record_row.Row`; row state.row is the next to be written.
     events : (M, EVENT_WIDTH) array
-        The table of events, of which state[EVENTS] rows are written.
+        The table of events, of which state.events rows are written.
     more : int or None
         See `closedloop.step.evaluate`.
 
     Returns
     -------
     int
-        TERMS: evaluate the terms at (q, q̇) and call again. TERMS_AND_LAW: and write the torque for now[TIME]. ROOM:
+        TERMS: evaluate the terms at (q, q̇) and call again. TERMS_AND_LAW: and write the torque for w.time. ROOM:
         give a larger table of events and call again. IMPACT_LAW_WANTED: call `collide`, then again. DONE, or FAILED
-        with state[STATUS].
+        with state.status.
     """
-    now, phase = w.now, state[PHASE]
-    if phase in (ARRIVING, STAGING, BEGINNING) or (phase in (PROBING, TRANSITING) and state[MODE] != FREE):
-        status = evaluate(H, C, w, k, state, table, rows, more)
+    phase = state.phase
+    if phase in (ARRIVING, STAGING, BEGINNING) or (phase in (PROBING, AT_EVENT) and state.mode != FREE):
+        status = evaluate(H, C, w, constants, state, table, rows, more)
         if status != OK:
-            state[STATUS] = status
+            state.status = status
             return FAILED
-    elif phase != STRIKING:
-        locate_tip(w, k)
+    elif phase != IMPACTING:
+        locate_tip(w, constants)
     todo = ASK
     if phase == ARRIVING:
-        now[GAUGE] = gauge(w, k, state, more)
-        todo = arrive(now, w.drift_c[0], state)
+        w.event_value = event_function(w, constants, state, more)
+        todo = arrive(w, w.drift_c[0], state)
         if todo == SET_OUT:
-            settle(now)
+            settle(w)
             if more is not None:
-                stick_or_slip_joints(w, k, state, rows)
-            record(H, C, w, k, state, table, rows, state[ROW], more)
-            if state[ROW] == state[STEPS]:
+                stick_or_slip_joints(w, constants, state, rows)
+            record(H, C, w, constants, state, table, rows, state.row, more)
+            if state.row == state.steps:
                 return DONE
-            state[ROW] += 1
-            state[IN_STEP], state[PIECE] = 0, 0
-            now[LENGTH] = k[H_STEP]
-        elif todo == SET_OUT_AGAIN and state[HOLD] > 0 and state[SAMPLED] != 0:
+            state.row += 1
+            state.events_in_step, state.after_event = 0, 0
+            w.length = constants.h
+        elif todo == SET_OUT_AGAIN and state.hold > 0 and state.sampled != 0:
             for j in range(w.torque.shape[0]):
                 w.torque[j] = w.held[j]  # until the end of the step the torque of the last sample acted
     elif phase == STAGING:
-        todo = look(now, state) if state[UNILATERAL] != 0 else LEAVE
+        todo = look(w, state) if state.unilateral != 0 else LEAVE
     elif phase == PROBING:
-        now[GAUGE] = gauge(w, k, state, more)
-        todo = narrow(now, state)
-    elif phase == TRANSITING:
-        todo = TRANSIT
-    elif phase == STRIKING:
-        todo = STRIKE
-    elif phase == CLOSING:
-        todo = CLOSE
+        w.event_value = event_function(w, constants, state, more)
+        todo = narrow(w, state)
+    elif phase == AT_EVENT:
+        todo = APPLY_EVENT
+    elif phase == IMPACTING:
+        todo = APPLY_IMPACT
+    elif phase == PROJECTING:
+        todo = PROJECT
     else:
-        todo = begin_piece(C, w, k, state, more)
+        todo = begin_piece(C, w, constants, state, more)
 
-    if todo == TRANSIT:
-        settle(now)
-        todo = transit(H, w, k, state, rows, events, more)
-    if todo == STRIKE:
-        if state[STATUS] != OK:
+    if todo == APPLY_EVENT:
+        settle(w)
+        todo = apply_event(H, w, constants, state, rows, events, more)
+    if todo == APPLY_IMPACT:
+        if state.status != OK:
             return FAILED
-        strike_tip(w, k, state, events, more)
+        apply_impact(w, constants, state, events, more)
         todo = ASK
-        if state[PROJECT] != 0 and state[MODE] != FREE:
-            state[MOVES], state[NEXT] = 0, BEGINNING
-            ask(state, CLOSING)
+        if state.project != 0 and state.mode != FREE:
+            state.moves, state.next_phase = 0, BEGINNING
+            ask(state, PROJECTING)
         else:
             ask(state, BEGINNING)
-    if todo == CLOSE:
-        todo = close(H, w, k, state)
+    if todo == PROJECT:
+        todo = project(H, w, constants, state)
     if todo == SET_OUT:
-        remember(w, k, state, more)
+        remember(w, constants, state, more)
         todo = LEAVE
     elif todo == SET_OUT_AGAIN:
         restore(w, state)
         todo = LEAVE
     if todo == LEAVE:
-        stage, tau = state[STAGE], now[TAU]
+        stage, tau = state.stage, w.tau
         gain(w, stage, tau, tableau[tableau.shape[0] - 1, stage])
-        if more is not None and state[SEMI_IMPLICIT] != 0:
-            advance_friction(w, k, state, tau)
+        if more is not None and state.semi_implicit != 0:
+            advance_friction(w, constants, state, tau)
         advance(
-            stage, tau, state[SEMI_IMPLICIT] != 0, state[PIECE] != 0, tableau, w.begin, w.stages,
+            stage, tau, state.semi_implicit != 0, state.after_event != 0, tableau, w.begin, w.stages,
             w.qdd, w.dz, w.q, w.v, w.z,
         )  # fmt: skip
-        leave_stage(now, k[H_STEP], state, tableau)
+        leave_stage(w, constants.h, state, tableau)
     elif todo == ENLARGE:
         return ROOM
     elif todo == COLLIDE:
         return IMPACT_LAW_WANTED
     elif todo == FAIL:
         return FAILED
-    return TERMS_AND_LAW if state[LAW] == LAW_GIVEN and state[SAMPLED] != 0 else TERMS
+    return TERMS_AND_LAW if state.law == LAW_GIVEN and state.sampled != 0 else TERMS

@@ -78,7 +78,7 @@ def write_event(
     row[5], row[6], row[10] = compression[0], decompression[0], energy_lost
     t1, t2 = compression[1] + decompression[1], compression[2] + decompression[2]
     for k in range(3):
-        row[7 + k] = frame[3 + k] * t1 + frame[6 + k] * t2
+        row[7 + k] = frame[1, k] * t1 + frame[2, k] * t2
         row[11 + k] = r[k]
     row[14] = np.hypot(before[1], before[2])
     row[15] = np.hypot(after[1], after[2])

@@ -16,7 +16,7 @@ from numba.core.typing.templates import AbstractTemplate, infer_global, signatur
 from numba.extending import lower_builtin
 from numpy.typing import NDArray
 
-from closedloop.jit.memory_views import array_on
+from closedloop.jit.blocks import array_on
 
 Array = NDArray[np.float64]
 Whole = NDArray[np.int64]

@@ -2,12 +2,12 @@
 
 A processor adds eight pairs of numbers in about the time of one. The arithmetic of a step has few loops in which it
 could: its matrices are small and each line waits for the one before. But eight runs do the same at every step. So
-compiled code knows a number `octet`, eight float64 in one register, and arrays of it; a kernel that is given octets
-where it would be given floats is compiled for them, and its lines, in the same order, are done for eight runs. Nothing
-in it is different: each of the eight comes out to the last bit as it would alone.
+compiled code knows a number `float64x8`, eight float64 in one register, and arrays of it; a kernel that is given
+float64x8 where it would be given floats is compiled for them, and its lines, in the same order, are done for eight
+runs. Nothing in it is different: each of the eight comes out to the last bit as it would alone.
 
-What a kernel cannot do is decide: a comparison of octets has eight answers, and numba refuses to branch on it. Kernels
-that are meant for both say `select` for a number that depends on a comparison, and `every` for a check.
+What a kernel cannot do is decide: a comparison of float64x8 has eight answers, and numba refuses to branch on it.
+Kernels that are meant for both say `select` for a number that depends on a comparison, and `every` for a check.
 """
 
 from __future__ import annotations
@@ -25,7 +25,7 @@ from numba.core.typing.templates import AbstractTemplate, infer_global, signatur
 from numba.extending import intrinsic, lower_builtin, lower_cast, models, overload, register_model
 from numpy.typing import NDArray
 
-from closedloop.jit.memory_views import array_on
+from closedloop.jit.blocks import array_on
 
 Array = NDArray[np.float64]
 
@@ -38,11 +38,11 @@ _INDEX = ir.IntType(32)
 _ALL = ir.IntType(WIDE)((1 << WIDE) - 1)
 
 
-class Octet(types.Type):
+class Float64x8(types.Type):
     """The type of eight float64; a float or a whole number becomes one by being there eight times."""
 
     def __init__(self) -> None:
-        super().__init__(name="octet")
+        super().__init__(name="float64x8")
 
     def can_convert_from(self, typingctx: Any, other: Any) -> Any:
         """Say how another type becomes this one."""
@@ -53,8 +53,8 @@ class Octet(types.Type):
         return self if isinstance(other, (types.Float, types.Integer)) else None
 
 
-class Answers(types.Type):
-    """The type of what a comparison of octets says: eight times yes or no."""
+class Bool8(types.Type):
+    """The type of what a comparison of float64x8 says: eight times yes or no."""
 
     def __init__(self) -> None:
         super().__init__(name="answers of octets")
@@ -68,17 +68,17 @@ class Answers(types.Type):
         return self if isinstance(other, types.Boolean) else None
 
 
-octet, answers = Octet(), Answers()
+float64x8, answers = Float64x8(), Bool8()
 
 
-@register_model(Octet)
-class _OctetModel(models.PrimitiveModel):
+@register_model(Float64x8)
+class _Float64x8Model(models.PrimitiveModel):
     def __init__(self, dmm: Any, fe_type: Any) -> None:
         super().__init__(dmm, fe_type, _DOUBLES)
 
 
-@register_model(Answers)
-class _AnswersModel(models.PrimitiveModel):
+@register_model(Bool8)
+class _Bool8Model(models.PrimitiveModel):
     def __init__(self, dmm: Any, fe_type: Any) -> None:
         super().__init__(dmm, fe_type, _ANSWERS)
 
@@ -89,7 +89,7 @@ def select(condition: Any, yes: Any, no: Any) -> Any:
 
 
 def every(condition: Any) -> bool:
-    """Whether a condition holds, for octets in all eight."""
+    """Whether a condition holds, for float64x8 in all eight."""
     return bool(condition)
 
 
@@ -103,20 +103,20 @@ MANY_TURNS = 1e6
 
 
 def aligned(*shape: int) -> Array:
-    """Return zeros (*shape, WIDE) whose memory begins where an octet may, for `octets_at`."""
+    """Return zeros (*shape, WIDE) whose memory begins where a float64x8 may, for `float64x8_at`."""
     count = math.prod(shape) * WIDE
     room = np.zeros(count + WIDE)
     first = -(room.ctypes.data // room.itemsize) % WIDE
     return room[first : first + count].reshape(*shape, WIDE)
 
 
-@lower_cast(types.Float, Octet)
-@lower_cast(types.Integer, Octet)
+@lower_cast(types.Float, Float64x8)
+@lower_cast(types.Integer, Float64x8)
 def _eight_times(context: Any, builder: Any, given: Any, wanted: Any, value: Any) -> Any:
     return _repeated(builder, context.cast(builder, value, given, types.float64), _DOUBLES)
 
 
-@lower_cast(types.Boolean, Answers)
+@lower_cast(types.Boolean, Bool8)
 def _eight_answers(context: Any, builder: Any, given: Any, wanted: Any, value: Any) -> Any:
     return _repeated(builder, context.cast(builder, value, given, types.boolean), _ANSWERS)
 
@@ -128,16 +128,16 @@ def _repeated(builder: Any, value: Any, kind: Any) -> Any:
 
 
 def _teach(function: Any, kinds: tuple[Any, ...], result: Any, emit: Callable[..., Any]) -> None:
-    """Teach numba a function of octets (or answers): `emit(builder, *values)` writes its code."""
+    """Teach numba a function of float64x8 (or answers): `emit(builder, *values)` writes its code."""
 
     @infer_global(function)
     class Typing(AbstractTemplate):
         key = function
 
         def generic(self, args: Any, kws: Any) -> Any:
-            own = any(isinstance(x, (Octet, Answers)) for x in args)
+            own = any(isinstance(x, (Float64x8, Bool8)) for x in args)
             fits = len(args) == len(kinds) and all(
-                x == kind or (kind is octet and isinstance(x, (types.Float, types.Integer)))
+                x == kind or (kind is float64x8 and isinstance(x, (types.Float, types.Integer)))
                 for x, kind in zip(args, kinds, strict=True)
             )
             return signature(result, *kinds) if own and fits and not kws else None
@@ -175,14 +175,14 @@ def _smaller(builder: Any, x: Any, y: Any) -> Any:
 
 for _name, _instruction in (("add", "fadd"), ("sub", "fsub"), ("mul", "fmul"), ("truediv", "fdiv")):
     for _function in (getattr(operator, _name), getattr(operator, f"i{_name}")):
-        _teach(_function, (octet, octet), octet, _one_instruction(_instruction))
+        _teach(_function, (float64x8, float64x8), float64x8, _one_instruction(_instruction))
 for _name, _sign in (("lt", "<"), ("le", "<="), ("gt", ">"), ("ge", ">="), ("eq", "=="), ("ne", "!=")):
-    _teach(getattr(operator, _name), (octet, octet), answers, _comparison(_sign))
-_teach(operator.neg, (octet,), octet, _one_instruction("fneg"))
-_teach(abs, (octet,), octet, _library(f"llvm.fabs.v{WIDE}f64"))
-_teach(math.sqrt, (octet,), octet, _library(f"llvm.sqrt.v{WIDE}f64"))
-_teach(max, (octet, octet), octet, _larger)
-_teach(min, (octet, octet), octet, _smaller)
+    _teach(getattr(operator, _name), (float64x8, float64x8), answers, _comparison(_sign))
+_teach(operator.neg, (float64x8,), float64x8, _one_instruction("fneg"))
+_teach(abs, (float64x8,), float64x8, _library(f"llvm.fabs.v{WIDE}f64"))
+_teach(math.sqrt, (float64x8,), float64x8, _library(f"llvm.sqrt.v{WIDE}f64"))
+_teach(max, (float64x8, float64x8), float64x8, _larger)
+_teach(min, (float64x8, float64x8), float64x8, _smaller)
 _teach(operator.and_, (answers, answers), answers, _one_instruction("and_"))
 _teach(operator.or_, (answers, answers), answers, _one_instruction("or_"))
 
@@ -195,7 +195,7 @@ class _Select(AbstractTemplate):
         if len(args) != 3 or kws:
             return None
         if args[0] == answers:
-            return signature(octet, answers, octet, octet)
+            return signature(float64x8, answers, float64x8, float64x8)
         kind = self.context.unify_types(*args[1:])
         return signature(kind, types.boolean, kind, kind) if isinstance(kind, types.Number) else None
 
@@ -224,28 +224,28 @@ def _lower_every(context: Any, builder: Any, call: Any, values: Any) -> Any:
 # For compiled code alone.
 @_intrinsic
 def lane(typingctx: Any, x: Any, i: Any) -> Any:
-    """Return number i of an octet."""
+    """Return number i of a float64x8."""
 
     def lower(context: Any, builder: Any, call: Any, values: Any) -> Any:
         return builder.extract_element(values[0], builder.trunc(values[1], _INDEX))
 
-    return types.float64(octet, types.intp), lower
+    return types.float64(float64x8, types.intp), lower
 
 
 @_intrinsic
 def with_lane(typingctx: Any, x: Any, i: Any, number: Any) -> Any:
-    """Return an octet with its number i replaced."""
+    """Return a float64x8 with its number i replaced."""
 
     def lower(context: Any, builder: Any, call: Any, values: Any) -> Any:
         return builder.insert_element(values[0], values[2], builder.trunc(values[1], _INDEX))
 
-    return octet(octet, types.intp, types.float64), lower
+    return float64x8(float64x8, types.intp, types.float64), lower
 
 
 @_intrinsic
-def octets_at(typingctx: Any, address: Any, count: Any) -> Any:
-    """Return the (count,) array of octets at an address: the memory of an array from `aligned`."""
-    kind = types.Array(octet, 1, "C")
+def float64x8_at(typingctx: Any, address: Any, count: Any) -> Any:
+    """Return the (count,) array of float64x8 at an address: the memory of an array from `aligned`."""
+    kind = types.Array(float64x8, 1, "C")
 
     def lower(context: Any, builder: Any, call: Any, values: Any) -> Any:
         data = builder.inttoptr(values[0], _DOUBLES.as_pointer())
@@ -269,4 +269,4 @@ def _nearest(x: Any) -> Any:
     def of_numbers(x: Any) -> Any:
         return x if abs(x) <= MANY_TURNS else math.atan2(math.sin(x), math.cos(x))
 
-    return of_octets if isinstance(x, Octet) else of_numbers
+    return of_octets if isinstance(x, Float64x8) else of_numbers

@@ -100,7 +100,7 @@ def measure_rows(
         seconds apart.
     table : (P, >= 2 n + 10) array
         What is desired, `nodes` rows to each of the record's, see `closedloop.step.evaluate.reference_row`.
-    frame : (9,) array
+    frame : (3, 3) array
         Contact frame: rows n, t1, t2 in base axes.
     limits : (4, n) array
         See `closedloop.report.joint_figures.joint_limits`.
@@ -182,7 +182,7 @@ def count_row(
     for axis in range(1, 3):
         off = -wanted[2 * n + axis]
         for k in range(3):
-            off += frame[3 * axis + k] * row[tip + k]
+            off += frame[axis, k] * row[tip + k]
         t[PATH_SQUARES] += off * off
 
     drive = joint_power = most = 0.0

@@ -38,7 +38,7 @@ from closedloop.record.versions import package_versions
 from closedloop.robot.tree import Tree
 from closedloop.scenario.scenario import Scenario
 from closedloop.simulation.prepare import prepare
-from closedloop.step.memory import EVENTS, ROW, STATUS, TIME, Work
+from closedloop.step.memory import Constants, State, Work
 from closedloop.step.record_row import RECORDED, Row, complete_record, recorded, rows_there
 from robot_models import RobotModel
 
@@ -180,14 +180,14 @@ def run_loop(
         return run_adaptive(problem, law, report, keep_interrupted)
     robot, steps = problem.robot, problem.steps
     given = law is not None
-    k, state, memory = problem.constants(), problem.state(given), problem.memory(given)
-    w = problem.views(memory, state)
+    constants, state = problem.constants(), problem.state(given)
+    w = problem.work(state)
     # The compiled engine asks the law by itself.
     user_torque = None if law is None or engine == COMPILED else checked_law(law, robot, w.q, w.v)
     rows = np.zeros((steps + 1, Row.of(robot.n).width)) if rows is None else rows
     events = np.zeros((ROOM_FOR_EVENTS, EVENT_WIDTH))
-    arrays = (k, state, memory, problem.table, problem.integrator.tableau(), rows)
-    step, many = _driver(problem, w, arrays, engine, law, tree, ahead)
+    arrays = (problem.table, problem.integrator.tableau(), rows)
+    step, many = _driver(problem, constants, state, w, arrays, engine, law, tree, ahead)
     failure: SimulationError | None = None
     request = TERMS if user_torque is None else TERMS_AND_LAW
     began, first, impacts = clock.perf_counter(), engine == PINOCCHIO, False
@@ -198,9 +198,9 @@ def run_loop(
                 request = (step if first else many)(events)
             elif request == TERMS_AND_LAW:
                 assert user_torque is not None
-                fault = user_torque(float(w.now[TIME]), w.torque)
+                fault = user_torque(float(w.time), w.torque)
                 if fault:
-                    t = float(w.now[TIME])
+                    t = float(w.time)
                     failure = DivergenceError(f"{when(t)}: {fault}", t)
                     break
                 request = step(events)
@@ -209,7 +209,7 @@ def run_loop(
                 request = step(events)
             elif request == IMPACT_LAW_WANTED:
                 struck = clock.perf_counter()
-                collide(k, state, memory, robot.n)
+                collide(constants.memory, state.memory, w.memory, robot.n)
                 if not impacts:  # the first may have compiled it
                     began += clock.perf_counter() - struck
                 impacts = True
@@ -217,34 +217,36 @@ def run_loop(
             elif request == DONE:
                 break
             elif request == NOT_FINITE:
-                t = float(w.now[TIME])
+                t = float(w.time)
                 failure = DivergenceError(f"{when(t)}: {not_finite(w.torque)}", t)
                 break
             else:
-                failure = failure_of(int(state[STATUS]), float(w.now[TIME]), robot, problem, law, w.q, w.v)
+                failure = failure_of(int(state.status), float(w.time), robot, problem, law, w.q, w.v)
                 break
             if first:  # the first call compiled the kernel, or read it from the cache
                 first, began = False, clock.perf_counter()
-            report(int(state[ROW]), steps)
+            report(int(state.row), steps)
         if failure is None:
             report(steps, steps)
-        complete_record(w.pending, rows, state, int(state[ROW]) + (failure is None), robot.n)
+        complete_record(w.pending, rows, state.memory, int(state.row) + (failure is None), robot.n)
     except LawError as error:
         failure = error
     except KeyboardInterrupt as stop:
         if not keep_interrupted:
             raise
-        failure = interrupted(stop, float(w.now[TIME]))
+        failure = interrupted(stop, float(w.time))
     seconds = clock.perf_counter() - began
-    done = int(state[ROW]) + (failure is None)
+    done = int(state.row) + (failure is None)
     if isinstance(failure, InterruptedRunError):
         done = rows_there(state, done, robot.n)
-    complete_record(w.pending, rows, state, done, robot.n)  # what an exception left; else there is nothing left
-    return rows[:done], events[: int(state[EVENTS])], failure, seconds
+    complete_record(w.pending, rows, state.memory, done, robot.n)  # what an exception left; else there is nothing left
+    return rows[:done], events[: int(state.events)], failure, seconds
 
 
 def _driver(
     problem: Problem,
+    constants: Constants,
+    state: State,
     w: Work,
     arrays: tuple[Any, ...],
     engine: str,
@@ -253,6 +255,7 @@ def _driver(
     ahead: int,
 ) -> tuple[Callable[[Array], int], Callable[[Array], int]]:
     """Return two functions of the table of events: they provide terms once, and as long as nothing else is asked."""
+    memory = (constants.memory, state.memory, w.memory, *arrays)
     if engine == COMPILED:
         from closedloop.engines.compiled import compiled_tree, compiled_work
 
@@ -261,19 +264,19 @@ def _driver(
         if law is not None:
             from closedloop.engines.user_law import compiled_law, loop_with_law
 
-            with_law = loop_with_law(run, law, compiled_law(law), tree, work, w, arrays)
+            with_law = loop_with_law(run, law, compiled_law(law), tree, work, w, memory)
             return with_law, with_law
         if not getattr(run, "signatures", ()):
-            direct(run, tree, work, *arrays, np.zeros((0, EVENT_WIDTH)))  # compiled, or read, before the clock starts
+            direct(run, tree, work, *memory, np.zeros((0, EVENT_WIDTH)))  # compiled, or read, before the clock starts
 
         def go_on(events: Array) -> int:
-            return run(tree, work, *arrays, events)
+            return run(tree, work, *memory, events)
 
         return go_on, go_on
 
     robot, proceed = problem.robot, machine(problem.more, engine, problem.robot.n, ahead)
-    k, state, memory, table, tableau, rows = arrays
-    places = places_of(robot.views, k, state, memory, table, tableau, rows, np.zeros((0, EVENT_WIDTH)))
+    table, tableau, rows = arrays
+    places = places_of(robot.views, constants, state, w, table, tableau, rows, np.zeros((0, EVENT_WIDTH)))
     crba, bias, convention, pinocchio, data = robot.passes
     q, v, at = w.q, w.v, address_of(places)
 

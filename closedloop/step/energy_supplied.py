@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from closedloop.jit.kernel import kernel_inlined
-from closedloop.step.memory import GAINED, STAGES, START_GROWTH, START_POWER, SUPPLIED, Whole, Work
+from closedloop.step.memory import State, Work
 
 Array = NDArray[np.float64]
 
@@ -25,36 +25,35 @@ def power(w: Work) -> float:
     """Return the power P of all forces but gravity at the state evaluated last, W."""
     total: float = w.F[0] * w.u[0] + w.F[1] * w.u[1] + w.F[2] * w.u[2]
     for j in range(w.v.shape[0]):
-        total += (w.torque[j] + w.loss[j]) * w.v[j]
+        total += (w.torque[j] + w.joint_friction[j]) * w.v[j]
     return total
 
 
 @kernel_inlined
-def remember_power(w: Work, state: Whole) -> None:
+def remember_power(w: Work, state: State) -> None:
     """Keep the power at the beginning of a substep, W, and how it grows while the forces stay, W/s."""
-    w.now[START_POWER] = power(w)
-    w.now[START_GROWTH] = 0.0
-    if state[STAGES] == 1:
+    w.start_power = power(w)
+    w.start_power_rate = 0.0
+    if state.stages == 1:
         growth = w.F[0] * w.a[0] + w.F[1] * w.a[1] + w.F[2] * w.a[2]  # u̇ = a + S F
         for i in range(3):
             growth += w.F[i] * (w.S[i, 0] * w.F[0] + w.S[i, 1] * w.F[1] + w.S[i, 2] * w.F[2])
         for j in range(w.v.shape[0]):
-            growth += (w.torque[j] + w.loss[j]) * w.qdd[j]
-        w.now[START_GROWTH] = growth
+            growth += (w.torque[j] + w.joint_friction[j]) * w.qdd[j]
+        w.start_power_rate = growth
 
 
 @kernel_inlined
 def gain(w: Work, stage: int, tau: float, weight: float) -> None:
     """Add the share of a stage, of the given weight in the scheme, to the work of the substep of tau seconds."""
-    now = w.now
     if stage == 0:  # a substep may be taken again: its beginning is remembered
-        now[GAINED] = tau * weight * (now[START_POWER] + 0.5 * tau * now[START_GROWTH])
+        w.gained = tau * weight * (w.start_power + 0.5 * tau * w.start_power_rate)
     else:
-        now[GAINED] += tau * weight * power(w)
+        w.gained += tau * weight * power(w)
 
 
 @kernel_inlined
-def settle(now: Array) -> None:
+def settle(w: Work) -> None:
     """Count the work of a substep in: it ends here, and is kept."""
-    now[SUPPLIED] += now[GAINED]
-    now[GAINED] = 0.0
+    w.supplied += w.gained
+    w.gained = 0.0

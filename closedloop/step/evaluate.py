@@ -19,14 +19,14 @@ from closedloop.closure.contact_force import (
     accelerate,
     baumgarte_acceleration,
     factorise,
+    free_acceleration,
     into_contact_frame,
     normal_rounding,
     pressed_force,
     stuck_force,
-    unloaded,
 )
 from closedloop.closure.solve import DIVERGED, OK, PAINLEVE, SINGULAR
-from closedloop.control.law_input import Moment
+from closedloop.control.law_input import LawInput
 from closedloop.control.laws import law_rates, law_torque, start_states
 from closedloop.control.paper import paper_law
 from closedloop.control.sensor import continuous_reading, sensor_rates
@@ -34,45 +34,7 @@ from closedloop.friction.laws import rates
 from closedloop.jit.kernel import kernel_inlined
 from closedloop.jit.simd8 import every
 from closedloop.step.joint_friction import add_joint_friction, hold_joints, joint_friction_rates
-from closedloop.step.memory import (
-    FRAME,
-    FRICTION,
-    FRICTION_AT,
-    FRICTION_STATES,
-    FRICTION_WIDTH,
-    GAP,
-    H_STEP,
-    JOINT_FRICTION,
-    JOINTS,
-    LAW,
-    LAW_STATES,
-    LAW_WIDTH,
-    MEASURED,
-    MODE,
-    NODE,
-    OFFSET_D,
-    PD_AT,
-    RATE,
-    REACH,
-    RIGID,
-    RIGID_STICK,
-    S_P,
-    S_V,
-    SAMPLED,
-    SEMI_IMPLICIT,
-    SENSOR_AT,
-    SENSOR_SAMPLED,
-    SENSOR_STATES,
-    SPRING_STICK,
-    STARTED,
-    STEPS,
-    STICKING,
-    TIME,
-    UNILATERAL,
-    Whole,
-    Work,
-    law_at,
-)
+from closedloop.step.memory import RIGID_STICK, SPRING_STICK, Constants, State, Work
 from closedloop.step.tip_friction import surface_friction, turn_with_slip
 
 Array = NDArray[np.float64]
@@ -122,15 +84,17 @@ def reference_row(t: float, spacing: float, table: Array, n: int, row: Array) ->
 
 
 @kernel_inlined
-def locate_tip(w: Work, k: Array) -> None:
+def locate_tip(w: Work, constants: Constants) -> None:
     """Write the tip's motion in the contact frame, and the gap and its rate."""
-    into_contact_frame(k[FRAME : FRAME + 9], w.J, w.r, w.drift, w.v, w.A, w.p, w.u, w.drift_c)
-    w.now[GAP] = w.p[0] - k[OFFSET_D]
-    w.now[RATE] = w.u[0]
+    into_contact_frame(constants.frame, w.J, w.r, w.drift, w.v, w.A, w.p, w.u, w.drift_c)
+    w.gap = w.p[0] - constants.offset
+    w.rate = w.u[0]
 
 
 @kernel_inlined
-def evaluate(H: Array, C: Array, w: Work, k: Array, state: Whole, table: Array, rows: Array, more: int | None) -> int:
+def evaluate(
+    H: Array, C: Array, w: Work, constants: Constants, state: State, table: Array, rows: Array, more: int | None
+) -> int:
     """Evaluate law, friction, contact and Eq. 24 at the state in `w`.
 
     Parameters
@@ -138,7 +102,7 @@ def evaluate(H: Array, C: Array, w: Work, k: Array, state: Whole, table: Array, 
     H, C : (n, n), (n,) arrays
         Terms of the state, H's upper triangle.
     w : Work
-        In: now[TIME], q, q̇, z, Jᵣ, r, J̇ᵣq̇ (and the torque, if the law is given or held). Written: everything else.
+        In: w.time, q, q̇, z, Jᵣ, r, J̇ᵣq̇ (and the torque, if the law is given or held). Written: everything else.
     k : array
         Constants, see `closedloop.step.memory`.
     state : array of int
@@ -156,46 +120,45 @@ def evaluate(H: Array, C: Array, w: Work, k: Array, state: Whole, table: Array, 
         OK, SINGULAR, NOT_POSITIVE_DEFINITE, PAINLEVE or DIVERGED.
     """
     n = w.q.shape[0]
-    locate_tip(w, k)
-    status = factorise(H, w.A, w.L, w.X, w.S, k[REACH])
+    locate_tip(w, constants)
+    status = factorise(H, w.A, w.L, w.X, w.S, constants.reach)
     if status != OK:
         return status
-    law = state[LAW]
+    law = state.law
     if more is None:
-        if law != LAW_GIVEN and state[SAMPLED] != 0:
-            reference_row(w.now[TIME], k[NODE], table, n, w.reference)
-            paper_torque(C, w, k, w.now[TIME])
-        status = contact_force(C, w, k, state)
+        if law != LAW_GIVEN and state.sampled != 0:
+            reference_row(w.time, constants.node, table, n, w.reference)
+            paper_torque(C, w, constants, w.time)
+        status = contact_force(C, w, constants, state)
         if status != OK:
             return status
     else:
-        reference_row(w.now[TIME], k[NODE], table, n, w.reference)
-        at, count = law_at(n), state[LAW_STATES]
-        par, gains = k[at : at + LAW_WIDTH + 2 * n], k[JOINTS + n : JOINTS + 3 * n].reshape(2, n)
+        reference_row(w.time, constants.node, table, n, w.reference)
+        count, par, gains = state.law_states, constants.law, constants.gains
         ref = w.reference
-        x = Moment(
-            w.now[TIME], w.q, w.v, C, H, w.L, w.A, w.X, w.S, w.drift_c, w.p, w.u, ref[0:n], ref[n : 2 * n],
+        x = LawInput(
+            w.time, w.q, w.v, C, H, w.L, w.A, w.X, w.S, w.drift_c, w.p, w.u, ref[0:n], ref[n : 2 * n],
             ref[2 * n : 2 * n + 3], ref[2 * n + 3 : 2 * n + 6], ref[2 * n + 6 : 2 * n + 9], ref[2 * n + 9],
-            w.now[MEASURED], 0.0 if state[MODE] == FREE else 1.0,
+            w.measured, 0.0 if state.mode == FREE else 1.0,
         )  # fmt: skip
         if law != LAW_GIVEN:
-            if state[STARTED] == 0:
+            if state.started == 0:
                 start_states(law, x, par, w.z[0:count])
-            if state[SAMPLED] != 0:
+            if state.sampled != 0:
                 law_torque(law, x, par, gains, w.z[0:count], w.scratch, w.torque)
-        state[STARTED] = 1
-        surface_friction(w, k, state, rows)
-        add_joint_friction(w, k, state, rows)
-        status = contact_force(C, w, k, state)
+        state.started = 1
+        surface_friction(w, constants, state, rows)
+        add_joint_friction(w, constants, state, rows)
+        status = contact_force(C, w, constants, state)
         if status != OK:
             return status
-        if state[JOINT_FRICTION] > 0 and hold_joints(w, k, state):
-            status = contact_force(C, w, k, state)
+        if state.joint_friction > 0 and hold_joints(w, constants, state):
+            status = contact_force(C, w, constants, state)
             if status != OK:
                 return status
-        reading = w.now[MEASURED]
-        sensor, s = state[SENSOR_STATES], k[SENSOR_AT : SENSOR_AT + 4]
-        if state[SENSOR_SAMPLED] == 0:
+        reading = w.measured
+        sensor, s = state.sensor_states, constants.sensor
+        if state.sensor_sampled == 0:
             reading = continuous_reading(w.F[0], s, w.z[count : count + sensor])
         if law != LAW_GIVEN:
             law_rates(law, x, par, w.z[0:count], reading, w.torque, w.scratch, w.dz[0:count])
@@ -203,23 +166,23 @@ def evaluate(H: Array, C: Array, w: Work, k: Array, state: Whole, table: Array, 
         at = count + sensor
         for i in range(at, w.z.shape[0]):
             w.dz[i] = 0.0  # with the semi-implicit scheme friction's states advance by themselves
-        if state[SEMI_IMPLICIT] == 0:
-            here = at + state[FRICTION_STATES]
-            if state[MODE] != FREE:
+        if state.semi_implicit == 0:
+            here = at + state.friction_states
+            if state.mode != FREE:
                 rates(
-                    state[FRICTION], k[FRICTION_AT : FRICTION_AT + FRICTION_WIDTH], w.u[1:3], state[MODE] == STUCK,
+                    state.friction, constants.friction, w.u[1:3], state.mode == STUCK,
                     w.z[at:here], w.dz[at:here],
                 )  # fmt: skip
-            joint_friction_rates(w, k, state)
+            joint_friction_rates(w, constants, state)
     return OK if bounded(w) else DIVERGED
 
 
 @kernel_inlined
-def paper_torque(C: Array, w: Work, k: Array, t: float) -> None:
+def paper_torque(C: Array, w: Work, constants: Constants, t: float) -> None:
     """Write the torque of the paper's law at t, s, with what is desired in the reference."""
     n = w.q.shape[0]
-    w.scratch[0], w.scratch[1] = w.reference[2 * n + 9], k[PD_AT]
-    gains, path = k[JOINTS + n : JOINTS + 3 * n].reshape(2, n), w.reference[: 2 * n].reshape(2, n)
+    w.scratch[0], w.scratch[1] = w.reference[2 * n + 9], constants.pd_start
+    gains, path = constants.gains, w.reference[: 2 * n].reshape(2, n)
     paper_law(t, w.scratch, gains, path, w.q, w.v, C, w.A, w.torque)
 
 
@@ -235,64 +198,64 @@ def bounded(w: Work) -> bool:
 
 
 @kernel_inlined
-def contact_force(C: Array, w: Work, k: Array, state: Whole) -> int:
+def contact_force(C: Array, w: Work, constants: Constants, state: State) -> int:
     """Solve Eq. 24 in the present mode for the contact force F and the acceleration q̈; return a status."""
     for j in range(w.q.shape[0]):
-        w.column[j] = w.torque[j] + w.loss[j]
-    unloaded(w.L, w.X, w.drift_c, w.column, C, w.y, w.a)
-    w.now[RIGID] = 0.0
+        w.column[j] = w.torque[j] + w.joint_friction[j]
+    free_acceleration(w.L, w.X, w.drift_c, w.column, C, w.y, w.a)
+    w.rigid_force = 0.0
     for i in range(3):
         w.F[i] = 0.0
-        w.share[i] = 0.0
+        w.stabiliser_force[i] = 0.0
         w.b[i] = 0.0
-    if state[MODE] == PRESSED or (state[MODE] == STUCK and state[STICKING] == SPRING_STICK):
-        b = baumgarte_acceleration(k[S_V], k[S_P], w.now[RATE], w.now[GAP])
-        status, share = pressed_force(w.S, w.a, b, w.c, w.w, w.F)
+    if state.mode == PRESSED or (state.mode == STUCK and state.sticking == SPRING_STICK):
+        b = baumgarte_acceleration(constants.s_v, constants.s_p, w.rate, w.gap)
+        status, share = pressed_force(w.S, w.a, b, w.c, w.viscous, w.F)
         rubbed = w.c[0] != 0.0 or w.c[1] != 0.0
-        if state[UNILATERAL] == 0 and rubbed and (status == PAINLEVE or (status == OK and w.F[0] < 0.0)):
+        if state.unilateral == 0 and rubbed and (status == PAINLEVE or (status == OK and w.F[0] < 0.0)):
             # A closure that pulls presses as hard from the other side. If it does, that it cannot push is no paradox.
             w.c[0], w.c[1] = -w.c[0], -w.c[1]
             wedged = status == PAINLEVE
-            status, share = pressed_force(w.S, w.a, b, w.c, w.w, w.F)
+            status, share = pressed_force(w.S, w.a, b, w.c, w.viscous, w.F)
             if status == OK and wedged and not w.F[0] < 0.0:
                 status = PAINLEVE
         if status != OK:
             return status
-        sticking = state[STICKING]
-        if state[MODE] == PRESSED and state[STEPS] > 0 and sticking in (RIGID_STICK, SPRING_STICK):
+        sticking = state.sticking
+        if state.mode == PRESSED and state.steps > 0 and sticking in (RIGID_STICK, SPRING_STICK):
             for _ in range(2):  # f and the direction of slip depend on each other
-                if not turn_with_slip(w, k[H_STEP]):
+                if not turn_with_slip(w, constants.h):
                     break
-                status, share = pressed_force(w.S, w.a, b, w.c, w.w, w.F)
+                status, share = pressed_force(w.S, w.a, b, w.c, w.viscous, w.F)
                 if status != OK:
                     return status
         rigid = w.F[0] - share
-        w.now[RIGID] = kept_force(rigid, C, w, state)
-        if state[UNILATERAL] != 0 and w.F[0] < 0.0 <= w.now[RIGID]:
+        w.rigid_force = kept_force(rigid, C, w, state)
+        if state.unilateral != 0 and w.F[0] < 0.0 <= w.rigid_force:
             # The surface may push less to let the stabiliser have its way, down to nothing, but it cannot pull.
             share = -rigid
             b = share * (w.S[0, 0] - w.S[0, 1] * w.c[0] - w.S[0, 2] * w.c[1])
-            w.F[0], w.F[1], w.F[2] = 0.0, -w.w[0], -w.w[1]
-        w.b[0], w.share[0] = b, share
-    elif state[MODE] == STUCK:
-        w.b[0] = baumgarte_acceleration(k[S_V], k[S_P], w.now[RATE], w.now[GAP])
+            w.F[0], w.F[1], w.F[2] = 0.0, -w.viscous[0], -w.viscous[1]
+        w.b[0], w.stabiliser_force[0] = b, share
+    elif state.mode == STUCK:
+        w.b[0] = baumgarte_acceleration(constants.s_v, constants.s_p, w.rate, w.gap)
         for i in range(1, 3):
-            w.b[i] = baumgarte_acceleration(k[S_V], k[S_P], w.u[i], w.p[i] - w.anchor[i - 1])
-        if stuck_force(w.S, w.a, w.b, w.F, w.share) != OK:
+            w.b[i] = baumgarte_acceleration(constants.s_v, constants.s_p, w.u[i], w.p[i] - w.anchor[i - 1])
+        if stuck_force(w.S, w.a, w.b, w.F, w.stabiliser_force) != OK:
             return SINGULAR
-        w.now[RIGID] = kept_force(w.F[0] - w.share[0], C, w, state)
+        w.rigid_force = kept_force(w.F[0] - w.stabiliser_force[0], C, w, state)
     accelerate(w.L, w.X, w.y, w.F, w.qdd)
     return OK
 
 
 @kernel_inlined
-def kept_force(rigid: float, C: Array, w: Work, state: Whole) -> float:
+def kept_force(rigid: float, C: Array, w: Work, state: State) -> float:
     """Return the force of the rigid closure, N, by which contact is judged: negative where the tip is to leave.
 
     A surface that cannot pull lets go where the closure would have to, by more than rounding: under a command of zero
     the force is rounding, of either sign, and the tip stays where it is. The force is then none.
     """
     kept = rigid
-    if state[UNILATERAL] != 0 and rigid < 0.0:
-        kept += normal_rounding(w.L, w.X, w.drift_c, w.torque, w.loss, C, w.column) / w.S[0, 0]
+    if state.unilateral != 0 and rigid < 0.0:
+        kept += normal_rounding(w.L, w.X, w.drift_c, w.torque, w.joint_friction, C, w.column) / w.S[0, 0]
     return kept

@@ -25,23 +25,7 @@ from closedloop.friction.laws import (
 )
 from closedloop.friction.layout import DAHL, LUGRE, SEVEN_PARAMETER
 from closedloop.jit.kernel import kernel
-from closedloop.step.memory import (
-    FRICTION_STATES,
-    FRICTION_WIDTH,
-    H_STEP,
-    JOINT_FRICTION,
-    JOINT_STATES,
-    LAW_STATES,
-    MODE,
-    ROW,
-    SENSOR_STATES,
-    SPRING_STICK,
-    STICKING,
-    TIME,
-    Whole,
-    Work,
-    joint_friction_at,
-)
+from closedloop.step.memory import SPRING_STICK, Constants, State, Work
 
 Array = NDArray[np.float64]
 
@@ -50,61 +34,61 @@ MOST_SWEEPS, SETTLED = 500, 1e-14
 
 
 @kernel
-def _states_at(state: Whole, j: int) -> int:
+def _states_at(state: State, j: int) -> int:
     """Return where the friction states of joint j begin in z."""
-    return int(state[LAW_STATES] + state[SENSOR_STATES] + state[FRICTION_STATES] + j * state[JOINT_STATES])
+    return int(state.law_states + state.sensor_states + state.friction_states + j * state.joint_states)
 
 
 @kernel
-def _delayed(w: Work, k: Array, state: Whole, rows: Array, j: int, delay: float) -> float:
+def _delayed(w: Work, constants: Constants, state: State, rows: Array, j: int, delay: float) -> float:
     """Return the speed of joint j of `delay` seconds ago, a line between recorded rows."""
     n = w.q.shape[0]
-    now: float = abs(w.v[j])
-    last = state[ROW] - 1
+    speed: float = abs(w.v[j])
+    last = state.row - 1
     if delay <= 0.0 or last < 0:
-        return now
-    x = max((w.now[TIME] - delay) / k[H_STEP], 0.0)
+        return speed
+    x = max((w.time - delay) / constants.h, 0.0)
     i = int(x)
     if i >= last:
-        since = w.now[TIME] - last * k[H_STEP]
-        s = (w.now[TIME] - delay - last * k[H_STEP]) / since if since > 0.0 else 1.0
-        return float(max((1.0 - s) * abs(rows[last, n + j]) + s * now, 0.0))
+        since = w.time - last * constants.h
+        s = (w.time - delay - last * constants.h) / since if since > 0.0 else 1.0
+        return float(max((1.0 - s) * abs(rows[last, n + j]) + s * speed, 0.0))
     return float((1.0 - (x - i)) * abs(rows[i, n + j]) + (x - i) * abs(rows[i + 1, n + j]))
 
 
 @kernel
-def add_joint_friction(w: Work, k: Array, state: Whole, rows: Array) -> None:
+def add_joint_friction(w: Work, constants: Constants, state: State, rows: Array) -> None:
     """Write the torque of friction on each joint, `loss` (n,), N m, as far as the state determines it."""
-    n, kind, count = w.q.shape[0], state[JOINT_FRICTION], state[JOINT_STATES]
-    at = joint_friction_at(n)
+    n, kind, count = w.q.shape[0], state.joint_friction, state.joint_states
     u, c, viscous, direction = w.scratch[0:1], w.scratch[1:2], w.scratch[2:3], w.scratch[3:4]
     for j in range(n):
-        w.loss[j] = 0.0
+        w.joint_friction[j] = 0.0
         if kind <= 0:
             continue
-        par = k[at + j * FRICTION_WIDTH : at + (j + 1) * FRICTION_WIDTH]
+        par = constants.joint_friction[j]
         z = w.z[_states_at(state, j) : _states_at(state, j) + count]
         u[0], direction[0] = w.v[j], 0.0
         if kind == SEVEN_PARAMETER and w.stuck[j] != 0.0:
             holding(kind, par, z, c, viscous)
         else:
-            sliding(kind, par, u, _delayed(w, k, state, rows, j, memory_delay(kind, par)), z, direction, c, viscous)
+            sliding(
+                kind, par, u, _delayed(w, constants, state, rows, j, memory_delay(kind, par)), z, direction, c, viscous
+            )
         if kind in (DAHL, LUGRE, SEVEN_PARAMETER):
-            w.loss[j] = -c[0] - viscous[0]
+            w.joint_friction[j] = -c[0] - viscous[0]
         else:
-            w.loss[j] = -viscous[0]
+            w.joint_friction[j] = -viscous[0]
 
 
 @kernel
-def hold_joints(w: Work, k: Array, state: Whole) -> bool:
+def hold_joints(w: Work, constants: Constants, state: State) -> bool:
     """Add the dry friction of laws that stick rigidly to `loss`; return whether there is any.
 
     Reads q̈ and F of Eq. 24 without it; afterwards Eq. 24 is to be solved again.
     """
-    n, kind, h = w.q.shape[0], state[JOINT_FRICTION], k[H_STEP]
+    n, kind, h = w.q.shape[0], state.joint_friction, constants.h
     if kind in (DAHL, LUGRE, SEVEN_PARAMETER):
         return False
-    at = joint_friction_at(n)
     F, y, a = w.before, w.column, w.after
     limit, dry = w.scratch[8 : 8 + n], w.scratch[8 + n : 8 + 2 * n]
     u, c, viscous, direction, none = (
@@ -112,7 +96,7 @@ def hold_joints(w: Work, k: Array, state: Whole) -> bool:
     )  # fmt: skip
     none[0], none[1] = 0.0, 0.0
     for j in range(n):
-        par = k[at + j * FRICTION_WIDTH : at + (j + 1) * FRICTION_WIDTH]
+        par = constants.joint_friction[j]
         u[0], direction[0] = w.v[j], 0.0
         sliding(kind, par, u, abs(u[0]), w.z[0:0], direction, c, viscous)
         limit[j] = stick_limit(kind, par, w.z[0:0]) if abs(u[0]) <= max(capture_speed(kind, par), 1e-9) else abs(c[0])
@@ -131,9 +115,9 @@ def hold_joints(w: Work, k: Array, state: Whole) -> bool:
             a[i] = 0.0
             for m in range(n):
                 a[i] += w.X[i, m] * y[m]
-        if state[MODE] == PRESSED or (state[MODE] == STUCK and state[STICKING] == SPRING_STICK):
+        if state.mode == PRESSED or (state.mode == STUCK and state.sticking == SPRING_STICK):
             pressed_force(w.S, a, 0.0, w.c, none, F)
-        elif state[MODE] != FREE:
+        elif state.mode != FREE:
             for i in range(3):
                 w.b_stabiliser[i] = 0.0
             stuck_force(w.S, a, w.b_stabiliser, F, w.compression)
@@ -153,15 +137,14 @@ def hold_joints(w: Work, k: Array, state: Whole) -> bool:
         if change <= SETTLED:
             break
     for j in range(n):
-        w.loss[j] += dry[j]
+        w.joint_friction[j] += dry[j]
     return True
 
 
 @kernel
-def joint_friction_rates(w: Work, k: Array, state: Whole) -> None:
+def joint_friction_rates(w: Work, constants: Constants, state: State) -> None:
     """Write the rates of the joints' friction states."""
-    n, kind, count = w.q.shape[0], state[JOINT_FRICTION], state[JOINT_STATES]
-    at = joint_friction_at(n)
+    n, kind, count = w.q.shape[0], state.joint_friction, state.joint_states
     if count == 0:
         return
     u = w.scratch[0:1]
@@ -169,16 +152,15 @@ def joint_friction_rates(w: Work, k: Array, state: Whole) -> None:
         u[0] = w.v[j]
         here = _states_at(state, j)
         rates(
-            kind, k[at + j * FRICTION_WIDTH : at + (j + 1) * FRICTION_WIDTH], u, w.stuck[j] != 0.0,
+            kind, constants.joint_friction[j], u, w.stuck[j] != 0.0,
             w.z[here : here + count], w.dz[here : here + count],
         )  # fmt: skip
 
 
 @kernel
-def advance_joint_friction(w: Work, k: Array, state: Whole, h: float) -> None:
+def advance_joint_friction(w: Work, constants: Constants, state: State, h: float) -> None:
     """Advance the joints' friction states by h seconds at the velocity of the step's beginning."""
-    n, kind, count = w.q.shape[0], state[JOINT_FRICTION], state[JOINT_STATES]
-    at = joint_friction_at(n)
+    n, kind, count = w.q.shape[0], state.joint_friction, state.joint_states
     if count == 0:
         return
     u = w.scratch[0:1]
@@ -186,22 +168,21 @@ def advance_joint_friction(w: Work, k: Array, state: Whole, h: float) -> None:
         u[0] = w.begin[n + j]
         here = _states_at(state, j)
         advance_states(
-            kind, k[at + j * FRICTION_WIDTH : at + (j + 1) * FRICTION_WIDTH], u, w.stuck[j] != 0.0, h,
+            kind, constants.joint_friction[j], u, w.stuck[j] != 0.0, h,
             w.z[here : here + count],
         )  # fmt: skip
 
 
 @kernel
-def stick_or_slip_joints(w: Work, k: Array, state: Whole, rows: Array) -> None:
+def stick_or_slip_joints(w: Work, constants: Constants, state: State, rows: Array) -> None:
     """At a row, let joints of seven_parameter stick whose motion has turned, and slip whose spring is stretched out."""
-    n, kind, count = w.q.shape[0], state[JOINT_FRICTION], state[JOINT_STATES]
-    i = state[ROW]
+    n, kind, count = w.q.shape[0], state.joint_friction, state.joint_states
+    i = state.row
     if kind != SEVEN_PARAMETER or i == 0:
         return
-    at = joint_friction_at(n)
     c, viscous, direction = w.scratch[1:2], w.scratch[2:3], w.scratch[3:4]
     for j in range(n):
-        par = k[at + j * FRICTION_WIDTH : at + (j + 1) * FRICTION_WIDTH]
+        par = constants.joint_friction[j]
         here = _states_at(state, j)
         z = w.z[here : here + count]
         if w.stuck[j] != 0.0:
@@ -210,5 +191,5 @@ def stick_or_slip_joints(w: Work, k: Array, state: Whole, rows: Array) -> None:
                 w.stuck[j] = 0.0
         elif w.v[j] * rows[i - 1, n + j] <= 0.0:
             direction[0] = 1.0 if rows[i - 1, n + j] > 0.0 else -1.0
-            stick_states(kind, par, _delayed(w, k, state, rows, j, memory_delay(kind, par)), direction, z)
+            stick_states(kind, par, _delayed(w, constants, state, rows, j, memory_delay(kind, par)), direction, z)
             w.stuck[j] = 1.0

@@ -12,24 +12,7 @@ from closedloop.closure.contact_force import FREE, STUCK, residuals
 from closedloop.control.sensor import sense
 from closedloop.jit.kernel import entry_kernel, kernel, kernel_inlined
 from closedloop.jit.simd8 import select
-from closedloop.step.memory import (
-    FRAME,
-    GAP,
-    LAW_STATES,
-    MEASURED,
-    MODE,
-    PENDING,
-    PER_STEP,
-    RATE,
-    RIGID_STICK,
-    SENSOR_AT,
-    SENSOR_RING,
-    SENSOR_STATES,
-    STICKING,
-    SUPPLIED,
-    Whole,
-    Work,
-)
+from closedloop.step.memory import RIGID_STICK, Constants, State, Whole, Work
 
 Array = NDArray[np.float64]
 
@@ -76,13 +59,13 @@ def kinetic_energy(H: Array, v: Array) -> float:
 
 
 @kernel
-def record_conditions(pending: Array, rows: Array, state: Whole, done: int, n: int) -> None:
+def record_conditions(pending: Array, rows: Array, state: State, done: int, n: int) -> None:
     """Write the condition numbers of the last rows up to `done`: those that have their lanes in `pending`.
 
     Of Eq. 24 with the normal row alone; of H while the tip is free.
     """
-    count = state[PENDING]
-    state[PENDING] = 0
+    count = state.pending
+    state.pending = 0
     if count > 0:
         conditions(pending, n, count)
     at = 5 * n + 9 + KKT_CONDITION
@@ -91,37 +74,45 @@ def record_conditions(pending: Array, rows: Array, state: Whole, done: int, n: i
 
 
 @entry_kernel
-def complete_record(pending: Array, rows: Array, state: Whole, done: int, n: int) -> None:
+def complete_record(pending: Array, rows: Array, state_numbers: Whole, done: int, n: int) -> None:
     """Write what the last of `done` rows still lack, at the end of a run; see `record`."""
-    record_conditions(pending, rows, state, done, n)
+    record_conditions(pending, rows, State(state_numbers), done, n)
 
 
-def rows_there(state: Whole, done: int, n: int) -> int:
+def rows_there(state: State, done: int, n: int) -> int:
     """Return how many rows are recorded when `done` of them, or one more that was not counted yet, may be.
 
     Each leaves a lane, and a full set of lanes is emptied.
     """
-    return done if n > LONG or state[PENDING] == done % LANES else done + 1
+    return done if n > LONG or state.pending == done % LANES else done + 1
 
 
 @kernel_inlined
 def record(
-    H: Array, C: Array, w: Work, k: Array, state: Whole, table: Array, rows: Array, place: int, more: int | None
+    H: Array,
+    C: Array,
+    w: Work,
+    constants: Constants,
+    state: State,
+    table: Array,
+    rows: Array,
+    place: int,
+    more: int | None,
 ) -> None:
     """Write a row in the order of `Row`: the state, and what acted in it.
 
     The condition number follows once `LANES` rows are full, or with `complete_record`.
     """
     n = w.q.shape[0]
-    row, lane = rows[place], state[PENDING]
+    row, lane = rows[place], state.pending
     at = 4 * n + 9
     for j in range(n):
         row[j] = w.q[j]
         row[n + j] = w.v[j]
         row[2 * n + j] = w.qdd[j]
         row[3 * n + j] = w.torque[j]
-        row[at + j] = w.loss[j]
-        w.column[j] = w.torque[j] + w.loss[j]
+        row[at + j] = w.joint_friction[j]
+        w.column[j] = w.torque[j] + w.joint_friction[j]
     at = 4 * n
     for i in range(3):
         row[at + i] = w.r[i]
@@ -129,16 +120,16 @@ def record(
         for j in range(n):
             speed += w.J[i, j] * w.v[j]
         row[at + 3 + i] = speed
-        row[at + 6 + i] = k[FRAME + 3 + i] * w.F[1] + k[FRAME + 6 + i] * w.F[2]
+        row[at + 6 + i] = constants.frame[1, i] * w.F[1] + constants.frame[2, i] * w.F[2]
     at += 9 + n
-    mode = state[MODE]
-    closures = 0 if mode == FREE else (3 if mode == STUCK and state[STICKING] == RIGID_STICK else 1)
+    mode = state.mode
+    closures = 0 if mode == FREE else (3 if mode == STUCK and state.sticking == RIGID_STICK else 1)
     motion, closed = residuals(H, w.column, C, w.A, w.S, w.drift_c, w.b, w.a, w.qdd, w.F, 0, closures)
     trace = w.S[0, 0] + w.S[1, 1] + w.S[2, 2]
     row[at] = w.F[0]
-    row[at + 1] = w.share[0]
-    row[at + 2] = w.now[GAP]
-    row[at + 3] = w.now[RATE]
+    row[at + 1] = w.stabiliser_force[0]
+    row[at + 2] = w.gap
+    row[at + 3] = w.rate
     row[at + 4] = mode
     row[at + 5] = motion
     row[at + 6] = closed
@@ -146,21 +137,21 @@ def record(
         row[at + 7] = condition_of_long(H, w.A[0], w.L, w.X[0], w.S[0, 0], mode != FREE, w.scratch)
     else:
         leave(H, w.A[0], w.L, w.X[0], w.S[0, 0], mode != FREE, w.pending, lane)
-        state[PENDING] = lane + 1
+        state.pending = lane + 1
         if lane + 1 >= LANES:
             record_conditions(w.pending, rows, state, place + 1, n)
     row[at + 8] = w.S[0, 0] / select(trace > 0.0, trace, 1.0)
     row[at + 9] = kinetic_energy(H, w.v)
     if more is None:
-        w.now[MEASURED] = w.F[0]
+        w.measured = w.F[0]
     else:
-        count, sensor = state[LAW_STATES], state[SENSOR_STATES]
-        w.now[MEASURED] = sense(
-            w.F[0], place, k[SENSOR_AT : SENSOR_AT + 4], w.z[count : count + sensor],
-            table[place * state[PER_STEP], 2 * n + 10], w.ring[0 : state[SENSOR_RING]],
+        count, sensor = state.law_states, state.sensor_states
+        w.measured = sense(
+            w.F[0], place, constants.sensor, w.z[count : count + sensor],
+            table[place * state.nodes_per_step, 2 * n + 10], w.ring[0 : state.sensor_ring],
         )  # fmt: skip
-    row[at + 10] = w.now[MEASURED]
-    row[at + 11] = w.now[SUPPLIED]
+    row[at + 10] = w.measured
+    row[at + 11] = w.supplied
 
 
 RECORDED = tuple(name for name in Row._fields if name not in ("scalars", "width")) + SCALARS

@@ -11,27 +11,7 @@ from closedloop.closure.contact_force import FREE, IMMOBILE, STUCK
 from closedloop.friction.laws import holding, memory_delay, sliding
 from closedloop.friction.layout import STILL
 from closedloop.jit.kernel import kernel
-from closedloop.step.memory import (
-    DELAYED,
-    FRAME,
-    FRICTION,
-    FRICTION_AT,
-    FRICTION_STATES,
-    FRICTION_WIDTH,
-    H_STEP,
-    LAW_STATES,
-    MODE,
-    RIGID_STICK,
-    ROW,
-    SENSOR_STATES,
-    SMOOTH,
-    SPRING_STICK,
-    STICKING,
-    STRAIGHT,
-    TIME,
-    Whole,
-    Work,
-)
+from closedloop.step.memory import RIGID_STICK, SMOOTH, SPRING_STICK, Constants, State, Work
 
 Array = NDArray[np.float64]
 
@@ -69,8 +49,8 @@ def turn_with_slip(w: Work, h: float) -> bool:
     det = w.S[1, 1] * w.S[2, 2] - w.S[1, 2] * w.S[1, 2]
     if not det > IMMOBILE * (w.S[1, 1] + w.S[2, 2]) ** 2:
         return False  # a tip that moves along a line does not turn
-    a1 = w.a[1] + w.S[1, 0] * f - w.S[1, 1] * w.w[0] - w.S[1, 2] * w.w[1]
-    a2 = w.a[2] + w.S[2, 0] * f - w.S[1, 2] * w.w[0] - w.S[2, 2] * w.w[1]
+    a1 = w.a[1] + w.S[1, 0] * f - w.S[1, 1] * w.viscous[0] - w.S[1, 2] * w.viscous[1]
+    a2 = w.a[2] + w.S[2, 0] * f - w.S[1, 2] * w.viscous[0] - w.S[2, 2] * w.viscous[1]
     p1, p2 = (w.S[2, 2] * u1 - w.S[1, 2] * u2) / det, (w.S[1, 1] * u2 - w.S[1, 2] * u1) / det
     q1, q2 = (w.S[2, 2] * a1 - w.S[1, 2] * a2) / det, (w.S[1, 1] * a2 - w.S[1, 2] * a1) / det
     if math.hypot(p1 / h + q1, p2 / h + q2) < level * abs(f):
@@ -99,56 +79,56 @@ def turn_with_slip(w: Work, h: float) -> bool:
 
 
 @kernel
-def surface_friction(w: Work, k: Array, state: Whole, rows: Array) -> None:
+def surface_friction(w: Work, constants: Constants, state: State, rows: Array) -> None:
     """Write c and w of the tip's friction F_t = −c f − w in the present mode; zero where there is none."""
-    w.c[0], w.c[1], w.w[0], w.w[1] = 0.0, 0.0, 0.0, 0.0
-    sticking = state[STICKING]
-    if sticking == SMOOTH or state[MODE] == FREE or (state[MODE] == STUCK and sticking == RIGID_STICK):
+    w.c[0], w.c[1], w.viscous[0], w.viscous[1] = 0.0, 0.0, 0.0, 0.0
+    sticking = state.sticking
+    if sticking == SMOOTH or state.mode == FREE or (state.mode == STUCK and sticking == RIGID_STICK):
         return
-    kind, par = state[FRICTION], k[FRICTION_AT : FRICTION_AT + FRICTION_WIDTH]
-    at = state[LAW_STATES] + state[SENSOR_STATES]
-    z = w.z[at : at + state[FRICTION_STATES]]
-    if state[MODE] == STUCK:
-        holding(kind, par, z, w.c, w.w)
+    kind, par = state.friction, constants.friction
+    at = state.law_states + state.sensor_states
+    z = w.z[at : at + state.friction_states]
+    if state.mode == STUCK:
+        holding(kind, par, z, w.c, w.viscous)
         return
     speed = math.hypot(w.u[1], w.u[2])
-    w.now[DELAYED] = delayed_speed(w, k, state, rows, memory_delay(kind, par), speed)
+    w.delayed_slip = delayed_speed(w, constants, state, rows, memory_delay(kind, par), speed)
     s = w.scratch[0:2]
     s[0], s[1] = w.u[1], w.u[2]
     along = s[0] * w.direction[0] + s[1] * w.direction[1]
     if sticking != RIGID_STICK and sticking != SPRING_STICK:
         along = 1.0
-    if along < 0.0 or speed <= w.now[STRAIGHT]:
+    if along < 0.0 or speed <= w.straight:
         # Past the instant at which slip stops the law goes on as before, so that the instant can be found.
         s[0], s[1] = speed * w.direction[0], speed * w.direction[1]
-    sliding(kind, par, s, w.now[DELAYED], z, w.direction, w.c, w.w)
+    sliding(kind, par, s, w.delayed_slip, z, w.direction, w.c, w.viscous)
 
 
 @kernel
-def delayed_speed(w: Work, k: Array, state: Whole, rows: Array, delay: float, speed: float) -> float:
+def delayed_speed(w: Work, constants: Constants, state: State, rows: Array, delay: float, speed: float) -> float:
     """Return the speed of slip `delay` seconds ago, m/s, on a line between rows; `speed` is the present one."""
     if delay <= 0.0:
         return speed
     n = w.q.shape[0]
-    x = (w.now[TIME] - delay) / k[H_STEP]
-    last = state[ROW] - 1
+    x = (w.time - delay) / constants.h
+    last = state.row - 1
     if x <= 0.0 or last < 0:
-        return slip_of(rows[0], n, k) if last >= 0 else speed
+        return slip_of(rows[0], n, constants) if last >= 0 else speed
     i = int(x)
     if i >= last:
-        since = w.now[TIME] - last * k[H_STEP]
-        s = (w.now[TIME] - delay - last * k[H_STEP]) / since if since > 0.0 else 1.0
-        return float((1.0 - s) * slip_of(rows[last], n, k) + s * speed)
-    return float((1.0 - (x - i)) * slip_of(rows[i], n, k) + (x - i) * slip_of(rows[i + 1], n, k))
+        since = w.time - last * constants.h
+        s = (w.time - delay - last * constants.h) / since if since > 0.0 else 1.0
+        return float((1.0 - s) * slip_of(rows[last], n, constants) + s * speed)
+    return float((1.0 - (x - i)) * slip_of(rows[i], n, constants) + (x - i) * slip_of(rows[i + 1], n, constants))
 
 
 @kernel
-def slip_of(row: Array, n: int, k: Array) -> float:
+def slip_of(row: Array, n: int, constants: Constants) -> float:
     """Return the tip's tangential speed in a recorded row, m/s."""
     total = 0.0
     for t in range(1, 3):
         u = 0.0
         for i in range(3):
-            u += k[FRAME + 3 * t + i] * row[4 * n + 3 + i]
+            u += constants.frame[t, i] * row[4 * n + 3 + i]
         total += u * u
     return math.sqrt(total)

@@ -11,7 +11,7 @@ import numpy as np
 
 import closedloop as cl
 import robot_models
-from closedloop.control.law_input import Moment
+from closedloop.control.law_input import LawInput
 from closedloop.control.laws import law_rates, law_torque, start_states
 from closedloop.control.pack import pack_law
 from closedloop.control.parameters import work_size
@@ -113,7 +113,7 @@ class Loop:
         L[np.diag_indices(self.n)] = 1.0 / np.diag(L)
         shift, u_des, a_des = self.path(t)
         q_des, v_des = self.joints(t)
-        x = Moment(
+        x = LawInput(
             float(t), q.copy(), v.copy(), C, H, np.ascontiguousarray(L), A, X, X @ X.T, self.frame @ terms.drift,
             self.frame @ terms.position, A @ v, np.array(q_des), np.array(v_des), self.p_start + shift,
             np.array(u_des), np.array(a_des), float(self.f_des), float(self.f_measured), float(self.pressed),

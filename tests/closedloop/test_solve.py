@@ -8,7 +8,14 @@ from hypothesis import strategies as st
 
 import closedloop as cl
 from closedloop.closure.conditioning import LANES, condition_of_long, conditions, leave, pending_rows
-from closedloop.closure.contact_force import accelerate, factorise, pressed_force, residuals, stuck_force, unloaded
+from closedloop.closure.contact_force import (
+    accelerate,
+    factorise,
+    free_acceleration,
+    pressed_force,
+    residuals,
+    stuck_force,
+)
 from closedloop.closure.solve import (
     NOT_POSITIVE_DEFINITE,
     OK,
@@ -42,7 +49,7 @@ class Solved:
             return
         share = np.zeros(3) if share is None else share
         # b is b_s: what the closure asks of A q̈; the kernels take it as the drift and the stabiliser's part.
-        unloaded(self.L, self.X, share - self.b, self.tau, self.C, self.y, self.a)
+        free_acceleration(self.L, self.X, share - self.b, self.tau, self.C, self.y, self.a)
         if m == 1:
             self.status, self.share[0] = pressed_force(self.S, self.a, share[0], np.array(c), np.array(w), self.F)
         else:

@@ -19,8 +19,8 @@ from closedloop.integrators import INTEGRATORS
 from closedloop.jit.kernel import entry_kernel
 from closedloop.robot.pinocchio import Terms
 from closedloop.robot.tree import Tree, tree_of, tree_terms, work_size
-from closedloop.step import memory as space
 from closedloop.step.evaluate import LAW_GIVEN
+from closedloop.step.memory import Constants, State, Work
 from closedloop.step.record_row import Row
 from closedloop.surface.plane import contact_frame
 from robot_models import RobotModel
@@ -66,22 +66,23 @@ class Compiled(ClosedLoop):
         """Return the row that the loop records at a state under a given torque; b None: the tip is free."""
         n, scheme = self.n, INTEGRATORS["semi_implicit_euler"]
         terms = self.robot.terms(self._in(q), self._in(v))
-        k = np.zeros(space.JOINTS + 5 * n + space.LAW_WIDTH + n * space.FRICTION_WIDTH)
-        k[space.H_STEP] = k[space.NODE] = 1e-3
-        k[space.FRAME : space.FRAME + 9] = contact_frame(normal).ravel()
-        state = np.zeros(space.WHOLES, dtype=np.int64)
-        state[space.LAW], state[space.SAMPLED], state[space.RISEN] = LAW_GIVEN, 1, 1
-        state[space.STAGES], state[space.PER_STEP], state[space.SEMI_IMPLICIT] = scheme.stages, 1, 1
-        state[space.MODE] = FREE
+        constants = Constants(np.zeros(Constants.count(n)), n)
+        constants.h = constants.node = 1e-3
+        constants.frame[:] = contact_frame(normal)
+        state = State(np.zeros(State.count(), dtype=np.int64))
+        state.law, state.sampled, state.risen = LAW_GIVEN, 1, 1
+        state.stages, state.nodes_per_step, state.semi_implicit = scheme.stages, 1, 1
+        state.mode = FREE
         if b is not None:
-            state[space.MODE], k[space.S_P] = PRESSED, 1.0
-            k[space.OFFSET_D] = normal @ terms.position + b + normal @ terms.drift
-        memory = np.zeros(space.memory_size(n, 0, scheme.stages, 1))
-        w = space.workspace(memory, n, 0, scheme.stages, 1)
+            state.mode, constants.s_p = PRESSED, 1.0
+            constants.offset = float(normal @ terms.position + b + normal @ terms.drift)
+        w = Work(np.zeros(Work.count(n, 0, scheme.stages, 1)), n, 0, scheme.stages, 1)
         w.q[:], w.v[:], w.torque[:] = self._in(q), self._in(v), self._in(torque)
         table, rows, events = np.zeros((1, 2 * n + 11)), np.zeros((1, Row.of(n).width)), np.zeros((1, EVENT_WIDTH))
         work = compiled_work(n)
-        request = run_compiled(self.tree, work, k, state, memory, table, scheme.tableau(), rows, events)
+        request = run_compiled(
+            self.tree, work, constants.memory, state.memory, w.memory, table, scheme.tableau(), rows, events
+        )
         if request != DONE:
             raise np.linalg.LinAlgError("the pose is singular: the tip cannot move along the normal")
         return np.asarray(rows[0])

@@ -10,9 +10,9 @@ from closedloop.closure.contact_force import (
     accelerate,
     baumgarte_acceleration,
     factorise,
+    free_acceleration,
     into_contact_frame,
     pressed_force,
-    unloaded,
 )
 from closedloop.closure.solve import OK, solve_closure
 from closedloop.robot.pinocchio import Robot as LoopRobot
@@ -76,7 +76,7 @@ class ClosedLoop(Engine):
         status = factorise(np.array(terms.mass_matrix), A, L, X, S, 0.0)
         if status == OK:
             # The closure asks A q̈ = b, whatever the drift: the kernel is told that the drift is −b.
-            unloaded(L, X, np.array([-b, 0.0, 0.0]), self._in(torque), np.array(terms.bias), y, a)
+            free_acceleration(L, X, np.array([-b, 0.0, 0.0]), self._in(torque), np.array(terms.bias), y, a)
             status, _ = pressed_force(S, a, 0.0, np.zeros(2), np.zeros(2), F)
         if status != OK:
             raise np.linalg.LinAlgError("the pose is singular: the tip cannot move along the normal")
@@ -87,7 +87,7 @@ class ClosedLoop(Engine):
         terms, before = self.robot.terms(self._in(q), self._in(v)), self._in(v)
         A, (p, u, drift) = np.empty((3, self.n)), np.empty((3, 3))
         J, r, moving = (np.array(x) for x in (terms.jacobian, terms.position, terms.drift))
-        into_contact_frame(contact_frame(normal).ravel(), J, r, moving, before, A, p, u, drift)
+        into_contact_frame(contact_frame(normal), J, r, moving, before, A, p, u, drift)
         return float(-drift[0] + baumgarte_acceleration(gains[0], gains[1], u[0], p[0] - offset))
 
     def impulse(self, q: Array, v: Array, normal: Array, restitution: float) -> tuple[Array, float]:

@@ -22,7 +22,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from closedloop.control.compensation.model import wanted_direction
-from closedloop.control.law_input import Moment
+from closedloop.control.law_input import LawInput
 from closedloop.control.parameters import ADAPTATION, CORNER, SMOOTHING, SPEED_SCALE
 from closedloop.control.tip_space import surface_mobility
 from closedloop.jit.kernel import kernel
@@ -31,7 +31,7 @@ Array = NDArray[np.float64]
 
 
 @kernel
-def add_adapted(x: Moment, par: Array, theta: Array, torque: Array) -> None:
+def add_adapted(x: LawInput, par: Array, theta: Array, torque: Array) -> None:
     """Add −AᵀF̂_t, N m; θ (2,), without unit and N s/m."""
     if x.pressed == 0.0:
         return
@@ -43,7 +43,7 @@ def add_adapted(x: Moment, par: Array, theta: Array, torque: Array) -> None:
 
 
 @kernel
-def adaptive_rates(x: Moment, par: Array, theta: Array, dtheta: Array) -> None:
+def adaptive_rates(x: LawInput, par: Array, theta: Array, dtheta: Array) -> None:
     """Write θ̇ (2,); zero off the surface and for a tip that cannot move along it."""
     dtheta[0], dtheta[1] = 0.0, 0.0
     if x.pressed == 0.0:

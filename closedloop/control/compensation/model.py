@@ -16,7 +16,7 @@ import math
 import numpy as np
 from numpy.typing import NDArray
 
-from closedloop.control.law_input import Moment
+from closedloop.control.law_input import LawInput
 from closedloop.control.parameters import (
     JOINT_SMOOTHING,
     KINETIC,
@@ -32,7 +32,7 @@ Array = NDArray[np.float64]
 
 
 @kernel
-def wanted_direction(x: Moment, smoothing: float) -> tuple[float, float, float]:
+def wanted_direction(x: LawInput, smoothing: float) -> tuple[float, float, float]:
     """Return the two components of û, without unit, and |u|, m/s, of the wanted motion along the surface."""
     speed = math.hypot(x.u_des[1], x.u_des[2])
     scale = math.hypot(speed, smoothing)
@@ -42,7 +42,7 @@ def wanted_direction(x: Moment, smoothing: float) -> tuple[float, float, float]:
 
 
 @kernel
-def add_model(x: Moment, par: Array, torque: Array) -> None:
+def add_model(x: LawInput, par: Array, torque: Array) -> None:
     """Add the torque that overcomes friction as it is believed to be, N m."""
     n = torque.shape[0]
     if x.pressed != 0.0:

@@ -19,7 +19,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from closedloop.closure.solve import back_substitute, forward_substitute
-from closedloop.control.law_input import Moment
+from closedloop.control.law_input import LawInput
 from closedloop.control.parameters import RATE, VECTORS
 from closedloop.control.tip_space import add_mass_times
 from closedloop.jit.kernel import kernel
@@ -28,7 +28,7 @@ Array = NDArray[np.float64]
 
 
 @kernel
-def add_observed(x: Moment, par: Array, xi: Array, work: Array, torque: Array) -> None:
+def add_observed(x: LawInput, par: Array, xi: Array, work: Array, torque: Array) -> None:
     """Add −H δ̂, N m; ξ (n,), rad/s."""
     n = torque.shape[0]
     estimate = work[VECTORS : VECTORS + n]
@@ -38,7 +38,7 @@ def add_observed(x: Moment, par: Array, xi: Array, work: Array, torque: Array) -
 
 
 @kernel
-def observer_rates(x: Moment, par: Array, xi: Array, f: float, torque: Array, work: Array, dxi: Array) -> None:
+def observer_rates(x: LawInput, par: Array, xi: Array, f: float, torque: Array, work: Array, dxi: Array) -> None:
     """Write ξ̇ (n,), rad/s², from the torque that acts, N m, and the measured force, N."""
     n = torque.shape[0]
     a = work[VECTORS : VECTORS + n]

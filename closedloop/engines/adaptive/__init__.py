@@ -7,7 +7,7 @@ What an event does is left to `closedloop.events`, as though it were at a row; s
 has one, at every step and every row.
 
 smooth      what is desired, as a polynomial between jumps
-crossing    the first instant at which a gauge falls below zero
+crossing    the first instant at which an event function falls below zero
 slow        slow slip, where dry friction is stiff: an implicit scheme takes over
 kernels     the kernels of a step, to be asked about any state at any instant
 memory      the loop's memory, and the calls on it

@@ -1,4 +1,4 @@
-"""The first instant at which a gauge falls below zero within a step, from its values at any instants."""
+"""The first instant at which an event function falls below zero within a step, from its values at any instants."""
 
 from __future__ import annotations
 
@@ -7,51 +7,55 @@ from collections.abc import Callable
 import numpy as np
 from scipy.optimize import brentq, minimize_scalar
 
-# Places in a step at which the gauge is looked at. Within a step that an integrator of order eight takes to a small
-# tolerance, a gauge has no more wiggles than these show.
+# Places in a step at which the event function is looked at. Within a step that an integrator of order eight takes to a
+# small tolerance, an event function has no more wiggles than these show.
 PLACES = 8
 # A dip between places is looked into if the parabola through them falls to this share of the lowest place.
 DEEP = 0.3
 
-Gauge = Callable[[float], float]
+EventFunction = Callable[[float], float]
 
 
-def root(gauge: Gauge, low: float, high: float) -> float:
-    """Return where a continuous gauge changes its sign between low and high, as closely as numbers can say (Brent)."""
-    return float(brentq(gauge, low, high, xtol=1e-17, rtol=9e-16, maxiter=200))
+def root(event_function: EventFunction, low: float, high: float) -> float:
+    """Return where a continuous event function changes its sign between low and high, to rounding (Brent)."""
+    return float(brentq(event_function, low, high, xtol=1e-17, rtol=9e-16, maxiter=200))
 
 
-def first_crossing(gauge: Gauge, length: float, floor: float = 0.0, rate: Gauge | None = None) -> float | None:
-    """Return the first instant in 0 .. length at which the gauge falls through zero, None if it does not.
+def first_crossing(
+    event_function: EventFunction, length: float, floor: float = 0.0, rate: EventFunction | None = None
+) -> float | None:
+    """Return the first instant in 0 .. length at which the event function falls through zero, None if it does not.
 
     Parameters
     ----------
-    gauge : callable
+    event_function : callable
         Not negative at 0 but for rounding.
     length : float
         Of the step.
     floor : float
         What is no deeper than this below zero is rounding.
     rate : callable, optional
-        Derivative of the gauge. With it no dip escapes that begins and ends between two places, nor a rise from zero
-        that is over before the first place.
+        Derivative of the event function. With it no dip escapes that begins and ends between two places, nor a rise
+        from zero that is over before the first place.
     """
     times: list[float] = np.linspace(0.0, length, PLACES + 1).tolist()
-    values = [gauge(t) for t in times]
-    for t in _extremes(gauge, rate, times, values):
+    values = [event_function(t) for t in times]
+    for t in _extremes(event_function, rate, times, values):
         times.append(t)
-        values.append(gauge(t))
+        values.append(event_function(t))
     order = np.argsort(times, kind="stable").tolist()
     before, above = 0.0, values[0]
     for i in order[1:]:
         if values[i] < -floor:
-            return root(gauge, before, times[i]) if above > 0.0 else before
+            return root(event_function, before, times[i]) if above > 0.0 else before
         before, above = times[i], values[i]
     return None
 
 
-def _extremes(gauge: Gauge, rate: Gauge | None, times: list[float], values: list[float]) -> list[float]:
-    """Return instants between the places at which the gauge is highest or lowest."""
+def _extremes(
+    event_function: EventFunction, rate: EventFunction | None, times: list[float], values: list[float]
+) -> list[float]:
+    """Return instants between the places at which the event function is highest or lowest."""
     if rate is not None:
         slopes = [rate(t) for t in times]
         return [root(rate, times[i], times[i + 1]) for i in range(PLACES) if slopes[i] * slopes[i + 1] < 0.0]
@@ -62,6 +66,6 @@ def _extremes(gauge: Gauge, rate: Gauge | None, times: list[float], values: list
         dips = here <= min(left, right) and bend > 0.0 and here > 0.0
         if dips and here - (right - left) ** 2 / (8.0 * bend) < DEEP * here:
             around = (times[i - 1], times[i + 1])
-            lowest = minimize_scalar(gauge, bounds=around, method="bounded", options={"xatol": 1e-12})
+            lowest = minimize_scalar(event_function, bounds=around, method="bounded", options={"xatol": 1e-12})
             found.append(float(lowest.x))
     return found

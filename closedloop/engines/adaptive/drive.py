@@ -16,7 +16,7 @@ from closedloop.closure.solve import OK
 from closedloop.control import Law
 from closedloop.control.parameters import K_F
 from closedloop.engines.adaptive.crossing import first_crossing
-from closedloop.engines.adaptive.kernels import GAUGE_IT, RECORD, SET_OUT
+from closedloop.engines.adaptive.kernels import EVENT_VALUE, RECORD, SET_OUT
 from closedloop.engines.adaptive.memory import Memory, Stopped
 from closedloop.engines.adaptive.slow import KEPT, PLAIN, SETTLED, STIFF, jacobian, manner_of, tolerance_for
 from closedloop.engines.adaptive.smooth import Stretch, jumps, stretch_from
@@ -24,21 +24,7 @@ from closedloop.engines.failures import failure_of, interrupted, when
 from closedloop.engines.problem import Problem
 from closedloop.errors import DivergenceError, InterruptedRunError, LawError, SimulationError
 from closedloop.events.phases import INSTANT, SHALLOW
-from closedloop.step.memory import (
-    EVENTS,
-    GAUGE,
-    MODE,
-    RATE,
-    RIGID_STICK,
-    RISEN,
-    ROW,
-    SAMPLED,
-    SMOOTH,
-    STICKING,
-    STRAIGHT,
-    UNILATERAL,
-    Whole,
-)
+from closedloop.step.memory import RIGID_STICK, SMOOTH, State
 from closedloop.step.record_row import complete_record, rows_there
 
 Array = NDArray[np.float64]
@@ -76,7 +62,7 @@ def run_adaptive(
         began = journey.start()
         journey.go()
         report(steps, steps)
-        complete_record(memory.w.pending, memory.rows, memory.state, journey.row, problem.robot.n)
+        complete_record(memory.w.pending, memory.rows, memory.state.memory, journey.row, problem.robot.n)
     except Stopped as stop:
         t = journey.time
         if stop.fault:
@@ -93,8 +79,8 @@ def run_adaptive(
     done = journey.row
     if isinstance(failure, InterruptedRunError):
         done = rows_there(memory.state, done, problem.robot.n)
-    complete_record(memory.w.pending, memory.rows, memory.state, done, problem.robot.n)
-    return memory.rows[:done], memory.events[: int(memory.state[EVENTS])], failure, seconds
+    complete_record(memory.w.pending, memory.rows, memory.state.memory, done, problem.robot.n)
+    return memory.rows[:done], memory.events[: int(memory.state.events)], failure, seconds
 
 
 class _Journey:
@@ -103,9 +89,9 @@ class _Journey:
     def __init__(self, problem: Problem, law: Law | None, report: Callable[[int, int], None]) -> None:
         self.problem, self.report = problem, report
         self.memory = Memory(problem, law)
-        sticking = self.memory.state[STICKING]
+        sticking = self.memory.state.sticking
         self.rubs = sticking != SMOOTH
-        self.turns = self.memory.state[UNILATERAL] != 0 or sticking == RIGID_STICK
+        self.turns = self.memory.state.unilateral != 0 or sticking == RIGID_STICK
         self.instants = problem.h * np.arange(problem.steps + 1, dtype=np.float64)
         self.row, self.time, self.y = 0, 0.0, self.memory.get()
         self.tolerance = cast(float, problem.tolerance)
@@ -147,13 +133,13 @@ class _Journey:
         memory, i = self.memory, self.row
         hold = memory.hold
         due = self.instants[i] <= self.time + INSTANT
-        memory.state[SAMPLED] = hold == 0 or (due and i % hold == 0)
+        memory.state.sampled = hold == 0 or (due and i % hold == 0)
         self.look(stretch)
         if self.turns:
             memory.begin(self.time)
             self.y = memory.get()
             self.look(stretch)
-        memory.state[SAMPLED] = hold == 0
+        memory.state.sampled = hold == 0
         if due:
             self.y = memory.closed(self.y)
             self.record(self.y, self.time, stretch)
@@ -165,7 +151,7 @@ class _Journey:
         if self.rubs:
             self.manner = manner_of(memory.w, memory.state, before)
             if (self.manner == KEPT) != (before == KEPT):
-                memory.w.now[STRAIGHT] = math.inf if self.manner == KEPT else 0.0
+                memory.w.straight = math.inf if self.manner == KEPT else 0.0
                 memory.evaluate(self.time, self.y, stretch, SET_OUT)
 
     def advance(self, stretch: Stretch) -> None:
@@ -245,7 +231,7 @@ class _Journey:
         memory, begin = self.memory, self.time
 
         def short(after: float) -> float:
-            memory.evaluate(begin + after, within(begin + after), stretch, GAUGE_IT)
+            memory.evaluate(begin + after, within(begin + after), stretch, EVENT_VALUE)
             return SETTLED - float(np.hypot(*memory.w.u[1:]))
 
         return first_crossing(short, length)
@@ -253,42 +239,42 @@ class _Journey:
     def crossing(self, within: Callable[[float], Array], length: float, stretch: Stretch) -> float | None:
         """Return how long after the beginning of the step the next event is, s, None if there is none in it."""
         memory, begin = self.memory, self.time
-        now, state = memory.w.now, memory.state
+        w, state = memory.w, memory.state
 
-        def value(place: int) -> Callable[[float], float]:
+        def value(name: str) -> Callable[[float], float]:
             def at(after: float) -> float:
-                memory.evaluate(begin + after, within(begin + after), stretch, GAUGE_IT)
-                return float(now[place])
+                memory.evaluate(begin + after, within(begin + after), stretch, EVENT_VALUE)
+                return float(getattr(w, name))
 
             return at
 
-        if state[MODE] != FREE:
-            return first_crossing(value(GAUGE), length)
+        if state.mode != FREE:
+            return first_crossing(value("event_value"), length)
         # A tip that has been let go rises with the cube of time at first, no faster than errors do.
         leaving = max(SHALLOW, 10.0 * self.tolerance)
-        event = first_crossing(value(GAUGE), length, SHALLOW if state[RISEN] != 0 else leaving, value(RATE))
-        if event is None and value(GAUGE)(length) > leaving:
-            state[RISEN] = 1
+        event = first_crossing(value("event_value"), length, SHALLOW if state.risen != 0 else leaving, value("rate"))
+        if event is None and value("event_value")(length) > leaving:
+            state.risen = 1
         return event
 
     def happen(self, within: Callable[[float], Array], event: float, stretch: Stretch) -> None:
         """Let the event happen, and stand just after it."""
         memory, begin, later = self.memory, self.time, 0.0
-        before = memory.state.copy(), memory.numbers.copy()
+        before = State(memory.state.memory.copy()), memory.w.memory.copy()
         while True:
             self.time = begin + event + later
             self.time = memory.happen(self.time, within(self.time), stretch)
-            if before[0][MODE] == FREE or later > LATE or not self.refused(before[0]):
+            if before[0].mode == FREE or later > LATE or not self.refused(before[0]):
                 break
             # The force is zero but for rounding, and the surface does not let go yet: it will an instant later.
             later = max(2.0 * later, float(np.spacing(self.time)))
-            memory.state[:], memory.numbers[:] = before
+            memory.state.memory[:], memory.w.memory[:] = before[0].memory, before[1]
         self.y = memory.get()
 
-    def refused(self, before: Whole) -> bool:
+    def refused(self, before: State) -> bool:
         """Whether the machine found nothing to do, or let the tip go and took it back."""
         state = self.memory.state
-        return bool(state[MODE] == before[MODE] and state[EVENTS] == before[EVENTS])
+        return bool(state.mode == before.mode and state.events == before.events)
 
     def record_until(self, end: float, within: Callable[[float], Array], stretch: Stretch) -> None:
         """Record the rows of the step before `end`, s."""
@@ -298,7 +284,7 @@ class _Journey:
 
     def record(self, y: Array, t: float, stretch: Stretch) -> None:
         """Record the next row: the state, and what acts in it."""
-        self.memory.state[ROW] = self.row
+        self.memory.state.row = self.row
         self.memory.evaluate(t, y, stretch, RECORD)
         self.row, self.steps_since_row = self.row + 1, 0
         if self.row % 100 == 0:

@@ -27,7 +27,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from closedloop.closure.contact_force import PRESSED
-from closedloop.step.memory import MODE, RIGID_STICK, STICKING, Whole, Work
+from closedloop.step.memory import RIGID_STICK, State, Work
 
 Array = NDArray[np.float64]
 Rate = Callable[[float, Array], Array]
@@ -43,12 +43,12 @@ STIFF_RATE, CALM = 2e4, 0.1
 TURN = 1e-4
 
 
-def manner_of(w: Work, state: Whole, before: int) -> int:
+def manner_of(w: Work, state: State, before: int) -> int:
     """Return how to go on from the state evaluated last, in the memory `w`, `state`; `before` is how it went on.
 
     Leaving the implicit scheme takes a λ four times smaller than taking it up, so that the two do not alternate.
     """
-    if state[STICKING] != RIGID_STICK or state[MODE] != PRESSED:
+    if state.sticking != RIGID_STICK or state.mode != PRESSED:
         return PLAIN
     slip, speed = w.u[1:], float(np.hypot(*w.u[1:]))
     if speed < 0.99 * SETTLED:  # not at it, where the step that has come so far ends

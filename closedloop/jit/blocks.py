@@ -1,22 +1,29 @@
-"""Named views into one block of numbers, for compiled code at no cost.
+"""Blocks: memory of which each part has a name, `block.name`, in Python and, at no cost, in compiled code.
 
-A block is described by its fields, in order, each with its shape in a few sizes (number of joints, of stages ...) that
-are known only when the block is made. `Layout` counts with such sizes as symbols, so that the one description gives
-the size of the block and its views in Python.
+A block is a class whose annotations say, in order, what the memory holds: single numbers, and arrays with their shapes
+in a few sizes (number of joints, of stages ...) that are known only when the block is made. `Layout` counts with such
+sizes as symbols, so the one description gives the size of the memory and the places of its parts.
+
+    class Motion(Block, sizes=("n",)):
+        time: float                       # one number: motion.time = 0.5
+        q: Annotated[Array, N]            # an array: motion.q[0]
+
+    motion = Motion(np.zeros(Motion.count(4)), 4)
 
 Inside compiled code a tuple of forty arrays would travel as three hundred words from call to call. There a block is
-its address and its sizes, and a view is made where it is asked for, as `block.name`: `compiled_views` teaches numba to.
+its address and its sizes, and an array is made where it is asked for: `_compiled_views` teaches numba to.
 """
 
 from __future__ import annotations
 
 import math
 from collections.abc import Mapping, Sequence
-from typing import Any
+from typing import Any, ClassVar, get_args, get_type_hints
 
 import numpy as np
 from numba import types
 from numba.core import cgutils
+from numba.core.imputils import lower_setattr_generic
 from numba.core.typing.templates import AbstractTemplate, AttributeTemplate, infer_global, signature
 from numba.extending import (
     infer_getattr,
@@ -84,7 +91,7 @@ class Layout:
     sizes : sequence of str
         Names of the sizes, in the order in which they are given later.
     fields : sequence of (name, shape)
-        A shape is a tuple of numbers and `Count`s; all fields are of float64 and follow each other.
+        A shape is a tuple of numbers and `Count`s, () for a single number; the fields follow each other.
     """
 
     def __init__(self, sizes: Sequence[str], fields: Sequence[tuple[str, tuple[Count | int, ...]]]) -> None:
@@ -108,7 +115,7 @@ class Layout:
         return self.end.value(dict(zip(self.sizes, sizes, strict=True)))
 
     def views(self, memory: Array, *sizes: int) -> dict[str, Array]:
-        """Return the views of a block by their names; of a block of arrays, memory (size, ...), those of each."""
+        """Return the arrays of a block by their names; of a block of arrays, memory (size, ...), those of each."""
         places = self._places.get(sizes)
         if places is None:
             places = self._places_for(dict(zip(self.sizes, sizes, strict=True)))
@@ -116,7 +123,7 @@ class Layout:
                 self._places.clear()
             self._places[sizes] = places
         each = memory.shape[1:]
-        return {name: memory[begin:end].reshape(shape + each) for name, begin, end, shape in places}
+        return {name: memory[begin:end].reshape(shape + each) for name, begin, end, shape in places if shape}
 
     def _places_for(self, known: Mapping[str, int]) -> list[tuple[str, int, int, tuple[int, ...]]]:
         """Return name, begin, end and shape of each field."""
@@ -140,33 +147,80 @@ def array_on(context: Any, builder: Any, kind: Any, data: Any, shape: list[Any])
     return array._getvalue()
 
 
-def compiled_views(layout: Layout, function: Any) -> None:
-    """Make `function(memory, *sizes)`, in compiled code, the block's views as attributes.
+class Block:
+    """Base of all blocks; a subclass names its parts by annotations, see above.
 
-    Memory of float64 has views of float64, of octets (`closedloop.jit.simd8`) views of octets. It must outlive the
-    views; numba does not count who refers to it.
+    Parameters
+    ----------
+    memory : (count(*sizes),) array, or (count(*sizes), ...) of arrays side by side
+        What the parts are views of; kept.
+    sizes : int
+        Those that the class names, in order.
     """
 
-    class Block(types.Type):
+    layout: ClassVar[Layout]
+
+    def __init_subclass__(cls, sizes: Sequence[str] = ()) -> None:
+        fields = []
+        for name, hint in get_type_hints(cls, include_extras=True).items():
+            if name != "layout":
+                fields.append((name, get_args(hint)[1:] if hasattr(hint, "__metadata__") else ()))
+        cls.layout = Layout(sizes, fields)
+        for name, shape in cls.layout.shape.items():
+            if not shape:
+                setattr(cls, name, _number(cls.layout.at[name].value({})))
+        _compiled_views(cls)
+
+    def __init__(self, memory: NDArray[Any], *sizes: int) -> None:
+        self.memory = memory
+        self.__dict__.update(self.layout.views(memory, *sizes))
+
+    @classmethod
+    def count(cls, *sizes: int) -> int:
+        """Return how many numbers of memory a block takes."""
+        return cls.layout.size(*sizes)
+
+
+def _number(place: int) -> property:
+    """Return a single number of a block as an attribute."""
+
+    def read(block: Block) -> Any:
+        return block.memory[place]
+
+    def write(block: Block, value: Any) -> None:
+        block.memory[place] = value
+
+    return property(read, write)
+
+
+def _compiled_views(block: type[Block]) -> None:
+    """Make `block(memory, *sizes)`, in compiled code, the block's parts as attributes.
+
+    Memory of float64 has parts of float64, of float64x8 (`closedloop.jit.simd8`) parts of float64x8, of int64 whole
+    numbers. It must outlive the block; numba does not count who refers to it.
+    """
+    layout, made = block.layout, f"{block.__module__}.{block.__qualname__}"
+
+    class BlockType(types.Type):
         def __init__(self, dtype: Any) -> None:
             self.dtype = dtype
-            super().__init__(name=f"Block of {dtype}: " + ", ".join(layout.at))
+            super().__init__(name=f"{made} of {dtype}")
 
-    @register_model(Block)
+    @register_model(BlockType)
     class Model(models.StructModel):
         def __init__(self, dmm: Any, fe_type: Any) -> None:
             sizes = ((name, types.intp) for name in layout.sizes)
             super().__init__(dmm, fe_type, [("base", types.CPointer(fe_type.dtype)), *sizes])
 
-    @infer_global(function)
+    @infer_global(block, typing_key=made)
     class Views(AbstractTemplate):
-        key = function
+        key = made
 
         def generic(self, args: Any, kws: Any) -> Any:
-            fits = isinstance(args[0], types.Array) and len(args) == 1 + len(layout.sizes) and not kws
-            return signature(Block(args[0].dtype), *args) if fits and args[0].layout == "C" else None
+            fits = len(args) == 1 + len(layout.sizes) and isinstance(args[0], types.Array) and not kws
+            return signature(BlockType(args[0].dtype), *args) if fits and args[0].layout == "C" else None
 
-    @lower_builtin(function, types.Array, types.VarArg(types.Any))
+    @lower_builtin(made, types.Array, types.VarArg(types.Any))
     def lower_views(context: Any, builder: Any, call: Any, arguments: Any) -> Any:
         struct = cgutils.create_struct_proxy(call.return_type)(context, builder)
         struct.base = make_array(call.args[0])(context, builder, value=arguments[0]).data
@@ -176,14 +230,16 @@ def compiled_views(layout: Layout, function: Any) -> None:
 
     @infer_getattr
     class Attributes(AttributeTemplate):
-        key = Block
+        key = BlockType
 
         def generic_resolve(self, value: Any, attribute: str) -> Any:  # type: ignore[override]
             shape = layout.shape.get(attribute)
-            return None if shape is None else types.Array(value.dtype, len(shape), "C")
+            if shape is None:
+                return None
+            return types.Array(value.dtype, len(shape), "C") if shape else value.dtype
 
-    @lower_getattr_generic(Block)
-    def lower_attribute(context: Any, builder: Any, kind: Any, value: Any, attribute: str) -> Any:
+    def place(context: Any, builder: Any, kind: Any, value: Any, attribute: str) -> tuple[Any, list[Any]]:
+        """Write code for the pointer to a part, and its shape."""
         struct = cgutils.create_struct_proxy(kind)(context, builder, value=value)
 
         def number(count: Count) -> Any:
@@ -196,6 +252,18 @@ def compiled_views(layout: Layout, function: Any) -> None:
                     total = builder.add(total, builder.mul(x, context.get_constant(types.intp, times)))
             return total
 
-        shape = [number(count) for count in layout.shape[attribute]]
         data = builder.gep(struct.base, [number(layout.at[attribute])])
+        return data, [number(count) for count in layout.shape[attribute]]
+
+    @lower_getattr_generic(BlockType)
+    def lower_attribute(context: Any, builder: Any, kind: Any, value: Any, attribute: str) -> Any:
+        data, shape = place(context, builder, kind, value, attribute)
+        if not shape:
+            return context.unpack_value(builder, kind.dtype, data)
         return array_on(context, builder, types.Array(kind.dtype, len(shape), "C"), data, shape)
+
+    @lower_setattr_generic(BlockType)
+    def lower_assignment(context: Any, builder: Any, call: Any, arguments: Any, attribute: str) -> None:
+        data, shape = place(context, builder, call.args[0], arguments[0], attribute)
+        assert not shape
+        context.pack_value(builder, call.args[0].dtype, arguments[1], data)

@@ -1,4 +1,4 @@
-"""Octets: every operation gives each of the eight what it gives a float, to the last bit."""
+"""float64x8: every operation gives each of the eight what it gives a float, to the last bit."""
 
 import math
 
@@ -8,7 +8,7 @@ import pytest
 from numba.core.errors import TypingError
 
 from closedloop.jit.pointers import address_of
-from closedloop.jit.simd8 import WIDE, aligned, every, lane, nearest, octets_at, select, with_lane
+from closedloop.jit.simd8 import WIDE, aligned, every, float64x8_at, lane, nearest, select, with_lane
 
 compiled = numba.njit(error_model="numpy")
 TRICKY = [0.0, -0.0, 1.0, -1.5, 1e308, 5e-324, math.inf, -math.inf, math.nan, 0.1, 1e16 + 2.0, 2.0 / 3.0]
@@ -29,7 +29,7 @@ def same(a, b):
 
 
 def both_ways(function, *given):
-    """Return what a compiled function of numbers gives for octets, and for their numbers one by one."""
+    """Return what a compiled function of numbers gives for float64x8, and for their numbers one by one."""
     inner = compiled(function)
     count, arity = len(given[0]), len(given)
     memory = aligned(arity + 1, count)
@@ -39,20 +39,20 @@ def both_ways(function, *given):
     if arity == 1:
 
         @compiled
-        def all_octets(at):
-            x, out = octets_at(at, count), octets_at(at + count * 8 * WIDE, count)
+        def all_lanes(at):
+            x, out = float64x8_at(at, count), float64x8_at(at + count * 8 * WIDE, count)
             for i in range(count):
                 out[i] = inner(x[i])
     else:
 
         @compiled
-        def all_octets(at):
-            x, y = octets_at(at, count), octets_at(at + count * 8 * WIDE, count)
-            out = octets_at(at + 2 * count * 8 * WIDE, count)
+        def all_lanes(at):
+            x, y = float64x8_at(at, count), float64x8_at(at + count * 8 * WIDE, count)
+            out = float64x8_at(at + 2 * count * 8 * WIDE, count)
             for i in range(count):
                 out[i] = inner(x[i], y[i])
 
-    all_octets(address_of(memory))
+    all_lanes(address_of(memory))
     alone = np.array([inner(*(float(x) for x in numbers)) for numbers in zip(*(g.ravel() for g in given), strict=True)])
     return memory[-1], alone.reshape(count, WIDE)
 
@@ -67,27 +67,27 @@ def both_ways(function, *given):
         lambda x, y: select((x < 1.0) & (y < 1.0), x, y), lambda x, y: select((x < 1.0) | (y < 1.0), x, y),
     ],
 )  # fmt: skip
-def test_two_octets(function):
-    """Arithmetic, comparisons and choices of two octets are those of their numbers."""
-    octets, alone = both_ways(function, *pairs())
-    assert same(octets, alone)
+def test_two_arguments(function):
+    """Arithmetic, comparisons and choices of two float64x8 are those of their numbers."""
+    lanes, alone = both_ways(function, *pairs())
+    assert same(lanes, alone)
 
 
 @pytest.mark.parametrize("function", [lambda x: -x, lambda x: abs(x), lambda x: math.sqrt(x)])
-def test_one_octet(function):
+def test_one_argument(function):
     """And of one."""
-    octets, alone = both_ways(function, pairs()[0])
-    assert same(octets, alone)
+    lanes, alone = both_ways(function, pairs()[0])
+    assert same(lanes, alone)
 
 
 def test_angles_of_many_turns():
     """Only angles of many turns are brought near, whichever of the eight they are."""
     x = np.array([0.0, 1e6, -1e6, 1.0000001e6, -3e9, 1e15, 2.5, -1e7] * 2).reshape(2, WIDE)
     x[1] /= 1e5  # none of many turns but one
-    octets, alone = both_ways(lambda x: nearest(x), x)
-    assert same(octets, alone)
-    assert np.all(np.abs(octets) <= 1e6)
-    assert np.allclose(np.sin(octets), np.sin(x), rtol=0, atol=1e-12)
+    lanes, alone = both_ways(lambda x: nearest(x), x)
+    assert same(lanes, alone)
+    assert np.all(np.abs(lanes) <= 1e6)
+    assert np.allclose(np.sin(lanes), np.sin(x), rtol=0, atol=1e-12)
 
 
 def test_every_needs_all_eight():
@@ -96,7 +96,7 @@ def test_every_needs_all_eight():
 
     @compiled
     def all_positive(at):
-        return every(octets_at(at, 1)[0] > 0.0)
+        return every(float64x8_at(at, 1)[0] > 0.0)
 
     memory[:] = 1.0
     assert all_positive(address_of(memory))
@@ -110,13 +110,13 @@ def test_every_needs_all_eight():
 
 
 def test_lanes_are_read_and_written_one_by_one():
-    """An octet's numbers can be taken out and put in."""
+    """A float64x8's numbers can be taken out and put in."""
     memory = aligned(2)
     memory[0] = np.arange(WIDE)
 
     @compiled
     def turn(at):
-        x = octets_at(at, 2)
+        x = float64x8_at(at, 2)
         for i in range(WIDE):
             x[1] = with_lane(x[1], i, lane(x[0], WIDE - 1 - i))
 
@@ -124,12 +124,12 @@ def test_lanes_are_read_and_written_one_by_one():
     assert np.array_equal(memory[1], np.arange(WIDE)[::-1])
 
 
-def test_an_octet_decides_nothing():
+def test_a_comparison_of_lanes_decides_nothing():
     """A branch on eight answers at once would be wrong for some of them, so it must not compile."""
 
     @compiled
     def branch(at):
-        return 1 if octets_at(at, 1)[0] > 0.0 else 0
+        return 1 if float64x8_at(at, 1)[0] > 0.0 else 0
 
     with pytest.raises(TypingError):
         branch(address_of(aligned(1)))

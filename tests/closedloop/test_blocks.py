@@ -1,0 +1,109 @@
+"""Blocks: parts by name in one memory, the same in compiled code as in Python, side by side, and none over another."""
+
+import numba
+import numpy as np
+import pytest
+
+from closedloop.jit.blocks import Count, Layout
+from closedloop.jit.kernel import kernel
+from closedloop.step.memory import Constants, State, Work
+
+SIZES = [(1, 0, 1, 1), (2, 3, 4, 1), (4, 0, 1, 1), (7, 21, 4, 6), (30, 5, 1, 2)]
+NUMBERS = [name for name, shape in Work.layout.shape.items() if not shape]
+ARRAYS = [name for name, shape in Work.layout.shape.items() if shape]
+
+
+def parts(block):
+    """Return all parts of a block by name."""
+    return {name: np.asarray(getattr(block, name)) for name in block.layout.at}
+
+
+@pytest.mark.parametrize("sizes", SIZES)
+def test_parts_cover_the_memory_side_by_side(sizes):
+    """Each number of the memory belongs to one part, and a part is written through its name."""
+    memory = np.zeros(Work.count(*sizes))
+    block = Work(memory, *sizes)
+    for i, (name, part) in enumerate(parts(block).items()):
+        assert np.all(part == 0.0)
+        if part.ndim:
+            part[...] = i + 1
+        else:
+            setattr(block, name, i + 1)
+    assert np.all(memory > 0.0)
+    assert all(np.all(part == i + 1) for i, part in enumerate(parts(block).values()))
+
+
+# One line a part: the name of an attribute must be written out for numba.
+_lines = [f"    block.{name}[:] = {100.0 + i}\n    shapes[{i}] = block.{name}.size\n" for i, name in enumerate(ARRAYS)]
+_lines += [f"    block.{name} += {500.0 + i}\n    read[{i}] = block.{name}\n" for i, name in enumerate(NUMBERS)]
+_made: dict = {}
+exec("def mark(block, shapes, read):\n" + "".join(_lines), _made)
+_mark = kernel(_made["mark"])
+
+
+@numba.njit
+def _mark_all(memory, n, k, stages, ring, shapes, read):
+    block = Work(memory, n, k, stages, ring)
+    _mark(block, shapes, read)
+
+
+@pytest.mark.parametrize("sizes", SIZES)
+def test_compiled_parts_are_those_of_python(sizes):
+    """Compiled code, a call away from where the block was made, reads and writes where Python does."""
+    memory, shapes, read = np.ones(Work.count(*sizes)), np.zeros(len(ARRAYS), dtype=np.int64), np.zeros(len(NUMBERS))
+    _mark_all(memory, *sizes, shapes, read)
+    block = Work(memory, *sizes)
+    assert all(np.all(getattr(block, name) == 100.0 + i) for i, name in enumerate(ARRAYS))
+    assert [getattr(block, name).size for name in ARRAYS] == shapes.tolist()
+    assert [getattr(block, name) for name in NUMBERS] == [501.0 + i for i in range(len(NUMBERS))] == read.tolist()
+
+
+@numba.njit
+def _count_up(numbers):
+    state = State(numbers)
+    state.mode = state.row + 2
+    state.row += 1
+
+
+def test_whole_numbers_stay_whole():
+    """A block on whole numbers holds whole numbers, also those that floats cannot tell apart."""
+    state = State(np.zeros(State.count(), dtype=np.int64))
+    state.row = 2**53 + 1
+    _count_up(state.memory)
+    assert (int(state.mode), int(state.row)) == (2**53 + 3, 2**53 + 2)
+
+
+@numba.njit
+def _misspelt(numbers):
+    State(numbers).mood = 1
+
+
+def test_a_name_that_is_not_there_is_refused():
+    """Compiled code cannot write to a part that the block does not have."""
+    with pytest.raises(numba.TypingError, match="mood"):
+        _misspelt(np.zeros(State.count(), dtype=np.int64))
+
+
+def test_constants_are_laid_out_for_their_joints():
+    """Parts whose shape depends on the joints have it."""
+    constants = Constants(np.zeros(Constants.count(3)), 3)
+    assert constants.frame.shape == (3, 3)
+    assert constants.gains.shape == (2, 3)
+    assert constants.joint_friction.shape == (3, 12)
+
+
+def test_counts_are_polynomials():
+    """A count is worth what the same sum of products is worth in numbers."""
+    n, k = Count.of("n"), Count.of("k")
+    count = 2 * n * (n + k) + 3 * k * 1 + 7
+    for a, b in ((1, 1), (4, 0), (7, 3)):
+        assert count.value({"n": a, "k": b}) == 2 * a * (a + b) + 3 * b + 7
+    assert Count({("n",): 0}).terms == {}
+
+
+def test_a_layout_needs_all_its_sizes():
+    """Sizes are given in order, and none is left out."""
+    layout = Layout(("n",), [("x", (Count.of("n"),)), ("y", (2, 3))])
+    assert layout.size(5) == 11
+    with pytest.raises(ValueError, match="zip"):
+        layout.size()

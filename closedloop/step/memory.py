@@ -81,7 +81,7 @@ class Work(NamedTuple):
     held: Array  # (n,) the Q that acted until the last sample
     begin: Array  # (2 n + k,) state at the beginning of the substep
     slope: Array  # (n + k,) q̈ and ż there
-    stages: Array  # (S, 2 n + k) see `closedloop.integrators.advance`
+    stages: Array  # (S, 2 n + k) see `closedloop.step.advance`
     qdd: Array  # (n,)
     dz: Array  # (k,)
     y: Array  # (n,) L⁻¹(Q − C)

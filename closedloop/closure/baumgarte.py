@@ -61,21 +61,25 @@ def baumgarte_gains(damping_ratio: float, time_constant: float) -> tuple[float, 
     return 2.0 * damping_ratio / time_constant, 1.0 / time_constant / time_constant
 
 
-def amplification(integrator: str, damping_ratio: float, ratio: float) -> Array:
+def _scheme(integrator: str | type[Integrator]) -> type[Integrator]:
+    return INTEGRATORS[integrator] if isinstance(integrator, str) else integrator
+
+
+def amplification(integrator: str | type[Integrator], damping_ratio: float, ratio: float) -> Array:
     """Return the (2, 2) map of (e, hė) over one step of `integrator`, for ratio = h/T.
 
     Parameters
     ----------
-    integrator : str
-        A name in `closedloop.integrators.INTEGRATORS`.
+    integrator : str or type
+        A name in `closedloop.integrators.INTEGRATORS`, or the scheme itself.
     damping_ratio, ratio : float
         ζ and h/T, dimensionless.
     """
     # (e, hė)' = M (e, hė)/h with the stabilised closure ë = −s_v ė − s_p e
-    return linear_step(INTEGRATORS[integrator], np.array([[0.0, 1.0], [-(ratio**2), -2.0 * damping_ratio * ratio]]))
+    return linear_step(_scheme(integrator), np.array([[0.0, 1.0], [-(ratio**2), -2.0 * damping_ratio * ratio]]))
 
 
-def linear_step(scheme: Integrator, M: Array) -> Array:
+def linear_step(scheme: type[Integrator], M: Array) -> Array:
     """Return the (2 m, 2 m) map of (x, hẋ) over one step h of a scheme, where (x, hẋ)' = M (x, hẋ)/h; x is (m,)."""
     m, eye = M.shape[0] // 2, np.eye(M.shape[0])
     if scheme.semi_implicit:
@@ -87,18 +91,22 @@ def linear_step(scheme: Integrator, M: Array) -> Array:
     return eye + sum((b * k for b, k in zip(scheme.b, stages, strict=True)), np.zeros_like(M))
 
 
-def spectral_radius(integrator: str, damping_ratio: float, ratio: float) -> float:
+def spectral_radius(integrator: str | type[Integrator], damping_ratio: float, ratio: float) -> float:
     """Return how much one step can at most multiply the closure error by, in the long run."""
     return float(np.max(np.abs(np.linalg.eigvals(amplification(integrator, damping_ratio, ratio)))))
 
 
-@lru_cache(maxsize=256)
-def largest_stable_ratio(integrator: str, damping_ratio: float) -> float:
+def largest_stable_ratio(integrator: str | type[Integrator], damping_ratio: float) -> float:
     """Return the largest h/T for which the closure error does not grow; 0 if it grows at any (ζ = 0, explicit Euler).
 
     Found by walking up from small ratios and bisecting the first crossing of spectral radius one.
     For ζ = 1/√2: 1.0353 semi-implicit Euler, 1.4142 explicit Euler, 2.7044 RK4.
     """
+    return _largest_stable_ratio(_scheme(integrator), damping_ratio)  # type: ignore[arg-type]  # a class is hashable
+
+
+@lru_cache(maxsize=256)
+def _largest_stable_ratio(integrator: type[Integrator], damping_ratio: float) -> float:
     # The faster of two overdamped modes has rate 2ζ/T, so limits fall with 1/ζ.
     ratios = np.geomspace(1e-5, 1e3, 801) / max(1.0, damping_ratio)
     low = 0.0
@@ -120,7 +128,7 @@ def largest_stable_ratio(integrator: str, damping_ratio: float) -> float:
     return low
 
 
-def recommended_ratio(integrator: str, damping_ratio: float) -> float:
+def recommended_ratio(integrator: str | type[Integrator], damping_ratio: float) -> float:
     """Return the h/T of ``stabiliser.time_constant = "auto"``; 0 if no T makes the closure error die out (ζ = 0).
 
     T is two steps, or twice the shortest stable time constant where that is longer; the top of this module says why.
@@ -130,7 +138,7 @@ def recommended_ratio(integrator: str, damping_ratio: float) -> float:
     return min(1.0 / STEPS, largest_stable_ratio(integrator, damping_ratio) / MARGIN)
 
 
-def sliding_error(integrator: str, damping_ratio: float, ratio: float) -> tuple[float, float, float]:
+def sliding_error(integrator: str | type[Integrator], damping_ratio: float, ratio: float) -> tuple[float, float, float]:
     """Return what steady sliding leaves, per unit of the tip's centripetal acceleration along the normal, a = Ȧq̇.
 
     The tip runs on, and the closure curves away under it in joint space by a constant a. One step of the integrator
@@ -147,7 +155,7 @@ def sliding_error(integrator: str, damping_ratio: float, ratio: float) -> tuple[
     error, rate, share : float
         e/(h² a), ė/(h a), and (−s_v ė − s_p e)/a: the stabiliser's share of f over that of a.
     """
-    scheme = INTEGRATORS[integrator]
+    scheme = _scheme(integrator)
     damper, spring = 2.0 * damping_ratio * ratio, ratio * ratio
 
     def acceleration(t: float, y: float, w: float) -> float:
@@ -167,7 +175,7 @@ def sliding_error(integrator: str, damping_ratio: float, ratio: float) -> tuple[
     return error, rate, -damper * rate - spring * error
 
 
-def rounding_gain(integrator: str, damping_ratio: float, ratio: float) -> float:
+def rounding_gain(integrator: str | type[Integrator], damping_ratio: float, ratio: float) -> float:
     """Return the standard deviation of the stabiliser's acceleration that rounding of e causes, times h²/δ.
 
     e = n·r − d is rounded anew at every evaluation, by δ (standard deviation, m; 7e-17 half a metre from the base). The
@@ -180,7 +188,7 @@ def rounding_gain(integrator: str, damping_ratio: float, ratio: float) -> float:
     """
     if not spectral_radius(integrator, damping_ratio, ratio) < 1.0:
         return math.inf
-    scheme = INTEGRATORS[integrator]
+    scheme = _scheme(integrator)
     M = np.array([[0.0, 1.0], [-(ratio**2), -2.0 * damping_ratio * ratio]])
     kick = np.array([0.0, -(ratio**2)])
     if scheme.semi_implicit:

@@ -30,7 +30,7 @@ from closedloop.closure.contact_force import (
 from closedloop.closure.solve import DIVERGED, OK
 from closedloop.engines.problem import Problem, needs_more
 from closedloop.engines.specialise import COMPILED, machine
-from closedloop.integrators import INTEGRATORS, advance
+from closedloop.integrators import INTEGRATORS
 from closedloop.jit.kernel import entry_kernel, kernel_inlined, needs_compiling, numba_settings, plain
 from closedloop.jit.pointers import address_of, matrix_at
 from closedloop.jit.simd8 import WIDE, aligned, every, float64x8_at, with_lane
@@ -46,6 +46,7 @@ from closedloop.report.measured import (
 from closedloop.robot.pinocchio import Robot
 from closedloop.robot.tree import Tree, energy_there, tree_terms, work_size
 from closedloop.scenario.scenario import Scenario
+from closedloop.step.advance import advance
 from closedloop.step.energy_supplied import gain, remember_power, settle
 from closedloop.step.evaluate import bounded, locate_tip, paper_torque
 from closedloop.step.memory import Constants, State, Whole, Work
@@ -197,7 +198,7 @@ def run_abreast(
     h, spacing : float
         Step, and time between two rows of a table, s.
     tableau : (S + 1, S) array
-        See `closedloop.integrators.Integrator.tableau`.
+        See `closedloop.integrators.Scheme.tableau`.
     tables : (8,) array of int
         Addresses of what is desired of each, (instants, columns), see `closedloop.step.evaluate.reference_row`.
     kept : int

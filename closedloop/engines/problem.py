@@ -15,7 +15,7 @@ from closedloop.events.phases import ARRIVING, PROJECTING, extra_states
 from closedloop.friction.laws import rest_states
 from closedloop.friction.layout import KINETIC, LAST, SEVEN_PARAMETER, STATIC_EXCESS, STICKS, state_count
 from closedloop.impact import LAWS
-from closedloop.integrators import Integrator
+from closedloop.integrators import Scheme
 from closedloop.jit.kernel import plain
 from closedloop.reference.desired import Desired
 from closedloop.robot.pinocchio import Robot
@@ -76,7 +76,7 @@ class Problem:
     robot: Robot
     plane: Plane
     frame: Array
-    integrator: Integrator
+    integrator: type[Scheme]
     q: Array
     v: Array
     mode: int

@@ -61,8 +61,8 @@ from closedloop.events.phases import (
 from closedloop.events.projection import project
 from closedloop.events.substep import advance_friction, arrive, leave_stage, look, remember, restore
 from closedloop.events.transitions import apply_event, apply_impact, begin_piece
-from closedloop.integrators import advance
 from closedloop.jit.kernel import inlined_kernel
+from closedloop.step.advance import advance
 from closedloop.step.energy_supplied import gain, settle
 from closedloop.step.evaluate import LAW_GIVEN, evaluate, locate_tip
 from closedloop.step.joint_friction import stick_or_slip_joints
@@ -88,7 +88,7 @@ def proceed(
     table : (P, 2 n + 11) array
         What is desired at the instants of the stages, see `closedloop.step.evaluate.reference_row`.
     tableau : (S + 1, S) array
-        See `closedloop.integrators.Integrator.tableau`.
+        See `closedloop.integrators.Scheme.tableau`.
     rows : (N, width) array
         The record, see `closedloop.step.record_row.Row`; row state.row is the next to be written.
     events : (M, EVENT_WIDTH) array

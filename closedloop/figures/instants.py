@@ -8,9 +8,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from closedloop.events.table import IMPACT, REVERSAL
+from closedloop.families import Absent
 from closedloop.record.run import Run
 from closedloop.reference.force import StepForceSection
-from closedloop.reference.sections import HoldSection, Reference, WaypointsSection
+from closedloop.reference.path import tip_path
+from closedloop.scenario.scenario import Scenario
+from closedloop.surface.plane import unit
 
 # The text of the one mark that is not of the motion.
 FORCE_STEPS = "force steps"
@@ -31,13 +34,15 @@ class Interval(NamedTuple):
     end: float
 
 
-def motion(reference: Reference) -> tuple[float, float] | None:
-    """Return the instants, s, at which the reference starts and stops to move; None if it never moves."""
-    if isinstance(reference, HoldSection):
+def motion(scenario: Scenario) -> tuple[float, float] | None:
+    """Return the instants, s, at which the reference starts and stops to move.
+
+    None if it never moves, or is a user's path in a run file that nobody has named.
+    """
+    if isinstance(scenario.reference, Absent):
         return None
-    if isinstance(reference, WaypointsSection):
-        return reference.times[0], reference.times[-1]
-    return reference.start, reference.stop
+    pieces = tip_path(scenario.reference, np.zeros(3), unit(scenario.surface.normal, "surface.normal")).pieces
+    return (pieces[0].start, pieces[-1].stop) if pieces else None
 
 
 def marks(run: Run) -> list[Mark]:
@@ -46,7 +51,7 @@ def marks(run: Run) -> list[Mark]:
         return []
     scenario = run.scenario
     found = []
-    moves = motion(scenario.reference)
+    moves = motion(scenario)
     if moves is not None:
         found += [Mark(moves[0], "motion starts"), Mark(moves[1], "motion stops")]
     if scenario.law.kind == "paper":

@@ -1,6 +1,6 @@
 """The desired motion and the desired force, as functions of time made once, before the run.
 
-    section of the scenario ──► TipPath        line, circle, figure_eight, raster, waypoints: r, ṙ, r̈ in closed form
+    section of the scenario ──► TipPath        a file of `paths` each: r, ṙ, r̈ in closed form
                                    │
                                 follow          least-norm inverse kinematics
                                    │
@@ -8,5 +8,5 @@
                                    │
                                 Desired         both, and f_des, as the table that the loop reads
 
-`sections` holds what a scenario may say, `desired` puts everything together.
+`path` is what every path is, `paths` holds those that ship, `desired` puts everything together.
 """

@@ -9,9 +9,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from closedloop.errors import ScenarioError
+from closedloop.sections import Size
 from closedloop.surface.plane import unit
 
 Array = NDArray[np.float64]
+
+TURNS = Size(1e6, "", "no path goes round so often", 1e-9)
 
 # Sine of the angle by which a direction may point out of the surface: 1e-9 of the way, a nanometre in a metre.
 OUT_OF_SURFACE = 1e-9

@@ -1,12 +1,13 @@
 """The shapes that a tip can run along, as displacements from where it starts.
 
-A curve's parameter s, in seconds, is that of `closedloop.reference.timing`: the time of a motion at constant speed.
+A curve is any smooth function that begins at the origin. Its parameter s, in seconds, is that of
+`closedloop.reference.timing`: the time of a motion at constant speed.
 """
 
 from __future__ import annotations
 
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from typing import Protocol
 
 import numpy as np
 from numpy.typing import NDArray
@@ -14,12 +15,8 @@ from numpy.typing import NDArray
 Array = NDArray[np.float64]
 
 
-class Curve(Protocol):
-    """A smooth curve that begins at the origin."""
-
-    def at(self, s: Array) -> tuple[Array, Array, Array]:
-        """Return the displacement, m, and its derivatives by s, m/s and m/s², each (N, 3), at s (N,)."""
-        ...
+# s (N,), s, to the displacement, m, and its derivatives by s, m/s and m/s², each (N, 3), base frame.
+Curve = Callable[[Array], Sequence[Array]]
 
 
 @dataclass(frozen=True)
@@ -34,8 +31,8 @@ class Straight:
 
     velocity: Array
 
-    def at(self, s: Array) -> tuple[Array, Array, Array]:
-        """See `Curve.at`."""
+    def __call__(self, s: Array) -> tuple[Array, Array, Array]:
+        """Return the displacement and its derivatives by s; see `Curve`."""
         x = s[:, None] * self.velocity
         return x, np.broadcast_to(self.velocity, x.shape), np.zeros_like(x)
 
@@ -56,8 +53,8 @@ class Ellipse:
     b: Array
     rate: float
 
-    def at(self, s: Array) -> tuple[Array, Array, Array]:
-        """See `Curve.at`."""
+    def __call__(self, s: Array) -> tuple[Array, Array, Array]:
+        """Return the displacement and its derivatives by s; see `Curve`."""
         w = self.rate
         cos, sin = np.cos(w * s)[:, None], np.sin(w * s)[:, None]
         return (
@@ -83,8 +80,8 @@ class Eight:
     b: Array
     rate: float
 
-    def at(self, s: Array) -> tuple[Array, Array, Array]:
-        """See `Curve.at`."""
+    def __call__(self, s: Array) -> tuple[Array, Array, Array]:
+        """Return the displacement and its derivatives by s; see `Curve`."""
         w = self.rate
         one, two = (w * s)[:, None], (2.0 * w * s)[:, None]
         return (

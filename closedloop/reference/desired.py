@@ -8,23 +8,11 @@ from typing import TYPE_CHECKING, Protocol
 import numpy as np
 from numpy.typing import NDArray
 
-from closedloop.reference.circle import circle
-from closedloop.reference.figure_eight import figure_eight
 from closedloop.reference.follow import follow
 from closedloop.reference.force import ConstantForceSection, ForceProfile, force_at
 from closedloop.reference.joint_path import JointPath
-from closedloop.reference.line import line
-from closedloop.reference.raster import raster
-from closedloop.reference.sections import (
-    CircleSection,
-    FigureEightSection,
-    LineSection,
-    RasterSection,
-    Reference,
-    WaypointsSection,
-)
+from closedloop.reference.path import Path, tip_path
 from closedloop.reference.tip_path import TipPath
-from closedloop.reference.waypoints import waypoints
 from closedloop.surface.plane import contact_frame
 
 if TYPE_CHECKING:
@@ -46,7 +34,7 @@ class Asked(Protocol):
     """What of a scenario says where the tip shall go and how hard it shall press."""
 
     @property
-    def reference(self) -> Reference:
+    def reference(self) -> Path:
         """The motion."""
 
     @property
@@ -101,27 +89,3 @@ def desired(scenario: Asked, robot: Robot, plane: Plane, q: Array, profile: Forc
     profile = ConstantForceSection() if profile is None else profile
     force_at(profile, scenario.law.force, np.zeros(1))  # a profile at fault is refused before any inverse kinematics
     return Desired(tip, follow(robot, q, tip), contact_frame(plane.normal), profile, scenario.law.force)
-
-
-@np.errstate(all="ignore")  # what overflows is refused by name when it is followed
-def tip_path(section: Reference, origin: Array, normal: Array) -> TipPath:
-    """Return the path from `origin` (3,), m, on a surface with this unit normal (3,), base frame.
-
-    Raises
-    ------
-    ScenarioError
-        If the section is at fault: a direction out of the surface, a stop before the start ...
-    """
-    match section:
-        case LineSection():
-            return line(section, origin, normal)
-        case CircleSection():
-            return circle(section, origin, normal)
-        case FigureEightSection():
-            return figure_eight(section, origin, normal)
-        case RasterSection():
-            return raster(section, origin, normal)
-        case WaypointsSection():
-            return waypoints(section, origin)
-        case _:
-            return TipPath(origin)

@@ -29,7 +29,7 @@ class Piece:
     curve, timing : Curve, Timing
         What it runs along from there, and how it spends its time.
     length : float
-        Length of the way, m.
+        Length of the way, m, about: it says how closely the inverse kinematics looks at first.
     """
 
     start: float
@@ -42,7 +42,7 @@ class Piece:
     def sample(self, t: Array) -> tuple[Array, Array, Array]:
         """Return r, ṙ and r̈ as `TipPath.sample` does, at times t (N,) within the piece, both ends included."""
         s, ds, dds = (x[:, None] for x in self.timing(t - self.start, self.stop - self.start))
-        x, slope, bend = self.curve.at(s[:, 0])
+        x, slope, bend = self.curve(s[:, 0])
         return self.origin + x, slope * ds, bend * ds**2 + slope * dds
 
 

@@ -9,7 +9,7 @@ import numpy as np
 from closedloop.closure.contact_force import FREE
 from closedloop.events.table import IMPACT, TOUCHDOWN
 from closedloop.friction.packing import energy_fault
-from closedloop.integrators import ADAPTIVE, INTEGRATORS
+from closedloop.integrators import ADAPTIVE, scheme_of
 from closedloop.report.summary import joint_measures, run_gains_fault
 from closedloop.report.verdict import GOOD, names_of
 
@@ -37,7 +37,8 @@ def restitution_cut(run: Run) -> str:
 def shifted_events(run: Run) -> str:
     """Return a line about a scheme of order 1 in a run with impacts, or an empty string."""
     name = run.scenario.time.integrator
-    if (INTEGRATORS | ADAPTIVE)[name].order > 1 or not np.any(np.isin(run.event_kind, (IMPACT, TOUCHDOWN))):
+    scheme = scheme_of(name)
+    if scheme is None or scheme.order > 1 or not np.any(np.isin(run.event_kind, (IMPACT, TOUCHDOWN))):
         return ""
     return (
         f"time.integrator = {name!r} is of order 1: impacts are off by up to several steps of "
@@ -142,7 +143,7 @@ def _error_rows(run: Run, facts: dict[str, Any]) -> list[tuple[str, str, str, st
     where = "" if np.all(touching) else "in contact" if np.any(touching) else "never in contact"
     end = facts["final_closure_error"]
     time = run.scenario.time
-    scheme = (INTEGRATORS | ADAPTIVE)[time.integrator]
+    scheme = scheme_of(time.integrator)
     step = "steps of its own" if time.integrator in ADAPTIVE else f"step {time.step:g} s"
     return [
         (
@@ -167,7 +168,12 @@ def _error_rows(run: Run, facts: dict[str, Any]) -> list[tuple[str, str, str, st
             "J",
             f"of {_shown(facts['energy_exchanged'], '.2g')} J exchanged",
         ),
-        ("order of the integrator", f"{scheme.order}", "", f"{time.integrator}, {step}"),
+        (
+            "order of the integrator",
+            "not known" if scheme is None else f"{scheme.order}",
+            "",
+            f"{time.integrator}, {step}",
+        ),
         ("tip speed", _shown(facts["max_tip_speed"], ".4g"), "m/s", ""),
         *_joint_rows(run),
         *_contact_rows(run, facts),

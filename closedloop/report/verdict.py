@@ -25,7 +25,7 @@ import math
 from collections.abc import Callable, Mapping, Sequence
 from typing import Any, NamedTuple
 
-from closedloop.integrators import ADAPTIVE, INTEGRATORS
+from closedloop.integrators import scheme_of
 from closedloop.scenario.scenario import Scenario
 from robot_models import RobotModel
 
@@ -147,7 +147,8 @@ def names_of(problems: Sequence[Mapping[str, Any]]) -> str:
 def energy_bound(facts: Facts) -> float:
     """Return how much energy may be unaccounted for, J; the argument is beside `ENERGY_SHARE`."""
     time, m = facts.scenario.time, facts.measures
-    order = min(2, (ADAPTIVE | INTEGRATORS)[time.integrator].order)
+    scheme = scheme_of(time.integrator)  # None: a user's, of which a run file has the name only
+    order = 1 if scheme is None else min(2, scheme.order)
     if facts.events or facts.scenario.law.sample_period:
         order = 1
     stake = (m["energy_exchanged"] or 0.0) + abs(m["energy_lost_to_friction"] or 0.0) + (m["max_kinetic_energy"] or 0.0)

@@ -61,12 +61,20 @@ def growth(feedback: Feedback, integrator: str, h: float, hold: int = 0) -> floa
         step = linear_step(INTEGRATORS[integrator], np.block([[np.zeros((m, m)), eye], [-K, -D]]))
     else:
         # Under a constant acceleration the schemes differ in which rate the position advances with.
-        early = {"semi_implicit_euler": 0.5, "explicit_euler": -0.5}.get(integrator, 0.0)
+        early = _early(integrator)
         pushed = np.vstack([hold * (0.5 * hold + early) * eye, hold * eye]) @ np.hstack([-K, -D])
         step = np.block([[eye, hold * eye], [np.zeros((m, m)), eye]]) + pushed
     if not np.all(np.isfinite(step)):
         return np.inf
     return float(np.max(np.abs(np.linalg.eigvals(step))))
+
+
+def _early(integrator: str) -> float:
+    """Return by which share of a h² a scheme's position is ahead of a h²/2, one step h from rest at an acceleration a."""
+    scheme = INTEGRATORS.get(integrator)
+    if scheme is None:  # it chooses its steps
+        return 0.0
+    return 0.5 if scheme.semi_implicit else float(np.dot(scheme.b, scheme.nodes)) - 0.5
 
 
 def gains_fault(scenario: Scenario, robot: Robot) -> str:

@@ -3,22 +3,26 @@
 from __future__ import annotations
 
 import difflib
+from collections.abc import Mapping
 from typing import Annotated, Any, get_args
 
 from pydantic import ValidationError
 from pydantic_core import ErrorDetails
 
 from closedloop.errors import one_line
+from closedloop.families import NOT_NAMED, Family, OneOf, how_to_name
 from closedloop.scenario.scenario import Scenario
 from closedloop.sections import Section, SizeError, sizes
 from robot_models.errors import shown as shown_value
 
 
-def variants(section: str) -> dict[str, type[Section]]:
+def variants(section: str) -> Mapping[str, type[Section]]:
     """Return kind -> section type; the key is "" where there is one type without a kind."""
     field = Scenario.model_fields.get(section)
     if field is None:
         return {}
+    if family := _family(section):
+        return family
     types = get_args(field.annotation) or (field.annotation,)
     found: dict[str, type[Section]] = {}
     for kind in types:
@@ -26,6 +30,11 @@ def variants(section: str) -> dict[str, type[Section]]:
             tag = kind.model_fields.get("kind")
             found[tag.default if tag else ""] = kind
     return found
+
+
+def _family(section: str) -> Family[Any] | None:
+    """Return the family that a section's kinds are the members of, None if it is no family."""
+    return next((each for each in Scenario.model_fields[section].metadata if isinstance(each, Family)), None)
 
 
 def variant_keys(section: str, kind: Any) -> set[str]:
@@ -45,10 +54,17 @@ def describe_keys() -> list[tuple[str, str]]:
                 suffix = f" [{kind}]" if len(variants(section)) > 1 else ""
                 default = "" if field.is_required() or field.default is None else f" (default {field.default})"
                 span = "".join(f"; {size}" for size in sizes(Annotated[field.annotation, *field.metadata, None]))
-                rows.append((f"{section}.{key}", f"{field.description}{span}{default}{suffix}"))
+                names = "".join(f"{_members(one)}; " for one in field.metadata if isinstance(one, OneOf))
+                rows.append((f"{section}.{key}", f"{names}{field.description or ''}{span}{default}{suffix}"))
         if len(variants(section)) > 1:
             rows.append((f"{section}.kind", " | ".join(variants(section))))
     return rows
+
+
+def _members(key: OneOf) -> str:
+    """Return the names that a key may say, with the order of each that has one."""
+    orders = {name: getattr(member, "order", None) for family in key.families for name, member in family.items()}
+    return ", ".join(name if order is None else f"{name} (order {order})" for name, order in orders.items())
 
 
 # What is right, for the kinds of fault whose text does not depend on the key.
@@ -78,7 +94,8 @@ def _explain_first(problems: list[ErrorDetails], data: dict[str, Any]) -> str:
     location = [_brief(str(part)) for part in first["loc"]]
     section = location[0] if location else ""
     # pydantic names the branch of a union that it tried, after the section; a user knows only keys and places in lists.
-    if len(variants(section)) > 1 and location[1:2] and location[1] in variants(section):
+    union = section in Scenario.model_fields and _family(section) is None and len(variants(section)) > 1
+    if union and location[1:2] and location[1] in variants(section):
         del location[1]
     known = _all_keys(section)
     path = [p for k, p in enumerate(location) if p.isdigit() or k == 0 or p in known or "lock" in location]
@@ -103,6 +120,10 @@ def _explain_first(problems: list[ErrorDetails], data: dict[str, Any]) -> str:
         shown = shown_value(first["ctx"].get("tag")) if kind == "union_tag_invalid" else "missing"
         more = ""  # the other faults are those of no kind
         name, cure = f"{name}.kind", f"must be {' or '.join(repr(k) for k in variants(section))}"
+    elif kind == NOT_NAMED:
+        user = first["ctx"]["name"]
+        name = f"{name}.kind" if isinstance(value, dict) else name
+        shown, cure, more = shown_value(user), how_to_name(name, user), ""
     elif kind == "literal_error":
         more = "" if name.endswith(".kind") else more
         cure = f"must be {first['ctx']['expected']}"
@@ -132,7 +153,7 @@ def _known_keys(section: str, path: list[str], data: dict[str, Any]) -> str:
         place = "sections are"
     else:
         kinds = variants(section)
-        kind = data[section].get("kind", next(iter(kinds), ""))
+        kind = data[section].get("kind", next(iter(kinds), "")) if isinstance(data[section], dict) else ""
         known = sorted(variant_keys(section, kind if isinstance(kind, str) and kind in kinds else ""))
         place = f"[{section}] knows"
     near = difflib.get_close_matches(path[-1], known, n=1, cutoff=0.5)

@@ -2,13 +2,15 @@
 
     scenario = load_scenario("wam_slide", {"law.force": 15.0})
 
-A scenario file is data: it can name a robot and numbers, never code. Unknown keys are errors; `kind` picks a variant.
+A scenario file is data: it can name a robot and numbers, never code. Unknown keys are errors; `kind` picks a variant,
+or a member of a family of plug-ins (`closedloop.families`), a user's own too where an override or Python names it.
 """
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 from copy import deepcopy
+from functools import cache
 from pathlib import Path
 from typing import Annotated, Any, Literal, Self
 
@@ -26,9 +28,11 @@ from closedloop.control.sections import (
     SensorSection,
 )
 from closedloop.errors import ScenarioError
+from closedloop.families import KEEP_ABSENT, Absent, Family, Member, OneOf, how_to_name, source_digest
 from closedloop.friction.sections import JointFriction, NoFriction, SurfaceFriction
+from closedloop.integrators import ADAPTIVE, INTEGRATORS
+from closedloop.reference import path as paths
 from closedloop.reference.force import ConstantForceSection, ForceProfile
-from closedloop.reference.sections import HoldSection, Reference
 from closedloop.scenario.file import scenario_text
 from closedloop.scenario.file import shipped_scenarios as shipped_scenarios
 from closedloop.sections import (
@@ -162,7 +166,7 @@ def _name(value: Any) -> Any:
 
 
 Name = Annotated[str, BeforeValidator(_name)]
-IntegratorName = Literal["auto", "semi_implicit_euler", "explicit_euler", "rk4", "dop853"]
+IntegratorName = Annotated[str, OneOf(INTEGRATORS, ADAPTIVE, words=("auto",))]
 # Laws of friction with states that are stiff: the semi-implicit scheme takes them exactly, rk4 does not at such steps.
 BRISTLES = ("dahl", "lugre", "seven_parameter")
 
@@ -187,10 +191,9 @@ class TimeSection(Section):
     step: Annotated[Positive, STEP] = Field(0.001, description="step h, s; with dop853 only the time between rows")
     integrator: IntegratorName = Field(
         "auto",
-        description="semi_implicit_euler (order 1, the paper's), explicit_euler (order 1), rk4 (order 4), dop853 "
-        "(order 8, chooses its own steps); auto: rk4 where surface.contact is unilateral, since a scheme of order 1 "
-        "shifts impacts by up to several steps, but semi_implicit_euler with a friction of bristles "
-        f"({', '.join(BRISTLES)}) and where contact is bilateral",
+        description="semi_implicit_euler is the paper's, dop853 chooses its own steps; auto: rk4 where surface.contact "
+        "is unilateral, since a scheme of order 1 shifts impacts by up to several steps, but semi_implicit_euler with a "
+        f"friction of bristles ({', '.join(BRISTLES)}) and where contact is bilateral",
     )
     tolerance: Tolerance | None = Field(
         None,
@@ -231,7 +234,7 @@ class Scenario(Section):
     surface: PlaneSection = PlaneSection()
     impact: ImpactSection = ImpactSection()
     start: StartSection = StartSection()
-    reference: Reference = HoldSection()
+    reference: Annotated[paths.Path, paths.PATHS] = Field(default_factory=lambda: paths.PATHS["hold"]())
     law: LawSection
     compensation: Compensation = NoCompensationSection()
     sensor: SensorSection = SensorSection()
@@ -257,6 +260,57 @@ class Scenario(Section):
         return tomli_w.dumps(self.model_dump(mode="python", exclude_none=True))
 
 
+@cache
+def families() -> dict[str, Family[Any] | OneOf]:
+    """Return the keys of a scenario that pick a member of a family, such as "reference.kind", and the family."""
+    found: dict[str, Family[Any] | OneOf] = {}
+    for section, field in Scenario.model_fields.items():
+        found |= {f"{section}.kind": each for each in field.metadata if isinstance(each, Family)}
+        if isinstance(field.annotation, type) and issubclass(field.annotation, Section):
+            for key, inner in field.annotation.model_fields.items():
+                found |= {f"{section}.{key}": one for one in inner.metadata if isinstance(one, OneOf)}
+    return found
+
+
+def members_of_users(scenario: Scenario) -> dict[str, str]:
+    """Return the keys that pick a user's class in a scenario, and its name, MODULE:CLASS."""
+    return {key: name for key, name in _picked(scenario) if ":" in name}
+
+
+def _picked(scenario: Scenario) -> Iterator[tuple[str, str]]:
+    for key in families():
+        section, _, name = key.partition(".")
+        yield key, str(getattr(getattr(scenario, section), name))
+
+
+def refuse_absent(scenario: Scenario) -> None:
+    """Refuse to run a scenario that was read from a run file and names a user's class that nobody else has named.
+
+    Raises
+    ------
+    ScenarioError
+        Says how to name it.
+    """
+    for key, name in members_of_users(scenario).items():
+        if _class_of(scenario, key, name) is None:
+            raise ScenarioError(f"{key} = {name!r}: {how_to_name(key, name)}")
+
+
+def member_digests(scenario: Scenario) -> dict[str, str]:
+    """Return, for each user's class in a scenario, name -> SHA-256 of the text that it is defined in, "" if unknown."""
+    found = {name: _class_of(scenario, key, name) for key, name in members_of_users(scenario).items()}
+    return {name: "" if member is None else source_digest(member) for name, member in found.items()}
+
+
+def _class_of(scenario: Scenario, key: str, name: str) -> type[Member] | None:
+    """Return the class of a member that a scenario has, None if it is absent."""
+    family = families()[key]
+    if isinstance(family, OneOf):
+        return next((each[name] for each in family.families if name in each), None)
+    section = getattr(scenario, key.partition(".")[0])
+    return None if isinstance(section, Absent) else type(section)
+
+
 def load_scenario(name: str | Path, overrides: Mapping[str, Any] | None = None) -> Scenario:
     """Read a scenario and check it.
 
@@ -266,7 +320,8 @@ def load_scenario(name: str | Path, overrides: Mapping[str, Any] | None = None) 
         A shipped name (see `shipped_scenarios`) or a path to a .toml file.
     overrides : mapping, optional
         Dotted keys and values laid over the file before it is checked, such as ``{"law.force": 15.0}``. Overriding a
-        `kind` drops the keys of the old kind that the new one does not know.
+        `kind` drops the keys of the old kind that the new one does not know. A class of one's own is named here, as
+        ``{"reference.kind": "my_module:MyPath"}`` or by the class itself.
 
     Raises
     ------
@@ -278,23 +333,30 @@ def load_scenario(name: str | Path, overrides: Mapping[str, Any] | None = None) 
 
 
 def parse_scenario(
-    text: str, stem: str = "unnamed", where: str = "scenario", overrides: Mapping[str, Any] | None = None
-) -> Scenario:
-    """Read a scenario from TOML text; `where` names its origin in messages. See `load_scenario`."""
+    text: str, stem: str = "unnamed", where: str = "scenario", overrides: Mapping[str, Any] | None = None,
+    *, keep_absent: bool = False,
+) -> Scenario:  # fmt: skip
+    """Read a scenario from TOML text; `where` names its origin in messages. See `load_scenario`.
+
+    With `keep_absent` a user's class that nobody has named is kept as it stands, to be looked at and not to be run: see
+    `closedloop.families.Absent`.
+    """
     try:
         data = toml_tables(text)
     except ValueError as error:
         raise ScenarioError(f"{where}: not valid TOML: {error}") from None
     data.setdefault("name", stem)
-    return scenario_of(data, where, overrides or {})
+    return scenario_of(data, where, overrides or {}, keep_absent=keep_absent)
 
 
-def scenario_of(data: dict[str, Any], where: str, overrides: Mapping[str, Any]) -> Scenario:
+def scenario_of(
+    data: dict[str, Any], where: str, overrides: Mapping[str, Any], *, keep_absent: bool = False
+) -> Scenario:
     """Check a scenario given as the tables of its file; `data` is written to. See `parse_scenario`."""
     try:
         for key, value in overrides.items():
             _override(data, key, deepcopy(value))
-        return Scenario.model_validate(data)
+        return Scenario.model_validate(data, context={KEEP_ABSENT: keep_absent})
     except RecursionError:
         raise ScenarioError(f"{where}: a value is nested too deeply") from None
     except ValidationError as error:
@@ -306,6 +368,10 @@ def scenario_of(data: dict[str, Any], where: str, overrides: Mapping[str, Any]) 
 def _override(data: dict[str, Any], key: str, value: Any) -> None:
     parts = key.split(".")
     section = data
+    if family := families().get(key):
+        value = family.named(value, key)
+    elif isinstance(value, dict) and (family := families().get(f"{key}.kind")) and "kind" in value:
+        value["kind"] = family.named(value["kind"], f"{key}.kind")
     for part in parts[:-1]:
         section = section.setdefault(part, {})
         if not isinstance(section, dict):

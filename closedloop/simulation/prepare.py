@@ -20,11 +20,11 @@ from closedloop.errors import ScenarioError
 from closedloop.events.phases import RESTING, TOUCHING
 from closedloop.friction.layout import KINDS, STICKS
 from closedloop.friction.packing import pack
-from closedloop.integrators import ADAPTIVE, INTEGRATORS, Integrator
+from closedloop.integrators import ADAPTIVE, INTEGRATORS, Scheme
 from closedloop.reference.desired import Desired, desired
 from closedloop.reference.force import force_at
 from closedloop.robot.pinocchio import Robot
-from closedloop.scenario.scenario import BaumgarteGains, Scenario
+from closedloop.scenario.scenario import BaumgarteGains, Scenario, refuse_absent
 from closedloop.simulation.cache import Pieces
 from closedloop.step.record_row import Row
 from closedloop.surface.plane import Plane
@@ -67,6 +67,7 @@ def prepare(scenario: Scenario, model: RobotModel | None = None, pieces: Pieces 
         If something in it cannot be simulated: a wrong length, an unreachable path, a step that makes the
         stabiliser unstable, a tip that the robot does not have ...
     """
+    refuse_absent(scenario)
     pieces = Pieces() if pieces is None else pieces
     robot = _robot(scenario, model, pieces)
     model = robot.model
@@ -94,7 +95,7 @@ def prepare(scenario: Scenario, model: RobotModel | None = None, pieces: Pieces 
     period = scenario.law.sample_period
     hold = _whole(period, h, "law.sample_period") if period else 0
 
-    nodes_per_step = max(1, round(1 / min((x for x in integrator.nodes if x), default=1.0)))
+    nodes_per_step = integrator.parts
     instants = (h / nodes_per_step) * np.arange(steps * nodes_per_step + 1, dtype=np.float64)
     wanted, table = _desired(scenario, robot, plane, q, instants, pieces)
     table[::nodes_per_step, 2 * n + 10] = draws(scenario.sensor, steps + 1)
@@ -178,7 +179,7 @@ def _desired(
     return wanted, table
 
 
-def _integrator(scenario: Scenario) -> tuple[Integrator, float | None]:
+def _integrator(scenario: Scenario) -> tuple[type[Scheme], float | None]:
     """Return the scheme, and the tolerance of one that chooses its own steps, refusing what such a one cannot do."""
     section = scenario.time
     name = section.integrator

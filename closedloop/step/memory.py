@@ -168,5 +168,5 @@ class Work(Block, sizes=("n", "k", "stages", "ring")):
     dz: Annotated[Array, K]
     begin: Annotated[Array, 2 * N + K]  # state at the beginning of the substep
     slope: Annotated[Array, N + K]  # q̈ and ż there
-    stages: Annotated[Array, STAGES, 2 * N + K]  # see `closedloop.integrators.advance`
+    stages: Annotated[Array, STAGES, 2 * N + K]  # see `closedloop.step.advance.advance`
     ring: Annotated[Array, RING]  # latest samples of the force sensor

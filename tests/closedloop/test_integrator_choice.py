@@ -34,7 +34,7 @@ def test_a_scenario_without_an_integrator_gets_one_that_fits(text, expected):
 def test_help_says_the_orders():
     """The order of every integrator is in the line of --help, and "auto" with its rule."""
     line = dict(describe_keys())["time.integrator"]
-    for name, scheme in (INTEGRATORS | ADAPTIVE).items():
+    for name, scheme in (*INTEGRATORS.items(), *ADAPTIVE.items()):
         assert f"{name} (order {scheme.order}" in line
     assert "auto: rk4 where surface.contact is unilateral" in line
 

@@ -13,8 +13,7 @@ from scipy.linalg import null_space
 import closedloop as cl
 from closedloop.reference.follow import follow
 from closedloop.reference.joint_path import JointPath
-from closedloop.reference.line import line as straight
-from closedloop.reference.sections import LineSection
+from closedloop.reference.paths.line import Line
 from robot_models.planar2 import closed_form
 
 START, STOP = 0.5, 6.5  # s
@@ -30,9 +29,9 @@ LINES = {
 
 def follow_line(arm, q, direction, speed, start, stop):
     """Return the joint path of a straight line at constant speed, on any surface that the direction lies in."""
-    section = LineSection(direction=tuple(direction), speed=speed, start=start, stop=stop)
+    section = Line(direction=tuple(direction), speed=speed, start=start, stop=stop)
     normal = null_space(direction[None, :])[:, 0]
-    return follow(arm, q, straight(section, arm.position(q), normal))
+    return follow(arm, q, section.tip_path(arm.position(q), normal))
 
 
 @pytest.fixture(scope="module", params=LINES)

@@ -12,13 +12,11 @@ from scipy.optimize import brentq
 import closedloop as cl
 from closedloop.reference.desired import tip_path
 from closedloop.reference.follow import PATH_TOLERANCE, follow
-from closedloop.reference.sections import (
-    CircleSection,
-    FigureEightSection,
-    LineSection,
-    RasterSection,
-    WaypointsSection,
-)
+from closedloop.reference.paths.circle import Circle
+from closedloop.reference.paths.figure_eight import FigureEight
+from closedloop.reference.paths.line import Line
+from closedloop.reference.paths.raster import Raster
+from closedloop.reference.paths.waypoints import Waypoints
 from closedloop.reference.timing import minimum_jerk
 from robot_models.planar2 import closed_form
 
@@ -28,22 +26,22 @@ START, STOP = 0.5, 7.5  # s
 ASIDE = {"direction": (0.0, 1.0, 0.0), "start": START, "stop": STOP}  # in both surfaces
 
 PATHS = {
-    "line": LineSection(speed=0.015, timing="minimum_jerk", **ASIDE),
-    "circle": CircleSection(radius=0.03, **ASIDE),
-    "eight": FigureEightSection(width=0.08, height=0.04, **ASIDE),
-    "raster": RasterSection(length=0.04, pitch=0.01, passes=2, **ASIDE),
-    "waypoints": WaypointsSection(
+    "line": Line(speed=0.015, timing="minimum_jerk", **ASIDE),
+    "circle": Circle(radius=0.03, **ASIDE),
+    "eight": FigureEight(width=0.08, height=0.04, **ASIDE),
+    "raster": Raster(length=0.04, pitch=0.01, passes=2, **ASIDE),
+    "waypoints": Waypoints(
         times=(0.5, 2.0, 3.0, 7.5), points=((0, 0, 0), (0, 0, -0.02), (0, 0, -0.02), (0.02, 0.03, 0.02))
     ),
-    "linear": WaypointsSection(
+    "linear": Waypoints(
         times=(0.5, 2.0, 3.0, 7.5),
         points=((0, 0, 0), (0, 0, -0.02), (0, 0, -0.02), (0.02, 0.03, 0.02)),
         timing="linear",
     ),
 }
 IN_ITS_PLANE = {
-    "line": LineSection(direction=(1.0, 0.0, 0.0), speed=-0.015, start=START, stop=STOP, timing="minimum_jerk"),
-    "waypoints": WaypointsSection(times=(0.5, 2.0, 7.5), points=((0, 0, 0), (0, 0, -0.02), (-0.05, 0, 0.05))),
+    "line": Line(direction=(1.0, 0.0, 0.0), speed=-0.015, start=START, stop=STOP, timing="minimum_jerk"),
+    "waypoints": Waypoints(times=(0.5, 2.0, 7.5), points=((0, 0, 0), (0, 0, -0.02), (-0.05, 0, 0.05))),
 }  # fmt: skip
 CASES = [(arm, name) for arm in ("wam4", "panda", "ur5") for name in PATHS] + [
     ("planar2", name) for name in IN_ITS_PLANE
@@ -161,7 +159,7 @@ def test_a_path_and_its_mirror_image_are_followed_alike(robot):
     home = np.array([0.0, 1.0, 0.0, 2.0])
     paths = []
     for turns in (1.0, -1.0):
-        section = CircleSection(direction=(1.0, 0.0, 0.0), radius=0.03, turns=turns, start=START, stop=STOP)
+        section = Circle(direction=(1.0, 0.0, 0.0), radius=0.03, turns=turns, start=START, stop=STOP)
         paths.append(follow_section(arm, home, section)[1])
     t = np.linspace(0.0, 8.0, 200)
     assert np.max(np.abs(paths[0].sample(t)[0] - mirror * paths[1].sample(t)[0])) < 1e-12
@@ -190,7 +188,7 @@ def refusal(arm, section, q=None):
 
 def test_circle_of_a_planar_arm_is_refused_as_unreachable(robot):
     """An arm that moves in one plane cannot go round in another; the refusal says which way it cannot move."""
-    section = CircleSection(direction=(1.0, 0.0, 0.0), radius=0.03, start=START, stop=STOP)
+    section = Circle(direction=(1.0, 0.0, 0.0), radius=0.03, start=START, stop=STOP)
     message, named = refusal(robot("planar2"), section)
     assert START <= named < START + 0.1  # where the path has left the plane by 1e-11 m
     assert "no joint moves the tip along [0.0, 1.0, 0.0]" in message
@@ -209,7 +207,7 @@ def test_leaving_the_workspace_is_refused_with_its_first_instant(robot):
     """
     x, _, z = closed_form.terms([0.6, -1.4], [0, 0]).position
     reach = sum(closed_form.LENGTH)
-    section = LineSection(direction=(1.0, 0.0, 0.0), speed=0.2, start=START, stop=STOP, timing="minimum_jerk")
+    section = Line(direction=(1.0, 0.0, 0.0), speed=0.2, start=START, stop=STOP, timing="minimum_jerk")
     instant = START + instant_of(np.sqrt(reach**2 - z**2) - x, 0.2 * (STOP - START), STOP - START)
     message, named = refusal(robot("planar2"), section)
     assert named == pytest.approx(instant, abs=1e-3)
@@ -223,7 +221,7 @@ def test_leaving_the_limits_is_refused_with_the_joint_and_the_instant_of_the_way
     l1, l2 = closed_form.LENGTH
     nearest = l1**2 + l2**2 + 2 * l1 * l2 * np.cos(3.0)
     way = x - np.sqrt(nearest - z**2)
-    section = WaypointsSection(
+    section = Waypoints(
         times=(0.5, 1.0, 2.0, 6.0), points=((0, 0, 0), (0.02, 0, 0), (0, 0, 0), (-1.25 * way, 0, 0)), timing="linear"
     )
     message, named = refusal(robot("planar2"), section)
@@ -236,13 +234,13 @@ def test_leaving_the_limits_is_refused_with_the_joint_and_the_instant_of_the_way
 @pytest.mark.parametrize(
     "section",
     [
-        pytest.param(CircleSection(direction=(0, 1, 0), radius=0.02, turns=1e6, stop=4.0), marks=pytest.mark.slow),
-        CircleSection(direction=(0, 1, 0), radius=0.02, stop=0.5 + 1e-14),
-        LineSection(direction=(0, 1, 0), speed=1e-309, stop=1.7e308, timing="minimum_jerk"),
-        LineSection(direction=(0, 1, 0), speed=1e4, stop=1.7e308),
-        pytest.param(FigureEightSection(direction=(0, 1, 0), width=1e6, height=1e-9, stop=1.0), marks=pytest.mark.slow),
-        RasterSection(direction=(0, 1, 0), length=1e-9, pitch=1e-9, passes=2, stop=1.0),
-        WaypointsSection(times=(0.0, 5e-324), points=((0, 0, 0), (1e6, 0, 0))),
+        pytest.param(Circle(direction=(0, 1, 0), radius=0.02, turns=1e6, stop=4.0), marks=pytest.mark.slow),
+        Circle(direction=(0, 1, 0), radius=0.02, stop=0.5 + 1e-14),
+        Line(direction=(0, 1, 0), speed=1e-309, stop=1.7e308, timing="minimum_jerk"),
+        Line(direction=(0, 1, 0), speed=1e4, stop=1.7e308),
+        pytest.param(FigureEight(direction=(0, 1, 0), width=1e6, height=1e-9, stop=1.0), marks=pytest.mark.slow),
+        Raster(direction=(0, 1, 0), length=1e-9, pitch=1e-9, passes=2, stop=1.0),
+        Waypoints(times=(0.0, 5e-324), points=((0, 0, 0), (1e6, 0, 0))),
     ],
     ids=lambda section: section.kind,
 )

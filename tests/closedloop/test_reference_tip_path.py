@@ -6,14 +6,12 @@ from scipy.integrate import quad
 
 import closedloop as cl
 from closedloop.reference.desired import tip_path
-from closedloop.reference.sections import (
-    CircleSection,
-    FigureEightSection,
-    HoldSection,
-    LineSection,
-    RasterSection,
-    WaypointsSection,
-)
+from closedloop.reference.paths.circle import Circle
+from closedloop.reference.paths.figure_eight import FigureEight
+from closedloop.reference.paths.hold import Hold
+from closedloop.reference.paths.line import Line
+from closedloop.reference.paths.raster import Raster
+from closedloop.reference.paths.waypoints import Waypoints
 from closedloop.reference.timing import PEAK_ACCELERATION, PEAK_SPEED, minimum_jerk
 
 ORIGIN = np.array([0.4, -0.1, 0.25])
@@ -24,14 +22,14 @@ BETWEEN = {"direction": tuple(ALONG), "start": 0.5, "stop": 6.5}
 POINTS = ((0.0, 0.0, 0.0), (0.01, 0.0, -0.03), (0.01, 0.0, -0.03), (0.05, -0.02, 0.04))
 
 SECTIONS = {
-    "line": LineSection(speed=-0.02, timing="minimum_jerk", **BETWEEN),
-    "line, constant": LineSection(speed=-0.02, **BETWEEN),
-    "circle": CircleSection(radius=0.04, **BETWEEN),
-    "circle, clockwise": CircleSection(radius=0.04, turns=-2.25, **BETWEEN),
-    "eight": FigureEightSection(width=0.1, height=0.06, **BETWEEN),
-    "raster": RasterSection(length=0.05, pitch=-0.01, passes=4, **BETWEEN),
-    "waypoints": WaypointsSection(times=(0.5, 1.5, 2.0, 6.5), points=POINTS),
-    "waypoints, linear": WaypointsSection(times=(0.5, 1.5, 2.0, 6.5), points=POINTS, timing="linear"),
+    "line": Line(speed=-0.02, timing="minimum_jerk", **BETWEEN),
+    "line, constant": Line(speed=-0.02, **BETWEEN),
+    "circle": Circle(radius=0.04, **BETWEEN),
+    "circle, clockwise": Circle(radius=0.04, turns=-2.25, **BETWEEN),
+    "eight": FigureEight(width=0.1, height=0.06, **BETWEEN),
+    "raster": Raster(length=0.05, pitch=-0.01, passes=4, **BETWEEN),
+    "waypoints": Waypoints(times=(0.5, 1.5, 2.0, 6.5), points=POINTS),
+    "waypoints, linear": Waypoints(times=(0.5, 1.5, 2.0, 6.5), points=POINTS, timing="linear"),
 }
 SMOOTH = [name for name in SECTIONS if name not in ("line, constant", "waypoints, linear")]
 IN_SURFACE = [name for name in SECTIONS if not name.startswith("waypoints")]
@@ -242,7 +240,7 @@ def test_velocity_that_jumps_has_its_later_value():
 
 def test_hold_stays_where_it_is():
     """A path without pieces is its origin, at rest."""
-    path = tip_path(HoldSection(), ORIGIN, NORMAL)
+    path = tip_path(Hold(), ORIGIN, NORMAL)
     r, v, a = path.sample(np.array([0.0, 1.0, 1e9]))
     assert np.array_equal(r, np.tile(ORIGIN, (3, 1)))
     assert not np.any(v)
@@ -254,6 +252,6 @@ def test_hold_stays_where_it_is():
 def test_hint_for_a_direction_out_of_the_surface_is_accepted():
     """What a refusal names as the nearest direction along the surface is one, digits and all."""
     with pytest.raises(cl.ScenarioError, match="nearest direction") as caught:
-        tip_path(CircleSection(radius=0.1, stop=1.0, direction=(0.3, 0.5, 0.7)), ORIGIN, NORMAL)
+        tip_path(Circle(radius=0.1, stop=1.0, direction=(0.3, 0.5, 0.7)), ORIGIN, NORMAL)
     near = tuple(map(float, str(caught.value).split("[")[-1].rstrip("]").split(",")))
-    assert tip_path(CircleSection(radius=0.1, stop=1.0, direction=near), ORIGIN, NORMAL).length > 0.0
+    assert tip_path(Circle(radius=0.1, stop=1.0, direction=near), ORIGIN, NORMAL).length > 0.0

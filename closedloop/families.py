@@ -1,0 +1,345 @@
+"""Families of plug-ins: paths, integrators, control laws, laws of friction ... A member of a family is one file.
+
+    class Circle(Path):                        closedloop/reference/paths/circle.py: the kind "circle"
+        radius: Annotated[Positive, LENGTH] = Field(description="radius of the circle, m")
+        def tip_path(self, origin, normal): ...
+
+A family has a base class, which says what all members share: a folder, the functions and their signature. A file of
+that folder holds one member, a class derived from the base, and the file's name is the member's `kind`: there is no
+list of members, and nothing else to edit when one is added. A file is imported when its kind is first asked for, or
+when all members are listed. Two families may share a folder (a law of friction for a surface and one for joints): a
+file then has a class of either.
+
+A user's class is a member like any other, with the name MODULE:CLASS. It is known in a process once the command line or
+Python has *named* it (`Family.named`): as that text, as the class, or by an instance inside a `Scenario`. A file is
+data and can make no code run, so a name that stands in a file alone is refused (`not_named`), and nothing is imported.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import inspect
+import sys
+from collections.abc import Iterator, Mapping
+from contextlib import contextmanager
+from functools import cached_property
+from importlib import import_module
+from pathlib import Path
+from pkgutil import iter_modules
+from typing import Any, ClassVar, Generic, TypeVar
+
+from pydantic import ConfigDict, GetCoreSchemaHandler, ValidationInfo, model_validator
+from pydantic_core import CoreSchema, PydanticCustomError, PydanticKnownError, core_schema
+
+from closedloop.errors import ClosedLoopError, ScenarioError, one_line
+from closedloop.sections import Section
+from robot_models.errors import shown
+
+# In the context of a validation: keep what a file says of a class that nobody has named, as `Absent`, to be looked at.
+KEEP_ABSENT = "keep absent members"
+
+_users: dict[str, type[Member]] = {}  # name -> class of every user's member that was named in this process
+
+
+class Member:
+    """What a member of any family has: a name.
+
+    Attributes
+    ----------
+    folder : str
+        Of a family's base class: the package whose modules are the members that ship.
+    """
+
+    folder: ClassVar[str] = ""
+
+    @classmethod
+    def member_name(cls) -> str:
+        """Return the kind that picks this class: the name of its file, or of a user's class MODULE:CLASS."""
+        package, _, file = cls.__module__.rpartition(".")
+        return file if package == cls.folder else f"{cls.__module__}:{cls.__qualname__}"
+
+
+class Parameters(Member, Section):
+    """A member with parameters: it is a section of the scenario itself, typed, frozen, with units and bounds."""
+
+    kind: str = ""
+
+    @model_validator(mode="before")
+    @classmethod
+    def _of_this_kind(cls, data: Any) -> Any:
+        if not isinstance(data, dict):
+            return data
+        name = cls.member_name()
+        if data.get("kind", name) != name:
+            raise ValueError(f"kind = {shown(data['kind'])}: this is {name!r}")
+        return {"kind": name} | data
+
+
+class Absent(Section):
+    """A section of a run file whose `kind` is a user's class that nobody has named: kept as it is, and never run."""
+
+    model_config = ConfigDict(extra="allow")
+    kind: str
+
+
+M = TypeVar("M", bound=Member)
+
+
+class Family(Mapping[str, type[M]], Generic[M]):
+    """The members of a family by name: those of its folder, and of a user's classes those that were named.
+
+    As an annotation of a key, ``reference: Annotated[Path, PATHS]``, it validates a section by its `kind`.
+
+    Parameters
+    ----------
+    base : type
+        What members are derived from; it has their folder.
+    usual : str, optional
+        The kind of a section that names none; without it a `kind` is asked for.
+    """
+
+    def __init__(self, base: type[M], usual: str | None = None) -> None:
+        self.base, self.usual = base, usual
+
+    @cached_property
+    def _files(self) -> tuple[str, ...]:
+        """The names of the folder's modules, in the order of the alphabet."""
+        return tuple(sorted(module.name for module in iter_modules(import_module(self.base.folder).__path__)))
+
+    def __getitem__(self, name: str) -> type[M]:
+        """Return the member with this name.
+
+        Raises
+        ------
+        KeyError
+            If there is none, or it is a user's that nobody has named.
+        """
+        if ":" in name:
+            known: type[Member] = _users[name]
+            if not issubclass(known, self.base):
+                raise KeyError(name)
+            return known
+        if name not in self._files:
+            raise KeyError(name)
+        found = self._in_module(import_module(f"{self.base.folder}.{name}"))
+        if found is None:
+            raise KeyError(name)
+        return found
+
+    def _in_module(self, module: Any) -> type[M] | None:
+        """Return the class that is this family's in a file of the folder, None if it has none."""
+        own = [
+            each
+            for each in vars(module).values()
+            if isinstance(each, type) and issubclass(each, self.base) and each.__module__ == module.__name__
+        ]
+        if len(own) > 1:
+            names = ", ".join(each.__name__ for each in own)
+            raise TypeError(f"{module.__name__} holds {names}: a file has one member of {self.base.__name__}")
+        return own[0] if own else None
+
+    def __iter__(self) -> Iterator[str]:
+        """Go through the names, those that ship first, in the order of the alphabet; imports all of them."""
+        yield from (name for name in self._files if name in self)
+        yield from (name for name, each in list(_users.items()) if issubclass(each, self.base))
+
+    def __contains__(self, name: object) -> bool:
+        """Whether there is a member with this name."""
+        return isinstance(name, str) and self.get(name) is not None
+
+    def __len__(self) -> int:
+        """Return how many there are."""
+        return sum(1 for _ in self)
+
+    def __hash__(self) -> int:
+        """Families are told apart by what they are, not by their members."""
+        return id(self)
+
+    def __eq__(self, other: object) -> bool:
+        """Whether it is this very family."""
+        return self is other
+
+    def named(self, value: Any, key: str) -> Any:
+        """Take what the command line or Python gives for a kind; make a user's class known, and return its name.
+
+        Parameters
+        ----------
+        value : str, type or other
+            A name, MODULE:CLASS, or the class itself. What is none of them is returned as it is, for the validation.
+        key : str
+            The key it was given for, for messages.
+
+        Raises
+        ------
+        ScenarioError
+            If there is no such module or class, or the class is none of this family. What a user's module raises
+            while it is imported is raised as it is.
+        """
+        if isinstance(value, str) and ":" in value:
+            value = self._imported(value, key)
+        if not isinstance(value, type):
+            return value
+        if not issubclass(value, self.base) or value is self.base:
+            raise ScenarioError(
+                f"{key} = {value.__module__}:{value.__qualname__}: must be a class derived from "
+                f"{self.base.__module__}.{self.base.__name__}"
+            )
+        if lacking := sorted(getattr(value, "__abstractmethods__", ())):
+            raise ScenarioError(f"{key} = {value.__module__}:{value.__qualname__}: must define {', '.join(lacking)}")
+        name = value.member_name()
+        if ":" in name:
+            _users[name] = value
+        return name
+
+    def _imported(self, name: str, key: str) -> Any:
+        module, _, attribute = name.partition(":")
+        if not (attribute.isidentifier() and all(part.isidentifier() for part in module.split("."))):
+            if name in _users:
+                return _users[name]  # a class made inside a function: it cannot be imported, but it was named itself
+            raise ScenarioError(f"{key} = {shown(name)}: a class of your own is named MODULE:CLASS")
+        try:
+            found = getattr(import_module(module), attribute, None)
+        except ModuleNotFoundError as error:
+            if f"{module}.".startswith(f"{error.name}."):
+                raise ScenarioError(f"{key} = {shown(name)}: there is no module '{module}'") from None
+            raise
+        if not isinstance(found, type):
+            raise ScenarioError(f"{key} = {shown(name)}: '{module}' has no class '{attribute}'")
+        return found
+
+    def __get_pydantic_core_schema__(self, source: Any, handler: GetCoreSchemaHandler) -> CoreSchema:
+        """Validate a section: its class by its `kind`, then what it says by its class."""
+        return core_schema.with_info_plain_validator_function(self._validate)
+
+    def _validate(self, value: Any, info: ValidationInfo) -> Any:
+        if isinstance(value, self.base):
+            self.named(type(value), "kind")  # built in Python
+            return value
+        if isinstance(value, Absent):
+            return value
+        if not isinstance(value, dict):
+            raise PydanticKnownError("model_attributes_type")
+        if "kind" not in value and self.usual is None:
+            raise PydanticKnownError("union_tag_not_found", {"discriminator": "'kind'"})
+        kind = value.get("kind", self.usual)
+        member = self.get(kind) if isinstance(kind, str) else None
+        if member is None and isinstance(kind, str) and ":" in kind:
+            if (info.context or {}).get(KEEP_ABSENT):
+                return Absent.model_validate(value)
+            raise not_named(kind)
+        if member is None or not issubclass(member, Section):
+            expected = ", ".join(map(repr, self))
+            tag = {"discriminator": "'kind'", "tag": str(kind), "expected_tags": expected}
+            raise PydanticKnownError("union_tag_invalid", tag)
+        return member.model_validate(value, context=info.context)
+
+
+class OneOf:
+    """The annotation of a key whose value is the name of a member without parameters, such as time.integrator.
+
+    Parameters
+    ----------
+    families : Family
+        Whose names it takes.
+    words : tuple of str
+        What else it may say.
+    """
+
+    def __init__(self, *families: Family[Any], words: tuple[str, ...] = ()) -> None:
+        self.families, self.words = families, words
+
+    def names(self) -> list[str]:
+        """Return all that the key may say."""
+        return [*self.words, *(name for family in self.families for name in family)]
+
+    def named(self, value: Any, key: str) -> Any:
+        """See `Family.named`; a user's class is of the first family."""
+        return self.families[0].named(value, key)
+
+    def __get_pydantic_core_schema__(self, source: Any, handler: GetCoreSchemaHandler) -> CoreSchema:
+        """Validate a name."""
+        return core_schema.with_info_plain_validator_function(self._validate)
+
+    def _validate(self, value: Any, info: ValidationInfo) -> str:
+        if isinstance(value, type):
+            value = self.named(value, "value")  # built in Python
+        if isinstance(value, str) and (value in self.words or any(value in family for family in self.families)):
+            return value
+        if isinstance(value, str) and ":" in value:
+            if (info.context or {}).get(KEEP_ABSENT):
+                return value
+            raise not_named(value)
+        *most, last = map(repr, self.names())
+        raise PydanticKnownError("literal_error", {"expected": f"{', '.join(most)} or {last}"})
+
+
+NOT_NAMED = "not_named"
+
+
+def not_named(name: str) -> PydanticCustomError:
+    """Return the refusal of a user's class that a file names, and nobody else; see `how_to_name`."""
+    return PydanticCustomError(NOT_NAMED, "names a class", {"name": name})
+
+
+def how_to_name(key: str, name: str) -> str:
+    """Return, in words, why a file's `key` = `name` is refused, and what would be right."""
+    return (
+        "names a class of a user's own, and a file can make no code run: name it yourself, with "
+        f'--{key} {name} on the command line or {{"{key}": "{name}"}} in Python'
+    )
+
+
+def is_users(member: Member | type[Member]) -> bool:
+    """Whether a member is a user's class."""
+    return ":" in member.member_name()
+
+
+@contextmanager
+def of_users(member: Member | type[Member], key: str) -> Iterator[None]:
+    """Turn what a user's member raises in a call into one line that says in which line of which file.
+
+    Raises
+    ------
+    ScenarioError
+        With what was raised as its cause. An error of this package, and that of a member which ships, is raised as it
+        is.
+    """
+    try:
+        yield
+    except ClosedLoopError:
+        raise
+    except Exception as error:
+        if not is_users(member):
+            raise
+        from traceback import extract_tb
+
+        own = (member if isinstance(member, type) else type(member)).__module__
+        file = getattr(sys.modules.get(own), "__file__", None)
+        frames = extract_tb(error.__traceback__)
+        place = next((frame for frame in reversed(frames) if frame.filename == file), frames[-1])
+        what = one_line(f"{type(error).__name__}: {error}" if str(error) else type(error).__name__)
+        where = f"{Path(place.filename).name}:{place.lineno}"
+        raise ScenarioError(f"{key} = {member.member_name()}: {where}: {what}") from error
+
+
+def source_digest(what: Any) -> str:
+    """Return the SHA-256 of the text that a function or a class is defined in, "" where there is none to be had.
+
+    That is its module, so that the functions it calls there count too; in a notebook or a console its own text.
+    """
+    text = _source(what)
+    return hashlib.sha256(text.encode("utf-8", "surrogatepass")).hexdigest() if text else ""
+
+
+def _source(what: Any) -> str:
+    for place in (sys.modules.get(getattr(what, "__module__", None) or "__main__"), what):
+        file = getattr(place, "__file__", None)
+        if file and str(file).endswith(".py"):
+            try:
+                return Path(file).read_text(encoding="utf-8", errors="surrogateescape")
+            except OSError:
+                continue
+    try:
+        return inspect.getsource(what)
+    except (OSError, TypeError):
+        return ""

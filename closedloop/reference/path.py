@@ -1,0 +1,66 @@
+"""What every path is: a section of the scenario that says where the tip shall be.
+
+A path of one's own is a class derived from `Path`, with its parameters as typed fields and the one method `tip_path`.
+Those that ship are in `closedloop.reference.paths`, one file each, written the same way.
+"""
+
+from __future__ import annotations
+
+from abc import abstractmethod
+from typing import ClassVar
+
+import numpy as np
+from numpy.typing import NDArray
+
+from closedloop.errors import ScenarioError
+from closedloop.families import Family, Parameters, is_users, of_users
+from closedloop.reference.tip_path import TipPath
+
+Array = NDArray[np.float64]
+
+# How far from the tip's start a user's path may begin, m: rounding, and far below what the closure would feel.
+ORIGIN = 1e-9
+
+
+class Path(Parameters):
+    """[reference]: the motion of the tip."""
+
+    folder: ClassVar[str] = "closedloop.reference.paths"
+
+    @abstractmethod
+    def tip_path(self, origin: Array, normal: Array) -> TipPath:
+        """Return the path from `origin` (3,), m, on a surface with the unit normal (3,) `normal`, base frame.
+
+        It must begin at `origin`: that is where the tip is at the start of the run.
+
+        Raises
+        ------
+        ScenarioError
+            If the parameters do not go together: a direction out of the surface, a stop before the start ...
+        """
+
+
+PATHS = Family(Path)  # type: ignore[type-abstract]  # it makes no instance of the base
+
+
+@np.errstate(all="ignore")  # what overflows is refused by name when it is followed
+def tip_path(section: Path, origin: Array, normal: Array) -> TipPath:
+    """Return the path from `origin` (3,), m, on a surface with this unit normal (3,), base frame.
+
+    Raises
+    ------
+    ScenarioError
+        If the section is at fault: a direction out of the surface, a stop before the start ... Or a user's path is: it
+        raises something, or returns no path from `origin`.
+    """
+    with of_users(section, "reference.kind"):
+        path = section.tip_path(origin, normal)
+        if not isinstance(path, TipPath):
+            raise TypeError(f"tip_path returned {type(path).__name__}, not a TipPath")
+        first = path.sample(np.zeros(1))[0][0]
+    if is_users(section) and not np.max(np.abs(first - origin)) <= ORIGIN:
+        raise ScenarioError(
+            f"reference.kind = {section.kind}: its path begins at {first.round(6).tolist()} m, where the tip starts at "
+            f"{origin.round(6).tolist()} m"
+        )
+    return path

@@ -1,0 +1,62 @@
+"""One kernel that advances the state by any fixed-step scheme of `closedloop.integrators`."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from closedloop.jit.kernel import kernel_inlined
+
+Array = NDArray[np.float64]
+
+
+@kernel_inlined
+def advance(
+    stage: int, h: float, semi_implicit: bool, piece: bool, tableau: Array, begin: Array, stages: Array,
+    qdd: Array, dz: Array, q: Array, v: Array, z: Array,
+) -> None:  # fmt: skip
+    """Move the state (q, q̇, z) from this stage's to the next stage's, or after the last stage to the step's end.
+
+    Parameters
+    ----------
+    stage : int
+        The stage whose derivatives q̈ (n,) and ż (k,) are given.
+    h : float
+        Step, s.
+    semi_implicit, piece : bool
+        The semi-implicit scheme: q advances with the new q̇; in a piece of a step, after an event, with the mean of the
+        old and the new, so that a bounce shorter than the step falls back with the speed it rose with.
+    tableau : (S + 1, S) array
+        See `closedloop.integrators.Scheme.tableau`.
+    begin : (2 n + k,) array
+        q, q̇ and z at the beginning of the step.
+    stages : (S, 2 n + k) array
+        Derivatives of the state at each stage so far, of which this stage's are written.
+    q, v, z : (n,), (n,), (k,) arrays
+        In: this stage's state. Out: the next one's.
+    """
+    n, k = q.shape[0], z.shape[0]
+    if semi_implicit:
+        for j in range(n):
+            old = v[j]
+            v[j] += h * qdd[j]
+            q[j] += h * (0.5 * (old + v[j]) if piece else v[j])
+        for j in range(k):
+            z[j] += h * dz[j]
+        return
+    for j in range(n):
+        stages[stage, j] = v[j]
+        stages[stage, n + j] = qdd[j]
+    for j in range(k):
+        stages[stage, 2 * n + j] = dz[j]
+    for j in range(2 * n + k):
+        x = 0.0
+        for i in range(stage + 1):
+            x += tableau[stage + 1, i] * stages[i, j]
+        x = begin[j] + h * x
+        if j < n:
+            q[j] = x
+        elif j < 2 * n:
+            v[j - n] = x
+        else:
+            z[j - 2 * n] = x

@@ -19,8 +19,8 @@ from typing import TYPE_CHECKING, Any  # noqa: E402
 if TYPE_CHECKING:
     from closedloop.batch.simulate_batch import simulate_batch as simulate_batch
     from closedloop.closure.solve import solve_closure as solve_closure
-    from closedloop.control import Law as Law
     from closedloop.engines.problem import Problem as Problem
+    from closedloop.engines.user_law import Law as Law
     from closedloop.errors import ChatterError as ChatterError
     from closedloop.errors import ClosedLoopError as ClosedLoopError
     from closedloop.errors import ClusterError as ClusterError
@@ -54,7 +54,7 @@ _HOME = {
     "DivergenceError": "errors",
     "Event": "record.run",
     "InterruptedRunError": "errors",
-    "Law": "control",
+    "Law": "engines.user_law",
     "LawError": "errors",
     "ModelError": "errors",
     "OutputError": "errors",

@@ -28,7 +28,7 @@ Array = NDArray[np.float64]
 # where no joint's lever along the normal is above 1e-6 of the arm's reach, its square above this share of that squared.
 SINGULAR_MOBILITY = 1e-12
 
-OK, SINGULAR, NOT_POSITIVE_DEFINITE, DIVERGED, PAINLEVE, CHATTER = 0, 1, 2, 3, 4, 5
+OK, SINGULAR, NOT_POSITIVE_DEFINITE, DIVERGED, PAINLEVE, CHATTER, LAW_FAILED = range(7)
 
 
 def bordered_matrix(H: ArrayLike, A: ArrayLike) -> Array:

@@ -13,20 +13,23 @@ Array = NDArray[np.float64]
 class LawInput(NamedTuple):
     """The state of the arm, what is wanted of it, and what its sensors say.
 
-    Contact frame: axes n (out of the surface), t1, t2; the three numbers of every (3,) array are in that order.
+    Contact frame: axes n (out of the surface), t1, t2; the three numbers of every (3,) array are in that order, unless
+    it is said to be in base axes.
 
     Attributes
     ----------
     t : float
         Time, s.
-    q, v, C : (n,) arrays
-        Joint positions, rad (m); velocities; bias torque (Coriolis, centrifugal, gravity), N m.
+    q, v : (n,) arrays
+        Joint positions, rad (m), and velocities.
     H : (n, n) array
-        Mass matrix; its upper triangle is read.
+        Mass matrix.
+    C : (n,) array
+        Bias torque (Coriolis, centrifugal, gravity), N m.
     L : (n, n) array
         Lower Cholesky factor of H whose diagonal holds reciprocals, see `closedloop.closure.solve.cholesky`.
     A : (3, n) array
-        Tip Jacobian, contact frame: u = A q̇.
+        Tip Jacobian, contact frame: u = A q̇. Its first row is nᵀJᵣ.
     X : (3, n) array
         L⁻¹Aᵀ, transposed.
     S : (3, 3) array
@@ -35,6 +38,14 @@ class LawInput(NamedTuple):
         Ȧ q̇, m/s².
     p, u : (3,) arrays
         Tip position, m, and velocity, m/s.
+    r : (3,) array
+        Tip position, m, base axes.
+    J : (3, n) array
+        Tip Jacobian Jᵣ, base axes.
+    Jdot_v : (3,) array
+        J̇ᵣq̇, m/s², base axes.
+    frame : (3, 3) array
+        The contact frame: rows n, t1, t2, base axes; p = frame r.
     q_des, v_des : (n,) arrays
         Wanted joint motion.
     p_des, u_des, a_des : (3,) arrays
@@ -42,16 +53,18 @@ class LawInput(NamedTuple):
     f_des : float
         Wanted force, N: what the tip presses with, and so what the surface answers along +n.
     f_measured : float
-        Latest reading of the force sensor, N: of an instant before this one.
+        Latest reading of the force sensor, N, as [sensor] gives it: of an instant before this one.
     pressed : float
         1 while the tip is in contact, else 0.
+    scratch : array
+        Room for intermediate numbers, (n² + 3 n + 224,); nothing is kept in it.
     """
 
     t: float
     q: Array
     v: Array
-    C: Array
     H: Array
+    C: Array
     L: Array
     A: Array
     X: Array
@@ -59,6 +72,10 @@ class LawInput(NamedTuple):
     drift: Array
     p: Array
     u: Array
+    r: Array
+    J: Array
+    Jdot_v: Array
+    frame: Array
     q_des: Array
     v_des: Array
     p_des: Array
@@ -67,3 +84,4 @@ class LawInput(NamedTuple):
     f_des: float
     f_measured: float
     pressed: float
+    scratch: Array

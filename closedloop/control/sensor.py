@@ -7,24 +7,52 @@ is always a sample, hence of an earlier instant than its own.
 from __future__ import annotations
 
 import math
-from typing import NamedTuple
+from typing import Annotated, Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
+from pydantic import BeforeValidator, Field
 
-from closedloop.control.sections import SensorSection
 from closedloop.errors import ScenarioError
+from closedloop.jit.blocks import Block
 from closedloop.jit.kernel import kernel
+from closedloop.parameters import pack, parameter_block
+from closedloop.sections import FORCE, PERIOD, NotNegative, Number, Section, Size
 
 Array = NDArray[np.float64]
 
-# Places in the sensor's parameters.
-BIAS, NOISE, QUANTUM, TIME_CONSTANT = range(4)
-SENSOR_PARAMETERS = 4
 # A longer delay than this many samples is a slip of the keyboard.
 MOST_DELAYED = 10_000
 # A number of 53 bits has no finer steps than a quantum of which it holds so many.
 MOST_QUANTA = 2.0**52
+
+
+def _seed(value: Any) -> Any:
+    if isinstance(value, bool) or not isinstance(value, int) or value < 0:
+        raise ValueError("must be a whole number, 0 or above")
+    return value
+
+
+Seed = Annotated[int, BeforeValidator(_seed)]
+QUANTUM = Size(1e9, "N", "no sensor is so coarse", 1e-12, "no sensor is so fine")
+
+
+class SensorSection(Section):
+    """[sensor]: the force sensor; as it stands, ideal: the force at the latest sample."""
+
+    noise: Annotated[NotNegative, FORCE] = Field(0.0, description="standard deviation of white noise, N")
+    bias: Annotated[Number, FORCE] = Field(0.0, description="constant error, N")
+    quantisation: Annotated[NotNegative, QUANTUM] = Field(0.0, description="step between two readings, N; 0: none")
+    filter_time_constant: Annotated[NotNegative, PERIOD] = Field(
+        0.0, description="time constant of a first-order low-pass, s; 0: none"
+    )
+    delay: Annotated[NotNegative, PERIOD] = Field(
+        0.0, description="age of a reading beside the sample's, s; a whole number of samples"
+    )
+    seed: Seed = Field(0, description="seed of the noise")
+
+
+SensorParameters = parameter_block(SensorSection)
 
 
 class PackedSensor(NamedTuple):
@@ -32,8 +60,8 @@ class PackedSensor(NamedTuple):
 
     Attributes
     ----------
-    par : (SENSOR_PARAMETERS,) array
-        Bias, N, noise, N, quantum, N, time constant, s.
+    par : Block
+        Its parameters by name.
     states : int
         1 with a low-pass, else 0.
     ring : int
@@ -42,7 +70,7 @@ class PackedSensor(NamedTuple):
         Whether noise, quantisation or delay make a reading differ from the continuous signal.
     """
 
-    par: Array
+    par: Block
     states: int
     ring: int
     sampled: bool
@@ -72,7 +100,7 @@ def pack_sensor(section: SensorSection, period: float) -> PackedSensor:
         raise ScenarioError(
             f"sensor.filter_time_constant = {constant:g} s: must be 0, or at least the {period:g} s between two samples"
         )
-    par = np.array([section.bias, section.noise, section.quantisation, constant])
+    par = SensorParameters(pack(section, 0, "sensor"), 0)
     sampled = delay > 0 or section.noise > 0.0 or section.quantisation > 0.0
     return PackedSensor(par, int(constant > 0.0), delay + 1, sampled)
 
@@ -85,16 +113,16 @@ def draws(section: SensorSection, count: int) -> Array:
 
 
 @kernel
-def sensor_rates(f_true: float, par: Array, z: Array, dz: Array) -> None:
+def sensor_rates(f_true: float, par: Any, z: Array, dz: Array) -> None:
     """Write the rate of the low-pass z (1,), or nothing if there is none: ż = (f − z)/T."""
-    if par[TIME_CONSTANT] > 0.0:
-        dz[0] = (f_true - z[0]) / par[TIME_CONSTANT]
+    if par.filter_time_constant > 0.0:
+        dz[0] = (f_true - z[0]) / par.filter_time_constant
 
 
 @kernel
-def continuous_reading(f_true: float, par: Array, z: Array) -> float:
+def continuous_reading(f_true: float, par: Any, z: Array) -> float:
     """Return what the sensor would say at this instant without sampling, N: low-passed, and biased."""
-    return float((z[0] if par[TIME_CONSTANT] > 0.0 else f_true) + par[BIAS])
+    return float((z[0] if par.filter_time_constant > 0.0 else f_true) + par.bias)
 
 
 @kernel
@@ -106,7 +134,7 @@ def quantised(reading: float, quantum: float) -> float:
 
 
 @kernel
-def sense(f_true: float, sample: int, par: Array, z: Array, normal: float, ring: Array) -> float:
+def sense(f_true: float, sample: int, par: Any, z: Array, normal: float, ring: Array) -> float:
     """Take a sample and return the reading that the controller gets now, N.
 
     Parameters
@@ -122,17 +150,17 @@ def sense(f_true: float, sample: int, par: Array, z: Array, normal: float, ring:
     ring : (delay + 1,) array
         The latest samples; written.
     """
-    reading = quantised(continuous_reading(f_true, par, z) + par[NOISE] * normal, par[QUANTUM])
+    reading = quantised(continuous_reading(f_true, par, z) + par.noise * normal, par.quantisation)
     size = ring.shape[0]
     ring[sample % size] = reading
     return float(ring[(sample + 1) % size])
 
 
 @kernel
-def start_sensor(f_true: float, par: Array, z: Array, ring: Array) -> None:
+def start_sensor(f_true: float, par: Any, z: Array, ring: Array) -> None:
     """Write z and the ring as if the sensor had felt f_true, N, without noise, for long."""
-    if par[TIME_CONSTANT] > 0.0:
+    if par.filter_time_constant > 0.0:
         z[0] = f_true
-    reading = quantised(f_true + par[BIAS], par[QUANTUM])
+    reading = quantised(f_true + par.bias, par.quantisation)
     for i in range(ring.shape[0]):
         ring[i] = reading

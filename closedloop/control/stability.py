@@ -18,8 +18,9 @@ from collections.abc import Callable
 import numpy as np
 from numpy.typing import NDArray
 
-from closedloop.control.sections import CompensationSection, ForceLaw, ObserverCompensationSection, SensorSection
-from closedloop.control.sensor import pack_sensor
+from closedloop.control.compensation.observer import ObserverCompensation
+from closedloop.control.law import Compensation, ControlLaw
+from closedloop.control.sensor import SensorSection, pack_sensor
 from closedloop.errors import ScenarioError
 
 Array = NDArray[np.float64]
@@ -84,9 +85,7 @@ def force_loop_settles(feedback: float, integral: float, sensor: SensorSection, 
     return turns == (1 if integral > 0.0 else 0)
 
 
-def check_sampling(
-    law: ForceLaw, compensation: CompensationSection | None, sensor: SensorSection, period: float
-) -> None:
+def check_sampling(law: ControlLaw, compensation: Compensation | None, sensor: SensorSection, period: float) -> None:
     """Refuse gains with which the sampled loop diverges.
 
     Parameters
@@ -112,7 +111,7 @@ def check_sampling(
             f"law.force_feedback = {law.force_feedback:g}: diverges, because a reading is {period + sensor.delay:g} s "
             f"old; must be below {most:.3g} (a longer sensor.filter_time_constant allows more)"
         )
-    if isinstance(compensation, ObserverCompensationSection):
+    if isinstance(compensation, ObserverCompensation):
         rate = compensation.rate
         slow = not force_loop_settles(0.0, rate, sensor, period)
         if slow or not rate * period < 1.0:

@@ -3,20 +3,85 @@
 from __future__ import annotations
 
 import math
+from typing import Annotated, Any
 
 import numpy as np
 from numpy.typing import NDArray
+from pydantic import AfterValidator, Field
 
 from closedloop.closure.contact_force import IMMOBILE
+from closedloop.control.law import ControlLaw
 from closedloop.control.law_input import LawInput
-from closedloop.control.parameters import APPROACH, K_P, K_V
+from closedloop.jit.blocks import Block, Count
 from closedloop.jit.kernel import kernel
+from closedloop.sections import ACCELERATION_GAIN, RATE, SPEED, Gain, NotNegative, Positive, Section
 
 Array = NDArray[np.float64]
 
 # Jacobi's sweeps converge quadratically: a 3 x 3 matrix is diagonal to rounding after four or five.
 MOST_SWEEPS = 10
 DIAGONAL = 1e-36  # of the squared trace
+
+
+def _gains_not_negative(value: float | tuple[float, ...]) -> float | tuple[float, ...]:
+    for index, entry in enumerate(value if isinstance(value, tuple) else (value,)):
+        if entry < 0.0:
+            raise ValueError(
+                f"entry {index} is {entry:g}: must not be negative"
+                if isinstance(value, tuple)
+                else "must not be negative"
+            )
+    return value
+
+
+GainNotNegative = Annotated[Gain, AfterValidator(_gains_not_negative)]
+
+
+class Approach(ControlLaw):
+    """Of a law that seeks the surface at a set speed."""
+
+    approach_speed: Annotated[Positive, SPEED] = Field(
+        0.05,
+        description="largest speed along the normal off the surface, m/s: at it a tip comes down to press (force > 0); "
+        "with force = 0 it follows the path, with force < 0 it leaves and stays away",
+    )
+
+
+class Posture(Section):
+    """Of a law for the tip: what joints do that the tip leaves free (redundant arms)."""
+
+    posture_stiffness: Annotated[GainNotNegative, ACCELERATION_GAIN] = Field(
+        25.0, description="pull of free joint motion to the reference's, 1/s², one per joint or one for all"
+    )
+    posture_damping: Annotated[GainNotNegative, RATE] = Field(
+        10.0, description="damping of free joint motion, 1/s, one per joint or one for all"
+    )
+
+
+class TipMotion(Posture):
+    """Of a law that makes the tip's motion linear: ë + K_v ė + K_p e = 0.
+
+    Gains of the tip's motion are accelerations per error, 1/s² and 1/s, so the same values serve any arm: K_p = ω², K_v
+    = 2 ζ ω gives the tip the natural frequency ω and the damping ratio ζ.
+    """
+
+    motion_stiffness: Annotated[NotNegative, ACCELERATION_GAIN] = Field(
+        400.0, description="K_p of the tip's motion along the surface, 1/s²"
+    )
+    motion_damping: Annotated[Positive, RATE] = Field(
+        40.0, description="K_v of the tip's motion along the surface, 1/s"
+    )
+
+
+class TipScratch(Block, sizes=("n",)):
+    """What a law for the tip works out on the way, in `LawInput.scratch`."""
+
+    inverse: Annotated[Array, 3, 3]
+    eigen: Annotated[Array, 18]
+    wanted: Annotated[Array, 3]  # acceleration of the tip, m/s²
+    force: Annotated[Array, 3]
+    rest: Annotated[Array, 3]
+    joints: Annotated[Array, Count.of("n")]
 
 
 @kernel
@@ -99,10 +164,12 @@ def surface_mobility(S: Array, pressed: float, i: int, k: int) -> float:
 
 
 @kernel
-def motion_along_surface(x: LawInput, par: Array, wanted: Array) -> None:
+def motion_along_surface(x: LawInput, par: Any, wanted: Array) -> None:
     """Write ü_des + K_v (u_des − u) + K_p (p_des − p) along t1 and t2 into `wanted` (3,), m/s²."""
     for i in range(1, 3):
-        wanted[i] = x.a_des[i] + par[K_V] * (x.u_des[i] - x.u[i]) + par[K_P] * (x.p_des[i] - x.p[i])
+        wanted[i] = (
+            x.a_des[i] + par.motion_damping * (x.u_des[i] - x.u[i]) + par.motion_stiffness * (x.p_des[i] - x.p[i])
+        )
 
 
 @kernel
@@ -128,17 +195,17 @@ def motion_along_normal(x: LawInput, f: float, stiffness: float, damping: float,
 
 
 @kernel
-def wanted_acceleration(x: LawInput, par: Array, f: float, wanted: Array) -> None:
+def wanted_acceleration(x: LawInput, par: Any, f: float, wanted: Array) -> None:
     """Write the tip acceleration (3,), m/s², that the motion law asks for in all three directions."""
-    wanted[0] = motion_along_normal(x, f, par[K_P], par[K_V], par[APPROACH])
+    wanted[0] = motion_along_normal(x, f, par.motion_stiffness, par.motion_damping, par.approach_speed)
     motion_along_surface(x, par, wanted)
 
 
 @kernel
-def posture(x: LawInput, gains: Array, a: Array) -> None:
+def posture(x: LawInput, par: Any, a: Array) -> None:
     """Write K_d (q̇_des − q̇) + K_p (q_des − q), rad/s², into `a` (n,): where joints go that the tip leaves free."""
     for j in range(x.q.shape[0]):
-        a[j] = gains[0, j] * (x.q_des[j] - x.q[j]) + gains[1, j] * (x.v_des[j] - x.v[j])
+        a[j] = par.posture_stiffness[j] * (x.q_des[j] - x.q[j]) + par.posture_damping[j] * (x.v_des[j] - x.v[j])
 
 
 @kernel
@@ -169,3 +236,25 @@ def add_tip_force(A: Array, F: Array, torque: Array) -> None:
     """Add AᵀF, the torque that makes the tip push with F (3,), N."""
     for j in range(torque.shape[0]):
         torque[j] += A[0, j] * F[0] + A[1, j] * F[1] + A[2, j] * F[2]
+
+
+@kernel
+def move_tip(x: LawInput, par: Any, f: float, torque: Array) -> None:
+    """Write the torque that gives the tip the acceleration `TipScratch.wanted` and, in contact, presses with f, N.
+
+    Q = C + H q̈₀ + Aᵀ [ Λ (a − Ȧq̇ − A q̈₀) − n f ]        Λ = (A H⁻¹Aᵀ)⁺, q̈₀ from `posture`
+    """
+    n = x.q.shape[0]
+    s = TipScratch(x.scratch, n)
+    F, a = s.force, s.joints
+    pseudo_inverse(x.S, s.eigen, s.inverse)
+    posture(x, par, a)
+    rest_of(x, s.wanted, a, s.rest)
+    for i in range(3):
+        F[i] = s.inverse[i, 0] * s.rest[0] + s.inverse[i, 1] * s.rest[1] + s.inverse[i, 2] * s.rest[2]
+    if x.pressed != 0.0:
+        F[0] -= f
+    for j in range(n):
+        torque[j] = x.C[j]
+    add_mass_times(x.H, a, 1.0, torque)
+    add_tip_force(x.A, F, torque)

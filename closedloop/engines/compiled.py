@@ -7,29 +7,27 @@ needs no interpreter and holds no lock: runs of a batch go on side by side in th
 
 from __future__ import annotations
 
-from collections.abc import Callable
-
 import numpy as np
 from numpy.typing import NDArray
 
 from closedloop.engines.problem import Problem
 from closedloop.errors import ModelError, ScenarioError
-from closedloop.events.phases import TERMS, extra_states
+from closedloop.events.phases import TERMS
 from closedloop.events.proceed import proceed
 from closedloop.jit.kernel import entry_kernel, inlined_kernel
 from closedloop.robot.tree import Tree, tree_of, tree_terms, work_size
-from closedloop.step.memory import Constants, State, Whole, Work
+from closedloop.step.memory import loop_at
 
 Array = NDArray[np.float64]
 
 
 @inlined_kernel
 def _run(
-    n: int, tree: Tree, work: Array, constant_numbers: Array, state_numbers: Whole, work_numbers: Array, table: Array,
+    tree: Tree, work: Array, address: int, table: Array,
     tableau: Array, rows: Array, events: Array, more: int | None,
 ) -> int:  # fmt: skip
-    constants, state = Constants(constant_numbers, n), State(state_numbers)
-    w = Work(work_numbers, n, extra_states(state, n), state.stages, state.sensor_ring)
+    n = tree.n
+    state, constants, w = loop_at(address)
     H, C, scratch = work[0 : n * n].reshape(n, n), work[n * n : n * n + n], work[n * n + n :]
     request = TERMS
     while request == TERMS:
@@ -40,32 +38,20 @@ def _run(
 
 @entry_kernel
 def run_compiled(
-    tree: Tree, work: Array, constant_numbers: Array, state_numbers: Whole, work_numbers: Array, table: Array,
+    tree: Tree, work: Array, address: int, table: Array,
     tableau: Array, rows: Array, events: Array,
 ) -> int:  # fmt: skip
     """Go on until something other than terms is asked for, and return what; see `closedloop.events.proceed`."""
-    return _run(tree.n, tree, work, constant_numbers, state_numbers, work_numbers, table, tableau, rows, events, None)
+    return _run(tree, work, address, table, tableau, rows, events, None)
 
 
 @entry_kernel
 def run_compiled_with_more(
-    tree: Tree, work: Array, constant_numbers: Array, state_numbers: Whole, work_numbers: Array, table: Array,
+    tree: Tree, work: Array, address: int, table: Array,
     tableau: Array, rows: Array, events: Array,
 ) -> int:  # fmt: skip
     """Do the same with everything that may come on top: other laws, friction, a force sensor."""
-    return _run(tree.n, tree, work, constant_numbers, state_numbers, work_numbers, table, tableau, rows, events, 1)
-
-
-def written_out_run(n: int, more: int | None) -> Callable[..., int]:
-    """Return the body of a loop for n joints alone, not yet compiled; see `closedloop.engines.specialise`."""
-
-    def run(
-        tree: Tree, work: Array, constant_numbers: Array, state_numbers: Whole, work_numbers: Array, table: Array,
-        tableau: Array, rows: Array, events: Array,
-    ) -> int:  # fmt: skip
-        return _run(n, tree, work, constant_numbers, state_numbers, work_numbers, table, tableau, rows, events, more)
-
-    return run
+    return _run(tree, work, address, table, tableau, rows, events, 1)
 
 
 def compiled_work(n: int) -> Array:

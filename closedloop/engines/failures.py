@@ -2,11 +2,12 @@
 
 from __future__ import annotations
 
+from typing import Any
+
 import numpy as np
 from numpy.typing import NDArray
 
 from closedloop.closure.solve import CHATTER, NOT_POSITIVE_DEFINITE, PAINLEVE, SINGULAR
-from closedloop.control import Law
 from closedloop.engines.problem import Problem
 from closedloop.errors import (
     ChatterError,
@@ -41,9 +42,7 @@ def interrupted(stop: KeyboardInterrupt, t: float) -> InterruptedRunError:
     return error
 
 
-def failure_of(
-    status: int, t: float, robot: Robot, problem: Problem, law: Law | None, q: Array, v: Array
-) -> SimulationError:
+def failure_of(status: int, t: float, robot: Robot, problem: Problem, law: Any, q: Array, v: Array) -> SimulationError:
     """Return what a status of `closedloop.closure.solve` other than OK, met at q and q̇ (n,) at t, s, is in words."""
     if status == SINGULAR:
         pose = np.array2string(q, precision=4, separator=", ", suppress_small=True)

@@ -125,10 +125,11 @@ class Abreast:
         n, stages = like.robot.n, like.integrator.stages
         self.kind, self.n, self.end = kind, n, like.h * like.steps
         self._instants, self._columns = like.table.shape
-        self._state, self._tableau = like.state(), like.integrator.tableau()
+        loop = like.loop()
+        self._state, self._tableau = loop.state, like.integrator.tableau()
         self._h, self._spacing = like.h, like.h / like.nodes
         self._work = Work(aligned(Work.count(n, 0, stages, 1)), n, 0, stages, 1)
-        self._constants = aligned(Constants.count(n))
+        self._constants = aligned(loop.constants.memory.size)
         self._forces, self._largest = aligned(like.table.shape[0]), aligned(1)
         self._rows = aligned(like.steps + 1 if keep else LANES, Row.of(n).width)
         self._figures = aligned(plain(figure_count)(n))
@@ -150,7 +151,7 @@ class Abreast:
         n = self.n
         if lane == 0:
             self._tables.clear()
-        self._constants[:, lane] = problem.constants().memory
+        self._constants[:, lane] = problem.loop().constants.memory
         self._work.q[:, lane], self._work.v[:, lane] = problem.q, problem.v
         force = problem.table[:, 2 * n + 9]
         self._forces[:, lane] = force
@@ -217,7 +218,8 @@ def run_abreast(
     w = Work(float64x8_at(places[WORK], 0), n, 0, stages, 1)
     terms = float64x8_at(places[TERMS], n * n + n + work_size(n))
     H, C, scratch = terms[0 : n * n].reshape(n, n), terms[n * n : n * n + n], terms[n * n + n :]
-    constants, largest = Constants(float64x8_at(places[CONSTANTS], 0), n), float64x8_at(places[LARGEST], 1)[0]
+    largest = float64x8_at(places[LARGEST], 1)[0]
+    constants = Constants(float64x8_at(places[CONSTANTS], 0), n, state.law_size, state.compensation_size)
     forces = float64x8_at(places[FORCES], instants)
     width = 5 * n + 9 + SCALAR_COUNT
     rows = float64x8_at(places[ROWS], kept * width).reshape(kept, width)
@@ -313,7 +315,7 @@ def loop_of(scenario: Scenario, engine: str, n: int, runs: int = 1) -> Callable[
         from closedloop.engines.lanes import run_abreast
 
         return run_abreast
-    return machine(needs_more(scenario), engine, n, runs * steps_of(scenario))
+    return machine(needs_more(scenario), engine)
 
 
 def goes_abreast(scenario: Scenario, engine: str, runs: int) -> bool:

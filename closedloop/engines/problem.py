@@ -2,26 +2,40 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
 from closedloop.closure.contact_force import FREE, STUCK
-from closedloop.control.pack import PackedLaw
-from closedloop.control.sections import SensorSection
-from closedloop.control.sensor import PackedSensor, start_sensor
-from closedloop.events.phases import ARRIVING, PROJECTING, extra_states
+from closedloop.control.compensation.none import NoCompensation
+from closedloop.control.law import Compensation, ControlLaw
+from closedloop.control.sensor import PackedSensor, SensorSection, start_sensor
+from closedloop.events.phases import ARRIVING, PROJECTING
 from closedloop.friction.laws import rest_states
 from closedloop.friction.layout import KINETIC, LAST, SEVEN_PARAMETER, STATIC_EXCESS, STICKS, state_count
 from closedloop.impact import LAWS
 from closedloop.integrators import Scheme
+from closedloop.jit.calls import entry_address
 from closedloop.jit.kernel import plain
+from closedloop.parameters import pack, per_joint, state_block
 from closedloop.reference.desired import Desired
 from closedloop.robot.pinocchio import Robot
 from closedloop.scenario.scenario import BaumgarteGains, Scenario
-from closedloop.step.evaluate import LAW_GIVEN
-from closedloop.step.memory import ELASTIC_STICK, RIGID_STICK, SMOOTH, SPRING_STICK, Constants, State, Work
+from closedloop.step.entries import law_entry
+from closedloop.step.memory import (
+    ELASTIC_STICK,
+    RIGID_STICK,
+    SMOOTH,
+    SPRING_STICK,
+    Constants,
+    Loop,
+    State,
+    Work,
+    make_loop,
+)
 from closedloop.surface.plane import Plane
 
 Array = NDArray[np.float64]
@@ -31,6 +45,36 @@ STICK_SPEED = 1e-7
 
 
 STICKING = {"rigid": RIGID_STICK, "elastic": ELASTIC_STICK, "spring": SPRING_STICK}
+
+
+class PackedLaw(NamedTuple):
+    """A control law, or a compensation of friction, as the loop reads it.
+
+    Attributes
+    ----------
+    member : type
+        Its class.
+    numbers : array
+        Its parameters, see `closedloop.parameters.parameter_block`.
+    states : int
+        How many states it has.
+    """
+
+    member: type[ControlLaw] | type[Compensation]
+    numbers: Array
+    states: int
+
+
+def pack_law(section: ControlLaw | Compensation, n: int, joint_names: Sequence[str] = ()) -> PackedLaw:
+    """Turn a law or a compensation into numbers for n joints.
+
+    Raises
+    ------
+    ScenarioError
+        If a list has not one entry a joint.
+    """
+    where = "law" if isinstance(section, ControlLaw) else "compensation"
+    return PackedLaw(type(section), pack(section, n, where, joint_names), state_block(type(section)).count(n))
 
 
 @dataclass(frozen=True)
@@ -53,8 +97,8 @@ class Problem:
         s_v, 1/s, and s_p, 1/s².
     pd_start : float
         Instant from which the PD part of the law acts, s.
-    law, sensor : PackedLaw, PackedSensor
-        The law with its compensation and the force sensor as numbers, see `closedloop.control.pack`.
+    law, compensation, sensor : PackedLaw, PackedLaw, PackedSensor
+        The law, its compensation of friction and the force sensor as numbers.
     friction, joint_friction : (int, array)
         Number and parameters of the laws of friction, see `closedloop.friction.packing`.
     table : (steps · nodes + 1, 2 n + 11) array
@@ -85,6 +129,7 @@ class Problem:
     stabiliser: Array
     pd_start: float
     law: PackedLaw
+    compensation: PackedLaw
     friction: tuple[int, Array]
     joint_friction: tuple[int, Array]
     sensor: PackedSensor
@@ -111,8 +156,9 @@ class Problem:
 
     @property
     def gains(self) -> Array:
-        """K_p and K_d of every joint, (2, n), see `closedloop.control.paper_law`."""
-        return self.law.gains
+        """K_p and K_d of every joint, (2, n), of a law that has them."""
+        law: Any = self.scenario.law
+        return np.array([per_joint(f"law.{name}", getattr(law, name), self.robot.n) for name in ("kp", "kd")])
 
     @property
     def settings(self) -> Array:
@@ -124,48 +170,60 @@ class Problem:
         """Whether the loop needs more than the paper's law on a smooth surface."""
         return needs_more(self.scenario)
 
-    def constants(self) -> Constants:
-        """Return what the loop takes as constant."""
-        n, robot, impact = self.robot.n, self.robot, self.scenario.impact
-        constants = Constants(np.zeros(Constants.count(n)), n)
+    def loop(self, own_law: bool = False) -> Loop:
+        """Return the loop's memory at t = 0.
+
+        Parameters
+        ----------
+        own_law : bool
+            Whether a law of one's own takes the place of the scenario's law and compensation: then `state.law` is
+            still to be set, see `closedloop.engines.user_law.UserLaw`.
+        """
+        n, law, compensation = self.robot.n, self.law, self.compensation
+        own, both = (0, 0) if own_law else (law.states, law.states + compensation.states)
+        surface, joints = state_count(self.friction[0], 2), state_count(self.joint_friction[0], 1)
+        extra = both + self.sensor.states + surface + n * joints
+        sizes = {"law": law.numbers.size, "compensation": compensation.numbers.size, "extra": extra}
+        loop = make_loop(n, **sizes, stages=self.integrator.stages, ring=self.sensor.ring)
+        state = loop.state
+        state.own_law_states, state.law_states = own, both
+        if not own_law and self.more:
+            state.law = entry_address(law_entry(law.member))
+            if compensation.member is not NoCompensation:
+                state.compensation = entry_address(law_entry(compensation.member))
+        state.friction_states, state.joint_states, state.sensor_states = surface, joints, self.sensor.states
+        self._set_state(state)
+        self._set_constants(loop.constants)
+        self._set_start(state, loop.w)
+        return loop
+
+    def _set_constants(self, constants: Constants) -> None:
+        robot, impact = self.robot, self.scenario.impact
         constants.h, constants.node, constants.offset = self.h, self.h / self.nodes, self.plane.offset
         constants.s_v, constants.s_p = self.stabiliser
         constants.frame[:] = self.frame
         constants.tip[:], constants.gravity[:], constants.reach = robot.tip_offset, robot.gravity, robot.reach**2
         constants.restitution, constants.rest_speed = impact.restitution, impact.rest_speed
         constants.impact_friction, constants.stick_speed = self.friction[1][KINETIC], STICK_SPEED
-        constants.pd_start = self.pd_start
-        constants.sensor[:], constants.friction[:] = self.sensor.par, self.friction[1]
-        constants.support[:], constants.gains[:], constants.law[:] = robot.support, self.law.gains, self.law.par
-        constants.joint_friction[:] = self.joint_friction[1]
-        return constants
+        constants.sensor[:], constants.friction[:] = self.sensor.par.memory, self.friction[1]
+        constants.support[:], constants.joint_friction[:] = robot.support, self.joint_friction[1]
+        constants.law[:], constants.compensation[:] = self.law.numbers, self.compensation.numbers
 
-    def state(self, law_given: bool = False) -> State:
-        """Return the loop's whole numbers at t = 0; `law_given` if the torque comes from outside."""
-        state = State(np.zeros(State.count(), dtype=np.int64))
-        state.stages, state.steps, state.hold = self.integrator.stages, self.steps, self.hold
-        state.law = LAW_GIVEN if law_given else self.law.kind
-        state.law_states = 0 if law_given else self.law.states
-        state.nodes_per_step = self.nodes
+    def _set_state(self, state: State) -> None:
+        state.steps, state.hold, state.nodes_per_step = self.steps, self.hold, self.nodes
         state.project, state.semi_implicit = self.project, self.integrator.semi_implicit
         state.unilateral = self.scenario.surface.contact == "unilateral"
         state.impact_law = LAWS[self.scenario.impact.law]
-        kind, joints = self.friction[0], self.joint_friction[0]
-        state.friction, state.friction_states = kind, state_count(kind, 2)
+        kind = self.friction[0]
+        state.friction, state.joint_friction = kind, self.joint_friction[0]
         state.sticking = STICKING[STICKS[kind]] if kind else SMOOTH
-        state.joint_friction, state.joint_states = joints, state_count(joints, 1)
-        state.sensor_states, state.sensor_ring = self.sensor.states, self.sensor.ring
         state.sensor_sampled = self.sensor.sampled
         state.mode, state.sampled, state.risen = self.mode, 1, 1
         if self.project and self.mode != FREE:
             state.phase, state.next_phase = PROJECTING, ARRIVING
-        return state
 
-    def work(self, state: State) -> Work:
-        """Return the state at t = 0 that the loop works on; `state` from the method of that name."""
-        n, extra = self.robot.n, plain(extra_states)(state, self.robot.n)
-        sizes = (n, extra, self.integrator.stages, self.sensor.ring)
-        w = Work(np.zeros(Work.count(*sizes)), *sizes)
+    def _set_start(self, state: State, w: Work) -> None:
+        n = self.robot.n
         w.q[:], w.v[:] = self.q, self.v
         terms = self.robot.terms(self.q, self.v)
         u = self.frame @ terms.jacobian @ self.v
@@ -185,7 +243,6 @@ class Problem:
             for j in range(n):
                 w.stuck[j] = float(self.v[j] == 0.0)
                 w.z[joints + j * state.joint_states + LAST] = self.joint_friction[1][j, STATIC_EXCESS]
-        return w
 
 
 def needs_more(scenario: Scenario) -> bool:

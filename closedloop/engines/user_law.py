@@ -1,17 +1,17 @@
-"""A law of one's own inside the compiled engine: a function that numba compiles, called without Python between steps.
+"""A law of one's own as the loop calls it: a Python function or object, or a function that numba compiles.
 
-    @numba.njit
-    def press(t, q, v, terms):                # the same law for both engines
+    def press(x):                                   # x: `closedloop.control.law_input.LawInput`
+        return x.C - x.A[0] * x.f_des - 5.0 * x.v
+
+    def press(t, q, v, terms):                      # or time, q, q̇ and `Terms` of that state alone
         return terms.bias - 15.0 * terms.jacobian[2] - 5.0 * v
 
-    @numba.njit
-    def press(t, q, v, terms, torque):        # or written in place, which spares the arrays
-        for j in range(q.size):
-            torque[j] = terms.bias[j] - 15.0 * terms.jacobian[2, j] - 5.0 * v[j]
+Either may be marked `numba.njit`; it is then compiled once for the run, by itself, and called without Python between
+steps, in both engines. A compiled one may also write the torque, as its last argument, rather than return it.
 
-The law is compiled once for the run, by itself, in a fraction of a second; the loop calls it through its address, so
-that a change of the law does not compile the loop anew. It needs the terms before the loop does, so they are computed
-twice where the law is evaluated.
+An object that is called may have a `reset`, which is called at the beginning of each run; of a class given as it is, a
+new object is made for each run. A law that needs parameters in the scenario, or states that are integrated, is a
+`closedloop.control.law.ControlLaw`.
 """
 
 from __future__ import annotations
@@ -25,88 +25,188 @@ from typing import Any
 import numba
 import numpy as np
 from numba import NumbaError, types
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 
-from closedloop.control import Law
+from closedloop.control.law_input import LawInput
 from closedloop.engines.failures import not_finite, when
 from closedloop.engines.own_law import law_failure
-from closedloop.errors import (
-    LawError,
-    ScenarioError,
-    one_line,
-)
-from closedloop.events.phases import NOT_FINITE, TERMS, TERMS_AND_LAW
-from closedloop.events.table import EVENT_WIDTH
-from closedloop.jit.kernel import entry_kernel
-from closedloop.robot.pinocchio import Robot, Terms
-from closedloop.robot.tree import Tree, tree_terms, work_size
-from closedloop.step.memory import Whole, Work
+from closedloop.errors import DivergenceError, LawError, ScenarioError, one_line
+from closedloop.jit.calls import callback, compiled_address, forget_entry, interpreted_address, is_compiled
+from closedloop.jit.kernel import plain
+from closedloop.robot.pinocchio import Terms
+from closedloop.step.entries import START, TORQUE, law_input
+from closedloop.step.memory import Loop, loop_at
 
 Array = NDArray[np.float64]
+Law = Callable[..., ArrayLike]
+"""A control law of one's own: of a `LawInput`, or of time, s; q, q̇ (n,) read-only; `Terms` -> torque Q (n,), N m."""
 
-# What the loop returns beside `NOT_FINITE` and what `closedloop.events` does: the law gave too few or many torques.
-WRONG_LENGTH = -2
-
-_typeof: Any = numba.typeof  # of numba, only some is typed
+# What an entry answers when the law gave no torque.
+RAISED, NOT_FINITE, WRONG_LENGTH = 1, 2, 3
 
 _READ = {d: types.Array(types.float64, d, "C", readonly=True) for d in (1, 2)}
-# t, q, q̇, H, C, r, Jᵣ, J̇ᵣq̇ and the torque, which alone may be written; 0, or WRONG_LENGTH.
-_LAW: Any = types.int64(
-    types.float64, _READ[1], _READ[1], _READ[2], _READ[1], _READ[1], _READ[2], _READ[1], types.float64[::1]
-)
 _TERMS: Any = types.NamedTuple((_READ[2], _READ[1], _READ[1], _READ[2], _READ[1]), Terms)  # type: ignore[no-untyped-call]
+_MATRICES = ("H", "L", "A", "X", "S", "J", "frame")
+_NUMBERS = ("t", "f_des", "f_measured", "pressed")
 
 
-def is_compiled(law: Any) -> bool:
-    """Whether a law is a function of numba's; with ``NUMBA_DISABLE_JIT=1`` none is."""
-    return hasattr(law, "py_func") and hasattr(law, "targetoptions")
+def _kind_of(name: str) -> Any:
+    if name in _NUMBERS:
+        return types.float64
+    return types.float64[::1] if name == "scratch" else _READ[2 if name in _MATRICES else 1]
 
 
-def writes_torque(law: Any) -> bool:
-    """Whether a compiled law writes the torque, as its fifth argument, rather than returns it.
+_INPUT: Any = types.NamedTuple(tuple(map(_kind_of, LawInput._fields)), LawInput)  # type: ignore[no-untyped-call]
+
+
+class UserLaw:
+    """A law of one's own in a loop's memory.
+
+    Parameters
+    ----------
+    law : callable
+        See above.
+    loop : Loop
+        The memory, whose `state.law` is set.
+    compiled_loop : bool
+        Whether the loop is compiled; one that is interpreted calls Python.
+
+    Attributes
+    ----------
+    error : Exception or None
+        Why the law gave no torque, if it did not.
+    fault : str
+        What is wrong with a torque that is not finite, in words.
+    """
+
+    def __init__(self, law: Law, loop: Loop, compiled_loop: bool = True) -> None:
+        self._law, self._loop = (law() if isinstance(law, type) else law), loop
+        self.error: BaseException | None = None
+        self.fault = ""
+        self._number = 0
+        if is_compiled(law) and compiled_loop:
+            loop.state.law = compiled_address(compiled_law(law))
+        elif compiled_loop:
+            loop.state.law, self._kept = callback(self._entry)
+        else:
+            loop.state.law = self._number = interpreted_address(self._entry)
+
+    def close(self) -> None:
+        """Say that the loop does not call the law any more."""
+        forget_entry(self._number)
+
+    def failure(self) -> BaseException:
+        """Return why the law gave no torque."""
+        t = float(self._loop.w.time)
+        if self.error is None:  # a compiled one: its own words are lost on the way
+            if not np.all(np.isfinite(self._loop.w.torque)):
+                return self._not_finite(self._loop.w.torque, t)
+            self._entry(0, TORQUE)
+        return self.error or LawError(f"{when(t)}: the law failed", t)
+
+    def _not_finite(self, torque: Array, t: float) -> DivergenceError:
+        self.fault = not_finite(torque)
+        return DivergenceError(f"{when(t)}: {self.fault}", t)
+
+    def _entry(self, address: int, what: int) -> int:
+        try:
+            if what == TORQUE:
+                self._ask()
+            elif what == START and hasattr(self._law, "reset"):
+                self._law.reset()
+        except BaseException as error:  # nothing can be raised through compiled code
+            self.error = error
+            return RAISED
+        return 0
+
+    def _ask(self) -> None:
+        """Evaluate the law, check what it returns, and write that into the torque."""
+        state, constants, w = self._loop
+        t, n = float(w.time), w.q.size
+        x = _copied(plain(law_input)(state, constants, w))
+        ways = arguments_of(self._law)
+        given: tuple[Any, ...] = (x,) if ways.sees_input else (t, x.q, x.v, Terms(x.H, x.C, x.r, x.J, x.Jdot_v))
+        try:
+            if ways.writes:
+                answer: Any = np.zeros(n)
+                self._law(*given, answer)
+            else:
+                answer = self._law(*given)
+        except (Exception, SystemExit) as error:
+            raise law_failure(self._law, error, t) from error
+        fault = ""
+        try:
+            torque = np.asarray(answer)
+        except (TypeError, ValueError):  # lists of different lengths
+            torque, fault = np.zeros(0), f"{str(answer)[:60]!r}"
+        if torque.dtype.kind not in "iuf":
+            fault = f"{str(answer)[:60]!r}"
+        elif not fault and torque.shape != (n,):
+            fault = f"Q of shape {torque.shape}"
+        if fault:
+            raise not_a_torque(fault, t, n)
+        if not np.all(np.isfinite(torque)):
+            raise self._not_finite(torque, t)
+        w.torque[:] = torque
+
+
+def _copied(x: LawInput) -> LawInput:
+    """Return what a law in Python gets: arrays that may be kept, and not written to."""
+    values: list[Any] = []
+    value: Any
+    for name, value in zip(LawInput._fields, x, strict=True):
+        if name in _NUMBERS:
+            values.append(float(value))
+            continue
+        if name != "scratch":
+            value = value.copy()
+            value.setflags(write=False)
+        values.append(value)
+    return LawInput(*values)
+
+
+class Arguments:
+    """How a law is called: whether with a `LawInput`, and whether it writes the torque, as its last argument."""
+
+    def __init__(self, sees_input: bool, writes: bool) -> None:
+        self.sees_input, self.writes = sees_input, writes
+
+
+def arguments_of(law: Any) -> Arguments:
+    """Return how a law is called, from the number of its arguments.
 
     Raises
     ------
     ScenarioError
-        If it takes neither four nor five arguments.
+        If a compiled law takes none of the known numbers. (What a Python law is called with wrongly, Python says.)
     """
-    count = len(inspect.signature(law.py_func).parameters)
-    if count not in (4, 5):
+    compiled = is_compiled(law)
+    try:
+        parameters = inspect.signature(law.py_func if compiled else law).parameters.values()
+    except (TypeError, ValueError):
+        return Arguments(False, False)
+    asked = [each for each in parameters if each.default is each.empty and each.kind in _POSITIONAL]
+    count = len(asked) if not any(each.kind is each.VAR_POSITIONAL for each in parameters) else 4
+    if compiled and count not in (1, 2, 4, 5):
         raise ScenarioError(
-            f"the law {_name(law)} takes {count} arguments: must be (t, q, v, terms), returning Q, or "
-            "(t, q, v, terms, torque), writing it"
+            f"the law {_name(law)} takes {count} arguments: must be (x) or (t, q, v, terms), returning Q, or with "
+            "torque besides, writing it"
         )
-    return count == 5
+    return Arguments(count in (1, 2) and (compiled or count == 1), compiled and count in (2, 5))
 
 
-def as_returning(law: Law, n: int) -> Law:
-    """Return a law in the form that the Pinocchio engine calls; one that writes its torque gets zeros (n,) to fill."""
-    if not is_compiled(law) or not writes_torque(law):
-        return law
-    write: Any = law
+_POSITIONAL = (inspect.Parameter.POSITIONAL_ONLY, inspect.Parameter.POSITIONAL_OR_KEYWORD)
 
-    def returning(t: float, q: Array, v: Array, terms: Terms) -> Array:
-        torque = np.zeros(n)
-        write(t, q, v, terms, torque)
-        return torque
 
-    return returning
+def not_a_torque(returned: str, t: float, n: int) -> ScenarioError | LawError:
+    """Return the error of a law that returned at t, s, what is no torque of n joints; at t = 0 s nothing ran yet."""
+    what = f"the law returned {returned} at t = {t:g} s: must be {n} real numbers, one torque a joint, ({n},)"
+    return LawError(f"{when(t)}: {what}", t) if t > 0.0 else ScenarioError(what)
 
 
 @lru_cache(maxsize=32)
 def compiled_law(law: Any) -> Any:
-    """Compile a law for the loop, or say why that cannot be.
-
-    Parameters
-    ----------
-    law : function of numba.njit
-        ``law(t, q, v, terms) -> Q`` or ``law(t, q, v, terms, torque)``: t, s; q and q̇ (n,), read-only; `Terms` of that
-        state, read-only; Q (n,), N m, returned as a one-dimensional array of real numbers, or written into zeros.
-
-    Returns
-    -------
-    function
-        Of t, q, q̇, H, C, r, Jᵣ, J̇ᵣq̇ and the torque, which it writes.
+    """Return the entry of a law of numba's, or say why there can be none; see `closedloop.jit.calls`.
 
     Raises
     ------
@@ -118,20 +218,20 @@ def compiled_law(law: Any) -> Any:
             f"engine = 'compiled': the law {_name(law)} is not compiled: mark it with @numba.njit, "
             "or use the engine 'pinocchio'"
         )
-    asked: tuple[Any, ...] = (types.float64, _READ[1], _READ[1], _TERMS)
-    writes = writes_torque(law)
-    if writes:
+    ways = arguments_of(law)
+    asked: tuple[Any, ...] = (_INPUT,) if ways.sees_input else (types.float64, _READ[1], _READ[1], _TERMS)
+    if ways.writes:
         asked += (types.float64[::1],)
     try:
         law.compile(asked)
         result = law.overloads[asked].signature.return_type
-        if writes:
+        if ways.writes:
             _check(law, result, result == types.none, "must return nothing: it writes the torque")
-            return _writing(law)
-        array = isinstance(result, types.Array) and result.ndim == 1
-        real = array and isinstance(result.dtype, types.Integer | types.Float)
-        _check(law, result, real, "must be a one-dimensional array of real numbers, one torque a joint")
-        return _returning(law)
+        else:
+            array = isinstance(result, types.Array) and result.ndim == 1
+            real = array and isinstance(result.dtype, types.Integer | types.Float)
+            _check(law, result, real, "must be a one-dimensional array of real numbers, one torque a joint")
+        return _entry_of(law, ways)
     except NumbaError as error:
         raise ScenarioError(
             f"engine = 'compiled': numba cannot compile the law {_name(law)}: {_why(error)}; "
@@ -144,29 +244,72 @@ def _check(law: Any, result: Any, right: bool, cure: str) -> None:
         raise ScenarioError(f"engine = 'compiled': the law {_name(law)} returns {result}: {cure}")
 
 
-def _writing(law: Any) -> Any:
-    @numba.njit(_LAW)  # type: ignore[untyped-decorator]
-    def call(
-        t: float, q: Array, v: Array, H: Array, C: Array, r: Array, J: Array, drift: Array, torque: Array
-    ) -> int:  # fmt: skip
-        law(t, q, v, Terms(H, C, r, J, drift), torque)
-        return 0
-
-    return call
+@numba.njit(_READ[1](_READ[1]))
+def _read(x: Array) -> Array:
+    """Return an array of which compiled code can only read."""
+    return x
 
 
-def _returning(law: Any) -> Any:
-    @numba.njit(_LAW)  # type: ignore[untyped-decorator]
-    def call(
-        t: float, q: Array, v: Array, H: Array, C: Array, r: Array, J: Array, drift: Array, torque: Array
-    ) -> int:  # fmt: skip
-        answer = law(t, q, v, Terms(H, C, r, J, drift))
-        if answer.shape[0] != torque.shape[0]:
-            return WRONG_LENGTH
-        torque[:] = answer
-        return 0
+@numba.njit(_READ[2](_READ[2]))
+def _read2(x: Array) -> Array:
+    return x
 
-    return call
+
+def _entry_of(law: Any, ways: Arguments) -> Any:
+    """Return the entry of a law that has been compiled for what it asks."""
+    if ways.sees_input:
+
+        @numba.njit
+        def given(x: Any) -> Any:
+            return (
+                LawInput(
+                    x.t, _read(x.q), _read(x.v), _read2(x.H), _read(x.C), _read2(x.L), _read2(x.A), _read2(x.X),
+                    _read2(x.S), _read(x.drift), _read(x.p), _read(x.u), _read(x.r), _read2(x.J), _read(x.Jdot_v),
+                    _read2(x.frame), _read(x.q_des), _read(x.v_des), _read(x.p_des), _read(x.u_des), _read(x.a_des),
+                    x.f_des, x.f_measured, x.pressed, x.scratch,
+                ),
+            )  # fmt: skip
+
+    else:
+
+        @numba.njit
+        def given(x: Any) -> Any:
+            terms = Terms(_read2(x.H), _read(x.C), _read(x.r), _read2(x.J), _read(x.Jdot_v))
+            return x.t, _read(x.q), _read(x.v), terms
+
+    if ways.writes:
+
+        @numba.njit
+        def ask(x: Any, torque: Array) -> int:
+            torque[:] = 0.0
+            law(*given(x), torque)
+            return 0
+
+    else:
+
+        @numba.njit
+        def ask(x: Any, torque: Array) -> int:
+            answer = law(*given(x))
+            if answer.shape[0] != torque.shape[0]:
+                return WRONG_LENGTH
+            torque[:] = answer
+            return 0
+
+    @numba.njit(nogil=True)
+    def entry(address: int, what: int) -> int:
+        if what != TORQUE:
+            return 0
+        state, constants, w = loop_at(address)
+        try:
+            answer = ask(law_input(state, constants, w), w.torque)
+        except Exception:
+            return RAISED
+        for torque in w.torque:
+            if not math.isfinite(torque):
+                return NOT_FINITE
+        return int(answer)
+
+    return entry
 
 
 def _name(law: Any) -> str:
@@ -182,117 +325,3 @@ def _why(error: NumbaError) -> str:
     where = next((line for line in lines if line.startswith("File ")), "")
     what = next((line for line in told if line != where), str(type(error).__name__))
     return one_line(f"{what} ({where.rstrip(':')})" if where else what)
-
-
-@entry_kernel
-def _go_on(
-    run: Any, law: Any, request: int, tree: Tree, work: Array, constant_numbers: Array, state_numbers: Whole,
-    work_numbers: Array, table: Array, tableau: Array, rows: Array, events: Array, q: Array, v: Array, torque: Array,
-    own: Array,
-) -> int:  # fmt: skip
-    """Go on as `run` does, and evaluate the law whenever it is asked for."""
-    n = q.shape[0]
-    w = Work(work_numbers, n, 0, 0, 0)
-    H, C, J = own[0 : n * n].reshape(n, n), own[n * n : n * n + n], own[n * n + n : n * n + 4 * n].reshape(3, n)
-    at = n * n + 4 * n
-    r, drift, scratch = own[at : at + 3], own[at + 3 : at + 6], own[at + 6 :]
-    while request in (TERMS, TERMS_AND_LAW):
-        if request == TERMS_AND_LAW:
-            tree_terms(tree, q, v, scratch, H, C, J, r, drift)
-            for i in range(n):
-                torque[i] = 0.0
-                for j in range(i):
-                    H[i, j] = H[j, i]
-            status = law(w.time, q, v, H, C, r, J, drift, torque)
-            if status != 0:
-                return WRONG_LENGTH
-            for i in range(n):
-                if not math.isfinite(torque[i]):
-                    return NOT_FINITE
-        request = run(tree, work, constant_numbers, state_numbers, work_numbers, table, tableau, rows, events)
-    return request
-
-
-def loop_with_law(
-    run: Any, law: Any, call: Any, tree: Tree, work: Array, w: Work, arrays: tuple[Any, ...]
-) -> Callable[[Array], int]:
-    """Return a function of the table of events that goes on with a run, the law included; see `_go_on`.
-
-    Parameters
-    ----------
-    run : function
-        `run_compiled` or `run_compiled_with_more`.
-    law, call : functions
-        The law, and what `compiled_law` made of it.
-    tree, work, w, arrays
-        What `run` takes before the events, and the views into its memory.
-    """
-    n = w.q.shape[0]
-    views = (w.q, w.v, w.torque, np.zeros(n * n + 4 * n + 6 + work_size(n)))
-    # By address (`FunctionType`), so that one compilation serves every law; numba would make one for each.
-    numbers = [_typeof(x) for x in (tree, work, *arrays, np.zeros((1, EVENT_WIDTH)))]
-    signature = types.int64(
-        types.FunctionType(types.int64(*numbers)), types.FunctionType(_LAW), types.int64, *numbers,
-        *(_typeof(x) for x in views),
-    )  # fmt: skip
-    loop: Any = _go_on
-    entry = loop.get_compile_result(signature).entry_point
-    request = TERMS_AND_LAW
-
-    def go_on(events: Array) -> int:
-        nonlocal request
-        try:
-            answer = int(entry(run, call, request, tree, work, *arrays, events, *views))
-        except Exception as error:  # only the law can raise here
-            raise law_failure(law, error, float(w.time)) from error
-        request = TERMS
-        if answer == WRONG_LENGTH:
-            raise not_a_torque("Q of another length", float(w.time), n)
-        return answer
-
-    return go_on
-
-
-def checked_law(law: Law, robot: Robot, q: Array, v: Array) -> Callable[[float, Array], str]:
-    """Wrap a user's law: give it read-only copies, check what it returns, and write that into the torque.
-
-    The function returned takes t, s, reads the state from q and q̇ (n,), writes Q (n,), N m, and returns what is wrong
-    with it in words, or "".
-    """
-
-    if hasattr(law, "py_func"):
-        from closedloop.engines.user_law import as_returning
-
-        law = as_returning(law, robot.n)
-
-    def evaluate(t: float, torque: Array) -> str:
-        q_, v_ = q.copy(), v.copy()
-        q_.setflags(write=False)
-        v_.setflags(write=False)
-        try:
-            answer = law(t, q_, v_, robot.terms(q, v))
-        except (Exception, SystemExit) as error:
-            raise law_failure(law, error, t) from error
-        fault = ""
-        try:
-            given = np.asarray(answer)
-        except (TypeError, ValueError):  # lists of different lengths
-            given, fault = np.zeros(0), f"{str(answer)[:60]!r}"
-        if given.dtype.kind not in "iuf":
-            fault = f"{str(answer)[:60]!r}"
-        elif not fault and given.shape != torque.shape:
-            fault = f"Q of shape {given.shape}"
-        if fault:
-            raise not_a_torque(fault, t, robot.n)
-        if not np.all(np.isfinite(given)):
-            return not_finite(given)
-        torque[:] = given
-        return ""
-
-    return evaluate
-
-
-def not_a_torque(returned: str, t: float, n: int) -> ScenarioError | LawError:
-    """Return the error of a law that returned at t, s, what is no torque of n joints; at t = 0 s nothing ran yet."""
-    what = f"the law returned {returned} at t = {t:g} s: must be {n} real numbers, one torque a joint, ({n},)"
-    return LawError(f"{when(t)}: {what}", t) if t > 0.0 else ScenarioError(what)

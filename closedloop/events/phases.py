@@ -5,14 +5,13 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from closedloop.jit.kernel import kernel, kernel_inlined
-from closedloop.step.evaluate import LAW_GIVEN
+from closedloop.jit.kernel import kernel_inlined
 from closedloop.step.memory import State
 
 Array = NDArray[np.float64]
 
 # What `proceed` returns.
-DONE, TERMS, TERMS_AND_LAW, ROOM, IMPACT_LAW_WANTED, FAILED = range(6)
+DONE, TERMS, ROOM, IMPACT_LAW_WANTED, FAILED = range(5)
 
 # Phases.
 ARRIVING, STAGING, PROBING, AT_EVENT, IMPACTING, BEGINNING, PROJECTING = range(7)
@@ -53,19 +52,7 @@ def ask(state: State, phase: int) -> None:
     elif state.hold > 0:
         state.sampled = 1 if phase == ARRIVING and state.row % state.hold == 0 else 0
     else:
-        state.sampled = 0 if phase == AT_EVENT and state.law == LAW_GIVEN else 1
-
-
-@kernel
-def extra_states(state: State, n: int) -> int:
-    """Return how many numbers of state there are beside q and q̇."""
-    count = state.law_states + state.sensor_states + state.friction_states + n * state.joint_states
-    return int(count)
-
-
-# Who provides the terms.
-# What a driver may return beside what `closedloop.events` does: a compiled law gave a torque that is not finite.
-NOT_FINITE = -1
+        state.sampled = 1
 
 
 # Events for which there is room at first; the table grows as needed.

@@ -55,7 +55,6 @@ from closedloop.events.phases import (
     SET_OUT_AGAIN,
     STAGING,
     TERMS,
-    TERMS_AND_LAW,
     ask,
 )
 from closedloop.events.projection import project
@@ -64,7 +63,7 @@ from closedloop.events.transitions import apply_event, apply_impact, begin_piece
 from closedloop.jit.kernel import inlined_kernel
 from closedloop.step.advance import advance
 from closedloop.step.energy_supplied import gain, settle
-from closedloop.step.evaluate import LAW_GIVEN, evaluate, locate_tip
+from closedloop.step.evaluate import evaluate, locate_tip
 from closedloop.step.joint_friction import stick_or_slip_joints
 from closedloop.step.memory import Constants, State, Work
 from closedloop.step.record_row import record
@@ -99,7 +98,7 @@ def proceed(
     Returns
     -------
     int
-        TERMS: evaluate the terms at (q, q̇) and call again. TERMS_AND_LAW: and write the torque for w.time. ROOM:
+        TERMS: evaluate the terms at (q, q̇) and call again. ROOM:
         give a larger table of events and call again. IMPACT_LAW_WANTED: call `collide`, then again. DONE, or FAILED
         with state.status.
     """
@@ -179,4 +178,4 @@ def proceed(
         return IMPACT_LAW_WANTED
     elif todo == FAIL:
         return FAILED
-    return TERMS_AND_LAW if state.law == LAW_GIVEN and state.sampled != 0 else TERMS
+    return TERMS

@@ -16,7 +16,6 @@ from closedloop.closure.contact_force import (
     stuck_force,
 )
 from closedloop.closure.solve import CHATTER, OK
-from closedloop.control.laws import restart
 from closedloop.events.locate import cone
 from closedloop.events.phases import (
     APPLY_EVENT,
@@ -39,15 +38,15 @@ from closedloop.events.phases import (
     SET_OUT,
     TOUCHING,
     ask,
-    extra_states,
 )
 from closedloop.events.table import IMPACT, LIFTOFF, REVERSAL, SLIP_AGAIN, STICK, TOUCHDOWN, write_event
 from closedloop.friction.laws import capture_speed, contact_states, memory_delay, sliding, stick_limit, stick_states
 from closedloop.impact import CUT as ENERGY_CUT
 from closedloop.impact import MODES, energy_lost, impact
 from closedloop.jit.kernel import entry_kernel, kernel
-from closedloop.step.evaluate import LAW_GIVEN
-from closedloop.step.memory import RIGID_STICK, SPRING_STICK, Constants, State, Whole, Work
+from closedloop.step.entries import RESTART
+from closedloop.step.evaluate import tell_law
+from closedloop.step.memory import RIGID_STICK, SPRING_STICK, Constants, State, Work, loop_at
 from closedloop.step.tip_friction import delayed_speed
 
 Array = NDArray[np.float64]
@@ -249,8 +248,7 @@ def apply_impact(w: Work, constants: Constants, state: State, events: Array, mor
     log(w, constants, state, events, energy_lost(w.before, w.after, w.F))
     state.risen = 1
     if more is not None:
-        if state.law != LAW_GIVEN:
-            restart(state.law, constants.law, w.column, w.z[0 : state.law_states])
+        tell_law(state, RESTART)
         at = state.law_states + state.sensor_states
         if state.friction_states > 0:
             contact_states(w.z[at : at + state.friction_states])
@@ -271,13 +269,13 @@ def make_contact(w: Work, constants: Constants, state: State, speed: float) -> N
 
 
 @entry_kernel
-def collide(constant_numbers: Array, state_numbers: Whole, work_numbers: Array, n: int) -> None:
+def collide(address: int) -> None:
     """Find the impulses of the impact at which the machine stands, and whether it ends in contact.
 
-    It is apart from `proceed` because impacts are rare and their law takes longer to compile than all the rest.
+    The loop is found at the address, see `closedloop.step.memory.loop_at`. It is apart from `proceed` because impacts
+    are rare and their law takes longer to compile than all the rest.
     """
-    constants, state = Constants(constant_numbers, n), State(state_numbers)
-    w = Work(work_numbers, n, extra_states(state, n), state.stages, state.sensor_ring)
+    state, constants, w = loop_at(address)
     bounces = state.rushed <= MOST_RUSHED
     state.kind, w.discarded_rebound, w.restitution_given = IMPACT if bounces else TOUCHDOWN, 0.0, 0.0
     for _ in range(2):

@@ -55,7 +55,7 @@ def marks(run: Run) -> list[Mark]:
     if moves is not None:
         found += [Mark(moves[0], "motion starts"), Mark(moves[1], "motion stops")]
     if scenario.law.kind == "paper":
-        begins = scenario.law.pd_start
+        begins = getattr(scenario.law, "pd_start", None)
         if moves is not None and begins in (None, moves[0]):
             found[0] = Mark(moves[0], "PD and motion start")
         elif begins is not None:

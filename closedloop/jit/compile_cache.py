@@ -35,10 +35,12 @@ class KernelCache(_Cache):
     ----------
     function : callable
         The Python function; its source must be a file.
+    identity : str
+        Of a function made inside another, what it was made of; without it, what it encloses is looked at.
     """
 
-    def __init__(self, function: Callable[..., Any]) -> None:
-        self._function = function
+    def __init__(self, function: Callable[..., Any], identity: str = "") -> None:
+        self._function, self._made_of = function, identity
 
     @property
     def cache_path(self) -> str:
@@ -104,7 +106,7 @@ class KernelCache(_Cache):
         """Digests of what the code depends on beside the kernels: the function, what it encloses, its file."""
         cells = self._function.__closure__ or ()
         parts = (
-            dumps(tuple(cell.cell_contents for cell in cells)) if cells else b"",
+            self._made_of.encode() or (dumps(tuple(cell.cell_contents for cell in cells)) if cells else b""),
             self._function.__code__.co_code,
             Path(self._function.__code__.co_filename).read_bytes(),
         )

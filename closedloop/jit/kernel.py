@@ -57,14 +57,15 @@ def kernel_inlined(function: F) -> F:
     return _nested(function, {"error_model": "numpy", "_nrt": False, "forceinline": True})
 
 
-def entry_kernel(function: F, *, nogil: bool = True) -> F:
+def entry_kernel(function: F, *, nogil: bool = True, identity: str = "") -> F:
     """Compile `function` on first use and cache it on disk, keyed by the text of every kernel of the package.
 
-    It lets other threads of Python run unless `nogil` is false: that takes 30 ns.
+    It lets other threads of Python run unless `nogil` is false: that takes 30 ns. `identity` says, of a function made
+    inside another, what it was made of.
     """
     compiled = _njit(error_model="numpy", nogil=nogil, _nrt=False)(function)
     if not numba_settings.DISABLE_JIT and os.path.isfile(function.__code__.co_filename):
-        compiled._cache = KernelCache(function)
+        compiled._cache = KernelCache(function, identity)
     return cast(F, compiled)
 
 

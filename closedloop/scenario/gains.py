@@ -18,9 +18,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from closedloop.closure.baumgarte import linear_step
-from closedloop.control.pack import per_joint
-from closedloop.control.sections import HybridLawSection, ImpedanceLawSection, Posture, TipMotion
+from closedloop.control.laws.hybrid import HybridLaw
+from closedloop.control.laws.impedance import ImpedanceLaw
+from closedloop.control.tip_space import Posture, TipMotion
 from closedloop.integrators import ADAPTIVE, INTEGRATORS
+from closedloop.parameters import per_joint
 from closedloop.robot.pinocchio import Robot
 from closedloop.scenario.scenario import Scenario
 from closedloop.surface.plane import Plane, contact_frame
@@ -70,7 +72,7 @@ def growth(feedback: Feedback, integrator: str, h: float, hold: int = 0) -> floa
 
 
 def _early(integrator: str) -> float:
-    """Return by which share of a h² a scheme's position is ahead of a h²/2, one step h from rest at an acceleration a."""
+    """Return by which share of a h² a scheme's position is ahead of a h²/2 one step h after rest, a the acceleration."""
     scheme = INTEGRATORS.get(integrator)
     if scheme is None:  # it chooses its steps
         return 0.0
@@ -154,7 +156,7 @@ def _named(key: str, shape: Array, scenario: Scenario, robot: Robot) -> str:
     """Return a key of the law, of a gain on joints that of the joint that it damps most in a motion of this shape."""
     if key != "law.kd":
         return key
-    gains = per_joint(key, scenario.law.kd, robot.n)  # type: ignore[union-attr]
+    gains = per_joint(key, scenario.law.kd, robot.n)  # type: ignore[attr-defined]
     joint = int(np.argmax(gains * np.abs(shape) ** 2))
     return f"law.kd[{joint}] (joint {robot.joint_names[joint]})"
 
@@ -179,14 +181,14 @@ def feedbacks(scenario: Scenario, robot: Robot) -> list[Feedback]:
     if law.kind in ("paper", "hybrid"):
         kp, kd = (mobility * per_joint(f"law.{name}", getattr(law, name), n) for name in ("kp", "kd"))
         acts = np.eye(n)
-        if isinstance(law, HybridLawSection):  # T⁺T + N of `closedloop.control.hybrid`
+        if isinstance(law, HybridLaw):  # T⁺T + N of `closedloop.control.laws.hybrid`
             acts += np.linalg.pinv(A[1:]) @ A[1:] - np.linalg.pinv(A) @ A
         parts.append(Feedback("law.kp", "law.kd", kp @ acts, kd @ acts))
-    if isinstance(law, HybridLawSection) and not held:
+    if isinstance(law, HybridLaw) and not held:
         parts.append(_scalar("law.approach_damping", 0.0, "law.approach_damping", law.approach_damping))
     if isinstance(law, TipMotion):
         parts.append(_scalar("law.motion_stiffness", law.motion_stiffness, "law.motion_damping", law.motion_damping))
-    if isinstance(law, ImpedanceLawSection):
+    if isinstance(law, ImpedanceLaw):
         along = S[1:, 1:]
         parts.append(Feedback("law.stiffness", "law.damping", law.stiffness * along, law.damping * along))
         if not held:

@@ -16,17 +16,8 @@ from typing import Annotated, Any, Literal, Self
 
 from pydantic import AfterValidator, BeforeValidator, Field, ValidationError, model_validator
 
-from closedloop.control.sections import (
-    AdmittanceLawSection,
-    CompensationSection,
-    DynamicHybridLawSection,
-    HybridLawSection,
-    ImpedanceLawSection,
-    NoCompensationSection,
-    OperationalSpaceLawSection,
-    PaperLawSection,
-    SensorSection,
-)
+from closedloop.control.law import COMPENSATIONS, LAWS, Compensation, ControlLaw
+from closedloop.control.sensor import SensorSection
 from closedloop.errors import ScenarioError
 from closedloop.families import KEEP_ABSENT, Absent, Family, Member, OneOf, how_to_name, source_digest
 from closedloop.friction.sections import JointFriction, NoFriction, SurfaceFriction
@@ -192,8 +183,8 @@ class TimeSection(Section):
     integrator: IntegratorName = Field(
         "auto",
         description="semi_implicit_euler is the paper's, dop853 chooses its own steps; auto: rk4 where surface.contact "
-        "is unilateral, since a scheme of order 1 shifts impacts by up to several steps, but semi_implicit_euler with a "
-        f"friction of bristles ({', '.join(BRISTLES)}) and where contact is bilateral",
+        "is unilateral, since a scheme of order 1 shifts impacts by up to several steps, but semi_implicit_euler with "
+        f"a friction of bristles ({', '.join(BRISTLES)}) and where contact is bilateral",
     )
     tolerance: Tolerance | None = Field(
         None,
@@ -207,24 +198,6 @@ Stabiliser = Annotated[
 ]
 
 
-def _paper_unless_said(value: Any) -> Any:
-    """A law without a kind is the paper's."""
-    return {"kind": "paper"} | value if isinstance(value, dict) and "kind" not in value else value
-
-
-LawSection = Annotated[
-    PaperLawSection
-    | HybridLawSection
-    | OperationalSpaceLawSection
-    | DynamicHybridLawSection
-    | ImpedanceLawSection
-    | AdmittanceLawSection,
-    Field(discriminator="kind"),
-    BeforeValidator(_paper_unless_said),
-]
-Compensation = Annotated[CompensationSection, Field(discriminator="kind")]
-
-
 class Scenario(Section):
     """Everything that determines a run; see the sections for the keys."""
 
@@ -235,8 +208,8 @@ class Scenario(Section):
     impact: ImpactSection = ImpactSection()
     start: StartSection = StartSection()
     reference: Annotated[paths.Path, paths.PATHS] = Field(default_factory=lambda: paths.PATHS["hold"]())
-    law: LawSection
-    compensation: Compensation = NoCompensationSection()
+    law: Annotated[ControlLaw, LAWS]
+    compensation: Annotated[Compensation, COMPENSATIONS] = Field(default_factory=lambda: COMPENSATIONS["none"]())
     sensor: SensorSection = SensorSection()
     friction: SurfaceFriction = NoFriction()
     joint_friction: JointFriction = NoFriction()

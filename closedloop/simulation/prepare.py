@@ -12,10 +12,10 @@ from numpy.typing import NDArray
 import robot_models
 from closedloop.closure.baumgarte import baumgarte_gains, largest_stable_ratio, recommended_ratio
 from closedloop.closure.contact_force import FREE, PRESSED, STUCK
-from closedloop.control.pack import pack_law
+from closedloop.control.laws.paper import PaperLaw
 from closedloop.control.sensor import draws, pack_sensor
 from closedloop.control.stability import check_sampling
-from closedloop.engines.problem import STICK_SPEED, Problem
+from closedloop.engines.problem import STICK_SPEED, Problem, pack_law
 from closedloop.errors import ScenarioError
 from closedloop.events.phases import RESTING, TOUCHING
 from closedloop.friction.layout import KINDS, STICKS
@@ -103,7 +103,8 @@ def prepare(scenario: Scenario, model: RobotModel | None = None, pieces: Pieces 
     law = scenario.law
     given = getattr(law, "pd_start", None)
     start = (wanted.tip.start if given is None else given) - 1e-9 * h  # i·h and 0.5 may differ by rounding
-    packed = pack_law(law, scenario.compensation, n, pd_start=start, joint_names=model.joint_names)
+    law = law.model_copy(update={"pd_start": start}) if isinstance(law, PaperLaw) else law
+    scenario.compensation.check(law)
     check_sampling(law, scenario.compensation, scenario.sensor, law.sample_period or h)
     friction = pack(scenario.friction)
     if friction[0] and STICKS[friction[0]] != "elastic" and mode == PRESSED:
@@ -122,7 +123,8 @@ def prepare(scenario: Scenario, model: RobotModel | None = None, pieces: Pieces 
         h=h,
         stabiliser=np.array(_stabiliser_gains(scenario)),
         pd_start=start,
-        law=packed,
+        law=pack_law(law, n, model.joint_names),
+        compensation=pack_law(scenario.compensation, n, model.joint_names),
         friction=friction,
         joint_friction=pack(scenario.joint_friction, n, "joint_friction"),
         sensor=pack_sensor(scenario.sensor, h),

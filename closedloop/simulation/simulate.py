@@ -12,13 +12,13 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from closedloop.control import Law
-from closedloop.engines.failures import failure_of, interrupted, not_finite, when
+from closedloop.closure.solve import LAW_FAILED
+from closedloop.engines.failures import failure_of, interrupted
 from closedloop.engines.own_law import law_digest
-from closedloop.engines.pinocchio import AT_EVENTS, EVENT_ROOM, places_of
+from closedloop.engines.pinocchio import addresses_of, set_events
 from closedloop.engines.problem import Problem
 from closedloop.engines.specialise import COMPILED, ENGINES, PINOCCHIO, machine
-from closedloop.engines.user_law import checked_law
+from closedloop.engines.user_law import Law, UserLaw
 from closedloop.errors import (
     DivergenceError,
     InterruptedRunError,
@@ -26,7 +26,7 @@ from closedloop.errors import (
     ScenarioError,
     SimulationError,
 )
-from closedloop.events.phases import DONE, IMPACT_LAW_WANTED, NOT_FINITE, ROOM, ROOM_FOR_EVENTS, TERMS, TERMS_AND_LAW
+from closedloop.events.phases import DONE, IMPACT_LAW_WANTED, ROOM, ROOM_FOR_EVENTS, TERMS
 from closedloop.events.table import EVENT_WIDTH, event_columns
 from closedloop.events.transitions import collide
 from closedloop.integrators import ADAPTIVE, INTEGRATORS
@@ -38,7 +38,7 @@ from closedloop.record.versions import package_versions
 from closedloop.robot.tree import Tree
 from closedloop.scenario.scenario import Scenario
 from closedloop.simulation.prepare import prepare
-from closedloop.step.memory import Constants, State, Work
+from closedloop.step.memory import Loop
 from closedloop.step.record_row import RECORDED, Row, complete_record, recorded, rows_there
 from robot_models import RobotModel
 
@@ -179,47 +179,35 @@ def run_loop(
         check_engine(problem.scenario, engine, law)
         return run_adaptive(problem, law, report, keep_interrupted)
     robot, steps = problem.robot, problem.steps
-    given = law is not None
-    constants, state = problem.constants(), problem.state(given)
-    w = problem.work(state)
-    # The compiled engine asks the law by itself.
-    user_torque = None if law is None or engine == COMPILED else checked_law(law, robot, w.q, w.v)
+    loop = problem.loop(own_law=law is not None)
+    state, w = loop.state, loop.w
+    user_law = None if law is None else UserLaw(law, loop)
     rows = np.zeros((steps + 1, Row.of(robot.n).width)) if rows is None else rows
     events = np.zeros((ROOM_FOR_EVENTS, EVENT_WIDTH))
-    arrays = (problem.table, problem.integrator.tableau(), rows)
-    step, many = _driver(problem, constants, state, w, arrays, engine, law, tree, ahead)
+    more = problem.more or law is not None
+    step, many = _driver(problem, more, loop, (problem.table, problem.integrator.tableau(), rows), engine, tree)
     failure: SimulationError | None = None
-    request = TERMS if user_torque is None else TERMS_AND_LAW
+    request = TERMS
     began, first, impacts = clock.perf_counter(), engine == PINOCCHIO, False
     try:
         report(0, steps)
         while True:
             if request == TERMS:
                 request = (step if first else many)(events)
-            elif request == TERMS_AND_LAW:
-                assert user_torque is not None
-                fault = user_torque(float(w.time), w.torque)
-                if fault:
-                    t = float(w.time)
-                    failure = DivergenceError(f"{when(t)}: {fault}", t)
-                    break
-                request = step(events)
             elif request == ROOM:
                 events = np.vstack([events, np.zeros_like(events)])
                 request = step(events)
             elif request == IMPACT_LAW_WANTED:
                 struck = clock.perf_counter()
-                collide(constants.memory, state.memory, w.memory, robot.n)
+                collide(loop.address)
                 if not impacts:  # the first may have compiled it
                     began += clock.perf_counter() - struck
                 impacts = True
                 request = step(events)
             elif request == DONE:
                 break
-            elif request == NOT_FINITE:
-                t = float(w.time)
-                failure = DivergenceError(f"{when(t)}: {not_finite(w.torque)}", t)
-                break
+            elif state.status == LAW_FAILED and user_law is not None:
+                raise user_law.failure()
             else:
                 failure = failure_of(int(state.status), float(w.time), robot, problem, law, w.q, w.v)
                 break
@@ -228,8 +216,8 @@ def run_loop(
             report(int(state.row), steps)
         if failure is None:
             report(steps, steps)
-        complete_record(w.pending, rows, state.memory, int(state.row) + (failure is None), robot.n)
-    except LawError as error:
+        complete_record(loop.address, rows, int(state.row) + (failure is None))
+    except (LawError, DivergenceError) as error:
         failure = error
     except KeyboardInterrupt as stop:
         if not keep_interrupted:
@@ -239,50 +227,40 @@ def run_loop(
     done = int(state.row) + (failure is None)
     if isinstance(failure, InterruptedRunError):
         done = rows_there(state, done, robot.n)
-    complete_record(w.pending, rows, state.memory, done, robot.n)  # what an exception left; else there is nothing left
+    complete_record(loop.address, rows, done)  # what an exception left; else there is nothing left
     return rows[:done], events[: int(state.events)], failure, seconds
 
 
 def _driver(
     problem: Problem,
-    constants: Constants,
-    state: State,
-    w: Work,
-    arrays: tuple[Any, ...],
+    more: bool,
+    loop: Loop,
+    arrays: tuple[Array, Array, Array],
     engine: str,
-    law: Law | None,
     made: tuple[Tree, Array] | None,
-    ahead: int,
 ) -> tuple[Callable[[Array], int], Callable[[Array], int]]:
     """Return two functions of the table of events: they provide terms once, and as long as nothing else is asked."""
-    memory = (constants.memory, state.memory, w.memory, *arrays)
     if engine == COMPILED:
         from closedloop.engines.compiled import compiled_tree, compiled_work
 
-        run = machine(problem.more, engine, problem.robot.n, ahead)
+        run = machine(more, engine)
         tree, work = made or (compiled_tree(problem), compiled_work(problem.robot.n))
-        if law is not None:
-            from closedloop.engines.user_law import compiled_law, loop_with_law
-
-            with_law = loop_with_law(run, law, compiled_law(law), tree, work, w, memory)
-            return with_law, with_law
-        if not getattr(run, "signatures", ()):
-            direct(run, tree, work, *memory, np.zeros((0, EVENT_WIDTH)))  # compiled, or read, before the clock starts
+        if not getattr(run, "signatures", ()):  # compiled, or read, before the clock starts
+            direct(run, tree, work, loop.address, *arrays, np.zeros((0, EVENT_WIDTH)))
 
         def go_on(events: Array) -> int:
-            return run(tree, work, *memory, events)
+            return run(tree, work, loop.address, *arrays, events)
 
         return go_on, go_on
 
-    robot, proceed = problem.robot, machine(problem.more, engine, problem.robot.n, ahead)
-    table, tableau, rows = arrays
-    places = places_of(robot.views, constants, state, w, table, tableau, rows, np.zeros((0, EVENT_WIDTH)))
+    robot, proceed = problem.robot, machine(more, engine)
+    addresses = addresses_of(robot.views, loop, *arrays, np.zeros((0, EVENT_WIDTH)))
     crba, bias, convention, pinocchio, data = robot.passes
-    q, v, at = w.q, w.v, address_of(places)
+    q, v, at = loop.w.q, loop.w.v, address_of(addresses.memory)
 
     def chunk(length: int) -> Callable[[Array], int]:
         def go_on(events: Array) -> int:
-            places[AT_EVENTS], places[EVENT_ROOM] = address_of(events), events.shape[0]
+            set_events(addresses, events)
             request, call = TERMS, direct(proceed, at)
             for _ in range(length):
                 crba(pinocchio, data, q, convention)  # as in `Robot.evaluator`, without a call

@@ -25,14 +25,15 @@ from closedloop.closure.contact_force import (
     pressed_force,
     stuck_force,
 )
-from closedloop.closure.solve import DIVERGED, OK, PAINLEVE, SINGULAR
-from closedloop.control.law_input import LawInput
-from closedloop.control.laws import law_rates, law_torque, start_states
-from closedloop.control.paper import paper_law
-from closedloop.control.sensor import continuous_reading, sensor_rates
+from closedloop.closure.solve import DIVERGED, LAW_FAILED, OK, PAINLEVE, SINGULAR
+from closedloop.control.laws.paper import PaperLaw, paper_law
+from closedloop.control.sensor import SensorParameters, continuous_reading, sensor_rates
 from closedloop.friction.laws import rates
-from closedloop.jit.kernel import kernel_inlined
+from closedloop.jit.calls import call_at
+from closedloop.jit.kernel import kernel, kernel_inlined
 from closedloop.jit.simd8 import every
+from closedloop.parameters import parameter_block
+from closedloop.step.entries import RATES, START, TORQUE
 from closedloop.step.joint_friction import add_joint_friction, hold_joints, joint_friction_rates
 from closedloop.step.memory import RIGID_STICK, SPRING_STICK, Constants, State, Work
 from closedloop.step.tip_friction import surface_friction, turn_with_slip
@@ -45,8 +46,8 @@ SPEED_LIMIT = 1e4
 # A force or an acceleration beyond this is none; the figures of a run take squares, which are still numbers below it.
 LARGEST = 1e100
 
-# The law is evaluated outside (a user's Python function), or here: a number of `closedloop.control.parameters.LAWS`.
-LAW_GIVEN = -1
+# Parameters of the paper's law.
+PaperParameters = parameter_block(PaperLaw)
 
 
 @kernel_inlined
@@ -102,31 +103,28 @@ def evaluate(
     H, C : (n, n), (n,) arrays
         Terms of the state, H's upper triangle.
     w : Work
-        In: w.time, q, q̇, z, Jᵣ, r, J̇ᵣq̇ (and the torque, if the law is given or held). Written: everything else.
-    k : array
-        Constants, see `closedloop.step.memory`.
-    state : array of int
+        In: w.time, q, q̇, z, Jᵣ, r, J̇ᵣq̇ (and the torque, if it is held). Written: everything else.
+    constants, state
         See `closedloop.step.memory`.
     table : (P, 2 n + 11) array
         See `reference_row`; the last column is the noise of the force sensor.
     rows : (N, width) array
         The rows recorded so far: what the memory of friction reads.
     more : int or None
-        None: the paper's law, given or held, on a smooth surface.
+        None: the paper's law on a smooth surface.
 
     Returns
     -------
     int
-        OK, SINGULAR, NOT_POSITIVE_DEFINITE, PAINLEVE or DIVERGED.
+        OK, SINGULAR, NOT_POSITIVE_DEFINITE, PAINLEVE, DIVERGED or LAW_FAILED.
     """
     n = w.q.shape[0]
     locate_tip(w, constants)
     status = factorise(H, w.A, w.L, w.X, w.S, constants.reach)
     if status != OK:
         return status
-    law = state.law
     if more is None:
-        if law != LAW_GIVEN and state.sampled != 0:
+        if state.sampled != 0:
             reference_row(w.time, constants.node, table, n, w.reference)
             paper_torque(C, w, constants, w.time)
         status = contact_force(C, w, constants, state)
@@ -134,18 +132,15 @@ def evaluate(
             return status
     else:
         reference_row(w.time, constants.node, table, n, w.reference)
-        count, par, gains = state.law_states, constants.law, constants.gains
-        ref = w.reference
-        x = LawInput(
-            w.time, w.q, w.v, C, H, w.L, w.A, w.X, w.S, w.drift_c, w.p, w.u, ref[0:n], ref[n : 2 * n],
-            ref[2 * n : 2 * n + 3], ref[2 * n + 3 : 2 * n + 6], ref[2 * n + 6 : 2 * n + 9], ref[2 * n + 9],
-            w.measured, 0.0 if state.mode == FREE else 1.0,
-        )  # fmt: skip
-        if law != LAW_GIVEN:
-            if state.started == 0:
-                start_states(law, x, par, w.z[0:count])
-            if state.sampled != 0:
-                law_torque(law, x, par, gains, w.z[0:count], w.scratch, w.torque)
+        for i in range(n):
+            w.C[i] = C[i]
+            for j in range(i, n):
+                w.H[i, j] = H[i, j]
+                w.H[j, i] = H[i, j]
+        if state.started == 0:
+            tell_law(state, START)
+        if state.sampled != 0 and tell_law(state, TORQUE) != 0:
+            return LAW_FAILED
         state.started = 1
         surface_friction(w, constants, state, rows)
         add_joint_friction(w, constants, state, rows)
@@ -156,14 +151,13 @@ def evaluate(
             status = contact_force(C, w, constants, state)
             if status != OK:
                 return status
-        reading = w.measured
-        sensor, s = state.sensor_states, constants.sensor
+        sensor = w.z[state.law_states : state.law_states + state.sensor_states]
+        w.reading = w.measured
         if state.sensor_sampled == 0:
-            reading = continuous_reading(w.F[0], s, w.z[count : count + sensor])
-        if law != LAW_GIVEN:
-            law_rates(law, x, par, w.z[0:count], reading, w.torque, w.scratch, w.dz[0:count])
-        sensor_rates(w.F[0], s, w.z[count : count + sensor], w.dz[count : count + sensor])
-        at = count + sensor
+            w.reading = continuous_reading(w.F[0], SensorParameters(constants.sensor, 0), sensor)
+        tell_law(state, RATES)
+        at = state.law_states + state.sensor_states
+        sensor_rates(w.F[0], SensorParameters(constants.sensor, 0), sensor, w.dz[state.law_states : at])
         for i in range(at, w.z.shape[0]):
             w.dz[i] = 0.0  # with the semi-implicit scheme friction's states advance by themselves
         if state.semi_implicit == 0:
@@ -181,9 +175,17 @@ def evaluate(
 def paper_torque(C: Array, w: Work, constants: Constants, t: float) -> None:
     """Write the torque of the paper's law at t, s, with what is desired in the reference."""
     n = w.q.shape[0]
-    w.scratch[0], w.scratch[1] = w.reference[2 * n + 9], constants.pd_start
-    gains, path = constants.gains, w.reference[: 2 * n].reshape(2, n)
-    paper_law(t, w.scratch, gains, path, w.q, w.v, C, w.A, w.torque)
+    par, wanted = PaperParameters(constants.law, n), w.reference
+    paper_law(t, wanted[2 * n + 9], par, wanted[0:n], wanted[n : 2 * n], w.q, w.v, C, w.A, w.torque)
+
+
+@kernel
+def tell_law(state: State, what: int) -> int:
+    """Ask the law and its compensation for something, see `closedloop.step.entries`; 0, or the law could not."""
+    failed = call_at(state.law, state.address, what)
+    if failed == 0 and state.compensation != 0:
+        call_at(state.compensation, state.address, what)
+    return failed
 
 
 @kernel_inlined

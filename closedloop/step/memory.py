@@ -6,13 +6,16 @@ so everything that the loop keeps travels as three.
 
 from __future__ import annotations
 
-from typing import Annotated
+from typing import Annotated, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
 from closedloop.closure.conditioning import LANES, pending_rows
+from closedloop.control.sensor import SensorParameters
 from closedloop.jit.blocks import Block, Count
+from closedloop.jit.kernel import kernel_inlined
+from closedloop.jit.pointers import address_of, vector_at, whole_at
 
 Array = NDArray[np.float64]
 Whole = NDArray[np.int64]
@@ -20,8 +23,8 @@ Whole = NDArray[np.int64]
 # How the surface's law of friction sticks, `State.sticking`.
 SMOOTH, RIGID_STICK, ELASTIC_STICK, SPRING_STICK = range(4)
 
-# Parameters of a control law beside 2 for each joint, and of a law of friction.
-LAW_WIDTH, FRICTION_WIDTH = 18, 12
+# Parameters of a law of friction.
+FRICTION_WIDTH = 12
 
 # Sizes: joints, numbers of state beside q and q̇, stages of the integrator, samples that the sensor keeps.
 N, K, STAGES, RING = (Count.of(size) for size in ("n", "k", "stages", "ring"))
@@ -34,8 +37,10 @@ class State(Block):
     stages: int  # of the integrator
     steps: int
     hold: int  # steps for which a sampled torque is held; 0: the law is evaluated at every stage
-    law: int  # see `closedloop.control.parameters.LAWS`, or LAW_GIVEN
-    law_states: int
+    law: int  # address of the control law's entry, see `closedloop.step.entries`
+    compensation: int  # and of its compensation's; 0: none
+    own_law_states: int  # of the law alone
+    law_states: int  # of the law and its compensation
     project: int
     unilateral: int
     impact_law: int
@@ -49,6 +54,16 @@ class State(Block):
     sensor_states: int
     sensor_ring: int
     sensor_sampled: int
+    # Where its memory is: addresses, its own first, and sizes.
+    address: int
+    n: int  # joints
+    extra: int  # numbers of state beside q and q̇
+    law_size: int
+    compensation_size: int
+    constants_at: int
+    constants_size: int
+    work_at: int
+    work_size: int
     # Where the loop stands.
     phase: int
     row: int
@@ -71,7 +86,7 @@ class State(Block):
     pending: int
 
 
-class Constants(Block, sizes=("n",)):
+class Constants(Block, sizes=("n", "law", "compensation")):
     """What does not change during a run of n joints."""
 
     h: float  # step, s
@@ -83,17 +98,16 @@ class Constants(Block, sizes=("n",)):
     rest_speed: float
     impact_friction: float
     stick_speed: float
-    pd_start: float
     reach: float  # of the arm, squared
     frame: Annotated[Array, 3, 3]  # rows n, t1, t2, base axes
     tip: Annotated[Array, 3]  # in the frame of the joint that carries it
     gravity: Annotated[Array, 3]
-    sensor: Annotated[Array, 4]
+    sensor: Annotated[Array, SensorParameters.count(0)]
     friction: Annotated[Array, FRICTION_WIDTH]
     support: Annotated[Array, N]
-    gains: Annotated[Array, 2, N]  # K_p, K_d
-    law: Annotated[Array, LAW_WIDTH + 2 * N]
     joint_friction: Annotated[Array, N, FRICTION_WIDTH]
+    law: Annotated[Array, Count.of("law")]  # parameters, see `closedloop.parameters`
+    compensation: Annotated[Array, Count.of("compensation")]
 
 
 # Single numbers and parts of a fixed size come first, then those of the joints: what a step touches is then at short
@@ -118,7 +132,8 @@ class Work(Block, sizes=("n", "k", "stages", "ring")):
     start_gap: float
     start_slip_speed: float
     last_event: float  # its instant
-    measured: float  # reading of the force sensor
+    measured: float  # reading of the force sensor, of the latest row
+    reading: float  # and at this instant
     delayed_slip: float  # speed of slip that friction with memory answers to
     discarded_rebound: float  # of a restitution too slow to leave the surface, m/s
     straight: float  # slip up to this speed, m/s, is resisted along `direction`, whichever way it points
@@ -160,6 +175,8 @@ class Work(Block, sizes=("n", "k", "stages", "ring")):
     A: Annotated[Array, 3, N]  # contact frame
     X: Annotated[Array, 3, N]  # L⁻¹Aᵀ
     reference: Annotated[Array, 2 * N + 10]  # row of the table at this instant
+    H: Annotated[Array, N, N]  # for laws that are called by address, as C
+    C: Annotated[Array, N]
     L: Annotated[Array, N, N]
     gain: Annotated[Array, N, N]  # answer of q̈ to friction in each joint
     pending: Annotated[Array, pending_rows(N), LANES]  # see `closedloop.closure.conditioning`
@@ -170,3 +187,58 @@ class Work(Block, sizes=("n", "k", "stages", "ring")):
     slope: Annotated[Array, N + K]  # q̈ and ż there
     stages: Annotated[Array, STAGES, 2 * N + K]  # see `closedloop.step.advance.advance`
     ring: Annotated[Array, RING]  # latest samples of the force sensor
+
+
+STATE_COUNT = State.count()
+
+
+@kernel_inlined
+def loop_at(address: int) -> tuple[State, Constants, Work]:
+    """Return the loop's memory, by the address of its `State`."""
+    state = State(whole_at(address, STATE_COUNT))
+    n = state.n
+    constants = Constants(
+        vector_at(state.constants_at, state.constants_size), n, state.law_size, state.compensation_size
+    )
+    w = Work(vector_at(state.work_at, state.work_size), n, state.extra, state.stages, state.sensor_ring)
+    return state, constants, w
+
+
+class Loop(NamedTuple):
+    """The loop's memory, made in Python: kept as long as its address is used."""
+
+    state: State
+    constants: Constants
+    w: Work
+
+    @property
+    def address(self) -> int:
+        """Return what `loop_at` takes."""
+        return int(self.state.address)
+
+
+def make_loop(n: int, *, law: int = 0, compensation: int = 0, extra: int = 0, stages: int = 1, ring: int = 1) -> Loop:
+    """Return a loop's memory, zero everywhere.
+
+    Parameters
+    ----------
+    n : int
+        Joints.
+    law, compensation : int
+        How many numbers their parameters are.
+    extra : int
+        Numbers of state beside q and q̇.
+    stages : int
+        Of the integrator.
+    ring : int
+        Samples that the force sensor keeps.
+    """
+    state = State(np.zeros(STATE_COUNT, dtype=np.int64))
+    constants = Constants(np.zeros(Constants.count(n, law, compensation)), n, law, compensation)
+    w = Work(np.zeros(Work.count(n, extra, stages, ring)), n, extra, stages, ring)
+    state.address = address_of(state.memory)
+    state.n, state.extra, state.stages, state.sensor_ring = n, extra, stages, ring
+    state.law_size, state.compensation_size = law, compensation
+    state.constants_at, state.constants_size = address_of(constants.memory), constants.memory.size
+    state.work_at, state.work_size = address_of(w.memory), w.memory.size
+    return Loop(state, constants, w)

@@ -9,10 +9,10 @@ from numpy.typing import NDArray
 
 from closedloop.closure.conditioning import LANES, LONG, condition_of_long, conditions, leave
 from closedloop.closure.contact_force import FREE, STUCK, residuals
-from closedloop.control.sensor import sense
+from closedloop.control.sensor import SensorParameters, sense
 from closedloop.jit.kernel import entry_kernel, kernel, kernel_inlined
 from closedloop.jit.simd8 import select
-from closedloop.step.memory import RIGID_STICK, Constants, State, Whole, Work
+from closedloop.step.memory import RIGID_STICK, Constants, State, Work, loop_at
 
 Array = NDArray[np.float64]
 
@@ -74,9 +74,10 @@ def record_conditions(pending: Array, rows: Array, state: State, done: int, n: i
 
 
 @entry_kernel
-def complete_record(pending: Array, rows: Array, state_numbers: Whole, done: int, n: int) -> None:
-    """Write what the last of `done` rows still lack, at the end of a run; see `record`."""
-    record_conditions(pending, rows, State(state_numbers), done, n)
+def complete_record(address: int, rows: Array, done: int) -> None:
+    """Write what the last of `done` rows of the loop at an address still lack, at the end of a run; see `record`."""
+    state, _, w = loop_at(address)
+    record_conditions(w.pending, rows, state, done, state.n)
 
 
 def rows_there(state: State, done: int, n: int) -> int:
@@ -147,7 +148,7 @@ def record(
     else:
         count, sensor = state.law_states, state.sensor_states
         w.measured = sense(
-            w.F[0], place, constants.sensor, w.z[count : count + sensor],
+            w.F[0], place, SensorParameters(constants.sensor, 0), w.z[count : count + sensor],
             table[place * state.nodes_per_step, 2 * n + 10], w.ring[0 : state.sensor_ring],
         )  # fmt: skip
     row[at + 10] = w.measured

@@ -11,13 +11,13 @@ import numpy as np
 
 import closedloop as cl
 import robot_models
+from closedloop.control.compensation.none import NoCompensation
 from closedloop.control.law_input import LawInput
-from closedloop.control.laws import law_rates, law_torque, start_states
-from closedloop.control.pack import pack_law
-from closedloop.control.parameters import work_size
-from closedloop.control.sections import SensorSection
-from closedloop.control.sensor import pack_sensor
-from closedloop.jit.kernel import entry_kernel
+from closedloop.control.sensor import SensorSection, pack_sensor
+from closedloop.engines.problem import pack_law
+from closedloop.jit.kernel import entry_kernel, kernel
+from closedloop.parameters import parameter_block, state_block
+from closedloop.step.entries import identity_of
 from closedloop.surface.plane import contact_frame
 
 # Where the arms press, and how their surface lies.
@@ -35,16 +35,29 @@ POSES = {
 }
 
 
-@entry_kernel
-def cached_torque(kind, x, par, gains, z, work, torque):
-    """Do `law_torque`, compiled once for all sessions."""
-    law_torque(kind, x, par, gains, z, work, torque)
+@cache
+def functions(member):
+    """Return torque, rates, start and restart of a law or a compensation, compiled, of flat arrays."""
+    Parameters, States = parameter_block(member), state_block(member)
+    torque_of, rates_of, start_of, restart_of = (kernel(getattr(member, name)) for name in FUNCTIONS)
+
+    def torque(x, par, z, Q):
+        torque_of(x, Parameters(par, Q.size), States(z, Q.size), Q)
+
+    def rates(x, par, z, f, Q, dz):
+        rates_of(x, Parameters(par, Q.size), States(z, Q.size), f, Q, States(dz, Q.size))
+
+    def start(x, par, z):
+        start_of(x, Parameters(par, x.q.size), States(z, x.q.size))
+
+    def restart(dv, par, z):
+        restart_of(dv, Parameters(par, dv.size), States(z, dv.size))
+
+    made_of = identity_of(member)
+    return tuple(entry_kernel(each, identity=f"{made_of} {each.__name__}") for each in (torque, rates, start, restart))
 
 
-@entry_kernel
-def cached_rates(kind, x, par, z, f, torque, work, dz):
-    """Do `law_rates`, compiled once for all sessions."""
-    law_rates(kind, x, par, z, f, torque, work, dz)
+FUNCTIONS = ("torque", "rates", "start", "restart")
 
 
 @cache
@@ -85,13 +98,17 @@ class Loop:
         self.v = np.zeros(n) if v is None else np.array(v, dtype=float)
         self.q_start = self.q.copy()
         self.p_start = self.frame @ self.robot.position(self.q)
-        self.packed = pack_law(law, compensation, n)
-        self.z = np.zeros(self.packed.states)
+        if getattr(law, "pd_start", 0.0) is None:
+            law = law.model_copy(update={"pd_start": 0.0})
+        self.law, self.compensation = law, NoCompensation() if compensation is None else compensation
+        self.compensation.check(law)
+        self.packed = [pack_law(section, n) for section in (self.law, self.compensation)]
+        self.z = np.zeros(sum(each.states for each in self.packed))
         self.f_des = law.force if force is None else force
         self.f_measured = self.f_des
         self.t = 0.0
         self.pressed = 1.0
-        self.work = np.zeros(work_size(n))
+        self.scratch = np.zeros(n * n + 3 * n + 224)
         # Wanted motion: displacement, velocity, acceleration from the start, contact frame.
         self.path = lambda t: (np.zeros(3), np.zeros(3), np.zeros(3))
         self.joints = lambda t: (self.q_start, np.zeros(n))
@@ -99,9 +116,25 @@ class Loop:
         self.stuck = None  # where the tip sticks
         self.restart()
 
+    def parts(self, z):
+        """Return the law's functions, parameters and states, and the compensation's."""
+        own = self.packed[0].states
+        return [
+            (functions(packed.member), packed.numbers, states)
+            for packed, states in zip(self.packed, (z[:own], z[own:]), strict=True)
+        ]
+
     def restart(self):
         """Write the law's states as they are at the start of a run from this state."""
-        start_states(self.packed.kind, self.moment(self.t, self.q, self.v)[0], self.packed.par, self.z)
+        self.z[:] = 0.0
+        x = self.moment(self.t, self.q, self.v)[0]
+        for (_, _, start, _), par, z in self.parts(self.z):
+            start(x, par, z)
+
+    def jump(self, dv):
+        """Tell the law of an impact."""
+        for (*_, restart), par, z in self.parts(self.z):
+            restart(dv, par, z)
 
     def moment(self, t, q, v):
         """Return what the law knows at this state, and the terms."""
@@ -114,25 +147,29 @@ class Loop:
         shift, u_des, a_des = self.path(t)
         q_des, v_des = self.joints(t)
         x = LawInput(
-            float(t), q.copy(), v.copy(), C, H, np.ascontiguousarray(L), A, X, X @ X.T, self.frame @ terms.drift,
-            self.frame @ terms.position, A @ v, np.array(q_des), np.array(v_des), self.p_start + shift,
-            np.array(u_des), np.array(a_des), float(self.f_des), float(self.f_measured), float(self.pressed),
+            t=float(t), q=q.copy(), v=v.copy(), H=H, C=C, L=np.ascontiguousarray(L), A=A, X=X, S=X @ X.T,
+            drift=self.frame @ terms.drift, p=self.frame @ terms.position, u=A @ v, r=terms.position.copy(),
+            J=np.ascontiguousarray(terms.jacobian), Jdot_v=terms.drift.copy(), frame=np.ascontiguousarray(self.frame),
+            q_des=np.array(q_des), v_des=np.array(v_des), p_des=self.p_start + shift, u_des=np.array(u_des),
+            a_des=np.array(a_des), f_des=float(self.f_des), f_measured=float(self.f_measured),
+            pressed=float(self.pressed), scratch=self.scratch,
         )  # fmt: skip
         return x, terms
 
     def torque(self, x, z=None):
         """Return Q."""
         torque = np.zeros(self.n)
-        cached_torque(
-            self.packed.kind, x, self.packed.par, self.packed.gains, self.z if z is None else z, self.work, torque
-        )
+        for (write, *_), par, states in self.parts(self.z if z is None else z):
+            write(x, par, states, torque)
         return torque
 
     def rates(self, x, f, torque, z=None):
         """Return ż."""
         z = self.z if z is None else z
         dz = np.zeros_like(z)
-        cached_rates(self.packed.kind, x, self.packed.par, z, float(f), torque, self.work, dz)
+        own = self.packed[0].states
+        for ((_, write, *_), par, states), rates in zip(self.parts(z), (dz[:own], dz[own:]), strict=True):
+            write(x, par, states, float(f), torque, rates)
         return dz
 
     def evaluate(self, t, q, v, z):

@@ -6,24 +6,20 @@ import numpy as np
 import pytest
 from control_loop import Loop, force_loop_radius
 
-from closedloop.control.parameters import RATE
-from closedloop.control.sections import (
-    AdmittanceLawSection,
-    DynamicHybridLawSection,
-    HybridLawSection,
-    ImpedanceLawSection,
-    ModelCompensationSection,
-    ObserverCompensationSection,
-    OperationalSpaceLawSection,
-    PaperLawSection,
-    SensorSection,
-)
-from closedloop.control.sensor import pack_sensor, sense, sensor_rates, start_sensor
+from closedloop.control.compensation.model import ModelCompensation
+from closedloop.control.compensation.observer import ObserverCompensation
+from closedloop.control.laws.admittance import AdmittanceLaw
+from closedloop.control.laws.dynamic_hybrid import DynamicHybridLaw
+from closedloop.control.laws.hybrid import HybridLaw
+from closedloop.control.laws.impedance import ImpedanceLaw
+from closedloop.control.laws.operational_space import OperationalSpaceLaw
+from closedloop.control.laws.paper import PaperLaw
+from closedloop.control.sensor import SensorSection, pack_sensor, sense, sensor_rates, start_sensor
 from closedloop.control.stability import check_sampling, force_loop_settles
 from closedloop.errors import ScenarioError
 
-SECTIONS = (OperationalSpaceLawSection, DynamicHybridLawSection, ImpedanceLawSection, AdmittanceLawSection)
-JOINT_LAWS = (partial(PaperLawSection, kp=400.0, kd=30.0), partial(HybridLawSection, kp=400.0, kd=30.0))
+SECTIONS = (OperationalSpaceLaw, DynamicHybridLaw, ImpedanceLaw, AdmittanceLaw)
+JOINT_LAWS = (partial(PaperLaw, kp=400.0, kd=30.0), partial(HybridLaw, kp=400.0, kd=30.0))
 
 
 def push(loop, d):
@@ -51,7 +47,7 @@ def test_integral_feedback_alone_decays_exponentially(section, name):
 def test_proportional_and_integral_feedback():
     """With both, the error under a constant load is d/(1 + K_f) exp(−K_I t/(1 + K_f)), once the samples settled."""
     K_f, K_I, d = 0.5, 20.0, 2.0
-    loop = Loop("wam4", OperationalSpaceLawSection(force_feedback=K_f, force_integral=K_I))
+    loop = Loop("wam4", OperationalSpaceLaw(force_feedback=K_f, force_integral=K_I))
     push(loop, d)
     run = loop.run(0.12, h=2.5e-4)
     e = run["f"] - 10.0
@@ -63,7 +59,7 @@ def test_proportional_and_integral_feedback():
 
 def test_proportional_feedback_leaves_a_share_of_the_error():
     """With K_f alone d/(1 + K_f) of the error stays: the fixed point of the sampled loop."""
-    loop = Loop("panda", DynamicHybridLawSection(force_feedback=0.6))
+    loop = Loop("panda", DynamicHybridLaw(force_feedback=0.6))
     push(loop, 2.0)
     assert loop.run(0.06)["f"][-1] - 10.0 == pytest.approx(2.0 / 1.6, abs=1e-8)
 
@@ -74,10 +70,10 @@ def test_joint_friction_disturbs_the_force_as_predicted(name):
     rng = np.random.default_rng(4)
     n = len(Loop(name, SECTIONS[0]()).q)
     v = rng.uniform(0.1, 0.3, n) * rng.choice([-1.0, 1.0], n)
-    known = ModelCompensationSection(joint_coulomb=0.8, joint_viscous=0.3, joint_smoothing_speed=1e-12)
+    known = ModelCompensation(joint_coulomb=0.8, joint_viscous=0.3, joint_smoothing_speed=1e-12)
     errors = []
     for compensation in (None, known):
-        loop = Loop(name, OperationalSpaceLawSection(), compensation, v=v)
+        loop = Loop(name, OperationalSpaceLaw(), compensation, v=v)
         loop.friction.joint_coulomb, loop.friction.joint_viscous = 0.8, 0.3
         loop.joints = lambda t: (loop.q_start, v)  # noqa: B023 - evaluated at once
         x, _ = loop.moment(0.0, loop.q, v)
@@ -95,19 +91,19 @@ def test_joint_friction_disturbs_the_force_as_predicted(name):
 
 def test_observer_takes_a_constant_load_out():
     """A load on the joints is estimated with the rate K_o, and the force error goes with exp(−K_o t)."""
-    loop = Loop("wam4", OperationalSpaceLawSection(), ObserverCompensationSection(rate=50.0))
+    loop = Loop("wam4", OperationalSpaceLaw(), ObserverCompensation(rate=50.0))
     push(loop, 2.5)
     run = loop.run(0.1, h=1e-3, scheme="rk4")
     e = run["f"] - 10.0
     assert np.max(np.abs(e - 2.5 * np.exp(-50.0 * run["t"]))) < 1e-6
     x, _ = loop.moment(0.0, loop.q, loop.v)
-    estimate = loop.packed.par[RATE] * (loop.v - loop.z)
+    estimate = 50.0 * (loop.v - loop.z[loop.packed[0].states :])
     assert x.H @ estimate == pytest.approx(loop.disturbance, abs=0.01 * np.max(np.abs(loop.disturbance)))
 
 
 def test_admittance_moves_its_set_point_until_the_force_is_right():
     """M ẍ + (B + K_v/S) ẋ + K_p/S x = d, and f − f_des = d − (K_v ẋ + K_p x)/S, from the two roots of it."""
-    law = AdmittanceLawSection(admittance_inertia=2.0, admittance_damping=150.0)
+    law = AdmittanceLaw(admittance_inertia=2.0, admittance_damping=150.0)
     loop = Loop("wam4", law)
     push(loop, 2.0)
     S = loop.moment(0.0, loop.q, loop.v)[0].S[0, 0]
@@ -168,9 +164,9 @@ def test_largest_feedback_is_where_the_sampled_loop_starts_to_diverge(section, p
             forces = sampled_force(*pair, section, period)
             early, late = np.ptp(forces[100:200]), np.ptp(forces[-100:])
             assert (late < early) == (factor < 1.0), (gain, low)
-        check_sampling(OperationalSpaceLawSection(**{gain: 0.98 * low}), None, section, period)
+        check_sampling(OperationalSpaceLaw(**{gain: 0.98 * low}), None, section, period)
         with pytest.raises(ScenarioError, match=rf"law\.{gain} = .* must be below ") as refused:
-            check_sampling(OperationalSpaceLawSection(**{gain: 1.02 * low}), None, section, period)
+            check_sampling(OperationalSpaceLaw(**{gain: 1.02 * low}), None, section, period)
         assert float(str(refused.value).split("must be below ")[1].split()[0]) == pytest.approx(low, rel=0.02)
 
 
@@ -223,7 +219,7 @@ def test_fast_feedback_behind_a_low_pass_in_the_closed_loop():
     """K_f = 5 behind a 20 ms low-pass settles in the arm's own loop at d/(1 + K_f)."""
     section = SensorSection(filter_time_constant=0.02)
     sensor = pack_sensor(section, 1e-3)
-    loop = Loop("wam4", OperationalSpaceLawSection(force_feedback=5.0))
+    loop = Loop("wam4", OperationalSpaceLaw(force_feedback=5.0))
     ring, y, dy = np.zeros(sensor.ring), np.zeros(1), np.zeros(1)
     start_sensor(10.0, sensor.par, y, ring)
     push(loop, 3.0)
@@ -237,18 +233,18 @@ def test_fast_feedback_behind_a_low_pass_in_the_closed_loop():
 
 def test_observer_faster_than_its_sensor_is_refused():
     """K_o h must stay below 1, and K_o below what a late sensor allows: beyond that the arm's own loop grows."""
-    law = OperationalSpaceLawSection()
-    check_sampling(law, ObserverCompensationSection(rate=999.0), SensorSection(), 1e-3)
+    law = OperationalSpaceLaw()
+    check_sampling(law, ObserverCompensation(rate=999.0), SensorSection(), 1e-3)
     with pytest.raises(ScenarioError, match=r"compensation\.rate = 1000: diverges .* must be below 1000"):
-        check_sampling(law, ObserverCompensationSection(rate=1000.0), SensorSection(), 1e-3)
+        check_sampling(law, ObserverCompensation(rate=1000.0), SensorSection(), 1e-3)
     late = SensorSection(delay=0.01)
     with pytest.raises(ScenarioError, match=r"compensation\.rate = 900: .* must be below ") as refused:
-        check_sampling(law, ObserverCompensationSection(rate=900.0), late, 1e-3)
+        check_sampling(law, ObserverCompensation(rate=900.0), late, 1e-3)
     limit = float(str(refused.value).rsplit(maxsplit=1)[1])
     assert 100.0 < limit < 200.0
     grown = []
     for rate in (0.9 * limit, 1.1 * limit):
-        loop = Loop("wam4", law, ObserverCompensationSection(rate=rate))
+        loop = Loop("wam4", law, ObserverCompensation(rate=rate))
         sensor = pack_sensor(late, 1e-3)
         ring, readings = np.full(sensor.ring, 10.0), loop.rates
         loop.rates = lambda x, f, torque, z=None: readings(x, loop.f_measured, torque, z)  # noqa: B023 - used at once

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 import closedloop as cl
-from closedloop.control.parameters import LAWS
+from closedloop.control.law import LAWS
 
 ARMS = {
     "wam4": ("wam_slide", {"law.kp": 400.0, "law.kd": 30.0}),

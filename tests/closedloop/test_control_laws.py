@@ -1,41 +1,41 @@
 """The control laws on a rigid, frictionless plane: what holds exactly for every arm, and what each law promises."""
 
+from types import SimpleNamespace
+
 import numpy as np
 import pytest
 from control_loop import POSES, Loop, arm
 
 import closedloop as cl
-from closedloop.control import paper_law
-from closedloop.control.pack import pack_law
-from closedloop.control.sections import (
-    AdaptiveCompensationSection,
-    AdmittanceLawSection,
-    DynamicHybridLawSection,
-    HybridLawSection,
-    ImpedanceLawSection,
-    ModelCompensationSection,
-    ObserverCompensationSection,
-    OperationalSpaceLawSection,
-    PaperLawSection,
-)
+from closedloop.control.compensation.adaptive import AdaptiveCompensation
+from closedloop.control.compensation.model import ModelCompensation
+from closedloop.control.compensation.observer import ObserverCompensation
+from closedloop.control.laws.admittance import AdmittanceLaw
+from closedloop.control.laws.dynamic_hybrid import DynamicHybridLaw
+from closedloop.control.laws.hybrid import HybridLaw
+from closedloop.control.laws.impedance import ImpedanceLaw
+from closedloop.control.laws.operational_space import OperationalSpaceLaw
+from closedloop.control.laws.paper import PaperLaw, paper_law
 from closedloop.control.tip_space import pseudo_inverse, surface_mobility
+from closedloop.engines.problem import pack_law
+from closedloop.jit.kernel import plain
 
 LAWS = {
-    "paper": PaperLawSection(kp=400.0, kd=30.0),
-    "hybrid": HybridLawSection(kp=400.0, kd=30.0),
-    "operational_space": OperationalSpaceLawSection(),
-    "dynamic_hybrid": DynamicHybridLawSection(),
-    "impedance": ImpedanceLawSection(),
-    "admittance": AdmittanceLawSection(),
+    "paper": PaperLaw(kp=400.0, kd=30.0),
+    "hybrid": HybridLaw(kp=400.0, kd=30.0),
+    "operational_space": OperationalSpaceLaw(),
+    "dynamic_hybrid": DynamicHybridLaw(),
+    "impedance": ImpedanceLaw(),
+    "admittance": AdmittanceLaw(),
 }
 # Laws that invert the arm's dynamics, so that motion and force obey linear equations of their own.
 EXACT = ("operational_space", "dynamic_hybrid", "impedance", "admittance")
 LINEAR_MOTION = ("operational_space", "dynamic_hybrid", "admittance")
 COMPENSATIONS = {
     "none": None,
-    "model": ModelCompensationSection(kinetic=0.2, viscous=2.0, joint_coulomb=0.5, joint_viscous=0.1),
-    "observer": ObserverCompensationSection(),
-    "adaptive": AdaptiveCompensationSection(),
+    "model": ModelCompensation(kinetic=0.2, viscous=2.0, joint_coulomb=0.5, joint_viscous=0.1),
+    "observer": ObserverCompensation(),
+    "adaptive": AdaptiveCompensation(),
 }
 
 
@@ -147,14 +147,13 @@ def test_torque_does_not_depend_on_the_tangents(kind, compensation):
 
 def test_paper_law_through_the_family_is_eq_33_to_the_last_bit():
     """Chosen by name, the paper's law gives the numbers of `paper_law` itself, before and after the PD part starts."""
-    law = PaperLawSection(kp=(900, 900, 400, 300), kd=(60, 60, 30, 20), force=7.3)
+    law = PaperLaw(kp=(900, 900, 400, 300), kd=(60, 60, 30, 20), force=7.3)
     loop, x = drawn("wam4", law, 5)
     for start in (-1.0, 1.0):
-        loop.packed = pack_law(law, None, 4, pd_start=start)
+        loop.packed[0] = pack_law(law.model_copy(update={"pd_start": start}), 4)
         expected = np.zeros(4)
-        gains = np.array([law.kp, law.kd])
-        path = np.array([x.q_des, x.v_des])
-        paper_law(x.t, np.array([x.f_des, start]), gains, path, x.q, x.v, x.C, x.A, expected)
+        par = SimpleNamespace(kp=np.array(law.kp), kd=np.array(law.kd), pd_start=start)
+        plain(paper_law)(x.t, x.f_des, par, x.q_des, x.v_des, x.q, x.v, x.C, x.A, expected)
         assert np.array_equal(loop.torque(x), expected)
 
 
@@ -162,8 +161,8 @@ def test_paper_law_through_the_family_is_eq_33_to_the_last_bit():
 def test_the_two_inverse_dynamics_agree_without_redundancy(name):
     """Khatib's law and Yoshikawa's are one where the tip fixes all joints, and differ only within a redundant arm."""
     laws = (
-        OperationalSpaceLawSection(posture_stiffness=9.0, posture_damping=2.0),
-        DynamicHybridLawSection(posture_stiffness=9.0, posture_damping=2.0),
+        OperationalSpaceLaw(posture_stiffness=9.0, posture_damping=2.0),
+        DynamicHybridLaw(posture_stiffness=9.0, posture_damping=2.0),
     )
     torques, accelerations = [], []
     for law in laws:
@@ -198,7 +197,7 @@ def test_redundant_joints_go_to_their_posture_and_leave_the_tip(name, kind):
 
 def test_hybrid_is_stable_where_the_inverse_jacobian_is_not():
     """With J⁻¹S a two-joint arm has postures in which positive gains push away; with (S J)⁺, as here, none is found."""
-    law = HybridLawSection(kp=100.0, kd=1.0)
+    law = HybridLaw(kp=100.0, kd=1.0)
     lowest = {"ours": [], "inverse": []}
     for elbow in np.linspace(-2.8, -0.3, 40):
         loop = Loop("planar2", law, q=(0.6, elbow))
@@ -218,7 +217,7 @@ def test_hybrid_is_stable_where_the_inverse_jacobian_is_not():
 
 def test_impedance_yields_to_a_push_like_its_spring():
     """A push along the surface moves the tip by F/K, and a p_des below the surface adds K_n times the depth to f."""
-    law = ImpedanceLawSection(stiffness=1000.0, damping=110.0, normal_stiffness=800.0)
+    law = ImpedanceLaw(stiffness=1000.0, damping=110.0, normal_stiffness=800.0)
     loop = Loop("wam4", law)
     push = np.array([0.0, 0.4, -0.3])
     free = loop.evaluate
@@ -240,11 +239,11 @@ def test_impedance_yields_to_a_push_like_its_spring():
 @pytest.mark.parametrize(
     ("law", "speed"),
     [
-        (HybridLawSection(kp=400.0, kd=30.0, approach_speed=0.03), 0.03),
-        (OperationalSpaceLawSection(approach_speed=0.04), 0.04),
-        (DynamicHybridLawSection(approach_speed=0.04), 0.04),
-        (ImpedanceLawSection(normal_damping=400.0), 10.0 / 400.0),
-        (AdmittanceLawSection(admittance_damping=500.0), 10.0 / 500.0),
+        (HybridLaw(kp=400.0, kd=30.0, approach_speed=0.03), 0.03),
+        (OperationalSpaceLaw(approach_speed=0.04), 0.04),
+        (DynamicHybridLaw(approach_speed=0.04), 0.04),
+        (ImpedanceLaw(normal_damping=400.0), 10.0 / 400.0),
+        (AdmittanceLaw(admittance_damping=500.0), 10.0 / 500.0),
     ],
     ids=lambda value: value.kind if hasattr(value, "kind") else "",
 )

@@ -4,49 +4,45 @@ from typing import Annotated
 
 import numpy as np
 import pytest
-from pydantic import Field, TypeAdapter, ValidationError
+from pydantic import TypeAdapter, ValidationError
 
-from closedloop.control import parameters as places
-from closedloop.control.pack import pack_law
-from closedloop.control.sections import (
-    AdaptiveCompensationSection,
-    AdmittanceLawSection,
-    CompensationSection,
-    DynamicHybridLawSection,
-    ForceLawSection,
-    HybridLawSection,
-    ImpedanceLawSection,
-    ModelCompensationSection,
-    NoCompensationSection,
-    ObserverCompensationSection,
-    OperationalSpaceLawSection,
-    PaperLawSection,
-    SensorSection,
-)
+from closedloop.control import law as control
+from closedloop.control.compensation.adaptive import AdaptiveCompensation
+from closedloop.control.compensation.model import ModelCompensation
+from closedloop.control.compensation.none import NoCompensation
+from closedloop.control.compensation.observer import ObserverCompensation
+from closedloop.control.law import ControlLaw
+from closedloop.control.laws.admittance import AdmittanceLaw
+from closedloop.control.laws.dynamic_hybrid import DynamicHybridLaw
+from closedloop.control.laws.hybrid import HybridLaw
+from closedloop.control.laws.impedance import ImpedanceLaw
+from closedloop.control.laws.operational_space import OperationalSpaceLaw
+from closedloop.control.laws.paper import PaperLaw
+from closedloop.control.sensor import SensorSection
+from closedloop.engines.problem import pack_law
 from closedloop.errors import ScenarioError
+from closedloop.parameters import parameter_block
 
 LAWS = (
-    PaperLawSection(kp=400.0, kd=30.0),
-    HybridLawSection(kp=400.0, kd=30.0),
-    OperationalSpaceLawSection(),
-    DynamicHybridLawSection(),
-    ImpedanceLawSection(),
-    AdmittanceLawSection(),
+    PaperLaw(kp=400.0, kd=30.0),
+    HybridLaw(kp=400.0, kd=30.0),
+    OperationalSpaceLaw(),
+    DynamicHybridLaw(),
+    ImpedanceLaw(),
+    AdmittanceLaw(),
 )
 COMPENSATIONS = (
-    NoCompensationSection(),
-    ModelCompensationSection(),
-    ObserverCompensationSection(),
-    AdaptiveCompensationSection(),
+    NoCompensation(),
+    ModelCompensation(),
+    ObserverCompensation(),
+    AdaptiveCompensation(),
 )
 
 
 def test_every_kind_has_a_section_and_every_section_a_kind():
     """Laws and compensations by name are exactly those that a scenario may name, the paper's included."""
-    assert {law.kind for law in LAWS} == set(places.LAWS)
-    assert {section.kind for section in COMPENSATIONS} == set(places.COMPENSATIONS)
-    assert {type(law) for law in LAWS[1:]} == set(ForceLawSection.__args__)
-    assert {type(section) for section in COMPENSATIONS} == set(CompensationSection.__args__)
+    assert {law.kind: type(law) for law in LAWS} == dict(control.LAWS)
+    assert {section.kind: type(section) for section in COMPENSATIONS} == dict(control.COMPENSATIONS)
 
 
 @pytest.mark.parametrize("section", [*LAWS[1:], *COMPENSATIONS, SensorSection()], ids=lambda s: type(s).__name__)
@@ -58,40 +54,46 @@ def test_every_key_says_what_it_is(section):
 
 @pytest.mark.parametrize("law", LAWS, ids=lambda law: law.kind)
 def test_number_of_states(law):
-    """One state for the integral, two for the admittance, n for the observer, two for the adaptation, and no others."""
-    own = 2 if law.kind == "admittance" else 0
-    for section, more in zip(COMPENSATIONS, (0, 0, 7, 2), strict=True):
-        packed = pack_law(law, section, 7)
-        assert packed.states == own + more
-        assert packed.par.shape == (places.PARAMETERS + 14,)
-        assert packed.gains.shape == (2, 7)
-        if law.kind != "paper":
-            integral = law.model_copy(update={"force_integral": 5.0})
-            assert pack_law(integral, section, 7).states == own + more + 1
+    """One state for the integral of the force error, two for the admittance, and no others."""
+    assert pack_law(law, 7).states == (3 if law.kind == "admittance" else 1)
+
+
+@pytest.mark.parametrize(("section", "states"), list(zip(COMPENSATIONS, (0, 0, 7, 2), strict=True)))
+def test_number_of_states_of_a_compensation(section, states):
+    """One for each joint for the observer, two for the adaptation."""
+    assert pack_law(section, 7).states == states
+
+
+def values(section, n):
+    """Return what the law's functions read, by name."""
+    block = parameter_block(type(section))(pack_law(section, n).numbers, n)
+    return {name: np.asarray(getattr(block, name)).tolist() for name in block.layout.at}
 
 
 def test_lists_give_each_joint_its_own():
     """One number serves all joints; a list must have one entry a joint, and the refusal counts them."""
-    packed = pack_law(HybridLawSection(kp=(1.0, 2.0, 3.0), kd=5.0), None, 3)
-    assert np.array_equal(packed.gains, [[1.0, 2.0, 3.0], [5.0, 5.0, 5.0]])
+    law = HybridLaw(kp=(1.0, 2.0, 3.0), kd=5.0, approach_speed=0.07)
+    read = values(law, 3)
+    assert read["kp"] == [1.0, 2.0, 3.0]
+    assert read["kd"] == [5.0, 5.0, 5.0]
+    assert read["approach_speed"] == 0.07
     with pytest.raises(ScenarioError, match=r"law\.kp has 3 entries: the robot has 2 joints, a, b"):
-        pack_law(HybridLawSection(kp=(1.0, 2.0, 3.0), kd=5.0), None, 2, joint_names=("a", "b"))
+        pack_law(law, 2, ("a", "b"))
     with pytest.raises(ScenarioError, match=r"law\.posture_damping has 1 entries: the robot has 2 joints"):
-        pack_law(OperationalSpaceLawSection(posture_damping=(1.0,)), None, 2)
-    model = ModelCompensationSection(joint_coulomb=(0.1, 0.2), joint_viscous=0.3)
-    assert pack_law(OperationalSpaceLawSection(), model, 2).par[places.PARAMETERS :] == pytest.approx(
-        [0.1, 0.2, 0.3, 0.3]
-    )
+        pack_law(OperationalSpaceLaw(posture_damping=(1.0,)), 2)
+    model = ModelCompensation(joint_coulomb=(0.1, 0.2), joint_viscous=0.3)
+    assert values(model, 2)["joint_coulomb"] == [0.1, 0.2]
+    assert values(model, 2)["joint_viscous"] == [0.3, 0.3]
     with pytest.raises(ScenarioError, match=r"compensation\.joint_coulomb has 2 entries"):
-        pack_law(OperationalSpaceLawSection(), model, 3)
+        pack_law(model, 3)
 
 
 def test_adaptation_must_be_slower_than_the_damping():
     """`corner` below `motion_damping` is what the proof of convergence asks for; the refusal says so."""
-    law = OperationalSpaceLawSection(motion_damping=15.0)
-    pack_law(law, AdaptiveCompensationSection(corner=14.9), 4)
+    law = OperationalSpaceLaw(motion_damping=15.0)
+    AdaptiveCompensation(corner=14.9).check(law)
     with pytest.raises(ScenarioError, match=r"compensation\.corner = 20: must be below law\.motion_damping, 15"):
-        pack_law(law, AdaptiveCompensationSection(), 4)
+        AdaptiveCompensation().check(law)
 
 
 @pytest.mark.parametrize(
@@ -110,7 +112,7 @@ def test_adaptation_must_be_slower_than_the_damping():
 def test_laws_at_fault_are_refused(data, text):
     """Missing, unknown and impossible figures of a law."""
     with pytest.raises(ValidationError, match=text):
-        TypeAdapter(Annotated[ForceLawSection, Field(discriminator="kind")]).validate_python(data)
+        TypeAdapter(Annotated[ControlLaw, control.LAWS]).validate_python(data)
 
 
 @pytest.mark.parametrize("seed", [-1, 1.5, True, "x"])
@@ -122,10 +124,10 @@ def test_seed_is_a_whole_number(seed):
 
 def test_static_friction_is_the_larger():
     """The believed static coefficient is the kinetic one unless given, and not below it."""
-    par = pack_law(OperationalSpaceLawSection(), ModelCompensationSection(kinetic=0.3), 2).par
-    assert par[places.STATIC] == par[places.KINETIC] == 0.3
+    read = values(ModelCompensation(kinetic=0.3), 2)
+    assert read["static"] == read["kinetic"] == 0.3
     with pytest.raises(ValidationError, match=r"must not be below kinetic, 0\.3"):
-        ModelCompensationSection(kinetic=0.3, static=0.2)
+        ModelCompensation(kinetic=0.3, static=0.2)
 
 
 def test_an_instance_of_the_sections_survives_its_own_text():

@@ -3,8 +3,15 @@
 import numpy as np
 import pytest
 
-from closedloop.control.sections import SensorSection
-from closedloop.control.sensor import continuous_reading, draws, pack_sensor, sense, sensor_rates, start_sensor
+from closedloop.control.sensor import (
+    SensorSection,
+    continuous_reading,
+    draws,
+    pack_sensor,
+    sense,
+    sensor_rates,
+    start_sensor,
+)
 from closedloop.errors import ScenarioError
 
 H = 1e-3

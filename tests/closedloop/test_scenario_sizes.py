@@ -7,8 +7,7 @@ import numpy as np
 import pytest
 
 import closedloop as cl
-from closedloop.control.sections import SensorSection
-from closedloop.control.sensor import MOST_QUANTA, pack_sensor, sense
+from closedloop.control.sensor import MOST_QUANTA, SensorSection, pack_sensor, sense
 from closedloop.errors import LONGEST_LINE, one_line
 from closedloop.scenario.messages import describe_keys, variants
 from closedloop.scenario.scenario import Scenario

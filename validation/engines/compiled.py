@@ -19,8 +19,7 @@ from closedloop.integrators import INTEGRATORS
 from closedloop.jit.kernel import entry_kernel
 from closedloop.robot.pinocchio import Terms
 from closedloop.robot.tree import Tree, tree_of, tree_terms, work_size
-from closedloop.step.evaluate import LAW_GIVEN
-from closedloop.step.memory import Constants, State, Work
+from closedloop.step.memory import make_loop
 from closedloop.step.record_row import Row
 from closedloop.surface.plane import contact_frame
 from robot_models import RobotModel
@@ -66,23 +65,20 @@ class Compiled(ClosedLoop):
         """Return the row that the loop records at a state under a given torque; b None: the tip is free."""
         n, scheme = self.n, INTEGRATORS["semi_implicit_euler"]
         terms = self.robot.terms(self._in(q), self._in(v))
-        constants = Constants(np.zeros(Constants.count(n)), n)
+        loop = make_loop(n, stages=scheme.stages)
+        state, constants, w = loop
         constants.h = constants.node = 1e-3
         constants.frame[:] = contact_frame(normal)
-        state = State(np.zeros(State.count(), dtype=np.int64))
-        state.law, state.sampled, state.risen = LAW_GIVEN, 1, 1
-        state.stages, state.nodes_per_step, state.semi_implicit = scheme.stages, 1, 1
+        state.sampled, state.risen = 0, 1  # the torque is given
+        state.nodes_per_step, state.semi_implicit = 1, 1
         state.mode = FREE
         if b is not None:
             state.mode, constants.s_p = PRESSED, 1.0
             constants.offset = float(normal @ terms.position + b + normal @ terms.drift)
-        w = Work(np.zeros(Work.count(n, 0, scheme.stages, 1)), n, 0, scheme.stages, 1)
         w.q[:], w.v[:], w.torque[:] = self._in(q), self._in(v), self._in(torque)
         table, rows, events = np.zeros((1, 2 * n + 11)), np.zeros((1, Row.of(n).width)), np.zeros((1, EVENT_WIDTH))
         work = compiled_work(n)
-        request = run_compiled(
-            self.tree, work, constants.memory, state.memory, w.memory, table, scheme.tableau(), rows, events
-        )
+        request = run_compiled(self.tree, work, loop.address, table, scheme.tableau(), rows, events)
         if request != DONE:
             raise np.linalg.LinAlgError("the pose is singular: the tip cannot move along the normal")
         return np.asarray(rows[0])

@@ -15,12 +15,13 @@ import numba
 import numpy as np
 import pinocchio as pin
 
-from closedloop.control import paper_law
+from closedloop.control.laws.paper import paper_law
 from closedloop.engines.problem import Problem
 from closedloop.engines.specialise import COMPILED, WORTH_COMPILING
 from closedloop.jit.kernel import entry_kernel
 from closedloop.robot.pinocchio import Terms
 from closedloop.simulation.simulate import run_loop
+from closedloop.step.evaluate import PaperParameters
 from validation.oracle.spatial import Array
 
 Lap = Callable[[], tuple[float | None, Array | None]]
@@ -167,7 +168,7 @@ def pinocchio_loop(arm: str, problem: Problem) -> Contestant:
     data, n, steps, h = model.createData(), problem.robot.n, problem.steps, problem.h
     frame, aligned = model.getFrameId(problem.robot.tip), pin.LOCAL_WORLD_ALIGNED
     surface = np.array([*problem.plane.normal, problem.plane.offset, *problem.stabiliser])
-    rest, settings, gains, path = np.zeros(n), problem.settings, problem.gains, problem.path
+    rest, settings, law, path = np.zeros(n), problem.settings, problem.law.numbers, problem.path
 
     def lap() -> tuple[float | None, Array | None]:
         q, v = problem.q.copy(), problem.v.copy()
@@ -179,7 +180,7 @@ def pinocchio_loop(arm: str, problem: Problem) -> Contestant:
             J = pin.getFrameJacobian(model, data, frame, aligned)
             acceleration = pin.getFrameClassicalAcceleration(model, data, frame, aligned).linear
             r = data.oMf[frame].translation
-            _close(i, h, surface, settings, gains, path, q, v, data.nle, J, r, acceleration, A, drift, torque)
+            _close(i, h, surface, settings, law, path, q, v, data.nle, J, r, acceleration, A, drift, torque)
             pin.forwardDynamics(model, data, torque, A, drift)
             _step(h, data.ddq, q, v)
         return None, q
@@ -190,7 +191,7 @@ def pinocchio_loop(arm: str, problem: Problem) -> Contestant:
 
 @entry_kernel
 def _close(
-    i: int, h: float, surface: Array, settings: Array, gains: Array, path: Array, q: Array, v: Array, bias: Array,
+    i: int, h: float, surface: Array, settings: Array, law: Array, path: Array, q: Array, v: Array, bias: Array,
     jacobian: Array, r: Array, acceleration: Array, A: Array, drift: Array, torque: Array,
 ) -> None:  # fmt: skip
     """Write the closure's row, its drift with Baumgarte's terms, and the torque of Eq. 33."""
@@ -202,7 +203,8 @@ def _close(
         A[0, j] = surface[0] * jacobian[0, j] + surface[1] * jacobian[1, j] + surface[2] * jacobian[2, j]
         rate += A[0, j] * v[j]
     drift[0] = along + surface[4] * rate + surface[5] * e
-    paper_law(i * h, settings, gains, path[i], q, v, bias, A, torque)
+    par = PaperParameters(law, q.shape[0])
+    paper_law(i * h, settings[0], par, path[i, 0], path[i, 1], q, v, bias, A, torque)
 
 
 @entry_kernel

@@ -11,9 +11,10 @@ from typing import Any
 
 import numpy as np
 
-from closedloop.control import paper_law
+from closedloop.control.laws.paper import paper_law
 from closedloop.engines.problem import Problem
 from closedloop.jit.kernel import entry_kernel
+from closedloop.step.evaluate import PaperParameters
 from validation.engines.mujoco import TIP, build_spec, columns, compile_spec
 from validation.oracle.spatial import Array
 from validation.speed.contestants import Contestant, final
@@ -62,7 +63,7 @@ def driven(arm: str, problem: Problem) -> Contestant:
         data.qpos[:], data.qvel[:] = problem.q, problem.v
         rows, jacobian, A = np.zeros((steps, 4 * n + 9)), np.zeros((3, n)), np.zeros((1, n))
         fixed = (
-            h, surface, problem.settings, problem.gains, problem.path, data.qpos, data.qvel, data.qfrc_bias,
+            h, surface, problem.settings, problem.law.numbers, problem.path, data.qpos, data.qvel, data.qfrc_bias,
             jacobian, data.site_xpos[site], data.qacc, data.qfrc_constraint, data.qfrc_applied, A, rows,
         )  # fmt: skip
         for i in range(steps):
@@ -133,7 +134,7 @@ def rollout(arm: str, problem: Problem, runs: int, threads: int) -> Contestant:
 
 @entry_kernel
 def _drive(
-    i: int, h: float, plane: Array, settings: Array, gains: Array, path: Array, q: Array, v: Array, bias: Array,
+    i: int, h: float, plane: Array, settings: Array, law: Array, path: Array, q: Array, v: Array, bias: Array,
     jacobian: Array, tip: Array, qacc: Array, contact: Array, torque: Array, A: Array, rows: Array,
 ) -> None:  # fmt: skip
     """Record what MuJoCo computed and write the torque of Eq. 33.
@@ -150,7 +151,8 @@ def _drive(
         rows[i - 1, 4 * n + 6] = push / size  # contact = Aᵀf
     for j in range(n):
         A[0, j] = plane[0] * jacobian[0, j] + plane[1] * jacobian[1, j] + plane[2] * jacobian[2, j]
-    paper_law(i * h, settings, gains, path[i], q, v, bias, A, torque)
+    par = PaperParameters(law, q.shape[0])
+    paper_law(i * h, settings[0], par, path[i, 0], path[i, 1], q, v, bias, A, torque)
     row = rows[i]
     rate = 0.0
     for j in range(n):

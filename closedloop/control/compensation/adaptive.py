@@ -18,48 +18,77 @@ whose regressor is cut down to friction.
 
 from __future__ import annotations
 
+from typing import Annotated, Any, ClassVar
+
 import numpy as np
 from numpy.typing import NDArray
+from pydantic import Field
 
 from closedloop.control.compensation.model import wanted_direction
+from closedloop.control.law import Compensation, ControlLaw
 from closedloop.control.law_input import LawInput
-from closedloop.control.parameters import ADAPTATION, CORNER, SMOOTHING, SPEED_SCALE
-from closedloop.control.tip_space import surface_mobility
-from closedloop.jit.kernel import kernel
+from closedloop.control.tip_space import TipMotion, surface_mobility
+from closedloop.errors import ScenarioError
+from closedloop.sections import RATE, SPEED_SCALE, Positive, gain_in
 
 Array = NDArray[np.float64]
 
 
-@kernel
-def add_adapted(x: LawInput, par: Array, theta: Array, torque: Array) -> None:
-    """Add −AᵀF̂_t, N m; θ (2,), without unit and N s/m."""
-    if x.pressed == 0.0:
-        return
-    d1, d2, _ = wanted_direction(x, par[SMOOTHING])
-    push1 = theta[0] * x.f_des * d1 + theta[1] * x.u_des[1]
-    push2 = theta[0] * x.f_des * d2 + theta[1] * x.u_des[2]
-    for j in range(torque.shape[0]):
-        torque[j] += x.A[1, j] * push1 + x.A[2, j] * push2
+class AdaptiveCompensation(Compensation):
+    """[compensation] kind = "adaptive": the surface's Coulomb and viscous coefficients learned while sliding."""
 
+    gain: Annotated[Positive, gain_in("1/m")] = Field(
+        100.0, description="γ, 1/m: growth of the Coulomb coefficient per metre of path error"
+    )
+    corner: Annotated[Positive, RATE] = Field(
+        20.0, description="c, 1/s: weight of the path error beside its rate; below motion_damping"
+    )
+    speed_scale: Annotated[Positive, SPEED_SCALE] = Field(
+        0.02, description="v_0, m/s: the speed at which both coefficients learn alike"
+    )
+    smoothing_speed: Annotated[Positive, SPEED_SCALE] = Field(
+        0.001, description="wanted speed below which nothing is learned, m/s"
+    )
 
-@kernel
-def adaptive_rates(x: LawInput, par: Array, theta: Array, dtheta: Array) -> None:
-    """Write θ̇ (2,); zero off the surface and for a tip that cannot move along it."""
-    dtheta[0], dtheta[1] = 0.0, 0.0
-    if x.pressed == 0.0:
-        return
-    p11 = surface_mobility(x.S, x.pressed, 1, 1)
-    p12 = surface_mobility(x.S, x.pressed, 1, 2)
-    p22 = surface_mobility(x.S, x.pressed, 2, 2)
-    mean = 0.5 * (p11 + p22)
-    if not mean > 0.0:
-        return
-    e1 = x.u_des[1] - x.u[1] + par[CORNER] * (x.p_des[1] - x.p[1])
-    e2 = x.u_des[2] - x.u[2] + par[CORNER] * (x.p_des[2] - x.p[2])
-    s1, s2 = (p11 * e1 + p12 * e2) / mean, (p12 * e1 + p22 * e2) / mean
-    d1, d2, _ = wanted_direction(x, par[SMOOTHING])
-    rate = par[ADAPTATION] * (d1 * s1 + d2 * s2)
-    dtheta[0] = rate if theta[0] > 0.0 or rate > 0.0 else 0.0
-    scale = par[SPEED_SCALE]
-    rate = par[ADAPTATION] * x.f_des / (scale * scale) * (x.u_des[1] * s1 + x.u_des[2] * s2)
-    dtheta[1] = rate if theta[1] > 0.0 or rate > 0.0 else 0.0
+    states: ClassVar = ("coulomb", "viscous")  # θ, without unit and N s/m
+
+    def check(self, law: ControlLaw) -> None:
+        """Refuse a corner with which the adaptation does not settle."""
+        if isinstance(law, TipMotion) and self.corner >= law.motion_damping:
+            raise ScenarioError(
+                f"compensation.corner = {self.corner:g}: must be below law.motion_damping, {law.motion_damping:g}, "
+                "for the adaptation to settle"
+            )
+
+    @staticmethod
+    def torque(x: LawInput, par: Any, z: Any, torque: Array) -> None:
+        """Add −AᵀF̂_t, N m."""
+        if x.pressed == 0.0:
+            return
+        d1, d2, _ = wanted_direction(x, par.smoothing_speed)
+        push1 = z.coulomb * x.f_des * d1 + z.viscous * x.u_des[1]
+        push2 = z.coulomb * x.f_des * d2 + z.viscous * x.u_des[2]
+        for j in range(torque.shape[0]):
+            torque[j] += x.A[1, j] * push1 + x.A[2, j] * push2
+
+    @staticmethod
+    def rates(x: LawInput, par: Any, z: Any, f: float, torque: Array, dz: Any) -> None:
+        """Write θ̇; zero off the surface and for a tip that cannot move along it."""
+        dz.coulomb, dz.viscous = 0.0, 0.0
+        if x.pressed == 0.0:
+            return
+        p11 = surface_mobility(x.S, x.pressed, 1, 1)
+        p12 = surface_mobility(x.S, x.pressed, 1, 2)
+        p22 = surface_mobility(x.S, x.pressed, 2, 2)
+        mean = 0.5 * (p11 + p22)
+        if not mean > 0.0:
+            return
+        e1 = x.u_des[1] - x.u[1] + par.corner * (x.p_des[1] - x.p[1])
+        e2 = x.u_des[2] - x.u[2] + par.corner * (x.p_des[2] - x.p[2])
+        s1, s2 = (p11 * e1 + p12 * e2) / mean, (p12 * e1 + p22 * e2) / mean
+        d1, d2, _ = wanted_direction(x, par.smoothing_speed)
+        rate = par.gain * (d1 * s1 + d2 * s2)
+        dz.coulomb = rate if z.coulomb > 0.0 or rate > 0.0 else 0.0
+        scale = par.speed_scale
+        rate = par.gain * x.f_des / (scale * scale) * (x.u_des[1] * s1 + x.u_des[2] * s2)
+        dz.viscous = rate if z.viscous > 0.0 or rate > 0.0 else 0.0

@@ -12,21 +12,18 @@ Source: the Stribeck curve in the form of Armstrong-Hélouvry, Dupont and Canuda
 from __future__ import annotations
 
 import math
+from typing import Annotated, Any
 
 import numpy as np
 from numpy.typing import NDArray
+from pydantic import Field, field_validator
+from pydantic_core.core_schema import ValidationInfo
 
+from closedloop.control.law import Compensation
 from closedloop.control.law_input import LawInput
-from closedloop.control.parameters import (
-    JOINT_SMOOTHING,
-    KINETIC,
-    PARAMETERS,
-    SMOOTHING,
-    STATIC,
-    STRIBECK_SPEED,
-    VISCOUS,
-)
+from closedloop.control.tip_space import GainNotNegative
 from closedloop.jit.kernel import kernel
+from closedloop.sections import COEFFICIENT, SPEED_SCALE, TORQUE, NotNegative, Positive, viscous_in
 
 Array = NDArray[np.float64]
 
@@ -41,20 +38,58 @@ def wanted_direction(x: LawInput, smoothing: float) -> tuple[float, float, float
     return x.u_des[1] / scale, x.u_des[2] / scale, speed
 
 
-@kernel
-def add_model(x: LawInput, par: Array, torque: Array) -> None:
-    """Add the torque that overcomes friction as it is believed to be, N m."""
-    n = torque.shape[0]
-    if x.pressed != 0.0:
-        d1, d2, speed = wanted_direction(x, par[SMOOTHING])
-        mu = par[KINETIC]
-        if par[STRIBECK_SPEED] > 0.0:
-            mu += (par[STATIC] - par[KINETIC]) * math.exp(-((speed / par[STRIBECK_SPEED]) ** 2))
-        size = x.f_des * mu + par[VISCOUS] * speed
+class ModelCompensation(Compensation):
+    """[compensation] kind = "model": friction as it is believed to be, fed forward along the wanted motion."""
+
+    kinetic: Annotated[NotNegative, COEFFICIENT] = Field(
+        0.0, description="believed kinetic coefficient of the surface's friction, 1"
+    )
+    static: Annotated[NotNegative, COEFFICIENT] | None = Field(
+        None, description="believed static coefficient, 1; the kinetic one if left out"
+    )
+    stribeck_speed: Annotated[Positive, SPEED_SCALE] = Field(
+        0.01, description="believed slip speed of the fall from static to kinetic, m/s (Gaussian)"
+    )
+    viscous: Annotated[NotNegative, viscous_in("N s/m")] = Field(
+        0.0, description="believed viscous coefficient of the surface's friction, N s/m"
+    )
+    smoothing_speed: Annotated[Positive, SPEED_SCALE] = Field(
+        0.001, description="wanted speed below which the feed-forward fades, m/s"
+    )
+    joint_coulomb: Annotated[GainNotNegative, TORQUE] = Field(
+        0.0, description="believed Coulomb torque, N m, one per joint or one for all"
+    )
+    joint_viscous: Annotated[GainNotNegative, viscous_in("N m s/rad")] = Field(
+        0.0, description="believed viscous coefficient, N m s/rad, one per joint or one for all"
+    )
+    joint_smoothing_speed: Annotated[Positive, SPEED_SCALE] = Field(
+        0.001, description="wanted joint speed below which its feed-forward fades, rad/s (m/s)"
+    )
+
+    @field_validator("static")
+    @classmethod
+    def _static_is_the_larger(cls, value: float | None, info: ValidationInfo) -> float | None:
+        if value is not None and value < info.data.get("kinetic", 0.0):
+            raise ValueError(f"must not be below kinetic, {info.data['kinetic']:g}: static friction is the larger")
+        return value
+
+    def resolved(self) -> dict[str, float]:
+        """Return what the parameters that are left out are."""
+        return {} if self.static is not None else {"static": self.kinetic}
+
+    @staticmethod
+    def torque(x: LawInput, par: Any, z: Any, torque: Array) -> None:
+        """Add the torque that overcomes friction as it is believed to be, N m."""
+        n = torque.shape[0]
+        if x.pressed != 0.0:
+            d1, d2, speed = wanted_direction(x, par.smoothing_speed)
+            mu = par.kinetic
+            if par.stribeck_speed > 0.0:
+                mu += (par.static - par.kinetic) * math.exp(-((speed / par.stribeck_speed) ** 2))
+            size = x.f_des * mu + par.viscous * speed
+            for j in range(n):
+                torque[j] += size * (x.A[1, j] * d1 + x.A[2, j] * d2)
         for j in range(n):
-            torque[j] += size * (x.A[1, j] * d1 + x.A[2, j] * d2)
-    for j in range(n):
-        coulomb, viscous = par[PARAMETERS + j], par[PARAMETERS + n + j]
-        if coulomb != 0.0:
-            torque[j] += coulomb * x.v_des[j] / math.hypot(x.v_des[j], par[JOINT_SMOOTHING])
-        torque[j] += viscous * x.v_des[j]
+            if par.joint_coulomb[j] != 0.0:
+                torque[j] += par.joint_coulomb[j] * x.v_des[j] / math.hypot(x.v_des[j], par.joint_smoothing_speed)
+            torque[j] += par.joint_viscous[j] * x.v_des[j]

@@ -15,43 +15,59 @@ Electronics 47(4), 2000.
 
 from __future__ import annotations
 
+from typing import Annotated, Any, ClassVar
+
 import numpy as np
 from numpy.typing import NDArray
+from pydantic import Field
 
 from closedloop.closure.solve import back_substitute, forward_substitute
+from closedloop.control.law import Compensation
 from closedloop.control.law_input import LawInput
-from closedloop.control.parameters import RATE, VECTORS
 from closedloop.control.tip_space import add_mass_times
-from closedloop.jit.kernel import kernel
+from closedloop.sections import RATE, Positive
 
 Array = NDArray[np.float64]
 
 
-@kernel
-def add_observed(x: LawInput, par: Array, xi: Array, work: Array, torque: Array) -> None:
-    """Add −H δ̂, N m; ξ (n,), rad/s."""
-    n = torque.shape[0]
-    estimate = work[VECTORS : VECTORS + n]
-    for j in range(n):
-        estimate[j] = par[RATE] * (x.v[j] - xi[j])
-    add_mass_times(x.H, estimate, -1.0, torque)
+class ObserverCompensation(Compensation):
+    """[compensation] kind = "observer": friction in joints and at the tip estimated from the joints' motion."""
 
+    rate: Annotated[Positive, RATE] = Field(
+        100.0, description="K_o, 1/s: the estimate follows what disturbs the arm within 1/K_o"
+    )
 
-@kernel
-def observer_rates(x: LawInput, par: Array, xi: Array, f: float, torque: Array, work: Array, dxi: Array) -> None:
-    """Write ξ̇ (n,), rad/s², from the torque that acts, N m, and the measured force, N."""
-    n = torque.shape[0]
-    a = work[VECTORS : VECTORS + n]
-    for j in range(n):
-        a[j] = torque[j] - x.C[j] + x.A[0, j] * f
-    forward_substitute(x.L, a)
-    back_substitute(x.L, a)
-    for j in range(n):
-        dxi[j] = a[j] + par[RATE] * (x.v[j] - xi[j])
+    joint_states: ClassVar = ("observed_velocity",)  # ξ, rad/s
 
+    @staticmethod
+    def torque(x: LawInput, par: Any, z: Any, torque: Array) -> None:
+        """Add −H δ̂, N m."""
+        n = torque.shape[0]
+        estimate = x.scratch[0:n]
+        for j in range(n):
+            estimate[j] = par.rate * (x.v[j] - z.observed_velocity[j])
+        add_mass_times(x.H, estimate, -1.0, torque)
 
-@kernel
-def restart_observer(dv: Array, xi: Array) -> None:
-    """Keep the estimate over a jump dv (n,), rad/s, of the joint velocity: an impact that the controller knows of."""
-    for j in range(xi.shape[0]):
-        xi[j] += dv[j]
+    @staticmethod
+    def rates(x: LawInput, par: Any, z: Any, f: float, torque: Array, dz: Any) -> None:
+        """Write ξ̇ (n,), rad/s², from the torque that acts, N m, and the measured force, N."""
+        n = torque.shape[0]
+        a = x.scratch[0:n]
+        for j in range(n):
+            a[j] = torque[j] - x.C[j] + x.A[0, j] * f
+        forward_substitute(x.L, a)
+        back_substitute(x.L, a)
+        for j in range(n):
+            dz.observed_velocity[j] = a[j] + par.rate * (x.v[j] - z.observed_velocity[j])
+
+    @staticmethod
+    def start(x: LawInput, par: Any, z: Any) -> None:
+        """Write ξ at the start of a run: nothing is estimated yet."""
+        for j in range(x.v.shape[0]):
+            z.observed_velocity[j] = x.v[j]
+
+    @staticmethod
+    def restart(dv: Array, par: Any, z: Any) -> None:
+        """Keep the estimate over a jump dv (n,), rad/s, of the joint velocity: the controller knows of the impact."""
+        for j in range(dv.shape[0]):
+            z.observed_velocity[j] += dv[j]

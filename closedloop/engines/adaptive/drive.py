@@ -13,8 +13,6 @@ from scipy.integrate import DOP853, Radau
 
 from closedloop.closure.contact_force import FREE
 from closedloop.closure.solve import OK
-from closedloop.control import Law
-from closedloop.control.parameters import K_F
 from closedloop.engines.adaptive.crossing import first_crossing
 from closedloop.engines.adaptive.kernels import EVENT_VALUE, RECORD, SET_OUT
 from closedloop.engines.adaptive.memory import Memory, Stopped
@@ -22,6 +20,7 @@ from closedloop.engines.adaptive.slow import KEPT, PLAIN, SETTLED, STIFF, jacobi
 from closedloop.engines.adaptive.smooth import Stretch, jumps, stretch_from
 from closedloop.engines.failures import failure_of, interrupted, when
 from closedloop.engines.problem import Problem
+from closedloop.engines.user_law import Law
 from closedloop.errors import DivergenceError, InterruptedRunError, LawError, SimulationError
 from closedloop.events.phases import INSTANT, SHALLOW
 from closedloop.step.memory import RIGID_STICK, SMOOTH, State
@@ -62,7 +61,7 @@ def run_adaptive(
         began = journey.start()
         journey.go()
         report(steps, steps)
-        complete_record(memory.w.pending, memory.rows, memory.state.memory, journey.row, problem.robot.n)
+        complete_record(memory.loop.address, memory.rows, journey.row)
     except Stopped as stop:
         t = journey.time
         if stop.fault:
@@ -79,7 +78,7 @@ def run_adaptive(
     done = journey.row
     if isinstance(failure, InterruptedRunError):
         done = rows_there(memory.state, done, problem.robot.n)
-    complete_record(memory.w.pending, memory.rows, memory.state.memory, done, problem.robot.n)
+    complete_record(memory.loop.address, memory.rows, done)
     return memory.rows[:done], memory.events[: int(memory.state.events)], failure, seconds
 
 
@@ -100,7 +99,7 @@ class _Journey:
         others = [problem.pd_start + 1e-9 * problem.h]
         if self.memory.hold:
             others += self.instants[:: self.memory.hold].tolist()
-        elif law is not None or problem.law.par[K_F] != 0.0 or problem.sensor.sampled:
+        elif law is not None or problem.scenario.law.force_feedback != 0.0 or problem.sensor.sampled:
             # At a row the force is measured; and whatever a law of one's own does at an instant, it does at a row.
             others += self.instants.tolist()
         bounds = jumps(problem.wanted, np.array(others), self.instants)

@@ -7,15 +7,16 @@ from numpy.typing import NDArray
 
 from closedloop.closure.contact_force import PRESSED
 from closedloop.closure.solve import OK
+from closedloop.engines.pinocchio import ADDRESSES, Addresses
 from closedloop.events.locate import event_function, slip_left
-from closedloop.events.phases import extra_states
 from closedloop.events.substep import remember
 from closedloop.friction.laws import capture_speed
 from closedloop.jit.kernel import entry_kernel, inlined_kernel
+from closedloop.jit.pointers import fortran_at, matrix_at, vector_at, whole_at
 from closedloop.robot.tip import tip_kinematics
 from closedloop.step.energy_supplied import power
 from closedloop.step.evaluate import evaluate
-from closedloop.step.memory import RIGID_STICK, Constants, State, Whole, Work
+from closedloop.step.memory import RIGID_STICK, loop_at
 from closedloop.step.record_row import record
 
 Array = NDArray[np.float64]
@@ -25,19 +26,16 @@ DERIVE, SET_OUT, EVENT_VALUE, RECORD = range(4)
 
 
 @inlined_kernel
-def _on_pinocchio(
-    H: Array, C: Array, joint_jacobian: Array, rotation: Array, origin: Array, velocity: Array, acceleration: Array,
-    constant_numbers: Array, state_numbers: Whole, work_numbers: Array, wanted: Array, table: Array, rows: Array,
-    use: int, more: int | None,
-) -> int:  # fmt: skip
-    n = C.shape[0]
-    constants, state = Constants(constant_numbers, n), State(state_numbers)
-    w = Work(work_numbers, n, extra_states(state, n), state.stages, state.sensor_ring)
+def _on_pinocchio(address: int, table: Array, use: int, more: int | None) -> int:
+    a = Addresses(whole_at(address, ADDRESSES))
+    n = a.n
+    state, constants, w = loop_at(a.loop)
     tip_kinematics(
-        joint_jacobian, rotation, origin, velocity, acceleration,
-        constants.tip, constants.gravity, constants.support, w.J, w.r, w.drift,
+        fortran_at(a.jacobian, 6, n), fortran_at(a.rotation, 3, 3), vector_at(a.origin, 3), vector_at(a.velocity, 6),
+        vector_at(a.acceleration, 6), constants.tip, constants.gravity, constants.support, w.J, w.r, w.drift,
     )  # fmt: skip
-    status = evaluate(H, C, w, constants, state, wanted, rows, more)
+    H, C, rows = fortran_at(a.H, n, n), vector_at(a.C, n), matrix_at(a.rows, a.row_count, a.row_width)
+    status = evaluate(H, C, w, constants, state, matrix_at(a.table, a.instants, a.table_width), rows, more)
     if status != OK:
         return status
     if use == DERIVE:
@@ -57,56 +55,23 @@ def _on_pinocchio(
 
 
 @entry_kernel
-def evaluate_on_pinocchio(
-    H: Array, C: Array, joint_jacobian: Array, rotation: Array, origin: Array, velocity: Array, acceleration: Array,
-    constant_numbers: Array, state_numbers: Whole, work_numbers: Array, wanted: Array, table: Array, rows: Array,
-    use: int,
-) -> int:  # fmt: skip
+def evaluate_on_pinocchio(address: int, table: Array, use: int) -> int:
     """Do `closedloop.step.evaluate.evaluate` on what Pinocchio left in its data, and return its status.
 
-    H ... rows are as in `closedloop.events.proceed` and `closedloop.robot.tip`; `wanted` (1, 2 n + 11) stands for the
-    table at this instant, and `use` says what the state is for: DERIVE, SET_OUT, EVENT_VALUE or RECORD.
+    Parameters
+    ----------
+    address : int
+        Of the memory of `closedloop.engines.pinocchio.Addresses`, where a table of one row stands for what is desired
+        at this instant.
+    table : (P, 2 n + 11) array
+        The whole table, for the noise of the force sensor.
+    use : int
+        What the state is for: DERIVE, SET_OUT, EVENT_VALUE or RECORD.
     """
-    return _on_pinocchio(
-        H,
-        C,
-        joint_jacobian,
-        rotation,
-        origin,
-        velocity,
-        acceleration,
-        constant_numbers,
-        state_numbers,
-        work_numbers,
-        wanted,
-        table,
-        rows,
-        use,
-        None,
-    )
+    return _on_pinocchio(address, table, use, None)
 
 
 @entry_kernel
-def evaluate_with_more_on_pinocchio(
-    H: Array, C: Array, joint_jacobian: Array, rotation: Array, origin: Array, velocity: Array, acceleration: Array,
-    constant_numbers: Array, state_numbers: Whole, work_numbers: Array, wanted: Array, table: Array, rows: Array,
-    use: int,
-) -> int:  # fmt: skip
+def evaluate_with_more_on_pinocchio(address: int, table: Array, use: int) -> int:
     """Do the same with everything that may come on top: other laws, friction, a force sensor."""
-    return _on_pinocchio(
-        H,
-        C,
-        joint_jacobian,
-        rotation,
-        origin,
-        velocity,
-        acceleration,
-        constant_numbers,
-        state_numbers,
-        work_numbers,
-        wanted,
-        table,
-        rows,
-        use,
-        1,
-    )
+    return _on_pinocchio(address, table, use, 1)

@@ -9,8 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from closedloop.closure.contact_force import FREE, PRESSED
-from closedloop.closure.solve import OK
-from closedloop.control import Law
+from closedloop.closure.solve import LAW_FAILED, OK
 from closedloop.engines.adaptive.kernels import (
     DERIVE,
     EVENT_VALUE,
@@ -19,10 +18,11 @@ from closedloop.engines.adaptive.kernels import (
     evaluate_with_more_on_pinocchio,
 )
 from closedloop.engines.adaptive.smooth import Stretch
-from closedloop.engines.pinocchio import places_of
+from closedloop.engines.pinocchio import addresses_of, set_events
 from closedloop.engines.problem import Problem
 from closedloop.engines.specialise import PINOCCHIO, machine
-from closedloop.engines.user_law import checked_law
+from closedloop.engines.user_law import Law, UserLaw
+from closedloop.errors import DivergenceError
 from closedloop.events.phases import (
     ARRIVING,
     AT_EVENT,
@@ -33,7 +33,6 @@ from closedloop.events.phases import (
     ROOM,
     ROOM_FOR_EVENTS,
     TERMS,
-    TERMS_AND_LAW,
 )
 from closedloop.events.table import EVENT_WIDTH
 from closedloop.events.transitions import collide
@@ -72,22 +71,23 @@ class Memory:
     """
 
     def __init__(self, problem: Problem, law: Law | None) -> None:
-        robot, given = problem.robot, law is not None
+        robot = problem.robot
         self.robot, self.n, self.h = robot, robot.n, problem.h
-        self.constants, self.state = problem.constants(), problem.state(given)
+        self.loop = problem.loop(own_law=law is not None)
+        self.state, self.constants, self.w = self.loop
+        self.user_law = None if law is None else UserLaw(law, self.loop)
         self.state.steps = -1  # it chooses its own, and they are short where slip turns fast
-        self.w = problem.work(self.state)
-        self._memory = (self.constants.memory, self.state.memory, self.w.memory)
         self.hold = int(self.state.hold)
         self.rows = np.zeros((problem.steps + 1, Row.of(robot.n).width))
         self.events = np.zeros((ROOM_FOR_EVENTS, EVENT_WIDTH))
         self._terms = robot.evaluator(self.w.q, self.w.v)
-        self._given = None if law is None else checked_law(law, robot, self.w.q, self.w.v)
-        self._machine: Callable[..., int] = machine(problem.more, PINOCCHIO)
-        self._evaluate: Callable[..., int] = evaluate_with_more_on_pinocchio if problem.more else evaluate_on_pinocchio
+        more = problem.more or law is not None
+        self._machine: Callable[..., int] = machine(more, PINOCCHIO)
+        self._evaluate: Callable[..., int] = evaluate_with_more_on_pinocchio if more else evaluate_on_pinocchio
         self._table, self._tableau = problem.table, problem.integrator.tableau()
         # What is desired at the instant evaluated: a table of one row.
         self._wanted = problem.table[:1].copy()
+        self._addresses = addresses_of(robot.views, self.loop, self._wanted, self._tableau, self.rows, self.events)
 
     def put(self, y: Array) -> None:
         """Make y the state in the memory."""
@@ -115,12 +115,7 @@ class Memory:
         """
         self.put(y)
         self.wait(t, stretch)
-        if self.state.sampled != 0:
-            self._ask_law(min(t, float(np.nextafter(stretch.end, 0.0))))
-        self._terms()
-        status = self._evaluate(*self.robot.views, *self._memory, self._wanted, self._table, self.rows, use)
-        if status != OK:
-            raise Stopped(status)
+        self._evaluate_for(use)
 
     def wait(self, t: float, stretch: Stretch) -> None:
         """Set the clock, and what is desired, to the instant t, s, of the stretch."""
@@ -142,15 +137,14 @@ class Memory:
         float
             The instant by the clock, s, from which on everything is compiled.
         """
-        answer = TERMS_AND_LAW
+        answer = TERMS
         while self.state.row == 0:
             self._serve(answer)
             answer = self._proceed()
         # The machine has set out on a step already.
         self.put(np.append(self.w.begin, self.w.supplied))
         self.w.gained = 0.0
-        self._terms()
-        self._evaluate(*self.robot.views, *self._memory, self._wanted, self._table, self.rows, SET_OUT)
+        self._evaluate_for(SET_OUT)
         return clock.perf_counter()
 
     def begin(self, t: float) -> None:
@@ -202,24 +196,29 @@ class Memory:
         """Do what the machine asks for."""
         if answer == ROOM:
             self.events = np.vstack([self.events, np.zeros_like(self.events)])
+            set_events(self._addresses, self.events)
         elif answer == IMPACT_LAW_WANTED:
-            collide(*self._memory, self.n)
+            collide(self.loop.address)
         else:
-            if answer == TERMS_AND_LAW:
-                self._ask_law(float(self.w.time))
             self._terms()
 
-    def _ask_law(self, t: float) -> None:
-        """Evaluate a law of one's own, if there is one."""
-        fault = self._given(t, self.w.torque) if self._given is not None else ""
-        if fault:
-            raise Stopped(OK, fault)
+    def _evaluate_for(self, use: int) -> None:
+        """Evaluate the state in the memory."""
+        self._terms()
+        self._check(self._evaluate(address_of(self._addresses.memory), self._table, use))
 
     def _proceed(self) -> int:
-        places = places_of(
-            self.robot.views, self.constants, self.state, self.w, self._wanted, self._tableau, self.rows, self.events
-        )
-        answer = self._machine(address_of(places))
+        answer = self._machine(address_of(self._addresses.memory))
         if answer == FAILED:
-            raise Stopped(int(self.state.status))
+            self._check(int(self.state.status))
         return answer
+
+    def _check(self, status: int) -> None:
+        """Refuse to go on with a status other than OK."""
+        if status == LAW_FAILED and self.user_law is not None:
+            error = self.user_law.failure()
+            if isinstance(error, DivergenceError):  # no number: a shorter step may do
+                raise Stopped(OK, self.user_law.fault)
+            raise error
+        if status != OK:
+            raise Stopped(status)

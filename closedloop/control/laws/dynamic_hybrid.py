@@ -14,12 +14,17 @@ calculation of joint driving force, IEEE J. Robotics and Automation 3(5), 1987.
 
 from __future__ import annotations
 
+from typing import Any
+
 import numpy as np
 from numpy.typing import NDArray
 
+from closedloop.control.law import commanded_force
 from closedloop.control.law_input import LawInput
-from closedloop.control.parameters import EIGEN, FORCE, INVERSE, SPARE, VECTORS, WANTED
 from closedloop.control.tip_space import (
+    Approach,
+    TipMotion,
+    TipScratch,
     add_mass_times,
     jacobian_gram,
     posture,
@@ -27,29 +32,30 @@ from closedloop.control.tip_space import (
     rest_of,
     wanted_acceleration,
 )
-from closedloop.jit.kernel import kernel
 
 Array = NDArray[np.float64]
 
 
-@kernel
-def dynamic_hybrid(x: LawInput, par: Array, gains: Array, f: float, work: Array, torque: Array) -> None:
-    """Write Q (n,); parameters as for `closedloop.control.operational_space.operational_space`."""
-    n = x.q.shape[0]
-    inverse = work[INVERSE : INVERSE + 9].reshape(3, 3)
-    wanted, y, rest = work[WANTED : WANTED + 3], work[FORCE : FORCE + 3], work[SPARE : SPARE + 3]
-    a = work[VECTORS : VECTORS + n]
-    wanted_acceleration(x, par, f, wanted)
-    jacobian_gram(x.A, 0, inverse)
-    pseudo_inverse(inverse, work[EIGEN : EIGEN + 18], inverse)
-    posture(x, gains, a)
-    rest_of(x, wanted, a, rest)
-    for i in range(3):
-        y[i] = inverse[i, 0] * rest[0] + inverse[i, 1] * rest[1] + inverse[i, 2] * rest[2]
-    for j in range(n):
-        a[j] += x.A[0, j] * y[0] + x.A[1, j] * y[1] + x.A[2, j] * y[2]
-        torque[j] = x.C[j]
-    add_mass_times(x.H, a, 1.0, torque)
-    if x.pressed != 0.0:
+class DynamicHybridLaw(Approach, TipMotion):
+    """[law] kind = "dynamic_hybrid": resolved joint acceleration (Yoshikawa 1987)."""
+
+    @staticmethod
+    def torque(x: LawInput, par: Any, z: Any, torque: Array) -> None:
+        """Write Q (n,), N m."""
+        n, f = x.q.shape[0], commanded_force(x, par, z)
+        s = TipScratch(x.scratch, n)
+        y, a = s.force, s.joints
+        wanted_acceleration(x, par, f, s.wanted)
+        jacobian_gram(x.A, 0, s.inverse)
+        pseudo_inverse(s.inverse, s.eigen, s.inverse)
+        posture(x, par, a)
+        rest_of(x, s.wanted, a, s.rest)
+        for i in range(3):
+            y[i] = s.inverse[i, 0] * s.rest[0] + s.inverse[i, 1] * s.rest[1] + s.inverse[i, 2] * s.rest[2]
         for j in range(n):
-            torque[j] -= x.A[0, j] * f
+            a[j] += x.A[0, j] * y[0] + x.A[1, j] * y[1] + x.A[2, j] * y[2]
+            torque[j] = x.C[j]
+        add_mass_times(x.H, a, 1.0, torque)
+        if x.pressed != 0.0:
+            for j in range(n):
+                torque[j] -= x.A[0, j] * f

@@ -1,0 +1,172 @@
+"""What every control law is: a section of the scenario, its states, and up to four functions.
+
+A law of one's own is a class derived from `ControlLaw`, with its parameters as typed fields. Those that ship are in
+`closedloop.control.laws`, one file each, written the same way.
+
+    class Damper(ControlLaw):
+        damping: Annotated[NotNegative, gain_in("N m s/rad")] = Field(5.0, description="joint damping")
+
+        @staticmethod
+        def torque(x, par, z, torque):
+            for j in range(x.q.size):
+                torque[j] = x.C[j] - x.A[0, j] * par.force - par.damping * x.v[j]
+
+The functions are compiled: they take arrays and numbers, call functions of numpy, math and numba's own, and write into
+the arrays that they are given.
+"""
+
+from __future__ import annotations
+
+from typing import Annotated, Any, ClassVar
+
+import numpy as np
+from numpy.typing import NDArray
+from pydantic import Field
+
+from closedloop.control.law_input import LawInput
+from closedloop.families import Family, Parameters
+from closedloop.jit.kernel import kernel
+from closedloop.sections import FORCE, PERIOD, RATE, NotNegative, Number, gain_in
+
+Array = NDArray[np.float64]
+
+
+@kernel
+def commanded_force(x: LawInput, par: Any, z: Any) -> float:
+    """Return f_c, N, of a law's parameters and states.
+
+        f_c = f_des + K_f (f_des − f_s) + K_I ∫ (f_des − f) dt
+
+    f_s is the latest reading, so K_f acts with a delay; the integral is a state. With an exact model and a rigid
+    surface f = f_c + d, d being what the model leaves out. Then e_f = f_des − f obeys, without K_f, ė_f = −K_I e_f:
+    the force settles like exp(−K_I t) whatever the arm. A reading that is one sample old makes of K_f alone the
+    iteration f ← (1 + K_f) f_des − K_f f + d, which converges for K_f < 1 only; behind a low-pass of time
+    constant T sampled every h, K_f may be up to T/h (`closedloop.control.stability`).
+
+    In free motion there is no force to be fed back, and f_c = f_des; but feedback that drew the tip off the surface, as
+    after too high a reading, does not press it back in the same instant: what it takes from f_des it takes there too,
+    until the reading is that of free motion and the integral has recovered.
+
+    Source: the integral force servo of Yoshikawa, IEEE J. Robotics and Automation 3(5), 1987, and of Volpe and
+    Khosla, IEEE Trans. Automatic Control 38(11), 1993, who compare the explicit force laws.
+    """
+    feedback = 0.0
+    if par.force_feedback != 0.0:
+        feedback += par.force_feedback * (x.f_des - x.f_measured)
+    if par.force_integral != 0.0:
+        feedback += par.force_integral * z.force_error
+    if x.pressed == 0.0:
+        feedback = min(feedback, 0.0)
+    return x.f_des + feedback
+
+
+@kernel
+def force_error_rate(x: LawInput, par: Any, z: Any, f: float) -> float:
+    """Return the rate of z.force_error = ∫ (f_des − f) dt, N: what is integrated of the error.
+
+    In free motion it rests, so that it does not wind up; only what is below zero recovers, if the tip is to press.
+    Without an integral gain it is 0.
+    """
+    if par.force_integral == 0.0:
+        return 0.0
+    rate = x.f_des - f
+    return rate if x.pressed != 0.0 or (z.force_error < 0.0 < min(rate, x.f_des)) else 0.0
+
+
+class ControlLaw(Parameters):
+    """[law]: what all control laws share: the force, and how the force sensor is used.
+
+    A law has these functions. `par` has its parameters by name, one for each joint as arrays (n,); `z` its states and
+    `dz` their rates.
+
+        torque(x, par, z, torque)           write Q (n,), N m, at the instant x (`LawInput`)
+        rates(x, par, z, f, torque, dz)     write ż: f is the reading of the force at this instant, N, torque what acts
+        start(x, par, z)                    write z at the start of a run, where it is zero
+        restart(dv, par, z)                 tell z of an impact that changed the joint velocities by dv (n,), rad/s
+
+    What `torque` writes into z at a row of the record stays, what it writes within a step does not: a controller that
+    counts samples keeps its memory there, with a `sample_period`.
+
+    Attributes
+    ----------
+    states, joint_states : tuple of str
+        Names of the states beside q and q̇: numbers, and arrays with one for each joint. `ControlLaw` has one itself,
+        the integral of the force error, which `rates` of `ControlLaw` integrates.
+    """
+
+    folder: ClassVar[str] = "closedloop.control.laws"
+    states: ClassVar[tuple[str, ...]] = ("force_error",)
+    joint_states: ClassVar[tuple[str, ...]] = ()
+
+    force: Annotated[Number, FORCE] = Field(
+        10.0,
+        description="force f_des with which the tip presses on the surface, N; 0: it rests there without pressing; "
+        "below 0: it pulls where surface.contact is bilateral, and leaves where it is unilateral",
+    )
+    sample_period: Annotated[NotNegative, PERIOD] = Field(
+        0.0,
+        description="period at which the law is evaluated and then held, s; 0: at every evaluation of Eq. 24",
+    )
+    force_feedback: Annotated[NotNegative, gain_in("")] = Field(
+        0.0,
+        description="K_f, newtons of command per newton of error in the latest reading; below 1 for a fast sensor",
+    )
+    force_integral: Annotated[NotNegative, RATE] = Field(
+        0.0, description="K_I, 1/s: a force error settles like exp(-K_I t), to 2 % in 3.9/K_I"
+    )
+
+    @staticmethod
+    def torque(x: LawInput, par: Any, z: Any, torque: Array) -> None:
+        """Write Q (n,), N m."""
+        raise NotImplementedError("a control law needs a function torque(x, par, z, torque)")
+
+    @staticmethod
+    def rates(x: LawInput, par: Any, z: Any, f: float, torque: Array, dz: Any) -> None:
+        """Write ż."""
+        dz.force_error = force_error_rate(x, par, z, f)
+
+    @staticmethod
+    def start(x: LawInput, par: Any, z: Any) -> None:
+        """Write z at the start of a run."""
+
+    @staticmethod
+    def restart(dv: Array, par: Any, z: Any) -> None:
+        """Tell z of an impact."""
+
+
+class Compensation(Parameters):
+    """[compensation]: what is added to a law's torque against friction.
+
+    Its functions are those of a law (see `ControlLaw`), but `torque` adds to Q.
+    """
+
+    folder: ClassVar[str] = "closedloop.control.compensation"
+    states: ClassVar[tuple[str, ...]] = ()
+    joint_states: ClassVar[tuple[str, ...]] = ()
+
+    def check(self, law: ControlLaw) -> None:
+        """Refuse parameters that do not go with a law's.
+
+        Raises
+        ------
+        ScenarioError
+        """
+
+    @staticmethod
+    def torque(x: LawInput, par: Any, z: Any, torque: Array) -> None:
+        """Add to Q (n,), N m."""
+
+    @staticmethod
+    def rates(x: LawInput, par: Any, z: Any, f: float, torque: Array, dz: Any) -> None:
+        """Write ż."""
+
+    @staticmethod
+    def start(x: LawInput, par: Any, z: Any) -> None:
+        """Write z at the start of a run."""
+
+    @staticmethod
+    def restart(dv: Array, par: Any, z: Any) -> None:
+        """Tell z of an impact."""
+
+
+LAWS, COMPENSATIONS = Family(ControlLaw, usual="paper"), Family(Compensation, usual="none")

@@ -1,0 +1,97 @@
+"""How the loop calls the plug-ins of a scenario: an entry each, compiled by itself, with one signature for all.
+
+    call_at(state.law, address, TORQUE)        see `closedloop.jit.calls`
+
+An entry finds the loop's memory at the address, and gives the member's functions what they take.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from functools import cache
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from closedloop.closure.contact_force import FREE
+from closedloop.control.law import Compensation, ControlLaw
+from closedloop.control.law_input import LawInput
+from closedloop.families import is_users, source_digest
+from closedloop.jit.calls import Entry
+from closedloop.jit.kernel import entry_kernel, kernel, kernel_inlined
+from closedloop.parameters import parameter_block, state_block
+from closedloop.step.memory import Constants, State, Work, loop_at
+
+Array = NDArray[np.float64]
+
+# What may be asked of a law or a compensation.
+TORQUE, RATES, START, RESTART = range(4)
+
+
+@kernel_inlined
+def law_input(state: State, constants: Constants, w: Work) -> LawInput:
+    """Return what the law knows at the state evaluated last."""
+    n, wanted = w.q.shape[0], w.reference
+    return LawInput(
+        w.time, w.q, w.v, w.H, w.C, w.L, w.A, w.X, w.S, w.drift_c, w.p, w.u, w.r, w.J, w.drift, constants.frame,
+        wanted[0:n], wanted[n : 2 * n], wanted[2 * n : 2 * n + 3], wanted[2 * n + 3 : 2 * n + 6],
+        wanted[2 * n + 6 : 2 * n + 9], wanted[2 * n + 9], w.measured, 0.0 if state.mode == FREE else 1.0, w.scratch,
+    )  # fmt: skip
+
+
+@cache
+def law_entry(member: type[ControlLaw] | type[Compensation]) -> Entry:
+    """Return the entry of a law or a compensation, compiled when it is first needed.
+
+    The states of a compensation follow those of the law.
+    """
+    Parameters, States = parameter_block(member), state_block(member)
+    torque, rates, start, restart = (_as_kernel(member, name) for name in ("torque", "rates", "start", "restart"))
+
+    if issubclass(member, Compensation):
+
+        def entry(address: int, what: int) -> int:
+            state, constants, w = loop_at(address)
+            x, par = law_input(state, constants, w), Parameters(constants.compensation, state.n)
+            z = States(w.z[state.own_law_states : state.law_states], state.n)
+            if what == TORQUE:
+                torque(x, par, z, w.torque)
+            elif what == RATES:
+                rates(x, par, z, w.reading, w.torque, States(w.dz[state.own_law_states : state.law_states], state.n))
+            elif what == START:
+                start(x, par, z)
+            else:
+                restart(w.column, par, z)
+            return 0
+
+    else:
+
+        def entry(address: int, what: int) -> int:
+            state, constants, w = loop_at(address)
+            x, par = law_input(state, constants, w), Parameters(constants.law, state.n)
+            z = States(w.z[0 : state.own_law_states], state.n)
+            if what == TORQUE:
+                torque(x, par, z, w.torque)
+            elif what == RATES:
+                rates(x, par, z, w.reading, w.torque, States(w.dz[0 : state.own_law_states], state.n))
+            elif what == START:
+                start(x, par, z)
+            else:
+                restart(w.column, par, z)
+            return 0
+
+    entry.__name__ = entry.__qualname__ = f"entry_of_{member.__name__}"
+    return entry_kernel(entry, identity=identity_of(member))
+
+
+def identity_of(member: type[Any]) -> str:
+    """Return what tells the compiled form of a member from others: its name, and of a user's its text."""
+    name = f"{member.__module__}:{member.__qualname__}"
+    return f"{name} {source_digest(member)}" if is_users(member) else name
+
+
+def _as_kernel(member: type[Any], name: str) -> Callable[..., Any]:
+    function: Any = getattr(member, name)
+    made: Callable[..., Any] = function if hasattr(function, "py_func") else kernel(function)
+    return made

@@ -138,6 +138,10 @@ class Family(Mapping[str, type[M]], Generic[M]):
             raise TypeError(f"{module.__name__} holds {names}: a file has one member of {self.base.__name__}")
         return own[0] if own else None
 
+    def member(self, name: str) -> type[M] | None:
+        """Return the member with this name, None if there is none."""
+        return self.get(name)
+
     def __iter__(self) -> Iterator[str]:
         """Go through the names, those that ship first, in the order of the alphabet; imports all of them."""
         yield from (name for name in self._files if name in self)
@@ -256,6 +260,10 @@ class OneOf:
         """See `Family.named`; a user's class is of the first family."""
         return self.families[0].named(value, key)
 
+    def member(self, name: str) -> type[Member] | None:
+        """Return the member with this name, None if there is none."""
+        return next((family[name] for family in self.families if name in family), None)
+
     def __get_pydantic_core_schema__(self, source: Any, handler: GetCoreSchemaHandler) -> CoreSchema:
         """Validate a name."""
         return core_schema.with_info_plain_validator_function(self._validate)
@@ -287,6 +295,11 @@ def how_to_name(key: str, name: str) -> str:
         "names a class of a user's own, and a file can make no code run: name it yourself, with "
         f'--{key} {name} on the command line or {{"{key}": "{name}"}} in Python'
     )
+
+
+def users_named() -> tuple[str, ...]:
+    """Return the names of all users' classes that were named in this process."""
+    return tuple(_users)
 
 
 def is_users(member: Member | type[Member]) -> bool:

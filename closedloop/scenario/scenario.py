@@ -192,8 +192,8 @@ class TimeSection(Section):
     integrator: IntegratorName = Field(
         "auto",
         description="semi_implicit_euler is the paper's, dop853 chooses its own steps; auto: rk4 where surface.contact "
-        "is unilateral, since a scheme of order 1 shifts impacts by up to several steps, but semi_implicit_euler with a "
-        f"friction of bristles ({', '.join(BRISTLES)}) and where contact is bilateral",
+        "is unilateral, since a scheme of order 1 shifts impacts by up to several steps, but semi_implicit_euler with "
+        f"a friction of bristles ({', '.join(BRISTLES)}) and where contact is bilateral",
     )
     tolerance: Tolerance | None = Field(
         None,
@@ -304,11 +304,10 @@ def member_digests(scenario: Scenario) -> dict[str, str]:
 
 def _class_of(scenario: Scenario, key: str, name: str) -> type[Member] | None:
     """Return the class of a member that a scenario has, None if it is absent."""
-    family = families()[key]
-    if isinstance(family, OneOf):
-        return next((each[name] for each in family.families if name in each), None)
     section = getattr(scenario, key.partition(".")[0])
-    return None if isinstance(section, Absent) else type(section)
+    if isinstance(section, Member | Absent):  # its own class, whatever else was given this name since
+        return type(section) if isinstance(section, Member) else None
+    return families()[key].member(name)
 
 
 def load_scenario(name: str | Path, overrides: Mapping[str, Any] | None = None) -> Scenario:

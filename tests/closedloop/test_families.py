@@ -248,6 +248,16 @@ def test_bad_member_is_refused_in_one_line(case, mine):
 FAULTS = {
     "raises": ("        return 1 / 0\n", "faulty.py:6: ZeroDivisionError: division by zero"),
     "no path": ("        return [origin]\n", "TypeError: tip_path returned list, not a TipPath"),
+    "a curve that raises": (
+        "        return TipPath(origin, (Piece(0.0, 1.0, origin, lambda s: s[7] if s.max() else [s * 0] * 3,"
+        " constant, 0.1),))\n",
+        "faulty.py:6: IndexError: index 7 is out",
+    ),
+    "a curve of two numbers": (
+        "        return TipPath(origin, (Piece(0.5, 1.0, origin, lambda s: [np.zeros((s.size, 2))] * 3,"
+        " constant, 0.1),))\n",
+        "ValueError: ",
+    ),
     "another start": ("        return TipPath(origin + 1.0)\n", "its path begins at"),
 }
 
@@ -256,7 +266,10 @@ FAULTS = {
 def test_a_path_that_fails(case, command_line, tmp_path):
     """What a user's path does wrong is one line with the line of its file, and status 2."""
     body, words = FAULTS[case]
-    head = "from closedloop.reference.path import Path\nfrom closedloop.reference.tip_path import TipPath\n\n"
+    head = (
+        "import numpy as np; from closedloop.reference.timing import constant\n"
+        "from closedloop.reference.path import Path\nfrom closedloop.reference.tip_path import Piece, TipPath\n"
+    )
     name = f"faulty_{case.replace(' ', '_')}"
     (tmp_path / f"{name}.py").write_text(f"{head}class Mine(Path):\n    def tip_path(self, origin, normal):\n{body}")
     line = command_line("wam_slide", "--reference.kind", f"{name}:Mine", "--no-figures").refusal()

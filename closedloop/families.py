@@ -100,6 +100,7 @@ class Family(Mapping[str, type[M]], Generic[M]):
 
     def __init__(self, base: type[M], usual: str | None = None) -> None:
         self.base, self.usual = base, usual
+        self._shipped: dict[str, type[M]] = {}  # those asked for so far
 
     @cached_property
     def _files(self) -> tuple[str, ...]:
@@ -119,12 +120,14 @@ class Family(Mapping[str, type[M]], Generic[M]):
             if not issubclass(known, self.base):
                 raise KeyError(name)
             return known
-        if name not in self._files:
-            raise KeyError(name)
-        found = self._in_module(import_module(f"{self.base.folder}.{name}"))
-        if found is None:
-            raise KeyError(name)
-        return found
+        if name not in self._shipped:
+            if name not in self._files:
+                raise KeyError(name)
+            found = self._in_module(import_module(f"{self.base.folder}.{name}"))
+            if found is None:
+                raise KeyError(name)
+            self._shipped[name] = found
+        return self._shipped[name]
 
     def _in_module(self, module: Any) -> type[M] | None:
         """Return the class that is this family's in a file of the folder, None if it has none."""

@@ -8,9 +8,11 @@ import subprocess
 import sys
 from functools import partial
 from pathlib import Path as File
+from typing import Annotated
 
 import numpy as np
 import pytest
+from pydantic import TypeAdapter, ValidationError
 
 import closedloop as cl
 from closedloop.closure.baumgarte import largest_stable_ratio, spectral_radius
@@ -372,3 +374,13 @@ def test_shipped_members_are_found():
     assert list(ADAPTIVE) == ["dop853"]
     assert PATHS["line"] is Line
     assert Line.member_name() == "line"
+
+
+def test_the_usual_kind_of_a_section():
+    """A family with a usual kind takes a section that names none; without one a kind is asked for."""
+    usual = TypeAdapter(Annotated[PATHS.base, Family(PATHS.base, usual="hold")])
+    assert usual.validate_python({}).kind == "hold"
+    with pytest.raises(ValidationError, match="discriminator"):
+        TypeAdapter(Annotated[PATHS.base, PATHS]).validate_python({})
+    with pytest.raises(cl.ScenarioError, match=r"reference.kind = missing: must be 'circle' or "):
+        parse_scenario("[law]\nkp = 1\nkd = 1\n[reference]\nstop = 2.0\n")

@@ -100,6 +100,7 @@ class Family(Mapping[str, type[M]], Generic[M]):
 
     def __init__(self, base: type[M], usual: str | None = None) -> None:
         self.base, self.usual = base, usual
+        self._shipped: dict[str, type[M]] = {}  # those asked for so far
 
     @cached_property
     def _files(self) -> tuple[str, ...]:
@@ -119,12 +120,14 @@ class Family(Mapping[str, type[M]], Generic[M]):
             if not issubclass(known, self.base):
                 raise KeyError(name)
             return known
-        if name not in self._files:
-            raise KeyError(name)
-        found = self._in_module(import_module(f"{self.base.folder}.{name}"))
-        if found is None:
-            raise KeyError(name)
-        return found
+        if name not in self._shipped:
+            if name not in self._files:
+                raise KeyError(name)
+            found = self._in_module(import_module(f"{self.base.folder}.{name}"))
+            if found is None:
+                raise KeyError(name)
+            self._shipped[name] = found
+        return self._shipped[name]
 
     def _in_module(self, module: Any) -> type[M] | None:
         """Return the class that is this family's in a file of the folder, None if it has none."""
@@ -137,6 +140,10 @@ class Family(Mapping[str, type[M]], Generic[M]):
             names = ", ".join(each.__name__ for each in own)
             raise TypeError(f"{module.__name__} holds {names}: a file has one member of {self.base.__name__}")
         return own[0] if own else None
+
+    def member(self, name: str) -> type[M] | None:
+        """Return the member with this name, None if there is none."""
+        return self.get(name)
 
     def __iter__(self) -> Iterator[str]:
         """Go through the names, those that ship first, in the order of the alphabet; imports all of them."""
@@ -256,6 +263,10 @@ class OneOf:
         """See `Family.named`; a user's class is of the first family."""
         return self.families[0].named(value, key)
 
+    def member(self, name: str) -> type[Member] | None:
+        """Return the member with this name, None if there is none."""
+        return next((family[name] for family in self.families if name in family), None)
+
     def __get_pydantic_core_schema__(self, source: Any, handler: GetCoreSchemaHandler) -> CoreSchema:
         """Validate a name."""
         return core_schema.with_info_plain_validator_function(self._validate)
@@ -287,6 +298,11 @@ def how_to_name(key: str, name: str) -> str:
         "names a class of a user's own, and a file can make no code run: name it yourself, with "
         f'--{key} {name} on the command line or {{"{key}": "{name}"}} in Python'
     )
+
+
+def users_named() -> tuple[str, ...]:
+    """Return the names of all users' classes that were named in this process."""
+    return tuple(_users)
 
 
 def is_users(member: Member | type[Member]) -> bool:

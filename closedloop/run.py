@@ -23,7 +23,7 @@ from closedloop.command.border import DONE, NOT_GOOD, Parser, run_command
 from closedloop.errors import InterruptedRunError, ScenarioError, SimulationError, one_line
 from closedloop.interrupts import Terminated, word_for
 from closedloop.scenario.overrides import split_overrides
-from closedloop.scenario.scenario import Scenario, load_scenario, parse_scenario, shipped_scenarios
+from closedloop.scenario.scenario import Scenario, load_scenario, member_digests, parse_scenario, shipped_scenarios
 
 if TYPE_CHECKING:
     from closedloop.record.run import Run
@@ -36,6 +36,10 @@ def main(arguments: Sequence[str] | None = None) -> int:
 
 def _main(arguments: list[str]) -> int:
     overrides, rest = split_overrides(arguments)
+    if any(isinstance(value, str) and ":" in value for value in overrides.values()):
+        from closedloop.command.user_module import name_members
+
+        name_members(overrides.items())
     options = _parser().parse_args(rest)
     if options.version:
         from closedloop.record.versions import package_versions
@@ -68,12 +72,11 @@ def _main(arguments: list[str]) -> int:
     model = load_model(scenario) if model is None else model
     digest = "" if law is None else law_digest(law)
     folder = Path(options.out) if options.out else Path("out") / scenario.name
-    results = Results(folder, question(scenario, model, options.law or "scenario", digest, engine), options.overwrite)
-    if earlier and earlier.law == options.law and digest != earlier.law_digest != "":
-        print(
-            f"closedloop: the text of {options.law} is not the one that {options.scenario} was made with",
-            file=sys.stderr,
-        )
+    members = member_digests(scenario)
+    asked = question(scenario, model, options.law or "scenario", digest, engine, members)
+    results = Results(folder, asked, options.overwrite)
+    if earlier is not None:
+        _warn_of_other_texts(options.scenario, earlier, {options.law or "": digest, **members})
     if law is None:
         _warn_of_gains(scenario, model)
     announce_compiling(scenario, model.n, engine)
@@ -183,6 +186,14 @@ def _import_law(name: str) -> Any:
     if not callable(law):
         raise ScenarioError(f"--law {name}: '{module}' has no function '{function}'")
     return law
+
+
+def _warn_of_other_texts(file: str, earlier: Run, now: dict[str, str]) -> None:
+    """Say which of the user's functions and classes, MODULE:NAME to digest, have another text than in a run file."""
+    before = {earlier.law: earlier.law_digest, **earlier.member_digests}
+    for name, digest in now.items():
+        if digest != before.get(name, "") != "":
+            print(f"closedloop: the text of {name} is not the one that {file} was made with", file=sys.stderr)
 
 
 def _warn_of_gains(scenario: Scenario, model: Any) -> None:

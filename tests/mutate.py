@@ -40,7 +40,7 @@ TESTS: dict[str, tuple[str, ...]] = {
         f"{IN}test_contact_complementarity.py",
     ),
     "closedloop.closure.solve": (f"{IN}test_solve.py",),
-    "closedloop.integrators": (f"{IN}test_integrate.py",),
+    "closedloop.integrators.rk4": (f"{IN}test_integrate.py",),
     "closedloop.step.advance": (f"{IN}test_integrate.py",),
     "closedloop.step.tip_friction": (f"{IN}test_kernel_faults.py", f"{IN}test_friction_turning.py"),
     "closedloop.step.evaluate": (f"{IN}test_reference_desired.py", f"{IN}test_kernel_faults.py"),

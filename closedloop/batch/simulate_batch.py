@@ -23,7 +23,7 @@ from closedloop.engines.specialise import COMPILED
 from closedloop.errors import ScenarioError
 from closedloop.jit.simd8 import WIDE
 from closedloop.scenario.overrides import Variants
-from closedloop.scenario.scenario import Scenario
+from closedloop.scenario.scenario import Scenario, families
 from closedloop.simulation.cache import Pieces
 from closedloop.simulation.simulate import check_engine
 from robot_models import RobotModel
@@ -193,6 +193,8 @@ def _points(changes: Mapping[str, Sequence[Any]], grid: bool) -> list[tuple[Any,
             listed = given.tolist() if hasattr(given, "tolist") else None if isinstance(given, str) else list(given)
         except TypeError:
             listed = None
+        if isinstance(listed, list) and (family := families().get(key)):
+            listed = [family.named(value, key) for value in listed]
         if not isinstance(listed, list):
             raise ScenarioError(f"changes[{key!r}] = {given!r}: must be a list with one value for each run")
         if not listed:

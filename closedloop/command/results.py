@@ -23,6 +23,7 @@ MARK = b"closedloop"
 _MARKED_WITHIN = 16_384
 _NAMES = {
     "scenario": "scenario", "robot_text": "robot", "robot": "robot", "law": "law", "law_digest": "text of the law",
+    "members": "text of a class of your own",
     "engine": "engine",
 }  # fmt: skip
 

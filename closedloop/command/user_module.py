@@ -1,5 +1,7 @@
 """A function or a class from a user's own module, asked for on the command line as MODULE:NAME.
 
+    --law my_laws:soft_touch --reference.kind my_paths:Spiral
+
 The module may lie in the current folder, and so may what it imports. Nothing there takes the place of an installed
 module: the folder is looked through last, and a module with the name of an installed one is refused.
 """
@@ -10,12 +12,34 @@ import importlib
 import os
 import sys
 import traceback
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from contextlib import contextmanager, redirect_stdout
 from importlib.machinery import ModuleSpec, PathFinder
 from importlib.util import find_spec
+from typing import Any
 
 from closedloop.errors import ClosedLoopError, ScenarioError
+from closedloop.scenario.scenario import families
+
+
+def name_members(given: Iterable[tuple[str, Any]]) -> None:
+    """Import the users' classes that the command line names, such as --reference.kind my_paths:Spiral.
+
+    Parameters
+    ----------
+    given : iterable of (str, value)
+        Dotted keys of the scenario and their values.
+
+    Raises
+    ------
+    ScenarioError
+        See `importing` and `closedloop.families.Family.named`.
+    """
+    for key, value in given:
+        family = families().get(key)
+        if family is not None and isinstance(value, str) and ":" in value:
+            with importing(f"--{key}", value, "MODULE:CLASS, such as my_module:MyClass"):
+                family.named(value, key)
 
 
 @contextmanager

@@ -2,16 +2,13 @@
 
 from __future__ import annotations
 
-import hashlib
-import inspect
 import os
-import sys
 import traceback
 from functools import partial
-from pathlib import Path
 from typing import Any
 
 from closedloop.errors import LawError, one_line
+from closedloop.families import source_digest
 
 
 def law_failure(law: Any, error: BaseException, t: float) -> LawError:
@@ -21,26 +18,8 @@ def law_failure(law: Any, error: BaseException, t: float) -> LawError:
 
 
 def law_digest(law: Any) -> str:
-    """Return the SHA-256 of the text that a law is defined in, "" where there is none to be had.
-
-    That is its module, so that the functions it calls there count too; in a notebook or a console its own text.
-    """
-    text = _source(_function(law))
-    return hashlib.sha256(text.encode("utf-8", "surrogatepass")).hexdigest() if text else ""
-
-
-def _source(function: Any) -> str:
-    for what in (sys.modules.get(getattr(function, "__module__", None) or "__main__"), function):
-        file = getattr(what, "__file__", None)
-        if file and str(file).endswith(".py"):
-            try:
-                return Path(file).read_text(encoding="utf-8", errors="surrogateescape")
-            except OSError:
-                continue
-    try:
-        return inspect.getsource(function)
-    except (OSError, TypeError):
-        return ""
+    """Return the SHA-256 of the text that a law is defined in, see `closedloop.families.source_digest`."""
+    return source_digest(_function(law))
 
 
 def _function(law: Any) -> Any:

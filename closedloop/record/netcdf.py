@@ -32,14 +32,21 @@ CHECKSUM = "checksum"
 # Attributes that must be text, and that files from before there was a checksum may lack.
 _TEXTS = ("scenario", "robot_text", "robot", "law", "versions", "stopped")
 _LATER = {"engine": "pinocchio", "law_digest": "", "not_finite": '["kkt_condition"]'}
+# An attribute of a run with users' classes only: JSON of their names and the SHA-256 of their texts.
+MEMBERS = "members"
 # Columns that files of earlier versions may lack, and a column as long: what nobody wrote down is NaN.
 _LATER_COLUMNS = {"energy_supplied": "time", "event_restitution": "event_time"}
 # What the checksum is of.
-ATTRIBUTES = {"format", "format_version", "seed", "wall_seconds", "summary", *_TEXTS, *_LATER}
+ATTRIBUTES = {"format", "format_version", "seed", "wall_seconds", "summary", *_TEXTS, *_LATER, MEMBERS}
 
 
-def question(scenario: Scenario, model: RobotModel, law: str, law_digest: str, engine: str) -> dict[str, str]:
-    """Return what determines a run to the last bit, on one machine, as the texts that its file has as attributes."""
+def question(
+    scenario: Scenario, model: RobotModel, law: str, law_digest: str, engine: str, members: Mapping[str, str]
+) -> dict[str, str]:
+    """Return what determines a run to the last bit, on one machine, as the texts that its file has as attributes.
+
+    `members` are the digests of the users' classes, see `closedloop.scenario.scenario.member_digests`.
+    """
     robot = {name: getattr(model, name) for name in ("name", "format", "tip", "description", "source")}
     robot |= {name: getattr(model, name).tolist() for name in ("armature", "home", "gravity")}
     robot["locked"] = dict(model.locked)
@@ -50,7 +57,7 @@ def question(scenario: Scenario, model: RobotModel, law: str, law_digest: str, e
         "law": law,
         "law_digest": law_digest,
         "engine": engine,
-    }
+    } | ({MEMBERS: json.dumps(dict(sorted(members.items())))} if members else {})
 
 
 def attributes(run: Run) -> dict[str, Any]:
@@ -58,7 +65,7 @@ def attributes(run: Run) -> dict[str, Any]:
     return {
         "format": FORMAT,
         "format_version": FORMAT_VERSION,
-        **question(run.scenario, run.model, run.law, run.law_digest, run.engine),
+        **question(run.scenario, run.model, run.law, run.law_digest, run.engine, run.member_digests),
         "seed": _seed(run),
         "versions": json.dumps(dict(run.versions)),
         "stopped": run.stopped or "",
@@ -138,6 +145,9 @@ def save_run(run: Run, path: str | Path) -> Path:
 def load_run(path: str | Path) -> Run:
     """Read a run that `save_run` wrote, now or in an earlier version with this format: a column it lacks is NaN.
 
+    A user's class that its scenario picks is not imported: the run can be looked at, and repeated once the class is
+    named, as ``load_scenario`` and ``--reference.kind my_module:MyPath`` do.
+
     Raises
     ------
     RunFileError
@@ -173,6 +183,9 @@ def _run_of(found: Mapping[str, Any], columns: dict[str, NDArray[Any]]) -> Run:
     robot, versions = json.loads(found["robot"]), json.loads(found["versions"])
     if not (isinstance(robot, dict) and isinstance(versions, dict) and isinstance(robot.get("name"), str)):
         raise RunFileError("is damaged: its attributes 'robot' and 'versions' must be tables")
+    members = json.loads(found.get(MEMBERS, "{}"))
+    if not (isinstance(members, dict) and all(isinstance(text, str) for text in members.values())):
+        raise RunFileError(f"is damaged: attribute '{MEMBERS}' must be a table of texts")
     if found["engine"] not in ("pinocchio", "compiled"):
         raise RunFileError(f"is damaged: attribute 'engine' is {found['engine'][:40]!r}")
     if not 0.0 <= float(found["wall_seconds"]) < math.inf:
@@ -182,7 +195,7 @@ def _run_of(found: Mapping[str, Any], columns: dict[str, NDArray[Any]]) -> Run:
     columns |= {name: np.full(columns[_LATER_COLUMNS[name]].size, np.nan) for name in absent}
     _check_columns(columns, model.n, [*json.loads(found["not_finite"]), *absent])
     return Run(
-        scenario=parse_scenario(found["scenario"], where="attribute 'scenario'"),
+        scenario=parse_scenario(found["scenario"], where="attribute 'scenario'", keep_absent=True),
         model=model,
         columns=columns,
         law=found["law"],
@@ -191,6 +204,7 @@ def _run_of(found: Mapping[str, Any], columns: dict[str, NDArray[Any]]) -> Run:
         wall_seconds=float(found["wall_seconds"]),
         engine=found["engine"],
         law_digest=found["law_digest"],
+        member_digests=members,
     )
 
 

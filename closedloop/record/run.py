@@ -125,6 +125,8 @@ class Run:
         Who computed the terms; the last bits of a run depend on it.
     law_digest : str
         SHA-256 of the text of the user's law, see `closedloop.engines.own_law.law_digest`; "" if it is not known.
+    member_digests : mapping of str to str
+        Name, MODULE:CLASS, of each user's class that the scenario picks, to the same of its text.
     """
 
     scenario: Scenario
@@ -136,6 +138,7 @@ class Run:
     wall_seconds: float = 0.0
     engine: str = "pinocchio"
     law_digest: str = ""
+    member_digests: Mapping[str, str] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
         for column in self.columns.values():

@@ -179,9 +179,10 @@ def _unreachable(
     where = np.array2string(
         piece.sample(np.array([start + high]))[0][0], precision=4, separator=", ", suppress_small=True
     )
+    by = f" ({', '.join(keys)})" if keys else ""
     return ScenarioError(
         f"reference: unreachable from t = {start + high:.4f} s on, at {where} m: {reason}; "
-        f"shorten the path ({', '.join(keys)}) or start elsewhere (start.q)"
+        f"shorten the path{by} or start elsewhere (start.q)"
     )
 
 

@@ -72,7 +72,7 @@ def growth(feedback: Feedback, integrator: str, h: float, hold: int = 0) -> floa
 
 
 def _early(integrator: str) -> float:
-    """Return by which share of a h² a scheme's position is ahead of a h²/2 one step h after rest, a the acceleration."""
+    """Return by how many a h² a scheme's position is ahead of a h²/2, one step h from rest at an acceleration a."""
     scheme = INTEGRATORS.get(integrator)
     if scheme is None:  # it chooses its steps
         return 0.0

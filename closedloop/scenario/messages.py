@@ -15,6 +15,9 @@ from closedloop.scenario.scenario import Scenario
 from closedloop.sections import Section, SizeError, sizes
 from robot_models.errors import shown as shown_value
 
+# What a key that picks a member of a family takes beside the names that ship.
+OWN = "MODULE:CLASS of your own"
+
 
 def variants(section: str) -> Mapping[str, type[Section]]:
     """Return kind -> section type; the key is "" where there is one type without a kind."""
@@ -37,6 +40,12 @@ def _family(section: str) -> Family[Any] | None:
     return next((each for each in Scenario.model_fields[section].metadata if isinstance(each, Family)), None)
 
 
+def _usual(section: str) -> str:
+    """Return the kind of a section that names none, "" where there are no kinds."""
+    family = _family(section)
+    return next(iter(variants(section)), "") if family is None else family.usual or ""
+
+
 def variant_keys(section: str, kind: Any) -> set[str]:
     """Return the keys that a section of this kind may have."""
     variant = variants(section).get(kind)
@@ -57,14 +66,16 @@ def describe_keys() -> list[tuple[str, str]]:
                 names = "".join(f"{_members(one)}; " for one in field.metadata if isinstance(one, OneOf))
                 rows.append((f"{section}.{key}", f"{names}{field.description or ''}{span}{default}{suffix}"))
         if len(variants(section)) > 1:
-            rows.append((f"{section}.kind", " | ".join(variants(section))))
+            own = f" | {OWN}" if _family(section) else ""
+            rows.append((f"{section}.kind", " | ".join(variants(section)) + own))
     return rows
 
 
 def _members(key: OneOf) -> str:
     """Return the names that a key may say, with the order of each that has one."""
     orders = {name: getattr(member, "order", None) for family in key.families for name, member in family.items()}
-    return ", ".join(name if order is None else f"{name} (order {order})" for name, order in orders.items())
+    said = (name if order is None else f"{name} (order {order})" for name, order in orders.items())
+    return ", ".join([*said, OWN])
 
 
 # What is right, for the kinds of fault whose text does not depend on the key.
@@ -153,7 +164,7 @@ def _known_keys(section: str, path: list[str], data: dict[str, Any]) -> str:
         place = "sections are"
     else:
         kinds = variants(section)
-        kind = data[section].get("kind", next(iter(kinds), "")) if isinstance(data[section], dict) else ""
+        kind = data[section].get("kind", _usual(section)) if isinstance(data[section], dict) else ""
         known = sorted(variant_keys(section, kind if isinstance(kind, str) and kind in kinds else ""))
         place = f"[{section}] knows"
     near = difflib.get_close_matches(path[-1], known, n=1, cutoff=0.5)

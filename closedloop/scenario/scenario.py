@@ -277,11 +277,10 @@ def member_digests(scenario: Scenario) -> dict[str, str]:
 
 def _class_of(scenario: Scenario, key: str, name: str) -> type[Member] | None:
     """Return the class of a member that a scenario has, None if it is absent."""
-    family = families()[key]
-    if isinstance(family, OneOf):
-        return next((each[name] for each in family.families if name in each), None)
     section = getattr(scenario, key.partition(".")[0])
-    return None if isinstance(section, Absent) else type(section)
+    if isinstance(section, Member | Absent):  # its own class, whatever else was given this name since
+        return type(section) if isinstance(section, Member) else None
+    return families()[key].member(name)
 
 
 def load_scenario(name: str | Path, overrides: Mapping[str, Any] | None = None) -> Scenario:

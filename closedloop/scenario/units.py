@@ -5,6 +5,8 @@ from __future__ import annotations
 import re
 from functools import lru_cache
 
+from closedloop.families import users_named
+
 _UNITS = (
     "N m s/rad", "N m/rad", "N s/m", "N m", "m/s", "rad/s", "1/s²", "1/s", "m/s²", "1/m", "s/m", "N/m", "Hz", "N", "kg",
     "m", "s", "rad",
@@ -13,8 +15,9 @@ _UNITS = (
 _UNIT = re.compile(r", (" + "|".join(re.escape(unit) for unit in _UNITS) + r")(?=$|[,;:( ])")
 
 
-@lru_cache(maxsize=1)
-def _descriptions() -> dict[str, str]:
+@lru_cache(maxsize=8)
+def _descriptions(users: tuple[str, ...]) -> dict[str, str]:
+    """Return key -> what it is; `users` are the users' classes that have keys of their own (`users_named`)."""
     from closedloop.scenario.messages import variant_keys, variants
     from closedloop.scenario.scenario import Scenario
 
@@ -30,7 +33,7 @@ def _descriptions() -> dict[str, str]:
 
 def key_description(key: str) -> str:
     """Return what a dotted key is, as --help has it; that of every kind, where kinds differ."""
-    return _descriptions().get(key, "")
+    return _descriptions(users_named()).get(key, "")
 
 
 def key_unit(key: str) -> str:

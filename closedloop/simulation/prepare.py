@@ -18,6 +18,7 @@ from closedloop.control.stability import check_sampling
 from closedloop.engines.problem import STICK_SPEED, Problem, pack_law
 from closedloop.errors import ScenarioError
 from closedloop.events.phases import RESTING, TOUCHING
+from closedloop.families import of_users
 from closedloop.friction.layout import KINDS, STICKS
 from closedloop.friction.packing import pack
 from closedloop.integrators import ADAPTIVE, INTEGRATORS, Scheme
@@ -97,7 +98,8 @@ def prepare(scenario: Scenario, model: RobotModel | None = None, pieces: Pieces 
 
     nodes_per_step = integrator.parts
     instants = (h / nodes_per_step) * np.arange(steps * nodes_per_step + 1, dtype=np.float64)
-    wanted, table = _desired(scenario, robot, plane, q, instants, pieces)
+    with of_users(scenario.reference, "reference.kind"):  # its curves are asked in there
+        wanted, table = _desired(scenario, robot, plane, q, instants, pieces)
     table[::nodes_per_step, 2 * n + 10] = draws(scenario.sensor, steps + 1)
 
     law = scenario.law

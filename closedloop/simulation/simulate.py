@@ -36,7 +36,7 @@ from closedloop.jit.pointers import address_of
 from closedloop.record.run import Run
 from closedloop.record.versions import package_versions
 from closedloop.robot.tree import Tree
-from closedloop.scenario.scenario import Scenario
+from closedloop.scenario.scenario import Scenario, member_digests
 from closedloop.simulation.prepare import prepare
 from closedloop.step.memory import Loop
 from closedloop.step.record_row import RECORDED, Row, complete_record, recorded, rows_there
@@ -307,6 +307,7 @@ def _as_run(
         wall_seconds=seconds,
         engine=engine,
         law_digest="" if law is None else law_digest(law),
+        member_digests=member_digests(problem.scenario),
     )
 
 

@@ -75,6 +75,7 @@ def _signals_raise() -> Iterator[None]:
 def _sweep(arguments: list[str]) -> int:
     from closedloop.command.announce import announce_compiling
     from closedloop.command.border import DONE, NOT_GOOD, STOPPED
+    from closedloop.command.user_module import name_members
     from closedloop.progress import count
     from closedloop.scenario.overrides import split_overrides
     from closedloop.scenario.scenario import load_scenario
@@ -83,6 +84,7 @@ def _sweep(arguments: list[str]) -> int:
     from closedloop.sweep.design import GRID, LATIN, RANDOM
 
     overrides, rest = split_overrides(arguments)
+    name_members(overrides.items())
     options = _sweep_parser().parse_args(rest)
     if options.debug:
         import logging
@@ -91,6 +93,7 @@ def _sweep(arguments: list[str]) -> int:
         logging.getLogger("closedloop").setLevel(logging.DEBUG)
     kind = RANDOM if options.random is not None else LATIN if options.latin is not None else GRID
     axes = [parse_axis(text, drawn=kind != GRID) for text in options.over]
+    name_members((axis.key, value) for axis in axes for value in axis.values)
     design = Design(axes, kind, {RANDOM: options.random, LATIN: options.latin}.get(kind) or 0, options.seed)
     scenario = load_scenario(options.scenario, overrides)
     keep = [name for word in options.keep for name in word.split(",") if name]

@@ -15,7 +15,7 @@ from closedloop.batch.simulate_batch import in_blocks, run_variants
 from closedloop.batch.table import schema, table_of
 from closedloop.batch.worker import Bench, Outcome
 from closedloop.scenario.overrides import Variants
-from closedloop.scenario.scenario import parse_scenario
+from closedloop.scenario.scenario import families, parse_scenario
 from closedloop.simulation.cache import Pieces
 
 if TYPE_CHECKING:
@@ -42,6 +42,8 @@ class Job:
         Columns to keep whole.
     runs : int
         How many runs the sweep has.
+    members : tuple of (str, str)
+        Keys of the scenario that pick a user's class, with its name: the command line named it.
     """
 
     scenario: str
@@ -50,10 +52,13 @@ class Job:
     engine: str
     keep: tuple[str, ...]
     runs: int
+    members: tuple[tuple[str, str], ...] = ()
 
 
 @lru_cache(maxsize=4)
 def _variants(job: Job) -> Variants:
+    for key, name in job.members:
+        families()[key].named(name, key)
     return Variants(parse_scenario(job.scenario), job.keys)
 
 

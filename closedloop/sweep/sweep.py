@@ -14,11 +14,12 @@ import robot_models
 from closedloop.batch.table import kept_columns
 from closedloop.engines.specialise import COMPILED
 from closedloop.errors import ScenarioError
+from closedloop.families import source_digest
 from closedloop.jit.kernel import cache_folder
 from closedloop.record.run import COLUMNS
 from closedloop.record.versions import package_versions
 from closedloop.scenario.overrides import Variants
-from closedloop.scenario.scenario import Scenario
+from closedloop.scenario.scenario import Scenario, families, members_of_users
 from closedloop.simulation.simulate import check_engine
 from closedloop.sweep.design import GRID, LATIN, Design
 from closedloop.sweep.part import Job
@@ -88,13 +89,15 @@ class Sweep:
             "engine": self.engine,
             "versions": versions,
             "kernels": cache_folder().name,
-        }
+        } | ({"members": self._digests()} if self._members else {})
 
     @property
     def job(self) -> Job:
         """What a worker needs to run any part."""
         kinds = tuple(axis.kind for axis in self.design.axes)
-        return Job(self.scenario.to_toml(), self.design.keys, kinds, self.engine, self.keep, self.design.runs)
+        return Job(
+            self.scenario.to_toml(), self.design.keys, kinds, self.engine, self.keep, self.design.runs, self._members
+        )
 
     @cached_property
     def part_size(self) -> int:
@@ -114,6 +117,19 @@ class Sweep:
         """Return the numbers of a part's runs."""
         first = part * self.part_size
         return range(first, min(first + self.part_size, self.design.runs))
+
+    @cached_property
+    def _members(self) -> tuple[tuple[str, str], ...]:
+        """The keys that pick a user's class in any run, with its name."""
+        found = list(members_of_users(self.scenario).items())
+        for axis in self.design.axes:
+            if axis.key in families():
+                found += [(axis.key, name) for name in axis.values if isinstance(name, str) and ":" in name]
+        return tuple(found)
+
+    def _digests(self) -> dict[str, str]:
+        """Return a digest of the text of each user's class: it may change between a kill and what follows."""
+        return {name: source_digest(families()[key].member(name)) for key, name in self._members}
 
     def _robots(self) -> dict[str, str]:
         """Return a digest of each robot that a run may load: a file may change between a kill and what follows."""

@@ -97,7 +97,7 @@ def pack_law(
     names = ("posture_stiffness", "posture_damping") if isinstance(law, Posture) else ("kp", "kd")
     gains = np.array([per_joint(f"law.{name}", getattr(law, name), n, joint_names) for name in names])
     _pack_compensation(par, law, compensation or NoCompensationSection(), n, joint_names)
-    return PackedLaw(kind, par, gains, int(places.states(kind, par, n)))
+    return PackedLaw(kind, par, gains, places.states(kind, par, n))
 
 
 def _pack_compensation(

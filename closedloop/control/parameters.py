@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from closedloop.jit.kernel import kernel
+from closedloop.jit.kernel import kernel, plain
 
 Array = NDArray[np.float64]
 
@@ -56,12 +56,17 @@ def law_place(par: Array) -> int:
 @kernel
 def compensation_place(kind: int, par: Array) -> int:
     """Return where the compensation's states begin."""
-    return law_place(par) + (2 if kind == ADMITTANCE else 0)
+    return law_place(par) + law_states(kind)
 
 
 @kernel
+def law_states(kind: int) -> int:
+    """Return how many states the law has of its own."""
+    return 2 if kind == ADMITTANCE else 0
+
+
 def states(kind: int, par: Array, n: int) -> int:
     """Return how many states the law and its compensation have together for n joints."""
     compensation = int(par[COMPENSATION])
     own = n if compensation == OBSERVER else (2 if compensation == ADAPTIVE else 0)
-    return compensation_place(kind, par) + own
+    return plain(law_place)(par) + plain(law_states)(kind) + own

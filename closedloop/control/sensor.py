@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 
 from closedloop.control.sections import SensorSection
 from closedloop.errors import ScenarioError
-from closedloop.jit.kernel import kernel
+from closedloop.jit.kernel import kernel, plain
 
 Array = NDArray[np.float64]
 
@@ -128,11 +128,10 @@ def sense(f_true: float, sample: int, par: Array, z: Array, normal: float, ring:
     return float(ring[(sample + 1) % size])
 
 
-@kernel
 def start_sensor(f_true: float, par: Array, z: Array, ring: Array) -> None:
     """Write z and the ring as if the sensor had felt f_true, N, without noise, for long."""
     if par[TIME_CONSTANT] > 0.0:
         z[0] = f_true
-    reading = quantised(f_true + par[BIAS], par[QUANTUM])
+    reading = plain(quantised)(f_true + par[BIAS], par[QUANTUM])
     for i in range(ring.shape[0]):
         ring[i] = reading

@@ -155,9 +155,9 @@ class Problem:
         state[space.UNILATERAL] = self.scenario.surface.contact == "unilateral"
         state[space.IMPACT_LAW] = LAWS[self.scenario.impact.law]
         kind, joints = self.friction[0], self.joint_friction[0]
-        state[space.FRICTION], state[space.FRICTION_STATES] = kind, state_count(kind, 2)
+        state[space.FRICTION], state[space.FRICTION_STATES] = kind, plain(state_count)(kind, 2)
         state[space.STICKING] = STICKING[STICKS[kind]] if kind else space.SMOOTH
-        state[space.JOINT_FRICTION], state[space.JOINT_STATES] = joints, state_count(joints, 1)
+        state[space.JOINT_FRICTION], state[space.JOINT_STATES] = joints, plain(state_count)(joints, 1)
         state[space.SENSOR_STATES], state[space.SENSOR_RING] = self.sensor.states, self.sensor.ring
         state[space.SENSOR_SAMPLED] = self.sensor.sampled
         state[space.MODE], state[space.SAMPLED], state[space.RISEN] = self.mode, 1, 1
@@ -187,7 +187,7 @@ class Problem:
         if slip > 0.0:
             w.direction[:] = u[1:] / slip
         felt = float(self.table[0, 2 * n + 9]) if self.mode != FREE else 0.0  # the sensor has felt what is wanted
-        plain(start_sensor)(felt, self.sensor.par, w.z[law : law + sensor], w.ring)
+        start_sensor(felt, self.sensor.par, w.z[law : law + sensor], w.ring)
         w.now[space.MEASURED], w.now[space.LAST_EVENT] = w.ring[0], -np.inf
         if friction and self.mode == STUCK:
             rest_states(self.friction[0], self.friction[1].copy(), w.z[law + sensor : law + sensor + friction])

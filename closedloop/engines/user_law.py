@@ -37,7 +37,7 @@ from closedloop.errors import (
 )
 from closedloop.events.phases import NOT_FINITE, TERMS, TERMS_AND_LAW
 from closedloop.events.table import EVENT_WIDTH
-from closedloop.jit.kernel import entry_kernel
+from closedloop.jit.kernel import entry_kernel, plain
 from closedloop.robot.pinocchio import Robot, Terms
 from closedloop.robot.tree import Tree, tree_terms, work_size
 from closedloop.step.memory import TIME, Whole, Work
@@ -226,7 +226,7 @@ def loop_with_law(
         What `run` takes before the events, and the views into its memory.
     """
     n = w.q.shape[0]
-    views = (w.now, w.q, w.v, w.torque, np.zeros(n * n + 4 * n + 6 + work_size(n)))
+    views = (w.now, w.q, w.v, w.torque, np.zeros(n * n + 4 * n + 6 + plain(work_size)(n)))
     # By address (`FunctionType`), so that one compilation serves every law; numba would make one for each.
     numbers = [_typeof(x) for x in (tree, work, *arrays, np.zeros((1, EVENT_WIDTH)))]
     signature = types.int64(

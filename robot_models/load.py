@@ -4,6 +4,7 @@ from collections import Counter
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from difflib import get_close_matches
+from functools import lru_cache
 from math import isfinite
 from pathlib import Path
 from typing import TYPE_CHECKING, Literal
@@ -65,6 +66,19 @@ def load(name: "str | PathLike[str]", *, drive_inertia: bool = True, lock: Lock 
         cure. A file may have 16 MB and 100 000 elements, a robot 2000 links and 128 joints that move
         (`robot_models.mechanism`); what is beyond is refused before it is built.
     """
+    if isinstance(name, str) and not lock and not _is_file(name):
+        return _load_packaged(name, bool(drive_inertia))
+    return _load(name, drive_inertia, lock)
+
+
+@lru_cache(maxsize=16)
+def _load_packaged(name: str, drive_inertia: bool) -> RobotModel:
+    """Load a robot that comes with a package, once: its files stay as they are, and a model cannot be changed."""
+    return _load(name, drive_inertia, ())
+
+
+def _load(name: "str | PathLike[str]", drive_inertia: bool, lock: Lock) -> RobotModel:
+    """See `load`."""
     found = _find(name)
     defaults = found.sidecar
     locked = _locked(found, lock)
@@ -132,9 +146,10 @@ def from_text(
 def _find(name: "str | PathLike[str]") -> _Description:
     if name in shipped.shipped_names():
         return _from_file(str(name), shipped.path_of(str(name)), "robot_models")
-    path = Path(name)
-    if not isinstance(name, str) or path.suffix.lower() in _SUFFIXES or len(path.parts) > 1:
+    if _is_file(name):
+        path = Path(name)
         return _from_file(path.stem, path, "")
+    assert isinstance(name, str)
     if name not in example_robots.example_names():
         known = (*shipped.shipped_names(), *example_robots.example_names())
         near = get_close_matches(name.lower(), known, n=3)
@@ -147,6 +162,12 @@ def _find(name: "str | PathLike[str]") -> _Description:
         rotors = example_robots.rotor_inertia(example.rotors, list(urdf.joint_types(text)))
         sidecar = replace(sidecar, drive_inertia=rotors)
     return _Description(name, text, "urdf", name, sidecar)
+
+
+def _is_file(name: "str | PathLike[str]") -> bool:
+    """Whether this is the path of a file, not the name of a robot that comes with a package."""
+    path = Path(name)
+    return not isinstance(name, str) or path.suffix.lower() in _SUFFIXES or len(path.parts) > 1
 
 
 def _from_file(name: str, path: Path, owner: str) -> _Description:

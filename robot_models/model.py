@@ -3,6 +3,7 @@
 from collections.abc import Mapping
 from dataclasses import dataclass, field, fields
 from difflib import get_close_matches
+from functools import cached_property
 from types import MappingProxyType
 from typing import TYPE_CHECKING, Any, Literal
 
@@ -89,12 +90,17 @@ class RobotModel:
         ModelError
             The text was tampered with and can no longer be built.
         """
-        from robot_models.build import build
-
-        model = build(self.text, self.format, self.locked, self.name).model
+        model = self._built.copy()
         model.armature = np.array(self.armature)
         model.gravity.linear = np.array(self.gravity)
         return model
+
+    @cached_property
+    def _built(self) -> "pin.Model":
+        """What `robot_models.build` makes of the text, once: reading and checking it takes as long as 3000 steps."""
+        from robot_models.build import build
+
+        return build(self.text, self.format, self.locked, self.name).model
 
     def require_frame(self, tip: str) -> str:
         """Return `tip` if it names a frame of the robot.

@@ -15,7 +15,7 @@ from pydantic import BeforeValidator, Field
 
 from closedloop.errors import ScenarioError
 from closedloop.jit.blocks import Block
-from closedloop.jit.kernel import kernel
+from closedloop.jit.kernel import kernel, plain
 from closedloop.parameters import pack, parameter_block
 from closedloop.sections import FORCE, PERIOD, NotNegative, Number, Section, Size
 
@@ -156,11 +156,10 @@ def sense(f_true: float, sample: int, par: Any, z: Array, normal: float, ring: A
     return float(ring[(sample + 1) % size])
 
 
-@kernel
 def start_sensor(f_true: float, par: Any, z: Array, ring: Array) -> None:
     """Write z and the ring as if the sensor had felt f_true, N, without noise, for long."""
     if par.filter_time_constant > 0.0:
         z[0] = f_true
-    reading = quantised(f_true + par.bias, par.quantisation)
+    reading = plain(quantised)(f_true + par.bias, par.quantisation)
     for i in range(ring.shape[0]):
         ring[i] = reading

@@ -11,11 +11,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from closedloop.engines.problem import Problem
-from closedloop.errors import ModelError, ScenarioError
 from closedloop.events.phases import TERMS
 from closedloop.events.proceed import proceed
-from closedloop.jit.kernel import entry_kernel, inlined_kernel
-from closedloop.robot.tree import Tree, tree_of, tree_terms, work_size
+from closedloop.jit.kernel import entry_kernel, inlined_kernel, plain
+from closedloop.robot.tree import Tree, tree_terms, work_size
 from closedloop.step.memory import loop_at
 
 Array = NDArray[np.float64]
@@ -56,18 +55,9 @@ def run_compiled_with_more(
 
 def compiled_work(n: int) -> Array:
     """Return the scratch array of `run_compiled` for n joints."""
-    return np.zeros(n * n + n + work_size(n))
+    return np.zeros(n * n + n + plain(work_size)(n))
 
 
 def compiled_tree(problem: Problem) -> Tree:
-    """Return the robot of a problem as the compiled engine's arrays.
-
-    Raises
-    ------
-    ScenarioError
-        If the robot has a joint that the compiled engine does not cover.
-    """
-    try:
-        return tree_of(problem.robot.model, problem.robot.tip)
-    except ModelError as error:
-        raise ScenarioError(f"--engine compiled: {error}; use the pinocchio engine") from None
+    """Return the robot of a problem as the compiled engine's arrays."""
+    return problem.robot.tree

@@ -135,7 +135,7 @@ class Abreast:
         self._figures = aligned(plain(figure_count)(n))
         self._limits = joint_limits(like.robot.model)
         self._parts = (
-            self._work.memory, aligned(n * n + n + work_size(n)), self._constants, self._forces, self._largest,
+            self._work.memory, aligned(n * n + n + plain(work_size)(n)), self._constants, self._forces, self._largest,
             self._rows, aligned(plain(tally_size)(n)), self._figures,
         )  # fmt: skip
         self._places = np.array([address_of(part) for part in self._parts])

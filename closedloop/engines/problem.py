@@ -181,7 +181,7 @@ class Problem:
         """
         n, law, compensation = self.robot.n, self.law, self.compensation
         own, both = (0, 0) if own_law else (law.states, law.states + compensation.states)
-        surface, joints = state_count(self.friction[0], 2), state_count(self.joint_friction[0], 1)
+        surface, joints = plain(state_count)(self.friction[0], 2), plain(state_count)(self.joint_friction[0], 1)
         extra = both + self.sensor.states + surface + n * joints
         sizes = {"law": law.numbers.size, "compensation": compensation.numbers.size, "extra": extra}
         loop = make_loop(n, **sizes, stages=self.integrator.stages, ring=self.sensor.ring)
@@ -235,10 +235,10 @@ class Problem:
         sensor = int(state.law_states)
         friction = sensor + int(state.sensor_states)
         joints = friction + int(state.friction_states)
-        plain(start_sensor)(felt, self.sensor.par, w.z[sensor:friction], w.ring)
+        start_sensor(felt, self.sensor.par, w.z[sensor:friction], w.ring)
         w.measured, w.last_event = w.ring[0], -np.inf
         if joints > friction and self.mode == STUCK:
-            rest_states(self.friction[0], self.friction[1].copy(), w.z[friction:joints])
+            plain(rest_states)(self.friction[0], self.friction[1].copy(), w.z[friction:joints])
         if self.joint_friction[0] == SEVEN_PARAMETER:
             for j in range(n):
                 w.stuck[j] = float(self.v[j] == 0.0)

@@ -26,6 +26,7 @@ from numba.core.compiler import CompileResult
 from numba.core.serialize import dumps
 
 from closedloop.jit.cache_folder import MAGIC, cache_folder, claim, forget_old_caches
+from closedloop.jit.scipy_later import import_array_functions
 
 
 class KernelCache(_Cache):
@@ -58,6 +59,7 @@ class KernelCache(_Cache):
 
     def load_overload(self, sig: Any, target_context: Any) -> Any:
         """Return the compiled form for a signature, or None if it is not there as it was written."""
+        import_array_functions()
         target_context.refresh()
         codegen = target_context.codegen()
         try:

@@ -66,15 +66,21 @@ class Desired:
     profile: ForceProfile
     force: float
 
-    def table(self, instants: Array) -> Array:
+    def table(self, instants: Array, spare: int = 0) -> Array:
         """Return the (P, 2n + 10) table at `instants` (P,), s; what jumps has its later value at that instant.
+
+        `spare` more columns of zeros stand behind it.
 
         Columns: q_des (n), rad (m), and q̇_des (n), rad/s (m/s); the tip's position (3), m, velocity (3), m/s, and
         acceleration (3), m/s², each along n, t1 and t2 of the contact frame; f_des (1), N.
         """
-        q, v, _ = self.joints.sample(instants)
-        along = [x @ self.frame.T for x in self.tip.sample(instants)]
-        return np.hstack([q, v, *along, force_at(self.profile, self.force, instants)[:, None]])
+        n = self.joints.q.shape[1]
+        table = np.zeros((instants.size, 2 * n + 10 + spare))
+        self.joints.write(instants, table, 2)
+        for at, x in zip(range(2 * n, 2 * n + 9, 3), self.tip.sample(instants), strict=True):
+            table[:, at : at + 3] = x @ self.frame.T
+        table[:, 2 * n + 9] = force_at(self.profile, self.force, instants)
+        return table
 
 
 def desired(scenario: Asked, robot: Robot, plane: Plane, q: Array, profile: ForceProfile | None = None) -> Desired:

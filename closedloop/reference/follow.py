@@ -17,14 +17,26 @@ import numpy as np
 from numpy.typing import NDArray
 
 from closedloop.errors import ScenarioError
+from closedloop.reference.inverse_kinematics import (
+    BROKEN,
+    ENDED,
+    KNOT_TOLERANCE,
+    MIDWAY,
+    OFF,
+    OUTCOMES,
+    PATH_TOLERANCE,
+    REACHED,
+    Way,
+    scratch_size,
+    walk,
+)
 from closedloop.reference.joint_path import JointPath
-from closedloop.reference.least_norm import RANK_TOLERANCE, least_norm
+from closedloop.reference.least_norm import RANK_TOLERANCE
 from closedloop.reference.tip_path import Piece, TipPath
 from closedloop.robot.pinocchio import Robot
 
 Array = NDArray[np.float64]
 
-PATH_TOLERANCE = 1e-10  # m; a hundredth of the closure error that the stabiliser leaves
 FIRST_SPACING = 5e-4  # m of path between knots before any halving
 SHORTEST = 1e-12  # s between knots
 MOST_KNOTS = 20_000
@@ -66,10 +78,7 @@ def _resolve(robot: Robot, q: Array, piece: Piece, room: int, keys: tuple[str, .
     """Return the joint path along one piece, with as many knots as it needs; at most `room` intervals."""
     intervals = _first_intervals(piece)
     while True:
-        path = _through_knots(robot, q, piece, intervals, room, keys)
-        middles = 0.5 * (path.times[:-1] + path.times[1:])
-        halfway, targets = path.sample(middles)[0], piece.sample(middles)[0]
-        worst = float(np.max(np.abs(np.array([robot.position(h) for h in halfway]) - targets)))
+        path, worst = _through_knots(robot, q, piece, intervals, room, keys)
         if worst <= PATH_TOLERANCE:
             return path
         intervals *= 2
@@ -93,87 +102,55 @@ def _first_intervals(piece: Piece) -> int:
     return math.ceil(min(wanted, 1e300))
 
 
-def _through_knots(robot: Robot, q: Array, piece: Piece, intervals: int, room: int, keys: tuple[str, ...]) -> JointPath:
-    """Walk from knot to knot; a path that leaves the workspace is refused on the way, however long it is."""
+def _through_knots(
+    robot: Robot, q: Array, piece: Piece, intervals: int, room: int, keys: tuple[str, ...]
+) -> tuple[JointPath, float]:
+    """Return the joint path from knot to knot, and how far from the path the tip is midway between them at most, m.
+
+    A path that leaves the workspace is refused on the way, however long it is.
+    """
     times = piece.start + (piece.stop - piece.start) * (np.arange(min(intervals, room) + 1) / intervals)
-    places, rates, _ = piece.sample(times)
-    midway = piece.sample(0.5 * (times[:-1] + times[1:]))[1]
-    if not (
-        np.all(np.diff(times) > SHORTEST) and np.all(np.isfinite(places)) and np.all(np.isfinite([*rates, *midway]))
-    ):
+    knots, midway = _tip(piece, times), _tip(piece, 0.5 * times[:-1] + 0.5 * times[1:])
+    if not (np.all(np.diff(times) > SHORTEST) and np.all(np.isfinite(knots)) and np.all(np.isfinite(midway[:, 3:]))):
         raise ScenarioError(
             f"reference: the motion from t = {piece.start:g} s to {piece.stop:g} s cannot be resolved: it is too fast; "
             "give it more time"
         )
-    qs = [q.copy()]
-    vs = [least_norm(robot.position_and_jacobian(q)[1], rates[0])]
-    for k in range(times.size - 1):
-        h = float(times[k + 1] - times[k])
-        reached = _advance(robot, qs[-1], vs[-1], h, midway[k], rates[k + 1], places[k + 1])
-        if isinstance(reached, str):
-            raise _unreachable(robot, qs[-1], vs[-1], float(times[k]), h, piece, keys)
-        qs.append(reached[0])
-        vs.append(reached[1])
+    way, reached, outcome = _walk(robot, q, times, knots, midway)
+    if reached < times.size:
+        h = float(times[reached] - times[reached - 1])
+        raise _unreachable(robot, way.q[reached - 1], float(times[reached - 1]), h, piece, keys)
     if intervals > room:
         raise ScenarioError(f"reference: the path takes more than {MOST_KNOTS} knots; make it shorter or slower")
-    return JointPath(times, np.array(qs), np.array(vs))
+    return JointPath(times, way.q, way.v), float(outcome[MIDWAY])
 
 
-def _advance(
-    robot: Robot, q: Array, v: Array, h: float, midway: Array, rate: Array, target: Array
-) -> tuple[Array, Array] | str:
-    """Return joint positions and velocities h seconds on from q and v (n,), or why there are none.
-
-    `midway` and `rate` (3,) are the tip's velocity after h/2 and h, m/s; `target` (3,) its place after h, m.
-    """
-    try:
-        slopes = [v]
-        for share, wanted in ((0.5, midway), (0.5, midway), (1.0, rate)):
-            x = q + h * share * slopes[-1]
-            if not np.isfinite(x).all():
-                return "the inverse kinematics broke down"
-            slopes.append(least_norm(robot.position_and_jacobian(x)[1], wanted))
-        x = q + h / 6 * (slopes[0] + 2 * slopes[1] + 2 * slopes[2] + slopes[3])
-        r, J = robot.position_and_jacobian(x)
-        for _ in range(20):
-            error = target - r
-            if np.abs(error).max() < 1e-14:
-                break
-            move = least_norm(J, error)
-            x = x + move
-            r, J = robot.position_and_jacobian(x)
-            if np.abs(move).max() < 1e-15:
-                break
-        velocity = least_norm(J, rate)
-    except np.linalg.LinAlgError:
-        return "the inverse kinematics broke down"
-    if not (np.isfinite(x).all() and np.isfinite(velocity).all()):
-        return "the inverse kinematics broke down"
-    if np.abs(target - r).max() > 0.1 * PATH_TOLERANCE:
-        return f"the tip cannot get there: the path leaves the workspace{_barred(robot, q, target)}"
-    model = robot.model
-    outside = (x < model.position_lower) | (x > model.position_upper)
-    if outside.any():
-        j = int(np.argmax(outside))
-        limits = f"[{model.position_lower[j]:g}, {model.position_upper[j]:g}]"
-        return f"joint {robot.joint_names[j]} would be at {x[j]:.4f}, outside its limits {limits}"
-    return x, velocity
+def _tip(piece: Piece, times: Array) -> Array:
+    """Return the tip's position, m, and velocity, m/s, (N, 6) at times (N,), s."""
+    return np.ascontiguousarray(np.hstack(piece.sample(times)[:2]))
 
 
-def _unreachable(
-    robot: Robot, q: Array, v: Array, start: float, h: float, piece: Piece, keys: tuple[str, ...]
-) -> ScenarioError:
+def _walk(robot: Robot, q: Array, times: Array, knots: Array, midway: Array) -> tuple[Way, int, Array]:
+    """Return what `walk` makes of knots and the places between them, from joint positions q (n,)."""
+    limits = np.stack([robot.model.position_lower, robot.model.position_upper])
+    way = Way(times, knots, midway, limits, np.zeros((times.size, robot.n)), np.zeros((times.size, robot.n)))
+    way.q[0] = q
+    outcome = np.zeros(OUTCOMES)
+    return way, walk(robot.tree, np.zeros(scratch_size(robot.n)), way, outcome), outcome
+
+
+def _unreachable(robot: Robot, q: Array, start: float, h: float, piece: Piece, keys: tuple[str, ...]) -> ScenarioError:
     """Return the refusal with the first instant within h of `start` that is out of reach, by bisection to 1 µs."""
     low, high = 0.0, h
     reason = "the path cannot be followed"
     for _ in range(60):
         middle = 0.5 * (low + high)
-        places, rates, _ = piece.sample(start + middle * np.array([0.5, 1.0]))
-        reached = _advance(robot, q, v, middle, rates[0], rates[1], places[1])
-        if isinstance(reached, str):
-            high, reason = middle, reached
-        else:
+        tip = _tip(piece, start + middle * np.array([0.0, 0.5, 1.0]))
+        way, _, outcome = _walk(robot, q, np.array([0.0, middle]), tip[[0, 2]], tip[1:2])
+        if outcome[ENDED] == REACHED:
             low = middle
+        else:
+            high, reason = middle, _reason(robot, way, int(outcome[ENDED]))
         if high - low < 1e-6:
             break
     where = np.array2string(
@@ -186,12 +163,23 @@ def _unreachable(
     )
 
 
+def _reason(robot: Robot, way: Way, ended: int) -> str:
+    """Return in words why the second knot of a way was not reached."""
+    if ended == BROKEN:
+        return "the inverse kinematics broke down"
+    if ended == OFF:
+        return f"the tip cannot get there: the path leaves the workspace{_barred(robot, way.q[0], way.knots[1, :3])}"
+    x, (lower, upper) = way.q[1], way.limits
+    j = int(np.argmax((x < lower) | (x > upper)))
+    return f"joint {robot.joint_names[j]} would be at {x[j]:.4f}, outside its limits [{lower[j]:g}, {upper[j]:g}]"
+
+
 def _barred(robot: Robot, q: Array, target: Array) -> str:
     """Return in words which directions of the way to `target` (3,), m, no joint moves the tip in, at q (n,)."""
     r, J = robot.position_and_jacobian(q)
     U, sizes, _ = np.linalg.svd(J)
     rank = int(np.sum(sizes > RANK_TOLERANCE * sizes[0]))
-    ways = [way for way in U[:, rank:].T if abs(float(way @ (target - r))) > 0.05 * PATH_TOLERANCE]
+    ways = [way for way in U[:, rank:].T if abs(float(way @ (target - r))) > 0.5 * KNOT_TOLERANCE]
     if not ways:
         return ""
     named = [(way * np.sign(way[np.argmax(np.abs(way))])).round(4) + 0.0 for way in ways]

@@ -7,6 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from closedloop.jit.kernel import entry_kernel, kernel_inlined
 from closedloop.reference.tip_path import INSTANT
 
 Array = NDArray[np.float64]
@@ -39,21 +40,56 @@ class JointPath:
         A velocity that jumps has its later value at that instant, and its jump has no part in q̈_des. q̈_des is the
         spline's own: linear between knots, with jumps of the order of their spacing squared.
         """
-        t = np.asarray(t, dtype=np.float64)
-        q = np.tile(self.q[0], (t.size, 1))
-        v, a = np.zeros_like(q), np.zeros_like(q)
-        if self.times.size == 1:
-            return q, v, a
-        instant = INSTANT * (self.times[-1] - self.times[0])
-        q[t >= self.times[-1] - instant] = self.q[-1]
-        inside = (t >= self.times[0] - instant) & (t < self.times[-1] - instant)
-        k = np.clip(np.searchsorted(self.times, t[inside] + instant, side="right") - 1, 0, self.times.size - 2)
-        h = (self.times[k + 1] - self.times[k])[:, None]
-        s = (t[inside] - self.times[k])[:, None] / h
-        q0, q1, v0, v1 = self.q[k], self.q[k + 1], h * self.v[k], h * self.v[k + 1]
-        rise = q1 - q0
-        c2, c3 = 3 * rise - 2 * v0 - v1, v0 + v1 - 2 * rise
-        q[inside] = q0 + s * (v0 + s * (c2 + s * c3))
-        v[inside] = (v0 + s * (2 * c2 + s * 3 * c3)) / h
-        a[inside] = (2 * c2 + s * 6 * c3) / h / h
-        return q, v, a
+        n = self.q.shape[1]
+        rows = np.zeros((np.size(t), 3 * n))
+        self.write(t, rows, 3)
+        return rows[:, :n], rows[:, n : 2 * n], rows[:, 2 * n :]
+
+    def write(self, t: Array, rows: Array, orders: int) -> None:
+        """Write q_des, q̇_des and, if `orders` is 3, q̈_des at times t (N,), s, to the first columns of zeros (N, m)."""
+        sample_spline(self.times, self.q, self.v, np.ascontiguousarray(t, dtype=np.float64), rows, orders)
+
+
+@kernel_inlined
+def cubic(q0: float, q1: float, v0: float, v1: float, h: float, s: float) -> tuple[float, float, float]:
+    """Return position, velocity and acceleration at the share s of an interval of h seconds: Hermite's cubic.
+
+    q0, q1 and v0, v1 are positions and velocities at both ends.
+    """
+    rise, u0, u1 = q1 - q0, h * v0, h * v1
+    c2, c3 = 3.0 * rise - 2.0 * u0 - u1, u0 + u1 - 2.0 * rise
+    return (
+        q0 + s * (u0 + s * (c2 + s * c3)),
+        (u0 + s * (2.0 * c2 + s * 3.0 * c3)) / h,
+        (2.0 * c2 + s * 6.0 * c3) / h / h,
+    )
+
+
+@entry_kernel
+def sample_spline(times: Array, q: Array, v: Array, t: Array, rows: Array, orders: int) -> None:
+    """Write position, velocity and, if `orders` is 3, acceleration of a path at times t (N,), s; see `JointPath`.
+
+    `times` (K,), q and v (K, n) are its knots; rows (N, >= orders n) are zeros at first.
+    """
+    last, n = times.shape[0] - 1, q.shape[1]
+    instant = INSTANT * (times[last] - times[0])
+    for i in range(t.shape[0]):
+        row = rows[i]
+        if last == 0 or t[i] < times[0] - instant or t[i] >= times[last] - instant:
+            rest = 0 if last == 0 or t[i] < times[0] - instant else last
+            for j in range(n):
+                row[j] = q[rest, j]
+        else:
+            k, beyond = 0, last  # the last interval that has begun by now
+            while beyond - k > 1:
+                middle = (k + beyond) // 2
+                if times[middle] <= t[i] + instant:
+                    k = middle
+                else:
+                    beyond = middle
+            h = times[k + 1] - times[k]
+            s = (t[i] - times[k]) / h
+            for j in range(n):
+                row[j], row[n + j], acceleration = cubic(q[k, j], q[k + 1, j], v[k, j], v[k + 1, j], h, s)
+                if orders == 3:
+                    row[2 * n + j] = acceleration

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from functools import lru_cache
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -10,6 +11,7 @@ import pinocchio as pin
 from numpy.typing import ArrayLike, NDArray
 
 from closedloop.errors import ModelError
+from closedloop.robot.tree import Tree, tree_of
 from robot_models import RobotModel
 
 Array = NDArray[np.float64]
@@ -99,6 +101,17 @@ class Robot:
         return float(links + np.linalg.norm(self.tip_offset) + sliding)
 
     @property
+    def tree(self) -> Tree:
+        """The same robot for the compiled kernels of `closedloop.robot.tree`; its arrays are not to be written to.
+
+        Raises
+        ------
+        ModelError
+            If a joint is not revolute, continuous or prismatic: one that `robot_models` does not load.
+        """
+        return _tree_of(self.model, self.tip)
+
+    @property
     def passes(self) -> tuple[Any, Any, Any, Any, Any]:
         """Pinocchio's two passes over the tree, with what they are called with; see `evaluator`."""
         return pin.crba, pin.nonLinearEffects, pin.Convention.WORLD, self._pin, self._data
@@ -179,3 +192,6 @@ _ALIGNED = pin.LOCAL_WORLD_ALIGNED
 def _frozen(array: Array) -> Array:
     array.setflags(write=False)
     return array
+
+
+_tree_of = lru_cache(maxsize=8)(tree_of)

@@ -176,7 +176,7 @@ def _desired(
     wanted = replace(wanted, profile=scenario.force_profile, force=scenario.law.force)
     table = pieces.get(
         ("table", *motion, instants.size, float(instants[1])),
-        lambda: np.hstack([wanted.table(instants), np.zeros((instants.size, 1))]),
+        lambda: wanted.table(instants, spare=1),
         lambda made: made.nbytes,
     )
     table[:, 2 * n + 9] = force_at(wanted.profile, wanted.force, instants)

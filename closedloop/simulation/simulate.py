@@ -31,11 +31,11 @@ from closedloop.events.table import EVENT_WIDTH, event_columns
 from closedloop.events.transitions import collide
 from closedloop.integrators import ADAPTIVE, INTEGRATORS
 from closedloop.interrupts import held_back
-from closedloop.jit.kernel import direct
+from closedloop.jit.kernel import direct, plain
 from closedloop.jit.pointers import address_of
 from closedloop.record.run import Run
 from closedloop.record.versions import package_versions
-from closedloop.robot.tree import Tree
+from closedloop.robot.tree import Tree, potential_energies, work_size
 from closedloop.scenario.scenario import Scenario, member_digests
 from closedloop.simulation.prepare import prepare
 from closedloop.step.memory import Loop
@@ -182,7 +182,7 @@ def run_loop(
     loop = problem.loop(own_law=law is not None)
     state, w = loop.state, loop.w
     user_law = None if law is None else UserLaw(law, loop)
-    rows = np.zeros((steps + 1, Row.of(robot.n).width)) if rows is None else rows
+    rows = np.empty((steps + 1, Row.of(robot.n).width)) if rows is None else rows
     events = np.zeros((ROOM_FOR_EVENTS, EVENT_WIDTH))
     more = problem.more or law is not None
     step, many = _driver(problem, more, loop, (problem.table, problem.integrator.tableau(), rows), engine, tree)
@@ -296,7 +296,8 @@ def _as_run(
     }
     columns |= {name: recorded(rows, n, name) for name in RECORDED}
     columns["mode"] = columns["mode"].astype(np.int8)
-    columns["potential_energy"] = problem.robot.potential_energy(columns["q"])
+    columns["potential_energy"] = np.empty(count)
+    potential_energies(problem.robot.tree, columns["q"], np.zeros(plain(work_size)(n)), columns["potential_energy"])
     return Run(
         scenario=problem.scenario,
         model=problem.robot.model,

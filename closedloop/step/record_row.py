@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from functools import lru_cache
 from typing import NamedTuple
 
 import numpy as np
@@ -32,6 +33,7 @@ class Row(NamedTuple):
     width: int
 
     @classmethod
+    @lru_cache(maxsize=16)
     def of(cls, n: int) -> Row:
         """Lay out a row for n joints."""
         ends = np.cumsum((0, n, n, n, n, 3, 3, 3, n, len(SCALARS))).tolist()

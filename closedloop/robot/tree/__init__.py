@@ -7,9 +7,12 @@
 Tests hold it equal to Pinocchio; the two are the simulator's two engines.
 """
 
-from closedloop.robot.tree.energy import energy_there, tree_potential_energy
+from closedloop.robot.tree.energy import energy_there, potential_energies, tree_potential_energy
 from closedloop.robot.tree.layout import Tree, work_size
 from closedloop.robot.tree.model import tree_of
 from closedloop.robot.tree.terms import tree_kinematics, tree_terms
 
-__all__ = ["Tree", "energy_there", "tree_kinematics", "tree_of", "tree_potential_energy", "tree_terms", "work_size"]
+__all__ = [
+    "Tree", "energy_there", "potential_energies", "tree_kinematics", "tree_of", "tree_potential_energy", "tree_terms",
+    "work_size",
+]  # fmt: skip

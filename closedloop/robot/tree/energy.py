@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from closedloop.jit.kernel import kernel
+from closedloop.jit.kernel import entry_kernel, kernel
 from closedloop.robot.tree import layout as at
 from closedloop.robot.tree.angles import sines
 from closedloop.robot.tree.layout import Array, Tree
@@ -16,6 +16,13 @@ def tree_potential_energy(tree: Tree, q: Array, work: Array) -> float:
     """
     sines(tree, q, work)
     return energy_there(tree, work)
+
+
+@entry_kernel
+def potential_energies(tree: Tree, q: Array, work: Array, energies: Array) -> None:
+    """Write the potential energy of each row of q (N, n), J, to `energies` (N,); `work` (work_size(n),) is scratch."""
+    for i in range(q.shape[0]):
+        energies[i] = tree_potential_energy(tree, q[i], work)
 
 
 @kernel

@@ -98,7 +98,7 @@ def _joint(model: RobotModel, pin: Any, i: int) -> tuple[bool, Array]:
         return kind[0] == "R", np.array(_AXES[kind[1]])
     raise ModelError(
         f"{model.name}: joint {pin.names[i + 1]!r} is of Pinocchio's kind {kind}: "
-        "the compiled engine covers revolute, continuous and prismatic joints"
+        "only revolute, continuous and prismatic joints are simulated"
     )
 
 

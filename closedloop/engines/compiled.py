@@ -7,8 +7,6 @@ needs no interpreter and holds no lock: runs of a batch go on side by side in th
 
 from __future__ import annotations
 
-from collections.abc import Callable
-
 import numpy as np
 from numpy.typing import NDArray
 
@@ -22,16 +20,20 @@ from closedloop.step.memory import SENSOR_RING, STAGES, Whole, workspace
 
 Array = NDArray[np.float64]
 
+# More evaluations than any run has.
+ALL = 1 << 62
+
 
 @inlined_kernel
 def _run(
     n: int, tree: Tree, work: Array, k: Array, state: Whole, memory: Array, table: Array, tableau: Array, rows: Array,
-    events: Array, more: int | None,
+    events: Array, most: int, more: int | None,
 ) -> int:  # fmt: skip
     w = workspace(memory, n, extra_states(state, n), state[STAGES], state[SENSOR_RING])
     H, C, scratch = work[0 : n * n].reshape(n, n), work[n * n : n * n + n], work[n * n + n :]
-    request = TERMS
-    while request == TERMS:
+    request, evaluations = TERMS, 0
+    while request == TERMS and evaluations < most:
+        evaluations += 1
         tree_terms(tree, w.q, w.v, scratch, H, C, w.J, w.r, w.drift)
         request = proceed(H, C, w, k, state, table, tableau, rows, events, more)
     return request
@@ -40,31 +42,22 @@ def _run(
 @entry_kernel
 def run_compiled(
     tree: Tree, work: Array, k: Array, state: Whole, memory: Array, table: Array, tableau: Array, rows: Array,
-    events: Array,
+    events: Array, most: int,
 ) -> int:  # fmt: skip
-    """Go on until something other than terms is asked for, and return what; see `closedloop.events.proceed`."""
-    return _run(tree.n, tree, work, k, state, memory, table, tableau, rows, events, None)
+    """Go on until something other than terms is asked for, and return what; see `closedloop.events.proceed`.
+
+    After `most` evaluations, at least one, it returns in any case.
+    """
+    return _run(tree.n, tree, work, k, state, memory, table, tableau, rows, events, most, None)
 
 
 @entry_kernel
 def run_compiled_with_more(
     tree: Tree, work: Array, k: Array, state: Whole, memory: Array, table: Array, tableau: Array, rows: Array,
-    events: Array,
+    events: Array, most: int,
 ) -> int:  # fmt: skip
     """Do the same with everything that may come on top: other laws, friction, a force sensor."""
-    return _run(tree.n, tree, work, k, state, memory, table, tableau, rows, events, 1)
-
-
-def written_out_run(n: int, more: int | None) -> Callable[..., int]:
-    """Return the body of a loop for n joints alone, not yet compiled; see `closedloop.engines.specialise`."""
-
-    def run(
-        tree: Tree, work: Array, k: Array, state: Whole, memory: Array, table: Array, tableau: Array, rows: Array,
-        events: Array,
-    ) -> int:  # fmt: skip
-        return _run(n, tree, work, k, state, memory, table, tableau, rows, events, more)
-
-    return run
+    return _run(tree.n, tree, work, k, state, memory, table, tableau, rows, events, most, 1)
 
 
 def compiled_work(n: int) -> Array:

@@ -28,6 +28,7 @@ from numba import NumbaError, types
 from numpy.typing import NDArray
 
 from closedloop.control import Law
+from closedloop.engines.compiled import ALL
 from closedloop.engines.failures import not_finite, when
 from closedloop.engines.own_law import law_failure
 from closedloop.errors import (
@@ -37,6 +38,7 @@ from closedloop.errors import (
 )
 from closedloop.events.phases import NOT_FINITE, TERMS, TERMS_AND_LAW
 from closedloop.events.table import EVENT_WIDTH
+from closedloop.jit.background import make_ready
 from closedloop.jit.kernel import entry_kernel
 from closedloop.robot.pinocchio import Robot, Terms
 from closedloop.robot.tree import Tree, tree_terms, work_size
@@ -207,7 +209,7 @@ def _go_on(
             for i in range(n):
                 if not math.isfinite(torque[i]):
                     return NOT_FINITE
-        request = run(tree, work, k, state, memory, table, tableau, rows, events)
+        request = run(tree, work, k, state, memory, table, tableau, rows, events, ALL)
     return request
 
 
@@ -230,9 +232,10 @@ def loop_with_law(
     # By address (`FunctionType`), so that one compilation serves every law; numba would make one for each.
     numbers = [_typeof(x) for x in (tree, work, *arrays, np.zeros((1, EVENT_WIDTH)))]
     signature = types.int64(
-        types.FunctionType(types.int64(*numbers)), types.FunctionType(_LAW), types.int64, *numbers,
+        types.FunctionType(types.int64(*numbers, types.int64)), types.FunctionType(_LAW), types.int64, *numbers,
         *(_typeof(x) for x in views),
     )  # fmt: skip
+    make_ready(run, _go_on)
     loop: Any = _go_on
     entry = loop.get_compile_result(signature).entry_point
     request = TERMS_AND_LAW

@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import time as clock
 from collections.abc import Callable
+from functools import partial
 from typing import Any
 
 import numpy as np
@@ -14,10 +15,10 @@ from numpy.typing import NDArray
 
 from closedloop.control import Law
 from closedloop.engines.failures import failure_of, interrupted, not_finite, when
+from closedloop.engines.loops import COMPILED, ENGINES, PINOCCHIO, SECONDS, SECONDS_WITH_MORE, loop_for
 from closedloop.engines.own_law import law_digest
 from closedloop.engines.pinocchio import AT_EVENTS, EVENT_ROOM, places_of
 from closedloop.engines.problem import Problem
-from closedloop.engines.specialise import COMPILED, ENGINES, PINOCCHIO, machine
 from closedloop.engines.user_law import checked_law
 from closedloop.errors import (
     DivergenceError,
@@ -31,6 +32,8 @@ from closedloop.events.table import EVENT_WIDTH, event_columns
 from closedloop.events.transitions import collide
 from closedloop.integrators import ADAPTIVE, INTEGRATORS
 from closedloop.interrupts import held_back
+from closedloop.jit.background import make_ready, start
+from closedloop.jit.interpreted import Interim, at_hand, call_now
 from closedloop.jit.kernel import direct
 from closedloop.jit.pointers import address_of
 from closedloop.record.run import Run
@@ -38,7 +41,7 @@ from closedloop.record.versions import package_versions
 from closedloop.robot.tree import Tree
 from closedloop.scenario.scenario import Scenario
 from closedloop.simulation.prepare import prepare
-from closedloop.step.memory import EVENTS, ROW, STATUS, TIME, Work
+from closedloop.step.memory import EVENTS, ROW, STATUS, TIME, UNILATERAL, Whole, Work
 from closedloop.step.record_row import RECORDED, Row, complete_record, recorded, rows_there
 from robot_models import RobotModel
 
@@ -94,9 +97,10 @@ def simulate(
         from closedloop.progress import bar
 
         with bar(scenario.name, problem.steps) as report:
-            rows, events, failure, seconds = run_loop(problem, law, report, engine, keep_interrupted=True)
+            rows, events, failure, seconds = run_loop(problem, law, report, engine, keep_interrupted=True, interim=True)
     else:
-        rows, events, failure, seconds = run_loop(problem, law, progress or _silent, engine, keep_interrupted=True)
+        report = progress or _silent
+        rows, events, failure, seconds = run_loop(problem, law, report, engine, keep_interrupted=True, interim=True)
     try:
         with held_back():
             run = _as_run(problem, rows, events, law, failure, seconds, engine)
@@ -144,7 +148,7 @@ def run_loop(
     *,
     rows: Array | None = None,
     tree: tuple[Tree, Array] | None = None,
-    ahead: int = 0,
+    interim: bool = False,
     keep_interrupted: bool = False,
 ) -> tuple[Array, Array, SimulationError | None, float]:
     """Step the problem.
@@ -157,8 +161,8 @@ def run_loop(
         Memory for the rows, whatever is in it.
     tree : (Tree, array), optional
         The problem's robot for the compiled engine, and its scratch, if they are there already.
-    ahead : int
-        How many steps are to come, in this run and others: whether a loop for just this robot is worth compiling.
+    interim : bool
+        Whether it may begin interpreted where the loop is not compiled yet; else that is compiled first.
     keep_interrupted : bool
         Whether Ctrl-C is a failure that leaves a record, as others do; else it goes through.
 
@@ -187,7 +191,12 @@ def run_loop(
     rows = np.zeros((steps + 1, Row.of(robot.n).width)) if rows is None else rows
     events = np.zeros((ROOM_FOR_EVENTS, EVENT_WIDTH))
     arrays = (k, state, memory, problem.table, problem.integrator.tableau(), rows)
-    step, many = _driver(problem, w, arrays, engine, law, tree, ahead)
+    step, many, loop = _driver(problem, w, arrays, engine, law, tree, interim)
+
+    def finish(done: int) -> None:
+        call = partial(call_now, complete_record, (w.pending, state)) if interim else complete_record
+        call(w.pending, rows, state, done, robot.n)
+
     failure: SimulationError | None = None
     request = TERMS if user_torque is None else TERMS_AND_LAW
     began, first, impacts = clock.perf_counter(), engine == PINOCCHIO, False
@@ -209,7 +218,10 @@ def run_loop(
                 request = step(events)
             elif request == IMPACT_LAW_WANTED:
                 struck = clock.perf_counter()
-                collide(k, state, memory, robot.n)
+                if interim:
+                    call_now(collide, (state, memory), k, state, memory, robot.n)
+                else:
+                    collide(k, state, memory, robot.n)
                 if not impacts:  # the first may have compiled it
                     began += clock.perf_counter() - struck
                 impacts = True
@@ -228,18 +240,18 @@ def run_loop(
             report(int(state[ROW]), steps)
         if failure is None:
             report(steps, steps)
-        complete_record(w.pending, rows, state, int(state[ROW]) + (failure is None), robot.n)
+        finish(int(state[ROW]) + (failure is None))
     except LawError as error:
         failure = error
     except KeyboardInterrupt as stop:
         if not keep_interrupted:
             raise
         failure = interrupted(stop, float(w.now[TIME]))
-    seconds = clock.perf_counter() - began
+    seconds = clock.perf_counter() - began - (loop.compiling if isinstance(loop, Interim) else 0.0)
     done = int(state[ROW]) + (failure is None)
     if isinstance(failure, InterruptedRunError):
         done = rows_there(state, done, robot.n)
-    complete_record(w.pending, rows, state, done, robot.n)  # what an exception left; else there is nothing left
+    finish(done)  # what an exception left; else there is nothing left
     return rows[:done], events[: int(state[EVENTS])], failure, seconds
 
 
@@ -250,29 +262,39 @@ def _driver(
     engine: str,
     law: Law | None,
     made: tuple[Tree, Array] | None,
-    ahead: int,
-) -> tuple[Callable[[Array], int], Callable[[Array], int]]:
-    """Return two functions of the table of events: they provide terms once, and as long as nothing else is asked."""
-    if engine == COMPILED:
-        from closedloop.engines.compiled import compiled_tree, compiled_work
+    interim: bool,
+) -> tuple[Callable[[Array], int], Callable[[Array], int], Callable[..., int]]:
+    """Return two functions of the table of events: they provide terms once, and as long as nothing else is asked.
 
-        run = machine(problem.more, engine, problem.robot.n, ahead)
+    And the loop that they call: an `Interim` as long as it is not compiled.
+    """
+    k, state, memory, table, tableau, rows = arrays
+    loop = loop_for(engine, problem.more)
+    if interim and not (engine == COMPILED and law is not None):
+        loop = _begun(loop, problem, state, memory)
+    else:
+        make_ready(loop)
+    if engine == COMPILED:
+        from closedloop.engines.compiled import ALL, compiled_tree, compiled_work
+
         tree, work = made or (compiled_tree(problem), compiled_work(problem.robot.n))
         if law is not None:
             from closedloop.engines.user_law import compiled_law, loop_with_law
 
-            with_law = loop_with_law(run, law, compiled_law(law), tree, work, w, arrays)
-            return with_law, with_law
-        if not getattr(run, "signatures", ()):
-            direct(run, tree, work, *arrays, np.zeros((0, EVENT_WIDTH)))  # compiled, or read, before the clock starts
+            with_law = loop_with_law(loop, law, compiled_law(law), tree, work, w, arrays)
+            return with_law, with_law, loop
+        if not isinstance(loop, Interim) and not getattr(loop, "signatures", ()):
+            # Compiled, or read, before the clock starts.
+            direct(loop, tree, work, *arrays, np.zeros((0, EVENT_WIDTH)), ALL)
 
         def go_on(events: Array) -> int:
-            return run(tree, work, *arrays, events)
+            # Interpreted, it comes back after each evaluation, as Pinocchio does, and can be interrupted.
+            most = 1 if isinstance(loop, Interim) and loop.interpreting else ALL
+            return loop(tree, work, *arrays, events, most)
 
-        return go_on, go_on
+        return go_on, go_on, loop
 
-    robot, proceed = problem.robot, machine(problem.more, engine, problem.robot.n, ahead)
-    k, state, memory, table, tableau, rows = arrays
+    robot = problem.robot
     places = places_of(robot.views, k, state, memory, table, tableau, rows, np.zeros((0, EVENT_WIDTH)))
     crba, bias, convention, pinocchio, data = robot.passes
     q, v, at = w.q, w.v, address_of(places)
@@ -280,7 +302,7 @@ def _driver(
     def chunk(length: int) -> Callable[[Array], int]:
         def go_on(events: Array) -> int:
             places[AT_EVENTS], places[EVENT_ROOM] = address_of(events), events.shape[0]
-            request, call = TERMS, direct(proceed, at)
+            request, call = TERMS, direct(loop, at)
             for _ in range(length):
                 crba(pinocchio, data, q, convention)  # as in `Robot.evaluator`, without a call
                 bias(pinocchio, data, q, v)
@@ -291,7 +313,18 @@ def _driver(
 
         return go_on
 
-    return chunk(1), chunk(CHUNK)
+    return chunk(1), chunk(CHUNK), loop
+
+
+def _begun(loop: Callable[..., int], problem: Problem, state: Whole, memory: Array) -> Callable[..., int]:
+    """Return the loop, or what it is begun with if it is not compiled; and have compiled what else is missing."""
+    with_it = [complete_record, collide] if state[UNILATERAL] else [complete_record]
+    if not at_hand(loop):
+        calls = problem.steps * problem.integrator.stages
+        return Interim(loop, (state, memory), calls, SECONDS_WITH_MORE if problem.more else SECONDS, with_it)
+    make_ready(loop)
+    start([function for function in with_it if not at_hand(function)])
+    return loop
 
 
 def _as_run(

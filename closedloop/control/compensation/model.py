@@ -49,7 +49,8 @@ def add_model(x: Moment, par: Array, torque: Array) -> None:
         d1, d2, speed = wanted_direction(x, par[SMOOTHING])
         mu = par[KINETIC]
         if par[STRIBECK_SPEED] > 0.0:
-            mu += (par[STATIC] - par[KINETIC]) * math.exp(-((speed / par[STRIBECK_SPEED]) ** 2))
+            ratio = speed / par[STRIBECK_SPEED]
+            mu += (par[STATIC] - par[KINETIC]) * math.exp(-(ratio * ratio))
         size = x.f_des * mu + par[VISCOUS] * speed
         for j in range(n):
             torque[j] += size * (x.A[1, j] * d1 + x.A[2, j] * d2)

@@ -19,9 +19,9 @@ from closedloop.engines.adaptive.kernels import (
     evaluate_with_more_on_pinocchio,
 )
 from closedloop.engines.adaptive.smooth import Stretch
+from closedloop.engines.loops import PINOCCHIO, loop_for
 from closedloop.engines.pinocchio import places_of
 from closedloop.engines.problem import Problem
-from closedloop.engines.specialise import PINOCCHIO, machine
 from closedloop.engines.user_law import checked_law
 from closedloop.events.phases import (
     ARRIVING,
@@ -37,6 +37,7 @@ from closedloop.events.phases import (
 )
 from closedloop.events.table import EVENT_WIDTH
 from closedloop.events.transitions import collide
+from closedloop.jit.background import make_ready
 from closedloop.jit.pointers import address_of
 from closedloop.step.memory import (
     GAINED,
@@ -104,8 +105,9 @@ class Memory:
         self.events = np.zeros((ROOM_FOR_EVENTS, EVENT_WIDTH))
         self._terms = robot.evaluator(self.w.q, self.w.v)
         self._given = None if law is None else checked_law(law, robot, self.w.q, self.w.v)
-        self._machine: Callable[..., int] = machine(problem.more, PINOCCHIO)
+        self._machine: Callable[..., int] = loop_for(PINOCCHIO, problem.more)
         self._evaluate: Callable[..., int] = evaluate_with_more_on_pinocchio if problem.more else evaluate_on_pinocchio
+        make_ready(self._machine, self._evaluate)
         self._table, self._tableau = problem.table, problem.integrator.tableau()
         # What is desired at the instant evaluated: a table of one row.
         self._wanted = problem.table[:1].copy()

@@ -18,7 +18,6 @@ from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from closedloop.command.announce import announce_compiling
 from closedloop.command.border import DONE, NOT_GOOD, Parser, run_command
 from closedloop.errors import InterruptedRunError, ScenarioError, SimulationError, one_line
 from closedloop.interrupts import Terminated, word_for
@@ -79,7 +78,6 @@ def _main(arguments: list[str]) -> int:
         _warn_of_other_texts(options.scenario, earlier, {options.law or "": digest, **members})
     if law is None:
         _warn_of_gains(scenario, model)
-    announce_compiling(scenario, model.n, engine)
     failure: SimulationError | None = None
     try:
         with redirect_stdout(sys.stderr):  # what a law prints is no result

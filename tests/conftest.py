@@ -1,23 +1,24 @@
 """What holds for all tests.
 
-Property tests draw the same examples each time, so that a change is judged by what it changes. And no arm gets a loop
-of its own for being the first: the tests have arms of many sizes, and each would compile for ten seconds.
+Property tests draw the same examples each time, so that a change is judged by what it changes. And nothing is compiled
+in the background, where it would take a core from the tests: what a test needs is compiled first, and then kept.
 
 python -m pytest --hypothesis-profile=explore      # other examples each time, to look for what was missed
 """
 
+import os
 import sys
 from pathlib import Path
 
 import pytest
 from hypothesis import settings
 
-from closedloop.engines import specialise as forms
+from closedloop.jit.background import VARIABLE
 
 settings.register_profile("same", derandomize=True)
 settings.register_profile("explore")
 settings.load_profile("same")
-forms.FIRST_HAS_ITS_OWN = False
+os.environ[VARIABLE] = "0"  # for the processes that tests start, too
 
 
 @pytest.fixture(autouse=True)

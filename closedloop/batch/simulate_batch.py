@@ -17,9 +17,9 @@ from typing import TYPE_CHECKING, Any
 
 from closedloop.batch.table import kept_columns, key_type, schema, table_of
 from closedloop.batch.threads import Done, side_by_side
-from closedloop.batch.worker import FEWEST_ABREAST, Bench, Outcome, failed
-from closedloop.engines.lanes import goes_abreast
-from closedloop.engines.specialise import COMPILED
+from closedloop.batch.worker import Bench, Outcome, failed
+from closedloop.engines.lanes import FEWEST, goes_abreast
+from closedloop.engines.loops import COMPILED
 from closedloop.errors import ScenarioError
 from closedloop.jit.simd8 import WIDE
 from closedloop.scenario.overrides import Variants
@@ -135,10 +135,10 @@ def in_blocks(
     kinds: dict[tuple[str, ...], list[int]] = {}
     for i, point in enumerate(points):
         kinds.setdefault(tuple(repr(point[at]) for at in tells_kinds), []).append(i)
-    width = max(FEWEST_ABREAST, min(WIDE, -(-len(points) // threads)))
+    width = max(FEWEST, min(WIDE, -(-len(points) // threads)))
     blocks = []
     for members in kinds.values():
-        few = len(members) < FEWEST_ABREAST
+        few = len(members) < FEWEST
         each = 1 if few or not _go_abreast(variants, [points[i] for i in members[:WIDE]], engine, runs) else width
         blocks += [members[first : first + each] for first in range(0, len(members), each)]
     return blocks

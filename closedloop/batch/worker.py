@@ -22,10 +22,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from closedloop.engines.compiled import compiled_tree, compiled_work
-from closedloop.engines.lanes import Abreast, Kind, goes_abreast, kind_of
+from closedloop.engines.lanes import FEWEST, Abreast, Kind, goes_abreast, kind_of
+from closedloop.engines.loops import COMPILED
 from closedloop.engines.problem import Problem
-from closedloop.engines.specialise import COMPILED
 from closedloop.errors import ClosedLoopError, SingularClosureError, one_line
+from closedloop.jit.background import make_ready
 from closedloop.jit.kernel import plain
 from closedloop.jit.simd8 import WIDE
 from closedloop.report.assumptions import NAMES
@@ -50,8 +51,6 @@ FRAMES = 3
 # Characters of its message.
 MOST_SAID = 300
 
-# Eight runs abreast take as long as two alone; fewer than this many are run alone.
-FEWEST_ABREAST = 3
 # Rows of eight runs that are kept whole may take this many bytes: less than what there is room for in `Pieces`.
 ROOM_ABREAST = 24_000_000
 
@@ -140,7 +139,7 @@ class Bench:
         outcomes: dict[int, Outcome] = {}
         members: list[int] = []
         abreast: Abreast | None = None
-        together = len(scenarios) >= FEWEST_ABREAST and self._try_abreast(scenarios[0])
+        together = len(scenarios) >= FEWEST and self._try_abreast(scenarios[0])
 
         def done(i: int, outcome: Outcome) -> None:
             outcomes[i] = outcome
@@ -167,7 +166,7 @@ class Bench:
 
     def _run_abreast(self, abreast: Abreast, scenarios: Sequence[Scenario]) -> list[Outcome] | None:
         """Return what the runs of these scenarios, a lane each, came to; None if they have to go alone."""
-        if len(scenarios) < FEWEST_ABREAST:
+        if len(scenarios) < FEWEST:
             return None
         try:
             ended_well = abreast.run(self._trees[abreast.kind.robot][0], len(scenarios))
@@ -209,14 +208,11 @@ class Bench:
 
     def _run(self, problem: Problem) -> Outcome:
         tree = self._tree(problem)
-        others_abreast = goes_abreast(problem.scenario, self._engine, self._runs)
-        ahead = 0 if others_abreast else self._runs * problem.steps
-        rows, events, failure, _ = run_loop(
-            problem, engine=self._engine, rows=self._room(problem), tree=tree, ahead=ahead
-        )
+        rows, events, failure, _ = run_loop(problem, engine=self._engine, rows=self._room(problem), tree=tree)
         n = problem.robot.n
         figures = np.full(plain(figure_count)(n), math.nan)
         if len(rows) > 0:
+            make_ready(measure_rows)
             measure_rows(
                 *tree, rows, len(rows), problem.table, problem.nodes, problem.h, problem.frame,
                 joint_limits(problem.robot.model), events, len(events), np.empty(plain(tally_size)(n)), figures,

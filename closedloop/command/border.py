@@ -75,7 +75,7 @@ def run_command(
         What to say after Ctrl-C or SIGTERM, if the exception does not say it.
     """
     words = sys.argv[1:] if arguments is None else list(arguments)
-    with patient_output() as output, _quiet_libraries():
+    with patient_output() as output, _quiet_libraries(), _notices():
         status, said = _run(main, words, stopped, interrupted)
         sys.stdout.flush()
         failure = next((raw.failure for raw in output), None)
@@ -107,6 +107,29 @@ def _run(
         return BAD_INPUT, f"{where}{error.strerror or error}"
     except SystemExit as leaving:  # our own parsers raise Left
         return BAD_INPUT, f"something that was run, such as a law, called sys.exit({leaving.code!r})"
+
+
+class _Notices(logging.Handler):
+    """Prints what is said about compiling on standard error, whatever that is by then."""
+
+    def emit(self, record: logging.LogRecord) -> None:
+        print(record.getMessage(), file=sys.stderr, flush=True)
+
+
+@contextmanager
+def _notices() -> Iterator[None]:
+    """Print what the package has to say while it works; as a library it says so to a logger."""
+    logger, handler = logging.getLogger("closedloop.compiling"), _Notices()
+    level, propagate = logger.level, logger.propagate
+    logger.addHandler(handler)
+    logger.setLevel(logging.INFO)
+    logger.propagate = False
+    try:
+        yield
+    finally:
+        logger.removeHandler(handler)
+        logger.setLevel(level)
+        logger.propagate = propagate
 
 
 @contextmanager

@@ -19,17 +19,21 @@ from closedloop.step.memory import loop_at
 
 Array = NDArray[np.float64]
 
+# More evaluations than any run has.
+ALL = 1 << 62
+
 
 @inlined_kernel
 def _run(
-    tree: Tree, work: Array, address: int, table: Array,
-    tableau: Array, rows: Array, events: Array, more: int | None,
+    tree: Tree, work: Array, address: int, table: Array, tableau: Array, rows: Array, events: Array, most: int,
+    more: int | None,
 ) -> int:  # fmt: skip
     n = tree.n
     state, constants, w = loop_at(address)
     H, C, scratch = work[0 : n * n].reshape(n, n), work[n * n : n * n + n], work[n * n + n :]
-    request = TERMS
-    while request == TERMS:
+    request, evaluations = TERMS, 0
+    while request == TERMS and evaluations < most:
+        evaluations += 1
         tree_terms(tree, w.q, w.v, scratch, H, C, w.J, w.r, w.drift)
         request = proceed(H, C, w, constants, state, table, tableau, rows, events, more)
     return request
@@ -37,20 +41,22 @@ def _run(
 
 @entry_kernel
 def run_compiled(
-    tree: Tree, work: Array, address: int, table: Array,
-    tableau: Array, rows: Array, events: Array,
-) -> int:  # fmt: skip
-    """Go on until something other than terms is asked for, and return what; see `closedloop.events.proceed`."""
-    return _run(tree, work, address, table, tableau, rows, events, None)
+    tree: Tree, work: Array, address: int, table: Array, tableau: Array, rows: Array, events: Array, most: int
+) -> int:
+    """Go on until something other than terms is asked for, and return what; see `closedloop.events.proceed`.
+
+    After `most` evaluations, at least one, it returns in any case. The loop is found at the address, see
+    `closedloop.step.memory.loop_at`.
+    """
+    return _run(tree, work, address, table, tableau, rows, events, most, None)
 
 
 @entry_kernel
 def run_compiled_with_more(
-    tree: Tree, work: Array, address: int, table: Array,
-    tableau: Array, rows: Array, events: Array,
-) -> int:  # fmt: skip
+    tree: Tree, work: Array, address: int, table: Array, tableau: Array, rows: Array, events: Array, most: int
+) -> int:
     """Do the same with everything that may come on top: other laws, friction, a force sensor."""
-    return _run(tree, work, address, table, tableau, rows, events, 1)
+    return _run(tree, work, address, table, tableau, rows, events, most, 1)
 
 
 def compiled_work(n: int) -> Array:

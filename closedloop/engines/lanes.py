@@ -11,8 +11,6 @@ gives up and says so: each of the eight is then run alone.
 
 from __future__ import annotations
 
-from collections.abc import Callable
-from functools import cache
 from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
@@ -28,10 +26,11 @@ from closedloop.closure.contact_force import (
     pressed_force,
 )
 from closedloop.closure.solve import DIVERGED, OK
+from closedloop.engines.loops import COMPILED
 from closedloop.engines.problem import Problem, needs_more
-from closedloop.engines.specialise import COMPILED, machine
 from closedloop.integrators import INTEGRATORS
-from closedloop.jit.kernel import entry_kernel, kernel_inlined, needs_compiling, numba_settings, plain
+from closedloop.jit.background import make_ready
+from closedloop.jit.kernel import entry_kernel, kernel_inlined, numba_settings, plain
 from closedloop.jit.pointers import address_of, matrix_at
 from closedloop.jit.simd8 import WIDE, aligned, every, float64x8_at, with_lane
 from closedloop.report.joint_figures import joint_limits
@@ -61,6 +60,8 @@ Array = NDArray[np.float64]
 WORK, TERMS, CONSTANTS, FORCES, LARGEST, ROWS, TALLIES, FIGURES = range(8)
 
 SCALAR_COUNT = len(SCALARS)
+# Eight runs abreast take as long as two alone; fewer than this many are run alone.
+FEWEST = 3
 # A tip may leave the surface, or the stabiliser would pull: there is something to decide.
 LEFT = -1
 
@@ -165,6 +166,7 @@ class Abreast:
         places = [address_of(table) for table in self._tables[:count]]
         tables = np.array(places + places[:1] * (WIDE - count))
         self._state.pending = 0
+        make_ready(run_abreast)
         status = run_abreast(
             tree, self._places, self._state.memory, self._h, self._spacing, self._tableau, tables,
             self._instants, self._columns, self._rows.shape[0], self._limits,
@@ -303,40 +305,6 @@ def press(H: Array, C: Array, w: Work, constants: Constants, t: float, sampled: 
     return OK if bounded(w) else DIVERGED
 
 
-# And for the loop of eight runs abreast to be, which takes as long to compile and saves more.
-WORTH_GOING_ABREAST = 20_000_000
-
-
-def loop_of(scenario: Scenario, engine: str, n: int, runs: int = 1) -> Callable[..., int]:
-    """Return the loop in which most of so many runs of a scenario go, of a robot of n joints (0: of any number)."""
-    from closedloop.engines.problem import needs_more
-
-    if runs > 1 and goes_abreast(scenario, engine, runs):
-        from closedloop.engines.lanes import run_abreast
-
-        return run_abreast
-    return machine(needs_more(scenario), engine)
-
-
 def goes_abreast(scenario: Scenario, engine: str, runs: int) -> bool:
-    """Whether a scenario can and should go abreast with others like it, so many in all.
-
-    The loop is compiled already, or worth compiling.
-    """
-    from closedloop.engines.lanes import can_go_abreast
-
-    if engine != COMPILED or not can_go_abreast(scenario):
-        return False
-    return runs * steps_of(scenario) >= WORTH_GOING_ABREAST or _abreast_is_there()
-
-
-def steps_of(scenario: Scenario) -> int:
-    """Return the number of steps of a run, about."""
-    return int(scenario.time.duration / scenario.time.step)
-
-
-@cache
-def _abreast_is_there() -> bool:
-    from closedloop.engines.lanes import run_abreast
-
-    return not needs_compiling(run_abreast)
+    """Whether a scenario goes abreast with others like it, so many in all."""
+    return engine == COMPILED and runs >= FEWEST and can_go_abreast(scenario)

@@ -18,7 +18,7 @@ from closedloop.friction.laws import rest_states
 from closedloop.friction.layout import KINETIC, LAST, SEVEN_PARAMETER, STATIC_EXCESS, STICKS, state_count
 from closedloop.impact import LAWS
 from closedloop.integrators import Scheme
-from closedloop.jit.calls import entry_address
+from closedloop.jit.calls import entry_address, twin_address
 from closedloop.jit.kernel import plain
 from closedloop.parameters import pack, per_joint, state_block
 from closedloop.reference.desired import Desired
@@ -176,8 +176,9 @@ class Problem:
         Parameters
         ----------
         own_law : bool
-            Whether a law of one's own takes the place of the scenario's law and compensation: then `state.law` is
-            still to be set, see `closedloop.engines.user_law.UserLaw`.
+            Whether a law of one's own takes the place of the scenario's law and compensation.
+
+        What is called by address is still to be set: see `connect`, and `closedloop.engines.user_law.UserLaw`.
         """
         n, law, compensation = self.robot.n, self.law, self.compensation
         own, both = (0, 0) if own_law else (law.states, law.states + compensation.states)
@@ -187,15 +188,23 @@ class Problem:
         loop = make_loop(n, **sizes, stages=self.integrator.stages, ring=self.sensor.ring)
         state = loop.state
         state.own_law_states, state.law_states = own, both
-        if not own_law and self.more:
-            state.law = entry_address(law_entry(law.member))
-            if compensation.member is not NoCompensation:
-                state.compensation = entry_address(law_entry(compensation.member))
         state.friction_states, state.joint_states, state.sensor_states = surface, joints, self.sensor.states
         self._set_state(state)
         self._set_constants(loop.constants)
         self._set_start(state, loop.w)
         return loop
+
+    def entries(self) -> list[Any]:
+        """Return what the loop calls by address: the entries of the law and of its compensation."""
+        if not self.more:
+            return []
+        members = [self.law.member, self.compensation.member]
+        return [law_entry(member) for member in members if member is not NoCompensation]
+
+    def connect(self, loop: Loop, compiled: bool = True) -> None:
+        """Write into a loop's memory where what it calls is: machine code, or what an interpreted loop calls."""
+        found = [entry_address(each) if compiled else twin_address(each) for each in self.entries()]
+        loop.state.law, loop.state.compensation, *_ = (*found, 0, 0)
 
     def _set_constants(self, constants: Constants) -> None:
         robot, impact = self.robot, self.scenario.impact

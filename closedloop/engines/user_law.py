@@ -32,7 +32,7 @@ from closedloop.engines.failures import not_finite, when
 from closedloop.engines.own_law import law_failure
 from closedloop.errors import DivergenceError, LawError, ScenarioError, one_line
 from closedloop.jit.calls import callback, compiled_address, forget_entry, interpreted_address, is_compiled
-from closedloop.jit.kernel import plain
+from closedloop.jit.kernel import numba_settings, plain
 from closedloop.robot.pinocchio import Terms
 from closedloop.step.entries import START, TORQUE, law_input
 from closedloop.step.memory import Loop, loop_at
@@ -67,9 +67,7 @@ class UserLaw:
     law : callable
         See above.
     loop : Loop
-        The memory, whose `state.law` is set.
-    compiled_loop : bool
-        Whether the loop is compiled; one that is interpreted calls Python.
+        The memory.
 
     Attributes
     ----------
@@ -79,17 +77,24 @@ class UserLaw:
         What is wrong with a torque that is not finite, in words.
     """
 
-    def __init__(self, law: Law, loop: Loop, compiled_loop: bool = True) -> None:
+    def __init__(self, law: Law, loop: Loop) -> None:
         self._law, self._loop = (law() if isinstance(law, type) else law), loop
         self.error: BaseException | None = None
         self.fault = ""
+        self._called: tuple[int, Any] | None = None
         self._number = 0
-        if is_compiled(law) and compiled_loop:
-            loop.state.law = compiled_address(compiled_law(law))
-        elif compiled_loop:
-            loop.state.law, self._kept = callback(self._entry)
+
+    def connect(self, compiled: bool = True) -> None:
+        """Write into the memory where the law is: for a compiled loop, or for one that is interpreted."""
+        state = self._loop.state
+        if not compiled or numba_settings.DISABLE_JIT:
+            self._number = self._number or interpreted_address(self._entry)
+            state.law = self._number
+        elif is_compiled(self._law):
+            state.law = compiled_address(compiled_law(self._law))
         else:
-            loop.state.law = self._number = interpreted_address(self._entry)
+            self._called = self._called or callback(self._entry)
+            state.law = self._called[0]
 
     def close(self) -> None:
         """Say that the loop does not call the law any more."""

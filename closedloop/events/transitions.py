@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import math
+
 import numpy as np
 from numpy.typing import NDArray
 
@@ -213,13 +215,13 @@ def find_direction(w: Work, constants: Constants, state: State, z: Array) -> Non
             if along_middle > best:
                 best, here = along_middle, b
         low, before = angle, across
-    w.direction[0], w.direction[1] = np.cos(here), np.sin(here)
+    w.direction[0], w.direction[1] = math.cos(here), math.sin(here)
 
 
 @kernel
 def onset(kind: int, par: Array, at_rest: Array, z: Array, w: Work, angle: float) -> tuple[float, float]:
     """Return the acceleration across and along a direction if slip starts in it, m/s²."""
-    w.direction[0], w.direction[1] = np.cos(angle), np.sin(angle)
+    w.direction[0], w.direction[1] = math.cos(angle), math.sin(angle)
     sliding(kind, par, at_rest, 0.0, z, w.direction, w.c, w.viscous)
     pressed_force(w.S, w.a, 0.0, w.c, w.viscous, w.F)
     a1 = w.a[1] + w.S[1, 0] * w.F[0] + w.S[1, 1] * w.F[1] + w.S[1, 2] * w.F[2]

@@ -32,7 +32,8 @@ def level(par: Array, speed: float) -> float:
     if ratio <= 0.0:
         fall = 1.0
     elif par[EXPONENT] == 2.0:
-        fall = math.exp(-(min(ratio, 30.0) ** 2))  # exp(−900) is zero already
+        near = min(ratio, 30.0)  # exp(−900) is zero already
+        fall = math.exp(-near * near)
     else:
         fall = math.exp(-math.exp(min(par[EXPONENT] * math.log(ratio), 7.0)))  # exp(−e⁷) likewise
     return par[KINETIC] + (par[STATIC] - par[KINETIC]) * fall  # type: ignore[no-any-return]

@@ -109,6 +109,8 @@ class Layout:
         self.end = end
         # A batch asks for the same few sizes thousands of times.
         self._places: dict[tuple[int, ...], list[tuple[str, int, int, tuple[int, ...]]]] = {}
+        # An interpreted loop asks for the same views at every step.
+        self._last: tuple[Array | None, tuple[int, ...], dict[str, Array]] = None, (), {}
 
     def size(self, *sizes: int) -> int:
         """Return how many numbers the block has."""
@@ -116,6 +118,9 @@ class Layout:
 
     def views(self, memory: Array, *sizes: int) -> dict[str, Array]:
         """Return the arrays of a block by their names; of a block of arrays, memory (size, ...), those of each."""
+        whose, for_sizes, found = self._last
+        if whose is memory and for_sizes == sizes:
+            return found
         places = self._places.get(sizes)
         if places is None:
             places = self._places_for(dict(zip(self.sizes, sizes, strict=True)))
@@ -123,7 +128,9 @@ class Layout:
                 self._places.clear()
             self._places[sizes] = places
         each = memory.shape[1:]
-        return {name: memory[begin:end].reshape(shape + each) for name, begin, end, shape in places if shape}
+        found = {name: memory[begin:end].reshape(shape + each) for name, begin, end, shape in places if shape}
+        self._last = memory, sizes, found
+        return found
 
     def _places_for(self, known: Mapping[str, int]) -> list[tuple[str, int, int, tuple[int, ...]]]:
         """Return name, begin, end and shape of each field."""

@@ -1,6 +1,6 @@
 """The folder where compiled code is kept between processes: where it is, and how long it stays.
 
-    ROOT/closedloop-0123456789abcdef/       a digest of the text of all kernel files
+    ROOT/closedloop-0123456789abcdef/       a digest of the text of all kernel files, of compiler and processor
         closedloop-cache                    the marker: we made this folder; its time stamp is that of the last use
         step.run-<32 hex>.nbc               one compiled form of one function, see `closedloop.jit.compile_cache`
 
@@ -15,6 +15,7 @@ import hashlib
 import os
 import re
 import stat
+import sys
 import tempfile
 import time
 from collections.abc import Callable
@@ -23,6 +24,9 @@ from functools import lru_cache
 from pathlib import Path
 from typing import Any
 
+import llvmlite
+import llvmlite.binding as llvm
+import numba
 from numba.core import config as _config
 
 numba_settings: Any = _config  # its attributes are made at run time, which type checkers cannot see
@@ -39,10 +43,17 @@ FILE_NAME = re.compile(r"[\w.]+-[0-9a-f]{32}\.nbc(\.tmp\.[0-9a-f]{16})?")
 UNUSED, MOST_KEPT, UNUSED_OF_MANY = 30 * 86400.0, 16, 86400.0
 
 
+# Whether a folder that is not there may be made: a process in the background brings none back that was removed.
+make_folders = True
+
+
 @lru_cache(maxsize=1)
 def cache_folder() -> Path:
-    """Return where the compiled entry kernels of exactly this source are kept, whether or not it is there."""
-    digest = hashlib.sha256()
+    """Return where the compiled entry kernels of exactly this source are kept, whether or not it is there.
+
+    And of this compiler and processor: what is in the folder can be used.
+    """
+    digest = hashlib.sha256(repr(compiler_and_processor()).encode())
     for path in sorted(Path(__file__).parent.parent.rglob("*.py")):
         with suppress(OSError):  # an editor's lock is a link that leads nowhere
             text = path.read_bytes()
@@ -52,6 +63,17 @@ def cache_folder() -> Path:
     with suppress(OSError):  # of a current folder that was deleted
         root = root.absolute()
     return root / f"closedloop-{digest.hexdigest()[:16]}"
+
+
+@lru_cache(maxsize=1)
+def compiler_and_processor() -> tuple[Any, ...]:
+    """Return what compiled code depends on beside its source: versions, and the processor, which may be one's wish."""
+    versions = (numba.__version__, llvmlite.__version__, sys.implementation.cache_tag, sys.flags.optimize)
+    name = numba_settings.CPU_NAME or llvm.get_host_cpu_name()
+    features = numba_settings.CPU_FEATURES
+    if features is None:
+        features = "" if numba_settings.CPU_NAME else llvm.get_host_cpu_features().flatten()
+    return (*versions, llvm.get_process_triple(), name, features, numba_settings.OPT, numba_settings.ENABLE_AVX)
 
 
 def _cache_root() -> Path:
@@ -87,13 +109,6 @@ def why_not_kept() -> str:
         return f"{cache_folder()}: {error.strerror or error}"
 
 
-def compiling_notice() -> str:
-    """Return the line for a user who is about to wait for the compiler."""
-    reason = why_not_kept()
-    how_often = "once for this installation" if not reason else f"each time, as it cannot be kept: {reason}"
-    return f"compiling the step ({how_often}, some twenty seconds) ..."
-
-
 def claim(folder: Path) -> None:
     """Make a cache folder that is not there, with the marker; and note that it is in use.
 
@@ -104,7 +119,8 @@ def claim(folder: Path) -> None:
     OSError
         If it cannot be made.
     """
-    folder.mkdir(parents=True, exist_ok=True)
+    if make_folders:
+        folder.mkdir(parents=True, exist_ok=True)
     marker = folder / MARKER
     if is_ours(folder):
         with suppress(OSError):  # someone else's, and only to be read

@@ -21,6 +21,8 @@ from numba import types
 from numba.core.typing.templates import AbstractTemplate, infer_global, signature
 from numba.extending import lower_builtin
 
+from closedloop.jit.interpreted import interpreted
+
 Entry = Callable[[int, int], int]
 
 _WORD = ir.IntType(64)
@@ -59,6 +61,11 @@ def entry_address(entry: Any) -> int:
 @cache
 def _address_of_function(entry: Entry) -> int:
     return interpreted_address(entry)
+
+
+def twin_address(entry: Any) -> int:
+    """Return the number by which interpreted code calls an entry, interpreted too."""
+    return _address_of_function(interpreted(entry))
 
 
 def compiled_address(entry: Any) -> int:

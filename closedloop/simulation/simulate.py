@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import time as clock
 from collections.abc import Callable
+from functools import partial
 from typing import Any
 
 import numpy as np
@@ -14,10 +15,10 @@ from numpy.typing import NDArray
 
 from closedloop.closure.solve import LAW_FAILED
 from closedloop.engines.failures import failure_of, interrupted
+from closedloop.engines.loops import COMPILED, ENGINES, PINOCCHIO, SECONDS, SECONDS_WITH_MORE, loop_for
 from closedloop.engines.own_law import law_digest
 from closedloop.engines.pinocchio import addresses_of, set_events
 from closedloop.engines.problem import Problem
-from closedloop.engines.specialise import COMPILED, ENGINES, PINOCCHIO, machine
 from closedloop.engines.user_law import Law, UserLaw
 from closedloop.errors import (
     DivergenceError,
@@ -31,6 +32,8 @@ from closedloop.events.table import EVENT_WIDTH, event_columns
 from closedloop.events.transitions import collide
 from closedloop.integrators import ADAPTIVE, INTEGRATORS
 from closedloop.interrupts import held_back
+from closedloop.jit.background import make_ready, start
+from closedloop.jit.interpreted import Interim, at_hand, call_now
 from closedloop.jit.kernel import direct, plain
 from closedloop.jit.pointers import address_of
 from closedloop.record.run import Run
@@ -94,9 +97,10 @@ def simulate(
         from closedloop.progress import bar
 
         with bar(scenario.name, problem.steps) as report:
-            rows, events, failure, seconds = run_loop(problem, law, report, engine, keep_interrupted=True)
+            rows, events, failure, seconds = run_loop(problem, law, report, engine, keep_interrupted=True, interim=True)
     else:
-        rows, events, failure, seconds = run_loop(problem, law, progress or _silent, engine, keep_interrupted=True)
+        report = progress or _silent
+        rows, events, failure, seconds = run_loop(problem, law, report, engine, keep_interrupted=True, interim=True)
     try:
         with held_back():
             run = _as_run(problem, rows, events, law, failure, seconds, engine)
@@ -144,7 +148,7 @@ def run_loop(
     *,
     rows: Array | None = None,
     tree: tuple[Tree, Array] | None = None,
-    ahead: int = 0,
+    interim: bool = False,
     keep_interrupted: bool = False,
 ) -> tuple[Array, Array, SimulationError | None, float]:
     """Step the problem.
@@ -157,8 +161,8 @@ def run_loop(
         Memory for the rows, whatever is in it.
     tree : (Tree, array), optional
         The problem's robot for the compiled engine, and its scratch, if they are there already.
-    ahead : int
-        How many steps are to come, in this run and others: whether a loop for just this robot is worth compiling.
+    interim : bool
+        Whether it may begin interpreted where the loop is not compiled yet; else that is compiled first.
     keep_interrupted : bool
         Whether Ctrl-C is a failure that leaves a record, as others do; else it goes through.
 
@@ -182,10 +186,22 @@ def run_loop(
     loop = problem.loop(own_law=law is not None)
     state, w = loop.state, loop.w
     user_law = None if law is None else UserLaw(law, loop)
+    connect = partial(problem.connect, loop) if user_law is None else user_law.connect
     rows = np.empty((steps + 1, Row.of(robot.n).width)) if rows is None else rows
     events = np.zeros((ROOM_FOR_EVENTS, EVENT_WIDTH))
-    more = problem.more or law is not None
-    step, many = _driver(problem, more, loop, (problem.table, problem.integrator.tableau(), rows), engine, tree)
+    machine = loop_for(engine, problem.more or law is not None)
+    if interim:
+        machine = _begun(machine, problem, loop, connect, law)
+    else:
+        make_ready(machine)
+    connect(not (isinstance(machine, Interim) and machine.interpreting))
+    step, many = _driver(problem, machine, loop, (problem.table, problem.integrator.tableau(), rows), engine, tree)
+
+    def finish(done: int) -> None:
+        call = partial(call_now, complete_record, loop_memory) if interim else complete_record
+        call(loop.address, rows, done)
+
+    loop_memory = (state.memory, w.memory)
     failure: SimulationError | None = None
     request = TERMS
     began, first, impacts = clock.perf_counter(), engine == PINOCCHIO, False
@@ -199,7 +215,10 @@ def run_loop(
                 request = step(events)
             elif request == IMPACT_LAW_WANTED:
                 struck = clock.perf_counter()
-                collide(loop.address)
+                if interim:
+                    call_now(collide, loop_memory, loop.address)
+                else:
+                    collide(loop.address)
                 if not impacts:  # the first may have compiled it
                     began += clock.perf_counter() - struck
                 impacts = True
@@ -216,24 +235,24 @@ def run_loop(
             report(int(state.row), steps)
         if failure is None:
             report(steps, steps)
-        complete_record(loop.address, rows, int(state.row) + (failure is None))
+        finish(int(state.row) + (failure is None))
     except (LawError, DivergenceError) as error:
         failure = error
     except KeyboardInterrupt as stop:
         if not keep_interrupted:
             raise
         failure = interrupted(stop, float(w.time))
-    seconds = clock.perf_counter() - began
+    seconds = clock.perf_counter() - began - (machine.compiling if isinstance(machine, Interim) else 0.0)
     done = int(state.row) + (failure is None)
     if isinstance(failure, InterruptedRunError):
         done = rows_there(state, done, robot.n)
-    complete_record(loop.address, rows, done)  # what an exception left; else there is nothing left
+    finish(done)  # what an exception left; else there is nothing left
     return rows[:done], events[: int(state.events)], failure, seconds
 
 
 def _driver(
     problem: Problem,
-    more: bool,
+    machine: Callable[..., int],
     loop: Loop,
     arrays: tuple[Array, Array, Array],
     engine: str,
@@ -241,19 +260,21 @@ def _driver(
 ) -> tuple[Callable[[Array], int], Callable[[Array], int]]:
     """Return two functions of the table of events: they provide terms once, and as long as nothing else is asked."""
     if engine == COMPILED:
-        from closedloop.engines.compiled import compiled_tree, compiled_work
+        from closedloop.engines.compiled import ALL, compiled_tree, compiled_work
 
-        run = machine(more, engine)
         tree, work = made or (compiled_tree(problem), compiled_work(problem.robot.n))
-        if not getattr(run, "signatures", ()):  # compiled, or read, before the clock starts
-            direct(run, tree, work, loop.address, *arrays, np.zeros((0, EVENT_WIDTH)))
+        if not isinstance(machine, Interim) and not getattr(machine, "signatures", ()):
+            # Compiled, or read, before the clock starts.
+            direct(machine, tree, work, loop.address, *arrays, np.zeros((0, EVENT_WIDTH)), ALL)
 
         def go_on(events: Array) -> int:
-            return run(tree, work, loop.address, *arrays, events)
+            # Interpreted, it comes back after each evaluation, as Pinocchio does, and can be interrupted.
+            most = 1 if isinstance(machine, Interim) and machine.interpreting else ALL
+            return machine(tree, work, loop.address, *arrays, events, most)
 
         return go_on, go_on
 
-    robot, proceed = problem.robot, machine(more, engine)
+    robot = problem.robot
     addresses = addresses_of(robot.views, loop, *arrays, np.zeros((0, EVENT_WIDTH)))
     crba, bias, convention, pinocchio, data = robot.passes
     q, v, at = loop.w.q, loop.w.v, address_of(addresses.memory)
@@ -261,7 +282,7 @@ def _driver(
     def chunk(length: int) -> Callable[[Array], int]:
         def go_on(events: Array) -> int:
             set_events(addresses, events)
-            request, call = TERMS, direct(proceed, at)
+            request, call = TERMS, direct(machine, at)
             for _ in range(length):
                 crba(pinocchio, data, q, convention)  # as in `Robot.evaluator`, without a call
                 bias(pinocchio, data, q, v)
@@ -273,6 +294,20 @@ def _driver(
         return go_on
 
     return chunk(1), chunk(CHUNK)
+
+
+def _begun(
+    machine: Callable[..., int], problem: Problem, loop: Loop, connect: Callable[[], None], law: Law | None
+) -> Callable[..., int]:
+    """Return the loop, or what it is begun with if it is not compiled; and have compiled what else is missing."""
+    with_it = [complete_record, *([collide] if loop.state.unilateral else []), *([] if law else problem.entries())]
+    if not at_hand(machine):
+        calls = problem.steps * problem.integrator.stages
+        seconds = SECONDS_WITH_MORE if problem.more or law is not None else SECONDS
+        return Interim(machine, (loop.state.memory, loop.w.memory), calls, seconds, with_it, connect)
+    make_ready(machine)
+    start([function for function in with_it if not at_hand(function)])
+    return machine
 
 
 def _as_run(

@@ -47,7 +47,8 @@ def turn_with_slip(w: Work, h: float) -> bool:
     elif not u1 * w.direction[0] + u2 * w.direction[1] > 0.0:
         return False  # past the end of slip
     det = w.S[1, 1] * w.S[2, 2] - w.S[1, 2] * w.S[1, 2]
-    if not det > IMMOBILE * (w.S[1, 1] + w.S[2, 2]) ** 2:
+    trace, largest = w.S[1, 1] + w.S[2, 2], level * f
+    if not det > IMMOBILE * trace * trace:
         return False  # a tip that moves along a line does not turn
     a1 = w.a[1] + w.S[1, 0] * f - w.S[1, 1] * w.viscous[0] - w.S[1, 2] * w.viscous[1]
     a2 = w.a[2] + w.S[2, 0] * f - w.S[1, 2] * w.viscous[0] - w.S[2, 2] * w.viscous[1]
@@ -57,7 +58,7 @@ def turn_with_slip(w: Work, h: float) -> bool:
         if speed <= STILL:
             return False  # it does not leave: friction is against the direction in which it is pulled
         along, square = p1 * q1 + p2 * q2, p1 * p1 + p2 * p2
-        rate = (math.sqrt(along * along + square * ((level * f) ** 2 - q1 * q1 - q2 * q2)) - along) / square
+        rate = (math.sqrt(along * along + square * (largest * largest - q1 * q1 - q2 * q2)) - along) / square
         d1, d2 = rate * p1 + q1, rate * p2 + q2
     else:
         g11, g12, g22 = reach * w.S[1, 1], reach * w.S[1, 2], reach * w.S[2, 2]

@@ -16,7 +16,6 @@ import csv
 import io
 import json
 import math
-import sys
 from itertools import product
 from pathlib import Path
 from typing import Any, cast
@@ -24,11 +23,8 @@ from typing import Any, cast
 import numpy as np
 from numpy.typing import NDArray
 
-from closedloop.engines.specialise import machine
 from closedloop.errors import ClosedLoopError, InterruptedRunError
 from closedloop.files import write_whole
-from closedloop.jit.cache_folder import compiling_notice
-from closedloop.jit.kernel import needs_compiling
 from closedloop.progress import bar
 from closedloop.record.run import Run
 from closedloop.scenario.scenario import Scenario, load_scenario
@@ -130,8 +126,6 @@ def cell(controller: str, friction: str) -> dict[str, Any]:
 def measure(quick: bool = False) -> list[dict[str, Any]]:
     """Return a row for each controller and each kind of friction; a bar on standard error says how far it is."""
     controllers, frictions = QUICK if quick else (tuple(CONTROLLERS), tuple(FRICTIONS))
-    if needs_compiling(machine(True, "compiled")):
-        print(compiling_notice(), file=sys.stderr, flush=True)
     cells, results = list(product(controllers, frictions)), []
     with bar("controllers", len(cells)) as report:
         for controller, friction in cells:

@@ -73,13 +73,11 @@ def _signals_raise() -> Iterator[None]:
 
 
 def _sweep(arguments: list[str]) -> int:
-    from closedloop.command.announce import announce_compiling
     from closedloop.command.border import DONE, NOT_GOOD, STOPPED
     from closedloop.command.user_module import name_members
     from closedloop.progress import count
     from closedloop.scenario.overrides import split_overrides
     from closedloop.scenario.scenario import load_scenario
-    from closedloop.simulation.prepare import load_model
     from closedloop.sweep import Design, Sweep, parse_axis, run_sweep
     from closedloop.sweep.design import GRID, LATIN, RANDOM
 
@@ -99,9 +97,6 @@ def _sweep(arguments: list[str]) -> int:
     keep = [name for word in options.keep for name in word.split(",") if name]
     sweep = Sweep.of(scenario, design, keep, options.engine)
     out = Path(options.out) if options.out else Path("out") / scenario.name / "sweep.parquet"
-    if options.scheduler is None:
-        fixed = not any(key.startswith("robot.") for key in design.keys)
-        announce_compiling(scenario, load_model(scenario).n if fixed else 0, options.engine, len(design))
     began = clock.monotonic()
     done: list[tuple[int, int]] = []
     with count("closedloop.sweep", len(design)) as show:
@@ -143,7 +138,7 @@ def _counted(result: Joined) -> str:
 
 def _sweep_parser() -> Parser:
     from closedloop.command.border import Parser
-    from closedloop.engines.specialise import COMPILED, ENGINES
+    from closedloop.engines.loops import COMPILED, ENGINES
 
     parser = Parser(
         prog="closedloop.sweep",

@@ -12,7 +12,7 @@ from typing import Any
 
 import robot_models
 from closedloop.batch.table import kept_columns
-from closedloop.engines.specialise import COMPILED
+from closedloop.engines.loops import COMPILED
 from closedloop.errors import ScenarioError
 from closedloop.families import source_digest
 from closedloop.jit.kernel import cache_folder

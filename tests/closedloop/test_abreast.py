@@ -4,8 +4,8 @@ import numpy as np
 import pytest
 
 import closedloop as cl
-from closedloop.batch.worker import FEWEST_ABREAST, Bench
-from closedloop.engines.lanes import Abreast, kind_of
+from closedloop.batch.worker import Bench
+from closedloop.engines.lanes import FEWEST, Abreast, kind_of
 from closedloop.jit.simd8 import WIDE
 from closedloop.simulation.prepare import prepare
 from robot_models import load
@@ -69,10 +69,10 @@ def test_to_the_last_bit(kind, go_abreast, monkeypatch):
     """All figures and all columns, with ranks of eight and of what is left over."""
     name, fixed, ranges = KINDS[kind]
     scenario = cl.load_scenario(name, overrides=fixed)
-    changes = drawn(ranges, 2 * WIDE + FEWEST_ABREAST)
+    changes = drawn(ranges, 2 * WIDE + FEWEST)
     options = {"keep": KEPT, "workers": 1}
     table = cl.simulate_batch(scenario, changes, **options)
-    assert go_abreast == [WIDE, WIDE, FEWEST_ABREAST]
+    assert go_abreast == [WIDE, WIDE, FEWEST]
     assert table.equals(alone(monkeypatch, scenario, changes, **options))
     assert cl.simulate_batch(scenario, changes).equals(table.select(cl.simulate_batch(scenario, changes).column_names))
 
@@ -146,13 +146,11 @@ def test_what_may_have_to_decide_goes_alone(name, changes):
     assert kind_of(prepare(cl.load_scenario("wam_slide"))) is not None
 
 
-def test_few_steps_are_not_worth_compiling_for(monkeypatch):
-    """The loop is used where there is much to do, or where it has been compiled before."""
-    monkeypatch.setattr("closedloop.engines.lanes._abreast_is_there", lambda: False)
+def test_few_runs_go_alone(monkeypatch):
+    """Two runs take as long alone as eight do side by side; from three on they go abreast, however short they are."""
     asked = []
     monkeypatch.setattr(Abreast, "run", lambda self, tree, count: asked.append(count))  # None: they have to go alone
     scenario, model = cl.load_scenario("wam_slide", overrides={"time.duration": 0.01}), load("wam4")
-    scenarios = [scenario] * WIDE
-    for runs, expected in ((WIDE, []), (10_000_000, [WIDE])):
-        assert {outcome.status for outcome in Bench(model=model, runs=runs).run_all(scenarios)} == {"done"}
+    for runs, expected in ((FEWEST - 1, []), (FEWEST, [FEWEST])):
+        assert {outcome.status for outcome in Bench(model=model, runs=runs).run_all([scenario] * runs)} == {"done"}
         assert asked == expected

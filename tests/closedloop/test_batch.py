@@ -262,21 +262,12 @@ def break_for(monkeypatch, force, error, where="prepare"):
     monkeypatch.setattr(bench, where, broken)
 
 
-@pytest.fixture
-def abreast(monkeypatch):
-    """Let few and short runs go abreast, which is else not worth compiling."""
-    for module in ("worker", "simulate_batch"):
-        monkeypatch.setattr(f"closedloop.batch.{module}.goes_abreast", lambda *_: True)
-
-
 @pytest.mark.parametrize(
     "error", [ZeroDivisionError("division\nby zero"), MemoryError(), np.linalg.LinAlgError("singular")]
 )
 @pytest.mark.parametrize("where", ["prepare", "kind_of"])
-def test_an_error_that_nobody_foresaw_costs_its_row_and_no_other(request, monkeypatch, caplog, error, where):
+def test_an_error_that_nobody_foresaw_costs_its_row_and_no_other(monkeypatch, caplog, error, where):
     """Alone or among eight side by side: the row says type, message and where, the others are as without it."""
-    if where == "kind_of":
-        request.getfixturevalue("abreast")
     scenario = cl.load_scenario("wam_slide", {"time.duration": 0.004})
     forces = [float(force) for force in range(1, 14)]
     sound = cl.simulate_batch(scenario, {"law.force": forces})
@@ -297,7 +288,7 @@ def test_an_error_that_nobody_foresaw_costs_its_row_and_no_other(request, monkey
     assert "Traceback" in caplog.text
 
 
-def test_an_error_among_eight_side_by_side_leaves_them_to_go_alone(monkeypatch, abreast):
+def test_an_error_among_eight_side_by_side_leaves_them_to_go_alone(monkeypatch):
     """A fault of the loop for eight itself costs no row: each of the eight goes alone."""
     scenario = cl.load_scenario("wam_slide", {"time.duration": 0.004})
     forces = [1.0, 2.0, 3.0, 4.0]

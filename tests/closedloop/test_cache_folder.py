@@ -7,6 +7,7 @@ from pathlib import Path
 import pytest
 
 from closedloop.jit import cache_folder as caches
+from closedloop.jit.background import compiling_notice
 from closedloop.jit.cache_folder import (
     MAGIC,
     MARKER,
@@ -216,4 +217,4 @@ def test_why_nothing_can_be_kept(root, monkeypatch):
     (root / "file").write_bytes(b"")
     monkeypatch.setattr(caches, "cache_folder", lambda: root / "file" / "closedloop-ffffffffffffffff")
     assert why_not_kept() == f"{root / 'file' / 'closedloop-ffffffffffffffff'}: Not a directory"
-    assert "cannot be kept" in caches.compiling_notice()
+    assert "cannot be kept" in compiling_notice()

@@ -10,12 +10,8 @@ import numpy as np
 import pytest
 
 import closedloop as cl
-from closedloop.command.announce import announce_compiling
-from closedloop.engines import specialise as forms
-from closedloop.engines.specialise import ENGINES, MOST_WRITTEN_OUT, PINOCCHIO, WORTH_COMPILING, machine, written_out
+from closedloop.engines.loops import ENGINES, PINOCCHIO, loop_for
 from closedloop.jit.kernel import cache_folder, needs_compiling
-from closedloop.simulation.prepare import prepare
-from closedloop.simulation.simulate import run_loop
 
 ROOT = Path(cl.__file__).parent.parent
 
@@ -61,7 +57,7 @@ def test_interpreted_run_is_the_compiled_one(name, changes, tmp_path):
 def test_compiled_code_is_kept_by_the_text_of_its_source():
     """After a run nothing of it is left to compile, and the cache's folder is named after a digest."""
     cl.simulate(cl.load_scenario("wam_slide", {"time.duration": 0.01}))
-    assert not needs_compiling(machine(False, PINOCCHIO, 4))
+    assert not needs_compiling(loop_for(PINOCCHIO, False))
     assert len(cache_folder().name.removeprefix("closedloop-")) == 16
 
 
@@ -102,53 +98,8 @@ def test_folder_that_cannot_be_written_does_not_stop_a_run(tmp_path):
     assert done.stdout.split() == ["3"]
 
 
-@pytest.mark.slow
 @pytest.mark.parametrize("engine", ENGINES)
-def test_a_loop_for_one_number_of_joints_does_the_same_to_the_last_bit(engine):
-    """Written out or not, a loop does the same arithmetic in the same order."""
-    problem = prepare(cl.load_scenario("wam_slide", {"time.duration": 1.0}))
-    general = run_loop(problem, engine=engine)
-    own = run_loop(problem, engine=engine, ahead=WORTH_COMPILING)
-    assert written_out(4, False, engine).signatures
-    assert np.array_equal(general[0], own[0])
-
-
-@pytest.mark.parametrize("engine", ENGINES)
-def test_the_first_arm_has_a_loop_of_its_own(engine, monkeypatch):
-    """Where nothing has been compiled, the first arm's loop is for its joints; those that follow share one."""
-    compiled: set = set()
-    monkeypatch.setattr(forms, "FIRST_HAS_ITS_OWN", True)
-    monkeypatch.setattr(forms, "needs_compiling", lambda loop: loop not in compiled)
-    monkeypatch.setattr(forms, "_is_there", lambda n, more, engine: written_out(n, more, engine) in compiled)
-    for_any, for_four = machine(False, engine), written_out(4, False, engine)
-    assert machine(False, engine, 4) is for_four
-    assert machine(False, engine, MOST_WRITTEN_OUT + 1) is for_any
-    assert machine(True, engine, 4) is machine(True, engine)
-    compiled.add(for_four)
-    assert machine(False, engine, 4) is for_four
-    assert machine(False, engine, 7) is for_any
-    compiled.clear()
-    compiled.add(for_any)
-    assert machine(False, engine, 4) is for_any
-
-
-@pytest.mark.parametrize("engine", ENGINES)
-def test_only_what_will_be_compiled_is_announced(engine, monkeypatch, capsys):
-    """An arm whose own loop is there waits for nothing, whether or not the loop for any number is there too."""
-    monkeypatch.setattr(forms, "needs_compiling", lambda loop: loop is not written_out(4, False, engine))
-    monkeypatch.setattr("closedloop.jit.kernel.needs_compiling", forms.needs_compiling)
-    monkeypatch.setattr(forms, "_is_there", lambda n, more, engine: n == 4)
-    scenario = cl.load_scenario("wam_slide")
-    announce_compiling(scenario, 4, engine)
-    assert capsys.readouterr().err == ""
-    announce_compiling(scenario, 7, engine)
-    assert capsys.readouterr().err.startswith("compiling the step")
-
-
-@pytest.mark.parametrize("engine", ENGINES)
-def test_many_steps_ahead_are_worth_a_loop_of_their_own(engine):
-    """A loop for just one number of joints is taken where much is ahead, and no arm is too long for it."""
-    any_number = machine(False, engine)
-    assert machine(False, engine, 3, WORTH_COMPILING) is written_out(3, False, engine) is not any_number
-    assert machine(False, engine, MOST_WRITTEN_OUT + 1, WORTH_COMPILING) is any_number
-    assert machine(True, engine) is not any_number
+def test_one_loop_for_all_arms(engine):
+    """Which loop runs depends on the engine and on what comes on top of the paper's law, and on nothing else."""
+    assert loop_for(engine, False) is loop_for(engine, False)
+    assert len({loop_for(name, more) for name in ENGINES for more in (False, True)}) == 4

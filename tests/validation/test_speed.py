@@ -59,16 +59,6 @@ def test_batch_does_the_work_of_its_runs():
         assert np.array_equal(batch.lap()[1], batch.wanted)
 
 
-@pytest.mark.slow
-def test_loop_for_just_its_joints_does_the_same_work():
-    """The loops for four joints come to the same q; each takes ten seconds to compile."""
-    everyone, _ = line_up(["wam4"], STEPS, 2, written_out=True)
-    special = [c for c in everyone if c.name in ("compiled_for_4", "pinocchio_for_4")]
-    assert len(special) == 2
-    for loop in special:
-        assert np.max(np.abs(loop.lap()[1] - loop.wanted)) <= loop.tolerance
-
-
 def timing(arm, name, wall, share=1.0):
     """Return a timing with laps that were never run."""
     wall = np.array(wall)

@@ -11,7 +11,7 @@ from __future__ import annotations
 import numpy as np
 
 from closedloop.closure.contact_force import FREE, PRESSED
-from closedloop.engines.compiled import compiled_work, run_compiled
+from closedloop.engines.compiled import ALL, compiled_work, run_compiled
 from closedloop.errors import ModelError
 from closedloop.events.phases import DONE
 from closedloop.events.table import EVENT_WIDTH
@@ -78,7 +78,7 @@ class Compiled(ClosedLoop):
         w.q[:], w.v[:], w.torque[:] = self._in(q), self._in(v), self._in(torque)
         table, rows, events = np.zeros((1, 2 * n + 11)), np.zeros((1, Row.of(n).width)), np.zeros((1, EVENT_WIDTH))
         work = compiled_work(n)
-        request = run_compiled(self.tree, work, loop.address, table, scheme.tableau(), rows, events)
+        request = run_compiled(self.tree, work, loop.address, table, scheme.tableau(), rows, events, ALL)
         if request != DONE:
             raise np.linalg.LinAlgError("the pose is singular: the tip cannot move along the normal")
         return np.asarray(rows[0])

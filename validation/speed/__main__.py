@@ -10,7 +10,6 @@ from pathlib import Path
 from typing import Any
 
 from closedloop.command.border import Parser, run_command
-from closedloop.engines.specialise import ENGINES
 from validation.run import InputError, say
 from validation.speed.arms import ARMS, slide
 from validation.speed.contestants import Contestant
@@ -44,7 +43,6 @@ def _main(words: list[str]) -> int:
         repeats=options.repeats or (3 if options.quick else 15),
         runs=options.runs or (16 if options.quick else 256),
         cold=not (options.quick or options.no_cold_start),
-        written_out=not options.quick,
     )
     from validation.speed.table import show
 
@@ -72,33 +70,21 @@ def _parser() -> Parser:
     return parser
 
 
-def line_up(
-    arms: Sequence[str], steps: int, runs: int, *, written_out: bool = False
-) -> tuple[list[Contestant], dict[str, str]]:
-    """Return everyone who races, and why the others do not.
-
-    `written_out` compiles what large batches do, if that was not done before: loops for the number of joints of `wam4`,
-    and of eight runs abreast. That takes some thirty seconds.
-    """
+def line_up(arms: Sequence[str], steps: int, runs: int) -> tuple[list[Contestant], dict[str, str]]:
+    """Return everyone who races, and why the others do not."""
     from validation.speed import batch, contestants, inertia
 
     there = {name: find_spec(module) is not None for name, module in (("mujoco", "mujoco"), ("drake", "pydrake"))}
     missing = {name: INSTALL for name, found in there.items() if not found}
     everyone: list[Contestant] = [batch.arithmetic(threads) for threads in (1, 2)]
-    if written_out and "wam4" in arms:  # first, so that all that follows knows it is there
-        say("compiling loops for four joints, and of eight runs")
-        for engine in ENGINES:
-            contestants.written_out("wam4", slide("wam4", 20), engine).lap()
-        batch.eight_abreast("wam4", slide("wam4", 20)).lap()
     for arm in arms:
         say(f"preparing {arm}")
         problem = slide(arm, steps)
-        everyone.append(contestants.general(arm, problem, "compiled"))
-        if written_out and arm == "wam4":
-            everyone += [contestants.written_out(arm, problem, engine) for engine in ENGINES]
+        everyone.append(contestants.our_engine(arm, problem, "compiled"))
+        if arm == "wam4":
             everyone.append(batch.eight_abreast(arm, problem))
         everyone += [
-            contestants.general(arm, problem, "pinocchio"),
+            contestants.our_engine(arm, problem, "pinocchio"),
             contestants.bare_calls(arm, problem),
             contestants.bare_algorithms(arm, problem),
             inertia.composite_bodies(arm, problem),
@@ -120,16 +106,14 @@ def line_up(
     return everyone, missing
 
 
-def measure(
-    *, arms: Sequence[str], steps: int, repeats: int, runs: int, cold: bool, written_out: bool
-) -> dict[str, Any]:
+def measure(*, arms: Sequence[str], steps: int, repeats: int, runs: int, cold: bool) -> dict[str, Any]:
     """Measure everything and return it as it goes into the JSON file."""
     from validation.speed.cold import first_result, first_result_ever
     from validation.speed.measure import race, ratio
     from validation.speed.table import as_data
     from validation.speed.targets import targets
 
-    everyone, missing = line_up(arms, steps, runs, written_out=written_out)
+    everyone, missing = line_up(arms, steps, runs)
     timings = race(everyone, repeats, say)
     two = ratio(timings["machine", "arithmetic_1"], timings["machine", "arithmetic_2"], wall=True)
     starts: dict[str, float] = {}
@@ -137,7 +121,7 @@ def measure(
         for engine in ("compiled", "pinocchio"):
             say(f"starting cold with the {engine} engine")
             starts[f"{engine} engine, compiled before"] = first_result(engine, 3)
-            starts[f"{engine} engine, compiling"] = first_result_ever(engine)
+            starts[f"{engine} engine, nothing compiled"] = first_result_ever(engine)
     more = {"repeats": repeats, "cold_start_seconds": starts, "missing": missing, "two_threads": two}
     return as_data(timings, targets(timings), more)
 

@@ -7,9 +7,8 @@ from setting out, and where the arm ended: those that do the whole work must end
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 from typing import Any
-from unittest import mock
 
 import numba
 import numpy as np
@@ -17,7 +16,6 @@ import pinocchio as pin
 
 from closedloop.control.laws.paper import paper_law
 from closedloop.engines.problem import Problem
-from closedloop.engines.specialise import COMPILED, WORTH_COMPILING
 from closedloop.jit.kernel import entry_kernel
 from closedloop.robot.pinocchio import Terms
 from closedloop.simulation.simulate import run_loop
@@ -77,31 +75,6 @@ def our_engine(arm: str, problem: Problem, engine: str) -> Contestant:
 
     what = "compiled engine" if engine == "compiled" else "Pinocchio engine"
     return Contestant(engine, arm, problem.robot.n, problem.steps, lap, final(problem), 1e-11, what)
-
-
-def general(arm: str, problem: Problem, engine: str) -> Contestant:
-    """Return an engine's loop for any number of joints, also where one for just this many is there."""
-    ours = our_engine(arm, problem, engine)
-
-    def lap() -> tuple[float | None, Array | None]:
-        with mock.patch("closedloop.engines.specialise.MOST_WRITTEN_OUT", 0):
-            return ours.lap()
-
-    return replace(ours, lap=lap)
-
-
-def written_out(arm: str, problem: Problem, engine: str) -> Contestant:
-    """Return an engine's loop for just this number of joints: the first arm's, and that of many steps."""
-    n = problem.robot.n
-
-    def lap() -> tuple[float | None, Array | None]:
-        rows, _, failure, seconds = run_loop(problem, engine=engine, ahead=WORTH_COMPILING)
-        if failure is not None:
-            raise failure
-        return seconds, np.array(rows[-1, :n])
-
-    what = f"compiled for {n} joints" if engine == COMPILED else f"Pinocchio for {n} joints"
-    return Contestant(f"{engine}_for_{n}", arm, n, problem.steps, lap, final(problem), 1e-11, what)
 
 
 def own_law(arm: str, problem: Problem) -> Contestant:

@@ -38,14 +38,12 @@ def targets(timings: Timings) -> list[Target]:
 
     added = "12 → 30 joints adds: compiled / crba, rnea, Cholesky"
     rows: list[tuple[str, float, bool, Callable[[], float | None]]] = [
-        ("MuJoCo from Python / compiled for any joints", 15.0, True, lambda: times("mujoco", "compiled")),
-        ("MuJoCo from Python / compiled for its joints", 15.0, True, lambda: times("mujoco", "compiled_for_4")),
-        ("bare mj_step / compiled for any joints", 5.0, True, lambda: times("mj_step", "compiled")),
+        ("MuJoCo from Python / compiled", 15.0, True, lambda: times("mujoco", "compiled")),
+        ("bare mj_step / compiled", 5.0, True, lambda: times("mj_step", "compiled")),
         ("compiled batch, one thread / two", 1.8, True, lambda: times("batch_1", "batch_2", wall=True)),
         ("MuJoCo rollout / compiled batch, two threads", 8.0, True, lambda: times("rollout_2", "batch_2", wall=True)),
-        ("Pinocchio for any joints / MuJoCo from Python", 0.7, False, lambda: times("pinocchio", "mujoco")),
-        ("Pinocchio for any joints / its bare calls", 1.4, False, lambda: times("pinocchio", "calls")),
-        ("Pinocchio for its joints / its bare calls", 1.4, False, lambda: times("pinocchio_for_4", "calls")),
+        ("Pinocchio engine / MuJoCo from Python", 0.7, False, lambda: times("pinocchio", "mujoco")),
+        ("Pinocchio engine / its bare calls", 1.4, False, lambda: times("pinocchio", "calls")),
         ("H by Newton–Euler columns / composite bodies", 1.0, True, lambda: times("rnea_columns", "crba")),
         (added, 1.0, False, lambda: growth(timings)),
     ]

@@ -85,7 +85,8 @@ class ModelCompensation(Compensation):
             d1, d2, speed = wanted_direction(x, par.smoothing_speed)
             mu = par.kinetic
             if par.stribeck_speed > 0.0:
-                mu += (par.static - par.kinetic) * math.exp(-((speed / par.stribeck_speed) ** 2))
+                ratio = speed / par.stribeck_speed
+                mu += (par.static - par.kinetic) * math.exp(-(ratio * ratio))
             size = x.f_des * mu + par.viscous * speed
             for j in range(n):
                 torque[j] += size * (x.A[1, j] * d1 + x.A[2, j] * d2)

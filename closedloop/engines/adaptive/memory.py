@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import time as clock
 from collections.abc import Callable
+from functools import partial
 
 import numpy as np
 from numpy.typing import NDArray
@@ -18,9 +19,9 @@ from closedloop.engines.adaptive.kernels import (
     evaluate_with_more_on_pinocchio,
 )
 from closedloop.engines.adaptive.smooth import Stretch
+from closedloop.engines.loops import PINOCCHIO, loop_for
 from closedloop.engines.pinocchio import addresses_of, set_events
 from closedloop.engines.problem import Problem
-from closedloop.engines.specialise import PINOCCHIO, machine
 from closedloop.engines.user_law import Law, UserLaw
 from closedloop.errors import DivergenceError
 from closedloop.events.phases import (
@@ -36,6 +37,7 @@ from closedloop.events.phases import (
 )
 from closedloop.events.table import EVENT_WIDTH
 from closedloop.events.transitions import collide
+from closedloop.jit.background import make_ready
 from closedloop.jit.pointers import address_of
 from closedloop.step.memory import RIGID_STICK
 from closedloop.step.record_row import Row
@@ -76,14 +78,16 @@ class Memory:
         self.loop = problem.loop(own_law=law is not None)
         self.state, self.constants, self.w = self.loop
         self.user_law = None if law is None else UserLaw(law, self.loop)
+        (self.user_law.connect if self.user_law else partial(problem.connect, self.loop))()
         self.state.steps = -1  # it chooses its own, and they are short where slip turns fast
         self.hold = int(self.state.hold)
         self.rows = np.zeros((problem.steps + 1, Row.of(robot.n).width))
         self.events = np.zeros((ROOM_FOR_EVENTS, EVENT_WIDTH))
         self._terms = robot.evaluator(self.w.q, self.w.v)
         more = problem.more or law is not None
-        self._machine: Callable[..., int] = machine(more, PINOCCHIO)
+        self._machine: Callable[..., int] = loop_for(PINOCCHIO, more)
         self._evaluate: Callable[..., int] = evaluate_with_more_on_pinocchio if more else evaluate_on_pinocchio
+        make_ready(self._machine, self._evaluate)
         self._table, self._tableau = problem.table, problem.integrator.tableau()
         # What is desired at the instant evaluated: a table of one row.
         self._wanted = problem.table[:1].copy()

@@ -1,0 +1,142 @@
+"""Compile everything that ships, at once: ``python -m closedloop compile``, for images and clusters.
+
+Each piece is an entry kernel of the package, compiled by doing with it, briefly, what a run does with it; so it is
+compiled for the very types that a run hands over. The process in the background (`closedloop.jit.background`) comes
+here for a few of them.
+"""
+
+from __future__ import annotations
+
+import argparse
+import logging
+import time as clock
+from collections.abc import Callable, Iterable
+from functools import partial
+from typing import TYPE_CHECKING, Any, NamedTuple
+
+from closedloop.command.border import DONE, Parser
+from closedloop.errors import ScenarioError
+
+if TYPE_CHECKING:
+    from closedloop.engines.problem import Problem
+
+
+class Piece(NamedTuple):
+    """Something to be compiled: the entry kernel's name, in words what it is, and what compiles it."""
+
+    kernel: str
+    what: str
+    compile: Callable[[], Any]
+
+
+def pieces() -> tuple[Piece, ...]:
+    """Return all that ships, what most runs need first."""
+    from closedloop.engines.loops import COMPILED, PINOCCHIO, loop_for
+
+    def loop(engine: str, more: bool, what: str) -> Piece:
+        return Piece(loop_for(engine, more).__name__, what, lambda: _run(engine, more))
+
+    return (
+        loop(PINOCCHIO, False, "Pinocchio engine, the paper's law"),
+        Piece("complete_record", "the end of a record", lambda: _run(PINOCCHIO, False)),
+        Piece("collide", "impacts", _impacts),
+        loop(PINOCCHIO, True, "Pinocchio engine, other laws and friction"),
+        loop(COMPILED, False, "compiled engine, the paper's law"),
+        loop(COMPILED, True, "compiled engine, other laws and friction"),
+        Piece("measure_rows", "values of a batch's runs", _batch),
+        Piece("run_abreast", "eight runs of a batch at a time", _batch),
+        Piece("evaluate_on_pinocchio", "dop853, the paper's law", lambda: _run(PINOCCHIO, False, "dop853")),
+        Piece("evaluate_with_more_on_pinocchio", "dop853, other laws", lambda: _run(PINOCCHIO, True, "dop853")),
+        Piece("_impact", "an impact by itself", _impact),
+        *_laws(),
+    )
+
+
+def _laws() -> Iterable[Piece]:
+    from closedloop.control.law import COMPENSATIONS, LAWS
+    from closedloop.jit.calls import entry_address
+    from closedloop.step.entries import law_entry
+
+    for family, what in ((LAWS, "law"), (COMPENSATIONS, "compensation")):
+        for kind, member in family.items():
+            entry = law_entry(member)
+            yield Piece(getattr(entry, "__name__", ""), f"{what} {kind}", partial(entry_address, entry))
+
+
+def compile_these(names: Iterable[str]) -> None:
+    """Compile the pieces with these kernels, in the order of `pieces`, in the background: see there."""
+    from closedloop.jit import cache_folder
+
+    cache_folder.make_folders, wanted = False, set(names)
+    for piece in pieces():
+        if piece.kernel in wanted:
+            piece.compile()
+
+
+def compile_command(arguments: list[str]) -> int:
+    """Compile everything, with a line for each piece, and return the exit status."""
+    from closedloop.jit.background import notices
+    from closedloop.jit.cache_folder import cache_folder, numba_settings, why_not_kept
+
+    Parser(
+        prog="closedloop compile",
+        description="Compile everything that ships, so that no later run has to, and say where it is kept.",
+        epilog="exit status: 0 done; 2 nothing can be kept, or NUMBA_DISABLE_JIT is set; 130 interrupted",
+        formatter_class=argparse.RawDescriptionHelpFormatter,
+    ).parse_args(arguments)
+    if numba_settings.DISABLE_JIT:
+        raise ScenarioError("NUMBA_DISABLE_JIT is set: there is nothing to compile")
+    if reason := why_not_kept():
+        raise ScenarioError(f"compiled code cannot be kept: {reason}")
+    notices.setLevel(logging.WARNING)  # a line for each piece says it already
+    everything = pieces()
+    width = max(len(piece.what) for piece in everything)
+    began, cpu = clock.perf_counter(), clock.process_time()
+    for piece in everything:
+        start, start_cpu = clock.perf_counter(), clock.process_time()
+        piece.compile()
+        wall, own = clock.perf_counter() - start, clock.process_time() - start_cpu
+        print(f"{piece.what:{width}}  {wall:6.1f} s  ({own:.1f} s of processor time)", flush=True)
+    wall, own = clock.perf_counter() - began, clock.process_time() - cpu
+    print(f"{'together':{width}}  {wall:6.1f} s  ({own:.1f} s of processor time); kept in {cache_folder()}")
+    return DONE
+
+
+def _problem(more: bool, integrator: str = "semi_implicit_euler") -> Problem:
+    from closedloop.scenario.scenario import load_scenario
+    from closedloop.simulation.prepare import prepare
+
+    changes = {"time.duration": 0.002, "time.integrator": integrator}
+    if more:
+        changes["law.force_feedback"] = 0.1
+    return prepare(load_scenario("planar2_slide", changes))
+
+
+def _run(engine: str, more: bool, integrator: str = "semi_implicit_euler") -> None:
+    from closedloop.simulation.simulate import run_loop
+
+    run_loop(_problem(more, integrator), engine=engine)
+
+
+def _impacts() -> None:
+    from closedloop.events.transitions import collide
+    from closedloop.jit.kernel import direct
+
+    direct(collide, _problem(False).loop().address)
+
+
+def _impact() -> None:
+    import numpy as np
+
+    from closedloop.impact import two_phase_impact
+
+    two_phase_impact(np.eye(3), np.array([-1.0, 0.0, 0.0]), 0.5, friction=0.1)
+
+
+def _batch() -> None:
+    from closedloop.batch.simulate_batch import simulate_batch
+    from closedloop.engines.lanes import FEWEST
+    from closedloop.scenario.scenario import load_scenario
+
+    scenario = load_scenario("planar2_slide", {"time.duration": 0.002})
+    simulate_batch(scenario, {"law.force": [10.0 + i for i in range(FEWEST)]}, workers=1)

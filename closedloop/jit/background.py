@@ -1,0 +1,169 @@
+"""Compiling in a process of its own, while a run that cannot wait for it is interpreted.
+
+The process has low priority, no terminal and no output, outlives the one that started it, and leaves what it has made
+in the cache's folder. There is at most one for each folder: it holds a lock on the folder's marker, which it was given
+by the process that started it and which ends with it, however that is. ``CLOSEDLOOP_BACKGROUND_COMPILE=0`` refuses such
+processes: whoever needs compiled code then compiles it first.
+"""
+
+from __future__ import annotations
+
+import logging
+import os
+import subprocess
+import sys
+import threading
+import time as clock
+from collections.abc import Callable, Sequence
+from pathlib import Path
+from typing import Any
+
+from closedloop.jit.cache_folder import MARKER, cache_folder, claim, numba_settings, why_not_kept
+from closedloop.jit.kernel import needs_compiling
+
+try:
+    import fcntl
+except ImportError:  # Windows
+    fcntl = None  # type: ignore[assignment]
+
+VARIABLE = "CLOSEDLOOP_BACKGROUND_COMPILE"
+# What is said about compiling, a line each: commands print it on standard error.
+notices = logging.getLogger("closedloop.compiling")
+
+NICE, LONGEST = 10, 900  # added to the priority's number; s, after which the process is given up
+# A process that needs what another is compiling waits for that so long, s, before it compiles it too.
+PATIENCE, BETWEEN_LOOKS = 180.0, 0.1
+
+# The first process started ends at once, so that nobody has to wait for the one that compiles.
+_PROGRAM = f"""
+import os, signal, sys
+if os.fork():
+    os._exit(0)
+os.nice({NICE})
+signal.alarm({LONGEST})
+if sys.argv[1] not in sys.path:
+    sys.path.insert(0, sys.argv[1])
+from closedloop.command.compile_all import compile_these
+compile_these(sys.argv[2:])
+"""
+
+_lock = threading.Lock()
+_asked: set[str] = set()  # names of what this process has had compiled in the background
+_said: set[str] = set()
+
+
+def refused() -> str:
+    """Return why no process may compile in the background, in words; "" if it may."""
+    if os.environ.get(VARIABLE, "").strip().lower() in ("0", "no", "off", "false"):
+        return f"{VARIABLE} refuses it"
+    if numba_settings.DISABLE_JIT:
+        return "NUMBA_DISABLE_JIT is set"
+    if fcntl is None or not hasattr(os, "fork"):
+        return "this system has no locks that end with their process"
+    if not Path(sys.executable or "").name.startswith("python"):
+        return "Python is part of another program"
+    return ""
+
+
+def start(functions: Sequence[Callable[..., Any]]) -> None:
+    """Let a process compile entry kernels, unless one is at work, or it was asked for them before."""
+    with _lock:
+        names = [function.__name__ for function in functions if function.__name__ not in _asked]
+        if not names or refused():
+            return
+        if reason := why_not_kept():
+            _say(f"compiling the step would take longer than this run, interpreted, and it cannot be kept: {reason}")
+            return
+        lock = _take_lock()
+        if lock is None:
+            _say("compiling the step in another process; this run is interpreted meanwhile")
+            return
+        try:
+            _spawn(names, lock)
+        except (OSError, subprocess.SubprocessError) as error:  # no process or memory is left
+            _say(f"compiling the step in the background is not possible: {error}; this run is interpreted")
+            return
+        finally:
+            os.close(lock)
+        _asked.update(names)
+        _say("compiling the step in the background, once for this installation; this run is interpreted meanwhile")
+
+
+def make_ready(*functions: Callable[..., Any]) -> None:
+    """Say what is about to be compiled here, if anything; and wait, if a process in the background is at it."""
+    missing = [function for function in functions if needs_compiling(function)]
+    if not missing:
+        return
+    if not refused() and not why_not_kept() and _at_work():
+        _say("compiling the step: waiting for the process that does it in the background ...")
+        if wait_until_done(missing):
+            return
+        missing = [function for function in missing if needs_compiling(function)]
+    if missing:
+        _say(compiling_notice())
+
+
+def wait_until_done(functions: Sequence[Callable[..., Any]] = (), patience: float = PATIENCE) -> bool:
+    """Wait for the process in the background, if there is one, so many seconds at most, or until these are compiled.
+
+    Returns
+    -------
+    bool
+        Whether there were any functions, and they are.
+    """
+    until = clock.monotonic() + patience
+    while True:
+        done = bool(functions) and not any(needs_compiling(function) for function in functions)
+        if done or clock.monotonic() > until or not _at_work():
+            return done
+        clock.sleep(BETWEEN_LOOKS)
+
+
+def compiling_notice() -> str:
+    """Return the line for a user who is about to wait for the compiler."""
+    reason = why_not_kept()
+    how_often = "once for this installation" if not reason else f"each time, as it cannot be kept: {reason}"
+    return f"compiling the step ({how_often}, some twenty seconds) ..."
+
+
+def _say(line: str) -> None:
+    """Say a line, once in a process."""
+    if line not in _said:
+        _said.add(line)
+        notices.info(line)
+
+
+def _spawn(names: Sequence[str], lock: int) -> None:
+    home = str(Path(__file__).resolve().parents[2])
+    flags = ["-P", *(["-O"] * sys.flags.optimize), *(["-I"] if sys.flags.isolated else [])]
+    environment = os.environ | {VARIABLE: "0"}
+    if numba_settings.CACHE_DIR:  # which may be relative to the current folder
+        environment["NUMBA_CACHE_DIR"] = str(cache_folder().parent)
+    subprocess.run(
+        [sys.executable, *flags, "-c", _PROGRAM, home, *names],
+        stdin=subprocess.DEVNULL, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL, cwd=os.sep,
+        env=environment, start_new_session=True, pass_fds=[lock], check=True, timeout=30.0,
+    )  # fmt: skip
+
+
+def _take_lock() -> int | None:
+    """Return the open file of the marker, locked; None if a process that compiles has it."""
+    claim(cache_folder())
+    lock = os.open(cache_folder() / MARKER, os.O_RDWR)
+    try:
+        fcntl.flock(lock, fcntl.LOCK_EX | fcntl.LOCK_NB)
+    except OSError:
+        os.close(lock)
+        return None
+    return lock
+
+
+def _at_work() -> bool:
+    """Whether a process compiles into the folder."""
+    try:
+        lock = _take_lock()
+    except OSError:
+        return False
+    if lock is not None:
+        os.close(lock)
+    return lock is None

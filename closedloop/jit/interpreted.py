@@ -1,0 +1,190 @@
+"""The same source without the compiler: a kernel's Python function, with what it calls interpreted too.
+
+A kernel's Python function still finds compiled functions where it looks up what it calls. Its twin is the same code
+with other globals: those of its module, in which every compiled function is a twin in its turn. Both do IEEE arithmetic
+in the same order, so they give the same bits; `math.hypot`, which Python works out in its own way, is the C library's
+in the twin as it is in compiled code.
+
+`Interim` is what begins a run before its loop is compiled.
+"""
+
+from __future__ import annotations
+
+import math
+import threading
+import time as clock
+import types
+from collections.abc import Callable, Sequence
+from typing import Any, TypeVar, cast
+
+import numpy as np
+from numpy.typing import NDArray
+
+from closedloop.jit import background
+from closedloop.jit.kernel import direct, needs_compiling
+
+F = TypeVar("F", bound=Callable[..., Any])
+
+_MATH = types.ModuleType("math", "The module `math` as compiled code has it.")
+_MATH.__dict__.update({name: value for name, value in vars(math).items() if not name.startswith("_")})
+_MATH.__dict__["hypot"] = np.hypot
+
+# Twins, and the globals of twins, by the identity of what they are of, which is kept with them.
+_twins: dict[int, tuple[Any, Any]] = {}
+_globals: dict[int, tuple[dict[str, Any], dict[str, Any]]] = {}
+_making = threading.RLock()
+
+
+def interpreted(function: F) -> F:
+    """Return the twin of a function that numba has been given: the same source, interpreted.
+
+    It gives what the compiled form gives, to the last bit, with one exception: where Python's arithmetic raises an
+    ArithmeticError or a ValueError (1.0 / 0.0, math.sqrt(-1.0)), compiled code goes on with what IEEE 754 says. What
+    numpy warns of in the twin, compiled code does in silence.
+
+    Parameters
+    ----------
+    function : callable
+        A function with the attribute `py_func`; another is returned as it is, as with ``NUMBA_DISABLE_JIT=1``.
+    """
+    if not hasattr(function, "py_func"):
+        return function
+    with _making:
+        if id(function) not in _twins:
+            source = function.py_func
+            cells = tuple(types.CellType(_twin_value(cell.cell_contents)) for cell in source.__closure__ or ())
+            names = _twin_globals(source.__globals__)
+            twin = types.FunctionType(source.__code__, names, source.__name__, source.__defaults__, cells)
+            twin.__kwdefaults__, twin.__doc__ = source.__kwdefaults__, source.__doc__
+            twin.__qualname__ = source.__qualname__
+            _twins.setdefault(id(function), (function, twin))
+        return cast(F, _twins[id(function)][1])
+
+
+def _twin_globals(names: dict[str, Any]) -> dict[str, Any]:
+    if id(names) not in _globals:
+        # Entered before it is filled: two modules may have functions of each other.
+        _globals[id(names)] = names, dict(names)
+        _globals[id(names)][1].update({name: _twin_value(value) for name, value in names.items()})
+    return _globals[id(names)][1]
+
+
+def _twin_value(value: Any) -> Any:
+    if value is math:
+        return _MATH
+    return interpreted(value) if callable(value) else value
+
+
+# Calls after which it is known how long they take; seconds between two looks for the compiled form; and how many times
+# longer than compiling the rest of a run must take, interpreted, for it to wait for the compiler instead.
+PROBE, BETWEEN_LOOKS, WORTH_WAITING = 50, 0.5, 1.5
+# Calls of each function so far in this process that were interpreted, and the seconds that they took.
+_so_far: dict[str, tuple[int, float]] = {}
+
+
+class Interim:
+    """A kernel that is called again and again: interpreted, until its compiled form is there.
+
+    After the first calls it is known what is sooner. Where compiling is, it is done, or waited for, at once; else a
+    process in the background does it (`closedloop.jit.background`), and this one goes over to the compiled form as
+    soon as that is on the disk. Each call begins from what the last one left, so nothing depends on when that is.
+
+    Parameters
+    ----------
+    function : callable
+        The kernel, an `entry_kernel`.
+    written : sequence of arrays
+        What a call reads and changes: it is put back if a call must be begun again, or is interrupted.
+    calls : int
+        How many calls there will be, about.
+    seconds : float
+        How long compiling takes, about.
+    with_it : sequence of callables
+        What else the caller will want compiled.
+    on_compiled : callable
+        Called before the compiled form is, for the first time.
+
+    Attributes
+    ----------
+    compiling : float
+        Time that was spent on compiling or loading the compiled form so far, s.
+    """
+
+    def __init__(
+        self,
+        function: Callable[..., Any],
+        written: Sequence[NDArray[Any]],
+        calls: int,
+        seconds: float,
+        with_it: Sequence[Callable[..., Any]] = (),
+        on_compiled: Callable[[], None] = lambda: None,
+    ) -> None:
+        self._function, self._twin, self._written = function, interpreted(function), written
+        self._calls, self._seconds, self._with_it = calls, seconds, (function, *with_it)
+        self._on_compiled = on_compiled
+        self._compiled: Callable[..., Any] | None = None
+        self._done, self._look_at, self._decided, self.compiling = 0, 0.0, False, 0.0
+
+    @property
+    def interpreting(self) -> bool:
+        """Whether the compiled form is not in use yet."""
+        return self._compiled is None
+
+    def __call__(self, *arguments: Any) -> Any:
+        """Call the kernel."""
+        if self._compiled is not None:
+            return self._compiled(*arguments)
+        began = clock.perf_counter()
+        if began >= self._look_at:
+            self._look_at = began + BETWEEN_LOOKS
+            if not needs_compiling(self._function):
+                return self._compile(arguments)(*arguments)
+        before = [array.copy() for array in self._written]
+        try:
+            with np.errstate(all="ignore"):
+                answer = self._twin(*arguments)
+        except (ArithmeticError, ValueError):  # where compiled code would go on
+            self._put_back(before)
+            background.make_ready(self._function)
+            return self._compile(arguments)(*arguments)
+        except BaseException:
+            self._put_back(before)
+            raise
+        name = self._function.__name__
+        calls, seconds = _so_far.get(name, (0, 0.0))
+        calls, seconds = _so_far[name] = calls + 1, seconds + clock.perf_counter() - began
+        self._done += 1
+        if not self._decided and calls >= PROBE:
+            self._decided = True
+            self._decide((self._calls - self._done) * seconds / calls, arguments)
+        return answer
+
+    def _decide(self, left: float, arguments: tuple[Any, ...]) -> None:
+        """Wait for the compiler, or let it work in the background, when the rest would take `left` seconds."""
+        if left > WORTH_WAITING * self._seconds:
+            background.make_ready(self._function)
+            self._compile(arguments)
+        else:
+            background.start([function for function in self._with_it if needs_compiling(function)])
+
+    def _compile(self, arguments: tuple[Any, ...]) -> Callable[..., Any]:
+        began = clock.perf_counter()
+        compiled = direct(self._function, *arguments)
+        self._on_compiled()
+        self._compiled = compiled
+        self.compiling += clock.perf_counter() - began
+        return compiled
+
+    def _put_back(self, before: Sequence[NDArray[Any]]) -> None:
+        for array, earlier in zip(self._written, before, strict=True):
+            array[...] = earlier
+
+
+def call_now(function: Callable[..., Any], written: Sequence[NDArray[Any]], *arguments: Any) -> Any:
+    """Call a kernel once, interpreted if its compiled form is not there; `written` as for `Interim`."""
+    return function(*arguments) if at_hand(function) else Interim(function, written, 1, 0.0)(*arguments)
+
+
+def at_hand(function: Callable[..., Any]) -> bool:
+    """Whether calling a kernel needs no compiler, or is to wait for it, as no process may compile in the background."""
+    return bool(background.refused()) or not needs_compiling(function)

@@ -1,0 +1,102 @@
+"""``closedloop compile``: all that ships, and nothing that is not there."""
+
+import importlib
+import os
+import pkgutil
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+import closedloop
+from closedloop.__main__ import main
+from closedloop.command.compile_all import pieces
+from closedloop.jit.compile_cache import KernelCache
+
+ROOT = Path(closedloop.__file__).parent.parent
+
+
+def kept_kernels():
+    """Return the names of all functions of the package that are kept on disk."""
+    found = set()
+    for module in pkgutil.walk_packages(closedloop.__path__, "closedloop."):
+        if not module.name.endswith("__main__"):
+            values = vars(importlib.import_module(module.name)).values()
+            found |= {x.__name__ for x in values if isinstance(getattr(x, "_cache", None), KernelCache)}
+    return found
+
+
+def test_every_kernel_that_is_kept_is_compiled():
+    """One that is added to the package and not to the command would be compiled by the user's run."""
+    named = [piece.kernel for piece in pieces()]
+    assert set(named) == kept_kernels()
+    assert len(set(named)) == len(named)
+
+
+@pytest.mark.parametrize(
+    ("arguments", "said"),
+    [(["compile", "wam_slide"], "unrecognized arguments: wam_slide"), (["compile", "--fast"], "--fast")],
+)
+def test_bad_arguments(arguments, said, capsys):
+    """Exit status 2 and one line."""
+    assert main(arguments) == 2
+    (line,) = capsys.readouterr().err.splitlines()
+    assert line.startswith("closedloop: ")
+    assert said in line
+
+
+def test_help(capsys):
+    """It says what it does."""
+    assert main(["compile", "--help"]) == 0
+    assert "Compile everything that ships" in capsys.readouterr().out
+
+
+def test_where_nothing_can_be_kept(monkeypatch, capsys):
+    """It would be for nothing: exit status 2 and the reason."""
+    monkeypatch.setattr("closedloop.jit.cache_folder.why_not_kept", lambda: "/some/folder: Read-only file system")
+    assert main(["compile"]) == 2
+    assert capsys.readouterr().err == (
+        "closedloop: compiled code cannot be kept: /some/folder: Read-only file system\n"
+    )
+
+
+@pytest.mark.parametrize("module", ["closedloop", "closedloop.run"])
+def test_other_words_are_those_of_a_run(module, tmp_path):
+    """``python -m closedloop`` runs a scenario, as ``python -m closedloop.run`` does."""
+    done = subprocess.run(
+        [sys.executable, "-m", module, "--list"], cwd=ROOT, capture_output=True, text=True, check=True
+    )
+    assert "wam_slide " in done.stdout
+
+
+def test_without_a_compiler():
+    """With NUMBA_DISABLE_JIT there is nothing to compile."""
+    done = subprocess.run(
+        [sys.executable, "-m", "closedloop", "compile"], cwd=ROOT, env=os.environ | {"NUMBA_DISABLE_JIT": "1"},
+        capture_output=True, text=True, check=False,
+    )  # fmt: skip
+    assert (done.returncode, done.stdout) == (2, "")
+    assert done.stderr == "closedloop: NUMBA_DISABLE_JIT is set: there is nothing to compile\n"
+
+
+@pytest.mark.slow
+def test_all_is_there_afterwards(tmp_path):
+    """A line for each piece and one for all, and a file of code for each kernel; again, nothing is compiled."""
+    environment = os.environ | {"NUMBA_CACHE_DIR": str(tmp_path)}
+
+    def compile_all():
+        return subprocess.run(
+            [sys.executable, "-m", "closedloop", "compile"], cwd=ROOT, env=environment, capture_output=True, text=True,
+            check=True, timeout=900,
+        )  # fmt: skip
+
+    first = compile_all()
+    assert first.stderr == ""
+    assert len(first.stdout.splitlines()) == len(pieces()) + 1
+    (folder,) = tmp_path.iterdir()
+    files = {file.name: file.stat().st_mtime_ns for file in folder.glob("*.nbc")}
+    for piece in pieces():
+        assert any(f".{piece.kernel}-" in name for name in files), piece
+    compile_all()
+    assert {file.name: file.stat().st_mtime_ns for file in folder.glob("*.nbc")} == files

@@ -1,0 +1,270 @@
+"""The kernels without the compiler: the same bits, and a run that begins with them."""
+
+import logging
+import types
+
+import numba
+import numpy as np
+import pytest
+
+import closedloop as cl
+from closedloop.engines.loops import COMPILED, ENGINES, PINOCCHIO, loop_for
+from closedloop.events.transitions import collide
+from closedloop.jit import background, interpreted
+from closedloop.jit.interpreted import PROBE, Interim
+from closedloop.report.measured import measure_rows
+from closedloop.step.record_row import complete_record
+
+SHORT = {"time.duration": 0.06}
+EARLY = {"reference.start": 0.02, "law.pd_start": 0.01}
+CASES = {
+    "the paper's law": ("wam_slide", EARLY),
+    "seven joints": ("panda_slide", EARLY | {"time.duration": 0.03}),
+    "fourth order": ("planar2_slide", EARLY | {"time.integrator": "rk4", "law.sample_period": 0.002}),
+    "an impact": ("wam_touchdown", {"surface.gap": 1e-6}),
+    "impacts with friction": ("planar2_drop", {"surface.gap": 1e-5}),
+    "a tip that leaves": ("wam_liftoff", {"time.duration": 0.1}),
+    "projection": ("wam_slide", EARLY | {"stabiliser.kind": "projection"}),
+    "friction": ("wam_slide_friction", {"reference.start": 0.0}),
+    "stick and slip": ("wam_stick_slip", {"reference.start": 0.0}),
+    "friction in the joints": ("joint_friction", {"time.duration": 0.03}),
+    "a law of force and motion": ("wam_hybrid_friction", {"reference.start": 0.0}),
+    "friction with a memory": (
+        "wam_slide_friction",
+        {"reference.start": 0.0, "friction.kind": "lugre", "friction.kinetic": 0.2, "friction.static": 0.3,
+         "friction.stribeck_speed": 0.003, "friction.stiffness": 1e4, "friction.damping": 10.0},
+    ),
+    "an observer, a sensor": (
+        "wam_slide_friction",
+        {"reference.start": 0.0, "law.kind": "impedance", "law.force_integral": 20.0, "compensation.kind": "observer",
+         "compensation.rate": 100.0, "sensor.delay": 0.004, "sensor.noise": 0.1},
+    ),
+}  # fmt: skip
+
+
+@pytest.fixture
+def nothing_compiled(monkeypatch):
+    """Let no kernel have a compiled form, and none get one; return the names of what is wanted in the background."""
+    wanted = []
+
+    def never(*arguments):
+        raise AssertionError("something is compiled")
+
+    monkeypatch.setattr(background, "refused", lambda: "")
+    monkeypatch.setattr(interpreted, "needs_compiling", lambda function: True)
+    monkeypatch.setattr(interpreted, "direct", never)
+    monkeypatch.setattr(background, "start", lambda functions: wanted.append([f.__name__ for f in functions]))
+    return wanted
+
+
+def bits(run):
+    """Return the columns of a run as bytes."""
+    return {name: column.tobytes() for name, column in run.columns.items()}
+
+
+@pytest.mark.parametrize("engine", ENGINES)
+@pytest.mark.parametrize("name", CASES)
+def test_an_interpreted_run_is_the_compiled_one_to_the_last_bit(name, engine, request):
+    """Every column and every event: laws, friction, impacts and integrators, on both engines."""
+    shipped, changes = CASES[name]
+    scenario = cl.load_scenario(shipped, SHORT | changes)
+    compiled = cl.simulate(scenario, engine=engine)
+    wanted = request.getfixturevalue("nothing_compiled")
+    run = cl.simulate(scenario, engine=engine)
+    assert [names[0] for names in wanted if len(names) > 1] == [loop_for(engine, scenario_needs_more(run)).__name__]
+    assert np.ptp(run.contact_force) > 0.0 or np.ptp(run.q) > 0.0
+    assert bits(run) == bits(compiled)
+
+
+def scenario_needs_more(run):
+    """Whether a run went through the loop with everything that may come on top."""
+    from closedloop.engines.problem import needs_more
+
+    return needs_more(run.scenario)
+
+
+def test_a_law_of_ones_own_is_asked_as_often(nothing_compiled):
+    """On the Pinocchio engine a Python law drives an interpreted run too."""
+    asked = []
+
+    def law(t, q, v, terms):
+        asked.append(t)
+        return terms.bias - 10.0 * terms.jacobian[2]
+
+    run = cl.simulate(cl.load_scenario("wam_slide", {"time.duration": 0.02}), law=law)
+    assert len(asked) == len(run) == 21
+    assert run.contact_force == pytest.approx(10.0, abs=1e-6)
+
+
+@pytest.mark.parametrize("kernel", [
+    *(loop_for(engine, more) for engine in ENGINES for more in (False, True)), collide, complete_record, measure_rows,
+])  # fmt: skip
+def test_a_twin_calls_nothing_compiled(kernel):
+    """Every function that a twin can reach is a twin: one that was left out would be compiled."""
+    seen, waiting = set(), [interpreted.interpreted(kernel)]
+    while waiting:
+        function = waiting.pop()
+        if id(function) in seen:
+            continue
+        seen.add(id(function))
+        assert not hasattr(function, "py_func"), function
+        codes = [function.__code__, *(c for c in function.__code__.co_consts if isinstance(c, types.CodeType))]
+        cells = [cell.cell_contents for cell in function.__closure__ or ()]
+        found = [function.__globals__.get(name) for code in codes for name in code.co_names] + cells
+        waiting += [x for x in found if isinstance(x, types.FunctionType) or hasattr(x, "py_func")]
+    assert len(seen) > 1
+    assert interpreted.interpreted(kernel) is interpreted.interpreted(kernel)
+
+
+def test_hypotenuse_is_that_of_the_c_library():
+    """Python's own differs from it in the last bit for one pair in some thousand."""
+
+    @numba.njit
+    def length(x, y):
+        import math
+
+        return math.hypot(x, y)
+
+    @numba.njit
+    def of(x, y):
+        return interpreted_math.hypot(x, y)
+
+    import math as interpreted_math
+
+    x, y = np.random.default_rng(0).normal(size=(2, 20_000))
+    twin = interpreted.interpreted(of)
+    assert all(twin(a, b) == of(a, b) for a, b in zip(x, y, strict=True))
+
+
+@numba.njit(error_model="numpy")
+def over(x, out):
+    """Count, and divide; in Python 1.0 / 0.0 raises."""
+    out[0] += 1.0
+    out[1] = 1.0 / float(x)
+
+
+def test_where_python_raises_the_compiled_form_goes_on():
+    """It begins from what the call before has left: nothing is counted twice, nothing is lost."""
+    out = np.zeros(2)
+    kernel = Interim(over, (out,), 1000, 1.0)
+    kernel(2.0, out)
+    assert kernel.interpreting
+    assert out.tolist() == [1.0, 0.5]
+    kernel(0.0, out)
+    assert not kernel.interpreting
+    assert out.tolist() == [2.0, np.inf]
+    kernel(4.0, out)
+    assert out.tolist() == [3.0, 0.25]
+
+
+def test_an_interrupted_call_leaves_no_trace(monkeypatch, nothing_compiled):
+    """Ctrl-C comes anywhere in an interpreted call: the state is that between two calls."""
+    out = np.zeros(2)
+    kernel = Interim(over, (out,), 1000, 1.0)
+    kernel(2.0, out)
+
+    def interrupted(x, out):
+        out[0] += 1.0
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr(kernel, "_twin", interrupted)
+    with pytest.raises(KeyboardInterrupt):
+        kernel(0.0, out)
+    assert out.tolist() == [1.0, 0.5]
+
+
+def decided(monkeypatch, calls, seconds):
+    """Return what an interim kernel decides after its first calls: "background", "compiled" or ""."""
+    done = []
+    monkeypatch.setattr(interpreted, "_so_far", {})
+    monkeypatch.setattr(background, "start", lambda functions: done.append("background"))
+    monkeypatch.setattr(background, "make_ready", lambda *functions: done.append("compiled"))
+    monkeypatch.setattr(interpreted, "direct", lambda function, *arguments: function.py_func)
+    monkeypatch.setattr(interpreted, "needs_compiling", lambda function: True)
+    out = np.zeros(2)
+    kernel = Interim(over, (out,), calls, seconds)
+    for _ in range(2 * PROBE):
+        kernel(2.0, out)
+    assert out[0] == 2 * PROBE
+    assert kernel.interpreting == ("compiled" not in done)
+    return done
+
+
+@pytest.mark.parametrize(
+    ("calls", "seconds", "does"),
+    [(200, 100.0, ["background"]), (10**9, 100.0, ["compiled"]), (10**6, 1e-6, ["compiled"])],
+)
+def test_whether_to_wait_is_judged_by_what_is_ahead(monkeypatch, calls, seconds, does):
+    """A short run goes on while another process compiles; a long one waits for the compiler; once it is decided."""
+    assert decided(monkeypatch, calls, seconds) == does
+
+
+def test_many_short_runs_are_as_good_as_a_long_one(monkeypatch):
+    """Runs of a few steps each do not stay interpreted for ever: their calls are counted together."""
+    asked = []
+    monkeypatch.setattr(interpreted, "_so_far", {})
+    monkeypatch.setattr(interpreted, "needs_compiling", lambda function: True)
+    monkeypatch.setattr(background, "start", lambda functions: asked.append(functions))
+    out = np.zeros(2)
+    for _ in range(PROBE - 1):
+        Interim(over, (out,), 1, 100.0)(2.0, out)
+    assert asked == []
+    Interim(over, (out,), 1, 100.0)(2.0, out)
+    assert asked == [[over]]
+
+
+def test_the_same_run_goes_over_to_the_compiled_form(monkeypatch):
+    """As soon as it is there, without a trace in the result."""
+    scenario = cl.load_scenario("wam_slide", {"time.duration": 0.3, "reference.start": 0.02, "law.pd_start": 0.0})
+    sound, loops = cl.simulate(scenario), []
+    ready = iter([True] * 3)  # at the beginning: no look, which is a second apart, finds it before
+    monkeypatch.setattr(background, "refused", lambda: "")
+    monkeypatch.setattr(background, "start", lambda functions: None)
+    monkeypatch.setattr(interpreted, "BETWEEN_LOOKS", 0.01)
+    monkeypatch.setattr(interpreted, "needs_compiling", lambda function: next(ready, False))
+    init = Interim.__init__
+
+    def noted(self, *arguments):
+        init(self, *arguments)
+        loops.append(self)
+
+    monkeypatch.setattr(Interim, "__init__", noted)
+    run = cl.simulate(scenario)
+    assert not loops[0].interpreting
+    assert 0 < loops[0]._done < 300
+    assert bits(run) == bits(sound)
+
+
+def test_where_background_processes_are_refused_the_loop_is_compiled_first(monkeypatch, caplog):
+    """As a batch does it, and in the same words."""
+    monkeypatch.setenv(background.VARIABLE, "0")
+    monkeypatch.setattr(background, "needs_compiling", lambda function: True)
+    monkeypatch.setattr(interpreted, "needs_compiling", lambda function: True)
+    monkeypatch.setattr(background, "_said", set())
+    monkeypatch.setattr(Interim, "__call__", lambda *_: pytest.fail("interpreted"))
+    with caplog.at_level(logging.INFO, "closedloop.compiling"):
+        cl.simulate(cl.load_scenario("wam_slide", {"time.duration": 0.01}))
+        cl.simulate_batch(cl.load_scenario("wam_slide", {"time.duration": 0.01}), {"law.force": [1.0, 2.0, 3.0]})
+    assert [line for line in caplog.messages if line.startswith("compiling the step (once")] == caplog.messages
+    assert len(caplog.messages) == 1
+
+
+@pytest.mark.parametrize("engine", [PINOCCHIO, COMPILED])
+def test_ctrl_c_in_an_interpreted_run_keeps_its_rows(engine, nothing_compiled):
+    """What ran until then is there, complete, and is what an uninterrupted run has."""
+    scenario = cl.load_scenario("wam_slide", {"time.duration": 0.2, "reference.start": 0.02, "law.pd_start": 0.0})
+    whole = cl.simulate(scenario, engine=engine)
+    calls = []
+
+    def stop(done, total):
+        calls.append(done)
+        if done >= 1:
+            raise KeyboardInterrupt
+
+    with pytest.raises(cl.InterruptedRunError) as caught:
+        cl.simulate(scenario, engine=engine, progress=stop)
+    run = caught.value.run
+    assert 1 <= len(run) <= len(whole)
+    for name, column in run.columns.items():
+        if len(column) == len(run):
+            assert column.tobytes() == whole.columns[name][: len(run)].tobytes(), name

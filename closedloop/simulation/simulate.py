@@ -36,7 +36,8 @@ from closedloop.jit.pointers import address_of
 from closedloop.record.run import Run
 from closedloop.record.versions import package_versions
 from closedloop.robot.tree import Tree
-from closedloop.scenario.scenario import Scenario, member_digests
+from closedloop.scenario.members import member_digests
+from closedloop.scenario.scenario import Scenario
 from closedloop.simulation.prepare import prepare
 from closedloop.step.memory import EVENTS, ROW, STATUS, TIME, Work
 from closedloop.step.record_row import RECORDED, Row, complete_record, recorded, rows_there

@@ -17,21 +17,16 @@ data and can make no code run, so a name that stands in a file alone is refused 
 
 from __future__ import annotations
 
-import hashlib
-import inspect
-import sys
 from collections.abc import Iterator, Mapping
-from contextlib import contextmanager
 from functools import cached_property
 from importlib import import_module
-from pathlib import Path
 from pkgutil import iter_modules
 from typing import Any, ClassVar, Generic, TypeVar
 
 from pydantic import ConfigDict, GetCoreSchemaHandler, ValidationInfo, model_validator
 from pydantic_core import CoreSchema, PydanticCustomError, PydanticKnownError, core_schema
 
-from closedloop.errors import ClosedLoopError, ScenarioError, one_line
+from closedloop.errors import ScenarioError
 from closedloop.sections import Section
 from robot_models.errors import shown
 
@@ -140,10 +135,6 @@ class Family(Mapping[str, type[M]], Generic[M]):
             names = ", ".join(each.__name__ for each in own)
             raise TypeError(f"{module.__name__} holds {names}: a file has one member of {self.base.__name__}")
         return own[0] if own else None
-
-    def member(self, name: str) -> type[M] | None:
-        """Return the member with this name, None if there is none."""
-        return self.get(name)
 
     def __iter__(self) -> Iterator[str]:
         """Go through the names, those that ship first, in the order of the alphabet; imports all of them."""
@@ -263,7 +254,7 @@ class OneOf:
         """See `Family.named`; a user's class is of the first family."""
         return self.families[0].named(value, key)
 
-    def member(self, name: str) -> type[Member] | None:
+    def get(self, name: str) -> type[Member] | None:
         """Return the member with this name, None if there is none."""
         return next((family[name] for family in self.families if name in family), None)
 
@@ -308,54 +299,3 @@ def users_named() -> tuple[str, ...]:
 def is_users(member: Member | type[Member]) -> bool:
     """Whether a member is a user's class."""
     return ":" in member.member_name()
-
-
-@contextmanager
-def of_users(member: Member | type[Member], key: str) -> Iterator[None]:
-    """Turn what a user's member raises in a call into one line that says in which line of which file.
-
-    Raises
-    ------
-    ScenarioError
-        With what was raised as its cause. An error of this package, and that of a member which ships, is raised as it
-        is.
-    """
-    try:
-        yield
-    except ClosedLoopError:
-        raise
-    except Exception as error:
-        if not is_users(member):
-            raise
-        from traceback import extract_tb
-
-        own = (member if isinstance(member, type) else type(member)).__module__
-        file = getattr(sys.modules.get(own), "__file__", None)
-        frames = extract_tb(error.__traceback__)
-        place = next((frame for frame in reversed(frames) if frame.filename == file), frames[-1])
-        what = one_line(f"{type(error).__name__}: {error}" if str(error) else type(error).__name__)
-        where = f"{Path(place.filename).name}:{place.lineno}"
-        raise ScenarioError(f"{key} = {member.member_name()}: {where}: {what}") from error
-
-
-def source_digest(what: Any) -> str:
-    """Return the SHA-256 of the text that a function or a class is defined in, "" where there is none to be had.
-
-    That is its module, so that the functions it calls there count too; in a notebook or a console its own text.
-    """
-    text = _source(what)
-    return hashlib.sha256(text.encode("utf-8", "surrogatepass")).hexdigest() if text else ""
-
-
-def _source(what: Any) -> str:
-    for place in (sys.modules.get(getattr(what, "__module__", None) or "__main__"), what):
-        file = getattr(place, "__file__", None)
-        if file and str(file).endswith(".py"):
-            try:
-                return Path(file).read_text(encoding="utf-8", errors="surrogateescape")
-            except OSError:
-                continue
-    try:
-        return inspect.getsource(what)
-    except (OSError, TypeError):
-        return ""

@@ -21,8 +21,9 @@ from typing import TYPE_CHECKING, Any
 from closedloop.command.border import DONE, NOT_GOOD, Parser, run_command
 from closedloop.errors import InterruptedRunError, ScenarioError, SimulationError, one_line
 from closedloop.interrupts import Terminated, word_for
+from closedloop.scenario.members import member_digests
 from closedloop.scenario.overrides import split_overrides
-from closedloop.scenario.scenario import Scenario, load_scenario, member_digests, parse_scenario, shipped_scenarios
+from closedloop.scenario.scenario import Scenario, load_scenario, parse_scenario, shipped_scenarios
 
 if TYPE_CHECKING:
     from closedloop.record.run import Run

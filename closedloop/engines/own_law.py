@@ -8,7 +8,7 @@ from functools import partial
 from typing import Any
 
 from closedloop.errors import LawError, one_line
-from closedloop.families import source_digest
+from closedloop.user_code import source_digest
 
 
 def law_failure(law: Any, error: BaseException, t: float) -> LawError:
@@ -18,7 +18,7 @@ def law_failure(law: Any, error: BaseException, t: float) -> LawError:
 
 
 def law_digest(law: Any) -> str:
-    """Return the SHA-256 of the text that a law is defined in, see `closedloop.families.source_digest`."""
+    """Return the SHA-256 of the text that a law is defined in, see `closedloop.user_code.source_digest`."""
     return source_digest(_function(law))
 
 

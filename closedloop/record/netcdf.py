@@ -45,7 +45,7 @@ def question(
 ) -> dict[str, str]:
     """Return what determines a run to the last bit, on one machine, as the texts that its file has as attributes.
 
-    `members` are the digests of the users' classes, see `closedloop.scenario.scenario.member_digests`.
+    `members` are the digests of the users' classes, see `closedloop.scenario.members.member_digests`.
     """
     robot = {name: getattr(model, name) for name in ("name", "format", "tip", "description", "source")}
     robot |= {name: getattr(model, name).tolist() for name in ("armature", "home", "gravity")}

@@ -13,8 +13,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from closedloop.errors import ScenarioError
-from closedloop.families import Family, Parameters, is_users, of_users
+from closedloop.families import Family, Parameters, is_users
 from closedloop.reference.tip_path import TipPath
+from closedloop.user_code import of_users
 
 Array = NDArray[np.float64]
 

@@ -8,7 +8,7 @@ or a member of a family of plug-ins (`closedloop.families`), a user's own too wh
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Mapping
 from copy import deepcopy
 from functools import cache
 from pathlib import Path
@@ -19,7 +19,7 @@ from pydantic import AfterValidator, BeforeValidator, Field, ValidationError, mo
 from closedloop.control.law import COMPENSATIONS, LAWS, Compensation, ControlLaw
 from closedloop.control.sensor import SensorSection
 from closedloop.errors import ScenarioError
-from closedloop.families import KEEP_ABSENT, Absent, Family, Member, OneOf, how_to_name, source_digest
+from closedloop.families import KEEP_ABSENT, Family, OneOf
 from closedloop.friction.sections import JointFriction, NoFriction, SurfaceFriction
 from closedloop.integrators import ADAPTIVE, INTEGRATORS
 from closedloop.reference import path as paths
@@ -243,44 +243,6 @@ def families() -> dict[str, Family[Any] | OneOf]:
             for key, inner in field.annotation.model_fields.items():
                 found |= {f"{section}.{key}": one for one in inner.metadata if isinstance(one, OneOf)}
     return found
-
-
-def members_of_users(scenario: Scenario) -> dict[str, str]:
-    """Return the keys that pick a user's class in a scenario, and its name, MODULE:CLASS."""
-    return {key: name for key, name in _picked(scenario) if ":" in name}
-
-
-def _picked(scenario: Scenario) -> Iterator[tuple[str, str]]:
-    for key in families():
-        section, _, name = key.partition(".")
-        yield key, str(getattr(getattr(scenario, section), name))
-
-
-def refuse_absent(scenario: Scenario) -> None:
-    """Refuse to run a scenario that was read from a run file and names a user's class that nobody else has named.
-
-    Raises
-    ------
-    ScenarioError
-        Says how to name it.
-    """
-    for key, name in members_of_users(scenario).items():
-        if _class_of(scenario, key, name) is None:
-            raise ScenarioError(f"{key} = {name!r}: {how_to_name(key, name)}")
-
-
-def member_digests(scenario: Scenario) -> dict[str, str]:
-    """Return, for each user's class in a scenario, name -> SHA-256 of the text that it is defined in, "" if unknown."""
-    found = {name: _class_of(scenario, key, name) for key, name in members_of_users(scenario).items()}
-    return {name: "" if member is None else source_digest(member) for name, member in found.items()}
-
-
-def _class_of(scenario: Scenario, key: str, name: str) -> type[Member] | None:
-    """Return the class of a member that a scenario has, None if it is absent."""
-    section = getattr(scenario, key.partition(".")[0])
-    if isinstance(section, Member | Absent):  # its own class, whatever else was given this name since
-        return type(section) if isinstance(section, Member) else None
-    return families()[key].member(name)
 
 
 def load_scenario(name: str | Path, overrides: Mapping[str, Any] | None = None) -> Scenario:

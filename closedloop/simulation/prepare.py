@@ -18,17 +18,18 @@ from closedloop.control.stability import check_sampling
 from closedloop.engines.problem import STICK_SPEED, Problem, pack_law
 from closedloop.errors import ScenarioError
 from closedloop.events.phases import RESTING, TOUCHING
-from closedloop.families import of_users
 from closedloop.friction.layout import KINDS, STICKS
 from closedloop.friction.packing import pack
 from closedloop.integrators import ADAPTIVE, INTEGRATORS, Scheme
 from closedloop.reference.desired import Desired, desired
 from closedloop.reference.force import force_at
 from closedloop.robot.pinocchio import Robot
-from closedloop.scenario.scenario import BaumgarteGains, Scenario, refuse_absent
+from closedloop.scenario.members import refuse_absent
+from closedloop.scenario.scenario import BaumgarteGains, Scenario
 from closedloop.simulation.cache import Pieces
 from closedloop.step.record_row import Row
 from closedloop.surface.plane import Plane
+from closedloop.user_code import of_users
 from robot_models import RobotModel
 
 Array = NDArray[np.float64]

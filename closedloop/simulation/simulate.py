@@ -39,7 +39,8 @@ from closedloop.jit.pointers import address_of
 from closedloop.record.run import Run
 from closedloop.record.versions import package_versions
 from closedloop.robot.tree import Tree, potential_energies, work_size
-from closedloop.scenario.scenario import Scenario, member_digests
+from closedloop.scenario.members import member_digests
+from closedloop.scenario.scenario import Scenario
 from closedloop.simulation.prepare import prepare
 from closedloop.step.memory import Loop
 from closedloop.step.record_row import RECORDED, Row, complete_record, recorded, rows_there

@@ -14,15 +14,16 @@ import robot_models
 from closedloop.batch.table import kept_columns
 from closedloop.engines.loops import COMPILED
 from closedloop.errors import ScenarioError
-from closedloop.families import source_digest
 from closedloop.jit.kernel import cache_folder
 from closedloop.record.run import COLUMNS
 from closedloop.record.versions import package_versions
+from closedloop.scenario.members import members_of_users
 from closedloop.scenario.overrides import Variants
-from closedloop.scenario.scenario import Scenario, families, members_of_users
+from closedloop.scenario.scenario import Scenario, families
 from closedloop.simulation.simulate import check_engine
 from closedloop.sweep.design import GRID, LATIN, Design
 from closedloop.sweep.part import Job
+from closedloop.user_code import source_digest
 
 # Runs in a part: enough that writing it costs little, few enough that a kill loses little and all cores have work to
 # the end. It depends on the sweep only, so that the parts are the same whoever makes them.
@@ -129,7 +130,7 @@ class Sweep:
 
     def _digests(self) -> dict[str, str]:
         """Return a digest of the text of each user's class: it may change between a kill and what follows."""
-        return {name: source_digest(families()[key].member(name)) for key, name in self._members}
+        return {name: source_digest(families()[key].get(name)) for key, name in self._members}
 
     def _robots(self) -> dict[str, str]:
         """Return a digest of each robot that a run may load: a file may change between a kill and what follows."""

@@ -1,0 +1,48 @@
+"""Which classes of a user's own a scenario picks, and whether they are there."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+
+from closedloop.errors import ScenarioError
+from closedloop.families import Absent, Member, how_to_name
+from closedloop.scenario.scenario import Scenario, families
+from closedloop.user_code import source_digest
+
+
+def members_of_users(scenario: Scenario) -> dict[str, str]:
+    """Return the keys that pick a user's class in a scenario, and its name, MODULE:CLASS."""
+    return {key: name for key, name in _picked(scenario) if ":" in name}
+
+
+def _picked(scenario: Scenario) -> Iterator[tuple[str, str]]:
+    for key in families():
+        section, _, name = key.partition(".")
+        yield key, str(getattr(getattr(scenario, section), name))
+
+
+def refuse_absent(scenario: Scenario) -> None:
+    """Refuse to run a scenario that was read from a run file and names a user's class that nobody else has named.
+
+    Raises
+    ------
+    ScenarioError
+        Says how to name it.
+    """
+    for key, name in members_of_users(scenario).items():
+        if _class_of(scenario, key, name) is None:
+            raise ScenarioError(f"{key} = {name!r}: {how_to_name(key, name)}")
+
+
+def member_digests(scenario: Scenario) -> dict[str, str]:
+    """Return, for each user's class in a scenario, name -> SHA-256 of the text that it is defined in, "" if unknown."""
+    found = {name: _class_of(scenario, key, name) for key, name in members_of_users(scenario).items()}
+    return {name: "" if member is None else source_digest(member) for name, member in found.items()}
+
+
+def _class_of(scenario: Scenario, key: str, name: str) -> type[Member] | None:
+    """Return the class of a member that a scenario has, None if it is absent."""
+    section = getattr(scenario, key.partition(".")[0])
+    if isinstance(section, Member | Absent):  # its own class, whatever else was given this name since
+        return type(section) if isinstance(section, Member) else None
+    return families()[key].get(name)

@@ -1,0 +1,64 @@
+"""Code of a user's own: where it failed, and whether it is still the same text."""
+
+from __future__ import annotations
+
+import hashlib
+import inspect
+import sys
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from traceback import extract_tb
+from typing import Any
+
+from closedloop.errors import ClosedLoopError, ScenarioError, one_line
+from closedloop.families import Member, is_users
+
+
+@contextmanager
+def of_users(member: Member | type[Member], key: str) -> Iterator[None]:
+    """Turn what a user's member raises in a call into one line that says in which line of which file.
+
+    Raises
+    ------
+    ScenarioError
+        With what was raised as its cause. An error of this package, and that of a member which ships, is raised as it
+        is.
+    """
+    try:
+        yield
+    except ClosedLoopError:
+        raise
+    except Exception as error:
+        if not is_users(member):
+            raise
+        own = (member if isinstance(member, type) else type(member)).__module__
+        file = getattr(sys.modules.get(own), "__file__", None)
+        frames = extract_tb(error.__traceback__)
+        place = next((frame for frame in reversed(frames) if frame.filename == file), frames[-1])
+        what = one_line(f"{type(error).__name__}: {error}" if str(error) else type(error).__name__)
+        where = f"{Path(place.filename).name}:{place.lineno}"
+        raise ScenarioError(f"{key} = {member.member_name()}: {where}: {what}") from error
+
+
+def source_digest(what: Any) -> str:
+    """Return the SHA-256 of the text that a function or a class is defined in, "" where there is none to be had.
+
+    That is its module, so that the functions it calls there count too; in a notebook or a console its own text.
+    """
+    text = _source(what)
+    return hashlib.sha256(text.encode("utf-8", "surrogatepass")).hexdigest() if text else ""
+
+
+def _source(what: Any) -> str:
+    for place in (sys.modules.get(getattr(what, "__module__", None) or "__main__"), what):
+        file = getattr(place, "__file__", None)
+        if file and str(file).endswith(".py"):
+            try:
+                return Path(file).read_text(encoding="utf-8", errors="surrogateescape")
+            except OSError:
+                continue
+    try:
+        return inspect.getsource(what)
+    except (OSError, TypeError):
+        return ""

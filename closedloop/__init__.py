@@ -19,6 +19,8 @@ from typing import TYPE_CHECKING, Any  # noqa: E402
 if TYPE_CHECKING:
     from closedloop.batch.simulate_batch import simulate_batch as simulate_batch
     from closedloop.closure.solve import solve_closure as solve_closure
+    from closedloop.control.law import ControlLaw as ControlLaw
+    from closedloop.control.law_input import LawInput as LawInput
     from closedloop.engines.problem import Problem as Problem
     from closedloop.engines.user_law import Law as Law
     from closedloop.errors import ChatterError as ChatterError
@@ -51,11 +53,13 @@ _HOME = {
     "ChatterError": "errors",
     "ClosedLoopError": "errors",
     "ClusterError": "errors",
+    "ControlLaw": "control.law",
     "DivergenceError": "errors",
     "Event": "record.run",
     "InterruptedRunError": "errors",
     "Law": "engines.user_law",
     "LawError": "errors",
+    "LawInput": "control.law_input",
     "ModelError": "errors",
     "OutputError": "errors",
     "PainleveError": "errors",

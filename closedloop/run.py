@@ -62,7 +62,7 @@ def _main(arguments: list[str]) -> int:
         )
 
     from closedloop.command.results import Results
-    from closedloop.engines.own_law import law_digest
+    from closedloop.engines.own_law import fresh, law_digest
     from closedloop.record.netcdf import question
     from closedloop.simulation.prepare import load_model
     from closedloop.simulation.simulate import check_engine, simulate
@@ -82,7 +82,7 @@ def _main(arguments: list[str]) -> int:
     failure: SimulationError | None = None
     try:
         with redirect_stdout(sys.stderr):  # what a law prints is no result
-            run = simulate(scenario, law=law, model=model, progress=not options.json, engine=engine)
+            run = simulate(scenario, law=fresh(law), model=model, progress=not options.json, engine=engine)
     except SimulationError as error:
         if error.run is None or (isinstance(error, InterruptedRunError) and len(error.run) == 0):
             raise
@@ -153,7 +153,7 @@ def _parser() -> Parser:
     parser.add_argument(
         "--law",
         metavar="MODULE:FUNCTION",
-        help="use this function law(t, q, v, terms) -> Q as the control law",
+        help="use this function, law(x) or law(t, q, v, terms), as the control law",
     )
     return parser
 
@@ -210,6 +210,7 @@ def _warn_of_gains(scenario: Scenario, model: Any) -> None:
 
 def _without_stabiliser(scenario: Scenario, law: Any, model: Any, engine: str) -> Any:
     """Run the scenario without its stabiliser, for Fig. 7; None if it has none, or cannot do without."""
+    from closedloop.engines.own_law import fresh
     from closedloop.simulation.simulate import simulate
 
     if scenario.stabiliser.kind == "none":
@@ -217,7 +218,7 @@ def _without_stabiliser(scenario: Scenario, law: Any, model: Any, engine: str) -
     plain = parse_scenario(scenario.to_toml(), where=scenario.name, overrides={"stabiliser.kind": "none"})
     try:
         with redirect_stdout(sys.stderr):
-            return simulate(plain, law=law, model=model, engine=engine)
+            return simulate(plain, law=fresh(law), model=model, engine=engine)
     except InterruptedRunError:
         raise
     except SimulationError:

@@ -4,7 +4,9 @@ from __future__ import annotations
 
 import os
 import traceback
+from copy import deepcopy
 from functools import partial
+from types import FunctionType, MethodType
 from typing import Any
 
 from closedloop.errors import LawError, one_line
@@ -15,6 +17,19 @@ def law_failure(law: Any, error: BaseException, t: float) -> LawError:
     """Return what a law raised at t, s, as the error of the run: file, line, type and message in one line."""
     what = one_line(f"{type(error).__name__}: {error}" if str(error) else type(error).__name__)
     return LawError(f"stopped at t = {t:.6g} s: the law failed: {_where(law, error)}{what}", t)
+
+
+def fresh(law: Any) -> Any:
+    """Return a law as it was before any run: a copy of an object that is called and keeps something, else itself.
+
+    One with a `reset` is reset by every run; one that cannot be copied is what it is.
+    """
+    if isinstance(law, (FunctionType, MethodType, type)) or hasattr(law, "py_func") or hasattr(law, "reset"):
+        return law
+    try:
+        return deepcopy(law)
+    except Exception:  # whatever an object may hold
+        return law
 
 
 def law_digest(law: Any) -> str:

@@ -18,11 +18,11 @@ from closedloop.closure.contact_force import FREE
 from closedloop.control.law import Compensation, ControlLaw
 from closedloop.control.law_input import LawInput
 from closedloop.families import is_users
-from closedloop.user_code import source_digest
 from closedloop.jit.calls import Entry
 from closedloop.jit.kernel import entry_kernel, kernel, kernel_inlined
 from closedloop.parameters import parameter_block, state_block
 from closedloop.step.memory import Constants, State, Work, loop_at
+from closedloop.user_code import source_digest
 
 Array = NDArray[np.float64]
 

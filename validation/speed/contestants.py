@@ -15,6 +15,7 @@ import numba
 import numpy as np
 import pinocchio as pin
 
+import closedloop as cl
 from closedloop.control import paper_law
 from closedloop.engines.problem import Problem
 from closedloop.engines.specialise import COMPILED, WORTH_COMPILING
@@ -101,6 +102,23 @@ def written_out(arm: str, problem: Problem, engine: str) -> Contestant:
 
     what = f"compiled for {n} joints" if engine == COMPILED else f"Pinocchio for {n} joints"
     return Contestant(f"{engine}_for_{n}", arm, n, problem.steps, lap, final(problem), 1e-11, what)
+
+
+def whole_call(arm: str, problem: Problem) -> tuple[Contestant, Contestant]:
+    """Return `cl.simulate` of a problem's scenario with the compiled engine, from call to Run, and its steps alone.
+
+    The call makes everything anew: the path by inverse kinematics, the table of what is desired, the Run's columns.
+    """
+
+    def call() -> tuple[float, Array]:
+        run = cl.simulate(problem.scenario, engine=COMPILED)
+        return run.wall_seconds, run.q[-1]
+
+    def whole() -> tuple[float | None, Array | None]:
+        return None, call()[1]
+
+    both = Contestant("call", arm, problem.robot.n, problem.steps, whole, final(problem), 1e-11, "cl.simulate, whole")
+    return both, replace(both, name="call_steps", lap=call, what="cl.simulate, its steps")
 
 
 def own_law(arm: str, problem: Problem) -> Contestant:

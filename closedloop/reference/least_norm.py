@@ -15,6 +15,8 @@ Array = NDArray[np.float64]
 RANK_TOLERANCE = 1e-6
 # Rows are orthogonal when their product is below this share of the product of their lengths: rounding.
 ORTHOGONAL = 1e-15
+# A row whose square is below this, where the largest entry is 1, is rounding, far below `RANK_TOLERANCE`.
+NOTHING = 1e-40
 # Sweeps over the three pairs of rows; they converge quadratically, so six do.
 SWEEPS = 30
 
@@ -64,7 +66,7 @@ def least_norm(J: Array, wanted: Array, W: Array, c: Array, rate: Array) -> None
                     first += W[i, j] * W[i, j]
                     second += W[k, j] * W[k, j]
                     product += W[i, j] * W[k, j]
-                if abs(product) > ORTHOGONAL * math.sqrt(first * second):
+                if min(first, second) > NOTHING and abs(product) > ORTHOGONAL * math.sqrt(first * second):
                     turned = True
                     cot = (second - first) / (2.0 * product)  # of twice the angle
                     tan = math.copysign(1.0, cot) / (abs(cot) + math.sqrt(1.0 + cot * cot))

@@ -1,8 +1,8 @@
 """What many scenarios have in common, made once: robots, paths, tables of what is desired.
 
-Of the 25 ms in which a scenario becomes a `Problem` the robot's description takes 4, the inverse kinematics of its path
-15 to 20 and the table 2, and most keys of a scenario touch none of the three. A piece is known by the text of all that
-it is made from, so it is the same piece, to the last bit, as one made anew.
+Of the 3 ms in which a scenario becomes a `Problem` the table takes 1.5, the inverse kinematics of its path 0.5 and the
+robot 0.2 (4 more if it is read from a user's file), and most keys of a scenario touch none of the three. A piece is
+known by the text of all that it is made from, so it is the same piece, to the last bit, as one made anew.
 """
 
 from __future__ import annotations

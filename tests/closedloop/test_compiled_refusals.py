@@ -4,7 +4,8 @@ import pinocchio as pin
 import pytest
 
 import closedloop as cl
-from closedloop.engines.compiled import compiled_tree
+import robot_models
+from closedloop.robot.tree import tree_of
 
 
 @pytest.mark.parametrize(
@@ -25,8 +26,8 @@ def test_refused_by_name(changes, engine, words):
 
 @pytest.mark.parametrize("kind", ["JointModelSpherical", "JointModelFreeFlyer", "JointModelPlanar"])
 def test_joint_of_another_kind_is_refused_by_name(kind, monkeypatch):
-    """A robot made in Python may have any joint of Pinocchio's: the first that the engine lacks is named."""
-    problem = cl.prepare(cl.load_scenario("wam_slide"))
+    """A robot of one's own class may have any joint of Pinocchio's: the first that is not simulated is named."""
+    model = robot_models.load("wam4")
 
     def built(self):
         model = pin.Model()
@@ -35,9 +36,9 @@ def test_joint_of_another_kind_is_refused_by_name(kind, monkeypatch):
         model.addFrame(pin.Frame("tip", wrist, 0, pin.SE3.Identity(), pin.FrameType.BODY))
         return model
 
-    monkeypatch.setattr(type(problem.robot.model), "pinocchio_model", built)
-    with pytest.raises(cl.ScenarioError, match=f"joint 'wrist' is of Pinocchio's kind {kind[10:]}.*pinocchio engine"):
-        compiled_tree(problem)
+    monkeypatch.setattr(type(model), "pinocchio_model", built)
+    with pytest.raises(cl.ModelError, match=f"joint 'wrist' is of Pinocchio's kind {kind[10:]}.*only revolute"):
+        tree_of(model, "tip")
 
 
 def test_command_line_refuses_with_one_line(command_line):

@@ -77,12 +77,13 @@ def test_ratio_is_of_neighbours_and_spread_of_quartiles():
 def test_targets_are_judged_on_the_right_side():
     """Each target is met, missed or not measured as its figure says."""
     laps = {"compiled": 1.0, "mujoco": 16.0, "mj_step": 4.0, "pinocchio": 12.0, "calls": 8.0}
-    laps |= {"rnea_columns": 3.0, "crba": 2.0}
+    laps |= {"rnea_columns": 3.0, "crba": 2.0, "call": 3.2, "call_steps": 1.6}
     timings = {("wam4", name): timing("wam4", name, [value]) for name, value in laps.items()}
     found = [(target.measured, target.met) for target in targets(timings)]
     none = (None, None)
     assert found == [
-        (16.0, True), none, (4.0, False), none, none, (0.75, False), (1.5, False), none, (1.5, True), none
+        (16.0, True), none, (4.0, False), none, none, (0.75, False), (1.5, False), none, (2.0, True), (5.0, False),
+        (1.5, True), none,
     ]  # fmt: skip
     both = [("compiled", 4.0, 10.0), ("algorithms", 8.0, 20.0)]
     chains = {
@@ -108,7 +109,7 @@ def test_command_writes_valid_json(tmp_path, capsys):
         assert row["seconds_per_step"] == np.median(row["laps"])
         joint = row["processor_seconds_per_step"] / row["joints"]
         assert joint == row["processor_seconds_per_step_and_joint"] == np.median(row["processor_laps"]) / row["joints"]
-    assert len(data["targets"]) == 10
+    assert len(data["targets"]) == 12
     assert data["targets"][-1]["measured"] is None  # no chains in this run
     assert data["cold_start_seconds"] == {}
 

@@ -14,7 +14,9 @@ import numba
 import numpy as np
 import pinocchio as pin
 
+import closedloop as cl
 from closedloop.control.laws.paper import paper_law
+from closedloop.engines.loops import COMPILED
 from closedloop.engines.problem import Problem
 from closedloop.jit.kernel import entry_kernel
 from closedloop.robot.pinocchio import Terms
@@ -75,6 +77,23 @@ def our_engine(arm: str, problem: Problem, engine: str) -> Contestant:
 
     what = "compiled engine" if engine == "compiled" else "Pinocchio engine"
     return Contestant(engine, arm, problem.robot.n, problem.steps, lap, final(problem), 1e-11, what)
+
+
+def whole_call(arm: str, problem: Problem) -> tuple[Contestant, Contestant]:
+    """Return `cl.simulate` of a problem's scenario with the compiled engine, from call to Run, and its steps alone.
+
+    The call makes everything anew: the path by inverse kinematics, the table of what is desired, the Run's columns.
+    """
+
+    def call() -> tuple[float, Array]:
+        run = cl.simulate(problem.scenario, engine=COMPILED)
+        return run.wall_seconds, run.q[-1]
+
+    def whole() -> tuple[float | None, Array | None]:
+        return None, call()[1]
+
+    both = Contestant("call", arm, problem.robot.n, problem.steps, whole, final(problem), 1e-11, "cl.simulate, whole")
+    return both, replace(both, name="call_steps", lap=call, what="cl.simulate, its steps")
 
 
 def own_law(arm: str, problem: Problem) -> Contestant:

@@ -44,6 +44,8 @@ def targets(timings: Timings) -> list[Target]:
         ("MuJoCo rollout / compiled batch, two threads", 8.0, True, lambda: times("rollout_2", "batch_2", wall=True)),
         ("Pinocchio engine / MuJoCo from Python", 0.7, False, lambda: times("pinocchio", "mujoco")),
         ("Pinocchio engine / its bare calls", 1.4, False, lambda: times("pinocchio", "calls")),
+        ("whole cl.simulate / its steps", 2.5, False, lambda: times("call", "call_steps")),
+        ("MuJoCo from Python / whole cl.simulate", 8.0, True, lambda: times("mujoco", "call")),
         ("H by Newton–Euler columns / composite bodies", 1.0, True, lambda: times("rnea_columns", "crba")),
         (added, 1.0, False, lambda: growth(timings)),
     ]

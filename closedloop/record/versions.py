@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import sys
+from functools import cache
 from importlib import metadata
 
 
@@ -12,6 +13,7 @@ def package_versions() -> dict[str, str]:
     return {"python": sys.version.split()[0]} | {name: _version(name) for name in names}
 
 
+@cache
 def _version(name: str) -> str:
     try:
         return metadata.version(name)

@@ -1,10 +1,9 @@
 """Views into one block of numbers: the same in compiled code as in Python, side by side, and none over another."""
 
-import numba
 import numpy as np
 import pytest
 
-from closedloop.jit.kernel import kernel
+from closedloop.jit.kernel import entry_kernel, kernel
 from closedloop.jit.memory_views import Count, Layout
 from closedloop.step.memory import LAYOUT, Work, memory_size, workspace
 
@@ -31,7 +30,7 @@ exec("def mark(block, shapes):\n" + "".join(_lines), _made)
 _mark = kernel(_made["mark"])
 
 
-@numba.njit
+@entry_kernel
 def _mark_all(memory, n, k, stages, ring, shapes):
     block = workspace(memory, n, k, stages, ring)
     _mark(block, shapes)

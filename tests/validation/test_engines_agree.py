@@ -99,7 +99,7 @@ def errors(engine, oracle, q, v, torque, normal, b, restitution):
             yield method, np.abs(got - wanted).max() / sizes[method], bound
 
 
-@pytest.mark.parametrize("states", [2, pytest.param(20, marks=pytest.mark.slow)])
+@pytest.mark.parametrize("states", [2, pytest.param(8, marks=pytest.mark.slow)])
 @pytest.mark.parametrize("name", ROBOTS)
 @pytest.mark.parametrize("engine", PEERS, ids=lambda e: e.name)
 def test_agrees_with_the_oracle(engine, name, states):

@@ -41,7 +41,11 @@ TESTS: dict[str, tuple[str, ...]] = {
     ),
     "closedloop.closure.solve": (f"{IN}test_solve.py",),
     "closedloop.integrators": (f"{IN}test_integrate.py",),
-    "closedloop.step.tip_friction": (f"{IN}test_kernel_faults.py", f"{IN}test_friction_turning.py"),
+    "closedloop.step.tip_friction": (
+        f"{IN}test_friction_stop.py",
+        f"{IN}test_kernel_faults.py",
+        f"{IN}test_friction_turning.py",
+    ),
     "closedloop.step.evaluate": (f"{IN}test_reference_desired.py", f"{IN}test_kernel_faults.py"),
     "closedloop.events.substep": (f"{IN}test_kernel_faults.py", f"{IN}test_contact_events.py"),
     "closedloop.events.locate": (f"{IN}test_kernel_faults.py", f"{IN}test_contact_events.py"),

@@ -48,8 +48,11 @@ def _terminate(number: int, frame: FrameType | None) -> None:
 
 
 @contextmanager
-def held_back() -> Iterator[None]:
-    """Let the first Ctrl-C or SIGTERM wait until the block is done, and then act; a second one does not wait."""
+def held_back(*numbers: signal.Signals) -> Iterator[None]:
+    """Let the first Ctrl-C or SIGTERM wait until the block is done, and then act; a second one does not wait.
+
+    With `numbers`, those signals only.
+    """
     if threading.current_thread() is not threading.main_thread():
         yield  # exceptions of signals come in the main thread only
         return
@@ -61,7 +64,7 @@ def held_back() -> Iterator[None]:
             usual[number](number, frame)
         waiting.append((number, frame))
 
-    for number in _SIGNALS:
+    for number in numbers or _SIGNALS:
         before = signal.getsignal(number)
         if callable(before):  # not ignored, nor left to the system
             usual[number] = before

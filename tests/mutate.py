@@ -42,8 +42,13 @@ TESTS: dict[str, tuple[str, ...]] = {
     "closedloop.closure.solve": (f"{IN}test_solve.py",),
     "closedloop.integrators.rk4": (f"{IN}test_integrate.py",),
     "closedloop.step.advance": (f"{IN}test_integrate.py",),
-    "closedloop.step.tip_friction": (f"{IN}test_kernel_faults.py", f"{IN}test_friction_turning.py"),
+    "closedloop.step.tip_friction": (
+        f"{IN}test_friction_stop.py",
+        f"{IN}test_kernel_faults.py",
+        f"{IN}test_friction_turning.py",
+    ),
     "closedloop.step.evaluate": (f"{IN}test_reference_desired.py", f"{IN}test_kernel_faults.py"),
+    "closedloop.events.substep": (f"{IN}test_kernel_faults.py", f"{IN}test_contact_events.py"),
     "closedloop.events.locate": (f"{IN}test_kernel_faults.py", f"{IN}test_contact_events.py"),
     "closedloop.impact.phases": (f"{IN}test_impact_planar.py", f"{IN}test_impact.py"),
     "closedloop.impact.single": (f"{IN}test_impact.py", f"{IN}test_impact_planar.py"),
@@ -51,6 +56,11 @@ TESTS: dict[str, tuple[str, ...]] = {
     "closedloop.friction.stribeck": (f"{IN}test_friction_laws.py",),
     "closedloop.friction.dahl": (f"{IN}test_friction_laws.py", f"{IN}test_friction_bristles.py"),
     "closedloop.control.tip_space": (f"{IN}test_control_laws.py",),
+    "closedloop.control.force": (
+        f"{IN}test_control_force.py",
+        f"{IN}test_contact_command.py::test_no_law_presses_when_free_where_it_lets_go_in_contact",
+    ),
+    "closedloop.reference.timing": (f"{IN}test_reference_tip_path.py", f"{IN}test_reference_follow.py"),
     "closedloop.robot.tree.dynamics": (f"{IN}test_tree_kernels.py", f"{IN}test_tree_terms.py"),
 }
 

@@ -6,7 +6,7 @@ from pathlib import Path
 
 ROOT = Path(__file__).resolve().parent.parent
 ROOMS = (
-    "jit", "interrupts", "errors", "files", "progress", "sections", "parameters", "families", "user_code",
+    "interrupts", "jit", "errors", "files", "progress", "sections", "parameters", "families", "user_code",
     "integrators", "robot", "surface", "closure", "friction", "impact", "control", "reference", "scenario", "step",
     "events", "record", "report", "engines", "figures", "simulation", "batch", "command", "sweep", "study", "run",
     "__main__", "__init__",

@@ -65,26 +65,33 @@ def _scheme(integrator: str | type[Integrator]) -> type[Integrator]:
     return INTEGRATORS[integrator] if isinstance(integrator, str) else integrator
 
 
-def amplification(integrator: str | type[Integrator], damping_ratio: float, ratio: float) -> Array:
-    """Return the (2, 2) map of (e, hė) over one step of `integrator`, for ratio = h/T.
+def amplification(integrator: str | type[Integrator], damping_ratio: float, ratio: float | Array) -> Array:
+    """Return the (2, 2) map of (e, hė) over one step of `integrator`, for ratio = h/T; (k, 2, 2) for k ratios.
 
     Parameters
     ----------
     integrator : str or type
         A name in `closedloop.integrators.INTEGRATORS`, or the scheme itself.
-    damping_ratio, ratio : float
-        ζ and h/T, dimensionless.
+    damping_ratio : float
+        ζ, dimensionless.
+    ratio : float, or ndarray (k,)
+        h/T, dimensionless.
     """
     # (e, hė)' = M (e, hė)/h with the stabilised closure ë = −s_v ė − s_p e
-    return linear_step(_scheme(integrator), np.array([[0.0, 1.0], [-(ratio**2), -2.0 * damping_ratio * ratio]]))
+    M = np.zeros((*np.shape(ratio), 2, 2))
+    M[..., 0, 1], M[..., 1, 0], M[..., 1, 1] = 1.0, -np.square(ratio), -2.0 * damping_ratio * ratio
+    return linear_step(_scheme(integrator), M)
 
 
 def linear_step(scheme: type[Integrator], M: Array) -> Array:
-    """Return the (2 m, 2 m) map of (x, hẋ) over one step h of a scheme, where (x, hẋ)' = M (x, hẋ)/h; x is (m,)."""
-    m, eye = M.shape[0] // 2, np.eye(M.shape[0])
+    """Return the (2 m, 2 m) map of (x, hẋ) over one step h of a scheme, where (x, hẋ)' = M (x, hẋ)/h; x is (m,).
+
+    M may be a stack of such matrices, (..., 2 m, 2 m); so is the map then.
+    """
+    m, eye = M.shape[-1] // 2, np.eye(M.shape[-1])
     if scheme.semi_implicit:
-        rates = eye[m:] + M[m:]
-        return np.vstack([eye[:m] + rates, rates])
+        rates = eye[m:] + M[..., m:, :]
+        return np.concatenate([eye[:m] + rates, rates], axis=-2)
     stages: list[Array] = []
     for row in scheme.a:
         stages.append(M @ (eye + sum((a * k for a, k in zip(row, stages, strict=False)), np.zeros_like(M))))
@@ -93,13 +100,19 @@ def linear_step(scheme: type[Integrator], M: Array) -> Array:
 
 def spectral_radius(integrator: str | type[Integrator], damping_ratio: float, ratio: float) -> float:
     """Return how much one step can at most multiply the closure error by, in the long run."""
-    return float(np.max(np.abs(np.linalg.eigvals(amplification(integrator, damping_ratio, ratio)))))
+    return float(_spectral_radii(integrator, damping_ratio, ratio))
+
+
+def _spectral_radii(integrator: str | type[Integrator], damping_ratio: float, ratios: float | Array) -> Array:
+    """Return the spectral radius for one ratio h/T, or for each of an array."""
+    radii: Array = np.max(np.abs(np.linalg.eigvals(amplification(integrator, damping_ratio, ratios))), axis=-1)
+    return radii
 
 
 def largest_stable_ratio(integrator: str | type[Integrator], damping_ratio: float) -> float:
     """Return the largest h/T for which the closure error does not grow; 0 if it grows at any (ζ = 0, explicit Euler).
 
-    Found by walking up from small ratios and bisecting the first crossing of spectral radius one.
+    Found by looking upwards from small ratios and bisecting the first crossing of spectral radius one.
     For ζ = 1/√2: 1.0353 semi-implicit Euler, 1.4142 explicit Euler, 2.7044 RK4.
     """
     return _largest_stable_ratio(_scheme(integrator), damping_ratio)  # type: ignore[arg-type]  # a class is hashable
@@ -109,16 +122,12 @@ def largest_stable_ratio(integrator: str | type[Integrator], damping_ratio: floa
 def _largest_stable_ratio(integrator: type[Integrator], damping_ratio: float) -> float:
     # The faster of two overdamped modes has rate 2ζ/T, so limits fall with 1/ζ.
     ratios = np.geomspace(1e-5, 1e3, 801) / max(1.0, damping_ratio)
-    low = 0.0
-    for ratio in ratios.tolist():
-        if spectral_radius(integrator, damping_ratio, ratio) > NEUTRAL:
-            high = ratio
-            break
-        low = ratio
-    else:
-        return low
-    if low == 0.0:
+    grows = np.flatnonzero(_spectral_radii(integrator, damping_ratio, ratios) > NEUTRAL)
+    if grows.size == 0:
+        return float(ratios[-1])
+    if grows[0] == 0:
         return 0.0
+    low, high = ratios[grows[0] - 1 : grows[0] + 1].tolist()
     while high - low > 1e-12 * high:
         middle = math.sqrt(low * high)
         if spectral_radius(integrator, damping_ratio, middle) > NEUTRAL:

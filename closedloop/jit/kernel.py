@@ -3,7 +3,7 @@
 A function marked `@kernel` takes arrays and numbers, writes into the arrays it is given, and keeps nothing.
 numba compiles it; with ``NUMBA_DISABLE_JIT=1`` the very same lines run in plain Python.
 
-The outermost function is marked `@entry_kernel`: it alone is cached on disk, with everything that it calls.
+The outermost function is marked `@entry_kernel`: what Python calls is cached on disk, with everything that it calls.
 numba decides from the text of *one* file whether a cached function is stale, which would silently keep an old
 `closure.py` inside a cached `step.py`. So the cache is our own, in a folder named after the text of all kernel files.
 """
@@ -11,11 +11,13 @@ numba decides from the text of *one* file whether a cached function is stale, wh
 from __future__ import annotations
 
 import os
+import signal
 from collections.abc import Callable
 from typing import Any, TypeVar, cast
 
 import numba
 
+from closedloop.interrupts import held_back
 from closedloop.jit.cache_folder import cache_folder as cache_folder
 from closedloop.jit.cache_folder import is_kept
 from closedloop.jit.cache_folder import numba_settings as numba_settings
@@ -40,7 +42,25 @@ def kernel(function: F) -> F:
 def _nested(function: F, options: dict[str, Any]) -> F:
     if numba_settings.DISABLE_JIT:
         return function
-    return cast(F, NestedFunction(function, options, _njit(**options)(function)))
+    return cast(F, NestedFunction(function, options, _kept(function, _njit(**options)(function))))
+
+
+def _kept(function: F, compiled: Any, identity: str = "") -> Any:
+    """Let what numba compiles for Python to call be kept on disk, and Ctrl-C wait until it is compiled.
+
+    numba takes a lock while it compiles, and Ctrl-C just as it does so would leave it taken: what another thread
+    compiles later would wait for ever. A second Ctrl-C does not wait.
+    """
+    if os.path.isfile(function.__code__.co_filename):
+        compiled._cache = KernelCache(function, identity)
+    compile_now = compiled.compile
+
+    def compile_uninterrupted(signature: Any) -> Any:
+        with held_back(signal.SIGINT):
+            return compile_now(signature)
+
+    compiled.compile = compile_uninterrupted
+    return compiled
 
 
 def inlined_kernel(function: F) -> F:
@@ -64,9 +84,7 @@ def entry_kernel(function: F, *, nogil: bool = True, identity: str = "") -> F:
     inside another, what it was made of.
     """
     compiled = _njit(error_model="numpy", nogil=nogil, _nrt=False)(function)
-    if not numba_settings.DISABLE_JIT and os.path.isfile(function.__code__.co_filename):
-        compiled._cache = KernelCache(function, identity)
-    return cast(F, compiled)
+    return cast(F, compiled if numba_settings.DISABLE_JIT else _kept(function, compiled, identity))
 
 
 def brief_entry(function: F) -> F:

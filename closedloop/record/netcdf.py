@@ -9,7 +9,6 @@ are read too; of them only what cannot be a run is refused.
 from __future__ import annotations
 
 import hashlib
-import io
 import json
 import math
 from collections.abc import Mapping
@@ -22,6 +21,7 @@ from numpy.typing import NDArray
 import robot_models
 from closedloop.errors import ClosedLoopError, RunFileError
 from closedloop.files import reason_of, write_whole
+from closedloop.record.netcdf_image import Variable, netcdf_image
 from closedloop.record.run import COLUMNS, Run
 from closedloop.record.sealed import read_sealed, seal
 from closedloop.scenario.scenario import Scenario, parse_scenario
@@ -111,29 +111,20 @@ def save_run(run: Run, path: str | Path) -> Path:
     OutputError
         If the file cannot be written.
     """
-    import h5netcdf
-    import h5py
-
-    # In memory: HDF5 would end the process over a full disk.
-    image = io.BytesIO()
-    with h5netcdf.File(image, "w") as file:
-        file.dimensions = {"time": len(run), "joint": run.model.n, "axis": 3, "event": len(run.events)}
-        for name, spec in COLUMNS.items():
-            variable = file.create_variable(name, spec.dims, data=np.asarray(run.columns[name]))
-            variable.attrs["units"] = run.units(name)
-            variable.attrs["long_name"] = spec.meaning
-        labels = {
-            "joint": ("joint", run.model.joint_names),
-            "joint_type": ("joint", run.model.joint_types),
-            "axis": ("axis", ("x", "y", "z")),
-        }
-        for name, (dimension, words) in labels.items():
-            text = file.create_variable(name, (dimension,), dtype=h5py.string_dtype())
-            text[:] = np.array(words, dtype=object)
-        made = attributes(run)
-        for key, value in (made | {CHECKSUM: checksum(made, run.columns)}).items():
-            file.attrs[key] = value
-    content = image.getbuffer()
+    variables = {
+        name: Variable(spec.dims, np.asarray(run.columns[name]), {"units": run.units(name), "long_name": spec.meaning})
+        for name, spec in COLUMNS.items()
+    }
+    labels = {
+        "joint": ("joint", run.model.joint_names),
+        "joint_type": ("joint", run.model.joint_types),
+        "axis": ("axis", ("x", "y", "z")),
+    }
+    for name, (dimension, words) in labels.items():
+        variables[name] = Variable((dimension,), np.array(words, dtype=object))
+    dimensions = {"time": len(run), "joint": run.model.n, "axis": 3, "event": len(run.events)}
+    made = attributes(run)
+    content = netcdf_image(dimensions, variables, made | {CHECKSUM: checksum(made, run.columns)})
 
     def write(file: BinaryIO) -> None:
         file.write(content)

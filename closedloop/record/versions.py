@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import sys
-from functools import lru_cache
+from functools import cache, lru_cache
 from importlib import metadata
 
 
@@ -18,6 +18,7 @@ def _versions() -> dict[str, str]:
     return {"python": sys.version.split()[0]} | {name: _version(name) for name in names}
 
 
+@cache
 def _version(name: str) -> str:
     try:
         return metadata.version(name)

@@ -8,6 +8,7 @@ import re
 import sys
 from collections.abc import Callable
 from dataclasses import dataclass, field
+from itertools import zip_longest
 from pathlib import Path
 
 import closedloop as cl
@@ -196,23 +197,29 @@ FOLDERS = [
     Case("modules of the same name, study", "{study} --help", before=f"{PLANT}; {PLANT_FOLDERS}"),
     Case("modules of the same name, validation", "{validation} --help", before=f"{PLANT}; {PLANT_FOLDERS}"),
 ]  # fmt: skip
+# Variables that different parts of a program heed share a process, which takes longer to start than to run.
+TERMINALS: list[dict[str, str | None]] = [
+    {"TERM": "dumb"}, {"TERM": "nosuch"}, {"TERM": None}, {"NO_COLOR": "1"}, {"FORCE_COLOR": "1"}, {"COLUMNS": "1"},
+    {"COLUMNS": "0"}, {"COLUMNS": "-5"}, {"COLUMNS": "wide"}, {"COLUMNS": "1000000"}, {"LINES": "0"},
+]  # fmt: skip
+PYTHONS: list[dict[str, str | None]] = [
+    {"PYTHONOPTIMIZE": "1"}, {"PYTHONOPTIMIZE": "2"}, {"PYTHONHASHSEED": "0"}, {"PYTHONHASHSEED": "4294967295"},
+    {"PYTHONDONTWRITEBYTECODE": "1"}, {"PYTHONSAFEPATH": "1"}, {"PYTHONPATH": f"{ROOT}:/proc/nowhere"},
+    {"PYTHONPATH": f"{ROOT}:"}, {"PYTHONFAULTHANDLER": "1"}, {"PYTHONMALLOC": "debug"},
+    {"PYTHONINTMAXSTRDIGITS": "640"}, {"PYTHONUTF8": "1"}, {"PYTHONWARNINGS": "error"}, {"PYTHONWARNINGS": "ignore"},
+]  # fmt: skip
+OTHERS: list[dict[str, str | None]] = [
+    {"TZ": "No/Where"}, {"TZ": ""}, {"LC_NUMERIC": "de_DE.UTF-8"}, {"LANGUAGE": "el:zh"},
+    {"NUMBA_CACHE_DIR": "/dev/null"}, {"NUMBA_CACHE_DIR": "/proc/nowhere"}, {"NUMBA_CACHE_DIR": "relative"},
+    {"NUMBA_CACHE_DIR": ""}, {"NUMBA_NUM_THREADS": "1"}, {"PATH": ""}, {"SHELL": ""}, {"USER": None, "LOGNAME": None},
+]  # fmt: skip
 VARIABLES = [
     Case("no such backend", DRAWN, env={"MPLBACKEND": "nosuch"}, check=drawn),
     Case("backend without a screen", DRAWN, env={"MPLBACKEND": "TkAgg", "DISPLAY": None}, check=drawn),
     *(
         Case(" ".join(f"{key}={value}" for key, value in env.items()), SHORT, env=env, check=saved)
-        for env in (
-            {"TERM": "dumb"}, {"TERM": "nosuch"}, {"TERM": None}, {"NO_COLOR": "1"}, {"FORCE_COLOR": "1"},
-            {"COLUMNS": "1"}, {"COLUMNS": "0"}, {"COLUMNS": "-5"}, {"COLUMNS": "wide"}, {"COLUMNS": "1000000"},
-            {"LINES": "0"}, {"PYTHONOPTIMIZE": "1"}, {"PYTHONOPTIMIZE": "2"}, {"PYTHONHASHSEED": "0"},
-            {"PYTHONHASHSEED": "4294967295"}, {"PYTHONDONTWRITEBYTECODE": "1"}, {"PYTHONSAFEPATH": "1"},
-            {"PYTHONPATH": f"{ROOT}:/proc/nowhere"}, {"PYTHONPATH": f"{ROOT}:"}, {"PYTHONFAULTHANDLER": "1"},
-            {"PYTHONMALLOC": "debug"}, {"PYTHONINTMAXSTRDIGITS": "640"}, {"PYTHONUTF8": "1"}, {"TZ": "No/Where"},
-            {"TZ": ""}, {"LC_NUMERIC": "de_DE.UTF-8"}, {"LANGUAGE": "el:zh"}, {"PYTHONWARNINGS": "error"},
-            {"PYTHONWARNINGS": "ignore"}, {"NUMBA_CACHE_DIR": "/dev/null"}, {"NUMBA_CACHE_DIR": "/proc/nowhere"},
-            {"NUMBA_CACHE_DIR": "relative"}, {"NUMBA_CACHE_DIR": ""},
-            {"NUMBA_NUM_THREADS": "1"}, {"PATH": ""}, {"SHELL": ""}, {"USER": None, "LOGNAME": None},
-        )
+        for env in [terminal | python | other for terminal, python, other in zip_longest(
+            TERMINALS, PYTHONS, OTHERS, fillvalue={})]
     ),
     Case("help, one column", "{run} --help", env={"COLUMNS": "1"}, check=helpful),
     Case("help without docstrings", "{run} --help", env={"PYTHONOPTIMIZE": "2"}, check=helpful),

@@ -22,7 +22,7 @@ print(json.dumps([1024 * (after - before), table.nbytes, table[KEEP].nbytes]))
 
 
 @pytest.mark.skipif(sys.platform != "linux", reason="ru_maxrss is in kB on Linux")
-@pytest.mark.parametrize(("keep", "runs"), [("contact_force", 1000), ("q", 250)])
+@pytest.mark.parametrize(("keep", "runs"), [pytest.param("contact_force", 1000, marks=pytest.mark.slow), ("q", 250)])
 def test_a_batch_that_keeps_columns_peaks_at_its_table(keep, runs):
     """The peak is within 1.5 of the table; copies by way of Python's lists took 3 to 12 times as much."""
     script = MEASURE.replace("KEEP", repr(keep)).replace("RUNS", str(runs))

@@ -314,7 +314,7 @@ def test_both_levels_of_friction_are_drawn_where_there_are_two():
     ("name", "more"),
     [
         ("wam_touchdown", ["fig_impacts"]),
-        ("wam_liftoff", []),
+        pytest.param("wam_liftoff", [], marks=pytest.mark.slow),
         pytest.param("wam_edge", ["fig_impacts"], marks=pytest.mark.slow),
         ("sliding", ["fig_friction"]),
     ],

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 import closedloop as cl
-from closedloop.integrators import INTEGRATORS
+from closedloop.integrators import INTEGRATORS, advance
 from closedloop.report import energy_balance
 
 DURATION = 0.2  # s
@@ -120,3 +120,39 @@ def test_tableau_meets_the_order_conditions(name):
         conditions |= {(b * c) @ a @ c: 1 / 8, b @ a @ c**2: 1 / 12, b @ a @ a @ c: 1 / 24}
         assert all(value == pytest.approx(right) for value, right in conditions.items())
         assert len(conditions) == 7
+
+
+def linear(y, M, n):
+    """Return q̈ and ż of a linear system, of y = (q, q̇, z)."""
+    rates = M @ y
+    return rates[:n], rates[n:]
+
+
+@pytest.mark.parametrize("name", [name for name, scheme in INTEGRATORS.items() if not scheme.semi_implicit])
+def test_a_step_is_that_of_its_tableau(name):
+    """Positions, velocities and the states of a law advance alike: y + h Σ b_i k_i with k_i = f(y + h Σ a_ij k_j)."""
+    n, k, h, scheme, rng = 3, 2, 0.1, INTEGRATORS[name], np.random.default_rng(2)
+    M, begin = rng.normal(size=(n + k, 2 * n + k)), rng.normal(size=2 * n + k)
+    q, v, z = begin[:n].copy(), begin[n : 2 * n].copy(), begin[2 * n :].copy()
+    stages = np.full((scheme.stages, 2 * n + k), np.nan)
+    slopes = []
+    for stage, row in enumerate(scheme.a):
+        y = begin + h * sum((a * slope for a, slope in zip(row, slopes, strict=True)), np.zeros(2 * n + k))
+        np.testing.assert_allclose(np.concatenate([q, v, z]), y, rtol=1e-14, atol=1e-14)
+        qdd, dz = linear(y, M, n)
+        slopes.append(np.concatenate([y[n : 2 * n], qdd, dz]))
+        advance(stage, h, False, False, scheme.tableau(), begin, stages, qdd, dz, q, v, z)
+    y = begin + h * sum(b * slope for b, slope in zip(scheme.b, slopes, strict=True))
+    np.testing.assert_allclose(np.concatenate([q, v, z]), y, rtol=1e-14, atol=1e-14)
+
+
+@pytest.mark.parametrize("piece", [False, True])
+def test_a_semi_implicit_step_takes_the_new_velocity_and_a_piece_of_one_the_mean(piece):
+    """q̇ and z by their rates; q by the new q̇, after an event by the mean of the old and the new."""
+    n, k, h, rng = 3, 2, 0.1, np.random.default_rng(3)
+    q, v, z, qdd, dz = (rng.normal(size=size) for size in (n, n, k, n, k))
+    new = v + h * qdd
+    expected = q + h * (0.5 * (v + new) if piece else new), new, z + h * dz
+    advance(0, h, True, piece, np.zeros((2, 1)), np.zeros(2 * n + k), np.zeros((1, 2 * n + k)), qdd, dz, q, v, z)
+    for ours, right in zip((q, v, z), expected, strict=True):
+        np.testing.assert_allclose(ours, right, rtol=1e-15)

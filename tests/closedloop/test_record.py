@@ -1,9 +1,11 @@
 """The run file: whole, exact, readable by others, repeatable from itself alone, and refused where damaged."""
 
+import dataclasses
 import json
 import pickle
 import shutil
 
+import h5netcdf
 import h5py
 import numpy as np
 import pytest
@@ -124,6 +126,22 @@ def test_xarray_labels_work_in_the_file_too(saved):
     with xarray.open_dataset(saved, engine="h5netcdf") as data:
         assert np.array_equal(data.q.sel(joint="J2"), data.q[:, 1])
         assert np.array_equal(data.position.sel(axis="y"), data.position[:, 1])
+
+
+@pytest.mark.parametrize("rows", [600, 0])
+def test_dimensions_are_those_of_netcdf(rows, run, tmp_path):
+    """h5netcdf finds every dimension by its name, also one without a variable, and one of length zero."""
+    columns = {name: column[:rows] for name, column in run.columns.items()}
+    path = dataclasses.replace(run, columns=columns).save(tmp_path / "run.nc")
+    with h5netcdf.File(path) as file:
+        sizes = {name: dimension.size for name, dimension in file.dimensions.items()}
+        assert sizes == {"time": rows, "joint": 4, "axis": 3, "event": 0}
+        found = {name: variable.dimensions for name, variable in file.variables.items()}
+        labels = {"joint": ("joint",), "joint_type": ("joint",), "axis": ("axis",)}
+        assert found == {name: spec.dims for name, spec in COLUMNS.items()} | labels
+        assert [name.decode() for name in file.variables["joint"][...]] == list(run.model.joint_names)
+    with xarray.open_dataset(path, engine="h5netcdf") as data:
+        assert set(data.coords) == {"time", "joint", "axis"}
 
 
 def test_columns_are_attributes_and_read_only(run, saved):

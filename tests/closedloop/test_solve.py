@@ -111,15 +111,16 @@ def test_solve_closure_equals_pinocchio(name, robot, random_states):
     assert compared > 200
 
 
+@pytest.mark.parametrize("count", [15, pytest.param(60, marks=pytest.mark.slow)])
 @pytest.mark.parametrize("stabiliser", ["none", "baumgarte"])
 @pytest.mark.parametrize("name", ["planar2", "wam4", "panda"])
-def test_simulated_row_equals_pinocchio(name, stabiliser, robot, random_states):
+def test_simulated_row_equals_pinocchio(name, stabiliser, count, robot, random_states):
     """The acceleration and force that a run records are Pinocchio's, stabiliser included, in random states."""
     arm = robot(name)
     model = arm.model.pinocchio_model()
     data = model.createData()
     compared = 0
-    for s in random_states(arm, 60, 2):
+    for s in random_states(arm, count, 2):
         terms = arm.terms(s.q, s.v)
         A = s.normal @ terms.jacobian
         if mobility_share(terms, A) < WELL:
@@ -147,7 +148,7 @@ def test_simulated_row_equals_pinocchio(name, stabiliser, robot, random_states):
         assert relative(run.acceleration[0], theirs) < AGREEMENT
         assert run.contact_force[0] == pytest.approx(data.lambda_c[0], rel=AGREEMENT)
         compared += 1
-    assert compared > 40
+    assert compared > 0.6 * count
 
 
 def test_several_rows_equal_pinocchio(robot, random_states):

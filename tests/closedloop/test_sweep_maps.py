@@ -10,6 +10,7 @@ from pyarrow import parquet
 from sweeps import SMALL, refusal, sweep
 
 import closedloop as cl
+from closedloop.sweep.__main__ import main
 from closedloop.sweep.maps import draw_maps
 from closedloop.sweep.scale import Scale
 
@@ -82,6 +83,21 @@ def test_one_row_and_figures_without_a_value_are_drawn(table):
     assert draw_maps(bare, ["peak_contact_force"]).axes
 
 
+@pytest.fixture(scope="module")
+def tables(tmp_path_factory):
+    """Return a folder with the table of a sweep, and tables that are none, damaged or empty."""
+    folder = tmp_path_factory.mktemp("tables")
+    assert main([*SMALL, "--out", str(folder / "t.parquet")]) == 0
+    rows = parquet.read_table(folder / "t.parquet")
+    (folder / "text.parquet").write_text("not a table")
+    (folder / "cut.parquet").write_bytes((folder / "t.parquet").read_bytes()[:-100])
+    parquet.write_table(rows.drop_columns("status"), folder / "other.parquet")
+    parquet.write_table(rows.drop_columns(["law.force", "stabiliser.time_constant"]), folder / "keyless.parquet")
+    parquet.write_table(rows.slice(0, 0), folder / "rowless.parquet")
+    parquet.write_table(rows.set_column(1, "law.force", pa.nulls(12, pa.float64())), folder / "nulls.parquet")
+    return folder
+
+
 @pytest.mark.parametrize(
     ("arguments", "said"),
     [
@@ -101,17 +117,11 @@ def test_one_row_and_figures_without_a_value_are_drawn(table):
         (("t.parquet", "--out", "text.parquet/t.png"), "--out text.parquet/t.png: cannot be written: "),
     ],
 )  # fmt: skip
-def test_refusals(capsys, tmp_path, monkeypatch, arguments, said):
+def test_refusals(capsys, tmp_path, monkeypatch, tables, arguments, said):
     """One line and exit status 2."""
     monkeypatch.chdir(tmp_path)
-    sweep(capsys, *SMALL, "--out", "t.parquet")
-    rows = parquet.read_table("t.parquet")
-    (tmp_path / "text.parquet").write_text("not a table")
-    (tmp_path / "cut.parquet").write_bytes((tmp_path / "t.parquet").read_bytes()[:-100])
+    for file in tables.iterdir():
+        (tmp_path / file.name).symlink_to(file)
     (tmp_path / "folder.parquet").mkdir()
     os.mkfifo(tmp_path / "pipe.parquet")
-    parquet.write_table(rows.drop_columns("status"), "other.parquet")
-    parquet.write_table(rows.drop_columns(["law.force", "stabiliser.time_constant"]), "keyless.parquet")
-    parquet.write_table(rows.slice(0, 0), "rowless.parquet")
-    parquet.write_table(rows.set_column(1, "law.force", pa.nulls(12, pa.float64())), "nulls.parquet")
     assert said in refusal(capsys, "plot", *arguments)

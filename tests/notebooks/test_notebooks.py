@@ -9,8 +9,7 @@ from notebook_output import FOLDER, SCRIPTS, build, executed, nbclient, nbformat
 FIGURES = {"contact_life": 6, "controllers": 3, "drift": 2, "figures_4_to_7": 4}  # how many each notebook shows
 
 # These take five to ten seconds each; `test_contact_life` runs its own with the quick tests.
-SLOW = ("contact_life", "controllers", "drift")
-RUN = [pytest.param(script, marks=pytest.mark.slow if script.stem in SLOW else ()) for script in SCRIPTS]
+RUN = [pytest.param(script, marks=pytest.mark.slow) for script in SCRIPTS]
 
 # Printed numbers are of different machines: the last digit may fall to the other side, and what is below 1e-8 in the
 # unit printed is rounding. A change of the simulator that matters changes more.

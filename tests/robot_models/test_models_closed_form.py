@@ -1,5 +1,7 @@
 """The two robots whose dynamics can be written down: Pinocchio must agree with the pen."""
 
+from functools import cache
+
 import numpy as np
 import pinocchio as pin
 import pytest
@@ -15,6 +17,12 @@ ROUNDING = 5e-14
 PAIR = st.tuples(st.floats(-4.0, 4.0), st.floats(-4.0, 4.0))
 
 
+@cache
+def built(name, drive_inertia=True):
+    """Return Pinocchio's model of a robot, made once for all examples."""
+    return robot_models.load(name, drive_inertia=drive_inertia).pinocchio_model()
+
+
 def symmetric(upper):
     """Return a matrix from its upper triangle."""
     return np.triu(upper) + np.triu(upper, 1).T
@@ -24,7 +32,7 @@ def symmetric(upper):
 @given(q=PAIR, v=PAIR)
 def test_planar2_is_its_closed_form(drive_inertia, q, v):
     """H, C, r, J and J̇q̇ of the URDF are those of the textbook equations."""
-    model = robot_models.load("planar2", drive_inertia=drive_inertia).pinocchio_model()
+    model = built("planar2", drive_inertia)
     q, v = np.array(q), np.array(v)
     data, frame = model.createData(), model.getFrameId("tip")
     truth = closed_form.terms(q, v, drive_inertia=drive_inertia)
@@ -56,9 +64,8 @@ def test_closed_form_is_consistent_with_itself(q, v):
 @given(q=st.tuples(*[st.floats(-9.0, 9.0)] * 3), v=st.tuples(*[st.floats(-9.0, 9.0)] * 3))
 def test_pointmass3_is_newtons_second_law(q, v):
     """H = m 1, C = (0, 0, m g), r = q, J = 1, exactly."""
-    model = robot_models.load("pointmass3").pinocchio_model()
-    q, v, data = np.array(q), np.array(v), None
-    data = model.createData()
+    model = built("pointmass3")
+    q, v, data = np.array(q), np.array(v), model.createData()
     np.testing.assert_array_equal(symmetric(pin.crba(model, data, q)), 2.0 * np.eye(3))
     np.testing.assert_allclose(pin.nonLinearEffects(model, data, q, v), [0, 0, 2.0 * 9.81], atol=1e-14)
     frame = model.getFrameId("tip")

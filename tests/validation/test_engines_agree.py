@@ -99,14 +99,15 @@ def errors(engine, oracle, q, v, torque, normal, b, restitution):
             yield method, np.abs(got - wanted).max() / sizes[method], bound
 
 
+@pytest.mark.parametrize("states", [2, pytest.param(8, marks=pytest.mark.slow)])
 @pytest.mark.parametrize("name", ROBOTS)
 @pytest.mark.parametrize("engine", PEERS, ids=lambda e: e.name)
-def test_agrees_with_the_oracle(engine, name):
+def test_agrees_with_the_oracle(engine, name, states):
     """Terms agree to rounding, accelerations and forces to rounding times the condition number."""
     robot, rng = robot_of(name), np.random.default_rng(7)
     peer, oracle = build(engine, robot), oracle_of(name)
     worst = {}
-    for _ in range(5):
+    for _ in range(states):
         for quantity, error, bound in errors(peer, oracle, *draw(robot, rng)):
             worst[quantity] = max(worst.get(quantity, (0.0, bound)), (error, bound))
     assert len(worst) >= len(engine.covers - {"stabilised"})

@@ -137,10 +137,11 @@ def test_quantity_that_is_not_covered_is_named(pair):
     assert "no idea" in Report([found]).to_markdown()
 
 
+@pytest.mark.parametrize("states", [1, pytest.param(6, marks=pytest.mark.slow)])
 @pytest.mark.parametrize("fault", FAULTS, ids=lambda fault: fault.name)
-def test_every_fault_is_caught_in_every_engine(fault):
-    """Each planted fault goes far out of tolerance, whichever engine carries it."""
-    catches = plant_all("wam4", states=6, faults=[fault])
+def test_every_fault_is_caught_in_every_engine(fault, states):
+    """Each planted fault goes far out of tolerance, whichever engine carries it, in a single random state already."""
+    catches = plant_all("wam4", states=states, faults=[fault])
     assert {c.engine for c in catches} >= ({"compiled"} if fault.tree else {"oracle", "closedloop", "compiled"})
     for c in catches:
         assert c.caught, c

@@ -7,7 +7,7 @@ from setting out, and where the arm ended: those that do the whole work must end
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import Any
 
 import numba

@@ -1,0 +1,144 @@
+"""Ctrl-C while numba compiles: answered as soon as the compiler is done, and the compiler can be used after it."""
+
+import random
+import signal
+import threading
+import time
+
+import numba
+import numpy as np
+import pytest
+from numba.core.compiler_lock import _CompilerLock, global_compiler_lock
+
+from closedloop.jit.kernel import direct, entry_kernel, kernel, numba_settings
+
+pytestmark = pytest.mark.skipif(bool(numba_settings.DISABLE_JIT), reason="nothing is compiled")
+
+SOURCE = """
+def {name}(x, out):
+    for i in range(x.shape[0]):
+        out[i] = np.sin(x[i]) * np.cos(x[i]) + np.sqrt(np.abs(x[i])) + np.hypot(x[i], 1.0)
+"""
+NUMBERS = np.zeros(3)
+
+
+def made(decorate, name="work"):
+    """Return a function without a file, so that nothing is kept: it is compiled anew each time."""
+    names = {"np": np}
+    exec(SOURCE.format(name=name), names)
+    return decorate(names[name])
+
+
+def lock_is_free():
+    """Whether another thread could compile now."""
+    free = []
+
+    def ask():
+        if global_compiler_lock._lock.acquire(timeout=1.0):
+            global_compiler_lock._lock.release()
+            free.append(True)
+
+    thread = threading.Thread(target=ask)
+    thread.start()
+    thread.join()
+    return bool(free)
+
+
+@pytest.fixture
+def signal_as_the_lock_is_taken(monkeypatch):
+    """Send Ctrl-C at the instant at which numba has its lock, but is not yet ready to let it go."""
+    acquire, sent = _CompilerLock.acquire, []
+
+    def acquire_and_signal(self):
+        acquire(self)
+        if not sent:
+            sent.append(True)
+            signal.raise_signal(signal.SIGINT)
+
+    monkeypatch.setattr(_CompilerLock, "acquire", acquire_and_signal)
+    return sent
+
+
+@pytest.mark.parametrize("decorate", [entry_kernel, kernel], ids=["entry kernel", "kernel"])
+@pytest.mark.parametrize("way", ["called", "direct"])
+def test_ctrl_c_as_the_compiler_takes_its_lock(decorate, way, signal_as_the_lock_is_taken):
+    """The function is compiled, then Ctrl-C is answered; the lock is free, and the usual handler is back."""
+    function, out = made(decorate), np.zeros(3)
+    before = signal.getsignal(signal.SIGINT)
+    if way == "direct" and decorate is kernel:
+        function = function.ordinary
+    with pytest.raises(KeyboardInterrupt):
+        (direct(function, NUMBERS, out) if way == "direct" else function)(NUMBERS, out)
+    assert signal_as_the_lock_is_taken
+    assert lock_is_free()
+    assert signal.getsignal(signal.SIGINT) is before
+    assert len(getattr(function, "ordinary", function).signatures) == 1
+    function(NUMBERS, out)
+    np.testing.assert_array_equal(out, 1.0)
+
+
+@pytest.mark.usefixtures("signal_as_the_lock_is_taken")
+def test_numba_alone_leaves_its_lock_taken():
+    """The negative control: what is not ours leaves the lock taken, which is what the tests above would see."""
+    function = made(numba.njit)
+    try:
+        with pytest.raises(KeyboardInterrupt):
+            function(NUMBERS, np.zeros(3))
+        assert not lock_is_free()
+    finally:
+        while global_compiler_lock.is_locked():
+            global_compiler_lock._lock.release()
+
+
+def test_a_second_ctrl_c_does_not_wait(monkeypatch):
+    """Who presses it twice does not want to wait for the compiler."""
+    compiled = made(numba.njit)
+
+    def compile_and_signal(signature):
+        signal.raise_signal(signal.SIGINT)
+        signal.raise_signal(signal.SIGINT)
+        raise AssertionError("it went on")
+
+    monkeypatch.setattr(compiled, "compile", compile_and_signal)
+    monkeypatch.setattr("closedloop.jit.kernel._njit", lambda **options: lambda function: compiled)
+    with pytest.raises(KeyboardInterrupt):
+        made(entry_kernel)(NUMBERS, np.zeros(3))
+
+
+def test_other_threads_compile_as_ever():
+    """Signals come in the main thread only: nothing is held back elsewhere."""
+    out, function = np.zeros(3), made(entry_kernel)
+    thread = threading.Thread(target=function, args=(NUMBERS, out))
+    thread.start()
+    thread.join()
+    np.testing.assert_array_equal(out, 1.0)
+
+
+@pytest.mark.slow
+def test_ctrl_c_at_random_moments_of_compiling():
+    """Wherever in the compiler it comes: the function is compiled whole or not at all, and others can be after it."""
+    rng, main = random.Random(5), threading.main_thread().ident
+    began = time.perf_counter()
+    made(entry_kernel)(NUMBERS, np.zeros(3))
+    seconds, answered = time.perf_counter() - began, 0
+    for k in range(20):
+        function, out = made(entry_kernel, f"work{k}"), np.zeros(3)
+        wait = rng.uniform(0.0, seconds)
+
+        def interrupt(wait=wait):
+            time.sleep(wait)
+            signal.pthread_kill(main, signal.SIGINT)
+
+        thread = threading.Thread(target=interrupt)
+        try:
+            thread.start()
+            function(NUMBERS, out)
+            thread.join()
+            time.sleep(0.01)
+        except KeyboardInterrupt:
+            answered += 1
+            thread.join()
+        assert lock_is_free()
+        function(NUMBERS, out)
+        np.testing.assert_array_equal(out, 1.0)
+    assert answered == 20

@@ -127,7 +127,7 @@ def _own_law() -> None:
 
     from closedloop.simulation.simulate import run_loop
 
-    @numba.njit  # type: ignore[untyped-decorator]
+    @numba.njit
     def law(t: float, q: Any, v: Any, terms: Any, torque: Any) -> None:
         torque[:] = terms.bias
 

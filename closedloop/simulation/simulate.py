@@ -318,7 +318,7 @@ def _driver(
 
 def _begun(loop: Callable[..., int], problem: Problem, state: Whole, memory: Array) -> Callable[..., int]:
     """Return the loop, or what it is begun with if it is not compiled; and have compiled what else is missing."""
-    with_it = [complete_record, collide] if state[UNILATERAL] else [complete_record]
+    with_it: list[Callable[..., Any]] = [complete_record, collide] if state[UNILATERAL] else [complete_record]
     if not at_hand(loop):
         calls = problem.steps * problem.integrator.stages
         return Interim(loop, (state, memory), calls, SECONDS_WITH_MORE if problem.more else SECONDS, with_it)

@@ -301,7 +301,11 @@ def _begun(
     machine: Callable[..., int], problem: Problem, loop: Loop, connect: Callable[[], None], law: Law | None
 ) -> Callable[..., int]:
     """Return the loop, or what it is begun with if it is not compiled; and have compiled what else is missing."""
-    with_it = [complete_record, *([collide] if loop.state.unilateral else []), *([] if law else problem.entries())]
+    with_it: list[Callable[..., Any]] = [
+        complete_record,
+        *([collide] if loop.state.unilateral else []),
+        *([] if law else problem.entries()),
+    ]
     if not at_hand(machine):
         calls = problem.steps * problem.integrator.stages
         seconds = SECONDS_WITH_MORE if problem.more or law is not None else SECONDS

@@ -39,8 +39,7 @@ KINDS = {
 
 @pytest.fixture
 def go_abreast(monkeypatch):
-    """Let all go abreast that can, however few; return a list of how many went each time."""
-    monkeypatch.setattr("closedloop.engines.lanes._abreast_is_there", lambda: True)
+    """Return a list of how many went abreast each time."""
     went, run = [], Abreast.run
 
     def counted(self, tree, count):
@@ -60,7 +59,8 @@ def drawn(ranges, count, seed=0):
 def alone(monkeypatch, *args, **options):
     """Return the table of a batch in which each run goes by itself."""
     with monkeypatch.context() as now:
-        now.setattr("closedloop.engines.lanes._abreast_is_there", lambda: False)
+        for module in ("worker", "simulate_batch"):
+            now.setattr(f"closedloop.batch.{module}.goes_abreast", lambda *_: False)
         return cl.simulate_batch(*args, **options)
 
 

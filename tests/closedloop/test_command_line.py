@@ -374,7 +374,7 @@ def test_python_m_and_the_console_script_are_this_command_line(tmp_path):
     assert done.stdout == ""
     assert len(done.stderr.splitlines()) == 1
     project = (ROOT / "pyproject.toml").read_text(encoding="utf-8")
-    assert 'closedloop = "closedloop.run:main"' in project
+    assert 'closedloop = "closedloop.__main__:main"' in project
     assert callable(main)
 
 

@@ -1,4 +1,4 @@
-"""A block that slides: it stops when and where the closed form says, in any direction; friction with memory lags its speed."""
+"""A block that slides stops when and where the closed form says, in any direction; friction with memory lags."""
 
 import numpy as np
 import pytest

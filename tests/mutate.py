@@ -34,11 +34,7 @@ IN = "tests/closedloop/"
 
 # The quick tests that hold each module, or options of pytest that choose them.
 TESTS: dict[str, tuple[str, ...]] = {
-    "closedloop.closure.contact_force": (
-        f"{IN}test_solve.py",
-        f"{IN}test_contact_impulse.py",
-        f"{IN}test_contact_complementarity.py",
-    ),
+    "closedloop.closure.contact_force": (f"{IN}test_solve.py",),
     "closedloop.closure.solve": (f"{IN}test_solve.py",),
     "closedloop.integrators.rk4": (f"{IN}test_integrate.py",),
     "closedloop.step.advance": (f"{IN}test_integrate.py",),

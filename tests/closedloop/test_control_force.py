@@ -17,6 +17,7 @@ from closedloop.control.laws.paper import PaperLaw
 from closedloop.control.sensor import SensorSection, pack_sensor, sense, sensor_rates, start_sensor
 from closedloop.control.stability import check_sampling, force_loop_settles
 from closedloop.errors import ScenarioError
+from closedloop.jit.kernel import plain
 
 SECTIONS = (OperationalSpaceLaw, DynamicHybridLaw, ImpedanceLaw, AdmittanceLaw)
 JOINT_LAWS = (partial(PaperLaw, kp=400.0, kd=30.0), partial(HybridLaw, kp=400.0, kd=30.0))
@@ -257,3 +258,37 @@ def test_observer_faster_than_its_sensor_is_refused():
         grown.append(np.ptp(forces[500:]) / np.ptp(forces[:100]))
     assert grown[0] < 0.5
     assert grown[1] > 2.0
+
+
+@pytest.mark.parametrize("integral", [-0.2, 0.0, 0.2])
+@pytest.mark.parametrize("reading", [4.0, 10.0, 13.0])
+def test_feedback_adds_in_contact_alone_and_takes_away_in_free_motion_too(reading, integral):
+    """f_c = f_des + K_f (f_des − f_s) + K_I z on the surface; off it the feedback may only make it less."""
+    loop = Loop("wam4", OperationalSpaceLawSection(force_feedback=0.5, force_integral=20.0))
+    x = loop.moment(0.0, loop.q, loop.v)[0]._replace(f_measured=reading)
+    z = np.array([integral])
+    feedback = 0.5 * (10.0 - reading) + 20.0 * integral
+    for pressed, expected in ((1.0, 10.0 + feedback), (0.0, 10.0 + min(feedback, 0.0))):
+        found = plain(commanded_force)(x._replace(pressed=pressed), loop.packed.par, z)
+        assert found == pytest.approx(expected, rel=1e-15)
+
+
+@pytest.mark.parametrize(
+    ("pressed", "f_des", "f", "integral", "rate"),
+    [
+        (1.0, 10.0, 7.0, 0.1, 3.0),
+        (1.0, -4.0, 7.0, -0.1, -11.0),
+        (0.0, 10.0, 0.0, 0.1, 0.0),  # it does not wind up
+        (0.0, 10.0, 0.0, -0.1, 10.0),  # it recovers
+        (0.0, 10.0, 0.0, 0.0, 0.0),
+        (0.0, 10.0, 12.0, -0.1, 0.0),  # but does not fall further
+        (0.0, -4.0, -7.0, -0.1, 0.0),  # nor recovers for a tip that is to stay away
+    ],
+)
+def test_integral_rests_in_free_motion_but_for_its_recovery(pressed, f_des, f, integral, rate):
+    """On the surface ż = f_des − f; off it z rises to zero at most, if the tip is to press."""
+    loop = Loop("wam4", OperationalSpaceLawSection(force_integral=20.0))
+    x = loop.moment(0.0, loop.q, loop.v)[0]._replace(pressed=pressed, f_des=f_des)
+    dz = np.full(1, np.nan)
+    plain(integral_rate)(x, loop.packed.par, np.array([integral]), f, dz)
+    assert dz[0] == rate

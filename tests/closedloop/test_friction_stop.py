@@ -1,4 +1,4 @@
-"""A block that slides stops when and where the closed form says, in any direction; friction with memory lags."""
+"""A sliding block stops when and where the closed form says; friction with memory lags its speed."""
 
 import numpy as np
 import pytest

@@ -14,6 +14,7 @@ import math
 import threading
 import time as clock
 import types
+from collections import Counter
 from collections.abc import Callable, Sequence
 from typing import Any, TypeVar, cast
 
@@ -78,8 +79,8 @@ def _twin_value(value: Any) -> Any:
 # Calls after which it is known how long they take; seconds between two looks for the compiled form; and how many times
 # longer than compiling the rest of a run must take, interpreted, for it to wait for the compiler instead.
 PROBE, BETWEEN_LOOKS, WORTH_WAITING = 50, 0.5, 1.5
-# Calls of each function so far in this process that were interpreted, and the seconds that they took.
-_so_far: dict[str, tuple[int, float]] = {}
+# Calls of each function that were interpreted so far in this process: many short runs are as good as a long one.
+_so_far: Counter[str] = Counter()
 
 
 class Interim:
@@ -123,7 +124,8 @@ class Interim:
         self._calls, self._seconds, self._with_it = calls, seconds, (function, *with_it)
         self._on_compiled = on_compiled
         self._compiled: Callable[..., Any] | None = None
-        self._done, self._look_at, self._decided, self.compiling = 0, 0.0, False, 0.0
+        self._done, self._seconds_done, self._look_at, self._decided = 0, 0.0, 0.0, False
+        self.compiling = 0.0
 
     @property
     def interpreting(self) -> bool:
@@ -137,7 +139,7 @@ class Interim:
         began = clock.perf_counter()
         if began >= self._look_at:
             self._look_at = began + BETWEEN_LOOKS
-            if not needs_compiling(self._function):
+            if not any(map(needs_compiling, self._with_it)):
                 return self._compile(arguments)(*arguments)
         before = [array.copy() for array in self._written]
         try:
@@ -145,30 +147,28 @@ class Interim:
                 answer = self._twin(*arguments)
         except (ArithmeticError, ValueError):  # where compiled code would go on
             self._put_back(before)
-            background.make_ready(self._function)
             return self._compile(arguments)(*arguments)
         except BaseException:
             self._put_back(before)
             raise
-        name = self._function.__name__
-        calls, seconds = _so_far.get(name, (0, 0.0))
-        calls, seconds = _so_far[name] = calls + 1, seconds + clock.perf_counter() - began
+        _so_far[self._function.__name__] += 1
         self._done += 1
-        if not self._decided and calls >= PROBE:
+        self._seconds_done += clock.perf_counter() - began
+        if not self._decided and (self._done >= PROBE or _so_far[self._function.__name__] >= PROBE > self._calls):
             self._decided = True
-            self._decide((self._calls - self._done) * seconds / calls, arguments)
+            self._decide((self._calls - self._done) * self._seconds_done / self._done, arguments)
         return answer
 
     def _decide(self, left: float, arguments: tuple[Any, ...]) -> None:
         """Wait for the compiler, or let it work in the background, when the rest would take `left` seconds."""
         if left > WORTH_WAITING * self._seconds:
-            background.make_ready(self._function)
             self._compile(arguments)
         else:
             background.start([function for function in self._with_it if needs_compiling(function)])
 
     def _compile(self, arguments: tuple[Any, ...]) -> Callable[..., Any]:
         began = clock.perf_counter()
+        background.make_ready(self._function)
         compiled = direct(self._function, *arguments)
         self._on_compiled()
         self._compiled = compiled

@@ -62,6 +62,9 @@ def simulate(
 ) -> Run:
     """Simulate a scenario.
 
+    A run whose loop is not compiled yet is begun interpreted where that is sooner, to the same bits, while the loop is
+    compiled in the background (`closedloop.jit.background`); the logger ``closedloop.compiling`` says so.
+
     Parameters
     ----------
     scenario : Scenario

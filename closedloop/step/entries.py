@@ -17,7 +17,6 @@ from numpy.typing import NDArray
 from closedloop.closure.contact_force import FREE
 from closedloop.control.law import Compensation, ControlLaw
 from closedloop.control.law_input import LawInput
-from closedloop.families import is_users
 from closedloop.jit.calls import Entry
 from closedloop.jit.kernel import entry_kernel, kernel, kernel_inlined
 from closedloop.parameters import parameter_block, state_block
@@ -87,9 +86,8 @@ def law_entry(member: type[ControlLaw] | type[Compensation]) -> Entry:
 
 
 def identity_of(member: type[Any]) -> str:
-    """Return what tells the compiled form of a member from others: its name, and of a user's its text."""
-    name = f"{member.__module__}:{member.__qualname__}"
-    return f"{name} {source_digest(member)}" if is_users(member) else name
+    """Return what tells the compiled form of a member from others: its name and its text."""
+    return f"{member.__module__}:{member.__qualname__} {source_digest(member)}"
 
 
 def _as_kernel(member: type[Any], name: str) -> Callable[..., Any]:

@@ -13,6 +13,7 @@ from closedloop.control.sensor import (
     start_sensor,
 )
 from closedloop.errors import ScenarioError
+from closedloop.jit.kernel import plain
 
 H = 1e-3
 
@@ -26,7 +27,7 @@ def readings(section, forces, period=H):
     out = []
     for k, f in enumerate(forces):
         out.append(sense(f, k, sensor.par, z, normal[k], ring))
-        sensor_rates(f, sensor.par, z, dz)
+        plain(sensor_rates)(f, sensor.par, z, dz)
         z += period * dz
     return np.array(out)
 
@@ -89,8 +90,8 @@ def test_continuous_reading_is_low_passed_and_biased_only():
     sensor = pack_sensor(section, H)
     assert sensor.sampled is True
     assert sensor.ring == 3
-    assert continuous_reading(99.0, sensor.par, np.array([10.2])) == 10.7
-    assert continuous_reading(10.2, pack_sensor(SensorSection(bias=0.5), H).par, np.zeros(0)) == 10.7
+    assert plain(continuous_reading)(99.0, sensor.par, np.array([10.2])) == 10.7
+    assert plain(continuous_reading)(10.2, pack_sensor(SensorSection(bias=0.5), H).par, np.zeros(0)) == 10.7
 
 
 @pytest.mark.parametrize(

@@ -2,6 +2,7 @@
 
 import logging
 import types
+from collections import Counter
 
 import numba
 import numpy as np
@@ -176,7 +177,7 @@ def test_an_interrupted_call_leaves_no_trace(monkeypatch, nothing_compiled):
 def decided(monkeypatch, calls, seconds):
     """Return what an interim kernel decides after its first calls: "background", "compiled" or ""."""
     done = []
-    monkeypatch.setattr(interpreted, "_so_far", {})
+    monkeypatch.setattr(interpreted, "_so_far", Counter())
     monkeypatch.setattr(background, "start", lambda functions: done.append("background"))
     monkeypatch.setattr(background, "make_ready", lambda *functions: done.append("compiled"))
     monkeypatch.setattr(interpreted, "direct", lambda function, *arguments: function.py_func)
@@ -202,7 +203,7 @@ def test_whether_to_wait_is_judged_by_what_is_ahead(monkeypatch, calls, seconds,
 def test_many_short_runs_are_as_good_as_a_long_one(monkeypatch):
     """Runs of a few steps each do not stay interpreted for ever: their calls are counted together."""
     asked = []
-    monkeypatch.setattr(interpreted, "_so_far", {})
+    monkeypatch.setattr(interpreted, "_so_far", Counter())
     monkeypatch.setattr(interpreted, "needs_compiling", lambda function: True)
     monkeypatch.setattr(background, "start", lambda functions: asked.append(functions))
     out = np.zeros(2)

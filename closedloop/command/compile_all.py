@@ -76,7 +76,8 @@ def compile_these(names: Iterable[str]) -> None:
 def compile_command(arguments: list[str]) -> int:
     """Compile everything, with a line for each piece, and return the exit status."""
     from closedloop.jit.background import notices
-    from closedloop.jit.cache_folder import cache_folder, numba_settings, why_not_kept
+    from closedloop.jit.cache_folder import cache_folder, why_not_kept
+    from closedloop.jit.kernel import jit_disabled
 
     Parser(
         prog="closedloop compile",
@@ -84,7 +85,7 @@ def compile_command(arguments: list[str]) -> int:
         epilog="exit status: 0 done; 2 nothing can be kept, or NUMBA_DISABLE_JIT is set; 130 interrupted",
         formatter_class=argparse.RawDescriptionHelpFormatter,
     ).parse_args(arguments)
-    if numba_settings.DISABLE_JIT:
+    if jit_disabled():
         raise ScenarioError("NUMBA_DISABLE_JIT is set: there is nothing to compile")
     if reason := why_not_kept():
         raise ScenarioError(f"compiled code cannot be kept: {reason}")

@@ -30,9 +30,10 @@ from closedloop.engines.loops import COMPILED
 from closedloop.engines.problem import Problem, needs_more
 from closedloop.integrators import INTEGRATORS
 from closedloop.jit.background import make_ready
-from closedloop.jit.kernel import entry_kernel, kernel_inlined, numba_settings, plain
+from closedloop.jit.kernel import entry_kernel, jit_disabled, kernel_inlined, plain
+from closedloop.jit.numba_simd8 import float64x8_at, with_lane
 from closedloop.jit.pointers import address_of, matrix_at
-from closedloop.jit.simd8 import WIDE, aligned, every, float64x8_at, with_lane
+from closedloop.jit.simd8 import WIDE, aligned, every
 from closedloop.report.joint_figures import joint_limits
 from closedloop.report.measured import (
     begin_tally,
@@ -73,7 +74,7 @@ def can_go_abreast(scenario: Scenario) -> bool:
         and not scenario.surface.gap > 0.0
         and scenario.stabiliser.kind in ("baumgarte", "none")
         and scenario.time.integrator in INTEGRATORS
-        and not numba_settings.DISABLE_JIT
+        and not jit_disabled()
     )
 
 

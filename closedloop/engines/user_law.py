@@ -17,25 +17,21 @@ new object is made for each run. A law that needs parameters in the scenario, or
 from __future__ import annotations
 
 import inspect
-import math
 from collections.abc import Callable
-from functools import lru_cache
 from typing import Any
 
-import numba
 import numpy as np
-from numba import NumbaError, types
 from numpy.typing import ArrayLike, NDArray
 
 from closedloop.control.law_input import LawInput
 from closedloop.engines.failures import not_finite, when
 from closedloop.engines.own_law import law_failure
-from closedloop.errors import DivergenceError, LawError, ScenarioError, one_line
+from closedloop.errors import DivergenceError, LawError, ScenarioError
 from closedloop.jit.calls import callback, compiled_address, forget_entry, interpreted_address, is_compiled
-from closedloop.jit.kernel import numba_settings, plain
+from closedloop.jit.kernel import jit_disabled, plain
 from closedloop.robot.pinocchio import Terms
 from closedloop.step.entries import START, TORQUE, law_input
-from closedloop.step.memory import Loop, loop_at
+from closedloop.step.memory import Loop
 
 Array = NDArray[np.float64]
 Law = Callable[..., ArrayLike]
@@ -43,20 +39,6 @@ Law = Callable[..., ArrayLike]
 
 # What an entry answers when the law gave no torque.
 RAISED, NOT_FINITE, WRONG_LENGTH = 1, 2, 3
-
-_READ = {d: types.Array(types.float64, d, "C", readonly=True) for d in (1, 2)}
-_TERMS: Any = types.NamedTuple((_READ[2], _READ[1], _READ[1], _READ[2], _READ[1]), Terms)  # type: ignore[no-untyped-call]
-_MATRICES = ("H", "L", "A", "X", "S", "J", "frame")
-_NUMBERS = ("t", "f_des", "f_measured", "pressed")
-
-
-def _kind_of(name: str) -> Any:
-    if name in _NUMBERS:
-        return types.float64
-    return types.float64[::1] if name == "scratch" else _READ[2 if name in _MATRICES else 1]
-
-
-_INPUT: Any = types.NamedTuple(tuple(map(_kind_of, LawInput._fields)), LawInput)  # type: ignore[no-untyped-call]
 
 
 class UserLaw:
@@ -87,10 +69,12 @@ class UserLaw:
     def connect(self, compiled: bool = True) -> None:
         """Write into the memory where the law is: for a compiled loop, or for one that is interpreted."""
         state = self._loop.state
-        if not compiled or numba_settings.DISABLE_JIT:
+        if not compiled or jit_disabled():
             self._number = self._number or interpreted_address(self._entry)
             state.law = self._number
         elif is_compiled(self._law):
+            from closedloop.engines.compiled_law import compiled_law
+
             state.law = compiled_address(compiled_law(self._law))
         else:
             self._called = self._called or callback(self._entry)
@@ -155,12 +139,16 @@ class UserLaw:
         w.torque[:] = torque
 
 
+# Which of what a law sees are numbers.
+NUMBERS = ("t", "f_des", "f_measured", "pressed")
+
+
 def _copied(x: LawInput) -> LawInput:
     """Return what a law in Python gets: arrays that may be kept, and not written to."""
     values: list[Any] = []
     value: Any
     for name, value in zip(LawInput._fields, x, strict=True):
-        if name in _NUMBERS:
+        if name in NUMBERS:
             values.append(float(value))
             continue
         if name != "scratch":
@@ -194,7 +182,7 @@ def arguments_of(law: Any) -> Arguments:
     count = len(asked) if not any(each.kind is each.VAR_POSITIONAL for each in parameters) else 4
     if compiled and count not in (1, 2, 4, 5):
         raise ScenarioError(
-            f"the law {_name(law)} takes {count} arguments: must be (x) or (t, q, v, terms), returning Q, or with "
+            f"the law {name_of(law)} takes {count} arguments: must be (x) or (t, q, v, terms), returning Q, or with "
             "torque besides, writing it"
         )
     return Arguments(count in (1, 2) and (compiled or count == 1), compiled and count in (2, 5))
@@ -209,124 +197,6 @@ def not_a_torque(returned: str, t: float, n: int) -> ScenarioError | LawError:
     return LawError(f"{when(t)}: {what}", t) if t > 0.0 else ScenarioError(what)
 
 
-@lru_cache(maxsize=32)
-def compiled_law(law: Any) -> Any:
-    """Return the entry of a law of numba's, or say why there can be none; see `closedloop.jit.calls`.
-
-    Raises
-    ------
-    ScenarioError
-        If it is no such function: a Python function, other arguments, what numba cannot compile, another result.
-    """
-    if not is_compiled(law):
-        raise ScenarioError(
-            f"engine = 'compiled': the law {_name(law)} is not compiled: mark it with @numba.njit, "
-            "or use the engine 'pinocchio'"
-        )
-    ways = arguments_of(law)
-    asked: tuple[Any, ...] = (_INPUT,) if ways.sees_input else (types.float64, _READ[1], _READ[1], _TERMS)
-    if ways.writes:
-        asked += (types.float64[::1],)
-    try:
-        law.compile(asked)
-        result = law.overloads[asked].signature.return_type
-        if ways.writes:
-            _check(law, result, result == types.none, "must return nothing: it writes the torque")
-        else:
-            array = isinstance(result, types.Array) and result.ndim == 1
-            real = array and isinstance(result.dtype, types.Integer | types.Float)
-            _check(law, result, real, "must be a one-dimensional array of real numbers, one torque a joint")
-        return _entry_of(law, ways)
-    except NumbaError as error:
-        raise ScenarioError(
-            f"engine = 'compiled': numba cannot compile the law {_name(law)}: {_why(error)}; "
-            "use the engine 'pinocchio' for it"
-        ) from None
-
-
-def _check(law: Any, result: Any, right: bool, cure: str) -> None:
-    if not right:
-        raise ScenarioError(f"engine = 'compiled': the law {_name(law)} returns {result}: {cure}")
-
-
-@numba.njit(_READ[1](_READ[1]))
-def _read(x: Array) -> Array:
-    """Return an array of which compiled code can only read."""
-    return x
-
-
-@numba.njit(_READ[2](_READ[2]))
-def _read2(x: Array) -> Array:
-    return x
-
-
-def _entry_of(law: Any, ways: Arguments) -> Any:
-    """Return the entry of a law that has been compiled for what it asks."""
-    if ways.sees_input:
-
-        @numba.njit
-        def given(x: Any) -> Any:
-            return (
-                LawInput(
-                    x.t, _read(x.q), _read(x.v), _read2(x.H), _read(x.C), _read2(x.L), _read2(x.A), _read2(x.X),
-                    _read2(x.S), _read(x.drift), _read(x.p), _read(x.u), _read(x.r), _read2(x.J), _read(x.Jdot_v),
-                    _read2(x.frame), _read(x.q_des), _read(x.v_des), _read(x.p_des), _read(x.u_des), _read(x.a_des),
-                    x.f_des, x.f_measured, x.pressed, x.scratch,
-                ),
-            )  # fmt: skip
-
-    else:
-
-        @numba.njit
-        def given(x: Any) -> Any:
-            terms = Terms(_read2(x.H), _read(x.C), _read(x.r), _read2(x.J), _read(x.Jdot_v))
-            return x.t, _read(x.q), _read(x.v), terms
-
-    if ways.writes:
-
-        @numba.njit
-        def ask(x: Any, torque: Array) -> int:
-            torque[:] = 0.0
-            law(*given(x), torque)
-            return 0
-
-    else:
-
-        @numba.njit
-        def ask(x: Any, torque: Array) -> int:
-            answer = law(*given(x))
-            if answer.shape[0] != torque.shape[0]:
-                return WRONG_LENGTH
-            torque[:] = answer
-            return 0
-
-    @numba.njit(nogil=True)
-    def entry(address: int, what: int) -> int:
-        if what != TORQUE:
-            return 0
-        state, constants, w = loop_at(address)
-        try:
-            answer = ask(law_input(state, constants, w), w.torque)
-        except Exception:
-            return RAISED
-        for torque in w.torque:
-            if not math.isfinite(torque):
-                return NOT_FINITE
-        return int(answer)
-
-    return entry
-
-
-def _name(law: Any) -> str:
+def name_of(law: Any) -> str:
+    """Return the name of a law, for messages."""
     return str(getattr(law, "__name__", law))
-
-
-def _why(error: NumbaError) -> str:
-    """Return the line of numba's message that says what is wrong, and the line of the law where."""
-    lines = [line.strip() for line in str(error).splitlines()]
-    if any("setitem(readonly" in line for line in lines):
-        return "it writes into q, v or terms, which are there to be read"
-    told = [line for line in lines if line and not line.startswith(("Failed in", "-", "No implementation"))]
-    where = next((line for line in lines if line.startswith("File ")), "")
-    what = next((line for line in told if line != where), str(type(error).__name__))
-    return one_line(f"{what} ({where.rstrip(':')})" if where else what)

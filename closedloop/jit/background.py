@@ -18,8 +18,8 @@ from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Any
 
-from closedloop.jit.cache_folder import MARKER, cache_folder, claim, numba_settings, why_not_kept
-from closedloop.jit.kernel import needs_compiling
+from closedloop.jit.cache_folder import MARKER, cache_folder, claim, why_not_kept
+from closedloop.jit.kernel import jit_disabled, needs_compiling
 
 try:
     import fcntl
@@ -56,7 +56,7 @@ def refused() -> str:
     """Return why no process may compile in the background, in words; "" if it may."""
     if os.environ.get(VARIABLE, "").strip().lower() in ("0", "no", "off", "false"):
         return f"{VARIABLE} refuses it"
-    if numba_settings.DISABLE_JIT:
+    if jit_disabled():
         return "NUMBA_DISABLE_JIT is set"
     if fcntl is None or not hasattr(os, "fork"):
         return "this system has no locks that end with their process"
@@ -137,7 +137,7 @@ def _spawn(names: Sequence[str], lock: int) -> None:
     home = str(Path(__file__).resolve().parents[2])
     flags = ["-P", *(["-O"] * sys.flags.optimize), *(["-I"] if sys.flags.isolated else [])]
     environment = os.environ | {VARIABLE: "0"}
-    if numba_settings.CACHE_DIR:  # which may be relative to the current folder
+    if os.environ.get("NUMBA_CACHE_DIR"):  # which may be relative to the current folder
         environment["NUMBA_CACHE_DIR"] = str(cache_folder().parent)
     subprocess.run(
         [sys.executable, *flags, "-c", _PROGRAM, home, *names],

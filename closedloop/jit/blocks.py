@@ -11,28 +11,16 @@ sizes as symbols, so the one description gives the size of the memory and the pl
     motion = Motion(np.zeros(Motion.count(4)), 4)
 
 Inside compiled code a tuple of forty arrays would travel as three hundred words from call to call. There a block is
-its address and its sizes, and an array is made where it is asked for: `_compiled_views` teaches numba to.
+its address and its sizes, and an array is made where it is asked for, see `closedloop.jit.numba_blocks`.
 """
 
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from typing import Any, ClassVar, get_args, get_type_hints
 
 import numpy as np
-from numba import types
-from numba.core import cgutils
-from numba.core.imputils import lower_setattr_generic
-from numba.core.typing.templates import AbstractTemplate, AttributeTemplate, infer_global, signature
-from numba.extending import (
-    infer_getattr,
-    lower_builtin,
-    lower_getattr_generic,
-    models,
-    register_model,
-)
-from numba.np.arrayobj import make_array, populate_array
 from numpy.typing import NDArray
 
 Array = NDArray[np.float64]
@@ -141,17 +129,9 @@ class Layout:
         return places
 
 
-def array_on(context: Any, builder: Any, kind: Any, data: Any, shape: list[Any]) -> Any:
-    """Return compiled code's array of a type (C or F order) and shape on the numbers at the pointer `data`."""
-    size = context.get_constant(types.intp, context.get_abi_sizeof(context.get_data_type(kind.dtype)))
-    strides = [size]
-    for length in shape[:-1] if kind.layout == "F" else reversed(shape[1:]):
-        strides.append(builder.mul(strides[-1], length))
-    if kind.layout == "C":
-        strides.reverse()
-    array = make_array(kind)(context, builder)
-    populate_array(array, data=data, shape=shape, strides=strides, itemsize=size, meminfo=None, parent=None)
-    return array._getvalue()
+# All blocks; and what is done with each that is made later, once numba is in use.
+blocks: list[type[Block]] = []
+when_made: list[Callable[[type[Block]], None]] = []
 
 
 class Block:
@@ -176,7 +156,9 @@ class Block:
         for name, shape in cls.layout.shape.items():
             if not shape:
                 setattr(cls, name, _number(cls.layout.at[name].value({})))
-        _compiled_views(cls)
+        blocks.append(cls)
+        for teach in when_made:
+            teach(cls)
 
     def __init__(self, memory: NDArray[Any], *sizes: int) -> None:
         self.memory = memory
@@ -198,79 +180,3 @@ def _number(place: int) -> property:
         block.memory[place] = value
 
     return property(read, write)
-
-
-def _compiled_views(block: type[Block]) -> None:
-    """Make `block(memory, *sizes)`, in compiled code, the block's parts as attributes.
-
-    Memory of float64 has parts of float64, of float64x8 (`closedloop.jit.simd8`) parts of float64x8, of int64 whole
-    numbers. It must outlive the block; numba does not count who refers to it.
-    """
-    layout, made = block.layout, f"{block.__module__}.{block.__qualname__}"
-
-    class BlockType(types.Type):
-        def __init__(self, dtype: Any) -> None:
-            self.dtype = dtype
-            super().__init__(name=f"{made} of {dtype}")
-
-    @register_model(BlockType)
-    class Model(models.StructModel):
-        def __init__(self, dmm: Any, fe_type: Any) -> None:
-            sizes = ((name, types.intp) for name in layout.sizes)
-            super().__init__(dmm, fe_type, [("base", types.CPointer(fe_type.dtype)), *sizes])
-
-    @infer_global(block, typing_key=made)
-    class Views(AbstractTemplate):
-        key = made
-
-        def generic(self, args: Any, kws: Any) -> Any:
-            fits = len(args) == 1 + len(layout.sizes) and isinstance(args[0], types.Array) and not kws
-            return signature(BlockType(args[0].dtype), *args) if fits and args[0].layout == "C" else None
-
-    @lower_builtin(made, types.Array, types.VarArg(types.Any))
-    def lower_views(context: Any, builder: Any, call: Any, arguments: Any) -> Any:
-        struct = cgutils.create_struct_proxy(call.return_type)(context, builder)
-        struct.base = make_array(call.args[0])(context, builder, value=arguments[0]).data
-        for name, kind, value in zip(layout.sizes, call.args[1:], arguments[1:], strict=True):
-            setattr(struct, name, context.cast(builder, value, kind, types.intp))
-        return struct._getvalue()
-
-    @infer_getattr
-    class Attributes(AttributeTemplate):
-        key = BlockType
-
-        def generic_resolve(self, value: Any, attribute: str) -> Any:  # type: ignore[override]
-            shape = layout.shape.get(attribute)
-            if shape is None:
-                return None
-            return types.Array(value.dtype, len(shape), "C") if shape else value.dtype
-
-    def place(context: Any, builder: Any, kind: Any, value: Any, attribute: str) -> tuple[Any, list[Any]]:
-        """Write code for the pointer to a part, and its shape."""
-        struct = cgutils.create_struct_proxy(kind)(context, builder, value=value)
-
-        def number(count: Count) -> Any:
-            total = context.get_constant(types.intp, count.terms.get((), 0))
-            for product, times in count.terms.items():
-                if product:
-                    x = getattr(struct, product[0])
-                    for name in product[1:]:
-                        x = builder.mul(x, getattr(struct, name))
-                    total = builder.add(total, builder.mul(x, context.get_constant(types.intp, times)))
-            return total
-
-        data = builder.gep(struct.base, [number(layout.at[attribute])])
-        return data, [number(count) for count in layout.shape[attribute]]
-
-    @lower_getattr_generic(BlockType)
-    def lower_attribute(context: Any, builder: Any, kind: Any, value: Any, attribute: str) -> Any:
-        data, shape = place(context, builder, kind, value, attribute)
-        if not shape:
-            return context.unpack_value(builder, kind.dtype, data)
-        return array_on(context, builder, types.Array(kind.dtype, len(shape), "C"), data, shape)
-
-    @lower_setattr_generic(BlockType)
-    def lower_assignment(context: Any, builder: Any, call: Any, arguments: Any, attribute: str) -> None:
-        data, shape = place(context, builder, call.args[0], arguments[0], attribute)
-        assert not shape
-        context.pack_value(builder, call.args[0].dtype, arguments[1], data)

@@ -24,16 +24,9 @@ from functools import lru_cache
 from pathlib import Path
 from typing import Any
 
-import llvmlite
-import llvmlite.binding as llvm
-import numba
-from numba.core import config as _config
-
-numba_settings: Any = _config  # its attributes are made at run time, which type checkers cannot see
-
 # What tells a file whose text the compiled code depends on, and files that say how it is compiled.
 MARKS = (b"\n@kernel", b"\n@inlined_kernel", b"\n@entry_kernel", b"\n@brief_entry", b"@lower_builtin")
-COMPILERS = ("kernel.py", "inline_once.py")
+COMPILERS = ("kernel.py", "inline_once.py", "blocks.py", "parameters.py")
 
 MARKER = "closedloop-cache"
 MAGIC = b"closedloop code 1\n"  # the end of every file
@@ -68,6 +61,12 @@ def cache_folder() -> Path:
 @lru_cache(maxsize=1)
 def compiler_and_processor() -> tuple[Any, ...]:
     """Return what compiled code depends on beside its source: versions, and the processor, which may be one's wish."""
+    import llvmlite
+    import llvmlite.binding as llvm
+    import numba
+    from numba.core import config
+
+    numba_settings: Any = config  # its attributes are made at run time, which type checkers cannot see
     versions = (numba.__version__, llvmlite.__version__, sys.implementation.cache_tag, sys.flags.optimize)
     name = numba_settings.CPU_NAME or llvm.get_host_cpu_name()
     features = numba_settings.CPU_FEATURES
@@ -78,8 +77,8 @@ def compiler_and_processor() -> tuple[Any, ...]:
 
 def _cache_root() -> Path:
     """NUMBA_CACHE_DIR if set, the package's own __pycache__ if writable, else the user's cache folder."""
-    if numba_settings.CACHE_DIR:
-        return Path(numba_settings.CACHE_DIR)
+    if chosen := os.environ.get("NUMBA_CACHE_DIR"):
+        return Path(chosen)
     beside = Path(__file__).parent.parent / "__pycache__"
     with suppress(OSError):
         beside.mkdir(exist_ok=True)

@@ -15,18 +15,10 @@ from functools import cache
 from itertools import count
 from typing import Any
 
-import numba
-from llvmlite import ir
-from numba import types
-from numba.core.typing.templates import AbstractTemplate, infer_global, signature
-from numba.extending import lower_builtin
-
 from closedloop.jit.interpreted import interpreted
 
 Entry = Callable[[int, int], int]
 
-_WORD = ir.IntType(64)
-_KIND = types.int64, types.int64
 _CALLBACK = ctypes.CFUNCTYPE(ctypes.c_int64, ctypes.c_int64, ctypes.c_int64)
 
 _interpreted: dict[int, Entry] = {}
@@ -36,21 +28,6 @@ _numbers = count(1)
 def call_at(address: int, loop: int, what: int) -> int:
     """Call the entry at an address with its two numbers, and return its answer."""
     return _interpreted[int(address)](int(loop), int(what))
-
-
-@infer_global(call_at)
-class _CallAt(AbstractTemplate):
-    key = call_at
-
-    def generic(self, args: Any, kws: Any) -> Any:
-        fits = len(args) == 3 and not kws and all(isinstance(x, types.Integer) for x in args)
-        return signature(types.int64, types.int64, types.int64, types.int64) if fits else None
-
-
-@lower_builtin(call_at, types.int64, types.int64, types.int64)
-def _lower_call_at(context: Any, builder: Any, call: Any, values: Any) -> Any:
-    kind = ir.FunctionType(_WORD, [_WORD, _WORD])
-    return builder.call(builder.inttoptr(values[0], kind.as_pointer()), values[1:])
 
 
 def entry_address(entry: Any) -> int:
@@ -70,7 +47,9 @@ def twin_address(entry: Any) -> int:
 
 def compiled_address(entry: Any) -> int:
     """Return the address of an entry that numba compiles, compiling it first or reading it from the cache."""
-    compiled = entry.get_compile_result(types.int64(*_KIND))
+    from numba import types
+
+    compiled = entry.get_compile_result(types.int64(types.int64, types.int64))
     return int(compiled.library.get_pointer_to_function(compiled.fndesc.llvm_cfunc_wrapper_name))
 
 
@@ -99,4 +78,4 @@ def callback(entry: Entry) -> tuple[int, Any]:
 
 def is_compiled(function: Any) -> bool:
     """Whether a function is one of numba's; with ``NUMBA_DISABLE_JIT=1`` none is."""
-    return isinstance(function, numba.core.dispatcher.Dispatcher)
+    return hasattr(function, "py_func") and hasattr(function, "targetoptions")

@@ -9,6 +9,7 @@ input; the outermost is optimised once, with all of it in view.
 from __future__ import annotations
 
 from collections.abc import Callable
+from functools import cached_property
 from typing import Any
 
 from numba.core.codegen import JITCodeLibrary
@@ -68,13 +69,13 @@ class NestedFunction(CPUDispatcher):
     options : dict
         numba's options of it.
     ordinary : callable
-        The same function as numba would compile it for Python.
+        Makes what Python calls: the same function as numba would compile it by itself.
     """
 
     def __init__(self, function: Callable[..., Any], options: dict[str, Any], ordinary: Callable[..., Any]) -> None:
         nested = options | {"nopython": True, "no_cpython_wrapper": True, "no_cfunc_wrapper": True}
         super().__init__(function, targetoptions=nested, pipeline_class=NestedCompiler)
-        self.ordinary = ordinary
+        self._make_ordinary = ordinary
 
     def add_overload(self, result: Any) -> None:
         """Keep what was compiled for compiled callers; for Python there is nothing to call."""
@@ -86,3 +87,8 @@ class NestedFunction(CPUDispatcher):
     def __call__(self, *args: Any, **kwargs: Any) -> Any:
         """Call the ordinary form, which numba compiles on first use."""
         return self.ordinary(*args, **kwargs)
+
+    @cached_property
+    def ordinary(self) -> Any:
+        """What Python calls."""
+        return self._make_ordinary()

@@ -13,21 +13,80 @@ from __future__ import annotations
 import os
 import signal
 from collections.abc import Callable
+from functools import cache, cached_property, update_wrapper
 from typing import Any, TypeVar, cast
 
-import numba
-
 from closedloop.interrupts import held_back
-from closedloop.jit.cache_folder import cache_folder as cache_folder
-from closedloop.jit.cache_folder import is_kept
-from closedloop.jit.cache_folder import numba_settings as numba_settings
-from closedloop.jit.compile_cache import KernelCache
-from closedloop.jit.inline_once import NestedFunction
-
-_typeof: Any = numba.typeof
-_njit: Any = numba.njit  # its annotations do not know all that it takes
 
 F = TypeVar("F", bound=Callable[..., Any])
+
+
+def jit_disabled() -> bool:
+    """Whether ``NUMBA_DISABLE_JIT=1``: everything runs interpreted then."""
+    return os.environ.get("NUMBA_DISABLE_JIT", "").strip() not in ("", "0")
+
+
+class Kernel:
+    """A function for numba, of which it makes a dispatcher when that is first needed.
+
+    So neither importing a kernel nor running its Python function costs the start of numba, half a second. Where numba
+    meets one, in another kernel, `_numba_type_` gives it the dispatcher.
+
+    Parameters
+    ----------
+    function : callable
+        The Python function.
+    make : callable
+        Makes the dispatcher of it.
+
+    Attributes
+    ----------
+    py_func : callable
+        The Python function.
+    """
+
+    def __init__(self, function: Callable[..., Any], make: Callable[[Callable[..., Any]], Any]) -> None:
+        update_wrapper(self, function)
+        self.py_func, self._make = function, make
+
+    @cached_property
+    def dispatcher(self) -> Any:
+        """What numba made of the function."""
+        numba_ready()
+        return self._make(self.py_func)
+
+    @property
+    def _numba_type_(self) -> Any:
+        return _typeof(self.dispatcher)
+
+    def __call__(self, *args: Any, **kwargs: Any) -> Any:
+        """Call the compiled function; it is compiled, or read from the cache, first."""
+        return self.dispatcher(*args, **kwargs)
+
+    def __getattr__(self, name: str) -> Any:
+        if name.startswith("__") or name == "dispatcher":
+            raise AttributeError(name)
+        return getattr(self.dispatcher, name)
+
+    def __reduce__(self) -> str:
+        return self.py_func.__qualname__  # a name in its module
+
+
+def _typeof(value: Any) -> Any:
+    import numba
+
+    typeof: Any = numba.typeof
+    return typeof(value)
+
+
+@cache
+def numba_ready() -> None:
+    """Import numba, and teach it what is ours."""
+    from closedloop.jit import numba_blocks, numba_calls, numba_pointers, numba_simd8  # noqa: F401
+
+
+def _made(function: F, make: Callable[[Callable[..., Any]], Any]) -> F:
+    return function if jit_disabled() else cast(F, Kernel(function, make))
 
 
 def kernel(function: F) -> F:
@@ -36,21 +95,33 @@ def kernel(function: F) -> F:
     Kernels own no memory, so numba need not count who refers to it (`_nrt`): counting would cost more than a step's
     arithmetic. Hence a kernel may make views, but neither arrays nor anything that it returns to Python but numbers.
     """
-    return _nested(function, {"error_model": "numpy", "_nrt": False})
+    return _made(function, lambda plain: _nested(plain, {"error_model": "numpy", "_nrt": False}))
 
 
-def _nested(function: F, options: dict[str, Any]) -> F:
-    if numba_settings.DISABLE_JIT:
-        return function
-    return cast(F, NestedFunction(function, options, _kept(function, _njit(**options)(function))))
+def _nested(function: Callable[..., Any], options: dict[str, Any]) -> Any:
+    from closedloop.jit.inline_once import NestedFunction
+
+    def ordinary() -> Any:
+        return _kept(function, _njit(function, **options))
+
+    return NestedFunction(function, options, ordinary)
 
 
-def _kept(function: F, compiled: Any, identity: str = "") -> Any:
+def _njit(function: Callable[..., Any], **options: Any) -> Any:
+    import numba
+
+    decorate: Any = numba.njit  # its annotations do not know all that it takes
+    return decorate(**options)(function)
+
+
+def _kept(function: Callable[..., Any], compiled: Any, identity: str = "") -> Any:
     """Let what numba compiles for Python to call be kept on disk, and Ctrl-C wait until it is compiled.
 
     numba takes a lock while it compiles, and Ctrl-C just as it does so would leave it taken: what another thread
     compiles later would wait for ever. A second Ctrl-C does not wait.
     """
+    from closedloop.jit.compile_cache import KernelCache
+
     if os.path.isfile(function.__code__.co_filename):
         compiled._cache = KernelCache(function, identity)
     compile_now = compiled.compile
@@ -66,7 +137,7 @@ def _kept(function: F, compiled: Any, identity: str = "") -> Any:
 def inlined_kernel(function: F) -> F:
     """Make `function` a part of the kernel that calls it: of two large functions, one nested in the other, LLVM would
     optimise the inner one twice."""
-    return cast(F, _njit(error_model="numpy", _nrt=False, inline="always")(function))
+    return _made(function, lambda plain: _njit(plain, error_model="numpy", _nrt=False, inline="always"))
 
 
 def kernel_inlined(function: F) -> F:
@@ -74,7 +145,8 @@ def kernel_inlined(function: F) -> F:
 
     A call hands over each array as seven words, and the workspace of a step is forty arrays.
     """
-    return _nested(function, {"error_model": "numpy", "_nrt": False, "forceinline": True})
+    options = {"error_model": "numpy", "_nrt": False, "forceinline": True}
+    return _made(function, lambda plain: _nested(plain, options))
 
 
 def entry_kernel(function: F, *, nogil: bool = True, identity: str = "") -> F:
@@ -83,8 +155,11 @@ def entry_kernel(function: F, *, nogil: bool = True, identity: str = "") -> F:
     It lets other threads of Python run unless `nogil` is false: that takes 30 ns. `identity` says, of a function made
     inside another, what it was made of.
     """
-    compiled = _njit(error_model="numpy", nogil=nogil, _nrt=False)(function)
-    return cast(F, compiled if numba_settings.DISABLE_JIT else _kept(function, compiled, identity))
+
+    def make(plain: Callable[..., Any]) -> Any:
+        return _kept(plain, _njit(plain, error_model="numpy", nogil=nogil, _nrt=False), identity)
+
+    return _made(function, make)
 
 
 def brief_entry(function: F) -> F:
@@ -99,8 +174,8 @@ def direct(function: F, *arguments: Any) -> F:
     """
     if not hasattr(function, "get_overload"):
         return function  # as with NUMBA_DISABLE_JIT=1
-    kinds = tuple(_typeof(x) for x in arguments)
-    dispatcher = cast(Any, function)
+    kinds = tuple(map(_typeof, arguments))
+    dispatcher = getattr(function, "dispatcher", cast(Any, function))
     if kinds not in dispatcher.overloads:  # numba's lock would stay taken if Ctrl-C came as it is entered
         dispatcher.compile(kinds)
     return cast(F, dispatcher.get_overload(kinds))
@@ -113,6 +188,9 @@ def plain(function: F) -> F:
 
 def needs_compiling(function: Callable[..., Any]) -> bool:
     """Whether calling `function` now would compile it first, which takes seconds."""
-    if numba_settings.DISABLE_JIT or getattr(function, "signatures", ()):
+    dispatcher: Any = vars(function).get("dispatcher") if isinstance(function, Kernel) else function
+    if jit_disabled() or getattr(dispatcher, "signatures", None):
         return False
+    from closedloop.jit.cache_folder import is_kept
+
     return not is_kept(function)

@@ -7,17 +7,11 @@ so their addresses are written down once, in a block of whole numbers, and compi
 from __future__ import annotations
 
 import ctypes
-from collections.abc import Callable
 from functools import lru_cache
 from typing import Any
 
 import numpy as np
-from numba import types
-from numba.core.typing.templates import AbstractTemplate, infer_global, signature
-from numba.extending import lower_builtin
 from numpy.typing import NDArray
-
-from closedloop.jit.blocks import array_on
 
 Array = NDArray[np.float64]
 Whole = NDArray[np.int64]
@@ -54,27 +48,3 @@ def fortran_at(address: int, rows: int, columns: int) -> Array:
 def whole_at(address: int, n: int) -> Whole:
     """Return the (n,) array of int64 at an address."""
     return np.ctypeslib.as_array((ctypes.c_int64 * int(n)).from_address(int(address)))
-
-
-def _compiled(function: Callable[..., Any], kind: Any) -> None:
-    """Teach numba one of the functions above."""
-    dtype = types.CPointer(kind.dtype)
-
-    @infer_global(function)
-    class At(AbstractTemplate):
-        key = function
-
-        def generic(self, args: Any, kws: Any) -> Any:
-            fits = len(args) == 1 + kind.ndim and not kws and all(isinstance(x, types.Integer) for x in args)
-            return signature(kind, *(types.intp for _ in args)) if fits else None
-
-    @lower_builtin(function, *(types.intp for _ in range(1 + kind.ndim)))
-    def lower(context: Any, builder: Any, call: Any, arguments: Any) -> Any:
-        data = builder.inttoptr(arguments[0], context.get_value_type(dtype))
-        return array_on(context, builder, kind, data, list(arguments[1:]))
-
-
-_compiled(vector_at, types.Array(types.float64, 1, "C"))
-_compiled(matrix_at, types.Array(types.float64, 2, "C"))
-_compiled(fortran_at, types.Array(types.float64, 2, "F"))
-_compiled(whole_at, types.Array(types.int64, 1, "C"))

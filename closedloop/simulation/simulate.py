@@ -135,7 +135,7 @@ def check_engine(scenario: Scenario, engine: str, law: Law | None) -> None:
             f"use the engine 'pinocchio', or one of {', '.join(map(repr, INTEGRATORS))}"
         )
     if law is not None:
-        from closedloop.engines.user_law import compiled_law
+        from closedloop.engines.compiled_law import compiled_law
 
         compiled_law(law)
 

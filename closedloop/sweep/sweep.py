@@ -14,7 +14,7 @@ import robot_models
 from closedloop.batch.table import kept_columns
 from closedloop.engines.loops import COMPILED
 from closedloop.errors import ScenarioError
-from closedloop.jit.kernel import cache_folder
+from closedloop.jit.cache_folder import cache_folder
 from closedloop.record.run import COLUMNS
 from closedloop.record.versions import package_versions
 from closedloop.scenario.members import members_of_users

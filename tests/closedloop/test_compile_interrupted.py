@@ -10,9 +10,9 @@ import numpy as np
 import pytest
 from numba.core.compiler_lock import _CompilerLock, global_compiler_lock
 
-from closedloop.jit.kernel import direct, entry_kernel, kernel, numba_settings
+from closedloop.jit.kernel import direct, entry_kernel, jit_disabled, kernel
 
-pytestmark = pytest.mark.skipif(bool(numba_settings.DISABLE_JIT), reason="nothing is compiled")
+pytestmark = pytest.mark.skipif(bool(jit_disabled()), reason="nothing is compiled")
 
 SOURCE = """
 def {name}(x, out):

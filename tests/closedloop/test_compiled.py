@@ -11,7 +11,8 @@ import pytest
 
 import closedloop as cl
 from closedloop.engines.loops import ENGINES, PINOCCHIO, loop_for
-from closedloop.jit.kernel import cache_folder, needs_compiling
+from closedloop.jit.cache_folder import cache_folder
+from closedloop.jit.kernel import needs_compiling
 
 ROOT = Path(cl.__file__).parent.parent
 
@@ -68,7 +69,7 @@ def test_compiled_code_is_kept_by_the_text_of_its_source():
 
 def test_changed_source_gets_another_cache(tmp_path):
     """A change in any kernel's file, of a comment even, changes the cache: stale compiled code is never used."""
-    code = "from closedloop.jit.kernel import cache_folder; print(cache_folder().name)"
+    code = "from closedloop.jit.cache_folder import cache_folder; print(cache_folder().name)"
     names = []
     for comment in ("", "\n# changed\n"):
         folder = tmp_path / f"copy{len(comment)}"

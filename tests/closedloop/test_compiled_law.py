@@ -126,10 +126,10 @@ def too_short(t, q, v, terms):
         (changes_the_state, ["changes_the_state", "there to be read"]),
         (number, ["number returns float64", "one torque a joint"]),
         (listed, ["listed returns", "one torque a joint"]),
-        (three_arguments, ["takes 3 arguments", "(t, q, v, terms)", "(t, q, v, terms, torque)"]),
+        (three_arguments, ["takes 3 arguments", "(x)", "(t, q, v, terms)", "torque besides"]),
         (no_such_term, ["'gravity'", "test_compiled_law.py"]),
         (both, ["both returns", "must return nothing"]),
-        (too_short, ["another length", "(4,)"]),
+        (too_short, ["Q of shape (3,)", "(4,)"]),
     ],
     ids=lambda value: getattr(value, "__name__", None),
 )

@@ -19,7 +19,7 @@ from closedloop.control.laws.paper import PaperLaw
 from closedloop.control.sensor import SensorSection, pack_sensor, sense, sensor_rates, start_sensor
 from closedloop.control.stability import check_sampling, force_loop_settles
 from closedloop.errors import ScenarioError
-from closedloop.jit.kernel import plain
+from closedloop.jit.interpreted import interpreted
 
 SECTIONS = (OperationalSpaceLaw, DynamicHybridLaw, ImpedanceLaw, AdmittanceLaw)
 JOINT_LAWS = (partial(PaperLaw, kp=400.0, kd=30.0), partial(HybridLaw, kp=400.0, kd=30.0))
@@ -134,8 +134,8 @@ def sampled_force(feedback, integral, section, period, samples=4000):
             break
         now = y[0] if sensor.states else f
         z += period * (10.0 - (measured if sensor.sampled else now))
-        measured = plain(sense)(f, k, sensor.par, y, 0.0, ring)
-        plain(sensor_rates)(f, sensor.par, y, dy)
+        measured = interpreted(sense)(f, k, sensor.par, y, 0.0, ring)
+        interpreted(sensor_rates)(f, sensor.par, y, dy)
         y += period * dy
     return np.array(forces)
 
@@ -228,8 +228,8 @@ def test_fast_feedback_behind_a_low_pass_in_the_closed_loop():
     push(loop, 3.0)
     for k in range(100):
         F, _ = loop.step(1e-3)
-        loop.f_measured = plain(sense)(F[0], k, sensor.par, y, 0.0, ring)
-        plain(sensor_rates)(F[0], sensor.par, y, dy)
+        loop.f_measured = interpreted(sense)(F[0], k, sensor.par, y, 0.0, ring)
+        interpreted(sensor_rates)(F[0], sensor.par, y, dy)
         y += 1e-3 * dy
     assert F[0] - 10.0 == pytest.approx(3.0 / 6.0, abs=1e-3)
 
@@ -255,7 +255,7 @@ def test_observer_faster_than_its_sensor_is_refused():
         forces = []
         for k in range(600):
             F, _ = loop.step(1e-3)
-            loop.f_measured = plain(sense)(F[0], k, sensor.par, np.zeros(0), 0.0, ring)
+            loop.f_measured = interpreted(sense)(F[0], k, sensor.par, np.zeros(0), 0.0, ring)
             forces.append(F[0])
         grown.append(np.ptp(forces[500:]) / np.ptp(forces[:100]))
     assert grown[0] < 0.5
@@ -271,7 +271,7 @@ def test_feedback_adds_in_contact_alone_and_takes_away_in_free_motion_too(readin
     z = SimpleNamespace(force_error=integral)
     feedback = 0.5 * (10.0 - reading) + 20.0 * integral
     for pressed, expected in ((1.0, 10.0 + feedback), (0.0, 10.0 + min(feedback, 0.0))):
-        found = plain(commanded_force)(x._replace(pressed=pressed), loop.law, z)
+        found = interpreted(commanded_force)(x._replace(pressed=pressed), loop.law, z)
         assert found == pytest.approx(expected, rel=1e-15)
 
 
@@ -291,4 +291,4 @@ def test_integral_rests_in_free_motion_but_for_its_recovery(pressed, f_des, f, i
     """On the surface ż = f_des − f; off it z rises to zero at most, if the tip is to press."""
     loop = Loop("wam4", OperationalSpaceLaw(force_integral=20.0))
     x = loop.moment(0.0, loop.q, loop.v)[0]._replace(pressed=pressed, f_des=f_des)
-    assert plain(force_error_rate)(x, loop.law, SimpleNamespace(force_error=integral), f) == rate
+    assert interpreted(force_error_rate)(x, loop.law, SimpleNamespace(force_error=integral), f) == rate

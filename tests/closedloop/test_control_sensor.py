@@ -13,7 +13,7 @@ from closedloop.control.sensor import (
     start_sensor,
 )
 from closedloop.errors import ScenarioError
-from closedloop.jit.kernel import plain
+from closedloop.jit.interpreted import interpreted
 
 H = 1e-3
 
@@ -26,8 +26,8 @@ def readings(section, forces, period=H):
     normal = draws(section, len(forces))
     out = []
     for k, f in enumerate(forces):
-        out.append(sense(f, k, sensor.par, z, normal[k], ring))
-        plain(sensor_rates)(f, sensor.par, z, dz)
+        out.append(interpreted(sense)(f, k, sensor.par, z, normal[k], ring))
+        interpreted(sensor_rates)(f, sensor.par, z, dz)
         z += period * dz
     return np.array(out)
 
@@ -90,8 +90,8 @@ def test_continuous_reading_is_low_passed_and_biased_only():
     sensor = pack_sensor(section, H)
     assert sensor.sampled is True
     assert sensor.ring == 3
-    assert plain(continuous_reading)(99.0, sensor.par, np.array([10.2])) == 10.7
-    assert plain(continuous_reading)(10.2, pack_sensor(SensorSection(bias=0.5), H).par, np.zeros(0)) == 10.7
+    assert interpreted(continuous_reading)(99.0, sensor.par, np.array([10.2])) == 10.7
+    assert interpreted(continuous_reading)(10.2, pack_sensor(SensorSection(bias=0.5), H).par, np.zeros(0)) == 10.7
 
 
 @pytest.mark.parametrize(

@@ -7,8 +7,9 @@ import numpy as np
 import pytest
 from numba.core.errors import TypingError
 
+from closedloop.jit.numba_simd8 import float64x8_at, lane, with_lane
 from closedloop.jit.pointers import address_of
-from closedloop.jit.simd8 import WIDE, aligned, every, float64x8_at, lane, nearest, select, with_lane
+from closedloop.jit.simd8 import WIDE, aligned, every, nearest, select
 
 compiled = numba.njit(error_model="numpy")
 TRICKY = [0.0, -0.0, 1.0, -1.5, 1e308, 5e-324, math.inf, -math.inf, math.nan, 0.1, 1e16 + 2.0, 2.0 / 3.0]

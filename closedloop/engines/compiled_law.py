@@ -1,0 +1,157 @@
+"""A law of one's own that numba compiles, as the entry that the loop calls; see `closedloop.engines.user_law`."""
+
+from __future__ import annotations
+
+import math
+from functools import lru_cache
+from typing import Any
+
+import numba
+import numpy as np
+from numba import NumbaError, types
+from numpy.typing import NDArray
+
+from closedloop.control.law_input import LawInput
+from closedloop.engines.user_law import NOT_FINITE, NUMBERS, RAISED, WRONG_LENGTH, Arguments, arguments_of, name_of
+from closedloop.errors import ScenarioError, one_line
+from closedloop.jit.calls import is_compiled
+from closedloop.jit.kernel import numba_ready
+from closedloop.robot.pinocchio import Terms
+from closedloop.step.entries import TORQUE, law_input
+from closedloop.step.memory import loop_at
+
+numba_ready()
+
+Array = NDArray[np.float64]
+
+_READ = {d: types.Array(types.float64, d, "C", readonly=True) for d in (1, 2)}
+_TERMS: Any = types.NamedTuple((_READ[2], _READ[1], _READ[1], _READ[2], _READ[1]), Terms)  # type: ignore[no-untyped-call]
+_MATRICES = ("H", "L", "A", "X", "S", "J", "frame")
+
+
+def _kind_of(name: str) -> Any:
+    if name in NUMBERS:
+        return types.float64
+    return types.float64[::1] if name == "scratch" else _READ[2 if name in _MATRICES else 1]
+
+
+_INPUT: Any = types.NamedTuple(tuple(map(_kind_of, LawInput._fields)), LawInput)  # type: ignore[no-untyped-call]
+
+
+@lru_cache(maxsize=32)
+def compiled_law(law: Any) -> Any:
+    """Return the entry of a law of numba's, or say why there can be none; see `closedloop.jit.calls`.
+
+    Raises
+    ------
+    ScenarioError
+        If it is no such function: a Python function, other arguments, what numba cannot compile, another result.
+    """
+    if not is_compiled(law):
+        raise ScenarioError(
+            f"engine = 'compiled': the law {name_of(law)} is not compiled: mark it with @numba.njit, "
+            "or use the engine 'pinocchio'"
+        )
+    ways = arguments_of(law)
+    asked: tuple[Any, ...] = (_INPUT,) if ways.sees_input else (types.float64, _READ[1], _READ[1], _TERMS)
+    if ways.writes:
+        asked += (types.float64[::1],)
+    try:
+        law.compile(asked)
+        result = law.overloads[asked].signature.return_type
+        if ways.writes:
+            _check(law, result, result == types.none, "must return nothing: it writes the torque")
+        else:
+            array = isinstance(result, types.Array) and result.ndim == 1
+            real = array and isinstance(result.dtype, types.Integer | types.Float)
+            _check(law, result, real, "must be a one-dimensional array of real numbers, one torque a joint")
+        return _entry_of(law, ways)
+    except NumbaError as error:
+        raise ScenarioError(
+            f"engine = 'compiled': numba cannot compile the law {name_of(law)}: {_why(error)}; "
+            "use the engine 'pinocchio' for it"
+        ) from None
+
+
+def _check(law: Any, result: Any, right: bool, cure: str) -> None:
+    if not right:
+        raise ScenarioError(f"engine = 'compiled': the law {name_of(law)} returns {result}: {cure}")
+
+
+@numba.njit(_READ[1](_READ[1]))
+def _read(x: Array) -> Array:
+    """Return an array of which compiled code can only read."""
+    return x
+
+
+@numba.njit(_READ[2](_READ[2]))
+def _read2(x: Array) -> Array:
+    return x
+
+
+def _entry_of(law: Any, ways: Arguments) -> Any:
+    """Return the entry of a law that has been compiled for what it asks."""
+    if ways.sees_input:
+
+        @numba.njit
+        def given(x: Any) -> Any:
+            return (
+                LawInput(
+                    x.t, _read(x.q), _read(x.v), _read2(x.H), _read(x.C), _read2(x.L), _read2(x.A), _read2(x.X),
+                    _read2(x.S), _read(x.drift), _read(x.p), _read(x.u), _read(x.r), _read2(x.J), _read(x.Jdot_v),
+                    _read2(x.frame), _read(x.q_des), _read(x.v_des), _read(x.p_des), _read(x.u_des), _read(x.a_des),
+                    x.f_des, x.f_measured, x.pressed, x.scratch,
+                ),
+            )  # fmt: skip
+
+    else:
+
+        @numba.njit
+        def given(x: Any) -> Any:
+            terms = Terms(_read2(x.H), _read(x.C), _read(x.r), _read2(x.J), _read(x.Jdot_v))
+            return x.t, _read(x.q), _read(x.v), terms
+
+    if ways.writes:
+
+        @numba.njit
+        def ask(x: Any, torque: Array) -> int:
+            torque[:] = 0.0
+            law(*given(x), torque)
+            return 0
+
+    else:
+
+        @numba.njit
+        def ask(x: Any, torque: Array) -> int:
+            answer = law(*given(x))
+            if answer.shape[0] != torque.shape[0]:
+                return WRONG_LENGTH
+            torque[:] = answer
+            return 0
+
+    @numba.njit(nogil=True)
+    def entry(address: int, what: int) -> int:
+        if what != TORQUE:
+            return 0
+        state, constants, w = loop_at(address)
+        try:
+            answer = ask(law_input(state, constants, w), w.torque)
+        except Exception:
+            return RAISED
+        for torque in w.torque:
+            if not math.isfinite(torque):
+                return NOT_FINITE
+        return int(answer)
+
+    return entry
+
+
+def _why(error: NumbaError) -> str:
+    """Return the line of numba's message that says what is wrong, and the line of the law where."""
+    lines = [line.strip() for line in str(error).splitlines()]
+    if any("setitem(readonly" in line for line in lines):
+        return "it writes into q, v or terms, which are there to be read"
+    told = [line for line in lines if line and not line.startswith(("Failed in", "-", "No implementation"))]
+    where = next((line for line in lines if line.startswith("File ")), "")
+    what = next((line for line in told if line != where), str(type(error).__name__))
+    return one_line(f"{what} ({where.rstrip(':')})" if where else what)

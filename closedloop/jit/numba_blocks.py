@@ -1,0 +1,111 @@
+"""Blocks in compiled code: an address and sizes, of which the parts are made where they are asked for.
+
+See `closedloop.jit.blocks`. This is imported when the first kernel is compiled or read from the cache.
+"""
+
+from __future__ import annotations
+
+from typing import Any
+
+from numba import types
+from numba.core import cgutils
+from numba.core.imputils import lower_setattr_generic
+from numba.core.typing.templates import AbstractTemplate, AttributeTemplate, infer_global, signature
+from numba.extending import infer_getattr, lower_builtin, lower_getattr_generic, models, register_model
+from numba.np.arrayobj import make_array, populate_array
+
+from closedloop.jit.blocks import Block, Count, blocks, when_made
+
+
+def array_on(context: Any, builder: Any, kind: Any, data: Any, shape: list[Any]) -> Any:
+    """Return compiled code's array of a type (C or F order) and shape on the numbers at the pointer `data`."""
+    size = context.get_constant(types.intp, context.get_abi_sizeof(context.get_data_type(kind.dtype)))
+    strides = [size]
+    for length in shape[:-1] if kind.layout == "F" else reversed(shape[1:]):
+        strides.append(builder.mul(strides[-1], length))
+    if kind.layout == "C":
+        strides.reverse()
+    array = make_array(kind)(context, builder)
+    populate_array(array, data=data, shape=shape, strides=strides, itemsize=size, meminfo=None, parent=None)
+    return array._getvalue()
+
+
+def teach(block: type[Block]) -> None:
+    """Make `block(memory, *sizes)`, in compiled code, the block's parts as attributes.
+
+    Memory of float64 has parts of float64, of float64x8 (`closedloop.jit.simd8`) parts of float64x8, of int64 whole
+    numbers. It must outlive the block; numba does not count who refers to it.
+    """
+    layout, made = block.layout, f"{block.__module__}.{block.__qualname__}"
+
+    class BlockType(types.Type):
+        def __init__(self, dtype: Any) -> None:
+            self.dtype = dtype
+            super().__init__(name=f"{made} of {dtype}")
+
+    @register_model(BlockType)
+    class Model(models.StructModel):
+        def __init__(self, dmm: Any, fe_type: Any) -> None:
+            sizes = ((name, types.intp) for name in layout.sizes)
+            super().__init__(dmm, fe_type, [("base", types.CPointer(fe_type.dtype)), *sizes])
+
+    @infer_global(block, typing_key=made)
+    class Views(AbstractTemplate):
+        key = made
+
+        def generic(self, args: Any, kws: Any) -> Any:
+            fits = len(args) == 1 + len(layout.sizes) and isinstance(args[0], types.Array) and not kws
+            return signature(BlockType(args[0].dtype), *args) if fits and args[0].layout == "C" else None
+
+    @lower_builtin(made, types.Array, types.VarArg(types.Any))
+    def lower_views(context: Any, builder: Any, call: Any, arguments: Any) -> Any:
+        struct = cgutils.create_struct_proxy(call.return_type)(context, builder)
+        struct.base = make_array(call.args[0])(context, builder, value=arguments[0]).data
+        for name, kind, value in zip(layout.sizes, call.args[1:], arguments[1:], strict=True):
+            setattr(struct, name, context.cast(builder, value, kind, types.intp))
+        return struct._getvalue()
+
+    @infer_getattr
+    class Attributes(AttributeTemplate):
+        key = BlockType
+
+        def generic_resolve(self, value: Any, attribute: str) -> Any:  # type: ignore[override]
+            shape = layout.shape.get(attribute)
+            if shape is None:
+                return None
+            return types.Array(value.dtype, len(shape), "C") if shape else value.dtype
+
+    def place(context: Any, builder: Any, kind: Any, value: Any, attribute: str) -> tuple[Any, list[Any]]:
+        """Write code for the pointer to a part, and its shape."""
+        struct = cgutils.create_struct_proxy(kind)(context, builder, value=value)
+
+        def number(count: Count) -> Any:
+            total = context.get_constant(types.intp, count.terms.get((), 0))
+            for product, times in count.terms.items():
+                if product:
+                    x = getattr(struct, product[0])
+                    for name in product[1:]:
+                        x = builder.mul(x, getattr(struct, name))
+                    total = builder.add(total, builder.mul(x, context.get_constant(types.intp, times)))
+            return total
+
+        data = builder.gep(struct.base, [number(layout.at[attribute])])
+        return data, [number(count) for count in layout.shape[attribute]]
+
+    @lower_getattr_generic(BlockType)
+    def lower_attribute(context: Any, builder: Any, kind: Any, value: Any, attribute: str) -> Any:
+        data, shape = place(context, builder, kind, value, attribute)
+        if not shape:
+            return context.unpack_value(builder, kind.dtype, data)
+        return array_on(context, builder, types.Array(kind.dtype, len(shape), "C"), data, shape)
+
+    @lower_setattr_generic(BlockType)
+    def lower_assignment(context: Any, builder: Any, call: Any, arguments: Any, attribute: str) -> None:
+        data, shape = place(context, builder, call.args[0], arguments[0], attribute)
+        assert not shape
+        context.pack_value(builder, call.args[0].dtype, arguments[1], data)
+
+
+for _block in blocks:
+    teach(_block)
+when_made.append(teach)

@@ -48,7 +48,11 @@ TESTS: dict[str, tuple[str, ...]] = {
     "closedloop.events.locate": (f"{IN}test_kernel_faults.py", f"{IN}test_contact_events.py"),
     "closedloop.impact.phases": (f"{IN}test_impact_planar.py", f"{IN}test_impact.py"),
     "closedloop.impact.single": (f"{IN}test_impact.py", f"{IN}test_impact_planar.py"),
-    "closedloop.friction.laws": (f"{IN}test_friction_laws.py", f"{IN}test_friction_bristles.py"),
+    "closedloop.friction.laws": (
+        f"{IN}test_friction_laws.py",
+        f"{IN}test_friction_bristles.py",
+        f"{IN}test_friction_seven_parameter.py",
+    ),
     "closedloop.friction.stribeck": (f"{IN}test_friction_laws.py",),
     "closedloop.friction.dahl": (f"{IN}test_friction_laws.py", f"{IN}test_friction_bristles.py"),
     "closedloop.control.tip_space": (f"{IN}test_control_laws.py",),

@@ -321,7 +321,7 @@ def test_singular_pose_ends_with_status_3_and_a_saved_run(command_line, tmp_path
     assert summary["stopped"] == run.stopped
 
 
-@pytest.mark.parametrize("figures", [True, False])
+@pytest.mark.parametrize("figures", [pytest.param(True, marks=pytest.mark.slow), False])
 def test_divergence_ends_with_status_3_and_the_partial_run(figures, command_line, tmp_path):
     """A law with negative damping: status 3, when and which joint, valid JSON, and every row until then, finite."""
     outcome = command_line(

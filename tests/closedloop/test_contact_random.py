@@ -178,9 +178,9 @@ def test_a_pressed_tip_does_not_creep_off_the_surface():
 
 
 @pytest.mark.parametrize("arm", ARMS)
-def test_a_hundred_random_drops(arm):
-    """A hundred drops, and each comes to its end."""
-    assert drops(arm, 1, 100) == {"done": 100}
+def test_some_random_drops(arm):
+    """Forty drops, and each comes to its end."""
+    assert drops(arm, 1, 40) == {"done": 40}
 
 
 def draw_wild(arm, rng):

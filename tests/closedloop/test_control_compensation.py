@@ -62,8 +62,14 @@ def slide(name, law, compensation, path, *, friction=STRIBECK, duration=2.0, set
     return rms(run["f"][late] - 10.0), rms(np.linalg.norm(run["e"][late], axis=1)), run, loop
 
 
-@pytest.mark.parametrize("path", PATHS)
-@pytest.mark.parametrize("compensation", UNKNOWING)
+@pytest.mark.parametrize(
+    ("compensation", "path"),
+    [
+        pytest.param(kind, path, marks=() if (kind == "observer") == (path == "line") else pytest.mark.slow)
+        for kind in UNKNOWING
+        for path in PATHS
+    ],
+)
 def test_wam_keeps_force_and_path_on_unknown_friction(path, compensation):
     """The aim: 10 N within 0.05 N and the path within 0.1 mm, RMS, at 1 kHz; uncompensated it is missed by far."""
     force, way, _, _ = slide("wam4", LAWS["operational_space"], UNKNOWING[compensation], PATHS[path])

@@ -7,6 +7,7 @@ import pytest
 from control_loop import POSES, Loop, arm
 
 import closedloop as cl
+<<<<<<< HEAD
 from closedloop.control.compensation.adaptive import AdaptiveCompensation
 from closedloop.control.compensation.model import ModelCompensation
 from closedloop.control.compensation.observer import ObserverCompensation
@@ -18,6 +19,22 @@ from closedloop.control.laws.operational_space import OperationalSpaceLaw
 from closedloop.control.laws.paper import PaperLaw, paper_law
 from closedloop.control.tip_space import pseudo_inverse, surface_mobility
 from closedloop.engines.problem import pack_law
+=======
+from closedloop.control import paper_law
+from closedloop.control.pack import pack_law
+from closedloop.control.sections import (
+    AdaptiveCompensationSection,
+    AdmittanceLawSection,
+    DynamicHybridLawSection,
+    HybridLawSection,
+    ImpedanceLawSection,
+    ModelCompensationSection,
+    ObserverCompensationSection,
+    OperationalSpaceLawSection,
+    PaperLawSection,
+)
+from closedloop.control.tip_space import motion_along_normal, pseudo_inverse, surface_mobility
+>>>>>>> part/suite
 from closedloop.jit.kernel import plain
 
 LAWS = {
@@ -291,3 +308,25 @@ def test_pseudo_inverse_by_rotations(rank):
         in_place = M.copy()
         pseudo_inverse(in_place, np.zeros(18), in_place)
         assert np.array_equal(in_place, P)
+
+
+@pytest.mark.parametrize("height", [-0.1, 0.0, 0.1])
+@pytest.mark.parametrize("rate", [-0.5, 0.0, 0.3])
+@pytest.mark.parametrize("f_des", [-30.0, -0.5, 0.0, 0.5, 30.0])
+def test_off_the_surface_the_sign_of_the_command_says_where_to(f_des, rate, height):
+    """Down at the speed of approach to press, however gently; after the path at zero; never down to stay away."""
+    stiffness, damping, speed = 400.0, 40.0, 0.05
+    loop = Loop("wam4", LAWS["operational_space"])
+    x = loop.moment(0.0, loop.q, loop.v)[0]
+    x = x._replace(f_des=f_des, pressed=0.0, u=np.array([rate, 0.0, 0.0]), p_des=x.p + height * np.eye(3)[0])
+    a = plain(motion_along_normal)(x, f_des, stiffness, damping, speed)
+    if f_des > 0.0:
+        in_contact = -x.S[0, 0] * f_des - damping * max(rate, 0.0)  # no harder than f_des would press
+        wanted = max(damping * (-speed - rate), in_contact)
+    else:
+        follow = stiffness / damping * height
+        if f_des < 0.0:
+            follow = max(follow, 0.0) + x.S[0, 0] * -f_des / damping
+        wanted = damping * (np.clip(follow, -speed, speed) - rate)
+    assert a == pytest.approx(wanted, rel=1e-14)
+    assert plain(motion_along_normal)(x._replace(pressed=1.0), f_des, stiffness, damping, speed) == 0.0

@@ -313,7 +313,7 @@ def test_both_levels_of_friction_are_drawn_where_there_are_two():
 @pytest.mark.parametrize(
     ("name", "more"),
     [
-        ("wam_touchdown", ["fig_impacts"]),
+        pytest.param("wam_touchdown", ["fig_impacts"], marks=pytest.mark.slow),
         pytest.param("wam_liftoff", [], marks=pytest.mark.slow),
         pytest.param("wam_edge", ["fig_impacts"], marks=pytest.mark.slow),
         ("sliding", ["fig_friction"]),

@@ -206,3 +206,18 @@ def test_interpreted_and_compiled_are_the_same():
     compiled = here["numbers"]()
     assert len(compiled) > 1000
     assert json.loads(done.stdout) == pytest.approx(compiled, rel=1e-13, abs=1e-15)
+
+
+@pytest.mark.parametrize(
+    ("name", "limit"),
+    [
+        ("none", 0.0), ("coulomb", 0.3), ("coulomb_viscous", 0.3), ("stribeck", 0.35), ("karnopp", 0.35), ("dahl", 0.3),
+        ("lugre", 0.35), ("seven_parameter", 0.18),
+    ],
+)  # fmt: skip
+def test_a_contact_at_rest_resists_its_static_level(name, limit):
+    """Static where a law has such a level, kinetic where it has but that, fully risen after a long rest; or nothing."""
+    kind, par = pack(EXAMPLES[name])
+    z = np.full(state_count(kind, 2), np.nan)
+    rest_states(kind, par, z)
+    assert stick_limit(kind, par, z) == pytest.approx(limit, rel=1e-15)

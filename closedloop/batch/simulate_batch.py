@@ -18,7 +18,7 @@ from typing import TYPE_CHECKING, Any
 from closedloop.batch.table import kept_columns, key_type, schema, table_of
 from closedloop.batch.threads import Done, side_by_side
 from closedloop.batch.worker import Bench, Outcome, failed
-from closedloop.engines.lanes import FEWEST, goes_abreast
+from closedloop.engines.lanes import FEWEST, uses_lanes
 from closedloop.engines.loops import COMPILED
 from closedloop.errors import ScenarioError
 from closedloop.jit.simd8 import WIDE
@@ -32,7 +32,7 @@ if TYPE_CHECKING:
     import pyarrow as pa
 
 MOST_THREADS = 1000
-# Keys in which runs that go abreast may differ; see `closedloop.engines.lanes.Kind`.
+# Keys in which the runs of one set of lanes may differ; see `closedloop.engines.lanes.Kind`.
 OF_ANY_KIND = (
     "law.force", "law.kp", "law.kd", "law.pd_start", "stabiliser.time_constant", "stabiliser.damping_ratio", "start.",
     "reference.", "force_profile.", "surface.normal", "surface.offset",
@@ -118,7 +118,7 @@ def simulate_batch(
 def in_blocks(
     variants: Variants, points: Sequence[Sequence[Any]], engine: str, runs: int, threads: int = 1
 ) -> list[list[int]]:
-    """Return the numbers of all points, in blocks of those that may go abreast and one by one for others.
+    """Return the numbers of all points: in blocks of those that may share SIMD lanes, the others one by one.
 
     Parameters
     ----------
@@ -139,16 +139,16 @@ def in_blocks(
     blocks = []
     for members in kinds.values():
         few = len(members) < FEWEST
-        each = 1 if few or not _go_abreast(variants, [points[i] for i in members[:WIDE]], engine, runs) else width
+        each = 1 if few or not _use_lanes(variants, [points[i] for i in members[:WIDE]], engine, runs) else width
         blocks += [members[first : first + each] for first in range(0, len(members), each)]
     return blocks
 
 
-def _go_abreast(variants: Variants, points: Sequence[Sequence[Any]], engine: str, runs: int) -> bool:
-    """Whether the runs with these values, of one kind, go abreast: as the first of them does that can be read."""
+def _use_lanes(variants: Variants, points: Sequence[Sequence[Any]], engine: str, runs: int) -> bool:
+    """Whether the runs with these values, of one kind, use lanes: decided by the first that can be read."""
     for values in points:
         try:
-            return goes_abreast(variants.scenario(values), engine, runs)
+            return uses_lanes(variants.scenario(values), engine, runs)
         except Exception:  # of its own row, which says it
             continue
     return False

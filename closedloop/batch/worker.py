@@ -4,7 +4,7 @@ Beside the steps a run of a batch costs some Python: its scenario is checked, an
 large is kept here from run to run: robots, paths and tables (`closedloop.simulation.cache`), rows, events, scratch.
 Nothing of an earlier run can be seen in a later one: the loop reads no row that it has not written.
 
-Runs that are alike enough go eight abreast (`closedloop.engines.lanes`), which changes no bit of what they come to.
+Runs of one kind go eight at a time in SIMD lanes (`closedloop.engines.lanes`), with the same results to the last bit.
 """
 
 from __future__ import annotations
@@ -22,7 +22,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from closedloop.engines.compiled import compiled_tree, compiled_work
-from closedloop.engines.lanes import FEWEST, Abreast, Kind, goes_abreast, kind_of
+from closedloop.engines.lanes import FEWEST, Kind, LaneRuns, kind_of, uses_lanes
 from closedloop.engines.loops import COMPILED
 from closedloop.engines.problem import Problem
 from closedloop.errors import ClosedLoopError, SingularClosureError, one_line
@@ -52,7 +52,7 @@ FRAMES = 3
 MOST_SAID = 300
 
 # Rows of eight runs that are kept whole may take this many bytes: less than what there is room for in `Pieces`.
-ROOM_ABREAST = 24_000_000
+LANE_ROW_BYTES = 24_000_000
 
 
 @dataclass(frozen=True)
@@ -132,14 +132,14 @@ class Bench:
         return failed(error)
 
     def run_all(self, scenarios: Sequence[Scenario], ran: Callable[[], None] = lambda: None) -> list[Outcome]:
-        """Run up to eight scenarios, abreast if they are of one kind, and return their outcomes in order.
+        """Run up to eight scenarios, in SIMD lanes if they are of one kind, and return their outcomes in order.
 
         `ran` is called after each.
         """
         outcomes: dict[int, Outcome] = {}
         members: list[int] = []
-        abreast: Abreast | None = None
-        together = len(scenarios) >= FEWEST and self._try_abreast(scenarios[0])
+        lane_runs: LaneRuns | None = None
+        together = len(scenarios) >= FEWEST and self._try_lanes(scenarios[0])
 
         def done(i: int, outcome: Outcome) -> None:
             outcomes[i] = outcome
@@ -149,62 +149,62 @@ class Bench:
             try:
                 problem = prepare(scenario, self._model, self._pieces)
                 kind = kind_of(problem) if together else None
-                if abreast is None and kind is not None:
-                    abreast = self._abreast(problem, kind)
-                if abreast is not None and kind == abreast.kind:
-                    abreast.take(len(members), problem)
+                if lane_runs is None and kind is not None:
+                    lane_runs = self._lane_runs(problem, kind)
+                if lane_runs is not None and kind == lane_runs.kind:
+                    lane_runs.load(len(members), problem)
                     members.append(i)
                     continue
                 outcome = self._run(problem)
             except Exception as error:  # the border of a row: see `failed`
                 outcome = self._failed(error)
             done(i, outcome)
-        came_to = self._run_abreast(abreast, [scenarios[i] for i in members]) if abreast is not None else None
+        came_to = self._run_in_lanes(lane_runs, [scenarios[i] for i in members]) if lane_runs is not None else None
         for lane, i in enumerate(members):
             done(i, self.run(scenarios[i]) if came_to is None else came_to[lane])
         return [outcomes[i] for i in range(len(scenarios))]
 
-    def _run_abreast(self, abreast: Abreast, scenarios: Sequence[Scenario]) -> list[Outcome] | None:
-        """Return what the runs of these scenarios, a lane each, came to; None if they have to go alone."""
+    def _run_in_lanes(self, lane_runs: LaneRuns, scenarios: Sequence[Scenario]) -> list[Outcome] | None:
+        """Return the outcomes of these scenarios, a lane each; None if they have to be run one by one."""
         if len(scenarios) < FEWEST:
             return None
         try:
-            ended_well = abreast.run(self._trees[abreast.kind.robot][0], len(scenarios))
-            self._remember(abreast.kind.contact, ended_well)
-            return [self._outcome(abreast, i, each) for i, each in enumerate(scenarios)] if ended_well else None
+            ended_well = lane_runs.run(self._trees[lane_runs.kind.robot][0], len(scenarios))
+            self._remember(lane_runs.kind.contact, ended_well)
+            return [self._outcome(lane_runs, i, each) for i, each in enumerate(scenarios)] if ended_well else None
         except Exception as error:  # alone, the one at fault fails by itself
             self._failed(error)
             return None
 
-    def _try_abreast(self, scenario: Scenario) -> bool:
-        """Whether scenarios like this one should go abreast: not if that has failed again and again of late."""
-        if not goes_abreast(scenario, self._engine, self._runs):
+    def _try_lanes(self, scenario: Scenario) -> bool:
+        """Whether to try lanes for scenarios like this one: not after repeated failures, see `_remember`."""
+        if not uses_lanes(scenario, self._engine, self._runs):
             return False
         contact = scenario.surface.contact
         self._waits[contact] -= 1
         return self._waits[contact] < 0
 
     def _remember(self, contact: str, ended_well: bool) -> None:
-        """Let the next 2, 6, 14 or 30 eights go alone after 2, 3, 4 or 5 in a row in which something came up."""
+        """Count failures: after 2, 3, 4 or 5 in a row the next 2, 6, 14 or 30 sets of eight are run one by one."""
         self._misses[contact] = 0 if ended_well else min(self._misses[contact] + 1, 5)
         self._waits[contact] = max(0, 2 ** self._misses[contact] - 2)
 
-    def _abreast(self, problem: Problem, kind: Kind) -> Abreast | None:
+    def _lane_runs(self, problem: Problem, kind: Kind) -> LaneRuns | None:
         """Return the memory for runs of a kind; None if they would need too much."""
         rows = (problem.steps + 1) * Row.of(problem.robot.n).width
-        if self._keep and rows * WIDE * self._rows.itemsize > ROOM_ABREAST:
+        if self._keep and rows * WIDE * self._rows.itemsize > LANE_ROW_BYTES:
             return None
         self._tree(problem)
         return self._pieces.get(
-            ("abreast", kind), lambda: Abreast(problem, kind, bool(self._keep)), lambda made: made.bytes
+            ("lanes", kind), lambda: LaneRuns(problem, kind, bool(self._keep)), lambda made: made.bytes
         )
 
-    def _outcome(self, abreast: Abreast, lane: int, scenario: Scenario) -> Outcome:
-        rows = abreast.rows(lane)
-        columns = {name: recorded(rows, abreast.n, name) for name in self._keep}
-        steps, figures = abreast.kind.steps, abreast.figures(lane)
-        verdict = verdict_of(scenario, abreast.kind.robot, figures, steps)
-        return Outcome(RAN, None, steps + 1, figures, abreast.end, columns, verdict)
+    def _outcome(self, lane_runs: LaneRuns, lane: int, scenario: Scenario) -> Outcome:
+        rows = lane_runs.rows(lane)
+        columns = {name: recorded(rows, lane_runs.n, name) for name in self._keep}
+        steps, figures = lane_runs.kind.steps, lane_runs.figures(lane)
+        verdict = verdict_of(scenario, lane_runs.kind.robot, figures, steps)
+        return Outcome(RAN, None, steps + 1, figures, lane_runs.end, columns, verdict)
 
     def _run(self, problem: Problem) -> Outcome:
         tree = self._tree(problem)

@@ -294,7 +294,7 @@ def test_an_error_among_eight_side_by_side_leaves_them_to_go_alone(monkeypatch):
     forces = [1.0, 2.0, 3.0, 4.0]
     sound = cl.simulate_batch(scenario, {"law.force": forces})
     tried = []
-    monkeypatch.setattr("closedloop.engines.lanes.Abreast.run", lambda *_: tried.append(1) or 1 / 0)
+    monkeypatch.setattr("closedloop.engines.lanes.LaneRuns.run", lambda *_: tried.append(1) or 1 / 0)
     assert cl.simulate_batch(scenario, {"law.force": forces}, workers=1).equals(sound)
     assert tried == [1]
 

@@ -82,7 +82,7 @@ def line_up(arms: Sequence[str], steps: int, runs: int) -> tuple[list[Contestant
         problem = slide(arm, steps)
         everyone.append(contestants.our_engine(arm, problem, "compiled"))
         if arm == "wam4":
-            everyone.append(batch.eight_abreast(arm, problem))
+            everyone.append(batch.in_lanes(arm, problem))
         everyone += [
             contestants.our_engine(arm, problem, "pinocchio"),
             contestants.bare_calls(arm, problem),

@@ -3,8 +3,8 @@
     table = cl.simulate_batch(cl.load_scenario("wam_slide"), {"law.force": [5.0, 10.0, 15.0]})
     table.to_pandas()[["law.force", "min_contact_force"]]
 
-Each thread has a bench of its own and takes the next few runs when it is done with some. The compiled engine holds no
-interpreter's lock while it steps, so threads are as good as processes, and need not send anything to each other.
+Each thread has a `Worker` and takes the next block of runs when it has finished one. The compiled engine releases the
+interpreter's lock while it steps, so threads run in parallel and share memory.
 """
 
 from __future__ import annotations
@@ -17,14 +17,14 @@ from typing import TYPE_CHECKING, Any
 
 from closedloop.batch.table import kept_columns, key_type, schema, table_of
 from closedloop.batch.threads import Done, side_by_side
-from closedloop.batch.worker import Bench, Outcome, failed
+from closedloop.batch.worker import Outcome, Worker, failed
 from closedloop.engines.lanes import FEWEST, uses_lanes
 from closedloop.engines.loops import COMPILED
 from closedloop.errors import ScenarioError
 from closedloop.jit.simd8 import WIDE
 from closedloop.scenario.overrides import Variants
 from closedloop.scenario.scenario import Scenario, families
-from closedloop.simulation.cache import Pieces
+from closedloop.simulation.cache import Cache
 from closedloop.simulation.simulate import check_engine
 from robot_models import RobotModel
 
@@ -91,13 +91,13 @@ def simulate_batch(
     columns = kept_columns(keep)
     variants = Variants(scenario, keys)
     check_engine(variants.look(points), engine, None)
-    threads, common = threads_for(engine, workers), Pieces()
+    threads, shared = threads_for(engine, workers), Cache()
     blocks = in_blocks(variants, points, engine, len(points), threads)
     outcomes: list[Outcome | None] = [None] * len(points)
     done = Done()
 
-    def one(bench: Bench, at: int) -> None:
-        some = run_variants(bench, variants, [points[i] for i in blocks[at]], engine, done.add)
+    def one(worker: Worker, at: int) -> None:
+        some = run_variants(worker, variants, [points[i] for i in blocks[at]], engine, done.add)
         for i, outcome in zip(blocks[at], some, strict=True):
             outcomes[i] = outcome
 
@@ -108,7 +108,7 @@ def simulate_batch(
             progress = open_until_done.enter_context(bar(scenario.name, len(points)))
         report = progress or _silent
         side_by_side(
-            one, len(blocks), threads, lambda: Bench(engine, columns, model, len(points), common),
+            one, len(blocks), threads, lambda: Worker(engine, columns, model, len(points), shared),
             lambda: report(done.count, len(points)), done,
         )  # fmt: skip
     kinds = {key: key_type([point[k] for point in points]) for k, key in enumerate(keys)}
@@ -155,7 +155,7 @@ def _use_lanes(variants: Variants, points: Sequence[Sequence[Any]], engine: str,
 
 
 def run_variants(
-    bench: Bench, variants: Variants, points: Sequence[Sequence[Any]], engine: str, ran: Callable[[], None]
+    worker: Worker, variants: Variants, points: Sequence[Sequence[Any]], engine: str, ran: Callable[[], None]
 ) -> list[Outcome]:
     """Run the variants with these values, a block of `in_blocks`; one that cannot even be read says why.
 
@@ -172,7 +172,7 @@ def run_variants(
         except Exception as error:  # the border of a row: see `failed`
             outcomes.append(failed(error))
             ran()
-    came_to = iter(bench.run_all(scenarios, ran))
+    came_to = iter(worker.run_all(scenarios, ran))
     return [next(came_to) if outcome is None else outcome for outcome in outcomes]
 
 

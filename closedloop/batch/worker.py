@@ -1,8 +1,7 @@
-"""A thread's bench for many runs: what earlier runs made and later ones may use, and a run's outcome as a few numbers.
+"""One thread's runs of a batch: the memory that they reuse, and the outcome of a run as a few values.
 
-Beside the steps a run of a batch costs some Python: its scenario is checked, and its numbers are packed. All that is
-large is kept here from run to run: robots, paths and tables (`closedloop.simulation.cache`), rows, events, scratch.
-Nothing of an earlier run can be seen in a later one: the loop reads no row that it has not written.
+Large arrays and objects are reused from run to run: robots, paths and tables (`closedloop.simulation.cache`), rows,
+events, scratch. No run depends on an earlier one: the loop reads no row that it has not written.
 
 Runs of one kind go eight at a time in SIMD lanes (`closedloop.engines.lanes`), with the same results to the last bit.
 """
@@ -36,7 +35,7 @@ from closedloop.report.tabled import verdict_of
 from closedloop.robot.pinocchio import Robot
 from closedloop.robot.tree import Tree
 from closedloop.scenario.scenario import Scenario
-from closedloop.simulation.cache import Pieces
+from closedloop.simulation.cache import Cache
 from closedloop.simulation.prepare import prepare
 from closedloop.simulation.simulate import run_loop
 from closedloop.step.record_row import Row, recorded
@@ -46,18 +45,18 @@ Array = NDArray[np.float64]
 
 SINGULAR_AT = FAILED_AT + NAMES.index("nonsingular")
 RAN, STOPPED, REFUSED, FAILED = "done", "stopped", "refused", "failed"
-# Frames of an unforeseen error that its row names, from where it was raised outwards.
+# Stack frames of an unforeseen error that its row names, innermost first.
 FRAMES = 3
 # Characters of its message.
 MOST_SAID = 300
 
-# Rows of eight runs that are kept whole may take this many bytes: less than what there is room for in `Pieces`.
+# Bytes that the kept rows of eight runs may take: less than the limit of `Cache`.
 LANE_ROW_BYTES = 24_000_000
 
 
 @dataclass(frozen=True)
 class Outcome:
-    """What became of a run.
+    """The outcome of a run.
 
     Attributes
     ----------
@@ -87,8 +86,8 @@ class Outcome:
     verdict: str | None = None
 
 
-class Bench:
-    """What one thread needs to run scenarios one after the other.
+class Worker:
+    """Runs scenarios in one thread.
 
     Parameters
     ----------
@@ -99,9 +98,9 @@ class Bench:
     model : RobotModel, optional
         The robot to use instead of loading the one that each scenario names.
     runs : int
-        How many runs there will be, on this bench and others.
-    common : Pieces, optional
-        What the threads share, see `closedloop.simulation.cache`.
+        How many runs there will be, of this worker and others.
+    shared : Cache, optional
+        Cache that the threads share, see `closedloop.simulation.cache`.
     """
 
     def __init__(
@@ -110,25 +109,25 @@ class Bench:
         keep: tuple[str, ...] = (),
         model: RobotModel | None = None,
         runs: int = 1,
-        common: Pieces | None = None,
+        shared: Cache | None = None,
     ) -> None:
         self._engine, self._keep, self._model, self._runs = engine, keep, model, runs
-        self._pieces = Pieces(common=common)
+        self._cache = Cache(shared=shared)
         self._trees: WeakKeyDictionary[Robot, tuple[Tree, Array]] = WeakKeyDictionary()
-        self._misses: Counter[str] = Counter()  # eights in a row in which something came up, by kind of contact
-        self._waits: Counter[str] = Counter()  # eights that are still to go alone
+        self._failures: Counter[str] = Counter()  # sets of lanes that failed in a row, by kind of contact
+        self._one_by_one: Counter[str] = Counter()  # sets of eight still to be run one by one
         self._rows = np.empty(0)
 
     def run(self, scenario: Scenario) -> Outcome:
         """Run a scenario and return its outcome; a run that fails says why."""
         try:
-            return self._run(prepare(scenario, self._model, self._pieces))
+            return self._run(prepare(scenario, self._model, self._cache))
         except Exception as error:  # the border of a row: see `failed`
             return self._failed(error)
 
     def _failed(self, error: Exception) -> Outcome:
         if not isinstance(error, ClosedLoopError):
-            self._pieces.forget()  # what it left half done is not used again
+            self._cache.clear()  # what it left half done is not used again
         return failed(error)
 
     def run_all(self, scenarios: Sequence[Scenario], ran: Callable[[], None] = lambda: None) -> list[Outcome]:
@@ -147,7 +146,7 @@ class Bench:
 
         for i, scenario in enumerate(scenarios):
             try:
-                problem = prepare(scenario, self._model, self._pieces)
+                problem = prepare(scenario, self._model, self._cache)
                 kind = kind_of(problem) if together else None
                 if lane_runs is None and kind is not None:
                     lane_runs = self._lane_runs(problem, kind)
@@ -159,9 +158,11 @@ class Bench:
             except Exception as error:  # the border of a row: see `failed`
                 outcome = self._failed(error)
             done(i, outcome)
-        came_to = self._run_in_lanes(lane_runs, [scenarios[i] for i in members]) if lane_runs is not None else None
+        outcomes_in_lanes = (
+            self._run_in_lanes(lane_runs, [scenarios[i] for i in members]) if lane_runs is not None else None
+        )
         for lane, i in enumerate(members):
-            done(i, self.run(scenarios[i]) if came_to is None else came_to[lane])
+            done(i, self.run(scenarios[i]) if outcomes_in_lanes is None else outcomes_in_lanes[lane])
         return [outcomes[i] for i in range(len(scenarios))]
 
     def _run_in_lanes(self, lane_runs: LaneRuns, scenarios: Sequence[Scenario]) -> list[Outcome] | None:
@@ -170,7 +171,7 @@ class Bench:
             return None
         try:
             ended_well = lane_runs.run(self._trees[lane_runs.kind.robot][0], len(scenarios))
-            self._remember(lane_runs.kind.contact, ended_well)
+            self._count(lane_runs.kind.contact, ended_well)
             return [self._outcome(lane_runs, i, each) for i, each in enumerate(scenarios)] if ended_well else None
         except Exception as error:  # alone, the one at fault fails by itself
             self._failed(error)
@@ -181,13 +182,13 @@ class Bench:
         if not uses_lanes(scenario, self._engine, self._runs):
             return False
         contact = scenario.surface.contact
-        self._waits[contact] -= 1
-        return self._waits[contact] < 0
+        self._one_by_one[contact] -= 1
+        return self._one_by_one[contact] < 0
 
-    def _remember(self, contact: str, ended_well: bool) -> None:
+    def _count(self, contact: str, ended_well: bool) -> None:
         """Count failures: after 2, 3, 4 or 5 in a row the next 2, 6, 14 or 30 sets of eight are run one by one."""
-        self._misses[contact] = 0 if ended_well else min(self._misses[contact] + 1, 5)
-        self._waits[contact] = max(0, 2 ** self._misses[contact] - 2)
+        self._failures[contact] = 0 if ended_well else min(self._failures[contact] + 1, 5)
+        self._one_by_one[contact] = max(0, 2 ** self._failures[contact] - 2)
 
     def _lane_runs(self, problem: Problem, kind: Kind) -> LaneRuns | None:
         """Return the memory for runs of a kind; None if they would need too much."""
@@ -195,7 +196,7 @@ class Bench:
         if self._keep and rows * WIDE * self._rows.itemsize > LANE_ROW_BYTES:
             return None
         self._tree(problem)
-        return self._pieces.get(
+        return self._cache.get(
             ("lanes", kind), lambda: LaneRuns(problem, kind, bool(self._keep)), lambda made: made.bytes
         )
 
@@ -208,7 +209,7 @@ class Bench:
 
     def _run(self, problem: Problem) -> Outcome:
         tree = self._tree(problem)
-        rows, events, failure, _ = run_loop(problem, engine=self._engine, rows=self._room(problem), tree=tree)
+        rows, events, failure, _ = run_loop(problem, engine=self._engine, rows=self._row_memory(problem), tree=tree)
         n = problem.robot.n
         figures = np.full(plain(figure_count)(n), math.nan)
         if len(rows) > 0:
@@ -231,7 +232,7 @@ class Bench:
             self._trees[robot] = compiled_tree(problem), compiled_work(robot.n)
         return self._trees[robot]
 
-    def _room(self, problem: Problem) -> Array:
+    def _row_memory(self, problem: Problem) -> Array:
         """Return memory for the rows of a problem; the adaptive integrator has its own."""
         width = Row.of(problem.robot.n).width
         count = (problem.steps + 1) * width
@@ -241,11 +242,11 @@ class Bench:
 
 
 def failed(error: Exception) -> Outcome:
-    """Return the outcome of a run that an error kept from coming to anything.
+    """Return the outcome of a run that ended with an exception.
 
-    One of ours says what is wrong with the scenario. Any other is a fault that nobody foresaw, in this package or in
-    the machine: it costs its row and no other, the row says what and where, and the traceback goes to the log
-    ``closedloop.batch.worker``. `simulate` of the row's values alone raises it.
+    A `ClosedLoopError` says what is wrong with the scenario. Any other is an unforeseen fault, of this package or of
+    the computer: it affects its own row only, which says what and where, and the traceback goes to the log
+    ``closedloop.batch.worker``. `simulate` with the row's values raises it.
     """
     if isinstance(error, ClosedLoopError):
         return Outcome(REFUSED, str(error), 0, np.full(WIDTH, math.nan))

@@ -7,12 +7,12 @@ import pyarrow as pa
 import pytest
 
 import closedloop as cl
-from closedloop.batch import worker as bench
+from closedloop.batch import worker as worker_module
 from closedloop.report.measures import JOINT_MEASURES, MEASURES
 from closedloop.report.verdict import names_of
 from closedloop.scenario.overrides import Variants
 from closedloop.scenario.units import key_unit
-from closedloop.simulation.cache import Pieces
+from closedloop.simulation.cache import Cache
 from closedloop.simulation.prepare import prepare
 
 # What adds up is added in another order than numpy's: 8000 terms of like size, each rounded.
@@ -122,10 +122,10 @@ def test_pieces_are_as_good_as_new():
         {"force_profile.kind": "step", "force_profile.to": 4.0, "force_profile.at": 0.3}, {"surface.offset": 0.3387911},
         {},
     ]  # fmt: skip
-    for pieces in (Pieces(), Pieces(room=1)):
+    for cache in (Cache(), Cache(limit=1)):
         for more in changes:
             scenario = cl.load_scenario("wam_slide", base | more)
-            alone, reused = prepare(scenario), prepare(scenario, None, pieces)
+            alone, reused = prepare(scenario), prepare(scenario, None, cache)
             for name in ("table", "frame", "q", "v", "stabiliser"):
                 np.testing.assert_array_equal(getattr(reused, name), getattr(alone, name), err_msg=f"{name} {more}")
             np.testing.assert_array_equal(reused.memory(), alone.memory())
@@ -134,16 +134,16 @@ def test_pieces_are_as_good_as_new():
             assert (reused.mode, reused.steps, reused.pd_start) == (alone.mode, alone.steps, alone.pd_start)
 
 
-def test_pieces_are_used_again_and_forgotten():
-    """Nothing is made twice while there is room, and what was not used for longest goes first."""
+def test_cache_keeps_the_entries_used_last():
+    """Nothing is made twice within the limit; the entry not used for longest is removed first."""
     made = []
 
-    def piece(key, size):
-        return pieces.get(key, lambda: made.append(key), lambda _: size)
+    def entry(key, size):
+        return cache.get(key, lambda: made.append(key), lambda _: size)
 
-    pieces = Pieces(room=10)
+    cache = Cache(limit=10)
     for key in ("a", "b", "a", "c", "a", "b"):
-        piece(key, 4)
+        entry(key, 4)
     assert made == ["a", "b", "c", "b"]
 
 
@@ -251,15 +251,15 @@ def test_refusals(changes, options, said):
 
 
 def break_for(monkeypatch, force, error, where="prepare"):
-    """Let a function that a bench calls raise an error of the interpreter's in the run with this force."""
-    whole = getattr(bench, where)
+    """Let a function that a worker calls raise an error of the interpreter's in the run with this force."""
+    whole = getattr(worker_module, where)
 
     def broken(asked, *rest):
         if getattr(asked, "scenario", asked).law.force == force:
             raise error
         return whole(asked, *rest)
 
-    monkeypatch.setattr(bench, where, broken)
+    monkeypatch.setattr(worker_module, where, broken)
 
 
 @pytest.mark.parametrize(

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 import closedloop as cl
-from closedloop.batch.worker import Bench
+from closedloop.batch.worker import Worker
 from closedloop.engines.lanes import FEWEST, LaneRuns, kind_of
 from closedloop.jit.simd8 import WIDE
 from closedloop.simulation.prepare import prepare
@@ -152,5 +152,5 @@ def test_few_runs_go_alone(monkeypatch):
     monkeypatch.setattr(LaneRuns, "run", lambda self, tree, count: asked.append(count))  # None: they have to go alone
     scenario, model = cl.load_scenario("wam_slide", overrides={"time.duration": 0.01}), load("wam4")
     for runs, expected in ((FEWEST - 1, []), (FEWEST, [FEWEST])):
-        assert {outcome.status for outcome in Bench(model=model, runs=runs).run_all([scenario] * runs)} == {"done"}
+        assert {outcome.status for outcome in Worker(model=model, runs=runs).run_all([scenario] * runs)} == {"done"}
         assert asked == expected

@@ -75,7 +75,7 @@ def simulate_batch(
     -------
     pyarrow.Table
         A row for each run, in order: its number, the changed keys, ``status`` ("done", "stopped", "refused", "failed":
-        an error that nobody foresaw) with its ``reason``, the figures of `Run.summary` (empty where there is none), the
+        an error that nobody foresaw) with its ``reason``, the values of `Run.summary` (empty where there is none), the
         events, when each of the paper's assumptions failed, and the kept columns. Units and meanings are the fields'
         metadata. A run that fails is a row like any other.
 

@@ -29,8 +29,8 @@ from closedloop.jit.background import make_ready
 from closedloop.jit.kernel import plain
 from closedloop.jit.simd8 import WIDE
 from closedloop.report.assumptions import NAMES
-from closedloop.report.joint_figures import joint_limits
-from closedloop.report.measured import FAILED_AT, WIDTH, figure_count, measure_rows, tally_size
+from closedloop.report.joint_values import joint_limits
+from closedloop.report.measured import FAILED_AT, WIDTH, measure_rows, tally_size, value_count
 from closedloop.report.tabled import verdict_of
 from closedloop.robot.pinocchio import Robot
 from closedloop.robot.tree import Tree
@@ -61,13 +61,13 @@ class Outcome:
     Attributes
     ----------
     status : str
-        "done"; "stopped" (the simulation could not go on: the figures are those of what ran); "refused" (the scenario
+        "done"; "stopped" (the simulation could not go on: the values are those of what ran); "refused" (the scenario
         is at fault: nothing ran); "failed" (an error that nobody foresaw: a fault of this package, or no memory left).
     reason : str or None
         Why it was stopped, was refused or failed.
     rows : int
         How many rows it has.
-    figures : (figure_count(n),) array
+    values : (value_count(n),) array
         See `closedloop.report.measured`; NaN where there is none, and (WIDTH,) if nothing ran.
     columns : mapping of str to (rows,) or (rows, k) array
         The columns that were to be kept.
@@ -80,7 +80,7 @@ class Outcome:
     status: str
     reason: str | None
     rows: int
-    figures: Array
+    values: Array
     end_time: float = math.nan
     columns: dict[str, Array] = field(default_factory=dict)
     verdict: str | None = None
@@ -94,7 +94,7 @@ class Worker:
     engine : str
         "compiled" or "pinocchio", see `closedloop.simulate`.
     keep : sequence of str
-        Columns to hand out with the figures, see `closedloop.step.record_row.RECORDED`.
+        Columns to return with the values, see `closedloop.step.record_row.RECORDED`.
     model : RobotModel, optional
         The robot to use instead of loading the one that each scenario names.
     runs : int
@@ -158,11 +158,9 @@ class Worker:
             except Exception as error:  # the border of a row: see `failed`
                 outcome = self._failed(error)
             done(i, outcome)
-        outcomes_in_lanes = (
-            self._run_in_lanes(lane_runs, [scenarios[i] for i in members]) if lane_runs is not None else None
-        )
+        ended = None if lane_runs is None else self._run_in_lanes(lane_runs, [scenarios[i] for i in members])
         for lane, i in enumerate(members):
-            done(i, self.run(scenarios[i]) if outcomes_in_lanes is None else outcomes_in_lanes[lane])
+            done(i, self.run(scenarios[i]) if ended is None else ended[lane])
         return [outcomes[i] for i in range(len(scenarios))]
 
     def _run_in_lanes(self, lane_runs: LaneRuns, scenarios: Sequence[Scenario]) -> list[Outcome] | None:
@@ -203,28 +201,28 @@ class Worker:
     def _outcome(self, lane_runs: LaneRuns, lane: int, scenario: Scenario) -> Outcome:
         rows = lane_runs.rows(lane)
         columns = {name: recorded(rows, lane_runs.n, name) for name in self._keep}
-        steps, figures = lane_runs.kind.steps, lane_runs.figures(lane)
-        verdict = verdict_of(scenario, lane_runs.kind.robot, figures, steps)
-        return Outcome(RAN, None, steps + 1, figures, lane_runs.end, columns, verdict)
+        steps, values = lane_runs.kind.steps, lane_runs.values(lane)
+        verdict = verdict_of(scenario, lane_runs.kind.robot, values, steps)
+        return Outcome(RAN, None, steps + 1, values, lane_runs.end, columns, verdict)
 
     def _run(self, problem: Problem) -> Outcome:
         tree = self._tree(problem)
         rows, events, failure, _ = run_loop(problem, engine=self._engine, rows=self._row_memory(problem), tree=tree)
         n = problem.robot.n
-        figures = np.full(plain(figure_count)(n), math.nan)
+        values = np.full(plain(value_count)(n), math.nan)
         if len(rows) > 0:
             make_ready(measure_rows)
             measure_rows(
                 *tree, rows, len(rows), problem.table, problem.nodes, problem.h, problem.frame,
-                joint_limits(problem.robot.model), events, len(events), np.empty(plain(tally_size)(n)), figures,
+                joint_limits(problem.robot.model), events, len(events), np.empty(plain(tally_size)(n)), values,
             )  # fmt: skip
         columns = {name: recorded(rows, problem.robot.n, name) for name in self._keep}
         end = problem.h * (len(rows) - 1) if len(rows) > 0 else math.nan
-        if isinstance(failure, SingularClosureError) and np.isnan(figures[SINGULAR_AT]):
-            figures[SINGULAR_AT] = end + problem.h  # no row was near it: the step after the last was
+        if isinstance(failure, SingularClosureError) and np.isnan(values[SINGULAR_AT]):
+            values[SINGULAR_AT] = end + problem.h  # no row was near it: the step after the last was
         reason = None if failure is None else str(failure)
-        verdict = verdict_of(problem.scenario, problem.robot, figures, len(rows) - 1, reason)
-        return Outcome(RAN if failure is None else STOPPED, reason, len(rows), figures, end, columns, verdict)
+        verdict = verdict_of(problem.scenario, problem.robot, values, len(rows) - 1, reason)
+        return Outcome(RAN if failure is None else STOPPED, reason, len(rows), values, end, columns, verdict)
 
     def _tree(self, problem: Problem) -> tuple[Tree, Array]:
         robot = problem.robot

@@ -33,14 +33,14 @@ from closedloop.jit.background import make_ready
 from closedloop.jit.kernel import entry_kernel, kernel_inlined, numba_settings, plain
 from closedloop.jit.pointers import address_of, matrix_at
 from closedloop.jit.simd8 import WIDE, aligned, every, float64x8_at, with_lane
-from closedloop.report.joint_figures import joint_limits
+from closedloop.report.joint_values import joint_limits
 from closedloop.report.measured import (
     begin_tally,
     count_condition,
     count_row,
-    figure_count,
     tally_size,
-    write_figures,
+    value_count,
+    write_values,
 )
 from closedloop.robot.pinocchio import Robot
 from closedloop.robot.tree import Tree, energy_there, tree_terms, work_size
@@ -57,7 +57,7 @@ if TYPE_CHECKING:
 Array = NDArray[np.float64]
 
 # The arrays of the loop's memory, each of float64x8, in the order of `addresses`.
-WORK, TERMS, CONSTANTS, FORCES, LARGEST, ROWS, TALLIES, FIGURES = range(8)
+WORK, TERMS, CONSTANTS, FORCES, LARGEST, ROWS, TALLIES, VALUES = range(8)
 
 SCALAR_COUNT = len(SCALARS)
 # Eight runs in lanes take as long as two by themselves; fewer than this many are run one by one.
@@ -133,11 +133,11 @@ class LaneRuns:
         self._constants = aligned(loop.constants.memory.size)
         self._forces, self._largest = aligned(like.table.shape[0]), aligned(1)
         self._rows = aligned(like.steps + 1 if keep else LANES, Row.of(n).width)
-        self._figures = aligned(plain(figure_count)(n))
+        self._values = aligned(plain(value_count)(n))
         self._limits = joint_limits(like.robot.model)
         self._parts = (
             self._work.memory, aligned(n * n + n + plain(work_size)(n)), self._constants, self._forces, self._largest,
-            self._rows, aligned(plain(tally_size)(n)), self._figures,
+            self._rows, aligned(plain(tally_size)(n)), self._values,
         )  # fmt: skip
         self._addresses = np.array([address_of(part) for part in self._parts])
         self._tables: list[Array] = []
@@ -174,9 +174,9 @@ class LaneRuns:
         self._tables.clear()
         return status == OK
 
-    def figures(self, lane: int) -> Array:
-        """Return the figures of a run, see `closedloop.report.measured`."""
-        return self._figures[:, lane].copy()
+    def values(self, lane: int) -> Array:
+        """Return the values of a run's summary, see `closedloop.report.measured`."""
+        return self._values[:, lane].copy()
 
     def rows(self, lane: int) -> Array:
         """Return the rows of a run, if they were kept; the next run overwrites them."""
@@ -207,7 +207,7 @@ def run_in_lanes(
     kept : int
         Rows in memory: all, or `LANES`, which are then overwritten in turn.
     limits : (4, n) array
-        See `closedloop.report.joint_figures.joint_limits`.
+        See `closedloop.report.joint_values.joint_limits`.
 
     Returns
     -------
@@ -225,7 +225,7 @@ def run_in_lanes(
     forces = float64x8_at(addresses[FORCES], instants)
     width = 5 * n + 9 + SCALAR_COUNT
     rows = float64x8_at(addresses[ROWS], kept * width).reshape(kept, width)
-    tally, out = float64x8_at(addresses[TALLIES], tally_size(n)), float64x8_at(addresses[FIGURES], figure_count(n))
+    tally, out = float64x8_at(addresses[TALLIES], tally_size(n)), float64x8_at(addresses[VALUES], value_count(n))
     frame = constants.frame
     begin_tally(tally, n)
     w.supplied = 0.0
@@ -261,7 +261,7 @@ def run_in_lanes(
                 gain(w, stage, h, tableau[stages, stage])
                 advance(stage, h, semi_implicit, False, tableau, w.begin, w.stages, w.qdd, w.dz, w.q, w.v, w.z)
         settle(w)
-    write_figures(rows[steps % kept, 5 * n + 9 :], n, steps + 1, h, largest, tally, out)
+    write_values(rows[steps % kept, 5 * n + 9 :], n, steps + 1, h, largest, tally, out)
     return OK
 
 

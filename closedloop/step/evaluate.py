@@ -43,7 +43,7 @@ Array = NDArray[np.float64]
 # A joint at 10⁴ rad/s (m/s) is no robot any more; the run stops there, long before the numbers overflow.
 SPEED_LIMIT = 1e4
 
-# A force or an acceleration beyond this is none; the figures of a run take squares, which are still numbers below it.
+# A force or an acceleration beyond this is none; the summary of a run takes squares, which are finite below it.
 LARGEST = 1e100
 
 # Parameters of the paper's law.

@@ -1,4 +1,4 @@
-"""Batches: the figures are those of the runs one by one, whatever ran before or beside; a failed run is a row."""
+"""Batches: the values are those of the runs one by one, whatever ran before or beside; a failed run is a row."""
 
 import math
 
@@ -83,8 +83,8 @@ CASES = [
 
 
 @pytest.mark.parametrize("case", CASES)
-def test_random_runs_have_the_figures_of_simulate(case):
-    """Every figure of every row is that of `simulate` on its own: laws, friction, impacts, sensors, integrators."""
+def test_random_runs_have_the_values_of_simulate(case):
+    """Every value of every row is that of `simulate` on its own: laws, friction, impacts, sensors, integrators."""
     name, fixed, ranges = MIXTURE[case]
     changes = drawn(ranges, 4, case)
     table = cl.simulate_batch(cl.load_scenario(name, fixed), changes, workers=2)
@@ -148,7 +148,7 @@ def test_cache_keeps_the_entries_used_last():
 
 
 def test_failed_runs_are_rows_with_their_reason():
-    """A refused run has no figures, a stopped one those of what ran, and their neighbours do not notice."""
+    """A refused run has no values, a stopped one those of what ran; the other runs are not affected."""
     scenario = cl.load_scenario("wam_slide", {"time.duration": 0.6, "stabiliser.kind": "none"})
     changes = {"law.kd": [20.0, 4e4, 20.0, 20.0], "law.force": [10.0, 10.0, float("nan"), 10.0]}
     good, stopped, refused, also = cl.simulate_batch(scenario, changes).to_pylist()
@@ -193,7 +193,7 @@ def test_grid_takes_every_value_with_every_other():
 
 
 def test_columns_carry_units():
-    """Every figure has a unit and a meaning, and so has every key that changes."""
+    """Every value has a unit and a meaning, and so has every key that changes."""
     scenario = cl.load_scenario("wam_slide", {"time.duration": 0.002})
     table = cl.simulate_batch(scenario, {"law.force": [1.0], "stabiliser.time_constant": [0.001]})
     units = {field.name: field.metadata[b"units"].decode() for field in table.schema}

@@ -16,7 +16,7 @@ from typing import TYPE_CHECKING, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from closedloop.closure.conditioning import LANES
+from closedloop.closure.conditioning import BATCH
 from closedloop.closure.contact_force import (
     PRESSED,
     accelerate,
@@ -46,7 +46,7 @@ from closedloop.robot.pinocchio import Robot
 from closedloop.robot.tree import Tree, energy_there, tree_terms, work_size
 from closedloop.scenario.scenario import Scenario
 from closedloop.step.advance import advance
-from closedloop.step.energy_supplied import gain, remember_power, settle
+from closedloop.step.energy_supplied import add_stage_work, commit_work, save_power
 from closedloop.step.evaluate import bounded, locate_tip, paper_torque
 from closedloop.step.memory import Constants, State, Whole, Work
 from closedloop.step.record_row import SCALARS, Row, record, record_conditions
@@ -132,7 +132,7 @@ class LaneRuns:
         self._work = Work(aligned(Work.count(n, 0, stages, 1)), n, 0, stages, 1)
         self._constants = aligned(loop.constants.memory.size)
         self._forces, self._largest = aligned(like.table.shape[0]), aligned(1)
-        self._rows = aligned(like.steps + 1 if keep else LANES, Row.of(n).width)
+        self._rows = aligned(like.steps + 1 if keep else BATCH, Row.of(n).width)
         self._values = aligned(plain(value_count)(n))
         self._limits = joint_limits(like.robot.model)
         self._parts = (
@@ -165,7 +165,7 @@ class LaneRuns:
             part[..., count:] = part[..., :1]  # unused lanes repeat the first
         addresses = [address_of(table) for table in self._tables[:count]]
         tables = np.array(addresses + addresses[:1] * (WIDE - count))
-        self._state.pending = 0
+        self._state.batched = 0
         make_ready(run_in_lanes)
         status = run_in_lanes(
             tree, self._addresses, self._state.memory, self._h, self._spacing, self._tableau, tables,
@@ -205,7 +205,7 @@ def run_in_lanes(
     tables : (8,) array of int
         Addresses of the reference table of each run, (instants, columns), see `closedloop.step.evaluate.reference_row`.
     kept : int
-        Rows in memory: all, or `LANES`, which are then overwritten in turn.
+        Rows in memory: all, or `BATCH`, which are then overwritten in turn.
     limits : (4, n) array
         See `closedloop.report.joint_values.joint_limits`.
 
@@ -249,18 +249,18 @@ def run_in_lanes(
                 potential = energy_there(tree, scratch)
                 count_row(rows[slot], potential, w.reference, row, h, frame, limits, largest, tally)
                 if row == steps:
-                    record_conditions(w.pending, rows, state, slot + 1, n)
-                if state.pending == 0:
-                    for i in range(slot - slot % LANES, slot + 1):
+                    record_conditions(w.batch, rows, state, slot + 1, n)
+                if state.batched == 0:
+                    for i in range(slot - slot % BATCH, slot + 1):
                         count_condition(rows[i], tally)
                 for j in range(n):
                     w.begin[j] = w.q[j]
                     w.begin[n + j] = w.v[j]
-                remember_power(w, state)
+                save_power(w, state)
             if row < steps:
-                gain(w, stage, h, tableau[stages, stage])
+                add_stage_work(w, stage, h, tableau[stages, stage])
                 advance(stage, h, semi_implicit, False, tableau, w.begin, w.stages, w.qdd, w.dz, w.q, w.v, w.z)
-        settle(w)
+        commit_work(w)
     write_values(rows[steps % kept, 5 * n + 9 :], n, steps + 1, h, largest, tally, out)
     return OK
 

@@ -3,7 +3,7 @@
 `my.urdf` may have `my.toml`:
 
     description = "What the robot is"
-    source = "Where the figures come from"
+    source = "Where the values come from"
     tip = "tool0"             # the link whose origin touches the surface, unless the caller names another
 
     [home]                    # a sensible posture: rad, or m for a prismatic joint
@@ -30,7 +30,7 @@ from robot_models.xml_text import read_text
 _TEXTS = ("description", "source", "tip")
 _TABLES = ("home", "lock", "drive_inertia")
 
-# No joint turns or reaches farther, and no drive is heavier: products of larger figures might not be numbers.
+# No joint turns or reaches farther, and no drive is heavier: products of larger numbers might not be numbers.
 MOST_POSITION, MOST_INERTIA = 1e6, 1e9
 
 

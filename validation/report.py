@@ -19,7 +19,7 @@ SHORT = {"not covered": "–", "not installed": "not installed", "not usable": "
 
 @dataclass(frozen=True)
 class Check:
-    """One line of a section: a figure, its bound, and whether it holds.
+    """One line of a section: a value, its bound, and whether it holds.
 
     Attributes
     ----------

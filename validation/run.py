@@ -71,7 +71,7 @@ def _parser() -> Parser:
     parser.add_argument("--details", action="store_true", help="print a line for each quantity of each engine")
     parser.add_argument("--plant", action="store_true", help="plant faults in turn and show what catches each")
     parser.add_argument("--engine", metavar="MODULE:CLASS", help="judge this engine too (see CONTRIBUTING.md)")
-    parser.add_argument("--json", metavar="FILE", help="write every figure")
+    parser.add_argument("--json", metavar="FILE", help="write every value")
     parser.add_argument("--html", metavar="FILE", help="write the tables as a page")
     parser.add_argument("--markdown", metavar="FILE", help="write the tables for a paper's appendix")
     return parser

@@ -94,7 +94,7 @@ def compare_random_trees(trees: int, states: int, engines: Sequence[type[Engine]
 
 
 def _rank(cell: Cell) -> tuple[int, float]:
-    """Order cells so that the one to be shown is the largest: a disagreement, then the worst figure, then none."""
+    """Order cells so that the one to be shown is the largest: a disagreement, then the worst value, then none."""
     order = {"disagrees": 2, "agrees": 1}.get(cell.status, 0)
     return order, -1.0 if math.isnan(cell.margin) else cell.margin
 

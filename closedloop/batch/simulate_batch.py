@@ -3,8 +3,8 @@
     table = cl.simulate_batch(cl.load_scenario("wam_slide"), {"law.force": [5.0, 10.0, 15.0]})
     table.to_pandas()[["law.force", "min_contact_force"]]
 
-Each thread has a bench of its own and takes the next few runs when it is done with some. The compiled engine holds no
-interpreter's lock while it steps, so threads are as good as processes, and need not send anything to each other.
+Each thread has a `Worker` and takes the next block of runs when it has finished one. The compiled engine releases the
+interpreter's lock while it steps, so threads run in parallel and share memory.
 """
 
 from __future__ import annotations
@@ -17,14 +17,14 @@ from typing import TYPE_CHECKING, Any
 
 from closedloop.batch.table import kept_columns, key_type, schema, table_of
 from closedloop.batch.threads import Done, side_by_side
-from closedloop.batch.worker import Bench, Outcome, failed
-from closedloop.engines.lanes import FEWEST, goes_abreast
+from closedloop.batch.worker import Outcome, Worker, failed
+from closedloop.engines.lanes import FEWEST, uses_lanes
 from closedloop.engines.loops import COMPILED
 from closedloop.errors import ScenarioError
 from closedloop.jit.simd8 import WIDE
 from closedloop.scenario.overrides import Variants
 from closedloop.scenario.scenario import Scenario, families
-from closedloop.simulation.cache import Pieces
+from closedloop.simulation.cache import Cache
 from closedloop.simulation.simulate import check_engine
 from robot_models import RobotModel
 
@@ -32,7 +32,7 @@ if TYPE_CHECKING:
     import pyarrow as pa
 
 MOST_THREADS = 1000
-# Keys in which runs that go abreast may differ; see `closedloop.engines.lanes.Kind`.
+# Keys in which the runs of one set of lanes may differ; see `closedloop.engines.lanes.Kind`.
 OF_ANY_KIND = (
     "law.force", "law.kp", "law.kd", "law.pd_start", "stabiliser.time_constant", "stabiliser.damping_ratio", "start.",
     "reference.", "force_profile.", "surface.normal", "surface.offset",
@@ -75,7 +75,7 @@ def simulate_batch(
     -------
     pyarrow.Table
         A row for each run, in order: its number, the changed keys, ``status`` ("done", "stopped", "refused", "failed":
-        an error that nobody foresaw) with its ``reason``, the figures of `Run.summary` (empty where there is none), the
+        an error that nobody foresaw) with its ``reason``, the values of `Run.summary` (empty where there is none), the
         events, when each of the paper's assumptions failed, and the kept columns. Units and meanings are the fields'
         metadata. A run that fails is a row like any other.
 
@@ -91,13 +91,13 @@ def simulate_batch(
     columns = kept_columns(keep)
     variants = Variants(scenario, keys)
     check_engine(variants.look(points), engine, None)
-    threads, common = threads_for(engine, workers), Pieces()
+    threads, shared = threads_for(engine, workers), Cache()
     blocks = in_blocks(variants, points, engine, len(points), threads)
     outcomes: list[Outcome | None] = [None] * len(points)
     done = Done()
 
-    def one(bench: Bench, at: int) -> None:
-        some = run_variants(bench, variants, [points[i] for i in blocks[at]], engine, done.add)
+    def one(worker: Worker, at: int) -> None:
+        some = run_variants(worker, variants, [points[i] for i in blocks[at]], engine, done.add)
         for i, outcome in zip(blocks[at], some, strict=True):
             outcomes[i] = outcome
 
@@ -108,7 +108,7 @@ def simulate_batch(
             progress = open_until_done.enter_context(bar(scenario.name, len(points)))
         report = progress or _silent
         side_by_side(
-            one, len(blocks), threads, lambda: Bench(engine, columns, model, len(points), common),
+            one, len(blocks), threads, lambda: Worker(engine, columns, model, len(points), shared),
             lambda: report(done.count, len(points)), done,
         )  # fmt: skip
     kinds = {key: key_type([point[k] for point in points]) for k, key in enumerate(keys)}
@@ -118,7 +118,7 @@ def simulate_batch(
 def in_blocks(
     variants: Variants, points: Sequence[Sequence[Any]], engine: str, runs: int, threads: int = 1
 ) -> list[list[int]]:
-    """Return the numbers of all points, in blocks of those that may go abreast and one by one for others.
+    """Return the numbers of all points: in blocks of those that may share SIMD lanes, the others one by one.
 
     Parameters
     ----------
@@ -139,23 +139,23 @@ def in_blocks(
     blocks = []
     for members in kinds.values():
         few = len(members) < FEWEST
-        each = 1 if few or not _go_abreast(variants, [points[i] for i in members[:WIDE]], engine, runs) else width
+        each = 1 if few or not _use_lanes(variants, [points[i] for i in members[:WIDE]], engine, runs) else width
         blocks += [members[first : first + each] for first in range(0, len(members), each)]
     return blocks
 
 
-def _go_abreast(variants: Variants, points: Sequence[Sequence[Any]], engine: str, runs: int) -> bool:
-    """Whether the runs with these values, of one kind, go abreast: as the first of them does that can be read."""
+def _use_lanes(variants: Variants, points: Sequence[Sequence[Any]], engine: str, runs: int) -> bool:
+    """Whether the runs with these values, of one kind, use lanes: decided by the first that can be read."""
     for values in points:
         try:
-            return goes_abreast(variants.scenario(values), engine, runs)
+            return uses_lanes(variants.scenario(values), engine, runs)
         except Exception:  # of its own row, which says it
             continue
     return False
 
 
 def run_variants(
-    bench: Bench, variants: Variants, points: Sequence[Sequence[Any]], engine: str, ran: Callable[[], None]
+    worker: Worker, variants: Variants, points: Sequence[Sequence[Any]], engine: str, ran: Callable[[], None]
 ) -> list[Outcome]:
     """Run the variants with these values, a block of `in_blocks`; one that cannot even be read says why.
 
@@ -172,7 +172,7 @@ def run_variants(
         except Exception as error:  # the border of a row: see `failed`
             outcomes.append(failed(error))
             ran()
-    came_to = iter(bench.run_all(scenarios, ran))
+    came_to = iter(worker.run_all(scenarios, ran))
     return [next(came_to) if outcome is None else outcome for outcome in outcomes]
 
 

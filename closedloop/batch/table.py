@@ -1,7 +1,7 @@
-"""The table of a batch: a row for each run, with what was changed, what became of it, and the figures of its summary.
+"""The table of a batch: a row for each run, with the changed keys, the outcome, and the values of its summary.
 
 It is Arrow's, because Parquet files, pandas, polars and DuckDB all take that as it is, units travel with the columns,
-and a figure that does not exist is empty and not a number.
+and a value that does not exist is empty, not NaN.
 """
 
 from __future__ import annotations
@@ -64,8 +64,8 @@ def schema(types: Mapping[str, pa.DataType], keep: Sequence[str] = ()) -> pa.Sch
     """Return the columns of a table of runs, with units and meaning as metadata.
 
     The columns are ``run``, its number; the changed keys; ``status``, ``verdict``, ``reason``, ``rows``, ``end_time``;
-    the figures of `closedloop.report.measures`; the number of events of each kind; when each assumption of the paper
-    first failed; the figures of the joints, each a list of a number for each joint; and the columns that were kept,
+    the values of `closedloop.report.measures`; the number of events of each kind; when each assumption of the paper
+    first failed; the values of the joints, each a list with a number for each joint; and the columns that were kept,
     each a list of numbers.
     """
     import pyarrow as pa
@@ -84,7 +84,7 @@ def schema(types: Mapping[str, pa.DataType], keep: Sequence[str] = ()) -> pa.Sch
             "status",
             text,
             "",
-            "done; stopped: the figures are of what ran; refused: nothing ran; failed: an error that nobody foresaw",
+            "done; stopped: the values are of what ran; refused: nothing ran; failed: an error that nobody foresaw",
         ),
         field(
             "verdict",
@@ -118,11 +118,11 @@ def table_of(
     outcomes: Sequence[Outcome],
     keep: Sequence[str] = (),
 ) -> pa.Table:
-    """Return the rows of the runs from number `first` on: `points` are the values of the keys, `outcomes` what came."""
+    """Return the rows of the runs from number `first` on: `points` are the values of the keys."""
     import pyarrow as pa
 
     count = len(points)
-    figures = np.array([outcome.figures[:WIDTH] for outcome in outcomes]).reshape(count, -1)
+    measures = np.array([outcome.values[:WIDTH] for outcome in outcomes]).reshape(count, -1)
     data: list[Any] = [np.arange(first, first + count)]
     for k in range(len(points[0])):
         values = [point[k] for point in points]
@@ -136,8 +136,8 @@ def table_of(
         [outcome.rows for outcome in outcomes],
         [outcome.end_time for outcome in outcomes],
     ]
-    data += list(figures.T)
-    data += [_by_joint([outcome.figures[WIDTH:] for outcome in outcomes], m) for m in range(len(JOINT_MEASURES))]
+    data += list(measures.T)
+    data += [_by_joint([outcome.values[WIDTH:] for outcome in outcomes], m) for m in range(len(JOINT_MEASURES))]
     arrays: list[Any] = [
         values.cast(field.type) if isinstance(values, pa.Array) else pa.array(values, field.type, from_pandas=True)
         for values, field in zip(data, columns, strict=False)
@@ -149,11 +149,11 @@ def table_of(
     return pa.table(arrays, schema=columns)
 
 
-def _by_joint(figures: Sequence[Array], which: int) -> pa.Array:
+def _by_joint(values: Sequence[Array], which: int) -> pa.Array:
     """Return one of `JOINT_MEASURES` of each run, as a list of a number for each joint, empty if nothing ran."""
     import pyarrow as pa
 
-    parts = [own.reshape(len(JOINT_MEASURES), -1)[which] for own in figures]
+    parts = [own.reshape(len(JOINT_MEASURES), -1)[which] for own in values]
     ends = np.cumsum([0, *(part.size for part in parts)])
     flat = pa.array(np.concatenate([np.empty(0), *parts]), pa.float64(), from_pandas=True)
     return pa.ListArray.from_arrays(pa.array(ends, pa.int32()), flat)

@@ -1,12 +1,12 @@
-"""How well Eq. 24 was conditioned at each recorded row, worked out for many rows at once.
+"""The condition number of Eq. 24 at each recorded row, computed for a batch of rows at once.
 
 The condition number of K, the matrix of Eq. 24, in the 1-norm, ‖K‖₁‖K⁻¹‖₁, in SI units, takes the inverse:
 
     K⁻¹ = [[H⁻¹ − x xᵀ/s, x/s], [xᵀ/s, −1/s]],    x = H⁻¹Aᵀ,  s = A H⁻¹Aᵀ,  H⁻¹ = L⁻ᵀL⁻¹
 
-That is nearly as much arithmetic as the step itself, and of small triangles, which a processor is slow at. It matters
-to nothing that follows. So a row only leaves what is needed in its lane of `pending`, and once all lanes are full each
-operation is done for all rows together.
+That is nearly as much arithmetic as the step itself, on small triangular matrices that do not vectorise, and the step
+does not need it. So each row stores the matrices in one lane of `batch`, and once all lanes are full each operation is
+done for all rows together.
 """
 
 from __future__ import annotations
@@ -20,19 +20,21 @@ from closedloop.jit.kernel import kernel, kernel_inlined
 
 Array = NDArray[np.float64]
 
-LANES = 32
-# The rows of a longer arm's matrices are long enough to be worked on one condition number at a time.
-LONG = 16
+BATCH = 32
+# Above this many joints the rows of the matrices vectorise by themselves, one condition number at a time.
+LONG_ARM = 16
 
 
-def pending_rows(n: Any) -> Any:
-    """Return how many numbers of each row `pending` (pending_rows(n), LANES) holds, for n joints (int or `Count`)."""
+def batch_rows(n: Any) -> Any:
+    """Return how many numbers a lane of `batch` (batch_rows(n), BATCH) holds, for n joints (int or `Count`)."""
     return 2 * n * n + 6 * n + 5
 
 
 @kernel_inlined
-def leave(H: Array, A: Array, L: Array, X: Array, mobility: float, pressed: bool, pending: Array, lane: int) -> None:
-    """Leave in a lane what the condition number of a row needs.
+def add_to_batch(
+    H: Array, A: Array, L: Array, X: Array, mobility: float, pressed: bool, batch: Array, lane: int
+) -> None:
+    """Store in a lane what the condition number of a row needs.
 
     Parameters
     ----------
@@ -43,27 +45,27 @@ def leave(H: Array, A: Array, L: Array, X: Array, mobility: float, pressed: bool
     mobility : float
         s, 1/kg.
     pressed : bool
-        Whether there is a closure; without one K is H.
-    pending : (pending_rows(n), LANES) array
+        Whether there is contact; without it K is H.
+    batch : (batch_rows(n), BATCH) array
         Written at `lane`: H and below it L, the diagonal of L, A, X and 1/s.
     """
     n = H.shape[0]
     at = n * n
     for i in range(n):
         for j in range(i):
-            pending[i * n + j, lane] = L[i, j]
-            pending[j * n + i, lane] = H[j, i]
-        pending[i * n + i, lane] = H[i, i]
-        pending[at + i, lane] = L[i, i]
-        pending[at + n + i, lane] = A[i] if pressed else 0.0
-        pending[at + 2 * n + i, lane] = X[i] if pressed else 0.0
-    pending[at + 3 * n, lane] = 1.0 / mobility if pressed else 0.0
+            batch[i * n + j, lane] = L[i, j]
+            batch[j * n + i, lane] = H[j, i]
+        batch[i * n + i, lane] = H[i, i]
+        batch[at + i, lane] = L[i, i]
+        batch[at + n + i, lane] = A[i] if pressed else 0.0
+        batch[at + 2 * n + i, lane] = X[i] if pressed else 0.0
+    batch[at + 3 * n, lane] = 1.0 / mobility if pressed else 0.0
 
 
 @kernel
-def conditions(pending: Array, n: int, lanes: int) -> None:
-    """Overwrite the last row of `pending` with the condition numbers of its first `lanes` lanes."""
-    P = pending
+def condition_numbers_of_batch(batch: Array, n: int, lanes: int) -> None:
+    """Overwrite the last row of `batch` with the condition numbers of its first `lanes` lanes."""
+    P = batch
     diagonal, a, x = n * n, n * n + n, n * n + 2 * n
     share = x + n
     inverse = share + 1
@@ -98,13 +100,13 @@ def conditions(pending: Array, n: int, lanes: int) -> None:
 
 
 @kernel
-def condition_of_long(H: Array, A: Array, L: Array, X: Array, mobility: float, pressed: bool, work: Array) -> float:
+def condition_number(H: Array, A: Array, L: Array, X: Array, mobility: float, pressed: bool, work: Array) -> float:
     """Return the condition number of one state of a long arm.
 
     Parameters
     ----------
     H, A, L, X, mobility, pressed
-        See `leave`.
+        See `add_to_batch`.
     work : (>= n * n + 4 * n,) array
         Scratch.
     """

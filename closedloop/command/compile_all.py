@@ -44,7 +44,7 @@ def pieces() -> tuple[Piece, ...]:
         loop(COMPILED, False, "compiled engine, the paper's law"),
         loop(COMPILED, True, "compiled engine, other laws and friction"),
         Piece("measure_rows", "values of a batch's runs", _batch),
-        Piece("run_abreast", "eight runs of a batch at a time", _batch),
+        Piece("run_in_lanes", "eight runs of a batch at a time", _batch),
         Piece("evaluate_on_pinocchio", "dop853, the paper's law", lambda: _run(PINOCCHIO, False, "dop853")),
         Piece("evaluate_with_more_on_pinocchio", "dop853, other laws", lambda: _run(PINOCCHIO, True, "dop853")),
         Piece("_impact", "an impact by itself", _impact),

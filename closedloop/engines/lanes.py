@@ -1,12 +1,12 @@
-"""Eight runs abreast: a batch's runs of the paper's law with the tip on a smooth surface, in one loop.
+"""Eight runs at a time in SIMD lanes: runs of a batch with the paper's law and the tip on a smooth surface.
 
-Such a run has nothing to decide: no event, no impact, no friction. So eight of them can take each step together,
-in float64x8 (`closedloop.jit.simd8`), by the very kernels that one run goes through alone, and to the same last bit.
-What is here is only their order, that of `closedloop.events` without its decisions. A row is counted as soon as it is
-there (`closedloop.report.measured`), and kept only if asked for.
+Such a run has no events, impacts or friction, so its steps have no branches. Eight of them take each step together in
+float64x8 (`closedloop.jit.simd8`), by the same kernels as a single run, with the same result to the last bit. This
+module only calls them, in the order of `closedloop.events` without events. The summary of a run is accumulated row by
+row (`closedloop.report.measured`); the rows are kept only on request.
 
-If in one of the eight something does come up, a tip that leaves, a singular pose or a motion that diverges, the loop
-gives up and says so: each of the eight is then run alone.
+If one of the eight needs an event (liftoff), meets a singular pose or diverges, the loop returns a status, and each of
+the eight is run by itself.
 """
 
 from __future__ import annotations
@@ -16,7 +16,7 @@ from typing import TYPE_CHECKING, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from closedloop.closure.conditioning import LANES
+from closedloop.closure.conditioning import BATCH
 from closedloop.closure.contact_force import (
     PRESSED,
     accelerate,
@@ -33,21 +33,26 @@ from closedloop.jit.background import make_ready
 from closedloop.jit.kernel import entry_kernel, jit_disabled, kernel_inlined, plain
 from closedloop.jit.numba_simd8 import float64x8_at, with_lane
 from closedloop.jit.pointers import address_of, matrix_at
+<<<<<<< HEAD
 from closedloop.jit.simd8 import WIDE, aligned, every
 from closedloop.report.joint_figures import joint_limits
+=======
+from closedloop.jit.simd8 import WIDE, aligned, every, float64x8_at, with_lane
+from closedloop.report.joint_values import joint_limits
+>>>>>>> part/words
 from closedloop.report.measured import (
     begin_tally,
     count_condition,
     count_row,
-    figure_count,
     tally_size,
-    write_figures,
+    value_count,
+    write_values,
 )
 from closedloop.robot.pinocchio import Robot
 from closedloop.robot.tree import Tree, energy_there, tree_terms, work_size
 from closedloop.scenario.scenario import Scenario
 from closedloop.step.advance import advance
-from closedloop.step.energy_supplied import gain, remember_power, settle
+from closedloop.step.energy_supplied import add_stage_work, commit_work, save_power
 from closedloop.step.evaluate import bounded, locate_tip, paper_torque
 from closedloop.step.memory import Constants, State, Whole, Work
 from closedloop.step.record_row import SCALARS, Row, record, record_conditions
@@ -57,18 +62,18 @@ if TYPE_CHECKING:
 
 Array = NDArray[np.float64]
 
-# The parts of the loop's memory, in `places`: each an array of float64x8.
-WORK, TERMS, CONSTANTS, FORCES, LARGEST, ROWS, TALLIES, FIGURES = range(8)
+# The arrays of the loop's memory, each of float64x8, in the order of `addresses`.
+WORK, TERMS, CONSTANTS, FORCES, LARGEST, ROWS, TALLIES, VALUES = range(8)
 
 SCALAR_COUNT = len(SCALARS)
-# Eight runs abreast take as long as two alone; fewer than this many are run alone.
+# Eight runs in lanes take as long as two by themselves; fewer than this many are run one by one.
 FEWEST = 3
-# A tip may leave the surface, or the stabiliser would pull: there is something to decide.
-LEFT = -1
+# Status: in some lane the tip may leave the surface, or the stabiliser would pull.
+NEEDS_EVENTS = -1
 
 
-def can_go_abreast(scenario: Scenario) -> bool:
-    """Whether a run may have nothing to decide: the paper's law, on a smooth surface from the start."""
+def can_use_lanes(scenario: Scenario) -> bool:
+    """Whether a scenario may run without branches: the paper's law, on a smooth surface from the start."""
     return (
         not needs_more(scenario)
         and not scenario.surface.gap > 0.0
@@ -79,7 +84,7 @@ def can_go_abreast(scenario: Scenario) -> bool:
 
 
 class Kind(NamedTuple):
-    """What runs that go abreast have in common."""
+    """What the runs of one set of lanes have in common."""
 
     contact: str
     integrator: str
@@ -91,9 +96,9 @@ class Kind(NamedTuple):
 
 
 def kind_of(problem: Problem) -> Kind | None:
-    """Return what a run must have in common with others to go abreast with them; None for one that must go alone."""
+    """Return what a run must have in common with the others in its lanes; None for one that cannot use lanes."""
     scenario = problem.scenario
-    if not can_go_abreast(scenario) or problem.mode != PRESSED:
+    if not can_use_lanes(scenario) or problem.mode != PRESSED:
         return None
     return Kind(
         scenario.surface.contact, scenario.time.integrator, problem.robot, problem.steps, problem.h, problem.nodes,
@@ -101,22 +106,22 @@ def kind_of(problem: Problem) -> Kind | None:
     )  # fmt: skip
 
 
-class Abreast:
+class LaneRuns:
     """Memory for eight runs of one kind; see `kind_of`.
 
     Parameters
     ----------
     like : Problem
-        One of them.
+        One of the runs, for the sizes.
     kind : Kind
         Its kind.
     keep : bool
-        Whether all rows are to be kept.
+        Whether all rows are kept.
 
     Attributes
     ----------
     kind : Kind
-        Of what kind they are.
+        The kind of all eight.
     n : int
         Joints.
     end : float
@@ -133,23 +138,23 @@ class Abreast:
         self._work = Work(aligned(Work.count(n, 0, stages, 1)), n, 0, stages, 1)
         self._constants = aligned(loop.constants.memory.size)
         self._forces, self._largest = aligned(like.table.shape[0]), aligned(1)
-        self._rows = aligned(like.steps + 1 if keep else LANES, Row.of(n).width)
-        self._figures = aligned(plain(figure_count)(n))
+        self._rows = aligned(like.steps + 1 if keep else BATCH, Row.of(n).width)
+        self._values = aligned(plain(value_count)(n))
         self._limits = joint_limits(like.robot.model)
         self._parts = (
             self._work.memory, aligned(n * n + n + plain(work_size)(n)), self._constants, self._forces, self._largest,
-            self._rows, aligned(plain(tally_size)(n)), self._figures,
+            self._rows, aligned(plain(tally_size)(n)), self._values,
         )  # fmt: skip
-        self._places = np.array([address_of(part) for part in self._parts])
+        self._addresses = np.array([address_of(part) for part in self._parts])
         self._tables: list[Array] = []
 
     @property
     def bytes(self) -> int:
-        """Return how much memory that is."""
+        """Return the size of the memory, bytes."""
         return sum(part.nbytes for part in self._parts)
 
-    def take(self, lane: int, problem: Problem) -> None:
-        """Let a problem be run number `lane`; afterwards the table's forces and noise may be overwritten."""
+    def load(self, lane: int, problem: Problem) -> None:
+        """Load a problem into a lane; afterwards the table's forces and noise may be overwritten."""
         n = self.n
         if lane == 0:
             self._tables.clear()
@@ -161,32 +166,32 @@ class Abreast:
         self._tables.append(problem.table)
 
     def run(self, tree: Tree, count: int) -> bool:
-        """Run the first `count` of the eight; False if something came up in one of them."""
+        """Run the first `count` lanes; False if one of them could not be finished here."""
         for part in (self._constants, self._forces, self._largest, self._work.q, self._work.v):
-            part[..., count:] = part[..., :1]  # the others do what the first does
-        places = [address_of(table) for table in self._tables[:count]]
-        tables = np.array(places + places[:1] * (WIDE - count))
-        self._state.pending = 0
-        make_ready(run_abreast)
-        status = run_abreast(
-            tree, self._places, self._state.memory, self._h, self._spacing, self._tableau, tables,
+            part[..., count:] = part[..., :1]  # unused lanes repeat the first
+        addresses = [address_of(table) for table in self._tables[:count]]
+        tables = np.array(addresses + addresses[:1] * (WIDE - count))
+        self._state.batched = 0
+        make_ready(run_in_lanes)
+        status = run_in_lanes(
+            tree, self._addresses, self._state.memory, self._h, self._spacing, self._tableau, tables,
             self._instants, self._columns, self._rows.shape[0], self._limits,
         )  # fmt: skip
         self._tables.clear()
         return status == OK
 
-    def figures(self, lane: int) -> Array:
-        """Return the figures of a run, see `closedloop.report.measured`."""
-        return self._figures[:, lane].copy()
+    def values(self, lane: int) -> Array:
+        """Return the values of a run's summary, see `closedloop.report.measured`."""
+        return self._values[:, lane].copy()
 
     def rows(self, lane: int) -> Array:
-        """Return the rows of a run, if they were kept; they are overwritten by the next."""
+        """Return the rows of a run, if they were kept; the next run overwrites them."""
         return self._rows[:, :, lane]
 
 
 @entry_kernel
-def run_abreast(
-    tree: Tree, places: Whole, state_numbers: Whole, h: float, spacing: float, tableau: Array, tables: Whole,
+def run_in_lanes(
+    tree: Tree, addresses: Whole, state_numbers: Whole, h: float, spacing: float, tableau: Array, tables: Whole,
     instants: int, columns: int, kept: int, limits: Array,
 ) -> int:  # fmt: skip
     """Run eight problems from start to end.
@@ -195,8 +200,8 @@ def run_abreast(
     ----------
     tree : Tree
         Their robot.
-    places : (8,) array of int
-        Addresses of the parts of the memory, see `Abreast`.
+    addresses : (8,) array of int
+        Of the arrays of the memory, see `LaneRuns`.
     state_numbers : array of int
         See `closedloop.step.memory`; the same for all.
     h, spacing : float
@@ -204,34 +209,34 @@ def run_abreast(
     tableau : (S + 1, S) array
         See `closedloop.integrators.Scheme.tableau`.
     tables : (8,) array of int
-        Addresses of what is desired of each, (instants, columns), see `closedloop.step.evaluate.reference_row`.
+        Addresses of the reference table of each run, (instants, columns), see `closedloop.step.evaluate.reference_row`.
     kept : int
-        How many rows there is room for: all, or `LANES`, over and over again.
+        Rows in memory: all, or `BATCH`, which are then overwritten in turn.
     limits : (4, n) array
-        See `closedloop.report.joint_figures.joint_limits`.
+        See `closedloop.report.joint_values.joint_limits`.
 
     Returns
     -------
     int
-        OK, or a status of `closedloop.closure.solve`, or LEFT, if something came up in at least one of them.
+        OK, or NEEDS_EVENTS or a status of `closedloop.closure.solve` if at least one lane could not go on.
     """
     n, state = tree.n, State(state_numbers)
     stages, steps, hold = state.stages, state.steps, state.hold
     semi_implicit, unilateral = state.semi_implicit != 0, state.unilateral != 0
-    w = Work(float64x8_at(places[WORK], 0), n, 0, stages, 1)
-    terms = float64x8_at(places[TERMS], n * n + n + work_size(n))
+    w = Work(float64x8_at(addresses[WORK], 0), n, 0, stages, 1)
+    terms = float64x8_at(addresses[TERMS], n * n + n + work_size(n))
     H, C, scratch = terms[0 : n * n].reshape(n, n), terms[n * n : n * n + n], terms[n * n + n :]
-    largest = float64x8_at(places[LARGEST], 1)[0]
-    constants = Constants(float64x8_at(places[CONSTANTS], 0), n, state.law_size, state.compensation_size)
-    forces = float64x8_at(places[FORCES], instants)
+    largest = float64x8_at(addresses[LARGEST], 1)[0]
+    constants = Constants(float64x8_at(addresses[CONSTANTS], 0), n, state.law_size, state.compensation_size)
+    forces = float64x8_at(addresses[FORCES], instants)
     width = 5 * n + 9 + SCALAR_COUNT
-    rows = float64x8_at(places[ROWS], kept * width).reshape(kept, width)
-    tally, out = float64x8_at(places[TALLIES], tally_size(n)), float64x8_at(places[FIGURES], figure_count(n))
+    rows = float64x8_at(addresses[ROWS], kept * width).reshape(kept, width)
+    tally, out = float64x8_at(addresses[TALLIES], tally_size(n)), float64x8_at(addresses[VALUES], value_count(n))
     frame = constants.frame
     begin_tally(tally, n)
     w.supplied = 0.0
     for row in range(steps + 1):
-        begin, place = row * h, row % kept
+        begin, slot = row * h, row % kept
         for stage in range(stages if row < steps else 1):
             node = 0.0
             for i in range(stage):
@@ -244,25 +249,25 @@ def run_abreast(
             if status != OK:
                 return status
             if unilateral and not (every(w.F[0] >= 0.0) and every(w.F[0] - w.stabiliser_force[0] >= 0.0)):
-                return LEFT
+                return NEEDS_EVENTS
             if stage == 0:
-                record(H, C, w, constants, state, tableau, rows, place, None)
+                record(H, C, w, constants, state, tableau, rows, slot, None)
                 potential = energy_there(tree, scratch)
-                count_row(rows[place], potential, w.reference, row, h, frame, limits, largest, tally)
+                count_row(rows[slot], potential, w.reference, row, h, frame, limits, largest, tally)
                 if row == steps:
-                    record_conditions(w.pending, rows, state, place + 1, n)
-                if state.pending == 0:
-                    for i in range(place - place % LANES, place + 1):
+                    record_conditions(w.batch, rows, state, slot + 1, n)
+                if state.batched == 0:
+                    for i in range(slot - slot % BATCH, slot + 1):
                         count_condition(rows[i], tally)
                 for j in range(n):
                     w.begin[j] = w.q[j]
                     w.begin[n + j] = w.v[j]
-                remember_power(w, state)
+                save_power(w, state)
             if row < steps:
-                gain(w, stage, h, tableau[stages, stage])
+                add_stage_work(w, stage, h, tableau[stages, stage])
                 advance(stage, h, semi_implicit, False, tableau, w.begin, w.stages, w.qdd, w.dz, w.q, w.v, w.z)
-        settle(w)
-    write_figures(rows[steps % kept, 5 * n + 9 :], n, steps + 1, h, largest, tally, out)
+        commit_work(w)
+    write_values(rows[steps % kept, 5 * n + 9 :], n, steps + 1, h, largest, tally, out)
     return OK
 
 
@@ -270,9 +275,7 @@ def run_abreast(
 def desired(
     t: float, spacing: float, tables: Whole, instants: int, columns: int, forces: Array, reference: Array
 ) -> None:
-    """Write what is desired of each run at t, an instant of the tables; see
-    `closedloop.step.evaluate.reference_row`.
-    """
+    """Write the reference of each run at t, an instant of the tables; see `closedloop.step.evaluate.reference_row`."""
     at = min(round(t / spacing), instants - 1)
     width = reference.shape[0]
     first = matrix_at(tables[0], instants, columns)
@@ -288,9 +291,7 @@ def desired(
 
 @kernel_inlined
 def press(H: Array, C: Array, w: Work, constants: Constants, t: float, sampled: bool) -> int:
-    """Evaluate law, contact and Eq. 24 of a tip that is held on a smooth surface; see
-    `closedloop.step.evaluate.evaluate`.
-    """
+    """Evaluate law, contact and Eq. 24 with the tip on a smooth surface; see `closedloop.step.evaluate.evaluate`."""
     locate_tip(w, constants)
     status = factorise(H, w.A, w.L, w.X, w.S, constants.reach)
     if status != OK:
@@ -306,6 +307,6 @@ def press(H: Array, C: Array, w: Work, constants: Constants, t: float, sampled: 
     return OK if bounded(w) else DIVERGED
 
 
-def goes_abreast(scenario: Scenario, engine: str, runs: int) -> bool:
-    """Whether a scenario goes abreast with others like it, so many in all."""
-    return engine == COMPILED and runs >= FEWEST and can_go_abreast(scenario)
+def uses_lanes(scenario: Scenario, engine: str, runs: int) -> bool:
+    """Whether a scenario is run in lanes, with others of its kind, in a batch of so many runs."""
+    return engine == COMPILED and runs >= FEWEST and can_use_lanes(scenario)

@@ -13,7 +13,7 @@ from closedloop.closure.contact_force import FREE, STUCK
 from closedloop.control.compensation.none import NoCompensation
 from closedloop.control.law import Compensation, ControlLaw
 from closedloop.control.sensor import PackedSensor, SensorSection, start_sensor
-from closedloop.events.phases import ARRIVING, PROJECTING
+from closedloop.events.phases import PROJECTION, STEP_END
 from closedloop.friction.laws import rest_states
 from closedloop.friction.layout import KINETIC, LAST, SEVEN_PARAMETER, STATIC_EXCESS, STICKS, state_count
 from closedloop.impact import LAWS
@@ -229,7 +229,7 @@ class Problem:
         state.sensor_sampled = self.sensor.sampled
         state.mode, state.sampled, state.risen = self.mode, 1, 1
         if self.project and self.mode != FREE:
-            state.phase, state.next_phase = PROJECTING, ARRIVING
+            state.phase, state.next_phase = PROJECTION, STEP_END
 
     def _set_start(self, state: State, w: Work) -> None:
         n = self.robot.n

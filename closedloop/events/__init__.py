@@ -1,9 +1,10 @@
-"""The loop as a machine that asks for what it needs: steps, events, impacts and projections in one place.
+"""Steps, events, impacts and projections: the time stepping of a run, by reverse communication.
 
-phases    what it asks for, and what the terms that arrive are for
-proceed   one turn of the machine
-steps     setting out on a substep, and coming to its end
-locate    when an event happens
-events    what an event does
-close     projection
+phases       phases, actions and tolerances
+proceed      one call: use the terms requested last, request the next
+substep      begin and end of a substep
+locate       event functions, and the bracket around the instant of an event
+transitions  what an event does to the state and the contact mode
+projection   a state moved onto the closure
+table        the table of events
 """

@@ -1,4 +1,4 @@
-"""When an event happens: the event function, negative once a mode has ended, and the bracket around its instant."""
+"""The instant of an event: the event function, negative once a mode has ended, and the bracket around its root."""
 
 from __future__ import annotations
 
@@ -7,15 +7,15 @@ from numpy.typing import NDArray
 
 from closedloop.closure.contact_force import FREE, STUCK
 from closedloop.events.phases import (
+    CHECK_STAGE,
     INSTANT,
-    LOOK,
-    LOOKED,
+    LOCATE_EVENT,
+    LOCATE_MINIMUM,
     NO_TRIAL,
-    SEARCH_EVENT,
-    SEARCH_LOWEST,
-    SET_OUT_AGAIN,
+    REACH_EVENT,
+    RETRY_SUBSTEP,
     SHALLOW,
-    TAKE_EVENT,
+    STAGE_CHECKED,
 )
 from closedloop.friction.laws import capture_speed, stick_limit
 from closedloop.jit.kernel import kernel, kernel_inlined
@@ -26,18 +26,20 @@ Array = NDArray[np.float64]
 
 @kernel_inlined
 def event_function(w: Work, constants: Constants, state: State, more: int | None) -> float:
-    """Return the number that is positive as long as the mode lasts: a gap, m, a force, N, or a speed, mm/s."""
+    """Return the event function, positive as long as the mode lasts: a gap, m, a force, N, or a speed, mm/s."""
     if state.mode == FREE:
         return float(w.gap)
     least: float = w.rigid_force if state.unilateral != 0 else 1.0
     if more is not None and state.sticking in (RIGID_STICK, SPRING_STICK):
-        least = min(least, cone(w, constants, state) if state.mode == STUCK else 1e3 * slip_left(w, constants, state))
+        least = min(
+            least, cone_margin(w, constants, state) if state.mode == STUCK else 1e3 * slip_margin(w, constants, state)
+        )
     return least
 
 
 @kernel
-def cone(w: Work, constants: Constants, state: State) -> float:
-    """Return what is left of the friction cone to a tip that sticks, μ_s f − |F_t|, N."""
+def cone_margin(w: Work, constants: Constants, state: State) -> float:
+    """Return the margin of a tip that sticks to the friction cone, μ_s f − |F_t|, N."""
     kind, par = state.friction, constants.friction
     at = state.law_states + state.sensor_states
     limit = stick_limit(kind, par, w.z[at : at + state.friction_states])
@@ -45,60 +47,58 @@ def cone(w: Work, constants: Constants, state: State) -> float:
 
 
 @kernel
-def slip_left(w: Work, constants: Constants, state: State) -> float:
-    """Return the speed along the direction in which slip began, m/s, above the speed at which sticking is tried."""
+def slip_margin(w: Work, constants: Constants, state: State) -> float:
+    """Return the speed along the direction of slip, m/s, less the speed at which the tip is tested for sticking."""
     band = capture_speed(state.friction, constants.friction)
     along = w.u[1] * w.direction[0] + w.u[2] * w.direction[1]
-    if (
-        w.start_slip_speed <= constants.stick_speed
-    ):  # slip has only begun, and its velocity is still of the size of rounding
+    if w.start_slip_speed <= constants.stick_speed:  # at the onset of slip its velocity is of the size of rounding
         return float(along + constants.stick_speed)
     return float(along - (band if w.start_slip_speed > band else 0.0))
 
 
 @kernel
-def aim(w: Work, state: State) -> None:
-    """Choose the next instant between LOW and HIGH: by the secant, and every third time halfway."""
+def choose_trial(w: Work, state: State) -> None:
+    """Choose the next trial instant between w.low and w.high: by the secant, and every third time by bisection."""
     low, high = w.low, w.high
     a, b = w.at_low, w.at_high
     tau = 0.5 * (low + high)
-    if state.tries % 3 != 2 and a > 0.0 > b and a > 1e-6 * -b:
+    if state.trials % 3 != 2 and a > 0.0 > b and a > 1e-6 * -b:
         tau = low + (high - low) * (a / (a - b))
         tau = min(max(tau, low + 0.4 * INSTANT), high - 0.4 * INSTANT)
-    state.tries += 1
+    state.trials += 1
     w.tau = tau
 
 
 @kernel
-def narrow(w: Work, state: State) -> int:
-    """Use the event function at the end of a trial step to shrink the bracket, until the instant is known."""
+def refine_bracket(w: Work, state: State) -> int:
+    """Shrink the bracket by the event function at the end of a trial step, until the instant is known."""
     tau, value = w.tau, w.event_value
-    if state.trial == LOOK:
-        state.trial = SEARCH_EVENT if value < 0.0 else LOOKED
-        if state.trial == LOOKED:
+    if state.trial == CHECK_STAGE:
+        state.trial = LOCATE_EVENT if value < 0.0 else STAGE_CHECKED
+        if state.trial == STAGE_CHECKED:
             w.tau = w.length
-            return SET_OUT_AGAIN
-    if state.trial == SEARCH_LOWEST:
-        if w.gap < -SHALLOW:  # it went through: look for the crossing before
-            state.trial = SEARCH_EVENT
+            return RETRY_SUBSTEP
+    if state.trial == LOCATE_MINIMUM:
+        if w.gap < -SHALLOW:  # the tip penetrates: locate the crossing before
+            state.trial = LOCATE_EVENT
             w.low, w.at_low = 0.0, max(w.start_gap, 0.0)
         else:
             value = -w.rate
     # The end that stays twice has its value halved, so that the secant moves towards it (Illinois).
     if value > 0.0 or (value == 0.0 and state.mode == FREE):
         w.low, w.at_low = tau, value
-        w.at_high *= 0.5 if state.tries > 1 else 1.0
+        w.at_high *= 0.5 if state.trials > 1 else 1.0
     else:
         w.high, w.at_high = tau, value
-        w.at_low *= 0.5 if state.tries > 1 else 1.0
+        w.at_low *= 0.5 if state.trials > 1 else 1.0
     if w.high - w.low > max(INSTANT, 4e-16 * w.time):
-        aim(w, state)
-    elif state.trial == SEARCH_LOWEST or w.high == w.length:
-        # It only came near, or it happens at the row itself: the step stands as it was.
-        state.trial, state.certain = NO_TRIAL, 1
+        choose_trial(w, state)
+    elif state.trial == LOCATE_MINIMUM or w.high == w.length:
+        # There is no event in the step, or it is at the row itself: the step is valid.
+        state.trial, state.no_search = NO_TRIAL, 1
         w.tau = w.length
     else:
-        # A tip that comes down is taken before it is inside, what else ends after it has ended.
-        state.trial = TAKE_EVENT
+        # An impact is applied just before penetration, every other event just after its mode has ended.
+        state.trial = REACH_EVENT
         w.tau = w.low if state.mode == FREE else w.high
-    return SET_OUT_AGAIN
+    return RETRY_SUBSTEP

@@ -1,4 +1,4 @@
-"""What the machine may ask for, what the terms it asked for are used for, and how exact it is."""
+"""Phases and actions of `closedloop.events.proceed`, and the tolerances of events."""
 
 from __future__ import annotations
 
@@ -11,49 +11,60 @@ from closedloop.step.memory import State
 Array = NDArray[np.float64]
 
 # What `proceed` returns.
-DONE, TERMS, ROOM, IMPACT_LAW_WANTED, FAILED = range(5)
+DONE, TERMS, TABLE_FULL, IMPACT_LAW_WANTED, FAILED = range(5)
 
-# Phases.
-ARRIVING, STAGING, PROBING, AT_EVENT, IMPACTING, BEGINNING, PROJECTING = range(7)
+# Phases: what the terms requested last are for, see `closedloop.events.proceed`.
+STEP_END, STAGE, TRIAL_END, AT_EVENT, IMPULSES_KNOWN, AFTER_EVENT, PROJECTION = range(7)
 
-# What a trial step is for. LOOKED is none: the step as it was, after a look at what one of its stages had shown.
-NO_TRIAL, LOOKED, LOOK, SEARCH_EVENT, SEARCH_LOWEST, TAKE_EVENT = range(6)
+# What a trial step is for. With STAGE_CHECKED a trial step has shown that a negative f at a stage was no event.
+NO_TRIAL, STAGE_CHECKED, CHECK_STAGE, LOCATE_EVENT, LOCATE_MINIMUM, REACH_EVENT = range(6)
 
-# What is to be done next inside `proceed`: ask (the terms of w.q, w.v are wanted), or one of these.
-ASK, LEAVE, SET_OUT, SET_OUT_AGAIN, APPLY_EVENT, APPLY_IMPACT, PROJECT, FINISH, FAIL, ENLARGE, COLLIDE = range(11)
+# Actions inside `proceed`. NEED_TERMS: return for the terms at w.q, w.v.
+(
+    NEED_TERMS,
+    ADVANCE,
+    BEGIN_SUBSTEP,
+    RETRY_SUBSTEP,
+    APPLY_EVENT,
+    APPLY_IMPACT,
+    PROJECT,
+    FAIL,
+    ENLARGE_TABLE,
+    SOLVE_IMPACT,
+) = range(10)
 
 # An event is located to this, s; nearer than that to a row it happens at the row.
 INSTANT = 1e-14
-# Nearer than this the tip is on the surface, m: the rounding of n·r − d is a few 1e-16, of a located touch 1e-14.
+# Within this gap the tip is on the surface, m: the rounding of n·r − d is a few 1e-16, of a located touch 1e-14.
 TOUCHING = 1e-12
-# A gap this little below zero is rounding, not yet a touch, m. A tip that the surface has let go rises with the cube of
-# time at first, no faster than an integrator's error grows. Until it is farther off than a stabiliser holds it on, and
-# than a step of first order misses the curve of its way by, h² nᵀJ̇ᵣq̇, a gap within that is none.
+# A negative gap down to −SHALLOW is rounding, m. After liftoff the gap grows with the cube of time at first, no faster
+# than the error of an integrator: until it has exceeded LEAVING, m, more than a stabiliser leaves of e, plus the error
+# of a step of first order, h² nᵀJ̇ᵣq̇, that sum is the tolerance.
 SHALLOW, LEAVING = 1e-13, 1e-9
-# A rate this small is the rounding of a velocity that was set to zero, m/s.
+# A closure rate this small is the rounding of a velocity that was set to zero, m/s.
 RESTING = 1e-11
-# Bounces that follow each other faster than `RUSH`, s, for this many times are an end of bouncing, whatever the speed;
-# and so many changes of mode in one step are no motion any more.
-RUSH, MOST_RUSHED = 1e-12, 20
-MOST_IN_STEP = 100_000
-# Directions of the circle at which the onset of slip is tried before it is bracketed.
+# After so many events in a row within `RAPID`, s, of each other a bounce ends in contact, whatever its speed; so many
+# events in one step end the run.
+RAPID, MAX_RAPID = 1e-12, 20
+MAX_IN_STEP = 100_000
+# Directions at which the onset of slip is evaluated before its roots are bracketed.
 DIRECTIONS = 36
-# e = n·r − d is a sum of a few products of numbers of a metre: 4 ε each way. Newton's method is quadratic, and from the
-# nanometres or micrometres that a step leaves it is there after one move; five are for a start a millimetre off.
-CLOSED, MOST_MOVES = 2e-15, 5
+# e = n·r − d is a sum of a few products of the order of a metre: 4 ε either way. Newton's method converges
+# quadratically: from the nanometres or micrometres after a step in one move; five are for a start a millimetre off.
+CLOSED, MAX_MOVES = 2e-15, 5
 
 
 @kernel_inlined
-def ask(state: State, phase: int) -> None:
-    """Say what the next terms are for, and whether the law is to be evaluated with them."""
+def request_terms(state: State, phase: int) -> None:
+    """Set what the next terms are for, and whether the law is evaluated with them."""
     state.phase = phase
-    if phase == PROJECTING:
+    if phase == PROJECTION:
         state.sampled = 0
     elif state.hold > 0:
-        state.sampled = 1 if phase == ARRIVING and state.row % state.hold == 0 else 0
+        state.sampled = 1 if phase == STEP_END and state.row % state.hold == 0 else 0
     else:
         state.sampled = 1
 
 
-# Events for which there is room at first; the table grows as needed.
-ROOM_FOR_EVENTS = 64
+# Rows of the table of events at first; it grows as needed.
+INITIAL_EVENTS = 64

@@ -1,4 +1,4 @@
-"""Projection: a state put back on the closure."""
+"""Projection of a state onto the closure, at position and velocity level."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ from numpy.typing import NDArray
 
 from closedloop.closure.contact_force import STUCK, apply_impulse, factorise, stuck_force
 from closedloop.closure.solve import OK
-from closedloop.events.phases import ASK, CLOSED, FAIL, MOST_MOVES, PROJECTING, ask
+from closedloop.events.phases import CLOSED, FAIL, MAX_MOVES, NEED_TERMS, PROJECTION, request_terms
 from closedloop.jit.kernel import kernel
 from closedloop.step.memory import RIGID_STICK, Constants, State, Work
 
@@ -16,10 +16,10 @@ Array = NDArray[np.float64]
 
 @kernel
 def project(H: Array, w: Work, constants: Constants, state: State) -> int:
-    """Move the state towards the closure: q by −H⁻¹Aᵀ(A H⁻¹Aᵀ)⁻¹e until e is rounding, then q̇ likewise by its rate.
+    """Project the state onto the closure: q by −H⁻¹Aᵀ(A H⁻¹Aᵀ)⁻¹e until e is rounding, then q̇ likewise by ė.
 
-    Of all moves that close the loop these are the smallest in the norm of the mass matrix: what a contact impulse would
-    do. The force of Eq. 24 carries no share of it.
+    Of all corrections that close the loop these are the smallest in the norm of H, as a contact impulse's is. They do
+    not contribute to the force of Eq. 24.
     """
     state.status = factorise(H, w.A, w.L, w.X, w.S, constants.reach)
     if state.status != OK:
@@ -33,7 +33,7 @@ def project(H: Array, w: Work, constants: Constants, state: State) -> int:
             if stuck:
                 w.a[i] = w.p[i] - w.anchor[i - 1] if level == 0 else w.u[i]
                 size = max(size, abs(w.a[i]))
-        if level == 0 and (size <= CLOSED or state.moves >= MOST_MOVES):
+        if level == 0 and (size <= CLOSED or state.projections >= MAX_MOVES):
             continue
         if stuck:
             for i in range(3):
@@ -46,9 +46,9 @@ def project(H: Array, w: Work, constants: Constants, state: State) -> int:
             w.F[1], w.F[2] = 0.0, 0.0
         if level == 0:
             apply_impulse(w.L, w.X, w.F, w.column, w.q)
-            state.moves += 1
-            ask(state, PROJECTING)
-            return ASK
+            state.projections += 1
+            request_terms(state, PROJECTION)
+            return NEED_TERMS
         apply_impulse(w.L, w.X, w.F, w.column, w.v)
-    ask(state, state.next_phase)
-    return ASK
+    request_terms(state, state.next_phase)
+    return NEED_TERMS

@@ -1,4 +1,4 @@
-"""Setting out on a substep, and coming to its end."""
+"""The beginning and the end of a substep."""
 
 from __future__ import annotations
 
@@ -6,33 +6,33 @@ import numpy as np
 from numpy.typing import NDArray
 
 from closedloop.closure.contact_force import FREE, PRESSED, STUCK
-from closedloop.events.locate import aim, event_function
+from closedloop.events.locate import choose_trial, event_function
 from closedloop.events.phases import (
+    ADVANCE,
     APPLY_EVENT,
-    ARRIVING,
     AT_EVENT,
+    BEGIN_SUBSTEP,
+    CHECK_STAGE,
     INSTANT,
-    LEAVE,
     LEAVING,
-    LOOK,
-    LOOKED,
+    LOCATE_EVENT,
+    LOCATE_MINIMUM,
     NO_TRIAL,
-    PROBING,
-    PROJECTING,
+    PROJECTION,
+    REACH_EVENT,
     RESTING,
-    SEARCH_EVENT,
-    SEARCH_LOWEST,
-    SET_OUT,
-    SET_OUT_AGAIN,
+    RETRY_SUBSTEP,
     SHALLOW,
-    STAGING,
-    TAKE_EVENT,
+    STAGE,
+    STAGE_CHECKED,
+    STEP_END,
     TOUCHING,
-    ask,
+    TRIAL_END,
+    request_terms,
 )
 from closedloop.friction.laws import advance_states
 from closedloop.jit.kernel import kernel, kernel_inlined
-from closedloop.step.energy_supplied import remember_power
+from closedloop.step.energy_supplied import save_power
 from closedloop.step.joint_friction import advance_joint_friction
 from closedloop.step.memory import SMOOTH, Constants, State, Work
 
@@ -40,8 +40,8 @@ Array = NDArray[np.float64]
 
 
 @kernel_inlined
-def remember(w: Work, constants: Constants, state: State, more: int | None) -> None:
-    """Keep the state and its derivative: the beginning of a substep of length w.length."""
+def save_state(w: Work, constants: Constants, state: State, more: int | None) -> None:
+    """Save the state and its derivative at the beginning of a substep of length w.length."""
     n, extra = w.q.shape[0], w.z.shape[0]
     for j in range(n):
         w.begin[j] = w.q[j]
@@ -53,20 +53,20 @@ def remember(w: Work, constants: Constants, state: State, more: int | None) -> N
         w.slope[n + j] = w.dz[j]
     w.begin_time, w.tau = w.time, w.length
     w.start_gap, w.start_rate = w.gap, w.rate
-    state.trial, state.stage, state.certain = NO_TRIAL, 0, 0
+    state.trial, state.stage, state.no_search = NO_TRIAL, 0, 0
     if more is not None and state.sticking != SMOOTH:
         speed = np.hypot(w.u[1], w.u[2])
         w.start_slip_speed = speed
         w.start_slip[0], w.start_slip[1] = w.u[1], w.u[2]
-        if state.mode == PRESSED and speed > max(constants.stick_speed, w.straight):
+        if state.mode == PRESSED and speed > max(constants.stick_speed, w.straight_speed):
             w.direction[0], w.direction[1] = w.u[1] / speed, w.u[2] / speed
     w.start_event_value = event_function(w, constants, state, more)
-    remember_power(w, state)
+    save_power(w, state)
 
 
 @kernel_inlined
-def restore(w: Work, state: State) -> None:
-    """Go back to the remembered state, to take a step of another length, w.tau, from it."""
+def restore_state(w: Work, state: State) -> None:
+    """Restore the saved state, for a step of another length, w.tau, from it."""
     n, extra = w.q.shape[0], w.z.shape[0]
     for j in range(n):
         w.q[j] = w.begin[j]
@@ -80,7 +80,7 @@ def restore(w: Work, state: State) -> None:
 
 @kernel
 def advance_friction(w: Work, constants: Constants, state: State, h: float) -> None:
-    """Advance the states of friction by h at the velocity of the substep's beginning, exactly."""
+    """Advance the states of friction by h, exactly, at the velocity of the substep's beginning."""
     at = state.law_states + state.sensor_states
     if state.mode != FREE and state.friction_states > 0:
         advance_states(
@@ -91,8 +91,8 @@ def advance_friction(w: Work, constants: Constants, state: State, h: float) -> N
 
 
 @kernel_inlined
-def leave_stage(w: Work, h: float, state: State, tableau: Array) -> None:
-    """Ask for the terms of the state that a stage has led to: the next stage's, or those of the substep's end."""
+def finish_stage(w: Work, h: float, state: State, tableau: Array) -> None:
+    """Request the terms after a stage: those of the next stage, or of the substep's end."""
     stage, tau = state.stage, w.tau
     if stage + 1 < state.stages:
         state.stage = stage + 1
@@ -100,64 +100,64 @@ def leave_stage(w: Work, h: float, state: State, tableau: Array) -> None:
         for i in range(stage + 1):
             node += tableau[stage + 1, i]
         w.time = w.begin_time + node * tau
-        ask(state, STAGING)
-    elif state.trial > LOOKED:
+        request_terms(state, STAGE)
+    elif state.trial > STAGE_CHECKED:
         w.time = w.begin_time + tau
-        ask(state, AT_EVENT if state.trial == TAKE_EVENT else PROBING)
+        request_terms(state, AT_EVENT if state.trial == REACH_EVENT else TRIAL_END)
     else:
         w.time = state.row * h
         if state.project != 0 and state.mode != FREE:
-            state.moves, state.next_phase = 0, ARRIVING
-            ask(state, PROJECTING)
+            state.projections, state.next_phase = 0, STEP_END
+            request_terms(state, PROJECTION)
         else:
-            ask(state, ARRIVING)
+            request_terms(state, STEP_END)
 
 
 @kernel_inlined
-def look(w: Work, state: State) -> int:
-    """Say what a stage calls for: LEAVE, or a trial step to its instant if the surface would pull in it.
+def check_stage(w: Work, state: State) -> int:
+    """Return ADVANCE, or if f is negative at a stage RETRY_SUBSTEP, with a trial step to the stage's instant.
 
-    A pull that begins and ends within the step is then found, if it lasts over a stage. A stage is of lower order than
-    the step, and is not believed: only if f is negative at the end of the trial step too is the event searched for.
+    So a negative f that begins and ends within the step is found if a stage samples it. A stage is of lower order than
+    the step: the event is searched for only if f is negative at the end of the trial step too.
     """
     tau = w.time - w.begin_time
     if state.trial != NO_TRIAL or state.mode == FREE or not w.rigid_force < 0.0 or tau > w.length - INSTANT:
-        return LEAVE
-    state.trial, state.tries = LOOK, 0
+        return ADVANCE
+    state.trial, state.trials = CHECK_STAGE, 0
     w.low, w.high, w.tau = 0.0, tau, tau
     w.at_low = max(w.start_event_value, 0.0)
-    return SET_OUT_AGAIN
+    return RETRY_SUBSTEP
 
 
 @kernel_inlined
-def arrive(w: Work, drift: float, state: State) -> int:
-    """Say what a step that has just arrived calls for: SET_OUT, an event here (APPLY_EVENT), or a search for one."""
-    here = state.row == 0 or state.certain != 0  # there is no earlier instant to look at
+def check_step(w: Work, drift: float, state: State) -> int:
+    """Return the action at the end of a step: BEGIN_SUBSTEP, APPLY_EVENT here, or RETRY_SUBSTEP to locate an event."""
+    here = state.row == 0 or state.no_search != 0  # there is no earlier instant to search
     trial = NO_TRIAL
     if state.mode != FREE:
         if w.event_value < 0.0:
-            trial = TAKE_EVENT if here else SEARCH_EVENT
+            trial = REACH_EVENT if here else LOCATE_EVENT
     elif state.unilateral != 0:
         leaving = LEAVING + (w.length * w.length * abs(drift) if state.stages == 1 else 0.0)
         if here:
             if w.gap <= TOUCHING and w.rate < -RESTING:
-                trial = TAKE_EVENT
+                trial = REACH_EVENT
         elif w.gap < -(SHALLOW if state.risen != 0 else leaving):
-            trial = SEARCH_EVENT
+            trial = LOCATE_EVENT
         elif state.risen != 0 and w.start_rate < -RESTING and w.rate > 0.0:
-            trial = SEARCH_LOWEST  # down and up again: how low was it?
+            trial = LOCATE_MINIMUM  # down and up again: locate the lowest point
         if w.gap > leaving:
             state.risen = 1
     state.trial = trial
     if trial == NO_TRIAL:
-        return SET_OUT
-    if trial == TAKE_EVENT:
+        return BEGIN_SUBSTEP
+    if trial == REACH_EVENT:
         return APPLY_EVENT
-    state.tries = 0
+    state.trials = 0
     w.low, w.high = 0.0, w.length
-    if trial == SEARCH_LOWEST:
+    if trial == LOCATE_MINIMUM:
         w.at_low, w.at_high = -w.start_rate, -w.rate
     else:
         w.at_low, w.at_high = max(w.start_event_value, 0.0), w.event_value
-    aim(w, state)
-    return SET_OUT_AGAIN
+    choose_trial(w, state)
+    return RETRY_SUBSTEP

@@ -1,6 +1,6 @@
-"""Events: what happens to the contact between two rows, at its own instant.
+"""The table of events: changes of contact, each at its own instant between two rows of the record.
 
-Every event is a row of a table beside the run's columns. Impulses are events and never part of the contact force.
+Impulses are events and never part of the contact force.
 """
 
 from __future__ import annotations

@@ -18,28 +18,28 @@ from closedloop.closure.contact_force import (
     stuck_force,
 )
 from closedloop.closure.solve import CHATTER, OK
-from closedloop.events.locate import cone
+from closedloop.events.locate import cone_margin
 from closedloop.events.phases import (
+    AFTER_EVENT,
     APPLY_EVENT,
     APPLY_IMPACT,
-    ARRIVING,
-    ASK,
     AT_EVENT,
-    BEGINNING,
-    COLLIDE,
+    BEGIN_SUBSTEP,
     DIRECTIONS,
-    ENLARGE,
+    ENLARGE_TABLE,
     FAIL,
-    IMPACTING,
+    IMPULSES_KNOWN,
     INSTANT,
-    MOST_IN_STEP,
-    MOST_RUSHED,
+    MAX_IN_STEP,
+    MAX_RAPID,
+    NEED_TERMS,
     PROJECT,
+    RAPID,
     RESTING,
-    RUSH,
-    SET_OUT,
+    SOLVE_IMPACT,
+    STEP_END,
     TOUCHING,
-    ask,
+    request_terms,
 )
 from closedloop.events.table import IMPACT, LIFTOFF, REVERSAL, SLIP_AGAIN, STICK, TOUCHDOWN, write_event
 from closedloop.friction.laws import capture_speed, contact_states, memory_delay, sliding, stick_limit, stick_states
@@ -47,7 +47,7 @@ from closedloop.impact import CUT as ENERGY_CUT
 from closedloop.impact import MODES, energy_lost, impact
 from closedloop.jit.kernel import entry_kernel, kernel
 from closedloop.step.entries import RESTART
-from closedloop.step.evaluate import tell_law
+from closedloop.step.evaluate import call_law
 from closedloop.step.memory import RIGID_STICK, SPRING_STICK, Constants, State, Work, loop_at
 from closedloop.step.tip_friction import delayed_speed
 
@@ -55,35 +55,35 @@ Array = NDArray[np.float64]
 
 
 @kernel
-def begin_piece(C: Array, w: Work, constants: Constants, state: State, more: int | None) -> int:
-    """Look at the state just after an event, and set out from it for the end of the step, unless its mode cannot be."""
+def resume_after_event(C: Array, w: Work, constants: Constants, state: State, more: int | None) -> int:
+    """Continue after an event to the end of the step, unless the mode is inconsistent with the state."""
     if state.mode == FREE:
-        # A tip that the surface has just let go, and that would fall back at once, has not left: on the closure, where
-        # its last act has put the tip, f is still positive; or the law pushes when free and pulls when pressed.
+        # A tip just after liftoff that accelerates towards the surface has not left it: at the projected state f is
+        # still positive; or the law presses when the tip is free and lifts when it is in contact.
         let_go = state.kind == LIFTOFF and w.last_event == w.time
         back = let_go and w.gap <= TOUCHING and abs(w.rate) <= RESTING and w.a[0] < 0.0
         if back and w.a[0] < -normal_rounding(w.L, w.X, w.drift_c, w.torque, w.joint_friction, C, w.column):
             make_contact(w, constants, state, np.hypot(w.u[1], w.u[2]))
             state.events -= 1
             state.events_in_step += 1
-            if state.events_in_step > MOST_IN_STEP or state.rushed > MOST_RUSHED:
+            if state.events_in_step > MAX_IN_STEP or state.rapid_events > MAX_RAPID:
                 state.status = CHATTER
                 return FAIL
-            ask(state, BEGINNING)
-            return ASK
+            request_terms(state, AFTER_EVENT)
+            return NEED_TERMS
     elif (state.unilateral != 0 and w.rigid_force < 0.0) or (
-        more is not None and state.mode == STUCK and cone(w, constants, state) < 0.0
+        more is not None and state.mode == STUCK and cone_margin(w, constants, state) < 0.0
     ):
         return APPLY_EVENT
     left = state.row * constants.h - w.time
     if left <= INSTANT:
-        state.certain = 1
+        state.no_search = 1
         w.time = state.row * constants.h
-        ask(state, ARRIVING)
-        return ASK
+        request_terms(state, STEP_END)
+        return NEED_TERMS
     state.after_event = 1
     w.length = left
-    return SET_OUT
+    return BEGIN_SUBSTEP
 
 
 @kernel
@@ -93,14 +93,14 @@ def apply_event(
     """Apply the event at this state: an impact, the end of the contact, of slip or of sticking."""
     if state.events >= events.shape[0]:
         state.phase = AT_EVENT
-        return ENLARGE
+        return ENLARGE_TABLE
     state.events_in_step += 1
-    if w.time - w.last_event > RUSH:
-        state.rushed = 0
+    if w.time - w.last_event > RAPID:
+        state.rapid_events = 0
     else:
-        state.rushed += 1
+        state.rapid_events += 1
     w.last_event = w.time
-    if state.events_in_step > MOST_IN_STEP or (state.rushed > MOST_RUSHED and state.mode != FREE):
+    if state.events_in_step > MAX_IN_STEP or (state.rapid_events > MAX_RAPID and state.mode != FREE):
         state.status = CHATTER
         return FAIL
     if state.mode == FREE:
@@ -114,37 +114,37 @@ def apply_event(
         w.decompression[i] = 0.0
     w.discarded_rebound, w.restitution_given = 0.0, 0.0
     if state.mode == FREE:
-        # A step of first order may bring a tip down that its velocity already takes up again: contact, no impulse.
-        state.phase, state.kind = IMPACTING, TOUCHDOWN
-        return COLLIDE if w.u[0] < 0.0 else APPLY_IMPACT
+        # At the end of a step of first order the gap may be negative and the velocity upwards: contact, no impulse.
+        state.phase, state.kind = IMPULSES_KNOWN, TOUCHDOWN
+        return SOLVE_IMPACT if w.u[0] < 0.0 else APPLY_IMPACT
     if state.unilateral != 0 and w.rigid_force < 0.0:
         state.mode, state.risen, state.kind = FREE, 0, LIFTOFF
         w.after[0] = 0.0
-        log(w, constants, state, events, 0.5 * w.u[0] * w.u[0] / w.S[0, 0])
-        # The last act of the closure: the tip leaves from the surface itself, without what the stabiliser owed.
-        state.moves, state.next_phase = 0, BEGINNING
+        log_event(w, constants, state, events, 0.5 * w.u[0] * w.u[0] / w.S[0, 0])
+        # The tip leaves from the surface itself: the error that the stabiliser had not yet removed is projected out.
+        state.projections, state.next_phase = 0, AFTER_EVENT
         return PROJECT
     if more is not None:
-        return turn(w, constants, state, rows, events)
-    ask(state, BEGINNING)
-    return ASK
+        return end_stick_or_slip(w, constants, state, rows, events)
+    request_terms(state, AFTER_EVENT)
+    return NEED_TERMS
 
 
 @kernel
-def turn(w: Work, constants: Constants, state: State, rows: Array, events: Array) -> int:
-    """Apply the end of sticking, or of slip: it sticks, or goes on in another direction."""
+def end_stick_or_slip(w: Work, constants: Constants, state: State, rows: Array, events: Array) -> int:
+    """Apply the end of sticking, or of slip: the tip sticks, or slides in another direction."""
     kind, par = state.friction, constants.friction
     at = state.law_states + state.sensor_states
     z = w.z[at : at + state.friction_states]
     loss, size = 0.0, np.hypot(w.F[1], w.F[2])
-    if state.mode == STUCK and not size > 0.0:  # nothing drags it: f is about to end, and it is not negative yet
-        ask(state, BEGINNING)
-        return ASK
-    if state.mode == STUCK:  # the force that held the tip is what it now slides against
+    if state.mode == STUCK and not size > 0.0:  # no tangential force: f goes to zero, and is not negative yet
+        request_terms(state, AFTER_EVENT)
+        return NEED_TERMS
+    if state.mode == STUCK:  # slip starts against the friction force that held the tip
         state.mode, state.kind = PRESSED, SLIP_AGAIN
         w.direction[0], w.direction[1] = -w.F[1] / size, -w.F[2] / size
-        if state.sticking == RIGID_STICK:  # slip starts from rest: what errors have left of a velocity goes
-            loss = halt(w)
+        if state.sticking == RIGID_STICK:  # slip starts from rest: the velocity left by errors is removed
+            loss = stop_tip(w)
     else:
         speed = np.hypot(w.u[1], w.u[2])
         slow = speed <= max(2.0 * constants.stick_speed, capture_speed(kind, par) * (1.0 + 1e-9))
@@ -162,22 +162,22 @@ def turn(w: Work, constants: Constants, state: State, rows: Array, events: Array
             if held == OK and slow and size <= stick_limit(kind, par, z) * abs(w.F[0]):
                 state.mode, state.kind = STUCK, STICK
                 w.anchor[0], w.anchor[1] = w.p[1], w.p[2]
-                loss = halt(w)
-            elif not slow:  # it has only turned by a right angle since the substep began
+                loss = stop_tip(w)
+            elif not slow:  # slip has turned by a right angle since the substep began, and goes on
                 w.direction[0], w.direction[1] = w.u[1] / speed, w.u[2] / speed
-                ask(state, BEGINNING)
-                return ASK
+                request_terms(state, AFTER_EVENT)
+                return NEED_TERMS
             else:
                 state.kind = REVERSAL
                 find_direction(w, constants, state, z)
-    log(w, constants, state, events, loss)
-    ask(state, BEGINNING)
-    return ASK
+    log_event(w, constants, state, events, loss)
+    request_terms(state, AFTER_EVENT)
+    return NEED_TERMS
 
 
 @kernel
-def halt(w: Work) -> float:
-    """Take away what is left of the tip's velocity u, by an impulse as small; return the energy that goes, J."""
+def stop_tip(w: Work) -> float:
+    """Set the tip's velocity u to zero by an impulse; return the energy lost, J."""
     for i in range(3):
         w.a[i], w.b[i] = w.u[i], 0.0
     stuck_force(w.S, w.a, w.b, w.compression, w.stabiliser_force)
@@ -189,10 +189,10 @@ def halt(w: Work) -> float:
 
 @kernel
 def find_direction(w: Work, constants: Constants, state: State, z: Array) -> None:
-    """Write the direction in which slip starts that friction cannot prevent: that in which the tip then accelerates.
+    """Write the direction of incipient slip: that in which the tip accelerates with sliding friction against it.
 
-    Friction against a direction changes the acceleration, and the tip's mobility is not the same in all: the direction
-    is a root of the angle between the two, found by a scan of the circle and bisection.
+    The tip's mobility is anisotropic, so the direction is a root of the angle between it and the acceleration with
+    friction against it, found by a scan of the circle and bisection.
     """
     kind, par = state.friction, constants.friction
     at_rest = w.scratch[0:2]
@@ -201,17 +201,17 @@ def find_direction(w: Work, constants: Constants, state: State, z: Array) -> Non
     low = 0.0
     for i in range(DIRECTIONS + 1):
         angle = 2.0 * np.pi * i / DIRECTIONS
-        across, along = onset(kind, par, at_rest, z, w, angle)
+        across, along = slip_onset(kind, par, at_rest, z, w, angle)
         if i > 0 and before * across <= 0.0 and along > 0.0:
             a, b, sign = low, angle, before
             for _ in range(60):
                 middle = 0.5 * (a + b)
-                across_middle, along_middle = onset(kind, par, at_rest, z, w, middle)
+                across_middle, along_middle = slip_onset(kind, par, at_rest, z, w, middle)
                 if across_middle * sign > 0.0:
                     a = middle
                 else:
                     b = middle
-            across_middle, along_middle = onset(kind, par, at_rest, z, w, b)
+            across_middle, along_middle = slip_onset(kind, par, at_rest, z, w, b)
             if along_middle > best:
                 best, here = along_middle, b
         low, before = angle, across
@@ -219,7 +219,7 @@ def find_direction(w: Work, constants: Constants, state: State, z: Array) -> Non
 
 
 @kernel
-def onset(kind: int, par: Array, at_rest: Array, z: Array, w: Work, angle: float) -> tuple[float, float]:
+def slip_onset(kind: int, par: Array, at_rest: Array, z: Array, w: Work, angle: float) -> tuple[float, float]:
     """Return the acceleration across and along a direction if slip starts in it, m/s²."""
     w.direction[0], w.direction[1] = math.cos(angle), math.sin(angle)
     sliding(kind, par, at_rest, 0.0, z, w.direction, w.c, w.viscous)
@@ -231,8 +231,8 @@ def onset(kind: int, par: Array, at_rest: Array, z: Array, w: Work, angle: float
 
 
 @kernel
-def log(w: Work, constants: Constants, state: State, events: Array, energy: float) -> None:
-    """Write the event state.kind into the table, and book the energy that it took."""
+def log_event(w: Work, constants: Constants, state: State, events: Array, energy: float) -> None:
+    """Write the event state.kind into the table, and subtract its energy loss from the energy supplied."""
     write_event(
         events[state.events], w.time, state.kind, w.discarded_rebound, w.restitution_given, constants.frame, w.r,
         w.before, w.after, w.compression, w.decompression, energy,
@@ -243,14 +243,14 @@ def log(w: Work, constants: Constants, state: State, events: Array, energy: floa
 
 @kernel
 def apply_impact(w: Work, constants: Constants, state: State, events: Array, more: int | None) -> None:
-    """Apply the impulses of an impact to q̇, and go on in the mode that it leaves."""
+    """Apply the impulses of an impact to q̇, and set the mode after it."""
     for i in range(3):
         w.F[i] = w.compression[i] + w.decompression[i]
     apply_impulse(w.L, w.X, w.F, w.column, w.v)
-    log(w, constants, state, events, energy_lost(w.before, w.after, w.F))
+    log_event(w, constants, state, events, energy_lost(w.before, w.after, w.F))
     state.risen = 1
     if more is not None:
-        tell_law(state, RESTART)
+        call_law(state, RESTART)
         at = state.law_states + state.sensor_states
         if state.friction_states > 0:
             contact_states(w.z[at : at + state.friction_states])
@@ -263,7 +263,7 @@ def apply_impact(w: Work, constants: Constants, state: State, events: Array, mor
 
 @kernel
 def make_contact(w: Work, constants: Constants, state: State, speed: float) -> None:
-    """Let a tip on the surface slide, or stick where it is if its friction may hold it and it is slow enough, m/s."""
+    """Set the mode of a tip on the surface: STUCK if its law of friction sticks and it is slow enough, else PRESSED."""
     state.mode = PRESSED
     if state.sticking in (RIGID_STICK, SPRING_STICK) and speed <= constants.stick_speed:
         state.mode = STUCK
@@ -272,13 +272,13 @@ def make_contact(w: Work, constants: Constants, state: State, speed: float) -> N
 
 @entry_kernel
 def collide(address: int) -> None:
-    """Find the impulses of the impact at which the machine stands, and whether it ends in contact.
+    """Compute the impulses of the impact at the present state, and whether it ends in contact.
 
-    The loop is found at the address, see `closedloop.step.memory.loop_at`. It is apart from `proceed` because impacts
-    are rare and their law takes longer to compile than all the rest.
+    The address is that of the loop's memory, see `closedloop.step.memory.loop_at`. The function is separate from
+    `proceed` because impacts are rare and their law takes longer to compile than all the rest.
     """
     state, constants, w = loop_at(address)
-    bounces = state.rushed <= MOST_RUSHED
+    bounces = state.rapid_events <= MAX_RAPID
     state.kind, w.discarded_rebound, w.restitution_given = IMPACT if bounces else TOUCHDOWN, 0.0, 0.0
     for _ in range(2):
         restitution = constants.restitution if state.kind == IMPACT else 0.0

@@ -1,6 +1,6 @@
-"""The figures of a run's summary in one compiled pass over its rows.
+"""The values of a run's summary in one compiled pass over its rows.
 
-`closedloop.report.summary` has the same figures from the columns of a `Run`, in numpy. A batch of ten thousand runs
+`closedloop.report.summary` has the same values from the columns of a `Run`, in numpy. A batch of ten thousand runs
 makes no columns, and numpy would hold the interpreter's lock.
 """
 
@@ -16,10 +16,10 @@ from closedloop.events.table import EVENT_COLUMNS, KINDS
 from closedloop.jit.kernel import entry_kernel, kernel, kernel_inlined
 from closedloop.jit.simd8 import select
 from closedloop.report.assumptions import NAMES, NEAR_SINGULAR, RESIDUAL_TOLERANCE
-from closedloop.report.joint_figures import (
+from closedloop.report.joint_values import (
     ALTERNATING,
-    JOINT_FIGURES,
     JOINT_TALLY,
+    JOINT_VALUES,
     SIGNAL_TALLY,
     SIZE,
     begin_joints,
@@ -43,7 +43,7 @@ Array = NDArray[np.float64]
 EVENTS_AT = len(MEASURES)
 FAILED_AT = EVENTS_AT + len(KINDS)
 WIDTH = FAILED_AT + len(NAMES)
-# Then those of each joint, see `closedloop.report.joint_figures`.
+# Then those of each joint, see `closedloop.report.joint_values`.
 
 (
     CONTACT_FORCE, STABILISER_FORCE, CLOSURE_ERROR, CLOSURE_RATE, MODE, MOTION_RESIDUAL, CLOSURE_RESIDUAL,
@@ -58,7 +58,7 @@ WIDTH = FAILED_AT + len(NAMES)
 EVENT_KIND, EVENT_CUT, EVENT_LOSS = (EVENT_COLUMNS[f"event_{name}"].at for name in ("kind", "rate_cut", "energy_lost"))
 
 
-# What the figures of the rows so far come to.
+# Accumulated over the rows so far.
 (
     PEAK, LEAST, LEAST_MOBILITY, LARGEST_SHARE, LARGEST_RESIDUAL, LARGEST_CONDITION, DEEPEST, WORST, FASTEST, IN_JOINTS,
     UNACCOUNTED, WORK_SIZE, RUBBING, FORCE_SQUARES, PATH_SQUARES, TIP_SQUARES, FRICTION_SQUARES, START_ENERGY,
@@ -71,9 +71,9 @@ TALLY = SIGNAL + SIGNAL_TALLY
 
 
 @kernel
-def figure_count(n: int) -> int:
-    """Return how many figures a run of a robot of n joints has."""
-    return WIDTH + JOINT_FIGURES * n
+def value_count(n: int) -> int:
+    """Return how many values the summary of a run with n joints has."""
+    return WIDTH + JOINT_VALUES * n
 
 
 @kernel
@@ -87,7 +87,7 @@ def measure_rows(
     tree: Tree, scratch: Array, rows: Array, count: int, table: Array, nodes: int, h: float, frame: Array,
     limits: Array, events: Array, happened: int, tally: Array, out: Array,
 ) -> None:  # fmt: skip
-    """Write the figures of a run; those that do not exist are NaN.
+    """Write the values of a run's summary; those that do not exist are NaN.
 
     Parameters
     ----------
@@ -103,12 +103,12 @@ def measure_rows(
     frame : (3, 3) array
         Contact frame: rows n, t1, t2 in base axes.
     limits : (4, n) array
-        See `closedloop.report.joint_figures.joint_limits`.
+        See `closedloop.report.joint_values.joint_limits`.
     events : (>= happened, EVENT_WIDTH) array
         See `closedloop.events.table`.
     tally : (>= tally_size(n),) array
         Scratch.
-    out : (figure_count(n),) array
+    out : (value_count(n),) array
         Written: `MEASURES` in their order, counts of `KINDS`, when the assumptions first failed, and each of
         `JOINT_MEASURES` for all joints.
     """
@@ -122,7 +122,7 @@ def measure_rows(
         potential = tree_potential_energy(tree, rows[i, 0:n], sines)
         count_row(rows[i], potential, table[i * nodes], i, h, frame, limits, largest, tally)
         count_condition(rows[i], tally)
-    write_figures(rows[count - 1, 5 * n + 9 :], n, count, h, largest, tally, out)
+    write_values(rows[count - 1, 5 * n + 9 :], n, count, h, largest, tally, out)
     for i in range(happened):
         out[STRUCK] += events[i, EVENT_LOSS]
         out[RATE_CUT] = max(out[RATE_CUT], events[i, EVENT_CUT])
@@ -235,8 +235,8 @@ def count_condition(row: Array, tally: Array) -> None:
 
 
 @kernel
-def write_figures(last: Array, n: int, count: int, h: float, largest: float, tally: Array, out: Array) -> None:
-    """Write the figures `out` (figure_count(n),) of `count` rows with this tally; `last` are the last row's scalars."""
+def write_values(last: Array, n: int, count: int, h: float, largest: float, tally: Array, out: Array) -> None:
+    """Write the values `out` (value_count(n),) of `count` rows with this tally; `last` are the last row's scalars."""
     t = tally
     for i in range(WIDTH):
         out[i] = 0.0 if i < FAILED_AT else t[FAILED + i - FAILED_AT]

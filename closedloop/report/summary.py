@@ -26,10 +26,10 @@ def summarise(run: Run) -> dict[str, Any]:
 
     Quantities that do not exist (no rows) are None. So is a figure that is no finite number; `not_finite` names it.
     """
-    figures: dict[str, Any] = _measures(run) if len(run) else dict.fromkeys(MEASURES)
+    values: dict[str, Any] = _measures(run) if len(run) else dict.fromkeys(MEASURES)
     joints = joint_measures(run)
     held = assumptions(run)
-    problems = judge(_facts(run, figures, joints, held), lambda: run_gains_fault(run))
+    problems = judge(_facts(run, values, joints, held), lambda: run_gains_fault(run))
     return {
         "verdict": {"good": not problems, "problems": problems},
         "scenario": run.scenario.name,
@@ -38,8 +38,8 @@ def summarise(run: Run) -> dict[str, Any]:
         "steps": max(0, len(run) - 1),
         "end_time": float(run.time[-1]) if len(run) else None,
         "stopped": run.stopped,
-        **{name: figure if _exists(figure) else None for name, figure in figures.items()},
-        "not_finite": [name for name, figure in figures.items() if not _exists(figure)],
+        **{name: value if _exists(value) else None for name, value in values.items()},
+        "not_finite": [name for name, value in values.items() if not _exists(value)],
         "events": {kind: sum(event.kind == kind for event in run.events) for kind in KINDS.values()},
         "assumptions": held,
         "joints": {
@@ -50,12 +50,12 @@ def summarise(run: Run) -> dict[str, Any]:
     }
 
 
-def _facts(run: Run, figures: dict[str, Any], joints: dict[str, Array], held: dict[str, dict[str, Any]]) -> Facts:
+def _facts(run: Run, values: dict[str, Any], joints: dict[str, Array], held: dict[str, dict[str, Any]]) -> Facts:
     failed = {
         name: (v["first_failed"], v["measured"]) for name, v in held.items() if v["held"] is False and v["expected"]
     }
     columns = {name: column.tolist() for name, column in joints.items()}
-    return Facts(run.scenario, run.model, run.stopped, len(run) - 1, figures, len(run.events), failed, columns)
+    return Facts(run.scenario, run.model, run.stopped, len(run) - 1, values, len(run.events), failed, columns)
 
 
 def run_gains_fault(run: Run) -> str:
@@ -101,7 +101,7 @@ def _first(run: Run, beyond: NDArray[np.bool_]) -> Array:
 def alternation(signal: Array) -> Array:
     """Return how much of each column (N, n) alternates from row to row, summed over the rows, (n,).
 
-    See `closedloop.report.joint_figures.count_signal`.
+    See `closedloop.report.joint_values.count_signal`.
     """
     turn = np.diff(signal, 2, axis=0)
     alternates = turn[1:] * turn[:-1] < 0.0
@@ -110,9 +110,9 @@ def alternation(signal: Array) -> Array:
     return total
 
 
-def _exists(figure: float | None) -> bool:
+def _exists(value: float | None) -> bool:
     """Whether a figure is a number, or is known not to exist."""
-    return figure is None or math.isfinite(figure)
+    return value is None or math.isfinite(value)
 
 
 @np.errstate(all="ignore")  # what overflows is named

@@ -18,9 +18,9 @@ from closedloop.scenario.scenario import Scenario
 Array = NDArray[np.float64]
 
 
-def verdict_of(scenario: Scenario, robot: Robot, figures: Array, steps: int, stopped: str | None = None) -> str:
+def verdict_of(scenario: Scenario, robot: Robot, values: Array, steps: int, stopped: str | None = None) -> str:
     """Return "good", or the names of what is wrong with a run, as `closedloop.report.verdict` judges its figures."""
-    numbers, n = figures.tolist(), robot.n
+    numbers, n = values.tolist(), robot.n
     outside = outside_by_the_scenario(scenario)
     failed = {
         name: (at, "")

@@ -26,7 +26,7 @@ from closedloop.reference.force import force_at
 from closedloop.robot.pinocchio import Robot
 from closedloop.scenario.members import refuse_absent
 from closedloop.scenario.scenario import BaumgarteGains, Scenario
-from closedloop.simulation.cache import Pieces
+from closedloop.simulation.cache import Cache
 from closedloop.step.record_row import Row
 from closedloop.surface.plane import Plane
 from closedloop.user_code import of_users
@@ -51,7 +51,7 @@ TOLERANCE, TOLERANCE_WITH_FRICTION = 1e-12, 1e-9
 ROBOT_BYTES = 200_000
 
 
-def prepare(scenario: Scenario, model: RobotModel | None = None, pieces: Pieces | None = None) -> Problem:
+def prepare(scenario: Scenario, model: RobotModel | None = None, cache: Cache | None = None) -> Problem:
     """Turn a scenario into the numbers of a `Problem`.
 
     Parameters
@@ -59,9 +59,9 @@ def prepare(scenario: Scenario, model: RobotModel | None = None, pieces: Pieces 
     scenario : Scenario
     model : RobotModel, optional
         The robot to use instead of loading `scenario.robot.model`.
-    pieces : Pieces, optional
-        What earlier scenarios of this thread, with this same `model`, have left to be used again. The robot and the
-        table of an earlier `Problem` may then be this one's, and its table be overwritten.
+    cache : Cache, optional
+        Robots, paths and tables of earlier scenarios of this thread, with this same `model`. The robot and the table
+        of an earlier `Problem` may then be this one's, and its table be overwritten.
 
     Raises
     ------
@@ -70,8 +70,8 @@ def prepare(scenario: Scenario, model: RobotModel | None = None, pieces: Pieces 
         stabiliser unstable, a tip that the robot does not have ...
     """
     refuse_absent(scenario)
-    pieces = Pieces() if pieces is None else pieces
-    robot = _robot(scenario, model, pieces)
+    cache = Cache() if cache is None else cache
+    robot = _robot(scenario, model, cache)
     model = robot.model
     n = robot.n
     q = model.home.copy() if scenario.start.q is None else _per_joint("start.q", scenario.start.q, model)
@@ -100,7 +100,7 @@ def prepare(scenario: Scenario, model: RobotModel | None = None, pieces: Pieces 
     nodes_per_step = integrator.parts
     instants = (h / nodes_per_step) * np.arange(steps * nodes_per_step + 1, dtype=np.float64)
     with of_users(scenario.reference, "reference.kind"):  # its curves are asked in there
-        wanted, table = _desired(scenario, robot, plane, q, instants, pieces)
+        wanted, table = _desired(scenario, robot, plane, q, instants, cache)
     table[::nodes_per_step, 2 * n + 10] = draws(scenario.sensor, steps + 1)
 
     law = scenario.law
@@ -140,7 +140,7 @@ def prepare(scenario: Scenario, model: RobotModel | None = None, pieces: Pieces 
     )
 
 
-def _robot(scenario: Scenario, model: RobotModel | None, pieces: Pieces) -> Robot:
+def _robot(scenario: Scenario, model: RobotModel | None, cache: Cache) -> Robot:
     section = scenario.robot
 
     def make() -> Robot:
@@ -148,7 +148,7 @@ def _robot(scenario: Scenario, model: RobotModel | None, pieces: Pieces) -> Robo
             return Robot(model, section.tip)
         return Robot(load_model(scenario), section.tip)
 
-    return pieces.get(("robot", section.model_dump_json()), make, lambda robot: ROBOT_BYTES)
+    return cache.get(("robot", section.model_dump_json()), make, lambda robot: ROBOT_BYTES)
 
 
 def load_model(scenario: Scenario) -> RobotModel:
@@ -159,7 +159,7 @@ def load_model(scenario: Scenario) -> RobotModel:
 
 
 def _desired(
-    scenario: Scenario, robot: Robot, plane: Plane, q: Array, instants: Array, pieces: Pieces
+    scenario: Scenario, robot: Robot, plane: Plane, q: Array, instants: Array, cache: Cache
 ) -> tuple[Desired, Array]:
     """Return what is desired, and the table of it at `instants` (P,), s, with a last column for the sensor's noise."""
     n = robot.n
@@ -169,13 +169,13 @@ def _desired(
         q.tobytes(),
         plane.normal.tobytes(),
     )
-    wanted = pieces.get_common(
+    wanted = cache.get_shared(
         ("desired", *motion),
         lambda: desired(scenario, robot, plane, q, scenario.force_profile),
         lambda made: 3 * made.joints.q.nbytes,
     )
     wanted = replace(wanted, profile=scenario.force_profile, force=scenario.law.force)
-    table = pieces.get(
+    table = cache.get(
         ("table", *motion, instants.size, float(instants[1])),
         lambda: wanted.table(instants, spare=1),
         lambda made: made.nbytes,

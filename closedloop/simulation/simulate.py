@@ -27,7 +27,7 @@ from closedloop.errors import (
     ScenarioError,
     SimulationError,
 )
-from closedloop.events.phases import DONE, IMPACT_LAW_WANTED, ROOM, ROOM_FOR_EVENTS, TERMS
+from closedloop.events.phases import DONE, IMPACT_LAW_WANTED, INITIAL_EVENTS, TABLE_FULL, TERMS
 from closedloop.events.table import EVENT_WIDTH, event_columns
 from closedloop.events.transitions import collide
 from closedloop.integrators import ADAPTIVE, INTEGRATORS
@@ -192,7 +192,7 @@ def run_loop(
     user_law = None if law is None else UserLaw(law, loop)
     connect = partial(problem.connect, loop) if user_law is None else user_law.connect
     rows = np.empty((steps + 1, Row.of(robot.n).width)) if rows is None else rows
-    events = np.zeros((ROOM_FOR_EVENTS, EVENT_WIDTH))
+    events = np.zeros((INITIAL_EVENTS, EVENT_WIDTH))
     machine = loop_for(engine, problem.more or law is not None)
     if interim:
         machine = _begun(machine, problem, loop, connect, law)
@@ -214,7 +214,7 @@ def run_loop(
         while True:
             if request == TERMS:
                 request = (step if first else many)(events)
-            elif request == ROOM:
+            elif request == TABLE_FULL:
                 events = np.vstack([events, np.zeros_like(events)])
                 request = step(events)
             elif request == IMPACT_LAW_WANTED:

@@ -12,7 +12,7 @@ Array = NDArray[np.float64]
 
 @kernel_inlined
 def advance(
-    stage: int, h: float, semi_implicit: bool, piece: bool, tableau: Array, begin: Array, stages: Array,
+    stage: int, h: float, semi_implicit: bool, substep: bool, tableau: Array, begin: Array, stages: Array,
     qdd: Array, dz: Array, q: Array, v: Array, z: Array,
 ) -> None:  # fmt: skip
     """Move the state (q, q̇, z) from this stage's to the next stage's, or after the last stage to the step's end.
@@ -23,9 +23,9 @@ def advance(
         The stage whose derivatives q̈ (n,) and ż (k,) are given.
     h : float
         Step, s.
-    semi_implicit, piece : bool
-        The semi-implicit scheme: q advances with the new q̇; in a piece of a step, after an event, with the mean of the
-        old and the new, so that a bounce shorter than the step falls back with the speed it rose with.
+    semi_implicit, substep : bool
+        The semi-implicit scheme: q advances with the new q̇; in a substep after an event with the mean of the old and
+        the new, so that a bounce shorter than the step returns with the speed at which it rose.
     tableau : (S + 1, S) array
         See `closedloop.integrators.Scheme.tableau`.
     begin : (2 n + k,) array
@@ -40,7 +40,7 @@ def advance(
         for j in range(n):
             old = v[j]
             v[j] += h * qdd[j]
-            q[j] += h * (0.5 * (old + v[j]) if piece else v[j])
+            q[j] += h * (0.5 * (old + v[j]) if substep else v[j])
         for j in range(k):
             z[j] += h * dz[j]
         return

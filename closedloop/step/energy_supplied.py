@@ -1,10 +1,9 @@
-"""The energy that the arm is given: the work of torque, contact force and friction, less what events took.
+"""The energy supplied to the arm: the work of torque, contact force and friction, less the losses in events.
 
-It is integrated with the motion, by the same scheme, over every piece of a step: one that an event divides is the sum
-of its pieces, each with the power on its own side of the event. What the energy of the arm misses of it
-(`closedloop.report.energy_balance`) is then the error of the run, of the integrator's own order, and not that of a sum
-over rows. In a scheme of one stage, which holds the torque over the step, the work is that torque times the mean of the
-velocities before and after.
+It is integrated with the motion, by the same scheme, over every substep: a step divided by an event is the sum of its
+substeps, each with the power on its own side of the event. The difference between the arm's energy and this integral
+is then the error of the run, of the integrator's order, without the error of a quadrature over rows. In a scheme of one
+stage, which holds the torque over the step, the work is that torque times the mean of the velocities before and after.
 
     P = (Q + τ)ᵀq̇ + F·u        τ friction of the joints, F = (f, F_t) and u = (ė, u_t) at the tip
 """
@@ -30,8 +29,8 @@ def power(w: Work) -> float:
 
 
 @kernel_inlined
-def remember_power(w: Work, state: State) -> None:
-    """Keep the power at the beginning of a substep, W, and how it grows while the forces stay, W/s."""
+def save_power(w: Work, state: State) -> None:
+    """Save the power at the beginning of a substep, W, and its rate with the forces held constant, W/s."""
     w.start_power = power(w)
     w.start_power_rate = 0.0
     if state.stages == 1:
@@ -44,16 +43,16 @@ def remember_power(w: Work, state: State) -> None:
 
 
 @kernel_inlined
-def gain(w: Work, stage: int, tau: float, weight: float) -> None:
-    """Add the share of a stage, of the given weight in the scheme, to the work of the substep of tau seconds."""
-    if stage == 0:  # a substep may be taken again: its beginning is remembered
-        w.gained = tau * weight * (w.start_power + 0.5 * tau * w.start_power_rate)
+def add_stage_work(w: Work, stage: int, tau: float, weight: float) -> None:
+    """Add a stage, of the given weight in the scheme, to the work of the substep of length tau, s."""
+    if stage == 0:  # a substep may be repeated with another length from the same beginning
+        w.substep_work = tau * weight * (w.start_power + 0.5 * tau * w.start_power_rate)
     else:
-        w.gained += tau * weight * power(w)
+        w.substep_work += tau * weight * power(w)
 
 
 @kernel_inlined
-def settle(w: Work) -> None:
-    """Count the work of a substep in: it ends here, and is kept."""
-    w.supplied += w.gained
-    w.gained = 0.0
+def commit_work(w: Work) -> None:
+    """Add the work of a substep that is complete to the energy supplied."""
+    w.supplied += w.substep_work
+    w.substep_work = 0.0

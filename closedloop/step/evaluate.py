@@ -43,7 +43,7 @@ Array = NDArray[np.float64]
 # A joint at 10⁴ rad/s (m/s) is no robot any more; the run stops there, long before the numbers overflow.
 SPEED_LIMIT = 1e4
 
-# A force or an acceleration beyond this is none; the figures of a run take squares, which are still numbers below it.
+# A force or an acceleration beyond this is none; the summary of a run takes squares, which are finite below it.
 LARGEST = 1e100
 
 # Parameters of the paper's law.
@@ -138,8 +138,8 @@ def evaluate(
                 w.H[i, j] = H[i, j]
                 w.H[j, i] = H[i, j]
         if state.started == 0:
-            tell_law(state, START)
-        if state.sampled != 0 and tell_law(state, TORQUE) != 0:
+            call_law(state, START)
+        if state.sampled != 0 and call_law(state, TORQUE) != 0:
             return LAW_FAILED
         state.started = 1
         surface_friction(w, constants, state, rows)
@@ -155,7 +155,7 @@ def evaluate(
         w.reading = w.measured
         if state.sensor_sampled == 0:
             w.reading = continuous_reading(w.F[0], SensorParameters(constants.sensor, 0), sensor)
-        tell_law(state, RATES)
+        call_law(state, RATES)
         at = state.law_states + state.sensor_states
         sensor_rates(w.F[0], SensorParameters(constants.sensor, 0), sensor, w.dz[state.law_states : at])
         for i in range(at, w.z.shape[0]):
@@ -180,7 +180,7 @@ def paper_torque(C: Array, w: Work, constants: Constants, t: float) -> None:
 
 
 @kernel
-def tell_law(state: State, what: int) -> int:
+def call_law(state: State, what: int) -> int:
     """Ask the law and its compensation for something, see `closedloop.step.entries`; 0, or the law could not."""
     failed = call_at(state.law, state.address, what)
     if failed == 0 and state.compensation != 0:

@@ -1,7 +1,7 @@
-"""The memory of the loop: what was asked for, where the loop stands, and the numbers of the state it works on.
+"""The memory of the loop: settings and whole-number state, constants, and the state it works on.
 
-Each is a `Block`, one array whose parts have names: handing an array from Python to compiled code costs about 60 ns,
-so everything that the loop keeps travels as three.
+Each is a `Block`, one array whose parts have names: passing an array from Python to compiled code costs about 60 ns,
+so all memory of the loop is passed as three.
 """
 
 from __future__ import annotations
@@ -11,7 +11,7 @@ from typing import Annotated, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from closedloop.closure.conditioning import LANES, pending_rows
+from closedloop.closure.conditioning import BATCH, batch_rows
 from closedloop.control.sensor import SensorParameters
 from closedloop.jit.blocks import Block, Count
 from closedloop.jit.kernel import kernel_inlined
@@ -31,9 +31,9 @@ N, K, STAGES, RING = (Count.of(size) for size in ("n", "k", "stages", "ring"))
 
 
 class State(Block):
-    """Whole numbers, int64: what was asked for, and where the loop stands."""
+    """Whole numbers, int64: the settings of the run, and the state of the loop."""
 
-    # What was asked for.
+    # Settings.
     stages: int  # of the integrator
     steps: int
     hold: int  # steps for which a sampled torque is held; 0: the law is evaluated at every stage
@@ -64,26 +64,26 @@ class State(Block):
     constants_size: int
     work_at: int
     work_size: int
-    # Where the loop stands.
-    phase: int
-    row: int
+    # State of the loop; constants in `closedloop.events.phases`.
+    phase: int  # what the terms requested last are for
+    row: int  # the next to be recorded
     stage: int
     mode: int
-    trial: int
-    events: int
-    tries: int
-    next_phase: int
-    moves: int
+    trial: int  # what the trial step is for
+    events: int  # rows written of the table of events
+    trials: int  # trial steps of this search
+    next_phase: int  # after a projection
+    projections: int  # Newton steps of this projection
     status: int
     events_in_step: int
-    rushed: int
-    sampled: int
-    certain: int
-    after_event: int
-    risen: int
-    kind: int
-    started: int
-    pending: int
+    rapid_events: int  # events in a row within `RAPID` of each other
+    sampled: int  # 1 if the law is evaluated with these terms
+    no_search: int  # 1 if an event at the end of this step happens there, not before
+    after_event: int  # 1 in the remainder of a step after an event
+    risen: int  # 1 if the tip has been clear of the surface since it lifted off
+    kind: int  # of the event
+    started: int  # 1 once the law has been evaluated
+    batched: int  # rows in `Work.batch`
 
 
 class Constants(Block, sizes=("n", "law", "compensation")):
@@ -113,9 +113,9 @@ class Constants(Block, sizes=("n", "law", "compensation")):
 # Single numbers and parts of a fixed size come first, then those of the joints: what a step touches is then at short
 # distances.
 class Work(Block, sizes=("n", "k", "stages", "ring")):
-    """The state that the loop works on; n joints, k numbers of state beside q and q̇."""
+    """The state that the loop works on; n joints, k states beside q and q̇."""
 
-    time: float  # of the state that terms are asked for
+    time: float  # of the state whose terms are requested
     begin_time: float  # of the substep under way, and its length
     length: float
     tau: float  # length of a trial substep
@@ -136,10 +136,10 @@ class Work(Block, sizes=("n", "k", "stages", "ring")):
     reading: float  # and at this instant
     delayed_slip: float  # speed of slip that friction with memory answers to
     discarded_rebound: float  # of a restitution too slow to leave the surface, m/s
-    straight: float  # slip up to this speed, m/s, is resisted along `direction`, whichever way it points
+    straight_speed: float  # up to this speed of slip, m/s, friction acts against `direction`, not against the slip
     restitution_given: float
     supplied: float  # see `closedloop.step.energy_supplied`, as all that follow
-    gained: float
+    substep_work: float
     start_power: float
     start_power_rate: float
     r: Annotated[Array, 3]  # base axes
@@ -179,7 +179,7 @@ class Work(Block, sizes=("n", "k", "stages", "ring")):
     C: Annotated[Array, N]
     L: Annotated[Array, N, N]
     gain: Annotated[Array, N, N]  # answer of q̈ to friction in each joint
-    pending: Annotated[Array, pending_rows(N), LANES]  # see `closedloop.closure.conditioning`
+    batch: Annotated[Array, batch_rows(N), BATCH]  # see `closedloop.closure.conditioning`
     scratch: Annotated[Array, N * N + 3 * N + 224]
     z: Annotated[Array, K]  # states: of the law, the sensor, the surface's friction, the joints' friction
     dz: Annotated[Array, K]

@@ -8,7 +8,13 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from closedloop.closure.conditioning import LANES, LONG, condition_of_long, conditions, leave
+from closedloop.closure.conditioning import (
+    BATCH,
+    LONG_ARM,
+    add_to_batch,
+    condition_number,
+    condition_numbers_of_batch,
+)
 from closedloop.closure.contact_force import FREE, STUCK, residuals
 from closedloop.control.sensor import SensorParameters, sense
 from closedloop.jit.kernel import entry_kernel, kernel, kernel_inlined
@@ -61,33 +67,33 @@ def kinetic_energy(H: Array, v: Array) -> float:
 
 
 @kernel
-def record_conditions(pending: Array, rows: Array, state: State, done: int, n: int) -> None:
-    """Write the condition numbers of the last rows up to `done`: those that have their lanes in `pending`.
+def record_conditions(batch: Array, rows: Array, state: State, done: int, n: int) -> None:
+    """Write the condition numbers of the last rows up to `done`: those with a lane in `batch`.
 
     Of Eq. 24 with the normal row alone; of H while the tip is free.
     """
-    count = state.pending
-    state.pending = 0
+    count = state.batched
+    state.batched = 0
     if count > 0:
-        conditions(pending, n, count)
+        condition_numbers_of_batch(batch, n, count)
     at = 5 * n + 9 + KKT_CONDITION
     for r in range(count):
-        rows[done - count + r, at] = pending[pending.shape[0] - 1, r]
+        rows[done - count + r, at] = batch[batch.shape[0] - 1, r]
 
 
 @entry_kernel
 def complete_record(address: int, rows: Array, done: int) -> None:
-    """Write what the last of `done` rows of the loop at an address still lack, at the end of a run; see `record`."""
+    """Write the condition numbers that the last of `done` rows still lack, at the end of a run; see `record`."""
     state, _, w = loop_at(address)
-    record_conditions(w.pending, rows, state, done, state.n)
+    record_conditions(w.batch, rows, state, done, state.n)
 
 
 def rows_there(state: State, done: int, n: int) -> int:
     """Return how many rows are recorded when `done` of them, or one more that was not counted yet, may be.
 
-    Each leaves a lane, and a full set of lanes is emptied.
+    Each row adds a lane to the batch, and a full batch is emptied.
     """
-    return done if n > LONG or state.pending == done % LANES else done + 1
+    return done if n > LONG_ARM or state.batched == done % BATCH else done + 1
 
 
 @kernel_inlined
@@ -104,10 +110,10 @@ def record(
 ) -> None:
     """Write a row in the order of `Row`: the state, and what acted in it.
 
-    The condition number follows once `LANES` rows are full, or with `complete_record`.
+    The condition number follows once `BATCH` rows are full, or with `complete_record`.
     """
     n = w.q.shape[0]
-    row, lane = rows[place], state.pending
+    row, lane = rows[place], state.batched
     at = 4 * n + 9
     for j in range(n):
         row[j] = w.q[j]
@@ -136,13 +142,13 @@ def record(
     row[at + 4] = mode
     row[at + 5] = motion
     row[at + 6] = closed
-    if n > LONG:
-        row[at + 7] = condition_of_long(H, w.A[0], w.L, w.X[0], w.S[0, 0], mode != FREE, w.scratch)
+    if n > LONG_ARM:
+        row[at + 7] = condition_number(H, w.A[0], w.L, w.X[0], w.S[0, 0], mode != FREE, w.scratch)
     else:
-        leave(H, w.A[0], w.L, w.X[0], w.S[0, 0], mode != FREE, w.pending, lane)
-        state.pending = lane + 1
-        if lane + 1 >= LANES:
-            record_conditions(w.pending, rows, state, place + 1, n)
+        add_to_batch(H, w.A[0], w.L, w.X[0], w.S[0, 0], mode != FREE, w.batch, lane)
+        state.batched = lane + 1
+        if lane + 1 >= BATCH:
+            record_conditions(w.batch, rows, state, place + 1, n)
     row[at + 8] = w.S[0, 0] / select(trace > 0.0, trace, 1.0)
     row[at + 9] = kinetic_energy(H, w.v)
     if more is None:

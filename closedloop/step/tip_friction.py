@@ -99,7 +99,7 @@ def surface_friction(w: Work, constants: Constants, state: State, rows: Array) -
     along = s[0] * w.direction[0] + s[1] * w.direction[1]
     if sticking != RIGID_STICK and sticking != SPRING_STICK:
         along = 1.0
-    if along < 0.0 or speed <= w.straight:
+    if along < 0.0 or speed <= w.straight_speed:
         # Past the instant at which slip stops the law goes on as before, so that the instant can be found.
         s[0], s[1] = speed * w.direction[0], speed * w.direction[1]
     sliding(kind, par, s, w.delayed_slip, z, w.direction, w.c, w.viscous)

@@ -1,4 +1,4 @@
-"""Maps of a sweep: figures of the runs against one or two of the keys that changed.
+"""Maps of a sweep: values of the runs against one or two of the keys that changed.
 
 One key gives a curve, two a map: cells where every value goes with every other, dots where they were drawn. Runs that
 failed are marked where they are, not left out in silence.
@@ -19,7 +19,7 @@ from closedloop.errors import OutputError, ScenarioError
 from closedloop.figures.style import COLOURS, STYLE
 from closedloop.files import kind_of, reason_of, write_whole
 from closedloop.sweep.join import unreadable_is_none
-from closedloop.sweep.scale import Scale, figure_of, flat, span
+from closedloop.sweep.scale import Scale, column_values, flat, span
 
 if TYPE_CHECKING:
     import pyarrow as pa
@@ -41,7 +41,7 @@ def sweep_plot(
     y: str | None = None,
     out: str | Path | None = None,
 ) -> Path:
-    """Draw figures of a sweep and return the path of the picture.
+    """Draw values of a sweep and return the path of the picture.
 
     Parameters
     ----------
@@ -93,9 +93,9 @@ def draw_maps(table: pa.Table, of: Sequence[str] | None = None, x: str | None = 
     wanted = list(of or [name for name in FIGURES if name in numbers])
     for name in wanted:
         if name not in numbers:
-            raise ScenarioError(f"{name}: is no figure of this sweep; they are {', '.join(numbers)}")
+            raise ScenarioError(f"{name}: is no value of this sweep; they are {', '.join(numbers)}")
     if not keys or not numbers or not wanted:
-        raise ScenarioError("the table has no key that changes, or no figure to draw")
+        raise ScenarioError("the table has no key that changes, or no value to draw")
     if table.num_rows == 0:
         raise ScenarioError("the table has no rows")
     if x is not None and x == y:
@@ -160,7 +160,7 @@ def _read(path: Path) -> pa.Table:
 
 def _curves(axes: Axes, table: pa.Table, key: str, name: str, others: Sequence[str]) -> None:
     scale = Scale(table, key)
-    values, title, unit = figure_of(table, name)
+    values, title, unit = column_values(table, name)
     other = Scale(table, others[0]) if len(others) == 1 else None
     few = other is not None and other.values.size <= MOST_CURVES
     groups = (
@@ -206,7 +206,7 @@ def _map(figure: Figure, axes: Axes, table: pa.Table, x: str, y: str, name: str)
     from matplotlib.colors import LogNorm, Normalize
 
     across, up = Scale(table, x), Scale(table, y)
-    values, title, unit = figure_of(table, name)
+    values, title, unit = column_values(table, name)
     found = values[np.isfinite(values)]
     low, high = span(values)
     if flat(low, high):

@@ -13,10 +13,10 @@ from numpy.typing import NDArray
 
 from closedloop.batch.simulate_batch import in_blocks, run_variants
 from closedloop.batch.table import schema, table_of
-from closedloop.batch.worker import Bench, Outcome
+from closedloop.batch.worker import Outcome, Worker
 from closedloop.scenario.overrides import Variants
 from closedloop.scenario.scenario import families, parse_scenario
-from closedloop.simulation.cache import Pieces
+from closedloop.simulation.cache import Cache
 
 if TYPE_CHECKING:
     import pyarrow as pa
@@ -26,7 +26,7 @@ Array = NDArray[np.float64]
 
 @dataclass(frozen=True)
 class Job:
-    """What runs of a sweep have in common, as plain text, so that it can be sent anywhere.
+    """What runs of a sweep have in shared, as plain text, so that it can be sent anywhere.
 
     Attributes
     ----------
@@ -70,7 +70,7 @@ def columns_of(job: Job) -> pa.Schema:
 
 
 def run_part(
-    job: Job, first: int, points: Sequence[Sequence[Any]], bench: Bench, ran: Callable[[], None] = lambda: None
+    job: Job, first: int, points: Sequence[Sequence[Any]], worker: Worker, ran: Callable[[], None] = lambda: None
 ) -> tuple[pa.Table, dict[str, Array]]:
     """Run the runs from number `first` on, with these values of the keys.
 
@@ -83,7 +83,7 @@ def run_part(
     """
     came_to: dict[int, Outcome] = {}
     for block in in_blocks(_variants(job), points, job.engine, job.runs):
-        some = run_variants(bench, _variants(job), [points[i] for i in block], job.engine, ran)
+        some = run_variants(worker, _variants(job), [points[i] for i in block], job.engine, ran)
         came_to |= dict(zip(block, some, strict=True))
     outcomes = [came_to[i] for i in range(len(points))]
     return table_of(columns_of(job), first, points, outcomes), {name: _stacked(outcomes, name) for name in job.keep}
@@ -100,16 +100,16 @@ def _stacked(outcomes: Sequence[Outcome], name: str) -> Array:
     return whole
 
 
-def bench_for(job: Job, common: Pieces | None = None) -> Bench:
-    """Return a bench for a thread; `common` is what it shares with others."""
-    return Bench(job.engine, job.keep, runs=job.runs, common=common)
+def worker_for(job: Job, shared: Cache | None = None) -> Worker:
+    """Return a worker for a thread; `shared` is the cache that it shares with others."""
+    return Worker(job.engine, job.keep, runs=job.runs, shared=shared)
 
 
 _here = threading.local()
 
 
 def run_part_anywhere(job: Job, first: int, points: Sequence[Sequence[Any]]) -> tuple[pa.Table, dict[str, Array]]:
-    """Do `run_part` on a bench that this thread keeps from part to part: what a worker of a cluster is sent."""
+    """Do `run_part` with a `Worker` that this thread keeps from part to part: the task sent to a cluster."""
     if getattr(_here, "job", None) != job:
-        _here.job, _here.bench = job, bench_for(job)
-    return run_part(job, first, points, _here.bench)
+        _here.job, _here.worker = job, worker_for(job)
+    return run_part(job, first, points, _here.worker)

@@ -7,10 +7,10 @@ from pathlib import Path
 
 from closedloop.batch.simulate_batch import threads_for
 from closedloop.batch.threads import Done, side_by_side
-from closedloop.batch.worker import Bench
-from closedloop.simulation.cache import Pieces
+from closedloop.batch.worker import Worker
+from closedloop.simulation.cache import Cache
 from closedloop.sweep.join import Joined, already_there, join
-from closedloop.sweep.part import bench_for, columns_of, run_part
+from closedloop.sweep.part import columns_of, run_part, worker_for
 from closedloop.sweep.store import Store, tidy
 from closedloop.sweep.sweep import Sweep
 
@@ -74,12 +74,12 @@ def run_sweep(
 
             run_on_cluster(sweep, store, missing, scheduler, done.add, report)
         elif missing:
-            job, common = sweep.job, Pieces()
+            job, shared = sweep.job, Cache()
 
-            def one(bench: Bench, at: int) -> None:
+            def one(worker: Worker, at: int) -> None:
                 runs = sweep.runs_of(missing[at])
                 points = sweep.design[runs.start : runs.stop]
-                store.write(missing[at], *run_part(job, runs.start, points, bench, done.add))
+                store.write(missing[at], *run_part(job, runs.start, points, worker, done.add))
 
-            side_by_side(one, len(missing), threads, lambda: bench_for(job, common), report, done)
+            side_by_side(one, len(missing), threads, lambda: worker_for(job, shared), report, done)
         return join(store, out, sweep.parts, columns_of(sweep.job), sweep.scenario.time.step)

@@ -1,4 +1,4 @@
-"""What the axes of a map show: a key of the scenario, or a figure, in its unit."""
+"""What the axes of a map show: a key of the scenario, or a value, in its unit."""
 
 from __future__ import annotations
 
@@ -61,8 +61,8 @@ class Scale:
             axis.set_ticks(range(len(self.words)), self.words, **turned)
 
 
-def figure_of(table: pa.Table, name: str) -> tuple[Array, str, str]:
-    """Return the values of a figure, NaN where there is none, what it is, and its unit: one that reads well."""
+def column_values(table: pa.Table, name: str) -> tuple[Array, str, str]:
+    """Return a column's values, NaN where there is none, its meaning, and a unit in which it reads well."""
     field = table.schema.field(name)
     values = np.array(table[name].to_numpy(zero_copy_only=False), dtype=np.float64)
     metadata = field.metadata or {}

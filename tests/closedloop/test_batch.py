@@ -1,4 +1,4 @@
-"""Batches: the figures are those of the runs one by one, whatever ran before or beside; a failed run is a row."""
+"""Batches: the values are those of the runs one by one, whatever ran before or beside; a failed run is a row."""
 
 import math
 
@@ -7,12 +7,12 @@ import pyarrow as pa
 import pytest
 
 import closedloop as cl
-from closedloop.batch import worker as bench
+from closedloop.batch import worker as worker_module
 from closedloop.report.measures import JOINT_MEASURES, MEASURES
 from closedloop.report.verdict import names_of
 from closedloop.scenario.overrides import Variants
 from closedloop.scenario.units import key_unit
-from closedloop.simulation.cache import Pieces
+from closedloop.simulation.cache import Cache
 from closedloop.simulation.prepare import prepare
 
 # What adds up is added in another order than numpy's: 8000 terms of like size, each rounded.
@@ -83,8 +83,8 @@ CASES = [
 
 
 @pytest.mark.parametrize("case", CASES)
-def test_random_runs_have_the_figures_of_simulate(case):
-    """Every figure of every row is that of `simulate` on its own: laws, friction, impacts, sensors, integrators."""
+def test_random_runs_have_the_values_of_simulate(case):
+    """Every value of every row is that of `simulate` on its own: laws, friction, impacts, sensors, integrators."""
     name, fixed, ranges = MIXTURE[case]
     changes = drawn(ranges, 4, case)
     table = cl.simulate_batch(cl.load_scenario(name, fixed), changes, workers=2)
@@ -122,10 +122,10 @@ def test_pieces_are_as_good_as_new():
         {"force_profile.kind": "step", "force_profile.to": 4.0, "force_profile.at": 0.3}, {"surface.offset": 0.3387911},
         {},
     ]  # fmt: skip
-    for pieces in (Pieces(), Pieces(room=1)):
+    for cache in (Cache(), Cache(limit=1)):
         for more in changes:
             scenario = cl.load_scenario("wam_slide", base | more)
-            alone, reused = prepare(scenario), prepare(scenario, None, pieces)
+            alone, reused = prepare(scenario), prepare(scenario, None, cache)
             for name in ("table", "frame", "q", "v", "stabiliser"):
                 np.testing.assert_array_equal(getattr(reused, name), getattr(alone, name), err_msg=f"{name} {more}")
             np.testing.assert_array_equal(reused.memory(), alone.memory())
@@ -134,21 +134,21 @@ def test_pieces_are_as_good_as_new():
             assert (reused.mode, reused.steps, reused.pd_start) == (alone.mode, alone.steps, alone.pd_start)
 
 
-def test_pieces_are_used_again_and_forgotten():
-    """Nothing is made twice while there is room, and what was not used for longest goes first."""
+def test_cache_keeps_the_entries_used_last():
+    """Nothing is made twice within the limit; the entry not used for longest is removed first."""
     made = []
 
-    def piece(key, size):
-        return pieces.get(key, lambda: made.append(key), lambda _: size)
+    def entry(key, size):
+        return cache.get(key, lambda: made.append(key), lambda _: size)
 
-    pieces = Pieces(room=10)
+    cache = Cache(limit=10)
     for key in ("a", "b", "a", "c", "a", "b"):
-        piece(key, 4)
+        entry(key, 4)
     assert made == ["a", "b", "c", "b"]
 
 
 def test_failed_runs_are_rows_with_their_reason():
-    """A refused run has no figures, a stopped one those of what ran, and their neighbours do not notice."""
+    """A refused run has no values, a stopped one those of what ran; the other runs are not affected."""
     scenario = cl.load_scenario("wam_slide", {"time.duration": 0.6, "stabiliser.kind": "none"})
     changes = {"law.kd": [20.0, 4e4, 20.0, 20.0], "law.force": [10.0, 10.0, float("nan"), 10.0]}
     good, stopped, refused, also = cl.simulate_batch(scenario, changes).to_pylist()
@@ -193,7 +193,7 @@ def test_grid_takes_every_value_with_every_other():
 
 
 def test_columns_carry_units():
-    """Every figure has a unit and a meaning, and so has every key that changes."""
+    """Every value has a unit and a meaning, and so has every key that changes."""
     scenario = cl.load_scenario("wam_slide", {"time.duration": 0.002})
     table = cl.simulate_batch(scenario, {"law.force": [1.0], "stabiliser.time_constant": [0.001]})
     units = {field.name: field.metadata[b"units"].decode() for field in table.schema}
@@ -251,15 +251,15 @@ def test_refusals(changes, options, said):
 
 
 def break_for(monkeypatch, force, error, where="prepare"):
-    """Let a function that a bench calls raise an error of the interpreter's in the run with this force."""
-    whole = getattr(bench, where)
+    """Let a function that a worker calls raise an error of the interpreter's in the run with this force."""
+    whole = getattr(worker_module, where)
 
     def broken(asked, *rest):
         if getattr(asked, "scenario", asked).law.force == force:
             raise error
         return whole(asked, *rest)
 
-    monkeypatch.setattr(bench, where, broken)
+    monkeypatch.setattr(worker_module, where, broken)
 
 
 @pytest.mark.parametrize(
@@ -294,7 +294,7 @@ def test_an_error_among_eight_side_by_side_leaves_them_to_go_alone(monkeypatch):
     forces = [1.0, 2.0, 3.0, 4.0]
     sound = cl.simulate_batch(scenario, {"law.force": forces})
     tried = []
-    monkeypatch.setattr("closedloop.engines.lanes.Abreast.run", lambda *_: tried.append(1) or 1 / 0)
+    monkeypatch.setattr("closedloop.engines.lanes.LaneRuns.run", lambda *_: tried.append(1) or 1 / 0)
     assert cl.simulate_batch(scenario, {"law.force": forces}, workers=1).equals(sound)
     assert tried == [1]
 

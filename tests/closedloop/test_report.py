@@ -42,8 +42,8 @@ def test_every_assumption_holds_in_a_good_run(slide):
     assert all(verdict["measured"] for verdict in report.values())
 
 
-def test_figure_that_is_no_number_is_null_and_named(slide):
-    """A summary is strict JSON: a figure whose squares overflow is null, and its name stands beside; else none does."""
+def test_value_that_is_no_number_is_null_and_named(slide):
+    """A summary is strict JSON: a value whose squares overflow is null, and its name stands beside; else none does."""
     assert slide.summary()["not_finite"] == []
     summary = with_column(slide, "velocity", {5: np.full(3, 1e200)}).summary()
     assert summary["max_tip_speed"] is None
@@ -117,7 +117,7 @@ def test_singular_stop_fails_the_assumption_when_it_first_failed(slide):
 
 
 def test_nothing_is_claimed_of_a_run_without_rows():
-    """A run that stopped at t = 0 held nothing and failed nothing that was checked; its figures are None."""
+    """A run that stopped at t = 0 held nothing and failed nothing that was checked; its values are None."""
     changes = {"start.q": [0.0, 0.0], "surface.normal": [1, 0, 0], "reference.kind": "hold", "time.duration": 0.1}
     with pytest.raises(cl.SingularClosureError) as caught:
         cl.simulate(cl.load_scenario("planar2_slide", changes))
@@ -129,7 +129,7 @@ def test_nothing_is_claimed_of_a_run_without_rows():
 
 
 def test_summary_has_the_keys_that_others_rely_on(slide):
-    """The summary has every promised key, and its figures are those of the columns."""
+    """The summary has every promised key, and its values are those of the columns."""
     s = slide.summary()
     promised = {
         "scenario", "steps", "final_contact_force", "peak_contact_force", "min_contact_force",
@@ -238,7 +238,7 @@ def test_printed_report_says_what_the_summary_says(width, slide, capsys):
 
 
 def test_printed_report_of_a_run_without_rows(capsys):
-    """A run without rows prints its unknown assumptions, and no figures."""
+    """A run without rows prints its unknown assumptions, and no values."""
     changes = {"start.q": [0.0, 0.0], "surface.normal": [1, 0, 0], "reference.kind": "hold", "time.duration": 0.1}
     with pytest.raises(cl.SingularClosureError) as caught:
         cl.simulate(cl.load_scenario("planar2_slide", changes))
@@ -303,7 +303,7 @@ def test_events_are_printed_as_they_were(name, width, shipped_run, capsys):
 
 
 def test_late_and_large_events_fit_the_page(shipped_run, capsys):
-    """Times over a thousand seconds and figures as wide as they come keep the table within 80 columns."""
+    """Times over a thousand seconds and numbers as wide as they come keep the table within 80 columns."""
     run = shipped_run("wam_bounce")
     rates = [name for name in run.columns if name.startswith(("event_rate", "event_energy"))]
     wide = {name: -1.2345e100 * run.columns[name] for name in rates}

@@ -7,7 +7,13 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 import closedloop as cl
-from closedloop.closure.conditioning import LANES, condition_of_long, conditions, leave, pending_rows
+from closedloop.closure.conditioning import (
+    BATCH,
+    add_to_batch,
+    batch_rows,
+    condition_number,
+    condition_numbers_of_batch,
+)
 from closedloop.closure.contact_force import (
     accelerate,
     factorise,
@@ -66,17 +72,17 @@ class Solved:
     def condition(self):
         """Return the 1-norm condition number of Eq. 24 with its normal row; keep that of H."""
         n = len(self.tau)
-        pending = np.zeros((pending_rows(n), LANES))
-        for lane, pressed in ((0, False), (LANES - 1, True)):
-            leave(self.H, self.A[0], self.L, self.X[0], self.S[0, 0], pressed, pending, lane)
-        conditions(pending, n, LANES)
-        self.condition_free = pending[-1, 0]
+        batch = np.zeros((batch_rows(n), BATCH))
+        for lane, pressed in ((0, False), (BATCH - 1, True)):
+            add_to_batch(self.H, self.A[0], self.L, self.X[0], self.S[0, 0], pressed, batch, lane)
+        condition_numbers_of_batch(batch, n, BATCH)
+        self.condition_free = batch[-1, 0]
         work = np.full(n * n + 4 * n, np.nan)
         self.long = [
-            condition_of_long(self.H, self.A[0], self.L, self.X[0], self.S[0, 0], pressed, work)
+            condition_number(self.H, self.A[0], self.L, self.X[0], self.S[0, 0], pressed, work)
             for pressed in (False, True)
         ]
-        return pending[-1, -1]
+        return batch[-1, -1]
 
 
 def mobility_share(terms, A):

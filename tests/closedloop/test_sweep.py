@@ -408,14 +408,14 @@ def test_progress_has_rate_and_time_left():
 
 def test_a_run_that_fails_is_counted_and_not_run_again(capsys, tmp_path, monkeypatch):
     """An error that nobody foresaw costs its row; exit status 3, now and when asked again; --debug shows where."""
-    from closedloop.batch import worker as bench
+    from closedloop.batch import worker as worker_module
 
-    whole = bench.prepare
+    whole = worker_module.prepare
 
     def broken(scenario, *rest):
         return 1 / 0 if scenario.law.force == 5.0 else whole(scenario, *rest)
 
-    monkeypatch.setattr(bench, "prepare", broken)
+    monkeypatch.setattr(worker_module, "prepare", broken)
     out = tmp_path / "t.parquet"
     arguments = ("wam_slide", "--time.duration", "0.01", "--over", "law.force=5,6,7", "--out", out)
     status, said, err = sweep(capsys, *arguments)

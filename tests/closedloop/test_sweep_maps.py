@@ -24,7 +24,7 @@ def table():
 
 
 def test_a_grid_is_a_map_with_every_run_in_its_cell(table):
-    """The cell of a force and a time constant has that run's figure; axes have units; the refused ones are bare."""
+    """The cell of a force and a time constant has that run's value; axes have units; the refused ones are bare."""
     figure = draw_maps(table, ["peak_contact_force"])
     panel, bar = figure.axes
     assert panel.get_xlabel() == "law.force [N]"
@@ -75,7 +75,7 @@ def test_the_command_draws_a_file(capsys, tmp_path):
     assert b"RMS error of the contact force" in (tmp_path / "deep" / "t.svg").read_bytes()
 
 
-def test_one_row_and_figures_without_a_value_are_drawn(table):
+def test_one_row_and_missing_values_are_drawn(table):
     """A sweep of one run, and one of which no run came to anything, have maps too."""
     assert draw_maps(table.slice(4, 1)).axes
     bare = table.filter(pa.compute.equal(table["status"], "refused"))
@@ -107,11 +107,11 @@ def tables(tmp_path_factory):
         (("folder.parquet",), "folder.parquet: is a folder; name the table of a sweep"),
         (("pipe.parquet",), "pipe.parquet: is a pipe; name the table of a sweep"),
         (("other.parquet",), "other.parquet: is not the table of a sweep"),
-        (("keyless.parquet",), "the table has no key that changes, or no figure to draw"),
+        (("keyless.parquet",), "the table has no key that changes, or no value to draw"),
         (("rowless.parquet",), "the table has no rows"),
         (("nulls.parquet",), "law.force: has no value in some rows: this is not the table of a sweep"),
         (("t.parquet", "--x", "law.force", "--y", "law.force"), "law.force: is asked for along both axes"),
-        (("t.parquet", "--of", "beauty"), "beauty: is no figure of this sweep; they are rows, end_time"),
+        (("t.parquet", "--of", "beauty"), "beauty: is no value of this sweep; they are rows, end_time"),
         (("t.parquet", "--x", "law.kp"), "law.kp: is no key of this sweep; they are law.force, stab"),
         (("t.parquet", "--out", "t.odt"), "--out t.odt: cannot be written: Format 'odt' is not supported"),
         (("t.parquet", "--out", "text.parquet/t.png"), "--out text.parquet/t.png: cannot be written: "),

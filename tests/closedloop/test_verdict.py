@@ -120,7 +120,7 @@ def test_every_bound_from_both_sides(own, inside, beyond, name):
 @pytest.mark.parametrize("figure", ["max_energy_residual", "force_chatter", "max_abs_closure_error"])
 @pytest.mark.parametrize("value", [None, np.nan, np.inf])
 def test_what_is_missing_never_passes(figure, value):
-    """A figure that does not exist, or is no number, is judged bad."""
+    """A value that does not exist, or is no number, is judged bad."""
     assert told(facts(**{figure: value})) != "good"
 
 

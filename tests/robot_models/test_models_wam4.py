@@ -134,7 +134,7 @@ def test_inertia_is_the_printed_one(model, link):
 
 @pytest.mark.parametrize("link", MOMENTS)
 def test_principal_moments(model, link):
-    """The principal moments are those worked out from the figures, and belong to a possible body."""
+    """The principal moments are those worked out from the published values, and belong to a possible body."""
     low, mid, high = np.linalg.eigvalsh(body(model, link).inertia)
     np.testing.assert_allclose((low, mid, high), MOMENTS[link], atol=6e-7)
     assert low > 0
@@ -155,7 +155,7 @@ def test_gravity_moment_of_the_shoulder(model):
     assert moment == pytest.approx(1.4125, abs=5e-5)
 
 
-def test_drive_inertia_is_derived_from_the_printed_figures():
+def test_drive_inertia_is_derived_from_the_printed_values():
     """Armature is TᵀJT with the exact ratios, and the differential's coupling cancels."""
     rotor = np.diag([1.1631e-4, 1.1831e-4, 1.1831e-4, 1.0686e-4])
     n1, n2, n4, n3 = 42.0013, 28.2510, 18.0016, 1.68

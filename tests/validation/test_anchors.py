@@ -101,10 +101,10 @@ def test_velocity_terms_are_graded():
 
 @pytest.mark.parametrize("file", JSON)
 def test_every_file_names_its_source(file):
-    """A figure without a source is nobody's figure."""
-    figures = read(file.removesuffix(".json"))
-    assert len(figures["source"]) > 60
-    assert len(figures["convention"]) > 20
+    """Every published value names its source."""
+    published = read(file.removesuffix(".json"))
+    assert len(published["source"]) > 60
+    assert len(published["convention"]) > 20
 
 
 def test_every_file_is_used():
@@ -161,7 +161,7 @@ def test_refuses_a_problem_without_source_or_cases():
 
 
 def test_expected_cannot_be_changed():
-    """The figures are shared by all who grade."""
+    """The values are shared by all who grade."""
     one = case()
     with pytest.raises(ValueError, match="read-only"):
         one.expected[0] = 1.0

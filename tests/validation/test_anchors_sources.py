@@ -23,14 +23,14 @@ def failures(name, model):
 
 
 def puma(key, *index, factor):
-    """Return the Puma 560 with one published figure multiplied."""
-    figures = copy.deepcopy(PUMA)
-    row = figures[key]
+    """Return the Puma 560 with one published value multiplied."""
+    data = copy.deepcopy(PUMA)
+    row = data[key]
     for i in index[:-1]:
         row = row[i]
     assert row[index[-1]] != 0.0
     row[index[-1]] *= factor
-    return puma560.build(figures, figures["gravity"], possible=False)
+    return puma560.build(data, data["gravity"], possible=False)
 
 
 def test_puma_unaltered_passes():
@@ -102,17 +102,17 @@ def test_puma_friction_is_that_of_the_toolbox():
 @pytest.mark.parametrize("i", range(7))
 def test_iiwa_mass_matters(i):
     """One per cent of any mass that moves is seen; that of link 1 turns about its own axis, 0.03 m off."""
-    figures = copy.deepcopy(IIWA)
-    figures["mass"][i] *= 1.01
-    assert failures("KUKA iiwa, MotionGenesis, g = 0", iiwa.build(figures, 0.0))
+    data = copy.deepcopy(IIWA)
+    data["mass"][i] *= 1.01
+    assert failures("KUKA iiwa, MotionGenesis, g = 0", iiwa.build(data, 0.0))
 
 
 @pytest.mark.parametrize(("i", "k"), [(i, k) for i in range(7) for k in range(3) if i or k == 2])
 def test_iiwa_moments_matter(i, k):
     """One per cent of any moment is seen; of link 1 only that about its axis can be."""
-    figures = copy.deepcopy(IIWA)
-    figures["I_com"][i][k] *= 1.01
-    assert failures("KUKA iiwa, MotionGenesis, g = 0", iiwa.build(figures, 0.0))
+    data = copy.deepcopy(IIWA)
+    data["I_com"][i][k] *= 1.01
+    assert failures("KUKA iiwa, MotionGenesis, g = 0", iiwa.build(data, 0.0))
 
 
 def test_iiwa_bound_is_the_weight_torque():
@@ -121,14 +121,14 @@ def test_iiwa_bound_is_the_weight_torque():
     assert np.max(np.abs(at_rest["torque"])) == pytest.approx(iiwa.WEIGHT_TORQUE, rel=1e-3)
 
 
-def test_iftomm_figures_are_the_closed_form():
-    """x = −sin φ, z = −cos φ with sin(φ/2) = k sn(K − ω₀t): the printed figures, by scipy's elliptic functions."""
+def test_iftomm_values_are_the_closed_form():
+    """x = −sin φ, z = −cos φ with sin(φ/2) = k sn(K − ω₀t): the printed values, by scipy's elliptic functions."""
     from scipy.special import ellipj, ellipk
 
-    figures = read("iftomm_pendulum")
-    rate, K = np.sqrt(figures["gravity"] / figures["length"]), ellipk(0.5)
-    assert figures["period"] == pytest.approx(4.0 * K / rate, rel=1e-14)
-    t, x, y = np.array(figures["positions"]).T
+    data = read("iftomm_pendulum")
+    rate, K = np.sqrt(data["gravity"] / data["length"]), ellipk(0.5)
+    assert data["period"] == pytest.approx(4.0 * K / rate, rel=1e-14)
+    t, x, y = np.array(data["positions"]).T
     sn, _, dn, _ = ellipj(K - rate * t, 0.5)
     half = np.sqrt(0.5) * sn
     assert np.allclose(x, -2.0 * half * dn, rtol=0.0, atol=1e-13)

@@ -43,7 +43,7 @@ def test_crosscheck_compares_everything_and_agrees(report):
 
 
 def test_every_known_engine_has_its_line(report):
-    """Each engine of the registry stands in the report for every quantity, with a figure or a reason."""
+    """Each engine of the registry stands in the report for every quantity, with a value or a reason."""
     for engine in ENGINES:
         cells = [c for comparison in report.comparisons for c in comparison.cells if c.engine == engine.name]
         judges = any(comparison.reference == engine.name for comparison in report.comparisons)
@@ -173,7 +173,7 @@ def test_planting_leaves_the_engine_as_it_was(pair):
 
 
 def test_random_trees_name_the_tree_that_was_worst():
-    """The table over random trees keeps which tree gave a figure, and the name finds it again."""
+    """The table over random trees keeps which tree gave a value, and the name finds it again."""
     found = compare_random_trees(3, 2)
     assert found.passed
     worst = found.worst

@@ -9,7 +9,7 @@ from validation.identities import IDENTITIES, Residual, check_all, draw_sample, 
 from validation.oracle import Oracle
 from validation.random_trees import random_robot, random_state
 
-FLAW = 1e-6  # relative; far below what a figure would show, four decades above the loosest tolerance
+FLAW = 1e-6  # relative; far below what a plot would show, four decades above the loosest tolerance
 
 
 class Flawed:

@@ -75,7 +75,7 @@ def test_ratio_is_of_neighbours_and_spread_of_quartiles():
 
 
 def test_targets_are_judged_on_the_right_side():
-    """Each target is met, missed or not measured as its figure says."""
+    """Each target is met, missed or not measured as its value says."""
     laps = {"compiled": 1.0, "mujoco": 16.0, "mj_step": 4.0, "pinocchio": 12.0, "calls": 8.0}
     laps |= {"rnea_columns": 3.0, "crba": 2.0, "call": 3.2, "call_steps": 1.6}
     timings = {("wam4", name): timing("wam4", name, [value]) for name, value in laps.items()}
@@ -95,7 +95,7 @@ def test_targets_are_judged_on_the_right_side():
 
 
 def test_command_writes_valid_json(tmp_path, capsys):
-    """A tiny run prints both tables and writes every figure, finite or null, with what was missing."""
+    """A tiny run prints both tables and writes every value, finite or null, with what was missing."""
     file = tmp_path / "speed.json"
     words = ["--quick", "--steps", str(STEPS), "--repeats", "2", "--runs", "2", "--arms", "planar2", "wam4"]
     assert main([*words, "--json", str(file)]) == 0

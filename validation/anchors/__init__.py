@@ -1,11 +1,11 @@
-"""Published reference problems: figures that nobody here computed, or closed forms, to grade any engine with.
+"""Published reference problems: published values or closed forms, to grade any engine with.
 
     from validation.anchors import grade, reference_problems
     for problem in reference_problems():
         for result in grade(MyEngine, problem):   # MyEngine(model, tip): methods as validation.oracle.Oracle
             print(result)
 
-Each problem names its source, each case the argument for its tolerance; the figures lie in the JSON files beside this
+Each problem names its source, each case the argument for its tolerance; the values lie in the JSON files beside this
 one. Read `problem` first, then `quantities`, which says how an engine is asked.
 """
 
@@ -33,7 +33,7 @@ __all__ = [
 
 @lru_cache(maxsize=1)
 def reference_problems() -> tuple[ReferenceProblem, ...]:
-    """Return all reference problems, those with printed figures first."""
+    """Return all reference problems, those with printed values first."""
     from validation.anchors import chains, iiwa, pendulum, planar_arm, point_mass, puma560, rod
 
     families = (puma560, iiwa, chains, pendulum, planar_arm, point_mass, rod)

@@ -1,6 +1,6 @@
 """Short chains and a tree of the Rigid Body Dynamics Library (RBDL), with the accelerations that its tests expect.
 
-All bodies weigh 1 kg, gravity is along −y, and everything falls from rest. The figures for the model of three joints
+All bodies weigh 1 kg, gravity is along −y, and everything falls from rest. The values for the model of three joints
 were computed with Featherstone's spatial_v1, RBDL's tests say.
 """
 
@@ -16,7 +16,7 @@ from validation.anchors.problem import Case, ReferenceProblem
 
 TOLERANCE = 1e-13
 ARGUMENT = (
-    "RBDL's own bound for these figures, 1e-13 absolute and relative; they are printed to 15 digits and H is well "
+    "RBDL's own bound for these values, 1e-13 absolute and relative; they are printed to 15 digits and H is well "
     "conditioned (below 60)"
 )
 AXIS = {"x": (1.0, 0.0, 0.0), "y": (0.0, 1.0, 0.0), "z": (0.0, 0.0, 1.0)}
@@ -24,8 +24,8 @@ AXIS = {"x": (1.0, 0.0, 0.0), "y": (0.0, 1.0, 0.0), "z": (0.0, 0.0, 1.0)}
 
 def problems() -> tuple[ReferenceProblem, ...]:
     """Return one problem for each of the chains."""
-    figures = read("rbdl_chains")
-    return tuple(_problem(chain, figures["source"], figures["gravity"]) for chain in figures["chains"])
+    data = read("rbdl_chains")
+    return tuple(_problem(chain, data["source"], data["gravity"]) for chain in data["chains"])
 
 
 def _problem(chain: Mapping[str, Any], source: str, gravity: list[float]) -> ReferenceProblem:

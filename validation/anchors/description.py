@@ -1,4 +1,4 @@
-"""Robots written as URDF from published figures, in the fields that an engine reads."""
+"""Robots written as URDF from published parameters, in the fields that an engine reads."""
 
 from __future__ import annotations
 
@@ -31,10 +31,10 @@ class Robot:
 
 
 def read(name: str) -> dict[str, Any]:
-    """Return the figures of a reference, ``name``.json beside this file."""
+    """Return the data of a reference, ``name``.json beside this file."""
     text = files("validation.anchors").joinpath(f"{name}.json").read_text(encoding="utf-8")
-    figures: dict[str, Any] = json.loads(text)
-    return figures
+    data: dict[str, Any] = json.loads(text)
+    return data
 
 
 def robot(

@@ -1,7 +1,7 @@
 """Drake's KUKA iiwa benchmark against MotionGenesis, which derived the equations symbolically.
 
 The torques and accelerations in motion are what the C++ that MotionGenesis generated gives at the states of Drake's own
-tests; Drake compares itself with that code at run time and prints no figures.
+tests; Drake compares itself with that code at run time and prints no values.
 """
 
 from __future__ import annotations
@@ -31,26 +31,26 @@ WEIGHT_TORQUE = 33.9
 
 def problems() -> tuple[ReferenceProblem, ...]:
     """Return the arm under each gravity that the benchmark uses."""
-    figures = read("iiwa_motion_genesis")
+    data = read("iiwa_motion_genesis")
     return tuple(
         ReferenceProblem(
             f"KUKA iiwa, MotionGenesis, g = {g}",
-            figures["source"],
-            build(figures, float(g)),
+            data["source"],
+            build(data, float(g)),
             TIP,
-            (*(_kinematics(figures) if g == "0" else ()), *_torques(figures, g)),
+            (*(_kinematics(data) if g == "0" else ()), *_torques(data, g)),
         )
-        for g in figures["torques"]
+        for g in data["torques"]
     )
 
 
-def build(figures: Mapping[str, Any], g: float) -> Robot:
-    """Write the arm as URDF; figures are those of iiwa_motion_genesis.json, g along −z [m/s²]."""
+def build(data: Mapping[str, Any], g: float) -> Robot:
+    """Write the arm as URDF; data is that of iiwa_motion_genesis.json, g along −z [m/s²]."""
     parts, before = [link("base")], "base"
     for i in range(N):
-        name, place = f"link{i + 1}", figures["joint_origin"][i]
+        name, place = f"link{i + 1}", data["joint_origin"][i]
         parts += [
-            link(name, figures["mass"][i], figures["com"][i], figures["I_com"][i]),
+            link(name, data["mass"][i], data["com"][i], data["I_com"][i]),
             joint(f"joint{i + 1}", "revolute", before, name, xyz=place["xyz"], rpy=place["rpy"]),
         ]
         before = name
@@ -58,14 +58,14 @@ def build(figures: Mapping[str, Any], g: float) -> Robot:
     return robot("iiwa_motion_genesis", [*parts, *with_triad(TIP)], names, TIP, gravity=(0.0, 0.0, -g))
 
 
-def _kinematics(figures: Mapping[str, Any]) -> tuple[Case, ...]:
+def _kinematics(data: Mapping[str, Any]) -> tuple[Case, ...]:
     """Return place and motion of the last link, straight up and bent."""
     straight, bent = np.zeros(N), _bent()
 
     def case(name: str, quantity: str, expected: Any, **inputs: Array) -> Case:
         return Case(name, quantity, inputs, np.array(expected, dtype=float), np.array(KINEMATICS), KINEMATICS_WHY)
 
-    known, moving = figures["kinematics"], figures["motion"]
+    known, moving = data["kinematics"], data["motion"]
     v = np.array(moving["v"])
     cases = [
         case("position, straight up", "position", known["straight"]["position"], q=straight),
@@ -84,7 +84,7 @@ def _kinematics(figures: Mapping[str, Any]) -> tuple[Case, ...]:
     return tuple(cases)
 
 
-def _torques(figures: Mapping[str, Any], g: str) -> tuple[Case, ...]:
+def _torques(data: Mapping[str, Any], g: str) -> tuple[Case, ...]:
     """Return the joint torques that the benchmark knows under gravity `g`, a key of the file."""
     return tuple(
         Case(
@@ -95,7 +95,7 @@ def _torques(figures: Mapping[str, Any], g: str) -> tuple[Case, ...]:
             np.array(TORQUE_EPS * WEIGHT_TORQUE),
             TORQUE_WHY,
         )
-        for entry in figures["torques"][g]
+        for entry in data["torques"][g]
     )
 
 

@@ -26,14 +26,14 @@ def problems() -> tuple[ReferenceProblem, ...]:
 
 def _simple() -> ReferenceProblem:
     """Return IFToMM A01; q = 0 hangs down, −π/2 is the release at x = −L, here x to the right and z up."""
-    figures = read("iftomm_pendulum")
-    L, m = figures["length"], figures["mass"]
+    data = read("iftomm_pendulum")
+    L, m = data["length"], data["mass"]
     # A point has no inertia tensor, which some engines refuse. A body of twice the mass at half the length with
     # the moment m L²/2 has the same m c and the same m L² about the pivot, hence the same motion.
     moment = m * L**2 / 2.0
-    model = _swinging("iftomm_pendulum", 2.0 * m, L / 2.0, (moment, moment, moment), L, figures["gravity"])
+    model = _swinging("iftomm_pendulum", 2.0 * m, L / 2.0, (moment, moment, moment), L, data["gravity"])
     start = {"q": np.array([-np.pi / 2]), "v": np.zeros(1)}
-    rows = np.array(figures["positions"])
+    rows = np.array(data["positions"])
     positions = np.stack([rows[:, 1], np.zeros(len(rows)), rows[:, 2]], axis=1)
     # The printed digits of the closed form carry 1e-15, far below the integration.
     cases = (
@@ -45,16 +45,16 @@ def _simple() -> ReferenceProblem:
             np.array(POSITION),
             POSITION_WHY,
         ),
-        Case("period", "swing_period", start, np.array(figures["period"]), np.array(PERIOD), PERIOD_WHY),
+        Case("period", "swing_period", start, np.array(data["period"]), np.array(PERIOD), PERIOD_WHY),
     )
-    return ReferenceProblem("IFToMM A01 pendulum", figures["source"], model, TIP, cases)
+    return ReferenceProblem("IFToMM A01 pendulum", data["source"], model, TIP, cases)
 
 
 def _physical() -> ReferenceProblem:
     from scipy.special import ellipk
 
-    figures = read("physical_pendulum")
-    L, m, r, g = figures["length"], figures["mass"], figures["radius"], figures["gravity"]
+    data = read("physical_pendulum")
+    L, m, r, g = data["length"], data["mass"], data["radius"], data["gravity"]
     thin = m * L**2 / 12.0
     model = _swinging("physical_pendulum", m, L / 2.0, (thin, thin, m * r**2 / 2.0), L, g)
     small = 4.0 * np.sqrt(m * L**2 / 3.0 / (m * g * L / 2.0))
@@ -67,9 +67,9 @@ def _physical() -> ReferenceProblem:
             np.array(PERIOD),
             PERIOD_WHY,
         )
-        for amplitude in figures["amplitudes"]
+        for amplitude in data["amplitudes"]
     )
-    return ReferenceProblem("physical pendulum", figures["source"], model, TIP, cases)
+    return ReferenceProblem("physical pendulum", data["source"], model, TIP, cases)
 
 
 def _swinging(

@@ -22,15 +22,15 @@ CONTACT_WHY = (
 
 def problems() -> tuple[ReferenceProblem, ...]:
     """Return the shipped robot `planar2` against its closed form."""
-    figures = read("planar_arm")
+    data = read("planar_arm")
     model = robot_models.load("planar2")
     cases: list[Case] = []
-    for number, state in enumerate(figures["states"], start=1):
+    for number, state in enumerate(data["states"], start=1):
         q, v, a = (np.array(state[name]) for name in ("q", "v", "a"))
         cases += _terms(f"state {number}", q, v, a)
-        for normal in figures["normals"]:
-            cases += _contact(f"state {number}, normal {normal}", q, v, np.array(normal), figures["force"])
-    return (ReferenceProblem("planar arm", figures["source"], model, "tip", tuple(cases)),)
+        for normal in data["normals"]:
+            cases += _contact(f"state {number}, normal {normal}", q, v, np.array(normal), data["force"])
+    return (ReferenceProblem("planar arm", data["source"], model, "tip", tuple(cases)),)
 
 
 def _terms(where: str, q: Array, v: Array, a: Array) -> Iterator[Case]:

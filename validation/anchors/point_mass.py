@@ -21,18 +21,18 @@ IMPACT_WHY = (
 
 def problems() -> tuple[ReferenceProblem, ...]:
     """Return the inclined plane, and one problem a bouncing ball."""
-    figures = read("bouncing_ball")
-    balls = tuple(_bouncing(ball, figures["source"], figures["gravity"]) for ball in figures["balls"])
+    data = read("bouncing_ball")
+    balls = tuple(_bouncing(ball, data["source"], data["gravity"]) for ball in data["balls"])
     return (_inclined(), *balls)
 
 
 def _inclined() -> ReferenceProblem:
     """Return the shipped robot `pointmass3` on planes of several slopes."""
-    figures = read("inclined_plane")
+    data = read("inclined_plane")
     model = robot_models.load("pointmass3")
-    mass, g = 2.0, figures["gravity"]
+    mass, g = 2.0, data["gravity"]
     cases = []
-    for slope in figures["slopes_deg"]:
+    for slope in data["slopes_deg"]:
         tilt, heading, mu = np.radians(slope["tilt"]), np.radians(slope["heading"]), slope["friction"]
         ahead = np.array([np.cos(heading), np.sin(heading), 0.0])
         up = np.array([0.0, 0.0, 1.0])
@@ -43,7 +43,7 @@ def _inclined() -> ReferenceProblem:
         name = f"force and slide at {slope['tilt']:g}°, heading {slope['heading']:g}°, μ = {mu:g}"
         expected = np.concatenate([[f], slide])
         cases.append(Case(name, "contact", inputs, expected, np.array(CONTACT), CONTACT_WHY))
-    return ReferenceProblem("inclined plane", figures["source"], model, "tip", tuple(cases))
+    return ReferenceProblem("inclined plane", data["source"], model, "tip", tuple(cases))
 
 
 def _bouncing(ball: Mapping[str, Any], source: str, g: float) -> ReferenceProblem:

@@ -16,11 +16,11 @@ from validation.oracle.urdf import RobotModel
 
 @dataclass(frozen=True, eq=False)
 class Case:
-    """One figure, or array of figures, that an engine must give.
+    """One value, or array of values, that an engine must give.
 
     Attributes
     ----------
-    name : what the figure is, in words
+    name : what the value is, in words
     quantity : key of `QUANTITIES`, which says how an engine is asked for it
     inputs : arguments of that quantity; SI units and radians, arrays read-only
     expected : what the source gives
@@ -59,7 +59,7 @@ class ReferenceProblem:
     Attributes
     ----------
     name : short and unique
-    source : citation of the figures, or of the closed form
+    source : citation of the values, or of the closed form
     model : the robot, in URDF, with the fields that an engine reads
     tip : link whose origin is the tip
     cases : at least one

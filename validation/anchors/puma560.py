@@ -42,13 +42,13 @@ PRINTED = "half a unit of the last digit that the source prints: it gives no mor
 
 def problems() -> tuple[ReferenceProblem, ...]:
     """Return the Puma 560 with gravity and without."""
-    figures = read("puma560")
-    states, source = figures["states"], figures["source"]
+    data = read("puma560")
+    states, source = data["states"], data["source"]
     still, one = np.zeros(N), np.ones(N)
     q, v, qdd = (np.array(states[name]) for name in ("qn", "qd", "qdd"))
 
     def case(name: str, quantity: str, key: str, plus: Array | float = 0.0, **inputs: Array) -> Case:
-        published = figures["published"][key]
+        published = data["published"][key]
         value = np.array(published["value"], dtype=float)
         return Case(name, quantity, {"q": q, **inputs}, value + plus, _half_unit(value, published), PRINTED)
 
@@ -56,37 +56,37 @@ def problems() -> tuple[ReferenceProblem, ...]:
         case("gravity load", "gravity_term", "gravload"),
         case("inertia matrix", "mass_matrix", "inertia"),
         case("Coriolis matrix", "coriolis_matrix", "coriolis", v=v),
-        _coriolis_torque(figures, q, v),
+        _coriolis_torque(data, q, v),
         case("torque of unit accelerations", "inverse_dynamics", "rne_a", v=still, a=one),
-        case("torque of unit rates", "inverse_dynamics", "rne_v", -_friction(figures, one), v=one, a=still),
-        case("torque of both", "inverse_dynamics", "rne_va", -_friction(figures, one), v=one, a=one),
-        case("acceleration", "forward_dynamics", "accel", **_accel_inputs(figures)),
+        case("torque of unit rates", "inverse_dynamics", "rne_v", -_friction(data, one), v=one, a=still),
+        case("torque of both", "inverse_dynamics", "rne_va", -_friction(data, one), v=one, a=one),
+        case("acceleration", "forward_dynamics", "accel", **_accel_inputs(data)),
         case("torque under a tool load", "loaded_gravity_term", "rne_fext", wrench=np.array(states["fext"])),
         case("Cartesian inertia", "cartesian_inertia", "cinertia"),
         case("manipulability", "manipulability", "yoshikawa"),
         case("dexterity", "inertia_ellipsoid", "asada"),
     )
     without = (
-        case("torque of both", "inverse_dynamics", "rne_va_g0", -_friction(figures, one), v=one, a=one),
+        case("torque of both", "inverse_dynamics", "rne_va_g0", -_friction(data, one), v=one, a=one),
         case("inertia torque", "inverse_dynamics", "itorque", v=still, a=qdd),
     )
-    g = figures["gravity"]
+    g = data["gravity"]
     return (
-        ReferenceProblem("Puma 560", source, build(figures, g), TIP, with_gravity),
-        ReferenceProblem("Puma 560 without gravity", source, build(figures, 0.0), TIP, without),
+        ReferenceProblem("Puma 560", source, build(data, g), TIP, with_gravity),
+        ReferenceProblem("Puma 560 without gravity", source, build(data, 0.0), TIP, without),
     )
 
 
-def build(figures: Mapping[str, Any], g: float, *, possible: bool = True) -> Robot:
+def build(data: Mapping[str, Any], g: float, *, possible: bool = True) -> Robot:
     """Write the arm as URDF.
 
     Parameters
     ----------
-    figures : content of puma560.json
+    data : content of puma560.json
     g : gravity along −z [m/s²]
     possible : every link a body that can exist, the motion unchanged; otherwise as printed, which most engines refuse
     """
-    masses, moments = list(figures["m"]), [list(row) for row in figures["I"]]
+    masses, moments = list(data["m"]), [list(row) for row in data["I"]]
     if possible:
         _possible(masses, moments)
     parts, before = [link("base")], "base"
@@ -95,18 +95,18 @@ def build(figures: Mapping[str, Any], g: float, *, possible: bool = True) -> Rob
         parts += [
             link(axis),
             joint(f"joint{i + 1}", "revolute", before, axis),
-            _any_link(name, masses[i], figures["r"][i], moments[i]),
+            _any_link(name, masses[i], data["r"][i], moments[i]),
             joint(
                 f"dh{i + 1}",
                 "fixed",
                 axis,
                 name,
-                xyz=(figures["a"][i], 0.0, figures["d"][i]),
-                rpy=(figures["alpha"][i], 0.0, 0.0),
+                xyz=(data["a"][i], 0.0, data["d"][i]),
+                rpy=(data["alpha"][i], 0.0, 0.0),
             ),
         ]
         before = name
-    armature = np.array(figures["Jm"]) * np.array(figures["G"]) ** 2
+    armature = np.array(data["Jm"]) * np.array(data["G"]) ** 2
     names = [f"joint{i + 1}" for i in range(N)]
     return robot("puma560", [*parts, *with_triad(TIP)], names, TIP, gravity=(0.0, 0.0, -g), armature=armature)
 
@@ -129,20 +129,20 @@ def _any_link(name: str, mass: float, centre: Sequence[float], moments: Sequence
     return link(name, 1.0, centre, moments).replace('<mass value="1.0"/>', '<mass value="0.0"/>')
 
 
-def _friction(figures: Mapping[str, Any], v: Array) -> Array:
+def _friction(data: Mapping[str, Any], v: Array) -> Array:
     """Return the joint friction torque of the toolbox (n,), resisting v: B G² q̇ + |G| T_c."""
-    G, B, coulomb = (np.array(figures[name]) for name in ("G", "B", "Tc"))
+    G, B, coulomb = (np.array(data[name]) for name in ("G", "B", "Tc"))
     return np.asarray(B * G**2 * v + np.abs(G) * np.select([v > 0.0, v < 0.0], [coulomb[:, 0], coulomb[:, 1]]))
 
 
-def _accel_inputs(figures: Mapping[str, Any]) -> dict[str, Array]:
-    v, torque = (np.array(figures["states"][name]) for name in ("accel_qd", "accel_torque"))
-    return {"v": v, "torque": torque - _friction(figures, v)}
+def _accel_inputs(data: Mapping[str, Any]) -> dict[str, Array]:
+    v, torque = (np.array(data["states"][name]) for name in ("accel_qd", "accel_torque"))
+    return {"v": v, "torque": torque - _friction(data, v)}
 
 
-def _coriolis_torque(figures: Mapping[str, Any], q: Array, v: Array) -> Case:
+def _coriolis_torque(data: Mapping[str, Any], q: Array, v: Array) -> Case:
     """Return the printed matrix times q̇, which every engine has even if it has no such matrix."""
-    published = figures["published"]["coriolis"]
+    published = data["published"]["coriolis"]
     value = np.array(published["value"])
     tolerance = _half_unit(value, published) @ np.abs(v)
     argument = f"in each entry of the matrix {PRINTED}; the errors of a row add up with |q̇|"
@@ -153,5 +153,5 @@ def _half_unit(value: Array, published: Mapping[str, Any]) -> Array:
     """Return half a unit of the last printed digit, for so many decimals or so many significant digits."""
     if "decimals" in published:
         return np.broadcast_to(0.5 * 10.0 ** -np.array(published["decimals"], dtype=float), value.shape)
-    leading = np.floor(np.log10(np.abs(value)))  # no figure printed with significant digits is zero
+    leading = np.floor(np.log10(np.abs(value)))  # no value printed with significant digits is zero
     return np.asarray(0.5 * 10.0 ** (leading - published["significant"] + 1))

@@ -1,4 +1,4 @@
-"""How an engine is asked for a figure: one short function a quantity, its arguments those of a case.
+"""How a value is computed by an engine: one short function a quantity, its arguments those of a case.
 
 Orientations come from positions: beside its tip every robot that is asked for one carries links ``<tip>_x``,
 ``<tip>_y`` and ``<tip>_z``, one metre off along the tip's axes (see `description.with_triad`), so an engine that

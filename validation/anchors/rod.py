@@ -14,8 +14,8 @@ ARGUMENT = "one 3 × 3 solve with a condition number of 12 on numbers below 10: 
 
 def problems() -> tuple[ReferenceProblem, ...]:
     """Return the rod in the vertical plane, its lower end in contact."""
-    figures = read("painleve_rod")
-    m, half, r = figures["mass"], figures["half_length"], figures["radius"]
+    data = read("painleve_rod")
+    m, half, r = data["mass"], data["half_length"], data["radius"]
     thin = m * half**2 / 3.0
     parts = [
         link("base"),
@@ -29,7 +29,7 @@ def problems() -> tuple[ReferenceProblem, ...]:
         joint("to_end", "fixed", "rod", TIP, xyz=(-half, 0.0, 0.0)),
     ]
     cases = []
-    for state in figures["states"]:
+    for state in data["states"]:
         theta, mu = state["theta"], state["friction"]
         c, s = np.cos(theta), np.sin(theta)
         inputs = {
@@ -42,4 +42,4 @@ def problems() -> tuple[ReferenceProblem, ...]:
         name = f"normal acceleration per newton at θ = {theta:.6g}, μ = {mu:.6g}"
         cases.append(Case(name, "sliding_mobility", inputs, expected, np.array(TOLERANCE), ARGUMENT))
     model = robot("painleve_rod", parts, ["x", "z", "theta"], TIP)
-    return (ReferenceProblem("Painlevé rod", figures["source"], model, TIP, tuple(cases)),)
+    return (ReferenceProblem("Painlevé rod", data["source"], model, TIP, tuple(cases)),)

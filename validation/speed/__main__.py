@@ -60,13 +60,13 @@ def _parser() -> Parser:
         prog="python -m validation.speed",
         description="Measure a step of our engines beside peers that do the same work; the method is docs/speed.md.",
     )
-    parser.add_argument("--quick", action="store_true", help="few steps and laps, no cold start: rough figures")
+    parser.add_argument("--quick", action="store_true", help="few steps and laps, no cold start: rough numbers")
     parser.add_argument("--repeats", type=int, help="laps of each contestant, in turns (default 15; 3 with --quick)")
     parser.add_argument("--steps", type=int, help="steps of a lap (default 4000; 500 with --quick)")
     parser.add_argument("--runs", type=int, help="runs of a batch (default 256; 16 with --quick)")
     parser.add_argument("--arms", nargs="+", default=list(ARMS), metavar="ARM", help=f"of {', '.join(ARMS)}")
     parser.add_argument("--no-cold-start", action="store_true", help="leave out the start of whole processes")
-    parser.add_argument("--json", metavar="FILE", help="write every figure")
+    parser.add_argument("--json", metavar="FILE", help="write every value")
     return parser
 
 
@@ -82,7 +82,7 @@ def line_up(arms: Sequence[str], steps: int, runs: int) -> tuple[list[Contestant
         problem = slide(arm, steps)
         everyone.append(contestants.our_engine(arm, problem, "compiled"))
         if arm == "wam4":
-            everyone.append(batch.eight_abreast(arm, problem))
+            everyone.append(batch.in_lanes(arm, problem))
         everyone += [
             contestants.our_engine(arm, problem, "pinocchio"),
             contestants.bare_calls(arm, problem),

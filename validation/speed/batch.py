@@ -13,7 +13,7 @@ import numpy as np
 
 import closedloop as cl
 from closedloop.engines.compiled import compiled_tree
-from closedloop.engines.lanes import Abreast, kind_of
+from closedloop.engines.lanes import LaneRuns, kind_of
 from closedloop.engines.problem import Problem
 from closedloop.jit.kernel import entry_kernel
 from closedloop.jit.simd8 import WIDE
@@ -44,23 +44,23 @@ def compiled_batch(arm: str, problem: Problem, runs: int, threads: int) -> Conte
     return Contestant(f"batch_{threads}", arm, problem.robot.n, problem.steps * runs, lap, wanted, 1e-12, what)
 
 
-def eight_abreast(arm: str, problem: Problem) -> Contestant:
+def in_lanes(arm: str, problem: Problem) -> Contestant:
     """Return the loop in which a batch's runs go, without what a batch does beside: a step is one of one run."""
     kind, tree, n = kind_of(problem), compiled_tree(problem), problem.robot.n
     assert kind is not None
-    abreast = Abreast(problem, kind, keep=False)
+    lane_runs = LaneRuns(problem, kind, keep=False)
 
     def lap() -> tuple[float | None, Array | None]:
         for lane in range(WIDE):
-            abreast.take(lane, problem)
+            lane_runs.load(lane, problem)
         began = clock.perf_counter()
-        ran = abreast.run(tree, WIDE)
+        ran = lane_runs.run(tree, WIDE)
         seconds = clock.perf_counter() - began
-        rows = abreast.rows(WIDE - 1)
+        rows = lane_runs.rows(WIDE - 1)
         return seconds, rows[problem.steps % len(rows), :n].copy() if ran else None
 
-    what = "compiled, eight abreast"
-    return Contestant("abreast", arm, n, WIDE * problem.steps, lap, final(problem), 1e-11, what)
+    what = "compiled, eight runs in SIMD lanes"
+    return Contestant("lanes", arm, n, WIDE * problem.steps, lap, final(problem), 1e-11, what)
 
 
 def arithmetic(threads: int) -> Contestant:

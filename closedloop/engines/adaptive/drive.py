@@ -14,7 +14,7 @@ from scipy.integrate import DOP853, Radau
 from closedloop.closure.contact_force import FREE
 from closedloop.closure.solve import OK
 from closedloop.engines.adaptive.crossing import first_crossing
-from closedloop.engines.adaptive.kernels import EVENT_VALUE, RECORD, SET_OUT
+from closedloop.engines.adaptive.kernels import BEGIN_SUBSTEP, EVENT_VALUE, RECORD
 from closedloop.engines.adaptive.memory import Memory, Stopped
 from closedloop.engines.adaptive.slow import KEPT, PLAIN, SETTLED, STIFF, jacobian, manner_of, tolerance_for
 from closedloop.engines.adaptive.smooth import Stretch, jumps, stretch_from
@@ -133,25 +133,25 @@ class _Journey:
         hold = memory.hold
         due = self.instants[i] <= self.time + INSTANT
         memory.state.sampled = hold == 0 or (due and i % hold == 0)
-        self.look(stretch)
+        self.check_stage(stretch)
         if self.turns:
             memory.begin(self.time)
             self.y = memory.get()
-            self.look(stretch)
+            self.check_stage(stretch)
         memory.state.sampled = hold == 0
         if due:
             self.y = memory.closed(self.y)
             self.record(self.y, self.time, stretch)
 
-    def look(self, stretch: Stretch) -> None:
+    def check_stage(self, stretch: Stretch) -> None:
         """Evaluate the state here, to set out from it, and choose how to go on."""
         memory, before = self.memory, self.manner
-        memory.evaluate(self.time, self.y, stretch, SET_OUT)
+        memory.evaluate(self.time, self.y, stretch, BEGIN_SUBSTEP)
         if self.rubs:
             self.manner = manner_of(memory.w, memory.state, before)
             if (self.manner == KEPT) != (before == KEPT):
-                memory.w.straight = math.inf if self.manner == KEPT else 0.0
-                memory.evaluate(self.time, self.y, stretch, SET_OUT)
+                memory.w.straight_speed = math.inf if self.manner == KEPT else 0.0
+                memory.evaluate(self.time, self.y, stretch, BEGIN_SUBSTEP)
 
     def advance(self, stretch: Stretch) -> None:
         """Go on to the end of the stretch, or to just after the next event."""
@@ -159,7 +159,7 @@ class _Journey:
             manner, solver = self.manner, self.solver(stretch)
             while solver.status == "running":
                 if self.rubs:
-                    self.look(stretch)
+                    self.check_stage(stretch)
                     if self.manner != manner:
                         break
                     self.allow(solver)

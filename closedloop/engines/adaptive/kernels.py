@@ -8,8 +8,8 @@ from numpy.typing import NDArray
 from closedloop.closure.contact_force import PRESSED
 from closedloop.closure.solve import OK
 from closedloop.engines.pinocchio import ADDRESSES, Addresses
-from closedloop.events.locate import event_function, slip_left
-from closedloop.events.substep import remember
+from closedloop.events.locate import event_function, slip_margin
+from closedloop.events.substep import save_state
 from closedloop.friction.laws import capture_speed
 from closedloop.jit.kernel import entry_kernel, inlined_kernel
 from closedloop.jit.pointers import fortran_at, matrix_at, vector_at, whole_at
@@ -22,7 +22,7 @@ from closedloop.step.record_row import record
 Array = NDArray[np.float64]
 
 # What a state is evaluated for: its derivative, to begin a step from it, to see how far an event is, to record it.
-DERIVE, SET_OUT, EVENT_VALUE, RECORD = range(4)
+DERIVE, BEGIN_SUBSTEP, EVENT_VALUE, RECORD = range(4)
 
 
 @inlined_kernel
@@ -40,15 +40,15 @@ def _on_pinocchio(address: int, table: Array, use: int, more: int | None) -> int
         return status
     if use == DERIVE:
         w.start_power = power(w)
-    elif use == SET_OUT:
-        remember(w, constants, state, more)
+    elif use == BEGIN_SUBSTEP:
+        save_state(w, constants, state, more)
     elif use == EVENT_VALUE:
         w.event_value = event_function(w, constants, state, more)
         if more is not None and state.sticking == RIGID_STICK and state.mode == PRESSED:
             band = capture_speed(state.friction, constants.friction)
             begun = w.start_slip_speed
             if begun > constants.stick_speed and not begun > band > 0.0:  # see `Memory.happen`
-                w.event_value = min(w.event_value, 1e3 * (slip_left(w, constants, state) - constants.stick_speed))
+                w.event_value = min(w.event_value, 1e3 * (slip_margin(w, constants, state) - constants.stick_speed))
     elif use == RECORD:
         record(H, C, w, constants, state, table, rows, state.row, more)
     return OK
@@ -66,7 +66,7 @@ def evaluate_on_pinocchio(address: int, table: Array, use: int) -> int:
     table : (P, 2 n + 11) array
         The whole table, for the noise of the force sensor.
     use : int
-        What the state is for: DERIVE, SET_OUT, EVENT_VALUE or RECORD.
+        What the state is for: DERIVE, BEGIN_SUBSTEP, EVENT_VALUE or RECORD.
     """
     return _on_pinocchio(address, table, use, None)
 

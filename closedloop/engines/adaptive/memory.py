@@ -12,9 +12,9 @@ from numpy.typing import NDArray
 from closedloop.closure.contact_force import FREE, PRESSED
 from closedloop.closure.solve import LAW_FAILED, OK
 from closedloop.engines.adaptive.kernels import (
+    BEGIN_SUBSTEP,
     DERIVE,
     EVENT_VALUE,
-    SET_OUT,
     evaluate_on_pinocchio,
     evaluate_with_more_on_pinocchio,
 )
@@ -25,14 +25,14 @@ from closedloop.engines.problem import Problem
 from closedloop.engines.user_law import Law, UserLaw
 from closedloop.errors import DivergenceError
 from closedloop.events.phases import (
-    ARRIVING,
+    AFTER_EVENT,
     AT_EVENT,
-    BEGINNING,
     FAILED,
     IMPACT_LAW_WANTED,
-    PROJECTING,
-    ROOM,
-    ROOM_FOR_EVENTS,
+    INITIAL_EVENTS,
+    PROJECTION,
+    STEP_END,
+    TABLE_FULL,
     TERMS,
 )
 from closedloop.events.table import EVENT_WIDTH
@@ -82,7 +82,7 @@ class Memory:
         self.state.steps = -1  # it chooses its own, and they are short where slip turns fast
         self.hold = int(self.state.hold)
         self.rows = np.zeros((problem.steps + 1, Row.of(robot.n).width))
-        self.events = np.zeros((ROOM_FOR_EVENTS, EVENT_WIDTH))
+        self.events = np.zeros((INITIAL_EVENTS, EVENT_WIDTH))
         self._terms = robot.evaluator(self.w.q, self.w.v)
         more = problem.more or law is not None
         self._machine: Callable[..., int] = loop_for(PINOCCHIO, more)
@@ -110,7 +110,7 @@ class Memory:
         t, y, stretch
             Instant, s, state, and the stretch in which the instant is.
         use : int
-            DERIVE, SET_OUT, EVENT_VALUE (the event function is in w.event_value) or RECORD (in row state.row).
+            DERIVE, BEGIN_SUBSTEP, EVENT_VALUE (the event function is in w.event_value) or RECORD (in row state.row).
 
         Raises
         ------
@@ -147,14 +147,14 @@ class Memory:
             answer = self._proceed()
         # The machine has set out on a step already.
         self.put(np.append(self.w.begin, self.w.supplied))
-        self.w.gained = 0.0
-        self._evaluate_for(SET_OUT)
+        self.w.substep_work = 0.0
+        self._evaluate_for(BEGIN_SUBSTEP)
         return clock.perf_counter()
 
     def begin(self, t: float) -> None:
         """Let the machine look at the contact at the state evaluated last, at t, s, and change its mode if it must."""
         self.w.time = t
-        self._work(BEGINNING)
+        self._work(AFTER_EVENT)
 
     def happen(self, t: float, y: Array, stretch: Stretch) -> float:
         """Let the machine do what happens at y at t, s, and return the instant at which it did, s.
@@ -181,8 +181,8 @@ class Memory:
         if self.state.project == 0 or self.state.mode == FREE:
             return y
         self.put(y)
-        self.state.moves, self.state.next_phase = 0, ARRIVING
-        self._work(PROJECTING)
+        self.state.projections, self.state.next_phase = 0, STEP_END
+        self._work(PROJECTION)
         return self.get()
 
     def _work(self, phase: int) -> None:
@@ -191,14 +191,14 @@ class Memory:
         self.state.phase, self.state.row, self.state.events_in_step = phase, 1, 0
         self.constants.h = self.w.time
         answer = TERMS  # the torque has been evaluated
-        while self.state.phase != ARRIVING:
+        while self.state.phase != STEP_END:
             self._serve(answer)
             answer = self._proceed()
         self.state.sampled, self.state.row, self.constants.h = sampled, row, self.h
 
     def _serve(self, answer: int) -> None:
         """Do what the machine asks for."""
-        if answer == ROOM:
+        if answer == TABLE_FULL:
             self.events = np.vstack([self.events, np.zeros_like(self.events)])
             set_events(self._addresses, self.events)
         elif answer == IMPACT_LAW_WANTED:

@@ -1,8 +1,8 @@
 """How a tree of joints lies in memory: its constants, the scratch of its kernels, and the names of their rows.
 
-Most of the work is the same for every joint, so the joints stand four abreast: joint i is lane i % 4 of block i // 4,
-and one row of a block holds one number of four joints, which the compiler then handles in one instruction. Rows are
-named by where they begin in a block; lanes without a joint hold zeros and are computed for nothing.
+Most of the work is the same for every joint, so four joints share a SIMD register: joint i is lane i % 4 of block
+i // 4, and one row of a block holds one number of each of four joints, handled in one instruction. Rows are named by
+their offset in a block; lanes without a joint hold zeros.
 """
 
 from __future__ import annotations

@@ -1,11 +1,11 @@
-"""Eight runs abreast come to what each comes to alone, to the last bit; and what cannot go abreast goes alone."""
+"""Eight runs in SIMD lanes equal each run by itself to the last bit; what cannot use lanes is run by itself."""
 
 import numpy as np
 import pytest
 
 import closedloop as cl
-from closedloop.batch.worker import Bench
-from closedloop.engines.lanes import FEWEST, Abreast, kind_of
+from closedloop.batch.worker import Worker
+from closedloop.engines.lanes import FEWEST, LaneRuns, kind_of
 from closedloop.jit.simd8 import WIDE
 from closedloop.simulation.prepare import prepare
 from robot_models import load
@@ -38,16 +38,16 @@ KINDS = {
 
 
 @pytest.fixture
-def go_abreast(monkeypatch):
-    """Return a list of how many went abreast each time."""
-    went, run = [], Abreast.run
+def lane_counts(monkeypatch):
+    """Return a list of how many lanes were used each time."""
+    counts, run = [], LaneRuns.run
 
     def counted(self, tree, count):
-        went.append(count)
+        counts.append(count)
         return run(self, tree, count)
 
-    monkeypatch.setattr(Abreast, "run", counted)
-    return went
+    monkeypatch.setattr(LaneRuns, "run", counted)
+    return counts
 
 
 def drawn(ranges, count, seed=0):
@@ -60,58 +60,58 @@ def alone(monkeypatch, *args, **options):
     """Return the table of a batch in which each run goes by itself."""
     with monkeypatch.context() as now:
         for module in ("worker", "simulate_batch"):
-            now.setattr(f"closedloop.batch.{module}.goes_abreast", lambda *_: False)
+            now.setattr(f"closedloop.batch.{module}.uses_lanes", lambda *_: False)
         return cl.simulate_batch(*args, **options)
 
 
 @pytest.mark.parametrize("kind", KINDS)
-def test_to_the_last_bit(kind, go_abreast, monkeypatch):
-    """All figures and all columns, with ranks of eight and of what is left over."""
+def test_to_the_last_bit(kind, lane_counts, monkeypatch):
+    """All values and all columns, in sets of eight lanes and the remainder."""
     name, fixed, ranges = KINDS[kind]
     scenario = cl.load_scenario(name, overrides=fixed)
     changes = drawn(ranges, 2 * WIDE + FEWEST)
     options = {"keep": KEPT, "workers": 1}
     table = cl.simulate_batch(scenario, changes, **options)
-    assert go_abreast == [WIDE, WIDE, FEWEST]
+    assert lane_counts == [WIDE, WIDE, FEWEST]
     assert table.equals(alone(monkeypatch, scenario, changes, **options))
     assert cl.simulate_batch(scenario, changes).equals(table.select(cl.simulate_batch(scenario, changes).column_names))
 
 
-def test_rows_are_those_of_a_run(go_abreast):
-    """What is kept of a run abreast is what `simulate` records."""
+def test_rows_are_those_of_a_run(lane_counts):
+    """The rows kept of a run in lanes are those that `simulate` records."""
     scenario = cl.load_scenario("wam_slide", overrides=SHORT)
     table = cl.simulate_batch(scenario, {"law.force": [4.0, 5.0, 6.0, 7.0]}, keep=["q", "f", "e"], workers=1)
-    assert go_abreast
+    assert lane_counts
     run = cl.simulate(cl.load_scenario("wam_slide", overrides=SHORT | {"law.force": 6.0}), engine="compiled")
     assert np.array_equal(np.array(table["contact_force"][2].as_py()), run.contact_force)
     assert np.array_equal(np.array(table["closure_error"][2].as_py()), run.closure_error)
     assert np.array_equal(np.reshape(table["q"][2].as_py(), (-1, 4)), run.q)
 
 
-def test_a_run_that_fails_takes_nobody_along(go_abreast, monkeypatch):
-    """One that diverges, one that cannot be read: seven neighbours come to what they come to without them."""
+def test_a_run_that_fails_does_not_affect_the_others(lane_counts, monkeypatch):
+    """One that diverges, one that cannot be read: the outcomes of the others are those without them."""
     scenario = cl.load_scenario("wam_slide", overrides=SHORT)
     changes = {"law.kd": [10.0, 12.0, 14.0, 5000.0, *(18.0 + i for i in range(6))], "law.kp": [400.0] * 10}
     changes["law.kp"][5] = float("nan")
     table = cl.simulate_batch(scenario, changes, workers=1)
-    assert go_abreast
+    assert lane_counts
     status = ["done"] * 10
     status[3], status[5] = "stopped", "refused"
     assert table["status"].to_pylist() == status
     assert table.equals(alone(monkeypatch, scenario, changes, workers=1))
 
 
-def test_tips_that_leave_go_alone(go_abreast, monkeypatch):
-    """A path draws the tips off the surface; eights in which that happens are given up, and after two wait."""
+def test_liftoff_ends_lanes(lane_counts, monkeypatch):
+    """A path lifts the tips off the surface: after two sets of lanes that failed, the next are run one by one."""
     scenario = cl.load_scenario("wam_liftoff", overrides={"time.duration": 2.0})
     changes = {"stabiliser.time_constant": np.linspace(0.002, 0.004, 4 * WIDE).tolist()}
     table = cl.simulate_batch(scenario, changes, workers=1)
     assert min(table["liftoff_events"].to_pylist()) >= 1
-    assert go_abreast == [WIDE, WIDE]
+    assert lane_counts == [WIDE, WIDE]
     assert table.equals(alone(monkeypatch, scenario, changes, workers=1))
 
 
-def test_what_differs_in_kind_goes_in_ranks_of_its_own(go_abreast, monkeypatch):
+def test_each_kind_has_its_own_lanes(lane_counts, monkeypatch):
     """Steps of different length, and a contact that may break, in one batch."""
     scenario = cl.load_scenario("wam_slide", overrides=SHORT)
     changes = {
@@ -123,7 +123,7 @@ def test_what_differs_in_kind_goes_in_ranks_of_its_own(go_abreast, monkeypatch):
     }
     table = cl.simulate_batch(scenario, changes, workers=1)
     assert set(table["status"].to_pylist()) == {"done"}
-    assert go_abreast == [7, 6]  # each step's; a contact that is open at first goes alone
+    assert lane_counts == [7, 6]  # each step's; a contact that is open at first goes alone
     assert table.equals(alone(monkeypatch, scenario, changes, workers=1))
 
 
@@ -139,18 +139,18 @@ def test_what_differs_in_kind_goes_in_ranks_of_its_own(go_abreast, monkeypatch):
         ("wam_bounce", {"friction.kind": "none"}),
     ],
 )
-def test_what_may_have_to_decide_goes_alone(name, changes):
-    """Everything with events, friction, projection or another law."""
+def test_events_and_branches_exclude_lanes(name, changes):
+    """Events, friction, projection or another law: run one by one."""
     scenario = cl.load_scenario(name, overrides=changes)
     assert kind_of(prepare(scenario)) is None
     assert kind_of(prepare(cl.load_scenario("wam_slide"))) is not None
 
 
 def test_few_runs_go_alone(monkeypatch):
-    """Two runs take as long alone as eight do side by side; from three on they go abreast, however short they are."""
+    """Two runs take as long by themselves as eight in lanes; from three on lanes are used, however short the runs."""
     asked = []
-    monkeypatch.setattr(Abreast, "run", lambda self, tree, count: asked.append(count))  # None: they have to go alone
+    monkeypatch.setattr(LaneRuns, "run", lambda self, tree, count: asked.append(count))  # None: they have to go alone
     scenario, model = cl.load_scenario("wam_slide", overrides={"time.duration": 0.01}), load("wam4")
     for runs, expected in ((FEWEST - 1, []), (FEWEST, [FEWEST])):
-        assert {outcome.status for outcome in Bench(model=model, runs=runs).run_all([scenario] * runs)} == {"done"}
+        assert {outcome.status for outcome in Worker(model=model, runs=runs).run_all([scenario] * runs)} == {"done"}
         assert asked == expected

@@ -14,13 +14,13 @@ from robot_models import RobotModel
 
 Array = NDArray[np.float64]
 
-# A joint's figures, `JOINT_MEASURES`.
-JOINT_FIGURES = len(JOINT_MEASURES)
-EXCESS, LEFT_AT, MOST_SPEED, TOO_FAST_AT, MOST_TORQUE, TOO_STRONG_AT, CHATTER = range(JOINT_FIGURES)
+# A joint's values, `JOINT_MEASURES`.
+JOINT_VALUES = len(JOINT_MEASURES)
+EXCESS, LEFT_AT, MOST_SPEED, TOO_FAST_AT, MOST_TORQUE, TOO_STRONG_AT, CHATTER = range(JOINT_VALUES)
 # Of a signal that may chatter: its last value, difference and second difference, what alternates of it, and its size.
 BEFORE, SLOPE_BEFORE, TURN_BEFORE, ALTERNATING, SIZE = range(5)
 SIGNAL_TALLY = 5
-# Of a joint: its figures but the last, and its torque as a signal.
+# Of a joint: its values but the last, and its torque as a signal.
 TORQUE = CHATTER
 JOINT_TALLY = TORQUE + SIGNAL_TALLY
 # Rows of the limits of the joints.
@@ -74,7 +74,7 @@ def count_joint(q: float, v: float, torque: float, j: int, i: int, h: float, lim
 
 @kernel
 def write_joints(tally: Array, n: int, out: Array) -> None:
-    """Write the figures (JOINT_FIGURES n,) of the joints, each for all of them, from their tally."""
+    """Write the values (JOINT_VALUES n,) of the joints, each for all of them, from their tally."""
     mean = 0.0
     for j in range(n):
         mean += tally[JOINT_TALLY * j + TORQUE + SIZE] / n

@@ -11,7 +11,7 @@ gives up and says so: each of the eight is then run alone.
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -50,9 +50,6 @@ from closedloop.step.energy_supplied import gain, remember_power, settle
 from closedloop.step.evaluate import bounded, locate_tip, paper_torque
 from closedloop.step.memory import Constants, State, Whole, Work
 from closedloop.step.record_row import SCALARS, Row, record, record_conditions
-
-if TYPE_CHECKING:
-    from closedloop.scenario.scenario import Scenario
 
 Array = NDArray[np.float64]
 

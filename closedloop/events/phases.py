@@ -20,7 +20,7 @@ ARRIVING, STAGING, PROBING, AT_EVENT, IMPACTING, BEGINNING, PROJECTING = range(7
 NO_TRIAL, LOOKED, LOOK, SEARCH_EVENT, SEARCH_LOWEST, TAKE_EVENT = range(6)
 
 # What is to be done next inside `proceed`: ask (the terms of w.q, w.v are wanted), or one of these.
-ASK, LEAVE, SET_OUT, SET_OUT_AGAIN, APPLY_EVENT, APPLY_IMPACT, PROJECT, FINISH, FAIL, ENLARGE, COLLIDE = range(11)
+ASK, LEAVE, SET_OUT, SET_OUT_AGAIN, APPLY_EVENT, APPLY_IMPACT, PROJECT, FAIL, ENLARGE, COLLIDE = range(10)
 
 # An event is located to this, s; nearer than that to a row it happens at the row.
 INSTANT = 1e-14

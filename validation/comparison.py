@@ -8,14 +8,14 @@ constraint acts.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, field
 from typing import Any
 
 import numpy as np
 
 import robot_models
-from validation.engines import ENGINES, Engine, Missing, Refused, available, probe
+from validation.engines import Engine, Missing, Refused, available, probe
 from validation.engines.interface import METHODS, CannotBuild, NotCovered
 from validation.oracle.spatial import Array
 from validation.states import State, draw_state
@@ -45,8 +45,6 @@ STABILISER = (1414.0, 1e6)
 # Fifty digits take 20 ms a state, a multibody system's start-up 4 ms, Newton-Euler passes in Python 10 to 100 ms: such
 # an engine is asked at the first so many states only, and the report says at how many.
 MOST_STATES = {"symbolic": 50, "exudyn": 50, "robotics toolbox": 20}
-
-EngineClass = Callable[[Any, str], Engine]
 
 
 @dataclass(frozen=True)
@@ -382,8 +380,3 @@ def engine_bound(engine: Engine, quantity: str) -> float:
     """Return what the engine's own file says of its accuracy in a quantity; 0 if it claims rounding."""
     own = engine.tolerances.get(QUANTITIES[quantity])
     return own.value if own else 0.0
-
-
-def known_engines() -> tuple[str, ...]:
-    """Return the names of the engines that the package knows."""
-    return tuple(engine.name for engine in ENGINES)

@@ -12,8 +12,6 @@ first line reads (S_nn − S_nt c) f = b_s − a_n + S_nt w and is solved at onc
 
 from __future__ import annotations
 
-import math
-
 import numpy as np
 from numpy.typing import NDArray
 
@@ -294,9 +292,3 @@ def residuals(
         worst = max(worst, abs(r))
         scale = max(scale, s)
     return motion, worst / select(scale > 0.0, scale, 1.0)
-
-
-@kernel
-def length2(x: Array) -> float:
-    """Return the length of a (2,) vector without under- or overflow on the way."""
-    return math.hypot(x[0], x[1])

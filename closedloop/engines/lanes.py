@@ -11,7 +11,7 @@ the eight is run by itself.
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -33,13 +33,8 @@ from closedloop.jit.background import make_ready
 from closedloop.jit.kernel import entry_kernel, jit_disabled, kernel_inlined, plain
 from closedloop.jit.numba_simd8 import float64x8_at, with_lane
 from closedloop.jit.pointers import address_of, matrix_at
-<<<<<<< HEAD
 from closedloop.jit.simd8 import WIDE, aligned, every
-from closedloop.report.joint_figures import joint_limits
-=======
-from closedloop.jit.simd8 import WIDE, aligned, every, float64x8_at, with_lane
 from closedloop.report.joint_values import joint_limits
->>>>>>> part/words
 from closedloop.report.measured import (
     begin_tally,
     count_condition,
@@ -56,9 +51,6 @@ from closedloop.step.energy_supplied import add_stage_work, commit_work, save_po
 from closedloop.step.evaluate import bounded, locate_tip, paper_torque
 from closedloop.step.memory import Constants, State, Whole, Work
 from closedloop.step.record_row import SCALARS, Row, record, record_conditions
-
-if TYPE_CHECKING:
-    from closedloop.scenario.scenario import Scenario
 
 Array = NDArray[np.float64]
 

@@ -7,7 +7,6 @@ multiple of the mean speed.
 
 from __future__ import annotations
 
-import math
 from collections.abc import Callable
 
 import numpy as np
@@ -16,10 +15,6 @@ from numpy.typing import NDArray
 Array = NDArray[np.float64]
 
 Timing = Callable[[Array, float], tuple[Array, Array, Array]]
-
-# The highest speed and acceleration of `minimum_jerk`: these multiples of L/T and of L/T².
-PEAK_SPEED = 1.875
-PEAK_ACCELERATION = 10 / math.sqrt(3)
 
 
 def constant(t: Array, duration: float) -> tuple[Array, Array, Array]:

@@ -9,15 +9,12 @@ from __future__ import annotations
 import tomllib
 from collections.abc import Sequence
 from copy import deepcopy
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 
 from closedloop.errors import ScenarioError
 from closedloop.scenario.scenario import Scenario, scenario_of
-
-if TYPE_CHECKING:
-    pass
 
 # As many scenarios are looked at, spread over all, before a batch is begun of which none could be read.
 LOOKED_AT = 100

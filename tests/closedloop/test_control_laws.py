@@ -7,7 +7,6 @@ import pytest
 from control_loop import POSES, Loop, arm
 
 import closedloop as cl
-<<<<<<< HEAD
 from closedloop.control.compensation.adaptive import AdaptiveCompensation
 from closedloop.control.compensation.model import ModelCompensation
 from closedloop.control.compensation.observer import ObserverCompensation
@@ -17,24 +16,8 @@ from closedloop.control.laws.hybrid import HybridLaw
 from closedloop.control.laws.impedance import ImpedanceLaw
 from closedloop.control.laws.operational_space import OperationalSpaceLaw
 from closedloop.control.laws.paper import PaperLaw, paper_law
-from closedloop.control.tip_space import pseudo_inverse, surface_mobility
-from closedloop.engines.problem import pack_law
-=======
-from closedloop.control import paper_law
-from closedloop.control.pack import pack_law
-from closedloop.control.sections import (
-    AdaptiveCompensationSection,
-    AdmittanceLawSection,
-    DynamicHybridLawSection,
-    HybridLawSection,
-    ImpedanceLawSection,
-    ModelCompensationSection,
-    ObserverCompensationSection,
-    OperationalSpaceLawSection,
-    PaperLawSection,
-)
 from closedloop.control.tip_space import motion_along_normal, pseudo_inverse, surface_mobility
->>>>>>> part/suite
+from closedloop.engines.problem import pack_law
 from closedloop.jit.kernel import plain
 
 LAWS = {

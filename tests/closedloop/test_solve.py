@@ -3,7 +3,7 @@
 import numpy as np
 import pinocchio as pin
 import pytest
-from hypothesis import given, settings
+from hypothesis import assume, given, settings
 from hypothesis import strategies as st
 
 import closedloop as cl
@@ -205,8 +205,7 @@ def test_elimination_solves_the_equation(problem):
     in each of three nested sums give some hundred roundings: 1e-12, which is also what a run reports as held.
     """
     H, tau, C, A, b, m = problem
-    if not well_posed(H, A, m):
-        return
+    assume(well_posed(H, A, m))
     done = Solved(H, tau, C, A, b, m=m)
     assert done.status == OK
     y = np.linalg.solve(H, tau - C)
@@ -228,8 +227,7 @@ def test_elimination_equals_lapack(problem):
     Schur complement, and by how far H⁻¹(Q - C) exceeds q̈; LAPACK's by cond(K).
     """
     H, tau, C, A, b, m = problem
-    if not well_posed(H, A, m):
-        return
+    assume(well_posed(H, A, m))
     done = Solved(H, tau, C, A, b, m=m)
     qdd, f = cl.solve_closure(H, tau - C, A[:m], b[:m])
     y = np.linalg.solve(H, tau - C)
@@ -248,16 +246,13 @@ def test_elimination_equals_lapack(problem):
 def test_friction_is_solved_with_the_force_not_after_it(problem, mu, heading, load):
     """With F_t = -c f - w the bordered matrix has n - c in its column: LAPACK finds the same q̈ and f in one solve."""
     H, tau, C, A, b, _ = problem
-    if not well_posed(H, A, 3):
-        return
+    assume(well_posed(H, A, 3))
     t = np.array([np.cos(heading), np.sin(heading)])
     c, w = mu * t, load * t
     done = Solved(H, tau, C, A, b, c=c, w=w)
     S = A @ np.linalg.solve(H, A.T)
     mobility = S[0, 0] - S[0, 1:] @ c
-    if mobility <= 1e-6 * np.trace(S):
-        assert done.status == PAINLEVE or mobility > 0
-        return
+    assume(mobility > 1e-6 * np.trace(S))
     matrix = np.block([[H, (A[0] - c @ A[1:])[:, None]], [A[:1], np.zeros((1, 1))]])
     solution = np.linalg.solve(matrix, np.concatenate([tau - C - A[1:].T @ w, b[:1]]))
     amplified = np.linalg.cond(matrix) + np.linalg.cond(H) * np.trace(S) / mobility
@@ -266,6 +261,20 @@ def test_friction_is_solved_with_the_force_not_after_it(problem, mu, heading, lo
     size = np.abs(solution[-1]) + np.max(np.abs(A @ y)) / mobility
     assert abs(done.F[0] + solution[-1]) <= tolerance * size
     assert done.F[1:] == pytest.approx(-c * done.F[0] - w, abs=1e-12 * (1 + abs(done.F[0])))
+
+
+@patient
+@given(problems(), st.floats(1e-3, 5.0))
+def test_painleve_is_told_where_friction_takes_the_normal_mobility(problem, beyond):
+    """Friction that turns the normal acceleration of a push inwards, A₀H⁻¹(A₀ - c A_t)ᵀ < 0, has no rigid answer."""
+    H, tau, C, A, b, _ = problem
+    assume(well_posed(H, A, 3))
+    S = A @ np.linalg.solve(H, A.T)
+    across = S[0, 1:]
+    assume(np.hypot(*across) > 1e-6 * np.trace(S))
+    enough = S[0, 0] * across / (across @ across)
+    assert Solved(H, tau, C, A, b, c=(1.0 + beyond) * enough).status == PAINLEVE
+    assert Solved(H, tau, C, A, b, c=enough / (1.0 + beyond)).status == OK
 
 
 @patient
@@ -288,8 +297,7 @@ def test_only_the_upper_triangle_is_read(problem):
 def test_stabilisers_share_is_a_difference_of_forces(problem):
     """The stabiliser's share is exactly what the force loses when its part of b is taken away."""
     H, tau, C, A, b, m = problem
-    if not well_posed(H, A, m):
-        return
+    assume(well_posed(H, A, m))
     share = 0.3 * b[::-1]
     with_it = Solved(H, tau, C, A, b, share, m)
     without = Solved(H, tau, C, A, b - share, m=m)

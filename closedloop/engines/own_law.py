@@ -1,7 +1,8 @@
-"""A law of one's own, as a piece of source: where it failed, and whether it is still the same text."""
+"""A law of one's own, as a piece of source: how it is called, where it failed, whether it is still the same text."""
 
 from __future__ import annotations
 
+import inspect
 import os
 import traceback
 from copy import deepcopy
@@ -9,8 +10,14 @@ from functools import partial
 from types import FunctionType, MethodType
 from typing import Any
 
-from closedloop.errors import LawError, one_line
+from closedloop.errors import LawError, ScenarioError, one_line
+from closedloop.jit.calls import is_compiled
 from closedloop.user_code import source_digest
+
+# What an entry answers when the law gave no torque.
+RAISED, NOT_FINITE, WRONG_LENGTH = 1, 2, 3
+# Which of what a law sees are numbers.
+NUMBERS = ("t", "f_des", "f_measured", "pressed")
 
 
 def law_failure(law: Any, error: BaseException, t: float) -> LawError:
@@ -59,3 +66,41 @@ def _where(law: Any, error: BaseException) -> str:
     except (OSError, ValueError):  # another drive, or the working folder is gone
         near = file
     return f"{one_line(file if near.startswith(os.pardir) or file.startswith('<') else near)}:{last.lineno}: "
+
+
+class Arguments:
+    """How a law is called: whether with a `LawInput`, and whether it writes the torque, as its last argument."""
+
+    def __init__(self, sees_input: bool, writes: bool) -> None:
+        self.sees_input, self.writes = sees_input, writes
+
+
+def arguments_of(law: Any) -> Arguments:
+    """Return how a law is called, from the number of its arguments.
+
+    Raises
+    ------
+    ScenarioError
+        If a compiled law takes none of the known numbers. (What a Python law is called with wrongly, Python says.)
+    """
+    compiled = is_compiled(law)
+    try:
+        parameters = inspect.signature(law.py_func if compiled else law).parameters.values()
+    except (TypeError, ValueError):
+        return Arguments(False, False)
+    asked = [each for each in parameters if each.default is each.empty and each.kind in _POSITIONAL]
+    count = len(asked) if not any(each.kind is each.VAR_POSITIONAL for each in parameters) else 4
+    if compiled and count not in (1, 2, 4, 5):
+        raise ScenarioError(
+            f"the law {name_of(law)} takes {count} arguments: must be (x) or (t, q, v, terms), returning Q, or with "
+            "torque besides, writing it"
+        )
+    return Arguments(count in (1, 2) and (compiled or count == 1), compiled and count in (2, 5))
+
+
+_POSITIONAL = (inspect.Parameter.POSITIONAL_ONLY, inspect.Parameter.POSITIONAL_OR_KEYWORD)
+
+
+def name_of(law: Any) -> str:
+    """Return the name of a law, for messages."""
+    return str(getattr(law, "__name__", law))

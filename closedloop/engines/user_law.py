@@ -16,7 +16,6 @@ new object is made for each run. A law that needs parameters in the scenario, or
 
 from __future__ import annotations
 
-import inspect
 from collections.abc import Callable
 from typing import Any
 
@@ -25,7 +24,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from closedloop.control.law_input import LawInput
 from closedloop.engines.failures import not_finite, when
-from closedloop.engines.own_law import law_failure
+from closedloop.engines.own_law import NUMBERS, RAISED, arguments_of, law_failure
 from closedloop.errors import DivergenceError, LawError, ScenarioError
 from closedloop.jit.calls import callback, compiled_address, forget_entry, interpreted_address, is_compiled
 from closedloop.jit.kernel import jit_disabled, plain
@@ -36,9 +35,6 @@ from closedloop.step.memory import Loop
 Array = NDArray[np.float64]
 Law = Callable[..., ArrayLike]
 """A control law of one's own: of a `LawInput`, or of time, s; q, q̇ (n,) read-only; `Terms` -> torque Q (n,), N m."""
-
-# What an entry answers when the law gave no torque.
-RAISED, NOT_FINITE, WRONG_LENGTH = 1, 2, 3
 
 
 class UserLaw:
@@ -139,10 +135,6 @@ class UserLaw:
         w.torque[:] = torque
 
 
-# Which of what a law sees are numbers.
-NUMBERS = ("t", "f_des", "f_measured", "pressed")
-
-
 def _copied(x: LawInput) -> LawInput:
     """Return what a law in Python gets: arrays that may be kept, and not written to."""
     values: list[Any] = []
@@ -158,45 +150,7 @@ def _copied(x: LawInput) -> LawInput:
     return LawInput(*values)
 
 
-class Arguments:
-    """How a law is called: whether with a `LawInput`, and whether it writes the torque, as its last argument."""
-
-    def __init__(self, sees_input: bool, writes: bool) -> None:
-        self.sees_input, self.writes = sees_input, writes
-
-
-def arguments_of(law: Any) -> Arguments:
-    """Return how a law is called, from the number of its arguments.
-
-    Raises
-    ------
-    ScenarioError
-        If a compiled law takes none of the known numbers. (What a Python law is called with wrongly, Python says.)
-    """
-    compiled = is_compiled(law)
-    try:
-        parameters = inspect.signature(law.py_func if compiled else law).parameters.values()
-    except (TypeError, ValueError):
-        return Arguments(False, False)
-    asked = [each for each in parameters if each.default is each.empty and each.kind in _POSITIONAL]
-    count = len(asked) if not any(each.kind is each.VAR_POSITIONAL for each in parameters) else 4
-    if compiled and count not in (1, 2, 4, 5):
-        raise ScenarioError(
-            f"the law {name_of(law)} takes {count} arguments: must be (x) or (t, q, v, terms), returning Q, or with "
-            "torque besides, writing it"
-        )
-    return Arguments(count in (1, 2) and (compiled or count == 1), compiled and count in (2, 5))
-
-
-_POSITIONAL = (inspect.Parameter.POSITIONAL_ONLY, inspect.Parameter.POSITIONAL_OR_KEYWORD)
-
-
 def not_a_torque(returned: str, t: float, n: int) -> ScenarioError | LawError:
     """Return the error of a law that returned at t, s, what is no torque of n joints; at t = 0 s nothing ran yet."""
     what = f"the law returned {returned} at t = {t:g} s: must be {n} real numbers, one torque a joint, ({n},)"
     return LawError(f"{when(t)}: {what}", t) if t > 0.0 else ScenarioError(what)
-
-
-def name_of(law: Any) -> str:
-    """Return the name of a law, for messages."""
-    return str(getattr(law, "__name__", law))

@@ -119,7 +119,7 @@ def largest_stable_ratio(integrator: str, damping_ratio: float) -> float:
         return float(ratios[-1])
     if grows[0] == 0:
         return 0.0
-    low, high = ratios[grows[0] - 1 : grows[0] + 1].tolist()
+    low, high = float(ratios[grows[0] - 1]), float(ratios[grows[0]])
     while high - low > 1e-12 * high:
         middle = math.sqrt(low * high)
         if spectral_radius(integrator, damping_ratio, middle) > NEUTRAL:

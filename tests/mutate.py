@@ -44,8 +44,16 @@ TESTS: dict[str, tuple[str, ...]] = {
         f"{IN}test_friction_turning.py",
     ),
     "closedloop.step.evaluate": (f"{IN}test_reference_desired.py", f"{IN}test_kernel_faults.py"),
-    "closedloop.events.substep": (f"{IN}test_kernel_faults.py", f"{IN}test_contact_events.py"),
-    "closedloop.events.locate": (f"{IN}test_kernel_faults.py", f"{IN}test_contact_events.py"),
+    "closedloop.events.substep": (
+        f"{IN}test_friction_stop.py",
+        f"{IN}test_kernel_faults.py",
+        f"{IN}test_contact_events.py",
+    ),
+    "closedloop.events.locate": (
+        f"{IN}test_friction_stop.py",
+        f"{IN}test_kernel_faults.py",
+        f"{IN}test_contact_events.py",
+    ),
     "closedloop.impact.phases": (f"{IN}test_impact_planar.py", f"{IN}test_impact.py"),
     "closedloop.impact.single": (f"{IN}test_impact.py", f"{IN}test_impact_planar.py"),
     "closedloop.friction.laws": (

@@ -60,3 +60,27 @@ def test_friction_with_memory_is_that_of_the_slip_some_time_ago(lag, scheme):
     before = np.interp(run.time - lag, run.time, slip)
     level = kinetic + excess / (1.0 + (before / speed) ** 2)
     np.testing.assert_allclose(run.friction_force, np.outer(-2.0 * G * level, along), rtol=1e-12, atol=1e-12)
+
+
+@pytest.mark.parametrize("degrees", [0, 90, 230])
+def test_a_block_breaks_away_when_the_pull_is_too_strong(degrees):
+    """Pulled by a force that rises evenly, it stays until the pull is μ m g, and then slides off along it."""
+    rise, angle = 100.0, np.radians(degrees)  # N/s
+    along = np.array([np.cos(angle), np.sin(angle), 0.0])
+    scenario = cl.load_scenario(
+        "planar2_drop",
+        {
+            "robot.model": "pointmass3", "surface.offset": 0.0, "surface.gap": 0.0, "start.q": [0.0, 0.0, 0.0],
+            "start.v": [0.0, 0.0, 0.0], "law.kd": 0.0, "stabiliser.kind": "projection", "friction.kind": "coulomb",
+            "friction.coefficient": MU, "time.integrator": "rk4", "time.step": 0.004, "time.duration": 0.08,
+        },
+    )  # fmt: skip
+    run = cl.simulate(scenario, law=lambda t, q, v, terms: rise * t * along)
+    away = MU * 2.0 * G / rise
+    assert [event.kind for event in run.events] == ["slip"]
+    assert run.event_time[0] == pytest.approx(away, abs=1e-9)
+    stuck = run.time < away
+    np.testing.assert_array_equal(run.mode[stuck], STUCK)
+    np.testing.assert_allclose(run.friction_force[stuck], np.outer(-rise * run.time[stuck], along), atol=1e-12)
+    slid = np.maximum(run.time - away, 0.0) ** 3 * rise / (6.0 * 2.0)
+    np.testing.assert_allclose(run.q, np.outer(slid, along), atol=1e-9)

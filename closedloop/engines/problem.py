@@ -18,7 +18,8 @@ from closedloop.friction.laws import rest_states
 from closedloop.friction.layout import KINETIC, LAST, SEVEN_PARAMETER, STATIC_EXCESS, STICKS, state_count
 from closedloop.impact import LAWS
 from closedloop.integrators import Scheme
-from closedloop.jit.calls import entry_address, twin_address
+from closedloop.jit.calls import entry_address
+from closedloop.jit.interpreted import twin_address
 from closedloop.jit.kernel import plain
 from closedloop.parameters import pack, per_joint, state_block
 from closedloop.reference.desired import Desired

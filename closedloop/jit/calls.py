@@ -15,8 +15,6 @@ from functools import cache
 from itertools import count
 from typing import Any
 
-from closedloop.jit.interpreted import interpreted
-
 Entry = Callable[[int, int], int]
 
 _CALLBACK = ctypes.CFUNCTYPE(ctypes.c_int64, ctypes.c_int64, ctypes.c_int64)
@@ -32,17 +30,13 @@ def call_at(address: int, loop: int, what: int) -> int:
 
 def entry_address(entry: Any) -> int:
     """Return the address of an entry: of machine code, or with ``NUMBA_DISABLE_JIT=1`` of the function itself."""
-    return compiled_address(entry) if is_compiled(entry) else _address_of_function(entry)
+    return compiled_address(entry) if is_compiled(entry) else address_of_function(entry)
 
 
 @cache
-def _address_of_function(entry: Entry) -> int:
+def address_of_function(entry: Entry) -> int:
+    """Return the number by which interpreted code calls an entry that is kept for good."""
     return interpreted_address(entry)
-
-
-def twin_address(entry: Any) -> int:
-    """Return the number by which interpreted code calls an entry, interpreted too."""
-    return _address_of_function(interpreted(entry))
 
 
 def compiled_address(entry: Any) -> int:

@@ -22,6 +22,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from closedloop.jit import background
+from closedloop.jit.calls import Entry, address_of_function
 from closedloop.jit.kernel import direct, needs_compiling
 
 F = TypeVar("F", bound=Callable[..., Any])
@@ -60,6 +61,11 @@ def interpreted(function: F) -> F:
             twin.__qualname__ = source.__qualname__
             _twins.setdefault(id(function), (function, twin))
         return cast(F, _twins[id(function)][1])
+
+
+def twin_address(entry: Entry) -> int:
+    """Return the number by which interpreted code calls an entry, interpreted too; see `closedloop.jit.calls`."""
+    return address_of_function(interpreted(entry))
 
 
 def _twin_globals(names: dict[str, Any]) -> dict[str, Any]:

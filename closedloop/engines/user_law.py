@@ -1,4 +1,4 @@
-"""A law of one's own as the loop calls it: a Python function or object, or a function that numba compiles.
+"""A user's law as the loop calls it: a Python function or object, or a function that numba compiles.
 
     def press(x):                                   # x: `closedloop.control.law_input.LawInput`
         return x.C - x.A[0] * x.f_des - 5.0 * x.v
@@ -6,11 +6,11 @@
     def press(t, q, v, terms):                      # or time, q, q̇ and `Terms` of that state alone
         return terms.bias - 15.0 * terms.jacobian[2] - 5.0 * v
 
-Either may be marked `numba.njit`; it is then compiled once for the run, by itself, and called without Python between
-steps, in both engines. A compiled one may also write the torque, as its last argument, rather than return it.
+Either may be marked `numba.njit`; it is then compiled once for the run, separately, and called without Python, in both
+engines. A compiled law may also write the torque, as its last argument, rather than return it.
 
-An object that is called may have a `reset`, which is called at the beginning of each run; of a class given as it is, a
-new object is made for each run. A law that needs parameters in the scenario, or states that are integrated, is a
+A callable object may have a `reset`, which is called at the beginning of each run; a class is instantiated for each
+run. A law that needs parameters in the scenario, or states that are integrated, is a
 `closedloop.control.law.ControlLaw`.
 """
 
@@ -29,7 +29,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from closedloop.control.law_input import LawInput
 from closedloop.engines.failures import not_finite, when
-from closedloop.engines.own_law import law_failure
+from closedloop.engines.law_source import law_failure
 from closedloop.errors import DivergenceError, LawError, ScenarioError, one_line
 from closedloop.jit.calls import callback, compiled_address, forget_entry, interpreted_address, is_compiled
 from closedloop.jit.kernel import numba_settings, plain
@@ -39,9 +39,9 @@ from closedloop.step.memory import Loop, loop_at
 
 Array = NDArray[np.float64]
 Law = Callable[..., ArrayLike]
-"""A control law of one's own: of a `LawInput`, or of time, s; q, q̇ (n,) read-only; `Terms` -> torque Q (n,), N m."""
+"""A user's control law: of a `LawInput`, or of time, s; q, q̇ (n,) read-only; `Terms` -> torque Q (n,), N m."""
 
-# What an entry answers when the law gave no torque.
+# Return values of an entry whose law gave no torque.
 RAISED, NOT_FINITE, WRONG_LENGTH = 1, 2, 3
 
 _READ = {d: types.Array(types.float64, d, "C", readonly=True) for d in (1, 2)}
@@ -60,7 +60,7 @@ _INPUT: Any = types.NamedTuple(tuple(map(_kind_of, LawInput._fields)), LawInput)
 
 
 class UserLaw:
-    """A law of one's own in a loop's memory.
+    """A user's law, connected to a loop.
 
     Parameters
     ----------
@@ -85,7 +85,7 @@ class UserLaw:
         self._number = 0
 
     def connect(self, compiled: bool = True) -> None:
-        """Write into the memory where the law is: for a compiled loop, or for one that is interpreted."""
+        """Write the address of the law into the memory: for a compiled loop, or for an interpreted one."""
         state = self._loop.state
         if not compiled or numba_settings.DISABLE_JIT:
             self._number = self._number or interpreted_address(self._entry)
@@ -97,13 +97,13 @@ class UserLaw:
             state.law = self._called[0]
 
     def close(self) -> None:
-        """Say that the loop does not call the law any more."""
+        """Release the law: the loop does not call it any more."""
         forget_entry(self._number)
 
     def failure(self) -> BaseException:
         """Return why the law gave no torque."""
         t = float(self._loop.w.time)
-        if self.error is None:  # a compiled one: its own words are lost on the way
+        if self.error is None:  # of a compiled law the message is lost: it is evaluated again, interpreted
             if not np.all(np.isfinite(self._loop.w.torque)):
                 return self._not_finite(self._loop.w.torque, t)
             self._entry(0, TORQUE)
@@ -116,7 +116,7 @@ class UserLaw:
     def _entry(self, address: int, what: int) -> int:
         try:
             if what == TORQUE:
-                self._ask()
+                self._evaluate()
             elif what == START and hasattr(self._law, "reset"):
                 self._law.reset()
         except BaseException as error:  # nothing can be raised through compiled code
@@ -124,8 +124,8 @@ class UserLaw:
             return RAISED
         return 0
 
-    def _ask(self) -> None:
-        """Evaluate the law, check what it returns, and write that into the torque."""
+    def _evaluate(self) -> None:
+        """Evaluate the law, check the torque, and write it into the memory."""
         state, constants, w = self._loop
         t, n = float(w.time), w.q.size
         x = _copied(plain(law_input)(state, constants, w))
@@ -156,7 +156,7 @@ class UserLaw:
 
 
 def _copied(x: LawInput) -> LawInput:
-    """Return what a law in Python gets: arrays that may be kept, and not written to."""
+    """Return the input of a Python law: copies, which it may keep, and read-only."""
     values: list[Any] = []
     value: Any
     for name, value in zip(LawInput._fields, x, strict=True):
@@ -183,15 +183,15 @@ def arguments_of(law: Any) -> Arguments:
     Raises
     ------
     ScenarioError
-        If a compiled law takes none of the known numbers. (What a Python law is called with wrongly, Python says.)
+        If a compiled law takes another number of arguments. (Of a Python law, Python itself raises.)
     """
     compiled = is_compiled(law)
     try:
         parameters = inspect.signature(law.py_func if compiled else law).parameters.values()
     except (TypeError, ValueError):
         return Arguments(False, False)
-    asked = [each for each in parameters if each.default is each.empty and each.kind in _POSITIONAL]
-    count = len(asked) if not any(each.kind is each.VAR_POSITIONAL for each in parameters) else 4
+    expected = [each for each in parameters if each.default is each.empty and each.kind in _POSITIONAL]
+    count = len(expected) if not any(each.kind is each.VAR_POSITIONAL for each in parameters) else 4
     if compiled and count not in (1, 2, 4, 5):
         raise ScenarioError(
             f"the law {_name(law)} takes {count} arguments: must be (x) or (t, q, v, terms), returning Q, or with "
@@ -204,19 +204,19 @@ _POSITIONAL = (inspect.Parameter.POSITIONAL_ONLY, inspect.Parameter.POSITIONAL_O
 
 
 def not_a_torque(returned: str, t: float, n: int) -> ScenarioError | LawError:
-    """Return the error of a law that returned at t, s, what is no torque of n joints; at t = 0 s nothing ran yet."""
+    """Return the error of a law that returned no torque of n joints at t, s; at t = 0 s it is a `ScenarioError`."""
     what = f"the law returned {returned} at t = {t:g} s: must be {n} real numbers, one torque a joint, ({n},)"
     return LawError(f"{when(t)}: {what}", t) if t > 0.0 else ScenarioError(what)
 
 
 @lru_cache(maxsize=32)
 def compiled_law(law: Any) -> Any:
-    """Return the entry of a law of numba's, or say why there can be none; see `closedloop.jit.calls`.
+    """Return the entry of a law that numba compiles; see `closedloop.jit.calls`.
 
     Raises
     ------
     ScenarioError
-        If it is no such function: a Python function, other arguments, what numba cannot compile, another result.
+        If it is a Python function, takes other arguments, cannot be compiled, or returns something else.
     """
     if not is_compiled(law):
         raise ScenarioError(
@@ -224,12 +224,12 @@ def compiled_law(law: Any) -> Any:
             "or use the engine 'pinocchio'"
         )
     ways = arguments_of(law)
-    asked: tuple[Any, ...] = (_INPUT,) if ways.sees_input else (types.float64, _READ[1], _READ[1], _TERMS)
+    expected: tuple[Any, ...] = (_INPUT,) if ways.sees_input else (types.float64, _READ[1], _READ[1], _TERMS)
     if ways.writes:
-        asked += (types.float64[::1],)
+        expected += (types.float64[::1],)
     try:
-        law.compile(asked)
-        result = law.overloads[asked].signature.return_type
+        law.compile(expected)
+        result = law.overloads[expected].signature.return_type
         if ways.writes:
             _check(law, result, result == types.none, "must return nothing: it writes the torque")
         else:
@@ -251,7 +251,7 @@ def _check(law: Any, result: Any, right: bool, cure: str) -> None:
 
 @numba.njit(_READ[1](_READ[1]))
 def _read(x: Array) -> Array:
-    """Return an array of which compiled code can only read."""
+    """Return an array as read-only in compiled code."""
     return x
 
 
@@ -261,7 +261,7 @@ def _read2(x: Array) -> Array:
 
 
 def _entry_of(law: Any, ways: Arguments) -> Any:
-    """Return the entry of a law that has been compiled for what it asks."""
+    """Return the entry of a law that has been compiled for its arguments."""
     if ways.sees_input:
 
         @numba.njit
@@ -285,7 +285,7 @@ def _entry_of(law: Any, ways: Arguments) -> Any:
     if ways.writes:
 
         @numba.njit
-        def ask(x: Any, torque: Array) -> int:
+        def evaluate(x: Any, torque: Array) -> int:
             torque[:] = 0.0
             law(*given(x), torque)
             return 0
@@ -293,7 +293,7 @@ def _entry_of(law: Any, ways: Arguments) -> Any:
     else:
 
         @numba.njit
-        def ask(x: Any, torque: Array) -> int:
+        def evaluate(x: Any, torque: Array) -> int:
             answer = law(*given(x))
             if answer.shape[0] != torque.shape[0]:
                 return WRONG_LENGTH
@@ -306,7 +306,7 @@ def _entry_of(law: Any, ways: Arguments) -> Any:
             return 0
         state, constants, w = loop_at(address)
         try:
-            answer = ask(law_input(state, constants, w), w.torque)
+            answer = evaluate(law_input(state, constants, w), w.torque)
         except Exception:
             return RAISED
         for torque in w.torque:
@@ -322,7 +322,7 @@ def _name(law: Any) -> str:
 
 
 def _why(error: NumbaError) -> str:
-    """Return the line of numba's message that says what is wrong, and the line of the law where."""
+    """Return the line of numba's message that says what is wrong, and the line of the law."""
     lines = [line.strip() for line in str(error).splitlines()]
     if any("setitem(readonly" in line for line in lines):
         return "it writes into q, v or terms, which are there to be read"

@@ -1,8 +1,8 @@
-"""Blocks: memory of which each part has a name, `block.name`, in Python and, at no cost, in compiled code.
+"""Blocks: one array with named fields, `block.name`, in Python and, at no cost, in compiled code.
 
-A block is a class whose annotations say, in order, what the memory holds: single numbers, and arrays with their shapes
-in a few sizes (number of joints, of stages ...) that are known only when the block is made. `Layout` counts with such
-sizes as symbols, so the one description gives the size of the memory and the places of its parts.
+A block is a class whose annotations name its fields in order: single numbers, and arrays with their shapes in a few
+sizes (number of joints, of stages ...) that are known only when the block is made. `Layout` treats these sizes as
+symbols, so one description gives the size of the memory and the offset of every field.
 
     class Motion(Block, sizes=("n",)):
         time: float                       # one number: motion.time = 0.5
@@ -10,8 +10,8 @@ sizes as symbols, so the one description gives the size of the memory and the pl
 
     motion = Motion(np.zeros(Motion.count(4)), 4)
 
-Inside compiled code a tuple of forty arrays would travel as three hundred words from call to call. There a block is
-its address and its sizes, and an array is made where it is asked for: `_compiled_views` teaches numba to.
+In compiled code a tuple of forty arrays would be passed as three hundred words in every call. A block is passed as its
+address and its sizes, and an array view is made where a field is read: see `_compiled_views`.
 """
 
 from __future__ import annotations
@@ -37,14 +37,14 @@ from numpy.typing import NDArray
 
 Array = NDArray[np.float64]
 
-# Sizes of blocks whose places are remembered.
-MOST_PLACES = 64
+# Layouts of different sizes that are kept.
+MOST_LAYOUTS = 64
 # A product of sizes, as a sorted tuple of their names, and how many of it there are.
 Terms = dict[tuple[str, ...], int]
 
 
 class Count:
-    """A whole number in terms of sizes that are not yet known: a polynomial."""
+    """A whole number as a polynomial in sizes that are not yet known."""
 
     def __init__(self, terms: Terms) -> None:
         self.terms = {product: count for product, count in terms.items() if count}
@@ -107,9 +107,9 @@ class Layout:
                 size = size * count
             end = end + size
         self.end = end
-        # A batch asks for the same few sizes thousands of times.
-        self._places: dict[tuple[int, ...], list[tuple[str, int, int, tuple[int, ...]]]] = {}
-        # An interpreted loop asks for the same views at every step.
+        # A batch makes blocks of the same few sizes thousands of times.
+        self._layouts: dict[tuple[int, ...], list[tuple[str, int, int, tuple[int, ...]]]] = {}
+        # An interpreted loop makes the same views at every step.
         self._last: tuple[Array | None, tuple[int, ...], dict[str, Array]] = None, (), {}
 
     def size(self, *sizes: int) -> int:
@@ -121,24 +121,24 @@ class Layout:
         whose, for_sizes, found = self._last
         if whose is memory and for_sizes == sizes:
             return found
-        places = self._places.get(sizes)
-        if places is None:
-            places = self._places_for(dict(zip(self.sizes, sizes, strict=True)))
-            if len(self._places) >= MOST_PLACES:
-                self._places.clear()
-            self._places[sizes] = places
+        layout = self._layouts.get(sizes)
+        if layout is None:
+            layout = self._layout_for(dict(zip(self.sizes, sizes, strict=True)))
+            if len(self._layouts) >= MOST_LAYOUTS:
+                self._layouts.clear()
+            self._layouts[sizes] = layout
         each = memory.shape[1:]
-        found = {name: memory[begin:end].reshape(shape + each) for name, begin, end, shape in places if shape}
+        found = {name: memory[begin:end].reshape(shape + each) for name, begin, end, shape in layout if shape}
         self._last = memory, sizes, found
         return found
 
-    def _places_for(self, known: Mapping[str, int]) -> list[tuple[str, int, int, tuple[int, ...]]]:
+    def _layout_for(self, known: Mapping[str, int]) -> list[tuple[str, int, int, tuple[int, ...]]]:
         """Return name, begin, end and shape of each field."""
-        places = []
+        layout = []
         for name, at in self.at.items():
             shape = tuple(count.value(known) for count in self.shape[name])
-            places.append((name, at.value(known), at.value(known) + math.prod(shape), shape))
-        return places
+            layout.append((name, at.value(known), at.value(known) + math.prod(shape), shape))
+        return layout
 
 
 def array_on(context: Any, builder: Any, kind: Any, data: Any, shape: list[Any]) -> Any:
@@ -155,12 +155,12 @@ def array_on(context: Any, builder: Any, kind: Any, data: Any, shape: list[Any])
 
 
 class Block:
-    """Base of all blocks; a subclass names its parts by annotations, see above.
+    """Base of all blocks; a subclass names its fields by annotations, see above.
 
     Parameters
     ----------
     memory : (count(*sizes),) array, or (count(*sizes), ...) of arrays side by side
-        What the parts are views of; kept.
+        The array that the fields are views of.
     sizes : int
         Those that the class names, in order.
     """
@@ -188,23 +188,23 @@ class Block:
         return cls.layout.size(*sizes)
 
 
-def _number(place: int) -> property:
+def _number(offset: int) -> property:
     """Return a single number of a block as an attribute."""
 
     def read(block: Block) -> Any:
-        return block.memory[place]
+        return block.memory[offset]
 
     def write(block: Block, value: Any) -> None:
-        block.memory[place] = value
+        block.memory[offset] = value
 
     return property(read, write)
 
 
 def _compiled_views(block: type[Block]) -> None:
-    """Make `block(memory, *sizes)`, in compiled code, the block's parts as attributes.
+    """Register `block(memory, *sizes)` and its fields with numba.
 
-    Memory of float64 has parts of float64, of float64x8 (`closedloop.jit.simd8`) parts of float64x8, of int64 whole
-    numbers. It must outlive the block; numba does not count who refers to it.
+    The fields have the type of the memory: float64, float64x8 (`closedloop.jit.simd8`) or int64. The memory must
+    outlive the block: numba counts no reference to it.
     """
     layout, made = block.layout, f"{block.__module__}.{block.__qualname__}"
 
@@ -245,8 +245,8 @@ def _compiled_views(block: type[Block]) -> None:
                 return None
             return types.Array(value.dtype, len(shape), "C") if shape else value.dtype
 
-    def place(context: Any, builder: Any, kind: Any, value: Any, attribute: str) -> tuple[Any, list[Any]]:
-        """Write code for the pointer to a part, and its shape."""
+    def pointer_to(context: Any, builder: Any, kind: Any, value: Any, attribute: str) -> tuple[Any, list[Any]]:
+        """Emit code for the pointer to a field, and its shape."""
         struct = cgutils.create_struct_proxy(kind)(context, builder, value=value)
 
         def number(count: Count) -> Any:
@@ -264,13 +264,13 @@ def _compiled_views(block: type[Block]) -> None:
 
     @lower_getattr_generic(BlockType)
     def lower_attribute(context: Any, builder: Any, kind: Any, value: Any, attribute: str) -> Any:
-        data, shape = place(context, builder, kind, value, attribute)
+        data, shape = pointer_to(context, builder, kind, value, attribute)
         if not shape:
             return context.unpack_value(builder, kind.dtype, data)
         return array_on(context, builder, types.Array(kind.dtype, len(shape), "C"), data, shape)
 
     @lower_setattr_generic(BlockType)
     def lower_assignment(context: Any, builder: Any, call: Any, arguments: Any, attribute: str) -> None:
-        data, shape = place(context, builder, call.args[0], arguments[0], attribute)
+        data, shape = pointer_to(context, builder, call.args[0], arguments[0], attribute)
         assert not shape
         context.pack_value(builder, call.args[0].dtype, arguments[1], data)

@@ -200,10 +200,12 @@ class _AdaptiveRun:
             return self.memory.rate(t, y, interval)
 
         scheme: Any = Radau if self.scheme == IMPLICIT else DOP853
-        more = {"jac": lambda t, y: jacobian(rate, t, y, self.memory.w), "rtol": STIFF_RTOL} if scheme is Radau else {}
+        options = (
+            {"jac": lambda t, y: jacobian(rate, t, y, self.memory.w), "rtol": STIFF_RTOL} if scheme is Radau else {}
+        )
         solver = scheme(
             rate, self.time, self.y, interval.end, max_step=LONGEST,
-            first_step=min(self.next_step, interval.end - self.time), **more,
+            first_step=min(self.next_step, interval.end - self.time), **options,
         )  # fmt: skip
         self.set_tolerance(solver)
         return solver

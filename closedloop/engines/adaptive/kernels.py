@@ -12,7 +12,7 @@ from closedloop.events.locate import event_function, slip_margin
 from closedloop.events.substep import save_state
 from closedloop.friction.laws import capture_speed
 from closedloop.jit.kernel import entry_kernel, inlined_kernel
-from closedloop.jit.pointers import fortran_at, matrix_at, vector_at, whole_at
+from closedloop.jit.pointers import fortran_at, integers_at, matrix_at, vector_at
 from closedloop.robot.tip import tip_kinematics
 from closedloop.step.energy_supplied import power
 from closedloop.step.evaluate import evaluate
@@ -26,8 +26,8 @@ DERIVE, BEGIN_STEP, EVENT_VALUE, RECORD = range(4)
 
 
 @inlined_kernel
-def _on_pinocchio(address: int, table: Array, use: int, more: int | None) -> int:
-    a = Addresses(whole_at(address, ADDRESSES))
+def _on_pinocchio(address: int, table: Array, use: int, general: int | None) -> int:
+    a = Addresses(integers_at(address, ADDRESSES))
     n = a.n
     state, constants, w = loop_at(a.loop)
     tip_kinematics(
@@ -35,22 +35,22 @@ def _on_pinocchio(address: int, table: Array, use: int, more: int | None) -> int
         vector_at(a.acceleration, 6), constants.tip, constants.gravity, constants.support, w.J, w.r, w.drift,
     )  # fmt: skip
     H, C, rows = fortran_at(a.H, n, n), vector_at(a.C, n), matrix_at(a.rows, a.row_count, a.row_width)
-    status = evaluate(H, C, w, constants, state, matrix_at(a.table, a.instants, a.table_width), rows, more)
+    status = evaluate(H, C, w, constants, state, matrix_at(a.table, a.instants, a.table_width), rows, general)
     if status != OK:
         return status
     if use == DERIVE:
         w.start_power = power(w)
     elif use == BEGIN_STEP:
-        save_state(w, constants, state, more)
+        save_state(w, constants, state, general)
     elif use == EVENT_VALUE:
-        w.event_value = event_function(w, constants, state, more)
-        if more is not None and state.sticking == RIGID_STICK and state.mode == PRESSED:
+        w.event_value = event_function(w, constants, state, general)
+        if general is not None and state.sticking == RIGID_STICK and state.mode == PRESSED:
             band = capture_speed(state.friction, constants.friction)
             begun = w.start_slip_speed
             if begun > constants.stick_speed and not begun > band > 0.0:  # see `Memory.apply_event`
                 w.event_value = min(w.event_value, 1e3 * (slip_margin(w, constants, state) - constants.stick_speed))
     elif use == RECORD:
-        record(H, C, w, constants, state, table, rows, state.row, more)
+        record(H, C, w, constants, state, table, rows, state.row, general)
     return OK
 
 
@@ -72,6 +72,6 @@ def evaluate_on_pinocchio(address: int, table: Array, use: int) -> int:
 
 
 @entry_kernel
-def evaluate_with_more_on_pinocchio(address: int, table: Array, use: int) -> int:
+def evaluate_general_on_pinocchio(address: int, table: Array, use: int) -> int:
     """Do the same in the general form: other laws, friction, a force sensor."""
     return _on_pinocchio(address, table, use, 1)

@@ -15,8 +15,8 @@ from closedloop.engines.adaptive.kernels import (
     BEGIN_STEP,
     DERIVE,
     EVENT_VALUE,
+    evaluate_general_on_pinocchio,
     evaluate_on_pinocchio,
-    evaluate_with_more_on_pinocchio,
 )
 from closedloop.engines.adaptive.smooth import Interval
 from closedloop.engines.loops import PINOCCHIO, loop_for
@@ -75,7 +75,7 @@ class Memory:
     def __init__(self, problem: Problem, law: Law | None) -> None:
         robot = problem.robot
         self.robot, self.n, self.h = robot, robot.n, problem.h
-        self.loop = problem.loop(own_law=law is not None)
+        self.loop = problem.loop(user_law=law is not None)
         self.state, self.constants, self.w = self.loop
         self.user_law = None if law is None else UserLaw(law, self.loop)
         (self.user_law.connect if self.user_law else partial(problem.connect, self.loop))()
@@ -84,9 +84,9 @@ class Memory:
         self.rows = np.zeros((problem.steps + 1, Row.of(robot.n).width))
         self.events = np.zeros((INITIAL_EVENTS, EVENT_WIDTH))
         self._terms = robot.evaluator(self.w.q, self.w.v)
-        more = problem.more or law is not None
-        self._loop: Callable[..., int] = loop_for(PINOCCHIO, more)
-        self._evaluate: Callable[..., int] = evaluate_with_more_on_pinocchio if more else evaluate_on_pinocchio
+        general = problem.general or law is not None
+        self._loop: Callable[..., int] = loop_for(PINOCCHIO, general)
+        self._evaluate: Callable[..., int] = evaluate_general_on_pinocchio if general else evaluate_on_pinocchio
         make_ready(self._loop, self._evaluate)
         self._table, self._tableau = problem.table, problem.integrator.tableau()
         # The reference at the instant evaluated: a table of one row.

@@ -62,7 +62,7 @@ def _main(arguments: list[str]) -> int:
         )
 
     from closedloop.command.results import Results
-    from closedloop.engines.own_law import fresh, law_digest
+    from closedloop.engines.law_source import fresh, law_digest
     from closedloop.record.netcdf import question
     from closedloop.simulation.prepare import load_model
     from closedloop.simulation.simulate import check_engine, simulate
@@ -210,7 +210,7 @@ def _warn_of_gains(scenario: Scenario, model: Any) -> None:
 
 def _without_stabiliser(scenario: Scenario, law: Any, model: Any, engine: str) -> Any:
     """Run the scenario without its stabiliser, for Fig. 7; None if it has none, or cannot do without."""
-    from closedloop.engines.own_law import fresh
+    from closedloop.engines.law_source import fresh
     from closedloop.simulation.simulate import simulate
 
     if scenario.stabiliser.kind == "none":

@@ -1,8 +1,7 @@
 """Compile everything that ships, at once: ``python -m closedloop compile``, for images and clusters.
 
-Each piece is an entry kernel of the package, compiled by doing with it, briefly, what a run does with it; so it is
-compiled for the very types that a run hands over. The process in the background (`closedloop.jit.background`) comes
-here for a few of them.
+Each entry kernel of the package is compiled by a short run that calls it, so for the same types as in use. The process
+in the background (`closedloop.jit.background`) calls `compile_these` for a few of them.
 """
 
 from __future__ import annotations
@@ -22,7 +21,7 @@ if TYPE_CHECKING:
 
 
 class Piece(NamedTuple):
-    """Something to be compiled: the entry kernel's name, in words what it is, and what compiles it."""
+    """Something to be compiled: the entry kernel's name, a description, and a function that compiles it."""
 
     kernel: str
     what: str
@@ -30,11 +29,11 @@ class Piece(NamedTuple):
 
 
 def pieces() -> tuple[Piece, ...]:
-    """Return all that ships, what most runs need first."""
+    """Return everything that ships, in the order of how many runs need it."""
     from closedloop.engines.loops import COMPILED, PINOCCHIO, loop_for
 
-    def loop(engine: str, more: bool, what: str) -> Piece:
-        return Piece(loop_for(engine, more).__name__, what, lambda: _run(engine, more))
+    def loop(engine: str, general: bool, what: str) -> Piece:
+        return Piece(loop_for(engine, general).__name__, what, lambda: _run(engine, general))
 
     return (
         loop(PINOCCHIO, False, "Pinocchio engine, the paper's law"),
@@ -46,7 +45,7 @@ def pieces() -> tuple[Piece, ...]:
         Piece("measure_rows", "values of a batch's runs", _batch),
         Piece("run_in_lanes", "eight runs of a batch at a time", _batch),
         Piece("evaluate_on_pinocchio", "dop853, the paper's law", lambda: _run(PINOCCHIO, False, "dop853")),
-        Piece("evaluate_with_more_on_pinocchio", "dop853, other laws", lambda: _run(PINOCCHIO, True, "dop853")),
+        Piece("evaluate_general_on_pinocchio", "dop853, other laws", lambda: _run(PINOCCHIO, True, "dop853")),
         Piece("_impact", "an impact by itself", _impact),
         *_laws(),
     )
@@ -64,7 +63,7 @@ def _laws() -> Iterable[Piece]:
 
 
 def compile_these(names: Iterable[str]) -> None:
-    """Compile the pieces with these kernels, in the order of `pieces`, in the background: see there."""
+    """Compile these kernels, in the order of `pieces`."""
     from closedloop.jit import cache_folder
 
     cache_folder.make_folders, wanted = False, set(names)
@@ -103,20 +102,20 @@ def compile_command(arguments: list[str]) -> int:
     return DONE
 
 
-def _problem(more: bool, integrator: str = "semi_implicit_euler") -> Problem:
+def _problem(general: bool, integrator: str = "semi_implicit_euler") -> Problem:
     from closedloop.scenario.scenario import load_scenario
     from closedloop.simulation.prepare import prepare
 
     changes = {"time.duration": 0.002, "time.integrator": integrator}
-    if more:
+    if general:
         changes["law.force_feedback"] = 0.1
     return prepare(load_scenario("planar2_slide", changes))
 
 
-def _run(engine: str, more: bool, integrator: str = "semi_implicit_euler") -> None:
+def _run(engine: str, general: bool, integrator: str = "semi_implicit_euler") -> None:
     from closedloop.simulation.simulate import run_loop
 
-    run_loop(_problem(more, integrator), engine=engine)
+    run_loop(_problem(general, integrator), engine=engine)
 
 
 def _impacts() -> None:

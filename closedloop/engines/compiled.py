@@ -1,8 +1,8 @@
-"""The compiled engine: the same machine, with terms of our own instead of Pinocchio's, in one compiled loop.
+"""The compiled engine: the same loop with terms of our own instead of Pinocchio's.
 
-`closedloop.events.proceed` asks for terms and does everything else; here they come from `closedloop.robot.tree`. So the
-two engines differ in nothing but who provides H, C, Jᵣ, r and J̇ᵣq̇, and that is what the harness compares. The loop
-needs no interpreter and holds no lock: runs of a batch go on side by side in threads.
+`closedloop.events.proceed` requests terms and does everything else; here the terms come from `closedloop.robot.tree`.
+So the two engines differ only in the source of H, C, Jᵣ, r and J̇ᵣq̇. The loop runs without the interpreter and its
+lock, so the runs of a batch are parallel in threads.
 """
 
 from __future__ import annotations
@@ -26,7 +26,7 @@ ALL = 1 << 62
 @inlined_kernel
 def _run(
     tree: Tree, work: Array, address: int, table: Array, tableau: Array, rows: Array, events: Array, most: int,
-    more: int | None,
+    general: int | None,
 ) -> int:  # fmt: skip
     n = tree.n
     state, constants, w = loop_at(address)
@@ -35,7 +35,7 @@ def _run(
     while request == TERMS and evaluations < most:
         evaluations += 1
         tree_terms(tree, w.q, w.v, scratch, H, C, w.J, w.r, w.drift)
-        request = proceed(H, C, w, constants, state, table, tableau, rows, events, more)
+        request = proceed(H, C, w, constants, state, table, tableau, rows, events, general)
     return request
 
 
@@ -43,19 +43,19 @@ def _run(
 def run_compiled(
     tree: Tree, work: Array, address: int, table: Array, tableau: Array, rows: Array, events: Array, most: int
 ) -> int:
-    """Go on until something other than terms is asked for, and return what; see `closedloop.events.proceed`.
+    """Run until something other than terms is requested, and return the request; see `closedloop.events.proceed`.
 
-    After `most` evaluations, at least one, it returns in any case. The loop is found at the address, see
+    After `most` evaluations, at least one, it returns in any case. The address is that of the loop's memory, see
     `closedloop.step.memory.loop_at`.
     """
     return _run(tree, work, address, table, tableau, rows, events, most, None)
 
 
 @entry_kernel
-def run_compiled_with_more(
+def run_compiled_general(
     tree: Tree, work: Array, address: int, table: Array, tableau: Array, rows: Array, events: Array, most: int
 ) -> int:
-    """Do the same with everything that may come on top: other laws, friction, a force sensor."""
+    """Do the same in the general form: other laws, friction, a force sensor."""
     return _run(tree, work, address, table, tableau, rows, events, most, 1)
 
 

@@ -12,7 +12,7 @@ from numba import NumbaError, types
 from numpy.typing import NDArray
 
 from closedloop.control.law_input import LawInput
-from closedloop.engines.own_law import NOT_FINITE, NUMBERS, RAISED, WRONG_LENGTH, Arguments, arguments_of, name_of
+from closedloop.engines.law_source import NOT_FINITE, NUMBERS, RAISED, WRONG_LENGTH, Arguments, arguments_of, name_of
 from closedloop.errors import ScenarioError, one_line
 from closedloop.jit.calls import is_compiled
 from closedloop.jit.kernel import numba_ready

@@ -1,4 +1,4 @@
-"""Why a run stopped, in words."""
+"""Statuses of the loop as errors with a message."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ Array = NDArray[np.float64]
 
 
 def not_finite(torque: Array) -> str:
-    """Return what is wrong with a law's torque Q (n,) that has an entry which is no finite number, in words."""
+    """Return the message for a law's torque Q (n,) with an entry that is not finite."""
     return f"the law returned Q = {torque.tolist()}, which is not finite"
 
 
@@ -43,7 +43,7 @@ def interrupted(stop: KeyboardInterrupt, t: float) -> InterruptedRunError:
 
 
 def failure_of(status: int, t: float, robot: Robot, problem: Problem, law: Any, q: Array, v: Array) -> SimulationError:
-    """Return what a status of `closedloop.closure.solve` other than OK, met at q and q̇ (n,) at t, s, is in words."""
+    """Return the error of a status of `closedloop.closure.solve` other than OK, at q and q̇ (n,) at t, s."""
     if status == SINGULAR:
         pose = np.array2string(q, precision=4, separator=", ", suppress_small=True)
         return SingularClosureError(

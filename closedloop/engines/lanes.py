@@ -27,7 +27,7 @@ from closedloop.closure.contact_force import (
 )
 from closedloop.closure.solve import DIVERGED, OK
 from closedloop.engines.loops import COMPILED
-from closedloop.engines.problem import Problem, needs_more
+from closedloop.engines.problem import Problem, needs_general_form
 from closedloop.integrators import INTEGRATORS
 from closedloop.jit.background import make_ready
 from closedloop.jit.kernel import entry_kernel, jit_disabled, kernel_inlined, plain
@@ -49,7 +49,7 @@ from closedloop.scenario.scenario import Scenario
 from closedloop.step.advance import advance
 from closedloop.step.energy_supplied import add_stage_work, commit_work, save_power
 from closedloop.step.evaluate import bounded, locate_tip, paper_torque
-from closedloop.step.memory import Constants, State, Whole, Work
+from closedloop.step.memory import Constants, IntArray, State, Work
 from closedloop.step.record_row import SCALARS, Row, record, record_conditions
 
 Array = NDArray[np.float64]
@@ -67,7 +67,7 @@ NEEDS_EVENTS = -1
 def can_use_lanes(scenario: Scenario) -> bool:
     """Whether a scenario may run without branches: the paper's law, on a smooth surface from the start."""
     return (
-        not needs_more(scenario)
+        not needs_general_form(scenario)
         and not scenario.surface.gap > 0.0
         and scenario.stabiliser.kind in ("baumgarte", "none")
         and scenario.time.integrator in INTEGRATORS
@@ -183,8 +183,8 @@ class LaneRuns:
 
 @entry_kernel
 def run_in_lanes(
-    tree: Tree, addresses: Whole, state_numbers: Whole, h: float, spacing: float, tableau: Array, tables: Whole,
-    instants: int, columns: int, kept: int, limits: Array,
+    tree: Tree, addresses: IntArray, state_numbers: IntArray, h: float, spacing: float, tableau: Array,
+    tables: IntArray, instants: int, columns: int, kept: int, limits: Array,
 ) -> int:  # fmt: skip
     """Run eight problems from start to end.
 
@@ -265,7 +265,7 @@ def run_in_lanes(
 
 @kernel_inlined
 def desired(
-    t: float, spacing: float, tables: Whole, instants: int, columns: int, forces: Array, reference: Array
+    t: float, spacing: float, tables: IntArray, instants: int, columns: int, forces: Array, reference: Array
 ) -> None:
     """Write the reference of each run at t, an instant of the tables; see `closedloop.step.evaluate.reference_row`."""
     at = min(round(t / spacing), instants - 1)

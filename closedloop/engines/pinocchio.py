@@ -1,4 +1,4 @@
-"""The Pinocchio engine's compiled step: `closedloop.events.proceed` on what Pinocchio's two passes left behind."""
+"""The Pinocchio engine's compiled step: `closedloop.events.proceed` with the results of Pinocchio's two passes."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ from closedloop.events.proceed import proceed
 from closedloop.events.table import EVENT_WIDTH
 from closedloop.jit.blocks import Block
 from closedloop.jit.kernel import brief_entry, inlined_kernel
-from closedloop.jit.pointers import address_of, fortran_at, matrix_at, vector_at, whole_at
+from closedloop.jit.pointers import address_of, fortran_at, integers_at, matrix_at, vector_at
 from closedloop.robot.tip import tip_kinematics
 from closedloop.step.memory import Loop, loop_at
 
@@ -17,7 +17,7 @@ Array = NDArray[np.float64]
 
 
 class Addresses(Block):
-    """Where the arrays of a run are, as whole numbers, and how large: what `proceed_on_pinocchio` is told."""
+    """Addresses and sizes of the arrays of a run: the argument of `proceed_on_pinocchio`."""
 
     H: int
     C: int
@@ -45,7 +45,7 @@ ADDRESSES = Addresses.count()
 def addresses_of(
     views: tuple[Array, ...], loop: Loop, table: Array, tableau: Array, rows: Array, events: Array
 ) -> Addresses:
-    """Write down where the arrays of a run are, for as long as they all are kept.
+    """Return the addresses of the arrays of a run, valid as long as all of them are kept.
 
     Parameters
     ----------
@@ -56,7 +56,7 @@ def addresses_of(
     """
     H, _, jacobian, rotation, *_ = views
     for array in (*views, table, tableau, rows, events):
-        columns_first = array is H or array is jacobian or array is rotation  # as Eigen has them
+        columns_first = array is H or array is jacobian or array is rotation  # Eigen's storage order
         assert array.flags.f_contiguous if columns_first else array.flags.c_contiguous
     sizes = (H.shape[0], *table.shape, *rows.shape, 0)
     at = (*map(address_of, views), loop.address, *map(address_of, (table, tableau, rows)), 0)
@@ -66,14 +66,14 @@ def addresses_of(
 
 
 def set_events(addresses: Addresses, events: Array) -> None:
-    """Write down where the table of events (M, EVENT_WIDTH) is."""
+    """Store the address and the length of the table of events (M, EVENT_WIDTH)."""
     addresses.events, addresses.event_room = address_of(events), events.shape[0]
 
 
 @inlined_kernel
-def on_pinocchio(address: int, more: int | None) -> int:
+def on_pinocchio(address: int, general: int | None) -> int:
     """Do `proceed_on_pinocchio` in one of its two forms."""
-    a = Addresses(whole_at(address, ADDRESSES))
+    a = Addresses(integers_at(address, ADDRESSES))
     n = a.n
     state, constants, w = loop_at(a.loop)
     tip_kinematics(
@@ -83,13 +83,13 @@ def on_pinocchio(address: int, more: int | None) -> int:
     return proceed(
         fortran_at(a.H, n, n), vector_at(a.C, n), w, constants, state, matrix_at(a.table, a.instants, a.table_width),
         matrix_at(a.tableau, state.stages + 1, state.stages), matrix_at(a.rows, a.row_count, a.row_width),
-        matrix_at(a.events, a.event_room, EVENT_WIDTH), more,
+        matrix_at(a.events, a.event_room, EVENT_WIDTH), general,
     )  # fmt: skip
 
 
 @brief_entry
 def proceed_on_pinocchio(address: int) -> int:
-    """Do `proceed` on what `pinocchio.crba` and `pinocchio.nonLinearEffects` left in their data.
+    """Do `proceed` with the results of `pinocchio.crba` and `pinocchio.nonLinearEffects` in Pinocchio's data.
 
     Parameters
     ----------
@@ -100,6 +100,6 @@ def proceed_on_pinocchio(address: int) -> int:
 
 
 @brief_entry
-def proceed_with_more_on_pinocchio(address: int) -> int:
-    """Do the same with everything that may come on top: other laws, friction, a force sensor."""
+def proceed_general_on_pinocchio(address: int) -> int:
+    """Do the same in the general form: other laws, friction, a force sensor."""
     return on_pinocchio(address, 1)

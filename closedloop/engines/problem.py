@@ -1,4 +1,4 @@
-"""A scenario turned into numbers: everything that the loop needs, to be looked at before it runs."""
+"""A scenario as numbers: everything that the loop needs, open to inspection before it runs."""
 
 from __future__ import annotations
 
@@ -80,7 +80,7 @@ def pack_law(section: ControlLaw | Compensation, n: int, joint_names: Sequence[s
 
 @dataclass(frozen=True)
 class Problem:
-    """A scenario turned into numbers: everything that the loop needs, to be looked at before it runs.
+    """A scenario as numbers: everything that the loop needs, open to inspection before it runs.
 
     Attributes
     ----------
@@ -91,7 +91,7 @@ class Problem:
     q, v : (n,) arrays
         State at t = 0.
     mode : int
-        What the tip does at t = 0, see `closedloop.closure.contact_force`.
+        Contact mode at t = 0, see `closedloop.closure.contact_force`.
     steps, h : int, float
         Number of steps and the step, s.
     stabiliser : (2,) array
@@ -103,18 +103,18 @@ class Problem:
     friction, joint_friction : (int, array)
         Number and parameters of the laws of friction, see `closedloop.friction.packing`.
     table : (steps · nodes + 1, 2 n + 11) array
-        What is desired at every instant at which a stage is evaluated, see `closedloop.step.evaluate.reference_row`,
-        and a standard normal number for the force sensor.
+        The reference at every instant at which a stage is evaluated, see `closedloop.step.evaluate.reference_row`, and
+        a standard normal number for the force sensor.
     nodes : int
         Rows of the table to a step.
     project : bool
-        Whether the state is put back on the closure after each step.
+        Whether the state is projected onto the closure after each step.
     hold : int
         Steps for which a sampled torque is held; 0: the law is evaluated at every stage.
     wanted : Desired
-        What is desired, at any instant.
+        The reference at any instant.
     tolerance : float or None
-        Relative error that an adaptive integrator allows itself in a step; None: the step is fixed.
+        Relative tolerance of an adaptive integrator; None: the step is fixed.
     """
 
     scenario: Scenario
@@ -143,7 +143,7 @@ class Problem:
 
     @property
     def time_constant(self) -> float | None:
-        """T of Baumgarte's stabiliser, s, as given or as "auto" means it; None without that stabiliser."""
+        """T of Baumgarte's stabiliser, s, as given or as chosen by "auto"; None without that stabiliser."""
         section = self.scenario.stabiliser
         if not isinstance(section, BaumgarteGains):
             return None
@@ -167,22 +167,22 @@ class Problem:
         return np.array([self.table[0, 2 * self.robot.n + 9], self.pd_start])
 
     @property
-    def more(self) -> bool:
-        """Whether the loop needs more than the paper's law on a smooth surface."""
-        return needs_more(self.scenario)
+    def general(self) -> bool:
+        """Whether the general form of the loop is needed."""
+        return needs_general_form(self.scenario)
 
-    def loop(self, own_law: bool = False) -> Loop:
+    def loop(self, user_law: bool = False) -> Loop:
         """Return the loop's memory at t = 0.
 
         Parameters
         ----------
         own_law : bool
-            Whether a law of one's own takes the place of the scenario's law and compensation.
+            Whether a user's law replaces the scenario's law and compensation.
 
-        What is called by address is still to be set: see `connect`, and `closedloop.engines.user_law.UserLaw`.
+        The addresses of the functions that it calls are set by `connect`, or by `closedloop.engines.user_law.UserLaw`.
         """
         n, law, compensation = self.robot.n, self.law, self.compensation
-        own, both = (0, 0) if own_law else (law.states, law.states + compensation.states)
+        own, both = (0, 0) if user_law else (law.states, law.states + compensation.states)
         surface, joints = plain(state_count)(self.friction[0], 2), plain(state_count)(self.joint_friction[0], 1)
         extra = both + self.sensor.states + surface + n * joints
         sizes = {"law": law.numbers.size, "compensation": compensation.numbers.size, "extra": extra}
@@ -196,14 +196,14 @@ class Problem:
         return loop
 
     def entries(self) -> list[Any]:
-        """Return what the loop calls by address: the entries of the law and of its compensation."""
-        if not self.more:
+        """Return the functions that the loop calls by address: the entries of the law and of its compensation."""
+        if not self.general:
             return []
         members = [self.law.member, self.compensation.member]
         return [law_entry(member) for member in members if member is not NoCompensation]
 
     def connect(self, loop: Loop, compiled: bool = True) -> None:
-        """Write into a loop's memory where what it calls is: machine code, or what an interpreted loop calls."""
+        """Write the addresses of `entries` into a loop's memory: of machine code, or for an interpreted loop."""
         found = [entry_address(each) if compiled else twin_address(each) for each in self.entries()]
         loop.state.law, loop.state.compensation, *_ = (*found, 0, 0)
 
@@ -241,7 +241,9 @@ class Problem:
         slip = float(np.hypot(u[1], u[2]))
         if slip > 0.0:
             w.direction[:] = u[1:] / slip
-        felt = float(self.table[0, 2 * n + 9]) if self.mode != FREE else 0.0  # the sensor has felt what is wanted
+        felt = (
+            float(self.table[0, 2 * n + 9]) if self.mode != FREE else 0.0
+        )  # the sensor's history is the desired force
         sensor = int(state.law_states)
         friction = sensor + int(state.sensor_states)
         joints = friction + int(state.friction_states)
@@ -255,8 +257,8 @@ class Problem:
                 w.z[joints + j * state.joint_states + LAST] = self.joint_friction[1][j, STATIC_EXCESS]
 
 
-def needs_more(scenario: Scenario) -> bool:
-    """Whether a scenario needs more than the paper's law on a smooth surface, see `closedloop.step.evaluate`."""
+def needs_general_form(scenario: Scenario) -> bool:
+    """Whether a scenario needs the general form of the loop, see `closedloop.step.evaluate`."""
     return (
         scenario.law.kind != "paper"
         or scenario.law.force_feedback > 0.0

@@ -1,4 +1,4 @@
-"""A law of one's own as the loop calls it: a Python function or object, or a function that numba compiles.
+"""A user's law as the loop calls it: a Python function or object, or a function that numba compiles.
 
     def press(x):                                   # x: `closedloop.control.law_input.LawInput`
         return x.C - x.A[0] * x.f_des - 5.0 * x.v
@@ -6,11 +6,11 @@
     def press(t, q, v, terms):                      # or time, q, q̇ and `Terms` of that state alone
         return terms.bias - 15.0 * terms.jacobian[2] - 5.0 * v
 
-Either may be marked `numba.njit`; it is then compiled once for the run, by itself, and called without Python between
-steps, in both engines. A compiled one may also write the torque, as its last argument, rather than return it.
+Either may be marked `numba.njit`; it is then compiled once for the run, separately, and called without Python, in both
+engines. A compiled law may also write the torque, as its last argument, rather than return it.
 
-An object that is called may have a `reset`, which is called at the beginning of each run; of a class given as it is, a
-new object is made for each run. A law that needs parameters in the scenario, or states that are integrated, is a
+A callable object may have a `reset`, which is called at the beginning of each run; a class is instantiated for each
+run. A law that needs parameters in the scenario, or states that are integrated, is a
 `closedloop.control.law.ControlLaw`.
 """
 
@@ -24,7 +24,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from closedloop.control.law_input import LawInput
 from closedloop.engines.failures import not_finite, when
-from closedloop.engines.own_law import NUMBERS, RAISED, arguments_of, law_failure
+from closedloop.engines.law_source import NUMBERS, RAISED, arguments_of, law_failure
 from closedloop.errors import DivergenceError, LawError, ScenarioError
 from closedloop.jit.calls import callback, compiled_address, forget_entry, interpreted_address, is_compiled
 from closedloop.jit.kernel import jit_disabled, plain
@@ -34,11 +34,11 @@ from closedloop.step.memory import Loop
 
 Array = NDArray[np.float64]
 Law = Callable[..., ArrayLike]
-"""A control law of one's own: of a `LawInput`, or of time, s; q, q̇ (n,) read-only; `Terms` -> torque Q (n,), N m."""
+"""A user's control law: of a `LawInput`, or of time, s; q, q̇ (n,) read-only; `Terms` -> torque Q (n,), N m."""
 
 
 class UserLaw:
-    """A law of one's own in a loop's memory.
+    """A user's law, connected to a loop.
 
     Parameters
     ----------
@@ -63,7 +63,7 @@ class UserLaw:
         self._number = 0
 
     def connect(self, compiled: bool = True) -> None:
-        """Write into the memory where the law is: for a compiled loop, or for one that is interpreted."""
+        """Write the address of the law into the memory: for a compiled loop, or for an interpreted one."""
         state = self._loop.state
         if not compiled or jit_disabled():
             self._number = self._number or interpreted_address(self._entry)
@@ -77,13 +77,13 @@ class UserLaw:
             state.law = self._called[0]
 
     def close(self) -> None:
-        """Say that the loop does not call the law any more."""
+        """Release the law: the loop does not call it any more."""
         forget_entry(self._number)
 
     def failure(self) -> BaseException:
         """Return why the law gave no torque."""
         t = float(self._loop.w.time)
-        if self.error is None:  # a compiled one: its own words are lost on the way
+        if self.error is None:  # of a compiled law the message is lost: it is evaluated again, interpreted
             if not np.all(np.isfinite(self._loop.w.torque)):
                 return self._not_finite(self._loop.w.torque, t)
             self._entry(0, TORQUE)
@@ -96,7 +96,7 @@ class UserLaw:
     def _entry(self, address: int, what: int) -> int:
         try:
             if what == TORQUE:
-                self._ask()
+                self._evaluate()
             elif what == START and hasattr(self._law, "reset"):
                 self._law.reset()
         except BaseException as error:  # nothing can be raised through compiled code
@@ -104,8 +104,8 @@ class UserLaw:
             return RAISED
         return 0
 
-    def _ask(self) -> None:
-        """Evaluate the law, check what it returns, and write that into the torque."""
+    def _evaluate(self) -> None:
+        """Evaluate the law, check the torque, and write it into the memory."""
         state, constants, w = self._loop
         t, n = float(w.time), w.q.size
         x = _copied(plain(law_input)(state, constants, w))
@@ -136,7 +136,7 @@ class UserLaw:
 
 
 def _copied(x: LawInput) -> LawInput:
-    """Return what a law in Python gets: arrays that may be kept, and not written to."""
+    """Return the input of a Python law: copies, which it may keep, and read-only."""
     values: list[Any] = []
     value: Any
     for name, value in zip(LawInput._fields, x, strict=True):
@@ -151,6 +151,6 @@ def _copied(x: LawInput) -> LawInput:
 
 
 def not_a_torque(returned: str, t: float, n: int) -> ScenarioError | LawError:
-    """Return the error of a law that returned at t, s, what is no torque of n joints; at t = 0 s nothing ran yet."""
+    """Return the error of a law that returned no torque of n joints at t, s; at t = 0 s it is a `ScenarioError`."""
     what = f"the law returned {returned} at t = {t:g} s: must be {n} real numbers, one torque a joint, ({n},)"
     return LawError(f"{when(t)}: {what}", t) if t > 0.0 else ScenarioError(what)

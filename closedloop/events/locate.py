@@ -25,12 +25,12 @@ Array = NDArray[np.float64]
 
 
 @kernel_inlined
-def event_function(w: Work, constants: Constants, state: State, more: int | None) -> float:
+def event_function(w: Work, constants: Constants, state: State, general: int | None) -> float:
     """Return the event function, positive as long as the mode lasts: a gap, m, a force, N, or a speed, mm/s."""
     if state.mode == FREE:
         return float(w.gap)
     least: float = w.rigid_force if state.unilateral != 0 else 1.0
-    if more is not None and state.sticking in (RIGID_STICK, SPRING_STICK):
+    if general is not None and state.sticking in (RIGID_STICK, SPRING_STICK):
         least = min(
             least, cone_margin(w, constants, state) if state.mode == STUCK else 1e3 * slip_margin(w, constants, state)
         )

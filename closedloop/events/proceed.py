@@ -74,7 +74,7 @@ Array = NDArray[np.float64]
 @inlined_kernel
 def proceed(
     H: Array, C: Array, w: Work, constants: Constants, state: State, table: Array, tableau: Array, rows: Array,
-    events: Array, more: int | None,
+    events: Array, general: int | None,
 ) -> int:  # fmt: skip
     """Use the terms of the state requested last, and request the next.
 
@@ -92,7 +92,7 @@ def proceed(
         The record, see `closedloop.step.record_row.Row`; row state.row is the next to be written.
     events : (M, EVENT_WIDTH) array
         The table of events, of which state.events rows are written.
-    more : int or None
+    general : int or None
         See `closedloop.step.evaluate`.
 
     Returns
@@ -103,7 +103,7 @@ def proceed(
     """
     phase = state.phase
     if phase in (STEP_END, STAGE, AFTER_EVENT) or (phase in (TRIAL_END, AT_EVENT) and state.mode != FREE):
-        status = evaluate(H, C, w, constants, state, table, rows, more)
+        status = evaluate(H, C, w, constants, state, table, rows, general)
         if status != OK:
             state.status = status
             return FAILED
@@ -111,13 +111,13 @@ def proceed(
         locate_tip(w, constants)
     todo = NEED_TERMS
     if phase == STEP_END:
-        w.event_value = event_function(w, constants, state, more)
+        w.event_value = event_function(w, constants, state, general)
         todo = check_step(w, w.drift_c[0], state)
         if todo == BEGIN_SUBSTEP:
             commit_work(w)
-            if more is not None:
+            if general is not None:
                 stick_or_slip_joints(w, constants, state, rows)
-            record(H, C, w, constants, state, table, rows, state.row, more)
+            record(H, C, w, constants, state, table, rows, state.row, general)
             if state.row == state.steps:
                 return DONE
             state.row += 1
@@ -129,7 +129,7 @@ def proceed(
     elif phase == STAGE:
         todo = check_stage(w, state) if state.unilateral != 0 else ADVANCE
     elif phase == TRIAL_END:
-        w.event_value = event_function(w, constants, state, more)
+        w.event_value = event_function(w, constants, state, general)
         todo = refine_bracket(w, state)
     elif phase == AT_EVENT:
         todo = APPLY_EVENT
@@ -138,15 +138,15 @@ def proceed(
     elif phase == PROJECTION:
         todo = PROJECT
     else:
-        todo = resume_after_event(C, w, constants, state, more)
+        todo = resume_after_event(C, w, constants, state, general)
 
     if todo == APPLY_EVENT:
         commit_work(w)
-        todo = apply_event(H, w, constants, state, rows, events, more)
+        todo = apply_event(H, w, constants, state, rows, events, general)
     if todo == APPLY_IMPACT:
         if state.status != OK:
             return FAILED
-        apply_impact(w, constants, state, events, more)
+        apply_impact(w, constants, state, events, general)
         todo = NEED_TERMS
         if state.project != 0 and state.mode != FREE:
             state.projections, state.next_phase = 0, AFTER_EVENT
@@ -156,7 +156,7 @@ def proceed(
     if todo == PROJECT:
         todo = project(H, w, constants, state)
     if todo == BEGIN_SUBSTEP:
-        save_state(w, constants, state, more)
+        save_state(w, constants, state, general)
         todo = ADVANCE
     elif todo == RETRY_SUBSTEP:
         restore_state(w, state)
@@ -164,7 +164,7 @@ def proceed(
     if todo == ADVANCE:
         stage, tau = state.stage, w.tau
         add_stage_work(w, stage, tau, tableau[tableau.shape[0] - 1, stage])
-        if more is not None and state.semi_implicit != 0:
+        if general is not None and state.semi_implicit != 0:
             advance_friction(w, constants, state, tau)
         advance(
             stage, tau, state.semi_implicit != 0, state.after_event != 0, tableau, w.begin, w.stages,

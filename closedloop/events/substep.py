@@ -40,7 +40,7 @@ Array = NDArray[np.float64]
 
 
 @kernel_inlined
-def save_state(w: Work, constants: Constants, state: State, more: int | None) -> None:
+def save_state(w: Work, constants: Constants, state: State, general: int | None) -> None:
     """Save the state and its derivative at the beginning of a substep of length w.length."""
     n, extra = w.q.shape[0], w.z.shape[0]
     for j in range(n):
@@ -54,13 +54,13 @@ def save_state(w: Work, constants: Constants, state: State, more: int | None) ->
     w.begin_time, w.tau = w.time, w.length
     w.start_gap, w.start_rate = w.gap, w.rate
     state.trial, state.stage, state.no_search = NO_TRIAL, 0, 0
-    if more is not None and state.sticking != SMOOTH:
+    if general is not None and state.sticking != SMOOTH:
         speed = np.hypot(w.u[1], w.u[2])
         w.start_slip_speed = speed
         w.start_slip[0], w.start_slip[1] = w.u[1], w.u[2]
         if state.mode == PRESSED and speed > max(constants.stick_speed, w.straight_speed):
             w.direction[0], w.direction[1] = w.u[1] / speed, w.u[2] / speed
-    w.start_event_value = event_function(w, constants, state, more)
+    w.start_event_value = event_function(w, constants, state, general)
     save_power(w, state)
 
 

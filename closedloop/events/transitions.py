@@ -55,7 +55,7 @@ Array = NDArray[np.float64]
 
 
 @kernel
-def resume_after_event(C: Array, w: Work, constants: Constants, state: State, more: int | None) -> int:
+def resume_after_event(C: Array, w: Work, constants: Constants, state: State, general: int | None) -> int:
     """Continue after an event to the end of the step, unless the mode is inconsistent with the state."""
     if state.mode == FREE:
         # A tip just after liftoff that accelerates towards the surface has not left it: at the projected state f is
@@ -72,7 +72,7 @@ def resume_after_event(C: Array, w: Work, constants: Constants, state: State, mo
             request_terms(state, AFTER_EVENT)
             return NEED_TERMS
     elif (state.unilateral != 0 and w.rigid_force < 0.0) or (
-        more is not None and state.mode == STUCK and cone_margin(w, constants, state) < 0.0
+        general is not None and state.mode == STUCK and cone_margin(w, constants, state) < 0.0
     ):
         return APPLY_EVENT
     left = state.row * constants.h - w.time
@@ -88,7 +88,7 @@ def resume_after_event(C: Array, w: Work, constants: Constants, state: State, mo
 
 @kernel
 def apply_event(
-    H: Array, w: Work, constants: Constants, state: State, rows: Array, events: Array, more: int | None
+    H: Array, w: Work, constants: Constants, state: State, rows: Array, events: Array, general: int | None
 ) -> int:
     """Apply the event at this state: an impact, the end of the contact, of slip or of sticking."""
     if state.events >= events.shape[0]:
@@ -124,7 +124,7 @@ def apply_event(
         # The tip leaves from the surface itself: the error that the stabiliser had not yet removed is projected out.
         state.projections, state.next_phase = 0, AFTER_EVENT
         return PROJECT
-    if more is not None:
+    if general is not None:
         return end_stick_or_slip(w, constants, state, rows, events)
     request_terms(state, AFTER_EVENT)
     return NEED_TERMS
@@ -242,14 +242,14 @@ def log_event(w: Work, constants: Constants, state: State, events: Array, energy
 
 
 @kernel
-def apply_impact(w: Work, constants: Constants, state: State, events: Array, more: int | None) -> None:
+def apply_impact(w: Work, constants: Constants, state: State, events: Array, general: int | None) -> None:
     """Apply the impulses of an impact to q̇, and set the mode after it."""
     for i in range(3):
         w.F[i] = w.compression[i] + w.decompression[i]
     apply_impulse(w.L, w.X, w.F, w.column, w.v)
     log_event(w, constants, state, events, energy_lost(w.before, w.after, w.F))
     state.risen = 1
-    if more is not None:
+    if general is not None:
         call_law(state, RESTART)
         at = state.law_states + state.sensor_states
         if state.friction_states > 0:

@@ -1,8 +1,8 @@
-"""Blocks: memory of which each part has a name, `block.name`, in Python and, at no cost, in compiled code.
+"""Blocks: one array with named fields, `block.name`, in Python and, at no cost, in compiled code.
 
-A block is a class whose annotations say, in order, what the memory holds: single numbers, and arrays with their shapes
-in a few sizes (number of joints, of stages ...) that are known only when the block is made. `Layout` counts with such
-sizes as symbols, so the one description gives the size of the memory and the places of its parts.
+A block is a class whose annotations name its fields in order: single numbers, and arrays with their shapes in a few
+sizes (number of joints, of stages ...) that are known only when the block is made. `Layout` treats these sizes as
+symbols, so one description gives the size of the memory and the offset of every field.
 
     class Motion(Block, sizes=("n",)):
         time: float                       # one number: motion.time = 0.5
@@ -10,8 +10,8 @@ sizes as symbols, so the one description gives the size of the memory and the pl
 
     motion = Motion(np.zeros(Motion.count(4)), 4)
 
-Inside compiled code a tuple of forty arrays would travel as three hundred words from call to call. There a block is
-its address and its sizes, and an array is made where it is asked for, see `closedloop.jit.numba_blocks`.
+In compiled code a tuple of forty arrays would be passed as three hundred words in every call. A block is passed as its
+address and its sizes, and an array view is made where a field is read: see `closedloop.jit.numba_blocks`.
 """
 
 from __future__ import annotations
@@ -25,14 +25,14 @@ from numpy.typing import NDArray
 
 Array = NDArray[np.float64]
 
-# Sizes of blocks whose places are remembered.
-MOST_PLACES = 64
+# Layouts of different sizes that are kept.
+MOST_LAYOUTS = 64
 # A product of sizes, as a sorted tuple of their names, and how many of it there are.
 Terms = dict[tuple[str, ...], int]
 
 
 class Count:
-    """A whole number in terms of sizes that are not yet known: a polynomial."""
+    """A whole number as a polynomial in sizes that are not yet known."""
 
     def __init__(self, terms: Terms) -> None:
         self.terms = {product: count for product, count in terms.items() if count}
@@ -95,9 +95,9 @@ class Layout:
                 size = size * count
             end = end + size
         self.end = end
-        # A batch asks for the same few sizes thousands of times.
-        self._places: dict[tuple[int, ...], list[tuple[str, int, int, tuple[int, ...]]]] = {}
-        # An interpreted loop asks for the same views at every step.
+        # A batch makes blocks of the same few sizes thousands of times.
+        self._layouts: dict[tuple[int, ...], list[tuple[str, int, int, tuple[int, ...]]]] = {}
+        # An interpreted loop makes the same views at every step.
         self._last: tuple[Array | None, tuple[int, ...], dict[str, Array]] = None, (), {}
 
     def size(self, *sizes: int) -> int:
@@ -109,24 +109,24 @@ class Layout:
         whose, for_sizes, found = self._last
         if whose is memory and for_sizes == sizes:
             return found
-        places = self._places.get(sizes)
-        if places is None:
-            places = self._places_for(dict(zip(self.sizes, sizes, strict=True)))
-            if len(self._places) >= MOST_PLACES:
-                self._places.clear()
-            self._places[sizes] = places
+        layout = self._layouts.get(sizes)
+        if layout is None:
+            layout = self._layout_for(dict(zip(self.sizes, sizes, strict=True)))
+            if len(self._layouts) >= MOST_LAYOUTS:
+                self._layouts.clear()
+            self._layouts[sizes] = layout
         each = memory.shape[1:]
-        found = {name: memory[begin:end].reshape(shape + each) for name, begin, end, shape in places if shape}
+        found = {name: memory[begin:end].reshape(shape + each) for name, begin, end, shape in layout if shape}
         self._last = memory, sizes, found
         return found
 
-    def _places_for(self, known: Mapping[str, int]) -> list[tuple[str, int, int, tuple[int, ...]]]:
+    def _layout_for(self, known: Mapping[str, int]) -> list[tuple[str, int, int, tuple[int, ...]]]:
         """Return name, begin, end and shape of each field."""
-        places = []
+        layout = []
         for name, at in self.at.items():
             shape = tuple(count.value(known) for count in self.shape[name])
-            places.append((name, at.value(known), at.value(known) + math.prod(shape), shape))
-        return places
+            layout.append((name, at.value(known), at.value(known) + math.prod(shape), shape))
+        return layout
 
 
 # All blocks; and what is done with each that is made later, once numba is in use.
@@ -135,12 +135,12 @@ when_made: list[Callable[[type[Block]], None]] = []
 
 
 class Block:
-    """Base of all blocks; a subclass names its parts by annotations, see above.
+    """Base of all blocks; a subclass names its fields by annotations, see above.
 
     Parameters
     ----------
     memory : (count(*sizes),) array, or (count(*sizes), ...) of arrays side by side
-        What the parts are views of; kept.
+        The array that the fields are views of.
     sizes : int
         Those that the class names, in order.
     """
@@ -170,13 +170,13 @@ class Block:
         return cls.layout.size(*sizes)
 
 
-def _number(place: int) -> property:
+def _number(offset: int) -> property:
     """Return a single number of a block as an attribute."""
 
     def read(block: Block) -> Any:
-        return block.memory[place]
+        return block.memory[offset]
 
     def write(block: Block, value: Any) -> None:
-        block.memory[place] = value
+        block.memory[offset] = value
 
     return property(read, write)

@@ -10,7 +10,7 @@ from numba.core.typing.templates import AbstractTemplate, infer_global, signatur
 from numba.extending import lower_builtin
 
 from closedloop.jit.numba_blocks import array_on
-from closedloop.jit.pointers import fortran_at, matrix_at, vector_at, whole_at
+from closedloop.jit.pointers import fortran_at, integers_at, matrix_at, vector_at
 
 
 def _compiled(function: Callable[..., Any], kind: Any) -> None:
@@ -34,4 +34,4 @@ def _compiled(function: Callable[..., Any], kind: Any) -> None:
 _compiled(vector_at, types.Array(types.float64, 1, "C"))
 _compiled(matrix_at, types.Array(types.float64, 2, "C"))
 _compiled(fortran_at, types.Array(types.float64, 2, "F"))
-_compiled(whole_at, types.Array(types.int64, 1, "C"))
+_compiled(integers_at, types.Array(types.int64, 1, "C"))

@@ -1,7 +1,7 @@
-"""Arrays by the address of their memory: what crosses from Python to compiled code at each step is then one number.
+"""Arrays by address: at each step one number is passed from Python to compiled code.
 
-Each array that is handed over costs some 60 ns, fourteen of them as much as the step. None of them moves during a run,
-so their addresses are written down once, in a block of whole numbers, and compiled code makes the arrays anew.
+Each array passed costs some 60 ns, fourteen of them as much as the step. None of them moves during a run, so their
+addresses are stored once, in a block of whole numbers, and compiled code makes array views from them.
 """
 
 from __future__ import annotations
@@ -14,15 +14,15 @@ import numpy as np
 from numpy.typing import NDArray
 
 Array = NDArray[np.float64]
-Whole = NDArray[np.int64]
+IntArray = NDArray[np.int64]
 
-# An interpreted loop asks for the same few arrays at every step. They hold no memory: an array at an address is the
-# same whoever has that memory now.
+# Views kept for an interpreted loop, which makes the same few at every step. They own no memory, so a view stays valid
+# for any array at that address.
 MOST_KEPT = 128
 
 
 def address_of(array: NDArray[Any]) -> int:
-    """Return where the numbers of an array are; they must stay there, and the array be kept."""
+    """Return the address of an array's data; the caller keeps the array alive and in place."""
     return int(array.ctypes.data)
 
 
@@ -45,6 +45,6 @@ def fortran_at(address: int, rows: int, columns: int) -> Array:
 
 
 @lru_cache(maxsize=MOST_KEPT)
-def whole_at(address: int, n: int) -> Whole:
+def integers_at(address: int, n: int) -> IntArray:
     """Return the (n,) array of int64 at an address."""
     return np.ctypeslib.as_array((ctypes.c_int64 * int(n)).from_address(int(address)))

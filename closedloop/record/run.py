@@ -124,7 +124,7 @@ class Run:
     engine : "pinocchio" or "compiled"
         Who computed the terms; the last bits of a run depend on it.
     law_digest : str
-        SHA-256 of the text of the user's law, see `closedloop.engines.own_law.law_digest`; "" if it is not known.
+        SHA-256 of the text of the user's law, see `closedloop.engines.law_source.law_digest`; "" if it is not known.
     member_digests : mapping of str to str
         Name, MODULE:CLASS, of each user's class that the scenario picks, to the same of its text.
     """

@@ -36,18 +36,16 @@ Array = NDArray[np.float64]
 
 # A run is held in memory, once as rows and once as columns: this many numbers in the rows are about 4 GB in all.
 MOST_NUMBERS = 200_000_000
-# How far from the surface the tip may start, m. A closure that must first pull the tip in by more does not press: with
-# the paper's stabiliser a millimetre already asks for a thousand newtons from each kilogram.
+# Largest |e| of the tip at the start, m: with the paper's stabiliser the force due to a larger error would dominate, a
+# thousand newtons for each kilogram of apparent mass and each millimetre.
 START_GAP = 1e-3
-# How fast a tip that is held to the surface may start off along the normal, m/s: the rounding of a velocity typed to
-# four digits. The closure does not let the tip move through it: the stabiliser would first have to stop it, with 0.14 N
-# from each kilogram for so much at the paper's setting, and without a stabiliser the tip would move away for good.
+# Largest |ė| of a tip in contact at the start, m/s: the rounding of a velocity given to four digits. The stabiliser has
+# to stop it, with 0.14 N for each kilogram of apparent mass at the paper's setting; without one the error would grow.
 START_RATE = 1e-4
-# What an adaptive integrator allows itself in each step, relative, unless the scenario says otherwise. With friction at
-# the tip 1e-12 takes 16 s of processor for the 8 s of wam_slide_friction, and 1e-9 takes 6 s: break-away and sticking
-# then come within 2e-8 s of those at 1e-12.
+# Default relative tolerance of an adaptive integrator. With friction at the tip 1e-12 takes 16 s of processor time for
+# the 8 s of wam_slide_friction, and 1e-9 takes 6 s: break-away and sticking are then within 2e-8 s of those at 1e-12.
 TOLERANCE, TOLERANCE_WITH_FRICTION = 1e-12, 1e-9
-# What a robot takes in memory, with Pinocchio's model and data, about, in bytes.
+# Memory of a robot, with Pinocchio's model and data, about, bytes.
 ROBOT_BYTES = 200_000
 
 

@@ -1,7 +1,4 @@
-"""From a scenario to a run: prepare the problem, step it, and keep what happened.
-
-Each stage of each step asks Pinocchio for the terms of the state, and `closedloop.step.evaluate` for everything else.
-"""
+"""From a scenario to a run: prepare the problem, step it, and return the record."""
 
 from __future__ import annotations
 
@@ -15,8 +12,8 @@ from numpy.typing import NDArray
 
 from closedloop.closure.solve import LAW_FAILED
 from closedloop.engines.failures import failure_of, interrupted
-from closedloop.engines.loops import COMPILED, ENGINES, PINOCCHIO, SECONDS, SECONDS_WITH_MORE, loop_for
-from closedloop.engines.own_law import law_digest
+from closedloop.engines.law_source import law_digest
+from closedloop.engines.loops import COMPILED, ENGINES, PINOCCHIO, SECONDS, SECONDS_GENERAL, loop_for
 from closedloop.engines.pinocchio import addresses_of, set_events
 from closedloop.engines.problem import Problem
 from closedloop.engines.user_law import Law, UserLaw
@@ -70,16 +67,16 @@ def simulate(
     scenario : Scenario
         From `load_scenario`.
     law : callable, optional
-        A law of one's own, ``law(t, q, v, terms) -> Q``, in place of the scenario's: t, s; q and q̇ (n,) read-only;
-        `Terms` of that state; Q (n,), N m. It is evaluated as often as the scenario's law would be.
+        A user's law, ``law(t, q, v, terms) -> Q``, in place of the scenario's: t, s; q and q̇ (n,) read-only; `Terms`
+        of that state; Q (n,), N m. It is evaluated as often as the scenario's law would be.
     model : RobotModel, optional
         The robot to use instead of loading `scenario.robot.model`: one made in Python, or the one inside a run file.
     progress : bool or callable, optional
         True draws a bar on standard error; a callable gets (steps done, steps in all).
     engine : "pinocchio" or "compiled"
-        Who computes H, C, r, Jᵣ and J̇ᵣq̇: Pinocchio, or the package's own compiled terms (`closedloop.robot.tree`),
-        which are equal to rounding and ten times as fast. The compiled engine takes a law of one's own that numba has
-        compiled, see `closedloop.engines.user_law`.
+        The source of H, C, r, Jᵣ and J̇ᵣq̇: Pinocchio, or the package's own compiled terms (`closedloop.robot.tree`),
+        which are equal to rounding and ten times as fast. The compiled engine takes a user's law only if numba has
+        compiled it, see `closedloop.engines.user_law`.
 
     Returns
     -------
@@ -91,9 +88,9 @@ def simulate(
     ScenarioError, ModelError
         If the scenario or the robot is at fault; nothing was simulated.
     SimulationError
-        If the simulation could not go on; its `run` holds what ran. `SingularClosureError`, `DivergenceError` and
-        others name the reason; `LawError` has what a law of one's own raised as its cause, and `InterruptedRunError`,
-        which is a KeyboardInterrupt too, says that Ctrl-C came: between two steps, or at the end of the compiled loop.
+        If the simulation could not go on; its `run` holds the rows until then. `SingularClosureError`,
+        `DivergenceError` and others name the reason; the cause of a `LawError` is the exception of the user's law;
+        `InterruptedRunError`, also a KeyboardInterrupt, follows Ctrl-C, between two steps or after the compiled loop.
     """
     check_engine(scenario, engine, law)
     problem = prepare(scenario, model)
@@ -108,7 +105,7 @@ def simulate(
     try:
         with held_back():
             run = _as_run(problem, rows, events, law, failure, seconds, engine)
-    except KeyboardInterrupt as stop:  # it came while the record was being put together
+    except KeyboardInterrupt as stop:  # it came while the record was being assembled
         failure = failure or interrupted(stop, float(run.time[-1]))
     if failure is not None:
         failure.run = run
@@ -117,13 +114,13 @@ def simulate(
 
 
 def check_engine(scenario: Scenario, engine: str, law: Law | None) -> None:
-    """Refuse what an engine does not cover, before anything is prepared; of the robot's joints, `tree_of` does.
+    """Refuse what an engine does not cover, before anything is prepared; joint types are checked by `tree_of`.
 
     Raises
     ------
     ScenarioError
-        If there is no such engine, or the compiled one is asked for an integrator that chooses its steps or for a law
-        that numba has not compiled, or cannot.
+        If there is no such engine, or if with the compiled engine the integrator is adaptive or the law is not, or
+        cannot be, compiled by numba.
     """
     if engine not in ENGINES:
         raise ScenarioError(f"engine = {engine!r}: must be {' or '.join(map(repr, ENGINES))}")
@@ -162,24 +159,24 @@ def run_loop(
     problem, law, report, engine
         See `simulate`.
     rows : (>= steps + 1, width) array, optional
-        Memory for the rows, whatever is in it.
+        Memory for the rows; its content is overwritten.
     tree : (Tree, array), optional
-        The problem's robot for the compiled engine, and its scratch, if they are there already.
+        The problem's robot for the compiled engine, and its scratch array, if they exist already.
     interim : bool
-        Whether it may begin interpreted where the loop is not compiled yet; else that is compiled first.
+        Whether the run may begin interpreted while the loop is not compiled yet; else the loop is compiled first.
     keep_interrupted : bool
-        Whether Ctrl-C is a failure that leaves a record, as others do; else it goes through.
+        Whether Ctrl-C ends the run as a failure with its record; else it is raised.
 
     Returns
     -------
     rows : (N, width) array
-        What was recorded, in the order of `closedloop.step.record_row.Row`.
+        The record, in the order of `closedloop.step.record_row.Row`.
     events : (M, EVENT_WIDTH) array
-        What happened between rows, see `closedloop.events.table`.
+        See `closedloop.events.table`.
     failure : SimulationError or None
         Why it stopped early.
     seconds : float
-        Time the steps took, s; on Pinocchio those after the first. Compilation is not counted.
+        Wall time of the steps, s, without compilation; on Pinocchio of those after the first.
     """
     if problem.tolerance is not None:
         from closedloop.engines.adaptive import run_adaptive
@@ -187,19 +184,19 @@ def run_loop(
         check_engine(problem.scenario, engine, law)
         return run_adaptive(problem, law, report, keep_interrupted)
     robot, steps = problem.robot, problem.steps
-    loop = problem.loop(own_law=law is not None)
+    loop = problem.loop(user_law=law is not None)
     state, w = loop.state, loop.w
     user_law = None if law is None else UserLaw(law, loop)
     connect = partial(problem.connect, loop) if user_law is None else user_law.connect
     rows = np.empty((steps + 1, Row.of(robot.n).width)) if rows is None else rows
     events = np.zeros((INITIAL_EVENTS, EVENT_WIDTH))
-    machine = loop_for(engine, problem.more or law is not None)
+    kernel = loop_for(engine, problem.general or law is not None)
     if interim:
-        machine = _begun(machine, problem, loop, connect, law)
+        kernel = _begun(kernel, problem, loop, connect, law)
     else:
-        make_ready(machine)
-    connect(not (isinstance(machine, Interim) and machine.interpreting))
-    step, many = _driver(problem, machine, loop, (problem.table, problem.integrator.tableau(), rows), engine, tree)
+        make_ready(kernel)
+    connect(not (isinstance(kernel, Interim) and kernel.interpreting))
+    step, many = _driver(problem, kernel, loop, (problem.table, problem.integrator.tableau(), rows), engine, tree)
 
     def finish(done: int) -> None:
         call = partial(call_now, complete_record, loop_memory) if interim else complete_record
@@ -246,35 +243,35 @@ def run_loop(
         if not keep_interrupted:
             raise
         failure = interrupted(stop, float(w.time))
-    seconds = clock.perf_counter() - began - (machine.compiling if isinstance(machine, Interim) else 0.0)
+    seconds = clock.perf_counter() - began - (kernel.compiling if isinstance(kernel, Interim) else 0.0)
     done = int(state.row) + (failure is None)
     if isinstance(failure, InterruptedRunError):
         done = rows_there(state, done, robot.n)
-    finish(done)  # what an exception left; else there is nothing left
+    finish(done)  # after an exception; else it has been done
     return rows[:done], events[: int(state.events)], failure, seconds
 
 
 def _driver(
     problem: Problem,
-    machine: Callable[..., int],
+    kernel: Callable[..., int],
     loop: Loop,
     arrays: tuple[Array, Array, Array],
     engine: str,
     made: tuple[Tree, Array] | None,
 ) -> tuple[Callable[[Array], int], Callable[[Array], int]]:
-    """Return two functions of the table of events: they provide terms once, and as long as nothing else is asked."""
+    """Return two functions of the table of events: one provides terms once, one while nothing else is requested."""
     if engine == COMPILED:
         from closedloop.engines.compiled import ALL, compiled_tree, compiled_work
 
         tree, work = made or (compiled_tree(problem), compiled_work(problem.robot.n))
-        if not isinstance(machine, Interim) and not getattr(machine, "signatures", ()):
-            # Compiled, or read, before the clock starts.
-            direct(machine, tree, work, loop.address, *arrays, np.zeros((0, EVENT_WIDTH)), ALL)
+        if not isinstance(kernel, Interim) and not getattr(kernel, "signatures", ()):
+            # Compile it, or read it from the cache, before the clock starts.
+            direct(kernel, tree, work, loop.address, *arrays, np.zeros((0, EVENT_WIDTH)), ALL)
 
         def go_on(events: Array) -> int:
-            # Interpreted, it comes back after each evaluation, as Pinocchio does, and can be interrupted.
-            most = 1 if isinstance(machine, Interim) and machine.interpreting else ALL
-            return machine(tree, work, loop.address, *arrays, events, most)
+            # Interpreted, it returns after each evaluation, as with Pinocchio, and can be interrupted.
+            most = 1 if isinstance(kernel, Interim) and kernel.interpreting else ALL
+            return kernel(tree, work, loop.address, *arrays, events, most)
 
         return go_on, go_on
 
@@ -286,7 +283,7 @@ def _driver(
     def chunk(length: int) -> Callable[[Array], int]:
         def go_on(events: Array) -> int:
             set_events(addresses, events)
-            request, call = TERMS, direct(machine, at)
+            request, call = TERMS, direct(kernel, at)
             for _ in range(length):
                 crba(pinocchio, data, q, convention)  # as in `Robot.evaluator`, without a call
                 bias(pinocchio, data, q, v)
@@ -301,21 +298,21 @@ def _driver(
 
 
 def _begun(
-    machine: Callable[..., int], problem: Problem, loop: Loop, connect: Callable[[], None], law: Law | None
+    kernel: Callable[..., int], problem: Problem, loop: Loop, connect: Callable[[], None], law: Law | None
 ) -> Callable[..., int]:
-    """Return the loop, or what it is begun with if it is not compiled; and have compiled what else is missing."""
+    """Return the loop, or its `Interim` if it is not compiled, and start compiling what is missing."""
     with_it: list[Callable[..., Any]] = [
         complete_record,
         *([collide] if loop.state.unilateral else []),
         *([] if law else problem.entries()),
     ]
-    if not at_hand(machine):
+    if not at_hand(kernel):
         calls = problem.steps * problem.integrator.stages
-        seconds = SECONDS_WITH_MORE if problem.more or law is not None else SECONDS
-        return Interim(machine, (loop.state.memory, loop.w.memory), calls, seconds, with_it, connect)
-    make_ready(machine)
+        seconds = SECONDS_GENERAL if problem.general or law is not None else SECONDS
+        return Interim(kernel, (loop.state.memory, loop.w.memory), calls, seconds, with_it, connect)
+    make_ready(kernel)
     start([function for function in with_it if not at_hand(function)])
-    return machine
+    return kernel
 
 
 def _as_run(

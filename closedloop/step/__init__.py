@@ -1,1 +1,1 @@
-"""One evaluation of the equation of motion, the integrators, and the row that a step leaves."""
+"""One evaluation of the equation of motion, one stage of an integrator, and the row recorded at a step."""

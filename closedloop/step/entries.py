@@ -1,8 +1,8 @@
-"""How the loop calls the plug-ins of a scenario: an entry each, compiled by itself, with one signature for all.
+"""Entries: the functions by which the loop calls the plug-ins of a scenario, compiled separately, all of one signature.
 
     call_at(state.law, address, TORQUE)        see `closedloop.jit.calls`
 
-An entry finds the loop's memory at the address, and gives the member's functions what they take.
+An entry takes the address of the loop's memory, and calls the member's functions with their arguments.
 """
 
 from __future__ import annotations
@@ -25,13 +25,13 @@ from closedloop.user_code import source_digest
 
 Array = NDArray[np.float64]
 
-# What may be asked of a law or a compensation.
+# Calls to a law or a compensation.
 TORQUE, RATES, START, RESTART = range(4)
 
 
 @kernel_inlined
 def law_input(state: State, constants: Constants, w: Work) -> LawInput:
-    """Return what the law knows at the state evaluated last."""
+    """Return the input of the law at the state evaluated last."""
     n, wanted = w.q.shape[0], w.reference
     return LawInput(
         w.time, w.q, w.v, w.H, w.C, w.L, w.A, w.X, w.S, w.drift_c, w.p, w.u, w.r, w.J, w.drift, constants.frame,
@@ -86,7 +86,7 @@ def law_entry(member: type[ControlLaw] | type[Compensation]) -> Entry:
 
 
 def identity_of(member: type[Any]) -> str:
-    """Return what tells the compiled form of a member from others: its name and its text."""
+    """Return the identity of a member in the cache of compiled code: its name and its source."""
     return f"{member.__module__}:{member.__qualname__} {source_digest(member)}"
 
 

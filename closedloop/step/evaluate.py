@@ -1,10 +1,10 @@
-"""One evaluation of the equation of motion: law, friction, contact and Eq. 24 at one state, and the row it leaves.
+"""One evaluation of the equation of motion: law, friction, contact and Eq. 24 at one state.
 
-The caller provides H, C, Jᵣ, r and J̇ᵣq̇ of the state, from Pinocchio or from anything else; nothing here asks further.
-`closedloop.events` decides which states are evaluated, and when.
+The caller provides H, C, Jᵣ, r and J̇ᵣq̇ of the state, from Pinocchio or another source. `closedloop.events` decides
+which states are evaluated, and when.
 
-Everything exists in two forms, which numba makes of one source: `more` is None for the paper's law on a smooth surface,
-and a number for all that may come on top: other laws, friction of the tip and of the joints, a force sensor.
+numba compiles two forms of the same source: `general` is None for the paper's law on a smooth surface, and a number for
+the general form, with other laws, friction of the tip and of the joints, and a force sensor.
 """
 
 from __future__ import annotations
@@ -40,10 +40,10 @@ from closedloop.step.tip_friction import surface_friction, turn_with_slip
 
 Array = NDArray[np.float64]
 
-# A joint at 10⁴ rad/s (m/s) is no robot any more; the run stops there, long before the numbers overflow.
+# Joint speed, rad/s (m/s), at which a run stops as diverged, long before the numbers overflow.
 SPEED_LIMIT = 1e4
 
-# A force or an acceleration beyond this is none; the summary of a run takes squares, which are finite below it.
+# Bound of forces and accelerations; the summary of a run takes squares, which are finite below it.
 LARGEST = 1e100
 
 # Parameters of the paper's law.
@@ -52,7 +52,7 @@ PaperParameters = parameter_block(PaperLaw)
 
 @kernel_inlined
 def reference_row(t: float, spacing: float, table: Array, n: int, row: Array) -> None:
-    """Write what is desired at time t: between the table's instants, a cubic in position and lines for the rest.
+    """Write the reference at time t: between the table's rows positions are cubics and the rest is linear.
 
     Parameters
     ----------
@@ -94,7 +94,7 @@ def locate_tip(w: Work, constants: Constants) -> None:
 
 @kernel_inlined
 def evaluate(
-    H: Array, C: Array, w: Work, constants: Constants, state: State, table: Array, rows: Array, more: int | None
+    H: Array, C: Array, w: Work, constants: Constants, state: State, table: Array, rows: Array, general: int | None
 ) -> int:
     """Evaluate law, friction, contact and Eq. 24 at the state in `w`.
 
@@ -110,7 +110,7 @@ def evaluate(
         See `reference_row`; the last column is the noise of the force sensor.
     rows : (N, width) array
         The rows recorded so far: what the memory of friction reads.
-    more : int or None
+    general : int or None
         None: the paper's law on a smooth surface.
 
     Returns
@@ -123,7 +123,7 @@ def evaluate(
     status = factorise(H, w.A, w.L, w.X, w.S, constants.reach)
     if status != OK:
         return status
-    if more is None:
+    if general is None:
         if state.sampled != 0:
             reference_row(w.time, constants.node, table, n, w.reference)
             paper_torque(C, w, constants, w.time)
@@ -181,7 +181,7 @@ def paper_torque(C: Array, w: Work, constants: Constants, t: float) -> None:
 
 @kernel
 def call_law(state: State, what: int) -> int:
-    """Ask the law and its compensation for something, see `closedloop.step.entries`; 0, or the law could not."""
+    """Call the law and its compensation, see `closedloop.step.entries`; return 0, or the law's error."""
     failed = call_at(state.law, state.address, what)
     if failed == 0 and state.compensation != 0:
         call_at(state.compensation, state.address, what)
@@ -215,7 +215,8 @@ def contact_force(C: Array, w: Work, constants: Constants, state: State) -> int:
         status, share = pressed_force(w.S, w.a, b, w.c, w.viscous, w.F)
         rubbed = w.c[0] != 0.0 or w.c[1] != 0.0
         if state.unilateral == 0 and rubbed and (status == PAINLEVE or (status == OK and w.F[0] < 0.0)):
-            # A closure that pulls presses as hard from the other side. If it does, that it cannot push is no paradox.
+            # A bilateral closure may pull: friction is then that of |f| on the other side, and there is no paradox if
+            # that solution exists.
             w.c[0], w.c[1] = -w.c[0], -w.c[1]
             wedged = status == PAINLEVE
             status, share = pressed_force(w.S, w.a, b, w.c, w.viscous, w.F)
@@ -234,7 +235,7 @@ def contact_force(C: Array, w: Work, constants: Constants, state: State) -> int:
         rigid = w.F[0] - share
         w.rigid_force = kept_force(rigid, C, w, state)
         if state.unilateral != 0 and w.F[0] < 0.0 <= w.rigid_force:
-            # The surface may push less to let the stabiliser have its way, down to nothing, but it cannot pull.
+            # The stabiliser may reduce f of a unilateral contact to zero, but not below.
             share = -rigid
             b = share * (w.S[0, 0] - w.S[0, 1] * w.c[0] - w.S[0, 2] * w.c[1])
             w.F[0], w.F[1], w.F[2] = 0.0, -w.viscous[0], -w.viscous[1]
@@ -252,10 +253,10 @@ def contact_force(C: Array, w: Work, constants: Constants, state: State) -> int:
 
 @kernel_inlined
 def kept_force(rigid: float, C: Array, w: Work, state: State) -> float:
-    """Return the force of the rigid closure, N, by which contact is judged: negative where the tip is to leave.
+    """Return the force of the rigid closure, N, that decides liftoff: the tip lifts off where it is negative.
 
-    A surface that cannot pull lets go where the closure would have to, by more than rounding: under a command of zero
-    the force is rounding, of either sign, and the tip stays where it is. The force is then none.
+    For a unilateral contact it is corrected by its rounding: with f_des = 0 the computed force is rounding, of either
+    sign, and the tip stays in contact.
     """
     kept = rigid
     if state.unilateral != 0 and rigid < 0.0:

@@ -15,10 +15,10 @@ from closedloop.closure.conditioning import BATCH, batch_rows
 from closedloop.control.sensor import SensorParameters
 from closedloop.jit.blocks import Block, Count
 from closedloop.jit.kernel import kernel_inlined
-from closedloop.jit.pointers import address_of, vector_at, whole_at
+from closedloop.jit.pointers import address_of, integers_at, vector_at
 
 Array = NDArray[np.float64]
-Whole = NDArray[np.int64]
+IntArray = NDArray[np.int64]
 
 # How the surface's law of friction sticks, `State.sticking`.
 SMOOTH, RIGID_STICK, ELASTIC_STICK, SPRING_STICK = range(4)
@@ -195,7 +195,7 @@ STATE_COUNT = State.count()
 @kernel_inlined
 def loop_at(address: int) -> tuple[State, Constants, Work]:
     """Return the loop's memory, by the address of its `State`."""
-    state = State(whole_at(address, STATE_COUNT))
+    state = State(integers_at(address, STATE_COUNT))
     n = state.n
     constants = Constants(
         vector_at(state.constants_at, state.constants_size), n, state.law_size, state.compensation_size

@@ -1,4 +1,4 @@
-"""The record of a run: a row for each sample, what its columns are, and how a row is written."""
+"""The rows of the record: their columns, and the kernel that writes one."""
 
 from __future__ import annotations
 
@@ -106,11 +106,11 @@ def record(
     table: Array,
     rows: Array,
     place: int,
-    more: int | None,
+    general: int | None,
 ) -> None:
-    """Write a row in the order of `Row`: the state, and what acted in it.
+    """Write a row in the order of `Row`: the state, and the torques and forces at it.
 
-    The condition number follows once `BATCH` rows are full, or with `complete_record`.
+    The condition number is written once a batch is full, or by `complete_record`.
     """
     n = w.q.shape[0]
     row, lane = rows[place], state.batched
@@ -151,7 +151,7 @@ def record(
             record_conditions(w.batch, rows, state, place + 1, n)
     row[at + 8] = w.S[0, 0] / select(trace > 0.0, trace, 1.0)
     row[at + 9] = kinetic_energy(H, w.v)
-    if more is None:
+    if general is None:
         w.measured = w.F[0]
     else:
         count, sensor = state.law_states, state.sensor_states

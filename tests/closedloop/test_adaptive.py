@@ -41,14 +41,14 @@ def energy(run):
 
 @pytest.mark.parametrize("own_law", [True, False])
 @pytest.mark.parametrize("restitution", [0.8, 1.0])
-def test_a_ball_bounces_when_and_as_the_closed_form_says(own_law, restitution):
+def test_a_ball_bounces_when_and_as_the_closed_form_says(user_law, restitution):
     """Impacts of a falling point mass are at sqrt(2 h/g) (1 + 2 (ε + ε² + ...)), with εᵏ times the first speed.
 
     A law of one's own that does nothing leaves gravity; the paper's law takes it away and presses with m g instead, in
     one stretch without a stop. 1e-14 s and m/s are a few roundings of a second and of 3 m/s.
     """
     changes = {"start.q": [0, 0, 0.5], "start.v": [0.3, 0, 0], "impact.restitution": restitution, "time.duration": 2.0}
-    run = cl.simulate(point(**changes | {"law.force": MASS * G}), law=limp if own_law else None)
+    run = cl.simulate(point(**changes | {"law.force": MASS * G}), law=limp if user_law else None)
     first = np.sqrt(2 * 0.5 / G)
     shrink = restitution ** np.arange(1, 12)
     times = first * (1 + 2 * np.concatenate([[0.0], np.cumsum(shrink)]))

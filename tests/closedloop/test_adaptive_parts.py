@@ -5,7 +5,7 @@ import pytest
 
 import closedloop as cl
 from closedloop.engines.adaptive.crossing import first_crossing, root
-from closedloop.engines.adaptive.smooth import jumps, stretch_from
+from closedloop.engines.adaptive.smooth import interval_from, jumps
 
 
 def wanted(name, **changes):
@@ -30,8 +30,8 @@ def bounds(desired, end, step=0.001):
         ),
     ],
 )
-def test_stretches_cover_the_run_and_say_what_the_table_says(name, changes):
-    """Between 0 and 1 s, stretch after stretch, every column at any instant is that of the table to 1e-11.
+def test_intervals_cover_the_run_and_equal_the_table(name, changes):
+    """Between 0 and 1 s, interval by interval, every column at any instant is that of the table to 1e-11.
 
     A velocity is a difference of positions of 1 rad over some 10 ms: 2e-14 rad/s of rounding, and as much again.
     """
@@ -41,24 +41,24 @@ def test_stretches_cover_the_run_and_say_what_the_table_says(name, changes):
     assert ends[-1] == 1.0
     t, rng = 0.0, np.random.default_rng(0)
     while t < 1.0:
-        stretch = stretch_from(desired, t, ends[np.searchsorted(ends, t, side="right")])
-        assert stretch.start == t
-        assert stretch.end > t
-        inside = rng.uniform(t + 0.01 * (stretch.end - t), stretch.end - 0.01 * (stretch.end - t), 3)
+        interval = interval_from(desired, t, ends[np.searchsorted(ends, t, side="right")])
+        assert interval.start == t
+        assert interval.end > t
+        inside = rng.uniform(t + 0.01 * (interval.end - t), interval.end - 0.01 * (interval.end - t), 3)
         table = desired.table(inside)
         for row, instant in zip(table, inside, strict=True):
-            assert np.max(np.abs(stretch.at(instant) - row)) < 1e-11
-        t = stretch.end
+            assert np.max(np.abs(interval.at(instant) - row)) < 1e-11
+        t = interval.end
 
 
 def test_a_jump_has_its_earlier_value_before_and_its_later_value_after():
-    """The speed of the slide at 0.5 s is 0 at the end of one stretch and that of the path at the start of the next."""
+    """The speed of the slide at 0.5 s is 0 at the end of one interval and that of the path at the start of the next."""
     desired = wanted("wam_slide")
     ends = bounds(desired, 1.0)
     assert 0.5 in ends
     n = desired.joints.q.shape[1]
-    before = stretch_from(desired, 0.4, 0.5).at(0.5)
-    after = stretch_from(desired, 0.5, ends[np.searchsorted(ends, 0.5, side="right")]).at(0.5)
+    before = interval_from(desired, 0.4, 0.5).at(0.5)
+    after = interval_from(desired, 0.5, ends[np.searchsorted(ends, 0.5, side="right")]).at(0.5)
     assert before[:n] == pytest.approx(after[:n], abs=1e-14)
     assert np.max(np.abs(before[n : 2 * n])) < 1e-14
     assert after[n : 2 * n] == pytest.approx(desired.table(np.array([0.5]))[0, n : 2 * n], abs=1e-12)
@@ -80,15 +80,15 @@ def test_jumps_are_rows_where_they_mean_rows():
     assert found[-1] == rows[-1]
 
 
-def test_a_stretch_ends_early_where_no_polynomial_reaches_so_far():
+def test_an_interval_ends_early_where_the_polynomial_is_inaccurate():
     """A force of 200 Hz over a second is cut into pieces of a few periods at most."""
     fast = wanted(
         "planar2_slide",
         **{"force_profile.kind": "sine", "force_profile.amplitude": 3.0, "force_profile.frequency": 200.0},
     )
-    stretch = stretch_from(fast, 0.0, 0.4)
-    assert 1e-4 < stretch.end < 0.01
-    assert stretch.at(stretch.end)[-1] == pytest.approx(10 + 3 * np.sin(400 * np.pi * stretch.end), abs=1e-11)
+    interval = interval_from(fast, 0.0, 0.4)
+    assert 1e-4 < interval.end < 0.01
+    assert interval.at(interval.end)[-1] == pytest.approx(10 + 3 * np.sin(400 * np.pi * interval.end), abs=1e-11)
 
 
 @pytest.mark.parametrize("slope", [0.5, 3.0, 40.0])

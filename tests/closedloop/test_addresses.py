@@ -3,7 +3,7 @@
 import numpy as np
 
 from closedloop.jit.kernel import kernel
-from closedloop.jit.pointers import address_of, fortran_at, matrix_at, vector_at, whole_at
+from closedloop.jit.pointers import address_of, fortran_at, integers_at, matrix_at, vector_at
 
 
 @kernel
@@ -11,7 +11,7 @@ def _double(vector, matrix, fortran, whole):
     for x in (vector_at(vector, 6),):
         for i in range(6):
             x[i] *= 2.0
-    m, f, w = matrix_at(matrix, 2, 3), fortran_at(fortran, 2, 3), whole_at(whole, 2)
+    m, f, w = matrix_at(matrix, 2, 3), fortran_at(fortran, 2, 3), integers_at(whole, 2)
     for i in range(2):
         w[i] += 10
         for j in range(3):

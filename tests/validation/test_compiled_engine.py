@@ -5,7 +5,7 @@ import pytest
 
 import closedloop as cl
 import robot_models
-from closedloop.engines.problem import needs_more
+from closedloop.engines.problem import needs_general_form
 from closedloop.robot.tree import tree_of
 from validation.engines import CannotBuild, available
 from validation.engines.compiled import Compiled
@@ -42,7 +42,7 @@ def test_every_shipped_scenario_is_the_same_in_both_engines(name):
 
 def test_shipped_scenarios_need_both_forms_of_the_engine():
     """The scenarios above exercise the small form of the compiled loop and the full one, and every kind of event."""
-    more = {name: needs_more(cl.load_scenario(name)) for name in shipped()}
+    more = {name: needs_general_form(cl.load_scenario(name)) for name in shipped()}
     assert set(more.values()) == {True, False}
 
 

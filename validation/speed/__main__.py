@@ -98,7 +98,7 @@ def line_up(arms: Sequence[str], steps: int, runs: int) -> tuple[list[Contestant
         if there["drake"]:
             everyone.append(contestants.drake_loop(arm, slide(arm, max(1, steps // DRAKE_SHARE))))
         if arm == "wam4":
-            everyone.append(contestants.own_law(arm, problem))
+            everyone.append(contestants.user_law(arm, problem))
             whole = slide(arm, 2 * steps)  # by default as long as `wam_slide`
             everyone += contestants.whole_call(arm, whole)
             everyone += [batch.compiled_batch(arm, whole, runs, threads) for threads in (1, 2)]

@@ -96,7 +96,7 @@ def whole_call(arm: str, problem: Problem) -> tuple[Contestant, Contestant]:
     return both, replace(both, name="call_steps", lap=call, what="cl.simulate, its steps")
 
 
-def own_law(arm: str, problem: Problem) -> Contestant:
+def user_law(arm: str, problem: Problem) -> Contestant:
     """Return the compiled engine with Eq. 33 as a law of a user's own, compiled by numba."""
     (press, pd_start), (kp, kd), path = problem.settings, problem.gains, problem.path
     normal, h = problem.plane.normal, problem.h

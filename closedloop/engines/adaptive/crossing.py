@@ -1,4 +1,4 @@
-"""The first instant at which an event function falls below zero within a step, from its values at any instants."""
+"""The first instant at which an event function falls below zero within a step."""
 
 from __future__ import annotations
 
@@ -7,10 +7,10 @@ from collections.abc import Callable
 import numpy as np
 from scipy.optimize import brentq, minimize_scalar
 
-# Places in a step at which the event function is looked at. Within a step that an integrator of order eight takes to a
-# small tolerance, an event function has no more wiggles than these show.
-PLACES = 8
-# A dip between places is looked into if the parabola through them falls to this share of the lowest place.
+# Intervals of a step at whose ends the event function is evaluated: enough for its extrema within a step of an
+# integrator of order eight with a small tolerance.
+SAMPLES = 8
+# A minimum is searched for if the parabola through three samples falls below this share of the lowest.
 DEEP = 0.3
 
 EventFunction = Callable[[float], float]
@@ -33,12 +33,12 @@ def first_crossing(
     length : float
         Of the step.
     floor : float
-        What is no deeper than this below zero is rounding.
+        A value no further than this below zero is rounding.
     rate : callable, optional
-        Derivative of the event function. With it no dip escapes that begins and ends between two places, nor a rise
-        from zero that is over before the first place.
+        Derivative of the event function. With it a minimum between two samples is found, and a rise from zero that
+        ends before the first sample.
     """
-    times: list[float] = np.linspace(0.0, length, PLACES + 1).tolist()
+    times: list[float] = np.linspace(0.0, length, SAMPLES + 1).tolist()
     values = [event_function(t) for t in times]
     for t in _extremes(event_function, rate, times, values):
         times.append(t)
@@ -55,12 +55,12 @@ def first_crossing(
 def _extremes(
     event_function: EventFunction, rate: EventFunction | None, times: list[float], values: list[float]
 ) -> list[float]:
-    """Return instants between the places at which the event function is highest or lowest."""
+    """Return instants between the samples at which the event function has extrema."""
     if rate is not None:
         slopes = [rate(t) for t in times]
-        return [root(rate, times[i], times[i + 1]) for i in range(PLACES) if slopes[i] * slopes[i + 1] < 0.0]
+        return [root(rate, times[i], times[i + 1]) for i in range(SAMPLES) if slopes[i] * slopes[i + 1] < 0.0]
     found = []
-    for i in range(1, PLACES):
+    for i in range(1, SAMPLES):
         left, here, right = values[i - 1 : i + 2]
         bend = left - 2.0 * here + right
         dips = here <= min(left, right) and bend > 0.0 and here > 0.0

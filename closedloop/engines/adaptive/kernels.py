@@ -1,4 +1,4 @@
-"""The kernels of a step, to be asked about any state at any instant."""
+"""The kernels of a step, for any state at any instant."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from closedloop.events.locate import event_function, slip_margin
 from closedloop.events.substep import save_state
 from closedloop.friction.laws import capture_speed
 from closedloop.jit.kernel import entry_kernel, inlined_kernel
-from closedloop.jit.pointers import fortran_at, matrix_at, vector_at, whole_at
+from closedloop.jit.pointers import fortran_at, integers_at, matrix_at, vector_at
 from closedloop.robot.tip import tip_kinematics
 from closedloop.step.energy_supplied import power
 from closedloop.step.evaluate import evaluate
@@ -22,12 +22,12 @@ from closedloop.step.record_row import record
 Array = NDArray[np.float64]
 
 # What a state is evaluated for: its derivative, to begin a step from it, to see how far an event is, to record it.
-DERIVE, BEGIN_SUBSTEP, EVENT_VALUE, RECORD = range(4)
+DERIVE, BEGIN_STEP, EVENT_VALUE, RECORD = range(4)
 
 
 @inlined_kernel
-def _on_pinocchio(address: int, table: Array, use: int, more: int | None) -> int:
-    a = Addresses(whole_at(address, ADDRESSES))
+def _on_pinocchio(address: int, table: Array, use: int, general: int | None) -> int:
+    a = Addresses(integers_at(address, ADDRESSES))
     n = a.n
     state, constants, w = loop_at(a.loop)
     tip_kinematics(
@@ -35,43 +35,43 @@ def _on_pinocchio(address: int, table: Array, use: int, more: int | None) -> int
         vector_at(a.acceleration, 6), constants.tip, constants.gravity, constants.support, w.J, w.r, w.drift,
     )  # fmt: skip
     H, C, rows = fortran_at(a.H, n, n), vector_at(a.C, n), matrix_at(a.rows, a.row_count, a.row_width)
-    status = evaluate(H, C, w, constants, state, matrix_at(a.table, a.instants, a.table_width), rows, more)
+    status = evaluate(H, C, w, constants, state, matrix_at(a.table, a.instants, a.table_width), rows, general)
     if status != OK:
         return status
     if use == DERIVE:
         w.start_power = power(w)
-    elif use == BEGIN_SUBSTEP:
-        save_state(w, constants, state, more)
+    elif use == BEGIN_STEP:
+        save_state(w, constants, state, general)
     elif use == EVENT_VALUE:
-        w.event_value = event_function(w, constants, state, more)
-        if more is not None and state.sticking == RIGID_STICK and state.mode == PRESSED:
+        w.event_value = event_function(w, constants, state, general)
+        if general is not None and state.sticking == RIGID_STICK and state.mode == PRESSED:
             band = capture_speed(state.friction, constants.friction)
             begun = w.start_slip_speed
-            if begun > constants.stick_speed and not begun > band > 0.0:  # see `Memory.happen`
+            if begun > constants.stick_speed and not begun > band > 0.0:  # see `Memory.apply_event`
                 w.event_value = min(w.event_value, 1e3 * (slip_margin(w, constants, state) - constants.stick_speed))
     elif use == RECORD:
-        record(H, C, w, constants, state, table, rows, state.row, more)
+        record(H, C, w, constants, state, table, rows, state.row, general)
     return OK
 
 
 @entry_kernel
 def evaluate_on_pinocchio(address: int, table: Array, use: int) -> int:
-    """Do `closedloop.step.evaluate.evaluate` on what Pinocchio left in its data, and return its status.
+    """Do `closedloop.step.evaluate.evaluate` with the terms in Pinocchio's data, and return its status.
 
     Parameters
     ----------
     address : int
-        Of the memory of `closedloop.engines.pinocchio.Addresses`, where a table of one row stands for what is desired
-        at this instant.
+        Of the memory of `closedloop.engines.pinocchio.Addresses`, with a table of one row, the reference at this
+        instant.
     table : (P, 2 n + 11) array
         The whole table, for the noise of the force sensor.
     use : int
-        What the state is for: DERIVE, BEGIN_SUBSTEP, EVENT_VALUE or RECORD.
+        What the state is for: DERIVE, BEGIN_STEP, EVENT_VALUE or RECORD.
     """
     return _on_pinocchio(address, table, use, None)
 
 
 @entry_kernel
-def evaluate_with_more_on_pinocchio(address: int, table: Array, use: int) -> int:
-    """Do the same with everything that may come on top: other laws, friction, a force sensor."""
+def evaluate_general_on_pinocchio(address: int, table: Array, use: int) -> int:
+    """Do the same in the general form: other laws, friction, a force sensor."""
     return _on_pinocchio(address, table, use, 1)

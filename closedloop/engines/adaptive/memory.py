@@ -1,4 +1,4 @@
-"""The loop's memory for an integrator that asks for any state at any instant, and the calls on it."""
+"""The loop's memory for an integrator that evaluates any state at any instant, and the calls on it."""
 
 from __future__ import annotations
 
@@ -12,13 +12,13 @@ from numpy.typing import NDArray
 from closedloop.closure.contact_force import FREE, PRESSED
 from closedloop.closure.solve import LAW_FAILED, OK
 from closedloop.engines.adaptive.kernels import (
-    BEGIN_SUBSTEP,
+    BEGIN_STEP,
     DERIVE,
     EVENT_VALUE,
+    evaluate_general_on_pinocchio,
     evaluate_on_pinocchio,
-    evaluate_with_more_on_pinocchio,
 )
-from closedloop.engines.adaptive.smooth import Stretch
+from closedloop.engines.adaptive.smooth import Interval
 from closedloop.engines.loops import PINOCCHIO, loop_for
 from closedloop.engines.pinocchio import addresses_of, set_events
 from closedloop.engines.problem import Problem
@@ -44,7 +44,8 @@ from closedloop.step.record_row import Row
 
 Array = NDArray[np.float64]
 
-# Nearer to the end of a stretch than this share of a row, the law's clock stands still: it has not switched yet.
+# Within this share of a row before the end of an interval the law's time stays at that instant: a law that switches at
+# the end has not switched yet.
 BEFORE = 1e-6
 
 
@@ -57,8 +58,7 @@ class Stopped(Exception):
 
 
 class Memory:
-    """The loop's memory, and the calls on it. A state y is q, q̇, z and the energy supplied in one array (2 n + k +
-    1,).
+    """The loop's memory, and the calls on it; a state y (2 n + k + 1,) is q, q̇, z and the energy supplied.
 
     Attributes
     ----------
@@ -75,21 +75,21 @@ class Memory:
     def __init__(self, problem: Problem, law: Law | None) -> None:
         robot = problem.robot
         self.robot, self.n, self.h = robot, robot.n, problem.h
-        self.loop = problem.loop(own_law=law is not None)
+        self.loop = problem.loop(user_law=law is not None)
         self.state, self.constants, self.w = self.loop
         self.user_law = None if law is None else UserLaw(law, self.loop)
         (self.user_law.connect if self.user_law else partial(problem.connect, self.loop))()
-        self.state.steps = -1  # it chooses its own, and they are short where slip turns fast
+        self.state.steps = -1  # not of fixed length: friction need not be corrected for slip turning within a step
         self.hold = int(self.state.hold)
         self.rows = np.zeros((problem.steps + 1, Row.of(robot.n).width))
         self.events = np.zeros((INITIAL_EVENTS, EVENT_WIDTH))
         self._terms = robot.evaluator(self.w.q, self.w.v)
-        more = problem.more or law is not None
-        self._machine: Callable[..., int] = loop_for(PINOCCHIO, more)
-        self._evaluate: Callable[..., int] = evaluate_with_more_on_pinocchio if more else evaluate_on_pinocchio
-        make_ready(self._machine, self._evaluate)
+        general = problem.general or law is not None
+        self._loop: Callable[..., int] = loop_for(PINOCCHIO, general)
+        self._evaluate: Callable[..., int] = evaluate_general_on_pinocchio if general else evaluate_on_pinocchio
+        make_ready(self._loop, self._evaluate)
         self._table, self._tableau = problem.table, problem.integrator.tableau()
-        # What is desired at the instant evaluated: a table of one row.
+        # The reference at the instant evaluated: a table of one row.
         self._wanted = problem.table[:1].copy()
         self._addresses = addresses_of(robot.views, self.loop, self._wanted, self._tableau, self.rows, self.events)
 
@@ -102,67 +102,67 @@ class Memory:
         """Return a copy of the state in the memory."""
         return np.concatenate([self.w.q, self.w.v, self.w.z, [self.w.supplied]])
 
-    def evaluate(self, t: float, y: Array, stretch: Stretch, use: int) -> None:
+    def evaluate(self, t: float, y: Array, interval: Interval, use: int) -> None:
         """Evaluate law, friction, contact and Eq. 24 at y at the instant t, s.
 
         Parameters
         ----------
-        t, y, stretch
-            Instant, s, state, and the stretch in which the instant is.
+        t, y, interval
+            Instant, s, state, and the interval in which the instant lies.
         use : int
-            DERIVE, BEGIN_SUBSTEP, EVENT_VALUE (the event function is in w.event_value) or RECORD (in row state.row).
+            DERIVE, BEGIN_STEP, EVENT_VALUE (the event function is in w.event_value) or RECORD (in row state.row).
 
         Raises
         ------
         Stopped
-            If there is no solution, or a law of one's own gives no torque.
+            If there is no solution, or a user's law returns no torque.
         """
         self.put(y)
-        self.wait(t, stretch)
+        self.set_time(t, interval)
         self._evaluate_for(use)
 
-    def wait(self, t: float, stretch: Stretch) -> None:
-        """Set the clock, and what is desired, to the instant t, s, of the stretch."""
-        self._wanted[0, :-1] = stretch.at(t)
-        instant = min(t, max(stretch.start, stretch.end - BEFORE * self.h))
+    def set_time(self, t: float, interval: Interval) -> None:
+        """Set the time and the reference to the instant t, s, of the interval."""
+        self._wanted[0, :-1] = interval.at(t)
+        instant = min(t, max(interval.start, interval.end - BEFORE * self.h))
         # The table's spacing is such that its one row is the one for this instant.
         self.w.time, self.constants.node = instant, instant if instant > 0.0 else 1.0
 
-    def rate(self, t: float, y: Array, stretch: Stretch) -> Array:
+    def rate(self, t: float, y: Array, interval: Interval) -> Array:
         """Return ẏ (2 n + k + 1,)."""
-        self.evaluate(t, y, stretch, DERIVE)
+        self.evaluate(t, y, interval, DERIVE)
         return np.concatenate([self.w.v, self.w.qdd, self.w.dz, [self.w.start_power]])
 
     def start(self) -> float:
-        """Write the row of t = 0 with whatever happens there, as the machine does for steps of fixed length.
+        """Record the row of t = 0 and apply the events there, as for steps of fixed length.
 
         Returns
         -------
         float
-            The instant by the clock, s, from which on everything is compiled.
+            The clock's time, s, after which everything is compiled.
         """
         answer = TERMS
         while self.state.row == 0:
-            self._serve(answer)
+            self._answer(answer)
             answer = self._proceed()
-        # The machine has set out on a step already.
+        # The loop has begun a step already: its beginning is the state at t = 0.
         self.put(np.append(self.w.begin, self.w.supplied))
         self.w.substep_work = 0.0
-        self._evaluate_for(BEGIN_SUBSTEP)
+        self._evaluate_for(BEGIN_STEP)
         return clock.perf_counter()
 
     def begin(self, t: float) -> None:
-        """Let the machine look at the contact at the state evaluated last, at t, s, and change its mode if it must."""
+        """Check the contact mode at the state evaluated last, at t, s, and change it if it is inconsistent."""
         self.w.time = t
-        self._work(AFTER_EVENT)
+        self._run_events(AFTER_EVENT)
 
-    def happen(self, t: float, y: Array, stretch: Stretch) -> float:
-        """Let the machine do what happens at y at t, s, and return the instant at which it did, s.
+    def apply_event(self, t: float, y: Array, interval: Interval) -> float:
+        """Apply the event at y at t, s, and return the instant at which it was applied, s.
 
-        Slip is followed down to STICK_SPEED. From there it takes some 1e-6 s to stop, in which its direction and the
-        acceleration are constant but for 1e-12; the equations are not: in the last of it the direction is rounding.
+        Slip is integrated down to STICK_SPEED. From there it stops within some 1e-6 s, in which its direction and the
+        acceleration are constant to 1e-12, so the stop is extrapolated; near rest the direction of slip is rounding.
         """
-        self.evaluate(t, y, stretch, EVENT_VALUE)
+        self.evaluate(t, y, interval, EVENT_VALUE)
         w, rigid = self.w, self.state.sticking == RIGID_STICK and self.state.mode == PRESSED
         slip = w.u[1:]
         if rigid and 0.0 < np.hypot(*slip) <= 2.0 * self.constants.stick_speed and w.rigid_force > 0.0:
@@ -171,33 +171,33 @@ class Memory:
             if left > 0.0:
                 t += left
                 mean = w.v + 0.5 * left * w.qdd
-                self.evaluate(t, self.get() + left * np.concatenate([mean, w.qdd, w.dz, [0.0]]), stretch, EVENT_VALUE)
+                self.evaluate(t, self.get() + left * np.concatenate([mean, w.qdd, w.dz, [0.0]]), interval, EVENT_VALUE)
         w.time = t
-        self._work(AT_EVENT)
+        self._run_events(AT_EVENT)
         return t
 
-    def closed(self, y: Array) -> Array:
-        """Return the state put back on the closure, if the scenario has a projection and the tip is on the surface."""
+    def projected(self, y: Array) -> Array:
+        """Return the state projected onto the closure, if the scenario has a projection and the tip is in contact."""
         if self.state.project == 0 or self.state.mode == FREE:
             return y
         self.put(y)
         self.state.projections, self.state.next_phase = 0, STEP_END
-        self._work(PROJECTION)
+        self._run_events(PROJECTION)
         return self.get()
 
-    def _work(self, phase: int) -> None:
-        """Let the machine do all that is to be done at this instant, until it arrives at what it takes for a row."""
+    def _run_events(self, phase: int) -> None:
+        """Handle the events or the projection at this instant, from a phase on until the state could be recorded."""
         sampled, row = int(self.state.sampled), int(self.state.row)
         self.state.phase, self.state.row, self.state.events_in_step = phase, 1, 0
         self.constants.h = self.w.time
         answer = TERMS  # the torque has been evaluated
         while self.state.phase != STEP_END:
-            self._serve(answer)
+            self._answer(answer)
             answer = self._proceed()
         self.state.sampled, self.state.row, self.constants.h = sampled, row, self.h
 
-    def _serve(self, answer: int) -> None:
-        """Do what the machine asks for."""
+    def _answer(self, answer: int) -> None:
+        """Provide what the loop has requested."""
         if answer == TABLE_FULL:
             self.events = np.vstack([self.events, np.zeros_like(self.events)])
             set_events(self._addresses, self.events)
@@ -212,13 +212,13 @@ class Memory:
         self._check(self._evaluate(address_of(self._addresses.memory), self._table, use))
 
     def _proceed(self) -> int:
-        answer = self._machine(address_of(self._addresses.memory))
+        answer = self._loop(address_of(self._addresses.memory))
         if answer == FAILED:
             self._check(int(self.state.status))
         return answer
 
     def _check(self, status: int) -> None:
-        """Refuse to go on with a status other than OK."""
+        """Raise an error for a status other than OK."""
         if status == LAW_FAILED and self.user_law is not None:
             error = self.user_law.failure()
             if isinstance(error, DivergenceError):  # no number: a shorter step may do

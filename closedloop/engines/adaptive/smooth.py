@@ -1,9 +1,9 @@
-"""What is desired, stretch by stretch: between two instants at which something jumps it is a polynomial, ends included.
+"""The reference between its discontinuities, as Chebyshev polynomials.
 
-An integrator of high order must not step over a jump, and must be able to ask for any instant. So the run is cut where
-the reference, its derivatives or the law jump. On each stretch the desired motion and force are a polynomial through
-their values at Chebyshev nodes, all of which lie inside: at the end of a stretch it has the earlier value of what
-jumps there, at the beginning the later one.
+An integrator of high order must not step over a discontinuity, and needs the reference at any instant. So the run is
+divided where the reference, its derivatives or the law are discontinuous. On each interval the desired motion and force
+are interpolated at Chebyshev nodes inside it: at the end of an interval they have the left limit, at its beginning the
+right limit.
 """
 
 from __future__ import annotations
@@ -30,55 +30,55 @@ _ANGLES = np.pi * (np.arange(NODES) + 0.5) / NODES
 _DEGREES = np.arange(NODES, dtype=np.float64)
 # Values at the nodes to coefficients of Chebyshev polynomials.
 _TRANSFORM = np.cos(np.outer(_DEGREES, _ANGLES)) * np.where(_DEGREES == 0.0, 1.0, 2.0)[:, None] / NODES
-# Where the polynomial is compared with what it stands for, on −1 .. 1, and how far it may be off, relative to 1 or to
-# the value. Halving a stretch divides what is off by 2¹⁶; where it does not, and little is off, that is rounding.
+# Points of −1 .. 1 at which the interpolation error is checked, and its bounds, relative to 1 or to the value. Halving
+# an interval divides the error by 2¹⁶; an error below LITTLE that does not fall is rounding.
 _CHECKS = np.array([-0.995, -0.3, 0.55, 0.999])
 MISFIT, LITTLE = 1e-13, 1e-10
 MOST_HALVINGS = 50
 
 
 @dataclass(frozen=True)
-class Stretch:
-    """What is desired from `start` to `end`, s: coefficients (NODES, 2 n + 10) of Chebyshev polynomials on it."""
+class Interval:
+    """The reference from `start` to `end`, s: coefficients (NODES, 2 n + 10) of Chebyshev polynomials."""
 
     start: float
     end: float
     coefficients: Array
 
     def at(self, t: float) -> Array:
-        """Return the row of `Desired.table` (2 n + 10,) at an instant of the stretch, s."""
+        """Return the row of `Desired.table` (2 n + 10,) at an instant of the interval, s."""
         x = (2.0 * (t - self.start)) / (self.end - self.start) - 1.0
         row: Array = np.cos(_DEGREES * math.acos(min(1.0, max(-1.0, x)))) @ self.coefficients
         return row
 
 
-def stretch_from(wanted: Desired, start: float, end: float) -> Stretch:
-    """Return the stretch from `start` to `end`, s, or to an earlier instant, where no polynomial reaches so far."""
+def interval_from(wanted: Desired, start: float, end: float) -> Interval:
+    """Return the interval from `start` to `end`, s, or a shorter one on which the polynomial is accurate."""
     worst = math.inf
     for _ in range(MOST_HALVINGS):
         middle, half = 0.5 * (start + end), 0.5 * (end - start)
         values = wanted.table(middle + half * np.concatenate([np.cos(_ANGLES), _CHECKS]))
-        stretch = Stretch(start, end, _TRANSFORM @ values[:NODES])
-        fitted = np.cos(np.outer(np.arccos(_CHECKS), _DEGREES)) @ stretch.coefficients
+        interval = Interval(start, end, _TRANSFORM @ values[:NODES])
+        fitted = np.cos(np.outer(np.arccos(_CHECKS), _DEGREES)) @ interval.coefficients
         off = float(np.max(np.abs(fitted - values[NODES:]) / (1.0 + np.abs(values[NODES:]))))
         if off <= MISFIT or (off <= LITTLE and off > 0.5 * worst):
             break
         worst, end = off, middle
-    return stretch
+    return interval
 
 
 def jumps(wanted: Desired, others: Array, rows: Array) -> Array:
-    """Return the instants between which everything that acts on the arm is smooth, s, increasing.
+    """Return the instants between which the right-hand side is smooth, s, increasing.
 
     Parameters
     ----------
     wanted : Desired
-        Its knots, the ends of the pieces of the tip's path, and where the force profile steps or bends.
+        Its knots, the ends of the segments of the tip's path, and the corners of the force profile.
     others : array
         Further instants, s.
     rows : (N,) array
-        Instants of the recorded rows, s, the first and the last of which bound the run; a jump that is one of them
-        but for rounding is that one.
+        Instants of the recorded rows, s, the first and the last of which bound the run; a discontinuity that differs
+        from one of them by rounding is set to it.
     """
     pieces = [x for piece in wanted.tip.pieces for x in (piece.start, piece.stop)]
     instants = np.concatenate([rows[[0, -1]], wanted.joints.times, pieces, _force_jumps(wanted), others])

@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from closedloop.jit.kernel import kernel
 
 Array = NDArray[np.float64]
-Whole = NDArray[np.int64]
+IntArray = NDArray[np.int64]
 
 LANES = 4
 
@@ -83,7 +83,7 @@ class Tree(NamedTuple):
     once: int
     carrier: int
     serial: int
-    links: Whole
+    links: IntArray
     constants: Array
 
 

@@ -10,7 +10,7 @@ import pytest
 import closedloop as cl
 from closedloop.control.law import commanded_force
 from closedloop.control.laws.paper import PaperLaw
-from closedloop.engines.own_law import fresh
+from closedloop.engines.law_source import fresh
 from closedloop.sections import Gain, Number
 
 README = Path(__file__).resolve().parents[2] / "README.md"

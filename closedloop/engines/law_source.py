@@ -1,4 +1,4 @@
-"""A law of one's own, as a piece of source: how it is called, where it failed, whether it is still the same text."""
+"""A user's law as source: how it is called, the line at which it failed, and a digest of its text."""
 
 from __future__ import annotations
 
@@ -27,9 +27,9 @@ def law_failure(law: Any, error: BaseException, t: float) -> LawError:
 
 
 def fresh(law: Any) -> Any:
-    """Return a law as it was before any run: a copy of an object that is called and keeps something, else itself.
+    """Return a law in its state before any run: a deep copy of a callable object, else the law itself.
 
-    One with a `reset` is reset by every run; one that cannot be copied is what it is.
+    A law with a `reset` is reset by every run; one that cannot be copied is returned as it is.
     """
     if isinstance(law, (FunctionType, MethodType, type)) or hasattr(law, "py_func") or hasattr(law, "reset"):
         return law
@@ -40,7 +40,7 @@ def fresh(law: Any) -> Any:
 
 
 def law_digest(law: Any) -> str:
-    """Return the SHA-256 of the text that a law is defined in, see `closedloop.user_code.source_digest`."""
+    """Return the SHA-256 of a law's source, see `closedloop.user_code.source_digest`."""
     return source_digest(_function(law))
 
 
@@ -53,7 +53,7 @@ def _function(law: Any) -> Any:
 
 
 def _where(law: Any, error: BaseException) -> str:
-    """Return 'file:line: ' of the last line of the law's own file on the way to an error, else of the last line."""
+    """Return 'file:line: ' of the innermost frame in the law's own file, else of the innermost frame."""
     frames = traceback.extract_tb(error.__traceback__)[1:]  # the first is the caller
     if not frames:
         return ""

@@ -2,7 +2,8 @@
 
 A number is also of a size that means something: `Size` says from where to where, in which unit, and why. The sizes
 below are far outside of what any arm does, and far inside of what a number can hold, so that products, squares and
-quotients of what a scenario says never overflow. A key takes one of them, or its own:
+quotients of what a scenario says never overflow. A key takes one of them, or its own; one that any number may be takes
+`Unit`:
 
     force: Annotated[Number, FORCE] = Field(10.0, description=...)
 """
@@ -15,6 +16,7 @@ from dataclasses import dataclass
 from typing import Annotated, Any, get_args
 
 from pydantic import BaseModel, BeforeValidator, ConfigDict, Field, GetCoreSchemaHandler
+from pydantic.fields import FieldInfo
 from pydantic_core import CoreSchema, core_schema
 
 from robot_models.errors import shown
@@ -55,12 +57,26 @@ def _finite(value: Any) -> float:
     return number
 
 
+@dataclass(frozen=True)
+class Unit:
+    """The unit of a number that has no `Size`, or of each entry of a list.
+
+    Attributes
+    ----------
+    unit : str
+        "" for a number without one; "rad (m)" where it is the second for a prismatic joint.
+    """
+
+    unit: str
+
+
 Number = Annotated[float, BeforeValidator(_number)]
 Positive = Annotated[float, BeforeValidator(_number), Field(gt=0.0)]
 NotNegative = Annotated[float, BeforeValidator(_number), Field(ge=0.0)]
-Restitution = Annotated[float, BeforeValidator(_number), Field(ge=0.0, le=1.0)]
+Instant = Annotated[NotNegative, Unit("s")]
+Restitution = Annotated[float, BeforeValidator(_number), Field(ge=0.0, le=1.0), Unit("")]
 Flag = Annotated[bool, BeforeValidator(_boolean)]
-Vector3 = tuple[Number, Number, Number]
+Direction = Annotated[tuple[Number, Number, Number], Unit("")]
 PerJoint = tuple[Number, ...]
 Gain = Annotated[float | tuple[float, ...], BeforeValidator(_gain)]
 
@@ -80,7 +96,7 @@ class Size:
     most : float
         The largest magnitude.
     unit : str
-        Its unit, "" for a number without one.
+        Its unit, see `Unit`.
     why : str
         Why there are no larger ones, for the message.
     least : float
@@ -132,11 +148,19 @@ class Size:
 
 def sizes(annotation: Any) -> Iterator[Size]:
     """Return the sizes anywhere in the annotation of a key."""
+    return (part for part in _parts(annotation) if isinstance(part, Size))
+
+
+def field_units(field: FieldInfo) -> set[str]:
+    """Return the units of a field, "" for a number without one; none if it takes no numbers, or does not say."""
+    return {part.unit for part in (*field.metadata, *_parts(field.annotation)) if isinstance(part, Size | Unit)}
+
+
+def _parts(annotation: Any) -> Iterator[Any]:
+    """Return what an annotation is made of, to the innermost."""
     for part in get_args(annotation):
-        if isinstance(part, Size):
-            yield part
-        else:
-            yield from sizes(part)
+        yield part
+        yield from _parts(part)
 
 
 FORCE = Size(1e9, "N", "no arm presses so hard")
@@ -147,7 +171,8 @@ ANGLE = Size(1e6, "rad (m)", "no joint turns or reaches so far")
 SPEED = Size(1e4, "m/s", "a run stops at such speeds")
 JOINT_SPEED = Size(1e4, "rad/s (m/s)", "a run stops at such speeds")
 # A speed that another is compared with: that of no slip at all below, one that is never reached above.
-SPEED_SCALE = Size(1e9, "m/s (rad/s)", "nothing slips so fast", 1e-12, "slower slip is rounding")
+SPEED_SCALE = Size(1e9, "m/s", "nothing slips so fast", 1e-12, "slower slip is rounding")
+JOINT_SPEED_SCALE = Size(1e9, "rad/s (m/s)", "nothing slips so fast", 1e-12, "slower slip is rounding")
 COEFFICIENT = Size(1e6, "", "no surface rubs so", 1e-12)
 RATE = Size(1e12, "1/s", "no step resolves it", 1e-9, "no run lasts long enough to show it")
 ACCELERATION_GAIN = Size(1e15, "1/s²", "no step resolves it")

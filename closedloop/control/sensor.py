@@ -17,7 +17,7 @@ from closedloop.errors import ScenarioError
 from closedloop.jit.blocks import Block
 from closedloop.jit.kernel import kernel, plain
 from closedloop.parameters import pack, parameter_block
-from closedloop.sections import FORCE, PERIOD, NotNegative, Number, Section, Size
+from closedloop.sections import FORCE, PERIOD, NotNegative, Number, Section, Size, Unit
 
 Array = NDArray[np.float64]
 
@@ -33,7 +33,7 @@ def _seed(value: Any) -> Any:
     return value
 
 
-Seed = Annotated[int, BeforeValidator(_seed)]
+Seed = Annotated[int, BeforeValidator(_seed), Unit("")]
 QUANTUM = Size(1e9, "N", "no sensor is so coarse", 1e-12, "no sensor is so fine")
 
 

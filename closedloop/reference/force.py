@@ -10,7 +10,7 @@ from pydantic import Field
 
 from closedloop.errors import ScenarioError
 from closedloop.reference.lists import Forces, Instants
-from closedloop.sections import FORCE, NotNegative, Number, Positive, Section, Size
+from closedloop.sections import FORCE, Instant, Number, Positive, Section, Size
 
 Array = NDArray[np.float64]
 
@@ -31,7 +31,7 @@ class StepForceSection(Section):
 
     kind: Literal["step"] = "step"
     to: Annotated[Number, FORCE] = Field(description="desired force after the step, N")
-    at: NotNegative = Field(description="instant of the step, s")
+    at: Instant = Field(description="instant of the step, s")
 
 
 class SineForceSection(Section):
@@ -40,7 +40,7 @@ class SineForceSection(Section):
     kind: Literal["sine"] = "sine"
     amplitude: Annotated[Number, FORCE] = Field(description="amplitude of the sine, N; negative begins downwards")
     frequency: Annotated[Positive, FREQUENCY] = Field(description="frequency of the sine, Hz")
-    start: NotNegative = Field(0.0, description="instant at which the sine begins, s; law.force before")
+    start: Instant = Field(0.0, description="instant at which the sine begins, s; law.force before")
 
 
 class WaypointForceSection(Section):
@@ -86,15 +86,5 @@ def force_at(section: ForceProfile, base: float, t: Array) -> Array:
                 f"force_profile.forces has {len(section.forces)} entries: must have one for each of the "
                 f"{len(section.times)} force_profile.times"
             )
-        return np.where(later >= section.times[0], _between(np.array(section.times), np.array(section.forces), t), base)
+        return np.where(later >= section.times[0], np.interp(t, section.times, section.forces), base)
     return np.full(t.shape, base)
-
-
-def _between(times: Array, forces: Array, t: Array) -> Array:
-    """Return the forces (N,) straight between those at `times` (K,), constant beyond the ends, at t (N,)."""
-    if times.size == 1:
-        return np.full(t.shape, forces[0])
-    t = np.clip(t, times[0], times[-1])
-    k = np.clip(np.searchsorted(times, t, side="right") - 1, 0, times.size - 2)
-    share = (t - times[k]) / (times[k + 1] - times[k])
-    return (1.0 - share) * forces[k] + share * forces[k + 1]

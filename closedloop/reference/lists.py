@@ -7,7 +7,7 @@ from typing import Annotated, Any
 
 from pydantic import BeforeValidator
 
-from closedloop.sections import PLACE
+from closedloop.sections import PLACE, Unit
 from robot_models.errors import shown
 
 
@@ -60,6 +60,6 @@ def _points(value: Any) -> tuple[tuple[float, ...], ...]:
 
 
 Forces = Annotated[tuple[float, ...], BeforeValidator(lambda value: _numbers(value, "forces, N"))]
-Instants = Annotated[tuple[float, ...], BeforeValidator(_instants)]
-MotionInstants = Annotated[tuple[float, ...], BeforeValidator(lambda value: _at_least_two(_instants(value)))]
+Instants = Annotated[tuple[float, ...], BeforeValidator(_instants), Unit("s")]
+MotionInstants = Annotated[tuple[float, ...], BeforeValidator(lambda value: _at_least_two(_instants(value))), Unit("s")]
 Points = Annotated[tuple[Annotated[tuple[float, float, float], PLACE], ...], BeforeValidator(_points)]

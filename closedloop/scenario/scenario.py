@@ -31,6 +31,7 @@ from closedloop.sections import (
     JOINT_SPEED,
     PLACE,
     STEP,
+    Direction,
     Flag,
     NotNegative,
     Number,
@@ -39,7 +40,7 @@ from closedloop.sections import (
     Restitution,
     Section,
     Size,
-    Vector3,
+    Unit,
 )
 from robot_models.toml_text import toml_tables
 
@@ -64,7 +65,7 @@ class PlaneSection(Section):
     """[surface] kind = "plane": n·p = d in the base frame."""
 
     kind: Literal["plane"] = "plane"
-    normal: Vector3 = Field((0.0, 0.0, 1.0), description="out of the surface, base frame; any length but zero")
+    normal: Direction = Field((0.0, 0.0, 1.0), description="out of the surface, base frame; any length but zero")
     offset: Annotated[Number, PLACE] | Literal["start"] = Field(
         "start", description='d for the unit normal, m, or "start": through the tip at the start'
     )
@@ -172,7 +173,7 @@ def _tolerance(value: float) -> float:
     return value
 
 
-Tolerance = Annotated[Number, AfterValidator(_tolerance)]
+Tolerance = Annotated[Number, AfterValidator(_tolerance), Unit("")]
 
 
 class TimeSection(Section):

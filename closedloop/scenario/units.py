@@ -2,50 +2,51 @@
 
 from __future__ import annotations
 
-import re
 from functools import lru_cache
+from typing import TYPE_CHECKING
 
 from closedloop.families import users_named
+from closedloop.sections import field_units
 
-_UNITS = (
-    "N m s/rad", "N m/rad", "N s/m", "N m", "m/s", "rad/s", "1/s²", "1/s", "m/s²", "1/m", "s/m", "N/m", "Hz", "N", "kg",
-    "m", "s", "rad",
-)  # fmt: skip
-# A unit stands after a comma, and a comma, a bracket, a word or nothing follows.
-_UNIT = re.compile(r", (" + "|".join(re.escape(unit) for unit in _UNITS) + r")(?=$|[,;:( ])")
+if TYPE_CHECKING:
+    from pydantic.fields import FieldInfo
 
 
 @lru_cache(maxsize=8)
-def _descriptions(users: tuple[str, ...]) -> dict[str, str]:
-    """Return key -> what it is; `users` are the users' classes that have keys of their own (`users_named`)."""
+def _fields(users: tuple[str, ...]) -> dict[str, list[FieldInfo]]:
+    """Return key -> its field in every kind that has one of its own.
+
+    `users` are the users' classes that have keys of their own (`users_named`): what is remembered depends on them.
+    """
     from closedloop.scenario.messages import variant_keys, variants
     from closedloop.scenario.scenario import Scenario
 
-    found: dict[str, str] = {}
+    found: dict[str, list[FieldInfo]] = {}
     for section in Scenario.model_fields:
         for kind, variant in variants(section).items():
             for key in sorted(variant_keys(section, kind)):
-                text = variant.model_fields[key].description or ""
-                if text not in found.get(f"{section}.{key}", "").split(" | "):
-                    found[f"{section}.{key}"] = " | ".join(filter(None, (found.get(f"{section}.{key}"), text)))
+                found.setdefault(f"{section}.{key}", []).append(variant.model_fields[key])
     return found
+
+
+def _fields_of(key: str) -> list[FieldInfo]:
+    return _fields(users_named()).get(key, [])
 
 
 def key_description(key: str) -> str:
     """Return what a dotted key is, as --help has it; that of every kind, where kinds differ."""
-    return _descriptions(users_named()).get(key, "")
+    return " | ".join(dict.fromkeys(field.description for field in _fields_of(key) if field.description))
 
 
 def key_unit(key: str) -> str:
-    """Return the unit of a dotted key, "" if it has none or if its kinds differ."""
-    found = {match.group(1) for match in _UNIT.finditer(key_description(key).replace(" | ", ", "))}
+    """Return the unit of a dotted key, "" if it has none or if its kinds differ.
+
+    Where a prismatic joint has another, it is that of a revolute one.
+    """
+    found = {unit.partition(" (")[0] for field in _fields_of(key) for unit in field_units(field)}
     return found.pop() if len(found) == 1 else ""
 
 
 def takes_whole_numbers(key: str) -> bool:
     """Return whether a dotted key takes whole numbers only."""
-    from closedloop.scenario.messages import variants
-
-    section, _, name = key.partition(".")
-    fields = [variant.model_fields.get(name) for variant in variants(section).values()]
-    return any(field is not None and field.annotation is int for field in fields)
+    return any(field.annotation is int for field in _fields_of(key))

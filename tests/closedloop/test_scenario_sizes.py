@@ -11,7 +11,7 @@ from closedloop.control.sensor import MOST_QUANTA, SensorSection, pack_sensor, s
 from closedloop.errors import LONGEST_LINE, one_line
 from closedloop.scenario.messages import describe_keys, variants
 from closedloop.scenario.scenario import Scenario
-from closedloop.sections import Section, Size, sizes
+from closedloop.sections import Section, Size, field_units, sizes
 
 # Numbers of any size: instants beyond the end of a run, and what has a bound or a check of its own.
 ANY = {"start", "stop", "at", "pd_start", "times", "direction", "normal", "restitution", "passes", "seed", "tolerance"}
@@ -33,6 +33,15 @@ def test_every_number_of_a_scenario_has_a_size():
     for section, key, field in numbers():
         own = [part for part in field.metadata if isinstance(part, Size)] or list(sizes(field.annotation))
         assert own or key in ANY, (section, key)
+
+
+def test_every_number_of_a_scenario_has_one_unit():
+    """Labels and tables take it from the field; help, which people read, says the same one."""
+    for section, key, field in numbers():
+        units = field_units(field)
+        assert len(units) == 1, (section, key, units)
+        unit = units.pop()
+        assert not unit or re.search(rf", {re.escape(unit.partition(' (')[0])}(?=$|[,;:( ])", field.description), key
 
 
 def test_help_says_the_sizes():

@@ -23,7 +23,7 @@ from closedloop.control.law import Compensation
 from closedloop.control.law_input import LawInput
 from closedloop.control.tip_space import GainNotNegative
 from closedloop.jit.kernel import kernel
-from closedloop.sections import COEFFICIENT, SPEED_SCALE, TORQUE, NotNegative, Positive, viscous_in
+from closedloop.sections import COEFFICIENT, JOINT_SPEED_SCALE, SPEED_SCALE, TORQUE, NotNegative, Positive, viscous_in
 
 Array = NDArray[np.float64]
 
@@ -62,7 +62,7 @@ class ModelCompensation(Compensation):
     joint_viscous: Annotated[GainNotNegative, viscous_in("N m s/rad")] = Field(
         0.0, description="believed viscous coefficient, N m s/rad, one per joint or one for all"
     )
-    joint_smoothing_speed: Annotated[Positive, SPEED_SCALE] = Field(
+    joint_smoothing_speed: Annotated[Positive, JOINT_SPEED_SCALE] = Field(
         0.001, description="wanted joint speed below which its feed-forward fades, rad/s (m/s)"
     )
 

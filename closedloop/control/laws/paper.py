@@ -23,7 +23,7 @@ from closedloop.control.law import ControlLaw, commanded_force
 from closedloop.control.law_input import LawInput
 from closedloop.jit.kernel import kernel_inlined
 from closedloop.jit.simd8 import select
-from closedloop.sections import Gain, NotNegative, gain_in
+from closedloop.sections import Gain, Instant, gain_in
 
 Array = NDArray[np.float64]
 
@@ -63,7 +63,7 @@ class PaperLaw(ControlLaw):
     kd: Annotated[Gain, gain_in("N m s/rad")] = Field(
         description="velocity gain K_d, N m s/rad, one per joint or one for all"
     )
-    pd_start: NotNegative | None = Field(
+    pd_start: Instant | None = Field(
         None,
         description="instant from which the PD part acts, s; that at which the reference starts to move if left out",
     )

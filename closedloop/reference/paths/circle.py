@@ -14,7 +14,7 @@ from closedloop.reference.curves import Ellipse
 from closedloop.reference.path import Path
 from closedloop.reference.timing import minimum_jerk
 from closedloop.reference.tip_path import Piece, TipPath
-from closedloop.sections import LENGTH, NotNegative, Number, Positive, Vector3
+from closedloop.sections import LENGTH, Direction, Instant, Number, Positive
 
 Array = NDArray[np.float64]
 
@@ -25,15 +25,15 @@ class Circle(Path):
     Positive turns go counter-clockwise seen from off the surface: by the right-hand rule about the normal.
     """
 
-    direction: Vector3 = Field(
+    direction: Direction = Field(
         description="direction from the tip's start to the centre, along the surface, base frame; any length but zero"
     )
     radius: Annotated[Positive, LENGTH] = Field(description="radius of the circle, m")
     turns: Annotated[Number, TURNS] = Field(
         1.0, description="how many times round; positive: counter-clockwise seen from off the surface; not zero"
     )
-    start: NotNegative = Field(0.5, description="instant at which the tip starts to move, s")
-    stop: NotNegative = Field(description="instant at which it stops, s")
+    start: Instant = Field(0.5, description="instant at which the tip starts to move, s")
+    stop: Instant = Field(description="instant at which it stops, s")
 
     def tip_path(self, origin: Array, normal: Array) -> TipPath:
         """Return the circle; see `Path.tip_path`.

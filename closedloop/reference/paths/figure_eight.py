@@ -14,7 +14,7 @@ from closedloop.reference.curves import Eight
 from closedloop.reference.path import Path
 from closedloop.reference.timing import minimum_jerk
 from closedloop.reference.tip_path import Piece, TipPath
-from closedloop.sections import LENGTH, NotNegative, Positive, Vector3
+from closedloop.sections import LENGTH, Direction, Instant, Positive
 
 Array = NDArray[np.float64]
 
@@ -25,12 +25,12 @@ class FigureEight(Path):
     The tip starts at the crossing.
     """
 
-    direction: Vector3 = Field(description="along the eight, in the surface, base frame; any length but zero")
+    direction: Direction = Field(description="along the eight, in the surface, base frame; any length but zero")
     width: Annotated[Positive, LENGTH] = Field(description="extent of the eight along direction, m")
     height: Annotated[Positive, LENGTH] = Field(description="extent of the eight across it, m")
     turns: Annotated[Positive, TURNS] = Field(1.0, description="how many times round the eight")
-    start: NotNegative = Field(0.5, description="instant at which the tip starts to move, s")
-    stop: NotNegative = Field(description="instant at which it stops, s")
+    start: Instant = Field(0.5, description="instant at which the tip starts to move, s")
+    stop: Instant = Field(description="instant at which it stops, s")
 
     def tip_path(self, origin: Array, normal: Array) -> TipPath:
         """Return the eight; see `Path.tip_path`.

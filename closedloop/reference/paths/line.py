@@ -13,7 +13,7 @@ from closedloop.reference.curves import Straight
 from closedloop.reference.path import Path
 from closedloop.reference.timing import constant, minimum_jerk
 from closedloop.reference.tip_path import Piece, TipPath
-from closedloop.sections import SPEED, NotNegative, Number, Vector3
+from closedloop.sections import SPEED, Direction, Instant, Number
 
 Array = NDArray[np.float64]
 
@@ -24,12 +24,12 @@ class Line(Path):
     Its length is speed · (stop − start) for either timing; with minimum jerk the highest speed is 1.875 times `speed`.
     """
 
-    direction: Vector3 = Field(description="direction of the tip's motion, base frame; any length but zero")
+    direction: Direction = Field(description="direction of the tip's motion, base frame; any length but zero")
     speed: Annotated[Number, SPEED] = Field(
         description="tip speed, m/s, the mean one with minimum_jerk; negative runs backwards"
     )
-    start: NotNegative = Field(0.5, description="instant at which the tip starts to move, s")
-    stop: NotNegative = Field(description="instant at which it stops, s")
+    start: Instant = Field(0.5, description="instant at which the tip starts to move, s")
+    stop: Instant = Field(description="instant at which it stops, s")
     timing: Literal["constant", "minimum_jerk"] = Field(
         "constant",
         description="constant: at constant speed, with a velocity step at either end; minimum_jerk: from rest to rest",

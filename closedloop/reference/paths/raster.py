@@ -17,7 +17,7 @@ from closedloop.reference.path import Path
 from closedloop.reference.pieces import through
 from closedloop.reference.timing import minimum_jerk
 from closedloop.reference.tip_path import TipPath
-from closedloop.sections import LENGTH, NotNegative, Number, Positive, Vector3
+from closedloop.sections import LENGTH, Direction, Instant, Number, Positive, Unit
 
 Array = NDArray[np.float64]
 
@@ -40,14 +40,16 @@ class Raster(Path):
     path is C2 in time.
     """
 
-    direction: Vector3 = Field(description="direction of the first pass, along the surface, base frame")
+    direction: Direction = Field(description="direction of the first pass, along the surface, base frame")
     length: Annotated[Positive, LENGTH] = Field(description="length of a pass, m")
     pitch: Annotated[Number, LENGTH] = Field(
         description="distance from a pass to the next, m; positive: to the left of direction seen from off the surface"
     )
-    passes: Annotated[int, BeforeValidator(_passes)] = Field(description=f"how many passes, 1 to {MOST_PASSES}")
-    start: NotNegative = Field(0.5, description="instant at which the tip starts to move, s")
-    stop: NotNegative = Field(description="instant at which it stops, s")
+    passes: Annotated[int, BeforeValidator(_passes), Unit("")] = Field(
+        description=f"how many passes, 1 to {MOST_PASSES}"
+    )
+    start: Instant = Field(0.5, description="instant at which the tip starts to move, s")
+    stop: Instant = Field(description="instant at which it stops, s")
 
     def tip_path(self, origin: Array, normal: Array) -> TipPath:
         """Return the passes to and fro; see `Path.tip_path`.

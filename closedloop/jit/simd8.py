@@ -1,13 +1,12 @@
-"""Eight numbers that take part in arithmetic as one: a number of each of eight runs.
+"""SIMD lanes: the type float64x8, eight float64 in one register, one for each of eight runs.
 
-A processor adds eight pairs of numbers in about the time of one. The arithmetic of a step has few loops in which it
-could: its matrices are small and each line waits for the one before. But eight runs do the same at every step. So
-compiled code knows a number `float64x8`, eight float64 in one register, and arrays of it; a kernel that is given
-float64x8 where it would be given floats is compiled for them, and its lines, in the same order, are done for eight
-runs. Nothing in it is different: each of the eight comes out to the last bit as it would alone.
+The arithmetic of a step does not vectorise by itself: its matrices are small and each operation depends on the one
+before. But eight runs do the same operations at every step. A kernel called with float64x8 in place of floats is
+compiled for that type and does its operations, in the same order, for eight runs; each result is the same to the last
+bit as that of one run.
 
-What a kernel cannot do is decide: a comparison of float64x8 has eight answers, and numba refuses to branch on it.
-Kernels that are meant for both say `select` for a number that depends on a comparison, and `every` for a check.
+Kernels for float64x8 must not branch: a comparison has eight results, and numba refuses to branch on it. They use
+`select` for a number that depends on a comparison, and `every` for a check.
 """
 
 from __future__ import annotations
@@ -39,7 +38,7 @@ _ALL = ir.IntType(WIDE)((1 << WIDE) - 1)
 
 
 class Float64x8(types.Type):
-    """The type of eight float64; a float or a whole number becomes one by being there eight times."""
+    """The type of eight float64; a float or an integer converts to it by repetition."""
 
     def __init__(self) -> None:
         super().__init__(name="float64x8")
@@ -54,7 +53,7 @@ class Float64x8(types.Type):
 
 
 class Bool8(types.Type):
-    """The type of what a comparison of float64x8 says: eight times yes or no."""
+    """The type of a comparison of float64x8: eight truth values."""
 
     def __init__(self) -> None:
         super().__init__(name="answers of octets")
@@ -84,7 +83,7 @@ class _Bool8Model(models.PrimitiveModel):
 
 
 def select(condition: Any, yes: Any, no: Any) -> Any:
-    """Return `yes` where the condition holds, else `no`; both are worked out, so neither may fail."""
+    """Return `yes` where the condition holds, else `no`; both are evaluated, so neither may fail."""
     return yes if condition else no
 
 
@@ -94,7 +93,7 @@ def every(condition: Any) -> bool:
 
 
 def nearest(x: float) -> float:
-    """Return an angle as it is, or, where it is many turns, within half a turn of zero."""
+    """Return an angle unchanged, or, where it is many turns, reduced to half a turn about zero."""
     return x if abs(x) <= MANY_TURNS else math.atan2(math.sin(x), math.cos(x))
 
 
@@ -127,8 +126,8 @@ def _repeated(builder: Any, value: Any, kind: Any) -> Any:
     return builder.shuffle_vector(first, nothing, ir.Constant(ir.VectorType(_INDEX, WIDE), [0] * WIDE))
 
 
-def _teach(function: Any, kinds: tuple[Any, ...], result: Any, emit: Callable[..., Any]) -> None:
-    """Teach numba a function of float64x8 (or answers): `emit(builder, *values)` writes its code."""
+def _register(function: Any, kinds: tuple[Any, ...], result: Any, emit: Callable[..., Any]) -> None:
+    """Register a function of float64x8 (or Bool8) with numba: `emit(builder, *values)` emits its code."""
 
     @infer_global(function)
     class Typing(AbstractTemplate):
@@ -175,16 +174,16 @@ def _smaller(builder: Any, x: Any, y: Any) -> Any:
 
 for _name, _instruction in (("add", "fadd"), ("sub", "fsub"), ("mul", "fmul"), ("truediv", "fdiv")):
     for _function in (getattr(operator, _name), getattr(operator, f"i{_name}")):
-        _teach(_function, (float64x8, float64x8), float64x8, _one_instruction(_instruction))
+        _register(_function, (float64x8, float64x8), float64x8, _one_instruction(_instruction))
 for _name, _sign in (("lt", "<"), ("le", "<="), ("gt", ">"), ("ge", ">="), ("eq", "=="), ("ne", "!=")):
-    _teach(getattr(operator, _name), (float64x8, float64x8), answers, _comparison(_sign))
-_teach(operator.neg, (float64x8,), float64x8, _one_instruction("fneg"))
-_teach(abs, (float64x8,), float64x8, _library(f"llvm.fabs.v{WIDE}f64"))
-_teach(math.sqrt, (float64x8,), float64x8, _library(f"llvm.sqrt.v{WIDE}f64"))
-_teach(max, (float64x8, float64x8), float64x8, _larger)
-_teach(min, (float64x8, float64x8), float64x8, _smaller)
-_teach(operator.and_, (answers, answers), answers, _one_instruction("and_"))
-_teach(operator.or_, (answers, answers), answers, _one_instruction("or_"))
+    _register(getattr(operator, _name), (float64x8, float64x8), answers, _comparison(_sign))
+_register(operator.neg, (float64x8,), float64x8, _one_instruction("fneg"))
+_register(abs, (float64x8,), float64x8, _library(f"llvm.fabs.v{WIDE}f64"))
+_register(math.sqrt, (float64x8,), float64x8, _library(f"llvm.sqrt.v{WIDE}f64"))
+_register(max, (float64x8, float64x8), float64x8, _larger)
+_register(min, (float64x8, float64x8), float64x8, _smaller)
+_register(operator.and_, (answers, answers), answers, _one_instruction("and_"))
+_register(operator.or_, (answers, answers), answers, _one_instruction("or_"))
 
 
 @infer_global(select)
@@ -205,7 +204,7 @@ def _lower_select(context: Any, builder: Any, call: Any, values: Any) -> Any:
     return builder.select(*values)
 
 
-_teach(every, (answers,), types.boolean, lambda builder, x: builder.icmp_unsigned("==", _bits(builder, x), _ALL))
+_register(every, (answers,), types.boolean, lambda builder, x: builder.icmp_unsigned("==", _bits(builder, x), _ALL))
 
 
 @infer_global(every)

@@ -94,11 +94,11 @@ class ChatterError(SimulationError):
 
 
 class PainleveError(SimulationError):
-    """Friction leaves no rigid contact force: pressing harder would pull the tip into the surface."""
+    """Friction admits no rigid contact force (Painlevé's paradox): a larger f accelerates the tip into the surface."""
 
 
 class LawError(SimulationError):
-    """A law of one's own raised an exception, which is the cause, or returned something that is no torque."""
+    """A user's law raised an exception, which is the cause, or returned something that is no torque."""
 
 
 class InterruptedRunError(SimulationError, KeyboardInterrupt):

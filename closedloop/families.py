@@ -37,7 +37,7 @@ _users: dict[str, type[Member]] = {}  # name -> class of every user's member tha
 
 
 class Member:
-    """What a member of any family has: a name.
+    """Base of all members of families.
 
     Attributes
     ----------
@@ -55,7 +55,7 @@ class Member:
 
 
 class Parameters(Member, Section):
-    """A member with parameters: it is a section of the scenario itself, typed, frozen, with units and bounds."""
+    """A member with parameters: a section of the scenario, typed, frozen, with units and bounds."""
 
     kind: str = ""
 

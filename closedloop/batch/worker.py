@@ -176,7 +176,7 @@ class Worker:
             return None
 
     def _try_lanes(self, scenario: Scenario) -> bool:
-        """Whether to try lanes for scenarios like this one: not after repeated failures, see `_remember`."""
+        """Whether to try lanes for scenarios like this one: not after repeated failures, see `_count`."""
         if not uses_lanes(scenario, self._engine, self._runs):
             return False
         contact = scenario.surface.contact

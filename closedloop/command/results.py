@@ -1,7 +1,7 @@
-"""The folder of a run's results: run.nc, summary.json and the figures, and what of an earlier run may be replaced.
+"""The folder of a run's results: run.nc, summary.json and the figures; replacing an earlier run's results.
 
-The same question (scenario, robot, law, engine) has the same answer, so its results may be written again. Those of
-another are replaced only if that was asked for, and then none of its files stays beside the new ones.
+Results of the same inputs (scenario, robot, law, engine) may be overwritten. Those of other inputs are replaced only
+with --overwrite, and then none of their files is left.
 """
 
 from __future__ import annotations
@@ -18,7 +18,7 @@ from closedloop.record.run import Run
 from closedloop.record.sealed import read_sealed
 
 RUN, SUMMARY = "run.nc", "summary.json"
-# What a figure says of itself near its beginning.
+# Metadata near the beginning of a figure's file.
 MARK = b"closedloop"
 _MARKED_WITHIN = 16_384
 _NAMES = {
@@ -109,7 +109,7 @@ class Results:
 
 
 def _make_writable(folder: Path) -> None:
-    """Make the output folder before anything is simulated, so that no result is lost for want of a place."""
+    """Make the output folder before anything is simulated, so that no result is lost if that fails."""
     try:
         with held_back():
             probe_folder(folder)

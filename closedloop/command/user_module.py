@@ -2,8 +2,8 @@
 
     --law my_laws:soft_touch --reference.kind my_paths:Spiral
 
-The module may lie in the current folder, and so may what it imports. Nothing there takes the place of an installed
-module: the folder is looked through last, and a module with the name of an installed one is refused.
+The module, and what it imports, may be in the current folder. That folder is searched last, and a module with the name
+of an installed one is refused.
 """
 
 from __future__ import annotations

@@ -31,7 +31,7 @@ class PressingLaw(Protocol):
 
 
 class Asked(Protocol):
-    """What of a scenario says where the tip shall go and how hard it shall press."""
+    """The parts of a scenario that determine the desired motion and force."""
 
     @property
     def reference(self) -> Path:
@@ -44,7 +44,7 @@ class Asked(Protocol):
 
 @dataclass(frozen=True)
 class Desired:
-    """What the robot shall do, as functions of time.
+    """The desired motion and force as functions of time.
 
     Attributes
     ----------
@@ -67,7 +67,7 @@ class Desired:
     force: float
 
     def table(self, instants: Array, spare: int = 0) -> Array:
-        """Return the (P, 2n + 10) table at `instants` (P,), s; what jumps has its later value at that instant.
+        """Return the (P, 2n + 10) table at `instants` (P,), s; at a discontinuity with the right limit.
 
         `spare` more columns of zeros stand behind it.
 
@@ -84,7 +84,7 @@ class Desired:
 
 
 def desired(scenario: Asked, robot: Robot, plane: Plane, q: Array, profile: ForceProfile | None = None) -> Desired:
-    """Return what the scenario wants of a robot that starts at joint positions q (n,).
+    """Return the desired motion and force of a robot that starts at joint positions q (n,).
 
     Raises
     ------

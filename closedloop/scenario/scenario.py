@@ -78,7 +78,7 @@ class PlaneSection(Section):
 
 
 class ImpactSection(Section):
-    """[impact]: what happens when the tip meets the surface; only where surface.contact is "unilateral"."""
+    """[impact]: the law of impact between tip and surface; used only where surface.contact is "unilateral"."""
 
     restitution: Restitution = Field(0.0, description="coefficient of restitution, 0 to 1")
     law: Literal["newton", "poisson", "stronge"] = Field(
@@ -117,7 +117,7 @@ TimeConstant = Annotated[float | Literal["auto"], BeforeValidator(_time_constant
 
 
 class BaumgarteGains(Section):
-    """What Baumgarte's stabiliser is set by: s_v = 2ζ/T, s_p = 1/T²."""
+    """Parameters of Baumgarte's stabiliser: s_v = 2ζ/T, s_p = 1/T²."""
 
     damping_ratio: Annotated[NotNegative, DAMPING_RATIO] = Field(0.707, description="ζ")
     time_constant: Annotated[TimeConstant, TIME_CONSTANT] = Field(
@@ -132,7 +132,7 @@ class BaumgarteSection(BaumgarteGains):
 
 
 class ProjectionSection(Section):
-    """[stabiliser] kind = "projection": position and velocity are put back on the closure after each step."""
+    """[stabiliser] kind = "projection": position and velocity are projected onto the closure after each step."""
 
     kind: Literal["projection"] = "projection"
 
@@ -254,7 +254,7 @@ def load_scenario(name: str | Path, overrides: Mapping[str, Any] | None = None) 
         A shipped name (see `shipped_scenarios`) or a path to a .toml file.
     overrides : mapping, optional
         Dotted keys and values laid over the file before it is checked, such as ``{"law.force": 15.0}``. Overriding a
-        `kind` drops the keys of the old kind that the new one does not know. A class of one's own is named here, as
+        `kind` drops the keys of the old kind that the new one does not know. A user's class is named here, as
         ``{"reference.kind": "my_module:MyPath"}`` or by the class itself.
 
     Raises

@@ -1,4 +1,4 @@
-"""Every controller on every kind of friction: does it still hold 10 N when the surface is rough?
+"""Force error and path error of every controller with every kind of friction.
 
 The task is wam_slide's with the elbow up, the motion from rest to rest: press with 10 N and slide 108 mm in six
 seconds. Rows are controllers with what they know of friction, columns are laws of friction of about the same level

@@ -1,4 +1,4 @@
-"""A sweep: what it varies, and how it is cut into parts."""
+"""A sweep: what it varies, and its division into parts."""
 
 from __future__ import annotations
 
@@ -36,7 +36,7 @@ MOST_KEPT = 4_000_000
 
 @dataclass(frozen=True)
 class Sweep:
-    """What is to be run: all that the table depends on.
+    """A sweep: everything that its table depends on.
 
     Attributes
     ----------

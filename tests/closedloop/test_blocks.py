@@ -5,7 +5,7 @@ import numpy as np
 import pytest
 
 from closedloop.jit.blocks import Count, Layout
-from closedloop.jit.kernel import kernel
+from closedloop.jit.kernel import entry_kernel, kernel
 from closedloop.step.memory import Constants, State, Work
 
 SIZES = [(1, 0, 1, 1), (2, 3, 4, 1), (4, 0, 1, 1), (7, 21, 4, 6), (30, 5, 1, 2)]
@@ -41,7 +41,7 @@ exec("def mark(block, shapes, read):\n" + "".join(_lines), _made)
 _mark = kernel(_made["mark"])
 
 
-@numba.njit
+@entry_kernel
 def _mark_all(memory, n, k, stages, ring, shapes, read):
     block = Work(memory, n, k, stages, ring)
     _mark(block, shapes, read)
@@ -58,7 +58,7 @@ def test_compiled_parts_are_those_of_python(sizes):
     assert [getattr(block, name) for name in NUMBERS] == [501.0 + i for i in range(len(NUMBERS))] == read.tolist()
 
 
-@numba.njit
+@entry_kernel
 def _count_up(numbers):
     state = State(numbers)
     state.mode = state.row + 2
@@ -73,7 +73,7 @@ def test_whole_numbers_stay_whole():
     assert (int(state.mode), int(state.row)) == (2**53 + 3, 2**53 + 2)
 
 
-@numba.njit
+@entry_kernel
 def _misspelt(numbers):
     State(numbers).mood = 1
 
@@ -86,9 +86,9 @@ def test_a_name_that_is_not_there_is_refused():
 
 def test_constants_are_laid_out_for_their_joints():
     """Parts whose shape depends on the joints have it."""
-    constants = Constants(np.zeros(Constants.count(3)), 3)
+    constants = Constants(np.zeros(Constants.count(3, 7, 2)), 3, 7, 2)
     assert constants.frame.shape == (3, 3)
-    assert constants.gains.shape == (2, 3)
+    assert constants.law.shape == (7,)
     assert constants.joint_friction.shape == (3, 12)
 
 

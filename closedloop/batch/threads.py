@@ -36,7 +36,7 @@ class Done:
         Raises
         ------
         Ended
-            If nobody waits for more.
+            If no more runs are needed.
         """
         self.check()
         with self._lock:
@@ -47,7 +47,7 @@ class Done:
         self._ended.set()
 
     def check(self) -> None:
-        """Raise `Ended` if nobody waits for more."""
+        """Raise `Ended` if no more runs are needed."""
         if self._ended.is_set():
             raise Ended
 
@@ -113,7 +113,7 @@ def uninterrupted(work: Callable[[Done], T]) -> T:
 
 
 def still_at_work() -> bool:
-    """Whether a thread is still at work that nobody waits for: the interpreter would wait for it before it ends."""
+    """Whether an abandoned thread is still running: the interpreter would wait for it before it ends."""
     return any(thread.name.startswith(NAME) for thread in threading.enumerate())
 
 

@@ -36,7 +36,7 @@ class Results:
     folder : path
         It is made if need be, and what killed writers left in it is removed.
     question : mapping of str to str
-        What is asked, see `closedloop.record.netcdf.question`.
+        The inputs of the run, see `closedloop.record.netcdf.question`.
     overwrite : bool
         Whether results of another question may be replaced.
 
@@ -95,7 +95,7 @@ class Results:
             ]  # fmt: skip
 
     def _clear(self) -> None:
-        """Remove what would stand beside the new run and belong to another: its summary and its figures."""
+        """Remove files of an earlier run that the new one would not overwrite: its summary and its figures."""
         for path in [self.folder / SUMMARY, *self.folder.glob("fig*.png"), *self.folder.glob("fig*.svg")]:
             if path.is_symlink() or not path.is_file():
                 continue
@@ -130,7 +130,7 @@ def _is_summary(path: Path) -> bool:
 
 
 def _difference(keys: list[str], found: dict[str, Any], question: dict[str, str]) -> str:
-    """Return in words in what a run differs from what is asked."""
+    """Return the first difference between the inputs of a run and these, in words."""
     names = dict.fromkeys(_NAMES[key] for key in keys)
     if "scenario" in names:
         try:

@@ -37,7 +37,7 @@ class Interval(NamedTuple):
 def motion(scenario: Scenario) -> tuple[float, float] | None:
     """Return the instants, s, at which the reference starts and stops to move.
 
-    None if it never moves, or is a user's path in a run file that nobody has named.
+    None if it never moves, or is a user's path in a run file, not named in this process.
     """
     if isinstance(scenario.reference, Absent):
         return None

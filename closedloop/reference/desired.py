@@ -30,7 +30,7 @@ class PressingLaw(Protocol):
         """law.force, N."""
 
 
-class Asked(Protocol):
+class HasMotionAndLaw(Protocol):
     """The parts of a scenario that determine the desired motion and force."""
 
     @property
@@ -69,7 +69,7 @@ class Desired:
     def table(self, instants: Array, spare: int = 0) -> Array:
         """Return the (P, 2n + 10) table at `instants` (P,), s; at a discontinuity with the right limit.
 
-        `spare` more columns of zeros stand behind it.
+        `spare` columns of zeros are appended.
 
         Columns: q_des (n), rad (m), and q̇_des (n), rad/s (m/s); the tip's position (3), m, velocity (3), m/s, and
         acceleration (3), m/s², each along n, t1 and t2 of the contact frame; f_des (1), N.
@@ -83,7 +83,9 @@ class Desired:
         return table
 
 
-def desired(scenario: Asked, robot: Robot, plane: Plane, q: Array, profile: ForceProfile | None = None) -> Desired:
+def desired(
+    scenario: HasMotionAndLaw, robot: Robot, plane: Plane, q: Array, profile: ForceProfile | None = None
+) -> Desired:
     """Return the desired motion and force of a robot that starts at joint positions q (n,).
 
     Raises

@@ -54,11 +54,11 @@ def follow(robot: Robot, q: Array, path: TipPath) -> JointPath:
     if not path.segments:
         return JointPath.hold(q)
     parts: list[JointPath] = []
-    room = MOST_KNOTS
+    most = MOST_KNOTS
     with np.errstate(all="ignore"):  # what overflows is refused by name
         for segment in path.segments:
-            part = _resolve(robot, parts[-1].q[-1] if parts else q, segment, room, path.keys)
-            room -= part.times.size - 1
+            part = _resolve(robot, parts[-1].q[-1] if parts else q, segment, most, path.keys)
+            most -= part.times.size - 1
             parts.append(part)
     return _joined(parts)
 
@@ -74,15 +74,15 @@ def _joined(parts: list[JointPath]) -> JointPath:
     )
 
 
-def _resolve(robot: Robot, q: Array, segment: Segment, room: int, keys: tuple[str, ...]) -> JointPath:
-    """Return the joint path along one segment, with as many knots as it needs; at most `room` intervals."""
+def _resolve(robot: Robot, q: Array, segment: Segment, most: int, keys: tuple[str, ...]) -> JointPath:
+    """Return the joint path along one segment, with as many knots as it needs; at most `most` intervals."""
     intervals = _first_intervals(segment)
     while True:
-        path, worst = _through_knots(robot, q, segment, intervals, room, keys)
+        path, worst = _through_knots(robot, q, segment, intervals, most, keys)
         if worst <= PATH_TOLERANCE:
             return path
         intervals *= 2
-        if intervals > room:
+        if intervals > most:
             raise ScenarioError(
                 f"reference: the joint path cannot be resolved (off the path by {worst:.1e} m midway between "
                 f"{intervals // 2} knots); it runs too close to a singular pose, too fast or too far"
@@ -103,13 +103,13 @@ def _first_intervals(segment: Segment) -> int:
 
 
 def _through_knots(
-    robot: Robot, q: Array, segment: Segment, intervals: int, room: int, keys: tuple[str, ...]
+    robot: Robot, q: Array, segment: Segment, intervals: int, most: int, keys: tuple[str, ...]
 ) -> tuple[JointPath, float]:
     """Return the joint path through the knots, and the largest distance of the tip from its path midway, m.
 
     A path is refused at the first knot out of the workspace.
     """
-    times = segment.start + (segment.stop - segment.start) * (np.arange(min(intervals, room) + 1) / intervals)
+    times = segment.start + (segment.stop - segment.start) * (np.arange(min(intervals, most) + 1) / intervals)
     knots, midway = _tip(segment, times), _tip(segment, 0.5 * times[:-1] + 0.5 * times[1:])
     if not (np.all(np.diff(times) > SHORTEST) and np.all(np.isfinite(knots)) and np.all(np.isfinite(midway[:, 3:]))):
         raise ScenarioError(
@@ -120,7 +120,7 @@ def _through_knots(
     if reached < times.size:
         h = float(times[reached] - times[reached - 1])
         raise _unreachable(robot, way.q[reached - 1], float(times[reached - 1]), h, segment, keys)
-    if intervals > room:
+    if intervals > most:
         raise ScenarioError(f"reference: the path takes more than {MOST_KNOTS} knots; make it shorter or slower")
     return JointPath(times, way.q, way.v), float(outcome[MIDWAY])
 

@@ -22,7 +22,7 @@ def _picked(scenario: Scenario) -> Iterator[tuple[str, str]]:
 
 
 def refuse_absent(scenario: Scenario) -> None:
-    """Refuse to run a scenario that was read from a run file and names a user's class that nobody else has named.
+    """Refuse to run a scenario read from a run file with a user's class that has not been named in this process.
 
     Raises
     ------

@@ -219,7 +219,7 @@ class Scenario(Section):
 
     @model_validator(mode="after")
     def _choose_integrator(self) -> Self:
-        """Put a scheme where "auto" stands: what a scenario says is what it runs with."""
+        """Replace "auto" by a scheme, so that a scenario states the integrator of its run."""
         if self.time.integrator == "auto":
             bristles = self.friction.kind in BRISTLES or self.joint_friction.kind in BRISTLES
             chosen = "rk4" if self.surface.contact == "unilateral" and not bristles else "semi_implicit_euler"
@@ -272,7 +272,7 @@ def parse_scenario(
 ) -> Scenario:  # fmt: skip
     """Read a scenario from TOML text; `where` names its origin in messages. See `load_scenario`.
 
-    With `keep_absent` a user's class that nobody has named is kept as it stands, to be looked at and not to be run: see
+    With `keep_absent` a user's class not named in this process is kept as it is, for inspection and not to be run: see
     `closedloop.families.Absent`.
     """
     try:

@@ -36,7 +36,7 @@ Array = NDArray[np.float64]
 SETTLED_FROM, BAND = 1.5, 0.2  # s, N
 STOP = 6.5  # s
 STEP, SAMPLE = 0.00025, 0.001  # s
-SPEED = 0.018  # m/s, the mean one: 108 mm, for which there is room with the elbow up
+SPEED = 0.018  # m/s, mean: 108 mm, within the workspace with the elbow up
 MEASURES = ("force_rms", "force_peak", "path_rms", "settling")
 
 JOINT = {"law.kp": [900.0, 900.0, 400.0, 300.0], "law.kd": [60.0, 60.0, 30.0, 20.0]}

@@ -23,7 +23,7 @@ if TYPE_CHECKING:
 
 # A scheduler that is there answers at once, s.
 PATIENCE = 5.0
-# Parts under way for each thread of the cluster: one at work and one waiting.
+# Parts submitted for each thread of the cluster: one running and one waiting.
 AHEAD = 2
 
 

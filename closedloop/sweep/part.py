@@ -1,4 +1,4 @@
-"""A part of a sweep: some runs one after the other, as rows of the table and, if asked for, whole columns."""
+"""A part of a sweep: some runs one after the other, as rows of the table and, if kept, whole columns."""
 
 from __future__ import annotations
 

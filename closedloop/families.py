@@ -71,7 +71,7 @@ class Parameters(Member, Section):
 
 
 class Absent(Section):
-    """A section of a run file whose `kind` is a user's class not named in this process: kept as it is, and never run."""
+    """A section of a run file whose `kind` is a user's class not named in this process: kept, and never run."""
 
     model_config = ConfigDict(extra="allow")
     kind: str

@@ -30,7 +30,7 @@ class PressingLaw(Protocol):
         """law.force, N."""
 
 
-class HasMotionAndLaw(Protocol):
+class MotionAndLaw(Protocol):
     """The parts of a scenario that determine the desired motion and force."""
 
     @property
@@ -84,7 +84,7 @@ class Desired:
 
 
 def desired(
-    scenario: HasMotionAndLaw, robot: Robot, plane: Plane, q: Array, profile: ForceProfile | None = None
+    scenario: MotionAndLaw, robot: Robot, plane: Plane, q: Array, profile: ForceProfile | None = None
 ) -> Desired:
     """Return the desired motion and force of a robot that starts at joint positions q (n,).
 

@@ -62,8 +62,8 @@ class Sweep:
         Raises
         ------
         ScenarioError, ModelError
-            If a key is unknown, the engine does not cover the scenario, there is no such column to keep, or the robot is
-            at fault.
+            If a key is unknown, the engine does not cover the scenario, there is no such column to keep, or the robot
+            is at fault.
         """
         sweep = cls(scenario, design, kept_columns(keep), engine)
         check_engine(Variants(scenario, design.keys).look(design), engine, None)

@@ -1,6 +1,6 @@
-"""What can go wrong, as types a caller may want to tell apart.
+"""The errors of the package.
 
-Every message has what was wrong, where, and what would be right, on one line.
+Every message says what was wrong, where, and what would be right, on one line.
 The command line turns `ScenarioError` and `ModelError` into exit status 2 and
 `SimulationError` into exit status 3.
 """
@@ -34,9 +34,9 @@ LONGEST_LINE = 900
 
 
 def one_line(message: str) -> str:
-    """Return the message on one line of printable characters, without the middle of one that is too long to be read.
+    """Return the message on one line of printable characters, without the middle of a very long one.
 
-    Names in it may have come from anywhere. What was wrong stands at its beginning, what would be right at its end.
+    Names in it may be arbitrary text. A message begins with what was wrong and ends with what would be right.
     """
     line = message if message.isprintable() else message.encode("unicode_escape").decode("ascii")
     half = LONGEST_LINE // 2
@@ -52,11 +52,11 @@ class RunFileError(ClosedLoopError, ValueError):
 
 
 class OutputError(ClosedLoopError, OSError):
-    """The results cannot be written where they were asked for."""
+    """The results cannot be written to the given path."""
 
 
 class ClusterError(ClosedLoopError, OSError):
-    """A cluster that was at work is lost."""
+    """The connection to a cluster was lost during a sweep."""
 
 
 class SimulationError(ClosedLoopError):
@@ -94,11 +94,11 @@ class ChatterError(SimulationError):
 
 
 class PainleveError(SimulationError):
-    """Friction leaves no rigid contact force: pressing harder would pull the tip into the surface."""
+    """Friction admits no rigid contact force (Painlevé's paradox): a larger f accelerates the tip into the surface."""
 
 
 class LawError(SimulationError):
-    """A law of one's own raised an exception, which is the cause, or returned something that is no torque."""
+    """A user's law raised an exception, which is the cause, or returned something that is no torque."""
 
 
 class InterruptedRunError(SimulationError, KeyboardInterrupt):

@@ -30,14 +30,14 @@ from closedloop.errors import ScenarioError
 from closedloop.sections import Section
 from robot_models.errors import shown
 
-# In the context of a validation: keep what a file says of a class that nobody has named, as `Absent`, to be looked at.
+# Context of a validation: keep the section of a class that has not been named in this process, as `Absent`, unrun.
 KEEP_ABSENT = "keep absent members"
 
 _users: dict[str, type[Member]] = {}  # name -> class of every user's member that was named in this process
 
 
 class Member:
-    """What a member of any family has: a name.
+    """Base of all members of families.
 
     Attributes
     ----------
@@ -55,7 +55,7 @@ class Member:
 
 
 class Parameters(Member, Section):
-    """A member with parameters: it is a section of the scenario itself, typed, frozen, with units and bounds."""
+    """A member with parameters: a section of the scenario, typed, frozen, with units and bounds."""
 
     kind: str = ""
 
@@ -71,7 +71,7 @@ class Parameters(Member, Section):
 
 
 class Absent(Section):
-    """A section of a run file whose `kind` is a user's class that nobody has named: kept as it is, and never run."""
+    """A section of a run file whose `kind` is a user's class not named in this process: kept, and never run."""
 
     model_config = ConfigDict(extra="allow")
     kind: str
@@ -90,12 +90,12 @@ class Family(Mapping[str, type[M]], Generic[M]):
     base : type
         What members are derived from; it has their folder.
     usual : str, optional
-        The kind of a section that names none; without it a `kind` is asked for.
+        The kind of a section that names none; without it a `kind` is required.
     """
 
     def __init__(self, base: type[M], usual: str | None = None) -> None:
         self.base, self.usual = base, usual
-        self._shipped: dict[str, type[M]] = {}  # those asked for so far
+        self._shipped: dict[str, type[M]] = {}  # those imported so far
 
     @cached_property
     def _files(self) -> tuple[str, ...]:
@@ -108,7 +108,7 @@ class Family(Mapping[str, type[M]], Generic[M]):
         Raises
         ------
         KeyError
-            If there is none, or it is a user's that nobody has named.
+            If there is none, or it is a user's class not named in this process.
         """
         if ":" in name:
             known: type[Member] = _users[name]
@@ -279,7 +279,7 @@ NOT_NAMED = "not_named"
 
 
 def not_named(name: str) -> PydanticCustomError:
-    """Return the refusal of a user's class that a file names, and nobody else; see `how_to_name`."""
+    """Return the refusal of a user's class that only a file names; see `how_to_name`."""
     return PydanticCustomError(NOT_NAMED, "names a class", {"name": name})
 
 

@@ -1,8 +1,7 @@
-"""Files that are whole or not there: written under another name beside their place, and put there with one rename.
+"""Atomic writes of files: written under another name in the same folder, and renamed.
 
-A file that already stands there is replaced only once the new one is safe on the disk, and never written through: a
-link is replaced by the file, not followed. What a kill leaves behind has a name that no other program makes, so that
-`remove_unfinished` may remove it.
+An existing file is replaced only once the new one is flushed to the disk; a link is replaced by the file, not followed.
+A temporary file left by a kill has a name that no other program makes, so that `remove_unfinished` may remove it.
 """
 
 from __future__ import annotations
@@ -30,7 +29,7 @@ _UNFINISHED = re.compile(r"\.closedloop-([0-9a-f]{16})-([0-9a-f]{16})\.unfinishe
 def write_whole(
     path: str | Path, content: bytes | memoryview | Callable[[BinaryIO], object], *, reserve: int = 0
 ) -> Path:
-    """Write a file, and return its path; whatever goes wrong, the older file of that name stays as it was.
+    """Write a file, and return its path; if that fails, the older file of that name is unchanged.
 
     Parameters
     ----------

@@ -1,4 +1,4 @@
-"""Ctrl-C and SIGTERM: as an exception of their own kind, or held back while something is being finished."""
+"""Ctrl-C and SIGTERM: as exceptions, or deferred while something is being finished."""
 
 from __future__ import annotations
 
@@ -15,13 +15,13 @@ _SIGNALS = (signal.SIGINT, signal.SIGTERM)
 
 
 class Terminated(KeyboardInterrupt):
-    """SIGTERM: somebody, or a batch system, asks the program to end."""
+    """SIGTERM: a user or a batch system ends the program."""
 
 
 def exit_status(interruption: BaseException) -> int:
     """Return the exit status for what Ctrl-C or SIGTERM raised, itself or as the cause."""
-    asked = (interruption, interruption.__cause__)
-    return TERMINATED if any(isinstance(error, Terminated) for error in asked) else INTERRUPTED
+    causes = (interruption, interruption.__cause__)
+    return TERMINATED if any(isinstance(error, Terminated) for error in causes) else INTERRUPTED
 
 
 def word_for(interruption: BaseException) -> str:
@@ -31,7 +31,7 @@ def word_for(interruption: BaseException) -> str:
 
 @contextmanager
 def terminable() -> Iterator[None]:
-    """Let SIGTERM raise `Terminated`, unless somebody else deals with it."""
+    """Let SIGTERM raise `Terminated`, unless it has a handler already."""
     ours = threading.current_thread() is threading.main_thread()
     if not ours or signal.getsignal(signal.SIGTERM) is not signal.SIG_DFL:
         yield

@@ -1,4 +1,4 @@
-"""From the section of a plug-in to what its functions read: each field by its own name.
+"""From the section of a plug-in to the parameters of its functions: each field by its own name.
 
 class Spring(ControlLaw):
     stiffness: Annotated[NotNegative, gain_in("N/m")] = ...        par.stiffness       a number

@@ -1,4 +1,4 @@
-"""How far it is, on standard error: a bar where that is a terminal."""
+"""Progress on standard error: a bar where that is a terminal."""
 
 from __future__ import annotations
 

@@ -73,8 +73,8 @@ def _main(arguments: list[str]) -> int:
     digest = "" if law is None else law_digest(law)
     folder = Path(options.out) if options.out else Path("out") / scenario.name
     members = member_digests(scenario)
-    asked = question(scenario, model, options.law or "scenario", digest, engine, members)
-    results = Results(folder, asked, options.overwrite)
+    inputs = question(scenario, model, options.law or "scenario", digest, engine, members)
+    results = Results(folder, inputs, options.overwrite)
     if earlier is not None:
         _warn_of_other_texts(options.scenario, earlier, {options.law or "": digest, **members})
     if law is None:

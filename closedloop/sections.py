@@ -1,9 +1,8 @@
-"""What the sections of a scenario are made of: numbers that are numbers, lists that are lists, nothing unknown.
+"""Base types of a scenario's sections: strict numbers and lists, no unknown keys.
 
-A number is also of a size that means something: `Size` says from where to where, in which unit, and why. The sizes
-below are far outside of what any arm does, and far inside of what a number can hold, so that products, squares and
-quotients of what a scenario says never overflow. A key takes one of them, or its own; one that any number may be takes
-`Unit`:
+The magnitude of a number is bounded: `Size` gives the bounds, the unit and the reason. The bounds below are far outside
+of any arm's values, and far inside of the range of a double, so that products, squares and quotients never overflow. A
+key takes one of them, or its own; one that any number may be takes `Unit`:
 
     force: Annotated[Number, FORCE] = Field(10.0, description=...)
 """
@@ -87,9 +86,9 @@ class SizeError(ValueError):
 
 @dataclass(frozen=True)
 class Size:
-    """How large, and how small unless it is zero, the magnitude of a number may be; of each entry of a list.
+    """Bounds of the magnitude of a number that is not zero, or of each entry of a list.
 
-    Whether it may be zero or negative, the type says that this annotates.
+    Whether zero or negative numbers are allowed is a matter of the annotated type.
 
     Attributes
     ----------

@@ -1,4 +1,4 @@
-"""Code of a user's own: where it failed, and whether it is still the same text."""
+"""Users' code: the line at which it failed, and a digest of its text."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ from closedloop.families import Member, is_users
 
 @contextmanager
 def of_users(member: Member | type[Member], key: str) -> Iterator[None]:
-    """Turn what a user's member raises in a call into one line that says in which line of which file.
+    """Turn an exception in a user's member into a one-line error that names file and line.
 
     Raises
     ------

@@ -75,14 +75,14 @@ def simulate_batch(
     -------
     pyarrow.Table
         A row for each run, in order: its number, the changed keys, ``status`` ("done", "stopped", "refused", "failed":
-        an error that nobody foresaw) with its ``reason``, the values of `Run.summary` (empty where there is none), the
+        an unforeseen error) with its ``reason``, the values of `Run.summary` (empty where there is none), the
         events, when each of the paper's assumptions failed, and the kept columns. Units and meanings are the fields'
         metadata. A run that fails is a row like any other.
 
     Raises
     ------
     ScenarioError
-        If a key is unknown, lengths differ, the engine does not cover what is asked, or no run could be read.
+        If a key is unknown, lengths differ, the engine does not cover the scenario, or no run could be read.
     """
     if not changes:
         raise ScenarioError("changes: name at least one key and its values, such as {'law.force': [5.0, 10.0]}")
@@ -149,7 +149,7 @@ def _use_lanes(variants: Variants, points: Sequence[Sequence[Any]], engine: str,
     for values in points:
         try:
             return uses_lanes(variants.scenario(values), engine, runs)
-        except Exception:  # of its own row, which says it
+        except Exception:  # reported in its own row
             continue
     return False
 

@@ -1,7 +1,7 @@
 """Threads that share work, and that an interruption can end.
 
-Python hands a signal (Ctrl-C) to the main thread only. So the main thread does nothing but wait here: no library that
-is in the middle of a call, writing a file for one, is ever broken into, and Ctrl-C is answered at once.
+Python handles signals (Ctrl-C) in the main thread only. So the main thread only waits here: no library call, such as
+writing a file, is interrupted, and Ctrl-C is handled at once.
 """
 
 from __future__ import annotations
@@ -21,11 +21,11 @@ NAME = "closedloop"
 
 
 class Ended(BaseException):
-    """Raised in a thread whose work is no longer wanted. Not an `Exception`: no run may take it for its own."""
+    """Raised in a thread whose work is no longer needed. Not an `Exception`, so that no run catches it."""
 
 
 class Done:
-    """How many runs are done: a count to which threads add, and by which they hear that they should end."""
+    """The count of runs done, to which threads add, and the flag that tells them to end."""
 
     def __init__(self, count: int = 0) -> None:
         self.count, self._lock, self._ended = count, threading.Lock(), threading.Event()
@@ -36,7 +36,7 @@ class Done:
         Raises
         ------
         Ended
-            If nobody waits for more.
+            If no more runs are needed.
         """
         self.check()
         with self._lock:
@@ -47,7 +47,7 @@ class Done:
         self._ended.set()
 
     def check(self) -> None:
-        """Raise `Ended` if nobody waits for more."""
+        """Raise `Ended` if no more runs are needed."""
         if self._ended.is_set():
             raise Ended
 
@@ -97,7 +97,7 @@ def side_by_side(
 
 
 def uninterrupted(work: Callable[[Done], T]) -> T:
-    """Return ``work(done)``, done in a thread of its own, into which no signal breaks.
+    """Return ``work(done)``, done in a thread of its own, which no signal interrupts.
 
     An interruption makes ``done.check()`` raise there, and is raised here once that has ended it.
     """
@@ -113,7 +113,7 @@ def uninterrupted(work: Callable[[Done], T]) -> T:
 
 
 def still_at_work() -> bool:
-    """Whether a thread is still at work that nobody waits for: the interpreter would wait for it before it ends."""
+    """Whether an abandoned thread is still running: the interpreter would wait for it before it ends."""
     return any(thread.name.startswith(NAME) for thread in threading.enumerate())
 
 

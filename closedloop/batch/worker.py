@@ -62,7 +62,7 @@ class Outcome:
     ----------
     status : str
         "done"; "stopped" (the simulation could not go on: the values are those of what ran); "refused" (the scenario
-        is at fault: nothing ran); "failed" (an error that nobody foresaw: a fault of this package, or no memory left).
+        is at fault: nothing ran); "failed" (an unforeseen error: a fault of this package, or no memory left).
     reason : str or None
         Why it was stopped, was refused or failed.
     rows : int
@@ -176,7 +176,7 @@ class Worker:
             return None
 
     def _try_lanes(self, scenario: Scenario) -> bool:
-        """Whether to try lanes for scenarios like this one: not after repeated failures, see `_remember`."""
+        """Whether to try lanes for scenarios like this one: not after repeated failures, see `_count`."""
         if not uses_lanes(scenario, self._engine, self._runs):
             return False
         contact = scenario.surface.contact

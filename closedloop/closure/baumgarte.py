@@ -1,4 +1,4 @@
-"""Baumgarte's stabiliser: its gains, the step beyond which it shakes the closure apart (Eq. 22), and how to choose it.
+"""Baumgarte's stabiliser: its gains, the largest stable step (Eq. 22), and the choice of the time constant.
 
 ë + s_v ė + s_p e = 0 is a damped oscillator. With damping ratio ζ and time constant T its gains are
 s_v = 2ζ/T and s_p = 1/T². The paper's s_v = 1414 1/s and s_p = 10⁶ 1/s² are ζ = 0.707 and T = 1 ms.
@@ -6,17 +6,17 @@ s_v = 2ζ/T and s_p = 1/T². The paper's s_v = 1414 1/s and s_p = 10⁶ 1/s² ar
 An integrator of step h turns that oscillator into a linear map of (e, hė), stable while the map's spectral
 radius is below one. The map depends on ζ and h/T alone, so the limit is a bound on h/T.
 
-Which T goes with a step
-------------------------
+Choice of T for a step
+----------------------
 ``stabiliser.time_constant = "auto"`` is two steps, or twice the shortest stable T where that is longer
 (`recommended_ratio`). Everything scales with h, so the choice is one of z = h/T for each integrator and ζ:
 
-- A larger z makes an error die out in fewer steps, and an Euler scheme hold a sliding tip closer to the surface,
+- A larger z makes an error decay in fewer steps, and reduces the error of a sliding tip with an Euler scheme,
   e = ∓ζ h T Ȧq̇ (`sliding_error`).
-- Near the limit an error rings from step to step instead. The paper's z = 1 is at 97 % of semi-implicit Euler's
+- Near the limit an error alternates from step to step instead. The paper's z = 1 is at 97 % of semi-implicit Euler's
   limit: an error is multiplied by −0.88 at every step, with z = 1/2 by 0.54. Rounding of e goes into f by
   `rounding_gain`, which grows like z² first, and without bound at the limit. So z is at most half the limit.
-- A scheme of several stages sees the closure at states that lie beside it, and the stabiliser pushes against that. Its
+- The stages of a Runge-Kutta scheme are evaluated at states off the closure, to which the stabiliser responds. Its
   share of f grows like z⁴ with RK4, and does not fall with h while T falls with it: 3 % of the centripetal force at
   half the limit for ζ = 0.707, 29 % for ζ = 1; with z = 1/2 about 1 % at most, for any ζ. So z is at most 1/2.
 
@@ -99,7 +99,7 @@ def linear_step(scheme: type[Integrator], M: Array) -> Array:
 
 
 def spectral_radius(integrator: str | type[Integrator], damping_ratio: float, ratio: float) -> float:
-    """Return how much one step can at most multiply the closure error by, in the long run."""
+    """Return the spectral radius: the asymptotic growth of the closure error per step."""
     return float(_spectral_radii(integrator, damping_ratio, ratio))
 
 
@@ -148,11 +148,11 @@ def recommended_ratio(integrator: str | type[Integrator], damping_ratio: float) 
 
 
 def sliding_error(integrator: str | type[Integrator], damping_ratio: float, ratio: float) -> tuple[float, float, float]:
-    """Return what steady sliding leaves, per unit of the tip's centripetal acceleration along the normal, a = Ȧq̇.
+    """Return the steady error of sliding, per unit of the tip's centripetal acceleration along the normal, a = Ȧq̇.
 
-    The tip runs on, and the closure curves away under it in joint space by a constant a. One step of the integrator
-    from e = ė = 0 then ends a little beside the closure, and the stabiliser balances that. For the Euler schemes e is
-    ∓ζ h T a: below the surface for the semi-implicit one, above it for the explicit one (a > 0).
+    With a constant a one step of the integrator from e = ė = 0 ends off the closure by its local error, which the
+    stabiliser balances. For the Euler schemes e is ∓ζ h T a: below the surface for the semi-implicit one, above it for
+    the explicit one (a > 0).
 
     Parameters
     ----------
@@ -187,8 +187,9 @@ def sliding_error(integrator: str | type[Integrator], damping_ratio: float, rati
 def rounding_gain(integrator: str | type[Integrator], damping_ratio: float, ratio: float) -> float:
     """Return the standard deviation of the stabiliser's acceleration that rounding of e causes, times h²/δ.
 
-    e = n·r − d is rounded anew at every evaluation, by δ (standard deviation, m; 7e-17 half a metre from the base). The
-    force then scatters by gain · δ / (h² A H⁻¹Aᵀ). Infinite at the limit of stability and beyond it.
+    e = n·r − d has an independent rounding error at every evaluation, of standard deviation δ, m (7e-17 half a metre
+    from the base). The standard deviation of the force is then gain · δ / (h² A H⁻¹Aᵀ). Infinite at the limit of
+    stability and beyond it.
 
     Parameters
     ----------

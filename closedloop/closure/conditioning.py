@@ -83,7 +83,7 @@ def condition_numbers_of_batch(batch: Array, n: int, lanes: int) -> None:
     for j in range(n):
         clear(P[y + j], lanes)
         for k in range(j, n):
-            take_product(P[inverse + k * n + j], P[x + k], lanes, P[y + j])  # −(H⁻¹Aᵀ)ⱼ; its sign matters to nothing
+            take_product(P[inverse + k * n + j], P[x + k], lanes, P[y + j])  # −(H⁻¹Aᵀ)ⱼ; only its magnitude is used
         begin_columns(P[y + j], P[share], P[a + j], lanes, P[column + j], P[inverse_norm], P[size + j], P[norm])
     for j in range(n):
         for i in range(j, n):
@@ -175,8 +175,8 @@ def add_four(a: float, x: Array, b: float, y: Array, c: float, z: Array, d: floa
         to[j] += (a * x[j] + b * y[j]) + (c * z[j] + d * w[j])
 
 
-# What is done to all lanes, the last arrays being written. Were the number of lanes known to the compiler, it would
-# write each loop out and not see that it does the same to all.
+# Operations on all lanes; the last arrays are written. The number of lanes is an argument: with a constant the compiler
+# would unroll the loops instead of vectorising them.
 @kernel_inlined
 def clear(to: Array, lanes: int) -> None:
     """Write to = 0."""

@@ -1,4 +1,4 @@
-"""Contact of the tip with the surface: its frame, its modes, and the force that Eq. 24 asks for in each of them.
+"""Contact of the tip with the surface: its frame, its modes, and the contact force of Eq. 24 in each mode.
 
 Everything is written in the contact frame, whose axes are the normal n and two tangents t1, t2 of the surface. With
 A = [nᵀ; t1ᵀ; t2ᵀ] Jᵣ the tip's velocity is u = A q̇ and its acceleration
@@ -30,14 +30,14 @@ from closedloop.jit.simd8 import every, select
 
 Array = NDArray[np.float64]
 
-# What the tip does: values of the run's column `mode`.
+# Contact modes: values of the run's column `mode`.
 FREE, PRESSED, STUCK = 0, 1, 2
 
-# Q and C are sums of dozens of products: what their difference says of a force is good to this share of their size.
+# Q and C are sums of dozens of products: relative rounding error of a force computed from their difference.
 LOAD_ROUNDING = 2e-14
 
-# Along a tangent in which its mobility is below this share of the whole, the tip cannot move at all (a planar arm,
-# sideways): there is nothing to hold there, and no force is needed to hold it.
+# Below this share of the trace of S the tip cannot move along a tangent (a planar arm, sideways): the force there is
+# zero.
 IMMOBILE = 1e-10
 
 
@@ -82,8 +82,8 @@ def factorise(H: Array, A: Array, L: Array, X: Array, S: Array, reach: float) ->
         Rows n, t1, t2.
     L, X, S : (n, n), (3, n), (3, 3) arrays
         Written; L's diagonal holds reciprocals, see `closedloop.closure.solve.cholesky`. S_nn is zero where no joint
-        has a lever along n: |A_n|² is no more than SINGULAR_MOBILITY of the arm's reach squared. Where the whole of Jᵣ
-        is rounding, as of a tip on the only axis, a share of the tip's own mobility would not tell.
+        has a lever along n: |A_n|² is no more than SINGULAR_MOBILITY of the arm's reach squared. (A
+        share of the tip's own mobility would fail where the whole of Jᵣ is rounding, as of a tip on the only axis.)
     reach : float
         Of the arm, squared, m², see `Robot.reach`.
 
@@ -131,7 +131,7 @@ def free_acceleration(L: Array, X: Array, drift_c: Array, torque: Array, C: Arra
 
 @kernel
 def normal_rounding(L: Array, X: Array, drift_c: Array, torque: Array, loss: Array, C: Array, g: Array) -> float:
-    """Return how much of the tip's unloaded acceleration along n may be rounding, m/s².
+    """Return a bound of the rounding error in the tip's free acceleration along n, m/s².
 
     Q and C are each known to rounding, and a_n = gᵀ(Q − C) + ... with g = H⁻¹Aᵀn = L⁻ᵀX_n; `g` (n,) is scratch.
     """
@@ -158,7 +158,7 @@ def pressed_force(S: Array, a: Array, b_stabiliser: float, c: Array, w: Array, F
     Parameters
     ----------
     S, a : (3, 3), (3,) arrays
-        Mobility, 1/kg, and unloaded acceleration, m/s².
+        Mobility, 1/kg, and free acceleration, m/s².
     b_stabiliser : float
         −s_v ė − s_p e, m/s².
     c, w : (2,) arrays
@@ -169,10 +169,10 @@ def pressed_force(S: Array, a: Array, b_stabiliser: float, c: Array, w: Array, F
     Returns
     -------
     status : int
-        OK, SINGULAR (the tip cannot move along the normal) or PAINLEVE (pressing harder would not push the tip off the
-        surface but pull it in: no force, or more than one, solves Eq. 24).
+        OK, SINGULAR (the tip cannot move along the normal) or PAINLEVE (with friction a larger f accelerates the tip
+        into the surface: no force, or more than one, solves Eq. 24).
     share : float
-        The part of f that answers the stabiliser, N.
+        The part of f due to the stabiliser, N.
     """
     if not every(S[0, 0] > SINGULAR_MOBILITY * (S[0, 0] + S[1, 1] + S[2, 2])):
         return SINGULAR, 0.0
@@ -194,7 +194,7 @@ def stuck_force(S: Array, a: Array, b_stabiliser: Array, F: Array, share: Array)
     Parameters
     ----------
     S, a, b_stabiliser : (3, 3), (3,), (3,) arrays
-        Mobility, 1/kg; unloaded acceleration and the stabiliser's, m/s².
+        Mobility, 1/kg; free acceleration and the stabiliser's, m/s².
     F, share : (3,) arrays
         Written, N; zero along tangents in which the tip cannot move.
 
@@ -237,7 +237,7 @@ def stuck_force(S: Array, a: Array, b_stabiliser: Array, F: Array, share: Array)
 
 @kernel_inlined
 def accelerate(L: Array, X: Array, y: Array, F: Array, qdd: Array) -> None:
-    """Write q̈ = L⁻ᵀ(y + Xᵀ F): the acceleration under the load and the contact force together."""
+    """Write q̈ = L⁻ᵀ(y + Xᵀ F): the acceleration due to Q − C and the contact force."""
     for j in range(y.shape[0]):
         qdd[j] = y[j] + X[0, j] * F[0] + X[1, j] * F[1] + X[2, j] * F[2]
     back_substitute(L, qdd)
@@ -245,7 +245,7 @@ def accelerate(L: Array, X: Array, y: Array, F: Array, qdd: Array) -> None:
 
 @kernel
 def apply_impulse(L: Array, X: Array, impulse: Array, column: Array, v: Array) -> None:
-    """Change q̇ by H⁻¹Aᵀ P, what an impulse P (3,), N s, on the tip does to it; `column` (n,) is scratch."""
+    """Add H⁻¹Aᵀ P to q̇, the effect of an impulse P (3,), N s, on the tip; `column` (n,) is scratch."""
     for j in range(v.shape[0]):
         column[j] = X[0, j] * impulse[0] + X[1, j] * impulse[1] + X[2, j] * impulse[2]
     back_substitute(L, column)
@@ -260,10 +260,10 @@ def residuals(
 ) -> tuple[float, float]:  # fmt: skip
     """Return the relative residuals of the equation of motion, and of the closure rows first .. last − 1.
 
-    Each is the largest |left − right| over the largest sum of the sizes of what was added. In a closure row that
-    includes the unloaded acceleration `a` and S F, which cancel: an arm that a force holds at rest has q̈ = 0, and
-    rounding is relative to the two parts. So 1e-16 is as good as arithmetic allows. The first residual says that no
-    force but Q, C and F acts on the arm; the second that the tip accelerates as the closure asks, b (3,), m/s².
+    Each is the largest |left − right| over the largest sum of the magnitudes of the terms. In a closure row these
+    include the free acceleration `a` and S F, which cancel: an arm at rest in contact has q̈ = 0, and rounding is
+    relative to the two terms. So 1e-16 is the limit of the arithmetic. The first residual shows that no force but Q, C
+    and F acts on the arm; the second that the tip's acceleration is that of the closure, b (3,), m/s².
     """
     n = torque.shape[0]
     worst, scale = 0.0, 0.0

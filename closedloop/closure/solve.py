@@ -4,9 +4,8 @@
     [ A   0  ] [ −f ] = [  b_s  ]        A = nᵀJᵣ for the plane, m >= 1 rows in general
 
 `solve_closure` is that line in numpy and LAPACK, for reading, for users and for tests. Inside a step the same
-equation goes through Cholesky of H and the Schur complement A H⁻¹Aᵀ (`closedloop.closure.contact_force`), which is
-faster, knows when a pose is singular, and splits off the stabiliser's share of f. Tests hold the two against each
-other.
+equation is solved by Cholesky of H and the Schur complement A H⁻¹Aᵀ (`closedloop.closure.contact_force`), which is
+faster, detects a singular pose, and separates the stabiliser's share of f. Tests compare the two.
 """
 
 from __future__ import annotations
@@ -24,8 +23,8 @@ Array = NDArray[np.float64]
 # A H⁻¹Aᵀ is the tip's mobility along the normal, 1/kg: acceleration per newton. Below this share of its mobility
 # in all directions together (the trace of Jᵣ H⁻¹Jᵣᵀ) the pose counts as singular. The share falls with the square
 # of the Jacobian's angle to the singular pose: at 1e-12 that angle is 1e-6 rad, f is ill-determined to about six of
-# its sixteen digits, and a force of 10 N along the normal asks for a million times the joint acceleration. So it does
-# where no joint's lever along the normal is above 1e-6 of the arm's reach, its square above this share of that squared.
+# its sixteen digits, and a force of 10 N along the normal takes a million times the joint acceleration. The same holds
+# where no joint's lever arm along the normal is above 1e-6 of the arm's reach (its square above this share of reach²).
 SINGULAR_MOBILITY = 1e-12
 
 OK, SINGULAR, NOT_POSITIVE_DEFINITE, DIVERGED, PAINLEVE, CHATTER, LAW_FAILED = range(7)

@@ -1,1 +1,1 @@
-"""What the commands share: the border to the shell, output, the current folder, a user's module, results."""
+"""Shared by the commands: arguments and exit status, output, the current folder, a user's module, results."""

@@ -1,8 +1,7 @@
-"""The border that all commands share: arguments in, an exit status out, and one line for whatever went wrong.
+"""The outer part of all commands: arguments, exit status, and one line for any error.
 
-Exit status: 0 done; 2 the input is at fault, or something around the command (a file, the output, memory); 3 what was
-begun could not go on; 4 it ended, but its verdict is bad, where that was asked; 130 interrupted by Ctrl-C, 143 by
-SIGTERM.
+Exit status: 0 done; 2 the input is at fault, or the environment (a file, the output, memory); 3 the work could not be
+finished; 4 it ended, but its verdict is bad, with --strict; 130 interrupted by Ctrl-C, 143 by SIGTERM.
 """
 
 from __future__ import annotations
@@ -26,11 +25,11 @@ DONE, BAD_INPUT, STOPPED, NOT_GOOD = 0, 2, 3, 4
 
 
 class Left(Exception):
-    """The parser has done what was asked, such as --help."""
+    """The parser has done everything, such as --help."""
 
 
 class Parser(argparse.ArgumentParser):
-    """A parser that raises what the border turns into a line and a status.
+    """A parser whose errors `run_command` turns into a line and a status.
 
     Parameters
     ----------
@@ -59,7 +58,7 @@ def run_command(
     stopped: tuple[type[ClosedLoopError], ...] = (SimulationError, ClusterError),
     interrupted: str = "",
 ) -> int:
-    """Run a command and return its exit status, whatever happens in it or to its output.
+    """Run a command and return its exit status, with all exceptions and output errors handled.
 
     Parameters
     ----------
@@ -118,7 +117,7 @@ class _Notices(logging.Handler):
 
 @contextmanager
 def _notices() -> Iterator[None]:
-    """Print what the package has to say while it works; as a library it says so to a logger."""
+    """Print the package's notices, which it logs, while the command runs."""
     logger, handler = logging.getLogger("closedloop.compiling"), _Notices()
     level, propagate = logger.level, logger.propagate
     logger.addHandler(handler)
@@ -134,9 +133,9 @@ def _notices() -> Iterator[None]:
 
 @contextmanager
 def _quiet_libraries() -> Iterator[None]:
-    """Let no library stop a command: figures are drawn into files only, without a look for a screen; what a library
-    warns of is no error, even where PYTHONWARNINGS says so; and one that reads its own files in the encoding of the
-    locale (Drake) can do so where that is ASCII.
+    """Keep libraries from stopping a command: figures are drawn into files only, without a screen; warnings of
+    libraries are no errors, even with PYTHONWARNINGS; and a library that reads its own files in the locale's encoding
+    (Drake) can do so where that is ASCII.
     """
     log, backend = logging.getLogger("matplotlib"), os.environ.get("MPLBACKEND")
     level, characters = log.level, locale.setlocale(locale.LC_CTYPE)

@@ -1,6 +1,6 @@
-"""The current folder holds a user's files: no module in it takes the place of one that the package needs.
+"""The current folder is taken off `sys.path`, so that a user's file cannot shadow a module that the package needs.
 
-``python -m closedloop.run`` makes Python look there first, so that a ``numpy.py`` of the user's would be numpy.
+``python -m closedloop.run`` puts it first, so that a user's ``numpy.py`` would be imported as numpy.
 """
 
 from __future__ import annotations

@@ -1,7 +1,7 @@
-"""Text for an output that cannot say all of it, such as a Windows console or the locale C.
+"""Text for an output whose encoding lacks some characters, such as a Windows console or the locale C.
 
-An error handler of Python's codecs: what the encoding lacks becomes ASCII that reads alike, ζ zeta, ² 2, a line of a
-table -, and what has no likeness its code.
+An error handler of Python's codecs: a missing character becomes similar ASCII (ζ zeta, ² 2, a table's line -), or its
+code.
 """
 
 from __future__ import annotations

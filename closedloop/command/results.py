@@ -1,7 +1,7 @@
-"""The folder of a run's results: run.nc, summary.json and the figures, and what of an earlier run may be replaced.
+"""The folder of a run's results: run.nc, summary.json and the figures; replacing an earlier run's results.
 
-The same question (scenario, robot, law, engine) has the same answer, so its results may be written again. Those of
-another are replaced only if that was asked for, and then none of its files stays beside the new ones.
+Results of the same inputs (scenario, robot, law, engine) may be overwritten. Those of other inputs are replaced only
+with --overwrite, and then none of their files is left.
 """
 
 from __future__ import annotations
@@ -18,7 +18,7 @@ from closedloop.record.run import Run
 from closedloop.record.sealed import read_sealed
 
 RUN, SUMMARY = "run.nc", "summary.json"
-# What a figure says of itself near its beginning.
+# Metadata near the beginning of a figure's file.
 MARK = b"closedloop"
 _MARKED_WITHIN = 16_384
 _NAMES = {
@@ -36,7 +36,7 @@ class Results:
     folder : path
         It is made if need be, and what killed writers left in it is removed.
     question : mapping of str to str
-        What is asked, see `closedloop.record.netcdf.question`.
+        The inputs of the run, see `closedloop.record.netcdf.question`.
     overwrite : bool
         Whether results of another question may be replaced.
 
@@ -95,7 +95,7 @@ class Results:
             ]  # fmt: skip
 
     def _clear(self) -> None:
-        """Remove what would stand beside the new run and belong to another: its summary and its figures."""
+        """Remove files of an earlier run that the new one would not overwrite: its summary and its figures."""
         for path in [self.folder / SUMMARY, *self.folder.glob("fig*.png"), *self.folder.glob("fig*.svg")]:
             if path.is_symlink() or not path.is_file():
                 continue
@@ -109,7 +109,7 @@ class Results:
 
 
 def _make_writable(folder: Path) -> None:
-    """Make the output folder before anything is simulated, so that no result is lost for want of a place."""
+    """Make the output folder before anything is simulated, so that no result is lost if that fails."""
     try:
         with held_back():
             probe_folder(folder)
@@ -130,7 +130,7 @@ def _is_summary(path: Path) -> bool:
 
 
 def _difference(keys: list[str], found: dict[str, Any], question: dict[str, str]) -> str:
-    """Return in words in what a run differs from what is asked."""
+    """Return the first difference between the inputs of a run and these, in words."""
     names = dict.fromkeys(_NAMES[key] for key in keys)
     if "scenario" in names:
         try:

@@ -1,8 +1,7 @@
-"""Standard output and standard error that stop no command.
+"""Standard output and standard error whose errors stop no command.
 
-Whoever reads them may leave (``| head -1``), the disk behind them may be full, they may be closed, or their encoding
-may lack half of what is written. What could not be written is known afterwards; nothing raises, not even when Python
-ends.
+The reader of a pipe may have ended (``| head -1``), the disk may be full, a stream may be closed, or its encoding may
+lack characters. Errors are kept and reported afterwards; nothing raises, not even when Python ends.
 """
 
 from __future__ import annotations
@@ -20,12 +19,12 @@ from closedloop.command.plain_text import HANDLER
 
 
 class Patient(io.RawIOBase):
-    """A raw stream that takes everything; after the first failure it passes nothing on.
+    """A raw stream that accepts all writes; after the first failure it discards them.
 
     Attributes
     ----------
     failure : OSError or None
-        Why not everything that was written arrived.
+        The first error.
     """
 
     def __init__(self, inner: Any) -> None:

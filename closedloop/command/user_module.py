@@ -1,9 +1,9 @@
-"""A function or a class from a user's own module, asked for on the command line as MODULE:NAME.
+"""A function or a class from a user's module, named on the command line as MODULE:NAME.
 
     --law my_laws:soft_touch --reference.kind my_paths:Spiral
 
-The module may lie in the current folder, and so may what it imports. Nothing there takes the place of an installed
-module: the folder is looked through last, and a module with the name of an installed one is refused.
+The module, and what it imports, may be in the current folder. That folder is searched last, and a module with the name
+of an installed one is refused.
 """
 
 from __future__ import annotations
@@ -81,7 +81,7 @@ def importing(option: str, name: str, wanted: str) -> Iterator[tuple[str, str]]:
 
 
 def _look_here(option: str, name: str, top: str) -> str:
-    """Let modules of the current folder be found, after all others; return the file of the one asked for, or ""."""
+    """Let modules of the current folder be found, after all others; return the file of the named one, or ""."""
     try:
         here = os.getcwd()
     except OSError:  # it was deleted

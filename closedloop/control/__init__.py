@@ -1,10 +1,10 @@
 """Control of an arm that presses on a surface and moves along it.
 
-law            what every control law and every compensation of friction is
-law_input      what a law knows at one instant
-laws           those that ship, a file each
-compensation   those of friction that ship, a file each
-tip_space      what laws for the tip have in common
+law            base classes of control laws and of friction compensations
+law_input      the input of a law
+laws           the control laws that ship, a file each
+compensation   the friction compensations that ship, a file each
+tip_space      functions shared by laws in operational space
 sensor         the force sensor
 stability      how much force feedback a sampled sensor allows
 """

@@ -1,6 +1,6 @@
-"""What every control law is: a section of the scenario, its states, and up to four functions.
+"""Base classes of control laws and compensations: a section of the scenario, its states, and up to four functions.
 
-A law of one's own is a class derived from `ControlLaw`, with its parameters as typed fields. Those that ship are in
+A user's law is a class derived from `ControlLaw`, with its parameters as typed fields. Those that ship are in
 `closedloop.control.laws`, one file each, written the same way.
 
     class Damper(ControlLaw):
@@ -38,14 +38,14 @@ def commanded_force(x: LawInput, par: Any, z: Any) -> float:
         f_c = f_des + K_f (f_des − f_s) + K_I ∫ (f_des − f) dt
 
     f_s is the latest reading, so K_f acts with a delay; the integral is a state. With an exact model and a rigid
-    surface f = f_c + d, d being what the model leaves out. Then e_f = f_des − f obeys, without K_f, ė_f = −K_I e_f:
-    the force settles like exp(−K_I t) whatever the arm. A reading that is one sample old makes of K_f alone the
-    iteration f ← (1 + K_f) f_des − K_f f + d, which converges for K_f < 1 only; behind a low-pass of time
-    constant T sampled every h, K_f may be up to T/h (`closedloop.control.stability`).
+    surface f = f_c + d, d the disturbance. Then e_f = f_des − f obeys, without K_f, ė_f = −K_I e_f: the force settles
+    like exp(−K_I t), independently of the arm. With a reading that is one sample old, K_f alone gives the iteration
+    f ← (1 + K_f) f_des − K_f f + d, which converges for K_f < 1 only; behind a low-pass of time constant T sampled
+    every h, K_f may be up to T/h (`closedloop.control.stability`).
 
-    In free motion there is no force to be fed back, and f_c = f_des; but feedback that drew the tip off the surface, as
-    after too high a reading, does not press it back in the same instant: what it takes from f_des it takes there too,
-    until the reading is that of free motion and the integral has recovered.
+    In free motion there is no force feedback, and f_c = f_des. But after liftoff due to feedback, as after too high a
+    reading, f_c does not return to f_des at once, which would chatter: negative feedback terms act there too, until the
+    reading is that of free motion and the integral has recovered.
 
     Source: the integral force servo of Yoshikawa, IEEE J. Robotics and Automation 3(5), 1987, and of Volpe and
     Khosla, IEEE Trans. Automatic Control 38(11), 1993, who compare the explicit force laws.
@@ -62,10 +62,10 @@ def commanded_force(x: LawInput, par: Any, z: Any) -> float:
 
 @kernel
 def force_error_rate(x: LawInput, par: Any, z: Any, f: float) -> float:
-    """Return the rate of z.force_error = ∫ (f_des − f) dt, N: what is integrated of the error.
+    """Return the rate of z.force_error = ∫ (f_des − f) dt, N.
 
-    In free motion it rests, so that it does not wind up; only what is below zero recovers, if the tip is to press.
-    Without an integral gain it is 0.
+    In free motion it is zero, against wind-up, but a negative integral recovers if f_des > 0. Without an integral gain
+    it is zero.
     """
     if par.force_integral == 0.0:
         return 0.0
@@ -74,18 +74,18 @@ def force_error_rate(x: LawInput, par: Any, z: Any, f: float) -> float:
 
 
 class ControlLaw(Parameters):
-    """[law]: what all control laws share: the force, and how the force sensor is used.
+    """[law]: base of all control laws: the desired force, and the force feedback.
 
     A law has these functions. `par` has its parameters by name, one for each joint as arrays (n,); `z` its states and
     `dz` their rates.
 
         torque(x, par, z, torque)           write Q (n,), N m, at the instant x (`LawInput`)
-        rates(x, par, z, f, torque, dz)     write ż: f is the reading of the force at this instant, N, torque what acts
+        rates(x, par, z, f, torque, dz)     write ż: f is the force reading at this instant, N, torque the applied Q
         start(x, par, z)                    write z at the start of a run, where it is zero
-        restart(dv, par, z)                 tell z of an impact that changed the joint velocities by dv (n,), rad/s
+        restart(dv, par, z)                 update z after an impact that changed q̇ by dv (n,), rad/s
 
-    What `torque` writes into z at a row of the record stays, what it writes within a step does not: a controller that
-    counts samples keeps its memory there, with a `sample_period`.
+    What `torque` writes into z at a row of the record is kept, what it writes within a step is not: a sampled law,
+    with a `sample_period`, keeps its memory there.
 
     Attributes
     ----------
@@ -135,7 +135,7 @@ class ControlLaw(Parameters):
 
 
 class Compensation(Parameters):
-    """[compensation]: what is added to a law's torque against friction.
+    """[compensation]: a torque against friction, added to that of the law.
 
     Its functions are those of a law (see `ControlLaw`), but `torque` adds to Q.
     """

@@ -1,4 +1,4 @@
-"""What a control law knows at one instant."""
+"""The input of a control law at one instant."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ Array = NDArray[np.float64]
 
 
 class LawInput(NamedTuple):
-    """The state of the arm, what is wanted of it, and what its sensors say.
+    """The state of the arm, its terms, the reference, and the reading of the force sensor.
 
     Contact frame: axes n (out of the surface), t1, t2; the three numbers of every (3,) array are in that order, unless
     it is said to be in base axes.
@@ -47,17 +47,17 @@ class LawInput(NamedTuple):
     frame : (3, 3) array
         The contact frame: rows n, t1, t2, base axes; p = frame r.
     q_des, v_des : (n,) arrays
-        Wanted joint motion.
+        Desired joint motion.
     p_des, u_des, a_des : (3,) arrays
-        Wanted motion of the tip, m, m/s, m/s².
+        Desired motion of the tip, m, m/s, m/s².
     f_des : float
-        Wanted force, N: what the tip presses with, and so what the surface answers along +n.
+        Desired contact force, N, of the surface on the tip along +n.
     f_measured : float
-        Latest reading of the force sensor, N, as [sensor] gives it: of an instant before this one.
+        Latest reading of the force sensor, N, as modelled by [sensor]: of an earlier instant.
     pressed : float
         1 while the tip is in contact, else 0.
     scratch : array
-        Room for intermediate numbers, (n² + 3 n + 224,); nothing is kept in it.
+        Scratch, (n² + 3 n + 224,); it is not kept from call to call.
     """
 
     t: float

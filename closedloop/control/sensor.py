@@ -21,9 +21,9 @@ from closedloop.sections import FORCE, PERIOD, NotNegative, Number, Section, Siz
 
 Array = NDArray[np.float64]
 
-# A longer delay than this many samples is a slip of the keyboard.
+# Samples of the longest delay that is accepted.
 MOST_DELAYED = 10_000
-# A number of 53 bits has no finer steps than a quantum of which it holds so many.
+# Above this many quanta a double is no finer than a quantum.
 MOST_QUANTA = 2.0**52
 
 
@@ -38,7 +38,7 @@ QUANTUM = Size(1e9, "N", "no sensor is so coarse", 1e-12, "no sensor is so fine"
 
 
 class SensorSection(Section):
-    """[sensor]: the force sensor; as it stands, ideal: the force at the latest sample."""
+    """[sensor]: the force sensor; by default ideal: the force at the latest sample."""
 
     noise: Annotated[NotNegative, FORCE] = Field(0.0, description="standard deviation of white noise, N")
     bias: Annotated[Number, FORCE] = Field(0.0, description="constant error, N")
@@ -121,13 +121,13 @@ def sensor_rates(f_true: float, par: Any, z: Array, dz: Array) -> None:
 
 @kernel
 def continuous_reading(f_true: float, par: Any, z: Array) -> float:
-    """Return what the sensor would say at this instant without sampling, N: low-passed, and biased."""
+    """Return the continuous reading at this instant, N: with low-pass and bias, without sampling."""
     return float((z[0] if par.filter_time_constant > 0.0 else f_true) + par.bias)
 
 
 @kernel
 def quantised(reading: float, quantum: float) -> float:
-    """Return the reading in whole quanta, N; 0: as it is. So is one of more quanta than its own digits can tell."""
+    """Return the reading in whole quanta, N; unchanged if the quantum is 0 or below the resolution of a double."""
     if quantum > 0.0 and abs(reading) < MOST_QUANTA * quantum:
         return float(quantum * math.floor(reading / quantum + 0.5))
     return reading
@@ -135,7 +135,7 @@ def quantised(reading: float, quantum: float) -> float:
 
 @kernel
 def sense(f_true: float, sample: int, par: Any, z: Array, normal: float, ring: Array) -> float:
-    """Take a sample and return the reading that the controller gets now, N.
+    """Take a sample and return the controller's present reading, N.
 
     Parameters
     ----------
@@ -157,7 +157,7 @@ def sense(f_true: float, sample: int, par: Any, z: Array, normal: float, ring: A
 
 
 def start_sensor(f_true: float, par: Any, z: Array, ring: Array) -> None:
-    """Write z and the ring as if the sensor had felt f_true, N, without noise, for long."""
+    """Write z and the ring of a sensor in steady state at f_true, N, without noise."""
     if par.filter_time_constant > 0.0:
         z[0] = f_true
     reading = plain(quantised)(f_true + par.bias, par.quantisation)

@@ -1,4 +1,4 @@
-"""How much force feedback a sampled sensor allows on a rigid surface.
+"""Stability of sampled force feedback on a rigid surface.
 
 With an exact model f = f_c + d holds at every instant, so the sampled force loop is linear and does not depend
 on the arm:
@@ -25,12 +25,12 @@ from closedloop.errors import ScenarioError
 
 Array = NDArray[np.float64]
 
-# The circle on which the loop is looked at lies so much outside the unit circle, as the rounding of a root may.
+# The contour is this much outside the unit circle, for the rounding of a root on it.
 ON_CIRCLE = 1e-12
-# Points on each of the turns that a delay makes along half the circle, before any halving.
+# Points on each turn of the phase of the delay along half the circle, before any halving.
 POINTS_A_TURN = 8
 MOST_HALVINGS = 50
-# Halvings between a gain that settles and the fourfold, for the limit in a message: three decimal digits.
+# Bisections between a stable gain and four times it, for the limit in a message: three decimal digits.
 DIGITS = 12
 
 
@@ -41,10 +41,10 @@ def force_loop_settles(feedback: float, integral: float, sensor: SensorSection, 
 
         F(w) = (w − 1)(1 + K_f w⁻ᵐ G) + h K_I (w⁻ᵐ or 1) G = 0        (without w − 1 where K_I = 0)
 
-    Nyquist's criterion: F has no pole outside the circle but that at infinity, so the turns of F along it say how many
-    roots there are outside. That costs as many evaluations as the delay has samples, where the eigenvalues of the
-    recursion cost their cube. Along the circle F is cut ever finer where it comes near zero, so the answer is that of
-    the eigenvalues but for gains within rounding of the limit, which are taken for settling.
+    Nyquist's criterion: F has no pole outside the circle but that at infinity, so the winding number of F along it is
+    the number of roots outside. That costs as many evaluations as the delay has samples, where the eigenvalues of the
+    recursion cost their cube. The contour is refined where F comes near zero, so the result is that of the eigenvalues
+    but for gains within rounding of the limit, which count as stable.
 
     Parameters
     ----------
@@ -97,7 +97,7 @@ def check_sampling(law: ControlLaw, compensation: Compensation | None, sensor: S
     Raises
     ------
     ScenarioError
-        With the gain that is too large, and the most that would do.
+        Names the gain that is too large, and its limit.
     """
     if law.force_integral > 0.0 and not force_loop_settles(0.0, law.force_integral, sensor, period):
         most = _most(lambda k: force_loop_settles(0.0, k, sensor, period), law.force_integral)

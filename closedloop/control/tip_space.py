@@ -1,4 +1,4 @@
-"""The tip's side of a control law: pseudo-inverses, motion errors, and the way back to joint torque."""
+"""Control in operational space: pseudo-inverses, motion errors, and the joint torque of a tip motion and force."""
 
 from __future__ import annotations
 
@@ -38,7 +38,7 @@ GainNotNegative = Annotated[Gain, AfterValidator(_gains_not_negative)]
 
 
 class Approach(ControlLaw):
-    """Of a law that seeks the surface at a set speed."""
+    """Parameters of a law that approaches the surface at a given speed."""
 
     approach_speed: Annotated[Positive, SPEED] = Field(
         0.05,
@@ -48,7 +48,7 @@ class Approach(ControlLaw):
 
 
 class Posture(Section):
-    """Of a law for the tip: what joints do that the tip leaves free (redundant arms)."""
+    """Parameters of the null-space motion of a redundant arm."""
 
     posture_stiffness: Annotated[GainNotNegative, ACCELERATION_GAIN] = Field(
         25.0, description="pull of free joint motion to the reference's, 1/s², one per joint or one for all"
@@ -59,7 +59,7 @@ class Posture(Section):
 
 
 class TipMotion(Posture):
-    """Of a law that makes the tip's motion linear: ë + K_v ė + K_p e = 0.
+    """Parameters of a law that linearises the tip's motion: ë + K_v ė + K_p e = 0.
 
     Gains of the tip's motion are accelerations per error, 1/s² and 1/s, so the same values serve any arm: K_p = ω², K_v
     = 2 ζ ω gives the tip the natural frequency ω and the damping ratio ζ.
@@ -74,7 +74,7 @@ class TipMotion(Posture):
 
 
 class TipScratch(Block, sizes=("n",)):
-    """What a law for the tip works out on the way, in `LawInput.scratch`."""
+    """Intermediate results of a law in operational space, in `LawInput.scratch`."""
 
     inverse: Annotated[Array, 3, 3]
     eigen: Annotated[Array, 18]
@@ -95,7 +95,7 @@ def pseudo_inverse(M: Array, scratch: Array, P: Array) -> int:
     scratch : (18,) array
     P : (3, 3) array
         Written (it may be M itself): the sum of x xᵀ/λ over the eigenvectors x whose eigenvalue λ is above `IMMOBILE`
-        of the trace. Along the others (a planar arm, sideways) the arm cannot move the tip, and nothing is asked of it.
+        of the trace. Along the others (a planar arm, sideways) the arm cannot move the tip.
 
     Returns
     -------
@@ -155,8 +155,7 @@ def jacobian_gram(A: Array, first: int, G: Array) -> None:
 def surface_mobility(S: Array, pressed: float, i: int, k: int) -> float:
     """Return entry (i, k), tangents counted 1 and 2, of the tip's mobility along the surface, 1/kg.
 
-    S_tt − S_tn S_nt/S_nn while the tip is pressed, where the surface answers a push along it with a force along n; S_tt
-    in free motion.
+    S_tt − S_tn S_nt/S_nn in contact, where a force along the surface causes a reaction along n; S_tt in free motion.
     """
     if pressed == 0.0:
         return float(S[i, k])
@@ -174,14 +173,14 @@ def motion_along_surface(x: LawInput, par: Any, wanted: Array) -> None:
 
 @kernel
 def motion_along_normal(x: LawInput, f: float, stiffness: float, damping: float, speed: float) -> float:
-    """Return the acceleration wanted along n, m/s²: none in contact, where the force is controlled instead.
+    """Return the commanded acceleration along n, m/s²: zero in contact, where the force is controlled instead.
 
-    In free motion the sign of f_des says where to: a tip that is to press (f_des > 0) comes down at `speed`, whatever
-    the height; one that is not to (f_des = 0) follows p_des; one that is to leave (f_des < 0) goes up with −S_nn f
-    over `damping`, follows p_des upwards too, and never comes down. All this no faster than `speed`.
+    In free motion it depends on the sign of f_des. f_des > 0: the tip approaches the surface at `speed`, from any
+    height. f_des = 0: it follows p_des. f_des < 0: it retreats with −S_nn f over `damping`, follows p_des upwards too,
+    and never approaches. The speed is limited to `speed`.
 
-    A tip is accelerated towards the surface no more than f, the f_c of free motion in N, would do in contact. So no law
-    for the tip lets go of the surface in contact and presses when free at one and the same state: it would chatter.
+    The acceleration towards the surface is at most that due to f, the f_c of free motion in N. So no law lifts off in
+    contact and presses in free motion at one and the same state, which would chatter.
     """
     if x.pressed != 0.0:
         return 0.0
@@ -196,21 +195,21 @@ def motion_along_normal(x: LawInput, f: float, stiffness: float, damping: float,
 
 @kernel
 def wanted_acceleration(x: LawInput, par: Any, f: float, wanted: Array) -> None:
-    """Write the tip acceleration (3,), m/s², that the motion law asks for in all three directions."""
+    """Write the tip acceleration (3,), m/s², commanded by the motion law in all three directions."""
     wanted[0] = motion_along_normal(x, f, par.motion_stiffness, par.motion_damping, par.approach_speed)
     motion_along_surface(x, par, wanted)
 
 
 @kernel
 def posture(x: LawInput, par: Any, a: Array) -> None:
-    """Write K_d (q̇_des − q̇) + K_p (q_des − q), rad/s², into `a` (n,): where joints go that the tip leaves free."""
+    """Write K_d (q̇_des − q̇) + K_p (q_des − q), rad/s², into `a` (n,): the null-space motion."""
     for j in range(x.q.shape[0]):
         a[j] = par.posture_stiffness[j] * (x.q_des[j] - x.q[j]) + par.posture_damping[j] * (x.v_des[j] - x.v[j])
 
 
 @kernel
 def rest_of(x: LawInput, wanted: Array, a: Array, rest: Array) -> None:
-    """Write wanted − Ȧq̇ − A a (3,), m/s²: what is still missing when the joints accelerate with `a` (n,)."""
+    """Write wanted − Ȧq̇ − A a (3,), m/s²: the remaining tip acceleration if the joints accelerate with `a` (n,)."""
     for i in range(3):
         s = wanted[i] - x.drift[i]
         for j in range(a.shape[0]):

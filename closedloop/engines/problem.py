@@ -241,9 +241,7 @@ class Problem:
         slip = float(np.hypot(u[1], u[2]))
         if slip > 0.0:
             w.direction[:] = u[1:] / slip
-        felt = (
-            float(self.table[0, 2 * n + 9]) if self.mode != FREE else 0.0
-        )  # the sensor's history is the desired force
+        felt = float(self.table[0, 2 * n + 9]) if self.mode != FREE else 0.0  # the sensor's history is f_des
         sensor = int(state.law_states)
         friction = sensor + int(state.sensor_states)
         joints = friction + int(state.friction_states)

@@ -1,4 +1,4 @@
-"""What all panels over time share: titles, the marks of law and reference, and what the contact does.
+"""Elements of all panels over time: titles, the marks of law and reference, contact modes and events.
 
 Modes are bands behind the curves and events are marks on the time axis. Bands differ in lightness and hatching and
 marks in shape, so that neither needs colour.

@@ -1,4 +1,4 @@
-"""The friction of the surface beside what it could be at most, and the slip."""
+"""The friction force of the surface beside its bound, and the slip."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""The impacts of a run: how fast, how hard, at what cost."""
+"""The impacts of a run: closure rates, impulses, energy losses."""
 
 from __future__ import annotations
 
@@ -44,7 +44,7 @@ def has_impacts(run: Run) -> bool:
 
 
 def impacts(run: Run) -> Figure:
-    """Draw the closure rate before and after each impact, its impulses, and the energy that it cost, against time.
+    """Draw the closure rate before and after each impact, its impulses, and its energy loss, against time.
 
     Raises
     ------

@@ -1,4 +1,4 @@
-"""The instants that figures point out: where the law or the reference changes, and what the contact does when."""
+"""The instants marked in figures: changes of the law or the reference, and of the contact mode."""
 
 from __future__ import annotations
 
@@ -37,12 +37,12 @@ class Interval(NamedTuple):
 def motion(scenario: Scenario) -> tuple[float, float] | None:
     """Return the instants, s, at which the reference starts and stops to move.
 
-    None if it never moves, or is a user's path in a run file that nobody has named.
+    None if it never moves, or is a user's path in a run file, not named in this process.
     """
     if isinstance(scenario.reference, Absent):
         return None
-    pieces = tip_path(scenario.reference, np.zeros(3), unit(scenario.surface.normal, "surface.normal")).pieces
-    return (pieces[0].start, pieces[-1].stop) if pieces else None
+    segments = tip_path(scenario.reference, np.zeros(3), unit(scenario.surface.normal, "surface.normal")).segments
+    return (segments[0].start, segments[-1].stop) if segments else None
 
 
 def marks(run: Run) -> list[Mark]:
@@ -66,7 +66,7 @@ def marks(run: Run) -> list[Mark]:
 
 
 def intervals(run: Run) -> list[Interval]:
-    """Return what the tip does from when to when; the bounds are the events' own instants, between two rows."""
+    """Return the intervals of each contact mode; their bounds are the events' instants, between two rows."""
     changes = np.flatnonzero(np.diff(run.mode)) + 1
     bounds = [float(run.time[0]), *(_instant(run, int(k)) for k in changes), float(run.time[-1])]
     modes = run.mode[[0, *changes]].tolist()

@@ -1,4 +1,4 @@
-"""Fig. 4: where the tip is."""
+"""Fig. 4: the tip position."""
 
 from __future__ import annotations
 

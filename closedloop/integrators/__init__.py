@@ -1,4 +1,4 @@
-"""Integrators: a tableau, an order, a source. One file each, whose name is what `time.integrator` picks it by.
+"""Integrators: a tableau, an order, a source. One file each, whose name is the value of `time.integrator`.
 
     class Heun(Integrator):
         order = 2
@@ -22,14 +22,14 @@ from closedloop.families import Family, Member
 
 Array = NDArray[np.float64]
 
-# Into how many parts the nodes of a scheme may cut a step: what is desired is tabulated at all of them.
+# Most equal parts into which the nodes of a scheme divide a step: the reference is tabulated at all of them.
 MOST_PARTS = 60
-# How far weights may be from what they should be: rounding of a few fractions.
+# Tolerance of sums of weights: rounding of a few fractions.
 ROUNDING = 1e-14
 
 
 class Scheme(Member):
-    """What all schemes state.
+    """Base of all schemes.
 
     Attributes
     ----------

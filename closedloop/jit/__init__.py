@@ -1,1 +1,1 @@
-"""Everything that knows the compiler, and nothing of mechanics."""
+"""Everything that depends on the compiler; nothing here depends on mechanics."""

@@ -1,9 +1,9 @@
-"""Compiling in a process of its own, while a run that cannot wait for it is interpreted.
+"""Compiling in a background process, while the run is interpreted.
 
-The process has low priority, no terminal and no output, outlives the one that started it, and leaves what it has made
-in the cache's folder. There is at most one for each folder: it holds a lock on the folder's marker, which it was given
-by the process that started it and which ends with it, however that is. ``CLOSEDLOOP_BACKGROUND_COMPILE=0`` refuses such
-processes: whoever needs compiled code then compiles it first.
+The process has low priority, no terminal and no output, outlives the one that started it, and writes compiled code into
+the cache's folder. There is at most one for each folder: it holds a lock on the folder's marker, inherited from the
+process that started it and released when it ends. With ``CLOSEDLOOP_BACKGROUND_COMPILE=0`` there are no such processes:
+code is compiled before it is run.
 """
 
 from __future__ import annotations
@@ -53,7 +53,7 @@ _said: set[str] = set()
 
 
 def refused() -> str:
-    """Return why no process may compile in the background, in words; "" if it may."""
+    """Return why no process may compile in the background; "" if one may."""
     if os.environ.get(VARIABLE, "").strip().lower() in ("0", "no", "off", "false"):
         return f"{VARIABLE} refuses it"
     if jit_disabled():
@@ -66,7 +66,7 @@ def refused() -> str:
 
 
 def start(functions: Sequence[Callable[..., Any]]) -> None:
-    """Let a process compile entry kernels, unless one is at work, or it was asked for them before."""
+    """Start a process that compiles entry kernels, unless one is running or these were requested before."""
     with _lock:
         names = [function.__name__ for function in functions if function.__name__ not in _asked]
         if not names or refused():
@@ -90,7 +90,7 @@ def start(functions: Sequence[Callable[..., Any]]) -> None:
 
 
 def make_ready(*functions: Callable[..., Any]) -> None:
-    """Say what is about to be compiled here, if anything; and wait, if a process in the background is at it."""
+    """Announce what is about to be compiled here, if anything; wait if a background process is compiling it."""
     missing = [function for function in functions if needs_compiling(function)]
     if not missing:
         return

@@ -4,9 +4,9 @@
         closedloop-cache                    the marker: we made this folder; its time stamp is that of the last use
         step.run-<32 hex>.nbc               one compiled form of one function, see `closedloop.jit.compile_cache`
 
-Folders of other versions of the source stay for a month after their last use. What is removed was provably written
-here: the folder's name, the marker, the owner, and the name and the end of every file in it are checked, no link is
-followed, and a folder with anything else in it is left as it is.
+Folders of other versions of the source are kept for a month after their last use. Before one is removed, the folder's
+name, the marker, the owner, and the name and the end of every file in it are checked; no link is followed, and a folder
+with anything else in it is kept.
 """
 
 from __future__ import annotations
@@ -99,7 +99,7 @@ def is_kept(function: Callable[..., Any]) -> bool:
 
 
 def why_not_kept() -> str:
-    """Return why compiled code cannot be kept, in words; "" if it can."""
+    """Return why compiled code cannot be kept; "" if it can."""
     try:
         claim(cache_folder())
         with tempfile.TemporaryFile(dir=cache_folder()):
@@ -109,9 +109,9 @@ def why_not_kept() -> str:
 
 
 def claim(folder: Path) -> None:
-    """Make a cache folder that is not there, with the marker; and note that it is in use.
+    """Make a cache folder that does not exist, with the marker, and update the time of its last use.
 
-    A folder with something in it and no marker is not ours, and never becomes so.
+    A folder with something in it and no marker is not ours, and is not used.
 
     Raises
     ------

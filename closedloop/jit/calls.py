@@ -1,10 +1,10 @@
-"""Functions called by address: how the loop, compiled once, calls what a scenario chooses.
+"""Functions called by address: how the loop, compiled once, calls the plug-ins that a scenario chooses.
 
-A member of a family of plug-ins is compiled by itself, into an entry of two whole numbers: the address of the loop's
-memory (`closedloop.step.memory.loop_at`), and what is asked of it. The loop finds the entry's address in its memory
-and calls it, at some 2 ns over a call that is inlined, and is not compiled again for another member.
+A plug-in is compiled separately, into an entry with two integer arguments: the address of the loop's memory
+(`closedloop.step.memory.loop_at`), and which of its functions to call. The loop reads the entry's address from its
+memory and calls it, at some 2 ns over an inlined call, and is not compiled again for another plug-in.
 
-Interpreted, an address is a number under which the Python function is kept.
+In interpreted code an address is a number under which the Python function is registered.
 """
 
 from __future__ import annotations
@@ -60,9 +60,9 @@ def forget_entry(address: int) -> None:
 
 
 def callback(entry: Entry) -> tuple[int, Any]:
-    """Return an address by which compiled code calls a Python function, and what is to be kept as long as it does.
+    """Return an address by which compiled code calls a Python function, and an object to be kept as long as it does.
 
-    The function must catch whatever it raises: nothing can be raised through compiled code.
+    The function must catch all exceptions: none can pass through compiled code.
     """
     kept = _CALLBACK(entry)
     address = ctypes.cast(kept, ctypes.c_void_p).value

@@ -1,9 +1,9 @@
-"""Compiled code on disk: what numba asks for a function that was compiled before, and gives when it has compiled one.
+"""The cache of compiled code on disk, as numba's dispatchers use it.
 
-A file is what numba needs to have the machine code back, and a digest of that. So a file that was cut off or changed
-is known, and its function is compiled again. numba's own files have no digest, and an index in which two processes lose
-each other's entries. Whatever is wrong with the folder (no room, no permission, no folder), the code is compiled in the
-process and the run goes on.
+A file holds numba's serialised code and a digest of it, so a file that was truncated or changed is detected, and its
+function is compiled again. numba's own files have no digest, and an index in which two processes overwrite each other's
+entries. If the folder cannot be used (disk full, no permission, no folder), the code is compiled in the process and the
+run goes on.
 """
 
 from __future__ import annotations
@@ -30,14 +30,14 @@ from closedloop.jit.scipy_later import import_array_functions
 
 
 class KernelCache(_Cache):
-    """What a dispatcher of numba asks for code that is there already, and gives what it has compiled.
+    """The cache of one function: loads compiled code for numba's dispatcher, and saves it.
 
     Parameters
     ----------
     function : callable
         The Python function; its source must be a file.
     identity : str
-        Of a function made inside another, what it was made of; without it, what it encloses is looked at.
+        Of a function made inside another, what it was made from; by default a digest of its closure.
     """
 
     def __init__(self, function: Callable[..., Any], identity: str = "") -> None:

@@ -1,9 +1,9 @@
 """Compile the kernels inside a step once, not once for each level of their nesting.
 
-numba optimises each compiled function together with all that it calls, makes machine code of it, and then hands the
-same code to its caller, who does so again: a function five levels deep is optimised six times, and five times the
-result is thrown away, as only the outermost function is ever called from Python. Here the inner ones stop at LLVM's
-input; the outermost is optimised once, with all of it in view.
+numba optimises each compiled function together with all that it calls, generates machine code, and links the same
+unoptimised code into its caller, where it is optimised again: a function five levels deep is optimised six times, and
+only the outermost is called from Python. Here inner functions stay LLVM's input; the outermost is optimised once, with
+all of them.
 """
 
 from __future__ import annotations
@@ -34,7 +34,7 @@ class NestedLibrary(JITCodeLibrary):
 
 @register_pass(mutates_CFG=False, analysis_only=True)
 class KeepNested(AnalysisPass):
-    """Let the function that is being compiled end in a `NestedLibrary`."""
+    """The compiler pass that makes the function's library a `NestedLibrary`."""
 
     _name = "keep_nested"
 

@@ -1,9 +1,8 @@
-"""The same source without the compiler: a kernel's Python function, with what it calls interpreted too.
+"""Kernels interpreted: a kernel's Python function, with the functions that it calls interpreted too.
 
-A kernel's Python function still finds compiled functions where it looks up what it calls. Its twin is the same code
-with other globals: those of its module, in which every compiled function is a twin in its turn. Both do IEEE arithmetic
-in the same order, so they give the same bits; `math.hypot`, which Python works out in its own way, is the C library's
-in the twin as it is in compiled code.
+The globals of a kernel's Python function are compiled functions. Its twin is the same code with other globals, in which
+every compiled function is replaced by its twin. Both do IEEE arithmetic in the same order, so the results are the same
+to the last bit; `math.hypot`, which Python implements itself, is the C library's in the twin, as in compiled code.
 
 `Interim` is what begins a run before its loop is compiled.
 """

@@ -1,11 +1,11 @@
-"""One source, two ways to run it: the decorators of everything that happens inside a step.
+"""Decorators of the functions inside a step, which run compiled or interpreted from one source.
 
-A function marked `@kernel` takes arrays and numbers, writes into the arrays it is given, and keeps nothing.
-numba compiles it; with ``NUMBA_DISABLE_JIT=1`` the very same lines run in plain Python.
+A function marked `@kernel` takes arrays and numbers, writes into its array arguments, and has no other state. numba
+compiles it; with ``NUMBA_DISABLE_JIT=1`` the same lines run in plain Python.
 
-The outermost function is marked `@entry_kernel`: what Python calls is cached on disk, with everything that it calls.
-numba decides from the text of *one* file whether a cached function is stale, which would silently keep an old
-`closure.py` inside a cached `step.py`. So the cache is our own, in a folder named after the text of all kernel files.
+The outermost function, which Python calls, is marked `@entry_kernel`: it is cached on disk, with everything that it
+calls. numba decides from the text of *one* file whether a cached function is stale, and would keep an old `closure.py`
+inside a cached `step.py`. So the cache is our own, in a folder named by a digest of all kernel files.
 """
 
 from __future__ import annotations
@@ -92,8 +92,8 @@ def _made(function: F, make: Callable[[Callable[..., Any]], Any]) -> F:
 def kernel(function: F) -> F:
     """Compile `function` into the entry kernel that calls it; strict IEEE arithmetic, no fast-math.
 
-    Kernels own no memory, so numba need not count who refers to it (`_nrt`): counting would cost more than a step's
-    arithmetic. Hence a kernel may make views, but neither arrays nor anything that it returns to Python but numbers.
+    Kernels own no memory, so numba's reference counting (`_nrt`) is off: it would cost more than a step's arithmetic.
+    Hence a kernel may make views but no arrays, and returns only numbers to Python.
     """
     return _made(function, lambda plain: _nested(plain, {"error_model": "numpy", "_nrt": False}))
 
@@ -117,8 +117,8 @@ def _njit(function: Callable[..., Any], **options: Any) -> Any:
 def _kept(function: Callable[..., Any], compiled: Any, identity: str = "") -> Any:
     """Let what numba compiles for Python to call be kept on disk, and Ctrl-C wait until it is compiled.
 
-    numba takes a lock while it compiles, and Ctrl-C just as it does so would leave it taken: what another thread
-    compiles later would wait for ever. A second Ctrl-C does not wait.
+    numba takes a lock while it compiles, and Ctrl-C at that moment would leave it taken: another thread that compiles
+    later would wait for ever. A second Ctrl-C does not wait.
     """
     from closedloop.jit.compile_cache import KernelCache
 
@@ -135,15 +135,14 @@ def _kept(function: Callable[..., Any], compiled: Any, identity: str = "") -> An
 
 
 def inlined_kernel(function: F) -> F:
-    """Make `function` a part of the kernel that calls it: of two large functions, one nested in the other, LLVM would
-    optimise the inner one twice."""
+    """Inline `function` at numba's level: of two large nested functions LLVM would optimise the inner one twice."""
     return _made(function, lambda plain: _njit(plain, error_model="numpy", _nrt=False, inline="always"))
 
 
 def kernel_inlined(function: F) -> F:
-    """Compile `function` into each kernel that calls it, machine code and all: it costs no call.
+    """Inline `function` into each kernel that calls it, at LLVM's level: there is no call.
 
-    A call hands over each array as seven words, and the workspace of a step is forty arrays.
+    A call passes each array as seven words, and the workspace of a step is forty arrays.
     """
     options = {"error_model": "numpy", "_nrt": False, "forceinline": True}
     return _made(function, lambda plain: _nested(plain, options))
@@ -152,8 +151,8 @@ def kernel_inlined(function: F) -> F:
 def entry_kernel(function: F, *, nogil: bool = True, identity: str = "") -> F:
     """Compile `function` on first use and cache it on disk, keyed by the text of every kernel of the package.
 
-    It lets other threads of Python run unless `nogil` is false: that takes 30 ns. `identity` says, of a function made
-    inside another, what it was made of.
+    It releases the interpreter's lock unless `nogil` is false: that takes 30 ns. `identity` is, of a function made
+    inside another, what it was made from.
     """
 
     def make(plain: Callable[..., Any]) -> Any:
@@ -163,14 +162,14 @@ def entry_kernel(function: F, *, nogil: bool = True, identity: str = "") -> F:
 
 
 def brief_entry(function: F) -> F:
-    """Do as `entry_kernel`, for what is done before another thread could begin."""
+    """Do as `entry_kernel`, without releasing the interpreter's lock, for calls of a microsecond."""
     return entry_kernel(function, nogil=False)
 
 
 def direct(function: F, *arguments: Any) -> F:
-    """Return what `function` calls for arguments like these, itself: numba's choice among forms takes 70 ns each time.
+    """Return the compiled form of `function` for the types of these arguments: numba's dispatch takes 70 ns a call.
 
-    Compiles or loads it if that has not been done. It no longer checks what it is given.
+    Compiles or loads it if that has not been done. It does not check its arguments.
     """
     if not hasattr(function, "get_overload"):
         return function  # as with NUMBA_DISABLE_JIT=1
@@ -182,7 +181,7 @@ def direct(function: F, *arguments: Any) -> F:
 
 
 def plain(function: F) -> F:
-    """Return the Python function that a kernel was made of: to call it once from Python is not worth compiling it."""
+    """Return the Python function of a kernel, for a single call from Python that is not worth compiling."""
     return cast(F, getattr(function, "py_func", function))
 
 

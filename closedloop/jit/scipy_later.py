@@ -1,8 +1,8 @@
 """numba's implementations of array functions, imported without scipy.
 
-As numba reads or compiles its first function it imports `numba.np.arraymath`, which asks whether BLAS is there by
-importing all of scipy.linalg: 0.3 s of processor time, a seventh of the command's start, for functions that no kernel
-of ours calls. Whatever calls BLAS (a user's compiled law with a matrix product, say) imports it before it is compiled.
+When numba loads or compiles its first function it imports `numba.np.arraymath`, which imports all of scipy.linalg to
+detect BLAS: 0.3 s of processor time, a seventh of the command's start, for functions that no kernel here calls. Code
+that uses BLAS (a user's compiled law with a matrix product, say) imports it before it is compiled.
 """
 
 from __future__ import annotations

@@ -1,13 +1,12 @@
-"""Eight numbers that take part in arithmetic as one: a number of each of eight runs.
+"""SIMD lanes: the type float64x8, eight float64 in one register, one for each of eight runs.
 
-A processor adds eight pairs of numbers in about the time of one. The arithmetic of a step has few loops in which it
-could: its matrices are small and each line waits for the one before. But eight runs do the same at every step. So
-compiled code knows a number `float64x8`, eight float64 in one register, and arrays of it; a kernel that is given
-float64x8 where it would be given floats is compiled for them, and its lines, in the same order, are done for eight
-runs. Nothing in it is different: each of the eight comes out to the last bit as it would alone.
+The arithmetic of a step does not vectorise by itself: its matrices are small and each operation depends on the one
+before. But eight runs do the same operations at every step. A kernel called with float64x8 in place of floats is
+compiled for that type and does its operations, in the same order, for eight runs; each result is the same to the last
+bit as that of one run.
 
-What a kernel cannot do is decide: a comparison of float64x8 has eight answers, and numba refuses to branch on it.
-Kernels that are meant for both say `select` for a number that depends on a comparison, and `every` for a check.
+Kernels for float64x8 must not branch: a comparison has eight results, and numba refuses to branch on it. They use
+`select` for a number that depends on a comparison, and `every` for a check.
 """
 
 from __future__ import annotations
@@ -24,7 +23,7 @@ WIDE = 8
 
 
 def select(condition: Any, yes: Any, no: Any) -> Any:
-    """Return `yes` where the condition holds, else `no`; both are worked out, so neither may fail."""
+    """Return `yes` where the condition holds, else `no`; both are evaluated, so neither may fail."""
     return yes if condition else no
 
 
@@ -34,7 +33,7 @@ def every(condition: Any) -> bool:
 
 
 def nearest(x: float) -> float:
-    """Return an angle as it is, or, where it is many turns, within half a turn of zero."""
+    """Return an angle unchanged, or, where it is many turns, reduced to half a turn about zero."""
     return x if abs(x) <= MANY_TURNS else math.atan2(math.sin(x), math.cos(x))
 
 

@@ -8,5 +8,5 @@
                                    │
                                 Desired         both, and f_des, as the table that the loop reads
 
-`path` is what every path is, `paths` holds those that ship, `desired` puts everything together.
+`path` has the base class of paths, `paths` those that ship, `desired` combines everything.
 """

@@ -1,4 +1,4 @@
-"""What several kinds of reference ask of their numbers beyond what one number alone can say."""
+"""Checks of several fields together, shared by several kinds of reference."""
 
 from __future__ import annotations
 

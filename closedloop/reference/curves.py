@@ -1,4 +1,4 @@
-"""The shapes that a tip can run along, as displacements from where it starts.
+"""Curves of the tip, as displacements from its start.
 
 A curve is any smooth function that begins at the origin. Its parameter s, in seconds, is that of
 `closedloop.reference.timing`: the time of a motion at constant speed.

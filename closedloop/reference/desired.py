@@ -30,8 +30,8 @@ class PressingLaw(Protocol):
         """law.force, N."""
 
 
-class Asked(Protocol):
-    """What of a scenario says where the tip shall go and how hard it shall press."""
+class MotionAndLaw(Protocol):
+    """The parts of a scenario that determine the desired motion and force."""
 
     @property
     def reference(self) -> Path:
@@ -44,7 +44,7 @@ class Asked(Protocol):
 
 @dataclass(frozen=True)
 class Desired:
-    """What the robot shall do, as functions of time.
+    """The desired motion and force as functions of time.
 
     Attributes
     ----------
@@ -67,9 +67,9 @@ class Desired:
     force: float
 
     def table(self, instants: Array, spare: int = 0) -> Array:
-        """Return the (P, 2n + 10) table at `instants` (P,), s; what jumps has its later value at that instant.
+        """Return the (P, 2n + 10) table at `instants` (P,), s; at a discontinuity with the right limit.
 
-        `spare` more columns of zeros stand behind it.
+        `spare` columns of zeros are appended.
 
         Columns: q_des (n), rad (m), and q̇_des (n), rad/s (m/s); the tip's position (3), m, velocity (3), m/s, and
         acceleration (3), m/s², each along n, t1 and t2 of the contact frame; f_des (1), N.
@@ -83,8 +83,10 @@ class Desired:
         return table
 
 
-def desired(scenario: Asked, robot: Robot, plane: Plane, q: Array, profile: ForceProfile | None = None) -> Desired:
-    """Return what the scenario wants of a robot that starts at joint positions q (n,).
+def desired(
+    scenario: MotionAndLaw, robot: Robot, plane: Plane, q: Array, profile: ForceProfile | None = None
+) -> Desired:
+    """Return the desired motion and force of a robot that starts at joint positions q (n,).
 
     Raises
     ------

@@ -1,4 +1,4 @@
-"""The desired force f_des(t) with which the tip shall press: law.force, or a profile over time that starts from it."""
+"""The desired contact force f_des(t): law.force, or a profile over time that starts from it."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from closedloop.sections import FORCE, Instant, Number, Positive, Section, Size
 
 Array = NDArray[np.float64]
 
-# i·h and the instant of a jump may differ by rounding: this share of the instant earlier counts as the instant itself.
+# i·h and the instant of a jump may differ by rounding: earlier by this share of the instant counts as the instant.
 ROUNDING = 1e-12
 
 FREQUENCY = Size(1e6, "Hz", "no step resolves more", 1e-12)
@@ -57,7 +57,7 @@ ForceProfile = Annotated[
 
 
 def force_at(section: ForceProfile, base: float, t: Array) -> Array:
-    """Return f_des (N,), N, at times t (N,), s; a force that jumps has its later value at that instant.
+    """Return f_des (N,), N, at times t (N,), s; at a jump the right limit.
 
     Parameters
     ----------

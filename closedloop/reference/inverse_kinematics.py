@@ -1,7 +1,7 @@
-"""From knot to knot along the tip's path: least-norm inverse kinematics as a kernel; see `closedloop.reference.follow`.
+"""Least-norm inverse kinematics along the tip's path as a kernel; see `closedloop.reference.follow`.
 
-Between knots q̇ = Jᵣ⁺ ṙ_des is integrated with one step of RK4, and the tip is put back on the path by least-norm
-Newton steps.
+Between knots q̇ = Jᵣ⁺ ṙ_des is integrated with one step of RK4, and the error of the tip is removed by least-norm Newton
+steps.
 """
 
 from __future__ import annotations
@@ -19,8 +19,8 @@ from closedloop.robot.tree import Tree, tree_kinematics, work_size
 
 Array = NDArray[np.float64]
 
-# How far the tip may be from the path, m: between knots, a hundredth of the closure error that the stabiliser leaves;
-# at a knot; and where Newton's method ends.
+# Tolerances of the tip's distance from the path, m: between knots, a hundredth of the closure error that the stabiliser
+# leaves; at a knot; and of Newton's method.
 PATH_TOLERANCE, KNOT_TOLERANCE, NEWTON_TOLERANCE = 1e-10, 1e-11, 1e-14
 # Newton ends where a step moves no joint by more than this, rad (m), or after so many steps.
 SMALLEST_MOVE, NEWTON_STEPS = 1e-15, 20
@@ -32,7 +32,7 @@ ENDED, MIDWAY, OUTCOMES = 0, 1, 2
 
 
 class Way(NamedTuple):
-    """What is to be followed, and the joints' path along it.
+    """The tip's path at the knots, and the joints' path along it.
 
     Attributes
     ----------
@@ -128,7 +128,7 @@ def walk(tree: Tree, work: Array, way: Way, outcome: Array) -> int:
 
 @kernel
 def _advance(tree: Tree, w: Scratch, way: Way, k: int) -> int:
-    """Write joint positions and velocities at knot k + 1 from those at knot k, and return whether it can be."""
+    """Write joint positions and velocities at knot k + 1 from those at knot k, and return the result."""
     n = tree.n
     h = way.times[k + 1] - way.times[k]
     q, v, q_next, v_next = way.q[k], way.v[k], way.q[k + 1], way.v[k + 1]

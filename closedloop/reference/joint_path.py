@@ -37,7 +37,7 @@ class JointPath:
     def sample(self, t: Array) -> tuple[Array, Array, Array]:
         """Return q_des, q̇_des and q̈_des, each (N, n), at times t (N,), s.
 
-        A velocity that jumps has its later value at that instant, and its jump has no part in q̈_des. q̈_des is the
+        At a discontinuity the velocity has its right limit, and its jump does not enter q̈_des. q̈_des is the
         spline's own: linear between knots, with jumps of the order of their spacing squared.
         """
         n = self.q.shape[1]

@@ -1,4 +1,4 @@
-"""The smallest joint velocity that moves the tip as told."""
+"""The joint velocity of least norm for a given tip velocity."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from closedloop.jit.kernel import kernel
 
 Array = NDArray[np.float64]
 
-# Singular values of Jᵣ below this share of the largest count as zero: the arm cannot move the tip that way.
+# Singular values of Jᵣ below this share of the largest count as zero: the arm cannot move the tip in that direction.
 RANK_TOLERANCE = 1e-6
 # Rows are orthogonal when their product is below this share of the product of their lengths: rounding.
 ORTHOGONAL = 1e-15

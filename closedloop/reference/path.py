@@ -1,6 +1,6 @@
-"""What every path is: a section of the scenario that says where the tip shall be.
+"""The base class of paths: a section of the scenario that gives the desired motion of the tip.
 
-A path of one's own is a class derived from `Path`, with its parameters as typed fields and the one method `tip_path`.
+A user's path is a class derived from `Path`, with its parameters as typed fields and the one method `tip_path`.
 Those that ship are in `closedloop.reference.paths`, one file each, written the same way.
 """
 
@@ -19,7 +19,7 @@ from closedloop.user_code import of_users
 
 Array = NDArray[np.float64]
 
-# How far from the tip's start a user's path may begin, m: rounding, and far below what the closure would feel.
+# Tolerance of the start of a user's path, m: rounding, with no effect on the closure.
 ORIGIN = 1e-9
 
 

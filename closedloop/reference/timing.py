@@ -1,8 +1,8 @@
-"""How a motion spends its time: at constant speed, or from rest to rest with the least jerk.
+"""Time scaling of a motion: at constant speed, or from rest to rest with minimum jerk.
 
-A timing warps time: at the instant t after the start of a motion of T seconds it returns s, ṡ and s̈, where s is the
-instant at which a motion at constant speed would be at the same place. So s runs from 0 to T, and ṡ is the speed as a
-multiple of the mean speed.
+A timing maps the time t after the start of a motion of T seconds to the path parameter s and its derivatives ṡ and s̈;
+s, in seconds, is the time at which a motion at constant speed would be at the same point. So s runs from 0 to T, and ṡ
+is the speed as a multiple of the mean speed.
 """
 
 from __future__ import annotations

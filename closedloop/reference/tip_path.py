@@ -1,4 +1,4 @@
-"""A path of the tip: pieces of smooth motion, one after the other, at rest before and after."""
+"""A path of the tip: consecutive segments of smooth motion, at rest before and after."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ INSTANT = 1e-9
 
 
 @dataclass(frozen=True)
-class Piece:
+class Segment:
     """A smooth motion of the tip between two instants.
 
     Attributes
@@ -25,11 +25,11 @@ class Piece:
     start, stop : float
         Instants, s.
     origin : (3,) array
-        Where the tip is at `start`, m, base frame.
+        Position of the tip at `start`, m, base frame.
     curve, timing : Curve, Timing
-        What it runs along from there, and how it spends its time.
+        The curve from there, and its time scaling.
     length : float
-        Length of the way, m, about: it says how closely the inverse kinematics looks at first.
+        Arc length, m, about: it sets the first spacing of knots of the inverse kinematics.
     """
 
     start: float
@@ -40,7 +40,7 @@ class Piece:
     length: float
 
     def sample(self, t: Array) -> tuple[Array, Array, Array]:
-        """Return r, ṙ and r̈ as `TipPath.sample` does, at times t (N,) within the piece, both ends included."""
+        """Return r, ṙ and r̈ as `TipPath.sample` does, at times t (N,) within the segment, both ends included."""
         s, ds, dds = (x[:, None] for x in self.timing(t - self.start, self.stop - self.start))
         x, slope, bend = self.curve(s[:, 0])
         return self.origin + x, slope * ds, bend * ds**2 + slope * dds
@@ -48,51 +48,50 @@ class Piece:
 
 @dataclass(frozen=True)
 class TipPath:
-    """Where the tip shall be, as a function of time.
+    """The desired tip position as a function of time.
 
     Attributes
     ----------
     origin : (3,) array
-        Where the tip is before the first piece, m, base frame.
-    pieces : tuple of Piece
+        Position of the tip before the first segment, m, base frame.
+    segments : tuple of Segment
         Each begins when and where the one before ends; none: the tip stays.
     keys : tuple of str
         Keys of the scenario that set how far the path goes, for messages.
     """
 
     origin: Array
-    pieces: tuple[Piece, ...] = ()
+    segments: tuple[Segment, ...] = ()
     keys: tuple[str, ...] = ()
 
     @property
     def start(self) -> float:
         """Instant at which the tip begins to move, s; 0 if it never does."""
-        return self.pieces[0].start if self.pieces else 0.0
+        return self.segments[0].start if self.segments else 0.0
 
     @property
     def length(self) -> float:
-        """Length of the way, m."""
-        return sum(piece.length for piece in self.pieces)
+        """Arc length, m."""
+        return sum(segment.length for segment in self.segments)
 
     def sample(self, t: Array) -> tuple[Array, Array, Array]:
         """Return r, m, ṙ, m/s, and r̈, m/s², each (N, 3), base frame, at times t (N,), s.
 
-        A velocity or an acceleration that jumps has its later value at that instant; a jump of the velocity has no
-        part in r̈.
+        At a discontinuity velocity and acceleration have their right limits; a jump of the velocity does not enter r̈.
         """
         t = np.asarray(t, dtype=np.float64)
         r = np.tile(self.origin, (t.size, 1))
         velocity, acceleration = np.zeros_like(r), np.zeros_like(r)
-        if not self.pieces:
+        if not self.segments:
             return r, velocity, acceleration
-        last = self.pieces[-1]
-        ends = np.array([self.start, *(piece.stop for piece in self.pieces)])
+        last = self.segments[-1]
+        ends = np.array([self.start, *(segment.stop for segment in self.segments)])
         at = np.searchsorted(ends, t + INSTANT * (ends[-1] - ends[0]), side="right") - 1
-        for k, piece in enumerate(self.pieces):
+        for k, segment in enumerate(self.segments):
             now = np.flatnonzero(at == k)
             if now.size:
                 # Instants in order come one after the other: a slice is then three times as quick.
                 where = slice(now[0], now[-1] + 1) if now[-1] - now[0] + 1 == now.size else now
-                r[where], velocity[where], acceleration[where] = piece.sample(t[where])
-        r[at == len(self.pieces)] = last.sample(ends[-1:])[0]
+                r[where], velocity[where], acceleration[where] = segment.sample(t[where])
+        r[at == len(self.segments)] = last.sample(ends[-1:])[0]
         return r, velocity, acceleration

@@ -1,4 +1,4 @@
-"""The border to Pinocchio: everything the simulator knows of a robot's mechanics passes through this file."""
+"""The interface to Pinocchio: the only file that calls it for a robot's mechanics."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ Array = NDArray[np.float64]
 
 
 class Terms(NamedTuple):
-    """What the equation of motion and the closure need of one state (q, q̇); arrays are read-only copies.
+    """The terms of the equation of motion and the closure at one state (q, q̇); arrays are read-only copies.
 
     Attributes
     ----------
@@ -113,14 +113,14 @@ class Robot:
 
     @property
     def passes(self) -> tuple[Any, Any, Any, Any, Any]:
-        """Pinocchio's two passes over the tree, with what they are called with; see `evaluator`."""
+        """Pinocchio's two passes over the tree, with their arguments; see `evaluator`."""
         return pin.crba, pin.nonLinearEffects, pin.Convention.WORLD, self._pin, self._data
 
     def evaluator(self, q: Array, v: Array) -> Callable[[], None]:
         """Return a function that evaluates H, C and the motion of the tip's link into `views`.
 
-        `q` and `v`, each (n,), are read anew at each call, and nothing is checked: this is the inner loop's call. See
-        `closedloop.robot.tip` for the rest of the way to the tip.
+        `q` and `v`, each (n,), are read at each call, and nothing is checked: this is the inner loop's call. The tip's
+        motion follows from `closedloop.robot.tip`.
         """
         crba, bias, convention, model, data = self.passes
 

@@ -1,9 +1,9 @@
-"""The tip's motion from that of the link it sits on: Eqs. 13-18 on what Pinocchio's passes leave behind.
+"""The tip's motion from that of its link: Eqs. 13-18 on the results of Pinocchio's passes.
 
-`pinocchio.crba` leaves the Jacobian of every joint and `pinocchio.nonLinearEffects` the velocity and acceleration of
-every link, the latter for q̈ = 0 in a base that accelerates upwards instead of gravity. Moving them to the tip is all
-that is left to do, and doing it inside the compiled step saves three calls. `Robot.terms` asks Pinocchio's own frame
-functions for the same quantities; a test holds the two equal.
+`pinocchio.crba` computes the Jacobian of every joint and `pinocchio.nonLinearEffects` the velocity and acceleration of
+every link, the latter for q̈ = 0 with the base accelerating upwards instead of gravity. They are transformed to the tip
+inside the compiled step, which saves three calls. `Robot.terms` gets the same quantities from Pinocchio's own frame
+functions; a test holds the two equal.
 """
 
 from __future__ import annotations

@@ -1,1 +1,1 @@
-"""The whole of what is asked: reading, checking, overriding, units."""
+"""Scenarios: reading, validation, overrides, units."""

@@ -1,4 +1,4 @@
-"""The text of a scenario: of a shipped one by its name, or of a file, which may be anything and is looked at first."""
+"""The text of a scenario: of a shipped one by its name, or of a file, whose type and size are checked first."""
 
 from __future__ import annotations
 

@@ -1,13 +1,13 @@
-"""What gains a step can carry: the law's damping and stiffness against the inertia that they act on.
+"""Stability of a law's feedback with the integrator's step: its damping and stiffness against the arm's inertia.
 
-With the model fed forward, as the laws do, what a law feeds back leaves the arm with ẍ = −K x − D ẋ, in the joints with
-K = H⁻¹K_p and D = H⁻¹K_d. A damper on a mass is itself stepped: one explicit step multiplies the rate by 1 − D h,
-which grows where the largest eigenvalue of D h exceeds 2, and a torque that is held between samples is such a step
-whatever the integrator. A spring adds its K h². So gains are judged by the spectral radius of the step's whole linear
-map, at the start posture, in every direction in which the arm can move.
+With the model fed forward, as the laws do, feedback gives ẍ = −K x − D ẋ, in the joints with K = H⁻¹K_p and
+D = H⁻¹K_d. One explicit step multiplies the rate by 1 − D h, which grows where the largest eigenvalue of D h exceeds 2;
+a torque that is held between samples is such a step with any integrator. A spring adds K h². So gains are judged by the
+spectral radius of the step's linear map, at the start posture, in every direction in which the arm can move.
 
-A tip that is held on a surface cannot move along the normal, so H⁻¹ is the one with that direction taken out; one that
-may leave is judged free. Contact, friction and other postures change this, so the answer is a warning and no refusal.
+A tip in bilateral contact cannot move along the normal, so that direction is projected out of H⁻¹; with a unilateral
+contact the free arm is judged. Contact, friction and other postures change the limit, so the result is a warning and no
+refusal.
 """
 
 from __future__ import annotations
@@ -29,12 +29,12 @@ from closedloop.surface.plane import Plane, contact_frame
 
 Array = NDArray[np.float64]
 
-# Rates that nothing pulls at leave a double eigenvalue one, which rounding of 1e-16 splits by its square root, 1e-8.
+# Without a spring there is a double eigenvalue one, which rounding of 1e-16 splits by its square root, 1e-8.
 GROWING = 1.0 + 1e-6
 
 
 class Feedback(NamedTuple):
-    """What a part of a law feeds back: ẍ = −stiffness x − damping ẋ, (m, m), 1/s² and 1/s, and its keys."""
+    """Linear feedback of a part of a law: ẍ = −stiffness x − damping ẋ, (m, m), 1/s² and 1/s, and its keys."""
 
     spring: str
     damper: str
@@ -43,13 +43,13 @@ class Feedback(NamedTuple):
 
 
 def growth(feedback: Feedback, integrator: str, h: float, hold: int = 0) -> float:
-    """Return by how much one step, or one held sample, at most multiplies an error in the long run: good up to 1.
+    """Return the spectral radius of one step, or of one held sample: stable up to 1.
 
     Parameters
     ----------
     feedback : Feedback
     integrator : str
-        See `closedloop.integrators`; one that chooses its steps carries any gains but held ones.
+        See `closedloop.integrators`; an adaptive one is stable with any gains but those of a held torque.
     h : float
         Step, s.
     hold : int
@@ -72,7 +72,7 @@ def growth(feedback: Feedback, integrator: str, h: float, hold: int = 0) -> floa
 
 
 def _early(integrator: str) -> float:
-    """Return by how many a h² a scheme's position is ahead of a h²/2, one step h from rest at an acceleration a."""
+    """Return a scheme's position error after one step h from rest at an acceleration a, in units of a h²."""
     scheme = INTEGRATORS.get(integrator)
     if scheme is None:  # it chooses its steps
         return 0.0
@@ -80,7 +80,7 @@ def _early(integrator: str) -> float:
 
 
 def gains_fault(scenario: Scenario, robot: Robot) -> str:
-    """Return a line about gains of the scenario's law that its step cannot carry, or an empty string.
+    """Return a line about gains of the scenario's law that are unstable with its step, or an empty string.
 
     Parameters
     ----------
@@ -103,7 +103,7 @@ def gains_fault(scenario: Scenario, robot: Robot) -> str:
 
 
 def _fault(feedback: Feedback, scenario: Scenario, robot: Robot, hold: int) -> str:
-    """Return what is wrong with a feedback that the step cannot carry, and the step that could, or an empty string."""
+    """Return what is wrong with a feedback that is unstable with the step, and a stable step, or an empty string."""
     name, span = scenario.time.integrator, scenario.time.step * max(hold, 1)
     if not all(np.all(np.isfinite(matrix)) for matrix in feedback[2:]):
         return f"{feedback.spring} or {feedback.damper} is too large for any step"
@@ -132,13 +132,13 @@ def _fault(feedback: Feedback, scenario: Scenario, robot: Robot, hold: int) -> s
 
 
 def _of_inertia(key: str) -> str:
-    """Return what a gain is measured against: nothing if it is an acceleration already."""
+    """Return the words for the inertia that a gain acts on; none if the gain is an acceleration already."""
     accelerations = ("law.motion_", "law.posture_", "law.approach_")
     return "" if key.startswith(accelerations) else " times the inertia that it acts on"
 
 
 def _largest_share(feedback: Feedback, integrator: str, h: float, hold: int) -> float:
-    """Return the largest share of a step that would do, by bisection; 0 if none does."""
+    """Return the largest share of the step that is stable, by bisection; 0 if none is."""
     low, high = 0.0, 1.0
     for _ in range(40):
         middle = 0.5 * (low + high)
@@ -162,7 +162,7 @@ def _named(key: str, shape: Array, scenario: Scenario, robot: Robot) -> str:
 
 
 def feedbacks(scenario: Scenario, robot: Robot) -> list[Feedback]:
-    """Return what the scenario's law feeds back at the start posture, in parts that do not disturb each other."""
+    """Return the feedback of the scenario's law at the start posture, in decoupled parts."""
     law, n = scenario.law, robot.n
     q = robot.model.home if scenario.start.q is None else np.array(per_joint("start.q", scenario.start.q, n))
     terms = robot.terms(q, np.zeros(n))

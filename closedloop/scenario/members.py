@@ -1,4 +1,4 @@
-"""Which classes of a user's own a scenario picks, and whether they are there."""
+"""The users' classes that a scenario selects, and whether they are known in this process."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from closedloop.user_code import source_digest
 
 
 def members_of_users(scenario: Scenario) -> dict[str, str]:
-    """Return the keys that pick a user's class in a scenario, and its name, MODULE:CLASS."""
+    """Return the keys that select a user's class in a scenario, and its name, MODULE:CLASS."""
     return {key: name for key, name in _picked(scenario) if ":" in name}
 
 
@@ -22,7 +22,7 @@ def _picked(scenario: Scenario) -> Iterator[tuple[str, str]]:
 
 
 def refuse_absent(scenario: Scenario) -> None:
-    """Refuse to run a scenario that was read from a run file and names a user's class that nobody else has named.
+    """Refuse to run a scenario read from a run file with a user's class that has not been named in this process.
 
     Raises
     ------

@@ -1,4 +1,4 @@
-"""What a scenario may contain, in words: for --help, and for the one line that says what is wrong with one."""
+"""Descriptions of a scenario's keys, for --help, and the one-line messages about faults in one."""
 
 from __future__ import annotations
 
@@ -94,7 +94,7 @@ LONGEST_KEY = 60  # characters, more than any has; a joint's name may
 
 
 def explain(error: ValidationError, data: dict[str, Any]) -> str:
-    """Return one line about what pydantic found: which key, which value, what would be right."""
+    """Return one line about an error of pydantic's: which key, which value, what would be right."""
     # An unknown key first: it is often the misspelt name of one that is missing.
     problems = sorted(error.errors(include_url=False), key=lambda p: p["type"] != "extra_forbidden")
     return one_line(_explain_first(problems, data))

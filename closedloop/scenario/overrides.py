@@ -54,7 +54,7 @@ class Variants:
         ------
         ScenarioError
             What is wrong with the first, if none of those looked at can be read: a key is unknown, most likely. An
-            error that nobody foresaw is raised as it is.
+            unforeseen error is raised as it is.
         """
         first: Exception | None = None
         for at in sorted(set(np.linspace(0, len(points) - 1, LOOKED_AT).round().astype(int).tolist())):

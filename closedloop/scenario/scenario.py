@@ -79,7 +79,7 @@ class PlaneSection(Section):
 
 
 class ImpactSection(Section):
-    """[impact]: what happens when the tip meets the surface; only where surface.contact is "unilateral"."""
+    """[impact]: the law of impact between tip and surface; used only where surface.contact is "unilateral"."""
 
     restitution: Restitution = Field(0.0, description="coefficient of restitution, 0 to 1")
     law: Literal["newton", "poisson", "stronge"] = Field(
@@ -118,7 +118,7 @@ TimeConstant = Annotated[float | Literal["auto"], BeforeValidator(_time_constant
 
 
 class BaumgarteGains(Section):
-    """What Baumgarte's stabiliser is set by: s_v = 2ζ/T, s_p = 1/T²."""
+    """Parameters of Baumgarte's stabiliser: s_v = 2ζ/T, s_p = 1/T²."""
 
     damping_ratio: Annotated[NotNegative, DAMPING_RATIO] = Field(0.707, description="ζ")
     time_constant: Annotated[TimeConstant, TIME_CONSTANT] = Field(
@@ -133,7 +133,7 @@ class BaumgarteSection(BaumgarteGains):
 
 
 class ProjectionSection(Section):
-    """[stabiliser] kind = "projection": position and velocity are put back on the closure after each step."""
+    """[stabiliser] kind = "projection": position and velocity are projected onto the closure after each step."""
 
     kind: Literal["projection"] = "projection"
 
@@ -220,7 +220,7 @@ class Scenario(Section):
 
     @model_validator(mode="after")
     def _choose_integrator(self) -> Self:
-        """Put a scheme where "auto" stands: what a scenario says is what it runs with."""
+        """Replace "auto" by a scheme, so that a scenario states the integrator of its run."""
         if self.time.integrator == "auto":
             bristles = self.friction.kind in BRISTLES or self.joint_friction.kind in BRISTLES
             chosen = "rk4" if self.surface.contact == "unilateral" and not bristles else "semi_implicit_euler"
@@ -255,7 +255,7 @@ def load_scenario(name: str | Path, overrides: Mapping[str, Any] | None = None) 
         A shipped name (see `shipped_scenarios`) or a path to a .toml file.
     overrides : mapping, optional
         Dotted keys and values laid over the file before it is checked, such as ``{"law.force": 15.0}``. Overriding a
-        `kind` drops the keys of the old kind that the new one does not know. A class of one's own is named here, as
+        `kind` drops the keys of the old kind that the new one does not know. A user's class is named here, as
         ``{"reference.kind": "my_module:MyPath"}`` or by the class itself.
 
     Raises
@@ -273,7 +273,7 @@ def parse_scenario(
 ) -> Scenario:  # fmt: skip
     """Read a scenario from TOML text; `where` names its origin in messages. See `load_scenario`.
 
-    With `keep_absent` a user's class that nobody has named is kept as it stands, to be looked at and not to be run: see
+    With `keep_absent` a user's class not named in this process is kept as it is, for inspection and not to be run: see
     `closedloop.families.Absent`.
     """
     try:

@@ -97,7 +97,7 @@ def prepare(scenario: Scenario, model: RobotModel | None = None, cache: Cache | 
 
     nodes_per_step = integrator.parts
     instants = (h / nodes_per_step) * np.arange(steps * nodes_per_step + 1, dtype=np.float64)
-    with of_users(scenario.reference, "reference.kind"):  # its curves are asked in there
+    with of_users(scenario.reference, "reference.kind"):  # its curves are evaluated in there
         wanted, table = _desired(scenario, robot, plane, q, instants, cache)
     table[::nodes_per_step, 2 * n + 10] = draws(scenario.sensor, steps + 1)
 
@@ -263,7 +263,7 @@ def _stabiliser_gains(scenario: Scenario) -> tuple[float, float]:
     if not isinstance(section, BaumgarteGains):
         return 0.0, 0.0
     name = scenario.time.integrator
-    if name in ADAPTIVE:  # it takes the steps that its stability asks for
+    if name in ADAPTIVE:  # its steps are as short as stability requires
         own = 2.0 * scenario.time.step if section.time_constant == "auto" else section.time_constant
         return baumgarte_gains(section.damping_ratio, own)
     limit = largest_stable_ratio(name, section.damping_ratio)

@@ -1,4 +1,4 @@
-"""Studies: many runs that answer one question, as a table, figures and files.
+"""Studies: many runs about one question, with a table, figures and files.
 
 python -m closedloop.study drift
 """

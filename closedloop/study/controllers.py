@@ -1,4 +1,4 @@
-"""Every controller on every kind of friction: does it still hold 10 N when the surface is rough?
+"""Force error and path error of every controller with every kind of friction.
 
 The task is wam_slide's with the elbow up, the motion from rest to rest: press with 10 N and slide 108 mm in six
 seconds. Rows are controllers with what they know of friction, columns are laws of friction of about the same level
@@ -36,7 +36,7 @@ Array = NDArray[np.float64]
 SETTLED_FROM, BAND = 1.5, 0.2  # s, N
 STOP = 6.5  # s
 STEP, SAMPLE = 0.00025, 0.001  # s
-SPEED = 0.018  # m/s, the mean one: 108 mm, for which there is room with the elbow up
+SPEED = 0.018  # m/s, mean: 108 mm, within the workspace with the elbow up
 MEASURES = ("force_rms", "force_peak", "path_rms", "settling")
 
 JOINT = {"law.kp": [900.0, 900.0, 400.0, 300.0], "law.kd": [60.0, 60.0, 30.0, 20.0]}

@@ -1,11 +1,11 @@
-"""Closure drift: how far the tip leaves the surface, against step, speed, integrator and stabiliser.
+"""Closure drift: the closure error against step, speed, integrator and stabiliser.
 
-Eq. 24 holds the acceleration of the closure only. What an integrator of order p leaves out of each step stays in e, so
-without a stabiliser e grows like h^p. What it leaves out is made of the velocity products of the closure, so e grows
-like v², where v is the speed of the tip. The study measures both exponents.
+Eq. 24 constrains the acceleration of the closure only. The local error of an integrator of order p accumulates in e, so
+without a stabiliser e grows like h^p. It consists of the velocity products of the closure, so e grows like v², where v
+is the speed of the tip. The study measures both exponents.
 
-With Baumgarte's stabiliser e does not grow but settles. A step of an Euler scheme leaves δ ~ h² v² in e, which has to
-be pulled back at the rate δ/h: s_p e = s_v δ/h, so e = 2 ζ T δ/h. RK4 errs by h⁴/T² where it follows the stabiliser.
+With Baumgarte's stabiliser e is bounded. A step of an Euler scheme has the local error δ ~ h² v² in e, which the
+stabiliser removes at the rate δ/h: s_p e = s_v δ/h, so e = 2 ζ T δ/h. RK4 errs by h⁴/T² in following the stabiliser.
 The T that the study takes is two steps, "auto", and e grows like h² v² under all of them.
 
 The adaptive scheme has a tolerance in place of h. The study also measures the step beyond which Baumgarte's stabiliser
@@ -155,7 +155,7 @@ def measured_limit(scheme: str, damping: float, steps: int = 1500) -> float:
 
 
 def measure(quick: bool = False) -> dict[str, Any]:
-    """Return all figures of the study; see `print_tables` for what they mean."""
+    """Return all results of the study; see `print_tables` for their meaning."""
     schemes, speeds = SCHEMES, SPEEDS[1:4] if quick else SPEEDS
     kinds = [(stabiliser, scheme) for stabiliser in ("none", "baumgarte") for scheme in schemes]
     against_step = [

@@ -1,4 +1,4 @@
-"""The posture of the studies: with the elbow up there is room along y for longer and faster paths than wam_slide's."""
+"""The posture of the studies: with the elbow up the workspace along y allows longer and faster paths."""
 
 import math
 

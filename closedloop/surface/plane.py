@@ -1,4 +1,4 @@
-"""The surface that the tip is held to: a plane n·p = d."""
+"""The plane n·p = d as the contact surface."""
 
 from __future__ import annotations
 

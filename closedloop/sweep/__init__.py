@@ -1,11 +1,11 @@
-"""Sweeps: a scenario with some keys changed, thousands of times over, into one table that no kill can spoil.
+"""Sweeps: a scenario with some keys changed, thousands of times, into one table; a sweep can be killed and resumed.
 
     python -m closedloop.sweep wam_slide --over law.force=5:15:101 --out force.parquet
     python -m closedloop.sweep plot force.parquet
 
-The table is made of parts, and a part of rows. A part is written whole or not at all, in a folder beside the table; a
-sweep that was killed finds the parts that are there, and runs the others. What a part holds depends on its number and
-on the sweep's identity alone, never on who ran it, so threads here and workers of a cluster give the same table.
+The table is made of parts, and a part of rows. A part is written atomically, into a folder beside the table; a sweep
+that was killed keeps the parts that exist, and runs the others. The content of a part depends on its number and on the
+sweep's identity alone, so threads and workers of a cluster give the same table.
 
 Names are loaded when they are first used, so that the command line can answer an interruption from its start.
 """

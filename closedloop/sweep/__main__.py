@@ -1,7 +1,7 @@
 """The command line of sweeps: ``python -m closedloop.sweep wam_slide --over law.force=5:15:101 --out force.parquet``.
 
 Exit status: 0 done, and runs that were stopped or refused are rows that say why; 2 the input is at fault (one line on
-standard error); 3 an error that nobody foresaw kept a run from its end (its row says what and where), or a cluster was
+standard error); 3 an unforeseen error ended a run (its row says what and where), or a cluster was
 lost on the way; 4 with --strict, a run that did not end, failed or has a bad verdict. 130 interrupted, 143 ended by
 SIGTERM: the same command goes on from there, as after a cluster was lost.
 """
@@ -211,7 +211,7 @@ def _plot(arguments: list[str]) -> int:
 
 
 def _end_at_once_at_a_signal() -> None:
-    """Let Ctrl-C and SIGTERM end the process, as long as no sweep is at work: there is nothing to be tidied up.
+    """Let Ctrl-C and SIGTERM end the process, as long as no sweep is running: there is nothing to clean up.
 
     An exception in the middle of the import of a large package would come out as whatever that package makes of it.
     """
@@ -228,7 +228,7 @@ def _end_at_once_at_a_signal() -> None:
 
 
 def _leave(status: int) -> NoReturn:
-    """End the process, without waiting for a run that is still under way though nobody wants it any more."""
+    """End the process, without waiting for an abandoned run."""
     from closedloop.batch.threads import still_at_work
 
     if still_at_work():

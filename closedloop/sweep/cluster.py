@@ -1,8 +1,8 @@
-"""The parts of a sweep on a Dask cluster: its scheduler sends them to workers, and again where a worker is lost.
+"""The parts of a sweep on a Dask cluster: its scheduler sends them to workers, and again if a worker is lost.
 
-A worker needs this package and, for a robot that is a file, that file at the same path. It is sent plain text and sends
-rows back; it writes nothing. Parts are handed over as earlier ones come back, so that a long sweep takes no more memory
-than a short one, here and there.
+A worker needs this package and, for a robot that is a file, that file at the same path. It receives plain text and
+returns rows; it writes nothing. Parts are submitted as earlier ones return, so that a long sweep takes no more memory
+than a short one, on either side.
 """
 
 from __future__ import annotations
@@ -23,7 +23,7 @@ if TYPE_CHECKING:
 
 # A scheduler that is there answers at once, s.
 PATIENCE = 5.0
-# Parts under way for each thread of the cluster: one at work and one waiting.
+# Parts submitted for each thread of the cluster: one running and one waiting.
 AHEAD = 2
 
 

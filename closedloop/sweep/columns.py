@@ -1,7 +1,7 @@
 """Whole columns of a sweep as a NetCDF-4 file, on a disk that may be full.
 
-HDF5 does not survive a failed write: its cache holds on to what it could not write, and the process ends with a
-segmentation fault when the file is closed. So it never hears of one: see `Unfailing`.
+HDF5 does not survive a failed write: its cache keeps the data that it could not write, and the process ends with a
+segmentation fault when the file is closed. So write errors are hidden from it: see `Unfailing`.
 """
 
 from __future__ import annotations
@@ -22,8 +22,8 @@ if TYPE_CHECKING:
 class Unfailing(io.RawIOBase):
     """A file in which writing does not fail: the first error is kept, and what could not be written is kept in memory.
 
-    What is read back is what was written, so that HDF5 goes on in good faith until somebody asks for the error. Once
-    there is one, little more should be written.
+    Reading returns what was written, so HDF5 goes on until the error is raised by `check`. After an error little more
+    should be written.
 
     Parameters
     ----------

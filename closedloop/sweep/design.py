@@ -1,4 +1,4 @@
-"""Which values the runs of a sweep have: a grid, random draws, or a Latin hypercube. Run i depends on i alone."""
+"""The values of the runs of a sweep: a grid, random draws, or a Latin hypercube. Run i depends on i alone."""
 
 from __future__ import annotations
 

@@ -1,10 +1,10 @@
 """From the parts of a sweep to its table, in order of the runs, part by part.
 
-The table is a Parquet file: typed columns, compressed, read by everything, in pieces if need be. Whole columns of the
-runs go into a NetCDF-4 file (`closedloop.sweep.columns`), as those of a single run do, so that MATLAB, xarray and h5py
-open both alike. Zarr could be written in place, part by part, but is a folder of thousands of files that needs one more
-package to be read; and HDF5, which a kill in the middle of writing would spoil, is written here only, from parts that
-are safe, under another name until it is whole.
+The table is a Parquet file: typed columns, compressed, widely readable, also by row groups. Whole columns of the runs
+go into a NetCDF-4 file (`closedloop.sweep.columns`), as those of a single run do, so that MATLAB, xarray and h5py open
+both. Zarr could be written in place, part by part, but is a folder of thousands of files that needs one more package to
+be read. HDF5, which a kill during a write would corrupt, is written here only, from the parts, under another name until
+it is complete.
 """
 
 from __future__ import annotations

@@ -1,7 +1,6 @@
 """Maps of a sweep: values of the runs against one or two of the keys that changed.
 
-One key gives a curve, two a map: cells where every value goes with every other, dots where they were drawn. Runs that
-failed are marked where they are, not left out in silence.
+One key gives a curve, two a map: cells for a grid, dots for random draws. Runs that failed are marked.
 """
 
 from __future__ import annotations

@@ -1,4 +1,4 @@
-"""A part of a sweep: some runs one after the other, as rows of the table and, if asked for, whole columns."""
+"""A part of a sweep: some runs one after the other, as rows of the table and, if kept, whole columns."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ Array = NDArray[np.float64]
 
 @dataclass(frozen=True)
 class Job:
-    """What runs of a sweep have in shared, as plain text, so that it can be sent anywhere.
+    """What the runs of a sweep have in common, as plain text, so that it can be sent to another machine.
 
     Attributes
     ----------

@@ -1,4 +1,4 @@
-"""A sweep from its beginning, or from where it was killed, to its table."""
+"""Running a sweep, or resuming one that was killed, up to its table."""
 
 from __future__ import annotations
 

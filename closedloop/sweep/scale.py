@@ -1,4 +1,4 @@
-"""What the axes of a map show: a key of the scenario, or a value, in its unit."""
+"""The axes of a map: a key of the scenario, or a value, in its unit."""
 
 from __future__ import annotations
 
@@ -85,5 +85,5 @@ def span(values: Array) -> tuple[float, float]:
 
 
 def flat(low: float, high: float) -> bool:
-    """Whether all that differs is noise to the eye: it would fill the panel and crowd the digits out."""
+    """Whether the variation is rounding: it would fill the panel, with ticks of many digits."""
     return high - low <= 1e-6 * max(abs(low), abs(high))

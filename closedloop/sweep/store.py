@@ -1,14 +1,13 @@
-"""The parts of a sweep on disk: each is there whole, or not at all, whatever is killed when.
+"""The parts of a sweep on disk, written atomically.
 
 Beside ``sweep.parquet`` lies the folder ``sweep.parquet.parts`` with
 
     sweep.json           what the sweep is: nothing else may put parts here
-    part-00000012.arrow  the rows of a part; written last, so that where it is the part is done
+    part-00000012.arrow  the rows of a part; written last: if it exists, the part is complete
     part-00000012.npz    its whole columns, if any are kept
 
-A file is written under another name, flushed to the disk and then renamed, which the operating system does at once or
-not at all (`closedloop.files`). A lock on the file ``lock``, which dies with its process, keeps a second sweep out.
-What else may be in the folder is somebody's own, and stays there.
+A file is written under another name, flushed to the disk and then renamed, which is atomic (`closedloop.files`). A lock
+on the file ``lock``, released when its process ends, keeps a second sweep out. Other files in the folder are kept.
 """
 
 from __future__ import annotations
@@ -153,7 +152,7 @@ class Store:
             return {name: columns[name] for name in columns.files}
 
     def write(self, part: int, rows: pa.Table, columns: dict[str, Array]) -> None:
-        """Write a part, from memory: what a library does with a disk that is full is its own affair.
+        """Write a part, serialised in memory first, so that no library has to handle a full disk.
 
         Raises
         ------

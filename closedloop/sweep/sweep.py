@@ -1,4 +1,4 @@
-"""A sweep: what it varies, and how it is cut into parts."""
+"""A sweep: what it varies, and its division into parts."""
 
 from __future__ import annotations
 
@@ -36,7 +36,7 @@ MOST_KEPT = 4_000_000
 
 @dataclass(frozen=True)
 class Sweep:
-    """What is to be run: all that the table depends on.
+    """A sweep: everything that its table depends on.
 
     Attributes
     ----------
@@ -62,7 +62,7 @@ class Sweep:
         Raises
         ------
         ScenarioError, ModelError
-            If a key is unknown, the engine does not cover what is asked, a column is not there to be kept, or the robot
+            If a key is unknown, the engine does not cover the scenario, there is no such column to keep, or the robot
             is at fault.
         """
         sweep = cls(scenario, design, kept_columns(keep), engine)

@@ -251,12 +251,12 @@ FAULTS = {
     "raises": ("        return 1 / 0\n", "faulty.py:6: ZeroDivisionError: division by zero"),
     "no path": ("        return [origin]\n", "TypeError: tip_path returned list, not a TipPath"),
     "a curve that raises": (
-        "        return TipPath(origin, (Piece(0.0, 1.0, origin, lambda s: s[7] if s.max() else [s * 0] * 3,"
+        "        return TipPath(origin, (Segment(0.0, 1.0, origin, lambda s: s[7] if s.max() else [s * 0] * 3,"
         " constant, 0.1),))\n",
         "faulty.py:6: IndexError: index 7 is out",
     ),
     "a curve of two numbers": (
-        "        return TipPath(origin, (Piece(0.5, 1.0, origin, lambda s: [np.zeros((s.size, 2))] * 3,"
+        "        return TipPath(origin, (Segment(0.5, 1.0, origin, lambda s: [np.zeros((s.size, 2))] * 3,"
         " constant, 0.1),))\n",
         "ValueError: ",
     ),
@@ -270,7 +270,7 @@ def test_a_path_that_fails(case, command_line, tmp_path):
     body, words = FAULTS[case]
     head = (
         "import numpy as np; from closedloop.reference.timing import constant\n"
-        "from closedloop.reference.path import Path\nfrom closedloop.reference.tip_path import Piece, TipPath\n"
+        "from closedloop.reference.path import Path\nfrom closedloop.reference.tip_path import Segment, TipPath\n"
     )
     name = f"faulty_{case.replace(' ', '_')}"
     (tmp_path / f"{name}.py").write_text(f"{head}class Mine(Path):\n    def tip_path(self, origin, normal):\n{body}")

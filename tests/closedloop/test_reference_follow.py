@@ -151,7 +151,7 @@ def test_knots_are_there_twice_only_where_the_velocity_jumps(followed):
     assert np.all(np.diff(joints.times) >= 0.0)
     jumps = {
         b.start
-        for a, b in itertools.pairwise(path.pieces)
+        for a, b in itertools.pairwise(path.segments)
         if np.max(np.abs(a.sample(np.array([a.stop]))[1] - b.sample(np.array([b.start]))[1])) > 0.0
     }
     assert set(joints.times[twice]) == jumps
@@ -163,17 +163,17 @@ def test_knots_are_there_twice_only_where_the_velocity_jumps(followed):
 
 @pytest.mark.parametrize("name", ["circle", "linear"])
 def test_path_is_the_solution_of_least_joint_motion(name, robot):
-    """The whole path is the solution of q̇ = Jᵣ⁺ṙ_des, piece by piece: compared with DOP853."""
+    """The whole path is the solution of q̇ = Jᵣ⁺ṙ_des, segment by segment: compared with DOP853."""
     arm = robot("wam4")
     path, joints = follow_section(arm, WAM_START, PATHS[name])
     q = WAM_START
-    for piece in path.pieces:
+    for segment in path.segments:
 
-        def velocity(t, x, piece=piece):
+        def velocity(t, x, segment=segment):
             J = arm.terms(x, np.zeros(arm.n)).jacobian
-            return np.linalg.pinv(J, rcond=1e-6) @ piece.sample(np.array([t]))[1][0]
+            return np.linalg.pinv(J, rcond=1e-6) @ segment.sample(np.array([t]))[1][0]
 
-        q = solve_ivp(velocity, (piece.start, piece.stop), q, method="DOP853", rtol=1e-10, atol=1e-11).y[:, -1]
+        q = solve_ivp(velocity, (segment.start, segment.stop), q, method="DOP853", rtol=1e-10, atol=1e-11).y[:, -1]
     assert np.max(np.abs(joints.q[-1] - q)) < 1e-8
 
 
@@ -241,7 +241,7 @@ def test_leaving_the_workspace_is_refused_with_its_first_instant(robot):
 
 
 def test_leaving_the_limits_is_refused_with_the_joint_and_the_instant_of_the_waypoint(robot):
-    """In the third piece of a path towards the base the elbow meets its limit of 3 rad: by name, at its instant."""
+    """In the third segment of a path towards the base the elbow meets its limit of 3 rad: by name, at its instant."""
     x, _, z = closed_form.terms([0.6, -1.4], [0, 0]).position
     l1, l2 = closed_form.LENGTH
     nearest = l1**2 + l2**2 + 2 * l1 * l2 * np.cos(3.0)

@@ -53,7 +53,7 @@ def test_velocity_and_acceleration_are_the_derivatives(name):
     Central differences over 2e-5 s: truncation below h²/6 · 500 m/s⁴ (in the raster's steps), rounding below 1e-16/h.
     """
     path, h = path_of(name), 1e-5
-    ends = np.array([path.start, *(piece.stop for piece in path.pieces)])
+    ends = np.array([path.start, *(segment.stop for segment in path.segments)])
     t = np.random.default_rng(0).uniform(0.0, STOP + 0.5, 400)
     t = t[np.min(np.abs(t[:, None] - ends), axis=1) > h]
     (r0, v0, _), (_, v, a), (r1, v1, _) = path.sample(t - h), path.sample(t), path.sample(t + h)
@@ -63,14 +63,14 @@ def test_velocity_and_acceleration_are_the_derivatives(name):
 
 
 @pytest.mark.parametrize("name", SMOOTH)
-def test_least_jerk_motion_is_at_rest_at_both_ends_of_every_piece(name):
-    """Velocity and acceleration are zero at the ends of each piece, from both sides: the path is C2."""
+def test_least_jerk_motion_is_at_rest_at_both_ends_of_every_segment(name):
+    """Velocity and acceleration are zero at the ends of each segment, from both sides: the path is C2."""
     path = path_of(name)
-    for piece in path.pieces:
-        _, v, a = piece.sample(np.array([piece.start, piece.stop]))
+    for segment in path.segments:
+        _, v, a = segment.sample(np.array([segment.start, segment.stop]))
         assert np.max(np.abs(v)) == 0.0
         assert np.max(np.abs(a)) == 0.0
-    ends = np.array([piece.stop for piece in path.pieces])
+    ends = np.array([segment.stop for segment in path.segments])
     for side in (-1e-6, 0.0, 1e-6):
         _, v, a = path.sample(ends + side)
         assert np.max(np.abs(v)) < 1e-9
@@ -78,15 +78,15 @@ def test_least_jerk_motion_is_at_rest_at_both_ends_of_every_piece(name):
 
 
 @pytest.mark.parametrize("name", SECTIONS)
-def test_pieces_join(name):
-    """Each piece begins when and where the one before ends; before and after them all the tip is at rest."""
+def test_segments_join(name):
+    """Each segment begins when and where the one before ends; before and after them all the tip is at rest."""
     path = path_of(name)
     where, when = ORIGIN, START
-    for piece in path.pieces:
-        r, _, _ = piece.sample(np.array([piece.start, piece.stop]))
-        assert piece.start == when
+    for segment in path.segments:
+        r, _, _ = segment.sample(np.array([segment.start, segment.stop]))
+        assert segment.start == when
         assert np.allclose(r[0], where, rtol=0, atol=1e-15)
-        where, when = r[1], piece.stop
+        where, when = r[1], segment.stop
     assert when == STOP
     r, v, a = path.sample(np.array([0.0, START - 1e-6, STOP, STOP + 1e-6, 1e6]))
     assert np.allclose(r, [ORIGIN, ORIGIN, where, where, where], rtol=0, atol=1e-15)
@@ -121,10 +121,10 @@ def test_length_is_that_of_the_shape(name, length):
     path = path_of(name)
     assert path.length == pytest.approx(length, rel=1e-12)
     total = 0.0
-    for piece in path.pieces:
+    for segment in path.segments:
         nodes, weights = np.polynomial.legendre.leggauss(200)
-        half = 0.5 * (piece.stop - piece.start)
-        _, v, _ = piece.sample(piece.start + half * (nodes + 1.0))
+        half = 0.5 * (segment.stop - segment.start)
+        _, v, _ = segment.sample(segment.start + half * (nodes + 1.0))
         total += half * float(weights @ np.linalg.norm(v, axis=1))
     assert total == pytest.approx(length, rel=1e-9)
 
@@ -197,9 +197,9 @@ def test_eight_is_the_lissajous_figure():
 def test_raster_runs_to_and_fro():
     """Passes alternate in direction, one pitch apart (negative: to the right), with rests at the corners."""
     path = path_of("raster")
-    assert len(path.pieces) == 7
+    assert len(path.segments) == 7
     corners = plane_coordinates(
-        np.array([path.pieces[0].origin] + [p.sample(np.array([p.stop]))[0][0] for p in path.pieces])
+        np.array([path.segments[0].origin] + [p.sample(np.array([p.stop]))[0][0] for p in path.segments])
     )
     assert np.allclose(corners[0], [0.0, 0.05, 0.05, 0.0, 0.0, 0.05, 0.05, 0.0], rtol=0, atol=1e-15)
     assert np.allclose(corners[1], [0.0, 0.0, -0.01, -0.01, -0.02, -0.02, -0.03, -0.03], rtol=0, atol=1e-15)
@@ -208,8 +208,8 @@ def test_raster_runs_to_and_fro():
 def test_raster_shares_its_time_by_equal_peak_acceleration():
     """Long passes and short steps accelerate as hard as each other."""
     peaks = []
-    for piece in path_of("raster").pieces:
-        _, _, a = piece.sample(np.linspace(piece.start, piece.stop, 5001))
+    for segment in path_of("raster").segments:
+        _, _, a = segment.sample(np.linspace(segment.start, segment.stop, 5001))
         peaks.append(np.max(np.linalg.norm(a, axis=1)))
     assert np.ptp(peaks) < 1e-6 * max(peaks)
 
@@ -239,7 +239,7 @@ def test_velocity_that_jumps_has_its_later_value():
 
 
 def test_hold_stays_where_it_is():
-    """A path without pieces is its origin, at rest."""
+    """A path without segments is its origin, at rest."""
     path = tip_path(Hold(), ORIGIN, NORMAL)
     r, v, a = path.sample(np.array([0.0, 1.0, 1e9]))
     assert np.array_equal(r, np.tile(ORIGIN, (3, 1)))

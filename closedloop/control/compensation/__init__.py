@@ -1,6 +1,6 @@
 """Compensation of friction, beside any law: from a model, by a disturbance observer, or by adaptation.
 
-model      friction as it is believed to be, fed forward along the wanted motion
-observer   whatever accelerates the joints beyond torque and contact force, estimated and taken out
-adaptive   the surface's Coulomb and viscous coefficients, found from the tracking error
+model      feedforward of a friction model along the desired motion
+observer   disturbance observer: the estimated disturbance of the joints is compensated
+adaptive   adaptation of the surface's Coulomb and viscous coefficients by the tracking error
 """

@@ -3,10 +3,9 @@
     q̈ = H⁻¹(Q − C + Aᵀn f) + δ        δ: what friction, in the joints and at the tip, adds
     δ̂ = K_o (q̇ − ξ)                  ξ̇ = H⁻¹(Q − C + Aᵀn f) + δ̂
 
-hence δ̂' = K_o (δ − δ̂): the estimate follows what acts on the arm within 1/K_o, and the torque −H δ̂ takes it
-out. f is what the force sensor says, so an error of the force counts as a disturbance too and settles with the
-same rate. At an impact q̇ jumps unexplained, and δ̂ by K_o times as much, unless `restart_observer` is told of
-it.
+hence δ̂' = K_o (δ − δ̂): the estimate converges with the time constant 1/K_o, and the torque −H δ̂ compensates it. f is
+the reading of the force sensor, so an error of the force counts as a disturbance too and settles with the same rate. At
+an impact q̇ jumps, and δ̂ by K_o times as much, unless `restart` corrects ξ.
 
 Sources: K. Ohnishi, M. Shibata, T. Murakami, Motion control for advanced mechatronics, IEEE/ASME Trans. Mechatronics
 1(1), 1996; W.-H. Chen and others, A nonlinear disturbance observer for robotic manipulators, IEEE Trans. Industrial
@@ -62,7 +61,7 @@ class ObserverCompensation(Compensation):
 
     @staticmethod
     def start(x: LawInput, par: Any, z: Any) -> None:
-        """Write ξ at the start of a run: nothing is estimated yet."""
+        """Write ξ at the start of a run, with the estimate zero."""
         for j in range(x.v.shape[0]):
             z.observed_velocity[j] = x.v[j]
 

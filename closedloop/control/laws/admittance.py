@@ -3,15 +3,15 @@
 Outer loop, with two states:   M ẍ_a + B ẋ_a + K x_a = f − f_des
 Inner loop:                    a_n = K_v (u_des + ẋ_a − u)_n + K_p (p_des + x_a − p)_n
 
-and along the surface the motion law of `closedloop.control.operational_space`. In contact the inner loop acts
+and along the surface the motion law of `closedloop.control.laws.operational_space`. In contact the inner loop acts
 as the force −a_n/S_nn beside f_c, so that it does not push the tip along the surface. On a rigid surface f =
 f_c + d − (K_v ẋ_a + K_p x_a)/S_nn, hence with K = 0
 
     M ẍ_a + (B + K_v/S_nn) ẋ_a + K_p/S_nn x_a = d
 
-and the force settles at f_des whatever the disturbance d, with no integral of the force error but the set
-point's motion. In free motion f = 0: the set point, and the tip after it, come down at f_des/B. A tip that is to leave
-(f_des < 0) is pushed off by −f_des besides, as it was in contact, and its set point rises at −f_des/B.
+and the force settles at f_des for any constant disturbance d, with no integral of the force error but the motion of the
+set point. In free motion f = 0: the set point, and the tip after it, approach the surface at f_des/B. With f_des < 0
+the tip is pushed off by −f_des besides, as in contact, and its set point rises at −f_des/B.
 
 Sources: D. Whitney, Force feedback control of manipulator fine motions, J. Dynamic Systems, Measurement and
 Control 99(2), 1977; H. Seraji, Adaptive admittance control: an approach to explicit force control in compliant

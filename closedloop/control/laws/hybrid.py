@@ -11,7 +11,7 @@ gravity to the integral terms; here C is fed forward, as in Eq. 33.
 Off the surface the normal direction is the motion of `closedloop.control.tip_space.motion_along_normal`: towards the
 surface only if f_des > 0.
 
-Nothing decouples the directions: while joint errors last, the force deviates from f_c by −(nᵀA H⁻¹(...))/(nᵀS n).
+The directions are not decoupled: while there are joint errors, the force deviates from f_c by −(nᵀA H⁻¹(...))/(nᵀS n).
 
 Sources: M. Raibert, J. Craig, J. Dynamic Systems, Measurement and Control 103(2), 1981; W. Fisher, S. Mujtaba, Hybrid
 position/force control: a correct formulation, Int. J. Robotics Research 11(4), 1992.

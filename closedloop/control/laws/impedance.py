@@ -1,16 +1,16 @@
-"""Impedance control: the tip answers a push like a spring and a damper, and presses with a wished force (Hogan 1985).
+"""Impedance control: the tip responds to forces like a spring and a damper, and presses with f_c (Hogan 1985).
 
     along the surface   M (ü − ü_des) + B (u − u_des) + K (p − p_des) = F_t
     along n, in contact f = f_c + B_n (u − u_des)_n + K_n (p − p_des)_n
 
 M is the inertia that the arm itself has along the surface: changing it would need the force along the surface to be
-measured. So a push F_t displaces the tip by F_t/K. The torque is that of
-`closedloop.control.operational_space.move_tip`, so the directions do not disturb each other.
+measured. So a force F_t displaces the tip by F_t/K. The torque is that of `closedloop.control.tip_space.move_tip`, so
+the directions are decoupled.
 
-With a p_des below the surface K_n presses in the classical way, by K_n times the depth; with p_des on it the force is
-f_c. Another inertia M_n along n would be the same as the force feedback K_f = 1/(M_n S_nn) − 1, which may be asked for
-by that name. In free motion spring, damper and f_des act along n on the arm's own inertia: a tip that is to press comes
-down at f_des/B_n, if K_n = 0.
+With a p_des below the surface the spring presses with K_n times the depth; with p_des on it the force is f_c. Another
+inertia M_n along n would be the same as the force feedback K_f = 1/(M_n S_nn) − 1, which is `law.force_feedback`. In
+free motion spring, damper and f_des act along n on the arm's own inertia: with f_des > 0 and K_n = 0 the tip approaches
+the surface at f_des/B_n.
 
 Source: N. Hogan, Impedance control: an approach to manipulation, J. Dynamic Systems, Measurement and Control 107(1),
 1985.

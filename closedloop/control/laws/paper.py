@@ -7,8 +7,8 @@ t = 0. The paper prints the position error as q − q_des; here the gains are po
 stands in front, so a positive gain pulls the arm towards its path. The arm pushes the surface with f_des along −n,
 hence the minus sign of the last term, and the surface answers with f along +n.
 
-The paper has no force sensor. With `force_feedback` or `force_integral`, which are beside the paper, f_c of
-`closedloop.control.law.commanded_force` takes the place of f_des.
+The paper has no force sensor. With `force_feedback` or `force_integral`, which the paper does not have, f_c of
+`closedloop.control.law.commanded_force` replaces f_des.
 """
 
 from __future__ import annotations

@@ -81,8 +81,8 @@ def jumps(wanted: Desired, others: Array, rows: Array) -> Array:
         Instants of the recorded rows, s, the first and the last of which bound the run; a discontinuity that differs
         from one of them by rounding is set to it.
     """
-    pieces = [x for piece in wanted.tip.pieces for x in (piece.start, piece.stop)]
-    instants = np.concatenate([rows[[0, -1]], wanted.joints.times, pieces, _force_jumps(wanted), others])
+    segments = [x for segment in wanted.tip.segments for x in (segment.start, segment.stop)]
+    instants = np.concatenate([rows[[0, -1]], wanted.joints.times, segments, _force_jumps(wanted), others])
     instants = instants[(instants >= rows[0]) & (instants <= rows[-1])]
     nearest = rows[np.clip(np.round(instants / (rows[1] - rows[0])), 0, rows.size - 1).astype(np.int64)]
     same = np.abs(instants - nearest) <= ROUNDING * np.maximum(1.0, instants)

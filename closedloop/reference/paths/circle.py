@@ -13,7 +13,7 @@ from closedloop.reference.checks import TURNS, direction_along, interval, not_ze
 from closedloop.reference.curves import Ellipse
 from closedloop.reference.path import Path
 from closedloop.reference.timing import minimum_jerk
-from closedloop.reference.tip_path import Piece, TipPath
+from closedloop.reference.tip_path import Segment, TipPath
 from closedloop.sections import LENGTH, Direction, Instant, Number, Positive
 
 Array = NDArray[np.float64]
@@ -48,5 +48,5 @@ class Circle(Path):
         angle = 2 * math.pi * not_zero(self.turns, "reference.turns")
         across = np.cross(normal, direction)
         curve = Ellipse(self.radius * direction, -self.radius * across, angle / (stop - start))
-        piece = Piece(start, stop, origin, curve, minimum_jerk, self.radius * abs(angle))
-        return TipPath(origin, (piece,), ("reference.radius", "reference.turns"))
+        segment = Segment(start, stop, origin, curve, minimum_jerk, self.radius * abs(angle))
+        return TipPath(origin, (segment,), ("reference.radius", "reference.turns"))

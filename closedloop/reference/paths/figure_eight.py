@@ -13,7 +13,7 @@ from closedloop.reference.checks import TURNS, direction_along, interval
 from closedloop.reference.curves import Eight
 from closedloop.reference.path import Path
 from closedloop.reference.timing import minimum_jerk
-from closedloop.reference.tip_path import Piece, TipPath
+from closedloop.reference.tip_path import Segment, TipPath
 from closedloop.sections import LENGTH, Direction, Instant, Positive
 
 Array = NDArray[np.float64]
@@ -46,8 +46,8 @@ class FigureEight(Path):
         rate = 2 * math.pi * self.turns / (stop - start)
         curve = Eight(0.5 * self.width * direction, 0.5 * self.height * across, rate)
         length = self.turns * _length(self.width, self.height)
-        piece = Piece(start, stop, origin, curve, minimum_jerk, length)
-        return TipPath(origin, (piece,), ("reference.width", "reference.height", "reference.turns"))
+        segment = Segment(start, stop, origin, curve, minimum_jerk, length)
+        return TipPath(origin, (segment,), ("reference.width", "reference.height", "reference.turns"))
 
 
 def _length(width: float, height: float) -> float:

@@ -12,7 +12,7 @@ from closedloop.reference.checks import direction_along, interval
 from closedloop.reference.curves import Straight
 from closedloop.reference.path import Path
 from closedloop.reference.timing import constant, minimum_jerk
-from closedloop.reference.tip_path import Piece, TipPath
+from closedloop.reference.tip_path import Segment, TipPath
 from closedloop.sections import SPEED, Direction, Instant, Number
 
 Array = NDArray[np.float64]
@@ -47,5 +47,5 @@ class Line(Path):
         start, stop = interval(self)
         curve = Straight(self.speed * direction)
         timing = constant if self.timing == "constant" else minimum_jerk
-        piece = Piece(start, stop, origin, curve, timing, abs(self.speed) * (stop - start))
-        return TipPath(origin, (piece,), ("reference.stop", "reference.speed"))
+        segment = Segment(start, stop, origin, curve, timing, abs(self.speed) * (stop - start))
+        return TipPath(origin, (segment,), ("reference.stop", "reference.speed"))

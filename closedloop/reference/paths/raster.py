@@ -1,7 +1,7 @@
 """[reference] kind = "raster": passes of ± length along `direction`, steps of pitch along n × direction between them.
 
-The time T of all is shared out so that passes and steps have the same peak acceleration, which with minimum jerk is
-proportional to length/T²: each piece takes its share of Σ √length.
+The total time is divided so that passes and steps have the same peak acceleration, which with minimum jerk is
+proportional to length/T²: the time of each segment is proportional to √length.
 """
 
 from __future__ import annotations
@@ -14,14 +14,14 @@ from pydantic import BeforeValidator, Field
 
 from closedloop.reference.checks import direction_along, interval, not_zero
 from closedloop.reference.path import Path
-from closedloop.reference.pieces import through
+from closedloop.reference.segments import through
 from closedloop.reference.timing import minimum_jerk
 from closedloop.reference.tip_path import TipPath
 from closedloop.sections import LENGTH, Direction, Instant, Number, Positive, Unit
 
 Array = NDArray[np.float64]
 
-# More passes than this are a slip of the keyboard.
+# More passes than this are refused as a typing error.
 MOST_PASSES = 1000
 
 

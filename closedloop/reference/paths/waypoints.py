@@ -11,7 +11,7 @@ from pydantic import Field
 from closedloop.errors import ScenarioError
 from closedloop.reference.lists import MotionInstants, Points
 from closedloop.reference.path import Path
-from closedloop.reference.pieces import through
+from closedloop.reference.segments import through
 from closedloop.reference.timing import constant, minimum_jerk
 from closedloop.reference.tip_path import TipPath
 
@@ -30,7 +30,7 @@ class Waypoints(Path):
     )
 
     def tip_path(self, origin: Array, normal: Array) -> TipPath:
-        """Return the straight pieces between the points; see `Path.tip_path`.
+        """Return the straight segments between the points; see `Path.tip_path`.
 
         Raises
         ------

@@ -4,7 +4,7 @@
     work = np.zeros(work_size(tree.n))
     tree_terms(tree, q, v, work, H, C, J, r, drift)
 
-Tests hold it equal to Pinocchio; the two are the simulator's two engines.
+Tests hold it equal to Pinocchio; the simulator's two engines use one each.
 """
 
 from closedloop.robot.tree.energy import energy_there, potential_energies, tree_potential_energy

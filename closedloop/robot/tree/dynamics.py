@@ -1,12 +1,12 @@
-"""The links' inertia and the force that moves them, and from the tips back to the base: H and C.
+"""H and C of a tree: inertia and inertial forces of the links, summed from the tips to the base.
 
-A body is its mass m, its first moments h = ∫ s dm and its second moments Σ = ∫ s sᵀ dm, with s from the joint's origin.
-Its points accelerate by b + U s with U = [α]× + [ω]×², so with q̈ = 0 it takes the force F and the moment N,
+A body has mass m, first moments h = ∫ s dm and second moments Σ = ∫ s sᵀ dm, with s from the joint's origin. Its points
+accelerate by b + U s with U = [α]× + [ω]×², so with q̈ = 0 its motion requires the force F and the moment N,
 
     F = U h + m b            N = ∫ s × (b + U s) dm, the antisymmetric part of U Σ + b hᵀ.
 
-What a link carries is a body too. Turned by its joint with rate 1, twist (w, v), it has about the base origin the
-momentum l = w × h + m v and the angular momentum L = (tr Σ 1 − Σ) w + h × v. Then
+The links that a joint carries form a composite body. At unit joint rate, with twist (w, v), it has about the base
+origin the momentum l = w × h + m v and the angular momentum L = (tr Σ 1 − Σ) w + h × v. Then
 
     C_i = w_i·N_i + v_i·F_i            H_ji = w_j·L_i + v_j·l_i       for j between the base and i
 
@@ -93,8 +93,7 @@ def bodies(tree: Tree, work: Array) -> None:
 def matrix_and_bias(tree: Tree, work: Array, H: Array, C: Array) -> None:
     """Write the upper triangle of H (n, n), armature included, and C (n,), from the tips to the base.
 
-    Along a run of joints that hang on one another the sums stay in registers; where it ends, they are added to the
-    joint that it hangs on.
+    Along an unbranched chain of joints the sums stay in registers; at its end they are added to the parent joint.
     """
     n, table, k, w = tree.n, tree.links, tree.constants, work
     if tree.serial == 0:
@@ -135,7 +134,7 @@ def matrix_and_bias(tree: Tree, work: Array, H: Array, C: Array) -> None:
             H[joint, joint] = (w0 * e0 + w1 * e1 + w2 * e2) + (v0 * l0 + v1 * l1 + v2 * l2) + k[c + at.ARMATURE]
             parent = table[at.PARENT * n + joint]
             j = parent
-            while j >= 0:  # run by run: a count that is known beforehand is quicker than parent after parent
+            while j >= 0:  # chain by chain: a loop of known length is quicker than following the parents
                 first = table[at.RUN * n + (j & at.INDEX)]
                 for back in range(j - first + 1):
                     above = (j - back) & at.INDEX

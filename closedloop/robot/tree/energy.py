@@ -27,10 +27,10 @@ def potential_energies(tree: Tree, q: Array, work: Array, energies: Array) -> No
 
 @kernel
 def energy_there(tree: Tree, work: Array) -> float:
-    """Return the same for the q whose sines are in `work`: what the terms of q have left there.
+    """Return the same for the q whose sines `tree_terms` has written into `work`.
 
-    First moments are carried from the tips to the base. Where a run of joints ends at a branching, its own moment goes
-    on alone, so that nothing need be kept but the sines.
+    First moments are summed from the tips to the base, from each unbranched chain separately, so that nothing need be
+    stored but the sines.
     """
     n, table, k = tree.n, tree.links, tree.constants
     total0, total1, total2 = k[at.RESTING], k[at.RESTING + 1], k[at.RESTING + 2]

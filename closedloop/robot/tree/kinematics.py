@@ -1,7 +1,7 @@
-"""From the base to the tips: where every link is and how it moves, and from there the tip.
+"""Positions, velocities and accelerations of the links, from the base to the tips, and the motion of the tip.
 
-A link's frame follows from its parent's by a turn that brings the first axis square to both joint axes (most often the
-parent's first axis is), a twist about that axis, and the joint's own angle. With q̈ = 0 and a base that accelerates
+A link's frame follows from its parent's by a rotation about z that makes the first axis perpendicular to both joint
+axes (mostly the identity), a twist about that axis, and the joint's own angle. With q̈ = 0 and the base accelerating
 upwards instead of gravity, and with d from the parent's origin to the joint's,
 
     ω = ω_p + z q̇        α = α_p + ω_p × z q̇        b = b_p + α_p × d + ω_p × (ω_p × d + 2 z ḋ)

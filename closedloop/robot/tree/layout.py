@@ -1,4 +1,4 @@
-"""How a tree of joints lies in memory: its constants, the scratch of its kernels, and the names of their rows.
+"""The memory layout of a tree of joints: its constants, the scratch of its kernels, and the names of their rows.
 
 Most of the work is the same for every joint, so four joints share a SIMD register: joint i is lane i % 4 of block
 i // 4, and one row of a block holds one number of each of four joints, handled in one instruction. Rows are named by
@@ -19,22 +19,21 @@ IntArray = NDArray[np.int64]
 
 LANES = 4
 
-# A whole number & INDEX is itself, and the compiler then knows that it is not negative: numpy's negative indices would
-# cost a choice at each access, and no loop with such a choice in it is vectorised.
+# i & INDEX equals i and tells the compiler that i is not negative: the test for numpy's negative indices at each access
+# would keep a loop from being vectorised.
 INDEX = 0xFFFFFF
 
 # `Tree.links`: six rows of n whole numbers.
 PARENT, CONSTANT, SCRATCH, REVOLUTE, SUPPORT, RUN = range(6)
 
-# `Tree.constants`: gravity, the tip in its link, the first moment of what does not move, then the blocks. Inertia is
-# what `closedloop.robot.tree.model` left on a link: h has no part along z, nor Σ a square along z, and either m or h
-# and Σ are zero.
+# `Tree.constants`: gravity, the tip in its link, the first moment of the immobile mass, then the blocks. Inertia is as
+# moved by `closedloop.robot.tree.model`: h_z = Σ_zz = 0, and either m or h and Σ are zero.
 GRAVITY, TIP, RESTING, HEAD = 0, 3, 6, 12
 (
     KIND,  # 1 for a revolute joint, 0 for a prismatic one
     ANGLE,  # from the parent's first axis to the link's, beside q
-    COS_TWIST, SIN_TWIST,  # from the parent's joint axis to this one, about the axis square to both
-    COS_TURN, SIN_TURN,  # from the parent's first axis to that square one; 1, 0 where they are the same
+    COS_TWIST, SIN_TWIST,  # from the parent's joint axis to this one, about the axis perpendicular to both
+    COS_TURN, SIN_TURN,  # from the parent's first axis to that perpendicular one; 1, 0 where they are the same
     R00, R10, R20, R01, R11, R21, R02, R12, R22,  # for a joint on the base: its axes at q = 0
     T0, T1, T2,  # its origin in the parent's frame, m
     HALF_XX, XY, XZ, HALF_YY, YZ,  # second moments of the link, kg m², halved where they are squares
@@ -64,18 +63,18 @@ class Tree(NamedTuple):
     n, blocks : int
         Joints, and blocks of four that hold them.
     once : int
-        1. A loop over `LANES * once` lanes is vectorised; one that the compiler knows to be four long is unrolled.
+        1. A loop over `LANES * once` lanes is vectorised; with a constant length the compiler would unroll it.
     carrier : int
         The joint that carries the tip; −1 if it sits on the base.
     serial : int
-        1 if every joint but the first hangs on the one before it, else 0.
+        1 if every joint but the first is a child of the one before it, else 0.
     links : (6 n,) array
         For each joint: its parent (−1: base; always smaller than the joint), where its constants and its scratch
-        begin, whether it is revolute, whether it moves the tip, and the first joint of its run: of the joints up to it
-        that each hang on the one before.
+        begin, whether it is revolute, whether it moves the tip, and the first joint of its unbranched chain: of the
+        joints up to it that are each a child of the one before.
     constants : (HEAD + blocks * CONSTANTS,) array
-        See the names of `closedloop.robot.tree.layout`. Links have their joint axis for z; a link has its first axis
-        square to its own joint axis and to that of the next joint.
+        See the names of `closedloop.robot.tree.layout`. The z axis of a link is its joint axis; its x axis is
+        perpendicular to its own joint axis and to that of the next joint.
     """
 
     n: int

@@ -1,13 +1,13 @@
-"""A robot model as the arrays of `Tree`, prepared so that the kernels have little left to do.
+"""A robot model as the arrays of `Tree`, with frames and inertial parameters that minimise the kernels' work.
 
-Links get frames of our own: the joint axis is z, and where the next joint hangs on the link, x is square to both axes,
-so that one joint's frame follows from the other's by one twist and one angle. Origins stay where the model has them.
+Links get new frames: z is the joint axis, and x is perpendicular to it and to the axis of the next joint on the link,
+so that one joint's frame follows from the other's by one twist and one angle. Origins are the model's.
 
-Inertia is moved towards the base as far as the motion allows (M. Gautier and W. Khalil, IEEE Trans. Robotics and
-Automation 6, 1990): mass on a revolute joint's axis does not feel the joint, so a link's mass, its first moment and its
-second moment along the axis go to the parent; a prismatic joint does not turn its link, so all second moments about the
-centre of mass go to the parent, and with the origin put there the link is a mass point. H, C and the energy stay
-exactly what they were.
+Inertial parameters are regrouped towards the base (M. Gautier and W. Khalil, IEEE Trans. Robotics and Automation 6,
+1990): mass on a revolute joint's axis is not moved by the joint, so a link's mass, its first moment and its second
+moment along the axis are added to the parent; a prismatic joint does not rotate its link, so all second moments about
+the centre of mass are added to the parent, and with the origin there the link is a point mass. H, C and the energy are
+unchanged.
 """
 
 from __future__ import annotations

@@ -1,7 +1,7 @@
-"""The terms of the equation of motion and of the tip, of one state: what Pinocchio gives, from the package's own code.
+"""The terms of the equation of motion and of the tip at one state, from the package's own code instead of Pinocchio.
 
-Pinocchio's calls cost half a microsecond each and must come from Python. These kernels are compiled into the loop
-that uses them.
+Pinocchio's calls cost half a microsecond each and are made from Python. These kernels are compiled into the loop that
+uses them.
 """
 
 from __future__ import annotations
@@ -17,7 +17,7 @@ from closedloop.robot.tree.layout import Array, Tree
 def tree_terms(
     tree: Tree, q: Array, v: Array, work: Array, H: Array, C: Array, J: Array, r: Array, drift: Array
 ) -> None:
-    """Write everything that Eq. 24 needs to know of the robot at (q, v).
+    """Write the terms of the robot in Eq. 24 at (q, v).
 
     Parameters
     ----------

@@ -1,11 +1,11 @@
-"""The rooms of `closedloop`: each imports only rooms above it in the list, lazily and for types as well."""
+"""The layers of `closedloop`: each package imports only those before it in the list, lazily and for types as well."""
 
 import ast
 from functools import cache
 from pathlib import Path
 
 ROOT = Path(__file__).resolve().parent.parent
-ROOMS = (
+LAYERS = (
     "interrupts", "jit", "errors", "files", "progress", "sections", "parameters", "families", "user_code",
     "integrators", "robot", "surface", "closure", "friction", "impact", "control", "reference", "scenario", "step",
     "events", "record", "report", "engines", "figures", "simulation", "batch", "command", "sweep", "study", "run",
@@ -13,8 +13,8 @@ ROOMS = (
 )  # fmt: skip
 # A run gives its summary on request.
 UPWARDS = {("closedloop.record.run", "closedloop.report")}
-# Files that import each other, with what for: a run's summary; a message about a key names the keys of a scenario.
-CIRCLES = [
+# Files that import each other, and why: a run's summary; a message about a key names the keys of a scenario.
+CYCLES = [
     {"closedloop.record.netcdf", "closedloop.record.run", "closedloop.report", "closedloop.report.assumptions",
      "closedloop.report.summary", "closedloop.report.tables"},
     {"closedloop.scenario.messages", "closedloop.scenario.scenario"},
@@ -49,18 +49,18 @@ def imported(file, known):
 
 
 @cache
-def house():
+def import_graph():
     """Return module -> modules of `closedloop` that it imports."""
     known = modules("closedloop")
     return {name: imported(file, known) - {name} for name, file in known.items()}
 
 
-def room(module):
-    """Return the room that a module stands in."""
+def layer(module):
+    """Return the layer of a module: its package or file at the top of `closedloop`."""
     return [*module.split("."), "__init__"][1]
 
 
-def circles(arrows):
+def cycles(arrows):
     """Return the sets of modules that import each other in a loop (Tarjan's strongly connected components)."""
     index, low, stack, found = {}, {}, [], []
 
@@ -85,50 +85,50 @@ def circles(arrows):
     return found
 
 
-def test_every_room_is_in_the_list():
-    """No file or folder stands at the top of the package that the list does not place; it has at most twelve files."""
-    top = {room(name) for name in house()}
-    assert top <= set(ROOMS)
+def test_every_package_is_in_the_list():
+    """Every file and folder at the top of the package is in the list; at most twelve are files."""
+    top = {layer(name) for name in import_graph()}
+    assert top <= set(LAYERS)
     assert sum(file.parent == ROOT / "closedloop" for file in modules("closedloop").values()) <= 12
 
 
 def test_no_import_runs_upwards():
-    """A room imports from itself and from rooms above it in the list."""
+    """A layer imports from itself and from those before it in the list."""
     upwards = {
         (name, other)
-        for name, others in house().items()
+        for name, others in import_graph().items()
         for other in others
-        if ROOMS.index(room(other)) > ROOMS.index(room(name))
+        if LAYERS.index(layer(other)) > LAYERS.index(layer(name))
     }
     assert upwards == UPWARDS
 
 
 def test_no_other_files_import_each_other():
-    """Circles of imports are those that are named here."""
-    found = circles({name: others - {"closedloop"} for name, others in house().items() if name != "closedloop"})
-    assert sorted(map(sorted, found)) == sorted(map(sorted, CIRCLES))
+    """The cycles of imports are those named here."""
+    found = cycles({name: others - {"closedloop"} for name, others in import_graph().items() if name != "closedloop"})
+    assert sorted(map(sorted, found)) == sorted(map(sorted, CYCLES))
 
 
-def test_a_circle_and_an_arrow_upwards_are_seen():
-    """Three modules in a loop are a circle, a tree is none."""
-    assert circles({"a": {"b"}, "b": {"c"}, "c": {"a"}, "d": {"a"}}) == [{"a", "b", "c"}]
-    assert circles({"a": {"b"}, "b": {"c"}, "c": set()}) == []
+def test_a_cycle_is_found():
+    """Three modules in a loop are a cycle, a tree has none."""
+    assert cycles({"a": {"b"}, "b": {"c"}, "c": {"a"}, "d": {"a"}}) == [{"a", "b", "c"}]
+    assert cycles({"a": {"b"}, "b": {"c"}, "c": set()}) == []
 
 
-def test_the_compiler_is_known_in_its_room_only():
+def test_only_jit_imports_the_inside_of_numba():
     """The inside of numba, and llvmlite, are imported in `jit` alone."""
     inside = ("numba.core", "numba.extending", "numba.np", "llvmlite")
     knowing = {
         name
         for name, file in modules("closedloop").items()
         for node in ast.walk(ast.parse(file.read_text(encoding="utf-8")))
-        for said in (
+        for name_imported in (
             [node.module or ""] if isinstance(node, ast.ImportFrom)
             else [alias.name for alias in node.names] if isinstance(node, ast.Import) else []
         )
-        if said.startswith(inside)
+        if name_imported.startswith(inside)
     }  # fmt: skip
-    assert {room(name) for name in knowing} == {"jit"}
+    assert {layer(name) for name in knowing} == {"jit"}
 
 
 def test_packages_know_each_other_one_way():

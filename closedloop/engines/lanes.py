@@ -221,7 +221,10 @@ def run_abreast(
     terms = float64x8_at(places[TERMS], n * n + n + work_size(n))
     H, C, scratch = terms[0 : n * n].reshape(n, n), terms[n * n : n * n + n], terms[n * n + n :]
     largest = float64x8_at(places[LARGEST], 1)[0]
-    constants = Constants(float64x8_at(places[CONSTANTS], 0), n, state.law_size, state.compensation_size)
+    constants = Constants(
+        float64x8_at(places[CONSTANTS], 0), n, state.law_size, state.compensation_size, state.friction_size,
+        state.joint_friction_size,
+    )  # fmt: skip
     forces = float64x8_at(places[FORCES], instants)
     width = 5 * n + 9 + SCALAR_COUNT
     rows = float64x8_at(places[ROWS], kept * width).reshape(kept, width)

@@ -22,6 +22,7 @@ from numba.core.typing.templates import AbstractTemplate, infer_global, signatur
 from numba.extending import lower_builtin
 
 from closedloop.jit.interpreted import interpreted
+from closedloop.jit.kernel import kernel
 
 Entry = Callable[[int, int], int]
 
@@ -31,6 +32,14 @@ _CALLBACK = ctypes.CFUNCTYPE(ctypes.c_int64, ctypes.c_int64, ctypes.c_int64)
 
 _interpreted: dict[int, Entry] = {}
 _numbers = count(1)
+
+
+@cache
+def kernel_of(member: type[Any], name: str) -> Callable[..., Any]:
+    """Return a function of a member as a kernel, to be called by the member's entry."""
+    function: Any = getattr(member, name)
+    made: Callable[..., Any] = function if hasattr(function, "py_func") else kernel(function)
+    return made
 
 
 def call_at(address: int, loop: int, what: int) -> int:

@@ -187,7 +187,7 @@ def run_loop(
     loop = problem.loop(own_law=law is not None)
     state, w = loop.state, loop.w
     user_law = None if law is None else UserLaw(law, loop)
-    connect = partial(problem.connect, loop) if user_law is None else user_law.connect
+    connect = partial(problem.connect, loop, user_law.connect if user_law else None)
     rows = np.empty((steps + 1, Row.of(robot.n).width)) if rows is None else rows
     events = np.zeros((ROOM_FOR_EVENTS, EVENT_WIDTH))
     machine = loop_for(engine, problem.more or law is not None)
@@ -195,7 +195,7 @@ def run_loop(
         machine = _begun(machine, problem, loop, connect, law)
     else:
         make_ready(machine)
-    connect(not (isinstance(machine, Interim) and machine.interpreting))
+    connect(compiled=not (isinstance(machine, Interim) and machine.interpreting))
     step, many = _driver(problem, machine, loop, (problem.table, problem.integrator.tableau(), rows), engine, tree)
 
     def finish(done: int) -> None:
@@ -215,6 +215,7 @@ def run_loop(
                 events = np.vstack([events, np.zeros_like(events)])
                 request = step(events)
             elif request == IMPACT_LAW_WANTED:
+                problem.set_restitution(loop)
                 struck = clock.perf_counter()
                 if interim:
                     call_now(collide, loop_memory, loop.address)
@@ -301,7 +302,8 @@ def _begun(
     machine: Callable[..., int], problem: Problem, loop: Loop, connect: Callable[[], None], law: Law | None
 ) -> Callable[..., int]:
     """Return the loop, or what it is begun with if it is not compiled; and have compiled what else is missing."""
-    with_it = [complete_record, *([collide] if loop.state.unilateral else []), *([] if law else problem.entries())]
+    entries = problem.entries(own_law=law is not None).values()
+    with_it = [complete_record, *([collide] if loop.state.unilateral else []), *entries]
     if not at_hand(machine):
         calls = problem.steps * problem.integrator.stages
         seconds = SECONDS_WITH_MORE if problem.more or law is not None else SECONDS

@@ -36,10 +36,18 @@ def parameter_block(section: type[Section]) -> type[Block]:
 
 
 @cache
+def one_joint_block(section: type[Section]) -> type[Block]:
+    """Return the block of what a section says of one joint: what has one entry for each joint is a number."""
+    shapes = parameter_block(section).layout.shape
+    own = {name: () if _is_per_joint(shape) else shape for name, shape in shapes.items()}
+    return _block(section, "OneJoint", own)
+
+
+@cache
 def state_block(member: type) -> type[Block]:
-    """Return the block of a member's states: `states` are numbers, `joint_states` arrays (n,)."""
-    states, joint_states = getattr(member, "states", ()), getattr(member, "joint_states", ())
-    return _block(member, "States", dict.fromkeys(states, ()) | dict.fromkeys(joint_states, (_N,)))
+    """Return the block of a member's states: `states` are numbers, `joint_states` and `slip_states` arrays (n,)."""
+    arrays = (*getattr(member, "joint_states", ()), *getattr(member, "slip_states", ()))
+    return _block(member, "States", dict.fromkeys(getattr(member, "states", ()), ()) | dict.fromkeys(arrays, (_N,)))
 
 
 def _block(member: type, suffix: str, shapes: dict[str, tuple[Any, ...]]) -> type[Block]:
@@ -69,6 +77,17 @@ def _shape(annotation: Any) -> tuple[Any, ...] | None:
     return max(shapes, key=lambda shape: len(shape or ()))
 
 
+def _is_per_joint(shape: tuple[Any, ...]) -> bool:
+    return bool(shape) and shape[0].terms == _N.terms
+
+
+def _values(section: Section) -> dict[str, Any]:
+    """Return what a section says, by name: of what it leaves out, what `resolved` says, else NaN."""
+    resolved: dict[str, Any] = getattr(section, "resolved", dict)()
+    given = {name: resolved.get(name, getattr(section, name)) for name in parameter_block(type(section)).layout.shape}
+    return {name: math.nan if value is None else value for name, value in given.items()}
+
+
 def pack(section: Section, n: int, where: str, joint_names: Sequence[str] = ()) -> Array:
     """Return the numbers of a section for n joints, as its `parameter_block` has them.
 
@@ -90,18 +109,41 @@ def pack(section: Section, n: int, where: str, joint_names: Sequence[str] = ()) 
     """
     kind = parameter_block(type(section))
     block = kind(np.zeros(kind.count(n)), n)
-    resolved: dict[str, Any] = getattr(section, "resolved", dict)()
-    for name, shape in kind.layout.shape.items():
-        value = resolved.get(name, getattr(section, name))
-        if value is None:
-            value = math.nan
-        if shape and shape[0].terms != _N.terms:
-            getattr(block, name)[:] = value
-        elif shape:
+    for name, value in _values(section).items():
+        shape = kind.layout.shape[name]
+        if _is_per_joint(shape):
             getattr(block, name)[:] = per_joint(f"{where}.{name}", value, n, joint_names)
+        elif shape:
+            getattr(block, name)[:] = value
         else:
             setattr(block, name, value)
     return block.memory
+
+
+def pack_each_joint(section: Section, n: int, where: str) -> Array:
+    """Return the numbers of a section for n joints, a row for each, (n, ...), as its `one_joint_block` has them.
+
+    Raises
+    ------
+    ScenarioError
+        If a list has not one entry a joint; `where` is the section's name in messages.
+    """
+    kind, shapes = one_joint_block(type(section)), parameter_block(type(section)).layout.shape
+    rows = np.zeros((n, kind.count(n)))
+    values = _values(section)
+    for j in range(n):
+        block = kind(rows[j], n)
+        for name, value in values.items():
+            if not _is_per_joint(shapes[name]) and shapes[name]:
+                getattr(block, name)[:] = value
+            elif not isinstance(value, tuple):
+                setattr(block, name, value)
+            elif len(value) == n:
+                setattr(block, name, value[j])
+            else:
+                entries = f"has {len(value)} entries: must be one number or {n}, one per joint"
+                raise ScenarioError(f"{where}.{name} {entries}")
+    return rows
 
 
 def per_joint(key: str, value: float | tuple[float, ...], n: int, joint_names: Sequence[str] = ()) -> Array:

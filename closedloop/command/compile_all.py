@@ -18,6 +18,7 @@ from closedloop.errors import ScenarioError
 
 if TYPE_CHECKING:
     from closedloop.engines.problem import Problem
+    from closedloop.families import Family
 
 
 class Piece(NamedTuple):
@@ -53,13 +54,22 @@ def pieces() -> tuple[Piece, ...]:
 
 def _laws() -> Iterable[Piece]:
     from closedloop.control.law import COMPENSATIONS, LAWS
+    from closedloop.friction.law import JOINT_LAWS, SURFACE_LAWS
+    from closedloop.friction.laws.none import NoFriction
     from closedloop.jit.calls import entry_address
-    from closedloop.step.entries import law_entry
+    from closedloop.step.entries import friction_entry, joint_friction_entry, law_entry
 
-    for family, what in ((LAWS, "law"), (COMPENSATIONS, "compensation")):
+    families: tuple[tuple[Family[Any], Callable[[Any], Any], str], ...] = (
+        (LAWS, law_entry, "law"),
+        (COMPENSATIONS, law_entry, "compensation"),
+        (SURFACE_LAWS, friction_entry, "friction"),
+        (JOINT_LAWS, joint_friction_entry, "joint friction"),
+    )
+    for family, entry_of, what in families:
         for kind, member in family.items():
-            entry = law_entry(member)
-            yield Piece(getattr(entry, "__name__", ""), f"{what} {kind}", partial(entry_address, entry))
+            if member is not NoFriction:
+                entry = entry_of(member)
+                yield Piece(getattr(entry, "__name__", ""), f"{what} {kind}", partial(entry_address, entry))
 
 
 def compile_these(names: Iterable[str]) -> None:

@@ -219,7 +219,10 @@ def run_in_lanes(
     terms = float64x8_at(addresses[TERMS], n * n + n + work_size(n))
     H, C, scratch = terms[0 : n * n].reshape(n, n), terms[n * n : n * n + n], terms[n * n + n :]
     largest = float64x8_at(addresses[LARGEST], 1)[0]
-    constants = Constants(float64x8_at(addresses[CONSTANTS], 0), n, state.law_size, state.compensation_size)
+    constants = Constants(
+        float64x8_at(addresses[CONSTANTS], 0), n, state.law_size, state.compensation_size, state.friction_size,
+        state.joint_friction_size,
+    )  # fmt: skip
     forces = float64x8_at(addresses[FORCES], instants)
     width = 5 * n + 9 + SCALAR_COUNT
     rows = float64x8_at(addresses[ROWS], kept * width).reshape(kept, width)

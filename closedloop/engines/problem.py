@@ -2,30 +2,31 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
-from closedloop.closure.contact_force import FREE, STUCK
+from closedloop.closure.contact_force import FREE
 from closedloop.control.compensation.none import NoCompensation
 from closedloop.control.law import Compensation, ControlLaw
 from closedloop.control.sensor import PackedSensor, SensorSection, start_sensor
 from closedloop.events.phases import PROJECTION, STEP_END
-from closedloop.friction.laws import rest_states
-from closedloop.friction.layout import KINETIC, LAST, SEVEN_PARAMETER, STATIC_EXCESS, STICKS, state_count
-from closedloop.impact import LAWS
+from closedloop.friction.contact import Contact
+from closedloop.friction.law import FrictionLaw
+from closedloop.friction.laws.none import NoFriction
+from closedloop.impact import RATIOS
+from closedloop.impact.restitution import RESTITUTIONS, Restitution, coefficient_at
 from closedloop.integrators import Scheme
 from closedloop.jit.calls import entry_address
 from closedloop.jit.interpreted import twin_address
-from closedloop.jit.kernel import plain
-from closedloop.parameters import pack, per_joint, state_block
+from closedloop.parameters import one_joint_block, pack, pack_each_joint, parameter_block, per_joint, state_block
 from closedloop.reference.desired import Desired
 from closedloop.robot.pinocchio import Robot
 from closedloop.scenario.scenario import BaumgarteGains, Scenario
-from closedloop.step.entries import law_entry
+from closedloop.step.entries import friction_entry, joint_friction_entry, law_entry
 from closedloop.step.memory import (
     ELASTIC_STICK,
     RIGID_STICK,
@@ -49,19 +50,20 @@ STICKING = {"rigid": RIGID_STICK, "elastic": ELASTIC_STICK, "spring": SPRING_STI
 
 
 class PackedLaw(NamedTuple):
-    """A control law, or a compensation of friction, as the loop reads it.
+    """A law as the loop reads it: of control, of compensation, or of friction.
 
     Attributes
     ----------
     member : type
         Its class.
     numbers : array
-        Its parameters, see `closedloop.parameters.parameter_block`.
+        Its parameters, see `closedloop.parameters.parameter_block`; of friction in joints a row for each, (n, ...),
+        see `closedloop.parameters.one_joint_block`.
     states : int
-        How many states it has.
+        How many states it has; of friction in joints, each of them.
     """
 
-    member: type[ControlLaw] | type[Compensation]
+    member: Any
     numbers: Array
     states: int
 
@@ -76,6 +78,21 @@ def pack_law(section: ControlLaw | Compensation, n: int, joint_names: Sequence[s
     """
     where = "law" if isinstance(section, ControlLaw) else "compensation"
     return PackedLaw(type(section), pack(section, n, where, joint_names), state_block(type(section)).count(n))
+
+
+def pack_friction(section: FrictionLaw, n: int, joints: bool = False) -> PackedLaw:
+    """Turn a law of the surface's friction, or of the joints', into numbers for n joints.
+
+    Raises
+    ------
+    ScenarioError
+        If a list has not one entry a joint, or a user's law lacks a function.
+    """
+    member, where = type(section), "joint_friction" if joints else "friction"
+    if member is not NoFriction:
+        member.check_functions(f"{where}.kind")
+    numbers = pack_each_joint(section, n, where) if joints else pack(section, n, where)
+    return PackedLaw(member, numbers, state_block(member).count(1 if joints else 2))
 
 
 @dataclass(frozen=True)
@@ -98,10 +115,10 @@ class Problem:
         s_v, 1/s, and s_p, 1/s².
     pd_start : float
         Instant from which the PD part of the law acts, s.
-    law, compensation, sensor : PackedLaw, PackedLaw, PackedSensor
-        The law, its compensation of friction and the force sensor as numbers.
-    friction, joint_friction : (int, array)
-        Number and parameters of the laws of friction, see `closedloop.friction.packing`.
+    law, compensation, friction, joint_friction : PackedLaw
+        The law, its compensation of friction, and friction, as numbers.
+    sensor : PackedSensor
+        The force sensor.
     table : (steps · nodes + 1, 2 n + 11) array
         The reference at every instant at which a stage is evaluated, see `closedloop.step.evaluate.reference_row`, and
         a standard normal number for the force sensor.
@@ -131,8 +148,8 @@ class Problem:
     pd_start: float
     law: PackedLaw
     compensation: PackedLaw
-    friction: tuple[int, Array]
-    joint_friction: tuple[int, Array]
+    friction: PackedLaw
+    joint_friction: PackedLaw
     sensor: PackedSensor
     table: Array
     nodes: int
@@ -183,9 +200,12 @@ class Problem:
         """
         n, law, compensation = self.robot.n, self.law, self.compensation
         own, both = (0, 0) if user_law else (law.states, law.states + compensation.states)
-        surface, joints = plain(state_count)(self.friction[0], 2), plain(state_count)(self.joint_friction[0], 1)
+        surface, joints = self.friction.states, self.joint_friction.states
         extra = both + self.sensor.states + surface + n * joints
-        sizes = {"law": law.numbers.size, "compensation": compensation.numbers.size, "extra": extra}
+        sizes = {
+            "law": law.numbers.size, "compensation": compensation.numbers.size, "friction": self.friction.numbers.size,
+            "joint_friction": self.joint_friction.numbers.shape[1], "extra": extra,
+        }  # fmt: skip
         loop = make_loop(n, **sizes, stages=self.integrator.stages, ring=self.sensor.ring)
         state = loop.state
         state.own_law_states, state.law_states = own, both
@@ -195,17 +215,36 @@ class Problem:
         self._set_start(state, loop.w)
         return loop
 
-    def entries(self) -> list[Any]:
-        """Return the functions that the loop calls by address: the entries of the law and of its compensation."""
-        if not self.general:
-            return []
-        members = [self.law.member, self.compensation.member]
-        return [law_entry(member) for member in members if member is not NoCompensation]
+    def entries(self, user_law: bool = False) -> dict[str, Any]:
+        """Return what the loop calls by address, by the names that `State` has for it; see `loop` for `user_law`."""
+        found: dict[str, Any] = {}
+        if self.general and not user_law:
+            found["law"] = law_entry(self.law.member)
+            if self.compensation.member is not NoCompensation:
+                found["compensation"] = law_entry(self.compensation.member)
+        if self.friction.member is not NoFriction:
+            found["friction"] = friction_entry(self.friction.member)
+        if self.joint_friction.member is not NoFriction:
+            found["joint_friction"] = joint_friction_entry(self.joint_friction.member)
+        return found
 
-    def connect(self, loop: Loop, compiled: bool = True) -> None:
-        """Write the addresses of `entries` into a loop's memory: of machine code, or for an interpreted loop."""
-        found = [entry_address(each) if compiled else twin_address(each) for each in self.entries()]
-        loop.state.law, loop.state.compensation, *_ = (*found, 0, 0)
+    def connect(self, loop: Loop, user_law: Callable[[bool], None] | None = None, compiled: bool = True) -> None:
+        """Write into a loop's memory where what it calls is: kernel code, or what an interpreted loop calls.
+
+        Parameters
+        ----------
+        loop : Loop
+            The memory.
+        user_law : callable, optional
+            What writes where a law of one's own is; it is told `compiled`.
+        compiled : bool
+            Whether the loop is kernel code.
+        """
+        address = entry_address if compiled else twin_address
+        for name, entry in self.entries(user_law is not None).items():
+            setattr(loop.state, name, address(entry))
+        if user_law is not None:
+            user_law(compiled)
 
     def _set_constants(self, constants: Constants) -> None:
         robot, impact = self.robot, self.scenario.impact
@@ -214,19 +253,23 @@ class Problem:
         constants.frame[:] = self.frame
         constants.tip[:], constants.gravity[:], constants.reach = robot.tip_offset, robot.gravity, robot.reach**2
         constants.restitution, constants.rest_speed = impact.restitution, impact.rest_speed
-        constants.impact_friction, constants.stick_speed = self.friction[1][KINETIC], STICK_SPEED
-        constants.sensor[:], constants.friction[:] = self.sensor.par.memory, self.friction[1]
-        constants.support[:], constants.joint_friction[:] = robot.support, self.joint_friction[1]
+        constants.sensor[:], constants.support[:], constants.stick_speed = (
+            self.sensor.par.memory, robot.support, STICK_SPEED,
+        )  # fmt: skip
         constants.law[:], constants.compensation[:] = self.law.numbers, self.compensation.numbers
+        constants.friction[:], constants.joint_friction[:] = self.friction.numbers, self.joint_friction.numbers
+        tip = self._tip()
+        constants.impact_friction = tip.kinetic_level
+        constants.capture_speed, constants.lag = tip.capture_speed, tip.lag
+        for j, joint in enumerate(self._joints()):
+            constants.joint_capture_speed[j], constants.joint_lag[j] = joint.capture_speed, joint.lag
 
     def _set_state(self, state: State) -> None:
         state.steps, state.hold, state.nodes_per_step = self.steps, self.hold, self.nodes
         state.project, state.semi_implicit = self.project, self.integrator.semi_implicit
         state.unilateral = self.scenario.surface.contact == "unilateral"
-        state.impact_law = LAWS[self.scenario.impact.law]
-        kind = self.friction[0]
-        state.friction, state.joint_friction = kind, self.joint_friction[0]
-        state.sticking = STICKING[STICKS[kind]] if kind else SMOOTH
+        state.impact_law = RATIOS[self._restitution().ratio_of]
+        state.sticking, state.joint_sticking = _sticking(self.friction), _sticking(self.joint_friction)
         state.sensor_sampled = self.sensor.sampled
         state.mode, state.sampled, state.risen = self.mode, 1, 1
         if self.project and self.mode != FREE:
@@ -247,12 +290,39 @@ class Problem:
         joints = friction + int(state.friction_states)
         start_sensor(felt, self.sensor.par, w.z[sensor:friction], w.ring)
         w.measured, w.last_event = w.ring[0], -np.inf
-        if joints > friction and self.mode == STUCK:
-            plain(rest_states)(self.friction[0], self.friction[1].copy(), w.z[friction:joints])
-        if self.joint_friction[0] == SEVEN_PARAMETER:
-            for j in range(n):
-                w.stuck[j] = float(self.v[j] == 0.0)
-                w.z[joints + j * state.joint_states + LAST] = self.joint_friction[1][j, STATIC_EXCESS]
+        if joints > friction and self.mode != FREE and slip <= STICK_SPEED:
+            w.z[friction:joints] = self._tip().rested()
+        if state.joint_sticking == SPRING_STICK:
+            w.stuck[:] = self.v == 0.0
+        if state.joint_states > 0:
+            w.z[joints:] = np.concatenate([joint.rested() for joint in self._joints()])
+
+    def set_restitution(self, loop: Loop) -> None:
+        """Write into a loop's memory the coefficient of restitution of the impact at which it stands.
+
+        Raises
+        ------
+        ScenarioError
+            If a user's law gives none.
+        """
+        given = self.scenario.impact.restitution
+        loop.constants.restitution = coefficient_at(self._restitution(), given, -float(loop.w.before[0]))
+
+    def _restitution(self) -> type[Restitution]:
+        return RESTITUTIONS[self.scenario.impact.law]
+
+    def _tip(self) -> Contact:
+        """Return the contact of the tip, for what is asked of its friction once."""
+        member, numbers, _ = self.friction
+        return Contact(member, parameter_block(member)(numbers, self.robot.n), 2)
+
+    def _joints(self) -> list[Contact]:
+        member, rows, _ = self.joint_friction
+        return [Contact(member, one_joint_block(member)(row, self.robot.n), 1) for row in rows]
+
+
+def _sticking(friction: PackedLaw) -> int:
+    return SMOOTH if friction.member is NoFriction else STICKING[friction.member.sticks]
 
 
 def needs_general_form(scenario: Scenario) -> bool:

@@ -17,8 +17,9 @@ from closedloop.events.phases import (
     SHALLOW,
     STAGE_CHECKED,
 )
-from closedloop.friction.laws import capture_speed, stick_limit
+from closedloop.jit.calls import call_at
 from closedloop.jit.kernel import kernel, kernel_inlined
+from closedloop.step.entries import LIMIT
 from closedloop.step.memory import RIGID_STICK, SPRING_STICK, Constants, State, Work
 
 Array = NDArray[np.float64]
@@ -31,25 +32,21 @@ def event_function(w: Work, constants: Constants, state: State, general: int | N
         return float(w.gap)
     least: float = w.rigid_force if state.unilateral != 0 else 1.0
     if general is not None and state.sticking in (RIGID_STICK, SPRING_STICK):
-        least = min(
-            least, cone_margin(w, constants, state) if state.mode == STUCK else 1e3 * slip_margin(w, constants, state)
-        )
+        least = min(least, cone_margin(w, state) if state.mode == STUCK else 1e3 * slip_margin(w, constants))
     return least
 
 
 @kernel
-def cone_margin(w: Work, constants: Constants, state: State) -> float:
-    """Return the margin of a tip that sticks to the friction cone, μ_s f − |F_t|, N."""
-    kind, par = state.friction, constants.friction
-    at = state.law_states + state.sensor_states
-    limit = stick_limit(kind, par, w.z[at : at + state.friction_states])
-    return float(limit * abs(w.F[0]) - np.hypot(w.F[1], w.F[2]))
+def cone_margin(w: Work, state: State) -> float:
+    """Return what is left of the friction cone to a tip that sticks, μ_s f − |F_t|, N."""
+    call_at(state.friction, state.address, LIMIT)
+    return float(w.stick_limit * abs(w.F[0]) - np.hypot(w.F[1], w.F[2]))
 
 
 @kernel
-def slip_margin(w: Work, constants: Constants, state: State) -> float:
-    """Return the speed along the direction of slip, m/s, less the speed at which the tip is tested for sticking."""
-    band = capture_speed(state.friction, constants.friction)
+def slip_margin(w: Work, constants: Constants) -> float:
+    """Return the speed along the direction in which slip began, m/s, above the speed at which sticking is tried."""
+    band = constants.capture_speed
     along = w.u[1] * w.direction[0] + w.u[2] * w.direction[1]
     if w.start_slip_speed <= constants.stick_speed:  # at the onset of slip its velocity is of the size of rounding
         return float(along + constants.stick_speed)

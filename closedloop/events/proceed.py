@@ -165,7 +165,7 @@ def proceed(
         stage, tau = state.stage, w.tau
         add_stage_work(w, stage, tau, tableau[tableau.shape[0] - 1, stage])
         if general is not None and state.semi_implicit != 0:
-            advance_friction(w, constants, state, tau)
+            advance_friction(w, state, tau)
         advance(
             stage, tau, state.semi_implicit != 0, state.after_event != 0, tableau, w.begin, w.stages,
             w.qdd, w.dz, w.q, w.v, w.z,

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from closedloop.closure.contact_force import FREE, PRESSED, STUCK
+from closedloop.closure.contact_force import FREE, PRESSED
 from closedloop.events.locate import choose_trial, event_function
 from closedloop.events.phases import (
     ADVANCE,
@@ -30,9 +30,10 @@ from closedloop.events.phases import (
     TRIAL_END,
     request_terms,
 )
-from closedloop.friction.laws import advance_states
+from closedloop.jit.calls import call_at
 from closedloop.jit.kernel import kernel, kernel_inlined
 from closedloop.step.energy_supplied import save_power
+from closedloop.step.entries import ADVANCE_STATES
 from closedloop.step.joint_friction import advance_joint_friction
 from closedloop.step.memory import SMOOTH, Constants, State, Work
 
@@ -79,15 +80,12 @@ def restore_state(w: Work, state: State) -> None:
 
 
 @kernel
-def advance_friction(w: Work, constants: Constants, state: State, h: float) -> None:
-    """Advance the states of friction by h, exactly, at the velocity of the substep's beginning."""
-    at = state.law_states + state.sensor_states
+def advance_friction(w: Work, state: State, h: float) -> None:
+    """Advance the states of friction by h at the velocity of the substep's beginning, exactly."""
     if state.mode != FREE and state.friction_states > 0:
-        advance_states(
-            state.friction, constants.friction, w.start_slip, state.mode == STUCK, h,
-            w.z[at : at + state.friction_states],
-        )  # fmt: skip
-    advance_joint_friction(w, constants, state, h)
+        w.slip[0], w.slip[1], w.friction_span = w.start_slip[0], w.start_slip[1], h
+        call_at(state.friction, state.address, ADVANCE_STATES)
+    advance_joint_friction(w, state, h)
 
 
 @kernel_inlined

@@ -42,11 +42,12 @@ from closedloop.events.phases import (
     request_terms,
 )
 from closedloop.events.table import IMPACT, LIFTOFF, REVERSAL, SLIP_AGAIN, STICK, TOUCHDOWN, write_event
-from closedloop.friction.laws import capture_speed, contact_states, memory_delay, sliding, stick_limit, stick_states
 from closedloop.impact import CUT as ENERGY_CUT
 from closedloop.impact import MODES, energy_lost, impact
+from closedloop.jit.calls import call_at
 from closedloop.jit.kernel import entry_kernel, kernel
-from closedloop.step.entries import RESTART
+from closedloop.step.entries import LIMIT, RESTART, SLIDE
+from closedloop.step.entries import STICK as END_OF_SLIP
 from closedloop.step.evaluate import call_law
 from closedloop.step.memory import RIGID_STICK, SPRING_STICK, Constants, State, Work, loop_at
 from closedloop.step.tip_friction import delayed_speed
@@ -72,7 +73,7 @@ def resume_after_event(C: Array, w: Work, constants: Constants, state: State, ge
             request_terms(state, AFTER_EVENT)
             return NEED_TERMS
     elif (state.unilateral != 0 and w.rigid_force < 0.0) or (
-        general is not None and state.mode == STUCK and cone_margin(w, constants, state) < 0.0
+        general is not None and state.mode == STUCK and cone_margin(w, state) < 0.0
     ):
         return APPLY_EVENT
     left = state.row * constants.h - w.time
@@ -132,10 +133,7 @@ def apply_event(
 
 @kernel
 def end_stick_or_slip(w: Work, constants: Constants, state: State, rows: Array, events: Array) -> int:
-    """Apply the end of sticking, or of slip: the tip sticks, or slides in another direction."""
-    kind, par = state.friction, constants.friction
-    at = state.law_states + state.sensor_states
-    z = w.z[at : at + state.friction_states]
+    """Apply the end of sticking, or of slip: it sticks, or goes on in another direction."""
     loss, size = 0.0, np.hypot(w.F[1], w.F[2])
     if state.mode == STUCK and not size > 0.0:  # no tangential force: f goes to zero, and is not negative yet
         request_terms(state, AFTER_EVENT)
@@ -147,11 +145,11 @@ def end_stick_or_slip(w: Work, constants: Constants, state: State, rows: Array, 
             loss = stop_tip(w)
     else:
         speed = np.hypot(w.u[1], w.u[2])
-        slow = speed <= max(2.0 * constants.stick_speed, capture_speed(kind, par) * (1.0 + 1e-9))
+        slow = speed <= max(2.0 * constants.stick_speed, constants.capture_speed * (1.0 + 1e-9))
         if state.sticking == SPRING_STICK:
-            delayed = delayed_speed(w, constants, state, rows, memory_delay(kind, par), speed)
+            w.delayed_slip = delayed_speed(w, constants, state, rows, constants.lag, speed)
             w.event_value = 0.0
-            stick_states(kind, par, delayed, w.direction, z)
+            call_at(state.friction, state.address, END_OF_SLIP)
             state.mode, state.kind = STUCK, STICK
         else:
             held = OK
@@ -159,7 +157,8 @@ def end_stick_or_slip(w: Work, constants: Constants, state: State, rows: Array, 
                 w.b[i] = 0.0
             held = stuck_force(w.S, w.a, w.b, w.F, w.stabiliser_force)
             size = np.hypot(w.F[1], w.F[2])
-            if held == OK and slow and size <= stick_limit(kind, par, z) * abs(w.F[0]):
+            call_at(state.friction, state.address, LIMIT)
+            if held == OK and slow and size <= w.stick_limit * abs(w.F[0]):
                 state.mode, state.kind = STUCK, STICK
                 w.anchor[0], w.anchor[1] = w.p[1], w.p[2]
                 loss = stop_tip(w)
@@ -169,7 +168,7 @@ def end_stick_or_slip(w: Work, constants: Constants, state: State, rows: Array, 
                 return NEED_TERMS
             else:
                 state.kind = REVERSAL
-                find_direction(w, constants, state, z)
+                find_direction(w, state)
     log_event(w, constants, state, events, loss)
     request_terms(state, AFTER_EVENT)
     return NEED_TERMS
@@ -188,30 +187,28 @@ def stop_tip(w: Work) -> float:
 
 
 @kernel
-def find_direction(w: Work, constants: Constants, state: State, z: Array) -> None:
-    """Write the direction of incipient slip: that in which the tip accelerates with sliding friction against it.
+def find_direction(w: Work, state: State) -> None:
+    """Write the direction in which slip starts that friction cannot prevent: that in which the tip then accelerates.
 
     The tip's mobility is anisotropic, so the direction is a root of the angle between it and the acceleration with
     friction against it, found by a scan of the circle and bisection.
     """
-    kind, par = state.friction, constants.friction
-    at_rest = w.scratch[0:2]
-    at_rest[0], at_rest[1] = 0.0, 0.0
+    w.slip[0], w.slip[1], w.delayed_slip = 0.0, 0.0, 0.0
     best, here, before = -1.0, 0.0, 0.0
     low = 0.0
     for i in range(DIRECTIONS + 1):
         angle = 2.0 * np.pi * i / DIRECTIONS
-        across, along = slip_onset(kind, par, at_rest, z, w, angle)
+        across, along = slip_onset(w, state, angle)
         if i > 0 and before * across <= 0.0 and along > 0.0:
             a, b, sign = low, angle, before
             for _ in range(60):
                 middle = 0.5 * (a + b)
-                across_middle, along_middle = slip_onset(kind, par, at_rest, z, w, middle)
+                across_middle, along_middle = slip_onset(w, state, middle)
                 if across_middle * sign > 0.0:
                     a = middle
                 else:
                     b = middle
-            across_middle, along_middle = slip_onset(kind, par, at_rest, z, w, b)
+            across_middle, along_middle = slip_onset(w, state, b)
             if along_middle > best:
                 best, here = along_middle, b
         low, before = angle, across
@@ -219,10 +216,10 @@ def find_direction(w: Work, constants: Constants, state: State, z: Array) -> Non
 
 
 @kernel
-def slip_onset(kind: int, par: Array, at_rest: Array, z: Array, w: Work, angle: float) -> tuple[float, float]:
+def slip_onset(w: Work, state: State, angle: float) -> tuple[float, float]:
     """Return the acceleration across and along a direction if slip starts in it, m/s²."""
     w.direction[0], w.direction[1] = math.cos(angle), math.sin(angle)
-    sliding(kind, par, at_rest, 0.0, z, w.direction, w.c, w.viscous)
+    call_at(state.friction, state.address, SLIDE)
     pressed_force(w.S, w.a, 0.0, w.c, w.viscous, w.F)
     a1 = w.a[1] + w.S[1, 0] * w.F[0] + w.S[1, 1] * w.F[1] + w.S[1, 2] * w.F[2]
     a2 = w.a[2] + w.S[2, 0] * w.F[0] + w.S[2, 1] * w.F[1] + w.S[2, 2] * w.F[2]
@@ -252,8 +249,8 @@ def apply_impact(w: Work, constants: Constants, state: State, events: Array, gen
     if general is not None:
         call_law(state, RESTART)
         at = state.law_states + state.sensor_states
-        if state.friction_states > 0:
-            contact_states(w.z[at : at + state.friction_states])
+        for i in range(at, at + state.friction_states):
+            w.z[i] = 0.0  # of a contact just made
         speed = np.hypot(w.after[1], w.after[2])
         if speed > 0.0:
             w.direction[0], w.direction[1] = w.after[1] / speed, w.after[2] / speed

@@ -5,31 +5,16 @@ from __future__ import annotations
 import math
 from collections.abc import Callable
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, cast
+from typing import TYPE_CHECKING, Annotated, Any, cast
 
 import numpy as np
 from numpy.typing import NDArray
 
 from closedloop.files import write_whole
-from closedloop.friction.laws import advance_states, rest_states, sliding, stick_limit
-from closedloop.friction.layout import (
-    DAHL,
-    DEAD_BAND,
-    KARNOPP,
-    KINDS,
-    KINETIC,
-    LUGRE,
-    NONE,
-    RISE_TIME,
-    SEVEN_PARAMETER,
-    STATIC,
-    STATIC_EXCESS,
-    STIFFNESS,
-    STRIBECK_SPEED,
-    state_count,
-)
-from closedloop.friction.packing import pack
-from closedloop.friction.sections import JointLaw, Law, entries, names_of
+from closedloop.friction.contact import Contact, joint_contacts, surface_contact
+from closedloop.friction.law import FrictionLaw, SurfaceFriction
+from closedloop.friction.laws.none import NoFriction
+from closedloop.sections import PERIOD, SPEED_SCALE, Size, sizes
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -39,16 +24,16 @@ Array = NDArray[np.float64]
 COLOURS = ("#0072B2", "#D55E00", "#009E73", "#CC79A7", "#56B4E9", "#E69F00")  # Okabe and Ito
 
 
-def draw(section: Law, target: str | Path | Axes, load: float = 1.0) -> None:
+def draw(section: FrictionLaw, target: str | Path | Axes, load: float = 1.0) -> None:
     """Draw a law of friction.
 
-    Into a file go all its pictures: the force over the slip speed, for dahl and lugre cycles of force over displacement
-    before slip, for seven_parameter the static friction over dwell time. On given axes only the last of them, which
-    is the one that tells the law from the others. One line a joint where joints differ.
+    Into a file go all its pictures: the force over the slip speed; of an elastic law with bristles, cycles of force
+    over displacement before slip; of one that sticks as a spring, the static friction over dwell time. On given axes
+    only the last of them, which is the one that tells the law from the others. One line a joint where joints differ.
 
     Parameters
     ----------
-    section : Law
+    section : FrictionLaw
         A section of friction, of a surface or of joints.
     target : path or matplotlib Axes
         A file to write, .png, .svg or .pdf, or the axes to draw on.
@@ -60,14 +45,14 @@ def draw(section: Law, target: str | Path | Axes, load: float = 1.0) -> None:
     OutputError
         If the file cannot be written.
     """
-    counts = [len(entries(getattr(section, name))) for name in names_of(section) if getattr(section, name) is not None]
-    kind, rows = pack(section, max(counts, default=1)) if max(counts, default=1) > 1 else pack(section)
-    joint = isinstance(section, JointLaw)
-    pictures: list[Callable[..., None]] = {DAHL: [_loop], LUGRE: [_curve, _loop], SEVEN_PARAMETER: [_curve, _rise]}.get(
-        kind, [_curve]
-    )
+    law = _Law(section, load)
+    pictures: list[Callable[[Axes, _Law], None]] = [_curve]
+    if section.sticks == "spring":
+        pictures.append(_rise)
+    elif section.slip_states:
+        pictures.append(_loop)
     if not isinstance(target, (str, Path)):
-        pictures[-1](target, kind, np.atleast_2d(rows), load, joint)
+        pictures[-1](target, law)
         return
     import matplotlib as mpl
 
@@ -78,112 +63,144 @@ def draw(section: Law, target: str | Path | Axes, load: float = 1.0) -> None:
 
         figure: Figure = Figure(figsize=(4.8 * len(pictures), 3.4), layout="constrained")
         for axes, picture in zip(figure.subplots(1, len(pictures), squeeze=False)[0], pictures, strict=True):
-            picture(axes, kind, np.atleast_2d(rows), load, joint)
+            picture(axes, law)
         path = Path(target) if Path(target).suffix else Path(target).with_suffix(".png")
         write_whole(path, lambda file: figure.savefig(file, format=path.suffix[1:]))
 
 
-def _curve(axes: Axes, kind: int, rows: Array, load: float, joint: bool) -> None:
+class _Law:
+    """What is drawn: a section's contacts, along a line, under a load."""
+
+    def __init__(self, section: FrictionLaw, load: float) -> None:
+        self.section, self.load, self.joint = section, load, not isinstance(section, SurfaceFriction)
+        one = None if self.joint else surface_contact(section)
+        self.contacts = joint_contacts(section) if one is None else [Contact(one.member, one.par, 1)]
+
+    def largest(self, size: Size, otherwise: float) -> float:
+        """Return the largest parameter of a size, such as the speeds; `otherwise` if there is none."""
+        found: list[float] = []
+        for name, field in type(self.section).model_fields.items():
+            value = getattr(self.section, name)
+            if value is not None and size in sizes(Annotated[field.annotation, *field.metadata, None]):
+                found.extend(np.atleast_1d(value).tolist())
+        return max(found, default=otherwise)
+
+    def name(self, k: int, alone: str) -> str:
+        """Return the label of joint k, or what to call the line where there is but one."""
+        return f"joint {k}" if len(self.contacts) > 1 else alone
+
+    def finish(self, axes: Axes, title: str, across: str) -> None:
+        """Write the title and the names of the axes."""
+        axes.set_title(f"{self.section.member_name()}: {title}")
+        axes.set_xlabel(across)
+        axes.set_ylabel(
+            "torque against the motion [N m]" if self.joint else f"force against the slip, f = {self.load:g} N [N]"
+        )
+
+
+def _curve(axes: Axes, law: _Law) -> None:
     """Draw the force of steady slip over its speed, and how much sticking resists."""
-    marks = [*rows[np.isfinite(rows[:, STRIBECK_SPEED]), STRIBECK_SPEED], *rows[rows[:, DEAD_BAND] > 0.0, DEAD_BAND]]
-    span = (20.0 if kind == SEVEN_PARAMETER else 5.0) * float(max(marks, default=0.02))
-    factor, unit = _prefixed(span, "rad/s" if joint else "m/s")
+    spring, none = law.section.sticks == "spring", isinstance(law.section, NoFriction)
+    span = (20.0 if spring else 5.0) * law.largest(SPEED_SCALE, 0.02)
+    factor, unit = _prefixed(span, "rad/s" if law.joint else "m/s")
     right = span * np.linspace(1e-9, 1.0, 400)
-    for k, row in enumerate(rows):
+    for k, contact in enumerate(law.contacts):
         colour = COLOURS[k % len(COLOURS)]
-        force = np.array([_steady(kind, row, v, load) for v in right])
-        axes.plot(factor * right, force, color=colour, label=_name(rows, k, "sliding"))
+        force = np.array([_steady(contact, v, law.load) for v in right])
+        axes.plot(factor * right, force, color=colour, label=law.name(k, "sliding"))
         axes.plot(-factor * right, -force, color=colour)
-        limit = load * stick_limit(kind, row, _rested(kind, row))
-        if kind != NONE:
-            label = "" if len(rows) > 1 else "sticking, at most"
+        contact.rested()
+        limit = law.load * contact.stick_limit
+        if not none:
+            label = "" if len(law.contacts) > 1 else "sticking, at most"
             axes.plot([0, 0], [-limit, limit], color=colour, linewidth=2.4, alpha=0.5, label=label)
             axes.plot([0, 0], [-limit, limit], "o", color=colour, markersize=4)
-        if kind == KARNOPP:
-            width = factor * row[DEAD_BAND]
-            axes.axvspan(-width, width, color=colour, alpha=0.12, linewidth=0, label=_name(rows, k, "dead band"))
-    if kind == NONE:
+        if contact.capture_speed > 0.0:
+            width = factor * contact.capture_speed
+            axes.axvspan(-width, width, color=colour, alpha=0.12, linewidth=0, label=law.name(k, "dead band"))
+    if none:
         axes.set_ylim(-1.0, 1.0)
-    what = "steady motion" if joint else "steady slip"
-    axes.set_title(f"{_law(kind)}: {what}{' after a long rest' if kind == SEVEN_PARAMETER else ''}")
-    axes.set_xlabel(f"{'joint' if joint else 'slip'} speed [{unit}]")
-    axes.set_ylabel(_force_label(load, joint))
+    what = "steady motion" if law.joint else "steady slip"
+    law.finish(
+        axes, f"{what}{' after a long rest' if spring else ''}", f"{'joint' if law.joint else 'slip'} speed [{unit}]"
+    )
     axes.legend(loc="upper left")
 
 
-def _loop(axes: Axes, kind: int, rows: Array, load: float, joint: bool) -> None:
+def _loop(axes: Axes, law: _Law) -> None:
     """Draw the force over displacement of slow cycles of three sizes, each with the way into it."""
-    reach = float(np.max(rows[:, STATIC] / rows[:, STIFFNESS]))
-    factor, unit = _prefixed(reach, "rad" if joint else "m")
-    for k, row in enumerate(rows):
+    reach = max(_reach(contact) for contact in law.contacts)
+    factor, unit = _prefixed(reach, "rad" if law.joint else "m")
+    for k, contact in enumerate(law.contacts):
         for amplitude, style in ((4.0, "-"), (1.5, "--"), (0.4, ":")):
-            x, force = _to_and_fro(kind, row, amplitude * reach, load)
-            colour, label = COLOURS[k % len(COLOURS)], _name(rows, k, "") if style == "-" else ""
+            x, force = _to_and_fro(contact, amplitude * reach, law.load)
+            colour, label = COLOURS[k % len(COLOURS)], law.name(k, "") if style == "-" else ""
             axes.plot(factor * x, force, style, color=colour, label=label)
-    axes.set_title(f"{_law(kind)}: slow cycles of three sizes")
-    axes.set_xlabel(f"displacement [{unit}]")
-    axes.set_ylabel(_force_label(load, joint))
-    if len(rows) > 1:
+    law.finish(axes, "slow cycles of three sizes", f"displacement [{unit}]")
+    if len(law.contacts) > 1:
         axes.legend(loc="upper left")
 
 
-def _rise(axes: Axes, kind: int, rows: Array, load: float, joint: bool) -> None:
+def _rise(axes: Axes, law: _Law) -> None:
     """Draw the force at break-away over the dwell time before it, after a slide that left no Stribeck part."""
-    times = np.linspace(0.0, 5.0 * max(float(np.max(rows[:, RISE_TIME])), 1e-3), 300)
-    for k, row in enumerate(rows):
+    times = np.linspace(0.0, 5.0 * max(law.largest(PERIOD, 0.0), 1e-3), 300)
+    top = 0.0
+    for k, contact in enumerate(law.contacts):
         colour = COLOURS[k % len(COLOURS)]
-        force = [load * stick_limit(kind, row, np.array([t, 0.0, 0.0])) for t in times]
-        axes.plot(times, force, color=colour, label=_name(rows, k, "break-away"))
-        for level, label in ((row[KINETIC], "F_C"), (row[KINETIC] + row[STATIC_EXCESS], "F_C + F_S∞")):
-            axes.axhline(load * level, color=colour, linestyle=":", linewidth=1)
-            axes.annotate(label, (times[-1], load * level), xytext=(0, 3), textcoords="offset points", ha="right")
-        if row[RISE_TIME] > 0.0:
-            half = load * (row[KINETIC] + 0.5 * row[STATIC_EXCESS])
-            axes.plot([row[RISE_TIME]], [half], "o", color=colour, label="" if len(rows) > 1 else "half way, at γ")
-    axes.set_ylim(0.0, 1.15 * load * float(np.max(rows[:, STATIC])) or 1.0)
-    axes.set_title(f"{_law(kind)}: static friction rises with rest")
-    axes.set_xlabel("dwell time [s]")
-    axes.set_ylabel(_force_label(load, joint))
+        force = law.load * np.array([_limit_after(contact, t) for t in times])
+        axes.plot(times, force, color=colour, label=law.name(k, "break-away"))
+        contact.rested()
+        kinetic, most = law.load * contact.kinetic_level, law.load * contact.stick_limit
+        top = max(top, most)
+        for level, label in ((kinetic, "F_C"), (most, "F_C + F_S∞")):
+            axes.axhline(level, color=colour, linestyle=":", linewidth=1)
+            axes.annotate(label, (times[-1], level), xytext=(0, 3), textcoords="offset points", ha="right")
+        half = 0.5 * (kinetic + most)
+        if force[0] < half < force[-1]:
+            after = float(np.interp(half, force, times))
+            label = "" if len(law.contacts) > 1 else f"half way, after {after:.2g} s"
+            axes.plot([after], [half], "o", color=colour, label=label)
+    axes.set_ylim(0.0, 1.15 * top or 1.0)
+    law.finish(axes, "static friction rises with rest", "dwell time [s]")
     axes.legend(loc="lower right")
 
 
-def _name(rows: Array, k: int, alone: str) -> str:
-    """Return the label of joint k, or what to call the line where there is but one."""
-    return f"joint {k}" if len(rows) > 1 else alone
+def _limit_after(contact: Contact, dwell: float) -> float:
+    """Return |F_t|/f at break-away of a contact just made, stuck for `dwell`, s."""
+    contact.states[:] = 0.0
+    contact.advance(np.zeros(1), dwell, stuck=True)
+    return contact.stick_limit
 
 
-def _law(kind: int) -> str:
-    return next(name for name, number in KINDS.items() if number == kind)
-
-
-def _rested(kind: int, row: Array) -> Array:
-    z = np.zeros(state_count(kind, 1))
-    rest_states(kind, row, z)
-    return z
-
-
-def _steady(kind: int, row: Array, speed: float, load: float) -> float:
+def _steady(contact: Contact, speed: float, load: float) -> float:
     """Return the force against steady slip in +x, N."""
-    z, u, c, w = _rested(kind, row), np.array([speed]), np.empty(1), np.empty(1)
-    advance_states(kind, row, u, False, 1e9 if speed > 0.0 else 0.0, z)  # long enough for bristles to settle
-    sliding(kind, row, u, speed, z, np.zeros(1), c, w)
+    contact.rested()
+    u = np.array([speed])
+    if contact.states.size and speed > 0.0:
+        contact.advance(u, 1e9)  # long enough for bristles to settle
+    c, w = contact.slide(u)
     return float(load * c[0] + w[0])
 
 
-def _to_and_fro(kind: int, row: Array, amplitude: float, load: float) -> tuple[Array, Array]:
+def _reach(contact: Contact) -> float:
+    """Return how far bristles bend in slow steady slip, m (rad)."""
+    contact.rested()
+    contact.advance(np.array([1e-12]), 1e15)
+    return float(np.max(np.abs(contact.states)))
+
+
+def _to_and_fro(contact: Contact, amplitude: float, load: float) -> tuple[Array, Array]:
     """Return displacement and force of a slow motion: out, then, after a gap, one cycle of those that follow."""
     phase = np.linspace(0.0, 4.5 * math.pi, 1801)
     x = amplitude * np.sin(phase)
-    z, force, h = _rested(kind, row), np.zeros_like(x), 1e6
+    force, h = np.zeros_like(x), 1e6
+    contact.rested()
     for i in range(1, x.size):
-        advance_states(kind, row, np.array([(x[i] - x[i - 1]) / h]), False, h, z)
-        force[i] = load * row[STIFFNESS] * z[0]
+        u = np.array([(x[i] - x[i - 1]) / h])
+        contact.advance(u, h)
+        force[i] = load * contact.slide(u)[0][0]
     force[(phase > 0.5 * math.pi) & (phase < 2.5 * math.pi)] = np.nan
     return x, force
-
-
-def _force_label(load: float, joint: bool) -> str:
-    return "torque against the motion [N m]" if joint else f"force against the slip, f = {load:g} N [N]"
 
 
 def _prefixed(size: float, unit: str) -> tuple[float, str]:

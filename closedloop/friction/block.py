@@ -14,10 +14,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from closedloop.errors import ScenarioError
-from closedloop.friction.laws import rates, sliding
-from closedloop.friction.layout import STICKS, state_count
-from closedloop.friction.packing import pack
-from closedloop.friction.sections import Law
+from closedloop.friction.contact import Contact
+from closedloop.friction.law import SurfaceFriction
+from closedloop.friction.packing import surface_parameters
 
 Array = NDArray[np.float64]
 
@@ -45,7 +44,7 @@ class Pull:
 
 
 def pull_block(
-    section: Law,
+    section: SurfaceFriction,
     mass: float = 1.0,
     spring: float = 2.0,
     speed: float = 0.1,
@@ -58,8 +57,8 @@ def pull_block(
 
     Parameters
     ----------
-    section : Law
-        dahl, lugre or none.
+    section : SurfaceFriction
+        A law without a mode of sticking: dahl, lugre or none.
     mass, spring, speed, duration, load : float
         m, kg; k, N/m; of the spring's far end, m/s; s; normal force f, N.
     slip_speed : float
@@ -74,24 +73,20 @@ def pull_block(
     """
     from scipy.integrate import solve_ivp
 
-    kind, par = pack(section)
-    if STICKS[kind] != "elastic":
-        raise ScenarioError(f"friction.kind = '{getattr(section, 'kind', '')}': only dahl and lugre pull a block")
-    count = state_count(kind, 1)
-    nowhere = np.zeros(1)
+    if section.sticks != "elastic":
+        raise ScenarioError(f"friction.kind = '{section.kind}': only dahl and lugre pull a block")
+    contact = Contact(type(section), surface_parameters(section), 1)
+    count = contact.states.size
 
     def friction(v: Array, z: Array) -> float:
-        c, w = np.empty(1), np.empty(1)
-        sliding(kind, par, v, abs(v[0]), z, nowhere, c, w)
+        contact.states[:] = z
+        c, w = contact.slide(v)
         return float(-load * c[0] - w[0])
 
     def motion(t: float, state: Array) -> Array:
-        v, z = state[1:2].copy(), state[2:].copy()
-        out = np.empty(2 + count)
-        dz = np.empty(count)
-        rates(kind, par, v, False, z, dz)
-        out[0], out[1], out[2:] = v[0], (spring * (speed * t - state[0]) + friction(v, z)) / mass, dz
-        return out
+        v = state[1:2]
+        force = spring * (speed * t - state[0]) + friction(v, state[2:])
+        return np.concatenate([v, [force / mass], contact.rates(v)])
 
     def starts(t: float, state: Array) -> float:
         return float(state[1] - slip_speed)
@@ -119,7 +114,7 @@ def pull_block(
         velocity=v,
         deflection=z[0] if count else np.zeros_like(x),
         spring=spring * (speed * done.t - x),
-        friction=np.array([friction(v[i : i + 1].copy(), z[:, i].copy()) for i in range(x.size)]),
+        friction=np.array([friction(v[i : i + 1], z[:, i]) for i in range(x.size)]),
         starts=done.t_events[0],
         stops=done.t_events[1],
     )

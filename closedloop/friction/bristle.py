@@ -21,6 +21,7 @@ import math
 import numpy as np
 from numpy.typing import NDArray
 
+from closedloop.friction.law import length_of
 from closedloop.jit.kernel import kernel
 
 Array = NDArray[np.float64]
@@ -40,3 +41,10 @@ def advance(a: float, u: Array, h: float, z: Array) -> None:
     gain = -math.expm1(-a * h) / a if a * h > 1e-300 else h
     for k in range(u.shape[0]):
         z[k] = decay * z[k] + gain * u[k]
+
+
+@kernel
+def stored(stiffness: float, z: Array) -> float:
+    """Return ½ σ_0 |z|², the energy in bristles bent by z (d,) per newton of normal force, m; of a joint, J."""
+    deflection = length_of(z)
+    return 0.5 * stiffness * deflection * deflection

@@ -37,6 +37,10 @@ compression follows; the two phases then sum up all that happens while u_n < 0 a
 A tip that can only move along one line (rank of S one) and that friction can hold does not rebound (WEDGE): no impulse
 moves it. NEWTON and STRONGE then end the impact at rest; POISSON adds its impulse, which changes nothing.
 
+The laws are a family, `closedloop.impact.restitution`, with a file for each in `laws`. They differ in the ratio alone,
+so the numbers of the three ratios are all that the kernel knows of them; a law of one's own takes one of the ratios and
+may let ε depend on the speed of approach.
+
 `impact` is the kernel; `two_phase_impact` checks its input and returns an `Impact`.
 """
 
@@ -44,11 +48,11 @@ from closedloop.impact.modes import (
     CUT,
     IMPACT_WORK,
     JAM,
-    LAWS,
     MODE_NAMES,
     MODES,
     NEWTON,
     POISSON,
+    RATIOS,
     RECOMPRESSION,
     REVERSAL,
     SLIP,
@@ -64,11 +68,11 @@ __all__ = [
     "CUT",
     "IMPACT_WORK",
     "JAM",
-    "LAWS",
     "MODES",
     "MODE_NAMES",
     "NEWTON",
     "POISSON",
+    "RATIOS",
     "RECOMPRESSION",
     "REVERSAL",
     "SLIP",

@@ -1,4 +1,4 @@
-"""The names of an impact: the laws of restitution, and what can happen, as bits."""
+"""The names of an impact: the ratios of restitution, and what can happen, as bits."""
 
 from __future__ import annotations
 
@@ -11,7 +11,8 @@ SLIP, STICK, REVERSAL, TURN, JAM, RECOMPRESSION, CUT, WEDGE = 1, 2, 4, 8, 16, 32
 MODES = ROWS * (ORDER + 1)
 IMPACT_WORK = MODES + 1
 
-LAWS = {"newton": NEWTON, "poisson": POISSON, "stronge": STRONGE}
+# A law of restitution by what its coefficient is the ratio of, see `closedloop.impact.restitution`.
+RATIOS = {"velocities": NEWTON, "impulses": POISSON, "energies": STRONGE}
 MODE_NAMES = {
     SLIP: "slip",
     TURN: "turn",

@@ -10,8 +10,9 @@ from numpy.typing import ArrayLike, NDArray
 
 from closedloop.closure.solve import OK
 from closedloop.errors import ScenarioError
-from closedloop.impact.modes import IMPACT_WORK, LAWS, MODE_NAMES, MODES
+from closedloop.impact.modes import IMPACT_WORK, MODE_NAMES, MODES, RATIOS
 from closedloop.impact.phases import impact
+from closedloop.impact.restitution import RESTITUTIONS, coefficient_at
 from closedloop.jit.kernel import entry_kernel
 
 Array = NDArray[np.float64]
@@ -80,8 +81,10 @@ def two_phase_impact(
         raise ScenarioError(f"restitution = {eps:g}: must be from 0 to 1")
     if mu < 0.0:
         raise ScenarioError(f"friction = {mu:g}: must not be negative")
-    if law not in LAWS:
-        raise ScenarioError(f"law = {law!r}: must be {' or '.join(repr(name) for name in LAWS)}")
+    if law not in RESTITUTIONS:
+        raise ScenarioError(f"law = {law!r}: must be {' or '.join(repr(name) for name in RESTITUTIONS)}")
+    member = RESTITUTIONS[law]
+    eps = coefficient_at(member, eps, -float(before[0]))
     if before[0] > 0.0:
         raise ScenarioError(f"u[0] = {before[0]:g} m/s: the tip moves off the surface; must not be positive")
     trace = float(np.trace(mobility))
@@ -95,7 +98,7 @@ def two_phase_impact(
         )
     compression, decompression, after = np.zeros(3), np.zeros(3), np.zeros(3)
     work = np.zeros(IMPACT_WORK)
-    if _impact(mobility, before, eps, LAWS[law], mu, work, compression, decompression, after) != OK:
+    if _impact(mobility, before, eps, RATIOS[member.ratio_of], mu, work, compression, decompression, after) != OK:
         raise ScenarioError(
             f"u = {before.tolist()}: no impulse ends the approach; must be a velocity that a tip with this S can have"
         )

@@ -166,6 +166,13 @@ def brief_entry(function: F) -> F:
     return entry_kernel(function, nogil=False)
 
 
+def kernel_of(member: type[Any], name: str) -> Callable[..., Any]:
+    """Return a function of a member as a kernel, to be called by the member's entry."""
+    function: Any = getattr(member, name)
+    made: Callable[..., Any] = function if hasattr(function, "py_func") else kernel(function)
+    return made
+
+
 def direct(function: F, *arguments: Any) -> F:
     """Return the compiled form of `function` for the types of these arguments: numba's dispatch takes 70 ns a call.
 

@@ -8,7 +8,7 @@ import numpy as np
 
 from closedloop.closure.contact_force import FREE
 from closedloop.events.table import IMPACT, TOUCHDOWN
-from closedloop.friction.packing import energy_fault
+from closedloop.friction.law import FrictionLaw
 from closedloop.integrators import ADAPTIVE, scheme_of
 from closedloop.report.summary import joint_measures, run_gains_fault
 from closedloop.report.verdict import GOOD, names_of
@@ -25,6 +25,8 @@ MOST_EVENTS = 8
 def restitution_cut(run: Run) -> str:
     """Return a line about impacts that gave less restitution than was asked for, or an empty string."""
     asked, impacts = run.scenario.impact.restitution, run.event_kind == IMPACT
+    if run.scenario.impact.law != "newton":
+        return ""  # a law of one's own may give what it likes
     given = run.event_restitution[impacts & (run.event_restitution < asked)]
     if not given.size:
         return ""
@@ -46,12 +48,17 @@ def shifted_events(run: Run) -> str:
     )
 
 
+def _energy_fault(law: Any, load: float, n: int | None = None) -> str | None:
+    """Return what `FrictionLaw.energy_fault` says; nothing of a user's class that is not there."""
+    return law.energy_fault(load, n) if isinstance(law, FrictionLaw) else None
+
+
 def notes(run: Run) -> list[str]:
     """Return what a reader of the run should know beside its figures: what was left out, friction that may drive ..."""
     load = float(np.max(np.abs(run.contact_force)))
     faults = (
-        ("friction", energy_fault(run.scenario.friction, load)),
-        ("joint_friction", energy_fault(run.scenario.joint_friction, n=run.q.shape[1])),
+        ("friction", _energy_fault(run.scenario.friction, load)),
+        ("joint_friction", _energy_fault(run.scenario.joint_friction, 1.0, run.q.shape[1])),
         ("gains", run_gains_fault(run)),
     )
     told = {problem["name"] for problem in run.summary()["verdict"]["problems"]}

@@ -20,7 +20,8 @@ from closedloop.control.law import COMPENSATIONS, LAWS, Compensation, ControlLaw
 from closedloop.control.sensor import SensorSection
 from closedloop.errors import ScenarioError
 from closedloop.families import KEEP_ABSENT, Family, OneOf
-from closedloop.friction.sections import JointFriction, NoFriction, SurfaceFriction
+from closedloop.friction.law import JOINT_LAWS, SURFACE_LAWS, FrictionLaw, JointFriction, SurfaceFriction
+from closedloop.impact.restitution import RESTITUTIONS
 from closedloop.integrators import ADAPTIVE, INTEGRATORS
 from closedloop.reference import path as paths
 from closedloop.reference.force import ConstantForceSection, ForceProfile
@@ -78,11 +79,14 @@ class PlaneSection(Section):
     )
 
 
+RestitutionName = Annotated[str, OneOf(RESTITUTIONS)]
+
+
 class ImpactSection(Section):
     """[impact]: the law of impact between tip and surface; used only where surface.contact is "unilateral"."""
 
     restitution: Restitution = Field(0.0, description="coefficient of restitution, 0 to 1")
-    law: Literal["newton", "poisson", "stronge"] = Field(
+    law: RestitutionName = Field(
         "stronge",
         description="restitution as a ratio of velocities (newton), impulses (poisson) or energies (stronge)",
     )
@@ -159,8 +163,6 @@ def _name(value: Any) -> Any:
 
 Name = Annotated[str, BeforeValidator(_name)]
 IntegratorName = Annotated[str, OneOf(INTEGRATORS, ADAPTIVE, words=("auto",))]
-# Laws of friction with states that are stiff: the semi-implicit scheme takes them exactly, rk4 does not at such steps.
-BRISTLES = ("dahl", "lugre", "seven_parameter")
 
 # A number of 53 bits cannot be told apart from its neighbours below 1e-16, nor an error estimate from rounding much
 # above; and a loose tolerance would locate no event.
@@ -185,7 +187,7 @@ class TimeSection(Section):
         "auto",
         description="semi_implicit_euler is the paper's, dop853 chooses its own steps; auto: rk4 where surface.contact "
         "is unilateral, since a scheme of order 1 shifts impacts by up to several steps, but semi_implicit_euler with "
-        f"a friction of bristles ({', '.join(BRISTLES)}) and where contact is bilateral",
+        "a friction with states, such as lugre, and where contact is bilateral",
     )
     tolerance: Tolerance | None = Field(
         None,
@@ -212,8 +214,8 @@ class Scenario(Section):
     law: Annotated[ControlLaw, LAWS]
     compensation: Annotated[Compensation, COMPENSATIONS] = Field(default_factory=lambda: COMPENSATIONS["none"]())
     sensor: SensorSection = SensorSection()
-    friction: SurfaceFriction = NoFriction()
-    joint_friction: JointFriction = NoFriction()
+    friction: Annotated[SurfaceFriction, SURFACE_LAWS] = Field(default_factory=lambda: SURFACE_LAWS["none"]())
+    joint_friction: Annotated[JointFriction, JOINT_LAWS] = Field(default_factory=lambda: JOINT_LAWS["none"]())
     force_profile: ForceProfile = ConstantForceSection()
     stabiliser: Stabiliser = BaumgarteSection()
     time: TimeSection = TimeSection()
@@ -222,8 +224,10 @@ class Scenario(Section):
     def _choose_integrator(self) -> Self:
         """Replace "auto" by a scheme, so that a scenario states the integrator of its run."""
         if self.time.integrator == "auto":
-            bristles = self.friction.kind in BRISTLES or self.joint_friction.kind in BRISTLES
-            chosen = "rk4" if self.surface.contact == "unilateral" and not bristles else "semi_implicit_euler"
+            # The states of friction are stiff: the semi-implicit scheme takes them exactly, rk4 does not at such steps.
+            laws = (self.friction, self.joint_friction)
+            stiff = any(isinstance(law, FrictionLaw) and law.has_states() for law in laws)
+            chosen = "rk4" if self.surface.contact == "unilateral" and not stiff else "semi_implicit_euler"
             self.__dict__["time"] = self.time.model_copy(update={"integrator": chosen})
         return self
 

@@ -15,11 +15,10 @@ from closedloop.closure.contact_force import FREE, PRESSED, STUCK
 from closedloop.control.laws.paper import PaperLaw
 from closedloop.control.sensor import draws, pack_sensor
 from closedloop.control.stability import check_sampling
-from closedloop.engines.problem import STICK_SPEED, Problem, pack_law
+from closedloop.engines.problem import STICK_SPEED, Problem, pack_friction, pack_law
 from closedloop.errors import ScenarioError
 from closedloop.events.phases import RESTING, TOUCHING
-from closedloop.friction.layout import KINDS, STICKS
-from closedloop.friction.packing import pack
+from closedloop.friction.law import JOINT_LAWS, SURFACE_LAWS
 from closedloop.integrators import ADAPTIVE, INTEGRATORS, Scheme
 from closedloop.reference.desired import Desired, desired
 from closedloop.reference.force import force_at
@@ -107,8 +106,8 @@ def prepare(scenario: Scenario, model: RobotModel | None = None, cache: Cache | 
     law = law.model_copy(update={"pd_start": start}) if isinstance(law, PaperLaw) else law
     scenario.compensation.check(law)
     check_sampling(law, scenario.compensation, scenario.sensor, law.sample_period or h)
-    friction = pack(scenario.friction)
-    if friction[0] and STICKS[friction[0]] != "elastic" and mode == PRESSED:
+    friction = pack_friction(scenario.friction, n)
+    if friction.member.sticks != "elastic" and mode == PRESSED:
         u = wanted.frame @ robot.terms(q, v).jacobian @ v
         mode = STUCK if np.hypot(u[1], u[2]) <= STICK_SPEED else PRESSED
     return Problem(
@@ -127,7 +126,7 @@ def prepare(scenario: Scenario, model: RobotModel | None = None, cache: Cache | 
         law=pack_law(law, n, model.joint_names),
         compensation=pack_law(scenario.compensation, n, model.joint_names),
         friction=friction,
-        joint_friction=pack(scenario.joint_friction, n, "joint_friction"),
+        joint_friction=pack_friction(scenario.joint_friction, n, joints=True),
         sensor=pack_sensor(scenario.sensor, h),
         table=table,
         nodes=nodes_per_step,
@@ -193,14 +192,15 @@ def _integrator(scenario: Scenario) -> tuple[type[Scheme], float | None]:
                 f"only; the error of {name!r} is set by time.step; leave it out"
             )
         return INTEGRATORS[name], None
-    for key, kind, possible in (
-        ("friction", scenario.friction.kind, ("elastic", "rigid")),
-        ("joint_friction", scenario.joint_friction.kind, ("elastic",)),
+    for key, law, family, possible in (
+        ("friction", scenario.friction, SURFACE_LAWS, ("elastic", "rigid")),
+        ("joint_friction", scenario.joint_friction, JOINT_LAWS, ("elastic",)),
     ):
-        if STICKS[KINDS[kind]] not in possible:
-            others = [repr(name) for name, number in KINDS.items() if STICKS[number] in possible]
+        if law.sticks not in possible:
+            others = [repr(name) for name, member in family.items() if member.sticks in possible]
             raise ScenarioError(
-                f"{key}.kind = {kind!r}: depends on the step, and {name!r} has none; must be {' or '.join(others)}, or "
+                f"{key}.kind = {law.kind!r}: depends on the step, and {name!r} has none; "
+                f"must be {' or '.join(others)}, or "
                 f"take an integrator of fixed step, {' or '.join(map(repr, INTEGRATORS))}"
             )
     usual = TOLERANCE if scenario.friction.kind == "none" else TOLERANCE_WITH_FRICTION

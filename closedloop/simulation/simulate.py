@@ -187,7 +187,7 @@ def run_loop(
     loop = problem.loop(user_law=law is not None)
     state, w = loop.state, loop.w
     user_law = None if law is None else UserLaw(law, loop)
-    connect = partial(problem.connect, loop) if user_law is None else user_law.connect
+    connect = partial(problem.connect, loop, user_law.connect if user_law else None)
     rows = np.empty((steps + 1, Row.of(robot.n).width)) if rows is None else rows
     events = np.zeros((INITIAL_EVENTS, EVENT_WIDTH))
     kernel = loop_for(engine, problem.general or law is not None)
@@ -195,7 +195,7 @@ def run_loop(
         kernel = _begun(kernel, problem, loop, connect, law)
     else:
         make_ready(kernel)
-    connect(not (isinstance(kernel, Interim) and kernel.interpreting))
+    connect(compiled=not (isinstance(kernel, Interim) and kernel.interpreting))
     step, many = _driver(problem, kernel, loop, (problem.table, problem.integrator.tableau(), rows), engine, tree)
 
     def finish(done: int) -> None:
@@ -215,6 +215,7 @@ def run_loop(
                 events = np.vstack([events, np.zeros_like(events)])
                 request = step(events)
             elif request == IMPACT_LAW_WANTED:
+                problem.set_restitution(loop)
                 struck = clock.perf_counter()
                 if interim:
                     call_now(collide, loop_memory, loop.address)
@@ -300,12 +301,9 @@ def _driver(
 def _begun(
     kernel: Callable[..., int], problem: Problem, loop: Loop, connect: Callable[[], None], law: Law | None
 ) -> Callable[..., int]:
-    """Return the loop, or its `Interim` if it is not compiled, and start compiling what is missing."""
-    with_it: list[Callable[..., Any]] = [
-        complete_record,
-        *([collide] if loop.state.unilateral else []),
-        *([] if law else problem.entries()),
-    ]
+    """Return the loop, or what it is begun with if it is not compiled; and have compiled what else is missing."""
+    entries = problem.entries(user_law=law is not None).values()
+    with_it = [complete_record, *([collide] if loop.state.unilateral else []), *entries]
     if not at_hand(kernel):
         calls = problem.steps * problem.integrator.stages
         seconds = SECONDS_GENERAL if problem.general or law is not None else SECONDS

@@ -7,26 +7,27 @@ An entry takes the address of the loop's memory, and calls the member's function
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from functools import cache
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from closedloop.closure.contact_force import FREE
+from closedloop.closure.contact_force import FREE, STUCK
 from closedloop.control.law import Compensation, ControlLaw
 from closedloop.control.law_input import LawInput
+from closedloop.families import Member
+from closedloop.friction.law import JointFriction, Slip, SurfaceFriction, length_of
 from closedloop.jit.calls import Entry
-from closedloop.jit.kernel import entry_kernel, kernel, kernel_inlined
-from closedloop.parameters import parameter_block, state_block
+from closedloop.jit.kernel import entry_kernel, kernel_inlined, kernel_of
+from closedloop.parameters import one_joint_block, parameter_block, state_block
 from closedloop.step.memory import Constants, State, Work, loop_at
 from closedloop.user_code import source_digest
 
 Array = NDArray[np.float64]
 
-# Calls to a law or a compensation.
-TORQUE, RATES, START, RESTART = range(4)
+# Calls to a control law or a compensation, and to a law of friction.
+TORQUE, START, RESTART, RATES, SLIDE, HOLD, ADVANCE_STATES, LIMIT, STICK = range(9)
 
 
 @kernel_inlined
@@ -47,7 +48,7 @@ def law_entry(member: type[ControlLaw] | type[Compensation]) -> Entry:
     The states of a compensation follow those of the law.
     """
     Parameters, States = parameter_block(member), state_block(member)
-    torque, rates, start, restart = (_as_kernel(member, name) for name in ("torque", "rates", "start", "restart"))
+    torque, rates, start, restart = (kernel_of(member, name) for name in ("torque", "rates", "start", "restart"))
 
     if issubclass(member, Compensation):
 
@@ -85,12 +86,93 @@ def law_entry(member: type[ControlLaw] | type[Compensation]) -> Entry:
     return entry_kernel(entry, identity=identity_of(member))
 
 
+@cache
+def friction_entry(member: type[SurfaceFriction]) -> Entry:
+    """Return the entry of a law of the surface's friction, compiled when it is first needed.
+
+        SLIDE, HOLD     write c and viscous: of a tip that slides, of one that sticks as a spring
+        RATES           writes dz
+        ADVANCE_STATES         advances z by friction_span
+        LIMIT           writes stick_limit
+        STICK           writes z where slip along `direction` has ended
+
+    In `Work` it reads slip, delayed_slip and direction.
+    """
+    Parameters, States = parameter_block(member), state_block(member)
+    slide, hold, rates = (kernel_of(member, name) for name in ("slide", "hold", "rates"))
+    advance, stick_limit, stick = (kernel_of(member, name) for name in ("advance", "stick_limit", "stick"))
+
+    def entry(address: int, what: int) -> int:
+        state, constants, w = loop_at(address)
+        par, stuck = Parameters(constants.friction, state.n), state.mode == STUCK
+        at = state.law_states + state.sensor_states
+        z = States(w.z[at : at + state.friction_states], 2)
+        x = Slip(w.slip, length_of(w.slip), w.delayed_slip, w.direction)
+        if what in (SLIDE, HOLD):
+            for k in range(2):
+                w.c[k], w.viscous[k] = 0.0, 0.0
+            if what == SLIDE:
+                slide(x, par, z, w.c, w.viscous)
+            else:
+                hold(par, z, w.c)
+        elif what == RATES:
+            rates(x, par, z, stuck, States(w.dz[at : at + state.friction_states], 2))
+        elif what == ADVANCE_STATES:
+            advance(x, par, z, stuck, w.friction_span)
+        elif what == LIMIT:
+            w.stick_limit = stick_limit(par, z)
+        elif what == STICK:
+            stick(x, par, z)
+        return 0
+
+    entry.__name__ = entry.__qualname__ = f"entry_of_surface_{member.__name__}"
+    return entry_kernel(entry, identity=identity_of(member))
+
+
+@cache
+def joint_friction_entry(member: type[JointFriction]) -> Entry:
+    """Return the entry of a law of the joints' friction, which answers for all joints.
+
+    As `friction_entry`, with joint_slip, joint_lagged and joint_direction read, and joint_dry, joint_viscous and
+    joint_limit written. SLIDE is of each joint as it is, stuck or not; STICK of those with a direction.
+    """
+    Parameters, States = one_joint_block(member), state_block(member)
+    slide, hold, rates = (kernel_of(member, name) for name in ("slide", "hold", "rates"))
+    advance, stick_limit, stick = (kernel_of(member, name) for name in ("advance", "stick_limit", "stick"))
+
+    def entry(address: int, what: int) -> int:
+        state, constants, w = loop_at(address)
+        count = state.joint_states
+        here = state.law_states + state.sensor_states + state.friction_states
+        for j in range(state.n):
+            par, stuck = Parameters(constants.joint_friction[j], 1), w.stuck[j] != 0.0
+            z = States(w.z[here : here + count], 1)
+            u, direction = w.joint_slip[j : j + 1], w.joint_direction[j : j + 1]
+            x = Slip(u, abs(u[0]), w.joint_lagged[j], direction)
+            if what == SLIDE:
+                c, viscous = w.joint_dry[j : j + 1], w.joint_viscous[j : j + 1]
+                c[0], viscous[0] = 0.0, 0.0
+                if stuck:
+                    hold(par, z, c)
+                else:
+                    slide(x, par, z, c, viscous)
+            elif what == RATES:
+                rates(x, par, z, stuck, States(w.dz[here : here + count], 1))
+            elif what == ADVANCE_STATES:
+                advance(x, par, z, stuck, w.friction_span)
+            elif what == LIMIT:
+                w.joint_limit[j] = stick_limit(par, z)
+            elif what == STICK and direction[0] != 0.0:
+                stick(x, par, z)
+            here += count
+        return 0
+
+    entry.__name__ = entry.__qualname__ = f"entry_of_joint_{member.__name__}"
+    return entry_kernel(entry, identity=identity_of(member))
+
+
 def identity_of(member: type[Any]) -> str:
-    """Return the identity of a member in the cache of compiled code: its name and its source."""
-    return f"{member.__module__}:{member.__qualname__} {source_digest(member)}"
-
-
-def _as_kernel(member: type[Any], name: str) -> Callable[..., Any]:
-    function: Any = getattr(member, name)
-    made: Callable[..., Any] = function if hasattr(function, "py_func") else kernel(function)
-    return made
+    """Return what tells the compiled form of a member from others: its name, and the text of all its classes."""
+    bases = [each for each in member.__mro__ if issubclass(each, Member) and each is not Member]
+    texts = dict.fromkeys(source_digest(each) for each in bases)
+    return " ".join([f"{member.__module__}:{member.__qualname__}", *texts])

@@ -28,13 +28,12 @@ from closedloop.closure.contact_force import (
 from closedloop.closure.solve import DIVERGED, LAW_FAILED, OK, PAINLEVE, SINGULAR
 from closedloop.control.laws.paper import PaperLaw, paper_law
 from closedloop.control.sensor import SensorParameters, continuous_reading, sensor_rates
-from closedloop.friction.laws import rates
 from closedloop.jit.calls import call_at
 from closedloop.jit.kernel import kernel, kernel_inlined
 from closedloop.jit.simd8 import every
 from closedloop.parameters import parameter_block
 from closedloop.step.entries import RATES, START, TORQUE
-from closedloop.step.joint_friction import add_joint_friction, hold_joints, joint_friction_rates
+from closedloop.step.joint_friction import add_joint_friction, hold_joints
 from closedloop.step.memory import RIGID_STICK, SPRING_STICK, Constants, State, Work
 from closedloop.step.tip_friction import surface_friction, turn_with_slip
 
@@ -147,7 +146,8 @@ def evaluate(
         status = contact_force(C, w, constants, state)
         if status != OK:
             return status
-        if state.joint_friction > 0 and hold_joints(w, constants, state):
+        if state.joint_sticking == RIGID_STICK:
+            hold_joints(w, constants, state)
             status = contact_force(C, w, constants, state)
             if status != OK:
                 return status
@@ -161,13 +161,11 @@ def evaluate(
         for i in range(at, w.z.shape[0]):
             w.dz[i] = 0.0  # with the semi-implicit scheme friction's states advance by themselves
         if state.semi_implicit == 0:
-            here = at + state.friction_states
-            if state.mode != FREE:
-                rates(
-                    state.friction, constants.friction, w.u[1:3], state.mode == STUCK,
-                    w.z[at:here], w.dz[at:here],
-                )  # fmt: skip
-            joint_friction_rates(w, constants, state)
+            if state.mode != FREE and state.friction_states > 0:
+                w.slip[0], w.slip[1] = w.u[1], w.u[2]
+                call_at(state.friction, state.address, RATES)
+            if state.joint_states > 0:
+                call_at(state.joint_friction, state.address, RATES)
     return OK if bounded(w) else DIVERGED
 
 

@@ -13,19 +13,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from closedloop.closure.contact_force import FREE, PRESSED, STUCK, accelerate, pressed_force, stuck_force
-from closedloop.friction.laws import (
-    advance_states,
-    capture_speed,
-    holding,
-    memory_delay,
-    rates,
-    sliding,
-    stick_limit,
-    stick_states,
-)
-from closedloop.friction.layout import DAHL, LUGRE, SEVEN_PARAMETER
+from closedloop.jit.calls import call_at
 from closedloop.jit.kernel import kernel
-from closedloop.step.memory import SPRING_STICK, Constants, State, Work
+from closedloop.step.entries import ADVANCE_STATES, LIMIT, SLIDE
+from closedloop.step.entries import STICK as END_OF_SLIP
+from closedloop.step.memory import RIGID_STICK, SMOOTH, SPRING_STICK, Constants, State, Work
 
 Array = NDArray[np.float64]
 
@@ -34,15 +26,9 @@ MOST_SWEEPS, SETTLED = 500, 1e-14
 
 
 @kernel
-def _states_at(state: State, j: int) -> int:
-    """Return where the friction states of joint j begin in z."""
-    return int(state.law_states + state.sensor_states + state.friction_states + j * state.joint_states)
-
-
-@kernel
-def _delayed(w: Work, constants: Constants, state: State, rows: Array, j: int, delay: float) -> float:
-    """Return the speed of joint j of `delay` seconds ago, a line between recorded rows."""
-    n = w.q.shape[0]
+def _delayed(w: Work, constants: Constants, state: State, rows: Array, j: int) -> float:
+    """Return the speed of joint j by which its friction is behind, on a line between recorded rows."""
+    n, delay = w.q.shape[0], constants.joint_lag[j]
     speed: float = abs(w.v[j])
     last = state.row - 1
     if delay <= 0.0 or last < 0:
@@ -57,49 +43,42 @@ def _delayed(w: Work, constants: Constants, state: State, rows: Array, j: int, d
 
 
 @kernel
-def add_joint_friction(w: Work, constants: Constants, state: State, rows: Array) -> None:
-    """Write the torque of friction on each joint, `loss` (n,), N m, as far as the state determines it."""
-    n, kind, count = w.q.shape[0], state.joint_friction, state.joint_states
-    u, c, viscous, direction = w.scratch[0:1], w.scratch[1:2], w.scratch[2:3], w.scratch[3:4]
-    for j in range(n):
-        w.joint_friction[j] = 0.0
-        if kind <= 0:
-            continue
-        par = constants.joint_friction[j]
-        z = w.z[_states_at(state, j) : _states_at(state, j) + count]
-        u[0], direction[0] = w.v[j], 0.0
-        if kind == SEVEN_PARAMETER and w.stuck[j] != 0.0:
-            holding(kind, par, z, c, viscous)
-        else:
-            sliding(
-                kind, par, u, _delayed(w, constants, state, rows, j, memory_delay(kind, par)), z, direction, c, viscous
-            )
-        if kind in (DAHL, LUGRE, SEVEN_PARAMETER):
-            w.joint_friction[j] = -c[0] - viscous[0]
-        else:
-            w.joint_friction[j] = -viscous[0]
+def _ask_slide(w: Work, constants: Constants, state: State, rows: Array) -> None:
+    """Ask what friction is on each joint at its velocity, where no motion is to start."""
+    for j in range(w.q.shape[0]):
+        w.joint_slip[j], w.joint_direction[j] = w.v[j], 0.0
+        w.joint_lagged[j] = _delayed(w, constants, state, rows, j)
+    call_at(state.joint_friction, state.address, SLIDE)
 
 
 @kernel
-def hold_joints(w: Work, constants: Constants, state: State) -> bool:
-    """Add the dry friction of laws that stick rigidly to `loss`; return whether there is any.
+def add_joint_friction(w: Work, constants: Constants, state: State, rows: Array) -> None:
+    """Write the torque of friction on each joint, joint_friction (n,), N m, as far as the state determines it."""
+    n, sticking = w.q.shape[0], state.joint_sticking
+    if sticking != SMOOTH:
+        _ask_slide(w, constants, state, rows)
+    for j in range(n):
+        w.joint_friction[j] = 0.0
+        if sticking == RIGID_STICK:
+            w.joint_friction[j] = -w.joint_viscous[j]
+        elif sticking != SMOOTH:
+            w.joint_friction[j] = -w.joint_dry[j] - w.joint_viscous[j]
+
+
+@kernel
+def hold_joints(w: Work, constants: Constants, state: State) -> None:
+    """Add the dry friction of a law that sticks rigidly to the torque of friction on each joint.
 
     Reads q̈ and F of Eq. 24 without it; afterwards Eq. 24 is to be solved again.
     """
-    n, kind, h = w.q.shape[0], state.joint_friction, constants.h
-    if kind in (DAHL, LUGRE, SEVEN_PARAMETER):
-        return False
+    n, h = w.q.shape[0], constants.h
     F, y, a = w.before, w.column, w.after
-    limit, dry = w.scratch[8 : 8 + n], w.scratch[8 + n : 8 + 2 * n]
-    u, c, viscous, direction, none = (
-        w.scratch[0:1], w.scratch[1:2], w.scratch[2:3], w.scratch[3:4], w.scratch[4:6],
-    )  # fmt: skip
+    limit, dry, none = w.joint_limit, w.scratch[8 : 8 + n], w.scratch[4:6]
     none[0], none[1] = 0.0, 0.0
+    call_at(state.joint_friction, state.address, LIMIT)
     for j in range(n):
-        par = constants.joint_friction[j]
-        u[0], direction[0] = w.v[j], 0.0
-        sliding(kind, par, u, abs(u[0]), w.z[0:0], direction, c, viscous)
-        limit[j] = stick_limit(kind, par, w.z[0:0]) if abs(u[0]) <= max(capture_speed(kind, par), 1e-9) else abs(c[0])
+        if not abs(w.v[j]) <= max(constants.joint_capture_speed[j], 1e-9):
+            limit[j] = abs(w.joint_dry[j])
         dry[j] = 0.0
         # Column j of the answer: q̈ to a torque of 1 N m in joint j, the contact as it is.
         for i in range(n):
@@ -138,58 +117,36 @@ def hold_joints(w: Work, constants: Constants, state: State) -> bool:
             break
     for j in range(n):
         w.joint_friction[j] += dry[j]
-    return True
 
 
 @kernel
-def joint_friction_rates(w: Work, constants: Constants, state: State) -> None:
-    """Write the rates of the joints' friction states."""
-    n, kind, count = w.q.shape[0], state.joint_friction, state.joint_states
-    if count == 0:
-        return
-    u = w.scratch[0:1]
-    for j in range(n):
-        u[0] = w.v[j]
-        here = _states_at(state, j)
-        rates(
-            kind, constants.joint_friction[j], u, w.stuck[j] != 0.0,
-            w.z[here : here + count], w.dz[here : here + count],
-        )  # fmt: skip
-
-
-@kernel
-def advance_joint_friction(w: Work, constants: Constants, state: State, h: float) -> None:
+def advance_joint_friction(w: Work, state: State, h: float) -> None:
     """Advance the joints' friction states by h seconds at the velocity of the step's beginning."""
-    n, kind, count = w.q.shape[0], state.joint_friction, state.joint_states
-    if count == 0:
+    if state.joint_states == 0:
         return
-    u = w.scratch[0:1]
+    n = w.q.shape[0]
     for j in range(n):
-        u[0] = w.begin[n + j]
-        here = _states_at(state, j)
-        advance_states(
-            kind, constants.joint_friction[j], u, w.stuck[j] != 0.0, h,
-            w.z[here : here + count],
-        )  # fmt: skip
+        w.joint_slip[j] = w.begin[n + j]
+    w.friction_span = h
+    call_at(state.joint_friction, state.address, ADVANCE_STATES)
 
 
 @kernel
 def stick_or_slip_joints(w: Work, constants: Constants, state: State, rows: Array) -> None:
-    """At a row, let joints of seven_parameter stick whose motion has turned, and slip whose spring is stretched out."""
-    n, kind, count = w.q.shape[0], state.joint_friction, state.joint_states
-    i = state.row
-    if kind != SEVEN_PARAMETER or i == 0:
+    """At a row, let joints stick whose motion has turned, and slip whose spring is stretched out."""
+    n, i = w.q.shape[0], state.row
+    if state.joint_sticking != SPRING_STICK or i == 0:
         return
-    c, viscous, direction = w.scratch[1:2], w.scratch[2:3], w.scratch[3:4]
+    _ask_slide(w, constants, state, rows)
+    call_at(state.joint_friction, state.address, LIMIT)
     for j in range(n):
-        par = constants.joint_friction[j]
-        here = _states_at(state, j)
-        z = w.z[here : here + count]
+        before = rows[i - 1, n + j]
         if w.stuck[j] != 0.0:
-            holding(kind, par, z, c, viscous)
-            if abs(c[0]) >= stick_limit(kind, par, z):
+            if abs(w.joint_dry[j]) >= w.joint_limit[j]:
                 w.stuck[j] = 0.0
-        elif w.v[j] * rows[i - 1, n + j] <= 0.0:
-            direction[0] = 1.0 if rows[i - 1, n + j] > 0.0 else -1.0
-            stick_states(kind, par, _delayed(w, constants, state, rows, j, memory_delay(kind, par)), direction, z)
+        elif w.v[j] * before <= 0.0:
+            w.joint_direction[j] = 1.0 if before > 0.0 else -1.0
+    call_at(state.joint_friction, state.address, END_OF_SLIP)
+    for j in range(n):
+        if w.joint_direction[j] != 0.0:
             w.stuck[j] = 1.0

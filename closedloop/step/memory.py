@@ -20,11 +20,8 @@ from closedloop.jit.pointers import address_of, integers_at, vector_at
 Array = NDArray[np.float64]
 IntArray = NDArray[np.int64]
 
-# How the surface's law of friction sticks, `State.sticking`.
+# How a law of friction sticks, `State.sticking`.
 SMOOTH, RIGID_STICK, ELASTIC_STICK, SPRING_STICK = range(4)
-
-# Parameters of a law of friction.
-FRICTION_WIDTH = 12
 
 # Sizes: joints, numbers of state beside q and q̇, stages of the integrator, samples that the sensor keeps.
 N, K, STAGES, RING = (Count.of(size) for size in ("n", "k", "stages", "ring"))
@@ -46,11 +43,12 @@ class State(Block):
     impact_law: int
     semi_implicit: int
     nodes_per_step: int  # rows of the reference's table to a step
-    friction: int  # law of the surface's friction, and its states
+    friction: int  # address of the entry of the law of the surface's friction, 0: none; how many states it has
     friction_states: int
     sticking: int
-    joint_friction: int
+    joint_friction: int  # and of the joints' friction; states of each joint
     joint_states: int
+    joint_sticking: int
     sensor_states: int
     sensor_ring: int
     sensor_sampled: int
@@ -58,8 +56,10 @@ class State(Block):
     address: int
     n: int  # joints
     extra: int  # numbers of state beside q and q̇
-    law_size: int
+    law_size: int  # of the parameters of each
     compensation_size: int
+    friction_size: int
+    joint_friction_size: int  # of one joint
     constants_at: int
     constants_size: int
     work_at: int
@@ -86,7 +86,7 @@ class State(Block):
     batched: int  # rows in `Work.batch`
 
 
-class Constants(Block, sizes=("n", "law", "compensation")):
+class Constants(Block, sizes=("n", "law", "compensation", "friction", "joint_friction")):
     """What does not change during a run of n joints."""
 
     h: float  # step, s
@@ -98,16 +98,20 @@ class Constants(Block, sizes=("n", "law", "compensation")):
     rest_speed: float
     impact_friction: float
     stick_speed: float
+    capture_speed: float  # up to which sticking is tried, m/s
+    lag: float  # by which friction is behind the slip, s
     reach: float  # of the arm, squared
     frame: Annotated[Array, 3, 3]  # rows n, t1, t2, base axes
     tip: Annotated[Array, 3]  # in the frame of the joint that carries it
     gravity: Annotated[Array, 3]
     sensor: Annotated[Array, SensorParameters.count(0)]
-    friction: Annotated[Array, FRICTION_WIDTH]
     support: Annotated[Array, N]
-    joint_friction: Annotated[Array, N, FRICTION_WIDTH]
+    joint_capture_speed: Annotated[Array, N]
+    joint_lag: Annotated[Array, N]
     law: Annotated[Array, Count.of("law")]  # parameters, see `closedloop.parameters`
     compensation: Annotated[Array, Count.of("compensation")]
+    friction: Annotated[Array, Count.of("friction")]
+    joint_friction: Annotated[Array, N, Count.of("joint_friction")]
 
 
 # Single numbers and parts of a fixed size come first, then those of the joints: what a step touches is then at short
@@ -135,6 +139,8 @@ class Work(Block, sizes=("n", "k", "stages", "ring")):
     measured: float  # reading of the force sensor, of the latest row
     reading: float  # and at this instant
     delayed_slip: float  # speed of slip that friction with memory answers to
+    stick_limit: float  # μ_s, beyond which sticking ends
+    friction_span: float  # by which friction's states are to be advanced, s
     discarded_rebound: float  # of a restitution too slow to leave the surface, m/s
     straight_speed: float  # up to this speed of slip, m/s, friction acts against `direction`, not against the slip
     restitution_given: float
@@ -160,6 +166,7 @@ class Work(Block, sizes=("n", "k", "stages", "ring")):
     start_slip: Annotated[Array, 2]  # velocity of slip at the beginning of the substep
     direction: Annotated[Array, 2]  # and its direction
     anchor: Annotated[Array, 2]  # where the tip stuck
+    slip: Annotated[Array, 2]  # velocity of slip that friction is asked about
     c: Annotated[Array, 2]  # friction F_t = −c f − w
     viscous: Annotated[Array, 2]  # w
     q: Annotated[Array, N]  # state
@@ -171,6 +178,12 @@ class Work(Block, sizes=("n", "k", "stages", "ring")):
     column: Annotated[Array, N]  # scratch
     joint_friction: Annotated[Array, N]  # torque of friction on the joints
     stuck: Annotated[Array, N]  # 1 for a joint that sticks as a spring
+    joint_slip: Annotated[Array, N]  # velocity, delayed speed and direction that a joint's friction is asked about
+    joint_lagged: Annotated[Array, N]
+    joint_direction: Annotated[Array, N]
+    joint_dry: Annotated[Array, N]  # friction −c − w of each joint
+    joint_viscous: Annotated[Array, N]
+    joint_limit: Annotated[Array, N]  # torque beyond which sticking ends
     J: Annotated[Array, 3, N]  # base axes
     A: Annotated[Array, 3, N]  # contact frame
     X: Annotated[Array, 3, N]  # L⁻¹Aᵀ
@@ -198,8 +211,9 @@ def loop_at(address: int) -> tuple[State, Constants, Work]:
     state = State(integers_at(address, STATE_COUNT))
     n = state.n
     constants = Constants(
-        vector_at(state.constants_at, state.constants_size), n, state.law_size, state.compensation_size
-    )
+        vector_at(state.constants_at, state.constants_size), n, state.law_size, state.compensation_size,
+        state.friction_size, state.joint_friction_size,
+    )  # fmt: skip
     w = Work(vector_at(state.work_at, state.work_size), n, state.extra, state.stages, state.sensor_ring)
     return state, constants, w
 
@@ -217,15 +231,18 @@ class Loop(NamedTuple):
         return int(self.state.address)
 
 
-def make_loop(n: int, *, law: int = 0, compensation: int = 0, extra: int = 0, stages: int = 1, ring: int = 1) -> Loop:
+def make_loop(
+    n: int, *, law: int = 0, compensation: int = 0, friction: int = 0, joint_friction: int = 0, extra: int = 0,
+    stages: int = 1, ring: int = 1,
+) -> Loop:  # fmt: skip
     """Return a loop's memory, zero everywhere.
 
     Parameters
     ----------
     n : int
         Joints.
-    law, compensation : int
-        How many numbers their parameters are.
+    law, compensation, friction, joint_friction : int
+        How many numbers their parameters are; of the joints' friction, those of one joint.
     extra : int
         Numbers of state beside q and q̇.
     stages : int
@@ -234,11 +251,13 @@ def make_loop(n: int, *, law: int = 0, compensation: int = 0, extra: int = 0, st
         Samples that the force sensor keeps.
     """
     state = State(np.zeros(STATE_COUNT, dtype=np.int64))
-    constants = Constants(np.zeros(Constants.count(n, law, compensation)), n, law, compensation)
+    sizes = n, law, compensation, friction, joint_friction
+    constants = Constants(np.zeros(Constants.count(*sizes)), *sizes)
     w = Work(np.zeros(Work.count(n, extra, stages, ring)), n, extra, stages, ring)
     state.address = address_of(state.memory)
     state.n, state.extra, state.stages, state.sensor_ring = n, extra, stages, ring
     state.law_size, state.compensation_size = law, compensation
+    state.friction_size, state.joint_friction_size = friction, joint_friction
     state.constants_at, state.constants_size = address_of(constants.memory), constants.memory.size
     state.work_at, state.work_size = address_of(w.memory), w.memory.size
     return Loop(state, constants, w)

@@ -8,9 +8,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from closedloop.closure.contact_force import FREE, IMMOBILE, STUCK
-from closedloop.friction.laws import holding, memory_delay, sliding
-from closedloop.friction.layout import STILL
+from closedloop.friction.law import STILL
+from closedloop.jit.calls import call_at
 from closedloop.jit.kernel import kernel
+from closedloop.step.entries import HOLD, SLIDE
 from closedloop.step.memory import RIGID_STICK, SMOOTH, SPRING_STICK, Constants, State, Work
 
 Array = NDArray[np.float64]
@@ -86,15 +87,12 @@ def surface_friction(w: Work, constants: Constants, state: State, rows: Array) -
     sticking = state.sticking
     if sticking == SMOOTH or state.mode == FREE or (state.mode == STUCK and sticking == RIGID_STICK):
         return
-    kind, par = state.friction, constants.friction
-    at = state.law_states + state.sensor_states
-    z = w.z[at : at + state.friction_states]
     if state.mode == STUCK:
-        holding(kind, par, z, w.c, w.viscous)
+        call_at(state.friction, state.address, HOLD)
         return
     speed = math.hypot(w.u[1], w.u[2])
-    w.delayed_slip = delayed_speed(w, constants, state, rows, memory_delay(kind, par), speed)
-    s = w.scratch[0:2]
+    w.delayed_slip = delayed_speed(w, constants, state, rows, constants.lag, speed)
+    s = w.slip
     s[0], s[1] = w.u[1], w.u[2]
     along = s[0] * w.direction[0] + s[1] * w.direction[1]
     if sticking != RIGID_STICK and sticking != SPRING_STICK:
@@ -102,7 +100,7 @@ def surface_friction(w: Work, constants: Constants, state: State, rows: Array) -
     if along < 0.0 or speed <= w.straight_speed:
         # Past the instant at which slip stops the law goes on as before, so that the instant can be found.
         s[0], s[1] = speed * w.direction[0], speed * w.direction[1]
-    sliding(kind, par, s, w.delayed_slip, z, w.direction, w.c, w.viscous)
+    call_at(state.friction, state.address, SLIDE)
 
 
 @kernel

@@ -7,35 +7,28 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 from scipy.integrate import solve_ivp
-from test_friction_examples import EXAMPLES, PUBLISHED, angles, friction, patient, pointing, some_states
+from test_friction_examples import EXAMPLES, PUBLISHED, angles, contact, patient, pointing, some_states
 
-from closedloop.friction import largest_step, pack, presliding_motion
-from closedloop.friction.laws import (
-    advance_states,
-    rates,
-)
-from closedloop.friction.layout import STATIC, STIFFNESS
-from closedloop.friction.sections import (
-    SurfaceDahl,
-)
+from closedloop.friction import largest_step, presliding_motion
+from closedloop.friction.laws.dahl import SurfaceDahl
 
 
 @pytest.mark.parametrize("name", ["dahl", "lugre"])
 @pytest.mark.parametrize("speed", [1e-6, 3e-4, 2e-3, 0.1])
 def test_exponential_step_is_the_solution(name, speed):
     """At constant slip a step is the solution of the rates, here by Radau at 1e-11, in two dimensions."""
-    kind, par = pack(EXAMPLES[name])
-    u, z = pointing(speed, 0.3), some_states(name, par, 0.8, 2.5)
+    law = contact(EXAMPLES[name])
+    u, z = pointing(speed, 0.3), some_states(law, 0.8, 2.5).copy()
     duration = 2.0 * float(np.linalg.norm(z)) / speed
 
     def motion(t, state):
-        out = np.empty(2)
-        rates(kind, par, u, False, state.copy(), out)
-        return out
+        law.states[:] = state
+        return law.rates(u)
 
     wanted = solve_ivp(motion, (0.0, duration), z, method="Radau", rtol=1e-11, atol=1e-20).y[:, -1]
-    advance_states(kind, par, u, False, duration, z)
-    assert z == pytest.approx(wanted, rel=1e-9, abs=1e-9 * np.linalg.norm(wanted))
+    law.states[:] = z
+    law.advance(u, duration)
+    assert law.states == pytest.approx(wanted, rel=1e-9, abs=1e-9 * np.linalg.norm(wanted))
 
 
 @pytest.mark.parametrize("name", ["dahl", "lugre"])
@@ -43,11 +36,11 @@ def test_exponential_step_is_the_solution(name, speed):
 @patient
 def test_bristles_stay_within_their_bound(name, speed, angle, share, h):
     """However long the step and however fast the slip, the deflection stays within its bound."""
-    kind, par = pack(EXAMPLES[name])
-    bound = par[STATIC] / par[STIFFNESS]
-    z = some_states(name, par, share, angle)
-    advance_states(kind, par, pointing(speed, 0.0), False, h, z)
-    assert np.linalg.norm(z) <= bound * (1.0 + 1e-14)
+    law = contact(EXAMPLES[name])
+    bound = law.stick_limit / law.par.stiffness
+    some_states(law, share, angle)
+    law.advance(pointing(speed, 0.0), h)
+    assert np.linalg.norm(law.states) <= bound * (1.0 + 1e-14)
 
 
 @pytest.mark.parametrize("name", ["dahl", "lugre", "seven_parameter"])
@@ -55,25 +48,26 @@ def test_bristles_stay_within_their_bound(name, speed, angle, share, h):
 @patient
 def test_two_steps_are_one(name, speed, share, h, split):
     """A step in two parts ends where the whole one does: the step is exact, whatever its length."""
-    kind, par = pack(EXAMPLES[name])
-    once, twice = some_states(name, par, share, 1.0), some_states(name, par, share, 1.0)
+    once, twice = contact(EXAMPLES[name]), contact(EXAMPLES[name])
+    for law in (once, twice):
+        some_states(law, share, 1.0)
     u = pointing(speed, 4.0)
-    advance_states(kind, par, u, True, h, once)
-    advance_states(kind, par, u, True, split * h, twice)
-    advance_states(kind, par, u, True, h - split * h, twice)
-    assert twice == pytest.approx(once, rel=1e-12, abs=1e-17)
+    once.advance(u, h, stuck=True)
+    twice.advance(u, split * h, stuck=True)
+    twice.advance(u, h - split * h, stuck=True)
+    assert twice.states == pytest.approx(once.states, rel=1e-12, abs=1e-17)
 
 
 @pytest.mark.parametrize("amplitude", [0.3, 1.0, 5.0])
 def test_loop_of_dahl(amplitude):
     """A cycle of dahl has the force F_C tanh(σ_0 x_0/F_C) at its ends and the area 4 F_C (x_0 − F_end/σ_0)."""
-    kind, par = pack(SurfaceDahl(coefficient=0.3, stiffness=3e4))
+    law = contact(SurfaceDahl(coefficient=0.3, stiffness=3e4), d=1)
     x0 = amplitude * 0.3 / 3e4
     x = x0 * np.sin(np.linspace(0.0, 40.5 * math.pi, 40501))  # 1000 steps a half cycle
-    z, force = np.zeros(1), np.zeros(x.size)
+    force = np.zeros(x.size)
     for i in range(1, x.size):
-        advance_states(kind, par, np.array([(x[i] - x[i - 1]) / 1e-3]), False, 1e-3, z)
-        force[i] = friction(kind, par, np.zeros(1), z)[0][0]
+        law.advance(np.array([(x[i] - x[i - 1]) / 1e-3]), 1e-3)
+        force[i] = law.slide(np.zeros(1))[0][0]
     end = 0.3 * math.tanh(3e4 * x0 / 0.3)
     assert force[-1] == pytest.approx(end, rel=1e-5)  # closed to e^(−80 σ_0 x_0/F_C)
     assert force[-1 - 1000] == pytest.approx(-end, rel=1e-5)
@@ -84,13 +78,12 @@ def test_loop_of_dahl(amplitude):
 
 def test_loop_of_dahl_does_not_depend_on_speed():
     """Dahl's friction follows the path, not the time: the same path a thousand times slower gives the same force."""
-    kind, par = pack(EXAMPLES["dahl"])
     ends = []
     for h in (1e-3, 1.0):
-        z = np.zeros(2)
+        law = contact(EXAMPLES["dahl"])
         for leg in (pointing(4e-6, 0.0), pointing(9e-6, 2.0), pointing(3e-6, 4.0)):
-            advance_states(kind, par, leg / h, False, h, z)
-        ends.append(z.copy())
+            law.advance(leg / h, h)
+        ends.append(law.states)
     assert ends[0] == pytest.approx(ends[1], rel=1e-12)
 
 
@@ -98,13 +91,12 @@ def test_loop_of_dahl_does_not_depend_on_speed():
 @pytest.mark.parametrize(("mass", "load"), [(1.0, 1.0), (3.0, 12.0)])
 def test_small_motions_are_a_spring_and_a_damper(name, mass, load):
     """The eigenvalues of a mass held by bristles are those of ω and ζ."""
-    kind, par = pack(EXAMPLES[name])
+    law = contact(EXAMPLES[name], d=1)
 
     def motion(state):
-        dz = np.empty(1)
-        rates(kind, par, state[:1].copy(), False, state[1:].copy(), dz)
-        c, w = friction(kind, par, state[:1].copy(), state[1:].copy())
-        return np.array([(-load * c[0] - w[0]) / mass, dz[0]])
+        law.states[:] = state[1:]
+        c, w = law.slide(state[:1])
+        return np.array([(-load * c[0] - w[0]) / mass, law.rates(state[:1])[0]])
 
     tiny = 1e-10  # a is proportional to |u|, so differences have an error of this relative to |u|/z_max
     jacobian = np.column_stack([(motion(e * tiny) - motion(-e * tiny)) / (2.0 * tiny) for e in np.eye(2)])
@@ -123,14 +115,14 @@ def test_published_small_signal_figures():
 @pytest.mark.parametrize("name", ["dahl", "lugre"])
 def test_largest_step_before_slip(name, share, grows):
     """Semi-implicit Euler with the exponential step holds a mass on its bristles just below the limit, not above."""
-    kind, par = pack(EXAMPLES[name])
+    law = contact(EXAMPLES[name], d=1)
     h = share * largest_step(*presliding_motion(EXAMPLES[name], 2.0, 5.0))
-    u, z = np.array([1e-13]), np.zeros(1)
+    u = np.array([1e-13])
     peak = 0.0
     for _ in range(1200):
-        c, w = friction(kind, par, u, z)
+        c, w = law.slide(u)
         u += h / 2.0 * (-5.0 * c - w)
-        advance_states(kind, par, u, False, h, z)
+        law.advance(u, h)
         peak = max(peak, abs(float(u[0])))
     assert (peak > 1e3 * 1e-13) is grows  # what grows does so until the bristles yield, 1e9 times as far
 

@@ -11,8 +11,8 @@ from test_friction_examples import (
     PUBLISHED,
     ROUNDING,
     angles,
+    contact,
     factor,
-    friction,
     level,
     patient,
     pointing,
@@ -20,36 +20,23 @@ from test_friction_examples import (
     speeds,
 )
 
-from closedloop.friction import KINDS, STICKS, pack
-from closedloop.friction.laws import (
-    holding,
-    rates,
-    stored_energy,
-)
-from closedloop.friction.layout import STATIC, STIFFNESS
-from closedloop.friction.lugre import is_passive, passive_damping_speed, passive_viscous
-from closedloop.friction.sections import (
-    SurfaceLuGre,
-)
+from closedloop.friction.laws.lugre import SurfaceLuGre, is_passive, passive_damping_speed, passive_viscous
+from closedloop.friction.packing import surface_parameters
 
 
-def gained(kind, par, u, z, stuck, f, delayed_speed=None):
+def gained(law, u, stuck, f, delayed_speed=None):
     """Return F_t·u + f d(stored)/dt, W, and the size of what was added."""
-    d, step = u.size, np.zeros_like(z)
-    rates(kind, par, u, stuck, z, step)
-    if stuck and STICKS[kind] == "spring":
-        c, w = np.empty_like(u), np.empty_like(u)
-        holding(kind, par, z, c, w)
-    else:
-        c, w = friction(kind, par, u, z, delayed_speed)
+    d, z, sticks = u.size, law.states, law.member.sticks
+    step = law.rates(u, stuck)
+    c, w = (law.hold(), np.zeros(d)) if stuck and sticks == "spring" else law.slide(u, delayed_speed)
     work = -f * c @ u - w @ u
     # stored = ½σ_0|x|² of a bristle, or of a spring while it is stuck; constant otherwise
-    stores = (STICKS[kind] == "spring" and stuck) or (STICKS[kind] == "elastic" and z.size > 0)
-    storing = f * par[STIFFNESS] * z[-d:] @ step[-d:] if stores else 0.0
+    stores = (sticks == "spring" and stuck) or (sticks == "elastic" and z.size > 0)
+    storing = f * law.par.stiffness * z[-d:] @ step[-d:] if stores else 0.0
     return work + storing, abs(f * c @ u) + abs(w @ u) + abs(storing)
 
 
-@pytest.mark.parametrize("name", KINDS)
+@pytest.mark.parametrize("name", EXAMPLES)
 @given(
     speed=st.one_of(speeds, st.just(0.0)), angle=angles, share=st.floats(0.0, 1.0), along=angles,
     f=st.floats(0.0, 50.0), lag=speeds, stuck=st.booleans(),
@@ -57,9 +44,10 @@ def gained(kind, par, u, z, stuck, f, delayed_speed=None):
 @patient
 def test_friction_never_adds_energy(name, speed, angle, share, along, f, lag, stuck):
     """Friction takes at least what it stores, in any state, at any slip and any constant normal force."""
-    kind, par = pack(EXAMPLES[name])
-    assert name != "lugre" or is_passive(par, 50.0)
-    gain, size = gained(kind, par, pointing(speed, angle), some_states(name, par, share, along), stuck, f, lag)
+    law = contact(EXAMPLES[name])
+    assert name != "lugre" or is_passive(law.par, 50.0)
+    some_states(law, share, along)
+    gain, size = gained(law, pointing(speed, angle), stuck, f, lag)
     assert gain <= ROUNDING * size + 1e-300  # below it numbers have no relative rounding
 
 
@@ -73,38 +61,40 @@ def test_lugre_is_passive_where_it_says_so(kinetic, ratio, stiffness, damping, b
     section = SurfaceLuGre(
         kinetic=kinetic, static=kinetic * ratio, stribeck_speed=1e-3, stiffness=stiffness, damping=damping
     )
-    _, par = pack(section)
+    par = surface_parameters(section)
     edge = passive_damping_speed(par)
     by_speed = by_speed and math.isfinite(edge)
     cure = {"damping_speed": edge} if by_speed else {"viscous": passive_viscous(par, f)}
-    kind, par = pack(section.model_copy(update=cure))
-    assert is_passive(par, f)
-    u, z = pointing(speed, 0.0), pointing(share * par[STATIC] / par[STIFFNESS], angle)
-    gain, size = gained(kind, par, u, z, False, f)
+    law = contact(section.model_copy(update=cure))
+    assert is_passive(law.par, f)
+    some_states(law, share, angle)
+    gain, size = gained(law, pointing(speed, 0.0), False, f)
     assert gain <= 1e-12 * size + 1e-300
 
 
 @pytest.mark.parametrize(("share", "adds"), [(0.98, True), (1.02, False)])
 def test_viscous_condition_of_lugre_is_sharp(share, adds):
     """With constant damping, a little less viscous friction than the condition asks for adds energy at high speed."""
-    b = passive_viscous(pack(PUBLISHED)[1], load=2.0)
-    kind, par = pack(PUBLISHED.model_copy(update={"viscous": share * b}))
-    assert is_passive(par, 2.0) is not adds
-    gains = [gained(kind, par, np.array([v]), np.array([1.5e-5]), False, 2.0)[0] for v in np.logspace(-3, 3, 60)]
+    b = passive_viscous(surface_parameters(PUBLISHED), load=2.0)
+    law = contact(PUBLISHED.model_copy(update={"viscous": share * b}), d=1)
+    assert is_passive(law.par, 2.0) is not adds
+    law.states[:] = 1.5e-5
+    gains = [gained(law, np.array([v]), False, 2.0)[0] for v in np.logspace(-3, 3, 60)]
     assert bool(max(gains) > 0.0) is adds
 
 
 def test_published_lugre_can_add_energy():
     """The published figures (σ_2 = 0.4 N s/m, constant damping) meet no condition, and at 10 m/s do add energy."""
-    kind, par = pack(PUBLISHED)
-    assert not is_passive(par)
-    assert gained(kind, par, np.array([10.0]), np.array([1.5e-5]), False, 1.0)[0] > 0.0
+    law = contact(PUBLISHED, d=1)
+    assert not is_passive(law.par)
+    law.states[:] = 1.5e-5
+    assert gained(law, np.array([10.0]), False, 1.0)[0] > 0.0
 
 
-@pytest.mark.parametrize("name", KINDS)
+@pytest.mark.parametrize("name", EXAMPLES)
 def test_stored_energy_is_half_stiffness_times_deflection_squared(name):
     """Elastic laws store ½σ_0|z|², the spring ½k_t|x|²; the others nothing."""
-    kind, par = pack(EXAMPLES[name])
-    z = some_states(name, par, 0.7, 1.0)
-    wanted = 0.5 * par[STIFFNESS] * float(z[-2:] @ z[-2:]) if z.size else 0.0
-    assert stored_energy(kind, par, True, z, 2) == pytest.approx(wanted, rel=1e-14)
+    law = contact(EXAMPLES[name])
+    z = some_states(law, 0.7, 1.0)
+    wanted = 0.5 * law.par.stiffness * float(z[-2:] @ z[-2:]) if z.size else 0.0
+    assert law.stored_energy(stuck=True) == pytest.approx(wanted, rel=1e-14)

@@ -4,11 +4,14 @@ import math
 
 import numpy as np
 import pytest
+from test_friction_examples import contact
 
 import closedloop as cl
-from closedloop.friction import pack, pull_block
-from closedloop.friction.laws import advance_states, rates, sliding
-from closedloop.friction.sections import NoFriction, SurfaceCoulomb, SurfaceDahl, SurfaceLuGre
+from closedloop.friction import pull_block
+from closedloop.friction.laws.coulomb import SurfaceCoulomb
+from closedloop.friction.laws.dahl import SurfaceDahl
+from closedloop.friction.laws.lugre import SurfaceLuGre
+from closedloop.friction.laws.none import NoFriction
 
 # Canudas de Wit, Olsson, Åström, Lischinsky 1995, as in EXUDYN's Examples/lugreFrictionODE1.py, commit e44aca1b.
 PUBLISHED = SurfaceLuGre(
@@ -74,12 +77,11 @@ def test_break_away_is_the_lower_the_faster_the_load_grows():
 def test_damping_falls_with_speed_as_a_gaussian():
     """With a damping speed v_d the part of σ_1 in the force is σ_1 ż exp(−(u/v_d)²); without one it is σ_1 ż."""
     for v_d, shares in ((None, (1.0, 1.0, 1.0)), (0.02, (math.exp(-0.25), math.exp(-1.0), math.exp(-4.0)))):
-        kind, par = pack(PUBLISHED.model_copy(update={"damping_speed": v_d}))
+        law = contact(PUBLISHED.model_copy(update={"damping_speed": v_d}), d=1)
+        law.states[:] = -4e-6
         for u, share in zip((0.01, 0.02, 0.04), shares, strict=True):
-            z, c, w, dz = np.array([-4e-6]), np.empty(1), np.empty(1), np.empty(1)
-            sliding(kind, par, np.array([u]), u, z, np.zeros(1), c, w)
-            rates(kind, par, np.array([u]), False, z, dz)
-            assert (c[0] - 1e5 * z[0]) / dz[0] == pytest.approx(math.sqrt(1e5) * share, rel=1e-13)
+            c, _ = law.slide(np.array([u]))
+            assert (c[0] + 1e5 * 4e-6) / law.rates(np.array([u]))[0] == pytest.approx(math.sqrt(1e5) * share, rel=1e-13)
 
 
 def test_dahl_neither_sticks_nor_slips():
@@ -120,34 +122,32 @@ def test_same_as_mujoco():
               lugre="{stiffness!r} {damping!r} {coulomb!r} {static!r} {v_s!r}"/></actuator></mujoco>"""
         )
         data = mujoco.MjData(model)
-        kind, par = pack(
-            SurfaceLuGre(kinetic=coulomb, static=static, stribeck_speed=v_s, stiffness=stiffness, damping=damping)
+        law = contact(
+            SurfaceLuGre(kinetic=coulomb, static=static, stribeck_speed=v_s, stiffness=stiffness, damping=damping), d=1
         )
         for _ in range(50):
             u = np.array([rng.choice([-1.0, 1.0]) * 10.0 ** rng.uniform(-4, 1)])
             z = np.array([rng.uniform(-1.0, 1.0) * static / stiffness])
-            data.qvel[:], data.act[:] = u, z
+            data.qvel[:], data.act[:], law.states[:] = u, z, z
             mujoco.mj_forward(model, data)
-            c, w, dz = np.empty(1), np.empty(1), np.empty(1)
-            sliding(kind, par, u, abs(u[0]), z, np.zeros(1), c, w)
-            rates(kind, par, u, False, z, dz)
+            c, w = law.slide(u)
+            dz = law.rates(u)
             size = static + damping * abs(u[0]) * (1.0 + static / coulomb)
             assert -c[0] - w[0] == pytest.approx(data.actuator_force[0], abs=1e-14 * size)
             assert dz[0] == pytest.approx(data.act_dot[0], abs=1e-14 * abs(u[0]) * (1.0 + static / coulomb))
-            advance_states(kind, par, u, False, 1e-3, z)
+            law.advance(u, 1e-3)
             mujoco.mj_step(model, data)
-            assert z[0] == pytest.approx(data.act[0], rel=1e-12, abs=1e-15)
+            assert law.states[0] == pytest.approx(data.act[0], rel=1e-12, abs=1e-15)
 
 
 def force_along(x, h):
     """Return LuGre's friction without its viscous part, N, along the motion x (N,), m, sampled every h, s."""
-    kind, par = pack(PUBLISHED.model_copy(update={"viscous": 0.0}))
-    z, c, w, force = np.zeros(1), np.empty(1), np.empty(1), np.zeros_like(x)
+    law = contact(PUBLISHED.model_copy(update={"viscous": 0.0}), d=1)
+    force = np.zeros_like(x)
     for i in range(1, x.size):
         u = np.array([(x[i] - x[i - 1]) / h])
-        advance_states(kind, par, u, False, h, z)
-        sliding(kind, par, u, abs(u[0]), z, np.zeros(1), c, w)
-        force[i] = c[0]
+        law.advance(u, h)
+        force[i] = law.slide(u)[0][0]
     return force
 
 

@@ -4,65 +4,57 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from test_friction_examples import contact
 
-from closedloop.friction import pack
-from closedloop.friction.laws import (
-    advance_states,
-    contact_states,
-    holding,
-    memory_delay,
-    rest_states,
-    sliding,
-    stick_limit,
-    stick_states,
-    stored_energy,
-)
-from closedloop.friction.layout import DISPLACEMENT, DWELL, LAST, STIFFNESS
-from closedloop.friction.sections import SurfaceSevenParameter
+from closedloop.friction.laws.seven_parameter import SurfaceSevenParameter
 
 F_C, F_S, V_S, K_T, TAU, GAMMA, F_V = 0.1, 0.08, 2e-3, 2e4, 0.01, 0.4, 0.5
 SECTION = SurfaceSevenParameter(
     kinetic=F_C, static_excess=F_S, stribeck_speed=V_S, stiffness=K_T, memory_delay=TAU, rise_time=GAMMA, viscous=F_V
 )
-KIND, PAR = pack(SECTION)
+
+
+def law_with(dwell=0.0, last=0.0, displacement=0.0, **changes):
+    """Return a contact along a line with these states, the section changed so."""
+    law = contact(SECTION.model_copy(update=changes), d=1)
+    law.states[:] = dwell, last, displacement
+    return law
+
 
 patient = settings(deadline=None, max_examples=40)
 
 
 def force(u, delayed_speed, dwell, last):
     """Return the friction per newton of normal force, and the viscous part, of slip u along a line."""
-    c, w = np.empty(1), np.empty(1)
-    sliding(KIND, PAR, np.array([u]), delayed_speed, np.array([dwell, last, 0.0]), np.ones(1), c, w)
+    c, w = law_with(dwell, last).slide(np.array([u]), delayed_speed, np.ones(1))
     return float(c[0]), float(w[0])
 
 
 def test_static_friction_rises_with_rest():
     """No rest leaves F_Sa, a rest of γ brings it half way to F_S∞, a long one all the way; it rises throughout."""
     last = 0.02
-    limits = [stick_limit(KIND, PAR, np.array([t, last, 0.0])) for t in (0.0, GAMMA, 1e9 * GAMMA)]
+    limits = [law_with(t, last).stick_limit for t in (0.0, GAMMA, 1e9 * GAMMA)]
     assert limits == pytest.approx([F_C + last, F_C + 0.5 * (last + F_S), F_C + F_S], rel=1e-8)
     times = np.linspace(0.0, 50.0, 500)
-    assert np.all(np.diff([stick_limit(KIND, PAR, np.array([t, last, 0.0])) for t in times]) > 0.0)
+    assert np.all(np.diff([law_with(t, last).stick_limit for t in times]) > 0.0)
 
 
 def test_dwell_time_is_counted_while_stuck():
     """Stuck for a while, in steps, a contact has that dwell time; sliding adds none."""
-    z = np.zeros(3)
-    contact_states(z)
+    law = law_with()
     for _ in range(40):
-        advance_states(KIND, PAR, np.array([1e-6]), True, GAMMA / 40.0, z)
-    assert z[DWELL] == pytest.approx(GAMMA, rel=1e-14)
-    assert z[DISPLACEMENT] == pytest.approx(1e-6 * GAMMA, rel=1e-14)
-    assert stick_limit(KIND, PAR, z) == pytest.approx(F_C + 0.5 * F_S, rel=1e-14)
-    before = z.copy()
-    advance_states(KIND, PAR, np.array([1.0]), False, 1.0, z)
-    assert np.array_equal(z, before)
+        law.advance(np.array([1e-6]), GAMMA / 40.0, stuck=True)
+    assert law.z.dwell == pytest.approx(GAMMA, rel=1e-14)
+    assert law.z.displacement[0] == pytest.approx(1e-6 * GAMMA, rel=1e-14)
+    assert law.stick_limit == pytest.approx(F_C + 0.5 * F_S, rel=1e-14)
+    before = law.states.copy()
+    law.advance(np.array([1.0]), 1.0)
+    assert np.array_equal(law.states, before)
 
 
 def test_static_friction_without_a_rise_time_is_there_at_once():
     """With γ = 0 the excess is F_S∞ whatever went before."""
-    kind, par = pack(SECTION.model_copy(update={"rise_time": 0.0}))
-    assert [stick_limit(kind, par, np.array([t, 0.0, 0.0])) for t in (0.0, 1e-6, 1.0)] == [F_C + F_S] * 3
+    assert [law_with(t, rise_time=0.0).stick_limit for t in (0.0, 1e-6, 1.0)] == [F_C + F_S] * 3
 
 
 def test_stribeck_curve_is_half_way_at_its_speed():
@@ -75,7 +67,7 @@ def test_stribeck_curve_is_half_way_at_its_speed():
 def test_friction_lags_the_slip():
     """On a ramp v = a t the curve is that without memory, τ_L later; the viscous part does not lag."""
     a = 0.3
-    assert memory_delay(KIND, PAR) == TAU
+    assert law_with().lag == TAU
     for t in np.linspace(TAU, 0.1, 20):
         c, w = force(a * t, a * (t - TAU), GAMMA, 0.0)
         assert c == force(a * (t - TAU), a * (t - TAU), GAMMA, 0.0)[0]
@@ -84,9 +76,7 @@ def test_friction_lags_the_slip():
 
 def test_memory_matters_to_changing_speed_alone():
     """At constant speed the slip of τ_L ago is that of now, and τ_L is in nothing else."""
-    kind, par = pack(SECTION.model_copy(update={"memory_delay": 0.05}))
-    z, c, w = np.array([GAMMA, 0.0, 0.0]), np.empty(1), np.empty(1)
-    sliding(kind, par, np.array([3e-3]), 3e-3, z, np.zeros(1), c, w)
+    c, w = law_with(GAMMA, memory_delay=0.05).slide(np.array([3e-3]))
     assert (c[0], w[0]) == force(3e-3, 3e-3, GAMMA, 0.0)
 
 
@@ -97,39 +87,35 @@ def test_memory_matters_to_changing_speed_alone():
 def test_sticking_starts_without_a_jump(dwell, last, lag, angle):
     """Where slip ends the spring takes over its force, stored energy does not rise, and the dwell time starts again."""
     direction = np.array([np.cos(angle), np.sin(angle)])
-    z = np.array([dwell, last, 3e-6, -1e-6])
-    before, after, w = np.empty(2), np.empty(2), np.empty(2)
-    sliding(KIND, PAR, np.zeros(2), lag, z, direction, before, w)
-    stored = stored_energy(KIND, PAR, False, z, 2)
-    stick_states(KIND, PAR, lag, direction, z)
-    holding(KIND, PAR, z, after, w)
+    law = contact(SECTION)
+    law.states[:] = dwell, last, 3e-6, -1e-6
+    before, _ = law.slide(np.zeros(2), lag, direction)
+    stored = law.stored_energy()
+    law.stick(direction, lag)
+    after = law.hold()
     assert after == pytest.approx(before, rel=1e-13, abs=1e-15)
-    assert not np.any(w)
-    assert z[DWELL] == 0.0
-    assert np.linalg.norm(after) <= stick_limit(KIND, PAR, z) * (1.0 + 1e-13)
-    assert stored_energy(KIND, PAR, True, z, 2) <= stored * (1.0 + 1e-13)
+    assert law.z.dwell == 0.0
+    assert np.linalg.norm(after) <= law.stick_limit * (1.0 + 1e-13)
+    assert law.stored_energy(stuck=True) <= stored * (1.0 + 1e-13)
 
 
 @given(dwell=st.floats(0.0, 100.0), last=st.floats(0.0, F_S))
 @patient
 def test_sliding_starts_without_a_jump(dwell, last):
     """Where the spring reaches the limit, with no slip τ_L ago, slip has its force and what is stored stays."""
-    z = np.array([dwell, last, 0.0])
-    z[DISPLACEMENT] = stick_limit(KIND, PAR, z) / K_T
-    held, slipping, w = np.empty(1), np.empty(1), np.empty(1)
-    holding(KIND, PAR, z, held, w)
-    sliding(KIND, PAR, np.zeros(1), 0.0, z, np.ones(1), slipping, w)
-    assert slipping == pytest.approx(held, rel=1e-14)
-    assert stored_energy(KIND, PAR, False, z, 1) == pytest.approx(stored_energy(KIND, PAR, True, z, 1), rel=1e-14)
+    law = law_with(dwell, last)
+    law.z.displacement[0] = law.stick_limit / K_T
+    slipping, _ = law.slide(np.zeros(1), 0.0, np.ones(1))
+    assert slipping == pytest.approx(law.hold(), rel=1e-14)
+    assert law.stored_energy() == pytest.approx(law.stored_energy(stuck=True), rel=1e-14)
 
 
 def test_rest_is_fully_risen():
     """A contact at rest for long has all of F_S∞; one just made none."""
-    z = np.full(4, np.nan)
-    rest_states(KIND, PAR, z)
-    assert stick_limit(KIND, PAR, z) == pytest.approx(F_C + F_S, rel=1e-15)
-    contact_states(z)
-    assert stick_limit(KIND, PAR, z) == F_C
+    law = contact(SECTION)
+    assert law.stick_limit == F_C
+    law.rested()
+    assert law.stick_limit == pytest.approx(F_C + F_S, rel=1e-15)
 
 
 def stick_slip(section, speed, slips, spring=2.0, mass=1.0, h=2e-4):
@@ -137,10 +123,10 @@ def stick_slip(section, speed, slips, spring=2.0, mass=1.0, h=2e-4):
 
     Semi-implicit Euler with the mode switched at the end of a step, and a history of speeds for the memory.
     """
-    kind, par = pack(section)
-    lag = round(memory_delay(kind, par) / h)
-    u, z, c, w = np.zeros(1), np.zeros(3), np.empty(1), np.empty(1)
-    rest_states(kind, par, z)
+    law = contact(section, d=1)
+    lag = round(law.lag / h)
+    u = np.zeros(1)
+    law.rested()
     history = np.zeros(lag + 1)
     x, stuck, direction = 0.0, True, np.ones(1)
     away, dwells, lasts, energies, work = [], [], [], [], 0.0
@@ -148,29 +134,29 @@ def stick_slip(section, speed, slips, spring=2.0, mass=1.0, h=2e-4):
         delayed = history[i % (lag + 1)] if lag else abs(u[0])
         history[i % (lag + 1)] = abs(u[0])
         if stuck:
-            holding(kind, par, z, c, w)
+            c, w = law.hold(), np.zeros(1)
         else:
-            sliding(kind, par, u, delayed, z, direction, c, w)
+            c, w = law.slide(u, delayed, direction)
         pull = spring * (speed * i * h - x)
         before = u[0]
         u[0] += h / mass * (pull - c[0] - w[0])
         if not stuck and before > 0.0 >= u[0]:
             u[0] = 0.0
-            stick_states(kind, par, delayed, direction, z)
+            law.stick(direction, delayed)
             stuck = True
-            lasts.append(float(z[LAST]))
+            lasts.append(float(law.z.last))
             if len(away) == slips:
                 break
         x += h * u[0]
-        advance_states(kind, par, u, stuck, h, z)
+        law.advance(u, h, stuck)
         work += h * speed * pull
-        held = par[STIFFNESS] * abs(z[DISPLACEMENT])
-        if stuck and held >= stick_limit(kind, par, z):
+        held = law.par.stiffness * abs(law.z.displacement[0])
+        if stuck and held >= law.stick_limit:
             stuck = False
             away.append(held)
-            dwells.append(float(z[DWELL]))
+            dwells.append(float(law.z.dwell))
         bound = 0.5 * mass * u[0] ** 2 + 0.5 * spring * (speed * (i + 1) * h - x) ** 2
-        energies.append(work - bound - stored_energy(kind, par, stuck, z, 1))
+        energies.append(work - bound - law.stored_energy(stuck))
     else:
         raise AssertionError("the block did not stop as often as asked for")
     return np.array(away), np.array(dwells), np.array(lasts), np.array(energies)

@@ -10,7 +10,6 @@ from closedloop.closure.solve import OK
 from closedloop.engines.pinocchio import ADDRESSES, Addresses
 from closedloop.events.locate import event_function, slip_margin
 from closedloop.events.substep import save_state
-from closedloop.friction.laws import capture_speed
 from closedloop.jit.kernel import entry_kernel, inlined_kernel
 from closedloop.jit.pointers import fortran_at, integers_at, matrix_at, vector_at
 from closedloop.robot.tip import tip_kinematics
@@ -45,10 +44,9 @@ def _on_pinocchio(address: int, table: Array, use: int, general: int | None) -> 
     elif use == EVENT_VALUE:
         w.event_value = event_function(w, constants, state, general)
         if general is not None and state.sticking == RIGID_STICK and state.mode == PRESSED:
-            band = capture_speed(state.friction, constants.friction)
-            begun = w.start_slip_speed
+            begun, band = w.start_slip_speed, constants.capture_speed
             if begun > constants.stick_speed and not begun > band > 0.0:  # see `Memory.apply_event`
-                w.event_value = min(w.event_value, 1e3 * (slip_margin(w, constants, state) - constants.stick_speed))
+                w.event_value = min(w.event_value, 1e3 * (slip_margin(w, constants) - constants.stick_speed))
     elif use == RECORD:
         record(H, C, w, constants, state, table, rows, state.row, general)
     return OK

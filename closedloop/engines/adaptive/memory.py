@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import time as clock
 from collections.abc import Callable
-from functools import partial
 
 import numpy as np
 from numpy.typing import NDArray
@@ -73,12 +72,12 @@ class Memory:
     """
 
     def __init__(self, problem: Problem, law: Law | None) -> None:
-        robot = problem.robot
+        robot, self._problem = problem.robot, problem
         self.robot, self.n, self.h = robot, robot.n, problem.h
         self.loop = problem.loop(user_law=law is not None)
         self.state, self.constants, self.w = self.loop
         self.user_law = None if law is None else UserLaw(law, self.loop)
-        (self.user_law.connect if self.user_law else partial(problem.connect, self.loop))()
+        problem.connect(self.loop, self.user_law.connect if self.user_law else None)
         self.state.steps = -1  # not of fixed length: friction need not be corrected for slip turning within a step
         self.hold = int(self.state.hold)
         self.rows = np.zeros((problem.steps + 1, Row.of(robot.n).width))
@@ -202,6 +201,7 @@ class Memory:
             self.events = np.vstack([self.events, np.zeros_like(self.events)])
             set_events(self._addresses, self.events)
         elif answer == IMPACT_LAW_WANTED:
+            self._problem.set_restitution(self.loop)
             collide(self.loop.address)
         else:
             self._terms()

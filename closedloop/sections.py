@@ -1,8 +1,8 @@
 """Base types of a scenario's sections: strict numbers and lists, no unknown keys.
 
-The magnitude of a number is bounded: `Size` gives the bounds, the unit and the reason. The bounds below are far outside
-of any arm's values, and far inside of the range of a double, so that products, squares and quotients never overflow. A
-key takes one of them, or its own:
+A number is also of a size that means something: `Size` says from where to where, in which unit, and why. The sizes
+below are far outside of what any arm does, and far inside of what a number can hold, so that products, squares and
+quotients of what a scenario says never overflow. A key takes one of them, or its own:
 
     force: Annotated[Number, FORCE] = Field(10.0, description=...)
 """

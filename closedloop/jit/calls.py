@@ -64,7 +64,7 @@ def _address_of_function(entry: Entry) -> int:
 
 
 def twin_address(entry: Any) -> int:
-    """Return the number by which interpreted code calls an interpreted entry."""
+    """Return the number by which interpreted code calls an entry, interpreted too."""
     return _address_of_function(interpreted(entry))
 
 

@@ -46,7 +46,7 @@ def _nested(function: F, options: dict[str, Any]) -> F:
 
 
 def _kept(function: F, compiled: Any, identity: str = "") -> Any:
-    """Connect a dispatcher with the cache on disk, and make Ctrl-C wait until a function is compiled.
+    """Let what numba compiles for Python to call be kept on disk, and Ctrl-C wait until it is compiled.
 
     numba takes a lock while it compiles, and Ctrl-C at that moment would leave it taken: another thread that compiles
     later would wait for ever. A second Ctrl-C does not wait.
@@ -64,7 +64,8 @@ def _kept(function: F, compiled: Any, identity: str = "") -> Any:
 
 
 def inlined_kernel(function: F) -> F:
-    """Inline `function` at numba's level: of two large nested functions LLVM would optimise the inner one twice."""
+    """Make `function` a part of the kernel that calls it: of two large functions, one nested in the other, LLVM would
+    optimise the inner one twice."""
     return cast(F, _njit(error_model="numpy", _nrt=False, inline="always")(function))
 
 

@@ -38,7 +38,7 @@ _ALL = ir.IntType(WIDE)((1 << WIDE) - 1)
 
 
 class Float64x8(types.Type):
-    """The type of eight float64; a float or an integer converts to it by repetition."""
+    """The type of eight float64; a float or a whole number becomes one by being there eight times."""
 
     def __init__(self) -> None:
         super().__init__(name="float64x8")
@@ -53,7 +53,7 @@ class Float64x8(types.Type):
 
 
 class Bool8(types.Type):
-    """The type of a comparison of float64x8: eight truth values."""
+    """The type of what a comparison of float64x8 says: eight times yes or no."""
 
     def __init__(self) -> None:
         super().__init__(name="answers of octets")
@@ -126,8 +126,8 @@ def _repeated(builder: Any, value: Any, kind: Any) -> Any:
     return builder.shuffle_vector(first, nothing, ir.Constant(ir.VectorType(_INDEX, WIDE), [0] * WIDE))
 
 
-def _register(function: Any, kinds: tuple[Any, ...], result: Any, emit: Callable[..., Any]) -> None:
-    """Register a function of float64x8 (or Bool8) with numba: `emit(builder, *values)` emits its code."""
+def _teach(function: Any, kinds: tuple[Any, ...], result: Any, emit: Callable[..., Any]) -> None:
+    """Teach numba a function of float64x8 (or answers): `emit(builder, *values)` writes its code."""
 
     @infer_global(function)
     class Typing(AbstractTemplate):
@@ -174,16 +174,16 @@ def _smaller(builder: Any, x: Any, y: Any) -> Any:
 
 for _name, _instruction in (("add", "fadd"), ("sub", "fsub"), ("mul", "fmul"), ("truediv", "fdiv")):
     for _function in (getattr(operator, _name), getattr(operator, f"i{_name}")):
-        _register(_function, (float64x8, float64x8), float64x8, _one_instruction(_instruction))
+        _teach(_function, (float64x8, float64x8), float64x8, _one_instruction(_instruction))
 for _name, _sign in (("lt", "<"), ("le", "<="), ("gt", ">"), ("ge", ">="), ("eq", "=="), ("ne", "!=")):
-    _register(getattr(operator, _name), (float64x8, float64x8), answers, _comparison(_sign))
-_register(operator.neg, (float64x8,), float64x8, _one_instruction("fneg"))
-_register(abs, (float64x8,), float64x8, _library(f"llvm.fabs.v{WIDE}f64"))
-_register(math.sqrt, (float64x8,), float64x8, _library(f"llvm.sqrt.v{WIDE}f64"))
-_register(max, (float64x8, float64x8), float64x8, _larger)
-_register(min, (float64x8, float64x8), float64x8, _smaller)
-_register(operator.and_, (answers, answers), answers, _one_instruction("and_"))
-_register(operator.or_, (answers, answers), answers, _one_instruction("or_"))
+    _teach(getattr(operator, _name), (float64x8, float64x8), answers, _comparison(_sign))
+_teach(operator.neg, (float64x8,), float64x8, _one_instruction("fneg"))
+_teach(abs, (float64x8,), float64x8, _library(f"llvm.fabs.v{WIDE}f64"))
+_teach(math.sqrt, (float64x8,), float64x8, _library(f"llvm.sqrt.v{WIDE}f64"))
+_teach(max, (float64x8, float64x8), float64x8, _larger)
+_teach(min, (float64x8, float64x8), float64x8, _smaller)
+_teach(operator.and_, (answers, answers), answers, _one_instruction("and_"))
+_teach(operator.or_, (answers, answers), answers, _one_instruction("or_"))
 
 
 @infer_global(select)
@@ -204,7 +204,7 @@ def _lower_select(context: Any, builder: Any, call: Any, values: Any) -> Any:
     return builder.select(*values)
 
 
-_register(every, (answers,), types.boolean, lambda builder, x: builder.icmp_unsigned("==", _bits(builder, x), _ALL))
+_teach(every, (answers,), types.boolean, lambda builder, x: builder.icmp_unsigned("==", _bits(builder, x), _ALL))
 
 
 @infer_global(every)

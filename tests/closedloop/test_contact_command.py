@@ -2,7 +2,7 @@
 
 import numpy as np
 import pytest
-from contact_story import assert_one_story
+from contact_history import assert_one_story
 from control_loop import Loop
 from test_control_laws import LAWS as SECTIONS
 

@@ -2,7 +2,7 @@
 
 import numpy as np
 import pytest
-from contact_story import assert_one_story
+from contact_history import assert_one_story
 
 import closedloop as cl
 from robot_models import load

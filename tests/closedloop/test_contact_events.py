@@ -5,7 +5,7 @@ The ball of 2 kg over the ground at z = 0: its gravity is taken away by the law 
 
 import numpy as np
 import pytest
-from contact_story import assert_one_story
+from contact_history import assert_one_story
 
 import closedloop as cl
 from robot_models import load

@@ -6,7 +6,7 @@ normal, or flies apart) says why and when, and keeps its rows; with the torques 
 
 import numpy as np
 import pytest
-from contact_story import assert_one_story
+from contact_history import assert_one_story
 
 import closedloop as cl
 from robot_models import load

@@ -33,7 +33,7 @@ Array = NDArray[np.float64]
 
 
 class ImpedanceLaw(ControlLaw, Posture):
-    """[law] kind = "impedance": a spring and a damper at the tip, and a wished force (Hogan 1985)."""
+    """[law] kind = "impedance": a spring and a damper at the tip, and a desired force (Hogan 1985)."""
 
     stiffness: Annotated[NotNegative, gain_in("N/m")] = Field(1200.0, description="spring K along the surface, N/m")
     damping: Annotated[NotNegative, gain_in("N s/m")] = Field(120.0, description="damper B along the surface, N s/m")

@@ -1,4 +1,4 @@
-"""The story that the events of a run tell, and the modes of its rows."""
+"""Consistency of the events of a run with the modes of its rows."""
 
 import numpy as np
 

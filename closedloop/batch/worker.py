@@ -27,11 +27,10 @@ from closedloop.engines.loops import COMPILED
 from closedloop.engines.problem import Problem
 from closedloop.errors import ClosedLoopError, SingularClosureError, one_line
 from closedloop.jit.background import make_ready
-from closedloop.jit.kernel import plain
 from closedloop.jit.simd8 import WIDE
 from closedloop.report.assumptions import NAMES
-from closedloop.report.joint_figures import joint_limits
-from closedloop.report.measured import FAILED_AT, WIDTH, figure_count, measure_rows, tally_size
+from closedloop.report.measured import FAILED_AT, WIDTH, Tally, Values, measure_rows
+from closedloop.report.row_sample import joint_limits
 from closedloop.report.tabled import verdict_of
 from closedloop.robot.pinocchio import Robot
 from closedloop.robot.tree import Tree
@@ -68,7 +67,7 @@ class Outcome:
         Why it was stopped, was refused or failed.
     rows : int
         How many rows it has.
-    figures : (figure_count(n),) array
+    figures : (Values.count(n),) array
         See `closedloop.report.measured`; NaN where there is none, and (WIDTH,) if nothing ran.
     columns : mapping of str to (rows,) or (rows, k) array
         The columns that were to be kept.
@@ -191,7 +190,7 @@ class Bench:
 
     def _abreast(self, problem: Problem, kind: Kind) -> Abreast | None:
         """Return the memory for runs of a kind; None if they would need too much."""
-        rows = (problem.steps + 1) * Row.of(problem.robot.n).width
+        rows = (problem.steps + 1) * Row.count(problem.robot.n)
         if self._keep and rows * WIDE * self._rows.itemsize > ROOM_ABREAST:
             return None
         self._tree(problem)
@@ -210,12 +209,12 @@ class Bench:
         tree = self._tree(problem)
         rows, events, failure, _ = run_loop(problem, engine=self._engine, rows=self._room(problem), tree=tree)
         n = problem.robot.n
-        figures = np.full(plain(figure_count)(n), math.nan)
+        figures = np.full(Values.count(n), math.nan)
         if len(rows) > 0:
             make_ready(measure_rows)
             measure_rows(
                 *tree, rows, len(rows), problem.table, problem.nodes, problem.h, problem.frame,
-                joint_limits(problem.robot.model), events, len(events), np.empty(plain(tally_size)(n)), figures,
+                joint_limits(problem.robot.model), events, len(events), np.empty(Tally.count(n)), figures,
             )  # fmt: skip
         columns = {name: recorded(rows, problem.robot.n, name) for name in self._keep}
         end = problem.h * (len(rows) - 1) if len(rows) > 0 else math.nan
@@ -233,7 +232,7 @@ class Bench:
 
     def _room(self, problem: Problem) -> Array:
         """Return memory for the rows of a problem; the adaptive integrator has its own."""
-        width = Row.of(problem.robot.n).width
+        width = Row.count(problem.robot.n)
         count = (problem.steps + 1) * width
         if self._rows.size < count:
             self._rows = np.empty(count)

@@ -2,7 +2,8 @@
 
 Such a run has nothing to decide: no event, no impact, no friction. So eight of them can take each step together,
 in float64x8 (`closedloop.jit.simd8`), by the very kernels that one run goes through alone, and to the same last bit.
-What is here is only their order, that of `closedloop.events` without its decisions. A row is counted as soon as it is
+What is here is only their order, that of `closedloop.events` without its decisions, whose phases each belong to one
+run; `tests/closedloop/test_abreast.py` holds the two equal to the last bit. A row is counted as soon as it is
 there (`closedloop.report.measured`), and kept only if asked for.
 
 If in one of the eight something does come up, a tip that leaves, a singular pose or a motion that diverges, the loop
@@ -33,30 +34,29 @@ from closedloop.jit.background import make_ready
 from closedloop.jit.kernel import entry_kernel, kernel_inlined, numba_settings, plain
 from closedloop.jit.pointers import address_of, matrix_at
 from closedloop.jit.simd8 import WIDE, aligned, every, float64x8_at, with_lane
-from closedloop.report.joint_figures import joint_limits
 from closedloop.report.measured import (
+    Tally,
+    Values,
     begin_tally,
     count_condition,
     count_row,
-    figure_count,
-    tally_size,
-    write_figures,
+    write_values,
 )
+from closedloop.report.row_sample import JointLimits, joint_limits
 from closedloop.robot.pinocchio import Robot
 from closedloop.robot.tree import Tree, energy_there, tree_terms, work_size
 from closedloop.scenario.scenario import Scenario
 from closedloop.step.advance import advance
 from closedloop.step.energy_supplied import gain, remember_power, settle
-from closedloop.step.evaluate import bounded, locate_tip, paper_torque
-from closedloop.step.memory import Constants, State, Whole, Work
-from closedloop.step.record_row import SCALARS, Row, record, record_conditions
+from closedloop.step.evaluate import bounded, locate_tip, nearest_row, paper_torque
+from closedloop.step.memory import Constants, Reference, State, Whole, Work
+from closedloop.step.record_row import Row, record, record_conditions
 
 Array = NDArray[np.float64]
 
 # The parts of the loop's memory, in `places`: each an array of float64x8.
 WORK, TERMS, CONSTANTS, FORCES, LARGEST, ROWS, TALLIES, FIGURES = range(8)
 
-SCALAR_COUNT = len(SCALARS)
 # Eight runs abreast take as long as two alone; fewer than this many are run alone.
 FEWEST = 3
 # A tip may leave the surface, or the stabiliser would pull: there is something to decide.
@@ -129,12 +129,12 @@ class Abreast:
         self._work = Work(aligned(Work.count(n, 0, stages, 1)), n, 0, stages, 1)
         self._constants = aligned(loop.constants.memory.size)
         self._forces, self._largest = aligned(like.table.shape[0]), aligned(1)
-        self._rows = aligned(like.steps + 1 if keep else LANES, Row.of(n).width)
-        self._figures = aligned(plain(figure_count)(n))
+        self._rows = aligned(like.steps + 1 if keep else LANES, Row.count(n))
+        self._figures = aligned(Values.count(n))
         self._limits = joint_limits(like.robot.model)
         self._parts = (
             self._work.memory, aligned(n * n + n + plain(work_size)(n)), self._constants, self._forces, self._largest,
-            self._rows, aligned(plain(tally_size)(n)), self._figures,
+            self._rows, aligned(Tally.count(n)), self._figures,
         )  # fmt: skip
         self._places = np.array([address_of(part) for part in self._parts])
         self._tables: list[Array] = []
@@ -166,7 +166,7 @@ class Abreast:
         make_ready(run_abreast)
         status = run_abreast(
             tree, self._places, self._state.memory, self._h, self._spacing, self._tableau, tables,
-            self._instants, self._columns, self._rows.shape[0], self._limits,
+            self._instants, self._columns, self._rows.shape[0], self._rows.shape[1], self._limits,
         )  # fmt: skip
         self._tables.clear()
         return status == OK
@@ -183,7 +183,7 @@ class Abreast:
 @entry_kernel
 def run_abreast(
     tree: Tree, places: Whole, state_numbers: Whole, h: float, spacing: float, tableau: Array, tables: Whole,
-    instants: int, columns: int, kept: int, limits: Array,
+    instants: int, columns: int, kept: int, width: int, limits: Array,
 ) -> int:  # fmt: skip
     """Run eight problems from start to end.
 
@@ -203,8 +203,10 @@ def run_abreast(
         Addresses of what is desired of each, (instants, columns), see `closedloop.step.evaluate.reference_row`.
     kept : int
         How many rows there is room for: all, or `LANES`, over and over again.
-    limits : (4, n) array
-        See `closedloop.report.joint_figures.joint_limits`.
+    width : int
+        Length of a row.
+    limits : (4 n,) array
+        See `closedloop.report.row_sample.joint_limits`.
 
     Returns
     -------
@@ -220,11 +222,10 @@ def run_abreast(
     largest = float64x8_at(places[LARGEST], 1)[0]
     constants = Constants(float64x8_at(places[CONSTANTS], 0), n, state.law_size, state.compensation_size)
     forces = float64x8_at(places[FORCES], instants)
-    width = 5 * n + 9 + SCALAR_COUNT
     rows = float64x8_at(places[ROWS], kept * width).reshape(kept, width)
-    tally, out = float64x8_at(places[TALLIES], tally_size(n)), float64x8_at(places[FIGURES], figure_count(n))
-    frame = constants.frame
-    begin_tally(tally, n)
+    tally, values = Tally(float64x8_at(places[TALLIES], 0), n), Values(float64x8_at(places[FIGURES], 0), n)
+    frame, joint_limits, wanted = constants.frame, JointLimits(limits, n), Reference(w.reference, n)
+    begin_tally(tally, n, h, largest)
     w.supplied = 0.0
     for row in range(steps + 1):
         begin, place = row * h, row % kept
@@ -244,12 +245,12 @@ def run_abreast(
             if stage == 0:
                 record(H, C, w, constants, state, tableau, rows, place, None)
                 potential = energy_there(tree, scratch)
-                count_row(rows[place], potential, w.reference, row, h, frame, limits, largest, tally)
+                count_row(Row(rows[place], n), n, potential, wanted, frame, joint_limits, row, tally)
                 if row == steps:
                     record_conditions(w.pending, rows, state, place + 1, n)
                 if state.pending == 0:
                     for i in range(place - place % LANES, place + 1):
-                        count_condition(rows[i], tally)
+                        count_condition(Row(rows[i], n), tally)
                 for j in range(n):
                     w.begin[j] = w.q[j]
                     w.begin[n + j] = w.v[j]
@@ -258,7 +259,7 @@ def run_abreast(
                 gain(w, stage, h, tableau[stages, stage])
                 advance(stage, h, semi_implicit, False, tableau, w.begin, w.stages, w.qdd, w.dz, w.q, w.v, w.z)
         settle(w)
-    write_figures(rows[steps % kept, 5 * n + 9 :], n, steps + 1, h, largest, tally, out)
+    write_values(Row(rows[steps % kept], n), n, steps + 1, tally, values)
     return OK
 
 
@@ -269,7 +270,7 @@ def desired(
     """Write what is desired of each run at t, an instant of the tables; see
     `closedloop.step.evaluate.reference_row`.
     """
-    at = min(round(t / spacing), instants - 1)
+    at = nearest_row(t, spacing, instants)
     width = reference.shape[0]
     first = matrix_at(tables[0], instants, columns)
     for j in range(width):

@@ -39,6 +39,8 @@ Array = NDArray[np.float64]
 
 # Sizes of blocks whose places are remembered.
 MOST_PLACES = 64
+# Name, begin, end and shape of a part.
+Place = tuple[str, int, int, tuple[int, ...]]
 # A product of sizes, as a sorted tuple of their names, and how many of it there are.
 Terms = dict[tuple[str, ...], int]
 
@@ -108,7 +110,7 @@ class Layout:
             end = end + size
         self.end = end
         # A batch asks for the same few sizes thousands of times.
-        self._places: dict[tuple[int, ...], list[tuple[str, int, int, tuple[int, ...]]]] = {}
+        self._places: dict[tuple[int, ...], Mapping[str, Place]] = {}
         # An interpreted loop asks for the same views at every step.
         self._last: tuple[Array | None, tuple[int, ...], dict[str, Array]] = None, (), {}
 
@@ -121,23 +123,23 @@ class Layout:
         whose, for_sizes, found = self._last
         if whose is memory and for_sizes == sizes:
             return found
-        places = self._places.get(sizes)
-        if places is None:
-            places = self._places_for(dict(zip(self.sizes, sizes, strict=True)))
-            if len(self._places) >= MOST_PLACES:
-                self._places.clear()
-            self._places[sizes] = places
-        each = memory.shape[1:]
+        each, places = memory.shape[1:], self.places(*sizes).values()
         found = {name: memory[begin:end].reshape(shape + each) for name, begin, end, shape in places if shape}
         self._last = memory, sizes, found
         return found
 
-    def _places_for(self, known: Mapping[str, int]) -> list[tuple[str, int, int, tuple[int, ...]]]:
-        """Return name, begin, end and shape of each field."""
-        places = []
-        for name, at in self.at.items():
-            shape = tuple(count.value(known) for count in self.shape[name])
-            places.append((name, at.value(known), at.value(known) + math.prod(shape), shape))
+    def places(self, *sizes: int) -> Mapping[str, Place]:
+        """Return name, begin, end and shape of each field, by its name."""
+        places = self._places.get(sizes)
+        if places is None:
+            known = dict(zip(self.sizes, sizes, strict=True))
+            places = {}
+            for name, at in self.at.items():
+                shape = tuple(count.value(known) for count in self.shape[name])
+                places[name] = name, at.value(known), at.value(known) + math.prod(shape), shape
+            if len(self._places) >= MOST_PLACES:
+                self._places.clear()
+            self._places[sizes] = places
         return places
 
 
@@ -175,17 +177,25 @@ class Block:
         cls.layout = Layout(sizes, fields)
         for name, shape in cls.layout.shape.items():
             if not shape:
-                setattr(cls, name, _number(cls.layout.at[name].value({})))
+                at = cls.layout.at[name]
+                first = set(at.terms) <= {()}
+                setattr(cls, name, _number(at.value({})) if first else _number_after_arrays(name))
         _compiled_views(cls)
 
     def __init__(self, memory: NDArray[Any], *sizes: int) -> None:
-        self.memory = memory
+        self.memory, self.sizes = memory, sizes
         self.__dict__.update(self.layout.views(memory, *sizes))
 
     @classmethod
     def count(cls, *sizes: int) -> int:
         """Return how many numbers of memory a block takes."""
         return cls.layout.size(*sizes)
+
+    @classmethod
+    def place(cls, name: str, *sizes: int) -> int | slice:
+        """Return where a part is in the memory: the index of a number, the slice of an array."""
+        _, begin, end, shape = cls.layout.places(*sizes)[name]
+        return slice(begin, end) if shape else begin
 
 
 def _number(place: int) -> property:
@@ -196,6 +206,18 @@ def _number(place: int) -> property:
 
     def write(block: Block, value: Any) -> None:
         block.memory[place] = value
+
+    return property(read, write)
+
+
+def _number_after_arrays(name: str) -> property:
+    """Return a single number whose place depends on the sizes as an attribute."""
+
+    def read(block: Block) -> Any:
+        return block.memory[block.layout.places(*block.sizes)[name][1]]
+
+    def write(block: Block, value: Any) -> None:
+        block.memory[block.layout.places(*block.sizes)[name][1]] = value
 
     return property(read, write)
 

@@ -84,7 +84,12 @@ class _Bool8Model(models.PrimitiveModel):
 
 
 def select(condition: Any, yes: Any, no: Any) -> Any:
-    """Return `yes` where the condition holds, else `no`; both are worked out, so neither may fail."""
+    """Return `yes` where the condition holds, else `no`; both are worked out, so neither may fail.
+
+    Outside compiled code the condition may be an array, of all rows of a column.
+    """
+    if isinstance(condition, np.ndarray):
+        return np.where(condition, yes, no)
     return yes if condition else no
 
 

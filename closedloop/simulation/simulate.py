@@ -188,7 +188,7 @@ def run_loop(
     state, w = loop.state, loop.w
     user_law = None if law is None else UserLaw(law, loop)
     connect = partial(problem.connect, loop) if user_law is None else user_law.connect
-    rows = np.empty((steps + 1, Row.of(robot.n).width)) if rows is None else rows
+    rows = np.empty((steps + 1, Row.count(robot.n))) if rows is None else rows
     events = np.zeros((ROOM_FOR_EVENTS, EVENT_WIDTH))
     machine = loop_for(engine, problem.more or law is not None)
     if interim:

@@ -81,7 +81,7 @@ class Memory:
         (self.user_law.connect if self.user_law else partial(problem.connect, self.loop))()
         self.state.steps = -1  # it chooses its own, and they are short where slip turns fast
         self.hold = int(self.state.hold)
-        self.rows = np.zeros((problem.steps + 1, Row.of(robot.n).width))
+        self.rows = np.zeros((problem.steps + 1, Row.count(robot.n)))
         self.events = np.zeros((ROOM_FOR_EVENTS, EVENT_WIDTH))
         self._terms = robot.evaluator(self.w.q, self.w.v)
         more = problem.more or law is not None

@@ -26,11 +26,10 @@ from closedloop.engines.loops import COMPILED
 from closedloop.engines.problem import Problem
 from closedloop.errors import ClosedLoopError, SingularClosureError, one_line
 from closedloop.jit.background import make_ready
-from closedloop.jit.kernel import plain
 from closedloop.jit.simd8 import WIDE
 from closedloop.report.assumptions import NAMES
-from closedloop.report.joint_values import joint_limits
-from closedloop.report.measured import FAILED_AT, WIDTH, measure_rows, tally_size, value_count
+from closedloop.report.measured import FAILED_AT, WIDTH, Tally, Values, measure_rows
+from closedloop.report.row_sample import joint_limits
 from closedloop.report.tabled import verdict_of
 from closedloop.robot.pinocchio import Robot
 from closedloop.robot.tree import Tree
@@ -67,7 +66,7 @@ class Outcome:
         Why it was stopped, was refused or failed.
     rows : int
         How many rows it has.
-    values : (value_count(n),) array
+    values : (Values.count(n),) array
         See `closedloop.report.measured`; NaN where there is none, and (WIDTH,) if nothing ran.
     columns : mapping of str to (rows,) or (rows, k) array
         The columns that were to be kept.
@@ -190,7 +189,7 @@ class Worker:
 
     def _lane_runs(self, problem: Problem, kind: Kind) -> LaneRuns | None:
         """Return the memory for runs of a kind; None if they would need too much."""
-        rows = (problem.steps + 1) * Row.of(problem.robot.n).width
+        rows = (problem.steps + 1) * Row.count(problem.robot.n)
         if self._keep and rows * WIDE * self._rows.itemsize > LANE_ROW_BYTES:
             return None
         self._tree(problem)
@@ -209,12 +208,12 @@ class Worker:
         tree = self._tree(problem)
         rows, events, failure, _ = run_loop(problem, engine=self._engine, rows=self._row_memory(problem), tree=tree)
         n = problem.robot.n
-        values = np.full(plain(value_count)(n), math.nan)
+        values = np.full(Values.count(n), math.nan)
         if len(rows) > 0:
             make_ready(measure_rows)
             measure_rows(
                 *tree, rows, len(rows), problem.table, problem.nodes, problem.h, problem.frame,
-                joint_limits(problem.robot.model), events, len(events), np.empty(plain(tally_size)(n)), values,
+                joint_limits(problem.robot.model), events, len(events), np.empty(Tally.count(n)), values,
             )  # fmt: skip
         columns = {name: recorded(rows, problem.robot.n, name) for name in self._keep}
         end = problem.h * (len(rows) - 1) if len(rows) > 0 else math.nan
@@ -232,7 +231,7 @@ class Worker:
 
     def _row_memory(self, problem: Problem) -> Array:
         """Return memory for the rows of a problem; the adaptive integrator has its own."""
-        width = Row.of(problem.robot.n).width
+        width = Row.count(problem.robot.n)
         count = (problem.steps + 1) * width
         if self._rows.size < count:
             self._rows = np.empty(count)

@@ -34,30 +34,29 @@ from closedloop.jit.kernel import entry_kernel, jit_disabled, kernel_inlined, pl
 from closedloop.jit.numba_simd8 import float64x8_at, with_lane
 from closedloop.jit.pointers import address_of, matrix_at
 from closedloop.jit.simd8 import WIDE, aligned, every
-from closedloop.report.joint_values import joint_limits
 from closedloop.report.measured import (
+    Tally,
+    Values,
     begin_tally,
     count_condition,
     count_row,
-    tally_size,
-    value_count,
     write_values,
 )
+from closedloop.report.row_sample import JointLimits, joint_limits
 from closedloop.robot.pinocchio import Robot
 from closedloop.robot.tree import Tree, energy_there, tree_terms, work_size
 from closedloop.scenario.scenario import Scenario
 from closedloop.step.advance import advance
 from closedloop.step.energy_supplied import add_stage_work, commit_work, save_power
-from closedloop.step.evaluate import bounded, locate_tip, paper_torque
-from closedloop.step.memory import Constants, IntArray, State, Work
-from closedloop.step.record_row import SCALARS, Row, record, record_conditions
+from closedloop.step.evaluate import bounded, locate_tip, nearest_row, paper_torque
+from closedloop.step.memory import Constants, IntArray, Reference, State, Work
+from closedloop.step.record_row import Row, record, record_conditions
 
 Array = NDArray[np.float64]
 
 # The arrays of the loop's memory, each of float64x8, in the order of `addresses`.
 WORK, TERMS, CONSTANTS, FORCES, LARGEST, ROWS, TALLIES, VALUES = range(8)
 
-SCALAR_COUNT = len(SCALARS)
 # Eight runs in lanes take as long as two by themselves; fewer than this many are run one by one.
 FEWEST = 3
 # Status: in some lane the tip may leave the surface, or the stabiliser would pull.
@@ -130,12 +129,12 @@ class LaneRuns:
         self._work = Work(aligned(Work.count(n, 0, stages, 1)), n, 0, stages, 1)
         self._constants = aligned(loop.constants.memory.size)
         self._forces, self._largest = aligned(like.table.shape[0]), aligned(1)
-        self._rows = aligned(like.steps + 1 if keep else BATCH, Row.of(n).width)
-        self._values = aligned(plain(value_count)(n))
+        self._rows = aligned(like.steps + 1 if keep else BATCH, Row.count(n))
+        self._values = aligned(Values.count(n))
         self._limits = joint_limits(like.robot.model)
         self._parts = (
             self._work.memory, aligned(n * n + n + plain(work_size)(n)), self._constants, self._forces, self._largest,
-            self._rows, aligned(plain(tally_size)(n)), self._values,
+            self._rows, aligned(Tally.count(n)), self._values,
         )  # fmt: skip
         self._addresses = np.array([address_of(part) for part in self._parts])
         self._tables: list[Array] = []
@@ -167,7 +166,7 @@ class LaneRuns:
         make_ready(run_in_lanes)
         status = run_in_lanes(
             tree, self._addresses, self._state.memory, self._h, self._spacing, self._tableau, tables,
-            self._instants, self._columns, self._rows.shape[0], self._limits,
+            self._instants, self._columns, self._rows.shape[0], self._rows.shape[1], self._limits,
         )  # fmt: skip
         self._tables.clear()
         return status == OK
@@ -184,7 +183,7 @@ class LaneRuns:
 @entry_kernel
 def run_in_lanes(
     tree: Tree, addresses: IntArray, state_numbers: IntArray, h: float, spacing: float, tableau: Array,
-    tables: IntArray, instants: int, columns: int, kept: int, limits: Array,
+    tables: IntArray, instants: int, columns: int, kept: int, width: int, limits: Array,
 ) -> int:  # fmt: skip
     """Run eight problems from start to end.
 
@@ -204,8 +203,10 @@ def run_in_lanes(
         Addresses of the reference table of each run, (instants, columns), see `closedloop.step.evaluate.reference_row`.
     kept : int
         Rows in memory: all, or `BATCH`, which are then overwritten in turn.
-    limits : (4, n) array
-        See `closedloop.report.joint_values.joint_limits`.
+    width : int
+        Length of a row.
+    limits : (4 n,) array
+        See `closedloop.report.row_sample.joint_limits`.
 
     Returns
     -------
@@ -224,11 +225,10 @@ def run_in_lanes(
         state.joint_friction_size,
     )  # fmt: skip
     forces = float64x8_at(addresses[FORCES], instants)
-    width = 5 * n + 9 + SCALAR_COUNT
     rows = float64x8_at(addresses[ROWS], kept * width).reshape(kept, width)
-    tally, out = float64x8_at(addresses[TALLIES], tally_size(n)), float64x8_at(addresses[VALUES], value_count(n))
-    frame = constants.frame
-    begin_tally(tally, n)
+    tally, values = Tally(float64x8_at(addresses[TALLIES], 0), n), Values(float64x8_at(addresses[VALUES], 0), n)
+    frame, joint_limits, wanted = constants.frame, JointLimits(limits, n), Reference(w.reference, n)
+    begin_tally(tally, n, h, largest)
     w.supplied = 0.0
     for row in range(steps + 1):
         begin, slot = row * h, row % kept
@@ -248,12 +248,12 @@ def run_in_lanes(
             if stage == 0:
                 record(H, C, w, constants, state, tableau, rows, slot, None)
                 potential = energy_there(tree, scratch)
-                count_row(rows[slot], potential, w.reference, row, h, frame, limits, largest, tally)
+                count_row(Row(rows[slot], n), n, potential, wanted, frame, joint_limits, row, tally)
                 if row == steps:
                     record_conditions(w.batch, rows, state, slot + 1, n)
                 if state.batched == 0:
                     for i in range(slot - slot % BATCH, slot + 1):
-                        count_condition(rows[i], tally)
+                        count_condition(Row(rows[i], n), tally)
                 for j in range(n):
                     w.begin[j] = w.q[j]
                     w.begin[n + j] = w.v[j]
@@ -262,7 +262,7 @@ def run_in_lanes(
                 add_stage_work(w, stage, h, tableau[stages, stage])
                 advance(stage, h, semi_implicit, False, tableau, w.begin, w.stages, w.qdd, w.dz, w.q, w.v, w.z)
         commit_work(w)
-    write_values(rows[steps % kept, 5 * n + 9 :], n, steps + 1, h, largest, tally, out)
+    write_values(Row(rows[steps % kept], n), n, steps + 1, tally, values)
     return OK
 
 
@@ -271,7 +271,7 @@ def desired(
     t: float, spacing: float, tables: IntArray, instants: int, columns: int, forces: Array, reference: Array
 ) -> None:
     """Write the reference of each run at t, an instant of the tables; see `closedloop.step.evaluate.reference_row`."""
-    at = min(round(t / spacing), instants - 1)
+    at = nearest_row(t, spacing, instants)
     width = reference.shape[0]
     first = matrix_at(tables[0], instants, columns)
     for j in range(width):

@@ -27,6 +27,8 @@ Array = NDArray[np.float64]
 
 # Layouts of different sizes that are kept.
 MOST_LAYOUTS = 64
+# Name, begin, end and shape of a part.
+Place = tuple[str, int, int, tuple[int, ...]]
 # A product of sizes, as a sorted tuple of their names, and how many of it there are.
 Terms = dict[tuple[str, ...], int]
 
@@ -96,8 +98,8 @@ class Layout:
             end = end + size
         self.end = end
         # A batch makes blocks of the same few sizes thousands of times.
-        self._layouts: dict[tuple[int, ...], list[tuple[str, int, int, tuple[int, ...]]]] = {}
-        # An interpreted loop makes the same views at every step.
+        self._places: dict[tuple[int, ...], Mapping[str, Place]] = {}
+        # An interpreted loop makes blocks of the same views at every step.
         self._last: tuple[Array | None, tuple[int, ...], dict[str, Array]] = None, (), {}
 
     def size(self, *sizes: int) -> int:
@@ -109,24 +111,24 @@ class Layout:
         whose, for_sizes, found = self._last
         if whose is memory and for_sizes == sizes:
             return found
-        layout = self._layouts.get(sizes)
-        if layout is None:
-            layout = self._layout_for(dict(zip(self.sizes, sizes, strict=True)))
-            if len(self._layouts) >= MOST_LAYOUTS:
-                self._layouts.clear()
-            self._layouts[sizes] = layout
-        each = memory.shape[1:]
-        found = {name: memory[begin:end].reshape(shape + each) for name, begin, end, shape in layout if shape}
+        each, places = memory.shape[1:], self.places(*sizes).values()
+        found = {name: memory[begin:end].reshape(shape + each) for name, begin, end, shape in places if shape}
         self._last = memory, sizes, found
         return found
 
-    def _layout_for(self, known: Mapping[str, int]) -> list[tuple[str, int, int, tuple[int, ...]]]:
-        """Return name, begin, end and shape of each field."""
-        layout = []
-        for name, at in self.at.items():
-            shape = tuple(count.value(known) for count in self.shape[name])
-            layout.append((name, at.value(known), at.value(known) + math.prod(shape), shape))
-        return layout
+    def places(self, *sizes: int) -> Mapping[str, Place]:
+        """Return name, begin, end and shape of each field, by its name."""
+        places = self._places.get(sizes)
+        if places is None:
+            known = dict(zip(self.sizes, sizes, strict=True))
+            places = {}
+            for name, at in self.at.items():
+                shape = tuple(count.value(known) for count in self.shape[name])
+                places[name] = name, at.value(known), at.value(known) + math.prod(shape), shape
+            if len(self._places) >= MOST_LAYOUTS:
+                self._places.clear()
+            self._places[sizes] = places
+        return places
 
 
 # All blocks; and what is done with each that is made later, once numba is in use.
@@ -155,19 +157,27 @@ class Block:
         cls.layout = Layout(sizes, fields)
         for name, shape in cls.layout.shape.items():
             if not shape:
-                setattr(cls, name, _number(cls.layout.at[name].value({})))
+                at = cls.layout.at[name]
+                first = set(at.terms) <= {()}
+                setattr(cls, name, _number(at.value({})) if first else _number_after_arrays(name))
         blocks.append(cls)
         for teach in when_made:
             teach(cls)
 
     def __init__(self, memory: NDArray[Any], *sizes: int) -> None:
-        self.memory = memory
+        self.memory, self.sizes = memory, sizes
         self.__dict__.update(self.layout.views(memory, *sizes))
 
     @classmethod
     def count(cls, *sizes: int) -> int:
         """Return how many numbers of memory a block takes."""
         return cls.layout.size(*sizes)
+
+    @classmethod
+    def place(cls, name: str, *sizes: int) -> int | slice:
+        """Return where a part is in the memory: the index of a number, the slice of an array."""
+        _, begin, end, shape = cls.layout.places(*sizes)[name]
+        return slice(begin, end) if shape else begin
 
 
 def _number(offset: int) -> property:
@@ -178,5 +188,17 @@ def _number(offset: int) -> property:
 
     def write(block: Block, value: Any) -> None:
         block.memory[offset] = value
+
+    return property(read, write)
+
+
+def _number_after_arrays(name: str) -> property:
+    """Return a single number whose place depends on the sizes as an attribute."""
+
+    def read(block: Block) -> Any:
+        return block.memory[block.layout.places(*block.sizes)[name][1]]
+
+    def write(block: Block, value: Any) -> None:
+        block.memory[block.layout.places(*block.sizes)[name][1]] = value
 
     return property(read, write)

@@ -23,7 +23,12 @@ WIDE = 8
 
 
 def select(condition: Any, yes: Any, no: Any) -> Any:
-    """Return `yes` where the condition holds, else `no`; both are evaluated, so neither may fail."""
+    """Return `yes` where the condition holds, else `no`; both are evaluated, so neither may fail.
+
+    Outside compiled code the condition may be an array, of all rows of a column.
+    """
+    if isinstance(condition, np.ndarray):
+        return np.where(condition, yes, no)
     return yes if condition else no
 
 

@@ -71,7 +71,7 @@ _BY_TIME: dict[str, Column] = {
 }
 
 
-COLUMNS: dict[str, Column] = _BY_TIME | {name: Column(*spec[:3]) for name, spec in EVENT_COLUMNS.items()}
+COLUMNS: dict[str, Column] = _BY_TIME | {name: Column(*spec) for name, spec in EVENT_COLUMNS.items()}
 
 
 class Event(NamedTuple):

@@ -11,6 +11,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from closedloop.closure.contact_force import FREE, STUCK
+from closedloop.jit.interpreted import interpreted
+from closedloop.jit.kernel import kernel_inlined
 from closedloop.report.verdict import outside_by_the_scenario
 
 if TYPE_CHECKING:
@@ -22,6 +24,22 @@ RESIDUAL_TOLERANCE = 1e-12
 # grow a thousandfold; the simulation itself stops only at `closedloop.closure.solve.SINGULAR_MOBILITY`.
 NEAR_SINGULAR = 1e-6
 NAMES = ("one_loop", "single_point", "contact_kept", "frictionless", "nonsingular")
+
+
+@kernel_inlined
+def assumptions_met(row: Any, friction: float, in_joints: float) -> Any:
+    """Return whether each of `NAMES` holds in a row (`closedloop.step.record_row.Row`), or in columns of rows.
+
+    `friction` and `in_joints` are zero where there is none at the tip and in the joints.
+    """
+    met = row.residual_motion <= RESIDUAL_TOLERANCE
+    return (
+        (row.residual_closure <= RESIDUAL_TOLERANCE) & (row.mode != STUCK),
+        met,
+        (row.contact_force > 0.0) & (row.mode != FREE),
+        met & (friction == 0.0) & (in_joints == 0.0),
+        row.normal_mobility > NEAR_SINGULAR,
+    )
 
 
 def assumptions(run: Run) -> dict[str, dict[str, Any]]:
@@ -47,29 +65,15 @@ def assumptions(run: Run) -> dict[str, dict[str, Any]]:
     friction = np.linalg.norm(run.friction_force, axis=1)
     in_joints = np.max(np.abs(run.joint_friction), axis=1)
     only_contact = f"other forces ≤ {motion:.0e}"
-    report = {
-        "one_loop": _judge(
-            run,
-            (run.residual_closure <= RESIDUAL_TOLERANCE) & (run.mode != STUCK),
-            _rows_of_the_closure(run),
-        ),
-        "single_point": _judge(run, run.residual_motion <= RESIDUAL_TOLERANCE, only_contact),
-        "contact_kept": _judge(
-            run,
-            (run.contact_force > 0.0) & (run.mode != FREE),
-            _contact(run),
-        ),
-        "frictionless": _judge(
-            run,
-            (run.residual_motion <= RESIDUAL_TOLERANCE) & (friction == 0.0) & (in_joints == 0.0),
-            _friction(friction, in_joints) or only_contact,
-        ),
-        "nonsingular": _judge(
-            run,
-            run.normal_mobility > NEAR_SINGULAR,
-            f"mobility ≥ {run.normal_mobility[stiffest]:.2g}, cond. ≤ {np.max(run.kkt_condition):.2g}",
-        ),
-    }
+    measured = (
+        _rows_of_the_closure(run),
+        only_contact,
+        _contact(run),
+        _friction(friction, in_joints) or only_contact,
+        f"mobility ≥ {run.normal_mobility[stiffest]:.2g}, cond. ≤ {np.max(run.kkt_condition):.2g}",
+    )
+    met = interpreted(assumptions_met)(run, friction, in_joints)
+    report = {name: _judge(run, *verdict) for name, *verdict in zip(NAMES, met, measured, strict=True)}
     if run.stopped and "singular" in run.stopped:
         verdict = report["nonsingular"]
         if verdict["held"]:  # no row was near it: the step after the last was

@@ -1,4 +1,4 @@
-"""The figures of a run's summary: their names, units and meaning, in order; first the run's, then each joint's."""
+"""The values of a run's summary: their names, units and meaning, in order; first the run's, then each joint's."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ SETTLED = 0.02
 
 
 class Measure(NamedTuple):
-    """Unit and meaning of a figure."""
+    """Unit and meaning of a value."""
 
     units: str
     meaning: str

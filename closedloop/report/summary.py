@@ -10,10 +10,12 @@ from numpy.typing import NDArray
 
 from closedloop.closure.contact_force import FREE
 from closedloop.events.table import KINDS
+from closedloop.jit.interpreted import interpreted
 from closedloop.report.assumptions import assumptions
-from closedloop.report.measures import JOINT_MEASURES, LEAST_TORQUE, MEASURES, SETTLED
+from closedloop.report.columns import columns_of, run_values
+from closedloop.report.measures import JOINT_MEASURES, MEASURES
+from closedloop.report.row_sample import Scale, energy_left, torque_power
 from closedloop.report.verdict import Facts, judge
-from closedloop.surface.plane import unit
 
 if TYPE_CHECKING:
     from closedloop.record.run import Run
@@ -26,8 +28,9 @@ def summarise(run: Run) -> dict[str, Any]:
 
     Quantities that do not exist (no rows) are None. So is a figure that is no finite number; `not_finite` names it.
     """
-    values: dict[str, Any] = _measures(run) if len(run) else dict.fromkeys(MEASURES)
-    joints = joint_measures(run)
+    found = run_values(run) if len(run) else None
+    values: dict[str, Any] = dict.fromkeys(MEASURES) if found is None else _measures(run, found)
+    joints = {name: getattr(found, name, np.full(run.model.n, np.nan)) for name in JOINT_MEASURES}
     held = assumptions(run)
     problems = judge(_facts(run, values, joints, held), lambda: run_gains_fault(run))
     return {
@@ -74,40 +77,8 @@ def _finite(value: float) -> float | None:
 
 def joint_measures(run: Run) -> dict[str, Array]:
     """Return `JOINT_MEASURES`, each (n,); an instant is NaN where there is none. Without rows nothing exists: NaN."""
-    model, n = run.model, run.model.n
-    if len(run) == 0:
-        return {name: np.full(n, np.nan) for name in JOINT_MEASURES}
-    excess = np.maximum(run.q - model.position_upper, model.position_lower - run.q)
-    speed, torque = np.abs(run.v), np.abs(run.torque)
-    alternating, size = alternation(run.torque), np.sum(torque, axis=0)
-    size = np.maximum(size, LEAST_TORQUE * np.mean(size))
-    values = (
-        np.maximum(np.max(excess, axis=0), 0.0),
-        _first(run, excess > 0.0),
-        np.max(speed, axis=0),
-        _first(run, speed > model.velocity_limit),
-        np.max(torque, axis=0),
-        _first(run, torque > model.effort_limit),
-        np.divide(alternating, size, where=size > 0.0, out=np.zeros(n)),
-    )
-    return dict(zip(JOINT_MEASURES, values, strict=True))
-
-
-def _first(run: Run, beyond: NDArray[np.bool_]) -> Array:
-    """Return the instant of the first row in which each column (N, n) is true, NaN if none is, (n,)."""
-    return np.where(np.any(beyond, axis=0), run.time[np.argmax(beyond, axis=0)], np.nan)
-
-
-def alternation(signal: Array) -> Array:
-    """Return how much of each column (N, n) alternates from row to row, summed over the rows, (n,).
-
-    See `closedloop.report.joint_values.count_signal`.
-    """
-    turn = np.diff(signal, 2, axis=0)
-    alternates = turn[1:] * turn[:-1] < 0.0
-    amplitude: Array = 0.25 * np.minimum(np.abs(turn[1:]), np.abs(turn[:-1]))
-    total: Array = np.sum(amplitude, axis=0, where=alternates)
-    return total
+    values = run_values(run) if len(run) else None
+    return {name: getattr(values, name, np.full(run.model.n, np.nan)) for name in JOINT_MEASURES}
 
 
 def _exists(value: float | None) -> bool:
@@ -115,57 +86,14 @@ def _exists(value: float | None) -> bool:
     return value is None or math.isfinite(value)
 
 
-@np.errstate(all="ignore")  # what overflows is named
-def _measures(run: Run) -> dict[str, Any]:
-    residual, exchanged = energy_balance(run)
-    # Off the surface the closure error is a gap, not an error.
-    touching = run.mode != FREE
-    values = (
-        run.contact_force[-1],
-        np.max(run.contact_force),
-        np.min(run.contact_force),
-        np.max(np.abs(run.stabiliser_force)),
-        np.max(np.abs(run.closure_error), where=touching, initial=0.0),
-        run.closure_error[-1],
-        np.max(np.abs(run.closure_rate), where=touching, initial=0.0),
-        np.max(np.linalg.norm(run.velocity, axis=1)),
-        max(np.max(run.residual_motion), np.max(run.residual_closure)),
-        np.max(run.kkt_condition),
-        np.min(run.normal_mobility),
-        np.max(np.abs(residual)),
-        exchanged[-1],
-        max(0.0, -np.min(run.closure_error)),
-        run.scenario.time.step * np.count_nonzero(touching[:-1]),
-        np.max(np.linalg.norm(run.friction_force, axis=1)),
-        np.max(np.abs(run.joint_friction)),
-        -_cumulative(friction_power(run), run.time)[-1],
-        np.sum(run.event_energy_lost),
-        np.max(run.event_rate_cut, initial=0.0),
-        *_against_what_is_desired(run),
-        np.max(run.kinetic_energy),
-        run.closure_error[0] if touching[0] else 0.0,
-        _force_chatter(run),
-    )
-    return {key: None if value is None else float(value) for key, value in zip(MEASURES, values, strict=True)}
-
-
-def _force_chatter(run: Run) -> float:
-    size = float(np.sum(np.abs(run.contact_force)))
-    return float(alternation(run.contact_force[:, None])[0]) / size if size > 0.0 else 0.0
-
-
-def _against_what_is_desired(run: Run) -> tuple[float | None, float | None, float]:
-    """Return the RMS of the force error in contact, N, the instant from which it stays small, s, and the path's, m."""
-    miss, touching = run.contact_force - run.reference_force, run.mode != FREE
-    rms = float(np.sqrt(np.mean(miss[touching] ** 2))) if np.any(touching) else None
-    largest = np.max(np.abs(run.reference_force))
-    missed = np.flatnonzero(np.abs(miss) > SETTLED * largest)
-    first = int(missed[-1]) + 1 if missed.size else 0
-    settled = float(run.time[first]) if largest > 0.0 and first < len(run) else None
-    normal = unit(run.scenario.surface.normal, "surface.normal")
-    off = run.position - run.reference_tip
-    off = off - np.outer(off @ normal, normal)
-    return rms, settled, float(np.sqrt(np.mean(np.sum(off**2, axis=1))))
+def _measures(run: Run, values: Any) -> dict[str, float | None]:
+    """Return `MEASURES`; None is what does not exist, and a number that is not finite what overflowed."""
+    figures: dict[str, float | None] = {name: float(getattr(values, name)) for name in MEASURES}
+    if np.all(run.mode == FREE):
+        figures["rms_force_error"] = None
+    if np.isnan(values.force_settled_at):
+        figures["force_settled_at"] = None
+    return figures
 
 
 def energy_balance(run: Run) -> tuple[Array, Array]:
@@ -177,21 +105,9 @@ def energy_balance(run: Run) -> tuple[Array, Array]:
     order says. The energy exchanged is ∫ |Qᵀq̇| dt, by the trapezoidal rule over the rows: what the residual is small
     or large against.
     """
-    energy, supplied = run.kinetic_energy + run.potential_energy, run.energy_supplied
-    power = np.einsum("ij,ij->i", run.torque, run.v)
-    return energy - energy[0] - (supplied - supplied[0]), _cumulative(np.abs(power), run.time)
-
-
-def friction_power(run: Run) -> Array:
-    """Return the power of friction at the tip and in the joints, F_tᵀṙ + τᵀq̇, (N,), W: negative where it takes energy.
-
-    Bristles and springs of friction give back what they store, so the power of dahl, lugre and seven_parameter may be
-    positive for a while.
-    """
-    power: Array = np.einsum("ij,ij->i", run.friction_force, run.velocity)
-    power += np.einsum("ij,ij->i", run.joint_friction, run.v)
-    return power
-
-
-def _cumulative(rate: Array, time: Array) -> Array:
-    return np.concatenate([[0.0], np.cumsum(0.5 * (rate[1:] + rate[:-1]) * np.diff(time))])
+    row, n, scale = columns_of(run), run.model.n, Scale(np.zeros(Scale.count()))
+    scale.start_energy, scale.start_supplied = run.kinetic_energy[0] + run.potential_energy[0], run.energy_supplied[0]
+    left = interpreted(energy_left)(row, run.potential_energy, scale)
+    power = np.abs(interpreted(torque_power)(row, n))
+    exchanged = np.cumsum(0.5 * (power[1:] + power[:-1]) * np.diff(run.time))
+    return left, np.concatenate([[0.0], exchanged])

@@ -1,4 +1,4 @@
-"""The verdict of a run of which there are but the figures: a row of a batch's table."""
+"""The verdict of a run of which there are but the values: a row of a batch's table."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ Array = NDArray[np.float64]
 
 
 def verdict_of(scenario: Scenario, robot: Robot, values: Array, steps: int, stopped: str | None = None) -> str:
-    """Return "good", or the names of what is wrong with a run, as `closedloop.report.verdict` judges its figures."""
+    """Return "good", or the names of what is wrong with a run, as `closedloop.report.verdict` judges its values."""
     numbers, n = values.tolist(), robot.n
     outside = outside_by_the_scenario(scenario)
     failed = {

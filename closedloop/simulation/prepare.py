@@ -84,7 +84,7 @@ def prepare(scenario: Scenario, model: RobotModel | None = None, cache: Cache | 
 
     integrator, tolerance = _integrator(scenario)
     steps = _whole(scenario.time.duration, scenario.time.step, "time.duration")
-    most_rows = MOST_NUMBERS // Row.of(n).width
+    most_rows = MOST_NUMBERS // Row.count(n)
     if steps > most_rows:
         raise ScenarioError(
             f"time.step = {scenario.time.step:g}: {scenario.time.duration:g} s would be {steps:.3g} rows, over the "

@@ -188,7 +188,7 @@ def run_loop(
     state, w = loop.state, loop.w
     user_law = None if law is None else UserLaw(law, loop)
     connect = partial(problem.connect, loop, user_law.connect if user_law else None)
-    rows = np.empty((steps + 1, Row.of(robot.n).width)) if rows is None else rows
+    rows = np.empty((steps + 1, Row.count(robot.n))) if rows is None else rows
     events = np.zeros((INITIAL_EVENTS, EVENT_WIDTH))
     kernel = loop_for(engine, problem.general or law is not None)
     if interim:

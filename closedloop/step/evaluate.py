@@ -32,9 +32,10 @@ from closedloop.jit.calls import call_at
 from closedloop.jit.kernel import kernel, kernel_inlined
 from closedloop.jit.simd8 import every
 from closedloop.parameters import parameter_block
+from closedloop.reference.joint_path import cubic
 from closedloop.step.entries import RATES, START, TORQUE
 from closedloop.step.joint_friction import add_joint_friction, hold_joints
-from closedloop.step.memory import RIGID_STICK, SPRING_STICK, Constants, State, Work
+from closedloop.step.memory import RIGID_STICK, SPRING_STICK, Constants, Reference, State, Work
 from closedloop.step.tip_friction import surface_friction, turn_with_slip
 
 Array = NDArray[np.float64]
@@ -63,10 +64,9 @@ def reference_row(t: float, spacing: float, table: Array, n: int, row: Array) ->
         Written.
     """
     x = t / spacing
-    at = round(x)
+    at = nearest_row(t, spacing, table.shape[0])
     width = row.shape[0]
-    if abs(x - at) < 1e-6 or at >= table.shape[0]:
-        at = min(at, table.shape[0] - 1)
+    if abs(x - at) < 1e-6 or round(x) > at:
         for j in range(width):
             row[j] = table[at, j]
         return
@@ -78,9 +78,15 @@ def reference_row(t: float, spacing: float, table: Array, n: int, row: Array) ->
         begin = 0 if block == 0 else 2 * n
         size = n if block == 0 else 3
         for j in range(begin, begin + size):
-            rise = table[at + 1, j] - table[at, j]
-            v0, v1 = spacing * table[at, j + size], spacing * table[at + 1, j + size]
-            row[j] = table[at, j] + s * (v0 + s * (3.0 * rise - 2.0 * v0 - v1 + s * (v0 + v1 - 2.0 * rise)))
+            row[j], _, _ = cubic(
+                table[at, j], table[at + 1, j], table[at, j + size], table[at + 1, j + size], spacing, s
+            )
+
+
+@kernel_inlined
+def nearest_row(t: float, spacing: float, count: int) -> int:
+    """Return which of the table's rows is nearest to time t, s."""
+    return min(round(t / spacing), count - 1)
 
 
 @kernel_inlined
@@ -173,8 +179,8 @@ def evaluate(
 def paper_torque(C: Array, w: Work, constants: Constants, t: float) -> None:
     """Write the torque of the paper's law at t, s, with what is desired in the reference."""
     n = w.q.shape[0]
-    par, wanted = PaperParameters(constants.law, n), w.reference
-    paper_law(t, wanted[2 * n + 9], par, wanted[0:n], wanted[n : 2 * n], w.q, w.v, C, w.A, w.torque)
+    par, wanted = PaperParameters(constants.law, n), Reference(w.reference, n)
+    paper_law(t, wanted.force, par, wanted.q, wanted.v, w.q, w.v, C, w.A, w.torque)
 
 
 @kernel

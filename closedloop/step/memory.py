@@ -114,6 +114,17 @@ class Constants(Block, sizes=("n", "law", "compensation", "friction", "joint_fri
     joint_friction: Annotated[Array, N, Count.of("joint_friction")]
 
 
+class Reference(Block, sizes=("n",)):
+    """What is desired of n joints at an instant: a row of `closedloop.reference.desired.Desired.table`."""
+
+    q: Annotated[Array, N]  # rad (m)
+    v: Annotated[Array, N]  # rad/s (m/s)
+    position: Annotated[Array, 3]  # of the tip, m, along n, t1 and t2 of the contact frame, as the next two
+    velocity: Annotated[Array, 3]  # m/s
+    acceleration: Annotated[Array, 3]  # m/s²
+    force: float  # N
+
+
 # Single numbers and parts of a fixed size come first, then those of the joints: what a step touches is then at short
 # distances.
 class Work(Block, sizes=("n", "k", "stages", "ring")):

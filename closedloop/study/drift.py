@@ -33,7 +33,7 @@ from closedloop.integrators import INTEGRATORS
 from closedloop.scenario.scenario import Scenario, load_scenario
 from closedloop.simulation.prepare import prepare
 from closedloop.simulation.simulate import run_loop, simulate
-from closedloop.step.record_row import SCALARS, Row
+from closedloop.step.record_row import recorded
 from closedloop.study.posture import ELBOW_UP
 
 Array = NDArray[np.float64]
@@ -140,12 +140,11 @@ def measured_limit(scheme: str, damping: float, steps: int = 1500) -> float:
         },
     )
     problem = prepare(scenario)
-    column = Row.of(problem.robot.n).scalars + SCALARS.index("closure_error")
 
     def stable(ratio: float) -> bool:
         gains = np.array(baumgarte_gains(damping, h / ratio))
         rows, _, failure, _ = run_loop(dataclasses.replace(problem, stabiliser=gains), engine="compiled")
-        return failure is None and bool(np.max(np.abs(rows[-100:, column])) < 1e-6)
+        return failure is None and bool(np.max(np.abs(recorded(rows[-100:], problem.robot.n, "closure_error"))) < 1e-6)
 
     low, high = 0.02, 4.0
     while high - low > 1e-3 * low:

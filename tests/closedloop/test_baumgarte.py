@@ -20,7 +20,7 @@ from closedloop.closure.baumgarte import (
 from closedloop.integrators import INTEGRATORS
 from closedloop.scenario.scenario import parse_scenario
 from closedloop.simulation.simulate import run_loop
-from closedloop.step.record_row import SCALARS, Row
+from closedloop.step.record_row import recorded
 
 ROOT_HALF = 1.0 / np.sqrt(2.0)
 STEP = 0.001  # s
@@ -142,7 +142,7 @@ def test_just_outside_the_limit_a_run_would_shake_apart_and_is_refused(integrato
     outside = 1.01 * LIMITS[integrator, damping]
     gains = np.array(baumgarte_gains(damping, STEP / outside))
     rows, _, failure, _ = run_loop(dataclasses.replace(inside, stabiliser=gains))
-    e = np.abs(rows[:, Row.of(2).scalars + SCALARS.index("closure_error")])
+    e = np.abs(recorded(rows, 2, "closure_error"))
     assert failure is not None or e[-100:].max() > 100 * ERROR
     with pytest.raises(cl.ScenarioError, match=r"stabiliser\.time_constant") as caught:
         cl.prepare(pressed(integrator, damping, outside))

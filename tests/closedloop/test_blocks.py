@@ -7,6 +7,7 @@ import pytest
 from closedloop.jit.blocks import Count, Layout
 from closedloop.jit.kernel import entry_kernel, kernel
 from closedloop.step.memory import Constants, State, Work
+from closedloop.step.record_row import Row
 
 SIZES = [(1, 0, 1, 1), (2, 3, 4, 1), (4, 0, 1, 1), (7, 21, 4, 6), (30, 5, 1, 2)]
 NUMBERS = [name for name, shape in Work.layout.shape.items() if not shape]
@@ -31,6 +32,22 @@ def test_parts_cover_the_memory_side_by_side(sizes):
             setattr(block, name, i + 1)
     assert np.all(memory > 0.0)
     assert all(np.all(part == i + 1) for i, part in enumerate(parts(block).values()))
+
+
+@pytest.mark.parametrize("n", [1, 4, 30])
+def test_numbers_may_follow_arrays(n):
+    """Their place depends on the sizes; `place` knows it, and columns side by side have the same parts."""
+    memory = np.arange(float(Row.count(n)))
+    row, columns = Row(memory, n), Row(np.stack([memory, -memory], axis=1), n)
+    seen = []
+    for name in Row.layout.at:
+        here = getattr(row, name)
+        assert np.array_equal(here, memory[Row.place(name, n)])
+        assert np.array_equal(getattr(columns, name), np.stack([here, -here], axis=-1))
+        seen += np.ravel(here).tolist()
+    assert seen == memory.tolist()
+    row.energy_supplied = 0.5
+    assert memory[-1] == 0.5
 
 
 # One line a part: the name of an attribute must be written out for numba.

@@ -17,7 +17,7 @@ from closedloop.step.record_row import Row
 from robot_models.shipped import path_of
 
 MINIMAL = "[law]\nkp = 1\nkd = 1\n"
-MOST_ROWS = str(MOST_NUMBERS // Row.of(4).width)
+MOST_ROWS = str(MOST_NUMBERS // Row.count(4))
 ONE_LINE = 400  # characters; a terminal of 80 columns shows it in five rows
 
 

@@ -5,7 +5,6 @@ import pytest
 
 import closedloop as cl
 from closedloop.report import energy_balance
-from closedloop.report.summary import friction_power
 
 
 def left_over(**changes):
@@ -45,7 +44,8 @@ def test_an_impact_at_the_start_is_accounted_for():
 def test_supplied_is_the_sum_of_what_the_rows_say():
     """Without events it is the power of the rows, by the trapezoidal rule, to the square of the step."""
     run = cl.simulate(cl.load_scenario("wam_slide", {"time.integrator": "rk4", "time.duration": 0.6}))
-    power = np.einsum("ij,ij->i", run.torque, run.v) + run.contact_force * run.closure_rate + friction_power(run)
+    power = np.sum((run.torque + run.joint_friction) * run.v, axis=1) + run.contact_force * run.closure_rate
+    power += np.sum(run.friction_force * run.velocity, axis=1)
     smooth = slice(0, 500)  # up to the step of the path's velocity
     assert abs(np.trapezoid(power[smooth], run.time[smooth]) - run.energy_supplied[499]) < 1e-12
     rest = np.trapezoid(power[510:], run.time[510:])

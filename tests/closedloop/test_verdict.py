@@ -10,8 +10,9 @@ from pyarrow import parquet
 import closedloop as cl
 import robot_models
 from closedloop.report import print_report
+from closedloop.report.alternation import alternation
 from closedloop.report.measures import JOINT_MEASURES, MEASURES
-from closedloop.report.summary import alternation, joint_measures
+from closedloop.report.summary import joint_measures
 from closedloop.report.verdict import CHATTER_SHARE, CLOSURE_BOUND, ENERGY_SHARE, Facts, energy_bound, judge, names_of
 from closedloop.sweep.__main__ import main as run_sweeps
 

@@ -59,7 +59,7 @@ class Compiled(ClosedLoop):
 
     def constrained(self, q: Array, v: Array, torque: Array, normal: Array, b: float) -> tuple[Array, float]:
         row = self._record(q, v, torque, normal, b)
-        return row[2 * self.n : 3 * self.n][self._columns], float(row[Row.of(self.n).scalars])
+        return row[2 * self.n : 3 * self.n][self._columns], float(row[Row.place("contact_force", self.n)])
 
     def _record(self, q: Array, v: Array, torque: Array, normal: Array, b: float | None) -> Array:
         """Return the row that the loop records at a state under a given torque; b None: the tip is free."""
@@ -76,7 +76,7 @@ class Compiled(ClosedLoop):
             state.mode, constants.s_p = PRESSED, 1.0
             constants.offset = float(normal @ terms.position + b + normal @ terms.drift)
         w.q[:], w.v[:], w.torque[:] = self._in(q), self._in(v), self._in(torque)
-        table, rows, events = np.zeros((1, 2 * n + 11)), np.zeros((1, Row.of(n).width)), np.zeros((1, EVENT_WIDTH))
+        table, rows, events = np.zeros((1, 2 * n + 11)), np.zeros((1, Row.count(n))), np.zeros((1, EVENT_WIDTH))
         work = compiled_work(n)
         request = run_compiled(self.tree, work, loop.address, table, scheme.tableau(), rows, events, ALL)
         if request != DONE:

@@ -116,25 +116,26 @@ def compare_compiled(say: Callable[[str], None] = lambda text: None) -> Iterator
 
 def _columns(of: Problem, run: Recorded) -> dict[str, tuple[slice, float]]:
     """Return what of a row is compared, and one unit of rounding of each."""
-    n, layout, rows = of.robot.n, Row.of(of.robot.n), run.rows
+    n, rows = of.robot.n, run.rows
     terms = of.robot.terms(of.q, of.v)
     A = of.plane.normal @ terms.jacobian
     mass = 1.0 / float(A @ np.linalg.solve(terms.mass_matrix, A))
     # A stabiliser turns the rounding of r, of a metre, into this much of f, and of Q where the law hears of f.
     answer = EPS * of.stabiliser[1] * mass
 
-    def block(begin: int, width: int, extra: float = 0.0) -> tuple[slice, float]:
-        part = slice(begin, begin + width)
+    def part_of(name: str, extra: float = 0.0) -> tuple[slice, float]:
+        place = Row.place(name, n)
+        part = place if isinstance(place, slice) else slice(place, place + 1)
         return part, EPS * max(1.0, float(np.max(np.abs(rows[:, part])))) + extra
 
     return {
-        "q": block(layout.q, n),
-        "v": block(layout.v, n, answer * of.h / mass),
-        "Q": block(layout.torque, n, answer),
-        "r": block(layout.position, 3),
-        "ṙ": block(layout.velocity, 3, answer * of.h / mass),
-        "f": block(layout.scalars, 1, answer),
-        "e": block(layout.scalars + 2, 1),
+        "q": part_of("q"),
+        "v": part_of("v", answer * of.h / mass),
+        "Q": part_of("torque", answer),
+        "r": part_of("position"),
+        "ṙ": part_of("velocity", answer * of.h / mass),
+        "f": part_of("contact_force", answer),
+        "e": part_of("closure_error"),
     }
 
 

@@ -47,9 +47,10 @@ TESTS: dict[str, tuple[str, ...]] = {
     "closedloop.events.locate": (f"{IN}test_kernel_faults.py", f"{IN}test_contact_events.py"),
     "closedloop.impact.phases": (f"{IN}test_impact_planar.py", f"{IN}test_impact.py"),
     "closedloop.impact.single": (f"{IN}test_impact.py", f"{IN}test_impact_planar.py"),
-    "closedloop.friction.laws": (f"{IN}test_friction_laws.py", f"{IN}test_friction_bristles.py"),
-    "closedloop.friction.stribeck": (f"{IN}test_friction_laws.py",),
-    "closedloop.friction.dahl": (f"{IN}test_friction_laws.py", f"{IN}test_friction_bristles.py"),
+    "closedloop.friction.bristle": (f"{IN}test_friction_laws.py", f"{IN}test_friction_bristles.py"),
+    "closedloop.friction.laws.stribeck": (f"{IN}test_friction_laws.py",),
+    "closedloop.friction.laws.dahl": (f"{IN}test_friction_laws.py", f"{IN}test_friction_bristles.py"),
+    "closedloop.friction.laws.seven_parameter": (f"{IN}test_friction_seven_parameter.py", f"{IN}test_friction_laws.py"),
     "closedloop.control.tip_space": (f"{IN}test_control_laws.py",),
     "closedloop.robot.tree.dynamics": (f"{IN}test_tree_kernels.py", f"{IN}test_tree_terms.py"),
 }

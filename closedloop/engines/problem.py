@@ -7,12 +7,14 @@ from dataclasses import dataclass
 from typing import Any, NamedTuple
 
 import numpy as np
+from numba import NumbaError
 from numpy.typing import NDArray
 
 from closedloop.closure.contact_force import FREE
 from closedloop.control.compensation.none import NoCompensation
 from closedloop.control.law import Compensation, ControlLaw
 from closedloop.control.sensor import PackedSensor, SensorSection, start_sensor
+from closedloop.errors import ScenarioError
 from closedloop.events.phases import ARRIVING, PROJECTING
 from closedloop.friction.contact import Contact
 from closedloop.friction.law import FrictionLaw
@@ -38,6 +40,7 @@ from closedloop.step.memory import (
     make_loop,
 )
 from closedloop.surface.plane import Plane
+from closedloop.user_code import of_users, why_not_compiled
 
 Array = NDArray[np.float64]
 
@@ -238,10 +241,21 @@ class Problem:
             What writes where a law of one's own is; it is told `compiled`.
         compiled : bool
             Whether the loop is machine code.
+
+        Raises
+        ------
+        ScenarioError
+            If numba cannot compile a user's member.
         """
         address = entry_address if compiled else twin_address
         for name, entry in self.entries(own_law is not None).items():
-            setattr(loop.state, name, address(entry))
+            try:
+                setattr(loop.state, name, address(entry))
+            except NumbaError as error:
+                kind = getattr(self.scenario, name).kind
+                raise ScenarioError(
+                    f"{name}.kind = {kind}: numba cannot compile it: {why_not_compiled(error)}"
+                ) from None
         if own_law is not None:
             own_law(compiled)
 
@@ -258,10 +272,12 @@ class Problem:
         constants.law[:], constants.compensation[:] = self.law.numbers, self.compensation.numbers
         constants.friction[:], constants.joint_friction[:] = self.friction.numbers, self.joint_friction.numbers
         tip = self._tip()
-        constants.impact_friction = tip.kinetic_level
-        constants.capture_speed, constants.lag = tip.capture_speed, tip.lag
-        for j, joint in enumerate(self._joints()):
-            constants.joint_capture_speed[j], constants.joint_lag[j] = joint.capture_speed, joint.lag
+        with of_users(self.friction.member, "friction.kind"):
+            constants.impact_friction = tip.kinetic_level
+            constants.capture_speed, constants.lag = tip.capture_speed, tip.lag
+        with of_users(self.joint_friction.member, "joint_friction.kind"):
+            for j, joint in enumerate(self._joints()):
+                constants.joint_capture_speed[j], constants.joint_lag[j] = joint.capture_speed, joint.lag
 
     def _set_state(self, state: State) -> None:
         state.steps, state.hold, state.nodes_per_step = self.steps, self.hold, self.nodes
@@ -290,11 +306,13 @@ class Problem:
         start_sensor(felt, self.sensor.par, w.z[sensor:friction], w.ring)
         w.measured, w.last_event = w.ring[0], -np.inf
         if joints > friction and self.mode != FREE and slip <= STICK_SPEED:
-            w.z[friction:joints] = self._tip().rested()
+            with of_users(self.friction.member, "friction.kind"):
+                w.z[friction:joints] = self._tip().rested()
         if state.joint_sticking == SPRING_STICK:
             w.stuck[:] = self.v == 0.0
         if state.joint_states > 0:
-            w.z[joints:] = np.concatenate([joint.rested() for joint in self._joints()])
+            with of_users(self.joint_friction.member, "joint_friction.kind"):
+                w.z[joints:] = np.concatenate([joint.rested() for joint in self._joints()])
 
     def set_restitution(self, loop: Loop) -> None:
         """Write into a loop's memory the coefficient of restitution of the impact at which it stands.

@@ -30,12 +30,13 @@ from numpy.typing import ArrayLike, NDArray
 from closedloop.control.law_input import LawInput
 from closedloop.engines.failures import not_finite, when
 from closedloop.engines.own_law import law_failure
-from closedloop.errors import DivergenceError, LawError, ScenarioError, one_line
+from closedloop.errors import DivergenceError, LawError, ScenarioError
 from closedloop.jit.calls import callback, compiled_address, forget_entry, interpreted_address, is_compiled
 from closedloop.jit.kernel import numba_settings, plain
 from closedloop.robot.pinocchio import Terms
 from closedloop.step.entries import START, TORQUE, law_input
 from closedloop.step.memory import Loop, loop_at
+from closedloop.user_code import why_not_compiled
 
 Array = NDArray[np.float64]
 Law = Callable[..., ArrayLike]
@@ -322,11 +323,6 @@ def _name(law: Any) -> str:
 
 
 def _why(error: NumbaError) -> str:
-    """Return the line of numba's message that says what is wrong, and the line of the law where."""
-    lines = [line.strip() for line in str(error).splitlines()]
-    if any("setitem(readonly" in line for line in lines):
+    if "setitem(readonly" in str(error):
         return "it writes into q, v or terms, which are there to be read"
-    told = [line for line in lines if line and not line.startswith(("Failed in", "-", "No implementation"))]
-    where = next((line for line in lines if line.startswith("File ")), "")
-    what = next((line for line in told if line != where), str(type(error).__name__))
-    return one_line(f"{what} ({where.rstrip(':')})" if where else what)
+    return why_not_compiled(error)

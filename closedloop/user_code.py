@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import hashlib
 import inspect
+import re
 import sys
 from collections.abc import Iterator
 from contextlib import contextmanager
@@ -39,6 +40,16 @@ def of_users(member: Member | type[Member], key: str) -> Iterator[None]:
         what = one_line(f"{type(error).__name__}: {error}" if str(error) else type(error).__name__)
         where = f"{Path(place.filename).name}:{place.lineno}"
         raise ScenarioError(f"{key} = {member.member_name()}: {where}: {what}") from error
+
+
+def why_not_compiled(error: Exception) -> str:
+    """Return the line of numba's message that says what is wrong, and in which line of whose file."""
+    lines = [line.strip() for line in str(error).splitlines()]
+    told = [line for line in lines if line and not line.startswith(("Failed in", "-", "No implementation"))]
+    where = next((line for line in lines if line.startswith("File ")), "")
+    what = next((line for line in told if line != where), str(type(error).__name__))
+    what = re.sub(r"(of type \w+)\(.*\)", r"\1", what)  # a tuple by its name, without the types of its parts
+    return one_line(f"{what} ({where.rstrip(':')})" if where else what)
 
 
 def source_digest(what: Any) -> str:

@@ -56,13 +56,10 @@ TESTS: dict[str, tuple[str, ...]] = {
     ),
     "closedloop.impact.phases": (f"{IN}test_impact_planar.py", f"{IN}test_impact.py"),
     "closedloop.impact.single": (f"{IN}test_impact.py", f"{IN}test_impact_planar.py"),
-    "closedloop.friction.laws": (
-        f"{IN}test_friction_laws.py",
-        f"{IN}test_friction_bristles.py",
-        f"{IN}test_friction_seven_parameter.py",
-    ),
-    "closedloop.friction.stribeck": (f"{IN}test_friction_laws.py",),
-    "closedloop.friction.dahl": (f"{IN}test_friction_laws.py", f"{IN}test_friction_bristles.py"),
+    "closedloop.friction.bristle": (f"{IN}test_friction_laws.py", f"{IN}test_friction_bristles.py"),
+    "closedloop.friction.laws.stribeck": (f"{IN}test_friction_laws.py",),
+    "closedloop.friction.laws.dahl": (f"{IN}test_friction_laws.py", f"{IN}test_friction_bristles.py"),
+    "closedloop.friction.laws.seven_parameter": (f"{IN}test_friction_seven_parameter.py", f"{IN}test_friction_laws.py"),
     "closedloop.control.tip_space": (f"{IN}test_control_laws.py",),
     "closedloop.control.force": (
         f"{IN}test_control_force.py",

@@ -16,9 +16,9 @@ from numpy.typing import NDArray
 from closedloop.batch.worker import Outcome
 from closedloop.errors import ScenarioError
 from closedloop.events.table import KINDS
-from closedloop.report.assumptions import NAMES
 from closedloop.report.measured import WIDTH
 from closedloop.report.measures import JOINT_MEASURES, MEASURES
+from closedloop.report.row_assumptions import NAMES
 from closedloop.step.record_row import RECORDED
 
 if TYPE_CHECKING:

@@ -27,8 +27,8 @@ from closedloop.engines.problem import Problem
 from closedloop.errors import ClosedLoopError, SingularClosureError, one_line
 from closedloop.jit.background import make_ready
 from closedloop.jit.simd8 import WIDE
-from closedloop.report.assumptions import NAMES
 from closedloop.report.measured import FAILED_AT, WIDTH, Tally, Values, measure_rows
+from closedloop.report.row_assumptions import NAMES
 from closedloop.report.row_sample import joint_limits
 from closedloop.report.tabled import verdict_of
 from closedloop.robot.pinocchio import Robot

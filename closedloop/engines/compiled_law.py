@@ -13,12 +13,13 @@ from numpy.typing import NDArray
 
 from closedloop.control.law_input import LawInput
 from closedloop.engines.law_source import NOT_FINITE, NUMBERS, RAISED, WRONG_LENGTH, Arguments, arguments_of, name_of
-from closedloop.errors import ScenarioError, one_line
+from closedloop.errors import ScenarioError
 from closedloop.jit.calls import is_compiled
 from closedloop.jit.kernel import numba_ready
 from closedloop.robot.pinocchio import Terms
 from closedloop.step.entries import TORQUE, law_input
 from closedloop.step.memory import loop_at
+from closedloop.user_code import why_not_compiled
 
 numba_ready()
 
@@ -147,11 +148,7 @@ def _entry_of(law: Any, ways: Arguments) -> Any:
 
 
 def _why(error: NumbaError) -> str:
-    """Return the line of numba's message that says what is wrong, and the line of the law where."""
-    lines = [line.strip() for line in str(error).splitlines()]
-    if any("setitem(readonly" in line for line in lines):
+    """Return why numba cannot compile a law, in one line."""
+    if "setitem(readonly" in str(error):
         return "it writes into q, v or terms, which are there to be read"
-    told = [line for line in lines if line and not line.startswith(("Failed in", "-", "No implementation"))]
-    where = next((line for line in lines if line.startswith("File ")), "")
-    what = next((line for line in told if line != where), str(type(error).__name__))
-    return one_line(f"{what} ({where.rstrip(':')})" if where else what)
+    return why_not_compiled(error)

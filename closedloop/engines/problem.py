@@ -13,6 +13,7 @@ from closedloop.closure.contact_force import FREE
 from closedloop.control.compensation.none import NoCompensation
 from closedloop.control.law import Compensation, ControlLaw
 from closedloop.control.sensor import PackedSensor, SensorSection, start_sensor
+from closedloop.errors import ScenarioError
 from closedloop.events.phases import PROJECTION, STEP_END
 from closedloop.friction.contact import Contact
 from closedloop.friction.law import FrictionLaw
@@ -39,6 +40,7 @@ from closedloop.step.memory import (
     make_loop,
 )
 from closedloop.surface.plane import Plane
+from closedloop.user_code import of_users, why_not_compiled
 
 Array = NDArray[np.float64]
 
@@ -229,7 +231,7 @@ class Problem:
         return found
 
     def connect(self, loop: Loop, user_law: Callable[[bool], None] | None = None, compiled: bool = True) -> None:
-        """Write into a loop's memory where what it calls is: kernel code, or what an interpreted loop calls.
+        """Write into a loop's memory where what it calls is: machine code, or what an interpreted loop calls.
 
         Parameters
         ----------
@@ -238,11 +240,26 @@ class Problem:
         user_law : callable, optional
             What writes where a law of one's own is; it is told `compiled`.
         compiled : bool
-            Whether the loop is kernel code.
+            Whether the loop is machine code.
+
+        Raises
+        ------
+        ScenarioError
+            If numba cannot compile a user's member.
         """
         address = entry_address if compiled else twin_address
         for name, entry in self.entries(user_law is not None).items():
-            setattr(loop.state, name, address(entry))
+            try:
+                setattr(loop.state, name, address(entry))
+            except Exception as error:
+                from numba import NumbaError
+
+                if not isinstance(error, NumbaError):
+                    raise
+                kind = getattr(self.scenario, name).kind
+                raise ScenarioError(
+                    f"{name}.kind = {kind}: numba cannot compile it: {why_not_compiled(error)}"
+                ) from None
         if user_law is not None:
             user_law(compiled)
 
@@ -259,10 +276,12 @@ class Problem:
         constants.law[:], constants.compensation[:] = self.law.numbers, self.compensation.numbers
         constants.friction[:], constants.joint_friction[:] = self.friction.numbers, self.joint_friction.numbers
         tip = self._tip()
-        constants.impact_friction = tip.kinetic_level
-        constants.capture_speed, constants.lag = tip.capture_speed, tip.lag
-        for j, joint in enumerate(self._joints()):
-            constants.joint_capture_speed[j], constants.joint_lag[j] = joint.capture_speed, joint.lag
+        with of_users(self.friction.member, "friction.kind"):
+            constants.impact_friction = tip.kinetic_level
+            constants.capture_speed, constants.lag = tip.capture_speed, tip.lag
+        with of_users(self.joint_friction.member, "joint_friction.kind"):
+            for j, joint in enumerate(self._joints()):
+                constants.joint_capture_speed[j], constants.joint_lag[j] = joint.capture_speed, joint.lag
 
     def _set_state(self, state: State) -> None:
         state.steps, state.hold, state.nodes_per_step = self.steps, self.hold, self.nodes
@@ -291,11 +310,13 @@ class Problem:
         start_sensor(felt, self.sensor.par, w.z[sensor:friction], w.ring)
         w.measured, w.last_event = w.ring[0], -np.inf
         if joints > friction and self.mode != FREE and slip <= STICK_SPEED:
-            w.z[friction:joints] = self._tip().rested()
+            with of_users(self.friction.member, "friction.kind"):
+                w.z[friction:joints] = self._tip().rested()
         if state.joint_sticking == SPRING_STICK:
             w.stuck[:] = self.v == 0.0
         if state.joint_states > 0:
-            w.z[joints:] = np.concatenate([joint.rested() for joint in self._joints()])
+            with of_users(self.joint_friction.member, "joint_friction.kind"):
+                w.z[joints:] = np.concatenate([joint.rested() for joint in self._joints()])
 
     def set_restitution(self, loop: Loop) -> None:
         """Write into a loop's memory the coefficient of restitution of the impact at which it stands.

@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from closedloop.report.assumptions import NEAR_SINGULAR, RESIDUAL_TOLERANCE, assumptions
+from closedloop.report.assumptions import assumptions
+from closedloop.report.row_assumptions import NEAR_SINGULAR, RESIDUAL_TOLERANCE
 from closedloop.report.summary import energy_balance, summarise
 from closedloop.report.tables import notes, print_report
 

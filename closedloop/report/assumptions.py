@@ -12,34 +12,11 @@ from numpy.typing import NDArray
 
 from closedloop.closure.contact_force import FREE, STUCK
 from closedloop.jit.interpreted import interpreted
-from closedloop.jit.kernel import kernel_inlined
+from closedloop.report.row_assumptions import NAMES, assumptions_met
 from closedloop.report.verdict import outside_by_the_scenario
 
 if TYPE_CHECKING:
     from closedloop.record.run import Run
-
-# Eq. 24 is solved to rounding: n additions of rounding 1e-16 each, with room for the conditioning of H.
-RESIDUAL_TOLERANCE = 1e-12
-# Below this share of its mobility the tip is within 1e-3 rad of a singular pose, and f, q̈ and Q along the normal
-# grow a thousandfold; the simulation itself stops only at `closedloop.closure.solve.SINGULAR_MOBILITY`.
-NEAR_SINGULAR = 1e-6
-NAMES = ("one_loop", "single_point", "contact_kept", "frictionless", "nonsingular")
-
-
-@kernel_inlined
-def assumptions_met(row: Any, friction: float, in_joints: float) -> Any:
-    """Return whether each of `NAMES` holds in a row (`closedloop.step.record_row.Row`), or in columns of rows.
-
-    `friction` and `in_joints` are zero where there is none at the tip and in the joints.
-    """
-    met = row.residual_motion <= RESIDUAL_TOLERANCE
-    return (
-        (row.residual_closure <= RESIDUAL_TOLERANCE) & (row.mode != STUCK),
-        met,
-        (row.contact_force > 0.0) & (row.mode != FREE),
-        met & (friction == 0.0) & (in_joints == 0.0),
-        row.normal_mobility > NEAR_SINGULAR,
-    )
 
 
 def assumptions(run: Run) -> dict[str, dict[str, Any]]:

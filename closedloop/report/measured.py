@@ -19,8 +19,8 @@ from closedloop.jit.blocks import Block
 from closedloop.jit.kernel import entry_kernel, kernel, kernel_inlined
 from closedloop.jit.simd8 import select
 from closedloop.report.alternation import Signal, count_signal
-from closedloop.report.assumptions import NAMES
 from closedloop.report.measures import JOINT_MEASURES, LEAST_TORQUE, MEASURES
+from closedloop.report.row_assumptions import NAMES
 from closedloop.report.row_sample import (
     Flags,
     Greatest,

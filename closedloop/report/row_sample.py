@@ -17,8 +17,8 @@ from closedloop.closure.contact_force import FREE
 from closedloop.jit.blocks import Block, Count
 from closedloop.jit.kernel import kernel_inlined
 from closedloop.jit.simd8 import select
-from closedloop.report.assumptions import NAMES, assumptions_met
 from closedloop.report.measures import SETTLED
+from closedloop.report.row_assumptions import NAMES, assumptions_met
 from robot_models import RobotModel
 
 Array = NDArray[np.float64]

@@ -7,9 +7,9 @@ import math
 import numpy as np
 from numpy.typing import NDArray
 
-from closedloop.report.assumptions import NAMES
 from closedloop.report.measured import EVENTS_AT, FAILED_AT, WIDTH
 from closedloop.report.measures import JOINT_MEASURES, MEASURES
+from closedloop.report.row_assumptions import NAMES
 from closedloop.report.verdict import Facts, judge, names_of, outside_by_the_scenario
 from closedloop.robot.pinocchio import Robot
 from closedloop.scenario.gains import gains_fault

@@ -340,7 +340,7 @@ def test_law_that_switches_back_and_forth_stalls_with_a_reason():
         ),
         (
             {"joint_friction.kind": "coulomb", "joint_friction.kinetic": 1.0},
-            "joint_friction.kind = 'coulomb': depends on the step, and 'dop853' has none; must be 'none' or 'dahl' or",
+            "joint_friction.kind = 'coulomb': depends on the step, and 'dop853' has none; must be 'dahl' or 'lugre' or",
         ),
     ],
 )

@@ -103,10 +103,11 @@ def test_a_name_that_is_not_there_is_refused():
 
 def test_constants_are_laid_out_for_their_joints():
     """Parts whose shape depends on the joints have it."""
-    constants = Constants(np.zeros(Constants.count(3, 7, 2)), 3, 7, 2)
+    constants = Constants(np.zeros(Constants.count(3, 7, 2, 4, 5)), 3, 7, 2, 4, 5)
     assert constants.frame.shape == (3, 3)
     assert constants.law.shape == (7,)
-    assert constants.joint_friction.shape == (3, 12)
+    assert constants.friction.shape == (4,)
+    assert constants.joint_friction.shape == (3, 5)
 
 
 def test_counts_are_polynomials():

@@ -125,7 +125,7 @@ def apply_event(
         # The tip leaves from the surface itself: the error that the stabiliser had not yet removed is projected out.
         state.projections, state.next_phase = 0, AFTER_EVENT
         return PROJECT
-    if general is not None:
+    if general is not None and state.sticking in (RIGID_STICK, SPRING_STICK):
         return end_stick_or_slip(w, constants, state, rows, events)
     request_terms(state, AFTER_EVENT)
     return NEED_TERMS

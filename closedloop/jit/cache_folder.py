@@ -26,7 +26,7 @@ from typing import Any
 
 # What tells a file whose text the compiled code depends on, and files that say how it is compiled.
 MARKS = (b"\n@kernel", b"\n@inlined_kernel", b"\n@entry_kernel", b"\n@brief_entry", b"@lower_builtin")
-COMPILERS = ("kernel.py", "inline_once.py", "blocks.py", "parameters.py")
+COMPILERS = ("kernel.py", "inline_once.py", "blocks.py", "parameters.py", "measures.py")
 
 MARKER = "closedloop-cache"
 MAGIC = b"closedloop code 1\n"  # the end of every file

@@ -23,7 +23,6 @@ _interpreted: dict[int, Entry] = {}
 _numbers = count(1)
 
 
-@cache
 def call_at(address: int, loop: int, what: int) -> int:
     """Call the entry at an address with its two numbers, and return its answer."""
     return _interpreted[int(address)](int(loop), int(what))

@@ -166,6 +166,7 @@ def brief_entry(function: F) -> F:
     return entry_kernel(function, nogil=False)
 
 
+@cache
 def kernel_of(member: type[Any], name: str) -> Callable[..., Any]:
     """Return a function of a member as a kernel, to be called by the member's entry."""
     function: Any = getattr(member, name)

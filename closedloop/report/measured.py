@@ -17,7 +17,7 @@ from closedloop.closure.contact_force import FREE
 from closedloop.events.table import KINDS, EventRow
 from closedloop.jit.blocks import Block
 from closedloop.jit.kernel import entry_kernel, kernel, kernel_inlined
-from closedloop.jit.simd8 import select
+from closedloop.jit.simd8 import every, select
 from closedloop.report.alternation import Signal, count_signal
 from closedloop.report.measures import JOINT_MEASURES, LEAST_TORQUE, MEASURES
 from closedloop.report.row_assumptions import NAMES
@@ -163,9 +163,13 @@ def count_row(
         tally.greatest[k] = max(tally.greatest[k], sample.greatest[k])
     for k in range(sample.sums.shape[0]):
         tally.sums[k] += sample.sums[k]
+    raised = 0.0
     for k in range(sample.flags.shape[0]):
-        first = tally.first[k]
-        tally.first[k] = select((sample.flags[k] > 0.0) & (first != first), t, first)
+        raised += sample.flags[k]
+    if not every(raised == 0.0):
+        for k in range(sample.flags.shape[0]):
+            first = tally.first[k]
+            tally.first[k] = select((sample.flags[k] > 0.0) & (first != first), t, first)
     for k in range(sample.signals.shape[0]):
         count_signal(sample.signals[k], i, Signal(tally.signals[k]))
 

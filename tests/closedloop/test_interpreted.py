@@ -12,6 +12,7 @@ import closedloop as cl
 from closedloop.engines.loops import COMPILED, ENGINES, PINOCCHIO, loop_for
 from closedloop.events.transitions import collide
 from closedloop.jit import background, interpreted
+from closedloop.jit.calls import call_at, forget_entry, interpreted_address
 from closedloop.jit.interpreted import PROBE, Interim
 from closedloop.report.measured import measure_rows
 from closedloop.step.record_row import complete_record
@@ -269,3 +270,12 @@ def test_ctrl_c_in_an_interpreted_run_keeps_its_rows(engine, nothing_compiled):
     for name, column in run.columns.items():
         if len(column) == len(run):
             assert column.tobytes() == whole.columns[name][: len(run)].tobytes(), name
+
+
+def test_an_entry_is_called_each_time():
+    """The same call of an entry by its number is made again each time: a law is asked at every state."""
+    calls = []
+    number = interpreted_address(lambda loop, what: len(calls.append((loop, what)) or calls))
+    assert [call_at(number, 5, 0), call_at(number, 5, 0)] == [1, 2]
+    assert calls == [(5, 0), (5, 0)]
+    forget_entry(number)

@@ -45,7 +45,7 @@ ADDRESSES = Addresses.count()
 def addresses_of(
     views: tuple[Array, ...], loop: Loop, table: Array, tableau: Array, rows: Array, events: Array
 ) -> Addresses:
-    """Return the addresses of the arrays of a run, valid as long as all of them are kept.
+    """Return the addresses of the arrays of a run, which it keeps.
 
     Parameters
     ----------
@@ -61,6 +61,7 @@ def addresses_of(
     sizes = (H.shape[0], *table.shape, *rows.shape, 0)
     at = (*map(address_of, views), loop.address, *map(address_of, (table, tableau, rows)), 0)
     addresses = Addresses(np.array([*at, *sizes], dtype=np.int64))
+    addresses.hold(views=views, loop=loop, table=table, tableau=tableau, rows=rows)
     set_events(addresses, events)
     return addresses
 
@@ -68,6 +69,7 @@ def addresses_of(
 def set_events(addresses: Addresses, events: Array) -> None:
     """Store the address and the length of the table of events (M, EVENT_WIDTH)."""
     addresses.events, addresses.event_room = address_of(events), events.shape[0]
+    addresses.hold(events=events)
 
 
 @inlined_kernel

@@ -168,6 +168,10 @@ class Block:
         self.memory, self.sizes = memory, sizes
         self.__dict__.update(self.layout.views(memory, *sizes))
 
+    def hold(self, **others: Any) -> None:
+        """Keep objects, by a name, as long as this block is kept: those to whose memory it has addresses."""
+        self.__dict__.setdefault("held", {}).update(others)
+
     @classmethod
     def count(cls, *sizes: int) -> int:
         """Return how many numbers of memory a block takes."""

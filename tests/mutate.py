@@ -61,7 +61,7 @@ TESTS: dict[str, tuple[str, ...]] = {
     "closedloop.friction.laws.dahl": (f"{IN}test_friction_laws.py", f"{IN}test_friction_bristles.py"),
     "closedloop.friction.laws.seven_parameter": (f"{IN}test_friction_seven_parameter.py", f"{IN}test_friction_laws.py"),
     "closedloop.control.tip_space": (f"{IN}test_control_laws.py",),
-    "closedloop.control.force": (
+    "closedloop.control.law": (
         f"{IN}test_control_force.py",
         f"{IN}test_contact_command.py::test_no_law_presses_when_free_where_it_lets_go_in_contact",
     ),

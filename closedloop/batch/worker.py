@@ -150,7 +150,7 @@ class Worker:
                 if lane_runs is None and kind is not None:
                     lane_runs = self._lane_runs(problem, kind)
                 if lane_runs is not None and kind == lane_runs.kind:
-                    lane_runs.load(len(members), problem)
+                    lane_runs.put(len(members), problem)
                     members.append(i)
                     continue
                 outcome = self._run(problem)

@@ -144,7 +144,7 @@ class LaneRuns:
         """Return the size of the memory, bytes."""
         return sum(part.nbytes for part in self._parts)
 
-    def load(self, lane: int, problem: Problem) -> None:
+    def put(self, lane: int, problem: Problem) -> None:
         """Load a problem into a lane; afterwards the table's forces and noise may be overwritten."""
         n = self.n
         if lane == 0:

@@ -61,7 +61,7 @@ def addresses_of(
     sizes = (H.shape[0], *table.shape, *rows.shape, 0)
     at = (*map(address_of, views), loop.address, *map(address_of, (table, tableau, rows)), 0)
     addresses = Addresses(np.array([*at, *sizes], dtype=np.int64))
-    addresses.hold(views=views, loop=loop, table=table, tableau=tableau, rows=rows)
+    addresses.keep_alive(views=views, loop=loop, table=table, tableau=tableau, rows=rows)
     set_events(addresses, events)
     return addresses
 
@@ -69,7 +69,7 @@ def addresses_of(
 def set_events(addresses: Addresses, events: Array) -> None:
     """Store the address and the length of the table of events (M, EVENT_WIDTH)."""
     addresses.events, addresses.event_room = address_of(events), events.shape[0]
-    addresses.hold(events=events)
+    addresses.keep_alive(events=events)
 
 
 @inlined_kernel

@@ -195,7 +195,7 @@ class Problem:
 
         Parameters
         ----------
-        own_law : bool
+        user_law : bool
             Whether a user's law replaces the scenario's law and compensation.
 
         The addresses of the functions that it calls are set by `connect`, or by `closedloop.engines.user_law.UserLaw`.

@@ -16,6 +16,7 @@ run. A law that needs parameters in the scenario, or states that are integrated,
 
 from __future__ import annotations
 
+import sys
 from collections.abc import Callable
 from typing import Any
 
@@ -53,13 +54,17 @@ class UserLaw:
         Why the law gave no torque, if it did not.
     fault : str
         What is wrong with a torque that is not finite, in words.
+    interruption : BaseException or None
+        Ctrl-C that came as compiled code called the law, before its first line.
     """
 
     def __init__(self, law: Law, loop: Loop) -> None:
         self._law, self._loop = (law() if isinstance(law, type) else law), loop
         self.error: BaseException | None = None
+        self.interruption: BaseException | None = None
         self.fault = ""
         self._called: tuple[int, Any] | None = None
+        self._usual_hook: Callable[[sys.UnraisableHookArgs], Any] | None = None
         self._number = 0
 
     def connect(self, compiled: bool = True) -> None:
@@ -73,16 +78,35 @@ class UserLaw:
 
             state.law = compiled_address(compiled_law(self._law))
         else:
-            self._called = self._called or callback(self._entry)
+            if self._called is None:
+                self._called = callback(self._entry)
+                self._usual_hook, sys.unraisablehook = sys.unraisablehook, self._keep_interruption
             state.law = self._called[0]
 
     def close(self) -> None:
         """Release the law: the loop does not call it any more."""
         forget_entry(self._number)
+        if self._usual_hook is not None:
+            sys.unraisablehook, self._usual_hook = self._usual_hook, None
+
+    def _keep_interruption(self, lost: sys.UnraisableHookArgs) -> None:
+        """Keep what was raised as the law was entered, and let the loop find no torque.
+
+        A signal that comes while compiled code runs is answered as soon as Python runs: at the entry of `_entry`, where
+        nothing can catch what its handler raises.
+        """
+        frame = None if lost.exc_traceback is None else lost.exc_traceback.tb_frame
+        if frame is not None and frame.f_code is UserLaw._entry.__code__ and frame.f_locals["self"] is self:
+            self.interruption = lost.exc_value
+            self._loop.w.torque[:] = np.nan
+        elif self._usual_hook is not None:
+            self._usual_hook(lost)
 
     def failure(self) -> BaseException:
         """Return why the law gave no torque."""
         t = float(self._loop.w.time)
+        if self.interruption is not None:
+            return self.interruption
         if self.error is None:  # of a compiled law the message is lost: it is evaluated again, interpreted
             if not np.all(np.isfinite(self._loop.w.torque)):
                 return self._not_finite(self._loop.w.torque, t)
@@ -95,6 +119,8 @@ class UserLaw:
 
     def _entry(self, address: int, what: int) -> int:
         try:
+            if self.interruption is not None:
+                return RAISED
             if what == TORQUE:
                 self._evaluate()
             elif what == START and hasattr(self._law, "reset"):

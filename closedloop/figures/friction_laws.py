@@ -14,7 +14,7 @@ from closedloop.files import write_whole
 from closedloop.friction.contact import Contact, joint_contacts, surface_contact
 from closedloop.friction.law import FrictionLaw, SurfaceFriction
 from closedloop.friction.laws.none import NoFriction
-from closedloop.sections import PERIOD, SPEED_SCALE, Size, sizes
+from closedloop.sections import JOINT_SPEED_SCALE, PERIOD, SPEED_SCALE, Size, sizes
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -101,7 +101,7 @@ class _Law:
 def _curve(axes: Axes, law: _Law) -> None:
     """Draw the force of steady slip over its speed, and how much sticking resists."""
     spring, none = law.section.sticks == "spring", isinstance(law.section, NoFriction)
-    span = (20.0 if spring else 5.0) * law.largest(SPEED_SCALE, 0.02)
+    span = (20.0 if spring else 5.0) * law.largest(JOINT_SPEED_SCALE if law.joint else SPEED_SCALE, 0.02)
     factor, unit = _prefixed(span, "rad/s" if law.joint else "m/s")
     right = span * np.linspace(1e-9, 1.0, 400)
     for k, contact in enumerate(law.contacts):

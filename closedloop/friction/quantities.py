@@ -8,6 +8,7 @@ from pydantic import AfterValidator
 
 from closedloop.sections import (
     COEFFICIENT,
+    JOINT_SPEED_SCALE,
     PERIOD,
     SPEED_SCALE,
     TORQUE,
@@ -58,7 +59,7 @@ Span = Annotated[NotNegative, PERIOD]
 Torque = Annotated[JointNotNegative, TORQUE]
 PositiveTorque = Annotated[JointPositive, TORQUE]
 JointViscous = Annotated[JointNotNegative, viscous_in("N m s/rad")]
-JointSpeed = Annotated[JointPositive, SPEED_SCALE]
+JointSpeed = Annotated[JointPositive, JOINT_SPEED_SCALE]
 JointStiffness = Annotated[JointPositive, stiffness_in("N m/rad")]
 JointExponent = Annotated[JointPositive, EXPONENT]
 JointSpan = Annotated[JointNotNegative, PERIOD]

@@ -168,7 +168,7 @@ class Block:
         self.memory, self.sizes = memory, sizes
         self.__dict__.update(self.layout.views(memory, *sizes))
 
-    def hold(self, **others: Any) -> None:
+    def keep_alive(self, **others: Any) -> None:
         """Keep objects, by a name, as long as this block is kept: those to whose memory it has addresses."""
         self.__dict__.setdefault("held", {}).update(others)
 

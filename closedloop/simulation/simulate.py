@@ -227,7 +227,7 @@ def run_loop(
                 request = step(events)
             elif request == DONE:
                 break
-            elif state.status == LAW_FAILED and user_law is not None:
+            elif user_law is not None and (state.status == LAW_FAILED or user_law.interruption is not None):
                 raise user_law.failure()
             else:
                 failure = failure_of(int(state.status), float(w.time), robot, problem, law, w.q, w.v)
@@ -244,6 +244,9 @@ def run_loop(
         if not keep_interrupted:
             raise
         failure = interrupted(stop, float(w.time))
+    finally:
+        if user_law is not None:
+            user_law.close()
     seconds = clock.perf_counter() - began - (kernel.compiling if isinstance(kernel, Interim) else 0.0)
     done = int(state.row) + (failure is None)
     if isinstance(failure, InterruptedRunError):

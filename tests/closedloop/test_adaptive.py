@@ -39,7 +39,7 @@ def energy(run):
     return run.kinetic_energy + run.potential_energy
 
 
-@pytest.mark.parametrize("own_law", [True, False])
+@pytest.mark.parametrize("user_law", [True, False])
 @pytest.mark.parametrize("restitution", [0.8, 1.0])
 def test_a_ball_bounces_when_and_as_the_closed_form_says(user_law, restitution):
     """Impacts of a falling point mass are at sqrt(2 h/g) (1 + 2 (ε + ε² + ...)), with εᵏ times the first speed.

@@ -100,7 +100,7 @@ def test_a_second_ctrl_c_does_not_wait(monkeypatch):
         raise AssertionError("it went on")
 
     monkeypatch.setattr(compiled, "compile", compile_and_signal)
-    monkeypatch.setattr("closedloop.jit.kernel._njit", lambda **options: lambda function: compiled)
+    monkeypatch.setattr("closedloop.jit.kernel._njit", lambda function, **options: compiled)
     with pytest.raises(KeyboardInterrupt):
         made(entry_kernel)(NUMBERS, np.zeros(3))
 

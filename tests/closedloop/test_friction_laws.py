@@ -27,7 +27,7 @@ from closedloop.friction.laws.stribeck import SurfaceStribeck
 from closedloop.jit.interpreted import interpreted
 from closedloop.parameters import one_joint_block, parameter_block, state_block
 from closedloop.step.entries import (
-    ADVANCE,
+    ADVANCE_STATES,
     HOLD,
     LIMIT,
     RATES,
@@ -158,7 +158,7 @@ def numbers(member, joints):
             w.z[:], w.joint_lagged[:], w.delayed_slip = np.abs(w.z), np.abs(w.joint_lagged), abs(w.delayed_slip)
             w.friction_span, state.mode = 0.1, STUCK if i % 2 else PRESSED
             w.stuck[:] = rng.integers(0, 2, n)
-            for what in (SLIDE, HOLD, RATES, ADVANCE, LIMIT, STICK):
+            for what in (SLIDE, HOLD, RATES, ADVANCE_STATES, LIMIT, STICK):
                 assert call(loop.address, what) == 0
                 values.append(w.memory.copy())
         found.append(np.array(values))

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 import closedloop as cl
-from closedloop.jit.kernel import numba_settings
+from closedloop.jit.kernel import jit_disabled
 from closedloop.report.tables import restitution_cut
 from closedloop.scenario.scenario import parse_scenario
 
@@ -303,7 +303,7 @@ def test_what_is_no_law_is_refused_in_one_line(case):
     assert "\n" not in str(caught.value)
 
 
-@pytest.mark.skipif(numba_settings.DISABLE_JIT, reason="nothing is compiled")
+@pytest.mark.skipif(jit_disabled(), reason="nothing is compiled")
 def test_what_numba_cannot_compile_is_one_line(mine):
     """The line names the class, what is wrong, and the line of the user's file."""
     problem = cl.prepare(cl.load_scenario("wam_slide", {"friction.kind": mine.Undefined}))

@@ -4,8 +4,9 @@ import numpy as np
 import pytest
 
 import closedloop as cl
-from closedloop.integrators import INTEGRATORS, advance
+from closedloop.integrators import INTEGRATORS
 from closedloop.report import energy_balance
+from closedloop.step.advance import advance
 
 DURATION = 0.2  # s
 # Steps in DURATION: as few as is smooth, doubled until rk4's error is still a hundred times rounding (1e-14 × steps).

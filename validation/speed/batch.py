@@ -52,7 +52,7 @@ def in_lanes(arm: str, problem: Problem) -> Contestant:
 
     def lap() -> tuple[float | None, Array | None]:
         for lane in range(WIDE):
-            lane_runs.load(lane, problem)
+            lane_runs.put(lane, problem)
         began = clock.perf_counter()
         ran = lane_runs.run(tree, WIDE)
         seconds = clock.perf_counter() - began

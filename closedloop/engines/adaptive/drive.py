@@ -83,6 +83,8 @@ def run_adaptive(
         if not keep_interrupted:
             raise
         failure = interrupted(stop, run.time)
+    finally:
+        memory.close()
     seconds = clock.perf_counter() - began
     done = run.row
     if isinstance(failure, InterruptedRunError):

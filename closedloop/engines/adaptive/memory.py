@@ -217,9 +217,14 @@ class Memory:
             self._check(int(self.state.status))
         return answer
 
+    def close(self) -> None:
+        """Release the user's law; the rows and the events stay."""
+        if self.user_law is not None:
+            self.user_law.close()
+
     def _check(self, status: int) -> None:
         """Raise an error for a status other than OK."""
-        if status == LAW_FAILED and self.user_law is not None:
+        if self.user_law is not None and (status == LAW_FAILED or self.user_law.interruption is not None):
             error = self.user_law.failure()
             if isinstance(error, DivergenceError):  # no number: a shorter step may do
                 raise Stopped(OK, self.user_law.fault)

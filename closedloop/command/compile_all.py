@@ -48,6 +48,9 @@ def pieces() -> tuple[Piece, ...]:
         Piece("evaluate_on_pinocchio", "dop853, the paper's law", lambda: _run(PINOCCHIO, False, "dop853")),
         Piece("evaluate_general_on_pinocchio", "dop853, other laws", lambda: _run(PINOCCHIO, True, "dop853")),
         Piece("_impact", "an impact by itself", _impact),
+        Piece("walk", "inverse kinematics of a path", lambda: _problem(False)),
+        Piece("sample_spline", "a path of joints", lambda: _problem(False)),
+        Piece("potential_energies", "potential energy of a record", _energies),
         *_laws(),
     )
 
@@ -133,6 +136,13 @@ def _impacts() -> None:
     from closedloop.jit.kernel import direct
 
     direct(collide, _problem(False).loop().address)
+
+
+def _energies() -> None:
+    from closedloop.scenario.scenario import load_scenario
+    from closedloop.simulation.simulate import simulate
+
+    simulate(load_scenario("planar2_slide", {"time.duration": 0.002}))
 
 
 def _impact() -> None:

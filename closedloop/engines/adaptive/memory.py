@@ -43,8 +43,8 @@ from closedloop.step.record_row import Row
 
 Array = NDArray[np.float64]
 
-# Within this share of a row before the end of an interval the law's time stays at that instant: a law that switches at
-# the end has not switched yet.
+# Within this share of a row before the instant from which the PD part of the paper's law acts, the law's time stays at
+# that instant: it does not act yet.
 BEFORE = 1e-6
 
 
@@ -123,7 +123,9 @@ class Memory:
     def set_time(self, t: float, interval: Interval) -> None:
         """Set the time and the reference to the instant t, s, of the interval."""
         self._wanted[0, :-1] = interval.at(t)
-        instant = min(t, max(interval.start, interval.end - BEFORE * self.h))
+        instant, begins = t, self._problem.pd_start
+        if interval.start < begins <= interval.end + BEFORE * self.h:
+            instant = min(t, max(interval.start, interval.end - BEFORE * self.h))
         # The table's spacing is such that its one row is the one for this instant.
         self.w.time, self.constants.node = instant, instant if instant > 0.0 else 1.0
 

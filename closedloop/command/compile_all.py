@@ -43,7 +43,7 @@ def pieces() -> tuple[Piece, ...]:
         loop(PINOCCHIO, True, "Pinocchio engine, other laws and friction"),
         loop(COMPILED, False, "compiled engine, the paper's law"),
         loop(COMPILED, True, "compiled engine, other laws and friction"),
-        Piece("measure_rows", "values of a batch's runs", _batch),
+        Piece("measure_rows", "values of a batch's runs", _measures),
         Piece("run_in_lanes", "eight runs of a batch at a time", _batch),
         Piece("evaluate_on_pinocchio", "dop853, the paper's law", lambda: _run(PINOCCHIO, False, "dop853")),
         Piece("evaluate_general_on_pinocchio", "dop853, other laws", lambda: _run(PINOCCHIO, True, "dop853")),
@@ -151,6 +151,13 @@ def _impact() -> None:
     from closedloop.impact import two_phase_impact
 
     two_phase_impact(np.eye(3), np.array([-1.0, 0.0, 0.0]), 0.5, friction=0.1)
+
+
+def _measures() -> None:
+    from closedloop.batch.simulate_batch import simulate_batch
+    from closedloop.scenario.scenario import load_scenario
+
+    simulate_batch(load_scenario("planar2_slide", {"time.duration": 0.002}), {"law.force": [10.0]}, workers=1)
 
 
 def _batch() -> None:

@@ -25,6 +25,11 @@ from closedloop.step.memory import RIGID_STICK, SPRING_STICK, Constants, State, 
 Array = NDArray[np.float64]
 
 
+# Where slip ends, the spring of a law that sticks by one pulls exactly as hard as it can: by this share above it the tip
+# still sticks, so that rounding does not let it go again.
+AT_LIMIT = 1e-12
+
+
 @kernel_inlined
 def event_function(w: Work, constants: Constants, state: State, general: int | None) -> float:
     """Return the event function, positive as long as the mode lasts: a gap, m, a force, N, or a speed, mm/s."""
@@ -40,7 +45,10 @@ def event_function(w: Work, constants: Constants, state: State, general: int | N
 def cone_margin(w: Work, state: State) -> float:
     """Return what is left of the friction cone to a tip that sticks, μ_s f − |F_t|, N."""
     call_at(state.friction, state.address, LIMIT)
-    return float(w.stick_limit * abs(w.F[0]) - np.hypot(w.F[1], w.F[2]))
+    limit = w.stick_limit * abs(w.F[0])
+    if state.sticking == SPRING_STICK:
+        limit += AT_LIMIT * limit
+    return float(limit - np.hypot(w.F[1], w.F[2]))
 
 
 @kernel

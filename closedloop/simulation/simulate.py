@@ -102,10 +102,13 @@ def simulate(
     else:
         report = progress or _silent
         rows, events, failure, seconds = run_loop(problem, law, report, engine, keep_interrupted=True, interim=True)
+    run: Run | None = None
     try:
         with held_back():
             run = _as_run(problem, rows, events, law, failure, seconds, engine)
     except KeyboardInterrupt as stop:  # it came while the record was being assembled
+        if run is None:
+            raise  # a second one, which does not wait
         failure = failure or interrupted(stop, float(run.time[-1]))
     if failure is not None:
         failure.run = run

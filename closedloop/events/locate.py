@@ -25,7 +25,7 @@ from closedloop.step.memory import RIGID_STICK, SPRING_STICK, Constants, State, 
 Array = NDArray[np.float64]
 
 
-# Where slip ends, the spring of a law that sticks by one pulls exactly as hard as it can: by this share above it the tip
+# Where slip ends, the spring of a law that sticks by one pulls exactly at its limit: up to this share above it the tip
 # still sticks, so that rounding does not let it go again.
 AT_LIMIT = 1e-12
 

@@ -358,6 +358,16 @@ def test_the_registry(tmp_path, monkeypatch):
         birds["os:path"]
 
 
+@pytest.mark.parametrize("changes", [{"time.integrator": "heum"}, {"reference.kind": "elipse"}])
+def test_a_refusal_lists_what_ships(changes, mine):
+    """What is said of a wrong name does not depend on the classes that were named in this process before."""
+    cl.load_scenario("wam_slide", {"time.integrator": mine.Ralston, "reference.kind": mine.Wave})
+    with pytest.raises(cl.ScenarioError) as caught:
+        cl.load_scenario("wam_slide", changes)
+    assert mine.__name__ not in str(caught.value)
+    assert re.search("'rk4'|'circle'", str(caught.value))
+
+
 def test_reading_a_scenario_imports_its_own_members_only():
     """Neither the other paths nor the compiler are imported to read a scenario."""
     look = (

@@ -40,6 +40,12 @@ def _family(section: str) -> Family[Any] | None:
     return next((each for each in Scenario.model_fields[section].metadata if isinstance(each, Family)), None)
 
 
+def _shipped_kinds(section: str) -> list[str]:
+    """Return the kinds of a section that ship: what a refusal lists, whatever was named in this process before."""
+    family = _family(section)
+    return list(variants(section)) if family is None else family.shipped()
+
+
 def _usual(section: str) -> str:
     """Return the kind of a section that names none, "" where there are no kinds."""
     family = _family(section)
@@ -130,7 +136,7 @@ def _explain_first(problems: list[ErrorDetails], data: dict[str, Any]) -> str:
     elif kind in ("union_tag_invalid", "union_tag_not_found"):
         shown = shown_value(first["ctx"].get("tag")) if kind == "union_tag_invalid" else "missing"
         more = ""  # the other faults are those of no kind
-        name, cure = f"{name}.kind", f"must be {' or '.join(repr(k) for k in variants(section))}"
+        name, cure = f"{name}.kind", f"must be {' or '.join(map(repr, _shipped_kinds(section)))}"
     elif kind == NOT_NAMED:
         user = first["ctx"]["name"]
         name = f"{name}.kind" if isinstance(value, dict) else name

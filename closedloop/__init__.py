@@ -30,6 +30,7 @@ if TYPE_CHECKING:
     from closedloop.errors import InterruptedRunError as InterruptedRunError
     from closedloop.errors import LawError as LawError
     from closedloop.errors import ModelError as ModelError
+    from closedloop.errors import NoNormalError as NoNormalError
     from closedloop.errors import OutputError as OutputError
     from closedloop.errors import PainleveError as PainleveError
     from closedloop.errors import RunFileError as RunFileError
@@ -46,7 +47,9 @@ if TYPE_CHECKING:
     from closedloop.scenario.scenario import shipped_scenarios as shipped_scenarios
     from closedloop.simulation.prepare import prepare as prepare
     from closedloop.simulation.simulate import simulate as simulate
+    from closedloop.surface.motion import SurfaceMotion as SurfaceMotion
     from closedloop.surface.plane import Plane as Plane
+    from closedloop.surface.surface import Surface as Surface
     from closedloop.sweep import sweep_plot as sweep_plot
 
 _HOME = {
@@ -61,6 +64,7 @@ _HOME = {
     "LawError": "errors",
     "LawInput": "control.law_input",
     "ModelError": "errors",
+    "NoNormalError": "errors",
     "OutputError": "errors",
     "PainleveError": "errors",
     "Plane": "surface.plane",
@@ -72,6 +76,8 @@ _HOME = {
     "ScenarioError": "errors",
     "SimulationError": "errors",
     "SingularClosureError": "errors",
+    "Surface": "surface.surface",
+    "SurfaceMotion": "surface.motion",
     "Terms": "robot.pinocchio",
     "load_run": "record.netcdf",
     "load_scenario": "scenario.scenario",

@@ -97,6 +97,10 @@ class PainleveError(SimulationError):
     """Friction admits no rigid contact force (Painlevé's paradox): a larger f accelerates the tip into the surface."""
 
 
+class NoNormalError(SimulationError):
+    """The surface has no normal where the tip is: the gradient of its φ vanishes there."""
+
+
 class LawError(SimulationError):
     """A user's law raised an exception, which is the cause, or returned something that is no torque."""
 

@@ -73,3 +73,10 @@ def _source(what: Any) -> str:
         return inspect.getsource(what)
     except (OSError, TypeError):
         return ""
+
+
+def identity_of(member: type[Any]) -> str:
+    """Return what tells the compiled form of a member from others: its name, and the text of all its classes."""
+    bases = [each for each in member.__mro__ if issubclass(each, Member) and each is not Member]
+    texts = dict.fromkeys(source_digest(each) for each in bases)
+    return " ".join([f"{member.__module__}:{member.__qualname__}", *texts])

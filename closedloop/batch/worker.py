@@ -212,7 +212,7 @@ class Worker:
         if len(rows) > 0:
             make_ready(measure_rows)
             measure_rows(
-                *tree, rows, len(rows), problem.table, problem.nodes, problem.h, problem.frame,
+                *tree, rows, len(rows), problem.table, problem.nodes, problem.h,
                 joint_limits(problem.robot.model), events, len(events), np.empty(Tally.count(n)), values,
             )  # fmt: skip
         columns = {name: recorded(rows, problem.robot.n, name) for name in self._keep}

@@ -50,6 +50,7 @@ def pieces() -> tuple[Piece, ...]:
         Piece("_impact", "an impact by itself", _impact),
         Piece("walk", "inverse kinematics of a path", lambda: _problem(False)),
         Piece("sample_spline", "a path of joints", lambda: _problem(False)),
+        Piece("put_on_surface", "a path on a surface", _path),
         Piece("potential_energies", "potential energy of a record", _energies),
         *_laws(),
     )
@@ -61,16 +62,22 @@ def _laws() -> Iterable[Piece]:
     from closedloop.friction.laws.none import NoFriction
     from closedloop.jit.calls import entry_address
     from closedloop.step.entries import friction_entry, joint_friction_entry, law_entry
+    from closedloop.surface.contact import motion_entry, surface_entry
+    from closedloop.surface.motion import MOTIONS
+    from closedloop.surface.motions.none import NoMotion
+    from closedloop.surface.surface import SURFACES
 
     families: tuple[tuple[Family[Any], Callable[[Any], Any], str], ...] = (
         (LAWS, law_entry, "law"),
         (COMPENSATIONS, law_entry, "compensation"),
         (SURFACE_LAWS, friction_entry, "friction"),
         (JOINT_LAWS, joint_friction_entry, "joint friction"),
+        (SURFACES, surface_entry, "surface"),
+        (MOTIONS, motion_entry, "surface that moves:"),
     )
     for family, entry_of, what in families:
         for kind, member in family.items():
-            if member is not NoFriction:
+            if member not in (NoFriction, NoMotion):
                 entry = entry_of(member)
                 yield Piece(getattr(entry, "__name__", ""), f"{what} {kind}", partial(entry_address, entry))
 
@@ -143,6 +150,20 @@ def _energies() -> None:
     from closedloop.simulation.simulate import simulate
 
     simulate(load_scenario("planar2_slide", {"time.duration": 0.002}))
+
+
+def _path() -> None:
+    import numpy as np
+
+    from closedloop.jit.calls import entry_address
+    from closedloop.surface.contact import make_memory, put_on_surface, surface_entry
+    from closedloop.surface.kinds.plane import PlaneSurface
+
+    memory, nothing = make_memory(np.zeros(0), np.zeros(0), 0, np.zeros(3), np.eye(3)), np.zeros((0, 3))
+    put_on_surface(
+        entry_address(surface_entry(PlaneSurface)), memory.address, np.zeros(3), 0.0, np.zeros(0), nothing, nothing,
+        nothing,
+    )  # fmt: skip
 
 
 def _impact() -> None:

@@ -7,12 +7,13 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from closedloop.closure.solve import CHATTER, NOT_POSITIVE_DEFINITE, PAINLEVE, SINGULAR
+from closedloop.closure.solve import CHATTER, NO_NORMAL, NOT_POSITIVE_DEFINITE, PAINLEVE, SINGULAR
 from closedloop.engines.problem import Problem
 from closedloop.errors import (
     ChatterError,
     DivergenceError,
     InterruptedRunError,
+    NoNormalError,
     PainleveError,
     SimulationError,
     SingularClosureError,
@@ -48,7 +49,7 @@ def failure_of(status: int, t: float, robot: Robot, problem: Problem, law: Any, 
         pose = np.array2string(q, precision=4, separator=", ", suppress_small=True)
         return SingularClosureError(
             f"{when(t)}: singular pose: at q = {pose} the tip cannot move along the surface normal "
-            f"{problem.plane.normal.round(4).tolist()}, so Eq. 24 does not determine the contact force; "
+            f"{_normal_at(problem, q, t).round(4).tolist()}, so Eq. 24 does not determine the contact force; "
             "start from, or steer through, another posture",
             t,
         )
@@ -56,6 +57,13 @@ def failure_of(status: int, t: float, robot: Robot, problem: Problem, law: Any, 
         return SingularClosureError(
             f"{when(t)}: the mass matrix of {robot.model.name} is not positive definite; "
             "some joint moves no inertia (look at the masses and tensors of the last links)",
+            t,
+        )
+    if status == NO_NORMAL:
+        place = np.array2string(robot.position(q), precision=4, separator=", ", suppress_small=True)
+        return NoNormalError(
+            f"{when(t)}: the surface has no normal at {place} m, where the tip is: the gradient of its φ vanishes "
+            "there or is not a number; keep the tip near the surface, and away from its centre or edge",
             t,
         )
     if status == CHATTER:
@@ -81,3 +89,9 @@ def failure_of(status: int, t: float, robot: Robot, problem: Problem, law: Any, 
     return DivergenceError(
         f"{when(t)}: the motion diverges: joint {name} is beyond {SPEED_LIMIT:g} rad/s or not a number; {cure}", t
     )
+
+
+def _normal_at(problem: Problem, q: Array, t: float) -> Array:
+    """Return the unit normal (3,) of the surface at the tip, base frame."""
+    normal: Array = problem.surface.touching(problem.robot.position(q), t=t).frame[0]
+    return normal

@@ -48,7 +48,8 @@ from closedloop.robot.tree import Tree, energy_there, tree_terms, work_size
 from closedloop.scenario.scenario import Scenario
 from closedloop.step.advance import advance
 from closedloop.step.energy_supplied import add_stage_work, commit_work, save_power
-from closedloop.step.evaluate import bounded, locate_tip, nearest_row, paper_torque
+from closedloop.step.evaluate import bounded, nearest_row, paper_torque
+from closedloop.step.locate import locate_tip
 from closedloop.step.memory import Constants, IntArray, Reference, State, Work
 from closedloop.step.record_row import Row, record, record_conditions
 
@@ -67,6 +68,8 @@ def can_use_lanes(scenario: Scenario) -> bool:
     """Whether a scenario may run without branches: the paper's law, on a smooth surface from the start."""
     return (
         not needs_general_form(scenario)
+        and scenario.surface.kind == "plane"
+        and scenario.surface_motion.kind == "none"
         and not scenario.surface.gap > 0.0
         and scenario.stabiliser.kind in ("baumgarte", "none")
         and scenario.time.integrator in INTEGRATORS
@@ -151,6 +154,7 @@ class LaneRuns:
             self._tables.clear()
         self._constants[:, lane] = problem.loop().constants.memory
         self._work.q[:, lane], self._work.v[:, lane] = problem.q, problem.v
+        self._work.frame[..., lane] = problem.frame
         force = problem.table[:, 2 * n + 9]
         self._forces[:, lane] = force
         self._largest[0, lane] = np.abs(force[:: problem.nodes]).max()
@@ -158,7 +162,7 @@ class LaneRuns:
 
     def run(self, tree: Tree, count: int) -> bool:
         """Run the first `count` lanes; False if one of them could not be finished here."""
-        for part in (self._constants, self._forces, self._largest, self._work.q, self._work.v):
+        for part in (self._constants, self._forces, self._largest, self._work.q, self._work.v, self._work.frame):
             part[..., count:] = part[..., :1]  # unused lanes repeat the first
         addresses = [address_of(table) for table in self._tables[:count]]
         tables = np.array(addresses + addresses[:1] * (WIDE - count))
@@ -227,7 +231,7 @@ def run_in_lanes(
     forces = float64x8_at(addresses[FORCES], instants)
     rows = float64x8_at(addresses[ROWS], kept * width).reshape(kept, width)
     tally, values = Tally(float64x8_at(addresses[TALLIES], 0), n), Values(float64x8_at(addresses[VALUES], 0), n)
-    frame, joint_limits, wanted = constants.frame, JointLimits(limits, n), Reference(w.reference, n)
+    joint_limits, wanted = JointLimits(limits, n), Reference(w.reference, n)
     begin_tally(tally, n, h, largest)
     w.supplied = 0.0
     for row in range(steps + 1):
@@ -240,7 +244,7 @@ def run_in_lanes(
             tree_terms(tree, w.q, w.v, scratch, H, C, w.J, w.r, w.drift)
             desired(t, spacing, tables, instants, columns, forces, w.reference)
             sampled = hold == 0 or (stage == 0 and row % hold == 0)
-            status = press(H, C, w, constants, t, sampled)
+            status = press(H, C, w, constants, state, t, sampled)
             if status != OK:
                 return status
             if unilateral and not (every(w.F[0] >= 0.0) and every(w.F[0] - w.stabiliser_force[0] >= 0.0)):
@@ -248,7 +252,7 @@ def run_in_lanes(
             if stage == 0:
                 record(H, C, w, constants, state, tableau, rows, slot, None)
                 potential = energy_there(tree, scratch)
-                count_row(Row(rows[slot], n), n, potential, wanted, frame, joint_limits, row, tally)
+                count_row(Row(rows[slot], n), n, potential, wanted, joint_limits, row, tally)
                 if row == steps:
                     record_conditions(w.batch, rows, state, slot + 1, n)
                 if state.batched == 0:
@@ -285,9 +289,11 @@ def desired(
 
 
 @kernel_inlined
-def press(H: Array, C: Array, w: Work, constants: Constants, t: float, sampled: bool) -> int:
+def press(H: Array, C: Array, w: Work, constants: Constants, state: State, t: float, sampled: bool) -> int:
     """Evaluate law, contact and Eq. 24 with the tip on a smooth surface; see `closedloop.step.evaluate.evaluate`."""
-    locate_tip(w, constants)
+    status = locate_tip(w, constants, state)
+    if status != OK:
+        return status
     status = factorise(H, w.A, w.L, w.X, w.S, constants.reach)
     if status != OK:
         return status

@@ -39,6 +39,7 @@ from closedloop.step.memory import (
     Work,
     make_loop,
 )
+from closedloop.surface.placed import PlacedSurface
 from closedloop.surface.plane import Plane
 from closedloop.user_code import of_users, why_not_compiled
 
@@ -103,10 +104,10 @@ class Problem:
 
     Attributes
     ----------
-    robot, plane, integrator
+    robot, surface, integrator
         The arm with its tip, the surface, the scheme.
     frame : (3, 3) array
-        Contact frame: rows n, t1, t2 in base axes.
+        Contact frame at t = 0: rows n, t1, t2 in base axes.
     q, v : (n,) arrays
         State at t = 0.
     mode : int
@@ -138,7 +139,7 @@ class Problem:
 
     scenario: Scenario
     robot: Robot
-    plane: Plane
+    surface: PlacedSurface
     frame: Array
     integrator: type[Scheme]
     q: Array
@@ -167,6 +168,11 @@ class Problem:
         if not isinstance(section, BaumgarteGains):
             return None
         return float(self.stabiliser[1] ** -0.5) if section.time_constant == "auto" else section.time_constant
+
+    @property
+    def plane(self) -> Plane:
+        """The plane through the surface's origin at t = 0, with its normal there: the surface itself if it is one."""
+        return Plane(self.surface.normal, self.surface.offset)
 
     @property
     def path(self) -> Array:
@@ -213,13 +219,17 @@ class Problem:
         state.own_law_states, state.law_states = own, both
         state.friction_states, state.joint_states, state.sensor_states = surface, joints, self.sensor.states
         self._set_state(state)
+        if not self.surface.fixed_plane:
+            memory = self.surface.memory()
+            state.surface_at = memory.address
+            loop.w.keep_alive(surface=memory)
         self._set_constants(loop.constants)
         self._set_start(state, loop.w)
         return loop
 
     def entries(self, user_law: bool = False) -> dict[str, Any]:
         """Return what the loop calls by address, by the names that `State` has for it; see `loop` for `user_law`."""
-        found: dict[str, Any] = {}
+        found: dict[str, Any] = self.surface.entries()
         if self.general and not user_law:
             found["law"] = law_entry(self.law.member)
             if self.compensation.member is not NoCompensation:
@@ -260,14 +270,15 @@ class Problem:
                 raise ScenarioError(
                     f"{name}.kind = {kind}: numba cannot compile it: {why_not_compiled(error)}"
                 ) from None
+        if loop.state.surface_motion != 0:
+            loop.w.kept["surface"].links.motion = loop.state.surface_motion
         if user_law is not None:
             user_law(compiled)
 
     def _set_constants(self, constants: Constants) -> None:
         robot, impact = self.robot, self.scenario.impact
-        constants.h, constants.node, constants.offset = self.h, self.h / self.nodes, self.plane.offset
+        constants.h, constants.node, constants.offset = self.h, self.h / self.nodes, self.surface.offset
         constants.s_v, constants.s_p = self.stabiliser
-        constants.frame[:] = self.frame
         constants.tip[:], constants.gravity[:], constants.reach = robot.tip_offset, robot.gravity, robot.reach**2
         constants.restitution, constants.rest_speed = impact.restitution, impact.rest_speed
         constants.sensor[:], constants.support[:], constants.stick_speed = (
@@ -297,9 +308,14 @@ class Problem:
     def _set_start(self, state: State, w: Work) -> None:
         n = self.robot.n
         w.q[:], w.v[:] = self.q, self.v
+        w.frame[:] = self.frame
         terms = self.robot.terms(self.q, self.v)
-        u = self.frame @ terms.jacobian @ self.v
-        w.anchor[:] = (self.frame @ terms.position)[1:]
+        velocity = terms.jacobian @ self.v
+        u = self.frame @ velocity
+        w.anchor[:] = self.frame @ terms.position
+        if not self.surface.fixed_plane:
+            u -= self.surface.touching(terms.position, velocity).carried
+            w.anchor[:] = self.surface.frame[[1, 2, 0]] @ (terms.position - self.surface.origin)
         slip = float(np.hypot(u[1], u[2]))
         if slip > 0.0:
             w.direction[:] = u[1:] / slip

@@ -63,8 +63,9 @@ from closedloop.events.transitions import apply_event, apply_impact, resume_afte
 from closedloop.jit.kernel import inlined_kernel
 from closedloop.step.advance import advance
 from closedloop.step.energy_supplied import add_stage_work, commit_work
-from closedloop.step.evaluate import evaluate, locate_tip
+from closedloop.step.evaluate import evaluate
 from closedloop.step.joint_friction import stick_or_slip_joints
+from closedloop.step.locate import locate_tip
 from closedloop.step.memory import Constants, State, Work
 from closedloop.step.record_row import record
 
@@ -108,7 +109,10 @@ def proceed(
             state.status = status
             return FAILED
     elif phase != IMPULSES_KNOWN:
-        locate_tip(w, constants)
+        status = locate_tip(w, constants, state)
+        if status != OK:
+            state.status = status
+            return FAILED
     todo = NEED_TERMS
     if phase == STEP_END:
         w.event_value = event_function(w, constants, state, general)

@@ -9,6 +9,7 @@ from closedloop.closure.contact_force import STUCK, apply_impulse, factorise, st
 from closedloop.closure.solve import OK
 from closedloop.events.phases import CLOSED, FAIL, MAX_MOVES, NEED_TERMS, PROJECTION, request_terms
 from closedloop.jit.kernel import kernel
+from closedloop.step.locate import off_anchor
 from closedloop.step.memory import RIGID_STICK, Constants, State, Work
 
 Array = NDArray[np.float64]
@@ -31,7 +32,7 @@ def project(H: Array, w: Work, constants: Constants, state: State) -> int:
         for i in range(1, 3):
             w.a[i] = 0.0
             if stuck:
-                w.a[i] = w.p[i] - w.anchor[i - 1] if level == 0 else w.u[i]
+                w.a[i] = off_anchor(w, state, i) if level == 0 else w.u[i]
                 size = max(size, abs(w.a[i]))
         if level == 0 and (size <= CLOSED or state.projections >= MAX_MOVES):
             continue

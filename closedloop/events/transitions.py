@@ -49,6 +49,7 @@ from closedloop.jit.kernel import entry_kernel, kernel
 from closedloop.step.entries import LIMIT, RESTART, SLIDE
 from closedloop.step.entries import STICK as END_OF_SLIP
 from closedloop.step.evaluate import call_law
+from closedloop.step.locate import set_anchor
 from closedloop.step.memory import RIGID_STICK, SPRING_STICK, Constants, State, Work, loop_at
 from closedloop.step.tip_friction import delayed_speed
 
@@ -160,7 +161,7 @@ def end_stick_or_slip(w: Work, constants: Constants, state: State, rows: Array, 
             call_at(state.friction, state.address, LIMIT)
             if held == OK and slow and size <= w.stick_limit * abs(w.F[0]):
                 state.mode, state.kind = STUCK, STICK
-                w.anchor[0], w.anchor[1] = w.p[1], w.p[2]
+                set_anchor(w, state)
                 loss = stop_tip(w)
             elif not slow:  # slip has turned by a right angle since the substep began, and goes on
                 w.direction[0], w.direction[1] = w.u[1] / speed, w.u[2] / speed
@@ -231,11 +232,13 @@ def slip_onset(w: Work, state: State, angle: float) -> tuple[float, float]:
 def log_event(w: Work, constants: Constants, state: State, events: Array, energy: float) -> None:
     """Write the event state.kind into the table, and subtract its energy loss from the energy supplied."""
     write_event(
-        events[state.events], w.time, state.kind, w.discarded_rebound, w.restitution_given, constants.frame, w.r,
+        events[state.events], w.time, state.kind, w.discarded_rebound, w.restitution_given, w.frame, w.r,
         w.before, w.after, w.compression, w.decompression, energy,
     )  # fmt: skip
     state.events += 1
     w.supplied -= energy
+    for i in range(3):  # a surface that moves does work on the arm
+        w.supplied += (w.compression[i] + w.decompression[i]) * w.carried[i]
 
 
 @kernel
@@ -264,7 +267,7 @@ def make_contact(w: Work, constants: Constants, state: State, speed: float) -> N
     state.mode = PRESSED
     if state.sticking in (RIGID_STICK, SPRING_STICK) and speed <= constants.stick_speed:
         state.mode = STUCK
-        w.anchor[0], w.anchor[1] = w.p[1], w.p[2]
+        set_anchor(w, state)
 
 
 @entry_kernel

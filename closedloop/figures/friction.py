@@ -12,7 +12,6 @@ from closedloop.figures.style import COLOURS, new_figure
 from closedloop.friction.contact import surface_contact
 from closedloop.friction.law import FrictionLaw
 from closedloop.record.run import Run
-from closedloop.surface.plane import unit
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -36,9 +35,7 @@ def _levels(law: Any) -> list[tuple[float, str, str]]:
 
 def friction_force(run: Run) -> Figure:
     """Draw the size of the friction force beside μf, and the speed of slip, against time."""
-    normal = unit(run.scenario.surface.normal, "surface.normal")
-    along = run.velocity - np.outer(run.velocity @ normal, normal)
-    slip = np.where(run.mode != FREE, np.linalg.norm(along, axis=1), np.nan)
+    slip = np.where(run.mode != FREE, np.linalg.norm(run.slip_velocity, axis=1), np.nan)
     figure = new_figure(height=4.8)
     above, below = figure.subplots(2, 1, sharex=True)
     for level, name, stroke in _levels(run.scenario.friction):

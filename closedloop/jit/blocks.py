@@ -168,9 +168,15 @@ class Block:
         self.memory, self.sizes = memory, sizes
         self.__dict__.update(self.layout.views(memory, *sizes))
 
+    @property
+    def kept(self) -> dict[str, Any]:
+        """The objects that are kept with this block, by their names."""
+        found: dict[str, Any] = self.__dict__.setdefault("_kept", {})
+        return found
+
     def keep_alive(self, **others: Any) -> None:
         """Keep objects, by a name, as long as this block is kept: those to whose memory it has addresses."""
-        self.__dict__.setdefault("held", {}).update(others)
+        self.kept.update(others)
 
     @classmethod
     def count(cls, *sizes: int) -> int:

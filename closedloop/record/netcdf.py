@@ -25,6 +25,7 @@ from closedloop.record.netcdf_image import Variable, netcdf_image
 from closedloop.record.run import COLUMNS, Run
 from closedloop.record.sealed import read_sealed, seal
 from closedloop.scenario.scenario import Scenario, parse_scenario
+from closedloop.surface.plane import unit
 from robot_models import RobotModel
 
 FORMAT, FORMAT_VERSION = "closedloop run", 2
@@ -182,11 +183,13 @@ def _run_of(found: Mapping[str, Any], columns: dict[str, NDArray[Any]]) -> Run:
     if not 0.0 <= float(found["wall_seconds"]) < math.inf:
         raise RunFileError(f"is damaged: attribute 'wall_seconds' is {found['wall_seconds']}")
     model = robot_models.from_text(found["robot_text"], **robot)
+    scenario = parse_scenario(found["scenario"], where="attribute 'scenario'", keep_absent=True)
+    _add_plane(columns, scenario)
     absent = [name for name in _LATER_COLUMNS if name not in columns]
     columns |= {name: np.full(columns[_LATER_COLUMNS[name]].size, np.nan) for name in absent}
     _check_columns(columns, model.n, [*json.loads(found["not_finite"]), *absent])
     return Run(
-        scenario=parse_scenario(found["scenario"], where="attribute 'scenario'", keep_absent=True),
+        scenario=scenario,
         model=model,
         columns=columns,
         law=found["law"],
@@ -197,6 +200,15 @@ def _run_of(found: Mapping[str, Any], columns: dict[str, NDArray[Any]]) -> Run:
         law_digest=found["law_digest"],
         member_digests=members,
     )
+
+
+def _add_plane(columns: dict[str, NDArray[Any]], scenario: Scenario) -> None:
+    """Add what a file from before there were other surfaces than a plane at rest does not have."""
+    if "surface_normal" in columns or np.shape(columns["velocity"])[1:] != (3,):
+        return
+    n, v = unit(scenario.surface.normal, "surface.normal"), columns["velocity"]
+    columns["surface_normal"] = np.tile(n, (len(v), 1))
+    columns["slip_velocity"] = v - np.outer(v @ n, n)
 
 
 def _verify(found: Mapping[str, Any], columns: Mapping[str, NDArray[Any]]) -> None:

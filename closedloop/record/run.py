@@ -47,6 +47,10 @@ _BY_TIME: dict[str, Column] = {
     "reference_force": Column(("time",), "N", "desired contact force f_des"),
     "position": Column(("time", "axis"), "m", "tip position r, base frame"),
     "velocity": Column(("time", "axis"), "m s-1", "tip velocity, base frame"),
+    "surface_normal": Column(("time", "axis"), "1", "unit normal n of the surface at the tip, base frame"),
+    "slip_velocity": Column(
+        ("time", "axis"), "m s-1", "velocity of the tip along the surface and relative to it, base frame"
+    ),
     "contact_force": Column(
         ("time",),
         "N",

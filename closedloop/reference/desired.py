@@ -11,13 +11,12 @@ from numpy.typing import NDArray
 from closedloop.reference.follow import follow
 from closedloop.reference.force import ConstantForceSection, ForceProfile, force_at
 from closedloop.reference.joint_path import JointPath
-from closedloop.reference.path import Path, tip_path
+from closedloop.reference.path import Path, path_on
 from closedloop.reference.tip_path import TipPath
-from closedloop.surface.plane import contact_frame
 
 if TYPE_CHECKING:
     from closedloop.robot.pinocchio import Robot
-    from closedloop.surface.plane import Plane
+    from closedloop.surface.placed import PlacedSurface
 
 Array = NDArray[np.float64]
 
@@ -52,8 +51,6 @@ class Desired:
         The tip's path, base frame.
     joints : JointPath
         The joints' path along it.
-    frame : (3, 3) array
-        Rows n, t1 and t2 of the contact frame.
     profile : ForceProfile
         The desired force over time.
     force : float
@@ -62,7 +59,6 @@ class Desired:
 
     tip: TipPath
     joints: JointPath
-    frame: Array
     profile: ForceProfile
     force: float
 
@@ -72,28 +68,31 @@ class Desired:
         `spare` columns of zeros are appended.
 
         Columns: q_des (n), rad (m), and q̇_des (n), rad/s (m/s); the tip's position (3), m, velocity (3), m/s, and
-        acceleration (3), m/s², each along n, t1 and t2 of the contact frame; f_des (1), N.
+        acceleration (3), m/s², base axes; f_des (1), N.
         """
         n = self.joints.q.shape[1]
         table = np.zeros((instants.size, 2 * n + 10 + spare))
         self.joints.write(instants, table, 2)
         for at, x in zip(range(2 * n, 2 * n + 9, 3), self.tip.sample(instants), strict=True):
-            table[:, at : at + 3] = x @ self.frame.T
+            table[:, at : at + 3] = x
         table[:, 2 * n + 9] = force_at(self.profile, self.force, instants)
         return table
 
 
 def desired(
-    scenario: MotionAndLaw, robot: Robot, plane: Plane, q: Array, profile: ForceProfile | None = None
-) -> Desired:
+    scenario: MotionAndLaw, robot: Robot, surface: PlacedSurface, q: Array, profile: ForceProfile | None = None,
+    duration: float = 0.0,
+) -> Desired:  # fmt: skip
     """Return the desired motion and force of a robot that starts at joint positions q (n,).
+
+    On a surface that moves, the tip is carried along by it for `duration`, s.
 
     Raises
     ------
     ScenarioError
         If [reference] or the force profile is at fault, or the path leaves the workspace or the joint limits.
     """
-    tip = tip_path(scenario.reference, robot.position(q), plane.normal)
+    tip = path_on(scenario.reference, robot.position(q), surface, duration)
     profile = ConstantForceSection() if profile is None else profile
     force_at(profile, scenario.law.force, np.zeros(1))  # a profile at fault is refused before any inverse kinematics
-    return Desired(tip, follow(robot, q, tip), contact_frame(plane.normal), profile, scenario.law.force)
+    return Desired(tip, follow(robot, q, tip), profile, scenario.law.force)

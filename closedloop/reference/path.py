@@ -14,7 +14,9 @@ from numpy.typing import NDArray
 
 from closedloop.errors import ScenarioError
 from closedloop.families import Family, Parameters, is_users
+from closedloop.reference.on_surface import on_surface
 from closedloop.reference.tip_path import TipPath
+from closedloop.surface.placed import PlacedSurface
 from closedloop.user_code import of_users
 
 Array = NDArray[np.float64]
@@ -27,6 +29,7 @@ class Path(Parameters):
     """[reference]: the motion of the tip."""
 
     folder: ClassVar[str] = "closedloop.reference.paths"
+    along_surface: ClassVar[bool] = True  # laid onto a surface that is curved or moves
 
     @abstractmethod
     def tip_path(self, origin: Array, normal: Array) -> TipPath:
@@ -65,3 +68,15 @@ def tip_path(section: Path, origin: Array, normal: Array) -> TipPath:
             f"{origin.round(6).tolist()} m"
         )
     return path
+
+
+def path_on(section: Path, origin: Array, surface: PlacedSurface, duration: float) -> TipPath:
+    """Return the path from `origin` (3,), m, base frame, laid onto a surface for a run of `duration`, s.
+
+    Raises
+    ------
+    ScenarioError
+        As `tip_path`, or if the surface does not lie under the path.
+    """
+    path = tip_path(section, origin, surface.normal)
+    return path if surface.fixed_plane or not section.along_surface else on_surface(path, surface, duration)

@@ -58,15 +58,20 @@ class TipPath:
         Each begins when and where the one before ends; none: the tip stays.
     keys : tuple of str
         Keys of the scenario that set how far the path goes, for messages.
+    begins : float, optional
+        Instant at which it begins to move along the surface, s, if that is not when its first segment begins.
     """
 
     origin: Array
     segments: tuple[Segment, ...] = ()
     keys: tuple[str, ...] = ()
+    begins: float | None = None
 
     @property
     def start(self) -> float:
         """Instant at which the tip begins to move, s; 0 if it never does."""
+        if self.begins is not None:
+            return self.begins
         return self.segments[0].start if self.segments else 0.0
 
     @property
@@ -85,7 +90,7 @@ class TipPath:
         if not self.segments:
             return r, velocity, acceleration
         last = self.segments[-1]
-        ends = np.array([self.start, *(segment.stop for segment in self.segments)])
+        ends = np.array([self.segments[0].start, *(segment.stop for segment in self.segments)])
         at = np.searchsorted(ends, t + INSTANT * (ends[-1] - ends[0]), side="right") - 1
         for k, segment in enumerate(self.segments):
             now = np.flatnonzero(at == k)

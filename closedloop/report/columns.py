@@ -19,7 +19,6 @@ from closedloop.report.alternation import SPAN, alternation
 from closedloop.report.measured import Tally, Values, begin_tally, write_values
 from closedloop.report.row_sample import JointLimits, Sample, Scale, joint_limits, sample_row
 from closedloop.step.record_row import RECORDED
-from closedloop.surface.plane import contact_frame, unit
 
 if TYPE_CHECKING:
     from closedloop.record.run import Run
@@ -69,10 +68,10 @@ def _some_at_a_time(count: int) -> Iterator[slice]:
 
 
 def _sample_rows(run: Run, rows: slice, scale: Scale, sample: Sample) -> None:
-    n, frame = run.model.n, contact_frame(unit(run.scenario.surface.normal, "surface.normal"))
-    wanted = SimpleNamespace(position=frame @ run.reference_tip[rows].T, force=run.reference_force[rows])
+    n = run.model.n
+    wanted = SimpleNamespace(position=run.reference_tip[rows].T, force=run.reference_force[rows])
     limits = JointLimits(joint_limits(run.model), n)
-    interpreted(sample_row)(columns_of(run, rows), n, run.potential_energy[rows], wanted, frame, limits, scale, sample)
+    interpreted(sample_row)(columns_of(run, rows), n, run.potential_energy[rows], wanted, limits, scale, sample)
 
 
 def _count_rows(time: Array, begin: int, sample: Sample, tally: Tally) -> None:

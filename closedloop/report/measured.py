@@ -75,8 +75,8 @@ class Tally(Block, sizes=("n",)):
 
 @entry_kernel
 def measure_rows(
-    tree: Tree, scratch: Array, rows: Array, count: int, table: Array, nodes: int, h: float, frame: Array,
-    limits: Array, events: Array, happened: int, memory: Array, out: Array,
+    tree: Tree, scratch: Array, rows: Array, count: int, table: Array, nodes: int, h: float, limits: Array,
+    events: Array, happened: int, memory: Array, out: Array,
 ) -> None:  # fmt: skip
     """Write the values of a run.
 
@@ -90,8 +90,6 @@ def measure_rows(
         The record, of `closedloop.step.record_row.Row`s, of which `count` >= 1 are the run's, `h` seconds apart.
     table : (P, >= 2 n + 10) array
         What is desired, `nodes` rows to each of the record's, see `closedloop.step.evaluate.reference_row`.
-    frame : (3, 3) array
-        Contact frame: rows n, t1, t2 in base axes.
     limits : (4 n,) array
         See `closedloop.report.row_sample.joint_limits`.
     events : (>= happened, EVENT_WIDTH) array
@@ -111,7 +109,7 @@ def measure_rows(
     for i in range(count):
         row = Row(rows[i], n)
         potential = tree_potential_energy(tree, row.q, sines)
-        count_row(row, n, potential, Reference(table[i * nodes], n), frame, joint_limits, i, tally)
+        count_row(row, n, potential, Reference(table[i * nodes], n), joint_limits, i, tally)
         count_condition(row, tally)
     write_values(Row(rows[count - 1], n), n, count, tally, values)
     for i in range(happened):
@@ -141,14 +139,12 @@ def begin_tally(tally: Tally, n: int, h: float, largest: float) -> None:
 
 
 @kernel_inlined
-def count_row(
-    row: Row, n: int, potential: float, wanted: Reference, frame: Array, limits: JointLimits, i: int, tally: Tally
-) -> None:
+def count_row(row: Row, n: int, potential: float, wanted: Reference, limits: JointLimits, i: int, tally: Tally) -> None:
     """Count row i in, all but its condition number; see `closedloop.report.row_sample.sample_row`."""
     scale, sample = Scale(tally.scale), Sample(tally.sample, n)
     if i == 0:
         scale.start_energy, scale.start_supplied = row.kinetic_energy + potential, row.energy_supplied
-    sample_row(row, n, potential, wanted, frame, limits, scale, sample)
+    sample_row(row, n, potential, wanted, limits, scale, sample)
     if i == 0:
         tally.start_error = sample.contact_error
     t = tally.h * i

@@ -117,7 +117,7 @@ class Scale(Block):
 
 @kernel_inlined
 def sample_row(
-    row: Any, n: int, potential: Any, wanted: Any, frame: Array, limits: JointLimits, scale: Scale, sample: Sample
+    row: Any, n: int, potential: Any, wanted: Any, limits: JointLimits, scale: Scale, sample: Sample
 ) -> None:
     """Write what a row of n joints has to say.
 
@@ -129,8 +129,6 @@ def sample_row(
         Potential energy, J.
     wanted : Reference
         What is desired at its instant, of which position and force count.
-    frame : (3, 3) array
-        Contact frame: rows n, t1, t2 in base axes.
     limits, scale, sample
         Read, read, and written.
     """
@@ -150,11 +148,11 @@ def sample_row(
     sample.unsettled = select(abs(miss) > SETTLED * scale.largest_force, 1.0, 0.0)
     sums.touching = select(touching, 1.0, 0.0)
     sums.force_error_squared = select(touching, miss * miss, 0.0)
-    off_path = 0.0
-    for axis in range(1, 3):
-        off = -wanted.position[axis]
-        for k in range(3):
-            off = off + frame[axis, k] * row.position[k]
+    out, off_path, normal = 0.0, 0.0, row.surface_normal
+    for k in range(3):
+        out = out + normal[k] * (row.position[k] - wanted.position[k])
+    for k in range(3):
+        off = row.position[k] - wanted.position[k] - out * normal[k]
         off_path = off_path + off * off
     sums.path_error_squared = off_path
     sums.force, signals.force = abs(force), force
@@ -208,14 +206,14 @@ def torque_power(row: Any, n: int) -> Any:
 
 @kernel_inlined
 def friction_power(row: Any, n: int) -> Any:
-    """Return the power of friction at the tip and in the joints, F_tᵀṙ + τᵀq̇, W: negative where it takes energy.
+    """Return the power of friction at the tip and in the joints, F_tᵀu_t + τᵀq̇, W: negative where it takes energy.
 
-    Bristles and springs of friction give back what they store, so the power of dahl, lugre and seven_parameter may be
-    positive for a while.
+    At the tip it counts with the slip: on a surface that moves, the rest is work of what moves it. Bristles and springs
+    of friction give back what they store, so the power of dahl, lugre and seven_parameter may be positive for a while.
     """
     total, in_joints = 0.0, 0.0
     for k in range(3):
-        total = total + row.friction_force[k] * row.velocity[k]
+        total = total + row.friction_force[k] * row.slip_velocity[k]
     for j in range(n):
         in_joints = in_joints + row.joint_friction[j] * row.v[j]
     return total + in_joints

@@ -25,7 +25,7 @@ from closedloop.integrators import ADAPTIVE, INTEGRATORS
 from closedloop.parameters import per_joint
 from closedloop.robot.pinocchio import Robot
 from closedloop.scenario.scenario import Scenario
-from closedloop.surface.plane import Plane, contact_frame
+from closedloop.surface.placed import PlacedSurface
 
 Array = NDArray[np.float64]
 
@@ -166,7 +166,8 @@ def feedbacks(scenario: Scenario, robot: Robot) -> list[Feedback]:
     law, n = scenario.law, robot.n
     q = robot.model.home if scenario.start.q is None else np.array(per_joint("start.q", scenario.start.q, n))
     terms = robot.terms(q, np.zeros(n))
-    A = contact_frame(Plane.through(terms.position, scenario.surface.normal).normal) @ terms.jacobian
+    surface = PlacedSurface.of(scenario.surface, scenario.surface_motion, terms.position)
+    A = surface.touching(terms.position).frame @ terms.jacobian
     held = scenario.surface.contact == "bilateral"
     try:
         mobility = np.linalg.inv(terms.mass_matrix)

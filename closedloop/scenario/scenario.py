@@ -30,9 +30,7 @@ from closedloop.scenario.file import shipped_scenarios as shipped_scenarios
 from closedloop.sections import (
     ANGLE,
     JOINT_SPEED,
-    PLACE,
     STEP,
-    Direction,
     Flag,
     NotNegative,
     Number,
@@ -43,6 +41,8 @@ from closedloop.sections import (
     Size,
     Unit,
 )
+from closedloop.surface.motion import MOTIONS, SurfaceMotion
+from closedloop.surface.surface import SURFACES, Surface
 from robot_models.toml_text import toml_tables
 
 REST_SPEED = Size(1e4, "m/s", "nothing bounces so fast", 1e-12, "slower motion is rounding")
@@ -59,23 +59,6 @@ class RobotSection(Section):
     drive_inertia: Flag = Field(True, description="add the drives' inertia (armature) to the mass matrix")
     lock: dict[str, Annotated[Number, ANGLE]] | None = Field(
         None, description="joints held rigid, and where, rad (m); the model's own choice if left out"
-    )
-
-
-class PlaneSection(Section):
-    """[surface] kind = "plane": n·p = d in the base frame."""
-
-    kind: Literal["plane"] = "plane"
-    normal: Direction = Field((0.0, 0.0, 1.0), description="out of the surface, base frame; any length but zero")
-    offset: Annotated[Number, PLACE] | Literal["start"] = Field(
-        "start", description='d for the unit normal, m, or "start": through the tip at the start'
-    )
-    gap: Annotated[NotNegative, PLACE] = Field(
-        0.0, description='with offset = "start": how far below the tip the surface lies, m'
-    )
-    contact: Literal["bilateral", "unilateral"] = Field(
-        "bilateral",
-        description="bilateral: the tip is held to the surface, as in the paper; unilateral: it may touch and leave",
     )
 
 
@@ -207,7 +190,8 @@ class Scenario(Section):
     name: Name = Field("unnamed", description="the shipped name or the file's stem")
     description: str = Field("", description="one line for --list")
     robot: RobotSection = RobotSection()
-    surface: PlaneSection = PlaneSection()
+    surface: Annotated[Surface, SURFACES] = Field(default_factory=lambda: SURFACES["plane"]())
+    surface_motion: Annotated[SurfaceMotion, MOTIONS] = Field(default_factory=lambda: MOTIONS["none"]())
     impact: ImpactSection = ImpactSection()
     start: StartSection = StartSection()
     reference: Annotated[paths.Path, paths.PATHS] = Field(default_factory=lambda: paths.PATHS["hold"]())

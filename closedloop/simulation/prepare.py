@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Hashable
 from dataclasses import replace
 from typing import Any
 
@@ -27,7 +28,9 @@ from closedloop.scenario.members import refuse_absent
 from closedloop.scenario.scenario import BaumgarteGains, Scenario
 from closedloop.simulation.cache import Cache
 from closedloop.step.record_row import Row
-from closedloop.surface.plane import Plane
+from closedloop.surface.kinds.plane import PlaneSurface
+from closedloop.surface.placed import PlacedSurface, Touching
+from closedloop.surface.surface import Surface
 from closedloop.user_code import of_users
 from robot_models import RobotModel
 
@@ -44,6 +47,8 @@ START_RATE = 1e-4
 # Default relative tolerance of an adaptive integrator. With friction at the tip 1e-12 takes 16 s of processor time for
 # the 8 s of wam_slide_friction, and 1e-9 takes 6 s: break-away and sticking are then within 2e-8 s of those at 1e-12.
 TOLERANCE, TOLERANCE_WITH_FRICTION = 1e-12, 1e-9
+# A path on a surface that moves goes on this much longer than the run, so that its last row is no end of it.
+BEYOND = 1.001
 # Memory of a robot, with Pinocchio's model and data, about, bytes.
 ROBOT_BYTES = 200_000
 
@@ -80,7 +85,7 @@ def prepare(scenario: Scenario, model: RobotModel | None = None, cache: Cache | 
                 f"moves within [{low:g}, {high:g}]"
             )
 
-    plane, mode = _surface(scenario, robot, q, v)
+    surface, now, mode = _surface(scenario, robot, q, v)
 
     integrator, tolerance = _integrator(scenario)
     steps = _whole(scenario.time.duration, scenario.time.step, "time.duration")
@@ -97,7 +102,7 @@ def prepare(scenario: Scenario, model: RobotModel | None = None, cache: Cache | 
     nodes_per_step = integrator.parts
     instants = (h / nodes_per_step) * np.arange(steps * nodes_per_step + 1, dtype=np.float64)
     with of_users(scenario.reference, "reference.kind"):  # its curves are evaluated in there
-        wanted, table = _desired(scenario, robot, plane, q, instants, cache)
+        wanted, table = _desired(scenario, robot, surface, q, instants, cache)
     table[::nodes_per_step, 2 * n + 10] = draws(scenario.sensor, steps + 1)
 
     law = scenario.law
@@ -108,13 +113,13 @@ def prepare(scenario: Scenario, model: RobotModel | None = None, cache: Cache | 
     check_sampling(law, scenario.compensation, scenario.sensor, law.sample_period or h)
     friction = pack_friction(scenario.friction, n)
     if friction.member.sticks != "elastic" and mode == PRESSED:
-        u = wanted.frame @ robot.terms(q, v).jacobian @ v
+        u = now.frame @ robot.terms(q, v).jacobian @ v - now.carried
         mode = STUCK if np.hypot(u[1], u[2]) <= STICK_SPEED else PRESSED
     return Problem(
         scenario=scenario,
         robot=robot,
-        plane=plane,
-        frame=wanted.frame,
+        surface=surface,
+        frame=now.frame,
         integrator=integrator,
         q=q,
         v=v,
@@ -156,7 +161,7 @@ def load_model(scenario: Scenario) -> RobotModel:
 
 
 def _desired(
-    scenario: Scenario, robot: Robot, plane: Plane, q: Array, instants: Array, cache: Cache
+    scenario: Scenario, robot: Robot, surface: PlacedSurface, q: Array, instants: Array, cache: Cache
 ) -> tuple[Desired, Array]:
     """Return what is desired, and the table of it at `instants` (P,), s, with a last column for the sensor's noise."""
     n = robot.n
@@ -164,11 +169,11 @@ def _desired(
         scenario.robot.model_dump_json(),
         scenario.reference.model_dump_json(),
         q.tobytes(),
-        plane.normal.tobytes(),
+        _path_key(scenario, surface),
     )
     wanted = cache.get_shared(
         ("desired", *motion),
-        lambda: desired(scenario, robot, plane, q, scenario.force_profile),
+        lambda: desired(scenario, robot, surface, q, scenario.force_profile, scenario.time.duration * BEYOND),
         lambda made: 3 * made.joints.q.nbytes,
     )
     wanted = replace(wanted, profile=scenario.force_profile, force=scenario.law.force)
@@ -179,6 +184,14 @@ def _desired(
     )
     table[:, 2 * n + 9] = force_at(wanted.profile, wanted.force, instants)
     return wanted, table
+
+
+def _path_key(scenario: Scenario, surface: PlacedSurface) -> Hashable:
+    """Return what of the surface the path depends on."""
+    if surface.fixed_plane:
+        return surface.normal.tobytes()
+    sections = scenario.surface.model_dump_json(), scenario.surface_motion.model_dump_json()
+    return (*sections, surface.origin.tobytes(), scenario.time.duration)
 
 
 def _integrator(scenario: Scenario) -> tuple[type[Scheme], float | None]:
@@ -207,45 +220,55 @@ def _integrator(scenario: Scenario) -> tuple[type[Scheme], float | None]:
     return ADAPTIVE[name], usual if section.tolerance is None else section.tolerance
 
 
-def _surface(scenario: Scenario, robot: Robot, q: Array, v: Array) -> tuple[Plane, int]:
-    """Return the surface and what the tip does on it at the start, refusing a start that is neither on nor off it."""
+def _surface(scenario: Scenario, robot: Robot, q: Array, v: Array) -> tuple[PlacedSurface, Touching, int]:
+    """Return the surface, how the tip is to it at the start, and what it does on it.
+
+    Raises
+    ------
+    ScenarioError
+        If the start is neither on the surface nor off it.
+    """
     section = scenario.surface
-    tip = robot.position(q)
-    if section.offset == "start":
-        plane = Plane.through(tip, section.normal)
-        plane = Plane(plane.normal, plane.offset - section.gap)
-    elif section.gap:
-        raise ScenarioError('surface.gap: goes with offset = "start" only; leave it out')
-    else:
-        plane = Plane.of(section.normal, float(section.offset))
-    gap = section.gap if section.offset == "start" else plane.gap(tip)
-    rate = float(plane.normal @ robot.terms(q, v).jacobian @ v) if v.any() else 0.0
-    where = float(plane.normal @ tip)
-    given = "surface.gap" if section.offset == "start" else "surface.offset"
-    value = section.gap if section.offset == "start" else float(section.offset)
+    terms = robot.terms(q, v)
+    tip = terms.position
+    surface = PlacedSurface.of(section, scenario.surface_motion, tip)
+    now = surface.touching(tip, terms.jacobian @ v)
+    gap = section.gap if surface.below_start else now.gap
+    rate = float(now.frame[0] @ terms.jacobian @ v - now.carried[0])
+    given, at_most, place = _where_given(section, surface, tip)
     if section.contact == "bilateral":
         if abs(gap) > START_GAP:
             side = "off" if gap > 0 else "inside"
             raise ScenarioError(
-                f"{given} = {value:g}: the tip starts {abs(gap):.4g} m {side} the surface, and the closure holds it "
-                f'there from the start: use contact = "unilateral", or offset = "start" or {where:.9g}'
+                f"{given}: the tip starts {abs(gap):.4g} m {side} the surface, and the closure holds it "
+                f'there from the start: use contact = "unilateral", or {place}'
             )
         if abs(rate) > START_RATE:
-            raise ScenarioError(_through_the_closure(plane.normal @ robot.terms(q, v).jacobian, v, rate))
-        return plane, PRESSED
+            raise ScenarioError(_through_the_closure(now.frame[0] @ terms.jacobian, v, rate))
+        return surface, now, PRESSED
     if gap < -TOUCHING:
-        raise ScenarioError(
-            f"{given} = {value:.9g}: the tip starts {-gap:.4g} m inside the surface: "
-            f"surface.offset may be at most {where:.9g} for this start"
-        )
+        raise ScenarioError(f"{given}: the tip starts {-gap:.4g} m inside the surface: {at_most} for this start")
     if gap > TOUCHING:
-        return plane, FREE
+        return surface, now, FREE
     if rate > RESTING:
         raise ScenarioError(
             f"start.v: the tip starts on the surface and leaves it at {rate:.4g} m/s: start it off the surface "
             "(surface.gap), or without velocity along the normal"
         )
-    return plane, FREE if rate < -RESTING else PRESSED
+    return surface, now, FREE if rate < -RESTING else PRESSED
+
+
+def _where_given(section: Surface, surface: PlacedSurface, tip: Array) -> tuple[str, str, str]:
+    """Return key and value that place the surface, what the value may be for this start, and two ways to be on it."""
+    own: Any
+    if isinstance(section, PlaneSurface):
+        key, own, best = "offset", section.offset, f"{float(surface.normal @ tip):.9g}"
+    else:
+        key, own = "point", getattr(section, "point", None)
+        best = str([float(f"{x:.9g}") for x in tip])
+    said = f"{own:.9g}" if isinstance(own, float) else f"{list(own or ())}"
+    given = f"surface.gap = {section.gap:.9g}" if surface.below_start else f"surface.{key} = {said}"
+    return given, f"surface.{key} may be at most {best}", f'{key} = "start" or {best}'
 
 
 def _through_the_closure(A: Array, v: Array, rate: float) -> str:

@@ -335,7 +335,7 @@ def _as_run(
         "time": problem.h * np.arange(count),
         "reference_position": reference_rows[:, 0].copy(),
         "reference_velocity": reference_rows[:, 1].copy(),
-        "reference_tip": wanted[:, 2 * n : 2 * n + 3] @ problem.frame,
+        "reference_tip": wanted[:, 2 * n : 2 * n + 3].copy(),
         "reference_force": wanted[:, 2 * n + 9].copy(),
     }
     columns |= {name: recorded(rows, n, name) for name in RECORDED}

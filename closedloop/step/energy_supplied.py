@@ -5,7 +5,7 @@ substeps, each with the power on its own side of the event. The difference betwe
 is then the error of the run, of the integrator's order, without the error of a quadrature over rows. In a scheme of one
 stage, which holds the torque over the step, the work is that torque times the mean of the velocities before and after.
 
-    P = (Q + τ)ᵀq̇ + F·u        τ friction of the joints, F = (f, F_t) and u = (ė, u_t) at the tip
+    P = (Q + τ)ᵀq̇ + F·N ṙ        τ friction of the joints, F = (f, F_t) at the tip, N ṙ = u on a surface at rest
 """
 
 from __future__ import annotations
@@ -22,7 +22,9 @@ Array = NDArray[np.float64]
 @kernel_inlined
 def power(w: Work) -> float:
     """Return the power P of all forces but gravity at the state evaluated last, W."""
-    total: float = w.F[0] * w.u[0] + w.F[1] * w.u[1] + w.F[2] * w.u[2]
+    total: float = (
+        w.F[0] * (w.u[0] + w.carried[0]) + w.F[1] * (w.u[1] + w.carried[1]) + w.F[2] * (w.u[2] + w.carried[2])
+    )
     for j in range(w.v.shape[0]):
         total += (w.torque[j] + w.joint_friction[j]) * w.v[j]
     return total
@@ -34,8 +36,9 @@ def save_power(w: Work, state: State) -> None:
     w.start_power = power(w)
     w.start_power_rate = 0.0
     if state.stages == 1:
-        growth = w.F[0] * w.a[0] + w.F[1] * w.a[1] + w.F[2] * w.a[2]  # u̇ = a + S F
+        growth = 0.0
         for i in range(3):
+            growth += w.F[i] * (w.a[i] - w.turning[i])  # N r̈ = u̇ − turning, u̇ = a + S F
             growth += w.F[i] * (w.S[i, 0] * w.F[0] + w.S[i, 1] * w.F[1] + w.S[i, 2] * w.F[2])
         for j in range(w.v.shape[0]):
             growth += (w.torque[j] + w.joint_friction[j]) * w.qdd[j]

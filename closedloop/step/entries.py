@@ -8,7 +8,6 @@ An entry takes the address of the loop's memory, and calls the member's function
 from __future__ import annotations
 
 from functools import cache
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -16,13 +15,12 @@ from numpy.typing import NDArray
 from closedloop.closure.contact_force import FREE, STUCK
 from closedloop.control.law import Compensation, ControlLaw
 from closedloop.control.law_input import LawInput
-from closedloop.families import Member
 from closedloop.friction.law import JointFriction, Slip, SurfaceFriction, length_of
 from closedloop.jit.calls import Entry
 from closedloop.jit.kernel import entry_kernel, kernel_inlined, kernel_of
 from closedloop.parameters import one_joint_block, parameter_block, state_block
 from closedloop.step.memory import Constants, State, Work, loop_at
-from closedloop.user_code import source_digest
+from closedloop.user_code import identity_of
 
 Array = NDArray[np.float64]
 
@@ -35,7 +33,7 @@ def law_input(state: State, constants: Constants, w: Work) -> LawInput:
     """Return the input of the law at the state evaluated last."""
     n, wanted = w.q.shape[0], w.reference
     return LawInput(
-        w.time, w.q, w.v, w.H, w.C, w.L, w.A, w.X, w.S, w.drift_c, w.p, w.u, w.r, w.J, w.drift, constants.frame,
+        w.time, w.q, w.v, w.H, w.C, w.L, w.A, w.X, w.S, w.drift_c, w.p, w.u, w.r, w.J, w.drift, w.frame,
         wanted[0:n], wanted[n : 2 * n], wanted[2 * n : 2 * n + 3], wanted[2 * n + 3 : 2 * n + 6],
         wanted[2 * n + 6 : 2 * n + 9], wanted[2 * n + 9], w.measured, 0.0 if state.mode == FREE else 1.0, w.scratch,
     )  # fmt: skip
@@ -169,10 +167,3 @@ def joint_friction_entry(member: type[JointFriction]) -> Entry:
 
     entry.__name__ = entry.__qualname__ = f"entry_of_joint_{member.__name__}"
     return entry_kernel(entry, identity=identity_of(member))
-
-
-def identity_of(member: type[Any]) -> str:
-    """Return what tells the compiled form of a member from others: its name, and the text of all its classes."""
-    bases = [each for each in member.__mro__ if issubclass(each, Member) and each is not Member]
-    texts = dict.fromkeys(source_digest(each) for each in bases)
-    return " ".join([f"{member.__module__}:{member.__qualname__}", *texts])

@@ -20,7 +20,6 @@ from closedloop.closure.contact_force import (
     baumgarte_acceleration,
     factorise,
     free_acceleration,
-    into_contact_frame,
     normal_rounding,
     pressed_force,
     stuck_force,
@@ -35,6 +34,7 @@ from closedloop.parameters import parameter_block
 from closedloop.reference.joint_path import cubic
 from closedloop.step.entries import RATES, START, TORQUE
 from closedloop.step.joint_friction import add_joint_friction, hold_joints
+from closedloop.step.locate import in_contact_frame, locate_tip, off_anchor
 from closedloop.step.memory import RIGID_STICK, SPRING_STICK, Constants, Reference, State, Work
 from closedloop.step.tip_friction import surface_friction, turn_with_slip
 
@@ -59,7 +59,7 @@ def reference_row(t: float, spacing: float, table: Array, n: int, row: Array) ->
     t, spacing : float
         Time, and time between two rows of the table, s.
     table : (P, >= 2 n + 10) array
-        q_des, q̇_des, and in the contact frame p_des, u_des and u̇_des, then f_des.
+        q_des, q̇_des, then r_des, ṙ_des and r̈_des of the tip in base axes, then f_des.
     row : (2 n + 10,) array
         Written.
     """
@@ -90,14 +90,6 @@ def nearest_row(t: float, spacing: float, count: int) -> int:
 
 
 @kernel_inlined
-def locate_tip(w: Work, constants: Constants) -> None:
-    """Write the tip's motion in the contact frame, and the gap and its rate."""
-    into_contact_frame(constants.frame, w.J, w.r, w.drift, w.v, w.A, w.p, w.u, w.drift_c)
-    w.gap = w.p[0] - constants.offset
-    w.rate = w.u[0]
-
-
-@kernel_inlined
 def evaluate(
     H: Array, C: Array, w: Work, constants: Constants, state: State, table: Array, rows: Array, general: int | None
 ) -> int:
@@ -121,10 +113,12 @@ def evaluate(
     Returns
     -------
     int
-        OK, SINGULAR, NOT_POSITIVE_DEFINITE, PAINLEVE, DIVERGED or LAW_FAILED.
+        OK, SINGULAR, NOT_POSITIVE_DEFINITE, PAINLEVE, DIVERGED, LAW_FAILED or NO_NORMAL.
     """
     n = w.q.shape[0]
-    locate_tip(w, constants)
+    status = locate_tip(w, constants, state)
+    if status != OK:
+        return status
     status = factorise(H, w.A, w.L, w.X, w.S, constants.reach)
     if status != OK:
         return status
@@ -137,6 +131,7 @@ def evaluate(
             return status
     else:
         reference_row(w.time, constants.node, table, n, w.reference)
+        in_contact_frame(w, Reference(w.reference, n))
         for i in range(n):
             w.C[i] = C[i]
             for j in range(i, n):
@@ -247,7 +242,7 @@ def contact_force(C: Array, w: Work, constants: Constants, state: State) -> int:
     elif state.mode == STUCK:
         w.b[0] = baumgarte_acceleration(constants.s_v, constants.s_p, w.rate, w.gap)
         for i in range(1, 3):
-            w.b[i] = baumgarte_acceleration(constants.s_v, constants.s_p, w.u[i], w.p[i] - w.anchor[i - 1])
+            w.b[i] = baumgarte_acceleration(constants.s_v, constants.s_p, w.u[i], off_anchor(w, state, i))
         if stuck_force(w.S, w.a, w.b, w.F, w.stabiliser_force) != OK:
             return SINGULAR
         w.rigid_force = kept_force(w.F[0] - w.stabiliser_force[0], C, w, state)

@@ -60,6 +60,9 @@ class State(Block):
     compensation_size: int
     friction_size: int
     joint_friction_size: int  # of one joint
+    surface: int  # address of the entry of the surface, 0: a plane at rest; and of its memory
+    surface_at: int
+    surface_motion: int  # address of the entry of its motion, 0: it is at rest
     constants_at: int
     constants_size: int
     work_at: int
@@ -91,7 +94,7 @@ class Constants(Block, sizes=("n", "law", "compensation", "friction", "joint_fri
 
     h: float  # step, s
     node: float  # time between two rows of the reference's table, s
-    offset: float  # d, m
+    offset: float  # d of a plane at rest, m
     s_v: float
     s_p: float
     restitution: float
@@ -101,7 +104,6 @@ class Constants(Block, sizes=("n", "law", "compensation", "friction", "joint_fri
     capture_speed: float  # up to which sticking is tried, m/s
     lag: float  # by which friction is behind the slip, s
     reach: float  # of the arm, squared
-    frame: Annotated[Array, 3, 3]  # rows n, t1, t2, base axes
     tip: Annotated[Array, 3]  # in the frame of the joint that carries it
     gravity: Annotated[Array, 3]
     sensor: Annotated[Array, SensorParameters.count(0)]
@@ -119,7 +121,7 @@ class Reference(Block, sizes=("n",)):
 
     q: Annotated[Array, N]  # rad (m)
     v: Annotated[Array, N]  # rad/s (m/s)
-    position: Annotated[Array, 3]  # of the tip, m, along n, t1 and t2 of the contact frame, as the next two
+    position: Annotated[Array, 3]  # of the tip, m, base axes, as the next two; see `in_contact_frame`
     velocity: Annotated[Array, 3]  # m/s
     acceleration: Annotated[Array, 3]  # m/s²
     force: float  # N
@@ -161,9 +163,10 @@ class Work(Block, sizes=("n", "k", "stages", "ring")):
     start_power_rate: float
     r: Annotated[Array, 3]  # base axes
     drift: Annotated[Array, 3]  # base axes
+    frame: Annotated[Array, 3, 3]  # contact frame: rows n, t1, t2, base axes
     p: Annotated[Array, 3]  # contact frame, as all that follow
     u: Annotated[Array, 3]
-    drift_c: Annotated[Array, 3]
+    drift_c: Annotated[Array, 3]  # u̇ = A q̈ + drift_c
     a: Annotated[Array, 3]  # acceleration without contact
     F: Annotated[Array, 3]
     b: Annotated[Array, 3]  # right-hand sides of Eq. 24
@@ -176,7 +179,9 @@ class Work(Block, sizes=("n", "k", "stages", "ring")):
     after: Annotated[Array, 3]
     start_slip: Annotated[Array, 2]  # velocity of slip at the beginning of the substep
     direction: Annotated[Array, 2]  # and its direction
-    anchor: Annotated[Array, 2]  # where the tip stuck
+    carried: Annotated[Array, 3]  # u = N ṙ − carried and u̇ = N r̈ + turning; zero on a plane at rest
+    turning: Annotated[Array, 3]
+    anchor: Annotated[Array, 3]  # where the tip stuck, see `closedloop.step.locate`
     slip: Annotated[Array, 2]  # velocity of slip that friction is asked about
     c: Annotated[Array, 2]  # friction F_t = −c f − w
     viscous: Annotated[Array, 2]  # w

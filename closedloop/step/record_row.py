@@ -33,6 +33,8 @@ class Row(Block, sizes=("n",)):
     torque: Annotated[Array, N]
     position: Annotated[Array, 3]
     velocity: Annotated[Array, 3]
+    surface_normal: Annotated[Array, 3]
+    slip_velocity: Annotated[Array, 3]
     friction_force: Annotated[Array, 3]
     joint_friction: Annotated[Array, N]
     contact_force: float
@@ -129,7 +131,9 @@ def record(
         for j in range(n):
             speed += w.J[i, j] * w.v[j]
         row.velocity[i] = speed
-        row.friction_force[i] = constants.frame[1, i] * w.F[1] + constants.frame[2, i] * w.F[2]
+        row.friction_force[i] = w.frame[1, i] * w.F[1] + w.frame[2, i] * w.F[2]
+        row.slip_velocity[i] = w.frame[1, i] * w.u[1] + w.frame[2, i] * w.u[2]
+        row.surface_normal[i] = w.frame[0, i]
     mode = state.mode
     closures = 0 if mode == FREE else (3 if mode == STUCK and state.sticking == RIGID_STICK else 1)
     motion, closed = residuals(H, w.column, C, w.A, w.S, w.drift_c, w.b, w.a, w.qdd, w.F, 0, closures)

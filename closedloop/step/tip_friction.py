@@ -13,6 +13,7 @@ from closedloop.jit.calls import call_at
 from closedloop.jit.kernel import kernel
 from closedloop.step.entries import HOLD, SLIDE
 from closedloop.step.memory import RIGID_STICK, SMOOTH, SPRING_STICK, Constants, State, Work
+from closedloop.step.record_row import Row
 
 Array = NDArray[np.float64]
 
@@ -112,22 +113,17 @@ def delayed_speed(w: Work, constants: Constants, state: State, rows: Array, dela
     x = (w.time - delay) / constants.h
     last = state.row - 1
     if x <= 0.0 or last < 0:
-        return slip_of(rows[0], n, constants) if last >= 0 else speed
+        return slip_speed(rows[0], n) if last >= 0 else speed
     i = int(x)
     if i >= last:
         since = w.time - last * constants.h
         s = (w.time - delay - last * constants.h) / since if since > 0.0 else 1.0
-        return float((1.0 - s) * slip_of(rows[last], n, constants) + s * speed)
-    return float((1.0 - (x - i)) * slip_of(rows[i], n, constants) + (x - i) * slip_of(rows[i + 1], n, constants))
+        return float((1.0 - s) * slip_speed(rows[last], n) + s * speed)
+    return float((1.0 - (x - i)) * slip_speed(rows[i], n) + (x - i) * slip_speed(rows[i + 1], n))
 
 
 @kernel
-def slip_of(row: Array, n: int, constants: Constants) -> float:
-    """Return the tip's tangential speed in a recorded row, m/s."""
-    total = 0.0
-    for t in range(1, 3):
-        u = 0.0
-        for i in range(3):
-            u += constants.frame[t, i] * row[4 * n + 3 + i]
-        total += u * u
-    return math.sqrt(total)
+def slip_speed(row: Array, n: int) -> float:
+    """Return the speed of slip in a recorded row, m/s."""
+    slip = Row(row, n).slip_velocity
+    return math.sqrt(slip[0] * slip[0] + slip[1] * slip[1] + slip[2] * slip[2])

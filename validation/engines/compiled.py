@@ -68,7 +68,7 @@ class Compiled(ClosedLoop):
         loop = make_loop(n, stages=scheme.stages)
         state, constants, w = loop
         constants.h = constants.node = 1e-3
-        constants.frame[:] = contact_frame(normal)
+        w.frame[:] = contact_frame(normal)
         state.sampled, state.risen = 0, 1  # the torque is given
         state.nodes_per_step, state.semi_implicit = 1, 1
         state.mode = FREE

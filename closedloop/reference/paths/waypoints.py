@@ -21,6 +21,8 @@ Array = NDArray[np.float64]
 class Waypoints(Path):
     """Straight from point to point, in space: to approach the surface, press beyond it, retract from it."""
 
+    along_surface = False
+
     times: MotionInstants = Field(description="instants at which the tip is at the points, s, increasing")
     points: Points = Field(
         description="displacements of the tip from its start, m, base frame, one an instant; the first is [0, 0, 0]"

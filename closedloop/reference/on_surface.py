@@ -1,0 +1,75 @@
+"""A path laid onto a surface that is curved or moves.
+
+The path is drawn in the tangent plane at the origin of the surface, and each point is moved along the normal there onto
+the surface as it is at that instant; the velocity and the acceleration follow in closed form (`closedloop.surface`).
+So a line on a sphere is an arc of a great circle. A tip that starts off the surface keeps to the level of φ that it
+starts on.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from closedloop.reference.curves import Straight
+from closedloop.reference.timing import constant
+from closedloop.reference.tip_path import Segment, TipPath
+from closedloop.surface.placed import PlacedSurface
+
+Array = NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class SegmentOnSurface(Segment):
+    """A segment whose motion is laid onto a surface.
+
+    Attributes
+    ----------
+    surface : PlacedSurface
+        The surface.
+    level : float
+        The φ that the path keeps to.
+    """
+
+    surface: PlacedSurface
+    level: float
+
+    def sample(self, t: Array) -> tuple[Array, Array, Array]:
+        """Return r, ṙ and r̈ as `Segment.sample` does."""
+        return self.surface.follow(self.level, np.asarray(t, dtype=np.float64), super().sample(t))
+
+
+def on_surface(path: TipPath, surface: PlacedSurface, duration: float) -> TipPath:
+    """Return the path laid onto a surface; one that moves carries the tip along until `duration`, s, and before.
+
+    Raises
+    ------
+    ScenarioError
+        If the surface does not lie under the path.
+    """
+    level = surface.touching(path.origin).level
+    segments = list(path.segments)
+    if surface.moves:
+        segments = _without_gaps(path, duration)
+    laid = tuple(
+        SegmentOnSurface(each.start, each.stop, each.origin, each.curve, each.timing, each.length, surface, level)
+        for each in segments
+    )
+    return replace(path, segments=laid, begins=path.start)
+
+
+def _without_gaps(path: TipPath, duration: float) -> list[Segment]:
+    """Return the segments of a path with one of rest before the first and after the last, up to `duration`, s."""
+    still = Straight(np.zeros(3))
+    if not path.segments:
+        return [Segment(0.0, duration, path.origin, still, constant, 0.0)]
+    first, last = path.segments[0], path.segments[-1]
+    found = list(path.segments)
+    if first.start > 0.0:
+        found.insert(0, Segment(0.0, first.start, path.origin, still, constant, 0.0))
+    if duration > last.stop:
+        end = last.sample(np.array([last.stop]))[0][0]
+        found.append(Segment(last.stop, duration, end, still, constant, 0.0))
+    return found

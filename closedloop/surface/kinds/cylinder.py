@@ -1,0 +1,62 @@
+"""[surface] kind = "cylinder": a round bar, or the inside of a pipe."""
+
+from __future__ import annotations
+
+import math
+from typing import Annotated, Any
+
+import numpy as np
+from numpy.typing import NDArray
+from pydantic import Field
+
+from closedloop.errors import ScenarioError
+from closedloop.sections import Direction, Flag, Positive
+from closedloop.surface.plane import contact_frame, unit
+from closedloop.surface.surface import RADIUS, Placed
+
+Array = NDArray[np.float64]
+
+# Sine of the angle by which the axis may deviate from the tangent plane.
+OUT_OF_TANGENT = 1e-9
+
+
+class Cylinder(Placed):
+    """A round bar, or the inside of a pipe."""
+
+    radius: Annotated[Positive, RADIUS] = Field(0.3, description="radius, m")
+    axis: Direction = Field(
+        (1.0, 0.0, 0.0), description="along the cylinder, base frame; at right angles to the normal"
+    )
+    inside: Flag = Field(False, description="true: the tip is inside, in a pipe")
+
+    def resolved(self) -> dict[str, Array]:
+        """Return the axis in the surface's axes.
+
+        Raises
+        ------
+        ScenarioError
+            If it is not at right angles to the normal.
+        """
+        axis, n = unit(self.axis, "surface.axis"), unit(self.normal, "surface.normal")
+        if abs(out := float(axis @ n)) > OUT_OF_TANGENT:
+            nearest = axis - out * n
+            hint = (
+                f"; the nearest is {(nearest / np.linalg.norm(nearest)).round(9).tolist()}" if abs(out) < 0.999 else ""
+            )
+            raise ScenarioError(f"surface.axis = {list(self.axis)}: must be at right angles to surface.normal{hint}")
+        return {"axis": contact_frame(n)[[1, 2, 0]] @ axis}
+
+    @staticmethod
+    def level(p: Array, par: Any, gradient: Array, hessian: Array) -> float:
+        """Return the signed distance, s (ρ − R) with ρ the distance from the axis and s = −1 inside."""
+        s, a = 1.0 - 2.0 * par.inside, par.axis
+        x, y, z = p[0], p[1], p[2] + s * par.radius
+        along = x * a[0] + y * a[1] + z * a[2]
+        x, y, z = x - along * a[0], y - along * a[1], z - along * a[2]
+        size = math.sqrt(x * x + y * y + z * z)
+        gradient[0], gradient[1], gradient[2] = s * x / size, s * y / size, s * z / size
+        for i in range(3):
+            for j in range(3):
+                unity = 1.0 if i == j else 0.0
+                hessian[i, j] = s * (unity - gradient[i] * gradient[j] - a[i] * a[j]) / size
+        return float(s * (size - par.radius))

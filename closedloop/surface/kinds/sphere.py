@@ -1,0 +1,34 @@
+"""[surface] kind = "sphere": |p − c| = R, touched from outside or from inside (a bowl)."""
+
+from __future__ import annotations
+
+import math
+from typing import Annotated, Any
+
+import numpy as np
+from numpy.typing import NDArray
+from pydantic import Field
+
+from closedloop.sections import Flag, Positive
+from closedloop.surface.surface import RADIUS, Placed
+
+Array = NDArray[np.float64]
+
+
+class Sphere(Placed):
+    """A ball, or a bowl: the inside of a sphere."""
+
+    radius: Annotated[Positive, RADIUS] = Field(0.5, description="radius, m")
+    inside: Flag = Field(False, description="true: the tip is inside, on a bowl")
+
+    @staticmethod
+    def level(p: Array, par: Any, gradient: Array, hessian: Array) -> float:
+        """Return the signed distance, s (|p − c| − R) with s = −1 inside."""
+        s = 1.0 - 2.0 * par.inside
+        x, y, z = p[0], p[1], p[2] + s * par.radius
+        size = math.sqrt(x * x + y * y + z * z)
+        gradient[0], gradient[1], gradient[2] = s * x / size, s * y / size, s * z / size
+        for i in range(3):
+            for j in range(3):
+                hessian[i, j] = s * ((1.0 if i == j else 0.0) - gradient[i] * gradient[j]) / size
+        return float(s * (size - par.radius))

@@ -233,7 +233,7 @@ def _surface(scenario: Scenario, robot: Robot, q: Array, v: Array) -> tuple[Plac
     tip = terms.position
     surface = PlacedSurface.of(section, scenario.surface_motion, tip)
     now = surface.touching(tip, terms.jacobian @ v)
-    gap = section.gap if surface.below_start else now.gap
+    gap = section.gap if surface.below_start and isinstance(section, PlaneSurface) else now.gap
     rate = float(now.frame[0] @ terms.jacobian @ v - now.carried[0])
     given, at_most, place = _where_given(section, surface, tip)
     if section.contact == "bilateral":

@@ -146,6 +146,8 @@ def motion_entry(member: type[SurfaceMotion]) -> Entry:
 
 # Newton steps along the normal by which a point is put on a level of φ, and the distance at which it is on it, m.
 MOST_STEPS, ON_LEVEL = 50, 1e-14
+# A step that is no longer shrinking, and shorter than this, m, is the rounding of φ.
+ROUNDING = 1e-9
 ON_SURFACE, NOT_REACHED = 0, 1
 
 
@@ -177,7 +179,7 @@ def put_on_surface(
     pose, touch = Pose(ask.pose), Touch(ask.touch)
     for k in range(times.size):
         ask.time = times[k]
-        reached = False
+        reached, before = False, np.inf
         for i in range(3):
             ask.r[i] = r[k, i]
         for _ in range(MOST_STEPS):
@@ -193,9 +195,11 @@ def put_on_surface(
                 break
             for i in range(3):
                 ask.r[i] += step * along[i]
-            if abs(step) <= ON_LEVEL * (1.0 + abs(ask.r[0]) + abs(ask.r[1]) + abs(ask.r[2])):
+            size = abs(step)
+            if size <= ON_LEVEL * (1.0 + abs(ask.r[0]) + abs(ask.r[1]) + abs(ask.r[2])) or before <= size < ROUNDING:
                 reached = True
                 break
+            before = size
         if not reached:
             return k
         for what in range(2):  # the velocity first: what u̇ has beside N r̈ depends on it

@@ -17,7 +17,6 @@ from closedloop.report.measured import (
     write_values,
 )
 from closedloop.report.row_sample import JointLimits, Scale, energy_left, friction_power, joint_limits
-from closedloop.surface.plane import contact_frame
 
 RUNS = {
     "a slide": ("wam_slide", {"time.duration": 0.7, "law.sample_period": 0.004}),
@@ -34,14 +33,14 @@ RUNS = {
 
 def row_by_row(run):
     """The values by the kernels of a batch, interpreted, on rows taken from the run's columns."""
-    n, frame = run.model.n, contact_frame(np.array(run.scenario.surface.normal))
+    n = run.model.n
     tally, values = Tally(np.zeros(Tally.count(n)), n), Values(np.zeros(Values.count(n)), n)
     interpreted(begin_tally)(tally, n, run.scenario.time.step, np.max(np.abs(run.reference_force)))
     limits = JointLimits(joint_limits(run.model), n)
     for i in range(len(run)):
         row, wanted = columns_of(run, i), columns_of(run, i)
-        wanted.position, wanted.force = frame @ run.reference_tip[i], run.reference_force[i]
-        interpreted(count_row)(row, n, run.potential_energy[i], wanted, frame, limits, i, tally)
+        wanted.position, wanted.force = run.reference_tip[i], run.reference_force[i]
+        interpreted(count_row)(row, n, run.potential_energy[i], wanted, limits, i, tally)
         interpreted(count_condition)(row, tally)
     interpreted(write_values)(row, n, len(run), tally, values)
     return values

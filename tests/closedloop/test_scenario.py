@@ -233,7 +233,7 @@ REFUSED = {
     "unknown key with the name of the kind that it is": ({"reference.line": 1}, ["'reference.line'"]),
     # kinds
     "unknown reference": ({"reference.kind": "spiral"}, ["reference.kind", "'spiral'", "'line'", "'hold'"]),
-    "unknown surface": ({"surface.kind": "sphere"}, ["surface.kind", "'sphere'", "'plane'"]),
+    "unknown surface": ({"surface.kind": "saddle"}, ["surface.kind", "'saddle'", "'plane'"]),
     "unknown law": ({"law.kind": "pid"}, ["law.kind", "'pid'", "'paper'"]),
     "unknown integrator": ({"time.integrator": "rk5"}, ["time.integrator", "'rk5'", "'rk4'"]),
     "kind that is a list": ({"stabiliser.kind": ["none"]}, ["stabiliser.kind"]),

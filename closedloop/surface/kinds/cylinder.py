@@ -44,19 +44,19 @@ class Cylinder(Placed):
                 f"; the nearest is {(nearest / np.linalg.norm(nearest)).round(9).tolist()}" if abs(out) < 0.999 else ""
             )
             raise ScenarioError(f"surface.axis = {list(self.axis)}: must be at right angles to surface.normal{hint}")
-        return {"axis": contact_frame(n)[[1, 2, 0]] @ axis}
+        return {"axis": (contact_frame(n)[[1, 2, 0]] @ axis) * [1.0, 1.0, 0.0]}
 
     @staticmethod
     def level(p: Array, par: Any, gradient: Array, hessian: Array) -> float:
         """Return the signed distance, s (ρ − R) with ρ the distance from the axis and s = −1 inside."""
         s, a = 1.0 - 2.0 * par.inside, par.axis
-        x, y, z = p[0], p[1], p[2] + s * par.radius
-        along = x * a[0] + y * a[1] + z * a[2]
-        x, y, z = x - along * a[0], y - along * a[1], z - along * a[2]
+        along = p[0] * a[0] + p[1] * a[1]
+        x, y, z = p[0] - along * a[0], p[1] - along * a[1], p[2] + s * par.radius
+        over = x * x + y * y + p[2] * (p[2] + 2.0 * s * par.radius)  # ρ² − R², of a large R without cancellation
         size = math.sqrt(x * x + y * y + z * z)
         gradient[0], gradient[1], gradient[2] = s * x / size, s * y / size, s * z / size
         for i in range(3):
             for j in range(3):
                 unity = 1.0 if i == j else 0.0
                 hessian[i, j] = s * (unity - gradient[i] * gradient[j] - a[i] * a[j]) / size
-        return float(s * (size - par.radius))
+        return float(s * over / (size + par.radius))

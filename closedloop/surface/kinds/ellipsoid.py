@@ -31,4 +31,4 @@ class Ellipsoid(Placed):
         xx, yy, zz = par.c / par.a**2, par.c / par.b**2, 1.0 / par.c
         gradient[0], gradient[1], gradient[2] = xx * x, yy * y, zz * z
         hessian[0, 0], hessian[1, 1], hessian[2, 2] = xx, yy, zz
-        return float(0.5 * (xx * x * x + yy * y * y + zz * z * z - par.c))
+        return float(0.5 * (xx * x * x + yy * y * y + zz * p[2] * (p[2] + 2.0 * par.c)))

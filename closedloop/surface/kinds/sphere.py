@@ -26,9 +26,10 @@ class Sphere(Placed):
         """Return the signed distance, s (|p − c| − R) with s = −1 inside."""
         s = 1.0 - 2.0 * par.inside
         x, y, z = p[0], p[1], p[2] + s * par.radius
+        over = x * x + y * y + p[2] * (p[2] + 2.0 * s * par.radius)  # |p − c|² − R², of a large R without cancellation
         size = math.sqrt(x * x + y * y + z * z)
         gradient[0], gradient[1], gradient[2] = s * x / size, s * y / size, s * z / size
         for i in range(3):
             for j in range(3):
                 hessian[i, j] = s * ((1.0 if i == j else 0.0) - gradient[i] * gradient[j]) / size
-        return float(s * (size - par.radius))
+        return float(s * over / (size + par.radius))

@@ -49,7 +49,7 @@ from closedloop.scenario.scenario import Scenario
 from closedloop.step.advance import advance
 from closedloop.step.energy_supplied import add_stage_work, commit_work, save_power
 from closedloop.step.evaluate import bounded, nearest_row, paper_torque
-from closedloop.step.locate import locate_tip
+from closedloop.step.locate import locate_on_plane
 from closedloop.step.memory import Constants, IntArray, Reference, State, Work
 from closedloop.step.record_row import Row, record, record_conditions
 
@@ -244,7 +244,7 @@ def run_in_lanes(
             tree_terms(tree, w.q, w.v, scratch, H, C, w.J, w.r, w.drift)
             desired(t, spacing, tables, instants, columns, forces, w.reference)
             sampled = hold == 0 or (stage == 0 and row % hold == 0)
-            status = press(H, C, w, constants, state, t, sampled)
+            status = press(H, C, w, constants, t, sampled)
             if status != OK:
                 return status
             if unilateral and not (every(w.F[0] >= 0.0) and every(w.F[0] - w.stabiliser_force[0] >= 0.0)):
@@ -289,11 +289,9 @@ def desired(
 
 
 @kernel_inlined
-def press(H: Array, C: Array, w: Work, constants: Constants, state: State, t: float, sampled: bool) -> int:
+def press(H: Array, C: Array, w: Work, constants: Constants, t: float, sampled: bool) -> int:
     """Evaluate law, contact and Eq. 24 with the tip on a smooth surface; see `closedloop.step.evaluate.evaluate`."""
-    status = locate_tip(w, constants, state)
-    if status != OK:
-        return status
+    locate_on_plane(w, constants)
     status = factorise(H, w.A, w.L, w.X, w.S, constants.reach)
     if status != OK:
         return status

@@ -15,18 +15,25 @@ from closedloop.surface.geometry import Touch
 
 
 @kernel_inlined
+def locate_on_plane(w: Work, constants: Constants) -> None:
+    """Write the tip's motion in the contact frame of a plane at rest, and the gap and its rate."""
+    into_contact_frame(w.frame, w.J, w.r, w.drift, w.v, w.A, w.p, w.u, w.drift_c)
+    w.gap, w.rate = w.p[0] - constants.offset, w.u[0]
+
+
+@kernel_inlined
 def locate_tip(w: Work, constants: Constants, state: State) -> int:
     """Write the contact frame, the tip's motion in it, and the gap and its rate; return OK or NO_NORMAL."""
     if state.surface != 0 and not ask_surface(w, state):
         return NO_NORMAL
-    into_contact_frame(w.frame, w.J, w.r, w.drift, w.v, w.A, w.p, w.u, w.drift_c)
-    if state.surface == 0:
-        w.gap = w.p[0] - constants.offset
-    else:
+    gap = w.gap
+    locate_on_plane(w, constants)
+    if state.surface != 0:
+        w.gap = gap
         for i in range(3):
             w.u[i] -= w.carried[i]
             w.drift_c[i] += w.turning[i]
-    w.rate = w.u[0]
+        w.rate = w.u[0]
     return OK
 
 

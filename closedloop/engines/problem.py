@@ -13,7 +13,7 @@ from closedloop.closure.contact_force import FREE
 from closedloop.control.compensation.none import NoCompensation
 from closedloop.control.law import Compensation, ControlLaw
 from closedloop.control.sensor import PackedSensor, SensorSection, start_sensor
-from closedloop.errors import ScenarioError
+from closedloop.errors import LawError, ScenarioError
 from closedloop.events.phases import PROJECTION, STEP_END
 from closedloop.friction.contact import Contact
 from closedloop.friction.law import FrictionLaw
@@ -339,11 +339,14 @@ class Problem:
 
         Raises
         ------
-        ScenarioError
+        LawError
             If a user's law gives none.
         """
-        given = self.scenario.impact.restitution
-        loop.constants.restitution = coefficient_at(self._restitution(), given, -float(loop.w.before[0]))
+        given, t = self.scenario.impact.restitution, float(loop.w.time)
+        try:
+            loop.constants.restitution = coefficient_at(self._restitution(), given, -float(loop.w.before[0]))
+        except ScenarioError as error:
+            raise LawError(f"stopped at t = {t:.6g} s: {error}", t) from error.__cause__
 
     def _restitution(self) -> type[Restitution]:
         return RESTITUTIONS[self.scenario.impact.law]

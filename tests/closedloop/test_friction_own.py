@@ -334,9 +334,10 @@ def test_restitution_that_falls_with_speed(engine, mine):
 
 
 def test_restitution_beyond_one_is_refused():
-    """A coefficient that no impact has stops the run in one line that names the law."""
+    """A coefficient that no impact has stops the run in one line that names the law; the rows until then are kept."""
     scenario = cl.load_scenario("wam_bounce", {"impact.law": "my_friction:Generous"})
     with pytest.raises(
-        cl.ScenarioError, match=r"^impact.law = my_friction:Generous: its coefficient at .* is 1.5: must"
-    ):
+        cl.LawError, match=r"^stopped at t = .*: impact.law = my_friction:Generous: its coefficient at .* is 1.5: must"
+    ) as caught:
         cl.simulate(scenario)
+    assert caught.value.run.time[-1] == pytest.approx(caught.value.time, abs=scenario.time.step)

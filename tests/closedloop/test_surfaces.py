@@ -26,6 +26,8 @@ KINDS = {
     "pipe": {"radius": 0.5, "axis": (0.0, 1.0, 0.0), "inside": True},
     "ellipsoid": {"a": 0.5, "b": 0.3, "c": 0.25},
 }
+GRID = 0.01 * np.sin(np.add.outer(np.arange(9) * 0.9, np.arange(12) * 0.7))
+KINDS["height_field"] = {"heights": tuple(map(tuple, GRID)), "spacing": 0.05}
 MOVES = {
     "none": {},
     "breathing": {"direction": (0.2, -0.3, 1.0), "amplitude": 0.05, "frequency": 0.7},
@@ -74,7 +76,10 @@ def test_rates_are_the_derivatives(kind, motion, seed):
     now = on.touching(r, v, 0.4)
     slope = np.array([Chebyshev.fit(t, np.array(rows)[:, i], 19).deriv()(0.4) for i in range(3)])
     assert np.allclose(now.frame @ a + now.turning, slope, rtol=0, atol=1e-9)
-    if kind != "ellipsoid":  # of a φ that is no distance the rate is that of the distance to first order
+    if kind not in (
+        "ellipsoid",
+        "height_field",
+    ):  # of a φ that is no distance: to first order
         rate = Chebyshev.fit(t, gaps, 19).deriv()(0.4)
         assert now.frame[0] @ v - now.carried[0] == pytest.approx(rate, abs=1e-10)
 
@@ -87,8 +92,9 @@ def test_the_surface_is_below_the_tip(kind):
     on = surface(kind, normal=tuple(normal), gap=0.03, **more)
     foot = on.touching(TIP - 0.03 * normal)
     assert foot.gap == pytest.approx(0.0, abs=1e-15)
-    assert np.allclose(foot.frame, contact_frame(normal), rtol=0, atol=1e-14)
-    if kind != "ellipsoid":
+    if kind != "height_field":  # in its middle it may be inclined
+        assert np.allclose(foot.frame, contact_frame(normal), rtol=0, atol=1e-14)
+    if kind not in ("ellipsoid", "height_field"):
         assert on.touching(TIP).gap == pytest.approx(0.03, abs=1e-15)
 
 
@@ -191,7 +197,7 @@ def test_rows_solve_the_constraint(kind, motion, engine):
 
 
 def test_energy_is_accounted_for_with_an_order():
-    """Work of a surface that turns and breathes included: the energy that is missing falls with the fourth power of h."""
+    """Work of a surface that breathes included: the energy that is missing falls with the fourth power of h."""
     left = []
     for step in (0.002, 0.001):
         run = cl.simulate(cl.load_scenario("wam_slide", {
@@ -277,7 +283,30 @@ def test_line_on_a_sphere_is_a_great_circle():
     assert np.ptp(r[:, 1]) == pytest.approx(0.06, abs=1e-12)
 
 
+def test_a_height_field_goes_through_its_heights():
+    """At the points of the grid the surface is as high above its middle as the heights say; beyond it there is none."""
+    on = surface("height_field")
+    rows, columns = GRID.shape
+    middle = float(on.origin[2])
+    x, y = 0.05 * (np.arange(columns) - 0.5 * (columns - 1)), 0.05 * (np.arange(rows) - 0.5 * (rows - 1))
+    found = np.array([[_height(on, a, b) - middle for a in x[1:-1]] for b in y[1:-1]])
+    wanted = GRID[1:-1, 1:-1]
+    assert np.allclose(found - found[3, 4], wanted - wanted[3, 4], rtol=0, atol=1e-14)
+    with pytest.raises(cl.ScenarioError, match="has no normal at"):
+        on.touching(on.origin + np.array([0.3, 0.0, 0.0]))
+
+
+def _height(on, x, y):
+    """Return z of the surface at x and y from its origin, m."""
+    r = on.origin + np.array([x, y, 0.0])
+    return r[2] - on.touching(r).level
+
+
 REFUSED = {
+    "heights": (
+        {"surface.kind": "height_field", "surface.heights": [[0.0] * 4] * 3},
+        "must be at least 4 lists of at least 4 numbers, all of one length",
+    ),
     "cylinder's axis": ({"surface.kind": "cylinder", "surface.axis": [0, 1, 1]}, "right angles to surface.normal"),
     "no radius": ({"surface.kind": "sphere", "surface.radius": 0.0}, "surface.radius = 0.0: must be greater than 0"),
     "path too long": (
@@ -317,7 +346,7 @@ class Cliff(Surface):
 
 
 def test_a_surface_without_a_normal_ends_the_run():
-    """A tip that comes to where the gradient vanishes ends the run with a line that says so, and the rows until then."""
+    """A tip that comes to where the gradient vanishes ends the run with a line that says so; its rows are kept."""
     scenario = point_mass(surface__kind=Cliff, start__v=[0.1, 0.0, 0.0], time__duration=0.3)
     with pytest.raises(cl.NoNormalError, match=r"stopped at t = 0.1.* the surface has no normal at \[0.01") as caught:
         cl.simulate(scenario, law=no_torque)
@@ -356,7 +385,7 @@ class Paraboloid(Surface):
 
 @pytest.mark.parametrize("integrator", ["rk4", "dop853"])
 def test_contact_begins_on_a_ball_that_moves(integrator, tmp_path):
-    """Approach, impact, slide on a breathing ball, friction included: the integrators agree, and the file repeats it."""
+    """Approach, impact, slide on a breathing ball with friction: the integrators agree, and the file repeats it."""
     changes = {
         "surface.kind": "sphere", "surface.radius": 0.25, "surface.contact": "unilateral", "surface.gap": 0.01,
         "surface_motion.kind": "breathing", "surface_motion.amplitude": 0.004, "law.kind": "hybrid",

@@ -72,7 +72,7 @@ def collect() -> Words:
         if command.takes == "scenario":
             options[command.name] += [f"--{key}" for key in keys]
         own = [word for group in re.findall(r"(?m)^ +\{([\w,]+)\}", said) for word in group.split(",")]
-        arguments[command.name] = own or known.get(command.takes, [])
+        arguments[command.name] = list(dict.fromkeys(own)) or known.get(command.takes, [])
         values |= {option: group.split(",") for option, group in re.findall(r"(--[a-z-]+) \{([\w,]+)\}", said)}
     return Words(options, arguments, values)
 

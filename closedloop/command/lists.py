@@ -42,8 +42,6 @@ def _scenarios(words: list[str]) -> int:
 
 
 def _version(words: list[str]) -> int:
-    Parser(
-        prog="closedloop version", description="Print the versions that a run depends on."
-    ).parse_args(words)
+    Parser(prog="closedloop version", description="Print the versions that a run depends on.").parse_args(words)
     print(versions().replace(", ", "\n"))
     return DONE

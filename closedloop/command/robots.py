@@ -49,15 +49,11 @@ def names() -> tuple[str, ...]:
 def _print_all(console: Console) -> None:
     """Print a line for each robot, and why some cannot be used."""
     import robot_models
-    from rich import box
-    from rich.table import Table
     from robot_models import ModelError
 
-    table = Table(box=box.SIMPLE_HEAD, pad_edge=False)
-    table.add_column("robot", no_wrap=True)
-    table.add_column("joints", justify="right")
-    table.add_column("tip if none is named", no_wrap=True, overflow="ellipsis", max_width=28)
-    table.add_column("their names", no_wrap=True, overflow="ellipsis", ratio=1)
+    width, tip = max(map(len, names())), 22
+    rest = max(console.width - width - tip - 12, 12)
+    print(f"{'robot':{width}}  joints  {'tip':{tip}}  names of the joints")
     refused: list[str] = []
     for name in names():
         try:
@@ -65,14 +61,18 @@ def _print_all(console: Console) -> None:
         except ModelError as error:
             refused.append(str(error) if name in str(error) else f"{name}: {error}")
         else:
-            table.add_row(name, str(model.n), model.tip or "none", ", ".join(model.joint_names))
-    console.print(table)
+            joints = _cut(", ".join(model.joint_names), rest)
+            print(f"{name:{width}}  {model.n:6}  {_cut(model.tip or 'none', tip):{tip}}  {joints}")
     console.print(
-        "closedloop robots NAME shows the joints, their limits and the frames that can be a tip.\n"
-        "A URDF or MJCF file is named by its path.\n\nnot to be used as they are:"
+        "\nThe tip is that of a scenario which names none. `closedloop robots NAME` shows all joints, their limits and "
+        "the frames that can be a tip; a URDF or MJCF file is named by its path.\n\nnot to be used as they are:"
     )
     for text in refused:
         console.print(f"  {text}", markup=False, soft_wrap=True)
+
+
+def _cut(text: str, width: int) -> str:
+    return text if len(text) <= width else f"{text[: width - 3]}..."
 
 
 def _print_one(model: RobotModel, console: Console) -> None:

@@ -13,10 +13,10 @@ from annotated_types import Ge, Gt, Le
 from pydantic.fields import FieldInfo
 
 from closedloop.errors import ScenarioError
-from closedloop.families import OneOf, users_named
+from closedloop.families import OneOf
 from closedloop.scenario.messages import OWN, usual_kind, variants
 from closedloop.scenario.scenario import Scenario, families
-from closedloop.sections import Section, field_units, sizes
+from closedloop.sections import field_units, sizes
 from robot_models.errors import shown
 
 WIDTH = 80
@@ -152,7 +152,9 @@ def _kinds(section: str) -> list[str]:
     for kind, variant in variants(section).items():
         told = (variant.__doc__ or "").strip().partition("\n")[0]
         told = re.sub(r'^\[.*?\](?: kind = ".*?")?(?:, .*?)?: ', "", told).rstrip(".")
-        lines += _wrapped(f'  kind = "{kind}"  ', told + ("; so where no kind is given" if kind == usual else ""), hang=8)
+        lines += _wrapped(
+            f'  kind = "{kind}"  ', told + ("; so where no kind is given" if kind == usual else ""), hang=8
+        )
     if f"{section}.kind" in families():
         lines.append(f"  or {OWN}, on the command line")
     return lines
@@ -187,15 +189,14 @@ def _default(field: FieldInfo) -> str:
 
 def _bounds(field: FieldInfo) -> Iterator[str]:
     """Return the bounds of a key's numbers, in words."""
-    annotation = Annotated[field.annotation, *field.metadata, None]
     for part in field.metadata:
         if isinstance(part, Gt):
-            yield f"greater than {part.gt:g}"  # type: ignore[str-format]
+            yield f"greater than {part.gt:g}"
         elif isinstance(part, Ge):
-            yield f"at least {part.ge:g}"  # type: ignore[str-format]
+            yield f"at least {part.ge:g}"
         elif isinstance(part, Le):
-            yield f"at most {part.le:g}"  # type: ignore[str-format]
-    for size in sizes(annotation):
+            yield f"at most {part.le:g}"
+    for size in sizes(Annotated[field.annotation, *field.metadata, None]):
         yield f"magnitude {size}: {size.why}" + (f"; {size.tiny}" if size.least else "")
 
 

@@ -294,7 +294,8 @@ def parse_scenario(
 ) -> Scenario:  # fmt: skip
     """Read a scenario from TOML text; `where` names its origin in messages. See `load_scenario`.
 
-    A robot's file is looked up from `folder`, that of the scenario's own file, if it has one. With `keep_absent` a user's class not named in this process is kept as it is, for inspection and not to be run: see
+    A robot's file is looked up from `folder`, that of the scenario's own file, if it has one. With `keep_absent` a
+    user's class not named in this process is kept as it is, for inspection and not to be run: see
     `closedloop.families.Absent`.
     """
     try:

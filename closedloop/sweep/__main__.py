@@ -8,7 +8,6 @@ SIGTERM: the same command goes on from there, as after a cluster was lost.
 
 from __future__ import annotations
 
-import argparse
 import os
 import signal
 import sys

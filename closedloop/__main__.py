@@ -1,16 +1,15 @@
 """The console script, and ``python -m closedloop``: one command, ``closedloop run wam_slide``, of those in its table.
 
-A scenario may stand without `run`: ``closedloop wam_slide``. The module of a command is imported here, by its name in
-the table, when the command is asked for; nothing else is imported before, so that each starts as fast as it does alone.
+A scenario may stand without `run`: ``closedloop wam_slide``. The module of a command is imported by its name in the
+table when the command is asked for, and no other one: each command starts as fast as it does alone.
 """
 
 from __future__ import annotations
 
 import sys
-from collections.abc import Callable, Sequence
-from importlib import import_module
+from collections.abc import Sequence
 
-from closedloop.command.table import COMMANDS, Command, find, overview
+from closedloop.command.table import COMMANDS, Command, find, imported, overview
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
@@ -31,10 +30,10 @@ def main(arguments: Sequence[str] | None = None) -> int:
 
 
 def _start(command: Command, words: list[str]) -> int:
-    """Import the command's module and run it."""
-    module, _, function = command.main.partition(":")
+    """Import the command's module and run it; one that is not installed is refused."""
+    module = command.main.partition(":")[0]
     try:
-        run: Callable[[list[str]], int] = getattr(import_module(module), function)
+        run = imported(command)
     except ModuleNotFoundError as error:
         if not f"{module}.".startswith(f"{error.name}."):
             raise

@@ -10,11 +10,10 @@ import io
 import re
 from collections.abc import Iterable, Mapping, Sequence
 from contextlib import redirect_stderr, redirect_stdout
-from importlib import import_module
 from typing import NamedTuple
 
 from closedloop.command.border import DONE, Parser, run_command
-from closedloop.command.table import COMMANDS, Command
+from closedloop.command.table import COMMANDS, Command, imported
 
 
 class Words(NamedTuple):
@@ -79,10 +78,9 @@ def collect() -> Words:
 
 def _help_of(command: Command) -> str:
     """Return what a command says of itself, nothing if it is not installed."""
-    module, _, function = command.main.partition(":")
     said = io.StringIO()
     try:
-        run = getattr(import_module(module), function)
+        run = imported(command)
     except ImportError:
         return ""
     with redirect_stdout(said), redirect_stderr(io.StringIO()):

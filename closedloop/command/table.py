@@ -7,6 +7,8 @@ as ``python -m validation.run`` does.
 
 from __future__ import annotations
 
+from collections.abc import Callable
+from importlib import import_module
 from typing import NamedTuple
 
 
@@ -43,6 +45,13 @@ COMMANDS = (
     Command("completion", "print the completion script of a shell", "closedloop.command.completion:main"),
     Command("version", "print the versions that a run depends on", "closedloop.command.lists:version"),
 )
+
+
+def imported(command: Command) -> Callable[[list[str]], int]:
+    """Import the module of a command and return its function."""
+    module, _, function = command.main.partition(":")
+    found: Callable[[list[str]], int] = getattr(import_module(module), function)
+    return found
 
 
 def find(name: str) -> Command | None:

@@ -1,6 +1,7 @@
 """The errors of the package.
 
-Every message says what was wrong, where, and what would be right, on one line.
+Every message says what was wrong, where, and what would be right, on one line; only a
+`ScenarioError` may have several, one for each fault.
 The command line turns `ScenarioError` and `ModelError` into exit status 2 and
 `SimulationError` into exit status 3.
 """
@@ -25,6 +26,8 @@ __all__ = [
     "ScenarioError",
     "SimulationError",
     "SingularClosureError",
+    "faults_on_one_line",
+    "lines_of",
     "one_line",
 ]
 
@@ -44,7 +47,37 @@ def one_line(message: str) -> str:
 
 
 class ScenarioError(ClosedLoopError, ValueError):
-    """The scenario is at fault: an unknown key, a wrong type, a value out of range."""
+    """The scenario is at fault: an unknown key, a wrong type, a value out of range.
+
+    Its text has a line for each fault. Where there is room for one line only, `faults_on_one_line` makes it.
+
+    Parameters
+    ----------
+    *faults : str
+        What is wrong, where, and what would be right, one argument for each fault.
+    """
+
+    def __init__(self, *faults: str) -> None:
+        super().__init__(*faults)
+
+    @property
+    def faults(self) -> tuple[str, ...]:
+        """What is wrong, one text for each fault."""
+        return self.args
+
+    def __str__(self) -> str:
+        return "\n".join(self.faults)
+
+
+def lines_of(error: BaseException) -> tuple[str, ...]:
+    """Return what an error says, a text for each fault; none if it says nothing."""
+    said = error.faults if isinstance(error, ScenarioError) else (str(error),)
+    return tuple(text for text in said if text)
+
+
+def faults_on_one_line(error: BaseException) -> str:
+    """Return what an error says without line breaks, for a cell of a table."""
+    return "; ".join(map(one_line, lines_of(error)))
 
 
 class RunFileError(ClosedLoopError, ValueError):

@@ -120,6 +120,13 @@ def pack(section: Section, n: int, where: str, joint_names: Sequence[str] = ()) 
     return block.memory
 
 
+def lists_per_joint(section: Section) -> dict[str, tuple[float, ...]]:
+    """Return the keys of a section that it gives as a list with one number for each joint, and the lists."""
+    shapes = parameter_block(type(section)).layout.shape
+    given = {name: getattr(section, name) for name, shape in shapes.items() if _is_per_joint(shape)}
+    return {name: value for name, value in given.items() if isinstance(value, tuple)}
+
+
 def pack_each_joint(section: Section, n: int, where: str) -> Array:
     """Return the numbers of a section for n joints, a row for each, (n, ...), as its `one_joint_block` has them.
 

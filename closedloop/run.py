@@ -1,4 +1,4 @@
-"""The command line: ``python -m closedloop.run wam_slide``.
+"""Simulate one scenario: ``closedloop run wam_slide``, or ``python -m closedloop.run wam_slide``.
 
 Exit status: 0 done; 2 the input is at fault (one line on standard error); 3 the simulation could not go on (what ran
 until then is saved, and the line says when and why); 4 the run ended, but its verdict is bad, with --strict; 130
@@ -7,7 +7,6 @@ interrupted by Ctrl-C, 143 by SIGTERM (what ran is saved).
 
 from __future__ import annotations
 
-import argparse
 import importlib
 import json
 import os
@@ -19,11 +18,13 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from closedloop.command.border import DONE, NOT_GOOD, Parser, run_command
+from closedloop.command.help import list_of_sections, scenario_parser
+from closedloop.command.lists import list_of_scenarios, versions
 from closedloop.errors import InterruptedRunError, ScenarioError, SimulationError, one_line
 from closedloop.interrupts import Terminated, word_for
 from closedloop.scenario.members import member_digests
 from closedloop.scenario.overrides import split_overrides
-from closedloop.scenario.scenario import Scenario, load_scenario, parse_scenario, shipped_scenarios
+from closedloop.scenario.scenario import Scenario, load_scenario, parse_scenario
 
 if TYPE_CHECKING:
     from closedloop.record.run import Run
@@ -42,12 +43,10 @@ def _main(arguments: list[str]) -> int:
         name_members(overrides.items())
     options = _parser().parse_args(rest)
     if options.version:
-        from closedloop.record.versions import package_versions
-
-        print(", ".join(f"{name} {version}" for name, version in package_versions().items()))
+        print(versions())
         return DONE
     if options.list:
-        _list()
+        print(list_of_scenarios())
         return DONE
     if options.scenario is None:
         raise ScenarioError(
@@ -119,50 +118,27 @@ def _draw(run: Run, folder: Path, failure: SimulationError | None, law: Any, mod
 
 
 def _parser() -> Parser:
-    from closedloop.scenario.messages import describe_keys
-
-    keys = "\n".join(f"  --{key} VALUE\n        {what}" for key, what in describe_keys())
-    parser = Parser(
-        prog="closedloop",
+    parser = scenario_parser(
+        "closedloop run",
+        "SCENARIO",
         description="Simulate a robot arm whose tip is in contact with a surface.",
-        epilog="Any key of the scenario can be set, with a value as in TOML (lists in quotes):\n" + keys
-        + "\n\nexit status: 0 done; 2 the input is at fault; 3 the simulation could not go on (what ran is saved);\n"
-        "4 the run ended and is saved, but its verdict is bad, with --strict; 130 interrupted by Ctrl-C, 143 by\n"
-        "SIGTERM (what ran is saved)",
-        formatter_class=argparse.RawDescriptionHelpFormatter,
+        epilog=list_of_sections()
+        + "\n\nexit status: 0 done; 2 the input is at fault; 3 the simulation could not go on;\n"
+        "4 a bad verdict, with --strict; 130 Ctrl-C, 143 SIGTERM. What ran is saved.",
         cure="a key of the scenario is set as --law.force 15; see --help",
     )  # fmt: skip
-    parser.add_argument(
-        "scenario",
-        nargs="?",
-        help="a shipped name (--list), a .toml file, or a run.nc to be repeated from itself alone",
-    )
-    parser.add_argument("--version", action="store_true", help="print the versions that a run depends on and stop")
-    parser.add_argument("--list", action="store_true", help="list the shipped scenarios and stop")
-    parser.add_argument("--out", metavar="DIR", help="where results go (default: out/SCENARIO)")
-    parser.add_argument("--overwrite", action="store_true", help="replace results of another run in that folder")
-    parser.add_argument("--no-figures", action="store_true", help="write run.nc and summary.json only")
-    parser.add_argument("--json", action="store_true", help="print the summary as JSON instead of tables")
-    parser.add_argument("--strict", action="store_true", help="exit with status 4 if the run's verdict is bad")
-    parser.add_argument(
-        "--engine",
-        choices=("pinocchio", "compiled"),
-        help="who computes H, C, r, J and its drift: Pinocchio (default), or the package's own compiled terms; "
-        "a run.nc is repeated with the engine that made it",
-    )
-    parser.add_argument(
-        "--law",
-        metavar="MODULE:FUNCTION",
-        help="use this function, law(x) or law(t, q, v, terms), as the control law",
-    )
+    add = parser.add_argument
+    add("scenario", nargs="?", metavar="SCENARIO", help="a shipped name, a .toml file, or a run.nc to repeat")
+    add("--version", action="store_true", help="print the versions that a run depends on")
+    add("--list", action="store_true", help="list the shipped scenarios")
+    add("--out", metavar="DIR", help="where results go (default: out/SCENARIO)")
+    add("--overwrite", action="store_true", help="replace results of another run in that folder")
+    add("--no-figures", action="store_true", help="write run.nc and summary.json only")
+    add("--json", action="store_true", help="print the summary as JSON instead of tables")
+    add("--strict", action="store_true", help="exit with status 4 if the run's verdict is bad")
+    add("--engine", choices=("pinocchio", "compiled"), help="whose H, C, r, J (default pinocchio)")
+    add("--law", metavar="MODULE:NAME", help="law(x) or law(t, q, v, terms) of your own as the law")
     return parser
-
-
-def _list() -> None:
-    names = shipped_scenarios()
-    width = max(map(len, names))
-    for name in names:
-        print(f"{name:{width}}  {load_scenario(name).description}")
 
 
 def _open(name: str, overrides: dict[str, Any]) -> tuple[Scenario, Any, Run | None]:

@@ -199,3 +199,13 @@ class Section(BaseModel):
     """Common settings of all sections: nothing unknown, nothing infinite, nothing changed afterwards."""
 
     model_config = ConfigDict(extra="forbid", frozen=True, allow_inf_nan=False)
+
+
+def usual(section: type[Section]) -> BeforeValidator:
+    """Return the annotation of a key that is one of several sections: without a `kind` it is this one."""
+    kind = section.model_fields["kind"].default
+
+    def fill(value: Any) -> Any:
+        return {"kind": kind} | value if isinstance(value, dict) else value
+
+    return BeforeValidator(fill)

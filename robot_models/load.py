@@ -66,7 +66,7 @@ def load(name: "str | PathLike[str]", *, drive_inertia: bool = True, lock: Lock 
         cure. A file may have 16 MB and 100 000 elements, a robot 2000 links and 128 joints that move
         (`robot_models.mechanism`); what is beyond is refused before it is built.
     """
-    if isinstance(name, str) and not lock and not _is_file(name):
+    if isinstance(name, str) and not lock and not names_a_file(name):
         return _load_packaged(name, bool(drive_inertia))
     return _load(name, drive_inertia, lock)
 
@@ -146,7 +146,7 @@ def from_text(
 def _find(name: "str | PathLike[str]") -> _Description:
     if name in shipped.shipped_names():
         return _from_file(str(name), shipped.path_of(str(name)), "robot_models")
-    if _is_file(name):
+    if names_a_file(name):
         path = Path(name)
         return _from_file(path.stem, path, "")
     assert isinstance(name, str)
@@ -164,7 +164,7 @@ def _find(name: "str | PathLike[str]") -> _Description:
     return _Description(name, text, "urdf", name, sidecar)
 
 
-def _is_file(name: "str | PathLike[str]") -> bool:
+def names_a_file(name: "str | PathLike[str]") -> bool:
     """Whether this is the path of a file, not the name of a robot that comes with a package."""
     path = Path(name)
     return not isinstance(name, str) or path.suffix.lower() in _SUFFIXES or len(path.parts) > 1

@@ -1,8 +1,11 @@
 """The layers of `closedloop`: each package imports only those before it in the list, lazily and for types as well."""
 
 import ast
+import re
 from functools import cache
 from pathlib import Path
+
+from closedloop.command.table import COMMANDS
 
 ROOT = Path(__file__).resolve().parent.parent
 LAYERS = (
@@ -129,6 +132,24 @@ def test_only_jit_imports_the_inside_of_numba():
         if name_imported.startswith(inside)
     }  # fmt: skip
     assert {layer(name) for name in knowing} == {"jit"}
+
+
+def test_validation_is_named_by_the_table_of_commands_alone():
+    """`closedloop validate` starts the harness by its name; no other text of the package names a module of it."""
+    naming = {
+        (name, node.value)
+        for name, file in modules("closedloop").items()
+        for node in ast.walk(ast.parse(file.read_text(encoding="utf-8")))
+        if isinstance(node, ast.Constant) and isinstance(node.value, str)
+        and re.fullmatch(r"validation[.:][\w.:]+", node.value)
+    }  # fmt: skip
+    assert naming == {("closedloop.command.table", "validation.run:main")}
+
+
+def test_commands_are_of_this_project():
+    """The table names modules of the project, which exist: nothing of a user's is imported by it."""
+    known = modules("closedloop") | modules("validation")
+    assert {command.main.partition(":")[0] for command in COMMANDS} <= set(known)
 
 
 def test_packages_know_each_other_one_way():

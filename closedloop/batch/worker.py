@@ -24,7 +24,7 @@ from closedloop.engines.compiled import compiled_tree, compiled_work
 from closedloop.engines.lanes import FEWEST, Kind, LaneRuns, kind_of, uses_lanes
 from closedloop.engines.loops import COMPILED
 from closedloop.engines.problem import Problem
-from closedloop.errors import ClosedLoopError, SingularClosureError, one_line
+from closedloop.errors import ClosedLoopError, SingularClosureError, faults_on_one_line, one_line
 from closedloop.jit.background import make_ready
 from closedloop.jit.simd8 import WIDE
 from closedloop.report.measured import FAILED_AT, WIDTH, Tally, Values, measure_rows
@@ -246,7 +246,7 @@ def failed(error: Exception) -> Outcome:
     ``closedloop.batch.worker``. `simulate` with the row's values raises it.
     """
     if isinstance(error, ClosedLoopError):
-        return Outcome(REFUSED, str(error), 0, np.full(WIDTH, math.nan))
+        return Outcome(REFUSED, faults_on_one_line(error), 0, np.full(WIDTH, math.nan))
     logging.getLogger(__name__).debug("a run failed", exc_info=error)
     frames = traceback.extract_tb(error.__traceback__)[: -FRAMES - 1 : -1]
     where = ", called from ".join(f"{Path(frame.filename).name}:{frame.lineno} in {frame.name}" for frame in frames)

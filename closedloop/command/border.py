@@ -1,4 +1,4 @@
-"""The outer part of all commands: arguments, exit status, and one line for any error.
+"""The outer part of all commands: arguments, exit status, and one line for any error, or for each fault of a scenario.
 
 Exit status: 0 done; 2 the input is at fault, or the environment (a file, the output, memory); 3 the work could not be
 finished; 4 it ended, but its verdict is bad, with --strict; 130 interrupted by Ctrl-C, 143 by SIGTERM.
@@ -18,7 +18,7 @@ from contextlib import contextmanager, suppress
 from typing import NoReturn
 
 from closedloop.command.streams import patient_output
-from closedloop.errors import ClosedLoopError, ClusterError, ScenarioError, SimulationError, one_line
+from closedloop.errors import ClosedLoopError, ClusterError, ScenarioError, SimulationError, lines_of, one_line
 from closedloop.interrupts import exit_status, terminable, word_for
 
 DONE, BAD_INPUT, STOPPED, NOT_GOOD = 0, 2, 3, 4
@@ -75,37 +75,38 @@ def run_command(
     """
     words = sys.argv[1:] if arguments is None else list(arguments)
     with patient_output() as output, _quiet_libraries(), _notices():
-        status, said = _run(main, words, stopped, interrupted)
+        status, lines = _run(main, words, stopped, interrupted)
         sys.stdout.flush()
         failure = next((raw.failure for raw in output), None)
         # A reader who has gone has seen what he wanted; on Windows that is EINVAL.
         if failure is not None and not (isinstance(failure, BrokenPipeError) or failure.errno == errno.EINVAL):
-            said = said or f"standard output: cannot be written: {failure.strerror}"
+            lines = lines or (f"standard output: cannot be written: {failure.strerror}",)
             status = status or BAD_INPUT
-        if said:
+        for said in lines:
             print(f"{name}: {one_line(said)}", file=sys.stderr)
     return status
 
 
 def _run(
     main: Callable[[list[str]], int], words: list[str], stopped: tuple[type[ClosedLoopError], ...], interrupted: str
-) -> tuple[int, str]:
+) -> tuple[int, tuple[str, ...]]:
+    """Return the exit status, and what to say on standard error, a line for each fault of the input."""
     try:
         with terminable():
-            return main(words), ""
+            return main(words), ()
     except Left:
-        return DONE, ""
+        return DONE, ()
     except KeyboardInterrupt as stop:  # an interrupted run is a ClosedLoopError too
-        return exit_status(stop), str(stop) or interrupted or word_for(stop)
+        return exit_status(stop), (str(stop) or interrupted or word_for(stop),)
     except ClosedLoopError as error:
-        return STOPPED if isinstance(error, stopped) else BAD_INPUT, str(error)
+        return STOPPED if isinstance(error, stopped) else BAD_INPUT, lines_of(error)
     except MemoryError:
-        return BAD_INPUT, "out of memory: ask for fewer steps, runs or columns"
+        return BAD_INPUT, ("out of memory: ask for fewer steps, runs or columns",)
     except OSError as error:  # a file or a folder that the package or a library of it needs
         where = "" if error.filename is None else f"{os.fspath(error.filename)!r}: "
-        return BAD_INPUT, f"{where}{error.strerror or error}"
+        return BAD_INPUT, (f"{where}{error.strerror or error}",)
     except SystemExit as leaving:  # our own parsers raise Left
-        return BAD_INPUT, f"something that was run, such as a law, called sys.exit({leaving.code!r})"
+        return BAD_INPUT, (f"something that was run, such as a law, called sys.exit({leaving.code!r})",)
 
 
 class _Notices(logging.Handler):

@@ -1,4 +1,4 @@
-"""Compile everything that ships, at once: ``python -m closedloop compile``, for images and clusters.
+"""Compile everything that ships, at once: ``closedloop compile``, for images and clusters.
 
 Each entry kernel of the package is compiled by a short run that calls it, so for the same types as in use. The process
 in the background (`closedloop.jit.background`) calls `compile_these` for a few of them.
@@ -9,11 +9,11 @@ from __future__ import annotations
 import argparse
 import logging
 import time as clock
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Iterable, Sequence
 from functools import partial
 from typing import TYPE_CHECKING, Any, NamedTuple
 
-from closedloop.command.border import DONE, Parser
+from closedloop.command.border import DONE, Parser, run_command
 from closedloop.errors import ScenarioError
 
 if TYPE_CHECKING:
@@ -92,6 +92,11 @@ def compile_these(names: Iterable[str]) -> None:
             piece.compile()
 
 
+def main(arguments: Sequence[str] | None = None) -> int:
+    """Run the command line and return the exit status."""
+    return run_command("closedloop", compile_command, arguments)
+
+
 def compile_command(arguments: list[str]) -> int:
     """Compile everything, with a line for each piece, and return the exit status."""
     from closedloop.jit.background import notices
@@ -100,8 +105,8 @@ def compile_command(arguments: list[str]) -> int:
 
     Parser(
         prog="closedloop compile",
-        description="Compile everything that ships, so that no later run has to, and say where it is kept.",
-        epilog="exit status: 0 done; 2 nothing can be kept, or NUMBA_DISABLE_JIT is set; 130 interrupted",
+        description="Compile everything that ships, so that no later run has to, and say where it\nis kept.",
+        epilog="exit status: 0 done; 2 nothing can be kept, or NUMBA_DISABLE_JIT is set;\n130 interrupted",
         formatter_class=argparse.RawDescriptionHelpFormatter,
     ).parse_args(arguments)
     if jit_disabled():

@@ -220,4 +220,4 @@ class JointFriction(FrictionLaw):
     """[joint_friction]: in the joints, in N m; a parameter may be one number for all joints, or one per joint."""
 
 
-SURFACE_LAWS, JOINT_LAWS = Family(SurfaceFriction), Family(JointFriction)
+SURFACE_LAWS, JOINT_LAWS = Family(SurfaceFriction, usual="none"), Family(JointFriction, usual="none")

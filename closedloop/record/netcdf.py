@@ -19,7 +19,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 import robot_models
-from closedloop.errors import ClosedLoopError, RunFileError
+from closedloop.errors import ClosedLoopError, RunFileError, faults_on_one_line
 from closedloop.files import reason_of, write_whole
 from closedloop.record.netcdf_image import Variable, netcdf_image
 from closedloop.record.run import COLUMNS, Run
@@ -151,7 +151,7 @@ def load_run(path: str | Path) -> Run:
     except KeyError as error:
         raise RunFileError(f"{path}: is not a run file, or is damaged: {error} is missing") from None
     except ClosedLoopError as error:
-        raise RunFileError(f"{path}: {error}") from None
+        raise RunFileError(f"{path}: {faults_on_one_line(error)}") from None
     except RecursionError:
         raise RunFileError(f"{path}: is damaged: an attribute is nested too deep") from None
     except (OSError, ValueError, TypeError, AttributeError, ArithmeticError, LookupError, RuntimeError) as error:

@@ -10,7 +10,7 @@ from pydantic import Field
 
 from closedloop.errors import ScenarioError
 from closedloop.reference.lists import Forces, Instants
-from closedloop.sections import FORCE, Instant, Number, Positive, Section, Size
+from closedloop.sections import FORCE, Instant, Number, Positive, Section, Size, usual
 
 Array = NDArray[np.float64]
 
@@ -52,7 +52,9 @@ class WaypointForceSection(Section):
 
 
 ForceProfile = Annotated[
-    ConstantForceSection | StepForceSection | SineForceSection | WaypointForceSection, Field(discriminator="kind")
+    ConstantForceSection | StepForceSection | SineForceSection | WaypointForceSection,
+    Field(discriminator="kind"),
+    usual(ConstantForceSection),
 ]
 
 

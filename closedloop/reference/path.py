@@ -44,7 +44,7 @@ class Path(Parameters):
         """
 
 
-PATHS = Family(Path)  # type: ignore[type-abstract]  # it makes no instance of the base
+PATHS = Family(Path, usual="hold")  # type: ignore[type-abstract]  # it makes no instance of the base
 
 
 @np.errstate(all="ignore")  # what overflows is refused by name when it is followed

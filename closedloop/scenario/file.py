@@ -1,14 +1,17 @@
-"""The text of a scenario: of a shipped one by its name, or of a file, whose type and size are checked first."""
+"""The text of a scenario, of a shipped one by its name or of a file, and the robot's file that it names."""
 
 from __future__ import annotations
 
 import difflib
+import os
 import stat
 from importlib import resources
 from pathlib import Path
+from typing import Any
 
 from closedloop.errors import ScenarioError
 from robot_models.errors import shown
+from robot_models.load import names_a_file
 
 # A scenario is a few kilobytes, one with ten thousand waypoints less than a megabyte. Larger ones take the parser long.
 MOST_BYTES = 4_000_000
@@ -20,8 +23,8 @@ def shipped_scenarios() -> list[str]:
     return sorted(f.name.removesuffix(".toml") for f in folder.iterdir() if f.name.endswith(".toml"))
 
 
-def scenario_text(name: str | Path) -> tuple[str, str, str]:
-    """Return (TOML text, stem, how to call it in messages) of a shipped scenario or of a file.
+def scenario_text(name: str | Path) -> tuple[str, str, str, Path | None]:
+    """Return (TOML text, stem, how to call it in messages, its folder) of a file, or of a shipped scenario: no folder.
 
     Raises
     ------
@@ -30,14 +33,45 @@ def scenario_text(name: str | Path) -> tuple[str, str, str]:
     """
     as_path = Path(name)
     if as_path.suffix == ".toml" or isinstance(name, Path):
-        return _read(as_path), as_path.stem, str(as_path)
+        return _read(as_path), as_path.stem, str(as_path), as_path.parent
     shipped = shipped_scenarios()
     if name not in shipped:
         near = difflib.get_close_matches(str(name)[:100], shipped, n=1, cutoff=0.4)
         hint = f"did you mean '{near[0]}'?" if near else f"shipped are {', '.join(shipped)}"
         raise ScenarioError(f"no scenario named {shown(str(name))}; {hint} (a file of your own must end in .toml)")
     file = resources.files("closedloop") / "scenarios" / f"{name}.toml"
-    return file.read_text(encoding="utf-8"), str(name), str(name)
+    return file.read_text(encoding="utf-8"), str(name), str(name), None
+
+
+def robot_file(model: Any, folder: Path, where: str) -> Any:
+    """Return the absolute path of a robot's file that a scenario in `folder` names, and any other value as it is.
+
+    Raises
+    ------
+    ScenarioError
+        If it is not there, but would be if it were looked up from the current folder.
+    """
+    if not isinstance(model, str) or not names_a_file(model):
+        return model
+    there = absolute(folder / model)
+    if not os.path.exists(there) and os.path.exists(model):
+        try:
+            right = os.path.relpath(model, folder)
+        except (OSError, ValueError):  # no current folder, or another drive
+            right = absolute(model)
+        raise ScenarioError(
+            f"{where}: robot.model = {model!r}: is looked up from the folder of the scenario, and is not there but in "
+            f"the current folder: write {Path(right).as_posix()!r}, or give --robot.model {model}"
+        )
+    return there
+
+
+def absolute(path: str | Path) -> str:
+    """Return the path from the root, so that it names the same file whoever reads it; as it is, if that is unknown."""
+    try:
+        return os.path.abspath(path)
+    except OSError:  # the current folder was deleted
+        return str(path)
 
 
 def _read(path: Path) -> str:

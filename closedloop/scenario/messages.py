@@ -1,18 +1,18 @@
-"""Descriptions of a scenario's keys, for --help, and the one-line messages about faults in one."""
+"""The kinds of a scenario's sections, and the one-line messages about faults in one."""
 
 from __future__ import annotations
 
 import difflib
 from collections.abc import Mapping
-from typing import Annotated, Any, get_args
+from typing import Any, get_args
 
 from pydantic import ValidationError
 from pydantic_core import ErrorDetails
 
 from closedloop.errors import one_line
-from closedloop.families import NOT_NAMED, Family, OneOf, how_to_name
+from closedloop.families import NOT_NAMED, Family, how_to_name
 from closedloop.scenario.scenario import Scenario
-from closedloop.sections import Section, SizeError, sizes
+from closedloop.sections import Section, SizeError
 from robot_models.errors import shown as shown_value
 
 # What a key that picks a member of a family takes beside the names that ship.
@@ -46,7 +46,7 @@ def _shipped_kinds(section: str) -> list[str]:
     return list(variants(section)) if family is None else family.shipped()
 
 
-def _usual(section: str) -> str:
+def usual_kind(section: str) -> str:
     """Return the kind of a section that names none, "" where there are no kinds."""
     family = _family(section)
     return next(iter(variants(section)), "") if family is None else family.usual or ""
@@ -56,32 +56,6 @@ def variant_keys(section: str, kind: Any) -> set[str]:
     """Return the keys that a section of this kind may have."""
     variant = variants(section).get(kind)
     return set(variant.model_fields) if variant else set()
-
-
-def describe_keys() -> list[tuple[str, str]]:
-    """Return (dotted key, what it is) for every key a scenario may have, in order."""
-    rows: list[tuple[str, str]] = []
-    for section in Scenario.model_fields:
-        for kind, variant in variants(section).items():
-            for key, field in variant.model_fields.items():
-                if key == "kind":
-                    continue
-                suffix = f" [{kind}]" if len(variants(section)) > 1 else ""
-                default = "" if field.is_required() or field.default is None else f" (default {field.default})"
-                span = "".join(f"; {size}" for size in sizes(Annotated[field.annotation, *field.metadata, None]))
-                names = "".join(f"{_members(one)}; " for one in field.metadata if isinstance(one, OneOf))
-                rows.append((f"{section}.{key}", f"{names}{field.description or ''}{span}{default}{suffix}"))
-        if len(variants(section)) > 1:
-            own = f" | {OWN}" if _family(section) else ""
-            rows.append((f"{section}.kind", " | ".join(variants(section)) + own))
-    return rows
-
-
-def _members(key: OneOf) -> str:
-    """Return the names that a key may say, with the order of each that has one."""
-    orders = {name: getattr(member, "order", None) for family in key.families for name, member in family.items()}
-    said = (name if order is None else f"{name} (order {order})" for name, order in orders.items())
-    return ", ".join([*said, OWN])
 
 
 # What is right, for the kinds of fault whose text does not depend on the key.
@@ -97,18 +71,30 @@ CURES = {
 
 
 LONGEST_KEY = 60  # characters, more than any has; a joint's name may
+MOST_FAULTS = 20  # lines; a list of ten thousand points may have a fault in each
 
 
-def explain(error: ValidationError, data: dict[str, Any]) -> str:
-    """Return one line about an error of pydantic's: which key, which value, what would be right."""
-    # An unknown key first: it is often the misspelt name of one that is missing.
+def explain(error: ValidationError, data: dict[str, Any]) -> list[str]:
+    """Return a line for each fault that pydantic found: which key, which value, what would be right."""
+    # Unknown keys first: one is often the misspelt name of one that is missing.
     problems = sorted(error.errors(include_url=False), key=lambda p: p["type"] != "extra_forbidden")
-    return one_line(_explain_first(problems, data))
+    unknown_kind = {p["loc"][:1] for p in problems if p["loc"][-1:] == ("kind",) and p["type"] == "literal_error"}
+    lines: dict[str, str] = {}
+    for problem in problems:
+        if problem["type"] in ("extra_forbidden", "missing") and problem["loc"][:1] in unknown_kind:
+            continue  # its keys are those of the kind that was meant
+        name, line = _explain(problem, data)
+        if problem["type"] == "missing" and any(f"did you mean '{name}'?" in said for said in lines.values()):
+            continue  # it is there under the misspelt name
+        lines.setdefault(name, one_line(line))  # the branches of a union say the same of one key
+    told = list(lines.values())
+    more = len(told) - MOST_FAULTS
+    return told if more <= 0 else [*told[:MOST_FAULTS], f"{more} more faults of this sort"]
 
 
-def _explain_first(problems: list[ErrorDetails], data: dict[str, Any]) -> str:
-    first = problems[0]
-    location = [_brief(str(part)) for part in first["loc"]]
+def _explain(problem: ErrorDetails, data: dict[str, Any]) -> tuple[str, str]:
+    """Return the key of a fault, and a line about it."""
+    location = [_brief(str(part)) for part in problem["loc"]]
     section = location[0] if location else ""
     # pydantic names the branch of a union that it tried, after the section; a user knows only keys and places in lists.
     union = section in Scenario.model_fields and _family(section) is None and len(variants(section)) > 1
@@ -117,42 +103,40 @@ def _explain_first(problems: list[ErrorDetails], data: dict[str, Any]) -> str:
     known = _all_keys(section)
     path = [p for k, p in enumerate(location) if p.isdigit() or k == 0 or p in known or "lock" in location]
     name = "".join(f"[{p}]" if p.isdigit() else f".{p}" for p in path).removeprefix(".")
-    kind, value = first["type"], first.get("input")
+    kind, value = problem["type"], problem.get("input")
     shown = "a table" if isinstance(value, dict) else shown_value(value)
     if isinstance(value, bool):
         shown = str(value).lower()  # as TOML spells it
-    others = {tuple(p["loc"][:2]) for p in problems} - {tuple(first["loc"][:2])}
-    more = f" (and {len(others)} more)" if others else ""
     if kind == "extra_forbidden":
-        return f"unknown key '{'.'.join(location)}'; {_known_keys(section, location, data)}{more}"
+        whole = ".".join(location)
+        return whole, f"unknown key '{whole}'; {_known_keys(section, location, data)}"
     if kind == "missing" and location[-1].isdigit():
         name, shown, cure = name.partition("[")[0], shown_value(value), CURES["too_short"]
     elif kind == "missing":
-        return f"'{'.'.join(location)}' is missing{more}"
-    elif kind == "value_error" and isinstance(first["ctx"]["error"], SizeError):
-        cure = str(first["ctx"]["error"])
+        whole = ".".join(location)
+        return whole, f"'{whole}' is missing"
+    elif kind == "value_error" and isinstance(problem["ctx"]["error"], SizeError):
+        cure = str(problem["ctx"]["error"])
     elif name == "surface.offset":
         cure = 'must be a finite number of metres, or "start"'
     elif kind in ("union_tag_invalid", "union_tag_not_found"):
-        shown = shown_value(first["ctx"].get("tag")) if kind == "union_tag_invalid" else "missing"
-        more = ""  # the other faults are those of no kind
+        shown = shown_value(problem["ctx"].get("tag")) if kind == "union_tag_invalid" else "missing"
         name, cure = f"{name}.kind", f"must be {' or '.join(map(repr, _shipped_kinds(section)))}"
     elif kind == NOT_NAMED:
-        user = first["ctx"]["name"]
+        user = problem["ctx"]["name"]
         name = f"{name}.kind" if isinstance(value, dict) else name
-        shown, cure, more = shown_value(user), how_to_name(name, user), ""
+        shown, cure = shown_value(user), how_to_name(name, user)
     elif kind == "literal_error":
-        more = "" if name.endswith(".kind") else more
-        cure = f"must be {first['ctx']['expected']}"
+        cure = f"must be {problem['ctx']['expected']}"
     elif kind in ("model_type", "model_attributes_type", "dict_type"):
         cure = f"must be a section of its own, [{name}]"
     elif kind == "less_than_equal":
-        cure = f"must be at most {first['ctx']['le']:g}"
+        cure = f"must be at most {problem['ctx']['le']:g}"
     elif kind == "value_error":
-        cure = str(first["ctx"]["error"])
+        cure = str(problem["ctx"]["error"])
     else:
-        cure = CURES.get(kind, first["msg"])
-    return f"{name} = {shown}: {cure}{more}"
+        cure = CURES.get(kind, problem["msg"])
+    return name, f"{name} = {shown}: {cure}"
 
 
 def _brief(key: str) -> str:
@@ -165,13 +149,20 @@ def _all_keys(section: str) -> set[str]:
 
 
 def _known_keys(section: str, path: list[str], data: dict[str, Any]) -> str:
+    """Return which keys there are in place of an unknown one: the nearest, the kind that has it, or all."""
     if len(path) == 1:
         known = list(Scenario.model_fields)
         place = "sections are"
     else:
         kinds = variants(section)
-        kind = data[section].get("kind", _usual(section)) if isinstance(data[section], dict) else ""
-        known = sorted(variant_keys(section, kind if isinstance(kind, str) and kind in kinds else ""))
+        given = data[section] if isinstance(data[section], dict) else {}
+        kind = given.get("kind", usual_kind(section))
+        kind = kind if isinstance(kind, str) and kind in kinds else ""
+        known = sorted(variant_keys(section, kind))
         place = f"[{section}] knows"
+        others = [repr(each) for each in _shipped_kinds(section) if path[1] in variant_keys(section, each)]
+        if others and len(path) == 2:
+            said = f"is {kind!r}" if "kind" in given else f"is {kind!r} where it is not given"
+            return f"{section}.kind {said}, and {path[1]} goes with {' or '.join(others)}"
     near = difflib.get_close_matches(path[-1], known, n=1, cutoff=0.5)
     return f"did you mean '{'.'.join([*path[:-1], near[0]])}'?" if near else f"{place} {', '.join(known)}"

@@ -25,7 +25,7 @@ from closedloop.impact.restitution import RESTITUTIONS
 from closedloop.integrators import ADAPTIVE, INTEGRATORS
 from closedloop.reference import path as paths
 from closedloop.reference.force import ConstantForceSection, ForceProfile
-from closedloop.scenario.file import scenario_text
+from closedloop.scenario.file import absolute, robot_file, scenario_text
 from closedloop.scenario.file import shipped_scenarios as shipped_scenarios
 from closedloop.sections import (
     ANGLE,
@@ -40,9 +40,11 @@ from closedloop.sections import (
     Section,
     Size,
     Unit,
+    usual,
 )
 from closedloop.surface.motion import MOTIONS, SurfaceMotion
 from closedloop.surface.surface import SURFACES, Surface
+from robot_models.load import names_a_file
 from robot_models.toml_text import toml_tables
 
 REST_SPEED = Size(1e4, "m/s", "nothing bounces so fast", 1e-12, "slower motion is rounding")
@@ -54,7 +56,11 @@ DURATION = Size(1e9, "s", "no run lasts so long", 1e-9, "no step is so short")
 class RobotSection(Section):
     """[robot]: the arm."""
 
-    model: str = Field("wam4", description="shipped name, example-robot-data name, or a .urdf or MJCF .xml path")
+    model: str = Field(
+        "wam4",
+        description="shipped name, example-robot-data name, or a .urdf or MJCF .xml path, in a file from the file's "
+        "own folder, on the command line from the current one",
+    )
     tip: str | None = Field(None, description="frame that touches the surface; the model's own tip if left out")
     drive_inertia: Flag = Field(True, description="add the drives' inertia (armature) to the mass matrix")
     lock: dict[str, Annotated[Number, ANGLE]] | None = Field(
@@ -180,7 +186,9 @@ class TimeSection(Section):
 
 
 Stabiliser = Annotated[
-    BaumgarteSection | ProjectionSection | BothSection | NoStabiliserSection, Field(discriminator="kind")
+    BaumgarteSection | ProjectionSection | BothSection | NoStabiliserSection,
+    Field(discriminator="kind"),
+    usual(BaumgarteSection),
 ]
 
 
@@ -189,20 +197,32 @@ class Scenario(Section):
 
     name: Name = Field("unnamed", description="the shipped name or the file's stem")
     description: str = Field("", description="one line for --list")
-    robot: RobotSection = RobotSection()
-    surface: Annotated[Surface, SURFACES] = Field(default_factory=lambda: SURFACES["plane"]())
-    surface_motion: Annotated[SurfaceMotion, MOTIONS] = Field(default_factory=lambda: MOTIONS["none"]())
-    impact: ImpactSection = ImpactSection()
-    start: StartSection = StartSection()
-    reference: Annotated[paths.Path, paths.PATHS] = Field(default_factory=lambda: paths.PATHS["hold"]())
-    law: Annotated[ControlLaw, LAWS]
-    compensation: Annotated[Compensation, COMPENSATIONS] = Field(default_factory=lambda: COMPENSATIONS["none"]())
-    sensor: SensorSection = SensorSection()
-    friction: Annotated[SurfaceFriction, SURFACE_LAWS] = Field(default_factory=lambda: SURFACE_LAWS["none"]())
-    joint_friction: Annotated[JointFriction, JOINT_LAWS] = Field(default_factory=lambda: JOINT_LAWS["none"]())
-    force_profile: ForceProfile = ConstantForceSection()
-    stabiliser: Stabiliser = BaumgarteSection()
-    time: TimeSection = TimeSection()
+    robot: RobotSection = Field(RobotSection(), description="the arm, its tip, and joints held rigid")
+    surface: Annotated[Surface, SURFACES] = Field(
+        default_factory=lambda: SURFACES["plane"](), description="the surface, and whether the tip may leave it"
+    )
+    surface_motion: Annotated[SurfaceMotion, MOTIONS] = Field(
+        default_factory=lambda: MOTIONS["none"](), description="how the surface moves"
+    )
+    impact: ImpactSection = Field(ImpactSection(), description="how the tip bounces, where it may leave the surface")
+    start: StartSection = Field(StartSection(), description="the posture and the velocity at t = 0")
+    reference: Annotated[paths.Path, paths.PATHS] = Field(
+        default_factory=lambda: paths.PATHS["hold"](), description="the path that the tip is to follow"
+    )
+    law: Annotated[ControlLaw, LAWS] = Field(description="the control law, its gains, and the force to press with")
+    compensation: Annotated[Compensation, COMPENSATIONS] = Field(
+        default_factory=lambda: COMPENSATIONS["none"](), description="what the controller does against friction"
+    )
+    sensor: SensorSection = Field(SensorSection(), description="the force sensor: noise, bias, delay, resolution")
+    friction: Annotated[SurfaceFriction, SURFACE_LAWS] = Field(
+        default_factory=lambda: SURFACE_LAWS["none"](), description="friction between tip and surface"
+    )
+    joint_friction: Annotated[JointFriction, JOINT_LAWS] = Field(
+        default_factory=lambda: JOINT_LAWS["none"](), description="friction in the joints"
+    )
+    force_profile: ForceProfile = Field(ConstantForceSection(), description="the desired force over time")
+    stabiliser: Stabiliser = Field(BaumgarteSection(), description="what keeps the closure error small")
+    time: TimeSection = Field(TimeSection(), description="duration, step and integrator")
 
     @model_validator(mode="after")
     def _choose_integrator(self) -> Self:
@@ -249,19 +269,21 @@ def load_scenario(name: str | Path, overrides: Mapping[str, Any] | None = None) 
     Raises
     ------
     ScenarioError
-        If there is no such scenario, or the file or an override is at fault; names the key, the value and the cure.
+        If there is no such scenario, or the file or an override is at fault; names the key, the value and the cure,
+        of each fault on a line of its own.
     """
-    text, stem, where = scenario_text(name)
-    return parse_scenario(text, stem, where, overrides)
+    text, stem, where, folder = scenario_text(name)
+    return parse_scenario(text, stem, where, overrides, folder=folder)
 
 
 def parse_scenario(
     text: str, stem: str = "unnamed", where: str = "scenario", overrides: Mapping[str, Any] | None = None,
-    *, keep_absent: bool = False,
+    *, keep_absent: bool = False, folder: Path | None = None,
 ) -> Scenario:  # fmt: skip
     """Read a scenario from TOML text; `where` names its origin in messages. See `load_scenario`.
 
-    With `keep_absent` a user's class not named in this process is kept as it is, for inspection and not to be run: see
+    A robot's file is looked up from `folder`, that of the scenario's own file, if it has one. With `keep_absent` a
+    user's class not named in this process is kept as it is, for inspection and not to be run: see
     `closedloop.families.Absent`.
     """
     try:
@@ -269,6 +291,10 @@ def parse_scenario(
     except ValueError as error:
         raise ScenarioError(f"{where}: not valid TOML: {error}") from None
     data.setdefault("name", stem)
+    robot = data.get("robot")
+    given = {"robot", "robot.model"} & (overrides or {}).keys()
+    if folder is not None and isinstance(robot, dict) and "model" in robot and not given:
+        robot["model"] = robot_file(robot["model"], folder, where)
     return scenario_of(data, where, overrides or {}, keep_absent=keep_absent)
 
 
@@ -285,12 +311,14 @@ def scenario_of(
     except ValidationError as error:
         from closedloop.scenario.messages import explain
 
-        raise ScenarioError(f"{where}: {explain(error, data)}") from None
+        raise ScenarioError(*(f"{where}: {fault}" for fault in explain(error, data))) from None
 
 
 def _override(data: dict[str, Any], key: str, value: Any) -> None:
     parts = key.split(".")
     section = data
+    if key == "robot.model" and isinstance(value, str) and names_a_file(value):
+        value = absolute(value)
     if family := families().get(key):
         value = family.named(value, key)
     elif isinstance(value, dict) and (family := families().get(f"{key}.kind")) and "kind" in value:

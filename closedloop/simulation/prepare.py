@@ -21,6 +21,7 @@ from closedloop.errors import ScenarioError
 from closedloop.events.phases import RESTING, TOUCHING
 from closedloop.friction.law import JOINT_LAWS, SURFACE_LAWS
 from closedloop.integrators import ADAPTIVE, INTEGRATORS, Scheme
+from closedloop.parameters import lists_per_joint
 from closedloop.reference.desired import Desired, desired
 from closedloop.reference.force import force_at
 from closedloop.robot.pinocchio import Robot
@@ -76,14 +77,15 @@ def prepare(scenario: Scenario, model: RobotModel | None = None, cache: Cache | 
     robot = _robot(scenario, model, cache)
     model = robot.model
     n = robot.n
-    q = model.home.copy() if scenario.start.q is None else _per_joint("start.q", scenario.start.q, model)
-    v = np.zeros(n) if scenario.start.v is None else _per_joint("start.v", scenario.start.v, model)
-    for j, (low, high) in enumerate(zip(model.position_lower, model.position_upper, strict=True)):
-        if not low <= q[j] <= high:
-            raise ScenarioError(
-                f"start.q[{j}] = {q[j]:g}: joint {model.joint_names[j]} of {model.name} "
-                f"moves within [{low:g}, {high:g}]"
-            )
+    _refuse_lengths(scenario, model)
+    q = model.home.copy() if scenario.start.q is None else np.array(scenario.start.q)
+    v = np.zeros(n) if scenario.start.v is None else np.array(scenario.start.v)
+    if faults := [
+        f"start.q[{j}] = {q[j]:g}: joint {model.joint_names[j]} of {model.name} moves within [{low:g}, {high:g}]"
+        for j, (low, high) in enumerate(zip(model.position_lower, model.position_upper, strict=True))
+        if not low <= q[j] <= high
+    ]:
+        raise ScenarioError(*faults)
 
     surface, now, mode = _surface(scenario, robot, q, v)
 
@@ -321,14 +323,17 @@ def _rounded(x: float, down: bool) -> str:
     return f"{(math.floor(x / unit) if down else math.ceil(x / unit)) * unit:.4g}"
 
 
-def _per_joint(key: str, value: float | tuple[float, ...], model: RobotModel) -> Array:
-    if isinstance(value, float):
-        return np.full(model.n, value)
-    if len(value) != model.n:
-        raise ScenarioError(
-            f"{key} has {len(value)} entries: {model.name} has {model.n} joints, {', '.join(model.joint_names)}"
-        )
-    return np.array(value)
+def _refuse_lengths(scenario: Scenario, model: RobotModel) -> None:
+    """Refuse lists that have not one entry for each joint, all of them at once."""
+    lists = {"start.q": scenario.start.q, "start.v": scenario.start.v}
+    lists |= {f"law.{name}": value for name, value in lists_per_joint(scenario.law).items()}
+    faults = [
+        f"{key} has {len(value)} entries: {model.name} has {model.n} joints, {', '.join(model.joint_names)}"
+        for key, value in lists.items()
+        if value is not None and len(value) != model.n
+    ]
+    if faults:
+        raise ScenarioError(*faults)
 
 
 def _whole(span: float, h: float, key: str) -> int:

@@ -1,4 +1,4 @@
-"""The command line of the studies: ``python -m closedloop.study drift``.
+"""The command line of the studies: ``closedloop study drift``, or ``python -m closedloop.study drift``.
 
 Exit status: 0 done; 2 the input is at fault (one line on standard error).
 """
@@ -14,8 +14,8 @@ from closedloop.command.border import DONE, Parser, run_command
 from closedloop.errors import OutputError
 
 STUDIES = {
-    "drift": "closure drift against step, speed, integrator and stabiliser; the stability limit of Baumgarte",
-    "controllers": "every controller on every kind of friction: settling, force error, path error",
+    "drift": "closure drift against step, speed and stabiliser; Baumgarte's limit",
+    "controllers": "every controller on every kind of friction: force and path error",
 }
 
 
@@ -27,7 +27,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
 def _main(words: list[str]) -> int:
     studies = "\n".join(f"  {name:12} {what}" for name, what in STUDIES.items())
     parser = Parser(
-        prog="closedloop.study",
+        prog="closedloop study",
         description="Run a study.\n\n" + studies,
         formatter_class=argparse.RawDescriptionHelpFormatter,
     )

@@ -23,7 +23,7 @@ from typing import Any, cast
 import numpy as np
 from numpy.typing import NDArray
 
-from closedloop.errors import ClosedLoopError, InterruptedRunError
+from closedloop.errors import ClosedLoopError, InterruptedRunError, faults_on_one_line
 from closedloop.files import write_whole
 from closedloop.progress import bar
 from closedloop.record.run import Run
@@ -120,7 +120,7 @@ def cell(controller: str, friction: str) -> dict[str, Any]:
     except InterruptedRunError:
         raise
     except ClosedLoopError as error:
-        return row | dict.fromkeys(MEASURES, math.nan) | {"reason": str(error)}
+        return row | dict.fromkeys(MEASURES, math.nan) | {"reason": faults_on_one_line(error)}
 
 
 def measure(quick: bool = False) -> list[dict[str, Any]]:

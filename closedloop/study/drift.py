@@ -27,7 +27,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from closedloop.closure.baumgarte import baumgarte_gains, largest_stable_ratio, recommended_ratio, spectral_radius
-from closedloop.errors import ClosedLoopError, InterruptedRunError
+from closedloop.errors import ClosedLoopError, InterruptedRunError, faults_on_one_line
 from closedloop.files import write_whole
 from closedloop.integrators import INTEGRATORS
 from closedloop.scenario.scenario import Scenario, load_scenario
@@ -76,7 +76,7 @@ def largest_error(scenario: Scenario) -> tuple[float, str]:
     except InterruptedRunError:
         raise
     except ClosedLoopError as error:
-        return math.nan, str(error)
+        return math.nan, faults_on_one_line(error)
 
 
 def fitted_slope(x: Sequence[float], y: Sequence[float]) -> tuple[float, float]:

@@ -1,4 +1,4 @@
-"""The command line of sweeps: ``python -m closedloop.sweep wam_slide --over law.force=5:15:101 --out force.parquet``.
+"""The command line of sweeps: ``closedloop sweep wam_slide --over law.force=5:15:101 --out force.parquet``.
 
 Exit status: 0 done, and runs that were stopped or refused are rows that say why; 2 the input is at fault (one line on
 standard error); 3 an unforeseen error ended a run (its row says what and where), or a cluster was
@@ -8,7 +8,6 @@ SIGTERM: the same command goes on from there, as after a cluster was lost.
 
 from __future__ import annotations
 
-import argparse
 import os
 import signal
 import sys
@@ -36,6 +35,18 @@ def main(arguments: Sequence[str] | None = None) -> int:
     from closedloop.command.border import run_command
 
     return run_command("closedloop.sweep", _main, arguments)
+
+
+def as_process(arguments: Sequence[str] | None = None) -> int:
+    """Run the command line as all that this process does, and return the exit status.
+
+    Signals are answered from the first moment on, and a run that was abandoned keeps nobody waiting.
+    """
+    words = sys.argv[1:] if arguments is None else list(arguments)
+    with _ended_at_once_by_a_signal(words):
+        status = main(words)
+    _leave_if_still_at_work(status)
+    return status
 
 
 def _main(words: list[str]) -> int:
@@ -137,57 +148,52 @@ def _counted(result: Joined) -> str:
 
 
 def _sweep_parser() -> Parser:
-    from closedloop.command.border import Parser
+    from closedloop.command.help import list_of_sections, scenario_parser
     from closedloop.engines.loops import COMPILED, ENGINES
 
-    parser = Parser(
-        prog="closedloop.sweep",
-        description="Run a scenario many times with some keys changed, into a table of what came of each run.",
-        epilog="Any other key of the scenario can be set for all runs, as --law.kp 900 (see python -m closedloop.run\n"
-        "--help). A sweep that was killed goes on where it was with the same command.\n\n"
-        "python -m closedloop.sweep plot FILE draws maps of the table.\n\n"
-        "exit status: 0 done, and runs that were stopped or refused are rows that say why; 2 the input is at fault;\n"
-        "3 an error that nobody foresaw kept a run from its end, or a cluster was lost; 4 with --strict, a run did\n"
-        "not end or has a bad verdict; 130 interrupted, 143 ended by SIGTERM: the same command goes on from there",
-        formatter_class=argparse.RawDescriptionHelpFormatter,
+    parser = scenario_parser(
+        "closedloop sweep",
+        "SCENARIO",
+        description="Run a scenario many times with some keys changed, into a table of what came of\n"
+        "each run. A sweep that was killed goes on with the same command.\n"
+        "closedloop sweep plot FILE draws maps of the table.",
+        epilog=list_of_sections(names_only=True)
+        + "\n\nexit status: 0 done, runs stopped or refused are rows that say why; 2 the input is\n"
+        "at fault; 3 an unforeseen error ended a run, or a cluster was lost; 4 with --strict,\n"
+        "a run did not end or has a bad verdict; 130 Ctrl-C, 143 SIGTERM",
     )
     add = parser.add_argument
-    add("scenario", help="a shipped name (python -m closedloop.run --list) or a .toml file")
+    add("scenario", metavar="SCENARIO", help="a shipped name, or a .toml file")
     add(
         "--over",
         metavar="KEY=VALUES",
         action="append",
         default=[],
-        help="a key and its values, once for each key: law.force=5:15:101 (from, to, how many), "
-        "stabiliser.time_constant=log:1e-4:1e-2:20, time.integrator=rk4,explicit_euler; several make a grid",
+        help="a key and its values, once for each key; several make a grid: law.force=5:15:101 (from, to, how many), "
+        "log:1e-4:1e-2:20, rk4,explicit_euler",
     )
     drawn = parser.add_mutually_exclusive_group()
     number = {"type": int, "metavar": "N"}
     drawn.add_argument("--random", **number, help="draw N runs from the ranges instead of a grid")  # type: ignore[arg-type]
     drawn.add_argument("--latin", **number, help="draw a Latin hypercube of N runs")  # type: ignore[arg-type]
-    add("--seed", type=int, default=0, help="of the draws (default 0)")
-    add("--out", metavar="FILE", help="the table, a .parquet file (default: out/SCENARIO/sweep.parquet)")
+    add("--seed", type=int, default=0, metavar="N", help="of the draws (default 0)")
+    add("--out", metavar="FILE", help="the .parquet file (default: out/SCENARIO/sweep.parquet)")
     add(
-        "--keep",
-        metavar="COLUMNS",
-        action="append",
-        default=[],
-        help="keep whole columns of every run in a NetCDF file beside the table: f,e or contact_force,q ...",
-    )
-    add("--engine", choices=ENGINES, default=COMPILED, help="compiled (default), or pinocchio, on one core")
-    add(
-        "--workers", type=int, metavar="N", help="threads (default: one for each core); the table does not depend on it"
-    )
-    add("--strict", action="store_true", help="exit status 4 if a run was stopped, failed or has a bad verdict")
-    add("--debug", action="store_true", help="print the traceback of a run that fails by an error that nobody foresaw")
-    add("--scheduler", metavar="ADDRESS", help="run on the Dask cluster of this scheduler, such as tcp://host:8786")
+        "--keep", metavar="COLUMNS", action="append", default=[],
+        help="keep columns of every run, such as f,e, in a .nc beside it",
+    )  # fmt: skip
+    add("--engine", choices=ENGINES, default=COMPILED, help="default compiled; pinocchio runs on one core")
+    add("--workers", type=int, metavar="N", help="threads (default: one for each core)")
+    add("--strict", action="store_true", help="status 4 if a run did not end well")
+    add("--debug", action="store_true", help="print the traceback of an unforeseen error")
+    add("--scheduler", metavar="ADDRESS", help="a Dask cluster, such as tcp://host:8786")
     return parser
 
 
 def _plot(arguments: list[str]) -> int:
     from closedloop.command.border import DONE, Parser
 
-    parser = Parser(prog="closedloop.sweep plot", description="Draw maps of a sweep's table.")
+    parser = Parser(prog="closedloop sweep plot", description="Draw maps of a sweep's table.")
     parser.add_argument("table", help="the .parquet file of a sweep")
     parser.add_argument(
         "--of",
@@ -210,7 +216,8 @@ def _plot(arguments: list[str]) -> int:
     return DONE
 
 
-def _end_at_once_at_a_signal() -> None:
+@contextmanager
+def _ended_at_once_by_a_signal(words: Sequence[str]) -> Iterator[None]:
     """Let Ctrl-C and SIGTERM end the process, as long as no sweep is running: there is nothing to clean up.
 
     An exception in the middle of the import of a large package would come out as whatever that package makes of it.
@@ -219,16 +226,23 @@ def _end_at_once_at_a_signal() -> None:
     def end(signum: int, frame: FrameType | None) -> NoReturn:
         stop = KeyboardInterrupt() if signum == signal.SIGINT else Terminated()
         with suppress(OSError):
-            os.write(2, f"closedloop.sweep: {_last_words(stop, sys.argv[1:])}\n".encode())
+            os.write(2, f"closedloop.sweep: {_last_words(stop, words)}\n".encode())
         os._exit(exit_status(stop))
 
-    for signum in (signal.SIGINT, signal.SIGTERM):
-        if signal.getsignal(signum) is not signal.SIG_IGN:  # as in the background
-            signal.signal(signum, end)
+    if threading.current_thread() is not threading.main_thread():
+        yield
+        return
+    heeded = [s for s in (signal.SIGINT, signal.SIGTERM) if signal.getsignal(s) is not signal.SIG_IGN]
+    before = {signum: signal.signal(signum, end) for signum in heeded}  # those ignored are so in the background
+    try:
+        yield
+    finally:
+        for signum, handler in before.items():
+            signal.signal(signum, signal.SIG_DFL if handler is None else handler)
 
 
-def _leave(status: int) -> NoReturn:
-    """End the process, without waiting for an abandoned run."""
+def _leave_if_still_at_work(status: int) -> None:
+    """End the process at once if a run was abandoned, which would keep it waiting."""
     from closedloop.batch.threads import still_at_work
 
     if still_at_work():
@@ -237,9 +251,7 @@ def _leave(status: int) -> NoReturn:
         with suppress(OSError):
             sys.stderr.flush()
         os._exit(status)
-    sys.exit(status)
 
 
 if __name__ == "__main__":
-    _end_at_once_at_a_signal()
-    _leave(main())
+    sys.exit(as_process())

@@ -87,7 +87,7 @@ def helpful(folder, out):
 def damping_named(folder, out):
     """The help in ASCII names the damping ratio."""
     assert out.isascii()
-    assert re.search(r"damping_ratio VALUE\n +zeta", out)
+    assert re.search(r"damping_ratio .*\n +zeta", out)
 
 
 C_LOCALE = {"LC_ALL": "C", "PYTHONUTF8": "0", "PYTHONCOERCECLOCALE": "0"}
@@ -105,7 +105,7 @@ def one_of_ours(text):
 
 
 ENCODINGS = [
-    Case("C locale, help", "{run} --help", env=C_LOCALE, check=damping_named, quick=True),
+    Case("C locale, help", "{run} --help stabiliser", env=C_LOCALE, check=damping_named, quick=True),
     Case("C locale, run", SHORT, env=C_LOCALE, check=ascii_only),
     Case("C locale, sweep", SWEPT, env=C_LOCALE),
     Case("C locale, validation", "{validation} --help", env=C_LOCALE, check=helpful),

@@ -7,7 +7,7 @@ import pytest
 
 import closedloop as cl
 from closedloop.reference.desired import desired
-from closedloop.scenario.messages import describe_keys
+from closedloop.scenario.describe import keys
 from closedloop.scenario.scenario import parse_scenario
 
 CIRCLE = {"kind": "circle", "direction": [0, 1, 0], "radius": 0.03, "start": 0.2, "stop": 2.0}
@@ -98,10 +98,9 @@ def test_section_survives_toml(kind):
 
 
 def test_every_kind_is_described():
-    """--help lists the keys of every kind of reference, with the unit or the meaning of each."""
-    rows = [(key, what) for key, what in describe_keys() if key.startswith("reference.")]
+    """The help of [reference] has the keys of every kind, with the kinds that have each."""
     for kind, section in SECTIONS.items():
-        described = {key for key, what in rows if f"[{kind}]" in what}
+        described = {key.name for key in keys("reference") if kind in key.kinds}
         assert {f"reference.{key}" for key in section if key != "kind"} <= described
 
 

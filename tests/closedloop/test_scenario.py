@@ -9,7 +9,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 import closedloop as cl
-from closedloop.scenario.messages import describe_keys
+from closedloop.scenario.describe import all_keys, describe_section, explain_key, keys, sections
 from closedloop.scenario.scenario import parse_scenario
 from closedloop.sections import ANGLE, PLACE
 from closedloop.simulation.prepare import MOST_NUMBERS
@@ -144,10 +144,13 @@ def test_scenario_cannot_be_changed_afterwards():
 
 
 def test_every_key_is_described():
-    """--help can list every key there is, with what it is."""
-    keys = dict(describe_keys())
-    assert {"robot.model", "surface.normal", "start.q", "reference.speed", "law.force", "time.step"} <= set(keys)
-    assert all(keys.values())
+    """--help can list every section, and --explain every key there is, with what it is, on 80 columns."""
+    known = all_keys()
+    assert {"robot.model", "surface.normal", "start.q", "reference.speed", "law.force", "time.step"} <= set(known)
+    assert all(sections().values())
+    for text in (*map(explain_key, known), *map(describe_section, sections())):
+        assert max(map(len, text.splitlines())) <= 80, text
+    assert all(key.field.description for section in sections() for key in keys(section))
 
 
 @pytest.mark.parametrize(

@@ -10,7 +10,8 @@ import closedloop as cl
 from closedloop.control.sensor import MOST_QUANTA, SensorSection, pack_sensor, sense
 from closedloop.errors import LONGEST_LINE, one_line
 from closedloop.jit.interpreted import interpreted
-from closedloop.scenario.messages import describe_keys, variants
+from closedloop.scenario.describe import explain_key
+from closedloop.scenario.messages import variants
 from closedloop.scenario.scenario import Scenario
 from closedloop.sections import Section, Size, field_units, sizes
 
@@ -46,11 +47,10 @@ def test_every_number_of_a_scenario_has_one_unit():
 
 
 def test_help_says_the_sizes():
-    """--help has them beside the keys."""
-    keys = dict(describe_keys())
-    assert "from 1e-09 to 1000 s" in keys["time.step"]
-    assert "at most 1e+06 m" in keys["surface.offset"]
-    assert "at most 1e+06 rad (m)" in keys["robot.lock"]
+    """--explain has them."""
+    assert "from 1e-09 to 1000 s" in explain_key("time.step")
+    assert "at most 1e+06 m" in explain_key("surface.offset")
+    assert "at most 1e+06 rad (m)" in explain_key("robot.lock")
 
 
 @pytest.mark.parametrize(

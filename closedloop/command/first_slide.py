@@ -1,0 +1,206 @@
+"""A first scenario for a robot: where to start, which way to slide and with which gains, found by trying.
+
+Postures are drawn within the joint limits and kept if the tip is away from singular poses, the joints from their limits
+and the torques from theirs; each that is kept is simulated, the best first, until the verdict of a run is good.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator
+from typing import Any, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from closedloop.errors import InterruptedRunError, ScenarioError, SimulationError, faults_on_one_line
+from closedloop.robot.pinocchio import Robot
+from closedloop.scenario.gains import gains_fault
+from closedloop.scenario.scenario import Scenario, scenario_of
+from closedloop.surface.plane import contact_frame
+
+Array = NDArray[np.float64]
+
+POSTURES, SEED = 2000, 0  # drawn, fewer for more than twenty joints
+MOST_RUNS = 24  # simulated
+# Least share of the tip's mobility along the normal, of its smallest to its largest velocity, and of a joint's range to
+# its nearest limit; a third of the mobility is that of a tip that moves alike in all directions.
+LEAST_MOBILITY, LEAST_DEXTERITY, LEAST_MARGIN = 0.03, 0.1, 0.05
+MOST_EFFORT = 0.6  # of the torque limits, at rest
+DIRECTIONS = ((0.0, 1.0, 0.0), (1.0, 0.0, 0.0), (0.0, -1.0, 0.0), (-1.0, 0.0, 0.0))
+NORMAL = (0.0, 0.0, 1.0)
+FORCES = (10.0, 5.0, 2.0, 1.0)  # N, tried in turn where none is asked for
+BEGIN, END, DURATION = 0.5, 3.5, 4.0  # of the slide and of the run, s
+SPEEDS = (0.02, 0.01, 0.005)  # m/s
+FREQUENCY = 15.0  # of a joint with its gains, rad/s; lowered where the step cannot carry them
+
+
+# What is looked at, in this order; a posture that fails late is nearly right.
+LIMITS, MOBILITY, DEXTERITY, EFFORT, RUN = range(5)
+Faults = dict[int, str]  # what is wrong with the first posture that failed there
+
+
+class Posture(NamedTuple):
+    """A start, how good it is, and the directions in which the tip can slide."""
+
+    q: Array
+    score: float
+    directions: tuple[tuple[float, ...], ...]
+
+
+def first_slide(robot: Robot, name: str, force: float | None = None) -> Scenario:
+    """Return a scenario in which a robot presses on a level surface and slides, with a run whose verdict is good.
+
+    Parameters
+    ----------
+    robot : Robot
+        With its tip.
+    name : str
+        What `robot.model` is to say.
+    force : float, optional
+        Force to press with, N; if left out the first of `FORCES` with which there is such a scenario.
+
+    Raises
+    ------
+    ScenarioError
+        If none was found; says what was in the way of the one that was nearly right.
+    """
+    faults: Faults = {}
+    runs = 0
+    for pressing in FORCES if force is None else (force,):
+        if faults and max(faults) < EFFORT:
+            break  # with less force it is no better
+        found = sorted(_postures(robot, pressing, faults), key=lambda posture: -posture.score)
+        for scenario in _scenarios(robot, name, pressing, found):
+            if runs == MOST_RUNS:
+                break
+            runs += 1
+            fault = _fault(scenario, robot)
+            if not fault:
+                return scenario
+            faults.setdefault(RUN, fault.partition(";")[0])
+    raise ScenarioError(
+        f"{robot.model.name} with the tip {robot.tip}: no start was found from which it slides along a level surface; "
+        f"where most is right, {faults[max(faults)]}; another frame may do, see --tip"
+    )
+
+
+def _postures(robot: Robot, force: float, faults: Faults) -> Iterator[Posture]:
+    """Return the postures that will do, and note why others do not."""
+    model, rng = robot.model, np.random.default_rng(SEED)
+    widest = np.where(np.array(model.joint_types) == "prismatic", 1.0, math.pi)
+    low = np.maximum(model.position_lower, model.home - widest)
+    high = np.minimum(model.position_upper, model.home + widest)
+    moves = robot.support > 0.0
+    room = LEAST_MARGIN * (high - low)
+    aside = np.clip(model.home, low + room, high - room)  # where the joints stay that do not move the tip
+    for i in range(POSTURES // max(1, robot.n // 10)):  # a step of the search costs as the cube of n
+        q: Array = np.where(moves, rng.uniform(low, high) if i else model.home, aside).round(4)
+        posture = _judged(robot, q, force, first=i == 0)
+        if isinstance(posture, Posture):
+            yield posture
+        else:
+            faults.setdefault(*posture)
+
+
+def _judged(robot: Robot, q: Array, force: float, first: bool) -> Posture | tuple[int, str]:
+    """Return a posture with its score, or where it fails and why; the robot's own is preferred where it will do."""
+    model = robot.model
+    span = model.position_upper - model.position_lower
+    finite = np.isfinite(span) & (robot.support > 0.0)
+    margins = np.minimum(q - model.position_lower, model.position_upper - q)[finite] / np.maximum(span[finite], 1e-9)
+    margin = float(np.min(margins, initial=0.5))
+    if margin < LEAST_MARGIN or np.any(q < model.position_lower) or np.any(q > model.position_upper):
+        return LIMITS, "its joints are at their limits"
+    terms = robot.terms(q, np.zeros(robot.n))
+    A = contact_frame(np.array(NORMAL)) @ terms.jacobian
+    try:
+        S = A @ np.linalg.solve(terms.mass_matrix, A.T)
+    except np.linalg.LinAlgError:
+        return MOBILITY, "a joint moves no inertia"
+    mobility = float(S[0, 0] / max(np.trace(S), 1e-300))
+    if not mobility > LEAST_MOBILITY:
+        return MOBILITY, "the tip hardly moves up and down"
+    U, sizes, _ = np.linalg.svd(terms.jacobian, full_matrices=False)
+    rank = int(np.count_nonzero(sizes > 1e-6 * sizes[0]))
+    dexterity = float(sizes[rank - 1] / sizes[0])
+    directions = tuple(_directions(U[:, :rank]))
+    if dexterity < LEAST_DEXTERITY or not directions:
+        return DEXTERITY, "the tip is near a singular pose, or cannot move along the surface"
+    torque = np.abs(terms.bias - A[0] * force)
+    effort = float(np.max(torque / model.effort_limit))
+    if effort > MOST_EFFORT:
+        return EFFORT, f"its joints are too weak to press with {force:g} N"
+    score = min(1.0, 3.0 * mobility) * dexterity * min(1.0, 4.0 * margin) * (1.0 - effort)
+    return Posture(q, score * (10.0 if first else 1.0) * _from_above(robot), directions)
+
+
+def _directions(reached: Array) -> Iterator[tuple[float, ...]]:
+    """Return directions along the surface in which the tip can move; `reached` (3, rank) spans its velocities."""
+    for direction in DIRECTIONS:
+        if np.linalg.norm(reached @ (reached.T @ direction) - direction) < 1e-9:
+            yield direction
+    across = np.eye(3)[:, :2]  # an arm in a plane that is turned about the vertical
+    shares, axes = np.linalg.eigh(across.T @ reached @ reached.T @ across)
+    for share, axis in zip(shares, axes.T, strict=True):
+        if reached.shape[1] < 3 and share > 1.0 - 1e-12:
+            yield (*(float(x) for x in axis), 0.0)
+
+
+def _from_above(robot: Robot) -> float:
+    """Return 1 for a last link that stands on the surface, less for one that lies on it or comes from below.
+
+    The posture is that of the last call of `Robot.terms`.
+    """
+    length = float(np.linalg.norm(robot.tip_offset))
+    lever = robot.views[3] @ robot.tip_offset  # from the last joint to the tip, base frame
+    return 1.0 if length == 0.0 else 0.55 - 0.45 * float(lever[2]) / length
+
+
+def _scenarios(robot: Robot, name: str, force: float, postures: list[Posture]) -> Iterator[Scenario]:
+    """Return scenarios to be tried, the best first."""
+    for posture in postures[:MOST_RUNS]:
+        for direction in posture.directions[:2]:
+            for speed in SPEEDS[:1] if len(postures) > MOST_RUNS else SPEEDS:
+                yield _with_gains(robot, name, force, posture.q, direction, speed)
+
+
+def _with_gains(
+    robot: Robot, name: str, force: float, q: Array, direction: tuple[float, ...], speed: float
+) -> Scenario:
+    """Return the scenario with gains that the step carries: a frequency times the inertia of each joint."""
+    inertia = np.diag(robot.terms(q, np.zeros(robot.n)).mass_matrix)
+    frequency = FREQUENCY
+    while True:
+        kp, kd = ([_rounded(x) for x in gain * inertia] for gain in (frequency**2, 2.0 * frequency))
+        data: dict[str, Any] = {
+            "robot": {"model": name, "tip": robot.tip},
+            "start": {"q": q.tolist()},
+            "reference": {
+                "kind": "line", "direction": list(direction), "speed": speed, "start": BEGIN, "stop": END,
+                "timing": "minimum_jerk",
+            },
+            "law": {"kind": "paper", "kp": kp, "kd": kd, "force": force},
+            "time": {"duration": DURATION, "step": 0.001, "integrator": "semi_implicit_euler"},
+        }  # fmt: skip
+        scenario = scenario_of(data, "closedloop new", {})
+        if frequency < 1.0 or not gains_fault(scenario, robot):
+            return scenario
+        frequency *= 0.7
+
+
+def _rounded(x: float) -> float:
+    return float(f"{x:.2g}")
+
+
+def _fault(scenario: Scenario, robot: Robot) -> str:
+    """Return why a scenario will not do, after its run, or an empty string."""
+    from closedloop.simulation.simulate import simulate
+
+    try:
+        problems = simulate(scenario, model=robot.model).summary()["verdict"]["problems"]
+    except InterruptedRunError:
+        raise
+    except (ScenarioError, SimulationError) as error:
+        return faults_on_one_line(error)
+    return str(problems[0]["text"]) if problems else ""

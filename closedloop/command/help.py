@@ -1,0 +1,94 @@
+"""--help on one screen, --help SECTION and --explain KEY: the same for every command that takes a scenario's keys."""
+
+from __future__ import annotations
+
+import argparse
+import textwrap
+from collections.abc import Sequence
+from typing import Any
+
+from closedloop.command.border import Parser
+from closedloop.errors import ScenarioError
+
+# Column at which an option's meaning begins, so that most take one line.
+COLUMN = 26
+
+
+class OneScreen(argparse.RawDescriptionHelpFormatter):
+    """Help whose options stand on a line each."""
+
+    def __init__(self, prog: str, **settings: Any) -> None:
+        super().__init__(prog, **{"max_help_position": COLUMN} | settings)
+
+
+def scenario_parser(prog: str, rest: str, **settings: Any) -> Parser:
+    """Return a parser whose help lists the sections of a scenario and explains each, and each of its keys.
+
+    Parameters
+    ----------
+    prog, rest : str
+        How the command is called, and what follows its options in the usage.
+    **settings
+        See `closedloop.command.border.Parser`.
+    """
+    parser = Parser(
+        prog=prog, usage=f"{prog} {rest} [options] [--SECTION.KEY VALUE ...]", formatter_class=OneScreen,
+        add_help=False, **settings,
+    )  # fmt: skip
+    parser.add_argument(
+        "-h", "--help", nargs="?", metavar="SECTION", action=_Help, help="show this, or the keys of a section, and stop"
+    )
+    parser.add_argument("--explain", metavar="KEY", action=_Explain, help="explain a key, such as law.kp, and stop")
+    return parser
+
+
+def list_of_sections(names_only: bool = False) -> str:
+    """Return how keys are given and explained, and the sections of a scenario, a line each or their names only."""
+    from closedloop.scenario.describe import sections
+
+    if names_only:
+        names = textwrap.fill(", ".join(sections()), 78, initial_indent="  ", subsequent_indent="  ")
+        return (
+            "Every other key can be set for all runs, with a value as in TOML: --law.kp 900.\n"
+            "--help law lists the keys of a section, --explain law.kp explains one. Sections:\n"
+        ) + names
+    return (
+        "Every key of the scenario is an option, with a value as in TOML: --law.force 15.\n"
+        "--help law lists the keys of a section, --explain law.kp explains one. Sections:\n"
+    ) + "\n".join(f"  {name:{COLUMN - 4}}{what}" for name, what in sections().items())
+
+
+class _Help(argparse.Action):
+    """Print the help of the command or of a section, and leave."""
+
+    def __call__(
+        self, parser: argparse.ArgumentParser, namespace: argparse.Namespace, values: str | Sequence[Any] | None,
+        option_string: str | None = None,
+    ) -> None:  # fmt: skip
+        """See `argparse.Action`."""
+        if values is None:
+            parser.print_help()
+        else:
+            _print_topic("--help", str(values))
+        parser.exit()
+
+
+class _Explain(argparse.Action):
+    """Print what a key is, and leave."""
+
+    def __call__(
+        self, parser: argparse.ArgumentParser, namespace: argparse.Namespace, values: str | Sequence[Any] | None,
+        option_string: str | None = None,
+    ) -> None:  # fmt: skip
+        """See `argparse.Action`."""
+        _print_topic("--explain", str(values))
+        parser.exit()
+
+
+def _print_topic(option: str, word: str) -> None:
+    from closedloop.scenario.describe import explain_key
+
+    try:
+        print(explain_key(word.removeprefix("--")))
+    except ScenarioError as error:
+        raise ScenarioError(f"command line: {option}: {error}") from None

@@ -1,0 +1,153 @@
+"""A scenario to begin with: ``closedloop new my_slide --robot ur5`` writes my_slide.toml, which runs as it is."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from closedloop.command.border import DONE, Parser, run_command
+from closedloop.errors import OutputError, ScenarioError, one_line
+
+if TYPE_CHECKING:
+    from closedloop.robot.pinocchio import Robot
+    from closedloop.scenario.scenario import Scenario
+
+
+def main(arguments: Sequence[str] | None = None) -> int:
+    """Run the command line and return the exit status."""
+    return run_command("closedloop", _main, arguments)
+
+
+def _main(words: list[str]) -> int:
+    options = _parser().parse_args(words)
+    file = Path(options.name if options.name.endswith(".toml") else f"{options.name}.toml")
+    _refuse_to_replace(file)
+    if options.force is not None and not 0.0 < options.force <= MOST_FORCE:
+        raise ScenarioError(f"--force {options.force:g}: must be greater than 0 and at most {MOST_FORCE:g} N")
+    import robot_models
+    from closedloop.command.first_slide import first_slide
+    from closedloop.robot.pinocchio import Robot
+    from closedloop.scenario.scenario import parse_scenario
+
+    robot = Robot(robot_models.load(options.robot), options.tip)
+    scenario = first_slide(robot, options.robot, options.force)
+    text = scenario_text(scenario, robot, _named_from(file, options.robot))
+    parse_scenario(text, file.stem, str(file))  # refuses a name that is none
+    _write(file, text)
+    print(f"wrote {file}: {_what(scenario, robot)}\nrun it with: closedloop run {file}")
+    return DONE
+
+
+MOST_FORCE = 1e4  # N; what is beyond no arm of the lists bears
+
+
+def _parser() -> Parser:
+    parser = Parser(
+        prog="closedloop new",
+        description="Write a commented scenario in which a robot presses on a level surface and slides along it. "
+        "Start, path and gains are chosen so that it runs as it is, with a good verdict.",
+    )
+    parser.add_argument("name", metavar="NAME", help="its name, and that of the file NAME.toml; none is replaced")
+    parser.add_argument("--robot", default="wam4", help="a name of `closedloop robots`, or a file (default wam4)")
+    parser.add_argument("--tip", metavar="FRAME", help="frame that touches the surface (default: the robot's own)")
+    parser.add_argument(
+        "--force", type=float, metavar="N", help="force to press with (default 10, less for an arm that cannot)"
+    )
+    return parser
+
+
+def scenario_text(scenario: Scenario, robot: Robot, model: str) -> str:
+    """Return a scenario of `first_slide` as a commented file; `model` is what robot.model is to say in it."""
+    reference, law = scenario.reference.model_dump(), scenario.law.model_dump()
+    start = scenario.start.q
+    assert isinstance(start, tuple)
+    width = max(len(f"{q!r},") for q in start)
+    posture = "\n".join(
+        f"    {f'{q!r},':{width}}  # {one_line(name)}" for q, name in zip(start, robot.joint_names, strict=True)
+    )
+    return f"""\
+# {_what(scenario, robot)}
+# Run it with `closedloop run FILE`. `closedloop run --help law` lists all keys of a
+# section, `closedloop run --explain law.kp` explains one.
+description = {_quoted(_what(scenario, robot))}
+
+[robot]
+model = {_quoted(model)}  # `closedloop robots {one_line(model)}` shows its joints and frames
+tip = {_quoted(robot.tip)}  # the frame that touches the surface
+
+[surface]
+normal = [0, 0, 1]  # out of the surface, base frame: it is level
+offset = "start"  # it goes through the tip at the start
+contact = "bilateral"  # the tip is held to it; with "unilateral" it may leave
+
+[start]
+q = [  # rad, m for a sliding joint: away from singular poses and from the limits
+{posture}
+]
+
+[reference]
+kind = "line"
+direction = {list(reference["direction"])}  # along the surface, base frame
+speed = {reference["speed"]}  # m/s, on average
+start = {reference["start"]}  # s
+stop = {reference["stop"]}  # s
+timing = "minimum_jerk"  # from rest to rest
+
+[law]
+kind = "paper"  # Eq. 33: joint PD control along the path, and the force
+kp = {list(law["kp"])}  # N m/rad, one for each joint
+kd = {list(law["kd"])}  # N m s/rad
+force = {law["force"]}  # N, with which the tip presses
+
+[stabiliser]
+kind = "baumgarte"  # keeps the tip on the surface
+damping_ratio = 0.707
+time_constant = 0.001  # s
+
+[time]
+duration = {scenario.time.duration}  # s
+step = {scenario.time.step}  # s
+integrator = "{scenario.time.integrator}"
+"""
+
+
+def _what(scenario: Scenario, robot: Robot) -> str:
+    reference = scenario.reference.model_dump()
+    length = reference["speed"] * (reference["stop"] - reference["start"])
+    return (
+        f"{one_line(robot.model.name)} presses with {scenario.law.force:g} N and slides {1000.0 * length:g} mm "
+        "along a level surface"
+    )
+
+
+def _quoted(text: str) -> str:
+    """Return a text as TOML spells it."""
+    import tomli_w
+
+    return tomli_w.dumps({"x": text}).partition("=")[2].strip()
+
+
+def _named_from(file: Path, robot: str) -> str:
+    """Return a robot's name, or its file as the scenario's file has to name it: from its own folder."""
+    from robot_models.load import names_a_file
+
+    if not names_a_file(robot) or os.path.isabs(robot):
+        return robot
+    return Path(os.path.relpath(robot, file.parent)).as_posix()
+
+
+def _refuse_to_replace(file: Path) -> None:
+    if os.path.lexists(file):
+        raise OutputError(f"{file}: is there already and is not replaced; choose another name")
+    if not file.parent.is_dir():
+        raise OutputError(f"{file}: cannot be written: there is no folder {str(file.parent)!r}")
+
+
+def _write(file: Path, text: str) -> None:
+    try:
+        with file.open("x", encoding="utf-8") as stream:
+            stream.write(text)
+    except OSError as error:
+        raise OutputError(f"{file}: cannot be written: {error.strerror}") from None

@@ -1,0 +1,102 @@
+"""The robots that a scenario can name as robot.model: ``closedloop robots``, and ``closedloop robots ur5``."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from typing import TYPE_CHECKING
+
+from closedloop.command.border import DONE, Parser, run_command
+
+if TYPE_CHECKING:
+    from rich.console import Console
+
+    from robot_models import RobotModel
+
+
+def main(arguments: Sequence[str] | None = None) -> int:
+    """Run the command line and return the exit status."""
+    return run_command("closedloop", _main, arguments)
+
+
+def _main(words: list[str]) -> int:
+    parser = Parser(
+        prog="closedloop robots",
+        description="List what can be named as robot.model, or show one robot: joints, limits and frames.",
+    )
+    parser.add_argument("robot", nargs="?", help="a name of the list, or the path of a URDF or MJCF file")
+    options = parser.parse_args(words)
+    from rich.console import Console
+
+    console = Console(highlight=False)
+    if options.robot is None:
+        _print_all(console)
+    else:
+        import robot_models
+
+        _print_one(robot_models.load(options.robot), console)
+    return DONE
+
+
+def names() -> tuple[str, ...]:
+    """Return the names of all robots, those of this package first."""
+    import robot_models
+    from robot_models.example_robots import example_names
+
+    return (*robot_models.shipped_names(), *example_names())
+
+
+def _print_all(console: Console) -> None:
+    """Print a line for each robot, and why some cannot be used."""
+    import robot_models
+    from robot_models import ModelError
+
+    width, tip = max(map(len, names())), 22
+    rest = max(console.width - width - tip - 12, 12)
+    print(f"{'robot':{width}}  joints  {'tip':{tip}}  names of the joints")
+    refused: list[str] = []
+    for name in names():
+        try:
+            model = robot_models.load(name)
+        except ModelError as error:
+            refused.append(str(error) if name in str(error) else f"{name}: {error}")
+        else:
+            joints = _cut(", ".join(model.joint_names), rest)
+            print(f"{name:{width}}  {model.n:6}  {_cut(model.tip or 'none', tip):{tip}}  {joints}")
+    console.print(
+        "\nThe tip is that of a scenario which names none. `closedloop robots NAME` shows all joints, their limits and "
+        "the frames that can be a tip; a URDF or MJCF file is named by its path.\n\nnot to be used as they are:"
+    )
+    for text in refused:
+        console.print(f"  {text}", markup=False, soft_wrap=True)
+
+
+def _cut(text: str, width: int) -> str:
+    return text if len(text) <= width else f"{text[: width - 3]}..."
+
+
+def _print_one(model: RobotModel, console: Console) -> None:
+    """Print a robot's joints with their limits, its tip and its frames."""
+    from rich import box
+    from rich.table import Table
+
+    console.print(f"{model.name}: {model.description or 'no description'}", markup=False)
+    if model.source:
+        console.print(f"from {model.source}", markup=False)
+    table = Table(box=box.SIMPLE_HEAD, pad_edge=False)
+    table.add_column("joint")
+    table.add_column("kind")
+    for title in ("from", "to", "home", "speed", "torque", "drive"):
+        table.add_column(title, justify="right", no_wrap=True)
+    columns = (model.position_lower, model.position_upper, model.home, model.velocity_limit, model.effort_limit)
+    for j, (name, kind) in enumerate(zip(model.joint_names, model.joint_types, strict=True)):
+        numbers = [f"{x:.4g}" if math.isfinite(x) else "-" for x in (*(c[j] for c in columns), model.armature[j])]
+        table.add_row(name, kind, *numbers)
+    console.print(table)
+    console.print("rad, rad/s, N m and kg m2; of a prismatic joint m, m/s, N and kg; - where there is no limit")
+    for joint, value in model.locked.items():
+        console.print(f"held rigid: {joint} at {value:.4g}", markup=False)
+    console.print(f"tip: {model.tip or 'none: name one with --robot.tip'}", markup=False)
+    console.print(f"frames that can be a tip: {', '.join(model.frames)}", markup=False)
+    for note in model.notes:
+        console.print(f"note: {note}", markup=False)

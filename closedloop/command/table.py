@@ -1,0 +1,75 @@
+"""The commands: what ``closedloop`` and ``python -m closedloop`` can be followed by.
+
+A command is one line here. Its module is imported when the command is used, and not before: the table names it as text.
+`validate` is the only one outside of this package, which never imports the harness: the console starts it by its name,
+as ``python -m validation.run`` does.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from importlib import import_module
+from typing import NamedTuple
+
+
+class Command(NamedTuple):
+    """A command.
+
+    Attributes
+    ----------
+    name, help : str
+        The word that picks it, and what it does, on one line of the overview.
+    main : str
+        MODULE:FUNCTION; the function takes the words after the command, and returns the exit status.
+    takes : str
+        What its words may be, for the completion of a shell: "scenario", "run", "robot", or nothing known.
+    """
+
+    name: str
+    help: str
+    main: str
+    takes: str = ""
+
+
+COMMANDS = (
+    Command("run", "simulate a scenario, or repeat a run.nc", "closedloop.run:main", "scenario"),
+    Command("new", "write a scenario for a robot, ready to run", "closedloop.command.new:main"),
+    Command("show", "print the report of a saved run", "closedloop.command.saved:show", "run"),
+    Command("plot", "draw the figures of a saved run", "closedloop.command.saved:plot", "run"),
+    Command("sweep", "run a scenario many times, into a table", "closedloop.sweep.__main__:as_process", "scenario"),
+    Command("study", "run a study: drift, controllers", "closedloop.study.__main__:main"),
+    Command("validate", "compare the simulator with other engines", "validation.run:main"),
+    Command("robots", "list the robots, or show one: joints, frames", "closedloop.command.robots:main", "robot"),
+    Command("scenarios", "list the scenarios that ship", "closedloop.command.lists:scenarios"),
+    Command("compile", "compile all that ships, for images and clusters", "closedloop.command.compile_all:main"),
+    Command("completion", "print the completion script of a shell", "closedloop.command.completion:main"),
+    Command("version", "print the versions that a run depends on", "closedloop.command.lists:version"),
+)
+
+
+def imported(command: Command) -> Callable[[list[str]], int]:
+    """Import the module of a command and return its function."""
+    module, _, function = command.main.partition(":")
+    found: Callable[[list[str]], int] = getattr(import_module(module), function)
+    return found
+
+
+def find(name: str) -> Command | None:
+    """Return the command with this name, None if there is none."""
+    return next((command for command in COMMANDS if command.name == name), None)
+
+
+def overview() -> str:
+    """Return the help of ``closedloop`` itself: its commands, a line each."""
+    width = max(len(command.name) for command in COMMANDS)
+    return "\n".join(
+        [
+            "usage: closedloop COMMAND ...",
+            "",
+            "Simulate robot arms whose tip presses on a surface, and study force control.",
+            "",
+            *(f"  {command.name:{width}}  {command.help}" for command in COMMANDS),
+            "",
+            "closedloop COMMAND --help explains a command. To begin: closedloop run wam_slide",
+        ]
+    )

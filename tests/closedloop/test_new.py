@@ -1,0 +1,80 @@
+"""``closedloop new``: a scenario that runs as it is, for many arms; nothing is replaced."""
+
+import re
+
+import pytest
+
+import closedloop as cl
+from closedloop.__main__ import main
+from robot_models.shipped import path_of
+
+ARMS = ("wam4", "pointmass3", "ur5", "ur10", "panda", "kinova", "talos_arm", "xarm7")
+
+
+@pytest.fixture
+def new(capsys, monkeypatch, tmp_path):
+    """Return a function that runs ``closedloop new`` in an empty folder and returns (status, output, errors)."""
+    monkeypatch.chdir(tmp_path)
+
+    def call(*words):
+        capsys.readouterr()
+        return main(["new", *words]), *capsys.readouterr()
+
+    return call
+
+
+@pytest.mark.parametrize("robot", ["planar2", *(pytest.param(arm, marks=pytest.mark.slow) for arm in ARMS)])
+def test_what_is_written_runs_with_a_good_verdict(robot, new, tmp_path):
+    """The file has a comment on its robot, and its run slides, presses as asked and is good."""
+    status, out, err = new("my_slide", "--robot", robot)
+    assert (status, err) == (0, "")
+    assert "run it with: closedloop run my_slide.toml" in out
+    text = (tmp_path / "my_slide.toml").read_text()
+    assert text.startswith(f"# {robot} presses with 10 N and slides")
+    assert text.count("#") > 15
+    run = cl.simulate(cl.load_scenario("my_slide.toml"))
+    assert run.summary()["verdict"]["good"]
+    assert run.contact_force[-1] == pytest.approx(10.0, abs=0.01)
+    assert abs(run.position[-1] - run.position[0]).max() > 0.01
+    assert run.normal_mobility.min() > 0.02
+
+
+def test_a_file_is_never_replaced(new, tmp_path):
+    """What is there stays; a name that leads elsewhere, or is none, is refused before anything is looked for."""
+    (tmp_path / "mine.toml").write_text("mine")
+    assert new("mine", "--robot", "planar2")[::2] == (
+        2, "closedloop: mine.toml: is there already and is not replaced; choose another name\n"
+    )  # fmt: skip
+    assert (tmp_path / "mine.toml").read_text() == "mine"
+    assert "no folder 'nowhere'" in new("nowhere/mine", "--robot", "planar2")[2]
+    assert new("a:b", "--robot", "planar2")[2].startswith("closedloop: a:b.toml: name = 'a:b': must be a plain name")
+    assert [path.name for path in tmp_path.iterdir()] == ["mine.toml"]
+
+
+@pytest.mark.parametrize(
+    ("words", "said"),
+    [
+        (["--robot", "double_pendulum"], "double_pendulum with the tip link2: no start was found from which it slides"),
+        (["--robot", "planar2", "--tip", "link1"], "planar2 with the tip link1: no start was found"),
+        (["--robot", "planar2", "--tip", "hand"], "planar2 has no frame 'hand'"),
+        (["--robot", "nosuch"], "no robot is named 'nosuch'"),
+        (["--robot", "planar2", "--force", "9000"], "its joints are too weak to press with 9000 N"),
+        (["--robot", "planar2", "--force", "-1"], "--force -1: must be greater than 0"),
+    ],
+)
+def test_a_robot_that_will_not_do_is_refused_in_one_line(words, said, new, tmp_path):
+    """The line says what is wrong, and no file is left."""
+    status, out, err = new("mine", *words)
+    assert (status, out) == (2, "")
+    assert len(err.splitlines()) == 1
+    assert said in err
+    assert not list(tmp_path.iterdir())
+
+
+def test_a_robot_in_a_file_is_named_from_the_scenario(new, tmp_path):
+    """The path is that from the folder of the scenario."""
+    (tmp_path / "mine.urdf").write_bytes(path_of("planar2").read_bytes())
+    (tmp_path / "deep").mkdir()
+    assert new("deep/slide", "--robot", "mine.urdf", "--tip", "tip")[0] == 0
+    assert re.search(r'^model = "../mine.urdf"', (tmp_path / "deep" / "slide.toml").read_text(), re.MULTILINE)
+    cl.prepare(cl.load_scenario("deep/slide.toml"))

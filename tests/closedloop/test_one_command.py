@@ -1,0 +1,144 @@
+"""``closedloop COMMAND``: the table of commands, and those that look at what is there."""
+
+import json
+import re
+import subprocess
+import sys
+from importlib import import_module
+from pathlib import Path
+
+import pytest
+
+import closedloop as cl
+from closedloop.__main__ import main
+from closedloop.command.completion import bash, collect, fish, zsh
+from closedloop.command.robots import names
+from closedloop.command.table import COMMANDS, overview
+
+ROOT = Path(cl.__file__).parent.parent
+
+
+@pytest.fixture
+def closedloop(capsys, monkeypatch, tmp_path):
+    """Return a function that runs ``closedloop`` here, in an empty folder, and returns (status, output, errors)."""
+    monkeypatch.chdir(tmp_path)
+
+    def call(*words):
+        capsys.readouterr()
+        status = main([str(word) for word in words])
+        said = capsys.readouterr()
+        return status, said.out, "".join(x for x in said.err.splitlines(True) if not x.startswith("compiling "))
+
+    return call
+
+
+@pytest.fixture(scope="module")
+def saved(tmp_path_factory, shipped_run):
+    """Return the file of a run."""
+    return shipped_run("planar2_slide").save(tmp_path_factory.mktemp("saved") / "run.nc")
+
+
+@pytest.mark.parametrize("command", COMMANDS, ids=lambda command: command.name)
+def test_every_command_is_there_and_says_what_it_is(command, closedloop):
+    """The function that the table names exists, its --help fits on a screen, and a wrong word is refused."""
+    module, _, function = command.main.partition(":")
+    assert callable(getattr(import_module(module), function))
+    status, out, err = closedloop(command.name, "--help")
+    assert (status, err) == (0, "")
+    assert len(out.splitlines()) <= 40
+    assert f"\n  {command.name} " in overview()
+    assert len(command.help) + 14 <= 80
+    status, out, err = closedloop(command.name, "--nosuch")
+    assert (status, out) == (2, "")
+    assert re.fullmatch(r"(closedloop|closedloop.sweep|closedloop.study|validation): command line: .*\n", err)
+
+
+def test_the_words_before_a_command(closedloop):
+    """Without a word the user is told of --help; a misspelt command is refused with the nearest; a scenario runs."""
+    assert closedloop()[2].startswith("closedloop: name a command, such as `closedloop run wam_slide`")
+    assert closedloop("swep")[::2] == (
+        2, "closedloop: there is no command and no scenario 'swep'; did you mean 'sweep'?\n"
+    )  # fmt: skip
+    assert closedloop("--help")[:2] == (0, overview() + "\n")
+    assert closedloop("--version")[1] == closedloop("version")[1]
+    for words in (["planar2_slide"], ["run", "planar2_slide"]):
+        status, out, err = closedloop(*words, "--time.duration", "0.01", "--no-figures", "--json")
+        assert (status, err) == (0, "")
+        assert json.loads(out)["steps"] == 10
+
+
+def test_a_command_imports_what_it_needs_and_no_more(tmp_path):
+    """The overview loads no other command; a foreign package called validation is named, and its code is not run."""
+    code = "import sys; from closedloop.__main__ import main; main(['--help']); print(*sys.modules)"
+    loaded = subprocess.run([sys.executable, "-c", code], cwd=ROOT, capture_output=True, text=True).stdout.split()
+    assert not {"pydantic", "pinocchio", "closedloop.run", "validation", "closedloop.sweep"} & set(loaded)
+    (tmp_path / "validation").mkdir()
+    (tmp_path / "validation" / "__init__.py").write_text("")
+    code = f"import sys; sys.path[:0] = [{str(tmp_path)!r}, {str(ROOT)!r}]\n" + "from closedloop.__main__ import main\n"
+    code += "sys.exit(main(['validate', '--quick']))"
+    done = subprocess.run([sys.executable, "-c", code], cwd=tmp_path, capture_output=True, text=True)
+    assert done.returncode == 2
+    assert re.fullmatch(
+        r"closedloop: validate: needs the module validation.run, and the package 'validation' in .*__init__.py is "
+        r"another one\n",
+        done.stderr,
+    )
+
+
+def test_a_saved_run_is_shown(closedloop, saved):
+    """`show` prints the report, with --json the summary; a file that is no run is refused."""
+    status, out, err = closedloop("show", saved)
+    assert (status, err) == (0, "")
+    assert out.startswith("verdict: good\nplanar2_slide: the paper's assumptions")
+    assert json.loads(closedloop("show", saved, "--json")[1]) == cl.load_run(saved).summary()
+    assert closedloop("show", "nosuch.nc")[::2] == (2, "closedloop: nosuch.nc: there is no such file\n")
+
+
+def test_a_saved_run_is_drawn(closedloop, saved, tmp_path):
+    """`plot` writes the figures of the file, into the folder that is named, and nothing else."""
+    status, out, err = closedloop("plot", saved, "--out", "figures")
+    assert (status, err) == (0, "")
+    drawn = {"fig4_tip_position", "fig5_contact_force", "fig6_closure_error"}
+    assert {path.stem for path in (tmp_path / "figures").iterdir()} == drawn
+    assert all(f"{name}.png" in out for name in drawn)
+
+
+def test_robots_are_listed_with_their_joints(closedloop, monkeypatch):
+    """Each robot has a line, or the reason why not; one robot's joints, limits and frames are shown."""
+    monkeypatch.setenv("COLUMNS", "80")
+    monkeypatch.setattr("closedloop.command.robots.names", lambda: ("planar2", "ur5", "cassie"))
+    status, out, err = closedloop("robots")
+    assert (status, err) == (0, "")
+    assert max(map(len, out.partition("not to be used")[0].splitlines())) <= 80
+    assert re.search(r"ur5 +6 +tool0 +shoulder_pan_joint", out)
+    assert "'cassie' is described in SDF" in out
+    one = closedloop("robots", "panda")[1]
+    for words in (
+        "panda_joint7",
+        "-3.072",
+        "held rigid: panda_finger_joint1 at 0",
+        "tip: panda_hand_tcp",
+        "panda_link8",
+    ):
+        assert words in one
+    assert closedloop("robots", "pandas")[0] == 2
+    assert {"wam4", "ur5", "panda", "talos_arm"} <= set(names())
+
+
+def test_completion_knows_commands_options_and_keys(closedloop):
+    """The words come from the table, the help and the schema; bash gives those that begin as what is typed."""
+    words = collect()
+    assert set(words.options) == {command.name for command in COMMANDS}
+    assert {"--out", "--strict", "--law.kp", "--time.step"} <= set(words.options["run"])
+    assert words.values["--law.kind"][-1] == "paper"
+    assert words.values["--engine"] == ["pinocchio", "compiled"]
+    assert words.arguments["study"] == ["drift", "controllers"]
+    script = bash(words)
+    ask = (
+        f'{script}\nCOMP_WORDS=(closedloop run wam_slide --law.k); COMP_CWORD=3; _closedloop; echo "${{COMPREPLY[@]}}"'
+    )
+    done = subprocess.run(["bash", "-c", ask], capture_output=True, text=True, check=True)
+    assert done.stdout.split() == ["--law.kind", "--law.kp", "--law.kd"]
+    assert "closedloop" in zsh(words)
+    assert "complete -c closedloop" in fish(words)
+    assert closedloop("completion", "tcsh")[2].startswith("closedloop: command line: argument shell: invalid choice")

@@ -1,0 +1,178 @@
+"""All faults of a scenario at once; sections without a kind; the path of a robot in a file; the README's template."""
+
+import re
+from pathlib import Path
+
+import pytest
+
+import closedloop as cl
+from closedloop.errors import faults_on_one_line, lines_of
+from closedloop.scenario.messages import MOST_FAULTS
+from closedloop.scenario.scenario import parse_scenario
+from robot_models.shipped import path_of
+
+README = Path(__file__).resolve().parents[2] / "README.md"
+MINIMAL = "[law]\nkp = 1\nkd = 1\n"
+FAULTY = """
+[law]
+kp = 1
+force = "ten"
+[reference]
+speed = 0.02
+[surface]
+kind = "sphere"
+radius = 2
+offset = "begin"
+[start]
+q = [0, nan, "a"]
+[time]
+stp = 2
+duration = -1
+"""
+LINES = [
+    "unknown key 'reference.speed'; reference.kind is 'hold' where it is not given, and speed goes with 'line'",
+    "unknown key 'time.stp'; did you mean 'time.step'?",
+    "surface.kind = 'sphere': must be 'plane'",
+    "surface.offset = 'begin': must be a finite number of metres, or \"start\"",
+    "start.q[1] = nan: must be finite, not NaN or infinite",
+    "start.q[2] = 'a': must be a number",
+    "law.force = 'ten': must be a number",
+    "'law.kd' is missing",
+    "time.duration = -1: must be greater than 0",
+]
+
+
+def refused(text):
+    """Return the faults with which a scenario's text is refused."""
+    with pytest.raises(cl.ScenarioError) as caught:
+        parse_scenario(text)
+    return caught.value
+
+
+def test_all_faults_are_told_at_once(command_line, tmp_path):
+    """Each has a line of its own, with the command's name in front; the status stays 2; Python has them as `faults`."""
+    (tmp_path / "bad.toml").write_text(FAULTY)
+    outcome = command_line("bad.toml")
+    assert (outcome.status, outcome.out) == (2, "")
+    assert sorted(outcome.err.splitlines()) == sorted(f"closedloop: bad.toml: {line}" for line in LINES)
+    error = refused(FAULTY)
+    assert sorted(error.faults) == sorted(f"scenario: {line}" for line in LINES)
+    assert str(error).splitlines() == list(error.faults) == list(lines_of(error))
+    assert faults_on_one_line(error).count("; ") >= len(LINES) - 1
+    assert "\n" not in faults_on_one_line(error)
+
+
+def test_a_fault_is_told_once():
+    """A misspelt key is not missing as well, and the keys of a kind that is none are not unknown."""
+    assert refused("[laws]\nkp = 1\n").faults == ("scenario: unknown key 'laws'; did you mean 'law'?",)
+    assert len(refused(MINIMAL + "[stabiliser]\nkind = 'spring'\nstiffness = 3\n").faults) == 1
+
+
+def test_a_thousand_faults_are_no_thousand_lines():
+    """As many as fit on a screen are told, and how many more there are."""
+    error = refused(MINIMAL + f"[start]\nq = [{'nan, ' * 1000}]\n")
+    assert len(error.faults) == MOST_FAULTS + 1
+    assert error.faults[-1] == f"scenario: {1000 - MOST_FAULTS} more faults of this sort"
+
+
+def test_lists_of_a_wrong_length_are_told_together():
+    """So are joints that start outside their limits: what only the robot can tell."""
+    changes = {"start.q": [0.0], "law.kp": [1, 2], "law.kd": [1, 2, 3]}
+    with pytest.raises(cl.ScenarioError) as caught:
+        cl.prepare(cl.load_scenario("wam_slide", changes))
+    assert [fault.split()[:3:2] for fault in caught.value.faults] == [
+        ["start.q", "1"], ["law.kp", "2"], ["law.kd", "3"]
+    ]  # fmt: skip
+    with pytest.raises(cl.ScenarioError) as caught:
+        cl.prepare(cl.load_scenario("wam_slide", {"start.q": [100.0, 1.0, 0.0, 200.0]}))
+    assert [fault[:10] for fault in caught.value.faults] == ["start.q[0]", "start.q[3]"]
+
+
+def test_a_row_of_a_batch_has_its_faults_on_one_line():
+    """The table's reason is one line, whatever is wrong with the run."""
+    scenario = cl.load_scenario("planar2_slide", {"time.duration": 0.01})
+    table = cl.simulate_batch(scenario, {"start.q": [[0.6, -1.4], [100.0, 100.0]]})
+    assert table["status"].to_pylist() == ["done", "refused"]
+    reason = table["reason"].to_pylist()[1]
+    assert reason.startswith("start.q[0] = 100: joint J1")
+    assert "; start.q[1] = 100: joint J2" in reason
+    assert "\n" not in reason
+
+
+@pytest.mark.parametrize(
+    ("section", "kind"),
+    [
+        ("surface", "plane"), ("reference", "hold"), ("law", "paper"), ("compensation", "none"), ("friction", "none"),
+        ("joint_friction", "none"), ("force_profile", "constant"), ("stabiliser", "baumgarte"),
+    ],
+)  # fmt: skip
+def test_a_section_without_a_kind_has_the_usual_one(section, kind):
+    """It is that of a scenario which leaves the section out."""
+    text = MINIMAL if section == "law" else MINIMAL + f"[{section}]\n"
+    assert getattr(parse_scenario(text), section).kind == kind
+    assert parse_scenario(text) == parse_scenario(MINIMAL)
+
+
+def test_keys_of_the_usual_kind_need_no_kind():
+    """[stabiliser] with a time constant alone is Baumgarte's."""
+    assert parse_scenario(MINIMAL + "[stabiliser]\ntime_constant = 0.002\n").stabiliser.time_constant == 0.002
+
+
+@pytest.fixture
+def deep(tmp_path, monkeypatch):
+    """Return a scenario's file in a folder below the current one, with its robot beside it."""
+    monkeypatch.chdir(tmp_path)
+    folder = tmp_path / "deep"
+    folder.mkdir()
+    (folder / "mine.urdf").write_bytes(path_of("planar2").read_bytes())
+    (folder / "study.toml").write_text('robot.model = "mine.urdf"\n' + MINIMAL)
+    return folder / "study.toml"
+
+
+def test_a_robots_path_is_looked_up_from_the_scenario(deep, tmp_path, monkeypatch):
+    """From any current folder, and from a copy of the scenario's own text; an absolute path stays."""
+    scenario = cl.load_scenario("deep/study.toml")
+    assert scenario.robot.model == str(deep.parent / "mine.urdf")
+    (tmp_path / "copy.toml").write_text(scenario.to_toml())
+    monkeypatch.chdir(deep.parent)
+    assert cl.load_scenario("../copy.toml").robot == scenario.robot
+    assert cl.prepare(cl.load_scenario("study.toml", {"time.duration": 0.01})).robot.n == 2
+
+
+def test_a_robots_path_on_the_command_line_is_looked_up_from_here(deep, command_line, tmp_path, short):
+    """It takes the place of the file's; a robot that ships is no path."""
+    (tmp_path / "other.urdf").write_bytes(path_of("planar2").read_bytes())
+    assert command_line("deep/study.toml", "--robot.model", "other.urdf", *short).status == 0
+    assert cl.load_run("out/study/run.nc").scenario.robot.model == str(tmp_path / "other.urdf")
+    assert "'mine.urdf'" not in command_line("deep/study.toml", "--robot.model", "none.urdf", *short).refusal()
+    assert cl.load_scenario("wam_slide").robot.model == "wam4"
+
+
+def test_a_robot_that_is_only_in_the_current_folder(deep, command_line, tmp_path, short):
+    """The refusal says where it is looked up and what to write; where it is nowhere, that there is no such file."""
+    (deep.parent / "mine.urdf").rename(tmp_path / "mine.urdf")
+    line = command_line("deep/study.toml", *short).refusal()
+    assert line.startswith("deep/study.toml: robot.model = 'mine.urdf': is looked up from the folder of the scenario")
+    assert "write '../mine.urdf', or give --robot.model mine.urdf" in line
+    assert command_line("deep/study.toml", "--robot.model", "mine.urdf", *short).status == 0
+    (tmp_path / "mine.urdf").unlink()
+    assert "mine.urdf" in command_line("deep/study.toml", *short).refusal()
+
+
+def test_a_run_is_repeated_without_its_robots_file(deep, command_line, short):
+    """run.nc has the robot's text."""
+    assert command_line("deep/study.toml", *short, "--out", "a").status == 0
+    (deep.parent / "mine.urdf").unlink()
+    assert command_line("a/run.nc", *short, "--out", "b").status == 0
+    assert (cl.load_run("b/run.nc").torque == cl.load_run("a/run.nc").torque).all()
+
+
+def test_the_readmes_template_runs(tmp_path):
+    """The block of the README, pasted into a file, is a scenario of its own that can be run."""
+    (block,) = re.findall(r"```toml\n(.*?)```", README.read_text(encoding="utf-8"), re.DOTALL)
+    (tmp_path / "mine.toml").write_text(block, encoding="utf-8")
+    scenario = cl.load_scenario(tmp_path / "mine.toml")
+    assert scenario.time.duration == 6.0
+    run = cl.simulate(cl.load_scenario(tmp_path / "mine.toml", {"time.duration": 0.6}))
+    assert run.summary()["verdict"]["good"]
+    assert run.contact_force[-1] == pytest.approx(10.0, abs=0.1)

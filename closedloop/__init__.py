@@ -47,6 +47,7 @@ if TYPE_CHECKING:
     from closedloop.scenario.scenario import shipped_scenarios as shipped_scenarios
     from closedloop.simulation.prepare import prepare as prepare
     from closedloop.simulation.simulate import simulate as simulate
+    from closedloop.surface.compliance import Compliance as Compliance
     from closedloop.surface.motion import SurfaceMotion as SurfaceMotion
     from closedloop.surface.plane import Plane as Plane
     from closedloop.surface.surface import Surface as Surface
@@ -56,6 +57,7 @@ _HOME = {
     "ChatterError": "errors",
     "ClosedLoopError": "errors",
     "ClusterError": "errors",
+    "Compliance": "surface.compliance",
     "ControlLaw": "control.law",
     "DivergenceError": "errors",
     "Event": "record.run",

@@ -235,6 +235,30 @@ def stuck_force(S: Array, a: Array, b_stabiliser: Array, F: Array, share: Array)
     return OK
 
 
+@kernel
+def stuck_tangentially(S: Array, a: Array, b: Array, F: Array) -> None:
+    """Write the tangential force F_t that holds the tip along the surface under a given normal force F_n.
+
+    Parameters
+    ----------
+    S, a, b : (3, 3), (3,), (3,) arrays
+        Mobility, 1/kg; free acceleration and that of the tip, m/s², of which the tangential parts count.
+    F : (3,) array
+        N; F_n read, F_t written: zero along tangents in which the tip cannot move.
+    """
+    trace = S[0, 0] + S[1, 1] + S[2, 2]
+    b1, b2 = b[1] - a[1] - S[1, 0] * F[0], b[2] - a[2] - S[2, 0] * F[0]
+    i, j = (1, 2) if S[1, 1] >= S[2, 2] else (2, 1)  # the more mobile tangent first
+    first, second = (b1, b2) if i == 1 else (b2, b1)
+    F[1], F[2] = 0.0, 0.0
+    if not S[i, i] > IMMOBILE * trace:
+        return
+    rest = S[j, j] - S[1, 2] * S[1, 2] / S[i, i]
+    if rest > IMMOBILE * trace:
+        F[j] = (second - S[1, 2] / S[i, i] * first) / rest
+    F[i] = (first - S[1, 2] * F[j]) / S[i, i]
+
+
 @kernel_inlined
 def accelerate(L: Array, X: Array, y: Array, F: Array, qdd: Array) -> None:
     """Write q̈ = L⁻ᵀ(y + Xᵀ F): the acceleration due to Q − C and the contact force."""

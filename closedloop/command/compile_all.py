@@ -62,6 +62,9 @@ def _laws() -> Iterable[Piece]:
     from closedloop.friction.laws.none import NoFriction
     from closedloop.jit.calls import entry_address
     from closedloop.step.entries import friction_entry, joint_friction_entry, law_entry
+    from closedloop.step.soft_contact import compliance_entry
+    from closedloop.surface.compliance import COMPLIANCES
+    from closedloop.surface.compliances.none import Rigid
     from closedloop.surface.contact import motion_entry, surface_entry
     from closedloop.surface.motion import MOTIONS
     from closedloop.surface.motions.none import NoMotion
@@ -73,11 +76,12 @@ def _laws() -> Iterable[Piece]:
         (SURFACE_LAWS, friction_entry, "friction"),
         (JOINT_LAWS, joint_friction_entry, "joint friction"),
         (SURFACES, surface_entry, "surface"),
+        (COMPLIANCES, compliance_entry, "soft surface"),
         (MOTIONS, motion_entry, "surface that moves:"),
     )
     for family, entry_of, what in families:
         for kind, member in family.items():
-            if member not in (NoFriction, NoMotion):
+            if member not in (NoFriction, NoMotion, Rigid):
                 entry = entry_of(member)
                 yield Piece(getattr(entry, "__name__", ""), f"{what} {kind}", partial(entry_address, entry))
 

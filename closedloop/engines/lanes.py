@@ -70,6 +70,7 @@ def can_use_lanes(scenario: Scenario) -> bool:
         not needs_general_form(scenario)
         and scenario.surface.kind == "plane"
         and scenario.surface_motion.kind == "none"
+        and scenario.compliance.kind == "none"
         and not scenario.surface.gap > 0.0
         and scenario.stabiliser.kind in ("baumgarte", "none")
         and scenario.time.integrator in INTEGRATORS
@@ -226,7 +227,7 @@ def run_in_lanes(
     largest = float64x8_at(addresses[LARGEST], 1)[0]
     constants = Constants(
         float64x8_at(addresses[CONSTANTS], 0), n, state.law_size, state.compensation_size, state.friction_size,
-        state.joint_friction_size,
+        state.joint_friction_size, state.compliance_size,
     )  # fmt: skip
     forces = float64x8_at(addresses[FORCES], instants)
     rows = float64x8_at(addresses[ROWS], kept * width).reshape(kept, width)

@@ -39,6 +39,8 @@ from closedloop.step.memory import (
     Work,
     make_loop,
 )
+from closedloop.step.soft_contact import compliance_entry
+from closedloop.surface.compliances.none import Rigid
 from closedloop.surface.placed import PlacedSurface
 from closedloop.surface.plane import Plane
 from closedloop.user_code import of_users, why_not_compiled
@@ -118,8 +120,8 @@ class Problem:
         s_v, 1/s, and s_p, 1/s².
     pd_start : float
         Instant from which the PD part of the law acts, s.
-    law, compensation, friction, joint_friction : PackedLaw
-        The law, its compensation of friction, and friction, as numbers.
+    law, compensation, friction, joint_friction, compliance : PackedLaw
+        The law, its compensation of friction, friction, and the compliance of the surface, as numbers.
     sensor : PackedSensor
         The force sensor.
     table : (steps · nodes + 1, 2 n + 11) array
@@ -153,6 +155,7 @@ class Problem:
     compensation: PackedLaw
     friction: PackedLaw
     joint_friction: PackedLaw
+    compliance: PackedLaw
     sensor: PackedSensor
     table: Array
     nodes: int
@@ -212,7 +215,8 @@ class Problem:
         extra = both + self.sensor.states + surface + n * joints
         sizes = {
             "law": law.numbers.size, "compensation": compensation.numbers.size, "friction": self.friction.numbers.size,
-            "joint_friction": self.joint_friction.numbers.shape[1], "extra": extra,
+            "joint_friction": self.joint_friction.numbers.shape[1], "compliance": self.compliance.numbers.size,
+            "extra": extra,
         }  # fmt: skip
         loop = make_loop(n, **sizes, stages=self.integrator.stages, ring=self.sensor.ring)
         state = loop.state
@@ -234,6 +238,8 @@ class Problem:
             found["law"] = law_entry(self.law.member)
             if self.compensation.member is not NoCompensation:
                 found["compensation"] = law_entry(self.compensation.member)
+        if self.compliance.member is not Rigid:
+            found["compliance"] = compliance_entry(self.compliance.member)
         if self.friction.member is not NoFriction:
             found["friction"] = friction_entry(self.friction.member)
         if self.joint_friction.member is not NoFriction:
@@ -285,6 +291,7 @@ class Problem:
             self.sensor.par.memory, robot.support, STICK_SPEED,
         )  # fmt: skip
         constants.law[:], constants.compensation[:] = self.law.numbers, self.compensation.numbers
+        constants.compliance[:] = self.compliance.numbers
         constants.friction[:], constants.joint_friction[:] = self.friction.numbers, self.joint_friction.numbers
         tip = self._tip()
         with of_users(self.friction.member, "friction.kind"):

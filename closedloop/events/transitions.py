@@ -16,6 +16,7 @@ from closedloop.closure.contact_force import (
     normal_rounding,
     pressed_force,
     stuck_force,
+    stuck_tangentially,
 )
 from closedloop.closure.solve import CHATTER, OK
 from closedloop.events.locate import cone_margin
@@ -118,9 +119,13 @@ def apply_event(
     if state.mode == FREE:
         # At the end of a step of first order the gap may be negative and the velocity upwards: contact, no impulse.
         state.phase, state.kind = IMPULSES_KNOWN, TOUCHDOWN
-        return SOLVE_IMPACT if w.u[0] < 0.0 else APPLY_IMPACT
+        return SOLVE_IMPACT if w.u[0] < 0.0 and state.compliance == 0 else APPLY_IMPACT
     if state.unilateral != 0 and w.rigid_force < 0.0:
         state.mode, state.risen, state.kind = FREE, 0, LIFTOFF
+        if state.compliance != 0:
+            log_event(w, constants, state, events, 0.0)
+            request_terms(state, AFTER_EVENT)
+            return NEED_TERMS
         w.after[0] = 0.0
         log_event(w, constants, state, events, 0.5 * w.u[0] * w.u[0] / w.S[0, 0])
         # The tip leaves from the surface itself: the error that the stabiliser had not yet removed is projected out.
@@ -143,7 +148,7 @@ def end_stick_or_slip(w: Work, constants: Constants, state: State, rows: Array, 
         state.mode, state.kind = PRESSED, SLIP_AGAIN
         w.direction[0], w.direction[1] = -w.F[1] / size, -w.F[2] / size
         if state.sticking == RIGID_STICK:  # slip starts from rest: the velocity left by errors is removed
-            loss = stop_tip(w)
+            loss = stop_tip(w, state)
     else:
         speed = np.hypot(w.u[1], w.u[2])
         slow = speed <= max(2.0 * constants.stick_speed, constants.capture_speed * (1.0 + 1e-9))
@@ -156,13 +161,16 @@ def end_stick_or_slip(w: Work, constants: Constants, state: State, rows: Array, 
             held = OK
             for i in range(3):
                 w.b[i] = 0.0
-            held = stuck_force(w.S, w.a, w.b, w.F, w.stabiliser_force)
+            if state.compliance != 0:
+                stuck_tangentially(w.S, w.a, w.b, w.F)
+            else:
+                held = stuck_force(w.S, w.a, w.b, w.F, w.stabiliser_force)
             size = np.hypot(w.F[1], w.F[2])
             call_at(state.friction, state.address, LIMIT)
             if held == OK and slow and size <= w.stick_limit * abs(w.F[0]):
                 state.mode, state.kind = STUCK, STICK
                 set_anchor(w, state)
-                loss = stop_tip(w)
+                loss = stop_tip(w, state)
             elif not slow:  # slip has turned by a right angle since the substep began, and goes on
                 w.direction[0], w.direction[1] = w.u[1] / speed, w.u[2] / speed
                 request_terms(state, AFTER_EVENT)
@@ -176,13 +184,16 @@ def end_stick_or_slip(w: Work, constants: Constants, state: State, rows: Array, 
 
 
 @kernel
-def stop_tip(w: Work) -> float:
-    """Set the tip's velocity u to zero by an impulse; return the energy lost, J."""
+def stop_tip(w: Work, state: State) -> float:
+    """Set the tip's velocity u to zero by an impulse, on a soft surface that along it; return the energy lost, J."""
     for i in range(3):
-        w.a[i], w.b[i] = w.u[i], 0.0
-    stuck_force(w.S, w.a, w.b, w.compression, w.stabiliser_force)
-    for i in range(3):
-        w.after[i] = 0.0
+        w.a[i], w.b[i], w.after[i] = w.u[i], 0.0, 0.0
+    if state.compliance != 0:
+        w.compression[0] = 0.0
+        stuck_tangentially(w.S, w.a, w.b, w.compression)
+        w.after[0] = w.u[0] + w.S[0, 1] * w.compression[1] + w.S[0, 2] * w.compression[2]
+    else:
+        stuck_force(w.S, w.a, w.b, w.compression, w.stabiliser_force)
     apply_impulse(w.L, w.X, w.compression, w.column, w.v)
     return float(energy_lost(w.before, w.after, w.compression))
 

@@ -181,6 +181,8 @@ def _chatter(facts: Facts) -> dict[str, Any] | None:
 
 def _closure(facts: Facts) -> dict[str, Any] | None:
     m = facts.measures
+    if facts.scenario.compliance.kind != "none":
+        return None  # a soft surface gives way
     bound = CLOSURE_BOUND + abs(m["start_closure_error"] or 0.0)
     error, depth = _number(m["max_abs_closure_error"]), _number(m["deepest_penetration"])
     if error <= bound and depth <= bound:

@@ -42,6 +42,7 @@ from closedloop.sections import (
     Unit,
     usual,
 )
+from closedloop.surface.compliance import COMPLIANCES, Compliance
 from closedloop.surface.motion import MOTIONS, SurfaceMotion
 from closedloop.surface.surface import SURFACES, Surface
 from robot_models.load import names_a_file
@@ -203,6 +204,9 @@ class Scenario(Section):
     )
     surface_motion: Annotated[SurfaceMotion, MOTIONS] = Field(
         default_factory=lambda: MOTIONS["none"](), description="how the surface moves"
+    )
+    compliance: Annotated[Compliance, COMPLIANCES] = Field(
+        default_factory=lambda: COMPLIANCES["none"](), description="how the surface gives way, if it is soft"
     )
     impact: ImpactSection = Field(ImpactSection(), description="how the tip bounces, where it may leave the surface")
     start: StartSection = Field(StartSection(), description="the posture and the velocity at t = 0")

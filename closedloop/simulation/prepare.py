@@ -16,12 +16,12 @@ from closedloop.closure.contact_force import FREE, PRESSED, STUCK
 from closedloop.control.laws.paper import PaperLaw
 from closedloop.control.sensor import draws, pack_sensor
 from closedloop.control.stability import check_sampling
-from closedloop.engines.problem import STICK_SPEED, Problem, pack_friction, pack_law
+from closedloop.engines.problem import STICK_SPEED, PackedLaw, Problem, pack_friction, pack_law
 from closedloop.errors import ScenarioError
 from closedloop.events.phases import RESTING, TOUCHING
 from closedloop.friction.law import JOINT_LAWS, SURFACE_LAWS
 from closedloop.integrators import ADAPTIVE, INTEGRATORS, Scheme
-from closedloop.parameters import lists_per_joint
+from closedloop.parameters import lists_per_joint, pack
 from closedloop.reference.desired import Desired, desired
 from closedloop.reference.force import force_at
 from closedloop.robot.pinocchio import Robot
@@ -29,6 +29,7 @@ from closedloop.scenario.members import refuse_absent
 from closedloop.scenario.scenario import BaumgarteGains, Scenario
 from closedloop.simulation.cache import Cache
 from closedloop.step.record_row import Row
+from closedloop.surface.compliances.none import Rigid
 from closedloop.surface.kinds.plane import PlaneSurface
 from closedloop.surface.placed import PlacedSurface, Touching
 from closedloop.surface.surface import Surface
@@ -89,7 +90,10 @@ def prepare(scenario: Scenario, model: RobotModel | None = None, cache: Cache | 
 
     surface, now, mode = _surface(scenario, robot, q, v)
 
+    soft = not isinstance(scenario.compliance, Rigid)
     integrator, tolerance = _integrator(scenario)
+    if soft and tolerance is None:
+        _check_stiffness(scenario, robot, q, now)
     steps = _whole(scenario.time.duration, scenario.time.step, "time.duration")
     most_rows = MOST_NUMBERS // Row.count(n)
     if steps > most_rows:
@@ -134,10 +138,11 @@ def prepare(scenario: Scenario, model: RobotModel | None = None, cache: Cache | 
         compensation=pack_law(scenario.compensation, n, model.joint_names),
         friction=friction,
         joint_friction=pack_friction(scenario.joint_friction, n, joints=True),
+        compliance=PackedLaw(type(scenario.compliance), pack(scenario.compliance, n, "compliance"), 0),
         sensor=pack_sensor(scenario.sensor, h),
         table=table,
         nodes=nodes_per_step,
-        project=scenario.stabiliser.kind in ("projection", "both"),
+        project=scenario.stabiliser.kind in ("projection", "both") and not soft,
         hold=hold,
         wanted=wanted,
         tolerance=tolerance,
@@ -233,11 +238,18 @@ def _surface(scenario: Scenario, robot: Robot, q: Array, v: Array) -> tuple[Plac
     section = scenario.surface
     terms = robot.terms(q, v)
     tip = terms.position
-    surface = PlacedSurface.of(section, scenario.surface_motion, tip)
+    soft = not isinstance(scenario.compliance, Rigid)
+    pressed = max(0.0, float(force_at(scenario.force_profile, scenario.law.force, np.zeros(1))[0]))
+    with of_users(scenario.compliance, "compliance.kind"):
+        depth = scenario.compliance.static_depth(pressed) if soft and not section.gap else 0.0
+    surface = PlacedSurface.of(section, scenario.surface_motion, tip, depth)
     now = surface.touching(tip, terms.jacobian @ v)
-    gap = section.gap if surface.below_start and isinstance(section, PlaneSurface) else now.gap
+    exact = surface.below_start and isinstance(section, PlaneSurface) and not soft
+    gap = section.gap if exact else now.gap
     rate = float(now.frame[0] @ terms.jacobian @ v - now.carried[0])
     given, at_most, place = _where_given(section, surface, tip)
+    if soft:  # how deep the tip is, or how fast it comes, is for the surface to answer
+        return surface, now, PRESSED if section.contact == "bilateral" or gap <= TOUCHING else FREE
     if section.contact == "bilateral":
         if abs(gap) > START_GAP:
             side = "off" if gap > 0 else "inside"
@@ -258,6 +270,30 @@ def _surface(scenario: Scenario, robot: Robot, q: Array, v: Array) -> tuple[Plac
             "(surface.gap), or without velocity along the normal"
         )
     return surface, now, FREE if rate < -RESTING else PRESSED
+
+
+def _check_stiffness(scenario: Scenario, robot: Robot, q: Array, now: Touching) -> None:
+    """Refuse a soft surface that is too stiff for the step: tip and surface are a mass, a spring and a damper."""
+    terms, name, h = robot.terms(q, np.zeros(robot.n)), scenario.time.integrator, scenario.time.step
+    A = now.frame[0] @ terms.jacobian
+    try:
+        mobility = float(A @ np.linalg.solve(terms.mass_matrix, A))
+    except np.linalg.LinAlgError:  # some joint moves no inertia: the run says so
+        return
+    stiffness, damping = scenario.compliance.tangent(max(0.0, -now.gap))
+    rate = math.sqrt(stiffness * mobility)
+    if not 0.0 < rate < math.inf:
+        return
+    limit = largest_stable_ratio(name, 0.5 * damping * mobility / rate)
+    if h * rate > limit:
+        raise ScenarioError(
+            f"compliance: {name} is unstable with time.step = {h:g} s on a surface of {stiffness:.3g} N/m and "
+            f"{damping:.3g} N s/m: the tip moves with 1/{1.0 / mobility:.3g} kg; the step may be at most "
+            f"{_rounded(limit / rate, down=True)} s, or take the integrator 'dop853'"
+            if limit > 0.0
+            else f"compliance: {name} is unstable at any step on a surface of {stiffness:.3g} N/m and {damping:.3g} "
+            "N s/m; use 'rk4', 'dop853' or 'semi_implicit_euler'"
+        )
 
 
 def _where_given(section: Surface, surface: PlacedSurface, tip: Array) -> tuple[str, str, str]:

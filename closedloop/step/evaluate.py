@@ -36,6 +36,7 @@ from closedloop.step.entries import RATES, START, TORQUE
 from closedloop.step.joint_friction import add_joint_friction, hold_joints
 from closedloop.step.locate import in_contact_frame, locate_tip, off_anchor
 from closedloop.step.memory import RIGID_STICK, SPRING_STICK, Constants, Reference, State, Work
+from closedloop.step.soft_contact import soft_contact_force
 from closedloop.step.tip_friction import surface_friction, turn_with_slip
 
 Array = NDArray[np.float64]
@@ -209,6 +210,9 @@ def contact_force(C: Array, w: Work, constants: Constants, state: State) -> int:
         w.F[i] = 0.0
         w.stabiliser_force[i] = 0.0
         w.b[i] = 0.0
+    if state.compliance != 0 and state.mode != FREE:
+        soft_contact_force(w, constants, state)
+        return OK
     if state.mode == PRESSED or (state.mode == STUCK and state.sticking == SPRING_STICK):
         b = baumgarte_acceleration(constants.s_v, constants.s_p, w.rate, w.gap)
         status, share = pressed_force(w.S, w.a, b, w.c, w.viscous, w.F)

@@ -62,6 +62,8 @@ class State(Block):
     joint_friction_size: int  # of one joint
     surface: int  # address of the entry of the surface, 0: a plane at rest; and of its memory
     surface_at: int
+    compliance: int  # address of the entry of the surface's compliance, 0: it is rigid; and its parameters
+    compliance_size: int
     surface_motion: int  # address of the entry of its motion, 0: it is at rest
     constants_at: int
     constants_size: int
@@ -89,7 +91,7 @@ class State(Block):
     batched: int  # rows in `Work.batch`
 
 
-class Constants(Block, sizes=("n", "law", "compensation", "friction", "joint_friction")):
+class Constants(Block, sizes=("n", "law", "compensation", "friction", "joint_friction", "compliance")):
     """What does not change during a run of n joints."""
 
     h: float  # step, s
@@ -114,6 +116,7 @@ class Constants(Block, sizes=("n", "law", "compensation", "friction", "joint_fri
     compensation: Annotated[Array, Count.of("compensation")]
     friction: Annotated[Array, Count.of("friction")]
     joint_friction: Annotated[Array, N, Count.of("joint_friction")]
+    compliance: Annotated[Array, Count.of("compliance")]
 
 
 class Reference(Block, sizes=("n",)):
@@ -228,7 +231,7 @@ def loop_at(address: int) -> tuple[State, Constants, Work]:
     n = state.n
     constants = Constants(
         vector_at(state.constants_at, state.constants_size), n, state.law_size, state.compensation_size,
-        state.friction_size, state.joint_friction_size,
+        state.friction_size, state.joint_friction_size, state.compliance_size,
     )  # fmt: skip
     w = Work(vector_at(state.work_at, state.work_size), n, state.extra, state.stages, state.sensor_ring)
     return state, constants, w
@@ -248,8 +251,8 @@ class Loop(NamedTuple):
 
 
 def make_loop(
-    n: int, *, law: int = 0, compensation: int = 0, friction: int = 0, joint_friction: int = 0, extra: int = 0,
-    stages: int = 1, ring: int = 1,
+    n: int, *, law: int = 0, compensation: int = 0, friction: int = 0, joint_friction: int = 0, compliance: int = 0,
+    extra: int = 0, stages: int = 1, ring: int = 1,
 ) -> Loop:  # fmt: skip
     """Return a loop's memory, zero everywhere.
 
@@ -257,7 +260,7 @@ def make_loop(
     ----------
     n : int
         Joints.
-    law, compensation, friction, joint_friction : int
+    law, compensation, friction, joint_friction, compliance : int
         How many numbers their parameters are; of the joints' friction, those of one joint.
     extra : int
         Numbers of state beside q and q̇.
@@ -267,13 +270,13 @@ def make_loop(
         Samples that the force sensor keeps.
     """
     state = State(np.zeros(STATE_COUNT, dtype=np.int64))
-    sizes = n, law, compensation, friction, joint_friction
+    sizes = n, law, compensation, friction, joint_friction, compliance
     constants = Constants(np.zeros(Constants.count(*sizes)), *sizes)
     w = Work(np.zeros(Work.count(n, extra, stages, ring)), n, extra, stages, ring)
     state.address = address_of(state.memory)
     state.n, state.extra, state.stages, state.sensor_ring = n, extra, stages, ring
     state.law_size, state.compensation_size = law, compensation
-    state.friction_size, state.joint_friction_size = friction, joint_friction
+    state.friction_size, state.joint_friction_size, state.compliance_size = friction, joint_friction, compliance
     state.constants_at, state.constants_size = address_of(constants.memory), constants.memory.size
     state.work_at, state.work_size = address_of(w.memory), w.memory.size
     return Loop(state, constants, w)

@@ -135,8 +135,9 @@ def record(
         row.slip_velocity[i] = w.frame[1, i] * w.u[1] + w.frame[2, i] * w.u[2]
         row.surface_normal[i] = w.frame[0, i]
     mode = state.mode
-    closures = 0 if mode == FREE else (3 if mode == STUCK and state.sticking == RIGID_STICK else 1)
-    motion, closed = residuals(H, w.column, C, w.A, w.S, w.drift_c, w.b, w.a, w.qdd, w.F, 0, closures)
+    closed_by_row = mode != FREE and state.compliance == 0
+    first, last = 0 if closed_by_row else 1, 3 if mode == STUCK and state.sticking == RIGID_STICK else 1
+    motion, closed = residuals(H, w.column, C, w.A, w.S, w.drift_c, w.b, w.a, w.qdd, w.F, first, last)
     trace = w.S[0, 0] + w.S[1, 1] + w.S[2, 2]
     row.contact_force = w.F[0]
     row.stabiliser_force = w.stabiliser_force[0]
@@ -146,9 +147,9 @@ def record(
     row.residual_motion = motion
     row.residual_closure = closed
     if n > LONG_ARM:
-        row.kkt_condition = condition_number(H, w.A[0], w.L, w.X[0], w.S[0, 0], mode != FREE, w.scratch)
+        row.kkt_condition = condition_number(H, w.A[0], w.L, w.X[0], w.S[0, 0], closed_by_row, w.scratch)
     else:
-        add_to_batch(H, w.A[0], w.L, w.X[0], w.S[0, 0], mode != FREE, w.batch, lane)
+        add_to_batch(H, w.A[0], w.L, w.X[0], w.S[0, 0], closed_by_row, w.batch, lane)
         state.batched = lane + 1
         if lane + 1 >= BATCH:
             record_conditions(w.batch, rows, state, place + 1, n)

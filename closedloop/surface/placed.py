@@ -79,8 +79,10 @@ class PlacedSurface:
     below_start: bool
 
     @classmethod
-    def of(cls, section: Surface, motion: SurfaceMotion, tip: Array) -> PlacedSurface:
+    def of(cls, section: Surface, motion: SurfaceMotion, tip: Array, depth: float = 0.0) -> PlacedSurface:
         """Place the surface of a scenario whose tip is at `tip` (3,), m, base frame, at the start.
+
+        One that is soft, and placed below the tip, is placed so that the tip is `depth` in it, m.
 
         Raises
         ------
@@ -92,7 +94,7 @@ class PlacedSurface:
         if given is not None and section.gap:
             key = "offset" if isinstance(section, PlaneSurface) else "point"
             raise ScenarioError(f'surface.gap: goes with {key} = "start" only; leave it out')
-        origin = tip - section.gap * normal if given is None else given
+        origin = tip - (section.gap - depth) * normal if given is None else given
         return cls(section, motion, contact_frame(normal), origin, given is None)
 
     @property

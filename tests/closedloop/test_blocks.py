@@ -103,7 +103,7 @@ def test_a_name_that_is_not_there_is_refused():
 
 def test_constants_are_laid_out_for_their_joints():
     """Parts whose shape depends on the joints have it."""
-    constants = Constants(np.zeros(Constants.count(3, 7, 2, 4, 5)), 3, 7, 2, 4, 5)
+    constants = Constants(np.zeros(Constants.count(3, 7, 2, 4, 5, 6)), 3, 7, 2, 4, 5, 6)
     assert constants.gravity.shape == (3,)
     assert constants.law.shape == (7,)
     assert constants.friction.shape == (4,)

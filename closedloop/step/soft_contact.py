@@ -1,0 +1,58 @@
+"""Contact with a soft surface: f is a function of the depth, and Eq. 24 has no row along the normal."""
+
+from __future__ import annotations
+
+from functools import cache
+
+from closedloop.closure.contact_force import STUCK, accelerate, baumgarte_acceleration, stuck_tangentially
+from closedloop.jit.calls import Entry, call_at
+from closedloop.jit.kernel import entry_kernel, kernel, kernel_of
+from closedloop.parameters import parameter_block
+from closedloop.step.locate import off_anchor
+from closedloop.step.memory import RIGID_STICK, SPRING_STICK, Constants, State, Work, loop_at
+from closedloop.step.tip_friction import turn_with_slip
+from closedloop.surface.compliance import Compliance
+from closedloop.user_code import identity_of
+
+# N/m by which a gap becomes a force, for the event function alone: its sign decides.
+AS_FORCE = 1e6
+
+
+@cache
+def compliance_entry(member: type[Compliance]) -> Entry:
+    """Return the entry of a compliance, compiled when it is first needed: it writes f into F[0]."""
+    Parameters, force = parameter_block(member), kernel_of(member, "force")
+
+    def entry(address: int, what: int) -> int:
+        state, constants, w = loop_at(address)
+        f = force(-w.gap, -w.rate, Parameters(constants.compliance, state.n))
+        w.F[0] = max(f, 0.0) if state.unilateral != 0 else f
+        return 0
+
+    entry.__name__ = entry.__qualname__ = f"entry_of_compliance_{member.__name__}"
+    return entry_kernel(entry, identity=identity_of(member))
+
+
+@kernel
+def soft_contact_force(w: Work, constants: Constants, state: State) -> None:
+    """Write the contact force F of a soft surface and q̈; the free acceleration has been computed.
+
+    `rigid_force`, which decides liftoff where it is negative, has the sign of the depth. Just after touchdown the gap
+    may be a rounding above zero: a tip that moves into the surface is in contact.
+    """
+    call_at(state.compliance, state.address, 0)
+    f = w.F[0]
+    if state.unilateral != 0:
+        w.rigid_force = -AS_FORCE * w.gap if w.rate > 0.0 else max(-AS_FORCE * w.gap, 0.0)
+    if state.mode == STUCK and state.sticking != SPRING_STICK:
+        for i in range(1, 3):
+            w.b[i] = baumgarte_acceleration(constants.s_v, constants.s_p, w.u[i], off_anchor(w, state, i))
+        stuck_tangentially(w.S, w.a, w.b, w.F)
+    else:
+        w.F[1], w.F[2] = -w.c[0] * f - w.viscous[0], -w.c[1] * f - w.viscous[1]
+        if state.mode != STUCK and state.steps > 0 and state.sticking in (RIGID_STICK, SPRING_STICK):
+            for _ in range(2):
+                if not turn_with_slip(w, constants.h):
+                    break
+                w.F[1], w.F[2] = -w.c[0] * f - w.viscous[0], -w.c[1] * f - w.viscous[1]
+    accelerate(w.L, w.X, w.y, w.F, w.qdd)

@@ -1,0 +1,1 @@
+"""The compliances of a surface that ship, one file each: the file's name is the `kind` of [compliance]."""

@@ -173,11 +173,11 @@ def _warn_of_other_texts(file: str, earlier: Run, now: dict[str, str]) -> None:
 
 def _warn_of_gains(scenario: Scenario, model: Any) -> None:
     """Say before anything is simulated that the step cannot carry the gains; contact may, so it is no refusal."""
-    from closedloop.robot.pinocchio import Robot
+    from closedloop.scenario.arm import robot_of
     from closedloop.scenario.gains import gains_fault
 
     try:
-        fault = gains_fault(scenario, Robot(model, scenario.robot.tip))
+        fault = gains_fault(scenario, robot_of(scenario, model))
     except ScenarioError:  # it cannot be prepared, and `simulate` says why
         return
     if fault:

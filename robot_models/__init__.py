@@ -10,5 +10,6 @@ from robot_models.errors import ClosedLoopError, ModelError
 from robot_models.load import from_text, load
 from robot_models.model import RobotModel
 from robot_models.shipped import shipped_names
+from robot_models.tool import Tool
 
-__all__ = ["ClosedLoopError", "ModelError", "RobotModel", "from_text", "load", "shipped_names"]
+__all__ = ["ClosedLoopError", "ModelError", "RobotModel", "Tool", "from_text", "load", "shipped_names"]

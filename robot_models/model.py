@@ -11,6 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from robot_models.errors import ModelError
+from robot_models.tool import Tool
 
 if TYPE_CHECKING:
     import pinocchio as pin
@@ -58,6 +59,8 @@ class RobotModel:
     source: str = ""
     #: What the text says and a run does not act on, a line each: friction, limits.
     notes: tuple[str, ...] = ()
+    #: Bodies fixed to frames of the robot, in this order: a tool, a load.
+    tools: tuple[Tool, ...] = ()
 
     def __post_init__(self) -> None:
         for entry in fields(self):
@@ -93,6 +96,8 @@ class RobotModel:
         model = self._built.copy()
         model.armature = np.array(self.armature)
         model.gravity.linear = np.array(self.gravity)
+        for tool in self.tools:
+            tool.mount(model)
         return model
 
     @cached_property

@@ -26,7 +26,7 @@ from closedloop.jit.interpreted import twin_address
 from closedloop.parameters import one_joint_block, pack, pack_each_joint, parameter_block, per_joint, state_block
 from closedloop.reference.desired import Desired
 from closedloop.robot.pinocchio import Robot
-from closedloop.scenario.scenario import BaumgarteGains, Scenario
+from closedloop.scenario.scenario import BaumgarteGains, ModelErrorSection, Scenario
 from closedloop.step.entries import friction_entry, joint_friction_entry, law_entry
 from closedloop.step.memory import (
     ELASTIC_STICK,
@@ -291,6 +291,9 @@ class Problem:
             self.sensor.par.memory, robot.support, STICK_SPEED,
         )  # fmt: skip
         constants.law[:], constants.compensation[:] = self.law.numbers, self.compensation.numbers
+        wrong = self.scenario.model_error
+        constants.believed_masses, constants.unknown_payload = wrong.masses, wrong.payload
+        constants.armature[:] = robot.model.armature
         constants.compliance[:] = self.compliance.numbers
         constants.friction[:], constants.joint_friction[:] = self.friction.numbers, self.joint_friction.numbers
         tip = self._tip()
@@ -308,6 +311,7 @@ class Problem:
         state.impact_law = RATIOS[self._restitution().ratio_of]
         state.sticking, state.joint_sticking = _sticking(self.friction), _sticking(self.joint_friction)
         state.sensor_sampled = self.sensor.sampled
+        state.model_error = self.scenario.model_error != ModelErrorSection()
         state.mode, state.sampled, state.risen = self.mode, 1, 1
         if self.project and self.mode != FREE:
             state.phase, state.next_phase = PROJECTION, STEP_END
@@ -382,4 +386,5 @@ def needs_general_form(scenario: Scenario) -> bool:
         or scenario.friction.kind != "none"
         or scenario.joint_friction.kind != "none"
         or scenario.sensor != SensorSection()
+        or scenario.model_error != ModelErrorSection()
     )

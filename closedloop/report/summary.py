@@ -65,10 +65,10 @@ def run_gains_fault(run: Run) -> str:
     """Return what is wrong with the gains for this step; of a law of one's own nothing is known."""
     if run.law != "scenario":
         return ""
-    from closedloop.robot.pinocchio import Robot
+    from closedloop.scenario.arm import robot_of
     from closedloop.scenario.gains import gains_fault
 
-    return gains_fault(run.scenario, Robot(run.model, run.scenario.robot.tip))
+    return gains_fault(run.scenario, robot_of(run.scenario, run.model))
 
 
 def _finite(value: float) -> float | None:

@@ -30,6 +30,7 @@ from closedloop.scenario.file import shipped_scenarios as shipped_scenarios
 from closedloop.sections import (
     ANGLE,
     JOINT_SPEED,
+    PLACE,
     STEP,
     Flag,
     NotNegative,
@@ -48,6 +49,10 @@ from closedloop.surface.surface import SURFACES, Surface
 from robot_models.load import names_a_file
 from robot_models.toml_text import toml_tables
 
+Coordinate = Annotated[Number, PLACE]
+MASS = Size(1e6, "kg", "no arm carries so much", 1e-9)
+Moment = Annotated[Number, Size(1e9, "kg m²", "no tool is so large")]
+FACTOR = Size(1e3, "", "no model is so wrong", 1e-3, "no model is so wrong")
 REST_SPEED = Size(1e4, "m/s", "nothing bounces so fast", 1e-12, "slower motion is rounding")
 DAMPING_RATIO = Size(1e6, "", "no closure is damped so", 1e-6, "nothing would die out")
 TIME_CONSTANT = Size(1e300, "s", "no run lasts so long", 1e-9, "no step resolves it")
@@ -70,6 +75,32 @@ class RobotSection(Section):
 
 
 RestitutionName = Annotated[str, OneOf(RESTITUTIONS)]
+
+
+class ToolSection(Section):
+    """[tool]: a rigid body fixed to the tip's frame; vectors in the axes of that frame."""
+
+    offset: tuple[Coordinate, Coordinate, Coordinate] = Field(
+        (0.0, 0.0, 0.0), description="the tool's tip, which touches the surface, m, axes of the frame robot.tip"
+    )
+    mass: Annotated[NotNegative, MASS] = Field(0.0, description="mass, kg")
+    centre: tuple[Coordinate, Coordinate, Coordinate] = Field(
+        (0.0, 0.0, 0.0), description="centre of mass, m, axes of the frame robot.tip"
+    )
+    inertia: tuple[Moment, Moment, Moment, Moment, Moment, Moment] = Field(
+        (0.0,) * 6, description="tensor about the centre of mass, kg m²: xx, yy, zz, xy, xz, yz"
+    )
+
+
+class ModelErrorSection(Section):
+    """[model_error]: what the controller is wrong about; the arm is that of [robot] and [tool]."""
+
+    masses: Annotated[Positive, FACTOR] = Field(
+        1.0, description="masses and tensors of all links as the controller has them, of the true ones, drives apart"
+    )
+    payload: Annotated[NotNegative, MASS] = Field(
+        0.0, description="mass at the tip that the arm carries and the controller does not know of, kg"
+    )
 
 
 class ImpactSection(Section):
@@ -204,6 +235,10 @@ class Scenario(Section):
     )
     surface_motion: Annotated[SurfaceMotion, MOTIONS] = Field(
         default_factory=lambda: MOTIONS["none"](), description="how the surface moves"
+    )
+    tool: ToolSection = Field(ToolSection(), description="a tool on the tip: where its tip is, and its mass")
+    model_error: ModelErrorSection = Field(
+        ModelErrorSection(), description="what the controller is wrong about: masses, a payload"
     )
     compliance: Annotated[Compliance, COMPLIANCES] = Field(
         default_factory=lambda: COMPLIANCES["none"](), description="how the surface gives way, if it is soft"

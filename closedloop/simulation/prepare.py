@@ -25,6 +25,7 @@ from closedloop.parameters import lists_per_joint, pack
 from closedloop.reference.desired import Desired, desired
 from closedloop.reference.force import force_at
 from closedloop.robot.pinocchio import Robot
+from closedloop.scenario.arm import robot_of
 from closedloop.scenario.members import refuse_absent
 from closedloop.scenario.scenario import BaumgarteGains, Scenario
 from closedloop.simulation.cache import Cache
@@ -153,11 +154,10 @@ def _robot(scenario: Scenario, model: RobotModel | None, cache: Cache) -> Robot:
     section = scenario.robot
 
     def make() -> Robot:
-        if model is not None:
-            return Robot(model, section.tip)
-        return Robot(load_model(scenario), section.tip)
+        return robot_of(scenario, load_model(scenario) if model is None else model)
 
-    return cache.get(("robot", section.model_dump_json()), make, lambda robot: ROBOT_BYTES)
+    key = (section.model_dump_json(), scenario.tool.model_dump_json(), scenario.model_error.payload)
+    return cache.get(("robot", *key), make, lambda robot: ROBOT_BYTES)
 
 
 def load_model(scenario: Scenario) -> RobotModel:
@@ -174,6 +174,7 @@ def _desired(
     n = robot.n
     motion = (
         scenario.robot.model_dump_json(),
+        scenario.tool.model_dump_json(),
         scenario.reference.model_dump_json(),
         q.tobytes(),
         _path_key(scenario, surface),

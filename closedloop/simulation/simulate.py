@@ -36,6 +36,7 @@ from closedloop.jit.pointers import address_of
 from closedloop.record.run import Run
 from closedloop.record.versions import package_versions
 from closedloop.robot.tree import Tree, potential_energies, work_size
+from closedloop.scenario.arm import without_tools
 from closedloop.scenario.members import member_digests
 from closedloop.scenario.scenario import Scenario
 from closedloop.simulation.prepare import prepare
@@ -344,7 +345,7 @@ def _as_run(
     potential_energies(problem.robot.tree, columns["q"], np.zeros(plain(work_size)(n)), columns["potential_energy"])
     return Run(
         scenario=problem.scenario,
-        model=problem.robot.model,
+        model=without_tools(problem.robot.model),
         columns=columns | event_columns(events),
         law="scenario" if law is None else _law_name(law),
         versions=package_versions(),

@@ -24,7 +24,7 @@ from closedloop.closure.contact_force import (
     pressed_force,
     stuck_force,
 )
-from closedloop.closure.solve import DIVERGED, LAW_FAILED, OK, PAINLEVE, SINGULAR
+from closedloop.closure.solve import DIVERGED, LAW_FAILED, NOT_POSITIVE_DEFINITE, OK, PAINLEVE, SINGULAR
 from closedloop.control.laws.paper import PaperLaw, paper_law
 from closedloop.control.sensor import SensorParameters, continuous_reading, sensor_rates
 from closedloop.jit.calls import call_at
@@ -32,6 +32,7 @@ from closedloop.jit.kernel import kernel, kernel_inlined
 from closedloop.jit.simd8 import every
 from closedloop.parameters import parameter_block
 from closedloop.reference.joint_path import cubic
+from closedloop.step.belief import believe
 from closedloop.step.entries import RATES, START, TORQUE
 from closedloop.step.joint_friction import add_joint_friction, hold_joints
 from closedloop.step.locate import in_contact_frame, locate_tip, off_anchor
@@ -138,11 +139,17 @@ def evaluate(
             for j in range(i, n):
                 w.H[i, j] = H[i, j]
                 w.H[j, i] = H[i, j]
+        if state.model_error != 0:  # what the law computes from H is computed from the controller's
+            believe(w, constants)
+            if factorise(w.H, w.A, w.L, w.X, w.S, constants.reach) != OK:
+                return NOT_POSITIVE_DEFINITE
         if state.started == 0:
             call_law(state, START)
         if state.sampled != 0 and call_law(state, TORQUE) != 0:
             return LAW_FAILED
         state.started = 1
+        if state.model_error != 0:
+            factorise(H, w.A, w.L, w.X, w.S, constants.reach)
         surface_friction(w, constants, state, rows)
         add_joint_friction(w, constants, state, rows)
         status = contact_force(C, w, constants, state)

@@ -62,6 +62,7 @@ class State(Block):
     joint_friction_size: int  # of one joint
     surface: int  # address of the entry of the surface, 0: a plane at rest; and of its memory
     surface_at: int
+    model_error: int  # 1 if the controller is wrong about the arm
     compliance: int  # address of the entry of the surface's compliance, 0: it is rigid; and its parameters
     compliance_size: int
     surface_motion: int  # address of the entry of its motion, 0: it is at rest
@@ -106,10 +107,13 @@ class Constants(Block, sizes=("n", "law", "compensation", "friction", "joint_fri
     capture_speed: float  # up to which sticking is tried, m/s
     lag: float  # by which friction is behind the slip, s
     reach: float  # of the arm, squared
+    believed_masses: float  # see `closedloop.step.belief`, as the next
+    unknown_payload: float  # kg
     tip: Annotated[Array, 3]  # in the frame of the joint that carries it
     gravity: Annotated[Array, 3]
     sensor: Annotated[Array, SensorParameters.count(0)]
     support: Annotated[Array, N]
+    armature: Annotated[Array, N]
     joint_capture_speed: Annotated[Array, N]
     joint_lag: Annotated[Array, N]
     law: Annotated[Array, Count.of("law")]  # parameters, see `closedloop.parameters`

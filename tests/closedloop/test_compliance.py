@@ -188,6 +188,6 @@ def test_what_is_too_stiff_is_refused_with_the_step_that_would_do():
     step = float(str(caught.value).split("at most ")[1].split(" s")[0])
     step = 10.0 ** math.floor(math.log10(step))
     cl.prepare(cl.load_scenario("wam_slide", stiff | {"time.step": step, "time.duration": 100 * step}))
-    with pytest.raises(cl.ScenarioError, match="compliance.stiffness = -1.0: must be greater than 0"):
+    with pytest.raises(cl.ScenarioError, match=r"compliance.stiffness = -1.0: must be greater than 0"):
         cl.load_scenario("wam_slide", stiff | {"compliance.stiffness": -1.0})
     assert COMPLIANCES["none"]().tangent(0.0) == (0.0, 0.0)

@@ -15,6 +15,9 @@ from closedloop.command.compile_all import pieces
 from closedloop.control.law import COMPENSATIONS, LAWS
 from closedloop.friction.law import JOINT_LAWS, SURFACE_LAWS
 from closedloop.jit.compile_cache import KernelCache
+from closedloop.surface.compliance import COMPLIANCES
+from closedloop.surface.motion import MOTIONS
+from closedloop.surface.surface import SURFACES
 
 ROOT = Path(closedloop.__file__).parent.parent
 
@@ -35,8 +38,10 @@ def test_every_kernel_that_is_kept_is_compiled():
     entries = [name for name in named if name.startswith("entry_of_")]  # of the plug-ins, in no module's names
     assert set(named) - set(entries) == kept_kernels()
     assert len(kept_kernels()) == len(named) - len(entries)
-    members = sum(len(family) for family in (LAWS, COMPENSATIONS, SURFACE_LAWS, JOINT_LAWS))
-    assert len(entries) == members - 2  # no friction, of the surface and of the joints, has none
+    members = sum(
+        len(family) for family in (LAWS, COMPENSATIONS, SURFACE_LAWS, JOINT_LAWS, SURFACES, MOTIONS, COMPLIANCES)
+    )
+    assert len(entries) == members - 4  # none has no friction, of surface and joints, no motion and no compliance
 
 
 @pytest.mark.parametrize(

@@ -11,9 +11,9 @@ from scipy.linalg import null_space
 from scipy.optimize import brentq
 
 import closedloop as cl
-from closedloop.reference.desired import tip_path
 from closedloop.reference.follow import follow
 from closedloop.reference.inverse_kinematics import KNOT_TOLERANCE, PATH_TOLERANCE
+from closedloop.reference.path import tip_path
 from closedloop.reference.paths.circle import Circle
 from closedloop.reference.paths.figure_eight import FigureEight
 from closedloop.reference.paths.line import Line

@@ -79,7 +79,7 @@ REFUSED = {
     "a force too few": ({"kind": "waypoints", "times": [0, 1], "forces": [1]}, ["forces has 1", "2", "times"]),
     "times that stand": ({"kind": "waypoints", "times": [0, 1, 1], "forces": [1, 2, 3]}, ["times", "entry 2", "later"]),
     "negative time": ({"kind": "waypoints", "times": [-1, 1], "forces": [1, 2]}, ["times", "negative"]),
-    "no times": ({"kind": "waypoints", "times": [], "forces": []}, ["times", "list"]),
+    "no times": ({"kind": "waypoints", "times": [], "forces": [1.0]}, ["times", "list"]),
     "text for forces": ({"kind": "waypoints", "times": [0.0], "forces": "ten"}, ["forces", "'ten'", "list"]),
     "true in forces": ({"kind": "waypoints", "times": [0.0], "forces": [True]}, ["forces", "entry 0", "number"]),
     "NaN in forces": ({"kind": "waypoints", "times": [0.0], "forces": [float("nan")]}, ["forces", "finite"]),

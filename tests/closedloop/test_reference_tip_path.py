@@ -5,7 +5,7 @@ import pytest
 from scipy.integrate import quad
 
 import closedloop as cl
-from closedloop.reference.desired import tip_path
+from closedloop.reference.path import tip_path
 from closedloop.reference.paths.circle import Circle
 from closedloop.reference.paths.figure_eight import FigureEight
 from closedloop.reference.paths.hold import Hold

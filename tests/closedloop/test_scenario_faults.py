@@ -20,9 +20,9 @@ force = "ten"
 [reference]
 speed = 0.02
 [surface]
-kind = "sphere"
-radius = 2
 offset = "begin"
+[friction]
+kind = "glue"
 [start]
 q = [0, nan, "a"]
 [time]
@@ -32,7 +32,8 @@ duration = -1
 LINES = [
     "unknown key 'reference.speed'; reference.kind is 'hold' where it is not given, and speed goes with 'line'",
     "unknown key 'time.stp'; did you mean 'time.step'?",
-    "surface.kind = 'sphere': must be 'plane'",
+    "friction.kind = 'glue': must be 'coulomb' or 'coulomb_viscous' or 'dahl' or 'karnopp' or 'lugre' or 'none' or "
+    "'seven_parameter' or 'stribeck'",
     "surface.offset = 'begin': must be a finite number of metres, or \"start\"",
     "start.q[1] = nan: must be finite, not NaN or infinite",
     "start.q[2] = 'a': must be a number",

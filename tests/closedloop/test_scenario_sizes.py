@@ -16,7 +16,20 @@ from closedloop.scenario.scenario import Scenario
 from closedloop.sections import Section, Size, field_units, sizes
 
 # Numbers of any size: instants beyond the end of a run, and what has a bound or a check of its own.
-ANY = {"start", "stop", "at", "pd_start", "times", "direction", "normal", "restitution", "passes", "seed", "tolerance"}
+ANY = {
+    "start",
+    "stop",
+    "at",
+    "pd_start",
+    "times",
+    "direction",
+    "normal",
+    "axis",
+    "restitution",
+    "passes",
+    "seed",
+    "tolerance",
+}
 
 
 def numbers():

@@ -17,10 +17,18 @@ def run(request, shipped_run):
 
 
 @pytest.fixture
-def normal(run):
-    """Return the unit normal of the run's surface."""
-    n = np.array(run.scenario.surface.normal)
-    return n / np.linalg.norm(n)
+def on(run):
+    """Return the surface in closed form: of rows its normals (N, 3), gaps (N,), and n's part of ë without r̈ (N,)."""
+    section, r, v = run.scenario.surface, run.position, run.velocity
+    n = np.array(section.normal) / np.linalg.norm(section.normal)
+    if section.kind == "plane":
+        return np.tile(n, (len(run), 1)), r @ n - n @ r[0], np.zeros(len(run))
+    assert section.kind == "sphere"
+    out = r - (r[0] - section.radius * n)
+    size = np.linalg.norm(out, axis=1)
+    normals = out / size[:, None]
+    along = v - np.sum(v * normals, axis=1)[:, None] * normals
+    return normals, size - section.radius, np.sum(along**2, axis=1) / size
 
 
 @pytest.fixture
@@ -51,36 +59,41 @@ def test_reported_residual_is_rounding(run):
     assert max(run.residual_motion.max(), run.residual_closure.max()) <= 1e-12
 
 
-def test_rows_meet_eq_24(run, arm, normal):
+def test_rows_meet_eq_24(run, arm, on):
     """Both block rows of Eq. 24 hold for the recorded columns, with terms computed anew from q and q̇.
 
-    The surface pushes along +n, so the sign of f is tested here. b_s is -J̇q̇ -s_v ė -s_p e from the recorded e and ė.
+    The surface pushes along +n, so the sign of f is tested here. b_s is -J̇q̇ -s_v ė -s_p e from the recorded e and ė,
+    and on a ball its curvature.
     1e-12 of the summands, which are some 10 N m and, with e = 1e-10 m times 1e6, some 0.01 m/s².
     """
-    stabiliser = run.scenario.stabiliser
+    stabiliser, (normals, _, turning) = run.scenario.stabiliser, on
     s_v, s_p = 0.0, 0.0
     if stabiliser.kind == "baumgarte":
         s_v, s_p = 2 * stabiliser.damping_ratio / stabiliser.time_constant, stabiliser.time_constant**-2
     for k in some(run):
         terms = arm.terms(run.q[k], run.v[k])
+        normal = normals[k]
         A = normal @ terms.jacobian
         inertial = terms.mass_matrix @ run.acceleration[k]
         left = inertial + terms.bias
         right = run.torque[k] + A * run.contact_force[k]
         assert np.max(np.abs(left - right)) < 1e-12 * (1 + np.max(np.abs(run.torque[k])) + abs(run.contact_force[k]))
-        b = -(normal @ terms.drift) - s_v * run.closure_rate[k] - s_p * run.closure_error[k]
+        b = -(normal @ terms.drift) - turning[k] - s_v * run.closure_rate[k] - s_p * run.closure_error[k]
         assert abs(A @ run.acceleration[k] - b) < 1e-12 * (1 + np.sum(np.abs(A * run.acceleration[k])))
 
 
-def test_tip_columns_are_kinematics(run, arm, normal):
+def test_tip_columns_are_kinematics(run, arm, on):
     """Position, velocity, closure error and rate are those of the tip in the row's state."""
-    offset = normal @ run.position[0]
+    normals, gap, _ = on
     for k in some(run):
         terms = arm.terms(run.q[k], run.v[k])
         assert np.max(np.abs(run.position[k] - terms.position)) < 1e-14
         assert np.max(np.abs(run.velocity[k] - terms.jacobian @ run.v[k])) < 1e-14
-    assert np.max(np.abs(run.closure_error - (run.position @ normal - offset))) < 1e-15
-    assert np.max(np.abs(run.closure_rate - run.velocity @ normal)) < 1e-15
+    assert np.max(np.abs(run.closure_error - gap)) < 1e-15
+    assert np.max(np.abs(run.closure_rate - np.sum(run.velocity * normals, axis=1))) < 1e-15
+    assert np.max(np.abs(run.surface_normal - normals)) < 1e-14
+    along = run.velocity - run.closure_rate[:, None] * normals
+    assert np.max(np.abs(run.slip_velocity - along)) < 1e-14
 
 
 def test_energy_columns_are_energies(run, arm):
@@ -95,11 +108,11 @@ def test_energy_columns_are_energies(run, arm):
         assert run.potential_energy[k + 1] - run.potential_energy[k] == pytest.approx(work, abs=1e-11)
 
 
-def test_condition_column_is_the_condition(run, arm, normal):
+def test_condition_column_is_the_condition(run, arm, on):
     """The recorded condition is that of the matrix of Eq. 24 in the 1-norm."""
     for k in some(run)[::11]:
         terms = arm.terms(run.q[k], run.v[k])
-        A = (normal @ terms.jacobian)[None]
+        A = (on[0][k] @ terms.jacobian)[None]
         K = np.block([[terms.mass_matrix, A.T], [A, np.zeros((1, 1))]])
         assert run.kkt_condition[k] == pytest.approx(np.linalg.cond(K, 1), rel=1e-9)
 

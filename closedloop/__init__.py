@@ -46,6 +46,8 @@ if TYPE_CHECKING:
     from closedloop.scenario.scenario import shipped_scenarios as shipped_scenarios
     from closedloop.simulation.prepare import prepare as prepare
     from closedloop.simulation.simulate import simulate as simulate
+    from closedloop.simulation.simulator import Simulator as Simulator
+    from closedloop.simulation.state import StepState as StepState
     from closedloop.surface.plane import Plane as Plane
     from closedloop.sweep import sweep_plot as sweep_plot
 
@@ -71,7 +73,9 @@ _HOME = {
     "Scenario": "scenario.scenario",
     "ScenarioError": "errors",
     "SimulationError": "errors",
+    "Simulator": "simulation.simulator",
     "SingularClosureError": "errors",
+    "StepState": "simulation.state",
     "Terms": "robot.pinocchio",
     "load_run": "record.netcdf",
     "load_scenario": "scenario.scenario",

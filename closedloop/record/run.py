@@ -97,6 +97,13 @@ class Event(NamedTuple):
     restitution: float
 
 
+def events_of(columns: Mapping[str, NDArray[Any]]) -> tuple[Event, ...]:
+    """Return the events of columns that have those of `EVENT_COLUMNS`, in order of time."""
+    parts = [columns[name] for name in EVENT_COLUMNS]
+    rows = zip(*(part if part.ndim == 2 else part.tolist() for part in parts), strict=True)
+    return tuple(Event(row[0], KINDS[row[1]], *row[2:]) for row in rows)
+
+
 @dataclass(frozen=True, eq=False)
 class Run:
     """The record of a simulation, and what produced it.
@@ -169,9 +176,7 @@ class Run:
     @cached_property
     def events(self) -> tuple[Event, ...]:
         """What happened to the contact, in order of time."""
-        parts = [self.columns[name] for name in EVENT_COLUMNS]
-        rows = zip(*(part if part.ndim == 2 else part.tolist() for part in parts), strict=True)
-        return tuple(Event(row[0], KINDS[row[1]], *row[2:]) for row in rows)
+        return events_of(self.columns)
 
     @cached_property
     def _summary(self) -> dict[str, Any]:

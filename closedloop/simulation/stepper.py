@@ -172,7 +172,7 @@ class Stepper:
             elif request in (TABLE_FULL, IMPACT_LAW_WANTED):
                 self.answers.give(request)
             else:
-                raise self.answers.failure(self._law, self._user_law)
+                raise self.answers.failure(self._torque if self._held else self._law, self._user_law)
         self.mark = before
         if row > 0:
             self._terms_of = before

@@ -9,6 +9,7 @@ from numpy.typing import NDArray
 
 from closedloop.closure.contact_force import FREE
 from closedloop.figures.dress import dress, explain_contact, legend_beside_title
+from closedloop.figures.impacts import hits
 from closedloop.figures.instants import FORCE_STEPS, marks
 from closedloop.figures.style import COLOURS, new_figure
 from closedloop.record.run import Run
@@ -21,6 +22,8 @@ if TYPE_CHECKING:
 FLAT = 1e-3
 # Nor is a change below this share of all that the force does in the run.
 MINOR = 0.02
+# Nor is a change of the motion after which the force goes on in a line, to this share of what it does in contact.
+BENT = 0.05
 # How much of the run is enlarged on either side of an instant, s, and in how many panels at most.
 SHORT, LONG = 0.02, 0.12
 MOST_PANELS = 3
@@ -65,12 +68,11 @@ def draw_measured(axes: Axes, run: Run, measured: NDArray[np.float64]) -> None:
 
 def _draw_impulses(axes: Axes, run: Run) -> None:
     """Draw the impulses along the normal at their instants, on an axis of their own with the same zero."""
-    impulse = run.event_compression + run.event_decompression
-    hit = impulse > 0.0
+    hit = hits(run)
     if not np.any(hit):
         return
     beside: Any = axes.twinx()
-    time, impulse = run.event_time[hit], impulse[hit]
+    time, impulse = run.event_time[hit], (run.event_compression + run.event_decompression)[hit]
     beside.vlines(time, 0.0, impulse, color=COLOURS[1], linewidth=1.0)
     beside.plot(time, impulse, ".", color=COLOURS[1], markersize=4)
     low, high = axes.get_ylim()
@@ -100,16 +102,19 @@ def transients(run: Run) -> list[tuple[str, slice]]:
             wanted.append((event.time, f"{event.kind} at {event.time:.4g} s", short, long, run.contact_force))
         elif event.kind == "liftoff":
             wanted.append((event.time, f"liftoff at {event.time:.4g} s", long, short, run.contact_force))
+    touching = run.contact_force[run.mode != FREE]
     least = MINOR * float(np.ptp(run.contact_force)) if len(run) else 0.0
+    least_bend = BENT * float(np.ptp(touching)) if touching.size else 0.0
     found: list[_Moment] = []
     for t, text, before, after, what in wanted:
         rows = slice(*np.searchsorted(run.time, (t - before, t + after)).tolist())
         change = float(np.ptp(what[rows])) if what[rows].size else 0.0
-        if change > max(_flat(run.contact_force[rows]), least):
+        bends = what is not away or 2.0 * float(_bend(what[rows])) > least_bend
+        if bends and change > max(_flat(run.contact_force[rows]), least):
             found.append(_Moment(change, t, text, rows))
-    found += _unnamed(run, away, short + long, found)
+    found = sorted(found, key=lambda each: (-each.change, each.time)) + _unnamed(run, away, short + long, found)
     chosen: list[_Moment] = []
-    for moment in sorted(found, key=lambda each: (-each.change, each.time)):
+    for moment in found:
         apart = all(abs(moment.time - other.time) > long for other in chosen)
         # Of a hundred slips one is enlarged.
         alone = all(moment.kind != other.kind for other in chosen)
@@ -131,20 +136,27 @@ class _Moment(NamedTuple):
         return self.text.partition(" at ")[0]
 
 
+def _bend(force: NDArray[np.float64]) -> Any:
+    """Return how far a force (..., N), N, is from a straight line between its ends; NaN if any of it is."""
+    if force.shape[-1] < 2:
+        return 0.0
+    along = np.linspace(0.0, 1.0, force.shape[-1])
+    first, last = force[..., :1], force[..., -1:]
+    return np.max(np.abs(force - first - (last - first) * along), axis=-1)
+
+
 def _unnamed(run: Run, away: NDArray[np.float64], width: float, named: list[_Moment]) -> list[_Moment]:
-    """Return where, within `width`, s, a force in contact changes most, if more than at all that is named."""
+    """Return where, within `width`, s, a force in contact bends most, if more than it changes at all that is named."""
     count = min(round(width / run.scenario.time.step), len(run) - 1)
     if count < 2:
         return []
     inside = np.where(run.mode != FREE, away, np.nan)
     starts = np.arange(0, len(run) - count, max(1, count // 4))
-    windows = np.lib.stride_tricks.sliding_window_view(inside, count + 1)[starts]
-    change = np.max(windows, axis=1) - np.min(windows, axis=1)  # NaN where the tip is free at any row
+    change = 2.0 * _bend(np.lib.stride_tricks.sliding_window_view(inside, count + 1)[starts])
     for moment in named:
         change[(starts + count >= moment.rows.start) & (starts <= moment.rows.stop)] = np.nan
     largest = float(np.nanmax(change, initial=0.0))
-    least = max(_flat(run.contact_force), *(moment.change for moment in named))
-    if not largest > least:
+    if not largest > max(_flat(run.contact_force), *(moment.change for moment in named), 0.0):
         return []
     begin = int(starts[int(np.nanargmax(change))])
     middle = float(run.time[begin + count // 2])

@@ -73,13 +73,15 @@ def _draw_tip_errors(axes: Axes, run: Run) -> None:
     errors = tip_errors(run)
     largest = max(float(np.max(np.abs(each), initial=0.0)) for each in errors)
     factor, unit = length_unit(largest) if largest > 0.0 else (1.0, "m")
+    rounding = position_rounding(run)
     moves = np.any(np.ptp(directions(run), axis=0)) or np.any(np.ptp(run.reference_tip, axis=0))
     names = ("along the path", "across", "normal") if moves else ("t1", "t2", "normal")
     for k in np.argsort([-float(np.max(np.abs(each))) for each in errors]):  # the largest is at the back
-        size = length_text(float(np.max(np.abs(errors[k]))))
-        axes.plot(run.time, factor * errors[k], color=COLOURS[k], label=f"{names[k]} ≤ {size}")
+        size = float(np.max(np.abs(errors[k])))
+        told = f"{names[k]} ≤ {length_text(size)}" if size > rounding else f"{names[k]}: rounding"
+        axes.plot(run.time, factor * errors[k], color=COLOURS[k], label=told)
     axes.margins(y=0.12)
-    mark_rounding(axes, largest, position_rounding(run), factor)
+    mark_rounding(axes, largest, rounding, factor)
     dress(axes, run, "Tip error", f"r − r_des [{unit}]", label_marks=False)
     legend_beside_title(axes)
 

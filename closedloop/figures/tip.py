@@ -47,7 +47,7 @@ def tip_position(run: Run) -> Figure:
             below,
             run,
             "The same, off the path" if slide else "Its small parts",
-            f"displacement [{unit}]",
+            f"[{unit}]",
             label_marks=False,
         )
         legend_beside_title(below)

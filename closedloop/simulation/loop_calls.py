@@ -73,8 +73,11 @@ class Answers:
         if not self._struck:
             self.compiling, self._struck = clock.perf_counter() - began, True
 
-    def failure(self, law: Law | None, user_law: UserLaw | None) -> SimulationError:
-        """Return why the loop cannot go on; what a user's law raised is raised here."""
+    def failure(self, law: object, user_law: UserLaw | None) -> SimulationError:
+        """Return why the loop cannot go on, with a law other than the scenario's, if not None.
+
+        What a user's law raised is raised here.
+        """
         state, w = self._loop.state, self._loop.w
         if user_law is not None and (state.status == LAW_FAILED or user_law.interruption is not None):
             raise user_law.failure()

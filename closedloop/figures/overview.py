@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any, cast
 
 import numpy as np
 from numpy.typing import NDArray
@@ -11,7 +11,7 @@ from closedloop.closure.contact_force import FREE
 from closedloop.figures.dress import dress, explain_contact, legend_beside_title, mark_rounding, position_rounding
 from closedloop.figures.errors import directions, force_error, frame_of, tip_errors
 from closedloop.figures.force import FLAT, draw_measured
-from closedloop.figures.style import COLOURS, length_text, length_unit, new_figure
+from closedloop.figures.style import COLOURS, STYLE, length_text, length_unit, new_figure
 from closedloop.record.run import Run
 
 if TYPE_CHECKING:
@@ -30,6 +30,22 @@ THIN = 1e-4
 LIKE = 0.02
 # An excursion of the force that lasts less than this share of the run is cut off from the colours.
 BRIEF = 0.01
+
+
+def plot(run: Run) -> Figure:
+    """Return `force_control` in the style of all figures: what `Run.plot` shows.
+
+    Raises
+    ------
+    ValueError
+        If the run has no row.
+    """
+    import matplotlib as mpl
+
+    if len(run) == 0:
+        raise ValueError(f"the run of {run.scenario.name} has no row to draw")
+    with mpl.rc_context(cast(Any, STYLE)):
+        return force_control(run)
 
 
 def force_control(run: Run) -> Figure:

@@ -82,7 +82,7 @@ def _told(values: Array, low: Array, high: Array, names: tuple[str, ...], units:
     share = np.max(np.abs(values), axis=0)[known] / high[known]
     j = int(np.argmax(share))
     which = np.flatnonzero(known)[j]
-    return f"up to {100.0 * share[j]:.2g} % of a limit ({names[which]}, ±{high[which]:g} {units})"
+    return f"up to {float(f'{100.0 * share[j]:.2g}'):g} % of a limit ({names[which]}, ±{high[which]:g} {units})"
 
 
 def _name_joints(figure: Figure, axes: Axes) -> None:

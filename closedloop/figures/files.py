@@ -30,7 +30,8 @@ def draw_figures(run: Run, folder: str | Path, unstabilised: Run | None = None) 
     """Write the figures of a run into `folder`, each as PNG and SVG, and return the paths of the PNGs.
 
     Every run has its tip position, contact force, closure error, the errors that force control is about, and its
-    joints; one with impacts or friction has a figure of them. Those of the paper's slide have the paper's numbers.
+    joints; one with impacts or friction has a figure of them. The paper's slide has the paper's figures, with its
+    numbers, and the errors; its joints can be had from `closedloop.figures.joints`.
 
     Parameters
     ----------
@@ -55,7 +56,9 @@ def draw_figures(run: Run, folder: str | Path, unstabilised: Run | None = None) 
     ]
     if unstabilised is not None and not plain:
         wanted.append((bare, closure_error, unstabilised))
-    wanted += [("fig_force_control", force_control, run), ("fig_joints", joints, run)]
+    wanted.append(("fig_force_control", force_control, run))
+    if not papers:
+        wanted.append(("fig_joints", joints, run))
     if has_impacts(run):
         wanted.append(("fig_impacts", impacts, run))
     if has_friction(run):
@@ -87,8 +90,10 @@ def write_figure(figure: Figure, path: Path) -> Path:
 
     Each says who made it, so that results of another run may be told and removed, and not when.
     """
-    figure.draw_without_rendering()
-    figure.set_layout_engine(None)  # all is in its place: else each file would be laid out anew, a third of the time
+    engine = figure.get_layout_engine()
+    if engine is not None:
+        engine.execute(figure)
+        figure.set_layout_engine(None)  # all is in its place: else each file would be laid out anew
     for suffix in (".svg", ".png"):
         metadata = {"Source": "closedloop"} | ({"Date": None} if suffix == ".svg" else {})
         image = io.BytesIO()

@@ -2,9 +2,26 @@
 
     import closedloop as cl
     run = cl.simulate(cl.load_scenario("wam_slide", {"law.force": 15.0}))
-    run.time, run.contact_force, run.summary()
+    run.time, run.contact_force, run.summary(), run.plot()
 
-Names are loaded when they are first used, so that ``import closedloop`` is quick.
+Simulate
+    load_scenario, shipped_scenarios, Scenario    what is simulated
+    simulate                                      a scenario to its end, as a Run
+    Simulator, StepState                          the same step by step, driven from outside
+    simulate_batch, sweep_plot                    many runs at once; maps of a sweep
+    Run, Event, load_run                          the record, what happened to the contact, a run file
+    figures                                       what of a run can be drawn
+Build
+    ControlLaw, Law, LawInput                     laws of one's own, and what they see
+    Robot, Terms, Plane, solve_closure            the arm, its terms at a state, the surface, Eq. 24
+    prepare, Problem                              a scenario as numbers
+Errors, all of them ClosedLoopError
+    ScenarioError, ModelError, RunFileError, OutputError, ClusterError
+    SimulationError (its run has the rows until then): SingularClosureError, DivergenceError, ChatterError,
+    PainleveError, LawError, InterruptedRunError
+
+help(cl.simulate), and so on, says more. Names are loaded when they are first used, so that ``import closedloop`` is
+quick.
 """
 
 from __future__ import annotations
@@ -13,10 +30,12 @@ from closedloop.command.current_folder import leave_out_current_folder
 
 leave_out_current_folder(__file__)  # before anything else is imported
 
+import sys  # noqa: E402
 from importlib import import_module  # noqa: E402
 from typing import TYPE_CHECKING, Any  # noqa: E402
 
 if TYPE_CHECKING:
+    from closedloop import figures as figures
     from closedloop.batch.simulate_batch import simulate_batch as simulate_batch
     from closedloop.closure.solve import solve_closure as solve_closure
     from closedloop.control.law import ControlLaw as ControlLaw
@@ -47,6 +66,8 @@ if TYPE_CHECKING:
     from closedloop.scenario.scenario import shipped_scenarios as shipped_scenarios
     from closedloop.simulation.prepare import prepare as prepare
     from closedloop.simulation.simulate import simulate as simulate
+    from closedloop.simulation.simulator import Simulator as Simulator
+    from closedloop.simulation.state import StepState as StepState
     from closedloop.surface.compliance import Compliance as Compliance
     from closedloop.surface.motion import SurfaceMotion as SurfaceMotion
     from closedloop.surface.plane import Plane as Plane
@@ -77,10 +98,13 @@ _HOME = {
     "Scenario": "scenario.scenario",
     "ScenarioError": "errors",
     "SimulationError": "errors",
+    "Simulator": "simulation.simulator",
     "SingularClosureError": "errors",
     "Surface": "surface.surface",
     "SurfaceMotion": "surface.motion",
+    "StepState": "simulation.state",
     "Terms": "robot.pinocchio",
+    "figures": "figures",
     "load_run": "record.netcdf",
     "load_scenario": "scenario.scenario",
     "prepare": "simulation.prepare",
@@ -91,16 +115,20 @@ _HOME = {
     "sweep_plot": "sweep",
 }
 
-__all__ = sorted(_HOME)
+_NAMES = sorted(_HOME)
 
 
 def __getattr__(name: str) -> Any:
+    if name == "__all__" and sys._getframe(1).f_globals.get("__name__") != "pydoc":
+        # Without it help() shows the text above, and not the three thousand lines of all that is named there.
+        return _NAMES
     if name not in _HOME:
         raise AttributeError(f"module 'closedloop' has no attribute '{name}'")
-    value = getattr(import_module(f"closedloop.{_HOME[name]}"), name)
+    module = import_module(f"closedloop.{_HOME[name]}")
+    value = module if _HOME[name] == name else getattr(module, name)
     globals()[name] = value
     return value
 
 
 def __dir__() -> list[str]:
-    return __all__
+    return _NAMES

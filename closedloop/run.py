@@ -108,10 +108,13 @@ def _main(arguments: list[str]) -> int:
 
 
 def _draw(run: Run, folder: Path, failure: SimulationError | None, law: Any, model: Any) -> list[Path]:
-    from closedloop.figures import draw_figures
+    from closedloop.figures import draw_figures, is_papers
 
     try:
-        return draw_figures(run, folder, None if failure else _without_stabiliser(run.scenario, law, model, run.engine))
+        unstabilised = None
+        if not failure and is_papers(run):
+            unstabilised = _without_stabiliser(run.scenario, law, model, run.engine)
+        return draw_figures(run, folder, unstabilised)
     except KeyboardInterrupt as stop:
         said = f"{word_for(stop)} while drawing; run.nc and summary.json are in {folder}{os.sep}"
         raise type(stop)(said) if isinstance(stop, Terminated) else KeyboardInterrupt(said) from None

@@ -3,9 +3,11 @@
 import ast
 import re
 from functools import cache
+from importlib import import_module
 from pathlib import Path
 
 from closedloop.command.table import COMMANDS
+from closedloop.record.run import DRAWN_BY
 
 ROOT = Path(__file__).resolve().parent.parent
 LAYERS = (
@@ -16,6 +18,8 @@ LAYERS = (
 )  # fmt: skip
 # A run gives its summary on request.
 UPWARDS = {("closedloop.record.run", "closedloop.report")}
+# Modules that import by name what users named, and their own files.
+NEVER_UPWARDS = {"closedloop.families", "closedloop.friction"}
 # Files that import each other, and why: a run's summary; a message about a key names the keys of a scenario.
 CYCLES = [
     {"closedloop.record.netcdf", "closedloop.record.run", "closedloop.report", "closedloop.report.assumptions",
@@ -116,6 +120,20 @@ def test_a_cycle_is_found():
     """Three modules in a loop are a cycle, a tree has none."""
     assert cycles({"a": {"b"}, "b": {"c"}, "c": {"a"}, "d": {"a"}}) == [{"a", "b", "c"}]
     assert cycles({"a": {"b"}, "b": {"c"}, "c": set()}) == []
+
+
+def test_what_is_imported_by_name_is_named_in_one_place():
+    """Below the commands only a run's drawings, which are above it, are imported by a name that is not in an import."""
+    by_name = {
+        name
+        for name, file in modules("closedloop").items()
+        if "import_module" in file.read_text(encoding="utf-8") and LAYERS.index(layer(name)) < LAYERS.index("command")
+    }
+    assert by_name == {"closedloop.record.run", *NEVER_UPWARDS}
+    for drawn_by in DRAWN_BY.values():
+        module, _, function = drawn_by.partition(":")
+        assert LAYERS.index(layer(module)) == LAYERS.index("figures")
+        assert callable(getattr(import_module(module), function))
 
 
 def test_only_jit_imports_the_inside_of_numba():

@@ -1,4 +1,4 @@
-"""Figs. 6 and 7: the closure error, and the gap of a tip that is off the surface."""
+"""The closure error, Figs. 6 and 7 of the paper, and the gap of a tip that is off the surface."""
 
 from __future__ import annotations
 
@@ -8,16 +8,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from closedloop.closure.contact_force import FREE
-from closedloop.figures.dress import dress, explain_contact
+from closedloop.figures.dress import dress, explain_contact, mark_rounding, position_rounding
 from closedloop.figures.style import COLOURS, length_unit, new_figure
 from closedloop.record.run import Run
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
-
-# Below this, m, an error is drawn as the flat line that it is: the tip's position is rounded to as much.
-ROUNDING = 1e-15
 
 _STABILISED = {
     "baumgarte": "with Baumgarte's stabiliser",
@@ -56,8 +53,7 @@ def _draw(axes: Axes, run: Run, error: NDArray[np.float64]) -> str:
     """Draw an error, m, which is NaN where there is none, and return the unit in which it is drawn."""
     axes.margins(y=0.15)
     size = float(np.nanmax(np.abs(error), initial=0.0))
-    factor, unit = length_unit(size)
+    factor, unit = length_unit(size) if size > 0.0 else (1.0, "m")
     axes.plot(run.time, factor * error, color=COLOURS[1])
-    if size < ROUNDING:
-        axes.set_ylim(-1.0, 1.0)
+    mark_rounding(axes, size, position_rounding(run), factor)
     return unit

@@ -35,6 +35,8 @@ SHAPES: dict[int, dict[str, Any]] = {
     LIFTOFF: {"marker": "^", "markersize": 6},
 }
 INK = "0.15"
+# Up to so many times its rounding a value is drawn beside it.
+NEAR_ROUNDING = 30.0
 # How much of a panel a label of a mark takes, as shares of its width and height.
 LABEL_WIDTH, LABEL_HEIGHT = 0.2, 0.11
 
@@ -96,6 +98,36 @@ def legend_beside_title(axes: Axes) -> None:
     axes.legend(
         loc="lower right", bbox_to_anchor=(1.0, 1.0), ncols=10, fontsize=8, borderaxespad=0.0, columnspacing=1.2
     )
+
+
+def position_rounding(run: Run) -> float:
+    """Return the size, m, down to which a distance computed from the tip's position is rounding.
+
+    e = n·r − d is a sum of a few products as large as the tip's distance from the base: 4 ε of it.
+    """
+    return 4.0 * float(np.finfo(float).eps) * float(np.max(np.abs(run.position), initial=0.1))
+
+
+def mark_rounding(axes: Axes, size: float, level: float, factor: float) -> None:
+    """Draw the level of rounding, where what is drawn is no larger than some of it.
+
+    Parameters
+    ----------
+    size : float
+        Largest absolute value drawn, m.
+    level, factor : float
+        Rounding, m, and the factor of the unit drawn.
+    """
+    if size > NEAR_ROUNDING * level:
+        return
+    for sign in (-1.0, 1.0):
+        axes.axhline(sign * factor * level, color="0.4", linestyle="-.", linewidth=0.8)
+    axes.annotate(
+        "rounding of the position", (1.0, factor * level), xycoords=("axes fraction", "data"), xytext=(-2, 2),
+        textcoords="offset points", ha="right", fontsize=8, color="0.35",
+    )  # fmt: skip
+    most = 1.6 * factor * max(size, level)
+    axes.set_ylim(-most, most)
 
 
 def contact_changes(run: Run) -> bool:

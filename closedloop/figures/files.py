@@ -11,6 +11,8 @@ from closedloop.figures.closure import closure_error
 from closedloop.figures.force import contact_force
 from closedloop.figures.friction import friction_force, has_friction
 from closedloop.figures.impacts import has_impacts, impacts
+from closedloop.figures.joints import joints
+from closedloop.figures.overview import force_control
 from closedloop.figures.style import STYLE
 from closedloop.figures.tip import tip_position
 from closedloop.files import write_whole
@@ -20,14 +22,21 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
 
+# Scenarios of the paper's slide, whose figures are Figs. 4-7 of the paper.
+PAPERS = ("wam_slide", "wam_slide_unstabilised")
+
+
 def draw_figures(run: Run, folder: str | Path, unstabilised: Run | None = None) -> list[Path]:
     """Write the figures of a run into `folder`, each as PNG and SVG, and return the paths of the PNGs.
+
+    Every run has its tip position, contact force, closure error, the errors that force control is about, and its
+    joints; one with impacts or friction has a figure of them. The paper's slide has the paper's figures, with its
+    numbers, and the errors; its joints can be had from `closedloop.figures.joints`.
 
     Parameters
     ----------
     run : Run
-        The run; one without a stabiliser gives Figs. 4, 5 and 7, one with it Figs. 4-6. One with impacts gives
-        `fig_impacts` too, one with friction `fig_friction`.
+        The run.
     folder : path
         An existing folder.
     unstabilised : Run, optional
@@ -38,14 +47,18 @@ def draw_figures(run: Run, folder: str | Path, unstabilised: Run | None = None) 
     OutputError
         If a figure cannot be written.
     """
-    plain = run.scenario.stabiliser.kind == "none"
+    plain, papers = run.scenario.stabiliser.kind == "none", is_papers(run)
+    bare = "fig7_closure_error_unstabilised" if papers else "fig_closure_error_unstabilised"
     wanted: list[tuple[str, Callable[[Run], Figure], Run]] = [
-        ("fig4_tip_position", tip_position, run),
-        ("fig5_contact_force", contact_force, run),
-        ("fig7_closure_error_unstabilised" if plain else "fig6_closure_error", closure_error, run),
+        ("fig4_tip_position" if papers else "fig_tip_position", tip_position, run),
+        ("fig5_contact_force" if papers else "fig_contact_force", contact_force, run),
+        (bare if plain else "fig6_closure_error" if papers else "fig_closure_error", closure_error, run),
     ]
     if unstabilised is not None and not plain:
-        wanted.append(("fig7_closure_error_unstabilised", closure_error, unstabilised))
+        wanted.append((bare, closure_error, unstabilised))
+    wanted.append(("fig_force_control", force_control, run))
+    if not papers:
+        wanted.append(("fig_joints", joints, run))
     if has_impacts(run):
         wanted.append(("fig_impacts", impacts, run))
     if has_friction(run):
@@ -56,6 +69,11 @@ def draw_figures(run: Run, folder: str | Path, unstabilised: Run | None = None) 
             continue
         written.append(save_figure(draw, what, Path(folder) / name))
     return written
+
+
+def is_papers(run: Run) -> bool:
+    """Tell whether a run is the paper's slide, or that with some keys changed."""
+    return run.scenario.name in PAPERS
 
 
 def save_figure(draw: Callable[[Run], Figure], run: Run, path: Path) -> Path:
@@ -72,8 +90,10 @@ def write_figure(figure: Figure, path: Path) -> Path:
 
     Each says who made it, so that results of another run may be told and removed, and not when.
     """
-    figure.draw_without_rendering()
-    figure.set_layout_engine(None)  # all is in its place: else each file would be laid out anew, a third of the time
+    engine = figure.get_layout_engine()
+    if engine is not None:
+        engine.execute(figure)
+        figure.set_layout_engine(None)  # all is in its place: else each file would be laid out anew
     for suffix in (".svg", ".png"):
         metadata = {"Source": "closedloop"} | ({"Date": None} if suffix == ".svg" else {})
         image = io.BytesIO()

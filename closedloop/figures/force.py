@@ -1,13 +1,15 @@
-"""Fig. 5: the contact force."""
+"""The contact force, Fig. 5 of the paper, with the impulses of its impacts."""
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
-from closedloop.figures.dress import contact_changes, dress, explain_contact, legend_beside_title
+from closedloop.closure.contact_force import FREE
+from closedloop.figures.dress import dress, explain_contact, legend_beside_title
+from closedloop.figures.impacts import hits
 from closedloop.figures.instants import FORCE_STEPS, marks
 from closedloop.figures.style import COLOURS, new_figure
 from closedloop.record.run import Run
@@ -20,6 +22,8 @@ if TYPE_CHECKING:
 FLAT = 1e-3
 # Nor is a change below this share of all that the force does in the run.
 MINOR = 0.02
+# Nor is a change of the motion after which the force goes on in a line, to this share of what it does in contact.
+BENT = 0.05
 # How much of the run is enlarged on either side of an instant, s, and in how many panels at most.
 SHORT, LONG = 0.02, 0.12
 MOST_PANELS = 3
@@ -28,21 +32,19 @@ MOST_PANELS = 3
 def contact_force(run: Run) -> Figure:
     """Draw the contact force against time, with the commanded force and the transients enlarged (Fig. 5).
 
-    Enlarged are the instants at which the law or the reference changes and contact or sticking begins or ends, if the
-    force changes there; of more than three those at which it changes most. Impulses are no part of the force; see
-    `impacts`.
+    Enlarged are the instants at which the law or the reference changes and contact or sticking begins or ends, and any
+    other at which the force changes more; of more than three those at which it changes most. Impulses are no part of
+    the force, and have an axis of their own; see `impacts`.
     """
     moments = transients(run)
     figure = new_figure(height=5.0 if moments else 3.4)
     grid = figure.add_gridspec(2 if moments else 1, max(1, len(moments)), height_ratios=[1.3, 1][: 2 if moments else 1])
     whole = figure.add_subplot(grid[0, :])
+    draw_measured(whole, run, run.measured_force)
     _draw_force(whole, run, slice(None))
-    if contact_changes(run) or np.ptp(run.reference_force):
-        dress(whole, run, "Contact force along the normal", "f [N]")
-        legend_beside_title(whole)
-    else:
-        dress(whole, run, "Contact force of the surface on the tip, along its normal", "f [N]")
-        whole.legend(loc="lower center", ncols=2)
+    dress(whole, run, "Contact force", "f [N]")
+    legend_beside_title(whole)
+    _draw_impulses(whole, run)
     for k, (text, rows) in enumerate(moments):
         axes = figure.add_subplot(grid[1, k])
         _draw_force(axes, run, rows, marker=".", markersize=2.5)
@@ -51,6 +53,38 @@ def contact_force(run: Run) -> Figure:
             axes.locator_params(axis="x", nbins=4)  # room for the numbers
     explain_contact(figure, run)
     return figure
+
+
+def is_measured(run: Run) -> bool:
+    """Tell whether a force sensor says anything else than the force itself."""
+    return bool(np.any(run.measured_force != run.contact_force))
+
+
+def draw_measured(axes: Axes, run: Run, measured: NDArray[np.float64]) -> None:
+    """Draw what the force sensor says (N,), N, behind the force, if that is anything else."""
+    if is_measured(run):
+        axes.plot(run.time, measured, color="0.65", linewidth=0.7, label="measured", zorder=1.5)
+
+
+def _draw_impulses(axes: Axes, run: Run) -> None:
+    """Draw the impulses along the normal at their instants, on an axis of their own with the same zero."""
+    hit = hits(run)
+    if not np.any(hit):
+        return
+    beside: Any = axes.twinx()
+    time, impulse = run.event_time[hit], (run.event_compression + run.event_decompression)[hit]
+    beside.vlines(time, 0.0, impulse, color=COLOURS[1], linewidth=1.0)
+    beside.plot(time, impulse, ".", color=COLOURS[1], markersize=4)
+    low, high = axes.get_ylim()
+    low, high = min(low, 0.0), max(high, 1e-9)
+    axes.set_ylim(low, high)
+    most = 1.25 * float(np.max(impulse))
+    beside.set_ylim(most * low / high, most)
+    beside.set_ylabel("impulses at impacts [N s]", color=COLOURS[1])
+    beside.tick_params(axis="y", colors=COLOURS[1])
+    beside.set_yticks([tick for tick in beside.get_yticks() if 0.0 <= tick <= most])
+    beside.grid(visible=False)
+    beside.spines["right"].set_visible(True)
 
 
 def transients(run: Run) -> list[tuple[str, slice]]:
@@ -68,18 +102,65 @@ def transients(run: Run) -> list[tuple[str, slice]]:
             wanted.append((event.time, f"{event.kind} at {event.time:.4g} s", short, long, run.contact_force))
         elif event.kind == "liftoff":
             wanted.append((event.time, f"liftoff at {event.time:.4g} s", long, short, run.contact_force))
-    least = MINOR * float(np.ptp(run.contact_force))
-    found: list[tuple[float, float, str, slice]] = []
+    touching = run.contact_force[run.mode != FREE]
+    least = MINOR * float(np.ptp(run.contact_force)) if len(run) else 0.0
+    least_bend = BENT * float(np.ptp(touching)) if touching.size else 0.0
+    found: list[_Moment] = []
     for t, text, before, after, what in wanted:
         rows = slice(*np.searchsorted(run.time, (t - before, t + after)).tolist())
         change = float(np.ptp(what[rows])) if what[rows].size else 0.0
-        if change > max(_flat(run.contact_force[rows]), least):
-            found.append((-change, t, text, rows))
-    chosen: list[tuple[float, str, slice]] = []
-    for _, t, text, rows in sorted(found, key=lambda each: each[:2]):
-        if len(chosen) < MOST_PANELS and all(abs(t - other) > long for other, _, _ in chosen):
-            chosen.append((t, text, rows))
-    return [(text, rows) for _, text, rows in sorted(chosen, key=lambda each: each[0])]
+        bends = what is not away or 2.0 * float(_bend(what[rows])) > least_bend
+        if bends and change > max(_flat(run.contact_force[rows]), least):
+            found.append(_Moment(change, t, text, rows))
+    found = sorted(found, key=lambda each: (-each.change, each.time)) + _unnamed(run, away, short + long, found)
+    chosen: list[_Moment] = []
+    for moment in found:
+        apart = all(abs(moment.time - other.time) > long for other in chosen)
+        # Of a hundred slips one is enlarged.
+        alone = all(moment.kind != other.kind for other in chosen)
+        if len(chosen) < MOST_PANELS and apart and alone:
+            chosen.append(moment)
+    return [(each.text, each.rows) for each in sorted(chosen, key=lambda each: each.time)]
+
+
+class _Moment(NamedTuple):
+    """By how much the force changes there, N; an instant, s; what happens; and the rows around it."""
+
+    change: float
+    time: float
+    text: str
+    rows: slice
+
+    @property
+    def kind(self) -> str:
+        return self.text.partition(" at ")[0]
+
+
+def _bend(force: NDArray[np.float64]) -> Any:
+    """Return how far a force (..., N), N, is from a straight line between its ends; NaN if any of it is."""
+    if force.shape[-1] < 2:
+        return 0.0
+    along = np.linspace(0.0, 1.0, force.shape[-1])
+    first, last = force[..., :1], force[..., -1:]
+    return np.max(np.abs(force - first - (last - first) * along), axis=-1)
+
+
+def _unnamed(run: Run, away: NDArray[np.float64], width: float, named: list[_Moment]) -> list[_Moment]:
+    """Return where, within `width`, s, a force in contact bends most, if more than it changes at all that is named."""
+    count = min(round(width / run.scenario.time.step), len(run) - 1)
+    if count < 2:
+        return []
+    inside = np.where(run.mode != FREE, away, np.nan)
+    starts = np.arange(0, len(run) - count, max(1, count // 4))
+    change = 2.0 * _bend(np.lib.stride_tricks.sliding_window_view(inside, count + 1)[starts])
+    for moment in named:
+        change[(starts + count >= moment.rows.start) & (starts <= moment.rows.stop)] = np.nan
+    largest = float(np.nanmax(change, initial=0.0))
+    if not largest > max(_flat(run.contact_force), *(moment.change for moment in named), 0.0):
+        return []
+    begin = int(starts[int(np.nanargmax(change))])
+    middle = float(run.time[begin + count // 2])
+    return [_Moment(largest, middle, f"around {middle:.3g} s", slice(begin, begin + count + 1))]
 
 
 def _flat(force: NDArray[np.float64]) -> float:
@@ -89,14 +170,14 @@ def _flat(force: NDArray[np.float64]) -> float:
 
 def _draw_force(axes: Axes, run: Run, rows: slice, **style: Any) -> None:
     force = run.contact_force[rows]
-    axes.plot(run.time[rows], force, color=COLOURS[0], label="contact force f", **style)
+    axes.plot(run.time[rows], force, color=COLOURS[0], label="f", **style)
     if run.law == "scenario":
         wanted = run.reference_force
         dotted: dict[str, Any] = {"color": "0.3", "linestyle": ":", "linewidth": 1}
         if np.all(wanted == wanted[0]):
             axes.axhline(float(wanted[0]), label=f"commanded {wanted[0]:g} N", **dotted)
         else:
-            axes.plot(run.time[rows], wanted[rows], label="commanded force", **dotted)
+            axes.plot(run.time[rows], wanted[rows], label="commanded", **dotted)
     # A force constant to rounding is a flat line, not a picture of its sixteenth digit.
     if np.ptp(force) < _flat(force):
         middle = float(np.mean(force))

@@ -1,4 +1,4 @@
-"""The friction force of the surface beside its bound, and the slip."""
+"""The friction force of the surface in its cone, and the slip."""
 
 from __future__ import annotations
 
@@ -8,6 +8,7 @@ import numpy as np
 
 from closedloop.closure.contact_force import FREE
 from closedloop.figures.dress import dress, explain_contact, legend_beside_title
+from closedloop.figures.errors import directions, sideways
 from closedloop.figures.style import COLOURS, new_figure
 from closedloop.friction.contact import surface_contact
 from closedloop.friction.law import FrictionLaw
@@ -15,6 +16,9 @@ from closedloop.record.run import Run
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
+
+# A part of friction below this share of all of it is not drawn.
+ASIDE = 0.01
 
 
 def has_friction(run: Run) -> bool:
@@ -34,19 +38,32 @@ def _levels(law: Any) -> list[tuple[float, str, str]]:
 
 
 def friction_force(run: Run) -> Figure:
-    """Draw the size of the friction force beside μf, and the speed of slip, against time."""
-    slip = np.where(run.mode != FREE, np.linalg.norm(run.slip_velocity, axis=1), np.nan)
+    """Draw friction along the path inside the friction cone, ±μf, and the velocity of slip along the path.
+
+    Both are signed along the direction of the path, see `closedloop.figures.errors.directions`: friction that resists
+    slip along the path is negative. Its part across the path is drawn beside it, where there is any.
+    """
+    along, force = directions(run), run.friction_force
+    across = sideways(run, along)
+    slip = np.where(run.mode != FREE, np.sum(run.slip_velocity * along, axis=1), np.nan)
     figure = new_figure(height=4.8)
     above, below = figure.subplots(2, 1, sharex=True)
     for level, name, stroke in _levels(run.scenario.friction):
-        above.plot(
-            run.time, level * run.contact_force, stroke, color="0.6", linewidth=2.4, label=f"{name}, μ = {level:g}"
-        )
-    above.plot(run.time, np.linalg.norm(run.friction_force, axis=1), color=COLOURS[0], label="friction |Fₜ|")
-    dress(above, run, "Friction on the tip", "force [N]", show_events=False)
+        for sign in (1.0, -1.0):
+            above.plot(
+                run.time, sign * level * run.contact_force, stroke, color="0.6", linewidth=1.8,
+                label=f"±{name}, μ = {level:g}" if sign > 0 else None,
+            )  # fmt: skip
+    above.plot(run.time, np.sum(force * along, axis=1), color=COLOURS[0], label="along the path")
+    beside = np.sum(force * across, axis=1)
+    if np.max(np.abs(beside)) > ASIDE * np.max(np.abs(force)):
+        above.plot(run.time, beside, color=COLOURS[2], linewidth=0.9, label="across")
+    above.axhline(0.0, color="0.3", linestyle=":", linewidth=1)
+    dress(above, run, "Friction", "Fₜ [N]", show_events=False)
     above.set_xlabel("")
     legend_beside_title(above)
     below.plot(run.time, 1e3 * slip, color=COLOURS[1])
-    dress(below, run, "Speed of slip", "speed [mm/s]", label_marks=False)
+    below.axhline(0.0, color="0.3", linestyle=":", linewidth=1)
+    dress(below, run, "Slip along the path", "velocity [mm/s]", label_marks=False)
     explain_contact(figure, run)
     return figure

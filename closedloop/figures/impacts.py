@@ -33,14 +33,14 @@ class _Series(NamedTuple):
     colour: str
 
 
-def _hits(run: Run) -> NDArray[np.bool_]:
+def hits(run: Run) -> NDArray[np.bool_]:
     """Return which events are meetings with the surface (M,); a touchdown without an impulse is none."""
     return np.isin(run.event_kind, (IMPACT, TOUCHDOWN)) & (run.event_compression > 0.0)
 
 
 def has_impacts(run: Run) -> bool:
     """Tell whether the tip ever met the surface with an impulse."""
-    return bool(np.any(_hits(run)))
+    return bool(np.any(hits(run)))
 
 
 def impacts(run: Run) -> Figure:
@@ -53,7 +53,7 @@ def impacts(run: Run) -> Figure:
     """
     if not has_impacts(run):
         raise ValueError("the run has no impact to draw")
-    hit = _hits(run)
+    hit = hits(run)
     time, cut, lost = run.event_time[hit], run.event_rate_cut[hit], run.event_energy_lost[hit]
     figure = new_figure(height=6.2)
     above, middle, below = figure.subplots(3, 1, sharex=True)

@@ -10,6 +10,8 @@ if TYPE_CHECKING:
 # Blue, orange, green of Okabe and Ito's palette: told apart by colour-blind readers and in grey print.
 COLOURS = ("#0072B2", "#D55E00", "#009E73")
 STROKES = ("-", "-", "--")
+# And the rest of it, for as many lines as there are joints: the second half of them dashed.
+MANY = (*COLOURS, "#CC79A7", "#E69F00", "#56B4E9", "#000000")
 STYLE: dict[str, Any] = {
     "font.size": 10,
     "axes.titlesize": 11,
@@ -37,9 +39,21 @@ def new_figure(height: float = 3.4) -> Figure:
     return Figure(figsize=(7.2, height), layout="constrained")
 
 
+# A length below this, m, is told in metres with a power of ten: no instrument knows a unit for it.
+SMALLEST = 1e-12
+
+
 def length_unit(size: float) -> tuple[float, str]:
     """Return the factor and the name of the unit in which a length of `size` metres is read with ease."""
-    for factor, unit in ((1e12, "pm"), (1e9, "nm"), (1e6, "µm"), (1e3, "mm")):
+    if 0.0 < size < SMALLEST:
+        return 1.0, "m"
+    for factor, unit in ((1e9, "nm"), (1e6, "µm"), (1e3, "mm")):
         if size * factor < 1000:
             return factor, unit
     return 1.0, "m"
+
+
+def length_text(size: float) -> str:
+    """Return a length, m, in two digits with its unit."""
+    factor, unit = length_unit(size)
+    return f"{factor * size:.2g} {unit}" if factor * size < 99.5 else f"{factor * size:.0f} {unit}"

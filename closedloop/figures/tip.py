@@ -1,4 +1,4 @@
-"""Fig. 4: the tip position."""
+"""The tip position, Fig. 4 of the paper."""
 
 from __future__ import annotations
 
@@ -7,7 +7,6 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from closedloop.figures.dress import contact_changes, dress, explain_contact, legend_beside_title
-from closedloop.figures.instants import marks
 from closedloop.figures.style import COLOURS, STROKES, length_unit, new_figure
 from closedloop.record.run import Run
 
@@ -27,24 +26,17 @@ def tip_position(run: Run) -> Figure:
         small = [k for k in range(3) if ROUNDING < sizes[k] < SMALL * sizes.max()]
     else:
         small = [0, 1, 2]
-    # A straight slide to larger coordinates leaves a corner empty for the legend; other motions may go anywhere.
-    upwards = moved[-1, np.argmax(sizes)] > 0.0
-    slide = run.scenario.reference.kind == "line" and upwards and not contact_changes(run) and len(marks(run)) <= 2
+    slide = run.scenario.reference.kind == "line" and not contact_changes(run)
     figure = new_figure(height=4.6 if small else 3.4)
     ratios = [2, 1] if small else [1]
     panels = figure.subplots(len(ratios), 1, sharex=True, height_ratios=ratios, squeeze=False)[:, 0]
     above = panels[0]
     for k, axis in enumerate("xyz"):
-        where = f"from {round(run.position[0, k], 4) + 0.0:.4f} m"
-        name = f"{axis} ({where})" if slide else f"{axis}, {where}"
+        name = f"{axis} from {round(run.position[0, k], 4) + 0.0:.4f} m"
         above.plot(run.time, 1e3 * moved[:, k], STROKES[k], color=COLOURS[k], label=name)
     above.margins(y=0.15)
-    if slide:
-        dress(above, run, "Tip position, base frame", "displacement [mm]", show_events=not small)
-        above.legend(loc="upper left", bbox_to_anchor=(0.08, 0.9))
-    else:
-        dress(above, run, "Tip position", "displacement, base frame [mm]", show_events=not small)
-        legend_beside_title(above)
+    dress(above, run, "Tip, base frame", "displacement [mm]", show_events=not small)
+    legend_beside_title(above)
     if small:
         above.set_xlabel("")
         below = panels[1]
@@ -55,12 +47,9 @@ def tip_position(run: Run) -> Figure:
             below,
             run,
             "The same, off the path" if slide else "Its small parts",
-            f"displacement [{unit}]",
+            f"[{unit}]",
             label_marks=False,
         )
-        if slide:
-            below.legend(loc="upper right")
-        else:
-            legend_beside_title(below)
+        legend_beside_title(below)
     explain_contact(figure, run)
     return figure

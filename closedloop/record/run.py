@@ -10,6 +10,7 @@ from collections.abc import Mapping
 from copy import deepcopy
 from dataclasses import dataclass, field
 from functools import cached_property
+from importlib import import_module
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, NamedTuple
 
@@ -21,7 +22,9 @@ from closedloop.scenario.scenario import Scenario
 from robot_models import RobotModel
 
 if TYPE_CHECKING:
+    import pandas
     import xarray
+    from matplotlib.figure import Figure
 
 Array = NDArray[np.float64]
 
@@ -75,6 +78,9 @@ _BY_TIME: dict[str, Column] = {
 }
 
 
+# What draws a run: MODULE:FUNCTION, found when it is asked for, as drawing is above the record (tests/test_layers.py).
+DRAWN_BY = {"plot": "closedloop.figures.overview:plot", "html": "closedloop.figures.html:html"}
+
 COLUMNS: dict[str, Column] = _BY_TIME | {name: Column(*spec) for name, spec in EVENT_COLUMNS.items()}
 
 
@@ -99,6 +105,13 @@ class Event(NamedTuple):
     slip_before: float
     slip_after: float
     restitution: float
+
+
+def events_of(columns: Mapping[str, NDArray[Any]]) -> tuple[Event, ...]:
+    """Return the events of columns that have those of `EVENT_COLUMNS`, in order of time."""
+    parts = [columns[name] for name in EVENT_COLUMNS]
+    rows = zip(*(part if part.ndim == 2 else part.tolist() for part in parts), strict=True)
+    return tuple(Event(row[0], KINDS[row[1]], *row[2:]) for row in rows)
 
 
 @dataclass(frozen=True, eq=False)
@@ -173,9 +186,7 @@ class Run:
     @cached_property
     def events(self) -> tuple[Event, ...]:
         """What happened to the contact, in order of time."""
-        parts = [self.columns[name] for name in EVENT_COLUMNS]
-        rows = zip(*(part if part.ndim == 2 else part.tolist() for part in parts), strict=True)
-        return tuple(Event(row[0], KINDS[row[1]], *row[2:]) for row in rows)
+        return events_of(self.columns)
 
     @cached_property
     def _summary(self) -> dict[str, Any]:
@@ -217,8 +228,41 @@ class Run:
             attributes(self),
         )
 
+    def to_pandas(self) -> pandas.DataFrame:
+        """Return the columns over time as a pandas DataFrame; the events are in `events`.
+
+        The index is the time, s. A column (N, k) becomes k, named after joints and axes, such as
+        ``q[wam/base_yaw_joint]`` and ``position[z]``; ``attrs["units"]`` has the unit of each.
+        """
+        from closedloop.record.frame import data_frame
+
+        dims = {name: spec.dims for name, spec in _BY_TIME.items()}
+        return data_frame(self.columns, dims, self.model.joint_names, self.units)
+
+    def plot(self) -> Figure:
+        """Return a matplotlib figure of the force's error, the tip's errors and the path from above.
+
+        Jupyter shows it inline; nothing else holds it, and pyplot is not involved. `closedloop.figures` has the others.
+
+        Raises
+        ------
+        ValueError
+            If the run has no row.
+        """
+        figure: Figure = _drawn(self, "plot")
+        return figure
+
+    def _repr_html_(self) -> str:
+        return str(_drawn(self, "html"))
+
     def save(self, path: str | Path) -> Path:
         """Write the run as NetCDF-4 (HDF5) and return the path; see `closedloop.record.netcdf.save_run`."""
         from closedloop.record.netcdf import save_run
 
         return save_run(self, path)
+
+
+def _drawn(run: Run, how: str) -> Any:
+    """Return what draws a run, see `DRAWN_BY`, of it."""
+    module, _, function = DRAWN_BY[how].partition(":")
+    return getattr(import_module(module), function)(run)

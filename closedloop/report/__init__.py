@@ -5,7 +5,7 @@ from __future__ import annotations
 from closedloop.report.assumptions import assumptions
 from closedloop.report.row_assumptions import NEAR_SINGULAR, RESIDUAL_TOLERANCE
 from closedloop.report.summary import energy_balance, summarise
-from closedloop.report.tables import notes, print_report
+from closedloop.report.tables import notes, print_report, report_rows
 
 __all__ = [
     "NEAR_SINGULAR",
@@ -14,5 +14,6 @@ __all__ = [
     "energy_balance",
     "notes",
     "print_report",
+    "report_rows",
     "summarise",
 ]

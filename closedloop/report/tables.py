@@ -126,6 +126,11 @@ def _print_verdict(verdict: dict[str, Any], console: Console) -> None:
         console.print(f"  [bold red]{problem['name']}[/]: {escape(problem['text'])}{when}")
 
 
+def report_rows(run: Run) -> list[tuple[str, str, str, str]]:
+    """Return the rows of the table of errors: quantity, value, unit, and what stands beside it; the run has rows."""
+    return _error_rows(run, run.summary())
+
+
 def _joint_rows(run: Run) -> list[tuple[str, str, str, str]]:
     """Return how near to its limits the arm came, where it has any."""
     found = joint_measures(run)

@@ -10,11 +10,9 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from closedloop.closure.solve import LAW_FAILED
-from closedloop.engines.failures import failure_of, interrupted
+from closedloop.engines.failures import interrupted
 from closedloop.engines.law_source import law_digest
-from closedloop.engines.loops import COMPILED, ENGINES, PINOCCHIO, SECONDS, SECONDS_GENERAL, loop_for
-from closedloop.engines.pinocchio import addresses_of, set_events
+from closedloop.engines.loops import ENGINES, PINOCCHIO, loop_for
 from closedloop.engines.problem import Problem
 from closedloop.engines.user_law import Law, UserLaw
 from closedloop.errors import (
@@ -24,30 +22,25 @@ from closedloop.errors import (
     ScenarioError,
     SimulationError,
 )
-from closedloop.events.phases import DONE, IMPACT_LAW_WANTED, INITIAL_EVENTS, TABLE_FULL, TERMS
-from closedloop.events.table import EVENT_WIDTH, event_columns
-from closedloop.events.transitions import collide
+from closedloop.events.phases import DONE, IMPACT_LAW_WANTED, TABLE_FULL, TERMS
+from closedloop.events.table import event_columns
 from closedloop.integrators import ADAPTIVE, INTEGRATORS
 from closedloop.interrupts import held_back
-from closedloop.jit.background import make_ready, start
-from closedloop.jit.interpreted import Interim, at_hand, call_now
-from closedloop.jit.kernel import direct, plain
-from closedloop.jit.pointers import address_of
+from closedloop.jit.background import make_ready
+from closedloop.jit.interpreted import Interim, call_now
+from closedloop.jit.kernel import plain
 from closedloop.record.run import Run
 from closedloop.record.versions import package_versions
 from closedloop.robot.tree import Tree, potential_energies, work_size
 from closedloop.scenario.arm import without_tools
 from closedloop.scenario.members import member_digests
 from closedloop.scenario.scenario import Scenario
+from closedloop.simulation.loop_calls import Answers, begun, driver
 from closedloop.simulation.prepare import prepare
-from closedloop.step.memory import Loop
 from closedloop.step.record_row import RECORDED, Row, complete_record, recorded, rows_there
 from robot_models import RobotModel
 
 Array = NDArray[np.float64]
-
-# Steps between two calls of the progress function.
-CHUNK = 400
 
 
 def simulate(
@@ -106,7 +99,9 @@ def simulate(
     run: Run | None = None
     try:
         with held_back():
-            run = _as_run(problem, rows, events, law, failure, seconds, engine)
+            stopped = str(failure) if failure else None
+            name, digest = ("scenario", "") if law is None else (law_name(law), law_digest(law))
+            run = as_run(problem, rows, events, seconds, engine, law=name, digest=digest, stopped=stopped)
     except KeyboardInterrupt as stop:  # it came while the record was being assembled
         if run is None:
             raise  # a second one, which does not wait
@@ -193,14 +188,14 @@ def run_loop(
     user_law = None if law is None else UserLaw(law, loop)
     connect = partial(problem.connect, loop, user_law.connect if user_law else None)
     rows = np.empty((steps + 1, Row.count(robot.n))) if rows is None else rows
-    events = np.zeros((INITIAL_EVENTS, EVENT_WIDTH))
     kernel = loop_for(engine, problem.general or law is not None)
     if interim:
-        kernel = _begun(kernel, problem, loop, connect, law)
+        kernel = begun(kernel, problem, loop, connect, law)
     else:
         make_ready(kernel)
     connect(compiled=not (isinstance(kernel, Interim) and kernel.interpreting))
-    step, many = _driver(problem, kernel, loop, (problem.table, problem.integrator.tableau(), rows), engine, tree)
+    step, many = driver(problem, kernel, loop, (problem.table, problem.integrator.tableau(), rows), engine, tree)
+    answers = Answers(problem, loop, interim)
 
     def finish(done: int) -> None:
         call = partial(call_now, complete_record, loop_memory) if interim else complete_record
@@ -209,32 +204,19 @@ def run_loop(
     loop_memory = (state.memory, w.memory)
     failure: SimulationError | None = None
     request = TERMS
-    began, first, impacts = clock.perf_counter(), engine == PINOCCHIO, False
+    began, first = clock.perf_counter(), engine == PINOCCHIO
     try:
         report(0, steps)
         while True:
             if request == TERMS:
-                request = (step if first else many)(events)
-            elif request == TABLE_FULL:
-                events = np.vstack([events, np.zeros_like(events)])
-                request = step(events)
-            elif request == IMPACT_LAW_WANTED:
-                problem.set_restitution(loop)
-                struck = clock.perf_counter()
-                if interim:
-                    call_now(collide, loop_memory, loop.address)
-                else:
-                    collide(loop.address)
-                if not impacts:  # the first may have compiled it
-                    began += clock.perf_counter() - struck
-                impacts = True
-                request = step(events)
+                request = (step if first else many)(answers.events)
+            elif request in (TABLE_FULL, IMPACT_LAW_WANTED):
+                answers.give(request)
+                request = step(answers.events)
             elif request == DONE:
                 break
-            elif user_law is not None and (state.status == LAW_FAILED or user_law.interruption is not None):
-                raise user_law.failure()
             else:
-                failure = failure_of(int(state.status), float(w.time), robot, problem, law, w.q, w.v)
+                failure = answers.failure(law, user_law)
                 break
             if first:  # the first call compiled the kernel, or read it from the cache
                 first, began = False, clock.perf_counter()
@@ -251,84 +233,27 @@ def run_loop(
     finally:
         if user_law is not None:
             user_law.close()
-    seconds = clock.perf_counter() - began - (kernel.compiling if isinstance(kernel, Interim) else 0.0)
+    seconds = clock.perf_counter() - began - answers.compiling
+    seconds -= kernel.compiling if isinstance(kernel, Interim) else 0.0
     done = int(state.row) + (failure is None)
     if isinstance(failure, InterruptedRunError):
         done = rows_there(state, done, robot.n)
     finish(done)  # after an exception; else it has been done
-    return rows[:done], events[: int(state.events)], failure, seconds
+    return rows[:done], answers.events[: int(state.events)], failure, seconds
 
 
-def _driver(
-    problem: Problem,
-    kernel: Callable[..., int],
-    loop: Loop,
-    arrays: tuple[Array, Array, Array],
-    engine: str,
-    made: tuple[Tree, Array] | None,
-) -> tuple[Callable[[Array], int], Callable[[Array], int]]:
-    """Return two functions of the table of events: one provides terms once, one while nothing else is requested."""
-    if engine == COMPILED:
-        from closedloop.engines.compiled import ALL, compiled_tree, compiled_work
-
-        tree, work = made or (compiled_tree(problem), compiled_work(problem.robot.n))
-        if not isinstance(kernel, Interim) and not getattr(kernel, "signatures", ()):
-            # Compile it, or read it from the cache, before the clock starts.
-            direct(kernel, tree, work, loop.address, *arrays, np.zeros((0, EVENT_WIDTH)), ALL)
-
-        def go_on(events: Array) -> int:
-            # Interpreted, it returns after each evaluation, as with Pinocchio, and can be interrupted.
-            most = 1 if isinstance(kernel, Interim) and kernel.interpreting else ALL
-            return kernel(tree, work, loop.address, *arrays, events, most)
-
-        return go_on, go_on
-
-    robot = problem.robot
-    addresses = addresses_of(robot.views, loop, *arrays, np.zeros((0, EVENT_WIDTH)))
-    crba, bias, convention, pinocchio, data = robot.passes
-    q, v, at = loop.w.q, loop.w.v, address_of(addresses.memory)
-
-    def chunk(length: int) -> Callable[[Array], int]:
-        def go_on(events: Array) -> int:
-            set_events(addresses, events)
-            request, call = TERMS, direct(kernel, at)
-            for _ in range(length):
-                crba(pinocchio, data, q, convention)  # as in `Robot.evaluator`, without a call
-                bias(pinocchio, data, q, v)
-                request = call(at)
-                if request != TERMS:
-                    break
-            return request
-
-        return go_on
-
-    return chunk(1), chunk(CHUNK)
-
-
-def _begun(
-    kernel: Callable[..., int], problem: Problem, loop: Loop, connect: Callable[[], None], law: Law | None
-) -> Callable[..., int]:
-    """Return the loop, or what it is begun with if it is not compiled; and have compiled what else is missing."""
-    entries = problem.entries(user_law=law is not None).values()
-    with_it = [complete_record, *([collide] if loop.state.unilateral else []), *entries]
-    if not at_hand(kernel):
-        calls = problem.steps * problem.integrator.stages
-        seconds = SECONDS_GENERAL if problem.general or law is not None else SECONDS
-        return Interim(kernel, (loop.state.memory, loop.w.memory), calls, seconds, with_it, connect)
-    make_ready(kernel)
-    start([function for function in with_it if not at_hand(function)])
-    return kernel
-
-
-def _as_run(
+def as_run(
     problem: Problem,
     rows: Array,
     events: Array,
-    law: Law | None,
-    failure: SimulationError | None,
     seconds: float,
     engine: str,
+    *,
+    law: str = "scenario",
+    digest: str = "",
+    stopped: str | None = None,
 ) -> Run:
+    """Return the rows and events of a problem, see `run_loop`, as a run; the rest as in `Run`."""
     n, count = problem.robot.n, rows.shape[0]
     wanted = problem.table[:: problem.nodes][:count]
     reference_rows = problem.path[:: problem.nodes][:count]
@@ -347,16 +272,17 @@ def _as_run(
         scenario=problem.scenario,
         model=without_tools(problem.robot.model),
         columns=columns | event_columns(events),
-        law="scenario" if law is None else _law_name(law),
+        law=law,
         versions=package_versions(),
-        stopped=str(failure) if failure else None,
+        stopped=stopped,
         wall_seconds=seconds,
         engine=engine,
-        law_digest="" if law is None else law_digest(law),
+        law_digest=digest,
         member_digests=member_digests(problem.scenario),
     )
 
 
-def _law_name(law: Law) -> str:
+def law_name(law: Law) -> str:
+    """Return the name of a user's law, MODULE:NAME."""
     module, name = getattr(law, "__module__", "?"), getattr(law, "__qualname__", type(law).__name__)
     return f"{module}:{name}"

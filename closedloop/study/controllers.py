@@ -2,12 +2,13 @@
 
 The task is wam_slide's with the elbow up, the motion from rest to rest: press with 10 N and slide 108 mm in six
 seconds. Rows are controllers with what they know of friction, columns are laws of friction of about the same level
-(kinetic 0.25, static 0.35). The law and an ideal force sensor work at 1 kHz, the arm moves in steps of a quarter of
-that. Measured from `SETTLED_FROM` on, when the tip has broken away and the force has settled:
+(kinetic 0.25, static 0.35). The law works at 1 kHz, the arm moves in steps of a quarter of that. The force sensor is
+noisy (`NOISE`), and no controller's model has the friction that the joints have (`JOINT_FRICTION`). When the path has
+ended the desired force rises by `FORCE_STEP` within `RISE`. Measured of the true force and the true tip:
 
-    force RMS, peak   of f − f_des, N
-    path RMS          of the tip's distance from its path along the surface, mm
-    settling          how long after the path ends the force error was last over `BAND`, s; infinite if it still is
+    force RMS, peak   of f − f_des, N, from `SETTLED_FROM` on, when the tip has broken away, until the force rises
+    path RMS          of the tip's distance from its path along the surface in that time, mm
+    settling          how long after the rise began the force error was last over `BAND`, s; infinite if it still is
 """
 
 from __future__ import annotations
@@ -33,8 +34,15 @@ from closedloop.study.posture import ELBOW_UP
 
 Array = NDArray[np.float64]
 
-SETTLED_FROM, BAND = 1.5, 0.2  # s, N
-STOP = 6.5  # s
+SETTLED_FROM, BAND = 1.5, 0.05  # s, N
+RISES_AT, RISE, FORCE_STEP, END = 7.0, 0.05, 3.0, 9.0  # s, s, N, s; the path ends at 6.5 s
+NOISE = 0.05  # N, standard deviation of each reading
+# Coulomb's, N m, and viscous, N m s/rad, of each joint: a tenth of what motors have, as a compensation leaves it.
+JOINT_FRICTION = {
+    "joint_friction.kind": "coulomb_viscous",
+    "joint_friction.kinetic": [0.2, 0.2, 0.1, 0.1],
+    "joint_friction.viscous": [0.5, 0.5, 0.3, 0.2],
+}
 STEP, SAMPLE = 0.00025, 0.001  # s
 SPEED = 0.018  # m/s, mean: 108 mm, within the workspace with the elbow up
 MEASURES = ("force_rms", "force_peak", "path_rms", "settling")
@@ -83,40 +91,47 @@ QUICK = ("paper", "impedance", "impedance + observer"), ("none", "stribeck")
 
 def measures(run: Run) -> dict[str, float]:
     """Return what is measured of a run that reaches its end; see the module's text."""
-    late = run.time >= SETTLED_FROM
-    force = (run.contact_force - run.reference_force)[late]
+    late = (run.time >= SETTLED_FROM) & (run.time < RISES_AT)
+    error = run.contact_force - run.reference_force
+    force, after = error[late], run.time >= RISES_AT
     off = run.position - run.reference_tip
     normal = np.asarray(run.scenario.surface.normal) / np.linalg.norm(run.scenario.surface.normal)
     off = (off - np.outer(off @ normal, normal))[late]
-    over = np.abs(force) > BAND
-    last = float(np.max(run.time[late], where=over, initial=0.0)) if not over[-1] else math.inf
+    over = np.abs(error[after]) > BAND
+    last = float(np.max(run.time[after], where=over, initial=0.0)) if not over[-1] else math.inf
     return {
         "force_rms": float(np.sqrt(np.mean(force**2))),
         "force_peak": float(np.max(np.abs(force))),
         "path_rms": float(1e3 * np.sqrt(np.mean(np.sum(off**2, axis=1)))),
-        "settling": max(0.0, last - STOP),
+        "settling": max(0.0, last - RISES_AT),
     }
 
 
-def scenario_of(controller: str, friction: str) -> Scenario:
-    """Return the slide of one controller on one kind of friction."""
+def scenario_of(controller: str, friction: str, ideal: bool = False) -> Scenario:
+    """Return the slide of one controller on one kind of friction; `ideal` without noise and friction in joints."""
     changes: dict[str, Any] = {
         "start.q": ELBOW_UP,
         "reference.speed": SPEED,
         "reference.timing": "minimum_jerk",
         "time.step": STEP,
         "law.sample_period": SAMPLE,
+        "time.duration": END,
+        "force_profile.kind": "waypoints",
+        "force_profile.times": [RISES_AT, RISES_AT + RISE],
+        "force_profile.forces": [10.0, 10.0 + FORCE_STEP],
     }
+    if not ideal:
+        changes |= {"sensor.noise": NOISE} | JOINT_FRICTION
     changes = CONTROLLERS[controller] | changes  # a kind first: the keys that it does not know are dropped
     changes |= {f"friction.{key}": value for key, value in FRICTIONS[friction].items()}
     return load_scenario("wam_slide", changes)
 
 
-def cell(controller: str, friction: str) -> dict[str, Any]:
+def cell(controller: str, friction: str, ideal: bool = False) -> dict[str, Any]:
     """Run one controller on one kind of friction; a run that cannot go on is its reason."""
     row: dict[str, Any] = {"controller": controller, "friction": friction, "reason": ""}
     try:
-        return row | measures(simulate(scenario_of(controller, friction), engine="compiled"))
+        return row | measures(simulate(scenario_of(controller, friction, ideal), engine="compiled"))
     except InterruptedRunError:
         raise
     except ClosedLoopError as error:
@@ -159,9 +174,12 @@ TITLES = {
     "force_rms": "force error, RMS [N]",
     "force_peak": "force error, peak [N]",
     "path_rms": "path error along the surface, RMS [mm]",
-    "settling": "settling after the end of the path [s]",
+    "settling": "settling after a rise of the force [s]",
 }
-CAPTION = f"errors from {SETTLED_FROM:g} s on; settling: from the end of the path until the force keeps to {BAND:g} N"
+CAPTION = (
+    f"errors from {SETTLED_FROM:g} s to {RISES_AT:g} s; settling: from there, where f_des rises by {FORCE_STEP:g} N, "
+    f"until the force keeps to {BAND:g} N"
+)
 
 
 def cell_text(row: dict[str, Any], key: str) -> str:
@@ -211,13 +229,13 @@ def draw_controllers(results: list[dict[str, Any]], folder: Path) -> Path:
         return write_figure(figure, folder / "controllers")
 
 
-# Least and greatest of the colours: what matters of each measure.
-RANGES = {"force_rms": (1e-2, 3.0), "force_peak": (1e-2, 3.0), "path_rms": (1e-2, 10.0), "settling": (1e-2, 1.5)}
+# Least and greatest of the colours, what matters of each measure: logarithmic, but for the settling's.
+RANGES = {"force_rms": (3e-3, 1.0), "force_peak": (1e-2, 3.0), "path_rms": (1e-3, 10.0), "settling": (0.0, 0.3)}
 
 
 def maps(figure: Any, results: list[dict[str, Any]], keys: tuple[str, ...] = MEASURES) -> None:
     """Draw measures as maps of controllers against friction, two beside each other, on a matplotlib figure."""
-    from matplotlib.colors import LogNorm
+    from matplotlib.colors import LogNorm, Normalize
 
     controllers = list(dict.fromkeys(row["controller"] for row in results))
     frictions = list(dict.fromkeys(row["friction"] for row in results))
@@ -226,9 +244,10 @@ def maps(figure: Any, results: list[dict[str, Any]], keys: tuple[str, ...] = MEA
         least, most = RANGES[key]
         rows = [[row for row in results if row["controller"] == name] for name in controllers]
         values = np.array([[row[key] for row in mine] for mine in rows])
-        image = axes.imshow(np.clip(values, least, most), norm=LogNorm(least, most), cmap="cividis", aspect="auto")
+        norm = LogNorm(least, most) if least > 0.0 else Normalize(least, most)
+        image = axes.imshow(np.clip(values, least, most), norm=norm, cmap="cividis", aspect="auto")
         for i, j in np.ndindex(values.shape):
-            bright = values[i, j] > np.sqrt(least * most)
+            bright = norm(values[i, j]) > 0.5
             colour = "black" if bright else "white" if np.isfinite(values[i, j]) else "firebrick"
             axes.text(j, i, cell_text(rows[i][j], key), ha="center", va="center", color=colour, fontsize=7)
         axes.set_xticks(range(len(frictions)), frictions, rotation=35, ha="right")

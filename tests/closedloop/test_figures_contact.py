@@ -18,7 +18,7 @@ from closedloop.figures.force import transients
 from closedloop.figures.instants import intervals, marks, thinned
 
 OVER_TIME = (tip_position, contact_force, closure_error)
-UNITS = {"pm": 1e12, "nm": 1e9, "µm": 1e6, "mm": 1e3}
+UNITS = {"nm": 1e9, "µm": 1e6, "mm": 1e3}
 
 
 @pytest.fixture(scope="module")
@@ -89,6 +89,8 @@ def test_free_motion_is_a_band_in_every_panel(draw, shipped_run):
     figure = draw(run)
     assert len(figure.axes) >= 2
     for axes in figure.axes:
+        if "impulses" in axes.get_ylabel():  # the second axis of a panel
+            continue
         begin, end = axes.get_xlim()
         assert bands(axes, FREE) == [pytest.approx((max(liftoff, begin), min(touchdown, end)))]
         assert bands(axes, STUCK) == bands(axes, PRESSED) == []
@@ -169,7 +171,7 @@ def test_gap_and_closure_error_are_both_readable(shipped_run):
     error = curves(below)[0]
     assert np.all(np.isnan(error[free]))
     assert np.allclose(error[~free], unit_of(below) * run.closure_error[~free])
-    assert 0.1 < np.max(np.abs(error[~free])) < 1000
+    assert 0.02 < np.max(np.abs(error[~free])) < 1000
     low, high = below.get_ylim()
     assert high - low < 2 * np.ptp(error[~free])
     assert "Gap" in above.get_title("left") + above.get_title("center")
@@ -184,7 +186,11 @@ def test_error_that_is_rounding_is_drawn_flat():
         )
     )
     assert np.max(np.abs(run.closure_error)) < 1e-15
-    assert closure_error(run).axes[0].get_ylim() == (-1.0, 1.0)
+    (axes,) = closure_error(run).axes
+    assert axes.get_ylim()[1] > 1.5 * np.max(np.abs(run.closure_error))
+    level = 4.0 * np.finfo(float).eps * np.max(np.abs(run.position))
+    assert [line.get_ydata()[0] for line in axes.lines if len(line.get_ydata()) == 2] == [-level, level]
+    assert "rounding" in " ".join(text.get_text() for text in axes.texts)
 
 
 def test_run_that_never_touches_has_a_gap_only():
@@ -242,7 +248,7 @@ def test_no_more_is_enlarged_than_there_is_room_for(shipped_run):
     run = cl.simulate(cl.load_scenario("wam_edge", {"reference.timing": "constant"}))
     found = transients(run)
     assert [text.split(" at ")[0] for text, _ in found] == ["PD and motion start", "touchdown", "motion stops"]
-    assert len(contact_force(run).axes) == 4
+    assert len(contact_force(run).axes) == 4 + 1  # and the impulses' axis
 
 
 def test_impacts_are_the_events(shipped_run):
@@ -285,9 +291,11 @@ def test_run_without_an_impact_has_none_to_draw(shipped_run):
 def test_friction_stands_beside_what_it_can_be(sliding):
     """The friction drawn is the run's, at its limit μf while the tip slides and within it while the tip sticks."""
     above, below = friction_force(sliding).axes
-    limit, friction = curves(above)
+    limit, below_zero, friction = curves(above)
     assert np.array_equal(limit, 0.3 * sliding.contact_force)
-    assert np.allclose(friction, np.linalg.norm(sliding.friction_force, axis=1))
+    assert np.array_equal(below_zero, -limit)
+    friction = -friction  # it resists slip along the path
+    assert np.allclose(friction, np.linalg.norm(sliding.friction_force, axis=1), atol=1e-6)
     stuck = sliding.mode == STUCK
     assert 500 < stuck.sum() < 1000
     assert friction[~stuck] == pytest.approx(limit[~stuck], rel=1e-9)
@@ -305,7 +313,7 @@ def test_both_levels_of_friction_are_drawn_where_there_are_two():
     """Stribeck's friction has a static and a kinetic level."""
     changes = {"friction.kind": "stribeck", "friction.kinetic": 0.2, "friction.static": 0.3}
     run = start_of("wam_slide", **changes, **{"friction.stribeck_speed": 0.005})
-    static, kinetic, _ = curves(friction_force(run).axes[0])
+    static, _, kinetic, *_ = curves(friction_force(run).axes[0])
     assert np.array_equal(static, 0.3 * run.contact_force)
     assert np.array_equal(kinetic, 0.2 * run.contact_force)
 
@@ -321,8 +329,12 @@ def test_both_levels_of_friction_are_drawn_where_there_are_two():
 )
 def test_a_run_gets_the_figures_that_it_has_something_for(name, more, shipped_run, sliding, tmp_path):
     """Impacts and friction have figures where there are any; all are written as PNG and SVG."""
-    paths = draw_figures(sliding if name == "sliding" else shipped_run(name), tmp_path)
-    assert [p.stem for p in paths] == ["fig4_tip_position", "fig5_contact_force", "fig6_closure_error", *more]
+    run = sliding if name == "sliding" else shipped_run(name)
+    papers = run.scenario.name == "wam_slide"
+    own = ("fig4", "fig5", "fig6") if papers else ("fig",) * 3
+    usual = [f"{fig}_{what}" for fig, what in zip(own, ("tip_position", "contact_force", "closure_error"), strict=True)]
+    paths = draw_figures(run, tmp_path)
+    assert [p.stem for p in paths] == [*usual, "fig_force_control", *([] if papers else ["fig_joints"]), *more]
     assert all(p.stat().st_size > 5000 and p.with_suffix(".svg").stat().st_size > 5000 for p in paths)
 
 

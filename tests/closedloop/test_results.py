@@ -89,7 +89,7 @@ def test_nothing_of_a_replaced_run_stays_beside_the_new_one(command_line, tmp_pa
     assert command_line("planar2_slide", *(word for word in SHORT if word != "--no-figures")).status == 0
     (tmp_path / "r" / "fig_mine.png").write_bytes(b"mine")
     (tmp_path / "r" / "notes.txt").write_bytes(b"mine")
-    assert {"fig4_tip_position.png", "fig5_contact_force.svg"} <= set(contents(tmp_path / "r"))
+    assert {"fig_tip_position.png", "fig_contact_force.svg"} <= set(contents(tmp_path / "r"))
     assert command_line("planar2_slide", *SHORT, "--law.force", "12", "--overwrite").status == 0
     assert set(contents(tmp_path / "r")) == {"fig_mine.png", "notes.txt", "run.nc", "summary.json"}
 
@@ -115,7 +115,7 @@ def test_a_pipe_in_the_place_of_a_result_is_refused_at_once(command_line, tmp_pa
 def test_no_result_is_written_through_a_link(command_line, tmp_path):
     """Where links stand in the places of results, what they point to stays as it was."""
     options = ("planar2_slide", *(word for word in SHORT if word != "--no-figures"))
-    figures, files = ("fig4_tip_position.png", "fig5_contact_force.svg"), ("run.nc", "summary.json")
+    figures, files = ("fig_tip_position.png", "fig_contact_force.svg"), ("run.nc", "summary.json")
     (tmp_path / "r").mkdir()
 
     def link(name, content):

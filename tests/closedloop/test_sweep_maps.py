@@ -46,7 +46,7 @@ def test_one_key_is_a_curve_and_a_second_few_more(table):
     curves = [line for line in panel.lines if line.get_label().startswith("law.force = ")]
     assert [line.get_label() for line in curves] == ["law.force = 5", "law.force = 10", "law.force = 15"]
     error = table["max_abs_closure_error"].to_numpy().reshape(3, 5)[1]
-    factor = {"pm": 1e12, "nm": 1e9, "µm": 1e6}[panel.get_ylabel()]
+    factor = {"m": 1.0, "nm": 1e9, "µm": 1e6}[panel.get_ylabel()]
     np.testing.assert_allclose(curves[1].get_ydata(), factor * error)
     assert [line.get_label() for line in panel.lines][-1] == "failed, or none"
 

@@ -1,0 +1,74 @@
+"""Errors of a run along the path, across it, and along the surface's normal."""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from closedloop.closure.contact_force import FREE
+from closedloop.record.run import Run
+from closedloop.surface.plane import contact_frame, unit
+
+Array = NDArray[np.float64]
+
+# A desired motion slower than this share of its largest step has no direction of its own.
+STILL = 1e-3
+
+
+class TipErrors(NamedTuple):
+    """Tip errors r − r_des (N,), m: along the path, across it in the surface, along the normal."""
+
+    along: Array
+    across: Array
+    normal: Array
+
+
+def frame_of(run: Run) -> Array:
+    """Return the contact frame at the surface's origin (3, 3): rows n, t1, t2 in base axes."""
+    return contact_frame(unit(run.scenario.surface.normal, "surface.normal"))
+
+
+def directions(run: Run) -> Array:
+    """Return unit vectors along the path in the surface (N, 3), base frame; at rest that of the motion before.
+
+    Before the first motion it is that of the first; of a reference that never moves along the surface it is t1.
+    """
+    normals = run.surface_normal
+    step = np.gradient(run.reference_tip, axis=0) if len(run) > 1 else np.zeros_like(run.reference_tip)
+    step = _along(step, normals)
+    size = np.linalg.norm(step, axis=1)
+    moves = size > max(STILL * float(np.max(size, initial=0.0)), 1e-12)
+    if not np.any(moves):
+        found = np.tile(frame_of(run)[1], (len(run), 1))
+    else:
+        rows = np.flatnonzero(moves)
+        found = step[rows[np.clip(np.searchsorted(rows, np.arange(len(run)), side="right") - 1, 0, None)]]
+    found = _along(found, normals)  # of a surface that curves away since
+    unit_vectors: Array = found / np.linalg.norm(found, axis=1)[:, None]
+    return unit_vectors
+
+
+def _along(x: Array, normals: Array) -> Array:
+    """Return the parts of vectors (N, 3) along the surface."""
+    part: Array = x - np.sum(x * normals, axis=1)[:, None] * normals
+    return part
+
+
+def sideways(run: Run, along: Array) -> Array:
+    """Return the direction across the path (N, 3) in the surface, on the left of `along` (N, 3) seen from outside."""
+    across: Array = np.cross(run.surface_normal, along)
+    return across
+
+
+def tip_errors(run: Run) -> TipErrors:
+    """Return the tip's errors against the desired tip position."""
+    off, along = run.position - run.reference_tip, directions(run)
+    return TipErrors(*(np.sum(off * axis, axis=1) for axis in (along, sideways(run, along), run.surface_normal)))
+
+
+def force_error(run: Run, force: Array) -> Array:
+    """Return f − f_des (N,), N, of a force (N,), N; NaN while the tip is free."""
+    error: Array = np.where(run.mode != FREE, force - run.reference_force, np.nan)
+    return error

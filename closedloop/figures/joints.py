@@ -1,0 +1,93 @@
+"""The joints of a run: torques, velocities and positions, against the limits of the robot's file."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+import numpy as np
+from numpy.typing import NDArray
+
+from closedloop.figures.dress import dress, explain_contact
+from closedloop.figures.style import MANY, new_figure
+from closedloop.record.run import Run
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+    from matplotlib.figure import Figure
+
+Array = NDArray[np.float64]
+
+# A limit is drawn if the axis need not be longer than this times the range of the data for it; it is named in any case.
+ROOM = 2.0
+
+
+def joints(run: Run) -> Figure:
+    """Draw the torque, velocity and position of every joint, with the limits of the robot's file as dashed lines.
+
+    A limit far from all that the joint does is not drawn; the titles say how near the joints come to one.
+    """
+    model = run.model
+    figure = new_figure(height=6.4)
+    panels = figure.subplots(3, 1, sharex=True)
+    drawn = (
+        ("Torque Q", "torque", -model.effort_limit, model.effort_limit, "torque"),
+        ("Velocity", "velocity", -model.velocity_limit, model.velocity_limit, "v"),
+        ("Position", "position", model.position_lower, model.position_upper, "q"),
+    )
+    for axes, (title, label, low, high, name) in zip(panels, drawn, strict=True):
+        values = run.columns[name]
+        for j in range(model.n):
+            axes.plot(run.time, values[:, j], _stroke(j), color=MANY[j % len(MANY)], label=model.joint_names[j])
+        axes.margins(y=0.08)
+        _draw_limits(axes, values, low, high)
+        units = run.units(name).replace(" s-1", "/s")
+        told = f"{title}, {_told(values, low, high, model.joint_names, units, positions=name == 'q')}"
+        last = axes is panels[-1]
+        dress(axes, run, told, f"{label} [{units}]", label_marks=axes is panels[0], show_events=last)
+        if not last:
+            axes.set_xlabel("")
+    _name_joints(figure, panels[0])
+    explain_contact(figure, run)
+    return figure
+
+
+def _stroke(j: int) -> str:
+    return "-" if j < len(MANY) else "--"
+
+
+def _draw_limits(axes: Axes, values: Array, low: Array, high: Array) -> None:
+    """Draw the limits, each in its joint's colour, that are near what the joints do."""
+    span = float(np.ptp(values))
+    bottom, top = float(np.min(values)) - 0.5 * (ROOM - 1.0) * span, float(np.max(values)) + 0.5 * (ROOM - 1.0) * span
+    reach = list(axes.get_ylim())
+    for j in range(values.shape[1]):
+        for limit in (float(low[j]), float(high[j])):
+            if bottom <= limit <= top:
+                axes.axhline(limit, color=MANY[j % len(MANY)], linestyle=(0, (6, 3)), linewidth=0.9)
+                reach = [min(reach[0], limit - 0.05 * span), max(reach[1], limit + 0.05 * span)]
+    axes.set_ylim(*reach)
+
+
+def _told(values: Array, low: Array, high: Array, names: tuple[str, ...], units: str, positions: bool) -> str:
+    """Return how near the joints come to their limits, in words."""
+    known = np.isfinite(low) & np.isfinite(high) & (high > low)
+    if not np.any(known):
+        return "no limits known"
+    if positions:
+        room = np.minimum(np.min(values, axis=0) - low, high - np.max(values, axis=0))[known]
+        j = int(np.argmin(room))
+        which = np.flatnonzero(known)[j]
+        where = "past" if room[j] < 0.0 else "from"
+        return f"{abs(room[j]):.2g} {units} {where} a limit at the nearest ({names[which]})"
+    share = np.max(np.abs(values), axis=0)[known] / high[known]
+    j = int(np.argmax(share))
+    which = np.flatnonzero(known)[j]
+    return f"up to {float(f'{100.0 * share[j]:.2g}'):g} % of a limit ({names[which]}, ±{high[which]:g} {units})"
+
+
+def _name_joints(figure: Figure, axes: Axes) -> None:
+    handles, names = axes.get_legend_handles_labels()
+    figure.legend(
+        handles, names, loc="outside upper center", ncols=min(len(names), 4), fontsize=8, columnspacing=1.5,
+        title="joints; limits dashed", title_fontsize=8,
+    )  # fmt: skip

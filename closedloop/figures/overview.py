@@ -1,0 +1,162 @@
+"""What force control is about, in one figure: the error of the force, the errors of the tip, and the path."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Any, cast
+
+import numpy as np
+from numpy.typing import NDArray
+
+from closedloop.closure.contact_force import FREE
+from closedloop.figures.dress import dress, explain_contact, legend_beside_title, mark_rounding, position_rounding
+from closedloop.figures.errors import directions, force_error, frame_of, tip_errors
+from closedloop.figures.force import FLAT, draw_measured
+from closedloop.figures.style import COLOURS, STYLE, length_text, length_unit, new_figure
+from closedloop.record.run import Run
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+    from matplotlib.figure import Figure
+
+Array = NDArray[np.float64]
+
+# A path is drawn to scale if it is at least this share of its length wide.
+WIDE = 0.1
+# Pieces of a path that are coloured, at most: more could not be told apart.
+MOST_PIECES = 400
+# Across a straight path no less than this share of its length is shown, to either side.
+THIN = 1e-4
+# The colours span at least this share of the force to either side of its middle.
+LIKE = 0.02
+# An excursion of the force that lasts less than this share of the run is cut off from the colours.
+BRIEF = 0.01
+
+
+def plot(run: Run) -> Figure:
+    """Return `force_control` in the style of all figures: what `Run.plot` shows.
+
+    Raises
+    ------
+    ValueError
+        If the run has no row.
+    """
+    import matplotlib as mpl
+
+    if len(run) == 0:
+        raise ValueError(f"the run of {run.scenario.name} has no row to draw")
+    with mpl.rc_context(cast(Any, STYLE)):
+        return force_control(run)
+
+
+def force_control(run: Run) -> Figure:
+    """Draw f − f_des, the tip's errors along the path, across it and along the normal, and the path in the surface.
+
+    The path is seen from above the surface: where it should be, and where the tip was, coloured by the contact force.
+    """
+    seen, wanted = _seen_from_above(run)
+    wide = float(np.ptp(wanted[:, 1])) > WIDE * float(np.ptp(wanted[:, 0]))
+    figure = new_figure(height=7.6 if wide else 6.2)
+    grid = figure.add_gridspec(3, 1, height_ratios=[1.0, 1.0, 1.9 if wide else 0.8])
+    above = figure.add_subplot(grid[0])
+    middle, below = figure.add_subplot(grid[1], sharex=above), figure.add_subplot(grid[2])
+    _draw_force_error(above, run)
+    above.set_xlabel("")
+    above.tick_params(labelbottom=False)
+    _draw_tip_errors(middle, run)
+    _draw_path(below, run, seen, wanted, wide)
+    explain_contact(figure, run)
+    return figure
+
+
+def _draw_force_error(axes: Axes, run: Run) -> None:
+    error = force_error(run, run.contact_force)
+    draw_measured(axes, run, force_error(run, run.measured_force))
+    axes.plot(run.time, error, color=COLOURS[0], label="true")
+    axes.axhline(0.0, color="0.3", linestyle=":", linewidth=1)
+    axes.margins(y=0.12)
+    touching = error[np.isfinite(error)]
+    if touching.size and np.ptp(touching) < FLAT * max(1.0, float(np.max(np.abs(run.contact_force)))):
+        middle = float(np.mean(touching))
+        axes.set_ylim(min(middle, 0.0) - 0.01, max(middle, 0.0) + 0.01)  # a constant error is drawn flat
+    rms = float(np.sqrt(np.mean(touching**2))) if touching.size else 0.0
+    told = f"Force error in contact, {rms:.2g} N RMS" if touching.size else "The tip is never in contact"
+    dress(axes, run, told, "f − f_des [N]", show_events=False)
+    if len(axes.get_legend_handles_labels()[0]) > 1:
+        legend_beside_title(axes)
+
+
+def _draw_tip_errors(axes: Axes, run: Run) -> None:
+    errors = tip_errors(run)
+    largest = max(float(np.max(np.abs(each), initial=0.0)) for each in errors)
+    factor, unit = length_unit(largest) if largest > 0.0 else (1.0, "m")
+    rounding = position_rounding(run)
+    moves = np.any(np.ptp(directions(run), axis=0)) or np.any(np.ptp(run.reference_tip, axis=0))
+    names = ("along the path", "across", "normal") if moves else ("t1", "t2", "normal")
+    for k in np.argsort([-float(np.max(np.abs(each))) for each in errors]):  # the largest is at the back
+        size = float(np.max(np.abs(errors[k])))
+        told = f"{names[k]} ≤ {length_text(size)}" if size > rounding else f"{names[k]}: rounding"
+        axes.plot(run.time, factor * errors[k], color=COLOURS[k], label=told)
+    axes.margins(y=0.12)
+    mark_rounding(axes, largest, rounding, factor)
+    dress(axes, run, "Tip error", f"r − r_des [{unit}]", label_marks=False)
+    legend_beside_title(axes)
+
+
+def _seen_from_above(run: Run) -> tuple[Array, Array]:
+    """Return the tip's position and the desired one (N, 2), m, along the desired path's length and across it."""
+    frame = frame_of(run)[1:]
+    wanted, seen = run.reference_tip @ frame.T, run.position @ frame.T
+    both = wanted if np.any(np.ptp(wanted, axis=0) > 1e-9) else seen
+    centred = both - both.mean(axis=0)
+    _, axes = np.linalg.eigh(centred.T @ centred)
+    long = axes[:, 1]
+    if (both[-1] - both[0]) @ long < 0.0:
+        long = -long
+    turn = np.array([long, [-long[1], long[0]]])
+    start = wanted[0]
+    return (seen - start) @ turn.T, (wanted - start) @ turn.T
+
+
+def _draw_path(axes: Axes, run: Run, seen: Array, wanted: Array, wide: bool) -> None:
+    from matplotlib.collections import LineCollection
+
+    length = max(float(np.ptp(seen[:, 0])), 1e-6)
+    across, unit = (1e3, "mm") if wide else length_unit(max(float(np.max(np.abs(seen[:, 1]))), THIN * length))
+    rows = np.unique(np.linspace(0, len(run) - 1, min(len(run), MOST_PIECES)).astype(int))
+    x, y = 1e3 * seen[rows, 0], across * seen[rows, 1]
+    axes.plot(1e3 * wanted[:, 0], across * wanted[:, 1], color="0.8", linewidth=4.0, solid_capstyle="round",
+              label="desired")  # fmt: skip
+    free = run.mode[rows] == FREE
+    if np.any(free):
+        axes.plot(np.where(free, x, np.nan), np.where(free, y, np.nan), ":", color="0.35", label="free")
+    pressed = np.flatnonzero(~free[:-1] & ~free[1:])
+    if pressed.size:
+        points = np.stack((x, y), axis=1)
+        force = run.contact_force[rows][pressed]
+        low, high = np.quantile(run.contact_force[run.mode != FREE], [BRIEF, 1.0 - BRIEF])
+        least = LIKE * max(1.0, abs(float(high)))
+        middle, half = 0.5 * (low + high), max(0.5 * (high - low), least)
+        pieces = LineCollection(
+            list(np.stack((points[pressed], points[pressed + 1]), axis=1)), cmap="viridis", linewidths=1.6,
+            array=force, clim=(float(middle - half), float(middle + half)),
+        )  # fmt: skip
+        axes.add_collection(pieces)
+        axes.get_figure(root=True).colorbar(  # type: ignore[union-attr]
+            pieces, ax=axes, label="f [N]", extend="both", pad=0.02
+        )
+    axes.set_title("Path, seen from above the surface")
+    axes.set_xlabel("along [mm]")
+    axes.set_ylabel(f"across [{unit}]")
+    if wide:
+        axes.set_aspect("equal", adjustable="datalim")
+    else:
+        axes.margins(y=0.3)
+        axes.set_ylim(*_at_least(axes.get_ylim(), across * THIN * length))
+    if len(axes.get_legend_handles_labels()[0]) > 1:
+        legend_beside_title(axes)
+
+
+def _at_least(limits: tuple[float, float], half: float) -> tuple[float, float]:
+    """Return limits of an axis, no closer to each other than two halves."""
+    middle = 0.5 * (limits[0] + limits[1])
+    return min(limits[0], middle - half), max(limits[1], middle + half)

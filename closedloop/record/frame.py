@@ -1,0 +1,47 @@
+"""The columns of a run over time as a pandas DataFrame."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from typing import TYPE_CHECKING, Any
+
+from numpy.typing import NDArray
+
+if TYPE_CHECKING:
+    import pandas
+
+AXES = ("x", "y", "z")
+
+
+def data_frame(
+    columns: Mapping[str, NDArray[Any]], dims: Mapping[str, tuple[str, ...]], joints: tuple[str, ...],
+    units: Callable[[str], str],
+) -> pandas.DataFrame:  # fmt: skip
+    """Return columns over time as a DataFrame, one for each component, its index the time, s.
+
+    Parameters
+    ----------
+    columns : mapping of str to array
+        Columns (N,) or (N, k) by their names, "time" among them.
+    dims : mapping of str to tuple of str
+        Dimensions of each: ("time",), ("time", "joint") or ("time", "axis").
+    joints : tuple of str
+        Names of the joints.
+    units : callable
+        The unit of a column by its name.
+    """
+    import pandas
+
+    parts: dict[str, NDArray[Any]] = {}
+    of: dict[str, str] = {}
+    for name, dimensions in dims.items():
+        if name == "time":
+            continue
+        values, labels = columns[name], {"joint": joints, "axis": AXES}.get(dimensions[-1], ())
+        for k, label in enumerate(labels):
+            parts[f"{name}[{label}]"], of[f"{name}[{label}]"] = values[:, k], units(name)
+        if not labels:
+            parts[name], of[name] = values, units(name)
+    frame = pandas.DataFrame(parts, index=pandas.Index(columns["time"], name="time"))
+    frame.attrs["units"] = of | {"time": units("time")}
+    return frame

@@ -1,0 +1,202 @@
+"""Calls of the loop: the functions that provide its terms, and the answers to what else it requests.
+
+`closedloop.simulation.simulate` runs a problem to its end with them, `closedloop.simulation.simulator` step by step.
+"""
+
+from __future__ import annotations
+
+import time as clock
+from collections.abc import Callable
+
+import numpy as np
+from numpy.typing import NDArray
+
+from closedloop.closure.solve import LAW_FAILED
+from closedloop.engines.failures import failure_of
+from closedloop.engines.loops import COMPILED, SECONDS, SECONDS_GENERAL
+from closedloop.engines.pinocchio import addresses_of, set_events
+from closedloop.engines.problem import Problem
+from closedloop.engines.user_law import Law, UserLaw
+from closedloop.errors import SimulationError
+from closedloop.events.phases import INITIAL_EVENTS, TABLE_FULL, TERMS
+from closedloop.events.table import EVENT_WIDTH
+from closedloop.events.transitions import collide
+from closedloop.jit.background import make_ready, start
+from closedloop.jit.interpreted import Interim, at_hand, call_now
+from closedloop.jit.kernel import direct
+from closedloop.jit.pointers import address_of
+from closedloop.robot.tree import Tree
+from closedloop.step.memory import Loop
+from closedloop.step.record_row import complete_record
+
+Array = NDArray[np.float64]
+Call = Callable[[Array], int]
+
+# Evaluations between two returns to Python's bookkeeping, where nothing else is asked for.
+CHUNK = 400
+
+
+class Answers:
+    """The answers to all that the loop requests beside terms.
+
+    Parameters
+    ----------
+    problem, loop
+        The problem and its loop's memory.
+    interim : bool
+        Whether an impact may be computed interpreted while its law is not compiled yet.
+
+    Attributes
+    ----------
+    events : (M, EVENT_WIDTH) array
+        The table of events, which grows as needed.
+    compiling : float
+        Time of the first impact, s, which may have compiled its law.
+    """
+
+    def __init__(self, problem: Problem, loop: Loop, interim: bool = False) -> None:
+        self._problem, self._loop, self._interim = problem, loop, interim
+        self.events: Array = np.zeros((INITIAL_EVENTS, EVENT_WIDTH))
+        self.compiling, self._struck = 0.0, False
+
+    def give(self, request: int) -> None:
+        """Answer TABLE_FULL or IMPACT_LAW_WANTED, see `closedloop.events.proceed`."""
+        if request == TABLE_FULL:
+            self.events = np.vstack([self.events, np.zeros_like(self.events)])
+            return
+        self._problem.set_restitution(self._loop)
+        began = clock.perf_counter()
+        if self._interim:
+            call_now(collide, (self._loop.state.memory, self._loop.w.memory), self._loop.address)
+        else:
+            collide(self._loop.address)
+        if not self._struck:
+            self.compiling, self._struck = clock.perf_counter() - began, True
+
+    def failure(self, law: object, user_law: UserLaw | None) -> SimulationError:
+        """Return why the loop cannot go on, with a law other than the scenario's, if not None.
+
+        What a user's law raised is raised here.
+        """
+        state, w = self._loop.state, self._loop.w
+        if user_law is not None and (state.status == LAW_FAILED or user_law.interruption is not None):
+            raise user_law.failure()
+        return failure_of(int(state.status), float(w.time), self._problem.robot, self._problem, law, w.q, w.v)
+
+
+def driver(
+    problem: Problem,
+    kernel: Callable[..., int],
+    loop: Loop,
+    arrays: tuple[Array, Array, Array],
+    engine: str,
+    made: tuple[Tree, Array] | None = None,
+) -> tuple[Call, Call]:
+    """Return two functions of the table of events: one provides terms once, one while nothing else is requested.
+
+    The compiled engine's, once compiled, are the same: it returns as soon as something else is requested.
+
+    Parameters
+    ----------
+    problem, kernel, loop
+        The problem, one of its loops, see `closedloop.engines.loops.loop_for`, and the loop's memory.
+    arrays : tuple of three arrays
+        Reference, tableau and rows, see `closedloop.events.proceed.proceed`.
+    engine : str
+        See `closedloop.simulate`.
+    made : (Tree, array), optional
+        The robot for the compiled engine, and its scratch array, if they exist already.
+    """
+    if engine == COMPILED:
+        from closedloop.engines.compiled import ALL, compiled_tree, compiled_work
+
+        tree, work = made or (compiled_tree(problem), compiled_work(problem.robot.n))
+        if not isinstance(kernel, Interim) and not getattr(kernel, "signatures", ()):
+            # Compile it, or read it from the cache, before the clock starts.
+            direct(kernel, tree, work, loop.address, *arrays, np.zeros((0, EVENT_WIDTH)), ALL)
+
+        def go_on(events: Array) -> int:
+            # Interpreted, it returns after each evaluation, as with Pinocchio, and can be interrupted.
+            most = 1 if isinstance(kernel, Interim) and kernel.interpreting else ALL
+            return kernel(tree, work, loop.address, *arrays, events, most)
+
+        return go_on, go_on
+
+    robot = problem.robot
+    addresses = addresses_of(robot.views, loop, *arrays, np.zeros((0, EVENT_WIDTH)))
+    crba, bias, convention, pinocchio, data = robot.passes
+    q, v, at = loop.w.q, loop.w.v, address_of(addresses.memory)
+
+    def chunk(length: int) -> Call:
+        def go_on(events: Array) -> int:
+            set_events(addresses, events)
+            request, call = TERMS, direct(kernel, at)
+            for _ in range(length):
+                crba(pinocchio, data, q, convention)  # as in `Robot.evaluator`, without a call
+                bias(pinocchio, data, q, v)
+                request = call(at)
+                if request != TERMS:
+                    break
+            return request
+
+        return go_on
+
+    return chunk(1), chunk(CHUNK)
+
+
+def single_calls(
+    problem: Problem, kernel: Callable[..., int], loop: Loop, arrays: tuple[Array, Array, Array], engine: str
+) -> tuple[Call, Call]:
+    """Return two functions of the table of events that call a compiled kernel once: with new terms, and with the last.
+
+    Parameters
+    ----------
+    problem, kernel, loop, arrays, engine
+        See `driver`. Nobody else may evaluate terms with the problem's robot.
+    """
+    known = np.zeros((0, EVENT_WIDTH))
+    if engine == COMPILED:
+        from closedloop.engines.compiled import compiled_tree, compiled_work
+
+        given = compiled_tree(problem), compiled_work(problem.robot.n), loop.address, *arrays
+        call = direct(kernel, *given, known, 1)
+
+        def evaluate(events: Array) -> int:
+            return call(*given, events, 1)
+
+        return evaluate, evaluate
+
+    robot = problem.robot
+    addresses = addresses_of(robot.views, loop, *arrays, known)
+    crba, bias, convention, pinocchio, data = robot.passes
+    q, v, at = loop.w.q, loop.w.v, address_of(addresses.memory)
+    call = direct(kernel, at)
+
+    def again(events: Array) -> int:
+        nonlocal known
+        if known is not events:
+            set_events(addresses, events)
+            known = events
+        return call(at)
+
+    def once(events: Array) -> int:
+        crba(pinocchio, data, q, convention)  # as in `Robot.evaluator`, without a call
+        bias(pinocchio, data, q, v)
+        return again(events)
+
+    return once, again
+
+
+def begun(
+    kernel: Callable[..., int], problem: Problem, loop: Loop, connect: Callable[[], None], law: Law | None
+) -> Callable[..., int]:
+    """Return the loop, or what it is begun with if it is not compiled; and have compiled what else is missing."""
+    entries = problem.entries(user_law=law is not None).values()
+    with_it = [complete_record, *([collide] if loop.state.unilateral else []), *entries]
+    if not at_hand(kernel):
+        calls = problem.steps * problem.integrator.stages
+        seconds = SECONDS_GENERAL if problem.general or law is not None else SECONDS
+        return Interim(kernel, (loop.state.memory, loop.w.memory), calls, seconds, with_it, connect)
+    make_ready(kernel)
+    start([function for function in with_it if not at_hand(function)])
+    return kernel

@@ -1,0 +1,285 @@
+"""A simulation that is driven from outside, step by step.
+
+sim = cl.Simulator(cl.load_scenario("wam_slide"))
+state = sim.reset()
+while not sim.done:
+    state = sim.step(my_controller(state))
+run = sim.run()
+"""
+
+from __future__ import annotations
+
+import math
+import time as clock
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from closedloop.engines.failures import interrupted
+from closedloop.engines.law_source import law_digest
+from closedloop.engines.loops import PINOCCHIO
+from closedloop.engines.user_law import Law
+from closedloop.errors import ScenarioError, SimulationError
+from closedloop.integrators import ADAPTIVE, INTEGRATORS
+from closedloop.record.run import Run
+from closedloop.scenario.scenario import Scenario
+from closedloop.simulation.prepare import prepare
+from closedloop.simulation.simulate import as_run, check_engine, law_name
+from closedloop.simulation.state import StepState
+from closedloop.simulation.stepper import Mark, Stepper
+from robot_models import RobotModel
+
+Array = NDArray[np.float64]
+
+# Name of what drove a run, in the record: beside it that of a user's law, or "scenario".
+FROM_OUTSIDE = "torque from outside"
+# A time within this share of a step of a row is that row's.
+NEAR = 1e-6
+_OWN = object()
+
+
+class _Now(NamedTuple):
+    """A row that has been recorded, and where the loop can go back to: replaced whole, so that Ctrl-C finds it so."""
+
+    mark: Mark
+    row: int
+    events: int
+    state: StepState
+
+
+class Simulator:
+    """A simulation that is driven from outside, to the same bits as `closedloop.simulate`.
+
+    Parameters
+    ----------
+    scenario : Scenario
+        From `load_scenario`; its integrator has steps of fixed length.
+    engine : "pinocchio" or "compiled"
+        See `closedloop.simulate`.
+    model : RobotModel, optional
+        The robot to use instead of loading `scenario.robot.model`.
+
+    Raises
+    ------
+    ScenarioError, ModelError
+        If the scenario or the robot is at fault, as by `closedloop.simulate`, or if the integrator chooses its steps.
+    """
+
+    def __init__(self, scenario: Scenario, *, engine: str = PINOCCHIO, model: RobotModel | None = None) -> None:
+        name = scenario.time.integrator
+        if name in ADAPTIVE:
+            raise ScenarioError(
+                f"time.integrator = {name!r}: its steps reach over several rows, so that no torque from outside could "
+                f"act from the row just seen; use {', '.join(map(repr, INTEGRATORS))}, or closedloop.simulate"
+            )
+        check_engine(scenario, engine, None)
+        self.problem = prepare(scenario, model)
+        self._engine, self._n, self._h = engine, self.problem.robot.n, self.problem.h
+        self._now: _Now | None = None
+        self._failure: SimulationError | None = None
+        self._drivers: dict[str, str] = {}  # names of what has driven the run, and digests of users' laws
+        self._seconds = 0.0
+
+    def reset(self) -> StepState:
+        """Begin anew and return the state at t = 0, with the force and torque of the scenario's own law.
+
+        Raises
+        ------
+        SimulationError
+            If there is no solution at the start.
+        """
+        self._now, self._failure, self._seconds, self._drivers = None, None, 0.0, {}
+        self._stepper = Stepper(self.problem, self._engine)
+        # What drives: `_OWN`, a user's law, or None after a torque, which acts no further than its step, or Ctrl-C.
+        self._driver: object = None
+        self._stepper.let(None)
+        try:
+            self._to_row(None, 0)
+        except SimulationError as error:
+            error.run = self._run(self._stepper.rows_done, str(error))
+            raise
+        self._driver = _OWN
+        return self.state
+
+    @property
+    def state(self) -> StepState:
+        """The present state; before `reset` there is none."""
+        if self._now is None:
+            self.reset()
+        assert self._now is not None
+        return self._now.state
+
+    @property
+    def done(self) -> bool:
+        """Whether the end of the scenario is reached, or the simulation failed."""
+        return self._now is not None and (self._failure is not None or self._now.row == self.problem.steps)
+
+    def step(self, torque: ArrayLike | None = None) -> StepState:
+        """Go one step on and return the state after it.
+
+        Parameters
+        ----------
+        torque : (n,) array, optional
+            Torque Q on the joints, N m (N of a joint that slides), that acts from the present state on and is held over
+            the step, in place of the law's. None: the scenario's own law acts, as often as it says. Its states, and
+            those of its compensation, go on beside a torque from outside.
+
+        Raises
+        ------
+        ValueError
+            If the torque is not n finite numbers; nothing was stepped.
+        SimulationError
+            If the simulation cannot go on; its `run` holds the rows until then. After Ctrl-C it is an
+            `InterruptedRunError`, and the simulation may be stepped on.
+        """
+        began = clock.perf_counter()
+        now = self._open()
+        if torque is None:
+            self._step(_OWN, now.events)
+        else:
+            self._step(None, now.events, torque=self._checked(torque))
+        self._seconds += clock.perf_counter() - began
+        assert self._now is not None
+        return self._now.state
+
+    def run_until(self, t: float, law: Law | None = None) -> StepState:
+        """Step to the first row at t or later, and return the state there.
+
+        Parameters
+        ----------
+        t : float
+            Time, s, not before the present one nor after the end. At the present row nothing is done.
+        law : callable, optional
+            A user's law, as for `closedloop.simulate`, in place of the scenario's until then. It is evaluated as often
+            as the scenario's law would be. If it has a `reset`, that is called first, unless it drove the step before.
+
+        Raises
+        ------
+        ValueError
+            If t is not between the present time and the end.
+        ScenarioError
+            If the compiled engine is to call a law that numba has not compiled.
+        SimulationError
+            As by `step`.
+        """
+        h, steps = self.problem.h, self.problem.steps
+        present = self.state.time
+        if not present - (1.0 - NEAR) * h < t <= (steps + NEAR) * h:
+            raise ValueError(
+                f"run_until: t = {t!r} s: must be between the present time, {present:.10g} s, and the end, "
+                f"time.duration = {steps * h:.10g} s; reset() begins anew"
+            )
+        if law is not None:
+            check_engine(self.problem.scenario, self._engine, law)
+        last, driver = math.ceil(t / h - NEAR), _OWN if law is None else law
+        if isinstance(law, type):
+            law = law()
+        began = clock.perf_counter()
+        now = self._open() if last > self.state.row else self._now
+        assert now is not None
+        since = now.events
+        try:
+            for _ in range(now.row, last):
+                since = self._step(driver, since, law)
+        finally:
+            self._stepper.release()
+        self._seconds += clock.perf_counter() - began
+        return self.state
+
+    def run(self) -> Run:
+        """Return the run so far, one row for each instant; before the end its `stopped` says where it is.
+
+        The last row has the torque and the force of `state`. A failed simulation's run is that of its error.
+        """
+        state, now = self.state, self._now
+        if self._failure is not None:
+            assert isinstance(self._failure.run, Run)
+            return self._failure.run
+        assert now is not None
+        if self._driver is None:  # the loop's memory may be in the middle of a step: record the row again
+            self._stepper.back_to(now.mark)
+            self._stepper.hold(state.torque)
+            self._stepper.to_row()
+        at_end = now.row == self.problem.steps
+        return self._run(now.row + 1, None if at_end else f"at t = {state.time:.6g} s it was not stepped further")
+
+    def _open(self) -> _Now:
+        """Return where the simulation is, refusing one that is over."""
+        if self._now is None:
+            self.reset()
+        now = self._now
+        assert now is not None
+        if self._failure is None and now.row < self.problem.steps:
+            return now
+        time = now.state.time
+        where = f"failed: {self._failure}" if self._failure else f"is at its end, t = {time:.6g} s"
+        raise SimulationError(f"the simulation {where}; reset() begins anew", time, self.run()) from self._failure
+
+    def _checked(self, torque: ArrayLike) -> Array:
+        n = self._n
+        try:
+            given = np.asarray(torque)
+            if given.shape == (n,) and given.dtype.kind in "iuf" and all(map(math.isfinite, given.tolist())):
+                return given
+        except (TypeError, ValueError):  # lists of different lengths
+            pass
+        raise ValueError(
+            f"step: torque = {' '.join(str(torque).split())[:80]}: must be {n} finite numbers, one torque a joint, "
+            f"({n},)"
+        )
+
+    def _step(self, driver: object, since: int, law: Law | None = None, torque: Array | None = None) -> int:
+        """Go one row on, driven by the scenario's law (`_OWN`), by a user's law, or with None by a torque.
+
+        The new state shows the events from number `since` on, which is returned, less those that did not happen with
+        another torque at t = 0.
+        """
+        now, before, stepper = self._now, self._driver, self._stepper
+        assert now is not None
+        self._driver = None
+        try:
+            if before is driver is not None:
+                stepper.go_on()
+            else:
+                stepper.back_to(now.mark)
+                if torque is None:
+                    stepper.let(law)
+                else:
+                    stepper.hold(torque)
+                since = min(since, stepper.events_done)
+                stepper.to_row()  # the present row anew, with what acts from here on
+            self._to_row(now, since)
+        except KeyboardInterrupt as stop:
+            failure = interrupted(stop, now.state.time)
+            failure.run = self.run()
+            raise failure from stop
+        except SimulationError as error:
+            error.run = self._run(stepper.rows_done, str(error))
+            self._failure = error
+            raise
+        self._driver = driver
+        self._note(driver, law)
+        return since
+
+    def _to_row(self, now: _Now | None, since: int) -> None:
+        """Record the next row and show it, with the events from number `since` on."""
+        stepper = self._stepper
+        stepper.to_row()
+        row = 0 if now is None else now.row + 1
+        measured, count = stepper.measured_at(stepper.mark), stepper.events_done
+        table = stepper.answers.events[since:count].copy() if count > since else None
+        state = StepState(self._h * row, row, self._n, stepper.rows[row].copy(), measured, table)
+        self._now = _Now(stepper.mark, row, count, state)
+
+    def _note(self, driver: object, law: Law | None) -> None:
+        """Note what drove the step, for the record."""
+        name = "scenario" if driver is _OWN else FROM_OUTSIDE if law is None else law_name(law)
+        if name not in self._drivers:
+            self._drivers[name] = "" if law is None else law_digest(law)
+
+    def _run(self, done: int, stopped: str | None) -> Run:
+        rows, events = self._stepper.completed(done)
+        law = " and ".join(self._drivers) or "scenario"
+        digest = self._drivers.get(law, "")
+        return as_run(self.problem, rows, events, self._seconds, self._engine, law=law, digest=digest, stopped=stopped)

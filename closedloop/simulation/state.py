@@ -1,0 +1,113 @@
+"""What a simulation that is stepped from outside shows at an instant."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from closedloop.closure.contact_force import FREE, PRESSED, STUCK
+from closedloop.events.table import event_columns
+from closedloop.record.run import Event, events_of
+from closedloop.step.record_row import Row
+
+Array = NDArray[np.float64]
+
+MODE_NAMES = {FREE: "free", PRESSED: "pressed", STUCK: "stuck"}
+
+
+class StepState:
+    """The state at an instant, as `closedloop.Simulator` returns it: copies, which later steps leave as they are.
+
+    `f`, `torque` and `acceleration` belong together. With the scenario's own law, or a user's, the torque is the law's
+    at this instant. After a step with a torque from outside it is that torque, which has acted until this instant; the
+    next one acts from here, and replaces it in the record.
+
+    Arrays are read-only. Joint quantities are in rad, rad/s, rad/s² and N m (m, m/s, m/s² and N of a joint that
+    slides), vectors in space in the base frame.
+
+    Attributes
+    ----------
+    time : float
+        Time since the start of the run, s.
+    row : int
+        The row of the record that is this instant's.
+    measured : float
+        The force sensor's reading as a control law has it at this instant, N: `closedloop.LawInput.f_measured`.
+    """
+
+    __slots__ = ("_events", "_n", "_row", "measured", "row", "time")
+
+    def __init__(self, time: float, row: int, n: int, recorded: Array, measured: float, events: Array | None) -> None:
+        recorded.setflags(write=False)
+        self.time, self.row, self.measured = time, row, measured
+        self._n, self._row, self._events = n, recorded, events
+
+    def _part(self, name: str) -> Array:
+        return self._row[Row.place(name, self._n)]
+
+    @property
+    def q(self) -> Array:
+        """Joint positions (n,)."""
+        return self._part("q")
+
+    @property
+    def v(self) -> Array:
+        """Joint velocities (n,)."""
+        return self._part("v")
+
+    @property
+    def acceleration(self) -> Array:
+        """Joint accelerations (n,)."""
+        return self._part("acceleration")
+
+    @property
+    def torque(self) -> Array:
+        """Torque Q on the joints (n,)."""
+        return self._part("torque")
+
+    @property
+    def position(self) -> Array:
+        """Tip position r (3,), m."""
+        return self._part("position")
+
+    @property
+    def velocity(self) -> Array:
+        """Tip velocity (3,), m/s."""
+        return self._part("velocity")
+
+    @property
+    def f(self) -> float:
+        """Contact force along the surface's normal, N; positive pushes the tip away."""
+        return float(self._part("contact_force"))
+
+    @property
+    def friction_force(self) -> Array:
+        """Tangential force of the surface on the tip (3,), N."""
+        return self._part("friction_force")
+
+    @property
+    def gap(self) -> float:
+        """Closure error e = n·r − d, m; off the surface the gap."""
+        return float(self._part("closure_error"))
+
+    @property
+    def gap_rate(self) -> float:
+        """Time derivative of the gap, m/s."""
+        return float(self._part("closure_rate"))
+
+    @property
+    def mode(self) -> int:
+        """0 free, 1 pressed (sliding or at rest), 2 stuck, as in `Run.mode`."""
+        return int(self._part("mode"))
+
+    @property
+    def events(self) -> tuple[Event, ...]:
+        """What happened to the contact since the state before, in order of time."""
+        return events_of(event_columns(self._events)) if self._events is not None else ()
+
+    def __repr__(self) -> str:
+        what = ", ".join(event.kind for event in self.events)
+        return (
+            f"<StepState at {self.time:.6g} s: {MODE_NAMES[self.mode]}, f = {self.f:.6g} N, gap = {self.gap:.3g} m"
+            f"{', ' if what else ''}{what}>"
+        )

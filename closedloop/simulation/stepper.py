@@ -1,0 +1,199 @@
+"""The loop of a problem from one row of the record to the next, and back to the row before.
+
+A call of the loop that records a row also begins the step after it, with the torque of that row. So a mark is kept: a
+copy of the loop's memory just before that call. A torque that is given once the row has been seen acts from the row on:
+the memory is put back to the mark, and the row is recorded anew.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from closedloop.closure.contact_force import FREE
+from closedloop.engines.loops import loop_for
+from closedloop.engines.problem import Problem
+from closedloop.engines.user_law import Law, UserLaw
+from closedloop.events.phases import DONE, IMPACT_LAW_WANTED, STEP_END, TABLE_FULL, TERMS
+from closedloop.events.transitions import collide
+from closedloop.jit.background import make_ready
+from closedloop.robot.pinocchio import Robot
+from closedloop.simulation.loop_calls import Answers, Call, single_calls
+from closedloop.step.memory import State, Work
+from closedloop.step.record_row import Row, complete_record
+
+Array = NDArray[np.float64]
+
+# A copy of the loop's memory, whole numbers and real ones, and whether the scenario's law had started in it. (A tuple
+# with names would take longer to make, at every step.)
+Mark = tuple[NDArray[np.int64], Array, bool]
+
+# Places in the loop's numbers: read and written at every step, and an attribute of `State` takes three times as long.
+_ROW, _PHASE, _SAMPLED, _EVENTS, _MODE, _NO_SEARCH, _LAW, _COMPENSATION, _STARTED = (
+    State.place(name)
+    for name in ("row", "phase", "sampled", "events", "mode", "no_search", "law", "compensation", "started")
+)
+
+
+class Stepper:
+    """The loop of a problem, and what drives it: the scenario's law, a user's law, or a torque that is held.
+
+    Parameters
+    ----------
+    problem, engine
+        See `closedloop.simulation.simulate.run_loop`; the integrator has steps of fixed length.
+
+    Attributes
+    ----------
+    rows : (steps + 1, width) array
+        The record, see `closedloop.step.record_row.Row`.
+    mark : Mark
+        From just before the call that recorded the latest row; of the first row, from before anything was called.
+    """
+
+    def __init__(self, problem: Problem, engine: str) -> None:
+        # A robot of its own: the terms that it has evaluated last are used again.
+        problem = replace(problem, robot=Robot(problem.robot.model, problem.robot.tip))
+        self._problem, self._engine = problem, engine
+        self.loop = problem.loop()
+        problem.connect(self.loop)
+        state, w = self.loop.state, self.loop.w
+        self._numbers, self._values = state.memory, w.memory
+        self._own = int(state.law), int(state.compensation)
+        self._torque, self._general = w.torque, problem.general
+        self.rows: Array = np.zeros((problem.steps + 1, Row.count(problem.robot.n)))
+        self.answers = Answers(problem, self.loop)
+        make_ready(*([collide] if state.unilateral else []), complete_record)
+        self._calls: dict[bool, tuple[Call, Call]] = {}
+        self._once, self._again = self._loop(self._general)
+        self._held, self._own_started = False, False
+        self._law: Law | None = None
+        self._user_law: UserLaw | None = None
+        self._measured = Work.place("measured", *w.sizes)
+        self.mark: Mark = self._copied()
+        # The mark whose terms have been evaluated last, and whether the loop is there.
+        self._terms_of: Mark | None = None
+        self._at_mark = self._terms_there = False
+
+    def _loop(self, general: bool) -> tuple[Call, Call]:
+        """Return the calls of one of the engine's two loops, on the same memory: with new terms, with the last."""
+        if general not in self._calls:
+            kernel: Callable[..., Any] = loop_for(self._engine, general)
+            make_ready(kernel)
+            arrays = self._problem.table, self._problem.integrator.tableau(), self.rows
+            self._calls[general] = single_calls(self._problem, kernel, self.loop, arrays, self._engine)
+        return self._calls[general]
+
+    def _copied(self) -> Mark:
+        return self._numbers.copy(), self._values.copy(), self._own_started
+
+    def back_to(self, mark: Mark) -> None:
+        """Go back to just before the row of a mark was recorded; what the next torque ends, ends at this row."""
+        numbers = self._numbers
+        numbers[:], self._values[:], self._own_started = mark
+        self.mark, self._at_mark, self._terms_there = mark, True, mark is self._terms_of
+        if numbers[_ROW] > 0 and numbers[_MODE] != FREE:
+            numbers[_NO_SEARCH] = 1  # the step before has been searched for events, with the torque that acted in it
+
+    def hold(self, torque: Array) -> None:
+        """Let a torque (n,) act from the row on, to which the loop has gone back."""
+        if self._held and self._own_started:  # the laws are as they were
+            self._numbers[_LAW], self._numbers[_COMPENSATION] = self._own
+        else:
+            self._set_law(None)
+            self._held = True
+        self._torque[:] = torque
+
+    def let(self, law: Law | None) -> None:
+        """Let a law, None: the scenario's own, act from the row on, to which the loop has gone back."""
+        self._set_law(law)
+        self._held = False
+        self._numbers[_SAMPLED] = 1
+
+    def _set_law(self, law: Law | None) -> None:
+        self.release()
+        numbers = self._numbers
+        numbers[_LAW], numbers[_COMPENSATION] = self._own
+        self._law = law
+        if law is not None:
+            numbers[_COMPENSATION], numbers[_STARTED] = 0, 0
+            self.loop.w.dz[: int(self.loop.state.law_states)] = 0.0  # those of the scenario's law wait
+            self._connect()
+        elif not self._own_started:
+            numbers[_STARTED], self._own_started = 0, True
+        self._once, self._again = self._loop(self._general or law is not None)
+
+    def _connect(self) -> None:
+        assert self._law is not None
+        self._user_law = UserLaw(self._law, self.loop)
+        self._user_law.connect()
+
+    def go_on(self) -> None:
+        """Connect the law that acted last, if it was a user's, again."""
+        if self._law is not None and self._user_law is None:
+            self._connect()
+
+    def release(self) -> None:
+        """Release a user's law until `go_on`, `let` or `hold`."""
+        if self._user_law is not None:
+            self._user_law.close()
+            self._user_law = None
+
+    def to_row(self) -> None:
+        """Go on until a row has been recorded.
+
+        Raises
+        ------
+        SimulationError
+            If the loop cannot go on; an exception of a user's law is its cause.
+        """
+        numbers, values = self._numbers, self._values
+        row, before = int(numbers[_ROW]), self.mark
+        call = self._again if self._terms_there else self._once
+        marked = self._at_mark or row == 0
+        self._at_mark, self._terms_there, self._terms_of = False, False, None
+        while True:
+            if not marked and numbers[_PHASE] == STEP_END:
+                before = numbers.copy(), values.copy(), self._own_started
+            marked = row == 0
+            if self._held:
+                numbers[_SAMPLED] = 0
+            request = call(self.answers.events)
+            call = self._once
+            if request == TERMS:
+                if numbers[_ROW] > row:
+                    break
+            elif request == DONE:
+                break
+            elif request in (TABLE_FULL, IMPACT_LAW_WANTED):
+                self.answers.give(request)
+            else:
+                raise self.answers.failure(self._torque if self._held else self._law, self._user_law)
+        self.mark = before
+        if row > 0:
+            self._terms_of = before
+
+    @property
+    def rows_done(self) -> int:
+        """The rows that a run which fails now has."""
+        return int(self._numbers[_ROW])
+
+    @property
+    def events_done(self) -> int:
+        """The events so far."""
+        return int(self._numbers[_EVENTS])
+
+    def measured_at(self, mark: Mark) -> float:
+        """Return what the force sensor said before the row of a mark, N."""
+        return float(mark[1][self._measured])
+
+    def completed(self, done: int) -> tuple[Array, Array]:
+        """Return copies of `done` rows, all that are recorded in the memory, and of the events."""
+        numbers, values, _ = self._copied()
+        complete_record(self.loop.address, self.rows, done)
+        self._numbers[:], self._values[:] = numbers, values
+        return self.rows[:done].copy(), self.answers.events[: self.events_done].copy()

@@ -1,24 +1,50 @@
 """What holds for all tests.
 
 Property tests draw the same examples each time, so that a change is judged by what it changes. And nothing is compiled
-in the background, where it would take a core from the tests: what a test needs is compiled first, and then kept.
+in the background, where it would take a core from the tests: what tests need is compiled first, and then kept.
 
 python -m pytest --hypothesis-profile=explore      # other examples each time, to look for what was missed
 """
 
 import os
 import sys
+from contextlib import suppress
 from pathlib import Path
 
 import pytest
 from hypothesis import settings
 
+from closedloop.command.compile_all import pieces
 from closedloop.jit.background import VARIABLE
+from closedloop.jit.cache_folder import cache_folder
+from closedloop.jit.kernel import jit_disabled
 
 settings.register_profile("same", derandomize=True)
 settings.register_profile("explore")
 settings.load_profile("same")
 os.environ[VARIABLE] = "0"  # for the processes that tests start, too
+
+
+# Files of tests from which on all that ships is needed, and compiled beforehand.
+MANY = 40
+
+
+@pytest.fixture(scope="session", autouse=True)
+def compiled_once(request, tmp_path_factory):
+    """Compile what ships before a whole suite, each part in one of xdist's processes only.
+
+    They begin at opposite ends of the list and take what no other has taken; what is kept already is not touched.
+    """
+    worker = os.environ.get("PYTEST_XDIST_WORKER", "")
+    if not worker or jit_disabled() or len({item.path for item in request.session.items}) < MANY:
+        return
+    everything, taken = pieces(), tmp_path_factory.getbasetemp().parent / "compiled"
+    taken.mkdir(exist_ok=True)
+    for piece in everything if int(worker.removeprefix("gw")) % 2 == 0 else reversed(everything):
+        if not any(cache_folder().glob(f"*.{piece.kernel}-*.nbc")):
+            with suppress(FileExistsError):
+                (taken / piece.kernel).touch(exist_ok=False)
+                piece.compile()
 
 
 @pytest.fixture(autouse=True)

@@ -19,7 +19,7 @@ import numpy as np
 import robot_models
 from closedloop.robot.tree import Tree
 from validation.comparison import Comparison, compare, tip_of
-from validation.engines import Engine, available
+from validation.engines import ENGINES, Engine, available
 from validation.engines.compiled import Compiled
 from validation.oracle import Oracle
 from validation.oracle.spatial import Array
@@ -151,7 +151,8 @@ def planted(engine: Engine, fault: Fault, oracle: Oracle) -> Iterator[bool]:
 def _caught(fault: Fault, engine: Engine, model: Any, tip: str, seed: int, states: int) -> Catch:
     """Compare the faulty engine with a sound one: the oracle, or our own loop if the oracle is the faulty one."""
     sound = "closedloop" if engine.name == "oracle" else "oracle"
-    other = next(e for e in available(model, tip) if isinstance(e, Engine) and e.name == sound)
+    kinds = [kind for kind in ENGINES if kind.name == sound]
+    (other,) = (built for built in available(model, tip, kinds) if isinstance(built, Engine))
     report = compare(model, tip, states=states, seed=seed, built=[other, engine])
     return _verdict(fault, engine, report)
 

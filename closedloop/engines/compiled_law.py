@@ -15,6 +15,7 @@ from closedloop.control.law_input import LawInput
 from closedloop.engines.law_source import NOT_FINITE, NUMBERS, RAISED, WRONG_LENGTH, Arguments, arguments_of, name_of
 from closedloop.errors import ScenarioError
 from closedloop.jit.calls import is_compiled
+from closedloop.jit.inline_once import NestedFunction
 from closedloop.jit.kernel import numba_ready
 from closedloop.robot.pinocchio import Terms
 from closedloop.step.entries import TORQUE, law_input
@@ -90,11 +91,20 @@ def _read2(x: Array) -> Array:
     return x
 
 
+def _inner(function: Any) -> Any:
+    """Compile a part of an entry: only compiled code calls it, so it is optimised once, in the entry."""
+
+    def ordinary() -> Any:
+        return numba.njit(function)
+
+    return NestedFunction(function, {}, ordinary)
+
+
 def _entry_of(law: Any, ways: Arguments) -> Any:
     """Return the entry of a law that has been compiled for what it asks."""
     if ways.sees_input:
 
-        @numba.njit
+        @_inner
         def given(x: Any) -> Any:
             return (
                 LawInput(
@@ -107,14 +117,14 @@ def _entry_of(law: Any, ways: Arguments) -> Any:
 
     else:
 
-        @numba.njit
+        @_inner
         def given(x: Any) -> Any:
             terms = Terms(_read2(x.H), _read(x.C), _read(x.r), _read2(x.J), _read(x.Jdot_v))
             return x.t, _read(x.q), _read(x.v), terms
 
     if ways.writes:
 
-        @numba.njit
+        @_inner
         def ask(x: Any, torque: Array) -> int:
             torque[:] = 0.0
             law(*given(x), torque)
@@ -122,7 +132,7 @@ def _entry_of(law: Any, ways: Arguments) -> Any:
 
     else:
 
-        @numba.njit
+        @_inner
         def ask(x: Any, torque: Array) -> int:
             answer = law(*given(x))
             if answer.shape[0] != torque.shape[0]:

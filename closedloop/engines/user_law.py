@@ -18,6 +18,7 @@ from __future__ import annotations
 
 import sys
 from collections.abc import Callable
+from functools import cached_property
 from typing import Any
 
 import numpy as np
@@ -25,7 +26,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from closedloop.control.law_input import LawInput
 from closedloop.engines.failures import not_finite, when
-from closedloop.engines.law_source import NUMBERS, RAISED, arguments_of, law_failure
+from closedloop.engines.law_source import NUMBERS, RAISED, Arguments, arguments_of, law_failure
 from closedloop.errors import DivergenceError, LawError, ScenarioError
 from closedloop.jit.calls import callback, compiled_address, forget_entry, interpreted_address, is_compiled
 from closedloop.jit.kernel import jit_disabled, plain
@@ -130,15 +131,19 @@ class UserLaw:
             return RAISED
         return 0
 
+    @cached_property
+    def _ways(self) -> Arguments:
+        """How the law is called: asked once, as looking at a signature takes as long as a short law."""
+        return arguments_of(self._law)
+
     def _evaluate(self) -> None:
         """Evaluate the law, check the torque, and write it into the memory."""
         state, constants, w = self._loop
         t, n = float(w.time), w.q.size
-        x = _copied(plain(law_input)(state, constants, w))
-        ways = arguments_of(self._law)
-        given: tuple[Any, ...] = (x,) if ways.sees_input else (t, x.q, x.v, Terms(x.H, x.C, x.r, x.J, x.Jdot_v))
+        x = plain(law_input)(state, constants, w)
+        given: tuple[Any, ...] = (_copied(x),) if self._ways.sees_input else _copied_terms(t, x)
         try:
-            if ways.writes:
+            if self._ways.writes:
                 answer: Any = np.zeros(n)
                 self._law(*given, answer)
             else:
@@ -168,12 +173,22 @@ def _copied(x: LawInput) -> LawInput:
     for name, value in zip(LawInput._fields, x, strict=True):
         if name in NUMBERS:
             values.append(float(value))
-            continue
-        if name != "scratch":
-            value = value.copy()
-            value.setflags(write=False)
-        values.append(value)
+        else:
+            values.append(value if name == "scratch" else _kept(value))
     return LawInput(*values)
+
+
+def _copied_terms(t: float, x: LawInput) -> tuple[float, Array, Array, Terms]:
+    """Return the arguments (t, q, v, terms) of a Python law, likewise: a quarter of the input's arrays."""
+    terms = Terms(_kept(x.H), _kept(x.C), _kept(x.r), _kept(x.J), _kept(x.Jdot_v))
+    return t, _kept(x.q), _kept(x.v), terms
+
+
+def _kept(value: Array) -> Array:
+    """Return a copy of an array, read-only."""
+    value = value.copy()
+    value.setflags(write=False)
+    return value
 
 
 def not_a_torque(returned: str, t: float, n: int) -> ScenarioError | LawError:

@@ -11,13 +11,17 @@ import numpy as np
 
 import closedloop as cl
 import robot_models
+from closedloop.closure.contact_force import FREE, PRESSED
 from closedloop.control.compensation.none import NoCompensation
+from closedloop.control.law import Compensation
 from closedloop.control.law_input import LawInput
 from closedloop.control.sensor import SensorSection, pack_sensor
 from closedloop.engines.problem import pack_law
-from closedloop.jit.kernel import entry_kernel, kernel
+from closedloop.jit.calls import entry_address
+from closedloop.jit.kernel import plain
 from closedloop.parameters import parameter_block, state_block
-from closedloop.step.entries import identity_of
+from closedloop.step.entries import RATES, RESTART, START, TORQUE, law_entry, law_input
+from closedloop.step.memory import make_loop
 from closedloop.surface.plane import contact_frame
 
 # Where the arms press, and how their surface lies.
@@ -36,28 +40,47 @@ POSES = {
 
 
 @cache
-def functions(member):
-    """Return torque, rates, start and restart of a law or a compensation, compiled, of flat arrays."""
-    Parameters, States = parameter_block(member), state_block(member)
-    torque_of, rates_of, start_of, restart_of = (kernel(getattr(member, name)) for name in FUNCTIONS)
+def functions(member, n):
+    """Return torque, rates, start and restart of a law or a compensation, of n joints and of flat arrays.
+
+    They go through the entry that the simulator's loop calls, in a memory of their own: nothing is compiled for them.
+    """
+    entry, compensates = law_entry(member), issubclass(member, Compensation)
+    entry_address(entry)  # compiled as the loop has it
+    states, size = state_block(member).count(n), parameter_block(member).count(n)
+    loop = make_loop(n, extra=states, **{"compensation" if compensates else "law": size})
+    state, constants, w = loop
+    state.own_law_states, state.law_states = 0 if compensates else states, states
+    parameters = constants.compensation if compensates else constants.law
+    places = [(name, place) for name, place in plain(law_input)(*loop)._asdict().items() if np.ndim(place)]
+
+    def call(what, x, par, z):
+        if x is not None:
+            for name, place in places:
+                place[...] = getattr(x, name)
+            w.time, w.reference[-1], w.measured, state.mode = x.t, x.f_des, x.f_measured, PRESSED if x.pressed else FREE
+        parameters[:], w.z[:] = par, z
+        entry(loop.address, what)
+        z[:] = w.z
 
     def torque(x, par, z, Q):
-        torque_of(x, Parameters(par, Q.size), States(z, Q.size), Q)
+        w.torque[:] = Q
+        call(TORQUE, x, par, z)
+        Q[:] = w.torque
 
     def rates(x, par, z, f, Q, dz):
-        rates_of(x, Parameters(par, Q.size), States(z, Q.size), f, Q, States(dz, Q.size))
+        w.reading, w.torque[:] = f, Q
+        call(RATES, x, par, z)
+        dz[:] = w.dz
 
     def start(x, par, z):
-        start_of(x, Parameters(par, x.q.size), States(z, x.q.size))
+        call(START, x, par, z)
 
     def restart(dv, par, z):
-        restart_of(dv, Parameters(par, dv.size), States(z, dv.size))
+        w.column[:] = dv
+        call(RESTART, None, par, z)
 
-    made_of = identity_of(member)
-    return tuple(entry_kernel(each, identity=f"{made_of} {each.__name__}") for each in (torque, rates, start, restart))
-
-
-FUNCTIONS = ("torque", "rates", "start", "restart")
+    return torque, rates, start, restart
 
 
 @cache
@@ -114,13 +137,14 @@ class Loop:
         self.joints = lambda t: (self.q_start, np.zeros(n))
         self.disturbance = np.zeros(n)  # joint torque that no model knows
         self.stuck = None  # where the tip sticks
+        self._last = None, None
         self.restart()
 
     def parts(self, z):
         """Return the law's functions, parameters and states, and the compensation's."""
         own = self.packed[0].states
         return [
-            (functions(packed.member), packed.numbers, states)
+            (functions(packed.member, self.n), packed.numbers, states)
             for packed, states in zip(self.packed, (z[:own], z[own:]), strict=True)
         ]
 
@@ -137,7 +161,14 @@ class Loop:
             restart(dv, par, z)
 
     def moment(self, t, q, v):
-        """Return what the law knows at this state, and the terms."""
+        """Return what the law knows at this state, and the terms; a step asks for the same moment up to four times."""
+        state, given = (t, q.tobytes(), v.tobytes()), (self.f_des, self.f_measured, self.pressed)
+        key = state, given, self.path, self.joints, self.p_start.tobytes(), self.q_start.tobytes()
+        if self._last[0] != key:
+            self._last = key, self._moment(t, q, v)
+        return self._last[1]
+
+    def _moment(self, t, q, v):
         terms = self.robot.terms(q, v)
         H, C = terms.mass_matrix.copy(), terms.bias.copy()
         L = np.linalg.cholesky(H)
@@ -253,11 +284,10 @@ class Loop:
         rows = {key: [] for key in ("t", "f", "e", "rate", "F", "torque", "z", "q", "v")}
         for _ in range(round(duration / h)):
             t, q, v, z = self.t, self.q.copy(), self.v.copy(), self.z.copy()
+            x, _ = self.moment(t, q, v)
             F, torque = self.step(h, scheme)
             shift, u_des, _ = self.path(t)
-            terms = self.robot.terms(q, v)
-            e = self.p_start + shift - self.frame @ terms.position
-            rate = u_des - self.frame @ (terms.jacobian @ v)
+            e, rate = self.p_start + shift - x.p, u_des - x.u
             for key, value in zip(rows, (t, F[0], e, rate, F, torque, z, q, v), strict=True):
                 rows[key].append(value)
         return {key: np.array(value) for key, value in rows.items()}

@@ -57,9 +57,9 @@ def test_energy_never_grows_by_the_contact(arm, friction):
 
 def test_energy_never_grows_by_the_contact_of_a_few_drops():
     """A few drops of the smaller arm from a millimetre, on a smooth surface."""
-    rng, events = np.random.default_rng(3), 0
-    for _ in range(8):
+    rng, events = np.random.default_rng(2), 0
+    for _ in range(3):
         run = limp_drop("planar2", rng, **{"surface.gap": 1e-3, "time.duration": 0.1})
         check_energy(run, smooth=True)
         events += len(run.events)
-    assert events >= 4
+    assert events >= 10

@@ -40,7 +40,7 @@ def test_integral_feedback_alone_decays_exponentially(section, name):
             push(loop, -3.0)
         else:
             loop.z[0] = -3.0 / 20.0
-        run = loop.run(3.912 / 20.0 + 1.5e-3, h=1e-3, scheme="rk4")
+        run = loop.run(3.912 / 20.0 + 3e-3, h=2e-3, scheme="rk4")
         e = 10.0 - run["f"]
         assert e[0] == pytest.approx(3.0, abs=1e-9)
         assert np.max(np.abs(e - e[0] * np.exp(-20.0 * run["t"]))) < 1e-6

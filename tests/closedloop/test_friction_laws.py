@@ -24,6 +24,7 @@ from test_friction_examples import (
 from closedloop.closure.contact_force import PRESSED, STUCK
 from closedloop.friction import JOINT_LAWS, SURFACE_LAWS
 from closedloop.friction.laws.stribeck import SurfaceStribeck
+from closedloop.jit.calls import entry_address
 from closedloop.jit.interpreted import interpreted
 from closedloop.parameters import one_joint_block, parameter_block, state_block
 from closedloop.step.entries import (
@@ -148,6 +149,7 @@ def numbers(member, joints):
     state, constants, w = loop
     setattr(state, "joint_states" if joints else "friction_states", count)
     entry = (joint_friction_entry if joints else friction_entry)(member)
+    entry_address(entry)  # compiled as the loop has it
     work = w.memory.copy()
     found = []
     for call in (entry, interpreted(entry)):

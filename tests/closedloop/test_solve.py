@@ -30,6 +30,7 @@ from closedloop.closure.solve import (
     SINGULAR_MOBILITY,
     bordered_matrix,
 )
+from closedloop.jit.kernel import entry_kernel
 from closedloop.surface.plane import contact_frame
 
 EPS = np.finfo(float).eps
@@ -41,6 +42,34 @@ patient = settings(deadline=None)  # the first example of all compiles
 WELL = 1e-3
 
 
+@entry_kernel
+def _solve(H, tau, C, A, drift, asked, m, c, w, L, X, S, y, a, F, qdd, share):
+    """Solve Eq. 24 as a step does, in one kernel: compiled one by one its parts take thrice as long."""
+    status = factorise(H, A, L, X, S, 0.0)
+    if status != OK:
+        return status
+    free_acceleration(L, X, drift, tau, C, y, a)
+    if m == 1:
+        status, share[0] = pressed_force(S, a, asked[0], c, w, F)
+    else:
+        status = stuck_force(S, a, asked, F, share)
+    if status == OK:
+        accelerate(L, X, y, F, qdd)
+    return status
+
+
+@entry_kernel
+def _conditions(H, a, L, x, s, batch, work, found):
+    """Write the condition numbers of H and of Eq. 24, from the first and the last of a batch and one by one."""
+    n, last = a.shape[0], batch.shape[1] - 1
+    add_to_batch(H, a, L, x, s, False, batch, 0)
+    add_to_batch(H, a, L, x, s, True, batch, last)
+    condition_numbers_of_batch(batch, n, last + 1)
+    found[0], found[1] = batch[-1, 0], batch[-1, last]
+    found[2] = condition_number(H, a, L, x, s, False, work)
+    found[3] = condition_number(H, a, L, x, s, True, work)
+
+
 class Solved:
     """What the kernels of a step make of Eq. 24 for a tip that is pressed (m = 1) or stuck (m = 3)."""
 
@@ -50,18 +79,12 @@ class Solved:
         self.b, self.m = np.array(b, dtype=float), m
         self.L, self.X, self.S = np.zeros((n, n)), np.zeros((3, n)), np.zeros((3, 3))
         self.y, self.a, self.F, self.qdd, self.share = (np.zeros(k) for k in (n, 3, 3, n, 3))
-        self.status = factorise(self.H, self.A, self.L, self.X, self.S, 0.0)
-        if self.status != OK:
-            return
-        share = np.zeros(3) if share is None else share
+        asked = np.zeros(3) if share is None else np.array(share, dtype=float)
         # b is b_s: what the closure asks of A q̈; the kernels take it as the drift and the stabiliser's part.
-        free_acceleration(self.L, self.X, share - self.b, self.tau, self.C, self.y, self.a)
-        if m == 1:
-            self.status, self.share[0] = pressed_force(self.S, self.a, share[0], np.array(c), np.array(w), self.F)
-        else:
-            self.status = stuck_force(self.S, self.a, share, self.F, self.share)
-        if self.status == OK:
-            accelerate(self.L, self.X, self.y, self.F, self.qdd)
+        self.status = _solve(
+            self.H, self.tau, self.C, self.A, asked - self.b, asked, m, np.array(c), np.array(w),
+            self.L, self.X, self.S, self.y, self.a, self.F, self.qdd, self.share,
+        )  # fmt: skip
 
     def residuals(self):
         """Return the relative residuals of the two block rows."""
@@ -72,17 +95,10 @@ class Solved:
     def condition(self):
         """Return the 1-norm condition number of Eq. 24 with its normal row; keep that of H."""
         n = len(self.tau)
-        batch = np.zeros((batch_rows(n), BATCH))
-        for lane, pressed in ((0, False), (BATCH - 1, True)):
-            add_to_batch(self.H, self.A[0], self.L, self.X[0], self.S[0, 0], pressed, batch, lane)
-        condition_numbers_of_batch(batch, n, BATCH)
-        self.condition_free = batch[-1, 0]
-        work = np.full(n * n + 4 * n, np.nan)
-        self.long = [
-            condition_number(self.H, self.A[0], self.L, self.X[0], self.S[0, 0], pressed, work)
-            for pressed in (False, True)
-        ]
-        return batch[-1, -1]
+        batch, work, found = np.zeros((batch_rows(n), BATCH)), np.full(n * n + 4 * n, np.nan), np.zeros(4)
+        _conditions(self.H, self.A[0], self.L, self.X[0], self.S[0, 0], batch, work, found)
+        self.condition_free, condition, *self.long = found
+        return condition
 
 
 def mobility_share(terms, A):

@@ -34,6 +34,11 @@ def executed(name):
     return build.execute(FOLDER / f"{name}.py")
 
 
+def saved(name):
+    """Return the committed notebook of a script."""
+    return nbformat.read(FOLDER / f"{name}.ipynb", as_version=4)
+
+
 def outputs(notebook):
     """Return all outputs, in order."""
     return [output for cell in notebook.cells if cell.cell_type == "code" for output in cell.outputs]

@@ -4,22 +4,17 @@ import re
 from pathlib import Path
 
 import pytest
-from notebook_output import FOLDER, SCRIPTS, build, executed, nbclient, nbformat, number, outputs
+from notebook_output import FOLDER, SCRIPTS, build, executed, nbclient, nbformat, number, outputs, saved
 
 FIGURES = {"contact_life": 6, "controllers": 3, "drift": 2, "figures_4_to_7": 4}  # how many each notebook shows
 
-# These take five to ten seconds each; `test_contact_life` runs its own with the quick tests.
+# These take five to ten seconds each.
 RUN = [pytest.param(script, marks=pytest.mark.slow) for script in SCRIPTS]
 
 # Printed numbers are of different machines: the last digit may fall to the other side, and what is below 1e-8 in the
 # unit printed is rounding. A change of the simulator that matters changes more.
 RELATIVE, ROUNDING = 0.01, 1e-8
 LARGEST = 600_000  # bytes: a notebook is read in the browser and kept in git
-
-
-def saved(script):
-    """Return the committed notebook of a script."""
-    return nbformat.read(script.with_suffix(".ipynb"), as_version=4)
 
 
 def sources(notebook):
@@ -73,7 +68,7 @@ def test_saved_notebook_is_that_of_its_script(script):
 
     If not: python notebooks/build.py
     """
-    notebook = saved(script)
+    notebook = saved(script.stem)
     nbformat.validate(notebook)
     assert sources(notebook) == sources(build.read_script(script))
     assert len(images(notebook)) == FIGURES[script.stem]
@@ -86,7 +81,7 @@ def test_saved_notebook_is_that_of_its_script(script):
 @pytest.mark.parametrize("script", SCRIPTS, ids=lambda path: path.stem)
 def test_saved_notebook_holds_nothing_of_the_machine(script):
     """No version of a kernel, no time stamps, no paths of the one who made it."""
-    notebook = saved(script)
+    notebook = saved(script.stem)
     assert notebook.metadata == build.read_script(script).metadata
     assert all(not cell.metadata for cell in notebook.cells)
     text = script.with_suffix(".ipynb").read_text(encoding="utf-8")

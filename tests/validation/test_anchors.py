@@ -63,6 +63,13 @@ def test_counts():
     assert {result.quantity for result in results} == set(QUANTITIES)
 
 
+def all_passed(problem):
+    """Whether the oracle of this robot passes every case; motions come last, and the first failure ends it."""
+    moved = ("free_positions", "swing_period", "impact_times")
+    cases = sorted(problem.cases, key=lambda case: case.quantity in moved)
+    return all(result.passed for case in cases for result in grade(Oracle.from_model, replace(problem, cases=(case,))))
+
+
 @pytest.mark.parametrize("flaw", ["mass", "gravity"])
 def test_flawed_robots_fail(flaw):
     """One per cent more mass everywhere, or a thousandth more gravity, is seen wherever it changes the motion."""
@@ -72,7 +79,7 @@ def test_flawed_robots_fail(flaw):
             r'<mass value="([^"]+)"', lambda found: f'<mass value="{1.01 * float(found[1])!r}"', problem.model.text
         )
         changes = {"mass": {"text": text}, "gravity": {"gravity": problem.model.gravity * 1.001}}
-        if all(result.passed for result in grade(Oracle.from_model, altered(problem, **changes[flaw]))):
+        if all_passed(altered(problem, **changes[flaw])):
             unseen.add(name)
     blind = {
         # Free fall does not depend on the mass; without gravity, or with the mobility alone, gravity is not asked for.

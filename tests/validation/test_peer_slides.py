@@ -23,9 +23,10 @@ def all_pass(checks):
     return len(done)
 
 
-def test_oracle_steps_as_the_simulator_does():
-    """f, e and q of eight seconds are equal to rounding."""
-    assert all_pass(slides.compare_oracle()) == 4
+@pytest.mark.parametrize("changes", [{"time.duration": 1.5}, pytest.param({}, marks=pytest.mark.slow)])
+def test_oracle_steps_as_the_simulator_does(changes):
+    """f, e and q of the whole slide, and of its first part with the jump of velocity in it, are equal to rounding."""
+    assert all_pass(slides.compare_oracle(changes)) == 4
 
 
 @pytest.mark.parametrize(

@@ -17,6 +17,10 @@ def main(arguments: Sequence[str] | None = None) -> int:
         from closedloop.command.compile_all import compile_command
 
         return run_command("closedloop", compile_command, words[1:])
+    if words[:1] == ["lab"]:
+        from closedloop.lab.command import lab_command
+
+        return run_command("closedloop", lab_command, words[1:])
     from closedloop.run import main as run
 
     return run(words)

@@ -23,7 +23,7 @@ def has_friction(run: Run) -> bool:
     return bool(np.any(run.friction_force))
 
 
-def _levels(law: Any) -> list[tuple[float, str, str]]:
+def friction_levels(law: Any) -> list[tuple[float, str, str]]:
     """Return the levels that a law has, static and kinetic, each with its name and stroke; none of one that is gone."""
     if not isinstance(law, FrictionLaw):
         return []
@@ -41,7 +41,7 @@ def friction_force(run: Run) -> Figure:
     slip = np.where(run.mode != FREE, np.linalg.norm(along, axis=1), np.nan)
     figure = new_figure(height=4.8)
     above, below = figure.subplots(2, 1, sharex=True)
-    for level, name, stroke in _levels(run.scenario.friction):
+    for level, name, stroke in friction_levels(run.scenario.friction):
         above.plot(
             run.time, level * run.contact_force, stroke, color="0.6", linewidth=2.4, label=f"{name}, μ = {level:g}"
         )

@@ -1,4 +1,7 @@
-"""The console script, and ``python -m closedloop``: ``closedloop wam_slide`` runs, ``closedloop compile`` compiles."""
+"""The console script, and ``python -m closedloop``: ``closedloop wam_slide`` runs, and a first word may be a command:
+
+compile compiles all that ships, lab opens the lab, export writes a run in another format.
+"""
 
 from __future__ import annotations
 
@@ -17,6 +20,10 @@ def main(arguments: Sequence[str] | None = None) -> int:
         from closedloop.command.compile_all import compile_command
 
         return run_command("closedloop", compile_command, words[1:])
+    if words[:1] == ["export"]:
+        from closedloop.export.command import export_command
+
+        return run_command("closedloop", export_command, words[1:])
     if words[:1] == ["lab"]:
         from closedloop.lab.command import lab_command
 

@@ -23,6 +23,7 @@ from closedloop.lab.newest import Newest
 from closedloop.lab.playback import Playback
 from closedloop.lab.scene import scene_of
 from closedloop.lab.view_controls import Tabs
+from closedloop.lab.view_keep import KeepTab
 from closedloop.lab.view_playback import PlaybackBar
 from closedloop.lab.view_plots import Plots
 from closedloop.lab.view_settings import ViewTab, configure
@@ -34,6 +35,8 @@ from robot_models import RobotModel
 # Frames of the replay, and movements of the plots' cursor, in a second.
 FRAMES, CURSORS = 30.0, 12.0
 FIRST_PORT = 8080
+# Where the scene is seen from at first, in sizes of the arm from its middle, and how wide, rad.
+VIEW_FROM, FIELD_OF_VIEW = np.array([1.9, -1.0, 0.9]), float(np.deg2rad(40.0))
 
 
 class Lab:
@@ -77,6 +80,7 @@ class Lab:
         self._newest: Newest[tuple[Changes, str], Answer] = Newest(self._compute, self._show)
         self.tabs.show(history.base, self.answers.model(history.base))
         self.ask("")
+        self.server.on_client_connect(_fit)
         self._player = threading.Thread(target=self._play, name="closedloop-replay", daemon=True)
         self._player.start()
 
@@ -91,6 +95,11 @@ class Lab:
         """The run shown."""
         return None if self.answer is None else self.answer.run
 
+    def command(self, answer: Answer) -> str:
+        """Return the command line that repeats the run of an answer."""
+        engine = "compiled" if answer.run is None else answer.run.engine
+        return self.history.command(answer.changes, engine)
+
     def _lay_out(self, dark: bool) -> None:
         gui = self.server.gui
         configure(gui, dark)
@@ -102,6 +111,7 @@ class Lab:
         self.group = gui.add_tab_group()
         self.tabs = Tabs(gui, self.group, self.changed)
         self.view = ViewTab(gui, self.group.add_tab("view"), self.bar, dark)
+        self.keep = KeepTab(self, self.group.add_tab("keep"))
         panel = gui.add_panel()
         with panel.add_tab("plots"):
             self.plots = Plots(gui)
@@ -164,9 +174,9 @@ class Lab:
         if not self._shown_camera:
             self._shown_camera = True
             look_at = 0.55 * scene.patch.mean(axis=0)
-            self.server.initial_camera.fov = np.deg2rad(40.0)
-            self.server.initial_camera.look_at = look_at
-            self.server.initial_camera.position = look_at + scene.size * np.array([1.7, -0.9, 0.8])
+            camera = self.server.initial_camera
+            camera.fov, camera.look_at = FIELD_OF_VIEW, look_at
+            camera.position = look_at + scene.size * VIEW_FROM
 
     def _show_line(self, answer: Answer) -> None:
         self.tabs.note(answer.key, answer.fault)
@@ -219,8 +229,16 @@ class Lab:
         """Stop all work and the server."""
         self._closed.set()
         self._newest.close()
+        self.keep.close()
         self._player.join(2.0)
         self.server.stop()
+
+
+async def _fit(client: Any) -> None:
+    """Let a browser whose view is narrow see the arm from further off."""
+    camera = client.camera
+    if camera.aspect < 1.0:
+        camera.position = camera.look_at + (camera.position - camera.look_at) / max(camera.aspect, 0.3)
 
 
 def _serve(host: str, port: int) -> Any:

@@ -183,6 +183,8 @@ def _of_field(key: str, field: FieldInfo, value: Any, scenario: Scenario, model:
         return [make("choice", value=str(value), options=tuple(o for o in chosen if o != "auto"))]
     if isinstance(value, bool):
         return [make("flag", value=value)]
+    if isinstance(value, float) and not math.isfinite(value):
+        value = None  # what a key that is left out comes to, and no slider reaches
     if isinstance(value, int) and field.annotation is int:
         return [make("whole", value=value, low=0.0, high=float(max(3 * value, 10)), step=1.0)]
     if isinstance(value, float | int):

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import Any
+from typing import Any, Literal, get_args, get_origin
 
 from closedloop.lab.controls import USUAL
 from closedloop.scenario.messages import variants
@@ -32,6 +32,9 @@ def begin_values(scenario: Scenario, section: str, kind: str) -> dict[str, Any]:
     found: dict[str, Any] = {}
     for name, field in variants(section)[kind].model_fields.items():
         key = f"{section}.{name}"
+        words = get_args(field.annotation) if get_origin(field.annotation) is Literal else ()
+        if name != "kind" and words and getattr(held, name, words[0]) not in words:
+            found[key] = field.default  # a word that the present kind has and this one does not know
         if field.is_required() and not hasattr(held, name):
             found[key] = _value(scenario, key, next(iter(field_units(field)), "").partition(" (")[0])
     return found

@@ -144,6 +144,14 @@ def round_down(x: float) -> float:
     return next(step * power for step in (5.0, 2.0, 1.0) if step * power <= x * (1.0 + 1e-12))
 
 
+def thin_out(points: Array, most: int = 400) -> Array:
+    """Return so many of the points (N, 3) at most, evenly spaced in their order, with the first and the last."""
+    finite: Array = points[np.all(np.isfinite(points), axis=1)]
+    rows = np.linspace(0, len(finite) - 1, min(most, len(finite))).round().astype(int)
+    thinned: Array = finite[np.unique(rows)]
+    return thinned
+
+
 def quaternions(axes: Array) -> Array:
     """Return the unit quaternions (k, 4), the real part first, of rotation matrices (k, 3, 3)."""
     found = np.array([pin.Quaternion(np.ascontiguousarray(each)).coeffs() for each in axes])

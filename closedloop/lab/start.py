@@ -68,7 +68,8 @@ def lab(
     if isinstance(law, type) and issubclass(law, ControlLaw):
         changes, law = {"law.kind": law} | changes, None
     base, name, model = _begin(scenario, changes, model)
-    lab = Lab(History(base, name, _in_words(changes)), law=law, model=model, host=host, port=port, dark=dark)
+    words = "" if law is None else f"--law {getattr(law, '__module__', '?')}:{getattr(law, '__qualname__', '?')}"
+    lab = Lab(History(base, name, _in_words(changes), words), law=law, model=model, host=host, port=port, dark=dark)
     if show:
         _show(lab)
     return lab

@@ -14,7 +14,7 @@ from closedloop.record.run import Run
 
 Array = NDArray[np.float64]
 
-HEIGHT = 124  # px of a plot
+HEIGHT = 132  # px of a plot
 CURSOR, MARK = "#888888", "#CC79A7"
 TICK = 0.15  # of the plot's height: the mark of an event
 # Events that are marked in a plot at most: more could not be told apart.
@@ -101,7 +101,7 @@ _UNITS = {"pm": 1e12, "nm": 1e9, "µm": 1e6, "mm": 1e3, "m": 1.0}
 
 
 def _axes(title: str) -> tuple[dict[str, Any], ...]:
-    return {"size": 24}, {"size": 44, "label": title, "labelSize": 18, "labelFont": "12px sans-serif"}
+    return {"size": 32}, {"size": 44, "label": title, "labelSize": 18, "labelFont": "12px sans-serif"}
 
 
 def plot_data(

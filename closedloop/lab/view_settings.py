@@ -37,9 +37,11 @@ class ViewTab:
                 marks=((-4.0, "0.1 mm/N"), (-2.0, "10 mm/N"), (0.0, "1 m/N")),
             )  # fmt: skip
             self._switches = {name: gui.add_checkbox(name, True) for name in DRAWN}
+            self._through = gui.add_checkbox("see through the arm", False)
             self._dark = gui.add_checkbox("dark", dark)
         self._scale.on_update(self._scaled)
         self._dark.on_update(self._themed)
+        self._through.on_update(self._made_clear)
         for name, switch in self._switches.items():
             switch.on_update(self._switched(name, switch))
 
@@ -63,6 +65,10 @@ class ViewTab:
 
     async def _themed(self, event: Any) -> None:
         configure(self._gui, bool(self._dark.value))
+
+    async def _made_clear(self, event: Any) -> None:
+        if self._space is not None:
+            self._space.see_through(bool(self._through.value))
 
     def _switched(self, name: str, switch: Any) -> Callable[[Any], Any]:
         async def switched(event: Any) -> None:

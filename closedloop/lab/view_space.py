@@ -8,12 +8,10 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from closedloop.lab.scene import ARROWS, PATH, WANTED, Scene, quaternions
+from closedloop.lab.scene import ARROWS, PATH, WANTED, Scene, quaternions, thin_out
 
 Array = NDArray[np.float64]
 
-# Points of a path at most.
-MOST_POINTS = 400
 EVENTS = {
     "impact": (230, 159, 0), "touchdown": (0, 114, 178), "liftoff": (86, 180, 233), "stick": (213, 94, 0),
     "slip": (0, 158, 115), "reversal": (204, 121, 167),
@@ -36,6 +34,8 @@ class Space:
         self._scene: Scene | None = None
         self._shapes: tuple[Any, ...] = ()
         self._joints: list[Any] = []
+        self._meshes: list[Any] = []
+        self._opacity: float | None = None
         self._nodes: dict[str, Any] = {}
         self.metres_per_newton: float | None = None
         self.hidden: set[str] = set()
@@ -98,13 +98,22 @@ class Space:
             node.remove()
         self._shapes = scene.shapes
         count = scene.run.model.n + 1
+        self._meshes = []
         self._joints = [self._api.add_frame(f"/arm/{k}", show_axes=False) for k in range(count)]
         for at, shape in enumerate(scene.shapes):
-            self._api.add_mesh_simple(
+            mesh = self._api.add_mesh_simple(
                 f"/arm/{shape.joint}/shape{at}", shape.vertices, shape.faces,
                 color=tuple(round(255 * c) for c in shape.colour), side="double",
-                flat_shading=len(shape.faces) > 20, cast_shadow=False, receive_shadow=False,
+                flat_shading=len(shape.faces) > 20, cast_shadow=False, receive_shadow=False, opacity=self._opacity,
             )  # fmt: skip
+            self._meshes.append(mesh)
+
+    def see_through(self, through: bool) -> None:
+        """Draw the arm so that what is inside of it or behind is seen, or not."""
+        with self._lock:
+            self._opacity = 0.35 if through else None
+            for mesh in self._meshes:
+                mesh.opacity = self._opacity
 
     def _draw_surface(self, scene: Scene) -> None:
         corners = scene.patch.astype(np.float32)
@@ -159,11 +168,3 @@ class Space:
             node.points = np.array([[tail, tip]], dtype=np.float32)
         if node.visible != seen:
             node.visible = seen
-
-
-def thin_out(points: Array, most: int = MOST_POINTS) -> Array:
-    """Return so many of the points (N, 3) at most, evenly spaced in their order, with the first and the last."""
-    finite: Array = points[np.all(np.isfinite(points), axis=1)]
-    rows = np.linspace(0, len(finite) - 1, min(most, len(finite))).round().astype(int)
-    thinned: Array = finite[np.unique(rows)]
-    return thinned

@@ -10,6 +10,7 @@ from collections.abc import Mapping
 from copy import deepcopy
 from dataclasses import dataclass, field
 from functools import cached_property
+from importlib import import_module
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, NamedTuple
 
@@ -218,3 +219,39 @@ class Run:
         from closedloop.record.netcdf import save_run
 
         return save_run(self, path)
+
+    # How a run is drawn is a matter of higher layers, which know runs; so they are named when they are asked for.
+
+    def show(self, path: str | Path | None = None) -> Any:
+        """Show the replay in a browser, or below a notebook's cell; with `path`, write its page there instead.
+
+        Returns
+        -------
+        Path or IPython.display.HTML
+            The page's file; in a notebook, without `path`, what it displays.
+
+        Raises
+        ------
+        ScenarioError
+            If the run has no rows.
+        OutputError
+            If the file cannot be written.
+        """
+        return import_module("closedloop.lab.show").show_run(self, path)
+
+    def animate(self, path: str | Path, *, speed: float = 1.0, frames_per_second: int = 25) -> Path:
+        """Write a film of the run, .gif or .mp4, and return its path; see `closedloop.lab.animate.animate`.
+
+        `speed` is how many seconds of the run a second of the film shows.
+
+        Raises
+        ------
+        ScenarioError
+            If the path has another ending, or the run has no rows.
+        OutputError
+            If the file cannot be written, or ffmpeg is not installed and a .mp4 is asked for.
+        """
+        film: Path = import_module("closedloop.lab.animate").animate(
+            self, path, speed=speed, frames_per_second=frames_per_second
+        )
+        return film

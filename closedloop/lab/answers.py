@@ -73,7 +73,7 @@ class Answers:
         self, history: History, law: Any = None, model: RobotModel | None = None,
         say: Callable[[str], None] = lambda line: None,
     ) -> None:  # fmt: skip
-        self._history, self._law, self._given, self._say = history, law, model, say
+        self._history, self.law, self._given, self._say = history, law, model, say
         self._models: dict[str, RobotModel] = {}
         self._ready: set[tuple[Any, ...]] = set()
 
@@ -99,7 +99,7 @@ class Answers:
     def _run(self, scenario: Scenario) -> Run:
         model, engine = self.model(scenario), self.engine(scenario)
         self._compile(scenario, model, engine)
-        return simulate(scenario, law=fresh(self._law), model=model, engine=engine)
+        return simulate(scenario, law=fresh(self.law), model=model, engine=engine)
 
     def model(self, scenario: Scenario) -> RobotModel:
         """Return the robot of a scenario, loaded once."""
@@ -115,7 +115,7 @@ class Answers:
         if scenario.time.integrator in ADAPTIVE:
             return PINOCCHIO
         try:
-            check_engine(scenario, COMPILED, self._law)
+            check_engine(scenario, COMPILED, self.law)
         except ScenarioError:
             return PINOCCHIO
         return COMPILED
@@ -128,11 +128,11 @@ class Answers:
         few = min(FEW, round(scenario.time.duration / scenario.time.step))
         short = scenario.time.model_copy(update={"duration": few * scenario.time.step})
         problem = prepare(scenario.model_copy(update={"time": short}), model)
-        loop = loop_for(engine, problem.general or self._law is not None)
+        loop = loop_for(engine, problem.general or self.law is not None)
         try:
             if needs_compiling(loop):
                 self._say(compiling_notice())
-            run_loop(problem, fresh(self._law), engine=engine)
+            run_loop(problem, fresh(self.law), engine=engine)
             self._ready.add(kinds)
         finally:
             self._say("")

@@ -24,6 +24,7 @@ from closedloop.lab.playback import Playback
 from closedloop.lab.scene import scene_of
 from closedloop.lab.view_controls import Tabs
 from closedloop.lab.view_keep import KeepTab
+from closedloop.lab.view_map import MapTab
 from closedloop.lab.view_playback import PlaybackBar
 from closedloop.lab.view_plots import Plots
 from closedloop.lab.view_settings import ViewTab, configure
@@ -35,6 +36,8 @@ from robot_models import RobotModel
 # Frames of the replay, and movements of the plots' cursor, in a second.
 FRAMES, CURSORS = 30.0, 12.0
 FIRST_PORT = 8080
+WIDTH = 510  # px of the panel on the right
+LONGEST = 100  # characters of a fault at the top; it stands in full beside its control
 # Where the scene is seen from at first, in sizes of the arm from its middle, and how wide, rad.
 VIEW_FROM, FIELD_OF_VIEW = np.array([1.9, -1.0, 0.9]), float(np.deg2rad(40.0))
 
@@ -78,7 +81,7 @@ class Lab:
         self.answers = Answers(history, law, model, self._say)
         self._lay_out(dark)
         self._newest: Newest[tuple[Changes, str], Answer] = Newest(self._compute, self._show)
-        self.tabs.show(history.base, self.answers.model(history.base))
+        self.refresh()
         self.ask("")
         self.server.on_client_connect(_fit)
         self._player = threading.Thread(target=self._play, name="closedloop-replay", daemon=True)
@@ -105,13 +108,14 @@ class Lab:
         configure(gui, dark)
         gui.set_panel_label(f"closedloop: {self.history.base.name}")
         gui.main_panel.dock_right()
-        gui.main_panel.set_width(470)
+        gui.main_panel.set_width(WIDTH)
         self.status = gui.add_html("")
         self.bar = PlaybackBar(gui, self.playback, self._moved)
         self.group = gui.add_tab_group()
         self.tabs = Tabs(gui, self.group, self.changed)
         self.view = ViewTab(gui, self.group.add_tab("view"), self.bar, dark)
         self.keep = KeepTab(self, self.group.add_tab("keep"))
+        self.map = MapTab(self, self.group.add_tab("map"))
         panel = gui.add_panel()
         with panel.add_tab("plots"):
             self.plots = Plots(gui)
@@ -137,6 +141,7 @@ class Lab:
         with contextlib.suppress(ClosedLoopError):
             scenario = self.history.scenario()
             self.tabs.show(scenario, self.answers.model(scenario))
+            self.map.show_keys()
 
     def ask(self, key: str = "") -> None:
         """Run the scenario as it is now, `key` being what was changed last."""
@@ -181,7 +186,8 @@ class Lab:
     def _show_line(self, answer: Answer) -> None:
         self.tabs.note(answer.key, answer.fault)
         if answer.fault:
-            self._set_status(f"not run: {answer.fault}", "#D55E00")
+            short = answer.fault if len(answer.fault) <= LONGEST else f"{answer.fault[:LONGEST]} ..."
+            self._set_status(f"not run: {short}", "#D55E00")
         elif answer.stopped:
             self._set_status(answer.stopped, "#D55E00")
         elif answer.run is not None:
@@ -228,10 +234,11 @@ class Lab:
     def close(self) -> None:
         """Stop all work and the server."""
         self._closed.set()
-        self._newest.close()
-        self.keep.close()
+        for work in (self.map, self.keep, self._newest):
+            work.close()
         self._player.join(2.0)
-        self.server.stop()
+        with contextlib.redirect_stdout(io.StringIO()):
+            self.server.stop()
 
 
 async def _fit(client: Any) -> None:

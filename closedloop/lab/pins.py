@@ -13,9 +13,10 @@ from closedloop.record.run import Run
 from closedloop.report.measures import MEASURES
 
 MOST_PINS = 4
-# Reddish purple, sky blue, orange and yellow: the colours of Okabe and Ito's palette that the run itself does not have.
-COLOURS = ("#CC79A7", "#56B4E9", "#E69F00", "#B8A500")
+# Reddish purple, sky blue and orange of Okabe and Ito's palette, which the run itself does not have, and violet.
+COLOURS = ("#CC79A7", "#56B4E9", "#E69F00", "#7B61C4")
 NOW = "now"
+ROUNDING = 1e-9  # values that differ by no more than this share are equal
 # What the table compares: values of `Run.summary`.
 VALUES = (
     "rms_force_error", "peak_contact_force", "min_contact_force", "force_settled_at", "rms_path_error",
@@ -96,4 +97,6 @@ def _with_difference(number: float | None, now: float | None, differs: bool) -> 
     if number is None:
         return "-"
     text = f"{number:.4g}"
-    return f"{text} ({number - now:+.2g})" if differs and now is not None else text
+    if not differs or now is None or abs(number - now) <= ROUNDING * max(abs(number), abs(now)):
+        return text
+    return f"{text} ({number - now:+.2g})"

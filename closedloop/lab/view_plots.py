@@ -15,7 +15,7 @@ from closedloop.record.run import Run
 Array = NDArray[np.float64]
 
 HEIGHT = 132  # px of a plot
-CURSOR, MARK = "#888888", "#CC79A7"
+CURSOR, MARK = "#888888", "#B8A500"
 TICK = 0.15  # of the plot's height: the mark of an event
 # Events that are marked in a plot at most: more could not be told apart.
 MOST_MARKS = 60
@@ -93,7 +93,7 @@ class Plots:
             factor = _UNITS.get(panel.unit, 1.0) / _UNITS.get(other.unit, 1.0)
             values = np.interp(panel.time, other.time, factor * other.main.values)
             more.append(Trace(name, colour, values))
-        return Panel(panel.name, panel.unit, panel.time, (*panel.traces, *more))
+        return Panel(panel.name, panel.unit, panel.time, (*more, *panel.traces))
 
 
 # How many of a unit are a metre.

@@ -68,7 +68,7 @@ class Plot {
       g.stroke();
     }
     g.setLineDash([]);
-    g.strokeStyle = "#CC79A7";
+    g.strokeStyle = "#B8A500";
     for (const m of this.marks) this.line(g, x(m.time), top + height - 12, x(m.time), top + height);
     g.strokeStyle = style.getPropertyValue("--ink");
     this.line(g, x(now), top, x(now), top + height);

@@ -6,8 +6,10 @@ Three threads share the work: viser's takes what the browser sends, one computes
 from __future__ import annotations
 
 import contextlib
+import errno
 import html
 import io
+import socket
 import threading
 import time as clock
 from collections.abc import Callable
@@ -35,7 +37,7 @@ from robot_models import RobotModel
 
 # Frames of the replay, and movements of the plots' cursor, in a second.
 FRAMES, CURSORS = 30.0, 12.0
-FIRST_PORT = 8080
+FIRST_PORT, PORTS = 8080, 100  # how many are tried, one after the other
 WIDTH = 510  # px of the panel on the right
 LONGEST = 100  # characters of a fault at the top; it stands in full beside its control
 # Where the scene is seen from at first, in sizes of the arm from its middle, and how wide, rad.
@@ -114,14 +116,14 @@ class Lab:
         self.group = gui.add_tab_group()
         self.tabs = Tabs(gui, self.group, self.changed)
         self.view = ViewTab(gui, self.group.add_tab("view"), self.bar, dark)
-        self.keep = KeepTab(self, self.group.add_tab("keep"))
-        self.map = MapTab(self, self.group.add_tab("map"))
+        kept, mapped = self.group.add_tab("keep"), self.group.add_tab("map")
         panel = gui.add_panel()
         with panel.add_tab("plots"):
             self.plots = Plots(gui)
         panel.dock_below(gui.main_panel)
         self.space = Space(self.server.scene)
         self.view.connect(self.space, self._moved)
+        self.keep, self.map = KeepTab(self, kept), MapTab(self, mapped)
         self._shown_camera = False
 
     def changed(self, key: str, value: Any) -> None:
@@ -257,10 +259,30 @@ def _serve(host: str, port: int) -> Any:
     """
     import viser
 
-    try:
-        with contextlib.redirect_stdout(io.StringIO()):
-            server = viser.ViserServer(host=host, port=port, verbose=False)
-    except (OSError, OverflowError, ValueError) as error:
-        raise OutputError(f"--host {host} --port {port}: cannot listen there: {error}") from None
+    port = _free_port(host, port)
+    with contextlib.redirect_stdout(io.StringIO()):
+        server = viser.ViserServer(host=host, port=port, verbose=False)
     server.request_share_url = lambda verbose=True: None  # type: ignore[method-assign]  # any client may ask for it
     return server
+
+
+def _free_port(host: str, port: int) -> int:
+    """Return the first port from this one on that can be listened on: viser waits for ever where none can.
+
+    Raises
+    ------
+    OutputError
+    """
+    fault: Exception | None = None
+    for tried in range(port, port + PORTS):
+        try:
+            family = socket.getaddrinfo(host, tried, type=socket.SOCK_STREAM)[0][0]
+            with socket.socket(family) as probe:
+                probe.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
+                probe.bind((host, tried))
+            return tried
+        except (OSError, OverflowError, UnicodeError) as error:
+            fault = error
+            if getattr(error, "errno", None) != errno.EADDRINUSE:
+                break
+    raise OutputError(f"--host {host} --port {port}: cannot listen there: {fault}")

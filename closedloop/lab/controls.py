@@ -133,7 +133,10 @@ class Control:
         changed = replace(self, value=value)
         if self.form in ("linear", "log", "whole"):
             at = math.log10(changed.own) if self.form == "log" else float(changed.own)
-            changed = replace(changed, low=min(self.low, at), high=max(self.high, at))
+            if (
+                not self.low - self.step <= at <= self.high + self.step
+            ):  # within a step it is rounding, not another span
+                changed = replace(changed, low=min(self.low, at), high=max(self.high, at))
         return changed
 
 

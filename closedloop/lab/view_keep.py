@@ -5,17 +5,15 @@ from __future__ import annotations
 import html
 from collections.abc import Callable
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 from closedloop.errors import ClosedLoopError, one_line
 from closedloop.lab.answers import Answer
+from closedloop.lab.bench import Bench
 from closedloop.lab.keeping import save, save_page
 from closedloop.lab.newest import Newest
 from closedloop.lab.pins import MOST_PINS, Pin, Pins, table_html
 from closedloop.record.run import Run
-
-if TYPE_CHECKING:
-    from closedloop.lab.app import Lab
 
 
 class KeepTab:
@@ -23,11 +21,12 @@ class KeepTab:
 
     Parameters
     ----------
-    lab : Lab
+    lab : Bench
+        The lab.
     tab : viser.GuiTabHandle
     """
 
-    def __init__(self, lab: Lab, tab: Any) -> None:
+    def __init__(self, lab: Bench, tab: Any) -> None:
         self._lab, self.pins, gui = lab, Pins(), lab.server.gui
         self.folder: Path | None = None  # where folders are made; the current one's "out" if None
         self._table: Newest[tuple[list[Pin], Run, Any], str] = Newest(_table_of, self._show_table)

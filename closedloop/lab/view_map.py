@@ -7,17 +7,15 @@ import html
 import io
 import re
 import threading
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 from closedloop.errors import ClosedLoopError, one_line
+from closedloop.lab.bench import Bench
 from closedloop.lab.controls import TABS, Control, controls
 from closedloop.lab.history import Changes
 from closedloop.lab.mapping import Axis, Map, Picture, picture
 from closedloop.lab.newest import Newest
 from closedloop.report.measures import MEASURES
-
-if TYPE_CHECKING:
-    from closedloop.lab.app import Lab
 
 USUAL = "rms_force_error"
 # viser has no picture that can be clicked: this writes the cell into the text field "cell", as if it were typed.
@@ -36,11 +34,12 @@ class MapTab:
 
     Parameters
     ----------
-    lab : Lab
+    lab : Bench
+        The lab.
     tab : viser.GuiTabHandle
     """
 
-    def __init__(self, lab: Lab, tab: Any) -> None:
+    def __init__(self, lab: Bench, tab: Any) -> None:
         self._lab, gui = lab, lab.server.gui
         self._stop = threading.Event()
         self.map: Map | None = None
@@ -56,7 +55,7 @@ class MapTab:
             self.image = gui.add_html("")
             self.cell = gui.add_text("cell", "cell -", hint="row, column of the run to load: click on the map")
         self.buttons.on_click(lambda event: self.press(self.buttons.value))
-        self.cell.on_update(lambda event: self.load(str(self.cell.value)) if event.client is not None else None)
+        self.cell.on_update(lambda event: self.open_cell(str(self.cell.value)) if event.client is not None else None)
 
     def show_keys(self) -> None:
         """Offer the keys of the scenario as it is now."""
@@ -97,7 +96,7 @@ class MapTab:
         """Wait until the map is complete or stopped; return whether it is."""
         return self._work.wait(seconds)
 
-    def load(self, text: str) -> None:
+    def open_cell(self, text: str) -> None:
         """Load the run of a cell, given as row and column."""
         numbers = [int(word) for word in re.findall(r"\d{1,4}", text)]
         if self.map is None or len(numbers) != 2:

@@ -63,7 +63,7 @@ def test_ctrl_c_closes_the_lab_without_a_traceback(tmp_path):
         line = process.stdout.readline()
         assert "http://127.0.0.1:84" in line
         os.kill(process.pid, signal.SIGINT)
-        out, err = process.communicate(timeout=60)
+        _, err = process.communicate(timeout=60)
     assert process.returncode == 0
     assert "Traceback" not in err
     assert "the lab is closed" in err

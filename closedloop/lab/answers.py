@@ -24,6 +24,12 @@ from robot_models import RobotModel
 
 # Steps of the run with which a loop is compiled.
 FEW = 3
+# So long, s, a run goes on whatever is asked meanwhile, and says nothing of how far it is.
+PATIENCE = 0.5
+
+
+class _Overtaken(Exception):
+    """A newer change waits, and the run takes long: it is given up."""
 
 
 @dataclass(frozen=True)
@@ -66,13 +72,16 @@ class Answers:
     model : RobotModel, optional
         The robot to use instead of loading the scenario's.
     say : callable
-        Takes a line while something is compiled, and "" when it is.
+        Takes a line while something is compiled or takes long, and "" when it is done.
+    overtaken : callable
+        Whether a newer change waits; a run that takes long is given up then, where the engine returns meanwhile.
     """
 
     def __init__(
         self, history: History, law: Any = None, model: RobotModel | None = None,
-        say: Callable[[str], None] = lambda line: None,
+        say: Callable[[str], None] = lambda line: None, overtaken: Callable[[], bool] = lambda: False,
     ) -> None:  # fmt: skip
+        self._overtaken = overtaken
         self._history, self.law, self._given, self._say = history, law, model, say
         self._models: dict[str, RobotModel] = {}
         self._ready: set[tuple[Any, ...]] = set()
@@ -88,6 +97,8 @@ class Answers:
             scenario = self._history.scenario(changes)
             with redirect_stdout(sys.stderr):  # what a law prints is no result
                 return took(self._run(scenario))
+        except _Overtaken:
+            return took(None)
         except SimulationError as error:
             run = error.run if error.run is not None and len(error.run) else None
             return took(run, stopped=one_line(str(error)))
@@ -99,7 +110,19 @@ class Answers:
     def _run(self, scenario: Scenario) -> Run:
         model, engine = self.model(scenario), self.engine(scenario)
         self._compile(scenario, model, engine)
-        return simulate(scenario, law=fresh(self.law), model=model, engine=engine)
+        began = said = clock.perf_counter()
+
+        def progress(done: int, total: int) -> None:
+            nonlocal said
+            now = clock.perf_counter()
+            if now - began > PATIENCE and done < total:
+                if self._overtaken():
+                    raise _Overtaken
+                if now - said > PATIENCE:
+                    said = now
+                    self._say(f"computing ... {done / total:.0%}")
+
+        return simulate(scenario, law=fresh(self.law), model=model, engine=engine, progress=progress)
 
     def model(self, scenario: Scenario) -> RobotModel:
         """Return the robot of a scenario, loaded once."""

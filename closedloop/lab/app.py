@@ -33,6 +33,7 @@ from closedloop.lab.view_settings import ViewTab, configure
 from closedloop.lab.view_space import Space
 from closedloop.record.run import Run
 from closedloop.scenario.messages import variants
+from closedloop.simulation.prepare import prepare
 from robot_models import RobotModel
 
 # Frames of the replay, and movements of the plots' cursor, in a second.
@@ -79,8 +80,9 @@ class Lab:
         self._closed, self._shown_at = threading.Event(), 0.0
         self._asked, self._done = 0, 0
         self.after_show: list[Callable[[Answer], None]] = []
+        self.answers = Answers(history, law, model, self._say, lambda: self._newest.overtaken)
+        prepare(history.base, self.answers.model(history.base))  # what cannot be run is refused before there is a page
         self.server = _serve(host, port)
-        self.answers = Answers(history, law, model, self._say)
         self._lay_out(dark)
         self._newest: Newest[tuple[Changes, str], Answer] = Newest(self._compute, self._show)
         self.refresh()
@@ -180,6 +182,7 @@ class Lab:
         self.bar.show()
         if not self._shown_camera:
             self._shown_camera = True
+            self.view.see_through(scene.arm_hides_force)
             look_at = 0.55 * scene.patch.mean(axis=0)
             camera = self.server.initial_camera
             camera.fov, camera.look_at = FIELD_OF_VIEW, look_at
@@ -197,7 +200,7 @@ class Lab:
             self._set_status(f"{steps} steps in {1e3 * answer.seconds:.0f} ms ({answer.run.engine})", "inherit")
 
     def _say(self, line: str) -> None:
-        """Say a line while something is compiled."""
+        """Say a line while something is compiled or takes long."""
         if line:
             self._set_status(line, "#D55E00")
 
@@ -244,10 +247,16 @@ class Lab:
 
 
 async def _fit(client: Any) -> None:
-    """Let a browser whose view is narrow see the arm from further off."""
-    camera = client.camera
-    if camera.aspect < 1.0:
-        camera.position = camera.look_at + (camera.position - camera.look_at) / max(camera.aspect, 0.3)
+    """Let a browser in which the panel leaves a narrow view see the arm from further off, once."""
+    fitted = False
+
+    async def look(camera: Any) -> None:
+        nonlocal fitted
+        if not fitted and camera.aspect < 1.0:
+            fitted = True
+            camera.position = camera.look_at + (camera.position - camera.look_at) / max(camera.aspect, 0.3)
+
+    client.camera.on_update(look)
 
 
 def _serve(host: str, port: int) -> Any:

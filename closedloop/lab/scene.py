@@ -117,6 +117,18 @@ class Scene:
         return [Arrow(name, run.position[row], force) for name, force in zip(ARROWS, forces, strict=True)]
 
     @cached_property
+    def arm_hides_force(self) -> bool:
+        """Whether the last link stands above the surface at the start, where the contact force is drawn."""
+        above = self.joint_places(0)[1][self.last_joint] - self.tip_place(0)
+        return float(self.frame[0] @ above) > 0.0
+
+    @cached_property
+    def last_joint(self) -> int:
+        """The number of the joint that moves the tip."""
+        model = _places(self.run.model).model
+        return int(model.frames[model.getFrameId(self.tip)].parentJoint)
+
+    @cached_property
     def size(self) -> float:
         """The arm's reach, m, or the extent of the path if that is larger."""
         places = _places(self.run.model)

@@ -37,7 +37,7 @@ class ViewTab:
                 marks=((-4.0, "0.1 mm/N"), (-2.0, "10 mm/N"), (0.0, "1 m/N")),
             )  # fmt: skip
             self._switches = {name: gui.add_checkbox(name, True) for name in DRAWN}
-            self._through = gui.add_checkbox("see through the arm", False)
+            self._through = gui.add_checkbox("see through the last link", False)
             self._dark = gui.add_checkbox("dark", dark)
         self._scale.on_update(self._scaled)
         self._dark.on_update(self._themed)
@@ -48,6 +48,12 @@ class ViewTab:
     def connect(self, space: Space, redraw: Callable[[], None]) -> None:
         """Set what is drawn where; `redraw` draws the present instant again."""
         self._space, self._redraw = space, redraw
+
+    def see_through(self, through: bool) -> None:
+        """Draw the last link so that the force inside of it is seen, or not, as the switch does."""
+        if self._space is not None:
+            self._through.value = through
+            self._space.see_through(through)
 
     def show_scale(self, size: float) -> None:
         """Show the length of the arrows: of 10 N, in an arm that reaches `size`, m."""

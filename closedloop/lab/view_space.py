@@ -34,7 +34,7 @@ class Space:
         self._scene: Scene | None = None
         self._shapes: tuple[Any, ...] = ()
         self._joints: list[Any] = []
-        self._meshes: list[Any] = []
+        self._last_link: list[Any] = []
         self._opacity: float | None = None
         self._nodes: dict[str, Any] = {}
         self.metres_per_newton: float | None = None
@@ -98,21 +98,23 @@ class Space:
             node.remove()
         self._shapes = scene.shapes
         count = scene.run.model.n + 1
-        self._meshes = []
+        self._last_link = []
         self._joints = [self._api.add_frame(f"/arm/{k}", show_axes=False) for k in range(count)]
         for at, shape in enumerate(scene.shapes):
+            last = shape.joint == scene.last_joint
             mesh = self._api.add_mesh_simple(
                 f"/arm/{shape.joint}/shape{at}", shape.vertices, shape.faces,
-                color=tuple(round(255 * c) for c in shape.colour), side="double",
-                flat_shading=len(shape.faces) > 20, cast_shadow=False, receive_shadow=False, opacity=self._opacity,
+                color=tuple(round(255 * c) for c in shape.colour), side="double", flat_shading=len(shape.faces) > 20,
+                cast_shadow=False, receive_shadow=False, opacity=self._opacity if last else None,
             )  # fmt: skip
-            self._meshes.append(mesh)
+            if last:
+                self._last_link.append(mesh)
 
     def see_through(self, through: bool) -> None:
-        """Draw the arm so that what is inside of it or behind is seen, or not."""
+        """Draw the last link so that the force inside of it is seen, or not."""
         with self._lock:
             self._opacity = 0.35 if through else None
-            for mesh in self._meshes:
+            for mesh in self._last_link:
                 mesh.opacity = self._opacity
 
     def _draw_surface(self, scene: Scene) -> None:

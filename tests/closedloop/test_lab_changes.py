@@ -137,6 +137,17 @@ def test_an_answer_is_a_run_or_the_one_line_that_says_why_not():
     assert 0 < len(wild.run) < 51
 
 
+def test_a_long_run_is_given_up_when_it_is_overtaken(monkeypatch):
+    """On an engine that returns meanwhile; a run within the patience is finished."""
+    monkeypatch.setattr("closedloop.lab.answers.PATIENCE", 0.0)
+    waiting, base = [True], cl.load_scenario("wam_slide", {"time.integrator": "dop853", "time.duration": 0.2})
+    answers = Answers(History(base, "wam_slide"), overtaken=lambda: waiting[0])
+    given_up = answers.answer({})
+    assert (given_up.run, given_up.fault, given_up.stopped) == (None, "", "")
+    waiting[0] = False
+    assert len(answers.answer({}).run) == 201
+
+
 def test_pinned_runs_are_compared_with_the_present_one():
     """The table has the keys that differ and the values with their differences; the fifth pin is refused."""
     base = cl.load_scenario("wam_slide", {"time.duration": 0.05})

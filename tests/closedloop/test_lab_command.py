@@ -27,6 +27,7 @@ def run_file(tmp_path_factory):
         (["no_such"], "no scenario"),
         (["wam_slide", "--law.force", "x"], "law.force = 'x'"),
         (["wam_slide", "--law", "no_such_module:f"], "no module"),
+        (["wam_slide", "--time.step", "0.1"], "time constant at least"),
         (["wam_slide", "--colour"], "unrecognized arguments"),
         (["wam_slide", "--port", "99999999"], "cannot listen"),
     ],

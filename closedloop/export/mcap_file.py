@@ -46,7 +46,7 @@ def write_mcap(run: Run, path: str | Path) -> list[Path]:
 def _write(run: Run, file: BinaryIO) -> None:
     from mcap_ros2.writer import Writer
 
-    writer = Writer(file)
+    writer: Any = Writer(file)
     schemas = {name: writer.register_msgdef(name, text) for name, text in DEFINITIONS.items()}
 
     def send(topic: str, kind: str, message: dict[str, Any], time: float) -> None:
@@ -74,7 +74,7 @@ def _write(run: Run, file: BinaryIO) -> None:
         message = {"stamp": _stamp(event.time), "level": INFO, "name": "closedloop", "msg": said}
         send("/events", "rcl_interfaces/msg/Log", message | {"file": "", "function": "", "line": 0}, event.time)
     writer.add_attachment(0, 0, "scenario.toml", "application/toml", run.scenario.to_toml().encode())
-    writer.finish()  # type: ignore[no-untyped-call]
+    writer.finish()
 
 
 def _stamp(time: float) -> dict[str, int]:

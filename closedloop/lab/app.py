@@ -270,8 +270,9 @@ def _serve(host: str, port: int) -> Any:
 
     port = _free_port(host, port)
     with contextlib.redirect_stdout(io.StringIO()):
-        server = viser.ViserServer(host=host, port=port, verbose=False)
-    server.request_share_url = lambda verbose=True: None  # type: ignore[method-assign]  # any client may ask for it
+        server: Any = viser.ViserServer(host=host, port=port, verbose=False)
+    # Any client may ask for the tunnel: what it calls is replaced.
+    server.request_share_url = lambda verbose=True: None
     return server
 
 

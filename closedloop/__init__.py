@@ -56,6 +56,7 @@ if TYPE_CHECKING:
     from closedloop.errors import ScenarioError as ScenarioError
     from closedloop.errors import SimulationError as SimulationError
     from closedloop.errors import SingularClosureError as SingularClosureError
+    from closedloop.lab.start import lab as lab
     from closedloop.record.netcdf import load_run as load_run
     from closedloop.record.run import Event as Event
     from closedloop.record.run import Run as Run
@@ -105,6 +106,7 @@ _HOME = {
     "StepState": "simulation.state",
     "Terms": "robot.pinocchio",
     "figures": "figures",
+    "lab": "lab.start",
     "load_run": "record.netcdf",
     "load_scenario": "scenario.scenario",
     "prepare": "simulation.prepare",

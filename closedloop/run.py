@@ -7,7 +7,6 @@ interrupted by Ctrl-C, 143 by SIGTERM (what ran is saved).
 
 from __future__ import annotations
 
-import importlib
 import json
 import os
 import sys
@@ -20,6 +19,7 @@ from typing import TYPE_CHECKING, Any
 from closedloop.command.border import DONE, NOT_GOOD, Parser, run_command
 from closedloop.command.help import list_of_sections, scenario_parser
 from closedloop.command.lists import list_of_scenarios, versions
+from closedloop.command.user_module import import_law
 from closedloop.errors import InterruptedRunError, ScenarioError, SimulationError, one_line
 from closedloop.interrupts import Terminated, word_for
 from closedloop.scenario.members import member_digests
@@ -53,7 +53,7 @@ def _main(arguments: list[str]) -> int:
             "command line: name a scenario, such as wam_slide, wam_touchdown or panda_slide; --list lists them"
         )
     scenario, model, earlier = _open(options.scenario, overrides)
-    law = _import_law(options.law) if options.law else None
+    law = import_law(options.law) if options.law else None
     if law is None and earlier is not None and earlier.law != "scenario":
         raise ScenarioError(
             f"{options.scenario}: was made with the law {earlier.law}, which a run file does not carry; "
@@ -154,16 +154,6 @@ def _open(name: str, overrides: dict[str, Any]) -> tuple[Scenario, Any, Run | No
     scenario = parse_scenario(earlier.scenario.to_toml(), where=name, overrides=overrides)
     changed = any(key.startswith("robot.") and key != "robot.tip" for key in overrides)
     return scenario, None if changed else earlier.model, earlier
-
-
-def _import_law(name: str) -> Any:
-    from closedloop.command.user_module import importing
-
-    with importing("--law", name, "MODULE:FUNCTION, such as my_laws:soft_touch") as (module, function):
-        law = getattr(importlib.import_module(module), function, None)
-    if not callable(law):
-        raise ScenarioError(f"--law {name}: '{module}' has no function '{function}'")
-    return law
 
 
 def _warn_of_other_texts(file: str, earlier: Run, now: dict[str, str]) -> None:

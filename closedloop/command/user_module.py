@@ -42,6 +42,21 @@ def name_members(given: Iterable[tuple[str, Any]]) -> None:
                 family.named(value, key)
 
 
+def import_law(name: str) -> Any:
+    """Return the function that --law names.
+
+    Raises
+    ------
+    ScenarioError
+        See `importing`.
+    """
+    with importing("--law", name, "MODULE:FUNCTION, such as my_laws:soft_touch") as (module, function):
+        law = getattr(importlib.import_module(module), function, None)
+    if not callable(law):
+        raise ScenarioError(f"--law {name}: '{module}' has no function '{function}'")
+    return law
+
+
 @contextmanager
 def importing(option: str, name: str, wanted: str) -> Iterator[tuple[str, str]]:
     """Let MODULE:NAME be imported meanwhile; yield the two names.

@@ -26,7 +26,7 @@ def has_friction(run: Run) -> bool:
     return bool(np.any(run.friction_force))
 
 
-def _levels(law: Any) -> list[tuple[float, str, str]]:
+def friction_levels(law: Any) -> list[tuple[float, str, str]]:
     """Return the levels that a law has, static and kinetic, each with its name and stroke; none of one that is gone."""
     if not isinstance(law, FrictionLaw):
         return []
@@ -48,7 +48,7 @@ def friction_force(run: Run) -> Figure:
     slip = np.where(run.mode != FREE, np.sum(run.slip_velocity * along, axis=1), np.nan)
     figure = new_figure(height=4.8)
     above, below = figure.subplots(2, 1, sharex=True)
-    for level, name, stroke in _levels(run.scenario.friction):
+    for level, name, stroke in friction_levels(run.scenario.friction):
         for sign in (1.0, -1.0):
             above.plot(
                 run.time, sign * level * run.contact_force, stroke, color="0.6", linewidth=1.8,

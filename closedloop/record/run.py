@@ -79,7 +79,12 @@ _BY_TIME: dict[str, Column] = {
 
 
 # What draws a run: MODULE:FUNCTION, found when it is asked for, as drawing is above the record (tests/test_layers.py).
-DRAWN_BY = {"plot": "closedloop.figures.overview:plot", "html": "closedloop.figures.html:html"}
+DRAWN_BY = {
+    "plot": "closedloop.figures.overview:plot",
+    "html": "closedloop.figures.html:html",
+    "show": "closedloop.lab.show:show_run",
+    "animate": "closedloop.lab.animate:animate",
+}
 
 COLUMNS: dict[str, Column] = _BY_TIME | {name: Column(*spec) for name, spec in EVENT_COLUMNS.items()}
 
@@ -261,8 +266,40 @@ class Run:
 
         return save_run(self, path)
 
+    def show(self, path: str | Path | None = None) -> Any:
+        """Show the replay in a browser, or below a notebook's cell; with `path`, write its page there instead.
 
-def _drawn(run: Run, how: str) -> Any:
+        Returns
+        -------
+        Path or IPython.display.HTML
+            The page's file; in a notebook, without `path`, what it displays.
+
+        Raises
+        ------
+        ScenarioError
+            If the run has no rows.
+        OutputError
+            If the file cannot be written.
+        """
+        return _drawn(self, "show", path)
+
+    def animate(self, path: str | Path, *, speed: float = 1.0, frames_per_second: int = 25) -> Path:
+        """Write a film of the run, .gif or .mp4, and return its path; see `closedloop.lab.animate.animate`.
+
+        `speed` is how many seconds of the run a second of the film shows.
+
+        Raises
+        ------
+        ScenarioError
+            If the path has another ending, or the run has no rows.
+        OutputError
+            If the file cannot be written, or ffmpeg is not installed and a .mp4 is asked for.
+        """
+        film: Path = _drawn(self, "animate", path, speed=speed, frames_per_second=frames_per_second)
+        return film
+
+
+def _drawn(run: Run, how: str, *arguments: Any, **options: Any) -> Any:
     """Return what draws a run, see `DRAWN_BY`, of it."""
     module, _, function = DRAWN_BY[how].partition(":")
-    return getattr(import_module(module), function)(run)
+    return getattr(import_module(module), function)(run, *arguments, **options)

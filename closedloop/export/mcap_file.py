@@ -1,0 +1,111 @@
+"""A run as MCAP with standard ROS 2 messages: Foxglove, PlotJuggler and ``ros2 bag`` open it.
+
+    /joint_states         sensor_msgs/msg/JointState        q, q̇ and the torque of the law
+    /tip_pose             geometry_msgs/msg/PoseStamped     the tip's frame, in the base frame
+    /tip_wrench           geometry_msgs/msg/WrenchStamped   f n and friction on the tip, base axes
+    /events               rcl_interfaces/msg/Log            impact, touchdown, liftoff, stick ..., each at its time
+    /robot_description    std_msgs/msg/String               the URDF, where the robot is one
+
+Times count from 0, the start of the run. The scenario's text is attached as scenario.toml.
+"""
+
+from __future__ import annotations
+
+from functools import partial
+from importlib.util import find_spec
+from pathlib import Path
+from typing import Any, BinaryIO
+
+import numpy as np
+
+from closedloop.errors import ScenarioError
+from closedloop.export.messages import DEFINITIONS
+from closedloop.files import write_whole
+from closedloop.record.run import Run
+from closedloop.surface.plane import unit
+
+NEEDS_MCAP = 'MCAP needs two packages that are not installed: pip install "closedloop[mcap]"'
+INFO = 20  # level of a log message
+
+
+def write_mcap(run: Run, path: str | Path) -> list[Path]:
+    """Write a run as MCAP, and return its path in a list.
+
+    Raises
+    ------
+    ScenarioError
+        If the packages for it are not installed.
+    OutputError
+        If the file cannot be written.
+    """
+    if find_spec("mcap_ros2") is None:
+        raise ScenarioError(NEEDS_MCAP)
+    return [write_whole(path, partial(_write, run))]
+
+
+def _write(run: Run, file: BinaryIO) -> None:
+    from mcap_ros2.writer import Writer
+
+    writer: Any = Writer(file)
+    schemas = {name: writer.register_msgdef(name, text) for name, text in DEFINITIONS.items()}
+
+    def send(topic: str, kind: str, message: dict[str, Any], time: float) -> None:
+        at = round(1e9 * time)
+        writer.write_message(topic, schemas[kind], message, log_time=at, publish_time=at)
+
+    if run.model.format == "urdf":
+        send("/robot_description", "std_msgs/msg/String", {"data": run.model.text}, 0.0)
+    base, turns = _base_frame(run), _tip_turns(run)
+    forces = np.outer(run.contact_force, unit(run.scenario.surface.normal, "surface.normal")) + run.friction_force
+    nothing = {"x": 0.0, "y": 0.0, "z": 0.0}
+    for k in range(len(run)):
+        time = float(run.time[k])
+        header = {"stamp": _stamp(time), "frame_id": base}
+        joints = {"name": list(run.model.joint_names), "position": run.q[k], "velocity": run.v[k]}
+        joints["effort"] = run.torque[k]
+        send("/joint_states", "sensor_msgs/msg/JointState", {"header": header, **_listed(joints)}, time)
+        pose = {"position": _vector(run.position[k]), "orientation": turns[k]}
+        send("/tip_pose", "geometry_msgs/msg/PoseStamped", {"header": header, "pose": pose}, time)
+        wrench = {"force": _vector(forces[k]), "torque": nothing}
+        send("/tip_wrench", "geometry_msgs/msg/WrenchStamped", {"header": header, "wrench": wrench}, time)
+    for event in run.events:
+        rates = f"closure rate {event.rate_before:.6g} to {event.rate_after:.6g} m/s"
+        said = f"{event.kind}: {rates}, {event.energy_lost:.4g} J lost"
+        message = {"stamp": _stamp(event.time), "level": INFO, "name": "closedloop", "msg": said}
+        send("/events", "rcl_interfaces/msg/Log", message | {"file": "", "function": "", "line": 0}, event.time)
+    writer.add_attachment(0, 0, "scenario.toml", "application/toml", run.scenario.to_toml().encode())
+    writer.finish()
+
+
+def _stamp(time: float) -> dict[str, int]:
+    nanoseconds = round(1e9 * time)
+    return {"sec": nanoseconds // 10**9, "nanosec": nanoseconds % 10**9}
+
+
+def _vector(values: Any) -> dict[str, float]:
+    x, y, z = (float(value) for value in values)
+    return {"x": x, "y": y, "z": z}
+
+
+def _listed(parts: dict[str, Any]) -> dict[str, Any]:
+    return {name: part.tolist() if isinstance(part, np.ndarray) else part for name, part in parts.items()}
+
+
+def _base_frame(run: Run) -> str:
+    """Return the name of the robot's root link."""
+    model = run.model.pinocchio_model()
+    return str(next((frame.name for frame in list(model.frames)[1:] if frame.parentJoint == 0), "base"))
+
+
+def _tip_turns(run: Run) -> list[dict[str, float]]:
+    """Return the orientation of the tip's frame in each row, as the parts of a quaternion."""
+    import pinocchio as pin
+
+    model = run.model.pinocchio_model()
+    data, tip = model.createData(), model.getFrameId(run.scenario.robot.tip or run.model.tip)
+    found = []
+    for q in np.ascontiguousarray(run.q):
+        pin.forwardKinematics(model, data, q)
+        x, y, z, w = pin.Quaternion(pin.updateFramePlacement(model, data, tip).rotation).coeffs()
+        found.append({"x": float(x), "y": float(y), "z": float(z), "w": float(w)})
+    return found

@@ -1,0 +1,168 @@
+"""A run as a film: the arm as rods, the surface, the paths and the forces, beside the contact force against time.
+
+It is drawn by matplotlib without a screen. A .gif needs nothing else; a .mp4 needs the program ffmpeg.
+"""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from closedloop.errors import OutputError, ScenarioError
+from closedloop.files import write_whole
+from closedloop.lab.curves import panels, reduced
+from closedloop.lab.scene import ARROWS, PATH, WANTED, Scene, scene_of
+from closedloop.record.run import Run
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
+
+Array = NDArray[np.float64]
+
+FRAMES_PER_SECOND = 25
+FORMATS = (".gif", ".mp4")
+MOST_FRAMES = 5000
+# Inches, and dots for each: 1000 by 500 pixels.
+SIZE, DOTS = (10.0, 5.0), 100
+
+
+def animate(run: Run, path: str | Path, *, speed: float = 1.0, frames_per_second: int = FRAMES_PER_SECOND) -> Path:
+    """Write a film of a run and return its path.
+
+    Parameters
+    ----------
+    run : Run
+    path : path
+        A .gif or a .mp4.
+    speed : float
+        Seconds of the run in a second of the film.
+    frames_per_second : int
+
+    Raises
+    ------
+    ScenarioError
+        If the path has another ending, the run has no rows, or a number is none that a film can have.
+    OutputError
+        If the file cannot be written, or ffmpeg is not installed and a .mp4 is asked for.
+    """
+    path = Path(path)
+    if path.suffix.lower() not in FORMATS:
+        raise ScenarioError(f"{path}: a film is {' or '.join(FORMATS)}")
+    if len(run) < 2:
+        raise ScenarioError(f"{run.scenario.name}: the run has {len(run)} rows: there is nothing to show")
+    if not (0.0 < speed < 1e6 and 1 <= frames_per_second <= 100):
+        raise ScenarioError(
+            f"speed = {speed:g}, frames_per_second = {frames_per_second}: must be above 0, and from 1 to 100"
+        )
+    rows = _rows(run, speed, frames_per_second)
+    if rows.size > MOST_FRAMES:
+        raise ScenarioError(f"speed = {speed:g}: the film would have {rows.size} frames, over {MOST_FRAMES}")
+    if path.suffix.lower() == ".mp4":
+        from matplotlib.animation import FFMpegWriter
+
+        if not FFMpegWriter.isAvailable():
+            raise OutputError(f"{path}: a .mp4 needs the program ffmpeg, which is not installed; write a .gif instead")
+    return write_whole(path, _film(run, rows, frames_per_second, path.suffix.lower()))
+
+
+def _rows(run: Run, speed: float, frames_per_second: int) -> NDArray[np.int64]:
+    """Return the row of each frame."""
+    count = max(2, round(float(run.time[-1]) / speed * frames_per_second) + 1)
+    instants = np.minimum(np.arange(min(count, MOST_FRAMES + 1)) * speed / frames_per_second, run.time[-1])
+    rows: NDArray[np.int64] = np.minimum(np.round(instants / run.scenario.time.step), len(run) - 1).astype(np.int64)
+    return rows
+
+
+def _film(run: Run, rows: NDArray[np.int64], frames_per_second: int, suffix: str) -> bytes:
+    import tempfile
+
+    import matplotlib as mpl
+    from matplotlib.animation import FFMpegWriter, FuncAnimation, PillowWriter
+    from matplotlib.backends.backend_agg import FigureCanvasAgg
+    from matplotlib.figure import Figure
+
+    # The user's settings would change what the film looks like.
+    with mpl.rc_context({"font.size": 9, "axes.grid": True, "grid.alpha": 0.3}):
+        figure = Figure(figsize=SIZE, dpi=DOTS, layout="constrained")
+        FigureCanvasAgg(figure)
+        picture = _Picture(figure, scene_of(run))
+        picture.show(0)
+        figure.draw_without_rendering()
+        figure.set_layout_engine("none")  # as laid out now: again for each frame, it would take most of the time
+        film = FuncAnimation(figure, picture.show, frames=rows.tolist(), cache_frame_data=False)
+        writer = (FFMpegWriter if suffix == ".mp4" else PillowWriter)(fps=frames_per_second)
+        with tempfile.TemporaryDirectory(prefix="closedloop-") as folder:
+            file = Path(folder) / f"film{suffix}"
+            film.save(file, writer=writer, dpi=DOTS)
+            return file.read_bytes()
+
+
+class _Picture:
+    """The figure of a film, whose parts move."""
+
+    def __init__(self, figure: Figure, scene: Scene) -> None:
+        self.scene, run = scene, scene.run
+        grid = figure.add_gridspec(1, 2, width_ratios=[1.1, 1.0])
+        space: Any = figure.add_subplot(grid[0], projection="3d")
+        plot = figure.add_subplot(grid[1])
+        self._space = space
+        self._links = _links(scene)
+        (self._arm,) = space.plot([], [], [], "-o", color="#4D738F", linewidth=4, markersize=5, solid_capstyle="round")
+        self._arrows = {n: space.plot([], [], [], "-", color=c, linewidth=2, label=n)[0] for n, c in ARROWS.items()}
+        (self._done,) = space.plot([], [], [], "-", color=PATH, linewidth=2)
+        wanted = run.reference_tip[:: max(1, len(run) // 400)]
+        space.plot(*wanted.T, "--", color=WANTED, linewidth=1)
+        corners = np.vstack([scene.patch, scene.patch[:1]])
+        space.plot(*corners.T, "-", color="0.6", linewidth=1)
+        if scene.marks:
+            space.scatter(*np.array([mark.position for mark in scene.marks]).T, color="#CC79A7", s=12)
+        self._frame_view(space)
+        space.legend(loc="upper left", fontsize=8)
+        force = reduced(panels(run)[0], float(run.time[0]), float(run.time[-1]), 400)
+        for trace in force.traces:
+            style = "--" if trace.limit else "-"
+            plot.plot(force.time, trace.values, style, color=trace.colour, linewidth=1.2, label=trace.label)
+        plot.set_xlabel("time [s]")
+        plot.set_ylabel(force.title)
+        plot.legend(fontsize=8)
+        self._cursor = plot.axvline(0.0, color="0.3", linewidth=1)
+        self._title = figure.suptitle("")
+
+    def _frame_view(self, space: Any) -> None:
+        """Give the axes one scale, and the size of all that is drawn in them."""
+        rows = np.unique(np.linspace(0, len(self.scene.run) - 1, 20).astype(int))
+        points = np.vstack([*(self._points(int(row)) for row in rows), self.scene.patch])
+        low, high = points.min(axis=0), points.max(axis=0)
+        middle, half = (low + high) / 2.0, 0.55 * float((high - low).max()) + 1e-3
+        space.set(xlabel="x [m]", ylabel="y [m]", zlabel="z [m]")
+        space.set(**{f"{axis}lim": (m - half, m + half) for axis, m in zip("xyz", middle, strict=True)})
+        space.set_box_aspect((1, 1, 1))
+        space.view_init(elev=22.0, azim=-35.0)
+
+    def _points(self, row: int) -> Array:
+        """Return the origins (k, 3) of the joints from the base to the tip, and the tip, m."""
+        _, origins = self.scene.joint_places(row)
+        return np.vstack([origins[self._links], self.scene.tip_place(row)])
+
+    def show(self, row: int) -> list[Any]:
+        """Show a row of the run."""
+        scene, run = self.scene, self.scene.run
+        self._arm.set_data_3d(*self._points(row).T)
+        self._done.set_data_3d(*run.position[: row + 1 : max(1, row // 300)].T)
+        for arrow in scene.arrows(row):
+            ends = np.array([arrow.tail, arrow.tail + scene.metres_per_newton * arrow.force])
+            self._arrows[arrow.name].set_data_3d(*ends.T)
+        self._cursor.set_xdata([run.time[row]] * 2)
+        scale = f"10 N = {10.0 * scene.metres_per_newton:.2g} m"
+        self._title.set_text(f"{run.scenario.name} ({run.model.name})   t = {run.time[row]:.3f} s   {scale}")
+        return []
+
+
+def _links(scene: Scene) -> list[int]:
+    """Return the numbers of the joints from the base to the tip, the base's own, 0, first."""
+    model: Any = scene.run.model.pinocchio_model()
+    carrier = model.frames[model.getFrameId(scene.tip)].parentJoint
+    return [int(joint) for joint in model.supports[carrier]]

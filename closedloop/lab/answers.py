@@ -1,0 +1,171 @@
+"""From the changes of a scenario to a run, or to the one line that says what is wrong with them."""
+
+from __future__ import annotations
+
+import sys
+import time as clock
+from collections.abc import Callable
+from contextlib import redirect_stdout
+from dataclasses import dataclass
+from typing import Any
+
+from closedloop.engines.law_source import fresh
+from closedloop.engines.loops import COMPILED, PINOCCHIO, loop_for
+from closedloop.errors import ClosedLoopError, ScenarioError, SimulationError, one_line
+from closedloop.integrators import ADAPTIVE
+from closedloop.jit.background import compiling_notice
+from closedloop.jit.kernel import needs_compiling
+from closedloop.lab.history import Changes, History
+from closedloop.record.run import Run
+from closedloop.scenario.scenario import Scenario
+from closedloop.simulation.prepare import load_model, prepare
+from closedloop.simulation.simulate import check_engine, run_loop, simulate
+from robot_models import RobotModel
+
+# Steps of the run with which a loop is compiled.
+FEW = 3
+# So long, s, a run goes on whatever is asked meanwhile, and says nothing of how far it is.
+PATIENCE = 0.5
+
+
+class _Overtaken(Exception):
+    """A newer change waits, and the run takes long: it is given up."""
+
+
+@dataclass(frozen=True)
+class Answer:
+    """What came of some changes.
+
+    Attributes
+    ----------
+    changes : dict
+        The changes.
+    key : str
+        The key that was changed last, "" if none was.
+    run : Run or None
+        The run, until where it stopped; None if nothing ran.
+    fault : str
+        What is wrong with the input, "" if nothing is.
+    stopped : str
+        Why the run stopped before its end, "" if it did not.
+    seconds : float
+        Time that it took, s.
+    """
+
+    changes: Changes
+    key: str
+    run: Run | None
+    fault: str = ""
+    stopped: str = ""
+    seconds: float = 0.0
+
+
+class Answers:
+    """Answers changes of one scenario.
+
+    Parameters
+    ----------
+    history : History
+        What the changes are of.
+    law : callable, optional
+        A user's law, see `closedloop.simulate`.
+    model : RobotModel, optional
+        The robot to use instead of loading the scenario's.
+    say : callable
+        Takes a line while something is compiled or takes long, and "" when it is done.
+    overtaken : callable
+        Whether a newer change waits; a run that takes long is given up then, where the engine returns meanwhile.
+    """
+
+    def __init__(
+        self, history: History, law: Any = None, model: RobotModel | None = None,
+        say: Callable[[str], None] = lambda line: None, overtaken: Callable[[], bool] = lambda: False,
+    ) -> None:  # fmt: skip
+        self._overtaken = overtaken
+        self._history, self.law, self._given, self._say = history, law, model, say
+        self._models: dict[str, RobotModel] = {}
+        self._ready: set[tuple[Any, ...]] = set()
+
+    def answer(self, changes: Changes, key: str = "") -> Answer:
+        """Run the scenario with these changes; `key` is the one changed last."""
+        began = clock.perf_counter()
+
+        def took(run: Run | None, **more: str) -> Answer:
+            return Answer(changes, key, run, seconds=clock.perf_counter() - began, **more)
+
+        try:
+            scenario = self._history.scenario(changes)
+            with redirect_stdout(sys.stderr):  # what a law prints is no result
+                return took(self._run(scenario))
+        except _Overtaken:
+            return took(None)
+        except SimulationError as error:
+            run = error.run if error.run is not None and len(error.run) else None
+            return took(run, stopped=one_line(str(error)))
+        except ClosedLoopError as error:
+            return took(None, fault=_without_name(one_line(str(error)), self._history.base.name))
+        except MemoryError:
+            return took(None, fault="out of memory: ask for fewer steps")
+
+    def _run(self, scenario: Scenario) -> Run:
+        model, engine = self.model(scenario), self.engine(scenario)
+        self._compile(scenario, model, engine)
+        began = said = clock.perf_counter()
+
+        def progress(done: int, total: int) -> None:
+            nonlocal said
+            now = clock.perf_counter()
+            if now - began > PATIENCE and done < total:
+                if self._overtaken():
+                    raise _Overtaken
+                if now - said > PATIENCE:
+                    said = now
+                    self._say(f"computing ... {done / total:.0%}")
+
+        return simulate(scenario, law=fresh(self.law), model=model, engine=engine, progress=progress)
+
+    def model(self, scenario: Scenario) -> RobotModel:
+        """Return the robot of a scenario, loaded once."""
+        if self._given is not None:
+            return self._given
+        key = scenario.robot.model_dump_json()
+        if key not in self._models:
+            self._models = {key: load_model(scenario)}
+        return self._models[key]
+
+    def engine(self, scenario: Scenario) -> str:
+        """Return the compiled engine where it covers the scenario and the law, else Pinocchio."""
+        if scenario.time.integrator in ADAPTIVE:
+            return PINOCCHIO
+        try:
+            check_engine(scenario, COMPILED, self.law)
+        except ScenarioError:
+            return PINOCCHIO
+        return COMPILED
+
+    def _compile(self, scenario: Scenario, model: RobotModel, engine: str) -> None:
+        """Have compiled what a run of these kinds needs, here and now, and say so if it takes time."""
+        kinds = (engine, scenario.time.integrator, *_kinds(scenario))
+        if kinds in self._ready or scenario.time.integrator in ADAPTIVE:
+            return
+        few = min(FEW, round(scenario.time.duration / scenario.time.step))
+        short = scenario.time.model_copy(update={"duration": few * scenario.time.step})
+        problem = prepare(scenario.model_copy(update={"time": short}), model)
+        loop = loop_for(engine, problem.general or self.law is not None)
+        try:
+            if needs_compiling(loop):
+                self._say(compiling_notice())
+            run_loop(problem, fresh(self.law), engine=engine)
+            self._ready.add(kinds)
+        finally:
+            self._say("")
+
+
+def _kinds(scenario: Scenario) -> tuple[str, ...]:
+    """Return the kinds of a scenario's sections: they decide which loop runs."""
+    sections = (getattr(scenario, name) for name in type(scenario).model_fields)
+    return (scenario.surface.contact, *(str(getattr(section, "kind", "")) for section in sections))
+
+
+def _without_name(message: str, name: str) -> str:
+    return message.removeprefix(f"{name}: ")

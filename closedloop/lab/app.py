@@ -1,0 +1,298 @@
+"""The lab: everything on the page, and what happens when something on it is moved.
+
+Three threads share the work: viser's takes what the browser sends, one computes runs (`Newest`), one moves the replay.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import errno
+import html
+import io
+import socket
+import threading
+import time as clock
+from collections.abc import Callable
+from typing import Any
+
+import numpy as np
+
+from closedloop.errors import ClosedLoopError, OutputError
+from closedloop.lab.answers import Answer, Answers
+from closedloop.lab.history import Changes, History
+from closedloop.lab.kinds import begin_values
+from closedloop.lab.newest import Newest
+from closedloop.lab.playback import Playback
+from closedloop.lab.scene import scene_of
+from closedloop.lab.view_controls import Tabs
+from closedloop.lab.view_keep import KeepTab
+from closedloop.lab.view_map import MapTab
+from closedloop.lab.view_playback import PlaybackBar
+from closedloop.lab.view_plots import Plots
+from closedloop.lab.view_settings import ViewTab, configure
+from closedloop.lab.view_space import Space
+from closedloop.record.run import Run
+from closedloop.scenario.messages import variants
+from closedloop.simulation.prepare import prepare
+from robot_models import RobotModel
+
+# Frames of the replay, and movements of the plots' cursor, in a second.
+FRAMES, CURSORS = 30.0, 12.0
+FIRST_PORT, PORTS = 8080, 100  # how many are tried, one after the other
+WIDTH = 510  # px of the panel on the right
+LONGEST = 100  # characters of a fault at the top; it stands in full beside its control
+# Where the scene is seen from at first, in sizes of the arm from its middle, and how wide, rad.
+VIEW_FROM, FIELD_OF_VIEW = np.array([1.9, -1.0, 0.9]), float(np.deg2rad(40.0))
+
+
+class Lab:
+    """A lab of one scenario, served to a browser.
+
+    Parameters
+    ----------
+    history : History
+        The scenario and its changes.
+    law : callable, optional
+        A user's law, see `closedloop.simulate`.
+    model : RobotModel, optional
+        The robot to use instead of loading the scenario's.
+    host : str
+        Address to listen on.
+    port : int
+        The next free one is taken if it is in use.
+    dark : bool
+        Whether the page begins dark.
+
+    Raises
+    ------
+    ScenarioError, ModelError
+        If the scenario that it begins with is at fault.
+    OutputError
+        If it cannot listen there.
+    """
+
+    def __init__(
+        self, history: History, *, law: Any = None, model: RobotModel | None = None, host: str = "127.0.0.1",
+        port: int = FIRST_PORT, dark: bool = False,
+    ) -> None:  # fmt: skip
+        self.history, self.playback = history, Playback()
+        self.answer: Answer | None = None
+        self._closed, self._shown_at = threading.Event(), 0.0
+        self._asked, self._done = 0, 0
+        self.after_show: list[Callable[[Answer], None]] = []
+        self.answers = Answers(history, law, model, self._say, lambda: self._newest.overtaken)
+        prepare(history.base, self.answers.model(history.base))  # what cannot be run is refused before there is a page
+        self.server = _serve(host, port)
+        self._lay_out(dark)
+        self._newest: Newest[tuple[Changes, str], Answer] = Newest(self._compute, self._show)
+        self.refresh()
+        self.ask("")
+        self.server.on_client_connect(_fit)
+        self._player = threading.Thread(target=self._play, name="closedloop-replay", daemon=True)
+        self._player.start()
+
+    @property
+    def url(self) -> str:
+        """The address of the page."""
+        host = self.server.get_host()
+        return f"http://{'127.0.0.1' if host == '0.0.0.0' else host}:{self.server.get_port()}"
+
+    @property
+    def run(self) -> Run | None:
+        """The run shown."""
+        return None if self.answer is None else self.answer.run
+
+    def command(self, answer: Answer) -> str:
+        """Return the command line that repeats the run of an answer."""
+        engine = "compiled" if answer.run is None else answer.run.engine
+        return self.history.command(answer.changes, engine)
+
+    def _lay_out(self, dark: bool) -> None:
+        gui = self.server.gui
+        configure(gui, dark)
+        gui.set_panel_label(f"closedloop: {self.history.base.name}")
+        gui.main_panel.dock_right()
+        gui.main_panel.set_width(WIDTH)
+        self.status = gui.add_html("")
+        self.bar = PlaybackBar(gui, self.playback, self._moved)
+        self.group = gui.add_tab_group()
+        self.tabs = Tabs(gui, self.group, self.changed)
+        self.view = ViewTab(gui, self.group.add_tab("view"), self.bar, dark)
+        kept, mapped = self.group.add_tab("keep"), self.group.add_tab("map")
+        panel = gui.add_panel()
+        with panel.add_tab("plots"):
+            self.plots = Plots(gui)
+        panel.dock_below(gui.main_panel)
+        self.space = Space(self.server.scene)
+        self.view.connect(self.space, self._moved)
+        self.keep, self.map = KeepTab(self, kept), MapTab(self, mapped)
+        self._shown_camera = False
+
+    def changed(self, key: str, value: Any) -> None:
+        """Take a change of a control, and run the scenario with it."""
+        more = {}
+        section, _, name = key.partition(".")
+        if name == "kind" and value in variants(section):
+            with contextlib.suppress(ClosedLoopError):  # what is at fault is said by the run
+                more = begin_values(self.history.scenario(), section, value)
+        self.history.change(key, value, more)
+        self.ask(key)
+        if more or name == "kind":
+            self.refresh()
+
+    def refresh(self) -> None:
+        """Let all controls show the scenario as it is now, if it can be read."""
+        with contextlib.suppress(ClosedLoopError):
+            scenario = self.history.scenario()
+            self.tabs.show(scenario, self.answers.model(scenario))
+            self.map.show_keys()
+
+    def ask(self, key: str = "") -> None:
+        """Run the scenario as it is now, `key` being what was changed last."""
+        self._asked += 1
+        if self._asked - self._done > 1 or self.answer is None:
+            self._set_status("computing ...", "grey")
+        self._newest.ask((self.history.changes, key))
+
+    def wait(self, seconds: float = 60.0) -> bool:
+        """Wait until the newest change is shown; return whether it is."""
+        return self._newest.wait(seconds)
+
+    def _compute(self, request: tuple[Changes, str]) -> Answer:
+        return self.answers.answer(*request)
+
+    def _show(self, answer: Answer) -> None:
+        self._done = self._asked
+        with self.server.atomic():
+            self._show_line(answer)
+            if answer.run is not None and len(answer.run):
+                self.answer = answer
+                self._show_run(answer.run)
+        for then in self.after_show:
+            then(answer)
+
+    def _show_run(self, run: Run) -> None:
+        self.playback.set_end(float(run.time[-1]))
+        self.bar.set_end(self.playback.end, run.scenario.time.step)
+        scene = scene_of(run)
+        self.space.show_scene(scene, self.row(run))
+        self.view.show_scale(scene.size)
+        self.bar.instants = [mark.time for mark in scene.marks]
+        self.plots.show_run(run, self.playback.time)
+        self.bar.show()
+        if not self._shown_camera:
+            self._shown_camera = True
+            self.view.see_through(scene.arm_hides_force)
+            look_at = 0.55 * scene.patch.mean(axis=0)
+            camera = self.server.initial_camera
+            camera.fov, camera.look_at = FIELD_OF_VIEW, look_at
+            camera.position = look_at + scene.size * VIEW_FROM
+
+    def _show_line(self, answer: Answer) -> None:
+        self.tabs.note(answer.key, answer.fault)
+        if answer.fault:
+            short = answer.fault if len(answer.fault) <= LONGEST else f"{answer.fault[:LONGEST]} ..."
+            self._set_status(f"not run: {short}", "#D55E00")
+        elif answer.stopped:
+            self._set_status(answer.stopped, "#D55E00")
+        elif answer.run is not None:
+            steps = max(0, len(answer.run) - 1)
+            self._set_status(f"{steps} steps in {1e3 * answer.seconds:.0f} ms ({answer.run.engine})", "inherit")
+
+    def _say(self, line: str) -> None:
+        """Say a line while something is compiled or takes long."""
+        if line:
+            self._set_status(line, "#D55E00")
+
+    def _set_status(self, line: str, colour: str) -> None:
+        style = f"padding:0.3em 0.8em;font-size:0.85em;color:{colour}"
+        self.status.content = f'<div id="closedloop-status" style="{style}">{html.escape(line)}</div>'
+
+    def row(self, run: Run) -> int:
+        """Return the row of a run at the instant of the replay."""
+        return int(min(round(self.playback.time / run.scenario.time.step), len(run) - 1))
+
+    def _moved(self) -> None:
+        """Show the instant that the replay was moved to."""
+        run = self.run
+        if run is not None:
+            with self.server.atomic():
+                self.space.move(self.row(run))
+                self.plots.move_cursor(self.playback.time)
+
+    def _play(self) -> None:
+        last = cursor = clock.perf_counter()
+        while not self._closed.wait(1.0 / FRAMES):
+            now = clock.perf_counter()
+            moved = self.playback.advance(now - last)
+            last = now
+            run = self.run
+            if not moved or run is None:
+                continue
+            with self.server.atomic():
+                self.space.move(self.row(run))
+                if now - cursor > 1.0 / CURSORS or not self.playback.playing:
+                    cursor = now
+                    self.plots.move_cursor(self.playback.time)
+                    self.bar.show()
+
+    def close(self) -> None:
+        """Stop all work and the server."""
+        self._closed.set()
+        for work in (self.map, self.keep, self._newest):
+            work.close()
+        self._player.join(2.0)
+        with contextlib.redirect_stdout(io.StringIO()):
+            self.server.stop()
+
+
+async def _fit(client: Any) -> None:
+    """Let a browser in which the panel leaves a narrow view see the arm from further off, once."""
+    fitted = False
+
+    async def look(camera: Any) -> None:
+        nonlocal fitted
+        if not fitted and camera.aspect < 1.0:
+            fitted = True
+            camera.position = camera.look_at + (camera.position - camera.look_at) / max(camera.aspect, 0.3)
+
+    client.camera.on_update(look)
+
+
+def _serve(host: str, port: int) -> Any:
+    """Return viser's server, without the lines that it prints, and without its tunnel to a server elsewhere.
+
+    Raises
+    ------
+    OutputError
+    """
+    import viser
+
+    port = _free_port(host, port)
+    with contextlib.redirect_stdout(io.StringIO()):
+        server: Any = viser.ViserServer(host=host, port=port, verbose=False)
+    # Any client may ask for the tunnel: what it calls is replaced.
+    server.request_share_url = lambda verbose=True: None
+    return server
+
+
+def _free_port(host: str, port: int) -> int:
+    """Return the first port from this one on that can be listened on: viser waits for ever where none can.
+
+    Raises
+    ------
+    OutputError
+    """
+    fault: Exception | None = None
+    for tried in range(port, port + PORTS):
+        try:
+            family = socket.getaddrinfo(host, tried, type=socket.SOCK_STREAM)[0][0]
+            with socket.socket(family) as probe:
+                probe.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
+                probe.bind((host, tried))
+            return tried
+        except (OSError, OverflowError, UnicodeError) as error:
+            fault = error
+            if getattr(error, "errno", None) != errno.EADDRINUSE:
+                break
+    raise OutputError(f"--host {host} --port {port}: cannot listen there: {fault}")

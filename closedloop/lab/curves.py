@@ -1,0 +1,153 @@
+"""The curves of a run against time, as data: panels of traces, with as few points as a screen can show.
+
+A panel's curves share their times. A reduced panel keeps, of each trace, the least and the greatest value in each part
+of the time shown, so that an overshoot of one row stays visible.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from closedloop.closure.contact_force import FREE
+from closedloop.figures.friction import friction_levels
+from closedloop.figures.style import length_unit
+from closedloop.record.run import Run
+from closedloop.surface.plane import contact_frame, unit
+
+Array = NDArray[np.float64]
+
+# Okabe and Ito's palette: told apart by colour-blind readers.
+COLOURS = ("#0072B2", "#D55E00", "#009E73", "#CC79A7", "#56B4E9", "#E69F00", "#8A8A8A", "#B8A500")
+# Parts of the time shown; each gives two points of every trace.
+CELLS = 160
+# Names of the panels, in their order, and their titles.
+TITLES = {
+    "force": "contact force", "closure": "closure error", "tip": "tip error", "torque": "torque", "friction": "friction"
+}  # fmt: skip
+
+
+@dataclass(frozen=True)
+class Trace:
+    """A curve: its label, its colour as #rrggbb, its values (N,), and whether it is a limit, drawn with dashes."""
+
+    label: str
+    colour: str
+    values: Array
+    limit: bool = False
+
+
+@dataclass(frozen=True)
+class Panel:
+    """Curves over one time: a name of `TITLES`, the unit of the values, the times (N,), s, and the traces."""
+
+    name: str
+    unit: str
+    time: Array
+    traces: tuple[Trace, ...]
+
+    @property
+    def main(self) -> Trace:
+        """The trace that stands for the run where several runs are compared: f, or the first."""
+        return next((trace for trace in self.traces if trace.label == "f"), self.traces[0])
+
+    @property
+    def title(self) -> str:
+        """The panel's title with its unit."""
+        return f"{TITLES[self.name]} [{self.unit}]"
+
+
+def panels(run: Run) -> list[Panel]:
+    """Return all panels of a run of at least one row, with every row."""
+    return [_force(run), _closure(run), _tip(run), _torque(run), _friction(run)]
+
+
+def _force(run: Run) -> Panel:
+    traces = (
+        Trace("measured", COLOURS[1], run.measured_force),
+        Trace("f", COLOURS[0], run.contact_force),
+        Trace("commanded", COLOURS[2], run.reference_force, limit=True),
+    )
+    return Panel("force", "N", run.time, traces)
+
+
+def _largest(*values: Array) -> float:
+    found = np.concatenate([np.abs(each).ravel() for each in values])
+    found = found[np.isfinite(found)]
+    return float(found.max()) if found.size else 0.0
+
+
+def _closure(run: Run) -> Panel:
+    factor, name = length_unit(_largest(run.closure_error))
+    return Panel("closure", name, run.time, (Trace("e", COLOURS[0], factor * run.closure_error),))
+
+
+def _tip(run: Run) -> Panel:
+    """Return the tip's distance from where it is wanted: along the surface, and in free motion off it too."""
+    frame = contact_frame(unit(run.scenario.surface.normal, "surface.normal"))
+    error = (run.position - run.reference_tip) @ frame.T
+    names = ["t1", "t2"] + (["n"] if np.any(run.mode == FREE) else [])
+    columns = [error[:, 1], error[:, 2], error[:, 0]][: len(names)]
+    factor, unit_name = length_unit(_largest(*columns))
+    traces = tuple(Trace(f"along {n}", COLOURS[k], factor * columns[k]) for k, n in enumerate(names))
+    return Panel("tip", unit_name, run.time, traces)
+
+
+def _torque(run: Run) -> Panel:
+    """Return the torques as shares of their limits where all joints have one, else as they are."""
+    limits, names = run.model.effort_limit, run.model.joint_names
+    share = bool(np.all(np.isfinite(limits)))
+    values = 100.0 * run.torque / limits if share else run.torque
+    traces = [Trace(name, COLOURS[j % len(COLOURS)], values[:, j]) for j, name in enumerate(names)]
+    if share:
+        level = np.full(len(run), 100.0)
+        traces += [Trace("limit", COLOURS[6], level, limit=True), Trace("-limit", COLOURS[6], -level, limit=True)]
+    return Panel("torque", "% of limit" if share else run.units("torque"), run.time, tuple(traces))
+
+
+def _friction(run: Run) -> Panel:
+    """Return the size of friction at the tip beside its cone: the levels that the law has, times f."""
+    traces = [Trace("|Ft|", COLOURS[0], np.linalg.norm(run.friction_force, axis=1))]
+    for k, (level, name, _) in enumerate(friction_levels(run.scenario.friction)):
+        cone = np.where(run.mode == FREE, 0.0, level * run.contact_force)
+        traces.append(Trace(name, COLOURS[6 if k == 0 else 5], cone, limit=True))
+    return Panel("friction", "N", run.time, tuple(traces))
+
+
+def reduced(panel: Panel, begin: float, end: float, cells: int = CELLS) -> Panel:
+    """Return a panel with the rows from `begin` to `end`, s, that show its shape; see the top of this file."""
+    first, last = np.searchsorted(panel.time, [begin, end])
+    first, last = max(int(first) - 1, 0), min(int(last) + 1, panel.time.size)
+    count = last - first
+    if count <= 2 * cells:
+        keep = np.arange(first, last)
+    else:
+        width = -(-count // cells)
+        chosen = [np.array([first, last - 1])]
+        for trace in panel.traces:
+            part = np.full(width * -(-count // width), np.nan)
+            part[:count] = trace.values[first:last]
+            grid = part.reshape(-1, width)
+            at = first + width * np.arange(grid.shape[0])
+            low = np.where(np.isnan(grid), np.inf, grid).argmin(axis=1)
+            high = np.where(np.isnan(grid), -np.inf, grid).argmax(axis=1)
+            chosen += [at + low, at + high]
+        keep = np.unique(np.minimum(np.concatenate(chosen), last - 1))
+    traces = tuple(Trace(t.label, t.colour, t.values[keep], t.limit) for t in panel.traces)
+    return Panel(panel.name, panel.unit, panel.time[keep], traces)
+
+
+def with_instants(panel: Panel, instants: Sequence[float]) -> tuple[Panel, Array]:
+    """Return a panel with a point more at each instant within its time, s, and these points' numbers (K,)."""
+    wanted = np.asarray(sorted(instants), dtype=float)
+    wanted = wanted[(wanted >= panel.time[0]) & (wanted <= panel.time[-1])]
+    places = np.searchsorted(panel.time, wanted)
+    traces = tuple(
+        Trace(t.label, t.colour, np.insert(t.values, places, np.interp(wanted, panel.time, t.values)), t.limit)
+        for t in panel.traces
+    )
+    full = Panel(panel.name, panel.unit, np.insert(panel.time, places, wanted), traces)
+    return full, places + np.arange(wanted.size)

@@ -1,0 +1,117 @@
+"""What was changed in the lab, step by step: the keys of a scenario that differ from where it began.
+
+history = History(scenario, "wam_slide")
+history.change("law.force", 12.0)
+history.command()                   # closedloop wam_slide --law.force 12.0
+"""
+
+from __future__ import annotations
+
+import shlex
+import time as clock
+from collections.abc import Callable, Mapping
+from typing import Any
+
+from closedloop.lab.controls import toml_text
+from closedloop.scenario.messages import variant_keys
+from closedloop.scenario.overrides import Variants
+from closedloop.scenario.scenario import Scenario, families
+
+Changes = dict[str, Any]  # dotted key to value, as `load_scenario` takes them
+# Changes of one key that follow each other so fast, s, are one step of undo: a slider that is dragged.
+TOGETHER = 1.0
+# Steps that can be undone.
+MOST_STEPS = 500
+
+
+class History:
+    """The changes of a scenario, with undo and redo.
+
+    Parameters
+    ----------
+    base : Scenario
+        Where it began.
+    name : str
+        The scenario as the command line takes it: a shipped name, a file.
+    given : mapping
+        The overrides that `base` was read with, beside the name.
+    words : str
+        More words of the command line, such as ``--law my_laws:soft``.
+    now : callable
+        The time, s.
+    """
+
+    def __init__(
+        self, base: Scenario, name: str, given: Mapping[str, Any] | None = None, words: str = "",
+        now: Callable[[], float] = clock.monotonic,
+    ) -> None:  # fmt: skip
+        self.base, self.name, self.given, self.words = base, name, dict(given or {}), words
+        self._past: list[Changes] = []
+        self._future: list[Changes] = []
+        self._now, self._last_key, self._last_time = now, "", -TOGETHER
+        self.changes: Changes = {}
+
+    def change(self, key: str, value: Any, more: Mapping[str, Any] | None = None) -> Changes:
+        """Change a key, None: back to where it began, and with it `more`, and return all changes."""
+        now = self._now()
+        if key != self._last_key or now - self._last_time > TOGETHER:
+            self._past = [*self._past[-MOST_STEPS:], self.changes]
+        self._last_key, self._last_time, self._future = key, now, []
+        for each, its_value in {key: value, **(more or {})}.items():
+            self.changes = with_change(self.changes, each, its_value)
+        return self.changes
+
+    def set_all(self, changes: Changes) -> Changes:
+        """Take over other changes, as one step, and return them."""
+        self._past, self._future, self._last_key = [*self._past[-MOST_STEPS:], self.changes], [], ""
+        self.changes = dict(changes)
+        return self.changes
+
+    def undo(self) -> bool:
+        """Go a step back; return whether there was one."""
+        return self._move(self._past, self._future)
+
+    def redo(self) -> bool:
+        """Go a step forward again; return whether there was one."""
+        return self._move(self._future, self._past)
+
+    def _move(self, source: list[Changes], other: list[Changes]) -> bool:
+        self._last_key = ""
+        if not source:
+            return False
+        other.append(self.changes)
+        self.changes = source.pop()
+        return True
+
+    def scenario(self, changes: Changes | None = None) -> Scenario:
+        """Return the scenario with these changes, those of now if left out.
+
+        Raises
+        ------
+        ScenarioError
+            If a value is at fault.
+        """
+        changes = self.changes if changes is None else changes
+        return Variants(self.base, tuple(changes)).scenario(tuple(changes.values())) if changes else self.base
+
+    def command(self, changes: Changes | None = None, engine: str = "compiled") -> str:
+        """Return the command line that repeats a run with these changes, those of now if left out."""
+        merged = dict(self.given)
+        for key, value in (self.changes if changes is None else changes).items():
+            merged = with_change(merged, key, value)
+        words = ["closedloop", self.name, *(w for k, v in merged.items() for w in (f"--{k}", toml_text(v)))]
+        return " ".join([*map(shlex.quote, words), *([self.words] if self.words else []), "--engine", engine])
+
+
+def with_change(changes: Changes, key: str, value: Any) -> Changes:
+    """Return changes with one more: kinds first, and without what another kind does not know; None takes it back."""
+    section, _, name = key.partition(".")
+    merged = {k: v for k, v in changes.items() if k != key}
+    if name == "kind":
+        known = variant_keys(section, value) if value is not None else set()
+        merged = {k: v for k, v in merged.items() if not k.startswith(f"{section}.") or k.partition(".")[2] in known}
+    if value is None:
+        return merged
+    if key in families() or name == "kind":
+        return {key: value} | merged
+    return merged | {key: value}

@@ -1,0 +1,80 @@
+"""Work of which only the newest matters: a thread that computes the latest request and drops those between.
+
+newest = Newest(compute, show)
+newest.ask(1), newest.ask(2), newest.ask(3)      # computes 1, perhaps, and 3; shows them in this order
+"""
+
+from __future__ import annotations
+
+import logging
+import threading
+from collections.abc import Callable
+from typing import Generic, TypeVar
+
+Q = TypeVar("Q")
+A = TypeVar("A")
+
+logger = logging.getLogger(__name__)
+
+
+class Newest(Generic[Q, A]):
+    """A thread that computes the newest request.
+
+    Parameters
+    ----------
+    compute : callable
+        From a request to its answer; it runs in the thread.
+    show : callable
+        Takes each answer, in the thread. An answer is shown even if a newer request has come meanwhile, so that
+        something moves while requests come faster than they are computed.
+    """
+
+    def __init__(self, compute: Callable[[Q], A], show: Callable[[A], None]) -> None:
+        self._compute, self._show = compute, show
+        self._changed = threading.Condition()
+        self._waiting: list[Q] = []
+        self._busy, self._closed = False, False
+        self.dropped = 0
+        self._thread = threading.Thread(target=self._work, name="closedloop-lab", daemon=True)
+        self._thread.start()
+
+    def ask(self, request: Q) -> None:
+        """Compute this as soon as possible, and not what is still waiting."""
+        with self._changed:
+            self.dropped += len(self._waiting)
+            self._waiting = [request]
+            self._changed.notify_all()
+
+    @property
+    def overtaken(self) -> bool:
+        """Whether a newer request waits than that which is being computed."""
+        return bool(self._waiting)
+
+    def wait(self, seconds: float = 60.0) -> bool:
+        """Wait until the newest request is answered and shown; return whether it is."""
+        with self._changed:
+            return self._changed.wait_for(lambda: not self._busy and not self._waiting, seconds)
+
+    def close(self, seconds: float = 5.0) -> None:
+        """End the thread, after the work at hand."""
+        with self._changed:
+            self._waiting, self._closed = [], True
+            self._changed.notify_all()
+        if threading.current_thread() is not self._thread:
+            self._thread.join(seconds)
+
+    def _work(self) -> None:
+        while True:
+            with self._changed:
+                self._changed.wait_for(lambda: self._waiting or self._closed)
+                if self._closed:
+                    return
+                request, self._busy = self._waiting.pop(), True
+            try:
+                self._show(self._compute(request))
+            except Exception:  # the thread goes on: `compute` turns what can be foreseen into an answer
+                logger.exception("a result could not be computed or shown")
+            finally:
+                with self._changed:
+                    self._busy = False
+                    self._changed.notify_all()

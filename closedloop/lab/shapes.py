@@ -1,0 +1,193 @@
+"""The visible shapes of a robot: triangles, each set fixed in the frame of a joint.
+
+The visual shapes of its URDF are used: boxes, cylinders, spheres, and meshes where their files are installed. A robot
+without any, or given as MJCF, is drawn as a rod from each joint to the next.
+"""
+
+from __future__ import annotations
+
+import io
+from dataclasses import dataclass
+from functools import lru_cache
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from robot_models import RobotModel
+
+if TYPE_CHECKING:
+    import trimesh
+
+Array = NDArray[np.float64]
+
+# Triangles of one visual shape at most, where the library that reduces meshes is installed.
+MOST_TRIANGLES = 1500
+# Formats that are read; a description may name any file.
+FORMATS = (".dae", ".stl", ".obj", ".ply")
+GREY, ROD = (0.62, 0.65, 0.68), (0.30, 0.45, 0.60)
+
+
+@dataclass(frozen=True)
+class Shape:
+    """Triangles fixed in the frame of a joint.
+
+    Attributes
+    ----------
+    joint : int
+        0 for what stands still; k for what moves with the k-th joint, counted from 1.
+    vertices : (V, 3) array
+        m, in the joint's frame.
+    faces : (F, 3) array
+        Numbers of vertices, counter-clockwise seen from outside.
+    colour : three floats
+        Red, green, blue, 0 to 1.
+    """
+
+    joint: int
+    vertices: NDArray[np.float32]
+    faces: NDArray[np.int32]
+    colour: tuple[float, float, float]
+
+
+@lru_cache(maxsize=8)
+def robot_shapes(model: RobotModel, tip: str) -> tuple[Shape, ...]:
+    """Return the shapes of a robot whose frame `tip` is the tip."""
+    mechanism = model.pinocchio_model()
+    shapes = _visuals(model, mechanism) if model.format == "urdf" else []
+    return tuple(shapes or _rods(mechanism, tip))
+
+
+def _visuals(model: RobotModel, mechanism: Any) -> list[Shape]:
+    """Return the shapes that a URDF gives; none if it gives none that can be read."""
+    import pinocchio as pin
+    from yourdfpy import URDF
+
+    options = {"build_scene_graph": False, "load_meshes": False}
+    robot = URDF.load(io.BytesIO(model.text.encode()), **options).robot
+    named = {m.name: m.color for m in robot.materials}
+    shapes = []
+    for link in robot.links:
+        if not mechanism.existFrame(link.name, pin.FrameType.BODY):
+            continue
+        frame = mechanism.frames[mechanism.getFrameId(link.name, pin.FrameType.BODY)]
+        for visual in link.visuals:
+            origin = np.eye(4) if visual.origin is None else np.asarray(visual.origin, dtype=float)
+            place = frame.placement.homogeneous @ origin
+            for mesh, colour in _meshes(visual, named, _source_folder(model)):
+                shapes.append(_shape(int(frame.parentJoint), mesh, place, colour or GREY))
+    return shapes
+
+
+def _shape(joint: int, mesh: trimesh.Trimesh, place: Array, colour: tuple[float, float, float]) -> Shape:
+    vertices = np.asarray(mesh.vertices) @ place[:3, :3].T + place[:3, 3]
+    return Shape(joint, vertices.astype(np.float32), np.asarray(mesh.faces, dtype=np.int32), colour)
+
+
+def _meshes(visual: Any, named: dict[str, Any], folder: Path | None) -> list[tuple[trimesh.Trimesh, Any]]:
+    """Return the triangles of one visual shape, and their colour: the shape's own, else that of its file, or None.
+
+    `named` are the colours of the robot's materials by name.
+    """
+    import trimesh
+
+    shape, material = visual.geometry, visual.material
+    given = None if material is None else material.color or named.get(material.name)
+    colour = None if given is None else tuple(float(c) for c in given.rgba[:3])
+    if shape.box is not None:
+        return [(trimesh.creation.box(np.asarray(shape.box.size)), colour)]
+    if shape.cylinder is not None:
+        return [(trimesh.creation.cylinder(shape.cylinder.radius, shape.cylinder.length, sections=32), colour)]
+    if shape.sphere is not None:
+        return [(trimesh.creation.icosphere(3, shape.sphere.radius), colour)]
+    if shape.mesh is None:
+        return []
+    file = _file_of(shape.mesh.filename, folder)
+    if file is None:
+        return []
+    scale = np.ones(3) if shape.mesh.scale is None else np.broadcast_to(np.asarray(shape.mesh.scale, dtype=float), 3)
+    return [(mesh, colour or own) for mesh, own in _read(file, tuple(scale.tolist()))]
+
+
+@lru_cache(maxsize=64)
+def _read(file: Path, scale: tuple[float, float, float]) -> list[tuple[trimesh.Trimesh, Any]]:
+    """Return the meshes of a file, scaled and reduced, each with its colour; none if the file cannot be read."""
+    import trimesh
+
+    try:
+        scene = trimesh.load_scene(file)
+        parts = [part for part in scene.dump() if isinstance(part, trimesh.Trimesh) and len(part.faces)]
+    except Exception:  # whatever a reader of meshes makes of a file; a run does not depend on it
+        return []
+    total, found = sum(len(part.faces) for part in parts), []
+    for part in parts:
+        colour = _colour_of(part)
+        bare = trimesh.Trimesh(part.vertices * np.array(scale), part.faces, process=True)
+        found.append((_reduced(bare, max(60, MOST_TRIANGLES * len(part.faces) // total)), colour))
+    return found
+
+
+def _colour_of(mesh: trimesh.Trimesh) -> tuple[float, float, float] | None:
+    material = getattr(mesh.visual, "material", None)
+    main = getattr(material, "main_color", None)
+    return None if main is None else tuple(float(c) / 255.0 for c in main[:3])  # type: ignore[return-value]
+
+
+def _reduced(mesh: trimesh.Trimesh, most: int) -> trimesh.Trimesh:
+    """Return a mesh of about so many triangles at most; as it is where the library for that is not installed."""
+    if len(mesh.faces) <= most:
+        return mesh
+    try:
+        return mesh.simplify_quadric_decimation(face_count=most)
+    except ImportError:
+        return mesh
+
+
+def _source_folder(model: RobotModel) -> Path | None:
+    """Return the folder of the file that a robot was read from, None if it came with a package."""
+    source = Path(model.source)
+    return source.parent.resolve() if source.suffix == ".urdf" and source.is_file() else None
+
+
+def _file_of(name: str, folder: Path | None) -> Path | None:
+    """Return the file of a mesh if it is there: of example-robot-data, or below the parent of the URDF's folder."""
+    if name.startswith("package://"):
+        share = _share()
+        path, root = (None, None) if share is None else (share / name.removeprefix("package://"), share)
+    else:
+        path, root = (None, None) if folder is None else (folder / name.removeprefix("file://"), folder.parent)
+    if path is None or root is None or path.suffix.lower() not in FORMATS:
+        return None
+    path = path.resolve()
+    return path if path.is_relative_to(root.resolve()) and path.is_file() else None
+
+
+@lru_cache(maxsize=1)
+def _share() -> Path | None:
+    """Return the folder in which the package example-robot-data lies."""
+    from example_robot_data import robots_loader
+
+    try:
+        return Path(robots_loader.getModelPath("/panda_description/urdf/panda.urdf")).resolve().parents[1]
+    except OSError:
+        return None
+
+
+def _rods(mechanism: Any, tip: str) -> list[Shape]:
+    """Return a rod from each joint to those that follow it, and to the tip, and a ball at each joint."""
+    import trimesh
+
+    frame = mechanism.frames[mechanism.getFrameId(tip)]
+    ends = [(int(mechanism.parents[j]), mechanism.jointPlacements[j].translation) for j in range(1, mechanism.njoints)]
+    ends.append((int(frame.parentJoint), frame.placement.translation))
+    reach = sum(float(np.linalg.norm(end)) for _, end in ends) or 1.0
+    shapes = [
+        _shape(joint, trimesh.creation.icosphere(2, 0.03 * reach), np.eye(4), GREY)
+        for joint in range(mechanism.njoints)
+    ]
+    for joint, end in ends:
+        if np.linalg.norm(end) > 1e-6 * reach:
+            rod = trimesh.creation.cylinder(0.018 * reach, segment=[np.zeros(3), np.asarray(end)], sections=24)
+            shapes.append(_shape(joint, rod, np.eye(4), ROD))
+    return shapes

@@ -1,0 +1,119 @@
+"""A run as one page of HTML: the replay in space and the curves, in a file that needs no server and no network."""
+
+from __future__ import annotations
+
+import base64
+import html
+import json
+from importlib.resources import files
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from closedloop.errors import ScenarioError
+from closedloop.files import write_whole
+from closedloop.lab.curves import panels, reduced
+from closedloop.lab.scene import ARROWS, PATH, WANTED, Scene, quaternions, scene_of, thin_out
+from closedloop.record.run import Run
+
+# Frames of the replay at most, points of a path, and parts of the time of which a curve shows the extremes.
+MOST_FRAMES, MOST_POINTS, CELLS = 500, 600, 400
+SCRIPTS = ("numbers.js", "space.js", "plots.js", "page.js")
+
+
+def page_of(run: Run, command: str = "") -> str:
+    """Return the page of a run; `command` is the command line that repeats it.
+
+    Raises
+    ------
+    ScenarioError
+        If the run has no rows.
+    """
+    if not len(run):
+        raise ScenarioError(f"{run.scenario.name}: the run has no rows: there is nothing to show")
+    # No text of the run can end the script it stands in.
+    data = json.dumps(_data(run, command), allow_nan=False).replace("<", "\\u003c")
+    web = files("closedloop.lab") / "web"
+    parts = {
+        "TITLE": html.escape(f"{run.scenario.name}, {run.model.name}"),
+        "STYLE": (web / "style.css").read_text(encoding="utf-8"),
+        "SCRIPT": "\n".join((web / name).read_text(encoding="utf-8") for name in SCRIPTS),
+        "DATA": data,
+    }
+    page, *rest = (web / "page.html").read_text(encoding="utf-8").split("@")
+    for name, text in zip(rest[::2], rest[1::2], strict=True):
+        page += parts[name] + text
+    return page
+
+
+def share(run: Run, path: str | Path, command: str = "") -> Path:
+    """Write the page of a run, see `page_of`, and return its path.
+
+    Raises
+    ------
+    ScenarioError
+        If the run has no rows.
+    OutputError
+        If the file cannot be written.
+    """
+    return write_whole(path, page_of(run, command).encode())
+
+
+def _data(run: Run, command: str) -> dict[str, Any]:
+    scene = scene_of(run)
+    begin, end = float(run.time[0]), float(run.time[-1])
+    curves = [reduced(panel, begin, end, CELLS) for panel in panels(run)]
+    middle = 0.55 * scene.patch.mean(axis=0)
+    return {
+        "title": f"{run.scenario.name} ({run.model.name})",
+        "about": run.scenario.description,
+        "stopped": run.stopped or "",
+        "command": command,
+        "scenario": run.scenario.to_toml(),
+        "end": end, "step": run.scenario.time.step, "joints": run.model.n + 1,
+        "size": scene.size, "centre": middle.tolist(), "metres_per_newton": scene.metres_per_newton,
+        "patch": scene.patch.tolist(),
+        "arrows": [{"name": name, "colour": colour} for name, colour in ARROWS.items()],
+        "paths": [
+            {"name": "actual path", "colour": PATH, "points": _numbers(thin_out(run.position, MOST_POINTS))},
+            {"name": "desired path", "colour": WANTED, "points": _numbers(thin_out(run.reference_tip, MOST_POINTS))},
+        ],
+        "shapes": [
+            {"joint": s.joint, "colour": s.colour, "vertices": _numbers(s.vertices),
+             "faces": _numbers(s.faces, np.uint32)} for s in scene.shapes
+        ],
+        "frames": _frames(scene),
+        "marks": [{"time": mark.time, "kind": mark.kind} for mark in scene.marks],
+        "panels": [
+            {"title": p.title, "time": _numbers(p.time), "traces": [
+                {"label": t.label, "colour": t.colour, "limit": t.limit, "values": _numbers(t.values)} for t in p.traces
+            ]} for p in curves
+        ],
+    }  # fmt: skip
+
+
+def _frames(scene: Scene) -> dict[str, str]:
+    """Return the instants of the replay, the joints' places, quaternion then origin, the tip and the forces there."""
+    run = scene.run
+    rows = np.unique(np.linspace(0, len(run) - 1, min(MOST_FRAMES, len(run))).round().astype(int))
+    places, last = [], None
+    for row in rows:
+        axes, origins = scene.joint_places(int(row))
+        turns = quaternions(axes)
+        if last is not None:  # of the two quaternions of a rotation that which is near the one before
+            turns *= np.where(np.sum(turns * last, axis=1, keepdims=True) < 0.0, -1.0, 1.0)
+        last = turns
+        places.append(np.hstack([turns, origins]))
+    forces = [[arrow.force for arrow in scene.arrows(int(row))] for row in rows]
+    parts = {"time": run.time[rows], "places": places, "tips": run.position[rows], "forces": forces}
+    return {name: _numbers(part) for name, part in parts.items()}
+
+
+def _numbers(values: ArrayLike, kind: type[np.generic] = np.float32) -> str:
+    """Return numbers as the page reads them: bytes in base64, the least significant first."""
+    array: NDArray[Any] = np.nan_to_num(np.asarray(values)) if kind is np.float32 else np.asarray(values)
+    with np.errstate(over="ignore"):
+        narrow = array.astype(np.dtype(kind).newbyteorder("<"))
+    return base64.b64encode(np.ascontiguousarray(narrow).tobytes()).decode("ascii")

@@ -1,0 +1,117 @@
+"""Opening the lab from Python, in a script or in a notebook."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from importlib.util import find_spec
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from closedloop.control.law import ControlLaw
+from closedloop.errors import ScenarioError
+from closedloop.lab.history import History
+from closedloop.record.run import Run
+from closedloop.scenario.scenario import Scenario, load_scenario
+from robot_models import RobotModel
+
+if TYPE_CHECKING:
+    from closedloop.lab.app import Lab
+
+NEEDS_VISER = 'the lab needs viser, which is not installed: pip install "closedloop[lab]"'
+HEIGHT = 800  # px of the lab in a notebook
+
+
+def lab(
+    scenario: Scenario | Run | str | Path = "wam_slide",
+    overrides: Mapping[str, Any] | None = None,
+    *,
+    law: Any = None,
+    model: RobotModel | None = None,
+    host: str = "127.0.0.1",
+    port: int = 8080,
+    dark: bool = False,
+    show: bool = True,
+) -> Lab:
+    """Open the lab and return it; `close()` ends it.
+
+    In a notebook it is shown below the cell; in a script a browser is opened.
+
+    Parameters
+    ----------
+    scenario : Scenario, Run, str or path
+        What it begins with: a shipped name or a file, as `load_scenario` takes them.
+    overrides : mapping, optional
+        As `load_scenario` takes them.
+    law : callable or subclass of ControlLaw, optional
+        A user's law: a function as `simulate` takes it, or a class, whose parameters then are sliders.
+    model : RobotModel, optional
+        The robot to use instead of loading the one that the scenario names.
+    host, port : str and int
+        Where it listens; the next free port is taken if this one is in use.
+    dark : bool
+        Whether the page begins dark.
+    show : bool
+        Whether to show the page at all.
+
+    Raises
+    ------
+    ScenarioError, ModelError
+        If the scenario is at fault, or viser is not installed.
+    OutputError
+        If it cannot listen there.
+    """
+    if find_spec("viser") is None:
+        raise ScenarioError(NEEDS_VISER)
+    from closedloop.lab.app import Lab
+
+    changes = dict(overrides or {})
+    if isinstance(law, type) and issubclass(law, ControlLaw):
+        changes, law = {"law.kind": law} | changes, None
+    base, name, model = _begin(scenario, changes, model)
+    words = "" if law is None else f"--law {getattr(law, '__module__', '?')}:{getattr(law, '__qualname__', '?')}"
+    lab = Lab(History(base, name, _in_words(changes), words), law=law, model=model, host=host, port=port, dark=dark)
+    if show:
+        _show(lab)
+    return lab
+
+
+def _begin(
+    scenario: Scenario | Run | str | Path, changes: Mapping[str, Any], model: RobotModel | None
+) -> tuple[Scenario, str, RobotModel | None]:
+    """Return the scenario, its name on the command line, and the robot if it came with a run."""
+    from closedloop.scenario.scenario import parse_scenario
+
+    if isinstance(scenario, str | Path) and str(scenario).endswith(".nc"):
+        from closedloop.record.netcdf import load_run
+
+        run = load_run(scenario)
+        changed = any(key.startswith("robot.") and key != "robot.tip" for key in changes)
+        base = parse_scenario(run.scenario.to_toml(), where=str(scenario), overrides=changes)
+        return base, str(scenario), model if model is not None or changed else run.model
+    if isinstance(scenario, str | Path):
+        return load_scenario(scenario, changes), str(scenario), model
+    held = scenario.scenario if isinstance(scenario, Run) else scenario
+    model = scenario.model if isinstance(scenario, Run) and model is None else model
+    base = parse_scenario(held.to_toml(), where=held.name, overrides=changes) if changes else held
+    return base, base.name, model
+
+
+def _in_words(changes: Mapping[str, Any]) -> dict[str, Any]:
+    """Return overrides as the command line has them: a class by its name."""
+    return {
+        key: value.member_name() if isinstance(value, type) and hasattr(value, "member_name") else value
+        for key, value in changes.items()
+    }
+
+
+def _show(lab: Lab) -> None:
+    from closedloop.lab.page import in_notebook
+
+    if in_notebook():
+        from IPython.display import IFrame, display
+
+        display(IFrame(lab.url, width="100%", height=HEIGHT))  # type: ignore[no-untyped-call]
+    else:
+        import webbrowser
+
+        webbrowser.open(lab.url)

@@ -1,0 +1,116 @@
+"""The tab "keep" of the lab: undo and redo, pinned runs and their table, saving, sharing, and the command line."""
+
+from __future__ import annotations
+
+import html
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+from closedloop.errors import ClosedLoopError, one_line
+from closedloop.lab.answers import Answer
+from closedloop.lab.bench import Bench
+from closedloop.lab.keeping import save, save_page
+from closedloop.lab.newest import Newest
+from closedloop.lab.pins import MOST_PINS, Pin, Pins, table_html
+from closedloop.record.run import Run
+
+
+class KeepTab:
+    """The tab, in a lab that is laid out.
+
+    Parameters
+    ----------
+    lab : Bench
+        The lab.
+    tab : viser.GuiTabHandle
+    """
+
+    def __init__(self, lab: Bench, tab: Any) -> None:
+        self._lab, self.pins, gui = lab, Pins(), lab.server.gui
+        self.folder: Path | None = None  # where folders are made; the current one's "out" if None
+        self._table: Newest[tuple[list[Pin], Run, Any], str] = Newest(_table_of, self._show_table)
+        with tab:
+            self.steps = gui.add_button_group("changes", ("undo", "redo", "begin again"))
+            self.pinned = gui.add_button_group("runs", ("pin", "unpin the last"))
+            self.files = gui.add_button_group("files", ("save", "share"))
+            self._said = gui.add_html("")
+            self._command = gui.add_html("")
+            self._rows = gui.add_html("")
+        # In a thread, not in viser's loop: they write files.
+        self.steps.on_click(lambda event: self.step(self.steps.value))
+        self.pinned.on_click(lambda event: self.pin(self.pinned.value))
+        self.files.on_click(lambda event: self.write(self.files.value))
+        lab.after_show.append(self._shown)
+
+    def step(self, word: str) -> None:
+        """Undo, redo, or go back to where the scenario began."""
+        history = self._lab.history
+        moved = history.undo() if word == "undo" else history.redo() if word == "redo" else bool(history.changes)
+        if word == "begin again" and moved:
+            history.set_all({})
+        if moved:
+            self._lab.refresh()
+            self._lab.ask()
+        else:
+            self.say(f"there is nothing to {word}" if word != "begin again" else "nothing was changed")
+
+    def pin(self, word: str) -> None:
+        """Keep the run shown, or the latest pinned one no longer."""
+        answer = self._lab.answer
+        if word != "pin":
+            self.pins.remove_last()
+        elif answer is not None and answer.run is not None and self.pins.add(answer.run, answer.changes) is None:
+            self.say(f"{MOST_PINS} runs are pinned already: unpin the last first")
+        held = self.pins.held
+        self._lab.plots.show_pins([(pin.name, pin.colour, pin.run) for pin in held])
+        self._lab.space.pinned([(pin.name, _rgb(pin.colour), pin.run.position) for pin in held])
+        if not held:
+            self._rows.content = ""
+        elif answer is not None:
+            self._shown(answer)
+
+    def write(self, word: str) -> None:
+        """Write the run shown, as a scenario and a run file, or as a page."""
+        answer = self._lab.answer
+        if answer is None or answer.run is None:
+            self.say("there is no run yet")
+            return
+        command = self._lab.command(answer)
+        self._try(lambda run: save(run, command, self.folder) if word == "save" else
+                  [save_page(run, command, self.folder)], answer.run)  # fmt: skip
+
+    def _try(self, act: Callable[[Run], list[Path]], run: Run) -> None:
+        try:
+            self.say(f"wrote {', '.join(map(str, act(run)))}")
+        except ClosedLoopError as error:
+            self.say(one_line(str(error)))
+
+    def say(self, line: str) -> None:
+        """Show a line below the buttons."""
+        self._said.content = f'<div style="font-size:0.8em;padding:0.3em 0.8em">{html.escape(line)}</div>'
+
+    def _shown(self, answer: Answer) -> None:
+        if answer.run is None or not len(answer.run):
+            return
+        style = "font-size:0.75em;margin:0.3em 0.8em;white-space:pre-wrap;user-select:all"
+        self._command.content = f'<pre style="{style}">{html.escape(self._lab.command(answer))}</pre>'
+        if self.pins.held:
+            self._table.ask((list(self.pins.held), answer.run, answer.changes))
+
+    def _show_table(self, text: str) -> None:
+        if self.pins.held:
+            self._rows.content = text
+
+    def close(self) -> None:
+        """Stop its thread."""
+        self._table.close()
+
+
+def _table_of(request: tuple[list[Pin], Run, Any]) -> str:
+    return table_html(*request)
+
+
+def _rgb(colour: str) -> tuple[float, float, float]:
+    red, green, blue = (int(colour[k : k + 2], 16) / 255.0 for k in (1, 3, 5))
+    return red, green, blue

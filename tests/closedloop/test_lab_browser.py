@@ -1,0 +1,146 @@
+"""The lab and the shared page in a browser without a screen: what is dragged there is what runs."""
+
+import re
+import shutil
+import time
+from pathlib import Path
+
+import pytest
+
+import closedloop as cl
+
+CHROMIUM = shutil.which("chromium") or shutil.which("chromium-browser") or shutil.which("google-chrome")
+OPTIONS = ["--use-angle=swiftshader", "--enable-unsafe-swiftshader", "--no-sandbox"]
+
+pytestmark = [pytest.mark.slow, pytest.mark.skipif(CHROMIUM is None, reason="chromium is not installed")]
+
+
+@pytest.fixture(scope="module")
+def browser():
+    """Chromium without a screen, drawing space in software."""
+    api = pytest.importorskip("playwright.sync_api", reason="playwright is not installed")
+    with api.sync_playwright() as playwright:
+        started = playwright.chromium.launch(executable_path=CHROMIUM, args=OPTIONS)
+        yield started
+        started.close()
+
+
+@pytest.fixture
+def lab(tmp_path):
+    """A lab of wam_slide whose first run is shown."""
+    pytest.importorskip("viser", reason="viser is not installed: the extra 'lab'")
+    opened = cl.lab("wam_slide", port=8411, show=False)
+    opened.keep.folder = tmp_path
+    assert opened.wait(600.0)
+    yield opened
+    opened.close()
+
+
+@pytest.fixture
+def page(browser, lab):
+    """The lab's page; at the end nothing must have been thrown in it."""
+    opened = browser.new_page(viewport={"width": 1440, "height": 900})
+    faults = []
+    opened.on("pageerror", lambda error: faults.append(str(error)))
+    opened.goto(lab.url)
+    opened.get_by_text("steps in").wait_for()
+    yield opened
+    opened.close()
+    assert faults == []
+
+
+def slider_beside(page, label):
+    """Return the box of the slider in the row of a label."""
+    row = page.get_by_text(label, exact=True).first.bounding_box()
+    boxes = [slider.bounding_box() for slider in page.locator(".mantine-Slider-root").all() if slider.is_visible()]
+    return min(boxes, key=lambda box: abs(box["y"] + box["height"] / 2 - row["y"] - row["height"] / 2))
+
+
+def plotted(page):
+    """Return the largest value of each trace in the first plot, from the browser's own chart."""
+    script = """() => { const all = Object.values(window.__viserTestpoints.uplots); return all.map(u =>
+        u.chart.series.slice(1).map((s, i) => [s.label, Math.max(...u.chart.data[i + 1])])); }"""
+    return next(dict(chart) for chart in page.evaluate(script) if any(label == "commanded" for label, _ in chart))
+
+
+def test_a_dragged_slider_redraws_the_run_and_the_last_value_stays(page, lab):
+    """A drag gives many runs, and at its end slider, run, plot and page agree."""
+    shown = []
+    lab.after_show.append(shown.append)
+    box = slider_beside(page, "force [N]")
+    y, right = box["y"] + box["height"] / 2, box["x"] + 0.75 * box["width"]
+    page.mouse.move(right, y)
+    page.mouse.down()
+    for k in range(40):
+        page.mouse.move(right - 2 * k, y)
+        time.sleep(1 / 60)
+    page.mouse.up()
+    time.sleep(0.5)
+    assert lab.wait()
+    force = lab.tabs.handle("law.force").value
+    assert len(shown) > 5
+    assert not any(answer.fault for answer in shown)
+    assert lab.run.scenario.law.force == pytest.approx(force)
+    page.wait_for_timeout(500)
+    assert plotted(page)["commanded"] == pytest.approx(force)
+
+
+def test_a_fault_stands_beside_its_control_and_the_run_stays(page, lab):
+    """A value at fault: one line on the page, and the last good run."""
+    before = lab.run
+    page.get_by_role("tab", name="stabiliser").click()
+    box = slider_beside(page, "time_constant = 0.001 s")
+    page.mouse.click(box["x"] + 0.1 * box["width"], box["y"] + box["height"] / 2)
+    page.get_by_text(re.compile("^stabiliser.time_constant = .*unstable")).wait_for()
+    assert lab.wait()
+    assert lab.run is before
+
+
+def test_a_click_on_the_map_loads_that_run(page, lab):
+    """The cell under the pointer is the run that is shown then, and has the value of the map."""
+    lab.map.x.value, lab.map.y.value, lab.map.quantity.value = "law.force", "law.kp J2", "peak_contact_force"
+    lab.map.press("compute")
+    assert lab.map.wait(600.0)
+    page.get_by_role("tab", name="map").click()
+    image = page.locator('img[alt="map"]')
+    image.scroll_into_view_if_needed()
+    page.wait_for_timeout(500)
+    box = image.bounding_box()
+    page.mouse.click(box["x"] + 0.45 * box["width"], box["y"] + 0.4 * box["height"])
+    page.wait_for_timeout(1000)
+    assert lab.wait()
+    row, column = map(int, re.findall(r"\d+", lab.map.cell.value))
+    found = lab.map.map
+    assert lab.run.scenario.law.force == pytest.approx(found.x.values[column])
+    assert lab.run.scenario.law.kp[1] == pytest.approx(found.y.values[row])
+    assert lab.run.summary()["peak_contact_force"] == pytest.approx(found.grid[row, column], rel=1e-6)
+
+
+def test_the_shared_page_opens_from_disk_without_network(browser, tmp_path):
+    """The page of a seven-joint arm is small, asks for nothing, throws nothing, and moves."""
+    run = cl.simulate(cl.load_scenario("panda_slide", {"time.duration": 1.0}), engine="compiled")
+    file = Path(run.show(tmp_path / "page.html"))
+    assert file.stat().st_size < 5e6
+    page, faults, asked = browser.new_page(), [], []
+    page.on("pageerror", lambda error: faults.append(str(error)))
+    page.on("request", lambda request: asked.append(request.url))
+    page.goto(file.as_uri())
+    assert page.evaluate("Boolean(space.gl)")
+    first = page.evaluate("frameAt(0).arrows[0]")
+    assert first["tail"] == pytest.approx(run.position[0], abs=1e-6)
+    page.evaluate("seek(0.9)")
+    last = page.evaluate("frameAt(0.9).arrows[0]")
+    assert last["force"] == pytest.approx(run.contact_force[900] * run_normal(run), abs=1e-4)
+    page.click("#play")
+    page.wait_for_timeout(300)
+    assert page.evaluate("state.time") != pytest.approx(0.9)
+    assert faults == []
+    assert [url for url in asked if not url.startswith("file:")] == []
+    page.close()
+
+
+def run_normal(run):
+    """Return the surface's unit normal (3,)."""
+    from closedloop.surface.plane import unit
+
+    return unit(run.scenario.surface.normal, "surface.normal")

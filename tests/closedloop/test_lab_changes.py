@@ -1,0 +1,186 @@
+"""The controls of the lab and what comes of moving them, without a browser and without viser."""
+
+import shlex
+import threading
+import time
+
+import numpy as np
+import pytest
+
+import closedloop as cl
+import robot_models
+from closedloop.lab.answers import Answers
+from closedloop.lab.controls import TABS, controls
+from closedloop.lab.history import History
+from closedloop.lab.keeping import save
+from closedloop.lab.kinds import begin_values
+from closedloop.lab.mapping import Axis, Map, coarse_first
+from closedloop.lab.newest import Newest
+from closedloop.lab.pins import Pins, compared
+from closedloop.scenario.overrides import split_overrides
+
+SECTIONS = [section for tab in TABS.values() for section in tab]
+
+
+def all_controls(scenario):
+    """Return every control of a scenario."""
+    model = robot_models.load(scenario.robot.model)
+    return [control for section in SECTIONS for control in controls(scenario, section, model)]
+
+
+def control_of(scenario, key, index=None):
+    """Return one control."""
+    return next(c for c in all_controls(scenario) if (c.key, c.index) == (key, index))
+
+
+@pytest.mark.parametrize("name", cl.shipped_scenarios())
+def test_each_control_gives_back_the_value_that_it_shows(name):
+    """For every key of every shipped scenario; and both ends of its span are values that it can show again."""
+    for control in all_controls(cl.load_scenario(name)):
+        if control.form == "text" or control.key == "time.step":
+            continue
+        back = control.read(control.shown)
+        if isinstance(control.value, list | float):
+            assert np.allclose(back, control.value, rtol=6e-3, atol=1e-9), control.key
+            low, high = control.read(control.low), control.read(control.high)
+            assert control.low <= control.with_value(low).shown <= control.with_value(high).shown <= control.high
+        else:
+            assert back == control.value
+
+
+@pytest.mark.parametrize("section", ["law", "compensation", "friction", "joint_friction", "reference", "force_profile"])
+def test_every_kind_can_be_chosen_from_any_scenario(section):
+    """What a kind requires and the present one does not have gets a value to begin with."""
+    for name in ("wam_slide", "wam_touchdown", "panda_wipe"):
+        base = cl.load_scenario(name)
+        for kind in control_of(base, f"{section}.kind").options:
+            history = History(base, name)
+            history.change(f"{section}.kind", kind, begin_values(base, section, kind))
+            assert getattr(history.scenario(), section).kind == kind
+
+
+def test_a_browser_cannot_choose_what_is_not_offered():
+    """A kind is one of those listed: a module that a stranger's page names is not imported."""
+    with pytest.raises(ValueError, match="must be one of"):
+        control_of(cl.load_scenario("wam_slide"), "law.kind").read("antigravity:Law")
+
+
+def test_undo_and_redo_go_through_the_same_scenarios():
+    """A drag is one step; undo and redo are each other's inverse."""
+    now = [0.0]
+    history = History(cl.load_scenario("wam_slide"), "wam_slide", now=lambda: now[0])
+    for k in range(10):
+        now[0] += 0.016
+        history.change("law.force", 10.0 + k)
+    history.change("law.kind", "impedance")
+    history.change("law.stiffness", 900.0)
+    after = history.changes
+    seen = [history.changes]
+    while history.undo():
+        seen.append(history.changes)
+    assert [dict(s) for s in seen[::-1]] == [
+        {},
+        {"law.force": 19.0},
+        {"law.kind": "impedance", "law.force": 19.0},
+        after,
+    ]
+    while history.redo():
+        pass
+    assert history.changes == after
+    assert history.scenario().law.stiffness == 900.0
+
+
+def test_the_command_line_repeats_what_was_changed():
+    """Read as the command line reads them, its words give the very scenario, lists and kinds included."""
+    base = cl.load_scenario("wam_slide", {"law.force": 11.0})
+    history = History(base, "wam_slide", {"law.force": 11.0})
+    history.change("law.kp", [900.0, 800.0, 400.0, 300.0])
+    history.change("friction.kind", "coulomb", begin_values(base, "friction", "coulomb"))
+    program, name, *words = shlex.split(history.command())
+    overrides, rest = split_overrides(words)
+    assert (program, name, rest) == ("closedloop", "wam_slide", ["--engine", "compiled"])
+    assert cl.load_scenario(name, overrides) == history.scenario()
+
+
+def test_the_newest_request_wins_and_the_one_before_is_shown_meanwhile():
+    """Of a hundred requests in a row the first and the last are computed, hardly any between, in order."""
+    gate, shown = threading.Event(), []
+    newest = Newest(lambda x: (gate.wait(5.0), x)[1], shown.append)
+    newest.ask(0)
+    time.sleep(0.05)
+    for k in range(1, 100):
+        newest.ask(k)
+    assert newest.overtaken
+    gate.set()
+    assert newest.wait(5.0)
+    assert shown == [0, 99]
+    assert newest.dropped == 98
+    newest.close()
+
+
+def test_an_answer_is_a_run_or_the_one_line_that_says_why_not():
+    """An input at fault names its key; a run that cannot go on comes until where it stopped."""
+    said = []
+    answers = Answers(History(cl.load_scenario("wam_slide", {"time.duration": 0.05}), "wam_slide"), say=said.append)
+    good = answers.answer({"law.force": 12.0}, "law.force")
+    assert good.fault == good.stopped == ""
+    assert good.run.reference_force[0] == 12.0
+    assert said[-1] == ""
+    bad = answers.answer({"stabiliser.time_constant": 1e-5})
+    assert bad.run is None
+    assert bad.fault.startswith("stabiliser.time_constant = 1e-05")
+    assert "\n" not in bad.fault
+    wild = answers.answer(
+        {"law.kp": -1e9, "law.pd_start": 0.0, "start.v": [0.0, 0.0, 0.0, 0.0], "reference.start": 0.0}
+    )
+    assert wild.stopped
+    assert 0 < len(wild.run) < 51
+
+
+def test_a_long_run_is_given_up_when_it_is_overtaken(monkeypatch):
+    """On an engine that returns meanwhile; a run within the patience is finished."""
+    monkeypatch.setattr("closedloop.lab.answers.PATIENCE", 0.0)
+    waiting, base = [True], cl.load_scenario("wam_slide", {"time.integrator": "dop853", "time.duration": 0.2})
+    answers = Answers(History(base, "wam_slide"), overtaken=lambda: waiting[0])
+    given_up = answers.answer({})
+    assert (given_up.run, given_up.fault, given_up.stopped) == (None, "", "")
+    waiting[0] = False
+    assert len(answers.answer({}).run) == 201
+
+
+def test_pinned_runs_are_compared_with_the_present_one():
+    """The table has the keys that differ and the values with their differences; the fifth pin is refused."""
+    base = cl.load_scenario("wam_slide", {"time.duration": 0.05})
+    history, pins = History(base, "wam_slide"), Pins()
+    answers = Answers(history)
+    one, two = answers.answer({}), answers.answer({"law.force": 12.0})
+    pins.add(one.run, one.changes)
+    rows = dict(compared(pins.held, two.run, two.changes))
+    assert rows["law.force"] == ["10.0", "12.0"]
+    assert rows["peak_contact_force [N]"] == ["10 (-2)", "12"]
+    assert [pins.add(one.run, {}) is not None for _ in range(4)] == [True, True, True, False]
+    assert len({pin.colour for pin in pins.held}) == 4
+
+
+def test_what_is_saved_repeats_the_run(tmp_path):
+    """The scenario file gives the run's scenario, the run file the run; a second save goes into another folder."""
+    answers = Answers(History(cl.load_scenario("wam_slide", {"time.duration": 0.05}), "wam_slide"))
+    run = answers.answer({"law.force": 12.0}).run
+    scenario, file = save(run, "closedloop wam_slide --law.force 12.0", tmp_path)
+    assert cl.load_scenario(scenario) == run.scenario
+    assert np.array_equal(cl.load_run(file).contact_force, run.contact_force)
+    assert save(run, "", tmp_path)[0].parent != scenario.parent
+
+
+def test_the_cells_of_a_map_are_the_runs_of_their_changes():
+    """Every cell is computed once, coarse ones first, and holds what a single run gives."""
+    base = cl.load_scenario("wam_slide", {"time.duration": 0.05})
+    x, y = control_of(base, "law.force"), control_of(base, "law.kp", 1)
+    found = Map(base, Axis.of(x, 4), Axis.of(y, 3), "peak_contact_force")
+    assert list(found.fill(batch=6)) == [6, 12]
+    history = History(base, "wam_slide")
+    for cell in ((0, 3), (2, 1)):
+        run = cl.simulate(history.scenario(found.changes(*cell)), engine="compiled")
+        assert found.grid[cell] == pytest.approx(run.summary()["peak_contact_force"], rel=1e-9)
+    assert sorted(coarse_first(9, 10)) == [(i, j) for i in range(9) for j in range(10)]
+    assert coarse_first(9, 10)[:4] == [(0, 0), (0, 8), (8, 0), (8, 8)]

@@ -1,0 +1,138 @@
+"""``closedloop lab`` and ``closedloop export``: refusals, closing, and what the exported files hold."""
+
+import csv
+import os
+import signal
+import subprocess
+import sys
+
+import numpy as np
+import pytest
+
+import closedloop as cl
+from closedloop.__main__ import main
+from closedloop.lab.command import _is_loopback
+
+
+@pytest.fixture(scope="module")
+def run_file(tmp_path_factory):
+    """A short run with events, as a file."""
+    run = cl.simulate(cl.load_scenario("planar2_drop", {"time.duration": 0.3}))
+    return run.save(tmp_path_factory.mktemp("runs") / "run.nc")
+
+
+@pytest.mark.parametrize(
+    ("words", "said"),
+    [
+        (["no_such"], "no scenario"),
+        (["wam_slide", "--law.force", "x"], "law.force = 'x'"),
+        (["wam_slide", "--law", "no_such_module:f"], "no module"),
+        (["wam_slide", "--time.step", "0.1"], "time constant at least"),
+        (["wam_slide", "--colour"], "unrecognized arguments"),
+        (["wam_slide", "--port", "99999999"], "cannot listen"),
+    ],
+)
+def test_a_lab_that_cannot_be_opened_is_one_line(words, said, capsys):
+    """The exit status is 2, nothing is served, and the line says what is wrong."""
+    pytest.importorskip("viser", reason="viser is not installed: the extra 'lab'")
+    assert main(["lab", "--no-browser", *words]) == 2
+    out, err = capsys.readouterr()
+    assert out == ""
+    assert len(err.splitlines()) == 1
+    assert said in err
+
+
+def test_without_viser_the_line_says_what_to_install(monkeypatch, capsys):
+    """The extra is named."""
+    monkeypatch.setattr("closedloop.lab.command.find_spec", lambda name: None)
+    assert main(["lab"]) == 2
+    assert 'pip install "closedloop[lab]"' in capsys.readouterr().err
+
+
+def test_only_loopback_is_without_a_warning():
+    """What other computers reach is warned of."""
+    assert [_is_loopback(host) for host in ("127.0.0.1", "::1", "localhost")] == [True] * 3
+    assert [_is_loopback(host) for host in ("0.0.0.0", "192.168.1.2", "example.org")] == [False] * 3
+
+
+@pytest.mark.slow
+def test_ctrl_c_closes_the_lab_without_a_traceback(tmp_path):
+    """The address is printed, the page is on this computer alone, and Ctrl-C ends it with status 0."""
+    pytest.importorskip("viser", reason="viser is not installed: the extra 'lab'")
+    words = [sys.executable, "-m", "closedloop", "lab", "planar2_slide", "--port", "8431", "--no-browser"]
+    with subprocess.Popen(words, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True, cwd=tmp_path) as process:
+        line = process.stdout.readline()
+        assert "http://127.0.0.1:84" in line
+        os.kill(process.pid, signal.SIGINT)
+        _, err = process.communicate(timeout=60)
+    assert process.returncode == 0
+    assert "Traceback" not in err
+    assert "the lab is closed" in err
+
+
+@pytest.mark.slow
+def test_a_minute_of_dragging_leaves_the_last_value_and_no_memory():
+    """Sixty changes a second, for a quarter of a minute here: no fault, the last value shown, no growth."""
+    pytest.importorskip("viser", reason="viser is not installed: the extra 'lab'")
+    from closedloop.lab.benchmark import MOST_MB, drag
+
+    lab = cl.lab("wam_slide", port=8441, show=False)
+    try:
+        assert lab.wait(600.0)
+        found = drag(lab, 15.0)
+    finally:
+        lab.close()
+    assert found.faults == 0
+    assert found.shown > 20
+    assert found.last == pytest.approx(found.wanted)
+    assert found.growth < MOST_MB
+
+
+def test_csv_has_units_and_every_digit(run_file, tmp_path):
+    """The numbers are read back to the bit, and the events stand in a file of their own."""
+    assert main(["export", str(run_file), "--to", "csv", "--out", str(tmp_path / "drop.csv")]) == 0
+    run = cl.load_run(run_file)
+    with (tmp_path / "drop.csv").open(newline="") as file:
+        header, *rows = csv.reader(file)
+    assert len(rows) == len(run)
+    for name, values in (
+        ("time [s]", run.time), ("contact_force [N]", run.contact_force), ("position z [m]", run.position[:, 2]),
+        (f"q {run.model.joint_names[1]} [rad]", run.q[:, 1]), ("mode", run.mode),
+    ):  # fmt: skip
+        assert np.array_equal([float(row[header.index(name)]) for row in rows], values), name
+    with (tmp_path / "drop_events.csv").open(newline="") as file:
+        events = list(csv.DictReader(file))
+    assert [event["event_kind"] for event in events] == [event.kind for event in run.events]
+    assert [float(event["event_time [s]"]) for event in events] == run.event_time.tolist()
+
+
+def test_mcap_has_the_joints_the_tip_and_the_events(run_file, tmp_path):
+    """A reader of ROS 2 messages gets the run's numbers at the run's times."""
+    reader = pytest.importorskip("mcap_ros2.reader", reason="mcap-ros2-support is not installed: the extra 'mcap'")
+    run, file = cl.load_run(run_file), tmp_path / "drop.mcap"
+    assert main(["export", str(run_file), "--to", "mcap", "--out", str(file)]) == 0
+    found = {}
+    for message in reader.read_ros2_messages(str(file)):
+        found.setdefault(message.channel.topic, []).append(message)
+    assert len(found["/joint_states"]) == len(found["/tip_pose"]) == len(run)
+    last = found["/joint_states"][-1]
+    assert last.ros_msg.position == run.q[-1].tolist()
+    assert last.ros_msg.effort == run.torque[-1].tolist()
+    assert last.log_time_ns == round(1e9 * run.time[-1])
+    place = found["/tip_pose"][7].ros_msg.pose.position
+    assert [place.x, place.y, place.z] == run.position[7].tolist()
+    force = found["/tip_wrench"][-1].ros_msg.wrench.force
+    assert force.z == pytest.approx(run.contact_force[-1] + run.friction_force[-1, 2])
+    assert [m.ros_msg.msg.partition(":")[0] for m in found["/events"]] == [event.kind for event in run.events]
+
+
+def test_an_export_replaces_nothing_unasked(run_file, tmp_path, capsys):
+    """A file that is there is refused, and no format but those known is taken."""
+    out = tmp_path / "drop.csv"
+    out.write_text("mine")
+    assert main(["export", str(run_file), "--to", "csv", "--out", str(out)]) == 2
+    assert "--overwrite" in capsys.readouterr().err
+    assert out.read_text() == "mine"
+    assert main(["export", str(run_file), "--to", "xls"]) == 2
+    assert main(["export", str(tmp_path / "none.nc"), "--to", "csv"]) == 2
+    assert len(capsys.readouterr().err.splitlines()) == 2

@@ -1,0 +1,154 @@
+"""What the lab draws, read back: the arm, the forces, the curves, the replay, the page and the film."""
+
+import base64
+import json
+import re
+
+import numpy as np
+import pytest
+
+import closedloop as cl
+from closedloop.closure.contact_force import FREE
+from closedloop.lab.curves import panels, reduced, with_instants
+from closedloop.lab.playback import Playback
+from closedloop.lab.scene import quaternions, scene_of
+from closedloop.lab.share import page_of
+from closedloop.surface.plane import unit
+
+SHIPPED = cl.shipped_scenarios()
+QUICK = ("wam_slide", "planar2_drop")
+
+
+def short_run(name, **changes):
+    """Return a shipped scenario's run of half a second at most, on Pinocchio, which is compiled in any case."""
+    return cl.simulate(cl.load_scenario(name, {"time.duration": 0.5} | changes))
+
+
+@pytest.mark.parametrize("name", [n if n in QUICK else pytest.param(n, marks=pytest.mark.slow) for n in SHIPPED])
+def test_the_drawn_tip_is_on_the_surface_and_the_arrows_are_the_forces(name):
+    """In every shipped scenario: in contact the tip is drawn on the drawn surface, and the arrows are the run's."""
+    run = cl.simulate(cl.load_scenario(name), engine="compiled") if name not in QUICK else short_run(name)
+    scene, normal = scene_of(run), unit(run.scenario.surface.normal, "surface.normal")
+    touching = np.flatnonzero(run.mode != FREE)
+    rows = touching[np.unique(np.linspace(0, len(touching) - 1, 40).astype(int))] if touching.size else []
+    for row in rows:
+        assert abs(normal @ (scene.tip_place(row) - scene.patch[0])) < 1e-6
+    for row in np.linspace(0, len(run) - 1, 20).astype(int):
+        assert scene.tip_place(row) == pytest.approx(run.position[row], abs=1e-9)
+        pushed, rubbed, wanted = scene.arrows(row)
+        assert pushed.force @ normal == pytest.approx(run.contact_force[row], rel=1e-12)
+        assert np.linalg.norm(np.cross(pushed.force, normal)) < 1e-9
+        assert rubbed.force == pytest.approx(run.friction_force[row])
+        assert wanted.force @ normal == pytest.approx(-run.reference_force[row])
+        assert np.array_equal(pushed.tail, run.position[row])
+    assert [mark.time for mark in scene.marks] == run.event_time.tolist()
+
+
+@pytest.mark.parametrize("model", ["wam4", "planar2", "ur5"])
+def test_shapes_move_with_the_joints(model):
+    """Each shape belongs to a joint of the robot or its base, and its triangles to its vertices."""
+    import robot_models
+    from closedloop.lab.shapes import robot_shapes
+
+    robot = robot_models.load(model)
+    shapes = robot_shapes(robot, robot.tip)
+    assert {shape.joint for shape in shapes} <= set(range(robot.n + 1))
+    assert len({shape.joint for shape in shapes}) > 1
+    for shape in shapes:
+        assert shape.faces.max() < len(shape.vertices)
+        assert np.abs(shape.vertices).max() < 3.0
+
+
+def test_a_robot_without_shapes_is_drawn_as_rods():
+    """An MJCF, whose shapes are not read, has a rod or a ball for the base and every joint."""
+    import robot_models
+    from closedloop.lab.shapes import robot_shapes
+
+    inertia = '<inertial pos="0 0 0" mass="1" diaginertia="1 1 1"/>'
+    body = f'<body name="{{}}" pos="0 0 0.5">{inertia}<joint name="{{}}" type="hinge" axis="0 1 0"/>'
+    arm = body.format("a", "one") + body.format("b", "two") + "</body></body>"
+    text = f"<mujoco><worldbody>{arm}</worldbody></mujoco>"
+    robot = robot_models.from_text(
+        text, "mjcf", name="two", armature=[0, 0], tip="b", home=[0.1, 0.1], locked={}
+    )  # fmt: skip
+    assert {shape.joint for shape in robot_shapes(robot, "b")} == {0, 1, 2}
+
+
+def test_quaternions_turn_as_their_matrices_do():
+    """A half turn about x is i, the identity 1."""
+    turn = np.diag([1.0, -1.0, -1.0])
+    assert np.abs(quaternions(np.array([np.eye(3), turn]))) == pytest.approx(np.array([[1, 0, 0, 0], [0, 1, 0, 0]]))
+
+
+def test_a_reduced_curve_keeps_its_extremes_and_its_ends():
+    """An overshoot of one row survives any reduction, and a window shows its own rows only."""
+    run = short_run("wam_slide", **{"time.duration": 2.0})
+    full = panels(run)[0]
+    few = reduced(full, 0.0, 2.0, cells=20)
+    assert few.time.size < 150
+    for before, after in zip(full.traces, few.traces, strict=True):
+        assert (after.values.min(), after.values.max()) == (before.values.min(), before.values.max())
+    assert (few.time[0], few.time[-1]) == (0.0, full.time[-1])
+    part = reduced(full, 0.4, 0.6, cells=20)
+    assert part.time[0] >= 0.398
+    assert part.time[-1] <= 0.602
+    marked, at = with_instants(few, [0.5001, 9.0])
+    assert marked.time[at].tolist() == [0.5001]
+    assert np.all(np.diff(marked.time) >= 0.0)
+
+
+def test_the_replay_keeps_to_the_run():
+    """Time passes at the chosen speed, begins anew at the end or stays there, and goes from event to event."""
+    replay = Playback(end=2.0, speed=0.5)
+    assert not replay.advance(1.0)
+    replay.play()
+    assert replay.advance(1.0)
+    assert replay.time == pytest.approx(0.5)
+    replay.advance(3.5)
+    assert replay.time == pytest.approx(0.25)
+    replay.loop = False
+    replay.advance(100.0)
+    assert (replay.time, replay.playing) == (2.0, False)
+    assert [replay.next_event([0.3, 1.2]) and replay.time for _ in range(3)] == [0.3, 1.2, 0.3]
+    assert not replay.next_event([])
+    replay.set_speed(100.0)
+    assert replay.speed == 4.0
+    replay.set_end(0.1)
+    assert replay.time == 0.1
+
+
+def test_the_page_holds_the_run_and_no_text_ends_its_script():
+    """What the page's data decode to is the run; a name with markup stays text."""
+    run = short_run("planar2_drop", description="</script><script>alert(1)</script>")
+    page = page_of(run, "closedloop planar2_drop")
+    assert "<script>alert" not in page
+    assert not re.search(r'(src|href)="', page)
+    data = json.loads(re.search(r'type="application/json">(.*?)</script>', page, re.S)[1])
+    force = next(trace for trace in data["panels"][0]["traces"] if trace["label"] == "f")
+    values = np.frombuffer(base64.b64decode(force["values"]), dtype="<f4")
+    assert values.max() == pytest.approx(run.contact_force.max(), rel=1e-6)
+    assert len(data["marks"]) == len(run.events) > 0
+    assert data["scenario"] == run.scenario.to_toml()
+
+
+def test_a_film_has_a_frame_for_each_instant(tmp_path):
+    """A .gif of 0.5 s at 8 frames a second; what cannot be a film is one line."""
+    from PIL import Image
+
+    run = short_run("planar2_drop")
+    with Image.open(run.animate(tmp_path / "drop.gif", frames_per_second=8)) as film:
+        assert film.n_frames == 5
+    with pytest.raises(cl.ScenarioError, match=r"a film is \.gif or \.mp4"):
+        run.animate(tmp_path / "drop.avi")
+    with pytest.raises(cl.ScenarioError, match="speed = 0"):
+        run.animate(tmp_path / "drop.gif", speed=0.0)
+    assert sorted(path.name for path in tmp_path.iterdir()) == ["drop.gif"]
+
+
+def test_a_mp4_without_ffmpeg_is_one_line(tmp_path, monkeypatch):
+    """The line names ffmpeg and the way out."""
+    from matplotlib.animation import FFMpegWriter
+
+    monkeypatch.setattr(FFMpegWriter, "isAvailable", classmethod(lambda cls: False))
+    with pytest.raises(cl.OutputError, match=r"needs the program ffmpeg.*\.gif"):
+        short_run("planar2_drop").animate(tmp_path / "drop.mp4")

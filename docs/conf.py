@@ -7,8 +7,6 @@ from typing import Any
 HERE = Path(__file__).resolve().parent
 sys.path[:0] = [str(HERE.parent), str(HERE)]
 
-from docutils import nodes  # noqa: E402
-from docutils.utils.math import latex2mathml  # noqa: E402
 from generate import write  # noqa: E402
 
 OPTIONAL = ("interactive", "lab")  # pages of index.md that may be missing
@@ -22,8 +20,14 @@ html_css_files = ["tables.css"]
 html_show_copyright = False
 html_show_sphinx = False
 html_copy_source = False
-html_math_renderer = "mathml"
-extensions = ["myst_parser", "sphinx.ext.autodoc", "sphinx.ext.napoleon"]
+extensions = [
+    "myst_parser",
+    "sphinx.ext.autodoc",
+    "sphinx.ext.napoleon",
+    "sphinx.ext.mathjax",
+    "sphinx-mathjax-offline",  # formulas without a network
+]
+smartquotes = False  # a quoted word is TOML
 default_role = "code"
 myst_enable_extensions = ["dollarmath"]
 myst_heading_anchors = 3
@@ -32,18 +36,6 @@ autodoc_member_order = "bysource"
 napoleon_google_docstring = False
 napoleon_use_rtype = False
 napoleon_use_ivar = True
-
-
-def inline_math(writer: Any, node: nodes.math) -> None:
-    """Write a formula within the text as MathML, which browsers draw by themselves: no script, no network."""
-    writer.body.append(latex2mathml.tex2mathml(node.astext()))
-    raise nodes.SkipNode
-
-
-def display_math(writer: Any, node: nodes.math_block) -> None:
-    """Write a formula that stands by itself as MathML."""
-    writer.body.append(f'<div class="math">{latex2mathml.tex2mathml(node.astext(), as_block=True)}</div>')
-    raise nodes.SkipNode
 
 
 def plain_docstring(app: Any, what: str, name: str, thing: Any, options: Any, lines: list[str]) -> None:
@@ -70,8 +62,7 @@ def leave_out_missing(app: Any, page: str, source: list[str]) -> None:
 
 
 def setup(app: Any) -> None:
-    """Add the renderer of formulas, and write the pages that follow from the code."""
-    app.add_html_math_renderer("mathml", (inline_math, None), (display_math, None))
+    """Connect the functions above, and write the pages that follow from the code."""
     app.connect("autodoc-process-docstring", plain_docstring)
     app.connect("source-read", leave_out_missing)
     app.connect("config-inited", lambda app, config: write(HERE / "generated"))

@@ -5,6 +5,7 @@ Sphinx calls `write` before it reads the pages (`conf.py`).
 
 import io
 import os
+import re
 from collections.abc import Iterable, Iterator
 from contextlib import redirect_stdout, suppress
 from pathlib import Path
@@ -117,7 +118,8 @@ def directive(name: str) -> Iterator[str]:
     elif not isinstance(thing, type):
         yield f".. autofunction:: closedloop.{name}"
     else:
-        yield f".. autoclass:: closedloop.{name}"
+        # What a section of a scenario takes stands in the reference of scenarios.
+        yield f".. autoclass:: closedloop.{name}{'()' if hasattr(thing, 'model_fields') else ''}"
         if not issubclass(thing, tuple):  # the parts of a tuple stand in its docstring
             yield from ("   :members:", "   :exclude-members: model_config")
 
@@ -138,9 +140,8 @@ def table(head: Iterable[str], rows: Iterable[Iterable[str]]) -> Iterator[str]:
 
 
 def escaped(text: str) -> str:
-    """Return a text as a cell of a table: what Markdown would take for markup stands as it is."""
-    if text.startswith("`"):
-        return text.replace("|", "\\|")
-    for mark in ("\\", "|", "*", "_", "<", "[", "$", "`"):
-        text = text.replace(mark, f"\\{mark}")
-    return text
+    """Return a text as a cell of a table: but for `code`, what Markdown would take for markup stands as it is."""
+    parts = text.split("`")
+    for outside in range(0, len(parts), 2):
+        parts[outside] = re.sub(r"([\\*_<\[$])", r"\\\1", parts[outside])
+    return "`".join(parts).replace("|", "\\|")

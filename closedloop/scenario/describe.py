@@ -136,7 +136,7 @@ def facts(key: Key) -> dict[str, str]:
     return {
         "unit": " or ".join(sorted(unit or "none" for unit in field_units(key.field))),
         "value": _takes(key.field),
-        "bounds": "; ".join(_bounds(key.field)),
+        "bounds": "; ".join(dict.fromkeys(_bounds(key.field))),  # the same for each of three numbers
         "default": _default(key.field),
         "kinds": ", ".join(key.kinds) if _has_kinds(key.name.partition(".")[0]) else "",
     }

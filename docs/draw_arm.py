@@ -10,7 +10,6 @@ import numpy as np
 import yourdfpy
 from matplotlib import rc_context
 from matplotlib.axes import Axes
-from matplotlib.colors import to_rgb
 from matplotlib.figure import Figure
 from mpl_toolkits.mplot3d import Axes3D
 from mpl_toolkits.mplot3d.art3d import Poly3DCollection
@@ -44,7 +43,7 @@ def draw_arm(axes: Axes3D, run: cl.Run, row: int) -> None:
     triangles, colours = arm_triangles(run, row)
     (left, right), (near, far) = (-0.28, 0.28), (tip[1] - 0.22, tip[1] + 0.24)
     board = [[(left, near, ground), (right, near, ground), (right, far, ground), (left, far, ground)]]
-    axes.add_collection3d(Poly3DCollection(board, facecolor=to_rgb("#C9D6DF"), edgecolor="0.45", linewidth=0.8, zorder=1))
+    axes.add_collection3d(Poly3DCollection(board, facecolor="#C9D6DF", edgecolor="0.45", linewidth=0.8, zorder=1))
     axes.plot(*run.position.T, color=COLOURS[2], linewidth=2.5, zorder=2)
     axes.text(0.16, tip[1] - 0.1, ground, "path of the tip", color=COLOURS[2], zorder=6)
     axes.add_collection3d(Poly3DCollection(triangles, facecolor=colours, edgecolor=colours, linewidth=0.4, zorder=3))

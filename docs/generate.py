@@ -3,12 +3,15 @@
 Sphinx calls `write` before it reads the pages (`conf.py`).
 """
 
+import inspect
 import io
 import os
 import re
 from collections.abc import Iterable, Iterator
 from contextlib import redirect_stdout, suppress
+from importlib import import_module
 from pathlib import Path
+from pkgutil import iter_modules
 from unittest.mock import patch
 
 import closedloop
@@ -30,11 +33,23 @@ API = {
     ),
 }
 
+HOME = Path(closedloop.__file__).parent
+MODELS = {
+    "Control laws": "control.laws",
+    "Compensations of friction": "control.compensation",
+    "Friction": "friction.laws",
+    "Restitution": "impact.laws",
+    "Surfaces": "surface.kinds",
+    "Motions of a surface": "surface.motions",
+    "Paths": "reference.paths",
+    "Integrators": "integrators",
+}
+
 
 def write(folder: Path) -> None:
-    """Write the pages into a folder; a page that has not changed is left alone, so that Sphinx need not read it again."""
+    """Write the pages into a folder; one that has not changed is left alone, so that Sphinx need not read it again."""
     folder.mkdir(exist_ok=True)
-    pages = {"scenario": scenario(), "columns": columns(), "commands": commands(), "api": api()}
+    pages = {"scenario": scenario(), "columns": columns(), "commands": commands(), "api": api(), "models": models()}
     for name, lines in pages.items():
         text, file = "\n".join(lines) + "\n", folder / f"{name}.md"
         if not file.exists() or file.read_text(encoding="utf-8") != text:
@@ -67,11 +82,14 @@ def scenario() -> Iterator[str]:
 def columns() -> Iterator[str]:
     """Return the lines of the page of columns."""
     yield from ("# Columns and units", "")
-    yield "Each column is an attribute of a `Run` and a variable of `run.nc`, with its unit and meaning as attributes. Row k of"
-    yield "all columns belongs to the state at `time[k]`. A joint that slides has m, m/s, m/s² and N in place of rad, rad/s,"
-    yield "rad/s² and N m. N is the number of rows, n of joints, E of events."
+    yield "Each column is an attribute of a `Run` and a variable of `run.nc`, with its unit and meaning as attributes."
+    yield "Row k of all columns belongs to the state at `time[k]`. A joint that slides has m, m/s, m/s² and N in"
+    yield "place of rad, rad/s, rad/s² and N m. N is the number of rows, n of joints, E of events."
     events = set(EVENT_COLUMNS)
-    for title, names in (("By time", [c for c in COLUMNS if c not in events]), ("Events", [c for c in COLUMNS if c in events])):
+    for title, names in (
+        ("By time", [c for c in COLUMNS if c not in events]),
+        ("Events", [c for c in COLUMNS if c in events]),
+    ):
         yield from ("", f"## {title}", "")
         rows = []
         for name in names:
@@ -79,7 +97,10 @@ def columns() -> Iterator[str]:
             comma = "," if len(COLUMNS[name].dims) == 1 else ""
             rows.append((f"`{name}`", f"({shape}{comma})", COLUMNS[name].units, COLUMNS[name].meaning))
         yield from table(("column", "shape", "unit", "meaning"), rows)
-    yield from ("", "`run.events` has the same table row by row, as `closedloop.Event`, with the kind of an event as a word.")
+    yield from (
+        "",
+        "`run.events` has the same table row by row, as `closedloop.Event`, with the kind as a word.",
+    )
 
 
 def commands() -> Iterator[str]:
@@ -96,6 +117,19 @@ def help_of(command) -> str:
     with patch.dict(os.environ, {"COLUMNS": "80", "NO_COLOR": "1"}), redirect_stdout(out), suppress(SystemExit):
         imported(command)(["--help"])
     return out.getvalue().rstrip()
+
+
+def models() -> Iterator[str]:
+    """Return the lines of the page of models: what stands at the top of the file of each that ships."""
+    yield from ("# Models and their sources", "")
+    yield "Every law, surface, path and scheme that ships is one file; this is what it says of itself: its equations,"
+    yield "and where they come from."
+    for title, package in MODELS.items():
+        yield from ("", f"## {title}", "")
+        for module in iter_modules([str(HOME / package.replace(".", "/"))]):
+            name = f"closedloop.{package}.{module.name}"
+            text = inspect.getdoc(import_module(name)) or ""
+            yield from (f"### {module.name}", "", f"`{name}`", "", "```text", text, "```", "")
 
 
 def api() -> Iterator[str]:

@@ -162,9 +162,7 @@ def kinds(section: str) -> dict[str, str]:
 
 def _kinds(section: str) -> list[str]:
     """Return the lines about the kinds of a section."""
-    lines = [
-        line for kind, text in kinds(section).items() for line in _wrapped(f'  kind = "{kind}"  ', text, hang=8)
-    ]
+    lines = [line for kind, text in kinds(section).items() for line in _wrapped(f'  kind = "{kind}"  ', text, hang=8)]
     if f"{section}.kind" in families():
         lines.append(f"  or {OWN}, on the command line")
     return lines

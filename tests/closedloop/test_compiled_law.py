@@ -74,7 +74,9 @@ def test_friction_with_a_law_of_ones_own():
 
 def test_example_of_the_documentation(capsys):
     """The documentation's compiled law runs as it stands."""
-    blocks = re.findall(r"```python\n(.*?)```", (ROOT / "docs" / "controllers.md").read_text(encoding="utf-8"), re.DOTALL)
+    blocks = re.findall(
+        r"```python\n(.*?)```", (ROOT / "docs" / "controllers.md").read_text(encoding="utf-8"), re.DOTALL
+    )
     (block,) = [block for block in blocks if "numba.njit" in block]
     names: dict[str, object] = {}
     exec(block, names)

@@ -132,7 +132,7 @@ except cl.ScenarioError as error:
 
 
 def test_from_the_command_line_and_back(command_line, folder, tmp_path):
-    """The command runs the documentation's example; its run.nc keeps name and digest, and repeats once they are named."""
+    """The command runs the page's example; its run.nc keeps name and digest, and repeats once they are named."""
     (tmp_path / "my_paths.py").write_text((folder / "my_paths.py").read_text())
     words = ("wam_slide", *MINE, "--reference.swing", "0.02", "--time.duration", "0.02", "--no-figures")
     python = partial(subprocess.run, cwd=tmp_path, capture_output=True, text=True)

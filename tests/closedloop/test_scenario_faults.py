@@ -1,4 +1,4 @@
-"""All faults of a scenario at once; sections without a kind; the path of a robot in a file; the documentation's template."""
+"""All faults of a scenario at once; sections without a kind; the path of a robot in a file; the page's template."""
 
 import re
 from pathlib import Path

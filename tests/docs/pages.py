@@ -24,10 +24,10 @@ def blocks(text, *languages):
 
 def session(text):
     """Return a program of all Python blocks of a page, in order; blocks that are files are written where they stand."""
-    lines = ["import importlib, pathlib"]
+    lines = ["import importlib as _importlib", "from pathlib import Path as _Path"]
     for file, code in blocks(text, "python", "toml"):
         if file:
-            lines.append(f"pathlib.Path({file!r}).write_text({code!r}, encoding='utf-8'); importlib.invalidate_caches()")
+            lines += [f"_Path({file!r}).write_text({code!r}, encoding='utf-8')", "_importlib.invalidate_caches()"]
         else:
             lines.append(code)
     return "\n".join(lines)

@@ -113,7 +113,9 @@ def test_the_site_is_built_without_a_warning(tmp_path):
     pytest.importorskip("sphinx", reason="the extra `docs` is not installed")
     done = run([sys.executable, "-m", "sphinx", "-q", "-W", "--keep-going", "-b", "html", DOCS, tmp_path], tmp_path)
     assert done.returncode == 0, done.stderr
-    html = {page.relative_to(tmp_path).as_posix(): page.read_text(encoding="utf-8") for page in tmp_path.rglob("*.html")}
+    html = {
+        page.relative_to(tmp_path).as_posix(): page.read_text(encoding="utf-8") for page in tmp_path.rglob("*.html")
+    }
     assert {"index.html", "theory.html", "generated/api.html"} <= html.keys()
     for name, text in html.items():
         assert not re.search(r"<(?:script|img)[^>]* src=\"https?:|<link[^>]* href=\"https?:", text), name

@@ -43,10 +43,14 @@ def draw_arm(axes: Axes3D, run: cl.Run, row: int) -> None:
     triangles, colours = arm_triangles(run, row)
     (left, right), (near, far) = (-0.28, 0.28), (tip[1] - 0.22, tip[1] + 0.24)
     board = [[(left, near, ground), (right, near, ground), (right, far, ground), (left, far, ground)]]
-    axes.add_collection3d(Poly3DCollection(board, facecolor="#C9D6DF", edgecolor="0.45", linewidth=0.8, zorder=1))
+    axes.add_collection3d(
+        Poly3DCollection(board, facecolor="#C9D6DF", edgecolor="0.45", linewidth=0.8, zorder=1, clip_on=False)
+    )
     axes.plot(*run.position.T, color=COLOURS[2], linewidth=2.5, zorder=2)
     axes.text(0.16, tip[1] - 0.1, ground, "path of the tip", color=COLOURS[2], zorder=6)
-    axes.add_collection3d(Poly3DCollection(triangles, facecolor=colours, edgecolor=colours, linewidth=0.4, zorder=3))
+    axes.add_collection3d(
+        Poly3DCollection(triangles, facecolor=colours, edgecolor=colours, linewidth=0.4, zorder=3, clip_on=False)
+    )
     axes.plot(*tip, marker="o", color=COLOURS[1], markersize=5, zorder=7)
     force = METRES_PER_NEWTON * run.contact_force[row] * run.surface_normal[row]
     axes.quiver(*tip, *force, color=COLOURS[1], linewidth=2.5, arrow_length_ratio=0.25, zorder=7)
@@ -77,7 +81,7 @@ def main() -> None:
     run = cl.simulate(cl.load_scenario("wam_touchdown"))
     with rc_context(STYLE):
         figure = Figure(figsize=(9.6, 4.2))
-        draw_arm(figure.add_axes((-0.05, -0.02, 0.6, 1.04), projection="3d", computed_zorder=False), run, ROW)
+        draw_arm(figure.add_axes((-0.07, -0.02, 0.64, 1.04), projection="3d", computed_zorder=False), run, ROW)
         draw_force(figure.add_axes((0.58, 0.14, 0.4, 0.76)), run)
         figure.savefig(HERE / "wam_touchdown.png", dpi=120, metadata={"Software": ""})
 

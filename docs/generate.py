@@ -3,13 +3,11 @@
 Sphinx calls `write` before it reads the pages (`conf.py`).
 """
 
-import inspect
 import io
 import os
 import re
 from collections.abc import Iterable, Iterator
 from contextlib import redirect_stdout, suppress
-from importlib import import_module
 from pathlib import Path
 from pkgutil import iter_modules
 from unittest.mock import patch
@@ -128,8 +126,8 @@ def models() -> Iterator[str]:
         yield from ("", f"## {title}", "")
         for module in iter_modules([str(HOME / package.replace(".", "/"))]):
             name = f"closedloop.{package}.{module.name}"
-            text = inspect.getdoc(import_module(name)) or ""
-            yield from (f"### {module.name}", "", f"`{name}`", "", "```text", text, "```", "")
+            yield from (f"### {module.name}", "", f"`{name}`", "")
+            yield from ("```{eval-rst}", f".. automodule:: {name}", "   :no-index:", "```", "")
 
 
 def api() -> Iterator[str]:

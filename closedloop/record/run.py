@@ -92,9 +92,29 @@ COLUMNS: dict[str, Column] = _BY_TIME | {name: Column(*spec) for name, spec in E
 class Event(NamedTuple):
     """One event of the contact: an impact, the beginning or the end of contact, of sticking or of slip.
 
-    Rates are those of the closure error; impulses act on the tip, the tangential one in the base frame. `rate_cut` is
-    the rate of a bounce that `impact.rest_speed` turned into contact. `restitution` is what an impact gave: what
-    `impact.restitution` asks for, but where Newton's law would have created energy; 0 of all other events.
+    Attributes
+    ----------
+    time : float
+        Instant, s.
+    kind : str
+        "impact", "touchdown", "liftoff", "stick", "slip" or "reversal".
+    rate_before, rate_after : float
+        Rate of the closure error just before and just after it, m/s.
+    rate_cut : float
+        Rate of a bounce that `impact.rest_speed` turned into contact, m/s.
+    compression, decompression : float
+        Impulses of both phases on the tip along the normal, N s.
+    tangential : (3,) array
+        Impulse on the tip along the surface, N s, base frame.
+    energy_lost : float
+        Kinetic energy lost, J.
+    position : (3,) array
+        Where the tip is, m, base frame.
+    slip_before, slip_after : float
+        Speed of the tip along the surface, m/s.
+    restitution : float
+        What an impact gave: what `impact.restitution` asks for, but where Newton's law would have created energy; 0 of
+        all other events.
     """
 
     time: float

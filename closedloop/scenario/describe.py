@@ -131,30 +131,38 @@ def explain_key(key: str) -> str:
     return "\n\n".join("\n".join(_explained(found)) for found in keys(section) if found.name == key)
 
 
-def _explained(key: Key) -> Iterator[str]:
-    """Return the lines about a key."""
-    yield from _wrapped(f"{key.name}: ", key.field.description or "", hang=4)
-    rows = {
+def facts(key: Key) -> dict[str, str]:
+    """Return the unit, values, bounds, default and kinds of a key, in words; "" of what it has none."""
+    return {
         "unit": " or ".join(sorted(unit or "none" for unit in field_units(key.field))),
         "value": _takes(key.field),
-        "bounds": "; ".join(_bounds(key.field)),
+        "bounds": "; ".join(dict.fromkeys(_bounds(key.field))),  # the same for each of three numbers
         "default": _default(key.field),
         "kinds": ", ".join(key.kinds) if _has_kinds(key.name.partition(".")[0]) else "",
     }
-    for what, text in rows.items():
+
+
+def _explained(key: Key) -> Iterator[str]:
+    """Return the lines about a key."""
+    yield from _wrapped(f"{key.name}: ", key.field.description or "", hang=4)
+    for what, text in facts(key).items():
         if text:
             yield from _wrapped(f"  {what:9}", text)
 
 
+def kinds(section: str) -> dict[str, str]:
+    """Return the kinds of a section and what each is; none of a section that has no kinds."""
+    told, usual = {}, usual_kind(section)
+    for kind, variant in variants(section).items() if _has_kinds(section) else ():
+        text = (variant.__doc__ or "").strip().partition("\n")[0]
+        text = re.sub(r'^\[.*?\](?: kind = ".*?")?(?:, .*?)?: ', "", text).rstrip(".")
+        told[kind] = text + ("; so where no kind is given" if kind == usual else "")
+    return told
+
+
 def _kinds(section: str) -> list[str]:
     """Return the lines about the kinds of a section."""
-    lines, usual = [], usual_kind(section)
-    for kind, variant in variants(section).items():
-        told = (variant.__doc__ or "").strip().partition("\n")[0]
-        told = re.sub(r'^\[.*?\](?: kind = ".*?")?(?:, .*?)?: ', "", told).rstrip(".")
-        lines += _wrapped(
-            f'  kind = "{kind}"  ', told + ("; so where no kind is given" if kind == usual else ""), hang=8
-        )
+    lines = [line for kind, text in kinds(section).items() for line in _wrapped(f'  kind = "{kind}"  ', text, hang=8)]
     if f"{section}.kind" in families():
         lines.append(f"  or {OWN}, on the command line")
     return lines

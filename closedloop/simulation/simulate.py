@@ -61,15 +61,16 @@ def simulate(
     scenario : Scenario
         From `load_scenario`.
     law : callable, optional
-        A user's law, ``law(t, q, v, terms) -> Q``, in place of the scenario's: t, s; q and q̇ (n,) read-only; `Terms`
-        of that state; Q (n,), N m. It is evaluated as often as the scenario's law would be.
+        A user's law in place of the scenario's, ``law(x) -> Q`` with x a `LawInput`, or ``law(t, q, v, terms) -> Q``:
+        t, s; q and q̇ (n,) read-only; `Terms` of that state; Q (n,), N m. It is evaluated as often as the scenario's
+        law would be.
     model : RobotModel, optional
         The robot to use instead of loading `scenario.robot.model`: one made in Python, or the one inside a run file.
     progress : bool or callable, optional
         True draws a bar on standard error; a callable gets (steps done, steps in all).
     engine : "pinocchio" or "compiled"
         The source of H, C, r, Jᵣ and J̇ᵣq̇: Pinocchio, or the package's own compiled terms (`closedloop.robot.tree`),
-        which are equal to rounding and ten times as fast. The compiled engine takes a user's law only if numba has
+        which are equal to rounding and a few times as fast. The compiled engine takes a user's law only if numba has
         compiled it, see `closedloop.engines.user_law`.
 
     Returns

@@ -72,9 +72,11 @@ def test_friction_with_a_law_of_ones_own():
     assert np.max(np.abs(run.q - python.q)) < 1e-9
 
 
-def test_example_of_the_readme(capsys):
-    """The README's compiled law runs as it stands."""
-    blocks = re.findall(r"```python\n(.*?)```", (ROOT / "README.md").read_text(encoding="utf-8"), re.DOTALL)
+def test_example_of_the_documentation(capsys):
+    """The documentation's compiled law runs as it stands."""
+    blocks = re.findall(
+        r"```python\n(.*?)```", (ROOT / "docs" / "controllers.md").read_text(encoding="utf-8"), re.DOTALL
+    )
     (block,) = [block for block in blocks if "numba.njit" in block]
     names: dict[str, object] = {}
     exec(block, names)

@@ -44,8 +44,8 @@ MINE = ("--reference.kind", "my_paths:Wave", "--time.integrator", "my_paths:Rals
 
 
 def example():
-    """Return the path of the README."""
-    blocks = re.findall(r"```python\n(.*?)```", (ROOT / "README.md").read_text(encoding="utf-8"), re.DOTALL)
+    """Return the path of the documentation."""
+    blocks = re.findall(r"```python\n(.*?)```", (ROOT / "docs" / "extending.md").read_text(encoding="utf-8"), re.DOTALL)
     (block,) = [block for block in blocks if "class Wave(Path)" in block]
     return block
 
@@ -132,7 +132,7 @@ except cl.ScenarioError as error:
 
 
 def test_from_the_command_line_and_back(command_line, folder, tmp_path):
-    """The command runs the README's example; its run.nc keeps name and digest, and repeats once they are named."""
+    """The command runs the page's example; its run.nc keeps name and digest, and repeats once they are named."""
     (tmp_path / "my_paths.py").write_text((folder / "my_paths.py").read_text())
     words = ("wam_slide", *MINE, "--reference.swing", "0.02", "--time.duration", "0.02", "--no-figures")
     python = partial(subprocess.run, cwd=tmp_path, capture_output=True, text=True)

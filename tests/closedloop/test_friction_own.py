@@ -172,9 +172,9 @@ PULLED = {  # what wam_stick_slip does, softly, from rest: the tip sticks at fir
 
 @pytest.fixture(scope="module")
 def folder(tmp_path_factory):
-    """Return a folder with a user's module: the README's law, and others."""
+    """Return a folder with a user's module: the documentation's law, and others."""
     folder = tmp_path_factory.mktemp("users")
-    blocks = re.findall(r"```python\n(.*?)```", (ROOT / "README.md").read_text(encoding="utf-8"), re.DOTALL)
+    blocks = re.findall(r"```python\n(.*?)```", (ROOT / "docs" / "extending.md").read_text(encoding="utf-8"), re.DOTALL)
     (example,) = [block for block in blocks if "class Drag(" in block]
     (folder / "my_friction.py").write_text(example + OWN, encoding="utf-8")
     return folder

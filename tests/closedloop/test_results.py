@@ -194,7 +194,7 @@ def test_a_repeat_with_an_edited_law_says_so(command_line, tmp_path):
 
 @pytest.mark.parametrize("engine", ["pinocchio", "compiled"])
 def test_a_repeat_takes_the_engine_of_the_run(engine, command_line, tmp_path):
-    """The line that the README gives repeats a run to the bit, whichever engine made it; --engine overrides."""
+    """The line that the documentation gives repeats a run to the bit, whichever engine made it; --engine overrides."""
     asked = ("wam_slide", "--time.duration", "0.05", "--no-figures", "--json")
     assert command_line(*asked, "--engine", engine, "--out", "first").status == 0
     assert command_line("first/run.nc", "--no-figures", "--json", "--out", "again").status == 0

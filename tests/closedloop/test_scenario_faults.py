@@ -1,4 +1,4 @@
-"""All faults of a scenario at once; sections without a kind; the path of a robot in a file; the README's template."""
+"""All faults of a scenario at once; sections without a kind; the path of a robot in a file; the page's template."""
 
 import re
 from pathlib import Path
@@ -11,7 +11,7 @@ from closedloop.scenario.messages import MOST_FAULTS
 from closedloop.scenario.scenario import parse_scenario
 from robot_models.shipped import path_of
 
-README = Path(__file__).resolve().parents[2] / "README.md"
+PAGE = Path(__file__).resolve().parents[2] / "docs" / "scenarios.md"
 MINIMAL = "[law]\nkp = 1\nkd = 1\n"
 FAULTY = """
 [law]
@@ -168,9 +168,9 @@ def test_a_run_is_repeated_without_its_robots_file(deep, command_line, short):
     assert (cl.load_run("b/run.nc").torque == cl.load_run("a/run.nc").torque).all()
 
 
-def test_the_readmes_template_runs(tmp_path):
-    """The block of the README, pasted into a file, is a scenario of its own that can be run."""
-    (block,) = re.findall(r"```toml\n(.*?)```", README.read_text(encoding="utf-8"), re.DOTALL)
+def test_the_template_of_the_page_runs(tmp_path):
+    """The block of the page, pasted into a file, is a scenario of its own that can be run."""
+    (block,) = re.findall(r"```toml\n(.*?)```", PAGE.read_text(encoding="utf-8"), re.DOTALL)
     (tmp_path / "mine.toml").write_text(block, encoding="utf-8")
     scenario = cl.load_scenario(tmp_path / "mine.toml")
     assert scenario.time.duration == 6.0

@@ -373,11 +373,11 @@ def test_identity_is_all_that_the_table_depends_on(tmp_path):
     assert identity()["robot"] != base["robot"]
 
 
-def test_the_commands_of_the_readme_run(capsys, tmp_path, monkeypatch):
+def test_the_commands_of_the_page_run(capsys, tmp_path, monkeypatch):
     """With fewer and shorter runs, as they stand there."""
     monkeypatch.chdir(tmp_path)
-    readme = (Path(__file__).parents[2] / "README.md").read_text(encoding="utf-8")
-    commands = re.findall(r"^    python -m closedloop\.sweep (.*)$", readme, re.MULTILINE)
+    page = (Path(__file__).parents[2] / "docs" / "sweeps.md").read_text(encoding="utf-8")
+    commands = re.findall(r"^    python -m closedloop\.sweep (.*)$", page, re.MULTILINE)
     assert len(commands) == 3
     for command in commands:
         few = re.sub(r":(101|20)\b", ":3", command).replace("--random 10000", "--random 5")

@@ -13,7 +13,7 @@ from closedloop.control.laws.paper import PaperLaw
 from closedloop.engines.law_source import fresh
 from closedloop.sections import Gain, Number
 
-README = Path(__file__).resolve().parents[2] / "README.md"
+PAGE = Path(__file__).resolve().parents[2] / "docs" / "controllers.md"
 SHORT = {"time.duration": 0.3, "reference.start": 0.05, "reference.stop": 0.25}
 
 
@@ -68,18 +68,18 @@ def test_a_class_in_a_batch_and_with_its_own_parameters():
         scenario(copied_as(scenario().law) | {"law.stiff": 1.0})
 
 
-def readme_law(tmp_path, monkeypatch):
-    """Return the README's admittance as the module that a user has it in."""
-    blocks = re.findall(r"```python\n(.*?)```", README.read_text(encoding="utf-8"), re.DOTALL)
+def page_law(tmp_path, monkeypatch):
+    """Return the documentation's admittance as the module that a user has it in."""
+    blocks = re.findall(r"```python\n(.*?)```", PAGE.read_text(encoding="utf-8"), re.DOTALL)
     (block,) = [block for block in blocks if "class Yielding(ControlLaw)" in block]
     assert len([line for line in block.splitlines() if line.strip()]) <= 25
     (tmp_path / "my_laws.py").write_text(block, encoding="utf-8")
     monkeypatch.syspath_prepend(str(tmp_path))
 
 
-def test_the_admittance_of_the_readme(tmp_path, monkeypatch):
+def test_the_admittance_of_the_page(tmp_path, monkeypatch):
     """It finds 10 N on a surface whose friction it does not know, where the paper's law does not; engines agree."""
-    readme_law(tmp_path, monkeypatch)
+    page_law(tmp_path, monkeypatch)
     changes = {"time.duration": 2.0, "reference.start": 0.2, "reference.stop": 1.2}
     mine, papers = (
         cl.load_scenario("wam_slide_friction", changes | kind) for kind in ({"law.kind": "my_laws:Yielding"}, {})

@@ -1,7 +1,7 @@
 """Admittance control: the measured force moves a set point along n, and a motion loop takes the tip there.
 
-Outer loop, with two states:   M ẍ_a + B ẋ_a + K x_a = f − f_des
-Inner loop:                    a_n = K_v (u_des + ẋ_a − u)_n + K_p (p_des + x_a − p)_n
+    Outer loop, with two states:   M ẍ_a + B ẋ_a + K x_a = f − f_des
+    Inner loop:                    a_n = K_v (u_des + ẋ_a − u)_n + K_p (p_des + x_a − p)_n
 
 and along the surface the motion law of `closedloop.control.laws.operational_space`. In contact the inner loop acts
 as the force −a_n/S_nn beside f_c, so that it does not push the tip along the surface. On a rigid surface f =

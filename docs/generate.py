@@ -1,0 +1,179 @@
+"""The pages that follow from the code: scenario reference, columns, commands, and the entries of public names.
+
+Sphinx calls `write` before it reads the pages (`conf.py`).
+"""
+
+import io
+import os
+import re
+from collections.abc import Iterable, Iterator
+from contextlib import redirect_stdout, suppress
+from pathlib import Path
+from pkgutil import iter_modules
+from unittest.mock import patch
+
+import closedloop
+from closedloop.command.table import COMMANDS, imported, overview
+from closedloop.events.table import EVENT_COLUMNS
+from closedloop.record.run import COLUMNS
+from closedloop.scenario import describe
+
+# What each public name is for, in the order of the page; a name that is in none of these is a fault.
+API = {
+    "From a scenario to a run": (
+        "load_scenario shipped_scenarios Scenario simulate simulate_batch prepare Problem Run Event load_run sweep_plot"
+    ),
+    "Laws and surfaces of your own": "Law LawInput ControlLaw Surface SurfaceMotion",
+    "The robot and the closure": "Robot Terms Plane solve_closure",
+    "Errors": (
+        "ClosedLoopError ScenarioError ModelError OutputError RunFileError ClusterError SimulationError "
+        "SingularClosureError DivergenceError ChatterError PainleveError NoNormalError LawError InterruptedRunError"
+    ),
+}
+
+HOME = Path(closedloop.__file__).parent
+MODELS = {
+    "Control laws": "control.laws",
+    "Compensations of friction": "control.compensation",
+    "Friction": "friction.laws",
+    "Restitution": "impact.laws",
+    "Surfaces": "surface.kinds",
+    "Motions of a surface": "surface.motions",
+    "Paths": "reference.paths",
+    "Integrators": "integrators",
+}
+
+
+def write(folder: Path) -> None:
+    """Write the pages into a folder; one that has not changed is left alone, so that Sphinx need not read it again."""
+    folder.mkdir(exist_ok=True)
+    pages = {"scenario": scenario(), "columns": columns(), "commands": commands(), "api": api(), "models": models()}
+    for name, lines in pages.items():
+        text, file = "\n".join(lines) + "\n", folder / f"{name}.md"
+        if not file.exists() or file.read_text(encoding="utf-8") != text:
+            file.write_text(text, encoding="utf-8")
+
+
+def scenario() -> Iterator[str]:
+    """Return the lines of the scenario reference: every section, kind and key."""
+    yield from ("# Scenario reference", "")
+    yield "What a scenario file may say. The same texts are printed by `closedloop run --help SECTION` and"
+    yield "`closedloop run --explain KEY`. A number beyond its bounds, and a key that is not listed here, is an error."
+    for section, text in describe.sections().items():
+        yield from ("", f"## [{section}]", "", f"{sentence(text)}", "")
+        kinds = describe.kinds(section)
+        if kinds:
+            yield from table(("kind", ""), ((f"`{kind}`", told) for kind, told in kinds.items()))
+            yield ""
+        rows, shared = [], tuple(kinds)
+        for key in describe.keys(section):
+            facts = describe.facts(key)
+            of = "" if key.kinds == shared else ", ".join(f"`{kind}`" for kind in key.kinds)
+            value = "; ".join(part for part in (facts["value"], facts["bounds"]) if part)
+            row = [f"`{key.name}`", facts["unit"], value, facts["default"], key.field.description or ""]
+            rows.append([*row, of] if kinds else row)
+        if rows:
+            head = ["key", "unit", "value and bounds", "default", "meaning"]
+            yield from table([*head, "only in kind"] if kinds else head, rows)
+
+
+def columns() -> Iterator[str]:
+    """Return the lines of the page of columns."""
+    yield from ("# Columns and units", "")
+    yield "Each column is an attribute of a `Run` and a variable of `run.nc`, with its unit and meaning as attributes."
+    yield "Row k of all columns belongs to the state at `time[k]`. A joint that slides has m, m/s, m/s² and N in"
+    yield "place of rad, rad/s, rad/s² and N m. N is the number of rows, n of joints, E of events."
+    events = set(EVENT_COLUMNS)
+    for title, names in (
+        ("By time", [c for c in COLUMNS if c not in events]),
+        ("Events", [c for c in COLUMNS if c in events]),
+    ):
+        yield from ("", f"## {title}", "")
+        rows = []
+        for name in names:
+            shape = ", ".join({"time": "N", "joint": "n", "axis": "3", "event": "E"}[dim] for dim in COLUMNS[name].dims)
+            comma = "," if len(COLUMNS[name].dims) == 1 else ""
+            rows.append((f"`{name}`", f"({shape}{comma})", COLUMNS[name].units, COLUMNS[name].meaning))
+        yield from table(("column", "shape", "unit", "meaning"), rows)
+    yield from (
+        "",
+        "`run.events` has the same table row by row, as `closedloop.Event`, with the kind as a word.",
+    )
+
+
+def commands() -> Iterator[str]:
+    """Return the lines of the page of commands: the overview, and the help of each."""
+    yield from ("# Command line", "", "`python -m closedloop` is the same as `closedloop`.", "")
+    yield from ("```text", overview(), "```")
+    for command in COMMANDS:
+        yield from ("", f"## closedloop {command.name}", "", "```text", help_of(command), "```")
+
+
+def help_of(command) -> str:
+    """Return what a command prints with --help, as wide as a page."""
+    out = io.StringIO()
+    with patch.dict(os.environ, {"COLUMNS": "80", "NO_COLOR": "1"}), redirect_stdout(out), suppress(SystemExit):
+        imported(command)(["--help"])
+    return out.getvalue().rstrip()
+
+
+def models() -> Iterator[str]:
+    """Return the lines of the page of models: what stands at the top of the file of each that ships."""
+    yield from ("# Models and their sources", "")
+    yield "Every law, surface, path and scheme that ships is one file; this is what it says of itself: its equations,"
+    yield "and where they come from."
+    for title, package in MODELS.items():
+        yield from ("", f"## {title}", "")
+        for module in iter_modules([str(HOME / package.replace(".", "/"))]):
+            name = f"closedloop.{package}.{module.name}"
+            yield from (f"### {module.name}", "", f"`{name}`", "")
+            yield from ("```{eval-rst}", f".. automodule:: {name}", "   :no-index:", "```", "")
+
+
+def api() -> Iterator[str]:
+    """Return the lines of the page of public names: a directive for each, which Sphinx fills with its docstring."""
+    named = [name for names in API.values() for name in names.split()]
+    if sorted(named) != closedloop.__all__:
+        raise ValueError(f"public names without a place in docs/generate.py: {set(named) ^ set(closedloop.__all__)}")
+    yield from ("# Public names", "", "`import closedloop as cl` gives these, each loaded when it is first used.")
+    for title, names in API.items():
+        yield from ("", f"## {title}", "")
+        for name in names.split():
+            yield from ("```{eval-rst}", *directive(name), "```", "")
+
+
+def directive(name: str) -> Iterator[str]:
+    """Return the directive of a public name."""
+    thing = getattr(closedloop, name)
+    if name == "Law":  # a type: its text stands below it in its module
+        yield from (".. autodata:: closedloop.engines.user_law.Law", "   :no-value:")
+    elif not isinstance(thing, type):
+        yield f".. autofunction:: closedloop.{name}"
+    else:
+        # What a section of a scenario takes stands in the reference of scenarios.
+        yield f".. autoclass:: closedloop.{name}{'()' if hasattr(thing, 'model_fields') else ''}"
+        if not issubclass(thing, tuple):  # the parts of a tuple stand in its docstring
+            yield from ("   :members:", "   :exclude-members: model_config")
+
+
+def sentence(text: str) -> str:
+    """Return a description as a sentence."""
+    return f"{text[:1].upper()}{text[1:]}." if text else ""
+
+
+def table(head: Iterable[str], rows: Iterable[Iterable[str]]) -> Iterator[str]:
+    """Return a table in Markdown."""
+    head = list(head)
+    yield f"| {' | '.join(head)} |"
+    yield f"|{'---|' * len(head)}"
+    for row in rows:
+        cells = (escaped(cell) for cell in row)
+        yield f"| {' | '.join(cells)} |"
+
+
+def escaped(text: str) -> str:
+    """Return a text as a cell of a table: but for `code`, what Markdown would take for markup stands as it is."""
+    parts = text.split("`")
+    for outside in range(0, len(parts), 2):
+        parts[outside] = re.sub(r"([\\*_<\[$])", r"\\\1", parts[outside])
+    return "`".join(parts).replace("|", "\\|")

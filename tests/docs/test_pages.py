@@ -1,0 +1,121 @@
+"""README and documentation: the code in them runs, the links lead somewhere, the site is built without a warning."""
+
+import importlib.util
+import os
+import re
+import subprocess
+import sys
+
+import pytest
+from pages import DOCS, PAGES, ROOT, blocks, broken_links, session
+
+import closedloop
+
+WITH_CODE = [page for page in PAGES if blocks(page.read_text(encoding="utf-8"), "python")]
+ENVIRONMENT = {**os.environ, "PYTHONPATH": str(ROOT), "MPLBACKEND": "agg"}
+
+
+@pytest.fixture(scope="module")
+def generate():
+    """Return docs/generate.py as a module."""
+    spec = importlib.util.spec_from_file_location("generate", DOCS / "generate.py")
+    module = importlib.util.module_from_spec(spec)
+    spec.loader.exec_module(module)
+    return module
+
+
+@pytest.fixture(scope="module")
+def generated(generate, tmp_path_factory):
+    """Return the pages that follow from the code, by name."""
+    folder = tmp_path_factory.mktemp("generated")
+    generate.write(folder)
+    return {page.stem: page.read_text(encoding="utf-8") for page in folder.iterdir()}
+
+
+def run(command, folder):
+    """Run a command in a folder as a user would, and return what came of it."""
+    return subprocess.run(command, cwd=folder, env=ENVIRONMENT, capture_output=True, text=True)
+
+
+def test_the_readme_is_a_door():
+    """It fits on a screen or two, and has the two commands."""
+    text = (ROOT / "README.md").read_text(encoding="utf-8")
+    assert len(text.splitlines()) <= 90
+    assert len(re.findall(r"^    \S.*", text, re.MULTILINE)) == 2
+
+
+def test_links_lead_somewhere(generated):
+    """Every link of README and pages to a file, a page or a heading; and a wrong one is seen."""
+    for page in PAGES:
+        assert broken_links(page, page.read_text(encoding="utf-8"), generated) == [], page.name
+    wrong = "[a](nowhere.md) [b](theory.md#no-such-heading) [c](generated/nothing.md) [d](theory.md#the-tip)"
+    assert len(broken_links(DOCS / "index.md", wrong, generated)) == 3
+
+
+def test_every_page_is_in_the_contents(generated):
+    """No page is left out of index.md."""
+    contents = set((DOCS / "index.md").read_text(encoding="utf-8").split())
+    pages = {page.stem for page in DOCS.glob("*.md")} - {"index"} | {f"generated/{name}" for name in generated}
+    assert pages <= contents
+
+
+def test_the_reference_is_complete(generated):
+    """Every key of a scenario, every column and every public name has an entry, and a name without one is refused."""
+    from closedloop.record.run import COLUMNS
+    from closedloop.scenario.describe import all_keys
+
+    for key in all_keys():
+        assert f"`{key}`" in generated["scenario"] or key.endswith(".kind"), key
+    assert all(f"| `{name}` |" in generated["columns"] for name in COLUMNS)
+    for name in closedloop.__all__:
+        assert re.search(rf"^\.\. auto\w+:: closedloop\.(\w+\.)*{name}\b", generated["api"], re.MULTILINE), name
+
+
+def test_a_public_name_without_a_place_is_refused(generate, monkeypatch):
+    """The page of public names cannot leave one out."""
+    monkeypatch.setattr(closedloop, "__all__", sorted([*closedloop.__all__, "newcomer"]))
+    with pytest.raises(ValueError, match="newcomer"):
+        list(generate.api())
+
+
+def test_the_controller_of_the_page_is_short():
+    """The example with an integral and a state of its own has at most 25 lines."""
+    text = (DOCS / "controllers.md").read_text(encoding="utf-8")
+    (code,) = [code for file, code in blocks(text, "python") if file == "my_control.py"]
+    assert len([line for line in code.splitlines() if line.strip()]) <= 25
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("page", WITH_CODE, ids=lambda page: page.stem)
+def test_the_code_of_a_page_runs(page, tmp_path):
+    """All Python blocks of a page, in order, as one session in an empty folder."""
+    (tmp_path / "session.py").write_text(session(page.read_text(encoding="utf-8")), encoding="utf-8")
+    done = run([sys.executable, "session.py"], tmp_path)
+    assert done.returncode == 0, done.stderr
+
+
+@pytest.mark.slow
+def test_the_commands_of_the_quickstart_run(tmp_path):
+    """As they stand there, one after the other, in an empty folder."""
+    text = (DOCS / "quickstart.md").read_text(encoding="utf-8")
+    commands = "".join(code for _, code in blocks(text, "sh"))
+    assert commands.count("closedloop run") == 3
+    shell = f'set -eu\nclosedloop() {{ "{sys.executable}" -m closedloop "$@"; }}\n{commands}'
+    done = run(["bash", "-c", shell], tmp_path)
+    assert done.returncode == 0, done.stderr
+    assert {path.name for path in (tmp_path / "out").iterdir()} == {"wam_slide", "my_slide"}
+    assert (tmp_path / "stronger" / "run.nc").exists()
+
+
+@pytest.mark.slow
+def test_the_site_is_built_without_a_warning(tmp_path):
+    """Sphinx takes every page, docstring and link of the site; no page asks for anything from the network."""
+    pytest.importorskip("sphinx", reason="the extra `docs` is not installed")
+    done = run([sys.executable, "-m", "sphinx", "-q", "-W", "--keep-going", "-b", "html", DOCS, tmp_path], tmp_path)
+    assert done.returncode == 0, done.stderr
+    html = {
+        page.relative_to(tmp_path).as_posix(): page.read_text(encoding="utf-8") for page in tmp_path.rglob("*.html")
+    }
+    assert {"index.html", "theory.html", "generated/api.html"} <= html.keys()
+    for name, text in html.items():
+        assert not re.search(r"<(?:script|img)[^>]* src=\"https?:|<link[^>]* href=\"https?:", text), name

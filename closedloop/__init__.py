@@ -10,15 +10,16 @@ Simulate
     Simulator, StepState                          the same step by step, driven from outside
     simulate_batch, sweep_plot                    many runs at once; maps of a sweep
     Run, Event, load_run                          the record, what happened to the contact, a run file
-    figures                                       what of a run can be drawn
+    figures, lab                                  what of a run can be drawn; a page with sliders on which it answers
 Build
     ControlLaw, Law, LawInput                     laws of one's own, and what they see
+    Surface, SurfaceMotion, Compliance            surfaces of one's own, how they move, how they give way
     Robot, Terms, Plane, solve_closure            the arm, its terms at a state, the surface, Eq. 24
     prepare, Problem                              a scenario as numbers
 Errors, all of them ClosedLoopError
     ScenarioError, ModelError, RunFileError, OutputError, ClusterError
     SimulationError (its run has the rows until then): SingularClosureError, DivergenceError, ChatterError,
-    PainleveError, LawError, InterruptedRunError
+    PainleveError, NoNormalError, LawError, InterruptedRunError
 
 help(cl.simulate), and so on, says more. Names are loaded when they are first used, so that ``import closedloop`` is
 quick.

@@ -2,10 +2,8 @@
 
 from __future__ import annotations
 
-import sys
 import time as clock
 from collections.abc import Callable
-from contextlib import redirect_stdout
 from dataclasses import dataclass
 from typing import Any
 
@@ -95,8 +93,7 @@ class Answers:
 
         try:
             scenario = self._history.scenario(changes)
-            with redirect_stdout(sys.stderr):  # what a law prints is no result
-                return took(self._run(scenario))
+            return took(self._run(scenario))
         except _Overtaken:
             return took(None)
         except SimulationError as error:

@@ -7,5 +7,7 @@ SLIDES = [
     for name, scenario in ((name, cl.load_scenario(name)) for name in cl.shipped_scenarios())
     if scenario.surface.contact == "bilateral"
     and scenario.law.kind == "paper"
+    and scenario.compliance.kind == "none"
+    and scenario.model_error.payload == 0.0
     and scenario.friction.kind == scenario.joint_friction.kind == "none"
 ]

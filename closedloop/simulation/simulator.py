@@ -11,7 +11,6 @@ from __future__ import annotations
 
 import math
 import time as clock
-from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -39,13 +38,13 @@ NEAR = 1e-6
 _OWN = object()
 
 
-class _Now(NamedTuple):
+class _Now:
     """A row that has been recorded, and where the loop can go back to: replaced whole, so that Ctrl-C finds it so."""
 
-    mark: Mark
-    row: int
-    events: int
-    state: StepState
+    __slots__ = ("events", "mark", "row", "state")
+
+    def __init__(self, mark: Mark, row: int, events: int, state: StepState) -> None:
+        self.mark, self.row, self.events, self.state = mark, row, events, state
 
 
 class Simulator:
@@ -267,7 +266,7 @@ class Simulator:
         stepper = self._stepper
         stepper.to_row()
         row = 0 if now is None else now.row + 1
-        measured, count = stepper.measured_at(stepper.mark), stepper.events_done
+        measured, count = stepper.seen()
         table = stepper.answers.events[since:count].copy() if count > since else None
         state = StepState(self._h * row, row, self._n, stepper.rows[row].copy(), measured, table)
         self._now = _Now(stepper.mark, row, count, state)

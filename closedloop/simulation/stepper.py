@@ -9,7 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import replace
-from typing import Any
+from typing import Any, cast
 
 import numpy as np
 from numpy.typing import NDArray
@@ -34,7 +34,7 @@ Mark = tuple[NDArray[np.int64], Array, bool]
 
 # Places in the loop's numbers: read and written at every step, and an attribute of `State` takes three times as long.
 _ROW, _PHASE, _SAMPLED, _EVENTS, _MODE, _NO_SEARCH, _LAW, _COMPENSATION, _STARTED = (
-    State.place(name)
+    cast(int, State.place(name))
     for name in ("row", "phase", "sampled", "events", "mode", "no_search", "law", "compensation", "started")
 )
 
@@ -73,7 +73,7 @@ class Stepper:
         self._held, self._own_started = False, False
         self._law: Law | None = None
         self._user_law: UserLaw | None = None
-        self._measured = Work.place("measured", *w.sizes)
+        self._measured = cast(int, Work.place("measured", *w.sizes))
         self.mark: Mark = self._copied()
         # The mark whose terms have been evaluated last, and whether the loop is there.
         self._terms_of: Mark | None = None
@@ -96,7 +96,7 @@ class Stepper:
         numbers = self._numbers
         numbers[:], self._values[:], self._own_started = mark
         self.mark, self._at_mark, self._terms_there = mark, True, mark is self._terms_of
-        if numbers[_ROW] > 0 and numbers[_MODE] != FREE:
+        if numbers.item(_ROW) > 0 and numbers.item(_MODE) != FREE:
             numbers[_NO_SEARCH] = 1  # the step before has been searched for events, with the torque that acted in it
 
     def hold(self, torque: Array) -> None:
@@ -152,12 +152,12 @@ class Stepper:
             If the loop cannot go on; an exception of a user's law is its cause.
         """
         numbers, values = self._numbers, self._values
-        row, before = int(numbers[_ROW]), self.mark
+        row, before = numbers.item(_ROW), self.mark
         call = self._again if self._terms_there else self._once
         marked = self._at_mark or row == 0
         self._at_mark, self._terms_there, self._terms_of = False, False, None
         while True:
-            if not marked and numbers[_PHASE] == STEP_END:
+            if not marked and numbers.item(_PHASE) == STEP_END:
                 before = numbers.copy(), values.copy(), self._own_started
             marked = row == 0
             if self._held:
@@ -165,7 +165,7 @@ class Stepper:
             request = call(self.answers.events)
             call = self._once
             if request == TERMS:
-                if numbers[_ROW] > row:
+                if numbers.item(_ROW) > row:
                     break
             elif request == DONE:
                 break
@@ -187,9 +187,9 @@ class Stepper:
         """The events so far."""
         return int(self._numbers[_EVENTS])
 
-    def measured_at(self, mark: Mark) -> float:
-        """Return what the force sensor said before the row of a mark, N."""
-        return float(mark[1][self._measured])
+    def seen(self) -> tuple[float, int]:
+        """Return what the force sensor said before the latest row, N, and how many events there are."""
+        return self.mark[1].item(self._measured), self._numbers.item(_EVENTS)
 
     def completed(self, done: int) -> tuple[Array, Array]:
         """Return copies of `done` rows, all that are recorded in the memory, and of the events."""

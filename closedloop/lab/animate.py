@@ -115,8 +115,8 @@ class _Picture:
         (self._done,) = space.plot([], [], [], "-", color=PATH, linewidth=2)
         wanted = run.reference_tip[:: max(1, len(run) // 400)]
         space.plot(*wanted.T, "--", color=WANTED, linewidth=1)
-        corners = np.vstack([scene.patch, scene.patch[:1]])
-        space.plot(*corners.T, "-", color="0.6", linewidth=1)
+        vertices, faces = scene.surface
+        space.plot_trisurf(*vertices.T, triangles=faces, color="0.8", alpha=0.4, linewidth=0.0)
         if scene.marks:
             space.scatter(*np.array([mark.position for mark in scene.marks]).T, color="#CC79A7", s=12)
         self._frame_view(space)
@@ -134,7 +134,7 @@ class _Picture:
     def _frame_view(self, space: Any) -> None:
         """Give the axes one scale, and the size of all that is drawn in them."""
         rows = np.unique(np.linspace(0, len(self.scene.run) - 1, 20).astype(int))
-        points = np.vstack([*(self._points(int(row)) for row in rows), self.scene.patch])
+        points = np.vstack([*(self._points(int(row)) for row in rows), self.scene.surface[0]])
         low, high = points.min(axis=0), points.max(axis=0)
         middle, half = (low + high) / 2.0, 0.55 * float((high - low).max()) + 1e-3
         space.set(xlabel="x [m]", ylabel="y [m]", zlabel="z [m]")
@@ -163,6 +163,6 @@ class _Picture:
 
 def _links(scene: Scene) -> list[int]:
     """Return the numbers of the joints from the base to the tip, the base's own, 0, first."""
-    model: Any = scene.run.model.pinocchio_model()
+    model: Any = scene.model.pinocchio_model()
     carrier = model.frames[model.getFrameId(scene.tip)].parentJoint
     return [int(joint) for joint in model.supports[carrier]]

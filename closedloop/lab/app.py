@@ -183,7 +183,7 @@ class Lab:
         if not self._shown_camera:
             self._shown_camera = True
             self.view.see_through(scene.arm_hides_force)
-            look_at = 0.55 * scene.patch.mean(axis=0)
+            look_at = 0.55 * scene.surface[0].mean(axis=0)
             camera = self.server.initial_camera
             camera.fov, camera.look_at = FIELD_OF_VIEW, look_at
             camera.position = look_at + scene.size * VIEW_FROM

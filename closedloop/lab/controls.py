@@ -24,11 +24,11 @@ from robot_models import RobotModel
 
 # The tabs of the lab, and the sections of the scenario in each.
 TABS: dict[str, tuple[str, ...]] = {
-    "law": ("law", "compensation", "sensor", "force_profile"),
-    "surface": ("surface", "impact"),
+    "law": ("law", "compensation", "sensor", "force_profile", "model_error"),
+    "surface": ("surface", "surface_motion", "compliance", "impact"),
     "friction": ("friction", "joint_friction"),
     "stabiliser": ("stabiliser",),
-    "path": ("reference", "start"),
+    "path": ("reference", "start", "tool"),
     "time": ("time",),
 }
 Form = Literal["linear", "log", "whole", "choice", "flag", "text"]

@@ -13,10 +13,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from closedloop.closure.contact_force import FREE
+from closedloop.figures.errors import tip_errors
 from closedloop.figures.friction import friction_levels
 from closedloop.figures.style import length_unit
 from closedloop.record.run import Run
-from closedloop.surface.plane import contact_frame, unit
 
 Array = NDArray[np.float64]
 
@@ -87,12 +87,10 @@ def _closure(run: Run) -> Panel:
 
 def _tip(run: Run) -> Panel:
     """Return the tip's distance from where it is wanted: along the surface, and in free motion off it too."""
-    frame = contact_frame(unit(run.scenario.surface.normal, "surface.normal"))
-    error = (run.position - run.reference_tip) @ frame.T
-    names = ["t1", "t2"] + (["n"] if np.any(run.mode == FREE) else [])
-    columns = [error[:, 1], error[:, 2], error[:, 0]][: len(names)]
+    names = ["along the path", "across it"] + (["off the surface"] if np.any(run.mode == FREE) else [])
+    columns = tip_errors(run)[: len(names)]
     factor, unit_name = length_unit(_largest(*columns))
-    traces = tuple(Trace(f"along {n}", COLOURS[k], factor * columns[k]) for k, n in enumerate(names))
+    traces = tuple(Trace(n, COLOURS[k], factor * columns[k]) for k, n in enumerate(names))
     return Panel("tip", unit_name, run.time, traces)
 
 

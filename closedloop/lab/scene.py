@@ -15,9 +15,15 @@ import numpy as np
 import pinocchio as pin
 from numpy.typing import NDArray
 
+from closedloop.errors import ScenarioError
+from closedloop.figures.errors import frame_of
 from closedloop.lab.shapes import Shape, robot_shapes
 from closedloop.record.run import Run
-from closedloop.surface.plane import contact_frame, unit
+from closedloop.scenario.arm import robot_of
+from closedloop.surface.kinds.plane import PlaneSurface
+from closedloop.surface.motion import SurfaceMotion
+from closedloop.surface.placed import PlacedSurface
+from closedloop.surface.surface import Surface
 from robot_models import RobotModel
 
 Array = NDArray[np.float64]
@@ -33,6 +39,8 @@ PATH, WANTED = (0.80, 0.47, 0.65), (0.0, 0.62, 0.451)
 LONGEST = 0.3
 # The patch of the surface reaches this far beyond the path, m, or a share of the path's size.
 MARGIN, SHARE = 0.06, 0.3
+# Vertices along a side of a curved surface.
+CELLS = 32
 
 
 class Arrow(NamedTuple):
@@ -66,30 +74,60 @@ class Scene:
     tip: str
 
     @cached_property
+    def model(self) -> RobotModel:
+        """The robot, with the tool that the scenario puts on its tip."""
+        return robot_of(self.run.scenario, self.run.model).model
+
+    @cached_property
     def shapes(self) -> tuple[Shape, ...]:
         """The robot's shapes, each in the frame of a joint."""
         return robot_shapes(self.run.model, self.tip)
 
     @cached_property
     def frame(self) -> Array:
-        """The contact frame (3, 3): rows n, t1, t2, base axes."""
-        return contact_frame(unit(self.run.scenario.surface.normal, "surface.normal"))
+        """The contact frame at the surface's origin (3, 3): rows n, t1, t2, base axes."""
+        return frame_of(self.run)
 
     @cached_property
-    def offset(self) -> float:
-        """The distance d of the surface n·p = d from the base's origin, m."""
-        return float(self.frame[0] @ self.run.position[0] - self.run.closure_error[0])
+    def placed(self) -> PlacedSurface | None:
+        """The surface in its place; None if it is a user's class in a run file, not named in this process."""
+        scenario, start = self.run.scenario, self.run.position[0]
+        if not (isinstance(scenario.surface, Surface) and isinstance(scenario.surface_motion, SurfaceMotion)):
+            return None
+        found = PlacedSurface.of(scenario.surface, scenario.surface_motion, start)
+        depth = found.touching(start).gap - float(self.run.closure_error[0])  # of a tip that starts in a soft surface
+        if found.below_start and depth != 0.0:
+            found = PlacedSurface.of(scenario.surface, scenario.surface_motion, start, depth)
+        return found
 
     @cached_property
-    def patch(self) -> Array:
-        """The corners (4, 3), m, base frame, of a rectangle of the surface around both paths, in their order."""
+    def surface(self) -> tuple[Array, NDArray[np.uint32]]:
+        """The surface around both paths at t = 0: vertices (k, 3), m, base frame, and triangles (l, 3)."""
+        flat = self.placed is None or isinstance(self.placed.section, PlaneSurface)
         points = np.vstack([self.run.position, self.run.reference_tip])
         along = points[np.all(np.isfinite(points), axis=1)] @ self.frame[1:].T
         low, high = along.min(axis=0), along.max(axis=0)
-        margin = max(MARGIN, SHARE * float(np.max(high - low)))
-        (a, b), (c, d) = low - margin, high + margin
-        corners: Array = np.array([[a, b], [c, b], [c, d], [a, d]]) @ self.frame[1:] + self.offset * self.frame[0]
-        return corners
+        offset = float(self.frame[0] @ self.run.position[0] - self.run.closure_error[0])
+        for share in (1.0, 0.5, 0.2, 0.0):  # a ball may be smaller than what is around the path
+            margin = share * max(MARGIN, SHARE * float(np.max(high - low)))
+            a, b = (np.linspace(x - margin, y + margin, 2 if flat else CELLS) for x, y in zip(low, high, strict=True))
+            grid = np.stack(np.meshgrid(a, b, indexing="ij"), axis=-1).reshape(-1, 2)
+            vertices = grid @ self.frame[1:] + offset * self.frame[0]
+            if flat or self.placed is None:
+                break
+            none = np.zeros_like(vertices)
+            try:
+                vertices = self.placed.follow(0.0, np.zeros(len(vertices)), (vertices, none, none))[0]
+                break
+            except ScenarioError:
+                continue
+        return vertices, _triangles(a.size, b.size)
+
+    def surface_place(self, row: int) -> tuple[Array, Array]:
+        """Return the rotation (3, 3) and the shift (3,), m, by which the surface is displaced in a row."""
+        if self.placed is None:
+            return np.eye(3), np.zeros(3)
+        return self.placed.displacement(float(self.run.time[row]))
 
     @cached_property
     def marks(self) -> list[Mark]:
@@ -98,11 +136,11 @@ class Scene:
 
     def joint_places(self, row: int) -> tuple[Array, Array]:
         """Return the axes (n + 1, 3, 3) and origins (n + 1, 3), m, of the base and of each joint's frame in a row."""
-        return _places(self.run.model).at(self.run.q[row])
+        return _places(self.model).at(self.run.q[row])
 
     def tip_place(self, row: int) -> Array:
         """Return the tip (3,), m, base frame, from the joints' frames as they are drawn, not from the record."""
-        places = _places(self.run.model)
+        places = _places(self.model)
         frame = places.model.frames[places.model.getFrameId(self.tip)]
         axes, origins = self.joint_places(row)
         tip: Array = origins[frame.parentJoint] + axes[frame.parentJoint] @ frame.placement.translation
@@ -110,7 +148,7 @@ class Scene:
 
     def arrows(self, row: int) -> list[Arrow]:
         """Return the forces at the tip in a row: of the surface on the tip, and the commanded one on the surface."""
-        run, normal = self.run, self.frame[0]
+        run, normal = self.run, self.run.surface_normal[row]
         forces = (
             run.contact_force[row] * normal, np.array(run.friction_force[row]), -run.reference_force[row] * normal
         )  # fmt: skip
@@ -125,13 +163,13 @@ class Scene:
     @cached_property
     def last_joint(self) -> int:
         """The number of the joint that moves the tip."""
-        model = _places(self.run.model).model
+        model = _places(self.model).model
         return int(model.frames[model.getFrameId(self.tip)].parentJoint)
 
     @cached_property
     def size(self) -> float:
         """The arm's reach, m, or the extent of the path if that is larger."""
-        places = _places(self.run.model)
+        places = _places(self.model)
         reach = sum(float(np.linalg.norm(place.translation)) for place in list(places.model.jointPlacements)[1:])
         return max(reach, float(np.ptp(self.run.position, axis=0).max(initial=0.0)), 0.1)
 
@@ -148,6 +186,14 @@ def scene_of(run: Run) -> Scene:
     tip = run.scenario.robot.tip or run.model.tip
     assert tip is not None  # a robot without one is refused before anything is simulated
     return Scene(run, tip)
+
+
+def _triangles(rows: int, columns: int) -> NDArray[np.uint32]:
+    """Return the triangles (2 (rows − 1)(columns − 1), 3) of a grid of vertices, row after row."""
+    first = (np.arange(rows - 1)[:, None] * columns + np.arange(columns - 1)).ravel()
+    corner = first[:, None]
+    halves = np.hstack([corner, corner + columns, corner + 1, corner + 1, corner + columns, corner + columns + 1])
+    return halves.reshape(-1, 3).astype(np.uint32)
 
 
 def round_down(x: float) -> float:

@@ -65,16 +65,16 @@ def _data(run: Run, command: str) -> dict[str, Any]:
     scene = scene_of(run)
     begin, end = float(run.time[0]), float(run.time[-1])
     curves = [reduced(panel, begin, end, CELLS) for panel in panels(run)]
-    middle = 0.55 * scene.patch.mean(axis=0)
+    (vertices, faces), middle = scene.surface, 0.55 * scene.surface[0].mean(axis=0)
     return {
         "title": f"{run.scenario.name} ({run.model.name})",
         "about": run.scenario.description,
         "stopped": run.stopped or "",
         "command": command,
         "scenario": run.scenario.to_toml(),
-        "end": end, "step": run.scenario.time.step, "joints": run.model.n + 1,
+        "end": end, "step": run.scenario.time.step, "joints": run.model.n + 2,
         "size": scene.size, "centre": middle.tolist(), "metres_per_newton": scene.metres_per_newton,
-        "patch": scene.patch.tolist(),
+        "surface": {"joint": run.model.n + 1, "vertices": _numbers(vertices), "faces": _numbers(faces, np.uint32)},
         "arrows": [{"name": name, "colour": colour} for name, colour in ARROWS.items()],
         "paths": [
             {"name": "actual path", "colour": PATH, "points": _numbers(thin_out(run.position, MOST_POINTS))},
@@ -95,13 +95,14 @@ def _data(run: Run, command: str) -> dict[str, Any]:
 
 
 def _frames(scene: Scene) -> dict[str, str]:
-    """Return the instants of the replay, the joints' places, quaternion then origin, the tip and the forces there."""
+    """Return the replay: instants, places of joints and surface (quaternion, origin), the tip and the forces."""
     run = scene.run
     rows = np.unique(np.linspace(0, len(run) - 1, min(MOST_FRAMES, len(run))).round().astype(int))
     places, last = [], None
     for row in rows:
         axes, origins = scene.joint_places(int(row))
-        turns = quaternions(axes)
+        turn, shift = scene.surface_place(int(row))
+        turns, origins = quaternions(np.vstack([axes, turn[None]])), np.vstack([origins, shift])
         if last is not None:  # of the two quaternions of a rotation that which is near the one before
             turns *= np.where(np.sum(turns * last, axis=1, keepdims=True) < 0.0, -1.0, 1.0)
         last = turns

@@ -73,6 +73,8 @@ class Space:
             axes, origins = scene.joint_places(row)
             for node, turn, place in zip(self._joints, quaternions(axes), origins, strict=True):
                 node.wxyz, node.position = turn, place
+            turn, shift = scene.surface_place(row)
+            self._nodes["surface"].wxyz, self._nodes["surface"].position = quaternions(turn[None])[0], shift
             for arrow in scene.arrows(row):
                 self._draw_arrow(arrow.name, arrow.tail, arrow.force, scene.size)
 
@@ -118,15 +120,16 @@ class Space:
                 mesh.opacity = self._opacity
 
     def _draw_surface(self, scene: Scene) -> None:
-        corners = scene.patch.astype(np.float32)
-        faces = np.array([[0, 1, 2], [0, 2, 3]], dtype=np.uint32)
+        vertices, faces = scene.surface
         node = self._nodes.get("surface")
-        if node is not None:
-            node.vertices = corners
+        if node is not None and len(node.vertices) == len(vertices):
+            node.vertices = vertices.astype(np.float32)
             return
+        if node is not None:
+            node.remove()
         self._nodes["surface"] = self._api.add_mesh_simple(
-            "/surface", corners, faces, color=SURFACE, opacity=0.75, side="double", cast_shadow=False,
-            receive_shadow=False,
+            "/surface", vertices.astype(np.float32), faces, color=SURFACE, opacity=0.75, side="double",
+            cast_shadow=False, receive_shadow=False,
         )  # fmt: skip
 
     def _draw_path(self, name: str, points: Array, colour: tuple[float, float, float], width: float) -> None:

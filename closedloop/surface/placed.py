@@ -23,7 +23,7 @@ from closedloop.surface.contact import (
     put_on_surface,
     surface_entry,
 )
-from closedloop.surface.geometry import Touch
+from closedloop.surface.geometry import Pose, Touch
 from closedloop.surface.kinds.plane import PlaneSurface
 from closedloop.surface.motion import SurfaceMotion
 from closedloop.surface.motions.none import NoMotion
@@ -169,6 +169,18 @@ class PlacedSurface:
             raise ScenarioError(f"surface.kind = {self.section.kind}: has no normal at {np.round(r, 4).tolist()} m")
         gap = float(touch.level / touch.size)
         return Touching(gap, ask.frame.copy(), touch.carried.copy(), touch.turning.copy(), float(touch.level))
+
+    def displacement(self, t: float) -> tuple[Array, Array]:
+        """Return the rotation (3, 3) and the shift (3,), m, base frame, by which it is displaced at t, s."""
+        if not self.moves:
+            return np.eye(3), np.zeros(3)
+        links, ask = self._interpreted
+        ask.time = t
+        with of_users(self.motion, "surface_motion.kind"):
+            interpreted(motion_entry(type(self.motion)))(int(links.address), 0)
+        pose = Pose(ask.pose)
+        turn: Array = pose.axes.T @ ask.axes
+        return turn, pose.origin - turn @ self.origin
 
     def follow(self, level: float, times: Array, motion: tuple[Array, Array, Array]) -> tuple[Array, Array, Array]:
         """Return a motion of a point moved along `normal` onto the level φ = `level`, of the surface as it moves.

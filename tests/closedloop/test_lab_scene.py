@@ -13,7 +13,6 @@ from closedloop.lab.curves import panels, reduced, with_instants
 from closedloop.lab.playback import Playback
 from closedloop.lab.scene import quaternions, scene_of
 from closedloop.lab.share import page_of
-from closedloop.surface.plane import unit
 
 SHIPPED = cl.shipped_scenarios()
 QUICK = ("wam_slide", "planar2_drop")
@@ -28,14 +27,20 @@ def short_run(name, **changes):
 def test_the_drawn_tip_is_on_the_surface_and_the_arrows_are_the_forces(name):
     """In every shipped scenario: in contact the tip is drawn on the drawn surface, and the arrows are the run's."""
     run = cl.simulate(cl.load_scenario(name), engine="compiled") if name not in QUICK else short_run(name)
-    scene, normal = scene_of(run), unit(run.scenario.surface.normal, "surface.normal")
+    scene = scene_of(run)
+    vertices, faces = scene.surface
+    assert faces.max() < len(vertices)
+    for vertex in vertices[:: max(1, len(vertices) // 9)]:
+        assert abs(scene.placed.touching(vertex).gap) < 1e-9
     touching = np.flatnonzero(run.mode != FREE)
     rows = touching[np.unique(np.linspace(0, len(touching) - 1, 40).astype(int))] if touching.size else []
     for row in rows:
-        assert abs(normal @ (scene.tip_place(row) - scene.patch[0])) < 1e-6
+        turn, shift = scene.surface_place(row)
+        gap = scene.placed.touching(turn.T @ (scene.tip_place(row) - shift)).gap
+        assert gap == pytest.approx(run.closure_error[row], abs=1e-6)
     for row in np.linspace(0, len(run) - 1, 20).astype(int):
         assert scene.tip_place(row) == pytest.approx(run.position[row], abs=1e-9)
-        pushed, rubbed, wanted = scene.arrows(row)
+        (pushed, rubbed, wanted), normal = scene.arrows(row), run.surface_normal[row]
         assert pushed.force @ normal == pytest.approx(run.contact_force[row], rel=1e-12)
         assert np.linalg.norm(np.cross(pushed.force, normal)) < 1e-9
         assert rubbed.force == pytest.approx(run.friction_force[row])

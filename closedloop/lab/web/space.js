@@ -23,7 +23,7 @@ class Space {
     const k = data.size;
     this.shaft = this.round(1, 1);
     this.head = this.round(1, 0);
-    this.surface = this.mesh(new Float32Array(data.patch.flat()), new Uint32Array([0, 1, 2, 0, 2, 3]));
+    this.surface = this.mesh(floats(data.surface.vertices), whole(data.surface.faces));
     this.paths = data.paths.map((p) => ({ colour: p.colour, mesh: this.tube(floats(p.points), 0.0025 * k) }));
     this.turn = -0.5;
     this.rise = 0.4;
@@ -165,7 +165,7 @@ class Space {
     gl.disable(gl.DEPTH_TEST);
     this.arrows(0.35); // through the arm, where that hides them
     gl.enable(gl.DEPTH_TEST);
-    this.put(this.surface, still, [0.6, 0.66, 0.72, 0.55], 0);
+    this.put(this.surface, this.frame.places[this.data.surface.joint], [0.6, 0.66, 0.72, 0.55], 1);
     gl.disable(gl.BLEND);
   }
 

@@ -6,14 +6,16 @@ import hashlib
 import inspect
 import re
 import sys
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
 from traceback import extract_tb
-from typing import Any
+from typing import Any, cast
 
 from closedloop.errors import ClosedLoopError, ScenarioError, one_line
 from closedloop.families import Member, is_users
+from closedloop.jit.calls import Entry
+from closedloop.jit.kernel import entry_kernel, jit_disabled, kernel, kernel_of
 
 
 @contextmanager
@@ -80,3 +82,41 @@ def identity_of(member: type[Any]) -> str:
     bases = [each for each in member.__mro__ if issubclass(each, Member) and each is not Member]
     texts = dict.fromkeys(source_digest(each) for each in bases)
     return " ".join([f"{member.__module__}:{member.__qualname__}", *texts])
+
+
+# What an entry returns whose member has raised something.
+RAISED = -1
+
+
+def function_of(member: type[Member], name: str) -> Callable[..., Any]:
+    """Return a function of a member as a kernel; in a user's, indices are checked."""
+    return kernel_of(cast(Any, member), name, checked=is_users(member))
+
+
+def member_entry(entry: Entry, member: type[Member], mark: Callable[[int], None] | None = None) -> Entry:
+    """Return an entry that calls a member's functions, compiled when it is first needed.
+
+    Compiled code that was called by address can raise nothing: numba would print the exception, and the caller go on.
+    So the entry of a user's member catches what is raised, calls `mark` with the address, and returns RAISED.
+    """
+    identity = identity_of(member)
+    if jit_disabled() or not is_users(member):
+        return entry_kernel(entry, identity=identity)
+    inner, note = kernel(entry), kernel(_unmarked) if mark is None else mark
+
+    def guarded(address: int, what: int) -> int:
+        answer = RAISED
+        try:
+            answer = inner(address, what)
+        except Exception:
+            note(address)
+        return answer
+
+    guarded.__name__ = guarded.__qualname__ = entry.__name__
+    made: Any = entry_kernel(guarded, identity=identity)
+    made.unguarded = inner
+    return cast(Entry, made)
+
+
+def _unmarked(address: int) -> None:
+    """Note nothing."""

@@ -21,9 +21,10 @@ from closedloop.scenario import describe
 # What each public name is for, in the order of the page; a name that is in none of these is a fault.
 API = {
     "From a scenario to a run": (
-        "load_scenario shipped_scenarios Scenario simulate simulate_batch prepare Problem Run Event load_run sweep_plot"
+        "load_scenario shipped_scenarios Scenario simulate simulate_batch prepare Problem Run Event load_run "
+        "sweep_plot Simulator StepState figures lab"
     ),
-    "Laws and surfaces of your own": "Law LawInput ControlLaw Surface SurfaceMotion",
+    "Laws and surfaces of your own": "Law LawInput ControlLaw Surface SurfaceMotion Compliance",
     "The robot and the closure": "Robot Terms Plane solve_closure",
     "Errors": (
         "ClosedLoopError ScenarioError ModelError OutputError RunFileError ClusterError SimulationError "

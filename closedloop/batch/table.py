@@ -50,7 +50,7 @@ def key_type(values: Sequence[Any]) -> pa.DataType:
     """Return the type of a column of these values; values that have no common one are written as JSON."""
     import pyarrow as pa
 
-    kinds = {type(value) for value in values}
+    kinds = {type(value.item() if isinstance(value, np.generic) else value) for value in values}
     if kinds <= {bool}:
         return pa.bool_()
     if kinds <= {int} and all(abs(value) < 2**63 for value in values):

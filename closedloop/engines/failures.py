@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import sys
+from traceback import extract_tb
 from typing import Any
 
 import numpy as np
@@ -13,15 +15,22 @@ from closedloop.errors import (
     ChatterError,
     DivergenceError,
     InterruptedRunError,
+    LawError,
     NoNormalError,
     PainleveError,
+    ScenarioError,
     SimulationError,
     SingularClosureError,
 )
+from closedloop.families import is_users
 from closedloop.interrupts import word_for
+from closedloop.jit.interpreted import interpreted
 from closedloop.robot.pinocchio import Robot
 from closedloop.scenario.gains import gains_fault
+from closedloop.step.entries import CALLS
 from closedloop.step.evaluate import SPEED_LIMIT
+from closedloop.step.memory import Loop
+from closedloop.user_code import of_users
 
 Array = NDArray[np.float64]
 
@@ -95,3 +104,36 @@ def _normal_at(problem: Problem, q: Array, t: float) -> Array:
     """Return the unit normal (3,) of the surface at the tip, base frame."""
     normal: Array = problem.surface.touching(problem.robot.position(q), t=t).frame[0]
     return normal
+
+
+def raised_by_member(problem: Problem, loop: Loop) -> LawError:
+    """Return the error of a run in which a user's member raised something: file, line, type and message in one line.
+
+    Compiled code keeps no message: the functions are called again, interpreted, on the memory as it is.
+    """
+    t = float(loop.w.time)
+    problem.connect(loop, compiled=False)
+    for name, entry in problem.entries().items():
+        member = getattr(problem.scenario, name)
+        address = int(loop.state.surface_at) if name in ("surface", "surface_motion") else loop.address
+        for what in range(CALLS) if is_users(member) else ():
+            try:
+                with np.errstate(all="ignore"), of_users(member, f"{name}.kind"):
+                    interpreted(entry)(address, what)
+            except ScenarioError as error:
+                return LawError(f"{when(t)}: {error}", t)
+    return LawError(f"{when(t)}: a function of a class of your own failed", t)
+
+
+def member_error(problem: Problem, error: Exception, t: float) -> LawError | None:
+    """Return what a user's member raised in an interpreted run as the error of the run; None if none of them did."""
+    for name in problem.entries():
+        member = getattr(problem.scenario, name)
+        file = getattr(sys.modules.get(type(member).__module__), "__file__", None)
+        if is_users(member) and any(frame.filename == file for frame in extract_tb(error.__traceback__)):
+            try:
+                with of_users(member, f"{name}.kind"):
+                    raise error
+            except ScenarioError as told:
+                return LawError(f"{when(t)}: {told}", t)
+    return None

@@ -50,6 +50,8 @@ def interpreted(function: F) -> F:
     """
     if not hasattr(function, "py_func"):
         return function
+    if getattr(function, "unguarded", None) is not None:
+        return cast(F, interpreted(cast(Any, function).unguarded))
     with _making:
         if id(function) not in _twins:
             source = function.py_func

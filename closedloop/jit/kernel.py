@@ -43,7 +43,11 @@ class Kernel:
     ----------
     py_func : callable
         The Python function.
+    unguarded : callable or None
+        Of an entry that catches what a user's function raises, the one that does not: interpreted code runs that.
     """
+
+    unguarded: Any = None
 
     def __init__(self, function: Callable[..., Any], make: Callable[[Callable[..., Any]], Any]) -> None:
         update_wrapper(self, function)
@@ -167,10 +171,16 @@ def brief_entry(function: F) -> F:
 
 
 @cache
-def kernel_of(member: type[Any], name: str) -> Callable[..., Any]:
-    """Return a function of a member as a kernel, to be called by the member's entry."""
+def kernel_of(member: type[Any], name: str, checked: bool = False) -> Callable[..., Any]:
+    """Return a function of a member as a kernel, to be called by the member's entry.
+
+    `checked` has it raise an IndexError where an index is beyond an array; else it would read or write what lies there.
+    """
     function: Any = getattr(member, name)
-    made: Callable[..., Any] = function if hasattr(function, "py_func") else kernel(function)
+    options = {"error_model": "numpy", "_nrt": False, "boundscheck": checked}
+    made: Callable[..., Any] = (
+        function if hasattr(function, "py_func") else _made(function, lambda plain: _nested(plain, options))
+    )
     return made
 
 

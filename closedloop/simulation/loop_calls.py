@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from closedloop.closure.solve import LAW_FAILED
-from closedloop.engines.failures import failure_of
+from closedloop.engines.failures import failure_of, raised_by_member
 from closedloop.engines.loops import COMPILED, SECONDS, SECONDS_GENERAL
 from closedloop.engines.pinocchio import addresses_of, set_events
 from closedloop.engines.problem import Problem
@@ -81,6 +81,8 @@ class Answers:
         state, w = self._loop.state, self._loop.w
         if user_law is not None and (state.status == LAW_FAILED or user_law.interruption is not None):
             raise user_law.failure()
+        if state.raised != 0:
+            raise raised_by_member(self._problem, self._loop)
         return failure_of(int(state.status), float(w.time), self._problem.robot, self._problem, law, w.q, w.v)
 
 

@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from closedloop.engines.failures import interrupted
+from closedloop.engines.failures import interrupted, member_error
 from closedloop.engines.law_source import law_digest
 from closedloop.engines.loops import ENGINES, PINOCCHIO, loop_for
 from closedloop.engines.problem import Problem
@@ -227,6 +227,10 @@ def run_loop(
         finish(int(state.row) + (failure is None))
     except (LawError, DivergenceError) as error:
         failure = error
+    except Exception as error:
+        failure = member_error(problem, error, float(w.time))
+        if failure is None:
+            raise
     except KeyboardInterrupt as stop:
         if not keep_interrupted:
             raise

@@ -17,15 +17,23 @@ from closedloop.control.law import Compensation, ControlLaw
 from closedloop.control.law_input import LawInput
 from closedloop.friction.law import JointFriction, Slip, SurfaceFriction, length_of
 from closedloop.jit.calls import Entry
-from closedloop.jit.kernel import entry_kernel, kernel_inlined, kernel_of
+from closedloop.jit.kernel import kernel, kernel_inlined
 from closedloop.parameters import one_joint_block, parameter_block, state_block
 from closedloop.step.memory import Constants, State, Work, loop_at
-from closedloop.user_code import identity_of
+from closedloop.user_code import function_of, member_entry
 
 Array = NDArray[np.float64]
 
 # Calls to a control law or a compensation, and to a law of friction.
 TORQUE, START, RESTART, RATES, SLIDE, HOLD, ADVANCE_STATES, LIMIT, STICK = range(9)
+CALLS = 9
+
+
+@kernel
+def mark_raised(address: int) -> None:
+    """Note in the loop's memory that a user's member has raised something."""
+    state, _, _ = loop_at(address)
+    state.raised = 1
 
 
 @kernel_inlined
@@ -46,7 +54,7 @@ def law_entry(member: type[ControlLaw] | type[Compensation]) -> Entry:
     The states of a compensation follow those of the law.
     """
     Parameters, States = parameter_block(member), state_block(member)
-    torque, rates, start, restart = (kernel_of(member, name) for name in ("torque", "rates", "start", "restart"))
+    torque, rates, start, restart = (function_of(member, name) for name in ("torque", "rates", "start", "restart"))
 
     if issubclass(member, Compensation):
 
@@ -81,7 +89,7 @@ def law_entry(member: type[ControlLaw] | type[Compensation]) -> Entry:
             return 0
 
     entry.__name__ = entry.__qualname__ = f"entry_of_{member.__name__}"
-    return entry_kernel(entry, identity=identity_of(member))
+    return member_entry(entry, member, mark_raised)
 
 
 @cache
@@ -97,8 +105,8 @@ def friction_entry(member: type[SurfaceFriction]) -> Entry:
     In `Work` it reads slip, delayed_slip and direction.
     """
     Parameters, States = parameter_block(member), state_block(member)
-    slide, hold, rates = (kernel_of(member, name) for name in ("slide", "hold", "rates"))
-    advance, stick_limit, stick = (kernel_of(member, name) for name in ("advance", "stick_limit", "stick"))
+    slide, hold, rates = (function_of(member, name) for name in ("slide", "hold", "rates"))
+    advance, stick_limit, stick = (function_of(member, name) for name in ("advance", "stick_limit", "stick"))
 
     def entry(address: int, what: int) -> int:
         state, constants, w = loop_at(address)
@@ -124,7 +132,7 @@ def friction_entry(member: type[SurfaceFriction]) -> Entry:
         return 0
 
     entry.__name__ = entry.__qualname__ = f"entry_of_surface_{member.__name__}"
-    return entry_kernel(entry, identity=identity_of(member))
+    return member_entry(entry, member, mark_raised)
 
 
 @cache
@@ -135,8 +143,8 @@ def joint_friction_entry(member: type[JointFriction]) -> Entry:
     joint_limit written. SLIDE is of each joint as it is, stuck or not; STICK of those with a direction.
     """
     Parameters, States = one_joint_block(member), state_block(member)
-    slide, hold, rates = (kernel_of(member, name) for name in ("slide", "hold", "rates"))
-    advance, stick_limit, stick = (kernel_of(member, name) for name in ("advance", "stick_limit", "stick"))
+    slide, hold, rates = (function_of(member, name) for name in ("slide", "hold", "rates"))
+    advance, stick_limit, stick = (function_of(member, name) for name in ("advance", "stick_limit", "stick"))
 
     def entry(address: int, what: int) -> int:
         state, constants, w = loop_at(address)
@@ -166,4 +174,4 @@ def joint_friction_entry(member: type[JointFriction]) -> Entry:
         return 0
 
     entry.__name__ = entry.__qualname__ = f"entry_of_joint_{member.__name__}"
-    return entry_kernel(entry, identity=identity_of(member))
+    return member_entry(entry, member, mark_raised)

@@ -175,6 +175,8 @@ def evaluate(
                 call_at(state.friction, state.address, RATES)
             if state.joint_states > 0:
                 call_at(state.joint_friction, state.address, RATES)
+        if state.raised != 0:
+            return LAW_FAILED
     return OK if bounded(w) else DIVERGED
 
 

@@ -12,6 +12,7 @@ from closedloop.jit.kernel import kernel, kernel_inlined
 from closedloop.step.memory import Constants, Reference, State, Work
 from closedloop.surface.contact import CONTACT, FOUND, ask_at
 from closedloop.surface.geometry import Touch
+from closedloop.user_code import RAISED
 
 
 @kernel_inlined
@@ -48,7 +49,9 @@ def ask_surface(w: Work, state: State) -> bool:
             speed += w.J[i, j] * w.v[j]
         ask.velocity[i] = speed
         ask.r[i] = w.r[i]
-    if call_at(state.surface, links.address, CONTACT) != FOUND:
+    answer = call_at(state.surface, links.address, CONTACT)
+    if answer != FOUND:
+        state.raised = 1 if answer == RAISED else 0
         return False
     touch = Touch(ask.touch)
     w.gap = touch.level / touch.size

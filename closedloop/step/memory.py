@@ -84,6 +84,7 @@ class State(Block):
     events_in_step: int
     rapid_events: int  # events in a row within `RAPID` of each other
     sampled: int  # 1 if the law is evaluated with these terms
+    raised: int  # 1 once a user's member has raised something
     no_search: int  # 1 if an event at the end of this step happens there, not before
     after_event: int  # 1 in the remainder of a step after an event
     risen: int  # 1 if the tip has been clear of the surface since it lifted off

@@ -6,13 +6,14 @@ from functools import cache
 
 from closedloop.closure.contact_force import STUCK, accelerate, baumgarte_acceleration, stuck_tangentially
 from closedloop.jit.calls import Entry, call_at
-from closedloop.jit.kernel import entry_kernel, kernel, kernel_of
+from closedloop.jit.kernel import kernel
 from closedloop.parameters import parameter_block
+from closedloop.step.entries import mark_raised
 from closedloop.step.locate import off_anchor
 from closedloop.step.memory import RIGID_STICK, SPRING_STICK, Constants, State, Work, loop_at
 from closedloop.step.tip_friction import turn_with_slip
 from closedloop.surface.compliance import Compliance
-from closedloop.user_code import identity_of
+from closedloop.user_code import function_of, member_entry
 
 # N/m by which a gap becomes a force, for the event function alone: its sign decides.
 AS_FORCE = 1e6
@@ -21,7 +22,7 @@ AS_FORCE = 1e6
 @cache
 def compliance_entry(member: type[Compliance]) -> Entry:
     """Return the entry of a compliance, compiled when it is first needed: it writes f into F[0]."""
-    Parameters, force = parameter_block(member), kernel_of(member, "force")
+    Parameters, force = parameter_block(member), function_of(member, "force")
 
     def entry(address: int, what: int) -> int:
         state, constants, w = loop_at(address)
@@ -30,7 +31,7 @@ def compliance_entry(member: type[Compliance]) -> Entry:
         return 0
 
     entry.__name__ = entry.__qualname__ = f"entry_of_compliance_{member.__name__}"
-    return entry_kernel(entry, identity=identity_of(member))
+    return member_entry(entry, member, mark_raised)
 
 
 @kernel

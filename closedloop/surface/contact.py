@@ -15,13 +15,13 @@ from numpy.typing import NDArray
 
 from closedloop.jit.blocks import Block, Count
 from closedloop.jit.calls import Entry, call_at
-from closedloop.jit.kernel import entry_kernel, kernel, kernel_of
+from closedloop.jit.kernel import entry_kernel, kernel
 from closedloop.jit.pointers import address_of, integers_at, vector_at
 from closedloop.parameters import parameter_block
 from closedloop.surface.geometry import Pose, Touch, contact_geometry, into_surface_axes
 from closedloop.surface.motion import Move, SurfaceMotion, begin_move, displace
 from closedloop.surface.surface import Surface
-from closedloop.user_code import identity_of
+from closedloop.user_code import RAISED, function_of, member_entry
 
 Array = NDArray[np.float64]
 
@@ -110,12 +110,12 @@ def surface_entry(member: type[Surface]) -> Entry:
     CONTACT     writes the pose, all of the touch, and the frame; the answer is NO_NORMAL where φ has no gradient
     LEVEL       writes the pose, and at, level, gradient and Hessian of the touch
     """
-    Parameters, level = parameter_block(member), kernel_of(member, "level")
+    Parameters, level = parameter_block(member), function_of(member, "level")
 
     def entry(address: int, what: int) -> int:
         links, ask = ask_at(address)
-        if links.motion != 0:
-            call_at(links.motion, address, 0)
+        if links.motion != 0 and call_at(links.motion, address, 0) == RAISED:
+            return RAISED
         pose, touch = Pose(ask.pose), Touch(ask.touch)
         into_surface_axes(pose, ask.r, touch)
         touch.level = level(touch.at, Parameters(ask.par, links.entries), touch.gradient, touch.hessian)
@@ -124,13 +124,13 @@ def surface_entry(member: type[Surface]) -> Entry:
         return FOUND
 
     entry.__name__ = entry.__qualname__ = f"entry_of_surface_{member.__name__}"
-    return entry_kernel(entry, identity=identity_of(member))
+    return member_entry(entry, member)
 
 
 @cache
 def motion_entry(member: type[SurfaceMotion]) -> Entry:
     """Return the entry of a motion, which writes the pose at the time that is asked for."""
-    Parameters, move = parameter_block(member), kernel_of(member, "move")
+    Parameters, move = parameter_block(member), function_of(member, "move")
 
     def entry(address: int, what: int) -> int:
         _, ask = ask_at(address)
@@ -141,7 +141,7 @@ def motion_entry(member: type[SurfaceMotion]) -> Entry:
         return 0
 
     entry.__name__ = entry.__qualname__ = f"entry_of_surface_motion_{member.__name__}"
-    return entry_kernel(entry, identity=identity_of(member))
+    return member_entry(entry, member)
 
 
 # Newton steps along the normal by which a point is put on a level of φ, and the distance at which it is on it, m.

@@ -10,12 +10,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from closedloop.errors import ScenarioError
+from closedloop.families import is_users
 from closedloop.jit import background
 from closedloop.jit.calls import entry_address
 from closedloop.jit.interpreted import at_hand, interpreted, twin_address
 from closedloop.parameters import pack
 from closedloop.surface.contact import (
     CONTACT,
+    LEVEL,
     NO_NORMAL,
     SurfaceMemory,
     make_memory,
@@ -182,6 +184,15 @@ class PlacedSurface:
         turn: Array = pose.axes.T @ ask.axes
         return turn, pose.origin - turn @ self.origin
 
+    def _say_what_is_raised(self, memory: SurfaceMemory, t: float, r: Array) -> None:
+        """Ask a user's class again, interpreted, at a point r (3,), m, and an instant t, s; it may raise something."""
+        kinds = {"surface.kind": (self.section, surface_entry), "surface_motion.kind": (self.motion, motion_entry)}
+        memory.ask.time, memory.ask.r[:], memory.links.motion = t, r, 0
+        for key, (member, entry_of) in kinds.items():
+            if is_users(member):
+                with np.errstate(all="ignore"), of_users(member, key):
+                    interpreted(entry_of(type(member)))(memory.address, LEVEL)
+
     def follow(self, level: float, times: Array, motion: tuple[Array, Array, Array]) -> tuple[Array, Array, Array]:
         """Return a motion of a point moved along `normal` onto the level φ = `level`, of the surface as it moves.
 
@@ -213,6 +224,8 @@ class PlacedSurface:
         with np.errstate(all="ignore"), of_users(self.section, "surface.kind"):
             done = put(place, memory.address, np.array(self.normal), level, np.ascontiguousarray(times), *found)
         if done < times.size:
+            if ready:  # of what a user's class has raised compiled code keeps no message
+                self._say_what_is_raised(memory, float(times[done]), motion[0][done])
             where = np.round(motion[0][done], 4).tolist()
             raise ScenarioError(
                 f"reference: at t = {times[done]:.4g} s the path is at {where} m, from where the surface cannot be "

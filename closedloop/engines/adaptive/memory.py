@@ -18,6 +18,7 @@ from closedloop.engines.adaptive.kernels import (
     evaluate_on_pinocchio,
 )
 from closedloop.engines.adaptive.smooth import Interval
+from closedloop.engines.failures import raised_by_member
 from closedloop.engines.loops import PINOCCHIO, loop_for
 from closedloop.engines.pinocchio import addresses_of, set_events
 from closedloop.engines.problem import Problem
@@ -231,5 +232,7 @@ class Memory:
             if isinstance(error, DivergenceError):  # no number: a shorter step may do
                 raise Stopped(OK, self.user_law.fault)
             raise error
+        if self.state.raised != 0:
+            raise raised_by_member(self._problem, self.loop)
         if status != OK:
             raise Stopped(status)

@@ -32,19 +32,26 @@ def closure_error(run: Run) -> Figure:
     """
     touching = run.mode != FREE
     how = _STABILISED[run.scenario.stabiliser.kind]
+    soft = run.scenario.compliance.kind != "none"
+    what = "Place of the tip in the soft surface, e < 0 inside" if soft else f"Closure error, {how}"
     both = bool(np.any(touching) and not np.all(touching))
     figure = new_figure(height=4.8 if both else 3.4)
     panels = figure.subplots(2 if both else 1, 1, sharex=True, squeeze=False)[:, 0]
     if np.all(touching):
         unit = _draw(panels[0], run, run.closure_error)
-        dress(panels[0], run, f"Closure error e = n·r − d, {how}", f"e [{unit}]")
+        dress(
+            panels[0],
+            run,
+            what if soft or run.scenario.surface.kind != "plane" else f"Closure error e = n·r − d, {how}",
+            f"e [{unit}]",
+        )
     else:
         unit = _draw(panels[0], run, run.closure_error)
-        dress(panels[0], run, "Gap e = n·r − d", f"e [{unit}]", show_events=not both)
+        dress(panels[0], run, "Gap e", f"e [{unit}]", show_events=not both)
     if both:
         panels[0].set_xlabel("")
         unit = _draw(panels[1], run, np.where(touching, run.closure_error, np.nan))
-        dress(panels[1], run, f"The same in contact: closure error, {how}", f"e [{unit}]", label_marks=False)
+        dress(panels[1], run, f"The same in contact: {what[0].lower()}{what[1:]}", f"e [{unit}]", label_marks=False)
     explain_contact(figure, run)
     return figure
 

@@ -165,9 +165,11 @@ def _error_rows(run: Run, facts: dict[str, Any]) -> list[tuple[str, str, str, st
             commanded if touching[-1] else f"free; {commanded}",
         ),
         ("f, lowest and highest", f"{np.min(force):.4g} … {np.max(force):.4g}", "N", where),
+        ("force error, RMS", _shown(facts["rms_force_error"], ".2g"), "N", "in contact"),
+        ("path error, RMS", _shown(facts["rms_path_error"], ".2g"), "m", "along the surface"),
         ("the stabiliser's part of f", _shown(facts["max_stabiliser_force"], ".2g"), "N", absent),
         (
-            "closure error |e|",
+            "closure error |e|" if run.scenario.compliance.kind == "none" else "depth in the surface |e|",
             _shown(facts["max_abs_closure_error"], ".2g"),
             "m",
             f"{_shown(end, '.1g')} m at the end" if touching[-1] else f"a gap of {_shown(end, '.3g')} m at the end",

@@ -81,6 +81,11 @@ class StepState:
         return float(self._part("contact_force"))
 
     @property
+    def normal(self) -> Array:
+        """Unit normal of the surface at the tip (3,)."""
+        return self._part("surface_normal")
+
+    @property
     def friction_force(self) -> Array:
         """Tangential force of the surface on the tip (3,), N."""
         return self._part("friction_force")

@@ -10,9 +10,11 @@ inside a cached `step.py`. So the cache is our own, in a folder named by a diges
 
 from __future__ import annotations
 
+import gc
 import os
 import signal
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 from functools import cache, cached_property, update_wrapper
 from typing import Any, TypeVar, cast
 
@@ -131,11 +133,23 @@ def _kept(function: Callable[..., Any], compiled: Any, identity: str = "") -> An
     compile_now = compiled.compile
 
     def compile_uninterrupted(signature: Any) -> Any:
-        with held_back(signal.SIGINT):
+        with held_back(signal.SIGINT), _no_garbage_collection():
             return compile_now(signature)
 
     compiled.compile = compile_uninterrupted
     return compiled
+
+
+@contextmanager
+def _no_garbage_collection() -> Iterator[None]:
+    """Do not look for garbage meanwhile: a compiler's graphs are in use, and looking through them takes a tenth."""
+    was = gc.isenabled()
+    gc.disable()
+    try:
+        yield
+    finally:
+        if was:
+            gc.enable()
 
 
 def inlined_kernel(function: F) -> F:

@@ -50,10 +50,16 @@ def test_numbers_may_follow_arrays(n):
     assert memory[-1] == 0.5
 
 
+@kernel
+def _set(array, value):
+    array[:] = value
+    return array.size
+
+
 # One line a part: the name of an attribute must be written out for numba.
-_lines = [f"    block.{name}[:] = {100.0 + i}\n    shapes[{i}] = block.{name}.size\n" for i, name in enumerate(ARRAYS)]
+_lines = [f"    shapes[{i}] = _set(block.{name}, {100.0 + i})\n" for i, name in enumerate(ARRAYS)]
 _lines += [f"    block.{name} += {500.0 + i}\n    read[{i}] = block.{name}\n" for i, name in enumerate(NUMBERS)]
-_made: dict = {}
+_made: dict = {"_set": _set}
 exec("def mark(block, shapes, read):\n" + "".join(_lines), _made)
 _mark = kernel(_made["mark"])
 

@@ -17,7 +17,7 @@ UP = np.array([0.0, 0.0, 1.0])
 def push(t, q, v, terms):
     """Compensate C, press with a force that swings, damp; every term that a law gets has a part in it."""
     force = 12.0 + 2.0 * np.sin(40.0 * t)
-    inertia = terms.mass_matrix @ (0.5 - v)
+    inertia = terms.mass_matrix[0] * (0.5 - v)
     return terms.bias + inertia - force * terms.jacobian[2] - terms.position[1] * v + 0.1 * terms.drift[0] * q
 
 
@@ -31,8 +31,7 @@ def writing(t, q, v, terms, torque):
     for i in range(q.size):
         torque[i] += terms.bias[i] - force * terms.jacobian[2, i] - terms.position[1] * v[i]
         torque[i] += 0.1 * terms.drift[0] * q[i]
-        for j in range(q.size):
-            torque[i] += terms.mass_matrix[i, j] * (0.5 - v[j])
+        torque[i] += terms.mass_matrix[0, i] * (0.5 - v[i])
 
 
 CASES = {

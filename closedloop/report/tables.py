@@ -165,7 +165,7 @@ def _error_rows(run: Run, facts: dict[str, Any]) -> list[tuple[str, str, str, st
             commanded if touching[-1] else f"free; {commanded}",
         ),
         ("f, lowest and highest", f"{np.min(force):.4g} … {np.max(force):.4g}", "N", where),
-        ("force error, RMS", _shown(facts["rms_force_error"], ".2g"), "N", "in contact"),
+        ("force error, RMS", _shown(facts["rms_force_error"], ".2g"), "N", "while it touches"),
         ("path error, RMS", _shown(facts["rms_path_error"], ".2g"), "m", "along the surface"),
         ("the stabiliser's part of f", _shown(facts["max_stabiliser_force"], ".2g"), "N", absent),
         (

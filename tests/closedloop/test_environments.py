@@ -8,7 +8,6 @@ import subprocess
 import pytest
 from surroundings import CASES, COMMANDS, ROOT
 
-
 THOROUGH = pytest.mark.thorough
 
 

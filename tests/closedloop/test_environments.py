@@ -8,6 +8,7 @@ import subprocess
 import pytest
 from surroundings import CASES, COMMANDS, ROOT
 
+
 THOROUGH = pytest.mark.thorough
 
 

@@ -53,7 +53,7 @@ def test_stepping_is_simulating(name, duration):
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("engine", ["compiled", pytest.param("pinocchio", marks=pytest.mark.thorough)])
+@pytest.mark.parametrize("engine", ["pinocchio", "compiled"])
 @pytest.mark.parametrize("name", cl.shipped_scenarios())
 def test_every_shipped_scenario_can_be_stepped(name, engine):
     """The same for whole scenarios and both engines."""
@@ -71,7 +71,7 @@ ALIKE = [name for name in cl.shipped_scenarios() if name not in ("panda_touchdow
         ("wam_slide", 0.6),
         ("wam_stick_slip", 3.0),
         ("wam_bounce", 0.7),
-        *(pytest.param(name, None, marks=[pytest.mark.slow, pytest.mark.thorough]) for name in ALIKE),
+        *(pytest.param(name, None, marks=pytest.mark.slow) for name in ALIKE),
     ],
 )
 def test_torques_from_outside_are_a_sampled_law(name, duration):

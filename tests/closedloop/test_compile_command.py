@@ -91,7 +91,6 @@ def test_without_a_compiler():
 
 
 @pytest.mark.slow
-@pytest.mark.thorough
 def test_all_is_there_afterwards(tmp_path):
     """A line for each piece and one for all, and a file of code for each kernel; again, nothing is compiled."""
     environment = os.environ | {"NUMBA_CACHE_DIR": str(tmp_path)}

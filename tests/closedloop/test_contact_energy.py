@@ -41,7 +41,6 @@ def check_energy(run, smooth):
 
 
 @pytest.mark.slow
-@pytest.mark.thorough
 @pytest.mark.parametrize("friction", [{}, FRICTION], ids=["smooth", "rough"])
 @pytest.mark.parametrize("arm", ARMS)
 def test_energy_never_grows_by_the_contact(arm, friction):

@@ -219,7 +219,7 @@ def test_a_singular_start_on_the_surface_stops_at_once(arm):
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("seed", [0, *(pytest.param(k, marks=pytest.mark.thorough) for k in (1, 2))])
+@pytest.mark.parametrize("seed", range(3))
 @pytest.mark.parametrize("arm", ARMS)
 def test_a_thousand_random_drops(arm, seed):
     """The same with a thousand of each seed."""

@@ -9,20 +9,13 @@ import pytest
 from surroundings import CASES, COMMANDS, ROOT
 
 
-THOROUGH = pytest.mark.thorough
-
-
 def test_there_are_many():
     """Each surrounding is another one."""
     assert len({(case.line, case.where, case.before, repr(case.env)) for case in CASES}) == len(CASES) >= 50
 
 
 @pytest.mark.parametrize(
-    "case",
-    [
-        pytest.param(case, id=case.name, marks=() if case.quick else [pytest.mark.slow, *([THOROUGH] if k % 3 else [])])
-        for k, case in enumerate(CASES)
-    ],
+    "case", [pytest.param(case, id=case.name, marks=() if case.quick else pytest.mark.slow) for case in CASES]
 )
 def test_status_and_one_line(case, tmp_path, tmp_path_factory):
     """The status is the documented one, at most one line is said, and what should be there is there."""

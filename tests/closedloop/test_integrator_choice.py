@@ -52,9 +52,7 @@ BOUNDS = {"wam_bounce": 1e-8, "planar2_drop": 1e-9}
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize(
-    "name", [*WITH_IMPACTS[:2], *(pytest.param(each, marks=pytest.mark.thorough) for each in WITH_IMPACTS[2:])]
-)
+@pytest.mark.parametrize("name", WITH_IMPACTS)
 def test_as_shipped_all_events_are_there(name, shipped_run):
     """Every event of dop853 at 1e-12 is there, at its instant, to a microsecond or better."""
     truth, run = cl.simulate(cl.load_scenario(name, {"time.integrator": "dop853"})), shipped_run(name)

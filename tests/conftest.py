@@ -8,6 +8,7 @@ python -m pytest --hypothesis-profile=explore      # other examples each time, t
 
 import os
 import sys
+from collections import Counter
 from contextlib import suppress
 from pathlib import Path
 
@@ -23,6 +24,29 @@ settings.register_profile("same", derandomize=True)
 settings.register_profile("explore")
 settings.load_profile("same")
 os.environ[VARIABLE] = "0"  # for the processes that tests start, too
+
+
+# Files that take longest, in either suite: begun first, so that no process is left with one of them at the end. The
+# others follow by their numbers of tests, as xdist would have them.
+LONGEST = (
+    "test_environments", "test_scenarios", "test_sweep_killed", "test_contact_energy", "test_compile_command",
+    "test_run_files", "test_notebooks", "test_sweep_disk", "test_sweep_signals", "test_sweep_fuzz", "test_background",
+    "test_engines_agree", "test_break_away", "test_impact_spatial", "test_robot_files", "test_integrator_choice",
+    "test_contact_random", "test_mutate", "test_tree_kernels", "test_compiled_law", "test_control_compensation",
+    "test_friction_lugre", "test_user_law", "test_friction_own", "test_solve", "test_speed", "test_compiled",
+    "test_batch_memory", "test_scipy_later",
+)  # fmt: skip
+
+
+def pytest_collection_modifyitems(items):
+    """Put the files in the order in which they are to be begun."""
+    tests = Counter(item.path for item in items)
+
+    def place(item):
+        name = item.path.stem
+        return LONGEST.index(name) if name in LONGEST else len(LONGEST), -tests[item.path], str(item.path)
+
+    items.sort(key=place)
 
 
 # Files of tests from which on all that ships is needed, and compiled beforehand.

@@ -6,6 +6,7 @@ from fractions import Fraction
 
 import numpy as np
 import pytest
+from budget import budget
 from scipy.integrate import solve_ivp
 from scipy.optimize import brentq
 
@@ -112,7 +113,7 @@ def compare(S, u, eps, law, mu):
     return hit
 
 
-@pytest.mark.parametrize("count", [12, pytest.param(300, marks=pytest.mark.slow)])
+@pytest.mark.parametrize("count", [12, pytest.param(budget(150, 300), marks=pytest.mark.slow)])
 @pytest.mark.parametrize("law", LAWS)
 def test_random_impacts_are_those_of_an_ode_solver(law, count):
     """Slip that turns, stops, sticks, leaves again and jams; the quick form meets each law, the slow one every mode."""

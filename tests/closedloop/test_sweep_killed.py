@@ -12,6 +12,7 @@ import h5netcdf
 import numpy as np
 import pyarrow as pa
 import pytest
+from budget import budget
 from pyarrow import parquet
 from sweeps import process, refusal, sweep
 
@@ -22,7 +23,7 @@ ARGUMENTS = (
     "wam_bounce", "--time.duration", "1", "--over", "impact.restitution=-0.05:0.8", "--over", "surface.gap=0.001:0.02",
     "--random", "1280", "--seed", "5",
 )  # fmt: skip
-KILLS = 10
+KILLS = budget(5, 10)
 
 
 @pytest.fixture(scope="module")
@@ -53,8 +54,8 @@ def kill_after(run, seconds, ready):
 
 
 @pytest.mark.slow
-def test_killed_ten_times_the_table_is_the_same(tmp_path, uninterrupted):
-    """kill -9 at ten random moments, two before anything is done: no row is lost, none doubled, none another."""
+def test_killed_again_and_again_the_table_is_the_same(tmp_path, uninterrupted):
+    """kill -9 at random moments, one in five before anything is done: no row is lost, none doubled, none another."""
     rng = random.Random(11)
     killed = 0
     for k in range(KILLS):
@@ -70,7 +71,7 @@ def test_killed_ten_times_the_table_is_the_same(tmp_path, uninterrupted):
         assert before <= parts(tmp_path)
         assert not (tmp_path / "t.parquet").exists()
     assert killed == KILLS
-    assert 8 <= len(parts(tmp_path)) < 128
+    assert KILLS - KILLS // 5 <= len(parts(tmp_path)) < 128
     run = process(tmp_path, *ARGUMENTS, "--keep", "f", "--out", "t.parquet")
     out, err = run.communicate(timeout=300)
     assert run.returncode == 0, err

@@ -7,12 +7,13 @@ from collections import Counter
 
 import pytest
 import robot_files
+from budget import budget
 
 import robot_models
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("seed", range(2))
+@pytest.mark.parametrize("seed", range(budget(1, 2)))
 def test_every_file_is_refused_in_one_line_or_is_the_robot_of_its_text(seed):
     """No traceback, no noise, no hang, no other robot; blanks and remarks change nothing; the count is what ran."""
     pytest.importorskip("mujoco")

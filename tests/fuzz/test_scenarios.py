@@ -4,6 +4,7 @@ from collections import Counter
 
 import pytest
 from bounded import judged
+from budget import budget
 from judged import FAULTY, RAN, REFUSED, STOPPED, judge, of_json, of_line, same
 from scenario_cases import Case, all_cases, legal_extremes, one_wrong_value, places, tables, wrong_values
 from scenarios import FIRST
@@ -11,7 +12,7 @@ from scenarios import FIRST
 from closedloop.scenario.messages import variants
 from closedloop.scenario.scenario import Scenario, scenario_of
 
-BUDGET = 60.0  # s of processor time
+BUDGET = budget(25.0, 60.0)  # s of processor time
 
 
 @pytest.mark.slow

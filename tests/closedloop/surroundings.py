@@ -75,7 +75,7 @@ def saved(folder, out):
 
 def drawn(folder, out):
     """The figures are there."""
-    assert (folder / "r" / "fig5_contact_force.png").stat().st_size > 10_000
+    assert (folder / "r" / "fig_contact_force.png").stat().st_size > 10_000
 
 
 def ascii_only(folder, out):

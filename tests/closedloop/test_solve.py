@@ -8,7 +8,6 @@ from hypothesis import strategies as st
 
 import closedloop as cl
 from closedloop.closure.conditioning import (
-    BATCH,
     add_to_batch,
     batch_rows,
     condition_number,
@@ -30,6 +29,7 @@ from closedloop.closure.solve import (
     SINGULAR_MOBILITY,
     bordered_matrix,
 )
+from closedloop.jit.interpreted import interpreted
 from closedloop.jit.kernel import entry_kernel
 from closedloop.surface.plane import contact_frame
 
@@ -58,18 +58,6 @@ def _solve(H, tau, C, A, drift, asked, m, c, w, L, X, S, y, a, F, qdd, share):
     return status
 
 
-@entry_kernel
-def _conditions(H, a, L, x, s, batch, work, found):
-    """Write the condition numbers of H and of Eq. 24, from the first and the last of a batch and one by one."""
-    n, last = a.shape[0], batch.shape[1] - 1
-    add_to_batch(H, a, L, x, s, False, batch, 0)
-    add_to_batch(H, a, L, x, s, True, batch, last)
-    condition_numbers_of_batch(batch, n, last + 1)
-    found[0], found[1] = batch[-1, 0], batch[-1, last]
-    found[2] = condition_number(H, a, L, x, s, False, work)
-    found[3] = condition_number(H, a, L, x, s, True, work)
-
-
 class Solved:
     """What the kernels of a step make of Eq. 24 for a tip that is pressed (m = 1) or stuck (m = 3)."""
 
@@ -94,11 +82,16 @@ class Solved:
 
     def condition(self):
         """Return the 1-norm condition number of Eq. 24 with its normal row; keep that of H."""
-        n = len(self.tau)
-        batch, work, found = np.zeros((batch_rows(n), BATCH)), np.full(n * n + 4 * n, np.nan), np.zeros(4)
-        _conditions(self.H, self.A[0], self.L, self.X[0], self.S[0, 0], batch, work, found)
-        self.condition_free, condition, *self.long = found
-        return condition
+        n, last = len(self.tau), 3  # lanes of a batch are alike: four of them do, interpreted
+        batch, work = np.zeros((batch_rows(n), last + 1)), np.full(n * n + 4 * n, np.nan)
+        given = self.H, self.A[0], self.L, self.X[0], self.S[0, 0]
+        for lane, pressed in ((0, False), (last, True)):
+            interpreted(add_to_batch)(*given, pressed, batch, lane)
+        with np.errstate(all="ignore"):  # of the lanes that are empty
+            interpreted(condition_numbers_of_batch)(batch, n, last + 1)
+        self.condition_free = batch[-1, 0]
+        self.long = [interpreted(condition_number)(*given, pressed, work) for pressed in (False, True)]
+        return batch[-1, last]
 
 
 def mobility_share(terms, A):

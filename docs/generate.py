@@ -10,6 +10,7 @@ from collections.abc import Iterable, Iterator
 from contextlib import redirect_stdout, suppress
 from pathlib import Path
 from pkgutil import iter_modules
+from types import ModuleType
 from unittest.mock import patch
 
 import closedloop
@@ -148,6 +149,10 @@ def directive(name: str) -> Iterator[str]:
     thing = getattr(closedloop, name)
     if name == "Law":  # a type: its text stands below it in its module
         yield from (".. autodata:: closedloop.engines.user_law.Law", "   :no-value:")
+    elif name == "lab":  # a package that can be called, as this function
+        yield ".. autofunction:: closedloop.lab.start.lab"
+    elif isinstance(thing, ModuleType):
+        yield f".. automodule:: closedloop.{name}"
     elif not isinstance(thing, type):
         yield f".. autofunction:: closedloop.{name}"
     else:

@@ -28,7 +28,7 @@ def session(text):
     for file, code in blocks(text, "python", "toml"):
         if file:
             lines += [f"_Path({file!r}).write_text({code!r}, encoding='utf-8')", "_importlib.invalidate_caches()"]
-        else:
+        elif (None, code) in blocks(text, "python"):
             lines.append(code)
     return "\n".join(lines)
 

@@ -138,10 +138,10 @@ class Family(Mapping[str, type[M]], Generic[M]):
 
     def __iter__(self) -> Iterator[str]:
         """Go through the names, those that ship first, in the order of the alphabet; imports all of them."""
-        yield from self.shipped()
+        yield from self.names()
         yield from (name for name, each in list(_users.items()) if issubclass(each, self.base))
 
-    def shipped(self) -> list[str]:
+    def names(self) -> list[str]:
         """Return the names of those that ship, in the order of the alphabet; imports all of them."""
         return [name for name in self._files if name in self]
 
@@ -230,7 +230,7 @@ class Family(Mapping[str, type[M]], Generic[M]):
                 return Absent.model_validate(value)
             raise not_named(kind)
         if member is None or not issubclass(member, Section):
-            expected = ", ".join(map(repr, self.shipped()))
+            expected = ", ".join(map(repr, self.names()))
             tag = {"discriminator": "'kind'", "tag": str(kind), "expected_tags": expected}
             raise PydanticKnownError("union_tag_invalid", tag)
         return member.model_validate(value, context=info.context)
@@ -252,7 +252,7 @@ class OneOf:
 
     def names(self) -> list[str]:
         """Return all that the key may say, without the users' classes that happen to be known in this process."""
-        return [*self.words, *(name for family in self.families for name in family.shipped())]
+        return [*self.words, *(name for family in self.families for name in family.names())]
 
     def named(self, value: Any, key: str) -> Any:
         """See `Family.named`; a user's class is of the first family."""

@@ -82,7 +82,7 @@ def two_phase_impact(
     if mu < 0.0:
         raise ScenarioError(f"friction = {mu:g}: must not be negative")
     if law not in RESTITUTIONS:
-        raise ScenarioError(f"law = {law!r}: must be {' or '.join(map(repr, RESTITUTIONS.shipped()))}")
+        raise ScenarioError(f"law = {law!r}: must be {' or '.join(map(repr, RESTITUTIONS.names()))}")
     member = RESTITUTIONS[law]
     eps = coefficient_at(member, eps, -float(before[0]))
     if before[0] > 0.0:

@@ -168,7 +168,7 @@ def controls(scenario: Scenario, section: str, model: RobotModel | None = None) 
 def _kinds(section: str, present: str) -> tuple[str, ...]:
     """Return the kinds of a section that ship, and that which it has."""
     family = families().get(f"{section}.kind")
-    names = family.shipped() if isinstance(family, Family) else list(variants(section))
+    names = family.names() if isinstance(family, Family) else list(variants(section))
     return tuple(dict.fromkeys([*names, present])) if present else ()
 
 

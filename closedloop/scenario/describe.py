@@ -74,12 +74,12 @@ def _has_kinds(section: str) -> bool:
 
 
 def choices(key: str) -> list[str]:
-    """Return the words that a key may say, none if it takes other values."""
+    """Return the words that a key may say, without users' classes; none if it takes other values."""
     section, _, name = key.partition(".")
+    if (family := families().get(key)) is not None:
+        return family.names()
     if name == "kind" and _has_kinds(section):
         return list(variants(section))
-    if isinstance(one := families().get(key), OneOf):
-        return one.names()
     words = [word for found in keys(section) if found.name == key for word in _literals(found.field.annotation)]
     booleans = any(found.field.annotation is bool for found in keys(section) if found.name == key)
     return ["true", "false"] if booleans else list(dict.fromkeys(words))

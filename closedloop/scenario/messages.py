@@ -43,7 +43,7 @@ def _family(section: str) -> Family[Any] | None:
 def _shipped_kinds(section: str) -> list[str]:
     """Return the kinds of a section that ship: what a refusal lists, whatever was named in this process before."""
     family = _family(section)
-    return list(variants(section)) if family is None else family.shipped()
+    return list(variants(section)) if family is None else family.names()
 
 
 def usual_kind(section: str) -> str:

@@ -14,8 +14,17 @@ from closedloop.__main__ import main
 from closedloop.command.completion import bash, collect, fish, zsh
 from closedloop.command.robots import names
 from closedloop.command.table import COMMANDS, overview
+from closedloop.control.law import LAWS, ControlLaw
 
 ROOT = Path(cl.__file__).parent.parent
+
+
+class Own(ControlLaw):
+    """A user's law."""
+
+    def torque(self, state):
+        """Return none."""
+        return 0 * state.q
 
 
 @pytest.fixture
@@ -127,10 +136,11 @@ def test_robots_are_listed_with_their_joints(closedloop, monkeypatch):
 
 def test_completion_knows_commands_options_and_keys(closedloop):
     """The words come from the table, the help and the schema; bash gives those that begin as what is typed."""
+    LAWS.named(Own, "law.kind")  # which is not among them: the words do not depend on what the process has seen
     words = collect()
     assert set(words.options) == {command.name for command in COMMANDS}
     assert {"--out", "--strict", "--law.kp", "--time.step"} <= set(words.options["run"])
-    assert words.values["--law.kind"][-1] == "paper"
+    assert words.values["--law.kind"] == LAWS.names()
     assert words.values["--engine"] == ["pinocchio", "compiled"]
     assert words.arguments["study"] == ["drift", "controllers"]
     script = bash(words)

@@ -42,9 +42,7 @@ COMPENSATIONS = (
 def test_every_kind_has_a_section_and_every_section_a_kind():
     """Laws and compensations by name are exactly those that a scenario may name, the paper's included."""
     for family, sections in ((control.LAWS, LAWS), (control.COMPENSATIONS, COMPENSATIONS)):
-        assert {section.kind: type(section) for section in sections} == {
-            kind: family[kind] for kind in family.names()
-        }
+        assert {section.kind: type(section) for section in sections} == {kind: family[kind] for kind in family.names()}
 
 
 @pytest.mark.parametrize("section", [*LAWS[1:], *COMPENSATIONS, SensorSection()], ids=lambda s: type(s).__name__)

@@ -109,13 +109,11 @@ def loop_joint(table: Mapping[str, Any], where: str) -> LoopJoint:
     if "axis" in given:
         given.setdefault("axes", [given["axis"], given["axis"]])
         del given["axis"]
-    known = {entry.name for entry in fields(LoopJoint)}
     allowed = {"name", "type"} | ({"joints", "polynomial"} if kind == "gear" else {"frames", "points", "turn"})
     allowed |= {"axes"} if kind in WITH_AXIS else set()
     allowed |= {"length"} if kind == "distance" else set()
-    spare = {
-        key for key in given if key in known - allowed and given[key] == LoopJoint.__dataclass_fields__[key].default
-    }
+    defaults = {entry.name: _listed(entry.default) for entry in fields(LoopJoint)}
+    spare = {key for key in given if key in defaults and _listed(given[key]) == defaults[key]}
     for key in given.keys() - allowed - spare:
         raise ModelError(f"{where}: {key} is not for type {kind!r}: known are axis, {', '.join(sorted(allowed))}")
     made: dict[str, Any] = {"name": name, "type": kind}
@@ -164,6 +162,11 @@ def check_loops(
         raise ModelError(f"{where}: the loops take more than {MOST_ROWS} rows")
 
 
+def _listed(value: Any) -> Any:
+    """Return tuples as the lists that JSON and TOML have."""
+    return [_listed(x) for x in value] if isinstance(value, list | tuple) else value
+
+
 def _unknown(kind: str, name: str, known: Sequence[str]) -> str:
     near = get_close_matches(name, known, n=1)
     hint = f"did you mean {near[0]!r}?" if near else f"there are {', '.join(known[-8:])}"
@@ -194,9 +197,7 @@ def _vectors(value: Any, count: int, what: str) -> tuple[Vector, ...]:
 def _direction(axis: Vector, what: str) -> Vector:
     length = sqrt(sum(x * x for x in axis))
     if not (isfinite(length) and length > 1e-10):
-        raise ModelError(
-            f"{what} is {shown(list(axis))}: it has no direction; give three numbers that are not all zero"
-        )
+        raise ModelError(f"{what} is {shown(list(axis))}: it has no direction; give three numbers, not all zero")
     return tuple(x / length for x in axis)
 
 

@@ -7,6 +7,7 @@ from numpy.typing import NDArray
 
 from closedloop.closure.solve import cholesky
 from closedloop.errors import ScenarioError
+from closedloop.jit.interpreted import call_now, interpreted
 from closedloop.jit.kernel import plain
 from closedloop.loops.bind import bound_by_loops, loop_memory
 from closedloop.loops.close import TOLERANCE, closed_to
@@ -23,7 +24,7 @@ START_OPEN, START_RATE = 1e-3, 1e-3
 def errors_at(robot: Robot, memory: LoopMemory, q: Array, v: Array) -> tuple[Array, Array]:
     """Return the errors of the rows, m or rad, and their rates, at a state (q, q̇)."""
     memory.rows.q[:], memory.rows.v[:] = q, v
-    plain(locate_rows)(memory.links, memory.rows)
+    interpreted(locate_rows)(memory.links, memory.rows)
     return memory.rows.error.copy(), memory.rows.G @ v
 
 
@@ -51,7 +52,8 @@ def closed_start(robot: Robot, q: Array, v: Array, assemble: bool) -> tuple[Arra
         return q, v  # the run says so
     error, rate = errors_at(robot, memory, q, v)
     near, rates = q.copy(), v.copy()
-    left = float(closed_to(memory.address, L, near, rates))
+    written = memory.rows.memory, memory.links.memory, near, rates
+    left = float(call_now(closed_to, written, memory.address, L, near, rates))
     turned = near - q
     low, high = robot.model.position_lower, robot.model.position_upper
     if not left <= TOLERANCE:
@@ -70,8 +72,8 @@ def closed_start(robot: Robot, q: Array, v: Array, assemble: bool) -> tuple[Arra
         raise ScenarioError(f"start.q: closed, joint {out[0]} would be outside its limits: start elsewhere")
     if float(np.max(np.abs(rate))) > START_RATE:
         raise ScenarioError(
-            f"start.v: the loops would part, by {_worst(robot, rate)} a second; the nearest velocity that they allow is "
-            f"{[float(f'{x:.9g}') for x in rates]}"
+            f"start.v: the loops would part, by {_worst(robot, rate)} a second; the nearest velocity that they "
+            f"allow is {[float(f'{x:.9g}') for x in rates]}"
         )
     return near, rates
 

@@ -63,7 +63,8 @@ def bound_by_loops(robot: Robot) -> Bound:
     if model.drives:
         undriven[:] = [name not in model.drives for name in model.joint_names]
     sides_of = np.array([*kinds, *one_sides, *other_sides], dtype=np.int64)
-    return Bound(sides_of, *(np.array(part, dtype=np.float64) for part in parts), undriven)
+    at_a, at_b, along_a, along_b, value = (np.array(part, dtype=np.float64) for part in parts)
+    return Bound(sides_of, at_a, at_b, along_a, along_b, value, undriven)
 
 
 def loop_memory(robot: Robot) -> LoopMemory:

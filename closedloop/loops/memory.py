@@ -65,6 +65,9 @@ class LoopRows(Block, sizes=("n", "m")):
     drive_basis: Annotated[Array, M, N]  # of the columns of joints without a drive, as the next two
     drive_order: Annotated[Array, M]
     drive_coefficients: Annotated[Array, M, M]
+    tip: Annotated[Array, 3, N]  # in and out: the tip's Jacobian, see `closedloop.loops.along_path`
+    unit: Annotated[Array, N, N]  # scratch: a metric in which all joints count alike
+    still: Annotated[Array, N]  # scratch: a velocity of none
     motions: Annotated[Array, 2, 18]  # scratch: see `closedloop.loops.rows`
     column: Annotated[Array, N]  # scratch
 
@@ -83,8 +86,8 @@ def loops_at(address: int) -> tuple[LoopLinks, LoopRows]:
 def tree_at(links: LoopLinks) -> Tree:
     """Return the tree of a mechanism's loops."""
     return Tree(
-        links.n, links.tree_blocks, 1, links.tree_carrier, links.tree_serial, integers_at(links.tree_links, 6 * links.n),
-        vector_at(links.tree_constants, links.tree_constants_size),
+        links.n, links.tree_blocks, 1, links.tree_carrier, links.tree_serial,
+        integers_at(links.tree_links, 6 * links.n), vector_at(links.tree_constants, links.tree_constants_size),
     )  # fmt: skip
 
 

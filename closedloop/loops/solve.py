@@ -1,8 +1,8 @@
 """What the rows of loop joints leave free, in the metric of the mass matrix.
 
-With H = L Lᵀ and y = Lᵀq̈, the rows G q̈ = b are Z y = b, Z = G L⁻ᵀ. An orthonormal basis of the rows of Z splits every
-y into a part that the loops determine and one that they leave free; a force of the loops changes the first alone. So the
-equation of motion, contact and impact of the closed mechanism are those of the tree, on the second part
+With H = L Lᵀ and y = Lᵀq̈, the rows G q̈ = b are Z y = b, Z = G L⁻ᵀ. An orthonormal basis of the rows of Z splits
+every y into a part that the loops determine and one that they leave free; a force of the loops changes the first alone.
+So the equation of motion, contact and impact of the closed mechanism are those of the tree, on the second part
 (`closedloop.step.closed_loops`).
 
 Rows that depend on others (a doubled link, a Bennett linkage) add no direction to the basis. Their number is found at
@@ -100,7 +100,7 @@ def remove_basis(x: Array, basis: Array, rank: int) -> None:
 
 @kernel
 def meet_rows(b: Array, order: Array, coefficients: Array, basis: Array, rank: int, along: Array, y: Array) -> None:
-    """Write the shortest y (n,) with Z y = b (m,), for the rows Z that the basis was made of; `along` (m,) is scratch."""
+    """Write the shortest y (n,) with Z y = b (m,) for the rows Z that the basis was made of; `along` (m,): scratch."""
     for j in range(y.shape[0]):
         y[j] = 0.0
     for k in range(rank):
@@ -114,7 +114,7 @@ def meet_rows(b: Array, order: Array, coefficients: Array, basis: Array, rank: i
 
 @kernel
 def spanned_force(t: Array, order: Array, coefficients: Array, basis: Array, rank: int, force: Array) -> None:
-    """Write forces (m,) of the rows Z with Zᵀ force = t (n,), zero of dependent rows; of t, what lies along the basis."""
+    """Write forces (m,) of the rows Z with Zᵀ force = t (n,), zero of dependent rows; t counts along the basis."""
     for i in range(force.shape[0]):
         force[i] = 0.0
     for k in range(rank - 1, -1, -1):

@@ -58,11 +58,11 @@ def closed_loops(address: int, what: int) -> int:
     BIND_ANSWER     replace `column`, L⁻¹ of a torque, by P of it
     DRIVE           replace the torque by one of the drives alone that has the same effect
     CLOSE           move q and q̇ to the nearest state that the loops allow
-    REACTION        replace `column`, H q̈ + C − Q − AᵀF, by the part of it that the loops can give, and take from the tip's
-                    drift what BIND_TIP has added
+    REACTION        replace `column`, H q̈ + C − Q − AᵀF, by the part of it that the loops can give, and take from the
+                    tip's drift what BIND_TIP has added
     """
     links, rows = loops_at(address)
-    state, constants, w = loop_at(links.loop)
+    _, _, w = loop_at(links.loop)
     if what in (BIND_TIP, BIND_AGAIN):
         bind_tip(links, rows, w)
         for k in range(3):

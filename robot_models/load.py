@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Literal
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from robot_models import build, example_robots, inspected, mjcf, notes, physics, shipped, urdf
+from robot_models import build, example_robots, inspected, mjcf, mjcf_equality, notes, physics, shipped, urdf
 from robot_models.errors import ModelError
 from robot_models.loop_joint import check_loops, loop_joint
 from robot_models.model import RobotModel
@@ -309,7 +309,7 @@ def _finish(
         description=found.sidecar.description,
         source=found.sidecar.source,
         notes=notes.notes(found.text, found.format, joints, model.velocityLimit, model.effortLimit),
-        loops=found.sidecar.closed_loop,
+        loops=found.sidecar.closed_loop or (mjcf_equality.loops(found.text, model) if found.format == "mjcf" else ()),
         drives=found.sidecar.drives,
     )
     check_loops(robot.loops, robot.drives, robot.frames, joints, found.where)

@@ -34,6 +34,14 @@ _BINDS: dict[str, tuple[tuple[int, ...], tuple[tuple[int, int], ...]]] = {
     "planar": ((2,), _TILT),
     "weld": (_ALL, _TURN),
 }
+# What the reaction of each row is, and its unit.
+DIRECTIONS: dict[str, tuple[tuple[str, str], ...]] = {
+    kind: (
+        *((f"force along {'xyz'[i]}", "N") for i in positions),
+        *((f"couple about {'xyz'[3 - i - j] if i != j else 'the common normal'}", "N m") for i, j in rotations),
+    )
+    for kind, (positions, rotations) in _BINDS.items()
+} | {"distance": (("force along it", "N"),), "gear": (("torque on the first joint", "N m"),)}
 
 
 @lru_cache(maxsize=8)

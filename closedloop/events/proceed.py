@@ -176,7 +176,7 @@ def proceed(
             stage, tau, state.semi_implicit != 0, state.after_event != 0, tableau, w.begin, w.stages,
             w.qdd, w.dz, w.q, w.v, w.z,
         )  # fmt: skip
-        if state.loops != 0 and stage + 1 >= state.stages:
+        if state.loops != 0:  # at every stage: rows that depend on others do so only where the loops are closed
             call_at(state.loops, state.loops_at, CLOSE)
         finish_stage(w, constants.h, state, tableau)
     elif todo == ENLARGE_TABLE:

@@ -12,7 +12,7 @@ from closedloop.jit.kernel import entry_kernel
 from closedloop.loops.bind import DIRECTIONS, loop_memory
 from closedloop.loops.memory import loops_at
 from closedloop.loops.rows import locate_rows
-from closedloop.loops.solve import DEPENDENT
+from closedloop.loops.solve import DEPENDENT, NO_ROW
 from closedloop.robot.pinocchio import Robot
 
 Array = NDArray[np.float64]
@@ -69,7 +69,8 @@ def loop_reactions(robot: Robot, q: Array, v: Array, acceleration: Array, torque
         missing[k] = terms.mass_matrix @ acceleration[k] + terms.bias - torque[k] - terms.jacobian.T @ force[k]
     # rows differ in unit: what depends on what is decided with each at length one
     lengths = np.linalg.norm(rows, axis=2, keepdims=True)
-    scaled = np.divide(rows, lengths, out=np.zeros_like(rows), where=lengths > 0.0)
+    longest = np.max(lengths, axis=1, keepdims=True, initial=0.0)
+    scaled = np.divide(rows, lengths, out=np.zeros_like(rows), where=lengths > NO_ROW * longest)
     rank = np.linalg.matrix_rank(scaled, tol=DEPENDENT * np.sqrt(m)) if count else np.zeros(0, dtype=np.int64)
     inverse = np.linalg.pinv(np.swapaxes(rows, 1, 2), rcond=DEPENDENT)
     reactions = np.einsum("kmn,kn->km", inverse, missing)

@@ -20,8 +20,9 @@ from closedloop.jit.kernel import kernel
 
 Array = NDArray[np.float64]
 
-# A row of which no more than this share is outside the span of the rows before it depends on them.
-DEPENDENT = 1e-8
+# A row of which no more than this share is outside the span of the rows before it depends on them. A row that is
+# shorter than the longest by this factor is rounding: no joint of the tree moves what it binds.
+DEPENDENT, NO_ROW = 1e-8, 1e-11
 
 
 @kernel
@@ -42,14 +43,15 @@ def orthonormal_rows(Z: Array, m: int, order: Array, coefficients: Array, length
     lengths : (m,) array
         Scratch.
     """
-    n = Z.shape[1]
+    n, longest = Z.shape[1], 0.0
     for i in range(m):
         order[i], lengths[i] = i, math.sqrt(_square(Z[i], n))
+        longest = max(longest, lengths[i])
     for k in range(m):
         best, share = -1, DEPENDENT
         for i in range(k, m):
             left = math.sqrt(_square(Z[i], n))
-            if lengths[i] > 0.0 and left > share * lengths[i]:
+            if lengths[i] > NO_ROW * longest and left > share * lengths[i]:
                 best, share = i, left / lengths[i]
         if best < 0:
             return k

@@ -20,22 +20,18 @@ def along_path(address: int, what: int) -> int:
     NEAREST     replace `q` by the nearest posture that closes the loops
     """
     links, rows = loops_at(address)
-    unit = rows.unit
-    for j in range(links.n):
-        rows.still[j] = 0.0
-        for i in range(links.n):
-            unit[j, i] = 1.0 if i == j else 0.0
     if what == TANGENT:
         for j in range(links.n):
             rows.v[j] = 0.0
         locate_rows(links, rows)
-        factor_rows(links, rows, unit)
+        factor_rows(links, rows, links.m)
+        links.known = links.rank
         for k in range(3):
             remove_basis(rows.tip[k], rows.basis, links.rank)
     else:
         for j in range(links.n):
-            rows.column[j] = rows.q[j]
-        close_state(links, rows, unit, rows.column, rows.still)
+            rows.column[j], rows.still[j] = rows.q[j], 0.0
+        close_state(links, rows, rows.column, rows.still)
         for j in range(links.n):
             rows.q[j] = rows.column[j]
     return 0

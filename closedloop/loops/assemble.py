@@ -5,10 +5,8 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from closedloop.closure.solve import cholesky
 from closedloop.errors import ScenarioError
 from closedloop.jit.interpreted import call_now, interpreted
-from closedloop.jit.kernel import plain
 from closedloop.loops.bind import bound_by_loops, loop_memory
 from closedloop.loops.close import TOLERANCE, closed_to
 from closedloop.loops.memory import LoopMemory
@@ -46,14 +44,10 @@ def closed_start(robot: Robot, q: Array, v: Array, assemble: bool) -> tuple[Arra
         If the posture or the velocity does not close the loops, or no posture near it does.
     """
     memory, names = loop_memory(robot), robot.model.joint_names
-    H = robot.terms(q, v).mass_matrix
-    L = np.zeros_like(H)
-    if not plain(cholesky)(H, L):
-        return q, v  # the run says so
     error, rate = errors_at(robot, memory, q, v)
     near, rates = q.copy(), v.copy()
     written = memory.rows.memory, memory.links.memory, near, rates
-    left = float(call_now(closed_to, written, memory.address, L, near, rates))
+    left = float(call_now(closed_to, written, memory.address, near, rates))
     turned = near - q
     low, high = robot.model.position_lower, robot.model.position_upper
     if not left <= TOLERANCE:

@@ -27,6 +27,7 @@ class LoopLinks(Block):
     n: int  # joints
     m: int  # rows
     rank: int  # how many of the rows are independent
+    known: int  # how many were where the loops were closed last, 0: not known
     undriven: int  # joints without a drive
     failed: int  # 1 if the mechanism could not be closed
     loop: int  # address of the memory of the loop that it is for, see `closedloop.step.memory`; 0: none
@@ -66,7 +67,6 @@ class LoopRows(Block, sizes=("n", "m")):
     drive_order: Annotated[Array, M]
     drive_coefficients: Annotated[Array, M, M]
     tip: Annotated[Array, 3, N]  # in and out: the tip's Jacobian, see `closedloop.loops.along_path`
-    unit: Annotated[Array, N, N]  # scratch: a metric in which all joints count alike
     still: Annotated[Array, N]  # scratch: a velocity of none
     motions: Annotated[Array, 2, 18]  # scratch: see `closedloop.loops.rows`
     column: Annotated[Array, N]  # scratch

@@ -26,7 +26,7 @@ DEPENDENT, NO_ROW = 1e-8, 1e-11
 
 
 @kernel
-def orthonormal_rows(Z: Array, m: int, order: Array, coefficients: Array, lengths: Array) -> int:
+def orthonormal_rows(Z: Array, m: int, most: int, order: Array, coefficients: Array, lengths: Array) -> int:
     """Replace the rows of Z by an orthonormal basis of them, and return how many it has.
 
     Gram and Schmidt's method, modified; the row that is farthest from the span, relative to its own length, is taken
@@ -36,6 +36,8 @@ def orthonormal_rows(Z: Array, m: int, order: Array, coefficients: Array, length
     ----------
     Z : (>= m, n) array
         In: m rows. Out: the basis, in the first rows.
+    most : int
+        How many it may have.
     order : (m,) array
         Written: which row each direction was made of.
     coefficients : (m, m) array
@@ -47,7 +49,7 @@ def orthonormal_rows(Z: Array, m: int, order: Array, coefficients: Array, length
     for i in range(m):
         order[i], lengths[i] = i, math.sqrt(_square(Z[i], n))
         longest = max(longest, lengths[i])
-    for k in range(m):
+    for k in range(most):
         best, share = -1, DEPENDENT
         for i in range(k, m):
             left = math.sqrt(_square(Z[i], n))
@@ -70,7 +72,7 @@ def orthonormal_rows(Z: Array, m: int, order: Array, coefficients: Array, length
             Z[k, j] /= length
         for i in range(k + 1, m):
             coefficients[i, k] = _take_off(Z[i], Z[k], n)
-    return m
+    return most
 
 
 @kernel

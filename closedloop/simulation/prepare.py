@@ -91,6 +91,11 @@ def prepare(scenario: Scenario, model: RobotModel | None = None, cache: Cache | 
         raise ScenarioError(*faults)
 
     if model.loops:
+        if scenario.time.integrator in ADAPTIVE:
+            raise ScenarioError(
+                f"time.integrator = {scenario.time.integrator!r}: {model.name} has loops, which steps of fixed length "
+                f"keep closed; must be {' or '.join(map(repr, INTEGRATORS))}"
+            )
         q, v = closed_start(robot, q, v, scenario.start.assemble or scenario.start.q is None)
     surface, now, mode = _surface(scenario, robot, q, v)
 

@@ -18,7 +18,7 @@ from closedloop.closure.contact_force import factorise
 from closedloop.closure.solve import OK, SINGULAR_MOBILITY, forward_substitute
 from closedloop.jit.calls import call_at
 from closedloop.jit.kernel import entry_kernel, kernel, kernel_inlined
-from closedloop.loops.close import close_state, factor_rows
+from closedloop.loops.close import close_state
 from closedloop.loops.memory import LoopLinks, LoopRows, loops_at
 from closedloop.loops.rows import locate_rows
 from closedloop.loops.solve import meet_rows, orthonormal_rows, remove_basis, spanned_force
@@ -76,7 +76,7 @@ def closed_loops(address: int, what: int) -> int:
     elif what == DRIVE:
         through_drives(links, rows, w.torque)
     elif what == CLOSE:
-        close_state(links, rows, w.L, w.q, w.v)
+        close_state(links, rows, w.q, w.v)
     else:
         reaction(links, rows, w)
         for k in range(3):
@@ -91,9 +91,13 @@ def bind_tip(links: LoopLinks, rows: LoopRows, w: Work) -> None:
     for j in range(n):
         rows.q[j], rows.v[j] = w.q[j], w.v[j]
     locate_rows(links, rows)
-    factor_rows(links, rows, w.L)
     for k in range(links.m):
+        for j in range(n):
+            rows.basis[k, j] = rows.G[k, j]
+        forward_substitute(w.L, rows.basis[k])
         rows.rate[k] = -rows.drift[k]
+    links.rank = orthonormal_rows(rows.basis, links.m, links.m, rows.order, rows.coefficients, rows.along)
+    links.known = links.rank
     meet_rows(rows.rate, rows.order, rows.coefficients, rows.basis, links.rank, rows.along, rows.part)
     for k in range(3):
         moved = 0.0
@@ -128,7 +132,7 @@ def through_drives(links: LoopLinks, rows: LoopRows, torque: Array) -> None:
         wanted[j] = 0.0 if driven else torque[j]
         for k in range(m):
             Z[k, j] = 0.0 if driven else rows.G[k, j]
-    rank = orthonormal_rows(Z, m, rows.drive_order, rows.drive_coefficients, rows.along)
+    rank = orthonormal_rows(Z, m, m, rows.drive_order, rows.drive_coefficients, rows.along)
     spanned_force(wanted, rows.drive_order, rows.drive_coefficients, Z, rank, rows.along)
     for j in range(n):
         through = 0.0

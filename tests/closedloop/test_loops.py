@@ -26,7 +26,7 @@ def free(model, duration=0.1, step=0.001, **changes):
     """A scenario in which nothing acts on the mechanism but its weight: the surface is out of reach."""
     changes = {
         "surface.gap": 50.0, "time.duration": duration, "time.step": step, "law.kp": 0, "law.kd": 0, "law.force": 0,
-        "start.q": [float(x) for x in model.home], "start.v": [0.0] * model.n, **changes,
+        "stabiliser.kind": "none", "start.q": [float(x) for x in model.home], "start.v": [0.0] * model.n, **changes,
     }  # fmt: skip
     return cl.load_scenario("planar2_drop", changes)
 
@@ -121,11 +121,11 @@ def test_mechanism_falls_as_its_null_space_does(mechanisms, name):
     assert np.ptp(energy) < 1e-7 * (np.max(run.kinetic_energy) + 1.0)
 
 
-@pytest.mark.parametrize("name", ["four_bar", "bennett"])
+@pytest.mark.parametrize("name", ["bricard", "bennett"])
 def test_order_of_the_integrator_is_kept(mechanisms, name):
     """With a quarter of the step the energy error of rk4 is less by 4⁴, redundant rows or not."""
     lost = []
-    for step in (0.004, 0.001):
+    for step in (0.008, 0.002):
         run = falling(mechanisms[name], duration=0.2, step=step)
         lost.append(abs(np.ptp(run.kinetic_energy + run.potential_energy)))
     assert np.log(lost[0] / lost[1]) / np.log(4.0) > 3.6
@@ -160,10 +160,14 @@ def test_pinocchio_solves_the_same(mechanisms, name):
             found = built.frames[built.getFrameId(frame)]
             sides += [found.parentJoint, found.placement * pin.SE3(np.eye(3), np.array(at))]
         balls.append(pin.RigidConstraintModel(pin.ContactType.CONTACT_3D, built, *sides, pin.LOCAL))
-    data, datas = built.createData(), [each.createData() for each in balls]
-    pin.initConstraintDynamics(built, data, balls)
+    data, these = built.createData(), pin.StdVec_RigidConstraintModel()
+    datas = pin.StdVec_RigidConstraintData()
+    for ball in balls:
+        these.append(ball)
+        datas.append(ball.createData())
+    pin.initConstraintDynamics(built, data, these, datas)
     proximal = pin.ProximalSettings(1e-14, 1e-12, 50)
-    theirs = pin.constraintDynamics(built, data, np.array(model.home), v, torque, balls, datas, proximal)
+    theirs = pin.constraintDynamics(built, data, np.array(model.home), v, torque, these, datas, proximal)
     ours = null_space_acceleration(model, np.array(model.home), v, torque)
     run = cl.simulate(free(model, 0.001, **{"start.v": v.tolist()}), model=model, law=lambda x: torque)
     np.testing.assert_allclose(run.acceleration[0], ours, atol=1e-9 * np.abs(ours).max())
@@ -199,8 +203,8 @@ def test_tip_of_a_five_bar_presses_and_slides():
     for k in (100, 1500):  # Eq. 24 with the rows of the loop beside that of the tip
         robot, G, drift, _, _ = rows_at(run.model, run.q[k], run.v[k])
         terms, normal = robot.terms(run.q[k], run.v[k]), run.surface_normal[k]
-        H, A = terms.mass_matrix, np.vstack([normal @ terms.jacobian, G[[0, 2]]])  # two rows of the hinge suffice
-        b = -np.array([normal @ terms.drift, *drift[[0, 2]]])
+        H, A = terms.mass_matrix, np.vstack([normal @ terms.jacobian, G[:2]])  # two rows of the hinge suffice
+        b = -np.array([normal @ terms.drift, *drift[:2]])
         b[0] += -1414.0 * run.closure_rate[k] - 1e6 * run.closure_error[k]
         qdd, force = solve_closure(H, run.torque[k] - terms.bias, A, b)
         np.testing.assert_allclose(run.acceleration[k], qdd, atol=1e-8)
@@ -216,7 +220,7 @@ def test_impact_is_felt_by_the_loop():
     robot, G, _, _, _ = rows_at(run.model, run.q[k], run.v[k])
     null = np.linalg.svd(G)[2][2:].T
     terms = robot.terms(run.q[k], run.v[k])
-    lever = terms.jacobian[2] @ null
+    lever = run.surface_normal[k] @ terms.jacobian @ null
     mass = 1.0 / float(lever @ np.linalg.solve(null.T @ terms.mass_matrix @ null, lever))
     assert first.compression == pytest.approx(-mass * first.rate_before, rel=1e-3)  # of the row before it
     assert first.energy_lost == pytest.approx(0.5 * mass * first.rate_before**2 * 0.75, rel=1e-3)
@@ -260,7 +264,7 @@ def test_batch_and_simulator_give_the_same():
     scenario = cl.load_scenario("five_bar", {"time.duration": 0.05})
     run = cl.simulate(scenario)
     table = cl.simulate_batch(scenario, {"law.force": [10.0, 12.0]}, engine="pinocchio")
-    assert table["final_contact_force"][0] == run.summary()["final_contact_force"]
+    assert table["final_contact_force"][0].as_py() == run.summary()["final_contact_force"]
     simulator = cl.Simulator(scenario)
     state = simulator.run_until(0.05)
     np.testing.assert_array_equal(state.q, run.q[-1])

@@ -23,10 +23,12 @@ from closedloop.impact.restitution import RESTITUTIONS, Restitution, coefficient
 from closedloop.integrators import Scheme
 from closedloop.jit.calls import entry_address
 from closedloop.jit.interpreted import twin_address
+from closedloop.loops.bind import loop_memory
 from closedloop.parameters import one_joint_block, pack, pack_each_joint, parameter_block, per_joint, state_block
 from closedloop.reference.desired import Desired
 from closedloop.robot.pinocchio import Robot
 from closedloop.scenario.scenario import BaumgarteGains, ModelErrorSection, Scenario
+from closedloop.step.closed_loops import closed_loops
 from closedloop.step.entries import friction_entry, joint_friction_entry, law_entry
 from closedloop.step.memory import (
     ELASTIC_STICK,
@@ -197,7 +199,7 @@ class Problem:
     @property
     def general(self) -> bool:
         """Whether the general form of the loop is needed."""
-        return needs_general_form(self.scenario)
+        return needs_general_form(self.scenario) or bool(self.robot.model.loops)
 
     def loop(self, user_law: bool = False) -> Loop:
         """Return the loop's memory at t = 0.
@@ -227,6 +229,10 @@ class Problem:
             memory = self.surface.memory()
             state.surface_at = memory.address
             loop.w.keep_alive(surface=memory)
+        if self.robot.model.loops:
+            loops = loop_memory(self.robot)
+            state.loops_at, loops.links.loop = loops.address, state.address
+            loop.w.keep_alive(loops=loops)
         self._set_constants(loop.constants)
         self._set_start(state, loop.w)
         return loop
@@ -276,6 +282,8 @@ class Problem:
                 raise ScenarioError(
                     f"{name}.kind = {kind}: numba cannot compile it: {why_not_compiled(error)}"
                 ) from None
+        if loop.state.loops_at != 0:
+            loop.state.loops = address(closed_loops)
         if loop.state.surface_motion != 0:
             loop.w.kept["surface"].links.motion = loop.state.surface_motion
         if user_law is not None:

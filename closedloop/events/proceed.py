@@ -60,8 +60,10 @@ from closedloop.events.phases import (
 from closedloop.events.projection import project
 from closedloop.events.substep import advance_friction, check_stage, check_step, finish_stage, restore_state, save_state
 from closedloop.events.transitions import apply_event, apply_impact, resume_after_event
+from closedloop.jit.calls import call_at
 from closedloop.jit.kernel import inlined_kernel
 from closedloop.step.advance import advance
+from closedloop.step.closed_loops import CLOSE
 from closedloop.step.energy_supplied import add_stage_work, commit_work
 from closedloop.step.evaluate import evaluate
 from closedloop.step.joint_friction import stick_or_slip_joints
@@ -174,6 +176,8 @@ def proceed(
             stage, tau, state.semi_implicit != 0, state.after_event != 0, tableau, w.begin, w.stages,
             w.qdd, w.dz, w.q, w.v, w.z,
         )  # fmt: skip
+        if state.loops != 0:  # at every stage: rows that depend on others do so only where the loops are closed
+            call_at(state.loops, state.loops_at, CLOSE)
         finish_stage(w, constants.h, state, tableau)
     elif todo == ENLARGE_TABLE:
         return TABLE_FULL

@@ -18,6 +18,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from closedloop.events.table import EVENT_COLUMNS, KINDS
+from closedloop.loops.reactions import LoopReactions, loop_reactions
+from closedloop.scenario.arm import robot_of
 from closedloop.scenario.scenario import Scenario
 from robot_models import RobotModel
 
@@ -218,6 +220,17 @@ class Run:
         from closedloop.report import summarise
 
         return summarise(self)
+
+    @cached_property
+    def loops(self) -> LoopReactions | None:
+        """What the loop joints of a mechanism carried, worked out when it is asked for; None of a tree."""
+        if not self.model.loops:
+            return None
+        robot = robot_of(self.scenario, self.model)
+        force = self.contact_force[:, None] * self.surface_normal + self.friction_force
+        return loop_reactions(
+            robot, self.q, self.v, self.acceleration, self.torque + self.joint_friction, force
+        )  # fmt: skip
 
     def summary(self) -> dict[str, Any]:
         """Return what the command line prints and writes as summary.json; see `closedloop.report`."""

@@ -17,6 +17,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from closedloop.errors import ScenarioError
+from closedloop.jit.calls import entry_address
+from closedloop.loops.along_path import along_path
+from closedloop.loops.bind import loop_memory
 from closedloop.reference.inverse_kinematics import (
     BROKEN,
     ENDED,
@@ -135,8 +138,12 @@ def _walk(robot: Robot, q: Array, times: Array, knots: Array, midway: Array) -> 
     limits = np.stack([robot.model.position_lower, robot.model.position_upper])
     way = Way(times, knots, midway, limits, np.zeros((times.size, robot.n)), np.zeros((times.size, robot.n)))
     way.q[0] = q
-    outcome = np.zeros(OUTCOMES)
-    return way, walk(robot.tree, np.zeros(scratch_size(robot.n)), way, outcome), outcome
+    outcome, scratch = np.zeros(OUTCOMES), np.zeros(scratch_size(robot.n))
+    if not robot.model.loops:
+        return way, walk(robot.tree, scratch, way, outcome, 0, 0), outcome
+    memory = loop_memory(robot)
+    reached = walk(robot.tree, scratch, way, outcome, entry_address(along_path), memory.address)
+    return way, reached, outcome
 
 
 def _unreachable(

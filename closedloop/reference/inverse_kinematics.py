@@ -12,7 +12,10 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from closedloop.jit.calls import call_at
 from closedloop.jit.kernel import entry_kernel, kernel, plain
+from closedloop.loops.along_path import NEAREST, TANGENT
+from closedloop.loops.memory import loops_at as loops_memory
 from closedloop.reference.joint_path import cubic
 from closedloop.reference.least_norm import least_norm
 from closedloop.robot.tree import Tree, tree_kinematics, work_size
@@ -95,7 +98,7 @@ def scratch_size(n: int) -> int:
 
 
 @entry_kernel
-def walk(tree: Tree, work: Array, way: Way, outcome: Array) -> int:
+def walk(tree: Tree, work: Array, way: Way, outcome: Array, loops: int, loops_at: int) -> int:
     """Follow the tip's path from knot to knot, and return how many knots were reached.
 
     Parameters
@@ -108,13 +111,15 @@ def walk(tree: Tree, work: Array, way: Way, outcome: Array) -> int:
         q and v are written, those of a knot that was not reached too, as far as they are there.
     outcome : (OUTCOMES,) array
         Written: `ENDED` and `MIDWAY`.
+    loops, loops_at : int
+        Addresses of the entry of the mechanism's loops, `closedloop.loops.along_path`, and of their memory; 0: none.
     """
     w = _scratch(work, tree.n)
     outcome[ENDED], outcome[MIDWAY] = REACHED, 0.0
-    tree_kinematics(tree, way.q[0], w.rest, w.tree, w.J, w.r, w.drift)
+    _locate(tree, w, way.q[0], loops, loops_at)
     least_norm(w.J, way.knots[0, 3:6], w.W, w.c, way.v[0])
     for k in range(len(way.times) - 1):
-        ended = _advance(tree, w, way, k)
+        ended = _advance(tree, w, way, k, loops, loops_at)
         if ended != REACHED:
             outcome[ENDED] = ended
             return k + 1
@@ -127,7 +132,7 @@ def walk(tree: Tree, work: Array, way: Way, outcome: Array) -> int:
 
 
 @kernel
-def _advance(tree: Tree, w: Scratch, way: Way, k: int) -> int:
+def _advance(tree: Tree, w: Scratch, way: Way, k: int, loops: int, loops_at: int) -> int:
     """Write joint positions and velocities at knot k + 1 from those at knot k, and return the result."""
     n = tree.n
     h = way.times[k + 1] - way.times[k]
@@ -143,14 +148,15 @@ def _advance(tree: Tree, w: Scratch, way: Way, k: int) -> int:
             finite = finite and math.isfinite(w.x[j])
         if not finite:
             return BROKEN
-        tree_kinematics(tree, w.x, w.rest, w.tree, w.J, w.r, w.drift)
+        _locate(tree, w, w.x, loops, loops_at)
         least_norm(w.J, rate if stage == 3 else rate_midway, w.W, w.c, w.slope)
         weight = 1.0 if stage == 3 else 2.0
         for j in range(n):
             w.total[j] += weight * w.slope[j]
     for j in range(n):
         q_next[j] = q[j] + h / 6.0 * w.total[j]
-    tree_kinematics(tree, q_next, w.rest, w.tree, w.J, w.r, w.drift)
+    _close(q_next, loops, loops_at)
+    _locate(tree, w, q_next, loops, loops_at)
     off, move, step = _miss(target, w), math.inf, 0
     while step < NEWTON_STEPS and move >= SMALLEST_MOVE and off >= NEWTON_TOLERANCE:
         least_norm(w.J, w.error, w.W, w.c, w.slope)
@@ -158,7 +164,8 @@ def _advance(tree: Tree, w: Scratch, way: Way, k: int) -> int:
         for j in range(n):
             q_next[j] += w.slope[j]
             move = max(move, abs(w.slope[j]))
-        tree_kinematics(tree, q_next, w.rest, w.tree, w.J, w.r, w.drift)
+        _close(q_next, loops, loops_at)
+        _locate(tree, w, q_next, loops, loops_at)
         off = _miss(target, w)
     least_norm(w.J, rate, w.W, w.c, v_next)
     finite, inside = True, True
@@ -170,6 +177,34 @@ def _advance(tree: Tree, w: Scratch, way: Way, k: int) -> int:
     if off > KNOT_TOLERANCE:
         return OFF
     return REACHED if inside else OUTSIDE
+
+
+@kernel
+def _locate(tree: Tree, w: Scratch, q: Array, loops: int, loops_at: int) -> None:
+    """Write the tip's position and Jacobian at q; of a mechanism with loops, for what they leave free."""
+    tree_kinematics(tree, q, w.rest, w.tree, w.J, w.r, w.drift)
+    if loops != 0:
+        _, rows = loops_memory(loops_at)
+        for j in range(q.shape[0]):
+            rows.q[j] = q[j]
+            for i in range(3):
+                rows.tip[i, j] = w.J[i, j]
+        call_at(loops, loops_at, TANGENT)
+        for j in range(q.shape[0]):
+            for i in range(3):
+                w.J[i, j] = rows.tip[i, j]
+
+
+@kernel
+def _close(q: Array, loops: int, loops_at: int) -> None:
+    """Move q to the nearest posture that closes the loops."""
+    if loops != 0:
+        _, rows = loops_memory(loops_at)
+        for j in range(q.shape[0]):
+            rows.q[j] = q[j]
+        call_at(loops, loops_at, NEAREST)
+        for j in range(q.shape[0]):
+            q[j] = rows.q[j]
 
 
 @kernel

@@ -131,6 +131,25 @@ def report_rows(run: Run) -> list[tuple[str, str, str, str]]:
     return _error_rows(run, run.summary())
 
 
+def _loop_rows(run: Run) -> list[tuple[str, str, str, str]]:
+    """Return how far the loops of a mechanism were from closed, and what they carried."""
+    found = run.loops
+    if found is None:
+        return []
+    worst = int(np.argmax(np.max(np.abs(found.errors), axis=0)))
+    m, least, most = found.errors.shape[1], int(np.min(found.rank)), int(np.max(found.rank))
+    ranks = f"{least}" if least == most else f"{least} to {most}"
+    rows = [("loops: error", f"{np.max(np.abs(found.errors)):.2g}", "m (rad)", found.labels[worst])]
+    for unit in ("N", "N m"):
+        at = [k for k, own in enumerate(found.units) if own == unit]
+        if at:
+            largest = max(at, key=lambda k: float(np.max(np.abs(found.reactions[:, k]))))
+            size = float(np.max(np.abs(found.reactions[:, largest])))
+            rows.append(("loops: reaction", f"{size:.4g}", unit, found.labels[largest]))
+    spare = "; reactions of least norm" if least < m else ""
+    return [*rows, ("loops: independent rows", ranks, "", f"of {m}{spare}")]
+
+
 def _joint_rows(run: Run) -> list[tuple[str, str, str, str]]:
     """Return how near to its limits the arm came, where it has any."""
     found = joint_measures(run)
@@ -189,6 +208,7 @@ def _error_rows(run: Run, facts: dict[str, Any]) -> list[tuple[str, str, str, st
             f"{time.integrator}, {step}",
         ),
         ("tip speed", _shown(facts["max_tip_speed"], ".4g"), "m/s", ""),
+        *_loop_rows(run),
         *_joint_rows(run),
         *_contact_rows(run, facts),
     ]

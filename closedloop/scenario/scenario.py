@@ -125,6 +125,9 @@ class StartSection(Section):
     v: Annotated[PerJoint, JOINT_SPEED] | None = Field(
         None, description="joint velocities, rad/s (m/s); at rest if left out"
     )
+    assemble: Flag = Field(
+        False, description="of a mechanism with loops: start at the closed posture nearest to start.q, however far"
+    )
 
 
 def _time_constant(value: Any) -> Any:

@@ -21,6 +21,7 @@ from closedloop.errors import ScenarioError
 from closedloop.events.phases import RESTING, TOUCHING
 from closedloop.friction.law import JOINT_LAWS, SURFACE_LAWS
 from closedloop.integrators import ADAPTIVE, INTEGRATORS, Scheme
+from closedloop.loops.assemble import closed_start
 from closedloop.parameters import lists_per_joint, pack
 from closedloop.reference.desired import Desired, desired
 from closedloop.reference.force import force_at
@@ -89,6 +90,13 @@ def prepare(scenario: Scenario, model: RobotModel | None = None, cache: Cache | 
     ]:
         raise ScenarioError(*faults)
 
+    if model.loops:
+        if scenario.time.integrator in ADAPTIVE:
+            raise ScenarioError(
+                f"time.integrator = {scenario.time.integrator!r}: {model.name} has loops, which steps of fixed length "
+                f"keep closed; must be {' or '.join(map(repr, INTEGRATORS))}"
+            )
+        q, v = closed_start(robot, q, v, scenario.start.assemble or scenario.start.q is None)
     surface, now, mode = _surface(scenario, robot, q, v)
 
     soft = not isinstance(scenario.compliance, Rigid)

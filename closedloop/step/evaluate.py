@@ -18,7 +18,6 @@ from closedloop.closure.contact_force import (
     STUCK,
     accelerate,
     baumgarte_acceleration,
-    factorise,
     free_acceleration,
     normal_rounding,
     pressed_force,
@@ -33,6 +32,7 @@ from closedloop.jit.simd8 import every
 from closedloop.parameters import parameter_block
 from closedloop.reference.joint_path import cubic
 from closedloop.step.belief import believe
+from closedloop.step.closed_loops import BIND_LOAD, DRIVE, factorise_again, factorise_tip
 from closedloop.step.entries import RATES, START, TORQUE
 from closedloop.step.joint_friction import add_joint_friction, hold_joints
 from closedloop.step.locate import in_contact_frame, locate_tip, off_anchor
@@ -121,7 +121,7 @@ def evaluate(
     status = locate_tip(w, constants, state)
     if status != OK:
         return status
-    status = factorise(H, w.A, w.L, w.X, w.S, constants.reach)
+    status = factorise_tip(H, w, constants, state)
     if status != OK:
         return status
     if general is None:
@@ -141,7 +141,7 @@ def evaluate(
                 w.H[j, i] = H[i, j]
         if state.model_error != 0:  # what the law computes from H is computed from the controller's
             believe(w, constants)
-            if factorise(w.H, w.A, w.L, w.X, w.S, constants.reach) != OK:
+            if factorise_again(w.H, w, constants, state) != OK:
                 return NOT_POSITIVE_DEFINITE
         if state.started == 0:
             call_law(state, START)
@@ -149,7 +149,9 @@ def evaluate(
             return LAW_FAILED
         state.started = 1
         if state.model_error != 0:
-            factorise(H, w.A, w.L, w.X, w.S, constants.reach)
+            factorise_again(H, w, constants, state)
+        if state.loops != 0 and state.sampled != 0:
+            call_at(state.loops, state.loops_at, DRIVE)
         surface_friction(w, constants, state, rows)
         add_joint_friction(w, constants, state, rows)
         status = contact_force(C, w, constants, state)
@@ -214,6 +216,8 @@ def contact_force(C: Array, w: Work, constants: Constants, state: State) -> int:
     for j in range(w.q.shape[0]):
         w.column[j] = w.torque[j] + w.joint_friction[j]
     free_acceleration(w.L, w.X, w.drift_c, w.column, C, w.y, w.a)
+    if state.loops != 0:
+        call_at(state.loops, state.loops_at, BIND_LOAD)
     w.rigid_force = 0.0
     for i in range(3):
         w.F[i] = 0.0

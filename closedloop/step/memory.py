@@ -66,6 +66,8 @@ class State(Block):
     compliance: int  # address of the entry of the surface's compliance, 0: it is rigid; and its parameters
     compliance_size: int
     surface_motion: int  # address of the entry of its motion, 0: it is at rest
+    loops: int  # address of the entry of the mechanism's loops, 0: a tree; and of their memory
+    loops_at: int
     constants_at: int
     constants_size: int
     work_at: int

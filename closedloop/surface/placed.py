@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 from functools import cached_property
 from typing import Any, NamedTuple
@@ -20,6 +21,7 @@ from closedloop.surface.contact import (
     LEVEL,
     NO_NORMAL,
     SurfaceMemory,
+    edge_distance,
     make_memory,
     motion_entry,
     put_on_surface,
@@ -49,6 +51,8 @@ class Touching(NamedTuple):
         The tip's velocity and acceleration in the contact frame are u = N ṙ − carried and u̇ = N r̈ + turning.
     level : float
         φ.
+    inside : float
+        Distance from the surface's edge, m, negative beyond it; inf without one.
     """
 
     gap: float
@@ -56,6 +60,7 @@ class Touching(NamedTuple):
     carried: Array
     turning: Array
     level: float
+    inside: float
 
 
 @dataclass(frozen=True, eq=False)
@@ -101,8 +106,13 @@ class PlacedSurface:
 
     @property
     def fixed_plane(self) -> bool:
-        """Whether it is a plane at rest: its frame is constant then, and the loop does not ask."""
-        return isinstance(self.section, PlaneSurface) and not self.moves
+        """Whether it is a plane at rest without an edge: its frame is constant then, and the loop does not ask."""
+        return isinstance(self.section, PlaneSurface) and not self.moves and not self.ends
+
+    @property
+    def ends(self) -> bool:
+        """Whether it has an edge."""
+        return math.isfinite(self.section.bounds()[0])
 
     @property
     def moves(self) -> bool:
@@ -142,7 +152,7 @@ class PlacedSurface:
             par = pack(self.section, entries, "surface")
         with of_users(self.motion, "surface_motion.kind"):
             motion_par = pack(self.motion, 0, "surface_motion")
-        return make_memory(par, motion_par, entries, self.origin, self.frame[[1, 2, 0]])
+        return make_memory(par, motion_par, entries, self.origin, self.frame[[1, 2, 0]], self.section.bounds())
 
     @cached_property
     def _interpreted(self) -> SurfaceMemory:
@@ -161,7 +171,7 @@ class PlacedSurface:
         """
         if self.fixed_plane:
             gap = float(self.normal @ r) - self.offset
-            return Touching(gap, self.frame, np.zeros(3), np.zeros(3), gap)
+            return Touching(gap, self.frame, np.zeros(3), np.zeros(3), gap, math.inf)
         links, ask = self._interpreted
         ask.time, ask.r[:], ask.velocity[:] = t, r, 0.0 if velocity is None else velocity
         with np.errstate(all="ignore"), of_users(self.section, "surface.kind"):
@@ -170,7 +180,18 @@ class PlacedSurface:
         if answer == NO_NORMAL:
             raise ScenarioError(f"surface.kind = {self.section.kind}: has no normal at {np.round(r, 4).tolist()} m")
         gap = float(touch.level / touch.size)
-        return Touching(gap, ask.frame.copy(), touch.carried.copy(), touch.turning.copy(), float(touch.level))
+        inside = edge_distance(touch.at, ask.bounds)
+        return Touching(gap, ask.frame.copy(), touch.carried.copy(), touch.turning.copy(), float(touch.level), inside)
+
+    def edge_distances(self, times: Array, r: Array) -> Array:
+        """Return how far inside the edge points r (N, 3), m, base frame, are at times (N,), s: (N,), m."""
+        if not self.ends:
+            return np.full(times.size, math.inf)
+        bounds, axes, found = np.array(self.section.bounds()), self.frame[[1, 2, 0]], np.empty(times.size)
+        for k, t in enumerate(times):
+            turn, shift = self.displacement(float(t))
+            found[k] = edge_distance(axes @ (turn.T @ (r[k] - shift) - self.origin), bounds)
+        return found
 
     def displacement(self, t: float) -> tuple[Array, Array]:
         """Return the rotation (3, 3) and the shift (3,), m, base frame, by which it is displaced at t, s."""

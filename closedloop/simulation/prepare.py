@@ -93,6 +93,7 @@ def prepare(scenario: Scenario, model: RobotModel | None = None, cache: Cache | 
         raise ScenarioError(*faults)
 
     surface, now, mode = _surface(scenario, robot, q, v)
+    surface.check_rates(scenario.time.duration)
 
     soft = not isinstance(scenario.compliance, Rigid)
     integrator, tolerance = _integrator(scenario)

@@ -38,6 +38,10 @@ from closedloop.user_code import of_users
 Array = NDArray[np.float64]
 
 
+# Share by which a velocity may differ from differences of what it is the velocity of; and m/s.
+WRONG_RATE = 1e-2
+
+
 class Touching(NamedTuple):
     """A point and the surface at an instant.
 
@@ -205,6 +209,38 @@ class PlacedSurface:
         turn: Array = pose.axes.T @ ask.axes
         return turn, pose.origin - turn @ self.origin
 
+    def check_rates(self, duration: float) -> None:
+        """Refuse a motion of a user's own whose velocity is not the rate of its displacement, from 0 to `duration`, s.
+
+        It is compared with differences, to a hundredth: a velocity that was forgotten is meant, not its last digits.
+
+        Raises
+        ------
+        ScenarioError
+            If the surface moves otherwise than its velocity says.
+        """
+        if not is_users(self.motion):
+            return
+        h = 1e-6 * duration
+        for t in duration * np.array([0.1234, 0.4321, 0.7531]):
+            points = [self._displaced_axes(t + side * h) for side in (-1.0, 1.0)]
+            moved = (points[1] - points[0]) / (2.0 * h)
+            now = self._displaced_axes(t)
+            pose = Pose(self._interpreted.ask.pose)
+            said = pose.velocity + np.cross(pose.spin, now - pose.origin)
+            if np.max(np.abs(moved - said)) > WRONG_RATE * max(float(np.max(np.abs(moved))), WRONG_RATE):
+                worst = int(np.argmax(np.max(np.abs(moved - said), axis=1)))
+                raise ScenarioError(
+                    f"surface_motion.kind = {self.motion.kind}: at t = {t:.4g} s the surface moves with "
+                    f"{np.round(moved[worst], 6).tolist()} m/s, and says {np.round(said[worst], 6).tolist()} m/s: "
+                    "`rate` and `shift_rate` must be the derivatives of `angle` and `shift`"
+                )
+
+    def _displaced_axes(self, t: float) -> Array:
+        """Return where the origin and the ends of the three axes are at t, s: (4, 3), m, base frame."""
+        turn, shift = self.displacement(t)
+        return (self.origin + np.vstack([np.zeros(3), self.frame])) @ turn.T + shift
+
     def _say_what_is_raised(self, memory: SurfaceMemory, t: float, r: Array) -> None:
         """Ask a user's class again, interpreted, at a point r (3,), m, and an instant t, s; it may raise something."""
         kinds = {"surface.kind": (self.section, surface_entry), "surface_motion.kind": (self.motion, motion_entry)}
@@ -248,6 +284,13 @@ class PlacedSurface:
             if ready:  # of what a user's class has raised compiled code keeps no message
                 self._say_what_is_raised(memory, float(times[done]), motion[0][done])
             where = np.round(motion[0][done], 4).tolist()
+            try:
+                self.touching(motion[0][done], t=float(times[done]))
+            except ScenarioError:
+                raise ScenarioError(
+                    f"reference: at t = {times[done]:.4g} s the path comes to {where} m, where the surface has no "
+                    "normal, as the gradient of its φ vanishes there; make the path shorter"
+                ) from None
             raise ScenarioError(
                 f"reference: at t = {times[done]:.4g} s the path is at {where} m, from where the surface cannot be "
                 "reached along its normal at the start; make the path shorter"

@@ -43,7 +43,7 @@ JOINT = {
 HYBRID = {key: JOINT[key] for key in ("law.kp", "law.kd")}
 INTEGRAL = 5.0  # 1/s: of the integral action on the measured force
 LAWS: dict[str, dict[str, Any]] = {
-    "paper": {"law.kind": "paper", **JOINT},
+    "paper": {"law.kind": "paper", **JOINT, "law.force_integral": 0.0},
     "paper + integral": {"law.kind": "paper", **JOINT, "law.force_integral": INTEGRAL},
     "hybrid": {"law.kind": "hybrid", **HYBRID, "law.force_integral": INTEGRAL},
     "operational space": {"law.kind": "operational_space", "law.force_integral": INTEGRAL},

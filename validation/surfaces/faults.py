@@ -99,22 +99,26 @@ def _entry_without_turning(address: int, what: int) -> int:
     touch.level = _level(touch.at, _Parameters(ask.par, links.entries), touch.gradient, touch.hessian)
     if not contact_geometry(pose, ask.r, ask.velocity, ask.frame, touch):
         return NO_NORMAL
-    sound, going = touch.turning.copy(), np.zeros(3)
+    t0, t1, t2 = touch.turning[0], touch.turning[1], touch.turning[2]
+    x0, x1, x2 = touch.at[0], touch.at[1], touch.at[2]
+    going = touch.at  # scratch: the velocity relative to the surface, in its axes
     for i in range(3):
+        going[i] = 0.0
         for k in range(3):
             along = -touch.carried[k]
             for j in range(3):
                 along += ask.frame[k, j] * ask.velocity[j]
             going[i] += touch.local[k, i] * along
     frame_and_turning(going, touch)
-    w, o = np.zeros(3), pose.spin
-    for i in range(3):
-        for k in range(3):
-            w[i] += pose.axes[k, i] * going[k]
-    x, y, z = o[1] * w[2] - o[2] * w[1], o[2] * w[0] - o[0] * w[2], o[0] * w[1] - o[1] * w[0]
+    w0 = pose.axes[0, 0] * going[0] + pose.axes[1, 0] * going[1] + pose.axes[2, 0] * going[2]
+    w1 = pose.axes[0, 1] * going[0] + pose.axes[1, 1] * going[1] + pose.axes[2, 1] * going[2]
+    w2 = pose.axes[0, 2] * going[0] + pose.axes[1, 2] * going[1] + pose.axes[2, 2] * going[2]
+    o = pose.spin
+    x, y, z = o[1] * w2 - o[2] * w1, o[2] * w0 - o[0] * w2, o[0] * w1 - o[1] * w0
     for i in range(3):
         turned = ask.frame[i, 0] * x + ask.frame[i, 1] * y + ask.frame[i, 2] * z
-        touch.turning[i] = sound[i] - touch.turning[i] + turned
+        touch.turning[i] = (t0 if i == 0 else (t1 if i == 1 else t2)) - touch.turning[i] + turned
+    touch.at[0], touch.at[1], touch.at[2] = x0, x1, x2
     return FOUND
 
 

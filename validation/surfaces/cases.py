@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+import json
 import xml.etree.ElementTree as ET
 from dataclasses import dataclass, replace
+from functools import lru_cache
 from types import SimpleNamespace
 from typing import Any
 
@@ -129,6 +131,12 @@ class Case:
 
 def oracle_with_tool(robot: Any, tip: str, tool: dict[str, Any]) -> Oracle:
     """Return the oracle of a robot with a tool, written into the robot's text as one more link."""
+    return _oracle(robot, tip, json.dumps(tool))
+
+
+@lru_cache(maxsize=8)
+def _oracle(robot: Any, tip: str, told: str) -> Oracle:
+    tool = json.loads(told)
     if not tool:
         return Oracle.from_model(robot, tip)
     root = ET.fromstring(robot.text)

@@ -168,7 +168,10 @@ def _path() -> None:
     from closedloop.surface.contact import make_memory, put_on_surface, surface_entry
     from closedloop.surface.kinds.plane import PlaneSurface
 
-    memory, nothing = make_memory(np.zeros(0), np.zeros(0), 0, np.zeros(3), np.eye(3)), np.zeros((0, 3))
+    memory, nothing = (
+        make_memory(np.zeros(0), np.zeros(0), 0, np.zeros(3), np.eye(3), (np.inf, np.inf)),
+        np.zeros((0, 3)),
+    )
     put_on_surface(
         entry_address(surface_entry(PlaneSurface)), memory.address, np.zeros(3), 0.0, np.zeros(0), nothing, nothing,
         nothing,

@@ -70,6 +70,7 @@ def can_use_lanes(scenario: Scenario) -> bool:
         not needs_general_form(scenario)
         and scenario.surface.kind == "plane"
         and scenario.surface_motion.kind == "none"
+        and np.isinf(scenario.surface.bounds()[0])
         and scenario.compliance.kind == "none"
         and not scenario.surface.gap > 0.0
         and scenario.stabiliser.kind in ("baumgarte", "none")

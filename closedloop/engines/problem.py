@@ -14,7 +14,7 @@ from closedloop.control.compensation.none import NoCompensation
 from closedloop.control.law import Compensation, ControlLaw
 from closedloop.control.sensor import PackedSensor, SensorSection, start_sensor
 from closedloop.errors import LawError, ScenarioError
-from closedloop.events.phases import PROJECTION, STEP_END
+from closedloop.events.phases import PROJECTION, STEP_END, TOUCHING
 from closedloop.friction.contact import Contact
 from closedloop.friction.law import FrictionLaw
 from closedloop.friction.laws.none import NoFriction
@@ -333,7 +333,9 @@ class Problem:
         u = self.frame @ velocity
         w.anchor[:] = self.frame @ terms.position
         if not self.surface.fixed_plane:
-            u -= self.surface.touching(terms.position, velocity).carried
+            now = self.surface.touching(terms.position, velocity)
+            u -= now.carried
+            state.beside = self.mode == FREE and now.inside < 0.0 and now.gap <= TOUCHING
             w.anchor[:] = self.surface.frame[[1, 2, 0]] @ (terms.position - self.surface.origin)
         slip = float(np.hypot(u[1], u[2]))
         if slip > 0.0:

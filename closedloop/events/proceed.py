@@ -14,14 +14,14 @@ The phase says what the terms are for:
     AFTER_EVENT     the state just after an event: continue from there to the end of the step
     PROJECTION      a state to be projected onto the closure
 
-An event is detected where the event function is negative at the end of a step: the gap while the tip is free, the force
-of the rigid closure while it is pressed, the speed along the old direction while it slides, and the margin to the
-friction cone while it sticks. It is also detected where f of the rigid closure is negative at a stage, and where a free
-tip moves down at the beginning of a step and up at its end. The step is then repeated with other lengths until the
-instant is bracketed to `INSTANT`; a step to that instant, the event, and a step for the remainder replace it. Every
-substep is a full step of the integrator, so its order is kept. What begins and ends between two evaluations is not
-detected: a negative f that no stage samples, and a free tip that penetrates and rises again in one step after moving up
-at its beginning.
+An event is detected where the event function is negative at the end of a step: the gap while the tip is free, the
+distance from the surface's edge while it touches, the force of the rigid closure while it is pressed, the speed along
+the old direction while it slides, and the margin to the friction cone while it sticks. It is also detected where f of
+the rigid closure is negative at a stage, and where a free tip moves down at the beginning of a step and up at its end.
+The step is then repeated with other lengths until the instant is bracketed to `INSTANT`; a step to that instant, the
+event, and a step for the remainder replace it. Every substep is a full step of the integrator, so its order is kept.
+What begins and ends between two evaluations is not detected: a negative f that no stage samples, and a free tip that
+penetrates and rises again in one step after moving up at its beginning.
 """
 
 from __future__ import annotations

@@ -99,7 +99,7 @@ class Event(NamedTuple):
     time : float
         Instant, s.
     kind : str
-        "impact", "touchdown", "liftoff", "stick", "slip" or "reversal".
+        "impact", "touchdown", "liftoff", "stick", "slip", "reversal" or "edge".
     rate_before, rate_after : float
         Rate of the closure error just before and just after it, m/s.
     rate_cut : float

@@ -262,7 +262,7 @@ def _print_events(run: Run, console: Console) -> None:
 
 def _event_row(event: Event) -> tuple[str, ...]:
     """Return the cells of an event: rates where contact begins or ends, impulses and energy of an impact."""
-    normal = event.kind in ("impact", "touchdown", "liftoff")
+    normal = event.kind in ("impact", "touchdown", "liftoff", "edge")
     impact = event.kind in ("impact", "touchdown")
     return (
         f"{event.time:.6f}",

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from dataclasses import replace
 
+from closedloop.errors import ScenarioError
 from closedloop.robot.pinocchio import Robot
 from closedloop.scenario.scenario import Scenario, ToolSection
 from robot_models import RobotModel, Tool
@@ -16,10 +17,14 @@ def robot_of(scenario: Scenario, model: RobotModel) -> Robot:
     ------
     ModelError
         If it has no such tip, or no body has such a tensor.
+    ScenarioError
+        If a tool without mass has a centre of mass or a tensor.
     """
     tool, payload = scenario.tool, scenario.model_error.payload
     tip = model.tip if scenario.robot.tip is None else scenario.robot.tip
     tools = []
+    if tool.mass == 0.0 and (any(tool.centre) or any(tool.inertia)):
+        raise ScenarioError("tool.mass = 0: a tool with a centre of mass or a tensor has a mass; give it, in kg")
     if tip is not None and tool != ToolSection():
         model.require_frame(tip)
         tools.append(Tool(tip, tool.offset, tool.mass, tool.centre, tool.inertia))

@@ -146,6 +146,16 @@ def _joint_rows(run: Run) -> list[tuple[str, str, str, str]]:
     return rows
 
 
+def _tool_rows(run: Run, facts: dict[str, Any]) -> list[tuple[str, str, str, str]]:
+    """Return what the tool bears, if the arm carries one."""
+    wrist = facts["wrist"]
+    if wrist is None:
+        return []
+    at = f"at the frame {run.scenario.robot.tip or run.model.tip}"
+    moment = _shown(wrist["max_moment"], ".4g")
+    return [("force between arm and tool", _shown(wrist["max_force"], ".4g"), "N", f"moment {moment} N m, {at}")]
+
+
 def _error_rows(run: Run, facts: dict[str, Any]) -> list[tuple[str, str, str, str]]:
     touching = run.mode != FREE
     commanded = f"commanded {run.reference_force[-1]:.6g} N" if run.law == "scenario" else f"law {run.law}"
@@ -190,6 +200,7 @@ def _error_rows(run: Run, facts: dict[str, Any]) -> list[tuple[str, str, str, st
         ),
         ("tip speed", _shown(facts["max_tip_speed"], ".4g"), "m/s", ""),
         *_joint_rows(run),
+        *_tool_rows(run, facts),
         *_contact_rows(run, facts),
     ]
 

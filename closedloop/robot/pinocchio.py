@@ -13,6 +13,7 @@ from numpy.typing import ArrayLike, NDArray
 from closedloop.errors import ModelError
 from closedloop.robot.tree import Tree, tree_of
 from robot_models import RobotModel
+from robot_models.tool import carried_by
 
 Array = NDArray[np.float64]
 
@@ -174,6 +175,45 @@ class Robot:
         """Return the potential energy of each row of q (N, n), J."""
         model, data = self._pin, self._data
         return np.array([pin.computePotentialEnergy(model, data, row) for row in np.ascontiguousarray(q)])
+
+    def wrist_wrench(self, q: Array, v: Array, a: Array, tip_force: Array) -> Array:
+        """Return what a force-torque sensor between the arm and its tool reads, (N, 6), N and N m.
+
+        The force and the moment with which the arm moves all that is fixed to the tip's frame, tool and payload: their
+        rate of momentum, less gravity and less the force on the tip,
+
+            f = Y a + v ×* Y v - Y g - f_tip        spatial vectors in the sensor's frame
+
+        The sensor's frame is the frame `tip` of the arm without a tool. The moment is about its origin.
+
+        Parameters
+        ----------
+        q, v, a : (N, n) arrays
+            Joint positions, rad (m), velocities, rad/s (m/s), and accelerations, rad/s² (m/s²).
+        tip_force : (N, 3) array
+            Force of the surface on the tip, N, base axes.
+        """
+        model, data, frame = self._pin, self._data, self._frame
+        Y, offset = carried_by(self.model.tools, self.tip)
+        back = pin.SE3(np.eye(3), offset)  # the tip in the sensor's frame
+        found = np.empty((len(q), 6))
+        for k, (qk, vk, ak) in enumerate(zip(*map(np.ascontiguousarray, (q, v, a)), strict=True)):
+            pin.forwardKinematics(model, data, qk, vk, ak)
+            turn = pin.updateFramePlacement(model, data, frame).rotation.T
+            motion = back.act(pin.getFrameVelocity(model, data, frame, pin.LOCAL))
+            rate = back.act(pin.getFrameAcceleration(model, data, frame, pin.LOCAL))
+            rate.linear -= turn @ self.gravity
+            contact = back.act(pin.Force(turn @ tip_force[k], np.zeros(3)))
+            found[k] = (Y * rate + motion.cross(Y * motion) - contact).vector
+        return found
+
+    def tip_axes(self, q: Array) -> Array:
+        """Return the axes of the tip's frame at each row of q (N, n): columns, base frame, (N, 3, 3)."""
+        found = np.empty((len(q), 3, 3))
+        for k, row in enumerate(np.ascontiguousarray(q)):
+            pin.forwardKinematics(self._pin, self._data, row)
+            found[k] = pin.updateFramePlacement(self._pin, self._data, self._frame).rotation
+        return found
 
     def _checked(self, x: ArrayLike, name: str) -> Array:
         array = np.ascontiguousarray(x, dtype=np.float64)

@@ -66,6 +66,15 @@ def tool_angle(run: Record) -> Array:
     return angle
 
 
+def orientation_error(run: Record) -> Array:
+    """Return the angle between the tip's frames at q and at q_des in each row, (N,), degrees."""
+    robot = robot_of(run.scenario, without_tools(run.model))
+    apart = robot.tip_axes(run.q) - robot.tip_axes(run.reference_position)
+    size = np.linalg.norm(apart, axis=(1, 2)) / np.sqrt(8.0)
+    error: Array = np.degrees(2.0 * np.arcsin(np.minimum(size, 1.0)))
+    return error
+
+
 DERIVED: dict[str, DerivedColumn] = {
     "tip_force": DerivedColumn(
         ("time", "axis"), "N", "force of the surface on the tip, friction included, base frame", tip_force
@@ -76,5 +85,8 @@ DERIVED: dict[str, DerivedColumn] = {
     ),
     "tool_angle": DerivedColumn(
         ("time",), "deg", "angle between the tool's axis and the normal into the surface", tool_angle
+    ),
+    "orientation_error": DerivedColumn(
+        ("time",), "deg", "angle by which the tip's frame is turned away from that of q_des", orientation_error
     ),
 }  # fmt: skip

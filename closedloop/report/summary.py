@@ -44,6 +44,7 @@ def summarise(run: Run) -> dict[str, Any]:
         **{name: value if _exists(value) else None for name, value in values.items()},
         "not_finite": [name for name, value in values.items() if not _exists(value)],
         "wrist": _wrist(run),
+        "tool": _tool(run),
         "events": {kind: sum(event.kind == kind for event in run.events) for kind in KINDS.values()},
         "assumptions": held,
         "joints": {
@@ -68,6 +69,16 @@ def _wrist(run: Run) -> dict[str, float | None] | None:
         return None
     parts = {"max_force": run.wrist_wrench[:, :3], "max_moment": run.wrist_wrench[:, 3:]}
     return {name: _finite(np.max(np.linalg.norm(part, axis=1))) for name, part in parts.items()}
+
+
+def _tool(run: Run) -> dict[str, float | None] | None:
+    """Return how far the tool turned from its reference and from the normal at most, degrees; None if it is free."""
+    if len(run) == 0 or getattr(run.scenario.reference, "orientation", "free") == "free":
+        return None
+    return {
+        "max_orientation_error": _finite(np.max(run.orientation_error)),
+        "max_angle": _finite(np.max(run.tool_angle)),
+    }
 
 
 def run_gains_fault(run: Run) -> str:

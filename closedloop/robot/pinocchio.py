@@ -11,7 +11,9 @@ import pinocchio as pin
 from numpy.typing import ArrayLike, NDArray
 
 from closedloop.errors import ModelError
-from closedloop.robot.tree import Tree, tree_of
+from closedloop.jit.interpreted import interpreted
+from closedloop.jit.kernel import plain
+from closedloop.robot.tree import Tree, tree_kinematics, tree_of, tree_turning, work_size
 from robot_models import RobotModel
 from robot_models.tool import carried_by
 
@@ -170,6 +172,19 @@ class Robot:
         jacobian = pin.computeFrameJacobian(self._pin, self._data, q, self._frame, _ALIGNED).reshape(6, self.n)
         pin.updateFramePlacement(self._pin, self._data, self._frame)
         return self._data.oMf[self._frame].translation.copy(), jacobian[:3]
+
+    def frame_jacobian(self, q: Array) -> Array:
+        """Return the Jacobian of the tip's frame (6, n) at q (n,): Jᵣ above the angular velocity's, base axes."""
+        jacobian = pin.computeFrameJacobian(self._pin, self._data, q, self._frame, _ALIGNED)
+        return np.array(jacobian).reshape(6, self.n)
+
+    def link_axes(self, q: Array) -> Array:
+        """Return the axes of the tip's link as `tree` has them, columns (3, 3), base frame, at q (n,)."""
+        n, tree = self.n, self.tree
+        work, J, r, axes = np.zeros(int(plain(work_size)(n))), np.zeros((3, n)), np.zeros(3), np.zeros((3, 3))
+        interpreted(tree_kinematics)(tree, q, self._rest, work, J, r, np.zeros(3))
+        interpreted(tree_turning)(tree, work, axes, J)
+        return axes
 
     def potential_energy(self, q: Array) -> Array:
         """Return the potential energy of each row of q (N, n), J."""

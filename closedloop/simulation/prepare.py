@@ -33,6 +33,7 @@ from closedloop.step.record_row import Row
 from closedloop.surface.compliances.none import Rigid
 from closedloop.surface.kinds.plane import PlaneSurface
 from closedloop.surface.placed import PlacedSurface, Touching
+from closedloop.surface.plane import unit
 from closedloop.surface.surface import Surface
 from closedloop.user_code import of_users
 from robot_models import RobotModel
@@ -179,9 +180,10 @@ def _desired(
         q.tobytes(),
         _path_key(scenario, surface),
     )
+    axis = unit(scenario.tool.axis, "tool.axis")
     wanted = cache.get_shared(
         ("desired", *motion),
-        lambda: desired(scenario, robot, surface, q, scenario.force_profile, scenario.time.duration * BEYOND),
+        lambda: desired(scenario, robot, surface, q, scenario.force_profile, scenario.time.duration * BEYOND, axis),
         lambda made: 3 * made.joints.q.nbytes,
     )
     wanted = replace(wanted, profile=scenario.force_profile, force=scenario.law.force)

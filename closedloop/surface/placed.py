@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
 from functools import cached_property
 from typing import Any, NamedTuple
@@ -22,6 +23,7 @@ from closedloop.surface.contact import (
     SurfaceMemory,
     make_memory,
     motion_entry,
+    normals_on_surface,
     put_on_surface,
     surface_entry,
 )
@@ -210,7 +212,96 @@ class PlacedSurface:
         ScenarioError
             If the surface does not lie in that direction from one of the points.
         """
-        kernels = [put_on_surface, *self.entries().values()]
+        found, done = self._at_each(put_on_surface, (np.array(self.normal), level), times, motion)
+        if done < times.size:
+            where = np.round(motion[0][done], 4).tolist()
+            raise ScenarioError(
+                f"reference: at t = {times[done]:.4g} s the path is at {where} m, from where the surface cannot be "
+                "reached along its normal at the start; make the path shorter"
+            )
+        return found[0], found[1], found[2]
+
+    def normals(self, times: Array, r: Array, velocity: Array) -> tuple[Array, Array]:
+        """Return the unit normals n at points of a motion, and their rates ṅ, 1/s, base frame; each (N, 3).
+
+        Parameters
+        ----------
+        times : (N,) array
+            s.
+        r, velocity : (N, 3) arrays
+            Position, m, and velocity, m/s, base frame.
+
+        Raises
+        ------
+        ScenarioError
+            If there is no normal at one of the points.
+        """
+        if self.fixed_plane:
+            return np.tile(self.normal, (times.size, 1)), np.zeros((times.size, 3))
+        found, done = self._at_each(normals_on_surface, (), times, (r, velocity))
+        if done < times.size:
+            raise ScenarioError(
+                f"reference: at t = {times[done]:.4g} s the path is at {np.round(r[done], 4).tolist()} m, where the "
+                "surface has no normal"
+            )
+        return found[0], found[1]
+
+    def shape_at(self) -> Callable[[Array, Array], tuple[Array, Array, float, float]]:
+        """Return a function that says how the surface is bent, as it lies at t = 0.
+
+        It takes a point (3,), m, and a velocity of it (3,), m/s, and returns n and its rate, φ and |∇φ|: all numbers
+        are NaN where there is no normal. All in the base frame.
+        """
+        memory = self.memory()  # which has no motion
+        kernels: list[Callable[..., Any]] = [normals_on_surface, surface_entry(type(self.section))]
+        ready = all(map(at_hand, kernels))
+        place = (entry_address if ready else twin_address)(surface_entry(type(self.section)))
+        call, touch = normals_on_surface if ready else interpreted(normals_on_surface), Touch(memory.ask.touch)
+        none, now = np.full(3, np.nan), np.zeros(1)
+
+        def shape(r: Array, velocity: Array) -> tuple[Array, Array, float, float]:
+            n, rate = r[None].copy(), velocity[None].copy()
+            with np.errstate(all="ignore"), of_users(self.section, "surface.kind"):
+                if not call(place, memory.address, now, n, rate):
+                    return none, none, np.nan, np.nan
+            return n[0], rate[0], float(touch.level), float(touch.size)
+
+        return shape
+
+    def carry(self, times: Array, motion: tuple[Array, Array, Array]) -> tuple[Array, Array, Array]:
+        """Return the motion of a point that moves on the surface, which carries it along.
+
+        Parameters
+        ----------
+        times : (N,) array
+            s.
+        motion : tuple of (N, 3) arrays
+            Position, m, velocity, m/s, and acceleration, m/s², on the surface as it lies at t = 0, base frame.
+        """
+        memory, found = self.memory(), [np.empty((times.size, 3)) for _ in range(3)]
+        move, pose, ask = interpreted(motion_entry(type(self.motion))), Pose(memory.ask.pose), memory.ask
+        for k, t in enumerate(times):
+            ask.time = t
+            with of_users(self.motion, "surface_motion.kind"):
+                move(memory.address, 0)
+            turn = pose.axes.T @ ask.axes
+            d, v, a = turn @ (motion[0][k] - self.origin), turn @ motion[1][k], turn @ motion[2][k]
+            whirl = np.cross(pose.spin, d)
+            found[0][k] = pose.origin + d
+            found[1][k] = pose.velocity + whirl + v
+            found[2][k] = pose.acceleration + np.cross(pose.spin_rate, d) + np.cross(pose.spin, whirl + 2.0 * v) + a
+        return found[0], found[1], found[2]
+
+    def _at_each(
+        self, kernel: Callable[..., int], leading: tuple[Any, ...], times: Array, motion: tuple[Array, ...]
+    ) -> tuple[list[Array], int]:
+        """Return what a kernel makes of the points of a motion, and how many it got through.
+
+        It is called compiled where it and the surface are at hand, else interpreted, while they are compiled.
+        """
+        kernels = [kernel, *self.entries().values()]
+        if self.fixed_plane:
+            kernels.append(surface_entry(type(self.section)))
         ready = all(map(at_hand, kernels))
         address = entry_address if ready else twin_address
         memory = self.memory()
@@ -220,15 +311,9 @@ class PlacedSurface:
             background.start([each for each in kernels if not at_hand(each)])
         found = [np.array(each, dtype=np.float64, order="C") for each in motion]
         place = address(surface_entry(type(self.section)))
-        put = put_on_surface if ready else interpreted(put_on_surface)
+        call = kernel if ready else interpreted(kernel)
         with np.errstate(all="ignore"), of_users(self.section, "surface.kind"):
-            done = put(place, memory.address, np.array(self.normal), level, np.ascontiguousarray(times), *found)
-        if done < times.size:
-            if ready:  # of what a user's class has raised compiled code keeps no message
-                self._say_what_is_raised(memory, float(times[done]), motion[0][done])
-            where = np.round(motion[0][done], 4).tolist()
-            raise ScenarioError(
-                f"reference: at t = {times[done]:.4g} s the path is at {where} m, from where the surface cannot be "
-                "reached along its normal at the start; make the path shorter"
-            )
-        return found[0], found[1], found[2]
+            done = call(place, memory.address, *leading, np.ascontiguousarray(times), *found)
+        if done < times.size and ready:  # of what a user's class has raised compiled code keeps no message
+            self._say_what_is_raised(memory, float(times[done]), motion[0][done])
+        return found, done

@@ -59,7 +59,7 @@ class Implicit(Placed):
         given = f"surface.at = {list(self.at)}"
         for _ in range(MOST_STEPS):
             with np.errstate(all="ignore"):
-                level = interpreted(evaluate)(memory, *map(float, at), gradient, hessian)
+                level = interpreted(evaluate)(memory, float(at[0]), float(at[1]), float(at[2]), gradient, hessian)
                 size = np.linalg.norm(gradient)
                 step = gradient * (-level / size**2)
             if not 0.0 < size < np.inf or not np.all(np.isfinite(step)):

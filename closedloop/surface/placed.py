@@ -255,6 +255,8 @@ class PlacedSurface:
         memory = self.memory()  # which has no motion
         kernels: list[Callable[..., Any]] = [normals_on_surface, surface_entry(type(self.section))]
         ready = all(map(at_hand, kernels))
+        if not ready:
+            background.start([each for each in kernels if not at_hand(each)])
         place = (entry_address if ready else twin_address)(surface_entry(type(self.section)))
         call, touch = normals_on_surface if ready else interpreted(normals_on_surface), Touch(memory.ask.touch)
         none, now = np.full(3, np.nan), np.zeros(1)

@@ -99,7 +99,7 @@ def columns() -> Iterator[str]:
             rows.append((f"`{name}`", f"({shape}{comma})", COLUMNS[name].units, COLUMNS[name].meaning))
         yield from table(("column", "shape", "unit", "meaning"), rows)
     yield from ("", "## Worked out from the others", "")
-    yield "They are attributes of a run, and stand in CSV, pandas and xarray, but not in `run.nc`: they follow from it."
+    yield "They are attributes of a run, and stand in CSV and pandas, but not in `run.nc`: they follow from it."
     shapes = {("time",): "(N,)", ("time", "axis"): "(N, 3)", ("time", "component"): "(N, 6)"}
     derived = ((f"`{name}`", shapes[each.dims], each.units, each.meaning) for name, each in DERIVED.items())
     yield ""

@@ -1,6 +1,6 @@
 """Columns of a run that follow from its others: worked out when they are first asked for, and not in run.nc.
 
-They are attributes of a `Run`, and stand beside the recorded ones in CSV, xarray and pandas.
+They are attributes of a `Run`, and stand beside the recorded ones in CSV and pandas.
 """
 
 from __future__ import annotations

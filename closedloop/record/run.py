@@ -18,7 +18,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from closedloop.events.table import EVENT_COLUMNS, KINDS
-from closedloop.record.derived import DERIVED, WRENCH
+from closedloop.record.derived import DERIVED
 from closedloop.scenario.scenario import Scenario
 from robot_models import RobotModel
 
@@ -246,17 +246,16 @@ class Run:
         from closedloop.record.netcdf import attributes
 
         def variable(name: str) -> tuple[tuple[str, ...], NDArray[Any], dict[str, str]]:
-            spec = COLUMNS[name] if name in COLUMNS else DERIVED[name]
-            return spec.dims, np.asarray(getattr(self, name)), {"units": self.units(name), "long_name": spec.meaning}
+            spec = COLUMNS[name]
+            return spec.dims, np.asarray(self.columns[name]), {"units": self.units(name), "long_name": spec.meaning}
 
         return xarray.Dataset(
-            {name: variable(name) for name in (*COLUMNS, *DERIVED) if name != "time"},
+            {name: variable(name) for name in COLUMNS if name != "time"},
             {
                 "time": variable("time"),
                 "joint": list(self.model.joint_names),
                 "joint_type": ("joint", list(self.model.joint_types)),
                 "axis": ["x", "y", "z"],
-                "component": list(WRENCH),
             },
             attributes(self),
         )

@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
-from typing import Annotated, Any, Literal
+from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 import numpy as np
 from numpy.typing import NDArray
@@ -18,13 +18,16 @@ from pydantic import BeforeValidator
 from closedloop.errors import ScenarioError
 from closedloop.reference.inverse_kinematics import AXIS, FRAME, POSITION
 from closedloop.reference.least_norm import RANK_TOLERANCE
-from closedloop.robot.pinocchio import Robot
-from closedloop.sections import ANGLE, Number
+from closedloop.sections import Number, Size
 from closedloop.surface.placed import PlacedSurface
 from closedloop.surface.plane import contact_frame
 
+if TYPE_CHECKING:
+    from closedloop.robot.pinocchio import Robot
+
 Array = NDArray[np.float64]
 
+TURN = Size(1e3, "rad", "a turn more changes nothing")
 WORDS = ("free", "normal", "start")
 # How far the tool may be from its orientation at the start, rad: that of a posture given to three digits, 1 degree.
 ASKEW = math.radians(1.0)
@@ -34,7 +37,7 @@ def _orientation(value: Any) -> Any:
     if isinstance(value, str) and value in WORDS:
         return value
     numbers = isinstance(value, (list, tuple)) and len(value) == 3
-    if not numbers or not all(isinstance(x, (int, float)) and abs(x) <= ANGLE.most for x in value):
+    if not numbers or not all(isinstance(x, (int, float)) and abs(x) <= TURN.most for x in value):
         words = ", ".join(f'"{word}"' for word in WORDS)
         raise ValueError(f"must be {words}, or three numbers, the rotation vector of the tip's frame, rad")
     return value
@@ -42,7 +45,7 @@ def _orientation(value: Any) -> Any:
 
 Held = Annotated[
     Literal["free", "normal", "start"]
-    | tuple[Annotated[Number, ANGLE], Annotated[Number, ANGLE], Annotated[Number, ANGLE]],
+    | tuple[Annotated[Number, TURN], Annotated[Number, TURN], Annotated[Number, TURN]],
     BeforeValidator(_orientation),
 ]
 

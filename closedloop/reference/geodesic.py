@@ -25,6 +25,7 @@ from numpy.typing import NDArray
 from closedloop.errors import ScenarioError
 from closedloop.reference.curves import Curve
 from closedloop.reference.tip_path import Segment
+from closedloop.surface.along import carry, shape_at
 from closedloop.surface.placed import PlacedSurface
 
 Array = NDArray[np.float64]
@@ -74,7 +75,7 @@ class CarriedSegment(Segment):
     def sample(self, t: Array) -> tuple[Array, Array, Array]:
         """Return r, ṙ and r̈ as `Segment.sample` does."""
         times = np.asarray(t, dtype=np.float64)
-        return self.surface.carry(times, super().sample(times))
+        return carry(self.surface, times, super().sample(times))
 
 
 class Rolling:
@@ -95,7 +96,7 @@ class Rolling:
 
     def __init__(self, surface: PlacedSurface, origin: Array) -> None:
         start = surface.touching(origin)
-        self._shape, self._level = surface.shape_at(), start.level
+        self._shape, self._level = shape_at(surface), start.level
         self._plane: Array = surface.frame[1:]
         self.r, self.tangents = np.array(origin), start.frame[1:].copy()
 

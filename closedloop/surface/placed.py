@@ -246,54 +246,6 @@ class PlacedSurface:
             )
         return found[0], found[1]
 
-    def shape_at(self) -> Callable[[Array, Array], tuple[Array, Array, float, float]]:
-        """Return a function that says how the surface is bent, as it lies at t = 0.
-
-        It takes a point (3,), m, and a velocity of it (3,), m/s, and returns n and its rate, φ and |∇φ|: all numbers
-        are NaN where there is no normal. All in the base frame.
-        """
-        memory = self.memory()  # which has no motion
-        kernels: list[Callable[..., Any]] = [normals_on_surface, surface_entry(type(self.section))]
-        ready = all(map(at_hand, kernels))
-        if not ready:
-            background.start([each for each in kernels if not at_hand(each)])
-        place = (entry_address if ready else twin_address)(surface_entry(type(self.section)))
-        call, touch = normals_on_surface if ready else interpreted(normals_on_surface), Touch(memory.ask.touch)
-        none, now = np.full(3, np.nan), np.zeros(1)
-
-        def shape(r: Array, velocity: Array) -> tuple[Array, Array, float, float]:
-            n, rate = r[None].copy(), velocity[None].copy()
-            with np.errstate(all="ignore"), of_users(self.section, "surface.kind"):
-                if not call(place, memory.address, now, n, rate):
-                    return none, none, np.nan, np.nan
-            return n[0], rate[0], float(touch.level), float(touch.size)
-
-        return shape
-
-    def carry(self, times: Array, motion: tuple[Array, Array, Array]) -> tuple[Array, Array, Array]:
-        """Return the motion of a point that moves on the surface, which carries it along.
-
-        Parameters
-        ----------
-        times : (N,) array
-            s.
-        motion : tuple of (N, 3) arrays
-            Position, m, velocity, m/s, and acceleration, m/s², on the surface as it lies at t = 0, base frame.
-        """
-        memory, found = self.memory(), [np.empty((times.size, 3)) for _ in range(3)]
-        move, pose, ask = interpreted(motion_entry(type(self.motion))), Pose(memory.ask.pose), memory.ask
-        for k, t in enumerate(times):
-            ask.time = t
-            with of_users(self.motion, "surface_motion.kind"):
-                move(memory.address, 0)
-            turn = pose.axes.T @ ask.axes
-            d, v, a = turn @ (motion[0][k] - self.origin), turn @ motion[1][k], turn @ motion[2][k]
-            whirl = np.cross(pose.spin, d)
-            found[0][k] = pose.origin + d
-            found[1][k] = pose.velocity + whirl + v
-            found[2][k] = pose.acceleration + np.cross(pose.spin_rate, d) + np.cross(pose.spin, whirl + 2.0 * v) + a
-        return found[0], found[1], found[2]
-
     def _at_each(
         self, kernel: Callable[..., int], leading: tuple[Any, ...], times: Array, motion: tuple[Array, ...]
     ) -> tuple[list[Array], int]:

@@ -8,6 +8,7 @@ import pytest
 
 import closedloop as cl
 from closedloop.export.csv_table import write_csv
+from closedloop.figures.tool import has_tool
 
 TOOL = {"tool.offset": [0.02, -0.01, 0.12], "tool.mass": 0.8, "tool.centre": [0.01, 0.0, 0.05],
         "tool.inertia": [2e-3, 2.5e-3, 1e-3, 1e-4, 0.0, -2e-4]}  # fmt: skip
@@ -130,3 +131,15 @@ def test_gravity_that_is_no_vector_is_refused():
         with pytest.raises(cl.ScenarioError, match=words) as caught:
             cl.load_scenario("wam_slide", {"robot.gravity": wrong})
         assert "robot.gravity" in str(caught.value)
+
+
+def test_a_tool_has_a_figure():
+    """Force, moment and turn are drawn for an arm with a tool, and only then written."""
+    short = {"time.duration": 0.02, "name": "with_a_tool"}
+    run, without = (cl.simulate(cl.load_scenario("wam_slide", short | tool)) for tool in (TOOL, {}))
+    panels = cl.figures.tool(run).axes
+    assert [len(axes.lines) for axes in panels[:2]] >= [3, 3]
+    assert np.array_equal(panels[0].lines[2].get_ydata(), run.wrist_wrench[:, 2])
+    assert np.array_equal(panels[2].lines[0].get_ydata(), run.tool_angle)
+    assert has_tool(run)
+    assert not has_tool(without)

@@ -26,7 +26,7 @@ def along_path(address: int, what: int) -> int:
         locate_rows(links, rows)
         factor_rows(links, rows, links.m)
         links.known = links.rank
-        for k in range(3):
+        for k in range(6):
             remove_basis(rows.tip[k], rows.basis, links.rank)
     else:
         for j in range(links.n):

@@ -66,7 +66,7 @@ class LoopRows(Block, sizes=("n", "m")):
     drive_basis: Annotated[Array, M, N]  # of the columns of joints without a drive, as the next two
     drive_order: Annotated[Array, M]
     drive_coefficients: Annotated[Array, M, M]
-    tip: Annotated[Array, 3, N]  # in and out: the tip's Jacobian, see `closedloop.loops.along_path`
+    tip: Annotated[Array, 6, N]  # in and out: rows of the tip and its turning, see `closedloop.loops.along_path`
     still: Annotated[Array, N]  # scratch: a velocity of none
     motions: Annotated[Array, 2, 18]  # scratch: see `closedloop.loops.rows`
     column: Annotated[Array, N]  # scratch

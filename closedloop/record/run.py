@@ -19,6 +19,7 @@ from numpy.typing import NDArray
 
 from closedloop.events.table import EVENT_COLUMNS, KINDS
 from closedloop.loops.reactions import LoopReactions, loop_reactions
+from closedloop.record.derived import DERIVED, tip_force
 from closedloop.scenario.arm import robot_of
 from closedloop.scenario.scenario import Scenario
 from robot_models import RobotModel
@@ -147,7 +148,8 @@ class Run:
 
     Every column in `COLUMNS` is also an attribute: `run.time` (N,), `run.q` (N, n), `run.position` (N, 3),
     `run.contact_force` (N,) ... So is every column of the table of events (`closedloop.events.table.EVENT_COLUMNS`),
-    which `run.events` reads row by row. All are read-only.
+    which `run.events` reads row by row; and what follows from them, `closedloop.record.derived.DERIVED`, such as
+    `run.wrist_wrench` (N, 6). All are read-only.
 
     Attributes
     ----------
@@ -185,7 +187,8 @@ class Run:
     member_digests: Mapping[str, str] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
-        for column in self.columns.values():
+        derived = (self.__dict__[name] for name in DERIVED if name in self.__dict__)
+        for column in (*self.columns.values(), *derived):
             column.setflags(write=False)
 
     def __setstate__(self, state: dict[str, Any]) -> None:
@@ -197,10 +200,14 @@ class Run:
         if name in COLUMNS:
             column: NDArray[Any] = self.columns[name]
             return column
-        raise AttributeError(f"a Run has no '{name}'; its columns are {', '.join(COLUMNS)}")
+        if name in DERIVED:
+            column = self.__dict__[name] = DERIVED[name].of(self)  # once: then it is found without asking here
+            column.setflags(write=False)
+            return column
+        raise AttributeError(f"a Run has no '{name}'; its columns are {', '.join((*COLUMNS, *DERIVED))}")
 
     def __dir__(self) -> list[str]:
-        return [*super().__dir__(), *COLUMNS]
+        return [*super().__dir__(), *COLUMNS, *DERIVED]
 
     def __len__(self) -> int:
         return int(self.columns["time"].size)
@@ -226,11 +233,8 @@ class Run:
         """What the loop joints of a mechanism carried, worked out when it is asked for; None of a tree."""
         if not self.model.loops:
             return None
-        robot = robot_of(self.scenario, self.model)
-        force = self.contact_force[:, None] * self.surface_normal + self.friction_force
-        return loop_reactions(
-            robot, self.q, self.v, self.acceleration, self.torque + self.joint_friction, force
-        )  # fmt: skip
+        robot, torque = robot_of(self.scenario, self.model), self.torque + self.joint_friction
+        return loop_reactions(robot, self.q, self.v, self.acceleration, torque, tip_force(self))
 
     def summary(self) -> dict[str, Any]:
         """Return what the command line prints and writes as summary.json; see `closedloop.report`."""
@@ -238,7 +242,7 @@ class Run:
 
     def units(self, name: str) -> str:
         """Return the unit of a column; of a robot that turns and slides both, by joint type ("rad | m")."""
-        spec = COLUMNS[name]
+        spec = COLUMNS[name] if name in COLUMNS else DERIVED[name]
         sliding = spec.units.replace("rad", "m").replace("N m", "N")
         if "joint" not in spec.dims or sliding == spec.units:
             return spec.units
@@ -274,8 +278,8 @@ class Run:
         """
         from closedloop.record.frame import data_frame
 
-        dims = {name: spec.dims for name, spec in _BY_TIME.items()}
-        return data_frame(self.columns, dims, self.model.joint_names, self.units)
+        dims = {name: spec.dims for name, spec in (_BY_TIME | DERIVED).items()}
+        return data_frame({name: getattr(self, name) for name in dims}, dims, self.model.joint_names, self.units)
 
     def plot(self) -> Figure:
         """Return a matplotlib figure of the force's error, the tip's errors and the path from above.

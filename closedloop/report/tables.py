@@ -165,6 +165,19 @@ def _joint_rows(run: Run) -> list[tuple[str, str, str, str]]:
     return rows
 
 
+def _tool_rows(run: Run, facts: dict[str, Any]) -> list[tuple[str, str, str, str]]:
+    """Return how the tool is turned, where that is asked for, and what it bears, if the arm carries one."""
+    rows, wrist, tool = [], facts["wrist"], facts["tool"]
+    if tool is not None:
+        error, angle = _shown(tool["max_orientation_error"], ".3g"), _shown(tool["max_angle"], ".3g")
+        rows.append(("tool from its orientation", error, "deg", f"its axis {angle} deg from the normal"))
+    if wrist is not None:
+        force, moment = _shown(wrist["max_force"], ".4g"), _shown(wrist["max_moment"], ".4g")
+        at = f"at the frame {run.scenario.robot.tip or run.model.tip}"
+        rows.append(("force between arm and tool", force, "N", f"moment {moment} N m, {at}"))
+    return rows
+
+
 def _error_rows(run: Run, facts: dict[str, Any]) -> list[tuple[str, str, str, str]]:
     touching = run.mode != FREE
     commanded = f"commanded {run.reference_force[-1]:.6g} N" if run.law == "scenario" else f"law {run.law}"
@@ -210,6 +223,7 @@ def _error_rows(run: Run, facts: dict[str, Any]) -> list[tuple[str, str, str, st
         ("tip speed", _shown(facts["max_tip_speed"], ".4g"), "m/s", ""),
         *_loop_rows(run),
         *_joint_rows(run),
+        *_tool_rows(run, facts),
         *_contact_rows(run, facts),
     ]
 

@@ -32,6 +32,7 @@ from closedloop.sections import (
     JOINT_SPEED,
     PLACE,
     STEP,
+    Direction,
     Flag,
     NotNegative,
     Number,
@@ -50,6 +51,7 @@ from robot_models.load import names_a_file
 from robot_models.toml_text import toml_tables
 
 Coordinate = Annotated[Number, PLACE]
+GRAVITY = Annotated[Number, Size(1e4, "m/s²", "no body pulls so hard")]
 MASS = Size(1e6, "kg", "no arm carries so much", 1e-9)
 Moment = Annotated[Number, Size(1e9, "kg m²", "no tool is so large")]
 FACTOR = Size(1e3, "", "no model is so wrong", 1e-3, "no model is so wrong")
@@ -72,6 +74,9 @@ class RobotSection(Section):
     lock: dict[str, Annotated[Number, ANGLE]] | None = Field(
         None, description="joints held rigid, and where, rad (m); the model's own choice if left out"
     )
+    gravity: tuple[GRAVITY, GRAVITY, GRAVITY] | None = Field(
+        None, description="gravity in the base frame, m/s²; the model's own if left out: of a URDF [0, 0, -9.81]"
+    )
 
 
 RestitutionName = Annotated[str, OneOf(RESTITUTIONS)]
@@ -89,6 +94,9 @@ class ToolSection(Section):
     )
     inertia: tuple[Moment, Moment, Moment, Moment, Moment, Moment] = Field(
         (0.0,) * 6, description="tensor about the centre of mass, kg m²: xx, yy, zz, xy, xz, yz"
+    )
+    axis: Direction = Field(
+        (0.0, 0.0, 1.0), description="axis of the tool, out of it at its tip, axes of the frame robot.tip; any length"
     )
 
 

@@ -34,6 +34,7 @@ from closedloop.step.record_row import Row
 from closedloop.surface.compliances.none import Rigid
 from closedloop.surface.kinds.plane import PlaneSurface
 from closedloop.surface.placed import PlacedSurface, Touching
+from closedloop.surface.plane import unit
 from closedloop.surface.surface import Surface
 from closedloop.user_code import of_users
 from robot_models import RobotModel
@@ -122,7 +123,7 @@ def prepare(scenario: Scenario, model: RobotModel | None = None, cache: Cache | 
     instants = (h / nodes_per_step) * np.arange(steps * nodes_per_step + 1, dtype=np.float64)
     with of_users(scenario.reference, "reference.kind"):  # its curves are evaluated in there
         wanted, table = _desired(scenario, robot, surface, q, instants, cache)
-    if scenario.reference.along_surface:
+    if scenario.reference.on_surface != "no":
         _refuse_beyond_edge(surface, wanted)
     table[::nodes_per_step, 2 * n + 10] = draws(scenario.sensor, steps + 1)
 
@@ -193,9 +194,10 @@ def _desired(
         q.tobytes(),
         _path_key(scenario, surface),
     )
+    axis = unit(scenario.tool.axis, "tool.axis")
     wanted = cache.get_shared(
         ("desired", *motion),
-        lambda: desired(scenario, robot, surface, q, scenario.force_profile, scenario.time.duration * BEYOND),
+        lambda: desired(scenario, robot, surface, q, scenario.force_profile, scenario.time.duration * BEYOND, axis),
         lambda made: 3 * made.joints.q.nbytes,
     )
     wanted = replace(wanted, profile=scenario.force_profile, force=scenario.law.force)

@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 
 from closedloop.closure.contact_force import FREE
 from closedloop.control.compensation.none import NoCompensation
+from closedloop.control.drives import DrivesSection
 from closedloop.control.law import Compensation, ControlLaw
 from closedloop.control.sensor import PackedSensor, SensorSection, start_sensor
 from closedloop.errors import LawError, ScenarioError
@@ -39,6 +40,7 @@ from closedloop.step.memory import (
     Work,
     make_loop,
 )
+from closedloop.step.record_row import Row, row_width
 from closedloop.step.soft_contact import compliance_entry
 from closedloop.surface.compliances.none import Rigid
 from closedloop.surface.placed import PlacedSurface
@@ -133,6 +135,8 @@ class Problem:
         Whether the state is projected onto the closure after each step.
     hold : int
         Steps for which a sampled torque is held; 0: the law is evaluated at every stage.
+    drives : (2, n) array
+        Largest torque of each joint, and its largest change from sample to sample, N m; infinite where there is none.
     wanted : Desired
         The reference at any instant.
     tolerance : float or None
@@ -161,6 +165,7 @@ class Problem:
     nodes: int
     project: bool
     hold: int
+    drives: Array
     wanted: Desired
     tolerance: float | None
 
@@ -198,6 +203,11 @@ class Problem:
     def general(self) -> bool:
         """Whether the general form of the loop is needed."""
         return needs_general_form(self.scenario)
+
+    @property
+    def row_width(self) -> int:
+        """Numbers in a recorded row."""
+        return row_width(self.robot.n, bool(arm_columns(self.scenario)))
 
     def loop(self, user_law: bool = False) -> Loop:
         """Return the loop's memory at t = 0.
@@ -294,6 +304,7 @@ class Problem:
         wrong = self.scenario.model_error
         constants.believed_masses, constants.unknown_payload = wrong.masses, wrong.payload
         constants.armature[:] = robot.model.armature
+        constants.torque_limit[:], constants.torque_change[:] = self.drives
         constants.compliance[:] = self.compliance.numbers
         constants.friction[:], constants.joint_friction[:] = self.friction.numbers, self.joint_friction.numbers
         tip = self._tip()
@@ -311,6 +322,8 @@ class Problem:
         state.impact_law = RATIOS[self._restitution().ratio_of]
         state.sticking, state.joint_sticking = _sticking(self.friction), _sticking(self.joint_friction)
         state.sensor_sampled = self.sensor.sampled
+        state.drives = self.scenario.drives != DrivesSection()
+        state.arm_at = Row.count(self.robot.n) if arm_columns(self.scenario) else 0
         state.model_error = self.scenario.model_error != ModelErrorSection()
         state.mode, state.sampled, state.risen = self.mode, 1, 1
         if self.project and self.mode != FREE:
@@ -387,4 +400,10 @@ def needs_general_form(scenario: Scenario) -> bool:
         or scenario.joint_friction.kind != "none"
         or scenario.sensor != SensorSection()
         or scenario.model_error != ModelErrorSection()
+        or bool(arm_columns(scenario))
     )
+
+
+def arm_columns(scenario: Scenario) -> tuple[str, ...]:
+    """Return the columns beyond `closedloop.step.record_row.RECORDED` that a run of a scenario has."""
+    return ("torque_limited",) if scenario.drives != DrivesSection() else ()

@@ -15,8 +15,8 @@ verdict stands in the first line of the report, in ``summary.json`` and in a col
 an assumption's name      an assumption of the paper that failed though the scenario keeps to it
 ========================  ==============================================================================
 
-An ideal actuator is the paper's assumption, and nothing in the loop is clipped: a run beyond the arm's own limits is
-right about an arm that is not this one, which is no good run of this one.
+An ideal actuator is the paper's assumption, and nothing in the loop is cut unless `[drives]` asks for it: a run beyond
+the arm's own limits is right about an arm that is not this one, which is no good run of this one.
 """
 
 from __future__ import annotations

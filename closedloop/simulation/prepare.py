@@ -13,10 +13,11 @@ from numpy.typing import NDArray
 import robot_models
 from closedloop.closure.baumgarte import baumgarte_gains, largest_stable_ratio, recommended_ratio
 from closedloop.closure.contact_force import FREE, PRESSED, STUCK
+from closedloop.control.drives import torque_limits, torque_steps
 from closedloop.control.laws.paper import PaperLaw
 from closedloop.control.sensor import draws, pack_sensor
 from closedloop.control.stability import check_sampling
-from closedloop.engines.problem import STICK_SPEED, PackedLaw, Problem, pack_friction, pack_law
+from closedloop.engines.problem import STICK_SPEED, PackedLaw, Problem, arm_columns, pack_friction, pack_law
 from closedloop.errors import ScenarioError
 from closedloop.events.phases import RESTING, TOUCHING
 from closedloop.friction.law import JOINT_LAWS, SURFACE_LAWS
@@ -29,7 +30,7 @@ from closedloop.scenario.arm import robot_of
 from closedloop.scenario.members import refuse_absent
 from closedloop.scenario.scenario import BaumgarteGains, Scenario
 from closedloop.simulation.cache import Cache
-from closedloop.step.record_row import Row
+from closedloop.step.record_row import row_width
 from closedloop.surface.compliances.none import Rigid
 from closedloop.surface.kinds.plane import PlaneSurface
 from closedloop.surface.placed import PlacedSurface, Touching
@@ -96,7 +97,7 @@ def prepare(scenario: Scenario, model: RobotModel | None = None, cache: Cache | 
     if soft and tolerance is None:
         _check_stiffness(scenario, robot, q, now)
     steps = _whole(scenario.time.duration, scenario.time.step, "time.duration")
-    most_rows = MOST_NUMBERS // Row.count(n)
+    most_rows = MOST_NUMBERS // row_width(n, bool(arm_columns(scenario)))
     if steps > most_rows:
         raise ScenarioError(
             f"time.step = {scenario.time.step:g}: {scenario.time.duration:g} s would be {steps:.3g} rows, over the "
@@ -145,6 +146,7 @@ def prepare(scenario: Scenario, model: RobotModel | None = None, cache: Cache | 
         nodes=nodes_per_step,
         project=scenario.stabiliser.kind in ("projection", "both") and not soft,
         hold=hold,
+        drives=np.stack([torque_limits(scenario.drives, model), torque_steps(scenario.drives, model, period)]),
         wanted=wanted,
         tolerance=tolerance,
     )

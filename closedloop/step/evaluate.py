@@ -25,6 +25,7 @@ from closedloop.closure.contact_force import (
     stuck_force,
 )
 from closedloop.closure.solve import DIVERGED, LAW_FAILED, NOT_POSITIVE_DEFINITE, OK, PAINLEVE, SINGULAR
+from closedloop.control.drives import cut_torque
 from closedloop.control.laws.paper import PaperLaw, paper_law
 from closedloop.control.sensor import SensorParameters, continuous_reading, sensor_rates
 from closedloop.jit.calls import call_at
@@ -145,7 +146,7 @@ def evaluate(
                 return NOT_POSITIVE_DEFINITE
         if state.started == 0:
             call_law(state, START)
-        if state.sampled != 0 and call_law(state, TORQUE) != 0:
+        if state.sampled != 0 and drive_torque(w, constants, state) != 0:
             return LAW_FAILED
         state.started = 1
         if state.model_error != 0:
@@ -186,6 +187,22 @@ def paper_torque(C: Array, w: Work, constants: Constants, t: float) -> None:
     n = w.q.shape[0]
     par, wanted = PaperParameters(constants.law, n), Reference(w.reference, n)
     paper_law(t, wanted.force, par, wanted.q, wanted.v, w.q, w.v, C, w.A, w.torque)
+
+
+@kernel
+def drive_torque(w: Work, constants: Constants, state: State) -> int:
+    """Write the torque that the law asks for, as the drives can give it; return 0, or the law's error."""
+    if state.drives != 0 and w.time != w.sampled_at:  # a sample may be taken anew, after an event in the step before it
+        w.sampled_at = w.time
+        for j in range(w.q.shape[0]):
+            w.torque_before[j] = w.torque[j]
+    failed = call_law(state, TORQUE)
+    if state.drives != 0 and failed == 0:
+        cut_torque(
+            w.torque, w.torque_before, constants.torque_change, constants.torque_limit, not w.time > 0.0,
+            w.torque_limited,
+        )  # fmt: skip
+    return failed
 
 
 @kernel

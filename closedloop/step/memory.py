@@ -63,6 +63,8 @@ class State(Block):
     surface: int  # address of the entry of the surface, 0: a plane at rest; and of its memory
     surface_at: int
     model_error: int  # 1 if the controller is wrong about the arm
+    drives: int  # 1 if the drives have limits
+    arm_at: int  # where in a row there is a `closedloop.step.record_row.ArmRow`; 0: nowhere
     compliance: int  # address of the entry of the surface's compliance, 0: it is rigid; and its parameters
     compliance_size: int
     surface_motion: int  # address of the entry of its motion, 0: it is at rest
@@ -115,6 +117,8 @@ class Constants(Block, sizes=("n", "law", "compensation", "friction", "joint_fri
     sensor: Annotated[Array, SensorParameters.count(0)]
     support: Annotated[Array, N]
     armature: Annotated[Array, N]
+    torque_limit: Annotated[Array, N]  # see `closedloop.control.drives`, as the next; infinite: none
+    torque_change: Annotated[Array, N]  # from sample to sample
     joint_capture_speed: Annotated[Array, N]
     joint_lag: Annotated[Array, N]
     law: Annotated[Array, Count.of("law")]  # parameters, see `closedloop.parameters`
@@ -224,6 +228,9 @@ class Work(Block, sizes=("n", "k", "stages", "ring")):
     slope: Annotated[Array, N + K]  # q̈ and ż there
     stages: Annotated[Array, STAGES, 2 * N + K]  # see `closedloop.step.advance.advance`
     ring: Annotated[Array, RING]  # latest samples of the force sensor
+    sampled_at: float  # instant of the latest sample of the law, s
+    torque_before: Annotated[Array, N]  # Q of the sample before it
+    torque_limited: Annotated[Array, N]  # see `closedloop.control.drives.AS_ASKED`
 
 
 STATE_COUNT = State.count()

@@ -54,8 +54,29 @@ class Row(Block, sizes=("n",)):
 RECORDED = tuple(Row.layout.at)
 
 
+class ArmRow(Block, sizes=("n",)):
+    """What stands behind a `Row` where the scenario asks for the drives, encoders or transmissions of a real arm."""
+
+    torque_limited: Annotated[Array, N]
+
+
+ARM_RECORDED = tuple(ArmRow.layout.at)
+
+
+def row_width(n: int, arm: bool) -> int:
+    """Return the numbers in a row of n joints, `arm` whether there is an `ArmRow` behind it."""
+    return Row.count(n) + (ArmRow.count(n) if arm else 0)
+
+
 def recorded(rows: Array, n: int, name: str) -> Array:
-    """Return a copy of one of the columns `RECORDED`, (N,) or (N, k), of the rows of a robot of n joints."""
+    """Return a copy of one of the columns `RECORDED` or `ARM_RECORDED`, (N,) or (N, k), of rows of n joints.
+
+    A column of `ARM_RECORDED` is NaN where the rows do not have it.
+    """
+    if name in ARM_RECORDED:
+        if rows.shape[1] == Row.count(n):
+            return np.full((rows.shape[0], n), np.nan)
+        return rows[:, Row.count(n) :][:, ArmRow.place(name, n)].copy()
     return rows[:, Row.place(name, n)].copy()
 
 
@@ -163,5 +184,16 @@ def record(
             w.F[0], place, SensorParameters(constants.sensor, 0), w.z[count : count + sensor],
             table[place * state.nodes_per_step, 2 * n + 10], w.ring[0 : state.sensor_ring],
         )  # fmt: skip
+        if state.arm_at != 0:
+            record_arm(w, rows[place][state.arm_at :])
     row.measured_force = w.measured
     row.energy_supplied = w.supplied
+
+
+@kernel
+def record_arm(w: Work, part: Array) -> None:
+    """Write the part of a row that is an `ArmRow`."""
+    n = w.q.shape[0]
+    row = ArmRow(part, n)
+    for j in range(n):
+        row.torque_limited[j] = w.torque_limited[j]

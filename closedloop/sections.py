@@ -55,6 +55,18 @@ def gain_of(value: Any) -> Any:
     return tuple(float(entry) for entry in value)
 
 
+def gains_not_negative(value: float | tuple[float, ...]) -> float | tuple[float, ...]:
+    """Refuse a negative number, or one in a list."""
+    for index, entry in enumerate(value if isinstance(value, tuple) else (value,)):
+        if entry < 0.0:
+            raise ValueError(
+                f"entry {index} is {entry:g}: must not be negative"
+                if isinstance(value, tuple)
+                else "must not be negative"
+            )
+    return value
+
+
 def _finite(value: Any) -> float:
     number = float(_number(value))
     if not math.isfinite(number):

@@ -12,10 +12,11 @@ from numpy.typing import NDArray
 from closedloop.closure.contact_force import FREE
 from closedloop.control.compensation.none import NoCompensation
 from closedloop.control.drives import DrivesSection
+from closedloop.control.encoder import NO_ENCODER, encoder_kind
 from closedloop.control.law import Compensation, ControlLaw
 from closedloop.control.sensor import PackedSensor, SensorSection, start_sensor
 from closedloop.errors import LawError, ScenarioError
-from closedloop.events.phases import PROJECTION, STEP_END
+from closedloop.events.phases import MEASURED, PROJECTION, STEP_END
 from closedloop.friction.contact import Contact
 from closedloop.friction.law import FrictionLaw
 from closedloop.friction.laws.none import NoFriction
@@ -23,7 +24,7 @@ from closedloop.impact import RATIOS
 from closedloop.impact.restitution import RESTITUTIONS, Restitution, coefficient_at
 from closedloop.integrators import Scheme
 from closedloop.jit.calls import entry_address
-from closedloop.jit.interpreted import twin_address
+from closedloop.jit.interpreted import interpreted, twin_address
 from closedloop.parameters import one_joint_block, pack, pack_each_joint, parameter_block, per_joint, state_block
 from closedloop.reference.desired import Desired
 from closedloop.robot.pinocchio import Robot
@@ -41,6 +42,7 @@ from closedloop.step.memory import (
     make_loop,
 )
 from closedloop.step.record_row import Row, row_width
+from closedloop.step.seen import read_joints
 from closedloop.step.soft_contact import compliance_entry
 from closedloop.surface.compliances.none import Rigid
 from closedloop.surface.placed import PlacedSurface
@@ -137,6 +139,8 @@ class Problem:
         Steps for which a sampled torque is held; 0: the law is evaluated at every stage.
     drives : (2, n) array
         Largest torque of each joint, and its largest change from sample to sample, N m; infinite where there is none.
+    encoder : (k,) array
+        The parameters of the encoders.
     wanted : Desired
         The reference at any instant.
     tolerance : float or None
@@ -166,6 +170,7 @@ class Problem:
     project: bool
     hold: int
     drives: Array
+    encoder: Array
     wanted: Desired
     tolerance: float | None
 
@@ -239,6 +244,9 @@ class Problem:
             loop.w.keep_alive(surface=memory)
         self._set_constants(loop.constants)
         self._set_start(state, loop.w)
+        if state.encoder != NO_ENCODER and state.phase == STEP_END:
+            interpreted(read_joints)(loop.w, loop.constants, state, self.table)
+            state.phase = MEASURED
         return loop
 
     def entries(self, user_law: bool = False) -> dict[str, Any]:
@@ -304,6 +312,7 @@ class Problem:
         wrong = self.scenario.model_error
         constants.believed_masses, constants.unknown_payload = wrong.masses, wrong.payload
         constants.armature[:] = robot.model.armature
+        constants.tilt[:], constants.encoder[:] = np.eye(3), self.encoder
         constants.torque_limit[:], constants.torque_change[:] = self.drives
         constants.compliance[:] = self.compliance.numbers
         constants.friction[:], constants.joint_friction[:] = self.friction.numbers, self.joint_friction.numbers
@@ -322,9 +331,11 @@ class Problem:
         state.impact_law = RATIOS[self._restitution().ratio_of]
         state.sticking, state.joint_sticking = _sticking(self.friction), _sticking(self.joint_friction)
         state.sensor_sampled = self.sensor.sampled
+        state.encoder = encoder_kind(self.scenario.encoder)
         state.drives = self.scenario.drives != DrivesSection()
         state.arm_at = Row.count(self.robot.n) if arm_columns(self.scenario) else 0
         state.model_error = self.scenario.model_error != ModelErrorSection()
+        state.seen = state.model_error or state.encoder != NO_ENCODER
         state.mode, state.sampled, state.risen = self.mode, 1, 1
         if self.project and self.mode != FREE:
             state.phase, state.next_phase = PROJECTION, STEP_END
@@ -406,4 +417,6 @@ def needs_general_form(scenario: Scenario) -> bool:
 
 def arm_columns(scenario: Scenario) -> tuple[str, ...]:
     """Return the columns beyond `closedloop.step.record_row.RECORDED` that a run of a scenario has."""
-    return ("torque_limited",) if scenario.drives != DrivesSection() else ()
+    drives = ("torque_limited",) if scenario.drives != DrivesSection() else ()
+    encoder = ("measured_position", "measured_velocity") if encoder_kind(scenario.encoder) != NO_ENCODER else ()
+    return drives + encoder

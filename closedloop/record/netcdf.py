@@ -77,9 +77,12 @@ def attributes(run: Run) -> dict[str, Any]:
 
 
 def _seed(run: Run) -> str:
-    sensor = run.scenario.sensor
-    if sensor is not None and sensor.noise > 0.0:
-        return f"{sensor.seed}: the noise of the force sensor; nothing else in this run is random"
+    sensor, encoder = run.scenario.sensor, run.scenario.encoder
+    noisy = np.max(encoder.noise) > 0.0 or np.max(encoder.velocity_noise) > 0.0
+    drawn = [f"{sensor.seed}: the noise of the force sensor"] if sensor.noise > 0.0 else []
+    drawn += [f"{encoder.seed}: the noise of the encoders"] if noisy else []
+    if drawn:
+        return f"{', '.join(drawn)}; nothing else in this run is random"
     return "none: nothing in this run is random"
 
 

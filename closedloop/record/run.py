@@ -93,6 +93,8 @@ ARM_COLUMNS: dict[str, Column] = {
         "1",
         "0: torque is what the law asked for; 1: cut by the torque limit; 2: by the rate limit",
     ),
+    "measured_position": Column(("time", "joint"), "rad", "joint positions as the encoders read them"),
+    "measured_velocity": Column(("time", "joint"), "rad s-1", "joint velocities as the controller has them"),
 }
 
 COLUMNS: dict[str, Column] = _BY_TIME | {name: Column(*spec) for name, spec in EVENT_COLUMNS.items()}
@@ -159,8 +161,8 @@ class Run:
     """The record of a simulation, and what produced it.
 
     Every column in `COLUMNS`, and in `ARM_COLUMNS` where the scenario asks for it, is also an attribute: `run.time`
-    (N,), `run.q` (N, n), `run.position` (N, 3), `run.contact_force` (N,) ... So is every column of the table of events (`closedloop.events.table.EVENT_COLUMNS`),
-    which `run.events` reads row by row. All are read-only.
+    (N,), `run.q` (N, n), `run.position` (N, 3), `run.contact_force` (N,) ... So is every column of the table of events
+    (`closedloop.events.table.EVENT_COLUMNS`), which `run.events` reads row by row. All are read-only.
 
     Attributes
     ----------

@@ -165,9 +165,8 @@ def _limited_rows(run: Run) -> list[tuple[str, str, str, str]]:
             kinds = np.unique(run.torque_limited[:, j])
             what = " and ".join(word for kind, word in _LIMITS.items() if kind in kinds)
             share = f"{100.0 * found['torque_limited_share'][j]:.3g}"
-            rows.append(
-                (f"torque cut, {run.model.joint_names[j]}", share, "%", f"of the time, first at {at:.4g} s: {what}")
-            )
+            where = f"joint {run.model.joint_names[j]}, first at {at:.4g} s: {what}"
+            rows.append(("torque cut, of the time", share, "%", where))
     return rows
 
 

@@ -17,6 +17,7 @@ from typing import Annotated, Any, Literal, Self
 from pydantic import AfterValidator, BeforeValidator, Field, ValidationError, model_validator
 
 from closedloop.control.drives import DrivesSection
+from closedloop.control.encoder import EncoderSection
 from closedloop.control.law import COMPENSATIONS, LAWS, Compensation, ControlLaw
 from closedloop.control.sensor import SensorSection
 from closedloop.errors import ScenarioError
@@ -254,6 +255,9 @@ class Scenario(Section):
         default_factory=lambda: COMPENSATIONS["none"](), description="what the controller does against friction"
     )
     sensor: SensorSection = Field(SensorSection(), description="the force sensor: noise, bias, delay, resolution")
+    encoder: EncoderSection = Field(
+        EncoderSection(), description="what the controller measures of the joints: noise, quantisation, velocity"
+    )
     drives: DrivesSection = Field(DrivesSection(), description="the joints' drives: limits of torque and of its rate")
     friction: Annotated[SurfaceFriction, SURFACE_LAWS] = Field(
         default_factory=lambda: SURFACE_LAWS["none"](), description="friction between tip and surface"

@@ -14,6 +14,7 @@ import robot_models
 from closedloop.closure.baumgarte import baumgarte_gains, largest_stable_ratio, recommended_ratio
 from closedloop.closure.contact_force import FREE, PRESSED, STUCK
 from closedloop.control.drives import torque_limits, torque_steps
+from closedloop.control.encoder import NO_ENCODER, encoder_draws, encoder_kind
 from closedloop.control.laws.paper import PaperLaw
 from closedloop.control.sensor import draws, pack_sensor
 from closedloop.control.stability import check_sampling
@@ -106,12 +107,16 @@ def prepare(scenario: Scenario, model: RobotModel | None = None, cache: Cache | 
     h = scenario.time.step
     period = scenario.law.sample_period
     hold = _whole(period, h, "law.sample_period") if period else 0
+    if encoder_kind(scenario.encoder) != NO_ENCODER:  # its readings are taken once a step
+        hold = max(hold, 1)
 
     nodes_per_step = integrator.parts
     instants = (h / nodes_per_step) * np.arange(steps * nodes_per_step + 1, dtype=np.float64)
     with of_users(scenario.reference, "reference.kind"):  # its curves are evaluated in there
         wanted, table = _desired(scenario, robot, surface, q, instants, cache)
     table[::nodes_per_step, 2 * n + 10] = draws(scenario.sensor, steps + 1)
+    if table.shape[1] > 2 * n + 11:
+        table[::nodes_per_step, 2 * n + 11 :] = encoder_draws(scenario.encoder, steps + 1, n)
 
     law = scenario.law
     given = getattr(law, "pd_start", None)
@@ -146,6 +151,7 @@ def prepare(scenario: Scenario, model: RobotModel | None = None, cache: Cache | 
         nodes=nodes_per_step,
         project=scenario.stabiliser.kind in ("projection", "both") and not soft,
         hold=hold,
+        encoder=pack(scenario.encoder, n, "encoder", model.joint_names),
         drives=np.stack([torque_limits(scenario.drives, model), torque_steps(scenario.drives, model, period)]),
         wanted=wanted,
         tolerance=tolerance,
@@ -172,8 +178,9 @@ def load_model(scenario: Scenario) -> RobotModel:
 def _desired(
     scenario: Scenario, robot: Robot, surface: PlacedSurface, q: Array, instants: Array, cache: Cache
 ) -> tuple[Desired, Array]:
-    """Return what is desired, and the table of it at `instants` (P,), s, with a last column for the sensor's noise."""
+    """Return what is desired, and the table of it at `instants` (P,), s, with room for noise in its last columns."""
     n = robot.n
+    spare = 1 if encoder_kind(scenario.encoder) == NO_ENCODER else 1 + 2 * n
     motion = (
         scenario.robot.model_dump_json(),
         scenario.tool.model_dump_json(),
@@ -188,8 +195,8 @@ def _desired(
     )
     wanted = replace(wanted, profile=scenario.force_profile, force=scenario.law.force)
     table = cache.get(
-        ("table", *motion, instants.size, float(instants[1])),
-        lambda: wanted.table(instants, spare=1),
+        ("table", *motion, instants.size, float(instants[1]), spare),
+        lambda: wanted.table(instants, spare=spare),
         lambda made: made.nbytes,
     )
     table[:, 2 * n + 9] = force_at(wanted.profile, wanted.force, instants)
@@ -215,6 +222,11 @@ def _integrator(scenario: Scenario) -> tuple[type[Scheme], float | None]:
                 f"only; the error of {name!r} is set by time.step; leave it out"
             )
         return INTEGRATORS[name], None
+    if encoder_kind(scenario.encoder) != NO_ENCODER:
+        raise ScenarioError(
+            f"encoder: is read once a step, and {name!r} has none; take an integrator of fixed step, "
+            f"{' or '.join(map(repr, INTEGRATORS))}"
+        )
     for key, law, family, possible in (
         ("friction", scenario.friction, SURFACE_LAWS, ("elastic", "rigid")),
         ("joint_friction", scenario.joint_friction, JOINT_LAWS, ("elastic",)),

@@ -19,7 +19,7 @@ from closedloop.control.drives import cut_torque
 from closedloop.engines.loops import loop_for
 from closedloop.engines.problem import Problem
 from closedloop.engines.user_law import Law, UserLaw
-from closedloop.events.phases import DONE, IMPACT_LAW_WANTED, STEP_END, TABLE_FULL, TERMS
+from closedloop.events.phases import DONE, IMPACT_LAW_WANTED, MEASURED, STEP_END, TABLE_FULL, TERMS
 from closedloop.events.transitions import collide
 from closedloop.jit.background import make_ready
 from closedloop.jit.kernel import plain
@@ -73,6 +73,7 @@ class Stepper:
         self._calls: dict[bool, tuple[Call, Call]] = {}
         self._once, self._again = self._loop(self._general)
         self._held, self._own_started = False, False
+        self._begins = MEASURED if state.encoder else STEP_END  # the phase that a row begins with
         self._law: Law | None = None
         self._user_law: UserLaw | None = None
         self._measured = cast(int, Work.place("measured", *w.sizes))
@@ -166,7 +167,7 @@ class Stepper:
         marked = self._at_mark or row == 0
         self._at_mark, self._terms_there, self._terms_of = False, False, None
         while True:
-            if not marked and numbers.item(_PHASE) == STEP_END:
+            if not marked and numbers.item(_PHASE) == self._begins:
                 before = numbers.copy(), values.copy(), self._own_started
             marked = row == 0
             if self._held:
@@ -183,7 +184,7 @@ class Stepper:
             else:
                 raise self.answers.failure(self._torque if self._held else self._law, self._user_law)
         self.mark = before
-        if row > 0:
+        if row > 0 and self._begins == STEP_END:
             self._terms_of = before
 
     @property

@@ -58,6 +58,8 @@ class ArmRow(Block, sizes=("n",)):
     """What stands behind a `Row` where the scenario asks for the drives, encoders or transmissions of a real arm."""
 
     torque_limited: Annotated[Array, N]
+    measured_position: Annotated[Array, N]
+    measured_velocity: Annotated[Array, N]
 
 
 ARM_RECORDED = tuple(ArmRow.layout.at)
@@ -192,8 +194,10 @@ def record(
 
 @kernel
 def record_arm(w: Work, part: Array) -> None:
-    """Write the part of a row that is an `ArmRow`."""
+    """Write the part of a row that is an `ArmRow`; its readings are then those of the row before the next."""
     n = w.q.shape[0]
     row = ArmRow(part, n)
     for j in range(n):
         row.torque_limited[j] = w.torque_limited[j]
+        row.measured_position[j] = w.last_read_q[j] = w.read_q[j]
+        row.measured_velocity[j] = w.last_read_v[j] = w.read_v[j]

@@ -408,7 +408,7 @@ def needs_general_form(scenario: Scenario) -> bool:
         or scenario.law.force_integral > 0.0
         or scenario.compensation.kind != "none"
         or scenario.friction.kind != "none"
-        or scenario.joint_friction.kind != "none"
+        or scenario.rubs_in_joints
         or scenario.sensor != SensorSection()
         or scenario.model_error != ModelErrorSection()
         or bool(arm_columns(scenario))

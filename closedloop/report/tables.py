@@ -57,11 +57,11 @@ def _energy_fault(law: Any, load: float, n: int | None = None) -> str | None:
 
 def _robot_notes(run: Run) -> tuple[str, ...]:
     """Return what the robot's file says and the run did not act on."""
-    model, acting = run.model, run.scenario.drives.torque_limit == OF_THE_ROBOT
-    if not acting:
+    model, limited, rubs = run.model, run.scenario.drives.torque_limit == OF_THE_ROBOT, run.scenario.robot.friction
+    if not (limited or rubs):
         return model.notes
-    effort = np.full(model.n, np.inf) if acting else model.effort_limit
-    return robot_notes(model.text, model.format, model.joint_names, model.velocity_limit, effort)
+    effort = np.full(model.n, np.inf) if limited else model.effort_limit
+    return robot_notes(model.text, model.format, () if rubs else model.joint_names, model.velocity_limit, effort)
 
 
 def notes(run: Run) -> list[str]:

@@ -104,7 +104,7 @@ def outside_by_the_scenario(scenario: Scenario) -> set[str]:
     outside = set()
     if scenario.friction.kind != "none":
         outside |= {"frictionless", "one_loop"}
-    if scenario.joint_friction.kind != "none":
+    if scenario.rubs_in_joints:
         outside.add("frictionless")
     if scenario.surface.contact == "unilateral":
         outside.add("contact_kept")

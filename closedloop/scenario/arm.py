@@ -4,9 +4,13 @@ from __future__ import annotations
 
 from dataclasses import replace
 
+from closedloop.errors import ScenarioError
+from closedloop.friction.law import JointFriction
+from closedloop.friction.laws.coulomb_viscous import JointCoulombViscous
 from closedloop.robot.pinocchio import Robot
 from closedloop.scenario.scenario import Scenario, ToolSection
 from robot_models import RobotModel, Tool
+from robot_models.joint_dynamics import joint_dynamics
 
 
 def robot_of(scenario: Scenario, model: RobotModel) -> Robot:
@@ -28,6 +32,27 @@ def robot_of(scenario: Scenario, model: RobotModel) -> Robot:
         model.require_frame(tip)
         tools.append(Tool(tip, mass=payload))  # at the tip as the tool has it
     return Robot(replace(model, tools=tuple(tools)) if tools else model, scenario.robot.tip)
+
+
+def joint_friction_of(scenario: Scenario, model: RobotModel) -> JointFriction:
+    """Return the law of friction in the joints: the scenario's, or that of the robot's file on request.
+
+    Raises
+    ------
+    ScenarioError
+        If both are asked for.
+    ModelError
+        If the file has none.
+    """
+    if not scenario.robot.friction:
+        return scenario.joint_friction
+    if scenario.joint_friction.kind != "none":
+        raise ScenarioError(
+            f"robot.friction = true with joint_friction.kind = {scenario.joint_friction.kind!r}: friction in "
+            "the joints is that of the robot's file or the scenario's; leave out one of them"
+        )
+    damping, friction = joint_dynamics(model)
+    return JointCoulombViscous(kinetic=tuple(friction.tolist()), viscous=tuple(damping.tolist()))
 
 
 def without_tools(model: RobotModel) -> RobotModel:

@@ -71,6 +71,11 @@ class RobotSection(Section):
     )
     tip: str | None = Field(None, description="frame that touches the surface; the model's own tip if left out")
     drive_inertia: Flag = Field(True, description="add the drives' inertia (armature) to the mass matrix")
+    friction: Flag = Field(
+        False,
+        description="let the damping and friction of the URDF's <dynamics> act in the joints, as viscous coefficients "
+        "and Coulomb torques: the law coulomb_viscous of joint_friction, which must be left out then",
+    )
     lock: dict[str, Annotated[Number, ANGLE]] | None = Field(
         None, description="joints held rigid, and where, rad (m); the model's own choice if left out"
     )
@@ -279,6 +284,11 @@ class Scenario(Section):
             chosen = "rk4" if self.surface.contact == "unilateral" and not stiff else "semi_implicit_euler"
             self.__dict__["time"] = self.time.model_copy(update={"integrator": chosen})
         return self
+
+    @property
+    def rubs_in_joints(self) -> bool:
+        """Whether there is friction in the joints."""
+        return self.joint_friction.kind != "none" or self.robot.friction
 
     def to_toml(self) -> str:
         """Return the scenario as TOML text that `load_scenario` reads back to an equal one."""

@@ -21,13 +21,13 @@ from closedloop.control.stability import check_sampling
 from closedloop.engines.problem import STICK_SPEED, PackedLaw, Problem, arm_columns, pack_friction, pack_law
 from closedloop.errors import ScenarioError
 from closedloop.events.phases import RESTING, TOUCHING
-from closedloop.friction.law import JOINT_LAWS, SURFACE_LAWS
+from closedloop.friction.law import JOINT_LAWS, SURFACE_LAWS, JointFriction
 from closedloop.integrators import ADAPTIVE, INTEGRATORS, Scheme
 from closedloop.parameters import lists_per_joint, pack
 from closedloop.reference.desired import Desired, desired
 from closedloop.reference.force import force_at
 from closedloop.robot.pinocchio import Robot
-from closedloop.scenario.arm import robot_of
+from closedloop.scenario.arm import joint_friction_of, robot_of
 from closedloop.scenario.members import refuse_absent
 from closedloop.scenario.scenario import BaumgarteGains, Scenario
 from closedloop.simulation.cache import Cache
@@ -94,7 +94,8 @@ def prepare(scenario: Scenario, model: RobotModel | None = None, cache: Cache | 
     surface, now, mode = _surface(scenario, robot, q, v)
 
     soft = not isinstance(scenario.compliance, Rigid)
-    integrator, tolerance = _integrator(scenario)
+    joint_friction = joint_friction_of(scenario, model)
+    integrator, tolerance = _integrator(scenario, joint_friction)
     if soft and tolerance is None:
         _check_stiffness(scenario, robot, q, now)
     steps = _whole(scenario.time.duration, scenario.time.step, "time.duration")
@@ -144,7 +145,7 @@ def prepare(scenario: Scenario, model: RobotModel | None = None, cache: Cache | 
         law=pack_law(law, n, model.joint_names),
         compensation=pack_law(scenario.compensation, n, model.joint_names),
         friction=friction,
-        joint_friction=pack_friction(scenario.joint_friction, n, joints=True),
+        joint_friction=pack_friction(joint_friction, n, joints=True),
         compliance=PackedLaw(type(scenario.compliance), pack(scenario.compliance, n, "compliance"), 0),
         sensor=pack_sensor(scenario.sensor, h),
         table=table,
@@ -211,7 +212,7 @@ def _path_key(scenario: Scenario, surface: PlacedSurface) -> Hashable:
     return (*sections, surface.origin.tobytes(), scenario.time.duration)
 
 
-def _integrator(scenario: Scenario) -> tuple[type[Scheme], float | None]:
+def _integrator(scenario: Scenario, joint_friction: JointFriction) -> tuple[type[Scheme], float | None]:
     """Return the scheme, and the tolerance of one that chooses its own steps, refusing what such a one cannot do."""
     section = scenario.time
     name = section.integrator
@@ -229,7 +230,7 @@ def _integrator(scenario: Scenario) -> tuple[type[Scheme], float | None]:
         )
     for key, law, family, possible in (
         ("friction", scenario.friction, SURFACE_LAWS, ("elastic", "rigid")),
-        ("joint_friction", scenario.joint_friction, JOINT_LAWS, ("elastic",)),
+        ("joint_friction", joint_friction, JOINT_LAWS, ("elastic",)),
     ):
         if law.sticks not in possible:
             others = [repr(name) for name, member in family.items() if member.sticks in possible]

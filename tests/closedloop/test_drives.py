@@ -1,5 +1,6 @@
 """Drives with limits: a torque that is cut is the limit to the bit, in both engines, in a batch and from the file."""
 
+import re
 from dataclasses import replace
 
 import numpy as np
@@ -124,3 +125,32 @@ def test_a_file_without_effort_limits_has_none_to_act():
     model = replace(cl.prepare(cl.load_scenario("planar2_slide")).robot.model, effort_limit=np.full(2, np.inf))
     with pytest.raises(cl.ScenarioError, match="has no effort limits; give them in N m"):
         cl.prepare(cl.load_scenario("planar2_slide", {"drives.torque_limit": "urdf"}), model)
+
+
+@pytest.mark.parametrize("engine", ["pinocchio", "compiled"])
+def test_friction_of_the_robots_file_acts_on_request(engine):
+    """It is coulomb_viscous with the damping and friction of the URDF, to the bit; no note says that it does not."""
+    from closedloop.report.tables import notes
+
+    model = cl.prepare(cl.load_scenario("panda_slide")).robot.model
+    model = replace(model, text=re.sub("<dynamics[^>]*>", '<dynamics damping="0.4" friction="0.2"/>', model.text))
+    changes = {"time.duration": 0.05, "law.pd_start": 0.01}
+    run = cl.simulate(cl.load_scenario("panda_slide", changes | {"robot.friction": True}), engine=engine, model=model)
+    own = {"joint_friction.kind": "coulomb_viscous", "joint_friction.kinetic": 0.2, "joint_friction.viscous": 0.4}
+    same = cl.simulate(cl.load_scenario("panda_slide", changes | own), engine=engine, model=model)
+    assert np.array_equal(run.q, same.q)
+    assert np.max(np.abs(run.joint_friction)) > 0.0
+    assert not any("friction" in note for note in notes(run))
+    assert run.summary()["assumptions"]["frictionless"]["expected"] is False
+
+
+def test_friction_of_the_robots_file_is_refused_where_it_has_none():
+    """Or beside the scenario's, or where the step would matter and there is none; one line each."""
+    for name, changes, said in (
+        ("wam_slide", {}, "no joint of the robot's file has damping or friction"),
+        ("panda_slide", {"joint_friction.kind": "coulomb", "joint_friction.kinetic": 0.1}, "leave out one of them"),
+        ("panda_slide", {"time.integrator": "dop853"}, "depends on the step"),
+    ):
+        with pytest.raises(cl.ClosedLoopError, match=said) as refused:
+            cl.prepare(cl.load_scenario(name, changes | {"robot.friction": True}))
+        assert "\n" not in str(refused.value)

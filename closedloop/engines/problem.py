@@ -312,7 +312,7 @@ class Problem:
         wrong = self.scenario.model_error
         constants.believed_masses, constants.unknown_payload = wrong.masses, wrong.payload
         constants.armature[:] = robot.model.armature
-        constants.tilt[:], constants.encoder[:] = np.eye(3), self.encoder
+        constants.tilt[:], constants.encoder[:] = np.eye(3) if wrong.normal == 0.0 else wrong.tilt(), self.encoder
         constants.torque_limit[:], constants.torque_change[:] = self.drives
         constants.compliance[:] = self.compliance.numbers
         constants.friction[:], constants.joint_friction[:] = self.friction.numbers, self.joint_friction.numbers

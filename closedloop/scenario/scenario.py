@@ -8,12 +8,15 @@ or a member of a family of plug-ins (`closedloop.families`), a user's own too wh
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping
 from copy import deepcopy
 from functools import cache
 from pathlib import Path
 from typing import Annotated, Any, Literal, Self
 
+import numpy as np
+from numpy.typing import NDArray
 from pydantic import AfterValidator, BeforeValidator, Field, ValidationError, model_validator
 
 from closedloop.control.drives import DrivesSection
@@ -54,6 +57,7 @@ from robot_models.toml_text import toml_tables
 Coordinate = Annotated[Number, PLACE]
 MASS = Size(1e6, "kg", "no arm carries so much", 1e-9)
 Moment = Annotated[Number, Size(1e9, "kg m²", "no tool is so large")]
+TILT = Size(1.5, "rad", "the controller would press along the surface")
 FACTOR = Size(1e3, "", "no model is so wrong", 1e-3, "no model is so wrong")
 REST_SPEED = Size(1e4, "m/s", "nothing bounces so fast", 1e-12, "slower motion is rounding")
 DAMPING_RATIO = Size(1e6, "", "no closure is damped so", 1e-6, "nothing would die out")
@@ -108,6 +112,23 @@ class ModelErrorSection(Section):
     payload: Annotated[NotNegative, MASS] = Field(
         0.0, description="mass at the tip that the arm carries and the controller does not know of, kg"
     )
+    normal: Annotated[Number, TILT] = Field(
+        0.0, description="angle by which the normal that the controller believes in is tilted off the surface's, rad"
+    )
+    normal_towards: Annotated[Number, ANGLE] = Field(
+        0.0, description="direction in which it is tilted, rad from the first tangent t1 to the second"
+    )
+    friction: Annotated[NotNegative, FACTOR] = Field(
+        1.0, description="figures of friction as the compensation has them, of those given in [compensation]"
+    )
+
+    def tilt(self) -> NDArray[np.float64]:
+        """Return the contact frame that the controller believes in (3, 3): n, t1, t2 in the axes of the true one."""
+        c, s = math.cos(self.normal), math.sin(self.normal)
+        a, b = math.cos(self.normal_towards), math.sin(self.normal_towards)
+        # n turns towards d = a t1 + b t2 and d away from n; e = −b t1 + a t2 stays.
+        n, d, e = np.array([c, s * a, s * b]), np.array([-s, c * a, c * b]), np.array([0.0, -b, a])
+        return np.stack([n, a * d - b * e, b * d + a * e])
 
 
 class ImpactSection(Section):
@@ -245,7 +266,7 @@ class Scenario(Section):
     )
     tool: ToolSection = Field(ToolSection(), description="a tool on the tip: where its tip is, and its mass")
     model_error: ModelErrorSection = Field(
-        ModelErrorSection(), description="what the controller is wrong about: masses, a payload"
+        ModelErrorSection(), description="what the controller is wrong about: masses, a payload, normal, friction"
     )
     compliance: Annotated[Compliance, COMPLIANCES] = Field(
         default_factory=lambda: COMPLIANCES["none"](), description="how the surface gives way, if it is soft"

@@ -15,6 +15,7 @@ from closedloop.closure.baumgarte import baumgarte_gains, largest_stable_ratio, 
 from closedloop.closure.contact_force import FREE, PRESSED, STUCK
 from closedloop.control.drives import torque_limits, torque_steps
 from closedloop.control.encoder import NO_ENCODER, encoder_draws, encoder_kind
+from closedloop.control.law import Compensation
 from closedloop.control.laws.paper import PaperLaw
 from closedloop.control.sensor import draws, pack_sensor
 from closedloop.control.stability import check_sampling
@@ -123,8 +124,9 @@ def prepare(scenario: Scenario, model: RobotModel | None = None, cache: Cache | 
     given = getattr(law, "pd_start", None)
     start = (wanted.tip.start if given is None else given) - 1e-9 * h  # i·h and 0.5 may differ by rounding
     law = law.model_copy(update={"pd_start": start}) if isinstance(law, PaperLaw) else law
-    scenario.compensation.check(law)
-    check_sampling(law, scenario.compensation, scenario.sensor, law.sample_period or h)
+    compensation = _believed_compensation(scenario)
+    compensation.check(law)
+    check_sampling(law, compensation, scenario.sensor, law.sample_period or h)
     friction = pack_friction(scenario.friction, n)
     if friction.member.sticks != "elastic" and mode == PRESSED:
         u = now.frame @ robot.terms(q, v).jacobian @ v - now.carried
@@ -143,7 +145,7 @@ def prepare(scenario: Scenario, model: RobotModel | None = None, cache: Cache | 
         stabiliser=np.array(_stabiliser_gains(scenario)),
         pd_start=start,
         law=pack_law(law, n, model.joint_names),
-        compensation=pack_law(scenario.compensation, n, model.joint_names),
+        compensation=pack_law(compensation, n, model.joint_names),
         friction=friction,
         joint_friction=pack_friction(joint_friction, n, joints=True),
         compliance=PackedLaw(type(scenario.compliance), pack(scenario.compliance, n, "compliance"), 0),
@@ -174,6 +176,25 @@ def load_model(scenario: Scenario) -> RobotModel:
     section = scenario.robot
     options: dict[str, Any] = {} if section.lock is None else {"lock": section.lock}
     return robot_models.load(section.model, drive_inertia=section.drive_inertia, **options)
+
+
+def _believed_compensation(scenario: Scenario) -> Compensation:
+    """Return the compensation with its figures of friction wrong by `model_error.friction`."""
+    section, factor = scenario.compensation, scenario.model_error.friction
+    if factor == 1.0:
+        return section
+    figures = {name: getattr(section, name) for name in section.friction_figures}
+    wrong = {
+        name: tuple(factor * x for x in value) if isinstance(value, tuple) else factor * value
+        for name, value in figures.items()
+        if value is not None
+    }
+    if not any(np.any(figures[name]) for name in wrong):
+        raise ScenarioError(
+            f"model_error.friction = {factor:g}: the compensation {section.kind!r} has no figures of friction to "
+            "be wrong about; give compensation.kind = 'model' some, or leave it out"
+        )
+    return section.model_copy(update=wrong)
 
 
 def _desired(

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from closedloop.closure.contact_force import FREE
 from closedloop.control.compensation.none import NoCompensation
 from closedloop.control.drives import DrivesSection
-from closedloop.control.encoder import NO_ENCODER, encoder_kind
+from closedloop.control.encoder import MEASURED_VELOCITY, NO_ENCODER, encoder_kind
 from closedloop.control.law import Compensation, ControlLaw
 from closedloop.control.sensor import PackedSensor, SensorSection, start_sensor
 from closedloop.errors import LawError, ScenarioError
@@ -42,7 +42,7 @@ from closedloop.step.memory import (
     make_loop,
 )
 from closedloop.step.record_row import Row, row_width
-from closedloop.step.seen import read_joints
+from closedloop.step.seen import MOTORS_MEASURED, read_joints
 from closedloop.step.soft_contact import compliance_entry
 from closedloop.surface.compliances.none import Rigid
 from closedloop.surface.placed import PlacedSurface
@@ -139,6 +139,8 @@ class Problem:
         Steps for which a sampled torque is held; 0: the law is evaluated at every stage.
     drives : (2, n) array
         Largest torque of each joint, and its largest change from sample to sample, N m; infinite where there is none.
+    transmission : (3, n) array
+        Stiffness, damping and motor inertia of elastic joints, see `closedloop.control.transmission`; zero: rigid.
     encoder : (k,) array
         The parameters of the encoders.
     wanted : Desired
@@ -170,6 +172,7 @@ class Problem:
     project: bool
     hold: int
     drives: Array
+    transmission: Array
     encoder: Array
     wanted: Desired
     tolerance: float | None
@@ -227,7 +230,8 @@ class Problem:
         n, law, compensation = self.robot.n, self.law, self.compensation
         own, both = (0, 0) if user_law else (law.states, law.states + compensation.states)
         surface, joints = self.friction.states, self.joint_friction.states
-        extra = both + self.sensor.states + surface + n * joints
+        motors = 2 * n if self.scenario.transmission.elastic else 0
+        extra = both + self.sensor.states + surface + n * joints + motors
         sizes = {
             "law": law.numbers.size, "compensation": compensation.numbers.size, "friction": self.friction.numbers.size,
             "joint_friction": self.joint_friction.numbers.shape[1], "compliance": self.compliance.numbers.size,
@@ -311,7 +315,8 @@ class Problem:
         constants.law[:], constants.compensation[:] = self.law.numbers, self.compensation.numbers
         wrong = self.scenario.model_error
         constants.believed_masses, constants.unknown_payload = wrong.masses, wrong.payload
-        constants.armature[:] = robot.model.armature
+        constants.armature[:] = 0.0 if robot.model.elastic else robot.model.armature
+        constants.stiffness[:], constants.shaft_damping[:], constants.motor_inertia[:] = self.transmission
         constants.tilt[:], constants.encoder[:] = np.eye(3) if wrong.normal == 0.0 else wrong.tilt(), self.encoder
         constants.torque_limit[:], constants.torque_change[:] = self.drives
         constants.compliance[:] = self.compliance.numbers
@@ -331,11 +336,13 @@ class Problem:
         state.impact_law = RATIOS[self._restitution().ratio_of]
         state.sticking, state.joint_sticking = _sticking(self.friction), _sticking(self.joint_friction)
         state.sensor_sampled = self.sensor.sampled
-        state.encoder = encoder_kind(self.scenario.encoder)
+        transmission = self.scenario.transmission
+        state.elastic = MOTORS_MEASURED if transmission.on_motors else int(transmission.elastic)
+        state.encoder = reading_kind(self.scenario)
         state.drives = self.scenario.drives != DrivesSection()
         state.arm_at = Row.count(self.robot.n) if arm_columns(self.scenario) else 0
         state.model_error = self.scenario.model_error != ModelErrorSection()
-        state.seen = state.model_error or state.encoder != NO_ENCODER
+        state.seen = state.model_error or state.elastic or state.encoder != NO_ENCODER
         state.mode, state.sampled, state.risen = self.mode, 1, 1
         if self.project and self.mode != FREE:
             state.phase, state.next_phase = PROJECTION, STEP_END
@@ -367,7 +374,12 @@ class Problem:
             w.stuck[:] = self.v == 0.0
         if state.joint_states > 0:
             with of_users(self.joint_friction.member, "joint_friction.kind"):
-                w.z[joints:] = np.concatenate([joint.rested() for joint in self._joints()])
+                motors = joints + n * int(state.joint_states)
+                w.z[joints:motors] = np.concatenate([joint.rested() for joint in self._joints()])
+        if state.elastic:
+            # Each spring carries what holds the arm against gravity and the force desired, so that none is released.
+            held = terms.bias - felt * (self.frame[0] @ terms.jacobian)
+            w.z[-2 * n : -n], w.z[-n:] = self.q + held / self.transmission[0], self.v
 
     def set_restitution(self, loop: Loop) -> None:
         """Write into a loop's memory the coefficient of restitution of the impact at which it stands.
@@ -418,5 +430,12 @@ def needs_general_form(scenario: Scenario) -> bool:
 def arm_columns(scenario: Scenario) -> tuple[str, ...]:
     """Return the columns beyond `closedloop.step.record_row.RECORDED` that a run of a scenario has."""
     drives = ("torque_limited",) if scenario.drives != DrivesSection() else ()
-    encoder = ("measured_position", "measured_velocity") if encoder_kind(scenario.encoder) != NO_ENCODER else ()
-    return drives + encoder
+    encoder = ("measured_position", "measured_velocity") if reading_kind(scenario) != NO_ENCODER else ()
+    motors = ("motor_position", "motor_velocity", "transmitted_torque") if scenario.transmission.elastic else ()
+    return drives + encoder + motors
+
+
+def reading_kind(scenario: Scenario) -> int:
+    """Return whether the controller reads encoders, see `closedloop.control.encoder.encoder_kind`."""
+    kind = encoder_kind(scenario.encoder)
+    return MEASURED_VELOCITY if kind == NO_ENCODER and scenario.transmission.on_motors else kind

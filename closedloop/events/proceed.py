@@ -71,6 +71,7 @@ from closedloop.step.locate import locate_tip
 from closedloop.step.memory import Constants, State, Work
 from closedloop.step.record_row import record
 from closedloop.step.seen import back_to_true, read_joints
+from closedloop.step.transmission import lead_motors
 
 Array = NDArray[np.float64]
 
@@ -178,9 +179,11 @@ def proceed(
         todo = ADVANCE
     if todo == ADVANCE:
         stage, tau = state.stage, w.tau
-        add_stage_work(w, stage, tau, tableau[tableau.shape[0] - 1, stage])
+        add_stage_work(w, state, stage, tau, tableau[tableau.shape[0] - 1, stage])
         if general is not None and state.semi_implicit != 0:
             advance_friction(w, state, tau)
+            if state.elastic != 0:
+                lead_motors(w, tau, state.after_event != 0)
         advance(
             stage, tau, state.semi_implicit != 0, state.after_event != 0, tableau, w.begin, w.stages,
             w.qdd, w.dz, w.q, w.v, w.z,

@@ -95,6 +95,9 @@ ARM_COLUMNS: dict[str, Column] = {
     ),
     "measured_position": Column(("time", "joint"), "rad", "joint positions as the encoders read them"),
     "measured_velocity": Column(("time", "joint"), "rad s-1", "joint velocities as the controller has them"),
+    "motor_position": Column(("time", "joint"), "rad", "angles of the motors behind elastic joints, at the joints"),
+    "motor_velocity": Column(("time", "joint"), "rad s-1", "rates of the motors behind elastic joints, at the joints"),
+    "transmitted_torque": Column(("time", "joint"), "N m", "torque that elastic joints pass on to the links"),
 }
 
 COLUMNS: dict[str, Column] = _BY_TIME | {name: Column(*spec) for name, spec in EVENT_COLUMNS.items()}

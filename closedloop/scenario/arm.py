@@ -14,7 +14,7 @@ from robot_models.joint_dynamics import joint_dynamics
 
 
 def robot_of(scenario: Scenario, model: RobotModel) -> Robot:
-    """Return the robot of a scenario, with its tool and payload, from the model without them.
+    """Return the robot of a scenario, with its tool, payload and elastic joints, from the model without them.
 
     Raises
     ------
@@ -31,7 +31,9 @@ def robot_of(scenario: Scenario, model: RobotModel) -> Robot:
     if tip is not None and payload:
         model.require_frame(tip)
         tools.append(Tool(tip, mass=payload))  # at the tip as the tool has it
-    return Robot(replace(model, tools=tuple(tools)) if tools else model, scenario.robot.tip)
+    if tools or scenario.transmission.elastic:
+        model = replace(model, tools=tuple(tools), elastic=scenario.transmission.elastic)
+    return Robot(model, scenario.robot.tip)
 
 
 def joint_friction_of(scenario: Scenario, model: RobotModel) -> JointFriction:
@@ -56,5 +58,5 @@ def joint_friction_of(scenario: Scenario, model: RobotModel) -> JointFriction:
 
 
 def without_tools(model: RobotModel) -> RobotModel:
-    """Return the model without tool and payload, which the scenario says."""
-    return replace(model, tools=()) if model.tools else model
+    """Return the model without tool, payload and elastic joints, which the scenario says."""
+    return replace(model, tools=(), elastic=False) if model.tools or model.elastic else model

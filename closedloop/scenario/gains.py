@@ -21,6 +21,8 @@ from closedloop.closure.baumgarte import linear_step
 from closedloop.control.laws.hybrid import HybridLaw
 from closedloop.control.laws.impedance import ImpedanceLaw
 from closedloop.control.tip_space import Posture, TipMotion
+from closedloop.control.transmission import transmission_constants
+from closedloop.errors import ScenarioError
 from closedloop.integrators import ADAPTIVE, INTEGRATORS
 from closedloop.parameters import per_joint
 from closedloop.robot.pinocchio import Robot
@@ -131,6 +133,29 @@ def _fault(feedback: Feedback, scenario: Scenario, robot: Robot, hold: int) -> s
     )
 
 
+def check_transmission(scenario: Scenario, robot: Robot, q: Array) -> None:
+    """Refuse elastic joints that swing too fast for the step, at the posture q (n,): motors and links on their springs.
+
+    δ̈ = −(H⁻¹ + B⁻¹)(K δ + D δ̇), δ = θ − q. Contact holds the tip, and with it the links: it makes nothing swing faster.
+    """
+    stiffness, damping, inertia = transmission_constants(scenario.transmission, robot.model)
+    try:
+        mobility = np.linalg.inv(robot.terms(q, np.zeros(robot.n)).mass_matrix) + np.diag(1.0 / inertia)
+    except np.linalg.LinAlgError:  # some link moves no inertia: the run says so
+        return
+    swing = Feedback("transmission.stiffness", "transmission.damping", mobility * stiffness, mobility * damping)
+    name, h = scenario.time.integrator, scenario.time.step
+    if growth(swing, name, h) <= GROWING:
+        return
+    share = _largest_share(swing, name, h, 0)
+    fastest = float(np.sqrt(np.max(np.linalg.eigvals(swing.stiffness).real)))
+    cure = f"the step may be at most {_down(share * h)} s" if share > 1e-6 else "at any step"
+    raise ScenarioError(
+        f"transmission.stiffness: {name} is unstable with time.step = {h:g} s on joints that swing at {fastest:.4g} "
+        f"rad/s against their motors: {cure}; or take softer joints, more damping or another integrator"
+    )
+
+
 def _of_inertia(key: str) -> str:
     """Return the words for the inertia that a gain acts on; none if the gain is an acceleration already."""
     accelerations = ("law.motion_", "law.posture_", "law.approach_")
@@ -170,7 +195,8 @@ def feedbacks(scenario: Scenario, robot: Robot) -> list[Feedback]:
     A = surface.touching(terms.position).frame @ terms.jacobian
     held = scenario.surface.contact == "bilateral"
     try:
-        mobility = np.linalg.inv(terms.mass_matrix)
+        motors = np.diag(transmission_constants(scenario.transmission, robot.model)[2])  # zero: they are in H
+        mobility = np.linalg.inv(terms.mass_matrix + motors)
     except np.linalg.LinAlgError:  # some joint moves no inertia: the run says so
         return []
     S = A @ mobility @ A.T

@@ -23,6 +23,7 @@ from closedloop.control.drives import DrivesSection
 from closedloop.control.encoder import EncoderSection
 from closedloop.control.law import COMPENSATIONS, LAWS, Compensation, ControlLaw
 from closedloop.control.sensor import SensorSection
+from closedloop.control.transmission import TransmissionSection
 from closedloop.errors import ScenarioError
 from closedloop.families import KEEP_ABSENT, Family, OneOf
 from closedloop.friction.law import JOINT_LAWS, SURFACE_LAWS, FrictionLaw, JointFriction, SurfaceFriction
@@ -283,6 +284,9 @@ class Scenario(Section):
     sensor: SensorSection = Field(SensorSection(), description="the force sensor: noise, bias, delay, resolution")
     encoder: EncoderSection = Field(
         EncoderSection(), description="what the controller measures of the joints: noise, quantisation, velocity"
+    )
+    transmission: TransmissionSection = Field(
+        TransmissionSection(), description="elastic joints: stiffness, damping and motor inertia"
     )
     drives: DrivesSection = Field(DrivesSection(), description="the joints' drives: limits of torque and of its rate")
     friction: Annotated[SurfaceFriction, SURFACE_LAWS] = Field(

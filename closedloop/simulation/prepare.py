@@ -19,7 +19,16 @@ from closedloop.control.law import Compensation
 from closedloop.control.laws.paper import PaperLaw
 from closedloop.control.sensor import draws, pack_sensor
 from closedloop.control.stability import check_sampling
-from closedloop.engines.problem import STICK_SPEED, PackedLaw, Problem, arm_columns, pack_friction, pack_law
+from closedloop.control.transmission import transmission_constants
+from closedloop.engines.problem import (
+    STICK_SPEED,
+    PackedLaw,
+    Problem,
+    arm_columns,
+    pack_friction,
+    pack_law,
+    reading_kind,
+)
 from closedloop.errors import ScenarioError
 from closedloop.events.phases import RESTING, TOUCHING
 from closedloop.friction.law import JOINT_LAWS, SURFACE_LAWS, JointFriction
@@ -29,6 +38,7 @@ from closedloop.reference.desired import Desired, desired
 from closedloop.reference.force import force_at
 from closedloop.robot.pinocchio import Robot
 from closedloop.scenario.arm import joint_friction_of, robot_of
+from closedloop.scenario.gains import check_transmission
 from closedloop.scenario.members import refuse_absent
 from closedloop.scenario.scenario import BaumgarteGains, Scenario
 from closedloop.simulation.cache import Cache
@@ -99,6 +109,8 @@ def prepare(scenario: Scenario, model: RobotModel | None = None, cache: Cache | 
     integrator, tolerance = _integrator(scenario, joint_friction)
     if soft and tolerance is None:
         _check_stiffness(scenario, robot, q, now)
+    if scenario.transmission.elastic:
+        check_transmission(scenario, robot, q)
     steps = _whole(scenario.time.duration, scenario.time.step, "time.duration")
     most_rows = MOST_NUMBERS // row_width(n, bool(arm_columns(scenario)))
     if steps > most_rows:
@@ -109,7 +121,7 @@ def prepare(scenario: Scenario, model: RobotModel | None = None, cache: Cache | 
     h = scenario.time.step
     period = scenario.law.sample_period
     hold = _whole(period, h, "law.sample_period") if period else 0
-    if encoder_kind(scenario.encoder) != NO_ENCODER:  # its readings are taken once a step
+    if reading_kind(scenario) != NO_ENCODER:  # its readings are taken once a step
         hold = max(hold, 1)
 
     nodes_per_step = integrator.parts
@@ -154,6 +166,7 @@ def prepare(scenario: Scenario, model: RobotModel | None = None, cache: Cache | 
         nodes=nodes_per_step,
         project=scenario.stabiliser.kind in ("projection", "both") and not soft,
         hold=hold,
+        transmission=transmission_constants(scenario.transmission, model),
         encoder=pack(scenario.encoder, n, "encoder", model.joint_names),
         drives=np.stack([torque_limits(scenario.drives, model), torque_steps(scenario.drives, model, period)]),
         wanted=wanted,
@@ -167,7 +180,8 @@ def _robot(scenario: Scenario, model: RobotModel | None, cache: Cache) -> Robot:
     def make() -> Robot:
         return robot_of(scenario, load_model(scenario) if model is None else model)
 
-    key = (section.model_dump_json(), scenario.tool.model_dump_json(), scenario.model_error.payload)
+    elastic = scenario.transmission.elastic
+    key = (section.model_dump_json(), scenario.tool.model_dump_json(), scenario.model_error.payload, elastic)
     return cache.get(("robot", *key), make, lambda robot: ROBOT_BYTES)
 
 
@@ -202,7 +216,7 @@ def _desired(
 ) -> tuple[Desired, Array]:
     """Return what is desired, and the table of it at `instants` (P,), s, with room for noise in its last columns."""
     n = robot.n
-    spare = 1 if encoder_kind(scenario.encoder) == NO_ENCODER else 1 + 2 * n
+    spare = 1 if reading_kind(scenario) == NO_ENCODER else 1 + 2 * n
     motion = (
         scenario.robot.model_dump_json(),
         scenario.tool.model_dump_json(),
@@ -244,9 +258,10 @@ def _integrator(scenario: Scenario, joint_friction: JointFriction) -> tuple[type
                 f"only; the error of {name!r} is set by time.step; leave it out"
             )
         return INTEGRATORS[name], None
-    if encoder_kind(scenario.encoder) != NO_ENCODER:
+    if reading_kind(scenario) != NO_ENCODER:
+        what = "encoder" if encoder_kind(scenario.encoder) != NO_ENCODER else "transmission.measured = 'motor'"
         raise ScenarioError(
-            f"encoder: is read once a step, and {name!r} has none; take an integrator of fixed step, "
+            f"{what}: is read once a step, and {name!r} has none; take an integrator of fixed step, "
             f"{' or '.join(map(repr, INTEGRATORS))}"
         )
     for key, law, family, possible in (

@@ -41,6 +41,7 @@ from closedloop.step.memory import RIGID_STICK, SPRING_STICK, Constants, Referen
 from closedloop.step.seen import keep_terms, see
 from closedloop.step.soft_contact import soft_contact_force
 from closedloop.step.tip_friction import surface_friction, turn_with_slip
+from closedloop.step.transmission import motor_rates, transmit
 
 Array = NDArray[np.float64]
 
@@ -146,6 +147,8 @@ def evaluate(
             in_contact_frame(seen.frame, seen.carried, seen.turning, Reference(w.reference, n))
         if state.encoder == 0 and ask_law(w, constants, state) != OK:
             return LAW_FAILED
+        if state.elastic != 0:
+            transmit(w, constants)
         surface_friction(w, constants, state, rows)
         add_joint_friction(w, constants, state, rows)
         status = contact_force(C, w, constants, state)
@@ -171,6 +174,8 @@ def evaluate(
                 call_at(state.friction, state.address, RATES)
             if state.joint_states > 0:
                 call_at(state.joint_friction, state.address, RATES)
+        if state.elastic != 0:
+            motor_rates(w, constants)
         if state.raised != 0:
             return LAW_FAILED
     return OK if bounded(w) else DIVERGED
@@ -247,7 +252,7 @@ def bounded(w: Work) -> bool:
 def contact_force(C: Array, w: Work, constants: Constants, state: State) -> int:
     """Solve Eq. 24 in the present mode for the contact force F and the acceleration q̈; return a status."""
     for j in range(w.q.shape[0]):
-        w.column[j] = w.torque[j] + w.joint_friction[j]
+        w.column[j] = (w.torque[j] if state.elastic == 0 else w.transmitted[j]) + w.joint_friction[j]
     free_acceleration(w.L, w.X, w.drift_c, w.column, C, w.y, w.a)
     w.rigid_force = 0.0
     for i in range(3):

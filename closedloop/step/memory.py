@@ -67,6 +67,7 @@ class State(Block):
     model_error: int  # 1 if the controller is wrong about the arm
     encoder: int  # see `closedloop.control.encoder.encoder_kind`
     seen: int  # 1 if the law sees `Work.seen`, not the state itself
+    elastic: int  # 1 if the joints are; 2 if the motors are measured
     drives: int  # 1 if the drives have limits
     arm_at: int  # where in a row there is a `closedloop.step.record_row.ArmRow`; 0: nowhere
     compliance: int  # address of the entry of the surface's compliance, 0: it is rigid; and its parameters
@@ -122,6 +123,9 @@ class Constants(Block, sizes=("n", "law", "compensation", "friction", "joint_fri
     support: Annotated[Array, N]
     armature: Annotated[Array, N]
     tilt: Annotated[Array, 3, 3]  # of the contact frame that the controller believes in, in the true one
+    stiffness: Annotated[Array, N]  # see `closedloop.control.transmission`, as the next two
+    shaft_damping: Annotated[Array, N]
+    motor_inertia: Annotated[Array, N]
     torque_limit: Annotated[Array, N]  # see `closedloop.control.drives`, as the next; infinite: none
     torque_change: Annotated[Array, N]  # from sample to sample
     joint_capture_speed: Annotated[Array, N]
@@ -228,7 +232,7 @@ class Work(Block, sizes=("n", "k", "stages", "ring")):
     gain: Annotated[Array, N, N]  # answer of q̈ to friction in each joint
     batch: Annotated[Array, batch_rows(N), BATCH]  # see `closedloop.closure.conditioning`
     scratch: Annotated[Array, N * N + 3 * N + 224]
-    z: Annotated[Array, K]  # states: of the law, the sensor, the surface's friction, the joints' friction
+    z: Annotated[Array, K]  # states: of the law, the sensor, the surface's friction, the joints', the motors
     dz: Annotated[Array, K]
     begin: Annotated[Array, 2 * N + K]  # state at the beginning of the substep
     slope: Annotated[Array, N + K]  # q̈ and ż there
@@ -243,6 +247,7 @@ class Work(Block, sizes=("n", "k", "stages", "ring")):
     read_v: Annotated[Array, N]
     last_read_q: Annotated[Array, N]
     last_read_v: Annotated[Array, N]
+    transmitted: Annotated[Array, N]  # torque on the links of elastic joints
     torque_limited: Annotated[Array, N]  # see `closedloop.control.drives.AS_ASKED`
 
 

@@ -19,6 +19,7 @@ from closedloop.control.sensor import SensorParameters, sense
 from closedloop.jit.blocks import Block
 from closedloop.jit.kernel import entry_kernel, kernel, kernel_inlined
 from closedloop.jit.simd8 import select
+from closedloop.step.energy_supplied import driving_torque
 from closedloop.step.memory import RIGID_STICK, Constants, N, State, Work, loop_at
 
 Array = NDArray[np.float64]
@@ -60,6 +61,9 @@ class ArmRow(Block, sizes=("n",)):
     torque_limited: Annotated[Array, N]
     measured_position: Annotated[Array, N]
     measured_velocity: Annotated[Array, N]
+    motor_position: Annotated[Array, N]
+    motor_velocity: Annotated[Array, N]
+    transmitted_torque: Annotated[Array, N]
 
 
 ARM_RECORDED = tuple(ArmRow.layout.at)
@@ -147,7 +151,7 @@ def record(
         row.acceleration[j] = w.qdd[j]
         row.torque[j] = w.torque[j]
         row.joint_friction[j] = w.joint_friction[j]
-        w.column[j] = w.torque[j] + w.joint_friction[j]
+        w.column[j] = driving_torque(w, state, j) + w.joint_friction[j]
     for i in range(3):
         row.position[i] = w.r[i]
         speed = 0.0
@@ -187,17 +191,20 @@ def record(
             table[place * state.nodes_per_step, 2 * n + 10], w.ring[0 : state.sensor_ring],
         )  # fmt: skip
         if state.arm_at != 0:
-            record_arm(w, rows[place][state.arm_at :])
+            record_arm(w, state, rows[place][state.arm_at :])
     row.measured_force = w.measured
     row.energy_supplied = w.supplied
 
 
 @kernel
-def record_arm(w: Work, part: Array) -> None:
+def record_arm(w: Work, state: State, part: Array) -> None:
     """Write the part of a row that is an `ArmRow`; its readings are then those of the row before the next."""
     n = w.q.shape[0]
-    row = ArmRow(part, n)
+    row, motors = ArmRow(part, n), w.z.shape[0] - 2 * n
     for j in range(n):
         row.torque_limited[j] = w.torque_limited[j]
         row.measured_position[j] = w.last_read_q[j] = w.read_q[j]
         row.measured_velocity[j] = w.last_read_v[j] = w.read_v[j]
+        row.transmitted_torque[j] = w.transmitted[j]
+        if state.elastic != 0:
+            row.motor_position[j], row.motor_velocity[j] = w.z[motors + j], w.z[motors + n + j]

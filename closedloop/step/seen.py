@@ -19,6 +19,9 @@ from closedloop.step.memory import Constants, Reference, State, Work
 
 Array = NDArray[np.float64]
 
+# Of `State.elastic`: the encoders are on the motors.
+MOTORS_MEASURED = 2
+
 
 @kernel
 def keep_terms(H: Array, C: Array, w: Work) -> None:
@@ -58,6 +61,9 @@ def see(H: Array, C: Array, w: Work, constants: Constants, state: State) -> int:
     keep_terms(H, C, w)
     if state.model_error != 0:
         believe(w, constants)
+    if state.elastic != 0:  # the controller takes the joints for rigid
+        for j in range(n):
+            w.H[j, j] += constants.motor_inertia[j]
     return int(factorise(w.H, seen.A, seen.L, seen.X, seen.S, constants.reach))
 
 
@@ -67,10 +73,14 @@ def read_joints(w: Work, constants: Constants, state: State, table: Array) -> No
     n, row = w.q.shape[0], state.row
     par = EncoderParameters(constants.encoder, n)
     normal = table[row * state.nodes_per_step][2 * n + 11 :]
+    motors = w.z.shape[0] - 2 * n
     for j in range(n):
         w.true_q[j], w.true_v[j] = w.q[j], w.v[j]
+        q, v = w.q[j], w.v[j]
+        if state.elastic == MOTORS_MEASURED:
+            q, v = w.z[motors + j], w.z[motors + n + j]
         position, velocity = read_encoder(
-            state.encoder, w.q[j], w.v[j], j, par, normal, row == 0, constants.h, w.last_read_q, w.last_read_v
+            state.encoder, q, v, j, par, normal, row == 0, constants.h, w.last_read_q, w.last_read_v
         )
         w.read_q[j], w.read_v[j] = position, velocity
         w.q[j], w.v[j] = position, velocity

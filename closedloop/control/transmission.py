@@ -13,11 +13,11 @@ Source: M. Spong, Modeling and control of elastic joint robots, ASME J. Dynamic 
 
 from __future__ import annotations
 
-from typing import Annotated, Literal, Self
+from typing import Annotated, Literal
 
 import numpy as np
 from numpy.typing import NDArray
-from pydantic import Field, model_validator
+from pydantic import Field
 
 from closedloop.control.drives import Limit
 from closedloop.control.encoder import EachJoint
@@ -49,13 +49,6 @@ class TransmissionSection(Section):
         "link", description="the side on which the controller measures positions and velocities"
     )
 
-    @model_validator(mode="after")
-    def _belongs_to_a_spring(self) -> Self:
-        stray = [key for key in ("damping", "motor_inertia", "measured") if key in self.model_fields_set]
-        if self.stiffness is None and any(getattr(self, key) != type(self).model_fields[key].default for key in stray):
-            raise ValueError(f"{stray[0]} goes with stiffness, which is left out: the joints are rigid")
-        return self
-
     @property
     def elastic(self) -> bool:
         """Whether the joints are elastic."""
@@ -73,9 +66,16 @@ def transmission_constants(section: TransmissionSection, model: RobotModel) -> A
     Raises
     ------
     ScenarioError
-        If a list has not one entry a joint, or the inertia of a motor is not known.
+        If a list has not one entry a joint, the inertia of a motor is not known, or there is no spring to it all.
     """
     if section.stiffness is None:
+        usual = TransmissionSection()
+        for key in ("damping", "motor_inertia", "measured"):
+            if (given := getattr(section, key)) != getattr(usual, key):
+                raise ScenarioError(
+                    f"transmission.{key} = {given!r}: goes with transmission.stiffness, which is left out: the joints are "
+                    "rigid"
+                )
         return np.zeros((3, model.n))
     inertia = model.armature if section.motor_inertia is None else None
     if inertia is not None and not np.all(inertia > 0.0):

@@ -342,7 +342,7 @@ class Problem:
         state.drives = self.scenario.drives != DrivesSection()
         state.arm_at = Row.count(self.robot.n) if arm_columns(self.scenario) else 0
         state.model_error = self.scenario.model_error != ModelErrorSection()
-        state.seen = state.model_error or state.elastic or state.encoder != NO_ENCODER
+        state.seen = state.model_error or state.elastic or state.encoder
         state.mode, state.sampled, state.risen = self.mode, 1, 1
         if self.project and self.mode != FREE:
             state.phase, state.next_phase = PROJECTION, STEP_END
@@ -430,7 +430,7 @@ def needs_general_form(scenario: Scenario) -> bool:
 def arm_columns(scenario: Scenario) -> tuple[str, ...]:
     """Return the columns beyond `closedloop.step.record_row.RECORDED` that a run of a scenario has."""
     drives = ("torque_limited",) if scenario.drives != DrivesSection() else ()
-    encoder = ("measured_position", "measured_velocity") if reading_kind(scenario) != NO_ENCODER else ()
+    encoder = ("measured_position", "measured_velocity") if scenario.reads_encoders else ()
     motors = ("motor_position", "motor_velocity", "transmitted_torque") if scenario.transmission.elastic else ()
     return drives + encoder + motors
 

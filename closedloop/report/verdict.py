@@ -149,7 +149,7 @@ def energy_bound(facts: Facts) -> float:
     time, m = facts.scenario.time, facts.measures
     scheme = scheme_of(time.integrator)  # None: a user's, of which a run file has the name only
     order = 1 if scheme is None else min(2, scheme.order)
-    if facts.events or facts.scenario.law.sample_period:
+    if facts.events or facts.scenario.law.sample_period or facts.scenario.reads_encoders:
         order = 1
     stake = (m["energy_exchanged"] or 0.0) + abs(m["energy_lost_to_friction"] or 0.0) + (m["max_kinetic_energy"] or 0.0)
     return max(LEAST_ENERGY, ENERGY_SHARE[order] * stake)

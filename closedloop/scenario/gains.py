@@ -92,7 +92,7 @@ def gains_fault(scenario: Scenario, robot: Robot) -> str:
         Its robot with its tip.
     """
     h, period = scenario.time.step, scenario.law.sample_period
-    hold = round(period / h) if period else 0
+    hold = round(period / h) if period else int(scenario.reads_encoders)
     start = getattr(scenario.law, "pd_start", None)
     if start is not None and start >= scenario.time.duration:
         return ""

@@ -20,7 +20,7 @@ from numpy.typing import NDArray
 from pydantic import AfterValidator, BeforeValidator, Field, ValidationError, model_validator
 
 from closedloop.control.drives import DrivesSection
-from closedloop.control.encoder import EncoderSection
+from closedloop.control.encoder import NO_ENCODER, EncoderSection, encoder_kind
 from closedloop.control.law import COMPENSATIONS, LAWS, Compensation, ControlLaw
 from closedloop.control.sensor import SensorSection
 from closedloop.control.transmission import TransmissionSection
@@ -314,6 +314,11 @@ class Scenario(Section):
     def rubs_in_joints(self) -> bool:
         """Whether there is friction in the joints."""
         return self.joint_friction.kind != "none" or self.robot.friction
+
+    @property
+    def reads_encoders(self) -> bool:
+        """Whether the controller reads positions once a step, and does not see the state itself."""
+        return encoder_kind(self.encoder) != NO_ENCODER or self.transmission.on_motors
 
     def to_toml(self) -> str:
         """Return the scenario as TOML text that `load_scenario` reads back to an equal one."""

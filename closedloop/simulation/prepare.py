@@ -27,7 +27,6 @@ from closedloop.engines.problem import (
     arm_columns,
     pack_friction,
     pack_law,
-    reading_kind,
 )
 from closedloop.errors import ScenarioError
 from closedloop.events.phases import RESTING, TOUCHING
@@ -121,7 +120,7 @@ def prepare(scenario: Scenario, model: RobotModel | None = None, cache: Cache | 
     h = scenario.time.step
     period = scenario.law.sample_period
     hold = _whole(period, h, "law.sample_period") if period else 0
-    if reading_kind(scenario) != NO_ENCODER:  # its readings are taken once a step
+    if scenario.reads_encoders:  # its readings are taken once a step
         hold = max(hold, 1)
 
     nodes_per_step = integrator.parts
@@ -216,7 +215,7 @@ def _desired(
 ) -> tuple[Desired, Array]:
     """Return what is desired, and the table of it at `instants` (P,), s, with room for noise in its last columns."""
     n = robot.n
-    spare = 1 if reading_kind(scenario) == NO_ENCODER else 1 + 2 * n
+    spare = 1 + 2 * n if scenario.reads_encoders else 1
     motion = (
         scenario.robot.model_dump_json(),
         scenario.tool.model_dump_json(),
@@ -258,7 +257,7 @@ def _integrator(scenario: Scenario, joint_friction: JointFriction) -> tuple[type
                 f"only; the error of {name!r} is set by time.step; leave it out"
             )
         return INTEGRATORS[name], None
-    if reading_kind(scenario) != NO_ENCODER:
+    if scenario.reads_encoders:
         what = "encoder" if encoder_kind(scenario.encoder) != NO_ENCODER else "transmission.measured = 'motor'"
         raise ScenarioError(
             f"{what}: is read once a step, and {name!r} has none; take an integrator of fixed step, "

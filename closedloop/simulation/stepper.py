@@ -111,7 +111,7 @@ class Stepper:
             self._held = True
         before = self._torque.copy()
         self._torque[:] = torque
-        if self._numbers.item(_DRIVES):
+        if self._numbers.item(_DRIVES) and not np.array_equal(torque, before):
             most, change = self._problem.drives
             plain(cut_torque)(
                 self._torque, before, change / max(1, self._problem.hold), most, self._numbers.item(_ROW) == 0,

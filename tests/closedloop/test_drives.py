@@ -44,7 +44,7 @@ def test_limits_that_are_not_reached_change_nothing():
     assert np.array_equal(free.contact_force, wide.contact_force)
     assert np.all(wide.torque_limited == AS_ASKED)
     kept = cl.simulate_batch(free.scenario, {"law.force": [10.0]}, keep=["torque_limited"])["torque_limited"]
-    assert kept.to_pylist()[0][0] in ([None] * 4, [np.nan] * 4) or np.isnan(kept.to_pylist()[0][0]).all()
+    assert np.isnan(np.array(kept.to_pylist()[0], dtype=float)).all()  # in lanes, which have no such column
 
 
 def test_the_engines_a_batch_and_the_file_agree(tmp_path, capsys):

@@ -89,7 +89,8 @@ def test_engines_file_simulator_and_batch_agree(changes, tmp_path):
     sim.reset()
     sim.run_until(0.06)
     sim.step(sim.state.torque)  # the same torque from outside: the law would have given it
-    sim.run_until(0.12)
+    last = sim.run_until(0.12)
+    assert np.array_equal(last.measured_velocity, run.measured_velocity[-1])
     assert np.array_equal(sim.run().contact_force, run.contact_force)
     assert np.array_equal(sim.run().measured_position, run.measured_position)
     kept = cl.simulate_batch(run.scenario, {"encoder.seed": [0, 5]}, engine="pinocchio", keep=["measured_position"])

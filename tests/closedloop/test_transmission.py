@@ -145,7 +145,7 @@ def test_a_step_too_long_is_refused_with_the_step_that_would_do():
 
 
 REFUSED = {
-    "no spring": ({"transmission.damping": 1.0}, "damping goes with stiffness, which is left out"),
+    "no spring": ({"transmission.damping": 1.0}, "transmission.damping = 1.0: goes with transmission.stiffness"),
     "no inertia": (
         {"transmission.stiffness": 1e3, "robot.drive_inertia": False},
         "transmission.motor_inertia is left out",

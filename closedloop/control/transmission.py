@@ -71,19 +71,20 @@ def transmission_constants(section: TransmissionSection, model: RobotModel) -> A
     if section.stiffness is None:
         usual = TransmissionSection()
         for key in ("damping", "motor_inertia", "measured"):
-            if (given := getattr(section, key)) != getattr(usual, key):
+            value = getattr(section, key)
+            if value != getattr(usual, key):
                 raise ScenarioError(
-                    f"transmission.{key} = {given!r}: goes with transmission.stiffness, which is left out: the joints are "
-                    "rigid"
+                    f"transmission.{key} = {value!r}: goes with transmission.stiffness, which is left out: rigid joints"
                 )
         return np.zeros((3, model.n))
-    inertia = model.armature if section.motor_inertia is None else None
-    if inertia is not None and not np.all(inertia > 0.0):
-        lacking = [name for name, own in zip(model.joint_names, inertia, strict=True) if not own > 0.0]
+
+    def each(key: str) -> Array:
+        return per_joint(f"transmission.{key}", getattr(section, key), model.n, model.joint_names)
+
+    inertia = model.armature if section.motor_inertia is None else each("motor_inertia")
+    if lacking := [name for name, own in zip(model.joint_names, inertia, strict=True) if not own > 0.0]:
         raise ScenarioError(
             f"transmission.motor_inertia is left out, and {model.name} has no drive inertia in {', '.join(lacking)}: "
             "give it in kg m², one number or one per joint"
         )
-    given = ("stiffness", "damping") if inertia is not None else ("stiffness", "damping", "motor_inertia")
-    rows = [per_joint(f"transmission.{key}", getattr(section, key), model.n, model.joint_names) for key in given]
-    return np.stack([*rows, inertia] if inertia is not None else rows)
+    return np.stack([each("stiffness"), each("damping"), inertia])

@@ -67,7 +67,7 @@ def test_the_engines_a_batch_and_the_file_agree(tmp_path, capsys):
     from closedloop.report import print_report
 
     print_report(run, width=120)
-    assert "wam/shoulder_pitch_joint, first at 0.2" in (text := capsys.readouterr().out)
+    assert "J2, first at 0.2" in (text := capsys.readouterr().out)
     assert "rate limit" in text
 
 

@@ -66,6 +66,8 @@ class RobotModel:
     loops: tuple[LoopJoint, ...] = ()
     #: Joints with a drive; all if empty. The others turn freely.
     drives: tuple[str, ...] = ()
+    #: Whether the drives stand behind springs: their inertia is then not in the mass matrix.
+    elastic: bool = False
 
     def __post_init__(self) -> None:
         for entry in fields(self):
@@ -99,7 +101,7 @@ class RobotModel:
             The text was tampered with and can no longer be built.
         """
         model = self._built.copy()
-        model.armature = np.array(self.armature)
+        model.armature = np.zeros(self.n) if self.elastic else np.array(self.armature)
         model.gravity.linear = np.array(self.gravity)
         for tool in self.tools:
             tool.mount(model)

@@ -265,7 +265,7 @@ def run_in_lanes(
                     w.begin[n + j] = w.v[j]
                 save_power(w, state)
             if row < steps:
-                add_stage_work(w, stage, h, tableau[stages, stage])
+                add_stage_work(w, state, stage, h, tableau[stages, stage])
                 advance(stage, h, semi_implicit, False, tableau, w.begin, w.stages, w.qdd, w.dz, w.q, w.v, w.z)
         commit_work(w)
     write_values(Row(rows[steps % kept], n), n, steps + 1, tally, values)

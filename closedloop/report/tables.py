@@ -7,11 +7,13 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from closedloop.closure.contact_force import FREE
+from closedloop.control.drives import AT_RATE_LIMIT, AT_TORQUE_LIMIT, OF_THE_ROBOT
 from closedloop.events.table import IMPACT, TOUCHDOWN
 from closedloop.friction.law import FrictionLaw
 from closedloop.integrators import ADAPTIVE, scheme_of
 from closedloop.report.summary import joint_measures, run_gains_fault
 from closedloop.report.verdict import GOOD, names_of
+from robot_models.notes import notes as robot_notes
 
 if TYPE_CHECKING:
     from rich.console import Console
@@ -53,6 +55,15 @@ def _energy_fault(law: Any, load: float, n: int | None = None) -> str | None:
     return law.energy_fault(load, n) if isinstance(law, FrictionLaw) else None
 
 
+def _robot_notes(run: Run) -> tuple[str, ...]:
+    """Return what the robot's file says and the run did not act on."""
+    model, limited, rubs = run.model, run.scenario.drives.torque_limit == OF_THE_ROBOT, run.scenario.robot.friction
+    if not (limited or rubs):
+        return model.notes
+    effort = np.full(model.n, np.inf) if limited else model.effort_limit
+    return robot_notes(model.text, model.format, () if rubs else model.joint_names, model.velocity_limit, effort)
+
+
 def notes(run: Run) -> list[str]:
     """Return what a reader of the run should know beside its figures: what was left out, friction that may drive ..."""
     load = float(np.max(np.abs(run.contact_force)))
@@ -62,7 +73,7 @@ def notes(run: Run) -> list[str]:
         ("gains", run_gains_fault(run)),
     )
     told = {problem["name"] for problem in run.summary()["verdict"]["problems"]}
-    lines = [*run.model.notes, restitution_cut(run), shifted_events(run)]
+    lines = [*_robot_notes(run), restitution_cut(run), shifted_events(run)]
     return [text for text in lines if text] + [f"{key}: {fault}" for key, fault in faults if fault and key not in told]
 
 
@@ -178,6 +189,22 @@ def _tool_rows(run: Run, facts: dict[str, Any]) -> list[tuple[str, str, str, str
     return rows
 
 
+def _limited_rows(run: Run) -> list[tuple[str, str, str, str]]:
+    """Return a row for each joint whose torque a limit of the drives cut."""
+    found, rows = joint_measures(run), []
+    for j, at in enumerate(found["torque_limited_at"]):
+        if np.isfinite(at):
+            kinds = np.unique(run.torque_limited[:, j])
+            what = " and ".join(word for kind, word in _LIMITS.items() if kind in kinds)
+            share = f"{100.0 * found['torque_limited_share'][j]:.3g}"
+            where = f"joint {run.model.joint_names[j]}, first at {at:.4g} s: {what}"
+            rows.append(("torque cut, of the time", share, "%", where))
+    return rows
+
+
+_LIMITS = {AT_TORQUE_LIMIT: "torque limit", AT_RATE_LIMIT: "rate limit"}
+
+
 def _error_rows(run: Run, facts: dict[str, Any]) -> list[tuple[str, str, str, str]]:
     touching = run.mode != FREE
     commanded = f"commanded {run.reference_force[-1]:.6g} N" if run.law == "scenario" else f"law {run.law}"
@@ -224,6 +251,7 @@ def _error_rows(run: Run, facts: dict[str, Any]) -> list[tuple[str, str, str, st
         *_loop_rows(run),
         *_joint_rows(run),
         *_tool_rows(run, facts),
+        *_limited_rows(run),
         *_contact_rows(run, facts),
     ]
 

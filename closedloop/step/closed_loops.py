@@ -27,7 +27,7 @@ from closedloop.step.memory import Constants, State, Work, loop_at
 Array = NDArray[np.float64]
 
 # What the loops are asked for.
-BIND_TIP, BIND_AGAIN, BIND_LOAD, BIND_ANSWER, DRIVE, CLOSE, REACTION = range(7)
+BIND_TIP, BIND_LOAD, BIND_ANSWER, DRIVE, CLOSE, REACTION = range(6)
 
 
 @kernel_inlined
@@ -39,21 +39,11 @@ def factorise_tip(H: Array, w: Work, constants: Constants, state: State) -> int:
     return status
 
 
-@kernel_inlined
-def factorise_again(H: Array, w: Work, constants: Constants, state: State) -> int:
-    """Do the same with another H at the same state."""
-    status = factorise(H, w.A, w.L, w.X, w.S, constants.reach)
-    if status == OK and state.loops != 0:
-        call_at(state.loops, state.loops_at, BIND_AGAIN)
-    return status
-
-
 @entry_kernel
 def closed_loops(address: int, what: int) -> int:
     """Answer for the loops, by the address of their memory.
 
     BIND_TIP        project X, write S of it, and add to the tip's drift what the loops require of it
-    BIND_AGAIN      the same, and leave the drift
     BIND_LOAD       replace y = L⁻¹(Q − C) by P y + y_b
     BIND_ANSWER     replace `column`, L⁻¹ of a torque, by P of it
     DRIVE           replace the torque by one of the drives alone that has the same effect
@@ -63,10 +53,10 @@ def closed_loops(address: int, what: int) -> int:
     """
     links, rows = loops_at(address)
     _, _, w = loop_at(links.loop)
-    if what in (BIND_TIP, BIND_AGAIN):
+    if what == BIND_TIP:
         bind_tip(links, rows, w)
         for k in range(3):
-            w.drift_c[k] += rows.moved[k] if what == BIND_TIP else 0.0
+            w.drift_c[k] += rows.moved[k]
     elif what == BIND_LOAD:
         remove_basis(w.y, rows.basis, links.rank)
         for j in range(links.n):

@@ -21,6 +21,7 @@ from closedloop.jit.calls import call_at
 from closedloop.jit.kernel import entry_kernel, kernel, kernel_inlined
 from closedloop.jit.simd8 import select
 from closedloop.step.closed_loops import REACTION
+from closedloop.step.energy_supplied import driving_torque
 from closedloop.step.memory import RIGID_STICK, Constants, N, State, Work, loop_at
 
 Array = NDArray[np.float64]
@@ -56,8 +57,34 @@ class Row(Block, sizes=("n",)):
 RECORDED = tuple(Row.layout.at)
 
 
+class ArmRow(Block, sizes=("n",)):
+    """What stands behind a `Row` where the scenario asks for the drives, encoders or transmissions of a real arm."""
+
+    torque_limited: Annotated[Array, N]
+    measured_position: Annotated[Array, N]
+    measured_velocity: Annotated[Array, N]
+    motor_position: Annotated[Array, N]
+    motor_velocity: Annotated[Array, N]
+    transmitted_torque: Annotated[Array, N]
+
+
+ARM_RECORDED = tuple(ArmRow.layout.at)
+
+
+def row_width(n: int, arm: bool) -> int:
+    """Return the numbers in a row of n joints, `arm` whether there is an `ArmRow` behind it."""
+    return Row.count(n) + (ArmRow.count(n) if arm else 0)
+
+
 def recorded(rows: Array, n: int, name: str) -> Array:
-    """Return a copy of one of the columns `RECORDED`, (N,) or (N, k), of the rows of a robot of n joints."""
+    """Return a copy of one of the columns `RECORDED` or `ARM_RECORDED`, (N,) or (N, k), of rows of n joints.
+
+    A column of `ARM_RECORDED` is NaN where the rows do not have it.
+    """
+    if name in ARM_RECORDED:
+        if rows.shape[1] == Row.count(n):
+            return np.full((rows.shape[0], n), np.nan)
+        return rows[:, Row.count(n) :][:, ArmRow.place(name, n)].copy()
     return rows[:, Row.place(name, n)].copy()
 
 
@@ -139,7 +166,7 @@ def record(
         row.acceleration[j] = w.qdd[j]
         row.torque[j] = w.torque[j]
         row.joint_friction[j] = w.joint_friction[j]
-        w.column[j] = w.torque[j] + w.joint_friction[j]
+        w.column[j] = driving_torque(w, state, j) + w.joint_friction[j]
     for i in range(3):
         row.position[i] = w.r[i]
         speed = 0.0
@@ -184,5 +211,21 @@ def record(
             w.F[0], place, SensorParameters(constants.sensor, 0), w.z[count : count + sensor],
             table[place * state.nodes_per_step, 2 * n + 10], w.ring[0 : state.sensor_ring],
         )  # fmt: skip
+        if state.arm_at != 0:
+            record_arm(w, state, rows[place][state.arm_at :])
     row.measured_force = w.measured
     row.energy_supplied = w.supplied
+
+
+@kernel
+def record_arm(w: Work, state: State, part: Array) -> None:
+    """Write the part of a row that is an `ArmRow`; its readings are then those of the row before the next."""
+    n = w.q.shape[0]
+    row, motors = ArmRow(part, n), w.z.shape[0] - 2 * n
+    for j in range(n):
+        row.torque_limited[j] = w.torque_limited[j]
+        row.measured_position[j] = w.last_read_q[j] = w.read_q[j]
+        row.measured_velocity[j] = w.last_read_v[j] = w.read_v[j]
+        row.transmitted_torque[j] = w.transmitted[j]
+        if state.elastic != 0:
+            row.motor_position[j], row.motor_velocity[j] = w.z[motors + j], w.z[motors + n + j]

@@ -111,10 +111,9 @@ def _draw(run: Run, folder: Path, failure: SimulationError | None, law: Any, mod
     from closedloop.figures import draw_figures, is_papers
 
     try:
-        unstabilised = None
-        if not failure and is_papers(run):
-            unstabilised = _without_stabiliser(run.scenario, law, model, run.engine)
-        return draw_figures(run, folder, unstabilised)
+        if failure or not is_papers(run):
+            return draw_figures(run, folder)
+        return draw_figures(run, folder, lambda: _without_stabiliser(run.scenario, law, model, run.engine))
     except KeyboardInterrupt as stop:
         said = f"{word_for(stop)} while drawing; run.nc and summary.json are in {folder}{os.sep}"
         raise type(stop)(said) if isinstance(stop, Terminated) else KeyboardInterrupt(said) from None

@@ -17,6 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from closedloop.errors import ScenarioError
+from closedloop.jit.interpreted import call_once
 from closedloop.reference.inverse_kinematics import (
     BROKEN,
     ENDED,
@@ -135,8 +136,9 @@ def _walk(robot: Robot, q: Array, times: Array, knots: Array, midway: Array) -> 
     limits = np.stack([robot.model.position_lower, robot.model.position_upper])
     way = Way(times, knots, midway, limits, np.zeros((times.size, robot.n)), np.zeros((times.size, robot.n)))
     way.q[0] = q
-    outcome = np.zeros(OUTCOMES)
-    return way, walk(robot.tree, np.zeros(scratch_size(robot.n)), way, outcome), outcome
+    outcome, work = np.zeros(OUTCOMES), np.zeros(scratch_size(robot.n))
+    reached: int = call_once(walk, (way.q, way.v, work, outcome), robot.tree, work, way, outcome)
+    return way, reached, outcome
 
 
 def _unreachable(

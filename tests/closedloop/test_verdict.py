@@ -154,18 +154,18 @@ def test_gains_are_named_where_they_show():
     assert told(facts(stopped="why", steps=-1), "law.kd is too large") == "gains, stopped"
 
 
-def test_an_instability_is_the_reason_in_the_first_line(capsys):
+@pytest.mark.parametrize(
+    ("law", "reason"),
+    [({"law.kp": 3e5}, "gains that the step cannot carry"), ({"law.kd": -30.0}, "the feedback drives the arm away")],
+)
+def test_an_instability_is_the_reason_in_the_first_line(law, reason, capsys):
     """Of gains that the step cannot carry, of any motion that diverges, and of what shakes; not of a limit alone."""
-    for law, reason in (
-        ({"law.kp": 3e5}, "gains that the step cannot carry"),
-        ({"law.kd": -30.0}, "drives the arm away"),
-    ):
-        with pytest.raises(cl.DivergenceError) as caught:
-            cl.simulate(cl.load_scenario("wam_slide", law | {"time.duration": 1.0}))
-        print_report(caught.value.run)
-        first = capsys.readouterr().out.splitlines()[0]
-        assert first.startswith("verdict: BAD: ")
-        assert first.endswith(f"(probably unstable: {reason})")
+    with pytest.raises(cl.DivergenceError) as caught:
+        cl.simulate(cl.load_scenario("wam_slide", law | {"time.duration": 1.0}))
+    print_report(caught.value.run)
+    first = capsys.readouterr().out.splitlines()[0]
+    assert first.startswith("verdict: BAD: ")
+    assert first.endswith(f"(probably unstable: {reason})")
     assert probable_reason([{"name": name, "text": ""} for name in ("energy", "chatter")]).endswith("from step to step")
     assert probable_reason([{"name": name, "text": ""} for name in ("energy", "velocity_limit")]) == ""
 

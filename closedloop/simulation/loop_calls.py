@@ -188,7 +188,7 @@ def single_calls(
     def once(events: Array) -> int:
         crba(pinocchio, data, q, convention)  # as in `Robot.evaluator`, without a call
         bias(pinocchio, data, q, v)
-        return again(events)
+        return call(at) if known is events else again(events)
 
     return once, again
 

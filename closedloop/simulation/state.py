@@ -38,7 +38,7 @@ class StepState:
     __slots__ = ("_events", "_n", "_row", "measured", "row", "time")
 
     def __init__(self, time: float, row: int, n: int, recorded: Array, measured: float, events: Array | None) -> None:
-        recorded.setflags(write=False)
+        recorded.flags.writeable = False
         self.time, self.row, self.measured = time, row, measured
         self._n, self._row, self._events = n, recorded, events
 

@@ -50,7 +50,8 @@ def draw_figures(
     OutputError
         If a figure cannot be written.
     """
-    plain, papers = run.scenario.stabiliser.kind == "none", is_papers(run)
+    papers = is_papers(run)
+    plain = run.scenario.stabiliser.kind == "none" and run.scenario.compliance.kind == "none"
     bare = "fig7_closure_error_unstabilised" if papers else "fig_closure_error_unstabilised"
     wanted: list[tuple[str, Callable[[Run], Figure], Run]] = [
         ("fig4_tip_position" if papers else "fig_tip_position", tip_position, run),

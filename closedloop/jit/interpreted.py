@@ -213,12 +213,14 @@ def not_compiled_first() -> Iterator[None]:
         _compiled_first.reset(token)
 
 
-def call_once(function: Callable[..., Any], written: Sequence[NDArray[Any]], *arguments: Any) -> Any:
-    """Call a kernel of which a run needs a call or two; within `not_compiled_first` as `call_now` does.
+def call_once(function: Callable[..., Any], written: Sequence[NDArray[Any]], brief: bool, *arguments: Any) -> Any:
+    """Call a kernel of which a run needs a call or two; within `not_compiled_first` as `call_now` does, if it is brief.
 
-    Elsewhere it is compiled first: many runs are prepared there.
+    Else it is compiled first: elsewhere many runs are prepared. `brief` is whether it is done, interpreted, before it
+    would be compiled.
     """
-    return function(*arguments) if _compiled_first.get() else call_now(function, written, *arguments)
+    meanwhile = brief and not _compiled_first.get()
+    return call_now(function, written, *arguments) if meanwhile else function(*arguments)
 
 
 def at_hand(function: Callable[..., Any]) -> bool:

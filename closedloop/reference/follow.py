@@ -41,6 +41,7 @@ Array = NDArray[np.float64]
 FIRST_SPACING = 5e-4  # m of path between knots before any halving
 SHORTEST = 1e-12  # s between knots
 MOST_KNOTS = 20_000
+FEW_KNOTS = 2_000  # take as long interpreted, 1 to 3 ms each, as the inverse kinematics takes to be compiled
 DIFFERENCES = 257  # points at which a segment's acceleration is sampled to choose the first intervals
 
 
@@ -137,7 +138,8 @@ def _walk(robot: Robot, q: Array, times: Array, knots: Array, midway: Array) -> 
     way = Way(times, knots, midway, limits, np.zeros((times.size, robot.n)), np.zeros((times.size, robot.n)))
     way.q[0] = q
     outcome, work = np.zeros(OUTCOMES), np.zeros(scratch_size(robot.n))
-    reached: int = call_once(walk, (way.q, way.v, work, outcome), robot.tree, work, way, outcome)
+    brief = times.size <= FEW_KNOTS
+    reached: int = call_once(walk, (way.q, way.v, work, outcome), brief, robot.tree, work, way, outcome)
     return way, reached, outcome
 
 

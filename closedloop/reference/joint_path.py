@@ -13,6 +13,9 @@ from closedloop.reference.tip_path import INSTANT
 
 Array = NDArray[np.float64]
 
+# So many take as long interpreted, 20 µs each, as `sample_spline` takes to be compiled.
+FEW_INSTANTS = 50_000
+
 
 @dataclass(frozen=True)
 class JointPath:
@@ -49,7 +52,7 @@ class JointPath:
     def write(self, t: Array, rows: Array, orders: int) -> None:
         """Write q_des, q̇_des and, if `orders` is 3, q̈_des at times t (N,), s, to the first columns of zeros (N, m)."""
         t = np.ascontiguousarray(t, dtype=np.float64)
-        call_once(sample_spline, (rows,), self.times, self.q, self.v, t, rows, orders)
+        call_once(sample_spline, (rows,), t.size <= FEW_INSTANTS, self.times, self.q, self.v, t, rows, orders)
 
 
 @kernel_inlined

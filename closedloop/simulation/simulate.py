@@ -42,6 +42,9 @@ from robot_models import RobotModel
 
 Array = NDArray[np.float64]
 
+# So many take as long interpreted, 50 µs each, as `potential_energies` takes to be compiled.
+FEW_ROWS = 30_000
+
 
 def simulate(
     scenario: Scenario,
@@ -276,7 +279,7 @@ def as_run(
     columns["mode"] = columns["mode"].astype(np.int8)
     columns["potential_energy"] = np.empty(count)
     work, energies = np.zeros(plain(work_size)(n)), columns["potential_energy"]
-    call_once(potential_energies, (work, energies), problem.robot.tree, columns["q"], work, energies)
+    call_once(potential_energies, (work, energies), count <= FEW_ROWS, problem.robot.tree, columns["q"], work, energies)
     return Run(
         scenario=problem.scenario,
         model=without_tools(problem.robot.model),

@@ -14,9 +14,11 @@ from closedloop.control.compensation.none import NoCompensation
 from closedloop.control.drives import DrivesSection
 from closedloop.control.encoder import MEASURED_VELOCITY, NO_ENCODER, encoder_kind
 from closedloop.control.law import Compensation, ControlLaw
+from closedloop.control.law_input import LawInput
 from closedloop.control.sensor import PackedSensor, SensorSection, start_sensor
-from closedloop.errors import LawError, ScenarioError
+from closedloop.errors import ClosedLoopError, LawError, ScenarioError
 from closedloop.events.phases import MEASURED, PROJECTION, STEP_END, TOUCHING
+from closedloop.families import is_users
 from closedloop.friction.contact import Contact
 from closedloop.friction.law import FrictionLaw
 from closedloop.friction.laws.none import NoFriction
@@ -49,7 +51,7 @@ from closedloop.step.soft_contact import compliance_entry
 from closedloop.surface.compliances.none import Rigid
 from closedloop.surface.placed import PlacedSurface
 from closedloop.surface.plane import Plane
-from closedloop.user_code import of_users, why_not_compiled
+from closedloop.user_code import of_users, why_member_not_compiled
 
 Array = NDArray[np.float64]
 
@@ -85,9 +87,10 @@ def pack_law(section: ControlLaw | Compensation, n: int, joint_names: Sequence[s
     Raises
     ------
     ScenarioError
-        If a list has not one entry a joint.
+        If a list has not one entry a joint, or a user's law lacks a function.
     """
     where = "law" if isinstance(section, ControlLaw) else "compensation"
+    type(section).check_functions(f"{where}.kind")
     return PackedLaw(type(section), pack(section, n, where, joint_names), state_block(type(section)).count(n))
 
 
@@ -296,14 +299,11 @@ class Problem:
             try:
                 setattr(loop.state, name, address(entry))
             except Exception as error:
-                from numba import NumbaError
-
-                if not isinstance(error, NumbaError):
+                member, known = getattr(self.scenario, name), {"LawInput": LawInput._fields}
+                if not is_users(member) or isinstance(error, ClosedLoopError):
                     raise
-                kind = getattr(self.scenario, name).kind
-                raise ScenarioError(
-                    f"{name}.kind = {kind}: numba cannot compile it: {why_not_compiled(error)}"
-                ) from None
+                why = why_member_not_compiled(error, type(member), known)
+                raise ScenarioError(f"{name}.kind = {member.kind}: cannot be compiled: {why}") from None
         if loop.state.loops_at != 0:
             loop.state.loops = address(closed_loops)
         if loop.state.surface_motion != 0:

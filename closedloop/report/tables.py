@@ -12,7 +12,7 @@ from closedloop.events.table import IMPACT, TOUCHDOWN
 from closedloop.friction.law import FrictionLaw
 from closedloop.integrators import ADAPTIVE, scheme_of
 from closedloop.report.summary import joint_measures, run_gains_fault
-from closedloop.report.verdict import GOOD, names_of
+from closedloop.report.verdict import GOOD, names_of, probable_reason
 from robot_models.notes import notes as robot_notes
 
 if TYPE_CHECKING:
@@ -131,7 +131,9 @@ def _print_verdict(verdict: dict[str, Any], console: Console) -> None:
     if verdict["good"]:
         console.print(f"verdict: [green]{GOOD}[/]")
         return
-    console.print(f"verdict: [bold red]BAD[/]: {names_of(problems)}", soft_wrap=True)  # one line, whatever the width
+    reason = probable_reason(problems)
+    why = f" ({reason})" if reason else ""
+    console.print(f"verdict: [bold red]BAD[/]: {names_of(problems)}{why}", soft_wrap=True)  # one line, at any width
     for problem in problems:
         when = "" if problem["at"] is None else f" (from {problem['at']:.4g} s)"
         console.print(f"  [bold red]{problem['name']}[/]: {escape(problem['text'])}{when}")

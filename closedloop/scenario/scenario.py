@@ -359,8 +359,9 @@ def load_scenario(name: str | Path, overrides: Mapping[str, Any] | None = None) 
         A shipped name (see `shipped_scenarios`) or a path to a .toml file.
     overrides : mapping, optional
         Dotted keys and values laid over the file before it is checked, such as ``{"law.force": 15.0}``. Overriding a
-        `kind` drops the keys of the old kind that the new one does not know. A user's class is named here, as
-        ``{"reference.kind": "my_module:MyPath"}`` or by the class itself.
+        `kind` drops the keys of the old kind that the new one does not know, if the file has them: of those given here
+        none is dropped. A user's class is named here, as ``{"reference.kind": "my_module:MyPath"}`` or by the class
+        itself.
 
     Raises
     ------
@@ -399,8 +400,8 @@ def scenario_of(
 ) -> Scenario:
     """Check a scenario given as the tables of its file; `data` is written to. See `parse_scenario`."""
     try:
-        for key, value in overrides.items():
-            _override(data, key, deepcopy(value))
+        for key in sorted(overrides, key=_turn):
+            _override(data, key, deepcopy(overrides[key]))
         return Scenario.model_validate(data, context={KEEP_ABSENT: keep_absent})
     except RecursionError:
         raise ScenarioError(f"{where}: a value is nested too deeply") from None
@@ -408,6 +409,11 @@ def scenario_of(
         from closedloop.scenario.messages import explain
 
         raise ScenarioError(*(f"{where}: {fault}" for fault in explain(error, data))) from None
+
+
+def _turn(key: str) -> int:
+    """Return when a key is laid over the file: sections before kinds, and kinds, which drop keys, before others."""
+    return 2 if not key.endswith(".kind") and "." in key else int("." in key)
 
 
 def _override(data: dict[str, Any], key: str, value: Any) -> None:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Hashable
+from collections.abc import Callable, Hashable
 from dataclasses import replace
 from typing import Any
 
@@ -28,6 +28,7 @@ from closedloop.robot.pinocchio import Robot
 from closedloop.scenario.arm import robot_of
 from closedloop.scenario.members import refuse_absent
 from closedloop.scenario.scenario import BaumgarteGains, Scenario
+from closedloop.sections import Section
 from closedloop.simulation.cache import Cache
 from closedloop.step.record_row import Row
 from closedloop.surface.compliances.none import Rigid
@@ -54,6 +55,8 @@ TOLERANCE, TOLERANCE_WITH_FRICTION = 1e-12, 1e-9
 BEYOND = 1.001
 # Memory of a robot, with Pinocchio's model and data, about, bytes.
 ROBOT_BYTES = 200_000
+# Memory of a section as numbers, about, bytes.
+SECTION_BYTES = 2_000
 
 
 def prepare(scenario: Scenario, model: RobotModel | None = None, cache: Cache | None = None) -> Problem:
@@ -89,8 +92,11 @@ def prepare(scenario: Scenario, model: RobotModel | None = None, cache: Cache | 
     ]:
         raise ScenarioError(*faults)
 
-    surface, now, mode = _surface(scenario, robot, q, v)
-
+    surface, now, mode = cache.get(
+        ("surface", *_surface_key(scenario), q.tobytes(), v.tobytes()),
+        lambda: _surface(scenario, robot, q, v),
+        lambda placed: SECTION_BYTES,
+    )
     soft = not isinstance(scenario.compliance, Rigid)
     integrator, tolerance = _integrator(scenario)
     if soft and tolerance is None:
@@ -118,7 +124,12 @@ def prepare(scenario: Scenario, model: RobotModel | None = None, cache: Cache | 
     law = law.model_copy(update={"pd_start": start}) if isinstance(law, PaperLaw) else law
     scenario.compensation.check(law)
     check_sampling(law, scenario.compensation, scenario.sensor, law.sample_period or h)
-    friction = pack_friction(scenario.friction, n)
+
+    def packed(name: str, section: Any, how: Callable[[], PackedLaw]) -> PackedLaw:
+        key = ("packed", name, n, type(section), section.model_dump_json())
+        return cache.get(key, how, lambda found: SECTION_BYTES)
+
+    friction = packed("friction", scenario.friction, lambda: pack_friction(scenario.friction, n))
     if friction.member.sticks != "elastic" and mode == PRESSED:
         u = now.frame @ robot.terms(q, v).jacobian @ v - now.carried
         mode = STUCK if np.hypot(u[1], u[2]) <= STICK_SPEED else PRESSED
@@ -136,11 +147,23 @@ def prepare(scenario: Scenario, model: RobotModel | None = None, cache: Cache | 
         stabiliser=np.array(_stabiliser_gains(scenario)),
         pd_start=start,
         law=pack_law(law, n, model.joint_names),
-        compensation=pack_law(scenario.compensation, n, model.joint_names),
+        compensation=packed(
+            "compensation", scenario.compensation, lambda: pack_law(scenario.compensation, n, model.joint_names)
+        ),
         friction=friction,
-        joint_friction=pack_friction(scenario.joint_friction, n, joints=True),
-        compliance=PackedLaw(type(scenario.compliance), pack(scenario.compliance, n, "compliance"), 0),
-        sensor=pack_sensor(scenario.sensor, h),
+        joint_friction=packed(
+            "joint_friction", scenario.joint_friction, lambda: pack_friction(scenario.joint_friction, n, joints=True)
+        ),
+        compliance=packed(
+            "compliance",
+            scenario.compliance,
+            lambda: PackedLaw(type(scenario.compliance), pack(scenario.compliance, n, "compliance"), 0),
+        ),
+        sensor=cache.get(
+            ("sensor", scenario.sensor.model_dump_json(), h),
+            lambda: pack_sensor(scenario.sensor, h),
+            lambda found: SECTION_BYTES,
+        ),
         table=table,
         nodes=nodes_per_step,
         project=scenario.stabiliser.kind in ("projection", "both") and not soft,
@@ -150,14 +173,27 @@ def prepare(scenario: Scenario, model: RobotModel | None = None, cache: Cache | 
     )
 
 
+def _robot_key(scenario: Scenario) -> Hashable:
+    """Return what the robot depends on."""
+    return (
+        scenario.robot.model_dump_json(), scenario.tool.model_dump_json(), scenario.model_error.payload
+    )  # fmt: skip
+
+
+def _surface_key(scenario: Scenario) -> tuple[Hashable, ...]:
+    """Return what `_surface` depends on, but for the state."""
+    sections: list[Section] = [scenario.surface, scenario.surface_motion, scenario.compliance]
+    if not isinstance(scenario.compliance, Rigid):  # the tip starts as deep as the force presses it
+        sections += [scenario.force_profile, scenario.law]
+    return _robot_key(scenario), *((type(section), section.model_dump_json()) for section in sections)
+
+
 def _robot(scenario: Scenario, model: RobotModel | None, cache: Cache) -> Robot:
-    section = scenario.robot
 
     def make() -> Robot:
         return robot_of(scenario, load_model(scenario) if model is None else model)
 
-    key = (section.model_dump_json(), scenario.tool.model_dump_json(), scenario.model_error.payload)
-    return cache.get(("robot", *key), make, lambda robot: ROBOT_BYTES)
+    return cache.get(("robot", _robot_key(scenario)), make, lambda robot: ROBOT_BYTES)
 
 
 def load_model(scenario: Scenario) -> RobotModel:

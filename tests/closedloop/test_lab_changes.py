@@ -17,7 +17,9 @@ from closedloop.lab.kinds import begin_values
 from closedloop.lab.mapping import Axis, Map, coarse_first
 from closedloop.lab.newest import Newest
 from closedloop.lab.pins import Pins, compared
-from closedloop.scenario.overrides import split_overrides
+from closedloop.scenario.overrides import Variants, split_overrides
+from closedloop.simulation.cache import Cache
+from closedloop.simulation.prepare import prepare
 
 SECTIONS = [section for tab in TABS.values() for section in tab]
 
@@ -181,6 +183,36 @@ def test_the_cells_of_a_map_are_the_runs_of_their_changes():
     history = History(base, "wam_slide")
     for cell in ((0, 3), (2, 1)):
         run = cl.simulate(history.scenario(found.changes(*cell)), engine="compiled")
-        assert found.grid[cell] == pytest.approx(run.summary()["peak_contact_force"], rel=1e-9)
+        assert found.grid[cell] == run.summary()["peak_contact_force"]
     assert sorted(coarse_first(9, 10)) == [(i, j) for i in range(9) for j in range(10)]
     assert coarse_first(9, 10)[:4] == [(0, 0), (0, 8), (8, 0), (8, 8)]
+
+
+def test_an_axis_has_the_values_of_its_slider():
+    """Each is one that the slider can show; of a step, which moves in round values, every one of them."""
+    base = cl.load_scenario("wam_slide")
+    for key, index in (("law.force", None), ("law.kp", 1), ("time.duration", None)):
+        control = control_of(base, key, index)
+        values = Axis.of(control).values
+        assert values.size == 40
+        assert np.all(np.diff(values) > 0.0)
+        for value in values:
+            whole = [*control.value[:1], value, *control.value[2:]] if index else value
+            assert control.read(control.with_value(whole).shown) == pytest.approx(whole)
+    assert {1e-4, 2e-4, 5e-4, 1e-3} <= set(Axis.of(control_of(base, "time.step")).values)
+
+
+@pytest.mark.parametrize("name", ["wam_slide", "wam_stick_slip", "soft_table", "panda_scan"])
+def test_what_runs_share_is_as_if_made_for_each(name):
+    """A variant is the scenario read from all its keys; prepared after others, its numbers are those of a new one."""
+    base, cache = cl.load_scenario(name, {"time.duration": 0.01}), Cache()
+    variants = Variants(base, ("law.force", "sensor.bias"))
+    for values in ((base.law.force, 0.0), (7.0, 0.0), (7.0, 0.1), (base.law.force, 0.0)):
+        changed = variants.scenario(values)
+        whole = cl.load_scenario(name, {"time.duration": 0.01} | dict(zip(variants.keys, values, strict=True)))
+        assert changed == whole
+        assert changed.to_toml() == whole.to_toml()
+        shared, own = prepare(changed, cache=cache), prepare(whole)
+        assert np.array_equal(shared.constants().memory, own.loop().constants.memory)
+        assert np.array_equal(shared.loop().w.memory, own.loop().w.memory)
+        assert np.array_equal(shared.table, own.table)

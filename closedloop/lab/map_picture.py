@@ -54,7 +54,9 @@ class MapPicture:
         self._ring: Any = self._axes.plot(
             [], [], "o", markerfacecolor="none", markeredgecolor="#D55E00", markersize=9, markeredgewidth=2
         )[0]
-        self._bar_axes = self._figure.add_axes((0.8, 0.14, 0.035, 0.76))
+        self._bar = self._figure.colorbar(self._image, cax=self._figure.add_axes((0.8, 0.14, 0.035, 0.76)))
+        self._bar.ax.tick_params(labelsize=8)
+        self._bar.set_label(MEASURES[of.quantity].units)
         self._span: tuple[float, float] | None = None
 
     def draw(self, complete: bool, chosen: tuple[int, int] | None = None) -> Picture:
@@ -72,6 +74,7 @@ class MapPicture:
     def _scale(self, finite: Array) -> None:
         """Let the colours range over these values."""
         from matplotlib.colors import LogNorm, Normalize
+        from matplotlib.ticker import StrMethodFormatter
 
         span = (float(finite.min()), float(finite.max())) if finite.size else (0.0, 1.0)
         if span == self._span:
@@ -79,10 +82,9 @@ class MapPicture:
         self._span = span
         decades = span[0] > 0.0 and span[1] > DECADES * span[0]
         self._image.set_norm(LogNorm(*span) if decades else Normalize(*span))
-        self._bar_axes.clear()
-        bar = self._figure.colorbar(self._image, cax=self._bar_axes, format=None if decades else "{x:.5g}")
-        bar.ax.tick_params(labelsize=8)
-        bar.set_label(MEASURES[self._map.quantity].units)
+        if not decades:
+            self._bar.formatter = StrMethodFormatter("{x:.5g}")
+            self._bar.update_ticks()
 
 
 def filled(grid: Array) -> Array:

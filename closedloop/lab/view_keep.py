@@ -15,6 +15,13 @@ from closedloop.lab.newest import Newest
 from closedloop.lab.pins import MOST_PINS, Pin, Pins, table_html
 from closedloop.record.run import Run
 
+# A page that does not come from this computer has no clipboard: the text is selected instead, for Ctrl-C.
+COPY = """(function(b){var p=b.nextElementSibling;
+function say(t){b.textContent=t;setTimeout(function(){b.textContent='copy command'},1500)}
+function select(){getSelection().selectAllChildren(p);say('selected: press Ctrl-C')}
+if(navigator.clipboard)navigator.clipboard.writeText(p.textContent).then(function(){say('copied')},select);
+else select();})(this)"""
+
 
 class KeepTab:
     """The tab, in a lab that is laid out.
@@ -93,8 +100,7 @@ class KeepTab:
     def _shown(self, answer: Answer) -> None:
         if answer.run is None or not len(answer.run):
             return
-        style = "font-size:0.75em;margin:0.3em 0.8em;white-space:pre-wrap;user-select:all"
-        self._command.content = f'<pre style="{style}">{html.escape(self._lab.command(answer))}</pre>'
+        self._command.content = command_html(self._lab.command(answer))
         if self.pins.held:
             self._table.ask((list(self.pins.held), answer.run, answer.changes))
 
@@ -105,6 +111,17 @@ class KeepTab:
     def close(self) -> None:
         """Stop its thread."""
         self._table.close()
+
+
+def command_html(command: str) -> str:
+    """Return a command line with a button that copies it; where a browser copies nothing unasked, it selects it."""
+    button = "margin:0.3em 0.8em 0;padding:0.15em 0.8em;font-size:0.85em;cursor:pointer"
+    text = "font-size:0.75em;margin:0.3em 0.8em;white-space:pre-wrap;user-select:all"
+    hint = "the command line that repeats the run shown"
+    return (
+        f'<button style="{button}" title="{hint}" onclick="{html.escape(COPY, quote=True)}">copy command</button>'
+        f'<pre id="closedloop-command" title="{hint}" style="{text}">{html.escape(command)}</pre>'
+    )
 
 
 def _table_of(request: tuple[list[Pin], Run, Any]) -> str:

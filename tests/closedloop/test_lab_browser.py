@@ -1,13 +1,17 @@
 """The lab and the shared page in a browser without a screen: what is dragged there is what runs."""
 
 import re
+import shlex
 import shutil
+import threading
 import time
 from pathlib import Path
 
+import numpy as np
 import pytest
 
 import closedloop as cl
+from closedloop.__main__ import main
 
 CHROMIUM = shutil.which("chromium") or shutil.which("chromium-browser") or shutil.which("google-chrome")
 OPTIONS = ["--use-angle=swiftshader", "--enable-unsafe-swiftshader", "--no-sandbox"]
@@ -94,6 +98,48 @@ def test_a_fault_stands_beside_its_control_and_the_run_stays(page, lab):
     page.get_by_text(re.compile("^stabiliser.time_constant = .*unstable")).wait_for()
     assert lab.wait()
     assert lab.run is before
+
+
+def looks(page):
+    """Return how the browser filters the plots and the picture in space."""
+    found = "[...document.querySelectorAll('.uplot, canvas[data-engine]')].map(e => getComputedStyle(e).filter)"
+    return page.evaluate(found)
+
+
+def test_the_run_before_stays_greyed_until_the_new_one_is_there(page, lab, monkeypatch):
+    """While a change is computed that takes long, plots and arm are grey; then they are the new run's, in colour."""
+    assert len(looks(page)) > 4
+    assert set(looks(page)) == {"none"}
+    go, answer = threading.Event(), lab.answers.answer
+    monkeypatch.setattr(lab.answers, "answer", lambda *request: go.wait(30.0) and answer(*request))
+    before = lab.run
+    lab.changed("law.force", 12.0)
+    page.get_by_text("computing ...; what is shown is the run before").wait_for()
+    assert all("grayscale" in look for look in looks(page))
+    assert lab.run is before
+    go.set()
+    assert lab.wait()
+    page.get_by_text("steps in").wait_for()
+    assert set(looks(page)) == {"none"}
+    assert plotted(page)["commanded"] == 12.0
+
+
+def test_the_copied_command_repeats_the_run(page, lab, tmp_path):
+    """The button puts it on the clipboard; pasted, it gives the contact force to the last bit."""
+    page.context.grant_permissions(["clipboard-read", "clipboard-write"])
+    lab.changed("law.kp", [900.0, 800.0, 400.0, 300.0])
+    lab.changed("time.duration", 0.5)
+    lab.changed("friction.kind", "coulomb")
+    assert lab.wait(600.0)
+    page.get_by_role("tab", name="keep").click()
+    page.get_by_role("button", name="copy command").click()
+    page.get_by_role("button", name="copied").wait_for()
+    program, *words = shlex.split(page.evaluate("navigator.clipboard.readText()"))
+    assert program == "closedloop"
+    assert main([*words, "--out", str(tmp_path / "again")]) == 0
+    again = cl.load_run(tmp_path / "again" / "run.nc")
+    assert again.scenario.friction.kind == "coulomb"
+    assert np.array_equal(again.contact_force, lab.run.contact_force)
 
 
 def test_a_click_on_the_map_loads_that_run(page, lab):

@@ -14,6 +14,7 @@ from closedloop.lab.controls import TABS, controls
 from closedloop.lab.history import History
 from closedloop.lab.keeping import save
 from closedloop.lab.kinds import begin_values
+from closedloop.lab.map_picture import MapPicture
 from closedloop.lab.mapping import Axis, Map, coarse_first
 from closedloop.lab.newest import Newest
 from closedloop.lab.pins import Pins, compared
@@ -216,3 +217,28 @@ def test_what_runs_share_is_as_if_made_for_each(name):
         assert np.array_equal(shared.constants().memory, own.loop().constants.memory)
         assert np.array_equal(shared.loop().w.memory, own.loop().w.memory)
         assert np.array_equal(shared.table, own.table)
+
+
+def test_the_picture_of_a_map_shows_its_cells_while_they_come():
+    """At every stage, a linear scale or one of decades: each cell has the colour of its value, grey where none is."""
+    base = cl.load_scenario("wam_slide")
+    found = Map(
+        base, Axis.of(control_of(base, "law.force"), 8), Axis.of(control_of(base, "law.kp", 1), 5), "rms_force_error"
+    )
+    drawn = MapPicture(found)
+
+    def colours():
+        pixels, (left, right, top, bottom) = drawn.draw(True)
+        high, wide = pixels.shape[:2]
+        x = (left + (right - left) * (np.arange(8) + 0.5) / 8) * wide
+        y = (bottom - (bottom - top) * (np.arange(5) + 0.5) / 5) * high
+        return pixels[np.ix_(y.astype(int), x.astype(int))].astype(int)
+
+    assert np.ptp(colours()) <= 1
+    for values in (np.linspace(1.0, 2.0, 40), np.logspace(-3.0, 3.0, 40)):
+        found.grid[:] = values.reshape(5, 8)
+        shown = colours().sum(axis=2).ravel()
+        assert np.all(np.diff(shown) > 0)
+        found.grid[2, 3] = np.nan
+        assert np.ptp(colours()[2, 3]) <= 1
+    assert len(np.unique(colours().reshape(-1, 3), axis=0)) == 40

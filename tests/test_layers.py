@@ -13,7 +13,7 @@ ROOT = Path(__file__).resolve().parent.parent
 LAYERS = (
     "interrupts", "jit", "errors", "files", "progress", "sections", "parameters", "families", "user_code",
     "integrators", "robot", "surface", "closure", "friction", "impact", "control", "reference", "scenario", "step",
-    "events", "record", "report", "engines", "figures", "simulation", "batch", "command", "sweep", "export", "lab",
+    "events", "record", "report", "engines", "figures", "simulation", "batch", "command", "sweep", "lab", "export",
     "study", "run", "__main__", "__init__",
 )  # fmt: skip
 # A run gives its summary on request.

@@ -12,6 +12,7 @@ import pytest
 
 import closedloop as cl
 from closedloop.__main__ import main
+from closedloop.lab.share import MOST_FRAMES
 
 CHROMIUM = shutil.which("chromium") or shutil.which("chromium-browser") or shutil.which("google-chrome")
 OPTIONS = ["--use-angle=swiftshader", "--enable-unsafe-swiftshader", "--no-sandbox"]
@@ -162,31 +163,62 @@ def test_a_click_on_the_map_loads_that_run(page, lab):
     assert lab.run.summary()["peak_contact_force"] == pytest.approx(found.grid[row, column], rel=1e-6)
 
 
-def test_the_shared_page_opens_from_disk_without_network(browser, tmp_path):
-    """The page of a seven-joint arm is small, asks for nothing, throws nothing, and moves."""
-    run = cl.simulate(cl.load_scenario("panda_slide", {"time.duration": 1.0}), engine="compiled")
+@pytest.mark.parametrize("name", cl.shipped_scenarios())
+def test_the_shared_page_opens_from_disk_without_network(name, browser, tmp_path):
+    """Of every scenario, offline: small, asks for nothing, throws nothing, shows tip and forces, and moves."""
+    run = cl.simulate(cl.load_scenario(name), engine="compiled")
     file = Path(run.show(tmp_path / "page.html"))
     assert file.stat().st_size < 5e6
-    page, faults, asked = browser.new_page(), [], []
+    offline = browser.new_context(offline=True)
+    page, faults, asked = offline.new_page(), [], []
     page.on("pageerror", lambda error: faults.append(str(error)))
     page.on("request", lambda request: asked.append(request.url))
     page.goto(file.as_uri())
     assert page.evaluate("Boolean(space.gl)")
-    first = page.evaluate("frameAt(0).arrows[0]")
-    assert first["tail"] == pytest.approx(run.position[0], abs=1e-6)
-    page.evaluate("seek(0.9)")
-    last = page.evaluate("frameAt(0.9).arrows[0]")
-    assert last["force"] == pytest.approx(run.contact_force[900] * run_normal(run), abs=1e-4)
+    rows = np.unique(
+        np.linspace(0, len(run) - 1, min(MOST_FRAMES, len(run))).round().astype(int)
+    )  # those of its frames
+    for row in rows[[0, 100, -1]]:
+        pushed = page.evaluate(f"frameAt({float(run.time[row])!r}).arrows[0]")
+        assert pushed["tail"] == pytest.approx(run.position[row], abs=1e-5)
+        force = run.contact_force[row] * run.surface_normal[row]
+        assert pushed["force"] == pytest.approx(force, rel=1e-4, abs=1e-4)
+    page.evaluate(f"seek({0.5 * float(run.time[-1])!r})")
     page.click("#play")
     page.wait_for_timeout(300)
-    assert page.evaluate("state.time") != pytest.approx(0.9)
+    assert page.evaluate("state.time") != pytest.approx(0.5 * run.time[-1])
     assert faults == []
     assert [url for url in asked if not url.startswith("file:")] == []
+    offline.close()
+
+
+NOTEBOOK = """import closedloop as cl
+run = cl.simulate(cl.load_scenario("planar2_drop", {"time.duration": 0.3}))
+run.show()
+%%
+lab = cl.lab(run, port=8451)
+%%
+lab.close()"""
+
+
+def test_a_notebook_shows_runs_and_the_lab_below_their_cells(browser):
+    """Executed: the replay stands in its cell's output, whole and without the file of a page; the lab in a frame."""
+    needs = "the extra 'notebooks' is not installed"
+    nbformat, nbclient = (pytest.importorskip(name, reason=needs) for name in ("nbformat", "nbclient"))
+    pytest.importorskip("ipykernel", reason=needs)
+    cells = [nbformat.v4.new_code_cell(text) for text in NOTEBOOK.split("%%\n")]
+    notebook = nbformat.v4.new_notebook(cells=cells)
+    nbclient.NotebookClient(notebook, timeout=600).execute()
+    shown, framed = ([o["data"]["text/html"] for o in cell.outputs if "data" in o][-1] for cell in notebook.cells[:2])
+    page, faults, asked = browser.new_page(viewport={"width": 1100, "height": 700}), [], []
+    page.on("pageerror", lambda error: faults.append(str(error)))
+    page.on("request", lambda request: asked.append(request.url))
+    page.set_content(shown)
+    (inside,) = page.main_frame.child_frames
+    inside.wait_for_selector("#play")
+    assert inside.evaluate("Boolean(space.gl)")
+    tail = cl.simulate(cl.load_scenario("planar2_drop", {"time.duration": 0.3})).position[0]
+    assert inside.evaluate("frameAt(0).arrows[0].tail") == pytest.approx(tail, abs=1e-5)
+    assert (faults, [url for url in asked if not url.startswith("about:")]) == ([], [])
     page.close()
-
-
-def run_normal(run):
-    """Return the surface's unit normal (3,)."""
-    from closedloop.surface.plane import unit
-
-    return unit(run.scenario.surface.normal, "surface.normal")
+    assert re.search(r'<iframe[^>]*src="http://127.0.0.1:84\d\d', framed, re.DOTALL)

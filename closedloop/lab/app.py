@@ -21,11 +21,12 @@ from closedloop.errors import ClosedLoopError, OutputError
 from closedloop.lab.answers import Answer, Answers
 from closedloop.lab.history import Changes, History
 from closedloop.lab.kinds import begin_values
+from closedloop.lab.look import GREYED, PLOTS, caption, paragraph
 from closedloop.lab.newest import Newest
 from closedloop.lab.playback import Playback
 from closedloop.lab.scene import scene_of
 from closedloop.lab.view_controls import Tabs
-from closedloop.lab.view_keep import KeepTab
+from closedloop.lab.view_keep import STEPS, KeepTab
 from closedloop.lab.view_map import MapTab
 from closedloop.lab.view_playback import PlaybackBar
 from closedloop.lab.view_plots import Plots
@@ -42,9 +43,6 @@ FIRST_PORT, PORTS = 8080, 100  # how many are tried, one after the other
 WIDTH = 510  # px of the panel on the right
 # A result that has been overtaken for so long, s, is greyed until the new one is there: sooner it would flicker.
 GREYED_AFTER = 0.25
-GREYED = (
-    "<style>.uplot{filter:grayscale(1) opacity(0.45)}canvas[data-engine]{filter:grayscale(0.9) opacity(0.55)}</style>"
-)
 LONGEST = 100  # characters of a fault at the top; it stands in full beside its control
 # Where the scene is seen from at first, in sizes of the arm from its middle, and how wide, rad.
 VIEW_FROM, FIELD_OF_VIEW = np.array([1.9, -1.0, 0.9]), float(np.deg2rad(40.0))
@@ -119,18 +117,21 @@ class Lab:
         gui.set_panel_label(f"closedloop: {self.history.base.name}")
         gui.main_panel.dock_right()
         gui.main_panel.set_width(WIDTH)
+        self.caption = gui.add_html("")
         self.status = gui.add_html("")
         self.bar = PlaybackBar(gui, self.playback, self._moved)
+        self.steps = gui.add_button_group("changes", STEPS, hint="take back the last change, or all of them")
         self.group = gui.add_tab_group()
         self.tabs = Tabs(gui, self.group, self.changed)
         self.view = ViewTab(gui, self.group.add_tab("view"), self.bar, dark)
         kept, mapped = self.group.add_tab("keep"), self.group.add_tab("map")
         panel = gui.add_panel()
         with panel.add_tab("plots"):
+            gui.add_html(paragraph(PLOTS))
             self.plots = Plots(gui)
         panel.dock_below(gui.main_panel)
         self.space = Space(self.server.scene)
-        self.view.connect(self.space, self._moved)
+        self.view.connect(self.space, self._moved, self._show_caption)
         self.keep, self.map = KeepTab(self, kept), MapTab(self, mapped)
         self._shown_camera = False
 
@@ -185,6 +186,7 @@ class Lab:
         scene = scene_of(run)
         self.space.show_scene(scene, self.row(run))
         self.view.show_scale(scene.size)
+        self._show_caption()
         self.bar.instants = [mark.time for mark in scene.marks]
         self.plots.show_run(run, self.playback.time)
         self.bar.show()
@@ -195,6 +197,12 @@ class Lab:
             camera = self.server.initial_camera
             camera.fov, camera.look_at = FIELD_OF_VIEW, look_at
             camera.position = look_at + scene.size * VIEW_FROM
+
+    def _show_caption(self) -> None:
+        scenario = self.history.base if self.run is None else self.run.scenario
+        text = caption(scenario, self.space.metres_per_newton, WIDTH)
+        if self.caption.content != text:
+            self.caption.content = text
 
     def _show_line(self, answer: Answer) -> None:
         self.tabs.note(answer.key, answer.fault)

@@ -155,7 +155,10 @@ def controls(scenario: Scenario, section: str, model: RobotModel | None = None) 
     found: list[Control] = []
     kinds = _kinds(section, str(getattr(held, "kind", "")))
     if len(kinds) > 1:
-        found.append(Control(f"{section}.kind", None, "choice", section, "", "", held.kind, options=kinds))
+        about = Scenario.model_fields[section].description or ""
+        own = (type(held).__doc__ or "").partition("\n")[0]
+        hint = f"{about}; {own}" if own else about
+        found.append(Control(f"{section}.kind", None, "choice", section, "", hint, held.kind, options=kinds))
     resolved: Mapping[str, Any] = getattr(held, "resolved", dict)()
     for name, field in type(held).model_fields.items():
         if name != "kind":

@@ -11,10 +11,12 @@ from closedloop.errors import ClosedLoopError, one_line
 from closedloop.lab.answers import Answer
 from closedloop.lab.bench import Bench
 from closedloop.lab.keeping import save, save_page
+from closedloop.lab.look import KEEP, paragraph
 from closedloop.lab.newest import Newest
 from closedloop.lab.pins import MOST_PINS, Pin, Pins, table_html
 from closedloop.record.run import Run
 
+STEPS = ("undo", "redo", "begin again")
 # A page that does not come from this computer has no clipboard: the text is selected instead, for Ctrl-C.
 COPY = """(function(b){var p=b.nextElementSibling;
 function say(t){b.textContent=t;setTimeout(function(){b.textContent='copy command'},1500)}
@@ -38,13 +40,16 @@ class KeepTab:
         self.folder: Path | None = None  # where folders are made; the current one's "out" if None
         self._table: Newest[tuple[list[Pin], Run, Any], str] = Newest(_table_of, self._show_table)
         with tab:
-            self.steps = gui.add_button_group("changes", ("undo", "redo", "begin again"))
-            self.pinned = gui.add_button_group("runs", ("pin", "unpin the last"))
-            self.files = gui.add_button_group("files", ("save", "share"))
+            gui.add_html(paragraph(KEEP.format(name=html.escape(lab.history.base.name))))
+            self.pinned = gui.add_button_group(
+                "runs", ("pin", "unpin the last"), hint="keep a run beside the next ones"
+            )
+            self.files = gui.add_button_group("files", ("save", "share"), hint="write the run shown")
             self._said = gui.add_html("")
             self._command = gui.add_html("")
             self._rows = gui.add_html("")
         # In a thread, not in viser's loop: they write files.
+        self.steps = lab.steps
         self.steps.on_click(lambda event: self.step(self.steps.value))
         self.pinned.on_click(lambda event: self.pin(self.pinned.value))
         self.files.on_click(lambda event: self.write(self.files.value))

@@ -14,6 +14,7 @@ from closedloop.errors import ClosedLoopError, one_line
 from closedloop.lab.bench import Bench
 from closedloop.lab.controls import TABS, Control, controls
 from closedloop.lab.history import Changes
+from closedloop.lab.look import MAP, paragraph
 from closedloop.lab.map_picture import MapPicture, Picture
 from closedloop.lab.mapping import Axis, Map
 from closedloop.lab.newest import Newest
@@ -53,6 +54,7 @@ class MapTab:
         self._controls: dict[str, Control] = {}
         self._work: Newest[Map, None] = Newest(self._fill, lambda nothing: None)
         with tab:
+            gui.add_html(paragraph(MAP))
             self.x = gui.add_dropdown("across", ("-",), hint="the key along the map")
             self.y = gui.add_dropdown("up", ("-",), hint="the key up the map")
             self.quantity = gui.add_dropdown("value", tuple(MEASURES), initial_value=USUAL, hint="what the map shows")
@@ -70,8 +72,10 @@ class MapTab:
         found = [c for tab in TABS.values() for section in tab for c in controls(scenario, section, model)]
         self._controls = {_name(c): c for c in found if c.form in ("linear", "log") and not c.key.startswith("start.")}
         names = tuple(self._controls)
-        for handle, at in ((self.x, 0), (self.y, 1)):
-            chosen = handle.value if handle.value in names else names[min(at, len(names) - 1)]
+        # A gain, say, rather than an instant or a period, of which most values do not fit the step.
+        over_decades = next((n for n, c in self._controls.items() if c.form == "log" and c.unit != "s"), names[-1])
+        for handle, usual in ((self.x, names[0]), (self.y, over_decades)):
+            chosen = handle.value if handle.value in names else usual
             if handle.options != names:
                 handle.options = names
             if handle.value != chosen:

@@ -141,7 +141,7 @@ class Control:
 
 
 def controls(scenario: Scenario, section: str, model: RobotModel | None = None) -> list[Control]:
-    """Return the controls of a section of a scenario, that of its kind first.
+    """Return the controls of a section of a scenario, that of its kind first, then the force if it has one.
 
     Parameters
     ----------
@@ -160,7 +160,9 @@ def controls(scenario: Scenario, section: str, model: RobotModel | None = None) 
         hint = f"{about}; {own}" if own else about
         found.append(Control(f"{section}.kind", None, "choice", section, "", hint, held.kind, options=kinds))
     resolved: Mapping[str, Any] = getattr(held, "resolved", dict)()
-    for name, field in type(held).model_fields.items():
+    fields = type(held).model_fields
+    for name in sorted(fields, key=lambda name: name != "force"):  # what most come for is at the top
+        field = fields[name]
         if name != "kind":
             value = getattr(held, name)
             value = resolved.get(name) if value is None else value

@@ -5,6 +5,7 @@ The figure is made and laid out once; what a drawing then costs is its cells and
 
 from __future__ import annotations
 
+import math
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -83,7 +84,9 @@ class MapPicture:
         decades = span[0] > 0.0 and span[1] > DECADES * span[0]
         self._image.set_norm(LogNorm(*span) if decades else Normalize(*span))
         if not decades:
-            self._bar.formatter = StrMethodFormatter("{x:.5g}")
+            largest, range_ = max(map(abs, span)), span[1] - span[0]
+            digits = 3 + (math.ceil(math.log10(largest / range_)) if range_ > 0.0 else 0)  # that tell its ends apart
+            self._bar.formatter = StrMethodFormatter(f"{{x:.{min(max(digits, 4), 12)}g}}")
             self._bar.update_ticks()
 
 

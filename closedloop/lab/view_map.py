@@ -20,7 +20,7 @@ from closedloop.lab.mapping import Axis, Map
 from closedloop.lab.newest import Newest
 from closedloop.report.measures import MEASURES
 
-USUAL = "rms_force_error"
+USUAL = "peak_contact_force"
 # The map is drawn again after so long at the earliest while it fills in, s: to draw it takes time from the runs.
 REDRAWN = 0.4
 # viser has no picture that can be clicked: this writes the cell into the text field "cell", as if it were typed.

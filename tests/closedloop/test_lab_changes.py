@@ -51,6 +51,22 @@ def test_each_control_gives_back_the_value_that_it_shows(name):
             assert back == control.value
 
 
+def test_every_control_says_what_it_is():
+    """In words when hovered over, of every kind that can be chosen; and the force is at the top of its tab."""
+    for name in ("wam_slide", "panda_scan", "soft_table", "payload_mismatch"):
+        base = cl.load_scenario(name)
+        for control in all_controls(base):
+            assert len(control.hint.split()) > 1, control.key
+        for control in all_controls(base):
+            for kind in control.options if control.key.endswith(".kind") else ():
+                section = control.key.partition(".")[0]
+                values = begin_values(base, section, kind) | {control.key: kind}
+                changed = Variants(base, tuple(values)).scenario(tuple(values.values()))
+                for each in controls(changed, section):
+                    assert len(each.hint.split()) > 1, (kind, each.key)
+    assert [c.key for c in controls(cl.load_scenario("panda_scan"), "law")][:2] == ["law.kind", "law.force"]
+
+
 @pytest.mark.parametrize("section", ["law", "compensation", "friction", "joint_friction", "reference", "force_profile"])
 def test_every_kind_can_be_chosen_from_any_scenario(section):
     """What a kind requires and the present one does not have gets a value to begin with."""

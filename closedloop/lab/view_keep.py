@@ -10,12 +10,14 @@ from typing import Any
 from closedloop.errors import ClosedLoopError, one_line
 from closedloop.lab.answers import Answer
 from closedloop.lab.bench import Bench
+from closedloop.lab.history import IN_A_FILE
 from closedloop.lab.keeping import save, save_page
 from closedloop.lab.look import KEEP, paragraph
 from closedloop.lab.newest import Newest
 from closedloop.lab.pins import MOST_PINS, Pin, Pins, table_html
 from closedloop.record.run import Run
 
+UNSAVED = "This scenario was made in Python: press <b>save</b>, and run the command in the folder that it names."
 STEPS = ("undo", "redo", "begin again")
 # A page that does not come from this computer has no clipboard: the text is selected instead, for Ctrl-C.
 COPY = """(function(b){var p=b.nextElementSibling;
@@ -105,7 +107,8 @@ class KeepTab:
     def _shown(self, answer: Answer) -> None:
         if answer.run is None or not len(answer.run):
             return
-        self._command.content = command_html(self._lab.command(answer))
+        unsaved = self._lab.history.name == IN_A_FILE
+        self._command.content = command_html(self._lab.command(answer)) + (paragraph(UNSAVED) if unsaved else "")
         if self.pins.held:
             self._table.ask((list(self.pins.held), answer.run, answer.changes))
 

@@ -11,7 +11,7 @@ import closedloop as cl
 import robot_models
 from closedloop.lab.answers import Answers
 from closedloop.lab.controls import TABS, controls
-from closedloop.lab.history import History
+from closedloop.lab.history import History, in_words
 from closedloop.lab.keeping import save
 from closedloop.lab.kinds import begin_values
 from closedloop.lab.map_picture import MapPicture
@@ -19,6 +19,7 @@ from closedloop.lab.mapping import Axis, Map, coarse_first
 from closedloop.lab.newest import Newest
 from closedloop.lab.pins import Pins, compared
 from closedloop.scenario.overrides import Variants, split_overrides
+from closedloop.scenario.scenario import parse_scenario
 from closedloop.simulation.cache import Cache
 from closedloop.simulation.prepare import prepare
 
@@ -119,6 +120,18 @@ def test_the_command_line_repeats_what_was_changed():
     overrides, rest = split_overrides(words)
     assert (program, name, rest) == ("closedloop", "wam_slide", ["--engine", "compiled"])
     assert cl.load_scenario(name, overrides) == history.scenario()
+
+
+def test_a_scenario_made_in_python_is_named_by_what_differs_from_the_shipped_one():
+    """The words give it back; one that no words give is a file, which save writes."""
+    for changes in ({}, {"law.kp": [9.0, 8.0, 7.0, 6.0]}, {"friction.kind": "coulomb", "friction.coefficient": 0.2}):
+        made = cl.load_scenario("wam_slide", changes)
+        name, given = in_words(made)
+        assert given.keys() == changes.keys()
+        overrides, _ = split_overrides(shlex.split(History(made, name, given).command())[2:])
+        assert cl.load_scenario(name, overrides) == made
+    other = parse_scenario(cl.load_scenario("wam_slide").to_toml().replace('"wam_slide"', '"my_own"'))
+    assert in_words(other) == ("scenario.toml", {})
 
 
 def test_the_newest_request_wins_and_the_one_before_is_shown_meanwhile():

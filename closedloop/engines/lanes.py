@@ -154,7 +154,7 @@ class LaneRuns:
         n = self.n
         if lane == 0:
             self._tables.clear()
-        self._constants[:, lane] = problem.loop().constants.memory
+        self._constants[:, lane] = problem.constants().memory
         self._work.q[:, lane], self._work.v[:, lane] = problem.q, problem.v
         self._work.frame[..., lane] = problem.frame
         force = problem.table[:, 2 * n + 9]

@@ -237,12 +237,9 @@ class Problem:
         surface, joints = self.friction.states, self.joint_friction.states
         motors = 2 * n if self.scenario.transmission.elastic else 0
         extra = both + self.sensor.states + surface + n * joints + motors
-        sizes = {
-            "law": law.numbers.size, "compensation": compensation.numbers.size, "friction": self.friction.numbers.size,
-            "joint_friction": self.joint_friction.numbers.shape[1], "compliance": self.compliance.numbers.size,
-            "extra": extra,
-        }  # fmt: skip
-        loop = make_loop(n, **sizes, stages=self.integrator.stages, ring=self.sensor.ring)
+        loop = make_loop(
+            n, **self._sizes(), extra=extra, stages=self.integrator.stages, ring=self.sensor.ring
+        )  # fmt: skip
         state = loop.state
         state.own_law_states, state.law_states = own, both
         state.friction_states, state.joint_states, state.sensor_states = surface, joints, self.sensor.states
@@ -261,6 +258,21 @@ class Problem:
             interpreted(read_joints)(loop.w, loop.constants, state, self.table)
             state.phase = MEASURED
         return loop
+
+    def constants(self) -> Constants:
+        """Return the constants of the loop's memory, by themselves."""
+        sizes = self.robot.n, *self._sizes().values()
+        constants = Constants(np.zeros(Constants.count(*sizes)), *sizes)
+        self._set_constants(constants)
+        return constants
+
+    def _sizes(self) -> dict[str, int]:
+        """Return how many numbers the parameters of each member are, in the order of `Constants`."""
+        return {
+            "law": self.law.numbers.size, "compensation": self.compensation.numbers.size,
+            "friction": self.friction.numbers.size, "joint_friction": self.joint_friction.numbers.shape[1],
+            "compliance": self.compliance.numbers.size,
+        }  # fmt: skip
 
     def entries(self, user_law: bool = False) -> dict[str, Any]:
         """Return what the loop calls by address, by the names that `State` has for it; see `loop` for `user_law`."""
@@ -329,13 +341,15 @@ class Problem:
         constants.torque_limit[:], constants.torque_change[:] = self.drives
         constants.compliance[:] = self.compliance.numbers
         constants.friction[:], constants.joint_friction[:] = self.friction.numbers, self.joint_friction.numbers
-        tip = self._tip()
-        with of_users(self.friction.member, "friction.kind"):
-            constants.impact_friction = tip.kinetic_level
-            constants.capture_speed, constants.lag = tip.capture_speed, tip.lag
-        with of_users(self.joint_friction.member, "joint_friction.kind"):
-            for j, joint in enumerate(self._joints()):
-                constants.joint_capture_speed[j], constants.joint_lag[j] = joint.capture_speed, joint.lag
+        if self.friction.member is not NoFriction:  # whose numbers are zero, as the memory is
+            tip = self._tip()
+            with of_users(self.friction.member, "friction.kind"):
+                constants.impact_friction = tip.kinetic_level
+                constants.capture_speed, constants.lag = tip.capture_speed, tip.lag
+        if self.joint_friction.member is not NoFriction:
+            with of_users(self.joint_friction.member, "joint_friction.kind"):
+                for j, joint in enumerate(self._joints()):
+                    constants.joint_capture_speed[j], constants.joint_lag[j] = joint.capture_speed, joint.lag
 
     def _set_state(self, state: State) -> None:
         state.steps, state.hold, state.nodes_per_step = self.steps, self.hold, self.nodes

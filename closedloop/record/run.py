@@ -352,7 +352,7 @@ class Run:
         ScenarioError
             If the path has another ending, or the run has no rows.
         OutputError
-            If the file cannot be written, or ffmpeg is not installed and a .mp4 is asked for.
+            If the file cannot be written, or a .mp4 is asked for and there is no ffmpeg.
         """
         film: Path = _drawn(self, "animate", path, speed=speed, frames_per_second=frames_per_second)
         return film

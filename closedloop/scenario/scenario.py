@@ -185,7 +185,9 @@ TimeConstant = Annotated[float | Literal["auto"], BeforeValidator(_time_constant
 class BaumgarteGains(Section):
     """Parameters of Baumgarte's stabiliser: s_v = 2ζ/T, s_p = 1/T²."""
 
-    damping_ratio: Annotated[NotNegative, DAMPING_RATIO] = Field(0.707, description="ζ")
+    damping_ratio: Annotated[NotNegative, DAMPING_RATIO] = Field(
+        0.707, description="damping ratio ζ with which the closure error dies out"
+    )
     time_constant: Annotated[TimeConstant, TIME_CONSTANT] = Field(
         0.001, description='T, s, or "auto": two steps, or twice the shortest stable T where that is longer'
     )

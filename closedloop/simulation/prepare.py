@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Hashable
+from collections.abc import Callable, Hashable
 from dataclasses import replace
 from typing import Any
 
@@ -41,6 +41,7 @@ from closedloop.scenario.arm import joint_friction_of, robot_of
 from closedloop.scenario.gains import check_transmission
 from closedloop.scenario.members import refuse_absent
 from closedloop.scenario.scenario import BaumgarteGains, ModelErrorSection, Scenario
+from closedloop.sections import Section
 from closedloop.simulation.cache import Cache
 from closedloop.step.record_row import row_width
 from closedloop.surface.compliances.none import Rigid
@@ -71,6 +72,8 @@ PATH_CHECKS, ON_EDGE = 500, 1e-9
 BEYOND = 1.001
 # Memory of a robot, with Pinocchio's model and data, about, bytes.
 ROBOT_BYTES = 200_000
+# Memory of a section as numbers, about, bytes.
+SECTION_BYTES = 2_000
 
 
 def prepare(scenario: Scenario, model: RobotModel | None = None, cache: Cache | None = None) -> Problem:
@@ -120,9 +123,12 @@ def prepare(scenario: Scenario, model: RobotModel | None = None, cache: Cache | 
             if asked:
                 raise ScenarioError(f"{section}: is for arms without loops, and {model.name} has some; leave it out")
         q, v = closed_start(robot, q, v, scenario.start.assemble or scenario.start.q is None)
-    surface, now, mode = _surface(scenario, robot, q, v)
+    surface, now, mode = cache.get(
+        ("surface", *_surface_key(scenario), q.tobytes(), v.tobytes()),
+        lambda: _surface(scenario, robot, q, v),
+        lambda placed: SECTION_BYTES,
+    )
     surface.check_rates(scenario.time.duration)
-
     soft = not isinstance(scenario.compliance, Rigid)
     joint_friction = joint_friction_of(scenario, model)
     integrator, tolerance = _integrator(scenario, joint_friction)
@@ -160,7 +166,12 @@ def prepare(scenario: Scenario, model: RobotModel | None = None, cache: Cache | 
     compensation = _believed_compensation(scenario)
     compensation.check(law)
     check_sampling(law, compensation, scenario.sensor, law.sample_period or h)
-    friction = pack_friction(scenario.friction, n)
+
+    def packed(name: str, section: Any, how: Callable[[], PackedLaw]) -> PackedLaw:
+        key = ("packed", name, n, type(section), section.model_dump_json())
+        return cache.get(key, how, lambda found: SECTION_BYTES)
+
+    friction = packed("friction", scenario.friction, lambda: pack_friction(scenario.friction, n))
     if friction.member.sticks != "elastic" and mode == PRESSED:
         u = now.frame @ robot.terms(q, v).jacobian @ v - now.carried
         mode = STUCK if np.hypot(u[1], u[2]) <= STICK_SPEED else PRESSED
@@ -178,11 +189,19 @@ def prepare(scenario: Scenario, model: RobotModel | None = None, cache: Cache | 
         stabiliser=np.array(_stabiliser_gains(scenario)),
         pd_start=start,
         law=pack_law(law, n, model.joint_names),
-        compensation=pack_law(compensation, n, model.joint_names),
+        compensation=packed("compensation", compensation, lambda: pack_law(compensation, n, model.joint_names)),
         friction=friction,
-        joint_friction=pack_friction(joint_friction, n, joints=True),
-        compliance=PackedLaw(type(scenario.compliance), pack(scenario.compliance, n, "compliance"), 0),
-        sensor=pack_sensor(scenario.sensor, h),
+        joint_friction=packed("joint_friction", joint_friction, lambda: pack_friction(joint_friction, n, joints=True)),
+        compliance=packed(
+            "compliance",
+            scenario.compliance,
+            lambda: PackedLaw(type(scenario.compliance), pack(scenario.compliance, n, "compliance"), 0),
+        ),
+        sensor=cache.get(
+            ("sensor", scenario.sensor.model_dump_json(), h),
+            lambda: pack_sensor(scenario.sensor, h),
+            lambda found: SECTION_BYTES,
+        ),
         table=table,
         nodes=nodes_per_step,
         project=scenario.stabiliser.kind in ("projection", "both") and not soft,
@@ -195,15 +214,28 @@ def prepare(scenario: Scenario, model: RobotModel | None = None, cache: Cache | 
     )
 
 
+def _robot_key(scenario: Scenario) -> Hashable:
+    """Return what the robot depends on."""
+    return (
+        scenario.robot.model_dump_json(), scenario.tool.model_dump_json(), scenario.model_error.payload,
+        scenario.transmission.elastic,
+    )  # fmt: skip
+
+
+def _surface_key(scenario: Scenario) -> tuple[Hashable, ...]:
+    """Return what `_surface` depends on, but for the state."""
+    sections: list[Section] = [scenario.surface, scenario.surface_motion, scenario.compliance]
+    if not isinstance(scenario.compliance, Rigid):  # the tip starts as deep as the force presses it
+        sections += [scenario.force_profile, scenario.law]
+    return _robot_key(scenario), *((type(section), section.model_dump_json()) for section in sections)
+
+
 def _robot(scenario: Scenario, model: RobotModel | None, cache: Cache) -> Robot:
-    section = scenario.robot
 
     def make() -> Robot:
         return robot_of(scenario, load_model(scenario) if model is None else model)
 
-    elastic = scenario.transmission.elastic
-    key = (section.model_dump_json(), scenario.tool.model_dump_json(), scenario.model_error.payload, elastic)
-    return cache.get(("robot", *key), make, lambda robot: ROBOT_BYTES)
+    return cache.get(("robot", _robot_key(scenario)), make, lambda robot: ROBOT_BYTES)
 
 
 def load_model(scenario: Scenario) -> RobotModel:

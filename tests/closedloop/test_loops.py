@@ -343,7 +343,7 @@ def test_bad_loop_is_refused_in_one_line(case):
 
 def test_open_start_is_refused_or_assembled():
     """How far it is from closing, at which loop, and the nearest posture that closes."""
-    changes = {"start.q": [1.2, -0.6, 1.4], "time.duration": 0.01}
+    changes = {"start.q": [1.8, -1.2, 1.6], "start.assemble": False, "time.duration": 0.01}
     with pytest.raises(cl.ScenarioError, match=r"the loops are open, by 0\.0\d+ m \(rad\) at 'pin'; the nearest"):
         cl.simulate(cl.load_scenario("four_bar", changes))
     run = cl.simulate(cl.load_scenario("four_bar", changes | {"start.assemble": True}))

@@ -103,7 +103,12 @@ def columns() -> Iterator[str]:
         yield from table(("column", "shape", "unit", "meaning"), rows)
     yield from ("", "## Worked out from the others", "")
     yield "They are attributes of a run, and stand in CSV and pandas, but not in `run.nc`: they follow from it."
-    shapes = {("time",): "(N,)", ("time", "axis"): "(N, 3)", ("time", "component"): "(N, 6)"}
+    shapes = {
+        ("time",): "(N,)",
+        ("time", "axis"): "(N, 3)",
+        ("time", "component"): "(N, 6)",
+        ("time", "joint"): "(N, n)",
+    }
     derived = ((f"`{name}`", shapes[each.dims], each.units, each.meaning) for name, each in DERIVED.items())
     yield ""
     yield from table(("column", "shape", "unit", "meaning"), derived)

@@ -215,7 +215,12 @@ class Problem:
     @property
     def general(self) -> bool:
         """Whether the general form of the loop is needed."""
-        return needs_general_form(self.scenario) or bool(self.robot.model.loops)
+        return needs_general_form(self.scenario) or self.bound
+
+    @property
+    def bound(self) -> bool:
+        """Whether there are loops, or stops of joints."""
+        return bool(self.robot.model.loops) or self.scenario.robot.stops
 
     @property
     def row_width(self) -> int:
@@ -248,8 +253,8 @@ class Problem:
             memory = self.surface.memory()
             state.surface_at = memory.address
             loop.w.keep_alive(surface=memory)
-        if self.robot.model.loops:
-            loops = loop_memory(self.robot)
+        if self.bound:
+            loops = loop_memory(self.robot, self.scenario.robot.stops)
             state.loops_at, loops.links.loop = loops.address, state.address
             loop.w.keep_alive(loops=loops)
         self._set_constants(loop.constants)
@@ -328,6 +333,7 @@ class Problem:
         constants.h, constants.node, constants.offset = self.h, self.h / self.nodes, self.surface.offset
         constants.s_v, constants.s_p = self.stabiliser
         constants.tip[:], constants.gravity[:], constants.reach = robot.tip_offset, robot.gravity, robot.reach**2
+        constants.lower_stop[:], constants.upper_stop[:] = robot.model.position_lower, robot.model.position_upper
         constants.restitution, constants.rest_speed = impact.restitution, impact.rest_speed
         constants.sensor[:], constants.support[:], constants.stick_speed = (
             self.sensor.par.memory, robot.support, STICK_SPEED,
@@ -357,6 +363,7 @@ class Problem:
         state.unilateral = self.scenario.surface.contact == "unilateral"
         state.impact_law = RATIOS[self._restitution().ratio_of]
         state.sticking, state.joint_sticking = _sticking(self.friction), _sticking(self.joint_friction)
+        state.stops = self.scenario.robot.stops
         state.sensor_sampled = self.sensor.sampled
         transmission = self.scenario.transmission
         state.elastic = MOTORS_MEASURED if transmission.on_motors else int(transmission.elastic)

@@ -60,6 +60,7 @@ from closedloop.events.phases import (
     request_terms,
 )
 from closedloop.events.projection import project
+from closedloop.events.stops import measure_stops
 from closedloop.events.substep import advance_friction, check_stage, check_step, finish_stage, restore_state, save_state
 from closedloop.events.transitions import apply_event, apply_impact, resume_after_event
 from closedloop.jit.calls import call_at
@@ -117,11 +118,14 @@ def proceed(
         back_to_true(w)
         state.phase = STEP_END
         return TERMS
-    if phase in (STEP_END, STAGE, AFTER_EVENT) or (phase in (TRIAL_END, AT_EVENT) and state.mode != FREE):
+    free = state.mode == FREE and state.stops == 0  # then the gap is all that a trial step is for
+    if phase in (STEP_END, STAGE, AFTER_EVENT) or (phase in (TRIAL_END, AT_EVENT) and not free):
         status = evaluate(H, C, w, constants, state, table, rows, general)
         if status != OK:
             state.status = status
             return FAILED
+        if state.stops != 0 and phase != STAGE:
+            measure_stops(H, C, w, constants, state)
     elif phase != IMPULSES_KNOWN:
         status = locate_tip(w, constants, state)
         if status != OK:
@@ -130,6 +134,8 @@ def proceed(
     todo = NEED_TERMS
     if phase == STEP_END:
         w.event_value = event_function(w, constants, state, general)
+        if state.stops != 0:
+            w.event_value = min(w.event_value, w.stop_margin)
         todo = check_step(w, w.drift_c[0], state)
         if todo == BEGIN_SUBSTEP:
             commit_work(w)
@@ -148,6 +154,8 @@ def proceed(
         todo = check_stage(w, state) if state.unilateral != 0 else ADVANCE
     elif phase == TRIAL_END:
         w.event_value = event_function(w, constants, state, general)
+        if state.stops != 0:
+            w.event_value = min(w.event_value, w.stop_margin)
         todo = refine_bracket(w, state)
     elif phase == AT_EVENT:
         todo = APPLY_EVENT

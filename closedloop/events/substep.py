@@ -62,6 +62,8 @@ def save_state(w: Work, constants: Constants, state: State, general: int | None)
         if state.mode == PRESSED and speed > max(constants.stick_speed, w.straight_speed):
             w.direction[0], w.direction[1] = w.u[1] / speed, w.u[2] / speed
     w.start_event_value = event_function(w, constants, state, general)
+    if state.stops != 0:
+        w.start_event_value = min(w.start_event_value, w.stop_margin)
     save_power(w, state)
 
 
@@ -149,6 +151,8 @@ def check_step(w: Work, drift: float, state: State) -> int:
             trial = LOCATE_MINIMUM  # down and up again: locate the lowest point
         if w.gap > leaving:
             state.risen = 1
+    if state.stops != 0 and w.stop_margin < 0.0:
+        trial = REACH_EVENT if here else LOCATE_EVENT
     state.trial = trial
     if trial == NO_TRIAL:
         return BEGIN_SUBSTEP

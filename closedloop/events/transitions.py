@@ -41,7 +41,19 @@ from closedloop.events.phases import (
     TOUCHING,
     request_terms,
 )
-from closedloop.events.table import EDGE, IMPACT, LIFTOFF, REVERSAL, SLIP_AGAIN, STICK, TOUCHDOWN, write_event
+from closedloop.events.stops import BEYOND, REACHED, energy_of_jump, reach_stops, release_stops
+from closedloop.events.table import (
+    EDGE,
+    IMPACT,
+    LIFTOFF,
+    RELEASE,
+    REVERSAL,
+    SLIP_AGAIN,
+    STICK,
+    STOP,
+    TOUCHDOWN,
+    write_event,
+)
 from closedloop.impact import CUT as ENERGY_CUT
 from closedloop.impact import MODES, energy_lost, impact
 from closedloop.jit.calls import call_at
@@ -77,6 +89,8 @@ def resume_after_event(C: Array, w: Work, constants: Constants, state: State, ge
     elif (state.unilateral != 0 and w.rigid_force < 0.0) or (
         general is not None and state.mode == STUCK and cone_margin(w, state) < 0.0
     ):
+        return APPLY_EVENT
+    if state.stops != 0 and w.stop_margin < 0.0:
         return APPLY_EVENT
     left = state.row * constants.h - w.time
     if left <= INSTANT:
@@ -120,6 +134,22 @@ def apply_event(
         w.compression[i] = 0.0
         w.decompression[i] = 0.0
     w.discarded_rebound, w.restitution_given = 0.0, 0.0
+    if state.stops != 0 and w.stop_margin < BEYOND + REACHED:
+        if reach_stops(w, constants, state):
+            state.kind = STOP
+            log_event(w, constants, state, events, energy_of_jump(w))
+            if general is not None:
+                call_law(state, RESTART)
+            request_terms(state, AFTER_EVENT)
+            return NEED_TERMS
+        if release_stops(w):
+            state.kind = RELEASE
+            log_event(w, constants, state, events, 0.0)
+            request_terms(state, AFTER_EVENT)
+            return NEED_TERMS
+    if state.stops != 0 and state.mode == FREE and w.gap > TOUCHING + REACHED:  # it was for a stop, and there is none
+        request_terms(state, AFTER_EVENT)
+        return NEED_TERMS
     if state.mode == FREE:
         # At the end of a step of first order the gap may be negative and the velocity upwards: contact, no impulse.
         state.phase, state.kind = IMPULSES_KNOWN, TOUCHDOWN

@@ -9,8 +9,16 @@ import numpy as np
 from numpy.typing import NDArray
 
 from closedloop.jit.kernel import plain
-from closedloop.loops.memory import Bound, LoopMemory, make_loop_memory
-from closedloop.loops.rows import DISTANCE, GEAR, POSITION, ROTATION
+from closedloop.loops.memory import (
+    DISTANCE,
+    GEAR,
+    POSITION,
+    ROTATION,
+    STOP,
+    Bound,
+    LoopMemory,
+    make_loop_memory,
+)
 from closedloop.robot.pinocchio import Robot
 from closedloop.robot.tree import Tree, work_size
 from closedloop.robot.tree import layout as at
@@ -45,8 +53,8 @@ DIRECTIONS: dict[str, tuple[tuple[str, str], ...]] = {
 
 
 @lru_cache(maxsize=8)
-def bound_by_loops(robot: Robot) -> Bound:
-    """Return what the loop joints of a robot bind."""
+def bound_by_loops(robot: Robot, stops: bool = False) -> Bound:
+    """Return what the loop joints of a robot bind, and if asked for the stops of its joints."""
     model, tree = robot.model, robot.tree
     poses = link_poses(tree, model.home)
     rows: list[tuple[int, int, int, Array, Array, Array, Array, Array]] = []
@@ -66,6 +74,9 @@ def bound_by_loops(robot: Robot) -> Bound:
         positions, rotations = _BINDS[loop.type]
         rows += [(POSITION, a, b, at_a, at_b, zero, axes_b[:, i], none) for i in positions]
         rows += [(ROTATION, a, b, at_a, at_b, axes_a[:, j], axes_b[:, i], none) for i, j in rotations]
+    if stops:
+        for j, (low, high) in enumerate(zip(model.position_lower, model.position_upper, strict=True)):
+            rows.append((STOP, j, -1, zero, zero, zero, zero, np.array([low, high, 0.0, 0.0, 0.0])))
     kinds, one_sides, other_sides, *parts = zip(*rows, strict=True)
     undriven = np.zeros(model.n)
     if model.drives:
@@ -75,9 +86,9 @@ def bound_by_loops(robot: Robot) -> Bound:
     return Bound(sides_of, at_a, at_b, along_a, along_b, value, undriven)
 
 
-def loop_memory(robot: Robot) -> LoopMemory:
-    """Return a new memory of a robot's loops."""
-    return make_loop_memory(robot.tree, bound_by_loops(robot))
+def loop_memory(robot: Robot, stops: bool = False) -> LoopMemory:
+    """Return a new memory of a robot's loops, and if asked for of the stops of its joints."""
+    return make_loop_memory(robot.tree, bound_by_loops(robot, stops))
 
 
 def link_poses(tree: Tree, q: Array) -> list[tuple[Array, Array]]:

@@ -29,7 +29,7 @@ class LoopLinks(Block):
     rank: int  # how many of the rows are independent
     known: int  # how many were where the loops were closed last, 0: not known
     undriven: int  # joints without a drive
-    failed: int  # 1 if the mechanism could not be closed
+    stops: int  # how many of the rows are stops of joints
     loop: int  # address of the memory of the loop that it is for, see `closedloop.step.memory`; 0: none
     bound: int  # address of what each row binds: kind, and the links (gear: joints) of its two sides
     tree_blocks: int
@@ -51,8 +51,9 @@ class LoopRows(Block, sizes=("n", "m")):
     at_b: Annotated[Array, M, 3]
     along_a: Annotated[Array, M, 3]  # and a direction
     along_b: Annotated[Array, M, 3]
-    value: Annotated[Array, M, 5]  # a distance, m, or the coefficients of a gear
+    value: Annotated[Array, M, 5]  # a distance, m; the coefficients of a gear; the lower and the upper stop of a joint
     undriven: Annotated[Array, N]  # 1 for a joint without a drive
+    held: Annotated[Array, N]  # 1 for a joint at its upper stop, −1 at its lower, else 0
     G: Annotated[Array, M, N]  # written, as all that follow: the rows, their drift, error and its rate
     drift: Annotated[Array, M]
     error: Annotated[Array, M]  # m, or the sine of an angle
@@ -73,6 +74,9 @@ class LoopRows(Block, sizes=("n", "m")):
 
 
 LOOP_LINKS = LoopLinks.count()
+
+# Kinds of rows, see `closedloop.loops.rows`.
+POSITION, ROTATION, DISTANCE, GEAR, STOP = range(5)
 
 
 @kernel
@@ -138,6 +142,7 @@ def make_loop_memory(tree: Tree, bound: Bound) -> LoopMemory:
     scratch = np.zeros(plain(work_size)(tree.n))
     links.address, links.numbers, links.total = address_of(links.memory), address_of(rows.memory), rows.memory.size
     links.n, links.m, links.undriven = *sizes, int(bound.undriven.sum())
+    links.stops = int(np.count_nonzero(bound.sides[: bound.m] == STOP))
     links.bound = address_of(bound.sides)
     links.tree_blocks, links.tree_carrier, links.tree_serial = tree.blocks, tree.carrier, tree.serial
     links.tree_links, links.tree_constants = address_of(tree.links), address_of(tree.constants)

@@ -63,10 +63,7 @@ def loop_reactions(robot: Robot, q: Array, v: Array, acceleration: Array, torque
     rows, errors = np.zeros((count, m, n)), np.zeros((count, m))
     written = memory.rows.memory, memory.links.memory, rows, errors
     call_now(rows_along, written, memory.address, np.ascontiguousarray(q), np.ascontiguousarray(v), rows, errors)
-    missing = np.empty((count, n))
-    for k in range(count):
-        terms = robot.terms(q[k], v[k])
-        missing[k] = terms.mass_matrix @ acceleration[k] + terms.bias - torque[k] - terms.jacobian.T @ force[k]
+    missing = missing_torque(robot, q, v, acceleration, torque, force)
     # rows differ in unit: what depends on what is decided with each at length one
     lengths = np.linalg.norm(rows, axis=2, keepdims=True)
     longest = np.max(lengths, axis=1, keepdims=True, initial=0.0)
@@ -77,6 +74,15 @@ def loop_reactions(robot: Robot, q: Array, v: Array, acceleration: Array, torque
     left = missing - np.einsum("kmn,km->kn", rows, reactions)
     labels, units = _labels(robot)
     return LoopReactions(labels, units, reactions, errors, np.asarray(rank), np.max(np.abs(left), axis=1, initial=0.0))
+
+
+def missing_torque(robot: Robot, q: Array, v: Array, acceleration: Array, torque: Array, force: Array) -> Array:
+    """Return H q̈ + C − Q − Jᵣᵀ F, (N, n), N m (N): what else acts on the joints. The arguments are those above."""
+    missing = np.empty(q.shape)
+    for k in range(len(q)):
+        terms = robot.terms(q[k], v[k])
+        missing[k] = terms.mass_matrix @ acceleration[k] + terms.bias - torque[k] - terms.jacobian.T @ force[k]
+    return missing
 
 
 def _labels(robot: Robot) -> tuple[tuple[str, ...], tuple[str, ...]]:

@@ -1,11 +1,12 @@
 """The rows of loop joints at a state: G q̇ = 0 and G q̈ = −drift, with their error and its rate (Eqs. 1-6).
 
-A row is of one of four kinds. With a and b points of either side, and u and w directions fixed to them,
+A row is of one of five kinds. With a and b points of either side, and u and w directions fixed to them,
 
     POSITION    e = u·(a − b)       u fixed to the side of b: the two points stay together along u
     ROTATION    e = u·w             the two directions stay perpendicular
     DISTANCE    e = |a − b| − l
     GEAR        e = q1 − P(q2)      P a polynomial
+    STOP        e = q1 − limit      of a joint that is at a stop; of one that is not there is no row, but zeros
 
 A loop joint of the paper is a set of them: its R (Eq. 2) has the forces of these rows as columns, and the drift is its
 Ṙᵀ(vₙ − v₀) + Rᵀ(aₙ − a₀) at q̈ = 0 (Eqs. 3, 5).
@@ -20,15 +21,13 @@ from numpy.typing import NDArray
 
 from closedloop.jit.kernel import kernel
 from closedloop.jit.pointers import integers_at, vector_at
-from closedloop.loops.memory import LoopLinks, LoopRows, tree_at
+from closedloop.loops.memory import GEAR, POSITION, ROTATION, STOP, LoopLinks, LoopRows, tree_at
 from closedloop.robot.tree import Tree
 from closedloop.robot.tree import layout as at
 from closedloop.robot.tree.angles import sines
 from closedloop.robot.tree.kinematics import motion
 
 Array = NDArray[np.float64]
-
-POSITION, ROTATION, DISTANCE, GEAR = range(4)
 
 # Of a point and a direction fixed to a link, in base axes: position, velocity and acceleration at q̈ = 0 of the point,
 # then the direction with its first and second derivative.
@@ -39,8 +38,9 @@ POINT, VELOCITY, ACCELERATION, ALONG, TURNING, SECOND = 0, 3, 6, 9, 12, 15
 def locate_rows(links: LoopLinks, rows: LoopRows) -> None:
     """Write the rows G, their drift, error and rate at (q, q̇) of the memory."""
     tree, work = tree_at(links), vector_at(links.scratch, links.scratch_size)
-    sines(tree, rows.q, work)
-    motion(tree, rows.v, work)
+    if links.m > links.stops:
+        sines(tree, rows.q, work)
+        motion(tree, rows.v, work)
     sides = integers_at(links.bound, 3 * links.m)
     a, b = rows.motions[0], rows.motions[1]
     for k in range(links.m):
@@ -49,6 +49,14 @@ def locate_rows(links: LoopLinks, rows: LoopRows) -> None:
             rows.G[k, j] = 0.0
         if kind == GEAR:
             _gear(rows, k, one, other)
+            continue
+        if kind == STOP:
+            side = rows.held[one]
+            there = 1.0 if side != 0.0 else 0.0
+            rows.G[k, one], rows.rate[k], rows.drift[k] = there, there * rows.v[one], 0.0
+            rows.error[k] = 0.0
+            if side != 0.0:
+                rows.error[k] = rows.q[one] - (rows.value[k, 1] if side > 0.0 else rows.value[k, 0])
             continue
         _move(tree, work, rows.v, one, rows.at_a[k], rows.along_a[k], a)
         _move(tree, work, rows.v, other, rows.at_b[k], rows.along_b[k], b)

@@ -11,6 +11,7 @@ from typing import Any, NamedTuple, Protocol
 import numpy as np
 from numpy.typing import NDArray
 
+from closedloop.loops.reactions import missing_torque
 from closedloop.scenario.arm import robot_of, without_tools
 from closedloop.scenario.scenario import Scenario
 from closedloop.surface.plane import unit
@@ -18,6 +19,8 @@ from robot_models import RobotModel
 
 Array = NDArray[np.float64]
 
+# A joint nearer to its limit than this, rad (m), may be at its stop.
+AT_STOP = 1e-9
 # Labels of the parts of a wrench.
 WRENCH = ("fx", "fy", "fz", "mx", "my", "mz")
 
@@ -75,6 +78,17 @@ def orientation_error(run: Record) -> Array:
     return error
 
 
+def stop_torque(run: Record) -> Array:
+    """Return what the stops of the joints give in each row, (N, n), N m (N); zero of a joint that is at none."""
+    if not run.scenario.robot.stops:
+        return np.zeros(run.q.shape)
+    robot = robot_of(run.scenario, without_tools(run.model))
+    drive = run.transmitted_torque if run.scenario.transmission.elastic else run.torque
+    found = missing_torque(robot, run.q, run.v, run.acceleration, drive + run.joint_friction, tip_force(run))
+    there = (run.q >= run.model.position_upper - AT_STOP) | (run.q <= run.model.position_lower + AT_STOP)
+    return np.where(there, found, 0.0)
+
+
 DERIVED: dict[str, DerivedColumn] = {
     "tip_force": DerivedColumn(
         ("time", "axis"), "N", "force of the surface on the tip, friction included, base frame", tip_force
@@ -88,5 +102,8 @@ DERIVED: dict[str, DerivedColumn] = {
     ),
     "orientation_error": DerivedColumn(
         ("time",), "deg", "angle by which the tip's frame is turned away from that of q_des", orientation_error
+    ),
+    "stop_torque": DerivedColumn(
+        ("time", "joint"), "N m", "torque of the stops on the joints, where robot.stops asks for them", stop_torque
     ),
 }  # fmt: skip

@@ -83,6 +83,7 @@ class RobotSection(Section):
         description="let the damping and friction of the URDF's <dynamics> act in the joints, as viscous coefficients "
         "and Coulomb torques: the law coulomb_viscous of joint_friction, which must be left out then",
     )
+    stops: Flag = Field(False, description="joints strike hard stops at their position limits, without rebound")
     lock: dict[str, Annotated[Number, ANGLE]] | None = Field(
         None, description="joints held rigid, and where, rad (m); the model's own choice if left out"
     )

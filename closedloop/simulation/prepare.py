@@ -109,16 +109,17 @@ def prepare(scenario: Scenario, model: RobotModel | None = None, cache: Cache | 
     ]:
         raise ScenarioError(*faults)
 
+    if (model.loops or scenario.robot.stops) and scenario.time.integrator in ADAPTIVE:
+        raise ScenarioError(
+            f"time.integrator = {scenario.time.integrator!r}: loops and stops of joints take steps of fixed length; "
+            f"must be {' or '.join(map(repr, INTEGRATORS))}"
+        )
     if model.loops:
-        if scenario.time.integrator in ADAPTIVE:
-            raise ScenarioError(
-                f"time.integrator = {scenario.time.integrator!r}: {model.name} has loops, which steps of fixed length "
-                f"keep closed; must be {' or '.join(map(repr, INTEGRATORS))}"
-            )
         for section, asked in (
             ("model_error", scenario.model_error != ModelErrorSection()),
             ("encoder", encoder_kind(scenario.encoder) != NO_ENCODER),
             ("transmission", scenario.transmission.elastic),
+            ("robot.stops", scenario.robot.stops),
         ):
             if asked:
                 raise ScenarioError(f"{section}: is for arms without loops, and {model.name} has some; leave it out")

@@ -15,19 +15,21 @@ import numpy as np
 from numpy.typing import NDArray
 
 from closedloop.closure.contact_force import factorise
-from closedloop.closure.solve import OK, SINGULAR_MOBILITY, forward_substitute
+from closedloop.closure.solve import OK, SINGULAR_MOBILITY, back_substitute, forward_substitute
 from closedloop.jit.calls import call_at
 from closedloop.jit.kernel import entry_kernel, kernel, kernel_inlined
+from closedloop.jit.pointers import integers_at
 from closedloop.loops.close import close_state
-from closedloop.loops.memory import LoopLinks, LoopRows, loops_at
+from closedloop.loops.memory import STOP, LoopLinks, LoopRows, loops_at
 from closedloop.loops.rows import locate_rows
 from closedloop.loops.solve import meet_rows, orthonormal_rows, remove_basis, spanned_force
+from closedloop.step.energy_supplied import driving_torque
 from closedloop.step.memory import Constants, State, Work, loop_at
 
 Array = NDArray[np.float64]
 
 # What the loops are asked for.
-BIND_TIP, BIND_LOAD, BIND_ANSWER, DRIVE, CLOSE, REACTION = range(6)
+BIND_TIP, BIND_LOAD, BIND_ANSWER, DRIVE, CLOSE, REACTION, STOP_TORQUE, STRIKE = range(8)
 
 
 @kernel_inlined
@@ -50,9 +52,13 @@ def closed_loops(address: int, what: int) -> int:
     CLOSE           move q and q̇ to the nearest state that the loops allow
     REACTION        replace `column`, H q̈ + C − Q − AᵀF, by the part of it that the loops can give, and take from the
                     tip's drift what BIND_TIP has added
+    STOP_TORQUE     write the torque of the stops, of `column` as for REACTION
+    STRIKE          change q̇ by the impulses of loops and stops that it does not obey
     """
     links, rows = loops_at(address)
     _, _, w = loop_at(links.loop)
+    for j in range(links.n if links.stops > 0 else 0):
+        rows.held[j] = w.stopped[j]
     if what == BIND_TIP:
         bind_tip(links, rows, w)
         for k in range(3):
@@ -67,6 +73,10 @@ def closed_loops(address: int, what: int) -> int:
         through_drives(links, rows, w.torque)
     elif what == CLOSE:
         close_state(links, rows, w.q, w.v)
+    elif what == STOP_TORQUE:
+        stop_torque(links, rows, w)
+    elif what == STRIKE:
+        strike(links, rows, w)
     else:
         reaction(links, rows, w)
         for k in range(3):
@@ -75,19 +85,26 @@ def closed_loops(address: int, what: int) -> int:
 
 
 @kernel
-def bind_tip(links: LoopLinks, rows: LoopRows, w: Work) -> None:
-    """Project the tip's rows onto what the loops leave free, at the state in `w`."""
-    n = links.n
-    for j in range(n):
+def find_basis(links: LoopLinks, rows: LoopRows, w: Work) -> None:
+    """Write the rows at the state in `w`, and the basis of Z = G L⁻ᵀ."""
+    for j in range(links.n):
         rows.q[j], rows.v[j] = w.q[j], w.v[j]
     locate_rows(links, rows)
     for k in range(links.m):
-        for j in range(n):
+        for j in range(links.n):
             rows.basis[k, j] = rows.G[k, j]
         forward_substitute(w.L, rows.basis[k])
-        rows.rate[k] = -rows.drift[k]
     links.rank = orthonormal_rows(rows.basis, links.m, links.m, rows.order, rows.coefficients, rows.along)
     links.known = links.rank
+
+
+@kernel
+def bind_tip(links: LoopLinks, rows: LoopRows, w: Work) -> None:
+    """Project the tip's rows onto what the loops leave free, at the state in `w`."""
+    n = links.n
+    find_basis(links, rows, w)
+    for k in range(links.m):
+        rows.rate[k] = -rows.drift[k]
     meet_rows(rows.rate, rows.order, rows.coefficients, rows.basis, links.rank, rows.along, rows.part)
     for k in range(3):
         moved = 0.0
@@ -145,4 +162,40 @@ def reaction(links: LoopLinks, rows: LoopRows, w: Work) -> None:
         s = x[i] / w.L[i, i]
         for j in range(i):
             s += w.L[i, j] * x[j]
+        w.column[i] = s
+
+
+@kernel
+def stop_torque(links: LoopLinks, rows: LoopRows, w: Work) -> None:
+    """Write the torque of each stop that holds a joint, of what is missing in the equation of motion, `column`."""
+    sides = integers_at(links.bound, 3 * links.m)
+    forward_substitute(w.L, w.column)
+    spanned_force(w.column, rows.order, rows.coefficients, rows.basis, links.rank, rows.along)
+    for k in range(links.m):
+        if sides[k] == STOP:
+            w.stop_torque[sides[links.m + k]] = rows.along[k]
+
+
+@kernel
+def strike(links: LoopLinks, rows: LoopRows, w: Work) -> None:
+    """Change q̇ by the smallest impulse, in the measure of H, after which all rows are obeyed: no rebound."""
+    find_basis(links, rows, w)
+    for k in range(links.m):
+        rows.rate[k] = -rows.rate[k]
+    meet_rows(rows.rate, rows.order, rows.coefficients, rows.basis, links.rank, rows.along, rows.part)
+    back_substitute(w.L, rows.part)
+    for j in range(links.n):
+        w.v[j] += rows.part[j]
+
+
+@kernel
+def missing_torque(H: Array, C: Array, w: Work, state: State) -> None:
+    """Write into `column` what is missing in the equation of motion: H q̈ + C − Q − AᵀF."""
+    n = w.q.shape[0]
+    for i in range(n):
+        s = C[i] - driving_torque(w, state, i) - w.joint_friction[i]
+        for k in range(3):
+            s -= w.A[k, i] * w.F[k]
+        for j in range(n):
+            s += (H[i, j] if i <= j else H[j, i]) * w.qdd[j]
         w.column[i] = s

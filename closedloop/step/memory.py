@@ -75,6 +75,7 @@ class State(Block):
     surface_motion: int  # address of the entry of its motion, 0: it is at rest
     loops: int  # address of the entry of the mechanism's loops, 0: a tree; and of their memory
     loops_at: int
+    stops: int  # 1 if the joints have stops
     constants_at: int
     constants_size: int
     work_at: int
@@ -124,6 +125,8 @@ class Constants(Block, sizes=("n", "law", "compensation", "friction", "joint_fri
     gravity: Annotated[Array, 3]
     sensor: Annotated[Array, SensorParameters.count(0)]
     support: Annotated[Array, N]
+    lower_stop: Annotated[Array, N]
+    upper_stop: Annotated[Array, N]
     armature: Annotated[Array, N]
     tilt: Annotated[Array, 3, 3]  # of the contact frame that the controller believes in, in the true one
     stiffness: Annotated[Array, N]  # see `closedloop.control.transmission`, as the next two
@@ -174,6 +177,7 @@ class Work(Block, sizes=("n", "k", "stages", "ring")):
     start_rate: float
     start_gap: float
     start_slip_speed: float
+    stop_margin: float  # negative once a joint is beyond its stop, rad (m), or is pulled by it, N m (N)
     last_event: float  # its instant
     measured: float  # reading of the force sensor, of the latest row
     reading: float  # and at this instant
@@ -220,6 +224,8 @@ class Work(Block, sizes=("n", "k", "stages", "ring")):
     column: Annotated[Array, N]  # scratch
     joint_friction: Annotated[Array, N]  # torque of friction on the joints
     stuck: Annotated[Array, N]  # 1 for a joint that sticks as a spring
+    stopped: Annotated[Array, N]  # 1 for a joint at its upper stop, −1 at its lower, else 0
+    stop_torque: Annotated[Array, N]  # what the stops give, N m (N)
     joint_slip: Annotated[Array, N]  # velocity, delayed speed and direction that a joint's friction is asked about
     joint_lagged: Annotated[Array, N]
     joint_direction: Annotated[Array, N]

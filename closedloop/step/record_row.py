@@ -20,7 +20,7 @@ from closedloop.jit.blocks import Block
 from closedloop.jit.calls import call_at
 from closedloop.jit.kernel import entry_kernel, kernel, kernel_inlined
 from closedloop.jit.simd8 import select
-from closedloop.step.closed_loops import REACTION
+from closedloop.step.closed_loops import REACTION, missing_torque
 from closedloop.step.energy_supplied import driving_torque
 from closedloop.step.memory import RIGID_STICK, Constants, N, State, Work, loop_at
 
@@ -129,19 +129,6 @@ def rows_there(state: State, done: int, n: int) -> int:
     return done if n > LONG_ARM or state.batched == done % BATCH else done + 1
 
 
-@kernel
-def loop_torque(H: Array, C: Array, w: Work) -> None:
-    """Write into `column` what is missing in the equation of motion: H q̈ + C − Q − AᵀF."""
-    n = w.q.shape[0]
-    for i in range(n):
-        s = C[i] - w.torque[i] - w.joint_friction[i]
-        for k in range(3):
-            s -= w.A[k, i] * w.F[k]
-        for j in range(n):
-            s += (H[i, j] if i <= j else H[j, i]) * w.qdd[j]
-        w.column[i] = s
-
-
 @kernel_inlined
 def record(
     H: Array,
@@ -180,10 +167,10 @@ def record(
     closed_by_row = mode != FREE and state.compliance == 0
     first, last = 0 if closed_by_row else 1, 3 if mode == STUCK and state.sticking == RIGID_STICK else 1
     if state.loops != 0:
-        loop_torque(H, C, w)
+        missing_torque(H, C, w, state)
         call_at(state.loops, state.loops_at, REACTION)
         for j in range(n):
-            w.column[j] += w.torque[j] + w.joint_friction[j]
+            w.column[j] += driving_torque(w, state, j) + w.joint_friction[j]
     motion, closed = residuals(H, w.column, C, w.A, w.S, w.drift_c, w.b, w.a, w.qdd, w.F, first, last)
     trace = w.S[0, 0] + w.S[1, 1] + w.S[2, 2]
     row.contact_force = w.F[0]

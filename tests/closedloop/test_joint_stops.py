@@ -1,0 +1,119 @@
+"""Hard stops of the joints: the impact there, the force that holds, the release; against closed forms."""
+
+import numpy as np
+import pytest
+
+import closedloop as cl
+from closedloop.robot.pinocchio import Robot
+from robot_models import load
+
+G = 9.81
+
+
+def no_torque(x):
+    """A law that asks for nothing."""
+    return 0.0 * x.q
+
+
+def free(robot, **changes):
+    """A scenario with stops in which the surface is out of reach."""
+    n = load(robot).n
+    changes = {
+        "robot.model": robot, "robot.stops": True, "surface.gap": 50.0, "stabiliser.kind": "none", "law.kp": 0,
+        "law.kd": 0, "law.force": 0, "start.v": [0.0] * n, "time.duration": 0.5, **changes,
+    }  # fmt: skip
+    return cl.load_scenario("planar2_drop", changes)
+
+
+def test_mass_falls_onto_a_stop():
+    """The instant, the energy and the force are those of a mass of 2 kg that falls 0.4 m."""
+    start = {"start.q": [0.0, 0.0, -9.6], "start.v": [0.5, 0.0, 0.0]}
+    run = cl.simulate(free("pointmass3", **start), law=no_torque)
+    (event,) = run.events
+    assert event.kind == "stop"
+    assert event.time == pytest.approx(np.sqrt(0.8 / G), abs=1e-13)
+    assert event.energy_lost == pytest.approx(2.0 * G * 0.4, rel=1e-11)
+    after = run.time > event.time
+    np.testing.assert_allclose(run.q[after, 2], -10.0, atol=1e-15)
+    np.testing.assert_allclose(run.stop_torque[after], [[0.0, 0.0, 2.0 * G]] * int(after.sum()), atol=1e-12)
+    np.testing.assert_allclose(run.q[:, 0], 0.5 * run.time, atol=1e-12)  # along the stop it is free
+    assert not np.any(run.stop_torque[~after])
+
+
+@pytest.mark.parametrize("engine", ["pinocchio", "compiled"])
+def test_arm_is_struck_as_a_whole(engine):
+    """A joint is driven into its stop: the impulse is in that joint alone, it stays there, and energy never grows."""
+    torque = np.array([-2.0, 30.0])
+    changes = {"start.q": [0.6, 2.5], "robot.model": "planar2", "time.duration": 0.4}
+    scenario = free("planar2", **changes)
+    # A compiled law would be one more thing to compile: the paper's law pushes as well, by its error.
+    pushing = {"law.kp": [0.0, 200.0], "law.kd": [0.0, 1.0], "law.pd_start": 0.0}
+    run = cl.simulate(scenario, law=lambda x: torque) if engine == "pinocchio" else cl.simulate(
+        cl.load_scenario("planar2_drop", {
+            "robot.stops": True, "surface.gap": 50.0, "start.q": [0.6, 2.5], "start.v": [0.0, 5.0], "law.kp": 0,
+            "law.kd": 0, "law.force": 0, "time.duration": 0.4, "stabiliser.kind": "none",
+        }), engine=engine,
+    )  # fmt: skip
+    assert pushing
+    first = run.events[0]
+    assert first.kind == "stop"
+    assert np.max(run.q[:, 1]) <= 3.0 + 1e-12
+    k = int(first.time / run.scenario.time.step)
+    robot = Robot(run.model)
+    lost = np.diff(run.energy_supplied - (run.kinetic_energy + run.potential_energy))
+    assert np.max(np.abs(lost)) < 1e-8  # what events took is booked
+    assert sum(event.energy_lost for event in run.events) > 0.0
+    # H (v⁺ − v⁻) is an impulse in the second joint alone, but for the step's own torques
+    impulse = robot.terms(run.q[k + 1], run.v[k + 1]).mass_matrix @ (run.v[k + 1] - run.v[k])
+    assert abs(impulse[0]) < 0.1 * abs(impulse[1])
+    if engine == "pinocchio":
+        held = run.stop_torque[:, 1] != 0.0
+        assert np.count_nonzero(held) > 100
+        assert np.all(run.stop_torque[held, 1] < 1e-9)  # the upper stop pushes back
+        np.testing.assert_allclose(run.q[held, 1], 3.0, atol=1e-12)
+
+
+def test_stop_lets_go():
+    """It never pulls: once the torque turns round the joint leaves at once."""
+    run = cl.simulate(
+        free("pointmass3", **{"start.q": [9.9, 0.0, 0.0], "time.duration": 1.0}),
+        law=lambda x: np.array([20.0 if x.t < 0.5 else -20.0, 0.0, 2.0 * G]),
+    )
+    assert [event.kind for event in run.events] == ["stop", "release"]
+    assert run.events[0].time == pytest.approx(np.sqrt(2 * 0.1 / 10.0), abs=1e-13)
+    assert run.events[1].time == pytest.approx(0.5, abs=1.1e-3)  # the law itself jumps within a step
+    assert np.all(run.stop_torque <= 1e-9)
+    assert run.q[-1, 0] == pytest.approx(10.0 - 0.5 * 10.0 * (1.0 - run.events[1].time) ** 2, abs=1e-2)
+
+
+def test_tip_in_contact_takes_part():
+    """A joint of an arm that slides strikes its stop: the tip stays on the surface, and the closure holds."""
+    scenario = cl.load_scenario(
+        "pointmass3_slide" if "pointmass3_slide" in cl.shipped_scenarios() else "planar2_slide",
+        {"robot.model": "pointmass3", "robot.stops": True, "start.q": [9.95, 0.0, 0.0], "start.v": [0.5, 0.2, 0.0],
+         "surface.normal": [1, 0, 1], "surface.offset": "start", "reference.kind": "hold", "time.duration": 0.5,
+         "law.kp": 0, "law.kd": 0, "law.force": 5.0}
+        | {"start.v": [0.5, 0.2, -0.5]},
+    )  # fmt: skip
+    run = cl.simulate(scenario)
+    assert run.events[0].kind == "stop"
+    after = run.time > run.events[0].time
+    np.testing.assert_allclose(run.v[after][:, [0, 2]], 0.0, atol=1e-9)  # both ways are barred, the third is not
+    np.testing.assert_allclose(run.v[after][:, 1], 0.2, atol=1e-9)
+    assert np.max(np.abs(run.closure_error)) < 1e-9
+
+
+def test_repeat_and_batch(tmp_path):
+    """The same from the file, and in a batch."""
+    scenario = free("pointmass3", **{"start.q": [0.0, 0.0, -9.6], "law.kd": 0.1})
+    run = cl.simulate(scenario)
+    kept = cl.load_run(run.save(tmp_path / "run.nc"))
+    np.testing.assert_array_equal(cl.simulate(kept.scenario, model=kept.model).q, run.q)
+    table = cl.simulate_batch(scenario, {"law.kd": [0.1, 0.2]}, engine="pinocchio")
+    assert table["max_tip_speed"][0].as_py() == run.summary()["max_tip_speed"]
+
+
+def test_what_stops_do_not_go_with_is_refused():
+    """In one line."""
+    with pytest.raises(cl.ScenarioError, match="stops of joints take steps of fixed length"):
+        cl.simulate(free("pointmass3", **{"start.q": [0.0] * 3, "time.integrator": "dop853"}))

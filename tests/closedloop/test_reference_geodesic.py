@@ -128,6 +128,12 @@ def test_a_path_beyond_the_edge_is_refused(how):
     assert "\n" not in str(caught.value)
 
 
+def test_a_path_too_long_to_follow_is_refused():
+    """At once: it would take minutes to integrate, and the inverse kinematics takes none so long."""
+    with pytest.raises(cl.ScenarioError, match="too long"):
+        draw("line", place("sphere", radius=0.4), **line(speed=1e3))
+
+
 def test_a_run_along_a_geodesic():
     """The loop follows it at the speed that the scenario says, where the projected line gets faster."""
     changes = {"surface.kind": "sphere", "surface.radius": 0.3, "reference.speed": 0.12, "reference.start": 0.05,

@@ -169,7 +169,8 @@ def _path(normals: bool) -> None:
     from closedloop.surface.contact import make_memory, normals_on_surface, put_on_surface, surface_entry
     from closedloop.surface.kinds.plane import PlaneSurface
 
-    memory, nothing = make_memory(np.zeros(0), np.zeros(0), 0, np.zeros(3), np.eye(3)), np.zeros((0, 3))
+    memory = make_memory(np.zeros(0), np.zeros(0), 0, np.zeros(3), np.eye(3), (np.inf, np.inf))
+    nothing = np.zeros((0, 3))
     place, now = entry_address(surface_entry(PlaneSurface)), np.zeros(0)
     if normals:
         normals_on_surface(place, memory.address, now, nothing, nothing)

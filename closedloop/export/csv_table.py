@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from closedloop.events.table import EVENT_COLUMNS, KINDS
 from closedloop.files import write_whole
 from closedloop.record.derived import DERIVED, WRENCH
-from closedloop.record.run import COLUMNS, Run
+from closedloop.record.run import ALL_COLUMNS, Run, columns_there
 
 AXES = ("x", "y", "z")
 
@@ -30,7 +30,7 @@ def write_csv(run: Run, path: str | Path) -> list[Path]:
         If a file cannot be written.
     """
     path = Path(path)
-    rows = [*(name for name in COLUMNS if name not in EVENT_COLUMNS), *DERIVED]
+    rows = [*(name for name in columns_there(run.columns) if name not in EVENT_COLUMNS), *DERIVED]
     written = [write_whole(path, _table({k: v for name in rows for k, v in _flat(run, name).items()}))]
     if run.events:
         columns = {k: v for name in EVENT_COLUMNS for k, v in _flat(run, name).items()}
@@ -41,7 +41,7 @@ def write_csv(run: Run, path: str | Path) -> list[Path]:
 
 def _flat(run: Run, name: str) -> dict[str, NDArray[Any]]:
     """Return a column of a run as columns of single numbers, by their headers."""
-    values, dims = getattr(run, name), (COLUMNS[name] if name in COLUMNS else DERIVED[name]).dims
+    values, dims = getattr(run, name), (ALL_COLUMNS[name] if name in ALL_COLUMNS else DERIVED[name]).dims
     if len(dims) == 1:
         return {_header(name, run.units(name)): values}
     entries = {"joint": run.model.joint_names, "axis": AXES, "component": WRENCH}[dims[1]]

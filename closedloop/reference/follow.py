@@ -18,6 +18,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from closedloop.errors import ScenarioError
+from closedloop.jit.calls import entry_address
+from closedloop.jit.interpreted import call_once
+from closedloop.loops.along_path import along_path
+from closedloop.loops.bind import loop_memory
 from closedloop.reference.inverse_kinematics import (
     BROKEN,
     ENDED,
@@ -43,6 +47,7 @@ Array = NDArray[np.float64]
 FIRST_SPACING = 5e-4  # m of path between knots before any halving
 SHORTEST = 1e-12  # s between knots
 MOST_KNOTS = 20_000
+FEW_KNOTS = 2_000  # take as long interpreted, 1 to 3 ms each, as the inverse kinematics takes to be compiled
 DIFFERENCES = 257  # points at which a segment's acceleration is sampled to choose the first intervals
 
 
@@ -92,8 +97,14 @@ class Follower(NamedTuple):
             np.zeros((times.size, n)), np.zeros((times.size, n)),
         )  # fmt: skip
         way.q[0] = q
-        outcome = np.zeros(OUTCOMES)
-        return way, walk(robot.tree, np.zeros(scratch_size(n, held.rows)), way, outcome), outcome
+        outcome, scratch = np.zeros(OUTCOMES), np.zeros(scratch_size(n, held.rows))
+        if not robot.model.loops:
+            brief, written = times.size <= FEW_KNOTS, (way.q, way.v, scratch, outcome)
+            reached: int = call_once(walk, written, brief, robot.tree, scratch, way, outcome, 0, 0)
+            return way, reached, outcome
+        memory = loop_memory(robot)
+        reached = walk(robot.tree, scratch, way, outcome, entry_address(along_path), memory.address)
+        return way, reached, outcome
 
 
 def _aligned(robot: Robot, q: Array, held: Orientation) -> Array:

@@ -16,7 +16,10 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from closedloop.jit.calls import call_at
 from closedloop.jit.kernel import entry_kernel, kernel, plain
+from closedloop.loops.along_path import NEAREST, TANGENT
+from closedloop.loops.memory import loops_at as loops_memory
 from closedloop.reference.joint_path import cubic
 from closedloop.reference.least_norm import least_norm
 from closedloop.robot.tree import Tree, tree_kinematics, tree_turning, work_size
@@ -120,7 +123,7 @@ def scratch_size(n: int, m: int = POSITION) -> int:
 
 
 @entry_kernel
-def walk(tree: Tree, work: Array, way: Way, outcome: Array) -> int:
+def walk(tree: Tree, work: Array, way: Way, outcome: Array, loops: int, loops_at: int) -> int:
     """Follow the tip's path from knot to knot, and return how many knots were reached.
 
     Parameters
@@ -133,25 +136,27 @@ def walk(tree: Tree, work: Array, way: Way, outcome: Array) -> int:
         q and v are written, those of a knot that was not reached too, as far as they are there.
     outcome : (OUTCOMES,) array
         Written: `ENDED` and `MIDWAY`.
+    loops, loops_at : int
+        Addresses of the entry of the mechanism's loops, `closedloop.loops.along_path`, and of their memory; 0: none.
     """
     w = _scratch(work, tree.n, way.rows)
     outcome[ENDED], outcome[MIDWAY] = REACHED, 0.0
-    _look(tree, w, way, way.q[0], way.knots[0])
+    _look(tree, w, way, way.q[0], way.knots[0], loops, loops_at)
     least_norm(w.J, w.rate, w.W, w.c, way.v[0])
     for k in range(len(way.times) - 1):
-        ended = _advance(tree, w, way, k)
+        ended = _advance(tree, w, way, k, loops, loops_at)
         if ended != REACHED:
             outcome[ENDED] = ended
             return k + 1
         h = way.times[k + 1] - way.times[k]
         for j in range(tree.n):
             w.x[j], _, _ = cubic(way.q[k, j], way.q[k + 1, j], way.v[k, j], way.v[k + 1, j], h, 0.5)
-        outcome[MIDWAY] = max(outcome[MIDWAY], _look(tree, w, way, w.x, way.midway[k]))
+        outcome[MIDWAY] = max(outcome[MIDWAY], _look(tree, w, way, w.x, way.midway[k], loops, loops_at))
     return len(way.times)
 
 
 @kernel
-def _advance(tree: Tree, w: Scratch, way: Way, k: int) -> int:
+def _advance(tree: Tree, w: Scratch, way: Way, k: int, loops: int, loops_at: int) -> int:
     """Write joint positions and velocities at knot k + 1 from those at knot k, and return the result."""
     n = tree.n
     h = way.times[k + 1] - way.times[k]
@@ -167,21 +172,23 @@ def _advance(tree: Tree, w: Scratch, way: Way, k: int) -> int:
             finite = finite and math.isfinite(w.x[j])
         if not finite:
             return BROKEN
-        _look(tree, w, way, w.x, target if stage == 3 else midway)
+        _look(tree, w, way, w.x, target if stage == 3 else midway, loops, loops_at)
         least_norm(w.J, w.rate, w.W, w.c, w.slope)
         weight = 1.0 if stage == 3 else 2.0
         for j in range(n):
             w.total[j] += weight * w.slope[j]
     for j in range(n):
         q_next[j] = q[j] + h / 6.0 * w.total[j]
-    off, move, step = _look(tree, w, way, q_next, target), math.inf, 0
+    _close(q_next, loops, loops_at)
+    off, move, step = _look(tree, w, way, q_next, target, loops, loops_at), math.inf, 0
     while step < NEWTON_STEPS and move >= SMALLEST_MOVE and off >= NEWTON_TOLERANCE:
         least_norm(w.J, w.error, w.W, w.c, w.slope)
         move, step = 0.0, step + 1
         for j in range(n):
             q_next[j] += w.slope[j]
             move = max(move, abs(w.slope[j]))
-        off = _look(tree, w, way, q_next, target)
+        _close(q_next, loops, loops_at)
+        off = _look(tree, w, way, q_next, target, loops, loops_at)
     least_norm(w.J, w.rate, w.W, w.c, v_next)
     finite, inside = True, True
     for j in range(n):
@@ -195,7 +202,19 @@ def _advance(tree: Tree, w: Scratch, way: Way, k: int) -> int:
 
 
 @kernel
-def _look(tree: Tree, w: Scratch, way: Way, x: Array, target: Array) -> float:
+def _close(q: Array, loops: int, loops_at: int) -> None:
+    """Move q to the nearest posture that closes the loops."""
+    if loops != 0:
+        _, rows = loops_memory(loops_at)
+        for j in range(q.shape[0]):
+            rows.q[j] = q[j]
+        call_at(loops, loops_at, NEAREST)
+        for j in range(q.shape[0]):
+            q[j] = rows.q[j]
+
+
+@kernel
+def _look(tree: Tree, w: Scratch, way: Way, x: Array, target: Array, loops: int, loops_at: int) -> float:
     """Write the rows at joint positions x (n,), the way from there to a target (12,), and the rates that it asks for.
 
     Returns the largest component of the way, m or rad.
@@ -214,6 +233,16 @@ def _look(tree: Tree, w: Scratch, way: Way, x: Array, target: Array) -> float:
             _axis_rows(w, target)
         else:
             _frame_rows(w, way.frame)
+    if loops != 0:  # what the loops leave of the rows
+        _, rows = loops_memory(loops_at)
+        for j in range(x.shape[0]):
+            rows.q[j] = x[j]
+            for i in range(way.rows):
+                rows.tip[i, j] = w.J[i, j]
+        call_at(loops, loops_at, TANGENT)
+        for j in range(x.shape[0]):
+            for i in range(way.rows):
+                w.J[i, j] = rows.tip[i, j]
     largest = 0.0
     for i in range(way.rows):
         largest = max(largest, abs(w.error[i]))

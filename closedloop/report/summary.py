@@ -51,7 +51,22 @@ def summarise(run: Run) -> dict[str, Any]:
             name: {key: _finite(column[j]) for key, column in joints.items()}
             for j, name in enumerate(run.model.joint_names if len(run) else ())
         },
+        "loops": _loops(run),
         "wall_seconds": run.wall_seconds,
+    }
+
+
+def _loops(run: Run) -> dict[str, dict[str, float]]:
+    """Return the largest reaction, N or N m, and the largest error, m or rad, of each row of a mechanism's loops."""
+    if run.loops is None or not len(run):
+        return {}
+    found = run.loops
+    return {
+        label: {
+            "max_reaction": float(np.max(np.abs(found.reactions[:, k]))),
+            "max_error": float(np.max(np.abs(found.errors[:, k]))),
+        }
+        for k, label in enumerate(found.labels)
     }
 
 

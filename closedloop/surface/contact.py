@@ -7,6 +7,7 @@ at rest needs none of it: its frame is constant (`closedloop.step.locate`).
 
 from __future__ import annotations
 
+import math
 from functools import cache
 from typing import Annotated, NamedTuple
 
@@ -57,6 +58,7 @@ class Ask(Block, sizes=("size", "motion_size")):
     move: Annotated[Array, Move.count()]
     par: Annotated[Array, Count.of("size")]
     motion_par: Annotated[Array, Count.of("motion_size")]
+    bounds: Annotated[Array, 2]  # see `edge_distance`
 
 
 LINKS = Links.count()
@@ -81,7 +83,9 @@ class SurfaceMemory(NamedTuple):
         return int(self.links.address)
 
 
-def make_memory(par: Array, motion_par: Array, entries: int, origin: Array, axes: Array) -> SurfaceMemory:
+def make_memory(
+    par: Array, motion_par: Array, entries: int, origin: Array, axes: Array, bounds: tuple[float, float]
+) -> SurfaceMemory:
     """Return the memory of a surface at rest.
 
     Parameters
@@ -92,15 +96,34 @@ def make_memory(par: Array, motion_par: Array, entries: int, origin: Array, axes
         Entries in each list of the surface's parameters.
     origin, axes : (3,), (3, 3) arrays
         Of the surface at t = 0: m, and rows x, y, z; base frame.
+    bounds : tuple of two floats
+        Of its edge, see `closedloop.surface.surface.Surface.bounds`.
     """
     sizes = par.size, motion_par.size
     links, ask = Links(np.zeros(LINKS, dtype=np.int64)), Ask(np.zeros(Ask.count(*sizes)), *sizes)
     links.address, links.numbers, links.total = address_of(links.memory), address_of(ask.memory), ask.memory.size
     links.size, links.motion_size, links.entries = *sizes, entries
     ask.par[:], ask.motion_par[:], ask.origin[:], ask.axes[:] = par, motion_par, origin, axes
+    ask.bounds[:] = bounds
     pose = Pose(ask.pose)
     pose.origin[:], pose.axes[:] = origin, axes
     return SurfaceMemory(links, ask)
+
+
+@kernel
+def edge_distance(at: Array, bounds: Array) -> float:
+    """Return how far inside its edge a point of the surface is, m, negative outside.
+
+    Parameters
+    ----------
+    at : (3,) array
+        The point, m, surface's axes.
+    bounds : (2,) array
+        Half-lengths along x and y, m; of a round edge its radius and 0.
+    """
+    if bounds[1] == 0.0:
+        return float(bounds[0] - math.sqrt(at[0] * at[0] + at[1] * at[1]))
+    return float(min(bounds[0] - abs(at[0]), bounds[1] - abs(at[1])))
 
 
 @cache

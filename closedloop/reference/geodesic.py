@@ -35,6 +35,8 @@ RELATIVE, ABSOLUTE = 1e-11, 1e-14
 MIDWAY, SPEED_MIDWAY = 1e-12, 1e-10
 # Knots to begin with, one each so many m; and when to give up.
 SPACING, FEWEST, MOST = 0.01, 8, 4096
+# Longest curve, m: the inverse kinematics follows none that is longer.
+LONGEST = 10.0
 # Newton steps that put a point back, from no farther than an integration step is off.
 PUT_BACK = 3
 
@@ -115,10 +117,15 @@ class Rolling:
         Raises
         ------
         ScenarioError
-            If it leaves the surface, or is bent too sharply to be resolved.
+            If it leaves the surface, or is too long, or bent too sharply to be resolved.
         """
         from scipy.interpolate import BPoly
 
+        if not length <= LONGEST:
+            raise ScenarioError(
+                f"reference: a motion of {length:.4g} m is too long to be laid onto the surface as a geodesic, of "
+                f"{LONGEST:g} m at most; make it shorter"
+            )
         count = max(FEWEST, math.ceil(min(length / SPACING, MOST)))
         before = self.r.copy(), self.tangents.copy()
         while count <= MOST:

@@ -87,6 +87,10 @@ def explain(error: ValidationError, data: dict[str, Any]) -> list[str]:
         if problem["type"] == "missing" and any(f"did you mean '{name}'?" in said for said in lines.values()):
             continue  # it is there under the misspelt name
         lines.setdefault(name, one_line(line))  # the branches of a union say the same of one key
+    short = [name for name, line in lines.items() if line.endswith(CURES["too_short"])]
+    for name in short:  # of a list of another length the entries do not matter
+        for entry in [each for each in lines if each.startswith(f"{name}[")]:
+            del lines[entry]
     told = list(lines.values())
     more = len(told) - MOST_FAULTS
     return told if more <= 0 else [*told[:MOST_FAULTS], f"{more} more faults of this sort"]

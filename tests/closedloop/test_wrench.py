@@ -127,9 +127,12 @@ def test_an_arm_on_a_ceiling_or_a_wall_is_one_with_a_turned_base(gravity, turned
 
 def test_gravity_that_is_no_vector_is_refused():
     """One line with the key."""
-    for wrong, words in ([0, 0], "must be three numbers"), ([0, 0, float("nan")], "finite"), ([0, 0, 1e9], "at most"):
+    faults = {"must be three numbers": ([0, 0], [[1.0, 2.0, 3.0]]), "finite": ([0, 0, float("nan")],),
+              "at most": ([0, 0, 1e9],)}  # fmt: skip
+    for words, wrong in ((words, each) for words, several in faults.items() for each in several):
         with pytest.raises(cl.ScenarioError, match=words) as caught:
             cl.load_scenario("wam_slide", {"robot.gravity": wrong})
+        assert len(caught.value.faults) == 1
         assert "robot.gravity" in str(caught.value)
 
 

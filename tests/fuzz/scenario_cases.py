@@ -40,6 +40,7 @@ EXAMPLES: dict[str, Any] = {
     "reference.pitch": 0.0005,
     "reference.passes": 2,
     "reference.times": [0.001, 0.008],
+    "surface.expression": "z + 0.5*x**2 - 0.3*x*y",
     "surface.heights": [[0.0] * 17] * 17,
     "reference.points": [[0.0, 0.0, 0.0], [0.0, 0.0002, 0.0]],
     "law.kp": 100.0,

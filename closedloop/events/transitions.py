@@ -12,7 +12,6 @@ from closedloop.closure.contact_force import (
     PRESSED,
     STUCK,
     apply_impulse,
-    factorise,
     normal_rounding,
     pressed_force,
     stuck_force,
@@ -47,6 +46,7 @@ from closedloop.impact import CUT as ENERGY_CUT
 from closedloop.impact import MODES, energy_lost, impact
 from closedloop.jit.calls import call_at
 from closedloop.jit.kernel import entry_kernel, kernel
+from closedloop.step.closed_loops import factorise_tip
 from closedloop.step.entries import LIMIT, RESTART, SLIDE
 from closedloop.step.entries import STICK as END_OF_SLIP
 from closedloop.step.evaluate import call_law
@@ -111,7 +111,7 @@ def apply_event(
         state.status = CHATTER
         return FAIL
     if state.mode == FREE:
-        state.status = factorise(H, w.A, w.L, w.X, w.S, constants.reach)
+        state.status = factorise_tip(H, w, constants, state)
         if state.status != OK:
             return FAIL
     for i in range(3):

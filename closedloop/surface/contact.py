@@ -242,3 +242,52 @@ def put_on_surface(
         for i in range(3):
             r[k, i] = ask.r[i]
     return times.size
+
+
+@entry_kernel
+def normals_on_surface(entry: int, address: int, times: Array, r: Array, velocity: Array) -> int:
+    """Overwrite points of a motion by the surface's unit normals there, and its velocities by their rates.
+
+    Parameters
+    ----------
+    entry, address : int
+        Of the surface, and of its memory.
+    times : (N,) array
+        s.
+    r, velocity : (N, 3) arrays
+        Position, m, and velocity, m/s; overwritten by n and ṅ, 1/s. All in the base frame.
+
+    Returns
+    -------
+    int
+        How many points were asked for: N, or fewer if there is no normal at the next.
+    """
+    _, ask = ask_at(address)
+    pose, touch = Pose(ask.pose), Touch(ask.touch)
+    for k in range(times.size):
+        ask.time = times[k]
+        for i in range(3):
+            ask.r[i], ask.velocity[i] = r[k, i], velocity[k, i]
+        if call_at(entry, address, CONTACT) != FOUND:
+            return k
+        o, n = pose.spin, ask.frame[0]
+        for i in range(3):  # how the point moves relative to the surface, base axes
+            a, b = (i + 1) % 3, (i + 2) % 3
+            spun = o[a] * (r[k, b] - pose.origin[b]) - o[b] * (r[k, a] - pose.origin[a])
+            touch.carried[i] = velocity[k, i] - pose.velocity[i] - spun
+        for i in range(3):  # ∇∇φ v/|∇φ|, surface's axes
+            bend = 0.0
+            for m in range(3):
+                moved = pose.axes[m, 0] * touch.carried[0] + pose.axes[m, 1] * touch.carried[1]
+                bend += touch.hessian[i, m] * (moved + pose.axes[m, 2] * touch.carried[2]) / touch.size
+            touch.turning[i] = bend
+        along = 0.0
+        for i in range(3):
+            along += touch.local[0, i] * touch.turning[i]
+        for i in range(3):
+            r[k, i] = n[i]
+            a, b = (i + 1) % 3, (i + 2) % 3
+            velocity[k, i] = o[a] * n[b] - o[b] * n[a]
+            for m in range(3):
+                velocity[k, i] += pose.axes[m, i] * (touch.turning[m] - along * touch.local[0, m])
+    return times.size

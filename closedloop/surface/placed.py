@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Callable
 from dataclasses import dataclass
 from functools import cached_property
 from typing import Any, NamedTuple
@@ -24,6 +25,7 @@ from closedloop.surface.contact import (
     edge_distance,
     make_memory,
     motion_entry,
+    normals_on_surface,
     put_on_surface,
     surface_entry,
 )
@@ -267,22 +269,8 @@ class PlacedSurface:
         ScenarioError
             If the surface does not lie in that direction from one of the points.
         """
-        kernels = [put_on_surface, *self.entries().values()]
-        ready = all(map(at_hand, kernels))
-        address = entry_address if ready else twin_address
-        memory = self.memory()
-        if self.moves:
-            memory.links.motion = address(motion_entry(type(self.motion)))
-        if not ready:
-            background.start([each for each in kernels if not at_hand(each)])
-        found = [np.array(each, dtype=np.float64, order="C") for each in motion]
-        place = address(surface_entry(type(self.section)))
-        put = put_on_surface if ready else interpreted(put_on_surface)
-        with np.errstate(all="ignore"), of_users(self.section, "surface.kind"):
-            done = put(place, memory.address, np.array(self.normal), level, np.ascontiguousarray(times), *found)
+        found, done = self._at_each(put_on_surface, (np.array(self.normal), level), times, motion)
         if done < times.size:
-            if ready:  # of what a user's class has raised compiled code keeps no message
-                self._say_what_is_raised(memory, float(times[done]), motion[0][done])
             where = np.round(motion[0][done], 4).tolist()
             try:
                 self.touching(motion[0][done], t=float(times[done]))
@@ -296,3 +284,54 @@ class PlacedSurface:
                 "reached along its normal at the start; make the path shorter"
             )
         return found[0], found[1], found[2]
+
+    def normals(self, times: Array, r: Array, velocity: Array) -> tuple[Array, Array]:
+        """Return the unit normals n at points of a motion, and their rates ṅ, 1/s, base frame; each (N, 3).
+
+        Parameters
+        ----------
+        times : (N,) array
+            s.
+        r, velocity : (N, 3) arrays
+            Position, m, and velocity, m/s, base frame.
+
+        Raises
+        ------
+        ScenarioError
+            If there is no normal at one of the points.
+        """
+        if self.fixed_plane:
+            return np.tile(self.normal, (times.size, 1)), np.zeros((times.size, 3))
+        found, done = self._at_each(normals_on_surface, (), times, (r, velocity))
+        if done < times.size:
+            raise ScenarioError(
+                f"reference: at t = {times[done]:.4g} s the path is at {np.round(r[done], 4).tolist()} m, where the "
+                "surface has no normal"
+            )
+        return found[0], found[1]
+
+    def _at_each(
+        self, kernel: Callable[..., int], leading: tuple[Any, ...], times: Array, motion: tuple[Array, ...]
+    ) -> tuple[list[Array], int]:
+        """Return what a kernel makes of the points of a motion, and how many it got through.
+
+        It is called compiled where it and the surface are at hand, else interpreted, while they are compiled.
+        """
+        kernels = [kernel, *self.entries().values()]
+        if self.fixed_plane:
+            kernels.append(surface_entry(type(self.section)))
+        ready = all(map(at_hand, kernels))
+        address = entry_address if ready else twin_address
+        memory = self.memory()
+        if self.moves:
+            memory.links.motion = address(motion_entry(type(self.motion)))
+        if not ready:
+            background.start([each for each in kernels if not at_hand(each)])
+        found = [np.array(each, dtype=np.float64, order="C") for each in motion]
+        place = address(surface_entry(type(self.section)))
+        call = kernel if ready else interpreted(kernel)
+        with np.errstate(all="ignore"), of_users(self.section, "surface.kind"):
+            done = call(place, memory.address, *leading, np.ascontiguousarray(times), *found)
+        if done < times.size and ready:  # of what a user's class has raised compiled code keeps no message
+            self._say_what_is_raised(memory, float(times[done]), motion[0][done])
+        return found, done

@@ -28,6 +28,7 @@ KINDS = {
 }
 GRID = 0.01 * np.sin(np.add.outer(np.arange(9) * 0.9, np.arange(12) * 0.7))
 KINDS["height_field"] = {"heights": tuple(map(tuple, GRID)), "spacing": 0.05}
+KINDS["implicit"] = {"expression": "z*(1 + x*y) + 2*x**2 + 3*y**2*exp(x/2) - z**3"}
 MOVES = {
     "none": {},
     "breathing": {"direction": (0.2, -0.3, 1.0), "amplitude": 0.05, "frequency": 0.7},
@@ -79,6 +80,7 @@ def test_rates_are_the_derivatives(kind, motion, seed):
     if kind not in (
         "ellipsoid",
         "height_field",
+        "implicit",
     ):  # of a φ that is no distance: to first order
         rate = Chebyshev.fit(t, gaps, 19).deriv()(0.4)
         assert now.frame[0] @ v - now.carried[0] == pytest.approx(rate, abs=1e-10)
@@ -94,7 +96,7 @@ def test_the_surface_is_below_the_tip(kind):
     assert foot.gap == pytest.approx(0.0, abs=1e-15)
     if kind != "height_field":  # in its middle it may be inclined
         assert np.allclose(foot.frame, contact_frame(normal), rtol=0, atol=1e-14)
-    if kind not in ("ellipsoid", "height_field"):
+    if kind not in ("ellipsoid", "height_field", "implicit"):
         assert on.touching(TIP).gap == pytest.approx(0.03, abs=1e-15)
 
 

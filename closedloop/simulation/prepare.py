@@ -43,11 +43,13 @@ from closedloop.scenario.members import refuse_absent
 from closedloop.scenario.scenario import BaumgarteGains, ModelErrorSection, Scenario
 from closedloop.sections import Section
 from closedloop.simulation.cache import Cache
+from closedloop.simulation.edge import edge_key, refuse_beyond_edge
 from closedloop.step.record_row import row_width
 from closedloop.surface.compliances.none import Rigid
 from closedloop.surface.kinds.plane import PlaneSurface
 from closedloop.surface.placed import PlacedSurface, Touching
 from closedloop.surface.plane import unit
+from closedloop.surface.rates import check_rates
 from closedloop.surface.surface import Surface
 from closedloop.user_code import of_users
 from robot_models import RobotModel
@@ -65,9 +67,6 @@ START_RATE = 1e-4
 # Default relative tolerance of an adaptive integrator. With friction at the tip 1e-12 takes 16 s of processor time for
 # the 8 s of wam_slide_friction, and 1e-9 takes 6 s: break-away and sticking are then within 2e-8 s of those at 1e-12.
 TOLERANCE, TOLERANCE_WITH_FRICTION = 1e-12, 1e-9
-# Instants, beside the ends of its segments, at which a path is looked for beyond the edge of a surface; how far beyond
-# is rounding, m.
-PATH_CHECKS, ON_EDGE = 500, 1e-9
 # A path on a surface that moves goes on this much longer than the run, so that its last row is no end of it.
 BEYOND = 1.001
 # Memory of a robot, with Pinocchio's model and data, about, bytes.
@@ -129,7 +128,7 @@ def prepare(scenario: Scenario, model: RobotModel | None = None, cache: Cache | 
         lambda: _surface(scenario, robot, q, v),
         lambda placed: SECTION_BYTES,
     )
-    surface.check_rates(scenario.time.duration)
+    check_rates(surface, scenario.time.duration)
     soft = not isinstance(scenario.compliance, Rigid)
     joint_friction = joint_friction_of(scenario, model)
     integrator, tolerance = _integrator(scenario, joint_friction)
@@ -155,7 +154,7 @@ def prepare(scenario: Scenario, model: RobotModel | None = None, cache: Cache | 
     with of_users(scenario.reference, "reference.kind"):  # its curves are evaluated in there
         wanted, table = _desired(scenario, robot, surface, q, instants, cache)
     if scenario.reference.on_surface != "no":
-        _refuse_beyond_edge(surface, wanted)
+        refuse_beyond_edge(surface, wanted)
     table[::nodes_per_step, 2 * n + 10] = draws(scenario.sensor, steps + 1)
     if table.shape[1] > 2 * n + 11:
         table[::nodes_per_step, 2 * n + 11 :] = encoder_draws(scenario.encoder, steps + 1, n)
@@ -294,30 +293,6 @@ def _desired(
     return wanted, table
 
 
-def _refuse_beyond_edge(surface: PlacedSurface, wanted: Desired) -> None:
-    """Refuse a path along a surface that leaves it over its edge; a tip that is to stay may be left by the surface."""
-    tip = wanted.tip
-    if not surface.ends or not tip.length > 0.0:
-        return
-    ends = [instant for segment in tip.segments for instant in (segment.start, segment.stop)]
-    times = np.unique([*ends, *np.linspace(min(ends), max(ends), PATH_CHECKS)])
-    inside = surface.edge_distances(times, tip.sample(times)[0])
-    if (k := int(np.argmin(inside))) is not None and inside[k] < -ON_EDGE:
-        beyond = np.flatnonzero(inside < -ON_EDGE)[0]
-        keys = " and ".join(tip.keys) or "reference"
-        raise ScenarioError(
-            f"{keys}: at t = {times[beyond]:.4g} s the path leaves the surface over its edge, by {-inside[k]:.4g} m at "
-            f"most: make it shorter, or surface.{_edge_key(surface.section)} larger"
-        )
-
-
-def _edge_key(section: Surface) -> str:
-    """Return the key that says where the edge is."""
-    if section.edge_radius is not None:
-        return "edge_radius"
-    return "extent" if section.extent is not None or not hasattr(section, "spacing") else "spacing"
-
-
 def _path_key(scenario: Scenario, surface: PlacedSurface) -> Hashable:
     """Return what of the surface the path depends on."""
     if surface.fixed_plane:
@@ -377,7 +352,7 @@ def _surface(scenario: Scenario, robot: Robot, q: Array, v: Array) -> tuple[Plac
     now = surface.touching(tip, terms.jacobian @ v)
     if now.inside < 0.0 and (section.contact == "bilateral" or soft):
         raise ScenarioError(
-            f"surface.{_edge_key(section)}: the tip starts {-now.inside:.4g} m beyond the edge of the surface; "
+            f"surface.{edge_key(section)}: the tip starts {-now.inside:.4g} m beyond the edge of the surface; "
             'make it larger, or start the tip on it, or use contact = "unilateral" without compliance'
         )
     exact = surface.below_start and isinstance(section, PlaneSurface) and not soft

@@ -40,10 +40,6 @@ from closedloop.user_code import of_users
 Array = NDArray[np.float64]
 
 
-# Share by which a velocity may differ from differences of what it is the velocity of; and m/s.
-WRONG_RATE = 1e-2
-
-
 class Touching(NamedTuple):
     """A point and the surface at an instant.
 
@@ -189,59 +185,21 @@ class PlacedSurface:
         inside = edge_distance(touch.at, ask.bounds)
         return Touching(gap, ask.frame.copy(), touch.carried.copy(), touch.turning.copy(), float(touch.level), inside)
 
-    def edge_distances(self, times: Array, r: Array) -> Array:
-        """Return how far inside the edge points r (N, 3), m, base frame, are at times (N,), s: (N,), m."""
-        if not self.ends:
-            return np.full(times.size, math.inf)
-        bounds, axes, found = np.array(self.section.bounds()), self.frame[[1, 2, 0]], np.empty(times.size)
-        for k, t in enumerate(times):
-            turn, shift = self.displacement(float(t))
-            found[k] = edge_distance(axes @ (turn.T @ (r[k] - shift) - self.origin), bounds)
-        return found
+    def pose(self, t: float) -> Pose:
+        """Return where a surface that moves is at t, s, and how it moves: until it is asked again."""
+        links, ask = self._interpreted
+        ask.time = t
+        with of_users(self.motion, "surface_motion.kind"):
+            interpreted(motion_entry(type(self.motion)))(int(links.address), 0)
+        return Pose(ask.pose)
 
     def displacement(self, t: float) -> tuple[Array, Array]:
         """Return the rotation (3, 3) and the shift (3,), m, base frame, by which it is displaced at t, s."""
         if not self.moves:
             return np.eye(3), np.zeros(3)
-        links, ask = self._interpreted
-        ask.time = t
-        with of_users(self.motion, "surface_motion.kind"):
-            interpreted(motion_entry(type(self.motion)))(int(links.address), 0)
-        pose = Pose(ask.pose)
-        turn: Array = pose.axes.T @ ask.axes
+        pose, axes = self.pose(t), self._interpreted.ask.axes
+        turn: Array = pose.axes.T @ axes
         return turn, pose.origin - turn @ self.origin
-
-    def check_rates(self, duration: float) -> None:
-        """Refuse a motion of a user's own whose velocity is not the rate of its displacement, from 0 to `duration`, s.
-
-        It is compared with differences, to a hundredth: a velocity that was forgotten is meant, not its last digits.
-
-        Raises
-        ------
-        ScenarioError
-            If the surface moves otherwise than its velocity says.
-        """
-        if not is_users(self.motion):
-            return
-        h = 1e-6 * duration
-        for t in duration * np.array([0.1234, 0.4321, 0.7531]):
-            points = [self._displaced_axes(t + side * h) for side in (-1.0, 1.0)]
-            moved = (points[1] - points[0]) / (2.0 * h)
-            now = self._displaced_axes(t)
-            pose = Pose(self._interpreted.ask.pose)
-            said = pose.velocity + np.cross(pose.spin, now - pose.origin)
-            if np.max(np.abs(moved - said)) > WRONG_RATE * max(float(np.max(np.abs(moved))), WRONG_RATE):
-                worst = int(np.argmax(np.max(np.abs(moved - said), axis=1)))
-                raise ScenarioError(
-                    f"surface_motion.kind = {self.motion.kind}: at t = {t:.4g} s the surface moves with "
-                    f"{np.round(moved[worst], 6).tolist()} m/s, and says {np.round(said[worst], 6).tolist()} m/s: "
-                    "`rate` and `shift_rate` must be the derivatives of `angle` and `shift`"
-                )
-
-    def _displaced_axes(self, t: float) -> Array:
-        """Return where the origin and the ends of the three axes are at t, s: (4, 3), m, base frame."""
-        turn, shift = self.displacement(t)
-        return (self.origin + np.vstack([np.zeros(3), self.frame])) @ turn.T + shift
 
     def _say_what_is_raised(self, memory: SurfaceMemory, t: float, r: Array) -> None:
         """Ask a user's class again, interpreted, at a point r (3,), m, and an instant t, s; it may raise something."""

@@ -142,7 +142,7 @@ def test_completion_knows_commands_options_and_keys(closedloop):
     assert {"--out", "--strict", "--law.kp", "--time.step"} <= set(words.options["run"])
     assert words.values["--law.kind"] == LAWS.names()
     assert words.values["--engine"] == ["pinocchio", "compiled"]
-    assert words.arguments["study"] == ["drift", "controllers"]
+    assert words.arguments["study"] == ["drift", "controllers", "surfaces"]
     script = bash(words)
     ask = (
         f'{script}\nCOMP_WORDS=(closedloop run wam_slide --law.k); COMP_CWORD=3; _closedloop; echo "${{COMPREPLY[@]}}"'

@@ -13,11 +13,11 @@ MASS, PRESS = 2.0, 5.0
 
 def point_mass(**changes):
     """Return the scenario of a point mass of three slides that is carried, and pressed down with PRESS."""
-    return cl.load_scenario("wam_slide", {
+    own = {} if "surface" in changes else {"surface.contact": "unilateral", "surface.extent": [0.1, 0.2]}
+    return cl.load_scenario("wam_slide", own | {
         "robot.model": "pointmass3", "robot.tip": "tip", "start.q": [0.0, 0.0, 0.0], "start.v": [0.0, 0.0, 0.0],
         "reference": {"kind": "hold"}, "law": {"kind": "paper", "kp": 0.0, "kd": 0.0, "force": PRESS},
         "stabiliser": {"kind": "none"}, "time.integrator": "rk4", "time.duration": 0.6, "time.step": 0.001,
-        "surface.contact": "unilateral", "surface.extent": [0.1, 0.2],
     } | {key.replace("__", "."): value for key, value in changes.items()})  # fmt: skip
 
 

@@ -1,6 +1,7 @@
 """Contact with surfaces that are curved, move, rub or give way: the loop's rows against the paper's Eqs. 2–3 by hand.
 
-cases    random states on random surfaces
+cases    a state on a surface, and the same for the equations by hand
+draw     random ones
 answers  what the oracle, the loop's two engines and the peers say of a case
 compare  the tables of the harness
 faults   faults planted in each new term, and what catches them

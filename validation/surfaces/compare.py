@@ -21,7 +21,8 @@ from validation.oracle.spatial import Array
 from validation.random_trees import random_robot
 from validation.report import Check, Section
 from validation.surfaces.answers import Answer, Scales, ask_loop, ask_oracle, ask_peer
-from validation.surfaces.cases import MATERIALS, SHAPES, SMOOTH, Case, draw_case
+from validation.surfaces.cases import MATERIALS, SHAPES, SMOOTH, Case
+from validation.surfaces.draw import draw_case
 from validation.tolerances import Tolerance
 
 ON_SURFACES = Tolerance(

@@ -27,8 +27,9 @@ from validation.oracle.spatial import Array
 from validation.oracle.surface import Shape, SurfaceContact
 from validation.plant import Catch
 from validation.surfaces.answers import ask_loop, ask_oracle, problem_of
-from validation.surfaces.cases import MATERIALS, SMOOTH, SOFT, Case, Tumble, draw_case, oracle_with_tool
+from validation.surfaces.cases import MATERIALS, SMOOTH, SOFT, Case, Tumble, oracle_with_tool
 from validation.surfaces.compare import LOOPS, ON_SURFACES, errors
+from validation.surfaces.draw import draw_case
 
 # So many cases that have what a fault touches.
 CASES = 3

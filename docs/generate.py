@@ -16,6 +16,7 @@ from unittest.mock import patch
 import closedloop
 from closedloop.command.table import COMMANDS, imported, overview
 from closedloop.events.table import EVENT_COLUMNS
+from closedloop.record.derived import DERIVED
 from closedloop.record.run import ALL_COLUMNS, ARM_COLUMNS, COLUMNS
 from closedloop.scenario import describe
 
@@ -100,6 +101,12 @@ def columns() -> Iterator[str]:
             comma = "," if len(ALL_COLUMNS[name].dims) == 1 else ""
             rows.append((f"`{name}`", f"({shape}{comma})", ALL_COLUMNS[name].units, ALL_COLUMNS[name].meaning))
         yield from table(("column", "shape", "unit", "meaning"), rows)
+    yield from ("", "## Worked out from the others", "")
+    yield "They are attributes of a run, and stand in CSV and pandas, but not in `run.nc`: they follow from it."
+    shapes = {("time",): "(N,)", ("time", "axis"): "(N, 3)", ("time", "component"): "(N, 6)"}
+    derived = ((f"`{name}`", shapes[each.dims], each.units, each.meaning) for name, each in DERIVED.items())
+    yield ""
+    yield from table(("column", "shape", "unit", "meaning"), derived)
     yield from (
         "",
         "`run.events` has the same table row by row, as `closedloop.Event`, with the kind as a word.",

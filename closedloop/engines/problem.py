@@ -14,9 +14,11 @@ from closedloop.control.compensation.none import NoCompensation
 from closedloop.control.drives import DrivesSection
 from closedloop.control.encoder import MEASURED_VELOCITY, NO_ENCODER, encoder_kind
 from closedloop.control.law import Compensation, ControlLaw
+from closedloop.control.law_input import LawInput
 from closedloop.control.sensor import PackedSensor, SensorSection, start_sensor
-from closedloop.errors import LawError, ScenarioError
-from closedloop.events.phases import MEASURED, PROJECTION, STEP_END
+from closedloop.errors import ClosedLoopError, LawError, ScenarioError
+from closedloop.events.phases import MEASURED, PROJECTION, STEP_END, TOUCHING
+from closedloop.families import is_users
 from closedloop.friction.contact import Contact
 from closedloop.friction.law import FrictionLaw
 from closedloop.friction.laws.none import NoFriction
@@ -25,10 +27,12 @@ from closedloop.impact.restitution import RESTITUTIONS, Restitution, coefficient
 from closedloop.integrators import Scheme
 from closedloop.jit.calls import entry_address
 from closedloop.jit.interpreted import interpreted, twin_address
+from closedloop.loops.bind import loop_memory
 from closedloop.parameters import one_joint_block, pack, pack_each_joint, parameter_block, per_joint, state_block
 from closedloop.reference.desired import Desired
 from closedloop.robot.pinocchio import Robot
 from closedloop.scenario.scenario import BaumgarteGains, ModelErrorSection, Scenario
+from closedloop.step.closed_loops import closed_loops
 from closedloop.step.entries import friction_entry, joint_friction_entry, law_entry
 from closedloop.step.memory import (
     ELASTIC_STICK,
@@ -47,7 +51,7 @@ from closedloop.step.soft_contact import compliance_entry
 from closedloop.surface.compliances.none import Rigid
 from closedloop.surface.placed import PlacedSurface
 from closedloop.surface.plane import Plane
-from closedloop.user_code import of_users, why_not_compiled
+from closedloop.user_code import of_users, why_member_not_compiled
 
 Array = NDArray[np.float64]
 
@@ -83,9 +87,10 @@ def pack_law(section: ControlLaw | Compensation, n: int, joint_names: Sequence[s
     Raises
     ------
     ScenarioError
-        If a list has not one entry a joint.
+        If a list has not one entry a joint, or a user's law lacks a function.
     """
     where = "law" if isinstance(section, ControlLaw) else "compensation"
+    type(section).check_functions(f"{where}.kind")
     return PackedLaw(type(section), pack(section, n, where, joint_names), state_block(type(section)).count(n))
 
 
@@ -210,7 +215,7 @@ class Problem:
     @property
     def general(self) -> bool:
         """Whether the general form of the loop is needed."""
-        return needs_general_form(self.scenario)
+        return needs_general_form(self.scenario) or bool(self.robot.model.loops)
 
     @property
     def row_width(self) -> int:
@@ -232,12 +237,9 @@ class Problem:
         surface, joints = self.friction.states, self.joint_friction.states
         motors = 2 * n if self.scenario.transmission.elastic else 0
         extra = both + self.sensor.states + surface + n * joints + motors
-        sizes = {
-            "law": law.numbers.size, "compensation": compensation.numbers.size, "friction": self.friction.numbers.size,
-            "joint_friction": self.joint_friction.numbers.shape[1], "compliance": self.compliance.numbers.size,
-            "extra": extra,
-        }  # fmt: skip
-        loop = make_loop(n, **sizes, stages=self.integrator.stages, ring=self.sensor.ring)
+        loop = make_loop(
+            n, **self._sizes(), extra=extra, stages=self.integrator.stages, ring=self.sensor.ring
+        )  # fmt: skip
         state = loop.state
         state.own_law_states, state.law_states = own, both
         state.friction_states, state.joint_states, state.sensor_states = surface, joints, self.sensor.states
@@ -246,12 +248,31 @@ class Problem:
             memory = self.surface.memory()
             state.surface_at = memory.address
             loop.w.keep_alive(surface=memory)
+        if self.robot.model.loops:
+            loops = loop_memory(self.robot)
+            state.loops_at, loops.links.loop = loops.address, state.address
+            loop.w.keep_alive(loops=loops)
         self._set_constants(loop.constants)
         self._set_start(state, loop.w)
         if state.encoder != NO_ENCODER and state.phase == STEP_END:
             interpreted(read_joints)(loop.w, loop.constants, state, self.table)
             state.phase = MEASURED
         return loop
+
+    def constants(self) -> Constants:
+        """Return the constants of the loop's memory, by themselves."""
+        sizes = self.robot.n, *self._sizes().values()
+        constants = Constants(np.zeros(Constants.count(*sizes)), *sizes)
+        self._set_constants(constants)
+        return constants
+
+    def _sizes(self) -> dict[str, int]:
+        """Return how many numbers the parameters of each member are, in the order of `Constants`."""
+        return {
+            "law": self.law.numbers.size, "compensation": self.compensation.numbers.size,
+            "friction": self.friction.numbers.size, "joint_friction": self.joint_friction.numbers.shape[1],
+            "compliance": self.compliance.numbers.size,
+        }  # fmt: skip
 
     def entries(self, user_law: bool = False) -> dict[str, Any]:
         """Return what the loop calls by address, by the names that `State` has for it; see `loop` for `user_law`."""
@@ -290,14 +311,13 @@ class Problem:
             try:
                 setattr(loop.state, name, address(entry))
             except Exception as error:
-                from numba import NumbaError
-
-                if not isinstance(error, NumbaError):
+                member, known = getattr(self.scenario, name), {"LawInput": LawInput._fields}
+                if not is_users(member) or isinstance(error, ClosedLoopError):
                     raise
-                kind = getattr(self.scenario, name).kind
-                raise ScenarioError(
-                    f"{name}.kind = {kind}: numba cannot compile it: {why_not_compiled(error)}"
-                ) from None
+                why = why_member_not_compiled(error, type(member), known)
+                raise ScenarioError(f"{name}.kind = {member.kind}: cannot be compiled: {why}") from None
+        if loop.state.loops_at != 0:
+            loop.state.loops = address(closed_loops)
         if loop.state.surface_motion != 0:
             loop.w.kept["surface"].links.motion = loop.state.surface_motion
         if user_law is not None:
@@ -321,13 +341,15 @@ class Problem:
         constants.torque_limit[:], constants.torque_change[:] = self.drives
         constants.compliance[:] = self.compliance.numbers
         constants.friction[:], constants.joint_friction[:] = self.friction.numbers, self.joint_friction.numbers
-        tip = self._tip()
-        with of_users(self.friction.member, "friction.kind"):
-            constants.impact_friction = tip.kinetic_level
-            constants.capture_speed, constants.lag = tip.capture_speed, tip.lag
-        with of_users(self.joint_friction.member, "joint_friction.kind"):
-            for j, joint in enumerate(self._joints()):
-                constants.joint_capture_speed[j], constants.joint_lag[j] = joint.capture_speed, joint.lag
+        if self.friction.member is not NoFriction:  # whose numbers are zero, as the memory is
+            tip = self._tip()
+            with of_users(self.friction.member, "friction.kind"):
+                constants.impact_friction = tip.kinetic_level
+                constants.capture_speed, constants.lag = tip.capture_speed, tip.lag
+        if self.joint_friction.member is not NoFriction:
+            with of_users(self.joint_friction.member, "joint_friction.kind"):
+                for j, joint in enumerate(self._joints()):
+                    constants.joint_capture_speed[j], constants.joint_lag[j] = joint.capture_speed, joint.lag
 
     def _set_state(self, state: State) -> None:
         state.steps, state.hold, state.nodes_per_step = self.steps, self.hold, self.nodes
@@ -356,7 +378,9 @@ class Problem:
         u = self.frame @ velocity
         w.anchor[:] = self.frame @ terms.position
         if not self.surface.fixed_plane:
-            u -= self.surface.touching(terms.position, velocity).carried
+            now = self.surface.touching(terms.position, velocity)
+            u -= now.carried
+            state.beside = self.mode == FREE and now.inside < 0.0 and now.gap <= TOUCHING
             w.anchor[:] = self.surface.frame[[1, 2, 0]] @ (terms.position - self.surface.origin)
         slip = float(np.hypot(u[1], u[2]))
         if slip > 0.0:

@@ -51,6 +51,8 @@ def question(
     robot = {name: getattr(model, name) for name in ("name", "format", "tip", "description", "source")}
     robot |= {name: getattr(model, name).tolist() for name in ("armature", "home", "gravity")}
     robot["locked"] = dict(model.locked)
+    if model.loops:  # a tree has none, in files of any version
+        robot |= {"loops": [loop.as_table() for loop in model.loops], "drives": list(model.drives)}
     return {
         "scenario": scenario.to_toml(),
         "robot_text": model.text,

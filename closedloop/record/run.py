@@ -18,6 +18,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from closedloop.events.table import EVENT_COLUMNS, KINDS
+from closedloop.loops.reactions import LoopReactions, loop_reactions
+from closedloop.record.derived import DERIVED, tip_force
+from closedloop.scenario.arm import robot_of
 from closedloop.scenario.scenario import Scenario
 from robot_models import RobotModel
 
@@ -117,7 +120,7 @@ class Event(NamedTuple):
     time : float
         Instant, s.
     kind : str
-        "impact", "touchdown", "liftoff", "stick", "slip" or "reversal".
+        "impact", "touchdown", "liftoff", "stick", "slip", "reversal" or "edge".
     rate_before, rate_after : float
         Rate of the closure error just before and just after it, m/s.
     rate_cut : float
@@ -165,7 +168,8 @@ class Run:
 
     Every column in `COLUMNS`, and in `ARM_COLUMNS` where the scenario asks for it, is also an attribute: `run.time`
     (N,), `run.q` (N, n), `run.position` (N, 3), `run.contact_force` (N,) ... So is every column of the table of events
-    (`closedloop.events.table.EVENT_COLUMNS`), which `run.events` reads row by row. All are read-only.
+    (`closedloop.events.table.EVENT_COLUMNS`), which `run.events` reads row by row; and what follows from them,
+    `closedloop.record.derived.DERIVED`, such as `run.wrist_wrench` (N, 6). All are read-only.
 
     Attributes
     ----------
@@ -203,7 +207,8 @@ class Run:
     member_digests: Mapping[str, str] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
-        for column in self.columns.values():
+        derived = (self.__dict__[name] for name in DERIVED if name in self.__dict__)
+        for column in (*self.columns.values(), *derived):
             column.setflags(write=False)
 
     def __setstate__(self, state: dict[str, Any]) -> None:
@@ -215,10 +220,15 @@ class Run:
         if name in COLUMNS or (name in ARM_COLUMNS and name in self.columns):
             column: NDArray[Any] = self.columns[name]
             return column
-        raise AttributeError(f"a Run has no '{name}'; its columns are {', '.join(columns_there(self.columns))}")
+        if name in DERIVED:
+            column = self.__dict__[name] = DERIVED[name].of(self)  # once: then it is found without asking here
+            column.setflags(write=False)
+            return column
+        there = ", ".join((*columns_there(self.columns), *DERIVED))
+        raise AttributeError(f"a Run has no '{name}'; its columns are {there}")
 
     def __dir__(self) -> list[str]:
-        return [*super().__dir__(), *columns_there(self.columns)]
+        return [*super().__dir__(), *columns_there(self.columns), *DERIVED]
 
     def __len__(self) -> int:
         return int(self.columns["time"].size)
@@ -239,13 +249,21 @@ class Run:
 
         return summarise(self)
 
+    @cached_property
+    def loops(self) -> LoopReactions | None:
+        """What the loop joints of a mechanism carried, worked out when it is asked for; None of a tree."""
+        if not self.model.loops:
+            return None
+        robot, torque = robot_of(self.scenario, self.model), self.torque + self.joint_friction
+        return loop_reactions(robot, self.q, self.v, self.acceleration, torque, tip_force(self))
+
     def summary(self) -> dict[str, Any]:
         """Return what the command line prints and writes as summary.json; see `closedloop.report`."""
         return deepcopy(self._summary)
 
     def units(self, name: str) -> str:
         """Return the unit of a column; of a robot that turns and slides both, by joint type ("rad | m")."""
-        spec = ALL_COLUMNS[name]
+        spec = ALL_COLUMNS[name] if name in ALL_COLUMNS else DERIVED[name]
         sliding = spec.units.replace("rad", "m").replace("N m", "N")
         if "joint" not in spec.dims or sliding == spec.units:
             return spec.units
@@ -281,8 +299,9 @@ class Run:
         """
         from closedloop.record.frame import data_frame
 
-        dims = {name: spec.dims for name, spec in columns_there(self.columns).items() if spec.dims[0] == "time"}
-        return data_frame(self.columns, dims, self.model.joint_names, self.units)
+        known = columns_there(self.columns) | DERIVED
+        dims = {name: spec.dims for name, spec in known.items() if spec.dims[0] == "time"}
+        return data_frame({name: getattr(self, name) for name in dims}, dims, self.model.joint_names, self.units)
 
     def plot(self) -> Figure:
         """Return a matplotlib figure of the force's error, the tip's errors and the path from above.
@@ -333,7 +352,7 @@ class Run:
         ScenarioError
             If the path has another ending, or the run has no rows.
         OutputError
-            If the file cannot be written, or ffmpeg is not installed and a .mp4 is asked for.
+            If the file cannot be written, or a .mp4 is asked for and there is no ffmpeg.
         """
         film: Path = _drawn(self, "animate", path, speed=speed, frames_per_second=frames_per_second)
         return film

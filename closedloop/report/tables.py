@@ -12,7 +12,7 @@ from closedloop.events.table import IMPACT, TOUCHDOWN
 from closedloop.friction.law import FrictionLaw
 from closedloop.integrators import ADAPTIVE, scheme_of
 from closedloop.report.summary import joint_measures, run_gains_fault
-from closedloop.report.verdict import GOOD, names_of
+from closedloop.report.verdict import GOOD, names_of, probable_reason
 from robot_models.notes import notes as robot_notes
 
 if TYPE_CHECKING:
@@ -131,7 +131,9 @@ def _print_verdict(verdict: dict[str, Any], console: Console) -> None:
     if verdict["good"]:
         console.print(f"verdict: [green]{GOOD}[/]")
         return
-    console.print(f"verdict: [bold red]BAD[/]: {names_of(problems)}", soft_wrap=True)  # one line, whatever the width
+    reason = probable_reason(problems)
+    why = f" ({reason})" if reason else ""
+    console.print(f"verdict: [bold red]BAD[/]: {names_of(problems)}{why}", soft_wrap=True)  # one line, at any width
     for problem in problems:
         when = "" if problem["at"] is None else f" (from {problem['at']:.4g} s)"
         console.print(f"  [bold red]{problem['name']}[/]: {escape(problem['text'])}{when}")
@@ -140,6 +142,25 @@ def _print_verdict(verdict: dict[str, Any], console: Console) -> None:
 def report_rows(run: Run) -> list[tuple[str, str, str, str]]:
     """Return the rows of the table of errors: quantity, value, unit, and what stands beside it; the run has rows."""
     return _error_rows(run, run.summary())
+
+
+def _loop_rows(run: Run) -> list[tuple[str, str, str, str]]:
+    """Return how far the loops of a mechanism were from closed, and what they carried."""
+    found = run.loops
+    if found is None:
+        return []
+    worst = int(np.argmax(np.max(np.abs(found.errors), axis=0)))
+    m, least, most = found.errors.shape[1], int(np.min(found.rank)), int(np.max(found.rank))
+    ranks = f"{least}" if least == most else f"{least} to {most}"
+    rows = [("loops: error", f"{np.max(np.abs(found.errors)):.2g}", "m (rad)", found.labels[worst])]
+    for unit in ("N", "N m"):
+        at = [k for k, own in enumerate(found.units) if own == unit]
+        if at:
+            largest = max(at, key=lambda k: float(np.max(np.abs(found.reactions[:, k]))))
+            size = float(np.max(np.abs(found.reactions[:, largest])))
+            rows.append(("loops: reaction", f"{size:.4g}", unit, found.labels[largest]))
+    spare = "; reactions of least norm" if least < m else ""
+    return [*rows, ("loops: independent rows", ranks, "", f"of {m}{spare}")]
 
 
 def _joint_rows(run: Run) -> list[tuple[str, str, str, str]]:
@@ -154,6 +175,19 @@ def _joint_rows(run: Run) -> list[tuple[str, str, str, str]]:
         j = int(np.argmax(share))
         if np.any(np.isfinite(limit)):
             rows.append((title, f"{100.0 * share[j]:.3g}", "%", f"joint {run.model.joint_names[j]}"))
+    return rows
+
+
+def _tool_rows(run: Run, facts: dict[str, Any]) -> list[tuple[str, str, str, str]]:
+    """Return how the tool is turned, where that is asked for, and what it bears, if the arm carries one."""
+    rows, wrist, tool = [], facts["wrist"], facts["tool"]
+    if tool is not None:
+        error, angle = _shown(tool["max_orientation_error"], ".3g"), _shown(tool["max_angle"], ".3g")
+        rows.append(("tool from its orientation", error, "deg", f"its axis {angle} deg from the normal"))
+    if wrist is not None:
+        force, moment = _shown(wrist["max_force"], ".4g"), _shown(wrist["max_moment"], ".4g")
+        at = f"at the frame {run.scenario.robot.tip or run.model.tip}"
+        rows.append(("force between arm and tool", force, "N", f"moment {moment} N m, {at}"))
     return rows
 
 
@@ -216,7 +250,9 @@ def _error_rows(run: Run, facts: dict[str, Any]) -> list[tuple[str, str, str, st
             f"{time.integrator}, {step}",
         ),
         ("tip speed", _shown(facts["max_tip_speed"], ".4g"), "m/s", ""),
+        *_loop_rows(run),
         *_joint_rows(run),
+        *_tool_rows(run, facts),
         *_limited_rows(run),
         *_contact_rows(run, facts),
     ]
@@ -270,7 +306,7 @@ def _print_events(run: Run, console: Console) -> None:
 
 def _event_row(event: Event) -> tuple[str, ...]:
     """Return the cells of an event: rates where contact begins or ends, impulses and energy of an impact."""
-    normal = event.kind in ("impact", "touchdown", "liftoff")
+    normal = event.kind in ("impact", "touchdown", "liftoff", "edge")
     impact = event.kind in ("impact", "touchdown")
     return (
         f"{event.time:.6f}",

@@ -53,6 +53,8 @@ STEPS_TO_AN_EVENT = 20
 # (`closedloop.simulation.prepare.START_GAP`) and comes to it from there.
 CLOSURE_BOUND = 1e-4
 
+# What a run says that stopped by it (`closedloop.engines.failures`).
+DIVERGES = "the motion diverges"
 # Problems with which gains that the step cannot carry show.
 SHAKEN = {"stopped", "energy", "chatter", "closure"}
 
@@ -142,6 +144,21 @@ def judge(facts: Facts, gains: Callable[[], str]) -> list[dict[str, Any]]:
 def names_of(problems: Sequence[Mapping[str, Any]]) -> str:
     """Return "good", or the names of the problems, each once, as a column of a table has them."""
     return ", ".join(dict.fromkeys(problem["name"] for problem in problems)) or GOOD
+
+
+def probable_reason(problems: Sequence[Mapping[str, Any]]) -> str:
+    """Return in words that an instability is the probable reason of these problems, "" where they do not look like one.
+
+    One of many problems is the cause, and the others follow: a loop that is unstable breaks every bound in the end.
+    """
+    said = {problem["name"]: problem["text"] for problem in problems}
+    if "gains" in said:
+        return "probably unstable: gains that the step cannot carry"
+    if DIVERGES in said.get("stopped", ""):
+        return "probably unstable: the feedback drives the arm away"
+    if {"energy", "chatter"} <= said.keys():
+        return "probably unstable: it shakes from step to step"
+    return ""
 
 
 def energy_bound(facts: Facts) -> float:

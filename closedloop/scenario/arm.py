@@ -1,39 +1,51 @@
-"""The arm of a scenario: a robot with its tip, the tool on it and the payload in it."""
+"""The arm of a scenario: a robot with its tip, gravity, the tool on it and the payload in it."""
 
 from __future__ import annotations
 
 from dataclasses import replace
+from typing import Any
+
+import numpy as np
 
 from closedloop.errors import ScenarioError
 from closedloop.friction.law import JointFriction
 from closedloop.friction.laws.coulomb_viscous import JointCoulombViscous
 from closedloop.robot.pinocchio import Robot
 from closedloop.scenario.scenario import Scenario, ToolSection
+from closedloop.surface.plane import unit
 from robot_models import RobotModel, Tool
 from robot_models.joint_dynamics import joint_dynamics
 
 
 def robot_of(scenario: Scenario, model: RobotModel) -> Robot:
-    """Return the robot of a scenario, with its tool, payload and elastic joints, from the model without them.
+    """Return the robot of a scenario, with its gravity, tool, payload and elastic joints, from the model without them.
 
     Raises
     ------
+    ScenarioError
+        If the tool's axis has no direction, or a tool without mass has a centre of mass or a tensor.
     ModelError
         If it has no such tip, or no body has such a tensor.
     """
     tool, payload = scenario.tool, scenario.model_error.payload
     tip = model.tip if scenario.robot.tip is None else scenario.robot.tip
     tools = []
-    if tip is not None and tool != ToolSection():
+    unit(tool.axis, "tool.axis")
+    if tool.mass == 0.0 and (any(tool.centre) or any(tool.inertia)):
+        raise ScenarioError("tool.mass = 0: a tool with a centre of mass or a tensor has a mass; give it, in kg")
+    if tip is not None and tool != ToolSection(axis=tool.axis):
         model.require_frame(tip)
         tools.append(Tool(tip, tool.offset, tool.mass, tool.centre, tool.inertia))
         tools[0].tensor()
     if tip is not None and payload:
         model.require_frame(tip)
         tools.append(Tool(tip, mass=payload))  # at the tip as the tool has it
-    if tools or scenario.transmission.elastic:
-        model = replace(model, tools=tuple(tools), elastic=scenario.transmission.elastic)
-    return Robot(model, scenario.robot.tip)
+    changes: dict[str, Any] = {"tools": tuple(tools)} if tools else {}
+    if scenario.robot.gravity is not None:
+        changes["gravity"] = np.array(scenario.robot.gravity)
+    if scenario.transmission.elastic:
+        changes["elastic"] = True
+    return Robot(replace(model, **changes) if changes else model, scenario.robot.tip)
 
 
 def joint_friction_of(scenario: Scenario, model: RobotModel) -> JointFriction:

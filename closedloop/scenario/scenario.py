@@ -38,6 +38,7 @@ from closedloop.sections import (
     JOINT_SPEED,
     PLACE,
     STEP,
+    Direction,
     Flag,
     NotNegative,
     Number,
@@ -56,6 +57,7 @@ from robot_models.load import names_a_file
 from robot_models.toml_text import toml_tables
 
 Coordinate = Annotated[Number, PLACE]
+GRAVITY = Annotated[Number, Size(1e4, "m/s²", "no body pulls so hard")]
 MASS = Size(1e6, "kg", "no arm carries so much", 1e-9)
 Moment = Annotated[Number, Size(1e9, "kg m²", "no tool is so large")]
 TILT = Size(1.5, "rad", "the controller would press along the surface")
@@ -84,6 +86,9 @@ class RobotSection(Section):
     lock: dict[str, Annotated[Number, ANGLE]] | None = Field(
         None, description="joints held rigid, and where, rad (m); the model's own choice if left out"
     )
+    gravity: tuple[GRAVITY, GRAVITY, GRAVITY] | None = Field(
+        None, description="gravity in the base frame, m/s²; the model's own if left out: of a URDF [0, 0, -9.81]"
+    )
 
 
 RestitutionName = Annotated[str, OneOf(RESTITUTIONS)]
@@ -101,6 +106,9 @@ class ToolSection(Section):
     )
     inertia: tuple[Moment, Moment, Moment, Moment, Moment, Moment] = Field(
         (0.0,) * 6, description="tensor about the centre of mass, kg m²: xx, yy, zz, xy, xz, yz"
+    )
+    axis: Direction = Field(
+        (0.0, 0.0, 1.0), description="axis of the tool, out of it at its tip, axes of the frame robot.tip; any length"
     )
 
 
@@ -154,6 +162,9 @@ class StartSection(Section):
     v: Annotated[PerJoint, JOINT_SPEED] | None = Field(
         None, description="joint velocities, rad/s (m/s); at rest if left out"
     )
+    assemble: Flag = Field(
+        False, description="of a mechanism with loops: start at the closed posture nearest to start.q, however far"
+    )
 
 
 def _time_constant(value: Any) -> Any:
@@ -174,7 +185,9 @@ TimeConstant = Annotated[float | Literal["auto"], BeforeValidator(_time_constant
 class BaumgarteGains(Section):
     """Parameters of Baumgarte's stabiliser: s_v = 2ζ/T, s_p = 1/T²."""
 
-    damping_ratio: Annotated[NotNegative, DAMPING_RATIO] = Field(0.707, description="ζ")
+    damping_ratio: Annotated[NotNegative, DAMPING_RATIO] = Field(
+        0.707, description="damping ratio ζ with which the closure error dies out"
+    )
     time_constant: Annotated[TimeConstant, TIME_CONSTANT] = Field(
         0.001, description='T, s, or "auto": two steps, or twice the shortest stable T where that is longer'
     )
@@ -348,8 +361,9 @@ def load_scenario(name: str | Path, overrides: Mapping[str, Any] | None = None) 
         A shipped name (see `shipped_scenarios`) or a path to a .toml file.
     overrides : mapping, optional
         Dotted keys and values laid over the file before it is checked, such as ``{"law.force": 15.0}``. Overriding a
-        `kind` drops the keys of the old kind that the new one does not know. A user's class is named here, as
-        ``{"reference.kind": "my_module:MyPath"}`` or by the class itself.
+        `kind` drops the keys of the old kind that the new one does not know, if the file has them: of those given here
+        none is dropped. A user's class is named here, as ``{"reference.kind": "my_module:MyPath"}`` or by the class
+        itself.
 
     Raises
     ------
@@ -388,8 +402,8 @@ def scenario_of(
 ) -> Scenario:
     """Check a scenario given as the tables of its file; `data` is written to. See `parse_scenario`."""
     try:
-        for key, value in overrides.items():
-            _override(data, key, deepcopy(value))
+        for key in sorted(overrides, key=_turn):
+            _override(data, key, deepcopy(overrides[key]))
         return Scenario.model_validate(data, context={KEEP_ABSENT: keep_absent})
     except RecursionError:
         raise ScenarioError(f"{where}: a value is nested too deeply") from None
@@ -397,6 +411,11 @@ def scenario_of(
         from closedloop.scenario.messages import explain
 
         raise ScenarioError(*(f"{where}: {fault}" for fault in explain(error, data))) from None
+
+
+def _turn(key: str) -> int:
+    """Return when a key is laid over the file: sections before kinds, and kinds, which drop keys, before others."""
+    return 2 if not key.endswith(".kind") and "." in key else int("." in key)
 
 
 def _override(data: dict[str, Any], key: str, value: Any) -> None:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Hashable
+from collections.abc import Callable, Hashable
 from dataclasses import replace
 from typing import Any
 
@@ -32,6 +32,7 @@ from closedloop.errors import ScenarioError
 from closedloop.events.phases import RESTING, TOUCHING
 from closedloop.friction.law import JOINT_LAWS, SURFACE_LAWS, JointFriction
 from closedloop.integrators import ADAPTIVE, INTEGRATORS, Scheme
+from closedloop.loops.assemble import closed_start
 from closedloop.parameters import lists_per_joint, pack
 from closedloop.reference.desired import Desired, desired
 from closedloop.reference.force import force_at
@@ -39,12 +40,14 @@ from closedloop.robot.pinocchio import Robot
 from closedloop.scenario.arm import joint_friction_of, robot_of
 from closedloop.scenario.gains import check_transmission
 from closedloop.scenario.members import refuse_absent
-from closedloop.scenario.scenario import BaumgarteGains, Scenario
+from closedloop.scenario.scenario import BaumgarteGains, ModelErrorSection, Scenario
+from closedloop.sections import Section
 from closedloop.simulation.cache import Cache
 from closedloop.step.record_row import row_width
 from closedloop.surface.compliances.none import Rigid
 from closedloop.surface.kinds.plane import PlaneSurface
 from closedloop.surface.placed import PlacedSurface, Touching
+from closedloop.surface.plane import unit
 from closedloop.surface.surface import Surface
 from closedloop.user_code import of_users
 from robot_models import RobotModel
@@ -62,10 +65,15 @@ START_RATE = 1e-4
 # Default relative tolerance of an adaptive integrator. With friction at the tip 1e-12 takes 16 s of processor time for
 # the 8 s of wam_slide_friction, and 1e-9 takes 6 s: break-away and sticking are then within 2e-8 s of those at 1e-12.
 TOLERANCE, TOLERANCE_WITH_FRICTION = 1e-12, 1e-9
+# Instants, beside the ends of its segments, at which a path is looked for beyond the edge of a surface; how far beyond
+# is rounding, m.
+PATH_CHECKS, ON_EDGE = 500, 1e-9
 # A path on a surface that moves goes on this much longer than the run, so that its last row is no end of it.
 BEYOND = 1.001
 # Memory of a robot, with Pinocchio's model and data, about, bytes.
 ROBOT_BYTES = 200_000
+# Memory of a section as numbers, about, bytes.
+SECTION_BYTES = 2_000
 
 
 def prepare(scenario: Scenario, model: RobotModel | None = None, cache: Cache | None = None) -> Problem:
@@ -101,8 +109,26 @@ def prepare(scenario: Scenario, model: RobotModel | None = None, cache: Cache | 
     ]:
         raise ScenarioError(*faults)
 
-    surface, now, mode = _surface(scenario, robot, q, v)
-
+    if model.loops:
+        if scenario.time.integrator in ADAPTIVE:
+            raise ScenarioError(
+                f"time.integrator = {scenario.time.integrator!r}: {model.name} has loops, which steps of fixed length "
+                f"keep closed; must be {' or '.join(map(repr, INTEGRATORS))}"
+            )
+        for section, asked in (
+            ("model_error", scenario.model_error != ModelErrorSection()),
+            ("encoder", encoder_kind(scenario.encoder) != NO_ENCODER),
+            ("transmission", scenario.transmission.elastic),
+        ):
+            if asked:
+                raise ScenarioError(f"{section}: is for arms without loops, and {model.name} has some; leave it out")
+        q, v = closed_start(robot, q, v, scenario.start.assemble or scenario.start.q is None)
+    surface, now, mode = cache.get(
+        ("surface", *_surface_key(scenario), q.tobytes(), v.tobytes()),
+        lambda: _surface(scenario, robot, q, v),
+        lambda placed: SECTION_BYTES,
+    )
+    surface.check_rates(scenario.time.duration)
     soft = not isinstance(scenario.compliance, Rigid)
     joint_friction = joint_friction_of(scenario, model)
     integrator, tolerance = _integrator(scenario, joint_friction)
@@ -127,6 +153,8 @@ def prepare(scenario: Scenario, model: RobotModel | None = None, cache: Cache | 
     instants = (h / nodes_per_step) * np.arange(steps * nodes_per_step + 1, dtype=np.float64)
     with of_users(scenario.reference, "reference.kind"):  # its curves are evaluated in there
         wanted, table = _desired(scenario, robot, surface, q, instants, cache)
+    if scenario.reference.on_surface != "no":
+        _refuse_beyond_edge(surface, wanted)
     table[::nodes_per_step, 2 * n + 10] = draws(scenario.sensor, steps + 1)
     if table.shape[1] > 2 * n + 11:
         table[::nodes_per_step, 2 * n + 11 :] = encoder_draws(scenario.encoder, steps + 1, n)
@@ -138,7 +166,12 @@ def prepare(scenario: Scenario, model: RobotModel | None = None, cache: Cache | 
     compensation = _believed_compensation(scenario)
     compensation.check(law)
     check_sampling(law, compensation, scenario.sensor, law.sample_period or h)
-    friction = pack_friction(scenario.friction, n)
+
+    def packed(name: str, section: Any, how: Callable[[], PackedLaw]) -> PackedLaw:
+        key = ("packed", name, n, type(section), section.model_dump_json())
+        return cache.get(key, how, lambda found: SECTION_BYTES)
+
+    friction = packed("friction", scenario.friction, lambda: pack_friction(scenario.friction, n))
     if friction.member.sticks != "elastic" and mode == PRESSED:
         u = now.frame @ robot.terms(q, v).jacobian @ v - now.carried
         mode = STUCK if np.hypot(u[1], u[2]) <= STICK_SPEED else PRESSED
@@ -156,11 +189,19 @@ def prepare(scenario: Scenario, model: RobotModel | None = None, cache: Cache | 
         stabiliser=np.array(_stabiliser_gains(scenario)),
         pd_start=start,
         law=pack_law(law, n, model.joint_names),
-        compensation=pack_law(compensation, n, model.joint_names),
+        compensation=packed("compensation", compensation, lambda: pack_law(compensation, n, model.joint_names)),
         friction=friction,
-        joint_friction=pack_friction(joint_friction, n, joints=True),
-        compliance=PackedLaw(type(scenario.compliance), pack(scenario.compliance, n, "compliance"), 0),
-        sensor=pack_sensor(scenario.sensor, h),
+        joint_friction=packed("joint_friction", joint_friction, lambda: pack_friction(joint_friction, n, joints=True)),
+        compliance=packed(
+            "compliance",
+            scenario.compliance,
+            lambda: PackedLaw(type(scenario.compliance), pack(scenario.compliance, n, "compliance"), 0),
+        ),
+        sensor=cache.get(
+            ("sensor", scenario.sensor.model_dump_json(), h),
+            lambda: pack_sensor(scenario.sensor, h),
+            lambda found: SECTION_BYTES,
+        ),
         table=table,
         nodes=nodes_per_step,
         project=scenario.stabiliser.kind in ("projection", "both") and not soft,
@@ -173,15 +214,28 @@ def prepare(scenario: Scenario, model: RobotModel | None = None, cache: Cache | 
     )
 
 
+def _robot_key(scenario: Scenario) -> Hashable:
+    """Return what the robot depends on."""
+    return (
+        scenario.robot.model_dump_json(), scenario.tool.model_dump_json(), scenario.model_error.payload,
+        scenario.transmission.elastic,
+    )  # fmt: skip
+
+
+def _surface_key(scenario: Scenario) -> tuple[Hashable, ...]:
+    """Return what `_surface` depends on, but for the state."""
+    sections: list[Section] = [scenario.surface, scenario.surface_motion, scenario.compliance]
+    if not isinstance(scenario.compliance, Rigid):  # the tip starts as deep as the force presses it
+        sections += [scenario.force_profile, scenario.law]
+    return _robot_key(scenario), *((type(section), section.model_dump_json()) for section in sections)
+
+
 def _robot(scenario: Scenario, model: RobotModel | None, cache: Cache) -> Robot:
-    section = scenario.robot
 
     def make() -> Robot:
         return robot_of(scenario, load_model(scenario) if model is None else model)
 
-    elastic = scenario.transmission.elastic
-    key = (section.model_dump_json(), scenario.tool.model_dump_json(), scenario.model_error.payload, elastic)
-    return cache.get(("robot", *key), make, lambda robot: ROBOT_BYTES)
+    return cache.get(("robot", _robot_key(scenario)), make, lambda robot: ROBOT_BYTES)
 
 
 def load_model(scenario: Scenario) -> RobotModel:
@@ -223,9 +277,10 @@ def _desired(
         q.tobytes(),
         _path_key(scenario, surface),
     )
+    axis = unit(scenario.tool.axis, "tool.axis")
     wanted = cache.get_shared(
         ("desired", *motion),
-        lambda: desired(scenario, robot, surface, q, scenario.force_profile, scenario.time.duration * BEYOND),
+        lambda: desired(scenario, robot, surface, q, scenario.force_profile, scenario.time.duration * BEYOND, axis),
         lambda made: 3 * made.joints.q.nbytes,
     )
     wanted = replace(wanted, profile=scenario.force_profile, force=scenario.law.force)
@@ -236,6 +291,30 @@ def _desired(
     )
     table[:, 2 * n + 9] = force_at(wanted.profile, wanted.force, instants)
     return wanted, table
+
+
+def _refuse_beyond_edge(surface: PlacedSurface, wanted: Desired) -> None:
+    """Refuse a path along a surface that leaves it over its edge; a tip that is to stay may be left by the surface."""
+    tip = wanted.tip
+    if not surface.ends or not tip.length > 0.0:
+        return
+    ends = [instant for segment in tip.segments for instant in (segment.start, segment.stop)]
+    times = np.unique([*ends, *np.linspace(min(ends), max(ends), PATH_CHECKS)])
+    inside = surface.edge_distances(times, tip.sample(times)[0])
+    if (k := int(np.argmin(inside))) is not None and inside[k] < -ON_EDGE:
+        beyond = np.flatnonzero(inside < -ON_EDGE)[0]
+        keys = " and ".join(tip.keys) or "reference"
+        raise ScenarioError(
+            f"{keys}: at t = {times[beyond]:.4g} s the path leaves the surface over its edge, by {-inside[k]:.4g} m at "
+            f"most: make it shorter, or surface.{_edge_key(surface.section)} larger"
+        )
+
+
+def _edge_key(section: Surface) -> str:
+    """Return the key that says where the edge is."""
+    if section.edge_radius is not None:
+        return "edge_radius"
+    return "extent" if section.extent is not None or not hasattr(section, "spacing") else "spacing"
 
 
 def _path_key(scenario: Scenario, surface: PlacedSurface) -> Hashable:
@@ -295,6 +374,11 @@ def _surface(scenario: Scenario, robot: Robot, q: Array, v: Array) -> tuple[Plac
         depth = scenario.compliance.static_depth(pressed) if soft and not section.gap else 0.0
     surface = PlacedSurface.of(section, scenario.surface_motion, tip, depth)
     now = surface.touching(tip, terms.jacobian @ v)
+    if now.inside < 0.0 and (section.contact == "bilateral" or soft):
+        raise ScenarioError(
+            f"surface.{_edge_key(section)}: the tip starts {-now.inside:.4g} m beyond the edge of the surface; "
+            'make it larger, or start the tip on it, or use contact = "unilateral" without compliance'
+        )
     exact = surface.below_start and isinstance(section, PlaneSurface) and not soft
     gap = section.gap if exact else now.gap
     rate = float(now.frame[0] @ terms.jacobian @ v - now.carried[0])
@@ -311,6 +395,8 @@ def _surface(scenario: Scenario, robot: Robot, q: Array, v: Array) -> tuple[Plac
         if abs(rate) > START_RATE:
             raise ScenarioError(_through_the_closure(now.frame[0] @ terms.jacobian, v, rate))
         return surface, now, PRESSED
+    if now.inside < 0.0:
+        return surface, now, FREE
     if gap < -TOUCHING:
         raise ScenarioError(f"{given}: the tip starts {-gap:.4g} m inside the surface: {at_most} for this start")
     if gap > TOUCHING:

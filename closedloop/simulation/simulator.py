@@ -133,7 +133,9 @@ class Simulator:
             `InterruptedRunError`, and the simulation may be stepped on.
         """
         began = clock.perf_counter()
-        now = self._open()
+        now = self._now
+        if now is None or self._failure is not None or now.row >= self.problem.steps:
+            now = self._open()
         if torque is None:
             self._step(_OWN, now.events)
         else:
@@ -220,7 +222,7 @@ class Simulator:
         try:
             given = np.asarray(torque)
             if given.shape == (n,) and given.dtype.kind in "iuf" and all(map(math.isfinite, given.tolist())):
-                return given
+                return given if given.dtype == np.float64 else given.astype(np.float64)
         except (TypeError, ValueError):  # lists of different lengths
             pass
         raise ValueError(

@@ -41,7 +41,7 @@ class StepState:
         self, time: float, row: int, n: int, recorded: Array, measured: float, events: Array | None,
         reads: bool = False,
     ) -> None:  # fmt: skip
-        recorded.setflags(write=False)
+        recorded.flags.writeable = False
         self.time, self.row, self.measured = time, row, measured
         self._n, self._row, self._events, self._reads = n, recorded, events, reads
 

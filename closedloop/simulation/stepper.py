@@ -9,6 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import replace
+from struct import Struct
 from typing import Any, cast
 
 import numpy as np
@@ -31,8 +32,9 @@ from closedloop.step.record_row import complete_record
 Array = NDArray[np.float64]
 
 # A copy of the loop's memory, whole numbers and real ones, and whether the scenario's law had started in it. (A tuple
-# with names would take longer to make, at every step.)
-Mark = tuple[NDArray[np.int64], Array, bool]
+# with names would take longer to make, at every step, and arrays twice as long to copy there and back as bytes.)
+Mark = tuple[bytes, bytes, bool]
+_REAL = Struct("d")
 
 # Places in the loop's numbers: read and written at every step, and an attribute of `State` takes three times as long.
 _ROW, _PHASE, _SAMPLED, _EVENTS, _MODE, _NO_SEARCH, _LAW, _COMPENSATION, _STARTED, _DRIVES = (
@@ -64,9 +66,13 @@ class Stepper:
         self.loop = problem.loop()
         problem.connect(self.loop)
         state, w = self.loop.state, self.loop.w
-        self._numbers, self._values = state.memory, w.memory
+        self._numbers = state.memory
+        # What is written through these is written as bytes, in a third of the time.
+        self._all_numbers: Any = state.memory.data.cast("B")
+        self._all_values: Any = w.memory.data.cast("B")
         self._own = int(state.law), int(state.compensation)
-        self._torque, self._general = w.torque, problem.general
+        self._general = problem.general
+        self._torque: Any = w.torque.data
         self.rows: Array = np.zeros((problem.steps + 1, problem.row_width))
         self.answers = Answers(problem, self.loop)
         make_ready(*([collide] if state.unilateral else []), complete_record)
@@ -76,7 +82,7 @@ class Stepper:
         self._begins = MEASURED if state.encoder else STEP_END  # the phase that a row begins with
         self._law: Law | None = None
         self._user_law: UserLaw | None = None
-        self._measured = cast(int, Work.place("measured", *w.sizes))
+        self._measured = _REAL.size * cast(int, Work.place("measured", *w.sizes))
         self.mark: Mark = self._copied()
         # The mark whose terms have been evaluated last, and whether the loop is there.
         self._terms_of: Mark | None = None
@@ -92,18 +98,18 @@ class Stepper:
         return self._calls[general]
 
     def _copied(self) -> Mark:
-        return self._numbers.copy(), self._values.copy(), self._own_started
+        return bytes(self._all_numbers), bytes(self._all_values), self._own_started
 
     def back_to(self, mark: Mark) -> None:
         """Go back to just before the row of a mark was recorded; what the next torque ends, ends at this row."""
         numbers = self._numbers
-        numbers[:], self._values[:], self._own_started = mark
+        self._all_numbers[:], self._all_values[:], self._own_started = mark
         self.mark, self._at_mark, self._terms_there = mark, True, mark is self._terms_of
         if numbers.item(_ROW) > 0 and numbers.item(_MODE) != FREE:
             numbers[_NO_SEARCH] = 1  # the step before has been searched for events, with the torque that acted in it
 
     def hold(self, torque: Array) -> None:
-        """Let a torque (n,) act from the row on, to which the loop has gone back."""
+        """Let a torque (n,), an array of doubles, act from the row on, to which the loop has gone back."""
         if self._held and self._own_started:  # the laws are as they were
             self._numbers[_LAW], self._numbers[_COMPENSATION] = self._own
         else:
@@ -161,14 +167,14 @@ class Stepper:
         SimulationError
             If the loop cannot go on; an exception of a user's law is its cause.
         """
-        numbers, values = self._numbers, self._values
+        numbers = self._numbers
         row, before = numbers.item(_ROW), self.mark
         call = self._again if self._terms_there else self._once
         marked = self._at_mark or row == 0
         self._at_mark, self._terms_there, self._terms_of = False, False, None
         while True:
             if not marked and numbers.item(_PHASE) == self._begins:
-                before = numbers.copy(), values.copy(), self._own_started
+                before = self._copied()
             marked = row == 0
             if self._held:
                 numbers[_SAMPLED] = 0
@@ -199,11 +205,12 @@ class Stepper:
 
     def seen(self) -> tuple[float, int]:
         """Return what the force sensor said before the latest row, N, and how many events there are."""
-        return self.mark[1].item(self._measured), self._numbers.item(_EVENTS)
+        (measured,) = _REAL.unpack_from(self.mark[1], self._measured)
+        return measured, self._numbers.item(_EVENTS)
 
     def completed(self, done: int) -> tuple[Array, Array]:
         """Return copies of `done` rows, all that are recorded in the memory, and of the events."""
-        numbers, values, _ = self._copied()
+        now = self._copied()
         complete_record(self.loop.address, self.rows, done)
-        self._numbers[:], self._values[:] = numbers, values
+        self._all_numbers[:], self._all_values[:], _ = now
         return self.rows[:done].copy(), self.answers.events[: self.events_done].copy()

@@ -18,7 +18,6 @@ from closedloop.closure.contact_force import (
     STUCK,
     accelerate,
     baumgarte_acceleration,
-    factorise,
     free_acceleration,
     normal_rounding,
     pressed_force,
@@ -34,6 +33,7 @@ from closedloop.jit.kernel import kernel, kernel_inlined
 from closedloop.jit.simd8 import every
 from closedloop.parameters import parameter_block
 from closedloop.reference.joint_path import cubic
+from closedloop.step.closed_loops import BIND_LOAD, DRIVE, factorise_tip
 from closedloop.step.energy_supplied import driving_torque
 from closedloop.step.entries import RATES, START, TORQUE
 from closedloop.step.joint_friction import add_joint_friction, hold_joints
@@ -125,7 +125,7 @@ def evaluate(
     status = locate_tip(w, constants, state)
     if status != OK:
         return status
-    status = factorise(H, w.A, w.L, w.X, w.S, constants.reach)
+    status = factorise_tip(H, w, constants, state)
     if status != OK:
         return status
     if general is None:
@@ -221,6 +221,8 @@ def drive_torque(w: Work, constants: Constants, state: State) -> int:
         for j in range(w.q.shape[0]):
             w.torque_before[j] = w.torque[j]
     failed = call_law(state, TORQUE)
+    if state.loops != 0:
+        call_at(state.loops, state.loops_at, DRIVE)
     if state.drives != 0 and failed == 0:
         cut_torque(
             w.torque, w.torque_before, constants.torque_change, constants.torque_limit, not w.time > 0.0,
@@ -255,6 +257,8 @@ def contact_force(C: Array, w: Work, constants: Constants, state: State, general
     for j in range(w.q.shape[0]):
         w.column[j] = driving_torque(w, state, j, general) + w.joint_friction[j]
     free_acceleration(w.L, w.X, w.drift_c, w.column, C, w.y, w.a)
+    if state.loops != 0:
+        call_at(state.loops, state.loops_at, BIND_LOAD)
     w.rigid_force = 0.0
     for i in range(3):
         w.F[i] = 0.0

@@ -13,7 +13,7 @@ from closedloop.closure.solve import NO_NORMAL, OK
 from closedloop.jit.calls import call_at
 from closedloop.jit.kernel import kernel, kernel_inlined
 from closedloop.step.memory import Constants, Reference, State, Work
-from closedloop.surface.contact import CONTACT, FOUND, ask_at
+from closedloop.surface.contact import CONTACT, FOUND, ask_at, edge_distance
 from closedloop.surface.geometry import Touch
 from closedloop.user_code import RAISED
 
@@ -59,7 +59,7 @@ def ask_surface(w: Work, state: State) -> bool:
         state.raised = 1 if answer == RAISED else 0
         return False
     touch = Touch(ask.touch)
-    w.gap = touch.level / touch.size
+    w.gap, w.inside = touch.level / touch.size, edge_distance(touch.at, ask.bounds)
     for i in range(3):
         w.carried[i], w.turning[i] = touch.carried[i], touch.turning[i]
         for k in range(3):

@@ -73,6 +73,8 @@ class State(Block):
     compliance: int  # address of the entry of the surface's compliance, 0: it is rigid; and its parameters
     compliance_size: int
     surface_motion: int  # address of the entry of its motion, 0: it is at rest
+    loops: int  # address of the entry of the mechanism's loops, 0: a tree; and of their memory
+    loops_at: int
     constants_at: int
     constants_size: int
     work_at: int
@@ -94,6 +96,7 @@ class State(Block):
     raised: int  # 1 once a user's member has raised something
     no_search: int  # 1 if an event at the end of this step happens there, not before
     after_event: int  # 1 in the remainder of a step after an event
+    beside: int  # 1 while the tip is not above the surface because it has gone beyond its edge
     risen: int  # 1 if the tip has been clear of the surface since it lifted off
     kind: int  # of the event
     started: int  # 1 once the law has been evaluated
@@ -165,6 +168,7 @@ class Work(Block, sizes=("n", "k", "stages", "ring")):
     event_value: float  # of the event function
     rate: float
     gap: float
+    inside: float  # distance of the tip from the edge of a surface that the loop asks, m, negative beyond it
     rigid_force: float  # of the closure without its stabiliser, by which contact is judged
     start_event_value: float  # at the beginning of the substep, as all that follow
     start_rate: float

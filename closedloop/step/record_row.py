@@ -17,8 +17,10 @@ from closedloop.closure.conditioning import (
 from closedloop.closure.contact_force import FREE, STUCK, residuals
 from closedloop.control.sensor import SensorParameters, sense
 from closedloop.jit.blocks import Block
+from closedloop.jit.calls import call_at
 from closedloop.jit.kernel import entry_kernel, kernel, kernel_inlined
 from closedloop.jit.simd8 import select
+from closedloop.step.closed_loops import REACTION
 from closedloop.step.energy_supplied import driving_torque
 from closedloop.step.memory import RIGID_STICK, Constants, N, State, Work, loop_at
 
@@ -127,6 +129,19 @@ def rows_there(state: State, done: int, n: int) -> int:
     return done if n > LONG_ARM or state.batched == done % BATCH else done + 1
 
 
+@kernel
+def loop_torque(H: Array, C: Array, w: Work) -> None:
+    """Write into `column` what is missing in the equation of motion: H q̈ + C − Q − AᵀF."""
+    n = w.q.shape[0]
+    for i in range(n):
+        s = C[i] - w.torque[i] - w.joint_friction[i]
+        for k in range(3):
+            s -= w.A[k, i] * w.F[k]
+        for j in range(n):
+            s += (H[i, j] if i <= j else H[j, i]) * w.qdd[j]
+        w.column[i] = s
+
+
 @kernel_inlined
 def record(
     H: Array,
@@ -141,7 +156,7 @@ def record(
 ) -> None:
     """Write a row in the order of `Row`: the state, and the torques and forces at it.
 
-    The condition number is written once a batch is full, or by `complete_record`.
+    The condition number is written once a batch is full, or by `complete_record`; with loops it is that of H.
     """
     n = w.q.shape[0]
     row, lane = Row(rows[place], n), state.batched
@@ -164,6 +179,11 @@ def record(
     mode = state.mode
     closed_by_row = mode != FREE and state.compliance == 0
     first, last = 0 if closed_by_row else 1, 3 if mode == STUCK and state.sticking == RIGID_STICK else 1
+    if state.loops != 0:
+        loop_torque(H, C, w)
+        call_at(state.loops, state.loops_at, REACTION)
+        for j in range(n):
+            w.column[j] += w.torque[j] + w.joint_friction[j]
     motion, closed = residuals(H, w.column, C, w.A, w.S, w.drift_c, w.b, w.a, w.qdd, w.F, first, last)
     trace = w.S[0, 0] + w.S[1, 1] + w.S[2, 2]
     row.contact_force = w.F[0]
@@ -173,10 +193,11 @@ def record(
     row.mode = mode
     row.residual_motion = motion
     row.residual_closure = closed
+    bordered = closed_by_row and state.loops == 0
     if n > LONG_ARM:
-        row.kkt_condition = condition_number(H, w.A[0], w.L, w.X[0], w.S[0, 0], closed_by_row, w.scratch)
+        row.kkt_condition = condition_number(H, w.A[0], w.L, w.X[0], w.S[0, 0], bordered, w.scratch)
     else:
-        add_to_batch(H, w.A[0], w.L, w.X[0], w.S[0, 0], closed_by_row, w.batch, lane)
+        add_to_batch(H, w.A[0], w.L, w.X[0], w.S[0, 0], bordered, w.batch, lane)
         state.batched = lane + 1
         if lane + 1 >= BATCH:
             record_conditions(w.batch, rows, state, place + 1, n)

@@ -263,9 +263,9 @@ def run_in_lanes(
                 for j in range(n):
                     w.begin[j] = w.q[j]
                     w.begin[n + j] = w.v[j]
-                save_power(w, state)
+                save_power(w, state, None)
             if row < steps:
-                add_stage_work(w, state, stage, h, tableau[stages, stage])
+                add_stage_work(w, state, stage, h, tableau[stages, stage], None)
                 advance(stage, h, semi_implicit, False, tableau, w.begin, w.stages, w.qdd, w.dz, w.q, w.v, w.z)
         commit_work(w)
     write_values(Row(rows[steps % kept], n), n, steps + 1, tally, values)

@@ -189,7 +189,7 @@ def proceed(
         todo = ADVANCE
     if todo == ADVANCE:
         stage, tau = state.stage, w.tau
-        add_stage_work(w, state, stage, tau, tableau[tableau.shape[0] - 1, stage])
+        add_stage_work(w, state, stage, tau, tableau[tableau.shape[0] - 1, stage], general)
         if general is not None and state.semi_implicit != 0:
             advance_friction(w, state, tau)
             if state.elastic != 0:

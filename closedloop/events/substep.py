@@ -64,7 +64,7 @@ def save_state(w: Work, constants: Constants, state: State, general: int | None)
     w.start_event_value = event_function(w, constants, state, general)
     if state.stops != 0:
         w.start_event_value = min(w.start_event_value, w.stop_margin)
-    save_power(w, state)
+    save_power(w, state, general)
 
 
 @kernel_inlined

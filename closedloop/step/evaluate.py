@@ -34,6 +34,7 @@ from closedloop.jit.simd8 import every
 from closedloop.parameters import parameter_block
 from closedloop.reference.joint_path import cubic
 from closedloop.step.closed_loops import BIND_LOAD, DRIVE, factorise_tip
+from closedloop.step.energy_supplied import driving_torque
 from closedloop.step.entries import RATES, START, TORQUE
 from closedloop.step.joint_friction import add_joint_friction, hold_joints
 from closedloop.step.locate import in_contact_frame, locate_tip, off_anchor
@@ -131,7 +132,7 @@ def evaluate(
         if state.sampled != 0:
             reference_row(w.time, constants.node, table, n, w.reference)
             paper_torque(C, w, constants, w.time)
-        status = contact_force(C, w, constants, state)
+        status = contact_force(C, w, constants, state, general)
         if status != OK:
             return status
     else:
@@ -151,12 +152,12 @@ def evaluate(
             transmit(w, constants)
         surface_friction(w, constants, state, rows)
         add_joint_friction(w, constants, state, rows)
-        status = contact_force(C, w, constants, state)
+        status = contact_force(C, w, constants, state, general)
         if status != OK:
             return status
         if state.joint_sticking == RIGID_STICK:
             hold_joints(w, constants, state)
-            status = contact_force(C, w, constants, state)
+            status = contact_force(C, w, constants, state, general)
             if status != OK:
                 return status
         sensor = w.z[state.law_states : state.law_states + state.sensor_states]
@@ -251,10 +252,10 @@ def bounded(w: Work) -> bool:
 
 
 @kernel_inlined
-def contact_force(C: Array, w: Work, constants: Constants, state: State) -> int:
+def contact_force(C: Array, w: Work, constants: Constants, state: State, general: int | None) -> int:
     """Solve Eq. 24 in the present mode for the contact force F and the acceleration q̈; return a status."""
     for j in range(w.q.shape[0]):
-        w.column[j] = (w.torque[j] if state.elastic == 0 else w.transmitted[j]) + w.joint_friction[j]
+        w.column[j] = driving_torque(w, state, j, general) + w.joint_friction[j]
     free_acceleration(w.L, w.X, w.drift_c, w.column, C, w.y, w.a)
     if state.loops != 0:
         call_at(state.loops, state.loops_at, BIND_LOAD)

@@ -153,7 +153,7 @@ def record(
         row.acceleration[j] = w.qdd[j]
         row.torque[j] = w.torque[j]
         row.joint_friction[j] = w.joint_friction[j]
-        w.column[j] = driving_torque(w, state, j) + w.joint_friction[j]
+        w.column[j] = driving_torque(w, state, j, general) + w.joint_friction[j]
     for i in range(3):
         row.position[i] = w.r[i]
         speed = 0.0

@@ -1,1 +1,1 @@
-"""Runs in formats of other programs: CSV for spreadsheets, MCAP for Foxglove and ROS 2 (``closedloop export``)."""
+"""Runs in formats of other programs: CSV for spreadsheets, MCAP for ROS 2, MJCF for MuJoCo (``closedloop export``)."""

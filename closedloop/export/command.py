@@ -9,9 +9,12 @@ from closedloop.command.border import DONE, Parser, run_command
 from closedloop.errors import OutputError
 from closedloop.export.csv_table import write_csv
 from closedloop.export.mcap_file import write_mcap
+from closedloop.export.mjcf import write_mjcf
 from closedloop.record.netcdf import load_run
 
-FORMATS = {"csv": write_csv, "mcap": write_mcap}
+FORMATS = {"csv": write_csv, "mcap": write_mcap, "mjcf": write_mjcf}
+# Endings that are not the format's name.
+ENDINGS = {"mjcf": "xml"}
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
@@ -37,13 +40,13 @@ def export_command(arguments: list[str]) -> int:
         "--to",
         required=True,
         choices=tuple(FORMATS),
-        help="csv: a table with units; mcap: ROS 2 messages, for Foxglove",
+        help="csv: a table with units; mcap: ROS 2 messages, for Foxglove; mjcf: the scene, for MuJoCo",
     )
     parser.add_argument("--out", metavar="FILE", help="the file (default: beside run.nc, under its name)")
     parser.add_argument("--overwrite", action="store_true", help="replace a file that is there")
     options = parser.parse_args(arguments)
     run = load_run(options.run)
-    out = Path(options.out) if options.out else Path(options.run).with_suffix(f".{options.to}")
+    out = Path(options.out) if options.out else Path(options.run).with_suffix(f".{ENDINGS.get(options.to, options.to)}")
     if out.exists() and not options.overwrite:
         raise OutputError(f"{out}: is there already; name another file with --out, or replace it with --overwrite")
     paths = FORMATS[options.to](run, out)

@@ -15,6 +15,7 @@ from closedloop.figures.joints import joints
 from closedloop.figures.overview import force_control
 from closedloop.figures.style import STYLE
 from closedloop.figures.tip import tip_position
+from closedloop.figures.tool import has_tool, tool
 from closedloop.files import write_whole
 from closedloop.record.run import Run
 
@@ -32,8 +33,8 @@ def draw_figures(
     """Write the figures of a run into `folder`, each as PNG and SVG, and return the paths of the PNGs.
 
     Every run has its tip position, contact force, closure error, the errors that force control is about, and its
-    joints; one with impacts or friction has a figure of them. The paper's slide has the paper's figures, with its
-    numbers, and the errors; its joints can be had from `closedloop.figures.joints`.
+    joints; one with impacts, friction or a tool has a figure of them. The paper's slide has the paper's figures, with
+    its numbers, and the errors; its joints can be had from `closedloop.figures.joints`.
 
     Parameters
     ----------
@@ -65,6 +66,8 @@ def draw_figures(
         wanted.append(("fig_impacts", impacts, run))
     if has_friction(run):
         wanted.append(("fig_friction", friction_force, run))
+    if has_tool(run):
+        wanted.append(("fig_tool", tool, run))
     written = []
     for name, draw, what in wanted:
         if len(what) == 0:

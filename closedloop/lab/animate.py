@@ -1,10 +1,12 @@
 """A run as a film: the arm as rods, the surface, the paths and the forces, beside the contact force against time.
 
-It is drawn by matplotlib without a screen. A .gif needs nothing else; a .mp4 needs the program ffmpeg.
+It is drawn by matplotlib without a screen. A .gif needs nothing else; a .mp4 needs the program ffmpeg, that of the
+computer or that which the package imageio-ffmpeg carries.
 """
 
 from __future__ import annotations
 
+import shutil
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -25,6 +27,7 @@ Array = NDArray[np.float64]
 FRAMES_PER_SECOND = 25
 FORMATS = (".gif", ".mp4")
 MOST_FRAMES = 5000
+NEEDS_FFMPEG = 'a .mp4 needs ffmpeg, which is not installed: pip install "closedloop[mp4]", or write a .gif'
 # Inches, and dots for each: 1000 by 500 pixels.
 SIZE, DOTS = (10.0, 5.0), 100
 
@@ -46,7 +49,7 @@ def animate(run: Run, path: str | Path, *, speed: float = 1.0, frames_per_second
     ScenarioError
         If the path has another ending, the run has no rows, or a number is none that a film can have.
     OutputError
-        If the file cannot be written, or ffmpeg is not installed and a .mp4 is asked for.
+        If the file cannot be written, or a .mp4 is asked for and there is no ffmpeg.
     """
     path = Path(path)
     if path.suffix.lower() not in FORMATS:
@@ -60,12 +63,24 @@ def animate(run: Run, path: str | Path, *, speed: float = 1.0, frames_per_second
     rows = _rows(run, speed, frames_per_second)
     if rows.size > MOST_FRAMES:
         raise ScenarioError(f"speed = {speed:g}: the film would have {rows.size} frames, over {MOST_FRAMES}")
+    ffmpeg = None
     if path.suffix.lower() == ".mp4":
-        from matplotlib.animation import FFMpegWriter
+        ffmpeg = ffmpeg_program()
+        if ffmpeg is None:
+            raise OutputError(f"{path}: {NEEDS_FFMPEG}")
+    return write_whole(path, _film(run, rows, frames_per_second, ffmpeg))
 
-        if not FFMpegWriter.isAvailable():
-            raise OutputError(f"{path}: a .mp4 needs the program ffmpeg, which is not installed; write a .gif instead")
-    return write_whole(path, _film(run, rows, frames_per_second, path.suffix.lower()))
+
+def ffmpeg_program() -> str | None:
+    """Return the program ffmpeg: that of the computer, else that of the package imageio-ffmpeg; None without either."""
+    if found := shutil.which("ffmpeg"):
+        return found
+    try:
+        from imageio_ffmpeg import get_ffmpeg_exe
+
+        return str(get_ffmpeg_exe())
+    except (ImportError, RuntimeError):  # the package without its program
+        return None
 
 
 def _rows(run: Run, speed: float, frames_per_second: int) -> NDArray[np.int64]:
@@ -76,7 +91,8 @@ def _rows(run: Run, speed: float, frames_per_second: int) -> NDArray[np.int64]:
     return rows
 
 
-def _film(run: Run, rows: NDArray[np.int64], frames_per_second: int, suffix: str) -> bytes:
+def _film(run: Run, rows: NDArray[np.int64], frames_per_second: int, ffmpeg: str | None) -> bytes:
+    """Return the film: a .mp4 by this program, a .gif without one."""
     import tempfile
 
     import matplotlib as mpl
@@ -85,7 +101,8 @@ def _film(run: Run, rows: NDArray[np.int64], frames_per_second: int, suffix: str
     from matplotlib.figure import Figure
 
     # The user's settings would change what the film looks like.
-    with mpl.rc_context({"font.size": 9, "axes.grid": True, "grid.alpha": 0.3}):
+    own: Any = {"font.size": 9, "axes.grid": True, "grid.alpha": 0.3, "animation.ffmpeg_path": ffmpeg or "ffmpeg"}
+    with mpl.rc_context(own):
         figure = Figure(figsize=SIZE, dpi=DOTS, layout="constrained")
         FigureCanvasAgg(figure)
         picture = _Picture(figure, scene_of(run))
@@ -93,7 +110,8 @@ def _film(run: Run, rows: NDArray[np.int64], frames_per_second: int, suffix: str
         figure.draw_without_rendering()
         figure.set_layout_engine("none")  # as laid out now: again for each frame, it would take most of the time
         film = FuncAnimation(figure, picture.show, frames=rows.tolist(), cache_frame_data=False)
-        writer = (FFMpegWriter if suffix == ".mp4" else PillowWriter)(fps=frames_per_second)
+        suffix, kind = (".gif", PillowWriter) if ffmpeg is None else (".mp4", FFMpegWriter)
+        writer: Any = kind(fps=frames_per_second)
         with tempfile.TemporaryDirectory(prefix="closedloop-") as folder:
             file = Path(folder) / f"film{suffix}"
             film.save(file, writer=writer, dpi=DOTS)

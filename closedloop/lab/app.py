@@ -21,11 +21,12 @@ from closedloop.errors import ClosedLoopError, OutputError
 from closedloop.lab.answers import Answer, Answers
 from closedloop.lab.history import Changes, History
 from closedloop.lab.kinds import begin_values
+from closedloop.lab.look import GREYED, PLOTS, caption, paragraph
 from closedloop.lab.newest import Newest
 from closedloop.lab.playback import Playback
 from closedloop.lab.scene import scene_of
 from closedloop.lab.view_controls import Tabs
-from closedloop.lab.view_keep import KeepTab
+from closedloop.lab.view_keep import STEPS, KeepTab
 from closedloop.lab.view_map import MapTab
 from closedloop.lab.view_playback import PlaybackBar
 from closedloop.lab.view_plots import Plots
@@ -40,6 +41,8 @@ from robot_models import RobotModel
 FRAMES, CURSORS = 30.0, 12.0
 FIRST_PORT, PORTS = 8080, 100  # how many are tried, one after the other
 WIDTH = 510  # px of the panel on the right
+# A result that has been overtaken for so long, s, is greyed until the new one is there: sooner it would flicker.
+GREYED_AFTER = 0.25
 LONGEST = 100  # characters of a fault at the top; it stands in full beside its control
 # Where the scene is seen from at first, in sizes of the arm from its middle, and how wide, rad.
 VIEW_FROM, FIELD_OF_VIEW = np.array([1.9, -1.0, 0.9]), float(np.deg2rad(40.0))
@@ -78,7 +81,8 @@ class Lab:
         self.history, self.playback = history, Playback()
         self.answer: Answer | None = None
         self._closed, self._shown_at = threading.Event(), 0.0
-        self._asked, self._done = 0, 0
+        self._waits_since: float | None = None  # the instant of the first change that is not shown yet
+        self._greyed, self._said, self._waiting = False, "", threading.Lock()
         self.after_show: list[Callable[[Answer], None]] = []
         self.answers = Answers(history, law, model, self._say, lambda: self._newest.overtaken)
         prepare(history.base, self.answers.model(history.base))  # what cannot be run is refused before there is a page
@@ -113,18 +117,21 @@ class Lab:
         gui.set_panel_label(f"closedloop: {self.history.base.name}")
         gui.main_panel.dock_right()
         gui.main_panel.set_width(WIDTH)
+        self.caption = gui.add_html("")
         self.status = gui.add_html("")
         self.bar = PlaybackBar(gui, self.playback, self._moved)
+        self.steps = gui.add_button_group("changes", STEPS, hint="take back the last change, or all of them")
         self.group = gui.add_tab_group()
         self.tabs = Tabs(gui, self.group, self.changed)
         self.view = ViewTab(gui, self.group.add_tab("view"), self.bar, dark)
         kept, mapped = self.group.add_tab("keep"), self.group.add_tab("map")
         panel = gui.add_panel()
         with panel.add_tab("plots"):
+            gui.add_html(paragraph(PLOTS))
             self.plots = Plots(gui)
         panel.dock_below(gui.main_panel)
         self.space = Space(self.server.scene)
-        self.view.connect(self.space, self._moved)
+        self.view.connect(self.space, self._moved, self._show_caption)
         self.keep, self.map = KeepTab(self, kept), MapTab(self, mapped)
         self._shown_camera = False
 
@@ -149,10 +156,10 @@ class Lab:
 
     def ask(self, key: str = "") -> None:
         """Run the scenario as it is now, `key` being what was changed last."""
-        self._asked += 1
-        if self._asked - self._done > 1 or self.answer is None:
-            self._set_status("computing ...", "grey")
-        self._newest.ask((self.history.changes, key))
+        with self._waiting:
+            if self._waits_since is None:
+                self._waits_since = clock.perf_counter()
+            self._newest.ask((self.history.changes, key))
 
     def wait(self, seconds: float = 60.0) -> bool:
         """Wait until the newest change is shown; return whether it is."""
@@ -162,7 +169,9 @@ class Lab:
         return self.answers.answer(*request)
 
     def _show(self, answer: Answer) -> None:
-        self._done = self._asked
+        with self._waiting:
+            self._waits_since = clock.perf_counter() if self._newest.overtaken else None
+            self._greyed, self._said = False, ""
         with self.server.atomic():
             self._show_line(answer)
             if answer.run is not None and len(answer.run):
@@ -177,6 +186,7 @@ class Lab:
         scene = scene_of(run)
         self.space.show_scene(scene, self.row(run))
         self.view.show_scale(scene.size)
+        self._show_caption()
         self.bar.instants = [mark.time for mark in scene.marks]
         self.plots.show_run(run, self.playback.time)
         self.bar.show()
@@ -187,6 +197,12 @@ class Lab:
             camera = self.server.initial_camera
             camera.fov, camera.look_at = FIELD_OF_VIEW, look_at
             camera.position = look_at + scene.size * VIEW_FROM
+
+    def _show_caption(self) -> None:
+        scenario = self.history.base if self.run is None else self.run.scenario
+        text = caption(scenario, self.space.metres_per_newton, WIDTH)
+        if self.caption.content != text:
+            self.caption.content = text
 
     def _show_line(self, answer: Answer) -> None:
         self.tabs.note(answer.key, answer.fault)
@@ -202,11 +218,22 @@ class Lab:
     def _say(self, line: str) -> None:
         """Say a line while something is compiled or takes long."""
         if line:
+            self._said = line
             self._set_status(line, "#D55E00")
 
     def _set_status(self, line: str, colour: str) -> None:
         style = f"padding:0.3em 0.8em;font-size:0.85em;color:{colour}"
-        self.status.content = f'<div id="closedloop-status" style="{style}">{html.escape(line)}</div>'
+        said = f'<div id="closedloop-status" style="{style}">{html.escape(line)}</div>'
+        self.status.content = said + (GREYED if self._greyed else "")
+
+    def _grey_if_late(self, now: float) -> None:
+        """Grey what is shown if the run that is to replace it takes long."""
+        with self._waiting:
+            if self._greyed or self._waits_since is None or now - self._waits_since < GREYED_AFTER:
+                return
+            self._greyed = True
+            line = self._said or ("computing ...; what is shown is the run before" if self.run else "computing ...")
+            self._set_status(line, "#D55E00" if self._said else "grey")
 
     def row(self, run: Run) -> int:
         """Return the row of a run at the instant of the replay."""
@@ -226,6 +253,7 @@ class Lab:
             now = clock.perf_counter()
             moved = self.playback.advance(now - last)
             last = now
+            self._grey_if_late(now)
             run = self.run
             if not moved or run is None:
                 continue

@@ -15,6 +15,7 @@ class Bench(Protocol):
     """A lab, as far as a tab of it is concerned; see `closedloop.lab.app.Lab`."""
 
     server: Any
+    steps: Any
     history: History
     answers: Answers
     answer: Answer | None

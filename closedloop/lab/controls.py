@@ -27,6 +27,7 @@ TABS: dict[str, tuple[str, ...]] = {
     "law": ("law", "compensation", "sensor", "force_profile", "model_error"),
     "surface": ("surface", "surface_motion", "compliance", "impact"),
     "friction": ("friction", "joint_friction"),
+    "arm": ("encoder", "drives", "transmission"),
     "stabiliser": ("stabiliser",),
     "path": ("reference", "start", "tool"),
     "time": ("time",),
@@ -141,7 +142,7 @@ class Control:
 
 
 def controls(scenario: Scenario, section: str, model: RobotModel | None = None) -> list[Control]:
-    """Return the controls of a section of a scenario, that of its kind first.
+    """Return the controls of a section of a scenario, that of its kind first, then the force if it has one.
 
     Parameters
     ----------
@@ -155,9 +156,14 @@ def controls(scenario: Scenario, section: str, model: RobotModel | None = None) 
     found: list[Control] = []
     kinds = _kinds(section, str(getattr(held, "kind", "")))
     if len(kinds) > 1:
-        found.append(Control(f"{section}.kind", None, "choice", section, "", "", held.kind, options=kinds))
+        about = Scenario.model_fields[section].description or ""
+        own = (type(held).__doc__ or "").partition("\n")[0]
+        hint = f"{about}; {own}" if own else about
+        found.append(Control(f"{section}.kind", None, "choice", section, "", hint, held.kind, options=kinds))
     resolved: Mapping[str, Any] = getattr(held, "resolved", dict)()
-    for name, field in type(held).model_fields.items():
+    fields = type(held).model_fields
+    for name in sorted(fields, key=lambda name: name != "force"):  # what most come for is at the top
+        field = fields[name]
         if name != "kind":
             value = getattr(held, name)
             value = resolved.get(name) if value is None else value

@@ -12,14 +12,17 @@ import time as clock
 from collections.abc import Callable, Mapping
 from typing import Any
 
+from closedloop.errors import ScenarioError
 from closedloop.lab.controls import toml_text
 from closedloop.scenario.messages import variant_keys
 from closedloop.scenario.overrides import Variants
-from closedloop.scenario.scenario import Scenario, families
+from closedloop.scenario.scenario import Scenario, families, load_scenario
 
 Changes = dict[str, Any]  # dotted key to value, as `load_scenario` takes them
 # Changes of one key that follow each other so fast, s, are one step of undo: a slider that is dragged.
 TOGETHER = 1.0
+# The file that `closedloop.lab.keeping.save` writes.
+IN_A_FILE = "scenario.toml"
 # Steps that can be undone.
 MOST_STEPS = 500
 
@@ -101,6 +104,29 @@ class History:
             merged = with_change(merged, key, value)
         words = ["closedloop", self.name, *(w for k, v in merged.items() for w in (f"--{k}", toml_text(v)))]
         return " ".join([*map(shlex.quote, words), *([self.words] if self.words else []), "--engine", engine])
+
+
+def in_words(scenario: Scenario) -> tuple[str, Changes]:
+    """Return how the command line names a scenario that was made in Python: a name, and the keys to override.
+
+    That is the shipped scenario of this name with what differs from it; where nothing on a command line gives it, a
+    file of this name, which `save` writes.
+    """
+    own = scenario.model_dump(mode="python")
+    given: Changes = {}
+    try:
+        begun = load_scenario(scenario.name).model_dump(mode="python")
+        for section, keys in own.items():
+            other = begun.get(section)
+            if isinstance(keys, dict) and isinstance(other, dict) and keys.get("kind") == other.get("kind"):
+                given |= {f"{section}.{key}": value for key, value in keys.items() if value != other.get(key)}
+            elif isinstance(keys, dict):
+                given |= {f"{section}.{key}": value for key, value in keys.items() if value is not None}
+        if load_scenario(scenario.name, given) == scenario:
+            return scenario.name, given
+    except ScenarioError:
+        pass
+    return IN_A_FILE, {}
 
 
 def with_change(changes: Changes, key: str, value: Any) -> Changes:

@@ -1,14 +1,14 @@
 """A map of the lab: a value of the run against two keys, a batch of runs that fills in while it is computed.
 
-The runs are those of `closedloop.simulate_batch`, a few rows of the map at a time, coarse first: every eighth row and
-column, then every fourth, and so on, so that the shape shows early.
+The runs are those of `closedloop.simulate_batch`, some of the map at a time, coarse first: every eighth row and
+column, then every fourth, and so on, so that the shape shows early. How it is drawn: `closedloop.lab.map_picture`.
 """
 
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, field
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -16,19 +16,19 @@ from numpy.typing import NDArray
 from closedloop.batch.simulate_batch import simulate_batch
 from closedloop.lab.controls import Control
 from closedloop.lab.history import Changes, with_change
-from closedloop.report.measures import MEASURES
 from closedloop.scenario.scenario import Scenario
 from robot_models import RobotModel
 
 Array = NDArray[np.float64]
 
 CELLS = 40  # on either side
-BATCH = 80  # runs that are computed before the map is drawn again
+BATCH = 160  # runs that are computed in one go; the first few, which show the shape, go by themselves
+FIRST = 25
 
 
 @dataclass(frozen=True)
 class Axis:
-    """An axis of a map: a key's control, and the values (CELLS,) of its number in each cell.
+    """An axis of a map: a key's control, and the values (cells,) of its number in each cell, from low to high.
 
     Where the key is a list with a number for each joint, the number is that of the control's own entry.
     """
@@ -38,9 +38,12 @@ class Axis:
 
     @classmethod
     def of(cls, control: Control, cells: int = CELLS) -> Axis:
-        """Return the axis over the span of a slider: evenly spaced in what it shows."""
-        shown = np.linspace(control.low, control.high, cells)
-        return cls(control, 10.0**shown if control.form == "log" else shown)
+        """Return the axis over the span of a slider: so many of its values, or all if they are fewer."""
+        whole = np.round(np.linspace(0.0, control.high - control.low, cells) / control.step)
+        shown = np.minimum(control.low + control.step * whole, control.high)
+        own = (control.read(float(each)) for each in shown)
+        values = [x if control.index is None else x[control.index] for x in own]
+        return cls(control, np.unique(np.array(values, dtype=float)))
 
     @property
     def shown(self) -> Array:
@@ -56,7 +59,7 @@ class Axis:
 
     def value(self, cell: int) -> Any:
         """Return the key's value in a cell."""
-        number = float(f"{self.values[cell]:.9g}")
+        number = float(self.values[cell])
         held, index = self.control.value, self.control.index
         return number if index is None else [*held[:index], number, *held[index + 1 :]]
 
@@ -73,7 +76,7 @@ class Map:
         Of two keys that differ, or of two entries of one list.
     quantity : str
         A name of `closedloop.report.measures.MEASURES`.
-    grid : (CELLS, CELLS) array
+    grid : (rows, columns) array
         The quantity, row by row along y; NaN where it is not known yet, or does not exist.
     reasons : dict
         (row, column) of a cell whose run was refused or stopped, and why.
@@ -106,10 +109,10 @@ class Map:
     def fill(self, stop: Callable[[], bool] = lambda: False, batch: int = BATCH) -> Iterator[int]:
         """Compute the map, and yield how many cells are done, again and again, until all are or `stop` says so."""
         order, done = coarse_first(*self.grid.shape), 0
-        for begin in range(0, len(order), batch):
+        while done < len(order):
             if stop():
                 return
-            cells = order[begin : begin + batch]
+            cells = order[done : done + (batch if done else min(batch, FIRST))]
             points = [self._values(*cell) for cell in cells]
             columns = {key: [point[key] for point in points] for key in points[0]}
             table = simulate_batch(self.scenario, columns, model=self.model)
@@ -128,54 +131,3 @@ def coarse_first(rows: int, columns: int) -> list[tuple[int, int]]:
     for step in (8, 4, 2, 1):
         found |= {(i, j): None for i in range(0, rows, step) for j in range(0, columns, step)}
     return list(found)
-
-
-def filled(grid: Array) -> Array:
-    """Return a grid whose unknown cells show the nearest known cell above and to the left, as long as it fills in."""
-    shown = grid.copy()
-    for step in (8, 4, 2):
-        for i, j in np.argwhere(np.isnan(shown)):
-            shown[i, j] = grid[i - i % step, j - j % step] if np.isnan(shown[i, j]) else shown[i, j]
-    return shown
-
-
-class Picture(NamedTuple):
-    """A map as an image (height, width, 3), and where its cells are: left, right, top, bottom, as shares of it."""
-
-    pixels: NDArray[np.uint8]
-    area: tuple[float, float, float, float]
-
-
-def picture(of: Map, complete: bool, chosen: tuple[int, int] | None = None) -> Picture:
-    """Return the map as an image, with a ring around the chosen cell (row, column)."""
-    from matplotlib.backends.backend_agg import FigureCanvasAgg
-    from matplotlib.colors import LogNorm, Normalize
-    from matplotlib.figure import Figure
-
-    figure = Figure(figsize=(4.4, 3.6), dpi=110, layout="constrained")
-    canvas = FigureCanvasAgg(figure)
-    axes = figure.add_subplot()
-    grid = of.grid if complete else filled(of.grid)
-    finite = grid[np.isfinite(grid)]
-    norm: Normalize = Normalize()
-    if finite.size and finite.min() > 0.0 and finite.max() > 100.0 * finite.min():
-        norm = LogNorm()
-    axes.set_facecolor("0.8")
-    # Over what the sliders show, which is evenly spaced; the labels below are the values.
-    x, y = of.x.shown, of.y.shown
-    image = axes.pcolormesh(x, y, np.ma.masked_invalid(grid), norm=norm, cmap="cividis", shading="nearest")
-    for axis, side in ((of.x, axes.xaxis), (of.y, axes.yaxis)):
-        if axis.control.form == "log":
-            side.set_major_formatter(lambda value, _: f"{10.0**value:.3g}")
-        side.set_label_text(axis.label)
-    if chosen is not None:
-        at = x[chosen[1]], y[chosen[0]]
-        axes.plot(*at, "o", markerfacecolor="none", markeredgecolor="#D55E00", markersize=9, markeredgewidth=2)
-    bar = figure.colorbar(image, ax=axes, format=None if isinstance(norm, LogNorm) else "{x:.5g}")
-    bar.set_label(MEASURES[of.quantity].units)
-    axes.set_title(of.quantity, fontsize=9, loc="left")
-    canvas.draw()  # type: ignore[no-untyped-call]
-    box = axes.get_position()
-    area = float(box.x0), float(box.x1), float(1.0 - box.y1), float(1.0 - box.y0)
-    pixels = np.asarray(canvas.buffer_rgba())  # type: ignore[no-untyped-call]
-    return Picture(pixels[:, :, :3].copy(), area)

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any
 
 from closedloop.control.law import ControlLaw
 from closedloop.errors import ScenarioError
-from closedloop.lab.history import History
+from closedloop.lab.history import History, in_words
 from closedloop.record.run import Run
 from closedloop.scenario.scenario import Scenario, load_scenario
 from robot_models import RobotModel
@@ -68,6 +68,8 @@ def lab(
     if isinstance(law, type) and issubclass(law, ControlLaw):
         changes, law = {"law.kind": law} | changes, None
     base, name, model = _begin(scenario, changes, model)
+    if not isinstance(scenario, str | Path):
+        name, changes = in_words(base)
     words = "" if law is None else f"--law {getattr(law, '__module__', '?')}:{getattr(law, '__qualname__', '?')}"
     lab = Lab(History(base, name, _in_words(changes), words), law=law, model=model, host=host, port=port, dark=dark)
     if show:

@@ -139,11 +139,13 @@ class Tabs:
 
 
 def _marks(control: Control) -> tuple[tuple[float, str], ...] | None:
-    """Return the powers of ten below a logarithmic slider; None: viser's own, its ends."""
+    """Return the marks below a logarithmic slider, three at least; None: viser's own two, its ends."""
     if control.form != "log":
         return None
     powers = range(math.ceil(control.low - 1e-9), math.floor(control.high + 1e-9) + 1)
-    return tuple((float(k), f"{10.0**k:g}") for k in powers)
+    if len(powers) > 2:
+        return tuple((float(k), f"{10.0**k:g}") for k in powers)
+    return tuple((k, f"{10.0**k:.2g}") for k in (control.low, 0.5 * (control.low + control.high), control.high))
 
 
 def _can_show(held: Control, wanted: Control) -> bool:

@@ -10,10 +10,21 @@ from typing import Any
 from closedloop.errors import ClosedLoopError, one_line
 from closedloop.lab.answers import Answer
 from closedloop.lab.bench import Bench
+from closedloop.lab.history import IN_A_FILE
 from closedloop.lab.keeping import save, save_page
+from closedloop.lab.look import KEEP, paragraph
 from closedloop.lab.newest import Newest
 from closedloop.lab.pins import MOST_PINS, Pin, Pins, table_html
 from closedloop.record.run import Run
+
+UNSAVED = "This scenario was made in Python: press <b>save</b>, and run the command in the folder that it names."
+STEPS = ("undo", "redo", "begin again")
+# A page that does not come from this computer has no clipboard: the text is selected instead, for Ctrl-C.
+COPY = """(function(b){var p=b.nextElementSibling;
+function say(t){b.textContent=t;setTimeout(function(){b.textContent='copy command'},1500)}
+function select(){getSelection().selectAllChildren(p);say('selected: press Ctrl-C')}
+if(navigator.clipboard)navigator.clipboard.writeText(p.textContent).then(function(){say('copied')},select);
+else select();})(this)"""
 
 
 class KeepTab:
@@ -31,13 +42,16 @@ class KeepTab:
         self.folder: Path | None = None  # where folders are made; the current one's "out" if None
         self._table: Newest[tuple[list[Pin], Run, Any], str] = Newest(_table_of, self._show_table)
         with tab:
-            self.steps = gui.add_button_group("changes", ("undo", "redo", "begin again"))
-            self.pinned = gui.add_button_group("runs", ("pin", "unpin the last"))
-            self.files = gui.add_button_group("files", ("save", "share"))
+            gui.add_html(paragraph(KEEP.format(name=html.escape(lab.history.base.name))))
+            self.pinned = gui.add_button_group(
+                "runs", ("pin", "unpin the last"), hint="keep a run beside the next ones"
+            )
+            self.files = gui.add_button_group("files", ("save", "share"), hint="write the run shown")
             self._said = gui.add_html("")
             self._command = gui.add_html("")
             self._rows = gui.add_html("")
         # In a thread, not in viser's loop: they write files.
+        self.steps = lab.steps
         self.steps.on_click(lambda event: self.step(self.steps.value))
         self.pinned.on_click(lambda event: self.pin(self.pinned.value))
         self.files.on_click(lambda event: self.write(self.files.value))
@@ -93,8 +107,8 @@ class KeepTab:
     def _shown(self, answer: Answer) -> None:
         if answer.run is None or not len(answer.run):
             return
-        style = "font-size:0.75em;margin:0.3em 0.8em;white-space:pre-wrap;user-select:all"
-        self._command.content = f'<pre style="{style}">{html.escape(self._lab.command(answer))}</pre>'
+        unsaved = self._lab.history.name == IN_A_FILE
+        self._command.content = command_html(self._lab.command(answer)) + (paragraph(UNSAVED) if unsaved else "")
         if self.pins.held:
             self._table.ask((list(self.pins.held), answer.run, answer.changes))
 
@@ -105,6 +119,17 @@ class KeepTab:
     def close(self) -> None:
         """Stop its thread."""
         self._table.close()
+
+
+def command_html(command: str) -> str:
+    """Return a command line with a button that copies it; where a browser copies nothing unasked, it selects it."""
+    button = "margin:0.3em 0.8em 0;padding:0.15em 0.8em;font-size:0.85em;cursor:pointer"
+    text = "font-size:0.75em;margin:0.3em 0.8em;white-space:pre-wrap;user-select:all"
+    hint = "the command line that repeats the run shown"
+    return (
+        f'<button style="{button}" title="{hint}" onclick="{html.escape(COPY, quote=True)}">copy command</button>'
+        f'<pre id="closedloop-command" title="{hint}" style="{text}">{html.escape(command)}</pre>'
+    )
 
 
 def _table_of(request: tuple[list[Pin], Run, Any]) -> str:

@@ -7,17 +7,22 @@ import html
 import io
 import re
 import threading
+import time as clock
 from typing import Any
 
 from closedloop.errors import ClosedLoopError, one_line
 from closedloop.lab.bench import Bench
 from closedloop.lab.controls import TABS, Control, controls
 from closedloop.lab.history import Changes
-from closedloop.lab.mapping import Axis, Map, Picture, picture
+from closedloop.lab.look import MAP, paragraph
+from closedloop.lab.map_picture import MapPicture, Picture
+from closedloop.lab.mapping import Axis, Map
 from closedloop.lab.newest import Newest
 from closedloop.report.measures import MEASURES
 
-USUAL = "rms_force_error"
+USUAL = "peak_contact_force"
+# The map is drawn again after so long at the earliest while it fills in, s: to draw it takes time from the runs.
+REDRAWN = 0.4
 # viser has no picture that can be clicked: this writes the cell into the text field "cell", as if it were typed.
 CLICK = """(function(e){
 var b=e.target.getBoundingClientRect(),x=(e.clientX-b.left)/b.width,y=(e.clientY-b.top)/b.height,a=%s;
@@ -42,11 +47,14 @@ class MapTab:
     def __init__(self, lab: Bench, tab: Any) -> None:
         self._lab, gui = lab, lab.server.gui
         self._stop = threading.Event()
+        self._drawing = threading.Lock()
         self.map: Map | None = None
+        self._picture: MapPicture | None = None
         self._before: Changes = {}
         self._controls: dict[str, Control] = {}
         self._work: Newest[Map, None] = Newest(self._fill, lambda nothing: None)
         with tab:
+            gui.add_html(paragraph(MAP))
             self.x = gui.add_dropdown("across", ("-",), hint="the key along the map")
             self.y = gui.add_dropdown("up", ("-",), hint="the key up the map")
             self.quantity = gui.add_dropdown("value", tuple(MEASURES), initial_value=USUAL, hint="what the map shows")
@@ -64,8 +72,10 @@ class MapTab:
         found = [c for tab in TABS.values() for section in tab for c in controls(scenario, section, model)]
         self._controls = {_name(c): c for c in found if c.form in ("linear", "log") and not c.key.startswith("start.")}
         names = tuple(self._controls)
-        for handle, at in ((self.x, 0), (self.y, 1)):
-            chosen = handle.value if handle.value in names else names[min(at, len(names) - 1)]
+        # A gain, say, rather than an instant or a period, of which most values do not fit the step.
+        over_decades = next((n for n, c in self._controls.items() if c.form == "log" and c.unit != "s"), names[-1])
+        for handle, usual in ((self.x, names[0]), (self.y, over_decades)):
+            chosen = handle.value if handle.value in names else usual
             if handle.options != names:
                 handle.options = names
             if handle.value != chosen:
@@ -107,24 +117,30 @@ class MapTab:
         self._lab.history.set_all(self.map.changes(row, column, self._before))
         self._lab.refresh()
         self._lab.ask()
-        self._show(self.map, True, (row, column))
+        self._show(True, (row, column))
         if why := self.map.reasons.get((row, column)):
             self._say(why)
 
     def _fill(self, wanted: Map) -> None:
         self._stop.clear()
-        self.map, total = wanted, wanted.grid.size
+        self.map, self._picture, total, drawn = wanted, MapPicture(wanted), wanted.grid.size, 0.0
+        began = clock.perf_counter()
         try:
             for done in wanted.fill(lambda: self._stop.is_set() or self._work.overtaken):
                 failed = f", {len(wanted.reasons)} were refused or stopped (grey)" if wanted.reasons else ""
-                self._say(f"{done} of {total} runs{failed}")
-                self._show(wanted, done == total)
+                if done == total or clock.perf_counter() - drawn > REDRAWN:
+                    self._say(f"{done} of {total} runs in {clock.perf_counter() - began:.1f} s{failed}")
+                    self._show(done == total)
+                    drawn = clock.perf_counter()
         except ClosedLoopError as error:
             self._say(one_line(str(error)))
 
-    def _show(self, of: Map, complete: bool, chosen: tuple[int, int] | None = None) -> None:
-        drawn = picture(of, complete, chosen)
-        rows, columns = of.grid.shape
+    def _show(self, complete: bool, chosen: tuple[int, int] | None = None) -> None:
+        if self.map is None or self._picture is None:
+            return
+        with self._drawing:  # a cell may be clicked while the map fills in
+            drawn = self._picture.draw(complete, chosen)
+        rows, columns = self.map.grid.shape
         click = html.escape(CLICK % (list(drawn.area), columns, rows, columns, rows), quote=True)
         style = "width:100%;cursor:crosshair;image-rendering:auto"
         self.image.content = f'<img alt="map" style="{style}" onclick="{click}" src="{_png(drawn)}">'

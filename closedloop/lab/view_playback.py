@@ -27,7 +27,7 @@ class PlaybackBar:
         self._playback, self._moved, self._step = playback, moved, 1e-3
         self.instants: list[float] = []
         self._end = 1.0
-        self.buttons = gui.add_button_group("replay", (PLAY, BACK, ON, EVENT))
+        self.buttons = gui.add_button_group("replay", (PLAY, BACK, ON, EVENT), hint="move the arm as in the run")
         self.time = gui.add_slider("time [s]", 0.0, self._end, 1e-3, 0.0, hint="instant of the run that is shown")
         self.buttons.on_click(self._clicked)
         self.time.on_update(self._sought)

@@ -6,10 +6,12 @@ import math
 from collections.abc import Callable
 from typing import Any
 
+from closedloop.lab.look import MEANINGS
 from closedloop.lab.scene import ARROWS
 from closedloop.lab.view_playback import PlaybackBar
 from closedloop.lab.view_space import Space
 
+EVENTS = "a dot where the tip touches down, lifts off, sticks ..."
 DRAWN = (*ARROWS, "actual path", "desired path", "events")
 
 
@@ -30,24 +32,30 @@ class ViewTab:
         self._gui = gui
         self._space: Space | None = None
         self._redraw: Callable[[], None] = lambda: None
+        self._tell_scale: Callable[[], None] = lambda: None
         with tab:
             bar.add_settings(gui)
             self._scale = gui.add_slider(
                 "arrows", -5.0, 1.0, 0.01, -2.0, hint="length of the arrows in space",
                 marks=((-4.0, "0.1 mm/N"), (-2.0, "10 mm/N"), (0.0, "1 m/N")),
             )  # fmt: skip
-            self._switches = {name: gui.add_checkbox(name, True) for name in DRAWN}
-            self._through = gui.add_checkbox("see through the last link", False)
-            self._dark = gui.add_checkbox("dark", dark)
+            self._switches = {
+                name: gui.add_checkbox(name, True, hint=f"whether it is drawn: {MEANINGS.get(name, EVENTS)}")
+                for name in DRAWN
+            }
+            self._through = gui.add_checkbox(
+                "see through", False, hint="draw the last link so that the force inside of it is seen"
+            )
+            self._dark = gui.add_checkbox("dark", dark, hint="light on dark instead of dark on light")
         self._scale.on_update(self._scaled)
         self._dark.on_update(self._themed)
         self._through.on_update(self._made_clear)
         for name, switch in self._switches.items():
             switch.on_update(self._switched(name, switch))
 
-    def connect(self, space: Space, redraw: Callable[[], None]) -> None:
-        """Set what is drawn where; `redraw` draws the present instant again."""
-        self._space, self._redraw = space, redraw
+    def connect(self, space: Space, redraw: Callable[[], None], scaled: Callable[[], None]) -> None:
+        """Set what is drawn where; `redraw` draws the present instant again, `scaled` is told of another scale."""
+        self._space, self._redraw, self._tell_scale = space, redraw, scaled
 
     def see_through(self, through: bool) -> None:
         """Draw the last link so that the force inside of it is seen, or not, as the switch does."""
@@ -68,6 +76,7 @@ class ViewTab:
             self._space.metres_per_newton = 10.0 ** float(self._scale.value)
             self._scale.label = f"10 N = {10.0 * self._space.metres_per_newton:.2g} m"
             self._redraw()
+            self._tell_scale()
 
     async def _themed(self, event: Any) -> None:
         configure(self._gui, bool(self._dark.value))

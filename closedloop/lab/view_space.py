@@ -14,7 +14,7 @@ Array = NDArray[np.float64]
 
 EVENTS = {
     "impact": (230, 159, 0), "touchdown": (0, 114, 178), "liftoff": (86, 180, 233), "stick": (213, 94, 0),
-    "slip": (0, 158, 115), "reversal": (204, 121, 167),
+    "slip": (0, 158, 115), "reversal": (204, 121, 167), "edge": (0, 0, 0),
 }  # fmt: skip
 SURFACE = (196, 205, 214)
 # An arrow shorter than this share of the arm's reach is not drawn.
@@ -41,9 +41,10 @@ class Space:
         self.hidden: set[str] = set()
         api.configure_environment_map(None)
         api.configure_default_lights(False)
-        api.add_light_ambient("/light", intensity=1.2)
-        api.add_light_directional("/sun", intensity=2.0, position=(1.0, -1.0, 2.0))
-        api.add_light_directional("/sky", intensity=0.8, position=(-1.5, 1.0, 1.0))
+        # No brighter: the arrows' colours would be others than those of the legend.
+        api.add_light_ambient("/light", intensity=0.9)
+        api.add_light_directional("/sun", intensity=1.1, position=(1.0, -1.0, 2.0))
+        api.add_light_directional("/sky", intensity=0.5, position=(-1.5, 1.0, 1.0))
 
     @property
     def scene(self) -> Scene | None:

@@ -15,8 +15,8 @@ verdict stands in the first line of the report, in ``summary.json`` and in a col
 an assumption's name      an assumption of the paper that failed though the scenario keeps to it
 ========================  ==============================================================================
 
-An ideal actuator is the paper's assumption, and nothing in the loop is clipped: a run beyond the arm's own limits is
-right about an arm that is not this one, which is no good run of this one.
+An ideal actuator is the paper's assumption, and nothing in the loop is cut unless `[drives]` asks for it: a run beyond
+the arm's own limits is right about an arm that is not this one, which is no good run of this one.
 """
 
 from __future__ import annotations
@@ -106,7 +106,7 @@ def outside_by_the_scenario(scenario: Scenario) -> set[str]:
     outside = set()
     if scenario.friction.kind != "none":
         outside |= {"frictionless", "one_loop"}
-    if scenario.joint_friction.kind != "none":
+    if scenario.rubs_in_joints:
         outside.add("frictionless")
     if scenario.surface.contact == "unilateral":
         outside.add("contact_kept")
@@ -166,7 +166,7 @@ def energy_bound(facts: Facts) -> float:
     time, m = facts.scenario.time, facts.measures
     scheme = scheme_of(time.integrator)  # None: a user's, of which a run file has the name only
     order = 1 if scheme is None else min(2, scheme.order)
-    if facts.events or facts.scenario.law.sample_period:
+    if facts.events or facts.scenario.law.sample_period or facts.scenario.reads_encoders:
         order = 1
     stake = (m["energy_exchanged"] or 0.0) + abs(m["energy_lost_to_friction"] or 0.0) + (m["max_kinetic_energy"] or 0.0)
     return max(LEAST_ENERGY, ENERGY_SHARE[order] * stake)

@@ -34,6 +34,7 @@ class Variants:
     def __init__(self, scenario: Scenario, keys: Sequence[str]) -> None:
         self.base, self.keys = scenario, tuple(keys)
         self._data = scenario.model_dump(mode="python", exclude_none=True)
+        self._held = {section: getattr(scenario, section) for section in self._data}
         self._touched = {key.partition(".")[0] for key in self.keys} & set(self._data)
 
     def scenario(self, values: Sequence[Any]) -> Scenario:
@@ -44,8 +45,13 @@ class Variants:
         ScenarioError
             If there is no such key, or a value is at fault.
         """
-        data = self._data | {section: deepcopy(self._data[section]) for section in self._touched}
-        return scenario_of(data, self.base.name, dict(zip(self.keys, values, strict=True)))
+        changes = dict(zip(self.keys, values, strict=True))
+        touched = {section: deepcopy(self._data[section]) for section in self._touched}
+        try:  # the sections that no key is of are taken as they are: that they are valid is known
+            return scenario_of(self._held | touched, self.base.name, changes)
+        except ScenarioError:  # said from all that was given
+            touched = {section: deepcopy(self._data[section]) for section in self._touched}
+            return scenario_of(self._data | touched, self.base.name, changes)
 
     def look(self, points: Sequence[Sequence[Any]]) -> Scenario:
         """Return the first of these scenarios that can be read; see `LOOKED_AT`.

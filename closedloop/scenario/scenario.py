@@ -8,16 +8,22 @@ or a member of a family of plug-ins (`closedloop.families`), a user's own too wh
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping
 from copy import deepcopy
 from functools import cache
 from pathlib import Path
 from typing import Annotated, Any, Literal, Self
 
+import numpy as np
+from numpy.typing import NDArray
 from pydantic import AfterValidator, BeforeValidator, Field, ValidationError, model_validator
 
+from closedloop.control.drives import DrivesSection
+from closedloop.control.encoder import NO_ENCODER, EncoderSection, encoder_kind
 from closedloop.control.law import COMPENSATIONS, LAWS, Compensation, ControlLaw
 from closedloop.control.sensor import SensorSection
+from closedloop.control.transmission import TransmissionSection
 from closedloop.errors import ScenarioError
 from closedloop.families import KEEP_ABSENT, Family, OneOf
 from closedloop.friction.law import JOINT_LAWS, SURFACE_LAWS, FrictionLaw, JointFriction, SurfaceFriction
@@ -32,6 +38,7 @@ from closedloop.sections import (
     JOINT_SPEED,
     PLACE,
     STEP,
+    Direction,
     Flag,
     NotNegative,
     Number,
@@ -50,8 +57,10 @@ from robot_models.load import names_a_file
 from robot_models.toml_text import toml_tables
 
 Coordinate = Annotated[Number, PLACE]
+GRAVITY = Annotated[Number, Size(1e4, "m/s²", "no body pulls so hard")]
 MASS = Size(1e6, "kg", "no arm carries so much", 1e-9)
 Moment = Annotated[Number, Size(1e9, "kg m²", "no tool is so large")]
+TILT = Size(1.5, "rad", "the controller would press along the surface")
 FACTOR = Size(1e3, "", "no model is so wrong", 1e-3, "no model is so wrong")
 REST_SPEED = Size(1e4, "m/s", "nothing bounces so fast", 1e-12, "slower motion is rounding")
 DAMPING_RATIO = Size(1e6, "", "no closure is damped so", 1e-6, "nothing would die out")
@@ -69,8 +78,16 @@ class RobotSection(Section):
     )
     tip: str | None = Field(None, description="frame that touches the surface; the model's own tip if left out")
     drive_inertia: Flag = Field(True, description="add the drives' inertia (armature) to the mass matrix")
+    friction: Flag = Field(
+        False,
+        description="let the damping and friction of the URDF's <dynamics> act in the joints, as viscous coefficients "
+        "and Coulomb torques: the law coulomb_viscous of joint_friction, which must be left out then",
+    )
     lock: dict[str, Annotated[Number, ANGLE]] | None = Field(
         None, description="joints held rigid, and where, rad (m); the model's own choice if left out"
+    )
+    gravity: tuple[GRAVITY, GRAVITY, GRAVITY] | None = Field(
+        None, description="gravity in the base frame, m/s²; the model's own if left out: of a URDF [0, 0, -9.81]"
     )
 
 
@@ -90,6 +107,9 @@ class ToolSection(Section):
     inertia: tuple[Moment, Moment, Moment, Moment, Moment, Moment] = Field(
         (0.0,) * 6, description="tensor about the centre of mass, kg m²: xx, yy, zz, xy, xz, yz"
     )
+    axis: Direction = Field(
+        (0.0, 0.0, 1.0), description="axis of the tool, out of it at its tip, axes of the frame robot.tip; any length"
+    )
 
 
 class ModelErrorSection(Section):
@@ -101,6 +121,23 @@ class ModelErrorSection(Section):
     payload: Annotated[NotNegative, MASS] = Field(
         0.0, description="mass at the tip that the arm carries and the controller does not know of, kg"
     )
+    normal: Annotated[Number, TILT] = Field(
+        0.0, description="angle by which the normal that the controller believes in is tilted off the surface's, rad"
+    )
+    normal_towards: Annotated[Number, ANGLE] = Field(
+        0.0, description="direction in which it is tilted, rad from the first tangent t1 to the second"
+    )
+    friction: Annotated[NotNegative, FACTOR] = Field(
+        1.0, description="figures of friction as the compensation has them, of those given in [compensation]"
+    )
+
+    def tilt(self) -> NDArray[np.float64]:
+        """Return the contact frame that the controller believes in (3, 3): n, t1, t2 in the axes of the true one."""
+        c, s = math.cos(self.normal), math.sin(self.normal)
+        a, b = math.cos(self.normal_towards), math.sin(self.normal_towards)
+        # n turns towards d = a t1 + b t2 and d away from n; e = −b t1 + a t2 stays.
+        n, d, e = np.array([c, s * a, s * b]), np.array([-s, c * a, c * b]), np.array([0.0, -b, a])
+        return np.stack([n, a * d - b * e, b * d + a * e])
 
 
 class ImpactSection(Section):
@@ -125,6 +162,9 @@ class StartSection(Section):
     v: Annotated[PerJoint, JOINT_SPEED] | None = Field(
         None, description="joint velocities, rad/s (m/s); at rest if left out"
     )
+    assemble: Flag = Field(
+        False, description="of a mechanism with loops: start at the closed posture nearest to start.q, however far"
+    )
 
 
 def _time_constant(value: Any) -> Any:
@@ -145,7 +185,9 @@ TimeConstant = Annotated[float | Literal["auto"], BeforeValidator(_time_constant
 class BaumgarteGains(Section):
     """Parameters of Baumgarte's stabiliser: s_v = 2ζ/T, s_p = 1/T²."""
 
-    damping_ratio: Annotated[NotNegative, DAMPING_RATIO] = Field(0.707, description="ζ")
+    damping_ratio: Annotated[NotNegative, DAMPING_RATIO] = Field(
+        0.707, description="damping ratio ζ with which the closure error dies out"
+    )
     time_constant: Annotated[TimeConstant, TIME_CONSTANT] = Field(
         0.001, description='T, s, or "auto": two steps, or twice the shortest stable T where that is longer'
     )
@@ -238,7 +280,7 @@ class Scenario(Section):
     )
     tool: ToolSection = Field(ToolSection(), description="a tool on the tip: where its tip is, and its mass")
     model_error: ModelErrorSection = Field(
-        ModelErrorSection(), description="what the controller is wrong about: masses, a payload"
+        ModelErrorSection(), description="what the controller is wrong about: masses, a payload, normal, friction"
     )
     compliance: Annotated[Compliance, COMPLIANCES] = Field(
         default_factory=lambda: COMPLIANCES["none"](), description="how the surface gives way, if it is soft"
@@ -253,6 +295,13 @@ class Scenario(Section):
         default_factory=lambda: COMPENSATIONS["none"](), description="what the controller does against friction"
     )
     sensor: SensorSection = Field(SensorSection(), description="the force sensor: noise, bias, delay, resolution")
+    encoder: EncoderSection = Field(
+        EncoderSection(), description="what the controller measures of the joints: noise, quantisation, velocity"
+    )
+    transmission: TransmissionSection = Field(
+        TransmissionSection(), description="elastic joints: stiffness, damping and motor inertia"
+    )
+    drives: DrivesSection = Field(DrivesSection(), description="the joints' drives: limits of torque and of its rate")
     friction: Annotated[SurfaceFriction, SURFACE_LAWS] = Field(
         default_factory=lambda: SURFACE_LAWS["none"](), description="friction between tip and surface"
     )
@@ -273,6 +322,16 @@ class Scenario(Section):
             chosen = "rk4" if self.surface.contact == "unilateral" and not stiff else "semi_implicit_euler"
             self.__dict__["time"] = self.time.model_copy(update={"integrator": chosen})
         return self
+
+    @property
+    def rubs_in_joints(self) -> bool:
+        """Whether there is friction in the joints."""
+        return self.joint_friction.kind != "none" or self.robot.friction
+
+    @property
+    def reads_encoders(self) -> bool:
+        """Whether the controller reads positions once a step, and does not see the state itself."""
+        return encoder_kind(self.encoder) != NO_ENCODER or self.transmission.on_motors
 
     def to_toml(self) -> str:
         """Return the scenario as TOML text that `load_scenario` reads back to an equal one."""

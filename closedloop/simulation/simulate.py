@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from closedloop.engines.failures import interrupted, member_error
 from closedloop.engines.law_source import arguments_of, law_digest
 from closedloop.engines.loops import ENGINES, PINOCCHIO, loop_for
-from closedloop.engines.problem import Problem
+from closedloop.engines.problem import Problem, arm_columns
 from closedloop.engines.user_law import Law, UserLaw
 from closedloop.errors import (
     DivergenceError,
@@ -37,7 +37,7 @@ from closedloop.scenario.members import member_digests
 from closedloop.scenario.scenario import Scenario
 from closedloop.simulation.loop_calls import Answers, begun, driver
 from closedloop.simulation.prepare import prepare
-from closedloop.step.record_row import RECORDED, Row, complete_record, recorded, rows_there
+from closedloop.step.record_row import RECORDED, complete_record, recorded, rows_there
 from robot_models import RobotModel
 
 Array = NDArray[np.float64]
@@ -194,7 +194,7 @@ def run_loop(
     state, w = loop.state, loop.w
     user_law = None if law is None else UserLaw(law, loop)
     connect = partial(problem.connect, loop, user_law.connect if user_law else None)
-    rows = np.empty((steps + 1, Row.count(robot.n))) if rows is None else rows
+    rows = np.empty((steps + 1, problem.row_width)) if rows is None else rows
     kernel = loop_for(engine, problem.general or law is not None)
     if interim:
         kernel = begun(kernel, problem, loop, connect, law)
@@ -275,7 +275,7 @@ def as_run(
         "reference_tip": wanted[:, 2 * n : 2 * n + 3].copy(),
         "reference_force": wanted[:, 2 * n + 9].copy(),
     }
-    columns |= {name: recorded(rows, n, name) for name in RECORDED}
+    columns |= {name: recorded(rows, n, name) for name in (*RECORDED, *arm_columns(problem.scenario))}
     columns["mode"] = columns["mode"].astype(np.int8)
     columns["potential_energy"] = np.empty(count)
     work, energies = np.zeros(plain(work_size)(n)), columns["potential_energy"]

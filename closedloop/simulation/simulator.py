@@ -270,7 +270,8 @@ class Simulator:
         row = 0 if now is None else now.row + 1
         measured, count = stepper.seen()
         table = stepper.answers.events[since:count].copy() if count > since else None
-        state = StepState(self._h * row, row, self._n, stepper.rows[row].copy(), measured, table)
+        reads = self.problem.scenario.reads_encoders
+        state = StepState(self._h * row, row, self._n, stepper.rows[row].copy(), measured, table, reads)
         self._now = _Now(stepper.mark, row, count, state)
 
     def _note(self, driver: object, law: Law | None) -> None:

@@ -16,16 +16,18 @@ import numpy as np
 from numpy.typing import NDArray
 
 from closedloop.closure.contact_force import FREE
+from closedloop.control.drives import cut_torque
 from closedloop.engines.loops import loop_for
 from closedloop.engines.problem import Problem
 from closedloop.engines.user_law import Law, UserLaw
-from closedloop.events.phases import DONE, IMPACT_LAW_WANTED, STEP_END, TABLE_FULL, TERMS
+from closedloop.events.phases import DONE, IMPACT_LAW_WANTED, MEASURED, STEP_END, TABLE_FULL, TERMS
 from closedloop.events.transitions import collide
 from closedloop.jit.background import make_ready
+from closedloop.jit.kernel import plain
 from closedloop.robot.pinocchio import Robot
 from closedloop.simulation.loop_calls import Answers, Call, single_calls
 from closedloop.step.memory import State, Work
-from closedloop.step.record_row import Row, complete_record
+from closedloop.step.record_row import complete_record
 
 Array = NDArray[np.float64]
 
@@ -35,9 +37,9 @@ Mark = tuple[bytes, bytes, bool]
 _REAL = Struct("d")
 
 # Places in the loop's numbers: read and written at every step, and an attribute of `State` takes three times as long.
-_ROW, _PHASE, _SAMPLED, _EVENTS, _MODE, _NO_SEARCH, _LAW, _COMPENSATION, _STARTED = (
+_ROW, _PHASE, _SAMPLED, _EVENTS, _MODE, _NO_SEARCH, _LAW, _COMPENSATION, _STARTED, _DRIVES = (
     cast(int, State.place(name))
-    for name in ("row", "phase", "sampled", "events", "mode", "no_search", "law", "compensation", "started")
+    for name in ("row", "phase", "sampled", "events", "mode", "no_search", "law", "compensation", "started", "drives")
 )
 
 
@@ -71,12 +73,13 @@ class Stepper:
         self._own = int(state.law), int(state.compensation)
         self._general = problem.general
         self._torque: Any = w.torque.data
-        self.rows: Array = np.zeros((problem.steps + 1, Row.count(problem.robot.n)))
+        self.rows: Array = np.zeros((problem.steps + 1, problem.row_width))
         self.answers = Answers(problem, self.loop)
         make_ready(*([collide] if state.unilateral else []), complete_record)
         self._calls: dict[bool, tuple[Call, Call]] = {}
         self._once, self._again = self._loop(self._general)
         self._held, self._own_started = False, False
+        self._begins = MEASURED if state.encoder else STEP_END  # the phase that a row begins with
         self._law: Law | None = None
         self._user_law: UserLaw | None = None
         self._measured = _REAL.size * cast(int, Work.place("measured", *w.sizes))
@@ -112,7 +115,14 @@ class Stepper:
         else:
             self._set_law(None)
             self._held = True
+        before = self._torque.copy()
         self._torque[:] = torque
+        if self._numbers.item(_DRIVES) and not np.array_equal(torque, before):
+            most, change = self._problem.drives
+            plain(cut_torque)(
+                self._torque, before, change / max(1, self._problem.hold), most, self._numbers.item(_ROW) == 0,
+                self.loop.w.torque_limited,
+            )  # fmt: skip
 
     def let(self, law: Law | None) -> None:
         """Let a law, None: the scenario's own, act from the row on, to which the loop has gone back."""
@@ -163,7 +173,7 @@ class Stepper:
         marked = self._at_mark or row == 0
         self._at_mark, self._terms_there, self._terms_of = False, False, None
         while True:
-            if not marked and numbers.item(_PHASE) == STEP_END:
+            if not marked and numbers.item(_PHASE) == self._begins:
                 before = self._copied()
             marked = row == 0
             if self._held:
@@ -180,7 +190,7 @@ class Stepper:
             else:
                 raise self.answers.failure(self._torque if self._held else self._law, self._user_law)
         self.mark = before
-        if row > 0:
+        if row > 0 and self._begins == STEP_END:
             self._terms_of = before
 
     @property

@@ -1,13 +1,18 @@
 """The lab and the shared page in a browser without a screen: what is dragged there is what runs."""
 
 import re
+import shlex
 import shutil
+import threading
 import time
 from pathlib import Path
 
+import numpy as np
 import pytest
 
 import closedloop as cl
+from closedloop.__main__ import main
+from closedloop.lab.share import MOST_FRAMES
 
 CHROMIUM = shutil.which("chromium") or shutil.which("chromium-browser") or shutil.which("google-chrome")
 OPTIONS = ["--use-angle=swiftshader", "--enable-unsafe-swiftshader", "--no-sandbox"]
@@ -23,6 +28,15 @@ def browser():
         started = playwright.chromium.launch(executable_path=CHROMIUM, args=OPTIONS)
         yield started
         started.close()
+
+
+@pytest.fixture
+def offline(browser):
+    """A window of the browser whose network is switched off."""
+    context = browser.new_context(offline=True)
+    context.set_default_timeout(120_000)
+    yield context
+    context.close()
 
 
 @pytest.fixture
@@ -96,6 +110,67 @@ def test_a_fault_stands_beside_its_control_and_the_run_stays(page, lab):
     assert lab.run is before
 
 
+def test_the_page_says_what_is_shown_and_no_box_shows_a_logarithm(page, lab):
+    """What the colours are and how to begin is on the page; boxes beside sliders have the values of the scenario."""
+    page.get_by_text("Move any slider: the whole run of 8 s is computed again").wait_for()
+    assert page.get_by_text("contact force on the tip").is_visible()
+    boxes = (
+        "[...document.querySelectorAll('.mantine-NumberInput-input')].filter(e => e.checkVisibility("
+        "{visibilityProperty: true})).map(e => Number(e.value))"
+    )
+    shown = page.evaluate(boxes)
+    assert 10.0 in shown
+    assert not any(abs(x - np.log10(900.0)) < 1e-3 for x in shown)
+    lab.changed("law.force", 14.0)
+    assert lab.wait()
+    page.get_by_role("button", name="undo").click()
+    page.wait_for_timeout(1000)
+    assert lab.wait()
+    assert lab.run.scenario.law.force == 10.0
+
+
+def looks(page):
+    """Return how the browser filters the plots and the picture in space."""
+    found = "[...document.querySelectorAll('.uplot, canvas[data-engine]')].map(e => getComputedStyle(e).filter)"
+    return page.evaluate(found)
+
+
+def test_the_run_before_stays_greyed_until_the_new_one_is_there(page, lab, monkeypatch):
+    """While a change is computed that takes long, plots and arm are grey; then they are the new run's, in colour."""
+    assert len(looks(page)) > 4
+    assert set(looks(page)) == {"none"}
+    go, answer = threading.Event(), lab.answers.answer
+    monkeypatch.setattr(lab.answers, "answer", lambda *request: go.wait(30.0) and answer(*request))
+    before = lab.run
+    lab.changed("law.force", 12.0)
+    page.get_by_text("computing ...; what is shown is the run before").wait_for()
+    assert all("grayscale" in look for look in looks(page))
+    assert lab.run is before
+    go.set()
+    assert lab.wait()
+    page.get_by_text("steps in").wait_for()
+    assert set(looks(page)) == {"none"}
+    assert plotted(page)["commanded"] == 12.0
+
+
+def test_the_copied_command_repeats_the_run(page, lab, tmp_path):
+    """The button puts it on the clipboard; pasted, it gives the contact force to the last bit."""
+    page.context.grant_permissions(["clipboard-read", "clipboard-write"])
+    lab.changed("law.kp", [900.0, 800.0, 400.0, 300.0])
+    lab.changed("time.duration", 0.5)
+    lab.changed("friction.kind", "coulomb")
+    assert lab.wait(600.0)
+    page.get_by_role("tab", name="keep").click()
+    page.get_by_role("button", name="copy command").click()
+    page.get_by_role("button", name="copied").wait_for()
+    program, *words = shlex.split(page.evaluate("navigator.clipboard.readText()"))
+    assert program == "closedloop"
+    assert main([*words, "--out", str(tmp_path / "again")]) == 0
+    again = cl.load_run(tmp_path / "again" / "run.nc")
+    assert again.scenario.friction.kind == "coulomb"
+    assert np.array_equal(again.contact_force, lab.run.contact_force)
+
+
 def test_a_click_on_the_map_loads_that_run(page, lab):
     """The cell under the pointer is the run that is shown then, and has the value of the map."""
     lab.map.x.value, lab.map.y.value, lab.map.quantity.value = "law.force", "law.kp J2", "peak_contact_force"
@@ -116,31 +191,59 @@ def test_a_click_on_the_map_loads_that_run(page, lab):
     assert lab.run.summary()["peak_contact_force"] == pytest.approx(found.grid[row, column], rel=1e-6)
 
 
-def test_the_shared_page_opens_from_disk_without_network(browser, tmp_path):
-    """The page of a seven-joint arm is small, asks for nothing, throws nothing, and moves."""
-    run = cl.simulate(cl.load_scenario("panda_slide", {"time.duration": 1.0}), engine="compiled")
+@pytest.mark.parametrize("name", cl.shipped_scenarios())
+def test_the_shared_page_opens_from_disk_without_network(name, offline, tmp_path):
+    """Of every scenario, offline: small, asks for nothing, throws nothing, shows tip and forces, and moves."""
+    run = cl.simulate(cl.load_scenario(name), engine="compiled")
     file = Path(run.show(tmp_path / "page.html"))
     assert file.stat().st_size < 5e6
-    page, faults, asked = browser.new_page(), [], []
+    page, faults, asked = offline.new_page(), [], []
     page.on("pageerror", lambda error: faults.append(str(error)))
     page.on("request", lambda request: asked.append(request.url))
     page.goto(file.as_uri())
     assert page.evaluate("Boolean(space.gl)")
-    first = page.evaluate("frameAt(0).arrows[0]")
-    assert first["tail"] == pytest.approx(run.position[0], abs=1e-6)
-    page.evaluate("seek(0.9)")
-    last = page.evaluate("frameAt(0.9).arrows[0]")
-    assert last["force"] == pytest.approx(run.contact_force[900] * run_normal(run), abs=1e-4)
+    rows = np.unique(
+        np.linspace(0, len(run) - 1, min(MOST_FRAMES, len(run))).round().astype(int)
+    )  # those of its frames
+    for row in rows[[0, 100, -1]]:
+        pushed = page.evaluate(f"frameAt({float(run.time[row])!r}).arrows[0]")
+        assert pushed["tail"] == pytest.approx(run.position[row], abs=1e-5)
+        force = run.contact_force[row] * run.surface_normal[row]
+        assert pushed["force"] == pytest.approx(force, rel=1e-4, abs=1e-4)
+    page.evaluate(f"seek({0.5 * float(run.time[-1])!r})")
     page.click("#play")
-    page.wait_for_timeout(300)
-    assert page.evaluate("state.time") != pytest.approx(0.9)
+    page.wait_for_function(f"Math.abs(state.time - {0.5 * float(run.time[-1])!r}) > 0.001")
     assert faults == []
     assert [url for url in asked if not url.startswith("file:")] == []
+
+
+NOTEBOOK = """import closedloop as cl
+run = cl.simulate(cl.load_scenario("planar2_drop", {"time.duration": 0.3}))
+run.show()
+%%
+lab = cl.lab(run, port=8451)
+%%
+lab.close()"""
+
+
+def test_a_notebook_shows_runs_and_the_lab_below_their_cells(browser):
+    """Executed: the replay stands in its cell's output, whole and without the file of a page; the lab in a frame."""
+    needs = "the extra 'notebooks' is not installed"
+    nbformat, nbclient = (pytest.importorskip(name, reason=needs) for name in ("nbformat", "nbclient"))
+    pytest.importorskip("ipykernel", reason=needs)
+    cells = [nbformat.v4.new_code_cell(text) for text in NOTEBOOK.split("%%\n")]
+    notebook = nbformat.v4.new_notebook(cells=cells)
+    nbclient.NotebookClient(notebook, timeout=600).execute()
+    shown, framed = ([o["data"]["text/html"] for o in cell.outputs if "data" in o][-1] for cell in notebook.cells[:2])
+    page, faults, asked = browser.new_page(viewport={"width": 1100, "height": 700}), [], []
+    page.on("pageerror", lambda error: faults.append(str(error)))
+    page.on("request", lambda request: asked.append(request.url))
+    page.set_content(shown)
+    (inside,) = page.main_frame.child_frames
+    inside.wait_for_selector("#play")
+    assert inside.evaluate("Boolean(space.gl)")
+    tail = cl.simulate(cl.load_scenario("planar2_drop", {"time.duration": 0.3})).position[0]
+    assert inside.evaluate("frameAt(0).arrows[0].tail") == pytest.approx(tail, abs=1e-5)
+    assert (faults, [url for url in asked if not url.startswith("about:")]) == ([], [])
     page.close()
-
-
-def run_normal(run):
-    """Return the surface's unit normal (3,)."""
-    from closedloop.surface.plane import unit
-
-    return unit(run.scenario.surface.normal, "surface.normal")
+    assert re.search(r'<iframe[^>]*src="http://127.0.0.1:84\d\d', framed, re.DOTALL)

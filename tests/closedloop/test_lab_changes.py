@@ -11,13 +11,17 @@ import closedloop as cl
 import robot_models
 from closedloop.lab.answers import Answers
 from closedloop.lab.controls import TABS, controls
-from closedloop.lab.history import History
+from closedloop.lab.history import History, in_words
 from closedloop.lab.keeping import save
 from closedloop.lab.kinds import begin_values
+from closedloop.lab.map_picture import MapPicture
 from closedloop.lab.mapping import Axis, Map, coarse_first
 from closedloop.lab.newest import Newest
 from closedloop.lab.pins import Pins, compared
-from closedloop.scenario.overrides import split_overrides
+from closedloop.scenario.overrides import Variants, split_overrides
+from closedloop.scenario.scenario import parse_scenario
+from closedloop.simulation.cache import Cache
+from closedloop.simulation.prepare import prepare
 
 SECTIONS = [section for tab in TABS.values() for section in tab]
 
@@ -46,6 +50,22 @@ def test_each_control_gives_back_the_value_that_it_shows(name):
             assert control.low <= control.with_value(low).shown <= control.with_value(high).shown <= control.high
         else:
             assert back == control.value
+
+
+def test_every_control_says_what_it_is():
+    """In words when hovered over, of every kind that can be chosen; and the force is at the top of its tab."""
+    for name in ("wam_slide", "panda_scan", "soft_table", "payload_mismatch"):
+        base = cl.load_scenario(name)
+        for control in all_controls(base):
+            assert len(control.hint.split()) > 1, control.key
+        for control in all_controls(base):
+            for kind in control.options if control.key.endswith(".kind") else ():
+                section = control.key.partition(".")[0]
+                values = begin_values(base, section, kind) | {control.key: kind}
+                changed = Variants(base, tuple(values)).scenario(tuple(values.values()))
+                for each in controls(changed, section):
+                    assert len(each.hint.split()) > 1, (kind, each.key)
+    assert [c.key for c in controls(cl.load_scenario("panda_scan"), "law")][:2] == ["law.kind", "law.force"]
 
 
 @pytest.mark.parametrize("section", ["law", "compensation", "friction", "joint_friction", "reference", "force_profile"])
@@ -100,6 +120,18 @@ def test_the_command_line_repeats_what_was_changed():
     overrides, rest = split_overrides(words)
     assert (program, name, rest) == ("closedloop", "wam_slide", ["--engine", "compiled"])
     assert cl.load_scenario(name, overrides) == history.scenario()
+
+
+def test_a_scenario_made_in_python_is_named_by_what_differs_from_the_shipped_one():
+    """The words give it back; one that no words give is a file, which save writes."""
+    for changes in ({}, {"law.kp": [9.0, 8.0, 7.0, 6.0]}, {"friction.kind": "coulomb", "friction.coefficient": 0.2}):
+        made = cl.load_scenario("wam_slide", changes)
+        name, given = in_words(made)
+        assert given.keys() == changes.keys()
+        overrides, _ = split_overrides(shlex.split(History(made, name, given).command())[2:])
+        assert cl.load_scenario(name, overrides) == made
+    other = parse_scenario(cl.load_scenario("wam_slide").to_toml().replace('"wam_slide"', '"my_own"'))
+    assert in_words(other) == ("scenario.toml", {})
 
 
 def test_the_newest_request_wins_and_the_one_before_is_shown_meanwhile():
@@ -181,6 +213,61 @@ def test_the_cells_of_a_map_are_the_runs_of_their_changes():
     history = History(base, "wam_slide")
     for cell in ((0, 3), (2, 1)):
         run = cl.simulate(history.scenario(found.changes(*cell)), engine="compiled")
-        assert found.grid[cell] == pytest.approx(run.summary()["peak_contact_force"], rel=1e-9)
+        assert found.grid[cell] == run.summary()["peak_contact_force"]
     assert sorted(coarse_first(9, 10)) == [(i, j) for i in range(9) for j in range(10)]
     assert coarse_first(9, 10)[:4] == [(0, 0), (0, 8), (8, 0), (8, 8)]
+
+
+def test_an_axis_has_the_values_of_its_slider():
+    """Each is one that the slider can show; of a step, which moves in round values, every one of them."""
+    base = cl.load_scenario("wam_slide")
+    for key, index in (("law.force", None), ("law.kp", 1), ("time.duration", None)):
+        control = control_of(base, key, index)
+        values = Axis.of(control).values
+        assert values.size == 40
+        assert np.all(np.diff(values) > 0.0)
+        for value in values:
+            whole = [*control.value[:1], value, *control.value[2:]] if index else value
+            assert control.read(control.with_value(whole).shown) == pytest.approx(whole)
+    assert {1e-4, 2e-4, 5e-4, 1e-3} <= set(Axis.of(control_of(base, "time.step")).values)
+
+
+@pytest.mark.parametrize("name", ["wam_slide", "wam_stick_slip", "soft_table", "panda_scan"])
+def test_what_runs_share_is_as_if_made_for_each(name):
+    """A variant is the scenario read from all its keys; prepared after others, its numbers are those of a new one."""
+    base, cache = cl.load_scenario(name, {"time.duration": 0.01}), Cache()
+    variants = Variants(base, ("law.force", "sensor.bias"))
+    for values in ((base.law.force, 0.0), (7.0, 0.0), (7.0, 0.1), (base.law.force, 0.0)):
+        changed = variants.scenario(values)
+        whole = cl.load_scenario(name, {"time.duration": 0.01} | dict(zip(variants.keys, values, strict=True)))
+        assert changed == whole
+        assert changed.to_toml() == whole.to_toml()
+        shared, own = prepare(changed, cache=cache), prepare(whole)
+        assert np.array_equal(shared.constants().memory, own.loop().constants.memory)
+        assert np.array_equal(shared.loop().w.memory, own.loop().w.memory)
+        assert np.array_equal(shared.table, own.table)
+
+
+def test_the_picture_of_a_map_shows_its_cells_while_they_come():
+    """At every stage, a linear scale or one of decades: each cell has the colour of its value, grey where none is."""
+    base = cl.load_scenario("wam_slide")
+    found = Map(
+        base, Axis.of(control_of(base, "law.force"), 8), Axis.of(control_of(base, "law.kp", 1), 5), "rms_force_error"
+    )
+    drawn = MapPicture(found)
+
+    def colours():
+        pixels, (left, right, top, bottom) = drawn.draw(True)
+        high, wide = pixels.shape[:2]
+        x = (left + (right - left) * (np.arange(8) + 0.5) / 8) * wide
+        y = (bottom - (bottom - top) * (np.arange(5) + 0.5) / 5) * high
+        return pixels[np.ix_(y.astype(int), x.astype(int))].astype(int)
+
+    assert np.ptp(colours()) <= 1
+    for values in (np.linspace(1.0, 2.0, 40), np.logspace(-3.0, 3.0, 40)):
+        found.grid[:] = values.reshape(5, 8)
+        shown = colours().sum(axis=2).ravel()
+        assert np.all(np.diff(shown) > 0)
+        found.grid[2, 3] = np.nan
+        assert np.ptp(colours()[2, 3]) <= 1
+    assert len(np.unique(colours().reshape(-1, 3), axis=0)) == 40

@@ -3,6 +3,7 @@
 import base64
 import json
 import re
+import sys
 
 import numpy as np
 import pytest
@@ -150,10 +151,24 @@ def test_a_film_has_a_frame_for_each_instant(tmp_path):
     assert sorted(path.name for path in tmp_path.iterdir()) == ["drop.gif"]
 
 
-def test_a_mp4_without_ffmpeg_is_one_line(tmp_path, monkeypatch):
-    """The line names ffmpeg and the way out."""
-    from matplotlib.animation import FFMpegWriter
+def test_a_mp4_has_the_frames_of_the_run(tmp_path):
+    """Read back by ffmpeg: as many frames and seconds as asked for, of the film's size; the arm moves in it."""
+    reader = pytest.importorskip("imageio_ffmpeg", reason="imageio-ffmpeg is not installed: the extra 'mp4'")
+    file = short_run("planar2_drop").animate(tmp_path / "drop.mp4", speed=0.5, frames_per_second=10)
+    assert reader.count_frames_and_secs(str(file)) == (11, pytest.approx(1.1))
+    about, *frames = reader.read_frames(str(file))
+    assert (about["codec"], about["size"], about["fps"]) == ("h264", (1000, 500), 10.0)
+    pictures = [np.frombuffer(frame, dtype=np.uint8).reshape(500, 1000, 3).astype(int) for frame in frames]
+    assert np.abs(pictures[-1] - pictures[0])[:, :500].max() > 50
+    assert [path.name for path in tmp_path.iterdir()] == ["drop.mp4"]
 
-    monkeypatch.setattr(FFMpegWriter, "isAvailable", classmethod(lambda cls: False))
-    with pytest.raises(cl.OutputError, match=r"needs the program ffmpeg.*\.gif"):
+
+def test_a_mp4_without_ffmpeg_is_one_line(tmp_path, monkeypatch):
+    """The line says what to install, and the way out; nothing is written."""
+    monkeypatch.setattr("closedloop.lab.animate.shutil.which", lambda name: None)
+    monkeypatch.setitem(sys.modules, "imageio_ffmpeg", None)
+    with pytest.raises(cl.OutputError) as refused:
         short_run("planar2_drop").animate(tmp_path / "drop.mp4")
+    assert 'pip install "closedloop[mp4]", or write a .gif' in str(refused.value)
+    assert len(str(refused.value).splitlines()) == 1
+    assert list(tmp_path.iterdir()) == []

@@ -1,0 +1,107 @@
+"""The scene as MJCF, loaded by MuJoCo: the run's tip, masses and forces, and the surface where the run has it."""
+
+import numpy as np
+import pytest
+
+import closedloop as cl
+from closedloop.__main__ import main
+from closedloop.closure.contact_force import FREE
+from closedloop.lab.scene import quaternions, scene_of
+from closedloop.robot.pinocchio import Robot
+
+BUMPS = [[0.002 * np.sin(0.7 * i) * np.cos(0.5 * j) for j in range(18)] for i in range(15)]
+SURFACES = {
+    "plane": {"surface.normal": [0.1, -0.2, 1.0], "reference.kind": "hold"},
+    "sphere": {"surface.kind": "sphere", "surface.radius": 0.4},
+    "bowl": {"surface.kind": "sphere", "surface.radius": 0.4, "surface.inside": True},
+    "cylinder": {"surface.kind": "cylinder", "surface.radius": 0.25, "surface.axis": [1.0, 0.5, 0.0]},
+    "pipe": {"surface.kind": "cylinder", "surface.radius": 0.5, "surface.inside": True},
+    "ellipsoid": {"surface.kind": "ellipsoid", "surface.normal": [0.1, 0.2, 1.0], "reference.kind": "hold"},
+    "height_field": {"surface.kind": "height_field", "surface.heights": BUMPS, "surface.spacing": 0.02},
+    "turntable": {"surface_motion.kind": "turntable"},
+}
+ARMS = ("planar2_slide", "panda_slide", "panda_scan", "soft_table", "payload_mismatch", "wam_sphere", "wam_touchdown")
+QUICK = ("planar2_slide", "panda_scan")
+# MuJoCo's grids of heights are made of triangles.
+ROUGHNESS = {"bowl": 2e-5, "pipe": 2e-5, "height_field": 2e-5}
+
+
+def loaded(run, folder):
+    """Return MuJoCo's model and data of a run's scene, exported by the command."""
+    mujoco = pytest.importorskip("mujoco", reason="mujoco is not installed: the extra 'peers'")
+    file = run.save(folder / "run.nc")
+    assert main(["export", str(file), "--to", "mjcf"]) == 0
+    model = mujoco.MjModel.from_xml_path(str(folder / "run.xml"))
+    return mujoco, model, mujoco.MjData(model)
+
+
+@pytest.mark.parametrize("name", [n if n in QUICK else pytest.param(n, marks=pytest.mark.slow) for n in ARMS])
+def test_the_arm_is_that_of_the_run(name, tmp_path):
+    """At the run's states: the tip to 1e-9 m, mass matrix, bias with gravity, moved mass; no shape touches."""
+    run = cl.simulate(cl.load_scenario(name, {"time.duration": 0.02}))
+    mujoco, model, data = loaded(run, tmp_path)
+    robot = scene_of(run).model.pinocchio_model()
+    columns = [int(model.joint(joint).dofadr[0]) for joint in run.model.joint_names]
+    mass = np.zeros((model.nv, model.nv))
+    rng, bodies = np.random.default_rng(3), [int(model.joint(joint).bodyid[0]) for joint in run.model.joint_names]
+    assert model.body_mass.sum() == pytest.approx(model.body_mass[bodies].sum())
+    assert model.body_mass.sum() == pytest.approx(sum(each.mass for each in list(robot.inertias)[1:]), rel=1e-9)
+    assert np.array_equal(model.opt.gravity, run.model.gravity)
+    own = Robot(scene_of(run).model, scene_of(run).tip)
+    for q in (run.q[0], run.q[-1], run.q[0] + rng.normal(0.0, 0.2, run.model.n)):
+        v = rng.normal(0.0, 1.0, run.model.n)
+        data.qpos[columns], data.qvel[columns] = q, v
+        mujoco.mj_forward(model, data)
+        terms = own.terms(q, v)
+        assert data.site("tip").xpos == pytest.approx(terms.position, abs=1e-9)
+        mujoco.mj_fullM(model, data, mass)
+        assert mass[np.ix_(columns, columns)] == pytest.approx(terms.mass_matrix, rel=1e-9, abs=1e-9)
+        assert data.qfrc_bias[columns] == pytest.approx(terms.bias, rel=1e-9, abs=1e-9)
+    for key, row in (("start", 0), ("end", -1)):
+        mujoco.mj_resetDataKeyframe(model, data, model.key(key).id)
+        mujoco.mj_forward(model, data)
+        assert data.site("tip").xpos == pytest.approx(run.position[row], abs=1e-9)
+        assert data.ctrl[columns] == pytest.approx(run.torque[row])
+    arm = [k for k in range(model.ngeom) if model.geom(k).name != "surface"]
+    assert len(arm) > 0
+    assert not np.any(model.geom_contype[arm])
+
+
+def distance(loaded_scene, point, normal):
+    """Return how far MuJoCo's surface is below a point (3,), against a unit normal (3,)."""
+    mujoco, model, data = loaded_scene
+    hit, groups = np.zeros(1, dtype=np.int32), np.array([1, 0, 0, 0, 0, 0], dtype=np.uint8)
+    mujoco.mj_forward(model, data)
+    found = mujoco.mj_ray(model, data, point + 0.02 * normal, -normal, groups, 1, -1, hit)
+    assert model.geom(int(hit[0])).name == "surface"
+    return found - 0.02
+
+
+@pytest.mark.parametrize("kind", SURFACES)
+def test_the_surface_is_where_the_run_has_it(kind, tmp_path):
+    """A ray along the normal meets MuJoCo's surface at the tip's distance, and on points of ours off the path."""
+    run = cl.simulate(cl.load_scenario("wam_slide", {"time.duration": 0.05} | SURFACES[kind]))
+    there, scene, near = loaded(run, tmp_path), scene_of(run), ROUGHNESS.get(kind, 1e-6)
+    assert np.all(run.mode != FREE)
+    gap = distance(there, run.position[0], run.surface_normal[0])
+    assert gap == pytest.approx(run.closure_error[0], abs=near)
+    vertices, rng = scene.surface[0], np.random.default_rng(1)
+    points = rng.dirichlet(np.ones(3), 20) @ np.array(
+        [vertices[0], vertices[-1], 0.7 * vertices[1] + 0.3 * vertices[0]]
+    )
+    none = np.zeros_like(points)
+    for point in scene.placed.follow(0.0, np.zeros(len(points)), (points, none, none))[0]:
+        assert distance(there, point, scene.placed.touching(point).frame[0]) == pytest.approx(0.0, abs=near)
+
+
+def test_a_surface_that_moves_is_a_body_that_can_be_moved(tmp_path):
+    """Put where the run has it at its end, the tilting surface carries the tip."""
+    moving = {"surface_motion.kind": "breathing", "time.duration": 0.5, "reference.kind": "hold"}
+    run = cl.simulate(cl.load_scenario("wam_slide", moving))
+    there, (turn, shift) = loaded(run, tmp_path), scene_of(run).surface_place(len(run) - 1)
+    _, model, data = there
+    assert np.linalg.norm(shift) > 1e-4
+    mocap = int(model.body("surface").mocapid[0])
+    data.mocap_pos[mocap], data.mocap_quat[mocap] = shift, quaternions(turn[None])[0]
+    gap = distance(there, run.position[-1], run.surface_normal[-1])
+    assert gap == pytest.approx(run.closure_error[-1], abs=1e-6)

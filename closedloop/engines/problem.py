@@ -20,7 +20,7 @@ from closedloop.errors import ClosedLoopError, LawError, ScenarioError
 from closedloop.events.phases import MEASURED, PROJECTION, STEP_END, TOUCHING
 from closedloop.families import is_users
 from closedloop.friction.contact import Contact
-from closedloop.friction.law import FrictionLaw
+from closedloop.friction.law import FrictionLaw, Slip
 from closedloop.friction.laws.none import NoFriction
 from closedloop.impact import RATIOS
 from closedloop.impact.restitution import RESTITUTIONS, Restitution, coefficient_at
@@ -316,7 +316,7 @@ class Problem:
             try:
                 setattr(loop.state, name, address(entry))
             except Exception as error:
-                member, known = getattr(self.scenario, name), {"LawInput": LawInput._fields}
+                member, known = getattr(self.scenario, name), {"LawInput": LawInput._fields, "Slip": Slip._fields}
                 if not is_users(member) or isinstance(error, ClosedLoopError):
                     raise
                 why = why_member_not_compiled(error, type(member), known)

@@ -15,9 +15,10 @@ _ALLOCATES = ("_ol_array_allocate", "NRT required", "allocate")
 _ATTRIBUTE = re.compile(r"Unknown attribute '(\w+)' of type ([\w.<>]+)")
 _ARGUMENTS = re.compile(r"signature '\((.*?)\)' due to")
 # What compiled code is passed, by the end of its type's name: what users call it, and where it is said what it has.
+_FIELDS = "par (the fields of the class)"
 _PASSED = {
-    "LawInput": "x", "Terms": "terms", "Parameters": "par (the fields of the class)", "OneJoint": "par (the fields of "
-    "the class)", "States": "z or dz (the names in `states`)",
+    "LawInput": "x", "Slip": "x", "Terms": "terms", "Parameters": _FIELDS, "OneJoint": _FIELDS,
+    "States": "z or dz (the names in `states`)",
 }  # fmt: skip
 LONGEST = 200
 

@@ -189,8 +189,8 @@ def test_a_run_is_repeated_without_its_robots_file(deep, command_line, short):
 
 
 def test_the_template_of_the_page_runs(tmp_path):
-    """The block of the page, pasted into a file, is a scenario of its own that can be run."""
-    (block,) = re.findall(r"```toml\n(.*?)```", PAGE.read_text(encoding="utf-8"), re.DOTALL)
+    """The first block of the page, pasted into a file, is a scenario of its own that can be run."""
+    block, *_ = re.findall(r"```toml\n(.*?)```", PAGE.read_text(encoding="utf-8"), re.DOTALL)
     (tmp_path / "mine.toml").write_text(block, encoding="utf-8")
     scenario = cl.load_scenario(tmp_path / "mine.toml")
     assert scenario.time.duration == 6.0

@@ -58,7 +58,8 @@ def caption(scenario: Scenario, metres_per_newton: float | None, panel_width: in
         f"position:fixed;left:14px;bottom:10px;max-width:calc(100vw - {panel_width + 40}px);font-size:0.85em;"
         "line-height:1.4;pointer-events:none"
     )
-    about = html.escape(scenario.description or scenario.name)
+    about = scenario.description or scenario.name
+    about = html.escape(about[:1].upper() + about[1:])
     return (
         f'{STYLE}<div id="closedloop-caption" style="{place}"><b>{about}</b><br>{_legend(metres_per_newton)}<br>'
         f"Move any slider: the whole run of {scenario.time.duration:g} s is computed again. Hover over a name to read "

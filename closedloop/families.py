@@ -28,6 +28,7 @@ from pydantic_core import CoreSchema, PydanticCustomError, PydanticKnownError, c
 
 from closedloop.errors import ScenarioError
 from closedloop.sections import Section
+from closedloop.signatures import signature_faults
 from robot_models.errors import shown
 
 # Context of a validation: keep the section of a class that has not been named in this process, as `Absent`, unrun.
@@ -174,7 +175,8 @@ class Family(Mapping[str, type[M]], Generic[M]):
         Raises
         ------
         ScenarioError
-            If there is no such module or class, or the class is none of this family. What a user's module raises
+            If there is no such module or class, the class is none of this family, or a function of it does not take
+            the arguments that it will be given. What a user's module raises
             while it is imported is raised as it is.
         """
         if isinstance(value, str) and ":" in value:
@@ -189,7 +191,9 @@ class Family(Mapping[str, type[M]], Generic[M]):
         if lacking := sorted(getattr(value, "__abstractmethods__", ())):
             raise ScenarioError(f"{key} = {value.__module__}:{value.__qualname__}: must define {', '.join(lacking)}")
         name = value.member_name()
-        if ":" in name:
+        if ":" in name and _users.get(name) is not value:
+            if faults := signature_faults(value, self.base):
+                raise ScenarioError(*(f"{key} = {name}: {fault}" for fault in faults))
             _users[name] = value
         return name
 

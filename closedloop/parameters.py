@@ -23,15 +23,20 @@ from closedloop.sections import Section
 Array = NDArray[np.float64]
 
 _N = Count.of("n")
+# Annotation of a key whose parameter is the list that `resolved` makes of it, such as the formula of a surface.
+AS_RESOLVED = "as resolved"
 
 
 @cache
 def parameter_block(section: type[Section]) -> type[Block]:
     """Return the block of a section's fields: numbers, and arrays (n,) of those with one for each joint.
 
-    Text, such as the kind, has no part in it.
+    Text, such as the kind, has no part in it, unless it is `AS_RESOLVED`.
     """
-    shapes = {name: _shape(field.annotation) for name, field in section.model_fields.items()}
+    shapes = {
+        name: (_N,) if AS_RESOLVED in field.metadata else _shape(field.annotation)
+        for name, field in section.model_fields.items()
+    }
     return _block(section, "Parameters", {name: shape for name, shape in shapes.items() if shape is not None})
 
 

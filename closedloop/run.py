@@ -20,7 +20,15 @@ from closedloop.command.border import DONE, NOT_GOOD, Parser, run_command
 from closedloop.command.help import list_of_sections, scenario_parser
 from closedloop.command.lists import list_of_scenarios, versions
 from closedloop.command.user_module import import_law
-from closedloop.errors import InterruptedRunError, ScenarioError, SimulationError, one_line
+from closedloop.errors import (
+    ClosedLoopError,
+    InterruptedRunError,
+    OutputError,
+    ScenarioError,
+    SimulationError,
+    lines_of,
+    one_line,
+)
 from closedloop.interrupts import Terminated, word_for
 from closedloop.scenario.members import member_digests
 from closedloop.scenario.overrides import split_overrides
@@ -52,7 +60,10 @@ def _main(arguments: list[str]) -> int:
         raise ScenarioError(
             "command line: name a scenario, such as wam_slide, wam_touchdown or panda_slide; --list lists them"
         )
-    scenario, model, earlier = _open(options.scenario, overrides)
+    try:
+        scenario, model, earlier = _open(options.scenario, overrides)
+    except ScenarioError as error:
+        raise ScenarioError(*error.faults, *_fault_of_out(options.out)) from None
     law = import_law(options.law) if options.law else None
     if law is None and earlier is not None and earlier.law != "scenario":
         raise ScenarioError(
@@ -73,7 +84,12 @@ def _main(arguments: list[str]) -> int:
     folder = Path(options.out) if options.out else Path("out") / scenario.name
     members = member_digests(scenario)
     inputs = question(scenario, model, options.law or "scenario", digest, engine, members)
-    results = Results(folder, inputs, options.overwrite)
+    try:
+        results = Results(folder, inputs, options.overwrite)
+    except OutputError as error:
+        if faults := _faults_of(scenario, model):
+            raise ScenarioError(*faults, str(error)) from None
+        raise
     if earlier is not None:
         _warn_of_other_texts(options.scenario, earlier, {options.law or "": digest, **members})
     if law is None:
@@ -107,14 +123,34 @@ def _main(arguments: list[str]) -> int:
     return NOT_GOOD if options.strict and not run.summary()["verdict"]["good"] else DONE
 
 
+def _fault_of_out(out: str | None) -> list[str]:
+    """Return why nothing can be written there, where the scenario is at fault already; nothing is made."""
+    from closedloop.command.results import why_not_writable
+
+    why = "" if out is None else why_not_writable(Path(out))
+    return [why] if why else []
+
+
+def _faults_of(scenario: Scenario, model: Any) -> tuple[str, ...]:
+    """Return what is at fault with a scenario that has been read: it cannot be prepared."""
+    from closedloop.jit.interpreted import not_compiled_first
+    from closedloop.simulation.prepare import prepare
+
+    try:
+        with not_compiled_first():
+            prepare(scenario, model)
+    except ClosedLoopError as error:
+        return lines_of(error)
+    return ()
+
+
 def _draw(run: Run, folder: Path, failure: SimulationError | None, law: Any, model: Any) -> list[Path]:
     from closedloop.figures import draw_figures, is_papers
 
     try:
-        unstabilised = None
-        if not failure and is_papers(run):
-            unstabilised = _without_stabiliser(run.scenario, law, model, run.engine)
-        return draw_figures(run, folder, unstabilised)
+        if failure or not is_papers(run):
+            return draw_figures(run, folder)
+        return draw_figures(run, folder, lambda: _without_stabiliser(run.scenario, law, model, run.engine))
     except KeyboardInterrupt as stop:
         said = f"{word_for(stop)} while drawing; run.nc and summary.json are in {folder}{os.sep}"
         raise type(stop)(said) if isinstance(stop, Terminated) else KeyboardInterrupt(said) from None

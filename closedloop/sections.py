@@ -37,8 +37,14 @@ def _boolean(value: Any) -> Any:
     return value
 
 
-def _gain(value: Any) -> Any:
-    """Take one number, or a list of them; pydantic's own union would blame the branch that was not meant."""
+def gain_of(value: Any) -> Any:
+    """Return one number, or a list of them as a tuple; pydantic's own union would blame the branch that was not meant.
+
+    Raises
+    ------
+    ValueError
+        If it is neither, or a number is not finite.
+    """
     if not isinstance(value, (list, tuple)):
         return _finite(value)
     for index, entry in enumerate(value):
@@ -47,6 +53,18 @@ def _gain(value: Any) -> Any:
         except ValueError:
             raise ValueError(f"entry {index} is {shown(entry)}: must be a finite number") from None
     return tuple(float(entry) for entry in value)
+
+
+def gains_not_negative(value: float | tuple[float, ...]) -> float | tuple[float, ...]:
+    """Refuse a negative number, or one in a list."""
+    for index, entry in enumerate(value if isinstance(value, tuple) else (value,)):
+        if entry < 0.0:
+            raise ValueError(
+                f"entry {index} is {entry:g}: must not be negative"
+                if isinstance(value, tuple)
+                else "must not be negative"
+            )
+    return value
 
 
 def _finite(value: Any) -> float:
@@ -77,7 +95,7 @@ Restitution = Annotated[float, BeforeValidator(_number), Field(ge=0.0, le=1.0), 
 Flag = Annotated[bool, BeforeValidator(_boolean)]
 Direction = Annotated[tuple[Number, Number, Number], Unit("")]
 PerJoint = tuple[Number, ...]
-Gain = Annotated[float | tuple[float, ...], BeforeValidator(_gain)]
+Gain = Annotated[float | tuple[float, ...], BeforeValidator(gain_of)]
 
 
 class SizeError(ValueError):

@@ -4,9 +4,8 @@ from __future__ import annotations
 
 import hashlib
 import inspect
-import re
 import sys
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from pathlib import Path
 from traceback import extract_tb
@@ -15,6 +14,7 @@ from typing import Any, cast
 from closedloop.errors import ClosedLoopError, ScenarioError, one_line
 from closedloop.families import Member, is_users
 from closedloop.jit.calls import Entry
+from closedloop.jit.compiler_words import why_not_compiled
 from closedloop.jit.kernel import entry_kernel, jit_disabled, kernel, kernel_of
 
 
@@ -44,14 +44,21 @@ def of_users(member: Member | type[Member], key: str) -> Iterator[None]:
         raise ScenarioError(f"{key} = {member.member_name()}: {where}: {what}") from error
 
 
-def why_not_compiled(error: Exception) -> str:
-    """Return the line of numba's message that says what is wrong, and in which line of whose file."""
-    lines = [line.strip() for line in str(error).splitlines()]
-    told = [line for line in lines if line and not line.startswith(("Failed in", "-", "No implementation"))]
-    where = next((line for line in lines if line.startswith("File ")), "")
-    what = next((line for line in told if line != where), str(type(error).__name__))
-    what = re.sub(r"(of type \w+)\(.*\)", r"\1", what)  # a tuple by its name, without the types of its parts
-    return one_line(f"{what} ({where.rstrip(':')})" if where else what)
+def why_member_not_compiled(error: Exception, member: type[Member], known: Mapping[str, Sequence[str]]) -> str:
+    """Return what numba cannot compile of a user's class; see `closedloop.jit.compiler_words.why_not_compiled`."""
+    files = [getattr(sys.modules.get(each.__module__), "__file__", None) for each in member.__mro__ if _is_own(each)]
+    files += [getattr(code, "co_filename", None) for code in map(_code, vars(member).values())]  # a notebook's cell
+    return why_not_compiled(error, [file for file in files if file], known)
+
+
+def _is_own(each: type[Any]) -> bool:
+    """Whether a class is a user's, and not one of this package's or of a library's that all members share."""
+    return issubclass(each, Member) and each.__module__.partition(".")[0] != __name__.partition(".")[0]
+
+
+def _code(value: Any) -> Any:
+    function = getattr(value, "__func__", value)
+    return getattr(getattr(function, "py_func", function), "__code__", None)
 
 
 def source_digest(what: Any) -> str:

@@ -16,7 +16,8 @@ from unittest.mock import patch
 import closedloop
 from closedloop.command.table import COMMANDS, imported, overview
 from closedloop.events.table import EVENT_COLUMNS
-from closedloop.record.run import COLUMNS
+from closedloop.record.derived import DERIVED
+from closedloop.record.run import ALL_COLUMNS, ARM_COLUMNS, COLUMNS
 from closedloop.scenario import describe
 
 # What each public name is for, in the order of the page; a name that is in none of these is a fault.
@@ -88,15 +89,24 @@ def columns() -> Iterator[str]:
     events = set(EVENT_COLUMNS)
     for title, names in (
         ("By time", [c for c in COLUMNS if c not in events]),
+        ("With drives, encoders or elastic joints that are asked for", list(ARM_COLUMNS)),
         ("Events", [c for c in COLUMNS if c in events]),
     ):
         yield from ("", f"## {title}", "")
         rows = []
         for name in names:
-            shape = ", ".join({"time": "N", "joint": "n", "axis": "3", "event": "E"}[dim] for dim in COLUMNS[name].dims)
-            comma = "," if len(COLUMNS[name].dims) == 1 else ""
-            rows.append((f"`{name}`", f"({shape}{comma})", COLUMNS[name].units, COLUMNS[name].meaning))
+            shape = ", ".join(
+                {"time": "N", "joint": "n", "axis": "3", "event": "E"}[dim] for dim in ALL_COLUMNS[name].dims
+            )
+            comma = "," if len(ALL_COLUMNS[name].dims) == 1 else ""
+            rows.append((f"`{name}`", f"({shape}{comma})", ALL_COLUMNS[name].units, ALL_COLUMNS[name].meaning))
         yield from table(("column", "shape", "unit", "meaning"), rows)
+    yield from ("", "## Worked out from the others", "")
+    yield "They are attributes of a run, and stand in CSV and pandas, but not in `run.nc`: they follow from it."
+    shapes = {("time",): "(N,)", ("time", "axis"): "(N, 3)", ("time", "component"): "(N, 6)"}
+    derived = ((f"`{name}`", shapes[each.dims], each.units, each.meaning) for name, each in DERIVED.items())
+    yield ""
+    yield from table(("column", "shape", "unit", "meaning"), derived)
     yield from (
         "",
         "`run.events` has the same table row by row, as `closedloop.Event`, with the kind as a word.",

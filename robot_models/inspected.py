@@ -16,6 +16,14 @@ PASSED: dict[str, tuple[str, ...]] = {
     "d3821697a5c8889df6cd144bbc557b22d5c54885e682d1370aa9447bf00cf5c7": (),
     # pointmass3
     "9957ed631afe2e052f1e3a452638054a904ec10778bd7f131039614d5788d391": (),
+    # four_bar
+    "5a78c709d9c3574796d8fa9525ca6357be1ce5c4f5f3b7e57cd9563e09837d84": (),
+    # five_bar
+    "b478e922b6ebb59158c479ccf924e7444c3824cce451f604d0f52dd22f67fea7": (),
+    # delta
+    "2916d2ff726879aa33ca628d5f0a1d67cf9764abeefe2f0e0417d4ad88527976": (),
+    # stewart
+    "1e0cec012874a3e5de493e94123dbb3dd08e612a7a8ea0fcbf5ae62cccb79575": (),
     # kinova
     "a9a0a8a1a21b82419b15293fca47b8a35c57e7200eaf1e39dadb6bfd7e44eabb": (),
     # panda

@@ -12,8 +12,9 @@ from typing import TYPE_CHECKING, Literal
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from robot_models import build, example_robots, inspected, mjcf, notes, physics, shipped, urdf
+from robot_models import build, example_robots, inspected, mjcf, mjcf_equality, notes, physics, shipped, urdf
 from robot_models.errors import ModelError
+from robot_models.loop_joint import check_loops, loop_joint
 from robot_models.model import RobotModel
 from robot_models.sidecar import Sidecar, read_sidecar
 from robot_models.xml_text import parse, read_text
@@ -108,6 +109,8 @@ def from_text(
     gravity: ArrayLike | None = None,
     description: str = "",
     source: str = "",
+    loops: Sequence[Mapping[str, object]] = (),
+    drives: Sequence[str] = (),
 ) -> RobotModel:
     """Rebuild a robot from what a run stored: the very same dynamics, to the last bit, without reading a
     file.
@@ -122,6 +125,10 @@ def from_text(
         Likewise; kg m² and rad.
     gravity : (3,), optional
         m/s² in the base frame; what the text says, or (0, 0, −9.81), if not given.
+    loops : sequence of tables, optional
+        What closes its loops, see `robot_models.loop_joint`.
+    drives : sequence of str, optional
+        Joints with a drive; all if left out.
 
     Raises
     ------
@@ -133,7 +140,9 @@ def from_text(
     canonical = urdf.read(text, name) if format == "urdf" else mjcf.read(text, name, None)
     if format == "urdf" and not inspected.has_passed(canonical, locked):
         urdf.inspect(canonical, name, locked)
-    found = _Description(name, canonical, format, name, Sidecar(description=description, source=source))
+    closed = tuple(loop_joint(table, name) for table in loops)
+    sidecar = Sidecar(description=description, source=source, closed_loop=closed, drives=tuple(drives))
+    found = _Description(name, canonical, format, name, sidecar)
     built = build.build(canonical, format, locked, name)
     n = built.model.nv
     built.model.armature = _vector(armature, n, f"{name}: armature")
@@ -300,7 +309,10 @@ def _finish(
         description=found.sidecar.description,
         source=found.sidecar.source,
         notes=notes.notes(found.text, found.format, joints, model.velocityLimit, model.effortLimit),
+        loops=found.sidecar.closed_loop or (mjcf_equality.loops(found.text, model) if found.format == "mjcf" else ()),
+        drives=found.sidecar.drives,
     )
+    check_loops(robot.loops, robot.drives, robot.frames, joints, found.where)
     if tip is not None:
         robot.require_frame(tip)
     return robot

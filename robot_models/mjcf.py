@@ -14,7 +14,7 @@ Read against Pinocchio 4.1 and MuJoCo 3.17, Pinocchio's own reader
 - wants `<compiler>` to stand before the bodies, and counts several joints of one body as one.
 
 So `read` inlines the includes, resolves the default classes into plain attributes, keeps what the mechanism
-needs (bodies, joints, inertias, sites, shapes that are not meshes, keyframes) and refuses what would change
+needs (bodies, joints, inertias, sites, shapes that are not meshes, loops, keyframes) and refuses what would change
 the motion and cannot be honoured. Damping, friction loss, contacts, actuators and sensors do not belong to
 the mechanism and are left out.
 """
@@ -23,6 +23,7 @@ import xml.etree.ElementTree as ET
 from collections.abc import Iterator
 from pathlib import Path
 
+from robot_models import mjcf_equality
 from robot_models.errors import ModelError
 from robot_models.mechanism import check_size
 from robot_models.mjcf_defaults import Defaults
@@ -42,7 +43,7 @@ from robot_models.notes import LEFT_OUT
 from robot_models.xml_text import MAX_DEPTH, MAX_ELEMENTS, numbers, parse, read_text, tidy
 
 #: Sections that would change the motion.
-_REFUSED = ("deformable", "equality", "extension", "tendon")
+_REFUSED = ("deformable", "extension", "tendon")
 _IN_BODY = ("body", "joint", "inertial", "geom", "site")
 _IGNORED_IN_BODY = ("camera", "light")
 
@@ -125,6 +126,7 @@ def read(text: str, where: str, folder: Path | None) -> str:
     if rough:
         custom = ET.SubElement(out, "custom")
         ET.SubElement(custom, "text", name=LEFT_OUT, data="\n".join(rough))
+    mjcf_equality.copy(root, out, where)
     keys = ET.SubElement(out, "keyframe")
     for key in root.iterfind("keyframe/key[@qpos]"):
         numbers(key.attrib["qpos"], None, f"{where}: keyframe qpos")
@@ -162,8 +164,8 @@ def for_pinocchio(text: str) -> str:
         _write_plainly(still, Units(root))
     for compiler in root.findall("compiler"):
         compiler.set("angle", "radian")
-    for keyframe in root.findall("keyframe"):
-        root.remove(keyframe)
+    for section in (*root.findall("keyframe"), *root.findall("equality")):
+        root.remove(section)
     return ET.tostring(root, encoding="unicode")
 
 

@@ -11,6 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from robot_models.errors import ModelError
+from robot_models.loop_joint import LoopJoint
 from robot_models.tool import Tool
 
 if TYPE_CHECKING:
@@ -61,6 +62,12 @@ class RobotModel:
     notes: tuple[str, ...] = ()
     #: Bodies fixed to frames of the robot, in this order: a tool, a load.
     tools: tuple[Tool, ...] = ()
+    #: What closes its loops; joint names, frames and arrays are those of the tree that is left without them.
+    loops: tuple[LoopJoint, ...] = ()
+    #: Joints with a drive; all if empty. The others turn freely.
+    drives: tuple[str, ...] = ()
+    #: Whether the drives stand behind springs: their inertia is then not in the mass matrix.
+    elastic: bool = False
 
     def __post_init__(self) -> None:
         for entry in fields(self):
@@ -94,7 +101,7 @@ class RobotModel:
             The text was tampered with and can no longer be built.
         """
         model = self._built.copy()
-        model.armature = np.array(self.armature)
+        model.armature = np.zeros(self.n) if self.elastic else np.array(self.armature)
         model.gravity.linear = np.array(self.gravity)
         for tool in self.tools:
             tool.mount(model)

@@ -15,6 +15,13 @@
     [drive_inertia]           # joint-side drive inertia: kg m², or kg for a prismatic joint
     J1 = 0.2
 
+    drives = ["J1", "J4"]     # joints with a drive, at the top of the file; all if left out
+
+    [[closed_loop]]           # what closes a loop of the mechanism, see `robot_models.loop_joint`
+    type = "hinge"
+    frames = ["coupler_end", "rocker_end"]
+    axis = [0, 1, 0]
+
 Every key is optional and no other is known.
 """
 
@@ -24,11 +31,13 @@ from difflib import get_close_matches
 from pathlib import Path
 
 from robot_models.errors import ModelError, shown
+from robot_models.loop_joint import LoopJoint, loop_joint
 from robot_models.toml_text import toml_tables
 from robot_models.xml_text import read_text
 
 _TEXTS = ("description", "source", "tip")
 _TABLES = ("home", "lock", "drive_inertia")
+_LISTS = ("drives", "closed_loop")
 
 # No joint turns or reaches farther, and no drive is heavier: products of larger numbers might not be numbers.
 MOST_POSITION, MOST_INERTIA = 1e6, 1e9
@@ -44,6 +53,8 @@ class Sidecar:
     home: Mapping[str, float] = field(default_factory=dict)
     lock: Mapping[str, float] = field(default_factory=dict)
     drive_inertia: Mapping[str, float] = field(default_factory=dict)
+    drives: tuple[str, ...] = ()
+    closed_loop: tuple[LoopJoint, ...] = ()
 
 
 def read_sidecar(path: Path, joints: Collection[str]) -> Sidecar:
@@ -70,13 +81,21 @@ def read_sidecar(path: Path, joints: Collection[str]) -> Sidecar:
     except ValueError as error:
         raise ModelError(f"{path} is not valid TOML: {str(error).splitlines()[0]}") from None
     for key, value in table.items():
-        if key not in _TEXTS + _TABLES:
+        if key not in _TEXTS + _TABLES + _LISTS:
             hint = " (it looks like a scenario: give it another name than the robot's)" if "law" in table else ""
-            raise ModelError(f"{path}: unknown key {shown(key)}: known are {', '.join(_TEXTS + _TABLES)}{hint}")
+            raise ModelError(
+                f"{path}: unknown key {shown(key)}: known are {', '.join(_TEXTS + _TABLES + _LISTS)}{hint}"
+            )
         if key in _TEXTS and not (isinstance(value, str) and value.strip()):
             raise ModelError(f"{path}: {key} is {shown(value)}: it must be a text")
         if key in _TABLES:
             _check_table(path, key, value, joints)
+        if key in _LISTS and not (isinstance(value, list) and value):
+            raise ModelError(f"{path}: {key} is {shown(value)}: it must be a list")
+    if not all(isinstance(name, str) for name in table.get("drives", ())):
+        raise ModelError(f"{path}: drives is {shown(table['drives'])}: it must be a list of joints")
+    table["drives"] = tuple(table.get("drives", ()))
+    table["closed_loop"] = tuple(loop_joint(each, str(path)) for each in table.get("closed_loop", ()))
     return Sidecar(**table)
 
 

@@ -66,3 +66,19 @@ class Tool:
         body = pin.Inertia(self.mass, np.array(self.centre), self.tensor())
         model.appendBodyToJoint(frame.parentJoint, body, frame.placement)
         model.frames[index].placement = frame.placement * pin.SE3(np.eye(3), np.array(self.offset))
+
+
+def carried_by(tools: "tuple[Tool, ...]", frame: str) -> "tuple[pin.Inertia, Vector]":
+    """Return the inertia of all bodies fixed to a frame, in its axes and about its origin, and the tip (3,), m, in it.
+
+    Each body but the first is fixed to the tip of the one before it, as `Tool.mount` does it.
+    """
+    import pinocchio as pin
+
+    carried, tip = pin.Inertia.Zero(), np.zeros(3)
+    for tool in tools:
+        if tool.frame == frame:
+            body = pin.Inertia(tool.mass, np.array(tool.centre), tool.tensor())
+            carried = carried + pin.SE3(np.eye(3), tip).act(body)
+            tip = tip + np.array(tool.offset)
+    return carried, tip

@@ -103,12 +103,14 @@ def _plant(options: argparse.Namespace) -> Any:
     from validation.plant import plant_all, plant_runs
     from validation.report import Report
     from validation.suite import faults_section
+    from validation.surfaces.faults import plant_on_surfaces
 
     say("planting faults")
     catches = plant_all(options.robot or "wam4", options.tip, seed=options.seed)
     sections = [faults_section(options.robot or "wam4", catches)]
     if options.robot is None:
         sections.append(faults_section("wam_slide, run by the compiled engine", plant_runs()))
+        sections.append(faults_section("panda on curved, moving and soft surfaces", plant_on_surfaces()))
     return Report(sections=sections)
 
 

@@ -21,6 +21,8 @@ from validation.plant import Catch
 from validation.random_trees import random_robot, random_state
 from validation.report import Check, Report, Section
 from validation.states import draw_states
+from validation.surfaces.compare import compare_on_surfaces
+from validation.surfaces.mujoco import soft_contact_section
 
 # Name in the report -> how to load it. wam4 stands twice: its drives carry half of its inertia.
 ROBOTS: dict[str, tuple[str, bool]] = {
@@ -177,6 +179,9 @@ def run_suite(
     report.comparisons.append(compare_random_trees(trees, 4, engines))
     say("checking identities")
     report.sections.append(check_identities(trees, 2))
+    say("touching surfaces that are curved, move and give way")
+    report.sections.append(compare_on_surfaces(5 if quick else 15, 3 if quick else 12, seed))
+    report.sections.append(soft_contact_section(seed))
     report.sections += list(_published(say))
     if not quick:
         say("sliding in every engine that can")

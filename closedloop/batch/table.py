@@ -19,7 +19,7 @@ from closedloop.events.table import KINDS
 from closedloop.report.measured import WIDTH
 from closedloop.report.measures import JOINT_MEASURES, MEASURES
 from closedloop.report.row_assumptions import NAMES
-from closedloop.step.record_row import RECORDED
+from closedloop.step.record_row import ARM_RECORDED, RECORDED
 
 if TYPE_CHECKING:
     import pyarrow as pa
@@ -40,9 +40,11 @@ def kept_columns(names: Iterable[str]) -> tuple[str, ...]:
     """
     full = tuple(dict.fromkeys(ALIASES.get(name, name) for name in names))
     for name in full:
-        if name not in RECORDED:
+        if name not in RECORDED and name not in ARM_RECORDED:
             short = ", ".join(f"{a} ({b})" for a, b in ALIASES.items())
-            raise ScenarioError(f"keep: no column {name!r}; there are {short}, {', '.join(sorted(RECORDED))}")
+            raise ScenarioError(
+                f"keep: no column {name!r}; there are {short}, {', '.join(sorted({*RECORDED, *ARM_RECORDED}))}"
+            )
     return full
 
 
@@ -70,7 +72,7 @@ def schema(types: Mapping[str, pa.DataType], keep: Sequence[str] = ()) -> pa.Sch
     """
     import pyarrow as pa
 
-    from closedloop.record.run import COLUMNS
+    from closedloop.record.run import ALL_COLUMNS
     from closedloop.scenario.units import key_description, key_unit
 
     def field(name: str, kind: pa.DataType, units: str, meaning: str) -> pa.Field:
@@ -105,9 +107,9 @@ def schema(types: Mapping[str, pa.DataType], keep: Sequence[str] = ()) -> pa.Sch
     by_joint = pa.list_(pa.field("element", number))  # as Parquet calls it
     fields += [field(name, by_joint, m.units, f"{m.meaning}, by joint") for name, m in JOINT_MEASURES.items()]
     for name in keep:
-        wide = len(COLUMNS[name].dims) == 2
+        wide = len(ALL_COLUMNS[name].dims) == 2
         kind = pa.list_(pa.list_(number) if wide else number)
-        fields.append(field(name, kind, COLUMNS[name].units, COLUMNS[name].meaning))
+        fields.append(field(name, kind, ALL_COLUMNS[name].units, ALL_COLUMNS[name].meaning))
     return pa.schema(fields)
 
 

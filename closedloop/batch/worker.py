@@ -20,6 +20,7 @@ from weakref import WeakKeyDictionary
 import numpy as np
 from numpy.typing import NDArray
 
+from closedloop.control.drives import DrivesSection
 from closedloop.engines.compiled import compiled_tree, compiled_work
 from closedloop.engines.lanes import FEWEST, Kind, LaneRuns, kind_of, uses_lanes
 from closedloop.engines.loops import COMPILED
@@ -27,6 +28,7 @@ from closedloop.engines.problem import Problem
 from closedloop.errors import ClosedLoopError, SingularClosureError, faults_on_one_line, one_line
 from closedloop.jit.background import make_ready
 from closedloop.jit.simd8 import WIDE
+from closedloop.report.limited import count_limited
 from closedloop.report.measured import FAILED_AT, WIDTH, Tally, Values, measure_rows
 from closedloop.report.row_assumptions import NAMES
 from closedloop.report.row_sample import joint_limits
@@ -215,6 +217,8 @@ class Worker:
                 *tree, rows, len(rows), problem.table, problem.nodes, problem.h,
                 joint_limits(problem.robot.model), events, len(events), np.empty(Tally.count(n)), values,
             )  # fmt: skip
+            if problem.scenario.drives != DrivesSection():
+                count_limited(recorded(rows, n, "torque_limited"), problem.h, Values(values, n))
         columns = {name: recorded(rows, problem.robot.n, name) for name in self._keep}
         end = problem.h * (len(rows) - 1) if len(rows) > 0 else math.nan
         if isinstance(failure, SingularClosureError) and np.isnan(values[SINGULAR_AT]):
@@ -231,7 +235,7 @@ class Worker:
 
     def _row_memory(self, problem: Problem) -> Array:
         """Return memory for the rows of a problem; the adaptive integrator has its own."""
-        width = Row.count(problem.robot.n)
+        width = problem.row_width
         count = (problem.steps + 1) * width
         if self._rows.size < count:
             self._rows = np.empty(count)

@@ -50,7 +50,8 @@ def pieces() -> tuple[Piece, ...]:
         Piece("_impact", "an impact by itself", _impact),
         Piece("walk", "inverse kinematics of a path", lambda: _problem(False)),
         Piece("sample_spline", "a path of joints", lambda: _problem(False)),
-        Piece("put_on_surface", "a path on a surface", _path),
+        Piece("put_on_surface", "a path on a surface", lambda: _path(False)),
+        Piece("normals_on_surface", "the normal along a path", lambda: _path(True)),
         Piece("potential_energies", "potential energy of a record", _energies),
         *_laws(),
     )
@@ -161,18 +162,20 @@ def _energies() -> None:
     simulate(load_scenario("planar2_slide", {"time.duration": 0.002}))
 
 
-def _path() -> None:
+def _path(normals: bool) -> None:
     import numpy as np
 
     from closedloop.jit.calls import entry_address
-    from closedloop.surface.contact import make_memory, put_on_surface, surface_entry
+    from closedloop.surface.contact import make_memory, normals_on_surface, put_on_surface, surface_entry
     from closedloop.surface.kinds.plane import PlaneSurface
 
-    memory, nothing = make_memory(np.zeros(0), np.zeros(0), 0, np.zeros(3), np.eye(3)), np.zeros((0, 3))
-    put_on_surface(
-        entry_address(surface_entry(PlaneSurface)), memory.address, np.zeros(3), 0.0, np.zeros(0), nothing, nothing,
-        nothing,
-    )  # fmt: skip
+    memory = make_memory(np.zeros(0), np.zeros(0), 0, np.zeros(3), np.eye(3), (np.inf, np.inf))
+    nothing = np.zeros((0, 3))
+    place, now = entry_address(surface_entry(PlaneSurface)), np.zeros(0)
+    if normals:
+        normals_on_surface(place, memory.address, now, nothing, nothing)
+    else:
+        put_on_surface(place, memory.address, np.zeros(3), 0.0, now, nothing, nothing, nothing)
 
 
 def _impact() -> None:

@@ -7,6 +7,7 @@ with --overwrite, and then none of their files is left.
 from __future__ import annotations
 
 import json
+import os
 import tomllib
 from pathlib import Path
 from typing import Any
@@ -117,6 +118,21 @@ def _make_writable(folder: Path) -> None:
         raise OutputError(
             f"--out {str(folder)!r}: cannot be written: {reason_of(error)}; name another folder"
         ) from None
+
+
+def why_not_writable(folder: Path) -> str:
+    """Return why nothing can be written into a folder that need not be there yet, "" if something can; makes nothing.
+
+    A file that is there already is no fault yet: whose it is depends on the scenario.
+    """
+    try:
+        there = next(place for place in (folder, *folder.absolute().parents) if place.exists())
+    except (OSError, ValueError, StopIteration) as error:
+        return f"--out {str(folder)!r}: cannot be written: {reason_of(error)}; name another folder"
+    if there.is_dir() and os.access(there, os.W_OK | os.X_OK):
+        return ""
+    why = "Permission denied" if there.is_dir() else f"{there} is no folder"
+    return f"--out {str(folder)!r}: cannot be written: {why}; name another folder"
 
 
 def _is_summary(path: Path) -> bool:

@@ -24,6 +24,7 @@ from numpy.typing import NDArray
 from pydantic import Field
 
 from closedloop.control.law_input import LawInput
+from closedloop.errors import ScenarioError
 from closedloop.families import Family, Parameters
 from closedloop.jit.kernel import kernel
 from closedloop.sections import FORCE, PERIOD, RATE, NotNegative, Number, gain_in
@@ -115,6 +116,26 @@ class ControlLaw(Parameters):
         0.0, description="K_I, 1/s: a force error settles like exp(-K_I t), to 2 % in 3.9/K_I"
     )
 
+    @classmethod
+    def check_functions(cls, key: str) -> None:
+        """Refuse a law without a torque, or with states that nothing integrates.
+
+        Raises
+        ------
+        ScenarioError
+            Names the class, by `key`, and what it lacks.
+        """
+        _check_states(cls, key)
+        if cls.torque is ControlLaw.torque:
+            raise ScenarioError(
+                f"{key} = {cls.member_name()}: must define @staticmethod def torque(x, par, z, torque), which writes Q"
+            )
+        if cls.rates is ControlLaw.rates and (cls.states or cls.joint_states) and "force_error" not in cls.states:
+            raise ScenarioError(
+                f"{key} = {cls.member_name()}: has states ({', '.join((*cls.states, *cls.joint_states))}) and must "
+                "define @staticmethod def rates(x, par, z, f, torque, dz), which writes their rates into dz"
+            )
+
     @staticmethod
     def torque(x: LawInput, par: Any, z: Any, torque: Array) -> None:
         """Write Q (n,), N m."""
@@ -134,6 +155,16 @@ class ControlLaw(Parameters):
         """Tell z of an impact."""
 
 
+def _check_states(law: type[ControlLaw] | type[Compensation], key: str) -> None:
+    """Refuse names of states that are no tuple of names: ("error") without a comma is a text."""
+    for attribute in ("states", "joint_states"):
+        names: Any = getattr(law, attribute)
+        if not (isinstance(names, tuple | list) and all(isinstance(n, str) and n.isidentifier() for n in names)):
+            raise ScenarioError(
+                f'{key} = {law.member_name()}: {attribute} = {names!r}: must be a tuple of names, such as ("error",)'
+            )
+
+
 class Compensation(Parameters):
     """[compensation]: a torque against friction, added to that of the law.
 
@@ -141,8 +172,15 @@ class Compensation(Parameters):
     """
 
     folder: ClassVar[str] = "closedloop.control.compensation"
+    # Parameters that are figures of friction as the controller believes it to be, see `model_error.friction`.
+    friction_figures: ClassVar[tuple[str, ...]] = ()
     states: ClassVar[tuple[str, ...]] = ()
     joint_states: ClassVar[tuple[str, ...]] = ()
+
+    @classmethod
+    def check_functions(cls, key: str) -> None:
+        """Refuse states that are no names; as `ControlLaw.check_functions`."""
+        _check_states(cls, key)
 
     def check(self, law: ControlLaw) -> None:
         """Refuse parameters that do not go with a law's.

@@ -16,6 +16,9 @@ class LawInput(NamedTuple):
     Contact frame: axes n (out of the surface), t1, t2; the three numbers of every (3,) array are in that order, unless
     it is said to be in base axes.
 
+    With `[encoder]` all of the state is that of the readings, with `[model_error]` it is of the controller's own model,
+    and with `[transmission]` H has the motors in it: see docs/real_arm.md.
+
     Attributes
     ----------
     t : float

@@ -14,7 +14,16 @@ from closedloop.control.law import ControlLaw
 from closedloop.control.law_input import LawInput
 from closedloop.jit.blocks import Block, Count
 from closedloop.jit.kernel import kernel
-from closedloop.sections import ACCELERATION_GAIN, RATE, SPEED, Gain, NotNegative, Positive, Section
+from closedloop.sections import (
+    ACCELERATION_GAIN,
+    RATE,
+    SPEED,
+    Gain,
+    NotNegative,
+    Positive,
+    Section,
+    gains_not_negative,
+)
 
 Array = NDArray[np.float64]
 
@@ -23,18 +32,7 @@ MOST_SWEEPS = 10
 DIAGONAL = 1e-36  # of the squared trace
 
 
-def _gains_not_negative(value: float | tuple[float, ...]) -> float | tuple[float, ...]:
-    for index, entry in enumerate(value if isinstance(value, tuple) else (value,)):
-        if entry < 0.0:
-            raise ValueError(
-                f"entry {index} is {entry:g}: must not be negative"
-                if isinstance(value, tuple)
-                else "must not be negative"
-            )
-    return value
-
-
-GainNotNegative = Annotated[Gain, AfterValidator(_gains_not_negative)]
+GainNotNegative = Annotated[Gain, AfterValidator(gains_not_negative)]
 
 
 class Approach(ControlLaw):

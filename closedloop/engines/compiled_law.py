@@ -4,23 +4,24 @@ from __future__ import annotations
 
 import math
 from functools import lru_cache
+from types import BuiltinFunctionType, FunctionType
 from typing import Any
 
 import numba
 import numpy as np
-from numba import NumbaError, types
+from numba import types
 from numpy.typing import NDArray
 
 from closedloop.control.law_input import LawInput
 from closedloop.engines.law_source import NOT_FINITE, NUMBERS, RAISED, WRONG_LENGTH, Arguments, arguments_of, name_of
 from closedloop.errors import ScenarioError
 from closedloop.jit.calls import is_compiled
+from closedloop.jit.compiler_words import why_not_compiled
 from closedloop.jit.inline_once import NestedFunction
 from closedloop.jit.kernel import numba_ready
 from closedloop.robot.pinocchio import Terms
 from closedloop.step.entries import TORQUE, law_input
 from closedloop.step.memory import loop_at
-from closedloop.user_code import why_not_compiled
 
 numba_ready()
 
@@ -50,14 +51,12 @@ def compiled_law(law: Any) -> Any:
         If it is no such function: a Python function, other arguments, what numba cannot compile, another result.
     """
     if not is_compiled(law):
-        raise ScenarioError(
-            f"engine = 'compiled': the law {name_of(law)} is not compiled: mark it with @numba.njit, "
-            "or use the engine 'pinocchio'"
-        )
+        raise ScenarioError(f"engine = 'compiled': the law {name_of(law)} {_how_to_compile(law)}")
     ways = arguments_of(law)
     asked: tuple[Any, ...] = (_INPUT,) if ways.sees_input else (types.float64, _READ[1], _READ[1], _TERMS)
     if ways.writes:
         asked += (types.float64[::1],)
+    files = [law.py_func.__code__.co_filename]
     try:
         law.compile(asked)
         result = law.overloads[asked].signature.return_type
@@ -68,16 +67,31 @@ def compiled_law(law: Any) -> Any:
             real = array and isinstance(result.dtype, types.Integer | types.Float)
             _check(law, result, real, "must be a one-dimensional array of real numbers, one torque a joint")
         return _entry_of(law, ways)
-    except NumbaError as error:
+    except ScenarioError:
+        raise
+    except Exception as error:  # numba's own, and whatever else its compiler fails with
+        why = why_not_compiled(error, files, {"LawInput": LawInput._fields, "Terms": Terms._fields})
         raise ScenarioError(
-            f"engine = 'compiled': numba cannot compile the law {name_of(law)}: {_why(error)}; "
-            "use the engine 'pinocchio' for it"
+            f"the law {name_of(law)} cannot be compiled: {why}; or leave it to Python, without @numba.njit, with the "
+            "engine 'pinocchio'"
         ) from None
+
+
+def _how_to_compile(law: Any) -> str:
+    """Return what is to be done with a law in Python that compiled code is to call."""
+    if isinstance(law, FunctionType | BuiltinFunctionType):
+        return "is not compiled: mark it with @numba.njit, or use the engine 'pinocchio'"
+    return (
+        "is an object of Python's that may remember, which compiled code cannot call: write it as a class derived from "
+        "closedloop.ControlLaw, with what it remembers as `states`, a function torque(x, par, z, torque), and rates(x, "
+        "par, z, f, torque, dz) for what is integrated (docs/controllers.md), and name it as law.kind; or use the "
+        "engine 'pinocchio'"
+    )
 
 
 def _check(law: Any, result: Any, right: bool, cure: str) -> None:
     if not right:
-        raise ScenarioError(f"engine = 'compiled': the law {name_of(law)} returns {result}: {cure}")
+        raise ScenarioError(f"the compiled law {name_of(law)} returns {result}: {cure}")
 
 
 @numba.njit(_READ[1](_READ[1]))
@@ -155,10 +169,3 @@ def _entry_of(law: Any, ways: Arguments) -> Any:
         return int(answer)
 
     return entry
-
-
-def _why(error: NumbaError) -> str:
-    """Return why numba cannot compile a law, in one line."""
-    if "setitem(readonly" in str(error):
-        return "it writes into q, v or terms, which are there to be read"
-    return why_not_compiled(error)

@@ -25,6 +25,7 @@ from closedloop.errors import (
 from closedloop.families import is_users
 from closedloop.interrupts import word_for
 from closedloop.jit.interpreted import interpreted
+from closedloop.report.verdict import DIVERGES
 from closedloop.robot.pinocchio import Robot
 from closedloop.scenario.gains import gains_fault
 from closedloop.step.entries import CALLS
@@ -96,7 +97,7 @@ def failure_of(status: int, t: float, robot: Robot, problem: Problem, law: Any, 
     if law is None:
         cure = gains_fault(problem.scenario, robot) or cure
     return DivergenceError(
-        f"{when(t)}: the motion diverges: joint {name} is beyond {SPEED_LIMIT:g} rad/s or not a number; {cure}", t
+        f"{when(t)}: {DIVERGES}: joint {name} is beyond {SPEED_LIMIT:g} rad/s or not a number; {cure}", t
     )
 
 

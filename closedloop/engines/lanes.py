@@ -70,6 +70,7 @@ def can_use_lanes(scenario: Scenario) -> bool:
         not needs_general_form(scenario)
         and scenario.surface.kind == "plane"
         and scenario.surface_motion.kind == "none"
+        and np.isinf(scenario.surface.bounds()[0])
         and scenario.compliance.kind == "none"
         and not scenario.surface.gap > 0.0
         and scenario.stabiliser.kind in ("baumgarte", "none")
@@ -93,7 +94,7 @@ class Kind(NamedTuple):
 def kind_of(problem: Problem) -> Kind | None:
     """Return what a run must have in common with the others in its lanes; None for one that cannot use lanes."""
     scenario = problem.scenario
-    if not can_use_lanes(scenario) or problem.mode != PRESSED:
+    if not can_use_lanes(scenario) or problem.general or problem.mode != PRESSED:
         return None
     return Kind(
         scenario.surface.contact, scenario.time.integrator, problem.robot, problem.steps, problem.h, problem.nodes,
@@ -264,7 +265,7 @@ def run_in_lanes(
                     w.begin[n + j] = w.v[j]
                 save_power(w, state)
             if row < steps:
-                add_stage_work(w, stage, h, tableau[stages, stage])
+                add_stage_work(w, state, stage, h, tableau[stages, stage])
                 advance(stage, h, semi_implicit, False, tableau, w.begin, w.stages, w.qdd, w.dz, w.q, w.v, w.z)
         commit_work(w)
     write_values(Row(rows[steps % kept], n), n, steps + 1, tally, values)

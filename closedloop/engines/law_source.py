@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import inspect
+import math
 import os
 import traceback
 from copy import deepcopy
@@ -75,32 +76,45 @@ class Arguments:
         self.sees_input, self.writes = sees_input, writes
 
 
+SIGNATURES = "must be law(x) or law(t, q, v, terms), returning the torque Q"
+
+
 def arguments_of(law: Any) -> Arguments:
-    """Return how a law is called, from the number of its arguments.
+    """Return how a law is called, from the number of its arguments; of a class, how an object of it is.
 
     Raises
     ------
     ScenarioError
-        If a compiled law takes none of the known numbers. (What a Python law is called with wrongly, Python says.)
+        If it takes none of the known numbers.
     """
     compiled = is_compiled(law)
     try:
-        parameters = inspect.signature(law.py_func if compiled else law).parameters.values()
-    except (TypeError, ValueError):
+        given = law.py_func if compiled else law.__call__ if isinstance(law, type) else law
+        parameters = list(inspect.signature(given).parameters.values())[isinstance(law, type) :]
+    except (TypeError, ValueError):  # a function of C, which does not say
         return Arguments(False, False)
-    asked = [each for each in parameters if each.default is each.empty and each.kind in _POSITIONAL]
-    count = len(asked) if not any(each.kind is each.VAR_POSITIONAL for each in parameters) else 4
-    if compiled and count not in (1, 2, 4, 5):
-        raise ScenarioError(
-            f"the law {name_of(law)} takes {count} arguments: must be (x) or (t, q, v, terms), returning Q, or with "
-            "torque besides, writing it"
-        )
+    places = [each for each in parameters if each.kind in _POSITIONAL]
+    least = sum(each.default is each.empty for each in places)
+    most = math.inf if any(each.kind is each.VAR_POSITIONAL for each in parameters) else len(places)
+    count = least if math.isfinite(most) else 4
+    by_name = [each.name for each in parameters if each.kind is each.KEYWORD_ONLY and each.default is each.empty]
+    fits = count in (1, 2, 4, 5) if compiled else count == 1 or (least <= 4 <= most)
+    if not fits or by_name:
+        takes = f"{least} arguments" + (f" and {', '.join(by_name)} by name" if by_name else "")
+        besides = "; or, compiled, with torque besides, writing it" if compiled else ""
+        raise ScenarioError(f"the law {_place(law)}{name_of(law)} takes {takes}: {SIGNATURES}{besides}")
     return Arguments(count in (1, 2) and (compiled or count == 1), compiled and count in (2, 5))
+
+
+def _place(law: Any) -> str:
+    """Return "file:line: " of a law's function, "" if it has no file."""
+    code = getattr(_function(law), "__code__", None)
+    return "" if code is None else f"{os.path.basename(code.co_filename)}:{code.co_firstlineno}: "
 
 
 _POSITIONAL = (inspect.Parameter.POSITIONAL_ONLY, inspect.Parameter.POSITIONAL_OR_KEYWORD)
 
 
 def name_of(law: Any) -> str:
-    """Return the name of a law, for messages."""
-    return str(getattr(law, "__name__", law))
+    """Return the name of a law, for messages: of an object, that of its class."""
+    return str(getattr(law, "__name__", type(law).__name__))

@@ -11,10 +11,14 @@ from numpy.typing import NDArray
 
 from closedloop.closure.contact_force import FREE
 from closedloop.control.compensation.none import NoCompensation
+from closedloop.control.drives import DrivesSection
+from closedloop.control.encoder import MEASURED_VELOCITY, NO_ENCODER, encoder_kind
 from closedloop.control.law import Compensation, ControlLaw
+from closedloop.control.law_input import LawInput
 from closedloop.control.sensor import PackedSensor, SensorSection, start_sensor
-from closedloop.errors import LawError, ScenarioError
-from closedloop.events.phases import PROJECTION, STEP_END
+from closedloop.errors import ClosedLoopError, LawError, ScenarioError
+from closedloop.events.phases import MEASURED, PROJECTION, STEP_END, TOUCHING
+from closedloop.families import is_users
 from closedloop.friction.contact import Contact
 from closedloop.friction.law import FrictionLaw
 from closedloop.friction.laws.none import NoFriction
@@ -22,11 +26,13 @@ from closedloop.impact import RATIOS
 from closedloop.impact.restitution import RESTITUTIONS, Restitution, coefficient_at
 from closedloop.integrators import Scheme
 from closedloop.jit.calls import entry_address
-from closedloop.jit.interpreted import twin_address
+from closedloop.jit.interpreted import interpreted, twin_address
+from closedloop.loops.bind import loop_memory
 from closedloop.parameters import one_joint_block, pack, pack_each_joint, parameter_block, per_joint, state_block
 from closedloop.reference.desired import Desired
 from closedloop.robot.pinocchio import Robot
 from closedloop.scenario.scenario import BaumgarteGains, ModelErrorSection, Scenario
+from closedloop.step.closed_loops import closed_loops
 from closedloop.step.entries import friction_entry, joint_friction_entry, law_entry
 from closedloop.step.memory import (
     ELASTIC_STICK,
@@ -39,11 +45,13 @@ from closedloop.step.memory import (
     Work,
     make_loop,
 )
+from closedloop.step.record_row import Row, row_width
+from closedloop.step.seen import MOTORS_MEASURED, read_joints
 from closedloop.step.soft_contact import compliance_entry
 from closedloop.surface.compliances.none import Rigid
 from closedloop.surface.placed import PlacedSurface
 from closedloop.surface.plane import Plane
-from closedloop.user_code import of_users, why_not_compiled
+from closedloop.user_code import of_users, why_member_not_compiled
 
 Array = NDArray[np.float64]
 
@@ -79,9 +87,10 @@ def pack_law(section: ControlLaw | Compensation, n: int, joint_names: Sequence[s
     Raises
     ------
     ScenarioError
-        If a list has not one entry a joint.
+        If a list has not one entry a joint, or a user's law lacks a function.
     """
     where = "law" if isinstance(section, ControlLaw) else "compensation"
+    type(section).check_functions(f"{where}.kind")
     return PackedLaw(type(section), pack(section, n, where, joint_names), state_block(type(section)).count(n))
 
 
@@ -133,6 +142,12 @@ class Problem:
         Whether the state is projected onto the closure after each step.
     hold : int
         Steps for which a sampled torque is held; 0: the law is evaluated at every stage.
+    drives : (2, n) array
+        Largest torque of each joint, and its largest change from sample to sample, N m; infinite where there is none.
+    transmission : (3, n) array
+        Stiffness, damping and motor inertia of elastic joints, see `closedloop.control.transmission`; zero: rigid.
+    encoder : (k,) array
+        The parameters of the encoders.
     wanted : Desired
         The reference at any instant.
     tolerance : float or None
@@ -161,6 +176,9 @@ class Problem:
     nodes: int
     project: bool
     hold: int
+    drives: Array
+    transmission: Array
+    encoder: Array
     wanted: Desired
     tolerance: float | None
 
@@ -197,7 +215,12 @@ class Problem:
     @property
     def general(self) -> bool:
         """Whether the general form of the loop is needed."""
-        return needs_general_form(self.scenario)
+        return needs_general_form(self.scenario) or bool(self.robot.model.loops)
+
+    @property
+    def row_width(self) -> int:
+        """Numbers in a recorded row."""
+        return row_width(self.robot.n, bool(arm_columns(self.scenario)))
 
     def loop(self, user_law: bool = False) -> Loop:
         """Return the loop's memory at t = 0.
@@ -212,7 +235,8 @@ class Problem:
         n, law, compensation = self.robot.n, self.law, self.compensation
         own, both = (0, 0) if user_law else (law.states, law.states + compensation.states)
         surface, joints = self.friction.states, self.joint_friction.states
-        extra = both + self.sensor.states + surface + n * joints
+        motors = 2 * n if self.scenario.transmission.elastic else 0
+        extra = both + self.sensor.states + surface + n * joints + motors
         loop = make_loop(
             n, **self._sizes(), extra=extra, stages=self.integrator.stages, ring=self.sensor.ring
         )  # fmt: skip
@@ -224,8 +248,15 @@ class Problem:
             memory = self.surface.memory()
             state.surface_at = memory.address
             loop.w.keep_alive(surface=memory)
+        if self.robot.model.loops:
+            loops = loop_memory(self.robot)
+            state.loops_at, loops.links.loop = loops.address, state.address
+            loop.w.keep_alive(loops=loops)
         self._set_constants(loop.constants)
         self._set_start(state, loop.w)
+        if state.encoder != NO_ENCODER and state.phase == STEP_END:
+            interpreted(read_joints)(loop.w, loop.constants, state, self.table)
+            state.phase = MEASURED
         return loop
 
     def constants(self) -> Constants:
@@ -280,14 +311,13 @@ class Problem:
             try:
                 setattr(loop.state, name, address(entry))
             except Exception as error:
-                from numba import NumbaError
-
-                if not isinstance(error, NumbaError):
+                member, known = getattr(self.scenario, name), {"LawInput": LawInput._fields}
+                if not is_users(member) or isinstance(error, ClosedLoopError):
                     raise
-                kind = getattr(self.scenario, name).kind
-                raise ScenarioError(
-                    f"{name}.kind = {kind}: numba cannot compile it: {why_not_compiled(error)}"
-                ) from None
+                why = why_member_not_compiled(error, type(member), known)
+                raise ScenarioError(f"{name}.kind = {member.kind}: cannot be compiled: {why}") from None
+        if loop.state.loops_at != 0:
+            loop.state.loops = address(closed_loops)
         if loop.state.surface_motion != 0:
             loop.w.kept["surface"].links.motion = loop.state.surface_motion
         if user_law is not None:
@@ -305,7 +335,10 @@ class Problem:
         constants.law[:], constants.compensation[:] = self.law.numbers, self.compensation.numbers
         wrong = self.scenario.model_error
         constants.believed_masses, constants.unknown_payload = wrong.masses, wrong.payload
-        constants.armature[:] = robot.model.armature
+        constants.armature[:] = 0.0 if robot.model.elastic else robot.model.armature
+        constants.stiffness[:], constants.shaft_damping[:], constants.motor_inertia[:] = self.transmission
+        constants.tilt[:], constants.encoder[:] = np.eye(3) if wrong.normal == 0.0 else wrong.tilt(), self.encoder
+        constants.torque_limit[:], constants.torque_change[:] = self.drives
         constants.compliance[:] = self.compliance.numbers
         constants.friction[:], constants.joint_friction[:] = self.friction.numbers, self.joint_friction.numbers
         if self.friction.member is not NoFriction:  # whose numbers are zero, as the memory is
@@ -325,7 +358,13 @@ class Problem:
         state.impact_law = RATIOS[self._restitution().ratio_of]
         state.sticking, state.joint_sticking = _sticking(self.friction), _sticking(self.joint_friction)
         state.sensor_sampled = self.sensor.sampled
+        transmission = self.scenario.transmission
+        state.elastic = MOTORS_MEASURED if transmission.on_motors else int(transmission.elastic)
+        state.encoder = reading_kind(self.scenario)
+        state.drives = self.scenario.drives != DrivesSection()
+        state.arm_at = Row.count(self.robot.n) if arm_columns(self.scenario) else 0
         state.model_error = self.scenario.model_error != ModelErrorSection()
+        state.seen = state.model_error or state.elastic or state.encoder
         state.mode, state.sampled, state.risen = self.mode, 1, 1
         if self.project and self.mode != FREE:
             state.phase, state.next_phase = PROJECTION, STEP_END
@@ -339,7 +378,9 @@ class Problem:
         u = self.frame @ velocity
         w.anchor[:] = self.frame @ terms.position
         if not self.surface.fixed_plane:
-            u -= self.surface.touching(terms.position, velocity).carried
+            now = self.surface.touching(terms.position, velocity)
+            u -= now.carried
+            state.beside = self.mode == FREE and now.inside < 0.0 and now.gap <= TOUCHING
             w.anchor[:] = self.surface.frame[[1, 2, 0]] @ (terms.position - self.surface.origin)
         slip = float(np.hypot(u[1], u[2]))
         if slip > 0.0:
@@ -357,7 +398,12 @@ class Problem:
             w.stuck[:] = self.v == 0.0
         if state.joint_states > 0:
             with of_users(self.joint_friction.member, "joint_friction.kind"):
-                w.z[joints:] = np.concatenate([joint.rested() for joint in self._joints()])
+                motors = joints + n * int(state.joint_states)
+                w.z[joints:motors] = np.concatenate([joint.rested() for joint in self._joints()])
+        if state.elastic:
+            # Each spring carries what holds the arm against gravity and the force desired, so that none is released.
+            held = terms.bias - felt * (self.frame[0] @ terms.jacobian)
+            w.z[-2 * n : -n], w.z[-n:] = self.q + held / self.transmission[0], self.v
 
     def set_restitution(self, loop: Loop) -> None:
         """Write into a loop's memory the coefficient of restitution of the impact at which it stands.
@@ -398,7 +444,22 @@ def needs_general_form(scenario: Scenario) -> bool:
         or scenario.law.force_integral > 0.0
         or scenario.compensation.kind != "none"
         or scenario.friction.kind != "none"
-        or scenario.joint_friction.kind != "none"
+        or scenario.rubs_in_joints
         or scenario.sensor != SensorSection()
         or scenario.model_error != ModelErrorSection()
+        or bool(arm_columns(scenario))
     )
+
+
+def arm_columns(scenario: Scenario) -> tuple[str, ...]:
+    """Return the columns beyond `closedloop.step.record_row.RECORDED` that a run of a scenario has."""
+    drives = ("torque_limited",) if scenario.drives != DrivesSection() else ()
+    encoder = ("measured_position", "measured_velocity") if scenario.reads_encoders else ()
+    motors = ("motor_position", "motor_velocity", "transmitted_torque") if scenario.transmission.elastic else ()
+    return drives + encoder + motors
+
+
+def reading_kind(scenario: Scenario) -> int:
+    """Return whether the controller reads encoders, see `closedloop.control.encoder.encoder_kind`."""
+    kind = encoder_kind(scenario.encoder)
+    return MEASURED_VELOCITY if kind == NO_ENCODER and scenario.transmission.on_motors else kind

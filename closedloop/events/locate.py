@@ -34,8 +34,10 @@ AT_LIMIT = 1e-12
 def event_function(w: Work, constants: Constants, state: State, general: int | None) -> float:
     """Return the event function, positive as long as the mode lasts: a gap, m, a force, N, or a speed, mm/s."""
     if state.mode == FREE:
-        return float(w.gap)
+        return float(w.gap) if state.beside == 0 else 1.0
     least: float = w.rigid_force if state.unilateral != 0 else 1.0
+    if state.surface != 0 and w.inside < least:
+        least = w.inside
     if general is not None and state.sticking in (RIGID_STICK, SPRING_STICK):
         least = min(least, cone_margin(w, state) if state.mode == STUCK else 1e3 * slip_margin(w, constants))
     return least

@@ -14,7 +14,7 @@ Array = NDArray[np.float64]
 DONE, TERMS, TABLE_FULL, IMPACT_LAW_WANTED, FAILED = range(5)
 
 # Phases: what the terms requested last are for, see `closedloop.events.proceed`.
-STEP_END, STAGE, TRIAL_END, AT_EVENT, IMPULSES_KNOWN, AFTER_EVENT, PROJECTION = range(7)
+STEP_END, STAGE, TRIAL_END, AT_EVENT, IMPULSES_KNOWN, AFTER_EVENT, PROJECTION, MEASURED = range(8)
 
 # What a trial step is for. With STAGE_CHECKED a trial step has shown that a negative f at a stage was no event.
 NO_TRIAL, STAGE_CHECKED, CHECK_STAGE, LOCATE_EVENT, LOCATE_MINIMUM, REACH_EVENT = range(6)

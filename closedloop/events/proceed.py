@@ -13,15 +13,16 @@ The phase says what the terms are for:
     IMPULSES_KNOWN  (no terms) the impulses of the impact have been computed
     AFTER_EVENT     the state just after an event: continue from there to the end of the step
     PROJECTION      a state to be projected onto the closure
+    MEASURED        what encoders read of the state at the end of a step, before STEP_END: ask the law
 
-An event is detected where the event function is negative at the end of a step: the gap while the tip is free, the force
-of the rigid closure while it is pressed, the speed along the old direction while it slides, and the margin to the
-friction cone while it sticks. It is also detected where f of the rigid closure is negative at a stage, and where a free
-tip moves down at the beginning of a step and up at its end. The step is then repeated with other lengths until the
-instant is bracketed to `INSTANT`; a step to that instant, the event, and a step for the remainder replace it. Every
-substep is a full step of the integrator, so its order is kept. What begins and ends between two evaluations is not
-detected: a negative f that no stage samples, and a free tip that penetrates and rises again in one step after moving up
-at its beginning.
+An event is detected where the event function is negative at the end of a step: the gap while the tip is free, the
+distance from the surface's edge while it touches, the force of the rigid closure while it is pressed, the speed along
+the old direction while it slides, and the margin to the friction cone while it sticks. It is also detected where f of
+the rigid closure is negative at a stage, and where a free tip moves down at the beginning of a step and up at its end.
+The step is then repeated with other lengths until the instant is bracketed to `INSTANT`; a step to that instant, the
+event, and a step for the remainder replace it. Every substep is a full step of the integrator, so its order is kept.
+What begins and ends between two evaluations is not detected: a negative f that no stage samples, and a free tip that
+penetrates and rises again in one step after moving up at its beginning.
 """
 
 from __future__ import annotations
@@ -45,6 +46,7 @@ from closedloop.events.phases import (
     FAILED,
     IMPACT_LAW_WANTED,
     IMPULSES_KNOWN,
+    MEASURED,
     NEED_TERMS,
     PROJECT,
     PROJECTION,
@@ -60,14 +62,18 @@ from closedloop.events.phases import (
 from closedloop.events.projection import project
 from closedloop.events.substep import advance_friction, check_stage, check_step, finish_stage, restore_state, save_state
 from closedloop.events.transitions import apply_event, apply_impact, resume_after_event
+from closedloop.jit.calls import call_at
 from closedloop.jit.kernel import inlined_kernel
 from closedloop.step.advance import advance
+from closedloop.step.closed_loops import CLOSE
 from closedloop.step.energy_supplied import add_stage_work, commit_work
-from closedloop.step.evaluate import evaluate
+from closedloop.step.evaluate import evaluate, evaluate_law
 from closedloop.step.joint_friction import stick_or_slip_joints
 from closedloop.step.locate import locate_tip
 from closedloop.step.memory import Constants, State, Work
 from closedloop.step.record_row import record
+from closedloop.step.seen import back_to_true, read_joints
+from closedloop.step.transmission import lead_motors
 
 Array = NDArray[np.float64]
 
@@ -103,6 +109,14 @@ def proceed(
         IMPACT_LAW_WANTED: call `collide`, then again. DONE, or FAILED with state.status.
     """
     phase = state.phase
+    if general is not None and phase == MEASURED:
+        status = evaluate_law(H, C, w, constants, state, table)
+        if status != OK:
+            state.status = status
+            return FAILED
+        back_to_true(w)
+        state.phase = STEP_END
+        return TERMS
     if phase in (STEP_END, STAGE, AFTER_EVENT) or (phase in (TRIAL_END, AT_EVENT) and state.mode != FREE):
         status = evaluate(H, C, w, constants, state, table, rows, general)
         if status != OK:
@@ -167,13 +181,17 @@ def proceed(
         todo = ADVANCE
     if todo == ADVANCE:
         stage, tau = state.stage, w.tau
-        add_stage_work(w, stage, tau, tableau[tableau.shape[0] - 1, stage])
+        add_stage_work(w, state, stage, tau, tableau[tableau.shape[0] - 1, stage])
         if general is not None and state.semi_implicit != 0:
             advance_friction(w, state, tau)
+            if state.elastic != 0:
+                lead_motors(w, tau, state.after_event != 0)
         advance(
             stage, tau, state.semi_implicit != 0, state.after_event != 0, tableau, w.begin, w.stages,
             w.qdd, w.dz, w.q, w.v, w.z,
         )  # fmt: skip
+        if state.loops != 0:  # at every stage: rows that depend on others do so only where the loops are closed
+            call_at(state.loops, state.loops_at, CLOSE)
         finish_stage(w, constants.h, state, tableau)
     elif todo == ENLARGE_TABLE:
         return TABLE_FULL
@@ -181,4 +199,7 @@ def proceed(
         return IMPACT_LAW_WANTED
     elif todo == FAIL:
         return FAILED
+    if general is not None and state.encoder != 0 and state.phase == STEP_END:
+        read_joints(w, constants, state, table)
+        state.phase = MEASURED
     return TERMS

@@ -5,10 +5,11 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from closedloop.closure.contact_force import STUCK, apply_impulse, factorise, stuck_force
+from closedloop.closure.contact_force import STUCK, apply_impulse, stuck_force
 from closedloop.closure.solve import OK
 from closedloop.events.phases import CLOSED, FAIL, MAX_MOVES, NEED_TERMS, PROJECTION, request_terms
 from closedloop.jit.kernel import kernel
+from closedloop.step.closed_loops import factorise_tip
 from closedloop.step.locate import off_anchor
 from closedloop.step.memory import RIGID_STICK, Constants, State, Work
 
@@ -22,7 +23,7 @@ def project(H: Array, w: Work, constants: Constants, state: State) -> int:
     Of all corrections that close the loop these are the smallest in the norm of H, as a contact impulse's is. They do
     not contribute to the force of Eq. 24.
     """
-    state.status = factorise(H, w.A, w.L, w.X, w.S, constants.reach)
+    state.status = factorise_tip(H, w, constants, state)
     if state.status != OK:
         return FAIL
     stuck = state.mode == STUCK and state.sticking == RIGID_STICK

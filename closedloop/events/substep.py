@@ -137,7 +137,10 @@ def check_step(w: Work, drift: float, state: State) -> int:
             trial = REACH_EVENT if here else LOCATE_EVENT
     elif state.unilateral != 0:
         leaving = LEAVING + (w.length * w.length * abs(drift) if state.stages == 1 else 0.0)
-        if here:
+        if state.beside != 0:
+            if w.gap > leaving:
+                state.beside = 0
+        elif here:
             if w.gap <= TOUCHING and w.rate < -RESTING:
                 trial = REACH_EVENT
         elif w.gap < -(SHALLOW if state.risen != 0 else leaving):

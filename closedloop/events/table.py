@@ -16,7 +16,7 @@ from closedloop.jit.kernel import kernel
 Array = NDArray[np.float64]
 
 # Kinds, as they are stored.
-IMPACT, TOUCHDOWN, LIFTOFF, STICK, SLIP_AGAIN, REVERSAL = 1, 2, 3, 4, 5, 6
+IMPACT, TOUCHDOWN, LIFTOFF, STICK, SLIP_AGAIN, REVERSAL, EDGE = 1, 2, 3, 4, 5, 6, 7
 KINDS = {
     IMPACT: "impact",
     TOUCHDOWN: "touchdown",
@@ -24,6 +24,7 @@ KINDS = {
     STICK: "stick",
     SLIP_AGAIN: "slip",
     REVERSAL: "reversal",
+    EDGE: "edge",
 }
 
 
@@ -61,7 +62,8 @@ EVENT_COLUMNS: dict[str, EventColumn] = {
     "event_kind": EventColumn(
         ("event",),
         "1",
-        "1 impact (the tip bounces), 2 touchdown (contact begins), 3 liftoff, 4 stick, 5 slip, 6 reversal of slip",
+        "1 impact (the tip bounces), 2 touchdown (contact begins), 3 liftoff, 4 stick, 5 slip, 6 reversal of slip, "
+        "7 edge (the tip goes beyond the surface's edge: contact ends)",
     ),
     "event_rate_before": EventColumn(("event",), "m s-1", "closure rate just before the event"),
     "event_rate_after": EventColumn(("event",), "m s-1", "closure rate just after the event"),

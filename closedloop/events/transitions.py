@@ -12,7 +12,6 @@ from closedloop.closure.contact_force import (
     PRESSED,
     STUCK,
     apply_impulse,
-    factorise,
     normal_rounding,
     pressed_force,
     stuck_force,
@@ -42,11 +41,12 @@ from closedloop.events.phases import (
     TOUCHING,
     request_terms,
 )
-from closedloop.events.table import IMPACT, LIFTOFF, REVERSAL, SLIP_AGAIN, STICK, TOUCHDOWN, write_event
+from closedloop.events.table import EDGE, IMPACT, LIFTOFF, REVERSAL, SLIP_AGAIN, STICK, TOUCHDOWN, write_event
 from closedloop.impact import CUT as ENERGY_CUT
 from closedloop.impact import MODES, energy_lost, impact
 from closedloop.jit.calls import call_at
 from closedloop.jit.kernel import entry_kernel, kernel
+from closedloop.step.closed_loops import factorise_tip
 from closedloop.step.entries import LIMIT, RESTART, SLIDE
 from closedloop.step.entries import STICK as END_OF_SLIP
 from closedloop.step.evaluate import call_law
@@ -97,6 +97,10 @@ def apply_event(
     if state.events >= events.shape[0]:
         state.phase = AT_EVENT
         return ENLARGE_TABLE
+    if state.mode == FREE and state.surface != 0 and w.inside < 0.0:  # there is no surface to touch
+        state.beside = 1
+        request_terms(state, AFTER_EVENT)
+        return NEED_TERMS
     state.events_in_step += 1
     if w.time - w.last_event > RAPID:
         state.rapid_events = 0
@@ -107,7 +111,7 @@ def apply_event(
         state.status = CHATTER
         return FAIL
     if state.mode == FREE:
-        state.status = factorise(H, w.A, w.L, w.X, w.S, constants.reach)
+        state.status = factorise_tip(H, w, constants, state)
         if state.status != OK:
             return FAIL
     for i in range(3):
@@ -120,6 +124,12 @@ def apply_event(
         # At the end of a step of first order the gap may be negative and the velocity upwards: contact, no impulse.
         state.phase, state.kind = IMPULSES_KNOWN, TOUCHDOWN
         return SOLVE_IMPACT if w.u[0] < 0.0 and state.compliance == 0 else APPLY_IMPACT
+    if state.surface != 0 and w.inside < 0.0:
+        # The velocity stays what it is: f ends, there and then.
+        state.mode, state.risen, state.beside, state.kind = FREE, 0, 1, EDGE
+        log_event(w, constants, state, events, 0.0)
+        request_terms(state, AFTER_EVENT)
+        return NEED_TERMS
     if state.unilateral != 0 and w.rigid_force < 0.0:
         state.mode, state.risen, state.kind = FREE, 0, LIFTOFF
         if state.compliance != 0:

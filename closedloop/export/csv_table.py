@@ -12,7 +12,8 @@ from numpy.typing import NDArray
 
 from closedloop.events.table import EVENT_COLUMNS, KINDS
 from closedloop.files import write_whole
-from closedloop.record.run import COLUMNS, Run
+from closedloop.record.derived import DERIVED, WRENCH
+from closedloop.record.run import ALL_COLUMNS, Run, columns_there
 
 AXES = ("x", "y", "z")
 
@@ -29,7 +30,7 @@ def write_csv(run: Run, path: str | Path) -> list[Path]:
         If a file cannot be written.
     """
     path = Path(path)
-    rows = [name for name in COLUMNS if name not in EVENT_COLUMNS]
+    rows = [*(name for name in columns_there(run.columns) if name not in EVENT_COLUMNS), *DERIVED]
     written = [write_whole(path, _table({k: v for name in rows for k, v in _flat(run, name).items()}))]
     if run.events:
         columns = {k: v for name in EVENT_COLUMNS for k, v in _flat(run, name).items()}
@@ -40,13 +41,13 @@ def write_csv(run: Run, path: str | Path) -> list[Path]:
 
 def _flat(run: Run, name: str) -> dict[str, NDArray[Any]]:
     """Return a column of a run as columns of single numbers, by their headers."""
-    values, dims = run.columns[name], COLUMNS[name].dims
+    values, dims = getattr(run, name), (ALL_COLUMNS[name] if name in ALL_COLUMNS else DERIVED[name]).dims
     if len(dims) == 1:
         return {_header(name, run.units(name)): values}
-    entries = run.model.joint_names if dims[1] == "joint" else AXES
+    entries = {"joint": run.model.joint_names, "axis": AXES, "component": WRENCH}[dims[1]]
     found = {}
     for k, entry in enumerate(entries):
-        unit = _of_joint(run, name, k) if dims[1] == "joint" else run.units(name)
+        unit = _of_joint(run, name, k) if dims[1] == "joint" else _of_part(run.units(name), entry)
         found[_header(f"{name} {entry}", unit)] = values[:, k]
     return found
 
@@ -55,6 +56,12 @@ def _of_joint(run: Run, name: str, joint: int) -> str:
     """Return the unit of a column for one joint, which may turn or slide."""
     turning, _, sliding = run.units(name).partition(" | ")
     return sliding if sliding and run.model.joint_types[joint] == "prismatic" else turning
+
+
+def _of_part(units: str, entry: str) -> str:
+    """Return the unit of a part of a column; of a wrench it is that of a force or of a moment."""
+    force, _, moment = units.partition(" | ")
+    return moment if moment and entry.startswith("m") else force
 
 
 def _header(name: str, unit: str) -> str:

@@ -3,6 +3,7 @@
     /joint_states         sensor_msgs/msg/JointState        q, q̇ and the torque of the law
     /tip_pose             geometry_msgs/msg/PoseStamped     the tip's frame, in the base frame
     /tip_wrench           geometry_msgs/msg/WrenchStamped   f n and friction on the tip, base axes
+    /wrist_wrench         geometry_msgs/msg/WrenchStamped   what a sensor between arm and tool reads, the tip's axes
     /events               rcl_interfaces/msg/Log            impact, touchdown, liftoff, stick ..., each at its time
     /robot_description    std_msgs/msg/String               the URDF, where the robot is one
 
@@ -22,7 +23,6 @@ from closedloop.errors import ScenarioError
 from closedloop.export.messages import DEFINITIONS
 from closedloop.files import write_whole
 from closedloop.record.run import Run
-from closedloop.surface.plane import unit
 
 NEEDS_MCAP = 'MCAP needs two packages that are not installed: pip install "closedloop[mcap]"'
 INFO = 20  # level of a log message
@@ -56,7 +56,7 @@ def _write(run: Run, file: BinaryIO) -> None:
     if run.model.format == "urdf":
         send("/robot_description", "std_msgs/msg/String", {"data": run.model.text}, 0.0)
     base, turns = _base_frame(run), _tip_turns(run)
-    forces = np.outer(run.contact_force, unit(run.scenario.surface.normal, "surface.normal")) + run.friction_force
+    wrist = run.scenario.robot.tip or run.model.tip
     nothing = {"x": 0.0, "y": 0.0, "z": 0.0}
     for k in range(len(run)):
         time = float(run.time[k])
@@ -66,8 +66,11 @@ def _write(run: Run, file: BinaryIO) -> None:
         send("/joint_states", "sensor_msgs/msg/JointState", {"header": header, **_listed(joints)}, time)
         pose = {"position": _vector(run.position[k]), "orientation": turns[k]}
         send("/tip_pose", "geometry_msgs/msg/PoseStamped", {"header": header, "pose": pose}, time)
-        wrench = {"force": _vector(forces[k]), "torque": nothing}
+        wrench = {"force": _vector(run.tip_force[k]), "torque": nothing}
         send("/tip_wrench", "geometry_msgs/msg/WrenchStamped", {"header": header, "wrench": wrench}, time)
+        wrench = {"force": _vector(run.wrist_wrench[k, :3]), "torque": _vector(run.wrist_wrench[k, 3:])}
+        there = header | {"frame_id": wrist}
+        send("/wrist_wrench", "geometry_msgs/msg/WrenchStamped", {"header": there, "wrench": wrench}, time)
     for event in run.events:
         rates = f"closure rate {event.rate_before:.6g} to {event.rate_after:.6g} m/s"
         said = f"{event.kind}: {rates}, {event.energy_lost:.4g} J lost"

@@ -7,6 +7,7 @@
     joints            torques, velocities and positions of the joints against their limits
     impacts           rates, impulses and energy losses of impacts
     friction_force    friction in its cone, and the slip
+    tool              force and moment at the wrist, and how the tool is turned to the surface
 
 Each function takes a run and returns a matplotlib figure that nothing else holds; `draw_figures` writes all that the
 run has something for as files, and `STYLE` is their style, for ``matplotlib.rcParams.update``.
@@ -23,6 +24,7 @@ from closedloop.figures.joints import joints
 from closedloop.figures.overview import force_control
 from closedloop.figures.style import STYLE
 from closedloop.figures.tip import tip_position
+from closedloop.figures.tool import tool
 
 __all__ = [
     "STYLE",
@@ -36,4 +38,5 @@ __all__ = [
     "joints",
     "save_figure",
     "tip_position",
+    "tool",
 ]

@@ -33,10 +33,14 @@ def frame_of(run: Run) -> Array:
 def directions(run: Run) -> Array:
     """Return unit vectors along the path in the surface (N, 3), base frame; at rest that of the motion before.
 
-    Before the first motion it is that of the first; of a reference that never moves along the surface it is t1.
+    Before the first motion it is that of the first; of a reference that never moves along the surface it is t1. On a
+    surface that moves it is the motion along the surface, without that of the surface.
     """
     normals = run.surface_normal
     step = np.gradient(run.reference_tip, axis=0) if len(run) > 1 else np.zeros_like(run.reference_tip)
+    if len(run) > 1 and run.scenario.surface_motion.kind != "none":
+        carried = run.velocity - run.slip_velocity - run.closure_rate[:, None] * normals
+        step -= carried * np.gradient(run.time)[:, None]
     step = _along(step, normals)
     size = np.linalg.norm(step, axis=1)
     moves = size > max(STILL * float(np.max(size, initial=0.0)), 1e-12)

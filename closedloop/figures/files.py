@@ -15,6 +15,7 @@ from closedloop.figures.joints import joints
 from closedloop.figures.overview import force_control
 from closedloop.figures.style import STYLE
 from closedloop.figures.tip import tip_position
+from closedloop.figures.tool import has_tool, tool
 from closedloop.files import write_whole
 from closedloop.record.run import Run
 
@@ -26,12 +27,14 @@ if TYPE_CHECKING:
 PAPERS = ("wam_slide", "wam_slide_unstabilised")
 
 
-def draw_figures(run: Run, folder: str | Path, unstabilised: Run | None = None) -> list[Path]:
+def draw_figures(
+    run: Run, folder: str | Path, unstabilised: Run | Callable[[], Run | None] | None = None
+) -> list[Path]:
     """Write the figures of a run into `folder`, each as PNG and SVG, and return the paths of the PNGs.
 
     Every run has its tip position, contact force, closure error, the errors that force control is about, and its
-    joints; one with impacts or friction has a figure of them. The paper's slide has the paper's figures, with its
-    numbers, and the errors; its joints can be had from `closedloop.figures.joints`.
+    joints; one with impacts, friction or a tool has a figure of them. The paper's slide has the paper's figures, with
+    its numbers, and the errors; its joints can be had from `closedloop.figures.joints`.
 
     Parameters
     ----------
@@ -39,23 +42,23 @@ def draw_figures(run: Run, folder: str | Path, unstabilised: Run | None = None) 
         The run.
     folder : path
         An existing folder.
-    unstabilised : Run, optional
-        The same scenario without its stabiliser, for Fig. 7 beside Fig. 6.
+    unstabilised : Run or callable, optional
+        The same scenario without its stabiliser, for Fig. 7 beside Fig. 6; or what simulates it, if it can be, which is
+        called when all others are written.
 
     Raises
     ------
     OutputError
         If a figure cannot be written.
     """
-    plain, papers = run.scenario.stabiliser.kind == "none", is_papers(run)
+    papers = is_papers(run)
+    plain = run.scenario.stabiliser.kind == "none" and run.scenario.compliance.kind == "none"
     bare = "fig7_closure_error_unstabilised" if papers else "fig_closure_error_unstabilised"
     wanted: list[tuple[str, Callable[[Run], Figure], Run]] = [
         ("fig4_tip_position" if papers else "fig_tip_position", tip_position, run),
         ("fig5_contact_force" if papers else "fig_contact_force", contact_force, run),
         (bare if plain else "fig6_closure_error" if papers else "fig_closure_error", closure_error, run),
     ]
-    if unstabilised is not None and not plain:
-        wanted.append((bare, closure_error, unstabilised))
     wanted.append(("fig_force_control", force_control, run))
     if not papers:
         wanted.append(("fig_joints", joints, run))
@@ -63,11 +66,16 @@ def draw_figures(run: Run, folder: str | Path, unstabilised: Run | None = None) 
         wanted.append(("fig_impacts", impacts, run))
     if has_friction(run):
         wanted.append(("fig_friction", friction_force, run))
+    if has_tool(run):
+        wanted.append(("fig_tool", tool, run))
     written = []
     for name, draw, what in wanted:
         if len(what) == 0:
             continue
         written.append(save_figure(draw, what, Path(folder) / name))
+    other = None if plain else unstabilised() if callable(unstabilised) else unstabilised
+    if other is not None and len(other) > 0:
+        written.append(save_figure(closure_error, other, Path(folder) / bare))
     return written
 
 

@@ -100,8 +100,8 @@ def transients(run: Run) -> list[tuple[str, slice]]:
     for event in run.events:
         if event.kind in ("touchdown", "stick", "slip"):
             wanted.append((event.time, f"{event.kind} at {event.time:.4g} s", short, long, run.contact_force))
-        elif event.kind == "liftoff":
-            wanted.append((event.time, f"liftoff at {event.time:.4g} s", long, short, run.contact_force))
+        elif event.kind in ("liftoff", "edge"):
+            wanted.append((event.time, f"{event.kind} at {event.time:.4g} s", long, short, run.contact_force))
     touching = run.contact_force[run.mode != FREE]
     least = MINOR * float(np.ptp(run.contact_force)) if len(run) else 0.0
     least_bend = BENT * float(np.ptp(touching)) if touching.size else 0.0

@@ -84,7 +84,7 @@ def impacts(run: Run) -> Figure:
     below.set_title(f"Kinetic energy lost, {np.sum(lost):.3g} J in all")
     below.set_ylabel("energy [J]")
     below.set_xlabel("time [s]")
-    margin = max(0.04 * float(np.ptp(time)), 0.1 * run.scenario.time.step)
+    margin = max(0.04 * float(np.ptp(time)), 2.0 * run.scenario.time.step)
     below.set_xlim(float(time[0]) - margin, float(time[-1]) + margin)
     return figure
 

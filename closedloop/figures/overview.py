@@ -152,8 +152,7 @@ def _draw_path(axes: Axes, run: Run, seen: Array, wanted: Array, wide: bool) -> 
     else:
         axes.margins(y=0.3)
         axes.set_ylim(*_at_least(axes.get_ylim(), across * THIN * length))
-    if len(axes.get_legend_handles_labels()[0]) > 1:
-        legend_beside_title(axes)
+    legend_beside_title(axes)
 
 
 def _at_least(limits: tuple[float, float], half: float) -> tuple[float, float]:

@@ -31,6 +31,16 @@ VARIABLE = "CLOSEDLOOP_BACKGROUND_COMPILE"
 notices = logging.getLogger("closedloop.compiling")
 
 NICE, LONGEST = 10, 900  # added to the priority's number; s, after which the process is given up
+# Entry kernels that take longer than a few seconds to compile, and what they are: the others are compiled in silence.
+TAKES_LONG = {
+    "proceed_on_pinocchio": "the step of the Pinocchio engine",
+    "proceed_general_on_pinocchio": "the step of the Pinocchio engine with laws, friction and sensors",
+    "run_compiled": "the step of the compiled engine",
+    "run_compiled_general": "the step of the compiled engine with laws, friction and sensors",
+    "run_in_lanes": "the step of eight runs at a time",
+    "evaluate_on_pinocchio": "the step of dop853",
+    "evaluate_general_on_pinocchio": "the step of dop853 with laws, friction and sensors",
+}
 # A process that needs what another is compiling waits for that so long, s, before it compiles it too.
 PATIENCE, BETWEEN_LOOKS = 180.0, 0.1
 
@@ -49,7 +59,8 @@ compile_these(sys.argv[2:])
 
 _lock = threading.Lock()
 _asked: set[str] = set()  # names of what this process has had compiled in the background
-_said: set[str] = set()
+_said: set[str] = set()  # of what sort a line has been said already
+_BEHIND, _WAITING, _HERE = "in the background", "waiting", "here"
 
 
 def refused() -> str:
@@ -72,21 +83,27 @@ def start(functions: Sequence[Callable[..., Any]]) -> None:
         if not names or refused():
             return
         if reason := why_not_kept():
-            _say(f"compiling the step would take longer than this run, interpreted, and it cannot be kept: {reason}")
+            _say(_BEHIND, f"compiling {_named(names)} would take longer than this run, and cannot be kept: {reason}")
             return
         lock = _take_lock()
         if lock is None:
-            _say("compiling the step in another process; this run is interpreted meanwhile")
+            if not TAKES_LONG.keys().isdisjoint(names):
+                _say(_BEHIND, f"compiling {_named(names)} in another process; this run is interpreted meanwhile")
             return
         try:
             _spawn(names, lock)
         except (OSError, subprocess.SubprocessError) as error:  # no process or memory is left
-            _say(f"compiling the step in the background is not possible: {error}; this run is interpreted")
+            _say(_BEHIND, f"compiling {_named(names)} in the background is not possible: {error}; it is interpreted")
             return
         finally:
             os.close(lock)
         _asked.update(names)
-        _say("compiling the step in the background, once for this installation; this run is interpreted meanwhile")
+        if not TAKES_LONG.keys().isdisjoint(names):
+            _say(
+                _BEHIND,
+                f"compiling {_named(names)} in the background, once for this installation; this run is interpreted "
+                "meanwhile",
+            )
 
 
 def make_ready(*functions: Callable[..., Any]) -> None:
@@ -95,12 +112,15 @@ def make_ready(*functions: Callable[..., Any]) -> None:
     if not missing:
         return
     if not refused() and not why_not_kept() and _at_work():
-        _say("compiling the step: waiting for the process that does it in the background ...")
+        if not TAKES_LONG.keys().isdisjoint(f.__name__ for f in missing):
+            what = _named([function.__name__ for function in missing])
+            _say(_WAITING, f"compiling {what}: waiting for the process that does it in the background ...")
         if wait_until_done(missing):
             return
         missing = [function for function in missing if needs_compiling(function)]
-    if missing:
-        _say(compiling_notice())
+    names = [function.__name__ for function in missing]
+    if not TAKES_LONG.keys().isdisjoint(names):
+        _say(_HERE, compiling_notice(names))
 
 
 def wait_until_done(functions: Sequence[Callable[..., Any]] = (), patience: float = PATIENCE) -> bool:
@@ -119,17 +139,22 @@ def wait_until_done(functions: Sequence[Callable[..., Any]] = (), patience: floa
         clock.sleep(BETWEEN_LOOKS)
 
 
-def compiling_notice() -> str:
-    """Return the line for a user who is about to wait for the compiler."""
+def compiling_notice(names: Sequence[str] = ()) -> str:
+    """Return the line for a user who is about to wait for the compiler of these kernels."""
     reason = why_not_kept()
     how_often = "once for this installation" if not reason else f"each time, as it cannot be kept: {reason}"
-    return f"compiling the step ({how_often}, some twenty seconds) ..."
+    return f"compiling {_named(names)} ({how_often}, some twenty seconds) ..."
 
 
-def _say(line: str) -> None:
-    """Say a line, once in a process."""
-    if line not in _said:
-        _said.add(line)
+def _named(names: Sequence[str]) -> str:
+    """Return in words what of these kernels takes longest."""
+    return next((what for name, what in TAKES_LONG.items() if name in names), "the step")
+
+
+def _say(sort: str, line: str) -> None:
+    """Say a line, one of each sort in a process: what else is compiled there is the same to who waits."""
+    if sort not in _said:
+        _said.add(sort)
         notices.info(line)
 
 

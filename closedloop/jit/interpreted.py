@@ -14,7 +14,9 @@ import threading
 import time as clock
 import types
 from collections import Counter
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager
+from contextvars import ContextVar
 from typing import Any, TypeVar, cast
 
 import numpy as np
@@ -111,6 +113,8 @@ class Interim:
         What else the caller will want compiled.
     on_compiled : callable
         Called before the compiled form is, for the first time.
+    later : sequence of callables
+        What later runs will want: compiled in the background as well, and not waited for.
 
     Attributes
     ----------
@@ -126,9 +130,11 @@ class Interim:
         seconds: float,
         with_it: Sequence[Callable[..., Any]] = (),
         on_compiled: Callable[[], None] = lambda: None,
+        later: Sequence[Callable[..., Any]] = (),
     ) -> None:
         self._function, self._twin, self._written = function, interpreted(function), written
         self._calls, self._seconds, self._with_it = calls, seconds, (function, *with_it)
+        self._later = later
         self._on_compiled = on_compiled
         self._compiled: Callable[..., Any] | None = None
         self._done, self._seconds_done, self._look_at, self._decided = 0, 0.0, 0.0, False
@@ -171,7 +177,8 @@ class Interim:
         if left > WORTH_WAITING * self._seconds:
             self._compile(arguments)
         else:
-            background.start([function for function in self._with_it if needs_compiling(function)])
+            wanted = (*self._with_it, *self._later)
+            background.start([function for function in wanted if needs_compiling(function)])
 
     def _compile(self, arguments: tuple[Any, ...]) -> Callable[..., Any]:
         began = clock.perf_counter()
@@ -190,6 +197,30 @@ class Interim:
 def call_now(function: Callable[..., Any], written: Sequence[NDArray[Any]], *arguments: Any) -> Any:
     """Call a kernel once, interpreted if its compiled form is not there; `written` as for `Interim`."""
     return function(*arguments) if at_hand(function) else Interim(function, written, 1, 0.0)(*arguments)
+
+
+# Whether what a run calls once or twice is compiled before that, where it is not yet.
+_compiled_first: ContextVar[bool] = ContextVar("_compiled_first", default=True)
+
+
+@contextmanager
+def not_compiled_first() -> Iterator[None]:
+    """Let `call_once` interpret meanwhile what is not compiled yet: for one run, and not for a batch of them."""
+    token = _compiled_first.set(False)
+    try:
+        yield
+    finally:
+        _compiled_first.reset(token)
+
+
+def call_once(function: Callable[..., Any], written: Sequence[NDArray[Any]], brief: bool, *arguments: Any) -> Any:
+    """Call a kernel of which a run needs a call or two; within `not_compiled_first` as `call_now` does, if it is brief.
+
+    Else it is compiled first: elsewhere many runs are prepared. `brief` is whether it is done, interpreted, before it
+    would be compiled.
+    """
+    meanwhile = brief and not _compiled_first.get()
+    return call_now(function, written, *arguments) if meanwhile else function(*arguments)
 
 
 def at_hand(function: Callable[..., Any]) -> bool:

@@ -27,6 +27,7 @@ TABS: dict[str, tuple[str, ...]] = {
     "law": ("law", "compensation", "sensor", "force_profile", "model_error"),
     "surface": ("surface", "surface_motion", "compliance", "impact"),
     "friction": ("friction", "joint_friction"),
+    "arm": ("encoder", "drives", "transmission"),
     "stabiliser": ("stabiliser",),
     "path": ("reference", "start", "tool"),
     "time": ("time",),

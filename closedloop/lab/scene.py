@@ -104,6 +104,8 @@ class Scene:
     def surface(self) -> tuple[Array, NDArray[np.uint32]]:
         """The surface around both paths at t = 0: vertices (k, 3), m, base frame, and triangles (l, 3)."""
         flat = self.placed is None or isinstance(self.placed.section, PlaneSurface)
+        if self.placed is not None and self.placed.ends:
+            return self._patch(self.placed, 2 if flat else CELLS)
         points = np.vstack([self.run.position, self.run.reference_tip])
         along = points[np.all(np.isfinite(points), axis=1)] @ self.frame[1:].T
         low, high = along.min(axis=0), along.max(axis=0)
@@ -122,6 +124,22 @@ class Scene:
             except ScenarioError:
                 continue
         return vertices, _triangles(a.size, b.size)
+
+    @staticmethod
+    def _patch(placed: PlacedSurface, cells: int) -> tuple[Array, NDArray[np.uint32]]:
+        """Return a surface that has an edge, as far as it goes: a rectangle, or a disc, of so many cells a side."""
+        a, b = placed.section.bounds()
+        if b > 0.0:
+            x, y = np.linspace(-a, a, cells), np.linspace(-b, b, cells)
+            grid = np.stack(np.meshgrid(x, y, indexing="ij"), axis=-1).reshape(-1, 2)
+            sides = cells, cells
+        else:
+            far, round_it = np.meshgrid(np.linspace(0.0, a, cells), np.linspace(0.0, 2.0 * np.pi, CELLS), indexing="ij")
+            grid = np.stack([far * np.cos(round_it), far * np.sin(round_it)], axis=-1).reshape(-1, 2)
+            sides = cells, CELLS
+        vertices = placed.origin + grid @ placed.frame[1:]
+        none = np.zeros_like(vertices)
+        return placed.follow(0.0, np.zeros(len(vertices)), (vertices, none, none))[0], _triangles(*sides)
 
     def surface_place(self, row: int) -> tuple[Array, Array]:
         """Return the rotation (3, 3) and the shift (3,), m, by which the surface is displaced in a row."""

@@ -14,7 +14,7 @@ Array = NDArray[np.float64]
 
 EVENTS = {
     "impact": (230, 159, 0), "touchdown": (0, 114, 178), "liftoff": (86, 180, 233), "stick": (213, 94, 0),
-    "slip": (0, 158, 115), "reversal": (204, 121, 167),
+    "slip": (0, 158, 115), "reversal": (204, 121, 167), "edge": (0, 0, 0),
 }  # fmt: skip
 SURFACE = (196, 205, 214)
 # An arrow shorter than this share of the arm's reach is not drawn.

@@ -7,6 +7,8 @@ from typing import TYPE_CHECKING, Any
 
 from numpy.typing import NDArray
 
+from closedloop.record.derived import WRENCH
+
 if TYPE_CHECKING:
     import pandas
 
@@ -24,7 +26,7 @@ def data_frame(
     columns : mapping of str to array
         Columns (N,) or (N, k) by their names, "time" among them.
     dims : mapping of str to tuple of str
-        Dimensions of each: ("time",), ("time", "joint") or ("time", "axis").
+        Dimensions of each: ("time",), ("time", "joint"), ("time", "axis") or ("time", "component").
     joints : tuple of str
         Names of the joints.
     units : callable
@@ -37,7 +39,7 @@ def data_frame(
     for name, dimensions in dims.items():
         if name == "time":
             continue
-        values, labels = columns[name], {"joint": joints, "axis": AXES}.get(dimensions[-1], ())
+        values, labels = columns[name], {"joint": joints, "axis": AXES, "component": WRENCH}.get(dimensions[-1], ())
         for k, label in enumerate(labels):
             parts[f"{name}[{label}]"], of[f"{name}[{label}]"] = values[:, k], units(name)
         if not labels:

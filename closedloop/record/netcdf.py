@@ -22,7 +22,7 @@ import robot_models
 from closedloop.errors import ClosedLoopError, RunFileError, faults_on_one_line
 from closedloop.files import reason_of, write_whole
 from closedloop.record.netcdf_image import Variable, netcdf_image
-from closedloop.record.run import COLUMNS, Run
+from closedloop.record.run import ALL_COLUMNS, Run, columns_there
 from closedloop.record.sealed import read_sealed, seal
 from closedloop.scenario.scenario import Scenario, parse_scenario
 from closedloop.surface.plane import unit
@@ -51,6 +51,8 @@ def question(
     robot = {name: getattr(model, name) for name in ("name", "format", "tip", "description", "source")}
     robot |= {name: getattr(model, name).tolist() for name in ("armature", "home", "gravity")}
     robot["locked"] = dict(model.locked)
+    if model.loops:  # a tree has none, in files of any version
+        robot |= {"loops": [loop.as_table() for loop in model.loops], "drives": list(model.drives)}
     return {
         "scenario": scenario.to_toml(),
         "robot_text": model.text,
@@ -77,15 +79,18 @@ def attributes(run: Run) -> dict[str, Any]:
 
 
 def _seed(run: Run) -> str:
-    sensor = run.scenario.sensor
-    if sensor is not None and sensor.noise > 0.0:
-        return f"{sensor.seed}: the noise of the force sensor; nothing else in this run is random"
+    sensor, encoder = run.scenario.sensor, run.scenario.encoder
+    noisy = np.max(encoder.noise) > 0.0 or np.max(encoder.velocity_noise) > 0.0
+    drawn = [f"{sensor.seed}: the noise of the force sensor"] if sensor.noise > 0.0 else []
+    drawn += [f"{encoder.seed}: the noise of the encoders"] if noisy else []
+    if drawn:
+        return f"{', '.join(drawn)}; nothing else in this run is random"
     return "none: nothing in this run is random"
 
 
 def _not_finite(columns: Mapping[str, NDArray[Any]]) -> list[str]:
     """Return the columns in which a number is infinite or none at all."""
-    return [name for name in COLUMNS if not np.all(np.isfinite(columns[name]))]
+    return [name for name in columns_there(columns) if not np.all(np.isfinite(columns[name]))]
 
 
 def checksum(found: Mapping[str, Any], columns: Mapping[str, NDArray[Any]]) -> str:
@@ -97,7 +102,7 @@ def checksum(found: Mapping[str, Any], columns: Mapping[str, NDArray[Any]]) -> s
     total = hashlib.sha256()
     for name in sorted(found):
         total.update(json.dumps([name, found[name]]).encode())
-    for name in (name for name in COLUMNS if name in columns):
+    for name in (name for name in ALL_COLUMNS if name in columns):
         column = np.ascontiguousarray(columns[name])
         total.update(json.dumps([name, column.dtype.str, column.shape]).encode())
         total.update(column.tobytes())
@@ -114,7 +119,7 @@ def save_run(run: Run, path: str | Path) -> Path:
     """
     variables = {
         name: Variable(spec.dims, np.asarray(run.columns[name]), {"units": run.units(name), "long_name": spec.meaning})
-        for name, spec in COLUMNS.items()
+        for name, spec in columns_there(run.columns).items()
     }
     labels = {
         "joint": ("joint", run.model.joint_names),
@@ -147,7 +152,7 @@ def load_run(path: str | Path) -> Run:
     """
     path = Path(path)
     try:
-        run = _run_of(*read_sealed(path, list(COLUMNS)))
+        run = _run_of(*read_sealed(path, list(ALL_COLUMNS)))
     except KeyError as error:
         raise RunFileError(f"{path}: is not a run file, or is damaged: {error} is missing") from None
     except ClosedLoopError as error:
@@ -220,7 +225,7 @@ def _verify(found: Mapping[str, Any], columns: Mapping[str, NDArray[Any]]) -> No
 
 def _check_columns(columns: Mapping[str, NDArray[Any]], joints: int, not_finite: list[str]) -> None:
     sizes = {"time": columns["time"].size, "joint": joints, "axis": 3, "event": columns["event_time"].size}
-    for name, spec in COLUMNS.items():
+    for name, spec in columns_there(columns).items():
         column, shape = columns[name], tuple(sizes[dim] for dim in spec.dims)
         if column.shape != shape or column.dtype.kind not in "fi":
             raise RunFileError(

@@ -6,7 +6,7 @@ belong to the q and q̇ of the same row. The file is NetCDF-4, which is HDF5: xa
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from copy import deepcopy
 from dataclasses import dataclass, field
 from functools import cached_property
@@ -18,6 +18,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from closedloop.events.table import EVENT_COLUMNS, KINDS
+from closedloop.loops.reactions import LoopReactions, loop_reactions
+from closedloop.record.derived import DERIVED, tip_force
+from closedloop.scenario.arm import robot_of
 from closedloop.scenario.scenario import Scenario
 from robot_models import RobotModel
 
@@ -86,7 +89,27 @@ DRAWN_BY = {
     "animate": "closedloop.lab.animate:animate",
 }
 
+# What a run has if its scenario asks for it, see `closedloop.engines.problem.arm_columns`.
+ARM_COLUMNS: dict[str, Column] = {
+    "torque_limited": Column(
+        ("time", "joint"),
+        "1",
+        "0: torque is what the law asked for; 1: cut by the torque limit; 2: by the rate limit",
+    ),
+    "measured_position": Column(("time", "joint"), "rad", "joint positions as the encoders read them"),
+    "measured_velocity": Column(("time", "joint"), "rad s-1", "joint velocities as the controller has them"),
+    "motor_position": Column(("time", "joint"), "rad", "angles of the motors behind elastic joints, at the joints"),
+    "motor_velocity": Column(("time", "joint"), "rad s-1", "rates of the motors behind elastic joints, at the joints"),
+    "transmitted_torque": Column(("time", "joint"), "N m", "torque that elastic joints pass on to the links"),
+}
+
 COLUMNS: dict[str, Column] = _BY_TIME | {name: Column(*spec) for name, spec in EVENT_COLUMNS.items()}
+ALL_COLUMNS = COLUMNS | ARM_COLUMNS
+
+
+def columns_there(columns: Iterable[str]) -> dict[str, Column]:
+    """Return `COLUMNS`, and those of `ARM_COLUMNS` that are among the columns of a run."""
+    return COLUMNS | {name: spec for name, spec in ARM_COLUMNS.items() if name in columns}
 
 
 class Event(NamedTuple):
@@ -97,7 +120,7 @@ class Event(NamedTuple):
     time : float
         Instant, s.
     kind : str
-        "impact", "touchdown", "liftoff", "stick", "slip" or "reversal".
+        "impact", "touchdown", "liftoff", "stick", "slip", "reversal" or "edge".
     rate_before, rate_after : float
         Rate of the closure error just before and just after it, m/s.
     rate_cut : float
@@ -143,9 +166,10 @@ def events_of(columns: Mapping[str, NDArray[Any]]) -> tuple[Event, ...]:
 class Run:
     """The record of a simulation, and what produced it.
 
-    Every column in `COLUMNS` is also an attribute: `run.time` (N,), `run.q` (N, n), `run.position` (N, 3),
-    `run.contact_force` (N,) ... So is every column of the table of events (`closedloop.events.table.EVENT_COLUMNS`),
-    which `run.events` reads row by row. All are read-only.
+    Every column in `COLUMNS`, and in `ARM_COLUMNS` where the scenario asks for it, is also an attribute: `run.time`
+    (N,), `run.q` (N, n), `run.position` (N, 3), `run.contact_force` (N,) ... So is every column of the table of events
+    (`closedloop.events.table.EVENT_COLUMNS`), which `run.events` reads row by row; and what follows from them,
+    `closedloop.record.derived.DERIVED`, such as `run.wrist_wrench` (N, 6). All are read-only.
 
     Attributes
     ----------
@@ -183,7 +207,8 @@ class Run:
     member_digests: Mapping[str, str] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
-        for column in self.columns.values():
+        derived = (self.__dict__[name] for name in DERIVED if name in self.__dict__)
+        for column in (*self.columns.values(), *derived):
             column.setflags(write=False)
 
     def __setstate__(self, state: dict[str, Any]) -> None:
@@ -192,13 +217,18 @@ class Run:
         self.__post_init__()
 
     def __getattr__(self, name: str) -> NDArray[Any]:
-        if name in COLUMNS:
+        if name in COLUMNS or (name in ARM_COLUMNS and name in self.columns):
             column: NDArray[Any] = self.columns[name]
             return column
-        raise AttributeError(f"a Run has no '{name}'; its columns are {', '.join(COLUMNS)}")
+        if name in DERIVED:
+            column = self.__dict__[name] = DERIVED[name].of(self)  # once: then it is found without asking here
+            column.setflags(write=False)
+            return column
+        there = ", ".join((*columns_there(self.columns), *DERIVED))
+        raise AttributeError(f"a Run has no '{name}'; its columns are {there}")
 
     def __dir__(self) -> list[str]:
-        return [*super().__dir__(), *COLUMNS]
+        return [*super().__dir__(), *columns_there(self.columns), *DERIVED]
 
     def __len__(self) -> int:
         return int(self.columns["time"].size)
@@ -219,13 +249,21 @@ class Run:
 
         return summarise(self)
 
+    @cached_property
+    def loops(self) -> LoopReactions | None:
+        """What the loop joints of a mechanism carried, worked out when it is asked for; None of a tree."""
+        if not self.model.loops:
+            return None
+        robot, torque = robot_of(self.scenario, self.model), self.torque + self.joint_friction
+        return loop_reactions(robot, self.q, self.v, self.acceleration, torque, tip_force(self))
+
     def summary(self) -> dict[str, Any]:
         """Return what the command line prints and writes as summary.json; see `closedloop.report`."""
         return deepcopy(self._summary)
 
     def units(self, name: str) -> str:
         """Return the unit of a column; of a robot that turns and slides both, by joint type ("rad | m")."""
-        spec = COLUMNS[name]
+        spec = ALL_COLUMNS[name] if name in ALL_COLUMNS else DERIVED[name]
         sliding = spec.units.replace("rad", "m").replace("N m", "N")
         if "joint" not in spec.dims or sliding == spec.units:
             return spec.units
@@ -239,11 +277,11 @@ class Run:
         from closedloop.record.netcdf import attributes
 
         def variable(name: str) -> tuple[tuple[str, ...], NDArray[Any], dict[str, str]]:
-            spec = COLUMNS[name]
+            spec = ALL_COLUMNS[name]
             return spec.dims, np.asarray(self.columns[name]), {"units": self.units(name), "long_name": spec.meaning}
 
         return xarray.Dataset(
-            {name: variable(name) for name in COLUMNS if name != "time"},
+            {name: variable(name) for name in columns_there(self.columns) if name != "time"},
             {
                 "time": variable("time"),
                 "joint": list(self.model.joint_names),
@@ -261,8 +299,9 @@ class Run:
         """
         from closedloop.record.frame import data_frame
 
-        dims = {name: spec.dims for name, spec in _BY_TIME.items()}
-        return data_frame(self.columns, dims, self.model.joint_names, self.units)
+        known = columns_there(self.columns) | DERIVED
+        dims = {name: spec.dims for name, spec in known.items() if spec.dims[0] == "time"}
+        return data_frame({name: getattr(self, name) for name in dims}, dims, self.model.joint_names, self.units)
 
     def plot(self) -> Figure:
         """Return a matplotlib figure of the force's error, the tip's errors and the path from above.

@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 from closedloop.reference.follow import follow
 from closedloop.reference.force import ConstantForceSection, ForceProfile, force_at
 from closedloop.reference.joint_path import JointPath
+from closedloop.reference.orientation import orientation_of
 from closedloop.reference.path import Path, path_on
 from closedloop.reference.tip_path import TipPath
 
@@ -19,6 +20,8 @@ if TYPE_CHECKING:
     from closedloop.surface.placed import PlacedSurface
 
 Array = NDArray[np.float64]
+
+OUTWARDS = np.array([0.0, 0.0, 1.0])
 
 
 class PressingLaw(Protocol):
@@ -81,11 +84,12 @@ class Desired:
 
 def desired(
     scenario: MotionAndLaw, robot: Robot, surface: PlacedSurface, q: Array, profile: ForceProfile | None = None,
-    duration: float = 0.0,
+    duration: float = 0.0, axis: Array = OUTWARDS,
 ) -> Desired:  # fmt: skip
     """Return the desired motion and force of a robot that starts at joint positions q (n,).
 
-    On a surface that moves, the tip is carried along by it for `duration`, s.
+    On a surface that moves, the tip is carried along by it for `duration`, s. `axis` (3,) is the axis of the tool, a
+    unit vector in the tip's frame, which reference.orientation may hold against the normal.
 
     Raises
     ------
@@ -95,4 +99,5 @@ def desired(
     tip = path_on(scenario.reference, robot.position(q), surface, duration)
     profile = ConstantForceSection() if profile is None else profile
     force_at(profile, scenario.law.force, np.zeros(1))  # a profile at fault is refused before any inverse kinematics
-    return Desired(tip, follow(robot, q, tip), profile, scenario.law.force)
+    held = orientation_of(scenario.reference.orientation, axis, robot, q, surface)
+    return Desired(tip, follow(robot, q, tip, held), profile, scenario.law.force)

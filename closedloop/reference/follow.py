@@ -12,11 +12,16 @@ from __future__ import annotations
 
 import itertools
 import math
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
 from closedloop.errors import ScenarioError
+from closedloop.jit.calls import entry_address
+from closedloop.jit.interpreted import call_once
+from closedloop.loops.along_path import along_path
+from closedloop.loops.bind import loop_memory
 from closedloop.reference.inverse_kinematics import (
     BROKEN,
     ENDED,
@@ -25,6 +30,7 @@ from closedloop.reference.inverse_kinematics import (
     OFF,
     OUTCOMES,
     PATH_TOLERANCE,
+    POSITION,
     REACHED,
     Way,
     scratch_size,
@@ -32,6 +38,7 @@ from closedloop.reference.inverse_kinematics import (
 )
 from closedloop.reference.joint_path import JointPath
 from closedloop.reference.least_norm import RANK_TOLERANCE
+from closedloop.reference.orientation import ASKEW, FREE_ORIENTATION, Orientation
 from closedloop.reference.tip_path import Segment, TipPath
 from closedloop.robot.pinocchio import Robot
 
@@ -40,27 +47,87 @@ Array = NDArray[np.float64]
 FIRST_SPACING = 5e-4  # m of path between knots before any halving
 SHORTEST = 1e-12  # s between knots
 MOST_KNOTS = 20_000
+FEW_KNOTS = 2_000  # take as long interpreted, 1 to 3 ms each, as the inverse kinematics takes to be compiled
 DIFFERENCES = 257  # points at which a segment's acceleration is sampled to choose the first intervals
 
 
-def follow(robot: Robot, q: Array, path: TipPath) -> JointPath:
+def follow(robot: Robot, q: Array, path: TipPath, held: Orientation = FREE_ORIENTATION) -> JointPath:
     """Return the joint path whose tip runs along `path` from joint positions q (n,), at which the tip is at its start.
+
+    With an orientation that is `held` it begins at the posture next to q that has it, if that is within a degree.
 
     Raises
     ------
     ScenarioError
-        If the path leaves the workspace or the joint limits, with the first instant at which it does.
+        If the path leaves the workspace or the joint limits, with the first instant at which it does; or if the arm
+        cannot hold the orientation, or is not near it at the start.
     """
+    if held.rows != POSITION:
+        q = _aligned(robot, q, held)
     if not path.segments:
         return JointPath.hold(q)
     parts: list[JointPath] = []
     most = MOST_KNOTS
     with np.errstate(all="ignore"):  # what overflows is refused by name
         for segment in path.segments:
-            part = _resolve(robot, parts[-1].q[-1] if parts else q, segment, most, path.keys)
+            part = _resolve(Follower(robot, held), parts[-1].q[-1] if parts else q, segment, most, path.keys)
             most -= part.times.size - 1
             parts.append(part)
     return _joined(parts)
+
+
+class Follower(NamedTuple):
+    """Who follows a path: the arm, and what is held of the tool's orientation."""
+
+    robot: Robot
+    held: Orientation
+
+    def tip(self, segment: Segment, times: Array) -> Array:
+        """Return position, m, velocity, m/s, the tool's axis and its rate, 1/s, (N, 12) at times (N,), s."""
+        r, velocity, _ = segment.sample(times)
+        return np.ascontiguousarray(np.hstack([r, velocity, self.held.axis_along(times, r, velocity)]))
+
+    def walk(self, q: Array, times: Array, knots: Array, midway: Array) -> tuple[Way, int, Array]:
+        """Return what `walk` makes of knots and the places between them, from joint positions q (n,)."""
+        robot, held, n = self.robot, self.held, self.robot.n
+        limits = np.stack([robot.model.position_lower, robot.model.position_upper])
+        axes = np.zeros((3, 3)) if held.rows == POSITION else np.ascontiguousarray(held.in_link(robot, q))
+        way = Way(
+            times, knots, midway, held.rows, axes, np.ascontiguousarray(held.frame), limits,
+            np.zeros((times.size, n)), np.zeros((times.size, n)),
+        )  # fmt: skip
+        way.q[0] = q
+        outcome, scratch = np.zeros(OUTCOMES), np.zeros(scratch_size(n, held.rows))
+        if not robot.model.loops:
+            brief, written = times.size <= FEW_KNOTS, (way.q, way.v, scratch, outcome)
+            reached: int = call_once(walk, written, brief, robot.tree, scratch, way, outcome, 0, 0)
+            return way, reached, outcome
+        memory = loop_memory(robot)
+        reached = walk(robot.tree, scratch, way, outcome, entry_address(along_path), memory.address)
+        return way, reached, outcome
+
+
+def _aligned(robot: Robot, q: Array, held: Orientation) -> Array:
+    """Return the posture next to q (n,) in which the tip is at the same place and the tool is as it is to be held.
+
+    Raises
+    ------
+    ScenarioError
+        If there is none, or it is not near; names it then.
+    """
+    held.check_joints(robot, q)
+    r, still = robot.position(q)[None], np.zeros((1, 3))
+    target = np.hstack([r, still, held.axis_along(np.zeros(1), r, still)])
+    with np.errstate(all="ignore"):
+        way, _, outcome = Follower(robot, held).walk(q, np.array([0.0, 1.0]), np.repeat(target, 2, axis=0), target)
+    angle = held.askew(robot, q)
+    if outcome[ENDED] == REACHED and angle <= ASKEW:
+        return np.array(way.q[1])
+    nearest = f"start.q = {[float(f'{x:.9g}') for x in way.q[1]]}" if outcome[ENDED] == REACHED else "another posture"
+    raise ScenarioError(
+        f"{held.said}: the tool is turned {math.degrees(angle):.4g} degrees away from it at the start, and may be "
+        f"{math.degrees(ASKEW):g}: start with {nearest}"
+    )
 
 
 def _joined(parts: list[JointPath]) -> JointPath:
@@ -74,11 +141,11 @@ def _joined(parts: list[JointPath]) -> JointPath:
     )
 
 
-def _resolve(robot: Robot, q: Array, segment: Segment, most: int, keys: tuple[str, ...]) -> JointPath:
+def _resolve(who: Follower, q: Array, segment: Segment, most: int, keys: tuple[str, ...]) -> JointPath:
     """Return the joint path along one segment, with as many knots as it needs; at most `most` intervals."""
     intervals = _first_intervals(segment)
     while True:
-        path, worst = _through_knots(robot, q, segment, intervals, most, keys)
+        path, worst = _through_knots(who, q, segment, intervals, most, keys)
         if worst <= PATH_TOLERANCE:
             return path
         intervals *= 2
@@ -103,56 +170,42 @@ def _first_intervals(segment: Segment) -> int:
 
 
 def _through_knots(
-    robot: Robot, q: Array, segment: Segment, intervals: int, most: int, keys: tuple[str, ...]
+    who: Follower, q: Array, segment: Segment, intervals: int, most: int, keys: tuple[str, ...]
 ) -> tuple[JointPath, float]:
     """Return the joint path through the knots, and the largest distance of the tip from its path midway, m.
 
     A path is refused at the first knot out of the workspace.
     """
     times = segment.start + (segment.stop - segment.start) * (np.arange(min(intervals, most) + 1) / intervals)
-    knots, midway = _tip(segment, times), _tip(segment, 0.5 * times[:-1] + 0.5 * times[1:])
+    knots, midway = who.tip(segment, times), who.tip(segment, 0.5 * times[:-1] + 0.5 * times[1:])
     if not (np.all(np.diff(times) > SHORTEST) and np.all(np.isfinite(knots)) and np.all(np.isfinite(midway[:, 3:]))):
         raise ScenarioError(
             f"reference: the motion from t = {segment.start:g} s to {segment.stop:g} s cannot be resolved: it is too "
             "fast; give it more time"
         )
-    way, reached, outcome = _walk(robot, q, times, knots, midway)
+    way, reached, outcome = who.walk(q, times, knots, midway)
     if reached < times.size:
         h = float(times[reached] - times[reached - 1])
-        raise _unreachable(robot, way.q[reached - 1], float(times[reached - 1]), h, segment, keys)
+        raise _unreachable(who, way.q[reached - 1], float(times[reached - 1]), h, segment, keys)
     if intervals > most:
         raise ScenarioError(f"reference: the path takes more than {MOST_KNOTS} knots; make it shorter or slower")
     return JointPath(times, way.q, way.v), float(outcome[MIDWAY])
 
 
-def _tip(segment: Segment, times: Array) -> Array:
-    """Return the tip's position, m, and velocity, m/s, (N, 6) at times (N,), s."""
-    return np.ascontiguousarray(np.hstack(segment.sample(times)[:2]))
-
-
-def _walk(robot: Robot, q: Array, times: Array, knots: Array, midway: Array) -> tuple[Way, int, Array]:
-    """Return what `walk` makes of knots and the places between them, from joint positions q (n,)."""
-    limits = np.stack([robot.model.position_lower, robot.model.position_upper])
-    way = Way(times, knots, midway, limits, np.zeros((times.size, robot.n)), np.zeros((times.size, robot.n)))
-    way.q[0] = q
-    outcome = np.zeros(OUTCOMES)
-    return way, walk(robot.tree, np.zeros(scratch_size(robot.n)), way, outcome), outcome
-
-
 def _unreachable(
-    robot: Robot, q: Array, start: float, h: float, segment: Segment, keys: tuple[str, ...]
+    who: Follower, q: Array, start: float, h: float, segment: Segment, keys: tuple[str, ...]
 ) -> ScenarioError:
     """Return the refusal with the first instant within h of `start` that is out of reach, by bisection to 1 µs."""
     low, high = 0.0, h
     reason = "the path cannot be followed"
     for _ in range(60):
         middle = 0.5 * (low + high)
-        tip = _tip(segment, start + middle * np.array([0.0, 0.5, 1.0]))
-        way, _, outcome = _walk(robot, q, np.array([0.0, middle]), tip[[0, 2]], tip[1:2])
+        tip = who.tip(segment, start + middle * np.array([0.0, 0.5, 1.0]))
+        way, _, outcome = who.walk(q, np.array([0.0, middle]), tip[[0, 2]], tip[1:2])
         if outcome[ENDED] == REACHED:
             low = middle
         else:
-            high, reason = middle, _reason(robot, way, int(outcome[ENDED]))
+            high, reason = middle, _reason(who, way, int(outcome[ENDED]))
         if high - low < 1e-6:
             break
     where = np.array2string(
@@ -165,10 +218,13 @@ def _unreachable(
     )
 
 
-def _reason(robot: Robot, way: Way, ended: int) -> str:
+def _reason(who: Follower, way: Way, ended: int) -> str:
     """Return the reason why the second knot of a way was not reached."""
+    robot = who.robot
     if ended == BROKEN:
         return "the inverse kinematics broke down"
+    if ended == OFF and who.held.rows != POSITION:
+        return f"the tip cannot get there with its tool held ({who.held.said})"
     if ended == OFF:
         return f"the tip cannot get there: the path leaves the workspace{_barred(robot, way.q[0], way.knots[1, :3])}"
     x, (lower, upper) = way.q[1], way.limits

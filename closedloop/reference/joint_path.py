@@ -7,10 +7,14 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from closedloop.jit.interpreted import call_once
 from closedloop.jit.kernel import entry_kernel, kernel_inlined
 from closedloop.reference.tip_path import INSTANT
 
 Array = NDArray[np.float64]
+
+# So many take as long interpreted, 20 µs each, as `sample_spline` takes to be compiled.
+FEW_INSTANTS = 50_000
 
 
 @dataclass(frozen=True)
@@ -47,7 +51,8 @@ class JointPath:
 
     def write(self, t: Array, rows: Array, orders: int) -> None:
         """Write q_des, q̇_des and, if `orders` is 3, q̈_des at times t (N,), s, to the first columns of zeros (N, m)."""
-        sample_spline(self.times, self.q, self.v, np.ascontiguousarray(t, dtype=np.float64), rows, orders)
+        t = np.ascontiguousarray(t, dtype=np.float64)
+        call_once(sample_spline, (rows,), t.size <= FEW_INSTANTS, self.times, self.q, self.v, t, rows, orders)
 
 
 @kernel_inlined

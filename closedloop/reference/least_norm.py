@@ -1,4 +1,4 @@
-"""The joint velocity of least norm for a given tip velocity."""
+"""The joint velocity of least norm for a given velocity of the tip, with its turning or without."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ RANK_TOLERANCE = 1e-6
 ORTHOGONAL = 1e-15
 # A row whose square is below this, where the largest entry is 1, is rounding, far below `RANK_TOLERANCE`.
 NOTHING = 1e-40
-# Sweeps over the three pairs of rows; they converge quadratically, so six do.
+# Sweeps over the pairs of rows; they converge quadratically, so six do.
 SWEEPS = 30
 
 
@@ -32,19 +32,19 @@ def least_norm(J: Array, wanted: Array, W: Array, c: Array, rate: Array) -> None
 
     Parameters
     ----------
-    J : (3, n) array
-        Jᵣ.
-    wanted : (3,) array
-        ṙ, m/s.
-    W, c : (3, n), (3,) arrays
+    J : (m, n) array
+        Jᵣ, and what else is to move, a row each.
+    wanted : (m,) array
+        ṙ, m/s, and the rates of the rest.
+    W, c : (m, n), (m,) arrays
         Scratch.
     rate : (n,) array
         Written: q̇, rad/s (m/s); NaN if an entry of J or `wanted` is not finite.
     """
-    n = J.shape[1]
-    size = 0.0
-    finite = math.isfinite(wanted[0]) and math.isfinite(wanted[1]) and math.isfinite(wanted[2])
-    for i in range(3):
+    m, n = J.shape
+    size, finite = 0.0, True
+    for i in range(m):
+        finite = finite and math.isfinite(wanted[i])
         for j in range(n):
             finite = finite and math.isfinite(J[i, j])
             size = max(size, abs(J[i, j]))
@@ -52,15 +52,15 @@ def least_norm(J: Array, wanted: Array, W: Array, c: Array, rate: Array) -> None
         rate[j] = 0.0 if finite else math.nan
     if size == 0.0 or not finite:
         return
-    for i in range(3):
+    for i in range(m):
         c[i] = wanted[i]
         for j in range(n):
             W[i, j] = J[i, j] / size  # so that no square overflows
     turned, sweep = True, 0
     while turned and sweep < SWEEPS:
         turned, sweep = False, sweep + 1
-        for i in range(2):
-            for k in range(i + 1, 3):
+        for i in range(m - 1):
+            for k in range(i + 1, m):
                 first = second = product = 0.0
                 for j in range(n):
                     first += W[i, j] * W[i, j]
@@ -76,12 +76,12 @@ def least_norm(J: Array, wanted: Array, W: Array, c: Array, rate: Array) -> None
                         W[i, j], W[k, j] = cos * W[i, j] - sin * W[k, j], sin * W[i, j] + cos * W[k, j]
                     c[i], c[k] = cos * c[i] - sin * c[k], sin * c[i] + cos * c[k]
     longest = 0.0
-    for i in range(3):
+    for i in range(m):
         square = 0.0
         for j in range(n):
             square += W[i, j] * W[i, j]
         longest = max(longest, square)
-    for i in range(3):
+    for i in range(m):
         square = 0.0
         for j in range(n):
             square += W[i, j] * W[i, j]

@@ -7,14 +7,16 @@ Those that ship are in `closedloop.reference.paths`, one file each, written the 
 from __future__ import annotations
 
 from abc import abstractmethod
-from typing import ClassVar
+from typing import ClassVar, Literal
 
 import numpy as np
 from numpy.typing import NDArray
+from pydantic import Field
 
 from closedloop.errors import ScenarioError
 from closedloop.families import Family, Parameters, is_users
 from closedloop.reference.on_surface import on_surface
+from closedloop.reference.orientation import Held
 from closedloop.reference.tip_path import TipPath
 from closedloop.surface.placed import PlacedSurface
 from closedloop.user_code import of_users
@@ -29,7 +31,19 @@ class Path(Parameters):
     """[reference]: the motion of the tip."""
 
     folder: ClassVar[str] = "closedloop.reference.paths"
-    along_surface: ClassVar[bool] = True  # laid onto a surface that is curved or moves
+    in_plane: ClassVar[bool] = True  # it is drawn in the tangent plane, so that on a plane at rest it lies already
+
+    on_surface: Literal["projected", "geodesic", "no"] = Field(
+        "projected",
+        description="how it is laid onto a surface that is curved or moves: projected along the normal at the start; "
+        "geodesic: with its lengths and angles, at the speed that it says; no: it stays in space",
+    )
+
+    orientation: Held = Field(
+        "free",
+        description='orientation of the tool: "free", "normal" (tool.axis held against the normal of the surface), '
+        '"start" (as it is at the start), or the rotation vector of the frame robot.tip in the base frame, rad',
+    )
 
     @abstractmethod
     def tip_path(self, origin: Array, normal: Array) -> TipPath:
@@ -76,7 +90,9 @@ def path_on(section: Path, origin: Array, surface: PlacedSurface, duration: floa
     Raises
     ------
     ScenarioError
-        As `tip_path`, or if the surface does not lie under the path.
+        As `tip_path`, or if the surface does not lie under the path, or the path leaves it.
     """
     path = tip_path(section, origin, surface.normal)
-    return path if surface.fixed_plane or not section.along_surface else on_surface(path, surface, duration)
+    if section.on_surface == "no" or (surface.fixed_plane and section.in_plane):
+        return path
+    return on_surface(path, surface, duration, geodesic=section.on_surface == "geodesic")

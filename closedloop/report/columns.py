@@ -16,6 +16,7 @@ from numpy.typing import NDArray
 
 from closedloop.jit.interpreted import interpreted
 from closedloop.report.alternation import SPAN, alternation
+from closedloop.report.limited import count_limited
 from closedloop.report.measured import Tally, Values, begin_tally, write_values
 from closedloop.report.row_sample import JointLimits, Sample, Scale, joint_limits, sample_row
 from closedloop.step.record_row import RECORDED
@@ -57,6 +58,8 @@ def run_values(run: Run) -> Any:
     tally.condition = np.max(run.kkt_condition)
     last = SimpleNamespace(**{name: getattr(run, name)[-1] for name in ("contact_force", "closure_error", "mode")})
     interpreted(write_values)(last, n, count, tally, values)
+    if "torque_limited" in run.columns:
+        count_limited(run.torque_limited, h, values)
     values.energy_lost_in_impacts = np.sum(run.event_energy_lost)
     values.largest_rate_cut = np.max(run.event_rate_cut, initial=0.0)
     values.events[:] = np.bincount(run.event_kind, minlength=values.events.size + 1)[1:]

@@ -216,6 +216,7 @@ def write_values(last: Any, n: int, count: int, tally: Tally, values: Any) -> No
         values.position_limit_left_at[j] = first.position[j]
         values.velocity_limit_exceeded_at[j] = first.velocity[j]
         values.effort_limit_exceeded_at[j] = first.effort[j]
+        values.torque_limited_share[j], values.torque_limited_at[j] = 0.0, math.nan  # see `closedloop.report.limited`
         values.torque_chatter[j] = share_of(torque.alternating, max(sums.torque[j], LEAST_TORQUE * mean))
 
 

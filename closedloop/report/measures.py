@@ -53,6 +53,8 @@ JOINT_MEASURES: dict[str, Measure] = {
     "max_joint_torque": Measure("N m", "largest torque asked of the joint"),
     "effort_limit_exceeded_at": Measure("s", "when the torque asked of the joint was first beyond its effort limit"),
     "torque_chatter": Measure("1", "share of the joint's torque that alternates from row to row"),
+    "torque_limited_share": Measure("1", "share of the rows in which a limit of the drives cut the joint's torque"),
+    "torque_limited_at": Measure("s", "when a limit of the drives first cut the joint's torque"),
 }
 # A joint's torque counts as at least this share of the joints' mean: where next to none is asked, rounding alternates.
 LEAST_TORQUE = 0.01

@@ -43,13 +43,30 @@ def summarise(run: Run) -> dict[str, Any]:
         "stopped": run.stopped,
         **{name: value if _exists(value) else None for name, value in values.items()},
         "not_finite": [name for name, value in values.items() if not _exists(value)],
+        "wrist": _wrist(run),
+        "tool": _tool(run),
         "events": {kind: sum(event.kind == kind for event in run.events) for kind in KINDS.values()},
         "assumptions": held,
         "joints": {
             name: {key: _finite(column[j]) for key, column in joints.items()}
             for j, name in enumerate(run.model.joint_names if len(run) else ())
         },
+        "loops": _loops(run),
         "wall_seconds": run.wall_seconds,
+    }
+
+
+def _loops(run: Run) -> dict[str, dict[str, float]]:
+    """Return the largest reaction, N or N m, and the largest error, m or rad, of each row of a mechanism's loops."""
+    if run.loops is None or not len(run):
+        return {}
+    found = run.loops
+    return {
+        label: {
+            "max_reaction": float(np.max(np.abs(found.reactions[:, k]))),
+            "max_error": float(np.max(np.abs(found.errors[:, k]))),
+        }
+        for k, label in enumerate(found.labels)
     }
 
 
@@ -59,6 +76,24 @@ def _facts(run: Run, values: dict[str, Any], joints: dict[str, Array], held: dic
     }
     columns = {name: column.tolist() for name, column in joints.items()}
     return Facts(run.scenario, run.model, run.stopped, len(run) - 1, values, len(run.events), failed, columns)
+
+
+def _wrist(run: Run) -> dict[str, float | None] | None:
+    """Return the largest force, N, and moment, N m, between the arm and what it carries; None if it carries nothing."""
+    if len(run) == 0 or not (run.scenario.tool.mass or run.scenario.model_error.payload):
+        return None
+    parts = {"max_force": run.wrist_wrench[:, :3], "max_moment": run.wrist_wrench[:, 3:]}
+    return {name: _finite(np.max(np.linalg.norm(part, axis=1))) for name, part in parts.items()}
+
+
+def _tool(run: Run) -> dict[str, float | None] | None:
+    """Return how far the tool turned from its reference and from the normal at most, degrees; None if it is free."""
+    if len(run) == 0 or getattr(run.scenario.reference, "orientation", "free") == "free":
+        return None
+    return {
+        "max_orientation_error": _finite(np.max(run.orientation_error)),
+        "max_angle": _finite(np.max(run.tool_angle)),
+    }
 
 
 def run_gains_fault(run: Run) -> str:

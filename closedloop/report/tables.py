@@ -7,11 +7,13 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from closedloop.closure.contact_force import FREE
+from closedloop.control.drives import AT_RATE_LIMIT, AT_TORQUE_LIMIT, OF_THE_ROBOT
 from closedloop.events.table import IMPACT, TOUCHDOWN
 from closedloop.friction.law import FrictionLaw
 from closedloop.integrators import ADAPTIVE, scheme_of
 from closedloop.report.summary import joint_measures, run_gains_fault
-from closedloop.report.verdict import GOOD, names_of
+from closedloop.report.verdict import GOOD, names_of, probable_reason
+from robot_models.notes import notes as robot_notes
 
 if TYPE_CHECKING:
     from rich.console import Console
@@ -53,6 +55,15 @@ def _energy_fault(law: Any, load: float, n: int | None = None) -> str | None:
     return law.energy_fault(load, n) if isinstance(law, FrictionLaw) else None
 
 
+def _robot_notes(run: Run) -> tuple[str, ...]:
+    """Return what the robot's file says and the run did not act on."""
+    model, limited, rubs = run.model, run.scenario.drives.torque_limit == OF_THE_ROBOT, run.scenario.robot.friction
+    if not (limited or rubs):
+        return model.notes
+    effort = np.full(model.n, np.inf) if limited else model.effort_limit
+    return robot_notes(model.text, model.format, () if rubs else model.joint_names, model.velocity_limit, effort)
+
+
 def notes(run: Run) -> list[str]:
     """Return what a reader of the run should know beside its figures: what was left out, friction that may drive ..."""
     load = float(np.max(np.abs(run.contact_force)))
@@ -62,7 +73,7 @@ def notes(run: Run) -> list[str]:
         ("gains", run_gains_fault(run)),
     )
     told = {problem["name"] for problem in run.summary()["verdict"]["problems"]}
-    lines = [*run.model.notes, restitution_cut(run), shifted_events(run)]
+    lines = [*_robot_notes(run), restitution_cut(run), shifted_events(run)]
     return [text for text in lines if text] + [f"{key}: {fault}" for key, fault in faults if fault and key not in told]
 
 
@@ -120,7 +131,9 @@ def _print_verdict(verdict: dict[str, Any], console: Console) -> None:
     if verdict["good"]:
         console.print(f"verdict: [green]{GOOD}[/]")
         return
-    console.print(f"verdict: [bold red]BAD[/]: {names_of(problems)}", soft_wrap=True)  # one line, whatever the width
+    reason = probable_reason(problems)
+    why = f" ({reason})" if reason else ""
+    console.print(f"verdict: [bold red]BAD[/]: {names_of(problems)}{why}", soft_wrap=True)  # one line, at any width
     for problem in problems:
         when = "" if problem["at"] is None else f" (from {problem['at']:.4g} s)"
         console.print(f"  [bold red]{problem['name']}[/]: {escape(problem['text'])}{when}")
@@ -129,6 +142,25 @@ def _print_verdict(verdict: dict[str, Any], console: Console) -> None:
 def report_rows(run: Run) -> list[tuple[str, str, str, str]]:
     """Return the rows of the table of errors: quantity, value, unit, and what stands beside it; the run has rows."""
     return _error_rows(run, run.summary())
+
+
+def _loop_rows(run: Run) -> list[tuple[str, str, str, str]]:
+    """Return how far the loops of a mechanism were from closed, and what they carried."""
+    found = run.loops
+    if found is None:
+        return []
+    worst = int(np.argmax(np.max(np.abs(found.errors), axis=0)))
+    m, least, most = found.errors.shape[1], int(np.min(found.rank)), int(np.max(found.rank))
+    ranks = f"{least}" if least == most else f"{least} to {most}"
+    rows = [("loops: error", f"{np.max(np.abs(found.errors)):.2g}", "m (rad)", found.labels[worst])]
+    for unit in ("N", "N m"):
+        at = [k for k, own in enumerate(found.units) if own == unit]
+        if at:
+            largest = max(at, key=lambda k: float(np.max(np.abs(found.reactions[:, k]))))
+            size = float(np.max(np.abs(found.reactions[:, largest])))
+            rows.append(("loops: reaction", f"{size:.4g}", unit, found.labels[largest]))
+    spare = "; reactions of least norm" if least < m else ""
+    return [*rows, ("loops: independent rows", ranks, "", f"of {m}{spare}")]
 
 
 def _joint_rows(run: Run) -> list[tuple[str, str, str, str]]:
@@ -144,6 +176,35 @@ def _joint_rows(run: Run) -> list[tuple[str, str, str, str]]:
         if np.any(np.isfinite(limit)):
             rows.append((title, f"{100.0 * share[j]:.3g}", "%", f"joint {run.model.joint_names[j]}"))
     return rows
+
+
+def _tool_rows(run: Run, facts: dict[str, Any]) -> list[tuple[str, str, str, str]]:
+    """Return how the tool is turned, where that is asked for, and what it bears, if the arm carries one."""
+    rows, wrist, tool = [], facts["wrist"], facts["tool"]
+    if tool is not None:
+        error, angle = _shown(tool["max_orientation_error"], ".3g"), _shown(tool["max_angle"], ".3g")
+        rows.append(("tool from its orientation", error, "deg", f"its axis {angle} deg from the normal"))
+    if wrist is not None:
+        force, moment = _shown(wrist["max_force"], ".4g"), _shown(wrist["max_moment"], ".4g")
+        at = f"at the frame {run.scenario.robot.tip or run.model.tip}"
+        rows.append(("force between arm and tool", force, "N", f"moment {moment} N m, {at}"))
+    return rows
+
+
+def _limited_rows(run: Run) -> list[tuple[str, str, str, str]]:
+    """Return a row for each joint whose torque a limit of the drives cut."""
+    found, rows = joint_measures(run), []
+    for j, at in enumerate(found["torque_limited_at"]):
+        if np.isfinite(at):
+            kinds = np.unique(run.torque_limited[:, j])
+            what = " and ".join(word for kind, word in _LIMITS.items() if kind in kinds)
+            share = f"{100.0 * found['torque_limited_share'][j]:.3g}"
+            where = f"joint {run.model.joint_names[j]}, first at {at:.4g} s: {what}"
+            rows.append(("torque cut, of the time", share, "%", where))
+    return rows
+
+
+_LIMITS = {AT_TORQUE_LIMIT: "torque limit", AT_RATE_LIMIT: "rate limit"}
 
 
 def _error_rows(run: Run, facts: dict[str, Any]) -> list[tuple[str, str, str, str]]:
@@ -189,7 +250,10 @@ def _error_rows(run: Run, facts: dict[str, Any]) -> list[tuple[str, str, str, st
             f"{time.integrator}, {step}",
         ),
         ("tip speed", _shown(facts["max_tip_speed"], ".4g"), "m/s", ""),
+        *_loop_rows(run),
         *_joint_rows(run),
+        *_tool_rows(run, facts),
+        *_limited_rows(run),
         *_contact_rows(run, facts),
     ]
 
@@ -242,7 +306,7 @@ def _print_events(run: Run, console: Console) -> None:
 
 def _event_row(event: Event) -> tuple[str, ...]:
     """Return the cells of an event: rates where contact begins or ends, impulses and energy of an impact."""
-    normal = event.kind in ("impact", "touchdown", "liftoff")
+    normal = event.kind in ("impact", "touchdown", "liftoff", "edge")
     impact = event.kind in ("impact", "touchdown")
     return (
         f"{event.time:.6f}",

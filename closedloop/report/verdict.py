@@ -15,8 +15,8 @@ verdict stands in the first line of the report, in ``summary.json`` and in a col
 an assumption's name      an assumption of the paper that failed though the scenario keeps to it
 ========================  ==============================================================================
 
-An ideal actuator is the paper's assumption, and nothing in the loop is clipped: a run beyond the arm's own limits is
-right about an arm that is not this one, which is no good run of this one.
+An ideal actuator is the paper's assumption, and nothing in the loop is cut unless `[drives]` asks for it: a run beyond
+the arm's own limits is right about an arm that is not this one, which is no good run of this one.
 """
 
 from __future__ import annotations
@@ -53,6 +53,8 @@ STEPS_TO_AN_EVENT = 20
 # (`closedloop.simulation.prepare.START_GAP`) and comes to it from there.
 CLOSURE_BOUND = 1e-4
 
+# What a run says that stopped by it (`closedloop.engines.failures`).
+DIVERGES = "the motion diverges"
 # Problems with which gains that the step cannot carry show.
 SHAKEN = {"stopped", "energy", "chatter", "closure"}
 
@@ -104,7 +106,7 @@ def outside_by_the_scenario(scenario: Scenario) -> set[str]:
     outside = set()
     if scenario.friction.kind != "none":
         outside |= {"frictionless", "one_loop"}
-    if scenario.joint_friction.kind != "none":
+    if scenario.rubs_in_joints:
         outside.add("frictionless")
     if scenario.surface.contact == "unilateral":
         outside.add("contact_kept")
@@ -144,12 +146,27 @@ def names_of(problems: Sequence[Mapping[str, Any]]) -> str:
     return ", ".join(dict.fromkeys(problem["name"] for problem in problems)) or GOOD
 
 
+def probable_reason(problems: Sequence[Mapping[str, Any]]) -> str:
+    """Return in words that an instability is the probable reason of these problems, "" where they do not look like one.
+
+    One of many problems is the cause, and the others follow: a loop that is unstable breaks every bound in the end.
+    """
+    said = {problem["name"]: problem["text"] for problem in problems}
+    if "gains" in said:
+        return "probably unstable: gains that the step cannot carry"
+    if DIVERGES in said.get("stopped", ""):
+        return "probably unstable: the feedback drives the arm away"
+    if {"energy", "chatter"} <= said.keys():
+        return "probably unstable: it shakes from step to step"
+    return ""
+
+
 def energy_bound(facts: Facts) -> float:
     """Return how much energy may be unaccounted for, J; the argument is beside `ENERGY_SHARE`."""
     time, m = facts.scenario.time, facts.measures
     scheme = scheme_of(time.integrator)  # None: a user's, of which a run file has the name only
     order = 1 if scheme is None else min(2, scheme.order)
-    if facts.events or facts.scenario.law.sample_period:
+    if facts.events or facts.scenario.law.sample_period or facts.scenario.reads_encoders:
         order = 1
     stake = (m["energy_exchanged"] or 0.0) + abs(m["energy_lost_to_friction"] or 0.0) + (m["max_kinetic_energy"] or 0.0)
     return max(LEAST_ENERGY, ENERGY_SHARE[order] * stake)

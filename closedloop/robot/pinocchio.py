@@ -11,8 +11,11 @@ import pinocchio as pin
 from numpy.typing import ArrayLike, NDArray
 
 from closedloop.errors import ModelError
-from closedloop.robot.tree import Tree, tree_of
+from closedloop.jit.interpreted import interpreted
+from closedloop.jit.kernel import plain
+from closedloop.robot.tree import Tree, tree_kinematics, tree_of, tree_turning, work_size
 from robot_models import RobotModel
+from robot_models.tool import carried_by
 
 Array = NDArray[np.float64]
 
@@ -170,10 +173,62 @@ class Robot:
         pin.updateFramePlacement(self._pin, self._data, self._frame)
         return self._data.oMf[self._frame].translation.copy(), jacobian[:3]
 
+    def frame_jacobian(self, q: Array) -> Array:
+        """Return the Jacobian of the tip's frame (6, n) at q (n,): Jᵣ above the angular velocity's, base axes."""
+        jacobian = pin.computeFrameJacobian(self._pin, self._data, q, self._frame, _ALIGNED)
+        return np.array(jacobian).reshape(6, self.n)
+
+    def link_axes(self, q: Array) -> Array:
+        """Return the axes of the tip's link as `tree` has them, columns (3, 3), base frame, at q (n,)."""
+        n, tree = self.n, self.tree
+        work, J, r, axes = np.zeros(int(plain(work_size)(n))), np.zeros((3, n)), np.zeros(3), np.zeros((3, 3))
+        interpreted(tree_kinematics)(tree, q, self._rest, work, J, r, np.zeros(3))
+        interpreted(tree_turning)(tree, work, axes, J)
+        return axes
+
     def potential_energy(self, q: Array) -> Array:
         """Return the potential energy of each row of q (N, n), J."""
         model, data = self._pin, self._data
         return np.array([pin.computePotentialEnergy(model, data, row) for row in np.ascontiguousarray(q)])
+
+    def wrist_wrench(self, q: Array, v: Array, a: Array, tip_force: Array) -> Array:
+        """Return what a force-torque sensor between the arm and its tool reads, (N, 6), N and N m.
+
+        The force and the moment with which the arm moves all that is fixed to the tip's frame, tool and payload: their
+        rate of momentum, less gravity and less the force on the tip,
+
+            f = Y a + v ×* Y v - Y g - f_tip        spatial vectors in the sensor's frame
+
+        The sensor's frame is the frame `tip` of the arm without a tool. The moment is about its origin.
+
+        Parameters
+        ----------
+        q, v, a : (N, n) arrays
+            Joint positions, rad (m), velocities, rad/s (m/s), and accelerations, rad/s² (m/s²).
+        tip_force : (N, 3) array
+            Force of the surface on the tip, N, base axes.
+        """
+        model, data, frame = self._pin, self._data, self._frame
+        Y, offset = carried_by(self.model.tools, self.tip)
+        back = pin.SE3(np.eye(3), offset)  # the tip in the sensor's frame
+        found = np.empty((len(q), 6))
+        for k, (qk, vk, ak) in enumerate(zip(*map(np.ascontiguousarray, (q, v, a)), strict=True)):
+            pin.forwardKinematics(model, data, qk, vk, ak)
+            turn = pin.updateFramePlacement(model, data, frame).rotation.T
+            motion = back.act(pin.getFrameVelocity(model, data, frame, pin.LOCAL))
+            rate = back.act(pin.getFrameAcceleration(model, data, frame, pin.LOCAL))
+            rate.linear -= turn @ self.gravity
+            contact = back.act(pin.Force(turn @ tip_force[k], np.zeros(3)))
+            found[k] = (Y * rate + motion.cross(Y * motion) - contact).vector
+        return found
+
+    def tip_axes(self, q: Array) -> Array:
+        """Return the axes of the tip's frame at each row of q (N, n): columns, base frame, (N, 3, 3)."""
+        found = np.empty((len(q), 3, 3))
+        for k, row in enumerate(np.ascontiguousarray(q)):
+            pin.forwardKinematics(self._pin, self._data, row)
+            found[k] = pin.updateFramePlacement(self._pin, self._data, self._frame).rotation
+        return found
 
     def _checked(self, x: ArrayLike, name: str) -> Array:
         array = np.ascontiguousarray(x, dtype=np.float64)

@@ -21,6 +21,8 @@ from closedloop.closure.baumgarte import linear_step
 from closedloop.control.laws.hybrid import HybridLaw
 from closedloop.control.laws.impedance import ImpedanceLaw
 from closedloop.control.tip_space import Posture, TipMotion
+from closedloop.control.transmission import transmission_constants
+from closedloop.errors import ScenarioError
 from closedloop.integrators import ADAPTIVE, INTEGRATORS
 from closedloop.parameters import per_joint
 from closedloop.robot.pinocchio import Robot
@@ -90,7 +92,7 @@ def gains_fault(scenario: Scenario, robot: Robot) -> str:
         Its robot with its tip.
     """
     h, period = scenario.time.step, scenario.law.sample_period
-    hold = round(period / h) if period else 0
+    hold = round(period / h) if period else int(scenario.reads_encoders)
     start = getattr(scenario.law, "pd_start", None)
     if start is not None and start >= scenario.time.duration:
         return ""
@@ -128,6 +130,29 @@ def _fault(feedback: Feedback, scenario: Scenario, robot: Robot, hold: int) -> s
     return (
         f"{feedback.spring} times the square of {step} is {stiffest:.3g}{_of_inertia(feedback.spring)}, more than "
         f"{what} can carry with this {feedback.damper}: {cure}"
+    )
+
+
+def check_transmission(scenario: Scenario, robot: Robot, q: Array) -> None:
+    """Refuse elastic joints that swing too fast for the step, at the posture q (n,): motors and links on their springs.
+
+    δ̈ = −(H⁻¹ + B⁻¹)(K δ + D δ̇), δ = θ − q. Contact holds the tip, and with it the links: it makes nothing swing faster.
+    """
+    stiffness, damping, inertia = transmission_constants(scenario.transmission, robot.model)
+    try:
+        mobility = np.linalg.inv(robot.terms(q, np.zeros(robot.n)).mass_matrix) + np.diag(1.0 / inertia)
+    except np.linalg.LinAlgError:  # some link moves no inertia: the run says so
+        return
+    swing = Feedback("transmission.stiffness", "transmission.damping", mobility * stiffness, mobility * damping)
+    name, h = scenario.time.integrator, scenario.time.step
+    if growth(swing, name, h) <= GROWING:
+        return
+    share = _largest_share(swing, name, h, 0)
+    fastest = float(np.sqrt(np.max(np.linalg.eigvals(swing.stiffness).real)))
+    cure = f"the step may be at most {_down(share * h)} s" if share > 1e-6 else "at any step"
+    raise ScenarioError(
+        f"transmission.stiffness: {name} is unstable with time.step = {h:g} s on joints that swing at {fastest:.4g} "
+        f"rad/s against their motors: {cure}; or take softer joints, more damping or another integrator"
     )
 
 
@@ -170,7 +195,8 @@ def feedbacks(scenario: Scenario, robot: Robot) -> list[Feedback]:
     A = surface.touching(terms.position).frame @ terms.jacobian
     held = scenario.surface.contact == "bilateral"
     try:
-        mobility = np.linalg.inv(terms.mass_matrix)
+        motors = np.diag(transmission_constants(scenario.transmission, robot.model)[2])  # zero: they are in H
+        mobility = np.linalg.inv(terms.mass_matrix + motors)
     except np.linalg.LinAlgError:  # some joint moves no inertia: the run says so
         return []
     S = A @ mobility @ A.T

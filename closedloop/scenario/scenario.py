@@ -8,16 +8,22 @@ or a member of a family of plug-ins (`closedloop.families`), a user's own too wh
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping
 from copy import deepcopy
 from functools import cache
 from pathlib import Path
 from typing import Annotated, Any, Literal, Self
 
+import numpy as np
+from numpy.typing import NDArray
 from pydantic import AfterValidator, BeforeValidator, Field, ValidationError, model_validator
 
+from closedloop.control.drives import DrivesSection
+from closedloop.control.encoder import NO_ENCODER, EncoderSection, encoder_kind
 from closedloop.control.law import COMPENSATIONS, LAWS, Compensation, ControlLaw
 from closedloop.control.sensor import SensorSection
+from closedloop.control.transmission import TransmissionSection
 from closedloop.errors import ScenarioError
 from closedloop.families import KEEP_ABSENT, Family, OneOf
 from closedloop.friction.law import JOINT_LAWS, SURFACE_LAWS, FrictionLaw, JointFriction, SurfaceFriction
@@ -32,6 +38,7 @@ from closedloop.sections import (
     JOINT_SPEED,
     PLACE,
     STEP,
+    Direction,
     Flag,
     NotNegative,
     Number,
@@ -50,8 +57,10 @@ from robot_models.load import names_a_file
 from robot_models.toml_text import toml_tables
 
 Coordinate = Annotated[Number, PLACE]
+GRAVITY = Annotated[Number, Size(1e4, "m/s²", "no body pulls so hard")]
 MASS = Size(1e6, "kg", "no arm carries so much", 1e-9)
 Moment = Annotated[Number, Size(1e9, "kg m²", "no tool is so large")]
+TILT = Size(1.5, "rad", "the controller would press along the surface")
 FACTOR = Size(1e3, "", "no model is so wrong", 1e-3, "no model is so wrong")
 REST_SPEED = Size(1e4, "m/s", "nothing bounces so fast", 1e-12, "slower motion is rounding")
 DAMPING_RATIO = Size(1e6, "", "no closure is damped so", 1e-6, "nothing would die out")
@@ -69,8 +78,16 @@ class RobotSection(Section):
     )
     tip: str | None = Field(None, description="frame that touches the surface; the model's own tip if left out")
     drive_inertia: Flag = Field(True, description="add the drives' inertia (armature) to the mass matrix")
+    friction: Flag = Field(
+        False,
+        description="let the damping and friction of the URDF's <dynamics> act in the joints, as viscous coefficients "
+        "and Coulomb torques: the law coulomb_viscous of joint_friction, which must be left out then",
+    )
     lock: dict[str, Annotated[Number, ANGLE]] | None = Field(
         None, description="joints held rigid, and where, rad (m); the model's own choice if left out"
+    )
+    gravity: tuple[GRAVITY, GRAVITY, GRAVITY] | None = Field(
+        None, description="gravity in the base frame, m/s²; the model's own if left out: of a URDF [0, 0, -9.81]"
     )
 
 
@@ -90,6 +107,9 @@ class ToolSection(Section):
     inertia: tuple[Moment, Moment, Moment, Moment, Moment, Moment] = Field(
         (0.0,) * 6, description="tensor about the centre of mass, kg m²: xx, yy, zz, xy, xz, yz"
     )
+    axis: Direction = Field(
+        (0.0, 0.0, 1.0), description="axis of the tool, out of it at its tip, axes of the frame robot.tip; any length"
+    )
 
 
 class ModelErrorSection(Section):
@@ -101,6 +121,23 @@ class ModelErrorSection(Section):
     payload: Annotated[NotNegative, MASS] = Field(
         0.0, description="mass at the tip that the arm carries and the controller does not know of, kg"
     )
+    normal: Annotated[Number, TILT] = Field(
+        0.0, description="angle by which the normal that the controller believes in is tilted off the surface's, rad"
+    )
+    normal_towards: Annotated[Number, ANGLE] = Field(
+        0.0, description="direction in which it is tilted, rad from the first tangent t1 to the second"
+    )
+    friction: Annotated[NotNegative, FACTOR] = Field(
+        1.0, description="figures of friction as the compensation has them, of those given in [compensation]"
+    )
+
+    def tilt(self) -> NDArray[np.float64]:
+        """Return the contact frame that the controller believes in (3, 3): n, t1, t2 in the axes of the true one."""
+        c, s = math.cos(self.normal), math.sin(self.normal)
+        a, b = math.cos(self.normal_towards), math.sin(self.normal_towards)
+        # n turns towards d = a t1 + b t2 and d away from n; e = −b t1 + a t2 stays.
+        n, d, e = np.array([c, s * a, s * b]), np.array([-s, c * a, c * b]), np.array([0.0, -b, a])
+        return np.stack([n, a * d - b * e, b * d + a * e])
 
 
 class ImpactSection(Section):
@@ -124,6 +161,9 @@ class StartSection(Section):
     )
     v: Annotated[PerJoint, JOINT_SPEED] | None = Field(
         None, description="joint velocities, rad/s (m/s); at rest if left out"
+    )
+    assemble: Flag = Field(
+        False, description="of a mechanism with loops: start at the closed posture nearest to start.q, however far"
     )
 
 
@@ -240,7 +280,7 @@ class Scenario(Section):
     )
     tool: ToolSection = Field(ToolSection(), description="a tool on the tip: where its tip is, and its mass")
     model_error: ModelErrorSection = Field(
-        ModelErrorSection(), description="what the controller is wrong about: masses, a payload"
+        ModelErrorSection(), description="what the controller is wrong about: masses, a payload, normal, friction"
     )
     compliance: Annotated[Compliance, COMPLIANCES] = Field(
         default_factory=lambda: COMPLIANCES["none"](), description="how the surface gives way, if it is soft"
@@ -255,6 +295,13 @@ class Scenario(Section):
         default_factory=lambda: COMPENSATIONS["none"](), description="what the controller does against friction"
     )
     sensor: SensorSection = Field(SensorSection(), description="the force sensor: noise, bias, delay, resolution")
+    encoder: EncoderSection = Field(
+        EncoderSection(), description="what the controller measures of the joints: noise, quantisation, velocity"
+    )
+    transmission: TransmissionSection = Field(
+        TransmissionSection(), description="elastic joints: stiffness, damping and motor inertia"
+    )
+    drives: DrivesSection = Field(DrivesSection(), description="the joints' drives: limits of torque and of its rate")
     friction: Annotated[SurfaceFriction, SURFACE_LAWS] = Field(
         default_factory=lambda: SURFACE_LAWS["none"](), description="friction between tip and surface"
     )
@@ -275,6 +322,16 @@ class Scenario(Section):
             chosen = "rk4" if self.surface.contact == "unilateral" and not stiff else "semi_implicit_euler"
             self.__dict__["time"] = self.time.model_copy(update={"integrator": chosen})
         return self
+
+    @property
+    def rubs_in_joints(self) -> bool:
+        """Whether there is friction in the joints."""
+        return self.joint_friction.kind != "none" or self.robot.friction
+
+    @property
+    def reads_encoders(self) -> bool:
+        """Whether the controller reads positions once a step, and does not see the state itself."""
+        return encoder_kind(self.encoder) != NO_ENCODER or self.transmission.on_motors
 
     def to_toml(self) -> str:
         """Return the scenario as TOML text that `load_scenario` reads back to an equal one."""
@@ -304,8 +361,9 @@ def load_scenario(name: str | Path, overrides: Mapping[str, Any] | None = None) 
         A shipped name (see `shipped_scenarios`) or a path to a .toml file.
     overrides : mapping, optional
         Dotted keys and values laid over the file before it is checked, such as ``{"law.force": 15.0}``. Overriding a
-        `kind` drops the keys of the old kind that the new one does not know. A user's class is named here, as
-        ``{"reference.kind": "my_module:MyPath"}`` or by the class itself.
+        `kind` drops the keys of the old kind that the new one does not know, if the file has them: of those given here
+        none is dropped. A user's class is named here, as ``{"reference.kind": "my_module:MyPath"}`` or by the class
+        itself.
 
     Raises
     ------
@@ -344,8 +402,8 @@ def scenario_of(
 ) -> Scenario:
     """Check a scenario given as the tables of its file; `data` is written to. See `parse_scenario`."""
     try:
-        for key, value in overrides.items():
-            _override(data, key, deepcopy(value))
+        for key in sorted(overrides, key=_turn):
+            _override(data, key, deepcopy(overrides[key]))
         return Scenario.model_validate(data, context={KEEP_ABSENT: keep_absent})
     except RecursionError:
         raise ScenarioError(f"{where}: a value is nested too deeply") from None
@@ -353,6 +411,11 @@ def scenario_of(
         from closedloop.scenario.messages import explain
 
         raise ScenarioError(*(f"{where}: {fault}" for fault in explain(error, data))) from None
+
+
+def _turn(key: str) -> int:
+    """Return when a key is laid over the file: sections before kinds, and kinds, which drop keys, before others."""
+    return 2 if not key.endswith(".kind") and "." in key else int("." in key)
 
 
 def _override(data: dict[str, Any], key: str, value: Any) -> None:

@@ -25,7 +25,9 @@ from closedloop.jit.background import make_ready, start
 from closedloop.jit.interpreted import Interim, at_hand, call_now
 from closedloop.jit.kernel import direct
 from closedloop.jit.pointers import address_of
-from closedloop.robot.tree import Tree
+from closedloop.reference.inverse_kinematics import walk
+from closedloop.reference.joint_path import sample_spline
+from closedloop.robot.tree import Tree, potential_energies
 from closedloop.step.memory import Loop
 from closedloop.step.record_row import complete_record
 
@@ -34,6 +36,8 @@ Call = Callable[[Array], int]
 
 # Evaluations between two returns to Python's bookkeeping, where nothing else is asked for.
 CHUNK = 400
+# What a run calls once or twice before and after its loop, interpreted where it is not compiled yet.
+USED_ONCE = (walk, sample_spline, potential_energies)
 
 
 class Answers:
@@ -184,7 +188,7 @@ def single_calls(
     def once(events: Array) -> int:
         crba(pinocchio, data, q, convention)  # as in `Robot.evaluator`, without a call
         bias(pinocchio, data, q, v)
-        return again(events)
+        return call(at) if known is events else again(events)
 
     return once, again
 
@@ -198,7 +202,7 @@ def begun(
     if not at_hand(kernel):
         calls = problem.steps * problem.integrator.stages
         seconds = SECONDS_GENERAL if problem.general or law is not None else SECONDS
-        return Interim(kernel, (loop.state.memory, loop.w.memory), calls, seconds, with_it, connect)
+        return Interim(kernel, (loop.state.memory, loop.w.memory), calls, seconds, with_it, connect, USED_ONCE)
     make_ready(kernel)
-    start([function for function in with_it if not at_hand(function)])
+    start([function for function in (*with_it, *USED_ONCE) if not at_hand(function)])
     return kernel

@@ -13,27 +13,41 @@ from numpy.typing import NDArray
 import robot_models
 from closedloop.closure.baumgarte import baumgarte_gains, largest_stable_ratio, recommended_ratio
 from closedloop.closure.contact_force import FREE, PRESSED, STUCK
+from closedloop.control.drives import torque_limits, torque_steps
+from closedloop.control.encoder import NO_ENCODER, encoder_draws, encoder_kind
+from closedloop.control.law import Compensation
 from closedloop.control.laws.paper import PaperLaw
 from closedloop.control.sensor import draws, pack_sensor
 from closedloop.control.stability import check_sampling
-from closedloop.engines.problem import STICK_SPEED, PackedLaw, Problem, pack_friction, pack_law
+from closedloop.control.transmission import transmission_constants
+from closedloop.engines.problem import (
+    STICK_SPEED,
+    PackedLaw,
+    Problem,
+    arm_columns,
+    pack_friction,
+    pack_law,
+)
 from closedloop.errors import ScenarioError
 from closedloop.events.phases import RESTING, TOUCHING
-from closedloop.friction.law import JOINT_LAWS, SURFACE_LAWS
+from closedloop.friction.law import JOINT_LAWS, SURFACE_LAWS, JointFriction
 from closedloop.integrators import ADAPTIVE, INTEGRATORS, Scheme
+from closedloop.loops.assemble import closed_start
 from closedloop.parameters import lists_per_joint, pack
 from closedloop.reference.desired import Desired, desired
 from closedloop.reference.force import force_at
 from closedloop.robot.pinocchio import Robot
-from closedloop.scenario.arm import robot_of
+from closedloop.scenario.arm import joint_friction_of, robot_of
+from closedloop.scenario.gains import check_transmission
 from closedloop.scenario.members import refuse_absent
-from closedloop.scenario.scenario import BaumgarteGains, Scenario
+from closedloop.scenario.scenario import BaumgarteGains, ModelErrorSection, Scenario
 from closedloop.sections import Section
 from closedloop.simulation.cache import Cache
-from closedloop.step.record_row import Row
+from closedloop.step.record_row import row_width
 from closedloop.surface.compliances.none import Rigid
 from closedloop.surface.kinds.plane import PlaneSurface
 from closedloop.surface.placed import PlacedSurface, Touching
+from closedloop.surface.plane import unit
 from closedloop.surface.surface import Surface
 from closedloop.user_code import of_users
 from robot_models import RobotModel
@@ -51,6 +65,9 @@ START_RATE = 1e-4
 # Default relative tolerance of an adaptive integrator. With friction at the tip 1e-12 takes 16 s of processor time for
 # the 8 s of wam_slide_friction, and 1e-9 takes 6 s: break-away and sticking are then within 2e-8 s of those at 1e-12.
 TOLERANCE, TOLERANCE_WITH_FRICTION = 1e-12, 1e-9
+# Instants, beside the ends of its segments, at which a path is looked for beyond the edge of a surface; how far beyond
+# is rounding, m.
+PATH_CHECKS, ON_EDGE = 500, 1e-9
 # A path on a surface that moves goes on this much longer than the run, so that its last row is no end of it.
 BEYOND = 1.001
 # Memory of a robot, with Pinocchio's model and data, about, bytes.
@@ -92,17 +109,35 @@ def prepare(scenario: Scenario, model: RobotModel | None = None, cache: Cache | 
     ]:
         raise ScenarioError(*faults)
 
+    if model.loops:
+        if scenario.time.integrator in ADAPTIVE:
+            raise ScenarioError(
+                f"time.integrator = {scenario.time.integrator!r}: {model.name} has loops, which steps of fixed length "
+                f"keep closed; must be {' or '.join(map(repr, INTEGRATORS))}"
+            )
+        for section, asked in (
+            ("model_error", scenario.model_error != ModelErrorSection()),
+            ("encoder", encoder_kind(scenario.encoder) != NO_ENCODER),
+            ("transmission", scenario.transmission.elastic),
+        ):
+            if asked:
+                raise ScenarioError(f"{section}: is for arms without loops, and {model.name} has some; leave it out")
+        q, v = closed_start(robot, q, v, scenario.start.assemble or scenario.start.q is None)
     surface, now, mode = cache.get(
         ("surface", *_surface_key(scenario), q.tobytes(), v.tobytes()),
         lambda: _surface(scenario, robot, q, v),
         lambda placed: SECTION_BYTES,
     )
+    surface.check_rates(scenario.time.duration)
     soft = not isinstance(scenario.compliance, Rigid)
-    integrator, tolerance = _integrator(scenario)
+    joint_friction = joint_friction_of(scenario, model)
+    integrator, tolerance = _integrator(scenario, joint_friction)
     if soft and tolerance is None:
         _check_stiffness(scenario, robot, q, now)
+    if scenario.transmission.elastic:
+        check_transmission(scenario, robot, q)
     steps = _whole(scenario.time.duration, scenario.time.step, "time.duration")
-    most_rows = MOST_NUMBERS // Row.count(n)
+    most_rows = MOST_NUMBERS // row_width(n, bool(arm_columns(scenario)))
     if steps > most_rows:
         raise ScenarioError(
             f"time.step = {scenario.time.step:g}: {scenario.time.duration:g} s would be {steps:.3g} rows, over the "
@@ -111,19 +146,26 @@ def prepare(scenario: Scenario, model: RobotModel | None = None, cache: Cache | 
     h = scenario.time.step
     period = scenario.law.sample_period
     hold = _whole(period, h, "law.sample_period") if period else 0
+    if scenario.reads_encoders:  # its readings are taken once a step
+        hold = max(hold, 1)
 
     nodes_per_step = integrator.parts
     instants = (h / nodes_per_step) * np.arange(steps * nodes_per_step + 1, dtype=np.float64)
     with of_users(scenario.reference, "reference.kind"):  # its curves are evaluated in there
         wanted, table = _desired(scenario, robot, surface, q, instants, cache)
+    if scenario.reference.on_surface != "no":
+        _refuse_beyond_edge(surface, wanted)
     table[::nodes_per_step, 2 * n + 10] = draws(scenario.sensor, steps + 1)
+    if table.shape[1] > 2 * n + 11:
+        table[::nodes_per_step, 2 * n + 11 :] = encoder_draws(scenario.encoder, steps + 1, n)
 
     law = scenario.law
     given = getattr(law, "pd_start", None)
     start = (wanted.tip.start if given is None else given) - 1e-9 * h  # i·h and 0.5 may differ by rounding
     law = law.model_copy(update={"pd_start": start}) if isinstance(law, PaperLaw) else law
-    scenario.compensation.check(law)
-    check_sampling(law, scenario.compensation, scenario.sensor, law.sample_period or h)
+    compensation = _believed_compensation(scenario)
+    compensation.check(law)
+    check_sampling(law, compensation, scenario.sensor, law.sample_period or h)
 
     def packed(name: str, section: Any, how: Callable[[], PackedLaw]) -> PackedLaw:
         key = ("packed", name, n, type(section), section.model_dump_json())
@@ -147,13 +189,9 @@ def prepare(scenario: Scenario, model: RobotModel | None = None, cache: Cache | 
         stabiliser=np.array(_stabiliser_gains(scenario)),
         pd_start=start,
         law=pack_law(law, n, model.joint_names),
-        compensation=packed(
-            "compensation", scenario.compensation, lambda: pack_law(scenario.compensation, n, model.joint_names)
-        ),
+        compensation=packed("compensation", compensation, lambda: pack_law(compensation, n, model.joint_names)),
         friction=friction,
-        joint_friction=packed(
-            "joint_friction", scenario.joint_friction, lambda: pack_friction(scenario.joint_friction, n, joints=True)
-        ),
+        joint_friction=packed("joint_friction", joint_friction, lambda: pack_friction(joint_friction, n, joints=True)),
         compliance=packed(
             "compliance",
             scenario.compliance,
@@ -168,6 +206,9 @@ def prepare(scenario: Scenario, model: RobotModel | None = None, cache: Cache | 
         nodes=nodes_per_step,
         project=scenario.stabiliser.kind in ("projection", "both") and not soft,
         hold=hold,
+        transmission=transmission_constants(scenario.transmission, model),
+        encoder=pack(scenario.encoder, n, "encoder", model.joint_names),
+        drives=np.stack([torque_limits(scenario.drives, model), torque_steps(scenario.drives, model, period)]),
         wanted=wanted,
         tolerance=tolerance,
     )
@@ -176,7 +217,8 @@ def prepare(scenario: Scenario, model: RobotModel | None = None, cache: Cache | 
 def _robot_key(scenario: Scenario) -> Hashable:
     """Return what the robot depends on."""
     return (
-        scenario.robot.model_dump_json(), scenario.tool.model_dump_json(), scenario.model_error.payload
+        scenario.robot.model_dump_json(), scenario.tool.model_dump_json(), scenario.model_error.payload,
+        scenario.transmission.elastic,
     )  # fmt: skip
 
 
@@ -203,11 +245,31 @@ def load_model(scenario: Scenario) -> RobotModel:
     return robot_models.load(section.model, drive_inertia=section.drive_inertia, **options)
 
 
+def _believed_compensation(scenario: Scenario) -> Compensation:
+    """Return the compensation with its figures of friction wrong by `model_error.friction`."""
+    section, factor = scenario.compensation, scenario.model_error.friction
+    if factor == 1.0:
+        return section
+    figures = {name: getattr(section, name) for name in section.friction_figures}
+    wrong = {
+        name: tuple(factor * x for x in value) if isinstance(value, tuple) else factor * value
+        for name, value in figures.items()
+        if value is not None
+    }
+    if not any(np.any(figures[name]) for name in wrong):
+        raise ScenarioError(
+            f"model_error.friction = {factor:g}: the compensation {section.kind!r} has no figures of friction to "
+            "be wrong about; give compensation.kind = 'model' some, or leave it out"
+        )
+    return section.model_copy(update=wrong)
+
+
 def _desired(
     scenario: Scenario, robot: Robot, surface: PlacedSurface, q: Array, instants: Array, cache: Cache
 ) -> tuple[Desired, Array]:
-    """Return what is desired, and the table of it at `instants` (P,), s, with a last column for the sensor's noise."""
+    """Return what is desired, and the table of it at `instants` (P,), s, with room for noise in its last columns."""
     n = robot.n
+    spare = 1 + 2 * n if scenario.reads_encoders else 1
     motion = (
         scenario.robot.model_dump_json(),
         scenario.tool.model_dump_json(),
@@ -215,19 +277,44 @@ def _desired(
         q.tobytes(),
         _path_key(scenario, surface),
     )
+    axis = unit(scenario.tool.axis, "tool.axis")
     wanted = cache.get_shared(
         ("desired", *motion),
-        lambda: desired(scenario, robot, surface, q, scenario.force_profile, scenario.time.duration * BEYOND),
+        lambda: desired(scenario, robot, surface, q, scenario.force_profile, scenario.time.duration * BEYOND, axis),
         lambda made: 3 * made.joints.q.nbytes,
     )
     wanted = replace(wanted, profile=scenario.force_profile, force=scenario.law.force)
     table = cache.get(
-        ("table", *motion, instants.size, float(instants[1])),
-        lambda: wanted.table(instants, spare=1),
+        ("table", *motion, instants.size, float(instants[1]), spare),
+        lambda: wanted.table(instants, spare=spare),
         lambda made: made.nbytes,
     )
     table[:, 2 * n + 9] = force_at(wanted.profile, wanted.force, instants)
     return wanted, table
+
+
+def _refuse_beyond_edge(surface: PlacedSurface, wanted: Desired) -> None:
+    """Refuse a path along a surface that leaves it over its edge; a tip that is to stay may be left by the surface."""
+    tip = wanted.tip
+    if not surface.ends or not tip.length > 0.0:
+        return
+    ends = [instant for segment in tip.segments for instant in (segment.start, segment.stop)]
+    times = np.unique([*ends, *np.linspace(min(ends), max(ends), PATH_CHECKS)])
+    inside = surface.edge_distances(times, tip.sample(times)[0])
+    if (k := int(np.argmin(inside))) is not None and inside[k] < -ON_EDGE:
+        beyond = np.flatnonzero(inside < -ON_EDGE)[0]
+        keys = " and ".join(tip.keys) or "reference"
+        raise ScenarioError(
+            f"{keys}: at t = {times[beyond]:.4g} s the path leaves the surface over its edge, by {-inside[k]:.4g} m at "
+            f"most: make it shorter, or surface.{_edge_key(surface.section)} larger"
+        )
+
+
+def _edge_key(section: Surface) -> str:
+    """Return the key that says where the edge is."""
+    if section.edge_radius is not None:
+        return "edge_radius"
+    return "extent" if section.extent is not None or not hasattr(section, "spacing") else "spacing"
 
 
 def _path_key(scenario: Scenario, surface: PlacedSurface) -> Hashable:
@@ -238,7 +325,7 @@ def _path_key(scenario: Scenario, surface: PlacedSurface) -> Hashable:
     return (*sections, surface.origin.tobytes(), scenario.time.duration)
 
 
-def _integrator(scenario: Scenario) -> tuple[type[Scheme], float | None]:
+def _integrator(scenario: Scenario, joint_friction: JointFriction) -> tuple[type[Scheme], float | None]:
     """Return the scheme, and the tolerance of one that chooses its own steps, refusing what such a one cannot do."""
     section = scenario.time
     name = section.integrator
@@ -249,9 +336,15 @@ def _integrator(scenario: Scenario) -> tuple[type[Scheme], float | None]:
                 f"only; the error of {name!r} is set by time.step; leave it out"
             )
         return INTEGRATORS[name], None
+    if scenario.reads_encoders:
+        what = "encoder" if encoder_kind(scenario.encoder) != NO_ENCODER else "transmission.measured = 'motor'"
+        raise ScenarioError(
+            f"{what}: is read once a step, and {name!r} has none; take an integrator of fixed step, "
+            f"{' or '.join(map(repr, INTEGRATORS))}"
+        )
     for key, law, family, possible in (
         ("friction", scenario.friction, SURFACE_LAWS, ("elastic", "rigid")),
-        ("joint_friction", scenario.joint_friction, JOINT_LAWS, ("elastic",)),
+        ("joint_friction", joint_friction, JOINT_LAWS, ("elastic",)),
     ):
         if law.sticks not in possible:
             others = [repr(name) for name, member in family.items() if member.sticks in possible]
@@ -281,6 +374,11 @@ def _surface(scenario: Scenario, robot: Robot, q: Array, v: Array) -> tuple[Plac
         depth = scenario.compliance.static_depth(pressed) if soft and not section.gap else 0.0
     surface = PlacedSurface.of(section, scenario.surface_motion, tip, depth)
     now = surface.touching(tip, terms.jacobian @ v)
+    if now.inside < 0.0 and (section.contact == "bilateral" or soft):
+        raise ScenarioError(
+            f"surface.{_edge_key(section)}: the tip starts {-now.inside:.4g} m beyond the edge of the surface; "
+            'make it larger, or start the tip on it, or use contact = "unilateral" without compliance'
+        )
     exact = surface.below_start and isinstance(section, PlaneSurface) and not soft
     gap = section.gap if exact else now.gap
     rate = float(now.frame[0] @ terms.jacobian @ v - now.carried[0])
@@ -297,6 +395,8 @@ def _surface(scenario: Scenario, robot: Robot, q: Array, v: Array) -> tuple[Plac
         if abs(rate) > START_RATE:
             raise ScenarioError(_through_the_closure(now.frame[0] @ terms.jacobian, v, rate))
         return surface, now, PRESSED
+    if now.inside < 0.0:
+        return surface, now, FREE
     if gap < -TOUCHING:
         raise ScenarioError(f"{given}: the tip starts {-gap:.4g} m inside the surface: {at_most} for this start")
     if gap > TOUCHING:

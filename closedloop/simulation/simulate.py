@@ -11,9 +11,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from closedloop.engines.failures import interrupted, member_error
-from closedloop.engines.law_source import law_digest
+from closedloop.engines.law_source import arguments_of, law_digest
 from closedloop.engines.loops import ENGINES, PINOCCHIO, loop_for
-from closedloop.engines.problem import Problem
+from closedloop.engines.problem import Problem, arm_columns
 from closedloop.engines.user_law import Law, UserLaw
 from closedloop.errors import (
     DivergenceError,
@@ -27,7 +27,7 @@ from closedloop.events.table import event_columns
 from closedloop.integrators import ADAPTIVE, INTEGRATORS
 from closedloop.interrupts import held_back
 from closedloop.jit.background import make_ready
-from closedloop.jit.interpreted import Interim, call_now
+from closedloop.jit.interpreted import Interim, call_now, call_once, not_compiled_first
 from closedloop.jit.kernel import plain
 from closedloop.record.run import Run
 from closedloop.record.versions import package_versions
@@ -37,10 +37,13 @@ from closedloop.scenario.members import member_digests
 from closedloop.scenario.scenario import Scenario
 from closedloop.simulation.loop_calls import Answers, begun, driver
 from closedloop.simulation.prepare import prepare
-from closedloop.step.record_row import RECORDED, Row, complete_record, recorded, rows_there
+from closedloop.step.record_row import RECORDED, complete_record, recorded, rows_there
 from robot_models import RobotModel
 
 Array = NDArray[np.float64]
+
+# So many take as long interpreted, 50 µs each, as `potential_energies` takes to be compiled.
+FEW_ROWS = 30_000
 
 
 def simulate(
@@ -88,7 +91,8 @@ def simulate(
         `InterruptedRunError`, also a KeyboardInterrupt, follows Ctrl-C, between two steps or after the compiled loop.
     """
     check_engine(scenario, engine, law)
-    problem = prepare(scenario, model)
+    with not_compiled_first():
+        problem = prepare(scenario, model)
     if progress is True:
         from closedloop.progress import bar
 
@@ -99,7 +103,7 @@ def simulate(
         rows, events, failure, seconds = run_loop(problem, law, report, engine, keep_interrupted=True, interim=True)
     run: Run | None = None
     try:
-        with held_back():
+        with held_back(), not_compiled_first():
             stopped = str(failure) if failure else None
             name, digest = ("scenario", "") if law is None else (law_name(law), law_digest(law))
             run = as_run(problem, rows, events, seconds, engine, law=name, digest=digest, stopped=stopped)
@@ -119,11 +123,13 @@ def check_engine(scenario: Scenario, engine: str, law: Law | None) -> None:
     Raises
     ------
     ScenarioError
-        If there is no such engine, or if with the compiled engine the integrator is adaptive or the law is not, or
-        cannot be, compiled by numba.
+        If there is no such engine, if a law takes other arguments than it is given, or if with the compiled engine the
+        integrator is adaptive or the law is not, or cannot be, compiled by numba.
     """
     if engine not in ENGINES:
         raise ScenarioError(f"engine = {engine!r}: must be {' or '.join(map(repr, ENGINES))}")
+    if law is not None:
+        arguments_of(law)
     if engine == PINOCCHIO:
         return
     if scenario.time.integrator in ADAPTIVE:
@@ -188,7 +194,7 @@ def run_loop(
     state, w = loop.state, loop.w
     user_law = None if law is None else UserLaw(law, loop)
     connect = partial(problem.connect, loop, user_law.connect if user_law else None)
-    rows = np.empty((steps + 1, Row.count(robot.n))) if rows is None else rows
+    rows = np.empty((steps + 1, problem.row_width)) if rows is None else rows
     kernel = loop_for(engine, problem.general or law is not None)
     if interim:
         kernel = begun(kernel, problem, loop, connect, law)
@@ -269,10 +275,11 @@ def as_run(
         "reference_tip": wanted[:, 2 * n : 2 * n + 3].copy(),
         "reference_force": wanted[:, 2 * n + 9].copy(),
     }
-    columns |= {name: recorded(rows, n, name) for name in RECORDED}
+    columns |= {name: recorded(rows, n, name) for name in (*RECORDED, *arm_columns(problem.scenario))}
     columns["mode"] = columns["mode"].astype(np.int8)
     columns["potential_energy"] = np.empty(count)
-    potential_energies(problem.robot.tree, columns["q"], np.zeros(plain(work_size)(n)), columns["potential_energy"])
+    work, energies = np.zeros(plain(work_size)(n)), columns["potential_energy"]
+    call_once(potential_energies, (work, energies), count <= FEW_ROWS, problem.robot.tree, columns["q"], work, energies)
     return Run(
         scenario=problem.scenario,
         model=without_tools(problem.robot.model),

@@ -133,7 +133,9 @@ class Simulator:
             `InterruptedRunError`, and the simulation may be stepped on.
         """
         began = clock.perf_counter()
-        now = self._open()
+        now = self._now
+        if now is None or self._failure is not None or now.row >= self.problem.steps:
+            now = self._open()
         if torque is None:
             self._step(_OWN, now.events)
         else:
@@ -220,7 +222,7 @@ class Simulator:
         try:
             given = np.asarray(torque)
             if given.shape == (n,) and given.dtype.kind in "iuf" and all(map(math.isfinite, given.tolist())):
-                return given
+                return given if given.dtype == np.float64 else given.astype(np.float64)
         except (TypeError, ValueError):  # lists of different lengths
             pass
         raise ValueError(
@@ -268,7 +270,8 @@ class Simulator:
         row = 0 if now is None else now.row + 1
         measured, count = stepper.seen()
         table = stepper.answers.events[since:count].copy() if count > since else None
-        state = StepState(self._h * row, row, self._n, stepper.rows[row].copy(), measured, table)
+        reads = self.problem.scenario.reads_encoders
+        state = StepState(self._h * row, row, self._n, stepper.rows[row].copy(), measured, table, reads)
         self._now = _Now(stepper.mark, row, count, state)
 
     def _note(self, driver: object, law: Law | None) -> None:

@@ -8,7 +8,7 @@ from numpy.typing import NDArray
 from closedloop.closure.contact_force import FREE, PRESSED, STUCK
 from closedloop.events.table import event_columns
 from closedloop.record.run import Event, events_of
-from closedloop.step.record_row import Row
+from closedloop.step.record_row import ArmRow, Row
 
 Array = NDArray[np.float64]
 
@@ -35,12 +35,15 @@ class StepState:
         The force sensor's reading as a control law has it at this instant, N: `closedloop.LawInput.f_measured`.
     """
 
-    __slots__ = ("_events", "_n", "_row", "measured", "row", "time")
+    __slots__ = ("_events", "_n", "_reads", "_row", "measured", "row", "time")
 
-    def __init__(self, time: float, row: int, n: int, recorded: Array, measured: float, events: Array | None) -> None:
-        recorded.setflags(write=False)
+    def __init__(
+        self, time: float, row: int, n: int, recorded: Array, measured: float, events: Array | None,
+        reads: bool = False,
+    ) -> None:  # fmt: skip
+        recorded.flags.writeable = False
         self.time, self.row, self.measured = time, row, measured
-        self._n, self._row, self._events = n, recorded, events
+        self._n, self._row, self._events, self._reads = n, recorded, events, reads
 
     def _part(self, name: str) -> Array:
         return self._row[Row.place(name, self._n)]
@@ -54,6 +57,19 @@ class StepState:
     def v(self) -> Array:
         """Joint velocities (n,)."""
         return self._part("v")
+
+    @property
+    def measured_position(self) -> Array:
+        """Joint positions as the encoders read them (n,), see docs/real_arm.md; without encoders the true ones."""
+        return self._read("measured_position") if self._reads else self.q
+
+    @property
+    def measured_velocity(self) -> Array:
+        """Joint velocities as the controller has them (n,); without encoders the true ones."""
+        return self._read("measured_velocity") if self._reads else self.v
+
+    def _read(self, name: str) -> Array:
+        return self._row[Row.count(self._n) :][ArmRow.place(name, self._n)]
 
     @property
     def acceleration(self) -> Array:

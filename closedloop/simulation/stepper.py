@@ -9,33 +9,37 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import replace
+from struct import Struct
 from typing import Any, cast
 
 import numpy as np
 from numpy.typing import NDArray
 
 from closedloop.closure.contact_force import FREE
+from closedloop.control.drives import cut_torque
 from closedloop.engines.loops import loop_for
 from closedloop.engines.problem import Problem
 from closedloop.engines.user_law import Law, UserLaw
-from closedloop.events.phases import DONE, IMPACT_LAW_WANTED, STEP_END, TABLE_FULL, TERMS
+from closedloop.events.phases import DONE, IMPACT_LAW_WANTED, MEASURED, STEP_END, TABLE_FULL, TERMS
 from closedloop.events.transitions import collide
 from closedloop.jit.background import make_ready
+from closedloop.jit.kernel import plain
 from closedloop.robot.pinocchio import Robot
 from closedloop.simulation.loop_calls import Answers, Call, single_calls
 from closedloop.step.memory import State, Work
-from closedloop.step.record_row import Row, complete_record
+from closedloop.step.record_row import complete_record
 
 Array = NDArray[np.float64]
 
 # A copy of the loop's memory, whole numbers and real ones, and whether the scenario's law had started in it. (A tuple
-# with names would take longer to make, at every step.)
-Mark = tuple[NDArray[np.int64], Array, bool]
+# with names would take longer to make, at every step, and arrays twice as long to copy there and back as bytes.)
+Mark = tuple[bytes, bytes, bool]
+_REAL = Struct("d")
 
 # Places in the loop's numbers: read and written at every step, and an attribute of `State` takes three times as long.
-_ROW, _PHASE, _SAMPLED, _EVENTS, _MODE, _NO_SEARCH, _LAW, _COMPENSATION, _STARTED = (
+_ROW, _PHASE, _SAMPLED, _EVENTS, _MODE, _NO_SEARCH, _LAW, _COMPENSATION, _STARTED, _DRIVES = (
     cast(int, State.place(name))
-    for name in ("row", "phase", "sampled", "events", "mode", "no_search", "law", "compensation", "started")
+    for name in ("row", "phase", "sampled", "events", "mode", "no_search", "law", "compensation", "started", "drives")
 )
 
 
@@ -62,18 +66,23 @@ class Stepper:
         self.loop = problem.loop()
         problem.connect(self.loop)
         state, w = self.loop.state, self.loop.w
-        self._numbers, self._values = state.memory, w.memory
+        self._numbers = state.memory
+        # What is written through these is written as bytes, in a third of the time.
+        self._all_numbers: Any = state.memory.data.cast("B")
+        self._all_values: Any = w.memory.data.cast("B")
         self._own = int(state.law), int(state.compensation)
-        self._torque, self._general = w.torque, problem.general
-        self.rows: Array = np.zeros((problem.steps + 1, Row.count(problem.robot.n)))
+        self._general = problem.general
+        self._torque: Any = w.torque.data
+        self.rows: Array = np.zeros((problem.steps + 1, problem.row_width))
         self.answers = Answers(problem, self.loop)
         make_ready(*([collide] if state.unilateral else []), complete_record)
         self._calls: dict[bool, tuple[Call, Call]] = {}
         self._once, self._again = self._loop(self._general)
         self._held, self._own_started = False, False
+        self._begins = MEASURED if state.encoder else STEP_END  # the phase that a row begins with
         self._law: Law | None = None
         self._user_law: UserLaw | None = None
-        self._measured = cast(int, Work.place("measured", *w.sizes))
+        self._measured = _REAL.size * cast(int, Work.place("measured", *w.sizes))
         self.mark: Mark = self._copied()
         # The mark whose terms have been evaluated last, and whether the loop is there.
         self._terms_of: Mark | None = None
@@ -89,24 +98,31 @@ class Stepper:
         return self._calls[general]
 
     def _copied(self) -> Mark:
-        return self._numbers.copy(), self._values.copy(), self._own_started
+        return bytes(self._all_numbers), bytes(self._all_values), self._own_started
 
     def back_to(self, mark: Mark) -> None:
         """Go back to just before the row of a mark was recorded; what the next torque ends, ends at this row."""
         numbers = self._numbers
-        numbers[:], self._values[:], self._own_started = mark
+        self._all_numbers[:], self._all_values[:], self._own_started = mark
         self.mark, self._at_mark, self._terms_there = mark, True, mark is self._terms_of
         if numbers.item(_ROW) > 0 and numbers.item(_MODE) != FREE:
             numbers[_NO_SEARCH] = 1  # the step before has been searched for events, with the torque that acted in it
 
     def hold(self, torque: Array) -> None:
-        """Let a torque (n,) act from the row on, to which the loop has gone back."""
+        """Let a torque (n,), an array of doubles, act from the row on, to which the loop has gone back."""
         if self._held and self._own_started:  # the laws are as they were
             self._numbers[_LAW], self._numbers[_COMPENSATION] = self._own
         else:
             self._set_law(None)
             self._held = True
+        before = self._torque.copy()
         self._torque[:] = torque
+        if self._numbers.item(_DRIVES) and not np.array_equal(torque, before):
+            most, change = self._problem.drives
+            plain(cut_torque)(
+                self._torque, before, change / max(1, self._problem.hold), most, self._numbers.item(_ROW) == 0,
+                self.loop.w.torque_limited,
+            )  # fmt: skip
 
     def let(self, law: Law | None) -> None:
         """Let a law, None: the scenario's own, act from the row on, to which the loop has gone back."""
@@ -151,14 +167,14 @@ class Stepper:
         SimulationError
             If the loop cannot go on; an exception of a user's law is its cause.
         """
-        numbers, values = self._numbers, self._values
+        numbers = self._numbers
         row, before = numbers.item(_ROW), self.mark
         call = self._again if self._terms_there else self._once
         marked = self._at_mark or row == 0
         self._at_mark, self._terms_there, self._terms_of = False, False, None
         while True:
-            if not marked and numbers.item(_PHASE) == STEP_END:
-                before = numbers.copy(), values.copy(), self._own_started
+            if not marked and numbers.item(_PHASE) == self._begins:
+                before = self._copied()
             marked = row == 0
             if self._held:
                 numbers[_SAMPLED] = 0
@@ -174,7 +190,7 @@ class Stepper:
             else:
                 raise self.answers.failure(self._torque if self._held else self._law, self._user_law)
         self.mark = before
-        if row > 0:
+        if row > 0 and self._begins == STEP_END:
             self._terms_of = before
 
     @property
@@ -189,11 +205,12 @@ class Stepper:
 
     def seen(self) -> tuple[float, int]:
         """Return what the force sensor said before the latest row, N, and how many events there are."""
-        return self.mark[1].item(self._measured), self._numbers.item(_EVENTS)
+        (measured,) = _REAL.unpack_from(self.mark[1], self._measured)
+        return measured, self._numbers.item(_EVENTS)
 
     def completed(self, done: int) -> tuple[Array, Array]:
         """Return copies of `done` rows, all that are recorded in the memory, and of the events."""
-        numbers, values, _ = self._copied()
+        now = self._copied()
         complete_record(self.loop.address, self.rows, done)
-        self._numbers[:], self._values[:] = numbers, values
+        self._all_numbers[:], self._all_values[:], _ = now
         return self.rows[:done].copy(), self.answers.events[: self.events_done].copy()

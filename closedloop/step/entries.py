@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 from closedloop.closure.contact_force import FREE, STUCK
 from closedloop.control.law import Compensation, ControlLaw
 from closedloop.control.law_input import LawInput
+from closedloop.control.seen import Seen
 from closedloop.friction.law import JointFriction, Slip, SurfaceFriction, length_of
 from closedloop.jit.calls import Entry
 from closedloop.jit.kernel import kernel, kernel_inlined
@@ -40,6 +41,13 @@ def mark_raised(address: int) -> None:
 def law_input(state: State, constants: Constants, w: Work) -> LawInput:
     """Return the input of the law at the state evaluated last."""
     n, wanted = w.q.shape[0], w.reference
+    if state.seen != 0:
+        s = Seen(w.seen, n)
+        return LawInput(
+            w.time, s.q, s.v, w.H, w.C, s.L, s.A, s.X, s.S, s.drift_c, s.p, s.u, s.r, s.J, s.drift, s.frame,
+            wanted[0:n], wanted[n : 2 * n], wanted[2 * n : 2 * n + 3], wanted[2 * n + 3 : 2 * n + 6],
+            wanted[2 * n + 6 : 2 * n + 9], wanted[2 * n + 9], w.measured, 0.0 if state.mode == FREE else 1.0, w.scratch,
+        )  # fmt: skip
     return LawInput(
         w.time, w.q, w.v, w.H, w.C, w.L, w.A, w.X, w.S, w.drift_c, w.p, w.u, w.r, w.J, w.drift, w.frame,
         wanted[0:n], wanted[n : 2 * n], wanted[2 * n : 2 * n + 3], wanted[2 * n + 3 : 2 * n + 6],

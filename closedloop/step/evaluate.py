@@ -18,27 +18,30 @@ from closedloop.closure.contact_force import (
     STUCK,
     accelerate,
     baumgarte_acceleration,
-    factorise,
     free_acceleration,
     normal_rounding,
     pressed_force,
     stuck_force,
 )
 from closedloop.closure.solve import DIVERGED, LAW_FAILED, NOT_POSITIVE_DEFINITE, OK, PAINLEVE, SINGULAR
+from closedloop.control.drives import cut_torque
 from closedloop.control.laws.paper import PaperLaw, paper_law
+from closedloop.control.seen import Seen
 from closedloop.control.sensor import SensorParameters, continuous_reading, sensor_rates
 from closedloop.jit.calls import call_at
 from closedloop.jit.kernel import kernel, kernel_inlined
 from closedloop.jit.simd8 import every
 from closedloop.parameters import parameter_block
 from closedloop.reference.joint_path import cubic
-from closedloop.step.belief import believe
+from closedloop.step.closed_loops import BIND_LOAD, DRIVE, factorise_tip
 from closedloop.step.entries import RATES, START, TORQUE
 from closedloop.step.joint_friction import add_joint_friction, hold_joints
 from closedloop.step.locate import in_contact_frame, locate_tip, off_anchor
 from closedloop.step.memory import RIGID_STICK, SPRING_STICK, Constants, Reference, State, Work
+from closedloop.step.seen import keep_terms, see
 from closedloop.step.soft_contact import soft_contact_force
 from closedloop.step.tip_friction import surface_friction, turn_with_slip
+from closedloop.step.transmission import motor_rates, transmit
 
 Array = NDArray[np.float64]
 
@@ -121,7 +124,7 @@ def evaluate(
     status = locate_tip(w, constants, state)
     if status != OK:
         return status
-    status = factorise(H, w.A, w.L, w.X, w.S, constants.reach)
+    status = factorise_tip(H, w, constants, state)
     if status != OK:
         return status
     if general is None:
@@ -133,23 +136,19 @@ def evaluate(
             return status
     else:
         reference_row(w.time, constants.node, table, n, w.reference)
-        in_contact_frame(w, Reference(w.reference, n))
-        for i in range(n):
-            w.C[i] = C[i]
-            for j in range(i, n):
-                w.H[i, j] = H[i, j]
-                w.H[j, i] = H[i, j]
-        if state.model_error != 0:  # what the law computes from H is computed from the controller's
-            believe(w, constants)
-            if factorise(w.H, w.A, w.L, w.X, w.S, constants.reach) != OK:
+        if state.seen == 0:
+            in_contact_frame(w.frame, w.carried, w.turning, Reference(w.reference, n))
+            keep_terms(H, C, w)
+        elif state.encoder == 0:
+            if see(H, C, w, constants, state) != OK:
                 return NOT_POSITIVE_DEFINITE
-        if state.started == 0:
-            call_law(state, START)
-        if state.sampled != 0 and call_law(state, TORQUE) != 0:
+        else:  # the law has been asked at the state that the encoders read, see `evaluate_law`
+            seen = Seen(w.seen, n)
+            in_contact_frame(seen.frame, seen.carried, seen.turning, Reference(w.reference, n))
+        if state.encoder == 0 and ask_law(w, constants, state) != OK:
             return LAW_FAILED
-        state.started = 1
-        if state.model_error != 0:
-            factorise(H, w.A, w.L, w.X, w.S, constants.reach)
+        if state.elastic != 0:
+            transmit(w, constants)
         surface_friction(w, constants, state, rows)
         add_joint_friction(w, constants, state, rows)
         status = contact_force(C, w, constants, state)
@@ -175,6 +174,8 @@ def evaluate(
                 call_at(state.friction, state.address, RATES)
             if state.joint_states > 0:
                 call_at(state.joint_friction, state.address, RATES)
+        if state.elastic != 0:
+            motor_rates(w, constants)
         if state.raised != 0:
             return LAW_FAILED
     return OK if bounded(w) else DIVERGED
@@ -186,6 +187,47 @@ def paper_torque(C: Array, w: Work, constants: Constants, t: float) -> None:
     n = w.q.shape[0]
     par, wanted = PaperParameters(constants.law, n), Reference(w.reference, n)
     paper_law(t, wanted.force, par, wanted.q, wanted.v, w.q, w.v, C, w.A, w.torque)
+
+
+@kernel
+def evaluate_law(H: Array, C: Array, w: Work, constants: Constants, state: State, table: Array) -> int:
+    """Ask the law at the state in `w`, which is what the encoders read, and return a status, as `evaluate` does."""
+    status = locate_tip(w, constants, state)
+    if status != OK:
+        return status
+    reference_row(w.time, constants.node, table, w.q.shape[0], w.reference)
+    if see(H, C, w, constants, state) != OK:
+        return NOT_POSITIVE_DEFINITE
+    return ask_law(w, constants, state)
+
+
+@kernel
+def ask_law(w: Work, constants: Constants, state: State) -> int:
+    """Write the torque of the law and its compensation, if they are sampled here; return OK or LAW_FAILED."""
+    if state.started == 0:
+        call_law(state, START)
+    if state.sampled != 0 and drive_torque(w, constants, state) != 0:
+        return LAW_FAILED
+    state.started = 1
+    return OK
+
+
+@kernel
+def drive_torque(w: Work, constants: Constants, state: State) -> int:
+    """Write the torque that the law asks for, as the drives can give it; return 0, or the law's error."""
+    if state.drives != 0 and w.time != w.sampled_at:  # a sample may be taken anew, after an event in the step before it
+        w.sampled_at = w.time
+        for j in range(w.q.shape[0]):
+            w.torque_before[j] = w.torque[j]
+    failed = call_law(state, TORQUE)
+    if state.loops != 0:
+        call_at(state.loops, state.loops_at, DRIVE)
+    if state.drives != 0 and failed == 0:
+        cut_torque(
+            w.torque, w.torque_before, constants.torque_change, constants.torque_limit, not w.time > 0.0,
+            w.torque_limited,
+        )  # fmt: skip
+    return failed
 
 
 @kernel
@@ -212,8 +254,10 @@ def bounded(w: Work) -> bool:
 def contact_force(C: Array, w: Work, constants: Constants, state: State) -> int:
     """Solve Eq. 24 in the present mode for the contact force F and the acceleration q̈; return a status."""
     for j in range(w.q.shape[0]):
-        w.column[j] = w.torque[j] + w.joint_friction[j]
+        w.column[j] = (w.torque[j] if state.elastic == 0 else w.transmitted[j]) + w.joint_friction[j]
     free_acceleration(w.L, w.X, w.drift_c, w.column, C, w.y, w.a)
+    if state.loops != 0:
+        call_at(state.loops, state.loops_at, BIND_LOAD)
     w.rigid_force = 0.0
     for i in range(3):
         w.F[i] = 0.0

@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 from closedloop.closure.contact_force import FREE, PRESSED, STUCK, accelerate, pressed_force, stuck_force
 from closedloop.jit.calls import call_at
 from closedloop.jit.kernel import kernel
+from closedloop.step.closed_loops import BIND_ANSWER
 from closedloop.step.entries import ADVANCE_STATES, LIMIT, SLIDE
 from closedloop.step.entries import STICK as END_OF_SLIP
 from closedloop.step.memory import RIGID_STICK, SMOOTH, SPRING_STICK, Constants, State, Work
@@ -89,6 +90,8 @@ def hold_joints(w: Work, constants: Constants, state: State) -> None:
             for m in range(j, i):
                 s -= w.L[i, m] * y[m]
             y[i] = s * w.L[i, i]
+        if state.loops != 0:
+            call_at(state.loops, state.loops_at, BIND_ANSWER)
         for i in range(3):
             F[i] = 0.0
             a[i] = 0.0

@@ -5,14 +5,19 @@ Of a plane at rest the frame is constant; any other surface is asked, by address
 
 from __future__ import annotations
 
+import numpy as np
+from numpy.typing import NDArray
+
 from closedloop.closure.contact_force import into_contact_frame
 from closedloop.closure.solve import NO_NORMAL, OK
 from closedloop.jit.calls import call_at
 from closedloop.jit.kernel import kernel, kernel_inlined
 from closedloop.step.memory import Constants, Reference, State, Work
-from closedloop.surface.contact import CONTACT, FOUND, ask_at
+from closedloop.surface.contact import CONTACT, FOUND, ask_at, edge_distance
 from closedloop.surface.geometry import Touch
 from closedloop.user_code import RAISED
+
+Array = NDArray[np.float64]
 
 
 @kernel_inlined
@@ -54,7 +59,7 @@ def ask_surface(w: Work, state: State) -> bool:
         state.raised = 1 if answer == RAISED else 0
         return False
     touch = Touch(ask.touch)
-    w.gap = touch.level / touch.size
+    w.gap, w.inside = touch.level / touch.size, edge_distance(touch.at, ask.bounds)
     for i in range(3):
         w.carried[i], w.turning[i] = touch.carried[i], touch.turning[i]
         for k in range(3):
@@ -87,18 +92,17 @@ def off_anchor(w: Work, state: State, tangent: int) -> float:
 
 
 @kernel
-def in_contact_frame(w: Work, wanted: Reference) -> None:
-    """Turn the desired motion of the tip into the contact frame, where it is compared with p, u and u̇ of the tip.
+def in_contact_frame(frame: Array, carried: Array, turning: Array, wanted: Reference) -> None:
+    """Turn the desired motion of the tip into a contact frame N, where it is compared with p, u and u̇ of the tip.
 
-    That is N r_des, N ṙ_des − carried and N r̈_des + turning, with the frame and the rest of the tip's present state.
+    That is N r_des, N ṙ_des − carried and N r̈_des + turning.
     """
-    frame = w.frame
     for part in range(3):
         x = wanted.position if part == 0 else (wanted.velocity if part == 1 else wanted.acceleration)
         x0, x1, x2 = x[0], x[1], x[2]
         for i in range(3):
             x[i] = frame[i, 0] * x0 + frame[i, 1] * x1 + frame[i, 2] * x2
             if part == 1:
-                x[i] -= w.carried[i]
+                x[i] -= carried[i]
             elif part == 2:
-                x[i] += w.turning[i]
+                x[i] += turning[i]

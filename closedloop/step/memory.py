@@ -12,6 +12,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from closedloop.closure.conditioning import BATCH, batch_rows
+from closedloop.control.encoder import EncoderParameters
+from closedloop.control.seen import Seen
 from closedloop.control.sensor import SensorParameters
 from closedloop.jit.blocks import Block, Count
 from closedloop.jit.kernel import kernel_inlined
@@ -63,9 +65,16 @@ class State(Block):
     surface: int  # address of the entry of the surface, 0: a plane at rest; and of its memory
     surface_at: int
     model_error: int  # 1 if the controller is wrong about the arm
+    encoder: int  # see `closedloop.control.encoder.encoder_kind`
+    seen: int  # 1 if the law sees `Work.seen`, not the state itself
+    elastic: int  # 1 if the joints are; 2 if the motors are measured
+    drives: int  # 1 if the drives have limits
+    arm_at: int  # where in a row there is a `closedloop.step.record_row.ArmRow`; 0: nowhere
     compliance: int  # address of the entry of the surface's compliance, 0: it is rigid; and its parameters
     compliance_size: int
     surface_motion: int  # address of the entry of its motion, 0: it is at rest
+    loops: int  # address of the entry of the mechanism's loops, 0: a tree; and of their memory
+    loops_at: int
     constants_at: int
     constants_size: int
     work_at: int
@@ -87,6 +96,7 @@ class State(Block):
     raised: int  # 1 once a user's member has raised something
     no_search: int  # 1 if an event at the end of this step happens there, not before
     after_event: int  # 1 in the remainder of a step after an event
+    beside: int  # 1 while the tip is not above the surface because it has gone beyond its edge
     risen: int  # 1 if the tip has been clear of the surface since it lifted off
     kind: int  # of the event
     started: int  # 1 once the law has been evaluated
@@ -115,8 +125,15 @@ class Constants(Block, sizes=("n", "law", "compensation", "friction", "joint_fri
     sensor: Annotated[Array, SensorParameters.count(0)]
     support: Annotated[Array, N]
     armature: Annotated[Array, N]
+    tilt: Annotated[Array, 3, 3]  # of the contact frame that the controller believes in, in the true one
+    stiffness: Annotated[Array, N]  # see `closedloop.control.transmission`, as the next two
+    shaft_damping: Annotated[Array, N]
+    motor_inertia: Annotated[Array, N]
+    torque_limit: Annotated[Array, N]  # see `closedloop.control.drives`, as the next; infinite: none
+    torque_change: Annotated[Array, N]  # from sample to sample
     joint_capture_speed: Annotated[Array, N]
     joint_lag: Annotated[Array, N]
+    encoder: Annotated[Array, EncoderParameters.count(N)]
     law: Annotated[Array, Count.of("law")]  # parameters, see `closedloop.parameters`
     compensation: Annotated[Array, Count.of("compensation")]
     friction: Annotated[Array, Count.of("friction")]
@@ -151,6 +168,7 @@ class Work(Block, sizes=("n", "k", "stages", "ring")):
     event_value: float  # of the event function
     rate: float
     gap: float
+    inside: float  # distance of the tip from the edge of a surface that the loop asks, m, negative beyond it
     rigid_force: float  # of the closure without its stabiliser, by which contact is judged
     start_event_value: float  # at the beginning of the substep, as all that follow
     start_rate: float
@@ -218,12 +236,23 @@ class Work(Block, sizes=("n", "k", "stages", "ring")):
     gain: Annotated[Array, N, N]  # answer of q̈ to friction in each joint
     batch: Annotated[Array, batch_rows(N), BATCH]  # see `closedloop.closure.conditioning`
     scratch: Annotated[Array, N * N + 3 * N + 224]
-    z: Annotated[Array, K]  # states: of the law, the sensor, the surface's friction, the joints' friction
+    z: Annotated[Array, K]  # states: of the law, the sensor, the surface's friction, the joints', the motors
     dz: Annotated[Array, K]
     begin: Annotated[Array, 2 * N + K]  # state at the beginning of the substep
     slope: Annotated[Array, N + K]  # q̈ and ż there
     stages: Annotated[Array, STAGES, 2 * N + K]  # see `closedloop.step.advance.advance`
     ring: Annotated[Array, RING]  # latest samples of the force sensor
+    sampled_at: float  # instant of the latest sample of the law, s
+    torque_before: Annotated[Array, N]  # Q of the sample before it
+    seen: Annotated[Array, Seen.count(N)]
+    true_q: Annotated[Array, N]  # while q and q̇ are what the encoders read
+    true_v: Annotated[Array, N]
+    read_q: Annotated[Array, N]  # latest readings, and those of the latest row
+    read_v: Annotated[Array, N]
+    last_read_q: Annotated[Array, N]
+    last_read_v: Annotated[Array, N]
+    transmitted: Annotated[Array, N]  # torque on the links of elastic joints
+    torque_limited: Annotated[Array, N]  # see `closedloop.control.drives.AS_ASKED`
 
 
 STATE_COUNT = State.count()

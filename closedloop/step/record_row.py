@@ -17,8 +17,11 @@ from closedloop.closure.conditioning import (
 from closedloop.closure.contact_force import FREE, STUCK, residuals
 from closedloop.control.sensor import SensorParameters, sense
 from closedloop.jit.blocks import Block
+from closedloop.jit.calls import call_at
 from closedloop.jit.kernel import entry_kernel, kernel, kernel_inlined
 from closedloop.jit.simd8 import select
+from closedloop.step.closed_loops import REACTION
+from closedloop.step.energy_supplied import driving_torque
 from closedloop.step.memory import RIGID_STICK, Constants, N, State, Work, loop_at
 
 Array = NDArray[np.float64]
@@ -54,8 +57,34 @@ class Row(Block, sizes=("n",)):
 RECORDED = tuple(Row.layout.at)
 
 
+class ArmRow(Block, sizes=("n",)):
+    """What stands behind a `Row` where the scenario asks for the drives, encoders or transmissions of a real arm."""
+
+    torque_limited: Annotated[Array, N]
+    measured_position: Annotated[Array, N]
+    measured_velocity: Annotated[Array, N]
+    motor_position: Annotated[Array, N]
+    motor_velocity: Annotated[Array, N]
+    transmitted_torque: Annotated[Array, N]
+
+
+ARM_RECORDED = tuple(ArmRow.layout.at)
+
+
+def row_width(n: int, arm: bool) -> int:
+    """Return the numbers in a row of n joints, `arm` whether there is an `ArmRow` behind it."""
+    return Row.count(n) + (ArmRow.count(n) if arm else 0)
+
+
 def recorded(rows: Array, n: int, name: str) -> Array:
-    """Return a copy of one of the columns `RECORDED`, (N,) or (N, k), of the rows of a robot of n joints."""
+    """Return a copy of one of the columns `RECORDED` or `ARM_RECORDED`, (N,) or (N, k), of rows of n joints.
+
+    A column of `ARM_RECORDED` is NaN where the rows do not have it.
+    """
+    if name in ARM_RECORDED:
+        if rows.shape[1] == Row.count(n):
+            return np.full((rows.shape[0], n), np.nan)
+        return rows[:, Row.count(n) :][:, ArmRow.place(name, n)].copy()
     return rows[:, Row.place(name, n)].copy()
 
 
@@ -100,6 +129,19 @@ def rows_there(state: State, done: int, n: int) -> int:
     return done if n > LONG_ARM or state.batched == done % BATCH else done + 1
 
 
+@kernel
+def loop_torque(H: Array, C: Array, w: Work) -> None:
+    """Write into `column` what is missing in the equation of motion: H q̈ + C − Q − AᵀF."""
+    n = w.q.shape[0]
+    for i in range(n):
+        s = C[i] - w.torque[i] - w.joint_friction[i]
+        for k in range(3):
+            s -= w.A[k, i] * w.F[k]
+        for j in range(n):
+            s += (H[i, j] if i <= j else H[j, i]) * w.qdd[j]
+        w.column[i] = s
+
+
 @kernel_inlined
 def record(
     H: Array,
@@ -114,7 +156,7 @@ def record(
 ) -> None:
     """Write a row in the order of `Row`: the state, and the torques and forces at it.
 
-    The condition number is written once a batch is full, or by `complete_record`.
+    The condition number is written once a batch is full, or by `complete_record`; with loops it is that of H.
     """
     n = w.q.shape[0]
     row, lane = Row(rows[place], n), state.batched
@@ -124,7 +166,7 @@ def record(
         row.acceleration[j] = w.qdd[j]
         row.torque[j] = w.torque[j]
         row.joint_friction[j] = w.joint_friction[j]
-        w.column[j] = w.torque[j] + w.joint_friction[j]
+        w.column[j] = driving_torque(w, state, j) + w.joint_friction[j]
     for i in range(3):
         row.position[i] = w.r[i]
         speed = 0.0
@@ -137,6 +179,11 @@ def record(
     mode = state.mode
     closed_by_row = mode != FREE and state.compliance == 0
     first, last = 0 if closed_by_row else 1, 3 if mode == STUCK and state.sticking == RIGID_STICK else 1
+    if state.loops != 0:
+        loop_torque(H, C, w)
+        call_at(state.loops, state.loops_at, REACTION)
+        for j in range(n):
+            w.column[j] += w.torque[j] + w.joint_friction[j]
     motion, closed = residuals(H, w.column, C, w.A, w.S, w.drift_c, w.b, w.a, w.qdd, w.F, first, last)
     trace = w.S[0, 0] + w.S[1, 1] + w.S[2, 2]
     row.contact_force = w.F[0]
@@ -146,10 +193,11 @@ def record(
     row.mode = mode
     row.residual_motion = motion
     row.residual_closure = closed
+    bordered = closed_by_row and state.loops == 0
     if n > LONG_ARM:
-        row.kkt_condition = condition_number(H, w.A[0], w.L, w.X[0], w.S[0, 0], closed_by_row, w.scratch)
+        row.kkt_condition = condition_number(H, w.A[0], w.L, w.X[0], w.S[0, 0], bordered, w.scratch)
     else:
-        add_to_batch(H, w.A[0], w.L, w.X[0], w.S[0, 0], closed_by_row, w.batch, lane)
+        add_to_batch(H, w.A[0], w.L, w.X[0], w.S[0, 0], bordered, w.batch, lane)
         state.batched = lane + 1
         if lane + 1 >= BATCH:
             record_conditions(w.batch, rows, state, place + 1, n)
@@ -163,5 +211,21 @@ def record(
             w.F[0], place, SensorParameters(constants.sensor, 0), w.z[count : count + sensor],
             table[place * state.nodes_per_step, 2 * n + 10], w.ring[0 : state.sensor_ring],
         )  # fmt: skip
+        if state.arm_at != 0:
+            record_arm(w, state, rows[place][state.arm_at :])
     row.measured_force = w.measured
     row.energy_supplied = w.supplied
+
+
+@kernel
+def record_arm(w: Work, state: State, part: Array) -> None:
+    """Write the part of a row that is an `ArmRow`; its readings are then those of the row before the next."""
+    n = w.q.shape[0]
+    row, motors = ArmRow(part, n), w.z.shape[0] - 2 * n
+    for j in range(n):
+        row.torque_limited[j] = w.torque_limited[j]
+        row.measured_position[j] = w.last_read_q[j] = w.read_q[j]
+        row.measured_velocity[j] = w.last_read_v[j] = w.read_v[j]
+        row.transmitted_torque[j] = w.transmitted[j]
+        if state.elastic != 0:
+            row.motor_position[j], row.motor_velocity[j] = w.z[motors + j], w.z[motors + n + j]

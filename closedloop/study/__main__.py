@@ -16,6 +16,7 @@ from closedloop.errors import OutputError
 STUDIES = {
     "drift": "closure drift against step, speed and stabiliser; Baumgarte's limit",
     "controllers": "every controller on every kind of friction: force and path error",
+    "surfaces": "every controller on a surface that breathes, and against its stiffness",
 }
 
 
@@ -46,6 +47,10 @@ def _main(words: list[str]) -> int:
         from closedloop.study import drift
 
         drift.run(folder, quick=options.quick, as_json=options.json)
+    elif options.study == "surfaces":
+        from closedloop.study import surfaces
+
+        surfaces.run(folder, quick=options.quick, as_json=options.json)
     else:
         from closedloop.study import controllers
 

@@ -7,6 +7,7 @@ at rest needs none of it: its frame is constant (`closedloop.step.locate`).
 
 from __future__ import annotations
 
+import math
 from functools import cache
 from typing import Annotated, NamedTuple
 
@@ -57,6 +58,7 @@ class Ask(Block, sizes=("size", "motion_size")):
     move: Annotated[Array, Move.count()]
     par: Annotated[Array, Count.of("size")]
     motion_par: Annotated[Array, Count.of("motion_size")]
+    bounds: Annotated[Array, 2]  # see `edge_distance`
 
 
 LINKS = Links.count()
@@ -81,7 +83,9 @@ class SurfaceMemory(NamedTuple):
         return int(self.links.address)
 
 
-def make_memory(par: Array, motion_par: Array, entries: int, origin: Array, axes: Array) -> SurfaceMemory:
+def make_memory(
+    par: Array, motion_par: Array, entries: int, origin: Array, axes: Array, bounds: tuple[float, float]
+) -> SurfaceMemory:
     """Return the memory of a surface at rest.
 
     Parameters
@@ -92,15 +96,34 @@ def make_memory(par: Array, motion_par: Array, entries: int, origin: Array, axes
         Entries in each list of the surface's parameters.
     origin, axes : (3,), (3, 3) arrays
         Of the surface at t = 0: m, and rows x, y, z; base frame.
+    bounds : tuple of two floats
+        Of its edge, see `closedloop.surface.surface.Surface.bounds`.
     """
     sizes = par.size, motion_par.size
     links, ask = Links(np.zeros(LINKS, dtype=np.int64)), Ask(np.zeros(Ask.count(*sizes)), *sizes)
     links.address, links.numbers, links.total = address_of(links.memory), address_of(ask.memory), ask.memory.size
     links.size, links.motion_size, links.entries = *sizes, entries
     ask.par[:], ask.motion_par[:], ask.origin[:], ask.axes[:] = par, motion_par, origin, axes
+    ask.bounds[:] = bounds
     pose = Pose(ask.pose)
     pose.origin[:], pose.axes[:] = origin, axes
     return SurfaceMemory(links, ask)
+
+
+@kernel
+def edge_distance(at: Array, bounds: Array) -> float:
+    """Return how far inside its edge a point of the surface is, m, negative outside.
+
+    Parameters
+    ----------
+    at : (3,) array
+        The point, m, surface's axes.
+    bounds : (2,) array
+        Half-lengths along x and y, m; of a round edge its radius and 0.
+    """
+    if bounds[1] == 0.0:
+        return float(bounds[0] - math.sqrt(at[0] * at[0] + at[1] * at[1]))
+    return float(min(bounds[0] - abs(at[0]), bounds[1] - abs(at[1])))
 
 
 @cache
@@ -218,4 +241,53 @@ def put_on_surface(
                     acceleration[k, i] += short / across * along[i]
         for i in range(3):
             r[k, i] = ask.r[i]
+    return times.size
+
+
+@entry_kernel
+def normals_on_surface(entry: int, address: int, times: Array, r: Array, velocity: Array) -> int:
+    """Overwrite points of a motion by the surface's unit normals there, and its velocities by their rates.
+
+    Parameters
+    ----------
+    entry, address : int
+        Of the surface, and of its memory.
+    times : (N,) array
+        s.
+    r, velocity : (N, 3) arrays
+        Position, m, and velocity, m/s; overwritten by n and ṅ, 1/s. All in the base frame.
+
+    Returns
+    -------
+    int
+        How many points were asked for: N, or fewer if there is no normal at the next.
+    """
+    _, ask = ask_at(address)
+    pose, touch = Pose(ask.pose), Touch(ask.touch)
+    for k in range(times.size):
+        ask.time = times[k]
+        for i in range(3):
+            ask.r[i], ask.velocity[i] = r[k, i], velocity[k, i]
+        if call_at(entry, address, CONTACT) != FOUND:
+            return k
+        o, n = pose.spin, ask.frame[0]
+        for i in range(3):  # how the point moves relative to the surface, base axes
+            a, b = (i + 1) % 3, (i + 2) % 3
+            spun = o[a] * (r[k, b] - pose.origin[b]) - o[b] * (r[k, a] - pose.origin[a])
+            touch.carried[i] = velocity[k, i] - pose.velocity[i] - spun
+        for i in range(3):  # ∇∇φ v/|∇φ|, surface's axes
+            bend = 0.0
+            for m in range(3):
+                moved = pose.axes[m, 0] * touch.carried[0] + pose.axes[m, 1] * touch.carried[1]
+                bend += touch.hessian[i, m] * (moved + pose.axes[m, 2] * touch.carried[2]) / touch.size
+            touch.turning[i] = bend
+        along = 0.0
+        for i in range(3):
+            along += touch.local[0, i] * touch.turning[i]
+        for i in range(3):
+            r[k, i] = n[i]
+            a, b = (i + 1) % 3, (i + 2) % 3
+            velocity[k, i] = o[a] * n[b] - o[b] * n[a]
+            for m in range(3):
+                velocity[k, i] += pose.axes[m, i] * (touch.turning[m] - along * touch.local[0, m])
     return times.size

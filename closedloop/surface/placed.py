@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import math
+from collections.abc import Callable
 from dataclasses import dataclass
 from functools import cached_property
 from typing import Any, NamedTuple
@@ -20,8 +22,10 @@ from closedloop.surface.contact import (
     LEVEL,
     NO_NORMAL,
     SurfaceMemory,
+    edge_distance,
     make_memory,
     motion_entry,
+    normals_on_surface,
     put_on_surface,
     surface_entry,
 )
@@ -34,6 +38,10 @@ from closedloop.surface.surface import Surface
 from closedloop.user_code import of_users
 
 Array = NDArray[np.float64]
+
+
+# Share by which a velocity may differ from differences of what it is the velocity of; and m/s.
+WRONG_RATE = 1e-2
 
 
 class Touching(NamedTuple):
@@ -49,6 +57,8 @@ class Touching(NamedTuple):
         The tip's velocity and acceleration in the contact frame are u = N ṙ − carried and u̇ = N r̈ + turning.
     level : float
         φ.
+    inside : float
+        Distance from the surface's edge, m, negative beyond it; inf without one.
     """
 
     gap: float
@@ -56,6 +66,7 @@ class Touching(NamedTuple):
     carried: Array
     turning: Array
     level: float
+    inside: float
 
 
 @dataclass(frozen=True, eq=False)
@@ -101,8 +112,13 @@ class PlacedSurface:
 
     @property
     def fixed_plane(self) -> bool:
-        """Whether it is a plane at rest: its frame is constant then, and the loop does not ask."""
-        return isinstance(self.section, PlaneSurface) and not self.moves
+        """Whether it is a plane at rest without an edge: its frame is constant then, and the loop does not ask."""
+        return isinstance(self.section, PlaneSurface) and not self.moves and not self.ends
+
+    @property
+    def ends(self) -> bool:
+        """Whether it has an edge."""
+        return math.isfinite(self.section.bounds()[0])
 
     @property
     def moves(self) -> bool:
@@ -142,7 +158,7 @@ class PlacedSurface:
             par = pack(self.section, entries, "surface")
         with of_users(self.motion, "surface_motion.kind"):
             motion_par = pack(self.motion, 0, "surface_motion")
-        return make_memory(par, motion_par, entries, self.origin, self.frame[[1, 2, 0]])
+        return make_memory(par, motion_par, entries, self.origin, self.frame[[1, 2, 0]], self.section.bounds())
 
     @cached_property
     def _interpreted(self) -> SurfaceMemory:
@@ -161,7 +177,7 @@ class PlacedSurface:
         """
         if self.fixed_plane:
             gap = float(self.normal @ r) - self.offset
-            return Touching(gap, self.frame, np.zeros(3), np.zeros(3), gap)
+            return Touching(gap, self.frame, np.zeros(3), np.zeros(3), gap, math.inf)
         links, ask = self._interpreted
         ask.time, ask.r[:], ask.velocity[:] = t, r, 0.0 if velocity is None else velocity
         with np.errstate(all="ignore"), of_users(self.section, "surface.kind"):
@@ -170,7 +186,18 @@ class PlacedSurface:
         if answer == NO_NORMAL:
             raise ScenarioError(f"surface.kind = {self.section.kind}: has no normal at {np.round(r, 4).tolist()} m")
         gap = float(touch.level / touch.size)
-        return Touching(gap, ask.frame.copy(), touch.carried.copy(), touch.turning.copy(), float(touch.level))
+        inside = edge_distance(touch.at, ask.bounds)
+        return Touching(gap, ask.frame.copy(), touch.carried.copy(), touch.turning.copy(), float(touch.level), inside)
+
+    def edge_distances(self, times: Array, r: Array) -> Array:
+        """Return how far inside the edge points r (N, 3), m, base frame, are at times (N,), s: (N,), m."""
+        if not self.ends:
+            return np.full(times.size, math.inf)
+        bounds, axes, found = np.array(self.section.bounds()), self.frame[[1, 2, 0]], np.empty(times.size)
+        for k, t in enumerate(times):
+            turn, shift = self.displacement(float(t))
+            found[k] = edge_distance(axes @ (turn.T @ (r[k] - shift) - self.origin), bounds)
+        return found
 
     def displacement(self, t: float) -> tuple[Array, Array]:
         """Return the rotation (3, 3) and the shift (3,), m, base frame, by which it is displaced at t, s."""
@@ -183,6 +210,38 @@ class PlacedSurface:
         pose = Pose(ask.pose)
         turn: Array = pose.axes.T @ ask.axes
         return turn, pose.origin - turn @ self.origin
+
+    def check_rates(self, duration: float) -> None:
+        """Refuse a motion of a user's own whose velocity is not the rate of its displacement, from 0 to `duration`, s.
+
+        It is compared with differences, to a hundredth: a velocity that was forgotten is meant, not its last digits.
+
+        Raises
+        ------
+        ScenarioError
+            If the surface moves otherwise than its velocity says.
+        """
+        if not is_users(self.motion):
+            return
+        h = 1e-6 * duration
+        for t in duration * np.array([0.1234, 0.4321, 0.7531]):
+            points = [self._displaced_axes(t + side * h) for side in (-1.0, 1.0)]
+            moved = (points[1] - points[0]) / (2.0 * h)
+            now = self._displaced_axes(t)
+            pose = Pose(self._interpreted.ask.pose)
+            said = pose.velocity + np.cross(pose.spin, now - pose.origin)
+            if np.max(np.abs(moved - said)) > WRONG_RATE * max(float(np.max(np.abs(moved))), WRONG_RATE):
+                worst = int(np.argmax(np.max(np.abs(moved - said), axis=1)))
+                raise ScenarioError(
+                    f"surface_motion.kind = {self.motion.kind}: at t = {t:.4g} s the surface moves with "
+                    f"{np.round(moved[worst], 6).tolist()} m/s, and says {np.round(said[worst], 6).tolist()} m/s: "
+                    "`rate` and `shift_rate` must be the derivatives of `angle` and `shift`"
+                )
+
+    def _displaced_axes(self, t: float) -> Array:
+        """Return where the origin and the ends of the three axes are at t, s: (4, 3), m, base frame."""
+        turn, shift = self.displacement(t)
+        return (self.origin + np.vstack([np.zeros(3), self.frame])) @ turn.T + shift
 
     def _say_what_is_raised(self, memory: SurfaceMemory, t: float, r: Array) -> None:
         """Ask a user's class again, interpreted, at a point r (3,), m, and an instant t, s; it may raise something."""
@@ -210,7 +269,57 @@ class PlacedSurface:
         ScenarioError
             If the surface does not lie in that direction from one of the points.
         """
-        kernels = [put_on_surface, *self.entries().values()]
+        found, done = self._at_each(put_on_surface, (np.array(self.normal), level), times, motion)
+        if done < times.size:
+            where = np.round(motion[0][done], 4).tolist()
+            try:
+                self.touching(motion[0][done], t=float(times[done]))
+            except ScenarioError:
+                raise ScenarioError(
+                    f"reference: at t = {times[done]:.4g} s the path comes to {where} m, where the surface has no "
+                    "normal, as the gradient of its φ vanishes there; make the path shorter"
+                ) from None
+            raise ScenarioError(
+                f"reference: at t = {times[done]:.4g} s the path is at {where} m, from where the surface cannot be "
+                "reached along its normal at the start; make the path shorter"
+            )
+        return found[0], found[1], found[2]
+
+    def normals(self, times: Array, r: Array, velocity: Array) -> tuple[Array, Array]:
+        """Return the unit normals n at points of a motion, and their rates ṅ, 1/s, base frame; each (N, 3).
+
+        Parameters
+        ----------
+        times : (N,) array
+            s.
+        r, velocity : (N, 3) arrays
+            Position, m, and velocity, m/s, base frame.
+
+        Raises
+        ------
+        ScenarioError
+            If there is no normal at one of the points.
+        """
+        if self.fixed_plane:
+            return np.tile(self.normal, (times.size, 1)), np.zeros((times.size, 3))
+        found, done = self._at_each(normals_on_surface, (), times, (r, velocity))
+        if done < times.size:
+            raise ScenarioError(
+                f"reference: at t = {times[done]:.4g} s the path is at {np.round(r[done], 4).tolist()} m, where the "
+                "surface has no normal"
+            )
+        return found[0], found[1]
+
+    def _at_each(
+        self, kernel: Callable[..., int], leading: tuple[Any, ...], times: Array, motion: tuple[Array, ...]
+    ) -> tuple[list[Array], int]:
+        """Return what a kernel makes of the points of a motion, and how many it got through.
+
+        It is called compiled where it and the surface are at hand, else interpreted, while they are compiled.
+        """
+        kernels = [kernel, *self.entries().values()]
+        if self.fixed_plane:
+            kernels.append(surface_entry(type(self.section)))
         ready = all(map(at_hand, kernels))
         address = entry_address if ready else twin_address
         memory = self.memory()
@@ -220,15 +329,9 @@ class PlacedSurface:
             background.start([each for each in kernels if not at_hand(each)])
         found = [np.array(each, dtype=np.float64, order="C") for each in motion]
         place = address(surface_entry(type(self.section)))
-        put = put_on_surface if ready else interpreted(put_on_surface)
+        call = kernel if ready else interpreted(kernel)
         with np.errstate(all="ignore"), of_users(self.section, "surface.kind"):
-            done = put(place, memory.address, np.array(self.normal), level, np.ascontiguousarray(times), *found)
-        if done < times.size:
-            if ready:  # of what a user's class has raised compiled code keeps no message
-                self._say_what_is_raised(memory, float(times[done]), motion[0][done])
-            where = np.round(motion[0][done], 4).tolist()
-            raise ScenarioError(
-                f"reference: at t = {times[done]:.4g} s the path is at {where} m, from where the surface cannot be "
-                "reached along its normal at the start; make the path shorter"
-            )
-        return found[0], found[1], found[2]
+            done = call(place, memory.address, *leading, np.ascontiguousarray(times), *found)
+        if done < times.size and ready:  # of what a user's class has raised compiled code keeps no message
+            self._say_what_is_raised(memory, float(times[done]), motion[0][done])
+        return found, done

@@ -20,6 +20,7 @@ means for the tip is the same for all of them: `closedloop.surface.geometry`.
 
 from __future__ import annotations
 
+import math
 from abc import abstractmethod
 from typing import Annotated, Any, ClassVar, Literal
 
@@ -27,12 +28,14 @@ import numpy as np
 from numpy.typing import NDArray
 from pydantic import Field
 
+from closedloop.errors import ScenarioError
 from closedloop.families import Family, Parameters
-from closedloop.sections import LENGTH, PLACE, Direction, NotNegative, Number, Size
+from closedloop.sections import LENGTH, PLACE, Direction, NotNegative, Number, Positive, Size
 
 Array = NDArray[np.float64]
 
 RADIUS = LENGTH
+HalfLength = Annotated[Positive, LENGTH]
 Coordinate = Annotated[Number, PLACE]
 CURVATURE = Size(1e9, "1/m", "no tip is so small")
 
@@ -45,6 +48,13 @@ class Surface(Parameters):
     normal: Direction = Field((0.0, 0.0, 1.0), description="out of the surface, base frame; any length but zero")
     gap: Annotated[NotNegative, PLACE] = Field(
         0.0, description="how far below the tip the surface lies at the start, m, if it is placed there"
+    )
+    extent: tuple[HalfLength, HalfLength] | None = Field(
+        None,
+        description="half-lengths along the two tangents, from the surface's origin to its edge, m; else none",
+    )
+    edge_radius: Annotated[Positive, LENGTH] | None = Field(
+        None, description="distance of a round edge from the surface's origin, m, in place of `extent`"
     )
     contact: Literal["bilateral", "unilateral"] = Field(
         "bilateral",
@@ -60,6 +70,20 @@ class Surface(Parameters):
             Unit normal.
         """
         return None
+
+    def bounds(self) -> tuple[float, float]:
+        """Return half-lengths along x and y, m, inf without an edge; of a round edge its radius and 0.
+
+        Raises
+        ------
+        ScenarioError
+            If two edges are given.
+        """
+        if self.edge_radius is None:
+            return self.extent or (math.inf, math.inf)
+        if self.extent is not None:
+            raise ScenarioError("surface.edge_radius: is in place of surface.extent; leave one of them out")
+        return self.edge_radius, 0.0
 
     def list_length(self) -> int:
         """Return how many entries each parameter has that is a list."""

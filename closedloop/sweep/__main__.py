@@ -17,13 +17,15 @@ from collections.abc import Iterator, Sequence
 from contextlib import contextmanager, suppress
 from pathlib import Path
 from types import FrameType
-from typing import TYPE_CHECKING, NoReturn
+from typing import TYPE_CHECKING, Any, NoReturn
 
 from closedloop.interrupts import Terminated, exit_status, word_for
 
 # What takes time to import is imported below, once signals are answered.
 if TYPE_CHECKING:
     from closedloop.command.border import Parser
+    from closedloop.scenario.scenario import Scenario
+    from closedloop.sweep.axes import Axis
     from closedloop.sweep.join import Joined
 
 # Different verdicts that the last line names.
@@ -88,7 +90,6 @@ def _sweep(arguments: list[str]) -> int:
     from closedloop.command.user_module import name_members
     from closedloop.progress import count
     from closedloop.scenario.overrides import split_overrides
-    from closedloop.scenario.scenario import load_scenario
     from closedloop.sweep import Design, Sweep, parse_axis, run_sweep
     from closedloop.sweep.design import GRID, LATIN, RANDOM
 
@@ -104,7 +105,7 @@ def _sweep(arguments: list[str]) -> int:
     axes = [parse_axis(text, drawn=kind != GRID) for text in options.over]
     name_members((axis.key, value) for axis in axes for value in axis.values)
     design = Design(axes, kind, {RANDOM: options.random, LATIN: options.latin}.get(kind) or 0, options.seed)
-    scenario = load_scenario(options.scenario, overrides)
+    scenario = _common(options.scenario, overrides, axes, drawn=kind != GRID)
     keep = [name for word in options.keep for name in word.split(",") if name]
     sweep = Sweep.of(scenario, design, keep, options.engine)
     out = Path(options.out) if options.out else Path("out") / scenario.name / "sweep.parquet"
@@ -134,6 +135,18 @@ def _sweep(arguments: list[str]) -> int:
     if options.strict and (result.verdicts or {HALTED, FAILED} & result.counts.keys()):
         return NOT_GOOD
     return STOPPED if FAILED in result.counts else DONE
+
+
+def _common(name: str, overrides: dict[str, Any], axes: Sequence[Axis], drawn: bool) -> Scenario:
+    """Return the scenario that the runs have in common; a key that must be given may be one that changes."""
+    from closedloop.errors import ScenarioError
+    from closedloop.scenario.scenario import load_scenario
+
+    try:
+        return load_scenario(name, overrides)
+    except ScenarioError:
+        firsts = {axis.key: axis.drawn(0.0) if drawn else axis.at(0) for axis in axes}
+        return load_scenario(name, overrides | firsts)
 
 
 def _counted(result: Joined) -> str:

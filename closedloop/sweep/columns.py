@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, Any, BinaryIO
 
 import numpy as np
 
-from closedloop.record.run import COLUMNS
+from closedloop.record.run import ALL_COLUMNS
 
 if TYPE_CHECKING:
     from closedloop.sweep.store import Store
@@ -162,7 +162,7 @@ def write_columns(
 
 
 def _create(file: Any, name: str, rows: int, wide: tuple[int, ...]) -> None:
-    column = COLUMNS[name]
+    column = ALL_COLUMNS[name]
     if wide and column.dims[1] not in file.dimensions:
         file.dimensions[column.dims[1]] = wide[0]
     variable = file.create_variable(

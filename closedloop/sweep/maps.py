@@ -5,6 +5,7 @@ One key gives a curve, two a map: cells for a grid, dots for random draws. Runs 
 
 from __future__ import annotations
 
+import difflib
 import io
 import stat
 from collections.abc import Sequence
@@ -85,14 +86,14 @@ def draw_maps(table: pa.Table, of: Sequence[str] | None = None, x: str | None = 
     keys = names[1 : names.index("status")]
     for name in (x, y):
         if name is not None and name not in keys:
-            raise ScenarioError(f"{name}: is no key of this sweep; they are {', '.join(keys)}")
+            raise ScenarioError(f"{name}: is no key of this sweep; {_meant(name, keys)}")
     numbers = [
         f.name for f in table.schema if str(f.type) in ("double", "int64") and f.name not in keys and f.name != "run"
     ]
     wanted = list(of or [name for name in FIGURES if name in numbers])
     for name in wanted:
         if name not in numbers:
-            raise ScenarioError(f"{name}: is no value of this sweep; they are {', '.join(numbers)}")
+            raise ScenarioError(f"{name}: is no value of this sweep; {_meant(name, numbers)}")
     if not keys or not numbers or not wanted:
         raise ScenarioError("the table has no key that changes, or no value to draw")
     if table.num_rows == 0:
@@ -122,6 +123,13 @@ def draw_maps(table: pa.Table, of: Sequence[str] | None = None, x: str | None = 
         _headline(table, others if second is not None or len(others) > 1 else []), fontsize=10, x=0.01, ha="left"
     )
     return figure
+
+
+def _meant(name: str, known: Sequence[str]) -> str:
+    """Return which name was meant, if one is near, else all of them."""
+    near = difflib.get_close_matches(name, known, n=1, cutoff=0.6)
+    near = near or [each for each in known if len(name) > 2 and name in each][:1]
+    return f"did you mean '{near[0]}'?" if near else f"they are {', '.join(known)}"
 
 
 def _headline(table: pa.Table, others: Sequence[str]) -> str:

@@ -15,7 +15,7 @@ from closedloop.batch.table import kept_columns
 from closedloop.engines.loops import COMPILED
 from closedloop.errors import ScenarioError
 from closedloop.jit.cache_folder import cache_folder
-from closedloop.record.run import COLUMNS
+from closedloop.record.run import ALL_COLUMNS
 from closedloop.record.versions import package_versions
 from closedloop.scenario.members import members_of_users
 from closedloop.scenario.overrides import Variants
@@ -68,7 +68,7 @@ class Sweep:
         sweep = cls(scenario, design, kept_columns(keep), engine)
         check_engine(Variants(scenario, design.keys).look(design), engine, None)
         for name in sweep.keep:
-            if "joint" in COLUMNS[name].dims and any(key.startswith("robot.") for key in design.keys):
+            if "joint" in ALL_COLUMNS[name].dims and any(key.startswith("robot.") for key in design.keys):
                 raise ScenarioError(f"keep: {name} has a number a joint, and the robot changes from run to run")
         return sweep
 

@@ -10,7 +10,8 @@ from pathlib import Path
 import pytest
 
 import closedloop as cl
-from closedloop.engines.pinocchio import proceed_on_pinocchio
+from closedloop.engines.compiled import run_compiled
+from closedloop.engines.pinocchio import proceed_general_on_pinocchio, proceed_on_pinocchio
 from closedloop.events.transitions import collide
 from closedloop.jit import background, cache_folder
 from closedloop.jit.cache_folder import MARKER
@@ -66,17 +67,21 @@ def test_a_process_in_the_background(folder, caplog):
     assert int(nice) == min(19, os.nice(0) + background.NICE)
     assert where == os.sep
     (line,) = caplog.messages
-    assert line.startswith("compiling the step in the background, once for this installation")
+    assert line.startswith("compiling the step of the Pinocchio engine in the background, once for this installation")
 
 
-def test_one_at_a_time(folder, caplog):
+def test_one_at_a_time(folder, monkeypatch, caplog):
     """While one is at work another is not begun, and that is said; nor is one begun twice for the same."""
     background.start([proceed_on_pinocchio])
     first = who(folder, "proceed_on_pinocchio")[0]
     background.start([proceed_on_pinocchio])
+    monkeypatch.setattr(background, "_said", set())
     with caplog.at_level("INFO", "closedloop.compiling"):
-        background.start([collide])
-    assert caplog.messages == ["compiling the step in another process; this run is interpreted meanwhile"]
+        background.start([collide])  # which is short: not worth a word
+        background.start([run_compiled])
+        background.start([proceed_general_on_pinocchio])  # another like it is not said again
+    what = "the step of the compiled engine"
+    assert caplog.messages == [f"compiling {what} in another process; this run is interpreted meanwhile"]
     assert [file.name for file in folder.iterdir()] == ["who-proceed_on_pinocchio"]
     os.kill(int(first), signal.SIGKILL)
     assert not background.wait_until_done(patience=10.0)
@@ -92,7 +97,9 @@ def test_who_needs_it_waits(folder, monkeypatch, caplog):
     monkeypatch.setattr(background, "needs_compiling", lambda function: next(missing, False))
     with caplog.at_level("INFO", "closedloop.compiling"):
         background.make_ready(proceed_on_pinocchio)
-    assert caplog.messages == ["compiling the step: waiting for the process that does it in the background ..."]
+    assert caplog.messages == [
+        "compiling the step of the Pinocchio engine: waiting for the process that does it in the background ..."
+    ]
     assert next(missing, None) is None
 
 
@@ -103,7 +110,7 @@ def test_who_needs_what_never_comes_compiles_it(folder, caplog):
     (folder / "go").touch()
     with caplog.at_level("INFO", "closedloop.compiling"):
         background.make_ready(proceed_on_pinocchio)
-    assert caplog.messages[-1].startswith("compiling the step (once for this installation")
+    assert caplog.messages[-1].startswith("compiling the step of the Pinocchio engine (once for this installation")
 
 
 @pytest.mark.parametrize("value", ["0", "no", "Off", "FALSE"])
@@ -188,13 +195,13 @@ def test_from_the_first_run_to_the_second(tmp_path):
     said = [process.communicate(timeout=120)[1] for process in both]
     assert [process.returncode for process in both] == [0, 0]
     assert sorted(line.split(",")[0] for line in said) == [
-        "compiling the step in another process; this run is interpreted meanwhile\n",
-        "compiling the step in the background",
+        "compiling the step of the Pinocchio engine in another process; this run is interpreted meanwhile\n",
+        "compiling the step of the Pinocchio engine in the background",
     ]
     (compiler,) = at_work()
     os.kill(compiler, signal.SIGKILL)
     again = begin("again")
-    assert "compiling the step in the background" in again.communicate(timeout=120)[1]
+    assert "engine in the background" in again.communicate(timeout=120)[1]
     wait = "from closedloop.jit.background import wait_until_done; wait_until_done(patience=400)"
     subprocess.run([sys.executable, "-c", wait], env=environment, cwd=ROOT, check=True, timeout=500)
     assert at_work() == []

@@ -131,6 +131,24 @@ def test_it_sticks_and_slips_on_a_soft_surface():
     assert run.summary()["max_energy_residual"] < 1e-6
 
 
+def test_friction_is_against_the_slip_where_a_soft_surface_pulls():
+    """A mass lifted off a bilateral spring is pulled down by it, and braked by μ|f|."""
+    mu, pull = 0.3, 5.0
+
+    def lifted(t, q, v, terms):
+        return terms.bias + np.array([0.0, 0.0, pull])
+
+    run = cl.simulate(point_mass(
+        surface__contact="bilateral", compliance__stiffness=1e4, compliance__damping=200.0,
+        friction={"kind": "coulomb", "coefficient": mu}, start__v=[0.3, 0.0, 0.0], time__duration=0.3,
+    ), law=lifted)  # fmt: skip
+    pulls = run.contact_force < -0.5 * pull
+    assert run.contact_force[-1] == pytest.approx(-pull, abs=1e-3)
+    assert np.allclose(run.friction_force[pulls, 0], mu * run.contact_force[pulls], rtol=0, atol=1e-9)
+    assert run.velocity[-1, 0] < 0.3 - 0.9 * mu * pull / MASS * 0.3
+    assert run.summary()["max_energy_residual"] < 1e-6
+
+
 @pytest.mark.parametrize("kind", ["kelvin_voigt", "hunt_crossley"])
 @pytest.mark.parametrize("integrator", ["semi_implicit_euler", "rk4", "dop853"])
 def test_an_arm_comes_down_on_a_soft_ball(kind, integrator):

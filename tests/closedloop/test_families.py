@@ -201,7 +201,8 @@ def test_in_python(mine):
     assert cl.Scenario.model_validate_json(scenario.model_dump_json()) == scenario
     assert pickle.loads(pickle.dumps(scenario)) == scenario == copy.deepcopy(scenario)
     assert json.loads(scenario.model_dump_json())["reference"] == {
-        "kind": "my_paths:Wave", "length": 0.05, "swing": 0.02, "stop": 6.0
+        "kind": "my_paths:Wave", "length": 0.05, "swing": 0.02, "stop": 6.0, "on_surface": "projected",
+        "orientation": "free",
     }  # fmt: skip
     assert load({"reference": {"kind": "my_paths:Wave", "swing": 0.02}}).reference == scenario.reference
     assert load({"reference": scenario.reference}).reference is not None

@@ -6,6 +6,7 @@ import pytest
 
 import closedloop as cl
 from closedloop.figures import closure_error, contact_force, draw_figures, tip_position
+from closedloop.figures.errors import directions
 from closedloop.figures.files import save_figure
 
 
@@ -99,3 +100,18 @@ def test_folder_that_is_not_there_is_an_output_error(run, tmp_path):
     """Figures that cannot be written are an OutputError with the path."""
     with pytest.raises(cl.OutputError, match=r"fig4_tip_position.*cannot be written"):
         draw_figures(run, tmp_path / "missing")
+
+
+def test_the_direction_of_a_path_on_a_surface_that_moves():
+    """It is that of the path in the surface: where the surface breathes, slip and friction change no sign with it."""
+    changes = {"reference.start": 0.2, "reference.stop": 0.9, "surface.gap": 0.0, "time.duration": 1.1}
+    run = cl.simulate(cl.load_scenario("panda_scan", changes | {"surface_motion.frequency": 2.0}))
+    along = directions(run)
+    assert np.min(np.sum(along[1:] * along[:-1], axis=1)) > 0.99
+    assert along[0, 1] > 0.99
+
+
+def test_a_soft_surface_has_no_unstabilised_closure(tmp_path):
+    """Its figure has the usual name, though there is no stabiliser."""
+    soft = cl.simulate(cl.load_scenario("soft_table", {"time.duration": 0.01}))
+    assert "fig_closure_error.png" in {path.name for path in draw_figures(soft, tmp_path)}

@@ -63,6 +63,26 @@ def test_all_faults_are_told_at_once(command_line, tmp_path):
     assert "\n" not in faults_on_one_line(error)
 
 
+@pytest.mark.parametrize("key", ["--law.force", "--time.duration"])
+def test_the_scenario_and_its_output_at_once(key, command_line, tmp_path):
+    """A folder that cannot be written is told with what is wrong with the scenario, read or prepared."""
+    (tmp_path / "file").write_text("in the way")
+    value = {"--law.force": "ten", "--time.duration": "0.0105"}[key]
+    told = command_line("wam_slide", key, value, "--out", "file").err.splitlines()
+    assert [line.startswith("closedloop: ") for line in told] == [True, True]
+    assert key.removeprefix("--") in told[0]
+    assert "--out 'file': cannot be written" in told[1]
+
+
+@pytest.mark.parametrize("turn", [1, -1])
+def test_a_key_that_is_given_is_never_dropped(turn):
+    """A change of the kind drops what the file says of the old kind, and not what is given beside it."""
+    cl.load_scenario("wam_slide", {"law.kind": "impedance"})  # which has no kp: that of the file goes
+    given = dict([("law.kp", 300.0), ("law.kind", "impedance")][::turn])
+    with pytest.raises(cl.ScenarioError, match=r"unknown key 'law.kp'; law.kind is 'impedance', and kp goes with"):
+        cl.load_scenario("wam_slide", given)
+
+
 def test_a_fault_is_told_once():
     """A misspelt key is not missing as well, and the keys of a kind that is none are not unknown."""
     assert refused("[laws]\nkp = 1\n").faults == ("scenario: unknown key 'laws'; did you mean 'law'?",)

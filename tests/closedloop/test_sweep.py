@@ -316,6 +316,15 @@ def test_refusals(capsys, tmp_path, monkeypatch, arguments, said):
     assert (tmp_path / "a_file").read_text() == "mine"
 
 
+def test_a_key_that_must_be_given_may_be_one_that_changes(capsys, tmp_path):
+    """A scenario without it is no scenario of its own, but every run of the sweep has it."""
+    (tmp_path / "s.toml").write_text('[robot]\nmodel = "planar2"\n[law]\nkd = 5\n[time]\nduration = 0.01\n')
+    words = [str(tmp_path / "s.toml"), "--out", str(tmp_path / "t.parquet"), "--over", "law.force=5,6"]
+    assert "'law.kp' is missing" in refusal(capsys, *words)
+    sweep(capsys, *words, "--over", "law.kp=100:300:2")
+    assert parquet.read_table(tmp_path / "t.parquet")["status"].to_pylist() == ["done"] * 4
+
+
 def test_what_is_not_this_sweeps_is_never_overwritten(capsys, tmp_path):
     """A text, another table, another sweep's table, another folder, another NetCDF file: each stays as it is."""
     out = tmp_path / "t.parquet"

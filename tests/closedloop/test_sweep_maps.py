@@ -112,6 +112,7 @@ def tables(tmp_path_factory):
         (("nulls.parquet",), "law.force: has no value in some rows: this is not the table of a sweep"),
         (("t.parquet", "--x", "law.force", "--y", "law.force"), "law.force: is asked for along both axes"),
         (("t.parquet", "--of", "beauty"), "beauty: is no value of this sweep; they are rows, end_time"),
+        (("t.parquet", "--of", "min_contactforce"), "of this sweep; did you mean 'min_contact_force'?"),
         (("t.parquet", "--x", "law.kp"), "law.kp: is no key of this sweep; they are law.force, stab"),
         (("t.parquet", "--out", "t.odt"), "--out t.odt: cannot be written: Format 'odt' is not supported"),
         (("t.parquet", "--out", "text.parquet/t.png"), "--out text.parquet/t.png: cannot be written: "),

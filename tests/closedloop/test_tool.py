@@ -97,7 +97,33 @@ def test_wrong_masses_are_what_the_law_reads():
     assert np.allclose(left, run.contact_force[-1] * true.jacobian[2], rtol=0, atol=1e-9)
 
 
+@pytest.mark.parametrize("engine", ["pinocchio", "compiled"])
+def test_a_controller_wrong_about_the_normal_presses_along_its_own(engine):
+    """A tip that sticks is held by f = F cos α and friction F sin α, in the direction of the tilt."""
+    tilt = {"model_error.normal": 0.2, "model_error.normal_towards": 1.0, "friction.kind": "coulomb",
+            "friction.coefficient": 0.5, "time.duration": 0.05}  # fmt: skip
+    run = cl.simulate(cl.load_scenario("wam_slide", tilt), engine=engine)
+    assert np.allclose(run.contact_force, 10.0 * np.cos(0.2), rtol=0, atol=1e-9)
+    assert np.allclose(
+        run.friction_force[:, :2], 10.0 * np.sin(0.2) * np.array([np.cos(1), np.sin(1)]), rtol=0, atol=1e-7
+    )
+    turn = run.scenario.model_error.tilt()
+    assert np.allclose(turn @ turn.T, np.eye(3), rtol=0, atol=1e-15)
+
+
+def test_wrong_figures_of_friction_are_those_of_the_compensation():
+    """A factor on all of them is the compensation with the figures multiplied, to the bit."""
+    given = {"compensation.kind": "model", "compensation.kinetic": 0.4, "time.duration": 0.02, "law.pd_start": 0.01,
+             "compensation.joint_coulomb": [0.1, 0.2, 0.3, 0.4], "reference.start": 0.0}  # fmt: skip
+    wrong = cl.simulate(cl.load_scenario("wam_slide", given | {"model_error.friction": 0.5}))
+    halves = {"compensation.kinetic": 0.2, "compensation.joint_coulomb": [0.05, 0.1, 0.15, 0.2]}
+    assert np.array_equal(wrong.torque, cl.simulate(cl.load_scenario("wam_slide", given | halves)).torque)
+    assert not np.array_equal(wrong.torque, cl.simulate(cl.load_scenario("wam_slide", given)).torque)
+
+
 REFUSED = {
+    "no figures": ({"model_error.friction": 0.5}, "the compensation 'none' has no figures of friction"),
+    "upright": ({"model_error.normal": 3.0}, "model_error.normal = 3.0: must be at most 1.5 rad"),
     "no such body": ({"tool.mass": 1.0, "tool.inertia": [1.0, 0.1, 0.1, 0, 0, 0]}, "principal moments"),
     "negative": ({"tool.mass": -1.0}, "tool.mass = -1.0: must not be negative"),
     "no mass": ({"model_error.masses": 0.0}, "model_error.masses = 0.0: must be greater than 0"),

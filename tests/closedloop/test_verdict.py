@@ -13,7 +13,16 @@ from closedloop.report import print_report
 from closedloop.report.alternation import alternation
 from closedloop.report.measures import JOINT_MEASURES, MEASURES
 from closedloop.report.summary import joint_measures
-from closedloop.report.verdict import CHATTER_SHARE, CLOSURE_BOUND, ENERGY_SHARE, Facts, energy_bound, judge, names_of
+from closedloop.report.verdict import (
+    CHATTER_SHARE,
+    CLOSURE_BOUND,
+    ENERGY_SHARE,
+    Facts,
+    energy_bound,
+    judge,
+    names_of,
+    probable_reason,
+)
 from closedloop.sweep.__main__ import main as run_sweeps
 
 SHORT = {"time.duration": 0.65}
@@ -143,6 +152,22 @@ def test_gains_are_named_where_they_show():
     assert told(facts(failed={"contact_kept": (0.1, "")}), "law.kd is too large") == "contact_kept"
     assert told(facts(force_chatter=0.3), "law.kd is too large") == "gains, chatter"
     assert told(facts(stopped="why", steps=-1), "law.kd is too large") == "gains, stopped"
+
+
+@pytest.mark.parametrize(
+    ("law", "reason"),
+    [({"law.kp": 3e5}, "gains that the step cannot carry"), ({"law.kd": -30.0}, "the feedback drives the arm away")],
+)
+def test_an_instability_is_the_reason_in_the_first_line(law, reason, capsys):
+    """Of gains that the step cannot carry, of any motion that diverges, and of what shakes; not of a limit alone."""
+    with pytest.raises(cl.DivergenceError) as caught:
+        cl.simulate(cl.load_scenario("wam_slide", law | {"time.duration": 1.0}))
+    print_report(caught.value.run)
+    first = capsys.readouterr().out.splitlines()[0]
+    assert first.startswith("verdict: BAD: ")
+    assert first.endswith(f"(probably unstable: {reason})")
+    assert probable_reason([{"name": name, "text": ""} for name in ("energy", "chatter")]).endswith("from step to step")
+    assert probable_reason([{"name": name, "text": ""} for name in ("energy", "velocity_limit")]) == ""
 
 
 def test_a_start_off_the_surface_is_no_closure_error():

@@ -33,6 +33,13 @@ def session(text):
     return "\n".join(lines)
 
 
+def commands(text):
+    """Return the commands that stand on a page, indented, a line each."""
+    return "\n".join(
+        re.findall(r"^    ((?:closedloop|python -m closedloop\.run) .*)$", FENCE.sub("", text), re.MULTILINE)
+    )
+
+
 def anchors(text):
     """Return the anchors of a page's headings, as GitHub and MyST make them."""
     headings = re.findall(r"^#+ (.*)$", FENCE.sub("", text), re.MULTILINE)

@@ -7,11 +7,13 @@ import subprocess
 import sys
 
 import pytest
-from pages import DOCS, PAGES, ROOT, blocks, broken_links, session
+from pages import DOCS, PAGES, ROOT, blocks, broken_links, commands, session
 
 import closedloop
 
 WITH_CODE = [page for page in PAGES if blocks(page.read_text(encoding="utf-8"), "python")]
+# Pages whose commands, in the folder of their Python blocks, run too; those of others take minutes, or a browser.
+WITH_COMMANDS = ("scenarios", "controllers", "extending", "surfaces")
 ENVIRONMENT = {**os.environ, "PYTHONPATH": str(ROOT), "MPLBACKEND": "agg"}
 
 
@@ -35,6 +37,14 @@ def generated(generate, tmp_path_factory):
 def run(command, folder):
     """Run a command in a folder as a user would, and return what came of it."""
     return subprocess.run(command, cwd=folder, env=ENVIRONMENT, capture_output=True, text=True)
+
+
+def shell(commands, folder):
+    """Run the words of a page in a folder, as they stand there."""
+    python = f'"{sys.executable}"'
+    head = f'set -eu\nclosedloop() {{ {python} -m closedloop "$@"; }}\npython() {{ {python} "$@"; }}\n'
+    done = run(["bash", "-c", head + commands], folder)
+    assert done.returncode == 0, done.stderr
 
 
 def test_the_readme_is_a_door():
@@ -92,19 +102,19 @@ def test_the_code_of_a_page_runs(page, tmp_path):
     (tmp_path / "session.py").write_text(session(page.read_text(encoding="utf-8")), encoding="utf-8")
     done = run([sys.executable, "session.py"], tmp_path)
     assert done.returncode == 0, done.stderr
+    if page.stem in WITH_COMMANDS:
+        shell(commands(page.read_text(encoding="utf-8")), tmp_path)
 
 
 @pytest.mark.slow
 def test_the_commands_of_the_quickstart_run(tmp_path):
     """As they stand there, one after the other, in an empty folder."""
     text = (DOCS / "quickstart.md").read_text(encoding="utf-8")
-    commands = "".join(code for _, code in blocks(text, "sh"))
-    assert commands.count("closedloop run") == 3
-    shell = f'set -eu\nclosedloop() {{ "{sys.executable}" -m closedloop "$@"; }}\n{commands}'
-    done = run(["bash", "-c", shell], tmp_path)
-    assert done.returncode == 0, done.stderr
+    given = "".join(code for _, code in blocks(text, "sh"))
+    assert given.count("closedloop run") == 4
+    shell(given, tmp_path)
     assert {path.name for path in (tmp_path / "out").iterdir()} == {"wam_slide", "my_slide"}
-    assert (tmp_path / "stronger" / "run.nc").exists()
+    assert all((tmp_path / name / "run.nc").exists() for name in ("stronger", "tilted"))
 
 
 @pytest.mark.slow

@@ -28,11 +28,11 @@ def arm():
 
 
 def test_is_derived_in_no_time():
-    """Three seconds are allowed; polynomials take a tenth."""
+    """Polynomials take a third of a second of this process; expressions that are not gathered take minutes."""
     robot = random_robot(11, joints=3, branching=False, kinds=("revolute",))
-    began = time.perf_counter()
+    began = time.process_time()
     Symbolic(robot, robot.tip)
-    assert time.perf_counter() - began < 3.0
+    assert time.process_time() - began < 10.0
 
 
 def test_mass_matrix_and_bias_belong_together(arm):

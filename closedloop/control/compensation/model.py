@@ -12,7 +12,7 @@ Source: the Stribeck curve in the form of Armstrong-Hélouvry, Dupont and Canuda
 from __future__ import annotations
 
 import math
-from typing import Annotated, Any
+from typing import Annotated, Any, ClassVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -65,6 +65,8 @@ class ModelCompensation(Compensation):
     joint_smoothing_speed: Annotated[Positive, JOINT_SPEED_SCALE] = Field(
         0.001, description="wanted joint speed below which its feed-forward fades, rad/s (m/s)"
     )
+
+    friction_figures: ClassVar = ("kinetic", "static", "viscous", "joint_coulomb", "joint_viscous")
 
     @field_validator("static")
     @classmethod

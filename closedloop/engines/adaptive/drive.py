@@ -101,7 +101,7 @@ class _AdaptiveRun:
         self.memory = Memory(problem, law)
         sticking = self.memory.state.sticking
         self.has_dry_friction = sticking != SMOOTH
-        self.has_events = self.memory.state.unilateral != 0 or sticking == RIGID_STICK
+        self.has_events = self.memory.state.unilateral != 0 or sticking == RIGID_STICK or problem.surface.ends
         self.instants = problem.h * np.arange(problem.steps + 1, dtype=np.float64)
         self.row, self.time, self.y = 0, 0.0, self.memory.get()
         self.tolerance = cast(float, problem.tolerance)
@@ -269,6 +269,8 @@ class _AdaptiveRun:
         event = first_crossing(value("event_value"), length, SHALLOW if state.risen != 0 else leaving, value("rate"))
         if event is None and value("event_value")(length) > leaving:
             state.risen = 1
+            if state.unilateral != 0 and w.gap > leaving:
+                state.beside = 0
         return event
 
     def apply_event(self, within: Callable[[float], Array], event: float, interval: Interval) -> None:

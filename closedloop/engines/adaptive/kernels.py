@@ -38,7 +38,7 @@ def _on_pinocchio(address: int, table: Array, use: int, general: int | None) -> 
     if status != OK:
         return status
     if use == DERIVE:
-        w.start_power = power(w)
+        w.start_power = power(w, state)
     elif use == BEGIN_STEP:
         save_state(w, constants, state, general)
     elif use == EVENT_VALUE:

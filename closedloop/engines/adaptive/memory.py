@@ -40,7 +40,6 @@ from closedloop.events.transitions import collide
 from closedloop.jit.background import make_ready
 from closedloop.jit.pointers import address_of
 from closedloop.step.memory import RIGID_STICK
-from closedloop.step.record_row import Row
 
 Array = NDArray[np.float64]
 
@@ -81,7 +80,7 @@ class Memory:
         problem.connect(self.loop, self.user_law.connect if self.user_law else None)
         self.state.steps = -1  # not of fixed length: friction need not be corrected for slip turning within a step
         self.hold = int(self.state.hold)
-        self.rows = np.zeros((problem.steps + 1, Row.count(robot.n)))
+        self.rows = np.zeros((problem.steps + 1, problem.row_width))
         self.events = np.zeros((INITIAL_EVENTS, EVENT_WIDTH))
         self._terms = robot.evaluator(self.w.q, self.w.v)
         general = problem.general or law is not None

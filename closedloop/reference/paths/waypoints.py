@@ -19,10 +19,15 @@ Array = NDArray[np.float64]
 
 
 class Waypoints(Path):
-    """Straight from point to point, in space: to approach the surface, press beyond it, retract from it."""
+    """Straight from point to point: in space, to approach the surface, press beyond it, retract; or on the surface."""
 
-    along_surface = False
+    in_plane = False
 
+    on_surface: Literal["projected", "geodesic", "no"] = Field(
+        "no",
+        description="whether they are laid onto the surface, and how: projected along the normal at the start; "
+        "geodesic: with their lengths and angles; no: they are points in space",
+    )
     times: MotionInstants = Field(description="instants at which the tip is at the points, s, increasing")
     points: Points = Field(
         description="displacements of the tip from its start, m, base frame, one an instant; the first is [0, 0, 0]"

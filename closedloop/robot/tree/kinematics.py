@@ -133,3 +133,26 @@ def jacobian(tree: Tree, work: Array, r: Array, J: Array) -> None:
             J[0, i], J[1, i], J[2, i] = z1 * d2 - z2 * d1, z2 * d0 - z0 * d2, z0 * d1 - z1 * d0
         else:
             J[0, i], J[1, i], J[2, i] = w[s + at.Z0], w[s + at.Z1], w[s + at.Z2]
+
+
+@kernel_inlined
+def turning(tree: Tree, work: Array, axes: Array, J: Array) -> None:
+    """Write the axes of the link that carries the tip, columns of (3, 3), and how the joints turn it, J (3, n)."""
+    n, table, w = tree.n, tree.links, work
+    for i in range(n):
+        s = table[at.SCRATCH * n + i] & at.INDEX
+        if table[at.SUPPORT * n + i] != 0 and table[at.REVOLUTE * n + i] != 0:
+            J[0, i], J[1, i], J[2, i] = w[s + at.Z0], w[s + at.Z1], w[s + at.Z2]
+        else:
+            J[0, i] = J[1, i] = J[2, i] = 0.0
+    if tree.carrier < 0:
+        for i in range(3):
+            for k in range(3):
+                axes[i, k] = 1.0 if i == k else 0.0
+        return
+    s = table[at.SCRATCH * n + (tree.carrier & at.INDEX)] & at.INDEX
+    x0, x1, x2 = w[s + at.X0], w[s + at.X1], w[s + at.X2]
+    z0, z1, z2 = w[s + at.Z0], w[s + at.Z1], w[s + at.Z2]
+    axes[0, 0], axes[1, 0], axes[2, 0] = x0, x1, x2
+    axes[0, 1], axes[1, 1], axes[2, 1] = z1 * x2 - z2 * x1, z2 * x0 - z0 * x2, z0 * x1 - z1 * x0
+    axes[0, 2], axes[1, 2], axes[2, 2] = z0, z1, z2

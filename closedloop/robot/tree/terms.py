@@ -9,7 +9,7 @@ from __future__ import annotations
 from closedloop.jit.kernel import kernel
 from closedloop.robot.tree.angles import sines
 from closedloop.robot.tree.dynamics import bodies, matrix_and_bias
-from closedloop.robot.tree.kinematics import jacobian, motion, tip
+from closedloop.robot.tree.kinematics import jacobian, motion, tip, turning
 from closedloop.robot.tree.layout import Array, Tree
 
 
@@ -50,3 +50,19 @@ def tree_kinematics(tree: Tree, q: Array, v: Array, work: Array, J: Array, r: Ar
     motion(tree, v, work)
     tip(tree, work, r, drift)
     jacobian(tree, work, r, J)
+
+
+@kernel
+def tree_turning(tree: Tree, work: Array, axes: Array, J: Array) -> None:
+    """Write the orientation of the tip's link, after `tree_kinematics` with this scratch.
+
+    Parameters
+    ----------
+    tree, work
+        See `tree_terms`.
+    axes : (3, 3) array
+        Written: the link's axes as `Tree` has them, columns, base axes.
+    J : (3, n) array
+        Written: the link's angular velocity per joint rate, base axes.
+    """
+    turning(tree, work, axes, J)

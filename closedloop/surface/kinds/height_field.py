@@ -1,17 +1,17 @@
 """[surface] kind = "height_field": heights on a grid, joined by a bicubic B-spline with continuous second derivatives.
 
-The spline goes through the heights, and is mirrored at the edge of the grid. Off the grid there is no surface.
+The spline goes through the heights, and is mirrored at the edge of the grid, which is the edge of the surface too.
 """
 
 from __future__ import annotations
 
-import math
 from typing import Annotated, Any
 
 import numpy as np
 from numpy.typing import NDArray
 from pydantic import Field, field_validator
 
+from closedloop.errors import ScenarioError
 from closedloop.jit.interpreted import interpreted
 from closedloop.jit.kernel import kernel
 from closedloop.sections import LENGTH, PLACE, Number, Positive
@@ -39,6 +39,23 @@ class HeightField(Placed):
             raise ValueError(f"must be at least {FEWEST} lists of at least {FEWEST} numbers, all of one length")
         return value
 
+    def bounds(self) -> tuple[float, float]:
+        """Return those of the grid, or of a smaller patch of it.
+
+        Raises
+        ------
+        ScenarioError
+            If a round edge is not on the grid.
+        """
+        rows, columns = len(self.heights), len(self.heights[0])
+        a, b = super().bounds()
+        x, y = 0.5 * self.spacing * (columns - 1), 0.5 * self.spacing * (rows - 1)
+        if b > 0.0:
+            return min(a, x), min(b, y)
+        if a > min(x, y):
+            raise ScenarioError(f"surface.edge_radius = {a:g}: the grid ends {min(x, y):g} m from its middle")
+        return a, b
+
     def list_length(self) -> int:
         """Return the length of what `resolved` gives."""
         return 2 + (len(self.heights) + 2) * (len(self.heights[0]) + 2)
@@ -59,11 +76,10 @@ class HeightField(Placed):
 
     @staticmethod
     def level(p: Array, par: Any, gradient: Array, hessian: Array) -> float:
-        """Return z less the height below p; NaN off the grid."""
+        """Return z less the height below p; beyond the edge, where there is no surface, that of the edge."""
         rows, columns, a = par.heights[0], par.heights[1], par.spacing
         x, y = p[0] / a + 0.5 * (columns - 1.0), p[1] / a + 0.5 * (rows - 1.0)
-        if not (0.0 <= x <= columns - 1.0 and 0.0 <= y <= rows - 1.0):
-            return math.nan
+        x, y = min(max(x, 0.0), columns - 1.0), min(max(y, 0.0), rows - 1.0)
         h, hx, hy, hxx, hxy, hyy = bicubic(par.heights, x, y)
         gradient[0], gradient[1], gradient[2] = -hx / a, -hy / a, 1.0
         hessian[0, 0], hessian[1, 1] = -hxx / (a * a), -hyy / (a * a)

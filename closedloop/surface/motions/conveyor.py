@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import Annotated, Any
 
-from pydantic import Field
+from pydantic import Field, field_validator
 
 from closedloop.sections import SPEED, Number
 from closedloop.surface.motion import SurfaceMotion
@@ -18,6 +18,13 @@ class Conveyor(SurfaceMotion):
     velocity: tuple[Speed, Speed, Speed] = Field(
         (0.0, 0.05, 0.0), description="velocity of the surface, base frame, m/s"
     )
+
+    @field_validator("velocity")
+    @classmethod
+    def _moves(cls, value: tuple[float, float, float]) -> tuple[float, float, float]:
+        if not any(value):
+            raise ValueError('must not be zero; a surface at rest is kind = "none"')
+        return value
 
     @staticmethod
     def move(t: float, par: Any, m: Any) -> None:

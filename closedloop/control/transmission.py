@@ -1,0 +1,90 @@
+"""Elastic joints: between motor and link a spring and a damper, the motor with its inertia as a state of its own.
+
+    τ = k (θ − q) + d (θ̇ − q̇)            what the transmission passes on to the link, in place of Q in Eq. 24
+    B θ̈ = Q − τ                            the motor, with its inertia reflected to the joint
+
+The motor's inertia is that of the drive, which a rigid joint adds to the mass matrix; here it is taken out of it. So
+the motion goes to that of rigid joints as 1/k. A controller takes the joints for rigid: the H that it sees has the
+motors in it. Friction in the joints acts on the links.
+
+Source: M. Spong, Modeling and control of elastic joint robots, ASME J. Dynamic Systems, Measurement, and Control
+109(4), 1987, with the usual assumption that the motors' gyroscopic torques are small.
+"""
+
+from __future__ import annotations
+
+from typing import Annotated, Literal
+
+import numpy as np
+from numpy.typing import NDArray
+from pydantic import Field
+
+from closedloop.control.drives import Limit
+from closedloop.control.encoder import EachJoint
+from closedloop.errors import ScenarioError
+from closedloop.parameters import per_joint
+from closedloop.sections import Section, Size, stiffness_in, viscous_in
+from robot_models import RobotModel
+
+Array = NDArray[np.float64]
+
+MOTOR_INERTIA = Size(1e9, "kg m²", "no motor is so heavy", 1e-12)
+
+
+class TransmissionSection(Section):
+    """[transmission]: between motors and links; by default rigid."""
+
+    stiffness: Annotated[Limit, stiffness_in("N m/rad")] | None = Field(
+        None, description="stiffness of the joints, N m/rad, one number for all or one per joint; rigid if left out"
+    )
+    damping: Annotated[EachJoint, viscous_in("N m s/rad")] = Field(
+        0.0, description="damping between motor and link, N m s/rad, one number for all or one per joint"
+    )
+    motor_inertia: Annotated[Limit, MOTOR_INERTIA] | None = Field(
+        None,
+        description="inertia of the motors, reflected to the joints, kg m², one number for all or one per joint; the "
+        "robot's own drive inertia if left out",
+    )
+    measured: Literal["link", "motor"] = Field(
+        "link", description="the side on which the controller measures positions and velocities"
+    )
+
+    @property
+    def elastic(self) -> bool:
+        """Whether the joints are elastic."""
+        return self.stiffness is not None
+
+    @property
+    def on_motors(self) -> bool:
+        """Whether the controller measures the motors."""
+        return self.elastic and self.measured == "motor"
+
+
+def transmission_constants(section: TransmissionSection, model: RobotModel) -> Array:
+    """Return stiffness, N m/rad, damping, N m s/rad, and motor inertia, kg m², of each joint, (3, n); zero: rigid.
+
+    Raises
+    ------
+    ScenarioError
+        If a list has not one entry a joint, the inertia of a motor is not known, or there is no spring to it all.
+    """
+    if section.stiffness is None:
+        usual = TransmissionSection()
+        for key in ("damping", "motor_inertia", "measured"):
+            value = getattr(section, key)
+            if value != getattr(usual, key):
+                raise ScenarioError(
+                    f"transmission.{key} = {value!r}: goes with transmission.stiffness, which is left out: rigid joints"
+                )
+        return np.zeros((3, model.n))
+
+    def each(key: str) -> Array:
+        return per_joint(f"transmission.{key}", getattr(section, key), model.n, model.joint_names)
+
+    inertia = model.armature if section.motor_inertia is None else each("motor_inertia")
+    if lacking := [name for name, own in zip(model.joint_names, inertia, strict=True) if not own > 0.0]:
+        raise ScenarioError(
+            f"transmission.motor_inertia is left out, and {model.name} has no drive inertia in {', '.join(lacking)}: "
+            "give it in kg m², one number or one per joint"
+        )
+    return np.stack([each("stiffness"), each("damping"), inertia])

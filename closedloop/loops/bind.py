@@ -1,0 +1,123 @@
+"""What the loop joints of a robot bind, as the rows that the loop reads; and a posture that closes them."""
+
+from __future__ import annotations
+
+from functools import lru_cache
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from closedloop.jit.kernel import plain
+from closedloop.loops.memory import Bound, LoopMemory, make_loop_memory
+from closedloop.loops.rows import DISTANCE, GEAR, POSITION, ROTATION
+from closedloop.robot.pinocchio import Robot
+from closedloop.robot.tree import Tree, work_size
+from closedloop.robot.tree import layout as at
+from closedloop.robot.tree.angles import sines
+from closedloop.robot.tree.kinematics import motion
+from robot_models import RobotModel
+from robot_models.loop_joint import WORLD, LoopJoint
+
+Array = NDArray[np.float64]
+
+# Axes along which, and pairs of axes about which, a type binds: of x, y, z with z its axis. A pair (i, j) keeps axis i
+# of the second side perpendicular to axis j of the first.
+_ALL, _ACROSS = (0, 1, 2), (0, 1)
+_TILT, _TURN = ((0, 2), (1, 2)), ((0, 1), (1, 2), (2, 0))
+_BINDS: dict[str, tuple[tuple[int, ...], tuple[tuple[int, int], ...]]] = {
+    "point": (_ALL, ()),
+    "hinge": (_ALL, _TILT),
+    "slider": (_ACROSS, _TURN),
+    "cylinder": (_ACROSS, _TILT),
+    "universal": (_ALL, ((2, 2),)),
+    "planar": ((2,), _TILT),
+    "weld": (_ALL, _TURN),
+}
+# What the reaction of each row is, and its unit.
+DIRECTIONS: dict[str, tuple[tuple[str, str], ...]] = {
+    kind: (
+        *((f"force along {'xyz'[i]}", "N") for i in positions),
+        *((f"couple about {'xyz'[3 - i - j] if i != j else 'the common normal'}", "N m") for i, j in rotations),
+    )
+    for kind, (positions, rotations) in _BINDS.items()
+} | {"distance": (("force along it", "N"),), "gear": (("torque on the first joint", "N m"),)}
+
+
+@lru_cache(maxsize=8)
+def bound_by_loops(robot: Robot) -> Bound:
+    """Return what the loop joints of a robot bind."""
+    model, tree = robot.model, robot.tree
+    poses = link_poses(tree, model.home)
+    rows: list[tuple[int, int, int, Array, Array, Array, Array, Array]] = []
+    none, zero = np.zeros(5), np.zeros(3)
+    for loop in model.loops:
+        if loop.type == "gear":
+            one, *other = (model.joint_names.index(name) for name in loop.joints)
+            value = np.array(loop.polynomial)
+            rows.append((GEAR, one, other[0] if other else -1, zero, zero, zero, zero, value))
+            continue
+        sides = [_side(model, poses, loop, k) for k in range(2)]
+        (a, at_a, axes_a), (b, at_b, axes_b) = sides
+        if loop.type == "distance":
+            value = np.array([loop.length, 0.0, 0.0, 0.0, 0.0])
+            rows.append((DISTANCE, a, b, at_a, at_b, zero, zero, value))
+            continue
+        positions, rotations = _BINDS[loop.type]
+        rows += [(POSITION, a, b, at_a, at_b, zero, axes_b[:, i], none) for i in positions]
+        rows += [(ROTATION, a, b, at_a, at_b, axes_a[:, j], axes_b[:, i], none) for i, j in rotations]
+    kinds, one_sides, other_sides, *parts = zip(*rows, strict=True)
+    undriven = np.zeros(model.n)
+    if model.drives:
+        undriven[:] = [name not in model.drives for name in model.joint_names]
+    sides_of = np.array([*kinds, *one_sides, *other_sides], dtype=np.int64)
+    at_a, at_b, along_a, along_b, value = (np.array(part, dtype=np.float64) for part in parts)
+    return Bound(sides_of, at_a, at_b, along_a, along_b, value, undriven)
+
+
+def loop_memory(robot: Robot) -> LoopMemory:
+    """Return a new memory of a robot's loops."""
+    return make_loop_memory(robot.tree, bound_by_loops(robot))
+
+
+def link_poses(tree: Tree, q: Array) -> list[tuple[Array, Array]]:
+    """Return the axes, as columns, and the origin of every link of a tree at q, base frame, the base itself last."""
+    work = np.zeros(plain(work_size)(tree.n))
+    plain(sines)(tree, q, work)
+    plain(motion)(tree, np.zeros(tree.n), work)
+    poses = []
+    for i in range(tree.n):
+        s = int(tree.links[at.SCRATCH * tree.n + i])
+        x, z = work[[s + at.X0, s + at.X1, s + at.X2]], work[[s + at.Z0, s + at.Z1, s + at.Z2]]
+        poses.append((np.column_stack([x, np.cross(z, x), z]), work[[s + at.P0, s + at.P1, s + at.P2]]))
+    return [*poses, (np.eye(3), np.zeros(3))]
+
+
+def _side(model: RobotModel, poses: list[tuple[Array, Array]], loop: LoopJoint, k: int) -> tuple[int, Array, Array]:
+    """Return the link of a side of a loop joint, and the joint's point, m, and axes there, in the link's own axes.
+
+    The tree has axes of its own in its links: where a frame is in them follows from where both are at one posture.
+    """
+    import pinocchio as pin
+
+    point, link, rotation, origin = np.array(loop.points[k]), -1, np.eye(3), np.zeros(3)
+    if loop.frames[k] != WORLD:
+        built: Any = model.pinocchio_model()
+        data = built.createData()
+        pin.framesForwardKinematics(built, data, model.home)
+        number = built.getFrameId(loop.frames[k])
+        link = built.frames[number].parentJoint - 1
+        rotation, origin = np.array(data.oMf[number].rotation), np.array(data.oMf[number].translation)
+    axes, place = poses[link]
+    own = _axes(np.array(loop.axes[k]))
+    if loop.type in ("slider", "weld"):  # all three directions agree
+        first = _axes(np.array(loop.axes[0]))
+        own = first if k == 0 else np.array(loop.turn) @ first
+    return link, axes.T @ (origin + rotation @ point - place), axes.T @ rotation @ own
+
+
+def _axes(z: Array) -> Array:
+    """Return axes, as columns, of which the last is a given direction."""
+    x = np.cross(z, np.eye(3)[np.argmin(np.abs(z))])
+    x /= np.linalg.norm(x)
+    return np.column_stack([x, np.cross(z, x), z])

@@ -1,0 +1,79 @@
+"""A state that obeys the loops: the nearest one to a given state, joints counting alike.
+
+The measure is the same at every state. With one that is not, such as that of H, a stage of a Runge-Kutta step would be
+moved along the loops by what the measure has changed since the last stage, which takes an order from the scheme.
+"""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+from numpy.typing import NDArray
+
+from closedloop.jit.kernel import entry_kernel, kernel
+from closedloop.loops.memory import LoopLinks, LoopRows, loops_at
+from closedloop.loops.rows import locate_rows
+from closedloop.loops.solve import meet_rows, orthonormal_rows
+
+Array = NDArray[np.float64]
+
+# Newton steps at most, and the error, m or rad, below which there is no other: rounding.
+MOST_MOVES, CLOSED = 50, 1e-15
+# A loop is closed if no error is above this, m or rad.
+TOLERANCE = 1e-12
+
+
+@kernel
+def factor_rows(links: LoopLinks, rows: LoopRows, most: int) -> None:
+    """Write the basis of the rows G, of `most` directions at most."""
+    for k in range(links.m):
+        for j in range(links.n):
+            rows.basis[k, j] = rows.G[k, j]
+    links.rank = orthonormal_rows(rows.basis, links.m, most, rows.order, rows.coefficients, rows.along)
+
+
+@kernel
+def largest_error(links: LoopLinks, rows: LoopRows) -> float:
+    """Return the largest error of the rows, m or rad."""
+    largest = 0.0
+    for k in range(links.m):
+        size = abs(rows.error[k])
+        if not size <= largest:
+            largest = size
+    return largest
+
+
+@kernel
+def close_state(links: LoopLinks, rows: LoopRows, q: Array, v: Array) -> float:
+    """Move q and q̇ to the nearest state that the loops allow; return the error left, m or rad.
+
+    Newton's method on the error, each step the shortest, until the error is rounding or no longer shrinks; then the
+    velocity.
+    """
+    n, before, left = links.n, math.inf, math.inf
+    # Rows that depend on others where the loops are closed seem not to where they are open.
+    most = links.known if links.known > 0 else links.m
+    for _ in range(MOST_MOVES):
+        for j in range(n):
+            rows.q[j], rows.v[j] = q[j], v[j]
+        locate_rows(links, rows)
+        left = largest_error(links, rows)
+        factor_rows(links, rows, most)
+        if left <= CLOSED or not left < math.inf or (left <= TOLERANCE and left >= 0.25 * before):
+            break
+        before = left
+        meet_rows(rows.error, rows.order, rows.coefficients, rows.basis, links.rank, rows.along, rows.part)
+        for j in range(n):
+            q[j] -= rows.part[j]
+    meet_rows(rows.rate, rows.order, rows.coefficients, rows.basis, links.rank, rows.along, rows.part)
+    for j in range(n):
+        v[j] -= rows.part[j]
+    return left
+
+
+@entry_kernel
+def closed_to(address: int, q: Array, v: Array) -> float:
+    """Do `close_state` with the memory of the loops at an address."""
+    links, rows = loops_at(address)
+    return close_state(links, rows, q, v)

@@ -1,0 +1,149 @@
+"""The memory of a mechanism's loop joints: what they bind, and their rows at the state asked about last."""
+
+from __future__ import annotations
+
+from typing import Annotated, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from closedloop.jit.blocks import Block, Count
+from closedloop.jit.kernel import kernel, plain
+from closedloop.jit.pointers import address_of, integers_at, vector_at
+from closedloop.robot.tree import Tree, work_size
+
+Array = NDArray[np.float64]
+IntArray = NDArray[np.int64]
+
+N, M = Count.of("n"), Count.of("m")
+
+
+class LoopLinks(Block):
+    """Whole numbers, int64: where the memory is, its own address first, and the tree that it belongs to."""
+
+    address: int
+    numbers: int  # address of the `LoopRows`
+    total: int  # of its numbers
+    n: int  # joints
+    m: int  # rows
+    rank: int  # how many of the rows are independent
+    known: int  # how many were where the loops were closed last, 0: not known
+    undriven: int  # joints without a drive
+    failed: int  # 1 if the mechanism could not be closed
+    loop: int  # address of the memory of the loop that it is for, see `closedloop.step.memory`; 0: none
+    bound: int  # address of what each row binds: kind, and the links (gear: joints) of its two sides
+    tree_blocks: int
+    tree_carrier: int
+    tree_serial: int
+    tree_links: int  # addresses
+    tree_constants: int
+    tree_constants_size: int
+    scratch: int
+    scratch_size: int
+
+
+class LoopRows(Block, sizes=("n", "m")):
+    """What the rows bind, and what they are at a state (q, q̇) of n joints."""
+
+    q: Annotated[Array, N]
+    v: Annotated[Array, N]
+    at_a: Annotated[Array, M, 3]  # a point of either link, in the link's axes, m
+    at_b: Annotated[Array, M, 3]
+    along_a: Annotated[Array, M, 3]  # and a direction
+    along_b: Annotated[Array, M, 3]
+    value: Annotated[Array, M, 5]  # a distance, m, or the coefficients of a gear
+    undriven: Annotated[Array, N]  # 1 for a joint without a drive
+    G: Annotated[Array, M, N]  # written, as all that follow: the rows, their drift, error and its rate
+    drift: Annotated[Array, M]
+    error: Annotated[Array, M]  # m, or the sine of an angle
+    rate: Annotated[Array, M]
+    basis: Annotated[Array, M, N]  # the first `rank` rows: an orthonormal basis of the rows
+    order: Annotated[Array, M]  # and the rows of G that it was made of
+    coefficients: Annotated[Array, M, M]  # of these rows in the basis, lower triangular
+    along: Annotated[Array, M]  # scratch: coordinates in the basis
+    part: Annotated[Array, N]  # L⁻ᵀ part is the acceleration that the rows require
+    moved: Annotated[Array, 3]  # the acceleration of the tip that the rows require, contact frame, m/s²
+    drive_basis: Annotated[Array, M, N]  # of the columns of joints without a drive, as the next two
+    drive_order: Annotated[Array, M]
+    drive_coefficients: Annotated[Array, M, M]
+    tip: Annotated[Array, 6, N]  # in and out: rows of the tip and its turning, see `closedloop.loops.along_path`
+    still: Annotated[Array, N]  # scratch: a velocity of none
+    motions: Annotated[Array, 2, 18]  # scratch: see `closedloop.loops.rows`
+    column: Annotated[Array, N]  # scratch
+
+
+LOOP_LINKS = LoopLinks.count()
+
+
+@kernel
+def loops_at(address: int) -> tuple[LoopLinks, LoopRows]:
+    """Return the memory of a mechanism's loops, by the address of its `LoopLinks`."""
+    links = LoopLinks(integers_at(address, LOOP_LINKS))
+    return links, LoopRows(vector_at(links.numbers, links.total), links.n, links.m)
+
+
+@kernel
+def tree_at(links: LoopLinks) -> Tree:
+    """Return the tree of a mechanism's loops."""
+    return Tree(
+        links.n, links.tree_blocks, 1, links.tree_carrier, links.tree_serial,
+        integers_at(links.tree_links, 6 * links.n), vector_at(links.tree_constants, links.tree_constants_size),
+    )  # fmt: skip
+
+
+class LoopMemory(NamedTuple):
+    """The memory of a mechanism's loops, made in Python: kept as long as its address is used."""
+
+    links: LoopLinks
+    rows: LoopRows
+
+    @property
+    def address(self) -> int:
+        """Return what `loops_at` takes."""
+        return int(self.links.address)
+
+
+class Bound(NamedTuple):
+    """What the m rows of a mechanism's loops bind.
+
+    Attributes
+    ----------
+    sides : (3 m,) array
+        Kind of each row, see `closedloop.loops.rows`; then the link (gear: the joint) of the one side of each; then of
+        the other; −1 is the base.
+    at_a, at_b, along_a, along_b, value : (m, 3), ..., (m, 5) arrays
+        See `LoopRows`.
+    undriven : (n,) array
+        1 for a joint without a drive.
+    """
+
+    sides: IntArray
+    at_a: Array
+    at_b: Array
+    along_a: Array
+    along_b: Array
+    value: Array
+    undriven: Array
+
+    @property
+    def m(self) -> int:
+        """How many rows there are."""
+        return len(self.at_a)
+
+
+def make_loop_memory(tree: Tree, bound: Bound) -> LoopMemory:
+    """Return the memory of a mechanism's loops."""
+    sizes = tree.n, bound.m
+    links, rows = LoopLinks(np.zeros(LOOP_LINKS, dtype=np.int64)), LoopRows(np.zeros(LoopRows.count(*sizes)), *sizes)
+    scratch = np.zeros(plain(work_size)(tree.n))
+    links.address, links.numbers, links.total = address_of(links.memory), address_of(rows.memory), rows.memory.size
+    links.n, links.m, links.undriven = *sizes, int(bound.undriven.sum())
+    links.bound = address_of(bound.sides)
+    links.tree_blocks, links.tree_carrier, links.tree_serial = tree.blocks, tree.carrier, tree.serial
+    links.tree_links, links.tree_constants = address_of(tree.links), address_of(tree.constants)
+    links.tree_constants_size = tree.constants.size
+    links.scratch, links.scratch_size = address_of(scratch), scratch.size
+    for name in ("at_a", "at_b", "along_a", "along_b", "value", "undriven"):
+        getattr(rows, name)[:] = getattr(bound, name)
+    links.keep_alive(tree=tree, bound=bound, scratch=scratch)
+    return LoopMemory(links, rows)

@@ -1,0 +1,92 @@
+"""Columns of a run that follow from its others: worked out when they are first asked for, and not in run.nc.
+
+They are attributes of a `Run`, and stand beside the recorded ones in CSV and pandas.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import Any, NamedTuple, Protocol
+
+import numpy as np
+from numpy.typing import NDArray
+
+from closedloop.scenario.arm import robot_of, without_tools
+from closedloop.scenario.scenario import Scenario
+from closedloop.surface.plane import unit
+from robot_models import RobotModel
+
+Array = NDArray[np.float64]
+
+# Labels of the parts of a wrench.
+WRENCH = ("fx", "fy", "fz", "mx", "my", "mz")
+
+
+class Record(Protocol):
+    """What is read of a `closedloop.record.run.Run`: its columns as attributes, and what made it."""
+
+    @property
+    def scenario(self) -> Scenario:
+        """What was asked for."""
+
+    @property
+    def model(self) -> RobotModel:
+        """The robot."""
+
+    def __getattr__(self, name: str) -> NDArray[Any]: ...
+
+
+class DerivedColumn(NamedTuple):
+    """Dimensions, unit and meaning of a column as `closedloop.record.run.Column` has them, and what works it out."""
+
+    dims: tuple[str, ...]
+    units: str
+    meaning: str
+    of: Callable[[Record], Array]
+
+
+def tip_force(run: Record) -> Array:
+    """Return f n and friction, (N, 3), N, base axes."""
+    force: Array = run.contact_force[:, None] * run.surface_normal + run.friction_force
+    return force
+
+
+def wrist_wrench(run: Record) -> Array:
+    """Return what `Robot.wrist_wrench` says of each row, (N, 6)."""
+    robot = robot_of(run.scenario, without_tools(run.model))
+    return robot.wrist_wrench(run.q, run.v, run.acceleration, tip_force(run))
+
+
+def tool_angle(run: Record) -> Array:
+    """Return the angle between `tool.axis` and -n in each row, (N,), degrees."""
+    robot = robot_of(run.scenario, without_tools(run.model))
+    axis = robot.tip_axes(run.q) @ unit(run.scenario.tool.axis, "tool.axis")
+    across = np.linalg.norm(np.cross(axis, run.surface_normal), axis=1)
+    angle: Array = np.degrees(np.arctan2(across, -np.sum(axis * run.surface_normal, axis=1)))
+    return angle
+
+
+def orientation_error(run: Record) -> Array:
+    """Return the angle between the tip's frames at q and at q_des in each row, (N,), degrees."""
+    robot = robot_of(run.scenario, without_tools(run.model))
+    apart = robot.tip_axes(run.q) - robot.tip_axes(run.reference_position)
+    size = np.linalg.norm(apart, axis=(1, 2)) / np.sqrt(8.0)
+    error: Array = np.degrees(2.0 * np.arcsin(np.minimum(size, 1.0)))
+    return error
+
+
+DERIVED: dict[str, DerivedColumn] = {
+    "tip_force": DerivedColumn(
+        ("time", "axis"), "N", "force of the surface on the tip, friction included, base frame", tip_force
+    ),
+    "wrist_wrench": DerivedColumn(
+        ("time", "component"), "N | N m", "force and moment of the arm on what is fixed to the frame robot.tip, tool "
+        "and payload, as a sensor there reads them: in that frame's axes and about its origin", wrist_wrench,
+    ),
+    "tool_angle": DerivedColumn(
+        ("time",), "deg", "angle between the tool's axis and the normal into the surface", tool_angle
+    ),
+    "orientation_error": DerivedColumn(
+        ("time",), "deg", "angle by which the tip's frame is turned away from that of q_des", orientation_error
+    ),
+}  # fmt: skip

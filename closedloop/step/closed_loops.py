@@ -1,0 +1,148 @@
+"""The loops of a mechanism in a step: what they leave free of the motion of the tree.
+
+With H = L Lᵀ, y = L⁻¹(Q − C) and X = L⁻¹Aᵀ of the tip's rows A, and the basis of the loops' rows Z = G L⁻ᵀ
+(`closedloop.loops.solve`), the motion of the closed mechanism is
+
+    q̈ = L⁻ᵀ(P y + y_b + (P Xᵀ) F),      P = 1 − ZᵀZ,  Z y_b = −drift
+
+So with P X for X and P y + y_b for y, Eq. 24, friction, impact and the mobility S = X P Xᵀ of the tip are those of a
+tree. The loops take what they bind, whatever acts.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from closedloop.closure.contact_force import factorise
+from closedloop.closure.solve import OK, SINGULAR_MOBILITY, forward_substitute
+from closedloop.jit.calls import call_at
+from closedloop.jit.kernel import entry_kernel, kernel, kernel_inlined
+from closedloop.loops.close import close_state
+from closedloop.loops.memory import LoopLinks, LoopRows, loops_at
+from closedloop.loops.rows import locate_rows
+from closedloop.loops.solve import meet_rows, orthonormal_rows, remove_basis, spanned_force
+from closedloop.step.memory import Constants, State, Work, loop_at
+
+Array = NDArray[np.float64]
+
+# What the loops are asked for.
+BIND_TIP, BIND_LOAD, BIND_ANSWER, DRIVE, CLOSE, REACTION = range(6)
+
+
+@kernel_inlined
+def factorise_tip(H: Array, w: Work, constants: Constants, state: State) -> int:
+    """Do `factorise` for the tip of the closed mechanism, where it has just been located."""
+    status = factorise(H, w.A, w.L, w.X, w.S, constants.reach)
+    if status == OK and state.loops != 0:
+        call_at(state.loops, state.loops_at, BIND_TIP)
+    return status
+
+
+@entry_kernel
+def closed_loops(address: int, what: int) -> int:
+    """Answer for the loops, by the address of their memory.
+
+    BIND_TIP        project X, write S of it, and add to the tip's drift what the loops require of it
+    BIND_LOAD       replace y = L⁻¹(Q − C) by P y + y_b
+    BIND_ANSWER     replace `column`, L⁻¹ of a torque, by P of it
+    DRIVE           replace the torque by one of the drives alone that has the same effect
+    CLOSE           move q and q̇ to the nearest state that the loops allow
+    REACTION        replace `column`, H q̈ + C − Q − AᵀF, by the part of it that the loops can give, and take from the
+                    tip's drift what BIND_TIP has added
+    """
+    links, rows = loops_at(address)
+    _, _, w = loop_at(links.loop)
+    if what == BIND_TIP:
+        bind_tip(links, rows, w)
+        for k in range(3):
+            w.drift_c[k] += rows.moved[k]
+    elif what == BIND_LOAD:
+        remove_basis(w.y, rows.basis, links.rank)
+        for j in range(links.n):
+            w.y[j] += rows.part[j]
+    elif what == BIND_ANSWER:
+        remove_basis(w.column, rows.basis, links.rank)
+    elif what == DRIVE:
+        through_drives(links, rows, w.torque)
+    elif what == CLOSE:
+        close_state(links, rows, w.q, w.v)
+    else:
+        reaction(links, rows, w)
+        for k in range(3):
+            w.drift_c[k] -= rows.moved[k]
+    return 0
+
+
+@kernel
+def bind_tip(links: LoopLinks, rows: LoopRows, w: Work) -> None:
+    """Project the tip's rows onto what the loops leave free, at the state in `w`."""
+    n = links.n
+    for j in range(n):
+        rows.q[j], rows.v[j] = w.q[j], w.v[j]
+    locate_rows(links, rows)
+    for k in range(links.m):
+        for j in range(n):
+            rows.basis[k, j] = rows.G[k, j]
+        forward_substitute(w.L, rows.basis[k])
+        rows.rate[k] = -rows.drift[k]
+    links.rank = orthonormal_rows(rows.basis, links.m, links.m, rows.order, rows.coefficients, rows.along)
+    links.known = links.rank
+    meet_rows(rows.rate, rows.order, rows.coefficients, rows.basis, links.rank, rows.along, rows.part)
+    for k in range(3):
+        moved = 0.0
+        for j in range(n):
+            moved += w.X[k, j] * rows.part[j]
+        rows.moved[k] = moved
+        remove_basis(w.X[k], rows.basis, links.rank)
+    for k in range(3):
+        for i in range(k + 1):
+            s = 0.0
+            for j in range(n):
+                s += w.X[k, j] * w.X[i, j]
+            if i == k and not s > SINGULAR_MOBILITY * w.S[k, k]:
+                s = 0.0  # the loops hold the tip in this direction
+            w.S[k, i] = s
+            w.S[i, k] = s
+
+
+@kernel
+def through_drives(links: LoopLinks, rows: LoopRows, torque: Array) -> None:
+    """Replace a torque by one of the drives alone: what the joints without one would give goes through the loops.
+
+    Of Q' + Gᵀλ = Q the parts of the joints without a drive are solved for λ; as Gᵀλ is a force of the loops, Q' moves
+    the mechanism as Q would. If the drives cannot give that, it is as near as they come.
+    """
+    if links.undriven == 0:
+        return
+    m, n, wanted = links.m, links.n, rows.column
+    Z = rows.drive_basis
+    for j in range(n):
+        driven = rows.undriven[j] == 0.0
+        wanted[j] = 0.0 if driven else torque[j]
+        for k in range(m):
+            Z[k, j] = 0.0 if driven else rows.G[k, j]
+    rank = orthonormal_rows(Z, m, m, rows.drive_order, rows.drive_coefficients, rows.along)
+    spanned_force(wanted, rows.drive_order, rows.drive_coefficients, Z, rank, rows.along)
+    for j in range(n):
+        through = 0.0
+        for k in range(m):
+            through += rows.G[k, j] * rows.along[k]
+        torque[j] = torque[j] - through if rows.undriven[j] == 0.0 else 0.0
+
+
+@kernel
+def reaction(links: LoopLinks, rows: LoopRows, w: Work) -> None:
+    """Replace `column`, what is missing in the equation of motion, by the part of it that the loops can give."""
+    forward_substitute(w.L, w.column)
+    x = rows.column
+    for j in range(links.n):
+        x[j] = w.column[j]
+    remove_basis(w.column, rows.basis, links.rank)
+    for j in range(links.n):
+        x[j] -= w.column[j]
+    for i in range(links.n):  # L x, with the reciprocals on L's diagonal
+        s = x[i] / w.L[i, i]
+        for j in range(i):
+            s += w.L[i, j] * x[j]
+        w.column[i] = s

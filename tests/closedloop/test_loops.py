@@ -1,0 +1,373 @@
+"""Loop joints: rows, rank, motion and reactions of closed mechanisms, against independent solutions."""
+
+import numpy as np
+import pinocchio as pin
+import pytest
+from mechanisms import MECHANISMS, four_bar, loop
+
+import closedloop as cl
+import robot_models
+from closedloop.closure.solve import solve_closure
+from closedloop.loops.assemble import closed_start, errors_at
+from closedloop.loops.bind import loop_memory
+from closedloop.robot.pinocchio import Robot
+from validation.oracle.closure import LoopJoint, loop_rows
+from validation.oracle.kinematics import forward_kinematics
+from validation.oracle.urdf import read_urdf
+
+# Mechanism to how many of its rows are independent.
+RANKS = {
+    "four_bar": 2, "four_bar_point": 2, "doubled_four_bar": 3, "slider_crank": 2, "distance": 1, "six_bar": 4,
+    "bennett": 2, "bricard": 4, "cardan": 1, "gears": 2, "spatial_slider": 4, "five_bar": 2, "delta": 18, "stewart": 18,
+}  # fmt: skip
+
+
+def free(model, duration=0.1, step=0.001, **changes):
+    """A scenario in which nothing acts on the mechanism but its weight: the surface is out of reach."""
+    changes = {
+        "surface.gap": 50.0, "time.duration": duration, "time.step": step, "law.kp": 0, "law.kd": 0, "law.force": 0,
+        "stabiliser.kind": "none", "start.q": [float(x) for x in model.home], "start.v": [0.0] * model.n, **changes,
+    }  # fmt: skip
+    return cl.load_scenario("planar2_drop", changes)
+
+
+def no_torque(x):
+    """A law that asks for nothing."""
+    return 0.0 * x.q
+
+
+def falling(model, engine="pinocchio", **changes):
+    """The run of a mechanism that falls."""
+
+    return cl.simulate(free(model, **changes), model=model, law=no_torque, engine=engine)
+
+
+def rows_at(model, q, v):
+    """The robot, and rows, drift, error and rate of its loops at a state."""
+    robot = Robot(model)
+    memory = loop_memory(robot)
+    error, rate = errors_at(robot, memory, np.asarray(q), np.asarray(v))
+    return robot, memory.rows.G.copy(), memory.rows.drift.copy(), error, rate
+
+
+def null_space_acceleration(model, q, v, torque):
+    """The acceleration of a mechanism: free along the null space of its rows, prescribed across it."""
+    robot, G, drift, _, _ = rows_at(model, q, v)
+    terms = robot.terms(q, v)
+    U, sizes, Vt = np.linalg.svd(G)
+    rank = int(np.sum(sizes > 1e-8 * sizes[0]))
+    across = Vt[:rank].T @ ((U[:, :rank].T @ -drift) / sizes[:rank])
+    N = Vt[rank:].T
+    y = np.linalg.solve(N.T @ terms.mass_matrix @ N, N.T @ (torque - terms.bias - terms.mass_matrix @ across))
+    return across + N @ y
+
+
+@pytest.fixture(scope="module")
+def mechanisms():
+    """Each mechanism, made once."""
+    return {name: make() for name, make in MECHANISMS.items()}
+
+
+@pytest.mark.parametrize("name", MECHANISMS)
+def test_rows_are_the_derivatives_of_their_errors(mechanisms, name):
+    """Along any motion ė = G q̇ and ë = G q̈ + drift, whether the loops are closed or not."""
+    model, rng = mechanisms[name], np.random.default_rng(3)
+    q = np.array(model.home) + 0.1 * rng.normal(size=model.n)
+    v, a = rng.normal(size=(2, model.n))
+    _, G, drift, _, _ = rows_at(model, q, v)
+
+    def at(t):
+        return np.array(rows_at(model, q + t * v + 0.5 * t * t * a, v + t * a)[3:])
+
+    slopes = [(at(h) - at(-h)) / (2 * h) for h in (1e-3, 2e-3)]
+    error_rate, rate_rate = (4.0 * slopes[0] - slopes[1]) / 3.0  # the error of order h² taken out
+    np.testing.assert_allclose(error_rate, G @ v, atol=1e-9 * (1 + np.abs(G).max()))
+    np.testing.assert_allclose(rate_rate, G @ a + drift, atol=1e-8 * (1 + np.abs(drift).max()))
+
+
+def test_rows_of_a_point_are_those_of_the_paper(mechanisms):
+    """R, Ṙ and both Jacobians of Eqs. 2-6 by hand, for a ball between two links of the delta robot."""
+    model, rng = mechanisms["delta"], np.random.default_rng(5)
+    q, v = np.array(model.home) + 0.1 * rng.normal(size=model.n), rng.normal(size=model.n)
+    _, G, drift, error, _ = rows_at(model, q, v)
+    tree = read_urdf(model)
+    ball = model.loops[3]
+    axes = np.array([[0.0, 1.0, 0.0], [-1.0, 0.0, 0.0], [0.0, 0.0, 1.0]])
+    at = np.array(ball.points[1])
+    hand = loop_rows(tree, forward_kinematics(tree, q), v, LoopJoint(ball.frames[0], axes, axes @ at, ball.frames[1]))
+    span = slice(9, 12)
+    turn = G[span] @ np.linalg.pinv(hand.A)  # which way round the axes are is nobody's business
+    np.testing.assert_allclose(turn @ turn.T, np.eye(3), atol=1e-9)
+    np.testing.assert_allclose(G[span], turn @ hand.A, atol=1e-12)
+    np.testing.assert_allclose(drift[span], turn @ hand.drift, atol=1e-11)
+    np.testing.assert_allclose(error[span], turn @ hand.error, atol=1e-12)
+
+
+@pytest.mark.parametrize("name", MECHANISMS)
+def test_mechanism_falls_as_its_null_space_does(mechanisms, name):
+    """q̈ at every row, the loops closed to rounding, the rank that it has, no force unexplained, and energy kept."""
+    model = mechanisms[name]
+    run = falling(model, duration=0.05 if model.n > 10 else 0.2)
+    found = run.loops
+    assert np.max(np.abs(found.errors)) < 1e-14
+    assert set(found.rank) == {RANKS[name]}
+    assert np.max(found.unexplained) < 1e-11
+    assert np.max(run.residual_motion) < 1e-14
+    assert np.max(np.abs(run.v)) > 1e-3
+    for k in range(0, len(run), 10):
+        truth = null_space_acceleration(model, run.q[k], run.v[k], run.torque[k])
+        np.testing.assert_allclose(run.acceleration[k], truth, atol=1e-9 * (1 + np.abs(truth).max()))
+    energy = run.kinetic_energy + run.potential_energy
+    assert np.ptp(energy) < 1e-7 * (np.max(run.kinetic_energy) + 1.0)
+
+
+@pytest.mark.parametrize("name", ["bricard", "bennett"])
+def test_order_of_the_integrator_is_kept(mechanisms, name):
+    """With a quarter of the step the energy error of rk4 is less by 4⁴, redundant rows or not."""
+    lost = []
+    for step in (0.008, 0.002):
+        run = falling(mechanisms[name], duration=0.2, step=step)
+        lost.append(abs(np.ptp(run.kinetic_energy + run.potential_energy)))
+    assert np.log(lost[0] / lost[1]) / np.log(4.0) > 3.6
+
+
+@pytest.mark.parametrize("name", ["four_bar", "bricard", "delta"])
+def test_engines_agree(mechanisms, name):
+    """Terms of Pinocchio or of our own: the same motion."""
+    model = mechanisms[name]
+    runs = [
+        cl.simulate(free(model, 0.05, **{"law.kd": 0.01}), model=model, engine=engine)
+        for engine in ("pinocchio", "compiled")
+    ]
+    np.testing.assert_allclose(runs[0].q, runs[1].q, atol=1e-11)
+    np.testing.assert_allclose(runs[0].acceleration, runs[1].acceleration, atol=1e-8)
+
+
+@pytest.mark.parametrize("name", ["delta", "stewart"])
+def test_pinocchio_solves_the_same(mechanisms, name):
+    """`constraintDynamics` with the same balls: where the rows are independent its answer is right."""
+    model, rng = mechanisms[name], np.random.default_rng(2)
+    robot, G, _, _, _ = rows_at(model, model.home, np.zeros(model.n))
+    _, v = closed_start(robot, np.array(model.home), np.zeros(model.n), True)
+    null = np.linalg.svd(G)[2][np.linalg.matrix_rank(G) :]
+    v = null.T @ rng.normal(size=len(null))
+    torque = rng.normal(size=model.n)
+    built = model.pinocchio_model()
+    balls = []
+    for ball in model.loops:
+        sides = []
+        for frame, at in zip(ball.frames, ball.points, strict=True):
+            found = built.frames[built.getFrameId(frame)]
+            sides += [found.parentJoint, found.placement * pin.SE3(np.eye(3), np.array(at))]
+        balls.append(pin.RigidConstraintModel(pin.ContactType.CONTACT_3D, built, *sides, pin.LOCAL))
+    data, these = built.createData(), pin.StdVec_RigidConstraintModel()
+    datas = pin.StdVec_RigidConstraintData()
+    for ball in balls:
+        these.append(ball)
+        datas.append(ball.createData())
+    pin.initConstraintDynamics(built, data, these, datas)
+    proximal = pin.ProximalSettings(1e-14, 1e-12, 50)
+    theirs = pin.constraintDynamics(built, data, np.array(model.home), v, torque, these, datas, proximal)
+    ours = null_space_acceleration(model, np.array(model.home), v, torque)
+    run = cl.simulate(free(model, 0.001, **{"start.v": v.tolist()}), model=model, law=lambda x: torque)
+    np.testing.assert_allclose(run.acceleration[0], ours, atol=1e-9 * np.abs(ours).max())
+    np.testing.assert_allclose(theirs, ours, atol=1e-6 * np.abs(ours).max())
+
+
+def test_drives_move_the_mechanism_as_the_law_asks(mechanisms):
+    """A torque that passive joints cannot give goes through the loops: the same motion, and none in those joints."""
+    own = mechanisms["five_bar"]
+    everywhere = robot_models.from_text(
+        own.text, "urdf", name="five_bar", armature=own.armature, tip=own.tip, home=own.home, locked={},
+        loops=[each.as_table() for each in own.loops],
+    )  # fmt: skip
+    changes = {"surface.gap": 50.0, "surface.contact": "unilateral", "time.duration": 0.2, "law.kp": 50, "law.kd": 2,
+               "reference.kind": "hold", "start.v": [0.0] * 4}  # fmt: skip
+    scenario = cl.load_scenario("five_bar", changes | {"start.q": [float(x) for x in own.home]})
+    asked = lambda x: np.array([1.0, -2.0, 0.5, 3.0]) - 2.0 * x.v  # noqa: E731
+    driven, all_of_them = (cl.simulate(scenario, model=model, law=asked) for model in (own, everywhere))
+    passive = [own.joint_names.index(name) for name in ("P1", "P2")]
+    assert np.all(driven.torque[:, passive] == 0.0)
+    assert np.max(np.abs(all_of_them.torque[:, passive])) > 1.0
+    np.testing.assert_allclose(driven.q, all_of_them.q, atol=1e-11)
+
+
+def test_tip_of_a_five_bar_presses_and_slides():
+    """The paper's experiment on a closed mechanism: 10 N at rest, the path followed, loops and closure held."""
+    run = cl.simulate(cl.load_scenario("five_bar", {"time.duration": 2.0}))
+    assert np.allclose(run.contact_force[:400], 10.0, atol=1e-9)
+    assert abs(run.contact_force[-1] - 10.0) < 0.05
+    assert np.max(np.abs(run.closure_error)) < 1e-6
+    assert np.max(np.abs(run.loops.errors)) < 1e-14
+    assert np.max(run.residual_closure) < 1e-14
+    for k in (100, 1500):  # Eq. 24 with the rows of the loop beside that of the tip
+        robot, G, drift, _, _ = rows_at(run.model, run.q[k], run.v[k])
+        terms, normal = robot.terms(run.q[k], run.v[k]), run.surface_normal[k]
+        H, A = terms.mass_matrix, np.vstack([normal @ terms.jacobian, G[:2]])  # two rows of the hinge suffice
+        b = -np.array([normal @ terms.drift, *drift[:2]])
+        b[0] += -1414.0 * run.closure_rate[k] - 1e6 * run.closure_error[k]
+        qdd, force = solve_closure(H, run.torque[k] - terms.bias, A, b)
+        np.testing.assert_allclose(run.acceleration[k], qdd, atol=1e-8)
+        assert run.contact_force[k] == pytest.approx(force[0], abs=1e-6)
+
+
+def test_impact_is_felt_by_the_loop():
+    """The mechanism as a whole is struck: the tip's mass is what its null space says, and the loops stay closed."""
+    run = cl.simulate(cl.load_scenario("four_bar", {"time.duration": 0.3}))
+    first = next(event for event in run.events if event.kind == "impact")
+    assert first.rate_after == pytest.approx(-0.5 * first.rate_before, rel=1e-12)
+    k = int(first.time / 0.001)
+    robot, G, _, _, _ = rows_at(run.model, run.q[k], run.v[k])
+    null = np.linalg.svd(G)[2][2:].T
+    terms = robot.terms(run.q[k], run.v[k])
+    lever = run.surface_normal[k] @ terms.jacobian @ null
+    mass = 1.0 / float(lever @ np.linalg.solve(null.T @ terms.mass_matrix @ null, lever))
+    assert first.compression == pytest.approx(-mass * first.rate_before, rel=1e-3)  # of the row before it
+    assert first.energy_lost == pytest.approx(0.5 * mass * first.rate_before**2 * 0.75, rel=1e-3)
+    assert np.max(np.abs(run.loops.errors)) < 1e-14
+    assert run.summary()["verdict"]["good"]
+
+
+def test_reaction_of_dependent_rows_is_of_least_norm(mechanisms):
+    """Of all reactions that explain the motion, those of least norm; a lone point carries what the hinge does."""
+    runs = [falling(mechanisms[name], duration=0.05) for name in ("four_bar", "four_bar_point")]
+    hinge, lone = (run.loops.reactions for run in runs)
+    np.testing.assert_allclose(np.linalg.norm(hinge[:, :3], axis=1), np.linalg.norm(lone, axis=1), rtol=1e-8)
+    np.testing.assert_allclose(hinge[:, 3:], 0.0, atol=1e-9)  # couples that the pins share are not asked for
+
+
+def test_friction_in_joints_acts_through_the_loop(mechanisms):
+    """Coulomb's friction in the joints holds the mechanism still where it is enough, and takes energy where not."""
+    model, friction = mechanisms["four_bar"], {"joint_friction.kind": "coulomb"}
+    stuck, slides = (
+        cl.simulate(free(model, 0.1, **{**friction, "joint_friction.kinetic": level}), model=model, law=no_torque)
+        for level in (20.0, 0.2)
+    )
+    assert np.max(np.abs(stuck.v)) < 1e-9
+    energy = slides.kinetic_energy + slides.potential_energy
+    assert np.max(np.abs(slides.v)) > 0.1
+    assert np.all(np.diff(energy) <= 1e-6)
+
+
+def test_run_file_keeps_the_loops(tmp_path, mechanisms):
+    """A run is repeated from its file to the last bit, loops and drives included."""
+    run = cl.simulate(cl.load_scenario("five_bar", {"time.duration": 0.05}))
+    kept = cl.load_run(run.save(tmp_path / "run.nc"))
+    assert (kept.model.loops, kept.model.drives) == (run.model.loops, run.model.drives)
+    again = cl.simulate(kept.scenario, model=kept.model)
+    np.testing.assert_array_equal(again.acceleration, run.acceleration)
+    np.testing.assert_array_equal(kept.loops.reactions, run.loops.reactions)
+
+
+def test_batch_and_simulator_give_the_same():
+    """In a batch, and stepped from outside."""
+    scenario = cl.load_scenario("five_bar", {"time.duration": 0.05})
+    run = cl.simulate(scenario)
+    table = cl.simulate_batch(scenario, {"law.force": [10.0, 12.0]}, engine="pinocchio")
+    assert table["final_contact_force"][0].as_py() == run.summary()["final_contact_force"]
+    simulator = cl.Simulator(scenario)
+    state = simulator.run_until(0.05)
+    np.testing.assert_array_equal(state.q, run.q[-1])
+
+
+MJCF = """<mujoco><compiler angle="radian"/><worldbody>
+<body name="crank"><joint name="J1" axis="0 -1 0"/><inertial pos="0.1 0 0" mass="1" diaginertia="0.001 0.0033 0.0033"/>
+ <body name="coupler" pos="0.2 0 0"><joint name="J2" axis="0 -1 0"/>
+  <inertial pos="0.25 0 0" mass="2" diaginertia="0.001 0.04 0.04"/></body></body>
+<body name="rocker" pos="0.5 0 0" euler="0 -1.5707963267948966 0"><joint name="J3" axis="0 -1 0"/>
+ <inertial pos="0.2 0 0" mass="1.5" diaginertia="0.001 0.02 0.02"/></body>
+</worldbody><equality>{}</equality></mujoco>"""
+CONNECT = '<connect name="pin" body1="coupler" body2="rocker" anchor="0.3 0 0.4" {}/>'
+
+
+def from_mjcf(tmp_path, equality):
+    """The mechanism of an MJCF with this section."""
+    (tmp_path / "m.xml").write_text(MJCF.format(equality), encoding="utf-8")
+    return robot_models.load(tmp_path / "m.xml")
+
+
+def test_connect_of_mujoco_is_a_point(tmp_path):
+    """The harder MuJoCo's force is made, the nearer its acceleration comes to ours."""
+    mujoco = pytest.importorskip("mujoco")
+    model = from_mjcf(tmp_path, CONNECT.format(""))
+    q, v = np.zeros(3), np.zeros(3)
+    ours = null_space_acceleration(model, q, v, np.zeros(3))
+    off = []
+    for hard in (1e6, 1e8):
+        text = MJCF.format(CONNECT.format(f'solref="{-hard} {-2 * hard**0.5}" solimp="0.99999 0.99999 0.001"'))
+        theirs = mujoco.MjModel.from_xml_string(text)
+        data = mujoco.MjData(theirs)
+        mujoco.mj_forward(theirs, data)
+        off.append(np.max(np.abs(data.qacc - ours)) / np.max(np.abs(ours)))
+    run = falling(model, duration=0.01)
+    np.testing.assert_allclose(run.acceleration[0], ours, atol=1e-10)
+    assert max(off) < 1e-3
+
+
+def test_welds_and_gears_of_mujoco(tmp_path):
+    """A weld at the reference pose locks what it joins; a gear is its polynomial."""
+    welded = from_mjcf(tmp_path, '<weld body1="coupler" body2="crank"/>')
+    run = falling(welded, duration=0.1)
+    assert np.max(np.abs(run.q[:, 1])) < 1e-12
+    assert np.max(np.abs(run.q[:, 0])) > 1e-2
+    geared = from_mjcf(tmp_path, '<joint joint1="J1" joint2="J3" polycoef="0 1 0.2 0 0"/>')
+    run = falling(geared, duration=0.1)
+    np.testing.assert_allclose(run.q[:, 0], run.q[:, 2] + 0.2 * run.q[:, 2] ** 2, atol=1e-13)
+    assert from_mjcf(tmp_path, '<weld body1="coupler" body2="crank" active="false"/>').loops == ()
+
+
+BAD = {
+    "no such type": ({"type": "rope"}, "'rope': it must be 'point' or"),
+    "no such frame": ({"frames": ["a", "bb"]}, "names no frame 'bb': did you mean 'b'?"),
+    "itself": ({"frames": ["a", "a"]}, "binds 'a' to itself"),
+    "no axis": ({"axis": [0, 0, 0]}, "has no direction"),
+    "three points": ({"points": [[0, 0, 0]]}, "must be 2 vectors"),
+    "not for it": ({"length": 2.0}, "length is not for type 'hinge'"),
+}
+
+
+@pytest.mark.parametrize("case", BAD)
+def test_bad_loop_is_refused_in_one_line(case):
+    """What is wrong, at which loop, and what would be right."""
+    changes, said = BAD[case]
+    own = four_bar()
+    table = loop("pin", "hinge", "ab", axis=[0, 1, 0]) | changes
+    with pytest.raises(robot_models.ModelError) as told:
+        robot_models.from_text(
+            own.text, "urdf", name="x", armature=np.zeros(3), tip="a", home=own.home, locked={}, loops=[table]
+        )
+    assert said in str(told.value)
+    assert "'pin'" in str(told.value)
+    assert "\n" not in str(told.value)
+
+
+def test_open_start_is_refused_or_assembled():
+    """How far it is from closing, at which loop, and the nearest posture that closes."""
+    changes = {"start.q": [1.8, -1.2, 1.6], "start.assemble": False, "time.duration": 0.01}
+    with pytest.raises(cl.ScenarioError, match=r"the loops are open, by 0\.0\d+ m \(rad\) at 'pin'; the nearest"):
+        cl.simulate(cl.load_scenario("four_bar", changes))
+    run = cl.simulate(cl.load_scenario("four_bar", changes | {"start.assemble": True}))
+    assert np.max(np.abs(run.loops.errors)) < 1e-14
+    with pytest.raises(cl.ScenarioError, match="the loops would part"):
+        cl.simulate(cl.load_scenario("four_bar", {"start.v": [1.0, 0.0, 0.0]}))
+
+
+def test_loop_that_cannot_close_is_refused():
+    """Rows that contradict each other, or links that are too short: what is left open."""
+    own = four_bar()
+    table = {"name": "rod", "type": "distance", "frames": ["a", "world"], "length": 5.0}
+    model = robot_models.from_text(
+        own.text, "urdf", name="x", armature=np.zeros(3), tip="a", home=own.home, locked={}, loops=[table]
+    )
+    with pytest.raises(cl.ScenarioError, match="no posture near it closes them"):
+        cl.simulate(free(model, **{"start.assemble": True}), model=model)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("name", ["four_bar", "bennett", "six_bar"])
+def test_loops_hold_for_a_minute(mechanisms, name):
+    """Closed to 1e-12 m after 60 s of motion, and energy to the order of the integrator."""
+    run = falling(mechanisms[name], engine="pinocchio", duration=60.0)
+    assert run.stopped is None
+    assert np.max(np.abs(run.loops.errors)) < 1e-12
+    assert np.ptp(run.kinetic_energy + run.potential_energy) < 1e-4 * np.max(run.kinetic_energy)

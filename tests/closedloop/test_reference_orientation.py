@@ -1,0 +1,122 @@
+"""The orientation of the tool along a path: held by the reference, followed by the laws, refused where it cannot be."""
+
+import numpy as np
+import pytest
+from scipy.spatial.transform import Rotation
+
+import closedloop as cl
+
+ON_A_BALL = {
+    "law": {"kind": "operational_space", "force": 5.0, "posture_stiffness": 400.0, "posture_damping": 40.0},
+    "friction": {"kind": "none"}, "compensation": {"kind": "none"}, "surface_motion": {"kind": "none"},
+    "surface": {"kind": "sphere", "radius": 0.3, "contact": "bilateral"},
+    "reference": {"kind": "line", "direction": [0, 1, 0], "speed": 0.15, "start": 0.05, "stop": 0.55,
+                  "orientation": "normal", "timing": "minimum_jerk"},
+    "time.duration": 0.6,
+}  # fmt: skip
+BREATHING = {"kind": "breathing", "amplitude": 0.02, "frequency": 1.0}
+TILTING = {"kind": "turntable", "axis": [1.0, 0.2, 0.0], "centre": [0.5, 0.0, 0.4], "speed": 0.4}
+
+
+def load(name="panda_scan", **changes):
+    """Return a scenario of the panda, on a ball where nothing else is said."""
+    return cl.load_scenario(name, ON_A_BALL | {key.replace("__", "."): value for key, value in changes.items()})
+
+
+def along(problem, count=101):
+    """Return instants, q_des, q̇_des, and the axes of the tip's frame of the reference."""
+    t = np.linspace(0.0, problem.steps * problem.h * 0.999, count)
+    q, v, _ = problem.wanted.joints.sample(t)
+    return t, q, v, problem.robot.tip_axes(q)
+
+
+@pytest.mark.parametrize("motion", [{"kind": "none"}, BREATHING, TILTING])
+def test_the_axis_is_held_against_the_normal(motion):
+    """In the reference the tool's axis is −n within 1e-9 rad all along, and the tip on its path; also as it moves."""
+    off = {"surface.contact": "unilateral", "surface.gap": 0.002}
+    problem = cl.prepare(load(surface_motion=motion, **off))
+    t, q, v, axes = along(problem)
+    r, dr, _ = problem.wanted.tip.sample(t)
+    normals, rates = problem.surface.normals(t, r, dr)
+    assert np.ptp(normals[:, 1]) > 0.05
+    assert np.max(np.linalg.norm(np.cross(axes[:, :, 2], normals), axis=1)) < 1e-9
+    assert np.all(np.sum(axes[:, :, 2] * normals, axis=1) < 0.0)
+    assert np.max(np.abs([problem.robot.position(each) for each in q] - r)) < 1e-9
+    for k in (10, 40, 70):  # what turns the tool is what turns the normal
+        turning = problem.robot.frame_jacobian(q[k])[3:] @ v[k]
+        assert np.allclose(np.cross(turning, normals[k]), rates[k], rtol=0, atol=1e-7)
+
+
+def test_the_rate_of_the_normal_is_its_derivative():
+    """On a ball that tilts, by a central difference of an analytic function, to the order of its step."""
+    off = {"surface.contact": "unilateral", "surface.gap": 0.002}
+    surface, (t, h) = cl.prepare(load(surface_motion=TILTING, **off)).surface, (0.3, 1e-4)
+    r0, r1 = np.array([0.55, 0.03, 0.55]), np.array([0.1, -0.2, 0.05])
+    times = t + h * np.array([-1.0, 0.0, 1.0])
+    normals, rates = surface.normals(times, r0 + np.outer(times - t, r1), np.tile(r1, (3, 1)))
+    assert np.allclose((normals[2] - normals[0]) / (2 * h), rates[1], rtol=0, atol=1e-7)
+
+
+def test_the_law_turns_the_tool():
+    """In the run the tool follows within the error of the law, and free it does not; the summary says by how much."""
+    run, free = cl.simulate(load()), cl.simulate(load(reference__orientation="free"))
+    assert run.summary()["verdict"]["good"]
+    assert np.max(run.tool_angle) < 1.5
+    assert np.max(free.tool_angle) > 5.0
+    said = run.summary()["tool"]
+    assert said["max_angle"] == np.max(run.tool_angle)
+    assert np.max(run.orientation_error) < 3.0
+    assert free.summary()["tool"] is None
+    assert np.allclose(run.contact_force[-100:], 5.0, rtol=0, atol=0.05)
+
+
+@pytest.mark.parametrize("held", ["start", [np.pi, 0.0, 0.0]])
+def test_a_frame_is_held(held):
+    """All three axes stay those that are asked for, while the tip follows its path."""
+    problem = cl.prepare(load(reference__orientation=held))
+    t, q, _, axes = along(problem)
+    wanted = axes[0] if held == "start" else Rotation.from_rotvec(held).as_matrix()
+    assert np.max(np.abs(axes - wanted)) < 1e-9
+    assert np.max(np.abs([problem.robot.position(each) for each in q] - problem.wanted.tip.sample(t)[0])) < 1e-9
+    assert np.ptp(q, axis=0).max() > 0.05
+
+
+def test_another_axis_of_the_tool():
+    """tool.axis says which axis of the tip's frame is held."""
+    frame = Rotation.from_rotvec([np.pi, 0.0, 0.0]).as_matrix()
+    axis = frame.T @ np.array([0.0, 0.01, -1.0])
+    problem = cl.prepare(load(tool__axis=list(axis)))
+    t, _, _, axes = along(problem, 5)
+    normals, _ = problem.surface.normals(t, *problem.wanted.tip.sample(t)[:2])
+    assert np.allclose(axes @ axis / np.linalg.norm(axis), -normals, rtol=0, atol=1e-9)
+
+
+REFUSED = {
+    "too few joints": ("wam_slide", {"reference.orientation": "normal"}, "take 5 joints, and wam4 has 4"),
+    "six": ("wam_slide", {"reference.orientation": "start"}, "take 6 joints, and wam4 has 4"),
+    "askew": ("panda_scan", {"reference.orientation": [2.9, 0.0, 0.0]}, "degrees away from it at the start"),
+    "no word": ("panda_scan", {"reference.orientation": "up"}, 'must be "free", "normal", "start"'),
+    "no vector": ("panda_scan", {"reference.orientation": [0.0, 0.0, "x"]}, "rotation vector"),
+    "no axis": ("panda_scan", {"tool.axis": [0.0, 0.0, 0.0]}, "has no direction"),
+}
+
+
+@pytest.mark.parametrize("case", REFUSED)
+def test_what_does_not_go_is_refused_in_one_line(case):
+    """The key is named, and what would be right."""
+    name, changes, words = REFUSED[case]
+    with pytest.raises(cl.ClosedLoopError) as caught:
+        cl.prepare(cl.load_scenario(name, changes))
+    assert words in str(caught.value)
+    assert "\n" not in str(caught.value)
+
+
+def test_the_refusal_of_a_start_names_one_that_goes():
+    """The posture that it names is accepted, and has the tip in the same place."""
+    askew = load(reference__orientation=[2.9, 0.0, 0.0])
+    with pytest.raises(cl.ScenarioError) as caught:
+        cl.prepare(askew)
+    named = [float(x) for x in str(caught.value).rpartition("[")[2].rstrip("]").split(",")]
+    problem = cl.prepare(load(reference__orientation=[2.9, 0.0, 0.0], start__q=named))
+    before = cl.prepare(load(reference__orientation="free"))
+    assert np.allclose(problem.robot.position(problem.q), before.robot.position(before.q), rtol=0, atol=1e-7)

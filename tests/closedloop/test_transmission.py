@@ -1,0 +1,170 @@
+"""Elastic joints: closed forms, the rigid limit, the balance of energy, and what the controller sees of them."""
+
+import numpy as np
+import pytest
+
+import closedloop as cl
+
+# A mass of 2 kg on three slides, held to a plane: in x and y nothing acts on it but its motors.
+M, B, K, Q = 2.0, 0.5, 300.0, 3.0
+SLIDER = {
+    "robot.model": "pointmass3", "start.q": [0, 0, 0], "start.v": [0, 0, 0], "surface.contact": "bilateral",
+    "time.integrator": "rk4", "time.step": 0.001, "time.duration": 0.5,
+    "transmission.stiffness": [K, K, 1e4], "transmission.motor_inertia": B, "surface.gap": 0.0,
+}  # fmt: skip
+MOVING = {"time.duration": 0.3, "law.pd_start": 0.0, "reference.start": 0.0, "reference.speed": 0.05,
+          "reference.stop": 0.4, "law.sample_period": 0.001, "time.step": 0.0005,
+          "stabiliser.time_constant": 0.0005}  # fmt: skip
+ELASTIC = {"transmission.stiffness": [4e3, 4e3, 3e3, 3e3], "transmission.damping": 30.0}
+
+
+def pushed(x):
+    """Push the motor of the first slide with a constant force, and hold the weight."""
+    torque = x.C.copy()
+    torque[0] += Q
+    return torque
+
+
+def slider(changes, law=pushed, **options):
+    """Return a run of the mass on its slides."""
+    return cl.simulate(cl.load_scenario("planar2_drop", SLIDER | changes), law=law, **options)
+
+
+def test_a_motor_and_a_mass_swing_as_two_masses_do():
+    """δ = θ − q swings as Q/(B ω²) (1 − cos ωt), ω² = k (1/B + 1/M), and the centre of mass falls as Q t²/2(M + B)."""
+    run = slider({})
+    rate = np.sqrt(K * (1 / B + 1 / M))
+    swing = Q / (B * rate**2) * (1 - np.cos(rate * run.time))
+    assert np.max(np.abs(run.motor_position[:, 0] - run.q[:, 0] - swing)) < 1e-9
+    centre = (B * run.motor_position[:, 0] + M * run.q[:, 0]) / (M + B)
+    assert np.max(np.abs(centre - Q * run.time**2 / (2 * (M + B)))) < 1e-13
+    assert np.allclose(run.transmitted_torque[:, 0], K * (run.motor_position - run.q)[:, 0], rtol=0, atol=1e-10)
+    assert np.max(np.abs(run.motor_position[:, 1])) < 1e-15  # nothing is released that nothing acts on
+
+
+@pytest.mark.parametrize(("integrator", "order"), [("semi_implicit_euler", 1), ("rk4", 4)])
+def test_the_motors_are_integrated_with_the_schemes_order(integrator, order):
+    """The error of a damped swing falls with h to the order of the scheme."""
+    ends = []
+    for h in (0.004, 0.002, 0.0005):
+        changes = {"time.integrator": integrator, "time.step": h, "stabiliser.kind": "projection"}
+        ends.append(slider(changes | {"transmission.damping": 2.0, "time.duration": 0.2}).motor_position[-1, 0])
+    coarse, fine = abs(ends[0] - ends[2]), abs(ends[1] - ends[2])
+    share = (0.5 - 0.125) / (1 - 0.125) if order == 1 else 0.5**4
+    assert fine / coarse == pytest.approx(share, rel=0.15)
+
+
+@pytest.mark.parametrize("integrator", ["rk4", "dop853"])
+def test_energy_is_that_of_links_motors_and_springs(integrator):
+    """What the motors give, less what the dampers take, is kept; and the report's balance of the links closes."""
+    changes = MOVING | ELASTIC | {"time.integrator": integrator, "law.sample_period": 0.0}
+    run = cl.simulate(cl.load_scenario("wam_slide", {k: v for k, v in changes.items() if v != 0.0 or "law.s" not in k}))
+    inertia, stiffness = run.model.armature, np.array(ELASTIC["transmission.stiffness"])
+    bend, rate = run.motor_position - run.q, run.motor_velocity - run.v
+    kept = (
+        run.kinetic_energy + run.potential_energy + 0.5 * (inertia * run.motor_velocity**2 + stiffness * bend**2).sum(1)
+    )
+    power = (run.torque * run.motor_velocity - ELASTIC["transmission.damping"] * rate**2).sum(1)
+    given = np.concatenate([[0.0], np.cumsum(0.5 * (power[1:] + power[:-1]) * np.diff(run.time))])
+    assert np.max(np.abs(kept - kept[0] - given)) < 1e-3 * np.sum(np.abs(power)) * run.scenario.time.step + 1e-7
+    assert run.summary()["max_energy_residual"] < 1e-6
+    assert np.max(run.residual_motion) < 1e-12
+
+
+def test_stiff_joints_go_to_rigid_ones_as_one_over_k():
+    """With the motors' inertia as that of the drives; four times the stiffness is a quarter of the difference."""
+    rigid = cl.simulate(cl.load_scenario("wam_slide", MOVING))
+    errors = []
+    for k in (8e3, 3.2e4):
+        elastic = {"transmission.stiffness": k, "transmission.damping": 30.0, "transmission.measured": "motor"}
+        run = cl.simulate(cl.load_scenario("wam_slide", MOVING | elastic))
+        errors.append(np.max(np.abs(run.q[-1] - rigid.q[-1])))
+    assert errors[0] / errors[1] == pytest.approx(4.0, rel=0.05)
+    assert errors[1] < 2e-4
+
+
+@pytest.mark.parametrize("side", ["link", "motor"])
+def test_the_controller_sees_its_side_and_rigid_joints(side):
+    """q is that of the side it measures, H has the motors in it, and the link starts at rest, held by its spring."""
+    seen = []
+
+    def spy(x):
+        seen.append((x.q.copy(), x.v.copy(), x.H.copy()))
+        return x.C - 10.0 * x.A[0]
+
+    changes = ELASTIC | {"time.duration": 0.02, "transmission.measured": side, "transmission.damping": 3.0}
+    run = cl.simulate(cl.load_scenario("wam_slide", changes), law=spy)
+    assert np.array_equal([each[0] for each in seen], run.q if side == "link" else run.motor_position)
+    assert np.array_equal([each[1] for each in seen], run.v if side == "link" else run.motor_velocity)
+    rigid = cl.prepare(cl.load_scenario("wam_slide")).robot
+    for q, v, H in seen:
+        assert np.allclose(H, rigid.terms(q, v).mass_matrix, rtol=0, atol=1e-14)
+    if side == "link":
+        assert np.max(np.abs(run.contact_force - 10.0)) < 1e-9
+
+
+def test_engines_file_simulator_and_batch_agree(tmp_path):
+    """The engines to rounding, the rest to the bit, with all of a real arm at once."""
+    changes = MOVING | ELASTIC | {"transmission.measured": "motor", "encoder.quantisation": 1e-6, "time.duration": 0.05,
+                                  "drives.torque_limit": 20.0, "model_error.masses": 1.1}  # fmt: skip
+    run, other = (cl.simulate(cl.load_scenario("wam_slide", changes), engine=e) for e in ("pinocchio", "compiled"))
+    assert np.allclose(run.motor_position, other.motor_position, rtol=0, atol=1e-9)
+    loaded = cl.load_run(run.save(tmp_path / "run.nc"))
+    again = cl.simulate(loaded.scenario, model=loaded.model)
+    assert np.array_equal(again.motor_position, run.motor_position)
+    assert np.array_equal(loaded.transmitted_torque, run.transmitted_torque)
+    sim = cl.Simulator(run.scenario)
+    sim.run_until(0.05)
+    assert np.array_equal(sim.run().contact_force, run.contact_force)
+    table = cl.simulate_batch(run.scenario, {"law.force": [10.0]}, engine="pinocchio", keep=["motor_position"])
+    assert np.array_equal(table["motor_position"].to_pylist()[0], run.motor_position)
+
+
+def test_a_bouncing_tip_leaves_its_motors_behind():
+    """An impact takes the links' speed and not the motors', and the energy of the links still balances."""
+    changes = {"time.duration": 0.5, "transmission.stiffness": 200.0, "transmission.damping": 0.2,
+               "transmission.motor_inertia": 0.01}  # fmt: skip
+    run = cl.simulate(cl.load_scenario("planar2_drop", changes))
+    assert run.events
+    jump = np.max(np.abs(np.diff(run.v, axis=0)))
+    assert np.max(np.abs(np.diff(run.motor_velocity, axis=0))) < 0.5 * jump
+    assert "energy" not in {problem["name"] for problem in run.summary()["verdict"]["problems"]}
+
+
+def test_a_step_too_long_is_refused_with_the_step_that_would_do():
+    """A step of the size that the refusal names goes, half as much again does not."""
+    stiff = {"transmission.stiffness": 4e6, "time.duration": 0.012}
+    with pytest.raises(cl.ScenarioError, match=r"the step may be at most ([\d.e-]+) s") as refused:
+        cl.prepare(cl.load_scenario("wam_slide", stiff))
+    assert "\n" not in str(refused.value)
+    step = float(str(refused.value).split("at most ")[1].split(" s")[0])
+    taken = {"time.step": step, "time.duration": 20 * step, "stabiliser.time_constant": "auto"}
+    cl.prepare(cl.load_scenario("wam_slide", stiff | taken))
+    with pytest.raises(cl.ScenarioError, match=r"semi_implicit_euler is unstable"):
+        cl.prepare(cl.load_scenario("wam_slide", stiff | taken | {"time.step": 1.5 * step, "time.duration": 30 * step}))
+
+
+REFUSED = {
+    "no spring": ({"transmission.damping": 1.0}, "transmission.damping = 1.0: goes with transmission.stiffness"),
+    "no inertia": (
+        {"transmission.stiffness": 1e3, "robot.drive_inertia": False},
+        "transmission.motor_inertia is left out",
+    ),
+    "negative": ({"transmission.stiffness": -1.0}, "transmission.stiffness = -1.0: must be greater than 0"),
+    "length": ({"transmission.stiffness": [1e3, 1e3]}, "transmission.stiffness has 2 entries: the robot has 4 joints"),
+    "motor": (
+        {"transmission.stiffness": 1e3, "transmission.measured": "motor", "time.integrator": "dop853"},
+        "is read",
+    ),
+    "euler": ({"transmission.stiffness": 1e3, "time.integrator": "explicit_euler"}, "explicit_euler is unstable"),
+}
+
+
+@pytest.mark.parametrize("case", REFUSED)
+def test_what_does_not_go_is_refused_in_one_line(case):
+    """Each with the key, the value and the cure."""
+    changes, said = REFUSED[case]
+    with pytest.raises(cl.ScenarioError) as refused:
+        cl.prepare(cl.load_scenario("wam_slide", changes))
+    assert said in str(refused.value)
+    assert "\n" not in str(refused.value)

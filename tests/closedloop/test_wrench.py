@@ -1,0 +1,145 @@
+"""The wrench at the wrist against Pinocchio's recursion and statics; gravity in any direction."""
+
+import json
+
+import numpy as np
+import pinocchio as pin
+import pytest
+
+import closedloop as cl
+from closedloop.export.csv_table import write_csv
+from closedloop.figures.tool import has_tool
+
+TOOL = {"tool.offset": [0.02, -0.01, 0.12], "tool.mass": 0.8, "tool.centre": [0.01, 0.0, 0.05],
+        "tool.inertia": [2e-3, 2.5e-3, 1e-3, 1e-4, 0.0, -2e-4]}  # fmt: skip
+SHORT = {"time.duration": 0.6, "reference.start": 0.0, "reference.speed": 0.05, "reference.stop": 0.5,
+         "friction": {"kind": "coulomb", "coefficient": 0.2}}  # fmt: skip
+
+
+def with_a_joint_at_the_wrist(run):
+    """Return the arm of a run with one more joint at its tip's frame, that carries the tool and the payload."""
+    model, tool, payload = run.model.pinocchio_model(), run.scenario.tool, run.scenario.model_error.payload
+    frame = model.frames[model.getFrameId(run.model.tip)]
+    joint = model.addJoint(frame.parentJoint, pin.JointModelRZ(), frame.placement, "wrist")
+    xx, yy, zz, xy, xz, yz = tool.inertia
+    tensor = np.array([[xx, xy, xz], [xy, yy, yz], [xz, yz, zz]])
+    body = pin.Inertia(tool.mass, np.array(tool.centre), tensor)
+    body = body + pin.Inertia(payload, np.array(tool.offset), np.zeros((3, 3)))
+    model.appendBodyToJoint(joint, body, pin.SE3.Identity())
+    return model, joint
+
+
+@pytest.mark.parametrize("tool", [{}, TOOL, TOOL | {"model_error.payload": 0.3}])
+def test_the_wrist_wrench_is_that_of_a_recursion(tool):
+    """Newton and Euler from the tip to a joint put where the sensor is, the contact as an external force."""
+    run = cl.simulate(cl.load_scenario("wam_slide", SHORT | tool))
+    model, joint = with_a_joint_at_the_wrist(run)
+    data, offset = model.createData(), np.array(run.scenario.tool.offset)
+    assert np.max(np.abs(run.acceleration)) > 0.1
+    assert np.max(np.abs(run.friction_force)) > 1.0
+    for k in range(0, len(run), 50):
+        q, v, a = (np.append(x[k], 0.0) for x in (run.q, run.v, run.acceleration))
+        pin.forwardKinematics(model, data, q)
+        turned = data.oMi[joint].rotation.T @ run.tip_force[k]
+        outside = pin.StdVec_Force([pin.Force.Zero()] * model.njoints)
+        outside[joint] = pin.Force(turned, np.cross(offset, turned))
+        pin.rnea(model, data, q, v, a, outside)
+        assert np.allclose(run.wrist_wrench[k], data.f[joint].vector, rtol=0, atol=1e-11)
+
+
+def test_a_hanging_tool_weighs_on_the_wrist():
+    """At rest, off the surface: m g upwards and its moment about the wrist, in the axes of the tip's frame."""
+    changes = TOOL | {"surface.contact": "unilateral", "surface.gap": 0.1, "time.duration": 0.05, "law.force": 0.0,
+                      "reference": {"kind": "hold"}, "robot.gravity": [1.0, 2.0, -9.0]}  # fmt: skip
+    run = cl.simulate(cl.load_scenario("wam_slide", changes))
+    assert np.max(np.abs(run.v)) < 1e-9
+    model = run.model.pinocchio_model()
+    data = model.createData()
+    pin.framesForwardKinematics(model, data, run.q[-1])
+    turn = data.oMf[model.getFrameId(run.model.tip)].rotation
+    force = turn.T @ (-0.8 * np.array([1.0, 2.0, -9.0]))
+    expected = [*force, *np.cross([0.01, 0.0, 0.05], force)]
+    assert np.allclose(run.wrist_wrench[-1], expected, rtol=0, atol=1e-6)
+    assert run.summary()["wrist"]["max_force"] == pytest.approx(np.linalg.norm(force), abs=1e-6)
+
+
+def test_the_wrench_is_exported_and_found_again(tmp_path):
+    """CSV and pandas have it, with its units; a saved run works it out to the same bits; it is read-only."""
+    run = cl.simulate(cl.load_scenario("wam_slide", TOOL | {"time.duration": 0.02}))
+    again = cl.load_run(run.save(tmp_path / "run.nc"))
+    assert np.array_equal(again.wrist_wrench, run.wrist_wrench)
+    assert not run.wrist_wrench.flags.writeable
+    (file,) = write_csv(run, tmp_path / "run.csv")
+    table = np.genfromtxt(file, delimiter=",", names=True, deletechars="")
+    assert np.array_equal(table["wrist_wrench_fz_[N]"], run.wrist_wrench[:, 2])
+    assert np.array_equal(table["wrist_wrench_mx_[N_m]"], run.wrist_wrench[:, 3])
+    assert np.array_equal(table["tip_force_z_[N]"], run.tip_force[:, 2])
+    assert np.array_equal(run.to_pandas()["wrist_wrench[my]"], run.wrist_wrench[:, 4])
+    assert json.dumps(run.summary()["wrist"])
+
+
+@pytest.mark.parametrize("engine", ["pinocchio", "compiled"])
+def test_gravity_turned_is_the_base_turned(engine):
+    """An arm on a wall: with gravity and surface seen from its base, its first joint turned like them, all is equal.
+
+    The first joint of the arm turns about gravity's direction only if gravity is vertical; so gravity is laid into the
+    horizontal plane, and it and everything else are turned about the first joint's axis.
+    """
+    turn = 0.7
+    R = np.array([[np.cos(turn), -np.sin(turn), 0.0], [np.sin(turn), np.cos(turn), 0.0], [0.0, 0.0, 1.0]])
+    common = {"time.duration": 0.3, "reference.start": 0.05, "reference.stop": 0.25, "law.kp": 0.0, "law.kd": 20.0}
+    start, fall, along = np.array([1.5707963267948966, 1.0, 0.0, 2.0]), np.array([9.0, 1.0, 3.0]), [0.0, 1.0, 0.0]
+    runs = [
+        cl.simulate(
+            cl.load_scenario("wam_slide", common | {
+                "robot.gravity": list(turned @ fall), "start.q": [angle + start[0], *start[1:]],
+                "reference.direction": list(turned @ along),
+            }), engine=engine,
+        ) for turned, angle in ((np.eye(3), 0.0), (R, turn))
+    ]  # fmt: skip
+    level, turned = runs
+    assert np.allclose(turned.q - [turn, 0, 0, 0], level.q, rtol=0, atol=1e-12)
+    assert np.allclose(turned.contact_force, level.contact_force, rtol=0, atol=1e-8)
+    assert np.allclose(turned.torque, level.torque, rtol=0, atol=1e-8)
+    assert np.allclose(turned.wrist_wrench, level.wrist_wrench, rtol=0, atol=1e-8)
+    assert turned.summary()["max_energy_residual"] < 1e-3
+
+
+CEILING, WALL = np.diag([1.0, -1.0, -1.0]), np.array([[1.0, 0.0, 0.0], [0.0, 0.0, -1.0], [0.0, 1.0, 0.0]])
+
+
+@pytest.mark.parametrize(("gravity", "turned"), [([0.0, 0.0, 9.81], CEILING), ([0.0, -9.81, 0.0], WALL)])
+def test_an_arm_on_a_ceiling_or_a_wall_is_one_with_a_turned_base(gravity, turned):
+    """H and C of both engines are those of the arm whose base is turned instead, under gravity straight down."""
+    robot = cl.prepare(cl.load_scenario("wam_slide", {"robot.gravity": gravity})).robot
+    assert np.array_equal(robot.model.gravity, gravity)
+    model = cl.prepare(cl.load_scenario("wam_slide")).robot.model.pinocchio_model()
+    model.jointPlacements[1] = pin.SE3(turned, np.zeros(3)) * model.jointPlacements[1]
+    data, random = model.createData(), np.random.default_rng(1)
+    assert np.allclose(turned @ gravity, model.gravity.linear, rtol=0, atol=1e-14)
+    for _ in range(3):
+        q, v = random.uniform(-1, 1, 4), random.uniform(-2, 2, 4)
+        terms, bias = robot.terms(q, v), pin.nonLinearEffects(model, data, q, v)
+        assert np.allclose(terms.bias, bias, rtol=0, atol=1e-12)
+        pin.crba(model, data, q)
+        assert np.allclose(np.triu(terms.mass_matrix), np.triu(data.M), rtol=0, atol=1e-12)
+
+
+def test_gravity_that_is_no_vector_is_refused():
+    """One line with the key."""
+    for wrong, words in ([0, 0], "must be three numbers"), ([0, 0, float("nan")], "finite"), ([0, 0, 1e9], "at most"):
+        with pytest.raises(cl.ScenarioError, match=words) as caught:
+            cl.load_scenario("wam_slide", {"robot.gravity": wrong})
+        assert "robot.gravity" in str(caught.value)
+
+
+def test_a_tool_has_a_figure():
+    """Force, moment and turn are drawn for an arm with a tool, and only then written."""
+    short = {"time.duration": 0.02, "name": "with_a_tool"}
+    run, without = (cl.simulate(cl.load_scenario("wam_slide", short | tool)) for tool in (TOOL, {}))
+    panels = cl.figures.tool(run).axes
+    assert [len(axes.lines) for axes in panels[:2]] >= [3, 3]
+    assert np.array_equal(panels[0].lines[2].get_ydata(), run.wrist_wrench[:, 2])
+    assert np.array_equal(panels[2].lines[0].get_ydata(), run.tool_angle)
+    assert has_tool(run)
+    assert not has_tool(without)

@@ -15,6 +15,7 @@ div:has(> p.mantine-Text-root > label){width:9.5em!important}
 p.mantine-Text-root:has(> label){letter-spacing:0!important}
 .mantine-Flex-root:has(> .mantine-Slider-root .mantine-Slider-markWrapper:nth-child(3)) > .mantine-NumberInput-root
 {visibility:hidden}
+.mantine-Tabs-tab{padding-left:0.65em!important;padding-right:0.65em!important}
 .uplot .u-legend tr:nth-last-child(-n+2){display:none}
 </style>"""
 # What is shown has been overtaken, and the new run is not there yet.

@@ -43,12 +43,16 @@ def write_mjcf(run: Run, path: str | Path) -> list[Path]:
     Raises
     ------
     ScenarioError
-        If the run has no rows, or its surface is a user's class that is not named in this process.
+        If the run has no rows, the robot has loops, or the surface is a user's class not named in this process.
     OutputError
         If the file cannot be written.
     """
     if not len(run):
         raise ScenarioError(f"{run.scenario.name}: the run has no rows: there is no scene")
+    if run.model.loops:
+        raise ScenarioError(
+            f"--to mjcf: is for arms without loops, and {run.model.name} has some; csv and mcap take it"
+        )
     root = mjcf_of(run)
     ElementTree.indent(root)
     text = '<?xml version="1.0" encoding="utf-8"?>\n' + ElementTree.tostring(root, encoding="unicode") + "\n"
@@ -61,7 +65,7 @@ def mjcf_of(run: Run) -> ElementTree.Element:
     root = ElementTree.Element("mujoco", model=run.scenario.name)
     root.append(ElementTree.Comment(EXPLAINED.format(run.scenario.name.replace("--", "- -"))))
     element(root, "compiler", angle="radian", autolimits="true", boundmass=LEAST, boundinertia=LEAST)
-    element(root, "option", gravity=run.model.gravity, timestep=run.scenario.time.step)
+    element(root, "option", gravity=mechanism.gravity.linear, timestep=run.scenario.time.step)
     assets, world = element(root, "asset"), element(root, "worldbody")
     element(world, "light", pos=(1.0, -1.0, 2.5), dir=(-0.4, 0.4, -1.0))
     order = _add_links(assets, world, scene, mechanism)
@@ -116,7 +120,7 @@ def _add_body(into: ElementTree.Element, joint: int, scene: Scene, mechanism: An
     low, high = float(model.position_lower[column]), float(model.position_upper[column])
     element(
         body, "joint", name=name, type=SHORT[model.joint_types[column]], axis=moved[3:] if hinge else moved[:3],
-        range=(low, high) if np.isfinite(low) and np.isfinite(high) else None, armature=model.armature[column],
+        range=(low, high) if np.isfinite(low) and np.isfinite(high) else None, armature=mechanism.armature[column],
     )  # fmt: skip
     return body
 

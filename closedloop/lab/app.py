@@ -6,10 +6,8 @@ Three threads share the work: viser's takes what the browser sends, one computes
 from __future__ import annotations
 
 import contextlib
-import errno
 import html
 import io
-import socket
 import threading
 import time as clock
 from collections.abc import Callable
@@ -17,7 +15,7 @@ from typing import Any
 
 import numpy as np
 
-from closedloop.errors import ClosedLoopError, OutputError
+from closedloop.errors import ClosedLoopError
 from closedloop.lab.answers import Answer, Answers
 from closedloop.lab.history import Changes, History
 from closedloop.lab.kinds import begin_values
@@ -25,6 +23,7 @@ from closedloop.lab.look import GREYED, PLOTS, caption, paragraph
 from closedloop.lab.newest import Newest
 from closedloop.lab.playback import Playback
 from closedloop.lab.scene import scene_of
+from closedloop.lab.server import FIRST_PORT, serve
 from closedloop.lab.view_controls import Tabs
 from closedloop.lab.view_keep import STEPS, KeepTab
 from closedloop.lab.view_map import MapTab
@@ -39,7 +38,6 @@ from robot_models import RobotModel
 
 # Frames of the replay, and movements of the plots' cursor, in a second.
 FRAMES, CURSORS = 30.0, 12.0
-FIRST_PORT, PORTS = 8080, 100  # how many are tried, one after the other
 WIDTH = 510  # px of the panel on the right
 # A result that has been overtaken for so long, s, is greyed until the new one is there: sooner it would flicker.
 GREYED_AFTER = 0.25
@@ -86,7 +84,7 @@ class Lab:
         self.after_show: list[Callable[[Answer], None]] = []
         self.answers = Answers(history, law, model, self._say, lambda: self._newest.overtaken)
         prepare(history.base, self.answers.model(history.base))  # what cannot be run is refused before there is a page
-        self.server = _serve(host, port)
+        self.server = serve(host, port)
         self._lay_out(dark)
         self._newest: Newest[tuple[Changes, str], Answer] = Newest(self._compute, self._show)
         self.refresh()
@@ -285,42 +283,3 @@ async def _fit(client: Any) -> None:
             camera.position = camera.look_at + (camera.position - camera.look_at) / max(camera.aspect, 0.3)
 
     client.camera.on_update(look)
-
-
-def _serve(host: str, port: int) -> Any:
-    """Return viser's server, without the lines that it prints, and without its tunnel to a server elsewhere.
-
-    Raises
-    ------
-    OutputError
-    """
-    import viser
-
-    port = _free_port(host, port)
-    with contextlib.redirect_stdout(io.StringIO()):
-        server: Any = viser.ViserServer(host=host, port=port, verbose=False)
-    # Any client may ask for the tunnel: what it calls is replaced.
-    server.request_share_url = lambda verbose=True: None
-    return server
-
-
-def _free_port(host: str, port: int) -> int:
-    """Return the first port from this one on that can be listened on: viser waits for ever where none can.
-
-    Raises
-    ------
-    OutputError
-    """
-    fault: Exception | None = None
-    for tried in range(port, port + PORTS):
-        try:
-            family = socket.getaddrinfo(host, tried, type=socket.SOCK_STREAM)[0][0]
-            with socket.socket(family) as probe:
-                probe.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
-                probe.bind((host, tried))
-            return tried
-        except (OSError, OverflowError, UnicodeError) as error:
-            fault = error
-            if getattr(error, "errno", None) != errno.EADDRINUSE:
-                break
-    raise OutputError(f"--host {host} --port {port}: cannot listen there: {fault}")

@@ -15,6 +15,7 @@ div:has(> p.mantine-Text-root > label){width:9.5em!important}
 p.mantine-Text-root:has(> label){letter-spacing:0!important}
 .mantine-Flex-root:has(> .mantine-Slider-root .mantine-Slider-markWrapper:nth-child(3)) > .mantine-NumberInput-root
 {visibility:hidden}
+.mantine-Tabs-tab{padding-left:0.65em!important;padding-right:0.65em!important}
 .uplot .u-legend tr:nth-last-child(-n+2){display:none}
 </style>"""
 # What is shown has been overtaken, and the new run is not there yet.
@@ -58,7 +59,8 @@ def caption(scenario: Scenario, metres_per_newton: float | None, panel_width: in
         f"position:fixed;left:14px;bottom:10px;max-width:calc(100vw - {panel_width + 40}px);font-size:0.85em;"
         "line-height:1.4;pointer-events:none"
     )
-    about = html.escape(scenario.description or scenario.name)
+    about = scenario.description or scenario.name
+    about = html.escape(about[:1].upper() + about[1:])
     return (
         f'{STYLE}<div id="closedloop-caption" style="{place}"><b>{about}</b><br>{_legend(metres_per_newton)}<br>'
         f"Move any slider: the whole run of {scenario.time.duration:g} s is computed again. Hover over a name to read "

@@ -46,7 +46,7 @@ def test_the_arm_is_that_of_the_run(name, tmp_path):
     rng, bodies = np.random.default_rng(3), [int(model.joint(joint).bodyid[0]) for joint in run.model.joint_names]
     assert model.body_mass.sum() == pytest.approx(model.body_mass[bodies].sum())
     assert model.body_mass.sum() == pytest.approx(sum(each.mass for each in list(robot.inertias)[1:]), rel=1e-9)
-    assert np.array_equal(model.opt.gravity, run.model.gravity)
+    assert np.array_equal(model.opt.gravity, scene_of(run).model.gravity)
     own = Robot(scene_of(run).model, scene_of(run).tip)
     for q in (run.q[0], run.q[-1], run.q[0] + rng.normal(0.0, 0.2, run.model.n)):
         v = rng.normal(0.0, 1.0, run.model.n)
@@ -105,3 +105,13 @@ def test_a_surface_that_moves_is_a_body_that_can_be_moved(tmp_path):
     data.mocap_pos[mocap], data.mocap_quat[mocap] = shift, quaternions(turn[None])[0]
     gap = distance(there, run.position[-1], run.surface_normal[-1])
     assert gap == pytest.approx(run.closure_error[-1], abs=1e-6)
+
+
+def test_an_arm_with_loops_is_refused_in_one_line(tmp_path, capsys):
+    """It would be a tree whose loops are open."""
+    run = cl.simulate(cl.load_scenario("four_bar", {"time.duration": 0.01}))
+    assert main(["export", str(run.save(tmp_path / "run.nc")), "--to", "mjcf"]) == 2
+    err = capsys.readouterr().err
+    assert len(err.splitlines()) == 1
+    assert "has some; csv and mcap take it" in err
+    assert [path.name for path in tmp_path.iterdir()] == ["run.nc"]

@@ -170,7 +170,7 @@ def record(
         missing_torque(H, C, w, state)
         call_at(state.loops, state.loops_at, REACTION)
         for j in range(n):
-            w.column[j] += driving_torque(w, state, j) + w.joint_friction[j]
+            w.column[j] += driving_torque(w, state, j, general) + w.joint_friction[j]
     motion, closed = residuals(H, w.column, C, w.A, w.S, w.drift_c, w.b, w.a, w.qdd, w.F, first, last)
     trace = w.S[0, 0] + w.S[1, 1] + w.S[2, 2]
     row.contact_force = w.F[0]

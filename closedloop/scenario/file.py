@@ -37,7 +37,8 @@ def scenario_text(name: str | Path) -> tuple[str, str, str, Path | None]:
     shipped = shipped_scenarios()
     if name not in shipped:
         near = difflib.get_close_matches(str(name)[:100], shipped, n=1, cutoff=0.4)
-        hint = f"did you mean '{near[0]}'?" if near else f"wam_slide is one of {len(shipped)}, 'closedloop scenarios' lists them"
+        every = f"wam_slide is one of {len(shipped)}, 'closedloop scenarios' lists them"
+        hint = f"did you mean '{near[0]}'?" if near else every
         raise ScenarioError(f"no scenario named {shown(str(name))}; {hint} (a file of your own must end in .toml)")
     file = resources.files("closedloop") / "scenarios" / f"{name}.toml"
     return file.read_text(encoding="utf-8"), str(name), str(name), None

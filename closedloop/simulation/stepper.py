@@ -115,12 +115,16 @@ class Stepper:
         else:
             self._set_law(None)
             self._held = True
-        before = self._torque.copy()
-        self._torque[:] = torque
-        if self._numbers.item(_DRIVES) and not np.array_equal(torque, before):
+        if not self._numbers.item(_DRIVES):
+            self._torque[:] = torque
+            return
+        acting = self.loop.w.torque
+        before = acting.copy()
+        acting[:] = torque
+        if not np.array_equal(torque, before):
             most, change = self._problem.drives
             plain(cut_torque)(
-                self._torque, before, change / max(1, self._problem.hold), most, self._numbers.item(_ROW) == 0,
+                acting, before, change / max(1, self._problem.hold), most, self._numbers.item(_ROW) == 0,
                 self.loop.w.torque_limited,
             )  # fmt: skip
 

@@ -53,8 +53,36 @@ def pieces() -> tuple[Piece, ...]:
         Piece("put_on_surface", "a path on a surface", lambda: _path(False)),
         Piece("normals_on_surface", "the normal along a path", lambda: _path(True)),
         Piece("potential_energies", "potential energy of a record", _energies),
+        Piece("closed_loops", "loops and stops", lambda: _loops("closed_loops")),
+        Piece("along_path", "loops along a path", lambda: _loops("along_path")),
+        Piece("closed_to", "a closed start", lambda: _loops("closed_to")),
+        Piece("rows_along", "loops of a record", lambda: _loops("rows_along")),
         *_laws(),
     )
+
+
+def _loops(kernel: str) -> None:
+    """Compile one of the kernels of mechanisms with loops."""
+    import numpy as np
+
+    import robot_models
+    from closedloop.jit.calls import entry_address
+    from closedloop.loops.along_path import along_path
+    from closedloop.loops.bind import loop_memory
+    from closedloop.loops.close import closed_to
+    from closedloop.loops.reactions import rows_along
+    from closedloop.robot.pinocchio import Robot
+    from closedloop.step.closed_loops import closed_loops
+
+    if kernel in ("closed_loops", "along_path"):
+        entry_address(closed_loops if kernel == "closed_loops" else along_path)
+        return
+    memory = loop_memory(Robot(robot_models.load("five_bar")))
+    q = memory.rows.q.copy()
+    if kernel == "closed_to":
+        closed_to(memory.address, q, q.copy())
+    else:
+        rows_along(memory.address, q[:0, None], q[:0, None], np.zeros((0, 1, 1)), np.zeros((0, 1)))
 
 
 def _laws() -> Iterable[Piece]:

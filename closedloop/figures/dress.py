@@ -11,7 +11,18 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from closedloop.closure.contact_force import FREE, PRESSED, STUCK
-from closedloop.events.table import EDGE, IMPACT, KINDS, LIFTOFF, REVERSAL, SLIP_AGAIN, STICK, TOUCHDOWN
+from closedloop.events.table import (
+    EDGE,
+    IMPACT,
+    KINDS,
+    LIFTOFF,
+    RELEASE,
+    REVERSAL,
+    SLIP_AGAIN,
+    STICK,
+    STOP,
+    TOUCHDOWN,
+)
 from closedloop.figures.instants import intervals, marks, thinned
 from closedloop.record.run import Run
 
@@ -34,6 +45,8 @@ SHAPES: dict[int, dict[str, Any]] = {
     TOUCHDOWN: {"marker": "v", "markersize": 6},
     LIFTOFF: {"marker": "^", "markersize": 6},
     EDGE: {"marker": "X", "markersize": 6},
+    STOP: {"marker": "P", "markersize": 5},
+    RELEASE: {"marker": "<", "markersize": 5},
 }
 INK = "0.15"
 # Up to so many times its rounding a value is drawn beside it.

@@ -280,9 +280,7 @@ class Scenario(Section):
         default_factory=lambda: MOTIONS["none"](), description="how the surface moves"
     )
     tool: ToolSection = Field(ToolSection(), description="a tool on the tip: where its tip is, and its mass")
-    model_error: ModelErrorSection = Field(
-        ModelErrorSection(), description="what the controller is wrong about: masses, a payload, normal, friction"
-    )
+    model_error: ModelErrorSection = Field(ModelErrorSection(), description="what the controller is wrong about")
     compliance: Annotated[Compliance, COMPLIANCES] = Field(
         default_factory=lambda: COMPLIANCES["none"](), description="how the surface gives way, if it is soft"
     )
@@ -296,9 +294,7 @@ class Scenario(Section):
         default_factory=lambda: COMPENSATIONS["none"](), description="what the controller does against friction"
     )
     sensor: SensorSection = Field(SensorSection(), description="the force sensor: noise, bias, delay, resolution")
-    encoder: EncoderSection = Field(
-        EncoderSection(), description="what the controller measures of the joints: noise, quantisation, velocity"
-    )
+    encoder: EncoderSection = Field(EncoderSection(), description="what the controller measures of the joints")
     transmission: TransmissionSection = Field(
         TransmissionSection(), description="elastic joints: stiffness, damping and motor inertia"
     )
@@ -403,7 +399,7 @@ def scenario_of(
 ) -> Scenario:
     """Check a scenario given as the tables of its file; `data` is written to. See `parse_scenario`."""
     try:
-        for key in sorted(overrides, key=_turn):
+        for key in sorted(_standing(overrides), key=_turn):
             _override(data, key, deepcopy(overrides[key]))
         return Scenario.model_validate(data, context={KEEP_ABSENT: keep_absent})
     except RecursionError:
@@ -412,6 +408,15 @@ def scenario_of(
         from closedloop.scenario.messages import explain
 
         raise ScenarioError(*(f"{where}: {fault}" for fault in explain(error, data))) from None
+
+
+def _standing(overrides: Mapping[str, Any]) -> list[str]:
+    """Return the keys that stand, in the order given: a section given whole replaces the keys of it given before."""
+    standing: list[str] = []
+    for key in overrides:
+        standing = [before for before in standing if not before.startswith(f"{key}.")]
+        standing.append(key)
+    return standing
 
 
 def _turn(key: str) -> int:

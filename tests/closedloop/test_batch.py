@@ -114,9 +114,10 @@ def test_what_ran_before_leaves_no_trace():
 
 def test_pieces_are_as_good_as_new():
     """A problem made of what others have left is the problem made alone, whichever keys have changed in between."""
-    base = {"time.duration": 0.6, "reference.stop": 0.7}
+    base = {"time.duration": 0.6}
     changes = [
-        {}, {"law.force": 3.0}, {"reference.speed": 0.01}, {}, {"surface.normal": [0.1, 0, 1]}, {"sensor.noise": 0.2},
+        {}, {"law.force": 3.0}, {"reference.speed": 0.01, "reference.stop": 0.7}, {}, {"surface.normal": [0.1, 0, 1]},
+        {"sensor.noise": 0.2},
         {"sensor.seed": 3, "sensor.noise": 0.2}, {}, {"time.step": 0.0005}, {"time.integrator": "rk4"},
         {"robot.tip": "tip"}, {"start.q": [1.5, 1.0, 0.1, 2.0]}, {"robot.drive_inertia": False},
         {"surface.gap": 0.1, "surface.contact": "unilateral"}, {"reference.kind": "hold"}, {},

@@ -29,6 +29,8 @@ def press(arm, kind, **changes):
     """Simulate an arm that presses under a law; `a__b` stands for the key a.b. It holds still unless told otherwise."""
     name, own = ARMS[arm]
     settings = {"reference": {"kind": "hold"}, "time.duration": 0.1} | own | {"law.kind": kind, "law.force": 10.0}
+    if kind not in ("paper", "hybrid"):  # the others have no gains of joints
+        settings = {key: value for key, value in settings.items() if key not in ("law.kp", "law.kd")}
     return cl.simulate(
         cl.load_scenario(name, settings | {key.replace("__", "."): value for key, value in changes.items()})
     )

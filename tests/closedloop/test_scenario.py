@@ -152,7 +152,10 @@ def test_every_key_is_described():
     assert all(sections().values())
     for text in (*map(explain_key, known), *map(describe_section, sections())):
         assert max(map(len, text.splitlines())) <= 80, text
-    assert all(key.field.description for section in sections() for key in keys(section))
+    shipped = [
+        key for section in sections() for key in keys(section) if not all(":" in kind for kind in key.kinds or [""])
+    ]
+    assert all(key.field.description for key in shipped)  # users' classes, of other tests, may have keys without
 
 
 @pytest.mark.parametrize(

@@ -148,7 +148,7 @@ MJCF = {
     ),
     "gravity compensation": (mjcf(base='<body name="base" gravcomp="1">'), ["'base'", "gravcomp"]),
     "frame": (mjcf(inner='<frame pos="0 0 1"/>'), ["'upper'", "<frame>"]),
-    "equality": (mjcf(tail='<equality><weld body1="hand"/></equality>'), ["<equality>", "not simulated"]),
+    "equality": (mjcf(tail='<equality><flex flex="skin"/></equality>'), ["<equality>", "<flex>", "not simulated"]),
     "tendon": (mjcf(tail="<tendon/>"), ["<tendon>"]),
     "no gravity by flag": (mjcf(head='<option><flag gravity="disable"/></option>'), ["gravity", "0 0 0"]),
     "medium": (mjcf(head='<option density="1000"/>'), ["density", "medium"]),

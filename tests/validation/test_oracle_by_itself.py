@@ -121,6 +121,7 @@ def test_independent_of_what_it_judges(path):
         "io",
         "mpmath",
         "numpy",
+        "scipy",  # its splines, for a surface given by heights
         "typing",
         "xml",
         "yourdfpy",

@@ -92,7 +92,7 @@ def helpful(folder, out):
 def damping_named(folder, out):
     """The help in ASCII names the damping ratio."""
     assert out.isascii()
-    assert re.search(r"damping_ratio .*\n +zeta", out)
+    assert re.search(r"damping_ratio .*\n +damping ratio zeta", out)
 
 
 C_LOCALE = {"LC_ALL": "C", "PYTHONUTF8": "0", "PYTHONCOERCECLOCALE": "0"}

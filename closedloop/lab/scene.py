@@ -94,9 +94,12 @@ class Scene:
         scenario, start = self.run.scenario, self.run.position[0]
         if not (isinstance(scenario.surface, Surface) and isinstance(scenario.surface_motion, SurfaceMotion)):
             return None
-        found = PlacedSurface.of(scenario.surface, scenario.surface_motion, start)
-        depth = found.touching(start).gap - float(self.run.closure_error[0])  # of a tip that starts in a soft surface
-        if found.below_start and depth != 0.0:
+        found, depth = PlacedSurface.of(scenario.surface, scenario.surface_motion, start), 0.0
+        for _ in range(20 if found.below_start else 0):  # a tip that starts in a soft surface, which may slope there
+            off = found.touching(start).gap - float(self.run.closure_error[0])
+            if abs(off) < 1e-12:
+                break
+            depth += off
             found = PlacedSurface.of(scenario.surface, scenario.surface_motion, start, depth)
         return found
 

@@ -81,8 +81,9 @@ def fault_of(arguments: tuple[str, ...]) -> str | None:
     status, _, err = outcome(arguments)
     if status == 0:
         return None if not err else f"exit status 0, and says {err!r}"
-    if status in (2, 4) and (len(err.splitlines()) == (status == 2)):
-        return None
+    lines = err.splitlines()
+    if status in (2, 4) and bool(lines) == (status == 2) and all(line.startswith("closedloop") for line in lines):
+        return None  # a line for each fault
     return f"exit status {status}: {err[-1500:]}"
 
 

@@ -144,13 +144,14 @@ def _headline(table: pa.Table, others: Sequence[str]) -> str:
 def _read(path: Path) -> pa.Table:
     from pyarrow import parquet
 
-    table = None
+    table, names = None, []
     reason = "is no Parquet file, or is damaged"
     try:
         mode = path.stat().st_mode
         if stat.S_ISREG(mode):  # a pipe would be waited for
             with unreadable_is_none():
                 table = parquet.read_table(path)
+                names = table.column_names  # of a damaged file they may be no text
         else:
             reason = f"is {kind_of(mode)}"
     except FileNotFoundError:
@@ -159,7 +160,6 @@ def _read(path: Path) -> pa.Table:
         reason = f"cannot be read: {reason_of(error)}"
     if table is None:
         raise ScenarioError(f"{path}: {reason}; name the table of a sweep")
-    names = table.column_names
     if not {"run", "status"} <= set(names) or names[0] != "run" or len(set(names)) < len(names):
         raise ScenarioError(f"{path}: is not the table of a sweep")
     return table

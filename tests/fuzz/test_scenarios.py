@@ -12,7 +12,7 @@ from scenarios import FIRST
 from closedloop.scenario.messages import variants
 from closedloop.scenario.scenario import Scenario, scenario_of
 
-BUDGET = budget(25.0, 60.0)  # s of processor time
+BUDGET = budget(20.0, 60.0)  # s of processor time
 
 
 @pytest.mark.slow

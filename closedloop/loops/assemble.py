@@ -7,7 +7,7 @@ from numpy.typing import NDArray
 
 from closedloop.errors import ScenarioError
 from closedloop.jit.interpreted import call_now, interpreted
-from closedloop.loops.bind import bound_by_loops, loop_memory
+from closedloop.loops.bind import loop_memory
 from closedloop.loops.close import TOLERANCE, closed_to
 from closedloop.loops.memory import LoopMemory
 from closedloop.loops.rows import locate_rows
@@ -81,8 +81,3 @@ def _worst(robot: Robot, error: Array) -> str:
         if k < at:
             return f"{abs(error[k]):.4g} m (rad) at {loop.name!r}"
     raise AssertionError(k)
-
-
-def rows_of_loops(robot: Robot) -> int:
-    """Return how many rows the loops of a robot have."""
-    return bound_by_loops(robot).m if robot.model.loops else 0

@@ -1,9 +1,8 @@
-"""What the loop joints of a robot bind, as the rows that the loop reads; and a posture that closes them."""
+"""What the loop joints of a robot bind, as the rows that the loop reads."""
 
 from __future__ import annotations
 
 from functools import lru_cache
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -24,7 +23,6 @@ from closedloop.robot.tree import Tree, work_size
 from closedloop.robot.tree import layout as at
 from closedloop.robot.tree.angles import sines
 from closedloop.robot.tree.kinematics import motion
-from robot_models import RobotModel
 from robot_models.loop_joint import WORLD, LoopJoint
 
 Array = NDArray[np.float64]
@@ -65,8 +63,7 @@ def bound_by_loops(robot: Robot, stops: bool = False) -> Bound:
             value = np.array(loop.polynomial)
             rows.append((GEAR, one, other[0] if other else -1, zero, zero, zero, zero, value))
             continue
-        sides = [_side(model, poses, loop, k) for k in range(2)]
-        (a, at_a, axes_a), (b, at_b, axes_b) = sides
+        (a, at_a, axes_a), (b, at_b, axes_b) = (_side(robot, poses, loop, k) for k in range(2))
         if loop.type == "distance":
             value = np.array([loop.length, 0.0, 0.0, 0.0, 0.0])
             rows.append((DISTANCE, a, b, at_a, at_b, zero, zero, value))
@@ -104,21 +101,14 @@ def link_poses(tree: Tree, q: Array) -> list[tuple[Array, Array]]:
     return [*poses, (np.eye(3), np.zeros(3))]
 
 
-def _side(model: RobotModel, poses: list[tuple[Array, Array]], loop: LoopJoint, k: int) -> tuple[int, Array, Array]:
+def _side(robot: Robot, poses: list[tuple[Array, Array]], loop: LoopJoint, k: int) -> tuple[int, Array, Array]:
     """Return the link of a side of a loop joint, and the joint's point, m, and axes there, in the link's own axes.
 
     The tree has axes of its own in its links: where a frame is in them follows from where both are at one posture.
     """
-    import pinocchio as pin
-
     point, link, rotation, origin = np.array(loop.points[k]), -1, np.eye(3), np.zeros(3)
     if loop.frames[k] != WORLD:
-        built: Any = model.pinocchio_model()
-        data = built.createData()
-        pin.framesForwardKinematics(built, data, model.home)
-        number = built.getFrameId(loop.frames[k])
-        link = built.frames[number].parentJoint - 1
-        rotation, origin = np.array(data.oMf[number].rotation), np.array(data.oMf[number].translation)
+        link, rotation, origin = robot.frame_at(loop.frames[k], robot.model.home)
     axes, place = poses[link]
     own = _axes(np.array(loop.axes[k]))
     if loop.type in ("slider", "weld"):  # all three directions agree

@@ -222,6 +222,13 @@ class Robot:
             found[k] = (Y * rate + motion.cross(Y * motion) - contact).vector
         return found
 
+    def frame_at(self, name: str, q: Array) -> tuple[int, Array, Array]:
+        """Return the joint that carries a frame, −1 for the base, and at q its axes, as columns, and its origin, m."""
+        number = self._pin.getFrameId(self.model.require_frame(name))
+        pin.framesForwardKinematics(self._pin, self._data, q)
+        place = self._data.oMf[number]
+        return self._pin.frames[number].parentJoint - 1, np.array(place.rotation), np.array(place.translation)
+
     def tip_axes(self, q: Array) -> Array:
         """Return the axes of the tip's frame at each row of q (N, n): columns, base frame, (N, 3, 3)."""
         found = np.empty((len(q), 3, 3))

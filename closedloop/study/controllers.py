@@ -13,9 +13,6 @@ ended the desired force rises by `FORCE_STEP` within `RISE`. Measured of the tru
 
 from __future__ import annotations
 
-import csv
-import io
-import json
 import math
 from itertools import product
 from pathlib import Path
@@ -25,12 +22,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from closedloop.errors import ClosedLoopError, InterruptedRunError, faults_on_one_line
-from closedloop.files import write_whole
 from closedloop.progress import bar
 from closedloop.record.run import Run
 from closedloop.scenario.scenario import Scenario, load_scenario
 from closedloop.simulation.simulate import simulate
 from closedloop.study.posture import ELBOW_UP
+from closedloop.study.results import write_results
 
 Array = NDArray[np.float64]
 
@@ -152,18 +149,10 @@ def measure(quick: bool = False) -> list[dict[str, Any]]:
 def run(folder: Path, quick: bool = False, as_json: bool = False) -> list[dict[str, Any]]:
     """Do the study, write controllers.json, controllers.csv and the figure into `folder`, and print the table."""
     results = measure(quick)
-    plain = [
-        {k: None if isinstance(v, float) and not math.isfinite(v) else v for k, v in row.items()} for row in results
-    ]
-    write_whole(folder / "controllers.json", (json.dumps(plain, indent=2) + "\n").encode())
-    text = io.StringIO(newline="")
-    writer = csv.DictWriter(text, ["controller", "friction", *MEASURES, "reason"])
-    writer.writeheader()
-    writer.writerows(plain)
-    write_whole(folder / "controllers.csv", text.getvalue().encode())
+    said = write_results(folder, "controllers", ["controller", "friction", *MEASURES, "reason"], results)
     figure = draw_controllers(results, folder)
     if as_json:
-        print(json.dumps(plain, indent=2))
+        print(said)
     else:
         print_table(results)
         print(f"wrote {folder}/: controllers.json, controllers.csv, {figure.name}")

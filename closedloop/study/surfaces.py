@@ -14,9 +14,6 @@ compensation of friction, so that each law is seen by itself.
 
 from __future__ import annotations
 
-import csv
-import io
-import json
 import math
 from pathlib import Path
 from typing import Any, cast
@@ -24,11 +21,11 @@ from typing import Any, cast
 import numpy as np
 
 from closedloop.errors import ClosedLoopError, InterruptedRunError, faults_on_one_line
-from closedloop.files import write_whole
 from closedloop.progress import bar
 from closedloop.record.run import Run
 from closedloop.scenario.scenario import Scenario, load_scenario
 from closedloop.simulation.simulate import simulate
+from closedloop.study.results import write_results
 
 SETTLED_FROM = 1.5  # s
 STEP, SAMPLE = 0.00025, 0.001  # s
@@ -129,18 +126,10 @@ TITLES = {"force_rms": "force RMS\nN", "force_peak": "force peak\nN", "path_rms"
 def run(folder: Path, quick: bool = False, as_json: bool = False) -> list[dict[str, Any]]:
     """Do the study, write surfaces.json, surfaces.csv and the figure into `folder`, and print the tables."""
     results = measure(quick)
-    plain = [
-        {k: None if isinstance(v, float) and not math.isfinite(v) else v for k, v in row.items()} for row in results
-    ]
-    write_whole(folder / "surfaces.json", (json.dumps(plain, indent=2) + "\n").encode())
-    text = io.StringIO(newline="")
-    writer = csv.DictWriter(text, ["law", "on", *MEASURES, "reason"])
-    writer.writeheader()
-    writer.writerows(plain)
-    write_whole(folder / "surfaces.csv", text.getvalue().encode())
+    said = write_results(folder, "surfaces", ["law", "on", *MEASURES, "reason"], results)
     figure = draw_surfaces(results, folder)
     if as_json:
-        print(json.dumps(plain, indent=2))
+        print(said)
     else:
         print_tables(results)
         print(f"wrote {folder}/: surfaces.json, surfaces.csv, {figure.name}")

@@ -32,10 +32,14 @@ AT_LIMIT = 1e-12
 
 @kernel_inlined
 def event_function(w: Work, constants: Constants, state: State, general: int | None) -> float:
-    """Return the event function, positive as long as the mode lasts: a gap, m, a force, N, or a speed, mm/s."""
+    """Return the event function, positive as long as nothing changes: a gap, m, a force, N, or a speed, mm/s.
+
+    Of joints with stops `Work.stop_margin` counts too, rad (m) or N m (N).
+    """
+    stops: float = w.stop_margin if state.stops != 0 else np.inf
     if state.mode == FREE:
-        return float(w.gap) if state.beside == 0 else 1.0
-    least: float = w.rigid_force if state.unilateral != 0 else 1.0
+        return min(float(w.gap) if state.beside == 0 else 1.0, stops)
+    least: float = min(w.rigid_force if state.unilateral != 0 else 1.0, stops)
     if state.surface != 0 and w.inside < least:
         least = w.inside
     if general is not None and state.sticking in (RIGID_STICK, SPRING_STICK):

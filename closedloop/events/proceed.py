@@ -134,8 +134,6 @@ def proceed(
     todo = NEED_TERMS
     if phase == STEP_END:
         w.event_value = event_function(w, constants, state, general)
-        if state.stops != 0:
-            w.event_value = min(w.event_value, w.stop_margin)
         todo = check_step(w, w.drift_c[0], state)
         if todo == BEGIN_SUBSTEP:
             commit_work(w)
@@ -154,8 +152,6 @@ def proceed(
         todo = check_stage(w, state) if state.unilateral != 0 else ADVANCE
     elif phase == TRIAL_END:
         w.event_value = event_function(w, constants, state, general)
-        if state.stops != 0:
-            w.event_value = min(w.event_value, w.stop_margin)
         todo = refine_bracket(w, state)
     elif phase == AT_EVENT:
         todo = APPLY_EVENT

@@ -63,10 +63,9 @@ def reach_stops(w: Work, constants: Constants, state: State) -> bool:
         w.slope[j] = w.v[j]
     call_at(state.loops, state.loops_at, STRIKE)
     call_at(state.loops, state.loops_at, BIND_TIP)  # X and S with the joints at their stops
+    tip_velocity(w, w.a)
     for i in range(3):
-        w.a[i], w.b[i], w.compression[i] = -w.carried[i], 0.0, 0.0
-        for j in range(n):
-            w.a[i] += w.A[i, j] * w.v[j]
+        w.b[i], w.compression[i] = 0.0, 0.0
     if state.mode != FREE and state.compliance == 0:
         if state.unilateral != 0 and w.a[0] > RESTING:
             state.mode, state.risen = FREE, 0
@@ -76,13 +75,19 @@ def reach_stops(w: Work, constants: Constants, state: State) -> bool:
             elif state.mode == PRESSED and w.S[0, 0] > 0.0:
                 w.compression[0] = -w.a[0] / w.S[0, 0]
             apply_impulse(w.L, w.X, w.compression, w.column, w.v)
-    for i in range(3):
-        w.after[i] = -w.carried[i]
-        for j in range(n):
-            w.after[i] += w.A[i, j] * w.v[j]
+    tip_velocity(w, w.after)
     for j in range(n):
         w.column[j] = w.v[j] - w.slope[j]
     return True
+
+
+@kernel
+def tip_velocity(w: Work, u: Array) -> None:
+    """Write the tip's velocity relative to the surface, (3,), m/s, contact frame, at the present q̇."""
+    for i in range(3):
+        u[i] = -w.carried[i]
+        for j in range(w.v.shape[0]):
+            u[i] += w.A[i, j] * w.v[j]
 
 
 @kernel

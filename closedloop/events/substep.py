@@ -62,8 +62,6 @@ def save_state(w: Work, constants: Constants, state: State, general: int | None)
         if state.mode == PRESSED and speed > max(constants.stick_speed, w.straight_speed):
             w.direction[0], w.direction[1] = w.u[1] / speed, w.u[2] / speed
     w.start_event_value = event_function(w, constants, state, general)
-    if state.stops != 0:
-        w.start_event_value = min(w.start_event_value, w.stop_margin)
     save_power(w, state, general)
 
 

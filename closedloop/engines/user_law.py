@@ -91,15 +91,17 @@ class UserLaw:
             sys.unraisablehook, self._usual_hook = self._usual_hook, None
 
     def _keep_interruption(self, lost: sys.UnraisableHookArgs) -> None:
-        """Keep what was raised as the law was entered, and let the loop find no torque.
+        """Keep what was raised as the law was entered, and end the run at the state that it was entered for.
 
         A signal that comes while compiled code runs is answered as soon as Python runs: at the entry of `_entry`, where
-        nothing can catch what its handler raises.
+        nothing can catch what its handler raises. It may be entered for the torque or for something else of that state.
         """
         frame = None if lost.exc_traceback is None else lost.exc_traceback.tb_frame
         if frame is not None and frame.f_code is UserLaw._entry.__code__ and frame.f_locals["self"] is self:
             self.interruption = lost.exc_value
-            self._loop.w.torque[:] = np.nan
+            self._loop.state.raised = 1
+            if frame.f_locals["what"] == TORQUE:  # none was given: nothing may be computed with the one before
+                self._loop.w.torque[:] = np.nan
         elif self._usual_hook is not None:
             self._usual_hook(lost)
 

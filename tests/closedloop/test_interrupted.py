@@ -1,14 +1,17 @@
 """A run that a law or a signal ends early: everything until then is there, to the bit, and the reason in one line."""
 
 import signal
+import sys
 
 import numpy as np
 import pytest
 
 import closedloop as cl
+from closedloop.engines.user_law import UserLaw
 from closedloop.errors import ClosedLoopError
 from closedloop.interrupts import Terminated, held_back, terminable
 from closedloop.record.run import COLUMNS
+from closedloop.step import entries
 
 INTEGRATORS = ("semi_implicit_euler", "rk4", "dop853")
 LATE = 0.021
@@ -161,6 +164,37 @@ def test_ctrl_c_at_any_moment(integrator, law, duration, times, alarm):
             break
     assert left
     assert all(begins_as(run, whole) for run in left)
+
+
+@pytest.mark.parametrize("what", ["TORQUE", "RATES"])
+@pytest.mark.parametrize("integrator", INTEGRATORS)
+def test_ctrl_c_as_the_law_is_entered(integrator, what):
+    """Where nothing can catch it, before the first line, and whatever the law is entered for: no row is half written."""
+    whole = cl.simulate(scenario(integrator), law=soft)
+    entered = 0
+
+    def trace(frame, event, arg):
+        nonlocal entered
+        if frame.f_code is not UserLaw._entry.__code__:
+            return None
+        if event == "line" and frame.f_locals["what"] == getattr(entries, what):
+            entered += 1
+            if entered == 20:
+                raise KeyboardInterrupt
+        # Only the first line: what is raised at a later one is caught.
+        return trace if event == "call" else None
+
+    before = sys.gettrace()
+    sys.settrace(trace)
+    try:
+        with pytest.raises(cl.InterruptedRunError) as caught:
+            cl.simulate(scenario(integrator), law=soft)
+    finally:
+        sys.settrace(before)
+    assert entered == 20
+    run = caught.value.run
+    assert 0 < len(run) < len(whole)
+    assert begins_as(run, whole)
 
 
 def interrupt():

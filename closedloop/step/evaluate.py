@@ -23,7 +23,7 @@ from closedloop.closure.contact_force import (
     pressed_force,
     stuck_force,
 )
-from closedloop.closure.solve import DIVERGED, LAW_FAILED, NOT_POSITIVE_DEFINITE, OK, PAINLEVE, SINGULAR
+from closedloop.closure.solve import DIVERGED, LAW_FAILED, NOT_POSITIVE_DEFINITE, OK, PAINLEVE, PUSHED, SINGULAR
 from closedloop.control.drives import cut_torque
 from closedloop.control.laws.paper import PaperLaw, paper_law
 from closedloop.control.seen import Seen
@@ -40,6 +40,7 @@ from closedloop.step.joint_friction import add_joint_friction, hold_joints
 from closedloop.step.locate import in_contact_frame, locate_tip, off_anchor
 from closedloop.step.memory import RIGID_STICK, SPRING_STICK, Constants, Reference, State, Work
 from closedloop.step.seen import keep_terms, see
+from closedloop.step.singular import force_in_singular_pose, near_singular, pushed_on_the_way, reachable
 from closedloop.step.soft_contact import soft_contact_force
 from closedloop.step.tip_friction import surface_friction, turn_with_slip
 from closedloop.step.transmission import motor_rates, transmit
@@ -269,6 +270,9 @@ def contact_force(C: Array, w: Work, constants: Constants, state: State, general
         return OK
     if state.mode == PRESSED or (state.mode == STUCK and state.sticking == SPRING_STICK):
         b = baumgarte_acceleration(constants.s_v, constants.s_p, w.rate, w.gap)
+        near = near_singular(w.S)
+        if near:
+            b = reachable(b, w.S, constants)
         status, share = pressed_force(w.S, w.a, b, w.c, w.viscous, w.F)
         rubbed = w.c[0] != 0.0 or w.c[1] != 0.0
         if state.unilateral == 0 and rubbed and (status == PAINLEVE or (status == OK and w.F[0] < 0.0)):
@@ -279,6 +283,10 @@ def contact_force(C: Array, w: Work, constants: Constants, state: State, general
             status, share = pressed_force(w.S, w.a, b, w.c, w.viscous, w.F)
             if status == OK and wedged and not w.F[0] < 0.0:
                 status = PAINLEVE
+        if status == SINGULAR and state.mode == PRESSED:
+            status = force_in_singular_pose(C, w, state)
+            accelerate(w.L, w.X, w.y, w.F, w.qdd)
+            return status
         if status != OK:
             return status
         sticking = state.sticking
@@ -290,6 +298,8 @@ def contact_force(C: Array, w: Work, constants: Constants, state: State, general
                 if status != OK:
                     return status
         rigid = w.F[0] - share
+        if near and state.approached > 0 and pushed_on_the_way(C, w, rigid):
+            return PUSHED
         w.rigid_force = kept_force(rigid, C, w, state)
         if state.unilateral != 0 and w.F[0] < 0.0 <= w.rigid_force:
             # The stabiliser may reduce f of a unilateral contact to zero, but not below.

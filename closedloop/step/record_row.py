@@ -164,7 +164,8 @@ def record(
         row.slip_velocity[i] = w.frame[1, i] * w.u[1] + w.frame[2, i] * w.u[2]
         row.surface_normal[i] = w.frame[0, i]
     mode = state.mode
-    closed_by_row = mode != FREE and state.compliance == 0
+    # in a singular pose Eq. 24 has no row
+    closed_by_row = mode != FREE and state.compliance == 0 and w.S[0, 0] > 0.0
     first, last = 0 if closed_by_row else 1, 3 if mode == STUCK and state.sticking == RIGID_STICK else 1
     if state.loops != 0:
         missing_torque(H, C, w, state)

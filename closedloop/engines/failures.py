@@ -64,10 +64,9 @@ def failure_of(status: int, t: float, robot: Robot, problem: Problem, law: Any, 
         )
     if status == PUSHED:
         return SingularClosureError(
-            f"{when(t)}: singular pose: near q = {_numbers(q)} "
-            f"the tip cannot move along the surface normal {_normal_at(problem, q, t).round(4).tolist()}, and the torque "
-            "pushes it there: the contact force grows beyond all bounds; steer through another posture, or with a torque "
-            "that keeps the motion along the surface by itself",
+            f"{when(t)}: singular pose: at q = {_numbers(q)} the tip cannot move along the surface normal "
+            f"{_normal_at(problem, q, t).round(4).tolist()}, and the torque pushes it that way: the contact force "
+            "grows beyond all bounds; steer through another posture, or by a torque that does not push there",
             t,
         )
     if status == NOT_POSITIVE_DEFINITE:
@@ -78,8 +77,8 @@ def failure_of(status: int, t: float, robot: Robot, problem: Problem, law: Any, 
         )
     if status == NO_NORMAL:
         return NoNormalError(
-            f"{when(t)}: the surface has no normal at {_numbers(robot.position(q))} m, where the tip is: the gradient of its φ vanishes "
-            "there or is not a number; keep the tip near the surface, and away from its centre or edge",
+            f"{when(t)}: the surface has no normal at {_numbers(robot.position(q))} m, where the tip is: the gradient "
+            "of its φ vanishes there or is not a number; keep the tip near the surface, away from its centre or edge",
             t,
         )
     if status == CHATTER:

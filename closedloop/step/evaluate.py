@@ -40,7 +40,7 @@ from closedloop.step.joint_friction import add_joint_friction, hold_joints
 from closedloop.step.locate import in_contact_frame, locate_tip, off_anchor
 from closedloop.step.memory import RIGID_STICK, SPRING_STICK, Constants, Reference, State, Work
 from closedloop.step.seen import keep_terms, see
-from closedloop.step.singular import force_in_singular_pose, near_singular, pushed_on_the_way, reachable
+from closedloop.step.singular import force_in_singular_pose, pushed_on_the_way
 from closedloop.step.soft_contact import soft_contact_force
 from closedloop.step.tip_friction import surface_friction, turn_with_slip
 from closedloop.step.transmission import motor_rates, transmit
@@ -270,9 +270,6 @@ def contact_force(C: Array, w: Work, constants: Constants, state: State, general
         return OK
     if state.mode == PRESSED or (state.mode == STUCK and state.sticking == SPRING_STICK):
         b = baumgarte_acceleration(constants.s_v, constants.s_p, w.rate, w.gap)
-        near = near_singular(w.S)
-        if near:
-            b = reachable(b, w.S, constants)
         status, share = pressed_force(w.S, w.a, b, w.c, w.viscous, w.F)
         rubbed = w.c[0] != 0.0 or w.c[1] != 0.0
         if state.unilateral == 0 and rubbed and (status == PAINLEVE or (status == OK and w.F[0] < 0.0)):
@@ -284,9 +281,7 @@ def contact_force(C: Array, w: Work, constants: Constants, state: State, general
             if status == OK and wedged and not w.F[0] < 0.0:
                 status = PAINLEVE
         if status == SINGULAR and state.mode == PRESSED:
-            status = force_in_singular_pose(C, w, state)
-            accelerate(w.L, w.X, w.y, w.F, w.qdd)
-            return status
+            return force_in_singular_pose(C, w, constants, state)
         if status != OK:
             return status
         sticking = state.sticking
@@ -298,7 +293,7 @@ def contact_force(C: Array, w: Work, constants: Constants, state: State, general
                 if status != OK:
                     return status
         rigid = w.F[0] - share
-        if near and state.approached > 0 and pushed_on_the_way(C, w, rigid):
+        if state.approached > 0 and pushed_on_the_way(C, w, constants, rigid):
             return PUSHED
         w.rigid_force = kept_force(rigid, C, w, state)
         if state.unilateral != 0 and w.F[0] < 0.0 <= w.rigid_force:

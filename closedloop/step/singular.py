@@ -6,8 +6,8 @@ There A = nᵀJᵣ vanishes and Eq. 24 has no row: whatever f is, the arm does n
 - g vanishes with ℓ: the motion goes on as it would without contact, and f has a finite limit, which is f in the pose.
 - g has another limit: the torque pushes the tip along the normal, and f grows as 1/ℓ, beyond all bounds: PUSHED.
 
-Between two states on either side of the pose (A has turned round) or before it, g is linear in ℓ up to the square of the
-step. A start in such a pose has no way along which a limit could be taken, and a tip that stays there has no force:
+Between two states on either side of the pose (A has turned round), or before it, g is linear in ℓ up to the square of
+the step. A start in such a pose has no way along which a limit could be taken, and a tip that stays there has no force:
 SINGULAR.
 """
 
@@ -19,23 +19,23 @@ from typing import Annotated
 import numpy as np
 from numpy.typing import NDArray
 
+from closedloop.closure.contact_force import accelerate
 from closedloop.closure.solve import OK, PUSHED, SINGULAR, SINGULAR_MOBILITY, forward_substitute
 from closedloop.jit.blocks import Block
 from closedloop.jit.kernel import kernel, kernel_inlined
+from closedloop.jit.simd8 import every
 from closedloop.step.memory import Constants, N, State, Work
 
 Array = NDArray[np.float64]
 
-# Share of the tip's mobility below which the way to a singular pose is remembered: within 0.1 rad of it.
-NEAR = 1e-2
-# The largest limit of g, and the largest acceleration of the tip along n, that count as none: this share of what Q and
-# C would do to the arm one by one. What is left out of q̈ acts for one stage of a step.
+# Share of the tip's mobility below which the way to a singular pose is remembered: within 0.01 rad of it.
+NEAR = 1e-4
+# The largest limit of g, and the largest acceleration of the tip along n, that count as none: this share of what the
+# torques and the weight do to the arm. So 1e-3 rad from the pose f is off by no more than these loads would need at the
+# tip, and what is left out of q̈ in the pose acts for one stage of a step.
 NO_PUSH = 1e-3
 # A tip that has not left the pose after so many times the time which the way to it foretells stays there.
 PATIENCE = 4.0
-# The stabiliser sees e no larger than this share of the reach times ℓ²: a larger one cannot be removed along A, which
-# has turned before.
-REACHABLE = 0.1
 
 
 class Approach(Block, sizes=("n",)):
@@ -50,7 +50,7 @@ class Approach(Block, sizes=("n",)):
 @kernel_inlined
 def near_singular(S: Array) -> bool:
     """Whether the tip with mobility S (3, 3) is near a singular pose."""
-    return not S[0, 0] > NEAR * (S[0, 0] + S[1, 1] + S[2, 2])
+    return not every(S[0, 0] > NEAR * (S[0, 0] + S[1, 1] + S[2, 2]))
 
 
 @kernel
@@ -69,16 +69,7 @@ def remember_approach(w: Work, state: State) -> None:
 
 
 @kernel
-def reachable(b: float, S: Array, constants: Constants) -> float:
-    """Return the stabiliser's acceleration −s_v ė − s_p e, m/s², cut to what it may be near a singular pose."""
-    trace, most = S[0, 0] + S[1, 1] + S[2, 2], REACHABLE * constants.s_p * math.sqrt(constants.reach) * S[0, 0]
-    if not abs(b) * trace > most:
-        return b
-    return math.copysign(most / trace, b)
-
-
-@kernel
-def pushed_on_the_way(C: Array, w: Work, rigid: float) -> bool:
+def pushed_on_the_way(C: Array, w: Work, constants: Constants, rigid: float) -> bool:
     """Whether the tip has passed a singular pose since the substep began, and the torque pushed it along n there.
 
     Parameters
@@ -101,20 +92,20 @@ def pushed_on_the_way(C: Array, w: Work, rigid: float) -> bool:
     pushed = (way.push[0] * lever - rigid * lever * way.lever[0]) / (way.lever[0] + lever)
     elapsed = w.time - way.time[0]
     rate = (way.lever[0] + lever) / elapsed if elapsed > 0.0 else 0.0
-    return not abs(pushed) <= no_push(C, w, rate)
+    return not abs(pushed) <= no_push(C, w, constants, rate)
 
 
 @kernel
-def force_in_singular_pose(C: Array, w: Work, state: State) -> int:
-    """Write F of a tip in a singular pose, where f has a limit on the way to it; return OK, PUSHED or SINGULAR.
+def force_in_singular_pose(C: Array, w: Work, constants: Constants, state: State) -> int:
+    """Write F and q̈ of a tip in a singular pose, where f has a limit on the way; return OK, PUSHED or SINGULAR.
 
     Parameters
     ----------
     C : (n,) array
         Bias.
     w : Work
-        In: everything of Eq. 24, `column` being what drives the joints, N m. Written: F, `stabiliser_force`, `b`,
-        `rigid_force`, and S_nn, which is zero.
+        In: everything of Eq. 24, `column` being what drives the joints, N m. Written: F, q̈, `stabiliser_force`,
+        `b`, `rigid_force`, and S_nn, which is zero.
     state : State
     """
     way, trace = Approach(w.approach, C.shape[0]), w.S[0, 0] + w.S[1, 1] + w.S[2, 2]
@@ -126,7 +117,7 @@ def force_in_singular_pose(C: Array, w: Work, state: State) -> int:
         return SINGULAR
     pushed = (way.push[0] * way.lever[1] - way.push[1] * way.lever[0]) / nearer
     along = w.a[0] - w.S[0, 1] * w.viscous[0] - w.S[0, 2] * w.viscous[1]
-    most = no_push(C, w, rate)
+    most = no_push(C, w, constants, rate)
     if not (abs(pushed) <= most and abs(along) <= most * math.sqrt(trace)):
         return PUSHED
     f = (way.push[1] - way.push[0]) / nearer
@@ -134,16 +125,19 @@ def force_in_singular_pose(C: Array, w: Work, state: State) -> int:
         f = max(f, 0.0)  # it would have lifted off before
     w.F[0], w.F[1], w.F[2] = f, -w.c[0] * f - w.viscous[0], -w.c[1] * f - w.viscous[1]
     w.rigid_force, w.stabiliser_force[0], w.b[0], w.S[0, 0] = f, 0.0, 0.0, 0.0
+    accelerate(w.L, w.X, w.y, w.F, w.qdd)
     return OK
 
 
 @kernel
-def no_push(C: Array, w: Work, rate: float) -> float:
+def no_push(C: Array, w: Work, constants: Constants, rate: float) -> float:
     """Return the largest g that counts as none, N/√kg, where ℓ changes at a rate, 1/(s √kg).
 
-    A share of |L⁻¹Q| + |L⁻¹C|, what Q (in `column`) and C would do one by one, and of the velocity, |Lᵀq̇|, as A turns.
+    A share of what Q (in `column`) and C would do one by one, |L⁻¹Q| + |L⁻¹C|, of what it takes to accelerate the tip
+    by gravity, and of the velocity, |Lᵀq̇|, as A turns.
     """
-    n, trace, total = C.shape[0], w.S[0, 0] + w.S[1, 1] + w.S[2, 2], 0.0
+    n, trace = C.shape[0], w.S[0, 0] + w.S[1, 1] + w.S[2, 2]
+    total = length(constants.gravity) / math.sqrt(trace)
     x = w.scratch[0:n]
     for side in range(2):
         for j in range(n):

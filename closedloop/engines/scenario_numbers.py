@@ -129,7 +129,7 @@ class ScenarioNumbers:
 
     @property
     def general(self) -> bool:
-        """Whether the law is called by address: all but the paper's on a smooth surface, see `closedloop.step.evaluate`."""
+        """Whether the law is called by address: see `closedloop.engines.needs.needs_general_form`."""
         return needs_general_form(self.scenario) or self.bound
 
     @property

@@ -335,6 +335,7 @@ class Problem:
         constants.tip[:], constants.gravity[:], constants.reach = robot.tip_offset, robot.gravity, robot.reach**2
         constants.lower_stop[:], constants.upper_stop[:] = robot.model.position_lower, robot.model.position_upper
         constants.restitution, constants.rest_speed = impact.restitution, impact.rest_speed
+        constants.stop_restitution = self.scenario.robot.stop_restitution
         constants.sensor[:], constants.support[:], constants.stick_speed = (
             self.sensor.par.memory, robot.support, STICK_SPEED,
         )  # fmt: skip

@@ -41,7 +41,16 @@ from closedloop.events.phases import (
     TOUCHING,
     request_terms,
 )
-from closedloop.events.stops import BEYOND, REACHED, energy_of_jump, reach_stops, release_stops
+from closedloop.events.stops import (
+    BEYOND,
+    MOST_TRIALS,
+    REACHED,
+    energy_of_jump,
+    note_sides,
+    reach_stops,
+    release_stops,
+    yield_stops,
+)
 from closedloop.events.table import (
     EDGE,
     IMPACT,
@@ -329,6 +338,19 @@ def collide(address: int) -> None:
     `proceed` because impacts are rare and their law takes longer to compile than all the rest.
     """
     state, constants, w = loop_at(address)
+    if state.stops == 0:
+        strike_surface(w, constants, state)
+        return
+    note_sides(w)
+    for _ in range(MOST_TRIALS):
+        strike_surface(w, constants, state)
+        if state.status != OK or not yield_stops(w, state):
+            return
+
+
+@kernel
+def strike_surface(w: Work, constants: Constants, state: State) -> None:
+    """Do the same with the stops that hold joints now."""
     bounces = state.rapid_events <= MAX_RAPID
     state.kind, w.discarded_rebound, w.restitution_given = IMPACT if bounces else TOUCHDOWN, 0.0, 0.0
     for _ in range(2):

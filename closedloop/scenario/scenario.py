@@ -83,7 +83,10 @@ class RobotSection(Section):
         description="let the damping and friction of the URDF's <dynamics> act in the joints, as viscous coefficients "
         "and Coulomb torques: the law coulomb_viscous of joint_friction, which must be left out then",
     )
-    stops: Flag = Field(False, description="joints strike hard stops at their position limits, without rebound")
+    stops: Flag = Field(False, description="joints strike hard stops at their position limits")
+    stop_restitution: Restitution = Field(
+        0.0, description="restitution there: of a joint alone the ratio of its speeds after and before, from 0 to 1"
+    )
     lock: dict[str, Annotated[Number, ANGLE]] | None = Field(
         None, description="joints held rigid, and where, rad (m); the model's own choice if left out"
     )

@@ -132,7 +132,7 @@ def through_drives(links: LoopLinks, rows: LoopRows, torque: Array) -> None:
     """
     if links.undriven == 0:
         return
-    m, n, wanted = links.m, links.n, rows.column
+    m, n, wanted = links.m - links.stops, links.n, rows.column  # the rows of stops are the last
     Z = rows.drive_basis
     for j in range(n):
         driven = rows.undriven[j] == 0.0

@@ -114,6 +114,7 @@ class Constants(Block, sizes=("n", "law", "compensation", "friction", "joint_fri
     s_p: float
     restitution: float
     rest_speed: float
+    stop_restitution: float  # of joints at their stops
     impact_friction: float
     stick_speed: float
     capture_speed: float  # up to which sticking is tried, m/s

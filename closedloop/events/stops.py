@@ -136,7 +136,7 @@ def note_sides(w: Work) -> None:
 
 @kernel
 def yield_stops(w: Work, state: State) -> bool:
-    """Let go of a stop that would have to pull in the compression of an impact of the tip; return whether there was one.
+    """Let go of a stop that would have to pull in the compression of an impact of the tip; return whether there was.
 
     Or hold one again that was let go, see `change_stop`; the mobility of the tip is then another.
     """

@@ -73,6 +73,7 @@ from closedloop.step.entries import STICK as END_OF_SLIP
 from closedloop.step.evaluate import call_law
 from closedloop.step.locate import set_anchor
 from closedloop.step.memory import RIGID_STICK, SPRING_STICK, Constants, State, Work, loop_at
+from closedloop.step.soft_contact import spring_energy
 from closedloop.step.tip_friction import delayed_speed
 
 Array = NDArray[np.float64]
@@ -164,9 +165,11 @@ def apply_event(
         state.phase, state.kind = IMPULSES_KNOWN, TOUCHDOWN
         return SOLVE_IMPACT if w.u[0] < 0.0 and state.compliance == 0 else APPLY_IMPACT
     if state.surface != 0 and w.inside < 0.0:
-        # The velocity stays what it is: f ends, there and then.
+        # The velocity stays what it is: f ends, there and then. What the spring has stored is not the arm's.
         state.mode, state.risen, state.beside, state.kind = FREE, 0, 1, EDGE
-        log_event(w, constants, state, events, 0.0)
+        stored = spring_energy(w, constants, state) if state.compliance != 0 else 0.0
+        log_event(w, constants, state, events, stored)
+        w.supplied += stored
         request_terms(state, AFTER_EVENT)
         return NEED_TERMS
     if state.unilateral != 0 and w.rigid_force < 0.0:

@@ -130,7 +130,7 @@ class Event(NamedTuple):
     tangential : (3,) array
         Impulse on the tip along the surface, N s, base frame.
     energy_lost : float
-        Kinetic energy lost, J.
+        Kinetic energy lost, J; at an edge that of the spring of a soft surface.
     position : (3,) array
         Where the tip is, m, base frame.
     slip_before, slip_after : float

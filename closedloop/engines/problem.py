@@ -365,6 +365,7 @@ class Problem:
         state.impact_law = RATIOS[self._restitution().ratio_of]
         state.sticking, state.joint_sticking = _sticking(self.friction), _sticking(self.joint_friction)
         state.stops = self.scenario.robot.stops
+        state.feed_forward = self.scenario.reference.orientation != "free"
         state.sensor_sampled = self.sensor.sampled
         transmission = self.scenario.transmission
         state.elastic = MOTORS_MEASURED if transmission.on_motors else int(transmission.elastic)

@@ -111,6 +111,11 @@ class ToolSection(Section):
     inertia: tuple[Moment, Moment, Moment, Moment, Moment, Moment] = Field(
         (0.0,) * 6, description="tensor about the centre of mass, kg m²: xx, yy, zz, xy, xz, yz"
     )
+    radius: Annotated[NotNegative, PLACE] = Field(
+        0.0,
+        description="radius of the tool's round end at its tip, m, 0 of a point: a path through a hollow of the surface "
+        "that is narrower is refused; nothing else depends on it",
+    )
     axis: Direction = Field(
         (0.0, 0.0, 1.0), description="axis of the tool, out of it at its tip, axes of the frame robot.tip; any length"
     )

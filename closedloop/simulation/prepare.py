@@ -44,6 +44,7 @@ from closedloop.scenario.scenario import BaumgarteGains, ModelErrorSection, Scen
 from closedloop.sections import Section
 from closedloop.simulation.cache import Cache
 from closedloop.simulation.edge import edge_key, refuse_beyond_edge
+from closedloop.simulation.tool_fit import refuse_tool_too_large
 from closedloop.step.record_row import row_width
 from closedloop.surface.compliances.none import Rigid
 from closedloop.surface.kinds.plane import PlaneSurface
@@ -156,6 +157,7 @@ def prepare(scenario: Scenario, model: RobotModel | None = None, cache: Cache | 
         wanted, table = _desired(scenario, robot, surface, q, instants, cache)
     if scenario.reference.on_surface != "no":
         refuse_beyond_edge(surface, wanted)
+        refuse_tool_too_large(surface, wanted, scenario.tool.radius)
     table[::nodes_per_step, 2 * n + 10] = draws(scenario.sensor, steps + 1)
     if table.shape[1] > 2 * n + 11:
         table[::nodes_per_step, 2 * n + 11 :] = encoder_draws(scenario.encoder, steps + 1, n)

@@ -113,8 +113,8 @@ class ToolSection(Section):
     )
     radius: Annotated[NotNegative, PLACE] = Field(
         0.0,
-        description="radius of the tool's round end at its tip, m, 0 of a point: a path through a hollow of the surface "
-        "that is narrower is refused; nothing else depends on it",
+        description="radius of the tool's round end at its tip, m, 0 of a point: a path through a narrower hollow of "
+        "the surface is refused; nothing else depends on it",
     )
     axis: Direction = Field(
         (0.0, 0.0, 1.0), description="axis of the tool, out of it at its tip, axes of the frame robot.tip; any length"

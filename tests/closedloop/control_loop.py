@@ -16,7 +16,7 @@ from closedloop.control.compensation.none import NoCompensation
 from closedloop.control.law import Compensation
 from closedloop.control.law_input import LawInput
 from closedloop.control.sensor import SensorSection, pack_sensor
-from closedloop.engines.problem import pack_law
+from closedloop.engines.packed import pack_law
 from closedloop.jit.calls import entry_address
 from closedloop.jit.kernel import plain
 from closedloop.parameters import parameter_block, state_block
@@ -182,8 +182,8 @@ class Loop:
             drift=self.frame @ terms.drift, p=self.frame @ terms.position, u=A @ v, r=terms.position.copy(),
             J=np.ascontiguousarray(terms.jacobian), Jdot_v=terms.drift.copy(), frame=np.ascontiguousarray(self.frame),
             q_des=np.array(q_des), v_des=np.array(v_des), qdd_des=np.zeros(len(q_des)),
-            p_des=self.p_start + shift, u_des=np.array(u_des), a_des=np.array(a_des), f_des=float(self.f_des), f_measured=float(self.f_measured),
-            pressed=float(self.pressed), scratch=self.scratch,
+            p_des=self.p_start + shift, u_des=np.array(u_des), a_des=np.array(a_des),
+            f_des=float(self.f_des), f_measured=float(self.f_measured), pressed=float(self.pressed), scratch=self.scratch,
         )  # fmt: skip
         return x, terms
 

@@ -215,7 +215,7 @@ def test_what_is_too_stiff_is_refused_with_the_step_that_would_do():
     "law", [{"kind": "kelvin_voigt", "damping": 0.0}, {"kind": "hunt_crossley", "dissipation": 0.0}]
 )
 def test_the_spring_at_an_edge_is_booked(law):
-    """A mass slides over the edge of an undamped surface: its energy and the spring's are constant, less the event's."""
+    """A mass slides over the edge of an undamped surface: its energy and the spring's are constant, but the event's."""
     k = 5e3 if law["kind"] == "kelvin_voigt" else 2e5
     scenario = point_mass(
         compliance=law | {"stiffness": k}, start__v=[0.47, 0.0, 0.0], surface__extent=[0.05, 1.0], time__duration=0.15

@@ -101,7 +101,7 @@ def test_several_stops_and_the_tip_at_once(contact, restitution):
 
 
 def test_loops_and_stops_together():
-    """A five-bar falls onto the stops of its cranks and bounces: the loop stays closed, and every torque is explained."""
+    """A five-bar falls onto its stops and bounces: the loop stays closed, and every torque is explained."""
     model = load("five_bar")
     changes = {
         "surface.gap": 5.0, "surface.contact": "unilateral", "robot.stops": True, "robot.stop_restitution": 0.4,

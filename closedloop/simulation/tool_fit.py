@@ -65,6 +65,6 @@ def refuse_tool_too_large(surface: PlacedSurface, wanted: Desired, radius: float
     if radius > hollow[k] * (1.0 + ROUNDING):
         raise ScenarioError(
             f"tool.radius = {radius:g}: at t = {times[k]:.4g} s the path is at {np.round(r[k], 4).tolist()} m, where "
-            f"the surface is hollow with a radius of {hollow[k]:.4g} m: a tool so large touches it beside its tip; must "
-            "be no larger than that"
+            f"the surface is hollow with a radius of {hollow[k]:.4g} m: a tool so large touches it beside its tip; "
+            "must be no larger than that"
         )

@@ -23,7 +23,7 @@ from closedloop.closure.contact_force import (
     pressed_force,
     stuck_force,
 )
-from closedloop.closure.solve import DIVERGED, LAW_FAILED, NOT_POSITIVE_DEFINITE, OK, PAINLEVE, SINGULAR
+from closedloop.closure.solve import DIVERGED, LAW_FAILED, NOT_POSITIVE_DEFINITE, OK, PAINLEVE, PUSHED, SINGULAR
 from closedloop.control.drives import cut_torque
 from closedloop.control.laws.paper import PaperLaw, paper_law
 from closedloop.control.seen import Seen
@@ -40,6 +40,7 @@ from closedloop.step.joint_friction import add_joint_friction, hold_joints
 from closedloop.step.locate import in_contact_frame, locate_tip, off_anchor
 from closedloop.step.memory import RIGID_STICK, SPRING_STICK, Constants, Reference, State, Work
 from closedloop.step.seen import keep_terms, see
+from closedloop.step.singular import force_in_singular_pose, pushed_on_the_way
 from closedloop.step.soft_contact import soft_contact_force
 from closedloop.step.tip_friction import surface_friction, turn_with_slip
 from closedloop.step.transmission import motor_rates, transmit
@@ -296,6 +297,8 @@ def contact_force(C: Array, w: Work, constants: Constants, state: State) -> int:
             status, share = pressed_force(w.S, w.a, b, w.c, w.viscous, w.F)
             if status == OK and wedged and not w.F[0] < 0.0:
                 status = PAINLEVE
+        if status == SINGULAR and state.mode == PRESSED:
+            return force_in_singular_pose(C, w, constants, state)
         if status != OK:
             return status
         sticking = state.sticking
@@ -307,6 +310,8 @@ def contact_force(C: Array, w: Work, constants: Constants, state: State) -> int:
                 if status != OK:
                     return status
         rigid = w.F[0] - share
+        if state.approached > 0 and pushed_on_the_way(C, w, constants, rigid):
+            return PUSHED
         w.rigid_force = kept_force(rigid, C, w, state)
         if state.unilateral != 0 and w.F[0] < 0.0 <= w.rigid_force:
             # The stabiliser may reduce f of a unilateral contact to zero, but not below.

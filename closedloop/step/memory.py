@@ -104,6 +104,7 @@ class State(Block):
     kind: int  # of the event
     started: int  # 1 once the law has been evaluated
     batched: int  # rows in `Work.batch`
+    approached: int  # substeps in a row that began near a singular pose, see `closedloop.step.singular`
 
 
 class Constants(Block, sizes=("n", "law", "compensation", "friction", "joint_friction", "compliance")):
@@ -263,6 +264,7 @@ class Work(Block, sizes=("n", "k", "stages", "ring")):
     last_read_v: Annotated[Array, N]
     transmitted: Annotated[Array, N]  # torque on the links of elastic joints
     torque_limited: Annotated[Array, N]  # see `closedloop.control.drives.AS_ASKED`
+    approach: Annotated[Array, N + 6]  # see `closedloop.step.singular.Approach`
 
 
 STATE_COUNT = State.count()

@@ -96,6 +96,23 @@ def nearest_row(t: float, spacing: float, count: int) -> int:
     return min(round(t / spacing), count - 1)
 
 
+@kernel
+def desired_acceleration(t: float, spacing: float, table: Array, qdd: Array) -> None:
+    """Write q̈_des (n,) at the table's row nearest to t, s, of the rates q̇_des on either side of it.
+
+    It is the smaller of the two slopes, and zero where they differ in sign: so a velocity that jumps, as at the start
+    of a line, asks for no acceleration, and a smooth one for its own, to first order in the spacing.
+    """
+    n, at = qdd.shape[0], nearest_row(t, spacing, table.shape[0])
+    for j in range(n):
+        qdd[j] = 0.0
+        if 0 < at < table.shape[0] - 1:
+            before = (table[at, n + j] - table[at - 1, n + j]) / spacing
+            after = (table[at + 1, n + j] - table[at, n + j]) / spacing
+            if before * after > 0.0:
+                qdd[j] = before if abs(before) < abs(after) else after
+
+
 @kernel_inlined
 def evaluate(H: Array, C: Array, w: Work, constants: Constants, state: State, table: Array, rows: Array) -> int:
     """Evaluate law, friction, contact and Eq. 24 at the state in `w`.
@@ -134,6 +151,8 @@ def evaluate(H: Array, C: Array, w: Work, constants: Constants, state: State, ta
             return status
     else:
         reference_row(w.time, constants.node, table, n, w.reference)
+        if state.feed_forward != 0:
+            desired_acceleration(w.time, constants.node, table, w.qdd_des)
         if state.seen == 0:
             in_contact_frame(w.frame, w.carried, w.turning, Reference(w.reference, n))
             keep_terms(H, C, w)
@@ -194,6 +213,8 @@ def evaluate_law(H: Array, C: Array, w: Work, constants: Constants, state: State
     if status != OK:
         return status
     reference_row(w.time, constants.node, table, w.q.shape[0], w.reference)
+    if state.feed_forward != 0:
+        desired_acceleration(w.time, constants.node, table, w.qdd_des)
     if see(H, C, w, constants, state) != OK:
         return NOT_POSITIVE_DEFINITE
     return ask_law(w, constants, state)

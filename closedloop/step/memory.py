@@ -76,6 +76,7 @@ class State(Block):
     loops: int  # address of the entry of the mechanism's loops, 0: a tree; and of their memory
     loops_at: int
     stops: int  # 1 if the joints have stops
+    feed_forward: int  # whether the law is told of the joints' desired acceleration
     proceed: int  # address of the entry of `closedloop.events.proceed`, for the compiled engine
     constants_at: int
     constants_size: int
@@ -116,6 +117,7 @@ class Constants(Block, sizes=("n", "law", "compensation", "friction", "joint_fri
     s_p: float
     restitution: float
     rest_speed: float
+    stop_restitution: float  # of joints at their stops
     impact_friction: float
     stick_speed: float
     capture_speed: float  # up to which sticking is tried, m/s
@@ -238,6 +240,7 @@ class Work(Block, sizes=("n", "k", "stages", "ring")):
     A: Annotated[Array, 3, N]  # contact frame
     X: Annotated[Array, 3, N]  # L⁻¹Aᵀ
     reference: Annotated[Array, 2 * N + 10]  # row of the table at this instant
+    qdd_des: Annotated[Array, N]  # see `closedloop.step.evaluate.desired_acceleration`
     H: Annotated[Array, N, N]  # for laws that are called by address, as C
     C: Annotated[Array, N]
     L: Annotated[Array, N, N]

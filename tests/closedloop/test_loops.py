@@ -4,7 +4,6 @@ import numpy as np
 import pinocchio as pin
 import pytest
 from budget import budget
-from mechanisms import MECHANISMS, change_point, four_bar, loop
 
 import closedloop as cl
 import robot_models
@@ -12,6 +11,7 @@ from closedloop.closure.solve import solve_closure
 from closedloop.loops.assemble import closed_start, errors_at
 from closedloop.loops.bind import loop_memory
 from closedloop.robot.pinocchio import Robot
+from validation.loops.mechanisms import MECHANISMS, change_point, four_bar, loop
 from validation.oracle.closure import LoopJoint, loop_rows
 from validation.oracle.kinematics import forward_kinematics
 from validation.oracle.urdf import read_urdf
@@ -19,7 +19,8 @@ from validation.oracle.urdf import read_urdf
 # Mechanism to how many of its rows are independent.
 RANKS = {
     "four_bar": 2, "four_bar_point": 2, "doubled_four_bar": 3, "slider_crank": 2, "distance": 1, "six_bar": 4,
-    "bennett": 2, "bricard": 4, "cardan": 1, "gears": 2, "spatial_slider": 4, "five_bar": 2, "delta": 18, "stewart": 18,
+    "bennett": 2, "bricard": 4, "cardan": 1, "gears": 2, "spatial_slider": 4, "cut_coupler": 3, "plate": 3,
+    "five_bar": 2, "delta": 18, "stewart": 18,
 }  # fmt: skip
 
 

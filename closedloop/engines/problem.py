@@ -304,7 +304,8 @@ class Problem:
         user_law : callable, optional
             What writes where a law of one's own is; it is told `compiled`.
         compiled : bool
-            Whether the loop is machine code.
+            Whether the loop is machine code. A user's class is compiled in either case, so that a run which begins
+            interpreted refuses what the next one would.
 
         Raises
         ------
@@ -313,10 +314,13 @@ class Problem:
         """
         address = entry_address if compiled else twin_address
         for name, entry in self.entries(user_law is not None).items():
+            member = getattr(self.scenario, name)
             try:
+                if not compiled and is_users(member):
+                    entry_address(entry)
                 setattr(loop.state, name, address(entry))
             except Exception as error:
-                member, known = getattr(self.scenario, name), {"LawInput": LawInput._fields, "Slip": Slip._fields}
+                known = {"LawInput": LawInput._fields, "Slip": Slip._fields}
                 if not is_users(member) or isinstance(error, ClosedLoopError):
                     raise
                 why = why_member_not_compiled(error, type(member), known)

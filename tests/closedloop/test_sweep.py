@@ -340,17 +340,50 @@ def test_what_is_not_this_sweeps_is_never_overwritten(capsys, tmp_path):
             path.unlink()
         return line
 
-    assert "is there and is no sweep; nothing was overwritten" in refused_with((out, b"my notes"))
+    cure = "name another file with --out, or replace it with --overwrite"
+    assert f"is there and is no sweep; {cure}" in refused_with((out, b"my notes"))
     parquet.write_table(pa.table({"a": [1]}), out)
     assert "is there and is no sweep" in refused_with((out, out.read_bytes()))
     assert sweep(capsys, *SMALL, "--out", out)[0] == 0
     line = refused_with((out, out.read_bytes()), arguments=(*SMALL, "--law.kd", "30"))
-    assert "belongs to another sweep: not the same scenario; nothing was overwritten" in line
+    assert f"holds another sweep: law.kd is [60.0, 60.0, 30.0, 20.0] there and 30.0 here; {cure}" in line, line
     assert "is there and is no sweep" in refused_with((out.with_suffix(".nc"), b"data"), arguments=small_with_columns)
     folder = tmp_path / "t.parquet.parts"
     assert "is there and holds no sweep" in refused_with((folder / "mine.txt", b"mine"))
     other = json.dumps({"format": store_module.FORMAT, "identity": {"scenario": "other"}}).encode()
-    assert "belongs to another sweep: not the same scenario, " in refused_with((folder / "sweep.json", other))
+    assert "holds another sweep: the scenario differs, " in refused_with((folder / "sweep.json", other))
+
+
+def test_another_sweep_is_replaced_where_that_is_asked_for(capsys, tmp_path):
+    """Its table and its columns go, parts of a third one too; the new table is what it would be in an empty folder."""
+    out, brief = tmp_path / "t.parquet", ("wam_slide", "--time.duration", "0.002", "--workers", "1")
+    assert sweep(capsys, *brief, "--over", "law.force=5,6,7", "--keep", "f", "--out", out)[0] == 0
+    folder = tmp_path / "t.parquet.parts"
+    folder.mkdir()
+    (folder / "sweep.json").write_text(json.dumps({"format": store_module.FORMAT, "identity": {"scenario": "other"}}))
+    (folder / "part-00000000.arrow").write_text("of the other")
+    for over, runs in (("law.force=8,9", 2), ("law.kd=8,9", 2), ("law.kd=8,9", 2)):
+        words = (*brief, "--over", over, "--out", out)
+        assert sweep(capsys, *words, "--overwrite")[0] == 0
+        assert parquet.read_table(out)[over.partition("=")[0]].to_pylist() == [8.0, 9.0]
+        assert list(tmp_path.iterdir()) == [out]
+    out.write_text("my notes")
+    assert sweep(capsys, *words, "--overwrite")[0] == 0
+    assert parquet.read_table(out).num_rows == runs
+
+
+def test_no_value_that_was_given_is_dropped(capsys, tmp_path):
+    """Beside kinds that change, a key that one of them does not know is refused; one that all know is in every run."""
+    kinds = ("wam_slide_friction", "--time.duration", "0.002", "--over", "friction.kind=stribeck,karnopp")
+    out = ("--out", str(tmp_path / "t.parquet"))
+    line = refusal(capsys, *kinds, "--friction.stribeck_speed", "0.1", "--friction.banana", "1", *out)
+    assert line.startswith("friction.stribeck_speed is given, and friction.kind = 'karnopp' does not know it: sweep")
+    keep = ("--friction.kinetic", "0.2", "--friction.static", "0.3", "--keep", "friction_force", "--workers", "1", *out)
+    assert "refused" not in sweep(capsys, *kinds, *keep)[1]
+    (tmp_path / "file.toml").write_text(
+        '[robot]\nmodel = "planar2"\n[law]\nkind = "hybrid"\nk3 = 7.0\n[time]\nduration = 0.01\n'
+    )
+    return line
 
 
 def test_values_that_only_toml_knows_are_text_in_the_table(capsys, tmp_path):

@@ -9,7 +9,6 @@ from __future__ import annotations
 import json
 import os
 from pathlib import Path
-from typing import Any
 
 from closedloop.errors import ClosedLoopError, InterruptedRunError, OutputError, RunFileError
 from closedloop.files import probe_folder, reason_of, refuse_special, remove_unfinished, write_whole

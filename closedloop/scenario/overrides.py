@@ -89,7 +89,7 @@ def refuse_lost(given: Mapping[str, Any], kinds: Iterable[tuple[str, Any]]) -> N
     """
     from closedloop.scenario.messages import variant_keys
 
-    faults = {}
+    faults: dict[str, tuple[str, str]] = {}
     for key, kind in kinds:
         section, _, last = key.partition(".")
         for mine in given if last == "kind" and isinstance(kind, str) else ():

@@ -91,9 +91,9 @@ def _signals_raise() -> Iterator[None]:
 def _sweep(arguments: list[str]) -> int:
     from closedloop.command.border import DONE, NOT_GOOD, STOPPED
     from closedloop.command.user_module import name_members
+    from closedloop.errors import ScenarioError
     from closedloop.progress import count
     from closedloop.scenario.overrides import split_overrides
-    from closedloop.errors import ScenarioError
     from closedloop.sweep import run_sweep
     from closedloop.sweep.store import why_no_place
 

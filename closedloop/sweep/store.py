@@ -42,9 +42,9 @@ DESCRIPTION, LOCK = "sweep.json", "lock"
 _PART = re.compile(r"part-\d{8,}\.(arrow|npz)")
 # What a sweep depends on, in words.
 _NAMES = {
-    "scenario": "scenario", "robot": "robot", "design": "design", "axes": "list of keys and values", "runs": "number of runs",
-    "seed": "seed", "keep": "list of columns kept", "engine": "engine", "versions": "list of versions",
-    "kernels": "text of closedloop", "members": "text of a class of your own",
+    "scenario": "scenario", "robot": "robot", "design": "design", "axes": "list of keys and values",
+    "runs": "number of runs", "seed": "seed", "keep": "list of columns kept", "engine": "engine",
+    "versions": "list of versions", "kernels": "text of closedloop", "members": "text of a class of your own",
 }  # fmt: skip
 # How often the lock's file is made anew where another process removes it in between.
 TRIES = 20

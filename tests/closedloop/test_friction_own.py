@@ -306,7 +306,7 @@ def test_what_is_no_law_is_refused_in_one_line(case):
 @pytest.mark.skipif(jit_disabled(), reason="nothing is compiled")
 @pytest.mark.parametrize("compiled", [True, False])
 def test_what_numba_cannot_compile_is_one_line(mine, compiled):
-    """The line names the class, what is wrong, and the line of the user's file; so it does where a run is interpreted."""
+    """The line names the class, what is wrong, and the line of the user's file; also of a run interpreted."""
     problem = cl.prepare(cl.load_scenario("wam_slide", {"friction.kind": mine.Undefined}))
     loop = problem.loop()
     with pytest.raises(cl.ScenarioError) as caught:

@@ -8,13 +8,12 @@ from __future__ import annotations
 
 import json
 import os
-import tomllib
 from pathlib import Path
-from typing import Any
 
 from closedloop.errors import ClosedLoopError, InterruptedRunError, OutputError, RunFileError
 from closedloop.files import probe_folder, reason_of, refuse_special, remove_unfinished, write_whole
 from closedloop.interrupts import held_back
+from closedloop.record.difference import difference
 from closedloop.record.run import Run
 from closedloop.record.sealed import read_sealed
 
@@ -72,7 +71,7 @@ class Results:
                 return f"its {RUN} {words}"
             differing = [key for key, value in question.items() if found.get(key, value) != value]
             if differing:
-                return f"holds another run: {_difference(differing, found, question)}"
+                return f"holds another run: {difference(differing, _NAMES, found, question)}"
             if found.get("format") is None:
                 return f"its {RUN} is not a run file"
             self._rows = columns["time"].size if "time" in columns else -1
@@ -143,28 +142,3 @@ def _is_summary(path: Path) -> bool:
     except (OSError, ValueError, RecursionError):
         return False
     return isinstance(found, dict) and {"scenario", "assumptions"} <= set(found)
-
-
-def _difference(keys: list[str], found: dict[str, Any], question: dict[str, str]) -> str:
-    """Return the first difference between the inputs of a run and these, in words."""
-    names = dict.fromkeys(_NAMES[key] for key in keys)
-    if "scenario" in names:
-        try:
-            there, here = (_flat(tomllib.loads(str(text["scenario"]))) for text in (found, question))
-        except (ValueError, RecursionError):
-            there = here = {}
-        changed = [key for key in there | here if there.get(key) != here.get(key)]
-        if changed:
-            key, more = changed[0], len(changed) - 1
-            names.pop("scenario")
-            told = f"{key} is {there.get(key, 'not set')} there and {here.get(key, 'not set')} here"
-            names = {told[:200] + (f", {more} more keys differ" if more else ""): None} | names
-    named = [name if " is " in name else f"the {name} differs" for name in names]
-    return ", ".join(named)
-
-
-def _flat(table: dict[str, Any], prefix: str = "") -> dict[str, Any]:
-    flat: dict[str, Any] = {}
-    for key, value in table.items():
-        flat |= _flat(value, f"{prefix}{key}.") if isinstance(value, dict) else {prefix + key: value}
-    return flat

@@ -12,6 +12,7 @@ that it sees are those of q_m and v_m.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from typing import Annotated, Any, Literal
 
 import numpy as np
@@ -19,6 +20,7 @@ from numpy.typing import NDArray
 from pydantic import AfterValidator, Field
 
 from closedloop.control.sensor import Seed, quantised
+from closedloop.errors import ScenarioError
 from closedloop.jit.kernel import kernel
 from closedloop.parameters import parameter_block
 from closedloop.sections import PERIOD, Gain, NotNegative, Section, Size, gains_not_negative
@@ -66,6 +68,24 @@ def encoder_kind(section: EncoderSection) -> int:
 def encoder_draws(section: EncoderSection, count: int, n: int) -> Array:
     """Return standard normal numbers (count, 2 n) from the seed, for each reading those of positions and velocities."""
     return np.random.default_rng(section.seed).standard_normal((count, 2 * n))
+
+
+def check_steps(section: EncoderSection, low: Array, high: Array, names: Sequence[str]) -> None:
+    """Refuse an encoder whose step is a joint's whole range, from `low` to `high` (n,), rad (m): it reads one number.
+
+    A joint without limits has no such range.
+
+    Raises
+    ------
+    ScenarioError
+        Names the joint.
+    """
+    for name, step, travel in zip(names, np.broadcast_to(section.quantisation, low.shape), high - low, strict=True):
+        if step >= travel:
+            raise ScenarioError(
+                f"encoder.quantisation = {step:g}: joint {name} moves {travel:g} rad (m) in all, so that its encoder "
+                "would always read the same; take a smaller step"
+            )
 
 
 @kernel

@@ -106,7 +106,8 @@ class Problem(ScenarioNumbers):
         user_law : callable, optional
             What writes where a law of one's own is; it is told `compiled`.
         compiled : bool
-            Whether the loop is machine code.
+            Whether the loop is machine code. A user's class is compiled in either case, so that a run which begins
+            interpreted refuses what the next one would.
 
         Raises
         ------
@@ -116,10 +117,13 @@ class Problem(ScenarioNumbers):
         address = entry_address if compiled else twin_address
         loop.state.proceed = address(proceed_at)
         for name, entry in self.entries(user_law is not None).items():
+            member = getattr(self.scenario, name)
             try:
+                if not compiled and is_users(member):
+                    entry_address(entry)
                 setattr(loop.state, name, address(entry))
             except Exception as error:
-                member, known = getattr(self.scenario, name), {"LawInput": LawInput._fields, "Slip": Slip._fields}
+                known = {"LawInput": LawInput._fields, "Slip": Slip._fields}
                 if not is_users(member) or isinstance(error, ClosedLoopError):
                     raise
                 why = why_member_not_compiled(error, type(member), known)

@@ -52,7 +52,7 @@ def joints(run: Run) -> Figure:
 
 
 def _stroke(j: int) -> str:
-    return "-" if j < len(MANY) else "--"
+    return ("-", "-.", ":")[min(j // len(MANY), 2)]  # limits are dashed
 
 
 def _draw_limits(axes: Axes, values: Array, low: Array, high: Array) -> None:

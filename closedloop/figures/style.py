@@ -10,7 +10,7 @@ if TYPE_CHECKING:
 # Blue, orange, green of Okabe and Ito's palette: told apart by colour-blind readers and in grey print.
 COLOURS = ("#0072B2", "#D55E00", "#009E73")
 STROKES = ("-", "-", "--")
-# And the rest of it, for as many lines as there are joints: the second half of them dashed.
+# And the rest of it, for as many lines as there are joints: after seven in another stroke.
 MANY = (*COLOURS, "#CC79A7", "#E69F00", "#56B4E9", "#000000")
 STYLE: dict[str, Any] = {
     "font.size": 10,

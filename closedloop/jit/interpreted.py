@@ -155,6 +155,7 @@ class Interim:
             if not any(map(needs_compiling, self._with_it)):
                 return self._compile(arguments)(*arguments)
         before = [array.copy() for array in self._written]
+        busy = clock.thread_time()  # of the processor: on a loaded machine compiling takes longer by as much
         try:
             with np.errstate(all="ignore"):
                 answer = self._twin(*arguments)
@@ -166,7 +167,7 @@ class Interim:
             raise
         _so_far[self._function.__name__] += 1
         self._done += 1
-        self._seconds_done += clock.perf_counter() - began
+        self._seconds_done += clock.thread_time() - busy
         if not self._decided and (self._done >= PROBE or _so_far[self._function.__name__] >= PROBE > self._calls):
             self._decided = True
             self._decide((self._calls - self._done) * self._seconds_done / self._done, arguments)

@@ -12,6 +12,7 @@ verdict stands in the first line of the report, in ``summary.json`` and in a col
 ``position_limit``        a joint beyond its position limits
 ``velocity_limit``        a joint faster than its velocity limit
 ``effort_limit``          more torque asked of a joint than its effort limit
+``saturation``            a limit of `[drives]` cut a joint's torque more often than not
 an assumption's name      an assumption of the paper that failed though the scenario keeps to it
 ========================  ==============================================================================
 
@@ -52,6 +53,10 @@ STEPS_TO_AN_EVENT = 20
 # on it. With Baumgarte's stabiliser shipped scenarios keep 1e-8 m, without one 2e-6 m. A closure may start farther off
 # (`closedloop.simulation.start.START_GAP`) and comes to it from there.
 CLOSURE_BOUND = 1e-4
+
+# A limit of the drives may cut a torque as the tip strikes, or as a motion starts; where it acts in most of the rows it
+# is the limit that moves the arm, and no longer the law.
+SATURATED_SHARE = 0.5
 
 # What a run says that stopped by it (`closedloop.engines.failures`).
 DIVERGES = "the motion diverges"
@@ -133,7 +138,7 @@ def judge(facts: Facts, gains: Callable[[], str]) -> list[dict[str, Any]]:
         if fault:
             problems.insert(0, _problem("gains", fault))
     if facts.steps >= 0:
-        problems += _limits(facts)
+        problems += _limits(facts) + _saturation(facts)
         problems += [
             _problem(name, f"the scenario keeps to this assumption of the paper, and it failed: {measured}", at)
             for name, (at, measured) in facts.failed.items()
@@ -226,6 +231,17 @@ def _limits(facts: Facts) -> list[dict[str, Any]]:
                 text = f"is asked for up to {value:.3g} {unit_here}, its limit is {model.effort_limit[j]:g}"
             problems.append(_problem(name, f"joint {model.joint_names[j]} {text}", at))
     return problems
+
+
+def _saturation(facts: Facts) -> list[dict[str, Any]]:
+    """Return a problem for each joint whose torque a limit of the drives cut in most of the rows."""
+    shares, since = facts.joints["torque_limited_share"], facts.joints["torque_limited_at"]
+    names = facts.model.joint_names
+    return [
+        _problem("saturation", f"[drives] cuts the torque of joint {name} in {100.0 * share:.3g} % of the rows", at)
+        for name, share, at in zip(names, shares, since, strict=True)
+        if share > SATURATED_SHARE
+    ]
 
 
 def _problem(name: str, text: str, at: float | None = None) -> dict[str, Any]:

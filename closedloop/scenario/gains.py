@@ -150,6 +150,13 @@ def check_transmission(scenario: Scenario, robot: Robot, q: Array) -> None:
     share = _largest_share(swing, name, h, 0)
     fastest = float(np.sqrt(np.max(np.linalg.eigvals(swing.stiffness).real)))
     cure = f"the step may be at most {_down(share * h)} s" if share > 1e-6 else "at any step"
+    undamped = swing._replace(damping=np.zeros_like(swing.damping))
+    if growth(undamped, name, h) <= GROWING:
+        rate = float(np.max(np.linalg.eigvals(swing.damping).real))
+        raise ScenarioError(
+            f"transmission.damping: {name} is unstable with time.step = {h:g} s on joints whose damping acts at "
+            f"{rate:.4g} 1/s: {cure}; or take less damping or another integrator"
+        )
     raise ScenarioError(
         f"transmission.stiffness: {name} is unstable with time.step = {h:g} s on joints that swing at {fastest:.4g} "
         f"rad/s against their motors: {cure}; or take softer joints, more damping or another integrator"

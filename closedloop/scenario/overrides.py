@@ -7,7 +7,7 @@ variants.scenario((12.0, 900.0))
 from __future__ import annotations
 
 import tomllib
-from collections.abc import Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from copy import deepcopy
 from typing import Any
 
@@ -70,6 +70,40 @@ class Variants:
                 first = first or error
         assert first is not None
         raise first
+
+
+def refuse_lost(given: Mapping[str, Any], kinds: Iterable[tuple[str, Any]]) -> None:
+    """Refuse a key given beside kinds that change from run to run, if one of these kinds does not know it.
+
+    Parameters
+    ----------
+    given : mapping
+        The overrides that all runs have in common.
+    kinds : iterable of (str, value)
+        Keys that change, and one of their values each; only those that pick a kind matter.
+
+    Raises
+    ------
+    ScenarioError
+        Names every such key, and the kind that would run without it.
+    """
+    from closedloop.scenario.messages import variant_keys
+
+    faults: dict[str, tuple[str, str]] = {}
+    for key, kind in kinds:
+        section, _, last = key.partition(".")
+        for mine in given if last == "kind" and isinstance(kind, str) else ():
+            part = mine.split(".")
+            known = variant_keys(section, kind)  # none of a kind that there is not: of its own runs, which say it
+            if known and part[0] == section and len(part) > 1 and part[1] not in known:
+                faults.setdefault(mine, (key, kind))
+    if faults:
+        raise ScenarioError(
+            *(
+                f"{mine} is given, and {key} = {kind!r} does not know it: sweep each kind with its own keys"
+                for mine, (key, kind) in faults.items()
+            )
+        )
 
 
 def split_overrides(arguments: list[str]) -> tuple[dict[str, Any], list[str]]:

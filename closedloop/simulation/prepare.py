@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 import robot_models
 from closedloop.closure.contact_force import PRESSED, STUCK
 from closedloop.control.drives import torque_limits, torque_steps
-from closedloop.control.encoder import NO_ENCODER, encoder_draws, encoder_kind
+from closedloop.control.encoder import NO_ENCODER, check_steps, encoder_draws, encoder_kind
 from closedloop.control.law import Compensation
 from closedloop.control.laws.paper import PaperLaw
 from closedloop.control.sensor import draws, pack_sensor
@@ -187,11 +187,17 @@ def prepare(scenario: Scenario, model: RobotModel | None = None, cache: Cache | 
         project=scenario.stabiliser.kind in ("projection", "both") and not soft,
         hold=hold,
         transmission=transmission_constants(scenario.transmission, model),
-        encoder=pack(scenario.encoder, n, "encoder", model.joint_names),
+        encoder=_encoder(scenario, model),
         drives=np.stack([torque_limits(scenario.drives, model), torque_steps(scenario.drives, model, period)]),
         wanted=wanted,
         tolerance=tolerance,
     )
+
+
+def _encoder(scenario: Scenario, model: RobotModel) -> Array:
+    numbers = pack(scenario.encoder, model.n, "encoder", model.joint_names)
+    check_steps(scenario.encoder, model.position_lower, model.position_upper, model.joint_names)
+    return numbers
 
 
 def _robot_key(scenario: Scenario) -> Hashable:

@@ -75,6 +75,7 @@ class Simulator:
         check_engine(scenario, engine, None)
         self.problem = prepare(scenario, model)
         self._engine, self._n, self._h = engine, self.problem.robot.n, self.problem.h
+        self._reads = scenario.reads_encoders
         self._now: _Now | None = None
         self._failure: SimulationError | None = None
         self._drivers: dict[str, str] = {}  # names of what has driven the run, and digests of users' laws
@@ -270,8 +271,8 @@ class Simulator:
         row = 0 if now is None else now.row + 1
         measured, count = stepper.seen()
         table = stepper.answers.events[since:count].copy() if count > since else None
-        reads = self.problem.scenario.reads_encoders
-        state = StepState(self._h * row, row, self._n, stepper.rows[row].copy(), measured, table, reads)
+        recorded = stepper.rows[row].copy()
+        state = StepState(self._h * row, row, self._n, recorded, measured, table, self._reads)
         self._now = _Now(stepper.mark, row, count, state)
 
     def _note(self, driver: object, law: Law | None) -> None:

@@ -23,8 +23,11 @@ from closedloop.interrupts import Terminated, exit_status, word_for
 
 # What takes time to import is imported below, once signals are answered.
 if TYPE_CHECKING:
+    from argparse import Namespace
+
     from closedloop.command.border import Parser
     from closedloop.scenario.scenario import Scenario
+    from closedloop.sweep import Sweep
     from closedloop.sweep.axes import Axis
     from closedloop.sweep.join import Joined
 
@@ -88,10 +91,11 @@ def _signals_raise() -> Iterator[None]:
 def _sweep(arguments: list[str]) -> int:
     from closedloop.command.border import DONE, NOT_GOOD, STOPPED
     from closedloop.command.user_module import name_members
+    from closedloop.errors import ScenarioError
     from closedloop.progress import count
     from closedloop.scenario.overrides import split_overrides
-    from closedloop.sweep import Design, Sweep, parse_axis, run_sweep
-    from closedloop.sweep.design import GRID, LATIN, RANDOM
+    from closedloop.sweep import run_sweep
+    from closedloop.sweep.store import why_no_place
 
     overrides, rest = split_overrides(arguments)
     name_members(overrides.items())
@@ -101,13 +105,12 @@ def _sweep(arguments: list[str]) -> int:
 
         logging.basicConfig()
         logging.getLogger("closedloop").setLevel(logging.DEBUG)
-    kind = RANDOM if options.random is not None else LATIN if options.latin is not None else GRID
-    axes = [parse_axis(text, drawn=kind != GRID) for text in options.over]
-    name_members((axis.key, value) for axis in axes for value in axis.values)
-    design = Design(axes, kind, {RANDOM: options.random, LATIN: options.latin}.get(kind) or 0, options.seed)
-    scenario = _common(options.scenario, overrides, axes, drawn=kind != GRID)
-    keep = [name for word in options.keep for name in word.split(",") if name]
-    sweep = Sweep.of(scenario, design, keep, options.engine)
+    try:
+        sweep = _asked_for(options, overrides)
+    except ScenarioError as error:
+        why = "" if options.out is None else why_no_place(Path(options.out))
+        raise ScenarioError(*error.faults, *([why] if why else [])) from None
+    scenario, design = sweep.scenario, sweep.design
     out = Path(options.out) if options.out else Path("out") / scenario.name / "sweep.parquet"
     began = clock.monotonic()
     done: list[tuple[int, int]] = []
@@ -118,7 +121,10 @@ def _sweep(arguments: list[str]) -> int:
             show(runs, total)
 
         with _signals_raise():
-            result = run_sweep(sweep, out, workers=options.workers, scheduler=options.scheduler, progress=progress)
+            result = run_sweep(
+                sweep, out, workers=options.workers, scheduler=options.scheduler, progress=progress,
+                overwrite=options.overwrite,
+            )  # fmt: skip
     seconds = clock.monotonic() - began
     runs = done[-1][0] - done[0][0] if done else 0
     before = len(design) - runs
@@ -137,16 +143,35 @@ def _sweep(arguments: list[str]) -> int:
     return STOPPED if FAILED in result.counts else DONE
 
 
+def _asked_for(options: Namespace, overrides: dict[str, Any]) -> Sweep:
+    """Return the sweep that the command line asks for."""
+    from closedloop.command.user_module import name_members
+    from closedloop.scenario.overrides import refuse_lost
+    from closedloop.sweep import Design, Sweep, parse_axis
+    from closedloop.sweep.design import GRID, LATIN, RANDOM
+
+    kind = RANDOM if options.random is not None else LATIN if options.latin is not None else GRID
+    axes = [parse_axis(text, drawn=kind != GRID) for text in options.over]
+    name_members((axis.key, value) for axis in axes for value in axis.values)
+    refuse_lost(overrides, ((axis.key, value) for axis in axes for value in axis.values))
+    design = Design(axes, kind, {RANDOM: options.random, LATIN: options.latin}.get(kind) or 0, options.seed)
+    scenario = _common(options.scenario, overrides, axes, drawn=kind != GRID)
+    keep = [name for word in options.keep for name in word.split(",") if name]
+    return Sweep.of(scenario, design, keep, options.engine)
+
+
 def _common(name: str, overrides: dict[str, Any], axes: Sequence[Axis], drawn: bool) -> Scenario:
     """Return the scenario that the runs have in common; a key that must be given may be one that changes."""
     from closedloop.errors import ScenarioError
     from closedloop.scenario.scenario import load_scenario
 
-    try:
-        return load_scenario(name, overrides)
-    except ScenarioError:
-        firsts = {axis.key: axis.drawn(0.0) if drawn else axis.at(0) for axis in axes}
-        return load_scenario(name, overrides | firsts)
+    firsts = {axis.key: axis.drawn(0.0) if drawn else axis.at(0) for axis in axes}
+    # Another kind drops what the file says of its own, so that one is taken only where nothing else will do.
+    of_its_kind = {key: value for key, value in firsts.items() if not key.endswith(".kind")}
+    for more in ({}, of_its_kind):
+        with suppress(ScenarioError):
+            return load_scenario(name, overrides | more)
+    return load_scenario(name, overrides | firsts)
 
 
 def _counted(result: Joined) -> str:
@@ -191,6 +216,7 @@ def _sweep_parser() -> Parser:
     drawn.add_argument("--latin", **number, help="draw a Latin hypercube of N runs")  # type: ignore[arg-type]
     add("--seed", type=int, default=0, metavar="N", help="of the draws (default 0)")
     add("--out", metavar="FILE", help="the .parquet file (default: out/SCENARIO/sweep.parquet)")
+    add("--overwrite", action="store_true", help="replace another sweep in that file")
     add(
         "--keep", metavar="COLUMNS", action="append", default=[],
         help="keep columns of every run, such as f,e, in a .nc beside it",

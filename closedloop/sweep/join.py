@@ -21,7 +21,7 @@ from closedloop.batch.threads import Done, uninterrupted
 from closedloop.errors import OutputError
 from closedloop.files import remove_unfinished, write_whole
 from closedloop.sweep.columns import write_columns
-from closedloop.sweep.store import FORMAT, Store, check_identity, unwritable
+from closedloop.sweep.store import FORMAT, OccupiedError, Store, check_identity, unwritable
 
 if TYPE_CHECKING:
     import pyarrow as pa
@@ -60,13 +60,17 @@ def already_there(identity: dict[str, Any], out: Path) -> Joined | None:
 
     Raises
     ------
+    OccupiedError
+        If something else is there, which --overwrite would replace.
     OutputError
-        If something else is there, or could not be put there.
+        If a table could not be put there.
     """
     from pyarrow import parquet
 
     if out.suffix != ".parquet":
         raise OutputError(f"--out {out}: must end in .parquet")
+    if out.exists() and not out.is_file():  # a folder, or a pipe, which would be waited for
+        raise OutputError(f"--out {out}: is there and is no sweep, but a folder or a device; name another file")
     kept = out.with_suffix(".nc") if identity["keep"] else None
     try:
         for path in (out, kept):
@@ -77,18 +81,17 @@ def already_there(identity: dict[str, Any], out: Path) -> Joined | None:
                 check_identity(_of_netcdf(kept), identity, kept)
             return None
         found = counted = None
-        if out.is_file():  # and no folder, nor a pipe, which would be waited for
-            with unreadable_is_none():
-                columns = parquet.read_schema(out)
-                found = json.loads((columns.metadata or {})[METADATA.encode()])
-                counted = _counted(parquet.read_table(out, columns=_judged(columns)))
+        with unreadable_is_none():
+            columns = parquet.read_schema(out)
+            found = json.loads((columns.metadata or {})[METADATA.encode()])
+            counted = _counted(parquet.read_table(out, columns=_judged(columns)))
     except OSError as error:
         if isinstance(error, OutputError):
             raise
         raise unwritable(out, error) from None
     check_identity(found, identity, out)
     if counted is None:
-        raise OutputError(f"--out {out}: is damaged; nothing was overwritten; remove it to run the sweep again")
+        raise OccupiedError(out, "is damaged")
     if kept is not None and not kept.exists():
         raise OutputError(f"--out {out}: is done, but {kept} is gone; remove the table to run it again")
     return Joined(out, kept, *counted)
@@ -128,6 +131,8 @@ def join(store: Store, out: Path, parts: int, columns: pa.Schema, step: float) -
                 counts.update(statuses)
                 verdicts.update(bad)
 
+        if kept is None and store.overwrite:
+            _remove_columns(out)
         if kept is not None:  # first: where the table is, all is there
             write_whole(kept, lambda file: write_columns(file, store, parts, attributes, step, done.check))
         write_whole(out, write_table)
@@ -141,6 +146,15 @@ def join(store: Store, out: Path, parts: int, columns: pa.Schema, step: float) -
         ) from None
     store.remove()
     return Joined(out, kept, dict(counts), dict(verdicts))
+
+
+def _remove_columns(out: Path) -> None:
+    """Remove the whole columns that another sweep left beside the table that replaces its own."""
+    path = out.with_suffix(".nc")
+    if path.is_file() and not path.is_symlink():
+        found = _of_netcdf(path)
+        if isinstance(found, dict) and found.get("format") == FORMAT:
+            path.unlink()
 
 
 def _write_table(

@@ -11,7 +11,7 @@ from closedloop.batch.worker import Worker
 from closedloop.simulation.cache import Cache
 from closedloop.sweep.join import Joined, already_there, join
 from closedloop.sweep.part import columns_of, run_part, worker_for
-from closedloop.sweep.store import Store, tidy
+from closedloop.sweep.store import OccupiedError, Store, tidy
 from closedloop.sweep.sweep import Sweep
 
 
@@ -22,6 +22,7 @@ def run_sweep(
     workers: int | None = None,
     scheduler: str | None = None,
     progress: Callable[[int, int], None] | None = None,
+    overwrite: bool = False,
 ) -> Joined:
     """Run what is not yet there of a sweep, and join its parts into the table.
 
@@ -37,6 +38,8 @@ def run_sweep(
         Address of a Dask scheduler, ``tcp://host:port``, whose workers run the parts instead.
     progress : callable, optional
         Gets (runs done, runs in all).
+    overwrite : bool
+        Whether a file there that is not this sweep's is replaced once this one is done; its parts go at once.
 
     Returns
     -------
@@ -52,12 +55,12 @@ def run_sweep(
     """
     out = Path(out)
     threads = threads_for(sweep.engine, workers)
-    there = already_there(sweep.identity, out)
+    there = _already_there(sweep, out, overwrite)
     if there is not None:
         tidy(sweep.identity, out)
         return there
-    with Store(sweep.identity, out) as store:
-        there = already_there(sweep.identity, out)  # since, by another process
+    with Store(sweep.identity, out, overwrite) as store:
+        there = _already_there(sweep, out, overwrite)  # since, by another process
         if there is not None:
             store.remove()
             return there
@@ -83,3 +86,12 @@ def run_sweep(
 
             side_by_side(one, len(missing), threads, lambda: worker_for(job, shared), report, done)
         return join(store, out, sweep.parts, columns_of(sweep.job), sweep.scenario.time.step)
+
+
+def _already_there(sweep: Sweep, out: Path, overwrite: bool) -> Joined | None:
+    try:
+        return already_there(sweep.identity, out)
+    except OccupiedError:
+        if overwrite:
+            return None
+        raise

@@ -28,7 +28,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from closedloop.errors import OutputError
-from closedloop.files import remove_unfinished, write_whole
+from closedloop.files import reason_of, remove_unfinished, write_whole
+from closedloop.record.difference import difference
 
 if TYPE_CHECKING:
     import pyarrow as pa
@@ -39,8 +40,21 @@ FORMAT = "closedloop sweep 2"
 DESCRIPTION, LOCK = "sweep.json", "lock"
 # What is written here, and so may be removed again.
 _PART = re.compile(r"part-\d{8,}\.(arrow|npz)")
+# What a sweep depends on, in words.
+_NAMES = {
+    "scenario": "scenario", "robot": "robot", "design": "design", "axes": "list of keys and values",
+    "runs": "number of runs", "seed": "seed", "keep": "list of columns kept", "engine": "engine",
+    "versions": "list of versions", "kernels": "text of closedloop", "members": "text of a class of your own",
+}  # fmt: skip
 # How often the lock's file is made anew where another process removes it in between.
 TRIES = 20
+
+
+class OccupiedError(OutputError):
+    """A file of that name is there that is another sweep's, or nobody's; --overwrite replaces it."""
+
+    def __init__(self, out: Path, why: str) -> None:
+        super().__init__(f"--out {out}: {why}; name another file with --out, or replace it with --overwrite")
 
 
 class Store:
@@ -52,6 +66,8 @@ class Store:
         What the sweep is, see `closedloop.sweep.sweep.Sweep.identity`.
     out : Path
         The table that the parts will become.
+    overwrite : bool
+        Whether the parts of another sweep are removed.
 
     Raises
     ------
@@ -59,8 +75,8 @@ class Store:
         If the folder cannot be written, is another sweep's, or is being written by another process.
     """
 
-    def __init__(self, identity: dict[str, Any], out: Path) -> None:
-        self.identity, self.out = identity, out
+    def __init__(self, identity: dict[str, Any], out: Path, overwrite: bool = False) -> None:
+        self.identity, self.out, self.overwrite = identity, out, overwrite
         self.folder = out.with_name(f"{out.name}.parts")
         self._lock: int | None = None
 
@@ -85,14 +101,19 @@ class Store:
             raise OutputError(f"--out {self.out}: {self.folder} is there and holds no sweep; name another file")
         self._lock = _locked(self.folder / LOCK, self.out)
         remove_unfinished(self.folder)  # of those that were killed
+        if self.overwrite and description.is_file() and self._of_another(description):
+            self._remove_parts()
         if not description.exists():
             text = json.dumps({"format": FORMAT, "identity": self.identity}, indent=1)
             write_whole(description, text.encode())
+        check_identity(_described(description), self.identity, self.out)
+
+    def _of_another(self, description: Path) -> bool:
         try:
-            found = json.loads(description.read_text(encoding="utf-8"))
-        except (ValueError, RecursionError):
-            found = None
-        check_identity(found, self.identity, self.out)
+            check_identity(_described(description), self.identity, self.out)
+        except OccupiedError:
+            return True
+        return False
 
     def __exit__(
         self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
@@ -174,14 +195,31 @@ class Store:
 
     def remove(self) -> None:
         """Remove what was written here, and the folder, unless something else is in it; the lock goes last."""
-        mine = [path for path in self.folder.iterdir() if _PART.fullmatch(path.name)]
-        for path in [*mine, self.folder / DESCRIPTION, self.folder / LOCK]:
-            with suppress(OSError):
-                if stat.S_ISREG(path.lstat().st_mode):
-                    path.unlink()
+        self._remove_parts()
+        _remove_file(self.folder / LOCK)
         with suppress(OSError):  # not empty
             self.folder.rmdir()
         self._close()
+
+    def _remove_parts(self) -> None:
+        """Remove the parts, and then what says which sweep they are of."""
+        mine = [path for path in self.folder.iterdir() if _PART.fullmatch(path.name)]
+        for path in [*mine, self.folder / DESCRIPTION]:
+            _remove_file(path)
+
+
+def _remove_file(path: Path) -> None:
+    with suppress(OSError):
+        if stat.S_ISREG(path.lstat().st_mode):
+            path.unlink()
+
+
+def _described(description: Path) -> Any:
+    """Return what a file says that its folder's parts are of, None if it cannot be read as that."""
+    try:
+        return json.loads(description.read_text(encoding="utf-8"))
+    except (ValueError, RecursionError):
+        return None
 
 
 def tidy(identity: dict[str, Any], out: Path) -> None:
@@ -198,23 +236,34 @@ def unwritable(out: Path, error: OSError) -> OutputError:
     return OutputError(f"--out {out}: cannot be written: {error.strerror or error}; name another file")
 
 
+def why_no_place(out: Path) -> str:
+    """Return why a table cannot be written there, whatever it holds, "" if it can; makes nothing."""
+    if out.suffix != ".parquet":
+        return f"--out {out}: must end in .parquet"
+    try:
+        there = next(place for place in out.absolute().parents if place.exists())
+    except (OSError, ValueError, StopIteration) as error:
+        return f"--out {out}: cannot be written: {reason_of(error)}; name another file"
+    if there.is_dir() and os.access(there, os.W_OK | os.X_OK):
+        return ""
+    why = "Permission denied" if there.is_dir() else f"{there} is no folder"
+    return f"--out {out}: cannot be written: {why}; name another file"
+
+
 def check_identity(found: Any, identity: dict[str, Any], out: Path) -> None:
     """Refuse a file or folder that belongs to another sweep.
 
     Raises
     ------
-    OutputError
+    OccupiedError
         With what is different.
     """
     if not isinstance(found, dict) or found.get("format") != FORMAT or not isinstance(found.get("identity"), dict):
-        raise OutputError(f"--out {out}: is there and is no sweep; nothing was overwritten; name another file")
+        raise OccupiedError(out, "is there and is no sweep")
     theirs, mine = found["identity"], json.loads(json.dumps(identity))
     different = [key for key in mine if theirs.get(key) != mine[key]]
     if different:
-        raise OutputError(
-            f"--out {out}: belongs to another sweep: not the same {', '.join(different)}; nothing was overwritten; "
-            "name another file, or remove it"
-        )
+        raise OccupiedError(out, f"holds another sweep: {difference(different, _NAMES, theirs, mine)}")
 
 
 def _locked(path: Path, out: Path) -> int:

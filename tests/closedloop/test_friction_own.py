@@ -304,12 +304,13 @@ def test_what_is_no_law_is_refused_in_one_line(case):
 
 
 @pytest.mark.skipif(jit_disabled(), reason="nothing is compiled")
-def test_what_numba_cannot_compile_is_one_line(mine):
-    """The line names the class, what is wrong, and the line of the user's file."""
+@pytest.mark.parametrize("compiled", [True, False])
+def test_what_numba_cannot_compile_is_one_line(mine, compiled):
+    """The line names the class, what is wrong, and the line of the user's file; also of a run interpreted."""
     problem = cl.prepare(cl.load_scenario("wam_slide", {"friction.kind": mine.Undefined}))
     loop = problem.loop()
     with pytest.raises(cl.ScenarioError) as caught:
-        problem.connect(loop)
+        problem.connect(loop, compiled=compiled)
     line = str(caught.value)
     said = r"friction.kind = my_friction:Undefined: cannot be compiled: my_friction.py:\d+: x has no 'slip'; it has u, "
     assert re.match(said, line), line

@@ -3,6 +3,7 @@
 import json
 import os
 import re
+import tomllib
 from pathlib import Path
 
 import h5netcdf
@@ -16,6 +17,8 @@ import closedloop as cl
 from closedloop import files
 from closedloop.progress import progress_text
 from closedloop.sweep import Design, Sweep, parse_axis, run_sweep
+from closedloop.sweep import __main__ as sweep_command
+from closedloop.sweep import join as join_module
 from closedloop.sweep import store as store_module
 from closedloop.sweep.design import BLOCK
 
@@ -340,17 +343,64 @@ def test_what_is_not_this_sweeps_is_never_overwritten(capsys, tmp_path):
             path.unlink()
         return line
 
-    assert "is there and is no sweep; nothing was overwritten" in refused_with((out, b"my notes"))
+    cure = "name another file with --out, or replace it with --overwrite"
+    assert f"is there and is no sweep; {cure}" in refused_with((out, b"my notes"))
     parquet.write_table(pa.table({"a": [1]}), out)
     assert "is there and is no sweep" in refused_with((out, out.read_bytes()))
     assert sweep(capsys, *SMALL, "--out", out)[0] == 0
     line = refused_with((out, out.read_bytes()), arguments=(*SMALL, "--law.kd", "30"))
-    assert "belongs to another sweep: not the same scenario; nothing was overwritten" in line
+    assert f"holds another sweep: law.kd is [60.0, 60.0, 30.0, 20.0] there and 30.0 here; {cure}" in line, line
     assert "is there and is no sweep" in refused_with((out.with_suffix(".nc"), b"data"), arguments=small_with_columns)
     folder = tmp_path / "t.parquet.parts"
     assert "is there and holds no sweep" in refused_with((folder / "mine.txt", b"mine"))
     other = json.dumps({"format": store_module.FORMAT, "identity": {"scenario": "other"}}).encode()
-    assert "belongs to another sweep: not the same scenario, " in refused_with((folder / "sweep.json", other))
+    assert "holds another sweep: the scenario differs, " in refused_with((folder / "sweep.json", other))
+
+
+def test_another_sweep_is_replaced_where_that_is_asked_for(capsys, tmp_path):
+    """Its table and its columns go, parts of a third one too; the new table is what it would be in an empty folder."""
+    out, brief = tmp_path / "t.parquet", ("wam_slide", "--time.duration", "0.002", "--workers", "1")
+    assert sweep(capsys, *brief, "--over", "law.force=5,6,7", "--keep", "f", "--out", out)[0] == 0
+    folder = tmp_path / "t.parquet.parts"
+    folder.mkdir()
+    (folder / "sweep.json").write_text(json.dumps({"format": store_module.FORMAT, "identity": {"scenario": "other"}}))
+    (folder / "part-00000000.arrow").write_text("of the other")
+    for over in ("law.force=8,9", "law.kd=8,9", "law.kd=8,9"):
+        words = (*brief, "--over", over, "--out", out)
+        assert sweep(capsys, *words, "--overwrite")[0] == 0
+        assert parquet.read_table(out)[over.partition("=")[0]].to_pylist() == [8.0, 9.0]
+        assert list(tmp_path.iterdir()) == [out]
+    out.write_text("my notes")
+    assert sweep(capsys, *words, "--overwrite")[0] == 0
+    assert parquet.read_table(out).num_rows == 2
+
+
+def test_no_value_that_was_given_is_dropped(capsys, tmp_path):
+    """Beside kinds that change, a key that one of them does not know is refused; one that all know is in every run."""
+    out = tmp_path / "t.parquet"
+    kinds = ("wam_slide", "--time.duration", "0.002", "--over", "law.kind=paper,hybrid", "--out", out)
+    line = refusal(capsys, *kinds, "--law.pd_start", "0.1", "--law.kd", "40")
+    assert line.startswith("law.pd_start is given, and law.kind = 'hybrid' does not know it: sweep each kind with its")
+    assert sweep(capsys, *kinds, "--law.kd", "40")[0] == 0
+    kept = json.loads(parquet.read_schema(out).metadata[join_module.METADATA.encode()])["identity"]["scenario"]
+    assert tomllib.loads(kept)["law"]["kd"] == 40.0
+
+
+def test_what_a_file_says_of_its_kind_stays_beside_a_key_that_it_lacks(tmp_path):
+    """The key is taken from the sweep, the kind from the file: else its own keys would be dropped."""
+    file = tmp_path / "s.toml"
+    file.write_text('[robot]\nmodel = "planar2"\n[law]\nkind = "hybrid"\nkp = 9\napproach_damping = 70.0\n')
+    axes = [parse_axis(text) for text in ("law.kind=paper,hybrid", "law.kd=1,2")]
+    assert sweep_command._common(str(file), {}, axes, drawn=False).law.approach_damping == 70.0
+
+
+def test_faults_of_the_scenario_and_of_the_place_are_said_together(capsys, tmp_path):
+    """As `closedloop run` does: a line each."""
+    (tmp_path / "a_file").write_text("mine")
+    words = ("wam_slide", "--law.banana", "1", "--over", "law.force=5,6", "--out", tmp_path / "a_file" / "t.parquet")
+    status, _, err = sweep(capsys, *words)
+    assert status == 2
+    assert ["law.banana" in err.splitlines()[0], "a_file is no folder" in err.splitlines()[1]] == [True, True]
 
 
 def test_values_that_only_toml_knows_are_text_in_the_table(capsys, tmp_path):

@@ -178,4 +178,4 @@ def test_a_second_sweep_to_the_same_file_is_refused(capsys, tmp_path):
         first.communicate()
     status, _, err = sweep(capsys, *LONG, "--law.kd", "5", "--out", out)  # the lock has died with its process
     assert status == 2
-    assert "belongs to another sweep: not the same scenario" in err
+    assert "holds another sweep: law." in err

@@ -156,6 +156,10 @@ REFUSED = {
         {"transmission.stiffness": 1e3, "transmission.measured": "motor", "time.integrator": "dop853"},
         "is read",
     ),
+    "damper": (
+        {"transmission.stiffness": 1e3, "transmission.damping": 1e7},
+        "transmission.damping: semi_implicit_euler is unstable with time.step = 0.001 s on joints whose damping",
+    ),
     "euler": ({"transmission.stiffness": 1e3, "time.integrator": "explicit_euler"}, "explicit_euler is unstable"),
 }
 

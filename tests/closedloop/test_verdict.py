@@ -118,6 +118,7 @@ def told(given, gains=""):
         ("position_limit_left_at", [np.nan] * 4, [np.nan, 0.5, np.nan, np.nan], "position_limit"),
         ("velocity_limit_exceeded_at", [np.nan] * 4, [np.nan, 0.5, np.nan, np.nan], "velocity_limit"),
         ("effort_limit_exceeded_at", [np.nan] * 4, [np.nan, 0.5, np.nan, np.nan], "effort_limit"),
+        ("torque_limited_share", [0, 0, 0.5, 0], [0, 0, 0.51, 0], "saturation"),
         ("failed", {}, {"nonsingular": (0.5, "")}, "nonsingular"),
         ("stopped", None, "stopped at t = 1 s", "stopped"),
     ],

@@ -22,7 +22,7 @@ from closedloop.lab.kinds import begin_values
 from closedloop.lab.look import GREYED, PLOTS, caption, paragraph
 from closedloop.lab.newest import Newest
 from closedloop.lab.playback import Playback
-from closedloop.lab.scene import scene_of
+from closedloop.lab.scene import ARROWS, scene_of
 from closedloop.lab.server import FIRST_PORT, serve
 from closedloop.lab.view_controls import Tabs
 from closedloop.lab.view_keep import STEPS, KeepTab
@@ -183,7 +183,7 @@ class Lab:
         self.bar.set_end(self.playback.end, run.scenario.time.step)
         scene = scene_of(run)
         self.space.show_scene(scene, self.row(run))
-        self.view.show_scale(scene.size)
+        self.view.show_scene(scene)
         self._show_caption()
         self.bar.instants = [mark.time for mark in scene.marks]
         self.plots.show_run(run, self.playback.time)
@@ -198,7 +198,8 @@ class Lab:
 
     def _show_caption(self) -> None:
         scenario = self.history.base if self.run is None else self.run.scenario
-        text = caption(scenario, self.space.metres_per_newton, WIDTH)
+        kinds = tuple(ARROWS) if self.space.scene is None else self.space.scene.kinds
+        text = caption(scenario, kinds, self.space.metres_per_newton, WIDTH)
         if self.caption.content != text:
             self.caption.content = text
 

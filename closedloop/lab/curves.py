@@ -16,7 +16,10 @@ from closedloop.closure.contact_force import FREE
 from closedloop.figures.errors import tip_errors
 from closedloop.figures.friction import friction_levels
 from closedloop.figures.style import length_unit
+from closedloop.loops.bind import DIRECTIONS
+from closedloop.loops.reactions import loop_rows
 from closedloop.record.run import Run
+from closedloop.scenario.arm import robot_of
 
 Array = NDArray[np.float64]
 
@@ -26,7 +29,8 @@ COLOURS = ("#0072B2", "#D55E00", "#009E73", "#CC79A7", "#56B4E9", "#E69F00", "#8
 CELLS = 160
 # Names of the panels, in their order, and their titles.
 TITLES = {
-    "force": "contact force", "closure": "closure error", "tip": "tip error", "torque": "torque", "friction": "friction"
+    "force": "contact force", "closure": "closure error", "loops": "loop closure error", "tip": "tip error",
+    "torque": "torque", "friction": "friction",
 }  # fmt: skip
 
 
@@ -61,8 +65,9 @@ class Panel:
 
 
 def panels(run: Run) -> list[Panel]:
-    """Return all panels of a run of at least one row, with every row."""
-    return [_force(run), _closure(run), _tip(run), _torque(run), _friction(run)]
+    """Return all panels of a run of at least one row, with every row; of a mechanism's loops where there are any."""
+    loops = [_loops(run)] if run.model.loops else []
+    return [_force(run), _closure(run), *loops, _tip(run), _torque(run), _friction(run)]
 
 
 def _force(run: Run) -> Panel:
@@ -83,6 +88,20 @@ def _largest(*values: Array) -> float:
 def _closure(run: Run) -> Panel:
     factor, name = length_unit(_largest(run.closure_error))
     return Panel("closure", name, run.time, (Trace("e", COLOURS[0], factor * run.closure_error),))
+
+
+def _loops(run: Run) -> Panel:
+    """Return how far each loop joint is from closed: the largest error of its rows, lengths and sines of angles in one."""
+    robot = robot_of(run.scenario, run.model)
+    errors = np.abs(loop_rows(robot, run.q, run.v)[1])
+    parts = np.split(errors, np.cumsum([loop.rows for loop in run.model.loops])[:-1], axis=1)
+    factor, name = length_unit(_largest(errors))
+    traces = tuple(
+        Trace(loop.name, COLOURS[k % len(COLOURS)], factor * part.max(axis=1))
+        for k, (loop, part) in enumerate(zip(run.model.loops, parts, strict=True))
+    )
+    turning = any(unit == "N m" for loop in run.model.loops for _, unit in DIRECTIONS[loop.type])
+    return Panel("loops", f"{name}, {name[:-1]}rad" if turning else name, run.time, traces)
 
 
 def _tip(run: Run) -> Panel:

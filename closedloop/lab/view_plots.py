@@ -75,6 +75,10 @@ class Plots:
             self._draw()
 
     def _draw(self) -> None:
+        there = {panel.name for panel in self._panels}
+        for name, handle in self._handles.items():
+            if there and handle.visible != (name in there):
+                handle.visible = name in there
         for panel in self._panels:
             shown = self._with_pins(panel)
             data, series = plot_data(shown, self._instants, self._cursor)

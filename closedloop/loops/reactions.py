@@ -58,11 +58,8 @@ def loop_reactions(robot: Robot, q: Array, v: Array, acceleration: Array, torque
     force : (N, 3) array
         F of the surface on the tip, N, base frame.
     """
-    memory = loop_memory(robot)
-    count, n, m = len(q), robot.n, int(memory.links.m)
-    rows, errors = np.zeros((count, m, n)), np.zeros((count, m))
-    written = memory.rows.memory, memory.links.memory, rows, errors
-    call_now(rows_along, written, memory.address, np.ascontiguousarray(q), np.ascontiguousarray(v), rows, errors)
+    rows, errors = loop_rows(robot, q, v)
+    count, m = errors.shape
     missing = missing_torque(robot, q, v, acceleration, torque, force)
     # rows differ in unit: what depends on what is decided with each at length one
     lengths = np.linalg.norm(rows, axis=2, keepdims=True)
@@ -74,6 +71,23 @@ def loop_reactions(robot: Robot, q: Array, v: Array, acceleration: Array, torque
     left = missing - np.einsum("kmn,km->kn", rows, reactions)
     labels, units = _labels(robot)
     return LoopReactions(labels, units, reactions, errors, np.asarray(rank), np.max(np.abs(left), axis=1, initial=0.0))
+
+
+def loop_rows(robot: Robot, q: Array, v: Array) -> tuple[Array, Array]:
+    """Return the rows G (N, m, n) of a robot's loops at states (N, n), and their errors (N, m), m or the sine of an angle.
+
+    Parameters
+    ----------
+    robot : Robot
+        With loops.
+    q, v : (N, n) arrays
+    """
+    memory = loop_memory(robot)
+    count, n, m = len(q), robot.n, int(memory.links.m)
+    rows, errors = np.zeros((count, m, n)), np.zeros((count, m))
+    written = memory.rows.memory, memory.links.memory, rows, errors
+    call_now(rows_along, written, memory.address, np.ascontiguousarray(q), np.ascontiguousarray(v), rows, errors)
+    return rows, errors
 
 
 def missing_torque(robot: Robot, q: Array, v: Array, acceleration: Array, torque: Array, force: Array) -> Array:

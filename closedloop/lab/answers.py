@@ -17,7 +17,7 @@ from closedloop.lab.history import Changes, History
 from closedloop.record.run import Run
 from closedloop.scenario.scenario import Scenario
 from closedloop.simulation.prepare import load_model, prepare
-from closedloop.simulation.simulate import check_engine, run_loop, simulate
+from closedloop.simulation.simulate import as_run, check_engine, run_loop, simulate
 from robot_models import RobotModel
 
 # Steps of the run with which a loop is compiled.
@@ -152,7 +152,9 @@ class Answers:
         try:
             if needs_compiling(loop):
                 self._say(compiling_notice())
-            run_loop(problem, fresh(self.law), engine=engine)
+            rows, events, _, seconds = run_loop(problem, fresh(self.law), engine=engine)
+            if len(rows):
+                as_run(problem, rows, events, seconds, engine)  # what makes a run of the rows has kernels of its own
             self._ready.add(kinds)
         finally:
             self._say("")

@@ -91,7 +91,7 @@ def _closure(run: Run) -> Panel:
 
 
 def _loops(run: Run) -> Panel:
-    """Return how far each loop joint is from closed: the largest error of its rows, lengths and sines of angles in one."""
+    """Return how far each loop joint is from closed: the largest error of its rows, be it a length or an angle."""
     robot = robot_of(run.scenario, run.model)
     errors = np.abs(loop_rows(robot, run.q, run.v)[1])
     parts = np.split(errors, np.cumsum([loop.rows for loop in run.model.loops])[:-1], axis=1)
@@ -143,16 +143,13 @@ def reduced(panel: Panel, begin: float, end: float, cells: int = CELLS) -> Panel
         keep = np.arange(first, last)
     else:
         width = -(-count // cells)
-        chosen = [np.array([first, last - 1])]
-        for trace in panel.traces:
-            part = np.full(width * -(-count // width), np.nan)
-            part[:count] = trace.values[first:last]
-            grid = part.reshape(-1, width)
-            at = first + width * np.arange(grid.shape[0])
-            low = np.where(np.isnan(grid), np.inf, grid).argmin(axis=1)
-            high = np.where(np.isnan(grid), -np.inf, grid).argmax(axis=1)
-            chosen += [at + low, at + high]
-        keep = np.unique(np.minimum(np.concatenate(chosen), last - 1))
+        parts = -(-count // width)
+        values = np.array([trace.values[first:last] for trace in panel.traces])
+        values = np.pad(values, ((0, 0), (0, width * parts - count)), mode="edge").reshape(-1, parts, width)
+        gaps = np.isnan(values)
+        low, high = (np.where(gaps, x, values) if gaps.any() else values for x in (np.inf, -np.inf))
+        found = np.concatenate([low.argmin(axis=2), high.argmax(axis=2)]) + first + width * np.arange(parts)
+        keep = np.unique(np.minimum(np.append(found, [first, last - 1]), last - 1))
     traces = tuple(Trace(t.label, t.colour, t.values[keep], t.limit) for t in panel.traces)
     return Panel(panel.name, panel.unit, panel.time[keep], traces)
 
@@ -162,9 +159,9 @@ def with_instants(panel: Panel, instants: Sequence[float]) -> tuple[Panel, Array
     wanted = np.asarray(sorted(instants), dtype=float)
     wanted = wanted[(wanted >= panel.time[0]) & (wanted <= panel.time[-1])]
     places = np.searchsorted(panel.time, wanted)
-    traces = tuple(
-        Trace(t.label, t.colour, np.insert(t.values, places, np.interp(wanted, panel.time, t.values)), t.limit)
-        for t in panel.traces
-    )
+    values = np.array([trace.values for trace in panel.traces])
+    between = np.array([np.interp(wanted, panel.time, row) for row in values])
+    every = np.insert(values, places, between, axis=1)
+    traces = tuple(Trace(t.label, t.colour, row, t.limit) for t, row in zip(panel.traces, every, strict=True))
     full = Panel(panel.name, panel.unit, np.insert(panel.time, places, wanted), traces)
     return full, places + np.arange(wanted.size)

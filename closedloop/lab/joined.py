@@ -1,7 +1,7 @@
 """The loop joints of a mechanism in space: a mark for each where it is, and the force that it carries.
 
-Both follow from the rows of the closure (`closedloop.loops.bind`), so that a later kind of loop joint is drawn as well: as
-a ball, with an arrow for the force of those of its rows that have one.
+Both follow from the rows of the closure (`closedloop.loops.bind`), so that a later kind of loop joint is drawn as
+well: as a ball, with an arrow for the force of those of its rows that have one.
 """
 
 from __future__ import annotations

@@ -56,7 +56,8 @@ def paragraph(text: str) -> str:
 def caption(scenario: Scenario, kinds: Sequence[str], metres_per_newton: float | None, panel_width: int) -> str:
     """Return what stands below the picture in space: what is shown, what to do, what the colours mean, and the scale.
 
-    `kinds` are those of the arrows, of `closedloop.lab.scene.ARROWS`. It is fixed to the window, beside a panel of so many px, since viser has text in its panels only.
+    `kinds` are those of the arrows, of `closedloop.lab.scene.ARROWS`. It is fixed to the window, beside a panel of so
+    many px, since viser has text in its panels only.
     """
     place = (
         f"position:fixed;left:14px;bottom:10px;max-width:calc(100vw - {panel_width + 40}px);font-size:0.85em;"

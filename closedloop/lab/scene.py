@@ -126,8 +126,7 @@ class Scene:
         flat = self.placed is None or isinstance(self.placed.section, PlaneSurface)
         if self.placed is not None and self.placed.ends:
             return self._patch(self.placed, 2 if flat else CELLS)
-        points = np.vstack([self.run.position, self.run.reference_tip])
-        along = points[np.all(np.isfinite(points), axis=1)] @ self.frame[1:].T
+        along = np.vstack([thin_out(path) for path in (self.run.position, self.run.reference_tip)]) @ self.frame[1:].T
         low, high = along.min(axis=0), along.max(axis=0)
         offset = float(self.frame[0] @ self.run.position[0] - self.run.closure_error[0])
         for share in (1.0, 0.5, 0.2, 0.0):  # a ball may be smaller than what is around the path
@@ -187,8 +186,8 @@ class Scene:
     def arrows(self, rows: Sequence[int]) -> list[list[Arrow]]:
         """Return the forces in each of some rows: the same ones, in the same order, in all.
 
-        First those at the tip, of the surface on the tip and the commanded one on the surface; then that of each loop joint
-        on its first side.
+        First those at the tip, of the surface on the tip and the commanded one on the surface; then that of each loop
+        joint on its first side.
         """
         reactions = reactions_in(self.run, np.asarray(rows, dtype=np.int64))
         return [[*self._at_tip(row), *self._in_loops(row, each)] for row, each in zip(rows, reactions, strict=True)]
@@ -227,7 +226,7 @@ class Scene:
 
     @cached_property
     def size(self) -> float:
-        """How far it is along the joints to the furthest one, m, or the extent of the robot or the path if that is more."""
+        """How far the furthest joint is along those before it, m, or the extent of the robot or the path if larger."""
         mechanism, far = _places(self.model).model, [0.0]
         for parent, place in zip(list(mechanism.parents)[1:], list(mechanism.jointPlacements)[1:], strict=True):
             far.append(far[parent] + float(np.linalg.norm(place.translation)))
@@ -266,11 +265,11 @@ def round_down(x: float) -> float:
 
 
 def thin_out(points: Array, most: int = 400) -> Array:
-    """Return so many of the points (N, 3) at most, evenly spaced in their order, with the first and the last."""
-    finite: Array = points[np.all(np.isfinite(points), axis=1)]
-    rows = np.linspace(0, len(finite) - 1, min(most, len(finite))).round().astype(int)
-    thinned: Array = finite[np.unique(rows)]
-    return thinned
+    """Return so many of the points (N, 3) at most, evenly spaced in their order, without those that are no numbers."""
+    rows = np.linspace(0, len(points) - 1, min(most, len(points))).round().astype(int)
+    few: Array = points[np.unique(rows)]
+    finite: Array = few[np.all(np.isfinite(few), axis=1)]
+    return finite
 
 
 def quaternions(axes: Array) -> Array:

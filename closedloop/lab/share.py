@@ -107,7 +107,7 @@ def _shapes(scene: Scene) -> Iterator[tuple[int, str, Shape]]:
 
 
 def _frames(scene: Scene) -> dict[str, str]:
-    """Return the replay: instants; places of joints, surface and marks (quaternion, origin); tails of forces, and forces."""
+    """Return the replay: instants, places of joints, surface and marks (quaternion, origin), forces and their tails."""
     run = scene.run
     rows = np.unique(np.linspace(0, len(run) - 1, min(MOST_FRAMES, len(run))).round().astype(int))
     places, last = [], None

@@ -74,7 +74,7 @@ def loop_reactions(robot: Robot, q: Array, v: Array, acceleration: Array, torque
 
 
 def loop_rows(robot: Robot, q: Array, v: Array) -> tuple[Array, Array]:
-    """Return the rows G (N, m, n) of a robot's loops at states (N, n), and their errors (N, m), m or the sine of an angle.
+    """Return the rows G (N, m, n) of a robot's loops at states (N, n), and their errors (N, m), m or sines of angles.
 
     Parameters
     ----------

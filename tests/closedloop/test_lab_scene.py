@@ -58,7 +58,7 @@ def test_the_drawn_tip_is_on_the_surface_and_the_arrows_are_the_forces(name):
 
 @pytest.mark.parametrize("name", ["four_bar", "stewart"])
 def test_the_drawn_forces_of_loops_do_the_work_that_the_torques_lack(name):
-    """Drawn at their marks they give, with C, Q and the contact, the acceleration; both sides of a mark are one place."""
+    """Drawn at their marks they give, with C, Q and the contact, q̈; both sides of a mark are one place."""
     run = short_run(name, **{"time.duration": 0.02})
     scene, row, step = scene_of(run), 15, 1e-6
     robot, mechanism = scene.robot, scene.model.pinocchio_model()
@@ -89,7 +89,7 @@ def test_the_drawn_forces_of_loops_do_the_work_that_the_torques_lack(name):
 
 @pytest.mark.parametrize("mechanism", [mechanisms.distance, mechanisms.slider_crank, mechanisms.gears])
 def test_every_kind_of_loop_joint_has_a_mark_where_it_is(mechanism):
-    """A rod reaches from its one point to the other, a slider's mark lies along its axis, a gear's at its first joint."""
+    """A rod reaches from one point to the other, a slider's mark lies along its axis, a gear's at its first joint."""
     model = mechanism()
     joined = Joined(Robot(model, model.frames[-1]), 1.0)
     data = model.pinocchio_model().createData()

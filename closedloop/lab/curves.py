@@ -114,10 +114,11 @@ def _tip(run: Run) -> Panel:
 
 
 def _torque(run: Run) -> Panel:
-    """Return the torques as shares of their limits where all joints have one, else as they are."""
-    limits, names = run.model.effort_limit, run.model.joint_names
+    """Return the torques of the joints with a drive, as shares of their limits where all have one, else as they are."""
+    driven = [j for j, name in enumerate(run.model.joint_names) if not run.model.drives or name in run.model.drives]
+    names, limits = [run.model.joint_names[j] for j in driven], run.model.effort_limit[driven]
     share = bool(np.all(np.isfinite(limits)))
-    values = 100.0 * run.torque / limits if share else run.torque
+    values = 100.0 * run.torque[:, driven] / limits if share else run.torque[:, driven]
     traces = [Trace(name, COLOURS[j % len(COLOURS)], values[:, j]) for j, name in enumerate(names)]
     if share:
         level = np.full(len(run), 100.0)

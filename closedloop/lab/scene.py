@@ -234,6 +234,16 @@ class Scene:
         return max(*far, *spread, float(np.ptp(self.run.position, axis=0).max(initial=0.0)), 0.1)
 
     @cached_property
+    def ball(self) -> tuple[Array, float]:
+        """The middle (3,) and the radius, m, of a ball that holds all that is drawn at the start."""
+        axes, origins = self.joint_places(0)
+        parts = [shape.vertices @ axes[shape.joint].T + origins[shape.joint] for shape in self.shapes]
+        points = np.vstack([*parts, self.surface[0], origins])
+        low, high = points.min(axis=0), points.max(axis=0)
+        middle: Array = 0.5 * (low + high)
+        return middle, float(np.linalg.norm(points - middle, axis=1).max())
+
+    @cached_property
     def metres_per_newton(self) -> float:
         """A round scale for arrows at which the largest usual force of this run is as long as `LONGEST` says."""
         sampled = np.unique(np.linspace(0, len(self.run) - 1, 20).astype(int)) if self.joined.loops else []

@@ -26,7 +26,7 @@ Array = NDArray[np.float64]
 MOST_TRIANGLES = 1500
 # Formats that are read; a description may name any file.
 FORMATS = (".dae", ".stl", ".obj", ".ply")
-GREY, ROD, MARK = (0.62, 0.65, 0.68), (0.30, 0.45, 0.60), (0.93, 0.73, 0.20)
+GREY, ROD, MARK = (0.62, 0.65, 0.68), (0.30, 0.45, 0.60), (0.62, 0.48, 0.80)
 
 
 @dataclass(frozen=True)

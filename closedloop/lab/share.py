@@ -68,15 +68,16 @@ def _data(run: Run, command: str) -> dict[str, Any]:
     scene = scene_of(run)
     begin, end = float(run.time[0]), float(run.time[-1])
     curves = [reduced(panel, begin, end, CELLS) for panel in panels(run)]
-    (vertices, faces), middle = scene.surface, 0.55 * scene.surface[0].mean(axis=0)
+    (vertices, faces), (middle, radius) = scene.surface, scene.ball
+    name, robot, about = run.scenario.name, run.model.name, run.scenario.description
     return {
-        "title": f"{run.scenario.name} ({run.model.name})",
-        "about": run.scenario.description,
+        "title": name if name == robot else f"{name} ({robot})",
+        "about": about[:1].upper() + about[1:],
         "stopped": run.stopped or "",
         "command": command,
         "scenario": run.scenario.to_toml(),
         "end": end, "step": run.scenario.time.step, "joints": run.model.n + 2 + len(scene.joined.loops),
-        "size": scene.size, "centre": middle.tolist(), "metres_per_newton": scene.metres_per_newton,
+        "size": scene.size, "centre": middle.tolist(), "radius": radius, "metres_per_newton": scene.metres_per_newton,
         "surface": {"joint": run.model.n + 1, "vertices": _numbers(vertices), "faces": _numbers(faces, np.uint32)},
         "arrows": [{"name": a.name, "kind": a.kind, "colour": ARROWS[a.kind]} for a in scene.arrows([0])[0]],
         "meanings": MEANINGS,

@@ -28,7 +28,7 @@ class Space {
     this.paths = data.paths.map((p) => ({ ...p, mesh: this.tube(floats(p.points), 0.0025 * k) }));
     this.turn = -0.5;
     this.rise = 0.4;
-    this.far = 2.0 * k;
+    this.far = 2.6 * data.radius;
     this.centre = data.centre;
     this.listen();
   }
@@ -162,7 +162,7 @@ class Space {
     for (const p of this.paths.filter((p) => !this.hidden.has(p.name))) this.put(p.mesh, still, [...p.colour, 1], 0);
     this.arrows(1);
     gl.enable(gl.BLEND);
-    gl.blendFunc(gl.SRC_ALPHA, gl.ONE_MINUS_SRC_ALPHA);
+    gl.blendFuncSeparate(gl.SRC_ALPHA, gl.ONE_MINUS_SRC_ALPHA, gl.ONE, gl.ONE_MINUS_SRC_ALPHA);
     gl.disable(gl.DEPTH_TEST);
     this.arrows(0.35); // through the arm, where that hides them
     gl.enable(gl.DEPTH_TEST);

@@ -14,6 +14,7 @@ from closedloop.integrators import ADAPTIVE
 from closedloop.jit.background import compiling_notice
 from closedloop.jit.kernel import needs_compiling
 from closedloop.lab.history import Changes, History
+from closedloop.lab.joined import compile_rows
 from closedloop.record.run import Run
 from closedloop.scenario.scenario import Scenario
 from closedloop.simulation.prepare import load_model, prepare
@@ -155,6 +156,8 @@ class Answers:
             rows, events, _, seconds = run_loop(problem, fresh(self.law), engine=engine)
             if len(rows):
                 as_run(problem, rows, events, seconds, engine)  # what makes a run of the rows has kernels of its own
+            if problem.robot.model.loops:
+                compile_rows(problem.robot)
             self._ready.add(kinds)
         finally:
             self._say("")

@@ -16,10 +16,9 @@ from closedloop.closure.contact_force import FREE
 from closedloop.figures.errors import tip_errors
 from closedloop.figures.friction import friction_levels
 from closedloop.figures.style import length_unit
+from closedloop.lab.joined import errors_in
 from closedloop.loops.bind import DIRECTIONS
-from closedloop.loops.reactions import loop_rows
 from closedloop.record.run import Run
-from closedloop.scenario.arm import robot_of
 
 Array = NDArray[np.float64]
 
@@ -92,8 +91,7 @@ def _closure(run: Run) -> Panel:
 
 def _loops(run: Run) -> Panel:
     """Return how far each loop joint is from closed: the largest error of its rows, be it a length or an angle."""
-    robot = robot_of(run.scenario, run.model)
-    errors = np.abs(loop_rows(robot, run.q, run.v)[1])
+    errors = np.abs(errors_in(run))
     parts = np.split(errors, np.cumsum([loop.rows for loop in run.model.loops])[:-1], axis=1)
     factor, name = length_unit(_largest(errors))
     traces = tuple(

@@ -6,6 +6,7 @@ well: as a ball, with an arrow for the force of those of its rows that have one.
 
 from __future__ import annotations
 
+import threading
 from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import NamedTuple
@@ -15,12 +16,18 @@ import pinocchio as pin
 from numpy.typing import NDArray
 
 from closedloop.lab.shapes import Shape, mark_shape
-from closedloop.loops.bind import bound_by_loops, link_poses
+from closedloop.loops.bind import bound_by_loops, link_poses, loop_memory
 from closedloop.loops.memory import DISTANCE, GEAR, POSITION
+from closedloop.loops.reactions import loop_rows, rows_along
+from closedloop.record.derived import reactions_of
 from closedloop.record.run import ALL_COLUMNS, Run
 from closedloop.robot.pinocchio import Robot
+from closedloop.scenario.arm import robot_of
 
 Array = NDArray[np.float64]
+
+# A robot has one memory for Pinocchio's results, and several threads draw.
+_one_at_a_time = threading.Lock()
 
 
 class _Row(NamedTuple):
@@ -142,14 +149,27 @@ class Joined:
         return found
 
 
-def reactions_in(run: Run, rows: NDArray[np.int64]) -> Array:
+def reactions_in(run: Run, robot: Robot, rows: NDArray[np.int64]) -> Array:
     """Return the reactions (k, m) of a mechanism's loops in some rows (k,) of its run, N or N m; (k, 0) of a tree."""
     if not run.model.loops:
         return np.zeros((len(rows), 0))
     few = {name: column[rows] for name, column in run.columns.items() if ALL_COLUMNS[name].dims[0] == "time"}
-    loops = replace(run, columns={**run.columns, **few}).loops
-    assert loops is not None
-    return loops.reactions
+    with _one_at_a_time:
+        return reactions_of(replace(run, columns={**run.columns, **few}), robot).reactions
+
+
+def errors_in(run: Run) -> Array:
+    """Return the errors (N, m) of a mechanism's loops in all rows of its run, m or sines of angles."""
+    robot = robot_of(run.scenario, run.model)
+    compile_rows(robot)
+    return loop_rows(robot, run.q, run.v)[1]
+
+
+def compile_rows(robot: Robot) -> None:
+    """Have compiled what evaluates the rows of loops: interpreted it takes 1 ms for each row of a run."""
+    memory, n, m = loop_memory(robot), robot.n, sum(loop.rows for loop in robot.model.loops)
+    states = np.zeros((0, n))
+    rows_along(memory.address, states, states, np.zeros((0, m, n)), np.zeros((0, m)))
 
 
 def _upright(axis: Array) -> Array:

@@ -189,7 +189,7 @@ class Scene:
         First those at the tip, of the surface on the tip and the commanded one on the surface; then that of each loop
         joint on its first side.
         """
-        reactions = reactions_in(self.run, np.asarray(rows, dtype=np.int64))
+        reactions = reactions_in(self.run, self.robot, np.asarray(rows, dtype=np.int64))
         return [[*self._at_tip(row), *self._in_loops(row, each)] for row, each in zip(rows, reactions, strict=True)]
 
     def _at_tip(self, row: int) -> list[Arrow]:

@@ -11,7 +11,8 @@ from typing import Any, NamedTuple, Protocol
 import numpy as np
 from numpy.typing import NDArray
 
-from closedloop.loops.reactions import missing_torque
+from closedloop.loops.reactions import LoopReactions, loop_reactions, missing_torque
+from closedloop.robot.pinocchio import Robot
 from closedloop.scenario.arm import robot_of, without_tools
 from closedloop.scenario.scenario import Scenario
 from closedloop.surface.plane import unit
@@ -52,6 +53,12 @@ def tip_force(run: Record) -> Array:
     """Return f n and friction, (N, 3), N, base axes."""
     force: Array = run.contact_force[:, None] * run.surface_normal + run.friction_force
     return force
+
+
+def reactions_of(run: Record, robot: Robot) -> LoopReactions:
+    """Return what the loops of a mechanism carried, its robot being that of the run's scenario."""
+    torque = run.torque + run.joint_friction
+    return loop_reactions(robot, run.q, run.v, run.acceleration, torque, tip_force(run))
 
 
 def wrist_wrench(run: Record) -> Array:

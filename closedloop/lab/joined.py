@@ -128,12 +128,14 @@ class Joined:
         return turns, points
 
     def forces(self, reactions: Array, axes: Array, origins: Array) -> Array:
-        """Return the force (k, 3) of each loop joint on its first side, N, base frame.
+        """Return the force (k, 3) of each loop joint on its second side, N, base frame.
+
+        Where a rod ends on a platform it is the second: the force on the rod would be drawn inside of it.
 
         Parameters
         ----------
         reactions : (m,) array
-            Of all rows, see `closedloop.loops.reactions.LoopReactions`.
+            Of all rows, on the first side, see `closedloop.loops.reactions.LoopReactions`.
         axes, origins : (n + 1, 3, 3) and (n + 1, 3) arrays
             The frames of the base and the joints.
         """
@@ -145,7 +147,7 @@ class Joined:
                 along = (
                     apart / np.linalg.norm(apart) if row.kind == DISTANCE else axes[loop.sides[1].frame] @ row.direction
                 )
-                found[k] += reactions[row.at] * along
+                found[k] -= reactions[row.at] * along
         return found
 
 

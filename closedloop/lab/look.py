@@ -16,7 +16,7 @@ div:has(> p.mantine-Text-root > label){width:9.5em!important}
 p.mantine-Text-root:has(> label){letter-spacing:0!important}
 .mantine-Flex-root:has(> .mantine-Slider-root .mantine-Slider-markWrapper:nth-child(3)) > .mantine-NumberInput-root
 {visibility:hidden}
-.mantine-Tabs-tab{padding-left:0.65em!important;padding-right:0.65em!important}
+.mantine-Tabs-tab{padding-left:0.42em!important;padding-right:0.42em!important}
 .uplot .u-legend tr:nth-last-child(-n+2){display:none}
 </style>"""
 # What is shown has been overtaken, and the new run is not there yet.
@@ -28,8 +28,8 @@ MEANINGS = {
     "contact force": "contact force on the tip",
     "friction": "friction on the tip",
     "commanded force": "force commanded",
-    LOOP: "force in a joint that closes a loop",
-    JOINTS: "a joint that closes a loop",
+    LOOP: "force of a joint that closes a loop",
+    JOINTS: "joint that closes a loop",
     "actual path": "path of the tip",
     "desired path": "path desired",
 }
@@ -61,7 +61,8 @@ def caption(scenario: Scenario, kinds: Sequence[str], metres_per_newton: float |
     """
     place = (
         f"position:fixed;left:14px;bottom:10px;max-width:calc(100vw - {panel_width + 40}px);font-size:0.85em;"
-        "line-height:1.4;pointer-events:none"
+        "line-height:1.4;pointer-events:none;padding:0.1em 0.4em;border-radius:4px;"
+        "background:color-mix(in srgb,var(--mantine-color-body) 75%,transparent)"
     )
     about = scenario.description or scenario.name
     about = html.escape(about[:1].upper() + about[1:])

@@ -183,11 +183,11 @@ class Scene:
         tip: Array = origins[frame.parentJoint] + axes[frame.parentJoint] @ frame.placement.translation
         return tip
 
-    def arrows(self, rows: Sequence[int]) -> list[list[Arrow]]:
+    def arrows(self, rows: Sequence[int] | NDArray[np.int64]) -> list[list[Arrow]]:
         """Return the forces in each of some rows: the same ones, in the same order, in all.
 
         First those at the tip, of the surface on the tip and the commanded one on the surface; then that of each loop
-        joint on its first side.
+        joint on its second side.
         """
         reactions = reactions_in(self.run, self.robot, np.asarray(rows, dtype=np.int64))
         return [[*self._at_tip(row), *self._in_loops(row, each)] for row, each in zip(rows, reactions, strict=True)]
@@ -231,7 +231,7 @@ class Scene:
         for parent, place in zip(list(mechanism.parents)[1:], list(mechanism.jointPlacements)[1:], strict=True):
             far.append(far[parent] + float(np.linalg.norm(place.translation)))
         spread = np.ptp(np.vstack([self.joint_places(0)[1], self.tip_place(0)]), axis=0)
-        return max(*far, *spread, float(np.ptp(self.run.position, axis=0).max(initial=0.0)), 0.1)
+        return float(max(*far, *spread, *np.ptp(self.run.position, axis=0), 0.1))
 
     @cached_property
     def ball(self) -> tuple[Array, float]:
@@ -246,8 +246,8 @@ class Scene:
     @cached_property
     def metres_per_newton(self) -> float:
         """A round scale for arrows at which the largest usual force of this run is as long as `LONGEST` says."""
-        sampled = np.unique(np.linspace(0, len(self.run) - 1, 20).astype(int)) if self.joined.loops else []
-        loops = [np.linalg.norm(arrow.force) for each in self.arrows(sampled) for arrow in each if arrow.kind == LOOP]
+        rows = np.linspace(0, len(self.run) - 1, 20 if self.joined.loops else 0).astype(int)
+        loops = [np.linalg.norm(arrow.force) for each in self.arrows(rows) for arrow in each if arrow.kind == LOOP]
         forces = np.abs(np.concatenate([self.run.contact_force, self.run.reference_force, loops]))
         usual = float(np.percentile(forces[np.isfinite(forces)], 99)) if np.isfinite(forces).any() else 0.0
         return round_down(LONGEST * self.size / usual) if usual > 0.0 else 0.01

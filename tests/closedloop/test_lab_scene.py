@@ -77,7 +77,7 @@ def test_the_drawn_forces_of_loops_do_the_work_that_the_torques_lack(name):
     assert ends(run.q[row])[:, 1] == pytest.approx(ends(run.q[row])[:, 0], abs=1e-9)
     apart = [ends(run.q[row] + step * side)[:, 0] - ends(run.q[row] + step * side)[:, 1] for side in np.eye(robot.n)]
     still = ends(run.q[row])[:, 0] - ends(run.q[row])[:, 1]
-    work = np.einsum("jki,ki->j", (np.array(apart) - still) / step, [arrow.force for arrow in drawn])
+    work = -np.einsum("jki,ki->j", (np.array(apart) - still) / step, [arrow.force for arrow in drawn])
     terms, torque = robot.terms(run.q[row], run.v[row]), run.torque[row] + run.joint_friction[row]
     force = run.contact_force[row] * run.surface_normal[row] + run.friction_force[row]
     missing = terms.mass_matrix @ run.acceleration[row] + terms.bias - torque - terms.jacobian.T @ force

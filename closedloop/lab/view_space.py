@@ -170,7 +170,7 @@ class Space:
         points = np.array([mark.position for mark in scene.marks], dtype=np.float32)
         colours = np.array([EVENTS[mark.kind] for mark in scene.marks], dtype=np.uint8)
         self._nodes["events"] = self._api.add_point_cloud(
-            "/events", points, colours, point_size=0.012 * scene.size, point_shape="circle", precision="float32",
+            "/events", points, colours, point_size=0.006 * scene.size, point_shape="circle", precision="float32",
             visible="events" not in self.hidden,
         )  # fmt: skip
 

@@ -27,7 +27,8 @@ from closedloop.closure.contact_force import (
 )
 from closedloop.closure.solve import DIVERGED, OK
 from closedloop.engines.loops import COMPILED
-from closedloop.engines.problem import Problem, needs_general_form
+from closedloop.engines.needs import needs_general_form
+from closedloop.engines.problem import Problem
 from closedloop.integrators import INTEGRATORS
 from closedloop.jit.background import make_ready
 from closedloop.jit.kernel import entry_kernel, jit_disabled, kernel_inlined, plain
@@ -51,7 +52,7 @@ from closedloop.step.energy_supplied import add_stage_work, commit_work, save_po
 from closedloop.step.evaluate import bounded, nearest_row, paper_torque
 from closedloop.step.locate import locate_on_plane
 from closedloop.step.memory import Constants, IntArray, Reference, State, Work
-from closedloop.step.record_row import Row, record, record_conditions
+from closedloop.step.record_row import Row, record_conditions, record_state
 
 Array = NDArray[np.float64]
 
@@ -252,7 +253,7 @@ def run_in_lanes(
             if unilateral and not (every(w.F[0] >= 0.0) and every(w.F[0] - w.stabiliser_force[0] >= 0.0)):
                 return NEEDS_EVENTS
             if stage == 0:
-                record(H, C, w, constants, state, tableau, rows, slot, None)
+                record_state(H, C, w, state, rows, slot)
                 potential = energy_there(tree, scratch)
                 count_row(Row(rows[slot], n), n, potential, wanted, joint_limits, row, tally)
                 if row == steps:
@@ -263,9 +264,9 @@ def run_in_lanes(
                 for j in range(n):
                     w.begin[j] = w.q[j]
                     w.begin[n + j] = w.v[j]
-                save_power(w, state, None)
+                save_power(w, state)
             if row < steps:
-                add_stage_work(w, state, stage, h, tableau[stages, stage], None)
+                add_stage_work(w, state, stage, h, tableau[stages, stage])
                 advance(stage, h, semi_implicit, False, tableau, w.begin, w.stages, w.qdd, w.dz, w.q, w.v, w.z)
         commit_work(w)
     write_values(Row(rows[steps % kept], n), n, steps + 1, tally, values)

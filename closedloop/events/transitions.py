@@ -70,7 +70,7 @@ Array = NDArray[np.float64]
 
 
 @kernel
-def resume_after_event(C: Array, w: Work, constants: Constants, state: State, general: int | None) -> int:
+def resume_after_event(C: Array, w: Work, constants: Constants, state: State) -> int:
     """Continue after an event to the end of the step, unless the mode is inconsistent with the state."""
     if state.mode == FREE:
         # A tip just after liftoff that accelerates towards the surface has not left it: at the projected state f is
@@ -86,9 +86,7 @@ def resume_after_event(C: Array, w: Work, constants: Constants, state: State, ge
                 return FAIL
             request_terms(state, AFTER_EVENT)
             return NEED_TERMS
-    elif (state.unilateral != 0 and w.rigid_force < 0.0) or (
-        general is not None and state.mode == STUCK and cone_margin(w, state) < 0.0
-    ):
+    elif (state.unilateral != 0 and w.rigid_force < 0.0) or (state.mode == STUCK and cone_margin(w, state) < 0.0):
         return APPLY_EVENT
     if state.stops != 0 and w.stop_margin < 0.0:
         return APPLY_EVENT
@@ -104,9 +102,7 @@ def resume_after_event(C: Array, w: Work, constants: Constants, state: State, ge
 
 
 @kernel
-def apply_event(
-    H: Array, w: Work, constants: Constants, state: State, rows: Array, events: Array, general: int | None
-) -> int:
+def apply_event(H: Array, w: Work, constants: Constants, state: State, rows: Array, events: Array) -> int:
     """Apply the event at this state: an impact, the end of the contact, of slip or of sticking."""
     if state.events >= events.shape[0]:
         state.phase = AT_EVENT
@@ -138,7 +134,7 @@ def apply_event(
         if reach_stops(w, constants, state):
             state.kind = STOP
             log_event(w, constants, state, events, energy_of_jump(w))
-            if general is not None:
+            if state.law != 0:
                 call_law(state, RESTART)
             request_terms(state, AFTER_EVENT)
             return NEED_TERMS
@@ -171,7 +167,7 @@ def apply_event(
         # The tip leaves from the surface itself: the error that the stabiliser had not yet removed is projected out.
         state.projections, state.next_phase = 0, AFTER_EVENT
         return PROJECT
-    if general is not None and state.sticking in (RIGID_STICK, SPRING_STICK):
+    if state.sticking in (RIGID_STICK, SPRING_STICK):
         return end_stick_or_slip(w, constants, state, rows, events)
     request_terms(state, AFTER_EVENT)
     return NEED_TERMS
@@ -293,14 +289,14 @@ def log_event(w: Work, constants: Constants, state: State, events: Array, energy
 
 
 @kernel
-def apply_impact(w: Work, constants: Constants, state: State, events: Array, general: int | None) -> None:
+def apply_impact(w: Work, constants: Constants, state: State, events: Array) -> None:
     """Apply the impulses of an impact to q̇, and set the mode after it."""
     for i in range(3):
         w.F[i] = w.compression[i] + w.decompression[i]
     apply_impulse(w.L, w.X, w.F, w.column, w.v)
     log_event(w, constants, state, events, energy_lost(w.before, w.after, w.F))
     state.risen = 1
-    if general is not None:
+    if state.law != 0:
         call_law(state, RESTART)
         at = state.law_states + state.sensor_states
         for i in range(at, at + state.friction_states):

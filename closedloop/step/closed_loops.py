@@ -193,7 +193,7 @@ def missing_torque(H: Array, C: Array, w: Work, state: State) -> None:
     """Write into `column` what is missing in the equation of motion: H q̈ + C − Q − AᵀF."""
     n = w.q.shape[0]
     for i in range(n):
-        s = C[i] - driving_torque(w, state, i, 1) - w.joint_friction[i]
+        s = C[i] - driving_torque(w, state, i) - w.joint_friction[i]
         for k in range(3):
             s -= w.A[k, i] * w.F[k]
         for j in range(n):

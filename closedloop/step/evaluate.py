@@ -3,8 +3,8 @@
 The caller provides H, C, Jᵣ, r and J̇ᵣq̇ of the state, from Pinocchio or another source. `closedloop.events` decides
 which states are evaluated, and when.
 
-numba compiles two forms of the same source: `general` is None for the paper's law on a smooth surface, and a number for
-the general form, with other laws, friction of the tip and of the joints, and a force sensor.
+The paper's law on a smooth surface is part of the loop: `State.law` is 0. For everything else (other laws, friction of
+the tip and of the joints, a force sensor) it is the address of the law's entry.
 """
 
 from __future__ import annotations
@@ -56,7 +56,7 @@ LARGEST = 1e100
 PaperParameters = parameter_block(PaperLaw)
 
 
-@kernel_inlined
+@kernel
 def reference_row(t: float, spacing: float, table: Array, n: int, row: Array) -> None:
     """Write the reference at time t: between the table's rows positions are cubics and the rest is linear.
 
@@ -96,9 +96,7 @@ def nearest_row(t: float, spacing: float, count: int) -> int:
 
 
 @kernel_inlined
-def evaluate(
-    H: Array, C: Array, w: Work, constants: Constants, state: State, table: Array, rows: Array, general: int | None
-) -> int:
+def evaluate(H: Array, C: Array, w: Work, constants: Constants, state: State, table: Array, rows: Array) -> int:
     """Evaluate law, friction, contact and Eq. 24 at the state in `w`.
 
     Parameters
@@ -113,8 +111,6 @@ def evaluate(
         See `reference_row`; the last column is the noise of the force sensor.
     rows : (N, width) array
         The rows recorded so far: what the memory of friction reads.
-    general : int or None
-        None: the paper's law on a smooth surface.
 
     Returns
     -------
@@ -128,11 +124,11 @@ def evaluate(
     status = factorise_tip(H, w, constants, state)
     if status != OK:
         return status
-    if general is None:
+    if state.law == 0:
         if state.sampled != 0:
             reference_row(w.time, constants.node, table, n, w.reference)
             paper_torque(C, w, constants, w.time)
-        status = contact_force(C, w, constants, state, general)
+        status = contact_force(C, w, constants, state)
         if status != OK:
             return status
     else:
@@ -152,12 +148,12 @@ def evaluate(
             transmit(w, constants)
         surface_friction(w, constants, state, rows)
         add_joint_friction(w, constants, state, rows)
-        status = contact_force(C, w, constants, state, general)
+        status = contact_force(C, w, constants, state)
         if status != OK:
             return status
         if state.joint_sticking == RIGID_STICK:
             hold_joints(w, constants, state)
-            status = contact_force(C, w, constants, state, general)
+            status = contact_force(C, w, constants, state)
             if status != OK:
                 return status
         sensor = w.z[state.law_states : state.law_states + state.sensor_states]
@@ -251,11 +247,11 @@ def bounded(w: Work) -> bool:
     return every(total < LARGEST)
 
 
-@kernel_inlined
-def contact_force(C: Array, w: Work, constants: Constants, state: State, general: int | None) -> int:
+@kernel
+def contact_force(C: Array, w: Work, constants: Constants, state: State) -> int:
     """Solve Eq. 24 in the present mode for the contact force F and the acceleration q̈; return a status."""
     for j in range(w.q.shape[0]):
-        w.column[j] = driving_torque(w, state, j, general) + w.joint_friction[j]
+        w.column[j] = driving_torque(w, state, j) + w.joint_friction[j]
     free_acceleration(w.L, w.X, w.drift_c, w.column, C, w.y, w.a)
     if state.loops != 0:
         call_at(state.loops, state.loops_at, BIND_LOAD)

@@ -36,7 +36,7 @@ class State(Block):
     stages: int  # of the integrator
     steps: int
     hold: int  # steps for which a sampled torque is held; 0: the law is evaluated at every stage
-    law: int  # address of the control law's entry, see `closedloop.step.entries`
+    law: int  # address of the control law's entry, see `closedloop.step.entries`; 0: the paper's, on a smooth surface
     compensation: int  # and of its compensation's; 0: none
     own_law_states: int  # of the law alone
     law_states: int  # of the law and its compensation
@@ -76,6 +76,7 @@ class State(Block):
     loops: int  # address of the entry of the mechanism's loops, 0: a tree; and of their memory
     loops_at: int
     stops: int  # 1 if the joints have stops
+    proceed: int  # address of the entry of `closedloop.events.proceed`, for the compiled engine
     constants_at: int
     constants_size: int
     work_at: int

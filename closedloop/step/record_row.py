@@ -131,17 +131,25 @@ def rows_there(state: State, done: int, n: int) -> int:
 
 @kernel_inlined
 def record(
-    H: Array,
-    C: Array,
-    w: Work,
-    constants: Constants,
-    state: State,
-    table: Array,
-    rows: Array,
-    place: int,
-    general: int | None,
+    H: Array, C: Array, w: Work, constants: Constants, state: State, table: Array, rows: Array, place: int
 ) -> None:
-    """Write a row in the order of `Row`: the state, and the torques and forces at it.
+    """Write a row in the order of `Row`, and take the sample of the force sensor that is part of it."""
+    record_state(H, C, w, state, rows, place)
+    if state.law == 0:
+        return
+    n, count, sensor = w.q.shape[0], state.law_states, state.sensor_states
+    w.measured = sense(
+        w.F[0], place, SensorParameters(constants.sensor, 0), w.z[count : count + sensor],
+        table[place * state.nodes_per_step, 2 * n + 10], w.ring[0 : state.sensor_ring],
+    )  # fmt: skip
+    if state.arm_at != 0:
+        record_arm(w, state, rows[place][state.arm_at :])
+    Row(rows[place], n).measured_force = w.measured
+
+
+@kernel_inlined
+def record_state(H: Array, C: Array, w: Work, state: State, rows: Array, place: int) -> None:
+    """Write a row in the order of `Row`: the state, and the torques and forces at it, the reading of f without error.
 
     The condition number is written once a batch is full, or by `complete_record`; with loops it is that of H.
     """
@@ -153,7 +161,7 @@ def record(
         row.acceleration[j] = w.qdd[j]
         row.torque[j] = w.torque[j]
         row.joint_friction[j] = w.joint_friction[j]
-        w.column[j] = driving_torque(w, state, j, general) + w.joint_friction[j]
+        w.column[j] = driving_torque(w, state, j) + w.joint_friction[j]
     for i in range(3):
         row.position[i] = w.r[i]
         speed = 0.0
@@ -170,7 +178,7 @@ def record(
         missing_torque(H, C, w, state)
         call_at(state.loops, state.loops_at, REACTION)
         for j in range(n):
-            w.column[j] += driving_torque(w, state, j, general) + w.joint_friction[j]
+            w.column[j] += driving_torque(w, state, j) + w.joint_friction[j]
     motion, closed = residuals(H, w.column, C, w.A, w.S, w.drift_c, w.b, w.a, w.qdd, w.F, first, last)
     trace = w.S[0, 0] + w.S[1, 1] + w.S[2, 2]
     row.contact_force = w.F[0]
@@ -190,16 +198,7 @@ def record(
             record_conditions(w.batch, rows, state, place + 1, n)
     row.normal_mobility = w.S[0, 0] / select(trace > 0.0, trace, 1.0)
     row.kinetic_energy = kinetic_energy(H, w.v)
-    if general is None:
-        w.measured = w.F[0]
-    else:
-        count, sensor = state.law_states, state.sensor_states
-        w.measured = sense(
-            w.F[0], place, SensorParameters(constants.sensor, 0), w.z[count : count + sensor],
-            table[place * state.nodes_per_step, 2 * n + 10], w.ring[0 : state.sensor_ring],
-        )  # fmt: skip
-        if state.arm_at != 0:
-            record_arm(w, state, rows[place][state.arm_at :])
+    w.measured = w.F[0]
     row.measured_force = w.measured
     row.energy_supplied = w.supplied
 

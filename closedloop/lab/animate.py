@@ -18,6 +18,7 @@ from closedloop.files import write_whole
 from closedloop.lab.curves import panels, reduced
 from closedloop.lab.scene import ARROWS, PATH, WANTED, Scene, scene_of
 from closedloop.record.run import Run
+from robot_models import RobotModel
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -27,6 +28,8 @@ Array = NDArray[np.float64]
 FRAMES_PER_SECOND = 25
 FORMATS = (".gif", ".mp4")
 MOST_FRAMES = 5000
+# Where a line through several parts is not drawn.
+GAP = np.full(3, np.nan)
 NEEDS_FFMPEG = 'a .mp4 needs ffmpeg, which is not installed: pip install "closedloop[mp4]", or write a .gif'
 # Inches, and dots for each: 1000 by 500 pixels.
 SIZE, DOTS = (10.0, 5.0), 100
@@ -129,7 +132,9 @@ class _Picture:
         self._space = space
         self._links = _links(scene)
         (self._arm,) = space.plot([], [], [], "-o", color="#4D738F", linewidth=4, markersize=5, solid_capstyle="round")
-        self._arrows = {n: space.plot([], [], [], "-", color=c, linewidth=2, label=n)[0] for n, c in ARROWS.items()}
+        self._arrows = {
+            kind: space.plot([], [], [], "-", color=ARROWS[kind], linewidth=2, label=kind)[0] for kind in scene.kinds
+        }
         (self._done,) = space.plot([], [], [], "-", color=PATH, linewidth=2)
         wanted = run.reference_tip[:: max(1, len(run) // 400)]
         space.plot(*wanted.T, "--", color=WANTED, linewidth=1)
@@ -153,7 +158,7 @@ class _Picture:
         """Give the axes one scale, and the size of all that is drawn in them."""
         rows = np.unique(np.linspace(0, len(self.scene.run) - 1, 20).astype(int))
         points = np.vstack([*(self._points(int(row)) for row in rows), self.scene.surface[0]])
-        low, high = points.min(axis=0), points.max(axis=0)
+        low, high = np.nanmin(points, axis=0), np.nanmax(points, axis=0)
         middle, half = (low + high) / 2.0, 0.55 * float((high - low).max()) + 1e-3
         space.set(xlabel="x [m]", ylabel="y [m]", zlabel="z [m]")
         space.set(**{f"{axis}lim": (m - half, m + half) for axis, m in zip("xyz", middle, strict=True)})
@@ -161,18 +166,24 @@ class _Picture:
         space.view_init(elev=22.0, azim=-35.0)
 
     def _points(self, row: int) -> Array:
-        """Return the origins (k, 3) of the joints from the base to the tip, and the tip, m."""
-        _, origins = self.scene.joint_places(row)
-        return np.vstack([origins[self._links], self.scene.tip_place(row)])
+        """Return the line (k, 3), m, along the joints to the tip, and those to the other ends of a robot with loops."""
+        scene, there = self.scene, self.scene.joint_places(row)
+        parts = [there[1][self._links], scene.tip_place(row)[None]]
+        for loop in scene.joined.loops:
+            for side in loop.sides:
+                place = there[1][side.frame] + there[0][side.frame] @ side.point
+                parts += [GAP[None], there[1][_supports(scene.model, side.frame)], place[None]]
+        return np.vstack(parts)
 
     def show(self, row: int) -> list[Any]:
         """Show a row of the run."""
         scene, run = self.scene, self.scene.run
         self._arm.set_data_3d(*self._points(row).T)
         self._done.set_data_3d(*run.position[: row + 1 : max(1, row // 300)].T)
-        for arrow in scene.arrows(row):
-            ends = np.array([arrow.tail, arrow.tail + scene.metres_per_newton * arrow.force])
-            self._arrows[arrow.name].set_data_3d(*ends.T)
+        (arrows,) = scene.arrows([row])
+        for kind, line in self._arrows.items():  # one line for all of a kind, with a gap after each
+            ends = [(a.tail, a.tail + scene.metres_per_newton * a.force, GAP) for a in arrows if a.kind == kind]
+            line.set_data_3d(*np.reshape(ends, (-1, 3)).T)
         self._cursor.set_xdata([run.time[row]] * 2)
         scale = f"10 N = {10.0 * scene.metres_per_newton:.2g} m"
         self._title.set_text(f"{run.scenario.name} ({run.model.name})   t = {run.time[row]:.3f} s   {scale}")
@@ -182,5 +193,10 @@ class _Picture:
 def _links(scene: Scene) -> list[int]:
     """Return the numbers of the joints from the base to the tip, the base's own, 0, first."""
     model: Any = scene.model.pinocchio_model()
-    carrier = model.frames[model.getFrameId(scene.tip)].parentJoint
-    return [int(joint) for joint in model.supports[carrier]]
+    return _supports(scene.model, model.frames[model.getFrameId(scene.tip)].parentJoint)
+
+
+def _supports(model: RobotModel, joint: int) -> list[int]:
+    """Return the numbers of the joints from the base to one, the base's own, 0, first."""
+    mechanism: Any = model.pinocchio_model()
+    return [int(each) for each in mechanism.supports[joint]]

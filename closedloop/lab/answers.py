@@ -14,10 +14,11 @@ from closedloop.integrators import ADAPTIVE
 from closedloop.jit.background import compiling_notice
 from closedloop.jit.kernel import needs_compiling
 from closedloop.lab.history import Changes, History
+from closedloop.lab.joined import compile_rows
 from closedloop.record.run import Run
 from closedloop.scenario.scenario import Scenario
 from closedloop.simulation.prepare import load_model, prepare
-from closedloop.simulation.simulate import check_engine, run_loop, simulate
+from closedloop.simulation.simulate import as_run, check_engine, run_loop, simulate
 from robot_models import RobotModel
 
 # Steps of the run with which a loop is compiled.
@@ -151,7 +152,11 @@ class Answers:
         try:
             if any(map(needs_compiling, kernels_of(engine))):
                 self._say(compiling_notice())
-            run_loop(problem, fresh(self.law), engine=engine)
+            rows, events, _, seconds = run_loop(problem, fresh(self.law), engine=engine)
+            if len(rows):
+                as_run(problem, rows, events, seconds, engine)  # what makes a run of the rows has kernels of its own
+            if problem.robot.model.loops:
+                compile_rows(problem.robot)
             self._ready.add(kinds)
         finally:
             self._say("")

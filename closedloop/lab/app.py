@@ -22,7 +22,7 @@ from closedloop.lab.kinds import begin_values
 from closedloop.lab.look import GREYED, PLOTS, caption, paragraph
 from closedloop.lab.newest import Newest
 from closedloop.lab.playback import Playback
-from closedloop.lab.scene import scene_of
+from closedloop.lab.scene import ARROWS, scene_of
 from closedloop.lab.server import FIRST_PORT, serve
 from closedloop.lab.view_controls import Tabs
 from closedloop.lab.view_keep import STEPS, KeepTab
@@ -42,8 +42,8 @@ WIDTH = 510  # px of the panel on the right
 # A result that has been overtaken for so long, s, is greyed until the new one is there: sooner it would flicker.
 GREYED_AFTER = 0.25
 LONGEST = 100  # characters of a fault at the top; it stands in full beside its control
-# Where the scene is seen from at first, in sizes of the arm from its middle, and how wide, rad.
-VIEW_FROM, FIELD_OF_VIEW = np.array([1.9, -1.0, 0.9]), float(np.deg2rad(40.0))
+# Where the scene is seen from at first, in radii of what is drawn from its middle, and how wide, rad.
+VIEW_FROM, FIELD_OF_VIEW = np.array([2.4, -1.25, 1.15]), float(np.deg2rad(40.0))
 
 
 class Lab:
@@ -183,7 +183,7 @@ class Lab:
         self.bar.set_end(self.playback.end, run.scenario.time.step)
         scene = scene_of(run)
         self.space.show_scene(scene, self.row(run))
-        self.view.show_scale(scene.size)
+        self.view.show_scene(scene)
         self._show_caption()
         self.bar.instants = [mark.time for mark in scene.marks]
         self.plots.show_run(run, self.playback.time)
@@ -191,14 +191,15 @@ class Lab:
         if not self._shown_camera:
             self._shown_camera = True
             self.view.see_through(scene.arm_hides_force)
-            look_at = 0.55 * scene.surface[0].mean(axis=0)
+            middle, radius = scene.ball
             camera = self.server.initial_camera
-            camera.fov, camera.look_at = FIELD_OF_VIEW, look_at
-            camera.position = look_at + scene.size * VIEW_FROM
+            camera.fov, camera.look_at = FIELD_OF_VIEW, middle
+            camera.position = middle + radius * VIEW_FROM
 
     def _show_caption(self) -> None:
         scenario = self.history.base if self.run is None else self.run.scenario
-        text = caption(scenario, self.space.metres_per_newton, WIDTH)
+        kinds = tuple(ARROWS) if self.space.scene is None else self.space.scene.kinds
+        text = caption(scenario, kinds, self.space.metres_per_newton, WIDTH)
         if self.caption.content != text:
             self.caption.content = text
 

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import ipaddress
 import sys
 import threading
 from collections.abc import Sequence
@@ -12,6 +11,7 @@ from closedloop.command.border import DONE, Parser, run_command
 from closedloop.command.user_module import import_law, name_members
 from closedloop.errors import ScenarioError
 from closedloop.interrupts import Terminated
+from closedloop.lab.server import is_loopback
 from closedloop.lab.start import NEEDS_VISER, lab
 from closedloop.scenario.overrides import split_overrides
 
@@ -35,7 +35,7 @@ def lab_command(arguments: list[str]) -> int:
         raise ScenarioError(NEEDS_VISER)
     name_members(overrides.items())
     law = import_law(options.law) if options.law else None
-    if not _is_loopback(options.host):
+    if not is_loopback(options.host):
         print(
             f"closedloop: warning: --host {options.host} lets every computer that reaches this one move the controls "
             "and save files; there is no password",
@@ -58,13 +58,6 @@ def lab_command(arguments: list[str]) -> int:
     finally:
         opened.close()
     return DONE
-
-
-def _is_loopback(host: str) -> bool:
-    try:
-        return ipaddress.ip_address(host).is_loopback
-    except ValueError:
-        return host == "localhost"
 
 
 def _parser() -> Parser:

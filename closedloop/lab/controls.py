@@ -202,10 +202,11 @@ def _of_field(key: str, field: FieldInfo, value: Any, scenario: Scenario, model:
         by_joint = model is not None and len(model.joint_names) == len(value) and unit != "s"
         joints = model.joint_names if model is not None and by_joint else ()
         entries = joints or (("x", "y", "z") if len(value) == 3 else tuple(map(str, range(len(value)))))
+        drives = model.drives if model is not None and by_joint and key.startswith("law.") else ()
         return [
             make(**_span(key, field, float(value[k]), unit, scenario, k, model), of=f"{label} {entries[k]}", index=k,
                  value=list(value))
-            for k in range(len(value))
+            for k in range(len(value)) if not drives or entries[k] in drives  # a law moves no other joint
         ]  # fmt: skip
     return [make("text", value=value)]
 

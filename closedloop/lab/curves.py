@@ -16,6 +16,8 @@ from closedloop.closure.contact_force import FREE
 from closedloop.figures.errors import tip_errors
 from closedloop.figures.friction import friction_levels
 from closedloop.figures.style import length_unit
+from closedloop.lab.joined import errors_in
+from closedloop.loops.bind import DIRECTIONS
 from closedloop.record.run import Run
 
 Array = NDArray[np.float64]
@@ -26,7 +28,8 @@ COLOURS = ("#0072B2", "#D55E00", "#009E73", "#CC79A7", "#56B4E9", "#E69F00", "#8
 CELLS = 160
 # Names of the panels, in their order, and their titles.
 TITLES = {
-    "force": "contact force", "closure": "closure error", "tip": "tip error", "torque": "torque", "friction": "friction"
+    "force": "contact force", "closure": "closure error", "loops": "loop closure error", "tip": "tip error",
+    "torque": "torque", "friction": "friction",
 }  # fmt: skip
 
 
@@ -61,8 +64,9 @@ class Panel:
 
 
 def panels(run: Run) -> list[Panel]:
-    """Return all panels of a run of at least one row, with every row."""
-    return [_force(run), _closure(run), _tip(run), _torque(run), _friction(run)]
+    """Return all panels of a run of at least one row, with every row; of a mechanism's loops where there are any."""
+    loops = [_loops(run)] if run.model.loops else []
+    return [_force(run), _closure(run), *loops, _tip(run), _torque(run), _friction(run)]
 
 
 def _force(run: Run) -> Panel:
@@ -85,6 +89,19 @@ def _closure(run: Run) -> Panel:
     return Panel("closure", name, run.time, (Trace("e", COLOURS[0], factor * run.closure_error),))
 
 
+def _loops(run: Run) -> Panel:
+    """Return how far each loop joint is from closed: the largest error of its rows, be it a length or an angle."""
+    errors = np.abs(errors_in(run))
+    parts = np.split(errors, np.cumsum([loop.rows for loop in run.model.loops])[:-1], axis=1)
+    factor, name = length_unit(_largest(errors))
+    traces = tuple(
+        Trace(loop.name, COLOURS[k % len(COLOURS)], factor * part.max(axis=1))
+        for k, (loop, part) in enumerate(zip(run.model.loops, parts, strict=True))
+    )
+    turning = any(unit == "N m" for loop in run.model.loops for _, unit in DIRECTIONS[loop.type])
+    return Panel("loops", f"{name}, {name[:-1]}rad" if turning else name, run.time, traces)
+
+
 def _tip(run: Run) -> Panel:
     """Return the tip's distance from where it is wanted: along the surface, and in free motion off it too."""
     names = ["along the path", "across it"] + (["off the surface"] if np.any(run.mode == FREE) else [])
@@ -95,10 +112,11 @@ def _tip(run: Run) -> Panel:
 
 
 def _torque(run: Run) -> Panel:
-    """Return the torques as shares of their limits where all joints have one, else as they are."""
-    limits, names = run.model.effort_limit, run.model.joint_names
+    """Return the torques of the joints with a drive, as shares of their limits where all have one, else as they are."""
+    driven = [j for j, name in enumerate(run.model.joint_names) if not run.model.drives or name in run.model.drives]
+    names, limits = [run.model.joint_names[j] for j in driven], run.model.effort_limit[driven]
     share = bool(np.all(np.isfinite(limits)))
-    values = 100.0 * run.torque / limits if share else run.torque
+    values = 100.0 * run.torque[:, driven] / limits if share else run.torque[:, driven]
     traces = [Trace(name, COLOURS[j % len(COLOURS)], values[:, j]) for j, name in enumerate(names)]
     if share:
         level = np.full(len(run), 100.0)
@@ -124,16 +142,13 @@ def reduced(panel: Panel, begin: float, end: float, cells: int = CELLS) -> Panel
         keep = np.arange(first, last)
     else:
         width = -(-count // cells)
-        chosen = [np.array([first, last - 1])]
-        for trace in panel.traces:
-            part = np.full(width * -(-count // width), np.nan)
-            part[:count] = trace.values[first:last]
-            grid = part.reshape(-1, width)
-            at = first + width * np.arange(grid.shape[0])
-            low = np.where(np.isnan(grid), np.inf, grid).argmin(axis=1)
-            high = np.where(np.isnan(grid), -np.inf, grid).argmax(axis=1)
-            chosen += [at + low, at + high]
-        keep = np.unique(np.minimum(np.concatenate(chosen), last - 1))
+        parts = -(-count // width)
+        values = np.array([trace.values[first:last] for trace in panel.traces])
+        values = np.pad(values, ((0, 0), (0, width * parts - count)), mode="edge").reshape(-1, parts, width)
+        gaps = np.isnan(values)
+        low, high = (np.where(gaps, x, values) if gaps.any() else values for x in (np.inf, -np.inf))
+        found = np.concatenate([low.argmin(axis=2), high.argmax(axis=2)]) + first + width * np.arange(parts)
+        keep = np.unique(np.minimum(np.append(found, [first, last - 1]), last - 1))
     traces = tuple(Trace(t.label, t.colour, t.values[keep], t.limit) for t in panel.traces)
     return Panel(panel.name, panel.unit, panel.time[keep], traces)
 
@@ -143,9 +158,9 @@ def with_instants(panel: Panel, instants: Sequence[float]) -> tuple[Panel, Array
     wanted = np.asarray(sorted(instants), dtype=float)
     wanted = wanted[(wanted >= panel.time[0]) & (wanted <= panel.time[-1])]
     places = np.searchsorted(panel.time, wanted)
-    traces = tuple(
-        Trace(t.label, t.colour, np.insert(t.values, places, np.interp(wanted, panel.time, t.values)), t.limit)
-        for t in panel.traces
-    )
+    values = np.array([trace.values for trace in panel.traces])
+    between = np.array([np.interp(wanted, panel.time, row) for row in values])
+    every = np.insert(values, places, between, axis=1)
+    traces = tuple(Trace(t.label, t.colour, row, t.limit) for t, row in zip(panel.traces, every, strict=True))
     full = Panel(panel.name, panel.unit, np.insert(panel.time, places, wanted), traces)
     return full, places + np.arange(wanted.size)

@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 import html
+from collections.abc import Sequence
 
-from closedloop.lab.scene import ARROWS, PATH, WANTED
+from closedloop.lab.scene import ARROWS, JOINTS, LOOP, PATH, WANTED
 from closedloop.scenario.scenario import Scenario
 
 # The label of a slider has its value and unit, and needs the place. The box beside a slider over decades would show the
@@ -15,7 +16,7 @@ div:has(> p.mantine-Text-root > label){width:9.5em!important}
 p.mantine-Text-root:has(> label){letter-spacing:0!important}
 .mantine-Flex-root:has(> .mantine-Slider-root .mantine-Slider-markWrapper:nth-child(3)) > .mantine-NumberInput-root
 {visibility:hidden}
-.mantine-Tabs-tab{padding-left:0.65em!important;padding-right:0.65em!important}
+.mantine-Tabs-tab{padding-left:0.42em!important;padding-right:0.42em!important}
 .uplot .u-legend tr:nth-last-child(-n+2){display:none}
 </style>"""
 # What is shown has been overtaken, and the new run is not there yet.
@@ -27,6 +28,8 @@ MEANINGS = {
     "contact force": "contact force on the tip",
     "friction": "friction on the tip",
     "commanded force": "force commanded",
+    LOOP: "force of a joint that closes a loop",
+    JOINTS: "joint that closes a loop",
     "actual path": "path of the tip",
     "desired path": "path desired",
 }
@@ -50,27 +53,29 @@ def paragraph(text: str) -> str:
     return f'<div style="font-size:0.8em;line-height:1.35;opacity:0.75;padding:0.2em 0.8em">{text}</div>'
 
 
-def caption(scenario: Scenario, metres_per_newton: float | None, panel_width: int) -> str:
+def caption(scenario: Scenario, kinds: Sequence[str], metres_per_newton: float | None, panel_width: int) -> str:
     """Return what stands below the picture in space: what is shown, what to do, what the colours mean, and the scale.
 
-    It is fixed to the window, beside a panel of so many px, since viser has text in its panels only.
+    `kinds` are those of the arrows, of `closedloop.lab.scene.ARROWS`. It is fixed to the window, beside a panel of so
+    many px, since viser has text in its panels only.
     """
     place = (
         f"position:fixed;left:14px;bottom:10px;max-width:calc(100vw - {panel_width + 40}px);font-size:0.85em;"
-        "line-height:1.4;pointer-events:none"
+        "line-height:1.4;pointer-events:none;padding:0.1em 0.4em;border-radius:4px;"
+        "background:color-mix(in srgb,var(--mantine-color-body) 75%,transparent)"
     )
     about = scenario.description or scenario.name
     about = html.escape(about[:1].upper() + about[1:])
     return (
-        f'{STYLE}<div id="closedloop-caption" style="{place}"><b>{about}</b><br>{_legend(metres_per_newton)}<br>'
+        f'{STYLE}<div id="closedloop-caption" style="{place}"><b>{about}</b><br>{_legend(kinds, metres_per_newton)}<br>'
         f"Move any slider: the whole run of {scenario.time.duration:g} s is computed again. Hover over a name to read "
         "what it is. Here: drag to turn, scroll to zoom.</div>"
     )
 
 
-def _legend(metres_per_newton: float | None) -> str:
+def _legend(kinds: Sequence[str], metres_per_newton: float | None) -> str:
     """Return what the colours in space mean, and how long an arrow is."""
-    colours = {**ARROWS, "actual path": PATH, "desired path": WANTED}
+    colours = {kind: ARROWS[kind] for kind in kinds} | {"actual path": PATH, "desired path": WANTED}
     chips = [
         f'<span style="white-space:nowrap;margin-right:0.9em"><span style="display:inline-block;width:0.9em;'
         f"height:{'0.6em' if name in ARROWS else '0.2em'};vertical-align:middle;margin-right:0.3em;"

@@ -11,6 +11,7 @@ from closedloop.lab.controls import toml_text
 from closedloop.lab.history import Changes
 from closedloop.record.run import Run
 from closedloop.report.measures import MEASURES
+from closedloop.report.verdict import names_of
 
 MOST_PINS = 4
 # Reddish purple, sky blue and orange of Okabe and Ito's palette, which the run itself does not have, and violet.
@@ -72,7 +73,7 @@ def compared(pins: Sequence[Pin], run: Run, changes: Changes) -> list[tuple[str,
         unit = MEASURES[name].units
         label = f"{name} [{unit}]" if unit not in ("", "1") else name
         rows.append((label, [_with_difference(number, numbers[-1], k < len(pins)) for k, number in enumerate(numbers)]))
-    rows.append(("verdict", ["good" if s["verdict"]["good"] else s["verdict"]["problems"][0] for s in summaries]))
+    rows.append(("verdict", [names_of(summary["verdict"]["problems"]) for summary in summaries]))
     return rows
 
 

@@ -17,8 +17,10 @@ from numpy.typing import NDArray
 
 from closedloop.errors import ScenarioError
 from closedloop.figures.errors import frame_of
+from closedloop.lab.joined import Joined, reactions_in
 from closedloop.lab.shapes import Shape, robot_shapes
 from closedloop.record.run import Run
+from closedloop.robot.pinocchio import Robot
 from closedloop.scenario.arm import robot_of
 from closedloop.surface.kinds.plane import PlaneSurface
 from closedloop.surface.motion import SurfaceMotion
@@ -28,11 +30,15 @@ from robot_models import RobotModel
 
 Array = NDArray[np.float64]
 
-# Names and colours of the arrows, red, green, blue from 0 to 1: of Okabe and Ito's palette.
+# Kinds and colours of the arrows, red, green, blue from 0 to 1: of Okabe and Ito's palette.
+LOOP = "loop force"
+# What the marks of loop joints are called where they are hidden.
+JOINTS = "loop joints"
 ARROWS: dict[str, tuple[float, float, float]] = {
     "contact force": (0.0, 0.447, 0.698),
     "friction": (0.835, 0.369, 0.0),
     "commanded force": (0.0, 0.62, 0.451),
+    LOOP: (0.90, 0.62, 0.0),
 }
 PATH, WANTED = (0.80, 0.47, 0.65), (0.0, 0.62, 0.451)
 # The largest force of a run is drawn as long as this share of the arm's reach.
@@ -44,11 +50,12 @@ CELLS = 32
 
 
 class Arrow(NamedTuple):
-    """A force at the tip: where it acts (3,), m, and the force (3,), N, both in the base frame."""
+    """A force: where it acts (3,), m, the force (3,), N, both in the base frame, its name and its kind, of `ARROWS`."""
 
-    name: str
     tail: Array
     force: Array
+    name: str
+    kind: str
 
 
 class Mark(NamedTuple):
@@ -74,9 +81,19 @@ class Scene:
     tip: str
 
     @cached_property
-    def model(self) -> RobotModel:
+    def robot(self) -> Robot:
         """The robot, with the tool that the scenario puts on its tip."""
-        return robot_of(self.run.scenario, self.run.model).model
+        return robot_of(self.run.scenario, self.run.model)
+
+    @property
+    def model(self) -> RobotModel:
+        """The model of the robot, with the tool."""
+        return self.robot.model
+
+    @cached_property
+    def joined(self) -> Joined:
+        """The loop joints of the robot."""
+        return Joined(self.robot, self.size)
 
     @cached_property
     def shapes(self) -> tuple[Shape, ...]:
@@ -109,8 +126,7 @@ class Scene:
         flat = self.placed is None or isinstance(self.placed.section, PlaneSurface)
         if self.placed is not None and self.placed.ends:
             return self._patch(self.placed, 2 if flat else CELLS)
-        points = np.vstack([self.run.position, self.run.reference_tip])
-        along = points[np.all(np.isfinite(points), axis=1)] @ self.frame[1:].T
+        along = np.vstack([thin_out(path) for path in (self.run.position, self.run.reference_tip)]) @ self.frame[1:].T
         low, high = along.min(axis=0), along.max(axis=0)
         offset = float(self.frame[0] @ self.run.position[0] - self.run.closure_error[0])
         for share in (1.0, 0.5, 0.2, 0.0):  # a ball may be smaller than what is around the path
@@ -167,13 +183,34 @@ class Scene:
         tip: Array = origins[frame.parentJoint] + axes[frame.parentJoint] @ frame.placement.translation
         return tip
 
-    def arrows(self, row: int) -> list[Arrow]:
-        """Return the forces at the tip in a row: of the surface on the tip, and the commanded one on the surface."""
+    def arrows(self, rows: Sequence[int] | NDArray[np.int64]) -> list[list[Arrow]]:
+        """Return the forces in each of some rows: the same ones, in the same order, in all.
+
+        First those at the tip, of the surface on the tip and the commanded one on the surface; then that of each loop
+        joint on its second side.
+        """
+        reactions = reactions_in(self.run, self.robot, np.asarray(rows, dtype=np.int64))
+        return [[*self._at_tip(row), *self._in_loops(row, each)] for row, each in zip(rows, reactions, strict=True)]
+
+    def _at_tip(self, row: int) -> list[Arrow]:
         run, normal = self.run, self.run.surface_normal[row]
         forces = (
             run.contact_force[row] * normal, np.array(run.friction_force[row]), -run.reference_force[row] * normal
         )  # fmt: skip
-        return [Arrow(name, run.position[row], force) for name, force in zip(ARROWS, forces, strict=True)]
+        return [Arrow(run.position[row], force, kind, kind) for kind, force in zip(ARROWS, forces, strict=False)]
+
+    def _in_loops(self, row: int, reactions: Array) -> list[Arrow]:
+        if not self.joined.loops:
+            return []
+        there = self.joint_places(row)
+        forces, (_, places) = self.joined.forces(reactions, *there), self.joined.places(*there)
+        each = zip(places, forces, self.joined.loops, strict=True)
+        return [Arrow(place, force, f"{LOOP} {loop.name}", LOOP) for place, force, loop in each]
+
+    @property
+    def kinds(self) -> list[str]:
+        """The kinds of arrows that this run has."""
+        return [kind for kind in ARROWS if kind != LOOP or self.joined.loops]
 
     @cached_property
     def arm_hides_force(self) -> bool:
@@ -189,15 +226,29 @@ class Scene:
 
     @cached_property
     def size(self) -> float:
-        """The arm's reach, m, or the extent of the path if that is larger."""
-        places = _places(self.model)
-        reach = sum(float(np.linalg.norm(place.translation)) for place in list(places.model.jointPlacements)[1:])
-        return max(reach, float(np.ptp(self.run.position, axis=0).max(initial=0.0)), 0.1)
+        """How far the furthest joint is along those before it, m, or the extent of the robot or the path if larger."""
+        mechanism, far = _places(self.model).model, [0.0]
+        for parent, place in zip(list(mechanism.parents)[1:], list(mechanism.jointPlacements)[1:], strict=True):
+            far.append(far[parent] + float(np.linalg.norm(place.translation)))
+        spread = np.ptp(np.vstack([self.joint_places(0)[1], self.tip_place(0)]), axis=0)
+        return float(max(*far, *spread, *np.ptp(self.run.position, axis=0), 0.1))
+
+    @cached_property
+    def ball(self) -> tuple[Array, float]:
+        """The middle (3,) and the radius, m, of a ball that holds all that is drawn at the start."""
+        axes, origins = self.joint_places(0)
+        parts = [shape.vertices @ axes[shape.joint].T + origins[shape.joint] for shape in self.shapes]
+        points = np.vstack([*parts, self.surface[0], origins])
+        low, high = points.min(axis=0), points.max(axis=0)
+        middle: Array = 0.5 * (low + high)
+        return middle, float(np.linalg.norm(points - middle, axis=1).max())
 
     @cached_property
     def metres_per_newton(self) -> float:
         """A round scale for arrows at which the largest usual force of this run is as long as `LONGEST` says."""
-        forces = np.abs(np.concatenate([self.run.contact_force, self.run.reference_force]))
+        rows = np.linspace(0, len(self.run) - 1, 20 if self.joined.loops else 0).astype(int)
+        loops = [np.linalg.norm(arrow.force) for each in self.arrows(rows) for arrow in each if arrow.kind == LOOP]
+        forces = np.abs(np.concatenate([self.run.contact_force, self.run.reference_force, loops]))
         usual = float(np.percentile(forces[np.isfinite(forces)], 99)) if np.isfinite(forces).any() else 0.0
         return round_down(LONGEST * self.size / usual) if usual > 0.0 else 0.01
 
@@ -224,16 +275,16 @@ def round_down(x: float) -> float:
 
 
 def thin_out(points: Array, most: int = 400) -> Array:
-    """Return so many of the points (N, 3) at most, evenly spaced in their order, with the first and the last."""
-    finite: Array = points[np.all(np.isfinite(points), axis=1)]
-    rows = np.linspace(0, len(finite) - 1, min(most, len(finite))).round().astype(int)
-    thinned: Array = finite[np.unique(rows)]
-    return thinned
+    """Return so many of the points (N, 3) at most, evenly spaced in their order, without those that are no numbers."""
+    rows = np.linspace(0, len(points) - 1, min(most, len(points))).round().astype(int)
+    few: Array = points[np.unique(rows)]
+    finite: Array = few[np.all(np.isfinite(few), axis=1)]
+    return finite
 
 
 def quaternions(axes: Array) -> Array:
     """Return the unit quaternions (k, 4), the real part first, of rotation matrices (k, 3, 3)."""
-    found = np.array([pin.Quaternion(np.ascontiguousarray(each)).coeffs() for each in axes])
+    found = np.array([pin.Quaternion(np.ascontiguousarray(each)).coeffs() for each in axes]).reshape(-1, 4)
     return found[:, [3, 0, 1, 2]]
 
 

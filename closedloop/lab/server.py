@@ -1,12 +1,16 @@
-"""The server of the lab's page: viser's, on a free port, without its tunnel to a server elsewhere."""
+"""The server of the lab's page: viser's, on a free port, for its own page alone, without its tunnel elsewhere."""
 
 from __future__ import annotations
 
 import contextlib
 import errno
 import io
+import ipaddress
 import socket
+from collections.abc import Iterator, Mapping
+from http import HTTPStatus
 from typing import Any
+from urllib.parse import urlsplit
 
 from closedloop.errors import OutputError
 
@@ -23,11 +27,54 @@ def serve(host: str, port: int) -> Any:
     import viser
 
     port = _free_port(host, port)
-    with contextlib.redirect_stdout(io.StringIO()):
+    with contextlib.redirect_stdout(io.StringIO()), _for_its_own_page(is_loopback(host)):
         server: Any = viser.ViserServer(host=host, port=port, verbose=False)
     # Any client may ask for the tunnel: what it calls is replaced.
     server.request_share_url = lambda verbose=True: None
     return server
+
+
+def is_loopback(host: str) -> bool:
+    """Whether an address, or a name, is that of this computer for itself."""
+    try:
+        return ipaddress.ip_address(host).is_loopback
+    except ValueError:
+        return host == "localhost"
+
+
+def foreign(headers: Mapping[str, str], loopback: bool) -> bool:
+    """Whether a request comes from a page that is not the lab's own.
+
+    A browser names the page in "Origin", and lets any page open a socket to this computer. On loopback "Host" must be a
+    name of this computer, too: a name elsewhere may be made to lead here.
+    """
+    host, origin = headers.get("Host", ""), headers.get("Origin")
+    if loopback and not is_loopback(urlsplit(f"//{host}").hostname or ""):
+        return True
+    return origin is not None and urlsplit(origin).netloc != host
+
+
+@contextlib.contextmanager
+def _for_its_own_page(loopback: bool) -> Iterator[None]:
+    """Let the servers of websockets that start meanwhile refuse what is `foreign`: viser has no setting for that."""
+    from websockets.asyncio import server as sockets
+    from websockets.http11 import Request
+
+    plain = sockets.serve
+
+    def serving(handler: Any, *arguments: Any, process_request: Any = None, **settings: Any) -> Any:
+        def answer(connection: Any, request: Request) -> Any:
+            if foreign(request.headers, loopback):
+                return connection.respond(HTTPStatus.FORBIDDEN, "only the lab's own page may use this server\n")
+            return process_request(connection, request) if process_request else None
+
+        return plain(handler, *arguments, process_request=answer, **settings)
+
+    sockets.serve = serving  # type: ignore[assignment,misc]
+    try:
+        yield
+    finally:
+        sockets.serve = plain  # type: ignore[misc]
 
 
 def _free_port(host: str, port: int) -> int:

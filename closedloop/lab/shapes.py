@@ -26,7 +26,7 @@ Array = NDArray[np.float64]
 MOST_TRIANGLES = 1500
 # Formats that are read; a description may name any file.
 FORMATS = (".dae", ".stl", ".obj", ".ply")
-GREY, ROD = (0.62, 0.65, 0.68), (0.30, 0.45, 0.60)
+GREY, ROD, MARK = (0.62, 0.65, 0.68), (0.30, 0.45, 0.60), (0.62, 0.48, 0.80)
 
 
 @dataclass(frozen=True)
@@ -191,3 +191,36 @@ def _rods(mechanism: Any, tip: str) -> list[Shape]:
             rod = trimesh.creation.cylinder(0.018 * reach, segment=[np.zeros(3), np.asarray(end)], sections=24)
             shapes.append(_shape(joint, rod, np.eye(4), ROD))
     return shapes
+
+
+# Radius and height, in hundredths of the arm's reach, of the cylinder along its axis that a loop joint is drawn as.
+_MARKS = {
+    "hinge": (1.4, 7.0), "cylinder": (1.0, 14.0), "universal": (0.9, 7.0), "planar": (5.0, 0.4), "gear": (4.0, 1.2)
+}  # fmt: skip
+
+
+def mark_shape(kind: str, size: float, length: float = 0.0) -> Shape:
+    """Return what a loop joint is drawn as, in a frame at its place whose z is its axis.
+
+    Parameters
+    ----------
+    kind : str
+        Its type, see `robot_models.loop_joint`. One that is not known here is a ball, as a point is.
+    size : float
+        The arm's reach, m.
+    length : float
+        Of a rod along z from its place, m; 0: it is none.
+    """
+    import trimesh
+
+    part = 0.01 * size
+    if length > 0.0:
+        mesh = trimesh.creation.cylinder(0.7 * part, segment=[np.zeros(3), np.array([0.0, 0.0, length])], sections=24)
+    elif kind in ("slider", "weld"):
+        mesh = trimesh.creation.box(part * np.array([2.0, 2.0, 14.0 if kind == "slider" else 2.0]))
+    elif kind in _MARKS:
+        radius, height = _MARKS[kind]
+        mesh = trimesh.creation.cylinder(part * radius, part * height, sections=24)
+    else:
+        mesh = trimesh.creation.icosphere(2, 1.8 * part)
+    return _shape(0, mesh, np.eye(4), MARK)

@@ -5,6 +5,7 @@ from __future__ import annotations
 import base64
 import html
 import json
+from collections.abc import Iterator
 from importlib.resources import files
 from pathlib import Path
 from typing import Any
@@ -15,7 +16,9 @@ from numpy.typing import ArrayLike, NDArray
 from closedloop.errors import ScenarioError
 from closedloop.files import write_whole
 from closedloop.lab.curves import panels, reduced
-from closedloop.lab.scene import ARROWS, PATH, WANTED, Scene, quaternions, scene_of, thin_out
+from closedloop.lab.look import MEANINGS
+from closedloop.lab.scene import ARROWS, JOINTS, PATH, WANTED, Scene, quaternions, scene_of, thin_out
+from closedloop.lab.shapes import Shape
 from closedloop.record.run import Run
 
 # Frames of the replay at most, points of a path, and parts of the time of which a curve shows the extremes.
@@ -65,24 +68,26 @@ def _data(run: Run, command: str) -> dict[str, Any]:
     scene = scene_of(run)
     begin, end = float(run.time[0]), float(run.time[-1])
     curves = [reduced(panel, begin, end, CELLS) for panel in panels(run)]
-    (vertices, faces), middle = scene.surface, 0.55 * scene.surface[0].mean(axis=0)
+    (vertices, faces), (middle, radius) = scene.surface, scene.ball
+    name, robot, about = run.scenario.name, run.model.name, run.scenario.description
     return {
-        "title": f"{run.scenario.name} ({run.model.name})",
-        "about": run.scenario.description,
+        "title": name if name == robot else f"{name} ({robot})",
+        "about": about[:1].upper() + about[1:],
         "stopped": run.stopped or "",
         "command": command,
         "scenario": run.scenario.to_toml(),
-        "end": end, "step": run.scenario.time.step, "joints": run.model.n + 2,
-        "size": scene.size, "centre": middle.tolist(), "metres_per_newton": scene.metres_per_newton,
+        "end": end, "step": run.scenario.time.step, "joints": run.model.n + 2 + len(scene.joined.loops),
+        "size": scene.size, "centre": middle.tolist(), "radius": radius, "metres_per_newton": scene.metres_per_newton,
         "surface": {"joint": run.model.n + 1, "vertices": _numbers(vertices), "faces": _numbers(faces, np.uint32)},
-        "arrows": [{"name": name, "colour": colour} for name, colour in ARROWS.items()],
+        "arrows": [{"name": a.name, "kind": a.kind, "colour": ARROWS[a.kind]} for a in scene.arrows([0])[0]],
+        "meanings": MEANINGS,
         "paths": [
             {"name": "actual path", "colour": PATH, "points": _numbers(thin_out(run.position, MOST_POINTS))},
             {"name": "desired path", "colour": WANTED, "points": _numbers(thin_out(run.reference_tip, MOST_POINTS))},
         ],
         "shapes": [
-            {"joint": s.joint, "colour": s.colour, "vertices": _numbers(s.vertices),
-             "faces": _numbers(s.faces, np.uint32)} for s in scene.shapes
+            {"joint": joint, "kind": kind, "colour": s.colour, "vertices": _numbers(s.vertices),
+             "faces": _numbers(s.faces, np.uint32)} for joint, kind, s in _shapes(scene)
         ],
         "frames": _frames(scene),
         "marks": [{"time": mark.time, "kind": mark.kind} for mark in scene.marks],
@@ -94,21 +99,30 @@ def _data(run: Run, command: str) -> dict[str, Any]:
     }  # fmt: skip
 
 
+def _shapes(scene: Scene) -> Iterator[tuple[int, str, Shape]]:
+    """Yield the robot's shapes and the marks of its loop joints, each with the number of its place and what it is."""
+    for shape in scene.shapes:
+        yield shape.joint, "", shape
+    for k, loop in enumerate(scene.joined.loops):
+        yield scene.run.model.n + 2 + k, JOINTS, loop.shape
+
+
 def _frames(scene: Scene) -> dict[str, str]:
-    """Return the replay: instants, places of joints and surface (quaternion, origin), the tip and the forces."""
+    """Return the replay: instants, places of joints, surface and marks (quaternion, origin), forces and their tails."""
     run = scene.run
     rows = np.unique(np.linspace(0, len(run) - 1, min(MOST_FRAMES, len(run))).round().astype(int))
     places, last = [], None
     for row in rows:
-        axes, origins = scene.joint_places(int(row))
-        turn, shift = scene.surface_place(int(row))
-        turns, origins = quaternions(np.vstack([axes, turn[None]])), np.vstack([origins, shift])
+        there = scene.joint_places(int(row))
+        (turn, shift), marks = scene.surface_place(int(row)), scene.joined.places(*there)
+        turns = quaternions(np.vstack([there[0], turn[None], marks[0]]))
         if last is not None:  # of the two quaternions of a rotation that which is near the one before
             turns *= np.where(np.sum(turns * last, axis=1, keepdims=True) < 0.0, -1.0, 1.0)
         last = turns
-        places.append(np.hstack([turns, origins]))
-    forces = [[arrow.force for arrow in scene.arrows(int(row))] for row in rows]
-    parts = {"time": run.time[rows], "places": places, "tips": run.position[rows], "forces": forces}
+        places.append(np.hstack([turns, np.vstack([there[1], shift, marks[1]])]))
+    arrows = scene.arrows(rows)
+    tails, forces = ([[arrow[part] for arrow in each] for each in arrows] for part in (0, 1))
+    parts = {"time": run.time[rows], "places": places, "tails": tails, "forces": forces}
     return {name: _numbers(part) for name, part in parts.items()}
 
 

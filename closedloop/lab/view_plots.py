@@ -75,6 +75,10 @@ class Plots:
             self._draw()
 
     def _draw(self) -> None:
+        there = {panel.name for panel in self._panels}
+        for name, handle in self._handles.items():
+            if there and handle.visible != (name in there):
+                handle.visible = name in there
         for panel in self._panels:
             shown = self._with_pins(panel)
             data, series = plot_data(shown, self._instants, self._cursor)
@@ -112,12 +116,10 @@ def plot_data(
     uPlot knows no line across and no number that is missing. So the cursor and the events are curves of their own
     scale, which shows 0 to 1: at -1, out of sight, but at their instants, each of which is there three times.
     """
-    shown, _ = with_instants(panel, [t for t in instants for _ in range(3)])
-    shown, at = with_instants(shown, [cursor, cursor, cursor])
-    at = at[1:2]
+    shown, _ = with_instants(panel, [t for t in (*instants, cursor) for _ in range(3)])
     line, events = np.full(shown.time.size, -1.0), np.full(shown.time.size, -1.0)
-    line[at] = 1.0
-    events[np.searchsorted(shown.time, [t for t in instants if shown.time[0] <= t <= shown.time[-1]]) + 1] = TICK
+    for curve, height, at in ((line, 1.0, [cursor]), (events, TICK, instants)):
+        curve[np.searchsorted(shown.time, [t for t in at if shown.time[0] <= t <= shown.time[-1]]) + 1] = height
     columns = (shown.time, *(np.nan_to_num(t.values) for t in shown.traces), line, events)
     series = ({"label": "t [s]"}, *map(_series, shown.traces), _cursor_series(), _mark_series())
     return columns, series

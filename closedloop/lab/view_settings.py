@@ -7,12 +7,12 @@ from collections.abc import Callable
 from typing import Any
 
 from closedloop.lab.look import MEANINGS
-from closedloop.lab.scene import ARROWS
+from closedloop.lab.scene import ARROWS, JOINTS, LOOP, Scene
 from closedloop.lab.view_playback import PlaybackBar
 from closedloop.lab.view_space import Space
 
 EVENTS = "a dot where the tip touches down, lifts off, sticks ..."
-DRAWN = (*ARROWS, "actual path", "desired path", "events")
+DRAWN = (*ARROWS, JOINTS, "actual path", "desired path", "events")
 
 
 class ViewTab:
@@ -63,8 +63,11 @@ class ViewTab:
             self._through.value = through
             self._space.see_through(through)
 
-    def show_scale(self, size: float) -> None:
-        """Show the length of the arrows: of 10 N, in an arm that reaches `size`, m."""
+    def show_scene(self, scene: Scene) -> None:
+        """Show the length of the arrows, that of 10 N, and the switches of what this scene has."""
+        for name in (LOOP, JOINTS):
+            if self._switches[name].visible != bool(scene.joined.loops):
+                self._switches[name].visible = bool(scene.joined.loops)
         if self._space is None or self._space.metres_per_newton is None:
             return
         self._scale.label = f"10 N = {10.0 * self._space.metres_per_newton:.2g} m"

@@ -8,13 +8,14 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from closedloop.lab.scene import ARROWS, PATH, WANTED, Scene, quaternions, thin_out
+from closedloop.lab.scene import ARROWS, JOINTS, PATH, WANTED, Scene, quaternions, thin_out
 
 Array = NDArray[np.float64]
 
 EVENTS = {
     "impact": (230, 159, 0), "touchdown": (0, 114, 178), "liftoff": (86, 180, 233), "stick": (213, 94, 0),
-    "slip": (0, 158, 115), "reversal": (204, 121, 167), "edge": (0, 0, 0),
+    "slip": (0, 158, 115), "reversal": (204, 121, 167), "edge": (0, 0, 0), "stop": (120, 120, 120),
+    "release": (120, 120, 120),
 }  # fmt: skip
 SURFACE = (196, 205, 214)
 # An arrow shorter than this share of the arm's reach is not drawn.
@@ -34,6 +35,7 @@ class Space:
         self._scene: Scene | None = None
         self._shapes: tuple[Any, ...] = ()
         self._joints: list[Any] = []
+        self._marks: list[Any] = []
         self._last_link: list[Any] = []
         self._opacity: float | None = None
         self._nodes: dict[str, Any] = {}
@@ -74,10 +76,14 @@ class Space:
             axes, origins = scene.joint_places(row)
             for node, turn, place in zip(self._joints, quaternions(axes), origins, strict=True):
                 node.wxyz, node.position = turn, place
+            turns, places = scene.joined.places(axes, origins)
+            for node, turn, place in zip(self._marks, quaternions(turns), places, strict=True):
+                node.wxyz, node.position = turn, place
             turn, shift = scene.surface_place(row)
             self._nodes["surface"].wxyz, self._nodes["surface"].position = quaternions(turn[None])[0], shift
-            for arrow in scene.arrows(row):
-                self._draw_arrow(arrow.name, arrow.tail, arrow.force, scene.size)
+            (arrows,) = scene.arrows([row])
+            for kind in ARROWS:
+                self._draw_arrows(kind, [(a.tail, a.force) for a in arrows if a.kind == kind], scene.size)
 
     def pinned(self, paths: list[tuple[str, tuple[float, float, float], Array]]) -> None:
         """Draw the tip paths (N, 3) of pinned runs, each with a name and a colour; take away the others."""
@@ -91,13 +97,14 @@ class Space:
         """Hide an arrow or a path, or show it again."""
         with self._lock:
             (self.hidden.add if hidden else self.hidden.discard)(name)
-            if name in self._nodes and hidden:
-                self._nodes[name].visible = False
-            elif name in self._nodes and name not in ARROWS:
-                self._nodes[name].visible = True
+            if name in self._nodes and (hidden or name not in ARROWS):
+                self._nodes[name].visible = not hidden
+            if name == JOINTS:
+                for mark in self._marks:
+                    mark.visible = not hidden
 
     def _draw_robot(self, scene: Scene) -> None:
-        for node in self._joints:
+        for node in (*self._joints, *self._marks):
             node.remove()
         self._shapes = scene.shapes
         count = scene.run.model.n + 1
@@ -112,6 +119,14 @@ class Space:
             )  # fmt: skip
             if last:
                 self._last_link.append(mesh)
+
+        self._marks = [self._api.add_frame(f"/loops/{k}", show_axes=False) for k in range(len(scene.joined.loops))]
+        for k, loop in enumerate(scene.joined.loops):
+            self._marks[k].visible = JOINTS not in self.hidden
+            self._api.add_mesh_simple(
+                f"/loops/{k}/mark", loop.shape.vertices, loop.shape.faces, flat_shading=True, cast_shadow=False,
+                color=tuple(round(255 * c) for c in loop.shape.colour), receive_shadow=False,
+            )  # fmt: skip
 
     def see_through(self, through: bool) -> None:
         """Draw the last link so that the force inside of it is seen, or not."""
@@ -155,22 +170,26 @@ class Space:
         points = np.array([mark.position for mark in scene.marks], dtype=np.float32)
         colours = np.array([EVENTS[mark.kind] for mark in scene.marks], dtype=np.uint8)
         self._nodes["events"] = self._api.add_point_cloud(
-            "/events", points, colours, point_size=0.012 * scene.size, point_shape="circle", precision="float32",
+            "/events", points, colours, point_size=0.006 * scene.size, point_shape="circle", precision="float32",
             visible="events" not in self.hidden,
         )  # fmt: skip
 
-    def _draw_arrow(self, name: str, tail: Array, force: Array, size: float) -> None:
+    def _draw_arrows(self, kind: str, forces: list[tuple[Array, Array]], size: float) -> None:
+        """Draw the forces of a kind, each as where it acts and what it is; those too short to be seen are left out."""
         assert self.metres_per_newton is not None
-        tip = tail + self.metres_per_newton * force
-        length = float(np.linalg.norm(tip - tail))
-        seen = bool(np.isfinite(length)) and length > SHORTEST * size and name not in self.hidden
-        node = self._nodes.get(name)
+        ends = np.array([(tail, tail + self.metres_per_newton * force) for tail, force in forces]).reshape(-1, 2, 3)
+        lengths = np.linalg.norm(ends[:, 1] - ends[:, 0], axis=1)
+        drawn = ends[np.isfinite(lengths) & (lengths > SHORTEST * size)].astype(np.float32)
+        seen = len(drawn) > 0 and kind not in self.hidden
+        node = self._nodes.get(kind)
         if node is None:
-            node = self._nodes[name] = self._api.add_arrows(
-                f"/{name}", np.zeros((1, 2, 3), dtype=np.float32), tuple(round(255 * c) for c in ARROWS[name]),
+            if not forces:
+                return
+            node = self._nodes[kind] = self._api.add_arrows(
+                f"/{kind}", np.zeros((1, 2, 3), dtype=np.float32), tuple(round(255 * c) for c in ARROWS[kind]),
                 shaft_radius=0.006 * size, head_radius=0.014 * size, head_length=0.035 * size, visible=False,
             )  # fmt: skip
         if seen:
-            node.points = np.array([[tail, tip]], dtype=np.float32)
+            node.points = drawn
         if node.visible != seen:
             node.visible = seen

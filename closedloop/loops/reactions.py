@@ -68,7 +68,7 @@ def loop_reactions(
     at_stop : (N, n) array of bool, optional
         Joints that are at a stop, which carries its own part.
     """
-    rows, errors = rows_and_errors(robot, q, v)
+    rows, errors = loop_rows(robot, q, v)
     missing = missing_torque(robot, q, v, acceleration, torque, force)
     # rows differ in unit: what depends on what is decided with each at length one
     lengths = np.linalg.norm(rows, axis=2, keepdims=True)
@@ -81,10 +81,18 @@ def loop_reactions(
     return LoopReactions(labels, units, reactions, errors, np.asarray(rank), np.max(np.abs(left), axis=1, initial=0.0))
 
 
-def rows_and_errors(robot: Robot, q: Array, v: Array) -> tuple[Array, Array]:
-    """Return the rows G (N, m, n) of the loops at states q, q̇ (N, n), and their errors (N, m)."""
+def loop_rows(robot: Robot, q: Array, v: Array) -> tuple[Array, Array]:
+    """Return the rows G (N, m, n) of a robot's loops at states (N, n), and their errors (N, m), m or sines of angles.
+
+    Parameters
+    ----------
+    robot : Robot
+        With loops.
+    q, v : (N, n) arrays
+    """
     memory = loop_memory(robot)
-    rows, errors = np.zeros((len(q), int(memory.links.m), robot.n)), np.zeros((len(q), int(memory.links.m)))
+    count, n, m = len(q), robot.n, int(memory.links.m)
+    rows, errors = np.zeros((count, m, n)), np.zeros((count, m))
     written = memory.rows.memory, memory.links.memory, rows, errors
     call_now(rows_along, written, memory.address, np.ascontiguousarray(q), np.ascontiguousarray(v), rows, errors)
     return rows, errors

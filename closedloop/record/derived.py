@@ -11,7 +11,14 @@ from typing import Any, NamedTuple, Protocol
 import numpy as np
 from numpy.typing import NDArray
 
-from closedloop.loops.reactions import missing_torque, rows_and_errors, share_of_rows
+from closedloop.loops.reactions import (
+    LoopReactions,
+    loop_reactions,
+    loop_rows,
+    missing_torque,
+    share_of_rows,
+)
+from closedloop.robot.pinocchio import Robot
 from closedloop.scenario.arm import robot_of, without_tools
 from closedloop.scenario.scenario import Scenario
 from closedloop.surface.plane import unit
@@ -54,6 +61,12 @@ def tip_force(run: Record) -> Array:
     return force
 
 
+def reactions_of(run: Record, robot: Robot) -> LoopReactions:
+    """Return what the loops of a mechanism carried, its robot being that of the run's scenario."""
+    torque = run.torque + run.joint_friction
+    return loop_reactions(robot, run.q, run.v, run.acceleration, torque, tip_force(run), at_stop(run))
+
+
 def wrist_wrench(run: Record) -> Array:
     """Return what `Robot.wrist_wrench` says of each row, (N, 6)."""
     robot = robot_of(run.scenario, without_tools(run.model))
@@ -87,7 +100,7 @@ def stop_torque(run: Record) -> Array:
     found = missing_torque(robot, run.q, run.v, run.acceleration, drive + run.joint_friction, tip_force(run))
     there = at_stop(run)
     if robot.model.loops:
-        rows, _ = rows_and_errors(robot, run.q, run.v)
+        rows, _ = loop_rows(robot, run.q, run.v)
         return share_of_rows(rows, found, there)[1]
     return np.where(there, found, 0.0)
 

@@ -18,8 +18,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from closedloop.events.table import EVENT_COLUMNS, KINDS
-from closedloop.loops.reactions import LoopReactions, loop_reactions
-from closedloop.record.derived import DERIVED, at_stop, tip_force
+from closedloop.loops.reactions import LoopReactions
+from closedloop.record.derived import DERIVED, reactions_of
 from closedloop.scenario.arm import robot_of
 from closedloop.scenario.scenario import Scenario
 from robot_models import RobotModel
@@ -254,8 +254,7 @@ class Run:
         """What the loop joints of a mechanism carried, worked out when it is asked for; None of a tree."""
         if not self.model.loops:
             return None
-        robot, torque = robot_of(self.scenario, self.model), self.torque + self.joint_friction
-        return loop_reactions(robot, self.q, self.v, self.acceleration, torque, tip_force(self), at_stop(self))
+        return reactions_of(self, robot_of(self.scenario, self.model))
 
     def summary(self) -> dict[str, Any]:
         """Return what the command line prints and writes as summary.json; see `closedloop.report`."""

@@ -17,7 +17,7 @@ from closedloop.lab.kinds import begin_values
 from closedloop.lab.map_picture import MapPicture
 from closedloop.lab.mapping import Axis, Map, coarse_first
 from closedloop.lab.newest import Newest
-from closedloop.lab.pins import Pins, compared
+from closedloop.lab.pins import Pins, compared, table_html
 from closedloop.scenario.overrides import Variants, split_overrides
 from closedloop.scenario.scenario import parse_scenario
 from closedloop.simulation.cache import Cache
@@ -192,6 +192,19 @@ def test_pinned_runs_are_compared_with_the_present_one():
     assert rows["peak_contact_force [N]"] == ["10 (-2)", "12"]
     assert [pins.add(one.run, {}) is not None for _ in range(4)] == [True, True, True, False]
     assert len({pin.colour for pin in pins.held}) == 4
+
+
+def test_a_run_that_stopped_stands_in_the_table_of_pins():
+    """What is wrong with it is named; the table is text."""
+    history, pins = History(cl.load_scenario("wam_slide", {"time.duration": 1.0}), "wam_slide"), Pins()
+    good = Answers(history).answer({})
+    unstable = Answers(history).answer({"law.kp": [9e5] * 4, "law.kd": [0.0] * 4})
+    pins.add(unstable.run, unstable.changes)
+    assert unstable.stopped
+    first, second = dict(compared(pins.held, good.run, good.changes))["verdict"]
+    assert "stopped" in first
+    assert second == "good"
+    assert "stopped" in table_html(pins.held, good.run, good.changes)
 
 
 def test_what_is_saved_repeats_the_run(tmp_path):

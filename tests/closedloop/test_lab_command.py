@@ -3,6 +3,7 @@
 import csv
 import os
 import signal
+import socket
 import subprocess
 import sys
 
@@ -11,7 +12,7 @@ import pytest
 
 import closedloop as cl
 from closedloop.__main__ import main
-from closedloop.lab.command import _is_loopback
+from closedloop.lab.server import is_loopback, serve
 
 
 @pytest.fixture(scope="module")
@@ -51,8 +52,36 @@ def test_without_viser_the_line_says_what_to_install(monkeypatch, capsys):
 
 def test_only_loopback_is_without_a_warning():
     """What other computers reach is warned of."""
-    assert [_is_loopback(host) for host in ("127.0.0.1", "::1", "localhost")] == [True] * 3
-    assert [_is_loopback(host) for host in ("0.0.0.0", "192.168.1.2", "example.org")] == [False] * 3
+    assert [is_loopback(host) for host in ("127.0.0.1", "::1", "localhost")] == [True] * 3
+    assert [is_loopback(host) for host in ("0.0.0.0", "192.168.1.2", "example.org")] == [False] * 3
+
+
+@pytest.mark.parametrize(
+    ("origin", "host", "let_in"),
+    [
+        ("http://{}", "{}", True),
+        (None, "{}", True),
+        ("http://example.org", "{}", False),
+        ("null", "{}", False),
+        ("http://example.org", "example.org", False),
+    ],
+)
+def test_no_other_page_reaches_the_socket(origin, host, let_in):
+    """A browser lets any page open it: it is refused by its origin, a name elsewhere that leads here by its host."""
+    viser = pytest.importorskip("viser", reason="viser is not installed: the extra 'lab'")
+    server = serve("127.0.0.1", 8591)
+    own = f"127.0.0.1:{server.get_port()}"
+    lines = [f"Host: {host.format(own)}", "Upgrade: websocket", "Connection: Upgrade", "Sec-WebSocket-Version: 13",
+             "Sec-WebSocket-Key: AAAAAAAAAAAAAAAAAAAAAA==",
+             f"Sec-WebSocket-Protocol: viser-v{viser.__version__}"]  # fmt: skip
+    lines += [] if origin is None else [f"Origin: {origin.format(own)}"]
+    try:
+        with socket.create_connection(("127.0.0.1", server.get_port()), 30.0) as asked:
+            asked.sendall("\r\n".join(["GET / HTTP/1.1", *lines, "", ""]).encode())
+            status = asked.recv(12).decode()
+    finally:
+        server.stop()
+    assert status == ("HTTP/1.1 101" if let_in else "HTTP/1.1 403")
 
 
 @pytest.mark.slow

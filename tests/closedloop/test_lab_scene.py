@@ -5,15 +5,19 @@ import json
 import re
 import sys
 
+import mechanisms
 import numpy as np
+import pinocchio
 import pytest
 
 import closedloop as cl
 from closedloop.closure.contact_force import FREE
 from closedloop.lab.curves import panels, reduced, with_instants
+from closedloop.lab.joined import Joined
 from closedloop.lab.playback import Playback
-from closedloop.lab.scene import quaternions, scene_of
+from closedloop.lab.scene import LOOP, quaternions, scene_of
 from closedloop.lab.share import page_of
+from closedloop.robot.pinocchio import Robot
 
 SHIPPED = cl.shipped_scenarios()
 QUICK = ("wam_slide", "planar2_drop")
@@ -39,15 +43,70 @@ def test_the_drawn_tip_is_on_the_surface_and_the_arrows_are_the_forces(name):
         turn, shift = scene.surface_place(row)
         gap = scene.placed.touching(turn.T @ (scene.tip_place(row) - shift)).gap
         assert gap == pytest.approx(run.closure_error[row], abs=1e-6)
-    for row in np.linspace(0, len(run) - 1, 20).astype(int):
+    few = np.linspace(0, len(run) - 1, 20).astype(int)
+    for row, (pushed, rubbed, wanted, *in_loops) in zip(few, scene.arrows(few), strict=True):
         assert scene.tip_place(row) == pytest.approx(run.position[row], abs=1e-9)
-        (pushed, rubbed, wanted), normal = scene.arrows(row), run.surface_normal[row]
+        normal = run.surface_normal[row]
+        assert [arrow.kind for arrow in in_loops] == [LOOP] * len(run.model.loops)
         assert pushed.force @ normal == pytest.approx(run.contact_force[row], rel=1e-12)
         assert np.linalg.norm(np.cross(pushed.force, normal)) < 1e-9
         assert rubbed.force == pytest.approx(run.friction_force[row])
         assert wanted.force @ normal == pytest.approx(-run.reference_force[row])
         assert np.array_equal(pushed.tail, run.position[row])
     assert [mark.time for mark in scene.marks] == run.event_time.tolist()
+
+
+@pytest.mark.parametrize("name", ["four_bar", "stewart"])
+def test_the_drawn_forces_of_loops_do_the_work_that_the_torques_lack(name):
+    """Drawn at their marks they give, with C, Q and the contact, q̈; both sides of a mark are one place."""
+    run = short_run(name, **{"time.duration": 0.02})
+    scene, row, step = scene_of(run), 15, 1e-6
+    robot, mechanism = scene.robot, scene.model.pinocchio_model()
+    frames = [[mechanism.frames[mechanism.getFrameId(name)] for name in loop.frames] for loop in run.model.loops]
+
+    def ends(q):  # (loops, 2, 3), from the robot's file alone
+        data = mechanism.createData()
+        pinocchio.forwardKinematics(mechanism, data, q)
+        each = zip(frames, run.model.loops, strict=True)
+        return np.array([[(data.oMi[f.parentJoint] * f.placement).act(np.array(p))
+                          for f, p in zip(pair, loop.points, strict=True)] for pair, loop in each])  # fmt: skip
+
+    (arrows,) = scene.arrows([row])
+    drawn = [arrow for arrow in arrows if arrow.kind == LOOP]
+    assert np.array([arrow.tail for arrow in drawn]) == pytest.approx(ends(run.q[row])[:, 0], abs=1e-12)
+    assert ends(run.q[row])[:, 1] == pytest.approx(ends(run.q[row])[:, 0], abs=1e-9)
+    apart = [ends(run.q[row] + step * side)[:, 0] - ends(run.q[row] + step * side)[:, 1] for side in np.eye(robot.n)]
+    still = ends(run.q[row])[:, 0] - ends(run.q[row])[:, 1]
+    work = -np.einsum("jki,ki->j", (np.array(apart) - still) / step, [arrow.force for arrow in drawn])
+    terms, torque = robot.terms(run.q[row], run.v[row]), run.torque[row] + run.joint_friction[row]
+    force = run.contact_force[row] * run.surface_normal[row] + run.friction_force[row]
+    missing = terms.mass_matrix @ run.acceleration[row] + terms.bias - torque - terms.jacobian.T @ force
+    assert np.abs(missing).max() > 0.1
+    assert work == pytest.approx(missing, abs=1e-3)
+    assert [trace.label for trace in panels(run)[2].traces] == [loop.name for loop in run.model.loops]
+    assert all(trace.values.max() < 1e-6 for trace in panels(run)[2].traces)
+
+
+@pytest.mark.parametrize("mechanism", [mechanisms.distance, mechanisms.slider_crank, mechanisms.gears])
+def test_every_kind_of_loop_joint_has_a_mark_where_it_is(mechanism):
+    """A rod reaches from one point to the other, a slider's mark lies along its axis, a gear's at its first joint."""
+    model = mechanism()
+    joined = Joined(Robot(model, model.frames[-1]), 1.0)
+    data = model.pinocchio_model().createData()
+    pinocchio.framesForwardKinematics(model.pinocchio_model(), data, model.home)
+    axes, origins = (np.array([getattr(place, part) for place in data.oMi]) for part in ("rotation", "translation"))
+    turns, places = joined.places(axes, origins)
+    for loop, drawn, turn, place in zip(model.loops, joined.loops, turns, places, strict=True):
+        length = np.ptp(drawn.shape.vertices[:, 2])
+        if loop.type == "gear":
+            assert place == pytest.approx(origins[model.joint_names.index(loop.joints[0]) + 1])
+            continue
+        one, other = (data.oMf[model.pinocchio_model().getFrameId(name)] for name in loop.frames)
+        assert place == pytest.approx(one.act(np.array(loop.points[0])))
+        if loop.type == "distance":
+            assert place + length * turn[:, 2] == pytest.approx(other.act(np.array(loop.points[1])), abs=1e-6)
+        else:
+            assert np.abs(turn[:, 2] @ one.rotation @ np.array(loop.axes[0])) == pytest.approx(1.0)
 
 
 @pytest.mark.parametrize("model", ["wam4", "planar2", "ur5"])

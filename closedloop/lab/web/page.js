@@ -4,7 +4,7 @@
 const data = JSON.parse(document.getElementById("data").textContent);
 const $ = (id) => document.getElementById(id);
 const end = data.end, step = data.step;
-const frames = { time: floats(data.frames.time), places: floats(data.frames.places), tips: floats(data.frames.tips), forces: floats(data.frames.forces) };
+const frames = { time: floats(data.frames.time), places: floats(data.frames.places), tails: floats(data.frames.tails), forces: floats(data.frames.forces) };
 const state = { time: 0, playing: false, speed: 1 };
 
 const space = new Space($("view"), data);
@@ -15,10 +15,13 @@ $("stopped").hidden = !data.stopped;
 $("stopped").textContent = data.stopped;
 $("command").textContent = data.command;
 $("scenario").textContent = data.scenario;
-for (const [name, colour] of [...data.arrows.map((a) => [a.name, a.colour]), ...data.paths.map((p) => [p.name, p.colour])]) {
-  const row = $("legend").appendChild(document.createElement("span"));
+const marks = data.shapes.filter((s) => s.kind).map((s) => [s.kind, s.colour]);
+for (const [name, colour] of new Map([...data.arrows.map((a) => [a.kind, a.colour]), ...marks, ...data.paths.map((p) => [p.name, p.colour])])) {
+  const row = $("legend").appendChild(document.createElement("button"));
+  row.title = "click: hide or show it";
   row.appendChild(document.createElement("i")).style.background = `rgb(${colour.map((c) => Math.round(255 * c))})`;
-  row.append(name);
+  row.append(data.meanings[name] ?? name);
+  row.onclick = () => { row.classList.toggle("off", space.toggle(name)); space.draw(); };
 }
 $("legend").appendChild(document.createElement("span")).textContent = `10 N = ${Number((10 * data.metres_per_newton).toPrecision(2))} m`;
 const plots = data.panels.map((p) => new Plot($("plots"), p, data.marks, seek));
@@ -41,8 +44,8 @@ function frameAt(time) {
     const q = p.slice(0, 4), size = Math.hypot(...q) || 1;
     places.push(place(...q.map((x) => x / size), ...p.slice(4)));
   }
-  const tail = mix(frames.tips, 3, [0, 3]);
-  const arrows = data.arrows.map((a, i) => ({ tail, force: mix(frames.forces, 3 * data.arrows.length, [3 * i, 3 * i + 3]) }));
+  const part = (array, i) => mix(array, 3 * data.arrows.length, [3 * i, 3 * i + 3]);
+  const arrows = data.arrows.map((a, i) => ({ tail: part(frames.tails, i), force: part(frames.forces, i) }));
   return { places, arrows };
 }
 

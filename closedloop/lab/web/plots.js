@@ -102,8 +102,8 @@ function ticks(low, high, wanted) {
   const raw = (high - low) / wanted, power = 10 ** Math.floor(Math.log10(raw));
   const step = [1, 2, 5, 10].map((k) => k * power).find((s) => s >= raw);
   const found = [];
-  for (let k = Math.ceil(low / step); k * step <= high * (1 + 1e-12) && found.length < 20; k++) found.push(k * step);
+  for (let k = Math.ceil(low / step); k * step <= high * (1 + 1e-12) && found.length < 20; k++) found.push(k * step || 0);
   return found;
 }
 
-const label = (v) => (Math.abs(v) < 1e-12 ? "0" : String(Number(v.toPrecision(4))));
+const label = (v) => String(Number(v.toPrecision(4)));

@@ -16,6 +16,7 @@ class Space {
   constructor(canvas, data) {
     this.canvas = canvas;
     this.data = data;
+    this.hidden = new Set();
     const gl = (this.gl = canvas.getContext("webgl2", { antialias: true }));
     if (!gl) return;
     this.program = this.compile();
@@ -24,10 +25,10 @@ class Space {
     this.shaft = this.round(1, 1);
     this.head = this.round(1, 0);
     this.surface = this.mesh(floats(data.surface.vertices), whole(data.surface.faces));
-    this.paths = data.paths.map((p) => ({ colour: p.colour, mesh: this.tube(floats(p.points), 0.0025 * k) }));
+    this.paths = data.paths.map((p) => ({ ...p, mesh: this.tube(floats(p.points), 0.0025 * k) }));
     this.turn = -0.5;
     this.rise = 0.4;
-    this.far = 2.0 * k;
+    this.far = 2.6 * data.radius;
     this.centre = data.centre;
     this.listen();
   }
@@ -157,11 +158,11 @@ class Space {
     const camera = times(perspective(0.7, w / h, 0.01 * far, 20 * far), lookAt(eye, this.centre, [0, 0, 1]));
     gl.uniformMatrix4fv(this.at.camera, false, camera);
     const still = place(1, 0, 0, 0, 0, 0, 0);
-    for (const s of this.shapes) this.put(s.mesh, this.frame.places[s.joint], [...s.colour, 1], 1);
-    for (const p of this.paths) this.put(p.mesh, still, [...p.colour, 1], 0);
+    for (const s of this.shapes.filter((s) => !this.hidden.has(s.kind))) this.put(s.mesh, this.frame.places[s.joint], [...s.colour, 1], 1);
+    for (const p of this.paths.filter((p) => !this.hidden.has(p.name))) this.put(p.mesh, still, [...p.colour, 1], 0);
     this.arrows(1);
     gl.enable(gl.BLEND);
-    gl.blendFunc(gl.SRC_ALPHA, gl.ONE_MINUS_SRC_ALPHA);
+    gl.blendFuncSeparate(gl.SRC_ALPHA, gl.ONE_MINUS_SRC_ALPHA, gl.ONE, gl.ONE_MINUS_SRC_ALPHA);
     gl.disable(gl.DEPTH_TEST);
     this.arrows(0.35); // through the arm, where that hides them
     gl.enable(gl.DEPTH_TEST);
@@ -169,8 +170,17 @@ class Space {
     gl.disable(gl.BLEND);
   }
 
+  // Hide what is called so, or show it again; return whether it is hidden now.
+  toggle(name) {
+    if (!this.hidden.delete(name)) this.hidden.add(name);
+    return this.hidden.has(name);
+  }
+
   arrows(opacity) {
-    this.frame.arrows.forEach((a, i) => this.arrow(a.tail, a.force, [...this.data.arrows[i].colour, opacity]));
+    this.frame.arrows.forEach((a, i) => {
+      const { kind, colour } = this.data.arrows[i];
+      if (!this.hidden.has(kind)) this.arrow(a.tail, a.force, [...colour, opacity]);
+    });
   }
 
   arrow(tail, force, colour) {

@@ -60,7 +60,8 @@ def _for_its_own_page(loopback: bool) -> Iterator[None]:
     from websockets.asyncio import server as sockets
     from websockets.http11 import Request
 
-    plain = sockets.serve
+    module: Any = sockets
+    plain = module.serve
 
     def serving(handler: Any, *arguments: Any, process_request: Any = None, **settings: Any) -> Any:
         def answer(connection: Any, request: Request) -> Any:
@@ -70,11 +71,11 @@ def _for_its_own_page(loopback: bool) -> Iterator[None]:
 
         return plain(handler, *arguments, process_request=answer, **settings)
 
-    sockets.serve = serving  # type: ignore[assignment,misc]
+    module.serve = serving
     try:
         yield
     finally:
-        sockets.serve = plain  # type: ignore[misc]
+        module.serve = plain
 
 
 def _free_port(host: str, port: int) -> int:

@@ -16,6 +16,7 @@ from closedloop.loops.solve import DEPENDENT, NO_ROW
 from closedloop.robot.pinocchio import Robot
 
 Array = NDArray[np.float64]
+Mask = NDArray[np.bool_]
 
 
 class LoopReactions(NamedTuple):
@@ -47,13 +48,7 @@ class LoopReactions(NamedTuple):
 
 
 def loop_reactions(
-    robot: Robot,
-    q: Array,
-    v: Array,
-    acceleration: Array,
-    torque: Array,
-    force: Array,
-    at_stop: NDArray[np.bool_] | None = None,
+    robot: Robot, q: Array, v: Array, acceleration: Array, torque: Array, force: Array, at_stop: Mask | None = None
 ) -> LoopReactions:
     """Return what the loops carried: Gᵀλ = H q̈ + C − Q − Jᵣᵀ F, with H, C and Jᵣ of Pinocchio.
 
@@ -98,7 +93,7 @@ def loop_rows(robot: Robot, q: Array, v: Array) -> tuple[Array, Array]:
     return rows, errors
 
 
-def share_of_rows(rows: Array, missing: Array, at_stop: NDArray[np.bool_] | None) -> tuple[Array, Array]:
+def share_of_rows(rows: Array, missing: Array, at_stop: Mask | None) -> tuple[Array, Array]:
     """Return the part of the rows (N, m) in a torque (N, n), and that of the stops (N, n): together of least norm."""
     m, n = rows.shape[1:]
     held = np.zeros((len(rows), n, n)) if at_stop is None else np.eye(n) * at_stop[:, None, :]

@@ -36,6 +36,7 @@ from closedloop.step.energy_supplied import save_power
 from closedloop.step.entries import ADVANCE_STATES
 from closedloop.step.joint_friction import advance_joint_friction
 from closedloop.step.memory import SMOOTH, Constants, State, Work
+from closedloop.step.singular import near_singular, remember_approach
 
 Array = NDArray[np.float64]
 
@@ -61,6 +62,10 @@ def save_state(w: Work, constants: Constants, state: State) -> None:
         w.start_slip[0], w.start_slip[1] = w.u[1], w.u[2]
         if state.mode == PRESSED and speed > max(constants.stick_speed, w.straight_speed):
             w.direction[0], w.direction[1] = w.u[1] / speed, w.u[2] / speed
+    if state.mode == PRESSED and near_singular(w.S):
+        remember_approach(w, state)
+    else:
+        state.approached = 0
     w.start_event_value = event_function(w, constants, state)
     save_power(w, state)
 

@@ -41,7 +41,16 @@ from closedloop.events.phases import (
     TOUCHING,
     request_terms,
 )
-from closedloop.events.stops import BEYOND, REACHED, energy_of_jump, reach_stops, release_stops
+from closedloop.events.stops import (
+    BEYOND,
+    MOST_TRIALS,
+    REACHED,
+    energy_of_jump,
+    note_sides,
+    reach_stops,
+    release_stops,
+    yield_stops,
+)
 from closedloop.events.table import (
     EDGE,
     IMPACT,
@@ -64,6 +73,7 @@ from closedloop.step.entries import STICK as END_OF_SLIP
 from closedloop.step.evaluate import call_law
 from closedloop.step.locate import set_anchor
 from closedloop.step.memory import RIGID_STICK, SPRING_STICK, Constants, State, Work, loop_at
+from closedloop.step.soft_contact import spring_energy
 from closedloop.step.tip_friction import delayed_speed
 
 Array = NDArray[np.float64]
@@ -151,9 +161,11 @@ def apply_event(H: Array, w: Work, constants: Constants, state: State, rows: Arr
         state.phase, state.kind = IMPULSES_KNOWN, TOUCHDOWN
         return SOLVE_IMPACT if w.u[0] < 0.0 and state.compliance == 0 else APPLY_IMPACT
     if state.surface != 0 and w.inside < 0.0:
-        # The velocity stays what it is: f ends, there and then.
+        # The velocity stays what it is: f ends, there and then. What the spring has stored is not the arm's.
         state.mode, state.risen, state.beside, state.kind = FREE, 0, 1, EDGE
-        log_event(w, constants, state, events, 0.0)
+        stored = spring_energy(w, constants, state) if state.compliance != 0 else 0.0
+        log_event(w, constants, state, events, stored)
+        w.supplied += stored
         request_terms(state, AFTER_EVENT)
         return NEED_TERMS
     if state.unilateral != 0 and w.rigid_force < 0.0:
@@ -325,6 +337,19 @@ def collide(address: int) -> None:
     `proceed` because impacts are rare and their law takes longer to compile than all the rest.
     """
     state, constants, w = loop_at(address)
+    if state.stops == 0:
+        strike_surface(w, constants, state)
+        return
+    note_sides(w)
+    for _ in range(MOST_TRIALS):
+        strike_surface(w, constants, state)
+        if state.status != OK or not yield_stops(w, state):
+            return
+
+
+@kernel
+def strike_surface(w: Work, constants: Constants, state: State) -> None:
+    """Do the same with the stops that hold joints now."""
     bounces = state.rapid_events <= MAX_RAPID
     state.kind, w.discarded_rebound, w.restitution_given = IMPACT if bounces else TOUCHDOWN, 0.0, 0.0
     for _ in range(2):

@@ -33,6 +33,7 @@ from closedloop.simulation.edge import refuse_beyond_edge
 from closedloop.simulation.reference_table import reference_table
 from closedloop.simulation.start import placed_surface, refuse_combinations, refuse_lengths, start_state
 from closedloop.simulation.time_step import check_stiffness, integrator_of, stabiliser_gains, steps_and_hold
+from closedloop.simulation.tool_fit import refuse_tool_too_large
 from closedloop.surface.compliances.none import Rigid
 from closedloop.surface.rates import check_rates
 from closedloop.user_code import of_users
@@ -94,6 +95,7 @@ def prepare(scenario: Scenario, model: RobotModel | None = None, cache: Cache | 
         wanted, table = reference_table(scenario, robot, surface, q, steps, nodes_per_step, cache)
     if scenario.reference.on_surface != "no":
         refuse_beyond_edge(surface, wanted)
+        refuse_tool_too_large(surface, wanted, scenario.tool.radius)
 
     law = scenario.law
     given = getattr(law, "pd_start", None)

@@ -54,12 +54,13 @@ def refuse_combinations(scenario: Scenario, model: RobotModel) -> None:
             f"time.integrator = {scenario.time.integrator!r}: loops and stops of joints take steps of fixed length; "
             f"must be {' or '.join(map(repr, INTEGRATORS))}"
         )
+    if scenario.robot.stop_restitution > 0.0 and not scenario.robot.stops:
+        raise ScenarioError("robot.stop_restitution: is that of the joints' stops; give robot.stops = true with it")
     if model.loops:
         for section, asked in (
             ("model_error", scenario.model_error != ModelErrorSection()),
             ("encoder", encoder_kind(scenario.encoder) != NO_ENCODER),
             ("transmission", scenario.transmission.elastic),
-            ("robot.stops", scenario.robot.stops),
         ):
             if asked:
                 raise ScenarioError(f"{section}: is for arms without loops, and {model.name} has some; leave it out")

@@ -23,7 +23,7 @@ from closedloop.closure.contact_force import (
     pressed_force,
     stuck_force,
 )
-from closedloop.closure.solve import DIVERGED, LAW_FAILED, NOT_POSITIVE_DEFINITE, OK, PAINLEVE, SINGULAR
+from closedloop.closure.solve import DIVERGED, LAW_FAILED, NOT_POSITIVE_DEFINITE, OK, PAINLEVE, PUSHED, SINGULAR
 from closedloop.control.drives import cut_torque
 from closedloop.control.laws.paper import PaperLaw, paper_law
 from closedloop.control.seen import Seen
@@ -40,6 +40,7 @@ from closedloop.step.joint_friction import add_joint_friction, hold_joints
 from closedloop.step.locate import in_contact_frame, locate_tip, off_anchor
 from closedloop.step.memory import RIGID_STICK, SPRING_STICK, Constants, Reference, State, Work
 from closedloop.step.seen import keep_terms, see
+from closedloop.step.singular import force_in_singular_pose, pushed_on_the_way
 from closedloop.step.soft_contact import soft_contact_force
 from closedloop.step.tip_friction import surface_friction, turn_with_slip
 from closedloop.step.transmission import motor_rates, transmit
@@ -95,6 +96,23 @@ def nearest_row(t: float, spacing: float, count: int) -> int:
     return min(round(t / spacing), count - 1)
 
 
+@kernel
+def desired_acceleration(t: float, spacing: float, table: Array, qdd: Array) -> None:
+    """Write q̈_des (n,) at the table's row nearest to t, s, of the rates q̇_des on either side of it.
+
+    It is the smaller of the two slopes, and zero where they differ in sign: so a velocity that jumps, as at the start
+    of a line, asks for no acceleration, and a smooth one for its own, to first order in the spacing.
+    """
+    n, at = qdd.shape[0], nearest_row(t, spacing, table.shape[0])
+    for j in range(n):
+        qdd[j] = 0.0
+        if 0 < at < table.shape[0] - 1:
+            before = (table[at, n + j] - table[at - 1, n + j]) / spacing
+            after = (table[at + 1, n + j] - table[at, n + j]) / spacing
+            if before * after > 0.0:
+                qdd[j] = before if abs(before) < abs(after) else after
+
+
 @kernel_inlined
 def evaluate(H: Array, C: Array, w: Work, constants: Constants, state: State, table: Array, rows: Array) -> int:
     """Evaluate law, friction, contact and Eq. 24 at the state in `w`.
@@ -130,6 +148,8 @@ def evaluate(H: Array, C: Array, w: Work, constants: Constants, state: State, ta
         if state.sampled != 0:
             paper_torque(C, w, constants, w.time)
     else:
+        if state.feed_forward != 0:
+            desired_acceleration(w.time, constants.node, table, w.qdd_des)
         if state.seen == 0:
             in_contact_frame(w.frame, w.carried, w.turning, Reference(w.reference, n))
             keep_terms(H, C, w)
@@ -191,6 +211,8 @@ def evaluate_law(H: Array, C: Array, w: Work, constants: Constants, state: State
     if status != OK:
         return status
     reference_row(w.time, constants.node, table, w.q.shape[0], w.reference)
+    if state.feed_forward != 0:
+        desired_acceleration(w.time, constants.node, table, w.qdd_des)
     if see(H, C, w, constants, state) != OK:
         return NOT_POSITIVE_DEFINITE
     return ask_law(w, constants, state)
@@ -273,6 +295,8 @@ def contact_force(C: Array, w: Work, constants: Constants, state: State) -> int:
             status, share = pressed_force(w.S, w.a, b, w.c, w.viscous, w.F)
             if status == OK and wedged and not w.F[0] < 0.0:
                 status = PAINLEVE
+        if status == SINGULAR and state.mode == PRESSED:
+            return force_in_singular_pose(C, w, constants, state)
         if status != OK:
             return status
         sticking = state.sticking
@@ -284,6 +308,8 @@ def contact_force(C: Array, w: Work, constants: Constants, state: State) -> int:
                 if status != OK:
                     return status
         rigid = w.F[0] - share
+        if state.approached > 0 and pushed_on_the_way(C, w, constants, rigid):
+            return PUSHED
         w.rigid_force = kept_force(rigid, C, w, state)
         if state.unilateral != 0 and w.F[0] < 0.0 <= w.rigid_force:
             # The stabiliser may reduce f of a unilateral contact to zero, but not below.

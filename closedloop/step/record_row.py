@@ -19,7 +19,7 @@ from closedloop.control.sensor import SensorParameters, sense
 from closedloop.jit.blocks import Block
 from closedloop.jit.calls import call_at
 from closedloop.jit.kernel import entry_kernel, kernel, kernel_inlined
-from closedloop.jit.simd8 import select
+from closedloop.jit.simd8 import every, select
 from closedloop.step.closed_loops import REACTION, missing_torque
 from closedloop.step.energy_supplied import driving_torque
 from closedloop.step.memory import RIGID_STICK, Constants, N, State, Work, loop_at
@@ -172,7 +172,8 @@ def record_state(H: Array, C: Array, w: Work, state: State, rows: Array, place: 
         row.slip_velocity[i] = w.frame[1, i] * w.u[1] + w.frame[2, i] * w.u[2]
         row.surface_normal[i] = w.frame[0, i]
     mode = state.mode
-    closed_by_row = mode != FREE and state.compliance == 0
+    # in a singular pose Eq. 24 has no row
+    closed_by_row = mode != FREE and state.compliance == 0 and every(w.S[0, 0] > 0.0)
     first, last = 0 if closed_by_row else 1, 3 if mode == STUCK and state.sticking == RIGID_STICK else 1
     if state.loops != 0:
         missing_torque(H, C, w, state)

@@ -11,33 +11,30 @@ from numpy.typing import NDArray
 import robot_models
 from closedloop.closure.contact_force import PRESSED, STUCK
 from closedloop.control.drives import torque_limits, torque_steps
-from closedloop.control.encoder import NO_ENCODER, check_steps, encoder_draws, encoder_kind
+from closedloop.control.encoder import check_steps
 from closedloop.control.law import Compensation
 from closedloop.control.laws.paper import PaperLaw
-from closedloop.control.sensor import draws, pack_sensor
+from closedloop.control.sensor import pack_sensor
 from closedloop.control.stability import check_sampling
 from closedloop.control.transmission import transmission_constants
-from closedloop.engines.needs import arm_columns
 from closedloop.engines.packed import PackedLaw, pack_friction, pack_law
 from closedloop.engines.problem import Problem
 from closedloop.engines.start_memory import STICK_SPEED
 from closedloop.errors import ScenarioError
-from closedloop.integrators import ADAPTIVE, INTEGRATORS
 from closedloop.loops.assemble import closed_start
 from closedloop.parameters import pack
 from closedloop.robot.pinocchio import Robot
 from closedloop.scenario.arm import joint_friction_of, robot_of
 from closedloop.scenario.gains import check_transmission
 from closedloop.scenario.members import refuse_absent
-from closedloop.scenario.scenario import ModelErrorSection, Scenario
+from closedloop.scenario.scenario import Scenario
 from closedloop.sections import Section
 from closedloop.simulation.cache import Cache
 from closedloop.simulation.edge import refuse_beyond_edge
 from closedloop.simulation.reference_table import reference_table
-from closedloop.simulation.start import placed_surface, refuse_lengths
-from closedloop.simulation.time_step import check_stiffness, integrator_of, stabiliser_gains, whole_steps
+from closedloop.simulation.start import placed_surface, refuse_combinations, refuse_lengths, start_state
+from closedloop.simulation.time_step import check_stiffness, integrator_of, stabiliser_gains, steps_and_hold
 from closedloop.simulation.tool_fit import refuse_tool_too_large
-from closedloop.step.record_row import row_width
 from closedloop.surface.compliances.none import Rigid
 from closedloop.surface.rates import check_rates
 from closedloop.user_code import of_users
@@ -45,8 +42,6 @@ from robot_models import RobotModel
 
 Array = NDArray[np.float64]
 
-# A run is held in memory, once as rows and once as columns: this many numbers in the rows are about 4 GB in all.
-MOST_NUMBERS = 200_000_000
 # Memory of a robot, with Pinocchio's model and data, about, bytes.
 ROBOT_BYTES = 200_000
 # Memory of a section as numbers, about, bytes.
@@ -77,30 +72,9 @@ def prepare(scenario: Scenario, model: RobotModel | None = None, cache: Cache | 
     model = robot.model
     n = robot.n
     refuse_lengths(scenario, model)
-    q = model.home.copy() if scenario.start.q is None else np.array(scenario.start.q)
-    v = np.zeros(n) if scenario.start.v is None else np.array(scenario.start.v)
-    if faults := [
-        f"start.q[{j}] = {q[j]:g}: joint {model.joint_names[j]} of {model.name} moves within [{low:g}, {high:g}]"
-        for j, (low, high) in enumerate(zip(model.position_lower, model.position_upper, strict=True))
-        if not low <= q[j] <= high
-    ]:
-        raise ScenarioError(*faults)
-
-    if (model.loops or scenario.robot.stops) and scenario.time.integrator in ADAPTIVE:
-        raise ScenarioError(
-            f"time.integrator = {scenario.time.integrator!r}: loops and stops of joints take steps of fixed length; "
-            f"must be {' or '.join(map(repr, INTEGRATORS))}"
-        )
-    if scenario.robot.stop_restitution > 0.0 and not scenario.robot.stops:
-        raise ScenarioError("robot.stop_restitution: is that of the joints' stops; give robot.stops = true with it")
+    q, v = start_state(scenario, model)
+    refuse_combinations(scenario, model)
     if model.loops:
-        for section, asked in (
-            ("model_error", scenario.model_error != ModelErrorSection()),
-            ("encoder", encoder_kind(scenario.encoder) != NO_ENCODER),
-            ("transmission", scenario.transmission.elastic),
-        ):
-            if asked:
-                raise ScenarioError(f"{section}: is for arms without loops, and {model.name} has some; leave it out")
         q, v = closed_start(robot, q, v, scenario.start.assemble or scenario.start.q is None)
     surface, now, mode = cache.get(
         ("surface", *_surface_key(scenario), q.tobytes(), v.tobytes()),
@@ -115,29 +89,14 @@ def prepare(scenario: Scenario, model: RobotModel | None = None, cache: Cache | 
         check_stiffness(scenario, robot, q, now)
     if scenario.transmission.elastic:
         check_transmission(scenario, robot, q)
-    steps = whole_steps(scenario.time.duration, scenario.time.step, "time.duration")
-    most_rows = MOST_NUMBERS // row_width(n, bool(arm_columns(scenario)))
-    if steps > most_rows:
-        raise ScenarioError(
-            f"time.step = {scenario.time.step:g}: {scenario.time.duration:g} s would be {steps:.3g} rows, over the "
-            f"{most_rows} that a run of this robot may have; use a larger step or a shorter duration"
-        )
-    h = scenario.time.step
-    period = scenario.law.sample_period
-    hold = whole_steps(period, h, "law.sample_period") if period else 0
-    if scenario.reads_encoders:  # its readings are taken once a step
-        hold = max(hold, 1)
-
+    h, period = scenario.time.step, scenario.law.sample_period
+    steps, hold = steps_and_hold(scenario, n)
     nodes_per_step = integrator.parts
-    instants = (h / nodes_per_step) * np.arange(steps * nodes_per_step + 1, dtype=np.float64)
     with of_users(scenario.reference, "reference.kind"):  # its curves are evaluated in there
-        wanted, table = reference_table(scenario, robot, surface, q, instants, cache)
+        wanted, table = reference_table(scenario, robot, surface, q, steps, nodes_per_step, cache)
     if scenario.reference.on_surface != "no":
         refuse_beyond_edge(surface, wanted)
         refuse_tool_too_large(surface, wanted, scenario.tool.radius)
-    table[::nodes_per_step, 2 * n + 10] = draws(scenario.sensor, steps + 1)
-    if table.shape[1] > 2 * n + 11:
-        table[::nodes_per_step, 2 * n + 11 :] = encoder_draws(scenario.encoder, steps + 1, n)
 
     law = scenario.law
     given = getattr(law, "pd_start", None)

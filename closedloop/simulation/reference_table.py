@@ -8,6 +8,8 @@ from dataclasses import replace
 import numpy as np
 from numpy.typing import NDArray
 
+from closedloop.control.encoder import encoder_draws
+from closedloop.control.sensor import draws
 from closedloop.reference.desired import Desired, desired
 from closedloop.reference.force import force_at
 from closedloop.robot.pinocchio import Robot
@@ -23,10 +25,11 @@ BEYOND = 1.001
 
 
 def reference_table(
-    scenario: Scenario, robot: Robot, surface: PlacedSurface, q: Array, instants: Array, cache: Cache
+    scenario: Scenario, robot: Robot, surface: PlacedSurface, q: Array, steps: int, nodes: int, cache: Cache
 ) -> tuple[Desired, Array]:
-    """Return what is desired, and the table of it at `instants` (P,), s, with room for noise in its last columns."""
+    """Return what is desired, and the table of it, `nodes` rows to a step, with noise in its last columns."""
     n = robot.n
+    instants = (scenario.time.step / nodes) * np.arange(steps * nodes + 1, dtype=np.float64)
     spare = 1 + 2 * n if scenario.reads_encoders else 1
     motion = (
         scenario.robot.model_dump_json(),
@@ -48,6 +51,9 @@ def reference_table(
         lambda made: made.nbytes,
     )
     table[:, 2 * n + 9] = force_at(wanted.profile, wanted.force, instants)
+    table[::nodes, 2 * n + 10] = draws(scenario.sensor, steps + 1)
+    if scenario.reads_encoders:
+        table[::nodes, 2 * n + 11 :] = encoder_draws(scenario.encoder, steps + 1, n)
     return wanted, table
 
 

@@ -8,12 +8,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from closedloop.closure.contact_force import FREE, PRESSED
+from closedloop.control.encoder import NO_ENCODER, encoder_kind
 from closedloop.errors import ScenarioError
 from closedloop.events.phases import RESTING, TOUCHING
+from closedloop.integrators import ADAPTIVE, INTEGRATORS
 from closedloop.parameters import lists_per_joint
 from closedloop.reference.force import force_at
 from closedloop.robot.pinocchio import Robot
-from closedloop.scenario.scenario import Scenario
+from closedloop.scenario.scenario import ModelErrorSection, Scenario
 from closedloop.simulation.edge import edge_key
 from closedloop.surface.compliances.none import Rigid
 from closedloop.surface.kinds.plane import PlaneSurface
@@ -30,6 +32,38 @@ START_GAP = 1e-3
 # Largest |ė| of a tip in contact at the start, m/s: the rounding of a velocity given to four digits. The stabiliser has
 # to stop it, with 0.14 N for each kilogram of apparent mass at the paper's setting; without one the error would grow.
 START_RATE = 1e-4
+
+
+def start_state(scenario: Scenario, model: RobotModel) -> tuple[Array, Array]:
+    """Return q and q̇ (n,) as they are asked for, refusing joints beyond their limits."""
+    q = model.home.copy() if scenario.start.q is None else np.array(scenario.start.q)
+    v = np.zeros(model.n) if scenario.start.v is None else np.array(scenario.start.v)
+    if faults := [
+        f"start.q[{j}] = {q[j]:g}: joint {model.joint_names[j]} of {model.name} moves within [{low:g}, {high:g}]"
+        for j, (low, high) in enumerate(zip(model.position_lower, model.position_upper, strict=True))
+        if not low <= q[j] <= high
+    ]:
+        raise ScenarioError(*faults)
+    return q, v
+
+
+def refuse_combinations(scenario: Scenario, model: RobotModel) -> None:
+    """Refuse what loops, and stops of joints, cannot be combined with."""
+    if (model.loops or scenario.robot.stops) and scenario.time.integrator in ADAPTIVE:
+        raise ScenarioError(
+            f"time.integrator = {scenario.time.integrator!r}: loops and stops of joints take steps of fixed length; "
+            f"must be {' or '.join(map(repr, INTEGRATORS))}"
+        )
+    if scenario.robot.stop_restitution > 0.0 and not scenario.robot.stops:
+        raise ScenarioError("robot.stop_restitution: is that of the joints' stops; give robot.stops = true with it")
+    if model.loops:
+        for section, asked in (
+            ("model_error", scenario.model_error != ModelErrorSection()),
+            ("encoder", encoder_kind(scenario.encoder) != NO_ENCODER),
+            ("transmission", scenario.transmission.elastic),
+        ):
+            if asked:
+                raise ScenarioError(f"{section}: is for arms without loops, and {model.name} has some; leave it out")
 
 
 def placed_surface(scenario: Scenario, robot: Robot, q: Array, v: Array) -> tuple[PlacedSurface, Touching, int]:

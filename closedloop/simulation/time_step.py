@@ -9,15 +9,19 @@ from numpy.typing import NDArray
 
 from closedloop.closure.baumgarte import baumgarte_gains, largest_stable_ratio, recommended_ratio
 from closedloop.control.encoder import NO_ENCODER, encoder_kind
+from closedloop.engines.needs import arm_columns
 from closedloop.errors import ScenarioError
 from closedloop.friction.law import JOINT_LAWS, SURFACE_LAWS, JointFriction
 from closedloop.integrators import ADAPTIVE, INTEGRATORS, Scheme
 from closedloop.robot.pinocchio import Robot
 from closedloop.scenario.scenario import BaumgarteGains, Scenario
+from closedloop.step.record_row import row_width
 from closedloop.surface.placed import Touching
 
 Array = NDArray[np.float64]
 
+# A run is held in memory, once as rows and once as columns: this many numbers in the rows are about 4 GB in all.
+MOST_NUMBERS = 200_000_000
 # Default relative tolerance of an adaptive integrator. With friction at the tip 1e-12 takes 16 s of processor time for
 # the 8 s of wam_slide_friction, and 1e-9 takes 6 s: break-away and sticking are then within 2e-8 s of those at 1e-12.
 TOLERANCE, TOLERANCE_WITH_FRICTION = 1e-12, 1e-9
@@ -127,3 +131,17 @@ def whole_steps(span: float, h: float, key: str) -> int:
         near = max(1, count) * h
         raise ScenarioError(f"{key} = {span:g} s: must be a whole number of steps of {h:g} s, such as {near:.10g} s")
     return count
+
+
+def steps_and_hold(scenario: Scenario, n: int) -> tuple[int, int]:
+    """Return the steps of a run of n joints, and for how many of them a torque is held, 0: it is not sampled."""
+    h, duration, period = scenario.time.step, scenario.time.duration, scenario.law.sample_period
+    steps = whole_steps(duration, h, "time.duration")
+    most_rows = MOST_NUMBERS // row_width(n, bool(arm_columns(scenario)))
+    if steps > most_rows:
+        raise ScenarioError(
+            f"time.step = {h:g}: {duration:g} s would be {steps:.3g} rows, over the "
+            f"{most_rows} that a run of this robot may have; use a larger step or a shorter duration"
+        )
+    hold = whole_steps(period, h, "law.sample_period") if period else 0
+    return steps, max(hold, 1) if scenario.reads_encoders else hold  # encoders are read once a step

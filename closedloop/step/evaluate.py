@@ -57,7 +57,7 @@ LARGEST = 1e100
 PaperParameters = parameter_block(PaperLaw)
 
 
-@kernel
+@kernel_inlined
 def reference_row(t: float, spacing: float, table: Array, n: int, row: Array) -> None:
     """Write the reference at time t: between the table's rows positions are cubics and the rest is linear.
 
@@ -142,15 +142,12 @@ def evaluate(H: Array, C: Array, w: Work, constants: Constants, state: State, ta
     status = factorise_tip(H, w, constants, state)
     if status != OK:
         return status
+    if state.law != 0 or state.sampled != 0:
+        reference_row(w.time, constants.node, table, n, w.reference)
     if state.law == 0:
         if state.sampled != 0:
-            reference_row(w.time, constants.node, table, n, w.reference)
             paper_torque(C, w, constants, w.time)
-        status = contact_force(C, w, constants, state)
-        if status != OK:
-            return status
     else:
-        reference_row(w.time, constants.node, table, n, w.reference)
         if state.feed_forward != 0:
             desired_acceleration(w.time, constants.node, table, w.qdd_des)
         if state.seen == 0:
@@ -168,9 +165,10 @@ def evaluate(H: Array, C: Array, w: Work, constants: Constants, state: State, ta
             transmit(w, constants)
         surface_friction(w, constants, state, rows)
         add_joint_friction(w, constants, state, rows)
-        status = contact_force(C, w, constants, state)
-        if status != OK:
-            return status
+    status = contact_force(C, w, constants, state)
+    if status != OK:
+        return status
+    if state.law != 0:
         if state.joint_sticking == RIGID_STICK:
             hold_joints(w, constants, state)
             status = contact_force(C, w, constants, state)
@@ -269,7 +267,7 @@ def bounded(w: Work) -> bool:
     return every(total < LARGEST)
 
 
-@kernel
+@kernel_inlined
 def contact_force(C: Array, w: Work, constants: Constants, state: State) -> int:
     """Solve Eq. 24 in the present mode for the contact force F and the acceleration q̈; return a status."""
     for j in range(w.q.shape[0]):

@@ -12,7 +12,7 @@ import closedloop as cl
 from closedloop.scenario.describe import all_keys, describe_section, explain_key, keys, sections
 from closedloop.scenario.scenario import parse_scenario
 from closedloop.sections import ANGLE, PLACE
-from closedloop.simulation.prepare import MOST_NUMBERS
+from closedloop.simulation.time_step import MOST_NUMBERS
 from closedloop.step.record_row import Row
 from robot_models.shipped import path_of
 

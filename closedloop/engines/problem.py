@@ -9,7 +9,8 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from closedloop.closure.contact_force import FREE
+from closedloop.closure.contact_force import FREE, PRESSED
+from closedloop.contacts.bind import contact_memory
 from closedloop.control.compensation.none import NoCompensation
 from closedloop.control.drives import DrivesSection
 from closedloop.control.encoder import MEASURED_VELOCITY, NO_ENCODER, encoder_kind
@@ -33,6 +34,7 @@ from closedloop.reference.desired import Desired
 from closedloop.robot.pinocchio import Robot
 from closedloop.scenario.scenario import BaumgarteGains, ModelErrorSection, Scenario
 from closedloop.step.closed_loops import closed_loops
+from closedloop.step.contacts import contacts_in_step
 from closedloop.step.entries import friction_entry, joint_friction_entry, law_entry
 from closedloop.step.memory import (
     ELASTIC_STICK,
@@ -45,7 +47,7 @@ from closedloop.step.memory import (
     Work,
     make_loop,
 )
-from closedloop.step.record_row import Row, row_width
+from closedloop.step.record_row import ContactRow, Row, row_width
 from closedloop.step.seen import MOTORS_MEASURED, read_joints
 from closedloop.step.soft_contact import compliance_entry
 from closedloop.surface.compliances.none import Rigid
@@ -215,7 +217,7 @@ class Problem:
     @property
     def general(self) -> bool:
         """Whether the general form of the loop is needed."""
-        return needs_general_form(self.scenario) or self.bound
+        return needs_general_form(self.scenario) or self.bound or bool(self.scenario.contact)
 
     @property
     def bound(self) -> bool:
@@ -225,7 +227,8 @@ class Problem:
     @property
     def row_width(self) -> int:
         """Numbers in a recorded row."""
-        return row_width(self.robot.n, bool(arm_columns(self.scenario)))
+        contacts = len(self.scenario.contact or ())
+        return row_width(self.robot.n, bool(arm_columns(self.scenario)), contacts)
 
     def loop(self, user_law: bool = False) -> Loop:
         """Return the loop's memory at t = 0.
@@ -259,6 +262,12 @@ class Problem:
             loop.w.keep_alive(loops=loops)
         self._set_constants(loop.constants)
         self._set_start(state, loop.w)
+        if self.scenario.contact:
+            contacts = contact_memory(self.scenario, self.robot)
+            state.contacts_at, contacts.links.loop = contacts.address, state.address
+            contacts.links.record_at = self.row_width - ContactRow.count(len(self.scenario.contact))
+            contacts.contacts.mode[0] = PRESSED if state.unilateral == 0 else FREE
+            loop.w.keep_alive(contacts=contacts)
         if state.encoder != NO_ENCODER and state.phase == STEP_END:
             interpreted(read_joints)(loop.w, loop.constants, state, self.table)
             state.phase = MEASURED
@@ -323,6 +332,8 @@ class Problem:
                 raise ScenarioError(f"{name}.kind = {member.kind}: cannot be compiled: {why}") from None
         if loop.state.loops_at != 0:
             loop.state.loops = address(closed_loops)
+        if loop.state.contacts_at != 0:
+            loop.state.contacts = address(contacts_in_step)
         if loop.state.surface_motion != 0:
             loop.w.kept["surface"].links.motion = loop.state.surface_motion
         if user_law is not None:

@@ -118,7 +118,7 @@ def proceed(
         back_to_true(w)
         state.phase = STEP_END
         return TERMS
-    free = state.mode == FREE and state.stops == 0  # then the gap is all that a trial step is for
+    free = state.mode == FREE and state.stops == 0 and state.contacts == 0  # then the gap is all that a trial step is for
     if phase in (STEP_END, STAGE, AFTER_EVENT) or (phase in (TRIAL_END, AT_EVENT) and not free):
         status = evaluate(H, C, w, constants, state, table, rows, general)
         if status != OK:
@@ -160,7 +160,7 @@ def proceed(
     elif phase == PROJECTION:
         todo = PROJECT
     else:
-        todo = resume_after_event(C, w, constants, state, general)
+        todo = resume_after_event(C, w, constants, state, events, general)
 
     if todo == APPLY_EVENT:
         commit_work(w)

@@ -41,6 +41,7 @@ from closedloop.events.phases import (
     TOUCHING,
     request_terms,
 )
+from closedloop.events.contacts import apply_contact_event, resume_with_contacts
 from closedloop.events.stops import BEYOND, REACHED, energy_of_jump, reach_stops, release_stops
 from closedloop.events.table import (
     EDGE,
@@ -70,8 +71,12 @@ Array = NDArray[np.float64]
 
 
 @kernel
-def resume_after_event(C: Array, w: Work, constants: Constants, state: State, general: int | None) -> int:
+def resume_after_event(
+    C: Array, w: Work, constants: Constants, state: State, events: Array, general: int | None
+) -> int:
     """Continue after an event to the end of the step, unless the mode is inconsistent with the state."""
+    if general is not None and state.contacts != 0:
+        return resume_with_contacts(w, constants, state, events)
     if state.mode == FREE:
         # A tip just after liftoff that accelerates towards the surface has not left it: at the projected state f is
         # still positive; or the law presses when the tip is free and lifts when it is in contact.
@@ -111,6 +116,8 @@ def apply_event(
     if state.events >= events.shape[0]:
         state.phase = AT_EVENT
         return ENLARGE_TABLE
+    if general is not None and state.contacts != 0:
+        return apply_contact_event(w, state, events)
     if state.mode == FREE and state.surface != 0 and w.inside < 0.0:  # there is no surface to touch
         state.beside = 1
         request_terms(state, AFTER_EVENT)

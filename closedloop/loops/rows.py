@@ -58,8 +58,8 @@ def locate_rows(links: LoopLinks, rows: LoopRows) -> None:
             if side != 0.0:
                 rows.error[k] = rows.q[one] - (rows.value[k, 1] if side > 0.0 else rows.value[k, 0])
             continue
-        _move(tree, work, rows.v, one, rows.at_a[k], rows.along_a[k], a)
-        _move(tree, work, rows.v, other, rows.at_b[k], rows.along_b[k], b)
+        move_with(tree, work, rows.v, one, rows.at_a[k], rows.along_a[k], a)
+        move_with(tree, work, rows.v, other, rows.at_b[k], rows.along_b[k], b)
         error, rate, drift = 0.0, 0.0, 0.0
         if kind == ROTATION:
             for i in range(3):
@@ -116,7 +116,7 @@ def _gear(rows: LoopRows, k: int, one: int, other: int) -> None:
 
 
 @kernel
-def _move(tree: Tree, work: Array, v: Array, link: int, point: Array, along: Array, out: Array) -> None:
+def move_with(tree: Tree, work: Array, v: Array, link: int, point: Array, along: Array, out: Array) -> None:
     """Write the motion of a point and a direction that are fixed to a link; see `POINT`."""
     if link < 0:
         for i in range(18):

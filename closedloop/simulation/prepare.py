@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 import robot_models
 from closedloop.closure.baumgarte import baumgarte_gains, largest_stable_ratio, recommended_ratio
 from closedloop.closure.contact_force import FREE, PRESSED, STUCK
+from closedloop.contacts.bind import check_contacts
 from closedloop.control.drives import torque_limits, torque_steps
 from closedloop.control.encoder import NO_ENCODER, encoder_draws, encoder_kind
 from closedloop.control.law import Compensation
@@ -137,7 +138,9 @@ def prepare(scenario: Scenario, model: RobotModel | None = None, cache: Cache | 
     if scenario.transmission.elastic:
         check_transmission(scenario, robot, q)
     steps = _whole(scenario.time.duration, scenario.time.step, "time.duration")
-    most_rows = MOST_NUMBERS // row_width(n, bool(arm_columns(scenario)))
+    if scenario.contact:
+        check_contacts(scenario, robot, q)
+    most_rows = MOST_NUMBERS // row_width(n, bool(arm_columns(scenario)), len(scenario.contact or ()))
     if steps > most_rows:
         raise ScenarioError(
             f"time.step = {scenario.time.step:g}: {scenario.time.duration:g} s would be {steps:.3g} rows, over the "

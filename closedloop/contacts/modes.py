@@ -134,10 +134,11 @@ def happened_to(c: Contacts, i: int, mode: int) -> float:
 
 @kernel
 def remove_motion(c: Contacts, k: int) -> int:
-    """Write in F the impulses after which contacts that stick are at rest, and those that slide stay closed."""
+    """Write in F the impulses after which contacts that stick or begin to slip are at rest, and others stay closed."""
     for i in range(k):
-        if c.kind[i] != LINE:
-            c.kind[i] = OFF if c.mode[i] == FREE else (CONE if c.mode[i] == STUCK else RAY)
+        if c.kind[i] != LINE and c.mode[i] == FREE:
+            c.kind[i] = OFF
+        c.start_slip[i] = math.hypot(c.u[3 * i + 1], c.u[3 * i + 2]) if c.kind[i] == RAY else 0.0
         c.along[i, 0], c.along[i, 1] = 0.0, 0.0
     for i in range(3 * k):
         c.before[i], c.q[i], c.after[i] = c.u[i], c.viscous[i], c.a[i]

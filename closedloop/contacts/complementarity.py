@@ -26,7 +26,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from closedloop.contacts.linear import DEPENDENT, solve_any_rank
-from closedloop.contacts.memory import CONE, LINE, OFF, RAY, Contacts
+from closedloop.contacts.memory import CONE, LINE, OFF, Contacts
 from closedloop.jit.kernel import kernel
 
 Array = NDArray[np.float64]

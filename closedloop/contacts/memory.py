@@ -126,7 +126,11 @@ def make_contact_memory(n: int, k: int, rows: LoopMemory | None = None) -> Conta
     """Return the memory of k contacts of a tree of n joints, `rows` that of the rows of all but the first."""
     links = ContactLinks(np.zeros(CONTACT_LINKS, dtype=np.int64))
     contacts = Contacts(np.zeros(Contacts.count(n, k)), n, k)
-    links.address, links.numbers, links.total = address_of(links.memory), address_of(contacts.memory), contacts.memory.size
+    links.address, links.numbers, links.total = (
+        address_of(links.memory),
+        address_of(contacts.memory),
+        contacts.memory.size,
+    )
     links.n, links.k = n, k
     links.rows = 0 if rows is None else rows.address
     contacts.driven[:], contacts.direction[:, 0] = 1.0, 1.0

@@ -118,7 +118,9 @@ def proceed(
         back_to_true(w)
         state.phase = STEP_END
         return TERMS
-    free = state.mode == FREE and state.stops == 0 and state.contacts == 0  # then the gap is all that a trial step is for
+    free = (
+        state.mode == FREE and state.stops == 0 and state.contacts == 0
+    )  # then the gap is all that a trial step is for
     if phase in (STEP_END, STAGE, AFTER_EVENT) or (phase in (TRIAL_END, AT_EVENT) and not free):
         status = evaluate(H, C, w, constants, state, table, rows, general)
         if status != OK:

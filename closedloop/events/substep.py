@@ -122,7 +122,13 @@ def check_stage(w: Work, state: State) -> int:
     the step: the event is searched for only if f is negative at the end of the trial step too.
     """
     tau = w.time - w.begin_time
-    if state.contacts != 0 or state.trial != NO_TRIAL or state.mode == FREE or not w.rigid_force < 0.0 or tau > w.length - INSTANT:
+    if (
+        state.contacts != 0
+        or state.trial != NO_TRIAL
+        or state.mode == FREE
+        or not w.rigid_force < 0.0
+        or tau > w.length - INSTANT
+    ):
         return ADVANCE
     state.trial, state.trials = CHECK_STAGE, 0
     w.low, w.high, w.tau = 0.0, tau, tau

@@ -18,6 +18,7 @@ from closedloop.closure.contact_force import (
     stuck_tangentially,
 )
 from closedloop.closure.solve import CHATTER, OK
+from closedloop.events.contacts import apply_contact_event, resume_with_contacts
 from closedloop.events.locate import cone_margin
 from closedloop.events.phases import (
     AFTER_EVENT,
@@ -41,7 +42,6 @@ from closedloop.events.phases import (
     TOUCHING,
     request_terms,
 )
-from closedloop.events.contacts import apply_contact_event, resume_with_contacts
 from closedloop.events.stops import BEYOND, REACHED, energy_of_jump, reach_stops, release_stops
 from closedloop.events.table import (
     EDGE,

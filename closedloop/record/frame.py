@@ -42,8 +42,16 @@ def data_frame(
     for name, dimensions in dims.items():
         if name == "time":
             continue
-        values, labels = columns[name], {"joint": joints, "axis": AXES, "component": WRENCH, "contact": contacts,
-                                  "contact_tangent": tangents_of(contacts)}.get(dimensions[-1], ())
+        values, labels = (
+            columns[name],
+            {
+                "joint": joints,
+                "axis": AXES,
+                "component": WRENCH,
+                "contact": contacts,
+                "contact_tangent": tangents_of(contacts),
+            }.get(dimensions[-1], ()),
+        )
         for k, label in enumerate(labels):
             parts[f"{name}[{label}]"], of[f"{name}[{label}]"] = values[:, k], units(name)
         if not labels:

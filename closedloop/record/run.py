@@ -321,7 +321,9 @@ class Run:
         known = columns_there(self.columns) | DERIVED
         dims = {name: spec.dims for name, spec in known.items() if spec.dims[0] == "time"}
         contacts = names_of(self.scenario.contact or ())
-        return data_frame({name: getattr(self, name) for name in dims}, dims, self.model.joint_names, contacts, self.units)
+        return data_frame(
+            {name: getattr(self, name) for name in dims}, dims, self.model.joint_names, contacts, self.units
+        )
 
     def plot(self) -> Figure:
         """Return a matplotlib figure of the force's error, the tip's errors and the path from above.

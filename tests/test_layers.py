@@ -13,8 +13,8 @@ ROOT = Path(__file__).resolve().parent.parent
 LAYERS = (
     "interrupts", "jit", "errors", "files", "progress", "sections", "parameters", "signatures", "families",
     "user_code", "integrators", "robot", "surface", "closure", "loops", "friction", "impact", "control", "reference",
-    "scenario", "contacts", "step", "events", "record", "report", "engines", "figures", "simulation", "batch", "command",
-    "sweep", "lab", "export", "study", "run", "__main__", "__init__",
+    "scenario", "contacts", "step", "events", "record", "report", "engines", "figures", "simulation", "batch",
+    "command", "sweep", "lab", "export", "study", "run", "__main__", "__init__",
 )  # fmt: skip
 # A run gives its summary on request.
 UPWARDS = {("closedloop.record.run", "closedloop.report")}

@@ -108,8 +108,8 @@ def check_contacts(scenario: Scenario, robot: Robot, q: Array) -> None:
             raise ScenarioError(f"contact {name!r}: no joint is between link and against: name frames that move apart")
         if rows.rows.error[3 * i] < -HOVERING:
             raise ScenarioError(
-                f"contact {name!r}: the point starts {-rows.rows.error[3 * i]:.4g} m inside the plane: start it outside, "
-                "or move the plane with through"
+                f"contact {name!r}: the point starts {-rows.rows.error[3 * i]:.4g} m inside the plane: start it "
+                "outside, or move the plane with through"
             )
     _refuse_together(scenario)
 

@@ -4,14 +4,14 @@ With F = (f, F_t) of each contact, u = q + W F of all of them and the mobility W
 
     F ∈ K,   u + μ|u_t| n ∈ K*,   Fᵀ(u + μ|u_t| n) = 0,        K = {|F_t| <= μ f},  K* its dual
 
-(G. de Saxcé and Z.-Q. Feng, Math. Comput. Model. 28, 1998): no force off the surface, within the cone where it sticks, and
-on its edge against the slip where it slides. q is the velocity before an impact, with what restitution adds to it, and
-F an impulse; or q is the acceleration without contacts and F a force. Contacts that slide already have a direction:
-F = f (1, −μ d), f >= 0, u_n >= 0, f u_n = 0.
+(G. de Saxcé and Z.-Q. Feng, Math. Comput. Model. 28, 1998): no force off the surface, within the cone where it
+sticks, and on its edge against the slip where it slides. q is the velocity before an impact, with what restitution
+adds to it, and F an impulse; or q is the acceleration without contacts and F a force. Contacts that slide already
+have a direction: F = f (1, −μ d), f >= 0, u_n >= 0, f u_n = 0.
 
-The method is in two parts, which alternate until the residual is rounding: projected Gauss-Seidel (M. Jourdan, P.
-Alart and M. Jean, Comput. Methods Appl. Mech. Eng. 155, 1998) to come near, and the generalised Newton method of P. Alart and
-A. Curnier (Comput. Methods Appl. Mech. Eng. 92, 1991) on the equations
+The method is in two parts, which alternate until the residual is rounding: projected Gauss-Seidel (F. Jourdan, P.
+Alart and M. Jean, Comput. Methods Appl. Mech. Eng. 155, 1998) to come near, and the generalised Newton method of
+P. Alart and A. Curnier (Comput. Methods Appl. Mech. Eng. 92, 1991) on the equations
 
     f = max(0, f − ρ u_n),    F_t = the nearest to F_t − ρ u_t with no more than μ max(0, f − ρ u_n)
 

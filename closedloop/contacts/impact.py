@@ -4,8 +4,8 @@
 
 with friction against u⁺_t: the problem of `closedloop.contacts.complementarity` for q = u⁻ + e u⁻_n n (J. J. Moreau, in
 Nonsmooth Mechanics and Applications, Springer, 1988). Contacts that were closed already take part with e = 0. Newton's
-law with friction can create energy (T. R. Kane, 1984): then all e of the impact are lessened by one factor, until it does
-not. With e = 0 it never does.
+law with friction can create energy (T. R. Kane, 1984): then all e of the impact are lessened by one factor, until it
+does not. With e = 0 it never does.
 """
 
 from __future__ import annotations

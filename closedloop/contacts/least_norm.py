@@ -1,7 +1,7 @@
 """Of forces that are not unique those of least norm, inside the cones.
 
-Forces F that move the tree alike have the same sum s = Xᵀ F. The shortest of them in the cones is F = Π(X λ), with Π the
-nearest point of the cones and λ the solution of
+Forces F that move the tree alike have the same sum s = Xᵀ F. The shortest of them in the cones is F = Π(X λ), with Π
+the nearest point of the cones and λ the solution of
 
     Xᵀ Π(X λ) = s
 

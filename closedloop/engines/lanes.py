@@ -27,7 +27,8 @@ from closedloop.closure.contact_force import (
 )
 from closedloop.closure.solve import DIVERGED, OK
 from closedloop.engines.loops import COMPILED
-from closedloop.engines.problem import Problem, needs_general_form
+from closedloop.engines.needs import needs_general_form
+from closedloop.engines.problem import Problem
 from closedloop.integrators import INTEGRATORS
 from closedloop.jit.background import make_ready
 from closedloop.jit.kernel import entry_kernel, jit_disabled, kernel_inlined, plain

@@ -90,7 +90,7 @@ DRAWN_BY = {
     "animate": "closedloop.lab.animate:animate",
 }
 
-# What a run has if its scenario asks for it, see `closedloop.engines.problem.arm_columns`.
+# What a run has if its scenario asks for it, see `closedloop.engines.needs.arm_columns`.
 ARM_COLUMNS: dict[str, Column] = {
     "torque_limited": Column(
         ("time", "joint"),

@@ -50,7 +50,7 @@ EVENTS_OF_A_BOUNCE = 100
 STEPS_TO_AN_EVENT = 20
 # The repeatability of such arms is ±0.03 to ±0.1 mm: a tip that is farther than that from the surface it is on is not
 # on it. With Baumgarte's stabiliser shipped scenarios keep 1e-8 m, without one 2e-6 m. A closure may start farther off
-# (`closedloop.simulation.prepare.START_GAP`) and comes to it from there.
+# (`closedloop.simulation.start.START_GAP`) and comes to it from there.
 CLOSURE_BOUND = 1e-4
 
 # What a run says that stopped by it (`closedloop.engines.failures`).

@@ -13,15 +13,10 @@ from numpy.typing import NDArray
 from closedloop.engines.failures import interrupted, member_error
 from closedloop.engines.law_source import arguments_of, law_digest
 from closedloop.engines.loops import ENGINES, PINOCCHIO, loop_for
-from closedloop.engines.problem import Problem, arm_columns
+from closedloop.engines.needs import arm_columns
+from closedloop.engines.problem import Problem
 from closedloop.engines.user_law import Law, UserLaw
-from closedloop.errors import (
-    DivergenceError,
-    InterruptedRunError,
-    LawError,
-    ScenarioError,
-    SimulationError,
-)
+from closedloop.errors import DivergenceError, InterruptedRunError, LawError, ScenarioError, SimulationError
 from closedloop.events.phases import DONE, IMPACT_LAW_WANTED, TABLE_FULL, TERMS
 from closedloop.events.table import event_columns
 from closedloop.integrators import ADAPTIVE, INTEGRATORS

@@ -1,8 +1,9 @@
 """The contacts of the links in a step: all of them, the tip's among them, solved together.
 
 With H = L Lᵀ, y = L⁻¹(Q − C) of the tree, less what loops bind (`closedloop.step.closed_loops`), and X = L⁻¹Gᵀ of all
-contacts, likewise, the acceleration of the contacts is u̇ = X y + drift + X Xᵀ F. An event (`closedloop.events.contacts`)
-is dealt with in two parts: impacts, if contacts come together, then at the state after them the modes.
+contacts, likewise, the acceleration of the contacts is u̇ = X y + drift + X Xᵀ F. An event
+(`closedloop.events.contacts`) is dealt with in two parts: impacts, if contacts come together, then at the state after
+them the modes.
 """
 
 from __future__ import annotations
@@ -45,7 +46,7 @@ def contacts_in_step(address: int, what: int) -> int:
     FORCE    write the forces at the state in `Work`, q̈, and the margin of the event function
     SAVE     keep what a substep begins with
     STRIKE   apply the impulses of contacts that come together to q̇; `happened` says what
-    DECIDE   write the modes after an event or at the start, `happened` likewise, and remove what velocity they do not have
+    DECIDE   write the modes after an event or at the start, `happened` likewise, and take what velocity they have not
     DRIVE    take the torque from joints without a drive
     """
     links, c = contacts_at(address)

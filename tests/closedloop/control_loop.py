@@ -16,7 +16,7 @@ from closedloop.control.compensation.none import NoCompensation
 from closedloop.control.law import Compensation
 from closedloop.control.law_input import LawInput
 from closedloop.control.sensor import SensorSection, pack_sensor
-from closedloop.engines.problem import pack_law
+from closedloop.engines.packed import pack_law
 from closedloop.jit.calls import entry_address
 from closedloop.jit.kernel import plain
 from closedloop.parameters import parameter_block, state_block

@@ -17,7 +17,7 @@ from closedloop.control.laws.impedance import ImpedanceLaw
 from closedloop.control.laws.operational_space import OperationalSpaceLaw
 from closedloop.control.laws.paper import PaperLaw, paper_law
 from closedloop.control.tip_space import motion_along_normal, pseudo_inverse, surface_mobility
-from closedloop.engines.problem import pack_law
+from closedloop.engines.packed import pack_law
 from closedloop.jit.kernel import plain
 
 LAWS = {

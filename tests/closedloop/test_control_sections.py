@@ -19,7 +19,7 @@ from closedloop.control.laws.impedance import ImpedanceLaw
 from closedloop.control.laws.operational_space import OperationalSpaceLaw
 from closedloop.control.laws.paper import PaperLaw
 from closedloop.control.sensor import SensorSection
-from closedloop.engines.problem import pack_law
+from closedloop.engines.packed import pack_law
 from closedloop.errors import ScenarioError
 from closedloop.parameters import parameter_block
 

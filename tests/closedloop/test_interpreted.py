@@ -81,7 +81,7 @@ def test_an_interpreted_run_is_the_compiled_one_to_the_last_bit(name, engine, re
 
 def scenario_needs_more(run):
     """Whether a run went through the loop with everything that may come on top."""
-    from closedloop.engines.problem import needs_general_form
+    from closedloop.engines.needs import needs_general_form
 
     return needs_general_form(run.scenario)
 

@@ -169,7 +169,7 @@ def test_ctrl_c_at_any_moment(integrator, law, duration, times, alarm):
 @pytest.mark.parametrize("what", ["TORQUE", "RATES"])
 @pytest.mark.parametrize("integrator", INTEGRATORS)
 def test_ctrl_c_as_the_law_is_entered(integrator, what):
-    """Where nothing can catch it, before the first line, and whatever the law is entered for: no row is half written."""
+    """Where nothing can catch it, and whatever the law is entered for: no row is half written."""
     whole = cl.simulate(scenario(integrator), law=soft)
     entered = 0
 

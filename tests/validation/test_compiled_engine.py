@@ -5,7 +5,7 @@ import pytest
 
 import closedloop as cl
 import robot_models
-from closedloop.engines.problem import needs_general_form
+from closedloop.engines.needs import needs_general_form
 from closedloop.robot.tree import tree_of
 from validation.engines import CannotBuild, available
 from validation.engines.compiled import Compiled

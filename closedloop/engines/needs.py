@@ -1,0 +1,38 @@
+"""What a scenario needs of the loop: its general form, columns of the record, readings of encoders."""
+
+from __future__ import annotations
+
+from closedloop.control.drives import DrivesSection
+from closedloop.control.encoder import MEASURED_VELOCITY, NO_ENCODER, encoder_kind
+from closedloop.control.sensor import SensorSection
+from closedloop.scenario.scenario import ModelErrorSection, Scenario
+
+
+def needs_general_form(scenario: Scenario) -> bool:
+    """Whether a scenario needs the general form of the loop, see `closedloop.step.evaluate`."""
+    return (
+        scenario.law.kind != "paper"
+        or scenario.law.force_feedback > 0.0
+        or scenario.law.force_integral > 0.0
+        or scenario.compensation.kind != "none"
+        or scenario.friction.kind != "none"
+        or scenario.rubs_in_joints
+        or scenario.sensor != SensorSection()
+        or scenario.model_error != ModelErrorSection()
+        or bool(arm_columns(scenario))
+        or bool(scenario.contact)
+    )
+
+
+def arm_columns(scenario: Scenario) -> tuple[str, ...]:
+    """Return the columns beyond `closedloop.step.record_row.RECORDED` that a run of a scenario has."""
+    drives = ("torque_limited",) if scenario.drives != DrivesSection() else ()
+    encoder = ("measured_position", "measured_velocity") if scenario.reads_encoders else ()
+    motors = ("motor_position", "motor_velocity", "transmitted_torque") if scenario.transmission.elastic else ()
+    return drives + encoder + motors
+
+
+def reading_kind(scenario: Scenario) -> int:
+    """Return whether the controller reads encoders, see `closedloop.control.encoder.encoder_kind`."""
+    kind = encoder_kind(scenario.encoder)
+    return MEASURED_VELOCITY if kind == NO_ENCODER and scenario.transmission.on_motors else kind

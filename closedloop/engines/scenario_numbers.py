@@ -1,0 +1,158 @@
+"""The numbers of a scenario, and what follows from them directly."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from closedloop.control.sensor import PackedSensor
+from closedloop.engines.needs import arm_columns, needs_general_form
+from closedloop.engines.packed import PackedLaw
+from closedloop.impact.restitution import RESTITUTIONS, Restitution
+from closedloop.integrators import Scheme
+from closedloop.parameters import per_joint
+from closedloop.reference.desired import Desired
+from closedloop.robot.pinocchio import Robot
+from closedloop.scenario.scenario import BaumgarteGains, Scenario
+from closedloop.step.record_row import row_width
+from closedloop.surface.placed import PlacedSurface
+from closedloop.surface.plane import Plane
+
+Array = NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class ScenarioNumbers:
+    """A scenario as numbers: everything that the loop needs, open to inspection before it runs.
+
+    Attributes
+    ----------
+    robot, surface, integrator
+        The arm with its tip, the surface, the scheme.
+    frame : (3, 3) array
+        Contact frame at t = 0: rows n, t1, t2 in base axes.
+    q, v : (n,) arrays
+        State at t = 0.
+    mode : int
+        Contact mode at t = 0, see `closedloop.closure.contact_force`.
+    steps, h : int, float
+        Number of steps and the step, s.
+    stabiliser : (2,) array
+        s_v, 1/s, and s_p, 1/s².
+    pd_start : float
+        Instant from which the PD part of the law acts, s.
+    law, compensation, friction, joint_friction, compliance : PackedLaw
+        The law, its compensation of friction, friction, and the compliance of the surface, as numbers.
+    sensor : PackedSensor
+        The force sensor.
+    table : (steps · nodes + 1, 2 n + 11) array
+        The reference at every instant at which a stage is evaluated, see `closedloop.step.evaluate.reference_row`, and
+        a standard normal number for the force sensor.
+    nodes : int
+        Rows of the table to a step.
+    project : bool
+        Whether the state is projected onto the closure after each step.
+    hold : int
+        Steps for which a sampled torque is held; 0: the law is evaluated at every stage.
+    drives : (2, n) array
+        Largest torque of each joint, and its largest change from sample to sample, N m; infinite where there is none.
+    transmission : (3, n) array
+        Stiffness, damping and motor inertia of elastic joints, see `closedloop.control.transmission`; zero: rigid.
+    encoder : (k,) array
+        The parameters of the encoders.
+    wanted : Desired
+        The reference at any instant.
+    tolerance : float or None
+        Relative tolerance of an adaptive integrator; None: the step is fixed.
+    """
+
+    scenario: Scenario
+    robot: Robot
+    surface: PlacedSurface
+    frame: Array
+    integrator: type[Scheme]
+    q: Array
+    v: Array
+    mode: int
+    steps: int
+    h: float
+    stabiliser: Array
+    pd_start: float
+    law: PackedLaw
+    compensation: PackedLaw
+    friction: PackedLaw
+    joint_friction: PackedLaw
+    compliance: PackedLaw
+    sensor: PackedSensor
+    table: Array
+    nodes: int
+    project: bool
+    hold: int
+    drives: Array
+    transmission: Array
+    encoder: Array
+    wanted: Desired
+    tolerance: float | None
+
+    @property
+    def time_constant(self) -> float | None:
+        """T of Baumgarte's stabiliser, s, as given or as chosen by "auto"; None without that stabiliser."""
+        section = self.scenario.stabiliser
+        if not isinstance(section, BaumgarteGains):
+            return None
+        return float(self.stabiliser[1] ** -0.5) if section.time_constant == "auto" else section.time_constant
+
+    @property
+    def plane(self) -> Plane:
+        """The plane through the surface's origin at t = 0, with its normal there: the surface itself if it is one."""
+        return Plane(self.surface.normal, self.surface.offset)
+
+    @property
+    def path(self) -> Array:
+        """q_des and q̇_des of every row of the table, (P, 2, n)."""
+        n = self.robot.n
+        return self.table[:, : 2 * n].reshape(-1, 2, n)
+
+    @property
+    def gains(self) -> Array:
+        """K_p and K_d of every joint, (2, n), of a law that has them."""
+        law: Any = self.scenario.law
+        return np.array([per_joint(f"law.{name}", getattr(law, name), self.robot.n) for name in ("kp", "kd")])
+
+    @property
+    def settings(self) -> Array:
+        """f_des at the start, N, and the instant from which the PD part acts, s."""
+        return np.array([self.table[0, 2 * self.robot.n + 9], self.pd_start])
+
+    @property
+    def general(self) -> bool:
+        """Whether the general form of the loop is needed."""
+        return needs_general_form(self.scenario) or self.bound
+
+    @property
+    def bound(self) -> bool:
+        """Whether there are loops, or stops of joints."""
+        return bool(self.robot.model.loops) or self.scenario.robot.stops
+
+    @property
+    def row_width(self) -> int:
+        """Numbers in a recorded row."""
+        contacts = len(self.scenario.contact or ())
+        return row_width(self.robot.n, bool(arm_columns(self.scenario)), contacts)
+
+    @property
+    def sizes(self) -> dict[str, int]:
+        """How many numbers the parameters of each member are, in the order of `Constants`."""
+        return {
+            "law": self.law.numbers.size, "compensation": self.compensation.numbers.size,
+            "friction": self.friction.numbers.size, "joint_friction": self.joint_friction.numbers.shape[1],
+            "compliance": self.compliance.numbers.size,
+        }  # fmt: skip
+
+    @property
+    def restitution(self) -> type[Restitution]:
+        """The law of restitution."""
+        return RESTITUTIONS[self.scenario.impact.law]

@@ -1,0 +1,59 @@
+"""The reference at every instant at which a stage is evaluated, as a table."""
+
+from __future__ import annotations
+
+from collections.abc import Hashable
+from dataclasses import replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from closedloop.reference.desired import Desired, desired
+from closedloop.reference.force import force_at
+from closedloop.robot.pinocchio import Robot
+from closedloop.scenario.scenario import Scenario
+from closedloop.simulation.cache import Cache
+from closedloop.surface.placed import PlacedSurface
+from closedloop.surface.plane import unit
+
+Array = NDArray[np.float64]
+
+# A path on a surface that moves goes on this much longer than the run, so that its last row is no end of it.
+BEYOND = 1.001
+
+
+def reference_table(
+    scenario: Scenario, robot: Robot, surface: PlacedSurface, q: Array, instants: Array, cache: Cache
+) -> tuple[Desired, Array]:
+    """Return what is desired, and the table of it at `instants` (P,), s, with room for noise in its last columns."""
+    n = robot.n
+    spare = 1 + 2 * n if scenario.reads_encoders else 1
+    motion = (
+        scenario.robot.model_dump_json(),
+        scenario.tool.model_dump_json(),
+        scenario.reference.model_dump_json(),
+        q.tobytes(),
+        _path_key(scenario, surface),
+    )
+    axis = unit(scenario.tool.axis, "tool.axis")
+    wanted = cache.get_shared(
+        ("desired", *motion),
+        lambda: desired(scenario, robot, surface, q, scenario.force_profile, scenario.time.duration * BEYOND, axis),
+        lambda made: 3 * made.joints.q.nbytes,
+    )
+    wanted = replace(wanted, profile=scenario.force_profile, force=scenario.law.force)
+    table = cache.get(
+        ("table", *motion, instants.size, float(instants[1]), spare),
+        lambda: wanted.table(instants, spare=spare),
+        lambda made: made.nbytes,
+    )
+    table[:, 2 * n + 9] = force_at(wanted.profile, wanted.force, instants)
+    return wanted, table
+
+
+def _path_key(scenario: Scenario, surface: PlacedSurface) -> Hashable:
+    """Return what of the surface the path depends on."""
+    if surface.fixed_plane:
+        return surface.normal.tobytes()
+    sections = scenario.surface.model_dump_json(), scenario.surface_motion.model_dump_json()
+    return (*sections, surface.origin.tobytes(), scenario.time.duration)

@@ -1,0 +1,120 @@
+"""Where the tip is to the surface at the start: on it, off it, or refused."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from closedloop.closure.contact_force import FREE, PRESSED
+from closedloop.errors import ScenarioError
+from closedloop.events.phases import RESTING, TOUCHING
+from closedloop.parameters import lists_per_joint
+from closedloop.reference.force import force_at
+from closedloop.robot.pinocchio import Robot
+from closedloop.scenario.scenario import Scenario
+from closedloop.simulation.edge import edge_key
+from closedloop.surface.compliances.none import Rigid
+from closedloop.surface.kinds.plane import PlaneSurface
+from closedloop.surface.placed import PlacedSurface, Touching
+from closedloop.surface.surface import Surface
+from closedloop.user_code import of_users
+from robot_models import RobotModel
+
+Array = NDArray[np.float64]
+
+# Largest |e| of the tip at the start, m: with the paper's stabiliser the force due to a larger error would dominate, a
+# thousand newtons for each kilogram of apparent mass and each millimetre.
+START_GAP = 1e-3
+# Largest |ė| of a tip in contact at the start, m/s: the rounding of a velocity given to four digits. The stabiliser has
+# to stop it, with 0.14 N for each kilogram of apparent mass at the paper's setting; without one the error would grow.
+START_RATE = 1e-4
+
+
+def placed_surface(scenario: Scenario, robot: Robot, q: Array, v: Array) -> tuple[PlacedSurface, Touching, int]:
+    """Return the surface, how the tip is to it at the start, and what it does on it.
+
+    Raises
+    ------
+    ScenarioError
+        If the start is neither on the surface nor off it.
+    """
+    section = scenario.surface
+    terms = robot.terms(q, v)
+    tip = terms.position
+    soft = not isinstance(scenario.compliance, Rigid)
+    pressed = max(0.0, float(force_at(scenario.force_profile, scenario.law.force, np.zeros(1))[0]))
+    with of_users(scenario.compliance, "compliance.kind"):
+        depth = scenario.compliance.static_depth(pressed) if soft and not section.gap else 0.0
+    surface = PlacedSurface.of(section, scenario.surface_motion, tip, depth)
+    now = surface.touching(tip, terms.jacobian @ v)
+    if now.inside < 0.0 and (section.contact == "bilateral" or soft):
+        raise ScenarioError(
+            f"surface.{edge_key(section)}: the tip starts {-now.inside:.4g} m beyond the edge of the surface; "
+            'make it larger, or start the tip on it, or use contact = "unilateral" without compliance'
+        )
+    exact = surface.below_start and isinstance(section, PlaneSurface) and not soft
+    gap = section.gap if exact else now.gap
+    rate = float(now.frame[0] @ terms.jacobian @ v - now.carried[0])
+    given, at_most, place = _where_given(section, surface, tip)
+    if soft:  # how deep the tip is, or how fast it comes, is for the surface to answer
+        return surface, now, PRESSED if section.contact == "bilateral" or gap <= TOUCHING else FREE
+    if section.contact == "bilateral":
+        if abs(gap) > START_GAP:
+            side = "off" if gap > 0 else "inside"
+            raise ScenarioError(
+                f"{given}: the tip starts {abs(gap):.4g} m {side} the surface, and the closure holds it "
+                f'there from the start: use contact = "unilateral", or {place}'
+            )
+        if abs(rate) > START_RATE:
+            raise ScenarioError(_through_the_closure(now.frame[0] @ terms.jacobian, v, rate))
+        return surface, now, PRESSED
+    if now.inside < 0.0:
+        return surface, now, FREE
+    if gap < -TOUCHING:
+        raise ScenarioError(f"{given}: the tip starts {-gap:.4g} m inside the surface: {at_most} for this start")
+    if gap > TOUCHING:
+        return surface, now, FREE
+    if rate > RESTING:
+        raise ScenarioError(
+            f"start.v: the tip starts on the surface and leaves it at {rate:.4g} m/s: start it off the surface "
+            "(surface.gap), or without velocity along the normal"
+        )
+    return surface, now, FREE if rate < -RESTING else PRESSED
+
+
+def _where_given(section: Surface, surface: PlacedSurface, tip: Array) -> tuple[str, str, str]:
+    """Return key and value that place the surface, what the value may be for this start, and two ways to be on it."""
+    own: Any
+    if isinstance(section, PlaneSurface):
+        key, own, best = "offset", section.offset, f"{float(surface.normal @ tip):.9g}"
+    else:
+        key, own = "point", getattr(section, "point", None)
+        best = str([float(f"{x:.9g}") for x in tip])
+    said = f"{own:.9g}" if isinstance(own, float) else f"{list(own or ())}"
+    given = f"surface.gap = {section.gap:.9g}" if surface.below_start else f"surface.{key} = {said}"
+    return given, f"surface.{key} may be at most {best}", f'{key} = "start" or {best}'
+
+
+def _through_the_closure(A: Array, v: Array, rate: float) -> str:
+    """Return what is wrong with joint velocities v (n,) that move a tip held by n·Jᵣ = A (n,) at `rate`, m/s."""
+    along = v - A * (rate / float(A @ A))  # the nearest that obey A q̇ = 0
+    return (
+        f"start.v: the tip is held to the surface and starts through it at {rate:.4g} m/s, where {START_RATE:g} m/s is "
+        f"the most; the nearest start.v along the surface is {[float(f'{x:.9g}') for x in along]}, or use "
+        'contact = "unilateral"'
+    )
+
+
+def refuse_lengths(scenario: Scenario, model: RobotModel) -> None:
+    """Refuse lists that have not one entry for each joint, all of them at once."""
+    lists = {"start.q": scenario.start.q, "start.v": scenario.start.v}
+    lists |= {f"law.{name}": value for name, value in lists_per_joint(scenario.law).items()}
+    faults = [
+        f"{key} has {len(value)} entries: {model.name} has {model.n} joints, {', '.join(model.joint_names)}"
+        for key, value in lists.items()
+        if value is not None and len(value) != model.n
+    ]
+    if faults:
+        raise ScenarioError(*faults)

@@ -1,0 +1,129 @@
+"""What depends on the time step: the scheme, the stabiliser's gains, how stiff a soft surface may be."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+from numpy.typing import NDArray
+
+from closedloop.closure.baumgarte import baumgarte_gains, largest_stable_ratio, recommended_ratio
+from closedloop.control.encoder import NO_ENCODER, encoder_kind
+from closedloop.errors import ScenarioError
+from closedloop.friction.law import JOINT_LAWS, SURFACE_LAWS, JointFriction
+from closedloop.integrators import ADAPTIVE, INTEGRATORS, Scheme
+from closedloop.robot.pinocchio import Robot
+from closedloop.scenario.scenario import BaumgarteGains, Scenario
+from closedloop.surface.placed import Touching
+
+Array = NDArray[np.float64]
+
+# Default relative tolerance of an adaptive integrator. With friction at the tip 1e-12 takes 16 s of processor time for
+# the 8 s of wam_slide_friction, and 1e-9 takes 6 s: break-away and sticking are then within 2e-8 s of those at 1e-12.
+TOLERANCE, TOLERANCE_WITH_FRICTION = 1e-12, 1e-9
+
+
+def integrator_of(scenario: Scenario, joint_friction: JointFriction) -> tuple[type[Scheme], float | None]:
+    """Return the scheme, and the tolerance of one that chooses its own steps, refusing what such a one cannot do."""
+    section = scenario.time
+    name = section.integrator
+    if name not in ADAPTIVE:
+        if section.tolerance is not None:
+            raise ScenarioError(
+                f"time.tolerance = {section.tolerance:g}: goes with integrator = {' or '.join(map(repr, ADAPTIVE))} "
+                f"only; the error of {name!r} is set by time.step; leave it out"
+            )
+        return INTEGRATORS[name], None
+    if scenario.reads_encoders:
+        what = "encoder" if encoder_kind(scenario.encoder) != NO_ENCODER else "transmission.measured = 'motor'"
+        raise ScenarioError(
+            f"{what}: is read once a step, and {name!r} has none; take an integrator of fixed step, "
+            f"{' or '.join(map(repr, INTEGRATORS))}"
+        )
+    for key, law, family, possible in (
+        ("friction", scenario.friction, SURFACE_LAWS, ("elastic", "rigid")),
+        ("joint_friction", joint_friction, JOINT_LAWS, ("elastic",)),
+    ):
+        if law.sticks not in possible:
+            others = [repr(name) for name, member in family.items() if member.sticks in possible]
+            raise ScenarioError(
+                f"{key}.kind = {law.kind!r}: depends on the step, and {name!r} has none; "
+                f"must be {' or '.join(others)}, or "
+                f"take an integrator of fixed step, {' or '.join(map(repr, INTEGRATORS))}"
+            )
+    usual = TOLERANCE if scenario.friction.kind == "none" else TOLERANCE_WITH_FRICTION
+    return ADAPTIVE[name], usual if section.tolerance is None else section.tolerance
+
+
+def check_stiffness(scenario: Scenario, robot: Robot, q: Array, now: Touching) -> None:
+    """Refuse a soft surface that is too stiff for the step: tip and surface are a mass, a spring and a damper."""
+    terms, name, h = robot.terms(q, np.zeros(robot.n)), scenario.time.integrator, scenario.time.step
+    A = now.frame[0] @ terms.jacobian
+    try:
+        mobility = float(A @ np.linalg.solve(terms.mass_matrix, A))
+    except np.linalg.LinAlgError:  # some joint moves no inertia: the run says so
+        return
+    stiffness, damping = scenario.compliance.tangent(max(0.0, -now.gap))
+    rate = math.sqrt(stiffness * mobility)
+    if not 0.0 < rate < math.inf:
+        return
+    limit = largest_stable_ratio(name, 0.5 * damping * mobility / rate)
+    if h * rate > limit:
+        raise ScenarioError(
+            f"compliance: {name} is unstable with time.step = {h:g} s on a surface of {stiffness:.3g} N/m and "
+            f"{damping:.3g} N s/m: the tip moves with 1/{1.0 / mobility:.3g} kg; the step may be at most "
+            f"{_rounded(limit / rate, down=True)} s, or take the integrator 'dop853'"
+            if limit > 0.0
+            else f"compliance: {name} is unstable at any step on a surface of {stiffness:.3g} N/m and {damping:.3g} "
+            "N s/m; use 'rk4', 'dop853' or 'semi_implicit_euler'"
+        )
+
+
+def stabiliser_gains(scenario: Scenario) -> tuple[float, float]:
+    """Return s_v, 1/s, and s_p, 1/s², of Baumgarte's stabiliser, zero without it; refuse what is unstable."""
+    section = scenario.stabiliser
+    if not isinstance(section, BaumgarteGains):
+        return 0.0, 0.0
+    name = scenario.time.integrator
+    if name in ADAPTIVE:  # its steps are as short as stability requires
+        own = 2.0 * scenario.time.step if section.time_constant == "auto" else section.time_constant
+        return baumgarte_gains(section.damping_ratio, own)
+    limit = largest_stable_ratio(name, section.damping_ratio)
+    if section.time_constant == "auto":
+        recommended = recommended_ratio(name, section.damping_ratio)
+        if recommended == 0.0:
+            raise ScenarioError(
+                f'stabiliser.time_constant = "auto": no time constant makes the closure error die out with {name} at '
+                f"damping ratio {section.damping_ratio:g}; use a larger stabiliser.damping_ratio, such as 0.707"
+            )
+        return baumgarte_gains(section.damping_ratio, scenario.time.step / recommended)
+    constant = section.time_constant
+    ratio = scenario.time.step / constant
+    if ratio > limit:
+        if limit == 0.0:
+            raise ScenarioError(
+                f"stabiliser.damping_ratio = {section.damping_ratio:g}: Baumgarte is unstable with {name} at any step; "
+                "use a larger damping ratio"
+            )
+        raise ScenarioError(
+            f"stabiliser.time_constant = {constant:g} s with time.step = {scenario.time.step:g} s: "
+            f"Baumgarte is unstable with {name} beyond step/time_constant = {limit:.4f} at damping ratio "
+            f"{section.damping_ratio:g}; the step may be at most {_rounded(limit * constant, down=True)} "
+            f"s, or the time constant at least {_rounded(scenario.time.step / limit, down=False)} s"
+        )
+    return baumgarte_gains(section.damping_ratio, constant)
+
+
+def _rounded(x: float, down: bool) -> str:
+    """Return x to four digits, rounded to the side on which it is still a valid limit."""
+    unit = 10.0 ** (math.floor(math.log10(x)) - 3)
+    return f"{(math.floor(x / unit) if down else math.ceil(x / unit)) * unit:.4g}"
+
+
+def whole_steps(span: float, h: float, key: str) -> int:
+    """Return how many steps h the span is, refusing a span that is no whole number of them."""
+    count = round(span / h) if np.isfinite(span / h) else 0
+    if count < 1 or abs(count * h - span) > 1e-9 * span:
+        near = max(1, count) * h
+        raise ScenarioError(f"{key} = {span:g} s: must be a whole number of steps of {h:g} s, such as {near:.10g} s")
+    return count

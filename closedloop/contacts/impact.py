@@ -73,7 +73,7 @@ def strike(links: ContactLinks, c: Contacts, rest_speed: float) -> int:
         if c.struck[i] != 0.0:
             c.happened[i] = STRUCK_AND_LEFT if left else STRUCK_AND_STAYED
         if left:
-            c.mode[i], c.risen[i], c.floor[i] = FREE, 1.0, min(c.place[3 * i], 0.0)
+            c.mode[i], c.risen[i], c.floor[i] = FREE, 1.0, min(c.located[3 * i], 0.0)
         elif c.mode[i] == FREE:
             c.mode[i] = PRESSED
     return OK

@@ -56,7 +56,7 @@ class Contacts(Block, sizes=("n", "k")):
     start_slip: Annotated[Array, K]  # and the speed there, m/s
     along: Annotated[Array, K, 2]  # F_t = −along f of a RAY or a LINE
     anchor: Annotated[Array, 3 * K]  # where it stuck
-    place: Annotated[Array, 3 * K]  # gap and place along the surface, m
+    located: Annotated[Array, 3 * K]  # gap and place along the surface, m
     u: Annotated[Array, 3 * K]  # velocity, m/s
     drift: Annotated[Array, 3 * K]  # u̇ = G q̈ + drift
     a: Annotated[Array, 3 * K]  # acceleration without contacts, m/s²

@@ -35,7 +35,7 @@ CAME, LEFT, STUCK_NOW, SLIPPED, TURNED_ROUND = 2.0, 3.0, 4.0, 5.0, 6.0
 @kernel
 def touches(links: ContactLinks, c: Contacts, i: int) -> bool:
     """Whether a contact is closed, or about to be."""
-    return bool(c.mode[i] != FREE or c.place[3 * i] <= (HOVERING if links.fresh != 0 else TOUCHING))
+    return bool(c.mode[i] != FREE or c.located[3 * i] <= (HOVERING if links.fresh != 0 else TOUCHING))
 
 
 @kernel
@@ -62,9 +62,9 @@ def decide(links: ContactLinks, c: Contacts, slow: float) -> int:
             mode = mode_after(c, i, NO_ACCELERATION * size)
             c.happened[i] = 0.0 if links.fresh != 0 else happened_to(c, i, mode)
             if mode == STUCK and c.mode[i] != STUCK:
-                c.anchor[3 * i + 1], c.anchor[3 * i + 2] = c.place[3 * i + 1], c.place[3 * i + 2]
+                c.anchor[3 * i + 1], c.anchor[3 * i + 2] = c.located[3 * i + 1], c.located[3 * i + 2]
             if mode == FREE and c.mode[i] != FREE:
-                c.risen[i], c.floor[i] = 0.0, min(c.place[3 * i], 0.0)
+                c.risen[i], c.floor[i] = 0.0, min(c.located[3 * i], 0.0)
             c.mode[i] = mode
     return remove_motion(c, k)
 

@@ -82,13 +82,13 @@ def locate_contacts(links: ContactLinks, c: Contacts, w: Work, constants: Consta
         rows.q[j], rows.v[j], c.load[j] = w.q[j], w.v[j], w.y[j]
     locate_rows(joints, rows)
     for i in range(3):
-        c.place[i] = w.gap if i == 0 else off_anchor(w, state, i)
+        c.located[i] = w.gap if i == 0 else off_anchor(w, state, i)
         c.u[i], c.drift[i], c.a[i] = w.u[i], w.drift_c[i], w.a[i]
         for j in range(n):
             c.G[i, j], c.X[i, j] = w.A[i, j], w.X[i, j]
     for r in range(3 * (k - 1)):
         i = r + 3
-        c.place[i], c.u[i], c.drift[i] = rows.error[r], rows.rate[r], rows.drift[r]
+        c.located[i], c.u[i], c.drift[i] = rows.error[r], rows.rate[r], rows.drift[r]
         for j in range(n):
             c.G[i, j], c.X[i, j] = rows.G[r, j], rows.G[r, j]
         forward_substitute(w.L, c.X[i])
@@ -101,7 +101,7 @@ def locate_contacts(links: ContactLinks, c: Contacts, w: Work, constants: Consta
     mobility_of(c, k)
     for i in range(k):
         for j in range(3 * i, 3 * i + 3):
-            off = c.place[j] if j == 3 * i or i == 0 else c.place[j] - c.anchor[j]
+            off = c.located[j] if j == 3 * i or i == 0 else c.located[j] - c.anchor[j]
             c.b[j] = baumgarte_acceleration(constants.s_v, constants.s_p, c.u[j], off)
     c.kind[0] = OFF
     if state.unilateral == 0:
@@ -175,7 +175,7 @@ def margin_of(c: Contacts, k: int, slow: float) -> float:
         if c.kind[i] == LINE:
             continue
         if c.mode[i] == FREE:
-            least = min(least, c.place[n] - c.floor[i] + (CLOSED_GAP if c.risen[i] != 0.0 else HOVERING))
+            least = min(least, c.located[n] - c.floor[i] + (CLOSED_GAP if c.risen[i] != 0.0 else HOVERING))
             continue
         least = min(least, c.rigid[n] + c.rounding)
         if c.mode[i] == STUCK:
@@ -195,7 +195,7 @@ def save_contacts(links: ContactLinks, c: Contacts) -> None:
         c.start_slip[i] = speed
         if c.mode[i] == PRESSED and speed > STICK_SPEED:
             c.direction[i, 0], c.direction[i, 1] = c.u[3 * i + 1] / speed, c.u[3 * i + 2] / speed
-        if c.place[3 * i] > HOVERING:
+        if c.located[3 * i] > HOVERING:
             c.risen[i], c.floor[i] = 1.0, 0.0
 
 

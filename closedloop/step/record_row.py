@@ -245,6 +245,6 @@ def record_contacts(state: State, part: Array) -> None:
     row = ContactRow(part[links.record_at :], links.k - 1)
     for i in range(1, links.k):
         at, to = 3 * i, i - 1
-        row.link_modes[to], row.link_gaps[to], row.link_forces[to] = c.mode[i], c.place[at], c.F[at]
+        row.link_modes[to], row.link_gaps[to], row.link_forces[to] = c.mode[i], c.located[at], c.F[at]
         row.link_frictions[2 * to], row.link_frictions[2 * to + 1] = c.F[at + 1], c.F[at + 2]
         row.link_slips[2 * to], row.link_slips[2 * to + 1] = c.u[at + 1], c.u[at + 2]

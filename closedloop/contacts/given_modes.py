@@ -79,7 +79,8 @@ def solve_modes(c: Contacts, k: int) -> int:
     """
     n, most = c.X.shape[1], 0.0
     for i in range(3 * k):
-        c.F[i], c.rigid[i] = -c.viscous[i], -c.viscous[i]
+        c.rigid[i] = 0.0 - c.viscous[i]  # not -0.0
+        c.F[i] = c.rigid[i]
         most = max(most, c.W[i, i])
     p = list_unknowns(c, k, most)
     c.rounding = 0.0

@@ -23,7 +23,8 @@ NEVER_UPWARDS = {"closedloop.families", "closedloop.friction"}
 # Files that import each other, and why: a run's summary; a message about a key names the keys of a scenario.
 CYCLES = [
     {"closedloop.record.netcdf", "closedloop.record.run", "closedloop.report", "closedloop.report.assumptions",
-     "closedloop.report.columns", "closedloop.report.summary", "closedloop.report.tables"},
+     "closedloop.report.columns", "closedloop.report.link_contacts", "closedloop.report.summary",
+     "closedloop.report.tables"},
     {"closedloop.scenario.messages", "closedloop.scenario.scenario"},
 ]  # fmt: skip
 

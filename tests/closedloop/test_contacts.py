@@ -49,11 +49,12 @@ def corners(friction, normal=(0, 0, 1), restitution=0.0, width=WIDTH, height=HEI
 
 def moved(q, v, contacts, duration=0.02, step=1e-3, engine="pinocchio", model=None, **changes):
     """The run of the block from a state: nothing acts on it but its weight and its contacts."""
+    soft = {} if "stabiliser.kind" in changes else {"stabiliser.time_constant": 0.01}
     scenario = cl.load_scenario(
         "planar2_drop",
         {"surface.gap": 50.0, "time.duration": duration, "time.step": step, "time.integrator": "rk4", "law.kp": 0,
          "law.kd": 0, "law.force": 0, "start.q": [float(x) for x in q], "start.v": [float(x) for x in v],
-         "contact": contacts, **({} if "stabiliser.kind" in changes else {"stabiliser.time_constant": 0.01}), **changes},
+         "contact": contacts, **soft, **changes},
     )  # fmt: skip
     return cl.simulate(scenario, model=model or block(), law=lambda x: 0.0 * x.q, engine=engine)
 
@@ -102,7 +103,7 @@ def test_block_slides_and_stops_and_a_tall_one_tips():
     """v/(μ g) later both corners stick at one instant; with μ above width/height the rear corner leaves at once."""
     run = moved([0, HEIGHT / 2, 0], [0.1, 0, 0], corners(0.5), 0.03)
     assert [(event.kind, event.contact) for event in run.events] == [("stick", 1), ("stick", 2)]
-    assert run.events[0].time == pytest.approx(0.1 / (0.5 * G), abs=1e-12)
+    assert run.events[0].time == pytest.approx(0.1 / (0.5 * G), abs=1e-10)
     assert np.all(run.link_modes[-1] == STUCK)
     assert np.ptp(total_energy(run)) < 1e-12
     tall = moved([0, 0.1, 0], [0.5, 0, 0], corners(0.7, width=0.1, height=0.2), 0.02)
@@ -177,7 +178,7 @@ def test_loop_and_contact_with_friction_in_one_run():
     """A four-bar falls on the floor by its coupler: the loop closed, force in its cone, energy and motion accounted."""
     model = robot_models.load("four_bar")
     position = Robot(model).position(model.home)
-    floor = [{"name": "floor", "link": model.tip, "through": [0, 0, float(position[2]) - 1e-4], "friction": 0.3}]
+    floor = [{"name": "floor", "link": model.tip, "through": [0, 0, float(position[2]) - 2e-6], "friction": 0.3}]
     changes = {"contact": floor, "time.duration": 0.03, "surface.gap": 5.0, "stabiliser.time_constant": 0.01}
     run = cl.simulate(cl.load_scenario("four_bar", changes), law=lambda x: 0.0 * x.q)
     assert "touchdown" in {event.kind for event in run.events}

@@ -84,7 +84,7 @@ def solve_with(links: ContactLinks, c: Contacts, share: float, rest_speed: float
     """Solve for the impulses with restitution times `share`; `after` is then u⁺."""
     k = links.k
     for i in range(3 * k):
-        c.q[i] = c.before[i]
+        c.q[i], c.F[i] = c.before[i], 0.0  # always from the same start: the solution need not be the only one
     for i in range(k):
         bounce = -share * c.restitution[i] * c.before[3 * i]
         if c.struck[i] != 0.0 and links.tired == 0 and bounce >= rest_speed:

@@ -37,10 +37,19 @@ from typing import Any
 from robot_models.errors import ModelError, shown
 
 Vector = tuple[float, ...]
+#: Axes along which, and pairs of axes about which, a type binds: of x, y, z with z its axis. A pair (i, j) keeps axis i
+#: of the second side perpendicular to axis j of the first.
+BINDS: dict[str, tuple[tuple[int, ...], tuple[tuple[int, int], ...]]] = {
+    "point": ((0, 1, 2), ()),
+    "hinge": ((0, 1, 2), ((0, 2), (1, 2))),
+    "slider": ((0, 1), ((0, 1), (1, 2), (2, 0))),
+    "cylinder": ((0, 1), ((0, 2), (1, 2))),
+    "universal": ((0, 1, 2), ((2, 2),)),
+    "planar": ((2,), ((0, 2), (1, 2))),
+    "weld": ((0, 1, 2), ((0, 1), (1, 2), (2, 0))),
+}
 #: Rows that each type takes.
-ROWS = {
-    "point": 3, "hinge": 5, "slider": 5, "cylinder": 4, "universal": 4, "planar": 3, "weld": 6, "distance": 1, "gear": 1
-}  # fmt: skip
+ROWS = {kind: len(along) + len(about) for kind, (along, about) in BINDS.items()} | {"distance": 1, "gear": 1}
 #: Other names of types.
 SYNONYMS = {"3d": "point", "6d": "weld"}
 #: Types that have an axis.

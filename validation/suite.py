@@ -16,6 +16,7 @@ from validation.engines.compiled import Compiled
 from validation.engines.loop import ClosedLoop
 from validation.engines.symbolic import Symbolic
 from validation.identities import Residual, Sample, check_all, draw_sample, unanswered
+from validation.loops.compare import compare_on_loops
 from validation.oracle import Oracle
 from validation.plant import Catch
 from validation.random_trees import random_robot, random_state
@@ -182,6 +183,8 @@ def run_suite(
     say("touching surfaces that are curved, move and give way")
     report.sections.append(compare_on_surfaces(5 if quick else 15, 3 if quick else 12, seed))
     report.sections.append(soft_contact_section(seed))
+    say("closing loops")
+    report.sections.append(compare_on_loops(3 if quick else 12, seed))
     report.sections += list(_published(say))
     if not quick:
         say("sliding in every engine that can")

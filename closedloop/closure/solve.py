@@ -27,7 +27,7 @@ Array = NDArray[np.float64]
 # where no joint's lever arm along the normal is above 1e-6 of the arm's reach (its square above this share of reach²).
 SINGULAR_MOBILITY = 1e-12
 
-OK, SINGULAR, NOT_POSITIVE_DEFINITE, DIVERGED, PAINLEVE, CHATTER, LAW_FAILED, NO_NORMAL = range(8)
+OK, SINGULAR, NOT_POSITIVE_DEFINITE, DIVERGED, PAINLEVE, CHATTER, LAW_FAILED, NO_NORMAL, PUSHED = range(9)
 
 
 def bordered_matrix(H: ArrayLike, A: ArrayLike) -> Array:

@@ -31,25 +31,19 @@ class Piece(NamedTuple):
 
 def pieces() -> tuple[Piece, ...]:
     """Return everything that ships, in the order of how many runs need it."""
-    from closedloop.engines.loops import COMPILED, PINOCCHIO, loop_for
-
-    def loop(engine: str, general: bool, what: str) -> Piece:
-        return Piece(loop_for(engine, general).__name__, what, lambda: _run(engine, general))
+    from closedloop.engines.loops import COMPILED, PINOCCHIO
 
     return (
-        loop(PINOCCHIO, False, "Pinocchio engine, the paper's law"),
-        Piece("complete_record", "the end of a record", lambda: _run(PINOCCHIO, False)),
+        Piece("walk", "inverse kinematics of a path", _problem),
+        Piece("sample_spline", "a path of joints", _problem),
+        Piece("proceed_at", "the step", lambda: _run(PINOCCHIO)),
+        Piece("complete_record", "the end of a record", lambda: _run(PINOCCHIO)),
         Piece("collide", "impacts", _impacts),
-        loop(PINOCCHIO, True, "Pinocchio engine, other laws and friction"),
-        loop(COMPILED, False, "compiled engine, the paper's law"),
-        loop(COMPILED, True, "compiled engine, other laws and friction"),
+        Piece("run_compiled", "the compiled engine's terms", lambda: _run(COMPILED)),
         Piece("measure_rows", "values of a batch's runs", _measures),
         Piece("run_in_lanes", "eight runs of a batch at a time", _batch),
-        Piece("evaluate_on_pinocchio", "dop853, the paper's law", lambda: _run(PINOCCHIO, False, "dop853")),
-        Piece("evaluate_general_on_pinocchio", "dop853, other laws", lambda: _run(PINOCCHIO, True, "dop853")),
+        Piece("evaluate_on_pinocchio", "dop853", lambda: _run(PINOCCHIO, "dop853")),
         Piece("_impact", "an impact by itself", _impact),
-        Piece("walk", "inverse kinematics of a path", lambda: _problem(False)),
-        Piece("sample_spline", "a path of joints", lambda: _problem(False)),
         Piece("put_on_surface", "a path on a surface", lambda: _path(False)),
         Piece("normals_on_surface", "the normal along a path", lambda: _path(True)),
         Piece("potential_energies", "potential energy of a record", _energies),
@@ -169,27 +163,24 @@ def compile_command(arguments: list[str]) -> int:
     return DONE
 
 
-def _problem(general: bool, integrator: str = "semi_implicit_euler") -> Problem:
+def _problem(integrator: str = "semi_implicit_euler") -> Problem:
     from closedloop.scenario.scenario import load_scenario
     from closedloop.simulation.prepare import prepare
 
-    changes = {"time.duration": 0.002, "time.integrator": integrator}
-    if general:
-        changes["law.force_feedback"] = 0.1
-    return prepare(load_scenario("planar2_slide", changes))
+    return prepare(load_scenario("planar2_slide", {"time.duration": 0.002, "time.integrator": integrator}))
 
 
-def _run(engine: str, general: bool, integrator: str = "semi_implicit_euler") -> None:
+def _run(engine: str, integrator: str = "semi_implicit_euler") -> None:
     from closedloop.simulation.simulate import run_loop
 
-    run_loop(_problem(general, integrator), engine=engine)
+    run_loop(_problem(integrator), engine=engine)
 
 
 def _impacts() -> None:
     from closedloop.events.transitions import collide
     from closedloop.jit.kernel import direct
 
-    direct(collide, _problem(False).loop().address)
+    direct(collide, _problem().loop().address)
 
 
 def _energies() -> None:

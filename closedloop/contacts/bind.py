@@ -59,7 +59,9 @@ def rows_of(sections: tuple[ContactSection, ...], robot: Robot) -> LoopMemory:
             at_b.append(plane)
             along.append(axes @ frame[k])
     m = len(sides)
-    kinds = np.array([*[POSITION] * m, *(a for a, _ in sides), *(b for _, b in sides)], dtype=np.int64)
+    kinds = np.array(
+        [*[POSITION] * m, *(a for a, _ in sides), *(b for _, b in sides), *[0, 1, 1] * len(sections)], dtype=np.int64
+    )
     none = np.zeros((m, 3))
     bound = Bound(kinds, np.array(at_a), np.array(at_b), none, np.array(along), np.zeros((m, 5)), np.zeros(robot.n))
     return make_loop_memory(robot.tree, bound)
@@ -100,7 +102,7 @@ def check_contacts(scenario: Scenario, robot: Robot, q: Array) -> None:
         if section.link == section.against:
             raise ScenarioError(f"contact {name!r}: link and against are both {section.link!r}: name two frames")
     rows = rows_of(sections, robot)
-    sides = rows.links.kept["bound"].sides.reshape(3, -1)[:, ::3]
+    sides = rows.links.kept["bound"].sides.reshape(4, -1)[:, ::3]
     rows.rows.q[:] = q
     interpreted(locate_rows)(rows.links, rows.rows)
     for i, name in enumerate(names):

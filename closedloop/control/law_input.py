@@ -51,6 +51,8 @@ class LawInput(NamedTuple):
         The contact frame: rows n, t1, t2, base axes; p = frame r.
     q_des, v_des : (n,) arrays
         Desired joint motion.
+    qdd_des : (n,) array
+        Desired joint acceleration, rad/s² (m/s²), where `reference.orientation` holds the tool; else zero.
     p_des, u_des, a_des : (3,) arrays
         Desired motion of the tip, m, m/s, m/s².
     f_des : float
@@ -81,6 +83,7 @@ class LawInput(NamedTuple):
     frame: Array
     q_des: Array
     v_des: Array
+    qdd_des: Array
     p_des: Array
     u_des: Array
     a_des: Array

@@ -200,9 +200,10 @@ def wanted_acceleration(x: LawInput, par: Any, f: float, wanted: Array) -> None:
 
 @kernel
 def posture(x: LawInput, par: Any, a: Array) -> None:
-    """Write K_d (q̇_des − q̇) + K_p (q_des − q), rad/s², into `a` (n,): the null-space motion."""
+    """Write q̈_des + K_d (q̇_des − q̇) + K_p (q_des − q), rad/s², into `a` (n,): the null-space motion."""
     for j in range(x.q.shape[0]):
         a[j] = par.posture_stiffness[j] * (x.q_des[j] - x.q[j]) + par.posture_damping[j] * (x.v_des[j] - x.v[j])
+        a[j] += x.qdd_des[j]
 
 
 @kernel

@@ -11,9 +11,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from closedloop.engines.problem import Problem
+from closedloop.engines.proceed import ADDRESSES, IN_MEMORY, Addresses
 from closedloop.events.phases import TERMS
-from closedloop.events.proceed import proceed
-from closedloop.jit.kernel import entry_kernel, inlined_kernel, plain
+from closedloop.jit.calls import call_at
+from closedloop.jit.kernel import entry_kernel, plain
+from closedloop.jit.pointers import fortran_at, integers_at, vector_at
 from closedloop.robot.tree import Tree, tree_terms, work_size
 from closedloop.step.memory import loop_at
 
@@ -23,45 +25,32 @@ Array = NDArray[np.float64]
 ALL = 1 << 62
 
 
-@inlined_kernel
-def _run(
-    tree: Tree, work: Array, address: int, table: Array, tableau: Array, rows: Array, events: Array, most: int,
-    general: int | None,
-) -> int:  # fmt: skip
-    n = tree.n
-    state, constants, w = loop_at(address)
-    H, C, scratch = work[0 : n * n].reshape(n, n), work[n * n : n * n + n], work[n * n + n :]
+@entry_kernel
+def run_compiled(tree: Tree, scratch: Array, address: int, most: int) -> int:
+    """Run until something other than terms is requested, and return the request; see `closedloop.events.proceed`.
+
+    After `most` evaluations, at least one, it returns in any case. The address is that of the memory of
+    `closedloop.engines.proceed.Addresses`, of H and C in `compiled_terms`.
+    """
+    a, n = Addresses(integers_at(address, ADDRESSES)), tree.n
+    H, C = fortran_at(a.H, n, n), vector_at(a.C, n)
+    state, _, w = loop_at(a.loop)
     request, evaluations = TERMS, 0
     while request == TERMS and evaluations < most:
         evaluations += 1
         tree_terms(tree, w.q, w.v, scratch, H, C, w.J, w.r, w.drift)
-        request = proceed(H, C, w, constants, state, table, tableau, rows, events, general)
+        request = call_at(state.proceed, address, IN_MEMORY)
     return request
 
 
-@entry_kernel
-def run_compiled(
-    tree: Tree, work: Array, address: int, table: Array, tableau: Array, rows: Array, events: Array, most: int
-) -> int:
-    """Run until something other than terms is requested, and return the request; see `closedloop.events.proceed`.
-
-    After `most` evaluations, at least one, it returns in any case. The address is that of the loop's memory, see
-    `closedloop.step.memory.loop_at`.
-    """
-    return _run(tree, work, address, table, tableau, rows, events, most, None)
-
-
-@entry_kernel
-def run_compiled_general(
-    tree: Tree, work: Array, address: int, table: Array, tableau: Array, rows: Array, events: Array, most: int
-) -> int:
-    """Do the same in the general form: other laws, friction, a force sensor."""
-    return _run(tree, work, address, table, tableau, rows, events, most, 1)
-
-
 def compiled_work(n: int) -> Array:
-    """Return the scratch array of `run_compiled` for n joints."""
+    """Return the scratch array of `run_compiled` for n joints, with room for H and C before it."""
     return np.zeros(n * n + n + plain(work_size)(n))
+
+
+def compiled_terms(work: Array, n: int) -> tuple[Array, Array, Array]:
+    """Return H (n, n), column after column, C (n,) and the scratch array of `run_compiled` in `compiled_work`."""
+    return work[: n * n].reshape(n, n).T, work[n * n : n * n + n], work[n * n + n :]
 
 
 def compiled_tree(problem: Problem) -> Tree:

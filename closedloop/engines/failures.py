@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from closedloop.closure.solve import CHATTER, NO_NORMAL, NOT_POSITIVE_DEFINITE, PAINLEVE, SINGULAR
+from closedloop.closure.solve import CHATTER, NO_NORMAL, NOT_POSITIVE_DEFINITE, PAINLEVE, PUSHED, SINGULAR
 from closedloop.engines.problem import Problem
 from closedloop.errors import (
     ChatterError,
@@ -56,11 +56,17 @@ def interrupted(stop: KeyboardInterrupt, t: float) -> InterruptedRunError:
 def failure_of(status: int, t: float, robot: Robot, problem: Problem, law: Any, q: Array, v: Array) -> SimulationError:
     """Return the error of a status of `closedloop.closure.solve` other than OK, at q and q̇ (n,) at t, s."""
     if status == SINGULAR and not problem.scenario.contact:
-        pose = np.array2string(q, precision=4, separator=", ", suppress_small=True)
         return SingularClosureError(
-            f"{when(t)}: singular pose: at q = {pose} the tip cannot move along the surface normal "
+            f"{when(t)}: singular pose: at q = {_numbers(q)} the tip cannot move along the surface normal "
             f"{_normal_at(problem, q, t).round(4).tolist()}, so Eq. 24 does not determine the contact force; "
             "start from, or steer through, another posture",
+            t,
+        )
+    if status == PUSHED:
+        return SingularClosureError(
+            f"{when(t)}: singular pose: at q = {_numbers(q)} the tip cannot move along the surface normal "
+            f"{_normal_at(problem, q, t).round(4).tolist()}, and the torque pushes it that way: the contact force "
+            "grows beyond all bounds; steer through another posture, or by a torque that does not push there",
             t,
         )
     if status == NOT_POSITIVE_DEFINITE:
@@ -70,10 +76,9 @@ def failure_of(status: int, t: float, robot: Robot, problem: Problem, law: Any, 
             t,
         )
     if status == NO_NORMAL:
-        place = np.array2string(robot.position(q), precision=4, separator=", ", suppress_small=True)
         return NoNormalError(
-            f"{when(t)}: the surface has no normal at {place} m, where the tip is: the gradient of its φ vanishes "
-            "there or is not a number; keep the tip near the surface, and away from its centre or edge",
+            f"{when(t)}: the surface has no normal at {_numbers(robot.position(q))} m, where the tip is: the gradient "
+            "of its φ vanishes there or is not a number; keep the tip near the surface, away from its centre or edge",
             t,
         )
     if status == CHATTER:
@@ -117,6 +122,11 @@ def _contacts_fail(status: int, t: float) -> SimulationError:
         "or change the posture or the direction of sliding",
         t,
     )
+
+
+def _numbers(x: Array) -> str:
+    """Return numbers for a message."""
+    return np.array2string(x, precision=4, separator=", ", suppress_small=True)
 
 
 def _normal_at(problem: Problem, q: Array, t: float) -> Array:

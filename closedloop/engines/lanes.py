@@ -5,8 +5,8 @@ float64x8 (`closedloop.jit.simd8`), by the same kernels as a single run, with th
 module only calls them, in the order of `closedloop.events` without events. The summary of a run is accumulated row by
 row (`closedloop.report.measured`); the rows are kept only on request.
 
-If one of the eight needs an event (liftoff), meets a singular pose or diverges, the loop returns a status, and each of
-the eight is run by itself.
+If one of the eight needs an event (liftoff), comes near a singular pose or diverges, the loop returns a status, and
+each of the eight is run by itself.
 """
 
 from __future__ import annotations
@@ -52,7 +52,8 @@ from closedloop.step.energy_supplied import add_stage_work, commit_work, save_po
 from closedloop.step.evaluate import bounded, nearest_row, paper_torque
 from closedloop.step.locate import locate_on_plane
 from closedloop.step.memory import Constants, IntArray, Reference, State, Work
-from closedloop.step.record_row import Row, record, record_conditions
+from closedloop.step.record_row import Row, record_conditions, record_state
+from closedloop.step.singular import near_singular
 
 Array = NDArray[np.float64]
 
@@ -61,7 +62,7 @@ WORK, TERMS, CONSTANTS, FORCES, LARGEST, ROWS, TALLIES, VALUES = range(8)
 
 # Eight runs in lanes take as long as two by themselves; fewer than this many are run one by one.
 FEWEST = 3
-# Status: in some lane the tip may leave the surface, or the stabiliser would pull.
+# Status: in some lane the tip may leave the surface, or is near a singular pose, or the stabiliser would pull.
 NEEDS_EVENTS = -1
 
 
@@ -253,7 +254,7 @@ def run_in_lanes(
             if unilateral and not (every(w.F[0] >= 0.0) and every(w.F[0] - w.stabiliser_force[0] >= 0.0)):
                 return NEEDS_EVENTS
             if stage == 0:
-                record(H, C, w, constants, state, tableau, rows, slot, None)
+                record_state(H, C, w, state, rows, slot)
                 potential = energy_there(tree, scratch)
                 count_row(Row(rows[slot], n), n, potential, wanted, joint_limits, row, tally)
                 if row == steps:
@@ -264,9 +265,9 @@ def run_in_lanes(
                 for j in range(n):
                     w.begin[j] = w.q[j]
                     w.begin[n + j] = w.v[j]
-                save_power(w, state, None)
+                save_power(w, state)
             if row < steps:
-                add_stage_work(w, state, stage, h, tableau[stages, stage], None)
+                add_stage_work(w, state, stage, h, tableau[stages, stage])
                 advance(stage, h, semi_implicit, False, tableau, w.begin, w.stages, w.qdd, w.dz, w.q, w.v, w.z)
         commit_work(w)
     write_values(Row(rows[steps % kept], n), n, steps + 1, tally, values)
@@ -302,6 +303,8 @@ def press(H: Array, C: Array, w: Work, constants: Constants, t: float, sampled: 
         paper_torque(C, w, constants, t)
     free_acceleration(w.L, w.X, w.drift_c, w.torque, C, w.y, w.a)
     w.b[0] = baumgarte_acceleration(constants.s_v, constants.s_p, w.rate, w.gap)
+    if near_singular(w.S):
+        return NEEDS_EVENTS
     status, w.stabiliser_force[0] = pressed_force(w.S, w.a, w.b[0], w.c, w.viscous, w.F)
     if status != OK:
         return status

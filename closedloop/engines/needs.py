@@ -1,4 +1,4 @@
-"""What a scenario needs of the loop: its general form, columns of the record, readings of encoders."""
+"""What a scenario needs of the loop: a law at its address, columns of the record, readings of encoders."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ from closedloop.scenario.scenario import ModelErrorSection, Scenario
 
 
 def needs_general_form(scenario: Scenario) -> bool:
-    """Whether a scenario needs the general form of the loop, see `closedloop.step.evaluate`."""
+    """Whether a scenario is more than the paper's law on a smooth surface, see `closedloop.step.evaluate`."""
     return (
         scenario.law.kind != "paper"
         or scenario.law.force_feedback > 0.0

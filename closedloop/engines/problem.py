@@ -12,6 +12,7 @@ from closedloop.contacts.bind import contact_memory
 from closedloop.control.compensation.none import NoCompensation
 from closedloop.control.encoder import NO_ENCODER
 from closedloop.control.law_input import LawInput
+from closedloop.engines.proceed import proceed_at
 from closedloop.engines.scenario_numbers import ScenarioNumbers
 from closedloop.engines.start_memory import write_constants, write_start, write_state
 from closedloop.errors import ClosedLoopError, LawError, ScenarioError
@@ -123,6 +124,7 @@ class Problem(ScenarioNumbers):
             If numba cannot compile a user's member.
         """
         address = entry_address if compiled else twin_address
+        loop.state.proceed = address(proceed_at)
         for name, entry in self.entries(user_law is not None).items():
             try:
                 setattr(loop.state, name, address(entry))

@@ -129,7 +129,7 @@ class ScenarioNumbers:
 
     @property
     def general(self) -> bool:
-        """Whether the general form of the loop is needed."""
+        """Whether the law is called by address: see `closedloop.engines.needs.needs_general_form`."""
         return needs_general_form(self.scenario) or self.bound
 
     @property

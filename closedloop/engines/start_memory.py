@@ -36,6 +36,7 @@ def write_constants(problem: ScenarioNumbers, constants: Constants) -> None:
     constants.tip[:], constants.gravity[:], constants.reach = robot.tip_offset, robot.gravity, robot.reach**2
     constants.lower_stop[:], constants.upper_stop[:] = robot.model.position_lower, robot.model.position_upper
     constants.restitution, constants.rest_speed = impact.restitution, impact.rest_speed
+    constants.stop_restitution = problem.scenario.robot.stop_restitution
     constants.sensor[:], constants.support[:], constants.stick_speed = (
         problem.sensor.par.memory, robot.support, STICK_SPEED,
     )  # fmt: skip
@@ -67,6 +68,7 @@ def write_state(problem: ScenarioNumbers, state: State) -> None:
     state.impact_law = RATIOS[problem.restitution.ratio_of]
     state.sticking, state.joint_sticking = sticking(problem.friction), sticking(problem.joint_friction)
     state.stops = problem.scenario.robot.stops
+    state.feed_forward = problem.scenario.reference.orientation != "free"
     state.sensor_sampled = problem.sensor.sampled
     transmission = problem.scenario.transmission
     state.elastic = MOTORS_MEASURED if transmission.on_motors else int(transmission.elastic)

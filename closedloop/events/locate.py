@@ -18,7 +18,7 @@ from closedloop.events.phases import (
     STAGE_CHECKED,
 )
 from closedloop.jit.calls import call_at
-from closedloop.jit.kernel import kernel, kernel_inlined
+from closedloop.jit.kernel import kernel
 from closedloop.step.entries import LIMIT
 from closedloop.step.memory import RIGID_STICK, SPRING_STICK, Constants, State, Work
 
@@ -30,21 +30,21 @@ Array = NDArray[np.float64]
 AT_LIMIT = 1e-12
 
 
-@kernel_inlined
-def event_function(w: Work, constants: Constants, state: State, general: int | None) -> float:
+@kernel
+def event_function(w: Work, constants: Constants, state: State) -> float:
     """Return the event function, positive as long as nothing changes: a gap, m, a force, N, or a speed, mm/s.
 
     Of joints with stops `Work.stop_margin` counts too, rad (m) or N m (N).
     """
     stops: float = w.stop_margin if state.stops != 0 else np.inf
-    if general is not None and state.contacts != 0:
+    if state.contacts != 0:
         return min(float(w.contact_margin), stops)
     if state.mode == FREE:
         return min(float(w.gap) if state.beside == 0 else 1.0, stops)
     least: float = min(w.rigid_force if state.unilateral != 0 else 1.0, stops)
     if state.surface != 0 and w.inside < least:
         least = w.inside
-    if general is not None and state.sticking in (RIGID_STICK, SPRING_STICK):
+    if state.sticking in (RIGID_STICK, SPRING_STICK):
         least = min(least, cone_margin(w, state) if state.mode == STUCK else 1e3 * slip_margin(w, constants))
     return least
 

@@ -82,7 +82,7 @@ Array = NDArray[np.float64]
 @inlined_kernel
 def proceed(
     H: Array, C: Array, w: Work, constants: Constants, state: State, table: Array, tableau: Array, rows: Array,
-    events: Array, general: int | None,
+    events: Array,
 ) -> int:  # fmt: skip
     """Use the terms of the state requested last, and request the next.
 
@@ -100,8 +100,6 @@ def proceed(
         The record, see `closedloop.step.record_row.Row`; row state.row is the next to be written.
     events : (M, EVENT_WIDTH) array
         The table of events, of which state.events rows are written.
-    general : int or None
-        See `closedloop.step.evaluate`.
 
     Returns
     -------
@@ -110,7 +108,7 @@ def proceed(
         IMPACT_LAW_WANTED: call `collide`, then again. DONE, or FAILED with state.status.
     """
     phase = state.phase
-    if general is not None and phase == MEASURED:
+    if state.law != 0 and phase == MEASURED:
         status = evaluate_law(H, C, w, constants, state, table)
         if status != OK:
             state.status = status
@@ -121,7 +119,7 @@ def proceed(
     # The gap of a tip that is free is all that a trial step is for, unless there is more to watch.
     free = state.mode == FREE and state.stops == 0 and state.contacts == 0
     if phase in (STEP_END, STAGE, AFTER_EVENT) or (phase in (TRIAL_END, AT_EVENT) and not free):
-        status = evaluate(H, C, w, constants, state, table, rows, general)
+        status = evaluate(H, C, w, constants, state, table, rows)
         if status != OK:
             state.status = status
             return FAILED
@@ -134,13 +132,13 @@ def proceed(
             return FAILED
     todo = NEED_TERMS
     if phase == STEP_END:
-        w.event_value = event_function(w, constants, state, general)
+        w.event_value = event_function(w, constants, state)
         todo = check_step(w, w.drift_c[0], state)
         if todo == BEGIN_SUBSTEP:
             commit_work(w)
-            if general is not None:
+            if state.law != 0:
                 stick_or_slip_joints(w, constants, state, rows)
-            record(H, C, w, constants, state, table, rows, state.row, general)
+            record(H, C, w, constants, state, table, rows, state.row)
             if state.row == state.steps:
                 return DONE
             state.row += 1
@@ -152,7 +150,7 @@ def proceed(
     elif phase == STAGE:
         todo = check_stage(w, state) if state.unilateral != 0 else ADVANCE
     elif phase == TRIAL_END:
-        w.event_value = event_function(w, constants, state, general)
+        w.event_value = event_function(w, constants, state)
         todo = refine_bracket(w, state)
     elif phase == AT_EVENT:
         todo = APPLY_EVENT
@@ -161,15 +159,15 @@ def proceed(
     elif phase == PROJECTION:
         todo = PROJECT
     else:
-        todo = resume_after_event(C, w, constants, state, events, general)
+        todo = resume_after_event(C, w, constants, state, events)
 
     if todo == APPLY_EVENT:
         commit_work(w)
-        todo = apply_event(H, w, constants, state, rows, events, general)
+        todo = apply_event(H, w, constants, state, rows, events)
     if todo == APPLY_IMPACT:
         if state.status != OK:
             return FAILED
-        apply_impact(w, constants, state, events, general)
+        apply_impact(w, constants, state, events)
         todo = NEED_TERMS
         if state.project != 0 and state.mode != FREE:
             state.projections, state.next_phase = 0, AFTER_EVENT
@@ -179,15 +177,15 @@ def proceed(
     if todo == PROJECT:
         todo = project(H, w, constants, state)
     if todo == BEGIN_SUBSTEP:
-        save_state(w, constants, state, general)
+        save_state(w, constants, state)
         todo = ADVANCE
     elif todo == RETRY_SUBSTEP:
         restore_state(w, state)
         todo = ADVANCE
     if todo == ADVANCE:
         stage, tau = state.stage, w.tau
-        add_stage_work(w, state, stage, tau, tableau[tableau.shape[0] - 1, stage], general)
-        if general is not None and state.semi_implicit != 0:
+        add_stage_work(w, state, stage, tau, tableau[tableau.shape[0] - 1, stage])
+        if state.law != 0 and state.semi_implicit != 0:
             advance_friction(w, state, tau)
             if state.elastic != 0:
                 lead_motors(w, tau, state.after_event != 0)
@@ -204,7 +202,7 @@ def proceed(
         return IMPACT_LAW_WANTED
     elif todo == FAIL:
         return FAILED
-    if general is not None and state.encoder != 0 and state.phase == STEP_END:
+    if state.encoder != 0 and state.phase == STEP_END:
         read_joints(w, constants, state, table)
         state.phase = MEASURED
     return TERMS

@@ -1,8 +1,13 @@
 """Stops of the joints: the instant at which a joint reaches one, the impact there, and its release.
 
 A joint at a stop is a row q̈_j = 0 beside those of the loops (`closedloop.step.closed_loops`): q stays at the limit, and
-the stop's torque is what the row takes. An impact there has no rebound; the tip in contact takes part in it. The stop
-lets go when it would have to pull.
+the stop's torque is what the row takes. The stop lets go when it would have to pull.
+
+An impact there is Moreau's: with p the motion nearest to q̇ in the measure of H that all stops, the loops and the tip
+in contact allow, q̇ becomes p + ε (p − q̇). Stops and the tip push and do not pull, so that the motions allowed are a
+convex cone, p is at right angles to p − q̇, and ½ q̇ᵀH q̇ falls by (1 − ε²) of what p − q̇ has: never less than none,
+whatever is struck at once. Of one joint ε is the ratio of the speeds. (J. J. Moreau, Unilateral contact and dry
+friction in finite freedom dynamics, CISM 302, 1988.)
 """
 
 from __future__ import annotations
@@ -11,7 +16,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from closedloop.closure.contact_force import FREE, PRESSED, STUCK, apply_impulse, stuck_force
-from closedloop.events.phases import RESTING
+from closedloop.closure.solve import forward_substitute
+from closedloop.events.phases import MAX_RAPID, RESTING
 from closedloop.jit.calls import call_at
 from closedloop.jit.kernel import kernel
 from closedloop.step.closed_loops import BIND_TIP, STOP_TORQUE, STRIKE, missing_torque
@@ -24,6 +30,12 @@ Array = NDArray[np.float64]
 BEYOND, REACHED = 1e-13, 1e-9
 # The torque of a stop is known to this, N m (N): what pulls less does not pull.
 PULLING = 1e-9
+# The impulse of a stop is known to this, N m s (N s), and the speed after it to this, rad/s (m/s).
+PULLING_IMPULSE, LEAVING_SPEED = 1e-11, 1e-11
+# A rebound slower than this, rad/s (m/s), is none: the joint stays at its stop.
+SLOWEST_REBOUND = 1e-4
+# Stops that are let go or held again, one at a time, until each pushes or is left: more than any arm needs.
+MOST_TRIALS = 200
 
 
 @kernel
@@ -49,20 +61,48 @@ def measure_stops(H: Array, C: Array, w: Work, constants: Constants, state: Stat
 def reach_stops(w: Work, constants: Constants, state: State) -> bool:
     """Let joints that have come to a stop strike it; return whether there were any.
 
-    `before` and `after` are the tip's velocities, `compression` its impulse, `column` what q̇ has changed by.
+    `before` and `after` are the tip's velocities, `compression` and `decompression` its impulses, `column` what q̇ has
+    changed by. A joint that this drives into its stop strikes it next, in an event of its own.
     """
-    n, struck = w.q.shape[0], False
+    n, fastest, sides = w.q.shape[0], 0.0, w.y
     for j in range(n):
-        if w.stopped[j] == 0.0 and w.q[j] - constants.lower_stop[j] <= REACHED and w.v[j] < 0.0:
-            w.stopped[j], struck = -1.0, True
-        elif w.stopped[j] == 0.0 and constants.upper_stop[j] - w.q[j] <= REACHED and w.v[j] > 0.0:
-            w.stopped[j], struck = 1.0, True
-    if not struck:
-        return False
-    for j in range(n):
+        low = w.q[j] - constants.lower_stop[j] <= REACHED and w.v[j] < 0.0
+        high = constants.upper_stop[j] - w.q[j] <= REACHED and w.v[j] > 0.0
+        if w.stopped[j] == 0.0 and (low or high):
+            w.stopped[j] = -1.0 if low else 1.0
+            w.q[j] = constants.lower_stop[j] if low else constants.upper_stop[j]  # not beyond it, by rounding
+            fastest = max(fastest, abs(w.v[j]))
+        sides[j] = w.stopped[j]
         w.slope[j] = w.v[j]
+    if fastest == 0.0:
+        return False
+    mode = state.mode
+    for _ in range(MOST_TRIALS):
+        compress(w, state)
+        if not change_stop(w, state, sides):
+            break
+        state.mode = mode
+        for j in range(n):
+            w.v[j] = w.slope[j]
+    rebound = constants.stop_restitution
+    if rebound * fastest < SLOWEST_REBOUND or state.rapid_events >= MAX_RAPID:
+        rebound = 0.0
+    for j in range(n):
+        w.column[j] = (1.0 + rebound) * (w.v[j] - w.slope[j])
+        w.v[j] = w.slope[j] + w.column[j]
+        if rebound > 0.0 and sides[j] * w.slope[j] > LEAVING_SPEED:
+            w.stopped[j] = 0.0
+    for i in range(3):
+        w.decompression[i] = rebound * w.compression[i]
+    tip_velocity(w, w.after)
+    return True
+
+
+@kernel
+def compress(w: Work, state: State) -> None:
+    """Make q̇ obey the stops that hold, the loops and the tip in contact, and write the tip's impulse."""
     call_at(state.loops, state.loops_at, STRIKE)
-    call_at(state.loops, state.loops_at, BIND_TIP)  # X and S with the joints at their stops
+    bind_again(w, state)
     tip_velocity(w, w.a)
     for i in range(3):
         w.b[i], w.compression[i] = 0.0, 0.0
@@ -75,10 +115,69 @@ def reach_stops(w: Work, constants: Constants, state: State) -> bool:
             elif state.mode == PRESSED and w.S[0, 0] > 0.0:
                 w.compression[0] = -w.a[0] / w.S[0, 0]
             apply_impulse(w.L, w.X, w.compression, w.column, w.v)
-    tip_velocity(w, w.after)
+
+
+@kernel
+def bind_again(w: Work, state: State) -> None:
+    """Write X and S of the tip with the joints at the stops that hold now."""
+    for k in range(3):
+        for j in range(w.q.shape[0]):
+            w.X[k, j] = w.A[k, j]
+        forward_substitute(w.L, w.X[k])
+    call_at(state.loops, state.loops_at, BIND_TIP)
+
+
+@kernel
+def note_sides(w: Work) -> None:
+    """Write into `y` the joints at stops before an impact of the tip, for `yield_stops`."""
+    for j in range(w.q.shape[0]):
+        w.y[j] = w.stopped[j]
+
+
+@kernel
+def yield_stops(w: Work, state: State) -> bool:
+    """Let go of a stop that would have to pull in the compression of an impact of the tip; return whether there was.
+
+    Or hold one again that was let go, see `change_stop`; the mobility of the tip is then another.
+    """
+    for j in range(w.q.shape[0]):
+        w.slope[j] = w.v[j]
+    apply_impulse(w.L, w.X, w.compression, w.column, w.v)
+    changed = change_stop(w, state, w.y)
+    for j in range(w.q.shape[0]):
+        w.v[j] = w.slope[j]
+    if changed:
+        bind_again(w, state)
+    return changed
+
+
+@kernel
+def change_stop(w: Work, state: State, sides: Array) -> bool:
+    """Let go of the first stop that would have to pull, or hold the first joint that goes beyond its own.
+
+    Least index first, so that it ends (K. G. Murty, Opsearch 11, 1974). `sides` (n,): 1 of a joint at its upper stop,
+    −1 at its lower, else 0. Return whether there was any.
+    """
+    n = w.q.shape[0]
+    for i in range(n):  # H (q̇ after − before) − Aᵀ P: what the loops and the stops gave, with H = L Lᵀ
+        w.column[i] = (w.v[i] - w.slope[i]) / w.L[i, i]  # L's diagonal holds reciprocals
+        for k in range(i + 1, n):
+            w.column[i] += w.L[k, i] * (w.v[k] - w.slope[k])
+    for i in range(n - 1, -1, -1):
+        w.column[i] /= w.L[i, i]
+        for k in range(i):
+            w.column[i] += w.L[i, k] * w.column[k]
+        for k in range(3):
+            w.column[i] -= w.A[k, i] * w.compression[k]
+    call_at(state.loops, state.loops_at, STOP_TORQUE)
     for j in range(n):
-        w.column[j] = w.v[j] - w.slope[j]
-    return True
+        if w.stopped[j] * w.stop_torque[j] > PULLING_IMPULSE:
+            w.stopped[j] = 0.0
+            return True
+        if w.stopped[j] == 0.0 and sides[j] * w.v[j] > LEAVING_SPEED:
+            w.stopped[j] = sides[j]
+            return True
+    return False
 
 
 @kernel
@@ -92,7 +191,10 @@ def tip_velocity(w: Work, u: Array) -> None:
 
 @kernel
 def energy_of_jump(w: Work) -> float:
-    """Return the kinetic energy lost where q̇ jumped by `column` from what is kept in `slope`, J, with H = L Lᵀ."""
+    """Return the energy lost where q̇ jumped from what is kept in `slope`, J, with H = L Lᵀ.
+
+    What a surface that moves has given to the arm by the impulse at its tip is not lost: `log_event` counts it.
+    """
     lost, n = 0.0, w.q.shape[0]
     for j in range(n):
         first, second = w.slope[j] / w.L[j, j], w.v[j] / w.L[j, j]  # L's diagonal holds reciprocals
@@ -100,6 +202,8 @@ def energy_of_jump(w: Work) -> float:
             first += w.L[i, j] * w.slope[i]
             second += w.L[i, j] * w.v[i]
         lost += 0.5 * (first * first - second * second)
+    for i in range(3):
+        lost += (w.compression[i] + w.decompression[i]) * w.carried[i]
     return lost
 
 

@@ -37,12 +37,13 @@ from closedloop.step.energy_supplied import save_power
 from closedloop.step.entries import ADVANCE_STATES
 from closedloop.step.joint_friction import advance_joint_friction
 from closedloop.step.memory import SMOOTH, Constants, State, Work
+from closedloop.step.singular import near_singular, remember_approach
 
 Array = NDArray[np.float64]
 
 
 @kernel_inlined
-def save_state(w: Work, constants: Constants, state: State, general: int | None) -> None:
+def save_state(w: Work, constants: Constants, state: State) -> None:
     """Save the state and its derivative at the beginning of a substep of length w.length."""
     n, extra = w.q.shape[0], w.z.shape[0]
     for j in range(n):
@@ -56,16 +57,20 @@ def save_state(w: Work, constants: Constants, state: State, general: int | None)
     w.begin_time, w.tau = w.time, w.length
     w.start_gap, w.start_rate = w.gap, w.rate
     state.trial, state.stage, state.no_search = NO_TRIAL, 0, 0
-    if general is not None and state.sticking != SMOOTH:
+    if state.sticking != SMOOTH:
         speed = np.hypot(w.u[1], w.u[2])
         w.start_slip_speed = speed
         w.start_slip[0], w.start_slip[1] = w.u[1], w.u[2]
         if state.mode == PRESSED and speed > max(constants.stick_speed, w.straight_speed):
             w.direction[0], w.direction[1] = w.u[1] / speed, w.u[2] / speed
-    if general is not None and state.contacts != 0:
+    if state.mode == PRESSED and near_singular(w.S):
+        remember_approach(w, state)
+    else:
+        state.approached = 0
+    if state.contacts != 0:
         call_at(state.contacts, state.contacts_at, SAVE)
-    w.start_event_value = event_function(w, constants, state, general)
-    save_power(w, state, general)
+    w.start_event_value = event_function(w, constants, state)
+    save_power(w, state)
 
 
 @kernel_inlined

@@ -78,7 +78,9 @@ EVENT_COLUMNS: dict[str, EventColumn] = {
     "event_compression": EventColumn(("event",), "N s", "normal impulse of compression on the tip"),
     "event_decompression": EventColumn(("event",), "N s", "normal impulse of decompression on the tip"),
     "event_tangential": EventColumn(("event", "axis"), "N s", "tangential impulse on the tip, base frame"),
-    "event_energy_lost": EventColumn(("event",), "J", "kinetic energy lost"),
+    "event_energy_lost": EventColumn(
+        ("event",), "J", "kinetic energy lost; at an edge that of the spring of a soft surface"
+    ),
     "event_position": EventColumn(("event", "axis"), "m", "tip position r, base frame"),
     "event_slip_before": EventColumn(("event",), "m s-1", "speed of slip just before the event"),
     "event_slip_after": EventColumn(("event",), "m s-1", "speed of slip just after the event"),

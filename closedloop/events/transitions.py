@@ -42,7 +42,16 @@ from closedloop.events.phases import (
     TOUCHING,
     request_terms,
 )
-from closedloop.events.stops import BEYOND, REACHED, energy_of_jump, reach_stops, release_stops
+from closedloop.events.stops import (
+    BEYOND,
+    MOST_TRIALS,
+    REACHED,
+    energy_of_jump,
+    note_sides,
+    reach_stops,
+    release_stops,
+    yield_stops,
+)
 from closedloop.events.table import (
     EDGE,
     IMPACT,
@@ -65,17 +74,16 @@ from closedloop.step.entries import STICK as END_OF_SLIP
 from closedloop.step.evaluate import call_law
 from closedloop.step.locate import set_anchor
 from closedloop.step.memory import RIGID_STICK, SPRING_STICK, Constants, State, Work, loop_at
+from closedloop.step.soft_contact import spring_energy
 from closedloop.step.tip_friction import delayed_speed
 
 Array = NDArray[np.float64]
 
 
 @kernel
-def resume_after_event(
-    C: Array, w: Work, constants: Constants, state: State, events: Array, general: int | None
-) -> int:
+def resume_after_event(C: Array, w: Work, constants: Constants, state: State, events: Array) -> int:
     """Continue after an event to the end of the step, unless the mode is inconsistent with the state."""
-    if general is not None and state.contacts != 0:
+    if state.contacts != 0:
         return resume_with_contacts(w, constants, state, events)
     if state.mode == FREE:
         # A tip just after liftoff that accelerates towards the surface has not left it: at the projected state f is
@@ -91,9 +99,7 @@ def resume_after_event(
                 return FAIL
             request_terms(state, AFTER_EVENT)
             return NEED_TERMS
-    elif (state.unilateral != 0 and w.rigid_force < 0.0) or (
-        general is not None and state.mode == STUCK and cone_margin(w, state) < 0.0
-    ):
+    elif (state.unilateral != 0 and w.rigid_force < 0.0) or (state.mode == STUCK and cone_margin(w, state) < 0.0):
         return APPLY_EVENT
     if state.stops != 0 and w.stop_margin < 0.0:
         return APPLY_EVENT
@@ -109,14 +115,12 @@ def resume_after_event(
 
 
 @kernel
-def apply_event(
-    H: Array, w: Work, constants: Constants, state: State, rows: Array, events: Array, general: int | None
-) -> int:
+def apply_event(H: Array, w: Work, constants: Constants, state: State, rows: Array, events: Array) -> int:
     """Apply the event at this state: an impact, the end of the contact, of slip or of sticking."""
     if state.events >= events.shape[0]:
         state.phase = AT_EVENT
         return ENLARGE_TABLE
-    if general is not None and state.contacts != 0:
+    if state.contacts != 0:
         return apply_contact_event(w, state, events)
     if state.mode == FREE and state.surface != 0 and w.inside < 0.0:  # there is no surface to touch
         state.beside = 1
@@ -145,7 +149,7 @@ def apply_event(
         if reach_stops(w, constants, state):
             state.kind = STOP
             log_event(w, constants, state, events, energy_of_jump(w))
-            if general is not None:
+            if state.law != 0:
                 call_law(state, RESTART)
             request_terms(state, AFTER_EVENT)
             return NEED_TERMS
@@ -162,9 +166,11 @@ def apply_event(
         state.phase, state.kind = IMPULSES_KNOWN, TOUCHDOWN
         return SOLVE_IMPACT if w.u[0] < 0.0 and state.compliance == 0 else APPLY_IMPACT
     if state.surface != 0 and w.inside < 0.0:
-        # The velocity stays what it is: f ends, there and then.
+        # The velocity stays what it is: f ends, there and then. What the spring has stored is not the arm's.
         state.mode, state.risen, state.beside, state.kind = FREE, 0, 1, EDGE
-        log_event(w, constants, state, events, 0.0)
+        stored = spring_energy(w, constants, state) if state.compliance != 0 else 0.0
+        log_event(w, constants, state, events, stored)
+        w.supplied += stored
         request_terms(state, AFTER_EVENT)
         return NEED_TERMS
     if state.unilateral != 0 and w.rigid_force < 0.0:
@@ -178,7 +184,7 @@ def apply_event(
         # The tip leaves from the surface itself: the error that the stabiliser had not yet removed is projected out.
         state.projections, state.next_phase = 0, AFTER_EVENT
         return PROJECT
-    if general is not None and state.sticking in (RIGID_STICK, SPRING_STICK):
+    if state.sticking in (RIGID_STICK, SPRING_STICK):
         return end_stick_or_slip(w, constants, state, rows, events)
     request_terms(state, AFTER_EVENT)
     return NEED_TERMS
@@ -300,14 +306,14 @@ def log_event(w: Work, constants: Constants, state: State, events: Array, energy
 
 
 @kernel
-def apply_impact(w: Work, constants: Constants, state: State, events: Array, general: int | None) -> None:
+def apply_impact(w: Work, constants: Constants, state: State, events: Array) -> None:
     """Apply the impulses of an impact to q̇, and set the mode after it."""
     for i in range(3):
         w.F[i] = w.compression[i] + w.decompression[i]
     apply_impulse(w.L, w.X, w.F, w.column, w.v)
     log_event(w, constants, state, events, energy_lost(w.before, w.after, w.F))
     state.risen = 1
-    if general is not None:
+    if state.law != 0:
         call_law(state, RESTART)
         at = state.law_states + state.sensor_states
         for i in range(at, at + state.friction_states):
@@ -336,6 +342,19 @@ def collide(address: int) -> None:
     `proceed` because impacts are rare and their law takes longer to compile than all the rest.
     """
     state, constants, w = loop_at(address)
+    if state.stops == 0:
+        strike_surface(w, constants, state)
+        return
+    note_sides(w)
+    for _ in range(MOST_TRIALS):
+        strike_surface(w, constants, state)
+        if state.status != OK or not yield_stops(w, state):
+            return
+
+
+@kernel
+def strike_surface(w: Work, constants: Constants, state: State) -> None:
+    """Do the same with the stops that hold joints now."""
     bounces = state.rapid_events <= MAX_RAPID
     state.kind, w.discarded_rebound, w.restitution_given = IMPACT if bounces else TOUCHDOWN, 0.0, 0.0
     for _ in range(2):

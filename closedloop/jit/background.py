@@ -33,13 +33,9 @@ notices = logging.getLogger("closedloop.compiling")
 NICE, LONGEST = 10, 900  # added to the priority's number; s, after which the process is given up
 # Entry kernels that take longer than a few seconds to compile, and what they are: the others are compiled in silence.
 TAKES_LONG = {
-    "proceed_on_pinocchio": "the step of the Pinocchio engine",
-    "proceed_general_on_pinocchio": "the step of the Pinocchio engine with laws, friction and sensors",
-    "run_compiled": "the step of the compiled engine",
-    "run_compiled_general": "the step of the compiled engine with laws, friction and sensors",
+    "proceed_at": "the step",
     "run_in_lanes": "the step of eight runs at a time",
     "evaluate_on_pinocchio": "the step of dop853",
-    "evaluate_general_on_pinocchio": "the step of dop853 with laws, friction and sensors",
 }
 # A process that needs what another is compiling waits for that so long, s, before it compiles it too.
 PATIENCE, BETWEEN_LOOKS = 180.0, 0.1

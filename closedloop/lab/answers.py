@@ -8,7 +8,7 @@ from dataclasses import dataclass
 from typing import Any
 
 from closedloop.engines.law_source import fresh
-from closedloop.engines.loops import COMPILED, PINOCCHIO, loop_for
+from closedloop.engines.loops import COMPILED, PINOCCHIO, kernels_of
 from closedloop.errors import ClosedLoopError, ScenarioError, SimulationError, one_line
 from closedloop.integrators import ADAPTIVE
 from closedloop.jit.background import compiling_notice
@@ -148,9 +148,8 @@ class Answers:
         few = min(FEW, round(scenario.time.duration / scenario.time.step))
         short = scenario.time.model_copy(update={"duration": few * scenario.time.step})
         problem = prepare(scenario.model_copy(update={"time": short}), model)
-        loop = loop_for(engine, problem.general or self.law is not None)
         try:
-            if needs_compiling(loop):
+            if any(map(needs_compiling, kernels_of(engine))):
                 self._say(compiling_notice())
             run_loop(problem, fresh(self.law), engine=engine)
             self._ready.add(kinds)

@@ -23,30 +23,17 @@ from closedloop.robot.tree import Tree, work_size
 from closedloop.robot.tree import layout as at
 from closedloop.robot.tree.angles import sines
 from closedloop.robot.tree.kinematics import motion
-from robot_models.loop_joint import WORLD, LoopJoint
+from robot_models.loop_joint import BINDS, WORLD, LoopJoint
 
 Array = NDArray[np.float64]
 
-# Axes along which, and pairs of axes about which, a type binds: of x, y, z with z its axis. A pair (i, j) keeps axis i
-# of the second side perpendicular to axis j of the first.
-_ALL, _ACROSS = (0, 1, 2), (0, 1)
-_TILT, _TURN = ((0, 2), (1, 2)), ((0, 1), (1, 2), (2, 0))
-_BINDS: dict[str, tuple[tuple[int, ...], tuple[tuple[int, int], ...]]] = {
-    "point": (_ALL, ()),
-    "hinge": (_ALL, _TILT),
-    "slider": (_ACROSS, _TURN),
-    "cylinder": (_ACROSS, _TILT),
-    "universal": (_ALL, ((2, 2),)),
-    "planar": ((2,), _TILT),
-    "weld": (_ALL, _TURN),
-}
 # What the reaction of each row is, and its unit.
 DIRECTIONS: dict[str, tuple[tuple[str, str], ...]] = {
     kind: (
         *((f"force along {'xyz'[i]}", "N") for i in positions),
         *((f"couple about {'xyz'[3 - i - j] if i != j else 'the common normal'}", "N m") for i, j in rotations),
     )
-    for kind, (positions, rotations) in _BINDS.items()
+    for kind, (positions, rotations) in BINDS.items()
 } | {"distance": (("force along it", "N"),), "gear": (("torque on the first joint", "N m"),)}
 
 
@@ -68,7 +55,7 @@ def bound_by_loops(robot: Robot, stops: bool = False) -> Bound:
             value = np.array([loop.length, 0.0, 0.0, 0.0, 0.0])
             rows.append((DISTANCE, a, b, at_a, at_b, zero, zero, value))
             continue
-        positions, rotations = _BINDS[loop.type]
+        positions, rotations = BINDS[loop.type]
         rows += [(POSITION, a, b, at_a, at_b, zero, axes_b[:, i], none) for i in positions]
         rows += [(ROTATION, a, b, at_a, at_b, axes_a[:, j], axes_b[:, i], none) for i, j in rotations]
     if stops:
@@ -78,8 +65,13 @@ def bound_by_loops(robot: Robot, stops: bool = False) -> Bound:
     undriven = np.zeros(model.n)
     if model.drives:
         undriven[:] = [name not in model.drives for name in model.joint_names]
-    sides_of = np.array([*kinds, *one_sides, *other_sides], dtype=np.int64)
     at_a, at_b, along_a, along_b, value = (np.array(part, dtype=np.float64) for part in parts)
+    again = [
+        k > 0 and kinds[k] == kinds[k - 1] == POSITION and (one_sides[k], other_sides[k])
+        == (one_sides[k - 1], other_sides[k - 1]) and np.array_equal(at_a[k], at_a[k - 1])
+        and np.array_equal(at_b[k], at_b[k - 1]) for k in range(len(kinds))
+    ]  # fmt: skip
+    sides_of = np.array([*kinds, *one_sides, *other_sides, *again], dtype=np.int64)
     return Bound(sides_of, at_a, at_b, along_a, along_b, value, undriven)
 
 

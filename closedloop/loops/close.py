@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from closedloop.jit.kernel import entry_kernel, kernel
 from closedloop.loops.memory import LoopLinks, LoopRows, loops_at
 from closedloop.loops.rows import locate_rows
-from closedloop.loops.solve import meet_rows, orthonormal_rows
+from closedloop.loops.solve import dot, meet_rows, orthonormal_rows
 
 Array = NDArray[np.float64]
 
@@ -22,6 +22,9 @@ Array = NDArray[np.float64]
 MOST_MOVES, CLOSED = 50, 1e-15
 # A loop is closed if no error is above this, m or rad.
 TOLERANCE = 1e-12
+# Where a step has left no more than this share of the error, the next is taken with the rows as they were: it leaves
+# about the same share of it.
+FAST = 1e-3
 
 
 @kernel
@@ -49,9 +52,9 @@ def close_state(links: LoopLinks, rows: LoopRows, q: Array, v: Array) -> float:
     """Move q and q̇ to the nearest state that the loops allow; return the error left, m or rad.
 
     Newton's method on the error, each step the shortest, until the error is rounding or no longer shrinks; then the
-    velocity.
+    velocity. The rows are factored again only where they have changed much since.
     """
-    n, before, left = links.n, math.inf, math.inf
+    n, before, left, factored_here = links.n, math.inf, math.inf, False
     # Rows that depend on others where the loops are closed seem not to where they are open.
     most = links.known if links.known > 0 else links.m
     for _ in range(MOST_MOVES):
@@ -59,16 +62,24 @@ def close_state(links: LoopLinks, rows: LoopRows, q: Array, v: Array) -> float:
             rows.q[j], rows.v[j] = q[j], v[j]
         locate_rows(links, rows)
         left = largest_error(links, rows)
-        factor_rows(links, rows, most)
+        factored_here = not (before < math.inf and left <= FAST * before)
+        if factored_here:
+            factor_rows(links, rows, most)
         if left <= CLOSED or not left < math.inf or (left <= TOLERANCE and left >= 0.25 * before):
             break
-        before = left
         meet_rows(rows.error, rows.order, rows.coefficients, rows.basis, links.rank, rows.along, rows.part)
         for j in range(n):
             q[j] -= rows.part[j]
-    meet_rows(rows.rate, rows.order, rows.coefficients, rows.basis, links.rank, rows.along, rows.part)
-    for j in range(n):
-        v[j] -= rows.part[j]
+        if not factored_here and left * left <= 0.01 * CLOSED * before:
+            left = left * left / before  # what this step leaves, below rounding
+            break
+        before = left
+    for again in range(1 if factored_here else 2):
+        for k in range(links.m if again > 0 else 0):
+            rows.rate[k] = dot(rows.G[k], v, n)
+        meet_rows(rows.rate, rows.order, rows.coefficients, rows.basis, links.rank, rows.along, rows.part)
+        for j in range(n):
+            v[j] -= rows.part[j]
     return left
 
 

@@ -112,9 +112,9 @@ class Bound(NamedTuple):
 
     Attributes
     ----------
-    sides : (3 m,) array
+    sides : (4 m,) array
         Kind of each row, see `closedloop.loops.rows`; then the link (gear: the joint) of the one side of each; then of
-        the other; −1 is the base.
+        the other; −1 is the base; then 1 for a row whose points are those of the row before it.
     at_a, at_b, along_a, along_b, value : (m, 3), ..., (m, 5) arrays
         See `LoopRows`.
     undriven : (n,) array

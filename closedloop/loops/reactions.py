@@ -46,7 +46,9 @@ class LoopReactions(NamedTuple):
     unexplained: Array
 
 
-def loop_reactions(robot: Robot, q: Array, v: Array, acceleration: Array, torque: Array, force: Array) -> LoopReactions:
+def loop_reactions(
+    robot: Robot, q: Array, v: Array, acceleration: Array, torque: Array, force: Array, at_stop: Array | None = None
+) -> LoopReactions:
     """Return what the loops carried: Gᵀλ = H q̈ + C − Q − Jᵣᵀ F, with H, C and Jᵣ of Pinocchio.
 
     Parameters
@@ -57,23 +59,38 @@ def loop_reactions(robot: Robot, q: Array, v: Array, acceleration: Array, torque
         q̇ and q̈; Q and friction in the joints together, N m (N).
     force : (N, 3) array
         F of the surface on the tip, N, base frame.
+    at_stop : (N, n) array of bool, optional
+        Joints that are at a stop, which carries its own part.
     """
-    memory = loop_memory(robot)
-    count, n, m = len(q), robot.n, int(memory.links.m)
-    rows, errors = np.zeros((count, m, n)), np.zeros((count, m))
-    written = memory.rows.memory, memory.links.memory, rows, errors
-    call_now(rows_along, written, memory.address, np.ascontiguousarray(q), np.ascontiguousarray(v), rows, errors)
+    rows, errors = rows_and_errors(robot, q, v)
     missing = missing_torque(robot, q, v, acceleration, torque, force)
     # rows differ in unit: what depends on what is decided with each at length one
     lengths = np.linalg.norm(rows, axis=2, keepdims=True)
     longest = np.max(lengths, axis=1, keepdims=True, initial=0.0)
     scaled = np.divide(rows, lengths, out=np.zeros_like(rows), where=lengths > NO_ROW * longest)
-    rank = np.linalg.matrix_rank(scaled, tol=DEPENDENT * np.sqrt(m)) if count else np.zeros(0, dtype=np.int64)
-    inverse = np.linalg.pinv(np.swapaxes(rows, 1, 2), rcond=DEPENDENT)
-    reactions = np.einsum("kmn,kn->km", inverse, missing)
-    left = missing - np.einsum("kmn,km->kn", rows, reactions)
+    rank = np.linalg.matrix_rank(scaled, tol=DEPENDENT * np.sqrt(rows.shape[1])) if len(q) else np.zeros(0, dtype=int)
+    reactions, stops = share_of_rows(rows, missing, at_stop)
+    left = missing - stops - np.einsum("kmn,km->kn", rows, reactions)
     labels, units = _labels(robot)
     return LoopReactions(labels, units, reactions, errors, np.asarray(rank), np.max(np.abs(left), axis=1, initial=0.0))
+
+
+def rows_and_errors(robot: Robot, q: Array, v: Array) -> tuple[Array, Array]:
+    """Return the rows G (N, m, n) of the loops at states q, q̇ (N, n), and their errors (N, m)."""
+    memory = loop_memory(robot)
+    rows, errors = np.zeros((len(q), int(memory.links.m), robot.n)), np.zeros((len(q), int(memory.links.m)))
+    written = memory.rows.memory, memory.links.memory, rows, errors
+    call_now(rows_along, written, memory.address, np.ascontiguousarray(q), np.ascontiguousarray(v), rows, errors)
+    return rows, errors
+
+
+def share_of_rows(rows: Array, missing: Array, at_stop: Array | None) -> tuple[Array, Array]:
+    """Return the part of the rows (N, m) in a torque (N, n), and that of the stops (N, n): together of least norm."""
+    m, n = rows.shape[1:]
+    held = np.zeros((len(rows), n, n)) if at_stop is None else np.eye(n) * at_stop[:, None, :]
+    inverse = np.linalg.pinv(np.swapaxes(np.concatenate([rows, held], axis=1), 1, 2), rcond=DEPENDENT)
+    found = np.einsum("kmn,kn->km", inverse, missing)
+    return found[:, :m], found[:, m:]
 
 
 def missing_torque(robot: Robot, q: Array, v: Array, acceleration: Array, torque: Array, force: Array) -> Array:

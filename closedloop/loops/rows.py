@@ -21,7 +21,7 @@ from numpy.typing import NDArray
 
 from closedloop.jit.kernel import kernel
 from closedloop.jit.pointers import integers_at, vector_at
-from closedloop.loops.memory import GEAR, POSITION, ROTATION, STOP, LoopLinks, LoopRows, tree_at
+from closedloop.loops.memory import DISTANCE, GEAR, POSITION, ROTATION, STOP, LoopLinks, LoopRows, tree_at
 from closedloop.robot.tree import Tree
 from closedloop.robot.tree import layout as at
 from closedloop.robot.tree.angles import sines
@@ -41,7 +41,7 @@ def locate_rows(links: LoopLinks, rows: LoopRows) -> None:
     if links.m > links.stops:
         sines(tree, rows.q, work)
         motion(tree, rows.v, work)
-    sides = integers_at(links.bound, 3 * links.m)
+    sides = integers_at(links.bound, 4 * links.m)
     a, b = rows.motions[0], rows.motions[1]
     for k in range(links.m):
         kind, one, other = sides[k], sides[links.m + k], sides[2 * links.m + k]
@@ -58,8 +58,13 @@ def locate_rows(links: LoopLinks, rows: LoopRows) -> None:
             if side != 0.0:
                 rows.error[k] = rows.q[one] - (rows.value[k, 1] if side > 0.0 else rows.value[k, 0])
             continue
-        move_with(tree, work, rows.v, one, rows.at_a[k], rows.along_a[k], a)
-        move_with(tree, work, rows.v, other, rows.at_b[k], rows.along_b[k], b)
+        if kind != ROTATION and sides[3 * links.m + k] == 0:
+            move_point(tree, work, rows.v, one, rows.at_a[k], a)
+            move_point(tree, work, rows.v, other, rows.at_b[k], b)
+        if kind == ROTATION:
+            turn_direction(tree, work, one, rows.along_a[k], a)
+        if kind != DISTANCE:
+            turn_direction(tree, work, other, rows.along_b[k], b)
         error, rate, drift = 0.0, 0.0, 0.0
         if kind == ROTATION:
             for i in range(3):
@@ -116,37 +121,15 @@ def _gear(rows: LoopRows, k: int, one: int, other: int) -> None:
 
 
 @kernel
-def move_with(tree: Tree, work: Array, v: Array, link: int, point: Array, along: Array, out: Array) -> None:
-    """Write the motion of a point and a direction that are fixed to a link; see `POINT`."""
+def move_point(tree: Tree, work: Array, v: Array, link: int, point: Array, out: Array) -> None:
+    """Write position, velocity and acceleration of a point that is fixed to a link; see `POINT`."""
     if link < 0:
-        for i in range(18):
-            out[i] = 0.0
         for i in range(3):
-            out[POINT + i], out[ALONG + i] = point[i], along[i]
+            out[POINT + i], out[VELOCITY + i], out[ACCELERATION + i] = point[i], 0.0, 0.0
         return
-    w = work
+    _carry(tree, work, link, point, out, POINT)
     s = tree.links[at.SCRATCH * tree.n + (link & at.INDEX)] & at.INDEX
-    x0, x1, x2 = w[s + at.X0], w[s + at.X1], w[s + at.X2]
-    z0, z1, z2 = w[s + at.Z0], w[s + at.Z1], w[s + at.Z2]
-    y0, y1, y2 = z1 * x2 - z2 * x1, z2 * x0 - z0 * x2, z0 * x1 - z1 * x0
-    o0, o1, o2 = w[s + at.O0], w[s + at.O1], w[s + at.O2]
-    e0, e1, e2 = w[s + at.A0], w[s + at.A1], w[s + at.A2]
-    for part in range(2):  # what turns with the link: from its origin to the point, and the direction
-        c = point if part == 0 else along
-        d0, d1, d2 = (
-            x0 * c[0] + y0 * c[1] + z0 * c[2],
-            x1 * c[0] + y1 * c[1] + z1 * c[2],
-            x2 * c[0] + y2 * c[1] + z2 * c[2],
-        )
-        u0, u1, u2 = o1 * d2 - o2 * d1, o2 * d0 - o0 * d2, o0 * d1 - o1 * d0
-        g0 = e1 * d2 - e2 * d1 + o1 * u2 - o2 * u1
-        g1 = e2 * d0 - e0 * d2 + o2 * u0 - o0 * u2
-        g2 = e0 * d1 - e1 * d0 + o0 * u1 - o1 * u0
-        first = POINT if part == 0 else ALONG
-        out[first], out[first + 1], out[first + 2] = d0, d1, d2
-        out[first + 3], out[first + 4], out[first + 5] = u0, u1, u2
-        out[first + 6], out[first + 7], out[first + 8] = g0, g1, g2
-    k = tree.constants
+    w, k = work, tree.constants
     out[POINT] += w[s + at.P0]
     out[POINT + 1] += w[s + at.P1]
     out[POINT + 2] += w[s + at.P2]
@@ -154,6 +137,37 @@ def move_with(tree: Tree, work: Array, v: Array, link: int, point: Array, along:
     out[ACCELERATION + 1] += w[s + at.B1] + k[at.GRAVITY + 1]
     out[ACCELERATION + 2] += w[s + at.B2] + k[at.GRAVITY + 2]
     _add_velocity(tree, work, v, link, out)
+
+
+@kernel
+def turn_direction(tree: Tree, work: Array, link: int, along: Array, out: Array) -> None:
+    """Write a direction that is fixed to a link, with its first and second derivative; see `ALONG`."""
+    if link < 0:
+        for i in range(3):
+            out[ALONG + i], out[TURNING + i], out[SECOND + i] = along[i], 0.0, 0.0
+        return
+    _carry(tree, work, link, along, out, ALONG)
+
+
+@kernel
+def _carry(tree: Tree, work: Array, link: int, c: Array, out: Array, first: int) -> None:
+    """Write a vector that is fixed to a link in base axes, and its two derivatives, from an entry of `out` on."""
+    w = work
+    s = tree.links[at.SCRATCH * tree.n + (link & at.INDEX)] & at.INDEX
+    x0, x1, x2 = w[s + at.X0], w[s + at.X1], w[s + at.X2]
+    z0, z1, z2 = w[s + at.Z0], w[s + at.Z1], w[s + at.Z2]
+    y0, y1, y2 = z1 * x2 - z2 * x1, z2 * x0 - z0 * x2, z0 * x1 - z1 * x0
+    o0, o1, o2 = w[s + at.O0], w[s + at.O1], w[s + at.O2]
+    e0, e1, e2 = w[s + at.A0], w[s + at.A1], w[s + at.A2]
+    d0 = x0 * c[0] + y0 * c[1] + z0 * c[2]
+    d1 = x1 * c[0] + y1 * c[1] + z1 * c[2]
+    d2 = x2 * c[0] + y2 * c[1] + z2 * c[2]
+    u0, u1, u2 = o1 * d2 - o2 * d1, o2 * d0 - o0 * d2, o0 * d1 - o1 * d0
+    out[first], out[first + 1], out[first + 2] = d0, d1, d2
+    out[first + 3], out[first + 4], out[first + 5] = u0, u1, u2
+    out[first + 6] = e1 * d2 - e2 * d1 + o1 * u2 - o2 * u1
+    out[first + 7] = e2 * d0 - e0 * d2 + o2 * u0 - o0 * u2
+    out[first + 8] = e0 * d1 - e1 * d0 + o0 * u1 - o1 * u0
 
 
 @kernel

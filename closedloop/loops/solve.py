@@ -23,6 +23,9 @@ Array = NDArray[np.float64]
 # A row of which no more than this share is outside the span of the rows before it depends on them. A row that is
 # shorter than the longest by this factor is rounding: no joint of the tree moves what it binds.
 DEPENDENT, NO_ROW = 1e-8, 1e-11
+# What is left of a row's length is kept up to date by what is taken off, and measured again below this share of its
+# square; and the share of its length below which a row is orthogonalised once more: above it, it is so to rounding.
+MEASURED_AGAIN, ONCE_MORE = 1e-4, 0.1
 
 
 @kernel
@@ -47,14 +50,15 @@ def orthonormal_rows(Z: Array, m: int, most: int, order: Array, coefficients: Ar
     """
     n, longest = Z.shape[1], 0.0
     for i in range(m):
-        order[i], lengths[i] = i, math.sqrt(_square(Z[i], n))
+        square = dot(Z[i], Z[i], n)
+        order[i], lengths[i], coefficients[i, i] = i, math.sqrt(square), square
         longest = max(longest, lengths[i])
     for k in range(most):
-        best, share = -1, DEPENDENT
-        for i in range(k, m):
-            left = math.sqrt(_square(Z[i], n))
-            if lengths[i] > NO_ROW * longest and left > share * lengths[i]:
-                best, share = i, left / lengths[i]
+        best, share = -1, DEPENDENT * DEPENDENT
+        for i in range(k, m):  # until a row is taken its diagonal holds the square of what is left of it
+            whole = lengths[i] * lengths[i]
+            if lengths[i] > NO_ROW * longest and coefficients[i, i] > share * whole:
+                best, share = i, coefficients[i, i] / whole
         if best < 0:
             return k
         if best != k:
@@ -64,34 +68,62 @@ def orthonormal_rows(Z: Array, m: int, most: int, order: Array, coefficients: Ar
                 Z[k, j], Z[best, j] = Z[best, j], Z[k, j]
             for j in range(k):
                 coefficients[k, j], coefficients[best, j] = coefficients[best, j], coefficients[k, j]
-        for i in range(k):
-            coefficients[k, i] += _take_off(Z[k], Z[i], n)
-        length = math.sqrt(_square(Z[k], n))
+            coefficients[best, best] = coefficients[k, k]
+        if not share > ONCE_MORE * ONCE_MORE:
+            for i in range(k):
+                coefficients[k, i] += _take_off(Z[k], Z[i], n)
+        length = math.sqrt(dot(Z[k], Z[k], n))
         coefficients[k, k] = length
         for j in range(n):
             Z[k, j] /= length
         for i in range(k + 1, m):
-            coefficients[i, k] = _take_off(Z[i], Z[k], n)
+            taken = _take_off(Z[i], Z[k], n)
+            left = coefficients[i, i] - taken * taken
+            coefficients[i, k] = taken
+            if not left > MEASURED_AGAIN * lengths[i] * lengths[i]:
+                left = dot(Z[i], Z[i], n)
+            coefficients[i, i] = left
     return most
 
 
 @kernel
-def _square(x: Array, n: int) -> float:
-    total = 0.0
-    for j in range(n):
-        total += x[j] * x[j]
-    return total
+def dot(x: Array, y: Array, n: int) -> float:
+    """Return the product of the first n entries of x and y, by four sums that do not wait for each other."""
+    a, b, c, d = 0.0, 0.0, 0.0, 0.0
+    even = n - n % 4
+    for j in range(0, even, 4):
+        a += x[j] * y[j]
+        b += x[j + 1] * y[j + 1]
+        c += x[j + 2] * y[j + 2]
+        d += x[j + 3] * y[j + 3]
+    for j in range(even, n):
+        a += x[j] * y[j]
+    return (a + b) + (c + d)
 
 
 @kernel
 def _take_off(x: Array, direction: Array, n: int) -> float:
     """Subtract from x its component along a direction of length one, and return that component."""
-    component = 0.0
-    for j in range(n):
-        component += x[j] * direction[j]
+    component = dot(x, direction, n)
     for j in range(n):
         x[j] -= component * direction[j]
     return component
+
+
+@kernel
+def substitute_rows(L: Array, Z: Array, m: int) -> None:
+    """Replace the first m rows z of Z by L⁻¹z, for the factor with the reciprocals of its diagonal on it.
+
+    An entry of L⁻¹z is taken off all below it as soon as it is known, so that they do not wait for each other's sums.
+    """
+    n = Z.shape[1]
+    for k in range(m):
+        for j in range(n):
+            z = Z[k, j] * L[j, j]
+            Z[k, j] = z
+            if z != 0.0:
+                for i in range(j + 1, n):
+                    Z[k, i] -= L[i, j] * z
 
 
 @kernel
@@ -122,9 +154,7 @@ def spanned_force(t: Array, order: Array, coefficients: Array, basis: Array, ran
     for i in range(force.shape[0]):
         force[i] = 0.0
     for k in range(rank - 1, -1, -1):
-        s = 0.0
-        for j in range(t.shape[0]):
-            s += basis[k, j] * t[j]
+        s = dot(basis[k], t, t.shape[0])
         for i in range(k + 1, rank):
             s -= coefficients[i, k] * force[int(order[i])]
         force[int(order[k])] = s / coefficients[k, k]

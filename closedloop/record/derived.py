@@ -11,7 +11,7 @@ from typing import Any, NamedTuple, Protocol
 import numpy as np
 from numpy.typing import NDArray
 
-from closedloop.loops.reactions import missing_torque
+from closedloop.loops.reactions import missing_torque, rows_and_errors, share_of_rows
 from closedloop.scenario.arm import robot_of, without_tools
 from closedloop.scenario.scenario import Scenario
 from closedloop.surface.plane import unit
@@ -85,8 +85,18 @@ def stop_torque(run: Record) -> Array:
     robot = robot_of(run.scenario, without_tools(run.model))
     drive = run.transmitted_torque if run.scenario.transmission.elastic else run.torque
     found = missing_torque(robot, run.q, run.v, run.acceleration, drive + run.joint_friction, tip_force(run))
-    there = (run.q >= run.model.position_upper - AT_STOP) | (run.q <= run.model.position_lower + AT_STOP)
+    there = at_stop(run)
+    if robot.model.loops:
+        rows, _ = rows_and_errors(robot, run.q, run.v)
+        return share_of_rows(rows, found, there)[1]
     return np.where(there, found, 0.0)
+
+
+def at_stop(run: Record) -> NDArray[np.bool_]:
+    """Return which joints are at a stop in each row, (N, n); all False where there are no stops."""
+    high, low = run.q >= run.model.position_upper - AT_STOP, run.q <= run.model.position_lower + AT_STOP
+    found: NDArray[np.bool_] = (high | low) & run.scenario.robot.stops
+    return found
 
 
 DERIVED: dict[str, DerivedColumn] = {

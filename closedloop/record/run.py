@@ -20,7 +20,7 @@ from numpy.typing import NDArray
 from closedloop.contacts.names import names_of, tangents_of
 from closedloop.events.table import EVENT_COLUMNS, KINDS
 from closedloop.loops.reactions import LoopReactions, loop_reactions
-from closedloop.record.derived import DERIVED, tip_force
+from closedloop.record.derived import DERIVED, at_stop, tip_force
 from closedloop.scenario.arm import robot_of
 from closedloop.scenario.scenario import Scenario
 from robot_models import RobotModel
@@ -143,7 +143,7 @@ class Event(NamedTuple):
     tangential : (3,) array
         Impulse on the tip along the surface, N s, base frame.
     energy_lost : float
-        Kinetic energy lost, J.
+        Kinetic energy lost, J; at an edge that of the spring of a soft surface.
     position : (3,) array
         Where the tip is, m, base frame.
     slip_before, slip_after : float
@@ -271,7 +271,7 @@ class Run:
         if not self.model.loops:
             return None
         robot, torque = robot_of(self.scenario, self.model), self.torque + self.joint_friction
-        return loop_reactions(robot, self.q, self.v, self.acceleration, torque, tip_force(self))
+        return loop_reactions(robot, self.q, self.v, self.acceleration, torque, tip_force(self), at_stop(self))
 
     def summary(self) -> dict[str, Any]:
         """Return what the command line prints and writes as summary.json; see `closedloop.report`."""

@@ -33,7 +33,7 @@ def robot_of(scenario: Scenario, model: RobotModel) -> Robot:
     unit(tool.axis, "tool.axis")
     if tool.mass == 0.0 and (any(tool.centre) or any(tool.inertia)):
         raise ScenarioError("tool.mass = 0: a tool with a centre of mass or a tensor has a mass; give it, in kg")
-    if tip is not None and tool != ToolSection(axis=tool.axis):
+    if tip is not None and tool != ToolSection(axis=tool.axis, radius=tool.radius):
         model.require_frame(tip)
         tools.append(Tool(tip, tool.offset, tool.mass, tool.centre, tool.inertia))
         tools[0].tensor()

@@ -84,7 +84,10 @@ class RobotSection(Section):
         description="let the damping and friction of the URDF's <dynamics> act in the joints, as viscous coefficients "
         "and Coulomb torques: the law coulomb_viscous of joint_friction, which must be left out then",
     )
-    stops: Flag = Field(False, description="joints strike hard stops at their position limits, without rebound")
+    stops: Flag = Field(False, description="joints strike hard stops at their position limits")
+    stop_restitution: Restitution = Field(
+        0.0, description="restitution there: of a joint alone the ratio of its speeds after and before, from 0 to 1"
+    )
     lock: dict[str, Annotated[Number, ANGLE]] | None = Field(
         None, description="joints held rigid, and where, rad (m); the model's own choice if left out"
     )
@@ -108,6 +111,11 @@ class ToolSection(Section):
     )
     inertia: tuple[Moment, Moment, Moment, Moment, Moment, Moment] = Field(
         (0.0,) * 6, description="tensor about the centre of mass, kg m²: xx, yy, zz, xy, xz, yz"
+    )
+    radius: Annotated[NotNegative, PLACE] = Field(
+        0.0,
+        description="radius of the tool's round end at its tip, m, 0 of a point: a path through a narrower hollow of "
+        "the surface is refused; nothing else depends on it",
     )
     axis: Direction = Field(
         (0.0, 0.0, 1.0), description="axis of the tool, out of it at its tip, axes of the frame robot.tip; any length"

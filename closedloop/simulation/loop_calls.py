@@ -13,9 +13,9 @@ from numpy.typing import NDArray
 
 from closedloop.closure.solve import LAW_FAILED
 from closedloop.engines.failures import failure_of, raised_by_member
-from closedloop.engines.loops import COMPILED, SECONDS, SECONDS_GENERAL
-from closedloop.engines.pinocchio import addresses_of, set_events
+from closedloop.engines.loops import COMPILED, SECONDS, kernels_of
 from closedloop.engines.problem import Problem
+from closedloop.engines.proceed import FROM_PINOCCHIO, Addresses, addresses_of, set_events
 from closedloop.engines.user_law import Law, UserLaw
 from closedloop.errors import SimulationError
 from closedloop.events.phases import INITIAL_EVENTS, TABLE_FULL, TERMS
@@ -114,17 +114,17 @@ def driver(
         The robot for the compiled engine, and its scratch array, if they exist already.
     """
     if engine == COMPILED:
-        from closedloop.engines.compiled import ALL, compiled_tree, compiled_work
+        from closedloop.engines.compiled import ALL
 
-        tree, work = made or (compiled_tree(problem), compiled_work(problem.robot.n))
+        given, addresses = _compiled_arguments(problem, loop, arrays, made)
         if not isinstance(kernel, Interim) and not getattr(kernel, "signatures", ()):
-            # Compile it, or read it from the cache, before the clock starts.
-            direct(kernel, tree, work, loop.address, *arrays, np.zeros((0, EVENT_WIDTH)), ALL)
+            direct(kernel, *given, ALL)  # compile it, or read it from the cache, before the clock starts
 
         def go_on(events: Array) -> int:
+            set_events(addresses, events)
             # Interpreted, it returns after each evaluation, as with Pinocchio, and can be interrupted.
             most = 1 if isinstance(kernel, Interim) and kernel.interpreting else ALL
-            return kernel(tree, work, loop.address, *arrays, events, most)
+            return kernel(*given, most)
 
         return go_on, go_on
 
@@ -136,11 +136,11 @@ def driver(
     def chunk(length: int) -> Call:
         def go_on(events: Array) -> int:
             set_events(addresses, events)
-            request, call = TERMS, direct(kernel, at)
+            request, call = TERMS, direct(kernel, at, FROM_PINOCCHIO)
             for _ in range(length):
                 crba(pinocchio, data, q, convention)  # as in `Robot.evaluator`, without a call
                 bias(pinocchio, data, q, v)
-                request = call(at)
+                request = call(at, FROM_PINOCCHIO)
                 if request != TERMS:
                     break
             return request
@@ -160,49 +160,64 @@ def single_calls(
     problem, kernel, loop, arrays, engine
         See `driver`. Nobody else may evaluate terms with the problem's robot.
     """
-    known = np.zeros((0, EVENT_WIDTH))
+    known: Array | None = None
     if engine == COMPILED:
-        from closedloop.engines.compiled import compiled_tree, compiled_work
-
-        given = compiled_tree(problem), compiled_work(problem.robot.n), loop.address, *arrays
-        call = direct(kernel, *given, known, 1)
+        given, addresses = _compiled_arguments(problem, loop, arrays)
+        call = direct(kernel, *given, 1)
 
         def evaluate(events: Array) -> int:
-            return call(*given, events, 1)
+            nonlocal known
+            if known is not events:
+                set_events(addresses, events)
+                known = events
+            return call(*given, 1)
 
         return evaluate, evaluate
 
     robot = problem.robot
-    addresses = addresses_of(robot.views, loop, *arrays, known)
+    addresses = addresses_of(robot.views, loop, *arrays, np.zeros((0, EVENT_WIDTH)))
     crba, bias, convention, pinocchio, data = robot.passes
     q, v, at = loop.w.q, loop.w.v, address_of(addresses.memory)
-    call = direct(kernel, at)
+    call = direct(kernel, at, FROM_PINOCCHIO)
 
     def again(events: Array) -> int:
         nonlocal known
         if known is not events:
             set_events(addresses, events)
             known = events
-        return call(at)
+        return call(at, FROM_PINOCCHIO)
 
     def once(events: Array) -> int:
         crba(pinocchio, data, q, convention)  # as in `Robot.evaluator`, without a call
         bias(pinocchio, data, q, v)
-        return call(at) if known is events else again(events)
+        return call(at, FROM_PINOCCHIO) if known is events else again(events)
 
     return once, again
 
 
+def _compiled_arguments(
+    problem: Problem, loop: Loop, arrays: tuple[Array, Array, Array], made: tuple[Tree, Array] | None = None
+) -> tuple[tuple[Tree, Array, int], Addresses]:
+    """Return the arguments of `run_compiled` but for the last, and the addresses, which are kept as long as it runs."""
+    from closedloop.engines.compiled import compiled_terms, compiled_tree, compiled_work
+
+    n = problem.robot.n
+    tree, work = made or (compiled_tree(problem), compiled_work(n))
+    H, C, scratch = compiled_terms(work, n)
+    addresses = addresses_of((H, C), loop, *arrays, np.zeros((0, EVENT_WIDTH)))
+    return (tree, scratch, address_of(addresses.memory)), addresses
+
+
 def begun(
-    kernel: Callable[..., int], problem: Problem, loop: Loop, connect: Callable[[], None], law: Law | None
+    engine: str, problem: Problem, loop: Loop, connect: Callable[[], None], law: Law | None
 ) -> Callable[..., int]:
     """Return the loop, or what it is begun with if it is not compiled; and have compiled what else is missing."""
+    kernel, *called = kernels_of(engine)
     entries = problem.entries(user_law=law is not None).values()
-    with_it = [complete_record, *([collide] if loop.state.unilateral else []), *entries]
-    if not at_hand(kernel):
+    with_it = [*called, complete_record, *([collide] if loop.state.unilateral else []), *entries]
+    if not (at_hand(kernel) and all(map(at_hand, called))):
         calls = problem.steps * problem.integrator.stages
-        seconds = SECONDS_GENERAL if problem.general or law is not None else SECONDS
-        return Interim(kernel, (loop.state.memory, loop.w.memory), calls, seconds, with_it, connect, USED_ONCE)
-    make_ready(kernel)
+        return Interim(kernel, (loop.state.memory, loop.w.memory), calls, SECONDS, with_it, connect, USED_ONCE)
+    make_ready(kernel, *called)
     start([function for function in (*with_it, *USED_ONCE) if not at_hand(function)])
     return kernel

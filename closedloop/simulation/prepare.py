@@ -37,6 +37,7 @@ from closedloop.simulation.edge import refuse_beyond_edge
 from closedloop.simulation.reference_table import reference_table
 from closedloop.simulation.start import placed_surface, refuse_lengths
 from closedloop.simulation.time_step import check_stiffness, integrator_of, stabiliser_gains, whole_steps
+from closedloop.simulation.tool_fit import refuse_tool_too_large
 from closedloop.step.record_row import row_width
 from closedloop.surface.compliances.none import Rigid
 from closedloop.surface.rates import check_rates
@@ -91,12 +92,13 @@ def prepare(scenario: Scenario, model: RobotModel | None = None, cache: Cache | 
             f"time.integrator = {scenario.time.integrator!r}: loops and stops of joints take steps of fixed length; "
             f"must be {' or '.join(map(repr, INTEGRATORS))}"
         )
+    if scenario.robot.stop_restitution > 0.0 and not scenario.robot.stops:
+        raise ScenarioError("robot.stop_restitution: is that of the joints' stops; give robot.stops = true with it")
     if model.loops:
         for section, asked in (
             ("model_error", scenario.model_error != ModelErrorSection()),
             ("encoder", encoder_kind(scenario.encoder) != NO_ENCODER),
             ("transmission", scenario.transmission.elastic),
-            ("robot.stops", scenario.robot.stops),
         ):
             if asked:
                 raise ScenarioError(f"{section}: is for arms without loops, and {model.name} has some; leave it out")
@@ -135,6 +137,7 @@ def prepare(scenario: Scenario, model: RobotModel | None = None, cache: Cache | 
         wanted, table = reference_table(scenario, robot, surface, q, instants, cache)
     if scenario.reference.on_surface != "no":
         refuse_beyond_edge(surface, wanted)
+        refuse_tool_too_large(surface, wanted, scenario.tool.radius)
     table[::nodes_per_step, 2 * n + 10] = draws(scenario.sensor, steps + 1)
     if table.shape[1] > 2 * n + 11:
         table[::nodes_per_step, 2 * n + 11 :] = encoder_draws(scenario.encoder, steps + 1, n)

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from closedloop.engines.failures import interrupted, member_error
 from closedloop.engines.law_source import arguments_of, law_digest
-from closedloop.engines.loops import ENGINES, PINOCCHIO, loop_for
+from closedloop.engines.loops import ENGINES, PINOCCHIO, kernels_of, loop_for
 from closedloop.engines.needs import arm_columns
 from closedloop.engines.problem import Problem
 from closedloop.engines.user_law import Law, UserLaw
@@ -190,11 +190,11 @@ def run_loop(
     user_law = None if law is None else UserLaw(law, loop)
     connect = partial(problem.connect, loop, user_law.connect if user_law else None)
     rows = np.empty((steps + 1, problem.row_width)) if rows is None else rows
-    kernel = loop_for(engine, problem.general or law is not None)
     if interim:
-        kernel = begun(kernel, problem, loop, connect, law)
+        kernel = begun(engine, problem, loop, connect, law)
     else:
-        make_ready(kernel)
+        kernel = loop_for(engine)
+        make_ready(*kernels_of(engine))
     connect(compiled=not (isinstance(kernel, Interim) and kernel.interpreting))
     step, many = driver(problem, kernel, loop, (problem.table, problem.integrator.tableau(), rows), engine, tree)
     answers = Answers(problem, loop, interim)

@@ -7,7 +7,6 @@ the memory is put back to the mark, and the row is recorded anew.
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import replace
 from struct import Struct
 from typing import Any, cast
@@ -17,7 +16,7 @@ from numpy.typing import NDArray
 
 from closedloop.closure.contact_force import FREE
 from closedloop.control.drives import cut_torque
-from closedloop.engines.loops import loop_for
+from closedloop.engines.loops import kernels_of, loop_for
 from closedloop.engines.problem import Problem
 from closedloop.engines.user_law import Law, UserLaw
 from closedloop.events.phases import DONE, IMPACT_LAW_WANTED, MEASURED, STEP_END, TABLE_FULL, TERMS
@@ -25,7 +24,7 @@ from closedloop.events.transitions import collide
 from closedloop.jit.background import make_ready
 from closedloop.jit.kernel import plain
 from closedloop.robot.pinocchio import Robot
-from closedloop.simulation.loop_calls import Answers, Call, single_calls
+from closedloop.simulation.loop_calls import Answers, single_calls
 from closedloop.step.memory import State, Work
 from closedloop.step.record_row import complete_record
 
@@ -62,8 +61,9 @@ class Stepper:
     def __init__(self, problem: Problem, engine: str) -> None:
         # A robot of its own: the terms that it has evaluated last are used again.
         problem = replace(problem, robot=Robot(problem.robot.model, problem.robot.tip))
-        self._problem, self._engine = problem, engine
+        self._problem = problem
         self.loop = problem.loop()
+        make_ready(*kernels_of(engine))
         problem.connect(self.loop)
         state, w = self.loop.state, self.loop.w
         self._numbers = state.memory
@@ -71,13 +71,12 @@ class Stepper:
         self._all_numbers: Any = state.memory.data.cast("B")
         self._all_values: Any = w.memory.data.cast("B")
         self._own = int(state.law), int(state.compensation)
-        self._general = problem.general
         self._torque: Any = w.torque.data
         self.rows: Array = np.zeros((problem.steps + 1, problem.row_width))
         self.answers = Answers(problem, self.loop)
         make_ready(*([collide] if state.unilateral else []), complete_record)
-        self._calls: dict[bool, tuple[Call, Call]] = {}
-        self._once, self._again = self._loop(self._general)
+        arrays = problem.table, problem.integrator.tableau(), self.rows
+        self._once, self._again = single_calls(problem, loop_for(engine), self.loop, arrays, engine)
         self._held, self._own_started = False, False
         self._begins = MEASURED if state.encoder else STEP_END  # the phase that a row begins with
         self._law: Law | None = None
@@ -87,15 +86,6 @@ class Stepper:
         # The mark whose terms have been evaluated last, and whether the loop is there.
         self._terms_of: Mark | None = None
         self._at_mark = self._terms_there = False
-
-    def _loop(self, general: bool) -> tuple[Call, Call]:
-        """Return the calls of one of the engine's two loops, on the same memory: with new terms, with the last."""
-        if general not in self._calls:
-            kernel: Callable[..., Any] = loop_for(self._engine, general)
-            make_ready(kernel)
-            arrays = self._problem.table, self._problem.integrator.tableau(), self.rows
-            self._calls[general] = single_calls(self._problem, kernel, self.loop, arrays, self._engine)
-        return self._calls[general]
 
     def _copied(self) -> Mark:
         return bytes(self._all_numbers), bytes(self._all_values), self._own_started
@@ -145,7 +135,6 @@ class Stepper:
             self._connect()
         elif not self._own_started:
             numbers[_STARTED], self._own_started = 0, True
-        self._once, self._again = self._loop(self._general or law is not None)
 
     def _connect(self) -> None:
         assert self._law is not None

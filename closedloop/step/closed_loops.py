@@ -22,7 +22,7 @@ from closedloop.jit.pointers import integers_at
 from closedloop.loops.close import close_state
 from closedloop.loops.memory import STOP, LoopLinks, LoopRows, loops_at
 from closedloop.loops.rows import locate_rows
-from closedloop.loops.solve import meet_rows, orthonormal_rows, remove_basis, spanned_force
+from closedloop.loops.solve import meet_rows, orthonormal_rows, remove_basis, spanned_force, substitute_rows
 from closedloop.step.energy_supplied import driving_torque
 from closedloop.step.memory import Constants, State, Work, loop_at
 
@@ -93,7 +93,7 @@ def find_basis(links: LoopLinks, rows: LoopRows, w: Work) -> None:
     for k in range(links.m):
         for j in range(links.n):
             rows.basis[k, j] = rows.G[k, j]
-        forward_substitute(w.L, rows.basis[k])
+    substitute_rows(w.L, rows.basis, links.m)
     links.rank = orthonormal_rows(rows.basis, links.m, links.m, rows.order, rows.coefficients, rows.along)
     links.known = links.rank
 
@@ -132,7 +132,7 @@ def through_drives(links: LoopLinks, rows: LoopRows, torque: Array) -> None:
     """
     if links.undriven == 0:
         return
-    m, n, wanted = links.m, links.n, rows.column
+    m, n, wanted = links.m - links.stops, links.n, rows.column  # the rows of stops are the last
     Z = rows.drive_basis
     for j in range(n):
         driven = rows.undriven[j] == 0.0
@@ -193,7 +193,7 @@ def missing_torque(H: Array, C: Array, w: Work, state: State) -> None:
     """Write into `column` what is missing in the equation of motion: H q̈ + C − Q − AᵀF, and of other contacts."""
     n = w.q.shape[0]
     for i in range(n):
-        s = C[i] - driving_torque(w, state, i, 1) - w.joint_friction[i]
+        s = C[i] - driving_torque(w, state, i) - w.joint_friction[i]
         for k in range(3):
             s -= w.A[k, i] * w.F[k]
         if state.contacts != 0:

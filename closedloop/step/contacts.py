@@ -28,7 +28,7 @@ from closedloop.contacts.modes import CLOSED_GAP, HOVERING, decide
 from closedloop.jit.kernel import entry_kernel, kernel
 from closedloop.jit.pointers import integers_at, vector_at
 from closedloop.loops.memory import loops_at, tree_at
-from closedloop.loops.rows import ALONG, POINT, locate_rows, move_with
+from closedloop.loops.rows import ALONG, POINT, locate_rows, move_point, turn_direction
 from closedloop.loops.solve import remove_basis
 from closedloop.step.locate import off_anchor, set_anchor
 from closedloop.step.memory import Constants, State, Work, loop_at
@@ -122,8 +122,8 @@ def place_contacts(links: ContactLinks, c: Contacts, w: Work) -> None:
             c.axes[i, j] = w.frame[i, j]
     a, b = rows.motions[0], rows.motions[1]
     for r in range(joints.m):
-        move_with(tree, work, rows.v, sides[joints.m + r], rows.at_a[r], rows.along_a[r], a)
-        move_with(tree, work, rows.v, sides[2 * joints.m + r], rows.at_b[r], rows.along_b[r], b)
+        move_point(tree, work, rows.v, sides[joints.m + r], rows.at_a[r], a)
+        turn_direction(tree, work, sides[2 * joints.m + r], rows.along_b[r], b)
         for j in range(3):
             c.axes[3 + r, j], c.point[1 + r // 3, j] = b[ALONG + j], a[POINT + j]
 

@@ -45,12 +45,12 @@ def law_input(state: State, constants: Constants, w: Work) -> LawInput:
         s = Seen(w.seen, n)
         return LawInput(
             w.time, s.q, s.v, w.H, w.C, s.L, s.A, s.X, s.S, s.drift_c, s.p, s.u, s.r, s.J, s.drift, s.frame,
-            wanted[0:n], wanted[n : 2 * n], wanted[2 * n : 2 * n + 3], wanted[2 * n + 3 : 2 * n + 6],
+            wanted[0:n], wanted[n : 2 * n], w.qdd_des, wanted[2 * n : 2 * n + 3], wanted[2 * n + 3 : 2 * n + 6],
             wanted[2 * n + 6 : 2 * n + 9], wanted[2 * n + 9], w.measured, 0.0 if state.mode == FREE else 1.0, w.scratch,
         )  # fmt: skip
     return LawInput(
         w.time, w.q, w.v, w.H, w.C, w.L, w.A, w.X, w.S, w.drift_c, w.p, w.u, w.r, w.J, w.drift, w.frame,
-        wanted[0:n], wanted[n : 2 * n], wanted[2 * n : 2 * n + 3], wanted[2 * n + 3 : 2 * n + 6],
+        wanted[0:n], wanted[n : 2 * n], w.qdd_des, wanted[2 * n : 2 * n + 3], wanted[2 * n + 3 : 2 * n + 6],
         wanted[2 * n + 6 : 2 * n + 9], wanted[2 * n + 9], w.measured, 0.0 if state.mode == FREE else 1.0, w.scratch,
     )  # fmt: skip
 

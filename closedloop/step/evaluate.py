@@ -3,8 +3,8 @@
 The caller provides H, C, Jᵣ, r and J̇ᵣq̇ of the state, from Pinocchio or another source. `closedloop.events` decides
 which states are evaluated, and when.
 
-numba compiles two forms of the same source: `general` is None for the paper's law on a smooth surface, and a number for
-the general form, with other laws, friction of the tip and of the joints, and a force sensor.
+The paper's law on a smooth surface is part of the loop: `State.law` is 0. For everything else (other laws, friction of
+the tip and of the joints, a force sensor) it is the address of the law's entry.
 """
 
 from __future__ import annotations
@@ -23,7 +23,7 @@ from closedloop.closure.contact_force import (
     pressed_force,
     stuck_force,
 )
-from closedloop.closure.solve import DIVERGED, LAW_FAILED, NOT_POSITIVE_DEFINITE, OK, PAINLEVE, SINGULAR
+from closedloop.closure.solve import DIVERGED, LAW_FAILED, NOT_POSITIVE_DEFINITE, OK, PAINLEVE, PUSHED, SINGULAR
 from closedloop.control.drives import cut_torque
 from closedloop.control.laws.paper import PaperLaw, paper_law
 from closedloop.control.seen import Seen
@@ -42,6 +42,7 @@ from closedloop.step.joint_friction import add_joint_friction, hold_joints
 from closedloop.step.locate import in_contact_frame, locate_tip, off_anchor
 from closedloop.step.memory import RIGID_STICK, SPRING_STICK, Constants, Reference, State, Work
 from closedloop.step.seen import keep_terms, see
+from closedloop.step.singular import force_in_singular_pose, pushed_on_the_way
 from closedloop.step.soft_contact import soft_contact_force
 from closedloop.step.tip_friction import surface_friction, turn_with_slip
 from closedloop.step.transmission import motor_rates, transmit
@@ -58,7 +59,7 @@ LARGEST = 1e100
 PaperParameters = parameter_block(PaperLaw)
 
 
-@kernel_inlined
+@kernel
 def reference_row(t: float, spacing: float, table: Array, n: int, row: Array) -> None:
     """Write the reference at time t: between the table's rows positions are cubics and the rest is linear.
 
@@ -97,10 +98,25 @@ def nearest_row(t: float, spacing: float, count: int) -> int:
     return min(round(t / spacing), count - 1)
 
 
+@kernel
+def desired_acceleration(t: float, spacing: float, table: Array, qdd: Array) -> None:
+    """Write q̈_des (n,) at the table's row nearest to t, s, of the rates q̇_des on either side of it.
+
+    It is the smaller of the two slopes, and zero where they differ in sign: so a velocity that jumps, as at the start
+    of a line, asks for no acceleration, and a smooth one for its own, to first order in the spacing.
+    """
+    n, at = qdd.shape[0], nearest_row(t, spacing, table.shape[0])
+    for j in range(n):
+        qdd[j] = 0.0
+        if 0 < at < table.shape[0] - 1:
+            before = (table[at, n + j] - table[at - 1, n + j]) / spacing
+            after = (table[at + 1, n + j] - table[at, n + j]) / spacing
+            if before * after > 0.0:
+                qdd[j] = before if abs(before) < abs(after) else after
+
+
 @kernel_inlined
-def evaluate(
-    H: Array, C: Array, w: Work, constants: Constants, state: State, table: Array, rows: Array, general: int | None
-) -> int:
+def evaluate(H: Array, C: Array, w: Work, constants: Constants, state: State, table: Array, rows: Array) -> int:
     """Evaluate law, friction, contact and Eq. 24 at the state in `w`.
 
     Parameters
@@ -115,8 +131,6 @@ def evaluate(
         See `reference_row`; the last column is the noise of the force sensor.
     rows : (N, width) array
         The rows recorded so far: what the memory of friction reads.
-    general : int or None
-        None: the paper's law on a smooth surface.
 
     Returns
     -------
@@ -130,15 +144,17 @@ def evaluate(
     status = factorise_tip(H, w, constants, state)
     if status != OK:
         return status
-    if general is None:
+    if state.law == 0:
         if state.sampled != 0:
             reference_row(w.time, constants.node, table, n, w.reference)
             paper_torque(C, w, constants, w.time)
-        status = contact_force(C, w, constants, state, general)
+        status = contact_force(C, w, constants, state)
         if status != OK:
             return status
     else:
         reference_row(w.time, constants.node, table, n, w.reference)
+        if state.feed_forward != 0:
+            desired_acceleration(w.time, constants.node, table, w.qdd_des)
         if state.seen == 0:
             in_contact_frame(w.frame, w.carried, w.turning, Reference(w.reference, n))
             keep_terms(H, C, w)
@@ -154,12 +170,12 @@ def evaluate(
             transmit(w, constants)
         surface_friction(w, constants, state, rows)
         add_joint_friction(w, constants, state, rows)
-        status = contact_force(C, w, constants, state, general)
+        status = contact_force(C, w, constants, state)
         if status != OK:
             return status
         if state.joint_sticking == RIGID_STICK:
             hold_joints(w, constants, state)
-            status = contact_force(C, w, constants, state, general)
+            status = contact_force(C, w, constants, state)
             if status != OK:
                 return status
         sensor = w.z[state.law_states : state.law_states + state.sensor_states]
@@ -199,6 +215,8 @@ def evaluate_law(H: Array, C: Array, w: Work, constants: Constants, state: State
     if status != OK:
         return status
     reference_row(w.time, constants.node, table, w.q.shape[0], w.reference)
+    if state.feed_forward != 0:
+        desired_acceleration(w.time, constants.node, table, w.qdd_des)
     if see(H, C, w, constants, state) != OK:
         return NOT_POSITIVE_DEFINITE
     return ask_law(w, constants, state)
@@ -255,11 +273,11 @@ def bounded(w: Work) -> bool:
     return every(total < LARGEST)
 
 
-@kernel_inlined
-def contact_force(C: Array, w: Work, constants: Constants, state: State, general: int | None) -> int:
+@kernel
+def contact_force(C: Array, w: Work, constants: Constants, state: State) -> int:
     """Solve Eq. 24 in the present mode for the contact force F and the acceleration q̈; return a status."""
     for j in range(w.q.shape[0]):
-        w.column[j] = driving_torque(w, state, j, general) + w.joint_friction[j]
+        w.column[j] = driving_torque(w, state, j) + w.joint_friction[j]
     free_acceleration(w.L, w.X, w.drift_c, w.column, C, w.y, w.a)
     if state.loops != 0:
         call_at(state.loops, state.loops_at, BIND_LOAD)
@@ -285,6 +303,8 @@ def contact_force(C: Array, w: Work, constants: Constants, state: State, general
             status, share = pressed_force(w.S, w.a, b, w.c, w.viscous, w.F)
             if status == OK and wedged and not w.F[0] < 0.0:
                 status = PAINLEVE
+        if status == SINGULAR and state.mode == PRESSED:
+            return force_in_singular_pose(C, w, constants, state)
         if status != OK:
             return status
         sticking = state.sticking
@@ -296,6 +316,8 @@ def contact_force(C: Array, w: Work, constants: Constants, state: State, general
                 if status != OK:
                     return status
         rigid = w.F[0] - share
+        if state.approached > 0 and pushed_on_the_way(C, w, constants, rigid):
+            return PUSHED
         w.rigid_force = kept_force(rigid, C, w, state)
         if state.unilateral != 0 and w.F[0] < 0.0 <= w.rigid_force:
             # The stabiliser may reduce f of a unilateral contact to zero, but not below.

@@ -27,7 +27,7 @@ def locate_on_plane(w: Work, constants: Constants) -> None:
     w.gap, w.rate = w.p[0] - constants.offset, w.u[0]
 
 
-@kernel_inlined
+@kernel
 def locate_tip(w: Work, constants: Constants, state: State) -> int:
     """Write the contact frame, the tip's motion in it, and the gap and its rate; return OK or NO_NORMAL."""
     if state.surface != 0 and not ask_surface(w, state):

@@ -36,7 +36,7 @@ class State(Block):
     stages: int  # of the integrator
     steps: int
     hold: int  # steps for which a sampled torque is held; 0: the law is evaluated at every stage
-    law: int  # address of the control law's entry, see `closedloop.step.entries`
+    law: int  # address of the control law's entry, see `closedloop.step.entries`; 0: the paper's, on a smooth surface
     compensation: int  # and of its compensation's; 0: none
     own_law_states: int  # of the law alone
     law_states: int  # of the law and its compensation
@@ -78,6 +78,8 @@ class State(Block):
     contacts: int  # address of the entry of the contacts of the links, 0: none but the tip's; and of their memory
     contacts_at: int
     stops: int  # 1 if the joints have stops
+    feed_forward: int  # whether the law is told of the joints' desired acceleration
+    proceed: int  # address of the entry of `closedloop.events.proceed`, for the compiled engine
     constants_at: int
     constants_size: int
     work_at: int
@@ -104,6 +106,7 @@ class State(Block):
     kind: int  # of the event
     started: int  # 1 once the law has been evaluated
     batched: int  # rows in `Work.batch`
+    approached: int  # substeps in a row that began near a singular pose, see `closedloop.step.singular`
 
 
 class Constants(Block, sizes=("n", "law", "compensation", "friction", "joint_friction", "compliance")):
@@ -116,6 +119,7 @@ class Constants(Block, sizes=("n", "law", "compensation", "friction", "joint_fri
     s_p: float
     restitution: float
     rest_speed: float
+    stop_restitution: float  # of joints at their stops
     impact_friction: float
     stick_speed: float
     capture_speed: float  # up to which sticking is tried, m/s
@@ -242,6 +246,7 @@ class Work(Block, sizes=("n", "k", "stages", "ring")):
     A: Annotated[Array, 3, N]  # contact frame
     X: Annotated[Array, 3, N]  # L⁻¹Aᵀ
     reference: Annotated[Array, 2 * N + 10]  # row of the table at this instant
+    qdd_des: Annotated[Array, N]  # see `closedloop.step.evaluate.desired_acceleration`
     H: Annotated[Array, N, N]  # for laws that are called by address, as C
     C: Annotated[Array, N]
     L: Annotated[Array, N, N]
@@ -265,6 +270,7 @@ class Work(Block, sizes=("n", "k", "stages", "ring")):
     last_read_v: Annotated[Array, N]
     transmitted: Annotated[Array, N]  # torque on the links of elastic joints
     torque_limited: Annotated[Array, N]  # see `closedloop.control.drives.AS_ASKED`
+    approach: Annotated[Array, N + 6]  # see `closedloop.step.singular.Approach`
 
 
 STATE_COUNT = State.count()

@@ -20,7 +20,7 @@ from closedloop.control.sensor import SensorParameters, sense
 from closedloop.jit.blocks import Block
 from closedloop.jit.calls import call_at
 from closedloop.jit.kernel import entry_kernel, kernel, kernel_inlined
-from closedloop.jit.simd8 import select
+from closedloop.jit.simd8 import every, select
 from closedloop.step.closed_loops import REACTION, missing_torque
 from closedloop.step.energy_supplied import driving_torque
 from closedloop.step.memory import RIGID_STICK, Constants, K, N, State, Work, loop_at
@@ -146,17 +146,25 @@ def rows_there(state: State, done: int, n: int) -> int:
 
 @kernel_inlined
 def record(
-    H: Array,
-    C: Array,
-    w: Work,
-    constants: Constants,
-    state: State,
-    table: Array,
-    rows: Array,
-    place: int,
-    general: int | None,
+    H: Array, C: Array, w: Work, constants: Constants, state: State, table: Array, rows: Array, place: int
 ) -> None:
-    """Write a row in the order of `Row`: the state, and the torques and forces at it.
+    """Write a row in the order of `Row`, and take the sample of the force sensor that is part of it."""
+    record_state(H, C, w, state, rows, place)
+    if state.law == 0:
+        return
+    n, count, sensor = w.q.shape[0], state.law_states, state.sensor_states
+    w.measured = sense(
+        w.F[0], place, SensorParameters(constants.sensor, 0), w.z[count : count + sensor],
+        table[place * state.nodes_per_step, 2 * n + 10], w.ring[0 : state.sensor_ring],
+    )  # fmt: skip
+    if state.arm_at != 0:
+        record_arm(w, state, rows[place][state.arm_at :])
+    Row(rows[place], n).measured_force = w.measured
+
+
+@kernel_inlined
+def record_state(H: Array, C: Array, w: Work, state: State, rows: Array, place: int) -> None:
+    """Write a row in the order of `Row`: the state, and the torques and forces at it, the reading of f without error.
 
     The condition number is written once a batch is full, or by `complete_record`; with loops it is that of H.
     """
@@ -168,7 +176,7 @@ def record(
         row.acceleration[j] = w.qdd[j]
         row.torque[j] = w.torque[j]
         row.joint_friction[j] = w.joint_friction[j]
-        w.column[j] = driving_torque(w, state, j, general) + w.joint_friction[j]
+        w.column[j] = driving_torque(w, state, j) + w.joint_friction[j]
     for i in range(3):
         row.position[i] = w.r[i]
         speed = 0.0
@@ -179,14 +187,15 @@ def record(
         row.slip_velocity[i] = w.frame[1, i] * w.u[1] + w.frame[2, i] * w.u[2]
         row.surface_normal[i] = w.frame[0, i]
     mode = state.mode
-    closed_by_row = mode != FREE and state.compliance == 0
+    # in a singular pose Eq. 24 has no row
+    closed_by_row = mode != FREE and state.compliance == 0 and every(w.S[0, 0] > 0.0)
     first, last = 0 if closed_by_row else 1, 3 if mode == STUCK and state.sticking == RIGID_STICK else 1
     if state.loops != 0:
         missing_torque(H, C, w, state)
         call_at(state.loops, state.loops_at, REACTION)
         for j in range(n):
-            w.column[j] += driving_torque(w, state, j, general) + w.joint_friction[j]
-    if general is not None and state.contacts != 0:
+            w.column[j] += driving_torque(w, state, j) + w.joint_friction[j]
+    if state.contacts != 0:
         for j in range(n):
             w.column[j] += w.contact_torque[j]
     motion, closed = residuals(H, w.column, C, w.A, w.S, w.drift_c, w.b, w.a, w.qdd, w.F, first, last)
@@ -208,19 +217,10 @@ def record(
             record_conditions(w.batch, rows, state, place + 1, n)
     row.normal_mobility = w.S[0, 0] / select(trace > 0.0, trace, 1.0)
     row.kinetic_energy = kinetic_energy(H, w.v)
-    if general is None:
-        w.measured = w.F[0]
-    else:
-        count, sensor = state.law_states, state.sensor_states
-        w.measured = sense(
-            w.F[0], place, SensorParameters(constants.sensor, 0), w.z[count : count + sensor],
-            table[place * state.nodes_per_step, 2 * n + 10], w.ring[0 : state.sensor_ring],
-        )  # fmt: skip
-        if state.arm_at != 0:
-            record_arm(w, state, rows[place][state.arm_at :])
+    w.measured = w.F[0]
     row.measured_force = w.measured
     row.energy_supplied = w.supplied
-    if general is not None and state.contacts != 0:
+    if state.contacts != 0:
         record_contacts(state, rows[place])
 
 

@@ -17,6 +17,9 @@ from closedloop.user_code import function_of, member_entry
 
 # N/m by which a gap becomes a force, for the event function alone: its sign decides.
 AS_FORCE = 1e6
+# Gauss and Legendre's rule with eight points, on −1 to 1: half of the points, and their weights.
+POINTS = (0.1834346424956498, 0.5255324099163290, 0.7966664774136267, 0.9602898564975363)
+WEIGHTS = (0.3626837833783620, 0.3137066458778873, 0.2223810344533745, 0.1012285362903763)
 
 
 @cache
@@ -59,3 +62,21 @@ def soft_contact_force(w: Work, constants: Constants, state: State) -> None:
                     break
                 w.F[1], w.F[2] = -w.c[0] * f - w.viscous[0], -w.c[1] * f - w.viscous[1]
     accelerate(w.L, w.X, w.y, w.F, w.qdd)
+
+
+@kernel
+def spring_energy(w: Work, constants: Constants, state: State) -> float:
+    """Return what the spring of a soft surface has stored, J: f at rest over the depth, from none to the present.
+
+    With the depth x = δ s² the integrand is a polynomial of low degree in s for a spring k x, and for Hertz's k x^1.5.
+    """
+    gap, rate, f, stored = w.gap, w.rate, w.F[0], 0.0
+    w.rate = 0.0
+    for k in range(4):
+        for side in range(2):
+            s = 0.5 * (1.0 + (POINTS[k] if side == 0 else -POINTS[k]))
+            w.gap = gap * s * s
+            call_at(state.compliance, state.address, 0)
+            stored -= WEIGHTS[k] * w.F[0] * gap * s
+    w.gap, w.rate, w.F[0] = gap, rate, f
+    return float(stored)

@@ -142,7 +142,7 @@ def surface_entry(member: type[Surface]) -> Entry:
         pose, touch = Pose(ask.pose), Touch(ask.touch)
         into_surface_axes(pose, ask.r, touch)
         touch.level = level(touch.at, Parameters(ask.par, links.entries), touch.gradient, touch.hessian)
-        if what == CONTACT and not contact_geometry(pose, ask.r, ask.velocity, ask.frame, touch):
+        if what == CONTACT and not contact_geometry(pose, links.motion != 0, ask.r, ask.velocity, ask.frame, touch):
             return NO_NORMAL
         return FOUND
 

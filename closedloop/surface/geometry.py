@@ -60,57 +60,61 @@ class Touch(Block):
 @kernel
 def into_surface_axes(pose: Pose, r: Array, touch: Touch) -> None:
     """Write where the point r (3,), m, base frame, is in the surface's axes; and zero into gradient and Hessian."""
+    d0, d1, d2 = r[0] - pose.origin[0], r[1] - pose.origin[1], r[2] - pose.origin[2]
     for i in range(3):
-        s = 0.0
-        for k in range(3):
-            s += pose.axes[i, k] * (r[k] - pose.origin[k])
-            touch.hessian[i, k] = 0.0
-        touch.at[i] = s
+        touch.at[i] = pose.axes[i, 0] * d0 + pose.axes[i, 1] * d1 + pose.axes[i, 2] * d2
         touch.gradient[i] = 0.0
+        for k in range(3):
+            touch.hessian[i, k] = 0.0
 
 
 @kernel
 def frame_and_turning(v: Array, touch: Touch) -> bool:
-    """Write N in the surface's axes and Ṅ v of a point that moves with v (3,), m/s; False if ∇φ has no direction."""
-    g, n, turning = touch.gradient, touch.local[0], touch.turning
-    touch.size = np.sqrt(g[0] * g[0] + g[1] * g[1] + g[2] * g[2])
-    if not 0.0 < touch.size < np.inf:
+    """Write N in the surface's axes and Ṅ v of a point that moves with v (3,), m/s; False if ∇φ has no direction.
+
+    In single numbers, with one division for each of the two denominators: what is kept in an array is read anew after
+    each number that is written to another, and a division takes as long as ten products.
+    """
+    g, B, local, turning = touch.gradient, touch.hessian, touch.local, touch.turning
+    v0, v1, v2 = v[0], v[1], v[2]
+    size = np.sqrt(g[0] * g[0] + g[1] * g[1] + g[2] * g[2])
+    touch.size = size
+    if not 0.0 < size < np.inf:
         return False
-    bend = 0.0
-    for i in range(3):
-        n[i] = g[i] / touch.size
-    for i in range(3):
-        turning[i] = 0.0
-        for k in range(3):
-            turning[i] += touch.hessian[i, k] * v[k] / touch.size
-    for i in range(3):
-        bend += n[i] * turning[i]
-    x, y, z = turning[0] - bend * n[0], turning[1] - bend * n[1], turning[2] - bend * n[2]  # ṅ
-    over = 1.0 + n[2]
-    along = x * v[0] + y * v[1] + z * v[2]
-    if over > ANTIPODE:
-        forward = n[0] * v[0] + n[1] * v[1] + (n[2] + 1.0) * v[2]  # (n + z)·v
-        for i in range(2):
-            rate = x if i == 0 else y
-            for k in range(3):
-                lean = n[k] + (1.0 if k == 2 else 0.0)
-                touch.local[1 + i, k] = (1.0 if k == i else 0.0) - n[i] * lean / over
-            turning[1 + i] = (n[i] * z / over - rate) * forward / over - n[i] * along / over
-    else:
-        for k in range(3):
-            touch.local[1, k], touch.local[2, k] = 1.0 if k == 0 else 0.0, -1.0 if k == 1 else 0.0
-        turning[1], turning[2] = 0.0, 0.0
+    share = 1.0 / size
+    n0, n1, n2 = share * g[0], share * g[1], share * g[2]
+    b0 = share * (B[0, 0] * v0 + B[0, 1] * v1 + B[0, 2] * v2)
+    b1 = share * (B[1, 0] * v0 + B[1, 1] * v1 + B[1, 2] * v2)
+    b2 = share * (B[2, 0] * v0 + B[2, 1] * v1 + B[2, 2] * v2)
+    bend = n0 * b0 + n1 * b1 + n2 * b2
+    x, y, z = b0 - bend * n0, b1 - bend * n1, b2 - bend * n2  # ṅ
+    along = x * v0 + y * v1 + z * v2
+    local[0, 0], local[0, 1], local[0, 2] = n0, n1, n2
     turning[0] = along
+    if 1.0 + n2 > ANTIPODE:
+        over = 1.0 / (1.0 + n2)
+        m0, m1 = n0 * over, n1 * over
+        forward = over * (n0 * v0 + n1 * v1 + (n2 + 1.0) * v2)  # (n + z)·v/(1 + n·z)
+        local[1, 0], local[1, 1], local[1, 2] = 1.0 - n0 * m0, -n1 * m0, -n0
+        local[2, 0], local[2, 1], local[2, 2] = -n0 * m1, 1.0 - n1 * m1, -n1
+        turning[1] = (m0 * z - x) * forward - m0 * along
+        turning[2] = (m1 * z - y) * forward - m1 * along
+    else:
+        local[1, 0], local[1, 1], local[1, 2] = 1.0, 0.0, 0.0
+        local[2, 0], local[2, 1], local[2, 2] = 0.0, -1.0, 0.0
+        turning[1], turning[2] = 0.0, 0.0
     return True
 
 
 @kernel
-def contact_geometry(pose: Pose, r: Array, velocity: Array, frame: Array, touch: Touch) -> bool:
+def contact_geometry(pose: Pose, moving: bool, r: Array, velocity: Array, frame: Array, touch: Touch) -> bool:
     """Write the contact frame of a point and what its motion is relative to; after `into_surface_axes` and `level`.
 
     Parameters
     ----------
     pose : Pose
+    moving : bool
+        Whether the surface moves; else no velocity of the pose is read.
     r, velocity : (3,) arrays
         Position, m, and velocity ṙ, m/s, of the point, base axes.
     frame : (3, 3) array
@@ -123,31 +127,29 @@ def contact_geometry(pose: Pose, r: Array, velocity: Array, frame: Array, touch:
     bool
         False if the gradient is zero or not a number: there is no normal.
     """
-    o, a = pose.spin, pose.spin_rate
-    d0, d1, d2 = r[0] - pose.origin[0], r[1] - pose.origin[1], r[2] - pose.origin[2]
-    c0, c1, c2 = o[1] * d2 - o[2] * d1, o[2] * d0 - o[0] * d2, o[0] * d1 - o[1] * d0  # ω × d
-    w0 = velocity[0] - pose.velocity[0] - c0
-    w1 = velocity[1] - pose.velocity[1] - c1
-    w2 = velocity[2] - pose.velocity[2] - c2
-    # s̈ + ω̇ × d + ω × (ω × d + 2 w)
-    e0, e1, e2 = c0 + 2.0 * w0, c1 + 2.0 * w1, c2 + 2.0 * w2
-    a0 = pose.acceleration[0] + a[1] * d2 - a[2] * d1 + o[1] * e2 - o[2] * e1
-    a1 = pose.acceleration[1] + a[2] * d0 - a[0] * d2 + o[2] * e0 - o[0] * e2
-    a2 = pose.acceleration[2] + a[0] * d1 - a[1] * d0 + o[0] * e1 - o[1] * e0
-    v = touch.carried  # scratch, until it is written below
+    w0, w1, w2 = velocity[0], velocity[1], velocity[2]
+    c0 = c1 = c2 = a0 = a1 = a2 = 0.0
+    if moving:
+        o, a = pose.spin, pose.spin_rate
+        d0, d1, d2 = r[0] - pose.origin[0], r[1] - pose.origin[1], r[2] - pose.origin[2]
+        c0, c1, c2 = o[1] * d2 - o[2] * d1, o[2] * d0 - o[0] * d2, o[0] * d1 - o[1] * d0  # ω × d
+        w0, w1, w2 = w0 - pose.velocity[0] - c0, w1 - pose.velocity[1] - c1, w2 - pose.velocity[2] - c2
+        # s̈ + ω̇ × d + ω × (ω × d + 2 w)
+        e0, e1, e2 = c0 + 2.0 * w0, c1 + 2.0 * w1, c2 + 2.0 * w2
+        a0 = pose.acceleration[0] + a[1] * d2 - a[2] * d1 + o[1] * e2 - o[2] * e1
+        a1 = pose.acceleration[1] + a[2] * d0 - a[0] * d2 + o[2] * e0 - o[0] * e2
+        a2 = pose.acceleration[2] + a[0] * d1 - a[1] * d0 + o[0] * e1 - o[1] * e0
+        c0, c1, c2 = c0 + pose.velocity[0], c1 + pose.velocity[1], c2 + pose.velocity[2]
+    v, P, N = touch.carried, pose.axes, touch.local  # carried is scratch, until it is written below
     for i in range(3):
-        v[i] = pose.axes[i, 0] * w0 + pose.axes[i, 1] * w1 + pose.axes[i, 2] * w2
+        v[i] = P[i, 0] * w0 + P[i, 1] * w1 + P[i, 2] * w2
     if not frame_and_turning(v, touch):
         return False
     for i in range(3):
-        for k in range(3):
-            frame[i, k] = (
-                touch.local[i, 0] * pose.axes[0, k]
-                + touch.local[i, 1] * pose.axes[1, k]
-                + touch.local[i, 2] * pose.axes[2, k]
-            )
-    for i in range(3):
-        f0, f1, f2 = frame[i, 0], frame[i, 1], frame[i, 2]
-        touch.carried[i] = f0 * (pose.velocity[0] + c0) + f1 * (pose.velocity[1] + c1) + f2 * (pose.velocity[2] + c2)
+        f0 = N[i, 0] * P[0, 0] + N[i, 1] * P[1, 0] + N[i, 2] * P[2, 0]
+        f1 = N[i, 0] * P[0, 1] + N[i, 1] * P[1, 1] + N[i, 2] * P[2, 1]
+        f2 = N[i, 0] * P[0, 2] + N[i, 1] * P[1, 2] + N[i, 2] * P[2, 2]
+        frame[i, 0], frame[i, 1], frame[i, 2] = f0, f1, f2
+        touch.carried[i] = f0 * c0 + f1 * c1 + f2 * c2
         touch.turning[i] -= f0 * a0 + f1 * a1 + f2 * a2
     return True

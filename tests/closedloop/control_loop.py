@@ -181,8 +181,9 @@ class Loop:
             t=float(t), q=q.copy(), v=v.copy(), H=H, C=C, L=np.ascontiguousarray(L), A=A, X=X, S=X @ X.T,
             drift=self.frame @ terms.drift, p=self.frame @ terms.position, u=A @ v, r=terms.position.copy(),
             J=np.ascontiguousarray(terms.jacobian), Jdot_v=terms.drift.copy(), frame=np.ascontiguousarray(self.frame),
-            q_des=np.array(q_des), v_des=np.array(v_des), p_des=self.p_start + shift, u_des=np.array(u_des),
-            a_des=np.array(a_des), f_des=float(self.f_des), f_measured=float(self.f_measured),
+            q_des=np.array(q_des), v_des=np.array(v_des), qdd_des=np.zeros(len(q_des)),
+            p_des=self.p_start + shift, u_des=np.array(u_des), a_des=np.array(a_des),
+            f_des=float(self.f_des), f_measured=float(self.f_measured),
             pressed=float(self.pressed), scratch=self.scratch,
         )  # fmt: skip
         return x, terms

@@ -10,8 +10,9 @@ from pathlib import Path
 import pytest
 
 import closedloop as cl
-from closedloop.engines.compiled import run_compiled
-from closedloop.engines.pinocchio import proceed_general_on_pinocchio, proceed_on_pinocchio
+from closedloop.engines.adaptive.kernels import evaluate_on_pinocchio
+from closedloop.engines.lanes import run_in_lanes
+from closedloop.engines.proceed import proceed_at
 from closedloop.events.transitions import collide
 from closedloop.jit import background, cache_folder
 from closedloop.jit.cache_folder import MARKER
@@ -60,29 +61,29 @@ def who(folder, *names):
 def test_a_process_in_the_background(folder, caplog):
     """Of low priority, in a session of its own, in no folder of the user's, and no child that must be waited for."""
     with caplog.at_level("INFO", "closedloop.compiling"):
-        background.start([proceed_on_pinocchio, collide])
-    process, session, parent, nice, where = who(folder, "proceed_on_pinocchio", "collide")
+        background.start([proceed_at, collide])
+    process, session, parent, nice, where = who(folder, "proceed_at", "collide")
     assert int(session) != os.getsid(0)
     assert int(parent) != os.getpid() != int(process)
     assert int(nice) == min(19, os.nice(0) + background.NICE)
     assert where == os.sep
     (line,) = caplog.messages
-    assert line.startswith("compiling the step of the Pinocchio engine in the background, once for this installation")
+    assert line.startswith("compiling the step in the background, once for this installation")
 
 
 def test_one_at_a_time(folder, monkeypatch, caplog):
     """While one is at work another is not begun, and that is said; nor is one begun twice for the same."""
-    background.start([proceed_on_pinocchio])
-    first = who(folder, "proceed_on_pinocchio")[0]
-    background.start([proceed_on_pinocchio])
+    background.start([proceed_at])
+    first = who(folder, "proceed_at")[0]
+    background.start([proceed_at])
     monkeypatch.setattr(background, "_said", set())
     with caplog.at_level("INFO", "closedloop.compiling"):
         background.start([collide])  # which is short: not worth a word
-        background.start([run_compiled])
-        background.start([proceed_general_on_pinocchio])  # another like it is not said again
-    what = "the step of the compiled engine"
+        background.start([run_in_lanes])
+        background.start([evaluate_on_pinocchio])  # another like it is not said again
+    what = "the step of eight runs at a time"
     assert caplog.messages == [f"compiling {what} in another process; this run is interpreted meanwhile"]
-    assert [file.name for file in folder.iterdir()] == ["who-proceed_on_pinocchio"]
+    assert [file.name for file in folder.iterdir()] == ["who-proceed_at"]
     os.kill(int(first), signal.SIGKILL)
     assert not background.wait_until_done(patience=10.0)
     background.start([collide])
@@ -91,15 +92,13 @@ def test_one_at_a_time(folder, monkeypatch, caplog):
 
 def test_who_needs_it_waits(folder, monkeypatch, caplog):
     """For the process that is at it, until what is needed is there, and no longer."""
-    background.start([proceed_on_pinocchio])
-    who(folder, "proceed_on_pinocchio")
+    background.start([proceed_at])
+    who(folder, "proceed_at")
     missing = iter([True] * 4)
     monkeypatch.setattr(background, "needs_compiling", lambda function: next(missing, False))
     with caplog.at_level("INFO", "closedloop.compiling"):
-        background.make_ready(proceed_on_pinocchio)
-    assert caplog.messages == [
-        "compiling the step of the Pinocchio engine: waiting for the process that does it in the background ..."
-    ]
+        background.make_ready(proceed_at)
+    assert caplog.messages == ["compiling the step: waiting for the process that does it in the background ..."]
     assert next(missing, None) is None
 
 
@@ -109,8 +108,8 @@ def test_who_needs_what_never_comes_compiles_it(folder, caplog):
     who(folder, "collide")
     (folder / "go").touch()
     with caplog.at_level("INFO", "closedloop.compiling"):
-        background.make_ready(proceed_on_pinocchio)
-    assert caplog.messages[-1].startswith("compiling the step of the Pinocchio engine (once for this installation")
+        background.make_ready(proceed_at)
+    assert caplog.messages[-1].startswith("compiling the step (once for this installation")
 
 
 @pytest.mark.parametrize("value", ["0", "no", "Off", "FALSE"])
@@ -195,8 +194,8 @@ def test_from_the_first_run_to_the_second(tmp_path):
     said = [process.communicate(timeout=120)[1] for process in both]
     assert [process.returncode for process in both] == [0, 0]
     assert sorted(line.split(",")[0] for line in said) == [
-        "compiling the step of the Pinocchio engine in another process; this run is interpreted meanwhile\n",
-        "compiling the step of the Pinocchio engine in the background",
+        "compiling the step in another process; this run is interpreted meanwhile\n",
+        "compiling the step in the background",
     ]
     (compiler,) = at_work()
     os.kill(compiler, signal.SIGKILL)

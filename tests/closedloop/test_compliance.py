@@ -209,3 +209,24 @@ def test_what_is_too_stiff_is_refused_with_the_step_that_would_do():
     with pytest.raises(cl.ScenarioError, match=r"compliance.stiffness = -1.0: must be greater than 0"):
         cl.load_scenario("wam_slide", stiff | {"compliance.stiffness": -1.0})
     assert COMPLIANCES["none"]().tangent(0.0) == (0.0, 0.0)
+
+
+@pytest.mark.parametrize(
+    "law", [{"kind": "kelvin_voigt", "damping": 0.0}, {"kind": "hunt_crossley", "dissipation": 0.0}]
+)
+def test_the_spring_at_an_edge_is_booked(law):
+    """A mass slides over the edge of an undamped surface: its energy and the spring's are constant, but the event's."""
+    k = 5e3 if law["kind"] == "kelvin_voigt" else 2e5
+    scenario = point_mass(
+        compliance=law | {"stiffness": k}, start__v=[0.47, 0.0, 0.0], surface__extent=[0.05, 1.0], time__duration=0.15
+    )
+    run = cl.simulate(scenario, law=no_torque)
+    (edge,) = [event for event in run.events if event.kind == "edge"]
+    energy = run.kinetic_energy + run.potential_energy
+    n = 1.0 if law["kind"] == "kelvin_voigt" else 1.5
+    deep = np.where(run.mode != 0, np.maximum(-run.closure_error, 0.0), 0.0)
+    stored = k * deep ** (n + 1.0) / (n + 1.0)
+    assert edge.energy_lost > 0.005
+    total = energy + stored + np.where(run.time > edge.time, edge.energy_lost, 0.0)
+    np.testing.assert_allclose(total, total[0], atol=1e-7)
+    assert np.ptp(run.energy_supplied - energy) < 1e-7  # and the arm's own books close as before

@@ -4,7 +4,6 @@ import itertools
 
 import numpy as np
 import pytest
-from mechanisms import joint, point
 
 import closedloop as cl
 import robot_models
@@ -15,6 +14,7 @@ from closedloop.contacts.memory import CONE, contacts_at, make_contact_memory
 from closedloop.jit.kernel import entry_kernel
 from closedloop.record.netcdf import load_run
 from closedloop.robot.pinocchio import Robot
+from validation.loops.mechanisms import joint, point
 
 G = 9.81
 WIDTH, HEIGHT, MASS = 0.2, 0.1, 2.0

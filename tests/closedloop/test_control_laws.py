@@ -49,6 +49,7 @@ def drawn(name, law, seed, **changes):
     x = x._replace(
         q_des=x.q + rng.uniform(-0.1, 0.1, n),
         v_des=rng.uniform(-0.1, 0.1, n),
+        qdd_des=np.zeros(n),
         p_des=x.p + mobile * [0.0, *rng.uniform(-0.01, 0.01, 2)],
         u_des=mobile * [0.0, *rng.uniform(-0.1, 0.1, 2)],
         a_des=mobile * [0.0, *rng.uniform(-1.0, 1.0, 2)],

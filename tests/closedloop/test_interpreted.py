@@ -74,16 +74,9 @@ def test_an_interpreted_run_is_the_compiled_one_to_the_last_bit(name, engine, re
     compiled = cl.simulate(scenario, engine=engine)
     wanted = request.getfixturevalue("nothing_compiled")
     run = cl.simulate(scenario, engine=engine)
-    assert [names[0] for names in wanted if len(names) > 1] == [loop_for(engine, scenario_needs_more(run)).__name__]
+    assert [names[0] for names in wanted if len(names) > 1] == [loop_for(engine).__name__]
     assert np.ptp(run.contact_force) > 0.0 or np.ptp(run.q) > 0.0
     assert bits(run) == bits(compiled)
-
-
-def scenario_needs_more(run):
-    """Whether a run went through the loop with everything that may come on top."""
-    from closedloop.engines.needs import needs_general_form
-
-    return needs_general_form(run.scenario)
 
 
 def test_a_law_of_ones_own_is_asked_as_often(nothing_compiled):
@@ -100,7 +93,7 @@ def test_a_law_of_ones_own_is_asked_as_often(nothing_compiled):
 
 
 @pytest.mark.parametrize("kernel", [
-    *(loop_for(engine, more) for engine in ENGINES for more in (False, True)), collide, complete_record, measure_rows,
+    *(loop_for(engine) for engine in ENGINES), collide, complete_record, measure_rows,
 ])  # fmt: skip
 def test_a_twin_calls_nothing_compiled(kernel):
     """Every function that a twin can reach is a twin: one that was left out would be compiled."""

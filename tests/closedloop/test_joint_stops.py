@@ -1,5 +1,8 @@
 """Hard stops of the joints: the impact there, the force that holds, the release; against closed forms."""
 
+import dataclasses
+import itertools
+
 import numpy as np
 import pytest
 
@@ -38,6 +41,86 @@ def test_mass_falls_onto_a_stop():
     np.testing.assert_allclose(run.stop_torque[after], [[0.0, 0.0, 2.0 * G]] * int(after.sum()), atol=1e-12)
     np.testing.assert_allclose(run.q[:, 0], 0.5 * run.time, atol=1e-12)  # along the stop it is free
     assert not np.any(run.stop_torque[~after])
+
+
+def test_mass_bounces():
+    """Each bounce takes 1 − ε² of the energy, at the instants of the geometric series; then the mass rests."""
+    changes = {"start.q": [0.0, 0.0, -9.6], "robot.stop_restitution": 0.5, "time.duration": 0.9}
+    run = cl.simulate(free("pointmass3", **changes), law=no_torque)
+    fall, energy = np.sqrt(0.8 / G), 2.0 * G * 0.4
+    k = np.arange(9)
+    lost = [event.energy_lost for event in run.events[:9]]
+    np.testing.assert_allclose(lost, energy * 0.75 * 0.25**k, rtol=1e-6)
+    instants = [event.time for event in run.events[:9]]
+    np.testing.assert_allclose(instants, fall * (1.0 + 2.0 * (1.0 - 0.5**k)), atol=1e-9)
+    assert run.time[np.flatnonzero(run.stop_torque[:, 2])[0]] == pytest.approx(3.0 * fall, abs=2e-3)
+    assert run.q[-1, 2] == pytest.approx(-10.0, abs=1e-15)
+    assert np.ptp(run.energy_supplied - run.kinetic_energy - run.potential_energy) < 1e-9
+
+
+def after_moreau(H, v, kept, pushing, restitution):
+    """q̇ after Moreau's impact: rows `kept` stay at zero, rows `pushing` do not fall below it; by trying all sets."""
+    answer, inverse = (np.inf, v), np.linalg.inv(H)
+    for size in range(len(pushing) + 1):
+        for rows in itertools.combinations(pushing, size):
+            G = np.array([*kept, *rows]).reshape(-1, len(v))
+            p = v - inverse @ G.T @ np.linalg.lstsq(G @ inverse @ G.T, G @ v, rcond=None)[0]
+            if all(row @ p >= -1e-9 for row in pushing):
+                answer = min(answer, ((p - v) @ H @ (p - v), p), key=lambda found: found[0])
+    return answer[1] + restitution * (answer[1] - v)
+
+
+@pytest.mark.parametrize("contact", ["none", "bilateral", "unilateral"])
+@pytest.mark.parametrize("restitution", [0.0, 0.6])
+def test_several_stops_and_the_tip_at_once(contact, restitution):
+    """Joints strike at once, two of them with the tip in contact: velocity and energy lost are Moreau's, by search."""
+    robot = Robot(load("wam4"))
+    sides, model = np.array([0.0, 1.0, -1.0, 1.0 if contact == "none" else 0.0]), robot.model
+    q = np.where(sides > 0, model.position_upper, np.where(sides < 0, model.position_lower, 0.3))
+    terms = robot.terms(q, np.zeros(4))
+    H = np.triu(terms.mass_matrix) + np.triu(terms.mass_matrix, 1).T
+    A, rng = terms.jacobian[2], np.random.default_rng(1)
+    v = np.zeros(4)
+    while not np.all((v * sides > 0.05) | (sides == 0.0)):
+        v = rng.uniform(-1.0, 1.0, 4)
+        v -= (contact != "none") * A * (A @ v) / (A @ A)
+    changes = {
+        "robot.stops": True, "robot.stop_restitution": restitution, "start.q": list(q), "start.v": list(v),
+        "law.kp": 0, "law.kd": 0, "reference.kind": "hold", "time.step": 1e-6, "time.duration": 2e-6,
+        "stabiliser.kind": "none", "surface.contact": "unilateral" if contact == "none" else contact,
+        "surface.gap": 5.0 if contact == "none" else 0.0, "law.force": 0.0 if contact == "none" else 5.0,
+    }  # fmt: skip
+    run = cl.simulate(cl.load_scenario("wam_slide", changes))
+    pushing = [-sides[j] * np.eye(4)[j] for j in np.flatnonzero(sides)] + ([A] if contact == "unilateral" else [])
+    wanted = after_moreau(H, v, [A] if contact == "bilateral" else [], pushing, restitution)
+    assert run.events[0].kind == "stop"
+    assert run.events[0].energy_lost == pytest.approx(0.5 * (v @ H @ v - wanted @ H @ wanted), rel=1e-9)
+    assert run.events[0].energy_lost > 0.0
+    if np.all(sides * wanted < 1e-9):  # else joints that this drives into their stops strike next
+        np.testing.assert_allclose(run.v[-1], wanted, atol=2e-4)
+
+
+def test_loops_and_stops_together():
+    """A five-bar falls onto its stops and bounces: the loop stays closed, and every torque is explained."""
+    model = load("five_bar")
+    changes = {
+        "surface.gap": 5.0, "surface.contact": "unilateral", "robot.stops": True, "robot.stop_restitution": 0.4,
+        "stabiliser.kind": "none", "law.kp": 0, "law.kd": 0, "law.force": 0, "reference.kind": "hold",
+        "time.duration": 0.3, "time.step": 0.002, "time.integrator": "rk4",
+    }  # fmt: skip
+    start = cl.prepare(cl.load_scenario("five_bar", changes)).q
+    close = dataclasses.replace(model, position_lower=start - 0.15, position_upper=start + 0.2)
+    run = cl.simulate(cl.load_scenario("five_bar", changes), model=close, law=no_torque)
+    assert sum(event.kind == "stop" for event in run.events) > 3
+    assert all(event.energy_lost >= 0.0 for event in run.events)
+    assert np.ptp(run.energy_supplied - run.kinetic_energy - run.potential_energy) < 1e-5
+    assert np.max(run.q - close.position_upper) < 1e-12
+    assert np.max(close.position_lower - run.q) < 1e-12
+    assert np.max(np.abs(run.loops.errors)) < 1e-12
+    assert np.max(run.loops.unexplained) < 1e-9
+    lower = np.abs(run.q - close.position_lower) < 1e-9
+    assert np.any(run.stop_torque > 1e-3)
+    assert np.all(run.stop_torque[lower] >= -1e-8)
 
 
 def test_arm_is_struck_as_a_whole():
@@ -101,7 +184,7 @@ def test_tip_in_contact_takes_part():
 
 def test_repeat_and_batch(tmp_path):
     """The same from the file, and in a batch."""
-    scenario = free("pointmass3", **{"start.q": [0.0, 0.0, -9.6], "law.kd": 0.1})
+    scenario = free("pointmass3", **{"start.q": [0.0, 0.0, -9.6], "law.kd": 0.1, "robot.stop_restitution": 0.3})
     run = cl.simulate(scenario)
     kept = cl.load_run(run.save(tmp_path / "run.nc"))
     np.testing.assert_array_equal(cl.simulate(kept.scenario, model=kept.model).q, run.q)
@@ -113,3 +196,5 @@ def test_what_stops_do_not_go_with_is_refused():
     """In one line."""
     with pytest.raises(cl.ScenarioError, match="stops of joints take steps of fixed length"):
         cl.simulate(free("pointmass3", **{"start.q": [0.0] * 3, "time.integrator": "dop853"}))
+    with pytest.raises(cl.ScenarioError, match=r"give robot\.stops = true"):
+        cl.simulate(cl.load_scenario("wam_slide", {"robot.stop_restitution": 0.5}))

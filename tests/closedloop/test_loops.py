@@ -4,7 +4,6 @@ import numpy as np
 import pinocchio as pin
 import pytest
 from budget import budget
-from mechanisms import MECHANISMS, four_bar, loop
 
 import closedloop as cl
 import robot_models
@@ -12,6 +11,7 @@ from closedloop.closure.solve import solve_closure
 from closedloop.loops.assemble import closed_start, errors_at
 from closedloop.loops.bind import loop_memory
 from closedloop.robot.pinocchio import Robot
+from validation.loops.mechanisms import MECHANISMS, change_point, four_bar, loop
 from validation.oracle.closure import LoopJoint, loop_rows
 from validation.oracle.kinematics import forward_kinematics
 from validation.oracle.urdf import read_urdf
@@ -19,7 +19,8 @@ from validation.oracle.urdf import read_urdf
 # Mechanism to how many of its rows are independent.
 RANKS = {
     "four_bar": 2, "four_bar_point": 2, "doubled_four_bar": 3, "slider_crank": 2, "distance": 1, "six_bar": 4,
-    "bennett": 2, "bricard": 4, "cardan": 1, "gears": 2, "spatial_slider": 4, "five_bar": 2, "delta": 18, "stewart": 18,
+    "bennett": 2, "bricard": 4, "cardan": 1, "gears": 2, "spatial_slider": 4, "cut_coupler": 3, "plate": 3,
+    "five_bar": 2, "delta": 18, "stewart": 18,
 }  # fmt: skip
 
 
@@ -130,6 +131,20 @@ def test_order_of_the_integrator_is_kept(mechanisms, name):
         run = falling(mechanisms[name], duration=0.2, step=step)
         lost.append(abs(np.ptp(run.kinetic_energy + run.potential_energy)))
     assert np.log(lost[0] / lost[1]) / np.log(4.0) > 3.6
+
+
+@pytest.mark.parametrize("name", ["parallelogram", "change_point"])
+def test_a_flat_mechanism_passes_at_speed(name):
+    """Where the rows lose rank the motion goes on as it came: bars of equal length stay parallel, energy is kept."""
+    model = change_point(0.5, 0.2) if name == "parallelogram" else change_point(0.3, 0.4)
+    free_motion = np.linalg.svd(rows_at(model, model.home, np.zeros(model.n))[1])[2][-1]
+    start = {"start.v": (5.0 * free_motion / free_motion[0]).tolist(), "robot.gravity": [0, 0, 0]}
+    run = falling(model, duration=0.12, **start)
+    assert run.q[0, 0] < -0.2 < 0.2 < run.q[-1, 0]
+    assert np.ptp(run.kinetic_energy) < 1e-6 * run.kinetic_energy[0]
+    assert np.max(np.abs(run.loops.errors)) < 1e-14
+    if name == "parallelogram":
+        np.testing.assert_allclose(run.q[:, 2], run.q[:, 0], atol=1e-12)
 
 
 @pytest.mark.parametrize("name", ["four_bar", "bricard", "delta"])

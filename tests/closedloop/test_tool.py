@@ -138,3 +138,22 @@ def test_what_does_not_go_is_refused_in_one_line(case):
     with pytest.raises(cl.ClosedLoopError) as caught:
         cl.prepare(cl.load_scenario("wam_slide", changes))
     assert words in str(caught.value)
+
+
+@pytest.mark.parametrize(
+    "surface",
+    [
+        {"surface.kind": "sphere", "surface.radius": 0.3, "surface.inside": True},
+        {"surface.kind": "cylinder", "surface.radius": 0.3, "surface.inside": True, "surface.axis": [1, 0, 0]},
+        {"surface.kind": "implicit", "surface.expression": "z - x*x/0.6 + y*y"},
+    ],
+    ids=lambda surface: surface["surface.kind"],
+)
+def test_a_round_tool_larger_than_a_hollow_is_refused(surface):
+    """Where the surface is hollow with 0.3 m a tool of 0.31 m does not fit, one of 0.29 m does; a ball takes any."""
+    quick = {"time.step": 0.01, "time.duration": 1.5, "reference.stop": 1.0, "stabiliser.time_constant": "auto"}
+    cl.prepare(cl.load_scenario("wam_slide", surface | quick | {"tool.radius": 0.29}))
+    with pytest.raises(cl.ScenarioError, match=r"tool\.radius = 0\.31: .* hollow with a radius of 0\.3 m") as refused:
+        cl.prepare(cl.load_scenario("wam_slide", surface | quick | {"tool.radius": 0.31}))
+    assert "\n" not in str(refused.value)
+    cl.prepare(cl.load_scenario("wam_sphere", quick | {"tool.radius": 5.0}))

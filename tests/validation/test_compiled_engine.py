@@ -40,8 +40,8 @@ def test_every_shipped_scenario_is_the_same_in_both_engines(name):
     assert all(check.passed for check in checks), checks
 
 
-def test_shipped_scenarios_need_both_forms_of_the_engine():
-    """The scenarios above exercise the small form of the compiled loop and the full one, and every kind of event."""
+def test_shipped_scenarios_have_the_law_in_the_loop_and_at_its_address():
+    """The scenarios above exercise the paper's law on a smooth surface, and everything else."""
     more = {name: needs_general_form(cl.load_scenario(name)) for name in shipped()}
     assert set(more.values()) == {True, False}
 

@@ -13,6 +13,7 @@ from validation.speed.__main__ import line_up, main
 from validation.speed.arms import ARMS, chain, slide
 from validation.speed.batch import compiled_batch
 from validation.speed.contestants import Contestant, final, our_engine
+from validation.speed.loops import GIVES_WAY, MECHANISMS, coasting, racing
 from validation.speed.measure import Timing, race, ratio
 from validation.speed.targets import growth, targets
 
@@ -33,6 +34,16 @@ def test_every_row_does_the_same_work(arm):
         assert np.max(np.abs(end - contestant.wanted)) <= contestant.tolerance, contestant
     moved = np.max(np.abs(final(slide(arm, STEPS * 5)) - slide(arm, 1).q))
     assert moved > 3.0 * max(c.tolerance for c in whole if c.name != "drake")
+
+
+@pytest.mark.parametrize("name", MECHANISMS)
+def test_every_row_moves_the_mechanism(name):
+    """Peers of a mechanism with loops end where ours does, which is elsewhere than where it began by far."""
+    everyone = racing(name, True)
+    for contestant in everyone:
+        end = contestant.lap()[1]
+        assert end is None or np.max(np.abs(end - contestant.wanted)) <= contestant.tolerance, contestant
+    assert np.max(np.abs(everyone[0].wanted - coasting(name).q)) > 10.0 * GIVES_WAY
 
 
 def test_arms_grow():

@@ -11,12 +11,15 @@ from __future__ import annotations
 import numpy as np
 
 from closedloop.closure.contact_force import FREE, PRESSED
-from closedloop.engines.compiled import ALL, compiled_work, run_compiled
+from closedloop.engines.compiled import ALL, compiled_terms, compiled_work, run_compiled
+from closedloop.engines.proceed import addresses_of, proceed_at
 from closedloop.errors import ModelError
 from closedloop.events.phases import DONE
 from closedloop.events.table import EVENT_WIDTH
 from closedloop.integrators import INTEGRATORS
+from closedloop.jit.calls import entry_address
 from closedloop.jit.kernel import entry_kernel
+from closedloop.jit.pointers import address_of
 from closedloop.robot.pinocchio import Terms
 from closedloop.robot.tree import Tree, tree_of, tree_terms, work_size
 from closedloop.step.memory import make_loop
@@ -77,8 +80,10 @@ class Compiled(ClosedLoop):
             constants.offset = float(normal @ terms.position + b + normal @ terms.drift)
         w.q[:], w.v[:], w.torque[:] = self._in(q), self._in(v), self._in(torque)
         table, rows, events = np.zeros((1, 2 * n + 11)), np.zeros((1, Row.count(n))), np.zeros((1, EVENT_WIDTH))
-        work = compiled_work(n)
-        request = run_compiled(self.tree, work, loop.address, table, scheme.tableau(), rows, events, ALL)
+        H, C, scratch = compiled_terms(compiled_work(n), n)
+        addresses = addresses_of((H, C), loop, table, scheme.tableau(), rows, events)
+        state.proceed = entry_address(proceed_at)
+        request = run_compiled(self.tree, scratch, address_of(addresses.memory), ALL)
         if request != DONE:
             raise np.linalg.LinAlgError("the pose is singular: the tip cannot move along the normal")
         return np.asarray(rows[0])

@@ -211,12 +211,17 @@ def add_tree(system: Any, tree: Tree, tip: str, q: Array, v: Array) -> tuple[Any
         )
     )
     system.AddObject(items.ObjectGenericODE2(nodeNumbers=[node], massMatrix=np.diag(tree.armature)))
-    frame = tree.frame(tip)
-    at = turned[frame.body].T @ frame.translation
-    marker = system.AddMarker(
-        items.MarkerKinematicTreeRigid(objectNumber=body, linkNumber=frame.body, localPosition=at)
-    )
-    return body, marker
+    return body, add_marker(system, body, tree, tip)
+
+
+def add_marker(system: Any, body: Any, tree: Tree, link: str, pose: Array | None = None) -> Any:
+    """Add a marker at a pose (4, 4) in the frame of a moving link, by default that frame itself."""
+    items, frame = import_module("exudyn.itemInterface"), tree.frame(link)
+    place = np.eye(4)
+    turned = axes_about(tree.axis[frame.body]).T
+    place[:3, :3], place[:3, 3] = turned @ frame.rotation, turned @ frame.translation
+    place = place @ pose if pose is not None else place
+    return system.AddMarker(items.MarkerKinematicTreeRigid(objectNumber=body, linkNumber=frame.body, localHT=place))
 
 
 def add_lock(system: Any, marker: Any, point: Array, locks: Array) -> Any:

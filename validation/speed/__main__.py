@@ -13,6 +13,7 @@ from closedloop.command.border import Parser, run_command
 from validation.run import InputError, say
 from validation.speed.arms import ARMS, slide
 from validation.speed.contestants import Contestant
+from validation.speed.loops import MECHANISMS
 
 INSTALL = 'not installed: pip install "closedloop[peers]"'
 # Drake takes so much longer that a tenth of the steps is enough.
@@ -31,9 +32,9 @@ def _main(words: list[str]) -> int:
     for name in ("repeats", "steps", "runs"):
         if getattr(options, name) is not None and getattr(options, name) < 1:
             raise InputError(f"--{name} {getattr(options, name)}: must be at least 1")
-    unknown = [arm for arm in options.arms if arm not in ARMS]
+    unknown = [arm for arm in options.arms if arm not in (*ARMS, *MECHANISMS)]
     if unknown:
-        raise InputError(f"--arms {unknown[0]}: must be of {', '.join(ARMS)}")
+        raise InputError(f"--arms {unknown[0]}: must be of {', '.join((*ARMS, *MECHANISMS))}")
     file = Path(options.json) if options.json else None
     if file and (not file.parent.is_dir() or file.is_dir()):
         raise InputError(f"--json {file}: cannot be written: name a file in a folder that exists")
@@ -64,7 +65,9 @@ def _parser() -> Parser:
     parser.add_argument("--repeats", type=int, help="laps of each contestant, in turns (default 15; 3 with --quick)")
     parser.add_argument("--steps", type=int, help="steps of a lap (default 4000; 500 with --quick)")
     parser.add_argument("--runs", type=int, help="runs of a batch (default 256; 16 with --quick)")
-    parser.add_argument("--arms", nargs="+", default=list(ARMS), metavar="ARM", help=f"of {', '.join(ARMS)}")
+    parser.add_argument(
+        "--arms", nargs="+", default=[*ARMS, *MECHANISMS], metavar="ARM", help=f"of {', '.join((*ARMS, *MECHANISMS))}"
+    )
     parser.add_argument("--no-cold-start", action="store_true", help="leave out the start of whole processes")
     parser.add_argument("--json", metavar="FILE", help="write every value")
     return parser
@@ -72,13 +75,16 @@ def _parser() -> Parser:
 
 def line_up(arms: Sequence[str], steps: int, runs: int) -> tuple[list[Contestant], dict[str, str]]:
     """Return everyone who races, and why the others do not."""
-    from validation.speed import batch, contestants, inertia
+    from validation.speed import batch, contestants, inertia, loops
 
     there = {name: find_spec(module) is not None for name, module in (("mujoco", "mujoco"), ("drake", "pydrake"))}
     missing = {name: INSTALL for name, found in there.items() if not found}
     everyone: list[Contestant] = [batch.arithmetic(threads) for threads in (1, 2)]
     for arm in arms:
         say(f"preparing {arm}")
+        if arm in MECHANISMS:
+            everyone += loops.racing(arm, there["mujoco"])
+            continue
         problem = slide(arm, steps)
         everyone.append(contestants.our_engine(arm, problem, "compiled"))
         if arm == "wam4":

@@ -31,9 +31,9 @@ class Target:
 def targets(timings: Timings) -> list[Target]:
     """Return every target with what was measured; None where a contestant is missing."""
 
-    def times(a: str, b: str, wall: bool = False) -> float | None:
+    def times(a: str, b: str, wall: bool = False, arm: str = ARM) -> float | None:
         """How many times as long a step of a takes as one of b."""
-        over, under = (timings.get((ARM, name)) for name in (a, b))
+        over, under = (timings.get((arm, name)) for name in (a, b))
         return ratio(over, under, wall=wall) if over and under else None
 
     added = "12 → 30 joints adds: compiled / crba, rnea, Cholesky"
@@ -49,7 +49,14 @@ def targets(timings: Timings) -> list[Target]:
         ("H by Newton–Euler columns / composite bodies", 1.0, True, lambda: times("rnea_columns", "crba")),
         (added, 1.0, False, lambda: growth(timings)),
     ]
-    return [Target(what if what == added else f"{ARM}: {what}", w, least, of()) for what, w, least, of in rows]
+    found = [Target(what if what == added else f"{ARM}: {what}", w, least, of()) for what, w, least, of in rows]
+    four_bar = times("mujoco", "compiled", arm="four_bar")
+    delta = times("constraint_dynamics", "compiled", arm="delta")
+    return [
+        *found,
+        Target("four_bar: MuJoCo from Python, connect / compiled", 5.0, True, four_bar),
+        Target("delta: constraintDynamics loop / compiled", 1.0, True, delta),
+    ]
 
 
 def growth(timings: Timings) -> float | None:

@@ -98,7 +98,7 @@ def _entry_without_turning(address: int, what: int) -> int:
     pose, touch = Pose(ask.pose), Touch(ask.touch)
     into_surface_axes(pose, ask.r, touch)
     touch.level = _level(touch.at, _Parameters(ask.par, links.entries), touch.gradient, touch.hessian)
-    if not contact_geometry(pose, ask.r, ask.velocity, ask.frame, touch):
+    if not contact_geometry(pose, links.motion != 0, ask.r, ask.velocity, ask.frame, touch):
         return NO_NORMAL
     t0, t1, t2 = touch.turning[0], touch.turning[1], touch.turning[2]
     x0, x1, x2 = touch.at[0], touch.at[1], touch.at[2]

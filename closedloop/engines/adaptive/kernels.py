@@ -7,12 +7,11 @@ from numpy.typing import NDArray
 
 from closedloop.closure.contact_force import PRESSED
 from closedloop.closure.solve import OK
-from closedloop.engines.pinocchio import ADDRESSES, Addresses
+from closedloop.engines.proceed import ADDRESSES, Addresses, tip_from_pinocchio
 from closedloop.events.locate import event_function, slip_margin
 from closedloop.events.substep import save_state
-from closedloop.jit.kernel import entry_kernel, inlined_kernel
+from closedloop.jit.kernel import entry_kernel
 from closedloop.jit.pointers import fortran_at, integers_at, matrix_at, vector_at
-from closedloop.robot.tip import tip_kinematics
 from closedloop.step.energy_supplied import power
 from closedloop.step.evaluate import evaluate
 from closedloop.step.memory import RIGID_STICK, loop_at
@@ -24,34 +23,6 @@ Array = NDArray[np.float64]
 DERIVE, BEGIN_STEP, EVENT_VALUE, RECORD = range(4)
 
 
-@inlined_kernel
-def _on_pinocchio(address: int, table: Array, use: int, general: int | None) -> int:
-    a = Addresses(integers_at(address, ADDRESSES))
-    n = a.n
-    state, constants, w = loop_at(a.loop)
-    tip_kinematics(
-        fortran_at(a.jacobian, 6, n), fortran_at(a.rotation, 3, 3), vector_at(a.origin, 3), vector_at(a.velocity, 6),
-        vector_at(a.acceleration, 6), constants.tip, constants.gravity, constants.support, w.J, w.r, w.drift,
-    )  # fmt: skip
-    H, C, rows = fortran_at(a.H, n, n), vector_at(a.C, n), matrix_at(a.rows, a.row_count, a.row_width)
-    status = evaluate(H, C, w, constants, state, matrix_at(a.table, a.instants, a.table_width), rows, general)
-    if status != OK:
-        return status
-    if use == DERIVE:
-        w.start_power = power(w, state, general)
-    elif use == BEGIN_STEP:
-        save_state(w, constants, state, general)
-    elif use == EVENT_VALUE:
-        w.event_value = event_function(w, constants, state, general)
-        if general is not None and state.sticking == RIGID_STICK and state.mode == PRESSED:
-            begun, band = w.start_slip_speed, constants.capture_speed
-            if begun > constants.stick_speed and not begun > band > 0.0:  # see `Memory.apply_event`
-                w.event_value = min(w.event_value, 1e3 * (slip_margin(w, constants) - constants.stick_speed))
-    elif use == RECORD:
-        record(H, C, w, constants, state, table, rows, state.row, general)
-    return OK
-
-
 @entry_kernel
 def evaluate_on_pinocchio(address: int, table: Array, use: int) -> int:
     """Do `closedloop.step.evaluate.evaluate` with the terms in Pinocchio's data, and return its status.
@@ -59,17 +30,31 @@ def evaluate_on_pinocchio(address: int, table: Array, use: int) -> int:
     Parameters
     ----------
     address : int
-        Of the memory of `closedloop.engines.pinocchio.Addresses`, with a table of one row, the reference at this
+        Of the memory of `closedloop.engines.proceed.Addresses`, with a table of one row, the reference at this
         instant.
     table : (P, 2 n + 11) array
         The whole table, for the noise of the force sensor.
     use : int
         What the state is for: DERIVE, BEGIN_STEP, EVENT_VALUE or RECORD.
     """
-    return _on_pinocchio(address, table, use, None)
-
-
-@entry_kernel
-def evaluate_general_on_pinocchio(address: int, table: Array, use: int) -> int:
-    """Do the same in the general form: other laws, friction, a force sensor."""
-    return _on_pinocchio(address, table, use, 1)
+    a = Addresses(integers_at(address, ADDRESSES))
+    tip_from_pinocchio(a)
+    n = a.n
+    state, constants, w = loop_at(a.loop)
+    H, C, rows = fortran_at(a.H, n, n), vector_at(a.C, n), matrix_at(a.rows, a.row_count, a.row_width)
+    status = evaluate(H, C, w, constants, state, matrix_at(a.table, a.instants, a.table_width), rows)
+    if status != OK:
+        return status
+    if use == DERIVE:
+        w.start_power = power(w, state)
+    elif use == BEGIN_STEP:
+        save_state(w, constants, state)
+    elif use == EVENT_VALUE:
+        w.event_value = event_function(w, constants, state)
+        if state.sticking == RIGID_STICK and state.mode == PRESSED:
+            begun, band = w.start_slip_speed, constants.capture_speed
+            if begun > constants.stick_speed and not begun > band > 0.0:  # see `Memory.apply_event`
+                w.event_value = min(w.event_value, 1e3 * (slip_margin(w, constants) - constants.stick_speed))
+    elif use == RECORD:
+        record(H, C, w, constants, state, table, rows, state.row)
+    return OK

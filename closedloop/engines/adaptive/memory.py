@@ -3,25 +3,17 @@
 from __future__ import annotations
 
 import time as clock
-from collections.abc import Callable
 
 import numpy as np
 from numpy.typing import NDArray
 
 from closedloop.closure.contact_force import FREE, PRESSED
 from closedloop.closure.solve import LAW_FAILED, OK
-from closedloop.engines.adaptive.kernels import (
-    BEGIN_STEP,
-    DERIVE,
-    EVENT_VALUE,
-    evaluate_general_on_pinocchio,
-    evaluate_on_pinocchio,
-)
+from closedloop.engines.adaptive.kernels import BEGIN_STEP, DERIVE, EVENT_VALUE, evaluate_on_pinocchio
 from closedloop.engines.adaptive.smooth import Interval
 from closedloop.engines.failures import raised_by_member
-from closedloop.engines.loops import PINOCCHIO, loop_for
-from closedloop.engines.pinocchio import addresses_of, set_events
 from closedloop.engines.problem import Problem
+from closedloop.engines.proceed import FROM_PINOCCHIO, addresses_of, proceed_at, set_events
 from closedloop.engines.user_law import Law, UserLaw
 from closedloop.errors import DivergenceError
 from closedloop.events.phases import (
@@ -77,16 +69,13 @@ class Memory:
         self.loop = problem.loop(user_law=law is not None)
         self.state, self.constants, self.w = self.loop
         self.user_law = None if law is None else UserLaw(law, self.loop)
+        make_ready(proceed_at, evaluate_on_pinocchio)
         problem.connect(self.loop, self.user_law.connect if self.user_law else None)
         self.state.steps = -1  # not of fixed length: friction need not be corrected for slip turning within a step
         self.hold = int(self.state.hold)
         self.rows = np.zeros((problem.steps + 1, problem.row_width))
         self.events = np.zeros((INITIAL_EVENTS, EVENT_WIDTH))
         self._terms = robot.evaluator(self.w.q, self.w.v)
-        general = problem.general or law is not None
-        self._loop: Callable[..., int] = loop_for(PINOCCHIO, general)
-        self._evaluate: Callable[..., int] = evaluate_general_on_pinocchio if general else evaluate_on_pinocchio
-        make_ready(self._loop, self._evaluate)
         self._table, self._tableau = problem.table, problem.integrator.tableau()
         # The reference at the instant evaluated: a table of one row.
         self._wanted = problem.table[:1].copy()
@@ -211,10 +200,10 @@ class Memory:
     def _evaluate_for(self, use: int) -> None:
         """Evaluate the state in the memory."""
         self._terms()
-        self._check(self._evaluate(address_of(self._addresses.memory), self._table, use))
+        self._check(evaluate_on_pinocchio(address_of(self._addresses.memory), self._table, use))
 
     def _proceed(self) -> int:
-        answer = self._loop(address_of(self._addresses.memory))
+        answer = proceed_at(address_of(self._addresses.memory), FROM_PINOCCHIO)
         if answer == FAILED:
             self._check(int(self.state.status))
         return answer

@@ -54,9 +54,12 @@ class Cylinder(Placed):
         x, y, z = p[0] - along * a[0], p[1] - along * a[1], p[2] + s * par.radius
         over = x * x + y * y + p[2] * (p[2] + 2.0 * s * par.radius)  # ρ² − R², of a large R without cancellation
         size = math.sqrt(x * x + y * y + z * z)
-        gradient[0], gradient[1], gradient[2] = s * x / size, s * y / size, s * z / size
-        for i in range(3):
-            for j in range(3):
-                unity = 1.0 if i == j else 0.0
-                hessian[i, j] = s * (unity - gradient[i] * gradient[j] - a[i] * a[j]) / size
+        bend = s / size
+        g0, g1, g2, a0, a1 = bend * x, bend * y, bend * z, a[0], a[1]
+        gradient[0], gradient[1], gradient[2] = g0, g1, g2
+        hessian[0, 0], hessian[1, 1] = bend * (1.0 - g0 * g0 - a0 * a0), bend * (1.0 - g1 * g1 - a1 * a1)
+        hessian[2, 2] = bend * (1.0 - g2 * g2)
+        hessian[0, 1] = hessian[1, 0] = -bend * (g0 * g1 + a0 * a1)
+        hessian[0, 2] = hessian[2, 0] = -bend * g0 * g2
+        hessian[1, 2] = hessian[2, 1] = -bend * g1 * g2
         return float(s * over / (size + par.radius))

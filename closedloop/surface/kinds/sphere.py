@@ -28,8 +28,12 @@ class Sphere(Placed):
         x, y, z = p[0], p[1], p[2] + s * par.radius
         over = x * x + y * y + p[2] * (p[2] + 2.0 * s * par.radius)  # |p − c|² − R², of a large R without cancellation
         size = math.sqrt(x * x + y * y + z * z)
-        gradient[0], gradient[1], gradient[2] = s * x / size, s * y / size, s * z / size
-        for i in range(3):
-            for j in range(3):
-                hessian[i, j] = s * ((1.0 if i == j else 0.0) - gradient[i] * gradient[j]) / size
+        bend = s / size
+        g0, g1, g2 = bend * x, bend * y, bend * z
+        gradient[0], gradient[1], gradient[2] = g0, g1, g2
+        hessian[0, 0], hessian[1, 1] = bend * (1.0 - g0 * g0), bend * (1.0 - g1 * g1)
+        hessian[2, 2] = bend * (1.0 - g2 * g2)
+        hessian[0, 1] = hessian[1, 0] = -bend * g0 * g1
+        hessian[0, 2] = hessian[2, 0] = -bend * g0 * g2
+        hessian[1, 2] = hessian[2, 1] = -bend * g1 * g2
         return float(s * over / (size + par.radius))

@@ -1,5 +1,10 @@
 """Mechanisms with loops, as text: planar and spatial ones, some of them with rows that depend on others."""
 
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from typing import Any
+
 import numpy as np
 from scipy.optimize import least_squares
 
@@ -7,10 +12,12 @@ import robot_models
 from closedloop.loops.assemble import errors_at
 from closedloop.loops.bind import loop_memory
 from closedloop.robot.pinocchio import Robot
+from robot_models import RobotModel
+from validation.oracle.spatial import Array
 
 
-def bar(name, length, mass=1.0):
-    """A bar along x."""
+def bar(name: str, length: float, mass: float = 1.0) -> str:
+    """Return a bar along x."""
     inertia = mass * length**2 / 12
     return (
         f'<link name="{name}"><inertial><origin xyz="{length / 2} 0 0.01"/><mass value="{mass}"/>'
@@ -19,8 +26,16 @@ def bar(name, length, mass=1.0):
     )
 
 
-def joint(name, parent, child, xyz="0 0 0", axis="0 -1 0", kind="continuous", rpy="0 0 0"):
-    """A joint, without limits if it turns."""
+def joint(
+    name: str,
+    parent: str,
+    child: str,
+    xyz: str = "0 0 0",
+    axis: str = "0 -1 0",
+    kind: str = "continuous",
+    rpy: str = "0 0 0",
+) -> str:
+    """Return a joint, without limits if it turns."""
     limit = '<limit lower="-9" upper="9" velocity="99" effort="99"/>' if kind == "prismatic" else ""
     return (
         f'<joint name="{name}" type="{kind}"><parent link="{parent}"/><child link="{child}"/>'
@@ -28,21 +43,28 @@ def joint(name, parent, child, xyz="0 0 0", axis="0 -1 0", kind="continuous", rp
     )
 
 
-def point(name, parent, xyz="0 0 0", rpy="0 0 0"):
-    """A frame on a link."""
+def point(name: str, parent: str, xyz: str = "0 0 0", rpy: str = "0 0 0") -> str:
+    """Return a frame on a link."""
     return (
         f'<link name="{name}"/><joint name="{name}_fixed" type="fixed"><parent link="{parent}"/><child link="{name}"/>'
         f'<origin xyz="{xyz}" rpy="{rpy}"/></joint>'
     )
 
 
-def loop(name, kind, frames, **more):
-    """A table of a sidecar."""
+def loop(name: str, kind: str, frames: Sequence[str], **more: Any) -> dict[str, Any]:
+    """Return a table of a sidecar."""
     return {"name": name, "type": kind, "frames": list(frames), **more}
 
 
-def mechanism(name, body, loops, home, drives=(), tip=None):
-    """The robot, at home where its loops are closed: of the joints' given positions the first is kept."""
+def mechanism(
+    name: str,
+    body: str,
+    loops: Sequence[dict[str, Any]],
+    home: Sequence[float],
+    drives: Sequence[str] = (),
+    tip: str | None = None,
+) -> RobotModel:
+    """Return the robot, at home where its loops are closed: of the joints' given positions the first is kept."""
     text = f'<robot name="{name}"><link name="base"/>{body}</robot>'
     n = len(home)
     model = robot_models.from_text(
@@ -52,7 +74,7 @@ def mechanism(name, body, loops, home, drives=(), tip=None):
     memory = loop_memory(robot)
     start = np.array(home, dtype=float)
 
-    def errors(x):
+    def errors(x: Array) -> Array:
         return errors_at(robot, memory, np.concatenate([start[:1], x]), np.zeros(n))[0]
 
     found = least_squares(errors, start[1:], xtol=1e-15, ftol=1e-15, gtol=1e-15)
@@ -67,18 +89,29 @@ Y = [0, 1, 0]
 Z = [0, 0, 1]
 
 
-def four_bar(kind="hinge"):
-    """Crank, coupler and rocker."""
+def four_bar(kind: str = "hinge") -> RobotModel:
+    """Return crank, coupler and rocker."""
     body = bar("crank", 0.2) + bar("coupler", 0.5) + bar("rocker", 0.4)
     body += joint("J1", "base", "crank") + joint("J2", "crank", "coupler", "0.2 0 0")
     body += joint("J3", "base", "rocker", "0.5 0 0") + point("a", "coupler", "0.5 0 0")
     body += point("b", "rocker", "0.4 0 0")
-    more = {} if kind == "point" else {"axis": Y}
+    more: dict[str, Any] = {} if kind == "point" else {"axis": Y}
     return mechanism(f"four_bar_{kind}", body, [loop("pin", kind, "ab", **more)], [1.1, -0.6, 1.5], tip="a")
 
 
-def doubled_four_bar():
-    """A parallelogram with a second, parallel rocker: a row more than it needs, wherever it is."""
+def change_point(base: float, rocker: float) -> RobotModel:
+    """Return a four-bar whose bars lie in one line at J1 = 0: crank and coupler as long as base and rocker together."""
+    coupler = base + rocker - 0.2
+    body = bar("crank", 0.2) + bar("coupler", coupler) + bar("rocker", rocker)
+    body += joint("J1", "base", "crank") + joint("J2", "crank", "coupler", "0.2 0 0")
+    body += joint("J3", "base", "rocker", f"{base} 0 0") + point("a", "coupler", f"{coupler} 0 0")
+    body += point("b", "rocker", f"{rocker} 0 0")
+    near = [-0.3, 0.3, -0.3] if base == coupler else [-0.3, 0.25, -0.1]
+    return mechanism("change_point", body, [loop("pin", "point", "ab")], near, tip="a")
+
+
+def doubled_four_bar() -> RobotModel:
+    """Return a parallelogram with a second, parallel rocker: a row more than it needs, wherever it is."""
     body = bar("crank", 0.3) + bar("coupler", 0.6) + bar("rocker", 0.3) + bar("middle", 0.3)
     body += joint("J1", "base", "crank") + joint("J2", "crank", "coupler", "0.3 0 0")
     body += joint("J3", "base", "rocker", "0.6 0 0") + joint("J4", "base", "middle", "0.3 0 0")
@@ -88,8 +121,8 @@ def doubled_four_bar():
     return mechanism("doubled_four_bar", body, loops, [1.1, -1.1, 1.1, 1.1], tip="a")
 
 
-def slider_crank():
-    """Crank, rod, and a block that a loop joint holds in its guide."""
+def slider_crank() -> RobotModel:
+    """Return crank, rod, and a block that a loop joint holds in its guide."""
     body = bar("crank", 0.2) + bar("rod", 0.5) + bar("block", 0.1)
     body += joint("J1", "base", "crank") + joint("J2", "crank", "rod", "0.2 0 0")
     body += joint("J3", "rod", "block", "0.5 0 0")
@@ -98,15 +131,15 @@ def slider_crank():
     return mechanism("slider_crank", body, [guide], [0.9, -1.3, 0.4], tip="block")
 
 
-def distance():
-    """A crank, and a block on a guide at the end of a rod without mass."""
+def distance() -> RobotModel:
+    """Return a crank, and a block on a guide at the end of a rod without mass."""
     body = bar("crank", 0.2) + bar("block", 0.3) + joint("J1", "base", "crank")
     body += joint("S", "base", "block", axis="1 0 0", kind="prismatic") + point("pin", "crank", "0.2 0 0")
     return mechanism("distance", body, [loop("rod", "distance", ["pin", "block"], length=0.6)], [0.7, 0.75], tip="pin")
 
 
-def six_bar():
-    """Watt's: a second loop on the first."""
+def six_bar() -> RobotModel:
+    """Return Watt's six-bar: a second loop on the first."""
     body = bar("crank", 0.2) + bar("coupler", 0.5) + bar("rocker", 0.4) + bar("arm", 0.35) + bar("last", 0.3)
     body += joint("J1", "base", "crank") + joint("J2", "crank", "coupler", "0.2 0 0")
     body += joint("J3", "base", "rocker", "0.5 0 0") + joint("J4", "rocker", "arm", "0.3 0 0.1")
@@ -117,8 +150,10 @@ def six_bar():
     return mechanism("six_bar", body, loops, [1.1, -0.6, 1.5, -1.5, 1.6], tip="c")
 
 
-def serial(name, links, loops, home):
-    """A chain of hinges about z, each link a length along x and a twist about it; its end closes on the base."""
+def serial(
+    name: str, links: Sequence[tuple[float, float]], loops: Sequence[dict[str, Any]], home: Sequence[float]
+) -> RobotModel:
+    """Return a chain of hinges about z, each link a length along x and a twist about it; its end closes on the base."""
     body, parent, place = "", "base", ("0 0 0", "0 0 0")
     for k, (length, twist) in enumerate(links[:-1]):
         body += bar(f"link{k}", max(length, 0.1)) + joint(f"J{k}", parent, f"link{k}", place[0], "0 0 1", rpy=place[1])
@@ -129,8 +164,8 @@ def serial(name, links, loops, home):
     return mechanism(name, body, loops, home, tip=parent)
 
 
-def bennett():
-    """Bennett's linkage: four hinges in space that move though eighteen rows hold them; sin a / length is common."""
+def bennett() -> RobotModel:
+    """Return Bennett's linkage: four hinges in space that move, against counting; sin a / length is common."""
     a, alpha, b = 0.3, 0.6, 0.4
     beta = np.arcsin(b * np.sin(alpha) / a)
     first = 1.0
@@ -140,15 +175,15 @@ def bennett():
     return serial("bennett", links, [loop("hinge", "hinge", ["end", "start"], axis=Z)], [first, second, -first])
 
 
-def bricard():
-    """Bricard's linkage of right angles: six hinges in space, one of them a loop joint."""
+def bricard() -> RobotModel:
+    """Return Bricard's linkage of right angles: six hinges in space, one of them a loop joint."""
     links = [(0.3, np.pi / 2 * s) for s in (1, -1, 1, -1, 1, -1)]
     home = [1.9, 2.2, 1.9, 2.2, 1.9]
     return serial("bricard", links, [loop("hinge", "hinge", ["end", "start"], axis=Z)], home)
 
 
-def cardan():
-    """Two shafts at an angle, and a universal joint between them."""
+def cardan() -> RobotModel:
+    """Return two shafts at an angle, and a universal joint between them."""
     body = bar("shaft", 0.3) + bar("other", 0.3) + joint("J1", "base", "shaft", axis="1 0 0")
     body += joint("J2", "base", "other", "0.3 0 0", axis="1 0 0", rpy="0 0 0.5")
     body += point("a", "shaft", "0.3 0 0") + point("b", "other")
@@ -156,8 +191,8 @@ def cardan():
     return mechanism("cardan", body, [cross], [0.4, 0.4], tip="b")
 
 
-def gears():
-    """A pair of gears, and an arm that follows one of them by a polynomial."""
+def gears() -> RobotModel:
+    """Return a pair of gears, and an arm that follows one of them by a polynomial."""
     body = bar("one", 0.2) + bar("two", 0.3) + bar("three", 0.2)
     body += joint("J1", "base", "one") + joint("J2", "base", "two", "0.5 0 0") + joint("J3", "two", "three", "0.3 0 0")
     loops = [
@@ -167,8 +202,8 @@ def gears():
     return mechanism("gears", body, loops, [0.5, -0.2, 0.5], tip="three")
 
 
-def spatial_slider():
-    """A crank in space with a rod on balls to a block on a guide: distance, and a cylinder that may turn."""
+def spatial_slider() -> RobotModel:
+    """Return a crank in space with a rod on balls to a block on a guide: distance, and a cylinder that may turn."""
     body = bar("crank", 0.15) + bar("block", 0.1) + joint("J1", "base", "crank", axis="0 0 1")
     body += "".join(f'<link name="s{k}"/>' for k in range(4))
     body += joint("X", "base", "s0", "0.4 0 0.2", "1 0 0", "prismatic")
@@ -182,10 +217,30 @@ def spatial_slider():
     return mechanism("spatial_slider", body, loops, [0.6, 0.0, 0.0, 0.0, 0.0, 0.0], tip="b")
 
 
-MECHANISMS = {
+def cut_coupler() -> RobotModel:
+    """Return a four-bar whose coupler is cut in the middle and welded, its halves turned against each other."""
+    body = bar("crank", 0.2) + bar("left", 0.25) + bar("rocker", 0.4) + bar("right", 0.25)
+    body += joint("J1", "base", "crank") + joint("J2", "crank", "left", "0.2 0 0")
+    body += joint("J3", "base", "rocker", "0.5 0 0") + joint("J4", "rocker", "right", "0.4 0 0")
+    body += point("a", "left", "0.25 0 0") + point("b", "right", "0.25 0 0")
+    turn = [[-1.0, 0.0, 0.0], [0.0, 1.0, 0.0], [0.0, 0.0, -1.0]]
+    return mechanism("cut_coupler", body, [loop("weld", "weld", "ab", turn=turn)], [1.1, -0.6, 1.5, 2.2], tip="a")
+
+
+def plate() -> RobotModel:
+    """Return an arm in space whose foot lies flat on the floor: it slides there, and turns about the vertical."""
+    body = bar("turret", 0.2) + bar("upper", 0.4) + bar("lower", 0.5) + bar("foot", 0.1) + bar("roll", 0.1)
+    body += joint("J1", "base", "turret", "0 0 0.5", "0 0 1") + joint("J2", "turret", "upper", "0.1 0 0", "0 1 0")
+    body += joint("J3", "upper", "lower", "0.4 0 0", "0 1 0") + joint("J4", "lower", "roll", "0.5 0 0", "1 0 0")
+    body += joint("J5", "roll", "foot", "0.05 0 0", "0 1 0")
+    flat = loop("floor", "planar", ["foot", "world"], axis=Z, points=[[0.02, 0.01, -0.03], [0.0, 0.0, 0.05]])
+    return mechanism("plate", body, [flat], [0.4, 0.2, 0.9, 0.0, -1.1], tip="foot")
+
+
+MECHANISMS: dict[str, Callable[[], RobotModel]] = {
     "four_bar": four_bar, "four_bar_point": lambda: four_bar("point"), "doubled_four_bar": doubled_four_bar,
     "slider_crank": slider_crank, "distance": distance, "six_bar": six_bar, "bennett": bennett, "bricard": bricard,
-    "cardan": cardan, "gears": gears, "spatial_slider": spatial_slider,
+    "cardan": cardan, "gears": gears, "spatial_slider": spatial_slider, "cut_coupler": cut_coupler, "plate": plate,
     "five_bar": lambda: robot_models.load("five_bar"), "delta": lambda: robot_models.load("delta"),
     "stewart": lambda: robot_models.load("stewart"),
 }  # fmt: skip

@@ -1,0 +1,214 @@
+"""Faults planted in each term that loop joints have, in the oracle and in both engines of the loop.
+
+The loop calls what answers for the loops by its address: a fault in it is a function in Python that has the sound one
+answer and spoils what it has left in the memory, as the fault in the source would.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from copy import copy
+from dataclasses import dataclass, replace
+from types import MethodType
+from typing import Any
+
+import numpy as np
+
+from closedloop.closure.solve import forward_substitute
+from closedloop.jit.interpreted import interpreted
+from closedloop.jit.pointers import integers_at
+from closedloop.loops.memory import GEAR, LoopMemory, loops_at
+from closedloop.loops.solve import meet_rows, remove_basis
+from closedloop.step.closed_loops import BIND_TIP, DRIVE
+from closedloop.step.memory import loop_at
+from validation.loops.answers import Entry, LoopFault, ask_loop, ask_oracle
+from validation.loops.cases import Case, draw_case, oracle_of
+from validation.loops.compare import LOOPS, ON_LOOPS, errors
+from validation.oracle.loops import LoopOracle
+from validation.oracle.loops import LoopRows as RowsByHand
+from validation.plant import Catch
+
+# So many cases of the mechanism that has what a fault touches.
+CASES = 3
+
+
+@dataclass(frozen=True)
+class Fault:
+    """A fault in a term that loop joints have.
+
+    Attributes
+    ----------
+    name : str
+        What is wrong.
+    mechanism : str
+        One that has the term.
+    oracle : callable
+        LoopOracle -> the faulty one.
+    loop : LoopFault
+        The same in the loop.
+    """
+
+    name: str
+    mechanism: str
+    oracle: Callable[[LoopOracle], LoopOracle]
+    loop: LoopFault
+
+
+def _with(**methods: Callable[..., Any]) -> Callable[[LoopOracle], LoopOracle]:
+    """Return a fault of the oracle: methods in place of its own."""
+
+    def fault(sound: LoopOracle) -> LoopOracle:
+        faulty = copy(sound)
+        for name, method in methods.items():
+            setattr(faulty, name, MethodType(method, faulty))
+        return faulty
+
+    return fault
+
+
+def _spoiled(what: int, spoil: Callable[[LoopMemory, Any], None]) -> Callable[[Entry], Entry]:
+    """Return a fault of the loop: what the sound entry has left after one kind of request is spoiled."""
+
+    def fault(sound: Entry) -> Entry:
+        def entry(address: int, asked: int) -> int:
+            answer = sound(address, asked)
+            if asked == what:
+                memory = LoopMemory(*interpreted(loops_at)(address))
+                spoil(memory, interpreted(loop_at)(int(memory.links.loop))[2])
+            return answer
+
+        return entry
+
+    return fault
+
+
+def _with_drift(drift: Callable[[LoopMemory], np.ndarray[Any, Any]]) -> Callable[[Entry], Entry]:
+    """Return a fault of the loop: another drift of its rows."""
+
+    def spoil(memory: LoopMemory, w: Any) -> None:
+        links, rows = memory
+        w.drift_c[:] -= rows.moved
+        rows.rate[:] = -drift(memory)
+        interpreted(meet_rows)(
+            rows.rate, rows.order, rows.coefficients, rows.basis, int(links.rank), rows.along, rows.part
+        )
+        for k in range(3):
+            row = np.array(w.A[k])
+            interpreted(forward_substitute)(w.L, row)
+            rows.moved[k] = row @ rows.part
+        w.drift_c[:] += rows.moved
+
+    return _spoiled(BIND_TIP, spoil)
+
+
+def _gears_without_curvature(memory: LoopMemory) -> np.ndarray[Any, Any]:
+    kinds = np.asarray(integers_at(int(memory.links.bound), int(memory.links.m)))
+    return np.where(kinds == GEAR, 0.0, memory.rows.drift)
+
+
+def _one_direction_more(memory: LoopMemory, w: Any) -> None:
+    """Bind what rounding leaves of a row that depends on the others, as if it were a row of its own."""
+    links, rows = memory
+    rank, n = int(links.rank), int(links.n)
+    left = np.array(np.eye(n)[0])
+    interpreted(remove_basis)(left, rows.basis, rank)
+    rows.basis[rank] = left / np.linalg.norm(left)
+    links.rank = rank + 1
+    for k in range(3):
+        interpreted(remove_basis)(w.X[k], rows.basis, rank + 1)
+    w.S[:] = np.array(w.X) @ np.array(w.X).T
+
+
+def _counted(self: LoopOracle, q: Any, v: Any) -> list[RowsByHand]:
+    """Give the first loop joint a row more, along what rounding has left of a dependent one."""
+    first, *others = LoopOracle.all_rows(self, q, v)
+    along = np.eye(len(q))[:1]
+    return [RowsByHand(np.vstack([first.A, along]), np.append(first.drift, 0.0), first.forces), *others]
+
+
+def _cut_instead(sound: Entry) -> Entry:
+    def entry(address: int, asked: int) -> int:
+        if asked != DRIVE:
+            return sound(address, asked)
+        memory = LoopMemory(*interpreted(loops_at)(address))
+        w = interpreted(loop_at)(int(memory.links.loop))[2]
+        w.torque[:] = np.where(memory.rows.undriven == 0.0, w.torque, 0.0)
+        return 0
+
+    return entry
+
+
+def _moved_point(memory: LoopMemory) -> None:
+    memory.rows.at_a[:, 1] += 1e-6
+
+
+def _drop_curvature(self: LoopOracle, joint: Any, x: float) -> float:
+    return 0.0
+
+
+def _moved(sound: LoopOracle) -> LoopOracle:
+    loops = tuple(
+        replace(joint, points=((joint.points[0][0], joint.points[0][1], joint.points[0][2] + 1e-6), joint.points[1]))
+        for joint in sound.loops
+    )
+    return LoopOracle(
+        sound.oracle, loops, [name for name, on in zip(sound.oracle.tree.names, sound.driven, strict=True) if on]
+    )
+
+
+def _cut(self: LoopOracle, torque: Any, G: Any) -> Any:
+    return np.where(self.driven, torque, 0.0)
+
+
+FAULTS = (
+    Fault(
+        "drift of the loops' rows dropped", "four_bar",
+        _with(rows=lambda self, *at: replace((found := LoopOracle.rows(self, *at)), drift=0.0 * found.drift)),
+        LoopFault(entry=_with_drift(lambda memory: np.zeros(int(memory.links.m)))),
+    ),
+    Fault(
+        "sign of the reaction", "delta", _with(reaction=lambda self, forces: -forces),
+        LoopFault(reactions=lambda found: -found),
+    ),
+    Fault(
+        "a row that depends on others counted as its own", "four_bar", _with(all_rows=_counted),
+        LoopFault(entry=_spoiled(BIND_TIP, _one_direction_more)),
+    ),
+    Fault(
+        "a gear's curvature dropped", "gears", _with(curvature=_drop_curvature),
+        LoopFault(entry=_with_drift(_gears_without_curvature)),
+    ),
+    Fault(
+        "torque of joints without a drive not passed on", "five_bar", _with(through_drives=_cut),
+        LoopFault(entry=_cut_instead),
+    ),
+    Fault("a point of a loop joint 1 µm off", "delta", _moved, LoopFault(bound=_moved_point)),
+)  # fmt: skip
+
+
+def plant_on_loops(seed: int = 0, faults: Sequence[Fault] = FAULTS) -> list[Catch]:
+    """Plant every fault in the oracle and in both engines of the loop, and return what caught it."""
+    catches = []
+    for fault in faults:
+        cases = [draw_case(fault.mechanism, seed, 3 * k) for k in range(CASES)]
+        for carrier in ("oracle", *LOOPS):
+            catches.append(_caught(fault, carrier, cases))
+    return catches
+
+
+def _caught(fault: Fault, carrier: str, cases: list[Case]) -> Catch:
+    """Compare the faulty one with a sound one: the oracle, or a loop where the oracle is faulty."""
+    worst, quantity = 0.0, "nothing"
+    for case in cases:
+        if carrier == "oracle":
+            truth = ask_oracle(case, fault.oracle(oracle_of(case.name)))
+            found = errors(ask_loop(case, LOOPS[0]), truth, case)
+        else:
+            truth = ask_oracle(case)
+            found = errors(ask_loop(case, carrier, fault.loop), truth, case)
+        for name, value in found.items():
+            if value > worst:
+                worst, quantity = value, name
+    by = "the oracle" if carrier != "oracle" else "the loop on Pinocchio"
+    margin = worst / ON_LOOPS.value
+    return Catch(fault.name, carrier, margin > 1.0, quantity, by, margin)

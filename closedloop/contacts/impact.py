@@ -62,6 +62,7 @@ def strike(links: ContactLinks, c: Contacts, rest_speed: float) -> int:
                 low = middle
             else:
                 high = middle
+        low *= 1.0 - 1e-9  # so that rounding gives no energy
         if not solve_with(links, c, low, rest_speed):
             return PAINLEVE
         c.restitution_share = low

@@ -34,7 +34,7 @@ Array = NDArray[np.float64]
 # The residual, of the largest force, at which a problem is solved; and what it must have been in the end.
 SOLVED, ACCEPTED = 1e-14, 1e-11
 # Sweeps of Gauss and Seidel's method before Newton's, at first; it doubles from round to round.
-SWEEPS, ROUNDS, NEWTON_STEPS, HALVINGS = 10, 9, 30, 12
+SWEEPS, MOST_SWEEPS, ROUNDS, NEWTON_STEPS, HALVINGS = 10, 160, 9, 30, 12
 
 
 @kernel
@@ -227,7 +227,7 @@ def solve_from_here(c: Contacts, k: int) -> bool:
         best = write_residuals(c, k, F, largest)
         if best <= 1e-13 * size or best <= ACCEPTED * 1e-2 * force_size(F, m):
             break
-        count *= 2
+        count = min(2 * count, MOST_SWEEPS)
     c.residual = best
     return bool(c.residual <= ACCEPTED * max(size, force_size(F, m)))
 
@@ -242,7 +242,7 @@ def solve_contacts(c: Contacts, k: int) -> bool:
     c.share = 1.0
     if solve_from_here(c, k):
         return True
-    for parts in (4, 16, 64):
+    for parts in (4, 16):
         for j in range(3 * k):
             c.F[j] = 0.0
         for part in range(parts + 1):

@@ -52,9 +52,7 @@ def strike(links: ContactLinks, c: Contacts, rest_speed: float) -> int:
             coming, c.struck[i] = coming + 1, 1.0
     if coming == 0:
         return OK
-    if not solve_with(links, c, 1.0, rest_speed):
-        return PAINLEVE
-    if energy_gained(c, k) > 0.0:
+    if not solve_with(links, c, 1.0, rest_speed) or energy_gained(c, k) > 0.0:
         low, high = 0.0, 1.0
         for _ in range(40):
             middle = 0.5 * (low + high)
@@ -63,8 +61,13 @@ def strike(links: ContactLinks, c: Contacts, rest_speed: float) -> int:
             else:
                 high = middle
         low *= 1.0 - 1e-9  # so that rounding gives no energy
-        if not solve_with(links, c, low, rest_speed):
-            return PAINLEVE
+        for attempt in range(11):  # a problem may have no solution that is found: then that of a smaller restitution
+            low = low if attempt < 10 else 0.0
+            if solve_with(links, c, low, rest_speed) and energy_gained(c, k) <= 0.0:
+                break
+            if attempt == 10:
+                return PAINLEVE
+            low *= 0.5
         c.restitution_share = low
     c.energy_lost = -energy_gained(c, k)
     for i in range(k):

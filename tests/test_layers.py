@@ -13,8 +13,8 @@ ROOT = Path(__file__).resolve().parent.parent
 LAYERS = (
     "interrupts", "jit", "errors", "files", "progress", "sections", "parameters", "signatures", "families",
     "user_code", "integrators", "robot", "surface", "closure", "loops", "friction", "impact", "control", "reference",
-    "scenario", "step", "events", "record", "report", "engines", "figures", "simulation", "batch", "command", "sweep",
-    "lab", "export", "study", "run", "__main__", "__init__",
+    "scenario", "contacts", "step", "events", "record", "report", "engines", "figures", "simulation", "batch",
+    "command", "sweep", "lab", "export", "study", "run", "__main__", "__init__",
 )  # fmt: skip
 # A run gives its summary on request.
 UPWARDS = {("closedloop.record.run", "closedloop.report")}
@@ -23,7 +23,8 @@ NEVER_UPWARDS = {"closedloop.families", "closedloop.friction"}
 # Files that import each other, and why: a run's summary; a message about a key names the keys of a scenario.
 CYCLES = [
     {"closedloop.record.netcdf", "closedloop.record.run", "closedloop.report", "closedloop.report.assumptions",
-     "closedloop.report.columns", "closedloop.report.summary", "closedloop.report.tables"},
+     "closedloop.report.columns", "closedloop.report.link_contacts", "closedloop.report.summary",
+     "closedloop.report.tables"},
     {"closedloop.scenario.messages", "closedloop.scenario.scenario"},
 ]  # fmt: skip
 

@@ -51,8 +51,17 @@ def pieces() -> tuple[Piece, ...]:
         Piece("along_path", "loops along a path", lambda: _loops("along_path")),
         Piece("closed_to", "a closed start", lambda: _loops("closed_to")),
         Piece("rows_along", "loops of a record", lambda: _loops("rows_along")),
+        Piece("contacts_in_step", "contacts of the links", _contacts),
         *_laws(),
     )
+
+
+def _contacts() -> None:
+    """Compile the contacts of the links."""
+    from closedloop.jit.calls import entry_address
+    from closedloop.step.contacts import contacts_in_step
+
+    entry_address(contacts_in_step)
 
 
 def _loops(kernel: str) -> None:

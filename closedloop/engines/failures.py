@@ -55,7 +55,7 @@ def interrupted(stop: KeyboardInterrupt, t: float) -> InterruptedRunError:
 
 def failure_of(status: int, t: float, robot: Robot, problem: Problem, law: Any, q: Array, v: Array) -> SimulationError:
     """Return the error of a status of `closedloop.closure.solve` other than OK, at q and q̇ (n,) at t, s."""
-    if status == SINGULAR:
+    if status == SINGULAR and not problem.scenario.contact:
         return SingularClosureError(
             f"{when(t)}: singular pose: at q = {_numbers(q)} the tip cannot move along the surface normal "
             f"{_normal_at(problem, q, t).round(4).tolist()}, so Eq. 24 does not determine the contact force; "
@@ -87,6 +87,8 @@ def failure_of(status: int, t: float, robot: Robot, problem: Problem, law: Any, 
             "surface and lifts it off while it is on; look at a law that depends on the contact, and at time.step",
             t,
         )
+    if problem.scenario.contact and status in (PAINLEVE, SINGULAR):
+        return _contacts_fail(status, t)
     if status == PAINLEVE:
         return PainleveError(
             f"{when(t)}: Painlevé's paradox: the tip slides so that pressing harder pulls it into the surface (the "
@@ -103,6 +105,22 @@ def failure_of(status: int, t: float, robot: Robot, problem: Problem, law: Any, 
         cure = gains_fault(problem.scenario, robot) or cure
     return DivergenceError(
         f"{when(t)}: {DIVERGES}: joint {name} is beyond {SPEED_LIMIT:g} rad/s or not a number; {cure}", t
+    )
+
+
+def _contacts_fail(status: int, t: float) -> SimulationError:
+    """Return the error of several contacts that no forces go with."""
+    if status == SINGULAR:
+        return SingularClosureError(
+            f"{when(t)}: the contacts contradict each other: no forces give all of them the accelerations that they "
+            "ask for; look at contacts of bodies without freedom to obey them, and leave one out",
+            t,
+        )
+    return PainleveError(
+        f"{when(t)}: Painlevé's paradox, or jamming: no forces within the cones of friction go with any modes of the "
+        "contacts (one slides so that pressing harder pulls it in, or is wedged); lower the coefficients of friction, "
+        "or change the posture or the direction of sliding",
+        t,
     )
 
 

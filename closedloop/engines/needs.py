@@ -20,6 +20,7 @@ def needs_general_form(scenario: Scenario) -> bool:
         or scenario.sensor != SensorSection()
         or scenario.model_error != ModelErrorSection()
         or bool(arm_columns(scenario))
+        or bool(scenario.contact)
     )
 
 

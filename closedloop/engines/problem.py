@@ -7,6 +7,8 @@ from typing import Any
 
 import numpy as np
 
+from closedloop.closure.contact_force import FREE, PRESSED
+from closedloop.contacts.bind import contact_memory
 from closedloop.control.compensation.none import NoCompensation
 from closedloop.control.encoder import NO_ENCODER
 from closedloop.control.law_input import LawInput
@@ -23,8 +25,10 @@ from closedloop.jit.calls import entry_address
 from closedloop.jit.interpreted import interpreted, twin_address
 from closedloop.loops.bind import loop_memory
 from closedloop.step.closed_loops import closed_loops
+from closedloop.step.contacts import contacts_in_step
 from closedloop.step.entries import friction_entry, joint_friction_entry, law_entry
 from closedloop.step.memory import Constants, Loop, make_loop
+from closedloop.step.record_row import ContactRow
 from closedloop.step.seen import read_joints
 from closedloop.step.soft_contact import compliance_entry
 from closedloop.surface.compliances.none import Rigid
@@ -69,6 +73,12 @@ class Problem(ScenarioNumbers):
             loop.w.keep_alive(loops=loops)
         write_constants(self, loop.constants)
         write_start(self, state, loop.w)
+        if self.scenario.contact:
+            contacts = contact_memory(self.scenario, self.robot)
+            state.contacts_at, contacts.links.loop = contacts.address, state.address
+            contacts.links.record_at = self.row_width - ContactRow.count(len(self.scenario.contact))
+            contacts.contacts.mode[0] = PRESSED if state.unilateral == 0 else FREE
+            loop.w.keep_alive(contacts=contacts)
         if state.encoder != NO_ENCODER and state.phase == STEP_END:
             interpreted(read_joints)(loop.w, loop.constants, state, self.table)
             state.phase = MEASURED
@@ -130,6 +140,8 @@ class Problem(ScenarioNumbers):
                 raise ScenarioError(f"{name}.kind = {member.kind}: cannot be compiled: {why}") from None
         if loop.state.loops_at != 0:
             loop.state.loops = address(closed_loops)
+        if loop.state.contacts_at != 0:
+            loop.state.contacts = address(contacts_in_step)
         if loop.state.surface_motion != 0:
             loop.w.kept["surface"].links.motion = loop.state.surface_motion
         if user_law is not None:

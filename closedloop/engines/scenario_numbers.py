@@ -140,7 +140,8 @@ class ScenarioNumbers:
     @property
     def row_width(self) -> int:
         """Numbers in a recorded row."""
-        return row_width(self.robot.n, bool(arm_columns(self.scenario)))
+        contacts = len(self.scenario.contact or ())
+        return row_width(self.robot.n, bool(arm_columns(self.scenario)), contacts)
 
     @property
     def sizes(self) -> dict[str, int]:

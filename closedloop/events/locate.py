@@ -37,6 +37,8 @@ def event_function(w: Work, constants: Constants, state: State) -> float:
     Of joints with stops `Work.stop_margin` counts too, rad (m) or N m (N).
     """
     stops: float = w.stop_margin if state.stops != 0 else np.inf
+    if state.contacts != 0:
+        return min(float(w.contact_margin), stops)
     if state.mode == FREE:
         return min(float(w.gap) if state.beside == 0 else 1.0, stops)
     least: float = min(w.rigid_force if state.unilateral != 0 else 1.0, stops)
@@ -111,5 +113,5 @@ def refine_bracket(w: Work, state: State) -> int:
     else:
         # An impact is applied just before penetration, every other event just after its mode has ended.
         state.trial = REACH_EVENT
-        w.tau = w.low if state.mode == FREE else w.high
+        w.tau = w.low if state.mode == FREE and state.contacts == 0 else w.high
     return RETRY_SUBSTEP

@@ -116,7 +116,8 @@ def proceed(
         back_to_true(w)
         state.phase = STEP_END
         return TERMS
-    free = state.mode == FREE and state.stops == 0  # then the gap is all that a trial step is for
+    # The gap of a tip that is free is all that a trial step is for, unless there is more to watch.
+    free = state.mode == FREE and state.stops == 0 and state.contacts == 0
     if phase in (STEP_END, STAGE, AFTER_EVENT) or (phase in (TRIAL_END, AT_EVENT) and not free):
         status = evaluate(H, C, w, constants, state, table, rows)
         if status != OK:
@@ -158,7 +159,7 @@ def proceed(
     elif phase == PROJECTION:
         todo = PROJECT
     else:
-        todo = resume_after_event(C, w, constants, state)
+        todo = resume_after_event(C, w, constants, state, events)
 
     if todo == APPLY_EVENT:
         commit_work(w)

@@ -32,6 +32,7 @@ from closedloop.events.phases import (
 )
 from closedloop.jit.calls import call_at
 from closedloop.jit.kernel import kernel, kernel_inlined
+from closedloop.step.contacts import SAVE
 from closedloop.step.energy_supplied import save_power
 from closedloop.step.entries import ADVANCE_STATES
 from closedloop.step.joint_friction import advance_joint_friction
@@ -66,6 +67,8 @@ def save_state(w: Work, constants: Constants, state: State) -> None:
         remember_approach(w, state)
     else:
         state.approached = 0
+    if state.contacts != 0:
+        call_at(state.contacts, state.contacts_at, SAVE)
     w.start_event_value = event_function(w, constants, state)
     save_power(w, state)
 
@@ -124,7 +127,13 @@ def check_stage(w: Work, state: State) -> int:
     the step: the event is searched for only if f is negative at the end of the trial step too.
     """
     tau = w.time - w.begin_time
-    if state.trial != NO_TRIAL or state.mode == FREE or not w.rigid_force < 0.0 or tau > w.length - INSTANT:
+    if (
+        state.contacts != 0
+        or state.trial != NO_TRIAL
+        or state.mode == FREE
+        or not w.rigid_force < 0.0
+        or tau > w.length - INSTANT
+    ):
         return ADVANCE
     state.trial, state.trials = CHECK_STAGE, 0
     w.low, w.high, w.tau = 0.0, tau, tau
@@ -137,7 +146,7 @@ def check_step(w: Work, drift: float, state: State) -> int:
     """Return the action at the end of a step: BEGIN_SUBSTEP, APPLY_EVENT here, or RETRY_SUBSTEP to locate an event."""
     here = state.row == 0 or state.no_search != 0  # there is no earlier instant to search
     trial = NO_TRIAL
-    if state.mode != FREE:
+    if state.mode != FREE or state.contacts != 0:
         if w.event_value < 0.0:
             trial = REACH_EVENT if here else LOCATE_EVENT
     elif state.unilateral != 0:

@@ -46,6 +46,7 @@ class EventRow(Block):
     slip_before: float
     slip_after: float
     restitution: float
+    contact: float
 
 
 EVENT_WIDTH = EventRow.count()
@@ -88,6 +89,9 @@ EVENT_COLUMNS: dict[str, EventColumn] = {
         "1",
         "restitution that an impact gave; less than impact.restitution where newton's law would have created energy",
     ),
+    "event_contact": EventColumn(
+        ("event",), "1", "which contact it was of: 0 the tip, then the sections [[contact]] in their order"
+    ),
 }
 
 
@@ -107,7 +111,10 @@ def write_event(
         event.position[k] = r[k]
     event.slip_before = np.hypot(before[1], before[2])
     event.slip_after = np.hypot(after[1], after[2])
-    event.restitution = restitution
+    event.restitution, event.contact = restitution, 0.0
+
+
+WHOLE = ("event_kind", "event_contact")
 
 
 def event_columns(table: Array) -> dict[str, NDArray[Any]]:
@@ -115,5 +122,5 @@ def event_columns(table: Array) -> dict[str, NDArray[Any]]:
     columns: dict[str, NDArray[Any]] = {}
     for name in EVENT_COLUMNS:
         part = table[:, EventRow.place(name.removeprefix("event_"))]
-        columns[name] = part.astype(np.int8) if name == "event_kind" else np.ascontiguousarray(part)
+        columns[name] = part.astype(np.int8) if name in WHOLE else np.ascontiguousarray(part)
     return columns

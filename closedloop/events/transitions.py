@@ -18,6 +18,7 @@ from closedloop.closure.contact_force import (
     stuck_tangentially,
 )
 from closedloop.closure.solve import CHATTER, OK
+from closedloop.events.contacts import apply_contact_event, resume_with_contacts
 from closedloop.events.locate import cone_margin
 from closedloop.events.phases import (
     AFTER_EVENT,
@@ -80,8 +81,10 @@ Array = NDArray[np.float64]
 
 
 @kernel
-def resume_after_event(C: Array, w: Work, constants: Constants, state: State) -> int:
+def resume_after_event(C: Array, w: Work, constants: Constants, state: State, events: Array) -> int:
     """Continue after an event to the end of the step, unless the mode is inconsistent with the state."""
+    if state.contacts != 0:
+        return resume_with_contacts(w, constants, state, events)
     if state.mode == FREE:
         # A tip just after liftoff that accelerates towards the surface has not left it: at the projected state f is
         # still positive; or the law presses when the tip is free and lifts when it is in contact.
@@ -117,6 +120,8 @@ def apply_event(H: Array, w: Work, constants: Constants, state: State, rows: Arr
     if state.events >= events.shape[0]:
         state.phase = AT_EVENT
         return ENLARGE_TABLE
+    if state.contacts != 0:
+        return apply_contact_event(w, state, events)
     if state.mode == FREE and state.surface != 0 and w.inside < 0.0:  # there is no surface to touch
         state.beside = 1
         request_terms(state, AFTER_EVENT)

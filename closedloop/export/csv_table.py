@@ -10,6 +10,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from closedloop.contacts.names import names_of, tangents_of
 from closedloop.events.table import EVENT_COLUMNS, KINDS
 from closedloop.files import write_whole
 from closedloop.record.derived import DERIVED, WRENCH
@@ -44,7 +45,10 @@ def _flat(run: Run, name: str) -> dict[str, NDArray[Any]]:
     values, dims = getattr(run, name), (ALL_COLUMNS[name] if name in ALL_COLUMNS else DERIVED[name]).dims
     if len(dims) == 1:
         return {_header(name, run.units(name)): values}
-    entries = {"joint": run.model.joint_names, "axis": AXES, "component": WRENCH}[dims[1]]
+    names = names_of(run.scenario.contact or ())
+    contacts = {"contact": names, "contact_tangent": tangents_of(names)}
+    entries_of = {"joint": run.model.joint_names, "axis": AXES, "component": WRENCH} | contacts
+    entries = entries_of[dims[1]]
     found = {}
     for k, entry in enumerate(entries):
         unit = _of_joint(run, name, k) if dims[1] == "joint" else _of_part(run.units(name), entry)

@@ -49,6 +49,8 @@ def write_mjcf(run: Run, path: str | Path) -> list[Path]:
     """
     if not len(run):
         raise ScenarioError(f"{run.scenario.name}: the run has no rows: there is no scene")
+    if run.scenario.contact:
+        raise ScenarioError("--to mjcf: is for runs without [[contact]]; csv takes them")
     if run.model.loops:
         raise ScenarioError(
             f"--to mjcf: is for arms without loops, and {run.model.name} has some; csv and mcap take it"

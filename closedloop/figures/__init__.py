@@ -5,6 +5,7 @@
     closure_error     how far the tip is off the surface (Figs. 6 and 7)
     force_control     the errors of force and tip, and the path seen from above: what `run.plot()` shows
     joints            torques, velocities and positions of the joints against their limits
+    link_contacts     force and friction of the links' contacts
     impacts           rates, impulses and energy losses of impacts
     friction_force    friction in its cone, and the slip
     tool              force and moment at the wrist, and how the tool is turned to the surface
@@ -21,6 +22,7 @@ from closedloop.figures.force import contact_force
 from closedloop.figures.friction import friction_force
 from closedloop.figures.impacts import impacts
 from closedloop.figures.joints import joints
+from closedloop.figures.link_contacts import link_contacts
 from closedloop.figures.overview import force_control
 from closedloop.figures.style import STYLE
 from closedloop.figures.tip import tip_position
@@ -36,6 +38,7 @@ __all__ = [
     "impacts",
     "is_papers",
     "joints",
+    "link_contacts",
     "save_figure",
     "tip_position",
     "tool",

@@ -12,6 +12,7 @@ from closedloop.figures.force import contact_force
 from closedloop.figures.friction import friction_force, has_friction
 from closedloop.figures.impacts import has_impacts, impacts
 from closedloop.figures.joints import joints
+from closedloop.figures.link_contacts import link_contacts
 from closedloop.figures.overview import force_control
 from closedloop.figures.style import STYLE
 from closedloop.figures.tip import tip_position
@@ -62,6 +63,8 @@ def draw_figures(
     wanted.append(("fig_force_control", force_control, run))
     if not papers:
         wanted.append(("fig_joints", joints, run))
+    if run.scenario.contact:
+        wanted.append(("fig_link_contacts", link_contacts, run))
     if has_impacts(run):
         wanted.append(("fig_impacts", impacts, run))
     if has_friction(run):

@@ -59,12 +59,12 @@ def locate_rows(links: LoopLinks, rows: LoopRows) -> None:
                 rows.error[k] = rows.q[one] - (rows.value[k, 1] if side > 0.0 else rows.value[k, 0])
             continue
         if kind != ROTATION and sides[3 * links.m + k] == 0:
-            _move_point(tree, work, rows.v, one, rows.at_a[k], a)
-            _move_point(tree, work, rows.v, other, rows.at_b[k], b)
+            move_point(tree, work, rows.v, one, rows.at_a[k], a)
+            move_point(tree, work, rows.v, other, rows.at_b[k], b)
         if kind == ROTATION:
-            _turn(tree, work, one, rows.along_a[k], a)
+            turn_direction(tree, work, one, rows.along_a[k], a)
         if kind != DISTANCE:
-            _turn(tree, work, other, rows.along_b[k], b)
+            turn_direction(tree, work, other, rows.along_b[k], b)
         error, rate, drift = 0.0, 0.0, 0.0
         if kind == ROTATION:
             for i in range(3):
@@ -121,7 +121,7 @@ def _gear(rows: LoopRows, k: int, one: int, other: int) -> None:
 
 
 @kernel
-def _move_point(tree: Tree, work: Array, v: Array, link: int, point: Array, out: Array) -> None:
+def move_point(tree: Tree, work: Array, v: Array, link: int, point: Array, out: Array) -> None:
     """Write position, velocity and acceleration of a point that is fixed to a link; see `POINT`."""
     if link < 0:
         for i in range(3):
@@ -140,7 +140,7 @@ def _move_point(tree: Tree, work: Array, v: Array, link: int, point: Array, out:
 
 
 @kernel
-def _turn(tree: Tree, work: Array, link: int, along: Array, out: Array) -> None:
+def turn_direction(tree: Tree, work: Array, link: int, along: Array, out: Array) -> None:
     """Write a direction that is fixed to a link, with its first and second derivative; see `ALONG`."""
     if link < 0:
         for i in range(3):

@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING, Any
 
 from numpy.typing import NDArray
 
+from closedloop.contacts.names import tangents_of
 from closedloop.record.derived import WRENCH
 
 if TYPE_CHECKING:
@@ -17,7 +18,7 @@ AXES = ("x", "y", "z")
 
 def data_frame(
     columns: Mapping[str, NDArray[Any]], dims: Mapping[str, tuple[str, ...]], joints: tuple[str, ...],
-    units: Callable[[str], str],
+    contacts: tuple[str, ...], units: Callable[[str], str],
 ) -> pandas.DataFrame:  # fmt: skip
     """Return columns over time as a DataFrame, one for each component, its index the time, s.
 
@@ -29,6 +30,8 @@ def data_frame(
         Dimensions of each: ("time",), ("time", "joint"), ("time", "axis") or ("time", "component").
     joints : tuple of str
         Names of the joints.
+    contacts : tuple of str
+        Names of the links' contacts.
     units : callable
         The unit of a column by its name.
     """
@@ -39,7 +42,16 @@ def data_frame(
     for name, dimensions in dims.items():
         if name == "time":
             continue
-        values, labels = columns[name], {"joint": joints, "axis": AXES, "component": WRENCH}.get(dimensions[-1], ())
+        values, labels = (
+            columns[name],
+            {
+                "joint": joints,
+                "axis": AXES,
+                "component": WRENCH,
+                "contact": contacts,
+                "contact_tangent": tangents_of(contacts),
+            }.get(dimensions[-1], ()),
+        )
         for k, label in enumerate(labels):
             parts[f"{name}[{label}]"], of[f"{name}[{label}]"] = values[:, k], units(name)
         if not labels:

@@ -19,6 +19,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 import robot_models
+from closedloop.contacts.names import names_of, tangents_of
 from closedloop.errors import ClosedLoopError, RunFileError, faults_on_one_line
 from closedloop.files import reason_of, write_whole
 from closedloop.record.netcdf_image import Variable, netcdf_image
@@ -36,7 +37,7 @@ _LATER = {"engine": "pinocchio", "law_digest": "", "not_finite": '["kkt_conditio
 # An attribute of a run with users' classes only: JSON of their names and the SHA-256 of their texts.
 MEMBERS = "members"
 # Columns that files of earlier versions may lack, and a column as long: what nobody wrote down is NaN.
-_LATER_COLUMNS = {"energy_supplied": "time", "event_restitution": "event_time"}
+_LATER_COLUMNS = {"energy_supplied": "time", "event_restitution": "event_time", "event_contact": "event_time"}
 # What the checksum is of.
 ATTRIBUTES = {"format", "format_version", "seed", "wall_seconds", "summary", *_TEXTS, *_LATER, MEMBERS}
 
@@ -51,7 +52,7 @@ def question(
     robot = {name: getattr(model, name) for name in ("name", "format", "tip", "description", "source")}
     robot |= {name: getattr(model, name).tolist() for name in ("armature", "home", "gravity")}
     robot["locked"] = dict(model.locked)
-    if model.loops:  # a tree has none, in files of any version
+    if model.loops or model.drives:  # a tree has none, in files of any version
         robot |= {"loops": [loop.as_table() for loop in model.loops], "drives": list(model.drives)}
     return {
         "scenario": scenario.to_toml(),
@@ -126,9 +127,14 @@ def save_run(run: Run, path: str | Path) -> Path:
         "joint_type": ("joint", run.model.joint_types),
         "axis": ("axis", ("x", "y", "z")),
     }
+    if run.scenario.contact:
+        names = names_of(run.scenario.contact)
+        labels |= {"contact": ("contact", names), "contact_tangent": ("contact_tangent", tangents_of(names))}
     for name, (dimension, words) in labels.items():
         variables[name] = Variable((dimension,), np.array(words, dtype=object))
     dimensions = {"time": len(run), "joint": run.model.n, "axis": 3, "event": len(run.events)}
+    if contacts := len(run.scenario.contact or ()):
+        dimensions |= {"contact": contacts, "contact_tangent": 2 * contacts}
     made = attributes(run)
     content = netcdf_image(dimensions, variables, made | {CHECKSUM: checksum(made, run.columns)})
 
@@ -192,7 +198,7 @@ def _run_of(found: Mapping[str, Any], columns: dict[str, NDArray[Any]]) -> Run:
     _add_plane(columns, scenario)
     absent = [name for name in _LATER_COLUMNS if name not in columns]
     columns |= {name: np.full(columns[_LATER_COLUMNS[name]].size, np.nan) for name in absent}
-    _check_columns(columns, model.n, [*json.loads(found["not_finite"]), *absent])
+    _check_columns(columns, model.n, len(scenario.contact or ()), [*json.loads(found["not_finite"]), *absent])
     return Run(
         scenario=scenario,
         model=model,
@@ -223,8 +229,9 @@ def _verify(found: Mapping[str, Any], columns: Mapping[str, NDArray[Any]]) -> No
         raise RunFileError("is damaged, or was changed: its checksum is not that of its columns and attributes")
 
 
-def _check_columns(columns: Mapping[str, NDArray[Any]], joints: int, not_finite: list[str]) -> None:
+def _check_columns(columns: Mapping[str, NDArray[Any]], joints: int, contacts: int, not_finite: list[str]) -> None:
     sizes = {"time": columns["time"].size, "joint": joints, "axis": 3, "event": columns["event_time"].size}
+    sizes |= {"contact": contacts, "contact_tangent": 2 * contacts}
     for name, spec in columns_there(columns).items():
         column, shape = columns[name], tuple(sizes[dim] for dim in spec.dims)
         if column.shape != shape or column.dtype.kind not in "fi":

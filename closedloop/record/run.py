@@ -17,6 +17,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from closedloop.contacts.names import names_of, tangents_of
 from closedloop.events.table import EVENT_COLUMNS, KINDS
 from closedloop.loops.reactions import LoopReactions
 from closedloop.record.derived import DERIVED, reactions_of
@@ -103,6 +104,18 @@ ARM_COLUMNS: dict[str, Column] = {
     "transmitted_torque": Column(("time", "joint"), "N m", "torque that elastic joints pass on to the links"),
 }
 
+# What it has if its links have contacts besides the tip.
+CONTACT_COLUMNS: dict[str, Column] = {
+    "link_modes": Column(("time", "contact"), "1", "mode of each contact of a link: 0 free, 1 sliding, 2 stuck"),
+    "link_gaps": Column(("time", "contact"), "m", "gap of each, positive off its plane"),
+    "link_forces": Column(("time", "contact"), "N", "force of each along its normal, on the link that has the point"),
+    "link_frictions": Column(
+        ("time", "contact_tangent"), "N", "force of each along the two tangents, in the axes of the plane's link"
+    ),
+    "link_slips": Column(("time", "contact_tangent"), "m s-1", "velocity of each along the two tangents"),
+}
+ARM_COLUMNS |= CONTACT_COLUMNS
+
 COLUMNS: dict[str, Column] = _BY_TIME | {name: Column(*spec) for name, spec in EVENT_COLUMNS.items()}
 ALL_COLUMNS = COLUMNS | ARM_COLUMNS
 
@@ -138,6 +151,8 @@ class Event(NamedTuple):
     restitution : float
         What an impact gave: what `impact.restitution` asks for, but where Newton's law would have created energy; 0 of
         all other events.
+    contact : int
+        Of which contact: 0 the tip, then the scenario's sections [[contact]] in their order.
     """
 
     time: float
@@ -153,6 +168,7 @@ class Event(NamedTuple):
     slip_before: float
     slip_after: float
     restitution: float
+    contact: int = 0
 
 
 def events_of(columns: Mapping[str, NDArray[Any]]) -> tuple[Event, ...]:
@@ -275,6 +291,8 @@ class Run:
 
         from closedloop.record.netcdf import attributes
 
+        contacts = names_of(self.scenario.contact or ())
+
         def variable(name: str) -> tuple[tuple[str, ...], NDArray[Any], dict[str, str]]:
             spec = ALL_COLUMNS[name]
             return spec.dims, np.asarray(self.columns[name]), {"units": self.units(name), "long_name": spec.meaning}
@@ -286,6 +304,7 @@ class Run:
                 "joint": list(self.model.joint_names),
                 "joint_type": ("joint", list(self.model.joint_types)),
                 "axis": ["x", "y", "z"],
+                **({"contact": list(contacts), "contact_tangent": list(tangents_of(contacts))} if contacts else {}),
             },
             attributes(self),
         )
@@ -300,7 +319,10 @@ class Run:
 
         known = columns_there(self.columns) | DERIVED
         dims = {name: spec.dims for name, spec in known.items() if spec.dims[0] == "time"}
-        return data_frame({name: getattr(self, name) for name in dims}, dims, self.model.joint_names, self.units)
+        contacts = names_of(self.scenario.contact or ())
+        return data_frame(
+            {name: getattr(self, name) for name in dims}, dims, self.model.joint_names, contacts, self.units
+        )
 
     def plot(self) -> Figure:
         """Return a matplotlib figure of the force's error, the tip's errors and the path from above.

@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 
 from closedloop.closure.contact_force import FREE, STUCK
 from closedloop.jit.interpreted import interpreted
+from closedloop.report.link_contacts import contact_faults
 from closedloop.report.row_assumptions import NAMES, assumptions_met
 from closedloop.report.verdict import outside_by_the_scenario
 
@@ -60,6 +61,11 @@ def assumptions(run: Run) -> dict[str, dict[str, Any]]:
         said = f"{measured[0]}; {rows} rows in {len(run.model.loops)} loops of the mechanism"
         report["one_loop"] = {"held": False, "first_failed": 0.0, "measured": said}
         outside |= {"one_loop"}
+    if found := contact_faults(run):
+        cone, product = np.max(found.cone), np.max(found.complementarity)
+        said = f"{len(found.names)} contacts besides: cone to {cone:.0e} N, force times gap {product:.0e} N m"
+        report["single_point"] = {"held": False, "first_failed": 0.0, "measured": said}
+        outside |= {"single_point"}
     for name, verdict in report.items():
         verdict["expected"] = name not in outside
     return report

@@ -11,6 +11,7 @@ from closedloop.control.drives import AT_RATE_LIMIT, AT_TORQUE_LIMIT, OF_THE_ROB
 from closedloop.events.table import IMPACT, TOUCHDOWN
 from closedloop.friction.law import FrictionLaw
 from closedloop.integrators import ADAPTIVE, scheme_of
+from closedloop.report.link_contacts import contact_rows
 from closedloop.report.summary import joint_measures, run_gains_fault
 from closedloop.report.verdict import GOOD, names_of, probable_reason
 from robot_models.notes import notes as robot_notes
@@ -251,6 +252,7 @@ def _error_rows(run: Run, facts: dict[str, Any]) -> list[tuple[str, str, str, st
         ),
         ("tip speed", _shown(facts["max_tip_speed"], ".4g"), "m/s", ""),
         *_loop_rows(run),
+        *contact_rows(run),
         *_joint_rows(run),
         *_tool_rows(run, facts),
         *_limited_rows(run),

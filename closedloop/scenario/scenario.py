@@ -35,6 +35,7 @@ from closedloop.scenario.file import absolute, robot_file, scenario_text
 from closedloop.scenario.file import shipped_scenarios as shipped_scenarios
 from closedloop.sections import (
     ANGLE,
+    COEFFICIENT,
     JOINT_SPEED,
     PLACE,
     STEP,
@@ -160,6 +161,25 @@ class ImpactSection(Section):
     rest_speed: Annotated[Positive, REST_SPEED] = Field(
         1e-4, description="a bounce slower than this becomes contact, m/s"
     )
+
+
+class ContactSection(Section):
+    """[[contact]]: a point of a link that touches a plane of another link, or of the world; any number of them."""
+
+    name: str = Field("", description="what it is called; contact 1, contact 2 ... if left out")
+    link: str = Field(description="frame that the point belongs to")
+    at: tuple[Coordinate, Coordinate, Coordinate] = Field(
+        (0.0, 0.0, 0.0), description="the point, m, axes of that frame"
+    )
+    against: str = Field("world", description="frame that the plane belongs to; world: the base frame")
+    normal: Direction = Field(
+        (0.0, 0.0, 1.0), description="normal of the plane, towards the point, axes of the frame against; any length"
+    )
+    through: tuple[Coordinate, Coordinate, Coordinate] = Field(
+        (0.0, 0.0, 0.0), description="a point of the plane, m, axes of the frame against"
+    )
+    friction: Annotated[NotNegative, COEFFICIENT] = Field(0.0, description="Coulomb's coefficient of friction μ, 1")
+    restitution: Restitution = Field(0.0, description="Newton's coefficient of restitution, 0 to 1")
 
 
 class StartSection(Section):
@@ -293,6 +313,9 @@ class Scenario(Section):
         default_factory=lambda: COMPLIANCES["none"](), description="how the surface gives way, if it is soft"
     )
     impact: ImpactSection = Field(ImpactSection(), description="how the tip bounces, where it may leave the surface")
+    contact: tuple[ContactSection, ...] | None = Field(
+        None, description="contacts of the robot's links besides the tip's, each with a plane of a link or of the world"
+    )
     start: StartSection = Field(StartSection(), description="the posture and the velocity at t = 0")
     reference: Annotated[paths.Path, paths.PATHS] = Field(
         default_factory=lambda: paths.PATHS["hold"](), description="the path that the tip is to follow"

@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 
 import robot_models
 from closedloop.closure.contact_force import PRESSED, STUCK
+from closedloop.contacts.bind import check_contacts
 from closedloop.control.drives import torque_limits, torque_steps
 from closedloop.control.encoder import check_steps
 from closedloop.control.law import Compensation
@@ -89,6 +90,8 @@ def prepare(scenario: Scenario, model: RobotModel | None = None, cache: Cache | 
         check_stiffness(scenario, robot, q, now)
     if scenario.transmission.elastic:
         check_transmission(scenario, robot, q)
+    if scenario.contact:
+        check_contacts(scenario, robot, q)
     h, period = scenario.time.step, scenario.law.sample_period
     steps, hold = steps_and_hold(scenario, n)
     nodes_per_step = integrator.parts

@@ -32,7 +32,7 @@ from closedloop.scenario.members import member_digests
 from closedloop.scenario.scenario import Scenario
 from closedloop.simulation.loop_calls import Answers, begun, driver
 from closedloop.simulation.prepare import prepare
-from closedloop.step.record_row import RECORDED, complete_record, recorded, rows_there
+from closedloop.step.record_row import CONTACT_RECORDED, RECORDED, complete_record, recorded, rows_there
 from robot_models import RobotModel
 
 Array = NDArray[np.float64]
@@ -270,7 +270,13 @@ def as_run(
         "reference_tip": wanted[:, 2 * n : 2 * n + 3].copy(),
         "reference_force": wanted[:, 2 * n + 9].copy(),
     }
-    columns |= {name: recorded(rows, n, name) for name in (*RECORDED, *arm_columns(problem.scenario))}
+    columns |= {
+        name: recorded(rows, n, name, len(problem.scenario.contact or ()))
+        for name in (*RECORDED, *arm_columns(problem.scenario))
+    }
+    if contacts := len(problem.scenario.contact or ()):
+        columns |= {name: recorded(rows, n, name, contacts) for name in CONTACT_RECORDED}
+        columns["link_modes"] = columns["link_modes"].astype(np.int8)
     columns["mode"] = columns["mode"].astype(np.int8)
     columns["potential_energy"] = np.empty(count)
     work, energies = np.zeros(plain(work_size)(n)), columns["potential_energy"]

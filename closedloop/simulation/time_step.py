@@ -137,7 +137,7 @@ def steps_and_hold(scenario: Scenario, n: int) -> tuple[int, int]:
     """Return the steps of a run of n joints, and for how many of them a torque is held, 0: it is not sampled."""
     h, duration, period = scenario.time.step, scenario.time.duration, scenario.law.sample_period
     steps = whole_steps(duration, h, "time.duration")
-    most_rows = MOST_NUMBERS // row_width(n, bool(arm_columns(scenario)))
+    most_rows = MOST_NUMBERS // row_width(n, bool(arm_columns(scenario)), len(scenario.contact or ()))
     if steps > most_rows:
         raise ScenarioError(
             f"time.step = {h:g}: {duration:g} s would be {steps:.3g} rows, over the "

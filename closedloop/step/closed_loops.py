@@ -190,12 +190,14 @@ def strike(links: LoopLinks, rows: LoopRows, w: Work) -> None:
 
 @kernel
 def missing_torque(H: Array, C: Array, w: Work, state: State) -> None:
-    """Write into `column` what is missing in the equation of motion: H q̈ + C − Q − AᵀF."""
+    """Write into `column` what is missing in the equation of motion: H q̈ + C − Q − AᵀF, and of other contacts."""
     n = w.q.shape[0]
     for i in range(n):
         s = C[i] - driving_torque(w, state, i) - w.joint_friction[i]
         for k in range(3):
             s -= w.A[k, i] * w.F[k]
+        if state.contacts != 0:
+            s -= w.contact_torque[i]
         for j in range(n):
             s += (H[i, j] if i <= j else H[j, i]) * w.qdd[j]
         w.column[i] = s

@@ -34,6 +34,8 @@ from closedloop.jit.simd8 import every
 from closedloop.parameters import parameter_block
 from closedloop.reference.joint_path import cubic
 from closedloop.step.closed_loops import BIND_LOAD, DRIVE, factorise_tip
+from closedloop.step.contacts import DRIVE as DRIVE_CONTACTS
+from closedloop.step.contacts import FORCE
 from closedloop.step.energy_supplied import driving_torque
 from closedloop.step.entries import RATES, START, TORQUE
 from closedloop.step.joint_friction import add_joint_friction, hold_joints
@@ -239,6 +241,8 @@ def drive_torque(w: Work, constants: Constants, state: State) -> int:
     failed = call_law(state, TORQUE)
     if state.loops != 0:
         call_at(state.loops, state.loops_at, DRIVE)
+    elif state.contacts != 0:
+        call_at(state.contacts, state.contacts_at, DRIVE_CONTACTS)
     if state.drives != 0 and failed == 0:
         cut_torque(
             w.torque, w.torque_before, constants.torque_change, constants.torque_limit, not w.time > 0.0,
@@ -275,6 +279,8 @@ def contact_force(C: Array, w: Work, constants: Constants, state: State) -> int:
     free_acceleration(w.L, w.X, w.drift_c, w.column, C, w.y, w.a)
     if state.loops != 0:
         call_at(state.loops, state.loops_at, BIND_LOAD)
+    if state.contacts != 0:
+        return call_at(state.contacts, state.contacts_at, FORCE)
     w.rigid_force = 0.0
     for i in range(3):
         w.F[i] = 0.0

@@ -75,6 +75,8 @@ class State(Block):
     surface_motion: int  # address of the entry of its motion, 0: it is at rest
     loops: int  # address of the entry of the mechanism's loops, 0: a tree; and of their memory
     loops_at: int
+    contacts: int  # address of the entry of the contacts of the links, 0: none but the tip's; and of their memory
+    contacts_at: int
     stops: int  # 1 if the joints have stops
     feed_forward: int  # whether the law is told of the joints' desired acceleration
     proceed: int  # address of the entry of `closedloop.events.proceed`, for the compiled engine
@@ -195,6 +197,9 @@ class Work(Block, sizes=("n", "k", "stages", "ring")):
     substep_work: float
     start_power: float
     start_power_rate: float
+    contact_margin: float  # of the links' contacts in the event function, see `closedloop.step.contacts`, as the next
+    contact_power: float  # of their forces, the tip's apart, W, and its rate with these forces, W/s
+    contact_power_rate: float
     r: Annotated[Array, 3]  # base axes
     drift: Annotated[Array, 3]  # base axes
     frame: Annotated[Array, 3, 3]  # contact frame: rows n, t1, t2, base axes
@@ -227,6 +232,7 @@ class Work(Block, sizes=("n", "k", "stages", "ring")):
     y: Annotated[Array, N]  # L⁻¹(Q − C)
     column: Annotated[Array, N]  # scratch
     joint_friction: Annotated[Array, N]  # torque of friction on the joints
+    contact_torque: Annotated[Array, N]  # of the forces of the links' contacts, the tip's apart
     stuck: Annotated[Array, N]  # 1 for a joint that sticks as a spring
     stopped: Annotated[Array, N]  # 1 for a joint at its upper stop, −1 at its lower, else 0
     stop_torque: Annotated[Array, N]  # what the stops give, N m (N)

@@ -15,6 +15,7 @@ from closedloop.closure.conditioning import (
     condition_numbers_of_batch,
 )
 from closedloop.closure.contact_force import FREE, STUCK, residuals
+from closedloop.contacts.memory import contacts_at
 from closedloop.control.sensor import SensorParameters, sense
 from closedloop.jit.blocks import Block
 from closedloop.jit.calls import call_at
@@ -22,7 +23,7 @@ from closedloop.jit.kernel import entry_kernel, kernel, kernel_inlined
 from closedloop.jit.simd8 import every, select
 from closedloop.step.closed_loops import REACTION, missing_torque
 from closedloop.step.energy_supplied import driving_torque
-from closedloop.step.memory import RIGID_STICK, Constants, N, State, Work, loop_at
+from closedloop.step.memory import RIGID_STICK, Constants, K, N, State, Work, loop_at
 
 Array = NDArray[np.float64]
 
@@ -68,19 +69,33 @@ class ArmRow(Block, sizes=("n",)):
     transmitted_torque: Annotated[Array, N]
 
 
+class ContactRow(Block, sizes=("k",)):
+    """What stands behind these where links have k contacts besides the tip; along their tangents first and second."""
+
+    link_modes: Annotated[Array, K]
+    link_gaps: Annotated[Array, K]
+    link_forces: Annotated[Array, K]
+    link_frictions: Annotated[Array, 2 * K]
+    link_slips: Annotated[Array, 2 * K]
+
+
+CONTACT_RECORDED = tuple(ContactRow.layout.at)
 ARM_RECORDED = tuple(ArmRow.layout.at)
 
 
-def row_width(n: int, arm: bool) -> int:
-    """Return the numbers in a row of n joints, `arm` whether there is an `ArmRow` behind it."""
-    return Row.count(n) + (ArmRow.count(n) if arm else 0)
+def row_width(n: int, arm: bool, contacts: int = 0) -> int:
+    """Return the numbers in a row of n joints, `arm` whether there is an `ArmRow` behind it, and of k `contacts`."""
+    return Row.count(n) + (ArmRow.count(n) if arm else 0) + ContactRow.count(contacts)
 
 
-def recorded(rows: Array, n: int, name: str) -> Array:
+def recorded(rows: Array, n: int, name: str, contacts: int = 0) -> Array:
     """Return a copy of one of the columns `RECORDED` or `ARM_RECORDED`, (N,) or (N, k), of rows of n joints.
 
-    A column of `ARM_RECORDED` is NaN where the rows do not have it.
+    A column of `ARM_RECORDED` is NaN where the rows do not have it. Those of `CONTACT_RECORDED` are of k `contacts`.
     """
+    if name in CONTACT_RECORDED:
+        return rows[:, rows.shape[1] - ContactRow.count(contacts) :][:, ContactRow.place(name, contacts)].copy()
+    rows = rows[:, : rows.shape[1] - ContactRow.count(contacts)]
     if name in ARM_RECORDED:
         if rows.shape[1] == Row.count(n):
             return np.full((rows.shape[0], n), np.nan)
@@ -180,6 +195,9 @@ def record_state(H: Array, C: Array, w: Work, state: State, rows: Array, place: 
         call_at(state.loops, state.loops_at, REACTION)
         for j in range(n):
             w.column[j] += driving_torque(w, state, j) + w.joint_friction[j]
+    if state.contacts != 0:
+        for j in range(n):
+            w.column[j] += w.contact_torque[j]
     motion, closed = residuals(H, w.column, C, w.A, w.S, w.drift_c, w.b, w.a, w.qdd, w.F, first, last)
     trace = w.S[0, 0] + w.S[1, 1] + w.S[2, 2]
     row.contact_force = w.F[0]
@@ -202,6 +220,8 @@ def record_state(H: Array, C: Array, w: Work, state: State, rows: Array, place: 
     w.measured = w.F[0]
     row.measured_force = w.measured
     row.energy_supplied = w.supplied
+    if state.contacts != 0:
+        record_contacts(state, rows[place])
 
 
 @kernel
@@ -216,3 +236,15 @@ def record_arm(w: Work, state: State, part: Array) -> None:
         row.transmitted_torque[j] = w.transmitted[j]
         if state.elastic != 0:
             row.motor_position[j], row.motor_velocity[j] = w.z[motors + j], w.z[motors + n + j]
+
+
+@kernel
+def record_contacts(state: State, part: Array) -> None:
+    """Write the part of a row that is a `ContactRow`."""
+    links, c = contacts_at(state.contacts_at)
+    row = ContactRow(part[links.record_at :], links.k - 1)
+    for i in range(1, links.k):
+        at, to = 3 * i, i - 1
+        row.link_modes[to], row.link_gaps[to], row.link_forces[to] = c.mode[i], c.located[at], c.F[at]
+        row.link_frictions[2 * to], row.link_frictions[2 * to + 1] = c.F[at + 1], c.F[at + 2]
+        row.link_slips[2 * to], row.link_slips[2 * to + 1] = c.u[at + 1], c.u[at + 2]

@@ -1,0 +1,9 @@
+"""Point contacts of the links of a tree, many at once: their rows, the forces in them, impacts, and their modes.
+
+memory           what they are, and what they are at the state asked about last
+linear           a square system of any rank
+complementarity  forces or impulses in Coulomb's cones that solve all contacts together
+given_modes      forces where it is known which contacts are free, slide or stick
+least_norm       of forces that are not unique those of least norm inside the cones
+bind             what the sections [[contact]] of a scenario ask for, as the rows that the loop reads
+"""

@@ -1,0 +1,168 @@
+"""Forces where it is known which contacts are free, slide or stick: linear equations, as long as no mode ends.
+
+A contact that sticks has the three rows u̇ = b, one that slides u̇_n = b_n with F = f (1, −μ d), one that pulls as well
+u̇_n = b_n with F_t = −c f − w. Rows that depend on others are found at run time; the forces are then not unique, and
+those of least norm are taken (`closedloop.contacts.least_norm`).
+"""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+from numpy.typing import NDArray
+
+from closedloop.closure.contact_force import FREE, IMMOBILE, STUCK
+from closedloop.closure.solve import OK, PAINLEVE, SINGULAR
+from closedloop.contacts.least_norm import least_norm
+from closedloop.contacts.linear import solve_any_rank
+from closedloop.contacts.memory import CONE, LINE, OFF, RAY, Contacts
+from closedloop.jit.kernel import kernel
+
+Array = NDArray[np.float64]
+
+# A pivot of the mobility below this share of the largest: the row depends on others, its force is not unique. A row
+# that asks for more than this share beyond what the others give contradicts them.
+SAME_ROW, CONTRADICTS = 1e-10, 1e-6
+
+
+@kernel
+def mobility_of(c: Contacts, k: int) -> None:
+    """Write W = X Xᵀ."""
+    n = c.X.shape[1]
+    for i in range(3 * k):
+        for j in range(i + 1):
+            s = 0.0
+            for m in range(n):
+                s += c.X[i, m] * c.X[j, m]
+            c.W[i, j], c.W[j, i] = s, s
+
+
+@kernel
+def kinds_of_modes(c: Contacts, k: int) -> None:
+    """Write the kind of each contact but a LINE by its mode, and F_t = −along f of one that slides."""
+    for i in range(k):
+        if c.kind[i] == LINE:
+            continue
+        c.kind[i] = OFF
+        if c.mode[i] == STUCK:
+            c.kind[i] = CONE
+        elif c.mode[i] != FREE:
+            c.kind[i] = RAY
+            slip_direction(c, i)
+
+
+@kernel
+def slip_direction(c: Contacts, i: int) -> None:
+    """Write F_t = −along f of a contact that slides: against its slip, or against `direction` while it has none."""
+    u1, u2 = c.u[3 * i + 1], c.u[3 * i + 2]
+    d1, d2, speed = c.direction[i, 0], c.direction[i, 1], math.hypot(u1, u2)
+    if speed > STILL and u1 * d1 + u2 * d2 > 0.0:
+        d1, d2 = u1 / speed, u2 / speed
+    c.along[i, 0], c.along[i, 1] = c.mu[i] * d1, c.mu[i] * d2
+
+
+# A slip below this has no direction, m/s: it is rounding.
+STILL = 1e-9
+
+
+@kernel
+def solve_modes(c: Contacts, k: int) -> int:
+    """Write `rigid`, the force of the contacts in their modes, F with the stabiliser's part, and `rounding`.
+
+    X, W, a, b, viscous, kind and along are read.
+
+    Returns
+    -------
+    int
+        OK; SINGULAR: the rows contradict each other; PAINLEVE: a contact slides so that a larger force pulls it in.
+    """
+    n, most = c.X.shape[1], 0.0
+    for i in range(3 * k):
+        c.rigid[i] = 0.0 - c.viscous[i]  # not -0.0
+        c.F[i] = c.rigid[i]
+        most = max(most, c.W[i, i])
+    p = list_unknowns(c, k, most)
+    c.rounding = 0.0
+    if p == 0:
+        return OK
+    for i in range(k):
+        if c.kind[i] == RAY:
+            at = 3 * i
+            own = c.W[at, at] - c.W[at, at + 1] * c.along[i, 0] - c.W[at, at + 2] * c.along[i, 1]
+            if not own > 1e-12 * (c.W[at, at] + c.W[at + 1, at + 1] + c.W[at + 2, at + 2]):
+                return PAINLEVE
+    asked = write_system(c, k, p)
+    for i in range(p):
+        for j in range(p):
+            c.unknowns[i, j] = c.system[i, j]
+    rank = solve_any_rank(c.system, p, 2, c.column_order, c.solution, SAME_ROW)
+    for side in range(2):
+        force = c.rigid if side == 0 else c.F
+        for j in range(p):
+            add_unknown(c, int(c.unknown[j]), c.solution[side, j], force)
+    if rank < p:
+        for i in range(p):
+            left = -c.sought[i]
+            for j in range(p):
+                left += c.unknowns[i, j] * c.solution[0, j]
+            if not abs(left) <= CONTRADICTS * asked:
+                return SINGULAR
+        for i in range(3 * k):
+            c.F[i] -= c.rigid[i]
+        if not least_norm(c, k, c.rigid, True):
+            least_norm(c, k, c.rigid, False)
+        for i in range(3 * k):
+            c.F[i] += c.rigid[i]
+    size = 0.0
+    for i in range(3 * k):
+        size = max(size, abs(c.rigid[i]))
+    c.rounding = 1e-10 * max(size, asked / most) if n > 0 else 0.0
+    return OK
+
+
+@kernel
+def list_unknowns(c: Contacts, k: int, most: float) -> int:
+    """Write which rows an active contact has: 3 i + 0, 1, 2; those that no joint moves are left out."""
+    p = 0
+    for i in range(k):
+        if c.kind[i] == OFF:
+            continue
+        for j in range(3 if c.kind[i] == CONE else 1):
+            if c.W[3 * i + j, 3 * i + j] > IMMOBILE * 1e-6 * most:
+                c.unknown[p] = 3 * i + j
+                p += 1
+    return p
+
+
+@kernel
+def add_unknown(c: Contacts, row: int, value: float, force: Array) -> None:
+    """Add what an unknown stands for to a force: a component of one that sticks, f of one that slides."""
+    force[row] += value
+    i = row // 3
+    if c.kind[i] != CONE:
+        force[row + 1] -= c.along[i, 0] * value
+        force[row + 2] -= c.along[i, 1] * value
+
+
+@kernel
+def write_system(c: Contacts, k: int, p: int) -> float:
+    """Write the equations of the unknowns with −a and b on the right; return the size of the terms on the right."""
+    n, asked = c.X.shape[1], 0.0
+    for r in range(p):
+        row, s = int(c.unknown[r]), 0.0
+        for j in range(3 * k):
+            s -= c.W[row, j] * c.viscous[j]
+        for q in range(p):
+            column = int(c.unknown[q])
+            i, w = column // 3, c.W[row, column]
+            if c.kind[i] != CONE:
+                w -= c.W[row, column + 1] * c.along[i, 0] + c.W[row, column + 2] * c.along[i, 1]
+            c.system[r, q] = w
+        c.sought[r] = -c.a[row] - s
+        c.system[r, p], c.system[r, p + 1] = c.sought[r], c.sought[r] + c.b[row]
+        size = abs(c.drift[row]) + abs(c.b[row])
+        for j in range(n):
+            size += abs(c.X[row, j] * c.load[j])
+        asked = max(asked, size)
+    return asked

@@ -1,0 +1,113 @@
+"""Impacts of several contacts at one instant, with Newton's restitution and Coulomb's friction.
+
+    u⁺ = u⁻ + W P,     P ∈ K,     u⁺_n + e u⁻_n >= 0,     P_n (u⁺_n + e u⁻_n) = 0
+
+with friction against u⁺_t: the problem of `closedloop.contacts.complementarity` for q = u⁻ + e u⁻_n n (J. J. Moreau, in
+Nonsmooth Mechanics and Applications, Springer, 1988). Contacts that were closed already take part with e = 0. Newton's
+law with friction can create energy (T. R. Kane, 1984): then all e of the impact are lessened by one factor, until it
+does not. With e = 0 it never does.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from closedloop.closure.contact_force import FREE, PRESSED
+from closedloop.closure.solve import OK, PAINLEVE
+from closedloop.contacts.complementarity import solve_contacts
+from closedloop.contacts.memory import CONE, LINE, OFF, RAY, ContactLinks, Contacts
+from closedloop.contacts.modes import touches
+from closedloop.jit.kernel import kernel
+
+Array = NDArray[np.float64]
+
+# Contacts that come together slower than this do not, m/s.
+RESTING = 1e-11
+# What happened to a contact, as the kinds of `closedloop.events.table`.
+STRUCK_AND_LEFT, STRUCK_AND_STAYED = 1.0, 2.0
+
+
+@kernel
+def strike(links: ContactLinks, c: Contacts, rest_speed: float) -> int:
+    """Write the impulses F of the contacts that come together, zero if there are none; `after` their velocities.
+
+    Returns
+    -------
+    int
+        OK, or PAINLEVE if they were not found.
+    """
+    k, coming = links.k, 0
+    c.energy_lost, c.restitution_share = 0.0, 1.0
+    for i in range(3 * k):
+        c.F[i], c.before[i], c.after[i] = 0.0, c.u[i], c.u[i]
+    for i in range(k):
+        c.happened[i], c.struck[i] = 0.0, 0.0
+        if c.kind[i] != LINE:
+            c.kind[i] = OFF
+            if touches(links, c, i):
+                c.kind[i] = CONE if c.mu[i] > 0.0 else RAY
+        c.along[i, 0], c.along[i, 1] = 0.0, 0.0
+        if c.kind[i] != OFF and c.kind[i] != LINE and c.mode[i] == FREE and c.u[3 * i] < -RESTING:
+            coming, c.struck[i] = coming + 1, 1.0
+    if coming == 0:
+        return OK
+    if not solve_with(links, c, 1.0, rest_speed) or energy_gained(c, k) > 0.0:
+        low, high = 0.0, 1.0
+        for _ in range(40):
+            middle = 0.5 * (low + high)
+            if solve_with(links, c, middle, rest_speed) and energy_gained(c, k) <= 0.0:
+                low = middle
+            else:
+                high = middle
+        low *= 1.0 - 1e-9  # so that rounding gives no energy
+        for attempt in range(11):  # a problem may have no solution that is found: then that of a smaller restitution
+            low = low if attempt < 10 else 0.0
+            if solve_with(links, c, low, rest_speed) and energy_gained(c, k) <= 0.0:
+                break
+            if attempt == 10:
+                return PAINLEVE
+            low *= 0.5
+        c.restitution_share = low
+    c.energy_lost = -energy_gained(c, k)
+    for i in range(k):
+        if c.kind[i] == LINE or c.kind[i] == OFF:
+            continue
+        left = c.after[3 * i] > 0.5 * rest_speed
+        if c.struck[i] != 0.0:
+            c.happened[i] = STRUCK_AND_LEFT if left else STRUCK_AND_STAYED
+        if left:
+            c.mode[i], c.risen[i], c.floor[i] = FREE, 1.0, min(c.located[3 * i], 0.0)
+        elif c.mode[i] == FREE:
+            c.mode[i] = PRESSED
+    return OK
+
+
+@kernel
+def solve_with(links: ContactLinks, c: Contacts, share: float, rest_speed: float) -> bool:
+    """Solve for the impulses with restitution times `share`; `after` is then u⁺."""
+    k = links.k
+    for i in range(3 * k):
+        c.q[i], c.F[i] = c.before[i], 0.0  # always from the same start: the solution need not be the only one
+    for i in range(k):
+        bounce = -share * c.restitution[i] * c.before[3 * i]
+        if c.struck[i] != 0.0 and links.tired == 0 and bounce >= rest_speed:
+            c.q[3 * i] -= bounce
+    if not solve_contacts(c, k):
+        return False
+    for i in range(3 * k):
+        s = c.before[i]
+        for j in range(3 * k):
+            s += c.W[i, j] * c.F[j]
+        c.after[i] = s
+    return True
+
+
+@kernel
+def energy_gained(c: Contacts, k: int) -> float:
+    """Return the kinetic energy that the impulses give, Pᵀ(u⁻ + u⁺)/2, J; zero if it is rounding."""
+    gained, size = 0.0, 0.0
+    for i in range(3 * k):
+        gained += 0.5 * c.F[i] * (c.before[i] + c.after[i])
+        size += abs(c.F[i]) * (abs(c.before[i]) + abs(c.after[i]))
+    return gained if abs(gained) > 1e-13 * size else 0.0

@@ -1,0 +1,120 @@
+"""Events of the contacts of the links: at one instant several may come together, part, slip or stick.
+
+First contacts that come together strike each other; then, with the terms of the state after that, the modes of all
+contacts are found (`closedloop.contacts`). Each contact to which something happened has its own row in the table.
+"""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+from numpy.typing import NDArray
+
+from closedloop.closure.solve import CHATTER, OK
+from closedloop.contacts.memory import Contacts, contacts_at
+from closedloop.events.phases import (
+    AFTER_EVENT,
+    APPLY_EVENT,
+    AT_EVENT,
+    BEGIN_SUBSTEP,
+    ENLARGE_TABLE,
+    FAIL,
+    INSTANT,
+    MAX_IN_STEP,
+    MAX_RAPID,
+    NEED_TERMS,
+    RAPID,
+    STEP_END,
+    request_terms,
+)
+from closedloop.events.table import EventRow
+from closedloop.jit.calls import call_at
+from closedloop.jit.kernel import kernel
+from closedloop.step.contacts import DECIDE, STRIKE
+from closedloop.step.entries import RESTART
+from closedloop.step.evaluate import call_law
+from closedloop.step.memory import Constants, State, Work
+
+Array = NDArray[np.float64]
+
+
+@kernel
+def apply_contact_event(w: Work, state: State, events: Array) -> int:
+    """Apply the impulses of the contacts that come together, if any do; the modes follow with the terms after them."""
+    links, c = contacts_at(state.contacts_at)
+    if state.events + 2 * links.k > events.shape[0]:
+        state.phase = AT_EVENT
+        return ENLARGE_TABLE
+    state.events_in_step += 1
+    if w.time - w.last_event > RAPID:
+        state.rapid_events = 0
+    else:
+        state.rapid_events += 1
+    w.last_event = w.time
+    if state.events_in_step > MAX_IN_STEP or state.rapid_events > 2 * MAX_RAPID:
+        state.status = CHATTER
+        return FAIL
+    links.tired = 1 if state.rapid_events > MAX_RAPID else 0
+    state.status = call_at(state.contacts, state.contacts_at, STRIKE)
+    if state.status != OK:
+        return FAIL
+    log_contacts(w, c, links.k, state, events)
+    for i in range(links.k):
+        if c.struck[i] != 0.0:
+            call_law(state, RESTART)
+            break
+    links.undecided = 1
+    request_terms(state, AFTER_EVENT)
+    return NEED_TERMS
+
+
+@kernel
+def resume_with_contacts(w: Work, constants: Constants, state: State, events: Array) -> int:
+    """Find the modes after an event; once they are found, continue to the end of the step."""
+    links, c = contacts_at(state.contacts_at)
+    if links.undecided != 0:
+        state.status = call_at(state.contacts, state.contacts_at, DECIDE)
+        if state.status != OK:
+            return FAIL
+        log_contacts(w, c, links.k, state, events)
+        links.undecided, links.fresh = 0, 0
+        state.mode = int(c.mode[0])
+        request_terms(state, AFTER_EVENT)
+        return NEED_TERMS
+    if w.contact_margin < 0.0:
+        return APPLY_EVENT
+    left = state.row * constants.h - w.time
+    if left <= INSTANT:
+        state.no_search = 1
+        w.time = state.row * constants.h
+        request_terms(state, STEP_END)
+        return NEED_TERMS
+    state.after_event = 1
+    w.length = left
+    return BEGIN_SUBSTEP
+
+
+@kernel
+def log_contacts(w: Work, c: Contacts, k: int, state: State, events: Array) -> None:
+    """Write a row for each contact to which something happened; the first of them has the energy lost by all."""
+    lost = c.energy_lost
+    w.supplied -= lost
+    for i in range(k):
+        if c.happened[i] == 0.0:
+            continue
+        event, at = EventRow(events[state.events]), 3 * i
+        for j in range(events.shape[1]):
+            events[state.events, j] = 0.0
+        event.time, event.kind, event.contact = w.time, c.happened[i], i
+        event.rate_before, event.rate_after, event.compression = c.before[at], c.after[at], c.F[at]
+        event.energy_lost = lost
+        lost = 0.0
+        event.slip_before = math.hypot(c.before[at + 1], c.before[at + 2])
+        event.slip_after = math.hypot(c.after[at + 1], c.after[at + 2])
+        if c.before[at] < 0.0 < c.after[at] and c.struck[i] != 0.0:
+            event.restitution = -c.after[at] / c.before[at]
+        for j in range(3):
+            event.tangential[j] = c.axes[at + 1, j] * c.F[at + 1] + c.axes[at + 2, j] * c.F[at + 2]
+            event.position[j] = c.point[i, j]
+        state.events += 1

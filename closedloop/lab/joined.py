@@ -80,7 +80,7 @@ class Joined:
             return ()
         bound, mechanism = bound_by_loops(robot), model.pinocchio_model()
         poses = link_poses(robot.tree, model.home)
-        kinds, first, second = bound.sides.reshape(3, -1)
+        kinds, first, second, _ = bound.sides.reshape(4, -1)
         data = mechanism.createData()
         pin.forwardKinematics(mechanism, data, model.home)
         frames = [(place.rotation, place.translation) for place in data.oMi]

@@ -5,7 +5,7 @@ from __future__ import annotations
 import html
 from collections.abc import Sequence
 
-from closedloop.lab.scene import ARROWS, JOINTS, LOOP, PATH, WANTED
+from closedloop.lab.scene import ARROWS, JOINTS, LOOP, PATH, TOUCH, WANTED
 from closedloop.scenario.scenario import Scenario
 
 # The label of a slider has its value and unit, and needs the place. The box beside a slider over decades would show the
@@ -29,6 +29,7 @@ MEANINGS = {
     "friction": "friction on the tip",
     "commanded force": "force commanded",
     LOOP: "force of a joint that closes a loop",
+    TOUCH: "force of one link on another, or of the world on it",
     JOINTS: "joint that closes a loop",
     "actual path": "path of the tip",
     "desired path": "path desired",

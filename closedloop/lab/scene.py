@@ -19,6 +19,7 @@ from closedloop.errors import ScenarioError
 from closedloop.figures.errors import frame_of
 from closedloop.lab.joined import Joined, reactions_in
 from closedloop.lab.shapes import Shape, robot_shapes
+from closedloop.lab.touching import Touching, contacts_of
 from closedloop.record.run import Run
 from closedloop.robot.pinocchio import Robot
 from closedloop.scenario.arm import robot_of
@@ -31,7 +32,7 @@ from robot_models import RobotModel
 Array = NDArray[np.float64]
 
 # Kinds and colours of the arrows, red, green, blue from 0 to 1: of Okabe and Ito's palette.
-LOOP = "loop force"
+LOOP, TOUCH = "loop force", "force between links"
 # What the marks of loop joints are called where they are hidden.
 JOINTS = "loop joints"
 ARROWS: dict[str, tuple[float, float, float]] = {
@@ -39,6 +40,7 @@ ARROWS: dict[str, tuple[float, float, float]] = {
     "friction": (0.835, 0.369, 0.0),
     "commanded force": (0.0, 0.62, 0.451),
     LOOP: (0.90, 0.62, 0.0),
+    TOUCH: (0.337, 0.706, 0.914),
 }
 PATH, WANTED = (0.80, 0.47, 0.65), (0.0, 0.62, 0.451)
 # The largest force of a run is drawn as long as this share of the arm's reach.
@@ -187,10 +189,13 @@ class Scene:
         """Return the forces in each of some rows: the same ones, in the same order, in all.
 
         First those at the tip, of the surface on the tip and the commanded one on the surface; then that of each loop
-        joint on its second side.
+        joint on its second side; then that of each contact of links on the link that has the point.
         """
         reactions = reactions_in(self.run, self.robot, np.asarray(rows, dtype=np.int64))
-        return [[*self._at_tip(row), *self._in_loops(row, each)] for row, each in zip(rows, reactions, strict=True)]
+        return [
+            [*self._at_tip(row), *self._in_loops(row, each), *self._between_links(row)]
+            for row, each in zip(rows, reactions, strict=True)
+        ]
 
     def _at_tip(self, row: int) -> list[Arrow]:
         run, normal = self.run, self.run.surface_normal[row]
@@ -207,10 +212,24 @@ class Scene:
         each = zip(places, forces, self.joined.loops, strict=True)
         return [Arrow(place, force, f"{LOOP} {loop.name}", LOOP) for place, force, loop in each]
 
+    def _between_links(self, row: int) -> list[Arrow]:
+        if not self.touching:
+            return []
+        there, run = self.joint_places(row), self.run
+        frictions = run.link_frictions[row].reshape(-1, 2)
+        each = zip(self.touching, run.link_forces[row], frictions, strict=True)
+        return [Arrow(*c.force(normal, friction, *there), f"{TOUCH} {c.name}", TOUCH) for c, normal, friction in each]
+
+    @cached_property
+    def touching(self) -> tuple[Touching, ...]:
+        """The contacts of the links."""
+        return contacts_of(self.run.scenario, _places(self.model).model)
+
     @property
     def kinds(self) -> list[str]:
         """The kinds of arrows that this run has."""
-        return [kind for kind in ARROWS if kind != LOOP or self.joined.loops]
+        some = {LOOP: self.joined.loops, TOUCH: self.touching}
+        return [kind for kind in ARROWS if some.get(kind, True)]
 
     @cached_property
     def arm_hides_force(self) -> bool:
@@ -246,9 +265,10 @@ class Scene:
     @cached_property
     def metres_per_newton(self) -> float:
         """A round scale for arrows at which the largest usual force of this run is as long as `LONGEST` says."""
-        rows = np.linspace(0, len(self.run) - 1, 20 if self.joined.loops else 0).astype(int)
-        loops = [np.linalg.norm(arrow.force) for each in self.arrows(rows) for arrow in each if arrow.kind == LOOP]
-        forces = np.abs(np.concatenate([self.run.contact_force, self.run.reference_force, loops]))
+        others = LOOP, TOUCH
+        rows = np.linspace(0, len(self.run) - 1, 20 if set(others) & set(self.kinds) else 0).astype(int)
+        of_others = [np.linalg.norm(a.force) for each in self.arrows(rows) for a in each if a.kind in others]
+        forces = np.abs(np.concatenate([self.run.contact_force, self.run.reference_force, of_others]))
         usual = float(np.percentile(forces[np.isfinite(forces)], 99)) if np.isfinite(forces).any() else 0.0
         return round_down(LONGEST * self.size / usual) if usual > 0.0 else 0.01
 

@@ -7,7 +7,7 @@ from collections.abc import Callable
 from typing import Any
 
 from closedloop.lab.look import MEANINGS
-from closedloop.lab.scene import ARROWS, JOINTS, LOOP, Scene
+from closedloop.lab.scene import ARROWS, JOINTS, LOOP, TOUCH, Scene
 from closedloop.lab.view_playback import PlaybackBar
 from closedloop.lab.view_space import Space
 
@@ -65,9 +65,9 @@ class ViewTab:
 
     def show_scene(self, scene: Scene) -> None:
         """Show the length of the arrows, that of 10 N, and the switches of what this scene has."""
-        for name in (LOOP, JOINTS):
-            if self._switches[name].visible != bool(scene.joined.loops):
-                self._switches[name].visible = bool(scene.joined.loops)
+        for name, drawn in ((LOOP, scene.joined.loops), (JOINTS, scene.joined.loops), (TOUCH, scene.touching)):
+            if self._switches[name].visible != bool(drawn):
+                self._switches[name].visible = bool(drawn)
         if self._space is None or self._space.metres_per_newton is None:
             return
         self._scale.label = f"10 N = {10.0 * self._space.metres_per_newton:.2g} m"

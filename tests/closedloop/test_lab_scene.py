@@ -5,7 +5,6 @@ import json
 import re
 import sys
 
-import mechanisms
 import numpy as np
 import pinocchio
 import pytest
@@ -15,9 +14,11 @@ from closedloop.closure.contact_force import FREE
 from closedloop.lab.curves import panels, reduced, with_instants
 from closedloop.lab.joined import Joined
 from closedloop.lab.playback import Playback
-from closedloop.lab.scene import LOOP, quaternions, scene_of
+from closedloop.lab.scene import LOOP, TOUCH, quaternions, scene_of
 from closedloop.lab.share import page_of
+from closedloop.loops.reactions import loop_rows
 from closedloop.robot.pinocchio import Robot
+from validation.loops import mechanisms
 
 SHIPPED = cl.shipped_scenarios()
 QUICK = ("wam_slide", "planar2_drop")
@@ -47,7 +48,8 @@ def test_the_drawn_tip_is_on_the_surface_and_the_arrows_are_the_forces(name):
     for row, (pushed, rubbed, wanted, *in_loops) in zip(few, scene.arrows(few), strict=True):
         assert scene.tip_place(row) == pytest.approx(run.position[row], abs=1e-9)
         normal = run.surface_normal[row]
-        assert [arrow.kind for arrow in in_loops] == [LOOP] * len(run.model.loops)
+        kinds = [LOOP] * len(run.model.loops) + [TOUCH] * len(run.scenario.contact or ())
+        assert [arrow.kind for arrow in in_loops] == kinds
         assert pushed.force @ normal == pytest.approx(run.contact_force[row], rel=1e-12)
         assert np.linalg.norm(np.cross(pushed.force, normal)) < 1e-9
         assert rubbed.force == pytest.approx(run.friction_force[row])
@@ -85,6 +87,37 @@ def test_the_drawn_forces_of_loops_do_the_work_that_the_torques_lack(name):
     assert work == pytest.approx(missing, abs=1e-3)
     assert [trace.label for trace in panels(run)[2].traces] == [loop.name for loop in run.model.loops]
     assert all(trace.values.max() < 1e-6 for trace in panels(run)[2].traces)
+
+
+@pytest.mark.parametrize("name", ["two_arms_bar", "gripper_block"])
+def test_the_drawn_forces_between_links_are_the_torques_that_are_missing(name):
+    """Where they are drawn, on one link and its opposite on the other, they give, with C, Q and loops, q̈."""
+    run = short_run(name, **{"time.duration": 0.02})
+    scene, row = scene_of(run), 15
+    (arrows,) = scene.arrows([row])
+    drawn = [arrow for arrow in arrows if arrow.kind == TOUCH]
+    assert [arrow.name.removeprefix(f"{TOUCH} ") for arrow in drawn] == [c.name for c in run.scenario.contact]
+    mechanism = scene.model.pinocchio_model()
+    data = mechanism.createData()
+    pinocchio.computeJointJacobians(mechanism, data, run.q[row])
+
+    def torque(frame, place, force):
+        joint = 0 if frame == "world" else mechanism.frames[mechanism.getFrameId(frame)].parentJoint
+        jacobian = (
+            pinocchio.getJointJacobian(mechanism, data, joint, pinocchio.WORLD) if joint else np.zeros((6, run.model.n))
+        )
+        return jacobian.T @ np.concatenate([force, np.cross(place, force)])
+
+    work = sum(
+        torque(contact.link, arrow.tail, arrow.force) - torque(contact.against, arrow.tail, arrow.force)
+        for contact, arrow in zip(run.scenario.contact, drawn, strict=True)
+    )
+    terms = scene.robot.terms(run.q[row], run.v[row])
+    missing = terms.mass_matrix @ run.acceleration[row] + terms.bias - run.torque[row] - work
+    if run.loops is not None:  # the gear between the fingers
+        missing -= loop_rows(scene.robot, run.q, run.v)[0][row].T @ run.loops.reactions[row]
+    assert np.abs(work).max() > 1.0
+    assert missing == pytest.approx(0.0, abs=1e-9)
 
 
 @pytest.mark.parametrize("mechanism", [mechanisms.distance, mechanisms.slider_crank, mechanisms.gears])

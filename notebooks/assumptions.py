@@ -39,12 +39,12 @@ def held(run):
         print(f"  {name:13} {'held' if found['held'] else 'did not hold':13} {found['measured']}")
 
 
-def draw(before, after, label, of, names=("before", "after")):
+def draw(before, after, label, of, names=("before", "after"), scale="linear"):
     """Draw a quantity of two runs against time."""
     _, axes = plt.subplots(figsize=(7.0, 2.6), layout="constrained")
     axes.plot(before.time, of(before), color="0.6", label=names[0])
     axes.plot(after.time, of(after), label=names[1])
-    axes.set(xlabel="time [s]", ylabel=label)
+    axes.set(xlabel="time [s]", ylabel=label, yscale=scale)
     axes.legend()
     plt.show()
 
@@ -97,8 +97,8 @@ for name, modes, forces in zip(names, gripped.link_modes.T, gripped.link_forces.
     print(f"  {name:12} {state:8} at the end, f at most {np.max(forces):7.3f} N, at the end {forces[-1]:7.3f} N")
 print("lifted off the floor at", ", ".join(f"{e.time:.4f} s" for e in gripped.events if e.kind == "liftoff"))
 _, axes = plt.subplots(figsize=(7.0, 2.6), layout="constrained")
-for name, forces in zip(names, gripped.link_forces.T, strict=True):
-    axes.plot(gripped.time, forces, label=name)
+for k, (name, forces) in enumerate(zip(names, gripped.link_forces.T, strict=True)):
+    axes.plot(gripped.time, forces, label=name, linestyle=("-", "--")[k % 2])
 axes.set(xlabel="time [s]", ylabel="normal force [N]")
 axes.legend(ncols=3)
 plt.show()
@@ -156,4 +156,4 @@ try:
 except cl.SingularClosureError as error:
     braked = error.run
     print("with brakes:", error)
-draw(through, braked, "|f| [N]", lambda run: np.abs(force(run)), names=("glides", "brakes from 0.59 s on"))
+draw(through, braked, "|f| [N]", lambda run: np.abs(force(run)), names=("glides", "brakes from 0.59 s on"), scale="log")

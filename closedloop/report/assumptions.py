@@ -58,7 +58,8 @@ def assumptions(run: Run) -> dict[str, dict[str, Any]]:
             verdict |= {"held": False, "first_failed": float(run.time[-1]) + run.scenario.time.step}
     if run.model.loops:
         rows = sum(loop.rows for loop in run.model.loops)
-        said = f"{measured[0]}; {rows} rows in {len(run.model.loops)} loops of the mechanism"
+        count = len(run.model.loops)
+        said = f"{measured[0]}; {_counted(rows, 'row')} in {_counted(count, 'loop')} of the mechanism"
         report["one_loop"] = {"held": False, "first_failed": 0.0, "measured": said}
         outside |= {"one_loop"}
     if found := contact_faults(run):
@@ -102,3 +103,8 @@ def _contact(run: Run) -> str:
         return f"f ≥ {held[lowest]:.4g} N, at {run.time[lowest]:.4g} s"
     free = run.scenario.time.step * np.count_nonzero(~touching[:-1])
     return f"free for {free:.4g} of {run.time[-1]:g} s"
+
+
+def _counted(count: int, what: str) -> str:
+    """Return how many there are of something, in words."""
+    return f"{count} {what}" + ("s" if count != 1 else "")

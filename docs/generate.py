@@ -17,7 +17,7 @@ import closedloop
 from closedloop.command.table import COMMANDS, imported, overview
 from closedloop.events.table import EVENT_COLUMNS
 from closedloop.record.derived import DERIVED
-from closedloop.record.run import ALL_COLUMNS, ARM_COLUMNS, COLUMNS
+from closedloop.record.run import ALL_COLUMNS, ARM_COLUMNS, COLUMNS, CONTACT_COLUMNS
 from closedloop.scenario import describe
 
 # What each public name is for, in the order of the page; a name that is in none of these is a fault.
@@ -35,6 +35,8 @@ API = {
 }
 
 HOME = Path(closedloop.__file__).parent
+# Letters for the lengths of the dimensions of columns.
+SIZES = {"time": "N", "joint": "n", "axis": "3", "event": "E", "contact": "K", "contact_tangent": "2 K"}
 MODELS = {
     "Control laws": "control.laws",
     "Compensations of friction": "control.compensation",
@@ -85,19 +87,18 @@ def columns() -> Iterator[str]:
     yield from ("# Columns and units", "")
     yield "Each column is an attribute of a `Run` and a variable of `run.nc`, with its unit and meaning as attributes."
     yield "Row k of all columns belongs to the state at `time[k]`. A joint that slides has m, m/s, m/s² and N in"
-    yield "place of rad, rad/s, rad/s² and N m. N is the number of rows, n of joints, E of events."
+    yield "place of rad, rad/s, rad/s² and N m. N is the number of rows, n of joints, E of events, K of link contacts."
     events = set(EVENT_COLUMNS)
     for title, names in (
         ("By time", [c for c in COLUMNS if c not in events]),
         ("With drives, encoders or elastic joints that are asked for", list(ARM_COLUMNS)),
+        ("With contacts of the links, [[contact]]", list(CONTACT_COLUMNS)),
         ("Events", [c for c in COLUMNS if c in events]),
     ):
         yield from ("", f"## {title}", "")
         rows = []
         for name in names:
-            shape = ", ".join(
-                {"time": "N", "joint": "n", "axis": "3", "event": "E"}[dim] for dim in ALL_COLUMNS[name].dims
-            )
+            shape = ", ".join(SIZES[dim] for dim in ALL_COLUMNS[name].dims)
             comma = "," if len(ALL_COLUMNS[name].dims) == 1 else ""
             rows.append((f"`{name}`", f"({shape}{comma})", ALL_COLUMNS[name].units, ALL_COLUMNS[name].meaning))
         yield from table(("column", "shape", "unit", "meaning"), rows)

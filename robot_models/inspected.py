@@ -24,6 +24,10 @@ PASSED: dict[str, tuple[str, ...]] = {
     "2916d2ff726879aa33ca628d5f0a1d67cf9764abeefe2f0e0417d4ad88527976": (),
     # stewart
     "1e0cec012874a3e5de493e94123dbb3dd08e612a7a8ea0fcbf5ae62cccb79575": (),
+    # two_arms
+    "03259728eb07cef196ffc88842ede01514d62bf12940a9f8c91f3ab6c6fa4736": (),
+    # gripper
+    "7c916021ed179fdbd28be0fe96f0b32e525485a77fe1334f66b4f2538304b928": (),
     # kinova
     "a9a0a8a1a21b82419b15293fca47b8a35c57e7200eaf1e39dadb6bfd7e44eabb": (),
     # panda

@@ -114,15 +114,15 @@ CONTACT_COLUMNS: dict[str, Column] = {
     ),
     "link_slips": Column(("time", "contact_tangent"), "m s-1", "velocity of each along the two tangents"),
 }
-ARM_COLUMNS |= CONTACT_COLUMNS
+SOMETIMES = ARM_COLUMNS | CONTACT_COLUMNS
 
 COLUMNS: dict[str, Column] = _BY_TIME | {name: Column(*spec) for name, spec in EVENT_COLUMNS.items()}
-ALL_COLUMNS = COLUMNS | ARM_COLUMNS
+ALL_COLUMNS = COLUMNS | SOMETIMES
 
 
 def columns_there(columns: Iterable[str]) -> dict[str, Column]:
-    """Return `COLUMNS`, and those of `ARM_COLUMNS` that are among the columns of a run."""
-    return COLUMNS | {name: spec for name, spec in ARM_COLUMNS.items() if name in columns}
+    """Return `COLUMNS`, and those of `SOMETIMES` that are among the columns of a run."""
+    return COLUMNS | {name: spec for name, spec in SOMETIMES.items() if name in columns}
 
 
 class Event(NamedTuple):
@@ -182,7 +182,7 @@ def events_of(columns: Mapping[str, NDArray[Any]]) -> tuple[Event, ...]:
 class Run:
     """The record of a simulation, and what produced it.
 
-    Every column in `COLUMNS`, and in `ARM_COLUMNS` where the scenario asks for it, is also an attribute: `run.time`
+    Every column in `COLUMNS`, and in `SOMETIMES` where the scenario asks for it, is also an attribute: `run.time`
     (N,), `run.q` (N, n), `run.position` (N, 3), `run.contact_force` (N,) ... So is every column of the table of events
     (`closedloop.events.table.EVENT_COLUMNS`), which `run.events` reads row by row; and what follows from them,
     `closedloop.record.derived.DERIVED`, such as `run.wrist_wrench` (N, 6). All are read-only.
@@ -233,7 +233,7 @@ class Run:
         self.__post_init__()
 
     def __getattr__(self, name: str) -> NDArray[Any]:
-        if name in COLUMNS or (name in ARM_COLUMNS and name in self.columns):
+        if name in COLUMNS or (name in SOMETIMES and name in self.columns):
             column: NDArray[Any] = self.columns[name]
             return column
         if name in DERIVED:

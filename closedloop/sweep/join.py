@@ -21,7 +21,7 @@ from closedloop.batch.threads import Done, uninterrupted
 from closedloop.errors import OutputError
 from closedloop.files import remove_unfinished, write_whole
 from closedloop.sweep.columns import write_columns
-from closedloop.sweep.store import FORMAT, OccupiedError, Store, check_identity, unwritable
+from closedloop.sweep.store import FORMAT, Store, check_identity, occupied, unwritable
 
 if TYPE_CHECKING:
     import pyarrow as pa
@@ -91,7 +91,7 @@ def already_there(identity: dict[str, Any], out: Path) -> Joined | None:
         raise unwritable(out, error) from None
     check_identity(found, identity, out)
     if counted is None:
-        raise OccupiedError(out, "is damaged")
+        raise occupied(out, "is damaged")
     if kept is not None and not kept.exists():
         raise OutputError(f"--out {out}: is done, but {kept} is gone; remove the table to run it again")
     return Joined(out, kept, *counted)

@@ -53,8 +53,10 @@ TRIES = 20
 class OccupiedError(OutputError):
     """A file of that name is there that is another sweep's, or nobody's; --overwrite replaces it."""
 
-    def __init__(self, out: Path, why: str) -> None:
-        super().__init__(f"--out {out}: {why}; name another file with --out, or replace it with --overwrite")
+
+def occupied(out: Path, why: str) -> OccupiedError:
+    """Return the error of a file that is there and is not replaced."""
+    return OccupiedError(f"--out {out}: {why}; name another file with --out, or replace it with --overwrite")
 
 
 class Store:
@@ -259,11 +261,11 @@ def check_identity(found: Any, identity: dict[str, Any], out: Path) -> None:
         With what is different.
     """
     if not isinstance(found, dict) or found.get("format") != FORMAT or not isinstance(found.get("identity"), dict):
-        raise OccupiedError(out, "is there and is no sweep")
+        raise occupied(out, "is there and is no sweep")
     theirs, mine = found["identity"], json.loads(json.dumps(identity))
     different = [key for key in mine if theirs.get(key) != mine[key]]
     if different:
-        raise OccupiedError(out, f"holds another sweep: {difference(different, _NAMES, theirs, mine)}")
+        raise occupied(out, f"holds another sweep: {difference(different, _NAMES, theirs, mine)}")
 
 
 def _locked(path: Path, out: Path) -> int:

@@ -1,4 +1,7 @@
-"""The shipped scenarios in which the tip of an arm stays on a smooth surface under the paper's law."""
+"""The shipped scenarios in which the tip of an arm stays on a smooth surface under the paper's law.
+
+`wam_through_singularity` passes a pose in which Eq. 24 has no row: see `test_singular`.
+"""
 
 import closedloop as cl
 import robot_models
@@ -6,7 +9,8 @@ import robot_models
 SLIDES = [
     name
     for name, scenario in ((name, cl.load_scenario(name)) for name in cl.shipped_scenarios())
-    if scenario.surface.contact == "bilateral"
+    if name != "wam_through_singularity"
+    and scenario.surface.contact == "bilateral"
     and scenario.law.kind == "paper"
     and scenario.compliance.kind == "none"
     and scenario.model_error.payload == 0.0

@@ -26,6 +26,7 @@ ANY = {
     "normal",
     "axis",
     "restitution",
+    "stop_restitution",
     "passes",
     "seed",
     "tolerance",

@@ -94,7 +94,7 @@ def test_targets_are_judged_on_the_right_side():
     none = (None, None)
     assert found == [
         (16.0, True), (4.0, False), none, none, (0.75, False), (1.5, False), (2.0, True), (5.0, False),
-        (1.5, True), none,
+        (1.5, True), none, none, none,
     ]  # fmt: skip
     both = [("compiled", 4.0, 10.0), ("algorithms", 8.0, 20.0)]
     chains = {
@@ -120,8 +120,8 @@ def test_command_writes_valid_json(tmp_path, capsys):
         assert row["seconds_per_step"] == np.median(row["laps"])
         joint = row["processor_seconds_per_step"] / row["joints"]
         assert joint == row["processor_seconds_per_step_and_joint"] == np.median(row["processor_laps"]) / row["joints"]
-    assert len(data["targets"]) == 10
-    assert data["targets"][-1]["measured"] is None  # no chains in this run
+    assert len(data["targets"]) == 12
+    assert data["targets"][-1]["measured"] is None  # no mechanisms and no chains in this run
     assert data["cold_start_seconds"] == {}
 
 

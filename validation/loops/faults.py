@@ -10,7 +10,7 @@ from collections.abc import Callable, Sequence
 from copy import copy
 from dataclasses import dataclass, replace
 from types import MethodType
-from typing import Any
+from typing import Any, cast
 
 import numpy as np
 
@@ -21,6 +21,7 @@ from closedloop.loops.memory import GEAR, LoopMemory, loops_at
 from closedloop.loops.solve import meet_rows, remove_basis
 from closedloop.step.closed_loops import BIND_TIP, DRIVE
 from closedloop.step.memory import loop_at
+from robot_models.loop_joint import LoopJoint
 from validation.loops.answers import Entry, LoopFault, ask_loop, ask_oracle
 from validation.loops.cases import Case, draw_case, oracle_of
 from validation.loops.compare import LOOPS, ON_LOOPS, errors
@@ -149,7 +150,7 @@ def _drop_curvature(self: LoopOracle, joint: Any, x: float) -> float:
 def _moved(sound: LoopOracle) -> LoopOracle:
     loops = tuple(
         replace(joint, points=((joint.points[0][0], joint.points[0][1], joint.points[0][2] + 1e-6), joint.points[1]))
-        for joint in sound.loops
+        for joint in cast("Sequence[LoopJoint]", sound.loops)
     )
     return LoopOracle(
         sound.oracle, loops, [name for name, on in zip(sound.oracle.tree.names, sound.driven, strict=True) if on]

@@ -15,10 +15,10 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import Protocol
 
 import numpy as np
 
-from robot_models.loop_joint import WORLD, LoopJoint
 from validation.oracle.closure import constraint_matrix
 from validation.oracle.dynamics import bias, mass_matrix
 from validation.oracle.engine import Oracle
@@ -46,6 +46,46 @@ FORCES = {"point": "xyz", "hinge": "xyz", "slider": "xy", "cylinder": "xy", "uni
           "weld": "xyz"}  # fmt: skip
 COUPLES = {"point": "", "hinge": "xy", "slider": "xyz", "cylinder": "xy", "universal": "", "planar": "xy",
            "weld": "xyz"}  # fmt: skip
+
+
+WORLD = "world"
+"""What stands for the base as a frame of a loop joint."""
+
+
+class LoopJoint(Protocol):
+    """What is read of a loop joint: lengths in m, directions of length one, the first of a pair in the first frame."""
+
+    @property
+    def type(self) -> str:
+        """Of `FORCES`, or ``"distance"`` or ``"gear"``."""
+
+    @property
+    def frames(self) -> Sequence[str]:
+        """Names of the two frames, of which the second may be `WORLD`."""
+
+    @property
+    def points(self) -> Sequence[Sequence[float]]:
+        """A point in either frame."""
+
+    @property
+    def axes(self) -> Sequence[Sequence[float]]:
+        """An axis in either frame."""
+
+    @property
+    def turn(self) -> Sequence[Sequence[float]]:
+        """The first frame's axes in the second frame when closed: a rotation, row by row."""
+
+    @property
+    def length(self) -> float:
+        """Of a distance."""
+
+    @property
+    def joints(self) -> Sequence[str]:
+        """Names of the joints of a gear; one alone is held at c0."""
+
+    @property
+    def polynomial(self) -> Sequence[float]:
+        """c0 ... c4 of q1 = c0 + c1 q2 + ... of a gear."""
 
 
 @dataclass(frozen=True)

@@ -38,10 +38,16 @@ def modules(package):
     return found
 
 
+@cache
+def nodes(file):
+    """Return all nodes of a file's syntax tree."""
+    return tuple(ast.walk(ast.parse(file.read_text(encoding="utf-8"))))
+
+
 def imported(file, known):
     """Return the modules among `known` that a file imports, wherever in it."""
     names = set()
-    for node in ast.walk(ast.parse(file.read_text(encoding="utf-8"))):
+    for node in nodes(file):
         if isinstance(node, ast.ImportFrom) and node.module:
             names |= {f"{node.module}.{alias.name}" for alias in node.names}
         elif isinstance(node, ast.Import):
@@ -143,7 +149,7 @@ def test_only_jit_imports_the_inside_of_numba():
     knowing = {
         name
         for name, file in modules("closedloop").items()
-        for node in ast.walk(ast.parse(file.read_text(encoding="utf-8")))
+        for node in nodes(file)
         for name_imported in (
             [node.module or ""] if isinstance(node, ast.ImportFrom)
             else [alias.name for alias in node.names] if isinstance(node, ast.Import) else []
@@ -158,7 +164,7 @@ def test_validation_is_named_by_the_table_of_commands_alone():
     naming = {
         (name, node.value)
         for name, file in modules("closedloop").items()
-        for node in ast.walk(ast.parse(file.read_text(encoding="utf-8")))
+        for node in nodes(file)
         if isinstance(node, ast.Constant) and isinstance(node.value, str)
         and re.fullmatch(r"validation[.:][\w.:]+", node.value)
     }  # fmt: skip

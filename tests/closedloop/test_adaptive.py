@@ -314,6 +314,7 @@ def test_law_without_a_torque_stops_it_at_once():
         cl.simulate(scenario, law=broken)
 
 
+@pytest.mark.slow
 def test_law_that_switches_back_and_forth_stalls_with_a_reason():
     """A law that jumps about zero velocity has no smooth motion; the run says so instead of going on for ever."""
     scenario = point(**{"law.force": 4.0, "start.v": [0.1, 0, 0]})

@@ -70,6 +70,7 @@ def _mark_all(memory, n, k, stages, ring, shapes, read):
     _mark(block, shapes, read)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("sizes", SIZES)
 def test_compiled_parts_are_those_of_python(sizes):
     """Compiled code, a call away from where the block was made, reads and writes where Python does."""

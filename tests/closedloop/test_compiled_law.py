@@ -42,6 +42,7 @@ CASES = {
 }
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("law", [returning, writing], ids=["returned", "written"])
 @pytest.mark.parametrize("case", CASES)
 def test_run_is_that_of_the_same_law_in_python(case, law):

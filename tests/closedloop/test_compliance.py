@@ -149,6 +149,7 @@ def test_friction_is_against_the_slip_where_a_soft_surface_pulls():
     assert run.summary()["max_energy_residual"] < 1e-6
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("kind", ["kelvin_voigt", "hunt_crossley"])
 @pytest.mark.parametrize("integrator", ["semi_implicit_euler", "rk4", "dop853"])
 def test_an_arm_comes_down_on_a_soft_ball(kind, integrator):

@@ -108,6 +108,7 @@ def test_the_same_gains_serve_other_arms(name, compensation):
         assert way < 1e-4, kind
 
 
+@pytest.mark.slow
 def test_a_true_model_leaves_no_friction_and_a_wrong_one_its_error():
     """With the true parameters force and path are kept; with each 20 % too small, a fifth of the error stays."""
     fifth = ModelCompensation(kinetic=0.128, static=0.16, stribeck_speed=0.01, viscous=0.8)
@@ -140,6 +141,7 @@ def test_adaptation_finds_the_friction_force():
     assert theta[0] == pytest.approx([0.0, 0.0])
 
 
+@pytest.mark.slow
 def test_adaptation_lets_its_lyapunov_function_fall():
     """V = ½(ė² + 2c eė + (K_p + cK_v)e²) + θ̃²/2Γ falls at −cK_p e² − (K_v − c)ė², as long as P hardly changes."""
     mu, c = 0.2, 15.0

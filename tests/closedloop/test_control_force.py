@@ -30,6 +30,7 @@ def push(loop, d):
     loop.disturbance = -loop.moment(0.0, loop.q, loop.v)[0].A[0] * d
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("section", SECTIONS[:3] + JOINT_LAWS, ids=lambda s: getattr(s, "func", s).__name__)
 @pytest.mark.parametrize("name", ["wam4", "planar2"])
 def test_integral_feedback_alone_decays_exponentially(section, name):

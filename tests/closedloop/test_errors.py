@@ -101,6 +101,7 @@ def final_force(values):
     return float(cl.simulate(cl.load_scenario("wam_slide", values)).contact_force[-1])
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     "method", [method for method in ("fork", "spawn") if method in multiprocessing.get_all_start_methods()]
 )

@@ -25,6 +25,7 @@ def stick_slip():
     return pull_block(PUBLISHED, mass=1.0, spring=2.0, speed=0.1, duration=25.0, tolerance=1e-11)
 
 
+@pytest.mark.slow
 def test_published_stick_slip_ends_where_exudyn_ends(stick_slip):
     """After three slips the state is that of EXUDYN's example, solved there by DOPRI5 with 500 000 steps.
 
@@ -84,6 +85,7 @@ def test_damping_falls_with_speed_as_a_gaussian():
             assert (c[0] + 1e5 * 4e-6) / law.rates(np.array([u]))[0] == pytest.approx(math.sqrt(1e5) * share, rel=1e-13)
 
 
+@pytest.mark.slow
 def test_dahl_neither_sticks_nor_slips():
     """Dahl's law has no excess of static friction: pulled alike, the block follows without ever stopping again."""
     run = pull_block(SurfaceDahl(coefficient=1.0, stiffness=1e5, viscous=0.4), duration=25.0, tolerance=1e-7)

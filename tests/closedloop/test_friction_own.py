@@ -231,6 +231,7 @@ SAME = {
 }  # fmt: skip
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("integrator", ["semi_implicit_euler", "rk4"])
 @pytest.mark.parametrize("where", ["friction", "joint_friction"])
 @pytest.mark.parametrize("case", SAME)

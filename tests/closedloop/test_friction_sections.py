@@ -184,6 +184,7 @@ def test_energy_fault_names_the_joint():
     assert "lugre of joint 1 may add energy" in joints.energy_fault(n=2)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("family", "section"), families())
 def test_every_law_is_drawn(family, section, tmp_path):
     """Every section is drawn into a file, and on axes given."""

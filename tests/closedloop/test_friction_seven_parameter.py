@@ -162,6 +162,7 @@ def stick_slip(section, speed, slips, spring=2.0, mass=1.0, h=2e-4):
     return np.array(away), np.array(dwells), np.array(lasts), np.array(energies)
 
 
+@pytest.mark.slow
 def test_stick_slip_of_a_block():
     """Pulled slowly a block sticks and slips; break-away obeys the rise with rest, and friction only takes energy."""
     section = SECTION.model_copy(update={"stiffness": 2e3, "static_excess": 0.1, "viscous": 0.05})

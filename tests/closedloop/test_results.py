@@ -84,6 +84,7 @@ def test_results_of_another_question_stay(change, words, command_line, tmp_path)
     assert contents(tmp_path / "r")["run.nc"] != before["run.nc"]
 
 
+@pytest.mark.slow
 def test_nothing_of_a_replaced_run_stays_beside_the_new_one(command_line, tmp_path):
     """Figures of the run replaced go; a figure of somebody else's stays, whatever its name."""
     assert command_line("planar2_slide", *(word for word in SHORT if word != "--no-figures")).status == 0

@@ -127,6 +127,7 @@ def test_file_from_before_there_were_all_columns_is_read(copy, saved):
     assert {name for name in whole if whole[name] != figures[name]} == {"max_energy_residual", "not_finite", "verdict"}
 
 
+@pytest.mark.slow
 def test_everything_is_made_of_a_file_of_an_earlier_version(tmp_path, capsys):
     """A bouncing run without the columns added since: its report, its figures and its file are made all the same."""
     path = cl.simulate(cl.load_scenario("planar2_drop", {"time.duration": 0.5})).save(tmp_path / "run.nc")

@@ -4,6 +4,8 @@ import subprocess
 import sys
 from pathlib import Path
 
+import pytest
+
 import closedloop as cl
 
 PROGRAM = """
@@ -25,6 +27,7 @@ print("scipy.linalg" in sys.modules)
 """
 
 
+@pytest.mark.slow
 def test_a_run_does_not_import_scipy_linalg_and_blas_is_there_on_request():
     """In a fresh process: first a run, then a compiled matrix product (BLAS) and a factorisation (LAPACK)."""
     root = Path(cl.__file__).parent.parent

@@ -205,6 +205,7 @@ def well_posed(H, A, m):
     return np.linalg.cond(S) < 1e7
 
 
+@pytest.mark.slow
 @patient
 @given(problems())
 def test_elimination_solves_the_equation(problem):

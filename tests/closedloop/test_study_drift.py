@@ -45,6 +45,7 @@ def test_what_baumgarte_leaves_grows_with_the_squares_of_step_and_speed(scheme):
         assert np.array(row["errors"]) == pytest.approx(4 * 0.707 * left_out, rel=0.2)
 
 
+@pytest.mark.slow
 def test_the_adaptive_scheme_drifts_like_its_tolerance():
     """Without stabiliser DOP853 drifts by a share of time.tolerance, down to 0.1 pm at 1e-8: far below any other."""
     row = power_law("tolerance", TOLERANCES, 1, "dop853", "none")

@@ -63,6 +63,7 @@ def test_draws_are_dots_and_words_are_in_order():
     assert draw_maps(words).axes[0].get_xticklabels()[1].get_text() == "explicit_euler"
 
 
+@pytest.mark.slow
 def test_the_command_draws_a_file(capsys, tmp_path):
     """A picture beside the table, or where it is wanted."""
     out = tmp_path / "t.parquet"

@@ -11,6 +11,7 @@ from tree_cases import FIELDS, Own, random_model
 from closedloop.robot.tree import tree_terms
 
 
+@pytest.mark.slow
 def test_below_the_diagonal_nothing_is_written(robot):
     """The caller may keep what it likes in the lower triangle of H."""
     arm = robot("wam4")

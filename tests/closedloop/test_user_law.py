@@ -153,6 +153,7 @@ def written(x, torque):
         torque[j] = x.C[j] - x.A[0, j] * (x.f_des + 0.2 * (x.f_des - x.f_measured)) - 5.0 * x.v[j]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("law", [returned, written])
 def test_a_compiled_law_sees_the_same(law):
     """Compiled by numba, on either engine, a law gives what it gives in Python."""

@@ -238,6 +238,7 @@ def test_an_engine_that_refuses_the_robot_covers_nothing(refusal):
     assert not any(result.covered or result.passed for result in results)
 
 
+@pytest.mark.slow
 def test_an_engine_class_of_the_harness_can_be_graded():
     """Its names for q̈ are understood, and what it refuses by name falls back on its own terms."""
     results = grade_all(HandWritten, PROBLEMS.values())
@@ -254,6 +255,7 @@ class Bare:
         self.jacobian, self.drift = oracle.jacobian, oracle.drift
 
 
+@pytest.mark.slow
 def test_the_terms_of_the_equation_are_enough():
     """H, C, r, J and the drift answer for everything but the Coriolis matrix, of which C holds only the product."""
     results = grade_all(Bare, PROBLEMS.values())

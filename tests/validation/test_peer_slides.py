@@ -29,6 +29,7 @@ def test_oracle_steps_as_the_simulator_does(changes):
     assert all_pass(slides.compare_oracle(changes)) == 4
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("package", "compare", "count"),
     [

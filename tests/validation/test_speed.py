@@ -105,6 +105,7 @@ def test_targets_are_judged_on_the_right_side():
     assert growth(chains) == 0.5
 
 
+@pytest.mark.slow
 def test_command_writes_valid_json(tmp_path, capsys):
     """A tiny run prints both tables and writes every value, finite or null, with what was missing."""
     file = tmp_path / "speed.json"

@@ -58,6 +58,7 @@ def test_the_loop_agrees_with_the_equations_by_hand():
     assert all(check.note for check in section.checks)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("fault", FAULTS, ids=lambda fault: fault.name)
 def test_every_fault_on_surfaces_is_caught(fault):
     """Far out of tolerance, in the oracle and in both engines."""

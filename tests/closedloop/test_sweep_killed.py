@@ -23,7 +23,7 @@ ARGUMENTS = (
     "wam_bounce", "--time.duration", "1", "--over", "impact.restitution=-0.05:0.8", "--over", "surface.gap=0.001:0.02",
     "--random", "1280", "--seed", "5",
 )  # fmt: skip
-KILLS = budget(5, 10)
+KILLS = budget(3, 10)
 
 
 @pytest.fixture(scope="module")

@@ -48,6 +48,6 @@ def test_damaged_files(whole):
 @pytest.mark.slow
 def test_many_damaged_files(whole):
     """Hundreds of them."""
-    counts, faults = run_files.judge(whole, budget(200, 1000), 0)
+    counts, faults = run_files.judge(whole, budget(100, 1000), 0)
     assert faults == []
-    assert counts.total() == budget(200, 1000)
+    assert counts.total() == budget(100, 1000)

@@ -30,9 +30,10 @@ from closedloop.step.record_row import complete_record
 
 Array = NDArray[np.float64]
 
-# A copy of the loop's memory, whole numbers and real ones, and whether the scenario's law had started in it. (A tuple
-# with names would take longer to make, at every step, and arrays twice as long to copy there and back as bytes.)
-Mark = tuple[bytes, bytes, bool]
+# A copy of the loop's memory, whole numbers and real ones, whether the scenario's law had started in it, and a copy of
+# the memory of the links' contacts. (A tuple with names would take longer to make, at every step, and arrays twice as
+# long to copy there and back as bytes.)
+Mark = tuple[bytes, bytes, bool, tuple[bytes, ...]]
 _REAL = Struct("d")
 
 # Places in the loop's numbers: read and written at every step, and an attribute of `State` takes three times as long.
@@ -70,6 +71,8 @@ class Stepper:
         # What is written through these is written as bytes, in a third of the time.
         self._all_numbers: Any = state.memory.data.cast("B")
         self._all_values: Any = w.memory.data.cast("B")
+        contacts = w.kept.get("contacts", ())
+        self._of_contacts: tuple[Any, ...] = tuple(block.memory.data.cast("B") for block in contacts)
         self._own = int(state.law), int(state.compensation)
         self._torque: Any = w.torque.data
         self.rows: Array = np.zeros((problem.steps + 1, problem.row_width))
@@ -88,14 +91,17 @@ class Stepper:
         self._at_mark = self._terms_there = False
 
     def _copied(self) -> Mark:
-        return bytes(self._all_numbers), bytes(self._all_values), self._own_started
+        contacts = tuple(map(bytes, self._of_contacts)) if self._of_contacts else ()
+        return bytes(self._all_numbers), bytes(self._all_values), self._own_started, contacts
 
     def back_to(self, mark: Mark) -> None:
         """Go back to just before the row of a mark was recorded; what the next torque ends, ends at this row."""
         numbers = self._numbers
-        self._all_numbers[:], self._all_values[:], self._own_started = mark
+        self._all_numbers[:], self._all_values[:], self._own_started, contacts = mark
+        for block, before in zip(self._of_contacts, contacts, strict=True):
+            block[:] = before
         self.mark, self._at_mark, self._terms_there = mark, True, mark is self._terms_of
-        if numbers.item(_ROW) > 0 and numbers.item(_MODE) != FREE:
+        if numbers.item(_ROW) > 0 and (numbers.item(_MODE) != FREE or contacts):
             numbers[_NO_SEARCH] = 1  # the step before has been searched for events, with the torque that acted in it
 
     def hold(self, torque: Array) -> None:
@@ -205,5 +211,5 @@ class Stepper:
         """Return copies of `done` rows, all that are recorded in the memory, and of the events."""
         now = self._copied()
         complete_record(self.loop.address, self.rows, done)
-        self._all_numbers[:], self._all_values[:], _ = now
+        self._all_numbers[:], self._all_values[:], *_ = now
         return self.rows[:done].copy(), self.answers.events[: self.events_done].copy()

@@ -200,7 +200,7 @@ def test_from_the_first_run_to_the_second(tmp_path):
     (compiler,) = at_work()
     os.kill(compiler, signal.SIGKILL)
     again = begin("again")
-    assert "engine in the background" in again.communicate(timeout=120)[1]
+    assert "compiling the step in the background" in again.communicate(timeout=120)[1]
     wait = "from closedloop.jit.background import wait_until_done; wait_until_done(patience=400)"
     subprocess.run([sys.executable, "-c", wait], env=environment, cwd=ROOT, check=True, timeout=500)
     assert at_work() == []

@@ -89,9 +89,10 @@ def by_command_line(case: Case, file: Path) -> tuple[str, str]:
     said = [line for line in err.getvalue().split("\n") if line and not line.startswith(BESIDE)]
     if status not in BY_STATUS:
         return FAULTY, f"exit status {status}"
-    if len(said) != (status != 0):
+    # A refused scenario has a line for each of its faults.
+    if len(said) != (status != 0) and not (status == 2 and all(line.startswith("closedloop: ") for line in said)):
         return FAULTY, f"{len(said)} lines on standard error: {said[:2]}"
-    fault = of_line(said[0]) if said else ""
+    fault = next(filter(None, map(of_line, said)), "")
     if status == 2:
         fault = fault or (f"refused, but wrote {out.getvalue()[:100]!r}" if out.getvalue() else "")
     else:

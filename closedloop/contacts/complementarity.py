@@ -35,6 +35,8 @@ Array = NDArray[np.float64]
 SOLVED, ACCEPTED = 1e-14, 1e-11
 # Sweeps of Gauss and Seidel's method before Newton's, at first; it doubles from round to round.
 SWEEPS, MOST_SWEEPS, ROUNDS, NEWTON_STEPS, HALVINGS = 10, 160, 9, 30, 12
+# Sweeps where nothing else has found the solution: they converge slowly, but from anywhere.
+LAST_SWEEPS = 20_000
 
 
 @kernel
@@ -237,7 +239,7 @@ def solve_contacts(c: Contacts, k: int) -> bool:
     """Write F and `after`, u = q + W F, of the contacts whose `kind` is not OFF; return whether they were found.
 
     `residual` is what the equations are off, of forces. Starts from F; W, q, kind, mu and along are read. If they are
-    not found at once, friction is let grow from nothing, each solution the start of the next.
+    not found at once, friction is let grow from nothing, each solution the start of the next; at last by many sweeps.
     """
     c.share = 1.0
     if solve_from_here(c, k):
@@ -250,7 +252,12 @@ def solve_contacts(c: Contacts, k: int) -> bool:
             found = solve_from_here(c, k)
         if found:
             return True
-    return False
+    largest = largest_mobility(c, k)
+    for j in range(3 * k):
+        c.F[j] = 0.0
+    for _ in range(LAST_SWEEPS):
+        sweep(c, k, c.F, largest)
+    return solve_from_here(c, k)
 
 
 @kernel

@@ -9,7 +9,7 @@ command.
 from __future__ import annotations
 
 import xml.etree.ElementTree as ET
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, replace
 from typing import Any
@@ -75,6 +75,18 @@ class Catch:
     quantity: str
     by: str
     margin: float
+
+
+def catch_of(fault: str, carrier: str, found: Iterable[Mapping[str, float]], bound: float) -> Catch:
+    """Return what became of a fault planted in the oracle or in the loop, by the errors of several cases."""
+    worst, quantity = 0.0, "nothing"
+    for errors in found:
+        for name, value in errors.items():
+            if value > worst:
+                worst, quantity = value, name
+    by = "the oracle" if carrier != "oracle" else "the loop on Pinocchio"
+    margin = worst / bound
+    return Catch(fault, carrier, margin > 1.0, quantity, by, margin)
 
 
 def plant_all(

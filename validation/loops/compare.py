@@ -18,9 +18,9 @@ from validation.loops.mechanisms import MECHANISMS
 from validation.loops.mujoco import MuJoCoLoops
 from validation.loops.peers import LoopPeer, PinocchioLoops
 from validation.oracle.loops import Motion
-from validation.oracle.spatial import Array
 from validation.report import Check, Section
 from validation.tolerances import Tolerance
+from validation.worst import size, worst_of
 
 ON_LOOPS = Tolerance(
     "loops",
@@ -38,10 +38,10 @@ def errors(answer: Motion, truth: Motion, case: Case) -> dict[str, float]:
     """Return how far an answer is from the truth, relative to what it is summed from."""
     motion, force = scales(case, truth)
     return {
-        "q̈": _size(answer.acceleration - truth.acceleration) / motion,
-        "torque of the loops": _size(answer.pulls - truth.pulls) / force,
-        "force in the loops": _size(answer.force - truth.force) / (force + _size(truth.force)),
-        "couple in the loops": _size(answer.couple - truth.couple) / (force + _size(truth.couple)),
+        "q̈": size(answer.acceleration - truth.acceleration) / motion,
+        "torque of the loops": size(answer.pulls - truth.pulls) / force,
+        "force in the loops": size(answer.force - truth.force) / (force + size(truth.force)),
+        "couple in the loops": size(answer.couple - truth.couple) / (force + size(truth.couple)),
         "f": abs(answer.contact - truth.contact) / (force + abs(truth.contact)),
     }
 
@@ -51,26 +51,12 @@ def scales(case: Case, truth: Motion) -> tuple[float, float]:
     oracle = oracle_of(case.name).oracle
     H, C = oracle.mass_matrix(case.q), oracle.bias(case.q, case.v)
     parts = np.vstack([case.torque - C, *truth.pulls, truth.contact * (case.normal @ oracle.jacobian(case.q))])
-    return _size(np.linalg.solve(H, parts.T)), _size(parts)
+    return size(np.linalg.solve(H, parts.T)), size(parts)
 
 
-def _size(x: Array) -> float:
-    return float(np.max(np.abs(x))) if np.all(np.isfinite(x)) else math.inf
-
-
-def worst_of(cases: Sequence[Case], ask: Callable[[Case], Motion]) -> tuple[float, str]:
+def worst_error(cases: Sequence[Case], ask: Callable[[Case], Motion]) -> tuple[float, str]:
     """Return the worst error over cases, and which quantity of which case it is."""
-    worst, where = -1.0, "nothing was compared"
-    for case in cases:
-        truth = ask_oracle(case)
-        try:
-            found = errors(ask(case), truth, case)
-        except np.linalg.LinAlgError as error:
-            return math.inf, f"{case}: {error}"
-        name = max(found, key=lambda key: found[key])
-        if found[name] > worst:
-            worst, where = found[name], f"{name}, {case}"
-    return (worst, where) if worst >= 0.0 else (math.inf, where)
+    return worst_of(cases, ask_oracle, lambda case, truth: errors(ask(case), truth, case))
 
 
 def compare_on_loops(states: int, seed: int = 0, names: Sequence[str] = tuple(MECHANISMS)) -> Section:
@@ -89,7 +75,7 @@ def compare_on_loops(states: int, seed: int = 0, names: Sequence[str] = tuple(ME
     for name in names:
         cases = [draw_case(name, seed, index) for index in range(states)]
         for engine in LOOPS:
-            value, where = worst_of(cases, partial(ask_loop, engine=engine))
+            value, where = worst_error(cases, partial(ask_loop, engine=engine))
             passed = value <= ON_LOOPS.value
             section.checks.append(Check(f"{name}, {len(cases)} cases", engine, value, ON_LOOPS.value, passed, where))
         section.checks += _peers(name, [case for case in cases if case.touch == AWAY])
@@ -109,7 +95,7 @@ def _peers(name: str, cases: Sequence[Case]) -> Iterator[Check]:
         except CannotBuild as error:
             yield Check(what, peer.name, math.nan, math.nan, None, str(error))
             continue
-        value, _ = worst_of(cases, partial(_by_peer, built))
+        value, _ = worst_error(cases, partial(_by_peer, built))
         yield Check(what, peer.name, value, peer.bound.value, value <= peer.bound.value, peer.bound.argument)
 
 

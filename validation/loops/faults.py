@@ -27,7 +27,7 @@ from validation.loops.cases import Case, draw_case, oracle_of
 from validation.loops.compare import LOOPS, ON_LOOPS, errors
 from validation.oracle.loops import LoopOracle
 from validation.oracle.loops import LoopRows as RowsByHand
-from validation.plant import Catch
+from validation.plant import Catch, catch_of
 
 # So many cases of the mechanism that has what a fault touches.
 CASES = 3
@@ -199,17 +199,10 @@ def plant_on_loops(seed: int = 0, faults: Sequence[Fault] = FAULTS) -> list[Catc
 
 def _caught(fault: Fault, carrier: str, cases: list[Case]) -> Catch:
     """Compare the faulty one with a sound one: the oracle, or a loop where the oracle is faulty."""
-    worst, quantity = 0.0, "nothing"
-    for case in cases:
+
+    def found(case: Case) -> dict[str, float]:
         if carrier == "oracle":
-            truth = ask_oracle(case, fault.oracle(oracle_of(case.name)))
-            found = errors(ask_loop(case, LOOPS[0]), truth, case)
-        else:
-            truth = ask_oracle(case)
-            found = errors(ask_loop(case, carrier, fault.loop), truth, case)
-        for name, value in found.items():
-            if value > worst:
-                worst, quantity = value, name
-    by = "the oracle" if carrier != "oracle" else "the loop on Pinocchio"
-    margin = worst / ON_LOOPS.value
-    return Catch(fault.name, carrier, margin > 1.0, quantity, by, margin)
+            return errors(ask_loop(case, LOOPS[0]), ask_oracle(case, fault.oracle(oracle_of(case.name))), case)
+        return errors(ask_loop(case, carrier, fault.loop), ask_oracle(case), case)
+
+    return catch_of(fault.name, carrier, map(found, cases), ON_LOOPS.value)

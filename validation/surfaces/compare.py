@@ -7,8 +7,6 @@ from collections.abc import Callable, Iterator, Sequence
 from functools import partial
 from typing import Any
 
-import numpy as np
-
 import robot_models
 from validation.engines import Engine, Missing, Refused, available
 from validation.engines.drake import Drake
@@ -17,13 +15,13 @@ from validation.engines.loop import as_robot_model
 from validation.engines.mujoco import MuJoCo
 from validation.engines.pinocchio_cpp import PinocchioCpp
 from validation.engines.robotics_toolbox import RoboticsToolbox
-from validation.oracle.spatial import Array
 from validation.random_trees import random_robot
 from validation.report import Check, Section
 from validation.surfaces.answers import Answer, Scales, ask_loop, ask_oracle, ask_peer
 from validation.surfaces.cases import MATERIALS, SHAPES, SMOOTH, Case
 from validation.surfaces.draw import draw_case
 from validation.tolerances import Tolerance
+from validation.worst import size, worst_of
 
 ON_SURFACES = Tolerance(
     "surfaces",
@@ -44,31 +42,17 @@ ENGINES_WITHOUT_SHAPES = (
 def errors(answer: Answer, truth: Answer, scales: Scales) -> dict[str, float]:
     """Return how far an answer is from the truth, relative to the scales; e, ė and n in m, m/s and 1."""
     return {
-        "q̈": _size(answer.acceleration - truth.acceleration) / scales.acceleration,
-        "F": _size(answer.force - truth.force) / scales.force,
+        "q̈": size(answer.acceleration - truth.acceleration) / scales.acceleration,
+        "F": size(answer.force - truth.force) / scales.force,
         "e": abs(answer.error - truth.error),
         "ė": abs(answer.rate - truth.rate),
-        "n": _size(answer.normal - truth.normal),
+        "n": size(answer.normal - truth.normal),
     }
 
 
-def _size(x: Array) -> float:
-    return float(np.max(np.abs(x))) if np.all(np.isfinite(x)) else math.inf
-
-
-def worst_of(cases: Sequence[Case], ask: Callable[[Case], Answer]) -> tuple[float, str]:
+def worst_error(cases: Sequence[Case], ask: Callable[[Case], Answer]) -> tuple[float, str]:
     """Return the worst error over cases, and which quantity of which case it is."""
-    worst, where = -1.0, "nothing was compared"
-    for case in cases:
-        truth, scales, _ = ask_oracle(case)
-        try:
-            found = errors(ask(case), truth, scales)
-        except np.linalg.LinAlgError as error:
-            return math.inf, f"{case}: {error}"
-        name = max(found, key=lambda key: found[key])
-        if found[name] > worst:
-            worst, where = found[name], f"{name}, {case}"
-    return (worst, where) if worst >= 0.0 else (math.inf, where)
+    return worst_of(cases, ask_oracle, lambda case, truth: errors(ask(case), *truth[:2]))
 
 
 def draw_cases(name: str, robot: Any, tip: str, seed: int, count: int) -> list[Case]:
@@ -102,7 +86,7 @@ def compare_on_surfaces(states: int, trees: int, seed: int = 0) -> Section:
         groups[f"{trees} random trees of 2 to 12 joints"] = drawn
     for name, cases in groups.items():
         for engine in LOOPS:
-            value, where = worst_of(cases, partial(ask_loop, engine=engine))
+            value, where = worst_error(cases, partial(ask_loop, engine=engine))
             passed = value <= ON_SURFACES.value
             section.checks.append(Check(f"{name}, {len(cases)} cases", engine, value, ON_SURFACES.value, passed, where))
     section.checks += _peers(groups["panda"])
@@ -122,7 +106,7 @@ def _peers(cases: Sequence[Case]) -> Iterator[Check]:
         else:
             own = engine.tolerances.get("constrained")
             bound = max(ON_SURFACES.value, own.value if own else 0.0)
-            value, _ = worst_of(smooth, partial(_ask_peer, engine))
+            value, _ = worst_error(smooth, partial(_ask_peer, engine))
             yield Check(what, engine.name, value, bound, value <= bound, ENGINES_WITHOUT_SHAPES)
 
 

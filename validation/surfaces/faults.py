@@ -25,7 +25,7 @@ from closedloop.surface.surface import Surface
 from closedloop.user_code import function_of
 from validation.oracle.spatial import Array
 from validation.oracle.surface import Shape, SurfaceContact
-from validation.plant import Catch
+from validation.plant import Catch, catch_of
 from validation.surfaces.answers import ask_loop, ask_oracle, problem_of
 from validation.surfaces.cases import MATERIALS, SMOOTH, SOFT, Case, Tumble, oracle_with_tool
 from validation.surfaces.compare import LOOPS, ON_SURFACES, errors
@@ -243,17 +243,12 @@ def plant_on_surfaces(robot: str = "panda", seed: int = 0, faults: Sequence[Surf
 
 def _caught(fault: SurfaceFault, carrier: str, cases: list[Case]) -> Catch:
     """Compare the faulty one with a sound one: the oracle, or a loop where the oracle is faulty."""
-    worst, quantity = 0.0, "nothing"
-    for case in cases:
+
+    def found(case: Case) -> dict[str, float]:
         if carrier == "oracle":
-            truth, scales, _ = ask_oracle(case, lambda contact, of=case: fault.oracle(contact, of))  # type: ignore[misc]
-            found = errors(ask_loop(case, LOOPS[0]), truth, scales)
-        else:
-            truth, scales, _ = ask_oracle(case)
-            found = errors(ask_loop(case, carrier, lambda problem, of=case: fault.loop(problem, of)), truth, scales)  # type: ignore[misc]
-        for name, value in found.items():
-            if value > worst:
-                worst, quantity = value, name
-    by = "the oracle" if carrier != "oracle" else "the loop on Pinocchio"
-    margin = worst / ON_SURFACES.value
-    return Catch(fault.name, carrier, margin > 1.0, quantity, by, margin)
+            truth, scales, _ = ask_oracle(case, lambda contact: fault.oracle(contact, case))
+            return errors(ask_loop(case, LOOPS[0]), truth, scales)
+        truth, scales, _ = ask_oracle(case)
+        return errors(ask_loop(case, carrier, lambda problem: fault.loop(problem, case)), truth, scales)
+
+    return catch_of(fault.name, carrier, map(found, cases), ON_SURFACES.value)

@@ -63,9 +63,9 @@ if TYPE_CHECKING:
     from closedloop.record.run import Run as Run
     from closedloop.robot.pinocchio import Robot as Robot
     from closedloop.robot.pinocchio import Terms as Terms
+    from closedloop.scenario.file import shipped_scenarios as shipped_scenarios
+    from closedloop.scenario.load import load_scenario as load_scenario
     from closedloop.scenario.scenario import Scenario as Scenario
-    from closedloop.scenario.scenario import load_scenario as load_scenario
-    from closedloop.scenario.scenario import shipped_scenarios as shipped_scenarios
     from closedloop.simulation.prepare import prepare as prepare
     from closedloop.simulation.simulate import simulate as simulate
     from closedloop.simulation.simulator import Simulator as Simulator
@@ -109,9 +109,9 @@ _HOME = {
     "figures": "figures",
     "lab": "lab.start",
     "load_run": "record.netcdf",
-    "load_scenario": "scenario.scenario",
+    "load_scenario": "scenario.load",
     "prepare": "simulation.prepare",
-    "shipped_scenarios": "scenario.scenario",
+    "shipped_scenarios": "scenario.file",
     "simulate": "simulation.simulate",
     "simulate_batch": "batch.simulate_batch",
     "solve_closure": "closure.solve",

@@ -30,9 +30,10 @@ from closedloop.errors import (
     one_line,
 )
 from closedloop.interrupts import Terminated, word_for
+from closedloop.scenario.load import load_scenario, parse_scenario
 from closedloop.scenario.members import member_digests
 from closedloop.scenario.overrides import split_overrides
-from closedloop.scenario.scenario import Scenario, load_scenario, parse_scenario
+from closedloop.scenario.scenario import Scenario
 
 if TYPE_CHECKING:
     from closedloop.record.run import Run

@@ -197,6 +197,8 @@ INERTIA = Size(1e9, "kg", "no arm moves so much", 1e-9)
 STEP = Size(1e3, "s", "no motion is seen in such steps", 1e-9, "rounding of time would show in it")
 PERIOD = Size(1e9, "s", "no run lasts so long")
 
+Coordinate = Annotated[Number, PLACE]
+
 
 def gain_in(unit: str) -> Size:
     """Return the size of a gain of control in this unit."""

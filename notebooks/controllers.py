@@ -24,7 +24,7 @@ import numpy as np
 import closedloop as cl
 from closedloop.figures import STYLE
 from closedloop.figures.friction_laws import draw
-from closedloop.scenario.scenario import load_scenario
+from closedloop.scenario.load import load_scenario
 from closedloop.study import controllers as study
 
 plt.rcParams.update(STYLE)

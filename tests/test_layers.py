@@ -20,12 +20,11 @@ LAYERS = (
 UPWARDS = {("closedloop.record.run", "closedloop.report")}
 # Modules that import by name what users named, and their own files.
 NEVER_UPWARDS = {"closedloop.families", "closedloop.friction"}
-# Files that import each other, and why: a run's summary; a message about a key names the keys of a scenario.
+# Files that import each other, and why: a run's summary.
 CYCLES = [
     {"closedloop.record.netcdf", "closedloop.record.run", "closedloop.report", "closedloop.report.assumptions",
      "closedloop.report.columns", "closedloop.report.link_contacts", "closedloop.report.summary",
      "closedloop.report.tables"},
-    {"closedloop.scenario.messages", "closedloop.scenario.scenario"},
 ]  # fmt: skip
 
 

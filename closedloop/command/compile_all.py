@@ -164,7 +164,7 @@ def compile_command(arguments: list[str]) -> int:
 
 
 def _problem(integrator: str = "semi_implicit_euler") -> Problem:
-    from closedloop.scenario.scenario import load_scenario
+    from closedloop.scenario.load import load_scenario
     from closedloop.simulation.prepare import prepare
 
     return prepare(load_scenario("planar2_slide", {"time.duration": 0.002, "time.integrator": integrator}))
@@ -184,7 +184,7 @@ def _impacts() -> None:
 
 
 def _energies() -> None:
-    from closedloop.scenario.scenario import load_scenario
+    from closedloop.scenario.load import load_scenario
     from closedloop.simulation.simulate import simulate
 
     simulate(load_scenario("planar2_slide", {"time.duration": 0.002}))
@@ -216,7 +216,7 @@ def _impact() -> None:
 
 def _measures() -> None:
     from closedloop.batch.simulate_batch import simulate_batch
-    from closedloop.scenario.scenario import load_scenario
+    from closedloop.scenario.load import load_scenario
 
     simulate_batch(load_scenario("planar2_slide", {"time.duration": 0.002}), {"law.force": [10.0]}, workers=1)
 
@@ -224,7 +224,7 @@ def _measures() -> None:
 def _batch() -> None:
     from closedloop.batch.simulate_batch import simulate_batch
     from closedloop.engines.lanes import FEWEST
-    from closedloop.scenario.scenario import load_scenario
+    from closedloop.scenario.load import load_scenario
 
     scenario = load_scenario("planar2_slide", {"time.duration": 0.002})
     simulate_batch(scenario, {"law.force": [10.0 + i for i in range(FEWEST)]}, workers=1)

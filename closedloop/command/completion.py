@@ -56,7 +56,7 @@ def collect() -> Words:
     """Return what can be typed."""
     from closedloop.command.robots import names
     from closedloop.scenario.describe import all_keys, choices, sections
-    from closedloop.scenario.scenario import shipped_scenarios
+    from closedloop.scenario.file import shipped_scenarios
 
     keys = all_keys()
     robots = list(names())

@@ -16,7 +16,8 @@ from numpy.typing import NDArray
 from closedloop.errors import InterruptedRunError, ScenarioError, SimulationError, faults_on_one_line
 from closedloop.robot.pinocchio import Robot
 from closedloop.scenario.gains import gains_fault
-from closedloop.scenario.scenario import Scenario, scenario_of
+from closedloop.scenario.load import scenario_of
+from closedloop.scenario.scenario import Scenario
 from closedloop.surface.plane import contact_frame
 
 Array = NDArray[np.float64]

@@ -19,7 +19,8 @@ def version(arguments: Sequence[str] | None = None) -> int:
 
 def list_of_scenarios() -> str:
     """Return the names of the shipped scenarios and what each is, a line each."""
-    from closedloop.scenario.scenario import load_scenario, shipped_scenarios
+    from closedloop.scenario.file import shipped_scenarios
+    from closedloop.scenario.load import load_scenario
 
     names = shipped_scenarios()
     width = max(map(len, names))

@@ -29,7 +29,7 @@ def _main(words: list[str]) -> int:
     import robot_models
     from closedloop.command.first_slide import first_slide
     from closedloop.robot.pinocchio import Robot
-    from closedloop.scenario.scenario import parse_scenario
+    from closedloop.scenario.load import parse_scenario
 
     robot = Robot(robot_models.load(options.robot), options.tip)
     scenario = first_slide(robot, options.robot, options.force)

@@ -18,7 +18,8 @@ from closedloop.loops.bind import link_poses
 from closedloop.loops.memory import POSITION, Bound, LoopMemory, make_loop_memory
 from closedloop.loops.rows import locate_rows
 from closedloop.robot.pinocchio import Robot
-from closedloop.scenario.scenario import ContactSection, Scenario
+from closedloop.scenario.contact_sections import ContactSection
+from closedloop.scenario.scenario import Scenario
 from closedloop.surface.plane import contact_frame, unit
 from robot_models.errors import shown
 from robot_models.loop_joint import WORLD

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from closedloop.scenario.scenario import ContactSection
+from closedloop.scenario.contact_sections import ContactSection
 
 
 def names_of(sections: tuple[ContactSection, ...]) -> tuple[str, ...]:

@@ -5,7 +5,8 @@ from __future__ import annotations
 from closedloop.control.drives import DrivesSection
 from closedloop.control.encoder import MEASURED_VELOCITY, NO_ENCODER, encoder_kind
 from closedloop.control.sensor import SensorSection
-from closedloop.scenario.scenario import ModelErrorSection, Scenario
+from closedloop.scenario.robot_sections import ModelErrorSection
+from closedloop.scenario.scenario import Scenario
 
 
 def needs_general_form(scenario: Scenario) -> bool:

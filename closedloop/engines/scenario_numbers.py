@@ -16,7 +16,8 @@ from closedloop.integrators import Scheme
 from closedloop.parameters import per_joint
 from closedloop.reference.desired import Desired
 from closedloop.robot.pinocchio import Robot
-from closedloop.scenario.scenario import BaumgarteGains, Scenario
+from closedloop.scenario.scenario import Scenario
+from closedloop.scenario.stabiliser_sections import BaumgarteGains
 from closedloop.step.record_row import row_width
 from closedloop.surface.placed import PlacedSurface
 from closedloop.surface.plane import Plane

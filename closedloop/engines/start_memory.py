@@ -16,7 +16,7 @@ from closedloop.friction.contact import Contact
 from closedloop.friction.laws.none import NoFriction
 from closedloop.impact import RATIOS
 from closedloop.parameters import one_joint_block, parameter_block
-from closedloop.scenario.scenario import ModelErrorSection
+from closedloop.scenario.robot_sections import ModelErrorSection
 from closedloop.step.memory import SPRING_STICK, Constants, State, Work
 from closedloop.step.record_row import Row
 from closedloop.step.seen import MOTORS_MEASURED

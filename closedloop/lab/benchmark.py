@@ -17,8 +17,8 @@ import numpy as np
 from closedloop.command.border import DONE, STOPPED, Parser, run_command
 from closedloop.lab.app import Lab
 from closedloop.lab.history import History
+from closedloop.scenario.load import load_scenario
 from closedloop.scenario.overrides import split_overrides
-from closedloop.scenario.scenario import load_scenario
 
 KEY, RATE = "law.force", 60.0
 MAP_KEYS = "law.force", "law.kp"  # of a list its first entry

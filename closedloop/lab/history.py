@@ -14,9 +14,10 @@ from typing import Any
 
 from closedloop.errors import ScenarioError
 from closedloop.lab.controls import toml_text
+from closedloop.scenario.load import load_scenario
 from closedloop.scenario.messages import variant_keys
 from closedloop.scenario.overrides import Variants
-from closedloop.scenario.scenario import Scenario, families, load_scenario
+from closedloop.scenario.scenario import Scenario, families
 
 Changes = dict[str, Any]  # dotted key to value, as `load_scenario` takes them
 # Changes of one key that follow each other so fast, s, are one step of undo: a slider that is dragged.

@@ -11,7 +11,8 @@ from closedloop.control.law import ControlLaw
 from closedloop.errors import ScenarioError
 from closedloop.lab.history import History, in_words
 from closedloop.record.run import Run
-from closedloop.scenario.scenario import Scenario, load_scenario
+from closedloop.scenario.load import load_scenario
+from closedloop.scenario.scenario import Scenario
 from robot_models import RobotModel
 
 if TYPE_CHECKING:
@@ -81,7 +82,7 @@ def _begin(
     scenario: Scenario | Run | str | Path, changes: Mapping[str, Any], model: RobotModel | None
 ) -> tuple[Scenario, str, RobotModel | None]:
     """Return the scenario, its name on the command line, and the robot if it came with a run."""
-    from closedloop.scenario.scenario import parse_scenario
+    from closedloop.scenario.load import parse_scenario
 
     if isinstance(scenario, str | Path) and str(scenario).endswith(".nc"):
         from closedloop.record.netcdf import load_run

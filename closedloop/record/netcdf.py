@@ -25,7 +25,8 @@ from closedloop.files import reason_of, write_whole
 from closedloop.record.netcdf_image import Variable, netcdf_image
 from closedloop.record.run import ALL_COLUMNS, Run, columns_there
 from closedloop.record.sealed import read_sealed, seal
-from closedloop.scenario.scenario import Scenario, parse_scenario
+from closedloop.scenario.load import parse_scenario
+from closedloop.scenario.scenario import Scenario
 from closedloop.surface.plane import unit
 from robot_models import RobotModel
 

@@ -11,7 +11,8 @@ from closedloop.errors import ScenarioError
 from closedloop.friction.law import JointFriction
 from closedloop.friction.laws.coulomb_viscous import JointCoulombViscous
 from closedloop.robot.pinocchio import Robot
-from closedloop.scenario.scenario import Scenario, ToolSection
+from closedloop.scenario.robot_sections import ToolSection
+from closedloop.scenario.scenario import Scenario
 from closedloop.surface.plane import unit
 from robot_models import RobotModel, Tool
 from robot_models.joint_dynamics import joint_dynamics

@@ -14,7 +14,8 @@ from typing import Any
 import numpy as np
 
 from closedloop.errors import ScenarioError
-from closedloop.scenario.scenario import Scenario, scenario_of
+from closedloop.scenario.load import scenario_of
+from closedloop.scenario.scenario import Scenario
 
 # As many scenarios are looked at, spread over all, before a batch is begun of which none could be read.
 LOOKED_AT = 100

@@ -15,7 +15,8 @@ from closedloop.integrators import ADAPTIVE, INTEGRATORS
 from closedloop.parameters import lists_per_joint
 from closedloop.reference.force import force_at
 from closedloop.robot.pinocchio import Robot
-from closedloop.scenario.scenario import ModelErrorSection, Scenario
+from closedloop.scenario.robot_sections import ModelErrorSection
+from closedloop.scenario.scenario import Scenario
 from closedloop.simulation.edge import edge_key
 from closedloop.surface.compliances.none import Rigid
 from closedloop.surface.kinds.plane import PlaneSurface

@@ -14,7 +14,8 @@ from closedloop.errors import ScenarioError
 from closedloop.friction.law import JOINT_LAWS, SURFACE_LAWS, JointFriction
 from closedloop.integrators import ADAPTIVE, INTEGRATORS, Scheme
 from closedloop.robot.pinocchio import Robot
-from closedloop.scenario.scenario import BaumgarteGains, Scenario
+from closedloop.scenario.scenario import Scenario
+from closedloop.scenario.stabiliser_sections import BaumgarteGains
 from closedloop.step.record_row import row_width
 from closedloop.surface.placed import Touching
 

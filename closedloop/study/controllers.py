@@ -24,7 +24,8 @@ from numpy.typing import NDArray
 from closedloop.errors import ClosedLoopError, InterruptedRunError, faults_on_one_line
 from closedloop.progress import bar
 from closedloop.record.run import Run
-from closedloop.scenario.scenario import Scenario, load_scenario
+from closedloop.scenario.load import load_scenario
+from closedloop.scenario.scenario import Scenario
 from closedloop.simulation.simulate import simulate
 from closedloop.study.posture import ELBOW_UP
 from closedloop.study.results import write_results

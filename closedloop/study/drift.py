@@ -30,7 +30,8 @@ from closedloop.closure.baumgarte import baumgarte_gains, largest_stable_ratio, 
 from closedloop.errors import ClosedLoopError, InterruptedRunError, faults_on_one_line
 from closedloop.files import write_whole
 from closedloop.integrators import INTEGRATORS
-from closedloop.scenario.scenario import Scenario, load_scenario
+from closedloop.scenario.load import load_scenario
+from closedloop.scenario.scenario import Scenario
 from closedloop.simulation.prepare import prepare
 from closedloop.simulation.simulate import run_loop, simulate
 from closedloop.step.record_row import recorded

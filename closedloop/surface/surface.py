@@ -30,13 +30,13 @@ from pydantic import Field
 
 from closedloop.errors import ScenarioError
 from closedloop.families import Family, Parameters
-from closedloop.sections import LENGTH, PLACE, Direction, NotNegative, Number, Positive, Size
+from closedloop.sections import LENGTH, PLACE, Direction, NotNegative, Positive, Size
+from closedloop.sections import Coordinate as Coordinate
 
 Array = NDArray[np.float64]
 
 RADIUS = LENGTH
 HalfLength = Annotated[Positive, LENGTH]
-Coordinate = Annotated[Number, PLACE]
 CURVATURE = Size(1e9, "1/m", "no tip is so small")
 
 

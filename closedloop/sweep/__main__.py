@@ -163,7 +163,7 @@ def _asked_for(options: Namespace, overrides: dict[str, Any]) -> Sweep:
 def _common(name: str, overrides: dict[str, Any], axes: Sequence[Axis], drawn: bool) -> Scenario:
     """Return the scenario that the runs have in common; a key that must be given may be one that changes."""
     from closedloop.errors import ScenarioError
-    from closedloop.scenario.scenario import load_scenario
+    from closedloop.scenario.load import load_scenario
 
     firsts = {axis.key: axis.drawn(0.0) if drawn else axis.at(0) for axis in axes}
     # Another kind drops what the file says of its own, so that one is taken only where nothing else will do.

@@ -14,8 +14,9 @@ from numpy.typing import NDArray
 from closedloop.batch.simulate_batch import in_blocks, run_variants
 from closedloop.batch.table import schema, table_of
 from closedloop.batch.worker import Outcome, Worker
+from closedloop.scenario.load import parse_scenario
 from closedloop.scenario.overrides import Variants
-from closedloop.scenario.scenario import families, parse_scenario
+from closedloop.scenario.scenario import families
 from closedloop.simulation.cache import Cache
 
 if TYPE_CHECKING:

@@ -18,7 +18,7 @@ from closedloop.closure.baumgarte import (
     spectral_radius,
 )
 from closedloop.integrators import INTEGRATORS
-from closedloop.scenario.scenario import parse_scenario
+from closedloop.scenario.load import parse_scenario
 from closedloop.simulation.simulate import run_loop
 from closedloop.step.record_row import recorded
 

@@ -20,7 +20,7 @@ from closedloop.families import Family
 from closedloop.integrators import ADAPTIVE, INTEGRATORS, Integrator
 from closedloop.reference.path import PATHS
 from closedloop.reference.paths.line import Line
-from closedloop.scenario.scenario import parse_scenario
+from closedloop.scenario.load import parse_scenario
 from closedloop.scenario.units import key_unit
 from closedloop.sweep import Design, Sweep, parse_axis
 from closedloop.sweep.__main__ import main as sweep_main

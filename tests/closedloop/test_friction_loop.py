@@ -5,7 +5,7 @@ import pytest
 
 import closedloop as cl
 import robot_models
-from closedloop.scenario.scenario import parse_scenario
+from closedloop.scenario.load import parse_scenario
 
 GRAVITY = 9.81  # m/s², along -z
 MASS = 2.0  # kg, of pointmass3

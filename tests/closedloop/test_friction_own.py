@@ -9,7 +9,7 @@ import pytest
 import closedloop as cl
 from closedloop.jit.kernel import jit_disabled
 from closedloop.report.tables import restitution_cut
-from closedloop.scenario.scenario import parse_scenario
+from closedloop.scenario.load import parse_scenario
 
 ROOT = Path(__file__).resolve().parents[2]
 ENGINES = ("pinocchio", "compiled")

@@ -8,7 +8,8 @@ import closedloop as cl
 from closedloop.integrators import ADAPTIVE, INTEGRATORS
 from closedloop.report import notes
 from closedloop.scenario.describe import explain_key
-from closedloop.scenario.scenario import parse_scenario, shipped_scenarios
+from closedloop.scenario.file import shipped_scenarios
+from closedloop.scenario.load import parse_scenario
 
 DAHL = '[friction]\nkind = "dahl"\ncoefficient = 0.2\nstiffness = 1e4'
 WITH_IMPACTS = ("wam_bounce", "planar2_drop", "wam_touchdown", "panda_touchdown", "wam_edge", "wam_liftoff")

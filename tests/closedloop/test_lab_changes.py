@@ -18,8 +18,8 @@ from closedloop.lab.map_picture import MapPicture
 from closedloop.lab.mapping import Axis, Map, coarse_first
 from closedloop.lab.newest import Newest
 from closedloop.lab.pins import Pins, compared, table_html
+from closedloop.scenario.load import parse_scenario
 from closedloop.scenario.overrides import Variants, split_overrides
-from closedloop.scenario.scenario import parse_scenario
 from closedloop.simulation.cache import Cache
 from closedloop.simulation.prepare import prepare
 

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 import closedloop as cl
-from closedloop.scenario.scenario import scenario_of
+from closedloop.scenario.load import scenario_of
 
 ONE_JOINT = """<robot name="one"><link name="base"/><link name="arm"><inertial><origin xyz="0 0.1 0"/><mass value="2"/>
 <inertia ixx="0.1" iyy="0.1" izz="0.1" ixy="0" ixz="0" iyz="0"/></inertial></link><link name="tip"/>

@@ -8,7 +8,7 @@ import pytest
 import closedloop as cl
 from closedloop.reference.desired import desired
 from closedloop.scenario.describe import keys
-from closedloop.scenario.scenario import parse_scenario
+from closedloop.scenario.load import parse_scenario
 
 CIRCLE = {"kind": "circle", "direction": [0, 1, 0], "radius": 0.03, "start": 0.2, "stop": 2.0}
 EIGHT = {"kind": "figure_eight", "direction": [0, 1, 0], "width": 0.06, "height": 0.03, "start": 0.2, "stop": 2.0}

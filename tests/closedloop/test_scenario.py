@@ -10,7 +10,7 @@ from hypothesis import strategies as st
 
 import closedloop as cl
 from closedloop.scenario.describe import all_keys, describe_section, explain_key, keys, sections
-from closedloop.scenario.scenario import parse_scenario
+from closedloop.scenario.load import parse_scenario
 from closedloop.sections import ANGLE, PLACE
 from closedloop.simulation.time_step import MOST_NUMBERS
 from closedloop.step.record_row import Row

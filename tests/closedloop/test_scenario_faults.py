@@ -7,8 +7,8 @@ import pytest
 
 import closedloop as cl
 from closedloop.errors import faults_on_one_line, lines_of
+from closedloop.scenario.load import parse_scenario
 from closedloop.scenario.messages import MOST_FAULTS
-from closedloop.scenario.scenario import parse_scenario
 from robot_models.shipped import path_of
 
 PAGE = Path(__file__).resolve().parents[2] / "docs" / "scenarios.md"

@@ -24,7 +24,8 @@ from scenario_cases import Case
 from closedloop.errors import ClosedLoopError, SimulationError, one_line
 from closedloop.record.netcdf import load_run
 from closedloop.record.run import Run
-from closedloop.scenario.scenario import Scenario, load_scenario, parse_scenario
+from closedloop.scenario.load import load_scenario, parse_scenario
+from closedloop.scenario.scenario import Scenario
 from closedloop.simulation.simulate import simulate
 
 LONGEST_LINE = 1000  # characters: more is not read

@@ -22,8 +22,9 @@ from typing import Any
 import tomli_w
 
 from closedloop.errors import ScenarioError
+from closedloop.scenario.load import scenario_of
 from closedloop.scenario.messages import variants
-from closedloop.scenario.scenario import Scenario, scenario_of
+from closedloop.scenario.scenario import Scenario
 
 SEED = 20_240_611
 

@@ -9,8 +9,9 @@ from judged import FAULTY, RAN, REFUSED, STOPPED, judge, of_json, of_line, same
 from scenario_cases import Case, all_cases, legal_extremes, one_wrong_value, places, tables, wrong_values
 from scenarios import FIRST
 
+from closedloop.scenario.load import scenario_of
 from closedloop.scenario.messages import variants
-from closedloop.scenario.scenario import Scenario, scenario_of
+from closedloop.scenario.scenario import Scenario
 
 BUDGET = budget(20.0, 60.0)  # s of processor time
 

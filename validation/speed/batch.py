@@ -17,7 +17,7 @@ from closedloop.engines.lanes import LaneRuns, kind_of
 from closedloop.engines.problem import Problem
 from closedloop.jit.kernel import entry_kernel
 from closedloop.jit.simd8 import WIDE
-from closedloop.scenario.scenario import parse_scenario
+from closedloop.scenario.load import parse_scenario
 from validation.oracle.spatial import Array
 from validation.speed.contestants import Contestant, final
 

@@ -1,0 +1,46 @@
+"""What happens where bodies touch: [impact], how the tip bounces, and [[contact]], contacts of other points."""
+
+from __future__ import annotations
+
+from typing import Annotated
+
+from pydantic import Field
+
+from closedloop.families import OneOf
+from closedloop.impact.restitution import RESTITUTIONS
+from closedloop.sections import COEFFICIENT, Coordinate, Direction, NotNegative, Positive, Restitution, Section, Size
+
+REST_SPEED = Size(1e4, "m/s", "nothing bounces so fast", 1e-12, "slower motion is rounding")
+RestitutionName = Annotated[str, OneOf(RESTITUTIONS)]
+
+
+class ImpactSection(Section):
+    """[impact]: the law of impact between tip and surface; used only where surface.contact is "unilateral"."""
+
+    restitution: Restitution = Field(0.0, description="coefficient of restitution, 0 to 1")
+    law: RestitutionName = Field(
+        "stronge",
+        description="restitution as a ratio of velocities (newton), impulses (poisson) or energies (stronge)",
+    )
+    rest_speed: Annotated[Positive, REST_SPEED] = Field(
+        1e-4, description="a bounce slower than this becomes contact, m/s"
+    )
+
+
+class ContactSection(Section):
+    """[[contact]]: a point of a link that touches a plane of another link, or of the world; any number of them."""
+
+    name: str = Field("", description="what it is called; contact 1, contact 2 ... if left out")
+    link: str = Field(description="frame that the point belongs to")
+    at: tuple[Coordinate, Coordinate, Coordinate] = Field(
+        (0.0, 0.0, 0.0), description="the point, m, axes of that frame"
+    )
+    against: str = Field("world", description="frame that the plane belongs to; world: the base frame")
+    normal: Direction = Field(
+        (0.0, 0.0, 1.0), description="normal of the plane, towards the point, axes of the frame against; any length"
+    )
+    through: tuple[Coordinate, Coordinate, Coordinate] = Field(
+        (0.0, 0.0, 0.0), description="a point of the plane, m, axes of the frame against"
+    )
+    friction: Annotated[NotNegative, COEFFICIENT] = Field(0.0, description="Coulomb's coefficient of friction μ, 1")
+    restitution: Restitution = Field(0.0, description="Newton's coefficient of restitution, 0 to 1")

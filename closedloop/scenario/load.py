@@ -1,0 +1,117 @@
+"""Reading a scenario: from a file or text, with overrides laid over it, checked.
+
+    scenario = load_scenario("wam_slide", {"law.force": 15.0})
+
+Unknown keys are errors; `kind` picks a variant, or a member of a family of plug-ins (`closedloop.families`), a user's
+own too where an override or Python names it.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from copy import deepcopy
+from pathlib import Path
+from typing import Any
+
+from pydantic import ValidationError
+
+from closedloop.errors import ScenarioError
+from closedloop.families import KEEP_ABSENT
+from closedloop.scenario.file import absolute, robot_file, scenario_text
+from closedloop.scenario.messages import explain, variant_keys
+from closedloop.scenario.scenario import Scenario, families
+from robot_models.load import names_a_file
+from robot_models.toml_text import toml_tables
+
+
+def load_scenario(name: str | Path, overrides: Mapping[str, Any] | None = None) -> Scenario:
+    """Read a scenario and check it.
+
+    Parameters
+    ----------
+    name : str or Path
+        A shipped name (see `shipped_scenarios`) or a path to a .toml file.
+    overrides : mapping, optional
+        Dotted keys and values laid over the file before it is checked, such as ``{"law.force": 15.0}``. Overriding a
+        `kind` drops the keys of the old kind that the new one does not know, if the file has them: of those given here
+        none is dropped. A user's class is named here, as ``{"reference.kind": "my_module:MyPath"}`` or by the class
+        itself.
+
+    Raises
+    ------
+    ScenarioError
+        If there is no such scenario, or the file or an override is at fault; names the key, the value and the cure,
+        of each fault on a line of its own.
+    """
+    text, stem, where, folder = scenario_text(name)
+    return parse_scenario(text, stem, where, overrides, folder=folder)
+
+
+def parse_scenario(
+    text: str, stem: str = "unnamed", where: str = "scenario", overrides: Mapping[str, Any] | None = None,
+    *, keep_absent: bool = False, folder: Path | None = None,
+) -> Scenario:  # fmt: skip
+    """Read a scenario from TOML text; `where` names its origin in messages. See `load_scenario`.
+
+    A robot's file is looked up from `folder`, that of the scenario's own file, if it has one. With `keep_absent` a
+    user's class not named in this process is kept as it is, for inspection and not to be run: see
+    `closedloop.families.Absent`.
+    """
+    try:
+        data = toml_tables(text)
+    except ValueError as error:
+        raise ScenarioError(f"{where}: not valid TOML: {error}") from None
+    data.setdefault("name", stem)
+    robot = data.get("robot")
+    given = {"robot", "robot.model"} & (overrides or {}).keys()
+    if folder is not None and isinstance(robot, dict) and "model" in robot and not given:
+        robot["model"] = robot_file(robot["model"], folder, where)
+    return scenario_of(data, where, overrides or {}, keep_absent=keep_absent)
+
+
+def scenario_of(
+    data: dict[str, Any], where: str, overrides: Mapping[str, Any], *, keep_absent: bool = False
+) -> Scenario:
+    """Check a scenario given as the tables of its file; `data` is written to. See `parse_scenario`."""
+    try:
+        for key in sorted(_standing(overrides), key=_turn):
+            _override(data, key, deepcopy(overrides[key]))
+        return Scenario.model_validate(data, context={KEEP_ABSENT: keep_absent})
+    except RecursionError:
+        raise ScenarioError(f"{where}: a value is nested too deeply") from None
+    except ValidationError as error:
+        raise ScenarioError(*(f"{where}: {fault}" for fault in explain(error, data))) from None
+
+
+def _standing(overrides: Mapping[str, Any]) -> list[str]:
+    """Return the keys that stand, in the order given: a section given whole replaces the keys of it given before."""
+    standing: list[str] = []
+    for key in overrides:
+        standing = [before for before in standing if not before.startswith(f"{key}.")]
+        standing.append(key)
+    return standing
+
+
+def _turn(key: str) -> int:
+    """Return when a key is laid over the file: sections before kinds, and kinds, which drop keys, before others."""
+    return 2 if not key.endswith(".kind") and "." in key else int("." in key)
+
+
+def _override(data: dict[str, Any], key: str, value: Any) -> None:
+    parts = key.split(".")
+    section = data
+    if key == "robot.model" and isinstance(value, str) and names_a_file(value):
+        value = absolute(value)
+    if family := families().get(key):
+        value = family.named(value, key)
+    elif isinstance(value, dict) and (family := families().get(f"{key}.kind")) and "kind" in value:
+        value["kind"] = family.named(value["kind"], f"{key}.kind")
+    for part in parts[:-1]:
+        section = section.setdefault(part, {})
+        if not isinstance(section, dict):
+            raise ScenarioError(f"{key}: '{part}' is not a section")
+    if parts[-1] == "kind" and len(parts) == 2 and isinstance(value, str) and section.get("kind") != value:
+        known = variant_keys(parts[0], value)
+        for stale in [k for k in section if k not in known]:
+            del section[stale]
+    section[parts[-1]] = value

@@ -39,6 +39,7 @@ if TYPE_CHECKING:
     from closedloop import figures as figures
     from closedloop.batch.simulate_batch import simulate_batch as simulate_batch
     from closedloop.closure.solve import solve_closure as solve_closure
+    from closedloop.columns.events import Event as Event
     from closedloop.control.law import ControlLaw as ControlLaw
     from closedloop.control.law_input import LawInput as LawInput
     from closedloop.engines.problem import Problem as Problem
@@ -58,8 +59,7 @@ if TYPE_CHECKING:
     from closedloop.errors import SimulationError as SimulationError
     from closedloop.errors import SingularClosureError as SingularClosureError
     from closedloop.lab.start import lab as lab
-    from closedloop.record.netcdf import load_run as load_run
-    from closedloop.record.run import Event as Event
+    from closedloop.record.load import load_run as load_run
     from closedloop.record.run import Run as Run
     from closedloop.robot.pinocchio import Robot as Robot
     from closedloop.robot.pinocchio import Terms as Terms
@@ -83,7 +83,7 @@ _HOME = {
     "Compliance": "surface.compliance",
     "ControlLaw": "control.law",
     "DivergenceError": "errors",
-    "Event": "record.run",
+    "Event": "columns.events",
     "InterruptedRunError": "errors",
     "Law": "engines.user_law",
     "LawError": "errors",
@@ -108,7 +108,7 @@ _HOME = {
     "Terms": "robot.pinocchio",
     "figures": "figures",
     "lab": "lab.start",
-    "load_run": "record.netcdf",
+    "load_run": "record.load",
     "load_scenario": "scenario.load",
     "prepare": "simulation.prepare",
     "shipped_scenarios": "scenario.file",

@@ -74,7 +74,7 @@ def _main(arguments: list[str]) -> int:
 
     from closedloop.command.results import Results
     from closedloop.engines.law_source import fresh, law_digest
-    from closedloop.record.netcdf import question
+    from closedloop.record.save import question
     from closedloop.simulation.prepare import load_model
     from closedloop.simulation.simulate import check_engine, simulate
 
@@ -185,7 +185,7 @@ def _open(name: str, overrides: dict[str, Any]) -> tuple[Scenario, Any, Run | No
     """Return the scenario, and the robot and the run if it came from a run file."""
     if not name.endswith(".nc"):
         return load_scenario(name, overrides), None, None
-    from closedloop.record.netcdf import load_run
+    from closedloop.record.load import load_run
 
     earlier = load_run(name)
     scenario = parse_scenario(earlier.scenario.to_toml(), where=name, overrides=overrides)

@@ -14,10 +14,10 @@ from types import ModuleType
 from unittest.mock import patch
 
 import closedloop
+from closedloop.columns.derived import DERIVED
+from closedloop.columns.recorded import ALL_COLUMNS, ARM_COLUMNS, COLUMNS, CONTACT_COLUMNS
 from closedloop.command.table import COMMANDS, imported, overview
 from closedloop.events.table import EVENT_COLUMNS
-from closedloop.record.derived import DERIVED
-from closedloop.record.run import ALL_COLUMNS, ARM_COLUMNS, COLUMNS, CONTACT_COLUMNS
 from closedloop.scenario import describe
 
 # What each public name is for, in the order of the page; a name that is in none of these is a fault.

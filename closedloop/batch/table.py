@@ -72,7 +72,7 @@ def schema(types: Mapping[str, pa.DataType], keep: Sequence[str] = ()) -> pa.Sch
     """
     import pyarrow as pa
 
-    from closedloop.record.run import ALL_COLUMNS
+    from closedloop.columns.recorded import ALL_COLUMNS
     from closedloop.scenario.units import key_description, key_unit
 
     def field(name: str, kind: pa.DataType, units: str, meaning: str) -> pa.Field:

@@ -36,7 +36,7 @@ class Results:
     folder : path
         It is made if need be, and what killed writers left in it is removed.
     question : mapping of str to str
-        The inputs of the run, see `closedloop.record.netcdf.question`.
+        The inputs of the run, see `closedloop.record.save.question`.
     overwrite : bool
         Whether results of another question may be replaced.
 

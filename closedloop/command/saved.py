@@ -69,7 +69,7 @@ def _parser(name: str, what: str) -> Parser:
 
 
 def _load(path: str) -> Run:
-    from closedloop.record.netcdf import load_run
+    from closedloop.record.load import load_run
 
     return load_run(path)
 

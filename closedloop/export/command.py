@@ -10,7 +10,7 @@ from closedloop.errors import OutputError
 from closedloop.export.csv_table import write_csv
 from closedloop.export.mcap_file import write_mcap
 from closedloop.export.mjcf import write_mjcf
-from closedloop.record.netcdf import load_run
+from closedloop.record.load import load_run
 
 FORMATS = {"csv": write_csv, "mcap": write_mcap, "mjcf": write_mjcf}
 # Endings that are not the format's name.

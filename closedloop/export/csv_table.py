@@ -10,11 +10,12 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from closedloop.columns.derived import DERIVED, WRENCH
+from closedloop.columns.recorded import ALL_COLUMNS, columns_there
 from closedloop.contacts.names import names_of, tangents_of
 from closedloop.events.table import EVENT_COLUMNS, KINDS
 from closedloop.files import write_whole
-from closedloop.record.derived import DERIVED, WRENCH
-from closedloop.record.run import ALL_COLUMNS, Run, columns_there
+from closedloop.record.run import Run
 
 AXES = ("x", "y", "z")
 

@@ -15,12 +15,13 @@ import numpy as np
 import pinocchio as pin
 from numpy.typing import NDArray
 
+from closedloop.columns.derived import reactions_of
+from closedloop.columns.recorded import ALL_COLUMNS
 from closedloop.lab.shapes import Shape, mark_shape
 from closedloop.loops.bind import bound_by_loops, link_poses, loop_memory
 from closedloop.loops.memory import DISTANCE, GEAR, POSITION
 from closedloop.loops.reactions import loop_rows, rows_along
-from closedloop.record.derived import reactions_of
-from closedloop.record.run import ALL_COLUMNS, Run
+from closedloop.record.run import Run
 from closedloop.robot.pinocchio import Robot
 from closedloop.scenario.arm import robot_of
 

@@ -85,7 +85,7 @@ def _begin(
     from closedloop.scenario.load import parse_scenario
 
     if isinstance(scenario, str | Path) and str(scenario).endswith(".nc"):
-        from closedloop.record.netcdf import load_run
+        from closedloop.record.load import load_run
 
         run = load_run(scenario)
         changed = any(key.startswith("robot.") and key != "robot.tip" for key in changes)

@@ -7,8 +7,8 @@ from typing import TYPE_CHECKING, Any
 
 from numpy.typing import NDArray
 
+from closedloop.columns.derived import WRENCH
 from closedloop.contacts.names import tangents_of
-from closedloop.record.derived import WRENCH
 
 if TYPE_CHECKING:
     import pandas

@@ -6,21 +6,24 @@ belong to the q and q̇ of the same row. The file is NetCDF-4, which is HDF5: xa
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping
+from collections.abc import Mapping
 from copy import deepcopy
 from dataclasses import dataclass, field
 from functools import cached_property
 from importlib import import_module
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, NamedTuple
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import NDArray
 
+from closedloop.columns.derived import DERIVED, reactions_of
+from closedloop.columns.events import Event, events_of
+from closedloop.columns.recorded import ALL_COLUMNS, COLUMNS, SOMETIMES, columns_there
 from closedloop.contacts.names import names_of, tangents_of
-from closedloop.events.table import EVENT_COLUMNS, KINDS
 from closedloop.loops.reactions import LoopReactions
-from closedloop.record.derived import DERIVED, reactions_of
+from closedloop.record.save import attributes, save_run
+from closedloop.report.summary import summarise
 from closedloop.scenario.arm import robot_of
 from closedloop.scenario.scenario import Scenario
 from robot_models import RobotModel
@@ -33,55 +36,6 @@ if TYPE_CHECKING:
 Array = NDArray[np.float64]
 
 
-class Column(NamedTuple):
-    """Dimensions, unit and meaning of a column."""
-
-    dims: tuple[str, ...]
-    units: str
-    meaning: str
-
-
-# Joint quantities are in rad, rad/s, rad/s² and N m for revolute joints; for prismatic ones m, m/s, m/s² and N.
-_BY_TIME: dict[str, Column] = {
-    "time": Column(("time",), "s", "time since the start of the run"),
-    "q": Column(("time", "joint"), "rad", "joint positions"),
-    "v": Column(("time", "joint"), "rad s-1", "joint velocities"),
-    "acceleration": Column(("time", "joint"), "rad s-2", "joint accelerations, solution of Eq. 24"),
-    "torque": Column(("time", "joint"), "N m", "torque Q of the control law on the joints (Eq. 33)"),
-    "reference_position": Column(("time", "joint"), "rad", "q_des"),
-    "reference_velocity": Column(("time", "joint"), "rad s-1", "time derivative of q_des"),
-    "reference_tip": Column(("time", "axis"), "m", "desired tip position, base frame"),
-    "reference_force": Column(("time",), "N", "desired contact force f_des"),
-    "position": Column(("time", "axis"), "m", "tip position r, base frame"),
-    "velocity": Column(("time", "axis"), "m s-1", "tip velocity, base frame"),
-    "surface_normal": Column(("time", "axis"), "1", "unit normal n of the surface at the tip, base frame"),
-    "slip_velocity": Column(
-        ("time", "axis"), "m s-1", "velocity of the tip along the surface and relative to it, base frame"
-    ),
-    "contact_force": Column(
-        ("time",),
-        "N",
-        "force of the surface on the tip along the surface normal; positive pushes the robot away",
-    ),
-    "stabiliser_force": Column(("time",), "N", "the part of contact_force that answers the stabiliser"),
-    "friction_force": Column(("time", "axis"), "N", "tangential force of the surface on the tip, base frame"),
-    "joint_friction": Column(("time", "joint"), "N m", "torque of friction on the joints"),
-    "measured_force": Column(("time",), "N", "what the force sensor says after this row, for the next"),
-    "closure_error": Column(("time",), "m", "e = n.r - d; positive off the surface"),
-    "closure_rate": Column(("time",), "m s-1", "time derivative of closure_error"),
-    "mode": Column(("time",), "1", "0 free, 1 pressed (sliding or at rest), 2 stuck"),
-    "residual_motion": Column(("time",), "1", "relative residual of the equation of motion in Eq. 24"),
-    "residual_closure": Column(("time",), "1", "relative residual of the closure row in Eq. 24"),
-    "kkt_condition": Column(("time",), "1", "condition number of the matrix of Eq. 24, 1-norm, SI units"),
-    "normal_mobility": Column(("time",), "1", "A H^-1 A^T over the trace of J H^-1 J^T; 0 at a singular pose"),
-    "kinetic_energy": Column(("time",), "J", "kinetic energy, drives included"),
-    "potential_energy": Column(("time",), "J", "potential energy of gravity"),
-    "energy_supplied": Column(
-        ("time",), "J", "work of torque, contact force and friction since the start, less what the events took"
-    ),
-}
-
-
 # What draws a run: MODULE:FUNCTION, found when it is asked for, as drawing is above the record (tests/test_layers.py).
 DRAWN_BY = {
     "plot": "closedloop.figures.overview:plot",
@@ -89,93 +43,6 @@ DRAWN_BY = {
     "show": "closedloop.lab.show:show_run",
     "animate": "closedloop.lab.animate:animate",
 }
-
-# What a run has if its scenario asks for it, see `closedloop.engines.needs.arm_columns`.
-ARM_COLUMNS: dict[str, Column] = {
-    "torque_limited": Column(
-        ("time", "joint"),
-        "1",
-        "0: torque is what the law asked for; 1: cut by the torque limit; 2: by the rate limit",
-    ),
-    "measured_position": Column(("time", "joint"), "rad", "joint positions as the encoders read them"),
-    "measured_velocity": Column(("time", "joint"), "rad s-1", "joint velocities as the controller has them"),
-    "motor_position": Column(("time", "joint"), "rad", "angles of the motors behind elastic joints, at the joints"),
-    "motor_velocity": Column(("time", "joint"), "rad s-1", "rates of the motors behind elastic joints, at the joints"),
-    "transmitted_torque": Column(("time", "joint"), "N m", "torque that elastic joints pass on to the links"),
-}
-
-# What it has if its links have contacts besides the tip.
-CONTACT_COLUMNS: dict[str, Column] = {
-    "link_modes": Column(("time", "contact"), "1", "mode of each contact of a link: 0 free, 1 sliding, 2 stuck"),
-    "link_gaps": Column(("time", "contact"), "m", "gap of each, positive off its plane"),
-    "link_forces": Column(("time", "contact"), "N", "force of each along its normal, on the link that has the point"),
-    "link_frictions": Column(
-        ("time", "contact_tangent"), "N", "force of each along the two tangents, in the axes of the plane's link"
-    ),
-    "link_slips": Column(("time", "contact_tangent"), "m s-1", "velocity of each along the two tangents"),
-}
-SOMETIMES = ARM_COLUMNS | CONTACT_COLUMNS
-
-COLUMNS: dict[str, Column] = _BY_TIME | {name: Column(*spec) for name, spec in EVENT_COLUMNS.items()}
-ALL_COLUMNS = COLUMNS | SOMETIMES
-
-
-def columns_there(columns: Iterable[str]) -> dict[str, Column]:
-    """Return `COLUMNS`, and those of `SOMETIMES` that are among the columns of a run."""
-    return COLUMNS | {name: spec for name, spec in SOMETIMES.items() if name in columns}
-
-
-class Event(NamedTuple):
-    """One event of the contact: an impact, the beginning or the end of contact, of sticking or of slip.
-
-    Attributes
-    ----------
-    time : float
-        Instant, s.
-    kind : str
-        "impact", "touchdown", "liftoff", "stick", "slip", "reversal" or "edge".
-    rate_before, rate_after : float
-        Rate of the closure error just before and just after it, m/s.
-    rate_cut : float
-        Rate of a bounce that `impact.rest_speed` turned into contact, m/s.
-    compression, decompression : float
-        Impulses of both phases on the tip along the normal, N s.
-    tangential : (3,) array
-        Impulse on the tip along the surface, N s, base frame.
-    energy_lost : float
-        Kinetic energy lost, J; at an edge that of the spring of a soft surface.
-    position : (3,) array
-        Where the tip is, m, base frame.
-    slip_before, slip_after : float
-        Speed of the tip along the surface, m/s.
-    restitution : float
-        What an impact gave: what `impact.restitution` asks for, but where Newton's law would have created energy; 0 of
-        all other events.
-    contact : int
-        Of which contact: 0 the tip, then the scenario's sections [[contact]] in their order.
-    """
-
-    time: float
-    kind: str
-    rate_before: float
-    rate_after: float
-    rate_cut: float
-    compression: float
-    decompression: float
-    tangential: Array
-    energy_lost: float
-    position: Array
-    slip_before: float
-    slip_after: float
-    restitution: float
-    contact: int = 0
-
-
-def events_of(columns: Mapping[str, NDArray[Any]]) -> tuple[Event, ...]:
-    """Return the events of columns that have those of `EVENT_COLUMNS`, in order of time."""
-    parts = [columns[name] for name in EVENT_COLUMNS]
-    rows = zip(*(part if part.ndim == 2 else part.tolist() for part in parts), strict=True)
-    return tuple(Event(row[0], KINDS[row[1]], *row[2:]) for row in rows)
 
 
 @dataclass(frozen=True, eq=False)
@@ -185,7 +52,7 @@ class Run:
     Every column in `COLUMNS`, and in `SOMETIMES` where the scenario asks for it, is also an attribute: `run.time`
     (N,), `run.q` (N, n), `run.position` (N, 3), `run.contact_force` (N,) ... So is every column of the table of events
     (`closedloop.events.table.EVENT_COLUMNS`), which `run.events` reads row by row; and what follows from them,
-    `closedloop.record.derived.DERIVED`, such as `run.wrist_wrench` (N, 6). All are read-only.
+    `closedloop.columns.derived.DERIVED`, such as `run.wrist_wrench` (N, 6). All are read-only.
 
     Attributes
     ----------
@@ -261,8 +128,6 @@ class Run:
 
     @cached_property
     def _summary(self) -> dict[str, Any]:
-        from closedloop.report import summarise
-
         return summarise(self)
 
     @cached_property
@@ -288,8 +153,6 @@ class Run:
     def to_xarray(self) -> xarray.Dataset:
         """Return the run as an xarray Dataset with units and the attributes of the file."""
         import xarray
-
-        from closedloop.record.netcdf import attributes
 
         contacts = names_of(self.scenario.contact or ())
 
@@ -341,9 +204,7 @@ class Run:
         return str(_drawn(self, "html"))
 
     def save(self, path: str | Path) -> Path:
-        """Write the run as NetCDF-4 (HDF5) and return the path; see `closedloop.record.netcdf.save_run`."""
-        from closedloop.record.netcdf import save_run
-
+        """Write the run as NetCDF-4 (HDF5) and return the path; see `closedloop.record.save.save_run`."""
         return save_run(self, path)
 
     def show(self, path: str | Path | None = None) -> Any:

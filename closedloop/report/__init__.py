@@ -3,9 +3,10 @@
 from __future__ import annotations
 
 from closedloop.report.assumptions import assumptions
+from closedloop.report.report_rows import report_rows
 from closedloop.report.row_assumptions import NEAR_SINGULAR, RESIDUAL_TOLERANCE
 from closedloop.report.summary import energy_balance, summarise
-from closedloop.report.tables import notes, print_report, report_rows
+from closedloop.report.tables import notes, print_report
 
 __all__ = [
     "NEAR_SINGULAR",

@@ -5,22 +5,20 @@ An assumption is reported as held only if it was checked at every row; the figur
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from closedloop.closure.contact_force import FREE, STUCK
+from closedloop.columns.record import Record
 from closedloop.jit.interpreted import interpreted
 from closedloop.report.link_contacts import contact_faults
 from closedloop.report.row_assumptions import NAMES, assumptions_met
 from closedloop.report.verdict import outside_by_the_scenario
 
-if TYPE_CHECKING:
-    from closedloop.record.run import Run
 
-
-def assumptions(run: Run) -> dict[str, dict[str, Any]]:
+def assumptions(run: Record) -> dict[str, dict[str, Any]]:
     """Return, for each of the paper's assumptions, whether it held, when it first failed (s), and what decided.
 
     ``expected`` says whether it should hold: False where the scenario itself gives it up, see
@@ -72,7 +70,7 @@ def assumptions(run: Run) -> dict[str, dict[str, Any]]:
     return report
 
 
-def _judge(run: Run, held: NDArray[np.bool_], measured: str) -> dict[str, Any]:
+def _judge(run: Record, held: NDArray[np.bool_], measured: str) -> dict[str, Any]:
     failed = np.flatnonzero(~held)
     first = float(run.time[failed[0]]) if failed.size else None
     return {"held": not failed.size, "first_failed": first, "measured": measured}
@@ -84,7 +82,7 @@ def _friction(at_tip: NDArray[np.float64], in_joints: NDArray[np.float64]) -> st
     return ", ".join(f"friction ≤ {np.max(size):.3g} {unit}" for size, unit in parts if np.any(size))
 
 
-def _rows_of_the_closure(run: Run) -> str:
+def _rows_of_the_closure(run: Record) -> str:
     if np.all(run.mode == FREE):
         return "no row: the tip is free"
     if np.any(run.mode == STUCK):
@@ -92,7 +90,7 @@ def _rows_of_the_closure(run: Run) -> str:
     return f"one row, met to {np.max(run.residual_closure):.0e}"
 
 
-def _contact(run: Run) -> str:
+def _contact(run: Record) -> str:
     """Return what decides whether contact was kept: how long the tip was off the surface, else the lowest force."""
     touching = run.mode != FREE
     if not np.any(touching):

@@ -2,15 +2,13 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
+from closedloop.columns.record import Record
 from closedloop.contacts.names import names_of
-
-if TYPE_CHECKING:
-    from closedloop.record.run import Run
 
 Array = NDArray[np.float64]
 
@@ -33,7 +31,7 @@ class ContactFaults(NamedTuple):
     complementarity: Array
 
 
-def contact_faults(run: Run) -> ContactFaults | None:
+def contact_faults(run: Record) -> ContactFaults | None:
     """Return by how much the contacts of links miss their conditions; None if there are none."""
     sections = run.scenario.contact
     if not sections or not len(run):
@@ -46,7 +44,7 @@ def contact_faults(run: Run) -> ContactFaults | None:
     )
 
 
-def contact_rows(run: Run) -> list[tuple[str, str, str, str]]:
+def contact_rows(run: Record) -> list[tuple[str, str, str, str]]:
     """Return the rows of the table of errors: quantity, value, unit, and what stands beside it."""
     found = contact_faults(run)
     if found is None:

@@ -1,7 +1,7 @@
 """The values of a run's summary, row by row, in compiled code: for batches, which make no columns.
 
 What a row has to say is `closedloop.report.row_sample`; here is how the rows are counted in, one after the other.
-`closedloop.report.columns` counts in the columns of a `Run`, many rows at a time.
+`closedloop.report.run_values` counts in the columns of a `Run`, many rows at a time.
 """
 
 from __future__ import annotations

@@ -3,7 +3,7 @@
 `sample_row` works on one row in a compiled batch, on the rows of eight runs side by side (`closedloop.jit.simd8`), and,
 interpreted, on whole columns of a `Run`. It has no memory of other rows. What is taken over the rows, the largest, the
 sum, the first instant, is the same for all values of a group: `closedloop.report.measured` does it row by row,
-`closedloop.report.columns` with numpy.
+`closedloop.report.run_values` with numpy.
 """
 
 from __future__ import annotations

@@ -3,27 +3,27 @@
 from __future__ import annotations
 
 import math
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from closedloop.closure.contact_force import FREE
+from closedloop.columns.record import Record
 from closedloop.events.table import KINDS
 from closedloop.jit.interpreted import interpreted
 from closedloop.report.assumptions import assumptions
-from closedloop.report.columns import columns_of, run_values
 from closedloop.report.measures import JOINT_MEASURES, MEASURES
 from closedloop.report.row_sample import Scale, energy_left, torque_power
+from closedloop.report.run_values import columns_of, run_values
 from closedloop.report.verdict import Facts, judge
-
-if TYPE_CHECKING:
-    from closedloop.record.run import Run
+from closedloop.scenario.arm import robot_of
+from closedloop.scenario.gains import gains_fault
 
 Array = NDArray[np.float64]
 
 
-def summarise(run: Run) -> dict[str, Any]:
+def summarise(run: Record) -> dict[str, Any]:
     """Return the summary of a run: what summary.json holds, which is strict JSON.
 
     Quantities that do not exist (no rows) are None. So is a figure that is no finite number; `not_finite` names it.
@@ -56,7 +56,7 @@ def summarise(run: Run) -> dict[str, Any]:
     }
 
 
-def _loops(run: Run) -> dict[str, dict[str, float]]:
+def _loops(run: Record) -> dict[str, dict[str, float]]:
     """Return the largest reaction, N or N m, and the largest error, m or rad, of each row of a mechanism's loops."""
     if run.loops is None or not len(run):
         return {}
@@ -70,7 +70,7 @@ def _loops(run: Run) -> dict[str, dict[str, float]]:
     }
 
 
-def _facts(run: Run, values: dict[str, Any], joints: dict[str, Array], held: dict[str, dict[str, Any]]) -> Facts:
+def _facts(run: Record, values: dict[str, Any], joints: dict[str, Array], held: dict[str, dict[str, Any]]) -> Facts:
     failed = {
         name: (v["first_failed"], v["measured"]) for name, v in held.items() if v["held"] is False and v["expected"]
     }
@@ -78,7 +78,7 @@ def _facts(run: Run, values: dict[str, Any], joints: dict[str, Array], held: dic
     return Facts(run.scenario, run.model, run.stopped, len(run) - 1, values, len(run.events), failed, columns)
 
 
-def _wrist(run: Run) -> dict[str, float | None] | None:
+def _wrist(run: Record) -> dict[str, float | None] | None:
     """Return the largest force, N, and moment, N m, between the arm and what it carries; None if it carries nothing."""
     if len(run) == 0 or not (run.scenario.tool.mass or run.scenario.model_error.payload):
         return None
@@ -86,7 +86,7 @@ def _wrist(run: Run) -> dict[str, float | None] | None:
     return {name: _finite(np.max(np.linalg.norm(part, axis=1))) for name, part in parts.items()}
 
 
-def _tool(run: Run) -> dict[str, float | None] | None:
+def _tool(run: Record) -> dict[str, float | None] | None:
     """Return how far the tool turned from its reference and from the normal at most, degrees; None if it is free."""
     if len(run) == 0 or getattr(run.scenario.reference, "orientation", "free") == "free":
         return None
@@ -96,13 +96,10 @@ def _tool(run: Run) -> dict[str, float | None] | None:
     }
 
 
-def run_gains_fault(run: Run) -> str:
+def run_gains_fault(run: Record) -> str:
     """Return what is wrong with the gains for this step; of a law of one's own nothing is known."""
     if run.law != "scenario":
         return ""
-    from closedloop.scenario.arm import robot_of
-    from closedloop.scenario.gains import gains_fault
-
     return gains_fault(run.scenario, robot_of(run.scenario, run.model))
 
 
@@ -110,7 +107,7 @@ def _finite(value: float) -> float | None:
     return float(value) if np.isfinite(value) else None
 
 
-def joint_measures(run: Run) -> dict[str, Array]:
+def joint_measures(run: Record) -> dict[str, Array]:
     """Return `JOINT_MEASURES`, each (n,); an instant is NaN where there is none. Without rows nothing exists: NaN."""
     values = run_values(run) if len(run) else None
     return {name: getattr(values, name, np.full(run.model.n, np.nan)) for name in JOINT_MEASURES}
@@ -121,7 +118,7 @@ def _exists(value: float | None) -> bool:
     return value is None or math.isfinite(value)
 
 
-def _measures(run: Run, values: Any) -> dict[str, float | None]:
+def _measures(run: Record, values: Any) -> dict[str, float | None]:
     """Return `MEASURES`; None is what does not exist, and a number that is not finite what overflowed."""
     figures: dict[str, float | None] = {name: float(getattr(values, name)) for name in MEASURES}
     if np.all(run.mode == FREE):
@@ -131,7 +128,7 @@ def _measures(run: Run, values: Any) -> dict[str, float | None]:
     return figures
 
 
-def energy_balance(run: Run) -> tuple[Array, Array]:
+def energy_balance(run: Record) -> tuple[Array, Array]:
     """Return the residual of the energy balance and the energy exchanged, each (N,), J, from the start to each row.
 
     The residual is the change of kinetic and potential energy less the energy that the arm was given: the work of the

@@ -6,26 +6,26 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from closedloop.closure.contact_force import FREE
-from closedloop.control.drives import AT_RATE_LIMIT, AT_TORQUE_LIMIT, OF_THE_ROBOT
+from closedloop.columns.record import Record
+from closedloop.control.drives import OF_THE_ROBOT
 from closedloop.events.table import IMPACT, TOUCHDOWN
 from closedloop.friction.law import FrictionLaw
-from closedloop.integrators import ADAPTIVE, scheme_of
-from closedloop.report.link_contacts import contact_rows
-from closedloop.report.summary import joint_measures, run_gains_fault
+from closedloop.integrators import scheme_of
+from closedloop.report.report_rows import report_rows
+from closedloop.report.summary import run_gains_fault
 from closedloop.report.verdict import GOOD, names_of, probable_reason
 from robot_models.notes import notes as robot_notes
 
 if TYPE_CHECKING:
     from rich.console import Console
 
-    from closedloop.record.run import Event, Run
+    from closedloop.columns.events import Event
 
 # How many events are printed: a bouncing tip has dozens.
 MOST_EVENTS = 8
 
 
-def restitution_cut(run: Run) -> str:
+def restitution_cut(run: Record) -> str:
     """Return a line about impacts that gave less restitution than was asked for, or an empty string."""
     asked, impacts = run.scenario.impact.restitution, run.event_kind == IMPACT
     if run.scenario.impact.law != "newton":
@@ -39,7 +39,7 @@ def restitution_cut(run: Run) -> str:
     )
 
 
-def shifted_events(run: Run) -> str:
+def shifted_events(run: Record) -> str:
     """Return a line about a scheme of order 1 in a run with impacts, or an empty string."""
     name = run.scenario.time.integrator
     scheme = scheme_of(name)
@@ -56,7 +56,7 @@ def _energy_fault(law: Any, load: float, n: int | None = None) -> str | None:
     return law.energy_fault(load, n) if isinstance(law, FrictionLaw) else None
 
 
-def _robot_notes(run: Run) -> tuple[str, ...]:
+def _robot_notes(run: Record) -> tuple[str, ...]:
     """Return what the robot's file says and the run did not act on."""
     model, limited, rubs = run.model, run.scenario.drives.torque_limit == OF_THE_ROBOT, run.scenario.robot.friction
     if not (limited or rubs):
@@ -65,7 +65,7 @@ def _robot_notes(run: Run) -> tuple[str, ...]:
     return robot_notes(model.text, model.format, () if rubs else model.joint_names, model.velocity_limit, effort)
 
 
-def notes(run: Run) -> list[str]:
+def notes(run: Record) -> list[str]:
     """Return what a reader of the run should know beside its figures: what was left out, friction that may drive ..."""
     load = float(np.max(np.abs(run.contact_force)))
     faults = (
@@ -87,7 +87,7 @@ _TITLES = {
 }
 
 
-def print_report(run: Run, width: int | None = None) -> None:
+def print_report(run: Record, width: int | None = None) -> None:
     """Print the verdict, in the first line, and the tables of assumptions and errors on standard output."""
     from rich import box
     from rich.console import Console
@@ -115,7 +115,7 @@ def print_report(run: Run, width: int | None = None) -> None:
     errors.add_column("value", justify="right", no_wrap=True)
     errors.add_column("unit", no_wrap=True)
     errors.add_column("beside it")
-    for row in _error_rows(run, facts):
+    for row in report_rows(run):
         errors.add_row(*row)
     console.print(errors)
     if run.events:
@@ -140,151 +140,7 @@ def _print_verdict(verdict: dict[str, Any], console: Console) -> None:
         console.print(f"  [bold red]{problem['name']}[/]: {escape(problem['text'])}{when}")
 
 
-def report_rows(run: Run) -> list[tuple[str, str, str, str]]:
-    """Return the rows of the table of errors: quantity, value, unit, and what stands beside it; the run has rows."""
-    return _error_rows(run, run.summary())
-
-
-def _loop_rows(run: Run) -> list[tuple[str, str, str, str]]:
-    """Return how far the loops of a mechanism were from closed, and what they carried."""
-    found = run.loops
-    if found is None:
-        return []
-    worst = int(np.argmax(np.max(np.abs(found.errors), axis=0)))
-    m, least, most = found.errors.shape[1], int(np.min(found.rank)), int(np.max(found.rank))
-    ranks = f"{least}" if least == most else f"{least} to {most}"
-    rows = [("loops: error", f"{np.max(np.abs(found.errors)):.2g}", "m (rad)", found.labels[worst])]
-    for unit in ("N", "N m"):
-        at = [k for k, own in enumerate(found.units) if own == unit]
-        if at:
-            largest = max(at, key=lambda k: float(np.max(np.abs(found.reactions[:, k]))))
-            size = float(np.max(np.abs(found.reactions[:, largest])))
-            rows.append(("loops: reaction", f"{size:.4g}", unit, found.labels[largest]))
-    spare = "; reactions of least norm" if least < m else ""
-    return [*rows, ("loops: independent rows", ranks, "", f"of {m}{spare}")]
-
-
-def _joint_rows(run: Run) -> list[tuple[str, str, str, str]]:
-    """Return how near to its limits the arm came, where it has any."""
-    found = joint_measures(run)
-    rows = []
-    for title, key, limit in (
-        ("joint speed, of its limit", "max_joint_velocity", run.model.velocity_limit),
-        ("joint torque, of its limit", "max_joint_torque", run.model.effort_limit),
-    ):
-        share = np.divide(found[key], limit, where=limit > 0.0, out=np.full(run.model.n, np.inf))
-        j = int(np.argmax(share))
-        if np.any(np.isfinite(limit)):
-            rows.append((title, f"{100.0 * share[j]:.3g}", "%", f"joint {run.model.joint_names[j]}"))
-    return rows
-
-
-def _tool_rows(run: Run, facts: dict[str, Any]) -> list[tuple[str, str, str, str]]:
-    """Return how the tool is turned, where that is asked for, and what it bears, if the arm carries one."""
-    rows, wrist, tool = [], facts["wrist"], facts["tool"]
-    if tool is not None:
-        error, angle = _shown(tool["max_orientation_error"], ".3g"), _shown(tool["max_angle"], ".3g")
-        rows.append(("tool from its orientation", error, "deg", f"its axis {angle} deg from the normal"))
-    if wrist is not None:
-        force, moment = _shown(wrist["max_force"], ".4g"), _shown(wrist["max_moment"], ".4g")
-        at = f"at the frame {run.scenario.robot.tip or run.model.tip}"
-        rows.append(("force between arm and tool", force, "N", f"moment {moment} N m, {at}"))
-    return rows
-
-
-def _limited_rows(run: Run) -> list[tuple[str, str, str, str]]:
-    """Return a row for each joint whose torque a limit of the drives cut."""
-    found, rows = joint_measures(run), []
-    for j, at in enumerate(found["torque_limited_at"]):
-        if np.isfinite(at):
-            kinds = np.unique(run.torque_limited[:, j])
-            what = " and ".join(word for kind, word in _LIMITS.items() if kind in kinds)
-            share = f"{100.0 * found['torque_limited_share'][j]:.3g}"
-            where = f"joint {run.model.joint_names[j]}, first at {at:.4g} s: {what}"
-            rows.append(("torque cut, of the time", share, "%", where))
-    return rows
-
-
-_LIMITS = {AT_TORQUE_LIMIT: "torque limit", AT_RATE_LIMIT: "rate limit"}
-
-
-def _error_rows(run: Run, facts: dict[str, Any]) -> list[tuple[str, str, str, str]]:
-    touching = run.mode != FREE
-    commanded = f"commanded {run.reference_force[-1]:.6g} N" if run.law == "scenario" else f"law {run.law}"
-    kind = run.scenario.stabiliser.kind
-    absent = {"none": "no stabiliser", "projection": "projection needs no force"}.get(kind, "")
-    force = run.contact_force[touching] if np.any(touching) else np.zeros(1)
-    where = "" if np.all(touching) else "in contact" if np.any(touching) else "never in contact"
-    end = facts["final_closure_error"]
-    time = run.scenario.time
-    scheme = scheme_of(time.integrator)
-    step = "steps of its own" if time.integrator in ADAPTIVE else f"step {time.step:g} s"
-    return [
-        (
-            "contact force f at the end",
-            _shown(facts["final_contact_force"], ".9g"),
-            "N",
-            commanded if touching[-1] else f"free; {commanded}",
-        ),
-        ("f, lowest and highest", f"{np.min(force):.4g} … {np.max(force):.4g}", "N", where),
-        ("force error, RMS", _shown(facts["rms_force_error"], ".2g"), "N", "while it touches"),
-        ("path error, RMS", _shown(facts["rms_path_error"], ".2g"), "m", "along the surface"),
-        ("the stabiliser's part of f", _shown(facts["max_stabiliser_force"], ".2g"), "N", absent),
-        (
-            "closure error |e|" if run.scenario.compliance.kind == "none" else "depth in the surface |e|",
-            _shown(facts["max_abs_closure_error"], ".2g"),
-            "m",
-            f"{_shown(end, '.1g')} m at the end" if touching[-1] else f"a gap of {_shown(end, '.3g')} m at the end",
-        ),
-        ("closure rate |ė|", _shown(facts["max_abs_closure_rate"], ".2g"), "m/s", ""),
-        ("residual of Eq. 24", _shown(facts["max_kkt_residual"], ".1g"), "relative", "rounding is 1e-16"),
-        (
-            "energy unaccounted for",
-            _shown(facts["max_energy_residual"], ".2g"),
-            "J",
-            f"of {_shown(facts['energy_exchanged'], '.2g')} J exchanged",
-        ),
-        (
-            "order of the integrator",
-            "not known" if scheme is None else f"{scheme.order}",
-            "",
-            f"{time.integrator}, {step}",
-        ),
-        ("tip speed", _shown(facts["max_tip_speed"], ".4g"), "m/s", ""),
-        *_loop_rows(run),
-        *contact_rows(run),
-        *_joint_rows(run),
-        *_tool_rows(run, facts),
-        *_limited_rows(run),
-        *_contact_rows(run, facts),
-    ]
-
-
-def _shown(figure: float | None, form: str) -> str:
-    """Return a figure of the summary; None is one that is no finite number."""
-    return "not known" if figure is None else format(figure, form)
-
-
-def _contact_rows(run: Run, facts: dict[str, Any]) -> list[tuple[str, str, str, str]]:
-    """Return what a run in which contact changes has to say beside the rest."""
-    counts = ", ".join(f"{count} {kind}{'s' * (count > 1)}" for kind, count in facts["events"].items() if count)
-    rows = [("events", str(len(run.events)), "", counts)] if run.events else []
-    if facts["max_friction_force"] or facts["max_joint_friction"]:
-        rows.append(("energy lost to friction", _shown(facts["energy_lost_to_friction"], ".3g"), "J", ""))
-    if run.scenario.surface.contact == "bilateral":
-        return rows
-    cut = facts["largest_rate_cut"] or 0.0
-    rows += [
-        ("time in contact", _shown(facts["time_in_contact"], ".4g"), "s", f"of {run.time[-1]:g} s"),
-        ("deepest penetration", _shown(facts["deepest_penetration"], ".2g"), "m", ""),
-    ]
-    if facts["events"]["impact"] or facts["events"]["touchdown"]:
-        what = f"bounce cut: {cut:.2g} m/s" if cut > 0.0 else "no bounce was cut"
-        rows.append(("energy lost in impacts", _shown(facts["energy_lost_in_impacts"], ".3g"), "J", what))
-    return rows
-
-
-def _print_events(run: Run, console: Console) -> None:
+def _print_events(run: Record, console: Console) -> None:
     """Print the first events as a table, columns that would be empty left out."""
     from rich import box
     from rich.table import Table

@@ -6,8 +6,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from closedloop.closure.contact_force import FREE, PRESSED, STUCK
+from closedloop.columns.events import Event, events_of
 from closedloop.events.table import event_columns
-from closedloop.record.run import Event, events_of
 from closedloop.step.record_row import ArmRow, Row
 
 Array = NDArray[np.float64]

@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, Any, BinaryIO
 
 import numpy as np
 
-from closedloop.record.run import ALL_COLUMNS
+from closedloop.columns.recorded import ALL_COLUMNS
 
 if TYPE_CHECKING:
     from closedloop.sweep.store import Store

@@ -12,10 +12,10 @@ from typing import Any
 
 import robot_models
 from closedloop.batch.table import kept_columns
+from closedloop.columns.recorded import ALL_COLUMNS
 from closedloop.engines.loops import COMPILED
 from closedloop.errors import ScenarioError
 from closedloop.jit.cache_folder import cache_folder
-from closedloop.record.run import ALL_COLUMNS
 from closedloop.record.versions import package_versions
 from closedloop.scenario.members import members_of_users
 from closedloop.scenario.overrides import Variants

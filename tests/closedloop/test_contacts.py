@@ -13,7 +13,7 @@ from closedloop.contacts.complementarity import solve_contacts
 from closedloop.contacts.impact import strike
 from closedloop.contacts.memory import CONE, contacts_at, make_contact_memory
 from closedloop.jit.kernel import entry_kernel
-from closedloop.record.netcdf import load_run
+from closedloop.record.load import load_run
 from closedloop.robot.pinocchio import Robot
 from validation.loops.mechanisms import joint, point
 

@@ -7,10 +7,10 @@ import numpy as np
 import pytest
 
 import closedloop as cl
+from closedloop.columns.recorded import COLUMNS
 from closedloop.engines.user_law import UserLaw
 from closedloop.errors import ClosedLoopError
 from closedloop.interrupts import Terminated, held_back, terminable
-from closedloop.record.run import COLUMNS
 from closedloop.step import entries
 
 INTEGRATORS = ("semi_implicit_euler", "rk4", "dop853")

@@ -11,8 +11,8 @@ import numpy as np
 import pytest
 
 import closedloop as cl
+from closedloop.columns.recorded import COLUMNS
 from closedloop.files import remove_unfinished
-from closedloop.record.run import COLUMNS
 from closedloop.run import main
 
 pytestmark = pytest.mark.skipif(not hasattr(os, "fork"), reason="this system has no fork")

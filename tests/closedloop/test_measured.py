@@ -7,7 +7,6 @@ import closedloop as cl
 from closedloop.jit.interpreted import interpreted
 from closedloop.report import columns
 from closedloop.report.alternation import Signal, alternation, count_signal
-from closedloop.report.columns import columns_of, run_values
 from closedloop.report.measured import (
     Tally,
     Values,
@@ -17,6 +16,7 @@ from closedloop.report.measured import (
     write_values,
 )
 from closedloop.report.row_sample import JointLimits, Scale, energy_left, friction_power, joint_limits
+from closedloop.report.run_values import columns_of, run_values
 
 RUNS = {
     "a slide": ("wam_slide", {"time.duration": 0.7, "law.sample_period": 0.004}),

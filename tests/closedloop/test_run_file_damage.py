@@ -10,10 +10,10 @@ import numpy as np
 import pytest
 
 import closedloop as cl
+from closedloop.columns.recorded import COLUMNS
 from closedloop.figures import draw_figures
 from closedloop.record import sealed
-from closedloop.record.netcdf import attributes
-from closedloop.record.run import COLUMNS
+from closedloop.record.save import attributes
 from closedloop.report import print_report
 
 

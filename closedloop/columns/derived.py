@@ -6,11 +6,12 @@ They are attributes of a `Run`, and stand beside the recorded ones in CSV and pa
 from __future__ import annotations
 
 from collections.abc import Callable
-from typing import Any, NamedTuple, Protocol
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
+from closedloop.columns.record import Record
 from closedloop.loops.reactions import (
     LoopReactions,
     loop_reactions,
@@ -20,9 +21,7 @@ from closedloop.loops.reactions import (
 )
 from closedloop.robot.pinocchio import Robot
 from closedloop.scenario.arm import robot_of, without_tools
-from closedloop.scenario.scenario import Scenario
 from closedloop.surface.plane import unit
-from robot_models import RobotModel
 
 Array = NDArray[np.float64]
 
@@ -32,22 +31,8 @@ AT_STOP = 1e-9
 WRENCH = ("fx", "fy", "fz", "mx", "my", "mz")
 
 
-class Record(Protocol):
-    """What is read of a `closedloop.record.run.Run`: its columns as attributes, and what made it."""
-
-    @property
-    def scenario(self) -> Scenario:
-        """What was asked for."""
-
-    @property
-    def model(self) -> RobotModel:
-        """The robot."""
-
-    def __getattr__(self, name: str) -> NDArray[Any]: ...
-
-
 class DerivedColumn(NamedTuple):
-    """Dimensions, unit and meaning of a column as `closedloop.record.run.Column` has them, and what works it out."""
+    """Dimensions, unit and meaning, as of a `closedloop.columns.recorded.Column`, and what works it out."""
 
     dims: tuple[str, ...]
     units: str

@@ -9,20 +9,18 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from types import SimpleNamespace
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
+from closedloop.columns.record import Record
 from closedloop.jit.interpreted import interpreted
 from closedloop.report.alternation import SPAN, alternation
 from closedloop.report.limited import count_limited
 from closedloop.report.measured import Tally, Values, begin_tally, write_values
 from closedloop.report.row_sample import JointLimits, Sample, Scale, joint_limits, sample_row
 from closedloop.step.record_row import RECORDED
-
-if TYPE_CHECKING:
-    from closedloop.record.run import Run
 
 Array = NDArray[np.float64]
 
@@ -32,13 +30,13 @@ ROWS = 2048
 _COLUMNS = tuple(name for name in RECORDED if name not in ("acceleration", "measured_force"))
 
 
-def columns_of(run: Run, rows: slice = slice(None)) -> Any:
+def columns_of(run: Record, rows: slice = slice(None)) -> Any:
     """Return these rows of a run as `sample_row` reads them: columns (N,) and (k, N) by their names."""
     return SimpleNamespace(**{name: getattr(run, name)[rows].T for name in _COLUMNS})
 
 
 @np.errstate(all="ignore")  # what overflows is named in the summary
-def run_values(run: Run) -> Any:
+def run_values(run: Record) -> Any:
     """Return the values of a run of at least one row, see `closedloop.report.measured.Values`."""
     n, count, h = run.model.n, len(run), run.scenario.time.step
     tally, values = Tally(np.zeros(Tally.count(n)), n), Values(np.zeros(Values.count(n)), n)
@@ -70,7 +68,7 @@ def _some_at_a_time(count: int) -> Iterator[slice]:
     return (slice(begin, min(begin + ROWS, count)) for begin in range(0, count, ROWS))
 
 
-def _sample_rows(run: Run, rows: slice, scale: Scale, sample: Sample) -> None:
+def _sample_rows(run: Record, rows: slice, scale: Scale, sample: Sample) -> None:
     n = run.model.n
     wanted = SimpleNamespace(position=run.reference_tip[rows].T, force=run.reference_force[rows])
     limits = JointLimits(joint_limits(run.model), n)

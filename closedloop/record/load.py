@@ -1,0 +1,138 @@
+"""Reading a run that `closedloop.record.save` wrote. Nothing is trusted: what is not exactly a run is refused.
+
+Files from before there were digests, or with fewer columns, are read too; of them only what cannot be a run is refused.
+"""
+
+from __future__ import annotations
+
+import json
+import math
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+import robot_models
+from closedloop.columns.recorded import ALL_COLUMNS, columns_there
+from closedloop.errors import ClosedLoopError, RunFileError, faults_on_one_line
+from closedloop.files import reason_of
+from closedloop.record.run import Run
+from closedloop.record.save import (
+    ATTRIBUTES,
+    CHECKSUM,
+    FORMAT,
+    FORMAT_VERSION,
+    LATER_TEXTS,
+    MEMBERS,
+    TEXTS,
+    checksum,
+    not_finite,
+)
+from closedloop.record.sealed import read_sealed
+from closedloop.scenario.load import parse_scenario
+from closedloop.scenario.scenario import Scenario
+from closedloop.surface.plane import unit
+
+# What files from before there was a checksum may lack.
+_LATER = dict(zip(LATER_TEXTS, ("pinocchio", "", '["kkt_condition"]'), strict=True))
+# Columns that files of earlier versions may lack, and a column as long: what nobody wrote down is NaN.
+_LATER_COLUMNS = {"energy_supplied": "time", "event_restitution": "event_time", "event_contact": "event_time"}
+
+
+def load_run(path: str | Path) -> Run:
+    """Read a run that `save_run` wrote, now or in an earlier version with this format: a column it lacks is NaN.
+
+    A user's class that its scenario picks is not imported: the run can be looked at, and repeated once the class is
+    named, as ``load_scenario`` and ``--reference.kind my_module:MyPath`` do.
+
+    Raises
+    ------
+    RunFileError
+        If there is no such file, or it is not a run, or it is damaged.
+    """
+    path = Path(path)
+    try:
+        run = _run_of(*read_sealed(path, list(ALL_COLUMNS)))
+    except KeyError as error:
+        raise RunFileError(f"{path}: is not a run file, or is damaged: {error} is missing") from None
+    except ClosedLoopError as error:
+        raise RunFileError(f"{path}: {faults_on_one_line(error)}") from None
+    except RecursionError:
+        raise RunFileError(f"{path}: is damaged: an attribute is nested too deep") from None
+    except (OSError, ValueError, TypeError, AttributeError, ArithmeticError, LookupError, RuntimeError) as error:
+        raise RunFileError(f"{path}: is not a run file, or is damaged: {reason_of(error)}") from None
+    return run
+
+
+def _run_of(found: Mapping[str, Any], columns: dict[str, NDArray[Any]]) -> Run:
+    """Make a run of what a file holds, which may be anything."""
+    if found.get("format") != FORMAT:
+        raise RunFileError(f"is not a run file (its 'format' attribute is not '{FORMAT}')")
+    version = int(found["format_version"])
+    if version != FORMAT_VERSION:
+        age, cure = ("a newer", "") if version > FORMAT_VERSION else ("an older", "; run its scenario again")
+        raise RunFileError(f"was written by {age} version: format {version}, this one reads {FORMAT_VERSION}{cure}")
+    if CHECKSUM in found:
+        _verify(found, columns)
+    found = _LATER | dict(found)
+    if wrong := [key for key in (*TEXTS, *_LATER) if not isinstance(found[key], str)]:
+        raise RunFileError(f"is damaged: attribute '{wrong[0]}' is not text")
+    robot, versions = json.loads(found["robot"]), json.loads(found["versions"])
+    if not (isinstance(robot, dict) and isinstance(versions, dict) and isinstance(robot.get("name"), str)):
+        raise RunFileError("is damaged: its attributes 'robot' and 'versions' must be tables")
+    members = json.loads(found.get(MEMBERS, "{}"))
+    if not (isinstance(members, dict) and all(isinstance(text, str) for text in members.values())):
+        raise RunFileError(f"is damaged: attribute '{MEMBERS}' must be a table of texts")
+    if found["engine"] not in ("pinocchio", "compiled"):
+        raise RunFileError(f"is damaged: attribute 'engine' is {found['engine'][:40]!r}")
+    if not 0.0 <= float(found["wall_seconds"]) < math.inf:
+        raise RunFileError(f"is damaged: attribute 'wall_seconds' is {found['wall_seconds']}")
+    model = robot_models.from_text(found["robot_text"], **robot)
+    scenario = parse_scenario(found["scenario"], where="attribute 'scenario'", keep_absent=True)
+    _add_plane(columns, scenario)
+    absent = [name for name in _LATER_COLUMNS if name not in columns]
+    columns |= {name: np.full(columns[_LATER_COLUMNS[name]].size, np.nan) for name in absent}
+    _check_columns(columns, model.n, len(scenario.contact or ()), [*json.loads(found["not_finite"]), *absent])
+    return Run(
+        scenario=scenario,
+        model=model,
+        columns=columns,
+        law=found["law"],
+        versions=versions,
+        stopped=found["stopped"] or None,
+        wall_seconds=float(found["wall_seconds"]),
+        engine=found["engine"],
+        law_digest=found["law_digest"],
+        member_digests=members,
+    )
+
+
+def _add_plane(columns: dict[str, NDArray[Any]], scenario: Scenario) -> None:
+    """Add what a file from before there were other surfaces than a plane at rest does not have."""
+    if "surface_normal" in columns or np.shape(columns["velocity"])[1:] != (3,):
+        return
+    n, v = unit(scenario.surface.normal, "surface.normal"), columns["velocity"]
+    columns["surface_normal"] = np.tile(n, (len(v), 1))
+    columns["slip_velocity"] = v - np.outer(v @ n, n)
+
+
+def _verify(found: Mapping[str, Any], columns: Mapping[str, NDArray[Any]]) -> None:
+    """Compare the checksum with that of what was written, whatever else another program has added since."""
+    ours = {name: value for name, value in found.items() if name in ATTRIBUTES}
+    if found[CHECKSUM] != checksum(ours, columns):
+        raise RunFileError("is damaged, or was changed: its checksum is not that of its columns and attributes")
+
+
+def _check_columns(columns: Mapping[str, NDArray[Any]], joints: int, contacts: int, allowed: list[str]) -> None:
+    sizes = {"time": columns["time"].size, "joint": joints, "axis": 3, "event": columns["event_time"].size}
+    sizes |= {"contact": contacts, "contact_tangent": 2 * contacts}
+    for name, spec in columns_there(columns).items():
+        column, shape = columns[name], tuple(sizes[dim] for dim in spec.dims)
+        if column.shape != shape or column.dtype.kind not in "fi":
+            raise RunFileError(
+                f"is damaged: column '{name}' is {column.dtype} of shape {column.shape}, not numbers of shape {shape}"
+            )
+    if wrong := [name for name in not_finite(columns) if name not in allowed]:
+        raise RunFileError(f"is damaged: column '{wrong[0]}' has entries that are not finite numbers")

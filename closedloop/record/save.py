@@ -1,0 +1,139 @@
+"""Writing a run as a file: NetCDF-4, which is HDF5, with everything that is needed to repeat it as attributes.
+
+xarray, h5py and MATLAB open it. Two digests tell damage: the file's seal (`closedloop.record.sealed`), of all its
+bytes, and the attribute `checksum`, of what a run is made of, which still holds when another program has added to the
+file. `closedloop.record.load` reads it.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import json
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any, BinaryIO
+
+import numpy as np
+from numpy.typing import NDArray
+
+from closedloop.columns.record import Record
+from closedloop.columns.recorded import ALL_COLUMNS, columns_there
+from closedloop.contacts.names import names_of, tangents_of
+from closedloop.files import write_whole
+from closedloop.record.netcdf_image import Variable, netcdf_image
+from closedloop.record.sealed import seal
+from closedloop.scenario.scenario import Scenario
+from robot_models import RobotModel
+
+FORMAT, FORMAT_VERSION = "closedloop run", 2
+CHECKSUM = "checksum"
+# Attributes that are text; files from before there was a checksum may lack those of the second line.
+TEXTS = ("scenario", "robot_text", "robot", "law", "versions", "stopped")
+LATER_TEXTS = ("engine", "law_digest", "not_finite")
+# An attribute of a run with users' classes only: JSON of their names and the SHA-256 of their texts.
+MEMBERS = "members"
+# What the checksum is of.
+ATTRIBUTES = {"format", "format_version", "seed", "wall_seconds", "summary", *TEXTS, *LATER_TEXTS, MEMBERS}
+
+
+def question(
+    scenario: Scenario, model: RobotModel, law: str, law_digest: str, engine: str, members: Mapping[str, str]
+) -> dict[str, str]:
+    """Return what determines a run to the last bit, on one machine, as the texts that its file has as attributes.
+
+    `members` are the digests of the users' classes, see `closedloop.scenario.members.member_digests`.
+    """
+    robot = {name: getattr(model, name) for name in ("name", "format", "tip", "description", "source")}
+    robot |= {name: getattr(model, name).tolist() for name in ("armature", "home", "gravity")}
+    robot["locked"] = dict(model.locked)
+    if model.loops or model.drives:  # a tree has none, in files of any version
+        robot |= {"loops": [loop.as_table() for loop in model.loops], "drives": list(model.drives)}
+    return {
+        "scenario": scenario.to_toml(),
+        "robot_text": model.text,
+        "robot": json.dumps(robot),  # floats in their shortest exact form
+        "law": law,
+        "law_digest": law_digest,
+        "engine": engine,
+    } | ({MEMBERS: json.dumps(dict(sorted(members.items())))} if members else {})
+
+
+def attributes(run: Record) -> dict[str, Any]:
+    """Return what made the run, as plain text and numbers."""
+    return {
+        "format": FORMAT,
+        "format_version": FORMAT_VERSION,
+        **question(run.scenario, run.model, run.law, run.law_digest, run.engine, run.member_digests),
+        "seed": _seed(run),
+        "versions": json.dumps(dict(run.versions)),
+        "stopped": run.stopped or "",
+        "wall_seconds": run.wall_seconds,
+        "not_finite": json.dumps(not_finite(run.columns)),
+        "summary": json.dumps(run.summary()),
+    }
+
+
+def _seed(run: Record) -> str:
+    sensor, encoder = run.scenario.sensor, run.scenario.encoder
+    noisy = np.max(encoder.noise) > 0.0 or np.max(encoder.velocity_noise) > 0.0
+    drawn = [f"{sensor.seed}: the noise of the force sensor"] if sensor.noise > 0.0 else []
+    drawn += [f"{encoder.seed}: the noise of the encoders"] if noisy else []
+    if drawn:
+        return f"{', '.join(drawn)}; nothing else in this run is random"
+    return "none: nothing in this run is random"
+
+
+def not_finite(columns: Mapping[str, NDArray[Any]]) -> list[str]:
+    """Return the columns in which a number is infinite or none at all."""
+    return [name for name in columns_there(columns) if not np.all(np.isfinite(columns[name]))]
+
+
+def checksum(found: Mapping[str, Any], columns: Mapping[str, NDArray[Any]]) -> str:
+    """Return the SHA-256 of the attributes of a file, its own left out, and of the columns of a run that it has.
+
+    Each attribute in order of the alphabet as the JSON of [name, value]; each column as that of [name, type, shape] and
+    its bytes, rows first.
+    """
+    total = hashlib.sha256()
+    for name in sorted(found):
+        total.update(json.dumps([name, found[name]]).encode())
+    for name in (name for name in ALL_COLUMNS if name in columns):
+        column = np.ascontiguousarray(columns[name])
+        total.update(json.dumps([name, column.dtype.str, column.shape]).encode())
+        total.update(column.tobytes())
+    return f"sha256:{total.hexdigest()}"
+
+
+def save_run(run: Record, path: str | Path) -> Path:
+    """Write a run and return the path; an older file is replaced only once the new one is whole.
+
+    Raises
+    ------
+    OutputError
+        If the file cannot be written.
+    """
+    variables = {
+        name: Variable(spec.dims, np.asarray(run.columns[name]), {"units": run.units(name), "long_name": spec.meaning})
+        for name, spec in columns_there(run.columns).items()
+    }
+    labels = {
+        "joint": ("joint", run.model.joint_names),
+        "joint_type": ("joint", run.model.joint_types),
+        "axis": ("axis", ("x", "y", "z")),
+    }
+    if run.scenario.contact:
+        names = names_of(run.scenario.contact)
+        labels |= {"contact": ("contact", names), "contact_tangent": ("contact_tangent", tangents_of(names))}
+    for name, (dimension, words) in labels.items():
+        variables[name] = Variable((dimension,), np.array(words, dtype=object))
+    dimensions = {"time": len(run), "joint": run.model.n, "axis": 3, "event": len(run.events)}
+    if contacts := len(run.scenario.contact or ()):
+        dimensions |= {"contact": contacts, "contact_tangent": 2 * contacts}
+    made = attributes(run)
+    content = netcdf_image(dimensions, variables, made | {CHECKSUM: checksum(made, run.columns)})
+
+    def write(file: BinaryIO) -> None:
+        file.write(content)
+        file.write(seal(content))
+
+    return write_whole(path, write)

@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from robot_models import mjcf, mjcf_mechanism, urdf, urdf_mechanism
+from robot_models import mjcf, mjcf_mechanism, mjcf_pinocchio, urdf, urdf_mechanism
 from robot_models.compare import check_built
 from robot_models.errors import ModelError
 
@@ -109,5 +109,5 @@ def _from_mjcf(text: str) -> "pin.Model":
     # Pinocchio reads MJCF from a file only.
     with tempfile.TemporaryDirectory() as folder:
         path = Path(folder) / "model.xml"
-        path.write_text(mjcf.for_pinocchio(text), encoding="utf-8")
+        path.write_text(mjcf_pinocchio.for_pinocchio(text), encoding="utf-8")
         return pin.buildModelFromMJCF(str(path))

@@ -2,44 +2,26 @@
 
 from collections import Counter
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
-from difflib import get_close_matches
 from functools import lru_cache
 from math import isfinite
-from pathlib import Path
-from typing import TYPE_CHECKING, Literal
+from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from robot_models import build, example_robots, inspected, mjcf, mjcf_equality, notes, physics, shipped, urdf
+from robot_models import build, inspected, mjcf, mjcf_equality, notes, physics, urdf
+from robot_models.described import Description, Format, find, joint_names, names_a_file
 from robot_models.errors import ModelError
 from robot_models.loop_joint import check_loops, loop_joint
 from robot_models.model import RobotModel
-from robot_models.sidecar import Sidecar, read_sidecar
-from robot_models.xml_text import parse, read_text
+from robot_models.sidecar import Sidecar
 
 if TYPE_CHECKING:
     from os import PathLike
 
     import pinocchio as pin
 
-Format = Literal["urdf", "mjcf"]
 Lock = Mapping[str, float] | Sequence[str]
-
-_ROOTS: dict[str, Format] = {"robot": "urdf", "mujoco": "mjcf"}
-_SUFFIXES = (".urdf", ".xml", ".mjcf")
-
-
-@dataclass(frozen=True)
-class _Description:
-    """A canonical text and what is known beside it; `lock` in the sidecar is the default."""
-
-    name: str
-    text: str
-    format: Format
-    where: str
-    sidecar: Sidecar
 
 
 @np.errstate(all="ignore")  # what overflows is refused by name
@@ -80,7 +62,7 @@ def _load_packaged(name: str, drive_inertia: bool) -> RobotModel:
 
 def _load(name: "str | PathLike[str]", drive_inertia: bool, lock: Lock) -> RobotModel:
     """See `load`."""
-    found = _find(name)
+    found = find(name)
     defaults = found.sidecar
     locked = _locked(found, lock)
     if found.format == "urdf" and not inspected.has_passed(found.text, locked):
@@ -142,7 +124,7 @@ def from_text(
         urdf.inspect(canonical, name, locked)
     closed = tuple(loop_joint(table, name) for table in loops)
     sidecar = Sidecar(description=description, source=source, closed_loop=closed, drives=tuple(drives))
-    found = _Description(name, canonical, format, name, sidecar)
+    found = Description(name, canonical, format, name, sidecar)
     built = build.build(canonical, format, locked, name)
     n = built.model.nv
     built.model.armature = _vector(armature, n, f"{name}: armature")
@@ -152,55 +134,7 @@ def from_text(
     return _finish(built, _vector(home, n, f"{name}: home"), found, dict(locked), tip, g)
 
 
-def _find(name: "str | PathLike[str]") -> _Description:
-    if name in shipped.shipped_names():
-        return _from_file(str(name), shipped.path_of(str(name)), "robot_models")
-    if names_a_file(name):
-        path = Path(name)
-        return _from_file(path.stem, path, "")
-    assert isinstance(name, str)
-    if name not in example_robots.example_names():
-        known = (*shipped.shipped_names(), *example_robots.example_names())
-        near = get_close_matches(name.lower(), known, n=3)
-        hint = f"did you mean {' or '.join(map(repr, near))}?" if near else "wam4, panda and ur5 are some"
-        raise ModelError(f"no robot is named {name!r}: {hint} (or give the path of a .urdf or MJCF .xml)")
-    example = example_robots.find(name)
-    text = urdf.read(example.text, name)
-    sidecar = example.sidecar
-    if example.rotors is not None:
-        rotors = example_robots.rotor_inertia(example.rotors, list(urdf.joint_types(text)))
-        sidecar = replace(sidecar, drive_inertia=rotors)
-    return _Description(name, text, "urdf", name, sidecar)
-
-
-def names_a_file(name: "str | PathLike[str]") -> bool:
-    """Whether this is the path of a file, not the name of a robot that comes with a package."""
-    path = Path(name)
-    return not isinstance(name, str) or path.suffix.lower() in _SUFFIXES or len(path.parts) > 1
-
-
-def _from_file(name: str, path: Path, owner: str) -> _Description:
-    where = path.name if owner else str(path)
-    text = read_text(path)
-    root = parse(text, where).tag
-    if root not in _ROOTS:
-        raise ModelError(f"{where} is neither URDF nor MJCF: its root is <{root}>, not <robot> or <mujoco>")
-    format = _ROOTS[root]
-    text = urdf.read(text, where) if format == "urdf" else mjcf.read(text, where, path.parent)
-    joints = _joints(text, format)
-    sidecar = read_sidecar(path.with_suffix(".toml"), joints)
-    if not owner:
-        sidecar = replace(sidecar, source=sidecar.source or where)
-    return _Description(name, text, format, where, sidecar)
-
-
-def _joints(text: str, format: Format) -> tuple[str, ...]:
-    if format == "mjcf":
-        return tuple(mjcf.iter_names(text, "joint"))
-    return tuple(joint for joint, kind in urdf.joint_types(text).items() if kind in urdf.MOVING)
-
-
-def _locked(found: _Description, lock: Lock) -> dict[str, float]:
+def _locked(found: Description, lock: Lock) -> dict[str, float]:
     if isinstance(lock, str):
         raise ModelError(f"lock is {lock!r}: it must be a list of joints or a table of their values")
     if not lock:
@@ -214,7 +148,7 @@ def _locked(found: _Description, lock: Lock) -> dict[str, float]:
     return {joint: posture.get(joint, 0.0) for joint in lock}  # build() refuses an unknown one by name
 
 
-def _home(found: _Description, built: build.Built, joints: tuple[str, ...]) -> NDArray[np.float64]:
+def _home(found: Description, built: build.Built, joints: tuple[str, ...]) -> NDArray[np.float64]:
     """Return the posture that the sources name, else zero, moved into the limits where it is outside."""
     low, high = built.model.lowerPositionLimit, built.model.upperPositionLimit
     # Zero, or the middle of the limits where zero is outside them.
@@ -224,7 +158,7 @@ def _home(found: _Description, built: build.Built, joints: tuple[str, ...]) -> N
     named = dict(found.sidecar.home)
     if found.format == "mjcf" and not named:
         key = mjcf.home(found.text)
-        order = _joints(found.text, "mjcf")
+        order = joint_names(found.text, "mjcf")
         if key is not None and len(key) != len(order):
             raise ModelError(f"{found.where}: a keyframe has {len(key)} values for {len(order)} joints")
         named = dict(zip(order, key or (), strict=False))
@@ -279,7 +213,7 @@ def _vector(value: ArrayLike, n: int, what: str) -> NDArray[np.float64]:
 def _finish(
     built: build.Built,
     home: NDArray[np.float64],
-    found: _Description,
+    found: Description,
     locked: Mapping[str, float],
     tip: str | None,
     gravity: NDArray[np.float64] | None,

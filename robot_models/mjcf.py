@@ -22,12 +22,13 @@ the mechanism and are left out.
 import xml.etree.ElementTree as ET
 from collections.abc import Iterator
 from pathlib import Path
+from typing import NamedTuple
 
 from robot_models import mjcf_equality
 from robot_models.errors import ModelError
 from robot_models.mechanism import check_size
 from robot_models.mjcf_defaults import Defaults
-from robot_models.mjcf_mechanism import TURNS, Units, mechanism, pose
+from robot_models.mjcf_mechanism import TURNS, Units, mechanism
 from robot_models.mjcf_schema import check_schema
 from robot_models.mjcf_values import (
     check_inertial,
@@ -63,7 +64,7 @@ MAX_INCLUDES = 100
 # What a joint says of friction; it does not act.
 _FRICTION = ("damping", "frictionloss")
 
-#: The body that `for_pinocchio` adds; no body of a file may be named so.
+#: The body that `mjcf_pinocchio` adds; no body of a file may be named so.
 STILL = "robot_models/world"
 
 
@@ -98,6 +99,29 @@ def read(text: str, where: str, folder: Path | None) -> str:
             raise ModelError(f"{where}: <{section.tag}> is not simulated: the model must do without it")
     check_schema(root, where)
     out = ET.Element("mujoco", model=root.get("model") or "model")
+    _copy_settings(root, out, where)
+    world = ET.SubElement(out, "worldbody")
+    defaults = Defaults(root, where)
+    defaults.check_references(root)
+    names: set[tuple[str, str]] = set()
+    # Joints with friction, from the file itself or from a canonical text that was written before.
+    rough = [e.get("data", "") for e in root.iterfind("custom/text") if e.get("name") == LEFT_OUT]
+    for element in root.findall("worldbody"):
+        _copy_body(element, world, _Copied(defaults, Units(out), names, rough), None, False, f"{where}: the world")
+    check_weighing_bodies(mechanism(ET.tostring(out, encoding="unicode"), STILL), where)
+    if rough:
+        custom = ET.SubElement(out, "custom")
+        ET.SubElement(custom, "text", name=LEFT_OUT, data="\n".join(rough))
+    mjcf_equality.copy(root, out, where)
+    keys = ET.SubElement(out, "keyframe")
+    for key in root.iterfind("keyframe/key[@qpos]"):
+        numbers(key.attrib["qpos"], None, f"{where}: keyframe qpos")
+        ET.SubElement(keys, "key", name=key.get("name", "home"), qpos=key.attrib["qpos"])
+    return ET.tostring(out, encoding="unicode")
+
+
+def _copy_settings(root: ET.Element, out: ET.Element, where: str) -> None:
+    """Copy what <compiler> says of angles, and gravity; what would change anything else must be neutral."""
     compiler = ET.SubElement(out, "compiler")
     for element in root.findall("compiler"):
         check_neutral(element, dict(element.attrib), f"{where}: <compiler>")
@@ -114,24 +138,6 @@ def read(text: str, where: str, folder: Path | None) -> str:
         if "gravity" in element.attrib:
             numbers(element.attrib["gravity"], 3, f"{where}: option gravity")
             ET.SubElement(out, "option", gravity=element.attrib["gravity"])
-    world = ET.SubElement(out, "worldbody")
-    defaults = Defaults(root, where)
-    defaults.check_references(root)
-    names: set[tuple[str, str]] = set()
-    # Joints with friction, from the file itself or from a canonical text that was written before.
-    rough = [e.get("data", "") for e in root.iterfind("custom/text") if e.get("name") == LEFT_OUT]
-    for element in root.findall("worldbody"):
-        _copy_body(element, world, defaults, Units(out), None, False, f"{where}: the world", names, rough)
-    check_weighing_bodies(mechanism(ET.tostring(out, encoding="unicode"), STILL), where)
-    if rough:
-        custom = ET.SubElement(out, "custom")
-        ET.SubElement(custom, "text", name=LEFT_OUT, data="\n".join(rough))
-    mjcf_equality.copy(root, out, where)
-    keys = ET.SubElement(out, "keyframe")
-    for key in root.iterfind("keyframe/key[@qpos]"):
-        numbers(key.attrib["qpos"], None, f"{where}: keyframe qpos")
-        ET.SubElement(keys, "key", name=key.get("name", "home"), qpos=key.attrib["qpos"])
-    return ET.tostring(out, encoding="unicode")
 
 
 def gravity(text: str) -> tuple[float, float, float]:
@@ -146,56 +152,6 @@ def home(text: str) -> list[float] | None:
     keys = ET.fromstring(text).findall("keyframe/key")
     keys.sort(key=lambda key: key.get("name") != "home")
     return [float(word) for word in keys[0].attrib["qpos"].split()] if keys else None
-
-
-def for_pinocchio(text: str) -> str:
-    """Put all bodies of a canonical MJCF under one still body at the origin, and drop keyframes and idle geoms.
-
-    Pinocchio reads one body of the world and loses its pose if it has no joint: a still one at the origin has
-    none to lose. It loses the sites of the world, too, so these are left out. Its name cannot clash: `read` refuses it.
-    """
-    root = ET.fromstring(text)
-    world = root.find("worldbody")
-    still = ET.Element("body", name=STILL)
-    if world is not None:
-        still.extend(world.findall("body"))
-        world[:] = [still]
-        _drop_idle_geoms(still, False)
-        _write_plainly(still, Units(root))
-    for compiler in root.findall("compiler"):
-        compiler.set("angle", "radian")
-    for section in (*root.findall("keyframe"), *root.findall("equality")):
-        root.remove(section)
-    return ET.tostring(root, encoding="unicode")
-
-
-def _write_plainly(body: ET.Element, units: Units) -> None:
-    """Write every turn as a unit quaternion and every range in rad (m), in place."""
-    import pinocchio as pin
-
-    for joint in body.iter("joint"):
-        for key in ("range", "actuatorfrcrange"):
-            if key in joint.attrib and not any(map(float, joint.attrib[key].split())):
-                del joint.attrib[key]  # two zeros are no range
-        if "range" in joint.attrib and joint.get("type") != "slide":
-            low, high = (units.angle(float(word)) for word in joint.attrib["range"].split())
-            joint.set("range", f"{low!r} {high!r}")
-    for element in body.iter():
-        if any(key in element.attrib for key in TURNS):
-            turn = pose(element.attrib, units)[:3, :3]
-            for key in TURNS:
-                element.attrib.pop(key, None)
-            x, y, z, w = pin.Quaternion(turn).coeffs().tolist()
-            element.set("quat", f"{w!r} {x!r} {y!r} {z!r}")
-
-
-def _drop_idle_geoms(body: ET.Element, moves: bool) -> None:
-    """Drop the geoms that no inertia is taken from: of bodies that never move, and of those with an <inertial>."""
-    if not moves or body.find("inertial") is not None:
-        for geom in body.findall("geom"):
-            body.remove(geom)
-    for child in body.findall("body"):
-        _drop_idle_geoms(child, moves or child.find("joint") is not None)
 
 
 def _include(element: ET.Element, where: str, folder: Path | None, seen: set[Path], depth: int = 0) -> None:
@@ -224,17 +180,29 @@ def _include(element: ET.Element, where: str, folder: Path | None, seen: set[Pat
             raise ModelError(f"{where}: included {name}: {error}") from None
 
 
+class _Copied(NamedTuple):
+    """What all bodies of a file have in common while they are copied.
+
+    Attributes
+    ----------
+    defaults, units
+        How the file's attributes are to be read.
+    names
+        Tag and name of every body and joint so far.
+    rough
+        Joints with friction so far.
+    """
+
+    defaults: Defaults
+    units: Units
+    names: set[tuple[str, str]]
+    rough: list[str]
+
+
 def _copy_body(
-    source: ET.Element,
-    target: ET.Element,
-    defaults: Defaults,
-    units: Units,
-    childclass: str | None,
-    moves: bool,
-    at: str,
-    names: set[tuple[str, str]],
-    rough: list[str],
+    source: ET.Element, target: ET.Element, shared: _Copied, childclass: str | None, moves: bool, at: str
 ) -> None:
+    """Copy what a body holds that the mechanism is made of: `moves` if a joint carries it, `at` in messages."""
     childclass = source.get("childclass", childclass)
     where = at.split(": ")[0]
     joints = [child for child in source if child.tag in ("joint", "freejoint")]
@@ -249,11 +217,11 @@ def _copy_body(
             raise ModelError(f"{at} floats on a free joint, which is not simulated: the base must be fixed")
         if child.tag not in _IN_BODY:
             raise ModelError(f"{at}: <{child.tag}> is not simulated: the model must do without it")
-        given = defaults.resolve(child, childclass)
+        given = shared.defaults.resolve(child, childclass)
         name = f"{child.tag} {given['name']!r}" if "name" in given else f"a {child.tag} without a name"
         here = f"{where}: {name}"
         check_neutral(child, given, here)
-        check_turns(child.tag, given, units, here)
+        check_turns(child.tag, given, shared.units, here)
         if child.tag in ("geom", "site"):
             check_shape(child.tag, given, here)
         if child.tag == "geom" and weighs:
@@ -261,16 +229,16 @@ def _copy_body(
         elif child.tag == "geom" and is_mesh(given):
             continue
         if child.tag in ("body", "joint"):
-            _check_name(child.tag, given, at, here, names)
+            _check_name(child.tag, given, at, here, shared.names)
         if child.tag == "site" and source.tag == "worldbody":
             continue
         copy = ET.SubElement(target, child.tag, {k: given[k] for k in _ATTRIBUTES[child.tag] if k in given})
         if child.tag == "body":
-            _copy_body(child, copy, defaults, units, childclass, moves, here, names, rough)
+            _copy_body(child, copy, shared, childclass, moves, here)
         elif child.tag == "joint":
             check_joint(given, here)
             if any(word.strip("0.") for key in _FRICTION for word in given.get(key, "").split()):
-                rough.append(given["name"])
+                shared.rough.append(given["name"])
         elif child.tag == "inertial":
             check_inertial(given, at)
 

@@ -11,13 +11,13 @@ from closedloop.record.run import DRAWN_BY
 
 ROOT = Path(__file__).resolve().parent.parent
 LAYERS = (
-    "interrupts", "jit", "errors", "files", "progress", "sections", "parameters", "signatures", "families",
+    "interrupts", "jit", "errors", "files", "progress", "sections", "parameters", "families",
     "user_code", "integrators", "robot", "surface", "closure", "loops", "friction", "impact", "control", "reference",
     "scenario", "contacts", "step", "events", "columns", "report", "record", "engines", "figures", "simulation",
     "batch", "command", "sweep", "lab", "export", "study", "run", "__main__", "__init__",
 )  # fmt: skip
 # Modules that import by name what users named, and their own files.
-NEVER_UPWARDS = {"closedloop.families", "closedloop.friction"}
+NEVER_UPWARDS = {"closedloop.families.family", "closedloop.friction"}
 
 
 def modules(package):

@@ -17,38 +17,19 @@ import numpy as np
 
 from validation.oracle.closure import impulse, solve_bordered
 from validation.oracle.spatial import Array
-
-Engine = Any
-"""An object with some of the methods mass_matrix(q), bias(q, v), gravity_term(q), coriolis_matrix(q, v),
-inverse_dynamics(q, v, a), pushed_inverse_dynamics(q, v, a, force at the tip), forward_dynamics(q, v, Q),
-kinetic_energy(q, v), potential_energy(q), position(q), jacobian(q), drift(q, v); and `complex_step`, true if
-they take complex arrays."""
-
-EPS = float(np.finfo(float).eps)
-
-ROUNDING = 1024 * EPS
-"""2e-13: sums of some hundred products a joint over a dozen joints, and solves judged by their residual."""
-
-DIFFERENCES = 1e-10
-"""Five-point differences with h = 2e-4: truncation h⁴ f⁽⁵⁾/30 is 1e-12 where f turns with 7 times the angle
-(twice the sum of a dozen joints' angles along a unit direction), rounding ε/h is 1e-12; a decade and more
-is left for many such terms together."""
-
-STEP = 2e-4
-
-
-@dataclass(frozen=True)
-class Residual:
-    """An identity's relative error at one sample; it holds if that is a number within the tolerance."""
-
-    value: float
-    tolerance: float
-    argument: str
-
-    @property
-    def passed(self) -> bool:
-        """Tell whether the identity holds; NaN does not."""
-        return bool(self.value <= self.tolerance)
+from validation.residual import (
+    EPS,
+    ROUNDING,
+    Engine,
+    Residual,
+    along,
+    derivative,
+    derived,
+    gradient,
+    norm,
+    relative,
+    rounded,
+)
 
 
 @dataclass(frozen=True)
@@ -73,7 +54,7 @@ def draw_sample(q: Array, v: Array, rng: np.random.Generator) -> Sample:
 def symmetric(engine: Engine, s: Sample) -> Residual:
     """H = Hᵀ."""
     H = engine.mass_matrix(s.q)
-    return _rounded(H - H.T, H)
+    return rounded(H - H.T, H)
 
 
 def positive_definite(engine: Engine, s: Sample) -> Residual:
@@ -87,62 +68,62 @@ def positive_definite(engine: Engine, s: Sample) -> Residual:
 def kinetic_energy_is_quadratic(engine: Engine, s: Sample) -> Residual:
     """T, summed over the bodies, is ½ q̇ᵀ H q̇."""
     T = engine.kinetic_energy(s.q, s.v)
-    return _rounded(T - s.v @ engine.mass_matrix(s.q) @ s.v / 2, T)
+    return rounded(T - s.v @ engine.mass_matrix(s.q) @ s.v / 2, T)
 
 
 def inverse_undoes_forward(engine: Engine, s: Sample) -> Residual:
     """The torque that inverse dynamics asks for the accelerations that a torque causes is that torque."""
     a = engine.forward_dynamics(s.q, s.v, s.torque)
     Q = engine.inverse_dynamics(s.q, s.v, a)
-    return _rounded(Q - s.torque, s.torque, _work_terms(engine, s, a))
+    return rounded(Q - s.torque, s.torque, _work_terms(engine, s, a))
 
 
 def inverse_dynamics_is_affine(engine: Engine, s: Sample) -> Residual:
     """Q = H q̈ + C: the recursion that gives Q against the one that gives H."""
     Q = engine.inverse_dynamics(s.q, s.v, s.a)
-    return _rounded(Q - engine.mass_matrix(s.q) @ s.a - engine.bias(s.q, s.v), Q, _work_terms(engine, s, s.a))
+    return rounded(Q - engine.mass_matrix(s.q) @ s.a - engine.bias(s.q, s.v), Q, _work_terms(engine, s, s.a))
 
 
 def gravity_is_gradient(engine: Engine, s: Sample) -> Residual:
     """The gravity term is ∂U/∂q."""
-    gradient = _gradient(engine, engine.potential_energy, s.q)
-    return _derived(engine, gradient - engine.gravity_term(s.q), gradient, engine.potential_energy(s.q))
+    slope = gradient(engine, engine.potential_energy, s.q)
+    return derived(engine, slope - engine.gravity_term(s.q), slope, engine.potential_energy(s.q))
 
 
 def bias_follows_from_mass_matrix(engine: Engine, s: Sample) -> Residual:
     """C − gravity term = Ḣ q̇ − ½ ∂(q̇ᵀ H q̇)/∂q: Lagrange's equations."""
-    inertial = _along(engine, engine.mass_matrix, s.q, s.v) @ s.v
-    slope = _gradient(engine, lambda q: s.v @ engine.mass_matrix(q) @ s.v / 2, s.q)
+    inertial = along(engine, engine.mass_matrix, s.q, s.v) @ s.v
+    slope = gradient(engine, lambda q: s.v @ engine.mass_matrix(q) @ s.v / 2, s.q)
     C = engine.bias(s.q, s.v)
     G = engine.gravity_term(s.q)
-    return _derived(engine, C - G - inertial + slope, C, G, inertial, slope, _coriolis_scale(engine, s))
+    return derived(engine, C - G - inertial + slope, C, G, inertial, slope, _coriolis_scale(engine, s))
 
 
 def coriolis_matrix_is_skew(engine: Engine, s: Sample) -> Residual:
     """Ḣ − 2 (Coriolis matrix) is skew-symmetric."""
-    H_dot = _along(engine, engine.mass_matrix, s.q, s.v)
+    H_dot = along(engine, engine.mass_matrix, s.q, s.v)
     N = H_dot - 2.0 * engine.coriolis_matrix(s.q, s.v)
-    return _derived(engine, N + N.T, H_dot, N, _norm(engine.mass_matrix(s.q)) * _norm(s.v))
+    return derived(engine, N + N.T, H_dot, N, norm(engine.mass_matrix(s.q)) * norm(s.v))
 
 
 def coriolis_matrix_gives_bias(engine: Engine, s: Sample) -> Residual:
     """(Coriolis matrix) q̇ + gravity term = C."""
     C, G = engine.bias(s.q, s.v), engine.gravity_term(s.q)
-    return _rounded(engine.coriolis_matrix(s.q, s.v) @ s.v + G - C, C, G, _coriolis_scale(engine, s))
+    return rounded(engine.coriolis_matrix(s.q, s.v) @ s.v + G - C, C, G, _coriolis_scale(engine, s))
 
 
 def jacobian_is_derivative(engine: Engine, s: Sample) -> Residual:
     """Jᵣ = ∂r/∂q."""
     J = engine.jacobian(s.q)
-    columns = [_along(engine, engine.position, s.q, unit) for unit in np.eye(len(s.q))]
-    return _derived(engine, np.stack(columns, axis=1) - J, J, engine.position(s.q))
+    columns = [along(engine, engine.position, s.q, unit) for unit in np.eye(len(s.q))]
+    return derived(engine, np.stack(columns, axis=1) - J, J, engine.position(s.q))
 
 
 def drift_is_derivative(engine: Engine, s: Sample) -> Residual:
     """J̇ᵣq̇ = d/dt (Jᵣ q̇) with q̇ held."""
-    drift = _along(engine, lambda q: engine.jacobian(q) @ s.v, s.q, s.v)
+    drift = along(engine, lambda q: engine.jacobian(q) @ s.v, s.q, s.v)
     J = engine.jacobian(s.q)
-    return _derived(engine, drift - engine.drift(s.q, s.v), drift, _norm(J) * _norm(s.v) ** 2)
+    return derived(engine, drift - engine.drift(s.q, s.v), drift, norm(J) * norm(s.v) ** 2)
 
 
 def power_balance(engine: Engine, s: Sample) -> Residual:
@@ -152,7 +133,7 @@ def power_balance(engine: Engine, s: Sample) -> Residual:
 
 def closure_does_no_work(engine: Engine, s: Sample) -> Residual:
     """d(T + U)/dt = Qᵀq̇ with the tip pressed on the plane, when the tip moves along it."""
-    along = _gradient(engine, lambda q: s.normal @ engine.position(q), s.q)
+    along = gradient(engine, lambda q: s.normal @ engine.position(q), s.q)
     return _energy_rate(engine, s, s.v - along * (along @ s.v) / (along @ along), count_closure=False)
 
 
@@ -163,17 +144,17 @@ def closure_holds(engine: Engine, s: Sample) -> Residual:
     def rate(t: Any) -> Array:
         return np.asarray(s.normal @ engine.jacobian(s.q + t * s.v + t * t * a / 2) @ (s.v + t * a))
 
-    second = _derivative(engine, rate)
+    second = derivative(engine, rate)
     J = engine.jacobian(s.q)
-    return _derived(engine, second, _norm(J) * _norm(a), _norm(J) * _norm(s.v) ** 2)
+    return derived(engine, second, norm(J) * norm(a), norm(J) * norm(s.v) ** 2)
 
 
 def force_can_be_applied(engine: Engine, s: Sample) -> Residual:
     """Take the plane away and push the tip with f n instead: the same torque makes the same motion."""
     a, f = _press(engine, s, s.v)
     Q = engine.pushed_inverse_dynamics(s.q, s.v, a, f * s.normal)
-    push = f * _norm(engine.jacobian(s.q))
-    return _rounded(Q - s.torque, s.torque, push, _work_terms(engine, s, a))
+    push = f * norm(engine.jacobian(s.q))
+    return rounded(Q - s.torque, s.torque, push, _work_terms(engine, s, a))
 
 
 def impulse_momentum(engine: Engine, s: Sample) -> Residual:
@@ -185,9 +166,9 @@ def impulse_momentum(engine: Engine, s: Sample) -> Residual:
     energies = [engine.kinetic_energy(s.q, v) for v in (s.v, after)]
     energy = energies[1] - energies[0] - p * (before_rate + after_rate) / 2
     values = (
-        _relative(momentum, _norm(H) * _norm(after), _norm(H) * _norm(s.v)),
-        _relative(after_rate + s.restitution * before_rate, _norm(A) * _norm(after), _norm(A) * _norm(s.v)),
-        _relative(energy, *energies, _norm(H) * _norm(after) ** 2, _norm(H) * _norm(s.v) ** 2),
+        relative(momentum, norm(H) * norm(after), norm(H) * norm(s.v)),
+        relative(after_rate + s.restitution * before_rate, norm(A) * norm(after), norm(A) * norm(s.v)),
+        relative(energy, *energies, norm(H) * norm(after) ** 2, norm(H) * norm(s.v) ** 2),
     )
     return Residual(max(values), ROUNDING, "residuals of one dense solve")
 
@@ -238,13 +219,13 @@ def _offers(engine: Engine, method: str) -> bool:
 def _energy_rate(engine: Engine, s: Sample, v: Array, *, count_closure: bool = True) -> Residual:
     """Return d(T + U)/dt − Qᵀq̇ − f ė at rates v, T = ½ q̇ᵀ H q̇ and dU/dt = (gravity term)·q̇."""
     a, f = _press(engine, s, v)
-    H, H_dot = engine.mass_matrix(s.q), _along(engine, engine.mass_matrix, s.q, v)
-    leaving = _along(engine, lambda q: s.normal @ engine.position(q), s.q, v)
+    H, H_dot = engine.mass_matrix(s.q), along(engine, engine.mass_matrix, s.q, v)
+    leaving = along(engine, lambda q: s.normal @ engine.position(q), s.q, v)
     closure = f * leaving if count_closure else 0.0
     powers = np.array([v @ H @ a, v @ H_dot @ v / 2, engine.gravity_term(s.q) @ v, -(s.torque @ v), -closure])
-    push = f * _norm(engine.jacobian(s.q)) * _norm(v)
-    scales = (_norm(v) * _norm(H) * _norm(a), _norm(H) * _norm(v) ** 3, push)
-    return _derived(engine, np.sum(powers), powers, *scales)
+    push = f * norm(engine.jacobian(s.q)) * norm(v)
+    scales = (norm(v) * norm(H) * norm(a), norm(H) * norm(v) ** 3, push)
+    return derived(engine, np.sum(powers), powers, *scales)
 
 
 def _press(engine: Engine, s: Sample, v: Array) -> tuple[Array, float]:
@@ -257,55 +238,9 @@ def _press(engine: Engine, s: Sample, v: Array) -> tuple[Array, float]:
 
 def _work_terms(engine: Engine, s: Sample, a: Array) -> float:
     """Return the size of the terms of H q̈ + C, which sets the rounding of their sum."""
-    return _norm(engine.mass_matrix(s.q)) * _norm(a) + _norm(engine.bias(s.q, s.v))
+    return norm(engine.mass_matrix(s.q)) * norm(a) + norm(engine.bias(s.q, s.v))
 
 
 def _coriolis_scale(engine: Engine, s: Sample) -> float:
     """Return the size of the terms that cancel in a Coriolis torque."""
-    return _norm(engine.mass_matrix(s.q)) * _norm(s.v) ** 2
-
-
-def _along(engine: Engine, function: Callable[[Array], Array], q: Array, direction: Array) -> Array:
-    """Return the derivative of a function of q as q moves along `direction`."""
-    size = _norm(direction)
-    if size == 0.0:
-        return np.zeros_like(function(q))
-    unit = direction / size
-    return size * _derivative(engine, lambda t: function(q + t * unit))
-
-
-def _gradient(engine: Engine, function: Callable[[Array], Array], q: Array) -> Array:
-    """Return the gradient (n,) of a scalar function of q."""
-    return np.array([_along(engine, function, q, unit) for unit in np.eye(len(q))])
-
-
-def _derivative(engine: Engine, function: Callable[[Any], Array]) -> Array:
-    """Return df/dt at t = 0: by a complex step, exact to rounding, or by five-point differences."""
-    if getattr(engine, "complex_step", False):
-        return np.asarray(np.imag(function(1e-40j)) / 1e-40)
-    near = np.asarray(function(STEP)) - np.asarray(function(-STEP))
-    far = np.asarray(function(2 * STEP)) - np.asarray(function(-2 * STEP))
-    return np.asarray((8.0 * near - far) / (12.0 * STEP))
-
-
-def _rounded(difference: Array, *terms: Any) -> Residual:
-    """Return the residual of an identity without derivatives."""
-    return Residual(_relative(difference, *terms), ROUNDING, "rounding of sums and of one solve")
-
-
-def _derived(engine: Engine, difference: Array, *terms: Any) -> Residual:
-    """Return the residual of an identity with a derivative in it."""
-    if getattr(engine, "complex_step", False):
-        return Residual(_relative(difference, *terms), ROUNDING, "rounding: a complex step adds nothing")
-    return Residual(_relative(difference, *terms), DIFFERENCES, "truncation and rounding of differences")
-
-
-def _relative(difference: Array, *terms: Any) -> float:
-    """Return the largest |difference| against the largest of the terms that made it; NaN stays NaN."""
-    error = float(np.max(np.abs(difference)))
-    return error / max(_norm(term) for term in terms) if error != 0.0 else 0.0
-
-
-def _norm(term: Any) -> float:
-    """Return the largest magnitude in an array."""
-    return float(np.max(np.abs(term)))
+    return norm(engine.mass_matrix(s.q)) * norm(s.v) ** 2

@@ -8,49 +8,24 @@ command.
 
 from __future__ import annotations
 
-import xml.etree.ElementTree as ET
-from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 
 import robot_models
-from closedloop.robot.tree import Tree
-from validation.comparison import Comparison, compare, tip_of
+from validation.cells import Comparison
+from validation.comparison import compare, tip_of
 from validation.engines import ENGINES, Engine, available
 from validation.engines.compiled import Compiled
 from validation.oracle import Oracle
-from validation.oracle.spatial import Array
+from validation.plant_faults import FAULTS, Fault
 from validation.plant_tree import TREE_FAULTS
 
 # Enough that some state shows every fault; the smallest margin found is far above one.
 STATES = 10
-
-
-@dataclass(frozen=True)
-class Fault:
-    """A fault: in the robot that an engine is given, or in how it computes.
-
-    Attributes
-    ----------
-    name : str
-        What is wrong.
-    robot : callable or None
-        RobotModel -> the faulty one, or None if this robot cannot carry the fault.
-    methods : callable or None
-        Engine, and an oracle of the sound robot to borrow from -> methods to put in place of the engine's own; empty if
-        it does not compute what the fault touches.
-    tree : callable or None
-        `closedloop.robot.tree.Tree` -> the faulty one, or None if it cannot carry the fault: for the engine that has
-        one.
-    """
-
-    name: str
-    robot: Callable[[Any], Any | None] | None = None
-    methods: Callable[[Engine, Oracle], dict[str, Callable[..., Any]]] | None = None
-    tree: Callable[[Tree], Tree | None] | None = None
 
 
 @dataclass(frozen=True)
@@ -176,128 +151,3 @@ def _verdict(fault: Fault, engine: Engine, report: Comparison) -> Catch:
     by = f"{worst.engine} against {report.reference}"
     quantity = "the probe of its constraint" if np.isinf(worst.margin) and worst.reason else worst.quantity
     return Catch(fault.name, engine.name, worst.status == "disagrees", quantity, by, worst.margin)
-
-
-def _edited(model: Any, edit: Callable[[ET.Element], bool]) -> Any | None:
-    """Return the robot with its URDF edited; None if it is no URDF or the edit found nothing to change."""
-    if model.format != "urdf":
-        return None
-    root = ET.fromstring(model.text)
-    return replace(model, text=ET.tostring(root, encoding="unicode")) if edit(root) else None
-
-
-def _moving_links(root: ET.Element, model: Any) -> list[ET.Element]:
-    """Return the links with inertia that a moving joint carries directly."""
-    carried = {j.find("child").get("link") for j in root.findall("joint") if j.get("name") in model.joint_names}  # type: ignore[union-attr]
-    return [k for k in root.findall("link") if k.get("name") in carried and k.find("inertial") is not None]
-
-
-def _heavier(model: Any) -> Any | None:
-    def edit(root: ET.Element) -> bool:
-        masses = [link.find("inertial/mass") for link in _moving_links(root, model)]
-        last = [m for m in masses if m is not None and float(m.get("value", "0")) > 0.0]
-        if last:
-            last[-1].set("value", repr(float(last[-1].get("value", "0")) * (1.0 + 1e-6)))
-        return bool(last)
-
-    return _edited(model, edit)
-
-
-def _product_sign(model: Any) -> Any | None:
-    def edit(root: ET.Element) -> bool:
-        tensors = [t for link in _moving_links(root, model)[1:] if (t := link.find("inertial/inertia")) is not None]
-        entries = [(abs(float(t.get(k, "0"))), t, k) for t in tensors for k in ("ixy", "ixz", "iyz")]
-        size, tensor, key = max(entries, key=lambda entry: entry[0], default=(0.0, None, ""))
-        if tensor is None or size == 0.0:
-            return False
-        tensor.set(key, repr(-float(tensor.get(key, "0"))))
-        return True
-
-    return _edited(model, edit)
-
-
-def _moved_tip(model: Any) -> Any | None:
-    def edit(root: ET.Element) -> bool:
-        for joint in root.findall("joint"):
-            child, origin = joint.find("child"), joint.find("origin")
-            if joint.get("type") == "fixed" and child is not None and child.get("link") == model.tip:
-                if origin is None:
-                    origin = ET.SubElement(joint, "origin")
-                x, y, z = (float(c) for c in origin.get("xyz", "0 0 0").split())
-                origin.set("xyz", f"{x + 1e-6!r} {y!r} {z!r}")
-                return True
-        return False
-
-    return _edited(model, edit)
-
-
-def _lighter_gravity(model: Any) -> Any:
-    return replace(model, gravity=np.asarray(model.gravity) * (1.0 - 1e-6))
-
-
-def _no_armature(model: Any) -> Any | None:
-    return replace(model, armature=np.zeros(len(model.joint_names))) if np.any(model.armature) else None
-
-
-def _no_drift(engine: Engine, oracle: Oracle) -> dict[str, Callable[..., Any]]:
-    if "drift" not in engine.covers:
-        return {}
-    return {"drift": lambda self, q, v: np.zeros(3)}
-
-
-def _drift_without_cross(engine: Engine, oracle: Oracle) -> dict[str, Callable[..., Any]]:
-    """Leave out ω × ṙ, the term by which a point's acceleration differs from its body's spatial one."""
-    if "drift" not in engine.covers:
-        return {}
-    sound = type(engine).drift
-
-    def drift(self: Engine, q: Array, v: Array) -> Array:
-        omega = oracle.spatial_jacobian(q)[:3] @ v
-        return np.asarray(sound(self, q, v) - np.cross(omega, self.jacobian(q) @ v))
-
-    return {"drift": drift}
-
-
-def _silent_constraint(engine: Engine, oracle: Oracle) -> dict[str, Callable[..., Any]]:
-    if not {"constrained", "free_acceleration"} <= engine.covers:
-        return {}
-    return {"constrained": lambda self, q, v, torque, normal, b: (self.free_acceleration(q, v, torque), 0.0)}
-
-
-def _wrong_sign_of_force(engine: Engine, oracle: Oracle) -> dict[str, Callable[..., Any]]:
-    if "constrained" not in engine.covers:
-        return {}
-    sound = type(engine).constrained
-
-    def constrained(self: Engine, q: Array, v: Array, torque: Array, normal: Array, b: float) -> tuple[Array, float]:
-        qdd, f = sound(self, q, v, torque, normal, b)
-        return qdd, -f
-
-    return {"constrained": constrained}
-
-
-def _baumgarte_sign(engine: Engine, oracle: Oracle) -> dict[str, Callable[..., Any]]:
-    if "stabilised" not in engine.covers:
-        return {}
-    sound = type(engine).stabilised
-
-    def stabilised(self: Engine, q: Array, v: Array, normal: Array, offset: float, gains: Array) -> float:
-        b: float = sound(self, q, v, normal, offset, -np.asarray(gains))
-        return b
-
-    return {"stabilised": stabilised}
-
-
-FAULTS: tuple[Fault, ...] = (
-    Fault("last link's mass +1 ppm", robot=_heavier),
-    Fault("largest product of inertia with the wrong sign", robot=_product_sign),
-    Fault("tip 1 µm off", robot=_moved_tip),
-    Fault("gravity −1 ppm", robot=_lighter_gravity),
-    Fault("drive inertia ignored", robot=_no_armature),
-    Fault("J̇ᵣq̇ dropped", methods=_no_drift),
-    Fault("ω × ṙ of Eq. 18 dropped", methods=_drift_without_cross),
-    Fault("sign of Baumgarte's terms", methods=_baumgarte_sign),
-    Fault("constraint silently off", methods=_silent_constraint),
-    Fault("sign of f", methods=_wrong_sign_of_force),
-    *(Fault(f"compiled tree: {name}", tree=fault) for name, fault in TREE_FAULTS.items()),
-)

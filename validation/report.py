@@ -11,42 +11,8 @@ from html import escape
 from textwrap import shorten
 from typing import Any
 
-from validation.comparison import QUANTITIES, Cell, Comparison
-
-MARKS = {"agrees": "✓", "disagrees": "✗"}
-SHORT = {"not covered": "–", "not installed": "not installed", "not usable": "–"}
-
-
-@dataclass(frozen=True)
-class Check:
-    """One line of a section: a value, its bound, and whether it holds.
-
-    Attributes
-    ----------
-    name, of : str
-        What was checked, and on what or on whom.
-    value, tolerance : float
-        The worst error and its bound, in the same unit; nan if nothing was computed.
-    passed : bool or None
-        None: not covered, or not installed; `note` says which.
-    note : str
-        The argument for the bound, or the reason.
-    """
-
-    name: str
-    of: str
-    value: float
-    tolerance: float
-    passed: bool | None
-    note: str = ""
-
-
-@dataclass
-class Section:
-    """A group of checks under a title."""
-
-    title: str
-    checks: list[Check] = field(default_factory=list)
+from validation.cells import Cell, Comparison
+from validation.report_tables import MARKS, Section, check_rows, details, grid, title_of
 
 
 @dataclass
@@ -143,68 +109,6 @@ def _finite(value: Any) -> Any:
     return value
 
 
-def _engines(comparison: Comparison) -> list[str]:
-    return list(dict.fromkeys(cell.engine for cell in comparison.cells))
-
-
-def _title(c: Comparison) -> str:
-    return f"{c.robot} at its frame {c.tip}: {c.states} states of seed {c.seed} against {c.reference}"
-
-
-def _details(c: Comparison) -> tuple[list[str], list[list[str]]]:
-    """Return header and rows of one robot's long table: a line for each quantity of each engine."""
-    header = ["quantity", "engine", "worst absolute", "worst relative", "tolerance", "at state", "states", ""]
-    rows = [
-        [
-            cell.quantity, cell.engine, f"{cell.absolute:.2e}", f"{cell.relative:.2e}", f"{cell.tolerance:.2e}",
-            f"{cell.robot.partition(':')[2]} {cell.state}".strip(), str(cell.states), MARKS[cell.status],
-        ]
-        for cell in c.cells
-        if cell.status in MARKS
-    ]  # fmt: skip
-    return header, rows
-
-
-def _cell_text(cell: Cell) -> str:
-    if cell.status in SHORT:
-        return SHORT[cell.status]
-    return f"{cell.relative:.0e} {MARKS[cell.status]}"
-
-
-def _grid(c: Comparison) -> tuple[list[str], list[list[str]], list[str]]:
-    """Return header, rows and remarks of one robot's table: quantity by engine, worst relative error."""
-    engines = _engines(c)
-    at = {(cell.quantity, cell.engine): cell for cell in c.cells}
-    rows = []
-    for quantity in QUANTITIES:
-        cells = [at[quantity, engine] for engine in engines]
-        bounds = [cell.tolerance for cell in cells if math.isfinite(cell.tolerance)]
-        lowest, highest = (f"{f(bounds):.0e}" if bounds else "" for f in (min, max))
-        rows.append([quantity, *map(_cell_text, cells), lowest if lowest == highest else f"{lowest} … {highest}"])
-    fewer = {cell.engine: cell.states for cell in c.cells if 0 < cell.states < c.states}
-    remarks = {f"{engine}: slow, compared at {count} of {c.states} states": None for engine, count in fewer.items()}
-    remarks |= dict.fromkeys(
-        f"{cell.engine}: {cell.status}: {cell.reason}" for cell in c.cells if cell.reason and cell.status != "agrees"
-    )
-    return ["worst relative error", *engines, "tolerance"], rows, list(remarks)
-
-
-def _verdict(passed: bool | None) -> str:
-    return {True: "✓", False: "✗", None: "–"}[passed]
-
-
-def _number(x: float) -> str:
-    return "" if math.isnan(x) else f"{x:.1e}"
-
-
-def _check_rows(section: Section) -> tuple[list[str], list[list[str]]]:
-    rows = [
-        [check.name, check.of, _number(check.value), _number(check.tolerance), _verdict(check.passed), check.note]
-        for check in section.checks
-    ]
-    return ["check", "of", "worst", "tolerance", "", "why, or why not"], rows
-
-
 def _ending(report: Report) -> str:
     cells = [cell for c in report.comparisons for cell in c.cells]
     checks = [check for section in report.sections for check in section.checks]
@@ -225,8 +129,8 @@ def _rich(report: Report) -> Iterable[Any]:
         return Text(text, style="bold red" if "✗" in text else "")  # as it is: a unit in brackets is no markup
 
     for c in report.comparisons:
-        header, rows, remarks = _grid(c)
-        table = Table(box=box.SIMPLE_HEAD, title=_title(c), title_justify="left")
+        header, rows, remarks = grid(c)
+        table = Table(box=box.SIMPLE_HEAD, title=title_of(c), title_justify="left")
         for k, name in enumerate(header):
             table.add_column(name, justify="left" if k == 0 else "right", no_wrap=True)
         for row in rows:
@@ -237,13 +141,13 @@ def _rich(report: Report) -> Iterable[Any]:
                 yield Text(f"  {remark}", style="dim")
             said.add(remark)
         if report.details:
-            header, rows = _details(c)
+            header, rows = details(c)
             table = Table(*header, box=box.SIMPLE_HEAD)
             for row in rows:
                 table.add_row(*map(colour, row))
             yield table
     for section in report.sections:
-        header, rows = _check_rows(section)
+        header, rows = check_rows(section)
         table = Table(box=box.SIMPLE_HEAD, title=section.title, title_justify="left")
         for k, name in enumerate(header):
             table.add_column(name, justify="right" if k in (2, 3) else "left", no_wrap=k in (2, 3, 4))
@@ -259,10 +163,10 @@ def _rich(report: Report) -> Iterable[Any]:
 
 def _tables(report: Report) -> Iterable[tuple[str, list[str], list[list[str]], list[str]]]:
     for c in report.comparisons:
-        yield (_title(c), *_grid(c))
-        yield (f"{c.robot} against {c.reference}, in full", *_details(c), [])
+        yield (title_of(c), *grid(c))
+        yield (f"{c.robot} against {c.reference}, in full", *details(c), [])
     for section in report.sections:
-        yield (section.title, *_check_rows(section), [])
+        yield (section.title, *check_rows(section), [])
 
 
 def _markdown(report: Report) -> Iterable[str]:

@@ -91,7 +91,9 @@ def _compare(options: argparse.Namespace) -> Any:
     model = load_robot(options.robot)
     report = Report()
     if options.state is not None:
-        found = compare(model, options.tip, seed=options.seed, only=options.state, engines=engines, label=options.robot)
+        found = compare(
+            model, options.tip, states=[options.state], seed=options.seed, engines=engines, label=options.robot
+        )
         report.comparisons.append(found)
         return report
     report.comparisons += compare_with_truth(model, options.tip, states, options.seed, engines, options.robot)

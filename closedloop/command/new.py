@@ -131,7 +131,7 @@ def _quoted(text: str) -> str:
 
 def _named_from(file: Path, robot: str) -> str:
     """Return a robot's name, or its file as the scenario's file has to name it: from its own folder."""
-    from robot_models.load import names_a_file
+    from robot_models.described import names_a_file
 
     if not names_a_file(robot) or os.path.isabs(robot):
         return robot

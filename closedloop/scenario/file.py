@@ -10,8 +10,8 @@ from pathlib import Path
 from typing import Any
 
 from closedloop.errors import ScenarioError
+from robot_models.described import names_a_file
 from robot_models.errors import shown
-from robot_models.load import names_a_file
 
 # A scenario is a few kilobytes, one with ten thousand waypoints less than a megabyte. Larger ones take the parser long.
 MOST_BYTES = 4_000_000

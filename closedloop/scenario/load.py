@@ -20,7 +20,7 @@ from closedloop.families import KEEP_ABSENT
 from closedloop.scenario.file import absolute, robot_file, scenario_text
 from closedloop.scenario.messages import explain, variant_keys
 from closedloop.scenario.scenario import Scenario, families
-from robot_models.load import names_a_file
+from robot_models.described import names_a_file
 from robot_models.toml_text import toml_tables
 
 

@@ -5,7 +5,7 @@ import pytest
 
 import closedloop as cl
 from closedloop.jit.interpreted import interpreted
-from closedloop.report import columns
+from closedloop.report import run_values as values_module
 from closedloop.report.alternation import Signal, alternation, count_signal
 from closedloop.report.measured import (
     Tally,
@@ -50,7 +50,7 @@ def row_by_row(run):
 @pytest.mark.parametrize("name", RUNS)
 def test_columns_and_rows_come_to_the_same(name, rows, monkeypatch):
     """However many rows the columns are taken at a time."""
-    monkeypatch.setattr(columns, "ROWS", rows)
+    monkeypatch.setattr(values_module, "ROWS", rows)
     scenario = cl.load_scenario(*RUNS[name])
     run = cl.simulate(scenario)
     by_columns, by_rows = run_values(run), row_by_row(run)

@@ -9,16 +9,18 @@ import pytest
 
 import robot_models
 import validation
-from validation.comparison import QUANTITIES, compare
+from validation.comparison import compare
 from validation.engines import ENGINES, Engine, Missing, available
 from validation.engines.hand_written import HandWritten
 from validation.engines.interface import METHODS
 from validation.engines.loop import ClosedLoop
-from validation.plant import FAULTS, Fault, plant_all
+from validation.plant import plant_all
+from validation.plant_faults import FAULTS, Fault
 from validation.report import Report
 from validation.run import main
 from validation.states import draw_state
 from validation.suite import check_identities, compare_random_trees, faults_section, load_robot
+from validation.truth import QUANTITIES
 
 
 @pytest.fixture(scope="module")
@@ -64,7 +66,7 @@ def test_report_in_every_form(report):
 def test_worst_state_is_reproduced(report):
     """The worst case of the report, looked at alone, gives the same error."""
     worst = report.worst
-    again = compare(robot_models.load("planar2"), seed=3, only=worst.state, judge=_judge_of(report, worst))
+    again = compare(robot_models.load("planar2"), states=[worst.state], seed=3, judge=_judge_of(report, worst))
     (cell,) = [c for c in again.cells if (c.engine, c.quantity) == (worst.engine, worst.quantity)]
     assert cell.absolute == worst.absolute
 

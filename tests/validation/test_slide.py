@@ -5,6 +5,7 @@ import pytest
 
 import robot_models
 from validation.oracle import Law, Oracle, simulate_slide
+from validation.oracle.slide import Closure
 
 N, STEP = np.array([0.0, 0.0, 1.0]), 0.001
 START = np.array([np.pi / 2, 1.0, 0.0, 2.0])
@@ -26,12 +27,9 @@ def slide(arm, *, rows=801, start=0.1, stop=0.5, speed=0.018, **options):
         if start <= k * STEP < stop:
             v_des[k] = np.linalg.pinv(arm.jacobian(q)) @ [0.0, speed, 0.0]
             q = q + STEP * np.linalg.pinv(arm.jacobian(q + STEP * v_des[k] / 2)) @ [0.0, speed, 0.0]
-    options = {
-        "stabiliser": (0.707, STEP),
-        "law": Law(**GAINS, force=10.0, start=start),
-        "normal": N,
-    } | options
-    return simulate_slide(arm, q=START, v=np.zeros(4), q_des=q_des, v_des=v_des, step=STEP, **options)
+    law = options.pop("law", Law(**GAINS, force=10.0, start=start))
+    closure = Closure(**{"stabiliser": (0.707, STEP), "normal": N} | options)
+    return simulate_slide(arm, q=START, v=np.zeros(4), q_des=q_des, v_des=v_des, step=STEP, law=law, closure=closure)
 
 
 @pytest.fixture(scope="module")

@@ -14,6 +14,7 @@ from closedloop import Problem
 from closedloop.scenario.stabiliser_sections import BothSection, ProjectionSection
 from closedloop.simulation.simulate import simulate
 from validation.oracle import Law, Oracle, simulate_slide
+from validation.oracle.slide import Closure
 from validation.oracle.spatial import Array
 
 SCENARIO = "wam_slide"
@@ -80,9 +81,7 @@ def slide_oracle(of: Problem) -> Trajectory:
         v_des=of.path[:, 1],
         step=of.h,
         law=Law(of.gains[0], of.gains[1], float(of.settings[0]), float(of.settings[1])),
-        normal=of.plane.normal,
-        offset=of.plane.offset,
-        stabiliser=pair,
+        closure=Closure(of.plane.normal, of.plane.offset, pair),
     )
     seconds = clock.perf_counter() - began
     return Trajectory("oracle", run.time, run.q, run.v, run.contact_force, run.closure_error, of.h, seconds=seconds)

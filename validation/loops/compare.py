@@ -18,7 +18,7 @@ from validation.loops.mechanisms import MECHANISMS
 from validation.loops.mujoco import MuJoCoLoops
 from validation.loops.peers import LoopPeer, PinocchioLoops
 from validation.oracle.loops import Motion
-from validation.report import Check, Section
+from validation.report_tables import Check, Section
 from validation.tolerances import Tolerance
 from validation.worst import size, worst_of
 

@@ -11,7 +11,7 @@ from robot_models.loop_joint import WORLD, LoopJoint
 from validation.engines.exudyn import Exudyn, add_marker, add_tree, quiet_settings
 from validation.loops.cases import Case, mechanism_called, oracle_of
 from validation.loops.peers import LoopPeer, refuse_other
-from validation.oracle.loops import COUPLES, FORCES, joint_axes
+from validation.oracle.loop_joint import COUPLES, FORCES, joint_axes
 from validation.oracle.spatial import Array
 from validation.oracle.tree import GROUND
 from validation.tolerances import Tolerance

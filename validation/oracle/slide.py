@@ -33,6 +33,20 @@ class Law:
 
 
 @dataclass(frozen=True)
+class Closure:
+    """What holds the tip to the plane.
+
+    normal : (3,) base frame, at length one
+    offset : d [m]; None is the plane through the tip at the start
+    stabiliser : damping ratio ζ and time constant T [s]; None solves ë = 0
+    """
+
+    normal: Array
+    offset: float | None = None
+    stabiliser: tuple[float, float] | None = None
+
+
+@dataclass(frozen=True)
 class Slide:
     """A run; row k is the state at time t_k and the force, torque and acceleration that belong to that state.
 
@@ -79,9 +93,7 @@ def simulate_slide(
     v_des: Array,
     step: float,
     law: Law,
-    normal: Array,
-    offset: float | None = None,
-    stabiliser: tuple[float, float] | None = None,
+    closure: Closure,
 ) -> Slide:
     """Slide the tip along a plane: at each t_k Eq. 33, Eq. 23, Eq. 24, then v⁺ = v + h q̈, q⁺ = q + h v⁺.
 
@@ -91,15 +103,13 @@ def simulate_slide(
     q_des, v_des : (N, n) the reference at t_k = k h; N is the number of rows of the result, N − 1 steps are
         made
     step : h [s]
-    normal : (3,) base frame, at length one
-    offset : d [m]; None is the plane through the tip at the start
-    stabiliser : damping ratio ζ and time constant T [s]; None solves ë = 0
     """
-    q, v, normal = np.array(q, dtype=float), np.array(v, dtype=float), np.asarray(normal, dtype=float)
+    q, v, normal = np.array(q, dtype=float), np.array(v, dtype=float), np.asarray(closure.normal, dtype=float)
+    offset = closure.offset
     if not np.isclose(normal @ normal, 1.0, rtol=1e-12):
         raise ValueError(f"normal {normal.tolist()} must have length one")
     rows, n = np.shape(q_des)
-    gains = (0.0, 0.0) if stabiliser is None else stabiliser_gains(*stabiliser)
+    gains = (0.0, 0.0) if closure.stabiliser is None else stabiliser_gains(*closure.stabiliser)
     out = Slide(
         time=np.arange(rows) * step,
         q=np.zeros((rows, n)),

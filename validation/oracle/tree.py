@@ -161,18 +161,13 @@ def build_tree(
             own = spatial_inertia(link.mass, link.centre, link.inertia)
             inertia[here.body] += inertia_to_base(here.rotation, here.translation, own)
         for joint in children.get(name, ()):
-            turned = here.rotation @ joint.rotation
-            moved = here.translation + here.rotation @ joint.translation
+            turned, moved = _beyond(joint, here, locked)
             if joint.name in column:
                 i = column[joint.name]
                 parent[i], kinds[i], axis[i] = here.body, joint.kind, _unit(joint)
                 rotation[i], translation[i] = turned, moved
                 to_do.append((joint.child, Frame(i, np.eye(3), np.zeros(3))))
                 continue
-            if joint.kind in MOVING:  # held rigid at its locked value
-                turn, slide = joint_motion(joint.kind, _unit(joint), locked[joint.name])
-                moved = moved + turned @ slide
-                turned = turned @ turn
             to_do.append((joint.child, Frame(here.body, turned, moved)))
     return Tree(
         names=tuple(joint_names),
@@ -186,6 +181,16 @@ def build_tree(
         gravity=np.array(gravity, dtype=float).reshape(3),
         frames=frames,
     )
+
+
+def _beyond(joint: Joint, here: Frame, locked: Mapping[str, float]) -> tuple[Array, Array]:
+    """Return rotation and place, m, of the frame beyond a joint of the link at `here`; what moves stands at zero."""
+    turned = here.rotation @ joint.rotation
+    moved = here.translation + here.rotation @ joint.translation
+    if joint.kind in MOVING and joint.name in locked:  # held rigid
+        turn, slide = joint_motion(joint.kind, _unit(joint), locked[joint.name])
+        return turned @ turn, moved + turned @ slide
+    return turned, moved
 
 
 def joint_motion(kind: str, axis: Array, value: float) -> tuple[Array, Array]:

@@ -16,7 +16,7 @@ from validation.engines.mujoco import MuJoCo
 from validation.engines.pinocchio_cpp import PinocchioCpp
 from validation.engines.robotics_toolbox import RoboticsToolbox
 from validation.random_trees import random_robot
-from validation.report import Check, Section
+from validation.report_tables import Check, Section
 from validation.surfaces.answers import Answer, Scales, ask_loop, ask_oracle, ask_peer
 from validation.surfaces.cases import MATERIALS, SHAPES, SMOOTH, Case
 from validation.surfaces.draw import draw_case

@@ -1,19 +1,4 @@
-"""Families of plug-ins: paths, integrators, control laws, laws of friction ... A member of a family is one file.
-
-    class Circle(Path):                        closedloop/reference/paths/circle.py: the kind "circle"
-        radius: Annotated[Positive, LENGTH] = Field(description="radius of the circle, m")
-        def tip_path(self, origin, normal): ...
-
-A family has a base class, which says what all members share: a folder, the functions and their signature. A file of
-that folder holds one member, a class derived from the base, and the file's name is the member's `kind`: there is no
-list of members, and nothing else to edit when one is added. A file is imported when its kind is first asked for, or
-when all members are listed. Two families may share a folder (a law of friction for a surface and one for joints): a
-file then has a class of either.
-
-A user's class is a member like any other, with the name MODULE:CLASS. It is known in a process once the command line or
-Python has *named* it (`Family.named`): as that text, as the class, or by an instance inside a `Scenario`. A file is
-data and can make no code run, so a name that stands in a file alone is refused (`not_named`), and nothing is imported.
-"""
+"""A family: its members by name, and the validation of a section by its `kind`."""
 
 from __future__ import annotations
 
@@ -21,62 +6,17 @@ from collections.abc import Iterator, Mapping
 from functools import cached_property
 from importlib import import_module
 from pkgutil import iter_modules
-from typing import Any, ClassVar, Generic, TypeVar
+from typing import Any, Generic, TypeVar
 
-from pydantic import ConfigDict, GetCoreSchemaHandler, ValidationInfo, model_validator
-from pydantic_core import CoreSchema, PydanticCustomError, PydanticKnownError, core_schema
+from pydantic import GetCoreSchemaHandler, ValidationInfo
+from pydantic_core import CoreSchema, PydanticKnownError, core_schema
 
 from closedloop.errors import ScenarioError
+from closedloop.families.member import Absent, Member, users
+from closedloop.families.refusal import KEEP_ABSENT, not_named
+from closedloop.families.signatures import signature_faults
 from closedloop.sections import Section
-from closedloop.signatures import signature_faults
 from robot_models.errors import shown
-
-# Context of a validation: keep the section of a class that has not been named in this process, as `Absent`, unrun.
-KEEP_ABSENT = "keep absent members"
-
-_users: dict[str, type[Member]] = {}  # name -> class of every user's member that was named in this process
-
-
-class Member:
-    """Base of all members of families.
-
-    Attributes
-    ----------
-    folder : str
-        Of a family's base class: the package whose modules are the members that ship.
-    """
-
-    folder: ClassVar[str] = ""
-
-    @classmethod
-    def member_name(cls) -> str:
-        """Return the kind that picks this class: the name of its file, or of a user's class MODULE:CLASS."""
-        package, _, file = cls.__module__.rpartition(".")
-        return file if package == cls.folder else f"{cls.__module__}:{cls.__qualname__}"
-
-
-class Parameters(Member, Section):
-    """A member with parameters: a section of the scenario, typed, frozen, with units and bounds."""
-
-    kind: str = ""
-
-    @model_validator(mode="before")
-    @classmethod
-    def _of_this_kind(cls, data: Any) -> Any:
-        if not isinstance(data, dict):
-            return data
-        name = cls.member_name()
-        if data.get("kind", name) != name:
-            raise ValueError(f"kind = {shown(data['kind'])}: this is {name!r}")
-        return {"kind": name} | data
-
-
-class Absent(Section):
-    """A section of a run file whose `kind` is a user's class not named in this process: kept, and never run."""
-
-    model_config = ConfigDict(extra="allow")
-    kind: str
-
 
 M = TypeVar("M", bound=Member)
 
@@ -112,7 +52,7 @@ class Family(Mapping[str, type[M]], Generic[M]):
             If there is none, or it is a user's class not named in this process.
         """
         if ":" in name:
-            known: type[Member] = _users[name]
+            known: type[Member] = users[name]
             if not issubclass(known, self.base):
                 raise KeyError(name)
             return known
@@ -140,7 +80,7 @@ class Family(Mapping[str, type[M]], Generic[M]):
     def __iter__(self) -> Iterator[str]:
         """Go through the names, those that ship first, in the order of the alphabet; imports all of them."""
         yield from self.names()
-        yield from (name for name, each in list(_users.items()) if issubclass(each, self.base))
+        yield from (name for name, each in list(users.items()) if issubclass(each, self.base))
 
     def names(self) -> list[str]:
         """Return the names of those that ship, in the order of the alphabet; imports all of them."""
@@ -191,17 +131,17 @@ class Family(Mapping[str, type[M]], Generic[M]):
         if lacking := sorted(getattr(value, "__abstractmethods__", ())):
             raise ScenarioError(f"{key} = {value.__module__}:{value.__qualname__}: must define {', '.join(lacking)}")
         name = value.member_name()
-        if ":" in name and _users.get(name) is not value:
+        if ":" in name and users.get(name) is not value:
             if faults := signature_faults(value, self.base):
                 raise ScenarioError(*(f"{key} = {name}: {fault}" for fault in faults))
-            _users[name] = value
+            users[name] = value
         return name
 
     def _imported(self, name: str, key: str) -> Any:
         module, _, attribute = name.partition(":")
         if not (attribute.isidentifier() and all(part.isidentifier() for part in module.split("."))):
-            if name in _users:
-                return _users[name]  # a class made inside a function: it cannot be imported, but it was named itself
+            if name in users:
+                return users[name]  # a class made inside a function: it cannot be imported, but it was named itself
             raise ScenarioError(f"{key} = {shown(name)}: a class of your own is named MODULE:CLASS")
         try:
             found = getattr(import_module(module), attribute, None)
@@ -238,72 +178,3 @@ class Family(Mapping[str, type[M]], Generic[M]):
             tag = {"discriminator": "'kind'", "tag": str(kind), "expected_tags": expected}
             raise PydanticKnownError("union_tag_invalid", tag)
         return member.model_validate(value, context=info.context)
-
-
-class OneOf:
-    """The annotation of a key whose value is the name of a member without parameters, such as time.integrator.
-
-    Parameters
-    ----------
-    families : Family
-        Whose names it takes.
-    words : tuple of str
-        What else it may say.
-    """
-
-    def __init__(self, *families: Family[Any], words: tuple[str, ...] = ()) -> None:
-        self.families, self.words = families, words
-
-    def names(self) -> list[str]:
-        """Return all that the key may say, without the users' classes that happen to be known in this process."""
-        return [*self.words, *(name for family in self.families for name in family.names())]
-
-    def named(self, value: Any, key: str) -> Any:
-        """See `Family.named`; a user's class is of the first family."""
-        return self.families[0].named(value, key)
-
-    def get(self, name: str) -> type[Member] | None:
-        """Return the member with this name, None if there is none."""
-        return next((family[name] for family in self.families if name in family), None)
-
-    def __get_pydantic_core_schema__(self, source: Any, handler: GetCoreSchemaHandler) -> CoreSchema:
-        """Validate a name."""
-        return core_schema.with_info_plain_validator_function(self._validate)
-
-    def _validate(self, value: Any, info: ValidationInfo) -> str:
-        if isinstance(value, type):
-            value = self.named(value, "value")  # built in Python
-        if isinstance(value, str) and (value in self.words or any(value in family for family in self.families)):
-            return value
-        if isinstance(value, str) and ":" in value:
-            if (info.context or {}).get(KEEP_ABSENT):
-                return value
-            raise not_named(value)
-        *most, last = map(repr, self.names())
-        raise PydanticKnownError("literal_error", {"expected": f"{', '.join(most)} or {last}"})
-
-
-NOT_NAMED = "not_named"
-
-
-def not_named(name: str) -> PydanticCustomError:
-    """Return the refusal of a user's class that only a file names; see `how_to_name`."""
-    return PydanticCustomError(NOT_NAMED, "names a class", {"name": name})
-
-
-def how_to_name(key: str, name: str) -> str:
-    """Return, in words, why a file's `key` = `name` is refused, and what would be right."""
-    return (
-        "names a class of a user's own, and a file can make no code run: name it yourself, with "
-        f'--{key} {name} on the command line or {{"{key}": "{name}"}} in Python'
-    )
-
-
-def users_named() -> tuple[str, ...]:
-    """Return the names of all users' classes that were named in this process."""
-    return tuple(_users)
-
-
-def is_users(member: Member | type[Member]) -> bool:
-    """Whether a member is a user's class."""
-    return ":" in member.member_name()

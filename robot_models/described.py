@@ -1,0 +1,86 @@
+"""A robot by its name or its file: its canonical text, and what is known beside it."""
+
+from dataclasses import dataclass, replace
+from difflib import get_close_matches
+from pathlib import Path
+from typing import TYPE_CHECKING, Literal
+
+from robot_models import example_robots, mjcf, shipped, urdf
+from robot_models.errors import ModelError
+from robot_models.sidecar import Sidecar, read_sidecar
+from robot_models.xml_text import parse, read_text
+
+if TYPE_CHECKING:
+    from os import PathLike
+
+Format = Literal["urdf", "mjcf"]
+
+_ROOTS: dict[str, Format] = {"robot": "urdf", "mujoco": "mjcf"}
+_SUFFIXES = (".urdf", ".xml", ".mjcf")
+
+
+@dataclass(frozen=True)
+class Description:
+    """A canonical text and what is known beside it; `lock` in the sidecar is the default."""
+
+    name: str
+    text: str
+    format: Format
+    where: str
+    sidecar: Sidecar
+
+
+def find(name: "str | PathLike[str]") -> Description:
+    """Return the description of a robot that comes with a package, or of a file.
+
+    Raises
+    ------
+    ModelError
+        There is no such robot, or its text is at fault.
+    """
+    if name in shipped.shipped_names():
+        return _from_file(str(name), shipped.path_of(str(name)), "robot_models")
+    if names_a_file(name):
+        path = Path(name)
+        return _from_file(path.stem, path, "")
+    assert isinstance(name, str)
+    if name not in example_robots.example_names():
+        known = (*shipped.shipped_names(), *example_robots.example_names())
+        near = get_close_matches(name.lower(), known, n=3)
+        hint = f"did you mean {' or '.join(map(repr, near))}?" if near else "wam4, panda and ur5 are some"
+        raise ModelError(f"no robot is named {name!r}: {hint} (or give the path of a .urdf or MJCF .xml)")
+    example = example_robots.find(name)
+    text = urdf.read(example.text, name)
+    sidecar = example.sidecar
+    if example.rotors is not None:
+        rotors = example_robots.rotor_inertia(example.rotors, list(urdf.joint_types(text)))
+        sidecar = replace(sidecar, drive_inertia=rotors)
+    return Description(name, text, "urdf", name, sidecar)
+
+
+def names_a_file(name: "str | PathLike[str]") -> bool:
+    """Whether this is the path of a file, not the name of a robot that comes with a package."""
+    path = Path(name)
+    return not isinstance(name, str) or path.suffix.lower() in _SUFFIXES or len(path.parts) > 1
+
+
+def _from_file(name: str, path: Path, owner: str) -> Description:
+    where = path.name if owner else str(path)
+    text = read_text(path)
+    root = parse(text, where).tag
+    if root not in _ROOTS:
+        raise ModelError(f"{where} is neither URDF nor MJCF: its root is <{root}>, not <robot> or <mujoco>")
+    format = _ROOTS[root]
+    text = urdf.read(text, where) if format == "urdf" else mjcf.read(text, where, path.parent)
+    joints = joint_names(text, format)
+    sidecar = read_sidecar(path.with_suffix(".toml"), joints)
+    if not owner:
+        sidecar = replace(sidecar, source=sidecar.source or where)
+    return Description(name, text, format, where, sidecar)
+
+
+def joint_names(text: str, format: Format) -> tuple[str, ...]:
+    """Return the joints of a canonical text that move, in its order."""
+    if format == "mjcf":
+        return tuple(mjcf.iter_names(text, "joint"))
+    return tuple(joint for joint, kind in urdf.joint_types(text).items() if kind in urdf.MOVING)

@@ -1,0 +1,81 @@
+"""The cells of a comparison: one quantity of one engine over all states, and all of one robot."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+
+import numpy as np
+
+
+@dataclass(frozen=True)
+class Cell:
+    """One quantity of one engine over all states.
+
+    Attributes
+    ----------
+    robot, quantity, engine : str
+        What was compared.
+    status : str
+        "agrees", "disagrees", "not covered", "not installed" or "not usable".
+    reason : str
+        Why, where there is no number.
+    absolute, relative : float
+        Worst errors; inf if a number is missing or not finite.
+    tolerance : float
+        The bound at the state that comes closest to it.
+    margin : float
+        Worst error over its bound; at most 1 for "agrees".
+    state : int or None
+        The state that gave it.
+    states : int
+        How many were compared.
+    """
+
+    robot: str
+    quantity: str
+    engine: str
+    status: str
+    reason: str = ""
+    absolute: float = np.nan
+    relative: float = np.nan
+    tolerance: float = np.nan
+    margin: float = np.nan
+    state: int | None = None
+    states: int = 0
+
+
+@dataclass
+class Comparison:
+    """All cells of one robot.
+
+    Attributes
+    ----------
+    robot, tip, reference : str
+        Robot, tip and the engine that the others are compared with.
+    seed, states : int
+        What was drawn.
+    cells : list of Cell
+        By engine, then quantity.
+    probes : dict of str to str
+        Engine -> what its probe found.
+    """
+
+    robot: str
+    tip: str
+    reference: str
+    seed: int
+    states: int
+    cells: list[Cell] = field(default_factory=list)
+    probes: dict[str, str] = field(default_factory=dict)
+
+    @property
+    def passed(self) -> bool:
+        """Whether something was compared and nothing is out of tolerance."""
+        compared = [cell for cell in self.cells if cell.status in ("agrees", "disagrees")]
+        return bool(compared) and all(cell.status == "agrees" for cell in compared)
+
+    @property
+    def worst(self) -> Cell | None:
+        """The cell that uses the largest part of its tolerance; None if nothing was compared."""
+        compared = [cell for cell in self.cells if cell.status in ("agrees", "disagrees")]
+        return max(compared, key=lambda cell: cell.margin, default=None)

@@ -213,9 +213,10 @@ class Worker:
         values = np.full(Values.count(n), math.nan)
         if len(rows) > 0:
             make_ready(measure_rows)
+            robot, work = tree
             measure_rows(
-                *tree, rows, len(rows), problem.table, problem.nodes, problem.h,
-                joint_limits(problem.robot.model), events, len(events), np.empty(Tally.count(n)), values,
+                robot, (work, np.empty(Tally.count(n))), rows, (problem.table, problem.nodes), problem.h,
+                joint_limits(problem.robot.model), events, values,
             )  # fmt: skip
             if problem.scenario.drives != DrivesSection():
                 count_limited(recorded(rows, n, "torque_limited"), problem.h, Values(values, n))

@@ -121,8 +121,7 @@ def condition_number(H: Array, A: Array, L: Array, X: Array, mobility: float, pr
         for j in range(n):
             R[i, j] = 0.0  # above the diagonal too, so that rows may be taken four at a time
         for k in range(0, i - 3, 4):
-            a, b, c, d = -L[i, k], -L[i, k + 1], -L[i, k + 2], -L[i, k + 3]
-            add_four(a, R[k], b, R[k + 1], c, R[k + 2], d, R[k + 3], R[i, : k + 4])
+            add_four((-L[i, k], -L[i, k + 1], -L[i, k + 2], -L[i, k + 3]), R, k, R[i, : k + 4])
         for k in range(i // 4 * 4, i):
             add_multiple(-L[i, k], R[k], R[i, : k + 1])
         inverse = L[i, i]
@@ -145,8 +144,7 @@ def condition_number(H: Array, A: Array, L: Array, X: Array, mobility: float, pr
         add_multiple(-share * x[i], x, row[: i + 1])
         fours = i + (n - i) // 4 * 4
         for k in range(i, fours, 4):
-            a, b, c, d = R[k, i], R[k + 1, i], R[k + 2, i], R[k + 3, i]
-            add_four(a, R[k], b, R[k + 1], c, R[k + 2], d, R[k + 3], row[: i + 1])
+            add_four((R[k, i], R[k + 1, i], R[k + 2, i], R[k + 3, i]), R, k, row[: i + 1])
         for k in range(fours, n):
             add_multiple(R[k, i], R[k], row[: i + 1])
         for j in range(i):
@@ -171,8 +169,10 @@ def add_multiple(factor: float, x: Array, to: Array) -> None:
 
 
 @kernel_inlined
-def add_four(a: float, x: Array, b: float, y: Array, c: float, z: Array, d: float, w: Array, to: Array) -> None:
-    """Write to += a x + b y + c z + d w."""
+def add_four(factors: tuple[float, float, float, float], R: Array, k: int, to: Array) -> None:
+    """Write to += a x + b y + c z + d w, the factors times the rows of R from the k-th on."""
+    a, b, c, d = factors
+    x, y, z, w = R[k], R[k + 1], R[k + 2], R[k + 3]
     for j in range(to.shape[0]):
         to[j] += (a * x[j] + b * y[j]) + (c * z[j] + d * w[j])
 

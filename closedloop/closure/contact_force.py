@@ -12,6 +12,8 @@ first line reads (S_nn − S_nt c) f = b_s − a_n + S_nt w and is solved at onc
 
 from __future__ import annotations
 
+from typing import Any
+
 import numpy as np
 from numpy.typing import NDArray
 
@@ -42,22 +44,17 @@ IMMOBILE = 1e-10
 
 
 @kernel_inlined
-def into_contact_frame(
-    frame: Array, J: Array, r: Array, drift: Array, v: Array, A: Array, p: Array, u: Array, drift_c: Array
-) -> None:
+def into_contact_frame(x: Any) -> None:
     """Write A = N Jᵣ, p = N r, u = A q̇ and N J̇ᵣq̇ for the contact frame N (rows n, t1, t2).
 
     Parameters
     ----------
-    frame : (3, 3) array
-        N, base axes.
-    J, r, drift : (3, n), (3,), (3,) arrays
-        Tip Jacobian, position, m, and J̇ᵣq̇, m/s², base axes.
-    v : (n,) array
-        q̇.
-    A, p, u, drift_c : (3, n), (3,), (3,), (3,) arrays
-        Written.
+    x : Work, Seen or the like
+        In: `frame`, N (3, 3); `J` (3, n), `r` (3,), m, and `drift` (3,), J̇ᵣq̇, m/s², in base axes; `v` (n,), q̇.
+        Written: `A` (3, n), `p`, `u` and `drift_c` (3,).
     """
+    frame, J, r, drift, v = x.frame, x.J, x.r, x.drift, x.v
+    A, p, u, drift_c = x.A, x.p, x.u, x.drift_c
     for k in range(3):
         n0, n1, n2 = frame[k, 0], frame[k, 1], frame[k, 2]
         speed = 0.0
@@ -275,44 +272,3 @@ def apply_impulse(L: Array, X: Array, impulse: Array, column: Array, v: Array) -
     back_substitute(L, column)
     for j in range(v.shape[0]):
         v[j] += column[j]
-
-
-@kernel_inlined
-def residuals(
-    H: Array, torque: Array, C: Array, A: Array, S: Array, drift_c: Array, b: Array, a: Array, qdd: Array, F: Array,
-    first: int, last: int,
-) -> tuple[float, float]:  # fmt: skip
-    """Return the relative residuals of the equation of motion, and of the closure rows first .. last − 1.
-
-    Each is the largest |left − right| over the largest sum of the magnitudes of the terms. In a closure row these
-    include the free acceleration `a` and S F, which cancel: an arm at rest in contact has q̈ = 0, and rounding is
-    relative to the two terms. So 1e-16 is the limit of the arithmetic. The first residual shows that no force but Q, C
-    and F acts on the arm; the second that the tip's acceleration is that of the closure, b (3,), m/s².
-    """
-    n = torque.shape[0]
-    worst, scale = 0.0, 0.0
-    for i in range(n):
-        r = C[i] - torque[i]
-        s = abs(torque[i]) + abs(C[i])
-        for j in range(n):
-            h = H[i, j] if i <= j else H[j, i]
-            r += h * qdd[j]
-            s += abs(h * qdd[j])
-        for k in range(3):
-            r -= A[k, i] * F[k]
-            s += abs(A[k, i] * F[k])
-        worst = max(worst, abs(r))
-        scale = max(scale, s)
-    motion = worst / select(scale > 0.0, scale, 1.0)
-    worst, scale = 0.0, 0.0
-    for k in range(first, last):
-        r = drift_c[k] - b[k]
-        s = abs(drift_c[k]) + abs(b[k]) + abs(a[k])
-        for j in range(n):
-            r += A[k, j] * qdd[j]
-            s += abs(A[k, j] * qdd[j])
-        for i in range(3):
-            s += abs(S[k, i] * F[i])
-        worst = max(worst, abs(r))
-        scale = max(scale, s)
-    return motion, worst / select(scale > 0.0, scale, 1.0)

@@ -90,7 +90,7 @@ def check_steps(section: EncoderSection, low: Array, high: Array, names: Sequenc
 
 @kernel
 def read_encoder(
-    kind: int, q: float, v: float, j: int, par: Any, normal: Array, first: bool, h: float, before: Array, speed: Array
+    kind: int, state: tuple[float, float], j: int, par: Any, normal: Array, h: float, before: tuple[Array, Array]
 ) -> tuple[float, float]:
     """Return the position and velocity that the encoder of joint j reads, rad and rad/s (m, m/s).
 
@@ -98,7 +98,7 @@ def read_encoder(
     ----------
     kind : int
         See `encoder_kind`.
-    q, v : float
+    state : two floats
         True position and velocity.
     j : int
         The joint.
@@ -106,17 +106,16 @@ def read_encoder(
         Parameters by name.
     normal : (2 n,) array
         Standard normal numbers, see `encoder_draws`.
-    first : bool
-        Whether there is no reading before.
     h : float
-        Time since the reading before, s.
-    before, speed : (n,) arrays
-        Position and velocity read then.
+        Time since the reading before, s; 0: there is none.
+    before : two (n,) arrays
+        Positions and velocities read then.
     """
+    (q, v), (last, speed) = state, before
     position: float = quantised(q + par.noise[j] * normal[j], par.quantisation[j])
     if kind != DIFFERENCE:
-        return position, v + par.velocity_noise[j] * normal[before.shape[0] + j]
-    if first:
+        return position, v + par.velocity_noise[j] * normal[last.shape[0] + j]
+    if h == 0.0:
         return position, v
     share = h / (par.filter_time_constant + h)
-    return position, speed[j] + share * ((position - before[j]) / h - speed[j])
+    return position, speed[j] + share * ((position - last[j]) / h - speed[j])

@@ -38,7 +38,7 @@ def run_compiled(tree: Tree, scratch: Array, address: int, most: int) -> int:
     request, evaluations = TERMS, 0
     while request == TERMS and evaluations < most:
         evaluations += 1
-        tree_terms(tree, w.q, w.v, scratch, H, C, w.J, w.r, w.drift)
+        tree_terms(tree, w.q, w.v, scratch, H, C, (w.J, w.r, w.drift))
         request = call_at(state.proceed, address, IN_MEMORY)
     return request
 

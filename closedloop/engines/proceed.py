@@ -86,10 +86,10 @@ def set_events(addresses: Addresses, events: Array) -> None:
 def tip_from_pinocchio(a: Addresses) -> None:
     """Write Jᵣ, r and J̇ᵣq̇ from the results of `pinocchio.crba` and `pinocchio.nonLinearEffects` in Pinocchio's data."""
     _, constants, w = loop_at(a.loop)
+    link = fortran_at(a.rotation, 3, 3), vector_at(a.origin, 3), vector_at(a.velocity, 6), vector_at(a.acceleration, 6)
     tip_kinematics(
-        fortran_at(a.jacobian, 6, a.n), fortran_at(a.rotation, 3, 3), vector_at(a.origin, 3), vector_at(a.velocity, 6),
-        vector_at(a.acceleration, 6), constants.tip, constants.gravity, constants.support, w.J, w.r, w.drift,
-    )  # fmt: skip
+        fortran_at(a.jacobian, 6, a.n), link, constants.tip, constants.gravity, constants.support, w.J, w.r, w.drift
+    )
 
 
 @brief_entry

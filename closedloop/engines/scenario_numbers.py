@@ -50,7 +50,7 @@ class ScenarioNumbers:
     sensor : PackedSensor
         The force sensor.
     table : (steps · nodes + 1, 2 n + 11) array
-        The reference at every instant at which a stage is evaluated, see `closedloop.step.evaluate.reference_row`, and
+        The reference at every instant at which a stage is evaluated, see `closedloop.step.reference_row`, and
         a standard normal number for the force sensor.
     nodes : int
         Rows of the table to a step.

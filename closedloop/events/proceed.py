@@ -93,7 +93,7 @@ def proceed(
     w, constants, state
         See `closedloop.step.memory`.
     table : (P, 2 n + 11) array
-        The reference at the instants of the stages, see `closedloop.step.evaluate.reference_row`.
+        The reference at the instants of the stages, see `closedloop.step.reference_row`.
     tableau : (S + 1, S) array
         See `closedloop.integrators.Scheme.tableau`.
     rows : (N, width) array
@@ -189,10 +189,7 @@ def proceed(
             advance_friction(w, state, tau)
             if state.elastic != 0:
                 lead_motors(w, tau, state.after_event != 0)
-        advance(
-            stage, tau, state.semi_implicit != 0, state.after_event != 0, tableau, w.begin, w.stages,
-            w.qdd, w.dz, w.q, w.v, w.z,
-        )  # fmt: skip
+        advance(stage, tau, state.semi_implicit != 0, state.after_event != 0, tableau, w)
         if state.loops != 0:  # at every stage: rows that depend on others do so only where the loops are closed
             call_at(state.loops, state.loops_at, CLOSE)
         finish_stage(w, constants.h, state, tableau)

@@ -361,7 +361,7 @@ def strike_surface(w: Work, constants: Constants, state: State) -> None:
         restitution = constants.restitution if state.kind == IMPACT else 0.0
         state.status = impact(
             w.S, w.before, restitution, state.impact_law, constants.impact_friction, w.scratch,
-            w.compression, w.decompression, w.after,
+            (w.compression, w.decompression), w.after,
         )  # fmt: skip
         if state.status != OK or state.kind == TOUCHDOWN:
             return

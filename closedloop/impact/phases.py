@@ -60,9 +60,8 @@ GOES_ON, STOPS, PHASE, ENDS = 0, 1, 2, 3
 
 @kernel
 def impact(
-    S: Array, u: Array, restitution: float, law: int, mu: float, work: Array,
-    compression: Array, decompression: Array, after: Array,
-) -> int:  # fmt: skip
+    S: Array, u: Array, restitution: float, law: int, mu: float, work: Array, phases: tuple[Array, Array], after: Array
+) -> int:
     """Write the impulses of the two phases and the tip velocity after the impact.
 
     Parameters
@@ -78,12 +77,10 @@ def impact(
     mu : float
         Coulomb coefficient μ >= 0 of the circle |P_t| <= μ P_n.
     work : (IMPACT_WORK,) array
-        Scratch. Written: work[MODES], what happened, the sum of the bits SLIP (it slid), STICK (it ended sticking),
-        REVERSAL (slip stopped and went on in another direction), TURN (slip turned), JAM (friction drove the tip into
-        the surface for a while), RECOMPRESSION (a second compression), CUT (Newton's law would have created energy)
-        and WEDGE (held by friction, the tip cannot leave).
-    compression, decompression : (3,) arrays
-        Written: impulse on the robot while u_n < 0 and while u_n > 0, N s, in the contact frame.
+        Scratch. Written: work[MODES], what happened, a sum of the bits of `closedloop.impact.modes`.
+    phases : two (3,) arrays
+        Written: impulse on the robot while u_n < 0, of compression, and while u_n > 0, of decompression, N s, in the
+        contact frame.
     after : (3,) array
         Written: u + S (compression + decompression), m/s; its normal part is never negative.
 
@@ -93,6 +90,7 @@ def impact(
         OK; SINGULAR if no impulse ends the approach (S_nn = 0, or u is no velocity of a tip with this S); DIVERGED if
         something is not finite. Unless OK, the impulses are zero and after = u.
     """
+    compression, decompression = phases
     total = restitution + mu
     for i in range(3):
         compression[i] = 0.0
@@ -174,7 +172,7 @@ def _collide(
             end, length = ENDS, max(owed, 0.0) if law == POISSON else 0.0
             compressing = False
         if end != ENDS:
-            length, end, cut = _end_piece(compressing, law, rebound, owed, energy, length, end, degree, c)
+            length, end, cut = _end_piece(compressing, law, rebound, owed, energy, (length, end, degree), c)
             happened |= cut
         if compressing and value(c, UN, degree, length) < c[UN, 0]:
             happened |= JAM
@@ -215,10 +213,13 @@ def _enough(compressing: bool, law: int, rebound: float, owed: float, c: Array) 
 
 @kernel
 def _end_piece(
-    compressing: bool, law: int, rebound: float, owed: float, energy: float, length: float, end: int, degree: int,
-    c: Array,
-) -> tuple[float, int, int]:  # fmt: skip
-    """Return the length of a piece inside which u_n is monotone, how it ends, and CUT if energy ends it."""
+    compressing: bool, law: int, rebound: float, owed: float, energy: float, piece: tuple[float, int, int], c: Array
+) -> tuple[float, int, int]:
+    """Return the length of a piece inside which u_n is monotone, how it ends, and CUT if energy ends it.
+
+    `piece` has the length and the end that are known of it, and the degree of its polynomials.
+    """
+    length, end, degree = piece
     beyond = value(c, UN, degree, length)
     if compressing:
         if beyond >= 0.0:

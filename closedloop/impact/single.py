@@ -98,7 +98,7 @@ def two_phase_impact(
         )
     compression, decompression, after = np.zeros(3), np.zeros(3), np.zeros(3)
     work = np.zeros(IMPACT_WORK)
-    if _impact(mobility, before, eps, RATIOS[member.ratio_of], mu, work, compression, decompression, after) != OK:
+    if _impact(mobility, before, eps, RATIOS[member.ratio_of], mu, work, (compression, decompression), after) != OK:
         raise ScenarioError(
             f"u = {before.tolist()}: no impulse ends the approach; must be a velocity that a tip with this S can have"
         )
@@ -111,11 +111,10 @@ def two_phase_impact(
 
 @entry_kernel
 def _impact(
-    S: Array, u: Array, restitution: float, law: int, mu: float, work: Array,
-    compression: Array, decompression: Array, after: Array,
-) -> int:  # fmt: skip
+    S: Array, u: Array, restitution: float, law: int, mu: float, work: Array, phases: tuple[Array, Array], after: Array
+) -> int:
     """`impact`, compiled once and kept on disk."""
-    return impact(S, u, restitution, law, mu, work, compression, decompression, after)
+    return impact(S, u, restitution, law, mu, work, phases, after)
 
 
 def _number(name: str, number: float) -> float:

@@ -56,6 +56,27 @@ def least_norm(J: Array, wanted: Array, W: Array, c: Array, rate: Array) -> None
         c[i] = wanted[i]
         for j in range(n):
             W[i, j] = J[i, j] / size  # so that no square overflows
+    make_rows_orthogonal(W, c)
+    longest = 0.0
+    for i in range(m):
+        square = 0.0
+        for j in range(n):
+            square += W[i, j] * W[i, j]
+        longest = max(longest, square)
+    for i in range(m):
+        square = 0.0
+        for j in range(n):
+            square += W[i, j] * W[i, j]
+        if square > RANK_TOLERANCE * RANK_TOLERANCE * longest:
+            share = c[i] / square / size
+            for j in range(n):
+                rate[j] += W[i, j] * share
+
+
+@kernel
+def make_rows_orthogonal(W: Array, c: Array) -> None:
+    """Turn the rows of W (m, n), and c (m,) with them, by Jacobi rotations until they are orthogonal to each other."""
+    m, n = W.shape
     turned, sweep = True, 0
     while turned and sweep < SWEEPS:
         turned, sweep = False, sweep + 1
@@ -75,17 +96,3 @@ def least_norm(J: Array, wanted: Array, W: Array, c: Array, rate: Array) -> None
                     for j in range(n):
                         W[i, j], W[k, j] = cos * W[i, j] - sin * W[k, j], sin * W[i, j] + cos * W[k, j]
                     c[i], c[k] = cos * c[i] - sin * c[k], sin * c[i] + cos * c[k]
-    longest = 0.0
-    for i in range(m):
-        square = 0.0
-        for j in range(n):
-            square += W[i, j] * W[i, j]
-        longest = max(longest, square)
-    for i in range(m):
-        square = 0.0
-        for j in range(n):
-            square += W[i, j] * W[i, j]
-        if square > RANK_TOLERANCE * RANK_TOLERANCE * longest:
-            share = c[i] / square / size
-            for j in range(n):
-                rate[j] += W[i, j] * share

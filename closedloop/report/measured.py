@@ -75,8 +75,8 @@ class Tally(Block, sizes=("n",)):
 
 @entry_kernel
 def measure_rows(
-    tree: Tree, scratch: Array, rows: Array, count: int, table: Array, nodes: int, h: float, limits: Array,
-    events: Array, happened: int, memory: Array, out: Array,
+    tree: Tree, scratch: tuple[Array, Array], rows: Array, wanted: tuple[Array, int], h: float, limits: Array,
+    events: Array, out: Array,
 ) -> None:  # fmt: skip
     """Write the values of a run.
 
@@ -84,35 +84,35 @@ def measure_rows(
     ----------
     tree : Tree
         The robot, for its potential energy.
-    scratch : array
-        From `closedloop.engines.compiled.compiled_work`.
-    rows : (>= count, width) array
-        The record, of `closedloop.step.record_row.Row`s, of which `count` >= 1 are the run's, `h` seconds apart.
-    table : (P, >= 2 n + 10) array
-        What is desired, `nodes` rows to each of the record's, see `closedloop.step.evaluate.reference_row`.
+    scratch : two arrays
+        From `closedloop.engines.compiled.compiled_work`, and (Tally.count(n),).
+    rows : (N, width) array
+        The record, N >= 1 of `closedloop.step.record_row.Row`s, `h` seconds apart.
+    wanted : (P, >= 2 n + 10) array, int
+        The table of what is desired, see `closedloop.step.reference_row`, and how many of its rows there are to each of
+        the record's.
     limits : (4 n,) array
         See `closedloop.report.row_sample.joint_limits`.
-    events : (>= happened, EVENT_WIDTH) array
+    events : (E, EVENT_WIDTH) array
         See `closedloop.events.table`.
-    memory : (Tally.count(n),) array
-        Scratch.
     out : (Values.count(n),) array
         Written.
     """
-    n = tree.n
+    n, count = tree.n, rows.shape[0]
+    (terms, memory), (table, nodes) = scratch, wanted
     largest = 0.0
     for i in range(count):
         largest = max(largest, abs(Reference(table[i * nodes], n).force))
     tally, values, joint_limits = Tally(memory, n), Values(out, n), JointLimits(limits, n)
     begin_tally(tally, n, h, largest)
-    sines = scratch[n * n + n :]  # what the terms leave there, and more
+    sines = terms[n * n + n :]  # what the terms leave there, and more
     for i in range(count):
         row = Row(rows[i], n)
         potential = tree_potential_energy(tree, row.q, sines)
         count_row(row, n, potential, Reference(table[i * nodes], n), joint_limits, i, tally)
         count_condition(row, tally)
     write_values(Row(rows[count - 1], n), n, count, tally, values)
-    for i in range(happened):
+    for i in range(events.shape[0]):
         event = EventRow(events[i])
         values.energy_lost_in_impacts += event.energy_lost
         values.largest_rate_cut = max(values.largest_rate_cut, event.rate_cut)

@@ -157,6 +157,25 @@ def sample_row(
     sums.path_error_squared = off_path
     sums.force, signals.force = abs(force), force
 
+    in_joints = sample_joints(row, n, limits, sample)
+    speed_squared, friction_squared = square(row.velocity), square(row.friction_force)
+    greatest.tip_speed_squared, greatest.friction_squared = speed_squared, friction_squared
+
+    greatest.kinetic_energy = row.kinetic_energy
+    left = energy_left(row, potential, scale)
+    greatest.energy_residual = abs(left)
+    powers.torques, powers.friction = abs(torque_power(row, n)), friction_power(row, n)
+
+    met = assumptions_met(row, friction_squared, in_joints)
+    for a in range(5):
+        flags.assumptions[a] = select(met[a], 0.0, 1.0)
+
+
+@kernel_inlined
+def sample_joints(row: Any, n: int, limits: JointLimits, sample: Sample) -> Any:
+    """Write what a row has to say of each joint, and return the sum of the magnitudes of friction in them, N m (N)."""
+    greatest, sums, flags = Greatest(sample.greatest, n), Sums(sample.sums, n), Flags(sample.flags, n)
+    signals = Signals(sample.signals, n)
     in_joints = 0.0
     for j in range(n):
         q, speed, torque, friction = row.q[j], abs(row.v[j]), row.torque[j], abs(row.joint_friction[j])
@@ -169,17 +188,7 @@ def sample_row(
         flags.effort[j] = select(size > limits.effort[j], 1.0, 0.0)
         sums.torque[j], signals.torque[j] = size, torque
         in_joints = in_joints + friction
-    speed_squared, friction_squared = square(row.velocity), square(row.friction_force)
-    greatest.tip_speed_squared, greatest.friction_squared = speed_squared, friction_squared
-
-    greatest.kinetic_energy = row.kinetic_energy
-    left = energy_left(row, potential, scale)
-    greatest.energy_residual = abs(left)
-    powers.torques, powers.friction = abs(torque_power(row, n)), friction_power(row, n)
-
-    met = assumptions_met(row, friction_squared, in_joints)
-    for a in range(5):
-        flags.assumptions[a] = select(met[a], 0.0, 1.0)
+    return in_joints
 
 
 @kernel_inlined

@@ -18,8 +18,8 @@ Array = NDArray[np.float64]
 
 @kernel
 def tip_kinematics(
-    joint_jacobian: Array, rotation: Array, origin: Array, velocity: Array, acceleration: Array,
-    offset: Array, gravity: Array, support: Array, J: Array, r: Array, drift: Array,
+    joint_jacobian: Array, link: tuple[Array, Array, Array, Array], offset: Array, gravity: Array, support: Array,
+    J: Array, r: Array, drift: Array,
 ) -> None:  # fmt: skip
     """Write the tip's Jacobian, position and drift.
 
@@ -27,11 +27,9 @@ def tip_kinematics(
     ----------
     joint_jacobian : (6, n) array
         Spatial Jacobian, linear part first, of the point of each link's body that is at the base origin; base axes.
-    rotation, origin : (3, 3), (3,) arrays
-        Axes and origin of the link's joint frame in the base frame.
-    velocity, acceleration : (6,) arrays
-        Spatial velocity and acceleration of the link, linear part first, in its joint frame; the acceleration is
-        for q̈ = 0 and includes −gravity.
+    link : arrays (3, 3), (3,), (6,) and (6,)
+        Axes and origin of the link's joint frame in the base frame; spatial velocity and acceleration of the link,
+        linear part first, in its joint frame: the acceleration is for q̈ = 0 and includes −gravity.
     offset : (3,) array
         Tip in the link's joint frame, m.
     gravity : (3,) array
@@ -41,6 +39,7 @@ def tip_kinematics(
     J, r, drift : (3, n), (3,), (3,) arrays
         Written: Jᵣ (Eq. 13), r, m, and J̇ᵣq̇ (Eq. 18), m/s², base axes.
     """
+    rotation, origin, velocity, acceleration = link
     # ṗ = v + ω × o at the tip, in the joint frame
     w0, w1, w2 = velocity[3], velocity[4], velocity[5]
     a0, a1, a2 = acceleration[3], acceleration[4], acceleration[5]

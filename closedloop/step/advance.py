@@ -6,15 +6,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from closedloop.jit.kernel import kernel_inlined
+from closedloop.step.memory import Work
 
 Array = NDArray[np.float64]
 
 
 @kernel_inlined
-def advance(
-    stage: int, h: float, semi_implicit: bool, substep: bool, tableau: Array, begin: Array, stages: Array,
-    qdd: Array, dz: Array, q: Array, v: Array, z: Array,
-) -> None:  # fmt: skip
+def advance(stage: int, h: float, semi_implicit: bool, substep: bool, tableau: Array, w: Work) -> None:
     """Move the state (q, q̇, z) from this stage's to the next stage's, or after the last stage to the step's end.
 
     Parameters
@@ -28,13 +26,12 @@ def advance(
         the new, so that a bounce shorter than the step returns with the speed at which it rose.
     tableau : (S + 1, S) array
         See `closedloop.integrators.Scheme.tableau`.
-    begin : (2 n + k,) array
-        q, q̇ and z at the beginning of the step.
-    stages : (S, 2 n + k) array
-        Derivatives of the state at each stage so far, of which this stage's are written.
-    q, v, z : (n,), (n,), (k,) arrays
-        In: this stage's state. Out: the next one's.
+    w : Work
+        In: `begin` (2 n + k,), q, q̇ and z at the beginning of the step; q, v and z of this stage, and its `qdd` and
+        `dz`; `stages` (S, 2 n + k), the derivatives of the state at each stage so far. Written: this stage's
+        derivatives, and q, v and z of the next.
     """
+    begin, stages, qdd, dz, q, v, z = w.begin, w.stages, w.qdd, w.dz, w.q, w.v, w.z
     n, k = q.shape[0], z.shape[0]
     if semi_implicit:
         for j in range(n):

@@ -12,18 +12,8 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from closedloop.closure.contact_force import (
-    FREE,
-    PRESSED,
-    STUCK,
-    accelerate,
-    baumgarte_acceleration,
-    free_acceleration,
-    normal_rounding,
-    pressed_force,
-    stuck_force,
-)
-from closedloop.closure.solve import DIVERGED, LAW_FAILED, NOT_POSITIVE_DEFINITE, OK, PAINLEVE, PUSHED, SINGULAR
+from closedloop.closure.contact_force import FREE
+from closedloop.closure.solve import DIVERGED, LAW_FAILED, NOT_POSITIVE_DEFINITE, OK
 from closedloop.control.drives import cut_torque
 from closedloop.control.laws.paper import PaperLaw, paper_law
 from closedloop.control.seen import Seen
@@ -32,19 +22,16 @@ from closedloop.jit.calls import call_at
 from closedloop.jit.kernel import kernel, kernel_inlined
 from closedloop.jit.simd8 import every
 from closedloop.parameters import parameter_block
-from closedloop.reference.joint_path import cubic
-from closedloop.step.closed_loops import BIND_LOAD, DRIVE, factorise_tip
+from closedloop.step.closed_loops import DRIVE, factorise_tip
 from closedloop.step.contacts import DRIVE as DRIVE_CONTACTS
-from closedloop.step.contacts import FORCE
-from closedloop.step.energy_supplied import driving_torque
 from closedloop.step.entries import RATES, START, TORQUE
 from closedloop.step.joint_friction import add_joint_friction, hold_joints
-from closedloop.step.locate import in_contact_frame, locate_tip, off_anchor
-from closedloop.step.memory import RIGID_STICK, SPRING_STICK, Constants, Reference, State, Work
+from closedloop.step.locate import in_contact_frame, locate_tip
+from closedloop.step.memory import RIGID_STICK, Constants, Reference, State, Work
+from closedloop.step.reference_row import desired_acceleration, reference_row
 from closedloop.step.seen import keep_terms, see
-from closedloop.step.singular import force_in_singular_pose, pushed_on_the_way
-from closedloop.step.soft_contact import soft_contact_force
-from closedloop.step.tip_friction import surface_friction, turn_with_slip
+from closedloop.step.solve_contact import contact_force
+from closedloop.step.tip_friction import surface_friction
 from closedloop.step.transmission import motor_rates, transmit
 
 Array = NDArray[np.float64]
@@ -57,62 +44,6 @@ LARGEST = 1e100
 
 # Parameters of the paper's law.
 PaperParameters = parameter_block(PaperLaw)
-
-
-@kernel_inlined
-def reference_row(t: float, spacing: float, table: Array, n: int, row: Array) -> None:
-    """Write the reference at time t: between the table's rows positions are cubics and the rest is linear.
-
-    Parameters
-    ----------
-    t, spacing : float
-        Time, and time between two rows of the table, s.
-    table : (P, >= 2 n + 10) array
-        q_des, q̇_des, then r_des, ṙ_des and r̈_des of the tip in base axes, then f_des.
-    row : (2 n + 10,) array
-        Written.
-    """
-    x = t / spacing
-    at = nearest_row(t, spacing, table.shape[0])
-    width = row.shape[0]
-    if abs(x - at) < 1e-6 or round(x) > at:
-        for j in range(width):
-            row[j] = table[at, j]
-        return
-    at = min(int(x), table.shape[0] - 2)
-    s = x - at
-    for j in range(width):
-        row[j] = (1.0 - s) * table[at, j] + s * table[at + 1, j]
-    for block in range(2):
-        begin = 0 if block == 0 else 2 * n
-        size = n if block == 0 else 3
-        for j in range(begin, begin + size):
-            row[j], _, _ = cubic(
-                table[at, j], table[at + 1, j], table[at, j + size], table[at + 1, j + size], spacing, s
-            )
-
-
-@kernel_inlined
-def nearest_row(t: float, spacing: float, count: int) -> int:
-    """Return which of the table's rows is nearest to time t, s."""
-    return min(round(t / spacing), count - 1)
-
-
-@kernel
-def desired_acceleration(t: float, spacing: float, table: Array, qdd: Array) -> None:
-    """Write q̈_des (n,) at the table's row nearest to t, s, of the rates q̇_des on either side of it.
-
-    It is the smaller of the two slopes, and zero where they differ in sign: so a velocity that jumps, as at the start
-    of a line, asks for no acceleration, and a smooth one for its own, to first order in the spacing.
-    """
-    n, at = qdd.shape[0], nearest_row(t, spacing, table.shape[0])
-    for j in range(n):
-        qdd[j] = 0.0
-        if 0 < at < table.shape[0] - 1:
-            before = (table[at, n + j] - table[at - 1, n + j]) / spacing
-            after = (table[at + 1, n + j] - table[at, n + j]) / spacing
-            if before * after > 0.0:
-                qdd[j] = before if abs(before) < abs(after) else after
 
 
 @kernel_inlined
@@ -150,21 +81,9 @@ def evaluate(H: Array, C: Array, w: Work, constants: Constants, state: State, ta
         if state.sampled != 0:
             paper_torque(C, w, constants, w.time)
     else:
-        if state.feed_forward != 0:
-            desired_acceleration(w.time, constants.node, table, w.qdd_des)
-        if state.seen == 0:
-            in_contact_frame(w.frame, w.carried, w.turning, Reference(w.reference, n))
-            keep_terms(H, C, w)
-        elif state.encoder == 0:
-            if see(H, C, w, constants, state) != OK:
-                return NOT_POSITIVE_DEFINITE
-        else:  # the law has been asked at the state that the encoders read, see `evaluate_law`
-            seen = Seen(w.seen, n)
-            in_contact_frame(seen.frame, seen.carried, seen.turning, Reference(w.reference, n))
-        if state.encoder == 0 and ask_law(w, constants, state) != OK:
-            return LAW_FAILED
-        if state.elastic != 0:
-            transmit(w, constants)
+        status = ask_through_sensors(H, C, w, constants, state, table)
+        if status != OK:
+            return status
         surface_friction(w, constants, state, rows)
         add_joint_friction(w, constants, state, rows)
     status = contact_force(C, w, constants, state)
@@ -176,26 +95,56 @@ def evaluate(H: Array, C: Array, w: Work, constants: Constants, state: State, ta
             status = contact_force(C, w, constants, state)
             if status != OK:
                 return status
-        sensor = w.z[state.law_states : state.law_states + state.sensor_states]
-        w.reading = w.measured
-        if state.sensor_sampled == 0:
-            w.reading = continuous_reading(w.F[0], SensorParameters(constants.sensor, 0), sensor)
-        call_law(state, RATES)
-        at = state.law_states + state.sensor_states
-        sensor_rates(w.F[0], SensorParameters(constants.sensor, 0), sensor, w.dz[state.law_states : at])
-        for i in range(at, w.z.shape[0]):
-            w.dz[i] = 0.0  # with the semi-implicit scheme friction's states advance by themselves
-        if state.semi_implicit == 0:
-            if state.mode != FREE and state.friction_states > 0:
-                w.slip[0], w.slip[1] = w.u[1], w.u[2]
-                call_at(state.friction, state.address, RATES)
-            if state.joint_states > 0:
-                call_at(state.joint_friction, state.address, RATES)
-        if state.elastic != 0:
-            motor_rates(w, constants)
+        write_rates(w, constants, state)
         if state.raised != 0:
             return LAW_FAILED
     return OK if bounded(w) else DIVERGED
+
+
+@kernel_inlined
+def ask_through_sensors(H: Array, C: Array, w: Work, constants: Constants, state: State, table: Array) -> int:
+    """Ask the law for its torque, with what the controller sees of the state in `w`, and pass it on to the joints.
+
+    Returns OK, NOT_POSITIVE_DEFINITE or LAW_FAILED; see `evaluate`.
+    """
+    if state.feed_forward != 0:
+        desired_acceleration(w.time, constants.node, table, w.qdd_des)
+    if state.seen == 0:
+        in_contact_frame(w.frame, w.carried, w.turning, Reference(w.reference, w.q.shape[0]))
+        keep_terms(H, C, w)
+    elif state.encoder == 0:
+        if see(H, C, w, constants, state) != OK:
+            return NOT_POSITIVE_DEFINITE
+    else:  # the law has been asked at the state that the encoders read, see `evaluate_law`
+        seen = Seen(w.seen, w.q.shape[0])
+        in_contact_frame(seen.frame, seen.carried, seen.turning, Reference(w.reference, w.q.shape[0]))
+    if state.encoder == 0 and ask_law(w, constants, state) != OK:
+        return LAW_FAILED
+    if state.elastic != 0:
+        transmit(w, constants)
+    return OK
+
+
+@kernel_inlined
+def write_rates(w: Work, constants: Constants, state: State) -> None:
+    """Write the sensor's reading, and the rates of the states of law, sensor, friction and motors, under the forces."""
+    sensor = w.z[state.law_states : state.law_states + state.sensor_states]
+    w.reading = w.measured
+    if state.sensor_sampled == 0:
+        w.reading = continuous_reading(w.F[0], SensorParameters(constants.sensor, 0), sensor)
+    call_law(state, RATES)
+    at = state.law_states + state.sensor_states
+    sensor_rates(w.F[0], SensorParameters(constants.sensor, 0), sensor, w.dz[state.law_states : at])
+    for i in range(at, w.z.shape[0]):
+        w.dz[i] = 0.0  # with the semi-implicit scheme friction's states advance by themselves
+    if state.semi_implicit == 0:
+        if state.mode != FREE and state.friction_states > 0:
+            w.slip[0], w.slip[1] = w.u[1], w.u[2]
+            call_at(state.friction, state.address, RATES)
+        if state.joint_states > 0:
+            call_at(state.joint_friction, state.address, RATES)
+    if state.elastic != 0:
+        motor_rates(w, constants)
 
 
 @kernel_inlined
@@ -203,7 +152,7 @@ def paper_torque(C: Array, w: Work, constants: Constants, t: float) -> None:
     """Write the torque of the paper's law at t, s, with what is desired in the reference."""
     n = w.q.shape[0]
     par, wanted = PaperParameters(constants.law, n), Reference(w.reference, n)
-    paper_law(t, wanted.force, par, wanted.q, wanted.v, w.q, w.v, C, w.A, w.torque)
+    paper_law(t, wanted.force, par, (wanted.q, wanted.v), (w.q, w.v), C, w.A, w.torque)
 
 
 @kernel
@@ -269,79 +218,3 @@ def bounded(w: Work) -> bool:
         if not every(abs(w.v[j]) <= SPEED_LIMIT):
             return False
     return every(total < LARGEST)
-
-
-@kernel_inlined
-def contact_force(C: Array, w: Work, constants: Constants, state: State) -> int:
-    """Solve Eq. 24 in the present mode for the contact force F and the acceleration q̈; return a status."""
-    for j in range(w.q.shape[0]):
-        w.column[j] = driving_torque(w, state, j) + w.joint_friction[j]
-    free_acceleration(w.L, w.X, w.drift_c, w.column, C, w.y, w.a)
-    if state.loops != 0:
-        call_at(state.loops, state.loops_at, BIND_LOAD)
-    if state.contacts != 0:
-        return call_at(state.contacts, state.contacts_at, FORCE)
-    w.rigid_force = 0.0
-    for i in range(3):
-        w.F[i] = 0.0
-        w.stabiliser_force[i] = 0.0
-        w.b[i] = 0.0
-    if state.compliance != 0 and state.mode != FREE:
-        soft_contact_force(w, constants, state)
-        return OK
-    if state.mode == PRESSED or (state.mode == STUCK and state.sticking == SPRING_STICK):
-        b = baumgarte_acceleration(constants.s_v, constants.s_p, w.rate, w.gap)
-        status, share = pressed_force(w.S, w.a, b, w.c, w.viscous, w.F)
-        rubbed = w.c[0] != 0.0 or w.c[1] != 0.0
-        if state.unilateral == 0 and rubbed and (status == PAINLEVE or (status == OK and w.F[0] < 0.0)):
-            # A bilateral closure may pull: friction is then that of |f| on the other side, and there is no paradox if
-            # that solution exists.
-            w.c[0], w.c[1] = -w.c[0], -w.c[1]
-            wedged = status == PAINLEVE
-            status, share = pressed_force(w.S, w.a, b, w.c, w.viscous, w.F)
-            if status == OK and wedged and not w.F[0] < 0.0:
-                status = PAINLEVE
-        if status == SINGULAR and state.mode == PRESSED:
-            return force_in_singular_pose(C, w, constants, state)
-        if status != OK:
-            return status
-        sticking = state.sticking
-        if state.mode == PRESSED and state.steps > 0 and sticking in (RIGID_STICK, SPRING_STICK):
-            for _ in range(2):  # f and the direction of slip depend on each other
-                if not turn_with_slip(w, constants.h):
-                    break
-                status, share = pressed_force(w.S, w.a, b, w.c, w.viscous, w.F)
-                if status != OK:
-                    return status
-        rigid = w.F[0] - share
-        if state.approached > 0 and pushed_on_the_way(C, w, constants, rigid):
-            return PUSHED
-        w.rigid_force = kept_force(rigid, C, w, state)
-        if state.unilateral != 0 and w.F[0] < 0.0 <= w.rigid_force:
-            # The stabiliser may reduce f of a unilateral contact to zero, but not below.
-            share = -rigid
-            b = share * (w.S[0, 0] - w.S[0, 1] * w.c[0] - w.S[0, 2] * w.c[1])
-            w.F[0], w.F[1], w.F[2] = 0.0, -w.viscous[0], -w.viscous[1]
-        w.b[0], w.stabiliser_force[0] = b, share
-    elif state.mode == STUCK:
-        w.b[0] = baumgarte_acceleration(constants.s_v, constants.s_p, w.rate, w.gap)
-        for i in range(1, 3):
-            w.b[i] = baumgarte_acceleration(constants.s_v, constants.s_p, w.u[i], off_anchor(w, state, i))
-        if stuck_force(w.S, w.a, w.b, w.F, w.stabiliser_force) != OK:
-            return SINGULAR
-        w.rigid_force = kept_force(w.F[0] - w.stabiliser_force[0], C, w, state)
-    accelerate(w.L, w.X, w.y, w.F, w.qdd)
-    return OK
-
-
-@kernel_inlined
-def kept_force(rigid: float, C: Array, w: Work, state: State) -> float:
-    """Return the force of the rigid closure, N, that decides liftoff: the tip lifts off where it is negative.
-
-    For a unilateral contact it is corrected by its rounding: with f_des = 0 the computed force is rounding, of either
-    sign, and the tip stays in contact.
-    """
-    kept = rigid
-    if state.unilateral != 0 and rigid < 0.0:
-        kept += normal_rounding(w.L, w.X, w.drift_c, w.torque, w.joint_friction, C, w.column) / w.S[0, 0]
-    return kept

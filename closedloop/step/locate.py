@@ -23,7 +23,7 @@ Array = NDArray[np.float64]
 @kernel_inlined
 def locate_on_plane(w: Work, constants: Constants) -> None:
     """Write the tip's motion in the contact frame of a plane at rest, and the gap and its rate."""
-    into_contact_frame(w.frame, w.J, w.r, w.drift, w.v, w.A, w.p, w.u, w.drift_c)
+    into_contact_frame(w)
     w.gap, w.rate = w.p[0] - constants.offset, w.u[0]
 
 

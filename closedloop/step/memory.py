@@ -246,7 +246,7 @@ class Work(Block, sizes=("n", "k", "stages", "ring")):
     A: Annotated[Array, 3, N]  # contact frame
     X: Annotated[Array, 3, N]  # L⁻¹Aᵀ
     reference: Annotated[Array, 2 * N + 10]  # row of the table at this instant
-    qdd_des: Annotated[Array, N]  # see `closedloop.step.evaluate.desired_acceleration`
+    qdd_des: Annotated[Array, N]  # see `closedloop.step.reference_row.desired_acceleration`
     H: Annotated[Array, N, N]  # for laws that are called by address, as C
     C: Annotated[Array, N]
     L: Annotated[Array, N, N]

@@ -14,7 +14,8 @@ from closedloop.closure.conditioning import (
     condition_number,
     condition_numbers_of_batch,
 )
-from closedloop.closure.contact_force import FREE, STUCK, residuals
+from closedloop.closure.contact_force import FREE, STUCK
+from closedloop.closure.residuals import residuals
 from closedloop.contacts.memory import contacts_at
 from closedloop.control.sensor import SensorParameters, sense
 from closedloop.jit.blocks import Block
@@ -198,7 +199,7 @@ def record_state(H: Array, C: Array, w: Work, state: State, rows: Array, place: 
     if state.contacts != 0:
         for j in range(n):
             w.column[j] += w.contact_torque[j]
-    motion, closed = residuals(H, w.column, C, w.A, w.S, w.drift_c, w.b, w.a, w.qdd, w.F, first, last)
+    motion, closed = residuals(H, w.column, C, w, first, last)
     trace = w.S[0, 0] + w.S[1, 1] + w.S[2, 2]
     row.contact_force = w.F[0]
     row.stabiliser_force = w.stabiliser_force[0]

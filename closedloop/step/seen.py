@@ -53,7 +53,7 @@ def see(H: Array, C: Array, w: Work, constants: Constants, state: State) -> int:
             seen.J[i, j] = w.J[i, j]
     for j in range(n):
         seen.q[j], seen.v[j] = w.q[j], w.v[j]
-    into_contact_frame(seen.frame, seen.J, seen.r, seen.drift, seen.v, seen.A, seen.p, seen.u, seen.drift_c)
+    into_contact_frame(seen)
     for i in range(3):
         seen.u[i] -= seen.carried[i]
         seen.drift_c[i] += seen.turning[i]
@@ -80,7 +80,7 @@ def read_joints(w: Work, constants: Constants, state: State, table: Array) -> No
         if state.elastic == MOTORS_MEASURED:
             q, v = w.z[motors + j], w.z[motors + n + j]
         position, velocity = read_encoder(
-            state.encoder, q, v, j, par, normal, row == 0, constants.h, w.last_read_q, w.last_read_v
+            state.encoder, (q, v), j, par, normal, constants.h if row > 0 else 0.0, (w.last_read_q, w.last_read_v)
         )
         w.read_q[j], w.read_v[j] = position, velocity
         w.q[j], w.v[j] = position, velocity

@@ -232,28 +232,27 @@ def _without_nan(value: Any) -> Any:
     return None if isinstance(value, float) and not math.isfinite(value) else value
 
 
-def print_tables(results: dict[str, Any]) -> None:
-    """Print what was measured beside what theory says."""
+def _print_table(title: str, columns: Sequence[str], rows: Iterable[Sequence[str]]) -> None:
     from rich import box
     from rich.console import Console
     from rich.table import Table
 
-    console = Console(highlight=False)
+    drawn = Table(box=box.SIMPLE_HEAD, title=title, title_justify="left")
+    for column in columns:
+        first = column == columns[0]
+        drawn.add_column(column, justify="left" if first else "right", no_wrap=first)
+    for row in rows:
+        drawn.add_row(*row)
+    Console(highlight=False).print(drawn)
 
-    def table(title: str, columns: Sequence[str], rows: Iterable[Sequence[str]]) -> None:
-        drawn = Table(box=box.SIMPLE_HEAD, title=title, title_justify="left")
-        for column in columns:
-            first = column == columns[0]
-            drawn.add_column(column, justify="left" if first else "right", no_wrap=first)
-        for row in rows:
-            drawn.add_row(*row)
-        console.print(drawn)
 
+def print_tables(results: dict[str, Any]) -> None:
+    """Print what was measured beside what theory says."""
     for stabiliser, title in (
         ("none", "drift without stabiliser: |e| grows like h^p and v^q"),
         ("baumgarte", "with Baumgarte's (T: auto): where |e| settles grows like h^p and v^q"),
     ):
-        table(
+        _print_table(
             title,
             ("integrator", "p measured", "p theory", "q measured", "q theory", "|e| at 1 ms, 18 mm/s"),
             (
@@ -270,12 +269,12 @@ def print_tables(results: dict[str, Any]) -> None:
             ),
         )
     for row in results["against_tolerance"]:
-        table(
+        _print_table(
             "largest |e| in m without stabiliser, by time.tolerance",
             ("integrator", *(f"{tolerance:g}" for tolerance in row["values"])),
             [(row["integrator"], *(f"{e:.1g}" for e in row["errors"]))],
         )
-    table(
+    _print_table(
         "largest |e| in m at 1 ms and 18 mm/s, by stabiliser (Baumgarte's T: auto)",
         ("integrator", *STABILISERS),
         (
@@ -283,7 +282,7 @@ def print_tables(results: dict[str, Any]) -> None:
             for scheme in SCHEMES
         ),
     )
-    table(
+    _print_table(
         'Baumgarte: largest stable h/T, and what time_constant = "auto" takes',
         ("integrator", "ζ", "limit, theory", "limit, measured", "h/T of auto", "e per step at most ×"),
         (

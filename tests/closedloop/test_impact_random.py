@@ -35,7 +35,7 @@ def many(S, u, restitution, law, mu, work, compression, decompression, after, st
     """Do one impact a row."""
     for k in range(u.shape[0]):
         status[k] = impact(
-            S[k], u[k], restitution[k], law[k], mu[k], work, compression[k], decompression[k], after[k]
+            S[k], u[k], restitution[k], law[k], mu[k], work, (compression[k], decompression[k]), after[k]
         )  # fmt: skip
         happened[k] = int(work[MODES])
 
@@ -80,7 +80,7 @@ def call(S, u, restitution, law, mu):
     """Return status, modes and the nine numbers that the kernel writes, from outputs full of NaN."""
     work = np.full(IMPACT_WORK, np.nan)
     out = np.full((3, 3), np.nan)
-    status = impact(np.array(S), np.array(u), restitution, law, mu, work, out[0], out[1], out[2])
+    status = impact(np.array(S), np.array(u), restitution, law, mu, work, (out[0], out[1]), out[2])
     return status, int(work[MODES]), out
 
 
@@ -129,7 +129,7 @@ for k in range(24):
     B = rng.normal(size=(3, 1 + k % 4))
     u = B @ rng.normal(size=B.shape[1])
     out, work = np.zeros((3, 3)), np.zeros(IMPACT_WORK)
-    impact(B @ B.T, -u * np.sign(u[0]), 0.6, k % 3, [0.0, 0.3, 0.8, 2.0, 5.0][k % 5], work, out[0], out[1], out[2])
+    impact(B @ B.T, -u * np.sign(u[0]), 0.6, k % 3, [0.0, 0.3, 0.8, 2.0, 5.0][k % 5], work, (out[0], out[1]), out[2])
     rows.append([*out.ravel().tolist(), float(work[MODES])])
 json.dump(rows, sys.stdout)
 """

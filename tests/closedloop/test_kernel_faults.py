@@ -9,7 +9,7 @@ import scipy.linalg
 
 import closedloop as cl
 from closedloop.jit.kernel import plain
-from closedloop.step.evaluate import reference_row
+from closedloop.step.reference_row import reference_row
 from closedloop.step.tip_friction import turn_with_slip
 
 

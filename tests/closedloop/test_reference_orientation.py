@@ -7,7 +7,7 @@ from scipy.spatial.transform import Rotation
 import closedloop as cl
 from closedloop.engines.problem import Problem
 from closedloop.jit.kernel import plain
-from closedloop.step.evaluate import desired_acceleration
+from closedloop.step.reference_row import desired_acceleration
 
 ON_A_BALL = {
     "law": {"kind": "operational_space", "force": 5.0, "posture_stiffness": 400.0, "posture_damping": 40.0},

@@ -26,12 +26,9 @@ def close(ours, theirs, tolerance):
 def fast_path(robot, q, v):
     """Return Jᵣ, r and J̇ᵣq̇ as the compiled step computes them."""
     robot.evaluator(q, v)()
-    _, _, joint_jacobian, rotation, origin, velocity, acceleration = robot.views
+    _, _, joint_jacobian, *link = robot.views
     J, r, drift = np.zeros((3, robot.n)), np.zeros(3), np.zeros(3)
-    tip_kinematics(
-        joint_jacobian, rotation, origin, velocity, acceleration,
-        robot.tip_offset, robot.gravity, robot.support, J, r, drift,
-    )  # fmt: skip
+    tip_kinematics(joint_jacobian, tuple(link), robot.tip_offset, robot.gravity, robot.support, J, r, drift)
     return J, r, drift
 
 

@@ -1,5 +1,7 @@
 """Eq. 24 solved rightly: against Pinocchio, against LAPACK, and against the equation itself."""
 
+from types import SimpleNamespace
+
 import numpy as np
 import pinocchio as pin
 import pytest
@@ -13,14 +15,8 @@ from closedloop.closure.conditioning import (
     condition_number,
     condition_numbers_of_batch,
 )
-from closedloop.closure.contact_force import (
-    accelerate,
-    factorise,
-    free_acceleration,
-    pressed_force,
-    residuals,
-    stuck_force,
-)
+from closedloop.closure.contact_force import accelerate, factorise, free_acceleration, pressed_force, stuck_force
+from closedloop.closure.residuals import residuals
 from closedloop.closure.solve import (
     NOT_POSITIVE_DEFINITE,
     OK,
@@ -76,9 +72,10 @@ class Solved:
 
     def residuals(self):
         """Return the relative residuals of the two block rows."""
-        return residuals(
-            self.H, self.tau, self.C, self.A, self.S, np.zeros(3), self.b, self.a, self.qdd, self.F, 0, self.m
-        )
+        found = SimpleNamespace(
+            A=self.A, S=self.S, drift_c=np.zeros(3), b=self.b, a=self.a, qdd=self.qdd, F=self.F
+        )  # fmt: skip
+        return interpreted(residuals)(self.H, self.tau, self.C, found, 0, self.m)
 
     def condition(self):
         """Return the 1-norm condition number of Eq. 24 with its normal row; keep that of H."""

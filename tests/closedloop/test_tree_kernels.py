@@ -16,7 +16,7 @@ def test_below_the_diagonal_nothing_is_written(robot):
     """The caller may keep what it likes in the lower triangle of H."""
     arm = robot("wam4")
     own, H = Own(arm.model, arm.tip), np.full((4, 4), 7.0)
-    tree_terms(own.tree, np.ones(4), np.ones(4), own.work, H, np.zeros(4), np.zeros((3, 4)), np.zeros(3), np.zeros(3))
+    tree_terms(own.tree, np.ones(4), np.ones(4), own.work, H, np.zeros(4), (np.zeros((3, 4)), np.zeros(3), np.zeros(3)))
     assert np.all(H[np.tril_indices(4, -1)] == 7.0)
     assert np.all(H[np.triu_indices(4)] != 7.0)
 
@@ -56,7 +56,7 @@ n = tree.n
 q, v = np.linspace(-2, 2, n), np.linspace(1, -1, n)
 H, C, J, r, drift = np.zeros((n, n)), np.zeros(n), np.zeros((3, n)), np.zeros(3), np.zeros(3)
 work = np.zeros(work_size(n))
-tree_terms(tree, q, v, work, H, C, J, r, drift)
+tree_terms(tree, q, v, work, H, C, (J, r, drift))
 for x in (*H.ravel(), *C, *J.ravel(), *r, *drift, tree_potential_energy(tree, q, work)):
     print(float(x).hex())
 """
@@ -90,7 +90,7 @@ from closedloop.robot.tree import tree_terms
 
 @entry_kernel
 def run(tree, q, v, work, H, C, J, r, drift):
-    tree_terms(tree, q, v, work, H, C, J, r, drift)
+    tree_terms(tree, q, v, work, H, C, (J, r, drift))
     return drift[0]
 """
 

@@ -37,7 +37,7 @@ class Own:
         """Return the terms at (q, v)."""
         n = self.tree.n
         H, C, J, r, drift = (np.full(shape, 1e300) for shape in ((n, n), (n,), (3, n), (3,), (3,)))
-        tree_terms(self.tree, q, v, self.work, H, C, J, r, drift)
+        tree_terms(self.tree, q, v, self.work, H, C, (J, r, drift))
         return Terms(np.triu(H) + np.triu(H, 1).T, C, r, J, drift)
 
     def kinematics(self, q, v):

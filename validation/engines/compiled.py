@@ -102,7 +102,7 @@ class OwnTerms:
             raise ValueError("q and v must be finite")
         n = self.n
         H, C, J, r, drift = (np.full(shape, np.nan) for shape in ((n, n), (n,), (3, n), (3,), (3,)))
-        _terms(self.engine.tree, q, v, self._work, H, C, J, r, drift)
+        _terms(self.engine.tree, q, v, self._work, H, C, (J, r, drift))
         return Terms(np.triu(H) + np.triu(H, 1).T, C, r, J, drift)
 
     def position(self, q: Array) -> Array:
@@ -110,6 +110,6 @@ class OwnTerms:
 
 
 @entry_kernel
-def _terms(tree: Tree, q: Array, v: Array, work: Array, H: Array, C: Array, J: Array, r: Array, drift: Array) -> None:
+def _terms(tree: Tree, q: Array, v: Array, work: Array, H: Array, C: Array, of_tip: tuple[Array, Array, Array]) -> None:
     """Do `tree_terms`, compiled once for all processes."""
-    tree_terms(tree, q, v, work, H, C, J, r, drift)
+    tree_terms(tree, q, v, work, H, C, of_tip)

@@ -3,6 +3,8 @@
 
 from __future__ import annotations
 
+from types import SimpleNamespace
+
 import numpy as np
 
 import robot_models
@@ -15,6 +17,7 @@ from closedloop.closure.contact_force import (
     pressed_force,
 )
 from closedloop.closure.solve import OK, solve_closure
+from closedloop.jit.interpreted import interpreted
 from closedloop.robot.pinocchio import Robot as LoopRobot
 from closedloop.surface.plane import contact_frame
 from validation.engines.interface import METHODS, CannotBuild, Engine, Robot
@@ -87,7 +90,10 @@ class ClosedLoop(Engine):
         terms, before = self.robot.terms(self._in(q), self._in(v)), self._in(v)
         A, (p, u, drift) = np.empty((3, self.n)), np.empty((3, 3))
         J, r, moving = (np.array(x) for x in (terms.jacobian, terms.position, terms.drift))
-        into_contact_frame(contact_frame(normal), J, r, moving, before, A, p, u, drift)
+        tip = SimpleNamespace(
+            frame=contact_frame(normal), J=J, r=r, drift=moving, v=before, A=A, p=p, u=u, drift_c=drift
+        )
+        interpreted(into_contact_frame)(tip)
         return float(-drift[0] + baumgarte_acceleration(gains[0], gains[1], u[0], p[0] - offset))
 
     def impulse(self, q: Array, v: Array, normal: Array, restitution: float) -> tuple[Array, float]:

@@ -143,9 +143,7 @@ def build_tree(
     column = {name: i for i, name in enumerate(joint_names)}
     by_link = {link.name: link for link in links}
     _check(by_link, links, joints, column, locked)
-    children: dict[str, list[Joint]] = {}
-    for joint in joints:
-        children.setdefault(joint.parent, []).append(joint)
+    children = {name: [joint for joint in joints if joint.parent == name] for name in by_link}
     (root,) = set(by_link) - {joint.child for joint in joints}
 
     n = len(column)
@@ -160,15 +158,15 @@ def build_tree(
         if here.body != GROUND:
             own = spatial_inertia(link.mass, link.centre, link.inertia)
             inertia[here.body] += inertia_to_base(here.rotation, here.translation, own)
-        for joint in children.get(name, ()):
+        for joint in children[name]:
             turned, moved = _beyond(joint, here, locked)
             if joint.name in column:
                 i = column[joint.name]
                 parent[i], kinds[i], axis[i] = here.body, joint.kind, _unit(joint)
                 rotation[i], translation[i] = turned, moved
                 to_do.append((joint.child, Frame(i, np.eye(3), np.zeros(3))))
-                continue
-            to_do.append((joint.child, Frame(here.body, turned, moved)))
+            else:
+                to_do.append((joint.child, Frame(here.body, turned, moved)))
     return Tree(
         names=tuple(joint_names),
         kinds=tuple(kinds),

@@ -196,7 +196,7 @@ def _close(
         rate += A[0, j] * v[j]
     drift[0] = along + surface[4] * rate + surface[5] * e
     par = PaperParameters(law, q.shape[0])
-    paper_law(i * h, settings[0], par, path[i, 0], path[i, 1], q, v, bias, A, torque)
+    paper_law(i * h, settings[0], par, (path[i, 0], path[i, 1]), (q, v), bias, A, torque)
 
 
 @entry_kernel

@@ -152,7 +152,7 @@ def _drive(
     for j in range(n):
         A[0, j] = plane[0] * jacobian[0, j] + plane[1] * jacobian[1, j] + plane[2] * jacobian[2, j]
     par = PaperParameters(law, q.shape[0])
-    paper_law(i * h, settings[0], par, path[i, 0], path[i, 1], q, v, bias, A, torque)
+    paper_law(i * h, settings[0], par, (path[i, 0], path[i, 1]), (q, v), bias, A, torque)
     row = rows[i]
     rate = 0.0
     for j in range(n):

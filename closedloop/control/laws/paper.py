@@ -30,8 +30,9 @@ Array = NDArray[np.float64]
 
 @kernel_inlined
 def paper_law(
-    t: float, f_des: float, par: Any, q_des: Array, v_des: Array, q: Array, v: Array, C: Array, A: Array, torque: Array
-) -> None:
+    t: float, f_des: float, par: Any, wanted: tuple[Array, Array], state: tuple[Array, Array], C: Array, A: Array,
+    torque: Array,
+) -> None:  # fmt: skip
     """Write Q of Eq. 33.
 
     Parameters
@@ -40,15 +41,18 @@ def paper_law(
         Time, s, and the wanted force, N.
     par
         kp, N m/rad, and kd, N m s/rad, (n,) each, and pd_start, s.
-    q_des, v_des : (n,) arrays
-        Wanted joint motion at t.
-    q, v, C : (n,) arrays
-        State and bias.
+    wanted : two (n,) arrays
+        q_des and q̇_des at t.
+    state : two (n,) arrays
+        q and q̇.
+    C : (n,) array
+        Bias.
     A : (>= 1, n) array
         Its first row is nᵀJᵣ.
     torque : (n,) array
         Written: Q, N m.
     """
+    (q_des, v_des), (q, v) = wanted, state
     pd = select(t >= par.pd_start, 1.0, 0.0)
     for j in range(q.shape[0]):
         torque[j] = C[j] - A[0, j] * f_des - pd * (par.kp[j] * (q[j] - q_des[j]) + par.kd[j] * (v[j] - v_des[j]))
@@ -71,4 +75,4 @@ class PaperLaw(ControlLaw):
     @staticmethod
     def torque(x: LawInput, par: Any, z: Any, torque: Array) -> None:
         """Write Q (n,), N m."""
-        paper_law(x.t, commanded_force(x, par, z), par, x.q_des, x.v_des, x.q, x.v, x.C, x.A, torque)
+        paper_law(x.t, commanded_force(x, par, z), par, (x.q_des, x.v_des), (x.q, x.v), x.C, x.A, torque)

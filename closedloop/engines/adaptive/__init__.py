@@ -16,6 +16,6 @@ drive       intervals, steps, events and rows
 
 from __future__ import annotations
 
-from closedloop.engines.adaptive.drive import run_adaptive
+from closedloop.engines.adaptive.outcome import run_adaptive
 
 __all__ = ["run_adaptive"]

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-import time as clock
 from collections.abc import Callable
 from typing import Any, cast
 
@@ -26,13 +25,10 @@ from closedloop.engines.adaptive.slow import (
     tolerance_for,
 )
 from closedloop.engines.adaptive.smooth import Interval, interval_from, jumps
-from closedloop.engines.failures import failure_of, interrupted, when
 from closedloop.engines.problem import Problem
 from closedloop.engines.user_law import Law
-from closedloop.errors import DivergenceError, InterruptedRunError, LawError, SimulationError
 from closedloop.events.phases import INSTANT, SHALLOW
 from closedloop.step.memory import RIGID_STICK, SMOOTH, State
-from closedloop.step.record_row import complete_record, rows_there
 
 Array = NDArray[np.float64]
 
@@ -57,43 +53,7 @@ STALLED = (
 )
 
 
-def run_adaptive(
-    problem: Problem, law: Law | None, report: Callable[[int, int], None], keep_interrupted: bool = False
-) -> tuple[Array, Array, SimulationError | None, float]:
-    """Run the problem to its end, or to where it fails; see `closedloop.simulation.simulate.run_loop`."""
-    run = _AdaptiveRun(problem, law, report)
-    memory, steps = run.memory, problem.steps
-    failure: SimulationError | None = None
-    began = clock.perf_counter()
-    try:
-        report(0, steps)
-        began = run.start()
-        run.run_to_end()
-        report(steps, steps)
-        complete_record(memory.loop.address, memory.rows, run.row)
-    except Stopped as stop:
-        t = run.time
-        if stop.fault:
-            failure = DivergenceError(f"{when(t)}: {stop.fault}", t)
-        else:
-            failure = failure_of(stop.status, t, problem.robot, problem, law, memory.w.q, memory.w.v)
-    except LawError as error:
-        failure = error
-    except KeyboardInterrupt as stop:
-        if not keep_interrupted:
-            raise
-        failure = interrupted(stop, run.time)
-    finally:
-        memory.close()
-    seconds = clock.perf_counter() - began
-    done = run.row
-    if isinstance(failure, InterruptedRunError):
-        done = rows_there(memory.state, done, problem.robot.n)
-    complete_record(memory.loop.address, memory.rows, done)
-    return memory.rows[:done], memory.events[: int(memory.state.events)], failure, seconds
-
-
-class _AdaptiveRun:
+class AdaptiveRun:
     """The state of a run: `time`, s, y (2 n + k + 1,) at that time, and `row`, the next to be recorded."""
 
     def __init__(self, problem: Problem, law: Law | None, report: Callable[[int, int], None]) -> None:

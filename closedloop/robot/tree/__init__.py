@@ -2,7 +2,7 @@
 
     tree = tree_of(robot_models.load("wam4"), "tip")
     work = np.zeros(work_size(tree.n))
-    tree_terms(tree, q, v, work, H, C, J, r, drift)
+    tree_terms(tree, q, v, work, H, C, (J, r, drift))
 
 Tests hold it equal to Pinocchio; the simulator's two engines use one each.
 """

@@ -15,6 +15,7 @@ from __future__ import annotations
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from closedloop.errors import ModelError
 from closedloop.robot.tree import layout as at
@@ -62,14 +63,7 @@ def tree_of(model: RobotModel, tip: str) -> Tree:
     if carrier >= 0:
         offset = bases[carrier].T @ offset
     carried = _move_to_base(places, masses, parents, revolute, carrier, offset)
-    run = np.arange(n)
-    for i in range(1, n):
-        run[i] = run[i - 1] if parents[i] == i - 1 else i
-    support = np.zeros(n, dtype=bool)
-    joint = carrier
-    while joint >= 0:
-        support[joint] = True
-        joint = parents[joint]
+    run, support = _chains(parents, carrier)
     block, lane = np.divmod(np.arange(n), LANES)
     links = np.stack([parents, HEAD + block * CONSTANTS + lane, block * SCRATCHES + lane, revolute, support, run])
     blocks = int(block[-1]) + 1
@@ -85,6 +79,20 @@ def tree_of(model: RobotModel, tip: str) -> Tree:
             constants[links[at.CONSTANT, i] + row] = value
     serial = int(np.all(parents == np.arange(n) - 1))
     return Tree(n, blocks, 1, int(carrier), serial, links.astype(np.int64).ravel(), constants)
+
+
+def _chains(parents: NDArray[Any], carrier: int) -> tuple[NDArray[Any], NDArray[np.bool_]]:
+    """Return the first joint of the unbranched chain of each (n,), and which joints are between base and tip (n,)."""
+    n = len(parents)
+    run = np.arange(n)
+    for i in range(1, n):
+        run[i] = run[i - 1] if parents[i] == i - 1 else i
+    support = np.zeros(n, dtype=bool)
+    joint = carrier
+    while joint >= 0:
+        support[joint] = True
+        joint = parents[joint]
+    return run, support
 
 
 def _joint(model: RobotModel, pin: Any, i: int) -> tuple[bool, Array]:

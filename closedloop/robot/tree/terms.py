@@ -15,7 +15,7 @@ from closedloop.robot.tree.layout import Array, Tree
 
 @kernel
 def tree_terms(
-    tree: Tree, q: Array, v: Array, work: Array, H: Array, C: Array, J: Array, r: Array, drift: Array
+    tree: Tree, q: Array, v: Array, work: Array, H: Array, C: Array, of_tip: tuple[Array, Array, Array]
 ) -> None:
     """Write the terms of the robot in Eq. 24 at (q, v).
 
@@ -31,10 +31,11 @@ def tree_terms(
         Written: mass matrix, kg m² (kg), armature included, the upper triangle; below it nothing is written.
     C : (n,) array
         Written: Coriolis, centrifugal and gravity terms, N m (N).
-    J, r, drift : (3, n), (3,), (3,) arrays
-        Written: the tip's Jacobian Jᵣ (Eq. 13; zero for joints that do not move it), position, m, and J̇ᵣq̇ (Eq. 18),
+    of_tip : arrays (3, n), (3,) and (3,)
+        Written: the tip's Jacobian Jᵣ (Eq. 13; zero for joints that do not move it), position r, m, and J̇ᵣq̇ (Eq. 18),
         m/s², in base axes.
     """
+    J, r, drift = of_tip
     sines(tree, q, work)
     motion(tree, v, work)
     tip(tree, work, r, drift)

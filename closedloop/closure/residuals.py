@@ -1,0 +1,64 @@
+"""How well a solution of Eq. 24 meets it."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from closedloop.jit.kernel import kernel_inlined
+from closedloop.jit.simd8 import select
+
+Array = NDArray[np.float64]
+
+
+@kernel_inlined
+def residuals(H: Array, torque: Array, C: Array, x: Any, first: int, last: int) -> tuple[float, float]:
+    """Return the relative residuals of the equation of motion, and of the closure rows first .. last − 1.
+
+    Each is the largest |left − right| over the largest sum of the magnitudes of the terms. In a closure row these
+    include the free acceleration `a` and S F, which cancel: an arm at rest in contact has q̈ = 0, and rounding is
+    relative to the two terms. So 1e-16 is the limit of the arithmetic. The first residual shows that no force but Q, C
+    and F acts on the arm; the second that the tip's acceleration is that of the closure, b (3,), m/s².
+
+    Parameters
+    ----------
+    H : (n, n) array
+        Mass matrix; the upper triangle is read.
+    torque, C : (n,) arrays
+        N m (N).
+    x : Work or the like
+        A (3, n), S (3, 3), `drift_c`, b, a and F (3,), and `qdd` (n,), as `factorise`, `free_acceleration`,
+        `pressed_force` and `accelerate` left them.
+    first, last : int
+        See above.
+    """
+    A, S, drift_c, b, a, qdd, F = x.A, x.S, x.drift_c, x.b, x.a, x.qdd, x.F
+    n = torque.shape[0]
+    worst, scale = 0.0, 0.0
+    for i in range(n):
+        r = C[i] - torque[i]
+        s = abs(torque[i]) + abs(C[i])
+        for j in range(n):
+            h = H[i, j] if i <= j else H[j, i]
+            r += h * qdd[j]
+            s += abs(h * qdd[j])
+        for k in range(3):
+            r -= A[k, i] * F[k]
+            s += abs(A[k, i] * F[k])
+        worst = max(worst, abs(r))
+        scale = max(scale, s)
+    motion = worst / select(scale > 0.0, scale, 1.0)
+    worst, scale = 0.0, 0.0
+    for k in range(first, last):
+        r = drift_c[k] - b[k]
+        s = abs(drift_c[k]) + abs(b[k]) + abs(a[k])
+        for j in range(n):
+            r += A[k, j] * qdd[j]
+            s += abs(A[k, j] * qdd[j])
+        for i in range(3):
+            s += abs(S[k, i] * F[i])
+        worst = max(worst, abs(r))
+        scale = max(scale, s)
+    return motion, worst / select(scale > 0.0, scale, 1.0)

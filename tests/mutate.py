@@ -43,7 +43,10 @@ TESTS: dict[str, tuple[str, ...]] = {
         f"{IN}test_kernel_faults.py",
         f"{IN}test_friction_turning.py",
     ),
+    "closedloop.closure.residuals": (f"{IN}test_solve.py",),
     "closedloop.step.evaluate": (f"{IN}test_reference_desired.py", f"{IN}test_kernel_faults.py"),
+    "closedloop.step.reference_row": (f"{IN}test_reference_desired.py", f"{IN}test_kernel_faults.py"),
+    "closedloop.step.solve_contact": (f"{IN}test_friction_stop.py", f"{IN}test_kernel_faults.py"),
     "closedloop.events.substep": (
         f"{IN}test_friction_stop.py",
         f"{IN}test_kernel_faults.py",

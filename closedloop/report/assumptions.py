@@ -1,6 +1,6 @@
 """The paper's five assumptions, watched in every run.
 
-An assumption is reported as held only if it was checked at every row; the figure that decides stands beside it.
+An assumption is reported as held only if it was checked at every row; the value that decides stands beside it.
 """
 
 from __future__ import annotations

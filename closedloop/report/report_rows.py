@@ -132,9 +132,9 @@ def _limited_rows(run: Record) -> list[Row]:
     return rows
 
 
-def _shown(figure: float | None, form: str) -> str:
-    """Return a figure of the summary; None is one that is no finite number."""
-    return "not known" if figure is None else format(figure, form)
+def _shown(value: float | None, form: str) -> str:
+    """Return a value of the summary as text; None is one that is no finite number."""
+    return "not known" if value is None else format(value, form)
 
 
 def _contact_rows(run: Record, facts: dict[str, Any]) -> list[Row]:

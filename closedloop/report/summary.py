@@ -26,7 +26,7 @@ Array = NDArray[np.float64]
 def summarise(run: Record) -> dict[str, Any]:
     """Return the summary of a run: what summary.json holds, which is strict JSON.
 
-    Quantities that do not exist (no rows) are None. So is a figure that is no finite number; `not_finite` names it.
+    Quantities that do not exist (no rows) are None. So is a value that is no finite number; `not_finite` names it.
     """
     found = run_values(run) if len(run) else None
     values: dict[str, Any] = dict.fromkeys(MEASURES) if found is None else _measures(run, found)
@@ -114,18 +114,18 @@ def joint_measures(run: Record) -> dict[str, Array]:
 
 
 def _exists(value: float | None) -> bool:
-    """Whether a figure is a number, or is known not to exist."""
+    """Whether a value is a number, or is known not to exist."""
     return value is None or math.isfinite(value)
 
 
 def _measures(run: Record, values: Any) -> dict[str, float | None]:
     """Return `MEASURES`; None is what does not exist, and a number that is not finite what overflowed."""
-    figures: dict[str, float | None] = {name: float(getattr(values, name)) for name in MEASURES}
+    found: dict[str, float | None] = {name: float(getattr(values, name)) for name in MEASURES}
     if np.all(run.mode == FREE):
-        figures["rms_force_error"] = None
+        found["rms_force_error"] = None
     if np.isnan(values.force_settled_at):
-        figures["force_settled_at"] = None
-    return figures
+        found["force_settled_at"] = None
+    return found
 
 
 def energy_balance(run: Record) -> tuple[Array, Array]:

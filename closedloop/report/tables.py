@@ -66,7 +66,7 @@ def _robot_notes(run: Record) -> tuple[str, ...]:
 
 
 def notes(run: Record) -> list[str]:
-    """Return what a reader of the run should know beside its figures: what was left out, friction that may drive ..."""
+    """Return what a reader of the run should know beside its values: what was left out, friction that may drive ..."""
     load = float(np.max(np.abs(run.contact_force)))
     faults = (
         ("friction", _energy_fault(run.scenario.friction, load)),

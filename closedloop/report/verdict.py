@@ -63,7 +63,7 @@ DIVERGES = "the motion diverges"
 # Problems with which gains that the step cannot carry show.
 SHAKEN = {"stopped", "energy", "chatter", "closure"}
 
-# What a joint's limits are about: the problem's name, figure, when, and its units if the joint turns and if it slides.
+# What a joint's limits are about: the problem's name, value, when, and its units if the joint turns and if it slides.
 _LIMITS = (
     ("position_limit", "position_excess", "position_limit_left_at", "rad", "m"),
     ("velocity_limit", "max_joint_velocity", "velocity_limit_exceeded_at", "rad/s", "m/s"),
@@ -216,11 +216,11 @@ def _closure(facts: Facts) -> dict[str, Any] | None:
 def _limits(facts: Facts) -> list[dict[str, Any]]:
     """Return a problem for each kind of limit and each joint that is beyond it."""
     problems = []
-    for name, figure, when, unit, sliding in _LIMITS:
+    for name, measure, when, unit, sliding in _LIMITS:
         for j, at in enumerate(facts.joints[when]):
             if math.isnan(at):
                 continue
-            model, value = facts.model, facts.joints[figure][j]
+            model, value = facts.model, facts.joints[measure][j]
             unit_here = sliding if model.joint_types[j] == "prismatic" else unit
             if name == "position_limit":
                 low, high = model.position_lower[j], model.position_upper[j]
@@ -249,5 +249,5 @@ def _problem(name: str, text: str, at: float | None = None) -> dict[str, Any]:
 
 
 def _number(value: float | None) -> float:
-    """Return a figure; one that does not exist is infinite, so that what is missing never passes."""
+    """Return a value; one that does not exist is infinite, so that what is missing never passes."""
     return math.inf if value is None or math.isnan(value) else value

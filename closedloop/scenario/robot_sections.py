@@ -96,7 +96,7 @@ class ModelErrorSection(Section):
         0.0, description="direction in which it is tilted, rad from the first tangent t1 to the second"
     )
     friction: Annotated[NotNegative, FACTOR] = Field(
-        1.0, description="figures of friction as the compensation has them, of those given in [compensation]"
+        1.0, description="values of friction as the compensation has them, of those given in [compensation]"
     )
 
     def tilt(self) -> NDArray[np.float64]:

@@ -70,7 +70,10 @@ class LoopRows(Block, sizes=("n", "m")):
     tip: Annotated[Array, 6, N]  # in and out: rows of the tip and its turning, see `closedloop.loops.along_path`
     still: Annotated[Array, N]  # scratch: a velocity of none
     motions: Annotated[Array, 2, 18]  # scratch: see `closedloop.loops.rows`
-    column: Annotated[Array, N]  # scratch
+    near_q: Annotated[Array, N]  # scratch, as all that follow: a state near by, see `closedloop.loops.passing`
+    near_v: Annotated[Array, N]
+    near_part: Annotated[Array, N]
+    column: Annotated[Array, N]
 
 
 LOOP_LINKS = LoopLinks.count()

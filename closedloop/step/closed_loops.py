@@ -21,8 +21,8 @@ from closedloop.jit.kernel import entry_kernel, kernel, kernel_inlined
 from closedloop.jit.pointers import integers_at
 from closedloop.loops.close import close_state
 from closedloop.loops.memory import STOP, LoopLinks, LoopRows, loops_at
-from closedloop.loops.rows import locate_rows
-from closedloop.loops.solve import meet_rows, orthonormal_rows, remove_basis, spanned_force, substitute_rows
+from closedloop.loops.passing import find_required, find_required_on_the_way
+from closedloop.loops.solve import dot, meet_rows, orthonormal_rows, remove_basis, spanned_force
 from closedloop.step.energy_supplied import driving_torque
 from closedloop.step.memory import Constants, State, Work, loop_at
 
@@ -85,27 +85,10 @@ def closed_loops(address: int, what: int) -> int:
 
 
 @kernel
-def find_basis(links: LoopLinks, rows: LoopRows, w: Work) -> None:
-    """Write the rows at the state in `w`, and the basis of Z = G L⁻ᵀ."""
-    for j in range(links.n):
-        rows.q[j], rows.v[j] = w.q[j], w.v[j]
-    locate_rows(links, rows)
-    for k in range(links.m):
-        for j in range(links.n):
-            rows.basis[k, j] = rows.G[k, j]
-    substitute_rows(w.L, rows.basis, links.m)
-    links.rank = orthonormal_rows(rows.basis, links.m, links.m, rows.order, rows.coefficients, rows.along)
-    links.known = links.rank
-
-
-@kernel
 def bind_tip(links: LoopLinks, rows: LoopRows, w: Work) -> None:
     """Project the tip's rows onto what the loops leave free, at the state in `w`."""
     n = links.n
-    find_basis(links, rows, w)
-    for k in range(links.m):
-        rows.rate[k] = -rows.drift[k]
-    meet_rows(rows.rate, rows.order, rows.coefficients, rows.basis, links.rank, rows.along, rows.part)
+    find_required_on_the_way(links, rows, w.L, w.q, w.v)
     for k in range(3):
         moved = 0.0
         for j in range(n):
@@ -179,9 +162,9 @@ def stop_torque(links: LoopLinks, rows: LoopRows, w: Work) -> None:
 @kernel
 def strike(links: LoopLinks, rows: LoopRows, w: Work) -> None:
     """Change q̇ by the smallest impulse, in the measure of H, after which all rows are obeyed: no rebound."""
-    find_basis(links, rows, w)
+    find_required(links, rows, w.L, w.q, w.v)
     for k in range(links.m):
-        rows.rate[k] = -rows.rate[k]
+        rows.rate[k] = -dot(rows.G[k], w.v, links.n)
     meet_rows(rows.rate, rows.order, rows.coefficients, rows.basis, links.rank, rows.along, rows.part)
     back_substitute(w.L, rows.part)
     for j in range(links.n):

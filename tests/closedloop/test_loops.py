@@ -11,7 +11,7 @@ from closedloop.closure.solve import solve_closure
 from closedloop.loops.assemble import closed_start, errors_at
 from closedloop.loops.bind import loop_memory
 from closedloop.robot.pinocchio import Robot
-from validation.loops.mechanisms import MECHANISMS, change_point, four_bar, loop
+from validation.loops.mechanisms import MECHANISMS, bar, change_point, four_bar, joint, loop, mechanism, point
 from validation.oracle.closure import LoopJoint, loop_rows
 from validation.oracle.kinematics import forward_kinematics
 from validation.oracle.urdf import read_urdf
@@ -133,19 +133,44 @@ def test_order_of_the_integrator_is_kept(mechanisms, name):
     assert np.log(lost[0] / lost[1]) / np.log(4.0) > 3.6
 
 
+@pytest.mark.parametrize("speed", [5.03, 5.0])  # with the latter a step ends in the pose itself
 @pytest.mark.parametrize("name", ["parallelogram", "change_point"])
-def test_a_flat_mechanism_passes_at_speed(name):
+def test_a_flat_mechanism_passes_at_speed(name, speed):
     """Where the rows lose rank the motion goes on as it came: bars of equal length stay parallel, energy is kept."""
     model = change_point(0.5, 0.2) if name == "parallelogram" else change_point(0.3, 0.4)
     free_motion = np.linalg.svd(rows_at(model, model.home, np.zeros(model.n))[1])[2][-1]
-    # at this speed no step ends in the pose itself, where its row is missing
-    start = {"start.v": (5.03 * free_motion / free_motion[0]).tolist(), "robot.gravity": [0, 0, 0]}
+    start = {"start.v": (speed * free_motion / free_motion[0]).tolist(), "robot.gravity": [0, 0, 0]}
     run = falling(model, duration=0.12, **start)
     assert run.q[0, 0] < -0.2 < 0.2 < run.q[-1, 0]
-    assert np.ptp(run.kinetic_energy) < 1e-6 * run.kinetic_energy[0]
+    assert np.ptp(run.kinetic_energy) < 1e-7 * run.kinetic_energy[0]
     assert np.max(np.abs(run.loops.errors)) < 1e-14
     if name == "parallelogram":
-        np.testing.assert_allclose(run.q[:, 2], run.q[:, 0], atol=1e-12)
+        np.testing.assert_allclose(run.q[:, 2], run.q[:, 0], atol=1e-11)
+
+
+def peaucellier():
+    """Peaucellier's linkage, eight bars: it lies flat wherever it turns round."""
+    body = bar("crank", 0.25) + bar("upper", 0.5) + bar("lower", 0.5) + "".join(bar(f"side{k}", 0.2) for k in range(4))
+    body += joint("J1", "base", "crank", "0.25 0 0") + joint("J2", "base", "upper") + joint("J3", "base", "lower")
+    body += joint("J4", "crank", "side0", "0.25 0 0") + joint("J5", "crank", "side1", "0.25 0 0")
+    body += joint("J6", "upper", "side2", "0.5 0 0") + joint("J7", "lower", "side3", "0.5 0 0")
+    body += point("upper_end", "upper", "0.5 0 0") + point("lower_end", "lower", "0.5 0 0")
+    body += "".join(point(f"end{k}", f"side{k}", "0.2 0 0") for k in range(4))
+    pairs = ["end0", "upper_end"], ["end1", "lower_end"], ["end2", "end3"]
+    loops = [loop(f"pin{k}", "point", pair) for k, pair in enumerate(pairs)]
+    home = [0.6, 0.71, -0.11, 1.366, -1.966, -2.076, 2.076]
+    return mechanism("peaucellier", body, loops, home, tip="end2")
+
+
+@pytest.mark.slow
+def test_energy_is_kept_through_many_flat_poses():
+    """Near such a pose what the rows require is a small number over a small one: by rounding alone 3e-3 J were lost."""
+    model = peaucellier()
+    run = falling(model, duration=6.0)
+    sixth = np.array([np.linalg.svd(rows_at(model, run.q[k], run.v[k])[1])[1][5] for k in range(0, len(run), 5)])
+    assert np.sum(np.diff(np.sign(np.diff(sixth))) > 0) > 10  # minima: flat poses passed
+    assert np.ptp(run.kinetic_energy + run.potential_energy) < 1e-6
+    assert np.max(np.abs(run.loops.errors)) < 1e-14
 
 
 @pytest.mark.parametrize("name", ["four_bar", "bricard", "delta"])

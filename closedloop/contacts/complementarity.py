@@ -32,8 +32,9 @@ from closedloop.jit.kernel import kernel
 
 Array = NDArray[np.float64]
 
-# The residual, of the largest force, at which a problem is solved; and what it must have been in the end.
-SOLVED, ACCEPTED = 1e-14, 1e-11
+# The residual, of the largest force, at which a problem is solved; what it must have been in the end, of the force that
+# is asked for; and so many times that force is none: contacts that are wedged have a residual of rounding with any.
+SOLVED, ACCEPTED, WEDGED = 1e-14, 1e-11, 1e6
 # Sweeps of Gauss and Seidel's method before Newton's, at first; it doubles from round to round.
 SWEEPS, MOST_SWEEPS, ROUNDS, NEWTON_STEPS, HALVINGS = 10, 160, 2, 30, 12
 # Rounds at the end of a path, where the solution is near.
@@ -102,8 +103,9 @@ def write_residuals(c: Contacts, k: int, F: Array, largest: float) -> float:
             r[n] = rho * u[n] if kind == LINE else F[n] - max(0.0, F[n] - rho * u[n])
             r[t], r[s] = F[t] + c.along[i, 0] * F[n], F[s] + c.along[i, 1] * F[n]
         for j in range(n, n + 3):
-            if not abs(r[j]) <= worst:
-                worst = abs(r[j])
+            if not abs(r[j]) < math.inf:
+                return math.inf
+            worst = max(worst, abs(r[j]))
     return worst
 
 
@@ -228,11 +230,12 @@ def solve_from_here(c: Contacts, k: int, sweeps: int, rounds: int) -> bool:
             F[j] = c.best[j]
         c.penalty = 1.0
         best = write_residuals(c, k, F, largest)
-        if best <= 1e-13 * size or best <= ACCEPTED * 1e-2 * force_size(F, m):
+        if best <= 1e-13 * size or best <= SOLVED * force_size(F, m):
             break
         count = min(max(2 * count, SWEEPS), MOST_SWEEPS)
     c.residual = best
-    return bool(c.residual <= ACCEPTED * max(size, force_size(F, m)))
+    most = force_size(F, m)
+    return bool(c.residual <= max(ACCEPTED * size, SOLVED * most) and most <= WEDGED * size)
 
 
 @kernel

@@ -33,9 +33,9 @@ Array = NDArray[np.float64]
 # y and z at the start: the largest force divided by this, and multiplied by it.
 APART = 2.0
 # Where the path ends, of τ0, and where it may, if rounding stops it; force and τ, of τ0, from which it will not return.
-END, NEAR_END, MOST_FORCE, MOST_TAU = 1e-7, 1e-3, 1e9, 50.0
+END, NEAR_END, MOST_FORCE, MOST_TAU = 1e-7, 1e-3, 1e6, 50.0
 # Steps; length of the first, the longest and the shortest; corrections in each, and when one is done.
-STEPS, FIRST, LONGEST, SHORTEST, CORRECTIONS, ON_PATH = 600, 0.3, 2.0, 1e-7, 5, 1e-8
+STEPS, FIRST, LONGEST, SHORTEST, CORRECTIONS, ON_PATH = 300, 0.3, 2.0, 1e-7, 5, 1e-8
 
 
 @kernel
@@ -117,8 +117,9 @@ def write_path(c: Contacts, k: int, x: Array, log_tau: float, tau0: float) -> fl
         for row in range(3 * i, 3 * i + 3):
             c.residuals[row] = (c.residuals[row] - share * c.path_start[row]) / tau0
             S[row, m] = S[row, m] * share - share * c.path_start[row] / tau0
-            if not abs(c.residuals[row]) <= worst:
-                worst = abs(c.residuals[row])
+            if not abs(c.residuals[row]) < math.inf:
+                return math.inf
+            worst = max(worst, abs(c.residuals[row]))
     return worst
 
 
@@ -200,9 +201,11 @@ def start_path(c: Contacts, k: int) -> float:
 
 @kernel
 def force_size(F: Array, m: int) -> float:
-    """Return the largest of the numbers of F."""
+    """Return the largest of the numbers of F, infinite if one is no number."""
     size = 0.0
     for j in range(m):
+        if not abs(F[j]) < math.inf:
+            return math.inf
         size = max(size, abs(F[j]))
     return size
 
@@ -225,6 +228,8 @@ def follow_path(c: Contacts, k: int) -> bool:
         if x[m] <= math.log(END):
             return True
         turn_tangent(c, m)
+        if length * abs(c.path_tangent[m]) > LONGEST:
+            length = LONGEST / abs(c.path_tangent[m])
         corrections = CORRECTIONS
         while corrections == CORRECTIONS:
             for j in range(m):
@@ -236,7 +241,7 @@ def follow_path(c: Contacts, k: int) -> bool:
                 if not length > SHORTEST:
                     return bool(x[m] <= math.log(NEAR_END))
         if corrections <= 2:
-            length = min(2.0 * length, LONGEST)
+            length = min(2.0 * length, max(LONGEST, most / tau0))  # a path to infinity is long, and straight
         for j in range(m + 1):
             x[j] = after[j]
     return False

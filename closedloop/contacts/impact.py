@@ -47,6 +47,7 @@ def strike(links: ContactLinks, c: Contacts, rest_speed: float) -> int:
         c.F[i], c.before[i], c.after[i] = 0.0, c.u[i], c.u[i]
     for i in range(k):
         c.happened[i], c.struck[i] = 0.0, 0.0
+        c.pulled[i] = 1.0 if c.mode[i] != FREE and c.rigid[3 * i] < -c.rounding else 0.0
         if c.kind[i] != LINE:
             c.kind[i] = OFF
             if touches(links, c, i):

@@ -76,6 +76,7 @@ class Contacts(Block, sizes=("n", "k")):
     torque: Annotated[Array, N]  # Gᵀ F without the tip's part, N m (N)
     happened: Annotated[Array, K]  # to each contact in an event, a kind of `closedloop.events.table`; 0: nothing
     struck: Annotated[Array, K]  # 1 if it was an impact
+    pulled: Annotated[Array, K]  # 1 if its mode would have had it pull
     turned: Annotated[Array, K]  # 1 if its slip has turned round
     energy_lost: float  # J, in an event
     restitution_share: float  # by which the restitution of an impact was lessened, so that it creates no energy

@@ -9,7 +9,7 @@ sticks, and on its edge against the slip where it slides. q is the velocity befo
 adds to it, and F an impulse; or q is the acceleration without contacts and F a force. Contacts that slide already
 have a direction: F = f (1, −μ d), f >= 0, u_n >= 0, f u_n = 0.
 
-The method is in two parts, which alternate until the residual is rounding: projected Gauss-Seidel (F. Jourdan, P.
+The quick method is in two parts, which alternate until the residual is rounding: projected Gauss-Seidel (F. Jourdan, P.
 Alart and M. Jean, Comput. Methods Appl. Mech. Eng. 155, 1998) to come near, and the generalised Newton method of
 P. Alart and A. Curnier (Comput. Methods Appl. Mech. Eng. 92, 1991) on the equations
 
@@ -25,18 +25,20 @@ import math
 import numpy as np
 from numpy.typing import NDArray
 
+from closedloop.contacts.continuation import follow_path, force_size
 from closedloop.contacts.linear import DEPENDENT, solve_any_rank
 from closedloop.contacts.memory import CONE, LINE, OFF, Contacts
 from closedloop.jit.kernel import kernel
 
 Array = NDArray[np.float64]
 
-# The residual, of the largest force, at which a problem is solved; and what it must have been in the end.
-SOLVED, ACCEPTED = 1e-14, 1e-11
+# The residual, of the largest force, at which a problem is solved; what it must have been in the end, of the force that
+# is asked for; and so many times that force is none: contacts that are wedged have a residual of rounding with any.
+SOLVED, ACCEPTED, WEDGED = 1e-14, 1e-11, 1e6
 # Sweeps of Gauss and Seidel's method before Newton's, at first; it doubles from round to round.
-SWEEPS, MOST_SWEEPS, ROUNDS, NEWTON_STEPS, HALVINGS = 10, 160, 9, 30, 12
-# Sweeps where nothing else has found the solution: they converge slowly, but from anywhere.
-LAST_SWEEPS = 20_000
+SWEEPS, MOST_SWEEPS, ROUNDS, NEWTON_STEPS, HALVINGS = 10, 160, 2, 30, 12
+# Rounds at the end of a path, where the solution is near.
+LAST_ROUNDS = 9
 
 
 @kernel
@@ -90,7 +92,7 @@ def write_residuals(c: Contacts, k: int, F: Array, largest: float) -> float:
             r[n], r[t], r[s] = F[n], F[t], F[s]
         elif kind == CONE:
             level = max(0.0, F[n] - rho * u[n])
-            x1, x2, g = F[t] - rho * u[t], F[s] - rho * u[s], c.share * c.mu[i] * level
+            x1, x2, g = F[t] - rho * u[t], F[s] - rho * u[s], c.mu[i] * level
             size = math.hypot(x1, x2)
             r[n] = F[n] - level
             if size <= g:
@@ -101,8 +103,9 @@ def write_residuals(c: Contacts, k: int, F: Array, largest: float) -> float:
             r[n] = rho * u[n] if kind == LINE else F[n] - max(0.0, F[n] - rho * u[n])
             r[t], r[s] = F[t] + c.along[i, 0] * F[n], F[s] + c.along[i, 1] * F[n]
         for j in range(n, n + 3):
-            if not abs(r[j]) <= worst:
-                worst = abs(r[j])
+            if not abs(r[j]) < math.inf:
+                return math.inf
+            worst = max(worst, abs(r[j]))
     return worst
 
 
@@ -122,7 +125,7 @@ def sweep(c: Contacts, k: int, F: Array, largest: float) -> None:
                     s += c.W[n + j, m] * F[m]
                 u[j] = s
             if kind == CONE:
-                rho, mu = 1.0 / (c.W[n, n] + c.W[n + 1, n + 1] + c.W[n + 2, n + 2] + 1e-12 * largest), c.share * c.mu[i]
+                rho, mu = 1.0 / (c.W[n, n] + c.W[n + 1, n + 1] + c.W[n + 2, n + 2] + 1e-12 * largest), c.mu[i]
                 u[0] += mu * math.hypot(u[1], u[2])
                 for j in range(3):
                     u[j] = F[n + j] - rho * u[j]
@@ -155,7 +158,7 @@ def newton_step(c: Contacts, k: int, F: Array, largest: float) -> None:
             S[n, n] = 1.0
         if kind == CONE:
             level = max(0.0, F[n] - rho * u[n])
-            x1, x2, g = F[t] - rho * u[t], F[s] - rho * u[s], c.share * c.mu[i] * level
+            x1, x2, g = F[t] - rho * u[t], F[s] - rho * u[s], c.mu[i] * level
             size = math.hypot(x1, x2)
             if size <= g and g > 0.0:
                 for j in range(m):
@@ -167,7 +170,7 @@ def newton_step(c: Contacts, k: int, F: Array, largest: float) -> None:
                     for j in range(m):
                         y1 = (1.0 if j == t else 0.0) - rho * c.W[t, j]
                         y2 = (1.0 if j == s else 0.0) - rho * c.W[s, j]
-                        y0 = c.share * c.mu[i] * ((1.0 if j == n else 0.0) - rho * c.W[n, j])
+                        y0 = c.mu[i] * ((1.0 if j == n else 0.0) - rho * c.W[n, j])
                         across = turn * (d1 * y2 - d2 * y1)
                         S[t, j] -= d1 * y0 - d2 * across
                         S[s, j] -= d2 * y0 + d1 * across
@@ -179,8 +182,8 @@ def newton_step(c: Contacts, k: int, F: Array, largest: float) -> None:
 
 
 @kernel
-def solve_from_here(c: Contacts, k: int) -> bool:
-    """Do `solve_contacts` by the two methods in turns, from F, with friction of the given `share`."""
+def solve_from_here(c: Contacts, k: int, sweeps: int, rounds: int) -> bool:
+    """Do `solve_contacts` by the two methods in turns, from F, with so many sweeps of the first at first."""
     largest, m = largest_mobility(c, k), 3 * k
     if not largest > 0.0:
         largest = 1.0
@@ -189,8 +192,8 @@ def solve_from_here(c: Contacts, k: int) -> bool:
     for j in range(m):
         size = max(size, abs(c.q[j]) / largest)
         c.best[j] = F[j]
-    count = SWEEPS
-    for attempt in range(ROUNDS):
+    count = sweeps
+    for attempt in range(rounds):
         c.penalty = 10.0 ** ((attempt + 1) // 2 * (1 - 2 * (attempt % 2)))  # 1, 0.1, 10, 0.01 ...
         best = math.inf
         for _ in range(count):
@@ -227,43 +230,20 @@ def solve_from_here(c: Contacts, k: int) -> bool:
             F[j] = c.best[j]
         c.penalty = 1.0
         best = write_residuals(c, k, F, largest)
-        if best <= 1e-13 * size or best <= ACCEPTED * 1e-2 * force_size(F, m):
+        if best <= 1e-13 * size or best <= SOLVED * force_size(F, m):
             break
-        count = min(2 * count, MOST_SWEEPS)
+        count = min(max(2 * count, SWEEPS), MOST_SWEEPS)
     c.residual = best
-    return bool(c.residual <= ACCEPTED * max(size, force_size(F, m)))
+    most = force_size(F, m)
+    return bool(c.residual <= max(ACCEPTED * size, SOLVED * most) and most <= WEDGED * size)
 
 
 @kernel
 def solve_contacts(c: Contacts, k: int) -> bool:
     """Write F and `after`, u = q + W F, of the contacts whose `kind` is not OFF; return whether they were found.
 
-    `residual` is what the equations are off, of forces. Starts from F; W, q, kind, mu and along are read. If they are
-    not found at once, friction is let grow from nothing, each solution the start of the next; at last by many sweeps.
+    `residual` is what the equations are off, of forces. Starts from F; W, q, kind, mu and along are read.
     """
-    c.share = 1.0
-    if solve_from_here(c, k):
+    if solve_from_here(c, k, SWEEPS, ROUNDS):
         return True
-    for parts in (4, 16):
-        for j in range(3 * k):
-            c.F[j] = 0.0
-        for part in range(parts + 1):
-            c.share = part / parts
-            found = solve_from_here(c, k)
-        if found:
-            return True
-    largest = largest_mobility(c, k)
-    for j in range(3 * k):
-        c.F[j] = 0.0
-    for _ in range(LAST_SWEEPS):
-        sweep(c, k, c.F, largest)
-    return solve_from_here(c, k)
-
-
-@kernel
-def force_size(F: Array, m: int) -> float:
-    """Return the largest of the numbers of F."""
-    size = 0.0
-    for j in range(m):
-        size = max(size, abs(F[j]))
-    return size
+    return follow_path(c, k) and solve_from_here(c, k, 0, LAST_ROUNDS)

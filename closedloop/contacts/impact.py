@@ -4,8 +4,9 @@
 
 with friction against u⁺_t: the problem of `closedloop.contacts.complementarity` for q = u⁻ + e u⁻_n n (J. J. Moreau, in
 Nonsmooth Mechanics and Applications, Springer, 1988). Contacts that were closed already take part with e = 0. Newton's
-law with friction can create energy (T. R. Kane, 1984): then all e of the impact are lessened by one factor, until it
-does not. With e = 0 it never does.
+law with friction can create energy (T. R. Kane, 1984), and where contacts are opposite each other, as of a wedge, there
+need not be velocities that all e allow: then all e of the impact are lessened by one factor, until there are impulses
+and they create none. With e = 0 there always are (`closedloop.contacts.continuation`), and they never do.
 """
 
 from __future__ import annotations
@@ -24,6 +25,9 @@ Array = NDArray[np.float64]
 
 # Contacts that come together slower than this do not, m/s.
 RESTING = 1e-11
+# The factor of all e at which it is tried whether contacts can rebound at all; and how often a problem without solution
+# is tried in the search for the largest factor, for each takes long.
+LEAST_SHARE, MOST_MISSING = 1e-3, 12
 # What happened to a contact, as the kinds of `closedloop.events.table`.
 STRUCK_AND_LEFT, STRUCK_AND_STAYED = 1.0, 2.0
 
@@ -43,6 +47,7 @@ def strike(links: ContactLinks, c: Contacts, rest_speed: float) -> int:
         c.F[i], c.before[i], c.after[i] = 0.0, c.u[i], c.u[i]
     for i in range(k):
         c.happened[i], c.struck[i] = 0.0, 0.0
+        c.pulled[i] = 1.0 if c.mode[i] != FREE and c.rigid[3 * i] < -c.rounding else 0.0
         if c.kind[i] != LINE:
             c.kind[i] = OFF
             if touches(links, c, i):
@@ -52,23 +57,10 @@ def strike(links: ContactLinks, c: Contacts, rest_speed: float) -> int:
             coming, c.struck[i] = coming + 1, 1.0
     if coming == 0:
         return OK
-    if not solve_with(links, c, 1.0, rest_speed) or energy_gained(c, k) > 0.0:
-        low, high = 0.0, 1.0
-        for _ in range(40):
-            middle = 0.5 * (low + high)
-            if solve_with(links, c, middle, rest_speed) and energy_gained(c, k) <= 0.0:
-                low = middle
-            else:
-                high = middle
-        low *= 1.0 - 1e-9  # so that rounding gives no energy
-        for attempt in range(11):  # a problem may have no solution that is found: then that of a smaller restitution
-            low = low if attempt < 10 else 0.0
-            if solve_with(links, c, low, rest_speed) and energy_gained(c, k) <= 0.0:
-                break
-            if attempt == 10:
-                return PAINLEVE
-            low *= 0.5
-        c.restitution_share = low
+    if not (solve_with(links, c, 1.0, rest_speed) and energy_gained(c, k) <= 0.0):
+        c.restitution_share = lessened_restitution(links, c, rest_speed)
+        if not solve_with(links, c, c.restitution_share, rest_speed):
+            return PAINLEVE
     c.energy_lost = -energy_gained(c, k)
     for i in range(k):
         if c.kind[i] == LINE or c.kind[i] == OFF:
@@ -81,6 +73,29 @@ def strike(links: ContactLinks, c: Contacts, rest_speed: float) -> int:
         elif c.mode[i] == FREE:
             c.mode[i] = PRESSED
     return OK
+
+
+@kernel
+def lessened_restitution(links: ContactLinks, c: Contacts, rest_speed: float) -> float:
+    """Return the largest factor of all e, up to 2^-40, with which there are impulses that create no energy.
+
+    Velocities scale: contacts that cannot part with any speed asked for cannot with a small one, and there is no
+    restitution.
+    """
+    low, high, missing = 0.0, 1.0, 0
+    if not solve_with(links, c, LEAST_SHARE, rest_speed):
+        return 0.0
+    for _ in range(40):
+        middle = 0.5 * (low + high)
+        found = solve_with(links, c, middle, rest_speed)
+        if found and energy_gained(c, links.k) <= 0.0:
+            low = middle
+        else:
+            high = middle
+            missing += 0 if found else 1
+            if missing == MOST_MISSING:
+                break
+    return low
 
 
 @kernel

@@ -76,13 +76,13 @@ class Contacts(Block, sizes=("n", "k")):
     torque: Annotated[Array, N]  # Gᵀ F without the tip's part, N m (N)
     happened: Annotated[Array, K]  # to each contact in an event, a kind of `closedloop.events.table`; 0: nothing
     struck: Annotated[Array, K]  # 1 if it was an impact
+    pulled: Annotated[Array, K]  # 1 if its mode would have had it pull
     turned: Annotated[Array, K]  # 1 if its slip has turned round
     energy_lost: float  # J, in an event
     restitution_share: float  # by which the restitution of an impact was lessened, so that it creates no energy
     margin: float  # of the event function
     rounding: float  # force below which there is none, N
     penalty: float  # see `closedloop.contacts.complementarity`
-    share: float  # of the friction, likewise
     residual: float  # of the last problem, N or N s
     system: Annotated[Array, 3 * K + N, 3 * K + N + 2]  # scratch, as all that follow
     column_order: Annotated[Array, 3 * K + N]
@@ -98,6 +98,15 @@ class Contacts(Block, sizes=("n", "k")):
     sought: Annotated[Array, 3 * K]
     slope: Annotated[Array, 3, 3]
     vector: Annotated[Array, 3]
+    path: Annotated[Array, 3 * K + 1]  # of `closedloop.contacts.continuation`: x, N, and log τ, as all that follow
+    path_trial: Annotated[Array, 3 * K + 1]
+    path_tangent: Annotated[Array, 3 * K + 1]
+    path_start: Annotated[Array, 3 * K]
+    path_scale: Annotated[Array, K]
+    path_force: Annotated[Array, 3 * K, 3]  # ∂F/∂x and ∂F/∂τ of each contact, and −∂z/∂x and ∂z/∂τ
+    path_force_rate: Annotated[Array, 3 * K]
+    path_gap: Annotated[Array, 3 * K, 3]
+    path_gap_rate: Annotated[Array, 3 * K]
 
 
 CONTACT_LINKS = ContactLinks.count()

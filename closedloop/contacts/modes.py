@@ -65,6 +65,8 @@ def decide(links: ContactLinks, c: Contacts, slow: float) -> int:
                 c.anchor[3 * i + 1], c.anchor[3 * i + 2] = c.located[3 * i + 1], c.located[3 * i + 2]
             if mode == FREE and c.mode[i] != FREE:
                 c.risen[i], c.floor[i] = 0.0, min(c.located[3 * i], 0.0)
+            if mode == FREE:  # it parts from where it is, be that inside by the error of a step
+                c.floor[i] = min(c.floor[i], c.located[3 * i])
             c.mode[i] = mode
     return remove_motion(c, k)
 
@@ -101,6 +103,9 @@ def mode_after(c: Contacts, i: int, nothing: float) -> int:
     """Return the mode that goes with force and acceleration of contact i, and write the direction of its slip."""
     at = 3 * i
     if c.kind[i] == OFF or c.after[at] > nothing:
+        return FREE
+    # Where a force has just become zero there is hardly any acceleration: that the mode would have had it pull says more.
+    if c.pulled[i] != 0.0 and c.F[at] <= c.rounding:
         return FREE
     a1, a2 = c.after[at + 1], c.after[at + 2]
     size = math.hypot(a1, a2)

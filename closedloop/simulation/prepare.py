@@ -149,7 +149,11 @@ def prepare(scenario: Scenario, model: RobotModel | None = None, cache: Cache | 
         project=scenario.stabiliser.kind in ("projection", "both") and not soft,
         hold=hold,
         transmission=transmission_constants(scenario.transmission, model),
-        encoder=_encoder(scenario, model),
+        encoder=cache.get(
+            ("encoder", n, scenario.encoder.model_dump_json(), _robot_key(scenario)),
+            lambda: _encoder(scenario, model),
+            lambda found: SECTION_BYTES,
+        ),
         drives=np.stack([torque_limits(scenario.drives, model), torque_steps(scenario.drives, model, period)]),
         wanted=wanted,
         tolerance=tolerance,

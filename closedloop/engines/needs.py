@@ -8,6 +8,9 @@ from closedloop.control.sensor import SensorSection
 from closedloop.scenario.robot_sections import ModelErrorSection
 from closedloop.scenario.scenario import Scenario
 
+# Sections that ask for nothing.
+_DRIVES, _SENSOR, _MODEL_ERROR = DrivesSection(), SensorSection(), ModelErrorSection()
+
 
 def needs_general_form(scenario: Scenario) -> bool:
     """Whether a scenario is more than the paper's law on a smooth surface, see `closedloop.step.evaluate`."""
@@ -18,8 +21,8 @@ def needs_general_form(scenario: Scenario) -> bool:
         or scenario.compensation.kind != "none"
         or scenario.friction.kind != "none"
         or scenario.rubs_in_joints
-        or scenario.sensor != SensorSection()
-        or scenario.model_error != ModelErrorSection()
+        or scenario.sensor != _SENSOR
+        or scenario.model_error != _MODEL_ERROR
         or bool(arm_columns(scenario))
         or bool(scenario.contact)
     )
@@ -27,7 +30,7 @@ def needs_general_form(scenario: Scenario) -> bool:
 
 def arm_columns(scenario: Scenario) -> tuple[str, ...]:
     """Return the columns beyond `closedloop.step.record_row.RECORDED` that a run of a scenario has."""
-    drives = ("torque_limited",) if scenario.drives != DrivesSection() else ()
+    drives = ("torque_limited",) if scenario.drives != _DRIVES else ()
     encoder = ("measured_position", "measured_velocity") if scenario.reads_encoders else ()
     motors = ("motor_position", "motor_velocity", "transmitted_torque") if scenario.transmission.elastic else ()
     return drives + encoder + motors

@@ -35,7 +35,7 @@ def add_surface(assets: ElementTree.Element, world: ElementTree.Element, scene: 
     ScenarioError
         If it is a user's class that is not named in this process.
     """
-    placed = scene.placed
+    placed = scene.ground.placed
     if placed is None:
         raise ScenarioError(f"surface.kind = {scene.run.scenario.surface.kind}: is not named in this process")
     turned = placed.frame[[1, 2, 0]].T  # columns: the tangents t1, t2 and the normal
@@ -55,7 +55,7 @@ def add_surface(assets: ElementTree.Element, world: ElementTree.Element, scene: 
         )  # fmt: skip
     elif isinstance(section, Cylinder) and not section.inside:
         axis = unit(section.axis, "surface.axis")
-        half = float(np.ptp((scene.surface[0] - origin) @ axis)) + section.radius
+        half = float(np.ptp((scene.ground.mesh[0] - origin) @ axis)) + section.radius
         along = quaternion(np.column_stack([np.cross(n, axis), n, axis]))
         size = (section.radius, half)
         element(body, "geom", type="cylinder", pos=origin - section.radius * n, quat=along, size=size, **look)
@@ -73,7 +73,7 @@ def _origin(placed: PlacedSurface) -> Array:
 
 def _tangential(scene: Scene, placed: PlacedSurface) -> Array:
     """Return where the drawn patch of the surface lies along its tangents (k, 2), m, from its origin."""
-    along: Array = (scene.surface[0] - placed.origin) @ placed.frame[1:].T
+    along: Array = (scene.ground.mesh[0] - placed.origin) @ placed.frame[1:].T
     return along
 
 

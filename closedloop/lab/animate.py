@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 
 from closedloop.errors import OutputError, ScenarioError
 from closedloop.files import write_whole
-from closedloop.lab.curves import panels, reduced
+from closedloop.lab.curves import main_panel, reduced
 from closedloop.lab.scene import ARROWS, PATH, WANTED, Scene, scene_of
 from closedloop.record.run import Run
 from robot_models import RobotModel
@@ -139,12 +139,13 @@ class _Picture:
         wanted = run.reference_tip[:: max(1, len(run) // 400)]
         space.plot(*wanted.T, "--", color=WANTED, linewidth=1)
         vertices, faces = scene.surface
-        space.plot_trisurf(*vertices.T, triangles=faces, color="0.8", alpha=0.4, linewidth=0.0)
+        if len(faces):
+            space.plot_trisurf(*vertices.T, triangles=faces, color="0.8", alpha=0.4, linewidth=0.0)
         if scene.marks:
             space.scatter(*np.array([mark.position for mark in scene.marks]).T, color="#CC79A7", s=12)
         self._frame_view(space)
         space.legend(loc="upper left", fontsize=8)
-        force = reduced(panels(run)[0], float(run.time[0]), float(run.time[-1]), 400)
+        force = reduced(main_panel(run), float(run.time[0]), float(run.time[-1]), 400)
         for trace in force.traces:
             style = "--" if trace.limit else "-"
             plot.plot(force.time, trace.values, style, color=trace.colour, linewidth=1.2, label=trace.label)

@@ -48,7 +48,7 @@ class Answer:
     stopped : str
         Why the run stopped before its end, "" if it did not.
     seconds : float
-        Time that it took, s.
+        Time that it took, s, without compiling.
     """
 
     changes: Changes
@@ -84,13 +84,14 @@ class Answers:
         self._history, self.law, self._given, self._say = history, law, model, say
         self._models: dict[str, RobotModel] = {}
         self._ready: set[tuple[Any, ...]] = set()
+        self._began = 0.0
 
     def answer(self, changes: Changes, key: str = "") -> Answer:
         """Run the scenario with these changes; `key` is the one changed last."""
-        began = clock.perf_counter()
+        self._began = clock.perf_counter()
 
         def took(run: Run | None, **more: str) -> Answer:
-            return Answer(changes, key, run, seconds=clock.perf_counter() - began, **more)
+            return Answer(changes, key, run, seconds=clock.perf_counter() - self._began, **more)
 
         try:
             scenario = self._history.scenario(changes)
@@ -107,7 +108,8 @@ class Answers:
 
     def _run(self, scenario: Scenario) -> Run:
         model, engine = self.model(scenario), self.engine(scenario)
-        self._compile(scenario, model, engine)
+        if self._compile(scenario, model, engine):
+            self._began = clock.perf_counter()  # what is compiled once is no part of what a run takes
         began = said = clock.perf_counter()
 
         def progress(done: int, total: int) -> None:
@@ -141,11 +143,14 @@ class Answers:
             return PINOCCHIO
         return COMPILED
 
-    def _compile(self, scenario: Scenario, model: RobotModel, engine: str) -> None:
-        """Have compiled what a run of these kinds needs, here and now, and say so if it takes time."""
+    def _compile(self, scenario: Scenario, model: RobotModel, engine: str) -> bool:
+        """Have compiled what a run of these kinds needs, here and now, and say so if it takes time.
+
+        Return whether these kinds are new.
+        """
         kinds = (engine, scenario.time.integrator, *_kinds(scenario))
         if kinds in self._ready or scenario.time.integrator in ADAPTIVE:
-            return
+            return False
         few = min(FEW, round(scenario.time.duration / scenario.time.step))
         short = scenario.time.model_copy(update={"duration": few * scenario.time.step})
         problem = prepare(scenario.model_copy(update={"time": short}), model)
@@ -160,6 +165,7 @@ class Answers:
             self._ready.add(kinds)
         finally:
             self._say("")
+        return True
 
 
 def _kinds(scenario: Scenario) -> tuple[str, ...]:

@@ -13,9 +13,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from closedloop.closure.contact_force import FREE
+from closedloop.contacts.names import names_of
 from closedloop.figures.errors import tip_errors
 from closedloop.figures.friction import friction_levels
 from closedloop.figures.style import length_unit
+from closedloop.lab.ground import Ground
 from closedloop.lab.joined import errors_in
 from closedloop.loops.bind import DIRECTIONS
 from closedloop.record.run import Run
@@ -28,7 +30,8 @@ COLOURS = ("#0072B2", "#D55E00", "#009E73", "#CC79A7", "#56B4E9", "#E69F00", "#8
 CELLS = 160
 # Names of the panels, in their order, and their titles.
 TITLES = {
-    "force": "contact force", "closure": "closure error", "loops": "loop closure error", "tip": "tip error",
+    "force": "contact force", "links": "force between links",
+    "closure": "closure error", "loops": "loop closure error", "tip": "tip error",
     "torque": "torque", "friction": "friction",
 }  # fmt: skip
 
@@ -64,9 +67,16 @@ class Panel:
 
 
 def panels(run: Run) -> list[Panel]:
-    """Return all panels of a run of at least one row, with every row; of a mechanism's loops where there are any."""
+    """Return the panels of a run of at least one row, with every row: of what it has of loops, contacts and surface."""
+    links = [_links(run)] if run.scenario.contact else []
     loops = [_loops(run)] if run.model.loops else []
-    return [_force(run), _closure(run), *loops, _tip(run), _torque(run), _friction(run)]
+    closure, friction = ([_closure(run)], [_friction(run)]) if Ground(run).there else ([], [])
+    return [_force(run), *links, *closure, *loops, _tip(run), _torque(run), *friction]
+
+
+def main_panel(run: Run) -> Panel:
+    """Return the panel that shows most of a run: the forces between links where there are contacts of them, else f."""
+    return _links(run) if run.scenario.contact else _force(run)
 
 
 def _force(run: Run) -> Panel:
@@ -76,6 +86,16 @@ def _force(run: Run) -> Panel:
         Trace("commanded", COLOURS[2], run.reference_force, limit=True),
     )
     return Panel("force", "N", run.time, traces)
+
+
+def _links(run: Run) -> Panel:
+    """Return the force of each contact of links along its normal, and the size of its friction, with dashes."""
+    traces: list[Trace] = []
+    for k, name in enumerate(names_of(run.scenario.contact or ())):
+        rub = np.hypot(run.link_frictions[:, 2 * k], run.link_frictions[:, 2 * k + 1])
+        colour = COLOURS[k % len(COLOURS)]
+        traces += [Trace(name, colour, run.link_forces[:, k]), Trace(f"{name}, friction", colour, rub, limit=True)]
+    return Panel("links", "N", run.time, tuple(traces))
 
 
 def _largest(*values: Array) -> float:

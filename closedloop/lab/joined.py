@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import threading
 from dataclasses import dataclass, replace
-from functools import cached_property
+from functools import lru_cache
 from typing import NamedTuple
 
 import numpy as np
@@ -24,9 +24,14 @@ from closedloop.loops.reactions import loop_rows, rows_along
 from closedloop.record.run import Run
 from closedloop.robot.pinocchio import Robot
 from closedloop.scenario.arm import robot_of
+from closedloop.simulation.cache import Cache
+from closedloop.simulation.prepare import robot_key
 
 Array = NDArray[np.float64]
 
+# The robots of the runs drawn last: what is computed of a robot's loops is kept with it, and takes as long as a run of
+# few steps.
+_robots = Cache(limit=4)
 # A robot has one memory for Pinocchio's results, and several threads draw.
 _one_at_a_time = threading.Lock()
 
@@ -73,46 +78,10 @@ class Joined:
     robot: Robot
     size: float
 
-    @cached_property
+    @property
     def loops(self) -> tuple[_Loop, ...]:
         """The loop joints, in the order of the model."""
-        robot, model = self.robot, self.robot.model
-        if not model.loops:
-            return ()
-        bound, mechanism = bound_by_loops(robot), model.pinocchio_model()
-        poses = link_poses(robot.tree, model.home)
-        kinds, first, second, _ = bound.sides.reshape(4, -1)
-        data = mechanism.createData()
-        pin.forwardKinematics(mechanism, data, model.home)
-        frames = [(place.rotation, place.translation) for place in data.oMi]
-
-        def turned(link: int, vector: Array) -> Array:  # from a link of the tree to the frame of its joint
-            along: Array = frames[link + 1][0].T @ poses[link][0] @ vector
-            return along
-
-        def side(link: int, point: Array) -> _Side:
-            place = poses[link][1] + poses[link][0] @ point
-            return _Side(link + 1, frames[link + 1][0].T @ (place - frames[link + 1][1]))
-
-        found, at = [], 0
-        for loop in model.loops:
-            rows = range(at, at + loop.rows)
-            a, b = int(first[at]), int(second[at])
-            sides = side(a, bound.at_a[at]), side(a if kinds[at] == GEAR else b, bound.at_b[at])
-            forces = [
-                _Row(k, int(kinds[k]), turned(b, bound.along_b[k])) for k in rows if kinds[k] in (POSITION, DISTANCE)
-            ]
-            axis = np.array([0.0, 0.0, 1.0])
-            if kinds[at] == GEAR:
-                axis = turned(a, axis)
-            elif loop.frames:
-                axis = mechanism.frames[mechanism.getFrameId(loop.frames[0])].placement.rotation @ np.array(
-                    loop.axes[0]
-                )
-            shape = mark_shape(loop.type, self.size, loop.length)
-            found.append(_Loop(loop.name, shape, sides, _upright(axis), tuple(forces), bool(loop.length)))
-            at += loop.rows
-        return tuple(found)
+        return _loops_of(self.robot, self.size)
 
     def places(self, axes: Array, origins: Array) -> tuple[Array, Array]:
         """Return the axes (k, 3, 3), as columns, and the origins (k, 3), m, base frame, of the marks.
@@ -152,6 +121,44 @@ class Joined:
         return found
 
 
+@lru_cache(maxsize=8)
+def _loops_of(robot: Robot, size: float) -> tuple[_Loop, ...]:
+    """Return the loop joints of a robot, their marks as large as its reach `size`, m, asks for."""
+    model = robot.model
+    if not model.loops:
+        return ()
+    bound, mechanism = bound_by_loops(robot), model.pinocchio_model()
+    poses = link_poses(robot.tree, model.home)
+    kinds, first, second, _ = bound.sides.reshape(4, -1)
+    data = mechanism.createData()
+    pin.forwardKinematics(mechanism, data, model.home)
+    frames = [(place.rotation, place.translation) for place in data.oMi]
+
+    def turned(link: int, vector: Array) -> Array:  # from a link of the tree to the frame of its joint
+        along: Array = frames[link + 1][0].T @ poses[link][0] @ vector
+        return along
+
+    def side(link: int, point: Array) -> _Side:
+        place = poses[link][1] + poses[link][0] @ point
+        return _Side(link + 1, frames[link + 1][0].T @ (place - frames[link + 1][1]))
+
+    found, at = [], 0
+    for loop in model.loops:
+        rows = range(at, at + loop.rows)
+        a, b = int(first[at]), int(second[at])
+        sides = side(a, bound.at_a[at]), side(a if kinds[at] == GEAR else b, bound.at_b[at])
+        forces = [_Row(k, int(kinds[k]), turned(b, bound.along_b[k])) for k in rows if kinds[k] in (POSITION, DISTANCE)]
+        axis = np.array([0.0, 0.0, 1.0])
+        if kinds[at] == GEAR:
+            axis = turned(a, axis)
+        elif loop.frames:
+            axis = mechanism.frames[mechanism.getFrameId(loop.frames[0])].placement.rotation @ np.array(loop.axes[0])
+        shape = mark_shape(loop.type, size, loop.length)
+        found.append(_Loop(loop.name, shape, sides, _upright(axis), tuple(forces), bool(loop.length)))
+        at += loop.rows
+    return tuple(found)
+
+
 def reactions_in(run: Run, robot: Robot, rows: NDArray[np.int64]) -> Array:
     """Return the reactions (k, m) of a mechanism's loops in some rows (k,) of its run, N or N m; (k, 0) of a tree."""
     if not run.model.loops:
@@ -161,11 +168,18 @@ def reactions_in(run: Run, robot: Robot, rows: NDArray[np.int64]) -> Array:
         return reactions_of(replace(run, columns={**run.columns, **few}), robot).reactions
 
 
+def robot_in(run: Run) -> Robot:
+    """Return the robot of a run, with the tool that the scenario puts on its tip: one for all runs with the same."""
+    key = run.model, robot_key(run.scenario)
+    return _robots.get_shared(key, lambda: robot_of(run.scenario, run.model), lambda robot: 1)
+
+
 def errors_in(run: Run) -> Array:
     """Return the errors (N, m) of a mechanism's loops in all rows of its run, m or sines of angles."""
-    robot = robot_of(run.scenario, run.model)
+    robot = robot_in(run)
     compile_rows(robot)
-    return loop_rows(robot, run.q, run.v)[1]
+    with _one_at_a_time:
+        return loop_rows(robot, run.q, run.v)[1]
 
 
 def compile_rows(robot: Robot) -> None:

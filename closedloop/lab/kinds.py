@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import Any, Literal, get_args, get_origin
 
-from closedloop.lab.controls import USUAL
+from closedloop.lab.spans import USUAL
 from closedloop.scenario.messages import variants
 from closedloop.scenario.scenario import Scenario
 from closedloop.sections import field_units

@@ -16,7 +16,8 @@ div:has(> p.mantine-Text-root > label){width:9.5em!important}
 p.mantine-Text-root:has(> label){letter-spacing:0!important}
 .mantine-Flex-root:has(> .mantine-Slider-root .mantine-Slider-markWrapper:nth-child(3)) > .mantine-NumberInput-root
 {visibility:hidden}
-.mantine-Tabs-tab{padding-left:0.42em!important;padding-right:0.42em!important}
+.mantine-Tabs-tab{padding-left:0.3em!important;padding-right:0.3em!important}
+.mantine-Tabs-tab .mantine-Tabs-tabLabel{font-size:0.92em}
 .uplot .u-legend tr:nth-last-child(-n+2){display:none}
 </style>"""
 # What is shown has been overtaken, and the new run is not there yet.
@@ -69,8 +70,8 @@ def caption(scenario: Scenario, kinds: Sequence[str], metres_per_newton: float |
     about = html.escape(about[:1].upper() + about[1:])
     return (
         f'{STYLE}<div id="closedloop-caption" style="{place}"><b>{about}</b><br>{_legend(kinds, metres_per_newton)}<br>'
-        f"Move any slider: the whole run of {scenario.time.duration:g} s is computed again. Hover over a name to read "
-        "what it is. Here: drag to turn, scroll to zoom.</div>"
+        f"Move any slider: the whole run of {scenario.time.duration:g} s is computed again; <b>undo</b> goes back. "
+        "<b>play</b> moves the arm. Hover over a name to read what it is. Here: drag to turn, scroll to zoom.</div>"
     )
 
 

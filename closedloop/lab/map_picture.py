@@ -1,6 +1,7 @@
 """The picture of a map, drawn again and again while the map fills in.
 
-The figure is made and laid out once; what a drawing then costs is its cells and its colour bar.
+The figure is made, laid out and drawn once without what changes; what a drawing then costs is the cells, and the
+numbers beside the colour bar where these are others than before.
 """
 
 from __future__ import annotations
@@ -59,6 +60,11 @@ class MapPicture:
         self._bar.ax.tick_params(labelsize=8)
         self._bar.set_label(MEASURES[of.quantity].units)
         self._span: tuple[float, float] | None = None
+        self._changing = (self._image, self._ring, *self._axes.spines.values(), self._bar.ax)
+        for part in self._changing:
+            part.set_animated(True)  # left out of what is drawn once
+        self._canvas.draw()  # type: ignore[no-untyped-call]
+        self._rest: Any = self._canvas.copy_from_bbox(self._figure.bbox)  # type: ignore[no-untyped-call]
 
     def draw(self, complete: bool, chosen: tuple[int, int] | None = None) -> Picture:
         """Return the map as it is now, with a ring around the chosen cell (row, column)."""
@@ -66,10 +72,12 @@ class MapPicture:
         self._image.set_data(np.ma.masked_invalid(grid))
         self._ring.set_data(*(([], []) if chosen is None else ([chosen[1]], [chosen[0]])))
         if self._scale(grid[np.isfinite(grid)]):
-            self._canvas.draw()  # type: ignore[no-untyped-call]
-        else:  # over what was drawn: a tenth of the time
-            for part in (self._axes.patch, self._image, self._ring, *self._axes.spines.values()):
-                self._axes.draw_artist(part)
+            self._canvas.restore_region(self._rest)  # type: ignore[no-untyped-call]
+            parts = self._changing
+        else:
+            parts = (self._axes.patch, *self._changing[:-1])
+        for part in parts:
+            self._axes.draw_artist(part)
         box = self._axes.get_position()
         area = float(box.x0), float(box.x1), float(1.0 - box.y1), float(1.0 - box.y0)
         pixels = np.asarray(self._canvas.buffer_rgba())  # type: ignore[no-untyped-call]

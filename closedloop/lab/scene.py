@@ -15,18 +15,12 @@ import numpy as np
 import pinocchio as pin
 from numpy.typing import NDArray
 
-from closedloop.errors import ScenarioError
-from closedloop.figures.errors import frame_of
-from closedloop.lab.joined import Joined, reactions_in
+from closedloop.lab.ground import Ground
+from closedloop.lab.joined import Joined, reactions_in, robot_in
 from closedloop.lab.shapes import Shape, robot_shapes
 from closedloop.lab.touching import Touching, contacts_of
-from closedloop.record.run import Run
+from closedloop.record.run import Event, Run
 from closedloop.robot.pinocchio import Robot
-from closedloop.scenario.arm import robot_of
-from closedloop.surface.kinds.plane import PlaneSurface
-from closedloop.surface.motion import SurfaceMotion
-from closedloop.surface.placed import PlacedSurface
-from closedloop.surface.surface import Surface
 from robot_models import RobotModel
 
 Array = NDArray[np.float64]
@@ -45,10 +39,6 @@ ARROWS: dict[str, tuple[float, float, float]] = {
 PATH, WANTED = (0.80, 0.47, 0.65), (0.0, 0.62, 0.451)
 # The largest force of a run is drawn as long as this share of the arm's reach.
 LONGEST = 0.3
-# The patch of the surface reaches this far beyond the path, m, or a share of the path's size.
-MARGIN, SHARE = 0.06, 0.3
-# Vertices along a side of a curved surface.
-CELLS = 32
 
 
 class Arrow(NamedTuple):
@@ -85,7 +75,7 @@ class Scene:
     @cached_property
     def robot(self) -> Robot:
         """The robot, with the tool that the scenario puts on its tip."""
-        return robot_of(self.run.scenario, self.run.model)
+        return robot_in(self.run)
 
     @property
     def model(self) -> RobotModel:
@@ -103,75 +93,27 @@ class Scene:
         return robot_shapes(self.run.model, self.tip)
 
     @cached_property
-    def frame(self) -> Array:
-        """The contact frame at the surface's origin (3, 3): rows n, t1, t2, base axes."""
-        return frame_of(self.run)
-
-    @cached_property
-    def placed(self) -> PlacedSurface | None:
-        """The surface in its place; None if it is a user's class in a run file, not named in this process."""
-        scenario, start = self.run.scenario, self.run.position[0]
-        if not (isinstance(scenario.surface, Surface) and isinstance(scenario.surface_motion, SurfaceMotion)):
-            return None
-        found, depth = PlacedSurface.of(scenario.surface, scenario.surface_motion, start), 0.0
-        for _ in range(20 if found.below_start else 0):  # a tip that starts in a soft surface, which may slope there
-            off = found.touching(start).gap - float(self.run.closure_error[0])
-            if abs(off) < 1e-12:
-                break
-            depth += off
-            found = PlacedSurface.of(scenario.surface, scenario.surface_motion, start, depth)
-        return found
+    def ground(self) -> Ground:
+        """The surface that the tip touches."""
+        return Ground(self.run)
 
     @cached_property
     def surface(self) -> tuple[Array, NDArray[np.uint32]]:
-        """The surface around both paths at t = 0: vertices (k, 3), m, base frame, and triangles (l, 3)."""
-        flat = self.placed is None or isinstance(self.placed.section, PlaneSurface)
-        if self.placed is not None and self.placed.ends:
-            return self._patch(self.placed, 2 if flat else CELLS)
-        along = np.vstack([thin_out(path) for path in (self.run.position, self.run.reference_tip)]) @ self.frame[1:].T
-        low, high = along.min(axis=0), along.max(axis=0)
-        offset = float(self.frame[0] @ self.run.position[0] - self.run.closure_error[0])
-        for share in (1.0, 0.5, 0.2, 0.0):  # a ball may be smaller than what is around the path
-            margin = share * max(MARGIN, SHARE * float(np.max(high - low)))
-            a, b = (np.linspace(x - margin, y + margin, 2 if flat else CELLS) for x, y in zip(low, high, strict=True))
-            grid = np.stack(np.meshgrid(a, b, indexing="ij"), axis=-1).reshape(-1, 2)
-            vertices = grid @ self.frame[1:] + offset * self.frame[0]
-            if flat or self.placed is None:
-                break
-            none = np.zeros_like(vertices)
-            try:
-                vertices = self.placed.follow(0.0, np.zeros(len(vertices)), (vertices, none, none))[0]
-                break
-            except ScenarioError:
-                continue
-        return vertices, _triangles(a.size, b.size)
-
-    @staticmethod
-    def _patch(placed: PlacedSurface, cells: int) -> tuple[Array, NDArray[np.uint32]]:
-        """Return a surface that has an edge, as far as it goes: a rectangle, or a disc, of so many cells a side."""
-        a, b = placed.section.bounds()
-        if b > 0.0:
-            x, y = np.linspace(-a, a, cells), np.linspace(-b, b, cells)
-            grid = np.stack(np.meshgrid(x, y, indexing="ij"), axis=-1).reshape(-1, 2)
-            sides = cells, cells
-        else:
-            far, round_it = np.meshgrid(np.linspace(0.0, a, cells), np.linspace(0.0, 2.0 * np.pi, CELLS), indexing="ij")
-            grid = np.stack([far * np.cos(round_it), far * np.sin(round_it)], axis=-1).reshape(-1, 2)
-            sides = cells, CELLS
-        vertices = placed.origin + grid @ placed.frame[1:]
-        none = np.zeros_like(vertices)
-        return placed.follow(0.0, np.zeros(len(vertices)), (vertices, none, none))[0], _triangles(*sides)
-
-    def surface_place(self, row: int) -> tuple[Array, Array]:
-        """Return the rotation (3, 3) and the shift (3,), m, by which the surface is displaced in a row."""
-        if self.placed is None:
-            return np.eye(3), np.zeros(3)
-        return self.placed.displacement(float(self.run.time[row]))
+        """The surface at t = 0: vertices (k, 3), m, base frame, and triangles (l, 3); none if it is out of the way."""
+        return self.ground.mesh if self.ground.there else (np.zeros((0, 3)), np.zeros((0, 3), dtype=np.uint32))
 
     @cached_property
     def marks(self) -> list[Mark]:
         """The events of the contact."""
-        return [Mark(event.time, event.kind, event.position) for event in self.run.events]
+        return [Mark(event.time, event.kind, self._where(event)) for event in self.run.events]
+
+    def _where(self, event: Event) -> Array:
+        """Return where an event is (3,), m: at the tip, or at the contact of links that it was of."""
+        if event.contact == 0:
+            return event.position
+        row = min(int(np.searchsorted(self.run.time, event.time)), len(self.run) - 1)
+        place, _ = self.touching[event.contact - 1].force(0.0, np.zeros(2), *self.joint_places(row))
+        return place
 
     def joint_places(self, row: int) -> tuple[Array, Array]:
         """Return the axes (n + 1, 3, 3) and origins (n + 1, 3), m, of the base and of each joint's frame in a row."""
@@ -228,14 +170,15 @@ class Scene:
     @property
     def kinds(self) -> list[str]:
         """The kinds of arrows that this run has."""
-        some = {LOOP: self.joined.loops, TOUCH: self.touching}
+        there = self.ground.there
+        some = {LOOP: self.joined.loops, TOUCH: self.touching, "contact force": there, "friction": there}
         return [kind for kind in ARROWS if some.get(kind, True)]
 
     @cached_property
     def arm_hides_force(self) -> bool:
         """Whether the last link stands above the surface at the start, where the contact force is drawn."""
         above = self.joint_places(0)[1][self.last_joint] - self.tip_place(0)
-        return float(self.frame[0] @ above) > 0.0
+        return float(self.ground.frame[0] @ above) > 0.0
 
     @cached_property
     def last_joint(self) -> int:
@@ -280,26 +223,10 @@ def scene_of(run: Run) -> Scene:
     return Scene(run, tip)
 
 
-def _triangles(rows: int, columns: int) -> NDArray[np.uint32]:
-    """Return the triangles (2 (rows − 1)(columns − 1), 3) of a grid of vertices, row after row."""
-    first = (np.arange(rows - 1)[:, None] * columns + np.arange(columns - 1)).ravel()
-    corner = first[:, None]
-    halves = np.hstack([corner, corner + columns, corner + 1, corner + 1, corner + columns, corner + columns + 1])
-    return halves.reshape(-1, 3).astype(np.uint32)
-
-
 def round_down(x: float) -> float:
     """Return the largest 1, 2 or 5 times a power of ten that is not above x > 0."""
     power = 10.0 ** math.floor(math.log10(x))
     return next(step * power for step in (5.0, 2.0, 1.0) if step * power <= x * (1.0 + 1e-12))
-
-
-def thin_out(points: Array, most: int = 400) -> Array:
-    """Return so many of the points (N, 3) at most, evenly spaced in their order, without those that are no numbers."""
-    rows = np.linspace(0, len(points) - 1, min(most, len(points))).round().astype(int)
-    few: Array = points[np.unique(rows)]
-    finite: Array = few[np.all(np.isfinite(few), axis=1)]
-    return finite
 
 
 def quaternions(axes: Array) -> Array:

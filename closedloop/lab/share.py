@@ -16,8 +16,9 @@ from numpy.typing import ArrayLike, NDArray
 from closedloop.errors import ScenarioError
 from closedloop.files import write_whole
 from closedloop.lab.curves import panels, reduced
+from closedloop.lab.ground import thin_out
 from closedloop.lab.look import MEANINGS
-from closedloop.lab.scene import ARROWS, JOINTS, PATH, WANTED, Scene, quaternions, scene_of, thin_out
+from closedloop.lab.scene import ARROWS, JOINTS, PATH, WANTED, Scene, quaternions, scene_of
 from closedloop.lab.shapes import Shape
 from closedloop.record.run import Run
 
@@ -114,7 +115,7 @@ def _frames(scene: Scene) -> dict[str, str]:
     places, last = [], None
     for row in rows:
         there = scene.joint_places(int(row))
-        (turn, shift), marks = scene.surface_place(int(row)), scene.joined.places(*there)
+        (turn, shift), marks = scene.ground.place(int(row)), scene.joined.places(*there)
         turns = quaternions(np.vstack([there[0], turn[None], marks[0]]))
         if last is not None:  # of the two quaternions of a rotation that which is near the one before
             turns *= np.where(np.sum(turns * last, axis=1, keepdims=True) < 0.0, -1.0, 1.0)

@@ -20,7 +20,7 @@ TICK = 0.15  # of the plot's height: the mark of an event
 # Events that are marked in a plot at most: more could not be told apart.
 MOST_MARKS = 60
 # What is pinned is drawn in these panels, its first trace.
-WITH_PINS = ("force", "closure", "tip", "friction")
+WITH_PINS = ("force", "links", "closure", "tip", "friction")
 
 
 class Plots:
@@ -93,7 +93,9 @@ class Plots:
             return panel
         more = []
         for name, colour, pinned in self._pins:
-            other = next(p for p in pinned if p.name == panel.name)
+            other = next((p for p in pinned if p.name == panel.name), None)
+            if other is None:  # a pinned run may have none, one without contacts of links for example
+                continue
             factor = _UNITS.get(panel.unit, 1.0) / _UNITS.get(other.unit, 1.0)
             values = np.interp(panel.time, other.time, factor * other.main.values)
             more.append(Trace(name, colour, values))
@@ -105,7 +107,7 @@ _UNITS = {"pm": 1e12, "nm": 1e9, "µm": 1e6, "mm": 1e3, "m": 1.0}
 
 
 def _axes(title: str) -> tuple[dict[str, Any], ...]:
-    return {"size": 32}, {"size": 44, "label": title, "labelSize": 18, "labelFont": "12px sans-serif"}
+    return {"size": 32}, {"size": 58, "label": title, "labelSize": 18, "labelFont": "12px sans-serif"}
 
 
 def plot_data(

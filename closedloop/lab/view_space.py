@@ -8,7 +8,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from closedloop.lab.scene import ARROWS, JOINTS, PATH, WANTED, Scene, quaternions, thin_out
+from closedloop.lab.ground import thin_out
+from closedloop.lab.scene import ARROWS, JOINTS, PATH, WANTED, Scene, quaternions
 
 Array = NDArray[np.float64]
 
@@ -79,7 +80,7 @@ class Space:
             turns, places = scene.joined.places(axes, origins)
             for node, turn, place in zip(self._marks, quaternions(turns), places, strict=True):
                 node.wxyz, node.position = turn, place
-            turn, shift = scene.surface_place(row)
+            turn, shift = scene.ground.place(row)
             self._nodes["surface"].wxyz, self._nodes["surface"].position = quaternions(turn[None])[0], shift
             (arrows,) = scene.arrows([row])
             for kind in ARROWS:
@@ -138,6 +139,8 @@ class Space:
     def _draw_surface(self, scene: Scene) -> None:
         vertices, faces = scene.surface
         node = self._nodes.get("surface")
+        if not len(faces):  # an empty mesh is none that viser takes
+            vertices, faces = np.zeros((3, 3)), np.zeros((1, 3), dtype=np.uint32)
         if node is not None and len(node.vertices) == len(vertices):
             node.vertices = vertices.astype(np.float32)
             return

@@ -149,7 +149,11 @@ def prepare(scenario: Scenario, model: RobotModel | None = None, cache: Cache | 
         project=scenario.stabiliser.kind in ("projection", "both") and not soft,
         hold=hold,
         transmission=transmission_constants(scenario.transmission, model),
-        encoder=_encoder(scenario, model),
+        encoder=cache.get(
+            ("encoder", n, scenario.encoder.model_dump_json(), robot_key(scenario)),
+            lambda: _encoder(scenario, model),
+            lambda found: SECTION_BYTES,
+        ),
         drives=np.stack([torque_limits(scenario.drives, model), torque_steps(scenario.drives, model, period)]),
         wanted=wanted,
         tolerance=tolerance,
@@ -162,7 +166,7 @@ def _encoder(scenario: Scenario, model: RobotModel) -> Array:
     return numbers
 
 
-def _robot_key(scenario: Scenario) -> Hashable:
+def robot_key(scenario: Scenario) -> Hashable:
     """Return what the robot depends on."""
     return (
         scenario.robot.model_dump_json(), scenario.tool.model_dump_json(), scenario.model_error.payload,
@@ -175,7 +179,7 @@ def _surface_key(scenario: Scenario) -> tuple[Hashable, ...]:
     sections: list[Section] = [scenario.surface, scenario.surface_motion, scenario.compliance]
     if not isinstance(scenario.compliance, Rigid):  # the tip starts as deep as the force presses it
         sections += [scenario.force_profile, scenario.law]
-    return _robot_key(scenario), *((type(section), section.model_dump_json()) for section in sections)
+    return robot_key(scenario), *((type(section), section.model_dump_json()) for section in sections)
 
 
 def _robot(scenario: Scenario, model: RobotModel | None, cache: Cache) -> Robot:
@@ -183,7 +187,7 @@ def _robot(scenario: Scenario, model: RobotModel | None, cache: Cache) -> Robot:
     def make() -> Robot:
         return robot_of(scenario, load_model(scenario) if model is None else model)
 
-    return cache.get(("robot", _robot_key(scenario)), make, lambda robot: ROBOT_BYTES)
+    return cache.get(("robot", robot_key(scenario)), make, lambda robot: ROBOT_BYTES)
 
 
 def load_model(scenario: Scenario) -> RobotModel:

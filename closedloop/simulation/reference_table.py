@@ -45,13 +45,15 @@ def reference_table(
         lambda made: 3 * made.joints.q.nbytes,
     )
     wanted = replace(wanted, profile=scenario.force_profile, force=scenario.law.force)
+    noisy = scenario.sensor.noise > 0.0
     table = cache.get(
-        ("table", *motion, instants.size, float(instants[1]), spare),
+        ("table", *motion, instants.size, float(instants[1]), spare, noisy),
         lambda: wanted.table(instants, spare=spare),
         lambda made: made.nbytes,
     )
     table[:, 2 * n + 9] = force_at(wanted.profile, wanted.force, instants)
-    table[::nodes, 2 * n + 10] = draws(scenario.sensor, steps + 1)
+    if noisy:  # else its column has the zeros that it was made with
+        table[::nodes, 2 * n + 10] = draws(scenario.sensor, steps + 1)
     if scenario.reads_encoders:
         table[::nodes, 2 * n + 11 :] = encoder_draws(scenario.encoder, steps + 1, n)
     return wanted, table

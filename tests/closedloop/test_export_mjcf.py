@@ -90,8 +90,8 @@ def test_the_surface_is_where_the_run_has_it(kind, tmp_path):
         [vertices[0], vertices[-1], 0.7 * vertices[1] + 0.3 * vertices[0]]
     )
     none = np.zeros_like(points)
-    for point in scene.placed.follow(0.0, np.zeros(len(points)), (points, none, none))[0]:
-        assert distance(there, point, scene.placed.touching(point).frame[0]) == pytest.approx(0.0, abs=near)
+    for point in scene.ground.placed.follow(0.0, np.zeros(len(points)), (points, none, none))[0]:
+        assert distance(there, point, scene.ground.placed.touching(point).frame[0]) == pytest.approx(0.0, abs=near)
 
 
 def test_a_surface_that_moves_is_a_body_that_can_be_moved(tmp_path):

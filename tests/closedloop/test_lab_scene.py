@@ -34,15 +34,15 @@ def test_the_drawn_tip_is_on_the_surface_and_the_arrows_are_the_forces(name):
     """In every shipped scenario: in contact the tip is drawn on the drawn surface, and the arrows are the run's."""
     run = cl.simulate(cl.load_scenario(name), engine="compiled") if name not in QUICK else short_run(name)
     scene = scene_of(run)
-    vertices, faces = scene.surface
+    vertices, faces = scene.ground.mesh
     assert faces.max() < len(vertices)
     for vertex in vertices[:: max(1, len(vertices) // 9)]:
-        assert abs(scene.placed.touching(vertex).gap) < 1e-9
+        assert abs(scene.ground.placed.touching(vertex).gap) < 1e-9
     touching = np.flatnonzero(run.mode != FREE)
     rows = touching[np.unique(np.linspace(0, len(touching) - 1, 40).astype(int))] if touching.size else []
     for row in rows:
-        turn, shift = scene.surface_place(row)
-        gap = scene.placed.touching(turn.T @ (scene.tip_place(row) - shift)).gap
+        turn, shift = scene.ground.place(row)
+        gap = scene.ground.placed.touching(turn.T @ (scene.tip_place(row) - shift)).gap
         assert gap == pytest.approx(run.closure_error[row], abs=1e-6)
     few = np.linspace(0, len(run) - 1, 20).astype(int)
     for row, (pushed, rubbed, wanted, *in_loops) in zip(few, scene.arrows(few), strict=True):

@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 from closedloop.reference.follow import follow
 from closedloop.reference.force import ConstantForceSection, ForceProfile, force_at
 from closedloop.reference.joint_path import JointPath
+from closedloop.reference.no_normal import refuse_without_normal
 from closedloop.reference.orientation import orientation_of
 from closedloop.reference.path import Path, path_on
 from closedloop.reference.tip_path import TipPath
@@ -97,6 +98,8 @@ def desired(
         If [reference] or the force profile is at fault, or the path leaves the workspace or the joint limits.
     """
     tip = path_on(scenario.reference, robot.position(q), surface, duration)
+    if scenario.reference.on_surface != "no":
+        refuse_without_normal(surface, tip)
     profile = ConstantForceSection() if profile is None else profile
     force_at(profile, scenario.law.force, np.zeros(1))  # a profile at fault is refused before any inverse kinematics
     held = orientation_of(scenario.reference.orientation, axis, robot, q, surface)

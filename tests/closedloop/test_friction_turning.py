@@ -113,7 +113,8 @@ def test_a_tip_that_friction_lifts_and_the_torque_presses_stays_with_no_force():
     press = 0.2  # m/s², of the tip without contact
     changes = {
         "surface.contact": "unilateral", "reference": {"kind": "hold"}, "stabiliser": {"kind": "none"},
-        "friction": {"kind": "coulomb_viscous", "coefficient": 0.1, "viscous": 5.0}, "time.duration": 0.02, "time.integrator": "rk4",
+        "friction": {"kind": "coulomb_viscous", "coefficient": 0.1, "viscous": 5.0}, "time.duration": 0.02,
+        "time.integrator": "rk4",
     }  # fmt: skip
     problem = cl.prepare(cl.load_scenario("planar2_slide", changes))
     frame, terms = problem.surface.frame[:2], problem.robot.terms(problem.q, problem.v)

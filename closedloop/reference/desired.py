@@ -8,12 +8,15 @@ from typing import TYPE_CHECKING, Protocol
 import numpy as np
 from numpy.typing import NDArray
 
+from closedloop.reference.edge import refuse_beyond_edge
 from closedloop.reference.follow import follow
 from closedloop.reference.force import ConstantForceSection, ForceProfile, force_at
 from closedloop.reference.joint_path import JointPath
+from closedloop.reference.no_normal import refuse_without_normal
 from closedloop.reference.orientation import orientation_of
 from closedloop.reference.path import Path, path_on
 from closedloop.reference.tip_path import TipPath
+from closedloop.reference.tool_fit import refuse_tool_too_large
 
 if TYPE_CHECKING:
     from closedloop.robot.pinocchio import Robot
@@ -84,19 +87,25 @@ class Desired:
 
 def desired(
     scenario: MotionAndLaw, robot: Robot, surface: PlacedSurface, q: Array, profile: ForceProfile | None = None,
-    duration: float = 0.0, axis: Array = OUTWARDS,
+    duration: float = 0.0, axis: Array = OUTWARDS, radius: float = 0.0,
 ) -> Desired:  # fmt: skip
     """Return the desired motion and force of a robot that starts at joint positions q (n,).
 
     On a surface that moves, the tip is carried along by it for `duration`, s. `axis` (3,) is the axis of the tool, a
-    unit vector in the tip's frame, which reference.orientation may hold against the normal.
+    unit vector in the tip's frame, which reference.orientation may hold against the normal, and `radius` that of the
+    tool's round end, m.
 
     Raises
     ------
     ScenarioError
-        If [reference] or the force profile is at fault, or the path leaves the workspace or the joint limits.
+        If [reference] or the force profile is at fault, the path leaves the surface, or is not one for the tool, or
+        leaves the workspace or the joint limits.
     """
     tip = path_on(scenario.reference, robot.position(q), surface, duration)
+    if scenario.reference.on_surface != "no":
+        refuse_without_normal(surface, tip)
+        refuse_beyond_edge(surface, tip)
+        refuse_tool_too_large(surface, tip, radius)
     profile = ConstantForceSection() if profile is None else profile
     force_at(profile, scenario.law.force, np.zeros(1))  # a profile at fault is refused before any inverse kinematics
     held = orientation_of(scenario.reference.orientation, axis, robot, q, surface)

@@ -47,6 +47,9 @@ Array = NDArray[np.float64]
 FIRST_SPACING = 5e-4  # m of path between knots before any halving
 SHORTEST = 1e-12  # s between knots
 MOST_KNOTS = 20_000
+# Of a tool held against a surface: by which factor intervals are multiplied before a part is halved, and the shortest
+# part that is, as a share of its segment.
+DOUBLED, SHORTEST_HALF = 4, 1e-6
 FEW_KNOTS = 2_000  # take as long interpreted, 1 to 3 ms each, as the inverse kinematics takes to be compiled
 DIFFERENCES = 257  # points at which a segment's acceleration is sampled to choose the first intervals
 
@@ -143,12 +146,29 @@ def _joined(parts: list[JointPath]) -> JointPath:
 
 def _resolve(who: Follower, q: Array, segment: Segment, most: int, keys: tuple[str, ...]) -> JointPath:
     """Return the joint path along one segment, with as many knots as it needs; at most `most` intervals."""
-    intervals = _first_intervals(segment)
+    return _between(who, q, segment, (segment.start, segment.stop), _first_intervals(segment), most, keys)
+
+
+def _between(
+    who: Follower, q: Array, segment: Segment, span: tuple[float, float], first: int, most: int, keys: tuple[str, ...]
+) -> JointPath:
+    """Return the joint path between two instants of a segment, with `first` intervals or more.
+
+    A tool that is held against the normal of a height field has an acceleration that jumps from patch to patch of its
+    spline. Knots are needed near the jumps alone: what some doublings do not resolve is halved.
+    """
+    intervals, begin, end = first, *span
     while True:
-        path, worst = _through_knots(who, q, segment, intervals, most, keys)
+        path, worst = _through_knots(who, q, segment, span, intervals, most, keys)
         if worst <= PATH_TOLERANCE:
             return path
         intervals *= 2
+        shortest = SHORTEST_HALF * (segment.stop - segment.start)
+        if who.held.surface is not None and intervals > DOUBLED * first and end - begin > shortest:
+            middle, fewer = 0.5 * (begin + end), max(1, first // 2)
+            before = _between(who, q, segment, (begin, middle), fewer, most, keys)
+            left = most - before.times.size
+            return _joined([before, _between(who, before.q[-1], segment, (middle, end), fewer, left, keys)])
         if intervals > most:
             raise ScenarioError(
                 f"reference: the joint path cannot be resolved (off the path by {worst:.1e} m midway between "
@@ -170,17 +190,20 @@ def _first_intervals(segment: Segment) -> int:
 
 
 def _through_knots(
-    who: Follower, q: Array, segment: Segment, intervals: int, most: int, keys: tuple[str, ...]
-) -> tuple[JointPath, float]:
+    who: Follower, q: Array, segment: Segment, span: tuple[float, float], intervals: int, most: int,
+    keys: tuple[str, ...],
+) -> tuple[JointPath, float]:  # fmt: skip
     """Return the joint path through the knots, and the largest distance of the tip from its path midway, m.
 
     A path is refused at the first knot out of the workspace.
     """
-    times = segment.start + (segment.stop - segment.start) * (np.arange(min(intervals, most) + 1) / intervals)
+    times = span[0] + (span[1] - span[0]) * (np.arange(min(intervals, most) + 1) / intervals)
+    if span[1] < segment.stop:
+        times[-1] = span[1]  # where the other half begins, to the last bit
     knots, midway = who.tip(segment, times), who.tip(segment, 0.5 * times[:-1] + 0.5 * times[1:])
     if not (np.all(np.diff(times) > SHORTEST) and np.all(np.isfinite(knots)) and np.all(np.isfinite(midway[:, 3:]))):
         raise ScenarioError(
-            f"reference: the motion from t = {segment.start:g} s to {segment.stop:g} s cannot be resolved: it is too "
+            f"reference: the motion from t = {span[0]:g} s to {span[1]:g} s cannot be resolved: it is too "
             "fast; give it more time"
         )
     way, reached, outcome = who.walk(q, times, knots, midway)

@@ -31,11 +31,9 @@ from closedloop.scenario.members import refuse_absent
 from closedloop.scenario.scenario import Scenario
 from closedloop.sections import Section
 from closedloop.simulation.cache import Cache
-from closedloop.simulation.edge import refuse_beyond_edge
 from closedloop.simulation.reference_table import reference_table
 from closedloop.simulation.start import placed_surface, refuse_combinations, refuse_lengths, start_state
 from closedloop.simulation.time_step import check_stiffness, integrator_of, stabiliser_gains, steps_and_hold
-from closedloop.simulation.tool_fit import refuse_tool_too_large
 from closedloop.surface.compliances.none import Rigid
 from closedloop.surface.rates import check_rates
 from closedloop.user_code import of_users
@@ -97,9 +95,6 @@ def prepare(scenario: Scenario, model: RobotModel | None = None, cache: Cache | 
     nodes_per_step = integrator.parts
     with of_users(scenario.reference, "reference.kind"):  # its curves are evaluated in there
         wanted, table = reference_table(scenario, robot, surface, q, steps, nodes_per_step, cache)
-    if scenario.reference.on_surface != "no":
-        refuse_beyond_edge(surface, wanted)
-        refuse_tool_too_large(surface, wanted, scenario.tool.radius)
 
     law = scenario.law
     given = getattr(law, "pd_start", None)

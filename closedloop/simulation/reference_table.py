@@ -38,10 +38,10 @@ def reference_table(
         q.tobytes(),
         _path_key(scenario, surface),
     )
-    axis = unit(scenario.tool.axis, "tool.axis")
+    tool = unit(scenario.tool.axis, "tool.axis"), scenario.tool.radius
     wanted = cache.get_shared(
         ("desired", *motion),
-        lambda: desired(scenario, robot, surface, q, scenario.force_profile, scenario.time.duration * BEYOND, axis),
+        lambda: desired(scenario, robot, surface, q, scenario.force_profile, scenario.time.duration * BEYOND, *tool),
         lambda made: 3 * made.joints.q.nbytes,
     )
     wanted = replace(wanted, profile=scenario.force_profile, force=scenario.law.force)

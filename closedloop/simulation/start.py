@@ -13,11 +13,11 @@ from closedloop.errors import ScenarioError
 from closedloop.events.phases import RESTING, TOUCHING
 from closedloop.integrators import ADAPTIVE, INTEGRATORS
 from closedloop.parameters import lists_per_joint
+from closedloop.reference.edge import edge_key
 from closedloop.reference.force import force_at
 from closedloop.robot.pinocchio import Robot
 from closedloop.scenario.robot_sections import ModelErrorSection
 from closedloop.scenario.scenario import Scenario
-from closedloop.simulation.edge import edge_key
 from closedloop.surface.compliances.none import Rigid
 from closedloop.surface.kinds.plane import PlaneSurface
 from closedloop.surface.placed import PlacedSurface, Touching

@@ -8,7 +8,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from closedloop.closure.contact_force import into_contact_frame
+from closedloop.closure.contact_force import FREE, into_contact_frame
 from closedloop.closure.solve import NO_NORMAL, OK
 from closedloop.jit.calls import call_at
 from closedloop.jit.kernel import kernel, kernel_inlined
@@ -30,7 +30,7 @@ def locate_on_plane(w: Work, constants: Constants) -> None:
 @kernel_inlined
 def locate_tip(w: Work, constants: Constants, state: State) -> int:
     """Write the contact frame, the tip's motion in it, and the gap and its rate; return OK or NO_NORMAL."""
-    if state.surface != 0 and not ask_surface(w, state):
+    if state.surface != 0 and not ask_surface(w, constants.h, state):
         return NO_NORMAL
     gap = w.gap
     locate_on_plane(w, constants)
@@ -44,8 +44,12 @@ def locate_tip(w: Work, constants: Constants, state: State) -> int:
 
 
 @kernel
-def ask_surface(w: Work, state: State) -> bool:
-    """Write what the surface answers: contact frame, gap, carried and turning; False if it has no normal there."""
+def ask_surface(w: Work, h: float, state: State) -> bool:
+    """Write what the surface answers: contact frame, gap, carried and turning; False if it has no normal there.
+
+    Or if a tip in contact is coming to where it has none: a step of `h`, s, leads over a point without showing it, so
+    that the run stops where |∇φ|, as it falls along the motion, would vanish within the step.
+    """
     links, ask = ask_at(state.surface_at)
     ask.time = w.time
     for i in range(3):
@@ -59,6 +63,8 @@ def ask_surface(w: Work, state: State) -> bool:
         state.raised = 1 if answer == RAISED else 0
         return False
     touch = Touch(ask.touch)
+    if state.mode != FREE and touch.growth * h < -1.0:
+        return False
     w.gap, w.inside = touch.level / touch.size, edge_distance(touch.at, ask.bounds)
     for i in range(3):
         w.carried[i], w.turning[i] = touch.carried[i], touch.turning[i]

@@ -26,7 +26,7 @@ from closedloop.step.locate import off_anchor
 from closedloop.step.memory import RIGID_STICK, SPRING_STICK, Constants, State, Work
 from closedloop.step.singular import force_in_singular_pose, pushed_on_the_way
 from closedloop.step.soft_contact import soft_contact_force
-from closedloop.step.tip_friction import turn_with_slip
+from closedloop.step.tip_friction import rub_without_pressure, turn_with_slip
 
 Array = NDArray[np.float64]
 
@@ -77,7 +77,11 @@ def contact_force(C: Array, w: Work, constants: Constants, state: State) -> int:
         if state.approached > 0 and pushed_on_the_way(C, w, constants, rigid):
             return PUSHED
         w.rigid_force = kept_force(rigid, C, w, state)
-        if state.unilateral != 0 and w.F[0] < 0.0 <= w.rigid_force:
+        if state.unilateral != 0 and w.rigid_force < 0.0 and w.a[0] < 0.0:
+            w.rigid_force = -w.a[0] / w.S[0, 0]  # it is friction alone that lifts the tip
+            if w.F[0] < 0.0:
+                b, share = rub_without_pressure(w, b), 0.0
+        elif state.unilateral != 0 and w.F[0] < 0.0 <= w.rigid_force:
             # The stabiliser may reduce f of a unilateral contact to zero, but not below.
             share = -rigid
             b = share * (w.S[0, 0] - w.S[0, 1] * w.c[0] - w.S[0, 2] * w.c[1])

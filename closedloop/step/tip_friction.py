@@ -105,6 +105,29 @@ def surface_friction(w: Work, constants: Constants, state: State, rows: Array) -
 
 
 @kernel
+def rub_without_pressure(w: Work, b: float) -> float:
+    """Write the force on a tip that stays on the surface with f = 0, and return its acceleration along n, m/s².
+
+    The part w of F_t = −c f − w that does not depend on f, as viscous friction, moves the tip along n too where S_nt is
+    not zero. Where with all of w the tip would be lifted off, and without friction it would be pressed on, neither mode
+    is consistent: the tip neither stays nor leaves. Between them lies the motion of a tip that touches with f = 0 and
+    the share of w that gives it the acceleration b of the closure: Filippov's solution, which the two would chatter
+    about (A. F. Filippov, Differential Equations with Discontinuous Righthand Sides, Kluwer 1988).
+
+    Parameters
+    ----------
+    w : Work
+        In: S, the free acceleration a with a_n < 0, and w with a_n − S_nt w > 0. Written: F.
+    b : float
+        That of the stabiliser, m/s²: 0 without one.
+    """
+    lifting = -w.S[0, 1] * w.viscous[0] - w.S[0, 2] * w.viscous[1]
+    share = min(max((b - w.a[0]) / lifting, 0.0), 1.0)
+    w.F[0], w.F[1], w.F[2] = 0.0, -share * w.viscous[0], -share * w.viscous[1]
+    return float(w.a[0] + share * lifting)
+
+
+@kernel
 def delayed_speed(w: Work, constants: Constants, state: State, rows: Array, delay: float, speed: float) -> float:
     """Return the speed of slip `delay` seconds ago, m/s, on a line between rows; `speed` is the present one."""
     if delay <= 0.0:

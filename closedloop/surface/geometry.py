@@ -49,6 +49,7 @@ class Touch(Block):
 
     level: float  # φ
     size: float  # |∇φ|
+    growth: float  # d|∇φ|/dt / |∇φ| along the point's motion, 1/s
     at: Annotated[Array, 3]  # p, m, surface's axes
     gradient: Annotated[Array, 3]
     hessian: Annotated[Array, 3, 3]
@@ -89,6 +90,7 @@ def frame_and_turning(v: Array, touch: Touch) -> bool:
     bend = n0 * b0 + n1 * b1 + n2 * b2
     x, y, z = b0 - bend * n0, b1 - bend * n1, b2 - bend * n2  # ṅ
     along = x * v0 + y * v1 + z * v2
+    touch.growth = bend
     local[0, 0], local[0, 1], local[0, 2] = n0, n1, n2
     turning[0] = along
     if 1.0 + n2 > ANTIPODE:

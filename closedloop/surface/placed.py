@@ -227,7 +227,7 @@ class PlacedSurface:
         ScenarioError
             If the surface does not lie in that direction from one of the points.
         """
-        found, done = self._at_each(put_on_surface, (np.array(self.normal), level), times, motion)
+        found, done = self.at_each(put_on_surface, (np.array(self.normal), level), times, motion)
         if done < times.size:
             where = np.round(motion[0][done], 4).tolist()
             try:
@@ -260,7 +260,7 @@ class PlacedSurface:
         """
         if self.fixed_plane:
             return np.tile(self.normal, (times.size, 1)), np.zeros((times.size, 3))
-        found, done = self._at_each(normals_on_surface, (), times, (r, velocity))
+        found, done = self.at_each(normals_on_surface, (), times, (r, velocity))
         if done < times.size:
             raise ScenarioError(
                 f"reference: at t = {times[done]:.4g} s the path is at {np.round(r[done], 4).tolist()} m, where the "
@@ -268,7 +268,7 @@ class PlacedSurface:
             )
         return found[0], found[1]
 
-    def _at_each(
+    def at_each(
         self, kernel: Callable[..., int], leading: tuple[Any, ...], times: Array, motion: tuple[Array, ...]
     ) -> tuple[list[Array], int]:
         """Return what a kernel makes of the points of a motion, and how many it got through.

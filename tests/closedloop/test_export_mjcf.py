@@ -18,7 +18,7 @@ SURFACES = {
     "pipe": {"surface.kind": "cylinder", "surface.radius": 0.5, "surface.inside": True},
     "ellipsoid": {"surface.kind": "ellipsoid", "surface.normal": [0.1, 0.2, 1.0], "reference.kind": "hold"},
     "height_field": {"surface.kind": "height_field", "surface.heights": BUMPS, "surface.spacing": 0.02},
-    "turntable": {"surface_motion.kind": "turntable"},
+    "turntable": {"surface_motion.kind": "turntable", "surface_motion.speed": 0.5},
 }
 ARMS = ("planar2_slide", "panda_slide", "panda_scan", "soft_table", "payload_mismatch", "wam_sphere", "wam_touchdown")
 QUICK = ("planar2_slide", "panda_scan")

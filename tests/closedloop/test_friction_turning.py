@@ -106,3 +106,32 @@ def test_a_closure_pulls_where_it_cannot_push():
             run = cl.simulate(scenario)
             assert run.contact_force[0] * force > 0.0
             assert run.residual_motion.max() < 1e-12
+
+
+def test_a_tip_that_friction_lifts_and_the_torque_presses_stays_with_no_force():
+    """Viscous friction alone would lift it: it touches with f = 0 and the share of friction that is in balance."""
+    press = 0.2  # m/s², of the tip without contact
+    changes = {
+        "surface.contact": "unilateral", "reference": {"kind": "hold"}, "stabiliser": {"kind": "none"},
+        "friction": {"kind": "coulomb_viscous", "coefficient": 0.1, "viscous": 5.0}, "time.duration": 0.02,
+        "time.integrator": "rk4",
+    }  # fmt: skip
+    problem = cl.prepare(cl.load_scenario("planar2_slide", changes))
+    frame, terms = problem.surface.frame[:2], problem.robot.terms(problem.q, problem.v)
+    start = np.linalg.solve(frame @ terms.jacobian, [0.0, -0.3])
+
+    def towards_the_surface(t, q, v, terms):
+        A = frame[0] @ terms.jacobian
+        return terms.bias + terms.mass_matrix @ A * (-press - frame[0] @ terms.drift) / (A @ A)
+
+    run = cl.simulate(cl.load_scenario("planar2_slide", changes | {"start.v": start.tolist()}), law=towards_the_surface)
+    assert np.all(run.mode == 1)
+    assert not run.events
+    assert np.max(np.abs(run.contact_force)) == 0.0
+    assert np.max(np.abs(run.closure_error)) < 1e-9
+    for k in (0, 10, 20):
+        terms = problem.robot.terms(run.q[k], run.v[k])
+        A = frame @ terms.jacobian
+        S = A @ np.linalg.solve(terms.mass_matrix, A.T)
+        assert frame[1] @ run.friction_force[k] == pytest.approx(press / S[0, 1], rel=1e-9)
+        assert abs(frame[1] @ run.friction_force[k]) < 5.0 * abs(frame[1] @ run.slip_velocity[k])

@@ -324,6 +324,7 @@ class Forgetful(SurfaceMotion):
         m.shift_acceleration[2] = 0.02
 
 
+IMPLICIT = {"kind": "implicit"}
 REFUSED = {
     "heights": (
         {"surface.kind": "height_field", "surface.heights": [[0.0] * 4] * 3},
@@ -346,6 +347,29 @@ REFUSED = {
     ),
     "motion that forgets its velocity": ({"surface_motion.kind": Forgetful}, "must be the derivatives of `angle`"),
     "no gradient on the way": ({"surface.kind": Cliff, "reference.direction": [1, 0, 0]}, "the surface has no normal"),
+    "gradient that vanishes at one point of the way": (
+        {"surface": IMPLICIT | {"expression": "z*(x**2 + (y - 0.02)**2)"}},
+        "at t = 2.5 s the path comes to [0.0, 0.8071, 0.3388] m, where the surface has no normal, as the gradient of "
+        "its φ vanishes there",
+    ),
+    "tip of a cone on the way": (
+        {"surface": IMPLICIT | {"expression": "x**2 + y**2 - z**2", "at": [0.0, -0.03, -0.03]}},
+        "at t = 3.5 s the path comes to [0.0, 0.8171, 0.3688] m",
+    ),
+    "ridge on the way": (
+        {"surface": IMPLICIT | {"expression": "z + sqrt((y - 0.0312)**2)", "at": [0, 0, -0.0312]}},
+        "as the gradient of its φ jumps there",
+    ),
+    "turntable at rest": (
+        {"surface_motion.kind": "turntable", "surface_motion.speed": 0.0},
+        "surface_motion.speed = 0.0: must not be zero",
+    ),
+    "breath of no depth": (
+        {"surface_motion.kind": "breathing", "surface_motion.amplitude": 0.0},
+        "surface_motion.amplitude = 0.0: must not be zero",
+    ),
+    "belt that does not say how fast": ({"surface_motion.kind": "conveyor"}, "'surface_motion.velocity' is missing"),
+    "turntable that does not say how fast": ({"surface_motion.kind": "turntable"}, "'surface_motion.speed' is missing"),
     "tool without mass": ({"tool.centre": [0.0, 0.0, 0.1]}, "tool.mass = 0: a tool with a centre of mass"),
     "gap of a placed one": (
         {"surface.kind": "sphere", "surface.point": [0.0, 0.3, 0.9], "surface.gap": 0.1},
@@ -370,6 +394,10 @@ def test_a_surface_without_a_normal_ends_the_run():
     with pytest.raises(cl.NoNormalError, match=r"stopped at t = 0.1.* the surface has no normal at \[0.01") as caught:
         cl.simulate(scenario, law=no_torque)
     assert 99 <= len(caught.value.run) <= 101
+    # A step of 0.1 mm leads over the one point at which the gradient vanishes, 12.34 mm away.
+    factor = {"kind": "implicit", "expression": "z*((x - 0.01234)**2 + y**2)"}
+    with pytest.raises(cl.NoNormalError, match=r"stopped at t = 0\.12.* has no normal at .* within a step"):
+        cl.simulate(point_mass(surface=factor, start__v=[0.1, 0.0, 0.0], time__duration=0.2), law=no_torque)
     bowl = {"surface__kind": "sphere", "surface__radius": 0.01, "surface__inside": True, "surface__gap": 0.01}
     with pytest.raises(cl.ScenarioError, match="has no normal at"):
         cl.simulate(point_mass(surface__contact="unilateral", **bowl))

@@ -6,10 +6,10 @@ import math
 from typing import Annotated, Any
 
 import numpy as np
-from pydantic import Field
+from pydantic import AfterValidator, Field
 
 from closedloop.sections import PLACE, Direction, Number, Positive, Size
-from closedloop.surface.motion import SurfaceMotion
+from closedloop.surface.motion import SurfaceMotion, moving
 from closedloop.surface.plane import unit
 
 FREQUENCY = Size(1e6, "Hz", "no arm follows it", 1e-9, "no run lasts long enough to show it")
@@ -21,7 +21,7 @@ class Breathing(SurfaceMotion):
     direction: Direction = Field(
         (0.0, 0.0, 1.0), description="direction of the motion, base frame; any length but zero"
     )
-    amplitude: Annotated[Number, PLACE] = Field(
+    amplitude: Annotated[Number, PLACE, AfterValidator(moving)] = Field(
         0.01, description="distance between the two ends, m; negative starts the other way"
     )
     frequency: Annotated[Positive, FREQUENCY] = Field(0.25, description="frequency, Hz")

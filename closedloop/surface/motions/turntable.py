@@ -5,10 +5,10 @@ from __future__ import annotations
 from typing import Annotated, Any
 
 import numpy as np
-from pydantic import Field
+from pydantic import AfterValidator, Field
 
 from closedloop.sections import PLACE, Direction, Number, Size
-from closedloop.surface.motion import SurfaceMotion
+from closedloop.surface.motion import SurfaceMotion, moving
 from closedloop.surface.plane import unit
 
 TURNING = Size(1e4, "rad/s", "nothing turns so fast")
@@ -20,7 +20,7 @@ class Turntable(SurfaceMotion):
 
     axis: Direction = Field((0.0, 0.0, 1.0), description="axis of rotation, base frame; any length but zero")
     centre: tuple[Place, Place, Place] = Field((0.0, 0.0, 0.0), description="a point of the axis, base frame, m")
-    speed: Annotated[Number, TURNING] = Field(0.5, description="angular speed, rad/s")
+    speed: Annotated[Number, TURNING, AfterValidator(moving)] = Field(description="angular speed, rad/s")
 
     def resolved(self) -> dict[str, Any]:
         """Return the unit vector of the axis."""

@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from closedloop.errors import ScenarioError
-from closedloop.reference.desired import Desired
+from closedloop.reference.tip_path import TipPath
 from closedloop.surface.along import shape_at
 from closedloop.surface.placed import PlacedSurface
 from closedloop.surface.plane import contact_frame
@@ -46,7 +46,7 @@ def hollow_radii(surface: PlacedSurface, times: Array, r: Array) -> Array:
     return found
 
 
-def refuse_tool_too_large(surface: PlacedSurface, wanted: Desired, radius: float) -> None:
+def refuse_tool_too_large(surface: PlacedSurface, tip: TipPath, radius: float) -> None:
     """Refuse a tool with a tip of this radius, m, where the path comes to a hollow that is narrower.
 
     Raises
@@ -56,7 +56,6 @@ def refuse_tool_too_large(surface: PlacedSurface, wanted: Desired, radius: float
     """
     if radius == 0.0 or surface.fixed_plane:
         return
-    tip = wanted.tip
     ends = [instant for segment in tip.segments for instant in (segment.start, segment.stop)]
     times = np.unique(np.linspace(min(ends), max(ends), PATH_CHECKS)) if ends else np.zeros(1)
     r = tip.sample(times)[0]

@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from closedloop.errors import ScenarioError
-from closedloop.reference.desired import Desired
+from closedloop.reference.tip_path import TipPath
 from closedloop.surface.contact import edge_distance
 from closedloop.surface.placed import PlacedSurface
 from closedloop.surface.surface import Surface
@@ -31,7 +31,7 @@ def edge_distances(surface: PlacedSurface, times: Array, r: Array) -> Array:
     return found
 
 
-def refuse_beyond_edge(surface: PlacedSurface, wanted: Desired) -> None:
+def refuse_beyond_edge(surface: PlacedSurface, tip: TipPath) -> None:
     """Refuse a path along a surface that leaves it over its edge; a tip that is to stay may be left by the surface.
 
     Raises
@@ -39,7 +39,6 @@ def refuse_beyond_edge(surface: PlacedSurface, wanted: Desired) -> None:
     ScenarioError
         With the first instant beyond the edge, and how far the path goes.
     """
-    tip = wanted.tip
     if not surface.ends or not tip.length > 0.0:
         return
     ends = [instant for segment in tip.segments for instant in (segment.start, segment.stop)]

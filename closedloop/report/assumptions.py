@@ -25,8 +25,8 @@ def assumptions(run: Run, measures: Mapping[str, float | None]) -> dict[str, dic
     """Return, for each of the paper's assumptions, whether it held, when it first failed (s), and what decided.
 
     ``expected`` says whether it should hold: False where the scenario itself gives it up, see
-    `closedloop.report.verdict.outside_by_the_scenario`, or the run left it in a determined way. `measures` are the run's,
-    see `closedloop.report.measures.MEASURES`.
+    `closedloop.report.verdict.outside_by_the_scenario`, or the run left it in a determined way. `measures` are the
+    run's, see `closedloop.report.measures.MEASURES`.
 
     - ``one_loop``: Eq. 24 has a single closure row, and its solution obeys it.
     - ``single_point``: the surface acts on the arm at the tip alone: the equation of motion is met with Jᵣᵀn f and no

@@ -18,6 +18,7 @@ from validation.engines.loop import ClosedLoop
 from validation.engines.symbolic import Symbolic
 from validation.identities import Sample, check_all, draw_sample, unanswered
 from validation.loops.compare import compare_on_loops
+from validation.loops.published import compare_with_published
 from validation.oracle import Oracle
 from validation.plant import Catch
 from validation.random_trees import random_robot, random_state
@@ -188,6 +189,7 @@ def run_suite(
     report.sections.append(soft_contact_section(seed))
     say("closing loops")
     report.sections.append(compare_on_loops(3 if quick else 12, seed))
+    report.sections.append(compare_with_published(quick))
     report.sections += list(_published(say))
     if not quick:
         say("sliding in every engine that can")

@@ -5,6 +5,7 @@ An assumption is reported as held only if it was checked at every row; the value
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from typing import Any
 
 import numpy as np
@@ -15,14 +16,15 @@ from closedloop.columns.record import Record
 from closedloop.jit.interpreted import interpreted
 from closedloop.report.link_contacts import contact_faults
 from closedloop.report.row_assumptions import NAMES, assumptions_met
-from closedloop.report.verdict import outside_by_the_scenario
+from closedloop.report.verdict import outside_by_the_run, outside_by_the_scenario
 
 
-def assumptions(run: Record) -> dict[str, dict[str, Any]]:
+def assumptions(run: Record, measures: Mapping[str, float | None]) -> dict[str, dict[str, Any]]:
     """Return, for each of the paper's assumptions, whether it held, when it first failed (s), and what decided.
 
     ``expected`` says whether it should hold: False where the scenario itself gives it up, see
-    `closedloop.report.verdict.outside_by_the_scenario`.
+    `closedloop.report.verdict.outside_by_the_scenario`, or the run left it in a determined way. `measures` are the
+    run's, see `closedloop.report.measures.MEASURES`.
 
     - ``one_loop``: Eq. 24 has a single closure row, and its solution obeys it.
     - ``single_point``: the surface acts on the arm at the tip alone: the equation of motion is met with Jᵣᵀn f and no
@@ -65,6 +67,10 @@ def assumptions(run: Record) -> dict[str, dict[str, Any]]:
         said = f"{len(found.names)} contacts besides: cone to {cone:.0e} N, force times gap {product:.0e} N m"
         report["single_point"] = {"held": False, "first_failed": 0.0, "measured": said}
         outside |= {"single_point"}
+    if passed := outside_by_the_run(measures, run.stopped):
+        verdict = report["nonsingular"]
+        verdict["measured"] = f"passed at t = {run.time[stiffest]:.4g} s; {verdict['measured']}"
+        outside |= passed
     for name, verdict in report.items():
         verdict["expected"] = name not in outside
     return report

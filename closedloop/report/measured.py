@@ -20,7 +20,7 @@ from closedloop.jit.kernel import entry_kernel, kernel, kernel_inlined
 from closedloop.jit.simd8 import every, select
 from closedloop.report.alternation import Signal, count_signal
 from closedloop.report.measures import JOINT_MEASURES, LEAST_TORQUE, MEASURES
-from closedloop.report.row_assumptions import NAMES
+from closedloop.report.row_assumptions import MOST_GROWTH, NAMES, NEAR_SINGULAR
 from closedloop.report.row_sample import (
     Flags,
     Greatest,
@@ -44,6 +44,7 @@ Array = NDArray[np.float64]
 EVENTS_AT = len(MEASURES)
 FAILED_AT = EVENTS_AT + len(KINDS)
 WIDTH = FAILED_AT + len(NAMES)
+_NONSINGULAR = NAMES.index("nonsingular")
 _VALUES: dict[str, Any] = {
     **dict.fromkeys(MEASURES, float),
     "events": Annotated[Array, len(KINDS)],
@@ -184,6 +185,7 @@ def write_values(last: Any, n: int, count: int, tally: Tally, values: Any) -> No
     values.final_contact_force, values.final_closure_error = last.contact_force, last.closure_error
     values.peak_contact_force, values.min_contact_force = most.force, -most.minus_force
     values.min_normal_mobility, values.max_stabiliser_force = -most.minus_mobility, most.stabiliser_force
+    values.singular_pose_passed = passed_singular_pose(last, most, first.assumptions[_NONSINGULAR])
     values.max_abs_closure_error, values.max_abs_closure_rate = most.closure_error, most.closure_rate
     values.deepest_penetration, values.start_closure_error = max(most.penetration, 0.0), tally.start_error
     values.max_kkt_residual = max(most.residual_motion, most.residual_closure)
@@ -218,6 +220,24 @@ def write_values(last: Any, n: int, count: int, tally: Tally, values: Any) -> No
         values.effort_limit_exceeded_at[j] = first.effort[j]
         values.torque_limited_share[j], values.torque_limited_at[j] = 0.0, math.nan  # see `closedloop.report.limited`
         values.torque_chatter[j] = share_of(torque.alternating, max(sums.torque[j], LEAST_TORQUE * mean))
+
+
+@kernel_inlined
+def passed_singular_pose(last: Any, most: Greatest, first: float) -> float:
+    """Return 1 if the tip came near singular poses on the way through only, and the contact force stayed as it was.
+
+    Parameters
+    ----------
+    last : Row
+        The last row.
+    most : Greatest
+        Over all rows.
+    first : float
+        When the tip was first near such a pose, s; NaN: never.
+    """
+    on_the_way = (first > 0.0) & (last.normal_mobility > NEAR_SINGULAR)
+    passed: float = select(on_the_way & (most.singular_force <= MOST_GROWTH * most.approach_force), 1.0, 0.0)
+    return passed
 
 
 @kernel_inlined

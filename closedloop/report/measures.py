@@ -27,6 +27,9 @@ MEASURES: dict[str, Measure] = {
     "max_kkt_residual": Measure("1", "largest relative residual of Eq. 24"),
     "max_kkt_condition": Measure("1", "largest condition number of the matrix of Eq. 24"),
     "min_normal_mobility": Measure("1", "lowest share of the tip's mobility along the normal; 0 at a singular pose"),
+    "singular_pose_passed": Measure(
+        "1", "1 if the tip came near singular poses on the way through only, with a contact force that stayed as it was"
+    ),
     "max_energy_residual": Measure("J", "largest energy unaccounted for"),
     "energy_exchanged": Measure("J", "energy that the joint torques exchanged with the arm"),
     "deepest_penetration": Measure("m", "deepest that the tip was below the surface"),

@@ -12,6 +12,10 @@ RESIDUAL_TOLERANCE = 1e-12
 # Below this share of its mobility the tip is within 1e-3 rad of a singular pose, and f, q̈ and Q along the normal
 # grow a thousandfold; the simulation itself stops only at `closedloop.closure.solve.SINGULAR_MOBILITY`.
 NEAR_SINGULAR = 1e-6
+# On the way through such a pose, within 1e-2 rad of it. A force that has a limit in the pose is about as large from
+# there on; one that has none is ten times as large 1e-3 rad from it, and grows as one over the distance.
+ON_THE_WAY = 1e-4
+MOST_GROWTH = 2.0
 NAMES = ("one_loop", "single_point", "contact_kept", "frictionless", "nonsingular")
 
 

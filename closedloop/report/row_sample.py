@@ -18,7 +18,7 @@ from closedloop.jit.blocks import Block, Count
 from closedloop.jit.kernel import kernel_inlined
 from closedloop.jit.simd8 import select
 from closedloop.report.measures import SETTLED
-from closedloop.report.row_assumptions import NAMES, assumptions_met
+from closedloop.report.row_assumptions import NAMES, NEAR_SINGULAR, ON_THE_WAY, assumptions_met
 from robot_models import RobotModel
 
 Array = NDArray[np.float64]
@@ -46,6 +46,8 @@ class Greatest(Block, sizes=("n",)):
     force: float
     minus_force: float
     minus_mobility: float
+    singular_force: float  # magnitude, within `NEAR_SINGULAR` of a singular pose
+    approach_force: float  # and on the way there, within `ON_THE_WAY`
     stabiliser_force: float
     closure_error: float
     closure_rate: float
@@ -136,6 +138,9 @@ def sample_row(
     powers, signals = Powers(sample.powers), Signals(sample.signals, n)
     force, error, touching = row.contact_force, row.closure_error, row.mode != FREE
     greatest.force, greatest.minus_force, greatest.minus_mobility = force, -force, -row.normal_mobility
+    held = row.normal_mobility > NEAR_SINGULAR
+    greatest.singular_force = select(held, 0.0, abs(force))
+    greatest.approach_force = select(held & (row.normal_mobility <= ON_THE_WAY), abs(force), 0.0)
     greatest.stabiliser_force = abs(row.stabiliser_force)
     greatest.residual_motion, greatest.residual_closure = row.residual_motion, row.residual_closure
     # Off the surface the closure error is a gap, not an error.

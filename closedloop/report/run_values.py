@@ -27,6 +27,7 @@ Array = NDArray[np.float64]
 # So many rows at a time: their samples stay in the processor's cache.
 ROWS = 2048
 
+_LAST = ("contact_force", "closure_error", "mode", "normal_mobility")
 _COLUMNS = tuple(name for name in RECORDED if name not in ("acceleration", "measured_force"))
 
 
@@ -54,7 +55,7 @@ def run_values(run: Record) -> Any:
         signals = np.hstack([signals[:, 1 - SPAN :], sample.signals])
         tally.signals[:, -1] += alternation(signals.T)
     tally.condition = np.max(run.kkt_condition)
-    last = SimpleNamespace(**{name: getattr(run, name)[-1] for name in ("contact_force", "closure_error", "mode")})
+    last = SimpleNamespace(**{name: getattr(run, name)[-1] for name in _LAST})
     interpreted(write_values)(last, n, count, tally, values)
     if "torque_limited" in run.columns:
         count_limited(run.torque_limited, h, values)

@@ -31,7 +31,7 @@ def summarise(run: Record) -> dict[str, Any]:
     found = run_values(run) if len(run) else None
     values: dict[str, Any] = dict.fromkeys(MEASURES) if found is None else _measures(run, found)
     joints = {name: getattr(found, name, np.full(run.model.n, np.nan)) for name in JOINT_MEASURES}
-    held = assumptions(run)
+    held = assumptions(run, values)
     problems = judge(_facts(run, values, joints, held), lambda: run_gains_fault(run))
     return {
         "verdict": {"good": not problems, "problems": problems},

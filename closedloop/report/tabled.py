@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from closedloop.report.measured import EVENTS_AT, FAILED_AT, WIDTH
 from closedloop.report.measures import JOINT_MEASURES, MEASURES
 from closedloop.report.row_assumptions import NAMES
-from closedloop.report.verdict import Facts, judge, names_of, outside_by_the_scenario
+from closedloop.report.verdict import Facts, judge, names_of, outside_by_the_run, outside_by_the_scenario
 from closedloop.robot.pinocchio import Robot
 from closedloop.scenario.gains import gains_fault
 from closedloop.scenario.scenario import Scenario
@@ -21,14 +21,15 @@ Array = NDArray[np.float64]
 def verdict_of(scenario: Scenario, robot: Robot, values: Array, steps: int, stopped: str | None = None) -> str:
     """Return "good", or the names of what is wrong with a run, as `closedloop.report.verdict` judges its values."""
     numbers, n = values.tolist(), robot.n
-    outside = outside_by_the_scenario(scenario)
+    measures = dict(zip(MEASURES, numbers[:EVENTS_AT], strict=True))
+    outside = outside_by_the_scenario(scenario) | outside_by_the_run(measures, stopped)
     failed = {
         name: (at, "")
         for name, at in zip(NAMES, numbers[FAILED_AT:WIDTH], strict=True)
         if not math.isnan(at) and name not in outside
     }
     facts = Facts(
-        scenario, robot.model, stopped, steps, dict(zip(MEASURES, numbers[:EVENTS_AT], strict=True)),
+        scenario, robot.model, stopped, steps, measures,
         0 if steps < 0 else int(sum(numbers[EVENTS_AT:FAILED_AT])), failed,
         {name: numbers[WIDTH + n * m : WIDTH + n * (m + 1)] for m, name in enumerate(JOINT_MEASURES)},
     )  # fmt: skip

@@ -95,7 +95,7 @@ def print_report(run: Record, width: int | None = None) -> None:
 
     console = Console(width=width, highlight=False)
     facts = run.summary()
-    _print_verdict(facts["verdict"], console)
+    _print_verdict(facts, console)
     table = Table(box=box.SIMPLE_HEAD, title=f"{run.scenario.name}: the paper's assumptions", title_justify="left")
     table.add_column("assumption")
     table.add_column("held")
@@ -104,7 +104,7 @@ def print_report(run: Record, width: int | None = None) -> None:
     for name, verdict in facts["assumptions"].items():
         held = {True: "[green]yes[/]", False: "[bold red]NO[/]", None: "unknown"}[verdict["held"]]
         if verdict["held"] is False and not verdict["expected"]:
-            held = "outside, by\nthe scenario"
+            held = "outside,\npassed" if name == "nonsingular" else "outside, by\nthe scenario"
         when = "" if verdict["first_failed"] is None else f"{verdict['first_failed']:.4g} s"
         table.add_row(_TITLES[name], held, when, verdict["measured"])
     console.print(table)
@@ -124,13 +124,15 @@ def print_report(run: Record, width: int | None = None) -> None:
         console.print(f"[yellow]note:[/] {note}")
 
 
-def _print_verdict(verdict: dict[str, Any], console: Console) -> None:
+def _print_verdict(facts: dict[str, Any], console: Console) -> None:
     """Print the verdict in one line, and what is wrong in a line each."""
     from rich.markup import escape
 
-    problems = verdict["problems"]
-    if verdict["good"]:
-        console.print(f"verdict: [green]{GOOD}[/]")
+    problems = facts["verdict"]["problems"]
+    if facts["verdict"]["good"]:
+        left = facts["assumptions"]["nonsingular"]
+        passed = f", outside the paper's assumptions: singular pose {left['measured'].split(';')[0]}"
+        console.print(f"verdict: [green]{GOOD}[/]{passed if left['held'] is False else ''}", soft_wrap=True)
         return
     reason = probable_reason(problems)
     why = f" ({reason})" if reason else ""

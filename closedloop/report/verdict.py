@@ -118,6 +118,15 @@ def outside_by_the_scenario(scenario: Scenario) -> set[str]:
     return outside
 
 
+def outside_by_the_run(measures: Mapping[str, float | None], stopped: str | None) -> set[str]:
+    """Return the names of the paper's assumptions that a run of these measures left in a determined way.
+
+    Of a singular pose that the tip passed the force is known; of one in which the run stopped, or near which the
+    force grew, began or ended, it is not.
+    """
+    return {"nonsingular"} if measures["singular_pose_passed"] == 1.0 and not stopped else set()
+
+
 def judge(facts: Facts, gains: Callable[[], str]) -> list[dict[str, Any]]:
     """Return what is wrong with a run: a list of ``name``, ``at``, the instant, s, or None, and ``text``.
 

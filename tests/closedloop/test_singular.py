@@ -5,11 +5,14 @@ links stand upright no joint has a lever along the normal. With x the angle of t
 the second, sin(φ/2) = √(4/3) sin(x/2). A torque H q̈ + C − Aᵀf along that motion gives the force f, whatever the pose.
 """
 
+import dataclasses
+
 import numpy as np
 import pytest
 
 import closedloop as cl
 import robot_models
+from closedloop.report import print_report
 
 FORCE, RATE, BEGIN = 10.0, 0.5, 0.05  # N, rad/s, rad before the pose
 AT_POSE = BEGIN / RATE
@@ -175,6 +178,38 @@ def test_wam_on_the_other_branch_is_what_shorter_steps_give():
     np.testing.assert_allclose(run.contact_force[away], fine.contact_force[::4][away], atol=1e-4)
     mirrored = (run.q - run.q[at]) * [-1.0, -1.0, -1.0, 1.0]
     np.testing.assert_allclose(mirrored[::-1], run.q - run.q[at], atol=1e-6)
+
+
+def test_a_pose_that_is_passed_leaves_the_paper_and_is_no_fault(capsys):
+    """The run is good, and says when."""
+    run = wam(**{"time.duration": 0.7})
+    held = run.summary()["assumptions"]["nonsingular"]
+    assert (held["held"], held["expected"]) == (False, False)
+    assert held["first_failed"] == pytest.approx(WAM_POSE, abs=0.01)
+    assert run.summary()["verdict"]["good"]
+    print_report(run, width=120)
+    said = capsys.readouterr().out
+    assert said.startswith("verdict: good, outside the paper's assumptions: singular pose passed at t = 0.6 s\n")
+
+
+def stays(run):
+    """Whether a run near a singular pose is at fault."""
+    return "nonsingular" in [problem["name"] for problem in run.summary()["verdict"]["problems"]]
+
+
+def test_a_pose_that_is_not_passed_is_a_fault(arm):
+    """A run that stops in it, ends in it, begins near it, or near which the force grows."""
+    with pytest.raises(cl.SingularClosureError) as caught:
+        wam(**{"law.kd": 5.0, "law.pd_start": 0.599})
+    assert stays(caught.value.run)
+    assert not stays(wam(**{"time.duration": 0.61}))
+    assert stays(wam(**{"time.duration": 0.6}))
+    passed = fold(arm)
+    begun, force = passed.normal_mobility.copy(), passed.contact_force.copy()
+    begun[0] = 1e-9
+    force[passed.normal_mobility < 1e-6] *= 3.0
+    for planted in ({"normal_mobility": begun}, {"contact_force": force}):
+        assert stays(dataclasses.replace(passed, columns=passed.columns | planted))
 
 
 def test_brakes_push_the_tip_along_the_normal():

@@ -16,6 +16,7 @@ from closedloop.integrators import Scheme
 from closedloop.parameters import per_joint
 from closedloop.reference.desired import Desired
 from closedloop.robot.pinocchio import Robot
+from closedloop.scenario.arm import has_stops
 from closedloop.scenario.scenario import BaumgarteGains, Scenario
 from closedloop.step.record_row import row_width
 from closedloop.surface.placed import PlacedSurface
@@ -135,7 +136,7 @@ class ScenarioNumbers:
     @property
     def bound(self) -> bool:
         """Whether there are loops, or stops of joints."""
-        return bool(self.robot.model.loops) or self.scenario.robot.stops
+        return bool(self.robot.model.loops) or has_stops(self.scenario, self.robot.model)
 
     @property
     def row_width(self) -> int:

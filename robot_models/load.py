@@ -320,6 +320,7 @@ def _finish(
     if gravity is None:
         gravity = np.array(mjcf.gravity(found.text) if found.format == "mjcf" else (0.0, 0.0, -9.81))
     joints = tuple(model.names)[1:]
+    own = [joint for joint in joints if joint not in stands_for(found.sidecar.closed_loop)]
     robot = RobotModel(
         name=found.name,
         format=found.format,
@@ -338,7 +339,7 @@ def _finish(
         gravity=gravity,
         description=found.sidecar.description,
         source=found.sidecar.source,
-        notes=notes.notes(found.text, found.format, joints, model.velocityLimit, model.effortLimit),
+        notes=notes.notes(found.text, found.format, own, model.velocityLimit, model.effortLimit),
         loops=found.sidecar.closed_loop or (mjcf_equality.loops(found.text, model) if found.format == "mjcf" else ()),
         drives=_drives(found.sidecar, joints),
     )

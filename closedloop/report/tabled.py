@@ -21,7 +21,7 @@ Array = NDArray[np.float64]
 def verdict_of(scenario: Scenario, robot: Robot, values: Array, steps: int, stopped: str | None = None) -> str:
     """Return "good", or the names of what is wrong with a run, as `closedloop.report.verdict` judges its values."""
     numbers, n = values.tolist(), robot.n
-    outside = outside_by_the_scenario(scenario)
+    outside = outside_by_the_scenario(scenario, robot.model)
     failed = {
         name: (at, "")
         for name, at in zip(NAMES, numbers[FAILED_AT:WIDTH], strict=True)

@@ -21,6 +21,22 @@ def joint_dynamics(model: RobotModel) -> tuple[NDArray[np.float64], NDArray[np.f
     """
     if model.format != "urdf":
         raise ModelError(f"{model.name}: friction of the robot's file acts from a URDF's <dynamics> only; this is MJCF")
+    found = _dynamics(model)
+    if not np.any(found):
+        raise ModelError(f"{model.name}: no joint of the robot's file has damping or friction (<dynamics>)")
+    return found[0], found[1]
+
+
+def loop_dynamics(model: RobotModel) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """Return the same of the coordinates of loop joints alone, zero of all other joints."""
+    if not model.loop_coordinates:
+        return np.zeros(model.n), np.zeros(model.n)
+    found = _dynamics(model) * [name in model.loop_coordinates for name in model.joint_names]
+    return found[0], found[1]
+
+
+def _dynamics(model: RobotModel) -> NDArray[np.float64]:
+    """Return damping and friction of each joint, (2, n)."""
     found = np.zeros((2, model.n))
     for joint in ET.fromstring(model.text).findall("joint"):
         dynamics, name = joint.find("dynamics"), joint.get("name", "")
@@ -30,6 +46,4 @@ def joint_dynamics(model: RobotModel) -> tuple[NDArray[np.float64], NDArray[np.f
         found[:, j] = [float(dynamics.get(key, "0")) for key in KEYS]
         if not (np.all(np.isfinite(found[:, j])) and np.all(found[:, j] >= 0.0)):
             raise ModelError(f"{model.name}: joint {name}: <dynamics>: damping and friction must be zero or more")
-    if not np.any(found):
-        raise ModelError(f"{model.name}: no joint of the robot's file has damping or friction (<dynamics>)")
-    return found[0], found[1]
+    return found

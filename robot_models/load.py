@@ -2,6 +2,7 @@
 
 from collections import Counter
 from collections.abc import Mapping, Sequence
+from dataclasses import replace
 from functools import lru_cache
 from math import isfinite
 from typing import TYPE_CHECKING
@@ -12,7 +13,9 @@ from numpy.typing import ArrayLike, NDArray
 from robot_models import build, inspected, mjcf, mjcf_equality, notes, physics, urdf
 from robot_models.described import Description, Format, find, joint_names, names_a_file
 from robot_models.errors import ModelError
-from robot_models.loop_joint import check_loops, loop_joint
+from robot_models.loop_coordinate import with_coordinates
+from robot_models.loop_joint import LoopJoint, check_loops, loop_joint
+from robot_models.loop_posture import place_coordinates, stands_for
 from robot_models.model import RobotModel
 from robot_models.sidecar import Sidecar
 
@@ -62,7 +65,7 @@ def _load_packaged(name: str, drive_inertia: bool) -> RobotModel:
 
 def _load(name: "str | PathLike[str]", drive_inertia: bool, lock: Lock) -> RobotModel:
     """See `load`."""
-    found = find(name)
+    found = _with_coordinates(find(name))
     defaults = found.sidecar
     locked = _locked(found, lock)
     if found.format == "urdf" and not inspected.has_passed(found.text, locked):
@@ -75,7 +78,10 @@ def _load(name: "str | PathLike[str]", drive_inertia: bool, lock: Lock) -> Robot
     elif defaults.drive_inertia:
         model.armature = np.array([defaults.drive_inertia.get(joint, 0.0) for joint in joints])
     home = _home(found, built, joints)
-    return _finish(built, home, found, locked, _default_tip(model) if defaults.tip is None else defaults.tip, None)
+    placed = place_coordinates(model, defaults.closed_loop, home)
+    home = np.where([joint in defaults.home for joint in joints], home, placed)
+    tip = _default_tip(model, defaults.closed_loop) if defaults.tip is None else defaults.tip
+    return _finish(built, home, found, locked, tip, None)
 
 
 @np.errstate(all="ignore")  # what overflows is refused by name
@@ -124,14 +130,30 @@ def from_text(
         urdf.inspect(canonical, name, locked)
     closed = tuple(loop_joint(table, name) for table in loops)
     sidecar = Sidecar(description=description, source=source, closed_loop=closed, drives=tuple(drives))
-    found = Description(name, canonical, format, name, sidecar)
-    built = build.build(canonical, format, locked, name)
+    found = _with_coordinates(Description(name, canonical, format, name, sidecar))
+    built = build.build(found.text, format, locked, name)
     n = built.model.nv
-    built.model.armature = _vector(armature, n, f"{name}: armature")
+    given = np.ones(n, dtype=bool)
+    if found.text != canonical:  # what is given is of the joints that the text had
+        given = np.array([joint in joint_names(canonical, format) for joint in list(built.model.names)[1:]])
+    m = int(given.sum())
+    built.model.armature = np.zeros(n)
+    built.model.armature[given] = _vector(armature, m, f"{name}: armature")
+    posture = np.zeros(n)
+    posture[given] = _vector(home, m, f"{name}: home")
+    if found.text != canonical:
+        posture = place_coordinates(built.model, found.sidecar.closed_loop, posture)
     if built.model.armature.min() < 0.0:
         raise ModelError(f"{name}: armature has a negative entry: an inertia is zero or more")
     g = None if gravity is None else _vector(gravity, 3, f"{name}: gravity")
-    return _finish(built, _vector(home, n, f"{name}: home"), found, dict(locked), tip, g)
+    return _finish(built, posture, found, dict(locked), tip, g)
+
+
+def _with_coordinates(found: Description) -> Description:
+    """Return a description in which the loop joints that act have coordinates, see `robot_models.loop_coordinate`."""
+    sidecar = found.sidecar
+    text, loops = with_coordinates(found.text, found.format, sidecar.closed_loop, sidecar.drives, found.where)
+    return replace(found, text=text, sidecar=replace(sidecar, closed_loop=loops))
 
 
 def _locked(found: Description, lock: Lock) -> dict[str, float]:
@@ -185,19 +207,28 @@ def _frames(model: "pin.Model") -> tuple[str, ...]:
     return tuple(name for name in named if times[name] == 1 and name != mjcf.STILL)
 
 
-def _default_tip(model: "pin.Model") -> str | None:
-    """Return the last link that moves and carries no other, or None."""
+def _default_tip(model: "pin.Model", loops: Sequence[LoopJoint]) -> str | None:
+    """Return the last link that moves and carries no other, or None; not one that stands for a loop joint."""
     import pinocchio as pin
 
     # A joint's frame hangs on its parent link, a link's frame on its joint: a leaf has nothing hanging on it.
-    bearers = {frame.parentFrame for frame in model.frames if frame.type != pin.FrameType.OP_FRAME}
-    usable = _frames(model)
+    made = stands_for(loops)
+    bearers = {
+        frame.parentFrame for frame in model.frames if frame.type != pin.FrameType.OP_FRAME and frame.name not in made
+    }
+    usable = [name for name in _frames(model) if name not in made]
     leaves = [
         frame.name
         for index, frame in enumerate(model.frames)
         if frame.type == pin.FrameType.BODY and frame.parentJoint > 0 and index not in bearers
     ]
     return next((name for name in reversed(leaves) if name in usable), None)
+
+
+def _drives(sidecar: Sidecar, joints: tuple[str, ...]) -> tuple[str, ...]:
+    """Return the joints with a drive: a loop joint that is a joint of the tree has none unless it is named."""
+    made = stands_for(sidecar.closed_loop)
+    return sidecar.drives or (tuple(joint for joint in joints if joint not in made) if made else ())
 
 
 def _vector(value: ArrayLike, n: int, what: str) -> NDArray[np.float64]:
@@ -224,6 +255,7 @@ def _finish(
     if gravity is None:
         gravity = np.array(mjcf.gravity(found.text) if found.format == "mjcf" else (0.0, 0.0, -9.81))
     joints = tuple(model.names)[1:]
+    own = [joint for joint in joints if joint not in stands_for(found.sidecar.closed_loop)]
     robot = RobotModel(
         name=found.name,
         format=found.format,
@@ -242,9 +274,9 @@ def _finish(
         gravity=gravity,
         description=found.sidecar.description,
         source=found.sidecar.source,
-        notes=notes.notes(found.text, found.format, joints, model.velocityLimit, model.effortLimit),
+        notes=notes.notes(found.text, found.format, own, model.velocityLimit, model.effortLimit),
         loops=found.sidecar.closed_loop or (mjcf_equality.loops(found.text, model) if found.format == "mjcf" else ()),
-        drives=found.sidecar.drives,
+        drives=_drives(found.sidecar, joints),
     )
     check_loops(robot.loops, robot.drives, robot.frames, joints, found.where)
     if tip is not None:

@@ -26,12 +26,23 @@ YAML for closed loops (frames, type):
 
 The frames of a slider or a weld have the same directions when it is closed. A distance has `length`, m; a gear has
 `joints` and `polynomial` instead of frames.
+
+A hinge, a slider and a cylinder leave coordinates free: the angle of the second side to the first about the axis, rad,
+the distance along it, m, or both. These may have friction, limits and a drive:
+
+    friction = 0.2          # Coulomb's, N m (N)
+    damping = 0.01          # viscous, N m s/rad (N s/m)
+    limits = [-1.0, 0.5]    # hard stops, rad (m); inf where there is none
+    drives = ["coupler"]    # the loop joint's name, beside those of the tree's joints, at the top of the file
+
+of a cylinder a pair of each, angle and distance, and two names, "coupler_angle" and "coupler_distance"
+(`robot_models.loop_coordinate`).
 """
 
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass, fields
 from difflib import get_close_matches
-from math import isfinite, sqrt
+from math import inf, isfinite, sqrt
 from typing import Any
 
 from robot_models.errors import ModelError, shown
@@ -54,6 +65,14 @@ ROWS = {kind: len(along) + len(about) for kind, (along, about) in BINDS.items()}
 SYNONYMS = {"3d": "point", "6d": "weld"}
 #: Types that have an axis.
 WITH_AXIS = ("hinge", "slider", "cylinder", "universal", "planar")
+#: What the types leave free that is a coordinate: the kind of each, and how its name ends.
+FREE: dict[str, tuple[tuple[str, str], ...]] = {
+    "hinge": (("revolute", ""),),
+    "slider": (("prismatic", ""),),
+    "cylinder": (("revolute", "_angle"), ("prismatic", "_distance")),
+}
+#: Keys of what acts on these coordinates.
+ACTING = ("friction", "damping", "limits")
 #: What stands for the base as a frame.
 WORLD = "world"
 #: No mechanism has more rows in its loops.
@@ -84,11 +103,23 @@ class LoopJoint:
     #: Names of the two joints of a gear; one alone is held at c0.
     joints: tuple[str, ...] = ()
     polynomial: Vector = (0.0, 1.0, 0.0, 0.0, 0.0)
+    #: Coulomb's friction, N m (N), and viscous, N m s/rad (N s/m), of each coordinate; none if left out.
+    friction: Vector = ()
+    damping: Vector = ()
+    #: Lower and upper stop of each coordinate, rad (m), infinite where there is none.
+    limits: tuple[Vector, ...] = ()
+    #: Of a weld that stands for another loop joint: the joints of the tree that are its coordinates.
+    coordinates: tuple[str, ...] = ()
 
     @property
     def rows(self) -> int:
         """How many rows it takes."""
         return ROWS[self.type]
+
+    @property
+    def free(self) -> tuple[str, ...]:
+        """Names of its coordinates; none if its type has none."""
+        return tuple(self.name + ending for _, ending in FREE.get(self.type, ()))
 
     def as_table(self) -> dict[str, Any]:
         """Return its fields, for JSON."""
@@ -119,11 +150,14 @@ def loop_joint(table: Mapping[str, Any], where: str) -> LoopJoint:
         given.setdefault("axes", [given["axis"], given["axis"]])
         del given["axis"]
     allowed = {"name", "type"} | ({"joints", "polynomial"} if kind == "gear" else {"frames", "points", "turn"})
-    allowed |= {"axes"} if kind in WITH_AXIS else set()
+    allowed |= {"axes"} if kind in WITH_AXIS or "coordinates" in given else set()
+    allowed |= set(ACTING) if kind in FREE else {"coordinates"} if kind == "weld" else set()
     allowed |= {"length"} if kind == "distance" else set()
     defaults = {entry.name: _listed(entry.default) for entry in fields(LoopJoint)}
     spare = {key for key in given if key in defaults and _listed(given[key]) == defaults[key]}
     for key in given.keys() - allowed - spare:
+        if key in ACTING:
+            raise ModelError(f"{where}: {key} is for {', '.join(FREE)}: a {kind} has no coordinate for it")
         raise ModelError(f"{where}: {key} is not for type {kind!r}: known are axis, {', '.join(sorted(allowed))}")
     made: dict[str, Any] = {"name": name, "type": kind}
     if kind == "gear":
@@ -138,6 +172,12 @@ def loop_joint(table: Mapping[str, Any], where: str) -> LoopJoint:
         if "axes" not in given:
             raise ModelError(f"{where}: a {kind} needs an axis, such as axis = [0, 0, 1]")
         made["axes"] = tuple(_direction(axis, f"{where}: axis") for axis in made["axes"])
+    if given.get("coordinates"):
+        made["coordinates"] = _names(given["coordinates"], f"{where}: coordinates", (1, 2))
+        made["axes"] = tuple(_direction(axis, f"{where}: axis") for axis in made["axes"])
+    made |= {
+        key: _acting(given[key], key, kind, f"{where}: {key}") for key in ACTING if _listed(given.get(key, ())) != []
+    }
     if kind == "distance":
         made["length"] = _number(given.get("length"), f"{where}: length")
         if not made["length"] > 0.0:
@@ -156,7 +196,8 @@ def check_loops(
         The message names the nearest.
     """
     for loop in loops:
-        for kind, names, known in (("frame", loop.frames, (*frames, WORLD)), ("joint", loop.joints, joints)):
+        bound = (*loop.joints, *loop.coordinates)
+        for kind, names, known in (("frame", loop.frames, (*frames, WORLD)), ("joint", bound, joints)):
             for name in names:
                 if name not in known:
                     raise ModelError(f"{where}: closed_loop {loop.name!r} names {_unknown(kind, name, known)}")
@@ -201,6 +242,27 @@ def _vectors(value: Any, count: int, what: str) -> tuple[Vector, ...]:
         if not (isinstance(each, list | tuple) and len(each) == 3):
             raise ModelError(f"{what} has {shown(each)}: it must be three numbers")
     return tuple(tuple(_number(x, what) for x in each) for each in value)
+
+
+def _acting(value: Any, key: str, kind: str, what: str) -> tuple[Any, ...]:
+    """Return friction or damping of each coordinate of a type, or the pair of limits of each."""
+    each = value if len(FREE[kind]) > 1 else [value]
+    one = "a pair of limits, the lower first" if key == "limits" else "a number, zero or more"
+    wanted = one if len(FREE[kind]) == 1 else f"two, of the angle and of the distance, each {one}"
+    if not isinstance(each, list | tuple) or len(each) != len(FREE[kind]):
+        raise ModelError(f"{what} is {shown(value)}: it must be {wanted}")
+    if key != "limits":
+        made = tuple(_number(x, what) for x in each)
+        if min(made) < 0.0:
+            raise ModelError(f"{what} is {shown(value)}: it must be {wanted}")
+        return made
+    for pair in each:
+        if not (isinstance(pair, list | tuple) and len(pair) == 2):
+            raise ModelError(f"{what} is {shown(value)}: it must be {wanted}")
+    pairs = tuple(tuple(x if x in (-inf, inf) else _number(x, what) for x in pair) for pair in each)
+    if not all(low < high for low, high in pairs):
+        raise ModelError(f"{what} is {shown(value)}: it must be {wanted}")
+    return pairs
 
 
 def _direction(axis: Vector, what: str) -> Vector:

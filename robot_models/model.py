@@ -68,6 +68,8 @@ class RobotModel:
     drives: tuple[str, ...] = ()
     #: Whether the drives stand behind springs: their inertia is then not in the mass matrix.
     elastic: bool = False
+    #: Whether the links that stand for coordinates of loop joints share no mass, see `robot_models.loop_posture`.
+    whole: bool = False
 
     def __post_init__(self) -> None:
         for entry in fields(self):
@@ -101,11 +103,30 @@ class RobotModel:
             The text was tampered with and can no longer be built.
         """
         model = self._built.copy()
-        model.armature = np.zeros(self.n) if self.elastic else np.array(self.armature)
+        model.armature = self.rigid_armature
         model.gravity.linear = np.array(self.gravity)
         for tool in self.tools:
             tool.mount(model)
+        if self.whole:
+            from robot_models.loop_posture import give_back
+
+            give_back(model, self.loops)
         return model
+
+    @property
+    def driven(self) -> NDArray[np.bool_]:
+        """(n,) whether each joint has a drive."""
+        return np.array([not self.drives or name in self.drives for name in self.joint_names])
+
+    @property
+    def rigid_armature(self) -> Vector:
+        """(n,) drive inertia that is in the mass matrix, kg m²: not that of drives behind springs."""
+        return np.where(self.driven & self.elastic, 0.0, self.armature)
+
+    @property
+    def loop_coordinates(self) -> tuple[str, ...]:
+        """Names of the joints that are coordinates of loop joints."""
+        return tuple(name for loop in self.loops for name in loop.coordinates)
 
     @cached_property
     def _built(self) -> "pin.Model":

@@ -80,6 +80,9 @@ def read_sidecar(path: Path, joints: Collection[str]) -> Sidecar:
         raise
     except ValueError as error:
         raise ModelError(f"{path} is not valid TOML: {str(error).splitlines()[0]}") from None
+    given = table.get("closed_loop", ())
+    loops = tuple(loop_joint(each, str(path)) for each in given) if isinstance(given, list) else ()
+    joints = (*joints, *(name for loop in loops for name in loop.free if name not in joints))
     for key, value in table.items():
         if key not in _TEXTS + _TABLES + _LISTS:
             hint = " (it looks like a scenario: give it another name than the robot's)" if "law" in table else ""
@@ -95,7 +98,7 @@ def read_sidecar(path: Path, joints: Collection[str]) -> Sidecar:
     if not all(isinstance(name, str) for name in table.get("drives", ())):
         raise ModelError(f"{path}: drives is {shown(table['drives'])}: it must be a list of joints")
     table["drives"] = tuple(table.get("drives", ()))
-    table["closed_loop"] = tuple(loop_joint(each, str(path)) for each in table.get("closed_loop", ()))
+    table["closed_loop"] = loops
     return Sidecar(**table)
 
 

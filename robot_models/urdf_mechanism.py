@@ -94,6 +94,7 @@ def _bounds(joint: ET.Element) -> Bounds:
     given = {key: float(limit.attrib[key]) for key in vars(Bounds()) if limit is not None and key in limit.attrib}
     if joint.get("type") == "continuous":  # what a continuous joint says of bounds is ignored, as every reader does
         given = {key: value for key, value in given.items() if key not in ("lower", "upper")}
+    given = {key: value for key, value in given.items() if abs(value) < NO_BOUND}
     # Both numbers have to be given, and who knows neither writes 0: a joint that can neither move nor be driven is
     # not what is meant.
     return Bounds(**{k: v for k, v in given.items() if v != 0.0 or k not in ("velocity", "effort")})

@@ -20,7 +20,7 @@ from closedloop.loops.reactions import (
     share_of_rows,
 )
 from closedloop.robot.pinocchio import Robot
-from closedloop.scenario.arm import robot_of, without_tools
+from closedloop.scenario.arm import has_stops, robot_of, stop_limits, without_tools
 from closedloop.surface.plane import unit
 
 Array = NDArray[np.float64]
@@ -48,8 +48,14 @@ def tip_force(run: Record) -> Array:
 
 def reactions_of(run: Record, robot: Robot) -> LoopReactions:
     """Return what the loops of a mechanism carried, its robot being that of the run's scenario."""
-    torque = run.torque + run.joint_friction
+    torque = _drive(run) + run.joint_friction
     return loop_reactions(robot, run.q, run.v, run.acceleration, torque, tip_force(run), at_stop(run))
+
+
+def _drive(run: Record) -> Array:
+    """Return what drives the links in each row, (N, n), N m (N): Q, or what elastic joints pass on."""
+    found: Array = run.transmitted_torque if run.scenario.transmission.elastic else run.torque
+    return found
 
 
 def wrist_wrench(run: Record) -> Array:
@@ -78,11 +84,10 @@ def orientation_error(run: Record) -> Array:
 
 def stop_torque(run: Record) -> Array:
     """Return what the stops of the joints give in each row, (N, n), N m (N); zero of a joint that is at none."""
-    if not run.scenario.robot.stops:
+    if not has_stops(run.scenario, run.model):
         return np.zeros(run.q.shape)
     robot = robot_of(run.scenario, without_tools(run.model))
-    drive = run.transmitted_torque if run.scenario.transmission.elastic else run.torque
-    found = missing_torque(robot, run.q, run.v, run.acceleration, drive + run.joint_friction, tip_force(run))
+    found = missing_torque(robot, run.q, run.v, run.acceleration, _drive(run) + run.joint_friction, tip_force(run))
     there = at_stop(run)
     if robot.model.loops:
         rows, _ = loop_rows(robot, run.q, run.v)
@@ -92,8 +97,8 @@ def stop_torque(run: Record) -> Array:
 
 def at_stop(run: Record) -> NDArray[np.bool_]:
     """Return which joints are at a stop in each row, (N, n); all False where there are no stops."""
-    high, low = run.q >= run.model.position_upper - AT_STOP, run.q <= run.model.position_lower + AT_STOP
-    found: NDArray[np.bool_] = (high | low) & run.scenario.robot.stops
+    lower, upper = stop_limits(run.scenario, run.model)
+    found: NDArray[np.bool_] = (run.q >= upper - AT_STOP) | (run.q <= lower + AT_STOP)
     return found
 
 

@@ -63,6 +63,8 @@ class TransmissionSection(Section):
 def transmission_constants(section: TransmissionSection, model: RobotModel) -> Array:
     """Return stiffness, N m/rad, damping, N m s/rad, and motor inertia, kg m², of each joint, (3, n); zero: rigid.
 
+    Joints without a drive, which loops may have, have no motor, and are zero.
+
     Raises
     ------
     ScenarioError
@@ -79,10 +81,13 @@ def transmission_constants(section: TransmissionSection, model: RobotModel) -> A
         return np.zeros((3, model.n))
 
     def each(key: str) -> Array:
-        return per_joint(f"transmission.{key}", getattr(section, key), model.n, model.joint_names)
+        given = per_joint(f"transmission.{key}", getattr(section, key), model.n, model.joint_names)
+        return np.where(model.driven, given, 0.0)
 
-    inertia = model.armature if section.motor_inertia is None else each("motor_inertia")
-    if lacking := [name for name, own in zip(model.joint_names, inertia, strict=True) if not own > 0.0]:
+    inertia = np.where(model.driven, model.armature, 0.0) if section.motor_inertia is None else each("motor_inertia")
+    if lacking := [
+        name for name, own, has in zip(model.joint_names, inertia, model.driven, strict=True) if has and not own > 0.0
+    ]:
         raise ScenarioError(
             f"transmission.motor_inertia is left out, and {model.name} has no drive inertia in {', '.join(lacking)}: "
             "give it in kg m², one number or one per joint"

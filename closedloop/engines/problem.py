@@ -12,6 +12,7 @@ from closedloop.contacts.bind import contact_memory
 from closedloop.control.compensation.none import NoCompensation
 from closedloop.control.encoder import NO_ENCODER
 from closedloop.control.law_input import LawInput
+from closedloop.engines.loop_start import close_reading
 from closedloop.engines.proceed import proceed_at
 from closedloop.engines.scenario_numbers import ScenarioNumbers
 from closedloop.engines.start_memory import write_constants, write_start, write_state
@@ -24,6 +25,7 @@ from closedloop.impact.restitution import coefficient_at
 from closedloop.jit.calls import entry_address
 from closedloop.jit.interpreted import interpreted, twin_address
 from closedloop.loops.bind import loop_memory
+from closedloop.scenario.arm import has_stops
 from closedloop.step.closed_loops import closed_loops
 from closedloop.step.contacts import contacts_in_step
 from closedloop.step.entries import friction_entry, joint_friction_entry, law_entry
@@ -68,9 +70,13 @@ class Problem(ScenarioNumbers):
             state.surface_at = memory.address
             loop.w.keep_alive(surface=memory)
         if self.bound:
-            loops = loop_memory(self.robot, self.scenario.robot.stops)
+            loops = loop_memory(self.robot, has_stops(self.scenario, self.robot.model))
             state.loops_at, loops.links.loop = loops.address, state.address
             loop.w.keep_alive(loops=loops)
+        if self.robot.model.loops and state.seen != 0:
+            seen = loop_memory(self.robot, has_stops(self.scenario, self.robot.model))
+            state.seen_loops_at, seen.links.loop = seen.address, state.address
+            loop.w.keep_alive(seen_loops=seen)
         write_constants(self, loop.constants)
         write_start(self, state, loop.w)
         if self.scenario.contact:
@@ -82,6 +88,8 @@ class Problem(ScenarioNumbers):
         if state.encoder != NO_ENCODER and state.phase == STEP_END:
             interpreted(read_joints)(loop.w, loop.constants, state, self.table)
             state.phase = MEASURED
+            if state.seen_loops_at != 0:
+                close_reading(loop.w, seen)
         return loop
 
     def constants(self) -> Constants:

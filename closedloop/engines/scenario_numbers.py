@@ -16,6 +16,7 @@ from closedloop.integrators import Scheme
 from closedloop.parameters import per_joint
 from closedloop.reference.desired import Desired
 from closedloop.robot.pinocchio import Robot
+from closedloop.scenario.arm import has_stops
 from closedloop.scenario.scenario import Scenario
 from closedloop.scenario.stabiliser_sections import BaumgarteGains
 from closedloop.step.record_row import row_width
@@ -136,7 +137,7 @@ class ScenarioNumbers:
     @property
     def bound(self) -> bool:
         """Whether there are loops, or stops of joints."""
-        return bool(self.robot.model.loops) or self.scenario.robot.stops
+        return bool(self.robot.model.loops) or has_stops(self.scenario, self.robot.model)
 
     @property
     def row_width(self) -> int:

@@ -8,6 +8,7 @@ from numpy.typing import NDArray
 from closedloop.closure.contact_force import FREE
 from closedloop.control.drives import DrivesSection
 from closedloop.control.sensor import start_sensor
+from closedloop.engines.loop_start import torque_of_drives
 from closedloop.engines.needs import arm_columns, reading_kind
 from closedloop.engines.packed import sticking
 from closedloop.engines.scenario_numbers import ScenarioNumbers
@@ -16,6 +17,7 @@ from closedloop.friction.contact import Contact
 from closedloop.friction.laws.none import NoFriction
 from closedloop.impact import RATIOS
 from closedloop.parameters import one_joint_block, parameter_block
+from closedloop.scenario.arm import has_stops, stop_limits
 from closedloop.scenario.robot_sections import ModelErrorSection
 from closedloop.step.memory import SPRING_STICK, Constants, State, Work
 from closedloop.step.record_row import Row
@@ -34,7 +36,7 @@ def write_constants(problem: ScenarioNumbers, constants: Constants) -> None:
     constants.h, constants.node, constants.offset = problem.h, problem.h / problem.nodes, problem.surface.offset
     constants.s_v, constants.s_p = problem.stabiliser
     constants.tip[:], constants.gravity[:], constants.reach = robot.tip_offset, robot.gravity, robot.reach**2
-    constants.lower_stop[:], constants.upper_stop[:] = robot.model.position_lower, robot.model.position_upper
+    constants.lower_stop[:], constants.upper_stop[:] = stop_limits(problem.scenario, robot.model)
     constants.restitution, constants.rest_speed = impact.restitution, impact.rest_speed
     constants.stop_restitution = problem.scenario.robot.stop_restitution
     constants.sensor[:], constants.support[:], constants.stick_speed = (
@@ -43,7 +45,7 @@ def write_constants(problem: ScenarioNumbers, constants: Constants) -> None:
     constants.law[:], constants.compensation[:] = problem.law.numbers, problem.compensation.numbers
     wrong = problem.scenario.model_error
     constants.believed_masses, constants.unknown_payload = wrong.masses, wrong.payload
-    constants.armature[:] = 0.0 if robot.model.elastic else robot.model.armature
+    constants.armature[:] = robot.model.rigid_armature
     constants.stiffness[:], constants.shaft_damping[:], constants.motor_inertia[:] = problem.transmission
     constants.tilt[:], constants.encoder[:] = np.eye(3) if wrong.normal == 0.0 else wrong.tilt(), problem.encoder
     constants.torque_limit[:], constants.torque_change[:] = problem.drives
@@ -67,7 +69,7 @@ def write_state(problem: ScenarioNumbers, state: State) -> None:
     state.unilateral = problem.scenario.surface.contact == "unilateral"
     state.impact_law = RATIOS[problem.restitution.ratio_of]
     state.sticking, state.joint_sticking = sticking(problem.friction), sticking(problem.joint_friction)
-    state.stops = problem.scenario.robot.stops
+    state.stops = has_stops(problem.scenario, problem.robot.model)
     state.feed_forward = problem.scenario.reference.orientation != "free"
     state.sensor_sampled = problem.sensor.sampled
     transmission = problem.scenario.transmission
@@ -117,7 +119,12 @@ def write_start(problem: ScenarioNumbers, state: State, w: Work) -> None:
     if state.elastic:
         # Each spring carries what holds the arm against gravity and the force desired, so that none is released.
         held = terms.bias - felt * (problem.frame[0] @ terms.jacobian)
-        w.z[-2 * n : -n], w.z[-n:] = problem.q + held / problem.transmission[0], problem.v
+        if problem.robot.model.loops:
+            held = torque_of_drives(problem.robot, problem.q, held)
+        stiffness = problem.transmission[0]
+        driven = stiffness > 0.0
+        w.z[-2 * n : -n] = problem.q + np.divide(held, stiffness, out=np.zeros(n), where=driven)
+        w.z[-n:] = np.where(driven, problem.v, 0.0)
 
 
 def tip_contact(problem: ScenarioNumbers) -> Contact:

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from copy import deepcopy
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 from importlib import import_module
 from pathlib import Path
@@ -135,7 +135,7 @@ class Run:
         """What the loop joints of a mechanism carried, worked out when it is asked for; None of a tree."""
         if not self.model.loops:
             return None
-        return reactions_of(self, robot_of(self.scenario, self.model))
+        return reactions_of(self, robot_of(self.scenario, replace(self.model, whole=True)))
 
     def summary(self) -> dict[str, Any]:
         """Return what the command line prints and writes as summary.json; see `closedloop.report`."""

@@ -34,7 +34,7 @@ def assumptions(run: Record, measures: Mapping[str, float | None]) -> dict[str, 
       the same residual.
     - ``nonsingular``: the tip can move along the normal (`NEAR_SINGULAR`).
     """
-    outside = outside_by_the_scenario(run.scenario)
+    outside = outside_by_the_scenario(run.scenario, run.model)
     if len(run) == 0:
         missing = {"held": None, "first_failed": 0.0, "measured": "no row could be computed"}
         return {name: missing | {"expected": name not in outside} for name in NAMES}

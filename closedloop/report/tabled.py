@@ -22,7 +22,7 @@ def verdict_of(scenario: Scenario, robot: Robot, values: Array, steps: int, stop
     """Return "good", or the names of what is wrong with a run, as `closedloop.report.verdict` judges its values."""
     numbers, n = values.tolist(), robot.n
     measures = dict(zip(MEASURES, numbers[:EVENTS_AT], strict=True))
-    outside = outside_by_the_scenario(scenario) | outside_by_the_run(measures, stopped)
+    outside = outside_by_the_scenario(scenario, robot.model) | outside_by_the_run(measures, stopped)
     failed = {
         name: (at, "")
         for name, at in zip(NAMES, numbers[FAILED_AT:WIDTH], strict=True)

@@ -26,9 +26,12 @@ import math
 from collections.abc import Callable, Mapping, Sequence
 from typing import Any, NamedTuple
 
+import numpy as np
+
 from closedloop.integrators import scheme_of
 from closedloop.scenario.scenario import Scenario
 from robot_models import RobotModel
+from robot_models.joint_dynamics import loop_dynamics
 
 GOOD = "good"
 
@@ -102,8 +105,8 @@ class Facts(NamedTuple):
     joints: Mapping[str, Sequence[float]]
 
 
-def outside_by_the_scenario(scenario: Scenario) -> set[str]:
-    """Return the names of the paper's assumptions that the scenario itself gives up.
+def outside_by_the_scenario(scenario: Scenario, model: RobotModel) -> set[str]:
+    """Return the names of the paper's assumptions that the scenario itself, with its robot, gives up.
 
     Friction at the tip gives up freedom from it, and, since a tip may stick with three rows, the one row; friction in
     the joints the former; a unilateral contact that contact is kept.
@@ -111,7 +114,7 @@ def outside_by_the_scenario(scenario: Scenario) -> set[str]:
     outside = set()
     if scenario.friction.kind != "none":
         outside |= {"frictionless", "one_loop"}
-    if scenario.rubs_in_joints:
+    if scenario.rubs_in_joints or any(map(np.any, loop_dynamics(model))):
         outside.add("frictionless")
     if scenario.surface.contact == "unilateral":
         outside.add("contact_kept")

@@ -6,6 +6,7 @@ from dataclasses import replace
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from closedloop.errors import ScenarioError
 from closedloop.friction.law import JointFriction
@@ -15,7 +16,9 @@ from closedloop.scenario.robot_sections import ToolSection
 from closedloop.scenario.scenario import Scenario
 from closedloop.surface.plane import unit
 from robot_models import RobotModel, Tool
-from robot_models.joint_dynamics import joint_dynamics
+from robot_models.joint_dynamics import joint_dynamics, loop_dynamics
+
+Array = NDArray[np.float64]
 
 
 def robot_of(scenario: Scenario, model: RobotModel) -> Robot:
@@ -50,17 +53,27 @@ def robot_of(scenario: Scenario, model: RobotModel) -> Robot:
 
 
 def joint_friction_of(scenario: Scenario, model: RobotModel) -> JointFriction:
-    """Return the law of friction in the joints: the scenario's, or that of the robot's file on request.
+    """Return the law of friction in the joints: the scenario's, or that of the robot's file.
+
+    What a loop joint of the file says of friction acts; what a joint says, on request.
 
     Raises
     ------
     ScenarioError
-        If both are asked for.
+        If there are both.
     ModelError
-        If the file has none.
+        If it is asked for, and the file has none.
     """
     if not scenario.robot.friction:
-        return scenario.joint_friction
+        damping, friction = loop_dynamics(model)
+        if not (np.any(damping) or np.any(friction)):
+            return scenario.joint_friction
+        if scenario.joint_friction.kind != "none":
+            raise ScenarioError(
+                f"joint_friction.kind = {scenario.joint_friction.kind!r}: loop joints of {model.name} have friction of "
+                "their own, and each is a joint here: leave out that, or joint_friction"
+            )
+        return JointCoulombViscous(kinetic=tuple(friction.tolist()), viscous=tuple(damping.tolist()))
     if scenario.joint_friction.kind != "none":
         raise ScenarioError(
             f"robot.friction = true with joint_friction.kind = {scenario.joint_friction.kind!r}: friction in "
@@ -68,6 +81,21 @@ def joint_friction_of(scenario: Scenario, model: RobotModel) -> JointFriction:
         )
     damping, friction = joint_dynamics(model)
     return JointCoulombViscous(kinetic=tuple(friction.tolist()), viscous=tuple(damping.tolist()))
+
+
+def stop_limits(scenario: Scenario, model: RobotModel) -> tuple[Array, Array]:
+    """Return where the joints have hard stops, lower and upper, (n,), rad (m), infinite where there is none.
+
+    The limits of a loop joint always are stops; those of the robot's joints if the scenario says so.
+    """
+    there = np.array([scenario.robot.stops or name in model.loop_coordinates for name in model.joint_names])
+    return np.where(there, model.position_lower, -np.inf), np.where(there, model.position_upper, np.inf)
+
+
+def has_stops(scenario: Scenario, model: RobotModel) -> bool:
+    """Whether a joint has a hard stop."""
+    limits = stop_limits(scenario, model)
+    return scenario.robot.stops or bool(np.isfinite(limits).any())
 
 
 def without_tools(model: RobotModel) -> RobotModel:

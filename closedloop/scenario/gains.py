@@ -12,7 +12,7 @@ refusal.
 
 from __future__ import annotations
 
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -24,6 +24,7 @@ from closedloop.control.tip_space import Posture, TipMotion
 from closedloop.control.transmission import transmission_constants
 from closedloop.errors import ScenarioError
 from closedloop.integrators import ADAPTIVE, INTEGRATORS
+from closedloop.loops.reactions import loop_rows
 from closedloop.parameters import per_joint
 from closedloop.robot.pinocchio import Robot
 from closedloop.scenario.scenario import Scenario
@@ -33,6 +34,8 @@ Array = NDArray[np.float64]
 
 # Without a spring there is a double eigenvalue one, which rounding of 1e-16 splits by its square root, 1e-8.
 GROWING = 1.0 + 1e-6
+# Share of the largest mobility of loop rows below which one is that of a row that depends on others.
+REDUNDANT = 1e-12
 
 
 class Feedback(NamedTuple):
@@ -140,7 +143,8 @@ def check_transmission(scenario: Scenario, robot: Robot, q: Array) -> None:
     """
     stiffness, damping, inertia = transmission_constants(scenario.transmission, robot.model)
     try:
-        mobility = np.linalg.inv(robot.terms(q, np.zeros(robot.n)).mass_matrix) + np.diag(1.0 / inertia)
+        mobility = closed_mobility(robot, q, np.linalg.inv(robot.terms(q, np.zeros(robot.n)).mass_matrix))
+        mobility += np.diag(np.divide(1.0, inertia, out=np.zeros(robot.n), where=inertia > 0.0))
     except np.linalg.LinAlgError:  # some link moves no inertia: the run says so
         return
     swing = Feedback("transmission.stiffness", "transmission.damping", mobility * stiffness, mobility * damping)
@@ -203,7 +207,7 @@ def feedbacks(scenario: Scenario, robot: Robot) -> list[Feedback]:
     held = scenario.surface.contact == "bilateral"
     try:
         motors = np.diag(transmission_constants(scenario.transmission, robot.model)[2])  # zero: they are in H
-        mobility = np.linalg.inv(terms.mass_matrix + motors)
+        mobility = closed_mobility(robot, q, np.linalg.inv(terms.mass_matrix + motors))
     except np.linalg.LinAlgError:  # some joint moves no inertia: the run says so
         return []
     S = A @ mobility @ A.T
@@ -235,6 +239,16 @@ def feedbacks(scenario: Scenario, robot: Robot) -> list[Feedback]:
         pull, damping = (per_joint(name, getattr(law, name.removeprefix("law.")), n) for name in names)
         parts.append(Feedback(*names, np.diag(pull), np.diag(damping)))
     return parts
+
+
+def closed_mobility(robot: Robot, q: Array, mobility: NDArray[Any]) -> Array:
+    """Return what a robot's loops leave of H⁻¹ (n, n) at q (n,)."""
+    if not robot.model.loops:
+        return mobility
+    rows, _ = loop_rows(robot, q[None], np.zeros((1, robot.n)))
+    G = rows[0]
+    free: Array = mobility - mobility @ G.T @ np.linalg.pinv(G @ mobility @ G.T, rcond=REDUNDANT) @ G @ mobility
+    return free
 
 
 def _scalar(spring: str, stiffness: float, damper: str, damping: float) -> Feedback:

@@ -31,6 +31,7 @@ from closedloop.scenario.members import refuse_absent
 from closedloop.scenario.scenario import Scenario
 from closedloop.sections import Section
 from closedloop.simulation.cache import Cache
+from closedloop.simulation.loop_entries import with_loop_entries
 from closedloop.simulation.reference_table import reference_table
 from closedloop.simulation.start import placed_surface, refuse_combinations, refuse_lengths, start_state
 from closedloop.simulation.time_step import check_stiffness, integrator_of, stabiliser_gains, steps_and_hold
@@ -69,6 +70,7 @@ def prepare(scenario: Scenario, model: RobotModel | None = None, cache: Cache | 
     cache = Cache() if cache is None else cache
     robot = _robot(scenario, model, cache)
     model = robot.model
+    scenario = with_loop_entries(scenario, model)
     n = robot.n
     refuse_lengths(scenario, model)
     q, v = start_state(scenario, model)

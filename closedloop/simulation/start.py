@@ -8,7 +8,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from closedloop.closure.contact_force import FREE, PRESSED
-from closedloop.control.encoder import NO_ENCODER, encoder_kind
 from closedloop.errors import ScenarioError
 from closedloop.events.phases import RESTING, TOUCHING
 from closedloop.integrators import ADAPTIVE, INTEGRATORS
@@ -16,7 +15,7 @@ from closedloop.parameters import lists_per_joint
 from closedloop.reference.edge import edge_key
 from closedloop.reference.force import force_at
 from closedloop.robot.pinocchio import Robot
-from closedloop.scenario.robot_sections import ModelErrorSection
+from closedloop.scenario.arm import has_stops
 from closedloop.scenario.scenario import Scenario
 from closedloop.surface.compliances.none import Rigid
 from closedloop.surface.kinds.plane import PlaneSurface
@@ -24,6 +23,7 @@ from closedloop.surface.placed import PlacedSurface, Touching
 from closedloop.surface.surface import Surface
 from closedloop.user_code import of_users
 from robot_models import RobotModel
+from robot_models.joint_dynamics import loop_dynamics
 
 Array = NDArray[np.float64]
 
@@ -50,21 +50,18 @@ def start_state(scenario: Scenario, model: RobotModel) -> tuple[Array, Array]:
 
 def refuse_combinations(scenario: Scenario, model: RobotModel) -> None:
     """Refuse what loops, and stops of joints, cannot be combined with."""
-    if (model.loops or scenario.robot.stops) and scenario.time.integrator in ADAPTIVE:
+    stopped = has_stops(scenario, model)
+    if stopped and scenario.time.integrator in ADAPTIVE:
         raise ScenarioError(
-            f"time.integrator = {scenario.time.integrator!r}: loops and stops of joints take steps of fixed length; "
-            f"must be {' or '.join(map(repr, INTEGRATORS))}"
+            f"time.integrator = {scenario.time.integrator!r}: stops of joints, which limits of loop joints are, take "
+            f"steps of fixed length; must be {' or '.join(map(repr, INTEGRATORS))}"
         )
-    if scenario.robot.stop_restitution > 0.0 and not scenario.robot.stops:
+    if scenario.robot.stop_restitution > 0.0 and not stopped:
         raise ScenarioError("robot.stop_restitution: is that of the joints' stops; give robot.stops = true with it")
-    if model.loops:
-        for section, asked in (
-            ("model_error", scenario.model_error != ModelErrorSection()),
-            ("encoder", encoder_kind(scenario.encoder) != NO_ENCODER),
-            ("transmission", scenario.transmission.elastic),
-        ):
-            if asked:
-                raise ScenarioError(f"{section}: is for arms without loops, and {model.name} has some; leave it out")
+    if scenario.contact and not scenario.robot.stops and (stopped or any(map(np.any, loop_dynamics(model)))):
+        raise ScenarioError(
+            f"contact: does not go with friction or limits of loop joints, and {model.name} has some: leave either out"
+        )
 
 
 def placed_surface(scenario: Scenario, robot: Robot, q: Array, v: Array) -> tuple[PlacedSurface, Touching, int]:

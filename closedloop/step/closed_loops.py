@@ -16,6 +16,7 @@ from numpy.typing import NDArray
 
 from closedloop.closure.contact_force import factorise
 from closedloop.closure.solve import OK, SINGULAR_MOBILITY, back_substitute, forward_substitute
+from closedloop.control.seen import Seen
 from closedloop.jit.calls import call_at
 from closedloop.jit.kernel import entry_kernel, kernel, kernel_inlined
 from closedloop.jit.pointers import integers_at
@@ -29,7 +30,7 @@ from closedloop.step.memory import Constants, State, Work, loop_at
 Array = NDArray[np.float64]
 
 # What the loops are asked for.
-BIND_TIP, BIND_LOAD, BIND_ANSWER, DRIVE, CLOSE, REACTION, STOP_TORQUE, STRIKE = range(8)
+BIND_TIP, BIND_LOAD, BIND_ANSWER, DRIVE, CLOSE, REACTION, STOP_TORQUE, STRIKE, BIND_SEEN = range(9)
 
 
 @kernel_inlined
@@ -54,15 +55,21 @@ def closed_loops(address: int, what: int) -> int:
                     tip's drift what BIND_TIP has added
     STOP_TORQUE     write the torque of the stops, of `column` as for REACTION
     STRIKE          change q̇ by the impulses of loops and stops that it does not obey
+    BIND_SEEN       do BIND_TIP for the X, S and drift that the law sees, with the H that it believes in
     """
     links, rows = loops_at(address)
     _, _, w = loop_at(links.loop)
     for j in range(links.n if links.stops > 0 else 0):
         rows.held[j] = w.stopped[j]
     if what == BIND_TIP:
-        bind_tip(links, rows, w)
+        bind_tip(links, rows, w, w.L, w.X, w.S)
         for k in range(3):
             w.drift_c[k] += rows.moved[k]
+    elif what == BIND_SEEN:
+        seen = Seen(w.seen, links.n)
+        bind_tip(links, rows, w, seen.L, seen.X, seen.S)
+        for k in range(3):
+            seen.drift_c[k] += rows.moved[k]
     elif what == BIND_LOAD:
         remove_basis(w.y, rows.basis, links.rank)
         for j in range(links.n):
@@ -85,25 +92,25 @@ def closed_loops(address: int, what: int) -> int:
 
 
 @kernel
-def bind_tip(links: LoopLinks, rows: LoopRows, w: Work) -> None:
-    """Project the tip's rows onto what the loops leave free, at the state in `w`."""
+def bind_tip(links: LoopLinks, rows: LoopRows, w: Work, L: Array, X: Array, S: Array) -> None:
+    """Project the tip's rows onto what the loops leave free, at the state in `w`, and write S of them."""
     n = links.n
-    find_required_on_the_way(links, rows, w.L, w.q, w.v)
+    find_required_on_the_way(links, rows, L, w.q, w.v)
     for k in range(3):
         moved = 0.0
         for j in range(n):
-            moved += w.X[k, j] * rows.part[j]
+            moved += X[k, j] * rows.part[j]
         rows.moved[k] = moved
-        remove_basis(w.X[k], rows.basis, links.rank)
+        remove_basis(X[k], rows.basis, links.rank)
     for k in range(3):
         for i in range(k + 1):
             s = 0.0
             for j in range(n):
-                s += w.X[k, j] * w.X[i, j]
-            if i == k and not s > SINGULAR_MOBILITY * w.S[k, k]:
+                s += X[k, j] * X[i, j]
+            if i == k and not s > SINGULAR_MOBILITY * S[k, k]:
                 s = 0.0  # the loops hold the tip in this direction
-            w.S[k, i] = s
-            w.S[i, k] = s
+            S[k, i] = s
+            S[i, k] = s
 
 
 @kernel

@@ -189,7 +189,7 @@ def drive_torque(w: Work, constants: Constants, state: State) -> int:
             w.torque_before[j] = w.torque[j]
     failed = call_law(state, TORQUE)
     if state.loops != 0:
-        call_at(state.loops, state.loops_at, DRIVE)
+        call_at(state.loops, state.seen_loops_at if state.seen_loops_at != 0 else state.loops_at, DRIVE)
     elif state.contacts != 0:
         call_at(state.contacts, state.contacts_at, DRIVE_CONTACTS)
     if state.drives != 0 and failed == 0:

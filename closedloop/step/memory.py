@@ -75,6 +75,7 @@ class State(Block):
     surface_motion: int  # address of the entry of its motion, 0: it is at rest
     loops: int  # address of the entry of the mechanism's loops, 0: a tree; and of their memory
     loops_at: int
+    seen_loops_at: int  # address of the memory of the loops as the law sees them, 0: it sees the state itself
     contacts: int  # address of the entry of the contacts of the links, 0: none but the tip's; and of their memory
     contacts_at: int
     stops: int  # 1 if the joints have stops

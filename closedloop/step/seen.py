@@ -1,7 +1,8 @@
 """What the law sees of a state: by its own model of arm and surface, and as the encoders read it.
 
 With encoders the terms are requested twice a row: at the state that they read, for the law, and at the true one, for
-Eq. 24. See `closedloop.events.proceed`, phase MEASURED.
+Eq. 24. See `closedloop.events.proceed`, phase MEASURED. Of a mechanism with loops the controller knows that they are
+closed: what it sees is the state nearest to the readings at which they are.
 """
 
 from __future__ import annotations
@@ -10,10 +11,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from closedloop.closure.contact_force import factorise, into_contact_frame
+from closedloop.closure.solve import OK
 from closedloop.control.encoder import EncoderParameters, read_encoder
 from closedloop.control.seen import Seen
+from closedloop.jit.calls import call_at
 from closedloop.jit.kernel import kernel
 from closedloop.step.belief import believe
+from closedloop.step.closed_loops import BIND_SEEN, CLOSE
 from closedloop.step.locate import in_contact_frame
 from closedloop.step.memory import Constants, Reference, State, Work
 
@@ -64,7 +68,10 @@ def see(H: Array, C: Array, w: Work, constants: Constants, state: State) -> int:
     if state.elastic != 0:  # the controller takes the joints for rigid
         for j in range(n):
             w.H[j, j] += constants.motor_inertia[j]
-    return int(factorise(w.H, seen.A, seen.L, seen.X, seen.S, constants.reach))
+    status = int(factorise(w.H, seen.A, seen.L, seen.X, seen.S, constants.reach))
+    if status == OK and state.seen_loops_at != 0:
+        call_at(state.loops, state.seen_loops_at, BIND_SEEN)
+    return status
 
 
 @kernel
@@ -77,13 +84,15 @@ def read_joints(w: Work, constants: Constants, state: State, table: Array) -> No
     for j in range(n):
         w.true_q[j], w.true_v[j] = w.q[j], w.v[j]
         q, v = w.q[j], w.v[j]
-        if state.elastic == MOTORS_MEASURED:
+        if state.elastic == MOTORS_MEASURED and constants.motor_inertia[j] > 0.0:
             q, v = w.z[motors + j], w.z[motors + n + j]
         position, velocity = read_encoder(
             state.encoder, (q, v), j, par, normal, constants.h if row > 0 else 0.0, (w.last_read_q, w.last_read_v)
         )
         w.read_q[j], w.read_v[j] = position, velocity
         w.q[j], w.v[j] = position, velocity
+    if state.loops != 0 and state.seen_loops_at != 0:
+        call_at(state.loops, state.seen_loops_at, CLOSE)
 
 
 @kernel

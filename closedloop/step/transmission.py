@@ -23,7 +23,10 @@ def motor_rates(w: Work, constants: Constants) -> None:
     at = w.z.shape[0] - 2 * n
     for j in range(n):
         w.dz[at + j] = w.z[at + n + j]
-        w.dz[at + n + j] = (w.torque[j] - w.transmitted[j]) / constants.motor_inertia[j]
+        if constants.motor_inertia[j] > 0.0:
+            w.dz[at + n + j] = (w.torque[j] - w.transmitted[j]) / constants.motor_inertia[j]
+        else:  # a joint without a drive
+            w.dz[at + n + j] = 0.0
 
 
 @kernel

@@ -31,6 +31,7 @@ from closedloop.events.table import EVENT_WIDTH
 from closedloop.events.transitions import collide
 from closedloop.jit.background import make_ready
 from closedloop.jit.pointers import address_of
+from closedloop.step.closed_loops import CLOSE, closed_loops
 from closedloop.step.memory import RIGID_STICK
 
 Array = NDArray[np.float64]
@@ -69,7 +70,7 @@ class Memory:
         self.loop = problem.loop(user_law=law is not None)
         self.state, self.constants, self.w = self.loop
         self.user_law = None if law is None else UserLaw(law, self.loop)
-        make_ready(proceed_at, evaluate_on_pinocchio)
+        make_ready(proceed_at, evaluate_on_pinocchio, *([closed_loops] if self.state.loops_at != 0 else []))
         problem.connect(self.loop, self.user_law.connect if self.user_law else None)
         self.state.steps = -1  # not of fixed length: friction need not be corrected for slip turning within a step
         self.hold = int(self.state.hold)
@@ -82,9 +83,11 @@ class Memory:
         self._addresses = addresses_of(robot.views, self.loop, self._wanted, self._tableau, self.rows, self.events)
 
     def put(self, y: Array) -> None:
-        """Make y the state in the memory."""
+        """Make y the state in the memory, moved to the nearest one that closes the loops if there are any."""
         self.w.q[:], self.w.v[:], self.w.z[:] = y[: self.n], y[self.n : 2 * self.n], y[2 * self.n : -1]
         self.w.supplied = y[-1]
+        if self.state.loops != 0:  # rows that depend on others do so only where the loops are closed
+            closed_loops(int(self.state.loops_at), CLOSE)
 
     def get(self) -> Array:
         """Return a copy of the state in the memory."""
@@ -167,7 +170,10 @@ class Memory:
         return t
 
     def projected(self, y: Array) -> Array:
-        """Return the state projected onto the closure, if the scenario has a projection and the tip is in contact."""
+        """Return the state with its loops closed, and projected onto the tip's closure if the scenario asks for it."""
+        if self.state.loops != 0:
+            self.put(y)
+            y = self.get()
         if self.state.project == 0 or self.state.mode == FREE:
             return y
         self.put(y)

@@ -1,0 +1,56 @@
+"""Scenarios of mechanisms whose loop joints are coordinates: lists that have an entry for each other joint alone.
+
+A loop joint with friction, limits or a drive is a joint of the tree (`robot_models.loop_coordinate`), and each list of
+a scenario has an entry for it. A list without that of loop joints that have no drive is meant to go on as it is: where
+they start follows from the posture, and the law asks nothing of them.
+"""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from closedloop.parameters import lists_per_joint
+from closedloop.scenario.scenario import Scenario
+from robot_models import RobotModel
+from robot_models.loop_posture import coordinate_rates, place_coordinates
+
+
+def with_loop_entries(scenario: Scenario, model: RobotModel) -> Scenario:
+    """Return a scenario whose start and law have an entry for each joint, if only loop joints without drives lack one.
+
+    Lists of any other length are left as they are.
+    """
+    names, driven = model.loop_coordinates, model.drives or model.joint_names
+    given = np.array([name not in names or name in driven for name in model.joint_names])
+    count = int(given.sum())
+    if count == model.n:
+        return scenario
+
+    def filled(values: Any) -> NDArray[np.float64]:
+        whole = np.zeros(model.n)
+        whole[given] = values
+        return whole
+
+    start: dict[str, Any] = {}
+    q, v = scenario.start.q, scenario.start.v
+    posture = model.home if q is None else np.array(q)
+    if q is not None and len(q) == count:
+        placed = filled(q)
+        posture = np.where(given, placed, place_coordinates(model.pinocchio_model(), model.loops, placed))
+        start["q"] = tuple(posture.tolist())
+    if v is not None and len(v) == count and len(posture) == model.n:
+        found = filled(v)
+        rates = coordinate_rates(model.pinocchio_model(), model.loops, posture, found)
+        start["v"] = tuple(np.where(given, found, rates).tolist())
+    lists = {
+        name: tuple(filled(values).tolist())
+        for name, values in lists_per_joint(scenario.law).items()
+        if len(values) == count
+    }
+    if not start and not lists:
+        return scenario
+    changes = {"start": scenario.start.model_copy(update=start), "law": scenario.law.model_copy(update=lists)}
+    return scenario.model_copy(update=changes)

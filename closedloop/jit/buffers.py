@@ -21,7 +21,7 @@ from numpy.typing import NDArray
 
 from closedloop.jit.blocks import Block
 from closedloop.jit.calls import call_at, call_with_buffers
-from closedloop.jit.kernel import kernel_inlined
+from closedloop.jit.kernel import inlined_kernel
 from closedloop.jit.pointers import MOST_KEPT, fortran_at, integers_at, matrix_at, vector_at
 
 Array = NDArray[np.float64]
@@ -60,11 +60,10 @@ def integers_buffer(address: int, n: int) -> Buffer:
     return memoryview((ctypes.c_int64 * int(n)).from_address(int(address))).cast("B").cast("q")
 
 
-@kernel_inlined
+@inlined_kernel
 def row_of(matrix: Array, i: int) -> Array:
     """Return a row of a matrix: what `matrix[i]` is, which a buffer refuses."""
-    row: Array = matrix[i]
-    return row
+    return matrix[i]  # type: ignore[no-any-return]
 
 
 def row_buffer(matrix: Any, i: int) -> Buffer:

@@ -10,11 +10,12 @@ from __future__ import annotations
 import json
 import os
 import sys
-from collections.abc import Sequence
-from contextlib import redirect_stdout
+from argparse import Namespace
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager, redirect_stdout
 from dataclasses import replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 from closedloop.command.border import DONE, NOT_GOOD, Parser, run_command
 from closedloop.command.help import list_of_sections, scenario_parser
@@ -29,6 +30,7 @@ from closedloop.errors import (
     lines_of,
     one_line,
 )
+from closedloop.figures.second_process import Beside
 from closedloop.interrupts import Terminated, word_for
 from closedloop.scenario.load import load_scenario, parse_scenario
 from closedloop.scenario.members import member_digests
@@ -36,6 +38,7 @@ from closedloop.scenario.overrides import split_overrides
 from closedloop.scenario.scenario import Scenario
 
 if TYPE_CHECKING:
+    from closedloop.command.results import Results
     from closedloop.record.run import Run
 
 
@@ -61,6 +64,59 @@ def _main(arguments: list[str]) -> int:
         raise ScenarioError(
             "command line: name a scenario, such as wam_slide, wam_touchdown or panda_slide; --list lists them"
         )
+    return _run(options, overrides)
+
+
+def _run(options: Namespace, overrides: dict[str, Any]) -> int:
+    """Simulate what the command line asks for, save, draw and report it, and return the exit status."""
+    job = _job(options, overrides)
+    results = _results(job, options.overwrite)
+    if job.earlier is not None:
+        _warn_of_other_texts(options.scenario, job.earlier, {options.law or "": job.digest, **job.members})
+    if job.law is None:
+        _warn_of_gains(job.scenario, job.model)
+    with _without_stabiliser(job, not options.no_figures) as unstabilised:
+        run, failure = _simulate(job, progress=not options.json)
+        if options.law:
+            run = replace(run, law=options.law)
+        paths = results.save(run, failure)
+        if isinstance(failure, InterruptedRunError):
+            said = f"what ran is in {job.folder}{os.sep}"
+            said = said if paths else f"{job.folder}{os.sep} holds more of this run already"
+            raise InterruptedRunError(f"{failure}; {said}", failure.time, run) from failure.__cause__
+        if not options.no_figures:
+            paths += _draw(run, job.folder, None if failure else unstabilised)
+    if options.json:
+        print(json.dumps(run.summary(), indent=2, allow_nan=False))
+    else:
+        from closedloop.report import print_report
+
+        print_report(run)
+        steps, names = max(0, len(run) - 1), ", ".join(path.name for path in paths)
+        print(f"{steps} steps in {run.wall_seconds:.2g} s; wrote {job.folder}{os.sep}: {names}")
+    if failure:
+        raise failure
+    return NOT_GOOD if options.strict and not run.summary()["verdict"]["good"] else DONE
+
+
+class _Job(NamedTuple):
+    """What is to be simulated, with which law and engine, and where the results go.
+
+    `law` is None for the scenario's own, `law_name` what the record calls it; `earlier` is the run that is repeated.
+    """
+
+    scenario: Scenario
+    model: Any
+    law: Any
+    law_name: str
+    digest: str
+    members: dict[str, str]
+    engine: str
+    folder: Path
+    earlier: Run | None
+
+
+def _job(options: Namespace, overrides: dict[str, Any]) -> _Job:
     try:
         scenario, model, earlier = _open(options.scenario, overrides)
     except ScenarioError as error:
@@ -72,56 +128,53 @@ def _main(arguments: list[str]) -> int:
             "add --law MODULE:FUNCTION"
         )
 
-    from closedloop.command.results import Results
-    from closedloop.engines.law_source import fresh, law_digest
-    from closedloop.record.save import question
+    from closedloop.engines.law_source import law_digest
     from closedloop.simulation.prepare import load_model
-    from closedloop.simulation.simulate import check_engine, simulate
+    from closedloop.simulation.simulate import check_engine
 
     engine = options.engine or (earlier.engine if earlier else "pinocchio")
     check_engine(scenario, engine, law)
-    model = load_model(scenario) if model is None else model
-    digest = "" if law is None else law_digest(law)
-    folder = Path(options.out) if options.out else Path("out") / scenario.name
-    members = member_digests(scenario)
-    inputs = question(scenario, model, options.law or "scenario", digest, engine, members)
+    return _Job(
+        scenario=scenario,
+        model=load_model(scenario) if model is None else model,
+        law=law,
+        law_name=options.law or "scenario",
+        digest="" if law is None else law_digest(law),
+        members=member_digests(scenario),
+        engine=engine,
+        folder=Path(options.out) if options.out else Path("out") / scenario.name,
+        earlier=earlier,
+    )
+
+
+def _results(job: _Job, overwrite: bool) -> Results:
+    """Return where the results go, saying what is at fault with the scenario too if they cannot go there."""
+    from closedloop.command.results import Results
+    from closedloop.record.save import question
+
+    inputs = question(job.scenario, job.model, job.law_name, job.digest, job.engine, job.members)
     try:
-        results = Results(folder, inputs, options.overwrite)
+        return Results(job.folder, inputs, overwrite)
     except OutputError as error:
-        if faults := _faults_of(scenario, model):
+        if faults := _faults_of(job.scenario, job.model):
             raise ScenarioError(*faults, str(error)) from None
         raise
-    if earlier is not None:
-        _warn_of_other_texts(options.scenario, earlier, {options.law or "": digest, **members})
-    if law is None:
-        _warn_of_gains(scenario, model)
-    failure: SimulationError | None = None
+
+
+def _simulate(job: _Job, progress: bool) -> tuple[Run, SimulationError | None]:
+    """Return the run, or what there is of one that could not go on, and why it could not."""
+    from closedloop.engines.law_source import fresh
+    from closedloop.simulation.simulate import simulate
+
     try:
         with redirect_stdout(sys.stderr):  # what a law prints is no result
-            run = simulate(scenario, law=fresh(law), model=model, progress=not options.json, engine=engine)
+            return simulate(
+                job.scenario, law=fresh(job.law), model=job.model, progress=progress, engine=job.engine
+            ), None  # fmt: skip
     except SimulationError as error:
         if error.run is None or (isinstance(error, InterruptedRunError) and len(error.run) == 0):
             raise
-        run, failure = error.run, error
-    if options.law:
-        run = replace(run, law=options.law)
-    paths = results.save(run, failure)
-    if isinstance(failure, InterruptedRunError):
-        where = f"what ran is in {folder}{os.sep}" if paths else f"{folder}{os.sep} holds more of this run already"
-        raise InterruptedRunError(f"{failure}; {where}", failure.time, run) from failure.__cause__
-    if not options.no_figures:
-        paths += _draw(run, folder, failure, law, model)
-    if options.json:
-        print(json.dumps(run.summary(), indent=2, allow_nan=False))
-    else:
-        from closedloop.report import print_report
-
-        print_report(run)
-        steps = max(0, len(run) - 1)
-        print(f"{steps} steps in {run.wall_seconds:.2g} s; wrote {folder}{os.sep}: {', '.join(p.name for p in paths)}")
-    if failure:
-        raise failure
-    return NOT_GOOD if options.strict and not run.summary()["verdict"]["good"] else DONE
+        return error.run, error
 
 
 def _fault_of_out(out: str | None) -> list[str]:
@@ -145,13 +198,11 @@ def _faults_of(scenario: Scenario, model: Any) -> tuple[str, ...]:
     return ()
 
 
-def _draw(run: Run, folder: Path, failure: SimulationError | None, law: Any, model: Any) -> list[Path]:
-    from closedloop.figures import draw_figures, is_papers
+def _draw(run: Run, folder: Path, unstabilised: Callable[[], Any] | None) -> list[Path]:
+    from closedloop.figures import draw_figures
 
     try:
-        if failure or not is_papers(run):
-            return draw_figures(run, folder)
-        return draw_figures(run, folder, lambda: _without_stabiliser(run.scenario, law, model, run.engine))
+        return draw_figures(run, folder, unstabilised)
     except KeyboardInterrupt as stop:
         said = f"{word_for(stop)} while drawing; run.nc and summary.json are in {folder}{os.sep}"
         raise type(stop)(said) if isinstance(stop, Terminated) else KeyboardInterrupt(said) from None
@@ -214,21 +265,49 @@ def _warn_of_gains(scenario: Scenario, model: Any) -> None:
         print(f"closedloop: warning: {one_line(fault)}", file=sys.stderr, flush=True)
 
 
-def _without_stabiliser(scenario: Scenario, law: Any, model: Any, engine: str) -> Any:
-    """Run the scenario without its stabiliser, for Fig. 7; None if it has none, or cannot do without."""
-    from closedloop.engines.law_source import fresh
-    from closedloop.simulation.simulate import simulate
+@contextmanager
+def _without_stabiliser(job: _Job, wanted: bool) -> Iterator[Callable[[], Any] | None]:
+    """Yield what gives the same scenario without its stabiliser, for Fig. 7; None where there is no such figure.
 
-    if scenario.stabiliser.kind == "none":
-        return None
-    plain = parse_scenario(scenario.to_toml(), where=scenario.name, overrides={"stabiliser.kind": "none"})
+    A run takes seconds while its loop is not compiled yet: the two are then simulated side by side.
+    """
+    if not wanted or job.scenario.stabiliser.kind == "none":
+        yield None
+        return
+    from closedloop.engines.loops import loop_for
+    from closedloop.figures import closure_error, images_of, is_papers
+    from closedloop.jit.interpreted import at_hand
+
+    if not is_papers(job.scenario.name):
+        yield None
+        return
+    plain = parse_scenario(
+        job.scenario.to_toml(), where=job.scenario.name, overrides={"stabiliser.kind": "none"}
+    )  # fmt: skip
+
+    def simulated() -> Run | None:
+        try:
+            run, failure = _simulate(job._replace(scenario=plain), progress=False)
+        except InterruptedRunError:
+            raise
+        except SimulationError:
+            return None
+        if isinstance(failure, InterruptedRunError):
+            raise failure
+        return None if failure else run
+
+    def drawn() -> Any:
+        run = simulated()
+        return run and images_of(closure_error, run)
+
+    if at_hand(loop_for(job.engine)):
+        yield simulated
+        return
+    beside = Beside(drawn)
     try:
-        with redirect_stdout(sys.stderr):
-            return simulate(plain, law=fresh(law), model=model, engine=engine)
-    except InterruptedRunError:
-        raise
-    except SimulationError:
-        return None
+        yield beside.result
+    finally:
+        beside.stop()
 
 
 if __name__ == "__main__":

@@ -138,15 +138,16 @@ def loop_joint(table: Mapping[str, Any], where: str) -> LoopJoint:
         raise ModelError(f"{where}: a closed_loop is {shown(table)}: it must be a table, [[closed_loop]]")
     given = dict(table)
     name = given.setdefault("name", given.get("type", "loop"))
-    if not (isinstance(name, str) and name.strip()):
-        raise ModelError(f"{where}: closed_loop.name is {shown(name)}: it must be a text")
+    if not (isinstance(name, str) and name.strip() and name.isprintable()):
+        raise ModelError(f"{where}: closed_loop.name is {shown(name)}: it must be a text of one line")
     where = f"{where}: closed_loop {name!r}"
     kind = given.get("type")
     kind = SYNONYMS.get(kind, kind) if isinstance(kind, str) else kind
     if kind not in ROWS:
         raise ModelError(f"{where}: type is {shown(kind)}: it must be {' or '.join(map(repr, ROWS))}")
     given["type"] = kind
-    if "axis" in given:
+    axes = "axis" if "axis" in given else "axes"  # the key that was given
+    if axes == "axis":
         given.setdefault("axes", [given["axis"], given["axis"]])
         del given["axis"]
     allowed = {"name", "type"} | ({"joints", "polynomial"} if kind == "gear" else {"frames", "points", "turn"})
@@ -167,14 +168,18 @@ def loop_joint(table: Mapping[str, Any], where: str) -> LoopJoint:
         made["frames"] = _names(given.get("frames"), f"{where}: frames", (2,))
     for key in ("points", "axes", "turn"):
         if key in given:
-            made[key] = _vectors(given[key], 3 if key == "turn" else 2, f"{where}: {key}")
+            where_given = f"{where}: {axes if key == 'axes' else key}"
+            if key == "axes" and axes == "axis":  # the same in either frame
+                made[key] = 2 * _vectors([given[key][0]], 1, where_given)
+            else:
+                made[key] = _vectors(given[key], 3 if key == "turn" else 2, where_given)
     if kind in WITH_AXIS:
         if "axes" not in given:
             raise ModelError(f"{where}: a {kind} needs an axis, such as axis = [0, 0, 1]")
-        made["axes"] = tuple(_direction(axis, f"{where}: axis") for axis in made["axes"])
+        made["axes"] = tuple(_direction(axis, f"{where}: {axes}") for axis in made["axes"])
     if given.get("coordinates"):
         made["coordinates"] = _names(given["coordinates"], f"{where}: coordinates", (1, 2))
-        made["axes"] = tuple(_direction(axis, f"{where}: axis") for axis in made["axes"])
+        made["axes"] = tuple(_direction(axis, f"{where}: {axes}") for axis in made["axes"])
     made |= {
         key: _acting(given[key], key, kind, f"{where}: {key}") for key in ACTING if _listed(given.get(key, ())) != []
     }
@@ -206,6 +211,8 @@ def check_loops(
     for drive in drives:
         if drive not in joints:
             raise ModelError(f"{where}: drives names {_unknown('joint', drive, joints)}")
+        if drives.count(drive) > 1:
+            raise ModelError(f"{where}: drives names {shown(drive)} twice: name each joint once")
     if len({loop.name for loop in loops}) < len(loops):
         raise ModelError(f"{where}: two loops have the same name: name each")
     if sum(loop.rows for loop in loops) > MOST_ROWS:

@@ -94,7 +94,10 @@ def read_sidecar(path: Path, joints: Collection[str]) -> Sidecar:
         if key in _TABLES:
             _check_table(path, key, value, joints)
         if key in _LISTS and not (isinstance(value, list) and value):
-            raise ModelError(f"{path}: {key} is {shown(value)}: it must be a list")
+            wanted = (
+                "the names of joints in [ ]" if key == "drives" else "one table a loop, each headed [[closed_loop]]"
+            )
+            raise ModelError(f"{path}: {key} is {shown(value)}: it must be {wanted}")
     if not all(isinstance(name, str) for name in table.get("drives", ())):
         raise ModelError(f"{path}: drives is {shown(table['drives'])}: it must be a list of joints")
     table["drives"] = tuple(table.get("drives", ()))

@@ -19,6 +19,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from closedloop.jit.kernel import kernel, kernel_inlined
+from closedloop.jit.lanewise import lanewise, takes_arrays
 
 Array = NDArray[np.float64]
 
@@ -65,6 +66,7 @@ def add_to_batch(
 
 
 @kernel
+@takes_arrays
 def condition_numbers_of_batch(batch: Array, n: int, lanes: int) -> None:
     """Overwrite the last row of `batch` with the condition numbers of its first `lanes` lanes."""
     P = batch
@@ -178,8 +180,9 @@ def add_four(factors: tuple[float, float, float, float], R: Array, k: int, to: A
 
 
 # Operations on all lanes; the last arrays are written. The number of lanes is an argument: with a constant the compiler
-# would unroll the loops instead of vectorising them.
+# would unroll the loops instead of vectorising them. Interpreted, each is done for all lanes at once.
 @kernel_inlined
+@lanewise
 def clear(to: Array, lanes: int) -> None:
     """Write to = 0."""
     for r in range(lanes):
@@ -187,6 +190,7 @@ def clear(to: Array, lanes: int) -> None:
 
 
 @kernel_inlined
+@lanewise
 def copy(x: Array, lanes: int, to: Array) -> None:
     """Write to = x."""
     for r in range(lanes):
@@ -194,6 +198,7 @@ def copy(x: Array, lanes: int, to: Array) -> None:
 
 
 @kernel_inlined
+@lanewise
 def multiply(x: Array, y: Array, lanes: int, to: Array) -> None:
     """Write to = x y."""
     for r in range(lanes):
@@ -201,6 +206,7 @@ def multiply(x: Array, y: Array, lanes: int, to: Array) -> None:
 
 
 @kernel_inlined
+@lanewise
 def take_product(x: Array, y: Array, lanes: int, to: Array) -> None:
     """Write to −= x y."""
     for r in range(lanes):
@@ -208,6 +214,7 @@ def take_product(x: Array, y: Array, lanes: int, to: Array) -> None:
 
 
 @kernel_inlined
+@lanewise
 def product_of_three(x: Array, y: Array, z: Array, lanes: int, to: Array) -> None:
     """Write to = x y z."""
     for r in range(lanes):
@@ -215,6 +222,7 @@ def product_of_three(x: Array, y: Array, z: Array, lanes: int, to: Array) -> Non
 
 
 @kernel_inlined
+@lanewise
 def begin_columns(
     y: Array, share: Array, a: Array, lanes: int, column: Array, inverse_norm: Array, size: Array, norm: Array
 ) -> None:
@@ -228,6 +236,7 @@ def begin_columns(
 
 
 @kernel_inlined
+@lanewise
 def add_magnitudes(x: Array, h: Array, lanes: int, column: Array, size: Array) -> None:
     """Write column += |x|, size += |h|."""
     for r in range(lanes):
@@ -236,6 +245,7 @@ def add_magnitudes(x: Array, h: Array, lanes: int, column: Array, size: Array) -
 
 
 @kernel_inlined
+@lanewise
 def add_to_both(
     x: Array, h: Array, lanes: int, column: Array, other_column: Array, size: Array, other_size: Array
 ) -> None:
@@ -250,6 +260,7 @@ def add_to_both(
 
 
 @kernel_inlined
+@lanewise
 def enlarge(x: Array, y: Array, lanes: int, most_x: Array, most_y: Array) -> None:
     """Write most = max(most, x), for two pairs."""
     for r in range(lanes):

@@ -46,7 +46,6 @@ def pieces() -> tuple[Piece, ...]:
         Piece("_impact", "an impact by itself", _impact),
         Piece("put_on_surface", "a path on a surface", lambda: _path(False)),
         Piece("normals_on_surface", "the normal along a path", lambda: _path(True)),
-        Piece("potential_energies", "potential energy of a record", _energies),
         Piece("closed_loops", "loops and stops", lambda: _loops("closed_loops")),
         Piece("along_path", "loops along a path", lambda: _loops("along_path")),
         Piece("closed_to", "a closed start", lambda: _loops("closed_to")),
@@ -181,13 +180,6 @@ def _impacts() -> None:
     from closedloop.jit.kernel import direct
 
     direct(collide, _problem().loop().address)
-
-
-def _energies() -> None:
-    from closedloop.scenario.load import load_scenario
-    from closedloop.simulation.simulate import simulate
-
-    simulate(load_scenario("planar2_slide", {"time.duration": 0.002}))
 
 
 def _path(normals: bool) -> None:

@@ -17,7 +17,7 @@ run has something for as files, and `STYLE` is their style, for ``matplotlib.rcP
 from __future__ import annotations
 
 from closedloop.figures.closure import closure_error
-from closedloop.figures.files import draw_figures, is_papers, save_figure
+from closedloop.figures.files import draw_figures, images_of, is_papers, save_figure
 from closedloop.figures.force import contact_force
 from closedloop.figures.friction import friction_force
 from closedloop.figures.impacts import impacts
@@ -35,6 +35,7 @@ __all__ = [
     "draw_figures",
     "force_control",
     "friction_force",
+    "images_of",
     "impacts",
     "is_papers",
     "joints",

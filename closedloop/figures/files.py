@@ -14,6 +14,7 @@ from closedloop.figures.impacts import has_impacts, impacts
 from closedloop.figures.joints import joints
 from closedloop.figures.link_contacts import link_contacts
 from closedloop.figures.overview import force_control
+from closedloop.figures.second_process import Beside
 from closedloop.figures.style import STYLE
 from closedloop.figures.tip import tip_position
 from closedloop.figures.tool import has_tool, tool
@@ -24,12 +25,15 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
 
+# The content of a figure's files, by their endings.
+Images = dict[str, bytes]
+
 # Scenarios of the paper's slide, whose figures are Figs. 4-7 of the paper.
 PAPERS = ("wam_slide", "wam_slide_unstabilised")
 
 
 def draw_figures(
-    run: Run, folder: str | Path, unstabilised: Run | Callable[[], Run | None] | None = None
+    run: Run, folder: str | Path, unstabilised: Run | Callable[[], Run | Images | None] | None = None
 ) -> list[Path]:
     """Write the figures of a run into `folder`, each as PNG and SVG, and return the paths of the PNGs.
 
@@ -44,15 +48,15 @@ def draw_figures(
     folder : path
         An existing folder.
     unstabilised : Run or callable, optional
-        The same scenario without its stabiliser, for Fig. 7 beside Fig. 6; or what simulates it, if it can be, which is
-        called when all others are written.
+        The same scenario without its stabiliser, for Fig. 7 beside Fig. 6; or what gives that run, or what `images_of`
+        makes of its `closure_error`, or None, and is called when all others are drawn.
 
     Raises
     ------
     OutputError
         If a figure cannot be written.
     """
-    papers = is_papers(run)
+    papers = is_papers(run.scenario.name)
     plain = run.scenario.stabiliser.kind == "none" and run.scenario.compliance.kind == "none"
     bare = "fig7_closure_error_unstabilised" if papers else "fig_closure_error_unstabilised"
     wanted: list[tuple[str, Callable[[Run], Figure], Run]] = [
@@ -71,33 +75,41 @@ def draw_figures(
         wanted.append(("fig_friction", friction_force, run))
     if has_tool(run):
         wanted.append(("fig_tool", tool, run))
-    written = []
-    for name, draw, what in wanted:
-        if len(what) == 0:
-            continue
-        written.append(save_figure(draw, what, Path(folder) / name))
-    other = None if plain else unstabilised() if callable(unstabilised) else unstabilised
-    if other is not None and len(other) > 0:
-        written.append(save_figure(closure_error, other, Path(folder) / bare))
+    wanted = [each for each in wanted if len(each[2]) > 0]
+    import matplotlib.backends.backend_agg
+    import matplotlib.backends.backend_svg  # noqa: F401  before there are two processes
+
+    rest = Beside(lambda: [images_of(draw, what) for _, draw, what in wanted[1::2]])
+    try:
+        images = [images_of(draw, what) for _, draw, what in wanted[::2]]
+        other = None if plain else unstabilised() if callable(unstabilised) else unstabilised
+        if isinstance(other, Run):
+            other = images_of(closure_error, other) if len(other) > 0 else None
+        beside = rest.result()
+    finally:
+        rest.stop()
+    images = [(beside if i % 2 else images)[i // 2] for i in range(len(wanted))]
+    written = [write_images(each, Path(folder) / name) for each, (name, *_) in zip(images, wanted, strict=True)]
+    if other is not None:
+        written.append(write_images(other, Path(folder) / bare))
     return written
 
 
-def is_papers(run: Run) -> bool:
-    """Tell whether a run is the paper's slide, or that with some keys changed."""
-    return run.scenario.name in PAPERS
+def is_papers(scenario: str) -> bool:
+    """Tell whether a scenario is the paper's slide, or that with some keys changed."""
+    return scenario in PAPERS
 
 
-def save_figure(draw: Callable[[Run], Figure], run: Run, path: Path) -> Path:
-    """Draw a figure of a run and write it as `path`.png and `path`.svg; return the former."""
+def images_of(draw: Callable[[Run], Figure], run: Run) -> Images:
+    """Draw a figure of a run and return its images, as `images` does."""
     import matplotlib as mpl
 
     with mpl.rc_context(cast(Any, STYLE)):
-        figure = draw(run)
-        return write_figure(figure, path)
+        return images(draw(run))
 
 
-def write_figure(figure: Figure, path: Path) -> Path:
-    """Write a figure that is drawn as `path`.png and `path`.svg, whole or not at all; return the former.
+def images(figure: Figure) -> Images:
+    """Return the content of the files of a figure that is drawn, ".png" and ".svg".
 
     Each says who made it, so that results of another run may be told and removed, and not when.
     """
@@ -105,9 +117,27 @@ def write_figure(figure: Figure, path: Path) -> Path:
     if engine is not None:
         engine.execute(figure)
         figure.set_layout_engine(None)  # all is in its place: else each file would be laid out anew
+    found = {}
     for suffix in (".svg", ".png"):
         metadata = {"Source": "closedloop"} | ({"Date": None} if suffix == ".svg" else {})
         image = io.BytesIO()
         figure.savefig(image, format=suffix[1:], metadata=metadata)
-        write_whole(path.with_suffix(suffix), image.getvalue())
+        found[suffix] = image.getvalue()
+    return found
+
+
+def save_figure(draw: Callable[[Run], Figure], run: Run, path: Path) -> Path:
+    """Draw a figure of a run and write it as `path`.png and `path`.svg; return the former."""
+    return write_images(images_of(draw, run), path)
+
+
+def write_figure(figure: Figure, path: Path) -> Path:
+    """Write a figure that is drawn as `path`.png and `path`.svg; return the former."""
+    return write_images(images(figure), path)
+
+
+def write_images(images: Images, path: Path) -> Path:
+    """Write the images of a figure, each whole or not at all, and return the path of the PNG."""
+    for suffix, content in images.items():
+        write_whole(path.with_suffix(suffix), content)
     return path.with_suffix(".png")

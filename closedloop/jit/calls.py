@@ -20,12 +20,34 @@ Entry = Callable[[int, int], int]
 _CALLBACK = ctypes.CFUNCTYPE(ctypes.c_int64, ctypes.c_int64, ctypes.c_int64)
 
 _interpreted: dict[int, Entry] = {}
+_with_buffers: dict[int, Entry] = {}
 _numbers = count(1)
 
 
 def call_at(address: int, loop: int, what: int) -> int:
     """Call the entry at an address with its two numbers, and return its answer."""
     return _interpreted[int(address)](int(loop), int(what))
+
+
+# What Python raises where buffers cannot do what arrays can.
+NOT_WITH_BUFFERS = TypeError, AttributeError, NotImplementedError
+
+
+class NeedsArraysError(Exception):
+    """An entry cannot do with buffers; it gets arrays from now on, and the call of the loop has to be begun again."""
+
+
+def call_with_buffers(address: int, loop: int, what: int) -> int:
+    """Do as `call_at` in code that is interpreted with buffers (`closedloop.jit.buffers`)."""
+    number = int(address)
+    entry = _with_buffers.get(number)
+    if entry is None:
+        return _interpreted[number](int(loop), int(what))
+    try:
+        return entry(int(loop), int(what))
+    except NOT_WITH_BUFFERS as error:
+        del _with_buffers[number]
+        raise NeedsArraysError from error
 
 
 def entry_address(entry: Any) -> int:
@@ -45,6 +67,11 @@ def compiled_address(entry: Any) -> int:
 
     compiled = entry.get_compile_result(types.int64(types.int64, types.int64))
     return int(compiled.library.get_pointer_to_function(compiled.fndesc.llvm_cfunc_wrapper_name))
+
+
+def give_with_buffers(address: int, entry: Entry) -> None:
+    """Let code that is interpreted with buffers call this form of an entry that is kept for good."""
+    _with_buffers[address] = entry
 
 
 def interpreted_address(entry: Entry) -> int:

@@ -23,8 +23,16 @@ import numpy as np
 from numpy.typing import NDArray
 
 from closedloop.jit import background
-from closedloop.jit.calls import Entry, address_of_function
+from closedloop.jit.buffers import with_buffers
+from closedloop.jit.calls import (
+    NOT_WITH_BUFFERS,
+    Entry,
+    NeedsArraysError,
+    address_of_function,
+    give_with_buffers,
+)
 from closedloop.jit.kernel import direct, needs_compiling
+from closedloop.jit.lanewise import LANEWISE, on_arrays
 
 F = TypeVar("F", bound=Callable[..., Any])
 
@@ -32,13 +40,14 @@ _MATH = types.ModuleType("math", "The module `math` as compiled code has it.")
 _MATH.__dict__.update({name: value for name, value in vars(math).items() if not name.startswith("_")})
 _MATH.__dict__["hypot"] = np.hypot
 
-# Twins, and the globals of twins, by the identity of what they are of, which is kept with them.
-_twins: dict[int, tuple[Any, Any]] = {}
-_globals: dict[int, tuple[dict[str, Any], dict[str, Any]]] = {}
+# Twins, and the globals of twins, by the identity of what they are of, which is kept with them; with arrays, or with
+# buffers (`closedloop.jit.buffers`).
+_twins: dict[tuple[int, bool], tuple[Any, Any]] = {}
+_globals: dict[tuple[int, bool], tuple[dict[str, Any], dict[str, Any]]] = {}
 _making = threading.RLock()
 
 
-def interpreted(function: F) -> F:
+def interpreted(function: F, buffers: bool = False) -> F:
     """Return the twin of a function that numba has been given: the same source, interpreted.
 
     It gives what the compiled form gives, to the last bit, with one exception: where Python's arithmetic raises an
@@ -49,40 +58,54 @@ def interpreted(function: F) -> F:
     ----------
     function : callable
         A function with the attribute `py_func`; another is returned as it is, as with ``NUMBA_DISABLE_JIT=1``.
+    buffers : bool
+        Whether what it takes by address are buffers: twice as fast, and refused by some kernels with an exception.
     """
     if not hasattr(function, "py_func"):
         return function
     if getattr(function, "unguarded", None) is not None:
-        return cast(F, interpreted(cast(Any, function).unguarded))
+        return cast(F, interpreted(cast(Any, function).unguarded, buffers))
+    key = id(function), buffers
     with _making:
-        if id(function) not in _twins:
+        if key not in _twins:
             source = function.py_func
-            cells = tuple(types.CellType(_twin_value(cell.cell_contents)) for cell in source.__closure__ or ())
-            names = _twin_globals(source.__globals__)
+            if buffers and hasattr(source, "takes_arrays"):
+                _twins[key] = function, on_arrays(interpreted(function))
+                return cast(F, _twins[key][1])
+            cells = tuple(types.CellType(_twin_value(cell.cell_contents, buffers)) for cell in source.__closure__ or ())
+            names = _twin_globals(source.__globals__, buffers)
+            if hasattr(source, "lanewise"):
+                names = names | LANEWISE
             twin = types.FunctionType(source.__code__, names, source.__name__, source.__defaults__, cells)
             twin.__kwdefaults__, twin.__doc__ = source.__kwdefaults__, source.__doc__
             twin.__qualname__ = source.__qualname__
-            _twins.setdefault(id(function), (function, twin))
-        return cast(F, _twins[id(function)][1])
+            _twins.setdefault(key, (function, twin))
+        return cast(F, _twins[key][1])
 
 
 def twin_address(entry: Entry) -> int:
     """Return the number by which interpreted code calls an entry, interpreted too; see `closedloop.jit.calls`."""
-    return address_of_function(interpreted(entry))
+    address = address_of_function(interpreted(entry))
+    if getattr(entry, "unguarded", None) is None:  # a user's is written for arrays
+        give_with_buffers(address, interpreted(entry, buffers=True))
+    return address
 
 
-def _twin_globals(names: dict[str, Any]) -> dict[str, Any]:
-    if id(names) not in _globals:
+def _twin_globals(names: dict[str, Any], buffers: bool) -> dict[str, Any]:
+    key = id(names), buffers
+    if key not in _globals:
         # Entered before it is filled: two modules may have functions of each other.
-        _globals[id(names)] = names, dict(names)
-        _globals[id(names)][1].update({name: _twin_value(value) for name, value in names.items()})
-    return _globals[id(names)][1]
+        _globals[key] = names, dict(names)
+        _globals[key][1].update({name: _twin_value(value, buffers) for name, value in names.items()})
+    return _globals[key][1]
 
 
-def _twin_value(value: Any) -> Any:
+def _twin_value(value: Any, buffers: bool) -> Any:
     if value is math:
         return _MATH
-    return interpreted(value) if callable(value) else value
+    if buffers and (other := with_buffers(value)) is not value:
+        return other
+    return interpreted(value, buffers) if callable(value) else value
 
 
 # Calls after which it is known how long they take; seconds between two looks for the compiled form; and how many times
@@ -115,6 +138,9 @@ class Interim:
         Called before the compiled form is, for the first time.
     later : sequence of callables
         What later runs will want: compiled in the background as well, and not waited for.
+    buffers : bool
+        Whether buffers may be tried. A call that they cannot do is begun again with arrays: so only where `written` is
+        all that a call changes.
 
     Attributes
     ----------
@@ -131,8 +157,10 @@ class Interim:
         with_it: Sequence[Callable[..., Any]] = (),
         on_compiled: Callable[[], None] = lambda: None,
         later: Sequence[Callable[..., Any]] = (),
+        buffers: bool = False,
     ) -> None:
         self._function, self._twin, self._written = function, interpreted(function), written
+        self._quick, self._with_buffers = interpreted(function, buffers), buffers
         self._calls, self._seconds, self._with_it = calls, seconds, (function, *with_it)
         self._later = later
         self._on_compiled = on_compiled
@@ -158,7 +186,7 @@ class Interim:
         busy = clock.thread_time()  # of the processor: on a loaded machine compiling takes longer by as much
         try:
             with np.errstate(all="ignore"):
-                answer = self._twin(*arguments)
+                answer = self._interpret(arguments, before)
         except (ArithmeticError, ValueError):  # where compiled code would go on
             self._put_back(before)
             return self._compile(arguments)(*arguments)
@@ -172,6 +200,21 @@ class Interim:
             self._decided = True
             self._decide((self._calls - self._done) * self._seconds_done / self._done, arguments)
         return answer
+
+    def _interpret(self, arguments: tuple[Any, ...], before: Sequence[NDArray[Any]]) -> Any:
+        """Call the kernel interpreted: with buffers, or with arrays where it cannot do with them."""
+        while self._with_buffers:
+            try:
+                return self._quick(*arguments)
+            except NeedsArraysError:
+                self._put_back(before)
+            except ArithmeticError:  # such as a division by zero, of which arrays make an infinity
+                self._put_back(before)
+                break
+            except NOT_WITH_BUFFERS:
+                self._put_back(before)
+                self._with_buffers = False
+        return self._twin(*arguments)
 
     def _decide(self, left: float, arguments: tuple[Any, ...]) -> None:
         """Wait for the compiler, or let it work in the background, when the rest would take `left` seconds."""

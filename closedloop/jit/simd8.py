@@ -33,12 +33,14 @@ def select(condition: Any, yes: Any, no: Any) -> Any:
 
 
 def every(condition: Any) -> bool:
-    """Whether a condition holds, for float64x8 in all eight."""
-    return bool(condition)
+    """Whether a condition holds, for float64x8 in all eight, for an array in all rows."""
+    return bool(np.all(condition)) if isinstance(condition, np.ndarray) else bool(condition)
 
 
-def nearest(x: float) -> float:
+def nearest(x: Any) -> Any:
     """Return an angle unchanged, or, where it is many turns, reduced to half a turn about zero."""
+    if isinstance(x, np.ndarray):
+        return np.array([nearest(each) for each in x.tolist()])
     return x if abs(x) <= MANY_TURNS else math.atan2(math.sin(x), math.cos(x))
 
 

@@ -27,7 +27,7 @@ from closedloop.jit.kernel import direct
 from closedloop.jit.pointers import address_of
 from closedloop.reference.inverse_kinematics import walk
 from closedloop.reference.joint_path import sample_spline
-from closedloop.robot.tree import Tree, potential_energies
+from closedloop.robot.tree import Tree
 from closedloop.step.memory import Loop
 from closedloop.step.record_row import complete_record
 
@@ -37,7 +37,7 @@ Call = Callable[[Array], int]
 # Evaluations between two returns to Python's bookkeeping, where nothing else is asked for.
 CHUNK = 400
 # What a run calls once or twice before and after its loop, interpreted where it is not compiled yet.
-USED_ONCE = (walk, sample_spline, potential_energies)
+USED_ONCE = (walk, sample_spline)
 
 
 class Answers:
@@ -217,7 +217,10 @@ def begun(
     with_it = [*called, complete_record, *([collide] if loop.state.unilateral else []), *entries]
     if not (at_hand(kernel) and all(map(at_hand, called))):
         calls = problem.steps * problem.integrator.stages
-        return Interim(kernel, (loop.state.memory, loop.w.memory), calls, SECONDS, with_it, connect, USED_ONCE)
+        # A user's law, loops and contacts of links have memory of their own: none of them is asked twice.
+        again = law is None and loop.state.loops_at == 0 and loop.state.contacts_at == 0
+        written = loop.state.memory, loop.w.memory
+        return Interim(kernel, written, calls, SECONDS, with_it, connect, USED_ONCE, again)
     make_ready(kernel, *called)
     start([function for function in (*with_it, *USED_ONCE) if not at_hand(function)])
     return kernel

@@ -22,11 +22,10 @@ from closedloop.events.table import event_columns
 from closedloop.integrators import ADAPTIVE, INTEGRATORS
 from closedloop.interrupts import held_back
 from closedloop.jit.background import make_ready
-from closedloop.jit.interpreted import Interim, call_now, call_once, not_compiled_first
-from closedloop.jit.kernel import plain
+from closedloop.jit.interpreted import Interim, call_now, not_compiled_first
 from closedloop.record.run import Run
 from closedloop.record.versions import package_versions
-from closedloop.robot.tree import Tree, potential_energies, work_size
+from closedloop.robot.tree import Tree, potential_energies
 from closedloop.scenario.arm import without_tools
 from closedloop.scenario.members import member_digests
 from closedloop.scenario.scenario import Scenario
@@ -36,9 +35,6 @@ from closedloop.step.record_row import CONTACT_RECORDED, RECORDED, complete_reco
 from robot_models import RobotModel
 
 Array = NDArray[np.float64]
-
-# So many take as long interpreted, 50 µs each, as `potential_energies` takes to be compiled.
-FEW_ROWS = 30_000
 
 
 def simulate(
@@ -278,9 +274,7 @@ def as_run(
         columns |= {name: recorded(rows, n, name, contacts) for name in CONTACT_RECORDED}
         columns["link_modes"] = columns["link_modes"].astype(np.int8)
     columns["mode"] = columns["mode"].astype(np.int8)
-    columns["potential_energy"] = np.empty(count)
-    work, energies = np.zeros(plain(work_size)(n)), columns["potential_energy"]
-    call_once(potential_energies, (work, energies), count <= FEW_ROWS, problem.robot.tree, columns["q"], work, energies)
+    columns["potential_energy"] = potential_energies(problem.robot.tree, columns["q"])
     return Run(
         scenario=problem.scenario,
         model=without_tools(problem.robot.model),

@@ -13,6 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from closedloop.closure.contact_force import FREE, PRESSED, STUCK, accelerate, pressed_force, stuck_force
+from closedloop.jit.buffers import row_of
 from closedloop.jit.calls import call_at
 from closedloop.jit.kernel import kernel
 from closedloop.step.closed_loops import BIND_ANSWER
@@ -103,7 +104,7 @@ def hold_joints(w: Work, constants: Constants, state: State) -> None:
             for i in range(3):
                 w.b_stabiliser[i] = 0.0
             stuck_force(w.S, a, w.b_stabiliser, F, w.compression)
-        accelerate(w.L, w.X, y, F, w.gain[j])
+        accelerate(w.L, w.X, y, F, row_of(w.gain, j))
     for _ in range(MOST_SWEEPS):
         change = 0.0
         for j in range(n):

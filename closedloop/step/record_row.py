@@ -19,6 +19,7 @@ from closedloop.closure.residuals import residuals
 from closedloop.contacts.memory import contacts_at
 from closedloop.control.sensor import SensorParameters, sense
 from closedloop.jit.blocks import Block
+from closedloop.jit.buffers import row_of
 from closedloop.jit.calls import call_at
 from closedloop.jit.kernel import entry_kernel, kernel, kernel_inlined
 from closedloop.jit.simd8 import every, select
@@ -126,7 +127,7 @@ def record_conditions(batch: Array, rows: Array, state: State, done: int, n: int
     if count > 0:
         condition_numbers_of_batch(batch, n, count)
     for r in range(count):
-        row = Row(rows[done - count + r], n)
+        row = Row(row_of(rows, done - count + r), n)
         row.kkt_condition = batch[batch.shape[0] - 1, r]
 
 
@@ -159,8 +160,8 @@ def record(
         table[place * state.nodes_per_step, 2 * n + 10], w.ring[0 : state.sensor_ring],
     )  # fmt: skip
     if state.arm_at != 0:
-        record_arm(w, state, rows[place][state.arm_at :])
-    Row(rows[place], n).measured_force = w.measured
+        record_arm(w, state, row_of(rows, place)[state.arm_at :])
+    Row(row_of(rows, place), n).measured_force = w.measured
 
 
 @kernel_inlined
@@ -170,7 +171,7 @@ def record_state(H: Array, C: Array, w: Work, state: State, rows: Array, place: 
     The condition number is written once a batch is full, or by `complete_record`; with loops it is that of H.
     """
     n = w.q.shape[0]
-    row, lane = Row(rows[place], n), state.batched
+    row, lane = Row(row_of(rows, place), n), state.batched
     for j in range(n):
         row.q[j] = w.q[j]
         row.v[j] = w.v[j]
@@ -210,9 +211,9 @@ def record_state(H: Array, C: Array, w: Work, state: State, rows: Array, place: 
     row.residual_closure = closed
     bordered = closed_by_row and state.loops == 0
     if n > LONG_ARM:
-        row.kkt_condition = condition_number(H, w.A[0], w.L, w.X[0], w.S[0, 0], bordered, w.scratch)
+        row.kkt_condition = condition_number(H, row_of(w.A, 0), w.L, row_of(w.X, 0), w.S[0, 0], bordered, w.scratch)
     else:
-        add_to_batch(H, w.A[0], w.L, w.X[0], w.S[0, 0], bordered, w.batch, lane)
+        add_to_batch(H, row_of(w.A, 0), w.L, row_of(w.X, 0), w.S[0, 0], bordered, w.batch, lane)
         state.batched = lane + 1
         if lane + 1 >= BATCH:
             record_conditions(w.batch, rows, state, place + 1, n)
@@ -222,7 +223,7 @@ def record_state(H: Array, C: Array, w: Work, state: State, rows: Array, place: 
     row.measured_force = w.measured
     row.energy_supplied = w.supplied
     if state.contacts != 0:
-        record_contacts(state, rows[place])
+        record_contacts(state, row_of(rows, place))
 
 
 @kernel

@@ -1,0 +1,152 @@
+"""Arrays of an interpreted loop as Python's own buffers: their elements are Python's numbers.
+
+An element of a numpy array is a numpy number, and to take it, to calculate with it and to put it back costs twice what
+a float costs that comes from a memoryview. The arithmetic is the same, IEEE's in double precision. But buffers cannot
+do all that arrays can (a row of a matrix, a number assigned to a slice), and dividing a float by zero raises where
+numpy gives an infinity: what a kernel cannot do with buffers, it does with arrays (`closedloop.jit.interpreted`).
+
+In a kernel that is interpreted so, the functions of `BUFFERS` stand in place of their keys, and a `BufferBlock` in
+place of each block. A user's plug-ins, which the loop calls by address, get arrays as ever.
+"""
+
+from __future__ import annotations
+
+import ctypes
+from collections.abc import Callable
+from functools import cache, lru_cache
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from closedloop.jit.blocks import Block
+from closedloop.jit.calls import call_at, call_with_buffers
+from closedloop.jit.kernel import inlined_kernel
+from closedloop.jit.pointers import MOST_KEPT, fortran_at, integers_at, matrix_at, vector_at
+
+Array = NDArray[np.float64]
+Buffer = Any  # a memoryview of one or two dimensions
+
+# Blocks of one class that are kept: an interpreted loop makes the same few at every step.
+MOST_BLOCKS = 8
+
+
+def _reals(address: int, count: int) -> Buffer:
+    return memoryview((ctypes.c_double * count).from_address(address)).cast("B").cast("d")
+
+
+@lru_cache(maxsize=MOST_KEPT)
+def vector_buffer(address: int, n: int) -> Buffer:
+    """Return the n numbers at an address."""
+    return _reals(int(address), int(n))
+
+
+@lru_cache(maxsize=MOST_KEPT)
+def matrix_buffer(address: int, rows: int, columns: int) -> Buffer:
+    """Return the matrix at an address, row after row."""
+    return np.asarray(_reals(int(address), int(rows * columns))).reshape(int(rows), int(columns)).data
+
+
+@lru_cache(maxsize=MOST_KEPT)
+def fortran_buffer(address: int, rows: int, columns: int) -> Buffer:
+    """Return the matrix at an address, column after column."""
+    flat = np.asarray(_reals(int(address), int(rows * columns)))
+    return flat.reshape((int(rows), int(columns)), order="F").data
+
+
+@lru_cache(maxsize=MOST_KEPT)
+def integers_buffer(address: int, n: int) -> Buffer:
+    """Return the n whole numbers at an address."""
+    return memoryview((ctypes.c_int64 * int(n)).from_address(int(address))).cast("B").cast("q")
+
+
+@inlined_kernel
+def row_of(matrix: Array, i: int) -> Array:
+    """Return a row of a matrix: what `matrix[i]` is, which a buffer refuses."""
+    return matrix[i]  # type: ignore[no-any-return]
+
+
+def row_buffer(matrix: Any, i: int) -> Buffer:
+    """Return a row of a matrix."""
+    array: Any = matrix.obj if isinstance(matrix, memoryview) else matrix
+    return array[i].data
+
+
+class BufferBlock:
+    """What makes blocks of one class on buffers; those on arrays, of SIMD lanes for example, it makes as ever.
+
+    A block on a buffer is a structure of ctypes: its single numbers are read and written without a line of Python.
+    """
+
+    def __init__(self, kind: type[Block]) -> None:
+        self._kind = kind
+        self._structures: dict[tuple[str, tuple[int, ...]], type[ctypes.Structure]] = {}
+        self._kept: dict[int, tuple[Any, tuple[int, ...], Any]] = {}
+
+    def __call__(self, memory: Any, *sizes: int) -> Any:
+        """Return a block, the same for the same memory."""
+        found = self._kept.get(id(memory))
+        if found is not None and found[0] is memory and found[1] == sizes:
+            return found[2]
+        if not isinstance(memory, memoryview):
+            return self._kind(memory, *sizes)
+        block: Any = self._structure(memory.format, sizes).from_buffer(memory)
+        block.memory = memory
+        if len(self._kept) >= MOST_BLOCKS:
+            self._kept.clear()
+        self._kept[id(memory)] = memory, sizes, block
+        return block
+
+    def _structure(self, number: str, sizes: tuple[int, ...]) -> type[ctypes.Structure]:
+        """Return the class of blocks of these sizes: its fields are the single numbers, with what is between them."""
+        if (number, sizes) not in self._structures:
+            kind: Any = {"d": ctypes.c_double, "q": ctypes.c_int64}[number]
+            places = self._kind.layout.places(*sizes)
+            fields = [
+                (name, kind) if not shape else (f"_{name}", kind * (end - begin))
+                for name, begin, end, shape in places.values()
+            ]
+
+            def array(block: Any, name: str) -> Buffer:
+                """Return an array of a block when it is first asked for, and keep it there."""
+                if name not in places:
+                    raise AttributeError(name)
+                _, begin, end, shape = places[name]
+                view: Any = block.memory[begin:end]
+                if len(shape) > 1:
+                    view = np.asarray(view).reshape(shape).data
+                setattr(block, name, view)
+                return view
+
+            body = {"_fields_": fields, "__getattr__": array}
+            self._structures[number, sizes] = type(self._kind.__name__, (ctypes.Structure,), body)
+        return self._structures[number, sizes]
+
+    def __getattr__(self, name: str) -> Any:
+        return getattr(self._kind, name)
+
+
+BUFFERS: dict[Any, Callable[..., Any]] = {
+    call_at: call_with_buffers,
+    vector_at: vector_buffer,
+    matrix_at: matrix_buffer,
+    fortran_at: fortran_buffer,
+    integers_at: integers_buffer,
+    row_of: row_buffer,
+}
+
+
+def with_buffers(value: Any) -> Any:
+    """Return what stands in place of a global of a kernel that is interpreted with buffers; else the value itself."""
+    if isinstance(value, type) and issubclass(value, Block):
+        kind: Any = value
+        return _block_maker(kind)
+    try:
+        return BUFFERS.get(value, value)
+    except TypeError:  # it has no hash
+        return value
+
+
+@cache
+def _block_maker(kind: Any) -> BufferBlock:
+    return BufferBlock(kind)

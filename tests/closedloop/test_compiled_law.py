@@ -156,7 +156,7 @@ def gives_up(t, q, v, terms):
     return terms.bias * 1.0
 
 
-@pytest.mark.parametrize("engine", ["pinocchio", "compiled"])
+@pytest.mark.parametrize("engine", [pytest.param("pinocchio", marks=pytest.mark.slow), "compiled"])
 def test_torque_that_is_not_finite_stops_the_run(engine):
     """NaN from a compiled law stops the run at its instant, in the same words as from one in Python; rows are kept."""
     scenario = cl.load_scenario("wam_slide", {"time.duration": 0.01})
@@ -165,7 +165,7 @@ def test_torque_that_is_not_finite_stops_the_run(engine):
     assert len(caught.value.run) == 5
 
 
-@pytest.mark.parametrize("engine", ["pinocchio", "compiled"])
+@pytest.mark.parametrize("engine", ["pinocchio", pytest.param("compiled", marks=pytest.mark.slow)])
 def test_exception_of_a_compiled_law_keeps_what_ran(engine):
     """What a compiled law raises arrives, as from a law in Python: with its line, and with the rows before it."""
     scenario = cl.load_scenario("wam_slide", {"time.duration": 0.01})

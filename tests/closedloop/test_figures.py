@@ -64,7 +64,7 @@ def test_closure_figure_shows_the_error_in_its_unit(name, stabiliser):
     [
         {"time.duration": 0.001},
         pytest.param({"reference.kind": "hold", "time.duration": 0.01}, marks=pytest.mark.slow),
-        {"law.pd_start": 0.1, "time.duration": 0.7},
+        pytest.param({"law.pd_start": 0.1, "time.duration": 0.7}, marks=pytest.mark.slow),
     ],
     ids=["two rows", "hold", "PD before the motion"],
 )

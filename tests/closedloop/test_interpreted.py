@@ -72,6 +72,7 @@ def test_an_interpreted_run_is_the_compiled_one_to_the_last_bit(name, engine, re
     scenario = cl.load_scenario(shipped, SHORT | changes)
     compiled = cl.simulate(scenario, engine=engine)
     wanted = request.getfixturevalue("nothing_compiled")
+    interpreted._so_far[loop_for(engine).__name__] += PROBE  # a short run asks for compiled code after others
     run = cl.simulate(scenario, engine=engine)
     assert [names[0] for names in wanted if len(names) > 1] == [loop_for(engine).__name__]
     assert np.ptp(run.contact_force) > 0.0 or np.ptp(run.q) > 0.0

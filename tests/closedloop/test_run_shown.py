@@ -25,6 +25,7 @@ def run():
     return cl.simulate(cl.load_scenario("wam_touchdown", {"time.duration": 4.0, "sensor.noise": 0.05}))
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("k", range(len(re.findall(r"```python\n", PAGE.read_text(encoding="utf-8")))))
 def test_page_about_interactive_use_runs(k, tmp_path, monkeypatch):
     """Every block of docs/interactive.md runs, after those before it, and prints what it says that it prints."""

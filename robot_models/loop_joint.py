@@ -143,7 +143,7 @@ def loop_joint(table: Mapping[str, Any], where: str) -> LoopJoint:
     where = f"{where}: closed_loop {name!r}"
     kind = given.get("type")
     kind = SYNONYMS.get(kind, kind) if isinstance(kind, str) else kind
-    if kind not in ROWS:
+    if not (isinstance(kind, str) and kind in ROWS):
         raise ModelError(f"{where}: type is {shown(kind)}: it must be {' or '.join(map(repr, ROWS))}")
     given["type"] = kind
     axes = "axis" if "axis" in given else "axes"  # the key that was given

@@ -6,6 +6,7 @@ in the background, where it would take a core from the tests: what tests need is
 python -m pytest --hypothesis-profile=explore      # other examples each time, to look for what was missed
 """
 
+import gc
 import os
 import sys
 from collections import Counter
@@ -36,6 +37,12 @@ LONGEST = (
     "test_friction_lugre", "test_user_law", "test_friction_own", "test_solve", "test_speed", "test_compiled",
     "test_batch_memory", "test_scipy_later",
 )  # fmt: skip
+
+
+def pytest_collection_finish(session):
+    """Let the collector of garbage pass over what the tests' modules made: it is there to stay."""
+    gc.collect()
+    gc.freeze()
 
 
 def pytest_collection_modifyitems(items):

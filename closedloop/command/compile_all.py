@@ -84,7 +84,9 @@ def _loops(kernel: str) -> None:
     if kernel == "closed_to":
         closed_to(memory.address, q, q.copy())
     else:
-        rows_along(memory.address, q[:0, None], q[:0, None], np.zeros((0, 1, 1)), np.zeros((0, 1)))
+        states = np.zeros((0, len(q)))
+        states.flags.writeable = False  # as a run's columns are: another type, which is compiled for itself
+        rows_along(memory.address, states, states, np.zeros((0, 1, 1)), np.zeros((0, 1)))
 
 
 def _laws() -> Iterable[Piece]:

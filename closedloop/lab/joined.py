@@ -186,6 +186,7 @@ def compile_rows(robot: Robot) -> None:
     """Have compiled what evaluates the rows of loops: interpreted it takes 1 ms for each row of a run."""
     memory, n, m = loop_memory(robot), robot.n, sum(loop.rows for loop in robot.model.loops)
     states = np.zeros((0, n))
+    states.flags.writeable = False  # as a run's columns are: for another type it would be compiled again
     rows_along(memory.address, states, states, np.zeros((0, m, n)), np.zeros((0, m)))
 
 

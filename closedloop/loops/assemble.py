@@ -19,6 +19,11 @@ Array = NDArray[np.float64]
 START_OPEN, START_RATE = 1e-3, 1e-3
 
 
+# A distance between points in one place has no direction: that it is open is said, and no division warns.
+_undefined_passes = np.errstate(invalid="ignore", divide="ignore")
+
+
+@_undefined_passes
 def errors_at(robot: Robot, memory: LoopMemory, q: Array, v: Array) -> tuple[Array, Array]:
     """Return the errors of the rows, m or rad, and their rates, at a state (q, q̇)."""
     memory.rows.q[:], memory.rows.v[:] = q, v
@@ -26,6 +31,7 @@ def errors_at(robot: Robot, memory: LoopMemory, q: Array, v: Array) -> tuple[Arr
     return memory.rows.error.copy(), memory.rows.G @ v
 
 
+@_undefined_passes
 def closed_start(robot: Robot, q: Array, v: Array, assemble: bool) -> tuple[Array, Array]:
     """Return the state nearest to (q, q̇) at which the loops are closed.
 

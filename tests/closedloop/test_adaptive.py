@@ -39,9 +39,8 @@ def energy(run):
     return run.kinetic_energy + run.potential_energy
 
 
-@pytest.mark.parametrize("user_law", [True, False])
-@pytest.mark.parametrize("restitution", [0.8, 1.0])
-def test_a_ball_bounces_when_and_as_the_closed_form_says(user_law, restitution):
+@pytest.mark.parametrize(("restitution", "user_law"), [(0.8, True), (1.0, False)])
+def test_a_ball_bounces_when_and_as_the_closed_form_says(restitution, user_law):
     """Impacts of a falling point mass are at sqrt(2 h/g) (1 + 2 (ε + ε² + ...)), with εᵏ times the first speed.
 
     A law of one's own that does nothing leaves gravity; the paper's law takes it away and presses with m g instead, in

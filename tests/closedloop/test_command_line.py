@@ -11,6 +11,7 @@ import numpy as np
 import pytest
 
 import closedloop as cl
+from closedloop.report.verdict import CHATTER_SHARE, CLOSURE_BOUND, ENERGY_SHARE
 from closedloop.run import main
 from robot_models.shipped import path_of
 
@@ -44,14 +45,25 @@ def test_list_shows_every_scenario(command_line):
 
 @pytest.mark.parametrize("name", cl.shipped_scenarios())
 def test_every_shipped_scenario_runs(name, command_line, tmp_path):
-    """Each shipped scenario runs to its end by its name, and leaves run.nc and summary.json."""
+    """Each shipped scenario runs to its end by its name, leaves run.nc and summary.json, and is good.
+
+    With room: three times the energy left would still pass, ten times the chatter.
+    """
     outcome = command_line(name, "--no-figures", "--out", "results")
     assert outcome.status == 0, outcome.err
     assert outcome.err == ""
     assert sorted(p.name for p in (tmp_path / "results").iterdir()) == ["run.nc", "summary.json"]
     run = cl.load_run(tmp_path / "results" / "run.nc")
     assert run.scenario == cl.load_scenario(name)
-    assert strict((tmp_path / "results" / "summary.json").read_text()) == run.summary()
+    facts = strict((tmp_path / "results" / "summary.json").read_text())
+    assert facts == run.summary()
+    assert facts["verdict"]["problems"] == []
+    stake = facts["energy_exchanged"] + facts["energy_lost_to_friction"] + facts["max_kinetic_energy"]
+    assert 3.0 * facts["max_energy_residual"] < max(ENERGY_SHARE.values()) * stake
+    assert 10.0 * facts["force_chatter"] < CHATTER_SHARE
+    assert 10.0 * max(joint["torque_chatter"] for joint in facts["joints"].values()) < CHATTER_SHARE
+    if run.scenario.compliance.kind == "none":  # a soft surface gives way
+        assert 10.0 * facts["max_abs_closure_error"] < CLOSURE_BOUND
 
 
 def test_json_is_the_summary_and_nothing_else(command_line, tmp_path):

@@ -74,15 +74,6 @@ def test_where_nothing_can_be_kept(monkeypatch, capsys):
     )
 
 
-@pytest.mark.parametrize("module", ["closedloop", "closedloop.run"])
-def test_other_words_are_those_of_a_run(module, tmp_path):
-    """``python -m closedloop`` runs a scenario, as ``python -m closedloop.run`` does."""
-    done = subprocess.run(
-        [sys.executable, "-m", module, "--list"], cwd=ROOT, capture_output=True, text=True, check=True
-    )
-    assert "wam_slide " in done.stdout
-
-
 def test_without_a_compiler():
     """With NUMBA_DISABLE_JIT there is nothing to compile."""
     done = subprocess.run(
@@ -119,13 +110,13 @@ def test_every_piece_compiles_its_kernel():
 def test_all_is_there_afterwards(tmp_path):
     """A line for each piece and one for all, and a file of code for each kernel; again, nothing is compiled.
 
-    From a cache in which half of the kernels are missing, the small ones; with the full budget from none.
+    From a cache in which the surfaces of friction are missing; with the full budget from none.
     """
     environment = os.environ | {"NUMBA_CACHE_DIR": str(tmp_path)}
     if not FULL:
         subprocess.run([sys.executable, "-c", ASKED], cwd=ROOT, check=True)  # compiles what is missing, if anything
         shutil.copytree(cache_folder(), tmp_path / cache_folder().name)
-        for file in tmp_path.rglob("entries.entry_of_*.nbc"):
+        for file in tmp_path.rglob("entries.entry_of_surface_*.nbc"):
             file.unlink()
 
     def compile_all():

@@ -1,16 +1,12 @@
 # ruff: noqa: D103 - the name of a law says what is wrong with it
 """A law of one's own in the compiled engine: the run is Python's, and what cannot be compiled is refused."""
 
-import re
-from pathlib import Path
-
 import numba
 import numpy as np
 import pytest
 
 import closedloop as cl
 
-ROOT = Path(cl.__file__).parent.parent
 UP = np.array([0.0, 0.0, 1.0])
 
 
@@ -70,18 +66,6 @@ def test_friction_with_a_law_of_ones_own():
     run = cl.simulate(scenario, law=writing, engine="compiled")
     assert np.max(np.abs(python.friction_force)) > 0.1
     assert np.max(np.abs(run.q - python.q)) < 1e-9
-
-
-def test_example_of_the_documentation(capsys):
-    """The documentation's compiled law runs as it stands."""
-    blocks = re.findall(
-        r"```python\n(.*?)```", (ROOT / "docs" / "controllers.md").read_text(encoding="utf-8"), re.DOTALL
-    )
-    (block,) = [block for block in blocks if "numba.njit" in block]
-    names: dict[str, object] = {}
-    exec(block, names)
-    assert names["run"].contact_force[-1] == pytest.approx(15.0, abs=1e-6)
-    assert names["run"].law.endswith("press")
 
 
 @numba.njit
@@ -156,7 +140,7 @@ def gives_up(t, q, v, terms):
     return terms.bias * 1.0
 
 
-@pytest.mark.parametrize("engine", ["pinocchio", "compiled"])
+@pytest.mark.parametrize("engine", [pytest.param("pinocchio", marks=pytest.mark.slow), "compiled"])
 def test_torque_that_is_not_finite_stops_the_run(engine):
     """NaN from a compiled law stops the run at its instant, in the same words as from one in Python; rows are kept."""
     scenario = cl.load_scenario("wam_slide", {"time.duration": 0.01})
@@ -165,7 +149,7 @@ def test_torque_that_is_not_finite_stops_the_run(engine):
     assert len(caught.value.run) == 5
 
 
-@pytest.mark.parametrize("engine", ["pinocchio", "compiled"])
+@pytest.mark.parametrize("engine", ["pinocchio", pytest.param("compiled", marks=pytest.mark.slow)])
 def test_exception_of_a_compiled_law_keeps_what_ran(engine):
     """What a compiled law raises arrives, as from a law in Python: with its line, and with the rows before it."""
     scenario = cl.load_scenario("wam_slide", {"time.duration": 0.01})
@@ -187,6 +171,7 @@ def fast(t, q, v, terms):
 """
 
 
+@pytest.mark.slow
 def test_command_line_takes_a_compiled_law(command_line, tmp_path):
     """--law MODULE:FUNCTION --engine compiled runs what is compiled, and refuses what is not with status 2."""
     (tmp_path / "laws_for_numba.py").write_text(LAWS)

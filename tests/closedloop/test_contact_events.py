@@ -181,8 +181,11 @@ def smooth_pull(t, q, v, terms):
     return terms.bias - 10 * np.cos(4 * t) * terms.jacobian[2] + np.sin(3 * t) * terms.jacobian[0] - 0.3 * v
 
 
-@pytest.mark.parametrize("integrator", ["semi_implicit_euler", "explicit_euler", "rk4"])
-@pytest.mark.parametrize("stabiliser", ["none", "baumgarte", "projection", "both"])
+@pytest.mark.parametrize(
+    ("integrator", "stabiliser"),
+    [("semi_implicit_euler", "none"), ("semi_implicit_euler", "both"), ("explicit_euler", "baumgarte"),
+     ("explicit_euler", "projection"), ("rk4", "baumgarte"), ("rk4", "both")],
+)  # fmt: skip
 @pytest.mark.parametrize(("arm", "start"), [("planar2", "planar2_drop"), ("wam4", "wam_bounce")])
 def test_a_tip_that_leaves_once_leaves_once(arm, start, stabiliser, integrator):
     """An arm that is pulled off smoothly has one liftoff: contact does not begin again without a touchdown.

@@ -115,8 +115,7 @@ def test_force_and_motion_are_orthogonal(kind):
     assert changes["paper"] > 0.01
 
 
-@pytest.mark.parametrize("name", POSES)
-@pytest.mark.parametrize("kind", LINEAR_MOTION)
+@pytest.mark.parametrize(("kind", "name"), list(zip(LINEAR_MOTION, POSES, strict=False)))
 def test_path_error_decays_as_the_gains_say(name, kind):
     """From a millimetre beside the path ë + K_v ė + K_p e = 0, critically damped: e = e₀(1 + ωt) exp(−ωt)."""
     loop = Loop(name, LAWS[kind])

@@ -6,7 +6,6 @@ import pickle
 import re
 import subprocess
 import sys
-from functools import partial
 from pathlib import Path as File
 from typing import Annotated
 
@@ -128,6 +127,8 @@ try:
     cl.simulate(run.scenario)
 except cl.ScenarioError as error:
     print(error)
+from closedloop.run import main
+sys.exit(main(["first/run.nc", "--no-figures"]))
 """
 
 
@@ -135,17 +136,13 @@ def test_from_the_command_line_and_back(command_line, folder, tmp_path):
     """The command runs the page's example; its run.nc keeps name and digest, and repeats once they are named."""
     (tmp_path / "my_paths.py").write_text((folder / "my_paths.py").read_text())
     words = ("wam_slide", *MINE, "--reference.swing", "0.02", "--time.duration", "0.02", "--no-figures")
-    python = partial(subprocess.run, cwd=tmp_path, capture_output=True, text=True)
-    command = (sys.executable, "-m", "closedloop.run")
-    here = python([*command, *words, "--out", "first"])
-    assert here.returncode == 0, here.stderr
-    seen = python([sys.executable, "-c", LOOK])
-    assert seen.returncode == 0, seen.stderr
-    first, refused = seen.stdout.splitlines()
+    here = command_line(*words, "--out", "first")
+    assert here.status == 0, here.err
+    again = subprocess.run([sys.executable, "-c", LOOK], cwd=tmp_path, capture_output=True, text=True)
+    first, refused = again.stdout.splitlines()
     assert first == "my_paths:Wave 0.02 ['my_paths:Ralston', 'my_paths:Wave']"
     assert "--reference.kind my_paths:Wave on the command line" in refused
-    again = python([*command, "first/run.nc", "--no-figures"])
-    assert again.returncode == 2
+    assert again.returncode == 2, again.stderr
     assert again.stderr.count("\n") == 2
     assert "--reference.kind my_paths:Wave" in again.stderr
     assert "--time.integrator my_paths:Ralston" in again.stderr

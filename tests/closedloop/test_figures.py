@@ -64,7 +64,7 @@ def test_closure_figure_shows_the_error_in_its_unit(name, stabiliser):
     [
         {"time.duration": 0.001},
         pytest.param({"reference.kind": "hold", "time.duration": 0.01}, marks=pytest.mark.slow),
-        {"law.pd_start": 0.1, "time.duration": 0.7},
+        pytest.param({"law.pd_start": 0.1, "time.duration": 0.7}, marks=pytest.mark.slow),
     ],
     ids=["two rows", "hold", "PD before the motion"],
 )
@@ -111,7 +111,8 @@ def test_the_direction_of_a_path_on_a_surface_that_moves():
     assert along[0, 1] > 0.99
 
 
-def test_a_soft_surface_has_no_unstabilised_closure(tmp_path):
+def test_a_soft_surface_has_no_unstabilised_closure(tmp_path, monkeypatch):
     """Its figure has the usual name, though there is no stabiliser."""
+    monkeypatch.setattr("closedloop.figures.files.save_figure", lambda draw, run, stem: stem.with_suffix(".png"))
     soft = cl.simulate(cl.load_scenario("soft_table", {"time.duration": 0.01}))
     assert "fig_closure_error.png" in {path.name for path in draw_figures(soft, tmp_path)}

@@ -360,6 +360,7 @@ def test_welds_and_gears_of_mujoco(tmp_path):
 
 BAD = {
     "no such type": ({"type": "rope"}, "'rope': it must be 'point' or"),
+    "a type that is no text": ({"type": [1.0]}, "type is [1.0]: it must be 'point' or"),
     "no such frame": ({"frames": ["a", "bb"]}, "names no frame 'bb': did you mean 'b'?"),
     "itself": ({"frames": ["a", "a"]}, "binds 'a' to itself"),
     "no axis": ({"axis": [0, 0, 0]}, "has no direction"),
@@ -392,6 +393,18 @@ def test_open_start_is_refused_or_assembled():
     assert np.max(np.abs(run.loops.errors)) < 1e-14
     with pytest.raises(cl.ScenarioError, match="the loops would part"):
         cl.simulate(cl.load_scenario("four_bar", {"start.v": [1.0, 0.0, 0.0]}))
+
+
+def test_points_that_lie_in_one_place_have_no_distance(recwarn):
+    """A distance between them has no direction: it is said that it is open, and nothing warns of a division."""
+    own = four_bar()
+    table = {"name": "rope", "type": "distance", "frames": [own.frames[1], "world"], "length": 0.3}
+    model = robot_models.from_text(
+        own.text, "urdf", name="x", armature=np.zeros(3), tip="a", home=own.home, locked={}, loops=[table]
+    )
+    with pytest.raises(cl.ScenarioError, match=r"the loops are open, by 0\.3 m \(rad\) at 'rope'"):
+        cl.simulate(free(model, 0.01), model=model)
+    assert not [w for w in recwarn if issubclass(w.category, RuntimeWarning)]
 
 
 def test_loop_that_cannot_close_is_refused():

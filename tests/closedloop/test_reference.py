@@ -190,26 +190,29 @@ def test_direction_is_a_direction_whatever_its_length():
     assert all(np.array_equal(path, paths[0]) for path in paths[1:])
 
 
-@pytest.mark.parametrize("stop", [1e4, *(pytest.param(stop, marks=pytest.mark.slow) for stop in (1e6, 1e10)), 1e300])
-def test_a_motion_of_any_length_is_prepared_or_refused_soon(stop):
+def test_a_motion_of_any_length_is_prepared_or_refused_soon():
     """A path that lasts hours or ages is prepared or refused within seconds: it must not run out of time or memory.
 
     In a process of its own, which can be given up; the run itself lasts 10 ms.
     """
-    changes = {"reference.stop": stop, "reference.speed": 0.1 / stop, "time.duration": 0.01}
     code = (
         "import closedloop as cl\n"
-        "try:\n"
-        f"    cl.prepare(cl.load_scenario('wam_slide', {changes!r}))\n"
-        "except cl.ScenarioError as error:\n"
-        "    print(error)\n"
+        "for stop in (1e4, 1e6, 1e10, 1e300):\n"
+        "    try:\n"
+        "        changes = {'reference.stop': stop, 'reference.speed': 0.1 / stop, 'time.duration': 0.01}\n"
+        "        cl.prepare(cl.load_scenario('wam_slide', changes))\n"
+        "        print('prepared')\n"
+        "    except cl.ScenarioError as error:\n"
+        "        print(error)\n"
     )
     root = Path(cl.__file__).parent.parent
     done = subprocess.run(
         [sys.executable, "-c", code], cwd=root, capture_output=True, text=True, timeout=240, check=False
     )
     assert done.returncode == 0, done.stderr[-300:]
-    assert done.stdout == "" or "reference" in done.stdout
+    lines = done.stdout.splitlines()
+    assert len(lines) == 4
+    assert all(line == "prepared" or "reference" in line for line in lines)
 
 
 def test_speed_and_direction_change_sign_together():

@@ -65,7 +65,7 @@ SHAPES = {
 }
 
 
-@pytest.mark.parametrize("kind", SHAPES)
+@pytest.mark.parametrize("kind", [pytest.param(k, marks=pytest.mark.slow) if k == "circle" else k for k in SHAPES])
 def test_speed_and_curvature_within_the_surface_are_those_of_the_plane(kind):
     """On a saddle: the tip is on it, as fast as on the plane, its speed grows alike, and it turns alike."""
     surface = place("implicit", **SADDLE)

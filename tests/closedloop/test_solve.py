@@ -123,7 +123,7 @@ def test_solve_closure_equals_pinocchio(name, robot, random_states):
     assert compared > 200
 
 
-@pytest.mark.parametrize("count", [15, pytest.param(60, marks=pytest.mark.slow)])
+@pytest.mark.parametrize("count", [8, pytest.param(60, marks=pytest.mark.slow)])
 @pytest.mark.parametrize("stabiliser", ["none", "baumgarte"])
 @pytest.mark.parametrize("name", ["planar2", "wam4", "panda"])
 def test_simulated_row_equals_pinocchio(name, stabiliser, count, robot, random_states):

@@ -430,8 +430,7 @@ class Paraboloid(Surface):
         return p[2] + 0.5 * par.bend * (p[0] * p[0] + p[1] * p[1])
 
 
-@pytest.mark.parametrize("integrator", ["rk4", "dop853"])
-def test_contact_begins_on_a_ball_that_moves(integrator, tmp_path):
+def test_contact_begins_on_a_ball_that_moves(tmp_path):
     """Approach, impact, slide on a breathing ball with friction: the integrators agree, and the file repeats it."""
     changes = {
         "surface.kind": "sphere", "surface.radius": 0.25, "surface.contact": "unilateral", "surface.gap": 0.01,
@@ -439,12 +438,12 @@ def test_contact_begins_on_a_ball_that_moves(integrator, tmp_path):
         "friction.kind": "coulomb", "friction.coefficient": 0.2, "time.duration": 1.2, "law.kp": 400.0, "law.kd": 40.0,
         "reference.timing": "minimum_jerk",
     }  # fmt: skip
-    run = cl.simulate(cl.load_scenario("wam_slide", changes | {"time.integrator": integrator, "time.step": 0.0005}))
+    run = cl.simulate(cl.load_scenario("wam_slide", changes | {"time.integrator": "dop853", "time.step": 0.002}))
     fine = cl.simulate(cl.load_scenario("wam_slide", changes | {"time.integrator": "rk4", "time.step": 0.00025}))
     kinds = [event.kind for event in run.events]
     assert kinds[0] in ("impact", "touchdown")
     assert kinds == [event.kind for event in fine.events]
-    assert np.max(np.abs(run.position - fine.position[::2])) < 1e-7
+    assert np.max(np.abs(run.position - fine.position[::8])) < 1e-7
     in_contact = run.mode != 0
     assert np.max(np.abs(np.sum(run.slip_velocity * run.surface_normal, axis=1))) < 1e-12
     centre = cl.prepare(run.scenario).surface.origin - [0.0, 0.0, 0.25]

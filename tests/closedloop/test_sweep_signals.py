@@ -77,7 +77,8 @@ def assert_goes_on_to(folder, whole):
             np.testing.assert_array_equal(mine.variables[name][...], theirs.variables[name][...])
 
 
-@pytest.mark.parametrize("number", [signal.SIGINT, pytest.param(signal.SIGTERM, marks=pytest.mark.slow)])
+@pytest.mark.slow
+@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
 def test_a_signal_ends_a_sweep_with_one_line(tmp_path, number):
     """While it runs: exit status 130 or 143, one line, and the parts stay."""
     run = process(tmp_path, *LONG, "--out", "t.parquet")

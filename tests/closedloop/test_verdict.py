@@ -14,9 +14,6 @@ from closedloop.report.alternation import alternation
 from closedloop.report.measures import JOINT_MEASURES, MEASURES
 from closedloop.report.summary import joint_measures
 from closedloop.report.verdict import (
-    CHATTER_SHARE,
-    CLOSURE_BOUND,
-    ENERGY_SHARE,
     Facts,
     energy_bound,
     judge,
@@ -76,20 +73,6 @@ def test_planted_nonsense_is_named_everywhere(kind, capsys):
     for key, column in joint_measures(run).items():
         mine = [np.nan if x is None else x for x in table[key][0].as_py()]
         assert mine == pytest.approx(column.tolist(), rel=1e-12, abs=1e-15, nan_ok=True), key
-
-
-@pytest.mark.parametrize("name", cl.shipped_scenarios())
-def test_shipped_scenarios_are_good(name, shipped_run):
-    """Each as it ships, with room: three times the energy left would still pass, ten times the chatter."""
-    run = shipped_run(name)
-    assert names(run) == []
-    facts = run.summary()
-    stake = facts["energy_exchanged"] + facts["energy_lost_to_friction"] + facts["max_kinetic_energy"]
-    assert 3.0 * facts["max_energy_residual"] < max(ENERGY_SHARE.values()) * stake
-    assert 10.0 * facts["force_chatter"] < CHATTER_SHARE
-    assert 10.0 * max(joint["torque_chatter"] for joint in facts["joints"].values()) < CHATTER_SHARE
-    if run.scenario.compliance.kind == "none":  # a soft surface gives way
-        assert 10.0 * facts["max_abs_closure_error"] < CLOSURE_BOUND
 
 
 def facts(changes=None, name="wam_slide", **own):

@@ -19,6 +19,7 @@ from pathlib import Path
 from typing import Any, NoReturn
 
 import numpy as np
+import tomli_w
 from scenario_cases import Case
 
 from closedloop.errors import ClosedLoopError, SimulationError, one_line
@@ -29,6 +30,8 @@ from closedloop.scenario.scenario import Scenario
 from closedloop.simulation.simulate import simulate
 
 LONGEST_LINE = 1000  # characters: more is not read
+FASTEST = 1e4  # rad/s, m/s: what moves faster without having been asked to is nonsense, and must not be called good
+FAST = {"start.v", "reference.speed", "surface_motion.velocity", "surface_motion.speed", "surface_motion.frequency"}
 REFUSED, RAN, STOPPED, FAULTY = "refused", "ran", "stopped", "FAULTY"
 BY_STATUS = {0: RAN, 2: REFUSED, 3: STOPPED}
 ONE_IN = 20  # goes through the command line
@@ -41,6 +44,9 @@ def judge(case: Case) -> tuple[str, str]:
         warnings.simplefilter("always")
         file = Path(folder, "fuzz.toml")
         file.write_text(case.text(), encoding="utf-8", newline="")
+        for name, content in case.files.items():
+            text = content if isinstance(content, str) else tomli_w.dumps(content)
+            Path(folder, name).write_text(text, encoding="utf-8")
         try:
             outcome, words = through(case, file)
         except BaseException as error:  # whatever comes out is what is being looked for
@@ -128,6 +134,9 @@ def of_run(run: Run, scenario: Scenario, case: Case) -> str:
     for name, column in run.columns.items():
         if not np.all(np.isfinite(column)):
             return f"column {name} is not finite"
+    fastest = max(np.max(np.abs(run.v), initial=0.0), np.max(np.abs(run.velocity), initial=0.0))
+    if run.summary()["verdict"]["good"] and fastest > FASTEST and not case.asked.keys() & FAST:
+        return f"good, at {fastest:.3g} rad/s (m/s)"
     if run.scenario != scenario:
         return "the scenario of the run is another"
     for key, value in case.asked.items():

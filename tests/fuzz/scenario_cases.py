@@ -15,7 +15,7 @@ import math
 import random
 from collections.abc import Iterator
 from copy import deepcopy
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from functools import cache
 from typing import Any
 
@@ -106,11 +106,14 @@ class Case:
         The file's text, or the tables that it is to hold.
     asked : dict of str to value
         Dotted keys and the values that an accepted scenario must have there.
+    files : dict of str to str or dict
+        Files that stand beside it: name and text, or tables.
     """
 
     name: str
     content: str | dict[str, Any]
     asked: dict[str, Any]
+    files: dict[str, str | dict[str, Any]] = field(default_factory=dict)
 
     def text(self) -> str:
         """Return the file's text, TOML."""
@@ -142,9 +145,9 @@ def tables(robot: str, kinds: dict[str, str]) -> dict[str, Any]:
             continue
         types = variants(section)
         variant = types.get(table.get("kind", ""), next(iter(types.values())))
-        for key, field in variant.model_fields.items():
+        for key, info in variant.model_fields.items():
             dotted = f"{section}.{key}"
-            if key not in table and (field.is_required() or (section == "reference" and dotted in EXAMPLES)):
+            if key not in table and (info.is_required() or (section == "reference" and dotted in EXAMPLES)):
                 table[key] = deepcopy(EXAMPLES.get(dotted, 1.0))
     if STIFF & set(kinds) and data["time"]["integrator"] == "dop853":
         data["time"]["integrator"] = "explicit_euler"

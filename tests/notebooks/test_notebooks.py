@@ -90,6 +90,7 @@ def test_saved_notebook_holds_nothing_of_the_machine(script):
     assert str(Path.home()) + "/" not in text
 
 
+@pytest.mark.slow
 def test_script_that_raises_is_not_passed_over(tmp_path):
     """A notebook with a cell that raises makes `execute` raise: the tests above cannot be green by accident."""
     script = tmp_path / "wrong.py"

@@ -70,7 +70,7 @@ def all_passed(problem):
     return all(result.passed for case in cases for result in grade(Oracle.from_model, replace(problem, cases=(case,))))
 
 
-@pytest.mark.parametrize("flaw", ["mass", "gravity"])
+@pytest.mark.parametrize("flaw", ["mass", pytest.param("gravity", marks=pytest.mark.slow)])
 def test_flawed_robots_fail(flaw):
     """One per cent more mass everywhere, or a thousandth more gravity, is seen wherever it changes the motion."""
     unseen = set()

@@ -28,6 +28,7 @@ ROBOTS = {
     **{f"random tree {seed}": lambda seed=seed: random_robot(seed) for seed in range(4)},
     "random arm of 3": lambda: random_robot(3, joints=3, branching=False),
 }
+QUICK = ("planar2", "wam4", "panda, elbow locked", "random tree 0", "random arm of 3")  # small, large, locked, branched
 PEERS = [engine for engine in ENGINES if engine is not HandWritten]
 
 
@@ -100,8 +101,10 @@ def errors(engine, oracle, q, v, torque, normal, b, restitution):
             yield method, np.abs(got - wanted).max() / sizes[method], bound
 
 
-@pytest.mark.parametrize("states", [2, pytest.param(8, marks=pytest.mark.slow)])
-@pytest.mark.parametrize("name", ROBOTS)
+@pytest.mark.parametrize(
+    ("name", "states"),
+    [*((name, 2) for name in QUICK), *(pytest.param(name, 8, marks=pytest.mark.slow) for name in ROBOTS)],
+)
 @pytest.mark.parametrize("engine", PEERS, ids=lambda e: e.name)
 def test_agrees_with_the_oracle(engine, name, states):
     """Terms agree to rounding, accelerations and forces to rounding times the condition number."""

@@ -128,14 +128,13 @@ def test_independent_of_what_it_judges(path):
     }
 
 
-@pytest.mark.parametrize("number", range(1, 34))
-def test_every_equation_has_a_function(number):
+def test_every_equation_has_a_function():
     """Each of the paper's equations is named in the docstring of a function that computes it."""
-    wanted = re.compile(rf"Eq\. {number}\b")
-    found = [
-        node.name
+    texts = [
+        ast.get_docstring(node) or ""
         for path in SOURCES
         for node in ast.walk(ast.parse(path.read_text()))
-        if isinstance(node, ast.FunctionDef) and wanted.search(ast.get_docstring(node) or "")
+        if isinstance(node, ast.FunctionDef)
     ]
-    assert found
+    for number in range(1, 34):
+        assert any(re.search(rf"Eq\. {number}\b", text) for text in texts), number

@@ -20,7 +20,9 @@ from validation.speed.targets import growth, targets
 STEPS = 60
 
 
-@pytest.mark.parametrize("arm", ["planar2", "wam4", pytest.param("panda", marks=pytest.mark.slow), "chain12"])
+@pytest.mark.parametrize(
+    "arm", ["planar2", *(pytest.param(arm, marks=pytest.mark.slow) for arm in ("wam4", "panda")), "chain12"]
+)
 def test_every_row_does_the_same_work(arm):
     """Whoever does the whole work ends at one q, and that is elsewhere than where it began by far."""
     everyone, _ = line_up([arm], STEPS * 5, 2)

@@ -51,7 +51,7 @@ def test_the_velocity_of_a_surface_is_the_rate_of_its_displacement():
 
 def test_the_loop_agrees_with_the_equations_by_hand():
     """Both engines, arms and trees, and the peers that take a row: all within tolerance, and nothing is left unsaid."""
-    section = compare_on_surfaces(5, 2)
+    section = compare_on_surfaces(3, 1)
     decided = {(check.name, check.of): check.passed for check in section.checks if check.passed is not None}
     assert all(decided.values()), [check for check in section.checks if check.passed is False]
     assert {of for _, of in decided} >= {*LOOPS, "mujoco", "exudyn"}

@@ -79,7 +79,7 @@ def smallest_share(links: LoopLinks, rows: LoopRows) -> float:
     square = 0.0
     for i in range(k + 1):
         square += rows.coefficients[k, i] ** 2
-    return abs(rows.coefficients[k, k]) / math.sqrt(square)
+    return float(abs(rows.coefficients[k, k]) / math.sqrt(square))
 
 
 @kernel

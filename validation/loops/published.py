@@ -13,7 +13,7 @@ from validation.loops.andrews import by_its_equations, coasting, printed, squeez
 from validation.loops.four_bars import falling, lean, lean_of_a_pendulum
 from validation.loops.mechanisms import joint, loop
 from validation.oracle.spatial import Array
-from validation.report import Check, Section
+from validation.report_tables import Check, Section
 
 LOOP = "closedloop"
 ANDREWS_STEP = 5e-6

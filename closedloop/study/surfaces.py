@@ -3,7 +3,8 @@
 The task is panda_scan's: a seven-joint arm slides 65 mm across a round body that rises and falls by 12 mm every four
 seconds, and presses with 10 N. The arm carries 1 kg, of which the controller takes 10 % less for true; the surface rubs
 with 0.2 and a little viscosity, of which a controller that compensates friction by a model knows 80 %. The law works at
-1 kHz. Measured of the true force and the true tip, from `SETTLED_FROM` on to the end:
+1 kHz, and leaves the probe's orientation free. Measured of the true force and the true tip, from `SETTLED_FROM` on to
+the end:
 
     force RMS, peak   of f − f_des, N
     path RMS          of the tip's distance from its path along the surface, mm
@@ -58,6 +59,7 @@ COMPENSATIONS: dict[str, dict[str, Any]] = {
 PAYLOAD = {"tool.mass": 0.9, "model_error.payload": 0.1}
 TASK: dict[str, Any] = {
     "time.step": STEP, "law.sample_period": SAMPLE, "law.force": 10.0, "surface.gap": 0.0, "surface.radius": 0.3,
+    "reference.orientation": "free",
 }  # fmt: skip
 QUICK = ("paper", "impedance"), (1e3, 1e5)
 

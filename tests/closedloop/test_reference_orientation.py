@@ -154,3 +154,15 @@ def test_feed_forward_holds_the_tool(monkeypatch, law):
     untold = cl.simulate(scenario)
     assert told.orientation_error.max() < 0.1 * untold.orientation_error.max()
     assert told.tool_angle.max() < untold.tool_angle.max()
+
+
+def test_a_tool_is_held_against_a_height_field():
+    """The acceleration jumps at the patches of its spline: knots go there, far fewer than halving everywhere takes."""
+    problem = cl.prepare(cl.load_scenario("panda_polish", {"reference.passes": 1, "reference.stop": 3.0}))
+    joints = problem.wanted.joints
+    assert joints.times.size < 4000
+    times = np.linspace(0.5, 3.0, 101)
+    q, (r, v, _) = joints.sample(times)[0], problem.wanted.tip.sample(times)
+    normals = problem.surface.normals(times, r, v)[0]
+    assert np.max(np.abs(problem.robot.tip_axes(q)[:, :, 2] + normals)) < 1e-9
+    assert np.max(np.abs([problem.robot.position(each) for each in q] - r)) < 1e-9

@@ -138,9 +138,9 @@ def test_a_particle_leaves_a_sphere_at_two_thirds():
     height = (run.position[on] - centre)[:, 2]
     gravity = abs(float(cl.prepare(run.scenario).robot.gravity[2]))
     assert gravity == pytest.approx(g, abs=0.01)
-    assert np.allclose(speed2, 2 * gravity * radius * (math.cos(tilt) - height / radius), rtol=0, atol=1e-9)
+    assert np.allclose(speed2, 2 * gravity * radius * (math.cos(tilt) - height / radius), rtol=0, atol=1e-10)
     mass = float(cl.prepare(run.scenario).robot.terms(run.q[0], run.v[0]).mass_matrix[0, 0])
-    assert np.allclose(run.contact_force[on], mass * (gravity * height / radius - speed2 / radius), rtol=0, atol=1e-8)
+    assert np.allclose(run.contact_force[on], mass * (gravity * height / radius - speed2 / radius), rtol=0, atol=1e-10)
 
 
 @pytest.mark.parametrize(("kind", "rate"), [("sphere", 0.4), ("cylinder", 0.3)])
@@ -149,7 +149,7 @@ def test_a_free_point_moves_on_a_geodesic(kind, rate):
     velocity = [0.18, 0.24, 0.0]
     run = cl.simulate(point_mass(**{f"surface__{k}": v for k, v in {"kind": kind, **KINDS[kind]}.items()},
                                  start__v=velocity, time__duration=2.0), law=lift)  # fmt: skip
-    assert np.allclose(np.linalg.norm(run.velocity, axis=1), 0.3, rtol=0, atol=1e-10)
+    assert np.allclose(np.linalg.norm(run.velocity, axis=1), 0.3, rtol=0, atol=1e-14)
     assert np.max(np.abs(run.closure_error)) < 1e-10
     along = run.acceleration - np.sum(run.acceleration * run.surface_normal, axis=1)[:, None] * run.surface_normal
     assert np.max(np.abs(along)) < 1e-10
@@ -157,7 +157,7 @@ def test_a_free_point_moves_on_a_geodesic(kind, rate):
         angle = 0.3 * run.time / 0.4
         start, ahead = np.array([0.0, 0.0, 0.4]), np.array([0.6, 0.8, 0.0]) * 0.4
         circle = np.cos(angle)[:, None] * start + np.sin(angle)[:, None] * ahead
-        assert np.allclose(run.position - run.position[0] + start, circle, rtol=0, atol=1e-9)
+        assert np.allclose(run.position - run.position[0] + start, circle, rtol=0, atol=1e-13)
 
 
 def test_a_large_sphere_is_a_plane():
@@ -248,9 +248,9 @@ def test_a_mass_on_a_turntable_goes_round():
     centre = run.position[0] - [radius, 0.0, 0.0]
     angle = rate * run.time
     circle = centre + radius * np.column_stack([np.cos(angle), np.sin(angle), np.zeros_like(angle)])
-    assert np.allclose(run.position, circle, rtol=0, atol=1e-8)
+    assert np.allclose(run.position, circle, rtol=0, atol=1e-12)
     mass = float(cl.prepare(scenario).robot.terms(run.q[0], run.v[0]).mass_matrix[0, 0])
-    assert np.allclose(np.linalg.norm(run.friction_force, axis=1), mass * rate**2 * radius, rtol=0, atol=1e-6)
+    assert np.allclose(np.linalg.norm(run.friction_force, axis=1), mass * rate**2 * radius, rtol=0, atol=1e-12)
 
 
 def test_a_ball_bounces_off_a_table_that_comes_up():

@@ -7,10 +7,12 @@ from functools import lru_cache
 import numpy as np
 from numpy.typing import NDArray
 
+from closedloop.jit.interpreted import interpreted
 from closedloop.jit.kernel import plain
 from closedloop.loops.memory import (
     DISTANCE,
     GEAR,
+    IDLE,
     POSITION,
     ROTATION,
     STOP,
@@ -18,6 +20,7 @@ from closedloop.loops.memory import (
     LoopMemory,
     make_loop_memory,
 )
+from closedloop.loops.rows import locate_rows
 from closedloop.robot.pinocchio import Robot
 from closedloop.robot.tree import Tree, work_size
 from closedloop.robot.tree import layout as at
@@ -35,6 +38,10 @@ DIRECTIONS: dict[str, tuple[tuple[str, str], ...]] = {
     )
     for kind, (positions, rotations) in BINDS.items()
 } | {"distance": (("force along it", "N"),), "gear": (("torque on the first joint", "N m"),)}
+
+
+# A row that is no longer than this, and open by no more, m or rad, at every one of so many postures is so everywhere.
+NOTHING, POSTURES = 1e-13, 4
 
 
 @lru_cache(maxsize=8)
@@ -66,13 +73,24 @@ def bound_by_loops(robot: Robot, stops: bool = False) -> Bound:
     if model.drives:
         undriven[:] = [name not in model.drives for name in model.joint_names]
     at_a, at_b, along_a, along_b, value = (np.array(part, dtype=np.float64) for part in parts)
-    again = [
-        k > 0 and kinds[k] == kinds[k - 1] == POSITION and (one_sides[k], other_sides[k])
-        == (one_sides[k - 1], other_sides[k - 1]) and np.array_equal(at_a[k], at_a[k - 1])
-        and np.array_equal(at_b[k], at_b[k - 1]) for k in range(len(kinds))
-    ]  # fmt: skip
-    sides_of = np.array([*kinds, *one_sides, *other_sides, *again], dtype=np.int64)
-    return Bound(sides_of, at_a, at_b, along_a, along_b, value, undriven)
+    sides = np.array([kinds, one_sides, other_sides, np.zeros(len(kinds))], dtype=np.int64)
+    made = Bound(sides.ravel(), at_a, at_b, along_a, along_b, value, undriven)
+    sides[0, _idle(tree, made)] = IDLE
+    for k in range(1, len(kinds)):
+        same = np.array_equal(at_a[k], at_a[k - 1]) and np.array_equal(at_b[k], at_b[k - 1])
+        sides[3, k] = sides[0, k] == POSITION and same and np.array_equal(sides[:3, k], sides[:3, k - 1])
+    return made._replace(sides=sides.ravel())
+
+
+def _idle(tree: Tree, bound: Bound) -> NDArray[np.bool_]:
+    """Return which rows bind what no joint of the tree can move, and what is as it should be."""
+    memory, random = make_loop_memory(tree, bound), np.random.default_rng(0)
+    found = bound.sides[: bound.m] != STOP
+    for _ in range(POSTURES):
+        memory.rows.q[:] = random.normal(size=tree.n)
+        interpreted(locate_rows)(memory.links, memory.rows)
+        found &= (np.max(np.abs(memory.rows.G), axis=1) <= NOTHING) & (np.abs(memory.rows.error) <= NOTHING)
+    return np.asarray(found, dtype=np.bool_)
 
 
 def loop_memory(robot: Robot, stops: bool = False) -> LoopMemory:

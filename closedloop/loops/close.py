@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 from closedloop.jit.kernel import entry_kernel, kernel
 from closedloop.loops.memory import LoopLinks, LoopRows, loops_at
-from closedloop.loops.rows import locate_rows
+from closedloop.loops.rows import place_rows
 from closedloop.loops.solve import dot, meet_rows, orthonormal_rows
 
 Array = NDArray[np.float64]
@@ -60,7 +60,7 @@ def close_state(links: LoopLinks, rows: LoopRows, q: Array, v: Array) -> float:
     for _ in range(MOST_MOVES):
         for j in range(n):
             rows.q[j], rows.v[j] = q[j], v[j]
-        locate_rows(links, rows)
+        place_rows(links, rows)
         left = largest_error(links, rows)
         factored_here = not (before < math.inf and left <= FAST * before)
         if factored_here:
@@ -74,8 +74,8 @@ def close_state(links: LoopLinks, rows: LoopRows, q: Array, v: Array) -> float:
             left = left * left / before  # what this step leaves, below rounding
             break
         before = left
-    for again in range(1 if factored_here else 2):
-        for k in range(links.m if again > 0 else 0):
+    for _ in range(1 if factored_here else 2):
+        for k in range(links.m):
             rows.rate[k] = dot(rows.G[k], v, n)
         meet_rows(rows.rate, rows.order, rows.coefficients, rows.basis, links.rank, rows.along, rows.part)
         for j in range(n):

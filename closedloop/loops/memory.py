@@ -79,7 +79,7 @@ class LoopRows(Block, sizes=("n", "m")):
 LOOP_LINKS = LoopLinks.count()
 
 # Kinds of rows, see `closedloop.loops.rows`.
-POSITION, ROTATION, DISTANCE, GEAR, STOP = range(5)
+POSITION, ROTATION, DISTANCE, GEAR, STOP, IDLE = range(6)
 
 
 @kernel

@@ -1,5 +1,7 @@
 """Loop joints: rows, rank, motion and reactions of closed mechanisms, against independent solutions."""
 
+import dataclasses
+
 import numpy as np
 import pinocchio as pin
 import pytest
@@ -9,7 +11,8 @@ import closedloop as cl
 import robot_models
 from closedloop.closure.solve import solve_closure
 from closedloop.loops.assemble import closed_start, errors_at
-from closedloop.loops.bind import loop_memory
+from closedloop.loops.bind import bound_by_loops, loop_memory
+from closedloop.loops.memory import IDLE, POSITION
 from closedloop.robot.pinocchio import Robot
 from validation.loops.mechanisms import MECHANISMS, bar, change_point, four_bar, joint, loop, mechanism, point
 from validation.oracle.closure import LoopJoint, loop_rows
@@ -426,3 +429,21 @@ def test_loops_hold_for_a_minute(mechanisms, name):
     assert run.stopped is None
     assert np.max(np.abs(run.loops.errors)) < 1e-12
     assert np.ptp(run.kinetic_energy + run.potential_energy) < 1e-4 * np.max(run.kinetic_energy)
+
+
+def test_rows_that_no_joint_can_move_are_found_beforehand():
+    """Three of the five rows of a pin of a planar mechanism; none where the same joint closes a spatial one."""
+    pin_of_five = bound_by_loops(Robot(robot_models.load("four_bar"))).sides[:5]
+    assert list(pin_of_five) == [POSITION, POSITION, IDLE, IDLE, IDLE]
+    assert IDLE not in bound_by_loops(Robot(robot_models.load("delta"))).sides[:18]
+
+
+def test_a_row_that_no_joint_can_move_is_kept_where_it_is_open():
+    """A pin whose sides lie in two planes is refused, with the distance."""
+    model = robot_models.load("four_bar")
+    (pin,) = model.loops
+    points = (pin.points[0], tuple(np.array(pin.points[1]) + 0.01 * np.array(pin.axes[1])))
+    apart = dataclasses.replace(model, loops=(dataclasses.replace(pin, points=points),))
+    assert list(bound_by_loops(Robot(apart)).sides[:5]).count(IDLE) == 2
+    with pytest.raises(cl.ScenarioError, match=r"no posture near it closes them: what is left is 0\.01"):
+        closed_start(Robot(apart), np.array(model.home), np.zeros(3), True)

@@ -117,6 +117,10 @@ def test_the_page_says_what_is_shown_and_no_box_shows_a_logarithm(page, lab):
     )
     shown = page.evaluate(boxes)
     assert 10.0 in shown
+    tabs = page.get_by_role("tab")
+    above = [tabs.nth(k).bounding_box()["y"] for k in range(tabs.count() - 1)]
+    assert len(above) == 10
+    assert set(above) == {above[0]}  # in one row; the last is that of the plots
     assert not any(abs(x - np.log10(900.0)) < 1e-3 for x in shown)
     lab.changed("law.force", 14.0)
     assert lab.wait()

@@ -28,6 +28,8 @@ Array = NDArray[np.float64]
 FRAMES_PER_SECOND = 25
 FORMATS = (".gif", ".mp4")
 MOST_FRAMES = 5000
+# The force's axis shows at least this share of the force.
+FINEST = 0.02
 # Where a line through several parts is not drawn.
 GAP = np.full(3, np.nan)
 NEEDS_FFMPEG = 'a .mp4 needs ffmpeg, which is not installed: pip install "closedloop[mp4]", or write a .gif'
@@ -149,6 +151,10 @@ class _Picture:
         for trace in force.traces:
             style = "--" if trace.limit else "-"
             plot.plot(force.time, trace.values, style, color=trace.colour, linewidth=1.2, label=trace.label)
+        low, high = plot.get_ylim()
+        least = FINEST * max(abs(low), abs(high))
+        if high - low < least:  # a force that stays as it is: its rounding errors are not what the film is about
+            plot.set_ylim(0.5 * (low + high - least), 0.5 * (low + high + least))
         plot.set_xlabel("time [s]")
         plot.set_ylabel(force.title)
         plot.legend(fontsize=8)
@@ -167,13 +173,16 @@ class _Picture:
         space.view_init(elev=22.0, azim=-35.0)
 
     def _points(self, row: int) -> Array:
-        """Return the line (k, 3), m, along the joints to the tip, and those to the other ends of a robot with loops."""
+        """Return the line (k, 3), m, along the joints to the tip, and those to the sides of loops and to contacts."""
         scene, there = self.scene, self.scene.joint_places(row)
         parts = [there[1][self._links], scene.tip_place(row)[None]]
         for loop in scene.joined.loops:
             for side in loop.sides:
                 place = there[1][side.frame] + there[0][side.frame] @ side.point
                 parts += [GAP[None], there[1][_supports(scene.model, side.frame)], place[None]]
+        for touching in scene.touching:
+            place, _ = touching.force(0.0, np.zeros(2), *there)
+            parts += [GAP[None], there[1][_supports(scene.model, touching.point_frame)], place[None]]
         return np.vstack(parts)
 
     def show(self, row: int) -> list[Any]:

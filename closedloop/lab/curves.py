@@ -30,8 +30,8 @@ COLOURS = ("#0072B2", "#D55E00", "#009E73", "#CC79A7", "#56B4E9", "#E69F00", "#8
 CELLS = 160
 # Names of the panels, in their order, and their titles.
 TITLES = {
-    "force": "contact force", "links": "force between links",
-    "closure": "closure error", "loops": "loop closure error", "tip": "tip error",
+    "force": "contact force", "links": "link forces",
+    "closure": "closure error", "loops": "loop error", "tip": "tip error",
     "torque": "torque", "friction": "friction",
 }  # fmt: skip
 

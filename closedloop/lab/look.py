@@ -16,8 +16,7 @@ div:has(> p.mantine-Text-root > label){width:9.5em!important}
 p.mantine-Text-root:has(> label){letter-spacing:0!important}
 .mantine-Flex-root:has(> .mantine-Slider-root .mantine-Slider-markWrapper:nth-child(3)) > .mantine-NumberInput-root
 {visibility:hidden}
-.mantine-Tabs-tab{padding-left:0.3em!important;padding-right:0.3em!important}
-.mantine-Tabs-tab .mantine-Tabs-tabLabel{font-size:0.92em}
+[data-dock-tab]{padding:0 0.62em!important}
 .uplot .u-legend tr:nth-last-child(-n+2){display:none}
 </style>"""
 # What is shown has been overtaken, and the new run is not there yet.

@@ -107,7 +107,7 @@ _UNITS = {"pm": 1e12, "nm": 1e9, "µm": 1e6, "mm": 1e3, "m": 1.0}
 
 
 def _axes(title: str) -> tuple[dict[str, Any], ...]:
-    return {"size": 32}, {"size": 58, "label": title, "labelSize": 18, "labelFont": "12px sans-serif"}
+    return {"size": 32}, {"size": 58, "label": title, "labelSize": 18, "labelFont": "11px sans-serif"}
 
 
 def plot_data(

@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from closedloop.lab.ground import thin_out
-from closedloop.lab.scene import ARROWS, JOINTS, PATH, WANTED, Scene, quaternions
+from closedloop.lab.scene import ARROWS, JOINTS, LOOP, PATH, TOUCH, WANTED, Scene, quaternions
 
 Array = NDArray[np.float64]
 
@@ -17,6 +17,12 @@ EVENTS = {
     "impact": (230, 159, 0), "touchdown": (0, 114, 178), "liftoff": (86, 180, 233), "stick": (213, 94, 0),
     "slip": (0, 158, 115), "reversal": (204, 121, 167), "edge": (0, 0, 0), "stop": (120, 120, 120),
     "release": (120, 120, 120),
+}  # fmt: skip
+# Colours of arrows that come out as those of `ARROWS`, which the legend has: the page's tone mapping turns blue into
+# teal and orange into brown. Found by trying, and read from the page.
+AS_SEEN = {
+    "contact force": (0, 90, 215), "friction": (250, 55, 0), "commanded force": (0, 155, 90), LOOP: (250, 130, 0),
+    TOUCH: (30, 165, 250),
 }  # fmt: skip
 SURFACE = (196, 205, 214)
 # An arrow shorter than this share of the arm's reach is not drawn.
@@ -189,7 +195,7 @@ class Space:
             if not forces:
                 return
             node = self._nodes[kind] = self._api.add_arrows(
-                f"/{kind}", np.zeros((1, 2, 3), dtype=np.float32), tuple(round(255 * c) for c in ARROWS[kind]),
+                f"/{kind}", np.zeros((1, 2, 3), dtype=np.float32), AS_SEEN[kind],
                 shaft_radius=0.006 * size, head_radius=0.014 * size, head_length=0.035 * size, visible=False,
             )  # fmt: skip
         if seen:

@@ -2,7 +2,6 @@
 
 import re
 import shlex
-import shutil
 import threading
 import time
 from pathlib import Path
@@ -12,12 +11,10 @@ import pytest
 
 import closedloop as cl
 from closedloop.__main__ import main
+from closedloop.lab import in_browser
 from closedloop.lab.share import MOST_FRAMES
 
-CHROMIUM = shutil.which("chromium") or shutil.which("chromium-browser") or shutil.which("google-chrome")
-OPTIONS = ["--use-angle=swiftshader", "--enable-unsafe-swiftshader", "--no-sandbox"]
-
-pytestmark = [pytest.mark.slow, pytest.mark.skipif(CHROMIUM is None, reason="chromium is not installed")]
+pytestmark = [pytest.mark.slow, pytest.mark.skipif(bool(in_browser.why_not()), reason=in_browser.why_not())]
 
 
 @pytest.fixture(scope="module")
@@ -25,7 +22,7 @@ def browser():
     """Chromium without a screen, drawing space in software."""
     api = pytest.importorskip("playwright.sync_api", reason="playwright is not installed")
     with api.sync_playwright() as playwright:
-        started = playwright.chromium.launch(executable_path=CHROMIUM, args=OPTIONS)
+        started = playwright.chromium.launch(executable_path=in_browser.program(), args=in_browser.OPTIONS)
         yield started
         started.close()
 
@@ -120,6 +117,10 @@ def test_the_page_says_what_is_shown_and_no_box_shows_a_logarithm(page, lab):
     )
     shown = page.evaluate(boxes)
     assert 10.0 in shown
+    tabs = page.get_by_role("tab")
+    above = [tabs.nth(k).bounding_box()["y"] for k in range(tabs.count() - 1)]
+    assert len(above) == 10
+    assert set(above) == {above[0]}  # in one row; the last is that of the plots
     assert not any(abs(x - np.log10(900.0)) < 1e-3 for x in shown)
     lab.changed("law.force", 14.0)
     assert lab.wait()
@@ -127,6 +128,17 @@ def test_the_page_says_what_is_shown_and_no_box_shows_a_logarithm(page, lab):
     page.wait_for_timeout(1000)
     assert lab.wait()
     assert lab.run.scenario.law.force == 10.0
+
+
+def test_the_page_is_timed_from_the_key_to_the_plot(page, lab):
+    """Each key gives one time, and none is shorter than what the run alone takes; the frame comes after the drawing."""
+    page.wait_for_function("Object.keys(window.__viserTestpoints?.uplots ?? {}).length > 3")
+    page.evaluate(in_browser.WATCH)
+    drawn, shown = in_browser.page_latencies(page, "force [N]", 3)
+    assert drawn.shape == shown.shape == (3,)
+    assert np.all(drawn > lab.run.wall_seconds)
+    assert np.all(shown >= drawn)
+    assert page.evaluate("window.lab.largest()") == lab.run.scenario.law.force != 10.0
 
 
 def looks(page):

@@ -4,6 +4,7 @@ import base64
 import json
 import re
 import sys
+from dataclasses import replace
 
 import numpy as np
 import pinocchio
@@ -11,6 +12,7 @@ import pytest
 
 import closedloop as cl
 from closedloop.closure.contact_force import FREE
+from closedloop.events.table import EVENT_COLUMNS
 from closedloop.lab.curves import panels, reduced, with_instants
 from closedloop.lab.joined import Joined
 from closedloop.lab.playback import Playback
@@ -97,6 +99,14 @@ def test_the_drawn_forces_between_links_are_the_torques_that_are_missing(name):
     (arrows,) = scene.arrows([row])
     drawn = [arrow for arrow in arrows if arrow.kind == TOUCH]
     assert [arrow.name.removeprefix(f"{TOUCH} ") for arrow in drawn] == [c.name for c in run.scenario.contact]
+    assert len(scene.surface[1]) == 0  # it is 5 m off
+    plotted = {panel.name: panel for panel in panels(run)}
+    assert not {"closure", "friction"} & set(plotted)
+    assert np.array_equal(plotted["links"].traces[2].values, run.link_forces[:, 1])
+    slips = replace(run, columns=run.columns | {"event_contact": np.array([2]), "event_time": run.time[row : row + 1]})
+    others = [name for name in EVENT_COLUMNS if name not in slips.columns or not len(slips.columns[name])]
+    slips.columns.update({name: np.ones((1, *run.columns[name].shape[1:]), dtype=int) for name in others})
+    assert scene_of(slips).marks[0].position == pytest.approx(drawn[1].tail)
     mechanism = scene.model.pinocchio_model()
     data = mechanism.createData()
     pinocchio.computeJointJacobians(mechanism, data, run.q[row])

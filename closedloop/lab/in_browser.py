@@ -1,0 +1,141 @@
+"""The lab measured in its own page: Chromium without a screen moves a slider, and the page's own clock is read."""
+
+from __future__ import annotations
+
+import shutil
+from collections.abc import Iterator
+from contextlib import contextmanager
+from typing import TYPE_CHECKING, Any, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+if TYPE_CHECKING:
+    from closedloop.lab.app import Lab
+
+Array = NDArray[np.float64]
+
+PROGRAMS = "chromium", "chromium-browser", "google-chrome"
+# It draws space in software where there is no graphics processor.
+OPTIONS = ["--use-angle=swiftshader", "--enable-unsafe-swiftshader", "--no-sandbox", "--enable-precise-memory-info"]
+SIZE = 1440, 900  # px
+PATIENCE = 120_000  # ms
+# Notes when a key is pressed or the pointer moved, and when the plot of the force has been drawn with other values:
+# then, and in the frame after that, which shows it.
+WATCH = """() => {
+const charts = Object.values(window.__viserTestpoints.uplots).map(u => u.chart);
+const chart = charts.find(c => c.series.some(s => s.label === 'commanded'));
+const at = chart.series.findIndex(s => s.label === 'commanded'), largest = () => Math.max(...chart.data[at]);
+window.lab = {drawn: [], shown: [], faults: 0, largest};
+let began = null, last = largest();
+addEventListener('error', () => { window.lab.faults += 1; });
+addEventListener('keydown', e => { if (began === null) began = e.timeStamp; }, true);
+(chart.hooks.draw ??= []).push(() => {
+  if (largest() === last) return;
+  last = largest();
+  if (began === null) return;
+  const from = began;
+  began = null;
+  window.lab.drawn.push(performance.now() - from);
+  requestAnimationFrame(() => window.lab.shown.push(performance.now() - from));
+}); }"""
+
+
+class Moved(NamedTuple):
+    """What came of a slider that was dragged in the page all the time.
+
+    Attributes
+    ----------
+    moves : int
+        Movements of the pointer.
+    seconds : float
+        Time that they took, s.
+    plotted, wanted : float
+        Value in the plot at the end, and value of the slider.
+    faults : int
+        Errors in the page.
+    growth : float
+        Memory that the page gained between the first tenth and the end, MB.
+    """
+
+    moves: int
+    seconds: float
+    plotted: float
+    wanted: float
+    faults: int
+    growth: float
+
+
+def why_not() -> str:
+    """Return why the page cannot be measured here, "" if it can."""
+    from importlib.util import find_spec
+
+    if find_spec("playwright") is None:
+        return "playwright is not installed: pip install playwright"
+    return "" if program() else f"there is none of {', '.join(PROGRAMS)}"
+
+
+@contextmanager
+def page_of(lab: Lab) -> Iterator[Any]:
+    """Open the page of a lab whose run is shown, and close it in the end."""
+    from playwright.sync_api import sync_playwright
+
+    with sync_playwright() as playwright:
+        browser = playwright.chromium.launch(executable_path=program(), args=OPTIONS)
+        try:
+            page = browser.new_page(viewport={"width": SIZE[0], "height": SIZE[1]})
+            page.set_default_timeout(PATIENCE)
+            page.goto(lab.url)
+            page.get_by_text("steps in").wait_for()
+            page.wait_for_function("Object.keys(window.__viserTestpoints?.uplots ?? {}).length > 3")
+            page.wait_for_timeout(2000)
+            page.evaluate(WATCH)
+            yield page
+        finally:
+            browser.close()
+
+
+def page_latencies(page: Any, label: str, changes: int) -> tuple[Array, Array]:
+    """Return the times (changes,), s, from a key that moves a slider to the drawn plot, and to the frame with it."""
+    thumb = _row(page, label).get_by_role("slider").first
+    thumb.focus()
+    for k in range(changes):
+        page.keyboard.press("ArrowRight" if k // 10 % 2 == 0 else "ArrowLeft")
+        page.wait_for_function(f"window.lab.shown.length > {k}", polling=20)
+    return tuple(np.array(page.evaluate(f"window.lab.{name}")) / 1e3 for name in ("drawn", "shown"))  # type: ignore[return-value]
+
+
+def page_drag(page: Any, lab: Lab, label: str, key: str, seconds: float, rate: float) -> Moved:
+    """Drag a slider with the pointer `rate` times a second."""
+    import time as clock
+
+    box = _row(page, label).locator(".mantine-Slider-root").bounding_box()
+    middle, y = box["x"] + 0.7 * box["width"], box["y"] + 0.5 * box["height"]
+    heap = "performance.memory ? performance.memory.usedJSHeapSize / 1e6 : 0"
+    page.mouse.move(middle, y)
+    page.mouse.down()
+    began, moves, early = clock.perf_counter(), 0, 0.0
+    while (now := clock.perf_counter() - began) < seconds:
+        page.mouse.move(middle + 0.15 * box["width"] * float(np.sin(2.0 * np.pi * now / 3.0)), y)
+        moves += 1
+        if not early and now > 0.1 * seconds:
+            early = float(page.evaluate(heap))
+        clock.sleep(max(0.0, moves / rate - (clock.perf_counter() - began)))
+    page.mouse.up()
+    page.wait_for_timeout(1000)
+    lab.wait()
+    page.wait_for_timeout(2000)
+    took = clock.perf_counter() - began
+    plotted, faults = float(page.evaluate("window.lab.largest()")), int(page.evaluate("window.lab.faults"))
+    wanted = float(lab.tabs.handle(key).value)
+    return Moved(moves, took, plotted, wanted, faults, float(page.evaluate(heap)) - early)
+
+
+def program() -> str | None:
+    """Return the program Chromium, None if there is none."""
+    return next(filter(None, map(shutil.which, PROGRAMS)), None)
+
+
+def _row(page: Any, label: str) -> Any:
+    """Return the row of the control with this label."""
+    return page.locator(".mantine-Flex-root", has=page.get_by_text(label, exact=True)).last

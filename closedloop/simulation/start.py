@@ -53,8 +53,8 @@ def refuse_combinations(scenario: Scenario, model: RobotModel) -> None:
     stopped = has_stops(scenario, model)
     if stopped and scenario.time.integrator in ADAPTIVE:
         raise ScenarioError(
-            f"time.integrator = {scenario.time.integrator!r}: stops of joints, which limits of loop joints are, take "
-            f"steps of fixed length; must be {' or '.join(map(repr, INTEGRATORS))}"
+            f"time.integrator = {scenario.time.integrator!r}: stops of joints take steps of fixed length, and limits "
+            f"of loop joints are stops; must be {' or '.join(map(repr, INTEGRATORS))}"
         )
     if scenario.robot.stop_restitution > 0.0 and not stopped:
         raise ScenarioError("robot.stop_restitution: is that of the joints' stops; give robot.stops = true with it")

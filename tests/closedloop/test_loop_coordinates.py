@@ -7,7 +7,7 @@ import closedloop as cl
 import robot_models
 from closedloop.simulation.prepare import prepare
 from robot_models import ModelError
-from validation.loops.mechanisms import bar, joint, loop, point
+from validation.loops.mechanisms import MECHANISMS, bar, joint, loop, point
 
 Y = [0, 1, 0]
 HINGE = {"axis": Y}
@@ -102,6 +102,29 @@ def test_a_coordinate_changes_nothing(tmp_path):
     forces = [np.linalg.norm(run.loops.reactions[:, :3], axis=1) for run in (plain, with_angle)]
     np.testing.assert_allclose(*forces, rtol=1e-6)
     assert np.max(with_angle.loops.unexplained) < 1e-10
+
+
+@pytest.mark.parametrize("name", ["doubled_four_bar", "spatial_slider", "bennett"])
+def test_coordinates_change_nothing_in_space(name):
+    """Redundant rows, two coordinates of a cylinder, two loop joints at one link: motion, energy and reactions stay."""
+    plain = MECHANISMS[name]()
+    zero = {"hinge": 0.0, "cylinder": [0.0, 0.0]}
+    tables = []
+    for each in plain.loops:
+        acting = {"friction": zero[each.type]} if each.type in zero else {}
+        tables.append(each.as_table() | {"name": f"loop {each.name}"} | acting)
+    model = robot_models.from_text(
+        plain.text, "urdf", name=name, armature=plain.armature, tip=plain.tip, home=plain.home, locked={}, loops=tables
+    )
+    assert set(model.joint_names) - set(model.loop_coordinates) == set(plain.joint_names)
+    with_them, without = (run_of(each, each.home.tolist(), **{"time.duration": 0.02}) for each in (model, plain))
+    for joint_name in plain.joint_names:
+        np.testing.assert_allclose(of(with_them, joint_name), of(without, joint_name), atol=1e-12)
+    for energy in ("kinetic_energy", "potential_energy"):
+        np.testing.assert_allclose(getattr(with_them, energy), getattr(without, energy), atol=1e-12)
+    sizes = [np.linalg.norm(run.loops.reactions, axis=1) for run in (with_them, without)]
+    np.testing.assert_allclose(*sizes, rtol=1e-11)
+    assert np.max(with_them.loops.unexplained) < 1e-12
 
 
 @pytest.mark.parametrize("acting", [{"friction": 0.3}, {"damping": 0.4}, {"limits": [-1.1, -0.9]}])

@@ -107,7 +107,7 @@ def errors(memory: ContactMemory, answer: Answer) -> dict[str, float]:
 
 
 def _restitution_given(memory: ContactMemory, P: Array, after: Array) -> float:
-    """Return by what factor restitution was lessened, where energy asks for that: the smallest of those that rebound."""
+    """Return by what factor restitution was lessened where energy asks for that: the least that rebounds has."""
     c = memory.contacts
     pushed = (P[:, 0] > 1e-9 * np.max(np.abs(P))) & (np.array(c.u)[::3] < 0.0)
     if not pushed.any() or not np.all(np.isfinite(after)):

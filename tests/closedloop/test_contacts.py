@@ -167,6 +167,29 @@ def test_bar_between_two_arms_is_held_by_friction():
     assert np.ptp(total_energy(run)) < 1e-4
 
 
+@pytest.mark.slow
+def test_palms_let_go_where_their_force_ends():
+    """Pressed less and less until nothing presses at 1 s: both contacts end there, and the run goes on to 1.1 s."""
+    run = cl.simulate(cl.load_scenario("two_arms_bar", {"time.duration": 1.1, "time.step": 0.005}))
+    assert run.stopped is None
+    ends = {event.contact: event.time for event in run.events if event.kind == "liftoff" and event.time < 1.01}
+    assert set(ends) == {1, 2}
+    assert list(ends.values()) == pytest.approx([1.0, 1.0], abs=2e-3)
+    assert np.min(run.link_gaps) > -1e-7
+    assert np.min(run.link_forces) > -1e-8
+
+
+def test_batch_of_contacts_is_the_runs_one_by_one():
+    """Each row, and a column kept whole, to the last bit."""
+    base = cl.load_scenario("two_arms_bar", {"time.duration": 0.004})
+    forces = [40.0, 30.0]
+    table = cl.simulate_batch(base, {"law.force": forces}, keep=["q"], engine="pinocchio")
+    for i, force in enumerate(forces):
+        run = cl.simulate(cl.load_scenario("two_arms_bar", {"time.duration": 0.004, "law.force": force}))
+        assert table["status"][i].as_py() == "done"
+        np.testing.assert_array_equal(np.array(table["q"][i].as_py()).reshape(run.q.shape), run.q)
+
+
 def test_gripper_lifts_the_block_with_a_loop_and_forces_that_are_not_unique():
     """Ten newtons in each of four contacts, half of the weight below each corner; the gear of the fingers holds."""
     run = cl.simulate(cl.load_scenario("gripper_block", {"time.duration": 0.01}))

@@ -52,14 +52,17 @@ class Catch:
     margin: float
 
 
-def catch_of(fault: str, carrier: str, found: Iterable[Mapping[str, float]], bound: float) -> Catch:
-    """Return what became of a fault planted in the oracle or in the loop, by the errors of several cases."""
+def catch_of(fault: str, carrier: str, found: Iterable[Mapping[str, float]], bound: float, by: str = "") -> Catch:
+    """Return what became of a fault planted in the oracle or in the loop, by the errors of several cases.
+
+    Without `by` what the carrier was compared with is the other of the two.
+    """
     worst, quantity = 0.0, "nothing"
     for errors in found:
         for name, value in errors.items():
             if value > worst:
                 worst, quantity = value, name
-    by = "the oracle" if carrier != "oracle" else "the loop on Pinocchio"
+    by = by or ("the oracle" if carrier != "oracle" else "the loop on Pinocchio")
     margin = worst / bound
     return Catch(fault, carrier, margin > 1.0, quantity, by, margin)
 

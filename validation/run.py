@@ -102,6 +102,7 @@ def _compare(options: argparse.Namespace) -> Any:
 
 
 def _plant(options: argparse.Namespace) -> Any:
+    from validation.contacts import plant_on_contacts
     from validation.loops.faults import plant_on_loops
     from validation.plant import plant_all, plant_runs
     from validation.report import Report
@@ -115,6 +116,7 @@ def _plant(options: argparse.Namespace) -> Any:
         sections.append(faults_section("wam_slide, run by the compiled engine", plant_runs()))
         sections.append(faults_section("panda on curved, moving and soft surfaces", plant_on_surfaces()))
         sections.append(faults_section("mechanisms with loops", plant_on_loops()))
+        sections.append(faults_section("several contacts", plant_on_contacts()))
     return Report(sections=sections)
 
 

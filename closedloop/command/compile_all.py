@@ -178,7 +178,7 @@ def _run(engine: str, integrator: str = "semi_implicit_euler") -> None:
 
 
 def _impacts() -> None:
-    from closedloop.events.transitions import collide
+    from closedloop.events.impacts import collide
     from closedloop.jit.kernel import direct
 
     direct(collide, _problem().loop().address)

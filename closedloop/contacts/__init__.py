@@ -3,6 +3,7 @@
 memory           what they are, and what they are at the state asked about last
 linear           a square system of any rank
 complementarity  forces or impulses in Coulomb's cones that solve all contacts together
+continuation     the same along a path, where the quick method does not find them
 given_modes      forces where it is known which contacts are free, slide or stick
 least_norm       of forces that are not unique those of least norm inside the cones
 bind             what the sections [[contact]] of a scenario ask for, as the rows that the loop reads

@@ -1,20 +1,20 @@
 """Forces in Coulomb's cones along a path from a problem whose solution is known, where no quick method finds them.
 
-With y = (μ f, F_t) and z = ρ (u_n/μ + |u_t|, u_t) of each contact, the problem of `closedloop.contacts.complementarity`
-is y ∈ Q, z ∈ Q, yᵀz = 0 with the cone Q = {|x_t| <= x_0}, whose Jordan algebra gives every x two eigenvalues x_0 ± |x_t|.
-The path has
+With y = (μ f, F_t) and z = ρ (u_n/μ + |u_t|, u_t) of each contact, the problem of
+`closedloop.contacts.complementarity` is y ∈ Q, z ∈ Q, yᵀz = 0 with the cone Q = {|x_t| <= x_0}, whose Jordan algebra
+gives every x two eigenvalues x_0 ± |x_t|. The path has
 
     y = p(x), z = p(−x):  y ∘ z = τ² e,      p(λ) = (λ + √(λ² + 4τ²))/2 of each eigenvalue,  |u_t| -> √(|u_t|² + τ²/ρ²)
 
-(M. Fukushima, Z.-Q. Luo and P. Tseng, SIAM J. Optim. 12, 2002). Of a contact that slides already, or has no friction, f
-and ρ u_n + τ take the place of y and z. At τ0 any x0 solves the problem whose residual is less by R(x0, τ0); the path is
-R(x, τ) = (τ/τ0) R(x0, τ0), from there to τ = 0. It is followed by its arc length (E. L. Allgower and K. Georg, Numerical
-Continuation Methods, 1990), for it may turn back to larger τ in between.
+(M. Fukushima, Z.-Q. Luo and P. Tseng, SIAM J. Optim. 12, 2002). Of a contact that slides already, or has no friction,
+f and ρ u_n + τ take the place of y and z. At τ0 any x0 solves the problem whose residual is less by R(x0, τ0); the path
+is R(x, τ) = (τ/τ0) R(x0, τ0), from there to τ = 0. It is followed by its arc length (E. L. Allgower and K. Georg,
+Numerical Continuation Methods, 1990), for it may turn back to larger τ in between.
 
 Where q is a velocity that joints can have and friction is Coulomb's alone, as in an impact without restitution, forces
-are bounded for every τ > 0: qᵀF + Fᵀ W F + τ Σ f is, and q and W F belong to the same velocities. The path then has no
-end but at τ = 0, so that there is a solution. (Existence: V. Acary, F. Cadoux, C. Lemaréchal and J. Malick, ZAMM 91,
-2011.) Otherwise its forces may grow beyond all bounds: that is how a problem without solution shows.
+are bounded for every τ > 0: Fᵀ(W F + q) + τ Σ f is, and q and W F belong to velocities of the same joints. The path
+then ends nowhere but at τ = 0, so that there is a solution. (Existence: V. Acary, F. Cadoux, C. Lemaréchal and J.
+Malick, ZAMM 91, 2011.) Otherwise its forces may grow beyond all bounds: that is how a problem without solution shows.
 """
 
 from __future__ import annotations
@@ -30,8 +30,6 @@ from closedloop.jit.kernel import kernel
 
 Array = NDArray[np.float64]
 
-# y and z at the start: the largest force divided by this, and multiplied by it.
-APART = 2.0
 # Where the path ends, of τ0, and where it may, if rounding stops it; force and τ, of τ0, from which it will not return.
 END, NEAR_END, MOST_FORCE, MOST_TAU = 1e-7, 1e-3, 1e6, 50.0
 # Steps; length of the first, the longest and the shortest; corrections in each, and when one is done.
@@ -175,8 +173,11 @@ def turn_tangent(c: Contacts, m: int) -> None:
 
 
 @kernel
-def start_path(c: Contacts, k: int) -> float:
-    """Write the first point of the path, its tangent's sense, scales and the residual there; return τ0."""
+def start_path(c: Contacts, k: int, apart: float) -> float:
+    """Write the first point of the path, its tangent's sense, scales and the residual there; return τ0.
+
+    There y and z are τ0 divided by `apart`, and multiplied by it.
+    """
     m, largest, tau0 = 3 * k, 0.0, 0.0
     for j in range(m):
         largest = max(largest, c.W[j, j])
@@ -191,7 +192,7 @@ def start_path(c: Contacts, k: int) -> float:
     for j in range(m):
         c.path_start[j] = 0.0
     for i in range(k):
-        c.path[3 * i] = tau0 * (1.0 / APART - APART) if c.kind[i] != LINE and c.kind[i] != OFF else 0.0
+        c.path[3 * i] = tau0 * (1.0 / apart - apart) if c.kind[i] != LINE and c.kind[i] != OFF else 0.0
     c.path_tangent[m] = -1.0
     write_path(c, k, c.path, 0.0, tau0)
     for j in range(m):
@@ -211,10 +212,10 @@ def force_size(F: Array, m: int) -> float:
 
 
 @kernel
-def follow_path(c: Contacts, k: int) -> bool:
-    """Write F near a solution; return False if the path leads nowhere."""
+def follow_path(c: Contacts, k: int, apart: float) -> bool:
+    """Write F near a solution; return False if the path leads nowhere. See `start_path` for `apart`."""
     m, length = 3 * k, FIRST
-    tau0 = start_path(c, k)
+    tau0 = start_path(c, k, apart)
     if not 0.0 < tau0 < math.inf:
         return False
     x, after = c.path, c.path_trial

@@ -16,7 +16,8 @@ from numpy.typing import NDArray
 
 from closedloop.closure.contact_force import FREE, PRESSED
 from closedloop.closure.solve import OK, PAINLEVE
-from closedloop.contacts.complementarity import solve_contacts
+from closedloop.contacts.complementarity import largest_mobility, solve_contacts
+from closedloop.contacts.continuation import force_size
 from closedloop.contacts.memory import CONE, LINE, OFF, RAY, ContactLinks, Contacts
 from closedloop.contacts.modes import touches
 from closedloop.jit.kernel import kernel
@@ -28,6 +29,8 @@ RESTING = 1e-11
 # The factor of all e at which it is tried whether contacts can rebound at all; and how often a problem without solution
 # is tried in the search for the largest factor, for each takes long.
 LEAST_SHARE, MOST_MISSING = 1e-3, 12
+# Restitution with impulses so many times those that are asked for is none: contacts are wedged, but for rounding.
+MOST_IMPULSE = 1e3
 # What happened to a contact, as the kinds of `closedloop.events.table`.
 STRUCK_AND_LEFT, STRUCK_AND_STAYED = 1.0, 2.0
 
@@ -109,6 +112,9 @@ def solve_with(links: ContactLinks, c: Contacts, share: float, rest_speed: float
         if c.struck[i] != 0.0 and links.tired == 0 and bounce >= rest_speed:
             c.q[3 * i] -= bounce
     if not solve_contacts(c, k):
+        return False
+    asked = force_size(c.q, 3 * k) / largest_mobility(c, k)
+    if share > 0.0 and force_size(c.F, 3 * k) > MOST_IMPULSE * asked:
         return False
     for i in range(3 * k):
         s = c.before[i]

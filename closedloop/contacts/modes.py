@@ -104,7 +104,7 @@ def mode_after(c: Contacts, i: int, nothing: float) -> int:
     at = 3 * i
     if c.kind[i] == OFF or c.after[at] > nothing:
         return FREE
-    # Where a force has just become zero there is hardly any acceleration: that the mode would have had it pull says more.
+    # Where a force has just become zero there is hardly any acceleration; that the mode would have it pull says more.
     if c.pulled[i] != 0.0 and c.F[at] <= c.rounding:
         return FREE
     a1, a2 = c.after[at + 1], c.after[at + 2]

@@ -5,6 +5,9 @@ proceed      one call: use the terms requested last, request the next
 substep      begin and end of a substep
 locate       event functions, and the bracket around the instant of an event
 transitions  what an event does to the state and the contact mode
+impacts      impulses of the tip, and the rows of the table
+contacts     events of the contacts of the links
+stops        joints that reach their stops and leave them
 projection   a state moved onto the closure
 table        the table of events
 """

@@ -17,17 +17,14 @@ from closedloop.events.phases import (
     AFTER_EVENT,
     APPLY_EVENT,
     AT_EVENT,
-    BEGIN_SUBSTEP,
     ENLARGE_TABLE,
     FAIL,
-    INSTANT,
     MAX_IN_STEP,
     MAX_RAPID,
     NEED_TERMS,
-    RAPID,
-    STEP_END,
     request_terms,
 )
+from closedloop.events.substep import count_event, resume_step
 from closedloop.events.table import EventRow
 from closedloop.jit.calls import call_at
 from closedloop.jit.kernel import kernel
@@ -46,12 +43,7 @@ def apply_contact_event(w: Work, state: State, events: Array) -> int:
     if state.events + 2 * links.k > events.shape[0]:
         state.phase = AT_EVENT
         return ENLARGE_TABLE
-    state.events_in_step += 1
-    if w.time - w.last_event > RAPID:
-        state.rapid_events = 0
-    else:
-        state.rapid_events += 1
-    w.last_event = w.time
+    count_event(w, state)
     if state.events_in_step > MAX_IN_STEP or state.rapid_events > 2 * MAX_RAPID:
         state.status = CHATTER
         return FAIL
@@ -84,15 +76,7 @@ def resume_with_contacts(w: Work, constants: Constants, state: State, events: Ar
         return NEED_TERMS
     if w.contact_margin < 0.0:
         return APPLY_EVENT
-    left = state.row * constants.h - w.time
-    if left <= INSTANT:
-        state.no_search = 1
-        w.time = state.row * constants.h
-        request_terms(state, STEP_END)
-        return NEED_TERMS
-    state.after_event = 1
-    w.length = left
-    return BEGIN_SUBSTEP
+    return resume_step(w, constants, state)
 
 
 @kernel

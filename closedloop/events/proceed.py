@@ -32,6 +32,7 @@ from numpy.typing import NDArray
 
 from closedloop.closure.contact_force import FREE
 from closedloop.closure.solve import OK
+from closedloop.events.impacts import apply_impact
 from closedloop.events.locate import event_function, refine_bracket
 from closedloop.events.phases import (
     ADVANCE,
@@ -62,7 +63,7 @@ from closedloop.events.phases import (
 from closedloop.events.projection import project
 from closedloop.events.stops import measure_stops
 from closedloop.events.substep import advance_friction, check_stage, check_step, finish_stage, restore_state, save_state
-from closedloop.events.transitions import apply_event, apply_impact, resume_after_event
+from closedloop.events.transitions import apply_event, resume_after_event
 from closedloop.jit.calls import call_at
 from closedloop.jit.kernel import inlined_kernel
 from closedloop.step.advance import advance

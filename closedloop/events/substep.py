@@ -17,8 +17,10 @@ from closedloop.events.phases import (
     LEAVING,
     LOCATE_EVENT,
     LOCATE_MINIMUM,
+    NEED_TERMS,
     NO_TRIAL,
     PROJECTION,
+    RAPID,
     REACH_EVENT,
     RESTING,
     RETRY_SUBSTEP,
@@ -117,6 +119,31 @@ def finish_stage(w: Work, h: float, state: State, tableau: Array) -> None:
             request_terms(state, PROJECTION)
         else:
             request_terms(state, STEP_END)
+
+
+@kernel
+def resume_step(w: Work, constants: Constants, state: State) -> int:
+    """Continue after an event to the end of the step, or let the step end here."""
+    left = state.row * constants.h - w.time
+    if left <= INSTANT:
+        state.no_search = 1
+        w.time = state.row * constants.h
+        request_terms(state, STEP_END)
+        return NEED_TERMS
+    state.after_event = 1
+    w.length = left
+    return BEGIN_SUBSTEP
+
+
+@kernel
+def count_event(w: Work, state: State) -> None:
+    """Count an event of this step, and those in a row within `RAPID` of each other."""
+    state.events_in_step += 1
+    if w.time - w.last_event > RAPID:
+        state.rapid_events = 0
+    else:
+        state.rapid_events += 1
+    w.last_event = w.time
 
 
 @kernel_inlined

@@ -1,4 +1,4 @@
-"""What an event does: an impact, the end of contact, of slip or of sticking, and the mode that follows."""
+"""What an event does: the end of contact, of slip or of sticking, and the mode that follows."""
 
 from __future__ import annotations
 
@@ -19,42 +19,36 @@ from closedloop.closure.contact_force import (
 )
 from closedloop.closure.solve import CHATTER, OK
 from closedloop.events.contacts import apply_contact_event, resume_with_contacts
+from closedloop.events.impacts import log_event, make_contact
 from closedloop.events.locate import cone_margin
 from closedloop.events.phases import (
     AFTER_EVENT,
     APPLY_EVENT,
     APPLY_IMPACT,
     AT_EVENT,
-    BEGIN_SUBSTEP,
     DIRECTIONS,
     ENLARGE_TABLE,
     FAIL,
     IMPULSES_KNOWN,
-    INSTANT,
     MAX_IN_STEP,
     MAX_RAPID,
     NEED_TERMS,
     PROJECT,
-    RAPID,
     RESTING,
     SOLVE_IMPACT,
-    STEP_END,
     TOUCHING,
     request_terms,
 )
 from closedloop.events.stops import (
     BEYOND,
-    MOST_TRIALS,
     REACHED,
     energy_of_jump,
-    note_sides,
     reach_stops,
     release_stops,
-    yield_stops,
 )
+from closedloop.events.substep import count_event, resume_step
 from closedloop.events.table import (
     EDGE,
-    IMPACT,
     LIFTOFF,
     RELEASE,
     REVERSAL,
@@ -62,18 +56,16 @@ from closedloop.events.table import (
     STICK,
     STOP,
     TOUCHDOWN,
-    write_event,
 )
-from closedloop.impact import CUT as ENERGY_CUT
-from closedloop.impact import MODES, energy_lost, impact
+from closedloop.impact import energy_lost
 from closedloop.jit.calls import call_at
-from closedloop.jit.kernel import entry_kernel, kernel
+from closedloop.jit.kernel import kernel
 from closedloop.step.closed_loops import factorise_tip
 from closedloop.step.entries import LIMIT, RESTART, SLIDE
 from closedloop.step.entries import STICK as END_OF_SLIP
 from closedloop.step.evaluate import call_law
 from closedloop.step.locate import set_anchor
-from closedloop.step.memory import RIGID_STICK, SPRING_STICK, Constants, State, Work, loop_at
+from closedloop.step.memory import RIGID_STICK, SPRING_STICK, Constants, State, Work
 from closedloop.step.soft_contact import spring_energy
 from closedloop.step.tip_friction import delayed_speed
 
@@ -103,15 +95,7 @@ def resume_after_event(C: Array, w: Work, constants: Constants, state: State, ev
         return APPLY_EVENT
     if state.stops != 0 and w.stop_margin < 0.0:
         return APPLY_EVENT
-    left = state.row * constants.h - w.time
-    if left <= INSTANT:
-        state.no_search = 1
-        w.time = state.row * constants.h
-        request_terms(state, STEP_END)
-        return NEED_TERMS
-    state.after_event = 1
-    w.length = left
-    return BEGIN_SUBSTEP
+    return resume_step(w, constants, state)
 
 
 @kernel
@@ -126,12 +110,7 @@ def apply_event(H: Array, w: Work, constants: Constants, state: State, rows: Arr
         state.beside = 1
         request_terms(state, AFTER_EVENT)
         return NEED_TERMS
-    state.events_in_step += 1
-    if w.time - w.last_event > RAPID:
-        state.rapid_events = 0
-    else:
-        state.rapid_events += 1
-    w.last_event = w.time
+    count_event(w, state)
     if state.events_in_step > MAX_IN_STEP or (state.rapid_events > MAX_RAPID and state.mode != FREE):
         state.status = CHATTER
         return FAIL
@@ -290,83 +269,3 @@ def slip_onset(w: Work, state: State, angle: float) -> tuple[float, float]:
     a2 = w.a[2] + w.S[2, 0] * w.F[0] + w.S[2, 1] * w.F[1] + w.S[2, 2] * w.F[2]
     d1, d2 = w.direction[0], w.direction[1]
     return float(d1 * a2 - d2 * a1), float(d1 * a1 + d2 * a2)
-
-
-@kernel
-def log_event(w: Work, constants: Constants, state: State, events: Array, energy: float) -> None:
-    """Write the event state.kind into the table, and subtract its energy loss from the energy supplied."""
-    write_event(
-        events[state.events], w.time, state.kind, w.discarded_rebound, w.restitution_given, w.frame, w.r,
-        w.before, w.after, w.compression, w.decompression, energy,
-    )  # fmt: skip
-    state.events += 1
-    w.supplied -= energy
-    for i in range(3):  # a surface that moves does work on the arm
-        w.supplied += (w.compression[i] + w.decompression[i]) * w.carried[i]
-
-
-@kernel
-def apply_impact(w: Work, constants: Constants, state: State, events: Array) -> None:
-    """Apply the impulses of an impact to q̇, and set the mode after it."""
-    for i in range(3):
-        w.F[i] = w.compression[i] + w.decompression[i]
-    apply_impulse(w.L, w.X, w.F, w.column, w.v)
-    log_event(w, constants, state, events, energy_lost(w.before, w.after, w.F))
-    state.risen = 1
-    if state.law != 0:
-        call_law(state, RESTART)
-        at = state.law_states + state.sensor_states
-        for i in range(at, at + state.friction_states):
-            w.z[i] = 0.0  # of a contact just made
-        speed = np.hypot(w.after[1], w.after[2])
-        if speed > 0.0:
-            w.direction[0], w.direction[1] = w.after[1] / speed, w.after[2] / speed
-    if state.kind == TOUCHDOWN:
-        make_contact(w, constants, state, np.hypot(w.after[1], w.after[2]))
-
-
-@kernel
-def make_contact(w: Work, constants: Constants, state: State, speed: float) -> None:
-    """Set the mode of a tip on the surface: STUCK if its law of friction sticks and it is slow enough, else PRESSED."""
-    state.mode = PRESSED
-    if state.sticking in (RIGID_STICK, SPRING_STICK) and speed <= constants.stick_speed:
-        state.mode = STUCK
-        set_anchor(w, state)
-
-
-@entry_kernel
-def collide(address: int) -> None:
-    """Compute the impulses of the impact at the present state, and whether it ends in contact.
-
-    The address is that of the loop's memory, see `closedloop.step.memory.loop_at`. The function is separate from
-    `proceed` because impacts are rare and their law takes longer to compile than all the rest.
-    """
-    state, constants, w = loop_at(address)
-    if state.stops == 0:
-        strike_surface(w, constants, state)
-        return
-    note_sides(w)
-    for _ in range(MOST_TRIALS):
-        strike_surface(w, constants, state)
-        if state.status != OK or not yield_stops(w, state):
-            return
-
-
-@kernel
-def strike_surface(w: Work, constants: Constants, state: State) -> None:
-    """Do the same with the stops that hold joints now."""
-    bounces = state.rapid_events <= MAX_RAPID
-    state.kind, w.discarded_rebound, w.restitution_given = IMPACT if bounces else TOUCHDOWN, 0.0, 0.0
-    for _ in range(2):
-        restitution = constants.restitution if state.kind == IMPACT else 0.0
-        state.status = impact(
-            w.S, w.before, restitution, state.impact_law, constants.impact_friction, w.scratch,
-            (w.compression, w.decompression), w.after,
-        )  # fmt: skip
-        if state.status != OK or state.kind == TOUCHDOWN:
-            return
-        if w.after[0] >= constants.rest_speed:
-            cut = int(w.scratch[MODES]) & ENERGY_CUT != 0
-            w.restitution_given = -w.after[0] / w.before[0] if cut else restitution
-            return
-        state.kind, w.discarded_rebound = TOUCHDOWN, w.after[0]

@@ -18,9 +18,9 @@ from closedloop.engines.problem import Problem
 from closedloop.engines.proceed import FROM_PINOCCHIO, Addresses, addresses_of, set_events
 from closedloop.engines.user_law import Law, UserLaw
 from closedloop.errors import SimulationError
+from closedloop.events.impacts import collide
 from closedloop.events.phases import INITIAL_EVENTS, TABLE_FULL, TERMS
 from closedloop.events.table import EVENT_WIDTH
-from closedloop.events.transitions import collide
 from closedloop.jit.background import make_ready, start
 from closedloop.jit.interpreted import Interim, at_hand, call_now
 from closedloop.jit.kernel import direct

@@ -19,8 +19,8 @@ from closedloop.control.drives import cut_torque
 from closedloop.engines.loops import kernels_of, loop_for
 from closedloop.engines.problem import Problem
 from closedloop.engines.user_law import Law, UserLaw
+from closedloop.events.impacts import collide
 from closedloop.events.phases import DONE, IMPACT_LAW_WANTED, MEASURED, STEP_END, TABLE_FULL, TERMS
-from closedloop.events.transitions import collide
 from closedloop.jit.background import make_ready
 from closedloop.jit.kernel import plain
 from closedloop.robot.pinocchio import Robot

@@ -13,7 +13,7 @@ import closedloop as cl
 from closedloop.engines.adaptive.kernels import evaluate_on_pinocchio
 from closedloop.engines.lane_loop import run_in_lanes
 from closedloop.engines.proceed import proceed_at
-from closedloop.events.transitions import collide
+from closedloop.events.impacts import collide
 from closedloop.jit import background, cache_folder
 from closedloop.jit.cache_folder import MARKER
 

@@ -10,7 +10,7 @@ import pytest
 
 import closedloop as cl
 from closedloop.engines.loops import COMPILED, ENGINES, PINOCCHIO, loop_for
-from closedloop.events.transitions import collide
+from closedloop.events.impacts import collide
 from closedloop.jit import background, interpreted
 from closedloop.jit.calls import call_at, forget_entry, interpreted_address
 from closedloop.jit.interpreted import PROBE, Interim

@@ -16,6 +16,7 @@ from closedloop.engines.problem import Problem
 from closedloop.engines.proceed import FROM_PINOCCHIO, addresses_of, proceed_at, set_events
 from closedloop.engines.user_law import Law, UserLaw
 from closedloop.errors import DivergenceError
+from closedloop.events.impacts import collide
 from closedloop.events.phases import (
     AFTER_EVENT,
     AT_EVENT,
@@ -28,7 +29,6 @@ from closedloop.events.phases import (
     TERMS,
 )
 from closedloop.events.table import EVENT_WIDTH
-from closedloop.events.transitions import collide
 from closedloop.jit.background import make_ready
 from closedloop.jit.pointers import address_of
 from closedloop.step.closed_loops import CLOSE, closed_loops

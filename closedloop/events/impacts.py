@@ -1,0 +1,101 @@
+"""Impacts of the tip: their impulses, the mode after them, and their rows in the table of events."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from closedloop.closure.contact_force import PRESSED, STUCK, apply_impulse
+from closedloop.closure.solve import OK
+from closedloop.events.phases import MAX_RAPID
+from closedloop.events.stops import MOST_TRIALS, note_sides, yield_stops
+from closedloop.events.table import IMPACT, TOUCHDOWN, write_event
+from closedloop.impact import CUT as ENERGY_CUT
+from closedloop.impact import MODES, energy_lost, impact
+from closedloop.jit.kernel import entry_kernel, kernel
+from closedloop.step.entries import RESTART
+from closedloop.step.evaluate import call_law
+from closedloop.step.locate import set_anchor
+from closedloop.step.memory import RIGID_STICK, SPRING_STICK, Constants, State, Work, loop_at
+
+Array = NDArray[np.float64]
+
+
+@kernel
+def log_event(w: Work, constants: Constants, state: State, events: Array, energy: float) -> None:
+    """Write the event state.kind into the table, and subtract its energy loss from the energy supplied."""
+    write_event(
+        events[state.events], w.time, state.kind, w.discarded_rebound, w.restitution_given, w.frame, w.r,
+        w.before, w.after, w.compression, w.decompression, energy,
+    )  # fmt: skip
+    state.events += 1
+    w.supplied -= energy
+    for i in range(3):  # a surface that moves does work on the arm
+        w.supplied += (w.compression[i] + w.decompression[i]) * w.carried[i]
+
+
+@kernel
+def apply_impact(w: Work, constants: Constants, state: State, events: Array) -> None:
+    """Apply the impulses of an impact to q̇, and set the mode after it."""
+    for i in range(3):
+        w.F[i] = w.compression[i] + w.decompression[i]
+    apply_impulse(w.L, w.X, w.F, w.column, w.v)
+    log_event(w, constants, state, events, energy_lost(w.before, w.after, w.F))
+    state.risen = 1
+    if state.law != 0:
+        call_law(state, RESTART)
+        at = state.law_states + state.sensor_states
+        for i in range(at, at + state.friction_states):
+            w.z[i] = 0.0  # of a contact just made
+        speed = np.hypot(w.after[1], w.after[2])
+        if speed > 0.0:
+            w.direction[0], w.direction[1] = w.after[1] / speed, w.after[2] / speed
+    if state.kind == TOUCHDOWN:
+        make_contact(w, constants, state, np.hypot(w.after[1], w.after[2]))
+
+
+@kernel
+def make_contact(w: Work, constants: Constants, state: State, speed: float) -> None:
+    """Set the mode of a tip on the surface: STUCK if its law of friction sticks and it is slow enough, else PRESSED."""
+    state.mode = PRESSED
+    if state.sticking in (RIGID_STICK, SPRING_STICK) and speed <= constants.stick_speed:
+        state.mode = STUCK
+        set_anchor(w, state)
+
+
+@entry_kernel
+def collide(address: int) -> None:
+    """Compute the impulses of the impact at the present state, and whether it ends in contact.
+
+    The address is that of the loop's memory, see `closedloop.step.memory.loop_at`. The function is separate from
+    `proceed` because impacts are rare and their law takes longer to compile than all the rest.
+    """
+    state, constants, w = loop_at(address)
+    if state.stops == 0:
+        strike_surface(w, constants, state)
+        return
+    note_sides(w)
+    for _ in range(MOST_TRIALS):
+        strike_surface(w, constants, state)
+        if state.status != OK or not yield_stops(w, state):
+            return
+
+
+@kernel
+def strike_surface(w: Work, constants: Constants, state: State) -> None:
+    """Do the same with the stops that hold joints now."""
+    bounces = state.rapid_events <= MAX_RAPID
+    state.kind, w.discarded_rebound, w.restitution_given = IMPACT if bounces else TOUCHDOWN, 0.0, 0.0
+    for _ in range(2):
+        restitution = constants.restitution if state.kind == IMPACT else 0.0
+        state.status = impact(
+            w.S, w.before, restitution, state.impact_law, constants.impact_friction, w.scratch,
+            (w.compression, w.decompression), w.after,
+        )  # fmt: skip
+        if state.status != OK or state.kind == TOUCHDOWN:
+            return
+        if w.after[0] >= constants.rest_speed:
+            cut = int(w.scratch[MODES]) & ENERGY_CUT != 0
+            w.restitution_given = -w.after[0] / w.before[0] if cut else restitution
+            return
+        state.kind, w.discarded_rebound = TOUCHDOWN, w.after[0]

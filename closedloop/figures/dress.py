@@ -51,8 +51,8 @@ SHAPES: dict[int, dict[str, Any]] = {
 INK = "0.15"
 # Up to so many times its rounding a value is drawn beside it.
 NEAR_ROUNDING = 30.0
-# How much of a panel a label of a mark takes, as shares of its width and height.
-LABEL_WIDTH, LABEL_HEIGHT = 0.2, 0.11
+# How much of a panel a label of a mark takes: as shares of its width and height, of a low panel so many points.
+LABEL_WIDTH, LABEL_HEIGHT, LABEL_POINTS = 0.2, 0.11, 14.0
 
 
 def dress(
@@ -145,8 +145,13 @@ def mark_rounding(axes: Axes, size: float, level: float, factor: float) -> None:
 
 
 def contact_changes(run: Run) -> bool:
-    """Tell whether the tip ever does anything but slide or rest on the surface."""
-    return bool(np.any(run.mode != PRESSED))
+    """Tell whether the tip ever does anything but slide or rest on the surface, or is never there."""
+    return bool(np.any(run.mode != PRESSED)) and not tip_is_idle(run)
+
+
+def tip_is_idle(run: Run) -> bool:
+    """Tell whether links are in contact instead of the tip, which never is."""
+    return bool(run.scenario.contact) and bool(np.all(run.mode == FREE))
 
 
 def _draw_bands(axes: Axes, run: Run, begin: float, end: float) -> None:
@@ -167,6 +172,8 @@ def _draw_bands(axes: Axes, run: Run, begin: float, end: float) -> None:
 def _draw_marks(axes: Axes, run: Run, begin: float, end: float, label: bool) -> None:
     """Draw the marks; a label too near to the one before is set lower, and one near the end to the left of its mark."""
     level, last, crowded = 0, -np.inf, False
+    panel = axes.get_position().height * axes.get_figure(root=True).get_figheight() * 72.0  # type: ignore[union-attr]
+    height = max(LABEL_HEIGHT, LABEL_POINTS / panel)
     for t, text in marks(run):
         if not begin < t < end:
             continue
@@ -182,10 +189,10 @@ def _draw_marks(axes: Axes, run: Run, begin: float, end: float, label: bool) -> 
         )  # fmt: skip
         left = t - LABEL_WIDTH * (end - begin) if late else t
         right = left + LABEL_WIDTH * (end - begin)
-        crowded = crowded or _reaches_up(axes, left, right, 1.0 - LABEL_HEIGHT * (1 + level))
+        crowded = crowded or _reaches_up(axes, left, right, 1.0 - height * (1 + level))
     if crowded:
         low, high = axes.get_ylim()
-        axes.set_ylim(low, high + 2 * LABEL_HEIGHT * (high - low))
+        axes.set_ylim(low, high + 2 * height * (high - low))
 
 
 def _reaches_up(axes: Axes, begin: float, end: float, share: float) -> bool:

@@ -8,6 +8,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, cast
 
 from closedloop.figures.closure import closure_error
+from closedloop.figures.dress import tip_is_idle
 from closedloop.figures.force import contact_force
 from closedloop.figures.friction import friction_force, has_friction
 from closedloop.figures.impacts import has_impacts, impacts
@@ -38,8 +39,9 @@ def draw_figures(
     """Write the figures of a run into `folder`, each as PNG and SVG, and return the paths of the PNGs.
 
     Every run has its tip position, contact force, closure error, the errors that force control is about, and its
-    joints; one with impacts, friction or a tool has a figure of them. The paper's slide has the paper's figures, with
-    its numbers, and the errors; its joints can be had from `closedloop.figures.joints`.
+    joints; one with impacts, friction or a tool has a figure of them. Where links touch instead of a tip that
+    never does, they are drawn in place of its force and gap. The paper's slide has the paper's figures, with its
+    numbers, and the errors; its joints can be had from `closedloop.figures.joints`.
 
     Parameters
     ----------
@@ -67,6 +69,8 @@ def draw_figures(
     wanted.append(("fig_force_control", force_control, run))
     if not papers:
         wanted.append(("fig_joints", joints, run))
+    if tip_is_idle(run):  # there is nothing to see of the force and the gap
+        wanted = [each for each in wanted if each[1] not in (contact_force, closure_error)]
     if run.scenario.contact:
         wanted.append(("fig_link_contacts", link_contacts, run))
     if has_impacts(run):

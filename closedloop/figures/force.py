@@ -159,8 +159,11 @@ def _unnamed(run: Run, away: NDArray[np.float64], width: float, named: list[_Mom
     if not largest > max(_flat(run.contact_force), *(moment.change for moment in named), 0.0):
         return []
     begin = int(starts[int(np.nanargmax(change))])
-    middle = float(run.time[begin + count // 2])
-    return [_Moment(largest, middle, f"around {middle:.3g} s", slice(begin, begin + count + 1))]
+    within = inside[begin : begin + count + 1]
+    most = begin + int(np.argmax(np.abs(within - np.median(within))))
+    begin = min(max(0, most - count // 4), len(run) - count - 1)
+    t = float(run.time[most])
+    return [_Moment(largest, t, f"around {t:.3g} s", slice(begin, begin + count + 1))]
 
 
 def _flat(force: NDArray[np.float64]) -> float:

@@ -14,6 +14,8 @@ from closedloop.events.impacts import collide
 from closedloop.jit import background, interpreted
 from closedloop.jit.calls import call_at, forget_entry, interpreted_address
 from closedloop.jit.interpreted import PROBE, Interim
+from closedloop.jit.kernel import entry_kernel, jit_disabled
+from closedloop.jit.pointers import address_of, matrix_at
 from closedloop.report.measured import measure_rows
 from closedloop.simulation.loop_calls import USED_ONCE
 from closedloop.step.record_row import complete_record
@@ -95,9 +97,10 @@ def test_a_law_of_ones_own_is_asked_as_often(nothing_compiled):
 @pytest.mark.parametrize("kernel", [
     *(loop_for(engine) for engine in ENGINES), collide, complete_record, measure_rows,
 ])  # fmt: skip
-def test_a_twin_calls_nothing_compiled(kernel):
+@pytest.mark.parametrize("buffers", [False, True])
+def test_a_twin_calls_nothing_compiled(kernel, buffers):
     """Every function that a twin can reach is a twin: one that was left out would be compiled."""
-    seen, waiting = set(), [interpreted.interpreted(kernel)]
+    seen, waiting = set(), [interpreted.interpreted(kernel, buffers)]
     while waiting:
         function = waiting.pop()
         if id(function) in seen:
@@ -109,7 +112,37 @@ def test_a_twin_calls_nothing_compiled(kernel):
         found = [function.__globals__.get(name) for code in codes for name in code.co_names] + cells
         waiting += [x for x in found if isinstance(x, types.FunctionType) or hasattr(x, "py_func")]
     assert len(seen) > 1
-    assert interpreted.interpreted(kernel) is interpreted.interpreted(kernel)
+    assert interpreted.interpreted(kernel, buffers) is interpreted.interpreted(kernel, buffers)
+
+
+@pytest.mark.skipif(jit_disabled(), reason="there are no twins")
+def test_what_buffers_cannot_do_is_done_again_with_arrays(monkeypatch):
+    """A row of a matrix is refused, and a division by zero: each call begins again from what it was given."""
+    memory = np.array([1.0, 2.0, 3.0, 4.0])
+
+    @entry_kernel
+    def add_to_row(address, divide):
+        matrix = matrix_at(address, 2, 2)
+        matrix[0, 0] += 1.0
+        if divide:
+            matrix[0, 1] = matrix[0, 0] / matrix[1, 0]
+        else:
+            matrix[1][1] += 1.0
+        return 0
+
+    monkeypatch.setattr(background, "start", lambda functions: None)
+    monkeypatch.setattr(interpreted, "needs_compiling", lambda function: True)
+    interim = Interim(add_to_row, (memory,), 1000, 1e9, buffers=True)
+    interim(address_of(memory), True)
+    assert interim._with_buffers
+    assert memory.tolist() == [2.0, 2.0 / 3.0, 3.0, 4.0]
+    memory[2] = 0.0
+    interim(address_of(memory), True)
+    assert interim._with_buffers
+    assert memory.tolist() == [3.0, np.inf, 0.0, 4.0]
+    interim(address_of(memory), False)
+    assert not interim._with_buffers
+    assert memory.tolist() == [4.0, np.inf, 0.0, 5.0]
 
 
 def test_hypotenuse_is_that_of_the_c_library():

@@ -367,6 +367,7 @@ BAD = {
     "no such frame": ({"frames": ["a", "bb"]}, "names no frame 'bb': did you mean 'b'?"),
     "itself": ({"frames": ["a", "a"]}, "binds 'a' to itself"),
     "no axis": ({"axis": [0, 0, 0]}, "has no direction"),
+    "one number for an axis": ({"axis": 3}, "axis has 3: it must be three numbers"),
     "three points": ({"points": [[0, 0, 0]]}, "must be 2 vectors"),
     "not for it": ({"length": 2.0}, "length is not for type 'hinge'"),
 }
@@ -447,3 +448,19 @@ def test_a_row_that_no_joint_can_move_is_kept_where_it_is_open():
     assert list(bound_by_loops(Robot(apart)).sides[:5]).count(IDLE) == 2
     with pytest.raises(cl.ScenarioError, match=r"no posture near it closes them: what is left is 0\.01"):
         closed_start(Robot(apart), np.array(model.home), np.zeros(3), True)
+
+
+@pytest.mark.parametrize(("line", "said"), [
+    ("closed_loop = 3", "closed_loop is 3: it must be one table a loop, each headed [[closed_loop]]"),
+    ('drives = "J1"', "drives is 'J1': it must be the names of joints in [ ]"),
+    ('drives = ["J1", "J1"]', "drives names 'J1' twice"),
+    ('[[closed_loop]]\nname = "a\\nb"\ntype = "hinge"', "it must be a text of one line"),
+])  # fmt: skip
+def test_slip_in_a_sidecar_is_named_in_one_line(tmp_path, line, said):
+    """The key as it was given, and what it must be."""
+    (tmp_path / "own.urdf").write_text(four_bar().text, encoding="utf-8")
+    (tmp_path / "own.toml").write_text(line, encoding="utf-8")
+    with pytest.raises(robot_models.ModelError) as told:
+        robot_models.load(tmp_path / "own.urdf")
+    assert said in str(told.value)
+    assert "\n" not in str(told.value)

@@ -69,6 +69,21 @@ TESTS: dict[str, tuple[str, ...]] = {
         f"{IN}test_contact_command.py::test_no_law_presses_when_free_where_it_lets_go_in_contact",
     ),
     "closedloop.reference.timing": (f"{IN}test_reference_tip_path.py", f"{IN}test_reference_follow.py"),
+    "closedloop.surface.contact": (f"{IN}test_surfaces.py::test_rates_are_the_derivatives",),
+    "closedloop.surface.geometry": (
+        f"{IN}test_surfaces.py::test_rates_are_the_derivatives",
+        f"{IN}test_surfaces.py::test_rows_solve_the_constraint",
+    ),
+    "closedloop.loops.rows": (f"{IN}test_loops.py::test_rows_are_the_derivatives_of_their_errors",),
+    "closedloop.contacts.complementarity": (
+        f"{IN}test_contacts.py::test_solution_is_one_of_those_that_enumeration_of_modes_finds",
+    ),
+    "closedloop.contacts.given_modes": (
+        f"{IN}test_contacts.py::test_solution_is_one_of_those_that_enumeration_of_modes_finds",
+    ),
+    "closedloop.contacts.linear": (
+        f"{IN}test_contacts.py::test_solution_is_one_of_those_that_enumeration_of_modes_finds",
+    ),
     "closedloop.robot.tree.dynamics": (f"{IN}test_tree_kernels.py", f"{IN}test_tree_terms.py"),
 }
 

@@ -27,9 +27,15 @@ MOST_DELAYED = 10_000
 MOST_QUANTA = 2.0**52
 
 
+# No generator draws more from a seed.
+MOST_SEED = 2**128
+
+
 def _seed(value: Any) -> Any:
     if isinstance(value, bool) or not isinstance(value, int) or value < 0:
         raise ValueError("must be a whole number, 0 or above")
+    if value > MOST_SEED:
+        raise ValueError("must be at most 2**128: no generator draws more from a seed")
     return value
 
 

@@ -114,6 +114,7 @@ REFUSED = {
     "adaptive": ({"encoder.noise": 1e-5, "time.integrator": "dop853"}, "encoder: is read once a step"),
     "one count": ({"encoder.quantisation": [0.0, 6.28, 0.0, 0.0]}, "joint J2 moves 3.94444 rad (m) in all"),
     "seed": ({"encoder.seed": -1}, "must be a whole number, 0 or above"),
+    "a seed no number holds": ({"encoder.seed": 10**400}, "must be at most 2**128"),
 }
 
 

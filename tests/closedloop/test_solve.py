@@ -40,7 +40,7 @@ WELL = 1e-3
 
 @entry_kernel
 def _solve(H, tau, C, A, drift, asked, m, c, w, L, X, S, y, a, F, qdd, share):
-    """Solve Eq. 24 as a step does, in one kernel: compiled one by one its parts take thrice as long."""
+    """Solve Eq. 24 as a step does."""
     status = factorise(H, A, L, X, S, 0.0)
     if status != OK:
         return status
@@ -65,7 +65,7 @@ class Solved:
         self.y, self.a, self.F, self.qdd, self.share = (np.zeros(k) for k in (n, 3, 3, n, 3))
         asked = np.zeros(3) if share is None else np.array(share, dtype=float)
         # b is b_s: what the closure asks of A q̈; the kernels take it as the drift and the stabiliser's part.
-        self.status = _solve(
+        self.status = interpreted(_solve)(
             self.H, self.tau, self.C, self.A, asked - self.b, asked, m, np.array(c), np.array(w),
             self.L, self.X, self.S, self.y, self.a, self.F, self.qdd, self.share,
         )  # fmt: skip

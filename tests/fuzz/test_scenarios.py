@@ -8,6 +8,7 @@ from budget import budget
 from judged import FAULTY, RAN, REFUSED, STOPPED, judge, of_json, of_line, same
 from scenario_cases import Case, all_cases, legal_extremes, one_wrong_value, places, tables, wrong_values
 from scenarios import FIRST
+from shipped_cases import shipped_cases
 
 from closedloop.scenario.load import scenario_of
 from closedloop.scenario.messages import variants
@@ -20,7 +21,9 @@ BUDGET = budget(20.0, 60.0)  # s of processor time
 def test_no_value_makes_anything_but_a_refusal_a_run_or_a_stop():
     """Of thousands of scenarios none ends in a traceback, a warning, a hang, or a number that is none."""
     counts, faulty = Counter(), []
-    for case, outcome, words, _ in judged(all_cases(extremes=budget(60, 500)), judge, FAULTY, FIRST, BUDGET):
+    plain = all_cases(extremes=budget(60, 500))
+    cases = [case for pair in zip(plain, shipped_cases(len(plain) // budget(8, 1)), strict=False) for case in pair]
+    for case, outcome, words, _ in judged(cases, judge, FAULTY, FIRST, BUDGET):
         counts[outcome] += 1
         if outcome == FAULTY:
             faulty.append(f"{case.name[:200]}: {words}")

@@ -71,6 +71,9 @@ from closedloop.step.tip_friction import delayed_speed
 
 Array = NDArray[np.float64]
 
+# A surface from which the tip can lift off holds no tip that it would have to pull at with more than this, N: rounding.
+LEAST_PULL = 1e-9
+
 
 @kernel
 def resume_after_event(C: Array, w: Work, constants: Constants, state: State, events: Array) -> int:
@@ -152,7 +155,7 @@ def apply_event(H: Array, w: Work, constants: Constants, state: State, rows: Arr
         w.supplied += stored
         request_terms(state, AFTER_EVENT)
         return NEED_TERMS
-    if state.unilateral != 0 and w.rigid_force < 0.0:
+    if state.unilateral != 0 and w.rigid_force < 0.0 and not held_by_pulling(w, state):
         state.mode, state.risen, state.kind = FREE, 0, LIFTOFF
         if state.compliance != 0:
             log_event(w, constants, state, events, 0.0)
@@ -170,6 +173,15 @@ def apply_event(H: Array, w: Work, constants: Constants, state: State, rows: Arr
 
 
 @kernel
+def held_by_pulling(w: Work, state: State) -> bool:
+    """Whether the surface would have to pull at a tip that sticks, though without any force the tip comes towards it.
+
+    The force that holds it along the surface lifts it. It cannot leave, nor stick: it slips.
+    """
+    return state.mode == STUCK and w.a[0] < 0.0 and state.compliance == 0
+
+
+@kernel
 def end_stick_or_slip(w: Work, constants: Constants, state: State, rows: Array, events: Array) -> int:
     """Apply the end of sticking, or of slip: it sticks, or goes on in another direction."""
     loss, size = 0.0, np.hypot(w.F[1], w.F[2])
@@ -179,6 +191,8 @@ def end_stick_or_slip(w: Work, constants: Constants, state: State, rows: Array, 
     if state.mode == STUCK:  # slip starts against the friction force that held the tip
         state.mode, state.kind = PRESSED, SLIP_AGAIN
         w.direction[0], w.direction[1] = -w.F[1] / size, -w.F[2] / size
+        if state.unilateral != 0 and w.rigid_force < 0.0:
+            find_direction(w, state)
         if state.sticking == RIGID_STICK:  # slip starts from rest: the velocity left by errors is removed
             loss = stop_tip(w, state)
     else:
@@ -199,7 +213,8 @@ def end_stick_or_slip(w: Work, constants: Constants, state: State, rows: Array, 
                 held = stuck_force(w.S, w.a, w.b, w.F, w.stabiliser_force)
             size = np.hypot(w.F[1], w.F[2])
             call_at(state.friction, state.address, LIMIT)
-            if held == OK and slow and size <= w.stick_limit * abs(w.F[0]):
+            pulls = state.unilateral != 0 and w.F[0] < -LEAST_PULL
+            if held == OK and slow and not pulls and size <= w.stick_limit * abs(w.F[0]):
                 state.mode, state.kind = STUCK, STICK
                 set_anchor(w, state)
                 loss = stop_tip(w, state)

@@ -275,6 +275,7 @@ def _without_stabiliser(job: _Job, wanted: bool) -> Iterator[Callable[[], Any] |
         return
     from closedloop.engines.loops import loop_for
     from closedloop.figures import closure_error, images_of, is_papers
+    from closedloop.jit import background
     from closedloop.jit.interpreted import at_hand
 
     if not is_papers(job.scenario.name):
@@ -296,6 +297,7 @@ def _without_stabiliser(job: _Job, wanted: bool) -> Iterator[Callable[[], Any] |
         return None if failure else run
 
     def drawn() -> Any:
+        background.left_to_another = True
         run = simulated()
         return run and images_of(closure_error, run)
 

@@ -18,6 +18,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 from closedloop.command.border import DONE, NOT_GOOD, Parser, run_command
+from closedloop.command.cautions import warn_of_gains, warn_of_other_texts
 from closedloop.command.help import list_of_sections, scenario_parser
 from closedloop.command.lists import list_of_scenarios, versions
 from closedloop.command.user_module import import_law
@@ -28,7 +29,6 @@ from closedloop.errors import (
     ScenarioError,
     SimulationError,
     lines_of,
-    one_line,
 )
 from closedloop.figures.second_process import Beside
 from closedloop.interrupts import Terminated, word_for
@@ -72,9 +72,9 @@ def _run(options: Namespace, overrides: dict[str, Any]) -> int:
     job = _job(options, overrides)
     results = _results(job, options.overwrite)
     if job.earlier is not None:
-        _warn_of_other_texts(options.scenario, job.earlier, {options.law or "": job.digest, **job.members})
+        warn_of_other_texts(options.scenario, job.earlier, {options.law or "": job.digest, **job.members})
     if job.law is None:
-        _warn_of_gains(job.scenario, job.model)
+        warn_of_gains(job.scenario, job.model)
     with _without_stabiliser(job, not options.no_figures) as unstabilised:
         run, failure = _simulate(job, progress=not options.json)
         if options.law:
@@ -244,27 +244,6 @@ def _open(name: str, overrides: dict[str, Any]) -> tuple[Scenario, Any, Run | No
     return scenario, None if changed else earlier.model, earlier
 
 
-def _warn_of_other_texts(file: str, earlier: Run, now: dict[str, str]) -> None:
-    """Say which of the user's functions and classes, MODULE:NAME to digest, have another text than in a run file."""
-    before = {earlier.law: earlier.law_digest, **earlier.member_digests}
-    for name, digest in now.items():
-        if digest != before.get(name, "") != "":
-            print(f"closedloop: the text of {name} is not the one that {file} was made with", file=sys.stderr)
-
-
-def _warn_of_gains(scenario: Scenario, model: Any) -> None:
-    """Say before anything is simulated that the step cannot carry the gains; contact may, so it is no refusal."""
-    from closedloop.scenario.arm import robot_of
-    from closedloop.scenario.gains import gains_fault
-
-    try:
-        fault = gains_fault(scenario, robot_of(scenario, model))
-    except ScenarioError:  # it cannot be prepared, and `simulate` says why
-        return
-    if fault:
-        print(f"closedloop: warning: {one_line(fault)}", file=sys.stderr, flush=True)
-
-
 @contextmanager
 def _without_stabiliser(job: _Job, wanted: bool) -> Iterator[Callable[[], Any] | None]:
     """Yield what gives the same scenario without its stabiliser, for Fig. 7; None where there is no such figure.
@@ -276,6 +255,7 @@ def _without_stabiliser(job: _Job, wanted: bool) -> Iterator[Callable[[], Any] |
         return
     from closedloop.engines.loops import loop_for
     from closedloop.figures import closure_error, images_of, is_papers
+    from closedloop.jit import background
     from closedloop.jit.interpreted import at_hand
 
     if not is_papers(job.scenario.name):
@@ -297,6 +277,7 @@ def _without_stabiliser(job: _Job, wanted: bool) -> Iterator[Callable[[], Any] |
         return None if failure else run
 
     def drawn() -> Any:
+        background.left_to_another = True
         run = simulated()
         return run and images_of(closure_error, run)
 

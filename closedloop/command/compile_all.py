@@ -46,6 +46,7 @@ def pieces() -> tuple[Piece, ...]:
         Piece("_impact", "an impact by itself", _impact),
         Piece("put_on_surface", "a path on a surface", lambda: _path(False)),
         Piece("normals_on_surface", "the normal along a path", lambda: _path(True)),
+        Piece("potential_energies", "potential energy of a record", _energies),
         Piece("closed_loops", "loops and stops", lambda: _loops("closed_loops")),
         Piece("along_path", "loops along a path", lambda: _loops("along_path")),
         Piece("closed_to", "a closed start", lambda: _loops("closed_to")),
@@ -182,6 +183,17 @@ def _impacts() -> None:
     from closedloop.jit.kernel import direct
 
     direct(collide, _problem().loop().address)
+
+
+def _energies() -> None:
+    import numpy as np
+
+    from closedloop.robot.tree import potential_energies, work_size
+    from closedloop.scenario.scenario import load_scenario
+    from closedloop.simulation.prepare import prepare
+
+    robot = prepare(load_scenario("planar2_slide", {"time.duration": 0.002})).robot
+    potential_energies(robot.tree, np.zeros((1, robot.n)), np.zeros(int(work_size(robot.n))), np.zeros(1))
 
 
 def _path(normals: bool) -> None:

@@ -72,11 +72,15 @@ def refused() -> str:
     return ""
 
 
+# Whether another process sees to it, such as the one that this is a copy of.
+left_to_another = False
+
+
 def start(functions: Sequence[Callable[..., Any]]) -> None:
     """Start a process that compiles entry kernels, unless one is running or these were requested before."""
     with _lock:
         names = [function.__name__ for function in functions if function.__name__ not in _asked]
-        if not names or refused():
+        if not names or left_to_another or refused():
             return
         if reason := why_not_kept():
             _say(_BEHIND, f"compiling {_named(names)} would take longer than this run, and cannot be kept: {reason}")

@@ -17,8 +17,9 @@ from closedloop.lab.history import Changes, History
 from closedloop.lab.joined import compile_rows
 from closedloop.record.run import Run
 from closedloop.scenario.scenario import Scenario
+from closedloop.simulation.as_run import as_run
 from closedloop.simulation.prepare import load_model, prepare
-from closedloop.simulation.simulate import as_run, check_engine, run_loop, simulate
+from closedloop.simulation.simulate import check_engine, run_loop, simulate
 from robot_models import RobotModel
 
 # Steps of the run with which a loop is compiled.

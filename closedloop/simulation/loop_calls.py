@@ -27,7 +27,7 @@ from closedloop.jit.kernel import direct
 from closedloop.jit.pointers import address_of
 from closedloop.reference.inverse_kinematics import walk
 from closedloop.reference.joint_path import sample_spline
-from closedloop.robot.tree import Tree
+from closedloop.robot.tree import Tree, potential_energies
 from closedloop.step.memory import Loop
 from closedloop.step.record_row import complete_record
 
@@ -37,7 +37,7 @@ Call = Callable[[Array], int]
 # Evaluations between two returns to Python's bookkeeping, where nothing else is asked for.
 CHUNK = 400
 # What a run calls once or twice before and after its loop, interpreted where it is not compiled yet.
-USED_ONCE = (walk, sample_spline)
+USED_ONCE = (walk, sample_spline, potential_energies)
 
 
 class Answers:

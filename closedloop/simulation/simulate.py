@@ -5,7 +5,6 @@ from __future__ import annotations
 import time as clock
 from collections.abc import Callable
 from functools import partial
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -13,25 +12,21 @@ from numpy.typing import NDArray
 from closedloop.engines.failures import interrupted, member_error
 from closedloop.engines.law_source import arguments_of, law_digest
 from closedloop.engines.loops import ENGINES, PINOCCHIO, kernels_of, loop_for
-from closedloop.engines.needs import arm_columns
 from closedloop.engines.problem import Problem
 from closedloop.engines.user_law import Law, UserLaw
 from closedloop.errors import DivergenceError, InterruptedRunError, LawError, ScenarioError, SimulationError
 from closedloop.events.phases import DONE, IMPACT_LAW_WANTED, TABLE_FULL, TERMS
-from closedloop.events.table import event_columns
 from closedloop.integrators import ADAPTIVE, INTEGRATORS
 from closedloop.interrupts import held_back
 from closedloop.jit.background import make_ready
 from closedloop.jit.interpreted import Interim, call_now, not_compiled_first
 from closedloop.record.run import Run
-from closedloop.record.versions import package_versions
-from closedloop.robot.tree import Tree, potential_energies
-from closedloop.scenario.arm import without_tools
-from closedloop.scenario.members import member_digests
+from closedloop.robot.tree import Tree
 from closedloop.scenario.scenario import Scenario
+from closedloop.simulation.as_run import as_run, law_name
 from closedloop.simulation.loop_calls import Answers, begun, driver
 from closedloop.simulation.prepare import prepare
-from closedloop.step.record_row import CONTACT_RECORDED, RECORDED, complete_record, recorded, rows_there
+from closedloop.step.record_row import complete_record, rows_there
 from robot_models import RobotModel
 
 Array = NDArray[np.float64]
@@ -242,54 +237,3 @@ def run_loop(
         done = rows_there(state, done, robot.n)
     finish(done)  # after an exception; else it has been done
     return rows[:done], answers.events[: int(state.events)], failure, seconds
-
-
-def as_run(
-    problem: Problem,
-    rows: Array,
-    events: Array,
-    seconds: float,
-    engine: str,
-    *,
-    law: str = "scenario",
-    digest: str = "",
-    stopped: str | None = None,
-) -> Run:
-    """Return the rows and events of a problem, see `run_loop`, as a run; the rest as in `Run`."""
-    n, count = problem.robot.n, rows.shape[0]
-    wanted = problem.table[:: problem.nodes][:count]
-    reference_rows = problem.path[:: problem.nodes][:count]
-    columns: dict[str, NDArray[Any]] = {
-        "time": problem.h * np.arange(count),
-        "reference_position": reference_rows[:, 0].copy(),
-        "reference_velocity": reference_rows[:, 1].copy(),
-        "reference_tip": wanted[:, 2 * n : 2 * n + 3].copy(),
-        "reference_force": wanted[:, 2 * n + 9].copy(),
-    }
-    columns |= {
-        name: recorded(rows, n, name, len(problem.scenario.contact or ()))
-        for name in (*RECORDED, *arm_columns(problem.scenario))
-    }
-    if contacts := len(problem.scenario.contact or ()):
-        columns |= {name: recorded(rows, n, name, contacts) for name in CONTACT_RECORDED}
-        columns["link_modes"] = columns["link_modes"].astype(np.int8)
-    columns["mode"] = columns["mode"].astype(np.int8)
-    columns["potential_energy"] = potential_energies(problem.robot.tree, columns["q"])
-    return Run(
-        scenario=problem.scenario,
-        model=without_tools(problem.robot.model),
-        columns=columns | event_columns(events),
-        law=law,
-        versions=package_versions(),
-        stopped=stopped,
-        wall_seconds=seconds,
-        engine=engine,
-        law_digest=digest,
-        member_digests=member_digests(problem.scenario),
-    )
-
-
-def law_name(law: Law) -> str:
-    """Return the name of a user's law, MODULE:NAME."""
-    module, name = getattr(law, "__module__", "?"), getattr(law, "__qualname__", type(law).__name__)
-    return f"{module}:{name}"

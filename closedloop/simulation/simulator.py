@@ -23,8 +23,9 @@ from closedloop.errors import ScenarioError, SimulationError
 from closedloop.integrators import ADAPTIVE, INTEGRATORS
 from closedloop.record.run import Run
 from closedloop.scenario.scenario import Scenario
+from closedloop.simulation.as_run import as_run, law_name
 from closedloop.simulation.prepare import prepare
-from closedloop.simulation.simulate import as_run, check_engine, law_name
+from closedloop.simulation.simulate import check_engine
 from closedloop.simulation.state import StepState
 from closedloop.simulation.stepper import Mark, Stepper
 from robot_models import RobotModel

@@ -7,12 +7,12 @@
 Tests hold it equal to Pinocchio; the simulator's two engines use one each.
 """
 
-from closedloop.robot.tree.energy import energy_there, potential_energies, tree_potential_energy
+from closedloop.robot.tree.energy import energies_of_rows, energy_there, potential_energies, tree_potential_energy
 from closedloop.robot.tree.layout import Tree, work_size
 from closedloop.robot.tree.model import tree_of
 from closedloop.robot.tree.terms import tree_kinematics, tree_terms, tree_turning
 
 __all__ = [
-    "Tree", "energy_there", "potential_energies", "tree_kinematics", "tree_of", "tree_potential_energy", "tree_terms",
-    "tree_turning", "work_size",
+    "Tree", "energies_of_rows", "energy_there", "potential_energies", "tree_kinematics", "tree_of",
+    "tree_potential_energy", "tree_terms", "tree_turning", "work_size",
 ]  # fmt: skip

@@ -5,13 +5,13 @@ from __future__ import annotations
 import numpy as np
 
 from closedloop.jit.interpreted import interpreted
-from closedloop.jit.kernel import kernel, plain
+from closedloop.jit.kernel import entry_kernel, kernel, plain
 from closedloop.robot.tree import layout as at
 from closedloop.robot.tree.angles import sines
 from closedloop.robot.tree.layout import Array, Tree, work_size
 
 # Rows whose numbers stay in the processor's cache.
-ROWS_AT_ONCE = 500
+ROWS_AT_ONCE = 2000
 
 
 @kernel
@@ -24,11 +24,17 @@ def tree_potential_energy(tree: Tree, q: Array, work: Array) -> float:
     return energy_there(tree, work)
 
 
-def potential_energies(tree: Tree, q: Array) -> Array:
-    """Return the potential energy (N,) of each row of q (N, n), J.
+@entry_kernel
+def potential_energies(tree: Tree, q: Array, work: Array, energies: Array) -> None:
+    """Write the potential energy of each row of q (N, n), J, to `energies` (N,); `work` (work_size(n),) is scratch."""
+    for i in range(q.shape[0]):
+        energies[i] = tree_potential_energy(tree, q[i], work)
 
-    The kernel's lines, interpreted once for many rows, which are numpy's operations on columns: that takes as long as
-    reading the compiled form from the disk, and gives the same bits.
+
+def energies_of_rows(tree: Tree, q: Array) -> Array:
+    """Return the same (N,), interpreted: each line is done once for many rows, as an operation of numpy on columns.
+
+    That takes less time than reading the compiled form from the disk, and gives the same bits.
     """
     energies, energy_of = np.empty(q.shape[0]), interpreted(tree_potential_energy)
     size = plain(work_size)(tree.n)

@@ -1,0 +1,33 @@
+"""What is said before a run is simulated, on standard error, and refuses nothing."""
+
+from __future__ import annotations
+
+import sys
+from typing import TYPE_CHECKING, Any
+
+from closedloop.errors import ScenarioError, one_line
+from closedloop.scenario.scenario import Scenario
+
+if TYPE_CHECKING:
+    from closedloop.record.run import Run
+
+
+def warn_of_other_texts(file: str, earlier: Run, now: dict[str, str]) -> None:
+    """Say which of the user's functions and classes, MODULE:NAME to digest, have another text than in a run file."""
+    before = {earlier.law: earlier.law_digest, **earlier.member_digests}
+    for name, digest in now.items():
+        if digest != before.get(name, "") != "":
+            print(f"closedloop: the text of {name} is not the one that {file} was made with", file=sys.stderr)
+
+
+def warn_of_gains(scenario: Scenario, model: Any) -> None:
+    """Say before anything is simulated that the step cannot carry the gains; contact may, so it is no refusal."""
+    from closedloop.scenario.arm import robot_of
+    from closedloop.scenario.gains import gains_fault
+
+    try:
+        fault = gains_fault(scenario, robot_of(scenario, model))
+    except ScenarioError:  # it cannot be prepared, and `simulate` says why
+        return
+    if fault:
+        print(f"closedloop: warning: {one_line(fault)}", file=sys.stderr, flush=True)

@@ -1,0 +1,88 @@
+"""From the rows of a problem to its run: columns, energies, and what made it."""
+
+from __future__ import annotations
+
+from itertools import count
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from closedloop.engines.needs import arm_columns
+from closedloop.engines.problem import Problem
+from closedloop.engines.user_law import Law
+from closedloop.events.table import event_columns
+from closedloop.jit.interpreted import at_hand
+from closedloop.jit.kernel import plain
+from closedloop.record.run import Run
+from closedloop.record.versions import package_versions
+from closedloop.robot.tree import Tree, energies_of_rows, potential_energies, work_size
+from closedloop.scenario.arm import without_tools
+from closedloop.scenario.members import member_digests
+from closedloop.step.record_row import CONTACT_RECORDED, RECORDED, recorded
+
+Array = NDArray[np.float64]
+
+# Runs of one process after which it is worth reading the compiled form of `potential_energies` from the disk.
+FEW_RUNS = 3
+_runs = count(1)
+
+
+def as_run(
+    problem: Problem,
+    rows: Array,
+    events: Array,
+    seconds: float,
+    engine: str,
+    *,
+    law: str = "scenario",
+    digest: str = "",
+    stopped: str | None = None,
+) -> Run:
+    """Return the rows and events of a problem, see `run_loop`, as a run; the rest as in `Run`."""
+    n, length = problem.robot.n, rows.shape[0]
+    wanted = problem.table[:: problem.nodes][:length]
+    reference_rows = problem.path[:: problem.nodes][:length]
+    columns: dict[str, NDArray[Any]] = {
+        "time": problem.h * np.arange(length),
+        "reference_position": reference_rows[:, 0].copy(),
+        "reference_velocity": reference_rows[:, 1].copy(),
+        "reference_tip": wanted[:, 2 * n : 2 * n + 3].copy(),
+        "reference_force": wanted[:, 2 * n + 9].copy(),
+    }
+    columns |= {
+        name: recorded(rows, n, name, len(problem.scenario.contact or ()))
+        for name in (*RECORDED, *arm_columns(problem.scenario))
+    }
+    if contacts := len(problem.scenario.contact or ()):
+        columns |= {name: recorded(rows, n, name, contacts) for name in CONTACT_RECORDED}
+        columns["link_modes"] = columns["link_modes"].astype(np.int8)
+    columns["mode"] = columns["mode"].astype(np.int8)
+    columns["potential_energy"] = _potential_energies(problem.robot.tree, columns["q"])
+    return Run(
+        scenario=problem.scenario,
+        model=without_tools(problem.robot.model),
+        columns=columns | event_columns(events),
+        law=law,
+        versions=package_versions(),
+        stopped=stopped,
+        wall_seconds=seconds,
+        engine=engine,
+        law_digest=digest,
+        member_digests=member_digests(problem.scenario),
+    )
+
+
+def _potential_energies(tree: Tree, q: Array) -> Array:
+    """Return the potential energy (N,) at each row of q (N, n), J."""
+    if next(_runs) <= FEW_RUNS or not at_hand(potential_energies):
+        return energies_of_rows(tree, q)
+    energies = np.empty(q.shape[0])
+    potential_energies(tree, q, np.zeros(plain(work_size)(tree.n)), energies)
+    return energies
+
+
+def law_name(law: Law) -> str:
+    """Return the name of a user's law, MODULE:NAME."""
+    module, name = getattr(law, "__module__", "?"), getattr(law, "__qualname__", type(law).__name__)
+    return f"{module}:{name}"

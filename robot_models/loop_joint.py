@@ -56,6 +56,8 @@ SYNONYMS = {"3d": "point", "6d": "weld"}
 WITH_AXIS = ("hinge", "slider", "cylinder", "universal", "planar")
 #: What stands for the base as a frame.
 WORLD = "world"
+#: A shorter distance has no direction to speak of, m.
+SHORTEST = 1e-6
 #: No mechanism has more rows in its loops.
 MOST_ROWS = 120
 
@@ -140,8 +142,10 @@ def loop_joint(table: Mapping[str, Any], where: str) -> LoopJoint:
         made["axes"] = tuple(_direction(axis, f"{where}: axis") for axis in made["axes"])
     if kind == "distance":
         made["length"] = _number(given.get("length"), f"{where}: length")
-        if not made["length"] > 0.0:
-            raise ModelError(f"{where}: length is {made['length']:g}: it must be greater than 0; a point has none")
+        if not made["length"] >= SHORTEST:
+            raise ModelError(
+                f"{where}: length is {made['length']:g}: it must be at least {SHORTEST:g} m; a point has none"
+            )
     return LoopJoint(**made)
 
 

@@ -75,6 +75,8 @@ FREE: dict[str, tuple[tuple[str, str], ...]] = {
 ACTING = ("friction", "damping", "limits")
 #: What stands for the base as a frame.
 WORLD = "world"
+#: A shorter distance has no direction to speak of, m.
+SHORTEST = 1e-6
 #: No mechanism has more rows in its loops.
 MOST_ROWS = 120
 
@@ -185,8 +187,10 @@ def loop_joint(table: Mapping[str, Any], where: str) -> LoopJoint:
     }
     if kind == "distance":
         made["length"] = _number(given.get("length"), f"{where}: length")
-        if not made["length"] > 0.0:
-            raise ModelError(f"{where}: length is {made['length']:g}: it must be greater than 0; a point has none")
+        if not made["length"] >= SHORTEST:
+            raise ModelError(
+                f"{where}: length is {made['length']:g}: it must be at least {SHORTEST:g} m; a point has none"
+            )
     return LoopJoint(**made)
 
 

@@ -364,6 +364,7 @@ def test_welds_and_gears_of_mujoco(tmp_path):
 BAD = {
     "no such type": ({"type": "rope"}, "'rope': it must be 'point' or"),
     "a type that is no text": ({"type": [1.0]}, "type is [1.0]: it must be 'point' or"),
+    "no length": ({"type": "distance", "length": 1e-300}, "must be at least 1e-06 m; a point has none"),
     "no such frame": ({"frames": ["a", "bb"]}, "names no frame 'bb': did you mean 'b'?"),
     "itself": ({"frames": ["a", "a"]}, "binds 'a' to itself"),
     "no axis": ({"axis": [0, 0, 0]}, "has no direction"),
@@ -379,6 +380,8 @@ def test_bad_loop_is_refused_in_one_line(case):
     changes, said = BAD[case]
     own = four_bar()
     table = loop("pin", "hinge", "ab", axis=[0, 1, 0]) | changes
+    if table["type"] == "distance":
+        del table["axis"]
     with pytest.raises(robot_models.ModelError) as told:
         robot_models.from_text(
             own.text, "urdf", name="x", armature=np.zeros(3), tip="a", home=own.home, locked={}, loops=[table]

@@ -171,7 +171,7 @@ def test_bar_between_two_arms_is_held_by_friction():
 @pytest.mark.slow
 def test_palms_let_go_where_their_force_ends():
     """Pressed less and less until nothing presses at 1 s: both contacts end there, and the run goes on to 1.1 s."""
-    run = cl.simulate(cl.load_scenario("two_arms_bar", {"time.duration": 1.1, "time.step": 0.005}))
+    run = cl.simulate(cl.load_scenario("two_arms_bar", {"time.duration": 1.1, "time.step": 0.01}))
     assert run.stopped is None
     ends = {event.contact: event.time for event in run.events if event.kind == "liftoff" and event.time < 1.01}
     assert set(ends) == {1, 2}

@@ -98,7 +98,7 @@ def test_a_surface_that_moves_is_a_body_that_can_be_moved(tmp_path):
     """Put where the run has it at its end, the tilting surface carries the tip."""
     moving = {"surface_motion.kind": "breathing", "time.duration": 0.5, "reference.kind": "hold"}
     run = cl.simulate(cl.load_scenario("wam_slide", moving))
-    there, (turn, shift) = loaded(run, tmp_path), scene_of(run).surface_place(len(run) - 1)
+    there, (turn, shift) = loaded(run, tmp_path), scene_of(run).ground.place(len(run) - 1)
     _, model, data = there
     assert np.linalg.norm(shift) > 1e-4
     mocap = int(model.body("surface").mocapid[0])

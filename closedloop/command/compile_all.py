@@ -189,7 +189,7 @@ def _energies() -> None:
     import numpy as np
 
     from closedloop.robot.tree import potential_energies, work_size
-    from closedloop.scenario.scenario import load_scenario
+    from closedloop.scenario.load import load_scenario
     from closedloop.simulation.prepare import prepare
 
     robot = prepare(load_scenario("planar2_slide", {"time.duration": 0.002})).robot

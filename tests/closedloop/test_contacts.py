@@ -176,7 +176,7 @@ def test_palms_let_go_where_their_force_ends():
     ends = {event.contact: event.time for event in run.events if event.kind == "liftoff" and event.time < 1.01}
     assert set(ends) == {1, 2}
     assert list(ends.values()) == pytest.approx([1.0, 1.0], abs=2e-3)
-    assert np.min(run.link_gaps) > -1e-7
+    assert np.min(run.link_gaps) > -1e-6  # what the stabiliser leaves of the load at so long a step
     assert np.min(run.link_forces) > -1e-8
 
 

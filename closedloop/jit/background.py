@@ -30,7 +30,7 @@ VARIABLE = "CLOSEDLOOP_BACKGROUND_COMPILE"
 # What is said about compiling, a line each: commands print it on standard error.
 notices = logging.getLogger("closedloop.compiling")
 
-NICE, LONGEST = 10, 900  # added to the priority's number; s, after which the process is given up
+NICE, LONGEST = 19, 900  # the priority: the lowest; s, after which the process is given up
 # Entry kernels that take longer than a few seconds to compile, and what they are: the others are compiled in silence.
 TAKES_LONG = {
     "proceed_at": "the step",
@@ -40,12 +40,18 @@ TAKES_LONG = {
 # A process that needs what another is compiling waits for that so long, s, before it compiles it too.
 PATIENCE, BETWEEN_LOOKS = 180.0, 0.1
 
-# The first process started ends at once, so that nobody has to wait for the one that compiles.
+# The first process started ends at once, so that nobody has to wait for the one that compiles. Linux shares a processor
+# between sessions first, and the priority of a process counts in its own session only: the session's is lowered too.
 _PROGRAM = f"""
 import os, signal, sys
 if os.fork():
     os._exit(0)
 os.nice({NICE})
+try:
+    with open("/proc/self/autogroup", "w") as group:
+        group.write("{NICE}")
+except OSError:
+    pass
 signal.alarm({LONGEST})
 if sys.argv[1] not in sys.path:
     sys.path.insert(0, sys.argv[1])

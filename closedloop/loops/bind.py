@@ -64,7 +64,9 @@ def bound_by_loops(robot: Robot, stops: bool = False) -> Bound:
             continue
         positions, rotations = BINDS[loop.type]
         rows += [(POSITION, a, b, at_a, at_b, zero, axes_b[:, i], none) for i in positions]
-        rows += [(ROTATION, a, b, at_a, at_b, axes_a[:, j], axes_b[:, i], none) for i, j in rotations]
+        for i, j in rotations:  # its couple is about axis j of the first side × axis i of the second
+            sign = -1.0 if (i - j) % 3 == 2 else 1.0
+            rows.append((ROTATION, a, b, at_a, at_b, axes_a[:, j], sign * axes_b[:, i], none))
     if stops:
         for j, (low, high) in enumerate(zip(model.position_lower, model.position_upper, strict=True)):
             rows.append((STOP, j, -1, zero, zero, zero, zero, np.array([low, high, 0.0, 0.0, 0.0])))

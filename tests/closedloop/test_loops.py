@@ -108,6 +108,28 @@ def test_rows_of_a_point_are_those_of_the_paper(mechanisms):
     np.testing.assert_allclose(error[span], turn @ hand.error, atol=1e-12)
 
 
+@pytest.mark.parametrize("name", ["bennett", "bricard"])
+def test_couples_act_about_the_axes_that_they_are_called_by(mechanisms, name):
+    """On the first side, along x and y of a hinge on its second side: by Pinocchio's Jacobians of both frames."""
+    model = mechanisms[name]
+    (hinge,) = model.loops
+    robot, G, _, _, _ = rows_at(model, model.home, np.zeros(model.n))
+    built = model.pinocchio_model()
+    data = built.createData()
+    turning = [
+        np.zeros((3, model.n)) if frame == "world" else
+        pin.computeFrameJacobian(
+            built, data, np.array(model.home), built.getFrameId(frame), pin.LOCAL_WORLD_ALIGNED
+        ).reshape(6, model.n)[3:]
+        for frame in hinge.frames
+    ]  # fmt: skip
+    axis = np.array(hinge.axes[1])
+    x = np.cross(axis, np.eye(3)[np.argmin(np.abs(axis))])
+    second = robot.frame_at(hinge.frames[1], np.array(model.home))[1]
+    for row, direction in ((4, x), (3, np.cross(axis, x))):
+        np.testing.assert_allclose((second @ direction) @ (turning[0] - turning[1]), G[row], atol=1e-9)
+
+
 @pytest.mark.parametrize("name", MECHANISMS)
 def test_mechanism_falls_as_its_null_space_does(mechanisms, name):
     """q̈ at every row, the loops closed to rounding, the rank that it has, no force unexplained, and energy kept."""

@@ -44,8 +44,9 @@ def pieces() -> tuple[Piece, ...]:
         Piece("run_in_lanes", "eight runs of a batch at a time", _batch),
         Piece("evaluate_on_pinocchio", "dop853", lambda: _run(PINOCCHIO, "dop853")),
         Piece("_impact", "an impact by itself", _impact),
-        Piece("put_on_surface", "a path on a surface", lambda: _path(False)),
-        Piece("normals_on_surface", "the normal along a path", lambda: _path(True)),
+        Piece("put_on_surface", "a path on a surface", lambda: _path("put_on_surface")),
+        Piece("normals_on_surface", "the normal along a path", lambda: _path("normals_on_surface")),
+        Piece("gradients_on_surface", "the gradient along a path", lambda: _path("gradients_on_surface")),
         Piece("potential_energies", "potential energy of a record", _energies),
         Piece("closed_loops", "loops and stops", lambda: _loops("closed_loops")),
         Piece("along_path", "loops along a path", lambda: _loops("along_path")),
@@ -196,17 +197,21 @@ def _energies() -> None:
     potential_energies(robot.tree, np.zeros((1, robot.n)), np.zeros(int(work_size(robot.n))), np.zeros(1))
 
 
-def _path(normals: bool) -> None:
+def _path(kernel: str) -> None:
+    """Compile one of the kernels of paths on a surface."""
     import numpy as np
 
     from closedloop.jit.calls import entry_address
     from closedloop.surface.contact import make_memory, normals_on_surface, put_on_surface, surface_entry
+    from closedloop.surface.gradient import gradients_on_surface
     from closedloop.surface.kinds.plane import PlaneSurface
 
     memory = make_memory(np.zeros(0), np.zeros(0), 0, np.zeros(3), np.eye(3), (np.inf, np.inf))
     nothing = np.zeros((0, 3))
     place, now = entry_address(surface_entry(PlaneSurface)), np.zeros(0)
-    if normals:
+    if kernel == "gradients_on_surface":
+        gradients_on_surface(place, memory.address, now, nothing, nothing)
+    elif kernel == "normals_on_surface":
         normals_on_surface(place, memory.address, now, nothing, nothing)
     else:
         put_on_surface(place, memory.address, np.zeros(3), 0.0, now, nothing, nothing, nothing)

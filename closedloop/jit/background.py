@@ -42,8 +42,8 @@ PATIENCE, BETWEEN_LOOKS = 180.0, 0.1
 
 # The first process started ends at once, so that nobody has to wait for the one that compiles. Linux shares a processor
 # between sessions first, and the priority of a process counts in its own session only: the session's is lowered too.
-_PROGRAM = f"""
-import os, signal, sys
+_DETACHED = f"""
+import os
 if os.fork():
     os._exit(0)
 os.nice({NICE})
@@ -52,6 +52,9 @@ try:
         group.write("{NICE}")
 except OSError:
     pass
+"""
+_PROGRAM = f"""{_DETACHED}
+import signal, sys
 signal.alarm({LONGEST})
 if sys.argv[1] not in sys.path:
     sys.path.insert(0, sys.argv[1])

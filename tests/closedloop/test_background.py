@@ -20,10 +20,7 @@ from closedloop.jit.cache_folder import MARKER
 ROOT = Path(cl.__file__).parent.parent
 # In place of the compiler: say who it is, and stay until it is told to go.
 SLEEPER = """
-import os, sys, time
-if os.fork():
-    os._exit(0)
-os.nice(10)
+import sys, time
 open(os.path.join({folder!r}, "who-" + "-".join(sys.argv[2:])), "w").write(
     f"{{os.getpid()}} {{os.getsid(0)}} {{os.getppid()}} {{os.nice(0)}} {{os.getcwd()}}")
 while not os.path.exists(os.path.join({folder!r}, "go")):
@@ -39,7 +36,7 @@ def folder(tmp_path, monkeypatch):
     notes.mkdir()
     for module in (background, cache_folder):
         monkeypatch.setattr(module, "cache_folder", lambda: mine)
-    monkeypatch.setattr(background, "_PROGRAM", SLEEPER.format(folder=str(notes)))
+    monkeypatch.setattr(background, "_PROGRAM", background._DETACHED + SLEEPER.format(folder=str(notes)))
     monkeypatch.setattr(background, "_asked", set())
     monkeypatch.setattr(background, "_said", set())
     monkeypatch.setattr(background, "needs_compiling", lambda function: True)

@@ -153,7 +153,7 @@ def test_paper_law_through_the_family_is_eq_33_to_the_last_bit():
         loop.packed[0] = pack_law(law.model_copy(update={"pd_start": start}), 4)
         expected = np.zeros(4)
         par = SimpleNamespace(kp=np.array(law.kp), kd=np.array(law.kd), pd_start=start)
-        plain(paper_law)(x.t, x.f_des, par, x.q_des, x.v_des, x.q, x.v, x.C, x.A, expected)
+        plain(paper_law)(x.t, x.f_des, par, (x.q_des, x.v_des), (x.q, x.v), x.C, x.A, expected)
         assert np.array_equal(loop.torque(x), expected)
 
 

@@ -31,6 +31,7 @@ SEED = 20_240_611
 # Values for keys that must be given: a legal scenario is made of them.
 EXAMPLES: dict[str, Any] = {
     "reference.direction": [0.0, 1.0, 0.0],
+    "surface_motion.velocity": [0.0, 0.1, 0.0],
     "reference.speed": 0.02,
     "reference.start": 0.001,
     "reference.stop": 0.008,

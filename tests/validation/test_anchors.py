@@ -115,9 +115,11 @@ def test_every_file_names_its_source(file):
 
 
 def test_every_file_is_used():
-    """The sources of the files and of the problems are the same."""
-    assert len(JSON) > 0
-    assert {read(file.removesuffix(".json"))["source"] for file in JSON} == {p.source for p in PROBLEMS.values()}
+    """By the problem that has its source, or by the mechanisms with loops, see `validation.loops.published`."""
+    mechanisms = {"andrews.json", "n_four_bar.json"}
+    assert set(JSON) > mechanisms
+    sources = {read(file.removesuffix(".json"))["source"] for file in set(JSON) - mechanisms}
+    assert sources == {p.source for p in PROBLEMS.values()}
 
 
 def test_every_tolerance_has_its_argument():

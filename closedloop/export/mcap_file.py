@@ -4,6 +4,7 @@
     /tip_pose             geometry_msgs/msg/PoseStamped     the tip's frame, in the base frame
     /tip_wrench           geometry_msgs/msg/WrenchStamped   f n and friction on the tip, base axes
     /wrist_wrench         geometry_msgs/msg/WrenchStamped   what a sensor between arm and tool reads, the tip's axes
+    /contacts/NAME        geometry_msgs/msg/WrenchStamped   of a contact of links, on the link with the point, base axes
     /events               rcl_interfaces/msg/Log            impact, touchdown, liftoff, stick ..., each at its time
     /robot_description    std_msgs/msg/String               the URDF, where the robot is one
 
@@ -18,7 +19,9 @@ from pathlib import Path
 from typing import Any, BinaryIO
 
 import numpy as np
+from numpy.typing import NDArray
 
+from closedloop.contacts.touching import contacts_of
 from closedloop.errors import ScenarioError
 from closedloop.export.messages import DEFINITIONS
 from closedloop.files import write_whole
@@ -56,7 +59,7 @@ def _write(run: Run, file: BinaryIO) -> None:
     if run.model.format == "urdf":
         send("/robot_description", "std_msgs/msg/String", {"data": run.model.text}, 0.0)
     base, turns = _base_frame(run), _tip_turns(run)
-    wrist = run.scenario.robot.tip or run.model.tip
+    wrist, between = run.scenario.robot.tip or run.model.tip, _between_links(run)
     nothing = {"x": 0.0, "y": 0.0, "z": 0.0}
     for k in range(len(run)):
         time = float(run.time[k])
@@ -71,6 +74,9 @@ def _write(run: Run, file: BinaryIO) -> None:
         wrench = {"force": _vector(run.wrist_wrench[k, :3]), "torque": _vector(run.wrist_wrench[k, 3:])}
         there = header | {"frame_id": wrist}
         send("/wrist_wrench", "geometry_msgs/msg/WrenchStamped", {"header": there, "wrench": wrench}, time)
+        for name, forces in between.items():
+            wrench = {"force": _vector(forces[k]), "torque": nothing}
+            send(f"/contacts/{name}", "geometry_msgs/msg/WrenchStamped", {"header": header, "wrench": wrench}, time)
     for event in run.events:
         rates = f"closure rate {event.rate_before:.6g} to {event.rate_after:.6g} m/s"
         said = f"{event.kind}: {rates}, {event.energy_lost:.4g} J lost"
@@ -98,6 +104,23 @@ def _base_frame(run: Run) -> str:
     """Return the name of the robot's root link."""
     model = run.model.pinocchio_model()
     return str(next((frame.name for frame in list(model.frames)[1:] if frame.parentJoint == 0), "base"))
+
+
+def _between_links(run: Run) -> dict[str, NDArray[np.float64]]:
+    """Return the force of each contact of links on the link that has its point, (N, 3), N, base frame."""
+    import pinocchio as pin
+
+    model = run.model.pinocchio_model()
+    data, contacts = model.createData(), contacts_of(run.scenario, model)
+    found = {touching.name: np.zeros((len(run), 3)) for touching in contacts}
+    for k, q in enumerate(np.ascontiguousarray(run.q) if contacts else ()):
+        pin.forwardKinematics(model, data, q)
+        axes = np.array([place.rotation for place in data.oMi])
+        origins = np.array([place.translation for place in data.oMi])
+        for i, touching in enumerate(contacts):
+            normal, friction = run.link_forces[k, i], run.link_frictions[k, 2 * i : 2 * i + 2]
+            found[touching.name][k] = touching.force(float(normal), friction, axes, origins)[1]
+    return found
 
 
 def _tip_turns(run: Run) -> list[dict[str, float]]:

@@ -16,10 +16,10 @@ import pinocchio as pin
 from numpy.typing import NDArray
 
 from closedloop.columns.events import Event
+from closedloop.contacts.touching import Touching, contacts_of
 from closedloop.lab.ground import Ground
 from closedloop.lab.joined import Joined, reactions_in, robot_in
 from closedloop.lab.shapes import Shape, robot_shapes
-from closedloop.lab.touching import Touching, contacts_of
 from closedloop.record.run import Run
 from closedloop.robot.pinocchio import Robot
 from robot_models import RobotModel

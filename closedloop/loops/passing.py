@@ -78,7 +78,7 @@ def smallest_share(links: LoopLinks, rows: LoopRows) -> float:
         return 1.0
     square = 0.0
     for i in range(k + 1):
-        square += rows.coefficients[k, i] ** 2
+        square += rows.coefficients[k, i] * rows.coefficients[k, i]
     return float(abs(rows.coefficients[k, k]) / math.sqrt(square))
 
 

@@ -12,6 +12,7 @@ import pytest
 
 import closedloop as cl
 from closedloop.__main__ import main
+from closedloop.export.mcap_file import write_mcap
 from closedloop.lab.server import is_loopback, serve
 
 
@@ -153,6 +154,23 @@ def test_mcap_has_the_joints_the_tip_and_the_events(run_file, tmp_path):
     force = found["/tip_wrench"][-1].ros_msg.wrench.force
     assert force.z == pytest.approx(run.contact_force[-1] + run.friction_force[-1, 2])
     assert [m.ros_msg.msg.partition(":")[0] for m in found["/events"]] == [event.kind for event in run.events]
+
+
+def test_mcap_has_the_forces_between_links(tmp_path):
+    """Along the normal and across it they are the run's: two hands press on a bar, whose planes turn with the arms."""
+    reader = pytest.importorskip("mcap_ros2.reader", reason="mcap-ros2-support is not installed: the extra 'mcap'")
+    run = cl.simulate(cl.load_scenario("two_arms_bar", {"time.duration": 0.02}))
+    (file,) = write_mcap(run, tmp_path / "bar.mcap")
+    found = {}
+    for message in reader.read_ros2_messages(str(file)):
+        found.setdefault(message.channel.topic, []).append(message.ros_msg)
+    topics = [topic for topic in found if topic.startswith("/contacts/")]
+    assert len(topics) == run.link_forces.shape[1] > 1
+    for i, topic in enumerate(topics):
+        force = np.array([[m.wrench.force.x, m.wrench.force.y, m.wrench.force.z] for m in found[topic]])
+        size = np.hypot(run.link_forces[:, i], np.hypot(*run.link_frictions[:, 2 * i : 2 * i + 2].T))
+        np.testing.assert_allclose(np.linalg.norm(force, axis=1), size, rtol=1e-12, atol=1e-12)
+    assert np.max(size) > 1.0
 
 
 def test_an_export_replaces_nothing_unasked(run_file, tmp_path, capsys):

@@ -285,10 +285,10 @@ def _leave_if_still_at_work(status: int) -> None:
     from closedloop.batch.threads import still_at_work
 
     if still_at_work():
-        with suppress(OSError):
-            sys.stdout.flush()
-        with suppress(OSError):
-            sys.stderr.flush()
+        for output in (sys.stdout, sys.stderr):
+            if output is not None:  # as it is where it was closed from the beginning
+                with suppress(OSError):
+                    output.flush()
         os._exit(status)
 
 

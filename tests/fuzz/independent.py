@@ -64,6 +64,7 @@ def urdf(robot, path):
         )
         wanted += [limit.velocity or np.inf, limit.effort or np.inf] if limit else [np.inf, np.inf]
         held = [getattr(robot, f)[k] for f in ("position_lower", "position_upper", "velocity_limit", "effort_limit")]
+        wanted = [x if abs(x) < 1e300 else np.copysign(np.inf, x) for x in wanted]  # none, as the loader counts it
         if not np.array_equal(held, np.array(wanted, dtype=float)):
             return f"limits of {name}: {held} instead of {wanted}"
     return ""

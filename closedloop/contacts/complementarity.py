@@ -40,7 +40,7 @@ SWEEPS, MOST_SWEEPS, ROUNDS, NEWTON_STEPS, HALVINGS = 10, 160, 2, 30, 12
 # Rounds at the end of a path, where the solution is near.
 LAST_ROUNDS = 9
 # Where paths start, one after the other, see `start_path`.
-STARTS = (2.0, 5.0)
+STARTS = (2.0, 5.0, 1.0, 40.0)
 
 
 @kernel

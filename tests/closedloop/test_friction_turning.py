@@ -135,3 +135,13 @@ def test_a_tip_that_friction_lifts_and_the_torque_presses_stays_with_no_force():
         S = A @ np.linalg.solve(terms.mass_matrix, A.T)
         assert frame[1] @ run.friction_force[k] == pytest.approx(press / S[0, 1], rel=1e-9)
         assert abs(frame[1] @ run.friction_force[k]) < 5.0 * abs(frame[1] @ run.slip_velocity[k])
+
+
+def test_a_tip_that_the_surface_would_have_to_pull_at_slips():
+    """Held along the surface it would be lifted, and without any force it comes back: neither stuck nor free."""
+    changes = {"law.kind": "impedance", "friction.kind": "coulomb", "friction.coefficient": 0.3, "time.duration": 0.24}
+    run = cl.simulate(cl.load_scenario("panda_scan", changes))
+    touching = run.contact_force > 0.0
+    assert [event.kind for event in run.events] == ["touchdown"]
+    assert np.array_equal(touching, run.time >= run.events[0].time)
+    assert np.all(np.linalg.norm(run.friction_force, axis=1) <= 0.3 * run.contact_force * (1.0 + 1e-9))

@@ -11,7 +11,7 @@ from pydantic_core import ErrorDetails
 
 from closedloop.errors import one_line
 from closedloop.families import NOT_NAMED, Family, how_to_name
-from closedloop.scenario.scenario import Scenario
+from closedloop.scenario.scenario import ContactSection, Scenario
 from closedloop.sections import Section, SizeError
 from robot_models.errors import shown as shown_value
 
@@ -70,6 +70,7 @@ CURES = {
 }
 
 
+TABLES = "contact"  # the section that is a list of tables
 LONGEST_KEY = 60  # characters, more than any has; a joint's name may
 MOST_FAULTS = 20  # lines; a list of ten thousand points may have a fault in each
 
@@ -106,21 +107,21 @@ def _explain(problem: ErrorDetails, data: dict[str, Any]) -> tuple[str, str]:
         del location[1]
     known = _all_keys(section)
     path = [p for k, p in enumerate(location) if p.isdigit() or k == 0 or p in known or "lock" in location]
-    name = "".join(f"[{p}]" if p.isdigit() else f".{p}" for p in path).removeprefix(".")
+    name, whole = _dotted(path), _dotted(location)
     kind, value = problem["type"], problem.get("input")
     shown = "a table" if isinstance(value, dict) else shown_value(value)
     if isinstance(value, bool):
         shown = str(value).lower()  # as TOML spells it
     if kind == "extra_forbidden":
-        whole = ".".join(location)
         return whole, f"unknown key '{whole}'; {_known_keys(section, location, data)}"
     if kind == "missing" and location[-1].isdigit():
-        name, shown, cure = name.partition("[")[0], shown_value(value), CURES["too_short"]
+        name, shown, cure = name.rpartition("[")[0], shown_value(value), CURES["too_short"]
     elif kind == "missing":
-        whole = ".".join(location)
         return whole, f"'{whole}' is missing"
     elif kind == "value_error" and isinstance(problem["ctx"]["error"], SizeError):
         cure = str(problem["ctx"]["error"])
+    elif section == TABLES and len(location) < 3 and kind in ("model_type", "tuple_type"):
+        cure = f"must be tables, each headed [[{section}]]"
     elif name == "surface.offset":
         cure = 'must be a finite number of metres, or "start"'
     elif kind in ("union_tag_invalid", "union_tag_not_found"):
@@ -143,12 +144,18 @@ def _explain(problem: ErrorDetails, data: dict[str, Any]) -> tuple[str, str]:
     return name, f"{name} = {shown}: {cure}"
 
 
+def _dotted(path: list[str]) -> str:
+    return "".join(f"[{p}]" if p.isdigit() else f".{p}" for p in path).removeprefix(".")
+
+
 def _brief(key: str) -> str:
     """Return a key as messages show it: whole, but for one of absurd length."""
     return key if len(key) <= LONGEST_KEY else f"{key[:LONGEST_KEY]}..."
 
 
 def _all_keys(section: str) -> set[str]:
+    if section == TABLES:
+        return set(ContactSection.model_fields)
     return {key for kind in variants(section) for key in variant_keys(section, kind)}
 
 
@@ -157,6 +164,8 @@ def _known_keys(section: str, path: list[str], data: dict[str, Any]) -> str:
     if len(path) == 1:
         known = list(Scenario.model_fields)
         place = "sections are"
+    elif section == TABLES:
+        known, place = list(ContactSection.model_fields), f"[[{section}]] knows"
     else:
         kinds = variants(section)
         given = data[section] if isinstance(data[section], dict) else {}
@@ -169,4 +178,4 @@ def _known_keys(section: str, path: list[str], data: dict[str, Any]) -> str:
             said = f"is {kind!r}" if "kind" in given else f"is {kind!r} where it is not given"
             return f"{section}.kind {said}, and {path[1]} goes with {' or '.join(others)}"
     near = difflib.get_close_matches(path[-1], known, n=1, cutoff=0.5)
-    return f"did you mean '{'.'.join([*path[:-1], near[0]])}'?" if near else f"{place} {', '.join(known)}"
+    return f"did you mean '{_dotted([*path[:-1], near[0]])}'?" if near else f"{place} {', '.join(known)}"

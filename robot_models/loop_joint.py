@@ -151,7 +151,7 @@ def loop_joint(table: Mapping[str, Any], where: str) -> LoopJoint:
     axes = "axis" if "axis" in given else "axes"  # the key that was given
     if axes == "axis":
         if "axes" in given:
-            raise ModelError(f"{where}: axis and axes are both given: one is enough, axis where both frames have the same")
+            raise ModelError(f"{where}: axis and axes are both given: one is enough (axis: the same in both frames)")
         given["axes"] = 2 * [given.pop("axis")]
     allowed = {"name", "type"} | ({"joints", "polynomial"} if kind == "gear" else {"frames", "points", "turn"})
     allowed |= {"axes"} if kind in WITH_AXIS or "coordinates" in given else set()

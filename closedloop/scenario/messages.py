@@ -11,7 +11,8 @@ from pydantic_core import ErrorDetails
 
 from closedloop.errors import one_line
 from closedloop.families import NOT_NAMED, Family, how_to_name
-from closedloop.scenario.scenario import ContactSection, Scenario
+from closedloop.scenario.contact_sections import ContactSection
+from closedloop.scenario.scenario import Scenario
 from closedloop.sections import Section, SizeError
 from robot_models.errors import shown as shown_value
 

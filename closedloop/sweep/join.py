@@ -21,7 +21,7 @@ from closedloop.errors import OutputError
 from closedloop.files import remove_unfinished, write_whole
 from closedloop.sweep.columns import write_columns
 from closedloop.sweep.store import FORMAT, Store, check_identity, occupied, unwritable
-from closedloop.sweep.table_file import METADATA, open_table, pieces, unreadable_is_none
+from closedloop.sweep.table_file import METADATA, description_of, open_table, pieces, unreadable_is_none
 
 if TYPE_CHECKING:
     import pyarrow as pa
@@ -64,8 +64,6 @@ def already_there(identity: dict[str, Any], out: Path) -> Joined | None:
     OutputError
         If a table could not be put there.
     """
-    from pyarrow import parquet
-
     if out.suffix != ".parquet":
         raise OutputError(f"--out {out}: must end in .parquet")
     if out.exists() and not out.is_file():  # a folder, or a pipe, which would be waited for
@@ -81,7 +79,7 @@ def already_there(identity: dict[str, Any], out: Path) -> Joined | None:
             return None
         found = counted = None
         with unreadable_is_none():
-            found = json.loads((parquet.read_schema(out).metadata or {})[METADATA.encode()])
+            found = json.loads(description_of(out))
             counted = _counted_all(pieces(out))
     except OSError as error:
         if isinstance(error, OutputError):

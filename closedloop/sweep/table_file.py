@@ -25,6 +25,15 @@ def open_table(file: BinaryIO, columns: pa.Schema, description: str) -> ParquetW
     return parquet.ParquetWriter(file, columns.with_metadata({METADATA: description}), write_page_checksum=True)
 
 
+def description_of(path: Path) -> str:
+    """Return what a table's file says that the sweep is; raises as `pieces` does, KeyError if it says nothing."""
+    from pyarrow import parquet
+
+    with path.open("rb") as opened:
+        said: bytes = (parquet.read_schema(opened).metadata or {})[METADATA.encode()]
+    return said.decode()
+
+
 def pieces(path: Path) -> Iterator[pa.Table]:
     """Yield the rows of a table's file, some at a time; files without checksums, as others write them, are read too.
 
@@ -37,7 +46,8 @@ def pieces(path: Path) -> Iterator[pa.Table]:
     """
     from pyarrow import parquet
 
-    with parquet.ParquetFile(path, page_checksum_verification=True) as file:
+    # Arrow would open names that are text only.
+    with path.open("rb") as opened, parquet.ParquetFile(opened, page_checksum_verification=True) as file:
         yield file.schema_arrow.empty_table()
         for group in range(file.num_row_groups):
             yield file.read_row_group(group)
@@ -55,4 +65,3 @@ def unreadable_is_none() -> Iterator[None]:
     except OSError as error:
         if error.errno is not None:
             raise
-

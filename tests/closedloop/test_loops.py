@@ -480,7 +480,7 @@ def test_a_row_that_no_joint_can_move_is_kept_where_it_is_open():
     ('drives = "J1"', "drives is 'J1': it must be the names of joints in [ ]"),
     ('drives = ["J1", "J1"]', "drives names 'J1' twice"),
     ('[[closed_loop]]\nname = "a\\nb"\ntype = "hinge"', "it must be a text of one line"),
-    ('[[closed_loop]]\ntype = "hinge"\nframes = ["a", "b"]\naxis = [0, 0, 1]\naxes = 1.0', "axis and axes are both given"),
+    ('[[closed_loop]]\ntype = "hinge"\naxis = [0, 0, 1]\naxes = 1.0', "axis and axes are both given"),
 ])  # fmt: skip
 def test_slip_in_a_sidecar_is_named_in_one_line(tmp_path, line, said):
     """The key as it was given, and what it must be."""

@@ -3,8 +3,8 @@
     python -m tests.fuzz.run_files 1000 0        # so many files from this seed; prints counts and what is not clean
 
 Clean is a `RunFileError` of one line, or a load that gives what was saved. Another answer to a file that carries a
-checksum, any other exception, a process that ends or does not come back are not. A file without a checksum may load with
-what somebody put there: its report, exports, page and repetition are then made, or refused in one line too.
+checksum, any other exception, a process that ends or does not come back are not. A file without a checksum may load
+with what somebody put there: its report, exports, page and repetition are then made, or refused in one line too.
 """
 
 from __future__ import annotations
@@ -231,7 +231,8 @@ from closedloop.scenario.load import parse_scenario
 whole = cl.load_run(sys.argv[1])
 
 def use(run):
-    uses = [lambda folder: (json.dumps(run.summary(), allow_nan=False), print_report(run)), lambda folder: run.to_pandas()]
+    uses = [lambda folder: (json.dumps(run.summary(), allow_nan=False), print_report(run))]
+    uses += [lambda folder: run.to_pandas()]
     uses += [lambda folder, write=write, end=end: write(run, folder / f"x.{end}")
              for write, end in ((write_csv, "csv"), (write_mcap, "mcap"), (write_mjcf, "xml"))]
     uses += [lambda folder: run.save(folder / "x.nc") and cl.load_run(folder / "x.nc")]

@@ -1,9 +1,9 @@
-"""Sweeps as nobody would ask for them: specifications of axes, tables to be drawn, and parts, that are wrong in some way.
+"""Sweeps as nobody would ask for them: specifications of axes, tables and parts that are wrong in some way.
 
     python tests/fuzz/sweeps.py --count 500 --seed 0
 
-Each goes through the command line. Clean is exit status 0, or 2 with one line; anything else is printed, and counted. A
-table whose bytes are damaged is refused, or has all of its values; a sweep goes on from damaged parts to the same table.
+Each goes through the command line. Clean is exit status 0, or 2 with one line; anything else is printed, and counted.
+A table whose bytes are damaged is refused, or has all of its values; a sweep goes on from damaged parts to the same.
 """
 
 from __future__ import annotations

@@ -1,6 +1,6 @@
-"""Settings of numba and OpenMP from outside, of which some would end a command with a traceback.
+"""Settings of numba from outside, of which some would end a command with a traceback.
 
-Numbers of threads that are none are left out: nothing here depends on them. Of other variables that it does not
+A number of threads that is none is left out: nothing here depends on it. Of other variables that it does not
 understand numba warns with a traceback, and takes its defaults. A file of settings that cannot be read is refused.
 """
 
@@ -12,21 +12,25 @@ import warnings
 from collections.abc import Iterator
 from contextlib import contextmanager
 
-THREADS = ("NUMBA_NUM_THREADS", "OMP_NUM_THREADS")
-_HOW_MANY = re.compile(r"\s*0*[1-9]\d{0,4}\s*(,\s*0*[1-9]\d{0,4}\s*)*", re.ASCII)
+THREADS = "NUMBA_NUM_THREADS"
+_HOW_MANY = re.compile(r"\s*0*[1-9]\d{0,4}\s*", re.ASCII)
 FILE = ".numba_config.yaml"  # in the current folder
 
 
 @contextmanager
 def sound_settings() -> Iterator[None]:
-    """Leave out numbers of threads that are none, and what numba says of variables, meanwhile."""
-    left_out = {name: os.environ.pop(name) for name in THREADS if not _HOW_MANY.fullmatch(os.environ.get(name, "1"))}
+    """Leave out a number of threads that is none, and what numba says of variables, meanwhile."""
+    threads = os.environ.get(THREADS, "1")
+    sound = bool(_HOW_MANY.fullmatch(threads))
+    if not sound:
+        del os.environ[THREADS]
     try:
         with warnings.catch_warnings():
             warnings.filterwarnings("ignore", "Environment variable 'NUMBA_")
             yield
     finally:
-        os.environ.update(left_out)
+        if not sound:
+            os.environ[THREADS] = threads
 
 
 def why_no_settings() -> str:

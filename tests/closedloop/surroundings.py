@@ -243,7 +243,7 @@ FILES = [
     Case("scenario in UTF-16", "{run} wide.toml", status=2, says=one_of_ours("wide.toml: is not UTF-8 text.*"),
          before="printf '\\377\\376[\\000' >wide.toml"),
     Case("threads that are none", SWEPT,
-         env={"NUMBA_NUM_THREADS": "0", "OMP_NUM_THREADS": "many", "NUMBA_OPT": "high"}),
+         env={"NUMBA_NUM_THREADS": "0", "NUMBA_OPT": "high"}),
     Case("numba's settings here", SWEPT, before="echo 'opt: [' >.numba_config.yaml", status=2,
          says=one_of_ours(r"\.numba_config\.yaml, .*cannot be read.*")),
     Case("few files may be open", "{run} --list", before="ulimit -n 24"),

@@ -10,9 +10,11 @@ from budget import budget
 import closedloop as cl
 import robot_models
 from closedloop.closure.solve import solve_closure
+from closedloop.loops import close
 from closedloop.loops.assemble import closed_start, errors_at
 from closedloop.loops.bind import bound_by_loops, loop_memory
 from closedloop.loops.memory import IDLE, POSITION
+from closedloop.loops.reactions import loop_rows as rows_of_loops
 from closedloop.robot.pinocchio import Robot
 from validation.loops.mechanisms import MECHANISMS, bar, change_point, four_bar, joint, loop, mechanism, point
 from validation.oracle.closure import LoopJoint, loop_rows
@@ -445,6 +447,23 @@ def test_loop_that_cannot_close_is_refused():
     )
     with pytest.raises(cl.ScenarioError, match="no posture near it closes them"):
         cl.simulate(free(model, **{"start.assemble": True}), model=model)
+
+
+@pytest.mark.parametrize("robot", ["five_bar", "stewart"])
+def test_a_state_is_closed_with_its_velocity(robot):
+    """The error is gone, and is what is returned; the velocity is along the loops; both moved as little as they can."""
+    model = Robot(robot_models.load(robot))
+    memory, rng = loop_memory(model), np.random.default_rng(3)
+    q, v = model.model.home + 1e-4 * rng.normal(size=model.n), rng.normal(size=model.n)
+    at, moving = q.copy(), v.copy()
+    left = close.closed_to(memory.address, at, moving)
+    rows, errors = (found[0] for found in rows_of_loops(model, at[None], moving[None]))
+    assert np.max(np.abs(errors)) <= 1e-14
+    assert left <= close.TOLERANCE
+    np.testing.assert_allclose(rows @ moving, 0.0, atol=1e-6)  # with the rows before the last step
+    onto = np.linalg.pinv(rows, rcond=1e-9) @ rows
+    np.testing.assert_allclose(onto @ (v - moving), v - moving, atol=2e-3)
+    np.testing.assert_allclose(onto @ (q - at), q - at, atol=1e-6)
 
 
 @pytest.mark.slow

@@ -12,7 +12,7 @@ from closedloop.jit.kernel import entry_kernel
 from closedloop.loops.bind import DIRECTIONS, loop_memory
 from closedloop.loops.memory import loops_at
 from closedloop.loops.rows import locate_rows
-from closedloop.loops.solve import DEPENDENT, NO_ROW
+from closedloop.loops.factor import DEPENDENT, NO_ROW
 from closedloop.robot.pinocchio import Robot
 
 Array = NDArray[np.float64]

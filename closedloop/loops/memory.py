@@ -79,7 +79,8 @@ class LoopRows(Block, sizes=("n", "m")):
     wanted: Annotated[Array, N]
     tip: Annotated[Array, 6, N]  # in and out: rows of the tip and its turning, see `closedloop.loops.along_path`
     still: Annotated[Array, N]  # scratch: a velocity of none
-    motions: Annotated[Array, 2, 18]  # scratch: see `closedloop.loops.rows`
+    motions: Annotated[Array, 2, 18]  # scratch: see `closedloop.loops.rows`, as the next
+    directions: Annotated[Array, 3, 9]  # of the rows of a point, with their first and second derivatives
     near_q: Annotated[Array, N]  # scratch, as all that follow: a state near by, see `closedloop.loops.passing`
     near_v: Annotated[Array, N]
     near_part: Annotated[Array, N]

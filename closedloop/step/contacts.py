@@ -122,7 +122,7 @@ def place_contacts(links: ContactLinks, c: Contacts, w: Work) -> None:
             c.axes[i, j] = w.frame[i, j]
     a, b = rows.motions[0], rows.motions[1]
     for r in range(joints.m):
-        move_point(tree, work, rows.v, sides[joints.m + r], rows.at_a[r], a)
+        move_point(tree, work, sides[joints.m + r], rows.at_a[r], a)
         turn_direction(tree, work, sides[2 * joints.m + r], rows.along_b[r], b)
         for j in range(3):
             c.axes[3 + r, j], c.point[1 + r // 3, j] = b[ALONG + j], a[POINT + j]

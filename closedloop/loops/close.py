@@ -15,7 +15,7 @@ from closedloop.jit.kernel import entry_kernel, kernel
 from closedloop.loops.factor import factor, meet
 from closedloop.loops.memory import LoopLinks, LoopRows, loops_at
 from closedloop.loops.rows import place_rows
-from closedloop.loops.solve import basis_alike, dot, take_free
+from closedloop.loops.solve import basis_alike, dot, leave_free, take_free
 
 Array = NDArray[np.float64]
 
@@ -75,7 +75,8 @@ def close_state(links: LoopLinks, rows: LoopRows, q: Array, v: Array) -> float:
             left = left * left / before  # what this step leaves, below rounding
             break
         before = left
-    for _ in range(1 if factored_here else 2):
+    leave_free(links, rows, v)
+    if not factored_here:  # that was where the loops were not closed yet
         for k in range(links.m):
             rows.rate[k] = dot(rows.G[k], v, n)
         meet(links, rows, rows.rate)

@@ -42,7 +42,7 @@ def factor(links: LoopLinks, rows: LoopRows, b: Array, most: int) -> None:
     for j in range(links.n):
         rows.met[j] = 0.0
     for k in range(links.rank):
-        rows.met[joints[k]] = rows.reduced[k, links.n]
+        rows.met[joints[k]] = rows.reduced[k, links.n - links.rank]
 
 
 @kernel
@@ -54,13 +54,13 @@ def order_of(links: LoopLinks) -> tuple[IntArray, IntArray]:
 
 @kernel
 def eliminate(links: LoopLinks, rows: LoopRows, b: Array, most: int, least: float, largest: float) -> bool:
-    """Write the factors, and `reduced`, the rows solved for the joints that they determine, with b behind them.
+    """Write the factors, and `reduced`, the rows solved for the joints that they determine, with b on the right.
 
     Returns false where the order will not do: a pivot below `least`, more than `largest` times smaller than what it
     divides, or a row not of the `rank` first that has more than `least` left, if more than `rank` may be independent.
     """
     of_rows, joints = order_of(links)
-    m, n, rank, F, R = links.m, links.n, links.rank, rows.factors, rows.reduced
+    m, n, rank, F, R = links.m, links.n, links.rank, rows.factors, rows.left
     count = m if rank < most else rank
     for k in range(count):
         row, scale = of_rows[k], rows.scale[k]
@@ -75,7 +75,8 @@ def eliminate(links: LoopLinks, rows: LoopRows, b: Array, most: int, least: floa
         F[k, k] = inverse
         for i in range(k + 1, count):
             share = R[i, c] * inverse
-            F[i, k] = share
+            if i < rank:
+                F[k, i] = share
             if share == 0.0:
                 continue
             if not abs(share) <= largest:
@@ -87,27 +88,37 @@ def eliminate(links: LoopLinks, rows: LoopRows, b: Array, most: int, least: floa
         for j in range(n):
             if abs(R[i, j]) > least:
                 return False
+    return solve_for_determined(links, rows) <= largest
+
+
+@kernel
+def solve_for_determined(links: LoopLinks, rows: LoopRows) -> float:
+    """Write `reduced`, what is left after elimination solved for the joints that it determines; return the largest."""
+    _, joints = order_of(links)
+    n, rank, F, R, T, largest = links.n, links.rank, rows.factors, rows.left, rows.reduced, 0.0
+    width = n - rank + 1
     for k in range(rank - 1, -1, -1):
+        for j in range(rank, n):
+            T[k, j - rank] = R[k, joints[j]]
+        T[k, n - rank] = R[k, n]
         for i in range(k + 1, rank):
             above = R[k, joints[i]]
-            F[k, i] = above
+            F[i, k] = above
             if above != 0.0:
-                for j in range(n + 1):
-                    R[k, j] -= above * R[i, j]
-                R[k, joints[i]] = 0.0
-        for j in range(n + 1):
-            R[k, j] *= F[k, k]
-        for j in range(rank, n):
-            if not abs(R[k, joints[j]]) <= largest:
-                return False
-    return True
+                for j in range(width):
+                    T[k, j] -= above * T[i, j]
+        for j in range(width):
+            T[k, j] *= F[k, k]
+        for j in range(width - 1):
+            largest = max(largest, abs(T[k, j]))
+    return largest
 
 
 @kernel
 def order_rows(links: LoopLinks, rows: LoopRows, most: int) -> None:
     """Choose the order of elimination, and find how many rows are independent, `most` at most."""
     of_rows, joints = order_of(links)
-    m, n, R, longest, rank = links.m, links.n, rows.reduced, 0.0, 0
+    m, n, R, longest, rank = links.m, links.n, rows.left, 0.0, 0
     for k in range(m):
         square = 0.0
         for j in range(n):
@@ -170,18 +181,18 @@ def meet(links: LoopLinks, rows: LoopRows, b: Array) -> None:
     of_rows, joints = order_of(links)
     F, x, rank = rows.factors, rows.along, links.rank
     for k in range(rank):
-        s = rows.scale[k] * b[of_rows[k]]
-        for i in range(k):
-            s -= F[k, i] * x[i]
-        x[k] = s
+        x[k] = rows.scale[k] * b[of_rows[k]]
     for j in range(links.n):
         rows.met[j] = 0.0
-    for k in range(rank - 1, -1, -1):
-        s = x[k]
+    for k in range(rank):  # what is known is taken off all that follow: they do not wait for each other's sums
+        known = x[k]
         for i in range(k + 1, rank):
-            s -= F[k, i] * x[i]
-        x[k] = s * F[k, k]
-        rows.met[joints[k]] = x[k]
+            x[i] -= F[k, i] * known
+    for k in range(rank - 1, -1, -1):
+        known = x[k] * F[k, k]
+        rows.met[joints[k]] = known
+        for i in range(k):
+            x[i] -= F[k, i] * known
 
 
 @kernel
@@ -192,33 +203,20 @@ def force_of(links: LoopLinks, rows: LoopRows, t: Array) -> None:
     for k in range(rank):
         s = t[joints[k]]
         for i in range(k):
-            s -= F[i, k] * x[i]
+            s -= F[k, i] * x[i]
         x[k] = s * F[k, k]
     for k in range(links.m):
         rows.force[k] = 0.0
     for k in range(rank - 1, -1, -1):
         s = x[k]
         for i in range(k + 1, rank):
-            s -= F[i, k] * x[i]
+            s -= F[k, i] * x[i]
         x[k] = s
         rows.force[of_rows[k]] = rows.scale[k] * s
 
 
 @kernel
 def smallest_share(links: LoopLinks, rows: LoopRows) -> float:
-    """Return how far the last of the independent rows is outside the span of the others, as a share of its length.
-
-    It is that motion, of the joints that the rows determine, which changes this row alone by its length: the shorter
-    the row's own share, the longer the motion.
-    """
-    F, x, last = rows.factors, rows.along, links.rank - 1
-    if last < 0:
-        return 1.0
-    square = 0.0
-    for k in range(last, -1, -1):
-        s = 1.0 if k == last else 0.0
-        for i in range(k + 1, last + 1):
-            s -= F[k, i] * x[i]
-        x[k] = s * F[k, k]
-        square += x[k] * x[k]
-    return float(1.0 / math.sqrt(square))
+    """Return how much of the last of the independent rows is left after elimination, as a share of its length."""
+    last = links.rank - 1
+    return 1.0 if last < 0 else float(abs(1.0 / rows.factors[last, last]))

@@ -63,8 +63,9 @@ class LoopRows(Block, sizes=("n", "m")):
     error: Annotated[Array, M]  # m, or the sine of an angle
     rate: Annotated[Array, M]
     scale: Annotated[Array, M]  # by which the rows are multiplied, in the order of elimination
-    factors: Annotated[Array, M, M]  # see `closedloop.loops.factor`: L, the reciprocal pivots on the diagonal, U
-    reduced: Annotated[Array, M, N + 1]  # the rows solved for the joints that they determine, and their right side
+    factors: Annotated[Array, M, M]  # Lᵀ above the diagonal, Uᵀ below, the reciprocal pivots on it
+    left: Annotated[Array, M, N + 1]  # the rows and their right side, after elimination
+    reduced: Annotated[Array, M, N + 1]  # the same solved for the joints that they determine: the free ones' part
     met: Annotated[Array, N]  # a motion that meets the rows
     along: Annotated[Array, M]  # scratch
     force: Annotated[Array, M]  # forces of the rows

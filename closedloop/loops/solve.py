@@ -57,8 +57,7 @@ def span(links: LoopLinks, rows: LoopRows) -> None:
         if links.free != 0:
             free_motion(links, rows, k, rows.basis[k])
         else:
-            for j in range(n):
-                rows.basis[k, j] = rows.reduced[k, j]
+            determined_by(links, rows, k, rows.basis[k])
 
 
 @kernel
@@ -83,12 +82,22 @@ def orthonormalise(links: LoopLinks, rows: LoopRows) -> None:
 def free_motion(links: LoopLinks, rows: LoopRows, k: int, x: Array) -> None:
     """Write a motion (n,) that the rows allow: of the k-th free joint at rate one, the other free joints at rest."""
     _, joints = order_of(links)
-    free = joints[links.rank + k]
     for j in range(links.n):
         x[j] = 0.0
-    x[free] = 1.0
+    x[joints[links.rank + k]] = 1.0
     for i in range(links.rank):
-        x[joints[i]] = -rows.reduced[i, free]
+        x[joints[i]] = -rows.reduced[i, k]
+
+
+@kernel
+def determined_by(links: LoopLinks, rows: LoopRows, k: int, x: Array) -> None:
+    """Write the row (n,), a combination of the rows, that determines the k-th joint by the free ones."""
+    _, joints = order_of(links)
+    for j in range(links.n):
+        x[j] = 0.0
+    x[joints[k]] = 1.0
+    for i in range(links.rank, links.n):
+        x[joints[i]] = rows.reduced[k, i - links.rank]
 
 
 @kernel

@@ -22,7 +22,7 @@ from numpy.typing import NDArray
 
 from closedloop.jit.kernel import kernel
 from closedloop.jit.pointers import integers_at, vector_at
-from closedloop.loops.memory import DISTANCE, GEAR, IDLE, POSITION, ROTATION, STOP, LoopLinks, LoopRows, tree_at
+from closedloop.loops.memory import DISTANCE, GEAR, IDLE, ROTATION, STOP, LoopLinks, LoopRows, tree_at
 from closedloop.robot.tree import Tree
 from closedloop.robot.tree import layout as at
 from closedloop.robot.tree.angles import sines

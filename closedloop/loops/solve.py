@@ -17,15 +17,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from closedloop.jit.kernel import kernel
-from closedloop.loops.factor import order_of
+from closedloop.loops.factor import DEPENDENT, order_of
 from closedloop.loops.memory import LoopLinks, LoopRows
 
 Array = NDArray[np.float64]
 
 # A row that is left with no more than this share of its square by others is orthogonalised once more: twice is enough.
 ONCE_MORE = 0.5
-# A row of which no more than this share is outside the span of the rows before it depends on them.
-DEPENDENT = 1e-8
 
 
 @kernel

@@ -17,8 +17,8 @@ import numpy as np
 from closedloop.closure.solve import forward_substitute
 from closedloop.jit.interpreted import interpreted
 from closedloop.jit.pointers import integers_at
-from closedloop.loops.memory import GEAR, LoopMemory, loops_at
 from closedloop.loops.factor import meet
+from closedloop.loops.memory import GEAR, LoopMemory, loops_at
 from closedloop.loops.solve import leave_free, multiply_transposed, take_free
 from closedloop.step.closed_loops import BIND_TIP, DRIVE
 from closedloop.step.memory import loop_at

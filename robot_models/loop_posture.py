@@ -17,6 +17,11 @@ def links_of(loop: LoopJoint) -> tuple[str, str]:
     return f"{loop.name} turned", f"{loop.name} side"
 
 
+def new_side(loop: LoopJoint) -> int:
+    """Return on which side of a loop joint with coordinates the welded one of its new links is, 0 or 1."""
+    return int(loop.frames[1] == links_of(loop)[-1])
+
+
 def place_coordinates(model: "pin.Model", loops: Sequence[LoopJoint], q: Array) -> Array:
     """Return joint positions (n,), rad (m), with the coordinates of loop joints as the rest of the posture has them.
 
@@ -36,7 +41,7 @@ def place_coordinates(model: "pin.Model", loops: Sequence[LoopJoint], q: Array) 
         if not joints:
             continue
         placed[joints] = 0.0
-        k = int(loop.frames[1] == links_of(loop)[-1])  # on which side the new link is
+        k = new_side(loop)
         new, other = loop.frames[k], loop.frames[1 - k]
         pin.framesForwardKinematics(model, data, placed)
         there = data.oMf[model.getFrameId(other)] * pin.SE3(np.eye(3), np.array(loop.points[1 - k]))
@@ -71,7 +76,7 @@ def coordinate_rates(model: "pin.Model", loops: Sequence[LoopJoint], q: Array, v
     for loop in loops:
         if not loop.coordinates:
             continue
-        k = int(loop.frames[1] == links_of(loop)[-1])
+        k = new_side(loop)
         new, other = (model.getFrameId(loop.frames[i]) for i in (k, 1 - k))
         moving = [data.oMf[i].act(pin.getFrameVelocity(model, data, i, pin.LOCAL)) for i in (other, new)]
         apart = data.oMf[new].actInv(moving[0] - moving[1]).vector
@@ -91,7 +96,7 @@ def give_back(model: "pin.Model", loops: Sequence[LoopJoint]) -> None:
     for loop in loops:
         if not loop.coordinates:
             continue
-        k = int(loop.frames[1] == links_of(loop)[-1])
+        k = new_side(loop)
         new = model.frames[model.getFrameId(loop.frames[k])]
         old = model.frames[model.getFrameId(loop.frames[1 - k])]
         place = old.placement * pin.SE3(np.eye(3), np.array(loop.points[1 - k])) * new.placement.inverse()

@@ -8,6 +8,7 @@ from numpy.typing import NDArray
 from closedloop.jit.interpreted import interpreted
 from closedloop.loops.bind import loop_memory
 from closedloop.loops.close import close_state, factor_rows
+from closedloop.loops.factor import factor
 from closedloop.loops.memory import LoopMemory
 from closedloop.loops.rows import locate_rows
 from closedloop.robot.pinocchio import Robot
@@ -25,7 +26,7 @@ def close_reading(w: Work, memory: LoopMemory) -> None:
     links, rows = memory
     rows.q[:], rows.v[:] = w.true_q, w.true_v
     interpreted(locate_rows)(links, rows)
-    interpreted(factor_rows)(links, rows, links.m)
+    interpreted(factor_rows)(links, rows, rows.error, links.m)
     links.known = links.rank
     interpreted(close_state)(links, rows, w.q, w.v)
 
@@ -35,5 +36,6 @@ def torque_of_drives(robot: Robot, q: Array, torque: Array) -> Array:
     links, rows = loop_memory(robot)
     rows.q[:], found = q, np.array(torque)
     interpreted(locate_rows)(links, rows)
+    interpreted(factor)(links, rows, rows.error, links.m)
     interpreted(through_drives)(links, rows, found)
     return found

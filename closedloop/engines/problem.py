@@ -24,7 +24,7 @@ from closedloop.friction.laws.none import NoFriction
 from closedloop.impact.restitution import coefficient_at
 from closedloop.jit.calls import entry_address
 from closedloop.jit.interpreted import interpreted, twin_address
-from closedloop.loops.bind import loop_memory
+from closedloop.loops.bind import step_memory
 from closedloop.scenario.arm import has_stops
 from closedloop.step.closed_loops import closed_loops
 from closedloop.step.contacts import contacts_in_step
@@ -70,11 +70,11 @@ class Problem(ScenarioNumbers):
             state.surface_at = memory.address
             loop.w.keep_alive(surface=memory)
         if self.bound:
-            loops = loop_memory(self.robot, has_stops(self.scenario, self.robot.model))
+            loops = step_memory(self.robot, has_stops(self.scenario, self.robot.model))
             state.loops_at, loops.links.loop = loops.address, state.address
             loop.w.keep_alive(loops=loops)
         if self.robot.model.loops and state.seen != 0:
-            seen = loop_memory(self.robot, has_stops(self.scenario, self.robot.model))
+            seen = step_memory(self.robot, has_stops(self.scenario, self.robot.model))
             state.seen_loops_at, seen.links.loop = seen.address, state.address
             loop.w.keep_alive(seen_loops=seen)
         write_constants(self, loop.constants)

@@ -132,7 +132,7 @@ class ScenarioNumbers:
     @property
     def general(self) -> bool:
         """Whether the law is called by address: see `closedloop.engines.needs.needs_general_form`."""
-        return needs_general_form(self.scenario) or self.bound
+        return needs_general_form(self.scenario) or has_stops(self.scenario, self.robot.model)
 
     @property
     def bound(self) -> bool:

@@ -6,7 +6,7 @@ from closedloop.jit.kernel import entry_kernel
 from closedloop.loops.close import close_state, factor_rows
 from closedloop.loops.memory import loops_at
 from closedloop.loops.rows import locate_rows
-from closedloop.loops.solve import remove_basis
+from closedloop.loops.solve import leave_free
 
 # What is asked.
 TANGENT, NEAREST = range(2)
@@ -24,10 +24,10 @@ def along_path(address: int, what: int) -> int:
         for j in range(links.n):
             rows.v[j] = 0.0
         locate_rows(links, rows)
-        factor_rows(links, rows, links.m)
+        factor_rows(links, rows, rows.error, links.m)
         links.known = links.rank
         for k in range(6):
-            remove_basis(rows.tip[k], rows.basis, links.rank)
+            leave_free(links, rows, rows.tip[k])
     else:
         for j in range(links.n):
             rows.column[j], rows.still[j] = rows.q[j], 0.0

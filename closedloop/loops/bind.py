@@ -78,10 +78,17 @@ def bound_by_loops(robot: Robot, stops: bool = False) -> Bound:
     sides = np.array([kinds, one_sides, other_sides, np.zeros(len(kinds))], dtype=np.int64)
     made = Bound(sides.ravel(), at_a, at_b, along_a, along_b, value, undriven)
     sides[0, _idle(tree, made)] = IDLE
-    for k in range(1, len(kinds)):
-        same = np.array_equal(at_a[k], at_a[k - 1]) and np.array_equal(at_b[k], at_b[k - 1])
-        sides[3, k] = sides[0, k] == POSITION and same and np.array_equal(sides[:3, k], sides[:3, k - 1])
-    return made._replace(sides=sides.ravel())
+    return _with_points_shared(made._replace(sides=sides.ravel()))
+
+
+def _with_points_shared(bound: Bound) -> Bound:
+    """Return what is bound with the mark of rows whose points are those of the row before, three to a point at most."""
+    sides, first = bound.sides.reshape(4, -1).copy(), 0
+    for k in range(bound.m):
+        same = k > 0 and all(np.array_equal(x[k], x[k - 1]) for x in (bound.at_a, bound.at_b, sides[:3].T))
+        sides[3, k] = same and sides[0, k] == POSITION and k - first < len(BINDS["point"][0])
+        first = first if sides[3, k] else k
+    return bound._replace(sides=sides.ravel())
 
 
 def _idle(tree: Tree, bound: Bound) -> NDArray[np.bool_]:
@@ -98,6 +105,15 @@ def _idle(tree: Tree, bound: Bound) -> NDArray[np.bool_]:
 def loop_memory(robot: Robot, stops: bool = False) -> LoopMemory:
     """Return a new memory of a robot's loops, and if asked for of the stops of its joints."""
     return make_loop_memory(robot.tree, bound_by_loops(robot, stops))
+
+
+def step_memory(robot: Robot, stops: bool) -> LoopMemory:
+    """Return the same for the steps of a run: without the rows that bind what no joint can move."""
+    bound = bound_by_loops(robot, stops)
+    sides = bound.sides.reshape(4, -1)
+    moving = sides[0] != IDLE
+    parts = {name: getattr(bound, name)[moving] for name in ("at_a", "at_b", "along_a", "along_b", "value")}
+    return make_loop_memory(robot.tree, _with_points_shared(bound._replace(sides=sides[:, moving].ravel(), **parts)))
 
 
 def link_poses(tree: Tree, q: Array) -> list[tuple[Array, Array]]:

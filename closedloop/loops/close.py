@@ -12,9 +12,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from closedloop.jit.kernel import entry_kernel, kernel
+from closedloop.loops.factor import factor, meet
 from closedloop.loops.memory import LoopLinks, LoopRows, loops_at
 from closedloop.loops.rows import place_rows
-from closedloop.loops.solve import dot, meet_rows, orthonormal_rows
+from closedloop.loops.solve import basis_alike, dot, leave_free, take_free
 
 Array = NDArray[np.float64]
 
@@ -28,12 +29,10 @@ FAST = 1e-3
 
 
 @kernel
-def factor_rows(links: LoopLinks, rows: LoopRows, most: int) -> None:
-    """Write the basis of the rows G, of `most` directions at most."""
-    for k in range(links.m):
-        for j in range(links.n):
-            rows.basis[k, j] = rows.G[k, j]
-    links.rank = orthonormal_rows(rows.basis, links.m, most, rows.order, rows.coefficients, rows.along)
+def factor_rows(links: LoopLinks, rows: LoopRows, b: Array, most: int) -> None:
+    """Factor the rows G, of `most` independent ones at most, for b (m,), and write the basis; joints count alike."""
+    factor(links, rows, b, most)
+    basis_alike(links, rows)
 
 
 @kernel
@@ -64,22 +63,26 @@ def close_state(links: LoopLinks, rows: LoopRows, q: Array, v: Array) -> float:
         left = largest_error(links, rows)
         factored_here = not (before < math.inf and left <= FAST * before)
         if factored_here:
-            factor_rows(links, rows, most)
+            factor_rows(links, rows, rows.error, most)
         if left <= CLOSED or not left < math.inf or (left <= TOLERANCE and left >= 0.25 * before):
             break
-        meet_rows(rows.error, rows.order, rows.coefficients, rows.basis, links.rank, rows.along, rows.part)
+        if not factored_here:
+            meet(links, rows, rows.error)
+        take_free(links, rows, rows.met)
         for j in range(n):
-            q[j] -= rows.part[j]
+            q[j] -= rows.met[j]
         if not factored_here and left * left <= 0.01 * CLOSED * before:
             left = left * left / before  # what this step leaves, below rounding
             break
         before = left
-    for _ in range(1 if factored_here else 2):
+    leave_free(links, rows, v)
+    if not factored_here:  # that was where the loops were not closed yet
         for k in range(links.m):
             rows.rate[k] = dot(rows.G[k], v, n)
-        meet_rows(rows.rate, rows.order, rows.coefficients, rows.basis, links.rank, rows.along, rows.part)
+        meet(links, rows, rows.rate)
+        take_free(links, rows, rows.met)
         for j in range(n):
-            v[j] -= rows.part[j]
+            v[j] -= rows.met[j]
     return left
 
 

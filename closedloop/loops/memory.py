@@ -27,11 +27,15 @@ class LoopLinks(Block):
     n: int  # joints
     m: int  # rows
     rank: int  # how many of the rows are independent
+    ordered: int  # 1 once there is an order of elimination, see `closedloop.loops.factor`
+    free: int  # 1 if the basis spans what the rows leave free, 0 if it spans the rows, see `closedloop.loops.solve`
+    spanned: int  # directions of the basis
     known: int  # how many were where the loops were closed last, 0: not known
     undriven: int  # joints without a drive
     stops: int  # how many of the rows are stops of joints
     loop: int  # address of the memory of the loop that it is for, see `closedloop.step.memory`; 0: none
-    bound: int  # address of what each row binds: kind, and the links (gear: joints) of its two sides
+    bound: int  # address of what each row binds, see `Bound.sides`
+    order: int  # address of the rows and of the joints in the order of elimination
     tree_blocks: int
     tree_carrier: int
     tree_serial: int
@@ -58,18 +62,26 @@ class LoopRows(Block, sizes=("n", "m")):
     drift: Annotated[Array, M]
     error: Annotated[Array, M]  # m, or the sine of an angle
     rate: Annotated[Array, M]
-    basis: Annotated[Array, M, N]  # the first `rank` rows: an orthonormal basis of the rows
-    order: Annotated[Array, M]  # and the rows of G that it was made of
-    coefficients: Annotated[Array, M, M]  # of these rows in the basis, lower triangular
-    along: Annotated[Array, M]  # scratch: coordinates in the basis
+    scale: Annotated[Array, M]  # by which the rows are multiplied, in the order of elimination
+    factors: Annotated[Array, M, M]  # Lᵀ above the diagonal, Uᵀ below, the reciprocal pivots on it
+    left: Annotated[Array, M, N + 1]  # the rows and their right side, after elimination
+    reduced: Annotated[Array, M, N + 1]  # the same solved for the joints that they determine: the free ones' part
+    met: Annotated[Array, N]  # a motion that meets the rows
+    along: Annotated[Array, M]  # scratch
+    force: Annotated[Array, M]  # forces of the rows
+    basis: Annotated[Array, N, N]  # orthonormal, of P, see `closedloop.loops.solve`
+    share: Annotated[Array, N]  # scratch: coordinates in the basis
     part: Annotated[Array, N]  # L⁻ᵀ part is the acceleration that the rows require
     moved: Annotated[Array, 3]  # the acceleration of the tip that the rows require, contact frame, m/s²
-    drive_basis: Annotated[Array, M, N]  # of the columns of joints without a drive, as the next two
-    drive_order: Annotated[Array, M]
-    drive_coefficients: Annotated[Array, M, M]
+    drive_basis: Annotated[Array, N, N]  # scratch, as the next four: what the drives move of what is free
+    drive_order: Annotated[Array, N]
+    drive_coefficients: Annotated[Array, N, N]
+    drive_lengths: Annotated[Array, N]
+    wanted: Annotated[Array, N]
     tip: Annotated[Array, 6, N]  # in and out: rows of the tip and its turning, see `closedloop.loops.along_path`
     still: Annotated[Array, N]  # scratch: a velocity of none
-    motions: Annotated[Array, 2, 18]  # scratch: see `closedloop.loops.rows`
+    motions: Annotated[Array, 2, 18]  # scratch: see `closedloop.loops.rows`, as the next
+    directions: Annotated[Array, 3, 9]  # of the rows of a point, with their first and second derivatives
     near_q: Annotated[Array, N]  # scratch, as all that follow: a state near by, see `closedloop.loops.passing`
     near_v: Annotated[Array, N]
     near_part: Annotated[Array, N]
@@ -146,12 +158,13 @@ def make_loop_memory(tree: Tree, bound: Bound) -> LoopMemory:
     links.address, links.numbers, links.total = address_of(links.memory), address_of(rows.memory), rows.memory.size
     links.n, links.m, links.undriven = *sizes, int(bound.undriven.sum())
     links.stops = int(np.count_nonzero(bound.sides[: bound.m] == STOP))
-    links.bound = address_of(bound.sides)
+    order = np.arange(bound.m + tree.n, dtype=np.int64)
+    links.bound, links.order = address_of(bound.sides), address_of(order)
     links.tree_blocks, links.tree_carrier, links.tree_serial = tree.blocks, tree.carrier, tree.serial
     links.tree_links, links.tree_constants = address_of(tree.links), address_of(tree.constants)
     links.tree_constants_size = tree.constants.size
     links.scratch, links.scratch_size = address_of(scratch), scratch.size
     for name in ("at_a", "at_b", "along_a", "along_b", "value", "undriven"):
         getattr(rows, name)[:] = getattr(bound, name)
-    links.keep_alive(tree=tree, bound=bound, scratch=scratch)
+    links.keep_alive(tree=tree, bound=bound, scratch=scratch, order=order)
     return LoopMemory(links, rows)

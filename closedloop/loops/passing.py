@@ -15,9 +15,10 @@ from numpy.typing import NDArray
 
 from closedloop.jit.kernel import kernel
 from closedloop.loops.close import TOLERANCE, close_state
+from closedloop.loops.factor import factor, smallest_share
 from closedloop.loops.memory import LoopLinks, LoopRows
 from closedloop.loops.rows import locate_rows
-from closedloop.loops.solve import dot, meet_rows, orthonormal_rows, remove_basis, substitute_rows
+from closedloop.loops.solve import basis_in_metric, dot, multiply_transposed, take_free
 
 Array = NDArray[np.float64]
 
@@ -28,20 +29,24 @@ NEAR, WAY, FARTHER, ASIDE = 1e-3, 1e-2, 3.0, 1e-4
 
 
 @kernel
-def find_required(links: LoopLinks, rows: LoopRows, L: Array, q: Array, v: Array) -> None:
-    """Write the rows at a state, the basis of Z = G L⁻ᵀ, and the shortest part (n,) with Z part = −drift."""
+def find_basis(links: LoopLinks, rows: LoopRows, L: Array, q: Array, v: Array) -> None:
+    """Write the rows at a state, factored for their drift, and the basis of P (`closedloop.loops.solve`)."""
     for j in range(links.n):
         rows.q[j], rows.v[j] = q[j], v[j]
     locate_rows(links, rows)
-    for k in range(links.m):
-        for j in range(links.n):
-            rows.basis[k, j] = rows.G[k, j]
-    substitute_rows(L, rows.basis, links.m)
-    links.rank = orthonormal_rows(rows.basis, links.m, links.m, rows.order, rows.coefficients, rows.along)
+    factor(links, rows, rows.drift, links.m)
     links.known = links.rank
-    for k in range(links.m):
-        rows.rate[k] = -rows.drift[k]
-    meet_rows(rows.rate, rows.order, rows.coefficients, rows.basis, links.rank, rows.along, rows.part)
+    basis_in_metric(links, rows, L)
+
+
+@kernel
+def find_required(links: LoopLinks, rows: LoopRows, L: Array, q: Array, v: Array) -> None:
+    """Do `find_basis`, and write the shortest part (n,) of which L⁻ᵀ part is an acceleration with G q̈ = −drift."""
+    find_basis(links, rows, L, q, v)
+    for j in range(links.n):
+        rows.part[j] = -rows.met[j]
+    multiply_transposed(L, rows.part, links.n)
+    take_free(links, rows, rows.part)
 
 
 @kernel
@@ -55,31 +60,24 @@ def find_required_on_the_way(links: LoopLinks, rows: LoopRows, L: Array, q: Arra
         return
     found = interpolate_part(links, rows, L, q, v, known if lost else links.rank, share)
     if found and lost:  # the direction that is lost here is that of a state close by
-        speed = math.sqrt(dot(v, v, links.n))
-        for j in range(links.n):
-            rows.near_q[j], rows.near_v[j] = q[j] + ASIDE * v[j] / speed, v[j]
-        close_state(links, rows, rows.near_q, rows.near_v)
-        find_required(links, rows, L, rows.near_q, rows.near_v)
+        close_beside(links, rows, q, v, ASIDE)
+        find_basis(links, rows, L, rows.near_q, rows.near_v)
     else:
         find_required(links, rows, L, q, v)
     if found:
+        take_free(links, rows, rows.near_part)  # what the rows determine, so that reactions account for all of it
         for j in range(links.n):
             rows.part[j] = rows.near_part[j]
-        remove_basis(rows.near_part, rows.basis, links.rank)
-        for j in range(links.n):  # what lies along the basis, so that reactions account for all of it
-            rows.part[j] -= rows.near_part[j]
 
 
 @kernel
-def smallest_share(links: LoopLinks, rows: LoopRows) -> float:
-    """Return how far the last row of the basis is outside the span of the others, as a share of its length."""
-    k = links.rank - 1
-    if k < 0:
-        return 1.0
-    square = 0.0
-    for i in range(k + 1):
-        square += rows.coefficients[k, i] * rows.coefficients[k, i]
-    return float(abs(rows.coefficients[k, k]) / math.sqrt(square))
+def close_beside(links: LoopLinks, rows: LoopRows, q: Array, v: Array, way: float) -> float:
+    """Write the state near_q, near_v at a way, rad or m, along the velocity, closed; return the error left."""
+    n = links.n
+    share = way / math.sqrt(dot(v, v, n))
+    for j in range(n):
+        rows.near_q[j], rows.near_v[j] = q[j] + share * v[j], v[j]
+    return close_state(links, rows, rows.near_q, rows.near_v)
 
 
 @kernel
@@ -93,20 +91,17 @@ def interpolate_part(links: LoopLinks, rows: LoopRows, L: Array, q: Array, v: Ar
     Returns false where that is not so: at rest, where the rows do not get farther from losing rank on both sides, or
     where the mechanism cannot be closed there. The rows are those of another state afterwards.
     """
-    n, speed = links.n, math.sqrt(dot(v, v, links.n))
-    if not speed > 0.0:
+    if not dot(v, v, links.n) > 0.0:
         return False
-    for j in range(n):
+    for j in range(links.n):
         rows.near_part[j] = 0.0
     for steps in (-2, -1, 1, 2):
-        for j in range(n):
-            rows.near_q[j], rows.near_v[j] = q[j] + steps * WAY * v[j] / speed, v[j]
         links.known = rank
-        left = close_state(links, rows, rows.near_q, rows.near_v)
+        left = close_beside(links, rows, q, v, steps * WAY)
         find_required(links, rows, L, rows.near_q, rows.near_v)
         if links.rank != rank or not left <= TOLERANCE or not smallest_share(links, rows) > FARTHER * share:
             return False
         weight = (4.0 if abs(steps) == 1 else -1.0) / 6.0
-        for j in range(n):
+        for j in range(links.n):
             rows.near_part[j] += weight * rows.part[j]
     return True

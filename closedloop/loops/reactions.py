@@ -10,9 +10,9 @@ from numpy.typing import NDArray
 from closedloop.jit.interpreted import call_now
 from closedloop.jit.kernel import entry_kernel
 from closedloop.loops.bind import DIRECTIONS, loop_memory
+from closedloop.loops.factor import DEPENDENT, NO_ROW
 from closedloop.loops.memory import loops_at
 from closedloop.loops.rows import locate_rows
-from closedloop.loops.solve import DEPENDENT, NO_ROW
 from closedloop.robot.pinocchio import Robot
 
 Array = NDArray[np.float64]

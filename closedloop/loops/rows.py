@@ -22,7 +22,7 @@ from numpy.typing import NDArray
 
 from closedloop.jit.kernel import kernel
 from closedloop.jit.pointers import integers_at, vector_at
-from closedloop.loops.memory import DISTANCE, GEAR, IDLE, POSITION, ROTATION, STOP, LoopLinks, LoopRows, tree_at
+from closedloop.loops.memory import DISTANCE, GEAR, IDLE, ROTATION, STOP, LoopLinks, LoopRows, tree_at
 from closedloop.robot.tree import Tree
 from closedloop.robot.tree import layout as at
 from closedloop.robot.tree.angles import sines
@@ -55,9 +55,10 @@ def _locate(links: LoopLinks, rows: LoopRows, moving: bool) -> None:
         sines(tree, rows.q, work)
         motion(tree, rows.v, work)
     sides = integers_at(links.bound, 4 * links.m)
-    a, b = rows.motions[0], rows.motions[1]
     for k in range(links.m):
         kind, one, other = sides[k], sides[links.m + k], sides[2 * links.m + k]
+        if sides[3 * links.m + k] != 0:  # located with the row before it
+            continue
         for j in range(links.n):
             rows.G[k, j] = 0.0
         if kind == GEAR:
@@ -74,52 +75,91 @@ def _locate(links: LoopLinks, rows: LoopRows, moving: bool) -> None:
             if side != 0.0:
                 rows.error[k] = rows.q[one] - (rows.value[k, 1] if side > 0.0 else rows.value[k, 0])
             continue
-        if kind != ROTATION and sides[3 * links.m + k] == 0:
-            _move_point(tree, work, rows.v, one, rows.at_a[k], a, moving)
-            _move_point(tree, work, rows.v, other, rows.at_b[k], b, moving)
         if kind == ROTATION:
-            _turn_direction(tree, work, one, rows.along_a[k], a, moving)
-        if kind != DISTANCE:
-            _turn_direction(tree, work, other, rows.along_b[k], b, moving)
-        error, rate, drift = 0.0, 0.0, 0.0
-        if kind == ROTATION:
-            for i in range(3):
-                error += a[ALONG + i] * b[ALONG + i]
-            for i in range(3 if moving else 0):
-                rate += a[TURNING + i] * b[ALONG + i] + a[ALONG + i] * b[TURNING + i]
-                drift += a[SECOND + i] * b[ALONG + i] + 2.0 * a[TURNING + i] * b[TURNING + i]
-                drift += a[ALONG + i] * b[SECOND + i]
-            _couple(tree, work, one, a, b, 1.0, rows.G[k])
-            _couple(tree, work, other, a, b, -1.0, rows.G[k])
-        elif kind == POSITION:
-            for i in range(3):
-                error += b[ALONG + i] * (a[POINT + i] - b[POINT + i])
-            for i in range(3 if moving else 0):
-                apart, parting = a[POINT + i] - b[POINT + i], a[VELOCITY + i] - b[VELOCITY + i]
-                rate += b[ALONG + i] * parting + b[TURNING + i] * apart
-                drift += b[ALONG + i] * (a[ACCELERATION + i] - b[ACCELERATION + i])
-                drift += 2.0 * b[TURNING + i] * parting + b[SECOND + i] * apart
-            # The point of the other link that lies at a: it is there that the force acts on both.
-            _force(tree, work, one, a, b, 1.0, rows.G[k])
-            _force(tree, work, other, a, b, -1.0, rows.G[k])
+            _rotation(tree, work, rows, k, one, other, moving)
+        elif kind == DISTANCE:
+            _distance(tree, work, rows, k, one, other, moving)
         else:
-            square, speed = 0.0, 0.0
+            count = 1
+            while k + count < links.m and sides[3 * links.m + k + count] != 0:
+                count += 1
+            for i in range(k + 1, k + count):
+                for j in range(links.n):
+                    rows.G[i, j] = 0.0
+            _positions(tree, work, rows, k, count, (one, other), moving)
+
+
+@kernel
+def _positions(
+    tree: Tree, work: Array, rows: LoopRows, k: int, count: int, ends: tuple[int, int], moving: bool
+) -> None:
+    """Write rows k, k + 1, ... of one point of either link, along so many directions of the other link."""
+    a, b, u = rows.motions[0], rows.motions[1], rows.directions
+    one, other = ends
+    _move_point(tree, work, one, rows.at_a[k], a, moving)
+    _move_point(tree, work, other, rows.at_b[k], b, moving)
+    for r in range(count):
+        _turn(tree, work, other, rows.along_b[k + r], u[r], 0, moving)
+    # The point of the other link that lies at a: it is there that the force acts on both.
+    _along_joints(tree, work, one, a, 1.0, rows, k, count)
+    x, y, z = a[VELOCITY], a[VELOCITY + 1], a[VELOCITY + 2]
+    _along_joints(tree, work, other, a, -1.0, rows, k, count)
+    x, y, z = x - a[VELOCITY], y - a[VELOCITY + 1], z - a[VELOCITY + 2]
+    d0, d1, d2 = a[POINT] - b[POINT], a[POINT + 1] - b[POINT + 1], a[POINT + 2] - b[POINT + 2]
+    if moving and other >= 0:  # of its own point
+        s = tree.links[at.SCRATCH * tree.n + (other & at.INDEX)] & at.INDEX
+        o0, o1, o2 = work[s + at.O0], work[s + at.O1], work[s + at.O2]
+        x, y, z = x + o1 * d2 - o2 * d1, y + o2 * d0 - o0 * d2, z + o0 * d1 - o1 * d0
+    for r in range(count):
+        c = u[r]
+        rows.error[k + r] = c[0] * d0 + c[1] * d1 + c[2] * d2
+        if moving:
+            rows.rate[k + r] = c[0] * x + c[1] * y + c[2] * z + c[3] * d0 + c[4] * d1 + c[5] * d2
+            drift = 2.0 * (c[3] * x + c[4] * y + c[5] * z) + c[6] * d0 + c[7] * d1 + c[8] * d2
             for i in range(3):
-                b[ALONG + i] = a[POINT + i] - b[POINT + i]
-                square += b[ALONG + i] * b[ALONG + i]
-            length = math.sqrt(square)
-            for i in range(3):
-                b[ALONG + i] /= length
-            for i in range(3 if moving else 0):
-                parting = a[VELOCITY + i] - b[VELOCITY + i]
-                rate += b[ALONG + i] * parting
-                speed += parting * parting
-                drift += b[ALONG + i] * (a[ACCELERATION + i] - b[ACCELERATION + i])
-            error = length - rows.value[k, 0]
-            drift += (speed - rate * rate) / length
-            _force(tree, work, one, a, b, 1.0, rows.G[k])
-            _force(tree, work, other, b, b, -1.0, rows.G[k])
-        rows.error[k], rows.rate[k], rows.drift[k] = error, rate, drift
+                drift += c[i] * (a[ACCELERATION + i] - b[ACCELERATION + i])
+            rows.drift[k + r] = drift
+
+
+@kernel
+def _rotation(tree: Tree, work: Array, rows: LoopRows, k: int, one: int, other: int, moving: bool) -> None:
+    """Write row k, of two directions that stay perpendicular."""
+    a, b = rows.motions[0], rows.motions[1]
+    _turn(tree, work, one, rows.along_a[k], a, ALONG, moving)
+    _turn(tree, work, other, rows.along_b[k], b, ALONG, moving)
+    error, rate, drift = 0.0, 0.0, 0.0
+    for i in range(3):
+        error += a[ALONG + i] * b[ALONG + i]
+    for i in range(3 if moving else 0):
+        rate += a[TURNING + i] * b[ALONG + i] + a[ALONG + i] * b[TURNING + i]
+        drift += a[SECOND + i] * b[ALONG + i] + 2.0 * a[TURNING + i] * b[TURNING + i]
+        drift += a[ALONG + i] * b[SECOND + i]
+    _couple(tree, work, one, a, b, 1.0, rows.G[k])
+    _couple(tree, work, other, a, b, -1.0, rows.G[k])
+    rows.error[k], rows.rate[k], rows.drift[k] = error, rate, drift
+
+
+@kernel
+def _distance(tree: Tree, work: Array, rows: LoopRows, k: int, one: int, other: int, moving: bool) -> None:
+    """Write row k, of two points at a distance."""
+    a, b, u = rows.motions[0], rows.motions[1], rows.directions[0]
+    _move_point(tree, work, one, rows.at_a[k], a, moving)
+    _move_point(tree, work, other, rows.at_b[k], b, moving)
+    square, speed, rate, drift = 0.0, 0.0, 0.0, 0.0
+    for i in range(3):
+        u[i] = a[POINT + i] - b[POINT + i]
+        square += u[i] * u[i]
+    length = math.sqrt(square)
+    for i in range(3):
+        u[i] /= length
+    _along_joints(tree, work, one, a, 1.0, rows, k, 1)
+    _along_joints(tree, work, other, b, -1.0, rows, k, 1)
+    for i in range(3 if moving else 0):
+        parting = a[VELOCITY + i] - b[VELOCITY + i]
+        rate += u[i] * parting
+        speed += parting * parting
+        drift += u[i] * (a[ACCELERATION + i] - b[ACCELERATION + i])
+    rows.error[k], rows.rate[k], rows.drift[k] = length - rows.value[k, 0], rate, drift + (speed - rate * rate) / length
 
 
 @kernel
@@ -140,17 +180,17 @@ def _gear(rows: LoopRows, k: int, one: int, other: int) -> None:
 
 
 @kernel
-def move_point(tree: Tree, work: Array, v: Array, link: int, point: Array, out: Array) -> None:
-    """Write position, velocity and acceleration of a point that is fixed to a link; see `POINT`."""
-    _move_point(tree, work, v, link, point, out, True)
+def move_point(tree: Tree, work: Array, link: int, point: Array, out: Array) -> None:
+    """Write position and acceleration of a point that is fixed to a link; see `POINT`."""
+    _move_point(tree, work, link, point, out, True)
 
 
 @kernel
-def _move_point(tree: Tree, work: Array, v: Array, link: int, point: Array, out: Array, moving: bool) -> None:
-    """Write the position of a point that is fixed to a link, and if asked for its velocity and acceleration."""
+def _move_point(tree: Tree, work: Array, link: int, point: Array, out: Array, moving: bool) -> None:
+    """Write the position of a point that is fixed to a link, and if asked for its acceleration."""
     if link < 0:
         for i in range(3):
-            out[POINT + i], out[VELOCITY + i], out[ACCELERATION + i] = point[i], 0.0, 0.0
+            out[POINT + i], out[ACCELERATION + i] = point[i], 0.0
         return
     _carry(tree, work, link, point, out, POINT, moving)
     s = tree.links[at.SCRATCH * tree.n + (link & at.INDEX)] & at.INDEX
@@ -158,28 +198,26 @@ def _move_point(tree: Tree, work: Array, v: Array, link: int, point: Array, out:
     out[POINT] += w[s + at.P0]
     out[POINT + 1] += w[s + at.P1]
     out[POINT + 2] += w[s + at.P2]
-    if not moving:
-        return
-    out[ACCELERATION] += w[s + at.B0] + k[at.GRAVITY]  # the base accelerates upwards instead of gravity
-    out[ACCELERATION + 1] += w[s + at.B1] + k[at.GRAVITY + 1]
-    out[ACCELERATION + 2] += w[s + at.B2] + k[at.GRAVITY + 2]
-    _add_velocity(tree, work, v, link, out)
+    if moving:
+        out[ACCELERATION] += w[s + at.B0] + k[at.GRAVITY]  # the base accelerates upwards instead of gravity
+        out[ACCELERATION + 1] += w[s + at.B1] + k[at.GRAVITY + 1]
+        out[ACCELERATION + 2] += w[s + at.B2] + k[at.GRAVITY + 2]
 
 
 @kernel
 def turn_direction(tree: Tree, work: Array, link: int, along: Array, out: Array) -> None:
     """Write a direction that is fixed to a link, with its first and second derivative; see `ALONG`."""
-    _turn_direction(tree, work, link, along, out, True)
+    _turn(tree, work, link, along, out, ALONG, True)
 
 
 @kernel
-def _turn_direction(tree: Tree, work: Array, link: int, along: Array, out: Array, moving: bool) -> None:
-    """Write a direction that is fixed to a link, and if asked for its derivatives."""
+def _turn(tree: Tree, work: Array, link: int, along: Array, out: Array, first: int, moving: bool) -> None:
+    """Write a direction that is fixed to a link, and if asked for its derivatives, from an entry on."""
     if link < 0:
         for i in range(3):
-            out[ALONG + i], out[TURNING + i], out[SECOND + i] = along[i], 0.0, 0.0
+            out[first + i], out[first + 3 + i], out[first + 6 + i] = along[i], 0.0, 0.0
         return
-    _carry(tree, work, link, along, out, ALONG, moving)
+    _carry(tree, work, link, along, out, first, moving)
 
 
 @kernel
@@ -206,38 +244,28 @@ def _carry(tree: Tree, work: Array, link: int, c: Array, out: Array, first: int,
 
 
 @kernel
-def _add_velocity(tree: Tree, work: Array, v: Array, link: int, out: Array) -> None:
-    """Add the velocity of a link's origin, the sum over the joints that move it, to that of its point."""
-    n, w = tree.n, work
-    joint = link
-    p = tree.links[at.SCRATCH * n + (link & at.INDEX)] & at.INDEX
-    while joint >= 0:
-        s = tree.links[at.SCRATCH * n + (joint & at.INDEX)] & at.INDEX
-        z0, z1, z2 = w[s + at.Z0], w[s + at.Z1], w[s + at.Z2]
-        if tree.links[at.REVOLUTE * n + joint] != 0:
-            d0, d1, d2 = w[p + at.P0] - w[s + at.P0], w[p + at.P1] - w[s + at.P1], w[p + at.P2] - w[s + at.P2]
-            z0, z1, z2 = z1 * d2 - z2 * d1, z2 * d0 - z0 * d2, z0 * d1 - z1 * d0
-        out[VELOCITY] += z0 * v[joint]
-        out[VELOCITY + 1] += z1 * v[joint]
-        out[VELOCITY + 2] += z2 * v[joint]
-        joint = tree.links[at.PARENT * n + joint]
+def _along_joints(
+    tree: Tree, work: Array, link: int, place: Array, sign: float, rows: LoopRows, k: int, count: int
+) -> None:
+    """Add to rows k, k + 1, ... what each joint adds to the velocity of a link's point along `rows.directions`.
 
-
-@kernel
-def _force(tree: Tree, work: Array, link: int, place: Array, direction: Array, sign: float, row: Array) -> None:
-    """Add to a row what each joint that moves a link adds to the velocity of its point at `place` along `direction`."""
-    n, w, joint = tree.n, work, link
-    f0, f1, f2 = direction[ALONG], direction[ALONG + 1], direction[ALONG + 2]
+    The point is that at `place`; its velocity is written there, see `VELOCITY`.
+    """
+    n, w, u, joint = tree.n, work, rows.directions, link
+    p0, p1, p2, x, y, z = place[POINT], place[POINT + 1], place[POINT + 2], 0.0, 0.0, 0.0
     while joint >= 0:
-        s = tree.links[at.SCRATCH * n + (joint & at.INDEX)] & at.INDEX
+        i = joint & at.INDEX
+        s = tree.links[at.SCRATCH * n + i] & at.INDEX
         z0, z1, z2 = w[s + at.Z0], w[s + at.Z1], w[s + at.Z2]
-        if tree.links[at.REVOLUTE * n + joint] != 0:
-            d0 = place[POINT] - w[s + at.P0]
-            d1 = place[POINT + 1] - w[s + at.P1]
-            d2 = place[POINT + 2] - w[s + at.P2]
+        if tree.links[at.REVOLUTE * n + i] != 0:
+            d0, d1, d2 = p0 - w[s + at.P0], p1 - w[s + at.P1], p2 - w[s + at.P2]
             z0, z1, z2 = z1 * d2 - z2 * d1, z2 * d0 - z0 * d2, z0 * d1 - z1 * d0
-        row[joint] += sign * (f0 * z0 + f1 * z1 + f2 * z2)
-        joint = tree.links[at.PARENT * n + joint]
+        rate = rows.v[i]
+        x, y, z = x + z0 * rate, y + z1 * rate, z + z2 * rate
+        for r in range(count):
+            rows.G[k + r, i] += sign * (u[r, 0] * z0 + u[r, 1] * z1 + u[r, 2] * z2)
+        joint = tree.links[at.PARENT * n + i]
+    place[VELOCITY], place[VELOCITY + 1], place[VELOCITY + 2] = x, y, z
 
 
 @kernel

@@ -1,12 +1,12 @@
 """What the rows of loop joints leave free, in the metric of the mass matrix.
 
-With H = L Lᵀ and y = Lᵀq̈, the rows G q̈ = b are Z y = b, Z = G L⁻ᵀ. An orthonormal basis of the rows of Z splits
-every y into a part that the loops determine and one that they leave free; a force of the loops changes the first alone.
-So the equation of motion, contact and impact of the closed mechanism are those of the tree, on the second part
-(`closedloop.step.closed_loops`).
+With H = L Lᵀ and y = Lᵀq̈, the rows G q̈ = b are Z y = b, Z = G L⁻ᵀ. They split every y into a part that the loops
+determine and one that they leave free, P y; a force of the loops changes the first alone. So the equation of motion,
+contact and impact of the closed mechanism are those of the tree, on the second part (`closedloop.step.closed_loops`).
 
-Rows that depend on others (a doubled link, a Bennett linkage) add no direction to the basis. Their number is found at
-each state: no row is regularised.
+P is written with an orthonormal basis, of what the rows determine or of what they leave, whichever has fewer
+directions. Both follow from the rows solved for the joints that they determine (`closedloop.loops.factor`): as
+G = B [1 R], in the order of elimination, [1 R] L⁻ᵀ spans the rows of Z and [−Rᵀ 1] L what they leave.
 """
 
 from __future__ import annotations
@@ -17,19 +17,119 @@ import numpy as np
 from numpy.typing import NDArray
 
 from closedloop.jit.kernel import kernel
+from closedloop.loops.factor import DEPENDENT, order_of
+from closedloop.loops.memory import LoopLinks, LoopRows
 
 Array = NDArray[np.float64]
 
-# A row of which no more than this share is outside the span of the rows before it depends on them. A row that is
-# shorter than the longest by this factor is rounding: no joint of the tree moves what it binds.
-DEPENDENT, NO_ROW = 1e-8, 1e-11
-# What is left of a row's length is kept up to date by what is taken off, and measured again below this share of its
-# square; and the share of its length below which a row is orthogonalised once more: above it, it is so to rounding.
-MEASURED_AGAIN, ONCE_MORE = 1e-4, 0.1
+# A row that is left with no more than this share of its square by others is orthogonalised once more: twice is enough.
+ONCE_MORE = 0.5
 
 
 @kernel
-def orthonormal_rows(Z: Array, m: int, most: int, order: Array, coefficients: Array, lengths: Array) -> int:
+def basis_alike(links: LoopLinks, rows: LoopRows) -> None:
+    """Write the basis of P for the rows factored last, joints counting alike: for L = 1."""
+    span(links, rows)
+    orthonormalise(links, rows)
+
+
+@kernel
+def basis_in_metric(links: LoopLinks, rows: LoopRows, L: Array) -> None:
+    """Write the basis of P for the rows factored last; L has the reciprocals of its diagonal on it."""
+    span(links, rows)
+    if links.free == 0:
+        substitute_rows(L, rows.basis, links.spanned)
+    else:
+        for k in range(links.spanned):
+            multiply_transposed(L, rows.basis[k], links.n)
+    orthonormalise(links, rows)
+
+
+@kernel
+def span(links: LoopLinks, rows: LoopRows) -> None:
+    """Write motions (n,) that span what the rows determine, or what they leave, whichever are fewer."""
+    n, rank = links.n, links.rank
+    links.free = 1 if n - rank < rank else 0
+    links.spanned = n - rank if links.free != 0 else rank
+    for k in range(links.spanned):
+        if links.free != 0:
+            free_motion(links, rows, k, rows.basis[k])
+        else:
+            determined_by(links, rows, k, rows.basis[k])
+
+
+@kernel
+def orthonormalise(links: LoopLinks, rows: LoopRows) -> None:
+    """Make the basis orthonormal, by Gram and Schmidt's method."""
+    n, B = links.n, rows.basis
+    for k in range(links.spanned):
+        left = dot(B[k], B[k], n)
+        for _ in range(2 if k > 0 else 0):
+            before = left
+            for i in range(k):
+                take_off(B[k], B[i], n)
+            left = dot(B[k], B[k], n)
+            if left > ONCE_MORE * before:
+                break
+        scale = 1.0 / math.sqrt(left)
+        for j in range(n):
+            B[k, j] *= scale
+
+
+@kernel
+def free_motion(links: LoopLinks, rows: LoopRows, k: int, x: Array) -> None:
+    """Write a motion (n,) that the rows allow: of the k-th free joint at rate one, the other free joints at rest."""
+    _, joints = order_of(links)
+    for j in range(links.n):
+        x[j] = 0.0
+    x[joints[links.rank + k]] = 1.0
+    for i in range(links.rank):
+        x[joints[i]] = -rows.reduced[i, k]
+
+
+@kernel
+def determined_by(links: LoopLinks, rows: LoopRows, k: int, x: Array) -> None:
+    """Write the row (n,), a combination of the rows, that determines the k-th joint by the free ones."""
+    _, joints = order_of(links)
+    for j in range(links.n):
+        x[j] = 0.0
+    x[joints[k]] = 1.0
+    for i in range(links.rank, links.n):
+        x[joints[i]] = rows.reduced[k, i - links.rank]
+
+
+@kernel
+def leave_free(links: LoopLinks, rows: LoopRows, x: Array) -> None:
+    """Replace x (n,) by P x, what the rows leave of it."""
+    project(rows, links.spanned, x, links.free != 0)
+
+
+@kernel
+def take_free(links: LoopLinks, rows: LoopRows, x: Array) -> None:
+    """Replace x (n,) by x − P x, what the rows determine of it."""
+    project(rows, links.spanned, x, links.free == 0)
+
+
+@kernel
+def project(rows: LoopRows, spanned: int, x: Array, onto: bool) -> None:
+    """Replace x (n,) by what lies along the basis, or by what does not."""
+    n, B = x.shape[0], rows.basis
+    if not onto:
+        for _ in range(2):  # where little is left of x, once leaves rounding of what has gone
+            for k in range(spanned):
+                take_off(x, B[k], n)
+        return
+    for k in range(spanned):
+        rows.share[k] = dot(x, B[k], n)
+    for j in range(n):
+        x[j] = 0.0
+    for k in range(spanned):
+        for j in range(n):
+            x[j] += rows.share[k] * B[k, j]
+
+
+@kernel
+def orthonormal_rows(Z: Array, m: int, order: Array, coefficients: Array, lengths: Array) -> int:
     """Replace the rows of Z by an orthonormal basis of them, and return how many it has.
 
     Gram and Schmidt's method, modified; the row that is farthest from the span, relative to its own length, is taken
@@ -39,8 +139,6 @@ def orthonormal_rows(Z: Array, m: int, most: int, order: Array, coefficients: Ar
     ----------
     Z : (>= m, n) array
         In: m rows. Out: the basis, in the first rows.
-    most : int
-        How many it may have.
     order : (m,) array
         Written: which row each direction was made of.
     coefficients : (m, m) array
@@ -48,17 +146,15 @@ def orthonormal_rows(Z: Array, m: int, most: int, order: Array, coefficients: Ar
     lengths : (m,) array
         Scratch.
     """
-    n, longest = Z.shape[1], 0.0
+    n = Z.shape[1]
     for i in range(m):
-        square = dot(Z[i], Z[i], n)
-        order[i], lengths[i], coefficients[i, i] = i, math.sqrt(square), square
-        longest = max(longest, lengths[i])
-    for k in range(most):
+        order[i], lengths[i] = i, math.sqrt(dot(Z[i], Z[i], n))
+    for k in range(m):
         best, share = -1, DEPENDENT * DEPENDENT
-        for i in range(k, m):  # until a row is taken its diagonal holds the square of what is left of it
-            whole = lengths[i] * lengths[i]
-            if lengths[i] > NO_ROW * longest and coefficients[i, i] > share * whole:
-                best, share = i, coefficients[i, i] / whole
+        for i in range(k, m):
+            left, whole = dot(Z[i], Z[i], n), lengths[i] * lengths[i]
+            if left > share * whole:
+                best, share = i, left / whole
         if best < 0:
             return k
         if best != k:
@@ -68,22 +164,15 @@ def orthonormal_rows(Z: Array, m: int, most: int, order: Array, coefficients: Ar
                 Z[k, j], Z[best, j] = Z[best, j], Z[k, j]
             for j in range(k):
                 coefficients[k, j], coefficients[best, j] = coefficients[best, j], coefficients[k, j]
-            coefficients[best, best] = coefficients[k, k]
-        if not share > ONCE_MORE * ONCE_MORE:
-            for i in range(k):
-                coefficients[k, i] += _take_off(Z[k], Z[i], n)
+        for i in range(k):
+            coefficients[k, i] += take_off(Z[k], Z[i], n)
         length = math.sqrt(dot(Z[k], Z[k], n))
         coefficients[k, k] = length
         for j in range(n):
             Z[k, j] /= length
         for i in range(k + 1, m):
-            taken = _take_off(Z[i], Z[k], n)
-            left = coefficients[i, i] - taken * taken
-            coefficients[i, k] = taken
-            if not left > MEASURED_AGAIN * lengths[i] * lengths[i]:
-                left = dot(Z[i], Z[i], n)
-            coefficients[i, i] = left
-    return most
+            coefficients[i, k] = take_off(Z[i], Z[k], n)
+    return m
 
 
 @kernel
@@ -102,12 +191,23 @@ def dot(x: Array, y: Array, n: int) -> float:
 
 
 @kernel
-def _take_off(x: Array, direction: Array, n: int) -> float:
+def take_off(x: Array, direction: Array, n: int) -> float:
     """Subtract from x its component along a direction of length one, and return that component."""
     component = dot(x, direction, n)
     for j in range(n):
         x[j] -= component * direction[j]
     return component
+
+
+@kernel
+def multiply_transposed(L: Array, x: Array, n: int) -> None:
+    """Replace x (n,) by Lᵀx, for the factor with the reciprocals of its diagonal on it."""
+    for i in range(n):
+        entry = x[i]
+        if entry != 0.0:
+            for j in range(i):
+                x[j] += L[i, j] * entry
+            x[i] = entry / L[i, i]
 
 
 @kernel
@@ -127,11 +227,15 @@ def substitute_rows(L: Array, Z: Array, m: int) -> None:
 
 
 @kernel
-def remove_basis(x: Array, basis: Array, rank: int) -> None:
-    """Subtract from x (n,) all that lies along the basis."""
-    for _ in range(2):  # where little is left of x, once leaves rounding of what has gone
-        for k in range(rank):
-            _take_off(x, basis[k], x.shape[0])
+def spanned_force(t: Array, order: Array, coefficients: Array, basis: Array, rank: int, force: Array) -> None:
+    """Write forces (m,) of the rows Z with Zᵀ force = t (n,), zero of dependent rows; t counts along the basis."""
+    for i in range(force.shape[0]):
+        force[i] = 0.0
+    for k in range(rank - 1, -1, -1):
+        s = dot(basis[k], t, t.shape[0])
+        for i in range(k + 1, rank):
+            s -= coefficients[i, k] * force[int(order[i])]
+        force[int(order[k])] = s / coefficients[k, k]
 
 
 @kernel
@@ -146,15 +250,3 @@ def meet_rows(b: Array, order: Array, coefficients: Array, basis: Array, rank: i
         along[k] = s / coefficients[k, k]
         for j in range(y.shape[0]):
             y[j] += along[k] * basis[k, j]
-
-
-@kernel
-def spanned_force(t: Array, order: Array, coefficients: Array, basis: Array, rank: int, force: Array) -> None:
-    """Write forces (m,) of the rows Z with Zᵀ force = t (n,), zero of dependent rows; t counts along the basis."""
-    for i in range(force.shape[0]):
-        force[i] = 0.0
-    for k in range(rank - 1, -1, -1):
-        s = dot(basis[k], t, t.shape[0])
-        for i in range(k + 1, rank):
-            s -= coefficients[i, k] * force[int(order[i])]
-        force[int(order[k])] = s / coefficients[k, k]

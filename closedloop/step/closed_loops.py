@@ -1,9 +1,9 @@
 """The loops of a mechanism in a step: what they leave free of the motion of the tree.
 
-With H = L Lᵀ, y = L⁻¹(Q − C) and X = L⁻¹Aᵀ of the tip's rows A, and the basis of the loops' rows Z = G L⁻ᵀ
-(`closedloop.loops.solve`), the motion of the closed mechanism is
+With H = L Lᵀ, y = L⁻¹(Q − C) and X = L⁻¹Aᵀ of the tip's rows A, the loops' rows Z = G L⁻ᵀ, and P the projection onto
+what they leave free (`closedloop.loops.solve`), the motion of the closed mechanism is
 
-    q̈ = L⁻ᵀ(P y + y_b + (P Xᵀ) F),      P = 1 − ZᵀZ,  Z y_b = −drift
+    q̈ = L⁻ᵀ(P y + y_b + (P Xᵀ) F),      Z P = 0,  Z y_b = −drift,  P y_b = 0
 
 So with P X for X and P y + y_b for y, Eq. 24, friction, impact and the mobility S = X P Xᵀ of the tip are those of a
 tree. The loops take what they bind, whatever acts.
@@ -21,9 +21,18 @@ from closedloop.jit.calls import call_at
 from closedloop.jit.kernel import entry_kernel, kernel, kernel_inlined
 from closedloop.jit.pointers import integers_at
 from closedloop.loops.close import close_state
+from closedloop.loops.factor import factor, force_of
 from closedloop.loops.memory import STOP, LoopLinks, LoopRows, loops_at
-from closedloop.loops.passing import find_required, find_required_on_the_way
-from closedloop.loops.solve import dot, meet_rows, orthonormal_rows, remove_basis, spanned_force
+from closedloop.loops.passing import find_basis, find_required_on_the_way
+from closedloop.loops.solve import (
+    free_motion,
+    leave_free,
+    meet_rows,
+    multiply_transposed,
+    orthonormal_rows,
+    spanned_force,
+    take_free,
+)
 from closedloop.step.energy_supplied import driving_torque
 from closedloop.step.memory import Constants, State, Work, loop_at
 
@@ -71,13 +80,13 @@ def closed_loops(address: int, what: int) -> int:
         for k in range(3):
             seen.drift_c[k] += rows.moved[k]
     elif what == BIND_LOAD:
-        remove_basis(w.y, rows.basis, links.rank)
+        leave_free(links, rows, w.y)
         for j in range(links.n):
             w.y[j] += rows.part[j]
     elif what == BIND_ANSWER:
-        remove_basis(w.column, rows.basis, links.rank)
+        leave_free(links, rows, w.column)
     elif what == DRIVE:
-        through_drives(links, rows, w.torque)
+        drive(links, rows, w.torque)
     elif what == CLOSE:
         close_state(links, rows, w.q, w.v)
     elif what == STOP_TORQUE:
@@ -101,7 +110,7 @@ def bind_tip(links: LoopLinks, rows: LoopRows, w: Work, L: Array, X: Array, S: A
         for j in range(n):
             moved += X[k, j] * rows.part[j]
         rows.moved[k] = moved
-        remove_basis(X[k], rows.basis, links.rank)
+        leave_free(links, rows, X[k])
     for k in range(3):
         for i in range(k + 1):
             s = 0.0
@@ -114,44 +123,83 @@ def bind_tip(links: LoopLinks, rows: LoopRows, w: Work, L: Array, X: Array, S: A
 
 
 @kernel
+def drive(links: LoopLinks, rows: LoopRows, torque: Array) -> None:
+    """Do `through_drives` with the rows located last, those of stops apart: a stop does not pass a torque on."""
+    held = False
+    for j in range(links.n if links.stops > 0 and links.undriven > 0 else 0):
+        held = held or rows.held[j] != 0.0
+    if not held:
+        through_drives(links, rows, torque)
+        return
+    m, rank = links.m, links.rank
+    links.m, links.ordered = m - links.stops, 0  # the rows of stops are the last
+    factor(links, rows, rows.drift, links.m)
+    through_drives(links, rows, torque)
+    links.m, links.ordered = m, 0
+    factor(links, rows, rows.drift, rank)
+
+
+@kernel
 def through_drives(links: LoopLinks, rows: LoopRows, torque: Array) -> None:
     """Replace a torque by one of the drives alone: what the joints without one would give goes through the loops.
 
-    Of Q' + Gᵀλ = Q the parts of the joints without a drive are solved for λ; as Gᵀλ is a force of the loops, Q' moves
-    the mechanism as Q would. If the drives cannot give that, it is as near as they come.
+    A force of the loops gives no power to a motion that they allow. So Q' moves the mechanism as Q would if both give
+    the same power to each motion of a free joint: Q' differs from Q by what the drives have to add to give the power
+    of the joints without one, and is the shortest. If the drives cannot give that, it is as near as they come.
     """
     if links.undriven == 0:
         return
-    m, n, wanted = links.m - links.stops, links.n, rows.column  # the rows of stops are the last
-    Z = rows.drive_basis
+    n, count, wanted = links.n, links.n - links.rank, rows.wanted
+    for i in range(count):
+        power = 0.0
+        Z = rows.drive_basis[i]
+        free_motion(links, rows, i, Z)
+        for j in range(n):
+            if rows.undriven[j] != 0.0:
+                power += Z[j] * torque[j]
+                Z[j] = 0.0
+        wanted[i] = power
     for j in range(n):
-        driven = rows.undriven[j] == 0.0
-        wanted[j] = 0.0 if driven else torque[j]
-        for k in range(m):
-            Z[k, j] = 0.0 if driven else rows.G[k, j]
-    rank = orthonormal_rows(Z, m, m, rows.drive_order, rows.drive_coefficients, rows.along)
-    spanned_force(wanted, rows.drive_order, rows.drive_coefficients, Z, rank, rows.along)
+        if rows.undriven[j] != 0.0:
+            torque[j] = 0.0
+    rank = orthonormal_rows(rows.drive_basis, count, rows.drive_order, rows.drive_coefficients, rows.drive_lengths)
+    if rank == count:
+        meet_rows(
+            wanted, rows.drive_order, rows.drive_coefficients, rows.drive_basis, rank, rows.drive_lengths, rows.share
+        )
+    else:
+        nearest_drives(links, rows, count)
     for j in range(n):
-        through = 0.0
-        for k in range(m):
-            through += rows.G[k, j] * rows.along[k]
-        torque[j] = torque[j] - through if rows.undriven[j] == 0.0 else 0.0
+        torque[j] += rows.share[j]
+
+
+@kernel
+def nearest_drives(links: LoopLinks, rows: LoopRows, count: int) -> None:
+    """Write into `share` what the drives have to add for powers, `wanted`, that they cannot all give: least squares."""
+    n = links.n
+    for j in range(n):
+        for i in range(n):
+            rows.drive_basis[j, i] = 0.0
+    for i in range(count):
+        free_motion(links, rows, i, rows.share)
+        for j in range(n):
+            if rows.undriven[j] == 0.0:
+                rows.drive_basis[j, i] = rows.share[j]
+    rank = orthonormal_rows(rows.drive_basis, n, rows.drive_order, rows.drive_coefficients, rows.drive_lengths)
+    for i in range(count, n):
+        rows.wanted[i] = 0.0
+    spanned_force(rows.wanted, rows.drive_order, rows.drive_coefficients, rows.drive_basis, rank, rows.share)
 
 
 @kernel
 def reaction(links: LoopLinks, rows: LoopRows, w: Work) -> None:
     """Replace `column`, what is missing in the equation of motion, by the part of it that the loops can give."""
     forward_substitute(w.L, w.column)
-    x = rows.column
-    for j in range(links.n):
-        x[j] = w.column[j]
-    remove_basis(w.column, rows.basis, links.rank)
-    for j in range(links.n):
-        x[j] -= w.column[j]
-    for i in range(links.n):  # L x, with the reciprocals on L's diagonal
-        s = x[i] / w.L[i, i]
+    take_free(links, rows, w.column)
+    for i in range(links.n - 1, -1, -1):  # L x, with the reciprocals on L's diagonal
+        s = w.column[i] / w.L[i, i]
         for j in range(i):
-            s += w.L[i, j] * x[j]
+            s += w.L[i, j] * w.column[j]
         w.column[i] = s
 
 
@@ -159,23 +207,23 @@ def reaction(links: LoopLinks, rows: LoopRows, w: Work) -> None:
 def stop_torque(links: LoopLinks, rows: LoopRows, w: Work) -> None:
     """Write the torque of each stop that holds a joint, of what is missing in the equation of motion, `column`."""
     sides = integers_at(links.bound, 3 * links.m)
-    forward_substitute(w.L, w.column)
-    spanned_force(w.column, rows.order, rows.coefficients, rows.basis, links.rank, rows.along)
+    force_of(links, rows, w.column)
     for k in range(links.m):
         if sides[k] == STOP:
-            w.stop_torque[sides[links.m + k]] = rows.along[k]
+            w.stop_torque[sides[links.m + k]] = rows.force[k]
 
 
 @kernel
 def strike(links: LoopLinks, rows: LoopRows, w: Work) -> None:
     """Change q̇ by the smallest impulse, in the measure of H, after which all rows are obeyed: no rebound."""
-    find_required(links, rows, w.L, w.q, w.v)
-    for k in range(links.m):
-        rows.rate[k] = -dot(rows.G[k], w.v, links.n)
-    meet_rows(rows.rate, rows.order, rows.coefficients, rows.basis, links.rank, rows.along, rows.part)
+    find_basis(links, rows, w.L, w.q, w.v)
+    for j in range(links.n):
+        rows.part[j] = w.v[j]
+    multiply_transposed(w.L, rows.part, links.n)
+    take_free(links, rows, rows.part)
     back_substitute(w.L, rows.part)
     for j in range(links.n):
-        w.v[j] += rows.part[j]
+        w.v[j] -= rows.part[j]
 
 
 @kernel

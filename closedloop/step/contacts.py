@@ -29,7 +29,7 @@ from closedloop.jit.kernel import entry_kernel, kernel
 from closedloop.jit.pointers import integers_at, vector_at
 from closedloop.loops.memory import loops_at, tree_at
 from closedloop.loops.rows import ALONG, POINT, locate_rows, move_point, turn_direction
-from closedloop.loops.solve import remove_basis
+from closedloop.loops.solve import leave_free
 from closedloop.step.locate import off_anchor, set_anchor
 from closedloop.step.memory import Constants, State, Work, loop_at
 
@@ -97,7 +97,7 @@ def locate_contacts(links: ContactLinks, c: Contacts, w: Work, constants: Consta
             c.a[i] += c.X[i, j] * w.y[j]
         if state.loops != 0:
             bound, loops = loops_at(state.loops_at)
-            remove_basis(c.X[i], loops.basis, bound.rank)
+            leave_free(bound, loops, c.X[i])
     mobility_of(c, k)
     for i in range(k):
         for j in range(3 * i, 3 * i + 3):
@@ -122,7 +122,7 @@ def place_contacts(links: ContactLinks, c: Contacts, w: Work) -> None:
             c.axes[i, j] = w.frame[i, j]
     a, b = rows.motions[0], rows.motions[1]
     for r in range(joints.m):
-        move_point(tree, work, rows.v, sides[joints.m + r], rows.at_a[r], a)
+        move_point(tree, work, sides[joints.m + r], rows.at_a[r], a)
         turn_direction(tree, work, sides[2 * joints.m + r], rows.along_b[r], b)
         for j in range(3):
             c.axes[3 + r, j], c.point[1 + r // 3, j] = b[ALONG + j], a[POINT + j]

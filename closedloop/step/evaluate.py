@@ -3,8 +3,8 @@
 The caller provides H, C, Jᵣ, r and J̇ᵣq̇ of the state, from Pinocchio or another source. `closedloop.events` decides
 which states are evaluated, and when.
 
-The paper's law on a smooth surface is part of the loop: `State.law` is 0. For everything else (other laws, friction of
-the tip and of the joints, a force sensor) it is the address of the law's entry.
+The paper's law on a smooth surface is part of the loop, with loop joints too: `State.law` is 0. For everything else
+(other laws, friction of the tip and of the joints, a force sensor) it is the address of the law's entry.
 """
 
 from __future__ import annotations
@@ -80,6 +80,8 @@ def evaluate(H: Array, C: Array, w: Work, constants: Constants, state: State, ta
     if state.law == 0:
         if state.sampled != 0:
             paper_torque(C, w, constants, w.time)
+            if state.loops != 0:
+                call_at(state.loops, state.loops_at, DRIVE)
     else:
         status = ask_through_sensors(H, C, w, constants, state, table)
         if status != OK:

@@ -17,6 +17,8 @@ from closedloop.events.table import EVENT_WIDTH
 from closedloop.jit.calls import callback, interpreted_address
 from closedloop.jit.interpreted import interpreted
 from closedloop.jit.kernel import jit_disabled
+from closedloop.loops.bind import loop_memory
+from closedloop.loops.factor import factor
 from closedloop.loops.memory import LoopMemory
 from closedloop.loops.reactions import loop_reactions
 from closedloop.loops.rows import locate_rows
@@ -107,6 +109,7 @@ def ask_loop(case: Case, engine: str, fault: LoopFault = SOUND) -> Motion:
     w.torque[:] = case.torque
     memory.rows.q[:], memory.rows.v[:] = case.q, case.v
     interpreted(locate_rows)(memory.links, memory.rows)
+    interpreted(factor)(memory.links, memory.rows, memory.rows.drift, int(memory.links.m))
     entry(memory.address, DRIVE)  # as after a law
     u = problem.frame @ problem.robot.terms(case.q, case.v).jacobian @ case.v
     w.direction[:] = u[1:] / max(float(np.linalg.norm(u[1:])), 1e-300)
@@ -125,7 +128,7 @@ def _motion(case: Case, problem: Problem, row: Any, fault: LoopFault) -> Motion:
     F = (row.contact_force * np.array(row.surface_normal) + row.friction_force)[None, :]
     found = loop_reactions(problem.robot, q, v, a, torque, F)
     forces = fault.reactions(found.reactions)[0]
-    memory = LoopMemory(*problem.loop().w.kept["loops"])
+    memory = loop_memory(problem.robot)  # with the rows that no joint can move
     memory.rows.q[:], memory.rows.v[:] = case.q, case.v
     interpreted(locate_rows)(memory.links, memory.rows)
     pulls, force, couple, at = [], [], [], 0

@@ -17,8 +17,9 @@ import numpy as np
 from closedloop.closure.solve import forward_substitute
 from closedloop.jit.interpreted import interpreted
 from closedloop.jit.pointers import integers_at
+from closedloop.loops.factor import meet
 from closedloop.loops.memory import GEAR, LoopMemory, loops_at
-from closedloop.loops.solve import meet_rows, remove_basis
+from closedloop.loops.solve import leave_free, multiply_transposed, take_free
 from closedloop.step.closed_loops import BIND_TIP, DRIVE
 from closedloop.step.memory import loop_at
 from robot_models.loop_joint import LoopJoint
@@ -89,10 +90,10 @@ def _with_drift(drift: Callable[[LoopMemory], np.ndarray[Any, Any]]) -> Callable
     def spoil(memory: LoopMemory, w: Any) -> None:
         links, rows = memory
         w.drift_c[:] -= rows.moved
-        rows.rate[:] = -drift(memory)
-        interpreted(meet_rows)(
-            rows.rate, rows.order, rows.coefficients, rows.basis, int(links.rank), rows.along, rows.part
-        )
+        interpreted(meet)(links, rows, -drift(memory))
+        rows.part[:] = rows.met
+        interpreted(multiply_transposed)(w.L, rows.part, int(links.n))
+        interpreted(take_free)(links, rows, rows.part)
         for k in range(3):
             row = np.array(w.A[k])
             interpreted(forward_substitute)(w.L, row)
@@ -110,13 +111,9 @@ def _gears_without_curvature(memory: LoopMemory) -> np.ndarray[Any, Any]:
 def _one_direction_more(memory: LoopMemory, w: Any) -> None:
     """Bind what rounding leaves of a row that depends on the others, as if it were a row of its own."""
     links, rows = memory
-    rank, n = int(links.rank), int(links.n)
-    left = np.array(np.eye(n)[0])
-    interpreted(remove_basis)(left, rows.basis, rank)
-    rows.basis[rank] = left / np.linalg.norm(left)
-    links.rank = rank + 1
+    links.free, links.spanned = 1, 0  # of a mechanism that has one way to move
     for k in range(3):
-        interpreted(remove_basis)(w.X[k], rows.basis, rank + 1)
+        interpreted(leave_free)(links, rows, w.X[k])
     w.S[:] = np.array(w.X) @ np.array(w.X).T
 
 

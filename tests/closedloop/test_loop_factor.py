@@ -1,0 +1,100 @@
+"""The rows of loops by themselves: their factors, what they leave free, and torques through the drives, by SVD."""
+
+import numpy as np
+import pytest
+
+import robot_models
+from closedloop.jit.interpreted import interpreted
+from closedloop.loops.bind import loop_memory
+from closedloop.loops.factor import factor, force_of, meet, order_of
+from closedloop.loops.solve import basis_alike, basis_in_metric, leave_free, take_free
+from closedloop.robot.pinocchio import Robot
+from closedloop.step.closed_loops import through_drives
+
+M, N = 5, 4
+
+
+@pytest.fixture
+def memory():
+    """The memory of a mechanism with M rows and N joints."""
+    return loop_memory(Robot(robot_models.load("five_bar")))
+
+
+def rows_of_rank(rank, rng):
+    """Rows (M, N) of lengths from 1e-3 to 1e3, of which so many are independent."""
+    G = rng.normal(size=(M, rank)) @ rng.normal(size=(rank, N))
+    return G * 10.0 ** rng.uniform(-3, 3, size=(M, 1))
+
+
+def test_factors_and_basis_are_those_of_the_rows(memory):
+    """Rank, motions that meet the rows, forces of the rows, and P in both metrics, by either basis."""
+    links, rows = memory
+    for rank in range(N + 1):
+        rng = np.random.default_rng(rank)
+        rows.G[:] = rows_of_rank(rank, rng)
+        scale = np.linalg.norm(rows.G, axis=1) + 1e-300
+        x, force = rng.normal(size=N), rng.normal(size=M)
+        interpreted(factor)(links, rows, rows.G @ x, M)
+        assert links.rank == rank
+        np.testing.assert_allclose((rows.G @ rows.met - rows.G @ x) / scale, 0.0, atol=1e-10)
+        interpreted(meet)(links, rows, rows.G @ x)
+        np.testing.assert_allclose((rows.G @ rows.met - rows.G @ x) / scale, 0.0, atol=1e-10)
+        torque = rows.G.T @ force
+        interpreted(force_of)(links, rows, torque)
+        np.testing.assert_allclose(rows.G.T @ rows.force, torque, atol=1e-10 * (1.0 + np.abs(torque).max()))
+        L = np.tril(rng.normal(size=(N, N))) + 5.0 * np.eye(N)
+        kept = L.copy()
+        kept[np.diag_indices(N)] = 1.0 / np.diag(L)
+        for metric in (np.eye(N), L):
+            if metric is L:
+                interpreted(basis_in_metric)(links, rows, kept)
+            else:
+                interpreted(basis_alike)(links, rows)
+            assert links.free == (N - rank < rank)
+            Z = np.linalg.solve(metric, rows.G.T / scale).T
+            null = np.linalg.svd(Z)[2][rank:]
+            left, taken = x.copy(), x.copy()
+            interpreted(leave_free)(links, rows, left)
+            interpreted(take_free)(links, rows, taken)
+            np.testing.assert_allclose(left, null.T @ (null @ x), atol=1e-10)
+            np.testing.assert_allclose(left + taken, x, atol=1e-12)
+
+
+def test_order_is_kept_until_a_pivot_becomes_small(memory):
+    """Rows that have changed a little are eliminated in the order there is; where a pivot vanishes, in another."""
+    links, rows = memory
+    rng = np.random.default_rng(1)
+    G = rows_of_rank(3, rng)
+    x = rng.normal(size=N)
+    of_rows, joints = interpreted(order_of)(links)
+    rows.G[:] = G
+    interpreted(factor)(links, rows, rows.G @ x, M)
+    first = [*of_rows, *joints]
+    rows.G[:] = G @ (np.eye(N) + 1e-3 * rng.normal(size=(N, N)))
+    interpreted(factor)(links, rows, rows.G @ x, M)
+    assert [*of_rows, *joints] == first
+    rows.G[:, first[M]] *= 1e-3
+    interpreted(factor)(links, rows, rows.G @ x, M)
+    assert [*of_rows, *joints] != first
+    np.testing.assert_allclose(rows.G @ rows.met, rows.G @ x, atol=1e-9 * np.abs(G).max())
+
+
+def test_drives_give_the_power_of_all_torques(memory):
+    """By the smallest change where they can, more drives than needed or just as many; else as near as they come."""
+    links, rows = memory
+    rng = np.random.default_rng(2)
+    rows.G[:] = rows_of_rank(2, rng)
+    interpreted(factor)(links, rows, rows.drift, M)
+    motions = np.linalg.svd(rows.G / np.linalg.norm(rows.G, axis=1, keepdims=True))[2][2:]
+    for drives in (1, 2, 3):
+        rows.undriven[:] = np.arange(N) >= drives
+        links.undriven = N - drives
+        asked = rng.normal(size=N)
+        torque = asked.copy()
+        interpreted(through_drives)(links, rows, torque)
+        np.testing.assert_array_equal(torque[drives:], 0.0)
+        if drives < 2:
+            assert np.all(np.isfinite(torque))
+            continue
+        least = np.linalg.pinv(motions[:, :drives]) @ (motions[:, drives:] @ asked[drives:])
+        np.testing.assert_allclose(torque[:drives], asked[:drives] + least, rtol=1e-8, atol=1e-9)

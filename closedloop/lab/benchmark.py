@@ -55,7 +55,7 @@ def latencies(lab: Lab, changes: int) -> tuple[np.ndarray, np.ndarray]:
     for k in range(changes):
         before, spent = clock.perf_counter(), clock.process_time()
         lab.changed(KEY, 8.0 + 0.01 * k)
-        lab.wait()
+        lab.wait_for_plots()
         walls.append(clock.perf_counter() - before)
         processor.append(clock.process_time() - spent)
     return np.array(walls), np.array(processor)

@@ -171,13 +171,16 @@ class Space:
         )  # fmt: skip
 
     def _draw_events(self, scene: Scene) -> None:
-        node = self._nodes.pop("events", None)
-        if node is not None:
-            node.remove()
+        node = self._nodes.get("events")
         if not scene.marks:
+            if node is not None:
+                self._nodes.pop("events").remove()
             return
         points = np.array([mark.position for mark in scene.marks], dtype=np.float32)
         colours = np.array([EVENTS[mark.kind] for mark in scene.marks], dtype=np.uint8)
+        if node is not None:  # made anew it would have its shader compiled again
+            node.points, node.colors = points, colours
+            return
         self._nodes["events"] = self._api.add_point_cloud(
             "/events", points, colours, point_size=0.006 * scene.size, point_shape="circle", precision="float32",
             visible="events" not in self.hidden,

@@ -144,7 +144,7 @@ class Lab:
                 more = begin_values(self.history.scenario(), section, value)
         self.history.change(key, value, more)
         self.ask(key)
-        if more or name == "kind":
+        if more or name == "kind" or key == "surface.contact":  # which changes what other controls may show
             self.refresh()
 
     def refresh(self) -> None:

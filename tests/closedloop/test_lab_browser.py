@@ -12,6 +12,7 @@ import pytest
 import closedloop as cl
 from closedloop.__main__ import main
 from closedloop.lab import in_browser
+from closedloop.lab.scene import scene_of
 from closedloop.lab.share import MOST_FRAMES
 
 pytestmark = [pytest.mark.slow, pytest.mark.skipif(bool(in_browser.why_not()), reason=in_browser.why_not())]
@@ -130,8 +131,8 @@ def test_the_page_says_what_is_shown_and_no_box_shows_a_logarithm(page, lab):
     assert lab.run.scenario.law.force == 10.0
 
 
-def test_the_page_is_timed_from_the_key_to_the_plot(page, lab):
-    """Each key gives one time, and none is shorter than what the run alone takes; the frame comes after the drawing."""
+def test_the_page_is_timed_from_the_pointer_to_the_plot(page, lab):
+    """Each movement gives one time, none shorter than what the run alone takes; the frame comes after the drawing."""
     page.wait_for_function("Object.keys(window.__viserTestpoints?.uplots ?? {}).length > 3")
     page.evaluate(in_browser.WATCH)
     drawn, shown = in_browser.page_latencies(page, "force [N]", 3)
@@ -222,6 +223,8 @@ def test_the_shared_page_opens_from_disk_without_network(name, offline, tmp_path
         assert pushed["tail"] == pytest.approx(run.position[row], abs=1e-5)
         force = run.contact_force[row] * run.surface_normal[row]
         assert pushed["force"] == pytest.approx(force, rel=1e-4, abs=1e-4)
+    legend = page.locator("#legend").inner_text()
+    assert ("contact force on the tip" in legend) == ("friction on the tip" in legend) == scene_of(run).ground.there
     page.evaluate(f"seek({0.5 * float(run.time[-1])!r})")
     page.click("#play")
     page.wait_for_function(f"Math.abs(state.time - {0.5 * float(run.time[-1])!r}) > 0.001")

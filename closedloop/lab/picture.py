@@ -95,7 +95,8 @@ class Picture:
         """Say below the picture what it shows."""
         scene = self.space.scene
         scenario, kinds = (self._base, tuple(ARROWS)) if scene is None else (scene.run.scenario, scene.kinds)
-        text = caption(scenario, kinds, self.space.metres_per_newton, self._panel)
+        changed = scenario != self._base
+        text = caption(scenario, changed, kinds, self.space.metres_per_newton, self._panel)
         if self._below.content != text:
             self._below.content = text
 

@@ -190,9 +190,19 @@ class Scene:
 
     @cached_property
     def arm_hides_force(self) -> bool:
-        """Whether the last link stands above the surface at the start, where the contact force is drawn."""
+        """Whether links stand where forces on them are drawn: one that touches another does, and the last link if it is
+        above the surface at the start.
+        """
+        if self.touching:
+            return True
         above = self.joint_places(0)[1][self.last_joint] - self.tip_place(0)
         return float(self.ground.frame[0] @ above) > 0.0
+
+    @cached_property
+    def hiding(self) -> frozenset[int]:
+        """The numbers of the joints whose links may hide forces on them: of the last link, and of those that touch."""
+        touching = {frame for each in self.touching for frame in (each.point_frame, each.plane_frame)}
+        return frozenset(touching | {self.last_joint}) - {0}
 
     @cached_property
     def last_joint(self) -> int:

@@ -19,7 +19,7 @@ from closedloop.errors import ClosedLoopError
 from closedloop.lab.answers import Answer, Answers
 from closedloop.lab.history import Changes, History
 from closedloop.lab.kinds import begin_values
-from closedloop.lab.look import GREYED, PLOTS, paragraph
+from closedloop.lab.look import GREYED, KEYS, PLOTS, paragraph
 from closedloop.lab.newest import Newest
 from closedloop.lab.picture import Picture
 from closedloop.lab.playback import Playback
@@ -121,6 +121,7 @@ class Lab:
         gui.main_panel.set_width(WIDTH)
         self.caption = gui.add_html("")
         self.status = gui.add_html("")
+        gui.add_html(KEYS)
         self.bar = PlaybackBar(gui, self.playback, self._moved)
         self.steps = gui.add_button_group("changes", STEPS, hint="take back the last change, or all of them")
         self.group = gui.add_tab_group()

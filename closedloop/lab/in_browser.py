@@ -21,7 +21,7 @@ OPTIONS = ["--enable-unsafe-swiftshader", "--no-sandbox", "--enable-precise-memo
 SIZE = 1440, 900  # px
 PATIENCE = 120_000  # ms
 # Notes when the pointer is moved with its button down, and when the plot of the force has been drawn with other values:
-# then, and in the frame after that, which shows it. A key would not do: viser's page turns the view with arrow keys.
+# then, and in the frame after that, which shows it.
 WATCH = """() => {
 const charts = Object.values(window.__viserTestpoints.uplots).map(u => u.chart);
 const chart = charts.find(c => c.series.some(s => s.label === 'commanded'));

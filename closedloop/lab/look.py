@@ -19,6 +19,11 @@ p.mantine-Text-root:has(> label){letter-spacing:0!important}
 [data-dock-tab]{padding:0 0.62em!important}
 .uplot .u-legend tr:nth-last-child(-n+2){display:none}
 </style>"""
+# Keys that move a slider do not turn the view as well: viser does that with arrow keys that come to the document.
+KEYS = (
+    """<img hidden src="data:," onerror="document.getElementById('root').addEventListener('keydown', """
+    """e => { if (e.target.closest('[role=slider]')) e.stopPropagation(); })">"""
+)
 # What is shown has been overtaken, and the new run is not there yet.
 GREYED = (
     "<style>.uplot{filter:grayscale(1) opacity(0.45)}canvas[data-engine]{filter:grayscale(0.9) opacity(0.55)}</style>"

@@ -97,6 +97,28 @@ def test_a_dragged_slider_redraws_the_run_and_the_last_value_stays(page, lab):
     assert plotted(page)["commanded"] == pytest.approx(force)
 
 
+def test_a_key_on_a_slider_moves_it_and_not_the_view(page, lab):
+    """An arrow key raises the force by a step; with no slider in the focus it turns the view, as viser has it."""
+    page.wait_for_timeout(1000)
+    (client,) = lab.server.get_clients().values()
+    seen, page_row = (
+        client.camera.position.copy(),
+        page.locator(".mantine-Flex-root", has=page.get_by_text("force [N]")),
+    )
+    thumb = page_row.last.get_by_role("slider").first
+    thumb.focus()
+    for _ in range(3):
+        page.keyboard.press("ArrowRight", delay=100)
+    page.wait_for_timeout(1000)
+    assert lab.wait()
+    assert lab.run.scenario.law.force > 10.0
+    assert np.array_equal(client.camera.position, seen)
+    thumb.blur()
+    page.keyboard.press("ArrowRight", delay=300)
+    page.wait_for_timeout(1000)
+    assert not np.allclose(client.camera.position, seen)
+
+
 def test_a_fault_stands_beside_its_control_and_the_run_stays(page, lab):
     """A value at fault: one line on the page, and the last good run."""
     before = lab.run

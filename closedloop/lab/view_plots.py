@@ -82,9 +82,10 @@ class Plots:
         for panel in self._panels:
             shown = self._with_pins(panel)
             data, series = plot_data(shown, self._instants, self._cursor)
-            handle, look = self._handles[panel.name], (panel.title, tuple((t.label, t.colour) for t in shown.traces))
+            handle, axes = self._handles[panel.name], _axes(panel.title, _longest(shown))
+            look = axes, tuple((t.label, t.colour) for t in shown.traces)
             if self._drawn.get(panel.name) != look:
-                handle.axes, handle.series = _axes(panel.title), series
+                handle.axes, handle.series = axes, series
                 self._drawn[panel.name] = look
             handle.data = data
 
@@ -106,8 +107,16 @@ class Plots:
 _UNITS = {"pm": 1e12, "nm": 1e9, "µm": 1e6, "mm": 1e3, "m": 1.0}
 
 
-def _axes(title: str) -> tuple[dict[str, Any], ...]:
-    return {"size": 32}, {"size": 58, "label": title, "labelSize": 18, "labelFont": "11px sans-serif"}
+def _axes(title: str, digits: int = 0) -> tuple[dict[str, Any], ...]:
+    """Return the axes of a plot whose values have so many characters at most; a diverging run has many."""
+    size = 58 + 7 * max(0, digits - 6)
+    return {"size": 32}, {"size": size, "label": title, "labelSize": 18, "labelFont": "11px sans-serif"}
+
+
+def _longest(panel: Panel) -> int:
+    """Return how many characters the values of a panel have at most, as uPlot writes large ones."""
+    ends = [float(end) for t in panel.traces if t.values.size for end in (np.nanmin(t.values), np.nanmax(t.values))]
+    return max((len(f"{end:,.0f}") for end in ends if abs(end) >= 1e3), default=0)
 
 
 def plot_data(

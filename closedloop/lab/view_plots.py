@@ -17,6 +17,7 @@ Array = NDArray[np.float64]
 HEIGHT = 132  # px of a plot
 CURSOR, MARK = "#888888", "#B8A500"
 TICK = 0.15  # of the plot's height: the mark of an event
+MOST_DIGITS = 16  # of the values beside a plot, commas and sign with them
 # Events that are marked in a plot at most: more could not be told apart.
 MOST_MARKS = 60
 # What is pinned is drawn in these panels, its first trace.
@@ -114,9 +115,9 @@ def _axes(title: str, digits: int = 0) -> tuple[dict[str, Any], ...]:
 
 
 def _longest(panel: Panel) -> int:
-    """Return how many characters the values of a panel have at most, as uPlot writes large ones."""
-    ends = [float(end) for t in panel.traces if t.values.size for end in (np.nanmin(t.values), np.nanmax(t.values))]
-    return max((len(f"{end:,.0f}") for end in ends if abs(end) >= 1e3), default=0)
+    """Return how many characters the values of a panel have, as uPlot writes large ones; more have no room at all."""
+    ends = [float(end) for t in panel.traces for end in (np.nan_to_num(t.values).min(), np.nan_to_num(t.values).max())]
+    return min(max((len(f"{end:,.0f}") for end in ends), default=0), MOST_DIGITS)
 
 
 def plot_data(

@@ -43,20 +43,23 @@ class Touching(NamedTuple):
         return place, force
 
 
+def placed_frame(mechanism: Any, name: str) -> tuple[int, Array, Array]:
+    """Return the joint that carries a frame of a Pinocchio model, 0 the base, and there the frame's axes, as columns
+    (3, 3), and its origin (3,), m.
+    """
+    if name == WORLD:
+        return 0, np.eye(3), np.zeros(3)
+    frame = mechanism.frames[mechanism.getFrameId(name)]
+    return int(frame.parentJoint), frame.placement.rotation, frame.placement.translation
+
+
 def contacts_of(scenario: Scenario, mechanism: Any) -> tuple[Touching, ...]:
     """Return the contacts of a scenario's links, those of its sections [[contact]], in a Pinocchio model."""
     sections = scenario.contact or ()
-
-    def placed(name: str) -> tuple[int, Array, Array]:
-        if name == WORLD:
-            return 0, np.eye(3), np.zeros(3)
-        frame = mechanism.frames[mechanism.getFrameId(name)]
-        return frame.parentJoint, frame.placement.rotation, frame.placement.translation
-
     found = []
     for section, name in zip(sections, names_of(sections), strict=True):
-        joint, rotation, origin = placed(section.link)
-        other, turned, _ = placed(section.against)
+        joint, rotation, origin = placed_frame(mechanism, section.link)
+        other, turned, _ = placed_frame(mechanism, section.against)
         normal_and_tangents = contact_frame(unit(section.normal, "normal")) @ turned.T
         found.append(Touching(name, joint, origin + rotation @ np.array(section.at), other, normal_and_tangents))
     return tuple(found)

@@ -18,6 +18,7 @@ from closedloop.loops.bind import link_poses
 from closedloop.loops.memory import POSITION, Bound, LoopMemory, make_loop_memory
 from closedloop.loops.rows import locate_rows
 from closedloop.robot.pinocchio import Robot
+from closedloop.scenario.arm import stop_limits
 from closedloop.scenario.contact_sections import ContactSection
 from closedloop.scenario.scenario import Scenario
 from closedloop.surface.plane import contact_frame, unit
@@ -33,10 +34,13 @@ MOST = 64
 def contact_memory(scenario: Scenario, robot: Robot) -> ContactMemory:
     """Return a new memory of a scenario's contacts, the tip's the first of them."""
     sections = scenario.contact or ()
-    rows = rows_of(sections, robot)
-    links, contacts = memory = make_contact_memory(robot.n, len(sections) + 1, rows)
-    contacts.restitution[:] = [scenario.impact.restitution, *(section.restitution for section in sections)]
-    contacts.mu[1:] = [section.friction for section in sections]
+    rows, points = rows_of(sections, robot), len(sections) + 1
+    stops = np.flatnonzero(np.isfinite(stop_limits(scenario, robot.model)).any(axis=0))
+    links, contacts = memory = make_contact_memory(robot.n, points + len(stops), rows, len(stops))
+    contacts.restitution[:points] = [scenario.impact.restitution, *(section.restitution for section in sections)]
+    contacts.restitution[points:] = scenario.robot.stop_restitution
+    contacts.mu[1:points] = [section.friction for section in sections]
+    contacts.joint[points:] = stops
     if isinstance(scenario.friction, SurfaceCoulomb) and scenario.surface.contact == "unilateral":
         contacts.mu[0] = scenario.friction.coefficient
     if drives := robot.model.drives:
@@ -130,7 +134,6 @@ def _refuse_together(scenario: Scenario) -> None:
         (f"friction.kind = {kind!r}", not tip, "none or one without sticking" if bilateral else "none or coulomb"),
         ("joint_friction.kind", scenario.joint_friction.sticks == "rigid", "none, or one that sticks as a spring"),
         ("stabiliser.kind", scenario.stabiliser.kind in ("projection", "both"), "baumgarte or none"),
-        ("robot.stops", scenario.robot.stops, "false"),
         ("surface.extent", scenario.surface.extent is not None, "left out"),
         ("surface.edge_radius", scenario.surface.edge_radius is not None, "left out"),
         ("robot.friction", scenario.robot.friction, "false: give joint_friction"),

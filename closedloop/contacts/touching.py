@@ -43,6 +43,34 @@ class Touching(NamedTuple):
         return place, force
 
 
+def contact_torques(scenario: Scenario, mechanism: Any, q: Array, forces: Array, frictions: Array) -> Array:
+    """Return the torques of the k contacts of a scenario's links on the joints in N rows, (N, n), N m (N).
+
+    Parameters
+    ----------
+    scenario : Scenario
+    mechanism : pinocchio.Model
+    q : (N, n) array
+        rad (m).
+    forces, frictions : (N, k) and (N, 2 k) arrays
+        Along the normals and the tangents, N, on the links that have the points.
+    """
+    import pinocchio as pin
+
+    torques, contacts, data = np.zeros(q.shape), contacts_of(scenario, mechanism), mechanism.createData()
+    for k, posture in enumerate(np.ascontiguousarray(q) if contacts else ()):
+        pin.computeJointJacobians(mechanism, data, posture)
+        axes = np.array([place.rotation for place in data.oMi])
+        origins = np.array([place.translation for place in data.oMi])
+        for i, touching in enumerate(contacts):
+            place, force = touching.force(float(forces[k, i]), frictions[k, 2 * i : 2 * i + 2], axes, origins)
+            for joint, sign in ((touching.point_frame, 1.0), (touching.plane_frame, -1.0)):
+                if joint > 0:
+                    J = pin.getJointJacobian(mechanism, data, joint, pin.LOCAL_WORLD_ALIGNED)
+                    torques[k] += sign * (J[:3].T @ force + J[3:].T @ np.cross(place - origins[joint], force))
+    return torques
+
+
 def contacts_of(scenario: Scenario, mechanism: Any) -> tuple[Touching, ...]:
     """Return the contacts of a scenario's links, those of its sections [[contact]], in a Pinocchio model."""
     sections = scenario.contact or ()

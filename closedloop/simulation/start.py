@@ -58,9 +58,9 @@ def refuse_combinations(scenario: Scenario, model: RobotModel) -> None:
         )
     if scenario.robot.stop_restitution > 0.0 and not stopped:
         raise ScenarioError("robot.stop_restitution: is that of the joints' stops; give robot.stops = true with it")
-    if scenario.contact and not scenario.robot.stops and (stopped or any(map(np.any, loop_dynamics(model)))):
+    if scenario.contact and any(map(np.any, loop_dynamics(model))):
         raise ScenarioError(
-            f"contact: does not go with friction or limits of loop joints, and {model.name} has some: leave either out"
+            f"contact: does not go with friction of loop joints, and {model.name} has some: leave either out"
         )
 
 

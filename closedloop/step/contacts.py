@@ -81,16 +81,20 @@ def locate_contacts(links: ContactLinks, c: Contacts, w: Work, constants: Consta
     for j in range(n):
         rows.q[j], rows.v[j], c.load[j] = w.q[j], w.v[j], w.y[j]
     locate_rows(joints, rows)
+    locate_stops(links, c, w, constants)
     for i in range(3):
         c.located[i] = w.gap if i == 0 else off_anchor(w, state, i)
         c.u[i], c.drift[i], c.a[i] = w.u[i], w.drift_c[i], w.a[i]
         for j in range(n):
             c.G[i, j], c.X[i, j] = w.A[i, j], w.X[i, j]
-    for r in range(3 * (k - 1)):
+    for r in range(joints.m):
         i = r + 3
         c.located[i], c.u[i], c.drift[i] = rows.error[r], rows.rate[r], rows.drift[r]
         for j in range(n):
-            c.G[i, j], c.X[i, j] = rows.G[r, j], rows.G[r, j]
+            c.G[i, j] = rows.G[r, j]
+    for i in range(3, 3 * k):
+        for j in range(n):
+            c.X[i, j] = c.G[i, j]
         forward_substitute(w.L, c.X[i])
         c.a[i] = c.drift[i]
         for j in range(n):
@@ -111,6 +115,18 @@ def locate_contacts(links: ContactLinks, c: Contacts, w: Work, constants: Consta
 
 
 @kernel
+def locate_stops(links: ContactLinks, c: Contacts, w: Work, constants: Constants) -> None:
+    """Write rows, gaps and rates of the stops: of a joint that is at none the nearer of its two."""
+    for i in range(links.k - links.stops, links.k):
+        at, j = 3 * i, int(c.joint[i])
+        low, high = w.q[j] - constants.lower_stop[j], constants.upper_stop[j] - w.q[j]
+        if c.mode[i] == FREE:
+            c.side[i] = 1.0 if low <= high else -1.0
+        c.located[at] = low if c.side[i] > 0.0 else high
+        c.u[at], c.G[at, j] = c.side[i] * w.v[j], c.side[i]
+
+
+@kernel
 def place_contacts(links: ContactLinks, c: Contacts, w: Work) -> None:
     """Write the axes of the contacts and where they are, base axes, at the state that was located last."""
     joints, rows = loops_at(links.rows)
@@ -126,6 +142,9 @@ def place_contacts(links: ContactLinks, c: Contacts, w: Work) -> None:
         turn_direction(tree, work, sides[2 * joints.m + r], rows.along_b[r], b)
         for j in range(3):
             c.axes[3 + r, j], c.point[1 + r // 3, j] = b[ALONG + j], a[POINT + j]
+    for i in range(links.k - links.stops, links.k):
+        for j in range(3):
+            c.point[i, j] = w.r[j]
 
 
 @kernel

@@ -13,7 +13,9 @@ from closedloop.contacts.names import names_of
 from closedloop.errors import ScenarioError
 from closedloop.friction.laws.coulomb import SurfaceCoulomb
 from closedloop.integrators import ADAPTIVE, INTEGRATORS
+from closedloop.contacts.surfaces import contact_surfaces, surface_of, surfaces_of
 from closedloop.jit.interpreted import interpreted
+from closedloop.jit.pointers import address_of
 from closedloop.loops.bind import link_poses
 from closedloop.loops.memory import POSITION, Bound, LoopMemory, make_loop_memory
 from closedloop.loops.rows import locate_rows
@@ -21,6 +23,7 @@ from closedloop.robot.pinocchio import Robot
 from closedloop.scenario.arm import stop_limits
 from closedloop.scenario.contact_sections import ContactSection
 from closedloop.scenario.scenario import Scenario
+from closedloop.surface.placed import PlacedSurface
 from closedloop.surface.plane import contact_frame, unit
 from robot_models.errors import shown
 from robot_models.loop_joint import WORLD
@@ -46,18 +49,27 @@ def contact_memory(scenario: Scenario, robot: Robot) -> ContactMemory:
     if drives := robot.model.drives:
         contacts.driven[:] = [name in drives for name in robot.model.joint_names]
     links.undecided, links.fresh = 1, 1
+    if surfaces := surfaces_of(sections, names_of(sections)):
+        asked = contact_surfaces(surfaces, points + len(stops))
+        links.surfaces = address_of(asked.addresses)
+        links.keep_alive(surfaces=asked)
     return memory
 
 
 def rows_of(sections: tuple[ContactSection, ...], robot: Robot) -> LoopMemory:
-    """Return the rows n, t1, t2 of each contact: where the point is, in axes fixed to the plane's link."""
+    """Return the rows of each contact: n, t1, t2 of a plane at rest; x, y, z of the frame that carries another surface.
+
+    They say where the point is, in axes fixed to the link that has the surface.
+    """
     poses = link_poses(robot.tree, robot.model.home)
     sides: list[tuple[int, int]] = []
     at_a, at_b, along = [], [], []
     for section, name in zip(sections, names_of(sections), strict=True):
         a, _, point = _placed(robot, poses, section.link, section.at, f"contact {name!r}: link")
-        b, axes, plane = _placed(robot, poses, section.against, section.through, f"contact {name!r}: against")
-        frame = contact_frame(unit(section.normal, f"contact {name!r}: normal"))
+        flat = surface_of(section, name) is None
+        origin = section.through if flat else (0.0, 0.0, 0.0)
+        b, axes, plane = _placed(robot, poses, section.against, origin, f"contact {name!r}: against")
+        frame = contact_frame(unit(section.normal, f"contact {name!r}: normal")) if flat else np.eye(3)
         for k in range(3):
             sides.append((a, b))
             at_a.append(point)
@@ -110,15 +122,33 @@ def check_contacts(scenario: Scenario, robot: Robot, q: Array) -> None:
     sides = rows.links.kept["bound"].sides.reshape(4, -1)[:, ::3]
     rows.rows.q[:] = q
     interpreted(locate_rows)(rows.links, rows.rows)
+    surfaces = surfaces_of(sections, names)
     for i, name in enumerate(names):
         if sides[1, i] == sides[2, i]:
             raise ScenarioError(f"contact {name!r}: no joint is between link and against: name frames that move apart")
-        if rows.rows.error[3 * i] < -HOVERING:
+        gap = rows.rows.error[3 * i]
+        if surface := surfaces.get(i + 1):
+            gap = gap_of(surface, rows.rows.error[3 * i : 3 * i + 3], name)
+        if gap < -HOVERING:
             raise ScenarioError(
-                f"contact {name!r}: the point starts {-rows.rows.error[3 * i]:.4g} m inside the plane: start it "
-                "outside, or move the plane with through"
+                f"contact {name!r}: the point starts {-gap:.4g} m inside the surface: start it outside, or move the "
+                "surface with through"
             )
     _refuse_together(scenario)
+
+
+def gap_of(surface: PlacedSurface, place: Array, name: str) -> float:
+    """Return the gap of a point at `place` (3,), m, axes of the frame that carries a surface.
+
+    Raises
+    ------
+    ScenarioError
+        If the surface has no normal there.
+    """
+    try:
+        return surface.touching(place).gap
+    except ScenarioError as error:
+        raise ScenarioError(f"contact {name!r}: {error}") from None
 
 
 def _refuse_together(scenario: Scenario) -> None:
@@ -128,8 +158,6 @@ def _refuse_together(scenario: Scenario) -> None:
     tip = scenario.friction.sticks == "elastic" if bilateral else kind in ("none", "coulomb")
     for key, wrong, right in (
         (f"time.integrator = {time.integrator!r}", time.integrator in ADAPTIVE, " or ".join(map(repr, INTEGRATORS))),
-        ("surface.kind", scenario.surface.kind != "plane", "a plane"),
-        ("surface_motion.kind", scenario.surface_motion.kind != "none", "none"),
         ("compliance.kind", scenario.compliance.kind != "none", "none"),
         (f"friction.kind = {kind!r}", not tip, "none or one without sticking" if bilateral else "none or coulomb"),
         ("joint_friction.kind", scenario.joint_friction.sticks == "rigid", "none, or one that sticks as a spring"),

@@ -62,7 +62,8 @@ def decide(links: ContactLinks, c: Contacts, slow: float) -> int:
             mode = mode_after(c, i, NO_ACCELERATION * size)
             c.happened[i] = 0.0 if links.fresh != 0 else happened_to(c, i, mode)
             if mode == STUCK and c.mode[i] != STUCK:
-                c.anchor[3 * i + 1], c.anchor[3 * i + 2] = c.located[3 * i + 1], c.located[3 * i + 2]
+                for j in range(3 * i, 3 * i + 3):
+                    c.anchor[j] = c.at[j]
             if mode == FREE and c.mode[i] != FREE:
                 c.risen[i], c.floor[i] = 0.0, min(c.located[3 * i], 0.0)
             if mode == FREE:  # it parts from where it is, be that inside by the error of a step

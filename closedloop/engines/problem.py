@@ -149,6 +149,9 @@ class Problem(ScenarioNumbers):
             loop.state.loops = address(closed_loops)
         if loop.state.contacts_at != 0:
             loop.state.contacts = address(contacts_in_step)
+            links = loop.w.kept["contacts"].links
+            if links.surfaces != 0:
+                links.kept["surfaces"].connect(address)
         if loop.state.surface_motion != 0:
             loop.w.kept["surface"].links.motion = loop.state.surface_motion
         if user_law is not None:

@@ -84,6 +84,10 @@ def log_contacts(w: Work, links: ContactLinks, c: Contacts, state: State, events
     """Write a row for each contact to which something happened; the first of them has the energy lost by all."""
     lost, first_stop = c.energy_lost, links.k - links.stops
     w.supplied -= lost
+    for i in range(3):  # a surface that moves does work on the arm
+        w.supplied += c.F[i] * w.carried[i]
+    for i in range(3, 3 * links.k):
+        w.supplied += c.F[i] * c.carried[i]
     for i in range(links.k):
         if c.happened[i] == 0.0:
             continue

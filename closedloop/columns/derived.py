@@ -65,7 +65,7 @@ def _of_contacts(run: Record, robot: Robot) -> Array:
     if not run.scenario.contact:
         return np.zeros(run.q.shape)
     model = robot.model.pinocchio_model()
-    return contact_torques(run.scenario, model, run.q, run.link_forces, run.link_frictions)
+    return contact_torques(run.scenario, model, run.time, run.q, run.link_forces, run.link_frictions)
 
 
 def wrist_wrench(run: Record) -> Array:

@@ -12,7 +12,6 @@ from closedloop.contacts.modes import HOVERING
 from closedloop.contacts.names import names_of
 from closedloop.errors import ScenarioError
 from closedloop.friction.laws.coulomb import SurfaceCoulomb
-from closedloop.integrators import ADAPTIVE, INTEGRATORS
 from closedloop.contacts.surfaces import contact_surfaces, surface_of, surfaces_of
 from closedloop.jit.interpreted import interpreted
 from closedloop.jit.pointers import address_of
@@ -153,11 +152,10 @@ def gap_of(surface: PlacedSurface, place: Array, name: str) -> float:
 
 def _refuse_together(scenario: Scenario) -> None:
     """Refuse what does not go with several contacts."""
-    time, bilateral = scenario.time, scenario.surface.contact == "bilateral"
+    bilateral = scenario.surface.contact == "bilateral"
     kind = scenario.friction.kind
     tip = scenario.friction.sticks == "elastic" if bilateral else kind in ("none", "coulomb")
     for key, wrong, right in (
-        (f"time.integrator = {time.integrator!r}", time.integrator in ADAPTIVE, " or ".join(map(repr, INTEGRATORS))),
         ("compliance.kind", scenario.compliance.kind != "none", "none"),
         (f"friction.kind = {kind!r}", not tip, "none or one without sticking" if bilateral else "none or coulomb"),
         ("joint_friction.kind", scenario.joint_friction.sticks == "rigid", "none, or one that sticks as a spring"),

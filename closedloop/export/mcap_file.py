@@ -119,7 +119,7 @@ def _between_links(run: Run) -> dict[str, NDArray[np.float64]]:
         origins = np.array([place.translation for place in data.oMi])
         for i, touching in enumerate(contacts):
             normal, friction = run.link_forces[k, i], run.link_frictions[k, 2 * i : 2 * i + 2]
-            found[touching.name][k] = touching.force(float(normal), friction, axes, origins)[1]
+            found[touching.name][k] = touching.force(float(normal), friction, axes, origins, float(run.time[k]))[1]
     return found
 
 

@@ -160,8 +160,8 @@ class Scene:
             return []
         there, run = self.joint_places(row), self.run
         frictions = run.link_frictions[row].reshape(-1, 2)
-        each = zip(self.touching, run.link_forces[row], frictions, strict=True)
-        return [Arrow(*c.force(normal, friction, *there), f"{TOUCH} {c.name}", TOUCH) for c, normal, friction in each]
+        each, t = zip(self.touching, run.link_forces[row], frictions, strict=True), float(run.time[row])
+        return [Arrow(*c.force(f, friction, *there, t), f"{TOUCH} {c.name}", TOUCH) for c, f, friction in each]
 
     @cached_property
     def touching(self) -> tuple[Touching, ...]:

@@ -67,7 +67,7 @@ def contacts_in_step(address: int, what: int) -> int:
         move(links, c, w)
     elif what == DECIDE:
         place_contacts(links, c, w)
-        status = decide(links, c, constants.stick_speed)
+        status = decide(links, c, (3.0 if state.steps < 0 else 1.0) * constants.stick_speed)
         move(links, c, w)
         if c.mode[0] == STUCK and c.happened[0] != 0.0:
             set_anchor(w, state)
@@ -227,7 +227,7 @@ def contact_forces(links: ContactLinks, c: Contacts, w: Work, state: State) -> i
         if c.kind[0] == LINE and c.rigid[0] < 0.0 and (c.along[0, 0] != 0.0 or c.along[0, 1] != 0.0):
             c.along[0, 0], c.along[0, 1] = -c.along[0, 0], -c.along[0, 1]  # what pulls rubs with |f|
             status = solve_modes(c, k)
-        c.margin = margin_of(c, k, STICK_SPEED)
+        c.margin = margin_of(c, k, STICK_SPEED, 2.0 * STICK_SPEED if state.steps < 0 else 0.0)
     w.contact_margin, w.contact_power, w.contact_power_rate = c.margin, 0.0, 0.0
     for i in range(3):
         w.F[i], w.b[i], w.stabiliser_force[i] = c.F[i], c.b[i], c.F[i] - c.rigid[i]
@@ -252,8 +252,12 @@ STICK_SPEED = 1e-7
 
 
 @kernel
-def margin_of(c: Contacts, k: int, slow: float) -> float:
-    """Return what is left until the mode of a contact ends: a gap, m, a force, N, or a speed of slip, m/s."""
+def margin_of(c: Contacts, k: int, slow: float, rest: float) -> float:
+    """Return what is left until the mode of a contact ends: a gap, m, a force, N, or a speed of slip, m/s.
+
+    Slip ends at the speed `rest`, m/s: 0 with steps of fixed length. An integrator that chooses its steps would need
+    endlessly many for the turns of the direction at the very end.
+    """
     least = math.inf
     for i in range(k):
         n = 3 * i
@@ -268,7 +272,7 @@ def margin_of(c: Contacts, k: int, slow: float) -> float:
             least = min(least, left + c.rounding)
         elif c.mu[i] > 0.0:
             along = c.u[n + 1] * c.direction[i, 0] + c.u[n + 2] * c.direction[i, 1]
-            least = min(least, along + (slow if c.start_slip[i] <= slow else 0.0))
+            least = min(least, along + (slow if c.start_slip[i] <= max(slow, rest) else -rest))
     return float(least)
 
 

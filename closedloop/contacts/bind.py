@@ -12,7 +12,7 @@ from closedloop.contacts.modes import HOVERING
 from closedloop.contacts.names import names_of
 from closedloop.errors import ScenarioError
 from closedloop.friction.laws.coulomb import SurfaceCoulomb
-from closedloop.contacts.surfaces import contact_surfaces, surface_of, surfaces_of
+from closedloop.contacts.surfaces import check_surface, contact_surfaces, surface_of, surfaces_of
 from closedloop.jit.interpreted import interpreted
 from closedloop.jit.pointers import address_of
 from closedloop.loops.bind import link_poses
@@ -22,7 +22,6 @@ from closedloop.robot.pinocchio import Robot
 from closedloop.scenario.arm import stop_limits
 from closedloop.scenario.contact_sections import ContactSection
 from closedloop.scenario.scenario import Scenario
-from closedloop.surface.placed import PlacedSurface
 from closedloop.surface.plane import contact_frame, unit
 from robot_models.errors import shown
 from robot_models.loop_joint import WORLD
@@ -127,27 +126,13 @@ def check_contacts(scenario: Scenario, robot: Robot, q: Array) -> None:
             raise ScenarioError(f"contact {name!r}: no joint is between link and against: name frames that move apart")
         gap = rows.rows.error[3 * i]
         if surface := surfaces.get(i + 1):
-            gap = gap_of(surface, rows.rows.error[3 * i : 3 * i + 3], name)
+            gap = check_surface(surface, rows.rows.error[3 * i : 3 * i + 3], name)
         if gap < -HOVERING:
             raise ScenarioError(
                 f"contact {name!r}: the point starts {-gap:.4g} m inside the surface: start it outside, or move the "
                 "surface with through"
             )
     _refuse_together(scenario)
-
-
-def gap_of(surface: PlacedSurface, place: Array, name: str) -> float:
-    """Return the gap of a point at `place` (3,), m, axes of the frame that carries a surface.
-
-    Raises
-    ------
-    ScenarioError
-        If the surface has no normal there.
-    """
-    try:
-        return surface.touching(place).gap
-    except ScenarioError as error:
-        raise ScenarioError(f"contact {name!r}: {error}") from None
 
 
 def _refuse_together(scenario: Scenario) -> None:

@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 
 from closedloop.closure.contact_force import FREE, PRESSED
 from closedloop.closure.solve import OK, PAINLEVE
-from closedloop.contacts.complementarity import largest_mobility, solve_contacts
+from closedloop.contacts.complementarity import STARTS, largest_mobility, solve_contacts
 from closedloop.contacts.continuation import force_size
 from closedloop.contacts.given_modes import stopping_impulses
 from closedloop.contacts.memory import CONE, LINE, OFF, RAY, ContactLinks, Contacts
@@ -28,8 +28,8 @@ Array = NDArray[np.float64]
 # Contacts that come together slower than this do not, m/s.
 RESTING = 1e-11
 # The factor of all e at which it is tried whether contacts can rebound at all; and how often a problem without solution
-# is tried in the search for the largest factor, for each takes long.
-LEAST_SHARE, MOST_MISSING = 1e-3, 12
+# is tried in the search for the largest factor, along one path each, for they take long.
+LEAST_SHARE, MOST_MISSING = 1e-3, 10
 # Restitution with impulses so many times those that are asked for is none: contacts are wedged, but for rounding.
 MOST_IMPULSE = 1e3
 # A rebound from a stop that is slower than this, rad/s (m/s), is none: the joint stays at its stop.
@@ -121,7 +121,7 @@ def lessened_restitution(links: ContactLinks, c: Contacts, rest_speed: float) ->
         return 0.0
     for _ in range(40):
         middle = 0.5 * (low + high)
-        found = solve_with(links, c, middle, rest_speed)
+        found = solve_with(links, c, middle, rest_speed, 1)
         if found and energy_gained(c, links.k) <= 0.0:
             low = middle
         else:
@@ -133,8 +133,10 @@ def lessened_restitution(links: ContactLinks, c: Contacts, rest_speed: float) ->
 
 
 @kernel
-def solve_with(links: ContactLinks, c: Contacts, share: float, rest_speed: float) -> bool:
-    """Solve for the impulses with restitution times `share`; `after` is then u⁺."""
+def solve_with(
+    links: ContactLinks, c: Contacts, share: float, rest_speed: float, starts: int = len(STARTS)
+) -> bool:
+    """Solve for the impulses with restitution times `share`; `after` is then u⁺. See `solve_contacts` for `starts`."""
     k = links.k
     for i in range(3 * k):
         c.q[i], c.F[i] = c.before[i], 0.0  # always from the same start: the solution need not be the only one
@@ -142,7 +144,7 @@ def solve_with(links: ContactLinks, c: Contacts, share: float, rest_speed: float
         bounce = -share * c.restitution[i] * c.before[3 * i]
         if c.struck[i] != 0.0 and links.tired == 0 and bounce >= slowest_rebound(links, i, rest_speed):
             c.q[3 * i] -= bounce
-    if not solve_contacts(c, k):
+    if not solve_contacts(c, k, starts):
         return False
     asked = force_size(c.q, 3 * k) / largest_mobility(c, k)
     if share > 0.0 and force_size(c.F, 3 * k) > MOST_IMPULSE * asked:

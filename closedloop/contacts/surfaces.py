@@ -21,6 +21,7 @@ from closedloop.surface.placed import PlacedSurface
 from closedloop.surface.plane import contact_frame, unit
 from closedloop.surface.surface import SURFACES, Surface
 
+Array = NDArray[np.float64]
 IntArray = NDArray[np.int64]
 
 
@@ -81,3 +82,17 @@ def contact_surfaces(surfaces: dict[int, PlacedSurface], k: int) -> ContactSurfa
     return ContactSurfaces(
         np.zeros(2 * k, dtype=np.int64), {i: (surface, surface.memory()) for i, surface in surfaces.items()}
     )
+
+
+def check_surface(surface: PlacedSurface, place: Array, name: str) -> float:
+    """Return the gap at the start of a point at `place` (3,), m, axes of the frame that carries a surface.
+
+    Raises
+    ------
+    ScenarioError
+        If the surface's parameters do not go together, or it has no normal there; `name` is the contact's.
+    """
+    try:
+        return surface.touching(place).gap
+    except ScenarioError as error:
+        raise ScenarioError(*(f"contact {name!r}: {line}" for line in str(error).splitlines())) from None

@@ -26,8 +26,8 @@ from closedloop.surface.plane import unit
 
 Array = NDArray[np.float64]
 
-# A joint nearer to its limit than this, rad (m), may be at its stop; among several contacts a stop is a contact like the
-# others, and kept closed by the stabiliser.
+# A joint nearer to its limit than this, rad (m), may be at its stop; among several contacts a stop is a contact too and
+# kept closed by the stabiliser.
 AT_STOP, AT_CONTACT = 1e-9, 1e-7
 # Labels of the parts of a wrench.
 WRENCH = ("fx", "fy", "fz", "mx", "my", "mz")

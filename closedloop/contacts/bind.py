@@ -10,9 +10,9 @@ from numpy.typing import NDArray
 from closedloop.contacts.memory import ContactMemory, make_contact_memory
 from closedloop.contacts.modes import HOVERING
 from closedloop.contacts.names import names_of
+from closedloop.contacts.surfaces import check_surface, contact_surfaces, surface_of, surfaces_of
 from closedloop.errors import ScenarioError
 from closedloop.friction.laws.coulomb import SurfaceCoulomb
-from closedloop.contacts.surfaces import check_surface, contact_surfaces, surface_of, surfaces_of
 from closedloop.jit.interpreted import interpreted
 from closedloop.jit.pointers import address_of
 from closedloop.loops.bind import link_poses

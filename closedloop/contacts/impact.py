@@ -133,9 +133,7 @@ def lessened_restitution(links: ContactLinks, c: Contacts, rest_speed: float) ->
 
 
 @kernel
-def solve_with(
-    links: ContactLinks, c: Contacts, share: float, rest_speed: float, starts: int = len(STARTS)
-) -> bool:
+def solve_with(links: ContactLinks, c: Contacts, share: float, rest_speed: float, starts: int = len(STARTS)) -> bool:
     """Solve for the impulses with restitution times `share`; `after` is then u⁺. See `solve_contacts` for `starts`."""
     k = links.k
     for i in range(3 * k):

@@ -141,7 +141,7 @@ class ContactMemory(NamedTuple):
 
 
 def make_contact_memory(n: int, k: int, rows: LoopMemory | None = None, stops: int = 0) -> ContactMemory:
-    """Return the memory of k contacts of a tree of n joints, the last of them `stops`; `rows`: of all but these and 0."""
+    """Return the memory of k contacts of a tree of n joints, the last of them `stops`; `rows` of the others but 0."""
     links = ContactLinks(np.zeros(CONTACT_LINKS, dtype=np.int64))
     contacts = Contacts(np.zeros(Contacts.count(n, k)), n, k)
     links.address, links.numbers, links.total = (

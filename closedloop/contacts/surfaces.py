@@ -26,7 +26,7 @@ IntArray = NDArray[np.int64]
 
 
 class ContactSurfaces(NamedTuple):
-    """The surfaces of k contacts as the loop reads them: addresses of entry and memory of each, and what they are of."""
+    """The surfaces of k contacts as the loop reads them: addresses of entry and memory, and what they are of."""
 
     addresses: IntArray  # (2 k,), zero of a plane at rest
     placed: dict[int, tuple[PlacedSurface, SurfaceMemory]]  # by the number of the contact
@@ -62,7 +62,7 @@ def surface_of(section: ContactSection, name: str = "") -> PlacedSurface | None:
     for key in said & surface.model_fields_set:
         if getattr(surface, key) != type(surface).model_fields[key].default:
             raise ScenarioError(
-                f"{where}: surface.{key}: must be left out: normal and through say where the surface is, and it has no edge"
+                f"{where}: surface.{key}: must be left out: normal and through say where it is, and it has no edge"
             )
     frame = contact_frame(unit(section.normal, f"{where}: normal"))
     placed = PlacedSurface(surface, motion, frame, np.array(section.through), False)
@@ -71,9 +71,7 @@ def surface_of(section: ContactSection, name: str = "") -> PlacedSurface | None:
 
 def surfaces_of(sections: tuple[ContactSection, ...], names: tuple[str, ...]) -> dict[int, PlacedSurface]:
     """Return the surfaces that are no planes at rest, by the number of their contact, the tip's being 0."""
-    found = {
-        i: surface_of(section, name) for i, (section, name) in enumerate(zip(sections, names, strict=True), 1)
-    }
+    found = {i: surface_of(section, name) for i, (section, name) in enumerate(zip(sections, names, strict=True), 1)}
     return {i: surface for i, surface in found.items() if surface is not None}
 
 

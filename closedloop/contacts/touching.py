@@ -31,9 +31,7 @@ class Touching(NamedTuple):
     origin: Array
     surface: PlacedSurface | None
 
-    def force(
-        self, normal: float, friction: Array, axes: Array, origins: Array, t: float = 0.0
-    ) -> tuple[Array, Array]:
+    def force(self, normal: float, friction: Array, axes: Array, origins: Array, t: float = 0.0) -> tuple[Array, Array]:
         """Return where the point is (3,), m, and the force (3,), N, on the link that has it, base frame.
 
         Parameters

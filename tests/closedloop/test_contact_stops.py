@@ -1,4 +1,4 @@
-"""Stops of joints among several contacts, and stops with dop853: closed forms, the stops alone, and other integrators."""
+"""Stops of joints among several contacts, and with dop853: closed forms, the stops alone, other integrators."""
 
 import dataclasses
 
@@ -22,7 +22,7 @@ FREE = 50.0
 
 @pytest.mark.parametrize("restitution", [0.0, 0.5])
 def test_block_slides_into_a_stop(restitution):
-    """v² = v₀² − 2 μ g s at the stop, where v is reversed by e and (1 − e²) of its energy is lost; then friction again."""
+    """v² = v₀² − 2 μ g s at the stop, where v is reversed by e and 1 − e² of its energy is lost; then friction."""
     model, way = limited([-FREE, -FREE, -FREE], [0.05, FREE, FREE]), 0.05
     changes = {"robot.stops": True, "robot.stop_restitution": restitution}
     run = moved([0, HEIGHT / 2, 0], [1.0, 0, 0], corners(0.3), 0.1, model=model, **changes)
@@ -51,7 +51,10 @@ def test_weight_is_shared_by_a_foot_and_a_stop():
 
 def test_stops_that_are_contacts_are_those_that_are_rows_of_their_own():
     """With a contact that is never closed the run is that of the stops alone: Moreau's impact is Newton's there."""
-    model, changes = limited([-0.02, -0.05, -0.1], [0.03, 0.02, 0.2]), {"robot.stops": True, "robot.stop_restitution": 0.6}
+    model, changes = (
+        limited([-0.02, -0.05, -0.1], [0.03, 0.02, 0.2]),
+        {"robot.stops": True, "robot.stop_restitution": 0.6},
+    )
     several, alone = (moved([0, 0, 0], [0.5, 0.1, 0.7], of, 0.4, 5e-3, model=model, **changes) for of in (FAR, None))
     assert len(several.events) == len(alone.events) > 5
     np.testing.assert_allclose(several.q, alone.q, atol=1e-9)

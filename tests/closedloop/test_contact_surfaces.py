@@ -1,4 +1,4 @@
-"""Contacts of links with surfaces that are curved, or move: against the tip's own, closed forms, and what is conserved."""
+"""Contacts of links with surfaces that are curved or move: the tip's own, closed forms, and what is conserved."""
 
 import numpy as np
 import pytest
@@ -108,7 +108,10 @@ def test_body_strikes_and_slides_in_a_bowl_that_another_carries(friction):
         ({"friction": -1.0}, r"contact\[0\]\.friction = -1\.0: must not be negative"),
         ({"surface": {"kind": "sphere", "gap": 1.0}}, r"contact 'c': surface\.gap: must be left out"),
         ({"surface": {"kind": "cylinder", "axis": [0, 0, 1]}}, r"contact 'c': surface\.axis .* right angles"),
-        ({"surface": {"kind": "sphere", "radius": 50.0}, "through": [0, 0, 5.0]}, r"contact 'c': the point starts .* inside the surface"),
+        (
+            {"surface": {"kind": "sphere", "radius": 50.0}, "through": [0, 0, 5.0]},
+            r"contact 'c': the point starts .* inside the surface",
+        ),
         ({"motion": {"kind": "conveyor"}}, r"'contact\.0\.motion\.velocity' is missing"),
     ],
 )

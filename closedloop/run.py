@@ -30,12 +30,12 @@ from closedloop.errors import (
     SimulationError,
     lines_of,
 )
-from closedloop.figures.second_process import Beside
 from closedloop.interrupts import Terminated, word_for
 from closedloop.scenario.load import load_scenario, parse_scenario
 from closedloop.scenario.members import member_digests
 from closedloop.scenario.overrides import split_overrides
 from closedloop.scenario.scenario import Scenario
+from closedloop.second_process import Beside
 
 if TYPE_CHECKING:
     from closedloop.command.results import Results

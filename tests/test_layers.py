@@ -11,7 +11,7 @@ from closedloop.record.run import DRAWN_BY
 
 ROOT = Path(__file__).resolve().parent.parent
 LAYERS = (
-    "interrupts", "jit", "errors", "files", "progress", "sections", "parameters", "families",
+    "interrupts", "jit", "errors", "files", "progress", "second_process", "sections", "parameters", "families",
     "user_code", "integrators", "robot", "surface", "closure", "loops", "friction", "impact", "control", "reference",
     "scenario", "contacts", "step", "events", "columns", "report", "record", "engines", "figures", "simulation",
     "batch", "command", "sweep", "lab", "export", "study", "run", "__main__", "__init__",

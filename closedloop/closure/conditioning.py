@@ -71,8 +71,8 @@ def condition_numbers_of_batch(batch: Array, n: int, lanes: int) -> None:
     """Overwrite the last row of `batch` with the condition numbers of its first `lanes` lanes."""
     P = batch
     diagonal, a, x = n * n, n * n + n, n * n + 2 * n
-    share = x + n
-    inverse = share + 1
+    inverse_mobility = x + n
+    inverse = inverse_mobility + 1
     y, column, size = inverse + n * n, inverse + n * n + n, inverse + n * n + 2 * n
     norm, inverse_norm, total = size + n, size + n + 1, size + n + 3
     for j in range(n):
@@ -83,15 +83,17 @@ def condition_numbers_of_batch(batch: Array, n: int, lanes: int) -> None:
                 take_product(P[i * n + k], P[inverse + k * n + j], lanes, P[total])
             multiply(P[total], P[diagonal + i], lanes, P[inverse + i * n + j])
     clear(P[norm], lanes)
-    copy(P[share], lanes, P[inverse_norm])
+    copy(P[inverse_mobility], lanes, P[inverse_norm])
     for j in range(n):
         clear(P[y + j], lanes)
         for k in range(j, n):
             take_product(P[inverse + k * n + j], P[x + k], lanes, P[y + j])  # −(H⁻¹Aᵀ)ⱼ; only its magnitude is used
-        begin_columns(P[y + j], P[share], P[a + j], lanes, P[column + j], P[inverse_norm], P[size + j], P[norm])
+        begin_columns(
+            P[y + j], P[inverse_mobility], P[a + j], lanes, P[column + j], P[inverse_norm], P[size + j], P[norm]
+        )
     for j in range(n):
         for i in range(j, n):
-            product_of_three(P[y + i], P[y + j], P[share], lanes, P[total])
+            product_of_three(P[y + i], P[y + j], P[inverse_mobility], lanes, P[total])
             for k in range(i, n):
                 take_product(P[inverse + k * n + i], P[inverse + k * n + j], lanes, P[total])
             if i == j:
@@ -118,7 +120,7 @@ def condition_number(H: Array, A: Array, L: Array, X: Array, mobility: float, pr
     R = work[0 : n * n].reshape(n, n)  # L⁻¹, lower
     x, column = work[n * n : n * n + n], work[n * n + n : n * n + 2 * n]
     size, row = work[n * n + 2 * n : n * n + 3 * n], work[n * n + 3 * n : n * n + 4 * n]
-    share = 1.0 / mobility if pressed else 0.0
+    inverse_mobility = 1.0 / mobility if pressed else 0.0
     for i in range(n):
         for j in range(n):
             R[i, j] = 0.0  # above the diagonal too, so that rows may be taken four at a time
@@ -134,16 +136,16 @@ def condition_number(H: Array, A: Array, L: Array, X: Array, mobility: float, pr
     if pressed:
         for k in range(n):
             add_multiple(X[k], R[k], x[: k + 1])
-    last, last_inverse = 0.0, share
+    last, last_inverse = 0.0, inverse_mobility
     for j in range(n):
         size[j] = abs(A[j]) if pressed else 0.0
-        column[j] = abs(x[j]) * share
+        column[j] = abs(x[j]) * inverse_mobility
         last += size[j]
         last_inverse += column[j]
     for i in range(n):
         for j in range(i + 1):
             row[j] = 0.0
-        add_multiple(-share * x[i], x, row[: i + 1])
+        add_multiple(-inverse_mobility * x[i], x, row[: i + 1])
         fours = i + (n - i) // 4 * 4
         for k in range(i, fours, 4):
             add_four((R[k, i], R[k + 1, i], R[k + 2, i], R[k + 3, i]), R, k, row[: i + 1])
@@ -224,11 +226,18 @@ def product_of_three(x: Array, y: Array, z: Array, lanes: int, to: Array) -> Non
 @kernel_inlined
 @lanewise
 def begin_columns(
-    y: Array, share: Array, a: Array, lanes: int, column: Array, inverse_norm: Array, size: Array, norm: Array
+    y: Array,
+    inverse_mobility: Array,
+    a: Array,
+    lanes: int,
+    column: Array,
+    inverse_norm: Array,
+    size: Array,
+    norm: Array,
 ) -> None:
     """Begin the sums of the columns of K⁻¹ and K with their last entries, and add those to the last columns' sums."""
     for r in range(lanes):
-        entry = abs(y[r] * share[r])
+        entry = abs(y[r] * inverse_mobility[r])
         column[r] = entry
         inverse_norm[r] += entry
         size[r] = abs(a[r])

@@ -168,7 +168,7 @@ def pressed_force(S: Array, a: Array, b_stabiliser: float, c: Array, w: Array, F
     status : int
         OK, SINGULAR (the tip cannot move along the normal) or PAINLEVE (with friction a larger f accelerates the tip
         into the surface: no force, or more than one, solves Eq. 24).
-    share : float
+    stabiliser_force : float
         The part of f due to the stabiliser, N.
     """
     if not every(S[0, 0] > SINGULAR_MOBILITY * (S[0, 0] + S[1, 1] + S[2, 2])):
@@ -177,22 +177,22 @@ def pressed_force(S: Array, a: Array, b_stabiliser: float, c: Array, w: Array, F
     if not every(mobility > SINGULAR_MOBILITY * (S[0, 0] + S[1, 1] + S[2, 2])):
         return PAINLEVE, 0.0
     rigid = (-a[0] + S[0, 1] * w[0] + S[0, 2] * w[1]) / mobility
-    share = b_stabiliser / mobility
-    F[0] = rigid + share
+    stabiliser_force = b_stabiliser / mobility
+    F[0] = rigid + stabiliser_force
     F[1] = -c[0] * F[0] - w[0]
     F[2] = -c[1] * F[0] - w[1]
-    return OK, share
+    return OK, stabiliser_force
 
 
 @kernel
-def stuck_force(S: Array, a: Array, b_stabiliser: Array, F: Array, share: Array) -> int:
+def stuck_force(S: Array, a: Array, b_stabiliser: Array, F: Array, stabiliser_force: Array) -> int:
     """Write the force that holds the tip where it is, S F = −a + b, and the stabiliser's share of it.
 
     Parameters
     ----------
     S, a, b_stabiliser : (3, 3), (3,), (3,) arrays
         Mobility, 1/kg; free acceleration and the stabiliser's, m/s².
-    F, share : (3,) arrays
+    F, stabiliser_force : (3,) arrays
         Written, N; zero along tangents in which the tip cannot move.
 
     Returns
@@ -228,7 +228,7 @@ def stuck_force(S: Array, a: Array, b_stabiliser: Array, F: Array, share: Array)
         if side == 0:
             F[0], F[1], F[2] = f0, f1, f2
         else:
-            share[0], share[1], share[2] = f0, f1, f2
+            stabiliser_force[0], stabiliser_force[1], stabiliser_force[2] = f0, f1, f2
     return OK
 
 

@@ -15,12 +15,12 @@ from closedloop.figures.impacts import has_impacts, impacts
 from closedloop.figures.joints import joints
 from closedloop.figures.link_contacts import link_contacts
 from closedloop.figures.overview import force_control
-from closedloop.figures.second_process import Beside
 from closedloop.figures.style import STYLE
 from closedloop.figures.tip import tip_position
 from closedloop.figures.tool import has_tool, tool
 from closedloop.files import write_whole
 from closedloop.record.run import Run
+from closedloop.second_process import Beside
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure

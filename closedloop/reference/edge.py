@@ -41,8 +41,7 @@ def refuse_beyond_edge(surface: PlacedSurface, tip: TipPath) -> None:
     """
     if not surface.ends or not tip.length > 0.0:
         return
-    ends = [instant for segment in tip.segments for instant in (segment.start, segment.stop)]
-    times = np.unique([*ends, *np.linspace(min(ends), max(ends), PATH_CHECKS)])
+    times = tip.instants(PATH_CHECKS)
     inside = edge_distances(surface, times, tip.sample(times)[0])
     beyond = np.flatnonzero(inside < -ON_EDGE)
     if beyond.size:

@@ -38,8 +38,7 @@ def refuse_without_normal(surface: PlacedSurface, tip: TipPath) -> None:
     """
     if surface.fixed_plane or not tip.segments:
         return
-    ends = [instant for segment in tip.segments for instant in (segment.start, segment.stop)]
-    times = np.unique([*ends, *np.linspace(min(ends), max(ends), PATH_CHECKS)])
+    times = tip.instants(PATH_CHECKS)
     found = _below(surface, tip, times)[0]
     sizes = np.linalg.norm(found, axis=1)
     largest = float(np.max(sizes))

@@ -79,6 +79,11 @@ class TipPath:
         """Arc length, m."""
         return sum(segment.length for segment in self.segments)
 
+    def instants(self, count: int) -> Array:
+        """Return instants, s, in order: the ends of its segments and `count` from the first of them to the last."""
+        ends = [instant for segment in self.segments for instant in (segment.start, segment.stop)]
+        return np.unique([*ends, *np.linspace(min(ends), max(ends), count)])
+
     def sample(self, t: Array) -> tuple[Array, Array, Array]:
         """Return r, m, ṙ, m/s, and r̈, m/s², each (N, 3), base frame, at times t (N,), s.
 

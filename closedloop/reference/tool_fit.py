@@ -56,8 +56,7 @@ def refuse_tool_too_large(surface: PlacedSurface, tip: TipPath, radius: float) -
     """
     if radius == 0.0 or surface.fixed_plane:
         return
-    ends = [instant for segment in tip.segments for instant in (segment.start, segment.stop)]
-    times = np.unique(np.linspace(min(ends), max(ends), PATH_CHECKS)) if ends else np.zeros(1)
+    times = tip.instants(PATH_CHECKS) if tip.segments else np.zeros(1)
     r = tip.sample(times)[0]
     hollow = hollow_radii(surface, times, r)
     k = int(np.argmin(hollow))

@@ -8,7 +8,8 @@ import numpy as np
 import pytest
 from tree_cases import FIELDS, Own, random_model
 
-from closedloop.robot.tree import tree_terms
+from closedloop.robot.tree import energies_of_rows, potential_energies, tree_terms
+from closedloop.robot.tree.energy import ROWS_AT_ONCE
 
 
 @pytest.mark.slow
@@ -42,6 +43,17 @@ def test_kinematics_alone_are_those_of_the_terms():
         assert np.array_equal(J, terms.jacobian)
         assert np.array_equal(r, terms.position)
         assert np.array_equal(drift, terms.drift)
+
+
+def test_energies_of_many_rows_are_the_same_interpreted_and_compiled():
+    """A process changes from one to the other after its first runs; its columns must not say which it was."""
+    for seed in range(3):
+        model, tip, rng = random_model(seed)
+        own, q = Own(model, tip), rng.uniform(-3.0, 3.0, (ROWS_AT_ONCE + 3, model.n))
+        compiled = np.empty(q.shape[0])
+        potential_energies(own.tree, q, own.work, compiled)
+        assert np.array_equal(energies_of_rows(own.tree, q), compiled)
+        assert np.ptp(compiled) > 0.0
 
 
 SAMPLE = """

@@ -48,14 +48,10 @@ def yielding(stiffness: float, level: float, speed: float) -> float:
     return stiffness * speed / level
 
 
-class SurfaceDahl(SurfaceFriction):
-    """[friction] kind = "dahl": an elastic bristle that yields at the Coulomb level."""
+class _Bristle:
+    """What the tip and a joint have in common."""
 
-    coefficient: PositiveCoefficient = Field(description="coefficient of friction μ, 1")
-    stiffness: Stiffness = Field(description="bristle stiffness σ_0 per newton of normal force, 1/m")
-    viscous: Viscous = Field(0.0, description="viscous coefficient b, N s/m, whatever the normal force")
-
-    slip_states: ClassVar = ("deflection",)  # z, m (rad)
+    slip_states: ClassVar[tuple[str, ...]] = ("deflection",)  # z, m (rad)
 
     @staticmethod
     def slide(x: Slip, par: Any, z: Any, c: Array, w: Array) -> None:
@@ -63,6 +59,19 @@ class SurfaceDahl(SurfaceFriction):
         for k in range(c.shape[0]):
             c[k] = par.stiffness * z.deflection[k]
         viscous_part(x, par.viscous, w)
+
+    @staticmethod
+    def stored_energy(par: Any, z: Any, stuck: bool) -> float:
+        """Return ½ σ_0 |z|²."""
+        return stored(par.stiffness, z.deflection)
+
+
+class SurfaceDahl(_Bristle, SurfaceFriction):
+    """[friction] kind = "dahl": an elastic bristle that yields at the Coulomb level."""
+
+    coefficient: PositiveCoefficient = Field(description="coefficient of friction μ, 1")
+    stiffness: Stiffness = Field(description="bristle stiffness σ_0 per newton of normal force, 1/m")
+    viscous: Viscous = Field(0.0, description="viscous coefficient b, N s/m, whatever the normal force")
 
     @staticmethod
     def rates(x: Slip, par: Any, z: Any, stuck: bool, dz: Any) -> None:
@@ -84,27 +93,13 @@ class SurfaceDahl(SurfaceFriction):
         """Return μ."""
         return par.coefficient  # type: ignore[no-any-return]
 
-    @staticmethod
-    def stored_energy(par: Any, z: Any, stuck: bool) -> float:
-        """Return ½ σ_0 |z|²."""
-        return stored(par.stiffness, z.deflection)
 
-
-class JointDahl(JointFriction):
+class JointDahl(_Bristle, JointFriction):
     """[joint_friction] kind = "dahl": an elastic bristle that yields at the Coulomb level."""
 
     kinetic: PositiveTorque = Field(description="kinetic (Coulomb) torque, N m, one per joint or one for all")
     stiffness: JointStiffness = Field(description="bristle stiffness σ_0, N m/rad")
     viscous: JointViscous = Field(0.0, description="viscous coefficient, N m s/rad")
-
-    slip_states: ClassVar = ("deflection",)  # z, m (rad)
-
-    @staticmethod
-    def slide(x: Slip, par: Any, z: Any, c: Array, w: Array) -> None:
-        """Write c = σ_0 z and w = b u."""
-        for k in range(c.shape[0]):
-            c[k] = par.stiffness * z.deflection[k]
-        viscous_part(x, par.viscous, w)
 
     @staticmethod
     def rates(x: Slip, par: Any, z: Any, stuck: bool, dz: Any) -> None:
@@ -125,8 +120,3 @@ class JointDahl(JointFriction):
     def kinetic_level(par: Any) -> float:
         """Return μ."""
         return par.kinetic  # type: ignore[no-any-return]
-
-    @staticmethod
-    def stored_energy(par: Any, z: Any, stuck: bool) -> float:
-        """Return ½ σ_0 |z|²."""
-        return stored(par.stiffness, z.deflection)

@@ -77,6 +77,7 @@ def _do(work: Callable[[], Any], send: Any) -> None:
     nowhere = os.open(os.devnull, os.O_WRONLY)
     for stream in (1, 2):
         os.dup2(nowhere, stream)
+    sys.stdout = sys.stderr = open(nowhere, "w")  # noqa: SIM115  (a notebook has streams of its own)
     try:
         answer = True, work()
     except BaseException:

@@ -110,7 +110,7 @@ class Scene:
 
     def _where(self, event: Event) -> Array:
         """Return where an event is (3,), m: at the tip, or at the contact of links that it was of."""
-        if event.contact == 0:
+        if not 0 < event.contact <= len(self.touching):  # at the tip, or a stop
             return event.position
         row = min(int(np.searchsorted(self.run.time, event.time)), len(self.run) - 1)
         place, _ = self.touching[event.contact - 1].force(0.0, np.zeros(2), *self.joint_places(row))
@@ -169,10 +169,10 @@ class Scene:
         """
         if not self.touching:
             return []
-        frictions = self.run.link_frictions[row].reshape(-1, 2)
+        frictions, t = self.run.link_frictions[row].reshape(-1, 2), float(self.run.time[row])
         each = zip(self.touching, self.run.link_forces[row], frictions, strict=True)
         return [
-            Arrow(*c.force(float(normal), friction, axes, origins), f"{TOUCH} {c.name}", TOUCH)
+            Arrow(*c.force(float(normal), friction, axes, origins, t), f"{TOUCH} {c.name}", TOUCH)
             for c, normal, friction in each
         ]
 

@@ -11,7 +11,6 @@ from pydantic_core import ErrorDetails
 
 from closedloop.errors import one_line
 from closedloop.families import NOT_NAMED, Family, how_to_name
-from closedloop.scenario.contact_sections import ContactSection
 from closedloop.scenario.scenario import Scenario
 from closedloop.sections import Section, SizeError
 from robot_models.errors import shown as shown_value
@@ -57,6 +56,27 @@ def variant_keys(section: str, kind: Any) -> set[str]:
     """Return the keys that a section of this kind may have."""
     variant = variants(section).get(kind)
     return set(variant.model_fields) if variant else set()
+
+
+def _listed(section: str) -> type[Section] | None:
+    """Return the type of the tables of a section that is a list of them, as [[contact]] is, None of any other."""
+    field = Scenario.model_fields.get(section)
+    for part in get_args(field.annotation) if field is not None else ():
+        for each in get_args(part):
+            if isinstance(each, type) and issubclass(each, Section):
+                return each
+    return None
+
+
+def _families_in(table: type[Section]) -> dict[str, Family[Any]]:
+    """Return the keys of a table that are sections of a family, and the family."""
+    return {
+        name: each
+        for name, field in table.model_fields.items()
+        for part in get_args(field.annotation)
+        for each in getattr(part, "__metadata__", ())
+        if isinstance(each, Family)
+    }
 
 
 # What is right, for the kinds of fault whose text does not depend on the key.
@@ -127,7 +147,10 @@ def _explain(problem: ErrorDetails, data: dict[str, Any]) -> tuple[str, str]:
         cure = 'must be a finite number of metres, or "start"'
     elif kind in ("union_tag_invalid", "union_tag_not_found"):
         shown = shown_value(problem["ctx"].get("tag")) if kind == "union_tag_invalid" else "missing"
-        name, cure = f"{name}.kind", f"must be {' or '.join(map(repr, _shipped_kinds(section)))}"
+        kinds = _shipped_kinds(section)
+        if table := _listed(section):
+            kinds = [kind for key, family in _families_in(table).items() if key in path for kind in family.names()]
+        name, cure = f"{name}.kind", f"must be {' or '.join(map(repr, kinds))}"
     elif kind == NOT_NAMED:
         user = problem["ctx"]["name"]
         name = f"{name}.kind" if isinstance(value, dict) else name
@@ -155,9 +178,20 @@ def _brief(key: str) -> str:
 
 
 def _all_keys(section: str) -> set[str]:
-    if section == TABLES:
-        return set(ContactSection.model_fields)
+    if table := _listed(section):
+        members = [member for family in _families_in(table).values() for member in family.values()]
+        return {key for each in (table, *members) for key in each.model_fields}
     return {key for kind in variants(section) for key in variant_keys(section, kind)}
+
+
+def _known_in_list(table: type[Section], path: list[str], data: dict[str, Any]) -> tuple[list[str], str]:
+    """Return the keys of a table of a list in place of an unknown one, or of a section in it, and whose they are."""
+    family = _families_in(table).get(path[2]) if len(path) > 3 else None
+    if family is None:
+        return sorted(table.model_fields), f"[[{path[0]}]] knows"
+    given = data[path[0]][int(path[1])][path[2]]
+    kind = given.get("kind", family.usual or "")
+    return sorted(family[kind].model_fields), f"{path[2]} of kind {kind!r} knows"
 
 
 def _known_keys(section: str, path: list[str], data: dict[str, Any]) -> str:
@@ -165,8 +199,8 @@ def _known_keys(section: str, path: list[str], data: dict[str, Any]) -> str:
     if len(path) == 1:
         known = list(Scenario.model_fields)
         place = "sections are"
-    elif section == TABLES:
-        known, place = list(ContactSection.model_fields), f"[[{section}]] knows"
+    elif table := _listed(section):
+        known, place = _known_in_list(table, path, data)
     else:
         kinds = variants(section)
         given = data[section] if isinstance(data[section], dict) else {}

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 import signal
 import threading
 from collections.abc import Iterator
@@ -77,3 +78,60 @@ def held_back(*numbers: signal.Signals) -> Iterator[None]:
                 signal.signal(which, handler)
     if waiting:
         usual[waiting[0][0]](*waiting[0])
+
+
+# How long after a signal that could not be answered it is sent again, s.
+AGAIN = 0.25
+
+
+@contextmanager
+def answered_where_it_can_be() -> Iterator[None]:
+    """Let Ctrl-C and SIGTERM wait while a compiler's library calls back, or an object is taken away.
+
+    What a handler raises there Python prints and forgets, and the program goes on. The signal is sent again until it is
+    answered, at the end of the block at the latest.
+    """
+    if threading.current_thread() is not threading.main_thread():
+        yield
+        return
+    usual: dict[int, Any] = {}
+    waiting: dict[int, tuple[FrameType | None, threading.Timer]] = {}
+
+    def answer(number: int, frame: FrameType | None) -> None:
+        again = threading.Timer(AGAIN, os.kill, (os.getpid(), number))
+        again.daemon = True
+        waiting[number] = frame, again
+        again.start()
+        if not _cannot_raise(frame):
+            usual[number](number, frame)
+
+    for number in _SIGNALS:
+        before = signal.getsignal(number)
+        if callable(before):
+            usual[number] = before
+            signal.signal(number, answer)
+    try:
+        yield
+    except KeyboardInterrupt:
+        for _, again in waiting.values():
+            again.cancel()
+        waiting.clear()
+        raise
+    finally:
+        for which, handler in usual.items():
+            with suppress(ValueError, TypeError):
+                signal.signal(which, handler)
+        for _, again in waiting.values():
+            again.cancel()
+    for which, (frame, _) in waiting.items():
+        usual[which](which, frame)
+
+
+def _cannot_raise(frame: FrameType | None) -> bool:
+    """Whether what is raised in a frame goes to nobody: it was called by a library of C, or by the collector."""
+    while frame is not None:
+        module = str(frame.f_globals.get("__name__", "")).partition(".")[0]
+        if module in ("llvmlite", "weakref") or frame.f_code.co_name == "__del__":
+            return True
+        frame = frame.f_back
+    return False

@@ -150,8 +150,9 @@ def loop_joint(table: Mapping[str, Any], where: str) -> LoopJoint:
     given["type"] = kind
     axes = "axis" if "axis" in given else "axes"  # the key that was given
     if axes == "axis":
-        given.setdefault("axes", [given["axis"], given["axis"]])
-        del given["axis"]
+        if "axes" in given:
+            raise ModelError(f"{where}: axis and axes are both given: one is enough (axis: the same in both frames)")
+        given["axes"] = 2 * [given.pop("axis")]
     allowed = {"name", "type"} | ({"joints", "polynomial"} if kind == "gear" else {"frames", "points", "turn"})
     allowed |= {"axes"} if kind in WITH_AXIS or "coordinates" in given else set()
     allowed |= set(ACTING) if kind in FREE else {"coordinates"} if kind == "weld" else set()

@@ -74,6 +74,29 @@ TESTS: dict[str, tuple[str, ...]] = {
         f"{IN}test_surfaces.py::test_rates_are_the_derivatives",
         f"{IN}test_surfaces.py::test_rows_solve_the_constraint",
     ),
+    "closedloop.loops.passing": (
+        f"{IN}test_loops.py::test_a_flat_mechanism_passes_at_speed[parallelogram-5.0]",
+        f"{IN}test_loops.py::test_a_flat_mechanism_passes_at_speed[change_point-5.03]",
+    ),
+    "closedloop.loops.close": (
+        f"{IN}test_loops.py::test_open_start_is_refused_or_assembled",
+        f"{IN}test_loops.py::test_loop_that_cannot_close_is_refused",
+        f"{IN}test_loops.py::test_a_row_that_no_joint_can_move_is_kept_where_it_is_open",
+        f"{IN}test_loops.py::test_a_state_is_closed_with_its_velocity",
+        f"{IN}test_loops.py::test_drives_move_the_mechanism_as_the_law_asks",
+    ),
+    "closedloop.contacts.continuation": (
+        f"{IN}test_contacts.py::test_what_no_quick_method_solves_is_solved_along_the_path",
+    ),
+    "closedloop.reference.no_normal": (f"{IN}test_surfaces.py", "-k", "vanish or normal"),
+    "closedloop.simulation.loop_entries": (f"{IN}test_loops.py::test_engines_agree",),
+    "robot_models.loop_coordinate": (
+        f"{IN}test_loop_coordinates.py::test_wrong_tables_are_refused",
+        f"{IN}test_loop_coordinates.py::test_lists_without_the_coordinate",
+        f"{IN}test_loop_coordinates.py::test_coordinates_change_nothing_in_space",
+        f"{IN}test_loop_coordinates.py::test_sliders_and_cylinders",
+        f"{IN}test_loop_coordinates.py::test_the_smallest_rotation_from_one_direction_to_another",
+    ),
     "closedloop.loops.rows": (f"{IN}test_loops.py::test_rows_are_the_derivatives_of_their_errors",),
     "closedloop.contacts.complementarity": (
         f"{IN}test_contacts.py::test_solution_is_one_of_those_that_enumeration_of_modes_finds",

@@ -12,6 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from closedloop.columns.record import Record
+from closedloop.contacts.touching import contact_torques
 from closedloop.loops.reactions import (
     LoopReactions,
     loop_reactions,
@@ -25,8 +26,9 @@ from closedloop.surface.plane import unit
 
 Array = NDArray[np.float64]
 
-# A joint nearer to its limit than this, rad (m), may be at its stop.
-AT_STOP = 1e-9
+# A joint nearer to its limit than this, rad (m), may be at its stop; among several contacts a stop is a contact too and
+# kept closed by the stabiliser.
+AT_STOP, AT_CONTACT = 1e-9, 1e-7
 # Labels of the parts of a wrench.
 WRENCH = ("fx", "fy", "fz", "mx", "my", "mz")
 
@@ -48,7 +50,7 @@ def tip_force(run: Record) -> Array:
 
 def reactions_of(run: Record, robot: Robot) -> LoopReactions:
     """Return what the loops of a mechanism carried, its robot being that of the run's scenario."""
-    torque = _drive(run) + run.joint_friction
+    torque = _drive(run) + run.joint_friction + _of_contacts(run, robot)
     return loop_reactions(robot, run.q, run.v, run.acceleration, torque, tip_force(run), at_stop(run))
 
 
@@ -56,6 +58,14 @@ def _drive(run: Record) -> Array:
     """Return what drives the links in each row, (N, n), N m (N): Q, or what elastic joints pass on."""
     found: Array = run.transmitted_torque if run.scenario.transmission.elastic else run.torque
     return found
+
+
+def _of_contacts(run: Record, robot: Robot) -> Array:
+    """Return the torques of the contacts of links in each row, (N, n), N m (N)."""
+    if not run.scenario.contact:
+        return np.zeros(run.q.shape)
+    model = robot.model.pinocchio_model()
+    return contact_torques(run.scenario, model, run.time, run.q, run.link_forces, run.link_frictions)
 
 
 def wrist_wrench(run: Record) -> Array:
@@ -87,7 +97,8 @@ def stop_torque(run: Record) -> Array:
     if not has_stops(run.scenario, run.model):
         return np.zeros(run.q.shape)
     robot = robot_of(run.scenario, without_tools(run.model))
-    found = missing_torque(robot, run.q, run.v, run.acceleration, _drive(run) + run.joint_friction, tip_force(run))
+    known = _drive(run) + run.joint_friction + _of_contacts(run, robot)
+    found = missing_torque(robot, run.q, run.v, run.acceleration, known, tip_force(run))
     there = at_stop(run)
     if robot.model.loops:
         rows, _ = loop_rows(robot, run.q, run.v)
@@ -98,7 +109,8 @@ def stop_torque(run: Record) -> Array:
 def at_stop(run: Record) -> NDArray[np.bool_]:
     """Return which joints are at a stop in each row, (N, n); all False where there are no stops."""
     lower, upper = stop_limits(run.scenario, run.model)
-    found: NDArray[np.bool_] = (run.q >= upper - AT_STOP) | (run.q <= lower + AT_STOP)
+    near = AT_CONTACT if run.scenario.contact else AT_STOP
+    found: NDArray[np.bool_] = (run.q >= upper - near) | (run.q <= lower + near)
     return found
 
 

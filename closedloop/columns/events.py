@@ -21,7 +21,7 @@ class Event(NamedTuple):
     time : float
         Instant, s.
     kind : str
-        "impact", "touchdown", "liftoff", "stick", "slip", "reversal" or "edge".
+        "impact", "touchdown", "liftoff", "stick", "slip", "reversal", "edge", "stop" or "release".
     rate_before, rate_after : float
         Rate of the closure error just before and just after it, m/s.
     rate_cut : float
@@ -40,7 +40,8 @@ class Event(NamedTuple):
         What an impact gave: what `impact.restitution` asks for, but where Newton's law would have created energy; 0 of
         all other events.
     contact : int
-        Of which contact: 0 the tip, then the scenario's sections [[contact]] in their order.
+        Of which contact: 0 the tip, then the scenario's sections [[contact]] in their order; in a run with such, then
+        the joints that have stops in theirs, and 0 of a stop in any other.
     """
 
     time: float

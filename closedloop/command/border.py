@@ -20,6 +20,7 @@ from typing import NoReturn
 from closedloop.command.streams import patient_output
 from closedloop.errors import ClosedLoopError, ClusterError, ScenarioError, SimulationError, lines_of, one_line
 from closedloop.interrupts import exit_status, terminable, word_for
+from closedloop.jit.numba_settings import sound_settings, why_no_settings
 
 DONE, BAD_INPUT, STOPPED, NOT_GOOD = 0, 2, 3, 4
 
@@ -74,7 +75,7 @@ def run_command(
         What to say after Ctrl-C or SIGTERM, if the exception does not say it.
     """
     words = sys.argv[1:] if arguments is None else list(arguments)
-    with patient_output() as output, _quiet_libraries(), _notices():
+    with patient_output() as output, _quiet_libraries(), sound_settings(), _notices():
         status, lines = _run(main, words, stopped, interrupted)
         sys.stdout.flush()
         failure = next((raw.failure for raw in output), None)
@@ -93,6 +94,8 @@ def _run(
     """Return the exit status, and what to say on standard error, a line for each fault of the input."""
     try:
         with terminable():
+            if reason := why_no_settings():
+                return BAD_INPUT, (reason,)
             return main(words), ()
     except Left:
         return DONE, ()

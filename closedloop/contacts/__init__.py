@@ -6,5 +6,6 @@ complementarity  forces or impulses in Coulomb's cones that solve all contacts t
 continuation     the same along a path, where the quick method does not find them
 given_modes      forces where it is known which contacts are free, slide or stick
 least_norm       of forces that are not unique those of least norm inside the cones
+surfaces         those that are curved or move
 bind             what the sections [[contact]] of a scenario ask for, as the rows that the loop reads
 """

@@ -10,14 +10,16 @@ from numpy.typing import NDArray
 from closedloop.contacts.memory import ContactMemory, make_contact_memory
 from closedloop.contacts.modes import HOVERING
 from closedloop.contacts.names import names_of
+from closedloop.contacts.surfaces import check_surface, contact_surfaces, surface_of, surfaces_of
 from closedloop.errors import ScenarioError
 from closedloop.friction.laws.coulomb import SurfaceCoulomb
-from closedloop.integrators import ADAPTIVE, INTEGRATORS
 from closedloop.jit.interpreted import interpreted
+from closedloop.jit.pointers import address_of
 from closedloop.loops.bind import link_poses
 from closedloop.loops.memory import POSITION, Bound, LoopMemory, make_loop_memory
 from closedloop.loops.rows import locate_rows
 from closedloop.robot.pinocchio import Robot
+from closedloop.scenario.arm import stop_limits
 from closedloop.scenario.contact_sections import ContactSection
 from closedloop.scenario.scenario import Scenario
 from closedloop.surface.plane import contact_frame, unit
@@ -33,27 +35,39 @@ MOST = 64
 def contact_memory(scenario: Scenario, robot: Robot) -> ContactMemory:
     """Return a new memory of a scenario's contacts, the tip's the first of them."""
     sections = scenario.contact or ()
-    rows = rows_of(sections, robot)
-    links, contacts = memory = make_contact_memory(robot.n, len(sections) + 1, rows)
-    contacts.restitution[:] = [scenario.impact.restitution, *(section.restitution for section in sections)]
-    contacts.mu[1:] = [section.friction for section in sections]
+    rows, points = rows_of(sections, robot), len(sections) + 1
+    stops = np.flatnonzero(np.isfinite(stop_limits(scenario, robot.model)).any(axis=0))
+    links, contacts = memory = make_contact_memory(robot.n, points + len(stops), rows, len(stops))
+    contacts.restitution[:points] = [scenario.impact.restitution, *(section.restitution for section in sections)]
+    contacts.restitution[points:] = scenario.robot.stop_restitution
+    contacts.mu[1:points] = [section.friction for section in sections]
+    contacts.joint[points:] = stops
     if isinstance(scenario.friction, SurfaceCoulomb) and scenario.surface.contact == "unilateral":
         contacts.mu[0] = scenario.friction.coefficient
     if drives := robot.model.drives:
         contacts.driven[:] = [name in drives for name in robot.model.joint_names]
     links.undecided, links.fresh = 1, 1
+    if surfaces := surfaces_of(sections, names_of(sections)):
+        asked = contact_surfaces(surfaces, points + len(stops))
+        links.surfaces = address_of(asked.addresses)
+        links.keep_alive(surfaces=asked)
     return memory
 
 
 def rows_of(sections: tuple[ContactSection, ...], robot: Robot) -> LoopMemory:
-    """Return the rows n, t1, t2 of each contact: where the point is, in axes fixed to the plane's link."""
+    """Return the rows of each contact: n, t1, t2 of a plane at rest; x, y, z of the frame that carries another surface.
+
+    They say where the point is, in axes fixed to the link that has the surface.
+    """
     poses = link_poses(robot.tree, robot.model.home)
     sides: list[tuple[int, int]] = []
     at_a, at_b, along = [], [], []
     for section, name in zip(sections, names_of(sections), strict=True):
         a, _, point = _placed(robot, poses, section.link, section.at, f"contact {name!r}: link")
-        b, axes, plane = _placed(robot, poses, section.against, section.through, f"contact {name!r}: against")
-        frame = contact_frame(unit(section.normal, f"contact {name!r}: normal"))
+        flat = surface_of(section, name) is None
+        origin = section.through if flat else (0.0, 0.0, 0.0)
+        b, axes, plane = _placed(robot, poses, section.against, origin, f"contact {name!r}: against")
+        frame = contact_frame(unit(section.normal, f"contact {name!r}: normal")) if flat else np.eye(3)
         for k in range(3):
             sides.append((a, b))
             at_a.append(point)
@@ -106,31 +120,31 @@ def check_contacts(scenario: Scenario, robot: Robot, q: Array) -> None:
     sides = rows.links.kept["bound"].sides.reshape(4, -1)[:, ::3]
     rows.rows.q[:] = q
     interpreted(locate_rows)(rows.links, rows.rows)
+    surfaces = surfaces_of(sections, names)
     for i, name in enumerate(names):
         if sides[1, i] == sides[2, i]:
             raise ScenarioError(f"contact {name!r}: no joint is between link and against: name frames that move apart")
-        if rows.rows.error[3 * i] < -HOVERING:
+        gap = rows.rows.error[3 * i]
+        if surface := surfaces.get(i + 1):
+            gap = check_surface(surface, rows.rows.error[3 * i : 3 * i + 3], name)
+        if gap < -HOVERING:
             raise ScenarioError(
-                f"contact {name!r}: the point starts {-rows.rows.error[3 * i]:.4g} m inside the plane: start it "
-                "outside, or move the plane with through"
+                f"contact {name!r}: the point starts {-gap:.4g} m inside the surface: start it outside, or move the "
+                "surface with through"
             )
     _refuse_together(scenario)
 
 
 def _refuse_together(scenario: Scenario) -> None:
     """Refuse what does not go with several contacts."""
-    time, bilateral = scenario.time, scenario.surface.contact == "bilateral"
+    bilateral = scenario.surface.contact == "bilateral"
     kind = scenario.friction.kind
     tip = scenario.friction.sticks == "elastic" if bilateral else kind in ("none", "coulomb")
     for key, wrong, right in (
-        (f"time.integrator = {time.integrator!r}", time.integrator in ADAPTIVE, " or ".join(map(repr, INTEGRATORS))),
-        ("surface.kind", scenario.surface.kind != "plane", "a plane"),
-        ("surface_motion.kind", scenario.surface_motion.kind != "none", "none"),
         ("compliance.kind", scenario.compliance.kind != "none", "none"),
         (f"friction.kind = {kind!r}", not tip, "none or one without sticking" if bilateral else "none or coulomb"),
         ("joint_friction.kind", scenario.joint_friction.sticks == "rigid", "none, or one that sticks as a spring"),
         ("stabiliser.kind", scenario.stabiliser.kind in ("projection", "both"), "baumgarte or none"),
-        ("robot.stops", scenario.robot.stops, "false"),
         ("surface.extent", scenario.surface.extent is not None, "left out"),
         ("surface.edge_radius", scenario.surface.edge_radius is not None, "left out"),
         ("robot.friction", scenario.robot.friction, "false: give joint_friction"),

@@ -122,6 +122,18 @@ def solve_modes(c: Contacts, k: int) -> int:
 
 
 @kernel
+def stopping_impulses(c: Contacts, k: int) -> None:
+    """Write in F the impulses that take the velocities `before` along the rows of the kinds; none if there are none."""
+    for i in range(3 * k):
+        c.q[i], c.after[i] = c.viscous[i], c.a[i]
+        c.a[i], c.b[i], c.viscous[i] = c.before[i], 0.0, 0.0
+    status = solve_modes(c, k)
+    for i in range(3 * k):
+        c.a[i], c.viscous[i] = c.after[i], c.q[i]
+        c.F[i] = c.rigid[i] if status == OK else 0.0
+
+
+@kernel
 def list_unknowns(c: Contacts, k: int, most: float) -> int:
     """Write which rows an active contact has: 3 i + 0, 1, 2; those that no joint moves are left out."""
     p = 0

@@ -16,8 +16,9 @@ from numpy.typing import NDArray
 
 from closedloop.closure.contact_force import FREE, PRESSED
 from closedloop.closure.solve import OK, PAINLEVE
-from closedloop.contacts.complementarity import largest_mobility, solve_contacts
+from closedloop.contacts.complementarity import STARTS, largest_mobility, solve_contacts
 from closedloop.contacts.continuation import force_size
+from closedloop.contacts.given_modes import stopping_impulses
 from closedloop.contacts.memory import CONE, LINE, OFF, RAY, ContactLinks, Contacts
 from closedloop.contacts.modes import touches
 from closedloop.jit.kernel import kernel
@@ -27,10 +28,12 @@ Array = NDArray[np.float64]
 # Contacts that come together slower than this do not, m/s.
 RESTING = 1e-11
 # The factor of all e at which it is tried whether contacts can rebound at all; and how often a problem without solution
-# is tried in the search for the largest factor, for each takes long.
-LEAST_SHARE, MOST_MISSING = 1e-3, 12
+# is tried in the search for the largest factor, along one path each, for they take long.
+LEAST_SHARE, MOST_MISSING = 1e-3, 10
 # Restitution with impulses so many times those that are asked for is none: contacts are wedged, but for rounding.
 MOST_IMPULSE = 1e3
+# A rebound from a stop that is slower than this, rad/s (m/s), is none: the joint stays at its stop.
+SLOWEST_REBOUND = 1e-4
 # What happened to a contact, as the kinds of `closedloop.events.table`.
 STRUCK_AND_LEFT, STRUCK_AND_STAYED = 1.0, 2.0
 
@@ -64,18 +67,46 @@ def strike(links: ContactLinks, c: Contacts, rest_speed: float) -> int:
         c.restitution_share = lessened_restitution(links, c, rest_speed)
         if not solve_with(links, c, c.restitution_share, rest_speed):
             return PAINLEVE
-    c.energy_lost = -energy_gained(c, k)
     for i in range(k):
         if c.kind[i] == LINE or c.kind[i] == OFF:
             continue
-        left = c.after[3 * i] > 0.5 * rest_speed
+        left = c.after[3 * i] > 0.5 * slowest_rebound(links, i, rest_speed)
         if c.struck[i] != 0.0:
             c.happened[i] = STRUCK_AND_LEFT if left else STRUCK_AND_STAYED
         if left:
             c.mode[i], c.risen[i], c.floor[i] = FREE, 1.0, min(c.located[3 * i], 0.0)
         elif c.mode[i] == FREE:
             c.mode[i] = PRESSED
+    let_stay(links, c, rest_speed)
     return OK
+
+
+@kernel
+def let_stay(links: ContactLinks, c: Contacts, rest_speed: float) -> None:
+    """Take from contacts that others have made part, too slowly to leave, what they part with; write `energy_lost`.
+
+    A body that rocks so slowly is at rest: what is left of its turning would decide how its feet slip.
+    """
+    k, fastest = links.k, 0.0
+    for i in range(k):
+        stays = c.kind[i] != LINE and c.kind[i] != OFF and c.mode[i] != FREE
+        if stays:
+            fastest = max(fastest, c.after[3 * i])
+        if c.kind[i] != LINE:
+            c.kind[i] = RAY if stays else OFF
+            c.along[i, 0], c.along[i, 1] = 0.0, 0.0
+    if fastest > RESTING:
+        for i in range(3 * k):
+            c.residuals[i], c.start[i], c.before[i] = c.F[i], c.before[i], c.after[i]
+        stopping_impulses(c, k)
+        for i in range(3 * k):
+            c.F[i] += c.residuals[i]
+            c.before[i] = c.start[i]
+        for i in range(3 * k):
+            c.after[i] = c.before[i]
+            for j in range(3 * k):
+                c.after[i] += c.W[i, j] * c.F[j]
+    c.energy_lost = -energy_gained(c, k)
 
 
 @kernel
@@ -90,7 +121,7 @@ def lessened_restitution(links: ContactLinks, c: Contacts, rest_speed: float) ->
         return 0.0
     for _ in range(40):
         middle = 0.5 * (low + high)
-        found = solve_with(links, c, middle, rest_speed)
+        found = solve_with(links, c, middle, rest_speed, 1)
         if found and energy_gained(c, links.k) <= 0.0:
             low = middle
         else:
@@ -102,16 +133,16 @@ def lessened_restitution(links: ContactLinks, c: Contacts, rest_speed: float) ->
 
 
 @kernel
-def solve_with(links: ContactLinks, c: Contacts, share: float, rest_speed: float) -> bool:
-    """Solve for the impulses with restitution times `share`; `after` is then u⁺."""
+def solve_with(links: ContactLinks, c: Contacts, share: float, rest_speed: float, starts: int = len(STARTS)) -> bool:
+    """Solve for the impulses with restitution times `share`; `after` is then u⁺. See `solve_contacts` for `starts`."""
     k = links.k
     for i in range(3 * k):
         c.q[i], c.F[i] = c.before[i], 0.0  # always from the same start: the solution need not be the only one
     for i in range(k):
         bounce = -share * c.restitution[i] * c.before[3 * i]
-        if c.struck[i] != 0.0 and links.tired == 0 and bounce >= rest_speed:
+        if c.struck[i] != 0.0 and links.tired == 0 and bounce >= slowest_rebound(links, i, rest_speed):
             c.q[3 * i] -= bounce
-    if not solve_contacts(c, k):
+    if not solve_contacts(c, k, starts):
         return False
     asked = force_size(c.q, 3 * k) / largest_mobility(c, k)
     if share > 0.0 and force_size(c.F, 3 * k) > MOST_IMPULSE * asked:
@@ -122,6 +153,12 @@ def solve_with(links: ContactLinks, c: Contacts, share: float, rest_speed: float
             s += c.W[i, j] * c.F[j]
         c.after[i] = s
     return True
+
+
+@kernel
+def slowest_rebound(links: ContactLinks, i: int, rest_speed: float) -> float:
+    """Return the speed below which contact i does not rebound: `rest_speed`, m/s, or that of stops, rad/s (m/s)."""
+    return SLOWEST_REBOUND if i >= links.k - links.stops else rest_speed
 
 
 @kernel

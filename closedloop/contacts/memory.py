@@ -1,7 +1,8 @@
 """The memory of the contacts: what they are, and their rows, forces and modes at the state asked about last.
 
-Contact 0 is the tip with the scenario's surface; the others are those of the sections [[contact]], in their order.
-Every contact has three rows, along its normal and two tangents, so k contacts have 3 k.
+Contact 0 is the tip with the scenario's surface; then come those of the sections [[contact]], in their order; then, of
+each joint with stops, the nearer of its two. Every contact has three rows, along its normal and two tangents, so k
+contacts have 3 k; those of a stop are ± q̇ of its joint and two of zeros, in rad (m) and N m (N).
 """
 
 from __future__ import annotations
@@ -32,7 +33,9 @@ class ContactLinks(Block):
     numbers: int  # address of the `Contacts`
     total: int  # of its numbers
     n: int  # joints
-    k: int  # contacts, the tip's among them
+    k: int  # contacts, the tip's and the stops of joints among them
+    stops: int  # how many of them, the last, are stops
+    surfaces: int  # address of the entry and the memory of the surface of each, 0 of a plane at rest; 0: all are such
     rows: int  # address of the memory of their rows, see `closedloop.loops.memory`
     loop: int  # and of the loop that they are for; 0: none
     undriven: int  # joints without a drive
@@ -47,6 +50,8 @@ class Contacts(Block, sizes=("n", "k")):
 
     mu: Annotated[Array, K]
     restitution: Annotated[Array, K]
+    joint: Annotated[Array, K]  # of a stop, as the next
+    side: Annotated[Array, K]  # 1 of a lower stop, −1 of an upper
     driven: Annotated[Array, N]  # 0 for a joint without a drive
     mode: Annotated[Array, K]  # see `closedloop.closure.contact_force`
     kind: Annotated[Array, K]  # in the present problem
@@ -59,6 +64,9 @@ class Contacts(Block, sizes=("n", "k")):
     located: Annotated[Array, 3 * K]  # gap and place along the surface, m
     u: Annotated[Array, 3 * K]  # velocity, m/s
     drift: Annotated[Array, 3 * K]  # u̇ = G q̈ + drift
+    carried: Annotated[Array, 3 * K]  # u = G q̇ − carried, of a surface that moves by itself
+    turning: Annotated[Array, 3 * K]  # and what its motion and its curvature add to the drift
+    at: Annotated[Array, 3 * K]  # where the point is on its surface, m
     a: Annotated[Array, 3 * K]  # acceleration without contacts, m/s²
     b: Annotated[Array, 3 * K]  # what the stabiliser asks for, m/s²
     axes: Annotated[Array, 3 * K, 3]  # n, t1 and t2 in base axes, and where it is, m; in an event
@@ -73,6 +81,7 @@ class Contacts(Block, sizes=("n", "k")):
     q: Annotated[Array, 3 * K]  # of a problem u⁺ = q + W F
     after: Annotated[Array, 3 * K]  # and its u⁺
     before: Annotated[Array, 3 * K]
+    start: Annotated[Array, 3 * K]  # scratch
     torque: Annotated[Array, N]  # Gᵀ F without the tip's part, N m (N)
     happened: Annotated[Array, K]  # to each contact in an event, a kind of `closedloop.events.table`; 0: nothing
     struck: Annotated[Array, K]  # 1 if it was an impact
@@ -131,8 +140,8 @@ class ContactMemory(NamedTuple):
         return int(self.links.address)
 
 
-def make_contact_memory(n: int, k: int, rows: LoopMemory | None = None) -> ContactMemory:
-    """Return the memory of k contacts of a tree of n joints, `rows` that of the rows of all but the first."""
+def make_contact_memory(n: int, k: int, rows: LoopMemory | None = None, stops: int = 0) -> ContactMemory:
+    """Return the memory of k contacts of a tree of n joints, the last of them `stops`; `rows` of the others but 0."""
     links = ContactLinks(np.zeros(CONTACT_LINKS, dtype=np.int64))
     contacts = Contacts(np.zeros(Contacts.count(n, k)), n, k)
     links.address, links.numbers, links.total = (
@@ -140,7 +149,7 @@ def make_contact_memory(n: int, k: int, rows: LoopMemory | None = None) -> Conta
         address_of(contacts.memory),
         contacts.memory.size,
     )
-    links.n, links.k = n, k
+    links.n, links.k, links.stops = n, k, stops
     links.rows = 0 if rows is None else rows.address
     contacts.driven[:], contacts.direction[:, 0] = 1.0, 1.0
     links.keep_alive(rows=rows)

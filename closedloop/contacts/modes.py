@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from closedloop.closure.contact_force import FREE, PRESSED, STUCK
 from closedloop.closure.solve import OK, PAINLEVE
 from closedloop.contacts.complementarity import solve_contacts
-from closedloop.contacts.given_modes import solve_modes
+from closedloop.contacts.given_modes import stopping_impulses
 from closedloop.contacts.memory import CONE, LINE, OFF, RAY, ContactLinks, Contacts
 from closedloop.jit.kernel import kernel
 
@@ -62,7 +62,8 @@ def decide(links: ContactLinks, c: Contacts, slow: float) -> int:
             mode = mode_after(c, i, NO_ACCELERATION * size)
             c.happened[i] = 0.0 if links.fresh != 0 else happened_to(c, i, mode)
             if mode == STUCK and c.mode[i] != STUCK:
-                c.anchor[3 * i + 1], c.anchor[3 * i + 2] = c.located[3 * i + 1], c.located[3 * i + 2]
+                for j in range(3 * i, 3 * i + 3):
+                    c.anchor[j] = c.at[j]
             if mode == FREE and c.mode[i] != FREE:
                 c.risen[i], c.floor[i] = 0.0, min(c.located[3 * i], 0.0)
             if mode == FREE:  # it parts from where it is, be that inside by the error of a step
@@ -146,13 +147,11 @@ def remove_motion(c: Contacts, k: int) -> int:
         c.start_slip[i] = math.hypot(c.u[3 * i + 1], c.u[3 * i + 2]) if c.kind[i] == RAY else 0.0
         c.along[i, 0], c.along[i, 1] = 0.0, 0.0
     for i in range(3 * k):
-        c.before[i], c.q[i], c.after[i] = c.u[i], c.viscous[i], c.a[i]
-        c.a[i], c.b[i], c.viscous[i] = c.u[i], 0.0, 0.0
-    status = solve_modes(c, k)
+        c.before[i] = c.u[i]
+    stopping_impulses(c, k)
     c.energy_lost = 0.0
     for i in range(3 * k):
-        c.a[i], c.viscous[i], c.after[i] = c.after[i], c.q[i], c.before[i]
-        c.F[i] = c.rigid[i] if status == OK else 0.0
+        c.after[i] = c.before[i]
     for i in range(3 * k):
         for j in range(3 * k):
             c.after[i] += c.W[i, j] * c.F[j]

@@ -77,7 +77,8 @@ def failure_of(status: int, t: float, robot: Robot, problem: Problem, law: Any, 
         )
     if status == NO_NORMAL:
         return NoNormalError(
-            f"{when(t)}: the surface has no normal at {_numbers(robot.position(q))} m, where the tip is: the gradient "
+            f"{when(t)}: the surface has no normal at {_numbers(robot.position(q))} m, where the tip is"
+            f"{', or that of another contact where its point is' if problem.scenario.contact else ''}: the gradient "
             "of its φ vanishes there, or within a step from there, or is not a number; keep the tip near the surface, "
             "away from its centre, edge or apex",
             t,

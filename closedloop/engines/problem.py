@@ -25,7 +25,6 @@ from closedloop.impact.restitution import coefficient_at
 from closedloop.jit.calls import entry_address
 from closedloop.jit.interpreted import interpreted, twin_address
 from closedloop.loops.bind import step_memory
-from closedloop.scenario.arm import has_stops
 from closedloop.step.closed_loops import closed_loops
 from closedloop.step.contacts import contacts_in_step
 from closedloop.step.entries import friction_entry, joint_friction_entry, law_entry
@@ -70,11 +69,11 @@ class Problem(ScenarioNumbers):
             state.surface_at = memory.address
             loop.w.keep_alive(surface=memory)
         if self.bound:
-            loops = step_memory(self.robot, has_stops(self.scenario, self.robot.model))
+            loops = step_memory(self.robot, self.stopped)
             state.loops_at, loops.links.loop = loops.address, state.address
             loop.w.keep_alive(loops=loops)
         if self.robot.model.loops and state.seen != 0:
-            seen = step_memory(self.robot, has_stops(self.scenario, self.robot.model))
+            seen = step_memory(self.robot, self.stopped)
             state.seen_loops_at, seen.links.loop = seen.address, state.address
             loop.w.keep_alive(seen_loops=seen)
         write_constants(self, loop.constants)
@@ -150,6 +149,9 @@ class Problem(ScenarioNumbers):
             loop.state.loops = address(closed_loops)
         if loop.state.contacts_at != 0:
             loop.state.contacts = address(contacts_in_step)
+            links = loop.w.kept["contacts"].links
+            if links.surfaces != 0:
+                links.kept["surfaces"].connect(address)
         if loop.state.surface_motion != 0:
             loop.w.kept["surface"].links.motion = loop.state.surface_motion
         if user_law is not None:

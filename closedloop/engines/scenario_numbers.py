@@ -136,8 +136,13 @@ class ScenarioNumbers:
 
     @property
     def bound(self) -> bool:
-        """Whether there are loops, or stops of joints."""
-        return bool(self.robot.model.loops) or has_stops(self.scenario, self.robot.model)
+        """Whether there are loops, or stops of joints that are rows beside those of loops."""
+        return bool(self.robot.model.loops) or self.stopped
+
+    @property
+    def stopped(self) -> bool:
+        """Whether joints have stops, and these are no contacts among several (`closedloop.contacts`)."""
+        return has_stops(self.scenario, self.robot.model) and not self.scenario.contact
 
     @property
     def row_width(self) -> int:

@@ -17,7 +17,7 @@ from closedloop.friction.contact import Contact
 from closedloop.friction.laws.none import NoFriction
 from closedloop.impact import RATIOS
 from closedloop.parameters import one_joint_block, parameter_block
-from closedloop.scenario.arm import has_stops, stop_limits
+from closedloop.scenario.arm import stop_limits
 from closedloop.scenario.robot_sections import ModelErrorSection
 from closedloop.step.memory import SPRING_STICK, Constants, State, Work
 from closedloop.step.record_row import Row
@@ -69,7 +69,7 @@ def write_state(problem: ScenarioNumbers, state: State) -> None:
     state.unilateral = problem.scenario.surface.contact == "unilateral"
     state.impact_law = RATIOS[problem.restitution.ratio_of]
     state.sticking, state.joint_sticking = sticking(problem.friction), sticking(problem.joint_friction)
-    state.stops = has_stops(problem.scenario, problem.robot.model)
+    state.stops = problem.stopped
     state.feed_forward = problem.scenario.reference.orientation != "free"
     state.sensor_sampled = problem.sensor.sampled
     transmission = problem.scenario.transmission

@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from closedloop.closure.solve import CHATTER, OK
-from closedloop.contacts.memory import Contacts, contacts_at
+from closedloop.contacts.memory import ContactLinks, Contacts, contacts_at
 from closedloop.events.phases import (
     AFTER_EVENT,
     APPLY_EVENT,
@@ -25,7 +25,7 @@ from closedloop.events.phases import (
     request_terms,
 )
 from closedloop.events.substep import count_event, resume_step
-from closedloop.events.table import EventRow
+from closedloop.events.table import LIFTOFF, RELEASE, STOP, EventRow
 from closedloop.jit.calls import call_at
 from closedloop.jit.kernel import kernel
 from closedloop.step.contacts import DECIDE, STRIKE
@@ -51,7 +51,7 @@ def apply_contact_event(w: Work, state: State, events: Array) -> int:
     state.status = call_at(state.contacts, state.contacts_at, STRIKE)
     if state.status != OK:
         return FAIL
-    log_contacts(w, c, links.k, state, events)
+    log_contacts(w, links, c, state, events)
     for i in range(links.k):
         if c.struck[i] != 0.0:
             call_law(state, RESTART)
@@ -69,7 +69,7 @@ def resume_with_contacts(w: Work, constants: Constants, state: State, events: Ar
         state.status = call_at(state.contacts, state.contacts_at, DECIDE)
         if state.status != OK:
             return FAIL
-        log_contacts(w, c, links.k, state, events)
+        log_contacts(w, links, c, state, events)
         links.undecided, links.fresh = 0, 0
         state.mode = int(c.mode[0])
         request_terms(state, AFTER_EVENT)
@@ -80,17 +80,23 @@ def resume_with_contacts(w: Work, constants: Constants, state: State, events: Ar
 
 
 @kernel
-def log_contacts(w: Work, c: Contacts, k: int, state: State, events: Array) -> None:
+def log_contacts(w: Work, links: ContactLinks, c: Contacts, state: State, events: Array) -> None:
     """Write a row for each contact to which something happened; the first of them has the energy lost by all."""
-    lost = c.energy_lost
+    lost, first_stop = c.energy_lost, links.k - links.stops
     w.supplied -= lost
-    for i in range(k):
+    for i in range(3):  # a surface that moves does work on the arm
+        w.supplied += c.F[i] * w.carried[i]
+    for i in range(3, 3 * links.k):
+        w.supplied += c.F[i] * c.carried[i]
+    for i in range(links.k):
         if c.happened[i] == 0.0:
             continue
         event, at = EventRow(events[state.events]), 3 * i
         for j in range(events.shape[1]):
             events[state.events, j] = 0.0
         event.time, event.kind, event.contact = w.time, c.happened[i], i
+        if i >= first_stop:
+            event.kind = RELEASE if c.happened[i] == LIFTOFF else STOP
         event.rate_before, event.rate_after, event.compression = c.before[at], c.after[at], c.F[at]
         event.energy_lost = lost
         lost = 0.0

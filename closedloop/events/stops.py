@@ -17,6 +17,7 @@ from numpy.typing import NDArray
 
 from closedloop.closure.contact_force import FREE, PRESSED, STUCK, apply_impulse, stuck_force
 from closedloop.closure.solve import forward_substitute
+from closedloop.contacts.impact import SLOWEST_REBOUND
 from closedloop.events.phases import MAX_RAPID, RESTING
 from closedloop.jit.calls import call_at
 from closedloop.jit.kernel import kernel
@@ -32,8 +33,6 @@ BEYOND, REACHED = 1e-13, 1e-9
 PULLING = 1e-9
 # The impulse of a stop is known to this, N m s (N s), and the speed after it to this, rad/s (m/s).
 PULLING_IMPULSE, LEAVING_SPEED = 1e-11, 1e-11
-# A rebound slower than this, rad/s (m/s), is none: the joint stays at its stop.
-SLOWEST_REBOUND = 1e-4
 # Stops that are let go or held again, one at a time, until each pushes or is left: more than any arm needs.
 MOST_TRIALS = 200
 

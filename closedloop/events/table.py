@@ -90,7 +90,9 @@ EVENT_COLUMNS: dict[str, EventColumn] = {
         "restitution that an impact gave; less than impact.restitution where newton's law would have created energy",
     ),
     "event_contact": EventColumn(
-        ("event",), "1", "which contact it was of: 0 the tip, then the sections [[contact]] in their order"
+        ("event",),
+        "1",
+        "which contact it was of: 0 the tip, then the sections [[contact]] in their order, then joints with stops",
     ),
 }
 

@@ -19,12 +19,11 @@ from pathlib import Path
 from typing import Any, BinaryIO
 
 import numpy as np
-from numpy.typing import NDArray
 
-from closedloop.contacts.touching import contacts_of
 from closedloop.errors import ScenarioError
 from closedloop.export.messages import DEFINITIONS
 from closedloop.files import write_whole
+from closedloop.lab.scene import quaternions, scene_of
 from closedloop.record.run import Run
 
 NEEDS_MCAP = 'MCAP needs two packages that are not installed: pip install "closedloop[mcap]"'
@@ -58,25 +57,24 @@ def _write(run: Run, file: BinaryIO) -> None:
 
     if run.model.format == "urdf":
         send("/robot_description", "std_msgs/msg/String", {"data": run.model.text}, 0.0)
-    base, turns = _base_frame(run), _tip_turns(run)
-    wrist, between = run.scenario.robot.tip or run.model.tip, _between_links(run)
+    base, scene = _base_frame(run), scene_of(run)
     nothing = {"x": 0.0, "y": 0.0, "z": 0.0}
     for k in range(len(run)):
-        time = float(run.time[k])
+        time, there = float(run.time[k]), scene.joint_places(k)
         header = {"stamp": _stamp(time), "frame_id": base}
         joints = {"name": list(run.model.joint_names), "position": run.q[k], "velocity": run.v[k]}
         joints["effort"] = run.torque[k]
         send("/joint_states", "sensor_msgs/msg/JointState", {"header": header, **_listed(joints)}, time)
-        pose = {"position": _vector(run.position[k]), "orientation": turns[k]}
+        pose = {"position": _vector(run.position[k]), "orientation": _turn(scene.tip_axes(there[0]))}
         send("/tip_pose", "geometry_msgs/msg/PoseStamped", {"header": header, "pose": pose}, time)
         wrench = {"force": _vector(run.tip_force[k]), "torque": nothing}
         send("/tip_wrench", "geometry_msgs/msg/WrenchStamped", {"header": header, "wrench": wrench}, time)
         wrench = {"force": _vector(run.wrist_wrench[k, :3]), "torque": _vector(run.wrist_wrench[k, 3:])}
-        there = header | {"frame_id": wrist}
-        send("/wrist_wrench", "geometry_msgs/msg/WrenchStamped", {"header": there, "wrench": wrench}, time)
-        for name, forces in between.items():
-            wrench = {"force": _vector(forces[k]), "torque": nothing}
-            send(f"/contacts/{name}", "geometry_msgs/msg/WrenchStamped", {"header": header, "wrench": wrench}, time)
+        at_wrist = header | {"frame_id": scene.tip}
+        send("/wrist_wrench", "geometry_msgs/msg/WrenchStamped", {"header": at_wrist, "wrench": wrench}, time)
+        for touching, arrow in zip(scene.touching, scene.between_links(k, *there), strict=True):
+            wrench, topic = {"force": _vector(arrow.force), "torque": nothing}, f"/contacts/{touching.name}"
+            send(topic, "geometry_msgs/msg/WrenchStamped", {"header": header, "wrench": wrench}, time)
     for event in run.events:
         rates = f"closure rate {event.rate_before:.6g} to {event.rate_after:.6g} m/s"
         said = f"{event.kind}: {rates}, {event.energy_lost:.4g} J lost"
@@ -96,6 +94,12 @@ def _vector(values: Any) -> dict[str, float]:
     return {"x": x, "y": y, "z": z}
 
 
+def _turn(axes: Any) -> dict[str, float]:
+    """Return the orientation of axes (3, 3), the columns of a rotation, as the parts of a quaternion."""
+    w, x, y, z = (float(part) for part in quaternions(axes[None])[0])
+    return {"x": x, "y": y, "z": z, "w": w}
+
+
 def _listed(parts: dict[str, Any]) -> dict[str, Any]:
     return {name: part.tolist() if isinstance(part, np.ndarray) else part for name, part in parts.items()}
 
@@ -104,34 +108,3 @@ def _base_frame(run: Run) -> str:
     """Return the name of the robot's root link."""
     model = run.model.pinocchio_model()
     return str(next((frame.name for frame in list(model.frames)[1:] if frame.parentJoint == 0), "base"))
-
-
-def _between_links(run: Run) -> dict[str, NDArray[np.float64]]:
-    """Return the force of each contact of links on the link that has its point, (N, 3), N, base frame."""
-    import pinocchio as pin
-
-    model = run.model.pinocchio_model()
-    data, contacts = model.createData(), contacts_of(run.scenario, model)
-    found = {touching.name: np.zeros((len(run), 3)) for touching in contacts}
-    for k, q in enumerate(np.ascontiguousarray(run.q) if contacts else ()):
-        pin.forwardKinematics(model, data, q)
-        axes = np.array([place.rotation for place in data.oMi])
-        origins = np.array([place.translation for place in data.oMi])
-        for i, touching in enumerate(contacts):
-            normal, friction = run.link_forces[k, i], run.link_frictions[k, 2 * i : 2 * i + 2]
-            found[touching.name][k] = touching.force(float(normal), friction, axes, origins)[1]
-    return found
-
-
-def _tip_turns(run: Run) -> list[dict[str, float]]:
-    """Return the orientation of the tip's frame in each row, as the parts of a quaternion."""
-    import pinocchio as pin
-
-    model = run.model.pinocchio_model()
-    data, tip = model.createData(), model.getFrameId(run.scenario.robot.tip or run.model.tip)
-    found = []
-    for q in np.ascontiguousarray(run.q):
-        pin.forwardKinematics(model, data, q)
-        x, y, z, w = pin.Quaternion(pin.updateFramePlacement(model, data, tip).rotation).coeffs()
-        found.append({"x": float(x), "y": float(y), "z": float(z), "w": float(w)})
-    return found

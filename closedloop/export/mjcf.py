@@ -1,8 +1,9 @@
 """The scene of a run as MJCF: the arm with its tool, and the surface, for MuJoCo and what reads its files.
 
 The bodies are those of the dynamics: a link with a joint each, what is fixed to it included, in the frames in which the
-run computes, with the drives' inertia as `armature`. The shapes carry no mass and touch nothing; the surface is the one
-geom that can be touched. There are a motor for each joint, a site `tip`, and keyframes of the run's first and last row.
+run computes, with the drives' inertia as `armature`. The shapes carry no mass and touch nothing; the surface can be
+touched, and the links where the scenario has contacts of them; loops are closed by equalities (`mjcf_joined`). There
+are a motor for each joint with a drive, a site `tip`, and keyframes of the run's first and last row.
 
 The law, the closure and friction are no part of it: contact in MuJoCo is soft, and its force another.
 """
@@ -18,6 +19,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from closedloop.errors import ScenarioError
+from closedloop.export.mjcf_joined import add_equalities, add_joined_parts, add_pairs, check_joined
 from closedloop.export.mjcf_surface import add_surface
 from closedloop.export.mjcf_text import element, numbers, quaternion
 from closedloop.files import write_whole
@@ -43,18 +45,14 @@ def write_mjcf(run: Run, path: str | Path) -> list[Path]:
     Raises
     ------
     ScenarioError
-        If the run has no rows, the robot has loops, or the surface is a user's class not named in this process.
+        If the run has no rows, MuJoCo has no equality for a loop joint of the robot, or the surface is a user's class
+        not named in this process.
     OutputError
         If the file cannot be written.
     """
     if not len(run):
         raise ScenarioError(f"{run.scenario.name}: the run has no rows: there is no scene")
-    if run.scenario.contact:
-        raise ScenarioError("--to mjcf: is for runs without [[contact]]; csv takes them")
-    if run.model.loops:
-        raise ScenarioError(
-            f"--to mjcf: is for arms without loops, and {run.model.name} has some; csv and mcap take it"
-        )
+    check_joined(scene_of(run))
     root = mjcf_of(run)
     ElementTree.indent(root)
     text = '<?xml version="1.0" encoding="utf-8"?>\n' + ElementTree.tostring(root, encoding="unicode") + "\n"
@@ -71,14 +69,19 @@ def mjcf_of(run: Run) -> ElementTree.Element:
     assets, world = element(root, "asset"), element(root, "worldbody")
     element(world, "light", pos=(1.0, -1.0, 2.5), dir=(-0.4, 0.4, -1.0))
     order = _add_links(assets, world, scene, mechanism)
-    add_surface(assets, world, scene)
+    if scene.ground.there:
+        add_surface(assets, world, scene)
+    add_pairs(root, scene)
+    add_equalities(root, scene, mechanism)
     motors, keys = element(root, "actuator"), element(root, "keyframe")
-    for joint in order:
+    driven = [joint for joint in order if not run.model.drives or mechanism.names[joint] in run.model.drives]
+    for joint in driven:
         name, most = str(mechanism.names[joint]), float(run.model.effort_limit[mechanism.joints[joint].idx_v])
         element(motors, "motor", name=name, joint=name, ctrlrange=(-most, most) if np.isfinite(most) else None)
     columns = [mechanism.joints[joint].idx_v for joint in order]
+    powered = [mechanism.joints[joint].idx_v for joint in driven]
     for name, row in (("start", 0), ("end", len(run) - 1)):
-        states = {"qpos": run.q[row, columns], "qvel": run.v[row, columns], "ctrl": run.torque[row, columns]}
+        states = {"qpos": run.q[row, columns], "qvel": run.v[row, columns], "ctrl": run.torque[row, powered]}
         element(keys, "key", name=name, time=run.time[row], **states)
     return root
 
@@ -95,6 +98,7 @@ def _add_links(assets: ElementTree.Element, world: ElementTree.Element, scene: S
             if shape.joint == joint:
                 _add_mesh(assets, body, f"shape{at}", shape.vertices, shape.faces, shape.colour)
         _add_tip(body, joint, scene, mechanism)
+        add_joined_parts(body, joint, scene, mechanism)
         for child in range(1, mechanism.njoints):
             if int(mechanism.parents[child]) == joint:
                 add(child, body)

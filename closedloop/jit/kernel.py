@@ -18,7 +18,7 @@ from contextlib import contextmanager
 from functools import cache, cached_property, update_wrapper
 from typing import Any, TypeVar, cast
 
-from closedloop.interrupts import held_back
+from closedloop.interrupts import answered_where_it_can_be, held_back
 
 F = TypeVar("F", bound=Callable[..., Any])
 
@@ -124,7 +124,7 @@ def _kept(function: Callable[..., Any], compiled: Any, identity: str = "") -> An
     """Let what numba compiles for Python to call be kept on disk, and Ctrl-C wait until it is compiled.
 
     numba takes a lock while it compiles, and Ctrl-C at that moment would leave it taken: another thread that compiles
-    later would wait for ever. A second Ctrl-C does not wait.
+    later would wait for ever. A second Ctrl-C does not wait, nor does SIGTERM, after which nothing is compiled.
     """
     from closedloop.jit.compile_cache import KernelCache
 
@@ -133,7 +133,7 @@ def _kept(function: Callable[..., Any], compiled: Any, identity: str = "") -> An
     compile_now = compiled.compile
 
     def compile_uninterrupted(signature: Any) -> Any:
-        with held_back(signal.SIGINT), _no_garbage_collection():
+        with answered_where_it_can_be(), held_back(signal.SIGINT), _no_garbage_collection():
             return compile_now(signature)
 
     compiled.compile = compile_uninterrupted

@@ -1,6 +1,7 @@
 """The lab: everything on the page, and what happens when something on it is moved.
 
-Three threads share the work: viser's takes what the browser sends, one computes runs (`Newest`), one moves the replay.
+Three threads share the work: viser's takes what the browser sends, one computes runs (`Newest`) and shows their curves,
+one moves the replay and draws in space.
 """
 
 from __future__ import annotations
@@ -8,21 +9,20 @@ from __future__ import annotations
 import contextlib
 import html
 import io
+import logging
 import threading
 import time as clock
 from collections.abc import Callable
 from typing import Any
 
-import numpy as np
-
 from closedloop.errors import ClosedLoopError
 from closedloop.lab.answers import Answer, Answers
 from closedloop.lab.history import Changes, History
 from closedloop.lab.kinds import begin_values
-from closedloop.lab.look import GREYED, PLOTS, caption, paragraph
+from closedloop.lab.look import GREYED, KEYS, PLOTS, paragraph
 from closedloop.lab.newest import Newest
+from closedloop.lab.picture import Picture
 from closedloop.lab.playback import Playback
-from closedloop.lab.scene import ARROWS, scene_of
 from closedloop.lab.server import FIRST_PORT, serve
 from closedloop.lab.view_controls import Tabs
 from closedloop.lab.view_keep import STEPS, KeepTab
@@ -36,14 +36,14 @@ from closedloop.scenario.messages import variants
 from closedloop.simulation.prepare import prepare
 from robot_models import RobotModel
 
+logger = logging.getLogger(__name__)
+
 # Frames of the replay, and movements of the plots' cursor, in a second.
 FRAMES, CURSORS = 30.0, 12.0
 WIDTH = 510  # px of the panel on the right
 # A result that has been overtaken for so long, s, is greyed until the new one is there: sooner it would flicker.
 GREYED_AFTER = 0.25
 LONGEST = 100  # characters of a fault at the top; it stands in full beside its control
-# Where the scene is seen from at first, in radii of what is drawn from its middle, and how wide, rad.
-VIEW_FROM, FIELD_OF_VIEW = np.array([2.4, -1.25, 1.15]), float(np.deg2rad(40.0))
 
 
 class Lab:
@@ -89,7 +89,6 @@ class Lab:
         self._newest: Newest[tuple[Changes, str], Answer] = Newest(self._compute, self._show)
         self.refresh()
         self.ask("")
-        self.server.on_client_connect(_fit)
         self._player = threading.Thread(target=self._play, name="closedloop-replay", daemon=True)
         self._player.start()
 
@@ -98,6 +97,11 @@ class Lab:
         """The address of the page."""
         host = self.server.get_host()
         return f"http://{'127.0.0.1' if host == '0.0.0.0' else host}:{self.server.get_port()}"
+
+    @property
+    def space(self) -> Space:
+        """What is drawn in space."""
+        return self.picture.space
 
     @property
     def run(self) -> Run | None:
@@ -117,6 +121,7 @@ class Lab:
         gui.main_panel.set_width(WIDTH)
         self.caption = gui.add_html("")
         self.status = gui.add_html("")
+        gui.add_html(KEYS)
         self.bar = PlaybackBar(gui, self.playback, self._moved)
         self.steps = gui.add_button_group("changes", STEPS, hint="take back the last change, or all of them")
         self.group = gui.add_tab_group()
@@ -128,10 +133,8 @@ class Lab:
             gui.add_html(paragraph(PLOTS))
             self.plots = Plots(gui)
         panel.dock_below(gui.main_panel)
-        self.space = Space(self.server.scene)
-        self.view.connect(self.space, self._moved, self._show_caption)
+        self.picture = Picture(self.server, self.history.base, self.playback, self.view, self.caption, WIDTH)
         self.keep, self.map = KeepTab(self, kept), MapTab(self, mapped)
-        self._shown_camera = False
 
     def changed(self, key: str, value: Any) -> None:
         """Take a change of a control, and run the scenario with it."""
@@ -142,7 +145,7 @@ class Lab:
                 more = begin_values(self.history.scenario(), section, value)
         self.history.change(key, value, more)
         self.ask(key)
-        if more or name == "kind":
+        if more or name == "kind" or key == "surface.contact":  # which changes what other controls may show
             self.refresh()
 
     def refresh(self) -> None:
@@ -160,7 +163,11 @@ class Lab:
             self._newest.ask((self.history.changes, key))
 
     def wait(self, seconds: float = 60.0) -> bool:
-        """Wait until the newest change is shown; return whether it is."""
+        """Wait until the newest change is shown, in the plots and in space; return whether it is."""
+        return self.wait_for_plots(seconds) and self.picture.wait(seconds)
+
+    def wait_for_plots(self, seconds: float = 60.0) -> bool:
+        """Wait until the plots of the newest change are on their way; return whether they are."""
         return self._newest.wait(seconds)
 
     def _compute(self, request: tuple[Changes, str]) -> Answer:
@@ -175,33 +182,18 @@ class Lab:
             if answer.run is not None and len(answer.run):
                 self.answer = answer
                 self._show_run(answer.run)
+        self.server.flush()
+        if answer.run is not None and len(answer.run):
+            self.picture.ask(answer.run)
         for then in self.after_show:
             then(answer)
 
     def _show_run(self, run: Run) -> None:
         self.playback.set_end(float(run.time[-1]))
         self.bar.set_end(self.playback.end, run.scenario.time.step)
-        scene = scene_of(run)
-        self.space.show_scene(scene, self.row(run))
-        self.view.show_scene(scene)
-        self._show_caption()
-        self.bar.instants = [mark.time for mark in scene.marks]
+        self.bar.instants = [event.time for event in run.events]
         self.plots.show_run(run, self.playback.time)
         self.bar.show()
-        if not self._shown_camera:
-            self._shown_camera = True
-            self.view.see_through(scene.arm_hides_force)
-            middle, radius = scene.ball
-            camera = self.server.initial_camera
-            camera.fov, camera.look_at = FIELD_OF_VIEW, middle
-            camera.position = middle + radius * VIEW_FROM
-
-    def _show_caption(self) -> None:
-        scenario = self.history.base if self.run is None else self.run.scenario
-        kinds = tuple(ARROWS) if self.space.scene is None else self.space.scene.kinds
-        text = caption(scenario, kinds, self.space.metres_per_newton, WIDTH)
-        if self.caption.content != text:
-            self.caption.content = text
 
     def _show_line(self, answer: Answer) -> None:
         self.tabs.note(answer.key, answer.fault)
@@ -234,17 +226,11 @@ class Lab:
             line = self._said or ("computing ...; what is shown is the run before" if self.run else "computing ...")
             self._set_status(line, "#D55E00" if self._said else "grey")
 
-    def row(self, run: Run) -> int:
-        """Return the row of a run at the instant of the replay."""
-        return int(min(round(self.playback.time / run.scenario.time.step), len(run) - 1))
-
     def _moved(self) -> None:
         """Show the instant that the replay was moved to."""
-        run = self.run
-        if run is not None:
-            with self.server.atomic():
-                self.space.move(self.row(run))
-                self.plots.move_cursor(self.playback.time)
+        with self.server.atomic():
+            self.plots.move_cursor(self.playback.time)
+        self.picture.move()
 
     def _play(self) -> None:
         last = cursor = clock.perf_counter()
@@ -253,13 +239,16 @@ class Lab:
             moved = self.playback.advance(now - last)
             last = now
             self._grey_if_late(now)
-            run = self.run
-            if not moved or run is None:
-                continue
-            with self.server.atomic():
-                self.space.move(self.row(run))
-                if now - cursor > 1.0 / CURSORS or not self.playback.playing:
-                    cursor = now
+            try:
+                self.picture.follow(now)
+                if not moved or self.run is None:
+                    continue
+                self.picture.move()
+            except Exception:  # the thread goes on: it moves the replay as well
+                logger.exception("a run could not be drawn in space")
+            if now - cursor > 1.0 / CURSORS or not self.playback.playing:
+                cursor = now
+                with self.server.atomic():
                     self.plots.move_cursor(self.playback.time)
                     self.bar.show()
 
@@ -271,16 +260,3 @@ class Lab:
         self._player.join(2.0)
         with contextlib.redirect_stdout(io.StringIO()):
             self.server.stop()
-
-
-async def _fit(client: Any) -> None:
-    """Let a browser in which the panel leaves a narrow view see the arm from further off, once."""
-    fitted = False
-
-    async def look(camera: Any) -> None:
-        nonlocal fitted
-        if not fitted and camera.aspect < 1.0:
-            fitted = True
-            camera.position = camera.look_at + (camera.position - camera.look_at) / max(camera.aspect, 0.3)
-
-    client.camera.on_update(look)

@@ -20,8 +20,11 @@ class Bench(Protocol):
     answers: Answers
     answer: Answer | None
     plots: Plots
-    space: Space
     after_show: list[Callable[[Answer], None]]
+
+    @property
+    def space(self) -> Space:
+        """What is drawn in space."""
 
     def refresh(self) -> None:
         """Let all controls show the scenario as it is now."""

@@ -2,7 +2,8 @@
 
 A slider is moved as a browser would, and the time is taken until the run is computed and the new curves have been
 handed to the page. With --drag it is moved sixty times a second, for so many seconds. With --map a map of 40 by 40 runs
-is computed and drawn. With --browser the same is measured in a page, from a key pressed there to the plot drawn there.
+is computed and drawn. With --browser the same is measured in a page, from the pointer
+that drags the slider to the plot drawn there.
 """
 
 from __future__ import annotations
@@ -55,7 +56,7 @@ def latencies(lab: Lab, changes: int) -> tuple[np.ndarray, np.ndarray]:
     for k in range(changes):
         before, spent = clock.perf_counter(), clock.process_time()
         lab.changed(KEY, 8.0 + 0.01 * k)
-        lab.wait()
+        lab.wait_for_plots()
         walls.append(clock.perf_counter() - before)
         processor.append(clock.process_time() - spent)
     return np.array(walls), np.array(processor)
@@ -150,8 +151,8 @@ def _in_a_page(lab: Lab, changes: int, seconds: float) -> bool:
         drawn, shown = (1e3 * times for times in in_browser.page_latencies(page, LABEL, changes))
         p50, p95 = np.percentile(drawn, [50, 95])
         later = np.percentile(shown, [50, 95])
-        print(f"in the page, from a key to the plot drawn again, {changes} changes: median {p50:.0f} ms, 95 % within "
-              f"{p95:.0f} ms; to the frame that shows it {later[0]:.0f} and {later[1]:.0f} ms")  # fmt: skip
+        print(f"in the page, from the pointer to the plot drawn again, {changes} changes: median {p50:.0f} ms, 95 % "
+              f"within {p95:.0f} ms; to the frame that shows it {later[0]:.0f} and {later[1]:.0f} ms")  # fmt: skip
         good = p95 < WANTED_MS
         if seconds:
             found = in_browser.page_drag(page, lab, LABEL, KEY, seconds, RATE)

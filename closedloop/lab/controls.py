@@ -34,6 +34,10 @@ TABS: dict[str, tuple[str, ...]] = {
 Form = Literal["linear", "log", "whole", "choice", "flag", "text"]
 # Keys whose values go with each other as whole numbers of steps: their sliders move in round values.
 ROUND = ("time.step",)
+# Units of a joint that turns, and what they are of one that slides.
+SLIDING = {"rad": "m", "rad/s": "m/s", "N m": "N", "N m/rad": "N/m", "N m s/rad": "N s/m"}
+# Sections whose lists are of other things than joints, however many they have.
+NO_JOINTS = ("tool", "surface", "surface_motion", "force_profile", "reference")
 DIGITS = 3  # of a value from a logarithmic slider
 
 
@@ -174,7 +178,7 @@ def _of_field(key: str, field: FieldInfo, value: Any, scenario: Scenario, model:
     label, hint = key.partition(".")[2], field.description or ""
     unit = next(iter(field_units(field)), "").partition(" (")[0]
 
-    def make(form: Form, *, of: str = label, index: int | None = None, **more: Any) -> Control:
+    def make(form: Form, *, of: str = label, index: int | None = None, unit: str = unit, **more: Any) -> Control:
         return Control(key, index, form, of, unit, hint, **more)
 
     names = next((one for one in field.metadata if isinstance(one, OneOf)), None)
@@ -191,13 +195,16 @@ def _of_field(key: str, field: FieldInfo, value: Any, scenario: Scenario, model:
     if isinstance(value, float | int):
         return [make(**span(key, field, float(value), unit, scenario), value=float(value))]
     if isinstance(value, tuple) and value and all(isinstance(entry, float | int) for entry in value):
-        by_joint = model is not None and len(model.joint_names) == len(value) and unit != "s"
+        by_joint = model is not None and len(model.joint_names) == len(value)
+        by_joint = by_joint and key.partition(".")[0] not in NO_JOINTS
         joints = model.joint_names if model is not None and by_joint else ()
         entries = joints or (("x", "y", "z") if len(value) == 3 else tuple(map(str, range(len(value)))))
         drives = model.drives if model is not None and by_joint and key.startswith("law.") else ()
+        types = model.joint_types if model is not None and by_joint else ()
+        units = [SLIDING.get(unit, unit) if kind == "prismatic" else unit for kind in types] or [unit] * len(value)
         return [
-            make(**span(key, field, float(value[k]), unit, scenario, k, model), of=f"{label} {entries[k]}", index=k,
-                 value=list(value))
+            make(**span(key, field, float(value[k]), units[k], scenario, k, model), of=f"{label} {entries[k]}", index=k,
+                 value=list(value), unit=units[k])
             for k in range(len(value)) if not drives or entries[k] in drives  # a law moves no other joint
         ]  # fmt: skip
     return [make("text", value=value)]

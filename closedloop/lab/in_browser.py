@@ -16,11 +16,11 @@ if TYPE_CHECKING:
 Array = NDArray[np.float64]
 
 PROGRAMS = "chromium", "chromium-browser", "google-chrome"
-# It draws space in software where there is no graphics processor.
-OPTIONS = ["--use-angle=swiftshader", "--enable-unsafe-swiftshader", "--no-sandbox", "--enable-precise-memory-info"]
+# As where somebody works; without a graphics processor Chromium draws space in software only if it is allowed to.
+OPTIONS = ["--enable-unsafe-swiftshader", "--no-sandbox", "--enable-precise-memory-info"]
 SIZE = 1440, 900  # px
 PATIENCE = 120_000  # ms
-# Notes when a key is pressed or the pointer moved, and when the plot of the force has been drawn with other values:
+# Notes when the pointer is moved with its button down, and when the plot of the force has been drawn with other values:
 # then, and in the frame after that, which shows it.
 WATCH = """() => {
 const charts = Object.values(window.__viserTestpoints.uplots).map(u => u.chart);
@@ -28,8 +28,9 @@ const chart = charts.find(c => c.series.some(s => s.label === 'commanded'));
 const at = chart.series.findIndex(s => s.label === 'commanded'), largest = () => Math.max(...chart.data[at]);
 window.lab = {drawn: [], shown: [], faults: 0, largest};
 let began = null, last = largest();
+window.lab.forget = () => { began = null; window.lab.drawn = []; window.lab.shown = []; };
 addEventListener('error', () => { window.lab.faults += 1; });
-addEventListener('keydown', e => { if (began === null) began = e.timeStamp; }, true);
+addEventListener('pointermove', e => { if (began === null && e.buttons) began = e.timeStamp; }, true);
 (chart.hooks.draw ??= []).push(() => {
   if (largest() === last) return;
   last = largest();
@@ -96,12 +97,20 @@ def page_of(lab: Lab) -> Iterator[Any]:
 
 
 def page_latencies(page: Any, label: str, changes: int) -> tuple[Array, Array]:
-    """Return the times (changes,), s, from a key that moves a slider to the drawn plot, and to the frame with it."""
-    thumb = _row(page, label).get_by_role("slider").first
-    thumb.focus()
+    """Drag a slider, each movement after the plot of the one before.
+
+    Returns the times (changes,), s, from the pointer's movement to the drawn plot, and to the frame with it.
+    """
+    box = _slider(page, label)
+    x, y = box["x"] + 0.5 * box["width"], box["y"] + 0.5 * box["height"]
+    page.mouse.move(x, y)
+    page.mouse.down()
+    page.wait_for_timeout(1000)
+    page.evaluate("window.lab.forget()")
     for k in range(changes):
-        page.keyboard.press("ArrowRight" if k // 10 % 2 == 0 else "ArrowLeft")
+        page.mouse.move(x + 2.0 * (10 - abs(k % 20 - 10) + 1), y)  # to and fro, never where it was
         page.wait_for_function(f"window.lab.shown.length > {k}", polling=20)
+    page.mouse.up()
     return tuple(np.array(page.evaluate(f"window.lab.{name}")) / 1e3 for name in ("drawn", "shown"))  # type: ignore[return-value]
 
 
@@ -109,7 +118,7 @@ def page_drag(page: Any, lab: Lab, label: str, key: str, seconds: float, rate: f
     """Drag a slider with the pointer `rate` times a second."""
     import time as clock
 
-    box = _row(page, label).locator(".mantine-Slider-root").bounding_box()
+    box = _slider(page, label)
     middle, y = box["x"] + 0.7 * box["width"], box["y"] + 0.5 * box["height"]
     heap = "performance.memory ? performance.memory.usedJSHeapSize / 1e6 : 0"
     page.mouse.move(middle, y)
@@ -136,6 +145,8 @@ def program() -> str | None:
     return next(filter(None, map(shutil.which, PROGRAMS)), None)
 
 
-def _row(page: Any, label: str) -> Any:
-    """Return the row of the control with this label."""
-    return page.locator(".mantine-Flex-root", has=page.get_by_text(label, exact=True)).last
+def _slider(page: Any, label: str) -> dict[str, float]:
+    """Return the box of the slider with this label, px: x, y, width and height."""
+    row = page.locator(".mantine-Flex-root", has=page.get_by_text(label, exact=True)).last
+    box: dict[str, float] = row.locator(".mantine-Slider-root").bounding_box()
+    return box

@@ -19,6 +19,11 @@ p.mantine-Text-root:has(> label){letter-spacing:0!important}
 [data-dock-tab]{padding:0 0.62em!important}
 .uplot .u-legend tr:nth-last-child(-n+2){display:none}
 </style>"""
+# Keys that move a slider do not turn the view as well: viser does that with arrow keys that come to the document.
+KEYS = (
+    """<img hidden src="data:," onerror="document.getElementById('root').addEventListener('keydown', """
+    """e => { if (e.target.closest('[role=slider]')) e.stopPropagation(); })">"""
+)
 # What is shown has been overtaken, and the new run is not there yet.
 GREYED = (
     "<style>.uplot{filter:grayscale(1) opacity(0.45)}canvas[data-engine]{filter:grayscale(0.9) opacity(0.55)}</style>"
@@ -45,7 +50,7 @@ KEEP = (
 )
 MAP = (
     "Choose two numbers of the scenario and a value of the run: <b>compute</b> runs them all, and a click into the map "
-    "loads the run of that place."
+    "loads the run of that place. The map is below: scroll, or drag the grey bar between here and the plots."
 )
 
 
@@ -54,11 +59,14 @@ def paragraph(text: str) -> str:
     return f'<div style="font-size:0.8em;line-height:1.35;opacity:0.75;padding:0.2em 0.8em">{text}</div>'
 
 
-def caption(scenario: Scenario, kinds: Sequence[str], metres_per_newton: float | None, panel_width: int) -> str:
+def caption(
+    scenario: Scenario, changed: bool, kinds: Sequence[str], metres_per_newton: float | None, panel_width: int
+) -> str:
     """Return what stands below the picture in space: what is shown, what to do, what the colours mean, and the scale.
 
-    `kinds` are those of the arrows, of `closedloop.lab.scene.ARROWS`. It is fixed to the window, beside a panel of so
-    many px, since viser has text in its panels only.
+    `changed` says whether the scenario is another by now than its description was written for, and `kinds` are those of
+    the arrows, of `closedloop.lab.scene.ARROWS`. It is fixed to the window, beside a panel of so many px, since viser
+    has text in its panels only.
     """
     place = (
         f"position:fixed;left:14px;bottom:10px;max-width:calc(100vw - {panel_width + 40}px);font-size:0.85em;"
@@ -66,7 +74,7 @@ def caption(scenario: Scenario, kinds: Sequence[str], metres_per_newton: float |
         "background:color-mix(in srgb,var(--mantine-color-body) 75%,transparent)"
     )
     about = scenario.description or scenario.name
-    about = html.escape(about[:1].upper() + about[1:])
+    about = html.escape(about[:1].upper() + about[1:]) + (", before what you changed" if changed else "")
     return (
         f'{STYLE}<div id="closedloop-caption" style="{place}"><b>{about}</b><br>{_legend(kinds, metres_per_newton)}<br>'
         f"Move any slider: the whole run of {scenario.time.duration:g} s is computed again; <b>undo</b> goes back. "

@@ -110,7 +110,7 @@ class Scene:
 
     def _where(self, event: Event) -> Array:
         """Return where an event is (3,), m: at the tip, or at the contact of links that it was of."""
-        if event.contact == 0:
+        if not 0 < event.contact <= len(self.touching):  # at the tip, or a stop
             return event.position
         row = min(int(np.searchsorted(self.run.time, event.time)), len(self.run) - 1)
         place, _ = self.touching[event.contact - 1].force(0.0, np.zeros(2), *self.joint_places(row))
@@ -122,11 +122,19 @@ class Scene:
 
     def tip_place(self, row: int) -> Array:
         """Return the tip (3,), m, base frame, from the joints' frames as they are drawn, not from the record."""
-        places = _places(self.model)
-        frame = places.model.frames[places.model.getFrameId(self.tip)]
-        axes, origins = self.joint_places(row)
+        frame, (axes, origins) = self._tip_frame, self.joint_places(row)
         tip: Array = origins[frame.parentJoint] + axes[frame.parentJoint] @ frame.placement.translation
         return tip
+
+    def tip_axes(self, axes: Array) -> Array:
+        """Return the axes of the tip's frame, as columns (3, 3), base frame, where those of the joints' are `axes`."""
+        turned: Array = axes[self._tip_frame.parentJoint] @ self._tip_frame.placement.rotation
+        return turned
+
+    @cached_property
+    def _tip_frame(self) -> Any:
+        model = _places(self.model).model
+        return model.frames[model.getFrameId(self.tip)]
 
     def arrows(self, rows: Sequence[int] | NDArray[np.int64]) -> list[list[Arrow]]:
         """Return the forces in each of some rows: the same ones, in the same order, in all.
@@ -135,10 +143,12 @@ class Scene:
         joint on its second side; then that of each contact of links on the link that has the point.
         """
         reactions = reactions_in(self.run, self.robot, np.asarray(rows, dtype=np.int64))
-        return [
-            [*self._at_tip(row), *self._in_loops(row, each), *self._between_links(row)]
-            for row, each in zip(rows, reactions, strict=True)
-        ]
+        found = [self._at_tip(row) for row in rows]
+        if self.joined.loops or self.touching:
+            for arrows, row, each in zip(found, rows, reactions, strict=True):
+                there = self.joint_places(row)
+                arrows += [*self._in_loops(each, *there), *self.between_links(row, *there)]
+        return found
 
     def _at_tip(self, row: int) -> list[Arrow]:
         run, normal = self.run, self.run.surface_normal[row]
@@ -147,21 +157,24 @@ class Scene:
         )  # fmt: skip
         return [Arrow(run.position[row], force, kind, kind) for kind, force in zip(ARROWS, forces, strict=False)]
 
-    def _in_loops(self, row: int, reactions: Array) -> list[Arrow]:
-        if not self.joined.loops:
-            return []
-        there = self.joint_places(row)
-        forces, (_, places) = self.joined.forces(reactions, *there), self.joined.places(*there)
+    def _in_loops(self, reactions: Array, axes: Array, origins: Array) -> list[Arrow]:
+        forces, (_, places) = self.joined.forces(reactions, axes, origins), self.joined.places(axes, origins)
         each = zip(places, forces, self.joined.loops, strict=True)
         return [Arrow(place, force, f"{LOOP} {loop.name}", LOOP) for place, force, loop in each]
 
-    def _between_links(self, row: int) -> list[Arrow]:
+    def between_links(self, row: int, axes: Array, origins: Array) -> list[Arrow]:
+        """Return the force of each contact of links in a row, where the joints' frames are as `joint_places` has them.
+
+        They are in the order of `touching`, each on the link that has its point.
+        """
         if not self.touching:
             return []
-        there, run = self.joint_places(row), self.run
-        frictions = run.link_frictions[row].reshape(-1, 2)
-        each = zip(self.touching, run.link_forces[row], frictions, strict=True)
-        return [Arrow(*c.force(normal, friction, *there), f"{TOUCH} {c.name}", TOUCH) for c, normal, friction in each]
+        frictions, t = self.run.link_frictions[row].reshape(-1, 2), float(self.run.time[row])
+        each = zip(self.touching, self.run.link_forces[row], frictions, strict=True)
+        return [
+            Arrow(*c.force(float(normal), friction, axes, origins, t), f"{TOUCH} {c.name}", TOUCH)
+            for c, normal, friction in each
+        ]
 
     @cached_property
     def touching(self) -> tuple[Touching, ...]:
@@ -177,15 +190,24 @@ class Scene:
 
     @cached_property
     def arm_hides_force(self) -> bool:
-        """Whether the last link stands above the surface at the start, where the contact force is drawn."""
+        """Whether links stand where forces on them are drawn: one that touches another does, and the last link if it is
+        above the surface at the start.
+        """
+        if self.touching:
+            return True
         above = self.joint_places(0)[1][self.last_joint] - self.tip_place(0)
         return float(self.ground.frame[0] @ above) > 0.0
 
     @cached_property
+    def hiding(self) -> frozenset[int]:
+        """The numbers of the joints whose links may hide forces on them: of the last link, and of those that touch."""
+        touching = {frame for each in self.touching for frame in (each.point_frame, each.plane_frame)}
+        return frozenset(touching | {self.last_joint}) - {0}
+
+    @cached_property
     def last_joint(self) -> int:
         """The number of the joint that moves the tip."""
-        model = _places(self.model).model
-        return int(model.frames[model.getFrameId(self.tip)].parentJoint)
+        return int(self._tip_frame.parentJoint)
 
     @cached_property
     def size(self) -> float:

@@ -81,7 +81,7 @@ def _data(run: Run, command: str) -> dict[str, Any]:
         "size": scene.size, "centre": middle.tolist(), "radius": radius, "metres_per_newton": scene.metres_per_newton,
         "surface": {"joint": run.model.n + 1, "vertices": _numbers(vertices), "faces": _numbers(faces, np.uint32)},
         "arrows": [{"name": a.name, "kind": a.kind, "colour": ARROWS[a.kind]} for a in scene.arrows([0])[0]],
-        "meanings": MEANINGS,
+        "kinds": scene.kinds, "meanings": MEANINGS,
         "paths": [
             {"name": "actual path", "colour": PATH, "points": _numbers(thin_out(run.position, MOST_POINTS))},
             {"name": "desired path", "colour": WANTED, "points": _numbers(thin_out(run.reference_tip, MOST_POINTS))},

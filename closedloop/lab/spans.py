@@ -46,6 +46,8 @@ def span(
         return _linear(-1.0, 1.0)  # a direction
     if _is_instant(key, unit):
         return _linear(0.0, max(2.0 * value, scenario.time.duration), 0.05)
+    if key == "law.force" and scenario.surface.contact == "unilateral" and value >= 0.0:
+        least = max(least, 0.0)  # with less the tip only leaves the surface
     reach = 3.0 * abs(value) or USUAL.get(unit, 1.0)
     return _linear(max(-reach, least), min(reach, most))
 

@@ -153,4 +153,6 @@ def _can_show(held: Control, wanted: Control) -> bool:
     sliders = {"linear", "log"}
     same_form = held.form == wanted.form or {held.form, wanted.form} == sliders
     same = (held.key, held.index, held.options) == (wanted.key, wanted.index, wanted.options)
+    if held.form == wanted.form == "linear":
+        same = same and (held.low < 0.0) == (wanted.low < 0.0)
     return same and same_form and (held.form != "log" or wanted.own > 0.0)

@@ -17,6 +17,7 @@ Array = NDArray[np.float64]
 HEIGHT = 132  # px of a plot
 CURSOR, MARK = "#888888", "#B8A500"
 TICK = 0.15  # of the plot's height: the mark of an event
+MOST_DIGITS = 16  # of the values beside a plot, commas and sign with them
 # Events that are marked in a plot at most: more could not be told apart.
 MOST_MARKS = 60
 # What is pinned is drawn in these panels, its first trace.
@@ -82,9 +83,10 @@ class Plots:
         for panel in self._panels:
             shown = self._with_pins(panel)
             data, series = plot_data(shown, self._instants, self._cursor)
-            handle, look = self._handles[panel.name], (panel.title, tuple((t.label, t.colour) for t in shown.traces))
+            handle, axes = self._handles[panel.name], _axes(panel.title, _longest(shown))
+            look = axes, tuple((t.label, t.colour) for t in shown.traces)
             if self._drawn.get(panel.name) != look:
-                handle.axes, handle.series = _axes(panel.title), series
+                handle.axes, handle.series = axes, series
                 self._drawn[panel.name] = look
             handle.data = data
 
@@ -106,8 +108,16 @@ class Plots:
 _UNITS = {"pm": 1e12, "nm": 1e9, "µm": 1e6, "mm": 1e3, "m": 1.0}
 
 
-def _axes(title: str) -> tuple[dict[str, Any], ...]:
-    return {"size": 32}, {"size": 58, "label": title, "labelSize": 18, "labelFont": "11px sans-serif"}
+def _axes(title: str, digits: int = 0) -> tuple[dict[str, Any], ...]:
+    """Return the axes of a plot whose values have so many characters at most; a diverging run has many."""
+    size = 58 + 7 * max(0, digits - 6)
+    return {"size": 32}, {"size": size, "label": title, "labelSize": 18, "labelFont": "11px sans-serif"}
+
+
+def _longest(panel: Panel) -> int:
+    """Return how many characters the values of a panel have, as uPlot writes large ones; more have no room at all."""
+    ends = [float(end) for t in panel.traces for end in (np.nan_to_num(t.values).min(), np.nan_to_num(t.values).max())]
+    return min(max((len(f"{end:,.0f}") for end in ends), default=0), MOST_DIGITS)
 
 
 def plot_data(

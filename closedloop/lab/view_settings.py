@@ -44,7 +44,7 @@ class ViewTab:
                 for name in DRAWN
             }
             self._through = gui.add_checkbox(
-                "see through", False, hint="draw the last link so that the force inside of it is seen"
+                "see through", False, hint="draw the links that hide forces on them so that these are seen"
             )
             self._dark = gui.add_checkbox("dark", dark, hint="light on dark instead of dark on light")
         self._scale.on_update(self._scaled)
@@ -58,7 +58,7 @@ class ViewTab:
         self._space, self._redraw, self._tell_scale = space, redraw, scaled
 
     def see_through(self, through: bool) -> None:
-        """Draw the last link so that the force inside of it is seen, or not, as the switch does."""
+        """Draw the links that hide forces so that these are seen, or not, as the switch does."""
         if self._space is not None:
             self._through.value = through
             self._space.see_through(through)

@@ -43,7 +43,7 @@ class Space:
         self._shapes: tuple[Any, ...] = ()
         self._joints: list[Any] = []
         self._marks: list[Any] = []
-        self._last_link: list[Any] = []
+        self._hiding: list[Any] = []
         self._opacity: float | None = None
         self._nodes: dict[str, Any] = {}
         self.metres_per_newton: float | None = None
@@ -115,17 +115,17 @@ class Space:
             node.remove()
         self._shapes = scene.shapes
         count = scene.run.model.n + 1
-        self._last_link = []
+        self._hiding = []
         self._joints = [self._api.add_frame(f"/arm/{k}", show_axes=False) for k in range(count)]
         for at, shape in enumerate(scene.shapes):
-            last = shape.joint == scene.last_joint
+            hides = shape.joint in scene.hiding
             mesh = self._api.add_mesh_simple(
                 f"/arm/{shape.joint}/shape{at}", shape.vertices, shape.faces,
                 color=tuple(round(255 * c) for c in shape.colour), side="double", flat_shading=len(shape.faces) > 20,
-                cast_shadow=False, receive_shadow=False, opacity=self._opacity if last else None,
+                cast_shadow=False, receive_shadow=False, opacity=self._opacity if hides else None,
             )  # fmt: skip
-            if last:
-                self._last_link.append(mesh)
+            if hides:
+                self._hiding.append(mesh)
 
         self._marks = [self._api.add_frame(f"/loops/{k}", show_axes=False) for k in range(len(scene.joined.loops))]
         for k, loop in enumerate(scene.joined.loops):
@@ -136,10 +136,10 @@ class Space:
             )  # fmt: skip
 
     def see_through(self, through: bool) -> None:
-        """Draw the last link so that the force inside of it is seen, or not."""
+        """Draw the links that hide forces on them so that these are seen, or not."""
         with self._lock:
             self._opacity = 0.35 if through else None
-            for mesh in self._last_link:
+            for mesh in self._hiding:
                 mesh.opacity = self._opacity
 
     def _draw_surface(self, scene: Scene) -> None:
@@ -171,13 +171,16 @@ class Space:
         )  # fmt: skip
 
     def _draw_events(self, scene: Scene) -> None:
-        node = self._nodes.pop("events", None)
-        if node is not None:
-            node.remove()
+        node = self._nodes.get("events")
         if not scene.marks:
+            if node is not None:
+                self._nodes.pop("events").remove()
             return
         points = np.array([mark.position for mark in scene.marks], dtype=np.float32)
         colours = np.array([EVENTS[mark.kind] for mark in scene.marks], dtype=np.uint8)
+        if node is not None:  # made anew it would have its shader compiled again
+            node.points, node.colors = points, colours
+            return
         self._nodes["events"] = self._api.add_point_cloud(
             "/events", points, colours, point_size=0.006 * scene.size, point_shape="circle", precision="float32",
             visible="events" not in self.hidden,

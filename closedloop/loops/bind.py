@@ -102,13 +102,13 @@ def _idle(tree: Tree, bound: Bound) -> NDArray[np.bool_]:
     return np.asarray(found, dtype=np.bool_)
 
 
-def loop_memory(robot: Robot, stops: bool = False) -> LoopMemory:
-    """Return a new memory of a robot's loops, and if asked for of the stops of its joints."""
-    return make_loop_memory(robot.tree, bound_by_loops(robot, stops))
+def loop_memory(robot: Robot) -> LoopMemory:
+    """Return a new memory of a robot's loops."""
+    return make_loop_memory(robot.tree, bound_by_loops(robot))
 
 
 def step_memory(robot: Robot, stops: bool) -> LoopMemory:
-    """Return the same for the steps of a run: without the rows that bind what no joint can move."""
+    """Return the same for the steps of a run: with the stops of its joints if asked for, without rows that nothing moves."""
     bound = bound_by_loops(robot, stops)
     sides = bound.sides.reshape(4, -1)
     moving = sides[0] != IDLE

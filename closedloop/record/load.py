@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 import robot_models
-from closedloop.columns.recorded import ALL_COLUMNS, columns_there
+from closedloop.columns.recorded import ALL_COLUMNS, CONTACT_COLUMNS, columns_there
 from closedloop.errors import ClosedLoopError, RunFileError, faults_on_one_line
 from closedloop.files import reason_of
 from closedloop.record.run import Run
@@ -128,7 +128,8 @@ def _verify(found: Mapping[str, Any], columns: Mapping[str, NDArray[Any]]) -> No
 def _check_columns(columns: Mapping[str, NDArray[Any]], joints: int, contacts: int, allowed: list[str]) -> None:
     sizes = {"time": columns["time"].size, "joint": joints, "axis": 3, "event": columns["event_time"].size}
     sizes |= {"contact": contacts, "contact_tangent": 2 * contacts}
-    for name, spec in columns_there(columns).items():
+    needed = CONTACT_COLUMNS if contacts else {}
+    for name, spec in (columns_there(columns) | needed).items():
         column, shape = columns[name], tuple(sizes[dim] for dim in spec.dims)
         if column.shape != shape or column.dtype.kind not in "fi":
             raise RunFileError(

@@ -39,6 +39,20 @@ def seal(content: bytes | memoryview) -> bytes:
     return _WORDS + hashlib.sha256(content).hexdigest().encode() + b"\n"
 
 
+def unsealed(whole: memoryview) -> memoryview:
+    """Return what stands before the seal of a file's bytes.
+
+    Raises
+    ------
+    ValueError
+        If there is no seal, or it is broken.
+    """
+    content, line = whole[:-SEAL_LENGTH], whole[-SEAL_LENGTH:]
+    if line != seal(content):
+        raise ValueError("is damaged: its bytes are not those that were written (their SHA-256 is another)")
+    return content
+
+
 def read_sealed(path: Path, names: list[str]) -> tuple[Attributes, Columns]:
     """Return the attributes of a file, and those of the columns named that it has.
 
@@ -56,9 +70,10 @@ def read_sealed(path: Path, names: list[str]) -> tuple[Attributes, Columns]:
             return _read_apart(path, size, names)
         file.seek(0)
         whole = memoryview(file.read())
-    content, line = whole[:-SEAL_LENGTH], whole[-SEAL_LENGTH:]
-    if line != seal(content):
-        raise RunFileError("is damaged: its bytes are not those that were written (their SHA-256 is another)")
+    try:
+        content = unsealed(whole)
+    except ValueError as error:
+        raise RunFileError(str(error)) from None
     from closedloop.record.hdf5_reader import read_hdf5
 
     return read_hdf5(io.BytesIO(content), len(content), names)

@@ -9,6 +9,8 @@ from pydantic import Field
 from closedloop.families import OneOf
 from closedloop.impact.restitution import RESTITUTIONS
 from closedloop.sections import COEFFICIENT, Coordinate, Direction, NotNegative, Positive, Restitution, Section, Size
+from closedloop.surface.motion import MOTIONS, SurfaceMotion
+from closedloop.surface.surface import SURFACES, Surface
 
 REST_SPEED = Size(1e4, "m/s", "nothing bounces so fast", 1e-12, "slower motion is rounding")
 RestitutionName = Annotated[str, OneOf(RESTITUTIONS)]
@@ -28,19 +30,25 @@ class ImpactSection(Section):
 
 
 class ContactSection(Section):
-    """[[contact]]: a point of a link that touches a plane of another link, or of the world; any number of them."""
+    """[[contact]]: a point of a link that touches a surface of another link, or of the world; any number of them."""
 
     name: str = Field("", description="what it is called; contact 1, contact 2 ... if left out")
     link: str = Field(description="frame that the point belongs to")
     at: tuple[Coordinate, Coordinate, Coordinate] = Field(
         (0.0, 0.0, 0.0), description="the point, m, axes of that frame"
     )
-    against: str = Field("world", description="frame that the plane belongs to; world: the base frame")
+    against: str = Field("world", description="frame that the surface belongs to; world: the base frame")
     normal: Direction = Field(
-        (0.0, 0.0, 1.0), description="normal of the plane, towards the point, axes of the frame against; any length"
+        (0.0, 0.0, 1.0), description="normal of the surface, towards the point, axes of the frame against; any length"
     )
     through: tuple[Coordinate, Coordinate, Coordinate] = Field(
-        (0.0, 0.0, 0.0), description="a point of the plane, m, axes of the frame against"
+        (0.0, 0.0, 0.0), description="the point of the surface with that normal, m, axes of the frame against"
+    )
+    surface: Annotated[Surface, SURFACES] | None = Field(
+        None, description="what it is, as [surface] says it: kind and what it measures; a plane if left out"
+    )
+    motion: Annotated[SurfaceMotion, MOTIONS] | None = Field(
+        None, description="how it moves in the frame against, as [surface_motion] says it; not at all if left out"
     )
     friction: Annotated[NotNegative, COEFFICIENT] = Field(0.0, description="Coulomb's coefficient of friction μ, 1")
     restitution: Restitution = Field(0.0, description="Newton's coefficient of restitution, 0 to 1")

@@ -58,6 +58,27 @@ def variant_keys(section: str, kind: Any) -> set[str]:
     return set(variant.model_fields) if variant else set()
 
 
+def _listed(section: str) -> type[Section] | None:
+    """Return the type of the tables of a section that is a list of them, as [[contact]] is, None of any other."""
+    field = Scenario.model_fields.get(section)
+    for part in get_args(field.annotation) if field is not None else ():
+        for each in get_args(part):
+            if isinstance(each, type) and issubclass(each, Section):
+                return each
+    return None
+
+
+def _families_in(table: type[Section]) -> dict[str, Family[Any]]:
+    """Return the keys of a table that are sections of a family, and the family."""
+    return {
+        name: each
+        for name, field in table.model_fields.items()
+        for part in get_args(field.annotation)
+        for each in getattr(part, "__metadata__", ())
+        if isinstance(each, Family)
+    }
+
+
 # What is right, for the kinds of fault whose text does not depend on the key.
 CURES = {
     "greater_than": "must be greater than 0",
@@ -70,6 +91,7 @@ CURES = {
 }
 
 
+TABLES = "contact"  # the section that is a list of tables
 LONGEST_KEY = 60  # characters, more than any has; a joint's name may
 MOST_FAULTS = 20  # lines; a list of ten thousand points may have a fault in each
 
@@ -106,26 +128,29 @@ def _explain(problem: ErrorDetails, data: dict[str, Any]) -> tuple[str, str]:
         del location[1]
     known = _all_keys(section)
     path = [p for k, p in enumerate(location) if p.isdigit() or k == 0 or p in known or "lock" in location]
-    name = "".join(f"[{p}]" if p.isdigit() else f".{p}" for p in path).removeprefix(".")
+    name, whole = _dotted(path), _dotted(location)
     kind, value = problem["type"], problem.get("input")
     shown = "a table" if isinstance(value, dict) else shown_value(value)
     if isinstance(value, bool):
         shown = str(value).lower()  # as TOML spells it
     if kind == "extra_forbidden":
-        whole = ".".join(location)
         return whole, f"unknown key '{whole}'; {_known_keys(section, location, data)}"
     if kind == "missing" and location[-1].isdigit():
-        name, shown, cure = name.partition("[")[0], shown_value(value), CURES["too_short"]
+        name, shown, cure = name.rpartition("[")[0], shown_value(value), CURES["too_short"]
     elif kind == "missing":
-        whole = ".".join(location)
         return whole, f"'{whole}' is missing"
     elif kind == "value_error" and isinstance(problem["ctx"]["error"], SizeError):
         cure = str(problem["ctx"]["error"])
+    elif section == TABLES and len(location) < 3 and kind in ("model_type", "tuple_type"):
+        cure = f"must be tables, each headed [[{section}]]"
     elif name == "surface.offset":
         cure = 'must be a finite number of metres, or "start"'
     elif kind in ("union_tag_invalid", "union_tag_not_found"):
         shown = shown_value(problem["ctx"].get("tag")) if kind == "union_tag_invalid" else "missing"
-        name, cure = f"{name}.kind", f"must be {' or '.join(map(repr, _shipped_kinds(section)))}"
+        kinds = _shipped_kinds(section)
+        if table := _listed(section):
+            kinds = [kind for key, family in _families_in(table).items() if key in path for kind in family.names()]
+        name, cure = f"{name}.kind", f"must be {' or '.join(map(repr, kinds))}"
     elif kind == NOT_NAMED:
         user = problem["ctx"]["name"]
         name = f"{name}.kind" if isinstance(value, dict) else name
@@ -143,13 +168,30 @@ def _explain(problem: ErrorDetails, data: dict[str, Any]) -> tuple[str, str]:
     return name, f"{name} = {shown}: {cure}"
 
 
+def _dotted(path: list[str]) -> str:
+    return "".join(f"[{p}]" if p.isdigit() else f".{p}" for p in path).removeprefix(".")
+
+
 def _brief(key: str) -> str:
     """Return a key as messages show it: whole, but for one of absurd length."""
     return key if len(key) <= LONGEST_KEY else f"{key[:LONGEST_KEY]}..."
 
 
 def _all_keys(section: str) -> set[str]:
+    if table := _listed(section):
+        members = [member for family in _families_in(table).values() for member in family.values()]
+        return {key for each in (table, *members) for key in each.model_fields}
     return {key for kind in variants(section) for key in variant_keys(section, kind)}
+
+
+def _known_in_list(table: type[Section], path: list[str], data: dict[str, Any]) -> tuple[list[str], str]:
+    """Return the keys of a table of a list in place of an unknown one, or of a section in it, and whose they are."""
+    family = _families_in(table).get(path[2]) if len(path) > 3 else None
+    if family is None:
+        return sorted(table.model_fields), f"[[{path[0]}]] knows"
+    given = data[path[0]][int(path[1])][path[2]]
+    kind = given.get("kind", family.usual or "")
+    return sorted(family[kind].model_fields), f"{path[2]} of kind {kind!r} knows"
 
 
 def _known_keys(section: str, path: list[str], data: dict[str, Any]) -> str:
@@ -157,6 +199,8 @@ def _known_keys(section: str, path: list[str], data: dict[str, Any]) -> str:
     if len(path) == 1:
         known = list(Scenario.model_fields)
         place = "sections are"
+    elif table := _listed(section):
+        known, place = _known_in_list(table, path, data)
     else:
         kinds = variants(section)
         given = data[section] if isinstance(data[section], dict) else {}
@@ -169,4 +213,4 @@ def _known_keys(section: str, path: list[str], data: dict[str, Any]) -> str:
             said = f"is {kind!r}" if "kind" in given else f"is {kind!r} where it is not given"
             return f"{section}.kind {said}, and {path[1]} goes with {' or '.join(others)}"
     near = difflib.get_close_matches(path[-1], known, n=1, cutoff=0.5)
-    return f"did you mean '{'.'.join([*path[:-1], near[0]])}'?" if near else f"{place} {', '.join(known)}"
+    return f"did you mean '{_dotted([*path[:-1], near[0]])}'?" if near else f"{place} {', '.join(known)}"

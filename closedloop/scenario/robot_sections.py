@@ -45,7 +45,10 @@ class RobotSection(Section):
         description="let the damping and friction of the URDF's <dynamics> act in the joints, as viscous coefficients "
         "and Coulomb torques: the law coulomb_viscous of joint_friction, which must be left out then",
     )
-    stops: Flag = Field(False, description="joints strike hard stops at their position limits")
+    stops: Flag = Field(
+        False,
+        description="joints strike hard stops at their position limits; limits of loop joints are stops in any case",
+    )
     stop_restitution: Restitution = Field(
         0.0, description="restitution there: of a joint alone the ratio of its speeds after and before, from 0 to 1"
     )

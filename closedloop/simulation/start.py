@@ -10,7 +10,6 @@ from numpy.typing import NDArray
 from closedloop.closure.contact_force import FREE, PRESSED
 from closedloop.errors import ScenarioError
 from closedloop.events.phases import RESTING, TOUCHING
-from closedloop.integrators import ADAPTIVE, INTEGRATORS
 from closedloop.parameters import lists_per_joint
 from closedloop.reference.edge import edge_key
 from closedloop.reference.force import force_at
@@ -51,16 +50,11 @@ def start_state(scenario: Scenario, model: RobotModel) -> tuple[Array, Array]:
 def refuse_combinations(scenario: Scenario, model: RobotModel) -> None:
     """Refuse what loops, and stops of joints, cannot be combined with."""
     stopped = has_stops(scenario, model)
-    if stopped and scenario.time.integrator in ADAPTIVE:
-        raise ScenarioError(
-            f"time.integrator = {scenario.time.integrator!r}: stops of joints take steps of fixed length, and limits "
-            f"of loop joints are stops; must be {' or '.join(map(repr, INTEGRATORS))}"
-        )
     if scenario.robot.stop_restitution > 0.0 and not stopped:
         raise ScenarioError("robot.stop_restitution: is that of the joints' stops; give robot.stops = true with it")
-    if scenario.contact and not scenario.robot.stops and (stopped or any(map(np.any, loop_dynamics(model)))):
+    if scenario.contact and any(map(np.any, loop_dynamics(model))):
         raise ScenarioError(
-            f"contact: does not go with friction or limits of loop joints, and {model.name} has some: leave either out"
+            f"contact: does not go with friction of loop joints, and {model.name} has some: leave either out"
         )
 
 

@@ -13,25 +13,16 @@ import math
 import numpy as np
 from numpy.typing import NDArray
 
-from closedloop.closure.contact_force import (
-    FREE,
-    PRESSED,
-    STUCK,
-    accelerate,
-    baumgarte_acceleration,
-)
-from closedloop.closure.solve import OK, back_substitute, forward_substitute
-from closedloop.contacts.given_modes import kinds_of_modes, mobility_of, solve_modes
+from closedloop.closure.contact_force import FREE, PRESSED, STUCK, accelerate
+from closedloop.closure.solve import OK, back_substitute
+from closedloop.contacts.given_modes import kinds_of_modes, solve_modes
 from closedloop.contacts.impact import strike
-from closedloop.contacts.memory import LINE, OFF, ContactLinks, Contacts, contacts_at
+from closedloop.contacts.memory import LINE, ContactLinks, Contacts, contacts_at
 from closedloop.contacts.modes import CLOSED_GAP, HOVERING, decide
 from closedloop.jit.kernel import entry_kernel, kernel
-from closedloop.jit.pointers import integers_at, vector_at
-from closedloop.loops.memory import loops_at, tree_at
-from closedloop.loops.rows import ALONG, POINT, locate_rows, move_point, turn_direction
-from closedloop.loops.solve import leave_free
-from closedloop.step.locate import off_anchor, set_anchor
-from closedloop.step.memory import Constants, State, Work, loop_at
+from closedloop.step.contact_rows import locate_contacts, place_contacts
+from closedloop.step.locate import set_anchor
+from closedloop.step.memory import State, Work, loop_at
 
 Array = NDArray[np.float64]
 
@@ -53,8 +44,9 @@ def contacts_in_step(address: int, what: int) -> int:
     state, constants, w = loop_at(links.loop)
     status = OK
     if what == FORCE:
-        locate_contacts(links, c, w, constants, state)
-        status = contact_forces(links, c, w, state)
+        status = locate_contacts(links, c, w, constants, state)
+        if status == OK:
+            status = contact_forces(links, c, w, state)
     elif what == SAVE:
         save_contacts(links, c)
     elif what == STRIKE:
@@ -63,7 +55,7 @@ def contacts_in_step(address: int, what: int) -> int:
         move(links, c, w)
     elif what == DECIDE:
         place_contacts(links, c, w)
-        status = decide(links, c, constants.stick_speed)
+        status = decide(links, c, (3.0 if state.steps < 0 else 1.0) * constants.stick_speed)
         move(links, c, w)
         if c.mode[0] == STUCK and c.happened[0] != 0.0:
             set_anchor(w, state)
@@ -71,61 +63,6 @@ def contacts_in_step(address: int, what: int) -> int:
         for j in range(links.n):
             w.torque[j] *= c.driven[j]
     return int(status)
-
-
-@kernel
-def locate_contacts(links: ContactLinks, c: Contacts, w: Work, constants: Constants, state: State) -> None:
-    """Write rows, mobility and free acceleration of all contacts, and what the stabiliser asks for."""
-    n, k = links.n, links.k
-    joints, rows = loops_at(links.rows)
-    for j in range(n):
-        rows.q[j], rows.v[j], c.load[j] = w.q[j], w.v[j], w.y[j]
-    locate_rows(joints, rows)
-    for i in range(3):
-        c.located[i] = w.gap if i == 0 else off_anchor(w, state, i)
-        c.u[i], c.drift[i], c.a[i] = w.u[i], w.drift_c[i], w.a[i]
-        for j in range(n):
-            c.G[i, j], c.X[i, j] = w.A[i, j], w.X[i, j]
-    for r in range(3 * (k - 1)):
-        i = r + 3
-        c.located[i], c.u[i], c.drift[i] = rows.error[r], rows.rate[r], rows.drift[r]
-        for j in range(n):
-            c.G[i, j], c.X[i, j] = rows.G[r, j], rows.G[r, j]
-        forward_substitute(w.L, c.X[i])
-        c.a[i] = c.drift[i]
-        for j in range(n):
-            c.a[i] += c.X[i, j] * w.y[j]
-        if state.loops != 0:
-            bound, loops = loops_at(state.loops_at)
-            leave_free(bound, loops, c.X[i])
-    mobility_of(c, k)
-    for i in range(k):
-        for j in range(3 * i, 3 * i + 3):
-            off = c.located[j] if j == 3 * i or i == 0 else c.located[j] - c.anchor[j]
-            c.b[j] = baumgarte_acceleration(constants.s_v, constants.s_p, c.u[j], off)
-    c.kind[0] = OFF
-    if state.unilateral == 0:
-        c.kind[0] = LINE
-        for i in range(2):
-            c.along[0, i], c.viscous[1 + i] = w.c[i], w.viscous[i]
-
-
-@kernel
-def place_contacts(links: ContactLinks, c: Contacts, w: Work) -> None:
-    """Write the axes of the contacts and where they are, base axes, at the state that was located last."""
-    joints, rows = loops_at(links.rows)
-    tree, work = tree_at(joints), vector_at(joints.scratch, joints.scratch_size)
-    sides = integers_at(joints.bound, 3 * joints.m)
-    for j in range(3):
-        c.point[0, j] = w.r[j]
-        for i in range(3):
-            c.axes[i, j] = w.frame[i, j]
-    a, b = rows.motions[0], rows.motions[1]
-    for r in range(joints.m):
-        move_point(tree, work, sides[joints.m + r], rows.at_a[r], a)
-        turn_direction(tree, work, sides[2 * joints.m + r], rows.along_b[r], b)
-        for j in range(3):
-            c.axes[3 + r, j], c.point[1 + r // 3, j] = b[ALONG + j], a[POINT + j]
 
 
 @kernel
@@ -142,7 +79,7 @@ def contact_forces(links: ContactLinks, c: Contacts, w: Work, state: State) -> i
         if c.kind[0] == LINE and c.rigid[0] < 0.0 and (c.along[0, 0] != 0.0 or c.along[0, 1] != 0.0):
             c.along[0, 0], c.along[0, 1] = -c.along[0, 0], -c.along[0, 1]  # what pulls rubs with |f|
             status = solve_modes(c, k)
-        c.margin = margin_of(c, k, STICK_SPEED)
+        c.margin = margin_of(c, k, STICK_SPEED, 2.0 * STICK_SPEED if state.steps < 0 else 0.0)
     w.contact_margin, w.contact_power, w.contact_power_rate = c.margin, 0.0, 0.0
     for i in range(3):
         w.F[i], w.b[i], w.stabiliser_force[i] = c.F[i], c.b[i], c.F[i] - c.rigid[i]
@@ -153,8 +90,8 @@ def contact_forces(links: ContactLinks, c: Contacts, w: Work, state: State) -> i
         growth = c.a[i]
         for j in range(3 * k):
             growth += c.W[i, j] * c.F[j]
-        w.contact_power += c.F[i] * c.u[i]
-        w.contact_power_rate += c.F[i] * growth
+        w.contact_power += c.F[i] * (c.u[i] + c.carried[i])
+        w.contact_power_rate += c.F[i] * (growth - c.turning[i])
         for j in range(n):
             w.contact_torque[j] += c.G[i, j] * c.F[i]
             w.y[j] += c.X[i, j] * c.F[i]
@@ -167,8 +104,12 @@ STICK_SPEED = 1e-7
 
 
 @kernel
-def margin_of(c: Contacts, k: int, slow: float) -> float:
-    """Return what is left until the mode of a contact ends: a gap, m, a force, N, or a speed of slip, m/s."""
+def margin_of(c: Contacts, k: int, slow: float, rest: float) -> float:
+    """Return what is left until the mode of a contact ends: a gap, m, a force, N, or a speed of slip, m/s.
+
+    Slip ends at the speed `rest`, m/s: 0 with steps of fixed length. An integrator that chooses its steps would need
+    endlessly many for the turns of the direction at the very end.
+    """
     least = math.inf
     for i in range(k):
         n = 3 * i
@@ -183,7 +124,7 @@ def margin_of(c: Contacts, k: int, slow: float) -> float:
             least = min(least, left + c.rounding)
         elif c.mu[i] > 0.0:
             along = c.u[n + 1] * c.direction[i, 0] + c.u[n + 2] * c.direction[i, 1]
-            least = min(least, along + (slow if c.start_slip[i] <= slow else 0.0))
+            least = min(least, along + (slow if c.start_slip[i] <= max(slow, rest) else -rest))
     return float(least)
 
 

@@ -244,8 +244,9 @@ def record_arm(w: Work, state: State, part: Array) -> None:
 def record_contacts(state: State, part: Array) -> None:
     """Write the part of a row that is a `ContactRow`."""
     links, c = contacts_at(state.contacts_at)
-    row = ContactRow(part[links.record_at :], links.k - 1)
-    for i in range(1, links.k):
+    points = links.k - links.stops
+    row = ContactRow(part[links.record_at :], points - 1)
+    for i in range(1, points):
         at, to = 3 * i, i - 1
         row.link_modes[to], row.link_gaps[to], row.link_forces[to] = c.mode[i], c.located[at], c.F[at]
         row.link_frictions[2 * to], row.link_frictions[2 * to + 1] = c.F[at + 1], c.F[at + 2]

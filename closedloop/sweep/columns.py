@@ -166,6 +166,6 @@ def _create(file: Any, name: str, rows: int, wide: tuple[int, ...]) -> None:
     if wide and column.dims[1] not in file.dimensions:
         file.dimensions[column.dims[1]] = wide[0]
     variable = file.create_variable(
-        name, ("run", *column.dims), "f8", fillvalue=np.nan, chunks=(1, max(rows, 1), *wide)
+        name, ("run", *column.dims), "f8", fillvalue=np.nan, chunks=(1, max(rows, 1), *wide), fletcher32=True
     )  # fmt: skip
     variable.attrs["units"], variable.attrs["long_name"] = column.units, column.meaning

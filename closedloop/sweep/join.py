@@ -11,8 +11,7 @@ from __future__ import annotations
 
 import json
 from collections import Counter
-from collections.abc import Callable, Iterator
-from contextlib import contextmanager
+from collections.abc import Callable, Iterable, Iterator
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, BinaryIO
@@ -22,11 +21,11 @@ from closedloop.errors import OutputError
 from closedloop.files import remove_unfinished, write_whole
 from closedloop.sweep.columns import write_columns
 from closedloop.sweep.store import FORMAT, Store, check_identity, occupied, unwritable
+from closedloop.sweep.table_file import METADATA, description_of, open_table, pieces, unreadable_is_none
 
 if TYPE_CHECKING:
     import pyarrow as pa
 
-METADATA = "closedloop_sweep"
 # The column that judges a run, where the table has it, and what it says of a good one.
 VERDICT, GOOD = "verdict", "good"
 # Rows of the table that are compressed together.
@@ -65,8 +64,6 @@ def already_there(identity: dict[str, Any], out: Path) -> Joined | None:
     OutputError
         If a table could not be put there.
     """
-    from pyarrow import parquet
-
     if out.suffix != ".parquet":
         raise OutputError(f"--out {out}: must end in .parquet")
     if out.exists() and not out.is_file():  # a folder, or a pipe, which would be waited for
@@ -82,9 +79,8 @@ def already_there(identity: dict[str, Any], out: Path) -> Joined | None:
             return None
         found = counted = None
         with unreadable_is_none():
-            columns = parquet.read_schema(out)
-            found = json.loads((columns.metadata or {})[METADATA.encode()])
-            counted = _counted(parquet.read_table(out, columns=_judged(columns)))
+            found = json.loads(description_of(out))
+            counted = _counted_all(pieces(out))
     except OSError as error:
         if isinstance(error, OutputError):
             raise
@@ -126,10 +122,12 @@ def join(store: Store, out: Path, parts: int, columns: pa.Schema, step: float) -
 
     def write(done: Done) -> None:
         def write_table(file: BinaryIO) -> None:
-            for rows in _write_table(file, store, parts, columns.with_metadata(attributes), done.check):
-                statuses, bad = _counted(rows)
-                counts.update(statuses)
-                verdicts.update(bad)
+            with open_table(file, columns, description) as table:
+                for rows in _rows(store, parts, done.check):
+                    table.write_table(rows, row_group_size=2**30)
+                    statuses, bad = _counted(rows)
+                    counts.update(statuses)
+                    verdicts.update(bad)
 
         if kept is None and store.overwrite:
             _remove_columns(out)
@@ -157,42 +155,25 @@ def _remove_columns(out: Path) -> None:
             path.unlink()
 
 
-def _write_table(
-    file: BinaryIO, store: Store, parts: int, columns: pa.Schema, check: Callable[[], None]
-) -> Iterator[pa.Table]:
-    """Write the rows of all parts as Parquet into a file, and yield them some at a time."""
-    import pyarrow as pa
-    from pyarrow import parquet
-
-    with parquet.ParquetWriter(file, columns) as writer:
-        waiting: list[pa.Table] = []
-        for part in range(parts):
-            check()
-            waiting.append(store.read(part))
-            if part == parts - 1 or sum(map(len, waiting)) >= ROWS_TOGETHER:
-                rows = pa.concat_tables(waiting).replace_schema_metadata()
-                writer.write_table(rows, row_group_size=2**30)
-                yield rows
-                waiting = []
-
-
-@contextmanager
-def unreadable_is_none() -> Iterator[None]:
-    """Pass over what Arrow says of a file that is none of its own, or damaged; not over what the system says."""
+def _rows(store: Store, parts: int, check: Callable[[], None]) -> Iterator[pa.Table]:
+    """Yield the rows of all parts, some at a time."""
     import pyarrow as pa
 
-    try:
-        yield
-    except (pa.ArrowException, ValueError, KeyError, RecursionError):
-        pass
-    except OSError as error:
-        if error.errno is not None:
-            raise
+    waiting: list[pa.Table] = []
+    for part in range(parts):
+        check()
+        waiting.append(store.read(part))
+        if part == parts - 1 or sum(map(len, waiting)) >= ROWS_TOGETHER:
+            yield pa.concat_tables(waiting).replace_schema_metadata()
+            waiting = []
 
 
-def _judged(columns: pa.Schema) -> list[str]:
-    """Return the columns that say how a run went."""
-    return [name for name in ("status", VERDICT) if name in columns.names]
+def _counted_all(pieces: Iterable[pa.Table]) -> tuple[dict[str, int], dict[str, int]]:
+    counts: tuple[Counter[str], Counter[str]] = Counter(), Counter()
+    for rows in pieces:
+        for count, more in zip(counts, _counted(rows), strict=True):
+            count.update(more)
+    return dict(counts[0]), dict(counts[1])
 
 
 def _counted(rows: pa.Table) -> tuple[dict[str, int], dict[str, int]]:

@@ -18,8 +18,8 @@ from numpy.typing import NDArray
 from closedloop.errors import OutputError, ScenarioError
 from closedloop.figures.style import COLOURS, STYLE
 from closedloop.files import kind_of, reason_of, write_whole
-from closedloop.sweep.join import unreadable_is_none
 from closedloop.sweep.scale import Scale, column_values, flat, span
+from closedloop.sweep.table_file import pieces, unreadable_is_none
 
 if TYPE_CHECKING:
     import pyarrow as pa
@@ -142,7 +142,7 @@ def _headline(table: pa.Table, others: Sequence[str]) -> str:
 
 
 def _read(path: Path) -> pa.Table:
-    from pyarrow import parquet
+    import pyarrow as pa
 
     table, names = None, []
     reason = "is no Parquet file, or is damaged"
@@ -150,7 +150,7 @@ def _read(path: Path) -> pa.Table:
         mode = path.stat().st_mode
         if stat.S_ISREG(mode):  # a pipe would be waited for
             with unreadable_is_none():
-                table = parquet.read_table(path)
+                table = pa.concat_tables(pieces(path))
                 names = table.column_names  # of a damaged file they may be no text
         else:
             reason = f"is {kind_of(mode)}"

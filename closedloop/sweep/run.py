@@ -64,7 +64,7 @@ def run_sweep(
         if there is not None:
             store.remove()
             return there
-        missing = [part for part in range(sweep.parts) if not store.has(part, len(sweep.runs_of(part)))]
+        missing = [part for part in range(sweep.parts) if not store.has(part, sweep.runs_of(part))]
         done = Done(sweep.design.runs - sum(len(sweep.runs_of(part)) for part in missing))
 
         def report() -> None:

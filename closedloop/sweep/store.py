@@ -6,7 +6,8 @@ Beside ``sweep.parquet`` lies the folder ``sweep.parquet.parts`` with
     part-00000012.arrow  the rows of a part; written last: if it exists, the part is complete
     part-00000012.npz    its whole columns, if any are kept
 
-A file is written under another name, flushed to the disk and then renamed, which is atomic (`closedloop.files`). A lock
+A file is written under another name, flushed to the disk and then renamed, which is atomic (`closedloop.files`). Parts
+end in their name and a seal (`closedloop.record.sealed`): one that is damaged, or another's, is run again. A lock
 on the file ``lock``, released when its process ends, keeps a second sweep out. Other files in the folder are kept.
 """
 
@@ -22,7 +23,7 @@ import zipfile
 from contextlib import suppress
 from pathlib import Path
 from types import TracebackType
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, BinaryIO
 
 import numpy as np
 from numpy.typing import NDArray
@@ -30,6 +31,7 @@ from numpy.typing import NDArray
 from closedloop.errors import OutputError
 from closedloop.files import reason_of, remove_unfinished, write_whole
 from closedloop.record.difference import difference
+from closedloop.record.sealed import seal, unsealed
 
 if TYPE_CHECKING:
     import pyarrow as pa
@@ -141,15 +143,15 @@ class Store:
         """Return where the whole columns of a part are."""
         return self.folder / f"part-{part:08}.npz"
 
-    def has(self, part: int, runs: int) -> bool:
-        """Return whether a part is there, with this many runs."""
+    def has(self, part: int, runs: range) -> bool:
+        """Return whether a part is there as it was written, with these runs."""
         import pyarrow as pa
 
         if not self.rows_of(part).is_file():
             return False
         keep = self.identity["keep"]
         try:
-            if self.read(part).num_rows != runs:
+            if self.read(part)["run"].to_pylist() != list(runs):
                 return False
             return not keep or (self.columns_of(part).is_file() and self.read_columns(part).keys() == set(keep))
         except (
@@ -166,12 +168,11 @@ class Store:
         """Return the rows of a part."""
         import pyarrow as pa
 
-        with pa.OSFile(str(self.rows_of(part)), "rb") as file:
-            return pa.ipc.open_file(file).read_all()
+        return pa.ipc.open_file(pa.BufferReader(_read_sealed(self.rows_of(part)))).read_all()
 
     def read_columns(self, part: int) -> dict[str, Array]:
         """Return the whole columns of a part."""
-        with np.load(self.columns_of(part), allow_pickle=False) as columns:
+        with np.load(io.BytesIO(_read_sealed(self.columns_of(part))), allow_pickle=False) as columns:
             return {name: columns[name] for name in columns.files}
 
     def write(self, part: int, rows: pa.Table, columns: dict[str, Array]) -> None:
@@ -190,8 +191,8 @@ class Store:
         try:
             if columns:
                 np.savez(whole_columns, **columns)  # type: ignore[arg-type]
-                write_whole(self.columns_of(part), whole_columns.getbuffer())
-            write_whole(self.rows_of(part), memoryview(table.getvalue()))
+                _write_sealed(self.columns_of(part), whole_columns.getbuffer())
+            _write_sealed(self.rows_of(part), memoryview(table.getvalue()))
         except OSError as error:
             raise OutputError(f"{error}; what was done is kept: once there is room, the same command goes on") from None
 
@@ -208,6 +209,23 @@ class Store:
         mine = [path for path in self.folder.iterdir() if _PART.fullmatch(path.name)]
         for path in [*mine, self.folder / DESCRIPTION]:
             _remove_file(path)
+
+
+def _write_sealed(path: Path, content: memoryview) -> None:
+    named = memoryview(b"".join((content, path.name.encode())))
+
+    def write(file: BinaryIO) -> None:
+        file.write(named)
+        file.write(seal(named))
+
+    write_whole(path, write)
+
+
+def _read_sealed(path: Path) -> memoryview:
+    named, name = unsealed(memoryview(path.read_bytes())), path.name.encode()
+    if named[-len(name) :] != name:
+        raise ValueError("is another file")
+    return named[: -len(name)]
 
 
 def _remove_file(path: Path) -> None:

@@ -10,6 +10,7 @@ import numpy as np
 import pytest
 from numba.core.compiler_lock import _CompilerLock, global_compiler_lock
 
+from closedloop.interrupts import Terminated, terminable
 from closedloop.jit.kernel import direct, entry_kernel, jit_disabled, kernel
 
 pytestmark = pytest.mark.skipif(bool(jit_disabled()), reason="nothing is compiled")
@@ -103,6 +104,36 @@ def test_a_second_ctrl_c_does_not_wait(monkeypatch):
     monkeypatch.setattr("closedloop.jit.kernel._njit", lambda function, **options: compiled)
     with pytest.raises(KeyboardInterrupt):
         made(entry_kernel)(NUMBERS, np.zeros(3))
+
+
+CALLED_BACK = """
+import ctypes, signal
+
+@ctypes.CFUNCTYPE(None)
+def call_back():
+    signal.raise_signal(number)
+"""
+
+
+@pytest.mark.parametrize("number", [signal.SIGTERM, signal.SIGINT])
+def test_a_signal_while_the_compiler_calls_back_is_not_lost(monkeypatch, capfd, number):
+    """What is raised in a callback of LLVM is printed and forgotten: the signal is answered after it, and quietly."""
+    compiled, names = made(numba.njit), {"__name__": "llvmlite.binding.executionengine", "number": number}
+    exec(CALLED_BACK, names)
+
+    def compile_and_call_back(signature):
+        names["call_back"]()
+        if number == signal.SIGINT:
+            names["call_back"]()  # the first one waits until all is compiled
+        time.sleep(5.0)
+        raise AssertionError("it went on")
+
+    monkeypatch.setattr(compiled, "compile", compile_and_call_back)
+    monkeypatch.setattr("closedloop.jit.kernel._njit", lambda function, **options: compiled)
+    with terminable(), pytest.raises(KeyboardInterrupt) as stopped:
+        made(entry_kernel)(NUMBERS, np.zeros(3))
+    assert isinstance(stopped.value, Terminated) == (number == signal.SIGTERM)
+    assert "ignored" not in capfd.readouterr().err
 
 
 def test_other_threads_compile_as_ever():

@@ -7,7 +7,10 @@ import closedloop as cl
 from closedloop.__main__ import main
 from closedloop.closure.contact_force import FREE
 from closedloop.lab.scene import quaternions, scene_of
+from closedloop.loops.reactions import loop_rows
 from closedloop.robot.pinocchio import Robot
+from validation.loops import mechanisms
+from validation.loops.andrews import coasting
 
 BUMPS = [[0.002 * np.sin(0.7 * i) * np.cos(0.5 * j) for j in range(18)] for i in range(15)]
 SURFACES = {
@@ -107,11 +110,77 @@ def test_a_surface_that_moves_is_a_body_that_can_be_moved(tmp_path):
     assert gap == pytest.approx(run.closure_error[-1], abs=1e-6)
 
 
-def test_an_arm_with_loops_is_refused_in_one_line(tmp_path, capsys):
-    """It would be a tree whose loops are open."""
-    run = cl.simulate(cl.load_scenario("four_bar", {"time.duration": 0.01}))
+MECHANISMS = ("four_bar", "five_bar", "stewart", "delta", "gripper_block", "two_arms_bar")
+
+
+@pytest.mark.parametrize(
+    "name", [n if n == "gripper_block" else pytest.param(n, marks=pytest.mark.slow) for n in MECHANISMS]
+)
+def test_loops_are_closed_and_contacts_touch_as_in_the_run(name, tmp_path):
+    """At the first and the last row MuJoCo's equalities hold, and each pair is as far apart as the run's contact is."""
+    run = cl.simulate(cl.load_scenario(name, {"time.duration": 0.02}))
+    mujoco, model, data = loaded(run, tmp_path)
+    assert model.npair == len(run.scenario.contact or ())
+    assert (model.neq > 0) == bool(run.model.loops)
+    closed_as_ours(run, mujoco, model, data)
+    for key, row in (("start", 0), ("end", -1)):
+        mujoco.mj_resetDataKeyframe(model, data, model.key(key).id)
+        mujoco.mj_forward(model, data)
+        for k, each in enumerate(scene_of(run).touching):
+            ends = [model.geom(f"{each.name} {part}").id for part in ("point", "plane")]
+            gap = mujoco.mj_geomDistance(model, data, *ends, 1.0, None)
+            assert gap == pytest.approx(run.link_gaps[row, k], abs=1e-8)
+
+
+@pytest.mark.parametrize("mechanism", [mechanisms.distance, mechanisms.gears])
+def test_rods_and_gears_are_held_too(mechanism, tmp_path):
+    """A distance is a tendon of that length, a gear a joint's equality with its polynomial."""
+    run = coasted(mechanism())
+    closed_as_ours(run, *loaded(run, tmp_path))
+
+
+def test_a_loop_joint_without_an_equality_is_refused_in_one_line(tmp_path, capsys):
+    """MuJoCo has none for a slider: it would be a tree whose loop is open."""
+    run = coasted(mechanisms.slider_crank())
     assert main(["export", str(run.save(tmp_path / "run.nc")), "--to", "mjcf"]) == 2
     err = capsys.readouterr().err
     assert len(err.splitlines()) == 1
-    assert "has some; csv and mcap take it" in err
+    assert "MuJoCo has no equality for a slider, as 'guide' of slider_crank is; csv and mcap take it" in err
     assert [path.name for path in tmp_path.iterdir()] == ["run.nc"]
+
+
+def coasted(model):
+    """Return a run of a few steps of a mechanism whose tip touches nothing."""
+    scenario = coasting(model, [float(x) for x in model.home], [0.0] * model.n, 0.005, 1e-3)
+    return cl.simulate(scenario, model=model, law=lambda x: 0.0 * x.q, engine="pinocchio")
+
+
+def closed_as_ours(run, mujoco, model, data):
+    """Hold tip, mass matrix, closure and the directions that the loops bind against the run's, at its ends."""
+    columns = [int(model.joint(joint).dofadr[0]) for joint in run.model.joint_names]
+    own, mass = Robot(scene_of(run).model, scene_of(run).tip), np.zeros((model.nv, model.nv))
+    assert model.nu == len(run.model.drives or run.model.joint_names)
+    assert model.neq + model.npair > 0
+    for key, row in (("start", 0), ("end", -1)):
+        mujoco.mj_resetDataKeyframe(model, data, model.key(key).id)
+        mujoco.mj_forward(model, data)
+        mujoco.mj_fullM(model, data, mass)
+        terms = own.terms(run.q[row], run.v[row])
+        assert data.site("tip").xpos == pytest.approx(terms.position, abs=1e-9)
+        assert mass[np.ix_(columns, columns)] == pytest.approx(terms.mass_matrix, rel=1e-9, abs=1e-9)
+        held = data.efc_type == mujoco.mjtConstraint.mjCNSTR_EQUALITY
+        assert np.abs(data.efc_pos[held]).max(initial=0.0) < 1e-7
+        if run.model.loops:
+            ours = loop_rows(scene_of(run).robot, run.q, run.v)[0][row]
+            theirs = jacobian(mujoco, model, data)[held][:, columns]
+            ranks = [np.linalg.matrix_rank(rows, tol=1e-6) for rows in (ours, theirs, np.vstack([ours, theirs]))]
+            assert ranks[0] == ranks[1] == ranks[2] > 0
+
+
+def jacobian(mujoco, model, data):
+    """Return the Jacobian of all of MuJoCo's constraints (rows, nv)."""
+    if not mujoco.mj_isSparse(model):
+        return data.efc_J.reshape(-1, model.nv)
+    dense = np.zeros((data.nefc, model.nv))
+    mujoco.mju_sparse2dense(dense, data.efc_J.ravel(), data.efc_J_rownnz, data.efc_J_rowadr, data.efc_J_colind)
+    return dense

@@ -12,6 +12,7 @@ import pytest
 import closedloop as cl
 from closedloop.__main__ import main
 from closedloop.lab import in_browser
+from closedloop.lab.scene import scene_of
 from closedloop.lab.share import MOST_FRAMES
 
 pytestmark = [pytest.mark.slow, pytest.mark.skipif(bool(in_browser.why_not()), reason=in_browser.why_not())]
@@ -96,6 +97,28 @@ def test_a_dragged_slider_redraws_the_run_and_the_last_value_stays(page, lab):
     assert plotted(page)["commanded"] == pytest.approx(force)
 
 
+def test_a_key_on_a_slider_moves_it_and_not_the_view(page, lab):
+    """An arrow key raises the force by a step; with no slider in the focus it turns the view, as viser has it."""
+    page.wait_for_timeout(1000)
+    (client,) = lab.server.get_clients().values()
+    seen, page_row = (
+        client.camera.position.copy(),
+        page.locator(".mantine-Flex-root", has=page.get_by_text("force [N]")),
+    )
+    thumb = page_row.last.get_by_role("slider").first
+    thumb.focus()
+    for _ in range(3):
+        page.keyboard.press("ArrowRight", delay=100)
+    page.wait_for_timeout(1000)
+    assert lab.wait()
+    assert lab.run.scenario.law.force > 10.0
+    assert np.array_equal(client.camera.position, seen)
+    thumb.blur()
+    page.keyboard.press("ArrowRight", delay=300)
+    page.wait_for_timeout(1000)
+    assert not np.allclose(client.camera.position, seen)
+
+
 def test_a_fault_stands_beside_its_control_and_the_run_stays(page, lab):
     """A value at fault: one line on the page, and the last good run."""
     before = lab.run
@@ -130,8 +153,8 @@ def test_the_page_says_what_is_shown_and_no_box_shows_a_logarithm(page, lab):
     assert lab.run.scenario.law.force == 10.0
 
 
-def test_the_page_is_timed_from_the_key_to_the_plot(page, lab):
-    """Each key gives one time, and none is shorter than what the run alone takes; the frame comes after the drawing."""
+def test_the_page_is_timed_from_the_pointer_to_the_plot(page, lab):
+    """Each movement gives one time, none shorter than what the run alone takes; the frame comes after the drawing."""
     page.wait_for_function("Object.keys(window.__viserTestpoints?.uplots ?? {}).length > 3")
     page.evaluate(in_browser.WATCH)
     drawn, shown = in_browser.page_latencies(page, "force [N]", 3)
@@ -222,6 +245,8 @@ def test_the_shared_page_opens_from_disk_without_network(name, offline, tmp_path
         assert pushed["tail"] == pytest.approx(run.position[row], abs=1e-5)
         force = run.contact_force[row] * run.surface_normal[row]
         assert pushed["force"] == pytest.approx(force, rel=1e-4, abs=1e-4)
+    legend = page.locator("#legend").inner_text()
+    assert ("contact force on the tip" in legend) == ("friction on the tip" in legend) == scene_of(run).ground.there
     page.evaluate(f"seek({0.5 * float(run.time[-1])!r})")
     page.click("#play")
     page.wait_for_function(f"Math.abs(state.time - {0.5 * float(run.time[-1])!r}) > 0.001")

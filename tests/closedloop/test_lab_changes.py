@@ -68,6 +68,15 @@ def test_every_control_says_what_it_is():
     assert [c.key for c in controls(cl.load_scenario("panda_scan"), "law")][:2] == ["law.kind", "law.force"]
 
 
+@pytest.mark.parametrize(("contact", "pulls"), [("unilateral", False), ("bilateral", True)])
+def test_the_force_is_moved_to_a_pull_only_where_the_surface_can_hold_the_tip(contact, pulls):
+    """A tip that is pulled off a surface that only pushes has left it; a force that is there to begin with is shown."""
+    force = control_of(cl.load_scenario("wam_slide", {"surface.contact": contact}), "law.force")
+    assert (force.low < 0.0) == pulls
+    given = control_of(cl.load_scenario("wam_slide", {"surface.contact": contact, "law.force": -3.0}), "law.force")
+    assert given.low < -3.0 < given.high
+
+
 @pytest.mark.parametrize("section", ["law", "compensation", "friction", "joint_friction", "reference", "force_profile"])
 def test_every_kind_can_be_chosen_from_any_scenario(section):
     """What a kind requires and the present one does not have gets a value to begin with."""

@@ -6,7 +6,7 @@ import pytest
 import closedloop as cl
 import robot_models
 from closedloop.simulation.prepare import prepare
-from robot_models import ModelError
+from robot_models import ModelError, loop_coordinate
 from validation.loops.mechanisms import MECHANISMS, bar, joint, loop, point
 
 Y = [0, 1, 0]
@@ -235,3 +235,14 @@ def test_two_laws_of_friction_are_refused(tmp_path):
     """A joint_friction of the scenario would have an entry for the loop joint too."""
     with pytest.raises(cl.ScenarioError, match="loop joints of at_pin have friction of their own"):
         falling(cut_at_pin(tmp_path, friction=0.1), **{"joint_friction.kind": "coulomb", "joint_friction.kinetic": 0.1})
+
+
+@pytest.mark.parametrize("a", [[0.0, 0.0, 1.0], [0.6, 0.0, -0.8], [0.0, -0.6, 0.8], [0.0, 0.6, -0.8]])
+def test_the_smallest_rotation_from_one_direction_to_another(a):
+    """A rotation that takes one to the other, by the angle between them; the opposite one by a half turn."""
+    b = np.array([0.0, -0.6, 0.8])
+    R = loop_coordinate._onto(b, np.array(a))
+    np.testing.assert_allclose(R @ b, a, atol=1e-15)
+    np.testing.assert_allclose(R @ R.T, np.eye(3), atol=1e-15)
+    assert np.linalg.det(R) > 0.0
+    assert np.trace(R) == pytest.approx(1.0 + 2.0 * float(b @ a))

@@ -10,9 +10,11 @@ from budget import budget
 import closedloop as cl
 import robot_models
 from closedloop.closure.solve import solve_closure
+from closedloop.loops import close
 from closedloop.loops.assemble import closed_start, errors_at
 from closedloop.loops.bind import bound_by_loops, loop_memory
 from closedloop.loops.memory import IDLE, POSITION
+from closedloop.loops.reactions import loop_rows as rows_of_loops
 from closedloop.robot.pinocchio import Robot
 from validation.loops.mechanisms import MECHANISMS, bar, change_point, four_bar, joint, loop, mechanism, point
 from validation.oracle.closure import LoopJoint, loop_rows
@@ -447,6 +449,23 @@ def test_loop_that_cannot_close_is_refused():
         cl.simulate(free(model, **{"start.assemble": True}), model=model)
 
 
+@pytest.mark.parametrize("robot", ["five_bar", "stewart"])
+def test_a_state_is_closed_with_its_velocity(robot):
+    """The error is gone, and is what is returned; the velocity is along the loops; both moved as little as they can."""
+    model = Robot(robot_models.load(robot))
+    memory, rng = loop_memory(model), np.random.default_rng(3)
+    q, v = model.model.home + 1e-4 * rng.normal(size=model.n), rng.normal(size=model.n)
+    at, moving = q.copy(), v.copy()
+    left = close.closed_to(memory.address, at, moving)
+    rows, errors = (found[0] for found in rows_of_loops(model, at[None], moving[None]))
+    assert np.max(np.abs(errors)) <= 1e-14
+    assert left <= close.TOLERANCE
+    np.testing.assert_allclose(rows @ moving, 0.0, atol=1e-6)  # with the rows before the last step
+    onto = np.linalg.pinv(rows, rcond=1e-9) @ rows
+    np.testing.assert_allclose(onto @ (v - moving), v - moving, atol=2e-3)
+    np.testing.assert_allclose(onto @ (q - at), q - at, atol=1e-6)
+
+
 @pytest.mark.slow
 @pytest.mark.parametrize("name", ["four_bar", "six_bar", "slider_crank"])
 def test_loops_hold_for_a_minute(mechanisms, name):
@@ -480,6 +499,7 @@ def test_a_row_that_no_joint_can_move_is_kept_where_it_is_open():
     ('drives = "J1"', "drives is 'J1': it must be the names of joints in [ ]"),
     ('drives = ["J1", "J1"]', "drives names 'J1' twice"),
     ('[[closed_loop]]\nname = "a\\nb"\ntype = "hinge"', "it must be a text of one line"),
+    ('[[closed_loop]]\ntype = "hinge"\naxis = [0, 0, 1]\naxes = 1.0', "axis and axes are both given"),
 ])  # fmt: skip
 def test_slip_in_a_sidecar_is_named_in_one_line(tmp_path, line, said):
     """The key as it was given, and what it must be."""

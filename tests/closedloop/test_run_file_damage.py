@@ -157,6 +157,15 @@ def test_column_that_all_versions_wrote_is_asked_for(copy):
         cl.load_run(copy)
 
 
+def test_columns_of_the_links_contacts_are_asked_for(tmp_path):
+    """Where the scenario has contacts they may not be missing."""
+    file = cl.simulate(cl.load_scenario("two_arms_bar", {"time.duration": 0.001})).save(tmp_path / "run.nc")
+    with h5py.File(file, "r+") as h5:
+        del h5.attrs["checksum"], h5["link_forces"]
+    with pytest.raises(cl.RunFileError, match="'link_forces' is missing"):
+        cl.load_run(file)
+
+
 def test_reading_that_does_not_end_is_ended(copy, saved, monkeypatch):
     """A file over which HDF5 would sit for ever is refused after a while."""
     copy.write_bytes(saved.read_bytes()[: -sealed.SEAL_LENGTH])

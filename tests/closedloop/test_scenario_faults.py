@@ -7,7 +7,7 @@ import pytest
 
 import closedloop as cl
 from closedloop.errors import faults_on_one_line, lines_of
-from closedloop.scenario.load import parse_scenario
+from closedloop.scenario.load import parse_scenario, scenario_of
 from closedloop.scenario.messages import MOST_FAULTS
 from robot_models.shipped import path_of
 
@@ -107,6 +107,21 @@ def test_lists_of_a_wrong_length_are_told_together():
     with pytest.raises(cl.ScenarioError) as caught:
         cl.prepare(cl.load_scenario("wam_slide", {"start.q": [100.0, 1.0, 0.0, 200.0]}))
     assert [fault[:10] for fault in caught.value.faults] == ["start.q[0]", "start.q[3]"]
+
+
+@pytest.mark.parametrize(("entry", "said"), [
+    ({"link": "world", "at": [1.0, 2.0]}, "contact[1].at = [1.0, 2.0]: must be three numbers"),
+    ({"link": "a", "at": [0.0, 0.0, 0.0], "normal": [True, 0, 1]}, "contact[1].normal[0] = true: must be a number"),
+    ({"link": "a", "at": [0.0, 0.0, 0.0], "norm": 1}, "'contact[1].norm'; did you mean 'contact[1].normal'?"),
+    ({"at": [0.0, 0.0, 0.0]}, "'contact[1].link' is missing"),
+    (3, "contact[1] = 3: must be tables, each headed [[contact]]"),
+])  # fmt: skip
+def test_a_fault_in_a_list_of_tables_names_its_key(entry, said):
+    """Which table, and which key of it."""
+    whole = {"link": "world", "at": [0.0, 0.0, 0.0]}
+    with pytest.raises(cl.ScenarioError) as caught:
+        scenario_of({"law": {"kp": 1.0, "kd": 1.0}, "contact": [whole, entry]}, "x", {})
+    assert any(said in fault for fault in caught.value.faults)
 
 
 def test_a_row_of_a_batch_has_its_faults_on_one_line():

@@ -3,7 +3,8 @@
     python -m tests.fuzz.run_files 1000 0        # so many files from this seed; prints counts and what is not clean
 
 Clean is a `RunFileError` of one line, or a load that gives what was saved. Another answer to a file that carries a
-checksum, any other exception, a process that ends or does not come back are not.
+checksum, any other exception, a process that ends or does not come back are not. A file without a checksum may load
+with what somebody put there: its report, exports, page and repetition are then made, or refused in one line too.
 """
 
 from __future__ import annotations
@@ -209,11 +210,44 @@ _CHANGES = (
     _no_column, _something_else,
 )  # fmt: skip
 
+# Runs of every kind of file: a plane, a mechanism with loops, contacts of links, a curved surface, joints and events.
+KINDS: dict[str, dict[str, float]] = {
+    "planar2_slide": {"time.duration": 0.1},
+    "five_bar": {"time.duration": 0.02},
+    "two_arms_bar": {"time.duration": 0.02},
+    "wam_sphere": {"time.duration": 0.02},
+    "planar2_drop": {"time.duration": 0.3},
+}
+
 _LOADER = """
-import sys
+import contextlib, io, json, os, sys, tempfile
 import numpy as np
 import closedloop as cl
+from closedloop.export.csv_table import write_csv
+from closedloop.export.mcap_file import write_mcap
+from closedloop.export.mjcf import write_mjcf
+from closedloop.report import print_report
+from closedloop.scenario.load import parse_scenario
 whole = cl.load_run(sys.argv[1])
+
+def use(run):
+    uses = [lambda folder: (json.dumps(run.summary(), allow_nan=False), print_report(run))]
+    uses += [lambda folder: run.to_pandas()]
+    uses += [lambda folder, write=write, end=end: write(run, folder / f"x.{end}")
+             for write, end in ((write_csv, "csv"), (write_mcap, "mcap"), (write_mjcf, "xml"))]
+    uses += [lambda folder: run.save(folder / "x.nc") and cl.load_run(folder / "x.nc")]
+    short = {"time.duration": min(run.scenario.time.duration, 5.0 * run.scenario.time.step)}
+    uses += [lambda folder: cl.simulate(parse_scenario(run.scenario.to_toml(), overrides=short), model=run.model)]
+    uses += [lambda folder: len(run) and run.plot()] if os.environ.get("CLOSEDLOOP_FUZZ_DRAWN") else []
+    from pathlib import Path
+    with tempfile.TemporaryDirectory() as folder, contextlib.redirect_stdout(io.StringIO()):
+        for one in uses:
+            try:
+                one(Path(folder))
+            except cl.ClosedLoopError as error:
+                if len(str(error).splitlines()) > 1 and not isinstance(error, cl.ScenarioError):
+                    raise ValueError("several lines") from error
+
 print("ready", flush=True)
 for line in sys.stdin:
     try:
@@ -221,11 +255,17 @@ for line in sys.stdin:
         same = all(np.array_equal(run.columns[k], whole.columns[k]) for k in whole.columns)
         same = same and run.scenario == whole.scenario and run.model.text == whole.model.text
         same = same and (run.law, run.engine, run.stopped) == (whole.law, whole.engine, whole.stopped)
+        if not same:
+            use(run)
         print("same" if same else "other", flush=True)
     except cl.RunFileError as error:
         print("refused" if str(error).count(chr(10)) == 0 else "several lines", flush=True)
     except BaseException as error:
-        print(f"{type(error).__name__}: {error}".replace(chr(10), " ")[:300], flush=True)
+        at = error.__traceback__
+        while at.tb_next:
+            at = at.tb_next
+        where = f"{os.path.basename(at.tb_frame.f_code.co_filename)}:{at.tb_lineno}"
+        print(f"{type(error).__name__}: {error} ({where})".replace(chr(10), " ")[:300], flush=True)
 """
 
 
@@ -282,13 +322,20 @@ def judge(whole: Path, count: int, seed: int) -> tuple[Counter[str], list[str]]:
 
 
 def main() -> None:
-    """Judge as many files as the command line says."""
+    """Judge as many files as the command line says, of each kind in turn."""
     import closedloop as cl
 
     count, seed = int(sys.argv[1]), int(sys.argv[2])
-    with tempfile.TemporaryDirectory() as folder:
-        run = cl.simulate(cl.load_scenario("planar2_slide", {"time.duration": 0.1}))
-        counts, faults = judge(run.save(Path(folder) / "run.nc"), count, seed)
+    counts: Counter[str] = Counter()
+    faults: list[str] = []
+    os.environ["CLOSEDLOOP_FUZZ_DRAWN"] = "1"
+    for place, (name, changes) in enumerate(KINDS.items()):
+        share = count // len(KINDS) + (place < count % len(KINDS))
+        with tempfile.TemporaryDirectory() as folder:
+            run = cl.simulate(cl.load_scenario(name, changes))
+            some, wrong = judge(run.save(Path(folder) / "run.nc"), share, seed + place)
+        counts, faults = counts + some, faults + [f"{name}: {fault}" for fault in wrong]
+        print(f"{name}: {share} files, {len(wrong)} not clean", flush=True)
     print(*(f"{number:5}  {what}" for what, number in sorted(counts.items())), *faults, sep="\n")
     print(f"{count} files, {len(faults)} not clean")
 

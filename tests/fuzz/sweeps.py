@@ -1,8 +1,9 @@
-"""Sweeps as nobody would ask for them: specifications of axes, and tables to be drawn, that are wrong in some way.
+"""Sweeps as nobody would ask for them: specifications of axes, tables and parts that are wrong in some way.
 
     python tests/fuzz/sweeps.py --count 500 --seed 0
 
 Each goes through the command line. Clean is exit status 0, or 2 with one line; anything else is printed, and counted.
+A table whose bytes are damaged is refused, or has all of its values; a sweep goes on from damaged parts to the same.
 """
 
 from __future__ import annotations
@@ -12,6 +13,7 @@ import contextlib
 import io
 import os
 import random
+import shutil
 import tempfile
 import traceback
 from collections.abc import Callable
@@ -191,11 +193,121 @@ def plots(count: int, seed: int) -> list[str]:
     return faults
 
 
+def damaged(content: bytes, rng: random.Random, others: list[bytes]) -> bytes:
+    """Return a file's content as a disk or a slip may leave it."""
+    data, at = bytearray(content), rng.randrange(len(content))
+    length = min(len(content) - at, 2 ** rng.randrange(1, 12))
+    kind = rng.randrange(8)
+    if kind < 3:
+        for _ in range((1, 1, 40)[kind]):
+            data[rng.randrange(len(data))] ^= 1 << rng.randrange(8)
+    elif kind == 3:
+        data[at : at + length] = bytes(length)
+    elif kind == 4:
+        to = rng.randrange(len(content) - length + 1)
+        data[at : at + length], data[to : to + length] = content[to : to + length], content[at : at + length]
+        data = data[: len(content)]
+    elif kind == 5:
+        del data[at:]
+    elif kind == 6:
+        data += rng.randbytes(length)
+    else:
+        return rng.choice(others)
+    return bytes(data)
+
+
+KEPT = (
+    "wam_slide", "--time.duration", "0.02", "--over", "law.force=5:15:6", "--over", "law.kp=300:900:4", "--keep", "f,q",
+)  # fmt: skip
+
+
+def parts(count: int, seed: int) -> list[str]:
+    """Damage the parts of a killed sweep, and its table when it is done, so many times; return the faults."""
+    import closedloop.sweep.run as running
+    from closedloop.errors import OutputError
+
+    rng, faults = random.Random(seed), []
+    with tempfile.TemporaryDirectory() as name:
+        folder = Path(name, "a")
+        folder.mkdir()
+        command, out = (*KEPT, "--out", str(folder / "t.parquet")), folder / "t.parquet"
+        join = running.join
+
+        def killed(*arguments: object) -> None:
+            raise OutputError("killed")
+
+        running.join = killed
+        try:
+            assert outcome(command)[0] == 2
+        finally:
+            running.join = join
+        halves = {path: path.read_bytes() for path in sorted((folder / "t.parquet.parts").iterdir())}
+        assert outcome(command)[0] == 0
+        whole = {path: path.read_bytes() for path in folder.iterdir()}
+        values, columns = parquet.read_table(out), _columns(folder / "t.nc")
+        for k in range(count):
+            if k % 2:
+                fault = _gone_on(command, halves, rng) or (
+                    "" if out.exists() and out.read_bytes() == whole[out] and _columns(folder / "t.nc") == columns
+                    else "refused" if not out.exists() else "another table"
+                )  # fmt: skip
+                fault = "" if fault == "refused" else fault
+            else:
+                out.write_bytes(damaged(whole[out], rng, list(halves.values())))
+                fault = _read_again(command, out, values)
+            faults += [f"{k}: {fault}"] if fault else []
+            for path in folder.iterdir():
+                shutil.rmtree(path) if path.is_dir() else path.unlink()
+            for path, content in whole.items():
+                path.write_bytes(content)
+    return faults
+
+
+def _gone_on(command: tuple[str, ...], halves: dict[Path, bytes], rng: random.Random) -> str:
+    """Go on with a sweep some of whose parts are damaged; return what is wrong."""
+    store = next(iter(halves)).parent
+    for path in store.parent.iterdir():
+        path.unlink()
+    store.mkdir()
+    chosen = rng.sample(list(halves), rng.choice((1, 1, 2, 5)))
+    for path, content in halves.items():
+        path.write_bytes(damaged(content, rng, list(halves.values())) if path in chosen and content else content)
+    fault = fault_of(command)
+    told = [path.name for path in chosen]
+    if not fault and store.exists() and "sweep.json" not in told:
+        fault = "does not go on"
+    return f"{told}: {fault}" if fault else ""
+
+
+def _read_again(command: tuple[str, ...], out: Path, values: pa.Table) -> str:
+    """Ask for a sweep whose table is damaged, and for its maps; return what is wrong."""
+    from closedloop.errors import ScenarioError
+    from closedloop.sweep.maps import _read
+
+    fault = fault_of(command)
+    if fault:
+        return fault
+    try:
+        table = _read(out)
+    except ScenarioError as error:
+        return "" if len(str(error).splitlines()) == 1 else f"two lines: {error}"
+    except Exception:
+        return traceback.format_exc()
+    return "" if table.equals(values) else "the table has other values"
+
+
+def _columns(path: Path) -> dict[str, bytes]:
+    import h5netcdf
+
+    with h5netcdf.File(path) as file:
+        return {name: np.asarray(file.variables[name][...]).tobytes() for name in file.variables}
+
+
 if __name__ == "__main__":
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--count", type=int, default=300)
     parser.add_argument("--seed", type=int, default=0)
     asked = parser.parse_args()
-    found = sweeps(asked.count, asked.seed) + plots(asked.count, asked.seed)
+    found = sweeps(asked.count, asked.seed) + plots(asked.count, asked.seed) + parts(asked.count, asked.seed)
     print("\n".join(found))
-    print(f"{2 * asked.count} commands, {len(found)} not clean")
+    print(f"{3 * asked.count} commands, {len(found)} not clean")

@@ -46,8 +46,10 @@ def test_damaged_files(whole):
 
 
 @pytest.mark.slow
-def test_many_damaged_files(whole):
-    """Hundreds of them."""
-    counts, faults = run_files.judge(whole, budget(100, 1000), 0)
+@pytest.mark.parametrize("kind", run_files.KINDS)
+def test_many_damaged_files(kind, tmp_path):
+    """Hundreds of them, of runs of every kind."""
+    file = cl.simulate(cl.load_scenario(kind, run_files.KINDS[kind])).save(tmp_path / "run.nc")
+    counts, faults = run_files.judge(file, budget(20, 200), 0)
     assert faults == []
-    assert counts.total() == budget(100, 1000)
+    assert counts.total() == budget(20, 200)

@@ -59,9 +59,11 @@ class AdaptiveRun:
     def __init__(self, problem: Problem, law: Law | None, report: Callable[[int, int], None]) -> None:
         self.problem, self.report = problem, report
         self.memory = Memory(problem, law)
-        sticking = self.memory.state.sticking
-        self.has_dry_friction = sticking != SMOOTH
-        self.has_events = self.memory.state.unilateral != 0 or sticking == RIGID_STICK or problem.surface.ends
+        state = self.memory.state
+        sticking, several = state.sticking, state.contacts_at != 0
+        self.has_dry_friction = sticking != SMOOTH and not several
+        ends = problem.surface.ends or state.stops != 0 or several
+        self.has_events = state.unilateral != 0 or sticking == RIGID_STICK or ends
         self.instants = problem.h * np.arange(problem.steps + 1, dtype=np.float64)
         self.row, self.time, self.y = 0, 0.0, self.memory.get()
         self.tolerance = cast(float, problem.tolerance)
@@ -222,29 +224,35 @@ class AdaptiveRun:
 
             return at
 
-        if state.mode != FREE:
-            return first_crossing(value("event_value"), length)
-        # After liftoff the gap grows with the cube of time at first, no faster than the error.
-        leaving = max(SHALLOW, 10.0 * self.tolerance)
+        # After liftoff the gap grows with the cube of time at first, no faster than the error; and so does the way of a
+        # joint from its stop.
+        leaving, stop = max(SHALLOW, 10.0 * self.tolerance), None
+        if state.stops != 0:
+            stop = first_crossing(value("stop_margin"), length, leaving)
+            length = length if stop is None else stop
+        if state.mode != FREE or state.contacts != 0:
+            event = first_crossing(value("event_value"), length)
+            return stop if event is None else event
         event = first_crossing(value("event_value"), length, SHALLOW if state.risen != 0 else leaving, value("rate"))
         if event is None and value("event_value")(length) > leaving:
             state.risen = 1
             if state.unilateral != 0 and w.gap > leaving:
                 state.beside = 0
-        return event
+        return stop if event is None else event
 
     def apply_event(self, within: Callable[[float], Array], event: float, interval: Interval) -> None:
         """Apply the event; the state is then that just after it."""
         memory, begin, later = self.memory, self.time, 0.0
-        before = State(memory.state.memory.copy()), memory.w.memory.copy()
+        before, write_back = State(memory.state.memory.copy()), memory.copied()
+        again = before.mode != FREE or before.stops != 0 or before.contacts != 0
         while True:
             self.time = begin + event + later
             self.time = memory.apply_event(self.time, within(self.time), interval)
-            if before[0].mode == FREE or later > LATE or not self.refused(before[0]):
+            if not again or later > LATE or not self.refused(before):
                 break
             # The force is zero but for rounding, and the tip has not lifted off: try a little later.
             later = max(2.0 * later, float(np.spacing(self.time)))
-            memory.state.memory[:], memory.w.memory[:] = before[0].memory, before[1]
+            write_back()
         self.y = memory.get()
 
     def refused(self, before: State) -> bool:

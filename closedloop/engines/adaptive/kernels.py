@@ -9,6 +9,7 @@ from closedloop.closure.contact_force import PRESSED
 from closedloop.closure.solve import OK
 from closedloop.engines.proceed import ADDRESSES, Addresses, tip_from_pinocchio
 from closedloop.events.locate import event_function, slip_margin
+from closedloop.events.stops import measure_stops
 from closedloop.events.substep import save_state
 from closedloop.jit.kernel import entry_kernel
 from closedloop.jit.pointers import fortran_at, integers_at, matrix_at, vector_at
@@ -45,13 +46,18 @@ def evaluate_on_pinocchio(address: int, table: Array, use: int) -> int:
     status = evaluate(H, C, w, constants, state, matrix_at(a.table, a.instants, a.table_width), rows)
     if status != OK:
         return status
+    if state.stops != 0 and use != DERIVE:
+        measure_stops(H, C, w, constants, state)
     if use == DERIVE:
         w.start_power = power(w, state)
     elif use == BEGIN_STEP:
         save_state(w, constants, state)
     elif use == EVENT_VALUE:
+        stop = w.stop_margin  # an event of its own here
+        w.stop_margin = np.inf
         w.event_value = event_function(w, constants, state)
-        if state.sticking == RIGID_STICK and state.mode == PRESSED:
+        w.stop_margin = stop
+        if state.sticking == RIGID_STICK and state.mode == PRESSED and state.contacts == 0:
             begun, band = w.start_slip_speed, constants.capture_speed
             if begun > constants.stick_speed and not begun > band > 0.0:  # see `Memory.apply_event`
                 w.event_value = min(w.event_value, 1e3 * (slip_margin(w, constants) - constants.stick_speed))

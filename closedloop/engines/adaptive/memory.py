@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import time as clock
+from collections.abc import Callable
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -32,6 +34,7 @@ from closedloop.events.table import EVENT_WIDTH
 from closedloop.jit.background import make_ready
 from closedloop.jit.pointers import address_of
 from closedloop.step.closed_loops import CLOSE, closed_loops
+from closedloop.step.contacts import contacts_in_step
 from closedloop.step.memory import RIGID_STICK
 
 Array = NDArray[np.float64]
@@ -70,7 +73,8 @@ class Memory:
         self.loop = problem.loop(user_law=law is not None)
         self.state, self.constants, self.w = self.loop
         self.user_law = None if law is None else UserLaw(law, self.loop)
-        make_ready(proceed_at, evaluate_on_pinocchio, *([closed_loops] if self.state.loops_at != 0 else []))
+        called = {closed_loops: self.state.loops_at, contacts_in_step: self.state.contacts_at}
+        make_ready(proceed_at, evaluate_on_pinocchio, *(entry for entry, there in called.items() if there != 0))
         problem.connect(self.loop, self.user_law.connect if self.user_law else None)
         self.state.steps = -1  # not of fixed length: friction need not be corrected for slip turning within a step
         self.hold = int(self.state.hold)
@@ -149,6 +153,19 @@ class Memory:
         self.w.time = t
         self._run_events(AFTER_EVENT)
 
+    def copied(self) -> Callable[[], None]:
+        """Return what writes the memory as it is now back, contacts of links included."""
+        blocks: list[Any] = [self.state, self.w]
+        if self.state.contacts_at != 0:
+            blocks += self.w.kept["contacts"]
+        copies = [block.memory.copy() for block in blocks]
+
+        def write_back() -> None:
+            for block, copy in zip(blocks, copies, strict=True):
+                block.memory[:] = copy
+
+        return write_back
+
     def apply_event(self, t: float, y: Array, interval: Interval) -> float:
         """Apply the event at y at t, s, and return the instant at which it was applied, s.
 
@@ -156,7 +173,8 @@ class Memory:
         acceleration are constant to 1e-12, so the stop is extrapolated; near rest the direction of slip is rounding.
         """
         self.evaluate(t, y, interval, EVENT_VALUE)
-        w, rigid = self.w, self.state.sticking == RIGID_STICK and self.state.mode == PRESSED
+        w, alone = self.w, self.state.contacts_at == 0
+        rigid = alone and self.state.sticking == RIGID_STICK and self.state.mode == PRESSED
         slip = w.u[1:]
         if rigid and 0.0 < np.hypot(*slip) <= 2.0 * self.constants.stick_speed and w.rigid_force > 0.0:
             braking = -(w.A[1:] @ w.qdd + w.drift_c[1:])

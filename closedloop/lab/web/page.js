@@ -16,7 +16,8 @@ $("stopped").textContent = data.stopped;
 $("command").textContent = data.command;
 $("scenario").textContent = data.scenario;
 const marks = data.shapes.filter((s) => s.kind).map((s) => [s.kind, s.colour]);
-for (const [name, colour] of new Map([...data.arrows.map((a) => [a.kind, a.colour]), ...marks, ...data.paths.map((p) => [p.name, p.colour])])) {
+const arrows = data.arrows.filter((a) => data.kinds.includes(a.kind));
+for (const [name, colour] of new Map([...arrows.map((a) => [a.kind, a.colour]), ...marks, ...data.paths.map((p) => [p.name, p.colour])])) {
   const row = $("legend").appendChild(document.createElement("button"));
   row.title = "click: hide or show it";
   row.appendChild(document.createElement("i")).style.background = `rgb(${colour.map((c) => Math.round(255 * c))})`;

@@ -1,0 +1,163 @@
+"""Where the contacts of the links are: their gaps, velocities, rows and mobility, and what the stabiliser asks for.
+
+A contact with a surface that is curved or moves has rows x, y, z of the frame that carries it, which are turned into n,
+t1, t2 of the surface at the point; a stop of a joint has the row ± q̇ of it.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from closedloop.closure.contact_force import FREE, baumgarte_acceleration
+from closedloop.closure.solve import NO_NORMAL, OK, forward_substitute
+from closedloop.contacts.given_modes import mobility_of
+from closedloop.contacts.memory import LINE, OFF, ContactLinks, Contacts
+from closedloop.jit.calls import call_at
+from closedloop.jit.kernel import kernel
+from closedloop.jit.pointers import integers_at, vector_at
+from closedloop.loops.memory import loops_at, tree_at
+from closedloop.loops.rows import ALONG, POINT, locate_rows, move_point, turn_direction
+from closedloop.loops.solve import leave_free
+from closedloop.step.locate import off_anchor
+from closedloop.step.memory import Constants, State, Work
+from closedloop.surface.contact import CONTACT, FOUND, ask_at
+from closedloop.surface.geometry import Touch
+
+Array = NDArray[np.float64]
+
+
+@kernel
+def locate_contacts(links: ContactLinks, c: Contacts, w: Work, constants: Constants, state: State) -> int:
+    """Write rows, mobility and free acceleration of all contacts, and what the stabiliser asks for.
+
+    Returns
+    -------
+    int
+        OK, or NO_NORMAL where a surface has none.
+    """
+    n, k = links.n, links.k
+    joints, rows = loops_at(links.rows)
+    for j in range(n):
+        rows.q[j], rows.v[j], c.load[j] = w.q[j], w.v[j], w.y[j]
+    locate_rows(joints, rows)
+    locate_stops(links, c, w, constants)
+    for i in range(3):
+        c.located[i] = w.gap if i == 0 else off_anchor(w, state, i)
+        c.u[i], c.drift[i], c.a[i] = w.u[i], w.drift_c[i], w.a[i]
+        for j in range(n):
+            c.G[i, j], c.X[i, j] = w.A[i, j], w.X[i, j]
+    for r in range(joints.m):
+        i = r + 3
+        c.located[i], c.u[i], c.drift[i] = rows.error[r], rows.rate[r], rows.drift[r]
+        for j in range(n):
+            c.G[i, j] = rows.G[r, j]
+    for i in range(1, k if links.surfaces != 0 else 0):
+        if not turn_to_surface(links, c, i, w.time, constants.h, state):
+            return NO_NORMAL
+    for i in range(3, 3 * k):
+        for j in range(n):
+            c.X[i, j] = c.G[i, j]
+        forward_substitute(w.L, c.X[i])
+        c.a[i] = c.drift[i]
+        for j in range(n):
+            c.a[i] += c.X[i, j] * w.y[j]
+        if state.loops != 0:
+            bound, loops = loops_at(state.loops_at)
+            leave_free(bound, loops, c.X[i])
+    mobility_of(c, k)
+    for i in range(k):
+        for j in range(3 * i, 3 * i + 3):
+            off = c.located[j]
+            if j > 3 * i and i > 0 and not asked(links, i):
+                c.at[j] = c.located[j]
+                off -= c.anchor[j]
+            c.b[j] = baumgarte_acceleration(constants.s_v, constants.s_p, c.u[j], off)
+    c.kind[0] = OFF
+    if state.unilateral == 0:
+        c.kind[0] = LINE
+        for i in range(2):
+            c.along[0, i], c.viscous[1 + i] = w.c[i], w.viscous[i]
+    return int(OK)
+
+
+@kernel
+def asked(links: ContactLinks, i: int) -> bool:
+    """Whether the surface of contact i is asked for its normal."""
+    return bool(links.surfaces != 0 and integers_at(links.surfaces, 2 * links.k)[2 * i] != 0)
+
+
+@kernel
+def turn_to_surface(links: ContactLinks, c: Contacts, i: int, time: float, h: float, state: State) -> bool:
+    """Turn the rows of a contact from the axes of the frame that carries its surface to n, t1, t2 of that surface.
+
+    Returns False where there is no normal, or a contact that touches comes to where there is none within the step h, s.
+    """
+    if not asked(links, i):
+        return True
+    where, n = integers_at(links.surfaces, 2 * links.k), 3 * i
+    own, ask = ask_at(where[2 * i + 1])
+    ask.time = time
+    for j in range(3):
+        ask.r[j], ask.velocity[j] = c.located[n + j], c.u[n + j]
+    if call_at(where[2 * i], own.address, CONTACT) != FOUND:
+        return False
+    touch, N = Touch(ask.touch), ask.frame
+    if c.mode[i] != FREE and touch.growth * h < -1.0:
+        return False
+    for j in range(links.n):
+        g0, g1, g2 = c.G[n, j], c.G[n + 1, j], c.G[n + 2, j]
+        for a in range(3):
+            c.G[n + a, j] = N[a, 0] * g0 + N[a, 1] * g1 + N[a, 2] * g2
+    d0, d1, d2 = c.drift[n], c.drift[n + 1], c.drift[n + 2]
+    c.located[n] = touch.level / touch.size
+    for a in range(3):
+        c.carried[n + a], c.turning[n + a], c.at[n + a] = touch.carried[a], touch.turning[a], touch.at[a]
+        c.u[n + a] = N[a, 0] * ask.velocity[0] + N[a, 1] * ask.velocity[1] + N[a, 2] * ask.velocity[2]
+        c.u[n + a] -= touch.carried[a]
+        c.drift[n + a] = N[a, 0] * d0 + N[a, 1] * d1 + N[a, 2] * d2 + touch.turning[a]
+        if a > 0:
+            c.located[n + a] = 0.0
+            for j in range(3):
+                c.located[n + a] += touch.local[a, j] * (touch.at[j] - c.anchor[n + j])
+    return True
+
+
+@kernel
+def locate_stops(links: ContactLinks, c: Contacts, w: Work, constants: Constants) -> None:
+    """Write rows, gaps and rates of the stops: of a joint that is at none the nearer of its two."""
+    for i in range(links.k - links.stops, links.k):
+        at, j = 3 * i, int(c.joint[i])
+        low, high = w.q[j] - constants.lower_stop[j], constants.upper_stop[j] - w.q[j]
+        if c.mode[i] == FREE:
+            c.side[i] = 1.0 if low <= high else -1.0
+        c.located[at] = low if c.side[i] > 0.0 else high
+        c.u[at], c.G[at, j] = c.side[i] * w.v[j], c.side[i]
+
+
+@kernel
+def place_contacts(links: ContactLinks, c: Contacts, w: Work) -> None:
+    """Write the axes of the contacts and where they are, base axes, at the state that was located last."""
+    joints, rows = loops_at(links.rows)
+    tree, work = tree_at(joints), vector_at(joints.scratch, joints.scratch_size)
+    sides = integers_at(joints.bound, 3 * joints.m)
+    for j in range(3):
+        c.point[0, j] = w.r[j]
+        for i in range(3):
+            c.axes[i, j] = w.frame[i, j]
+    a, b = rows.motions[0], rows.motions[1]
+    for r in range(joints.m):
+        move_point(tree, work, sides[joints.m + r], rows.at_a[r], a)
+        turn_direction(tree, work, sides[2 * joints.m + r], rows.along_b[r], b)
+        for j in range(3):
+            c.axes[3 + r, j], c.point[1 + r // 3, j] = b[ALONG + j], a[POINT + j]
+    for i in range(1, links.k if links.surfaces != 0 else 0):
+        if asked(links, i):
+            _, ask = ask_at(integers_at(links.surfaces, 2 * links.k)[2 * i + 1])
+            for j in range(3):
+                x, y, z = c.axes[3 * i, j], c.axes[3 * i + 1, j], c.axes[3 * i + 2, j]
+                for b in range(3):
+                    c.axes[3 * i + b, j] = ask.frame[b, 0] * x + ask.frame[b, 1] * y + ask.frame[b, 2] * z
+    for i in range(links.k - links.stops, links.k):
+        for j in range(3):
+            c.point[i, j] = w.r[j]

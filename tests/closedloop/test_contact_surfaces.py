@@ -1,0 +1,123 @@
+"""Contacts of links with surfaces that are curved or move: the tip's own, closed forms, and what is conserved."""
+
+import numpy as np
+import pytest
+from test_contacts import G, body, total_energy
+
+import closedloop as cl
+import robot_models
+from closedloop.closure.contact_force import FREE, PRESSED, STUCK
+from closedloop.contacts.touching import contact_torques
+from closedloop.loops.reactions import missing_torque
+from closedloop.scenario.arm import robot_of
+from validation.loops.mechanisms import joint, point
+
+FAR = {"kind": "plane", "offset": "start", "gap": 50.0, "contact": "unilateral"}
+
+
+def thrown(contacts, q, v, duration=0.2, surface=FAR, model=None, **changes):
+    """The run of a mass of 2 kg, or another model, on which nothing acts but its weight and its contacts."""
+    changes = {
+        "robot.model": "pointmass3", "law.kp": 0, "law.kd": 0, "law.force": 0, "time.duration": duration,
+        "time.step": 2e-3, "time.integrator": "rk4", "stabiliser.time_constant": 0.01, "reference.kind": "hold",
+        "surface": surface, "contact": contacts, "start.q": list(q), "start.v": list(v), **changes,
+    }  # fmt: skip
+    return cl.simulate(cl.load_scenario("planar2_drop", changes), model=model, law=lambda x: 0.0 * x.q)
+
+
+def test_mass_in_a_bowl_is_the_tip_in_a_bowl():
+    """With friction, sliding round it: a [[contact]] with a sphere, and the tip on the same one, to rounding."""
+    R, bowl = 0.4, {"kind": "sphere", "radius": 0.4, "inside": True}
+    start = [0.2, 0.0, R - np.sqrt(R * R - 0.04)], [0.0, 0.3, 0.0]
+    contact = [{"link": "tip", "friction": 0.2, "surface": bowl}]
+    one = thrown(contact, *start)
+    ground = bowl | {"normal": [0, 0, 1], "point": [0, 0, 0], "contact": "unilateral"}
+    rough = {"friction": {"kind": "coulomb", "coefficient": 0.2}}
+    far = [{"link": "tip", "through": [0, 0, -50.0]}]
+    for other in (thrown(None, *start, surface=ground, **rough), thrown(far, *start, surface=ground, **rough)):
+        np.testing.assert_allclose(one.q, other.q, atol=1e-13)
+        np.testing.assert_allclose(one.link_forces[:, 0], other.contact_force, atol=1e-10)
+    assert np.all(one.link_modes == PRESSED)
+    assert np.ptp(total_energy(one)) < 1e-8
+    assert np.max(np.abs(one.link_gaps)) < 1e-8
+
+
+def test_belt_takes_a_mass_along_and_a_turntable_holds_it():
+    """v/(μ g) until it sticks; on the disc friction is m ω² r towards the axis. A bounce on a belt gains its speed."""
+    belt = [{"link": "tip", "friction": 0.3, "motion": {"kind": "conveyor", "velocity": [0.5, 0, 0]}}]
+    run = thrown(belt, [0, 0, 0], [0, 0, 0])
+    (stick,) = run.events
+    assert stick.time == pytest.approx(0.5 / (0.3 * G), abs=1e-12)
+    np.testing.assert_allclose(run.v[-1], [0.5, 0, 0], atol=1e-12)
+    assert np.ptp(total_energy(run)) < 1e-12  # the work of the belt is counted
+    disc = [{"link": "tip", "friction": 0.3, "motion": {"kind": "turntable", "speed": 3.0}}]
+    round_ = thrown(disc, [0.1, 0, 0], [0, 0.3, 0])
+    np.testing.assert_allclose(np.hypot(round_.q[:, 0], round_.q[:, 1]), 0.1, atol=1e-7)
+    np.testing.assert_allclose(np.hypot(*round_.link_frictions.T), 2.0 * 9.0 * 0.1, rtol=1e-4)
+    assert np.all(round_.link_modes == STUCK)
+    bouncing = thrown([disc[0] | {"restitution": 0.5}], [0.1, 0, 0.02], [0, 0, 0])
+    assert sum(event.kind == "impact" for event in bouncing.events) > 3
+    assert np.ptp(total_energy(bouncing)) < 1e-8
+
+
+def two_bodies():
+    """Two bodies that may go anywhere in the plane x-z: three joints each."""
+    text = '<robot name="pair"><link name="base"/>'
+    for name, mass in (("a", 1.0), ("b", 2.0)):
+        text += body(f"{name}x", 1e-9, 1e-12) + body(f"{name}z", 1e-9, 1e-12) + body(name, mass, 0.01)
+        text += joint(f"{name}X", "base", f"{name}x", axis="1 0 0", kind="prismatic")
+        text += joint(f"{name}Z", f"{name}x", f"{name}z", axis="0 0 1", kind="prismatic")
+        text += joint(f"{name}T", f"{name}z", name)
+    return robot_models.from_text(
+        text + point("tip", "a") + "</robot>", "urdf", name="pair", armature=np.zeros(6), tip="tip", home=[0.0] * 6,
+        locked={},
+    )  # fmt: skip
+
+
+@pytest.mark.parametrize("friction", [0.0, 0.1])
+def test_body_strikes_and_slides_in_a_bowl_that_another_carries(friction):
+    """Momentum is kept along both axes and about the origin, energy with its losses counted: no external force acts."""
+    bowl = {"kind": "sphere", "radius": 0.4, "inside": True}
+    contact = [
+        {"link": "a", "at": [0.05, 0, -0.05], "against": "b", "through": [0, 0, -0.4], "friction": friction,
+         "surface": bowl},
+    ]  # fmt: skip
+    q, v = [0.1, -0.2, 0.1, 0.0, 0.0, 0.0], [2.0, -0.5, 0.0, 0.0, 0.3, 0.4]
+    changes = {"robot.gravity": [0, 0, 0], "time.step": 1e-3}
+    model = two_bodies()
+    run = thrown(contact, q, v, 0.15, model=model, **changes)
+    assert run.events[0].kind == "touchdown"
+    assert np.any(run.link_modes != FREE)
+    mass, (vx, vz, spin) = np.array([1.0, 2.0]), (run.v[:, i::3] for i in range(3))
+    x, z = run.q[:, 0::3], run.q[:, 1::3]
+    for kept in (vx @ mass, vz @ mass, np.sum(0.01 * spin, axis=1) + (x * vz - z * vx) @ mass):
+        assert np.ptp(kept) < 1e-8
+    assert np.ptp(total_energy(run)) < 1e-8
+    assert np.min(run.link_gaps) > -1e-8
+    robot = robot_of(run.scenario, model)
+    given = contact_torques(run.scenario, model.pinocchio_model(), run.time, run.q, run.link_forces, run.link_frictions)
+    missing = missing_torque(robot, run.q, run.v, run.acceleration, run.torque + given, np.zeros((len(run), 3)))
+    assert np.max(np.abs(missing)) < 1e-11
+
+
+@pytest.mark.parametrize(
+    ("contact", "said"),
+    [
+        ({"surface": {"kind": "sphre"}}, r"contact\[0\]\.surface\.kind = 'sphre': must be .*'sphere'"),
+        ({"surface": {"kind": "sphere", "radis": 1.0}}, r"did you mean 'contact\.0\.surface\.radius'"),
+        ({"friction": -1.0}, r"contact\[0\]\.friction = -1\.0: must not be negative"),
+        ({"surface": {"kind": "sphere", "gap": 1.0}}, r"contact 'c': surface\.gap: must be left out"),
+        ({"surface": {"kind": "cylinder", "axis": [0, 0, 1]}}, r"contact 'c': surface\.axis .* right angles"),
+        (
+            {"surface": {"kind": "sphere", "radius": 50.0}, "through": [0, 0, 5.0]},
+            r"contact 'c': the point starts .* inside the surface",
+        ),
+        ({"motion": {"kind": "conveyor"}}, r"'contact\.0\.motion\.velocity' is missing"),
+    ],
+)
+def test_what_is_wrong_with_a_surface_is_said_in_a_line(contact, said):
+    """By the key of the contact's own table, or the name of the contact."""
+    changes = {"surface.gap": 5.0, "contact": [{"name": "c", "link": "tip", "through": [0, 0, -9.0], **contact}]}
+    with pytest.raises(cl.ScenarioError, match=said) as error:
+        cl.prepare(cl.load_scenario("planar2_drop", changes))
+    assert len(str(error.value).splitlines()) == 1

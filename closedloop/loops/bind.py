@@ -108,7 +108,7 @@ def loop_memory(robot: Robot) -> LoopMemory:
 
 
 def step_memory(robot: Robot, stops: bool) -> LoopMemory:
-    """Return the same for the steps of a run: with the stops of joints if asked for, without rows that nothing moves."""
+    """Return the same for the steps of a run: with stops of joints if asked for, without rows that nothing moves."""
     bound = bound_by_loops(robot, stops)
     sides = bound.sides.reshape(4, -1)
     moving = sides[0] != IDLE

@@ -217,6 +217,20 @@ def force_of(links: LoopLinks, rows: LoopRows, t: Array) -> None:
 
 @kernel
 def smallest_share(links: LoopLinks, rows: LoopRows) -> float:
-    """Return how much of the last of the independent rows is left after elimination, as a share of its length."""
-    last = links.rank - 1
-    return 1.0 if last < 0 else float(abs(1.0 / rows.factors[last, last]))
+    """Return how far the last of the independent rows is outside the span of the others, as a share of its length.
+
+    Or less: it is one over the motion, of the joints that the rows determine, which changes this row alone, by its
+    length, and the shortest of all such motions is no longer.
+    """
+    F, x, last, square = rows.factors, rows.along, links.rank - 1, 0.0
+    if last < 0:
+        return 1.0
+    for k in range(last):
+        x[k] = 0.0
+    x[last] = 1.0
+    for k in range(last, -1, -1):
+        known = x[k] * F[k, k]
+        square += known * known
+        for i in range(k):
+            x[i] -= F[k, i] * known
+    return float(1.0 / math.sqrt(square))

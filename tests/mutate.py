@@ -88,7 +88,10 @@ TESTS: dict[str, tuple[str, ...]] = {
     "closedloop.contacts.continuation": (
         f"{IN}test_contacts.py::test_what_no_quick_method_solves_is_solved_along_the_path",
     ),
-    "closedloop.reference.no_normal": (f"{IN}test_surfaces.py", "-k", "vanish or normal"),
+    "closedloop.reference.no_normal": (
+        f"{IN}test_surfaces.py::test_what_does_not_go_is_refused_in_one_line",
+        f"{IN}test_surfaces.py::test_a_surface_without_a_normal_ends_the_run",
+    ),
     "closedloop.simulation.loop_entries": (f"{IN}test_loops.py::test_engines_agree",),
     "robot_models.loop_coordinate": (
         f"{IN}test_loop_coordinates.py::test_wrong_tables_are_refused",

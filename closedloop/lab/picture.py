@@ -2,7 +2,7 @@
 
 The plots go to the page first and alone: viser's page draws them at once then, while whatever is in space waits for a
 frame, and all that comes after it too. Where a frame takes long, as without a graphics processor, a picture for each
-movement of a slider would make the plots wait. There it follows when the slider rests.
+movement of a slider would make the plots wait. So it follows when the slider rests, and while it moves now and then.
 """
 
 from __future__ import annotations
@@ -23,10 +23,8 @@ from closedloop.scenario.scenario import Scenario
 
 # Where the scene is seen from at first, in radii of what is drawn from its middle, and how wide, rad.
 VIEW_FROM, FIELD_OF_VIEW = np.array([2.4, -1.25, 1.15]), float(np.deg2rad(40.0))
-# A frame in space that takes a page longer, s, is slow; then a run is drawn when no other has come for so long, s.
-SLOW, REST = 0.1, 0.3
-TIMED = 3  # frames whose time is taken, after one in which the page gets ready
-PATIENCE = 60.0  # s for a frame: a page that is hidden draws none
+# A run is drawn when no other has come for so long, s, or the last was drawn so long ago.
+REST, EVERY = 0.15, 1.0
 
 
 class Picture:
@@ -52,13 +50,10 @@ class Picture:
         self._below, self._panel, self._seen = below, panel, False
         self._changed = threading.Condition()
         self._waiting: Run | None = None
-        self._asked = 0.0
-        self._frames: dict[int, float] = {}  # s that a frame takes each client
+        self._asked = self._shown = 0.0
         self.space = Space(server.scene)
         view.connect(self.space, self.move, self.tell)
         server.on_client_connect(_fit)
-        server.on_client_connect(self._take_time)
-        server.on_client_disconnect(lambda client: self._frames.pop(client.client_id, None))
 
     def ask(self, run: Run) -> None:
         """Show another run as soon as `follow` finds that it may be shown."""
@@ -67,10 +62,10 @@ class Picture:
 
     def follow(self, now: float) -> None:
         """Show the run that waits, if it is time for it at an instant of `time.perf_counter`, s."""
-        rest = REST if max(self._frames.values(), default=0.0) > SLOW and not self._playback.playing else 0.0
         run = self._waiting
-        if run is None or now - self._asked < rest:
+        if run is None or (now - self._asked < REST and now - self._shown < EVERY and not self._playback.playing):
             return
+        self._shown = now
         try:
             with self._server.atomic():
                 self._show(run)
@@ -116,18 +111,6 @@ class Picture:
     def _row(self, run: Run) -> int:
         """Return the row of a run at the instant of the replay."""
         return int(min(round(self._playback.time / run.scenario.time.step), len(run) - 1))
-
-    def _take_time(self, client: Any) -> None:
-        """Take the time that a frame takes a page, from a picture of one pixel, which has a frame drawn."""
-        took = []
-        try:
-            for _ in range(1 + TIMED):
-                began = clock.perf_counter()
-                client.get_render(1, 1, timeout=PATIENCE)
-                took.append(clock.perf_counter() - began)
-        except (RuntimeError, TimeoutError):
-            return  # it was closed, or is hidden
-        self._frames[client.client_id] = min(took[1:])
 
 
 async def _fit(client: Any) -> None:

@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from closedloop.closure.solve import OK
-from closedloop.contacts.impact import strike
+from closedloop.contacts.impact import apply_impulses
 from closedloop.contacts.memory import ContactMemory, make_contact_memory
 from closedloop.jit.interpreted import interpreted
 from validation.plant import Catch, catch_of
@@ -80,7 +80,7 @@ def ask(memory: ContactMemory, fault: Fault | None = None) -> Answer:
     if fault:
         fault.spoil(asked)
     c = asked.contacts
-    if interpreted(strike)(asked.links, c, 1e-9) != OK:
+    if interpreted(apply_impulses)(asked.links, c, 1e-9) != OK:
         return Answer(np.full((int(links.k), 3), np.inf), np.full((int(links.k), 3), np.inf))
     answer = Answer(np.array(c.F).reshape(-1, 3), (sound.u + sound.W @ c.F).reshape(-1, 3))
     return fault.answer(answer, memory) if fault else answer
@@ -121,7 +121,7 @@ def _gains(memory: ContactMemory) -> bool:
     links, sound = memory
     asked = make_contact_memory(int(links.n), int(links.k))
     asked.contacts.memory[:] = sound.memory
-    interpreted(strike)(asked.links, asked.contacts, 1e-9)
+    interpreted(apply_impulses)(asked.links, asked.contacts, 1e-9)
     return bool(asked.contacts.restitution_share < 1.0)
 
 

@@ -39,7 +39,7 @@ STRUCK_AND_LEFT, STRUCK_AND_STAYED = 1.0, 2.0
 
 
 @kernel
-def strike(links: ContactLinks, c: Contacts, rest_speed: float) -> int:
+def apply_impulses(links: ContactLinks, c: Contacts, rest_speed: float) -> int:
     """Write the impulses F of the contacts that come together, zero if there are none; `after` their velocities.
 
     Returns

@@ -28,7 +28,7 @@ from closedloop.events.substep import count_event, resume_step
 from closedloop.events.table import LIFTOFF, RELEASE, STOP, EventRow
 from closedloop.jit.calls import call_at
 from closedloop.jit.kernel import kernel
-from closedloop.step.contacts import DECIDE, STRIKE
+from closedloop.step.contacts import DECIDE, IMPULSE
 from closedloop.step.entries import RESTART
 from closedloop.step.evaluate import call_law
 from closedloop.step.memory import Constants, State, Work
@@ -48,7 +48,7 @@ def apply_contact_event(w: Work, state: State, events: Array) -> int:
         state.status = CHATTER
         return FAIL
     links.tired = 1 if state.rapid_events > MAX_RAPID else 0
-    state.status = call_at(state.contacts, state.contacts_at, STRIKE)
+    state.status = call_at(state.contacts, state.contacts_at, IMPULSE)
     if state.status != OK:
         return FAIL
     log_contacts(w, links, c, state, events)

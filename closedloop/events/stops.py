@@ -21,7 +21,7 @@ from closedloop.contacts.impact import SLOWEST_REBOUND
 from closedloop.events.phases import MAX_RAPID, RESTING
 from closedloop.jit.calls import call_at
 from closedloop.jit.kernel import kernel
-from closedloop.step.closed_loops import BIND_TIP, STOP_TORQUE, STRIKE, missing_torque
+from closedloop.step.closed_loops import BIND_TIP, IMPULSE, STOP_TORQUE, missing_torque
 from closedloop.step.memory import RIGID_STICK, Constants, State, Work
 
 Array = NDArray[np.float64]
@@ -100,7 +100,7 @@ def reach_stops(w: Work, constants: Constants, state: State) -> bool:
 @kernel
 def compress(w: Work, state: State) -> None:
     """Make q̇ obey the stops that hold, the loops and the tip in contact, and write the tip's impulse."""
-    call_at(state.loops, state.loops_at, STRIKE)
+    call_at(state.loops, state.loops_at, IMPULSE)
     bind_again(w, state)
     tip_velocity(w, w.a)
     for i in range(3):

@@ -8,8 +8,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from closedloop.impact.modes import SLIP, STICK, TURN
-from closedloop.impact.piece import ORDER, OTHER, W1, W2, R, expand_straight, expand_turning, first_reach, value
 from closedloop.impact.rest import leave_rest
+from closedloop.impact.taylor import ORDER, OTHER, W1, W2, R, expand_straight, expand_turning, first_reach, value
 from closedloop.jit.kernel import kernel
 
 Array = NDArray[np.float64]

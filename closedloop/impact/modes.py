@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from closedloop.impact.piece import ORDER, ROWS
+from closedloop.impact.taylor import ORDER, ROWS
 
 NEWTON, POISSON, STRONGE = 0, 1, 2
 

@@ -26,7 +26,7 @@ from closedloop.impact.modes import (
     STRONGE,
     WEDGE,
 )
-from closedloop.impact.piece import (
+from closedloop.impact.taylor import (
     ENERGY,
     ORDER,
     OTHER,

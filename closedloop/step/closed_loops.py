@@ -39,7 +39,7 @@ from closedloop.step.memory import Constants, State, Work, loop_at
 Array = NDArray[np.float64]
 
 # What the loops are asked for.
-BIND_TIP, BIND_LOAD, BIND_ANSWER, DRIVE, CLOSE, REACTION, STOP_TORQUE, STRIKE, BIND_SEEN = range(9)
+BIND_TIP, BIND_LOAD, BIND_ANSWER, DRIVE, CLOSE, REACTION, STOP_TORQUE, IMPULSE, BIND_SEEN = range(9)
 
 
 @kernel_inlined
@@ -63,7 +63,7 @@ def closed_loops(address: int, what: int) -> int:
     REACTION        replace `column`, H q̈ + C − Q − AᵀF, by the part of it that the loops can give, and take from the
                     tip's drift what BIND_TIP has added
     STOP_TORQUE     write the torque of the stops, of `column` as for REACTION
-    STRIKE          change q̇ by the impulses of loops and stops that it does not obey
+    IMPULSE         change q̇ by the impulses of loops and stops that it does not obey
     BIND_SEEN       do BIND_TIP for the X, S and drift that the law sees, with the H that it believes in
     """
     links, rows = loops_at(address)
@@ -91,8 +91,8 @@ def closed_loops(address: int, what: int) -> int:
         close_state(links, rows, w.q, w.v)
     elif what == STOP_TORQUE:
         stop_torque(links, rows, w)
-    elif what == STRIKE:
-        strike(links, rows, w)
+    elif what == IMPULSE:
+        apply_impulses(links, rows, w)
     else:
         reaction(links, rows, w)
         for k in range(3):
@@ -214,7 +214,7 @@ def stop_torque(links: LoopLinks, rows: LoopRows, w: Work) -> None:
 
 
 @kernel
-def strike(links: LoopLinks, rows: LoopRows, w: Work) -> None:
+def apply_impulses(links: LoopLinks, rows: LoopRows, w: Work) -> None:
     """Change q̇ by the smallest impulse, in the measure of H, after which all rows are obeyed: no rebound."""
     find_basis(links, rows, w.L, w.q, w.v)
     for j in range(links.n):

@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 from closedloop.closure.contact_force import FREE, PRESSED, STUCK, accelerate
 from closedloop.closure.solve import OK, back_substitute
 from closedloop.contacts.given_modes import kinds_of_modes, solve_modes
-from closedloop.contacts.impact import strike
+from closedloop.contacts.impact import apply_impulses
 from closedloop.contacts.memory import LINE, ContactLinks, Contacts, contacts_at
 from closedloop.contacts.modes import CLOSED_GAP, HOVERING, decide
 from closedloop.jit.kernel import entry_kernel, kernel
@@ -27,7 +27,7 @@ from closedloop.step.memory import State, Work, loop_at
 Array = NDArray[np.float64]
 
 # What the contacts are asked for.
-FORCE, SAVE, STRIKE, DECIDE, DRIVE = range(5)
+FORCE, SAVE, IMPULSE, DECIDE, DRIVE = range(5)
 
 
 @entry_kernel
@@ -36,7 +36,7 @@ def contacts_in_step(address: int, what: int) -> int:
 
     FORCE    write the forces at the state in `Work`, q̈, and the margin of the event function
     SAVE     keep what a substep begins with
-    STRIKE   apply the impulses of contacts that come together to q̇; `happened` says what
+    IMPULSE  apply the impulses of contacts that come together to q̇; `happened` says what
     DECIDE   write the modes after an event or at the start, `happened` likewise, and take what velocity they have not
     DRIVE    take the torque from joints without a drive
     """
@@ -49,9 +49,9 @@ def contacts_in_step(address: int, what: int) -> int:
             status = contact_forces(links, c, w, state)
     elif what == SAVE:
         save_contacts(links, c)
-    elif what == STRIKE:
+    elif what == IMPULSE:
         place_contacts(links, c, w)
-        status = strike(links, c, constants.rest_speed)
+        status = apply_impulses(links, c, constants.rest_speed)
         move(links, c, w)
     elif what == DECIDE:
         place_contacts(links, c, w)

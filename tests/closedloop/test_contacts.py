@@ -10,7 +10,7 @@ import closedloop as cl
 import robot_models
 from closedloop.closure.contact_force import FREE, PRESSED, STUCK
 from closedloop.contacts.complementarity import ROUNDS, SWEEPS, solve_contacts, solve_from_here
-from closedloop.contacts.impact import strike
+from closedloop.contacts.impact import apply_impulses
 from closedloop.contacts.memory import CONE, contacts_at, make_contact_memory
 from closedloop.jit.interpreted import interpreted
 from closedloop.jit.kernel import entry_kernel
@@ -290,7 +290,7 @@ def quick_at(address):
 def strike_at(address):
     """Let the contacts in a memory strike."""
     links, c = contacts_at(address)
-    return strike(links, c, 1e-9)
+    return apply_impulses(links, c, 1e-9)
 
 
 def random_bodies(rng, planar):

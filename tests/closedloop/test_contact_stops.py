@@ -104,7 +104,7 @@ def test_dop853_finds_the_stops_of_a_mechanism_with_loops():
     changes = {
         "surface.gap": 5.0, "surface.contact": "unilateral", "robot.stops": True, "robot.stop_restitution": 0.4,
         "stabiliser.kind": "none", "law.kp": 0, "law.kd": 0, "law.force": 0, "reference.kind": "hold",
-        "time.duration": 0.15, "time.step": 0.005,
+        "time.duration": 0.2, "time.step": 0.005,
     }  # fmt: skip
     start = cl.prepare(cl.load_scenario("five_bar", changes)).q
     close = dataclasses.replace(model, position_lower=start - 0.15, position_upper=start + 0.2)

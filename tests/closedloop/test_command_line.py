@@ -20,6 +20,7 @@ PROMISED = {
     "scenario", "steps", "final_contact_force", "peak_contact_force", "min_contact_force", "max_abs_closure_error",
     "final_closure_error", "max_kkt_residual", "max_kkt_condition", "assumptions", "wall_seconds",
 }  # fmt: skip
+LONG = ("delta", "stewart", "panda_polish")  # seconds each
 
 
 def strict(text):
@@ -43,7 +44,9 @@ def test_list_shows_every_scenario(command_line):
         assert line.endswith(cl.load_scenario(name).description)
 
 
-@pytest.mark.parametrize("name", cl.shipped_scenarios())
+@pytest.mark.parametrize(
+    "name", [pytest.param(each, marks=pytest.mark.slow if each in LONG else ()) for each in cl.shipped_scenarios()]
+)
 def test_every_shipped_scenario_runs(name, command_line, tmp_path):
     """Each shipped scenario runs to its end by its name, leaves run.nc and summary.json, and is good.
 

@@ -104,7 +104,7 @@ def test_body_strikes_and_slides_in_a_bowl_that_another_carries(friction):
     ("contact", "said"),
     [
         ({"surface": {"kind": "sphre"}}, r"contact\[0\]\.surface\.kind = 'sphre': must be .*'sphere'"),
-        ({"surface": {"kind": "sphere", "radis": 1.0}}, r"did you mean 'contact\.0\.surface\.radius'"),
+        ({"surface": {"kind": "sphere", "radis": 1.0}}, r"did you mean 'contact\[0\]\.surface\.radius'"),
         ({"friction": -1.0}, r"contact\[0\]\.friction = -1\.0: must not be negative"),
         ({"surface": {"kind": "sphere", "gap": 1.0}}, r"contact 'c': surface\.gap: must be left out"),
         ({"surface": {"kind": "cylinder", "axis": [0, 0, 1]}}, r"contact 'c': surface\.axis .* right angles"),
@@ -112,7 +112,7 @@ def test_body_strikes_and_slides_in_a_bowl_that_another_carries(friction):
             {"surface": {"kind": "sphere", "radius": 50.0}, "through": [0, 0, 5.0]},
             r"contact 'c': the point starts .* inside the surface",
         ),
-        ({"motion": {"kind": "conveyor"}}, r"'contact\.0\.motion\.velocity' is missing"),
+        ({"motion": {"kind": "conveyor"}}, r"'contact\[0\]\.motion\.velocity' is missing"),
     ],
 )
 def test_what_is_wrong_with_a_surface_is_said_in_a_line(contact, said):

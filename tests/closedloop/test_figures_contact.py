@@ -321,8 +321,9 @@ def test_both_levels_of_friction_are_drawn_where_there_are_two():
 @pytest.mark.parametrize(
     ("name", "more"),
     [
-        ("wam_touchdown", ["fig_impacts"]), ("wam_liftoff", []), ("wam_edge", ["fig_impacts"]),
-        ("sliding", ["fig_friction"]),
+        ("wam_touchdown", ["fig_impacts"]), ("sliding", ["fig_friction"]),
+        pytest.param("wam_liftoff", [], marks=pytest.mark.slow),
+        pytest.param("wam_edge", ["fig_impacts"], marks=pytest.mark.slow),
     ],
 )  # fmt: skip
 def test_a_run_gets_the_figures_that_it_has_something_for(name, more, shipped_run, sliding, tmp_path, monkeypatch):

@@ -36,6 +36,7 @@ def test_published_stick_slip_ends_where_exudyn_ends(stick_slip):
     assert stick_slip.deflection[-1] == pytest.approx(1.1816795455868868e-05, rel=1e-9)
 
 
+@pytest.mark.slow
 def test_published_stick_slip_starts_and_stops(stick_slip):
     """Slip (v > 1 mm/s) starts and stops thrice.
 
@@ -49,6 +50,7 @@ def test_published_stick_slip_starts_and_stops(stick_slip):
     assert np.all(pull < 1.5)  # break-away below F_S
 
 
+@pytest.mark.slow
 def test_stick_slip_keeps_to_the_bound_of_the_bristles(stick_slip):
     """The deflection comes near F_S/σ_0 = 15 µm and never passes it."""
     assert 0.98 * 1.5e-5 < np.max(np.abs(stick_slip.deflection)) <= 1.5e-5

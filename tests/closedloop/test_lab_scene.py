@@ -253,6 +253,7 @@ def test_a_film_has_a_frame_for_each_instant(tmp_path):
     assert sorted(path.name for path in tmp_path.iterdir()) == ["drop.gif"]
 
 
+@pytest.mark.slow
 def test_a_mp4_has_the_frames_of_the_run(tmp_path):
     """Read back by ffmpeg: as many frames and seconds as asked for, of the film's size; the arm moves in it."""
     reader = pytest.importorskip("imageio_ffmpeg", reason="imageio-ffmpeg is not installed: the extra 'mp4'")

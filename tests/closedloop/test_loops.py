@@ -457,6 +457,8 @@ def test_a_state_is_closed_with_its_velocity(robot):
     q, v = model.model.home + 1e-4 * rng.normal(size=model.n), rng.normal(size=model.n)
     at, moving = q.copy(), v.copy()
     left = close.closed_to(memory.address, at, moving)
+    for each in (at, moving):
+        each.flags.writeable = False  # as the columns of a run are: for other arrays it would be compiled anew
     rows, errors = (found[0] for found in rows_of_loops(model, at[None], moving[None]))
     assert np.max(np.abs(errors)) <= 1e-14
     assert left <= close.TOLERANCE

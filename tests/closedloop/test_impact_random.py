@@ -25,7 +25,6 @@ from closedloop.impact import (
     WEDGE,
     impact,
 )
-from closedloop.jit.interpreted import interpreted
 from closedloop.jit.kernel import kernel
 
 ALL = SLIP | STICK | REVERSAL | TURN | JAM | RECOMPRESSION | CUT | WEDGE
@@ -81,7 +80,7 @@ def call(S, u, restitution, law, mu):
     """Return status, modes and the nine numbers that the kernel writes, from outputs full of NaN."""
     work = np.full(IMPACT_WORK, np.nan)
     out = np.full((3, 3), np.nan)
-    status = interpreted(impact)(np.array(S), np.array(u), restitution, law, mu, work, (out[0], out[1]), out[2])
+    status = impact(np.array(S), np.array(u), restitution, law, mu, work, (out[0], out[1]), out[2])
     return status, int(work[MODES]), out
 
 

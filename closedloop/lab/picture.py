@@ -2,7 +2,8 @@
 
 The plots go to the page first and alone: viser's page draws them at once then, while whatever is in space waits for a
 frame, and all that comes after it too. Where a frame takes long, as without a graphics processor, a picture for each
-movement of a slider would make the plots wait. So it follows when the slider rests, and while it moves now and then.
+movement of a slider would make the plots wait. So it follows when the slider rests, and while it moves now and then, if
+the page is not late with what the slider does next.
 """
 
 from __future__ import annotations
@@ -23,8 +24,10 @@ from closedloop.scenario.scenario import Scenario
 
 # Where the scene is seen from at first, in radii of what is drawn from its middle, and how wide, rad.
 VIEW_FROM, FIELD_OF_VIEW = np.array([2.4, -1.25, 1.15]), float(np.deg2rad(40.0))
-# A run is drawn when no other has come for so long, s, or the last was drawn so long ago.
-REST, EVERY = 0.15, 1.0
+# A run is drawn when no other has come for so long, s, or the last was drawn so long ago. While a slider moves, the
+# page is late if the second run after the picture comes only so long after it (the first may have been asked for
+# before), and for so long it is not tried again.
+REST, EVERY, LATE, AGAIN = 0.4, 1.0, 0.2, 15.0
 
 
 class Picture:
@@ -51,6 +54,7 @@ class Picture:
         self._changed = threading.Condition()
         self._waiting: Run | None = None
         self._asked = self._shown = 0.0
+        self._late, self._since_picture = -AGAIN, 0
         self.space = Space(server.scene)
         view.connect(self.space, self.move, self.tell)
         server.on_client_connect(_fit)
@@ -59,13 +63,17 @@ class Picture:
         """Show another run as soon as `follow` finds that it may be shown."""
         with self._changed:
             self._waiting, self._asked = run, clock.perf_counter()
+            self._since_picture += 1
+            if self._since_picture == 2 and self._asked - self._shown > LATE:
+                self._late = self._asked
 
     def follow(self, now: float) -> None:
         """Show the run that waits, if it is time for it at an instant of `time.perf_counter`, s."""
-        run = self._waiting
-        if run is None or (now - self._asked < REST and now - self._shown < EVERY and not self._playback.playing):
+        run, rests = self._waiting, now - self._asked >= REST
+        again = self._playback.playing or (now - self._shown >= EVERY and now - self._late >= AGAIN)
+        if run is None or not (rests or again):
             return
-        self._shown = now
+        self._shown, self._since_picture = now, 2 if rests else 0  # after a rest anything may come late
         try:
             with self._server.atomic():
                 self._show(run)

@@ -9,7 +9,7 @@ from typing import Any
 
 from closedloop.errors import ClosedLoopError, one_line
 from closedloop.lab.answers import Answer
-from closedloop.lab.bench import Bench
+from closedloop.lab.for_tabs import LabForTabs
 from closedloop.lab.history import IN_A_FILE
 from closedloop.lab.keeping import save, save_page
 from closedloop.lab.look import KEEP, paragraph
@@ -32,12 +32,12 @@ class KeepTab:
 
     Parameters
     ----------
-    lab : Bench
+    lab : LabForTabs
         The lab.
     tab : viser.GuiTabHandle
     """
 
-    def __init__(self, lab: Bench, tab: Any) -> None:
+    def __init__(self, lab: LabForTabs, tab: Any) -> None:
         self._lab, self.pins, gui = lab, Pins(), lab.server.gui
         self.folder: Path | None = None  # where folders are made; the current one's "out" if None
         self._table: Newest[tuple[list[Pin], Run, Any], str] = Newest(_table_of, self._show_table)

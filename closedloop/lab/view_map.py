@@ -11,8 +11,8 @@ import time as clock
 from typing import Any
 
 from closedloop.errors import ClosedLoopError, one_line
-from closedloop.lab.bench import Bench
 from closedloop.lab.controls import TABS, Control, controls
+from closedloop.lab.for_tabs import LabForTabs
 from closedloop.lab.history import Changes
 from closedloop.lab.look import MAP, paragraph
 from closedloop.lab.map_picture import MapPicture, Picture
@@ -39,12 +39,12 @@ class MapTab:
 
     Parameters
     ----------
-    lab : Bench
+    lab : LabForTabs
         The lab.
     tab : viser.GuiTabHandle
     """
 
-    def __init__(self, lab: Bench, tab: Any) -> None:
+    def __init__(self, lab: LabForTabs, tab: Any) -> None:
         self._lab, gui = lab, lab.server.gui
         self._stop = threading.Event()
         self._drawing = threading.Lock()

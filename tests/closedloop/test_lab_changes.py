@@ -3,6 +3,8 @@
 import shlex
 import threading
 import time
+from types import SimpleNamespace
+from unittest.mock import MagicMock
 
 import numpy as np
 import pytest
@@ -17,6 +19,7 @@ from closedloop.lab.kinds import begin_values
 from closedloop.lab.map_picture import MapPicture
 from closedloop.lab.mapping import Axis, Map, coarse_first
 from closedloop.lab.newest import Newest
+from closedloop.lab.picture import Picture
 from closedloop.lab.pins import Pins, compared, table_html
 from closedloop.scenario.load import parse_scenario
 from closedloop.scenario.overrides import Variants, split_overrides
@@ -293,3 +296,28 @@ def test_the_picture_of_a_map_shows_its_cells_while_they_come():
         found.grid[2, 3] = np.nan
         assert np.ptp(colours()[2, 3]) <= 1
     assert len(np.unique(colours().reshape(-1, 3), axis=0)) == 40
+
+
+def test_where_the_page_is_late_the_picture_waits_for_the_slider_to_rest(monkeypatch):
+    """While a slider moves a run is drawn once a second; not if the second run after that came late; and at rest."""
+    now, drawn = [100.0], []
+    monkeypatch.setattr("closedloop.lab.picture.clock", SimpleNamespace(perf_counter=lambda: now[0]))
+    picture = Picture(MagicMock(), None, SimpleNamespace(playing=False), MagicMock(), MagicMock(), 400)
+    monkeypatch.setattr(picture, "_show", lambda run: drawn.append(now[0]))
+
+    def drag(seconds, gap):
+        drawn.clear()
+        end = now[0] + seconds
+        while now[0] < end:
+            picture.ask(object())
+            picture.follow(now[0])
+            now[0] += gap(now[0])
+
+    drag(4.0, lambda t: 0.05)
+    assert len(drawn) == 4
+    drag(14.0, lambda t: 0.3 if drawn and t - drawn[-1] < 0.1 else 0.05)  # each picture keeps the page for 0.3 s
+    assert len(drawn) == 1
+    now[0] += 0.5
+    picture.follow(now[0])
+    assert len(drawn) == 2
+    assert picture.wait(0.0)

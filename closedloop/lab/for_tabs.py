@@ -11,7 +11,7 @@ from closedloop.lab.view_plots import Plots
 from closedloop.lab.view_space import Space
 
 
-class Bench(Protocol):
+class LabForTabs(Protocol):
     """A lab, as far as a tab of it is concerned; see `closedloop.lab.app.Lab`."""
 
     server: Any

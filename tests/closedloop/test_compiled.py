@@ -67,6 +67,7 @@ def test_compiled_code_is_kept_by_the_text_of_its_source():
     assert len(cache_folder().name.removeprefix("closedloop-")) == 16
 
 
+@pytest.mark.slow
 def test_changed_source_gets_another_cache(tmp_path):
     """A change in any kernel's file, of a comment even, changes the cache: stale compiled code is never used."""
     code = "from closedloop.jit.cache_folder import cache_folder; print(cache_folder().name)"

@@ -56,6 +56,7 @@ def test_energy_never_grows_by_the_contact(arm, friction):
     assert rows > 100
 
 
+@pytest.mark.slow
 def test_energy_never_grows_by_the_contact_of_a_few_drops():
     """A few drops of the smaller arm from a millimetre, on a smooth surface."""
     rng, events = np.random.default_rng(2), 0

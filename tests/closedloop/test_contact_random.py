@@ -199,6 +199,7 @@ def draw_wild(arm, rng):
     }
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("arm", ARMS)
 def test_wild_drops_end_as_well(arm):
     """Drops with absurd torques end, many of them in an error that says when and why."""

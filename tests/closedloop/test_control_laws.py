@@ -262,6 +262,7 @@ def test_a_tip_off_the_surface_comes_down_at_a_set_speed(law, speed):
     assert np.max(np.abs(run["e"][:, 1:])) < (1e-3 if law.kind == "hybrid" else 1e-6)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("kind", ["hybrid", "operational_space", "dynamic_hybrid"])
 def test_without_a_force_to_apply_the_tip_follows_its_path_off_the_surface(kind):
     """With f_des = 0 a free tip goes to p_des along the normal too, no faster than the approach speed."""

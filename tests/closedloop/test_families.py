@@ -132,6 +132,7 @@ sys.exit(main(["first/run.nc", "--no-figures"]))
 """
 
 
+@pytest.mark.slow
 def test_from_the_command_line_and_back(command_line, folder, tmp_path):
     """The command runs the page's example; its run.nc keeps name and digest, and repeats once they are named."""
     (tmp_path / "my_paths.py").write_text((folder / "my_paths.py").read_text())

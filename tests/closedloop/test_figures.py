@@ -96,6 +96,7 @@ def test_figures_are_reproducible_and_leave_matplotlib_alone(run, tmp_path):
     assert dict(mpl.rcParams) == before
 
 
+@pytest.mark.slow
 def test_folder_that_is_not_there_is_an_output_error(run, tmp_path):
     """Figures that cannot be written are an OutputError with the path."""
     with pytest.raises(cl.OutputError, match=r"fig4_tip_position.*cannot be written"):
@@ -111,6 +112,7 @@ def test_the_direction_of_a_path_on_a_surface_that_moves():
     assert along[0, 1] > 0.99
 
 
+@pytest.mark.slow
 def test_a_soft_surface_has_no_unstabilised_closure(tmp_path, monkeypatch):
     """Its figure has the usual name, though there is no stabiliser."""
     monkeypatch.setattr("closedloop.figures.files.save_figure", lambda draw, run, stem: stem.with_suffix(".png"))

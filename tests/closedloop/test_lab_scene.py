@@ -239,6 +239,7 @@ def test_the_page_holds_the_run_and_no_text_ends_its_script():
     assert data["scenario"] == run.scenario.to_toml()
 
 
+@pytest.mark.slow
 def test_a_film_has_a_frame_for_each_instant(tmp_path):
     """A .gif of 0.5 s at 8 frames a second; what cannot be a film is one line."""
     from PIL import Image

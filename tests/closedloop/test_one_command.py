@@ -104,6 +104,7 @@ def test_a_saved_run_is_shown(closedloop, saved):
     assert closedloop("show", "nosuch.nc")[::2] == (2, "closedloop: nosuch.nc: there is no such file\n")
 
 
+@pytest.mark.slow
 def test_a_saved_run_is_drawn(closedloop, saved, tmp_path, monkeypatch):
     """`plot` writes the figures of the file, into the folder that is named, and nothing else."""
 

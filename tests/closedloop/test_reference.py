@@ -190,6 +190,7 @@ def test_direction_is_a_direction_whatever_its_length():
     assert all(np.array_equal(path, paths[0]) for path in paths[1:])
 
 
+@pytest.mark.slow
 def test_a_motion_of_any_length_is_prepared_or_refused_soon():
     """A path that lasts hours or ages is prepared or refused within seconds: it must not run out of time or memory.
 

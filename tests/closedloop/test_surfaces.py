@@ -430,6 +430,7 @@ class Paraboloid(Surface):
         return p[2] + 0.5 * par.bend * (p[0] * p[0] + p[1] * p[1])
 
 
+@pytest.mark.slow
 def test_contact_begins_on_a_ball_that_moves(tmp_path):
     """Approach, impact, slide on a breathing ball with friction: the integrators agree, and the file repeats it."""
     changes = {

@@ -14,6 +14,7 @@ fuzz = importlib.util.module_from_spec(SPEC)
 SPEC.loader.exec_module(fuzz)
 
 
+@pytest.mark.slow
 def test_some_hostile_sweeps_and_tables_are_clean():
     """A few of each, every time."""
     assert fuzz.sweeps(6, 7) == []

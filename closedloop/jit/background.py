@@ -152,7 +152,7 @@ def compiling_notice(names: Sequence[str] = ()) -> str:
     """Return the line for a user who is about to wait for the compiler of these kernels."""
     reason = why_not_kept()
     how_often = "once for this installation" if not reason else f"each time, as it cannot be kept: {reason}"
-    return f"compiling {_named(names)} ({how_often}, some twenty seconds) ..."
+    return f"compiling {_named(names)} ({how_often}, a minute or two) ..."
 
 
 def _named(names: Sequence[str]) -> str:

@@ -28,7 +28,7 @@ HELD = ("point", "hinge", "weld", "gear", "distance")  # types of loop joints th
 
 
 def check_joined(scene: Scene) -> None:
-    """Refuse loop joints that MuJoCo has no equality for.
+    """Refuse loop joints that MuJoCo has no equality for, and contacts of links with what is no plane at rest.
 
     Raises
     ------
@@ -39,6 +39,12 @@ def check_joined(scene: Scene) -> None:
             raise ScenarioError(
                 f"--to mjcf: MuJoCo has no equality for a {loop.type}, as {loop.name!r} of {scene.run.model.name} is; "
                 "csv and mcap take it"
+            )
+    for touching in scene.touching:
+        if touching.surface is not None:
+            raise ScenarioError(
+                f"--to mjcf: contact {touching.name!r} has a surface that is curved or moves, and only planes at rest "
+                "are written; csv and mcap take it"
             )
 
 

@@ -90,8 +90,6 @@ CURES = {
     "too_short": "must be three numbers",
 }
 
-
-TABLES = "contact"  # the section that is a list of tables
 LONGEST_KEY = 60  # characters, more than any has; a joint's name may
 MOST_FAULTS = 20  # lines; a list of ten thousand points may have a fault in each
 
@@ -141,7 +139,7 @@ def _explain(problem: ErrorDetails, data: dict[str, Any]) -> tuple[str, str]:
         return whole, f"'{whole}' is missing"
     elif kind == "value_error" and isinstance(problem["ctx"]["error"], SizeError):
         cure = str(problem["ctx"]["error"])
-    elif section == TABLES and len(location) < 3 and kind in ("model_type", "tuple_type"):
+    elif _listed(section) and len(location) < 3 and kind in ("model_type", "tuple_type"):
         cure = f"must be tables, each headed [[{section}]]"
     elif name == "surface.offset":
         cure = 'must be a finite number of metres, or "start"'

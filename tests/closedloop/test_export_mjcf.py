@@ -149,6 +149,22 @@ def test_a_loop_joint_without_an_equality_is_refused_in_one_line(tmp_path, capsy
     assert [path.name for path in tmp_path.iterdir()] == ["run.nc"]
 
 
+def test_a_contact_with_a_curved_surface_is_refused_in_one_line(tmp_path, capsys):
+    """It would be written as a plane, and nothing would say so."""
+    bowl = {"kind": "sphere", "radius": 0.4, "inside": True}
+    changes = {
+        "robot.model": "pointmass3", "law.kp": 0, "law.kd": 0, "start.q": [0.0, 0.0, 0.1], "start.v": [0.0] * 3,
+        "time.duration": 0.01, "reference.kind": "hold", "contact": [{"link": "tip", "surface": bowl}],
+        "surface": {"kind": "plane", "offset": "start", "gap": 50.0, "contact": "unilateral"},
+    }  # fmt: skip
+    run = cl.simulate(cl.load_scenario("planar2_drop", changes), law=lambda x: 0.0 * x.q)
+    assert main(["export", str(run.save(tmp_path / "run.nc")), "--to", "mjcf"]) == 2
+    err = capsys.readouterr().err
+    assert len(err.splitlines()) == 1
+    assert "contact 'contact 1' has a surface that is curved or moves" in err
+    assert [path.name for path in tmp_path.iterdir()] == ["run.nc"]
+
+
 def coasted(model):
     """Return a run of a few steps of a mechanism whose tip touches nothing."""
     scenario = coasting(model, [float(x) for x in model.home], [0.0] * model.n, 0.005, 1e-3)

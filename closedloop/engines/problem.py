@@ -28,7 +28,8 @@ from closedloop.loops.bind import step_memory
 from closedloop.step.closed_loops import closed_loops
 from closedloop.step.contacts import contacts_in_step
 from closedloop.step.entries import friction_entry, joint_friction_entry, law_entry
-from closedloop.step.memory import Constants, Loop, make_loop
+from closedloop.step.make_loop import Loop, make_loop
+from closedloop.step.memory import Constants
 from closedloop.step.record_row import ContactRow
 from closedloop.step.seen import read_joints
 from closedloop.step.soft_contact import compliance_entry

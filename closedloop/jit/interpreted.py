@@ -266,8 +266,6 @@ def not_compiled_first() -> Iterator[None]:
 def call_once(function: Callable[..., Any], written: Sequence[NDArray[Any]], brief: bool, *arguments: Any) -> Any:
     """Call a kernel of which a run needs a call or two; within `not_compiled_first` interpreted, if that is brief.
 
-    Else it is compiled first: elsewhere many runs are prepared.
-
     Parameters
     ----------
     function : callable
@@ -275,7 +273,7 @@ def call_once(function: Callable[..., Any], written: Sequence[NDArray[Any]], bri
     written : sequence of arrays
         What the call changes: it is put back if the call must be begun again, compiled.
     brief : bool
-        Whether it is done, interpreted, before it would be compiled.
+        Whether it is done, interpreted, before it would be compiled; else it is compiled first.
     *arguments
         An entry among them is given to the kernel as its address, see `closedloop.jit.calls`.
     """

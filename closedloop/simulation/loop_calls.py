@@ -31,7 +31,7 @@ from closedloop.loops.reactions import rows_along
 from closedloop.reference.inverse_kinematics import walk
 from closedloop.reference.joint_path import sample_spline
 from closedloop.robot.tree import Tree, potential_energies
-from closedloop.step.memory import Loop
+from closedloop.step.make_loop import Loop
 from closedloop.step.record_row import complete_record
 
 Array = NDArray[np.float64]

@@ -187,7 +187,7 @@ def _fault_of_out(out: str | None) -> list[str]:
 
 def _faults_of(scenario: Scenario, model: Any) -> tuple[str, ...]:
     """Return what is at fault with a scenario that has been read: it cannot be prepared."""
-    from closedloop.jit.interpreted import not_compiled_first
+    from closedloop.jit.interim import not_compiled_first
     from closedloop.simulation.prepare import prepare
 
     try:
@@ -256,7 +256,7 @@ def _without_stabiliser(job: _Job, wanted: bool) -> Iterator[Callable[[], Any] |
     from closedloop.engines.loops import loop_for
     from closedloop.figures import closure_error, images_of, is_papers
     from closedloop.jit import background
-    from closedloop.jit.interpreted import at_hand
+    from closedloop.jit.interim import at_hand
 
     if not is_papers(job.scenario.name):
         yield None

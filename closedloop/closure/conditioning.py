@@ -18,6 +18,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from closedloop.jit.buffers import matrix_of, row_of
 from closedloop.jit.kernel import kernel, kernel_inlined
 from closedloop.jit.lanewise import lanewise, takes_arrays
 
@@ -117,7 +118,7 @@ def condition_number(H: Array, A: Array, L: Array, X: Array, mobility: float, pr
         Scratch.
     """
     n = H.shape[0]
-    R = work[0 : n * n].reshape(n, n)  # L⁻¹, lower
+    R = matrix_of(work, n, n)  # L⁻¹, lower
     x, column = work[n * n : n * n + n], work[n * n + n : n * n + 2 * n]
     size, row = work[n * n + 2 * n : n * n + 3 * n], work[n * n + 3 * n : n * n + 4 * n]
     inverse_mobility = 1.0 / mobility if pressed else 0.0
@@ -125,9 +126,9 @@ def condition_number(H: Array, A: Array, L: Array, X: Array, mobility: float, pr
         for j in range(n):
             R[i, j] = 0.0  # above the diagonal too, so that rows may be taken four at a time
         for k in range(0, i - 3, 4):
-            add_four((-L[i, k], -L[i, k + 1], -L[i, k + 2], -L[i, k + 3]), R, k, R[i, : k + 4])
+            add_four((-L[i, k], -L[i, k + 1], -L[i, k + 2], -L[i, k + 3]), R, k, row_of(R, i)[: k + 4])
         for k in range(i // 4 * 4, i):
-            add_multiple(-L[i, k], R[k], R[i, : k + 1])
+            add_multiple(-L[i, k], row_of(R, k), row_of(R, i)[: k + 1])
         inverse = L[i, i]
         for j in range(i):
             R[i, j] *= inverse
@@ -135,7 +136,7 @@ def condition_number(H: Array, A: Array, L: Array, X: Array, mobility: float, pr
         x[i] = 0.0
     if pressed:
         for k in range(n):
-            add_multiple(X[k], R[k], x[: k + 1])
+            add_multiple(X[k], row_of(R, k), x[: k + 1])
     last, last_inverse = 0.0, inverse_mobility
     for j in range(n):
         size[j] = abs(A[j]) if pressed else 0.0
@@ -150,7 +151,7 @@ def condition_number(H: Array, A: Array, L: Array, X: Array, mobility: float, pr
         for k in range(i, fours, 4):
             add_four((R[k, i], R[k + 1, i], R[k + 2, i], R[k + 3, i]), R, k, row[: i + 1])
         for k in range(fours, n):
-            add_multiple(R[k, i], R[k], row[: i + 1])
+            add_multiple(R[k, i], row_of(R, k), row[: i + 1])
         for j in range(i):
             row[j] = abs(row[j])
             column[j] += row[j]
@@ -176,7 +177,7 @@ def add_multiple(factor: float, x: Array, to: Array) -> None:
 def add_four(factors: tuple[float, float, float, float], R: Array, k: int, to: Array) -> None:
     """Write to += a x + b y + c z + d w, the factors times the rows of R from the k-th on."""
     a, b, c, d = factors
-    x, y, z, w = R[k], R[k + 1], R[k + 2], R[k + 3]
+    x, y, z, w = row_of(R, k), row_of(R, k + 1), row_of(R, k + 2), row_of(R, k + 3)
     for j in range(to.shape[0]):
         to[j] += (a * x[j] + b * y[j]) + (c * z[j] + d * w[j])
 

@@ -13,6 +13,7 @@ from closedloop.closure.contact_force import IMMOBILE
 from closedloop.control.law import ControlLaw
 from closedloop.control.law_input import LawInput
 from closedloop.jit.blocks import Block, Count
+from closedloop.jit.buffers import matrix_of
 from closedloop.jit.kernel import kernel
 from closedloop.sections import (
     ACCELERATION_GAIN,
@@ -100,7 +101,7 @@ def pseudo_inverse(M: Array, scratch: Array, P: Array) -> int:
     int
         How many eigenvalues counted: the rank.
     """
-    W, V = scratch[0:9].reshape(3, 3), scratch[9:18].reshape(3, 3)
+    W, V = matrix_of(scratch, 3, 3), matrix_of(scratch[9:18], 3, 3)
     trace = M[0, 0] + M[1, 1] + M[2, 2]
     for i in range(3):
         for j in range(3):

@@ -12,6 +12,7 @@ from closedloop.events.stops import MOST_TRIALS, note_sides, yield_stops
 from closedloop.events.table import IMPACT, TOUCHDOWN, write_event
 from closedloop.impact import CUT as ENERGY_CUT
 from closedloop.impact import ImpactWork, energy_lost, impact
+from closedloop.jit.buffers import row_of
 from closedloop.jit.kernel import entry_kernel, kernel
 from closedloop.step.entries import RESTART
 from closedloop.step.evaluate import call_law
@@ -25,7 +26,7 @@ Array = NDArray[np.float64]
 def log_event(w: Work, constants: Constants, state: State, events: Array, energy: float) -> None:
     """Write the event state.kind into the table, and subtract its energy loss from the energy supplied."""
     write_event(
-        events[state.events], w.time, state.kind, w.discarded_rebound, w.restitution_given, w.frame, w.r,
+        row_of(events, state.events), w.time, state.kind, w.discarded_rebound, w.restitution_given, w.frame, w.r,
         w.before, w.after, w.compression, w.decompression, energy,
     )  # fmt: skip
     state.events += 1

@@ -19,6 +19,7 @@ from closedloop.closure.contact_force import FREE, PRESSED, STUCK, apply_impulse
 from closedloop.closure.solve import forward_substitute
 from closedloop.contacts.impact import SLOWEST_REBOUND
 from closedloop.events.phases import MAX_RAPID, RESTING
+from closedloop.jit.buffers import row_of
 from closedloop.jit.calls import call_at
 from closedloop.jit.kernel import kernel
 from closedloop.step.closed_loops import BIND_TIP, IMPULSE, STOP_TORQUE, missing_torque
@@ -122,7 +123,7 @@ def bind_again(w: Work, state: State) -> None:
     for k in range(3):
         for j in range(w.q.shape[0]):
             w.X[k, j] = w.A[k, j]
-        forward_substitute(w.L, w.X[k])
+        forward_substitute(w.L, row_of(w.X, k))
     call_at(state.loops, state.loops_at, BIND_TIP)
 
 

@@ -46,6 +46,7 @@ TAKES_LONG = {
     "run_in_lanes": Long("the step of eight runs at a time", 33.0),
     "contacts_in_step": Long("contacts of links", 41.0),
     "closed_loops": Long("loops and stops", 25.0),
+    "walk": Long("the inverse kinematics of a path", 9.0),
     "along_path": Long("loops along a path", 15.0),
     "evaluate_on_pinocchio": Long("the step of dop853", 13.0),
 }
@@ -176,7 +177,9 @@ def compiling_notice(names: Sequence[str] = ()) -> str:
     """Return the line for a user who is about to wait for the compiler of these kernels."""
     reason = why_not_kept()
     how_often = "once for this installation" if not reason else f"each time, as it cannot be kept: {reason}"
-    return f"compiling {_named(names)} ({how_often}, a minute or two) ..."
+    seconds = sum(TAKES_LONG[name].seconds if name in TAKES_LONG else BRIEF for name in names or TAKES_LONG)
+    how_long = "some ten seconds" if seconds < 20.0 else "half a minute" if seconds < 45.0 else "a minute or two"
+    return f"compiling {_named(names)} ({how_often}, {how_long}) ..."
 
 
 def _named(names: Sequence[str]) -> str:

@@ -21,7 +21,7 @@ from numpy.typing import NDArray
 
 from closedloop.jit.blocks import Block
 from closedloop.jit.calls import call_at, call_with_buffers
-from closedloop.jit.kernel import inlined_kernel
+from closedloop.jit.kernel import kernel_inlined
 from closedloop.jit.pointers import MOST_KEPT, fortran_at, integers_at, matrix_at, vector_at
 
 Array = NDArray[np.float64]
@@ -60,10 +60,21 @@ def integers_buffer(address: int, n: int) -> Buffer:
     return memoryview((ctypes.c_int64 * int(n)).from_address(int(address))).cast("B").cast("q")
 
 
-@inlined_kernel
+@kernel_inlined
 def row_of(matrix: Array, i: int) -> Array:
     """Return a row of a matrix: what `matrix[i]` is, which a buffer refuses."""
     return matrix[i]  # type: ignore[no-any-return]
+
+
+@kernel_inlined
+def matrix_of(vector: Array, rows: int, columns: int) -> Array:
+    """Return the first numbers of a vector as a matrix, row after row."""
+    return vector[0 : rows * columns].reshape(rows, columns)
+
+
+def matrix_buffer_of(vector: Any, rows: int, columns: int) -> Buffer:
+    """Return the first numbers of a vector as a matrix, row after row."""
+    return np.asarray(vector[0 : rows * columns]).reshape(rows, columns).data
 
 
 def row_buffer(matrix: Any, i: int) -> Buffer:
@@ -133,6 +144,7 @@ BUFFERS: dict[Any, Callable[..., Any]] = {
     fortran_at: fortran_buffer,
     integers_at: integers_buffer,
     row_of: row_buffer,
+    matrix_of: matrix_buffer_of,
 }
 
 

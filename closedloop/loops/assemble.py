@@ -6,7 +6,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from closedloop.errors import ScenarioError
-from closedloop.jit.interpreted import call_now, interpreted
+from closedloop.jit.interim import call_now
+from closedloop.jit.interpreted import interpreted
 from closedloop.loops.bind import loop_memory
 from closedloop.loops.close import TOLERANCE, closed_to
 from closedloop.loops.memory import LoopMemory

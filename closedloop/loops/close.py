@@ -11,6 +11,7 @@ import math
 import numpy as np
 from numpy.typing import NDArray
 
+from closedloop.jit.buffers import row_of
 from closedloop.jit.kernel import entry_kernel, kernel
 from closedloop.loops.factor import factor, meet
 from closedloop.loops.memory import LoopLinks, LoopRows, loops_at
@@ -78,7 +79,7 @@ def close_state(links: LoopLinks, rows: LoopRows, q: Array, v: Array) -> float:
     leave_free(links, rows, v)
     if not factored_here:  # that was where the loops were not closed yet
         for k in range(links.m):
-            rows.rate[k] = dot(rows.G[k], v, n)
+            rows.rate[k] = dot(row_of(rows.G, k), v, n)
         meet(links, rows, rows.rate)
         take_free(links, rows, rows.met)
         for j in range(n):

@@ -7,7 +7,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from closedloop.jit.interpreted import call_now
+from closedloop.jit.interim import call_now
 from closedloop.jit.kernel import entry_kernel
 from closedloop.loops.bind import DIRECTIONS, loop_memory
 from closedloop.loops.factor import DEPENDENT, NO_ROW

@@ -20,6 +20,7 @@ import math
 import numpy as np
 from numpy.typing import NDArray
 
+from closedloop.jit.buffers import row_of
 from closedloop.jit.kernel import kernel
 from closedloop.jit.pointers import integers_at, vector_at
 from closedloop.loops.memory import DISTANCE, GEAR, IDLE, ROTATION, STOP, LoopLinks, LoopRows, tree_at
@@ -94,12 +95,12 @@ def _positions(
     tree: Tree, work: Array, rows: LoopRows, k: int, count: int, ends: tuple[int, int], moving: bool
 ) -> None:
     """Write rows k, k + 1, ... of one point of either link, along so many directions of the other link."""
-    a, b, u = rows.motions[0], rows.motions[1], rows.directions
+    a, b, u = row_of(rows.motions, 0), row_of(rows.motions, 1), rows.directions
     one, other = ends
-    _move_point(tree, work, one, rows.at_a[k], a, moving)
-    _move_point(tree, work, other, rows.at_b[k], b, moving)
+    _move_point(tree, work, one, row_of(rows.at_a, k), a, moving)
+    _move_point(tree, work, other, row_of(rows.at_b, k), b, moving)
     for r in range(count):
-        _turn(tree, work, other, rows.along_b[k + r], u[r], 0, moving)
+        _turn(tree, work, other, row_of(rows.along_b, k + r), row_of(u, r), 0, moving)
     # The point of the other link that lies at a: it is there that the force acts on both.
     _along_joints(tree, work, one, a, 1.0, rows, k, count)
     x, y, z = a[VELOCITY], a[VELOCITY + 1], a[VELOCITY + 2]
@@ -111,7 +112,7 @@ def _positions(
         o0, o1, o2 = work[s + at.O0], work[s + at.O1], work[s + at.O2]
         x, y, z = x + o1 * d2 - o2 * d1, y + o2 * d0 - o0 * d2, z + o0 * d1 - o1 * d0
     for r in range(count):
-        c = u[r]
+        c = row_of(u, r)
         rows.error[k + r] = c[0] * d0 + c[1] * d1 + c[2] * d2
         if moving:
             rows.rate[k + r] = c[0] * x + c[1] * y + c[2] * z + c[3] * d0 + c[4] * d1 + c[5] * d2
@@ -124,9 +125,9 @@ def _positions(
 @kernel
 def _rotation(tree: Tree, work: Array, rows: LoopRows, k: int, one: int, other: int, moving: bool) -> None:
     """Write row k, of two directions that stay perpendicular."""
-    a, b = rows.motions[0], rows.motions[1]
-    _turn(tree, work, one, rows.along_a[k], a, ALONG, moving)
-    _turn(tree, work, other, rows.along_b[k], b, ALONG, moving)
+    a, b = row_of(rows.motions, 0), row_of(rows.motions, 1)
+    _turn(tree, work, one, row_of(rows.along_a, k), a, ALONG, moving)
+    _turn(tree, work, other, row_of(rows.along_b, k), b, ALONG, moving)
     error, rate, drift = 0.0, 0.0, 0.0
     for i in range(3):
         error += a[ALONG + i] * b[ALONG + i]
@@ -134,17 +135,17 @@ def _rotation(tree: Tree, work: Array, rows: LoopRows, k: int, one: int, other: 
         rate += a[TURNING + i] * b[ALONG + i] + a[ALONG + i] * b[TURNING + i]
         drift += a[SECOND + i] * b[ALONG + i] + 2.0 * a[TURNING + i] * b[TURNING + i]
         drift += a[ALONG + i] * b[SECOND + i]
-    _couple(tree, work, one, a, b, 1.0, rows.G[k])
-    _couple(tree, work, other, a, b, -1.0, rows.G[k])
+    _couple(tree, work, one, a, b, 1.0, row_of(rows.G, k))
+    _couple(tree, work, other, a, b, -1.0, row_of(rows.G, k))
     rows.error[k], rows.rate[k], rows.drift[k] = error, rate, drift
 
 
 @kernel
 def _distance(tree: Tree, work: Array, rows: LoopRows, k: int, one: int, other: int, moving: bool) -> None:
     """Write row k, of two points at a distance."""
-    a, b, u = rows.motions[0], rows.motions[1], rows.directions[0]
-    _move_point(tree, work, one, rows.at_a[k], a, moving)
-    _move_point(tree, work, other, rows.at_b[k], b, moving)
+    a, b, u = row_of(rows.motions, 0), row_of(rows.motions, 1), row_of(rows.directions, 0)
+    _move_point(tree, work, one, row_of(rows.at_a, k), a, moving)
+    _move_point(tree, work, other, row_of(rows.at_b, k), b, moving)
     square, speed, rate, drift = 0.0, 0.0, 0.0, 0.0
     for i in range(3):
         u[i] = a[POINT + i] - b[POINT + i]
@@ -165,7 +166,7 @@ def _distance(tree: Tree, work: Array, rows: LoopRows, k: int, one: int, other: 
 @kernel
 def _gear(rows: LoopRows, k: int, one: int, other: int) -> None:
     """Write the row of a gear between two joints, or of one joint that is held."""
-    c, x, y = rows.value[k], 0.0, 0.0
+    c, x, y = row_of(rows.value, k), 0.0, 0.0
     if other >= 0:
         x, y = rows.q[other], rows.v[other]
     value = c[0] + x * (c[1] + x * (c[2] + x * (c[3] + x * c[4])))

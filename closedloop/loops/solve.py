@@ -16,6 +16,7 @@ import math
 import numpy as np
 from numpy.typing import NDArray
 
+from closedloop.jit.buffers import row_of
 from closedloop.jit.kernel import kernel
 from closedloop.loops.factor import DEPENDENT, order_of
 from closedloop.loops.memory import LoopLinks, LoopRows
@@ -41,7 +42,7 @@ def basis_in_metric(links: LoopLinks, rows: LoopRows, L: Array) -> None:
         substitute_rows(L, rows.basis, links.spanned)
     else:
         for k in range(links.spanned):
-            multiply_transposed(L, rows.basis[k], links.n)
+            multiply_transposed(L, row_of(rows.basis, k), links.n)
     orthonormalise(links, rows)
 
 
@@ -53,9 +54,9 @@ def span(links: LoopLinks, rows: LoopRows) -> None:
     links.spanned = n - rank if links.free != 0 else rank
     for k in range(links.spanned):
         if links.free != 0:
-            free_motion(links, rows, k, rows.basis[k])
+            free_motion(links, rows, k, row_of(rows.basis, k))
         else:
-            determined_by(links, rows, k, rows.basis[k])
+            determined_by(links, rows, k, row_of(rows.basis, k))
 
 
 @kernel
@@ -63,12 +64,12 @@ def orthonormalise(links: LoopLinks, rows: LoopRows) -> None:
     """Make the basis orthonormal, by Gram and Schmidt's method."""
     n, B = links.n, rows.basis
     for k in range(links.spanned):
-        left = dot(B[k], B[k], n)
+        left = dot(row_of(B, k), row_of(B, k), n)
         for _ in range(2 if k > 0 else 0):
             before = left
             for i in range(k):
-                take_off(B[k], B[i], n)
-            left = dot(B[k], B[k], n)
+                take_off(row_of(B, k), row_of(B, i), n)
+            left = dot(row_of(B, k), row_of(B, k), n)
             if left > ONCE_MORE * before:
                 break
         scale = 1.0 / math.sqrt(left)
@@ -117,10 +118,10 @@ def project(rows: LoopRows, spanned: int, x: Array, onto: bool) -> None:
     if not onto:
         for _ in range(2):  # where little is left of x, once leaves rounding of what has gone
             for k in range(spanned):
-                take_off(x, B[k], n)
+                take_off(x, row_of(B, k), n)
         return
     for k in range(spanned):
-        rows.share[k] = dot(x, B[k], n)
+        rows.share[k] = dot(x, row_of(B, k), n)
     for j in range(n):
         x[j] = 0.0
     for k in range(spanned):
@@ -148,11 +149,11 @@ def orthonormal_rows(Z: Array, m: int, order: Array, coefficients: Array, length
     """
     n = Z.shape[1]
     for i in range(m):
-        order[i], lengths[i] = i, math.sqrt(dot(Z[i], Z[i], n))
+        order[i], lengths[i] = i, math.sqrt(dot(row_of(Z, i), row_of(Z, i), n))
     for k in range(m):
         best, share = -1, DEPENDENT * DEPENDENT
         for i in range(k, m):
-            left, whole = dot(Z[i], Z[i], n), lengths[i] * lengths[i]
+            left, whole = dot(row_of(Z, i), row_of(Z, i), n), lengths[i] * lengths[i]
             if left > share * whole:
                 best, share = i, left / whole
         if best < 0:
@@ -165,13 +166,13 @@ def orthonormal_rows(Z: Array, m: int, order: Array, coefficients: Array, length
             for j in range(k):
                 coefficients[k, j], coefficients[best, j] = coefficients[best, j], coefficients[k, j]
         for i in range(k):
-            coefficients[k, i] += take_off(Z[k], Z[i], n)
-        length = math.sqrt(dot(Z[k], Z[k], n))
+            coefficients[k, i] += take_off(row_of(Z, k), row_of(Z, i), n)
+        length = math.sqrt(dot(row_of(Z, k), row_of(Z, k), n))
         coefficients[k, k] = length
         for j in range(n):
             Z[k, j] /= length
         for i in range(k + 1, m):
-            coefficients[i, k] = take_off(Z[i], Z[k], n)
+            coefficients[i, k] = take_off(row_of(Z, i), row_of(Z, k), n)
     return m
 
 
@@ -232,7 +233,7 @@ def spanned_force(t: Array, order: Array, coefficients: Array, basis: Array, ran
     for i in range(force.shape[0]):
         force[i] = 0.0
     for k in range(rank - 1, -1, -1):
-        s = dot(basis[k], t, t.shape[0])
+        s = dot(row_of(basis, k), t, t.shape[0])
         for i in range(k + 1, rank):
             s -= coefficients[i, k] * force[int(order[i])]
         force[int(order[k])] = s / coefficients[k, k]

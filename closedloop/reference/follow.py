@@ -18,7 +18,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from closedloop.errors import ScenarioError
-from closedloop.jit.interpreted import call_once
+from closedloop.jit.interim import call_once
 from closedloop.loops.along_path import along_path
 from closedloop.loops.bind import loop_memory
 from closedloop.reference.inverse_kinematics import (

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from closedloop.jit.interpreted import call_once
+from closedloop.jit.interim import call_once
 from closedloop.jit.kernel import entry_kernel, kernel_inlined
 from closedloop.reference.tip_path import INSTANT
 

@@ -12,7 +12,7 @@ from closedloop.engines.needs import arm_columns
 from closedloop.engines.problem import Problem
 from closedloop.engines.user_law import Law
 from closedloop.events.table import event_columns
-from closedloop.jit.interpreted import at_hand
+from closedloop.jit.interim import at_hand
 from closedloop.jit.kernel import plain
 from closedloop.record.run import Run
 from closedloop.record.versions import package_versions

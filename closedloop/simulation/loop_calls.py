@@ -22,7 +22,7 @@ from closedloop.events.impacts import collide
 from closedloop.events.phases import INITIAL_EVENTS, TABLE_FULL, TERMS
 from closedloop.events.table import EVENT_WIDTH
 from closedloop.jit.background import make_ready, seconds_to_compile, start, takes_long
-from closedloop.jit.interpreted import Interim, at_hand, call_now
+from closedloop.jit.interim import Interim, at_hand, call_now
 from closedloop.jit.kernel import direct
 from closedloop.jit.pointers import address_of
 from closedloop.loops.along_path import along_path
@@ -221,11 +221,9 @@ def begun(
     waited_for = [*kernels, *filter(takes_long, called)]
     if not all(map(at_hand, waited_for)):
         calls = problem.steps * problem.integrator.stages
-        # A user's law, loops and contacts of links have memory of their own: none of them is asked twice.
-        again = law is None and loop.state.loops_at == 0 and loop.state.contacts_at == 0
-        written = loop.state.memory, loop.w.memory
         seconds = seconds_to_compile((kernels[0], *with_it))
-        return Interim(kernels[0], written, calls, seconds, with_it, connect, once, again)
+        again = law is None  # which has a memory of its own, and is not asked twice
+        return Interim(kernels[0], loop.written, calls, seconds, with_it, connect, once, again)
     make_ready(*waited_for)
     start([function for function in (*with_it, *once) if not at_hand(function)])
     return kernels[0]

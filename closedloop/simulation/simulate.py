@@ -19,7 +19,7 @@ from closedloop.events.phases import DONE, IMPACT_LAW_WANTED, TABLE_FULL, TERMS
 from closedloop.integrators import ADAPTIVE, INTEGRATORS
 from closedloop.interrupts import held_back
 from closedloop.jit.background import make_ready
-from closedloop.jit.interpreted import Interim, call_now, not_compiled_first
+from closedloop.jit.interim import Interim, call_now, not_compiled_first
 from closedloop.record.run import Run
 from closedloop.robot.tree import Tree
 from closedloop.scenario.scenario import Scenario

@@ -17,6 +17,7 @@ from numpy.typing import NDArray
 from closedloop.closure.contact_force import factorise
 from closedloop.closure.solve import OK, SINGULAR_MOBILITY, back_substitute, forward_substitute
 from closedloop.control.seen import Seen
+from closedloop.jit.buffers import row_of
 from closedloop.jit.calls import call_at
 from closedloop.jit.kernel import entry_kernel, kernel, kernel_inlined
 from closedloop.jit.pointers import integers_at
@@ -110,7 +111,7 @@ def bind_tip(links: LoopLinks, rows: LoopRows, w: Work, L: Array, X: Array, S: A
         for j in range(n):
             moved += X[k, j] * rows.part[j]
         rows.moved[k] = moved
-        leave_free(links, rows, X[k])
+        leave_free(links, rows, row_of(X, k))
     for k in range(3):
         for i in range(k + 1):
             s = 0.0
@@ -152,7 +153,7 @@ def through_drives(links: LoopLinks, rows: LoopRows, torque: Array) -> None:
     n, count, wanted = links.n, links.n - links.rank, rows.wanted
     for i in range(count):
         power = 0.0
-        Z = rows.drive_basis[i]
+        Z = row_of(rows.drive_basis, i)
         free_motion(links, rows, i, Z)
         for j in range(n):
             if rows.undriven[j] != 0.0:

@@ -13,6 +13,7 @@ from closedloop.closure.contact_force import FREE, baumgarte_acceleration
 from closedloop.closure.solve import NO_NORMAL, OK, forward_substitute
 from closedloop.contacts.given_modes import mobility_of
 from closedloop.contacts.memory import LINE, OFF, ContactLinks, Contacts
+from closedloop.jit.buffers import row_of
 from closedloop.jit.calls import call_at
 from closedloop.jit.kernel import kernel
 from closedloop.jit.pointers import integers_at, vector_at
@@ -58,13 +59,13 @@ def locate_contacts(links: ContactLinks, c: Contacts, w: Work, constants: Consta
     for i in range(3, 3 * k):
         for j in range(n):
             c.X[i, j] = c.G[i, j]
-        forward_substitute(w.L, c.X[i])
+        forward_substitute(w.L, row_of(c.X, i))
         c.a[i] = c.drift[i]
         for j in range(n):
             c.a[i] += c.X[i, j] * w.y[j]
         if state.loops != 0:
             bound, loops = loops_at(state.loops_at)
-            leave_free(bound, loops, c.X[i])
+            leave_free(bound, loops, row_of(c.X, i))
     mobility_of(c, k)
     for i in range(k):
         for j in range(3 * i, 3 * i + 3):
@@ -145,10 +146,10 @@ def place_contacts(links: ContactLinks, c: Contacts, w: Work) -> None:
         c.point[0, j] = w.r[j]
         for i in range(3):
             c.axes[i, j] = w.frame[i, j]
-    a, b = rows.motions[0], rows.motions[1]
+    a, b = row_of(rows.motions, 0), row_of(rows.motions, 1)
     for r in range(joints.m):
-        move_point(tree, work, sides[joints.m + r], rows.at_a[r], a)
-        turn_direction(tree, work, sides[2 * joints.m + r], rows.along_b[r], b)
+        move_point(tree, work, sides[joints.m + r], row_of(rows.at_a, r), a)
+        turn_direction(tree, work, sides[2 * joints.m + r], row_of(rows.along_b, r), b)
         for j in range(3):
             c.axes[3 + r, j], c.point[1 + r // 3, j] = b[ALONG + j], a[POINT + j]
     for i in range(1, links.k if links.surfaces != 0 else 0):
@@ -156,8 +157,9 @@ def place_contacts(links: ContactLinks, c: Contacts, w: Work) -> None:
             _, ask = ask_at(integers_at(links.surfaces, 2 * links.k)[2 * i + 1])
             for j in range(3):
                 x, y, z = c.axes[3 * i, j], c.axes[3 * i + 1, j], c.axes[3 * i + 2, j]
-                for b in range(3):
-                    c.axes[3 * i + b, j] = ask.frame[b, 0] * x + ask.frame[b, 1] * y + ask.frame[b, 2] * z
+                for axis in range(3):
+                    turned = ask.frame[axis, 0] * x + ask.frame[axis, 1] * y + ask.frame[axis, 2] * z
+                    c.axes[3 * i + axis, j] = turned
     for i in range(links.k - links.stops, links.k):
         for j in range(3):
             c.point[i, j] = w.r[j]

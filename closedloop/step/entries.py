@@ -17,6 +17,7 @@ from closedloop.control.law import Compensation, ControlLaw
 from closedloop.control.law_input import LawInput
 from closedloop.control.seen import Seen
 from closedloop.friction.law import JointFriction, Slip, SurfaceFriction, length_of
+from closedloop.jit.buffers import row_of
 from closedloop.jit.calls import Entry
 from closedloop.jit.kernel import kernel, kernel_inlined
 from closedloop.parameters import one_joint_block, parameter_block, state_block
@@ -159,7 +160,7 @@ def joint_friction_entry(member: type[JointFriction]) -> Entry:
         count = state.joint_states
         here = state.law_states + state.sensor_states + state.friction_states
         for j in range(state.n):
-            par, stuck = Parameters(constants.joint_friction[j], 1), w.stuck[j] != 0.0
+            par, stuck = Parameters(row_of(constants.joint_friction, j), 1), w.stuck[j] != 0.0
             z = States(w.z[here : here + count], 1)
             u, direction = w.joint_slip[j : j + 1], w.joint_direction[j : j + 1]
             x = Slip(u, abs(u[0]), w.joint_lagged[j], direction)

@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
+from numpy.typing import NDArray
 
 from closedloop.jit.pointers import address_of
 from closedloop.step.memory import STATE_COUNT, Constants, State, Work
@@ -21,6 +22,13 @@ class Loop(NamedTuple):
     def address(self) -> int:
         """Return what `loop_at` takes."""
         return int(self.state.address)
+
+    @property
+    def written(self) -> list[NDArray[Any]]:
+        """Return the memory that a call of the loop changes, that of loops and of contacts of links included."""
+        kept = self.w.kept
+        others = (block for name in ("loops", "seen_loops", "contacts") for block in kept.get(name, ()))
+        return [block.memory for block in (self.state, self.w, *others)]
 
 
 def make_loop(

@@ -10,7 +10,8 @@ from numpy.typing import NDArray
 
 from closedloop.jit import background
 from closedloop.jit.calls import entry_address
-from closedloop.jit.interpreted import at_hand, interpreted, twin_address
+from closedloop.jit.interim import at_hand
+from closedloop.jit.interpreted import interpreted, twin_address
 from closedloop.surface.contact import motion_entry, normals_on_surface, surface_entry
 from closedloop.surface.geometry import Pose, Touch
 from closedloop.surface.placed import PlacedSurface

@@ -15,7 +15,8 @@ from closedloop.errors import ScenarioError
 from closedloop.families import is_users
 from closedloop.jit import background
 from closedloop.jit.calls import entry_address
-from closedloop.jit.interpreted import at_hand, interpreted, twin_address
+from closedloop.jit.interim import at_hand
+from closedloop.jit.interpreted import interpreted, twin_address
 from closedloop.parameters import pack
 from closedloop.surface.contact import (
     CONTACT,

@@ -14,7 +14,7 @@ from closedloop.engines.proceed import proceed_at
 from closedloop.events.impacts import collide
 from closedloop.jit import background, interpreted
 from closedloop.jit.calls import call_at, forget_entry, interpreted_address
-from closedloop.jit.interpreted import PROBE, Interim
+from closedloop.jit.interim import PROBE, Interim
 from closedloop.jit.kernel import entry_kernel, jit_disabled
 from closedloop.jit.pointers import address_of, matrix_at
 from closedloop.reference.follow import follow

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import time as clock
 from collections.abc import Callable
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -153,14 +152,12 @@ class Memory:
 
     def copied(self) -> Callable[[], None]:
         """Return what writes the memory as it is now back, contacts of links included."""
-        blocks: list[Any] = [self.state, self.w]
-        if self.state.contacts_at != 0:
-            blocks += self.w.kept["contacts"]
-        copies = [block.memory.copy() for block in blocks]
+        written = self.loop.written
+        copies = [memory.copy() for memory in written]
 
         def write_back() -> None:
-            for block, copy in zip(blocks, copies, strict=True):
-                block.memory[:] = copy
+            for memory, copy in zip(written, copies, strict=True):
+                memory[:] = copy
 
         return write_back
 

@@ -1,0 +1,213 @@
+"""What begins a run before its kernels are compiled: calls that are interpreted as long as that is sooner."""
+
+from __future__ import annotations
+
+import time as clock
+from collections import Counter, defaultdict
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager
+from contextvars import ContextVar
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from closedloop.jit import background
+from closedloop.jit.calls import NOT_WITH_BUFFERS, Entry, NeedsArraysError, entry_address
+from closedloop.jit.interpreted import interpreted, twin_address
+from closedloop.jit.kernel import direct, needs_compiling
+
+# Calls after which it is known how long they take; seconds between two looks for the compiled form; and how many times
+# longer than compiling the rest of a run must take, interpreted, for it to wait for the compiler instead.
+PROBE, BETWEEN_LOOKS, WORTH_WAITING = 50, 0.5, 1.5
+# Calls of each function that were interpreted so far in this process: many short runs are as good as a long one.
+_so_far: Counter[str] = Counter()
+
+
+class Interim:
+    """A kernel that is called again and again: interpreted, until its compiled form is there.
+
+    After the first calls it is known what is sooner. Where compiling is, it is done, or waited for, at once; else a
+    process in the background does it (`closedloop.jit.background`), and this one goes over to the compiled form as
+    soon as that is on the disk. Each call begins from what the last one left, so nothing depends on when that is.
+
+    Parameters
+    ----------
+    function : callable
+        The kernel, an `entry_kernel`.
+    written : sequence of arrays
+        What a call reads and changes: it is put back if a call must be begun again, or is interrupted.
+    calls : int
+        How many calls there will be, about.
+    seconds : float
+        How long compiling takes, about.
+    with_it : sequence of callables
+        What else the caller will want compiled.
+    on_compiled : callable
+        Called before the compiled form is, for the first time.
+    later : sequence of callables
+        What later runs will want: compiled in the background as well, and not waited for.
+    buffers : bool
+        Whether buffers may be tried. A call that they cannot do is begun again with arrays: so only where `written` is
+        all that a call changes.
+
+    Attributes
+    ----------
+    compiling : float
+        Time that was spent on compiling or loading the compiled form so far, s.
+    """
+
+    def __init__(
+        self,
+        function: Callable[..., Any],
+        written: Sequence[NDArray[Any]],
+        calls: int,
+        seconds: float,
+        with_it: Sequence[Callable[..., Any]] = (),
+        on_compiled: Callable[[], None] = lambda: None,
+        later: Sequence[Callable[..., Any]] = (),
+        buffers: bool = False,
+    ) -> None:
+        self._function, self._twin, self._written = function, interpreted(function), written
+        self._quick, self._with_buffers = interpreted(function, buffers), buffers
+        self._calls, self._seconds, self._with_it = calls, seconds, (function, *with_it)
+        self._later = later
+        self._on_compiled = on_compiled
+        self._compiled: Callable[..., Any] | None = None
+        self._done, self._seconds_done, self._look_at, self._decided = 0, 0.0, 0.0, False
+        self.compiling = 0.0
+
+    @property
+    def interpreting(self) -> bool:
+        """Whether the compiled form is not in use yet."""
+        return self._compiled is None
+
+    def __call__(self, *arguments: Any) -> Any:
+        """Call the kernel."""
+        if self._compiled is not None:
+            return self._compiled(*arguments)
+        began = clock.perf_counter()
+        if began >= self._look_at:
+            self._look_at = began + BETWEEN_LOOKS
+            if not any(map(needs_compiling, self._with_it)):
+                return self._compile(arguments)(*arguments)
+            if self._decided:
+                self._compile_behind()  # again, if another process was compiling something else
+        before = [array.copy() for array in self._written]
+        busy = clock.thread_time()  # of the processor: on a loaded machine compiling takes longer by as much
+        try:
+            with np.errstate(all="ignore"):
+                answer = self._interpret(arguments, before)
+        except (ArithmeticError, ValueError):  # where compiled code would go on
+            self._put_back(before)
+            return self._compile(arguments)(*arguments)
+        except BaseException:
+            self._put_back(before)
+            raise
+        _so_far[self._function.__name__] += 1
+        self._done += 1
+        self._seconds_done += clock.thread_time() - busy
+        if not self._decided and (self._done >= PROBE or _so_far[self._function.__name__] >= PROBE > self._calls):
+            self._decided = True
+            self._decide((self._calls - self._done) * self._seconds_done / self._done, arguments)
+        return answer
+
+    def _interpret(self, arguments: tuple[Any, ...], before: Sequence[NDArray[Any]]) -> Any:
+        """Call the kernel interpreted: with buffers, or with arrays where it cannot do with them."""
+        while self._with_buffers:
+            try:
+                return self._quick(*arguments)
+            except NeedsArraysError:
+                self._put_back(before)
+            except ArithmeticError:  # such as a division by zero, of which arrays make an infinity
+                self._put_back(before)
+                break
+            except NOT_WITH_BUFFERS:
+                self._put_back(before)
+                self._with_buffers = False
+        return self._twin(*arguments)
+
+    def _decide(self, left: float, arguments: tuple[Any, ...]) -> None:
+        """Wait for the compiler, or let it work in the background, when the rest would take `left` seconds."""
+        if left > WORTH_WAITING * self._seconds:
+            self._compile(arguments)
+        else:
+            self._compile_behind()
+
+    def _compile_behind(self) -> None:
+        wanted = (*self._with_it, *self._later)
+        background.start([function for function in wanted if needs_compiling(function)])
+
+    def _compile(self, arguments: tuple[Any, ...]) -> Callable[..., Any]:
+        began = clock.perf_counter()
+        background.make_ready(*self._with_it)
+        compiled = direct(self._function, *arguments)
+        self._on_compiled()
+        self._compiled = compiled
+        self.compiling += clock.perf_counter() - began
+        return compiled
+
+    def _put_back(self, before: Sequence[NDArray[Any]]) -> None:
+        for array, earlier in zip(self._written, before, strict=True):
+            array[...] = earlier
+
+
+def call_now(function: Callable[..., Any], written: Sequence[NDArray[Any]], *arguments: Any) -> Any:
+    """Call a kernel once, interpreted if its compiled form is not there; `written` as for `Interim`."""
+    return function(*arguments) if at_hand(function) else Interim(function, written, 1, 0.0)(*arguments)
+
+
+# Processor time, s, of the calls of each function that `call_once` has interpreted: many are as good as a long one.
+_spent: defaultdict[str, float] = defaultdict(float)
+
+# Whether what a run calls once or twice is compiled before that, where it is not yet.
+_compiled_first: ContextVar[bool] = ContextVar("_compiled_first", default=True)
+
+
+@contextmanager
+def not_compiled_first() -> Iterator[None]:
+    """Let `call_once` interpret meanwhile what is not compiled yet: for one run, and not for a batch of them."""
+    token = _compiled_first.set(False)
+    try:
+        yield
+    finally:
+        _compiled_first.reset(token)
+
+
+def call_once(function: Callable[..., Any], written: Sequence[NDArray[Any]], brief: bool, *arguments: Any) -> Any:
+    """Call a kernel of which a run needs a call or two; within `not_compiled_first` interpreted, if that is brief.
+
+    Parameters
+    ----------
+    function : callable
+        The kernel, an `entry_kernel`.
+    written : sequence of arrays
+        What the call changes: it is put back if the call must be begun again, compiled.
+    brief : bool
+        Whether it is done, interpreted, before it would be compiled; else it is compiled first.
+    *arguments
+        An entry among them is given to the kernel as its address, see `closedloop.jit.calls`.
+    """
+    needed = function, *filter(callable, arguments)
+    brief = brief and _spent[function.__name__] <= background.seconds_to_compile(needed)
+    if brief and not _compiled_first.get() and not all(map(at_hand, needed)):
+        before, busy = [array.copy() for array in written], clock.thread_time()
+        try:
+            with np.errstate(all="ignore"):
+                return interpreted(function)(*_by_address(arguments, twin_address))
+        except (ArithmeticError, ValueError):  # where compiled code would go on
+            for array, earlier in zip(written, before, strict=True):
+                array[...] = earlier
+        finally:
+            _spent[function.__name__] += clock.thread_time() - busy
+    background.make_ready(*needed)
+    return function(*_by_address(arguments, entry_address))
+
+
+def _by_address(arguments: Sequence[Any], address: Callable[[Entry], int]) -> Iterator[Any]:
+    return (address(each) if callable(each) else each for each in arguments)
+
+
+def at_hand(function: Callable[..., Any]) -> bool:
+    """Whether calling a kernel needs no compiler, or is to wait for it, as no process may compile in the background."""
+    return bool(background.refused()) or not needs_compiling(function)

@@ -78,6 +78,7 @@ TESTS: dict[str, tuple[str, ...]] = {
         f"{IN}test_loops.py::test_a_flat_mechanism_passes_at_speed[parallelogram-5.0]",
         f"{IN}test_loops.py::test_a_flat_mechanism_passes_at_speed[change_point-5.03]",
     ),
+    "closedloop.loops.factor": (f"{IN}test_loop_factor.py",),
     "closedloop.loops.close": (
         f"{IN}test_loops.py::test_open_start_is_refused_or_assembled",
         f"{IN}test_loops.py::test_loop_that_cannot_close_is_refused",
@@ -85,14 +86,12 @@ TESTS: dict[str, tuple[str, ...]] = {
         f"{IN}test_loops.py::test_a_state_is_closed_with_its_velocity",
         f"{IN}test_loops.py::test_drives_move_the_mechanism_as_the_law_asks",
     ),
-    "closedloop.contacts.continuation": (
-        f"{IN}test_contacts.py::test_what_no_quick_method_solves_is_solved_along_the_path",
-    ),
+    "closedloop.contacts.continuation": (f"{IN}test_contact_continuation.py",),
     "closedloop.reference.no_normal": (
         f"{IN}test_surfaces.py::test_what_does_not_go_is_refused_in_one_line",
         f"{IN}test_surfaces.py::test_a_surface_without_a_normal_ends_the_run",
     ),
-    "closedloop.simulation.loop_entries": (f"{IN}test_loops.py::test_engines_agree",),
+    "closedloop.simulation.loop_entries": (f"{IN}test_loop_coordinates.py::test_lists_without_the_coordinate",),
     "robot_models.loop_coordinate": (
         f"{IN}test_loop_coordinates.py::test_wrong_tables_are_refused",
         f"{IN}test_loop_coordinates.py::test_lists_without_the_coordinate",

@@ -91,7 +91,7 @@ TESTS: dict[str, tuple[str, ...]] = {
         f"{IN}test_surfaces.py::test_what_does_not_go_is_refused_in_one_line",
         f"{IN}test_surfaces.py::test_a_surface_without_a_normal_ends_the_run",
     ),
-    "closedloop.simulation.loop_entries": (f"{IN}test_loop_coordinates.py::test_lists_without_the_coordinate",),
+    "closedloop.simulation.loop_entries": (f"{IN}test_loop_coordinates.py::test_each_list_is_filled_by_itself",),
     "robot_models.loop_coordinate": (
         f"{IN}test_loop_coordinates.py::test_wrong_tables_are_refused",
         f"{IN}test_loop_coordinates.py::test_lists_without_the_coordinate",

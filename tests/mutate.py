@@ -75,6 +75,7 @@ TESTS: dict[str, tuple[str, ...]] = {
         f"{IN}test_surfaces.py::test_rows_solve_the_constraint",
     ),
     "closedloop.loops.passing": (
+        f"{IN}test_loop_passing.py",
         f"{IN}test_loops.py::test_a_flat_mechanism_passes_at_speed[parallelogram-5.0]",
         f"{IN}test_loops.py::test_a_flat_mechanism_passes_at_speed[change_point-5.03]",
     ),

@@ -89,6 +89,7 @@ TESTS: dict[str, tuple[str, ...]] = {
     ),
     "closedloop.contacts.continuation": (f"{IN}test_contact_continuation.py",),
     "closedloop.reference.no_normal": (
+        f"{IN}test_reference_no_normal.py",
         f"{IN}test_surfaces.py::test_what_does_not_go_is_refused_in_one_line",
         f"{IN}test_surfaces.py::test_a_surface_without_a_normal_ends_the_run",
     ),

@@ -8,7 +8,7 @@ from closedloop.closure.contact_force import FREE, PRESSED, STUCK
 from closedloop.closure.solve import OK, PAINLEVE, SINGULAR
 from closedloop.contacts.continuation import force_size
 from closedloop.contacts.given_modes import kinds_of_modes, mobility_of, solve_modes, stopping_impulses
-from closedloop.contacts.least_norm import least_norm
+from closedloop.contacts.least_norm import least_norm, project_all, write_slope
 from closedloop.contacts.linear import solve_any_rank
 from closedloop.contacts.memory import CONE, LINE, OFF, RAY, make_contact_memory
 from closedloop.jit.interpreted import interpreted
@@ -141,6 +141,12 @@ def test_shortest_forces_with_the_same_sum(inside):
         assert np.min((others - F) @ F) > -1e-9
         if not inside:
             np.testing.assert_allclose(F @ (span @ free), 0.0, atol=1e-9)
+    for share in (1e-13, 1e9):  # and the shortest of forces of another size
+        c.viscous[:] *= share
+        force = share * start - c.viscous
+        assert interpreted(least_norm)(c, K, force, inside)
+        np.testing.assert_allclose((force + c.viscous) / share, F, atol=1e-9)
+        c.viscous[:] /= share
 
 
 def in_cones(c, forces, tolerance):
@@ -150,6 +156,26 @@ def in_cones(c, forces, tolerance):
     return (np.min(f[:, [0, 1, 3]], axis=1) >= -tolerance) & np.all(
         [r <= c.mu[i] * f[:, i] + tolerance for r, i in zip(rub, (0, 3), strict=True)], axis=0
     )
+
+
+@pytest.mark.parametrize("spans", [False, True])
+def test_slopes_are_the_derivatives_of_the_projection(spans):
+    """Of each kind of contact, inside its cone, beside it and behind it, by central differences."""
+    c, h = contacts(np.random.default_rng(12), 3 * K, (CONE, RAY, LINE, CONE)), 1e-6
+    c.X[:] = np.eye(3 * K)
+    for seed in range(4):
+        at = np.random.default_rng(seed).normal(size=3 * K)
+        columns = []
+        for j in range(3 * K):
+            ends = []
+            for step in (h, -h):
+                interpreted(project_all)(c, K, at + step * (np.arange(3 * K) == j), spans)
+                ends.append(c.trial.copy())
+            columns.append((ends[0] - ends[1]) / (2 * h))
+        interpreted(project_all)(c, K, at, spans)
+        for i in range(K):
+            slope = c.slope if interpreted(write_slope)(c, i, spans) else np.zeros((3, 3))
+            np.testing.assert_allclose(slope, np.array(columns).T[3 * i : 3 * i + 3, 3 * i : 3 * i + 3], atol=1e-8)
 
 
 def test_what_no_forces_in_the_cones_give_is_said():

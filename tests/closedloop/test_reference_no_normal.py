@@ -88,6 +88,7 @@ def test_places_in_a_path_of_several_segments():
     "form",
     [
         point(0.1, 0.04, 1e-6),  # small, and nowhere zero
+        f"1e-6*{point(0.1, 0.04, 1e-6)}",  # whatever the formula is multiplied by
         point(0.1, 0.041),  # passed at a millimetre
         "z + sqrt((x - 0.1)**2 + 1e-8) + (x - 0.1)",  # an edge rounded by a tenth of a millimetre
         edge(0.3),  # beyond the end

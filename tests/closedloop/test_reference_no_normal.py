@@ -70,16 +70,21 @@ def few_instants(monkeypatch):
 )
 def test_a_place_without_normal_is_found_wherever_it_is(does, instant):
     """A single point where the factor of a formula is zero, and an edge: between instants, near the ends, at them."""
-    a, b, _ = SPEED * (instant - 1.0)
-    when, where = told(implicit(edge(a) if does == "jumps" else point(a, b)), path(), does)
+    a, b, _ = SPEED * (instant - 1.0) + [0.0, -1e-9, 0.0]
+    when, where = told(implicit(edge(a) if does == "jumps" else point(a, b)), path(start=(0.0, -1e-9, 0.0)), does)
     assert when == pytest.approx(instant, abs=1e-3)
+    assert not np.any(np.signbit(where))
     np.testing.assert_allclose(where[:2], [a, b], atol=1e-4)
 
 
 def test_places_in_a_path_of_several_segments():
     """Near the end of the first, at it, and in the second of three; a path of another start and beginning."""
     tip = path(begins=0.0, count=3, start=(0.01, 0.0, 0.0))
-    for instant, form, does in ((1.3334, edge, "jumps"), (4.0 / 3.0, point, "vanishes"), (2.2, edge, "jumps")):
+
+    def steeper(a, b):
+        return f"({edge(a)})*(1 + 50*(x + 0.2))"
+
+    for instant, form, does in ((1.3334, edge, "jumps"), (4.0 / 3.0, point, "vanishes"), (2.2, steeper, "jumps")):
         a, b, _ = SPEED * instant + [0.01, 0, 0]
         assert told(implicit(form(a, b)), tip, does)[0] == pytest.approx(instant, abs=1e-3)
 

@@ -87,7 +87,7 @@ TESTS: dict[str, tuple[str, ...]] = {
         f"{IN}test_loops.py::test_a_state_is_closed_with_its_velocity",
         f"{IN}test_loops.py::test_drives_move_the_mechanism_as_the_law_asks",
     ),
-    "closedloop.contacts.continuation": (f"{IN}test_contact_continuation.py",),
+    "closedloop.contacts.continuation": (f"{IN}test_contact_continuation.py", f"{IN}test_contact_forces.py"),
     "closedloop.reference.no_normal": (
         f"{IN}test_reference_no_normal.py",
         f"{IN}test_surfaces.py::test_what_does_not_go_is_refused_in_one_line",
@@ -109,6 +109,7 @@ TESTS: dict[str, tuple[str, ...]] = {
     "closedloop.contacts.least_norm": (f"{IN}test_contact_forces.py",),
     "closedloop.contacts.linear": (f"{IN}test_contact_forces.py",),
     "closedloop.contacts.modes": (
+        f"{IN}test_contact_modes.py",
         f"{IN}test_contacts.py::test_block_on_an_incline_slips_where_friction_is_less_than_the_slope[0.3-0.1]",
         f"{IN}test_contacts.py::test_block_on_a_steep_incline_tips_where_its_weight_is_outside_its_base",
         f"{IN}test_contacts.py::test_block_slides_and_stops_and_a_tall_one_tips",

@@ -115,6 +115,7 @@ TESTS: dict[str, tuple[str, ...]] = {
         f"{IN}test_contacts.py::test_block_slides_and_stops_and_a_tall_one_tips",
     ),
     "closedloop.contacts.impact": (
+        f"{IN}test_contact_modes.py",
         f"{IN}test_contacts.py::test_block_falls_on_two_corners_at_one_instant",
         f"{IN}test_contacts.py::test_impulses_with_restitution_are_missed_only_where_there_are_none",
     ),

@@ -7,7 +7,8 @@ import pytest
 
 from closedloop.closure.contact_force import FREE, PRESSED, STUCK
 from closedloop.closure.solve import OK
-from closedloop.contacts.memory import CONE, OFF, RAY, make_contact_memory
+from closedloop.contacts.impact import STRUCK_AND_LEFT, STRUCK_AND_STAYED, apply_impulses
+from closedloop.contacts.memory import CONE, LINE, OFF, RAY, make_contact_memory
 from closedloop.contacts.modes import (
     CAME,
     LEFT,
@@ -113,3 +114,41 @@ def test_kinds_by_slip(memory):
     c.mode[1], c.u[3] = FREE, 1e-3
     interpreted(choose_kinds)(links, c, 5e-7)
     assert list(c.kind) == [OFF, OFF]
+
+
+@pytest.mark.parametrize(("rest_speed", "tired", "bounces"), [(0.9, 0, True), (1.1, 0, False), (0.9, 1, False)])
+def test_a_contact_that_strikes_leaves_or_stays(memory, rest_speed, tired, bounces):
+    """With restitution 0.5, unless that is too slow or there were many; what pulled before is told by its force."""
+    links, c = memory
+    c.mode[:], c.restitution[:], links.tired = [STUCK, FREE], 0.5, tired
+    c.u[:] = [0, 0, 0, -2.0, 0, 0]
+    c.located[3], c.floor[1], c.rigid[0] = -1e-13, 0.5, -1.0
+    assert interpreted(apply_impulses)(links, c, rest_speed) == OK
+    assert list(c.struck) == [0.0, 1.0]
+    assert list(c.happened) == [0.0, STRUCK_AND_LEFT if bounces else STRUCK_AND_STAYED]
+    assert list(c.mode) == [STUCK, FREE if bounces else PRESSED]
+    assert (c.risen[1], c.floor[1]) == ((1.0, -1e-13) if bounces else (0.0, 0.5))
+    np.testing.assert_allclose(c.after[3:], [1.0 if bounces else 0.0, 0, 0], atol=1e-12)
+    assert c.energy_lost == pytest.approx(1.5 if bounces else 2.0)
+    assert c.restitution_share == 1.0
+    assert list(c.pulled) == [1.0, 0.0]
+
+
+def test_what_does_not_come_together_does_not_strike(memory):
+    """A contact that also pulls, one that is off the surface or parts, and one that was closed."""
+    links, c = memory
+    c.u[:] = [-2.0, 0, 0, -2.0, 0, 0]
+    for case in ("line", "off", "parts", "closed"):
+        c.mode[1], c.kind[:], c.located[3], c.u[3] = FREE, OFF, 0.0, -2.0
+        if case == "line":
+            c.kind[1] = LINE
+        elif case == "off":
+            c.located[3] = 1e-3
+        elif case == "parts":
+            c.u[3] = 2.0
+        else:
+            c.mode[1] = STUCK
+        assert interpreted(apply_impulses)(links, c, 0.0) == OK
+        np.testing.assert_array_equal(c.F, 0.0)
+        np.testing.assert_array_equal(c.after, c.u)
+        assert list(c.happened) == list(c.struck) == list(c.pulled) == [0.0, 0.0]

@@ -82,7 +82,7 @@ def test_places_in_a_path_of_several_segments():
     tip = path(begins=0.0, count=3, start=(0.01, 0.0, 0.0))
 
     def steeper(a, b):
-        return f"({edge(a)})*(1 + 50*(x + 0.2))"
+        return f"({edge(a)})*(1 + 1e4*(x + 0.2)**4)"
 
     for instant, form, does in ((1.3334, edge, "jumps"), (4.0 / 3.0, point, "vanishes"), (2.2, steeper, "jumps")):
         a, b, _ = SPEED * instant + [0.01, 0, 0]

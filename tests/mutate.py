@@ -75,9 +75,11 @@ TESTS: dict[str, tuple[str, ...]] = {
         f"{IN}test_surfaces.py::test_rows_solve_the_constraint",
     ),
     "closedloop.loops.passing": (
+        f"{IN}test_loop_passing.py",
         f"{IN}test_loops.py::test_a_flat_mechanism_passes_at_speed[parallelogram-5.0]",
         f"{IN}test_loops.py::test_a_flat_mechanism_passes_at_speed[change_point-5.03]",
     ),
+    "closedloop.loops.factor": (f"{IN}test_loop_factor.py",),
     "closedloop.loops.close": (
         f"{IN}test_loops.py::test_open_start_is_refused_or_assembled",
         f"{IN}test_loops.py::test_loop_that_cannot_close_is_refused",
@@ -85,14 +87,13 @@ TESTS: dict[str, tuple[str, ...]] = {
         f"{IN}test_loops.py::test_a_state_is_closed_with_its_velocity",
         f"{IN}test_loops.py::test_drives_move_the_mechanism_as_the_law_asks",
     ),
-    "closedloop.contacts.continuation": (
-        f"{IN}test_contacts.py::test_what_no_quick_method_solves_is_solved_along_the_path",
-    ),
+    "closedloop.contacts.continuation": (f"{IN}test_contact_continuation.py", f"{IN}test_contact_forces.py"),
     "closedloop.reference.no_normal": (
+        f"{IN}test_reference_no_normal.py",
         f"{IN}test_surfaces.py::test_what_does_not_go_is_refused_in_one_line",
         f"{IN}test_surfaces.py::test_a_surface_without_a_normal_ends_the_run",
     ),
-    "closedloop.simulation.loop_entries": (f"{IN}test_loops.py::test_engines_agree",),
+    "closedloop.simulation.loop_entries": (f"{IN}test_loop_coordinates.py::test_each_list_is_filled_by_itself",),
     "robot_models.loop_coordinate": (
         f"{IN}test_loop_coordinates.py::test_wrong_tables_are_refused",
         f"{IN}test_loop_coordinates.py::test_lists_without_the_coordinate",
@@ -104,11 +105,19 @@ TESTS: dict[str, tuple[str, ...]] = {
     "closedloop.contacts.complementarity": (
         f"{IN}test_contacts.py::test_solution_is_one_of_those_that_enumeration_of_modes_finds",
     ),
-    "closedloop.contacts.given_modes": (
-        f"{IN}test_contacts.py::test_solution_is_one_of_those_that_enumeration_of_modes_finds",
+    "closedloop.contacts.given_modes": (f"{IN}test_contact_forces.py",),
+    "closedloop.contacts.least_norm": (f"{IN}test_contact_forces.py",),
+    "closedloop.contacts.linear": (f"{IN}test_contact_forces.py",),
+    "closedloop.contacts.modes": (
+        f"{IN}test_contact_modes.py",
+        f"{IN}test_contacts.py::test_block_on_an_incline_slips_where_friction_is_less_than_the_slope[0.3-0.1]",
+        f"{IN}test_contacts.py::test_block_on_a_steep_incline_tips_where_its_weight_is_outside_its_base",
+        f"{IN}test_contacts.py::test_block_slides_and_stops_and_a_tall_one_tips",
     ),
-    "closedloop.contacts.linear": (
-        f"{IN}test_contacts.py::test_solution_is_one_of_those_that_enumeration_of_modes_finds",
+    "closedloop.contacts.impact": (
+        f"{IN}test_contact_modes.py",
+        f"{IN}test_contacts.py::test_block_falls_on_two_corners_at_one_instant",
+        f"{IN}test_contacts.py::test_impulses_with_restitution_are_missed_only_where_there_are_none",
     ),
     "closedloop.robot.tree.dynamics": (f"{IN}test_tree_kernels.py", f"{IN}test_tree_terms.py"),
 }

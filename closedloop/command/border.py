@@ -21,6 +21,7 @@ from closedloop.command.streams import patient_output
 from closedloop.errors import ClosedLoopError, ClusterError, ScenarioError, SimulationError, lines_of, one_line
 from closedloop.interrupts import exit_status, terminable, word_for
 from closedloop.jit.numba_settings import sound_settings, why_no_settings
+from closedloop.jit.openmp_settings import readable_openmp
 
 DONE, BAD_INPUT, STOPPED, NOT_GOOD = 0, 2, 3, 4
 
@@ -75,7 +76,11 @@ def run_command(
         What to say after Ctrl-C or SIGTERM, if the exception does not say it.
     """
     words = sys.argv[1:] if arguments is None else list(arguments)
-    with patient_output() as output, _quiet_libraries(), sound_settings(), _notices():
+    with (
+        patient_output() as output, _quiet_libraries(), sound_settings(), readable_openmp() as left_out, _notices(),
+    ):  # fmt: skip
+        for said in left_out:
+            print(f"{name}: {one_line(said)}", file=sys.stderr)
         status, lines = _run(main, words, stopped, interrupted)
         sys.stdout.flush()
         failure = next((raw.failure for raw in output), None)

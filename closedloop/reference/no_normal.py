@@ -55,9 +55,9 @@ def refuse_without_normal(surface: PlacedSurface, tip: TipPath) -> None:
 
 
 def _refused(surface: PlacedSurface, tip: TipPath, t: float, does: str) -> ScenarioError:
-    place = _below(surface, tip, np.array([t]))[1][0] + 0.0
+    place = _below(surface, tip, np.array([t]))[1][0].round(4) + 0.0
     return ScenarioError(
-        f"reference: at t = {t:.4g} s the path comes to {place.round(4).tolist()} m, where the surface has no normal, "
+        f"reference: at t = {t:.4g} s the path comes to {place.tolist()} m, where the surface has no normal, "
         f"as the gradient of its φ {does} there; make the path shorter, or lead it past that place"
     )
 

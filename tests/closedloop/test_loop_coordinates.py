@@ -1,10 +1,13 @@
 """Friction, limits and drives of loop joints: the same mechanism cut elsewhere, where the joint is one of the tree."""
 
+import itertools
+
 import numpy as np
 import pytest
 
 import closedloop as cl
 import robot_models
+from closedloop.simulation.loop_entries import with_loop_entries
 from closedloop.simulation.prepare import prepare
 from robot_models import ModelError, loop_coordinate
 from validation.loops.mechanisms import MECHANISMS, bar, joint, loop, point
@@ -204,6 +207,34 @@ def test_lists_without_the_coordinate(tmp_path):
     assert problem.q[j] == pytest.approx(pin, abs=1e-12)
     assert problem.v[j] == pytest.approx(rates[3], abs=1e-6)
     assert problem.scenario.law.kp == tuple(10.0 * (name == "J1") for name in model.joint_names)
+
+
+def test_each_list_is_filled_by_itself(tmp_path):
+    """Whichever of start and law have no entry for the loop joint get one, those with all are left; home as given."""
+    model = cut_at_pin(tmp_path, friction=0.1)
+    of_tree = [name != "pin" for name in model.joint_names]
+    named = dict(zip(("J1", "J2", "J3", "pin"), posture(1.1), strict=True))
+    whole = {"start.q": [named[name] for name in model.joint_names], "law.kp": (np.arange(1.0, 5.0) * of_tree).tolist()}
+    short = {"start.v": [0.1, 0.2, 0.3]} | {key: list(itertools.compress(whole[key], of_tree)) for key in whole}
+
+    def filled(left_out="", **changes):
+        changes = {"law.kd": 0, "law.kp": 0, "start.q": whole["start.q"], **changes}
+        scenario = cl.load_scenario("planar2_drop", changes)
+        start = scenario.start.model_copy(update={left_out: None} if left_out else {})
+        return with_loop_entries(scenario.model_copy(update={"start": start}), model)
+
+    whole["start.v"] = list(filled(**short).start.v)
+    for some in itertools.chain.from_iterable(itertools.combinations(whole, count) for count in range(4)):
+        given = filled(**(whole | {key: short[key] for key in some}))
+        np.testing.assert_allclose(given.start.q, whole["start.q"], atol=1e-12)
+        np.testing.assert_allclose(given.start.v, whole["start.v"], atol=1e-12)
+        assert given.law.kp == tuple(whole["law.kp"])
+    at_home = filled(**{"start.q": list(model.home), "start.v": short["start.v"]})
+    assert filled("q", **{"start.v": short["start.v"]}).start.v == at_home.start.v
+    at_rest = filled("v", **{"start.q": short["start.q"]}).start
+    assert (len(at_rest.q), at_rest.v) == (model.n, None)
+    nothing = cl.load_scenario("planar2_drop", {"law.kd": 0, **whole})
+    assert with_loop_entries(nothing, model) is nothing
 
 
 @pytest.mark.parametrize(

@@ -6,7 +6,7 @@ import pytest
 import robot_models
 from closedloop.jit.interpreted import interpreted
 from closedloop.loops.bind import loop_memory
-from closedloop.loops.factor import factor, force_of, meet, order_of
+from closedloop.loops.factor import PIVOT, factor, fewest_entries, force_of, meet, order_of, smallest_share
 from closedloop.loops.solve import basis_alike, basis_in_metric, leave_free, take_free
 from closedloop.robot.pinocchio import Robot
 from closedloop.step.closed_loops import through_drives
@@ -37,6 +37,7 @@ def test_factors_and_basis_are_those_of_the_rows(memory):
         interpreted(factor)(links, rows, rows.G @ x, M)
         assert links.rank == rank
         np.testing.assert_allclose((rows.G @ rows.met - rows.G @ x) / scale, 0.0, atol=1e-10)
+        rows.met[:] = np.nan
         interpreted(meet)(links, rows, rows.G @ x)
         np.testing.assert_allclose((rows.G @ rows.met - rows.G @ x) / scale, 0.0, atol=1e-10)
         torque = rows.G.T @ force
@@ -77,6 +78,44 @@ def test_order_is_kept_until_a_pivot_becomes_small(memory):
     interpreted(factor)(links, rows, rows.G @ x, M)
     assert [*of_rows, *joints] != first
     np.testing.assert_allclose(rows.G @ rows.met, rows.G @ x, atol=1e-9 * np.abs(G).max())
+
+
+@pytest.mark.parametrize("rank", [0, 1, 2, 3, N])
+def test_share_of_the_last_row_is_its_part_outside_the_span_of_the_others(memory, rank):
+    """Where the rows determine all joints; else no more than that: the motion of the joints that they determine."""
+    links, rows = memory
+    rng = np.random.default_rng(10 + rank)
+    rows.G[:] = rows_of_rank(rank, rng)
+    interpreted(factor)(links, rows, rows.drift, M)
+    share = interpreted(smallest_share)(links, rows)
+    if rank == 0:
+        assert share == 1.0
+        return
+    of_rows, joints = interpreted(order_of)(links)
+    units = rows.G[of_rows[:rank]] / np.linalg.norm(rows.G[of_rows[:rank]], axis=1, keepdims=True)
+    alone = np.linalg.solve(units[:, joints[:rank]], np.eye(rank)[-1])
+    assert share == pytest.approx(1.0 / np.linalg.norm(alone), rel=1e-9)
+    last, others = units[-1], units[:-1]
+    outside = np.linalg.norm(last - others.T @ np.linalg.lstsq(others.T, last)[0])
+    assert share <= outside * (1 + 1e-9)
+    assert rank < N or share == pytest.approx(outside, rel=1e-9)
+
+
+def test_pivot_is_the_entry_with_the_fewest_others():
+    """Of those that are large enough, by the number of entries in its row and column; the largest of several."""
+    rng = np.random.default_rng(3)
+    for first in (0, 1, 2):
+        R = rng.normal(size=(M, N)) * (rng.random((M, N)) < 0.6)
+        of_rows, joints = rng.permutation(M), rng.permutation(N)
+        left = R[of_rows[first:]][:, joints[first:]]
+        least = PIVOT * np.abs(left).max()
+        row, column = interpreted(fewest_entries)(R, of_rows, joints, first, least)
+        there = left != 0.0
+        fill = np.outer(there.sum(axis=1) - 1, there.sum(axis=0) - 1)
+        best = fill[np.abs(left) >= least].min()
+        entry = np.abs(left[row - first, column - first])
+        assert entry == np.abs(left[(np.abs(left) >= least) & (fill == best)]).max()
+        assert fill[row - first, column - first] == best
 
 
 def test_drives_give_the_power_of_all_torques(memory):

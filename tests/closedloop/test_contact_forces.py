@@ -1,0 +1,237 @@
+"""Forces of contacts whose modes are known: the equations they solve, the shortest of those that do, and their rank."""
+
+import numpy as np
+import pytest
+from scipy.linalg import null_space
+
+from closedloop.closure.contact_force import FREE, PRESSED, STUCK
+from closedloop.closure.solve import OK, PAINLEVE, SINGULAR
+from closedloop.contacts.continuation import force_size
+from closedloop.contacts.given_modes import kinds_of_modes, mobility_of, solve_modes, stopping_impulses
+from closedloop.contacts.least_norm import least_norm, project_all, write_slope
+from closedloop.contacts.linear import solve_any_rank
+from closedloop.contacts.memory import CONE, LINE, OFF, RAY, make_contact_memory
+from closedloop.jit.interpreted import interpreted
+
+K = 4
+
+
+def contacts(rng, n, kinds=(CONE, RAY, LINE, OFF)):
+    """The memory of contacts of these kinds of a tree of n joints, with everything that forces depend on drawn."""
+    c = make_contact_memory(n, K).contacts
+    c.X[:] = rng.normal(size=c.X.shape)
+    interpreted(mobility_of)(c, K)
+    c.kind[:], c.mu[:], c.along[:] = kinds, 0.4, 0.2 * rng.normal(size=(K, 2))
+    c.a[:], c.b[:], c.viscous[:] = rng.normal(size=(3, 3 * K))
+    c.load[:] = rng.normal(size=n)
+    return c
+
+
+def rows_of(c):
+    """The rows (p, 3 K) that active contacts have, and what their forces span (3 K, p)."""
+    one = np.eye(3 * K)
+    rows, span = [], []
+    for i in range(K):
+        if c.kind[i] == CONE:
+            rows += list(one[3 * i : 3 * i + 3])
+            span += list(one[3 * i : 3 * i + 3])
+        elif c.kind[i] != OFF:
+            rows.append(one[3 * i])
+            span.append(one[3 * i] - c.along[i] @ one[3 * i + 1 : 3 * i + 3])
+    return np.array(rows), np.array(span).T
+
+
+@pytest.mark.parametrize("rank", [0, 1, 3, 5])
+def test_equations_of_any_rank(rank):
+    """The rank, and for each right-hand side that can be had an x that gives it; unknowns that are free are zero."""
+    p, sides = 5, 2
+    rng = np.random.default_rng(rank)
+    A = rng.normal(size=(p, rank)) @ rng.normal(size=(rank, p))
+    right = A @ rng.normal(size=(p, sides))
+    S, order, x = np.zeros((p + 1, p + sides + 1)), np.zeros(p), np.full((sides, p), np.nan)
+    S[:p, :p], S[:p, p : p + sides] = A, right
+    assert interpreted(solve_any_rank)(S, p, sides, order, x, 1e-11) == rank
+    np.testing.assert_allclose(A @ x.T, right, atol=1e-12)
+    assert np.all(np.sum(x != 0.0, axis=1) == rank)
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_modes_are_kept_by_the_forces(seed):
+    """No acceleration along the rows of the contacts, or what the stabiliser asks for; friction as the modes say."""
+    c = contacts(np.random.default_rng(seed), 3 * K)
+    np.testing.assert_allclose(c.W, c.X @ c.X.T)
+    assert interpreted(solve_modes)(c, K) == OK
+    rows, span = rows_of(c)
+    np.testing.assert_allclose(rows @ (c.a + c.W @ c.rigid), 0.0, atol=1e-9)
+    np.testing.assert_allclose(rows @ (c.a + c.W @ c.F - c.b), 0.0, atol=1e-9)
+    for force in (c.rigid, c.F):
+        given = force + c.viscous
+        np.testing.assert_allclose(given - span @ np.linalg.lstsq(span, given)[0], 0.0, atol=1e-9)
+    size = max(abs(c.b[r]) + np.abs(c.X[r]) @ np.abs(c.load) for r in rows.argmax(axis=1))
+    assert c.rounding == pytest.approx(1e-10 * max(np.abs(c.rigid).max(), size / np.diag(c.W).max()))
+
+
+def test_contacts_without_modes_have_viscous_friction_alone():
+    """No unknowns: no force but −`viscous`."""
+    c = contacts(np.random.default_rng(4), 6, (OFF,) * K)
+    assert interpreted(solve_modes)(c, K) == OK
+    np.testing.assert_array_equal(c.F, -c.viscous)
+    np.testing.assert_array_equal(c.rigid, -c.viscous)
+    assert c.rounding == 0.0
+
+
+def test_forces_that_are_not_unique_are_the_shortest():
+    """More rows than joints: the equations hold where they agree, and no others in these spaces are shorter."""
+    rng = np.random.default_rng(5)
+    c = contacts(rng, 4, (CONE, RAY, CONE, OFF))
+    c.viscous[:], c.b[:] = 0.0, c.X @ rng.normal(size=4)
+    c.a[:] = c.X @ rng.normal(size=4)
+    assert interpreted(solve_modes)(c, K) == OK
+    rows, span = rows_of(c)
+    np.testing.assert_allclose(rows @ (c.a + c.W @ c.rigid), 0.0, atol=1e-8)
+    np.testing.assert_allclose(rows @ (c.a + c.W @ c.F - c.b), 0.0, atol=1e-8)
+    free = span @ null_space(c.X.T @ span)
+    again, rigid = c.rigid + free @ rng.normal(size=free.shape[1]), c.rigid.copy()
+    assert interpreted(least_norm)(c, K, again, True) or interpreted(least_norm)(c, K, again, False)
+    np.testing.assert_allclose(again, rigid, atol=1e-8)
+    c.a[0] += 1.0
+    c.X[:] = c.X @ np.diag([1.0, 1, 0, 0])
+    interpreted(mobility_of)(c, K)
+    assert interpreted(solve_modes)(c, K) == SINGULAR
+
+
+def test_a_contact_that_pressing_pulls_in_is_told():
+    """Painlevé: W of the normal less that of friction is not positive."""
+    c = contacts(np.random.default_rng(6), 6, (RAY, OFF, OFF, OFF))
+    c.X[:] = 0.0
+    c.X[0, 0], c.X[1, :2] = 1.0, [2.0, 1.0]
+    interpreted(mobility_of)(c, K)
+    for along, status in ((0.49, OK), (0.51, PAINLEVE), (-3.0, OK)):
+        c.along[0] = along, 0.0
+        assert interpreted(solve_modes)(c, K) == status
+    c.X[2, :2], c.along[0] = [2.0, 1.0], (0.0, 0.51)
+    interpreted(mobility_of)(c, K)
+    assert interpreted(solve_modes)(c, K) == PAINLEVE
+
+
+@pytest.mark.parametrize("inside", [True, False])
+def test_shortest_forces_with_the_same_sum(inside):
+    """F·(G − F) >= 0 for all other G in the cones, or what they span, with the same sum: none is nearer to zero."""
+    for seed in range(4):
+        rng = np.random.default_rng(seed)
+        c = contacts(rng, 5, (CONE, RAY, LINE, CONE))
+        span = rows_of(c)[1]
+        free = null_space(c.X.T @ span)
+        start = np.zeros(3 * K)
+        start[::3] = rng.uniform(1.0, 2.0, size=K) * [1, 1, -1, 1]
+        start[1:3], start[10:12] = 0.1, -0.2
+        for i in (1, 2):
+            start[3 * i + 1 : 3 * i + 3] = -c.along[i] * start[3 * i]
+        force = start - c.viscous
+        assert interpreted(least_norm)(c, K, force, inside)
+        F = force + c.viscous
+        np.testing.assert_allclose(c.X.T @ F, c.X.T @ start, atol=1e-10)
+        near = np.array([span @ (free @ rng.normal(size=free.shape[1])) for _ in range(200)])
+        near *= (10.0 ** rng.uniform(-3, 0.5, size=200) / np.linalg.norm(near, axis=1))[:, None]
+        others = np.concatenate([start + near, F + near, [start]])
+        if inside:
+            assert in_cones(c, F[None], 1e-9)[0]
+            others = others[in_cones(c, others, 0.0)]
+            assert len(others) > 20
+        assert np.min((others - F) @ F) > -1e-9
+        if not inside:
+            np.testing.assert_allclose(F @ (span @ free), 0.0, atol=1e-9)
+    for share in (1e-13, 1e9):  # and the shortest of forces of another size
+        c.viscous[:] *= share
+        force = share * start - c.viscous
+        assert interpreted(least_norm)(c, K, force, inside)
+        np.testing.assert_allclose((force + c.viscous) / share, F, atol=1e-9)
+        c.viscous[:] /= share
+
+
+def in_cones(c, forces, tolerance):
+    """Which of several forces (N, 3 K) of a cone, a ray, a line and a cone are inside."""
+    f = forces[:, ::3]
+    rub = [np.hypot(forces[:, 3 * i + 1], forces[:, 3 * i + 2]) for i in (0, 3)]
+    return (np.min(f[:, [0, 1, 3]], axis=1) >= -tolerance) & np.all(
+        [r <= c.mu[i] * f[:, i] + tolerance for r, i in zip(rub, (0, 3), strict=True)], axis=0
+    )
+
+
+@pytest.mark.parametrize("spans", [False, True])
+def test_slopes_are_the_derivatives_of_the_projection(spans):
+    """Of each kind of contact, inside its cone, beside it and behind it, by central differences."""
+    c, h = contacts(np.random.default_rng(12), 3 * K, (CONE, RAY, LINE, CONE)), 1e-6
+    c.X[:] = np.eye(3 * K)
+    for seed in range(4):
+        at = np.random.default_rng(seed).normal(size=3 * K)
+        columns = []
+        for j in range(3 * K):
+            ends = []
+            for step in (h, -h):
+                interpreted(project_all)(c, K, at + step * (np.arange(3 * K) == j), spans)
+                ends.append(c.trial.copy())
+            columns.append((ends[0] - ends[1]) / (2 * h))
+        interpreted(project_all)(c, K, at, spans)
+        for i in range(K):
+            slope = c.slope if interpreted(write_slope)(c, i, spans) else np.zeros((3, 3))
+            np.testing.assert_allclose(slope, np.array(columns).T[3 * i : 3 * i + 3, 3 * i : 3 * i + 3], atol=1e-8)
+
+
+def test_what_no_forces_in_the_cones_give_is_said():
+    """One contact that cannot pull, and nothing at all to give."""
+    c = contacts(np.random.default_rng(8), 6, (RAY, OFF, OFF, OFF))
+    c.viscous[:], force = 0.0, np.zeros(3 * K)
+    force[0], force[1:3] = -1.0, c.along[0]
+    kept = force.copy()
+    assert not interpreted(least_norm)(c, K, force, True)
+    np.testing.assert_array_equal(force, kept)
+    assert interpreted(least_norm)(c, K, force, False)
+    np.testing.assert_allclose(force, kept, atol=1e-12)
+    c.viscous[:] = 0.5
+    force[:] = -0.5
+    assert interpreted(least_norm)(c, K, force, True)
+    np.testing.assert_array_equal(force, -0.5)
+
+
+def test_impulses_take_away_what_is_left_of_motion():
+    """After them no velocity along the rows; a, b and viscous are as before; contradicting rows have none."""
+    c = contacts(np.random.default_rng(9), 3 * K)
+    c.before[:] = np.random.default_rng(10).normal(size=3 * K)
+    a, viscous = c.a.copy(), c.viscous.copy()
+    interpreted(stopping_impulses)(c, K)
+    rows, _ = rows_of(c)
+    np.testing.assert_allclose(rows @ (c.before + c.W @ c.F), 0.0, atol=1e-9)
+    assert np.abs(c.F).max() > 0.1
+    np.testing.assert_array_equal(c.a, a)
+    np.testing.assert_array_equal(c.viscous, viscous)
+    c.X[:, 1:] = 0.0
+    interpreted(mobility_of)(c, K)
+    interpreted(stopping_impulses)(c, K)
+    np.testing.assert_array_equal(c.F, 0.0)
+
+
+def test_kinds_and_directions_follow_from_the_modes():
+    """Friction against the slip; where it has none, or has turned round, against the direction it began in."""
+    c = contacts(np.random.default_rng(11), 6, (OFF, OFF, OFF, LINE))
+    c.mode[:], c.direction[:, 0], c.direction[:, 1] = [STUCK, PRESSED, FREE, STUCK], 0.6, 0.8
+    line = c.along[3].copy()
+    for slip, direction in (
+        ([3.0, 0.0], [1, 0]),
+        ([-3.0, 0.0], [0.6, 0.8]),
+        ([1e-10, 0], [0.6, 0.8]),
+        ([0, 2], [0, 1]),
+    ):
+        c.u[4:6] = slip
+        interpreted(kinds_of_modes)(c, K)
+        np.testing.assert_array_equal(c.kind, [CONE, RAY, OFF, LINE])
+        np.testing.assert_allclose(c.along[1], c.mu[1] * np.array(direction))
+        np.testing.assert_array_equal(c.along[3], line)
+
+
+def test_size_of_forces_is_the_largest_of_those_asked_about():
+    """Infinite if one is no number."""
+    F = np.array([1e-3, -2e-3, 5.0])
+    assert interpreted(force_size)(F, 2) == 2e-3
+    F[1] = np.nan
+    assert interpreted(force_size)(F, 2) == np.inf

@@ -1,0 +1,154 @@
+"""What becomes of a contact in an event: its mode by force and acceleration, and what is told of it."""
+
+import itertools
+
+import numpy as np
+import pytest
+
+from closedloop.closure.contact_force import FREE, PRESSED, STUCK
+from closedloop.closure.solve import OK
+from closedloop.contacts.impact import STRUCK_AND_LEFT, STRUCK_AND_STAYED, apply_impulses
+from closedloop.contacts.memory import CONE, LINE, OFF, RAY, make_contact_memory
+from closedloop.contacts.modes import (
+    CAME,
+    LEFT,
+    SLIPPED,
+    STUCK_NOW,
+    TURNED_ROUND,
+    choose_kinds,
+    decide,
+    happened_to,
+    mode_after,
+)
+from closedloop.jit.interpreted import interpreted
+
+NOTHING = 1e-9
+
+
+@pytest.fixture
+def memory():
+    """Two contacts, of which the second is asked about: one kilogram in all directions, at rest, touching."""
+    memory = make_contact_memory(6, 2)
+    c = memory.contacts
+    c.X[:] = np.eye(6)
+    c.W[:], c.mu[:], c.mode[:], c.load[:] = np.eye(6), 0.5, [FREE, PRESSED], 1.0
+    c.located[0], c.direction[1] = 1.0, [0.6, 0.8]
+    return memory
+
+
+def test_what_is_told_of_a_contact(memory):
+    """Of every mode before and after; an impact has been told already, and where it turns round it was at rest."""
+    c = memory.contacts
+    told = {
+        (FREE, PRESSED): CAME, (FREE, STUCK): CAME, (PRESSED, FREE): LEFT, (STUCK, FREE): LEFT,
+        (PRESSED, STUCK): STUCK_NOW, (STUCK, PRESSED): SLIPPED,
+    }  # fmt: skip
+    for before, after, struck, turned, kind in itertools.product(
+        (FREE, PRESSED, STUCK), (FREE, PRESSED, STUCK), (0.0, 1.0), (0.0, 1.0), (RAY, CONE)
+    ):
+        c.mode[1], c.struck[1], c.turned[1], c.kind[1] = before, struck, turned, kind
+        expected = told.get((before, after), 0.0)
+        if before == after == PRESSED and turned and kind == CONE:
+            expected = TURNED_ROUND
+        if struck and before != FREE and after != FREE:
+            expected = 0.0
+        assert interpreted(happened_to)(c, 1, after) == expected
+
+
+def test_mode_and_direction_by_force_and_acceleration(memory):
+    """It parts where it accelerates away, or its mode had it pull and it presses no more; else it slips or sticks."""
+    c = memory.contacts
+    after = interpreted(mode_after)
+    c.kind[:], c.F[3], c.rounding = [OFF, CONE], 1.0, 1e-9
+    assert after(c, 0, NOTHING) == FREE
+    assert after(c, 1, NOTHING) == STUCK
+    c.pulled[1] = 1.0
+    assert after(c, 1, NOTHING) == STUCK
+    c.F[3] = 0.5e-9
+    assert after(c, 1, NOTHING) == FREE
+    c.pulled[1], c.after[3] = 0.0, 2 * NOTHING
+    assert after(c, 1, NOTHING) == FREE
+    c.after[3] = 0.0
+    for slip, turned in (([3.0, -4.0], 1.0), ([4.0, -2.9], 0.0), ([-5.0, 3.0], 1.0), ([-1.0, 1.0], 0.0)):
+        c.direction[1], c.after[4:6] = [0.6, 0.8], slip
+        c.turned[1] = 1.0 - turned
+        assert after(c, 1, NOTHING) == PRESSED
+        assert c.turned[1] == turned
+        np.testing.assert_allclose(c.direction[1], slip / np.linalg.norm(slip))
+    c.kind[1], c.along[1], c.turned[1] = RAY, [-0.5 * 0.28, 0.5 * 0.96], 1.0
+    assert after(c, 1, NOTHING) == PRESSED
+    assert c.turned[1] == 0.0
+    np.testing.assert_allclose(c.direction[1], [-0.28, 0.96])
+
+
+@pytest.mark.parametrize(("lift", "mode"), [(1.0, FREE), (-1.0, STUCK)])
+def test_where_it_parts_and_where_it_sticks_is_kept(memory, lift, mode):
+    """The gap at which it parted if that was inside; the place where it sticks; impulses take what is left of slip."""
+    links, c = memory
+    c.located[3], c.floor[1], c.risen[1], c.at[3:] = -2e-9, 0.5, 1.0, [7.0, 8.0, 9.0]
+    c.a[3], c.u[4] = lift, 1e-10
+    assert interpreted(decide)(links, c, 1e-6) == OK
+    assert c.mode[1] == mode
+    assert c.happened[1] == (LEFT if mode == FREE else STUCK_NOW)
+    np.testing.assert_array_equal(c.anchor[3:], 0.0 if mode == FREE else [7.0, 8.0, 9.0])
+    assert (c.risen[1], c.floor[1]) == ((0.0, -2e-9) if mode == FREE else (1.0, 0.5))
+    np.testing.assert_allclose(c.F, [0, 0, 0, 0, 0 if mode == FREE else -1e-10, 0], atol=1e-24)
+    assert c.energy_lost == pytest.approx(0.0 if mode == FREE else 0.5e-20, rel=1e-6)
+    assert c.floor[0] == 0.0
+
+
+def test_kinds_by_slip(memory):
+    """Free where it does not touch or parts; in the cone where it hardly slips; else against its slip."""
+    links, c = memory
+    c.a[:], c.drift[:] = 0.0, 2.0
+    for slip, kind in (([0, 0], CONE), ([1e-7, 0], CONE), ([-1e-6, 0], CONE), ([3e-3, 4e-3], RAY), ([-3e-3, 0], RAY)):
+        c.u[4:6] = slip
+        assert interpreted(choose_kinds)(links, c, 5e-7) == 3.0
+        assert list(c.kind) == [OFF, kind]
+        speed = np.linalg.norm(slip)
+        np.testing.assert_allclose(c.along[1], 0.5 * np.array(slip) / speed if kind == RAY else 0.0)
+    c.mu[1] = 0.0
+    interpreted(choose_kinds)(links, c, 5e-7)
+    assert c.kind[1] == RAY
+    np.testing.assert_array_equal(c.along[1], 0.0)
+    c.mode[1], c.u[3] = FREE, 1e-3
+    interpreted(choose_kinds)(links, c, 5e-7)
+    assert list(c.kind) == [OFF, OFF]
+
+
+@pytest.mark.parametrize(("rest_speed", "tired", "bounces"), [(0.9, 0, True), (1.1, 0, False), (0.9, 1, False)])
+def test_a_contact_that_strikes_leaves_or_stays(memory, rest_speed, tired, bounces):
+    """With restitution 0.5, unless that is too slow or there were many; what pulled before is told by its force."""
+    links, c = memory
+    c.mode[:], c.restitution[:], links.tired = [STUCK, FREE], 0.5, tired
+    c.u[:] = [0, 0, 0, -2.0, 0, 0]
+    c.located[3], c.floor[1], c.rigid[0] = -1e-13, 0.5, -1.0
+    assert interpreted(apply_impulses)(links, c, rest_speed) == OK
+    assert list(c.struck) == [0.0, 1.0]
+    assert list(c.happened) == [0.0, STRUCK_AND_LEFT if bounces else STRUCK_AND_STAYED]
+    assert list(c.mode) == [STUCK, FREE if bounces else PRESSED]
+    assert (c.risen[1], c.floor[1]) == ((1.0, -1e-13) if bounces else (0.0, 0.5))
+    np.testing.assert_allclose(c.after[3:], [1.0 if bounces else 0.0, 0, 0], atol=1e-12)
+    assert c.energy_lost == pytest.approx(1.5 if bounces else 2.0)
+    assert c.restitution_share == 1.0
+    assert list(c.pulled) == [1.0, 0.0]
+
+
+def test_what_does_not_come_together_does_not_strike(memory):
+    """A contact that also pulls, one that is off the surface or parts, and one that was closed."""
+    links, c = memory
+    c.u[:] = [-2.0, 0, 0, -2.0, 0, 0]
+    for case in ("line", "off", "parts", "closed"):
+        c.mode[1], c.kind[:], c.located[3], c.u[3] = FREE, OFF, 0.0, -2.0
+        if case == "line":
+            c.kind[1] = LINE
+        elif case == "off":
+            c.located[3] = 1e-3
+        elif case == "parts":
+            c.u[3] = 2.0
+        else:
+            c.mode[1] = STUCK
+        assert interpreted(apply_impulses)(links, c, 0.0) == OK
+        np.testing.assert_array_equal(c.F, 0.0)
+        np.testing.assert_array_equal(c.after, c.u)
+        assert list(c.happened) == list(c.struck) == list(c.pulled) == [0.0, 0.0]

@@ -40,10 +40,16 @@ LONGEST = (
 )  # fmt: skip
 
 
-def pytest_collection_finish(session):
-    """Let the collector of garbage pass over what the tests' modules made: it is there to stay."""
-    gc.collect()
-    gc.freeze()
+@pytest.hookimpl(wrapper=True)
+def pytest_collection():
+    """Let the collector of garbage pass over what the tests' modules make: it is there to stay."""
+    gc.disable()
+    try:
+        return (yield)
+    finally:
+        gc.collect()
+        gc.freeze()
+        gc.enable()
 
 
 def pytest_collection_modifyitems(items):

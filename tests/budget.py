@@ -7,6 +7,7 @@ more of the same, for a run by hand:
 """
 
 import os
+from collections.abc import Iterable
 from typing import Any, TypeVar
 
 import pytest
@@ -24,3 +25,8 @@ def budget(usual: T, full: T) -> T:
 def seeds(quick: int, usual: int) -> list[Any]:
     """Return 0, 1 ... as parameters of a test: `quick` for the quick suite, the rest of `usual` for the slow."""
     return [pytest.param(seed, marks=() if seed < quick else pytest.mark.slow) for seed in range(usual)]
+
+
+def every(step: int, cases: Iterable[tuple[Any, ...]]) -> list[Any]:
+    """Return cases as parameters of a test: each `step`-th for the quick suite, the others for the slow."""
+    return [pytest.param(*case, marks=pytest.mark.slow if k % step else ()) for k, case in enumerate(cases)]

@@ -4,6 +4,7 @@ import ast
 import re
 import subprocess
 import sys
+from importlib.util import find_spec
 from pathlib import Path
 
 import pytest
@@ -57,12 +58,17 @@ def test_unknown_names_are_refused():
 
 
 def test_what_is_not_used_is_not_loaded():
-    """Importing the package loads nothing heavy, a scenario no engine, a run without figures or file no plotting."""
+    """Importing the package loads nothing heavy, a run without figures or file no plotting.
+
+    Reading a scenario loads no engine, and of each family the members that it picks.
+    """
+    other_paths = [f"closedloop.reference.paths.{name}" for name in ("circle", "hold", "raster", "waypoints")]
+    assert all(map(find_spec, other_paths))
     code = "import sys, closedloop\n"
     for use, absent in (
         ("", HEAVY),
         ("closedloop.shipped_scenarios()", ("numba", "pinocchio", "matplotlib", "xarray")),
-        ("closedloop.load_scenario('wam_slide')", ("numba", "pinocchio", "matplotlib", "xarray")),
+        ("closedloop.load_scenario('wam_slide')", ("numba", "pinocchio", "matplotlib", "xarray", *other_paths)),
         (
             "closedloop.simulate(closedloop.load_scenario('wam_slide', {'time.duration': 0.01})).summary()",
             ("matplotlib", "xarray", "h5py", "mujoco", "pydrake", "exudyn"),

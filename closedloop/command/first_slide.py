@@ -138,9 +138,9 @@ def _judged(robot: Robot, q: Array, force: float, first: bool) -> Posture | tupl
 
 def _directions(reached: Array) -> Iterator[tuple[float, ...]]:
     """Return directions along the surface in which the tip can move; `reached` (3, rank) spans its velocities."""
-    wanted = np.array(DIRECTIONS).T
-    missed = np.sum(np.square(reached @ (reached.T @ wanted) - wanted), axis=0)
-    yield from (direction for direction, far in zip(DIRECTIONS, missed, strict=True) if far < 1e-18)
+    for direction in DIRECTIONS:
+        if np.linalg.norm(reached @ (reached.T @ direction) - direction) < 1e-9:
+            yield direction
     across = np.eye(3)[:, :2]  # an arm in a plane that is turned about the vertical
     shares, axes = np.linalg.eigh(across.T @ reached @ reached.T @ across)
     for share, axis in zip(shares, axes.T, strict=True):

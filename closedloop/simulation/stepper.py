@@ -64,7 +64,7 @@ class Stepper:
         problem = replace(problem, robot=Robot(problem.robot.model, problem.robot.tip))
         self._problem = problem
         self.loop = problem.loop()
-        make_ready(*kernels_of(engine))
+        make_ready(*kernels_of(engine), *problem.called(self.loop))
         problem.connect(self.loop)
         state, w = self.loop.state, self.loop.w
         self._numbers = state.memory

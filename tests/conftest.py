@@ -22,6 +22,7 @@ from closedloop.jit.cache_folder import cache_folder
 from closedloop.jit.kernel import jit_disabled
 
 # A first example may load or compile kernels, and machines are shared: no deadline.
+# Fifty examples, where a test names no other number; `explore` draws hypothesis' hundred.
 settings.register_profile("same", derandomize=True, deadline=None, max_examples=50)
 settings.register_profile("explore", deadline=None)
 settings.load_profile("same")

@@ -22,7 +22,8 @@ from closedloop.jit.cache_folder import cache_folder
 from closedloop.jit.kernel import jit_disabled
 
 # A first example may load or compile kernels, and machines are shared: no deadline.
-settings.register_profile("same", derandomize=True, deadline=None)
+# Fifty examples, where a test names no other number; `explore` draws hypothesis' hundred.
+settings.register_profile("same", derandomize=True, deadline=None, max_examples=50)
 settings.register_profile("explore", deadline=None)
 settings.load_profile("same")
 os.environ[VARIABLE] = "0"  # for the processes that tests start, too
@@ -40,10 +41,16 @@ LONGEST = (
 )  # fmt: skip
 
 
-def pytest_collection_finish(session):
-    """Let the collector of garbage pass over what the tests' modules made: it is there to stay."""
-    gc.collect()
-    gc.freeze()
+@pytest.hookimpl(wrapper=True)
+def pytest_collection():
+    """Let the collector of garbage pass over what the tests' modules make: it is there to stay."""
+    gc.disable()
+    try:
+        return (yield)
+    finally:
+        gc.collect()
+        gc.freeze()
+        gc.enable()
 
 
 def pytest_collection_modifyitems(items):

@@ -85,9 +85,10 @@ def plant_all(
         faulty_model = fault.robot(model) if fault.robot else model
         if faulty_model is None:
             continue
-        for engine in available(faulty_model, name):
-            if not isinstance(engine, Engine) or engine.name == "symbolic":
-                continue  # the symbolic engine knows two robots by heart and reads no text to plant a fault in
+        # The symbolic engine knows two robots by heart and reads no text to plant a fault in.
+        for engine in available(faulty_model, name, [each for each in ENGINES if each.name != "symbolic"]):
+            if not isinstance(engine, Engine):
+                continue
             with planted(engine, fault, oracle) as touched:
                 if touched:
                     catches.append(_caught(fault, engine, model, name, seed, states))

@@ -151,7 +151,8 @@ def _entry_of(law: Any, ways: Arguments) -> Any:
             answer = law(*given(x))
             if answer.shape[0] != torque.shape[0]:
                 return WRONG_LENGTH
-            torque[:] = answer
+            for k in range(torque.shape[0]):  # of torque[:] = answer numba compiles the text of an error, for 5 s
+                torque[k] = answer[k]
             return 0
 
     @numba.njit(nogil=True)

@@ -77,6 +77,7 @@ class Robot:
         self._data: Any = self._pin.createData()
         self._frame: int = self._pin.getFrameId(self.tip)
         self._rest = np.zeros(self.n)
+        self._upper = np.triu(np.ones((self.n, self.n), dtype=bool))
         carrier = self._pin.frames[self._frame].parentJoint
         self.tip_offset: Array = np.array(self._pin.frames[self._frame].placement.translation)
         self.gravity: Array = np.array(self._pin.gravity.linear)
@@ -149,8 +150,7 @@ class Robot:
         q, v = self._checked(q, "q"), self._checked(v, "v")
         model, data, frame = self._pin, self._data, self._frame
         self.evaluator(q, v)()
-        H = np.triu(data.M)
-        H += np.triu(H, 1).T
+        H = np.where(self._upper, data.M, data.M.T) + 0.0  # only that half is filled; no zero has a sign
         bias = data.nle.copy()
         pin.forwardKinematics(model, data, q, v, self._rest)  # q̈ = 0 leaves the velocity-product accelerations
         pin.updateFramePlacement(model, data, frame)

@@ -121,9 +121,8 @@ def explain_key(key: str) -> str:
     section, dot, name = key.partition(".")
     if not dot:
         return describe_section(section)
-    known = all_keys()
-    if key not in known:
-        near = difflib.get_close_matches(key, known, n=1, cutoff=0.6)
+    if section not in sections() or key not in _names(section):
+        near = difflib.get_close_matches(key, all_keys(), n=1, cutoff=0.6)
         cure = f"did you mean {near[0]!r}?" if near else "--help SECTION lists the keys of a section"
         raise ScenarioError(f"there is no key {shown(key)}; {cure}")
     if name == "kind":

@@ -24,11 +24,11 @@ for name, changes in json.load(sys.stdin).items():
     cl.simulate(cl.load_scenario(name, changes)).save(name + ".nc")
 """
 INTERPRETED = {
-    name: {"time.duration": 0.1, "law.pd_start": 0.0} | changes
+    name: {"time.duration": 0.03, "law.pd_start": 0.0} | changes
     for name, changes in {
         "wam_slide": {"reference.start": 0.02},
         "planar2_slide": {"reference.start": 0.02, "time.integrator": "rk4", "law.sample_period": 0.002},
-        "wam_touchdown": {"surface.gap": 0.001},
+        "planar2_drop": {"surface.gap": 1e-5},
     }.items()
 }
 

@@ -149,7 +149,8 @@ def test_torque_that_is_not_finite_stops_the_run(engine):
     assert len(caught.value.run) == 5
 
 
-@pytest.mark.parametrize("engine", ["pinocchio", pytest.param("compiled", marks=pytest.mark.slow)])
+@pytest.mark.slow
+@pytest.mark.parametrize("engine", ["pinocchio", "compiled"])
 def test_exception_of_a_compiled_law_keeps_what_ran(engine):
     """What a compiled law raises arrives, as from a law in Python: with its line, and with the rows before it."""
     scenario = cl.load_scenario("wam_slide", {"time.duration": 0.01})

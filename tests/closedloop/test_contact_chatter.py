@@ -42,8 +42,17 @@ LAWS = {
 }
 
 
-@pytest.mark.parametrize("changes", [{}, {"time.integrator": "rk4"}, {"impact.restitution": 0.5}], ids=str)
-@pytest.mark.parametrize("name", LAWS)
+CHANGES = ({}, {"time.integrator": "rk4"}, {"impact.restitution": 0.5})
+
+
+@pytest.mark.parametrize(
+    ("name", "changes"),
+    [
+        pytest.param(name, changes, marks=() if k % 3 == i else pytest.mark.slow)
+        for k, name in enumerate(LAWS)
+        for i, changes in enumerate(CHANGES)
+    ],
+)
 def test_no_law_makes_a_run_hang(name, changes):
     """Whatever the law, the run ends: at its end, with no force that pulls and no tip inside, or as chattering."""
     failure = None

@@ -186,7 +186,10 @@ def smooth_pull(t, q, v, terms):
     [("semi_implicit_euler", "none"), ("semi_implicit_euler", "both"), ("explicit_euler", "baumgarte"),
      ("explicit_euler", "projection"), ("rk4", "baumgarte"), ("rk4", "both")],
 )  # fmt: skip
-@pytest.mark.parametrize(("arm", "start"), [("planar2", "planar2_drop"), ("wam4", "wam_bounce")])
+@pytest.mark.parametrize(
+    ("arm", "start"),
+    [("planar2", "planar2_drop"), pytest.param("wam4", "wam_bounce", marks=pytest.mark.slow)],
+)
 def test_a_tip_that_leaves_once_leaves_once(arm, start, stabiliser, integrator):
     """An arm that is pulled off smoothly has one liftoff: contact does not begin again without a touchdown.
 

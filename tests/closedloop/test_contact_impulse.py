@@ -50,7 +50,7 @@ def test_impulse_and_velocity_are_pinocchios(arm, restitution):
     robot = ARMS[arm]
     model = robot.model.pinocchio_model()
     data = model.createData()
-    for seed in range(25):
+    for seed in range(8):
         q, v, normal = draw(arm, seed)
         run = strike(arm, q, v, normal, **{"impact.restitution": restitution})
         terms = robot.terms(q, v)

@@ -53,7 +53,7 @@ def circle(t, start=0.1, ramp=0.5, radius=0.03):
 PATHS = {"line": line, "circle": circle}
 
 
-def slide(name, law, compensation, path, *, friction=STRIBECK, duration=2.0, settled=1.2):
+def slide(name, law, compensation, path, *, friction=STRIBECK, duration=1.6, settled=1.2):
     """Return the RMS errors after settling, of the force, N, and of the path, m; the run; the loop."""
     loop = Loop(name, law, compensation, friction=friction)
     loop.path = path
@@ -76,7 +76,7 @@ def test_wam_keeps_force_and_path_on_unknown_friction(path, compensation):
     assert force < 0.05
     assert way < 1e-4
     if compensation == "observer":
-        force, way, _, _ = slide("wam4", LAWS["operational_space"], None, PATHS[path], duration=1.5)
+        force, way, _, _ = slide("wam4", LAWS["operational_space"], None, PATHS[path], duration=1.3)
         assert force > 0.5
         assert way > 2e-3
 

@@ -3,9 +3,10 @@
 import matplotlib as mpl
 import numpy as np
 import pytest
+from matplotlib.backends.backend_agg import FigureCanvasAgg
 
 import closedloop as cl
-from closedloop.figures import closure_error, contact_force, draw_figures, tip_position
+from closedloop.figures import closure_error, contact_force, draw_figures, files, tip_position
 from closedloop.figures.errors import directions
 from closedloop.figures.files import save_figure
 
@@ -19,6 +20,14 @@ def run():
 def curves(axes):
     """Return the y data of the curves of an axes, dashed marks left out."""
     return [np.asarray(line.get_ydata()) for line in axes.lines if len(line.get_ydata()) > 2]
+
+
+def pixels(figure):
+    """Return what a figure looks like, coarsely: drawn once, where its two files are drawn thrice."""
+    figure.set_dpi(40)
+    canvas = FigureCanvasAgg(figure)
+    canvas.draw()
+    return bytes(canvas.buffer_rgba())
 
 
 def test_force_figure_shows_the_force(run):
@@ -68,14 +77,15 @@ def test_closure_figure_shows_the_error_in_its_unit(name, stabiliser):
     ],
     ids=["two rows", "hold", "PD before the motion"],
 )
-def test_any_run_can_be_drawn(changes, tmp_path):
+def test_any_run_can_be_drawn(changes, tmp_path, monkeypatch):
     """Short runs, runs without a motion and runs without a force are drawn without a complaint."""
+    monkeypatch.setattr(files, "images", lambda figure: {".png": pixels(figure), ".svg": b""})
     run = cl.simulate(cl.load_scenario("wam_slide", changes))
     paths = draw_figures(run, tmp_path)
     assert [p.stem for p in paths] == [
         "fig4_tip_position", "fig5_contact_force", "fig6_closure_error", "fig_force_control",
     ]  # fmt: skip
-    assert all(p.stat().st_size > 5000 and p.with_suffix(".svg").stat().st_size > 5000 for p in paths)
+    assert all(np.unique(np.frombuffer(path.read_bytes(), np.uint8)).size > 20 for path in paths)
 
 
 def test_run_without_rows_has_no_figures(tmp_path):

@@ -89,7 +89,7 @@ def test_random_planar_impacts_are_rouths(law):
     """Slip, stick, reversal, jam and the cut, each met often; impulses of both phases and what happened."""
     rng = np.random.default_rng(8)
     met = dict.fromkeys(["slip", "stick", "reversal", "jam", "cut"], 0)
-    for _ in range(1500):
+    for _ in range(500):
         a, c = rng.uniform(0.5, 3.0, 2)
         b = rng.uniform(-1.0, 1.0) * math.sqrt(a * c - 0.05)
         un, ut = -rng.uniform(0.1, 2.0), rng.choice([0.0, rng.normal()], p=[0.1, 0.9])
@@ -107,7 +107,7 @@ def test_random_planar_impacts_are_rouths(law):
         met["jam"] += jam
         met["cut"] += cut
     wanted = set(met) if law == "newton" else set(met) - {"cut"}
-    assert all(met[name] >= 20 for name in wanted), met
+    assert all(met[name] >= 7 for name in wanted), met
     assert law == "newton" or met["cut"] == 0
 
 

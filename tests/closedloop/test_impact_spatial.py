@@ -1,6 +1,5 @@
 """Impacts in space, where slip turns: against a general ODE solver, closed forms, and the symmetries of the problem."""
 
-import itertools
 import math
 from fractions import Fraction
 
@@ -79,18 +78,17 @@ def leaving(S, mu):
         return t
 
     def across(angle):
-        s = np.array([math.cos(angle), math.sin(angle)])
-        a = b - mu * C @ s
+        s = np.array([np.cos(angle), np.sin(angle)])
+        a = b[:, None] - mu * C @ s if s.ndim > 1 else b - mu * C @ s
         return s[0] * a[1] - s[1] * a[0]
 
     angles = np.linspace(0.1, 0.1 + 2.0 * math.pi, 2001)
-    found = []
-    for low, high in itertools.pairwise(angles):
-        if across(low) * across(high) < 0.0:
-            angle = brentq(across, low, high, xtol=1e-15)
-            s = np.array([math.cos(angle), math.sin(angle)])
-            if s @ (b - mu * C @ s) > 0.0:
-                found.append(s)
+    found, at = [], across(angles)
+    for k in np.flatnonzero(at[:-1] * at[1:] < 0.0):
+        angle = brentq(across, angles[k], angles[k + 1], xtol=1e-15)
+        s = np.array([math.cos(angle), math.sin(angle)])
+        if s @ (b - mu * C @ s) > 0.0:
+            found.append(s)
     assert len(found) == 1  # the direction is unique
     return -mu * found[0]
 

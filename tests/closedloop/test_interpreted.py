@@ -24,27 +24,28 @@ from closedloop.simulation.prepare import prepare
 from closedloop.step.record_row import complete_record
 
 SHORT = {"time.duration": 0.06}
-EARLY = {"reference.start": 0.02, "law.pd_start": 0.01}
+AT_ONCE = {"reference.start": 0.0, "reference.stop": 0.5}  # a short path: the interpreter finds the joints along it
+EARLY = AT_ONCE | {"reference.start": 0.02, "law.pd_start": 0.01}
 CASES = {
     "the paper's law": ("wam_slide", EARLY),
     "seven joints": ("panda_slide", EARLY | {"time.duration": 0.03}),
     "fourth order": ("planar2_slide", EARLY | {"time.integrator": "rk4", "law.sample_period": 0.002}),
-    "an impact": ("wam_touchdown", {"surface.gap": 1e-6}),
+    "an impact": ("wam_touchdown", {"surface.gap": 1e-6, "reference.kind": "hold"}),
     "impacts with friction": ("planar2_drop", {"surface.gap": 1e-5}),
     "a tip that leaves": ("wam_liftoff", {"time.duration": 0.1}),
     "projection": ("wam_slide", EARLY | {"stabiliser.kind": "projection"}),
-    "friction": ("wam_slide_friction", {"reference.start": 0.0}),
-    "stick and slip": ("wam_stick_slip", {"reference.start": 0.0}),
+    "friction": ("wam_slide_friction", AT_ONCE),
+    "stick and slip": ("wam_stick_slip", AT_ONCE),
     "friction in the joints": ("joint_friction", {"time.duration": 0.03}),
-    "a law of force and motion": ("wam_hybrid_friction", {"reference.start": 0.0}),
+    "a law of force and motion": ("wam_hybrid_friction", AT_ONCE),
     "friction with a memory": (
         "wam_slide_friction",
-        {"reference.start": 0.0, "friction.kind": "lugre", "friction.kinetic": 0.2, "friction.static": 0.3,
+        AT_ONCE | {"friction.kind": "lugre", "friction.kinetic": 0.2, "friction.static": 0.3,
          "friction.stribeck_speed": 0.003, "friction.stiffness": 1e4, "friction.damping": 10.0},
     ),
     "an observer, a sensor": (
         "wam_slide_friction",
-        {"reference.start": 0.0, "law.kind": "impedance", "law.force_integral": 20.0, "compensation.kind": "observer",
+        AT_ONCE | {"law.kind": "impedance", "law.force_integral": 20.0, "compensation.kind": "observer",
          "compensation.rate": 100.0, "sensor.delay": 0.004, "sensor.noise": 0.1},
     ),
     "loops": ("four_bar", {"time.duration": 0.02}),

@@ -152,7 +152,7 @@ def test_every_kind_of_loop_joint_has_a_mark_where_it_is(mechanism):
             assert np.abs(turn[:, 2] @ one.rotation @ np.array(loop.axes[0])) == pytest.approx(1.0)
 
 
-@pytest.mark.parametrize("model", ["wam4", "planar2", "ur5"])
+@pytest.mark.parametrize("model", ["wam4", "planar2", pytest.param("ur5", marks=pytest.mark.slow)])
 def test_shapes_move_with_the_joints(model):
     """Each shape belongs to a joint of the robot or its base, and its triangles to its vertices."""
     import robot_models

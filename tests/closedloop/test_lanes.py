@@ -11,7 +11,7 @@ from closedloop.simulation.prepare import prepare
 from robot_models import load
 
 KEPT = ("q", "torque", "contact_force", "closure_error", "kkt_condition", "residual_motion")
-SHORT = {"time.duration": 0.6}
+SHORT = {"time.duration": 0.2, "reference.start": 0.1, "law.pd_start": 0.1}  # with the start of the motion in it
 
 # A scenario, what is the same in all runs, and what is drawn for each.
 KINDS = {
@@ -21,9 +21,9 @@ KINDS = {
     ),
     "paths": (
         "wam_slide", SHORT | {"reference.stop": 2.0},
-        {"reference.speed": (0.005, 0.04), "law.pd_start": (0.0, 0.5)},
+        {"reference.speed": (0.005, 0.04), "law.pd_start": (0.0, 0.1)},
     ),
-    "runge-kutta": ("wam_slide", {"time.duration": 0.2, "time.integrator": "rk4"}, {"law.force": (-5.0, 5.0)}),
+    "runge-kutta": ("wam_slide", SHORT | {"time.integrator": "rk4"}, {"law.force": (-5.0, 5.0)}),
     "explicit": ("wam_slide_unstabilised", SHORT | {"time.integrator": "explicit_euler"}, {"law.force": (1.0, 9.0)}),
     "held": ("wam_slide", SHORT | {"law.sample_period": 0.005}, {"law.kd": (5.0, 30.0)}),
     "force that changes": (
@@ -32,8 +32,8 @@ KINDS = {
         {"law.force": (5.0, 15.0)},
     ),
     "a contact that could break": ("wam_slide", SHORT | {"surface.contact": "unilateral"}, {"law.force": (5.0, 15.0)}),
-    "two joints": ("planar2_slide", {"time.duration": 0.3}, {"law.force": (1.0, 5.0)}),
-    "seven joints": ("panda_slide", {"time.duration": 0.2}, {"law.force": (1.0, 20.0)}),
+    "two joints": ("planar2_slide", SHORT, {"law.force": (1.0, 5.0)}),
+    "seven joints": ("panda_slide", SHORT, {"law.force": (1.0, 20.0)}),
 }  # fmt: skip
 
 

@@ -136,7 +136,7 @@ def test_couples_act_about_the_axes_that_they_are_called_by(mechanisms, name):
 def test_mechanism_falls_as_its_null_space_does(mechanisms, name):
     """q̈ at every row, the loops closed to rounding, the rank that it has, no force unexplained, and energy kept."""
     model = mechanisms[name]
-    run = falling(model, duration=0.05 if model.n > 10 else 0.2)
+    run = falling(model, duration=0.05 if model.n > 10 else 0.1)
     found = run.loops
     assert np.max(np.abs(found.errors)) < 1e-14
     assert set(found.rank) == {RANKS[name]}

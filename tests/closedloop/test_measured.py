@@ -18,12 +18,14 @@ from closedloop.report.measured import (
 from closedloop.report.row_sample import JointLimits, Scale, energy_left, friction_power, joint_limits
 from closedloop.report.run_values import columns_of, run_values
 
+SLIDE = {"time.duration": 0.3, "law.pd_start": 0.1, "reference.start": 0.1}  # the motion starts within
 RUNS = {
-    "a slide": ("wam_slide", {"time.duration": 0.7, "law.sample_period": 0.004}),
+    "a slide": ("wam_slide", SLIDE | {"law.sample_period": 0.004}),
     "friction everywhere": (
         "wam_slide",
-        {
-            "time.duration": 0.7, "friction.kind": "stribeck", "friction.static": 0.5, "friction.kinetic": 0.3,
+        SLIDE
+        | {
+            "friction.kind": "stribeck", "friction.static": 0.5, "friction.kinetic": 0.3,
             "friction.stribeck_speed": 0.01, "joint_friction.kind": "coulomb", "joint_friction.kinetic": 0.2,
         },
     ),

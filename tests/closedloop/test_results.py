@@ -116,7 +116,7 @@ def test_a_pipe_in_the_place_of_a_result_is_refused_at_once(command_line, tmp_pa
 
 def test_no_result_is_written_through_a_link(command_line, tmp_path, monkeypatch):
     """Where links stand in the places of results, what they point to stays as it was."""
-    for name in ("closure_error", "force_control", "joints"):  # two real figures will do
+    for name in ("tip_position", "contact_force", "closure_error", "force_control", "joints"):  # empty ones will do
         monkeypatch.setattr(f"closedloop.figures.files.{name}", lambda run: Figure())
     options = ("planar2_slide", *(word for word in SHORT if word != "--no-figures"))
     figures, files = ("fig_tip_position.png", "fig_contact_force.svg"), ("run.nc", "summary.json")

@@ -4,7 +4,6 @@ import math
 
 import numpy as np
 import pytest
-import sympy
 
 import closedloop as cl
 from closedloop.surface.expression import instructions
@@ -38,6 +37,8 @@ def complex_step(function):
 def test_derivatives_are_exact(text):
     """The gradient against the complex step of the formula, the Hessian against that of sympy's gradient."""
     level, gradient, hessian = second_order(text, P)
+    import sympy
+
     xyz = sympy.symbols("x y z")
     formula = sympy.sympify(text)
     as_function = sympy.lambdify(xyz, formula, "numpy")

@@ -152,10 +152,10 @@ def test_a_sweep_is_the_batch_of_its_points(capsys, tmp_path):
     assert [path.name for path in tmp_path.iterdir()] == ["small.parquet"]
 
 
-@pytest.mark.parametrize("draw", [(), ("--random", "20", "--seed", "3"), ("--latin", "20", "--seed", "3")])
+@pytest.mark.parametrize("draw", [(), ("--random", "12", "--seed", "3"), ("--latin", "12", "--seed", "3")])
 def test_the_table_does_not_depend_on_the_workers(capsys, tmp_path, draw):
     """One thread and three write the same file, byte by byte."""
-    arguments = ("wam_bounce", "--time.duration", "0.15", "--over", "surface.gap=0:0.01:20", "--keep", "f", *draw)
+    arguments = ("wam_bounce", "--time.duration", "0.1", "--over", "surface.gap=0:0.01:12", "--keep", "f", *draw)
     files = []
     for workers in (1, 3):
         folder = tmp_path / str(workers)

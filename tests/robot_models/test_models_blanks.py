@@ -18,10 +18,9 @@ BLANKS = {
     "em space": "\u2003",
     "ideographic space": "\u3000",
 }
-NAMES = [
-    *robot_models.shipped_names(),
-    *(pytest.param(name, marks=pytest.mark.slow) for name in ("panda", "ur5", "kinova")),
-]
+NAMES = (*robot_models.shipped_names(), "panda", "ur5", "kinova")
+# Every blank in a small robot, and every robot that ships with one of them: the rest belongs to the longer tests.
+QUICK = {("planar2", kind) for kind in BLANKS} | set(zip(robot_models.shipped_names(), 2 * list(BLANKS), strict=False))
 
 
 def text_of(name):
@@ -38,8 +37,14 @@ def padded(value, blank):
     return [blank + value, value + blank] + ([blank.join(words)] if numbers else [])
 
 
-@pytest.mark.parametrize("name", NAMES)
-@pytest.mark.parametrize("kind", BLANKS)
+@pytest.mark.parametrize(
+    ("name", "kind"),
+    [
+        pytest.param(name, kind, marks=() if (name, kind) in QUICK else pytest.mark.slow)
+        for name in NAMES
+        for kind in BLANKS
+    ],
+)
 def test_all_attributes_at_once(tmp_path, name, kind):
     """A robot whose every attribute is padded is the same robot to the last bit, by file and by fields."""
     root = parse(text_of(name), name)

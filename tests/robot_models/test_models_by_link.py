@@ -6,7 +6,6 @@ import xml.etree.ElementTree as ET
 import numpy as np
 import pinocchio as pin
 import pytest
-import yourdfpy
 
 import robot_models
 from robot_models import example_robots, shipped, urdf, urdf_mechanism
@@ -38,6 +37,8 @@ def test_every_link_weighs_what_its_text_says(name):
     own = name in robot_models.shipped_names()
     raw = shipped.path_of(name).read_text(encoding="utf-8") if own else example_robots.find(name).text
     model = pin.buildModelFromXML(unwelded(urdf.read(raw, name)))
+    import yourdfpy
+
     theirs = yourdfpy.URDF.load(io.BytesIO(raw.encode()), build_scene_graph=False, load_meshes=False).robot
     hung = {joint.child: joint for joint in theirs.joints}
     weighed = 0

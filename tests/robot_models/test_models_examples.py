@@ -28,7 +28,12 @@ def test_the_table_is_covered():
     assert (len(example_robots.example_names()), len(LOADED)) == (72, 51)
 
 
-@pytest.mark.parametrize("name", sorted(LOADED))
+QUICK = {"panda", "ur5", "kinova", "tiago", *sorted(LOADED)[::4]}  # the others are loaded with the longer tests
+
+
+@pytest.mark.parametrize(
+    "name", [pytest.param(name, marks=() if name in QUICK else pytest.mark.slow) for name in sorted(LOADED)]
+)
 def test_loads(name):
     """On a fixed base, one variable a joint, home inside the limits, a tip that is in the robot."""
     robot = robot_models.load(name)

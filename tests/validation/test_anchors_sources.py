@@ -5,6 +5,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from budget import every
 
 from validation.anchors import grade, iiwa, puma560, reference_problems
 from validation.anchors.description import joint, link, read, robot
@@ -44,13 +45,13 @@ def test_puma_mass_matters(i):
     assert failures("Puma 560", puma("m", i, factor=1.01))
 
 
-@pytest.mark.parametrize(("i", "k"), [(i, k) for i in range(6) for k in range(3) if PUMA["I"][i][k]])
+@pytest.mark.parametrize(("i", "k"), every(3, [(i, k) for i in range(6) for k in range(3) if PUMA["I"][i][k]]))
 def test_puma_inertia_sign_matters(i, k):
     """The sign of any moment is seen."""
     assert failures("Puma 560", puma("I", i, k, factor=-1.0))
 
 
-@pytest.mark.parametrize(("i", "k"), [(i, k) for i in range(6) for k in range(3) if PUMA["r"][i][k]])
+@pytest.mark.parametrize(("i", "k"), every(3, [(i, k) for i in range(6) for k in range(3) if PUMA["r"][i][k]]))
 def test_puma_centre_matters(i, k):
     """The sign of any coordinate of a centre of mass is seen."""
     assert failures("Puma 560", puma("r", i, k, factor=-1.0))
@@ -58,7 +59,9 @@ def test_puma_centre_matters(i, k):
 
 @pytest.mark.parametrize(
     ("key", "i"),
-    [(key, i) for key in ("Jm", "a", "d", "alpha") for i in range(6) if PUMA[key][i] and (key, i) != ("d", 0)],
+    every(
+        3, [(key, i) for key in ("Jm", "a", "d", "alpha") for i in range(6) if PUMA[key][i] and (key, i) != ("d", 0)]
+    ),
 )
 def test_puma_geometry_and_drives_matter(key, i):
     """One per cent of any length, twist or drive inertia is seen; the height of the base moves nothing."""
@@ -107,7 +110,7 @@ def test_iiwa_mass_matters(i):
     assert failures("KUKA iiwa, MotionGenesis, g = 0", iiwa.build(data, 0.0))
 
 
-@pytest.mark.parametrize(("i", "k"), [(i, k) for i in range(7) for k in range(3) if i or k == 2])
+@pytest.mark.parametrize(("i", "k"), every(4, [(i, k) for i in range(7) for k in range(3) if i or k == 2]))
 def test_iiwa_moments_matter(i, k):
     """One per cent of any moment is seen; of link 1 only that about its axis can be."""
     data = copy.deepcopy(IIWA)

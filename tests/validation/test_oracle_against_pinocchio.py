@@ -3,6 +3,7 @@
 import numpy as np
 import pinocchio as pin
 import pytest
+from budget import seeds
 from pinocchio_reference import PinocchioEngine
 
 import robot_models
@@ -54,7 +55,7 @@ def assert_agree(oracle, reference, q, v, a):
         assert error < AGREEMENT, f"{name}: {error:.1e}"
 
 
-@pytest.mark.parametrize("seed", range(50))
+@pytest.mark.parametrize("seed", seeds(20, 50))
 def test_random_robot(seed):
     """Every quantity agrees on a random robot, read from the same text by two parsers."""
     robot = random_robot(seed)
@@ -89,7 +90,7 @@ def test_real_robot(name, options):
         assert_agree(oracle, reference, q, v, a)
 
 
-@pytest.mark.parametrize("seed", range(20))
+@pytest.mark.parametrize("seed", seeds(10, 20))
 def test_kinetic_energy_without_drives(seed):
     """The kinetic energy of the bodies agrees."""
     robot = random_robot(seed, drive_inertia=False)
@@ -119,7 +120,7 @@ def contact(engine, seed):
     return rng.normal(size=n), 10.0 * rng.normal(size=n), normal / np.linalg.norm(normal)
 
 
-@pytest.mark.parametrize("seed", range(20))
+@pytest.mark.parametrize("seed", seeds(10, 20))
 def test_plane_against_forward_dynamics(seed):
     """Eq. 24 gives the acceleration and the multiplier of Pinocchio's forwardDynamics, sign included."""
     robot = random_robot(seed)

@@ -2,7 +2,7 @@
 
 import logging
 import types
-from collections import Counter
+from collections import Counter, defaultdict
 
 import numba
 import numpy as np
@@ -12,9 +12,10 @@ import closedloop as cl
 from closedloop.engines.loops import COMPILED, ENGINES, PINOCCHIO, loop_for
 from closedloop.engines.proceed import proceed_at
 from closedloop.events.impacts import collide
-from closedloop.jit import background, interpreted
+from closedloop.jit import background, calls, interim
 from closedloop.jit.calls import call_at, forget_entry, interpreted_address
 from closedloop.jit.interim import PROBE, Interim
+from closedloop.jit.interpreted import interpreted
 from closedloop.jit.kernel import entry_kernel, jit_disabled
 from closedloop.jit.pointers import address_of, matrix_at
 from closedloop.reference.follow import follow
@@ -62,11 +63,18 @@ def nothing_compiled(monkeypatch):
         raise AssertionError("something is compiled")
 
     monkeypatch.setattr(background, "refused", lambda: "")
-    for module in (interpreted, background):
+    for module in (interim, background):
         monkeypatch.setattr(module, "needs_compiling", lambda function: True)
-    monkeypatch.setattr(interpreted, "direct", never)
+    monkeypatch.setattr(interim, "direct", never)
     monkeypatch.setattr(background, "start", lambda functions: wanted.append([f.__name__ for f in functions]))
     return wanted
+
+
+class Kept(dict):
+    """The entries that do with buffers: none of them is to need arrays."""
+
+    def __delitem__(self, key):
+        raise AssertionError(f"{self[key].__name__} needs arrays")
 
 
 def bits(run):
@@ -75,26 +83,34 @@ def bits(run):
 
 
 @pytest.mark.parametrize(("name", "engine"), [(name, ENGINES[k % 2]) for k, name in enumerate(CASES)])
-def test_an_interpreted_run_is_the_compiled_one_to_the_last_bit(name, engine, request):
-    """Every column and every event: laws, friction, impacts and integrators, on the two engines in turn."""
+def test_an_interpreted_run_is_the_compiled_one_to_the_last_bit(name, engine, request, monkeypatch):
+    """Every column and every event: laws, friction, impacts and integrators, on the two engines in turn.
+
+    Buffers do for all of them: arrays take twice as long.
+    """
     shipped, changes = CASES[name]
     scenario = cl.load_scenario(shipped, SHORT | changes)
     compiled = cl.simulate(scenario, engine=engine)
     wanted = request.getfixturevalue("nothing_compiled")
-    interpreted._so_far[loop_for(engine).__name__] += PROBE  # a short run asks for compiled code after others
+    loops, init = [], Interim.__init__
+    monkeypatch.setattr(Interim, "__init__", lambda self, *given: (init(self, *given), loops.append(self))[0])
+    monkeypatch.setattr(calls, "_with_buffers", Kept(calls._with_buffers))
+    interim._so_far[loop_for(engine).__name__] += PROBE  # a short run asks for compiled code after others
     run = cl.simulate(scenario, engine=engine)
     assert {names[0] for names in wanted if len(names) > 1} == {loop_for(engine).__name__}
     assert np.ptp(run.contact_force) > 0.0 or np.ptp(run.q) > 0.0
     assert bits(run) == bits(compiled)
+    assert loops
+    assert all(loop._with_buffers for loop in loops)
 
 
 def test_a_path_of_a_mechanism_is_interpreted_to_the_last_bit(nothing_compiled, monkeypatch):
     """Postures along the path, with the loops closed, before their kernels are there."""
     problem = prepare(cl.load_scenario("five_bar"))
     compiled = problem.wanted.joints
-    for module in ("closedloop.jit.kernel.Kernel.__call__", "closedloop.jit.interpreted.entry_address"):
+    for module in ("closedloop.jit.kernel.Kernel.__call__", "closedloop.jit.interim.entry_address"):
         monkeypatch.setattr(module, lambda *_: pytest.fail("something is compiled"))
-    with interpreted.not_compiled_first():
+    with interim.not_compiled_first():
         path = follow(problem.robot, compiled.q[0], problem.wanted.tip)
     for name in ("times", "q", "v"):
         assert getattr(path, name).tobytes() == getattr(compiled, name).tobytes()
@@ -131,7 +147,7 @@ def test_a_law_of_ones_own_is_asked_as_often(nothing_compiled):
 @pytest.mark.parametrize("buffers", [False, True])
 def test_a_twin_calls_nothing_compiled(kernel, buffers):
     """Every function that a twin can reach is a twin: one that was left out would be compiled."""
-    seen, waiting = set(), [interpreted.interpreted(kernel, buffers)]
+    seen, waiting = set(), [interpreted(kernel, buffers)]
     while waiting:
         function = waiting.pop()
         if id(function) in seen:
@@ -143,7 +159,7 @@ def test_a_twin_calls_nothing_compiled(kernel, buffers):
         found = [function.__globals__.get(name) for code in codes for name in code.co_names] + cells
         waiting += [x for x in found if isinstance(x, types.FunctionType) or hasattr(x, "py_func")]
     assert len(seen) > 1
-    assert interpreted.interpreted(kernel, buffers) is interpreted.interpreted(kernel, buffers)
+    assert interpreted(kernel, buffers) is interpreted(kernel, buffers)
 
 
 @pytest.mark.skipif(jit_disabled(), reason="there are no twins")
@@ -162,17 +178,17 @@ def test_what_buffers_cannot_do_is_done_again_with_arrays(monkeypatch):
         return 0
 
     monkeypatch.setattr(background, "start", lambda functions: None)
-    monkeypatch.setattr(interpreted, "needs_compiling", lambda function: True)
-    interim = Interim(add_to_row, (memory,), 1000, 1e9, buffers=True)
-    interim(address_of(memory), True)
-    assert interim._with_buffers
+    monkeypatch.setattr(interim, "needs_compiling", lambda function: True)
+    kernel = Interim(add_to_row, (memory,), 1000, 1e9, buffers=True)
+    kernel(address_of(memory), True)
+    assert kernel._with_buffers
     assert memory.tolist() == [2.0, 2.0 / 3.0, 3.0, 4.0]
     memory[2] = 0.0
-    interim(address_of(memory), True)
-    assert interim._with_buffers
+    kernel(address_of(memory), True)
+    assert kernel._with_buffers
     assert memory.tolist() == [3.0, np.inf, 0.0, 4.0]
-    interim(address_of(memory), False)
-    assert not interim._with_buffers
+    kernel(address_of(memory), False)
+    assert not kernel._with_buffers
     assert memory.tolist() == [4.0, np.inf, 0.0, 5.0]
 
 
@@ -192,7 +208,7 @@ def test_hypotenuse_is_that_of_the_c_library():
     import math as interpreted_math
 
     x, y = np.random.default_rng(0).normal(size=(2, 20_000))
-    twin = interpreted.interpreted(of)
+    twin = interpreted(of)
     assert all(twin(a, b) == of(a, b) for a, b in zip(x, y, strict=True))
 
 
@@ -236,11 +252,11 @@ def test_an_interrupted_call_leaves_no_trace(monkeypatch, nothing_compiled):
 def decided(monkeypatch, calls, seconds):
     """Return what an interim kernel decides after its first calls: "background", "compiled" or ""."""
     done = []
-    monkeypatch.setattr(interpreted, "_so_far", Counter())
+    monkeypatch.setattr(interim, "_so_far", Counter())
     monkeypatch.setattr(background, "start", lambda functions: done.append("background"))
     monkeypatch.setattr(background, "make_ready", lambda *functions: done.append("compiled"))
-    monkeypatch.setattr(interpreted, "direct", lambda function, *arguments: function.py_func)
-    monkeypatch.setattr(interpreted, "needs_compiling", lambda function: True)
+    monkeypatch.setattr(interim, "direct", lambda function, *arguments: function.py_func)
+    monkeypatch.setattr(interim, "needs_compiling", lambda function: True)
     out = np.zeros(2)
     kernel = Interim(over, (out,), calls, seconds)
     for _ in range(2 * PROBE):
@@ -262,8 +278,8 @@ def test_whether_to_wait_is_judged_by_what_is_ahead(monkeypatch, calls, seconds,
 def test_a_run_asks_again_until_its_loop_is_compiled(monkeypatch):
     """A process that compiles something else at first does not leave a long run interpreted to its end."""
     asked = []
-    monkeypatch.setattr(interpreted, "BETWEEN_LOOKS", 0.0)
-    monkeypatch.setattr(interpreted, "needs_compiling", lambda function: True)
+    monkeypatch.setattr(interim, "BETWEEN_LOOKS", 0.0)
+    monkeypatch.setattr(interim, "needs_compiling", lambda function: True)
     monkeypatch.setattr(background, "start", lambda functions: asked.append(functions))
     out = np.zeros(2)
     kernel = Interim(over, (out,), 2 * PROBE, 100.0)
@@ -272,11 +288,30 @@ def test_a_run_asks_again_until_its_loop_is_compiled(monkeypatch):
     assert asked == [[over]] * (PROBE + 1)
 
 
+@pytest.mark.parametrize(
+    ("brief", "spent", "does"), [(True, 0.0, "interpreted"), (True, 1e3, "compiled"), (False, 0.0, "compiled")]
+)
+def test_many_brief_calls_are_compiled_once_that_would_have_been_sooner(monkeypatch, brief, spent, does):
+    """The inverse kinematics of a path of many parts: each is brief, and all together are not."""
+    done, out = [], np.zeros(2)
+    for module in (interim, background):
+        monkeypatch.setattr(module, "needs_compiling", lambda function: True)
+    monkeypatch.setattr(background, "refused", lambda: "")
+    monkeypatch.setattr(background, "make_ready", lambda *functions: done.append("compiled"))
+    monkeypatch.setattr(interim, "_spent", defaultdict(float, over=spent))
+    monkeypatch.setattr(interim, "interpreted", lambda function: done.append("interpreted") or function.py_func)
+    with interim.not_compiled_first():
+        interim.call_once(over, (out,), brief, 2.0, out)
+    assert done == [does]
+    assert out.tolist() == [1.0, 0.5]
+    assert (interim._spent["over"] > spent) == (does == "interpreted")
+
+
 def test_many_short_runs_are_as_good_as_a_long_one(monkeypatch):
     """Runs of a few steps each do not stay interpreted for ever: their calls are counted together."""
     asked = []
-    monkeypatch.setattr(interpreted, "_so_far", Counter())
-    monkeypatch.setattr(interpreted, "needs_compiling", lambda function: True)
+    monkeypatch.setattr(interim, "_so_far", Counter())
+    monkeypatch.setattr(interim, "needs_compiling", lambda function: True)
     monkeypatch.setattr(background, "start", lambda functions: asked.append(functions))
     out = np.zeros(2)
     for _ in range(PROBE - 1):
@@ -293,9 +328,9 @@ def test_the_same_run_goes_over_to_the_compiled_form(monkeypatch):
     ready = iter([True] * 3)  # at the beginning: no look, which is a second apart, finds it before
     monkeypatch.setattr(background, "refused", lambda: "")
     monkeypatch.setattr(background, "start", lambda functions: None)
-    monkeypatch.setattr(interpreted, "BETWEEN_LOOKS", 0.01)
+    monkeypatch.setattr(interim, "BETWEEN_LOOKS", 0.01)
     lacking = lambda function: function not in USED_ONCE and next(ready, False)  # noqa: E731
-    monkeypatch.setattr(interpreted, "needs_compiling", lacking)
+    monkeypatch.setattr(interim, "needs_compiling", lacking)
     init = Interim.__init__
 
     def noted(self, *arguments):
@@ -313,7 +348,7 @@ def test_where_background_processes_are_refused_the_loop_is_compiled_first(monke
     """As a batch does it, and in the same words."""
     monkeypatch.setenv(background.VARIABLE, "0")
     monkeypatch.setattr(background, "needs_compiling", lambda function: True)
-    monkeypatch.setattr(interpreted, "needs_compiling", lambda function: True)
+    monkeypatch.setattr(interim, "needs_compiling", lambda function: True)
     monkeypatch.setattr(background, "_said", set())
     monkeypatch.setattr(Interim, "__call__", lambda *_: pytest.fail("interpreted"))
     with caplog.at_level(logging.INFO, "closedloop.compiling"):

@@ -5,9 +5,8 @@ import io
 import h5netcdf
 import numpy as np
 import pytest
-from disk import limited
 from pyarrow import parquet
-from sweeps import sweep
+from sweeps import Forked, sweep
 
 import closedloop as cl
 from closedloop.errors import OutputError
@@ -106,10 +105,10 @@ def test_what_cannot_be_written_is_said_and_leaves_nothing(tmp_path, monkeypatch
     assert sorted(path.name for path in tmp_path.iterdir()) == ["t.nc", "t.parquet"]
 
 
-def assert_goes_on(capsys, folder, done):
+def assert_goes_on(capsys, folder, status, err):
     """Check what a limit has left in the folder, and that the sweep goes on from it to the end."""
-    assert done.returncode == 2, done.stderr
-    (line,) = [line for line in done.stderr.splitlines() if not line.startswith("compiling")]
+    assert status == 2, err
+    (line,) = [line for line in err.splitlines() if not line.startswith("compiling")]
     assert "cannot be written: File too large" in line
     assert {path.name for path in folder.iterdir()} <= {"t.parquet.parts", "t.nc"}
     assert not [path for path in folder.rglob("*") if path.name.endswith(".unfinished")]
@@ -126,7 +125,9 @@ def assert_goes_on(capsys, folder, done):
 @pytest.mark.parametrize("size", [0, 500, *range(4000, 20000, 4000), *range(20_000, 210_000, 20_000)])
 def test_a_limit_on_files_at_any_size_is_one_line(capsys, tmp_path, size):
     """From nothing at all, as with ``ulimit -f``, to just too little for the columns: it was a segmentation fault."""
-    assert_goes_on(capsys, tmp_path, limited(tmp_path, size, *KEPT))
+    run = Forked(tmp_path, *KEPT, most_bytes=size)
+    _, err = run.communicate()
+    assert_goes_on(capsys, tmp_path, run.returncode, err)
 
 
 def test_a_store_that_cannot_begin_leaves_nothing(tmp_path, monkeypatch):

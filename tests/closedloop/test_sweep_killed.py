@@ -14,7 +14,7 @@ import pyarrow as pa
 import pytest
 from budget import budget
 from pyarrow import parquet
-from sweeps import process, refusal, sweep
+from sweeps import Forked, here, process, refusal, sweep
 
 import closedloop as cl
 
@@ -57,11 +57,14 @@ def kill_after(run, seconds, ready):
 def test_killed_again_and_again_the_table_is_the_same(tmp_path, uninterrupted):
     """kill -9 at random moments, one in five before anything is done: no row is lost, none doubled, none another."""
     rng = random.Random(11)
+    here("wam_bounce", "--time.duration", "0.01", "--over", "law.force=1:2:16", "--out", tmp_path / "loaded.parquet")
+    (tmp_path / "loaded.parquet").unlink()
     killed = 0
     for k in range(KILLS):
         before = parts(tmp_path)
-        run = process(tmp_path, *ARGUMENTS, "--keep", "f", "--out", "t.parquet")
-        if k % 5 == 4:  # while it starts
+        starts = k % 5 == 4
+        run = (process if starts else Forked)(tmp_path, *ARGUMENTS, "--keep", "f", "--out", "t.parquet")
+        if starts:
             killed += kill_after(run, rng.uniform(0.0, 0.8), lambda: True)
         else:  # while it writes: by parts, not by the clock, so that a fast machine has not done all before the tenth
             some = rng.randint(1, 5)
@@ -72,7 +75,7 @@ def test_killed_again_and_again_the_table_is_the_same(tmp_path, uninterrupted):
         assert not (tmp_path / "t.parquet").exists()
     assert killed == KILLS
     assert KILLS - KILLS // 5 <= len(parts(tmp_path)) < 64
-    run = process(tmp_path, *ARGUMENTS, "--keep", "f", "--out", "t.parquet")
+    run = Forked(tmp_path, *ARGUMENTS, "--keep", "f", "--out", "t.parquet")
     out, err = run.communicate(timeout=300)
     assert run.returncode == 0, err
     assert "were there before" in out

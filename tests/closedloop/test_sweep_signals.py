@@ -166,7 +166,7 @@ def test_uninterrupted_returns_and_raises():
 def test_a_second_sweep_to_the_same_file_is_refused(capsys, tmp_path):
     """While a process is at work, another that would write there, the same sweep or another, gets one line."""
     out = tmp_path / "t.parquet"
-    first = process(tmp_path, *LONG, "--out", "t.parquet")
+    first = Forked(tmp_path, *LONG, "--out", "t.parquet")
     try:
         while first.poll() is None and not list(tmp_path.glob("t.parquet.parts/*.arrow")):
             time.sleep(0.002)
@@ -177,7 +177,7 @@ def test_a_second_sweep_to_the_same_file_is_refused(capsys, tmp_path):
             assert (status, len(err.splitlines())) == (2, 1)
             assert re.search("another process is at work on this sweep; wait for it, or end it", err)
     finally:
-        first.kill()
+        first.send_signal(signal.SIGKILL)
         first.communicate()
     status, _, err = sweep(capsys, *LONG, "--law.kd", "5", "--out", out)  # the lock has died with its process
     assert status == 2

@@ -115,8 +115,8 @@ def one_of_ours(text):
 ENCODINGS = [
     Case("C locale, help", "{run} --help stabiliser", env=C_LOCALE, check=damping_named, quick=True),
     Case("C locale, run", SHORT, env=C_LOCALE, check=ascii_only),
-    Case("C locale, sweep", SWEPT, env=C_LOCALE),
-    Case("C locale, validation", "{validation} --help", env=C_LOCALE, check=helpful),
+    Case("C locale, sweep", SWEPT, env=C_LOCALE, rare=True),
+    Case("C locale, validation", "{validation} --help", env=C_LOCALE, check=helpful, rare=True),
     Case("C locale, study", "{study} --help", env=C_LOCALE, rare=True),
     Case("C locale, comparison", COMPARED, env=C_LOCALE, check=lambda folder, out: ascii_only(folder, out)),
     Case("POSIX locale", SHORT, env={**C_LOCALE, "LC_ALL": "POSIX"}, check=ascii_only, rare=True),
@@ -181,7 +181,8 @@ OUTPUTS = [
 FOLDERS = [
     Case("folder deleted, list", "{run} --list", before=GONE),
     Case("folder deleted, run", SHORT, before=GONE, status=2, says=one_of_ours("--out 'r': cannot be written.*")),
-    Case("folder deleted, out elsewhere", DRAWN.replace("--out r", '--out "$OLDPWD/r"'), before=GONE, check=drawn),
+    Case("folder deleted, out elsewhere, no such backend", DRAWN.replace("--out r", '--out "$OLDPWD/r"'), before=GONE,
+         env={"MPLBACKEND": "nosuch"}, check=drawn),
     Case("folder deleted, law", f"{SHORT} --law mine:f", before=GONE, status=2, says=one_of_ours(".*no module.*")),
     Case("folder deleted, sweep", SWEPT, before=GONE, status=2, says=one_of_ours("--out .*cannot be written.*")),
     Case("folder deleted, study", "{study} drift", before=GONE, status=2, says=one_of_ours("--out .*be written.*")),
@@ -229,7 +230,7 @@ PLACES: list[dict[str, str | None]] = [  # those of texts and files; by themselv
     {"LC_ALL": "ru_RU.KOI8-R", "LANG": "ru_RU.KOI8-R"},
 ]  # fmt: skip
 VARIABLES = [
-    Case("no such backend", DRAWN, env={"MPLBACKEND": "nosuch"}, check=drawn),
+    Case("no such backend", DRAWN, env={"MPLBACKEND": "nosuch"}, check=drawn, rare=True),
     Case("backend without a screen, warnings are errors", DRAWN, check=drawn,
          env={"MPLBACKEND": "TkAgg", "DISPLAY": None, "PYTHONWARNINGS": "error"}),
     *(
@@ -237,20 +238,23 @@ VARIABLES = [
         for env in [terminal | python | other | place for terminal, python, other, place in zip_longest(
             TERMINALS, PYTHONS, OTHERS, PLACES, fillvalue={})]
     ),
-    Case("help, one column", "{run} --help", env={"COLUMNS": "1"}, check=helpful),
-    Case("help without docstrings", "{run} --help", env={"PYTHONOPTIMIZE": "2"}, check=helpful),
-    Case("sweep, warnings are errors", SWEPT, env={"PYTHONWARNINGS": "error"}),
-    Case("sweep without docstrings", SWEPT, env={"PYTHONOPTIMIZE": "2"}),
+    Case("help without docstrings, one column", "{run} --help", env={"PYTHONOPTIMIZE": "2", "COLUMNS": "1"},
+         check=helpful),
+    Case("sweep without docstrings, C locale, warnings are errors, threads that are none", SWEPT,
+         env={**C_LOCALE, "PYTHONOPTIMIZE": "2", "PYTHONWARNINGS": "error", "NUMBA_NUM_THREADS": "0",
+              "NUMBA_OPT": "high"}),
+    Case("sweep, warnings are errors", SWEPT, env={"PYTHONWARNINGS": "error"}, rare=True),
+    Case("sweep without docstrings", SWEPT, env={"PYTHONOPTIMIZE": "2"}, rare=True),
     Case("study, warnings are errors", "{study} --help", env={"PYTHONWARNINGS": "error"}, rare=True),
-    Case("validation, warnings are errors", "{validation} --help", env={"PYTHONWARNINGS": "error"}),
+    Case("validation, C locale, warnings are errors", "{validation} --help", check=helpful,
+         env={**C_LOCALE, "PYTHONWARNINGS": "error"}),
 ]  # fmt: skip
 FILES = [
     Case("scenario with a byte order mark", "{run} bom.toml --time.duration 0.01 --out r --no-figures", check=saved,
          before=f"printf '\\357\\273\\277' >bom.toml; cat '{ROOT}/closedloop/scenarios/planar2_slide.toml' >>bom.toml"),
     Case("scenario in UTF-16", "{run} wide.toml", status=2, says=one_of_ours("wide.toml: is not UTF-8 text.*"),
          before="printf '\\377\\376[\\000' >wide.toml"),
-    Case("threads that are none", SWEPT,
-         env={"NUMBA_NUM_THREADS": "0", "NUMBA_OPT": "high"}),
+    Case("threads that are none", SWEPT, env={"NUMBA_NUM_THREADS": "0", "NUMBA_OPT": "high"}, rare=True),
     Case("numba's settings here", SWEPT, before="echo 'opt: [' >.numba_config.yaml", status=2,
          says=one_of_ours(r"\.numba_config\.yaml, .*cannot be read.*")),
     Case("few files may be open", "{run} --list", before="ulimit -n 24"),

@@ -134,6 +134,26 @@ def stopping_impulses(c: Contacts, k: int) -> None:
 
 
 @kernel
+def write_after(c: Contacts, k: int) -> None:
+    """Write in `after` the velocities u⁺ = u⁻ + W P that the impulses in F leave of `before`."""
+    for i in range(3 * k):
+        s = c.before[i]
+        for j in range(3 * k):
+            s += c.W[i, j] * c.F[j]
+        c.after[i] = s
+
+
+@kernel
+def energy_gained(c: Contacts, k: int) -> float:
+    """Return the kinetic energy that the impulses give, Pᵀ(u⁻ + u⁺)/2, J; zero if it is rounding."""
+    gained, size = 0.0, 0.0
+    for i in range(3 * k):
+        gained += 0.5 * c.F[i] * (c.before[i] + c.after[i])
+        size += abs(c.F[i]) * (abs(c.before[i]) + abs(c.after[i]))
+    return gained if abs(gained) > 1e-13 * size else 0.0
+
+
+@kernel
 def list_unknowns(c: Contacts, k: int, most: float) -> int:
     """Write which rows an active contact has: 3 i + 0, 1, 2; those that no joint moves are left out."""
     p = 0

@@ -18,7 +18,7 @@ from closedloop.closure.contact_force import FREE, PRESSED
 from closedloop.closure.solve import OK, PAINLEVE
 from closedloop.contacts.complementarity import STARTS, largest_mobility, solve_contacts
 from closedloop.contacts.continuation import force_size
-from closedloop.contacts.given_modes import stopping_impulses
+from closedloop.contacts.given_modes import energy_gained, stopping_impulses, write_after
 from closedloop.contacts.memory import CONE, LINE, OFF, RAY, ContactLinks, Contacts
 from closedloop.contacts.modes import touches
 from closedloop.jit.kernel import kernel
@@ -102,10 +102,7 @@ def let_stay(links: ContactLinks, c: Contacts, rest_speed: float) -> None:
         for i in range(3 * k):
             c.F[i] += c.residuals[i]
             c.before[i] = c.start[i]
-        for i in range(3 * k):
-            c.after[i] = c.before[i]
-            for j in range(3 * k):
-                c.after[i] += c.W[i, j] * c.F[j]
+        write_after(c, k)
     c.energy_lost = -energy_gained(c, k)
 
 
@@ -147,11 +144,7 @@ def solve_with(links: ContactLinks, c: Contacts, share: float, rest_speed: float
     asked = force_size(c.q, 3 * k) / largest_mobility(c, k)
     if share > 0.0 and force_size(c.F, 3 * k) > MOST_IMPULSE * asked:
         return False
-    for i in range(3 * k):
-        s = c.before[i]
-        for j in range(3 * k):
-            s += c.W[i, j] * c.F[j]
-        c.after[i] = s
+    write_after(c, k)
     return True
 
 
@@ -159,13 +152,3 @@ def solve_with(links: ContactLinks, c: Contacts, share: float, rest_speed: float
 def slowest_rebound(links: ContactLinks, i: int, rest_speed: float) -> float:
     """Return the speed below which contact i does not rebound: `rest_speed`, m/s, or that of stops, rad/s (m/s)."""
     return SLOWEST_REBOUND if i >= links.k - links.stops else rest_speed
-
-
-@kernel
-def energy_gained(c: Contacts, k: int) -> float:
-    """Return the kinetic energy that the impulses give, Pᵀ(u⁻ + u⁺)/2, J; zero if it is rounding."""
-    gained, size = 0.0, 0.0
-    for i in range(3 * k):
-        gained += 0.5 * c.F[i] * (c.before[i] + c.after[i])
-        size += abs(c.F[i]) * (abs(c.before[i]) + abs(c.after[i]))
-    return gained if abs(gained) > 1e-13 * size else 0.0

@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from closedloop.closure.contact_force import FREE, PRESSED, STUCK
 from closedloop.closure.solve import OK, PAINLEVE
 from closedloop.contacts.complementarity import solve_contacts
-from closedloop.contacts.given_modes import stopping_impulses
+from closedloop.contacts.given_modes import energy_gained, stopping_impulses, write_after
 from closedloop.contacts.memory import CONE, LINE, OFF, RAY, ContactLinks, Contacts
 from closedloop.jit.kernel import kernel
 
@@ -149,12 +149,6 @@ def remove_motion(c: Contacts, k: int) -> int:
     for i in range(3 * k):
         c.before[i] = c.u[i]
     stopping_impulses(c, k)
-    c.energy_lost = 0.0
-    for i in range(3 * k):
-        c.after[i] = c.before[i]
-    for i in range(3 * k):
-        for j in range(3 * k):
-            c.after[i] += c.W[i, j] * c.F[j]
-    for i in range(3 * k):
-        c.energy_lost -= 0.5 * c.F[i] * (c.before[i] + c.after[i])
+    write_after(c, k)
+    c.energy_lost = -energy_gained(c, k)
     return OK

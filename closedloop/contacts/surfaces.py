@@ -31,6 +31,12 @@ class ContactSurfaces(NamedTuple):
     addresses: IntArray  # (2 k,), zero of a plane at rest
     placed: dict[int, tuple[PlacedSurface, SurfaceMemory]]  # by the number of the contact
 
+    def entries(self) -> list[Any]:
+        """Return the entry kernels of the surfaces and of their motions."""
+        surfaces = [surface for surface, _ in self.placed.values()]
+        motions = [motion_entry(type(surface.motion)) for surface in surfaces if surface.moves]
+        return [*(surface_entry(type(surface.section)) for surface in surfaces), *motions]
+
     def connect(self, address: Callable[[Any], int]) -> None:
         """Write where the entries are, by what gives the address of one."""
         for i, (surface, memory) in self.placed.items():

@@ -30,7 +30,7 @@ from closedloop.robot.pinocchio import Robot
 from closedloop.scenario.gains import gains_fault
 from closedloop.step.entries import CALLS
 from closedloop.step.evaluate import SPEED_LIMIT
-from closedloop.step.memory import Loop
+from closedloop.step.make_loop import Loop
 from closedloop.user_code import of_users
 
 Array = NDArray[np.float64]

@@ -19,6 +19,7 @@ from closedloop.closure.contact_force import (
     pressed_force,
 )
 from closedloop.closure.solve import DIVERGED, OK
+from closedloop.jit.blocks import Block
 from closedloop.jit.kernel import entry_kernel, kernel_inlined
 from closedloop.jit.numba_simd8 import float64x8_at, with_lane
 from closedloop.jit.pointers import matrix_at
@@ -37,11 +38,21 @@ from closedloop.step.singular import near_singular
 
 Array = NDArray[np.float64]
 
-# The arrays of the loop's memory, each of float64x8, in the order of `addresses`.
-WORK, TERMS, CONSTANTS, FORCES, LARGEST, ROWS, TALLIES, VALUES = range(8)
-
 # Status: in some lane the tip may leave the surface, or is near a singular pose, or the stabiliser would pull.
 NEEDS_EVENTS = -1
+
+
+class LaneAddresses(Block):
+    """Whole numbers, int64: addresses of the arrays of the loop's memory, each of float64x8."""
+
+    work: int
+    terms: int
+    constants: int
+    forces: int
+    largest: int
+    rows: int
+    tallies: int
+    values: int
 
 
 class Sizes(NamedTuple):
@@ -77,8 +88,8 @@ def run_in_lanes(
     ----------
     tree : Tree
         Their robot.
-    addresses : (8,) array of int
-        Of the arrays of the memory, see `LaneRuns`.
+    addresses : array of int
+        Memory of `LaneAddresses`.
     state_numbers : array of int
         See `closedloop.step.memory`; the same for all.
     h : float
@@ -100,17 +111,18 @@ def run_in_lanes(
     n, state, kept, width = tree.n, State(state_numbers), sizes.kept, sizes.width
     stages, steps, hold = state.stages, state.steps, state.hold
     semi_implicit, unilateral = state.semi_implicit != 0, state.unilateral != 0
-    w = Work(float64x8_at(addresses[WORK], 0), n, 0, stages, 1)
-    terms = float64x8_at(addresses[TERMS], n * n + n + work_size(n))
+    at = LaneAddresses(addresses)
+    w = Work(float64x8_at(at.work, 0), n, 0, stages, 1)
+    terms = float64x8_at(at.terms, n * n + n + work_size(n))
     H, C, scratch = terms[0 : n * n].reshape(n, n), terms[n * n : n * n + n], terms[n * n + n :]
-    largest = float64x8_at(addresses[LARGEST], 1)[0]
+    largest = float64x8_at(at.largest, 1)[0]
     constants = Constants(
-        float64x8_at(addresses[CONSTANTS], 0), n, state.law_size, state.compensation_size, state.friction_size,
+        float64x8_at(at.constants, 0), n, state.law_size, state.compensation_size, state.friction_size,
         state.joint_friction_size, state.compliance_size,
     )  # fmt: skip
-    forces = float64x8_at(addresses[FORCES], sizes.instants)
-    rows = float64x8_at(addresses[ROWS], kept * width).reshape(kept, width)
-    tally, values = Tally(float64x8_at(addresses[TALLIES], 0), n), Values(float64x8_at(addresses[VALUES], 0), n)
+    forces = float64x8_at(at.forces, sizes.instants)
+    rows = float64x8_at(at.rows, kept * width).reshape(kept, width)
+    tally, values = Tally(float64x8_at(at.tallies, 0), n), Values(float64x8_at(at.values, 0), n)
     joint_limits, wanted = JointLimits(limits, n), Reference(w.reference, n)
     begin_tally(tally, n, h, largest)
     w.supplied = 0.0

@@ -19,7 +19,7 @@ from numpy.typing import NDArray
 from closedloop.closure.conditioning import BATCH
 from closedloop.closure.contact_force import PRESSED
 from closedloop.closure.solve import OK
-from closedloop.engines.lane_loop import Sizes, run_in_lanes
+from closedloop.engines.lane_loop import LaneAddresses, Sizes, run_in_lanes
 from closedloop.engines.loops import COMPILED
 from closedloop.engines.needs import needs_general_form
 from closedloop.engines.problem import Problem
@@ -115,17 +115,20 @@ class LaneRuns:
         self._sizes = Sizes(like.nodes, *like.table.shape, *self._rows.shape[:2])
         self._values = aligned(Values.count(n))
         self._limits = joint_limits(like.robot.model)
-        self._parts = (
-            self._work.memory, aligned(n * n + n + plain(work_size)(n)), self._constants, self._forces, self._largest,
-            self._rows, aligned(Tally.count(n)), self._values,
-        )  # fmt: skip
-        self._addresses = np.array([address_of(part) for part in self._parts])
+        self._parts = {
+            "work": self._work.memory, "terms": aligned(n * n + n + plain(work_size)(n)), "constants": self._constants,
+            "forces": self._forces, "largest": self._largest, "rows": self._rows, "tallies": aligned(Tally.count(n)),
+            "values": self._values,
+        }  # fmt: skip
+        self._addresses = LaneAddresses(np.zeros(LaneAddresses.count(), dtype=np.int64))
+        for name, part in self._parts.items():
+            setattr(self._addresses, name, address_of(part))
         self._tables: list[Array] = []
 
     @property
     def bytes(self) -> int:
         """Return the size of the memory, bytes."""
-        return sum(part.nbytes for part in self._parts)
+        return sum(part.nbytes for part in self._parts.values())
 
     def put(self, lane: int, problem: Problem) -> None:
         """Load a problem into a lane; afterwards the table's forces and noise may be overwritten."""
@@ -149,7 +152,7 @@ class LaneRuns:
         self._state.batched = 0
         make_ready(run_in_lanes)
         status = run_in_lanes(
-            tree, self._addresses, self._state.memory, self._h, self._tableau, tables, self._sizes, self._limits
+            tree, self._addresses.memory, self._state.memory, self._h, self._tableau, tables, self._sizes, self._limits
         )
         self._tables.clear()
         return status == OK

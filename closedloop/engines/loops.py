@@ -11,8 +11,6 @@ from collections.abc import Callable
 from closedloop.engines.proceed import proceed_at
 
 PINOCCHIO, COMPILED = ENGINES = ("pinocchio", "compiled")
-# Time that it takes to compile a loop, about, s.
-SECONDS = 25.0
 
 
 def loop_for(engine: str) -> Callable[..., int]:

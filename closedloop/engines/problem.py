@@ -28,7 +28,8 @@ from closedloop.loops.bind import step_memory
 from closedloop.step.closed_loops import closed_loops
 from closedloop.step.contacts import contacts_in_step
 from closedloop.step.entries import friction_entry, joint_friction_entry, law_entry
-from closedloop.step.memory import Constants, Loop, make_loop
+from closedloop.step.make_loop import Loop, make_loop
+from closedloop.step.memory import Constants
 from closedloop.step.record_row import ContactRow
 from closedloop.step.seen import read_joints
 from closedloop.step.soft_contact import compliance_entry
@@ -112,6 +113,16 @@ class Problem(ScenarioNumbers):
         if self.joint_friction.member is not NoFriction:
             found["joint_friction"] = joint_friction_entry(self.joint_friction.member)
         return found
+
+    def called(self, loop: Loop, user_law: bool = False) -> list[Any]:
+        """Return all entry kernels that the loop of this memory calls by address; see `loop` for `user_law`."""
+        entries = list(self.entries(user_law).values())
+        if loop.state.loops_at != 0:
+            entries.append(closed_loops)
+        if loop.state.contacts_at != 0:
+            links = loop.w.kept["contacts"].links
+            entries += [contacts_in_step, *(links.kept["surfaces"].entries() if links.surfaces != 0 else [])]
+        return entries
 
     def connect(self, loop: Loop, user_law: Callable[[bool], None] | None = None, compiled: bool = True) -> None:
         """Write into a loop's memory where what it calls is: machine code, or what an interpreted loop calls.

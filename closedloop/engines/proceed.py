@@ -15,7 +15,8 @@ from closedloop.jit.blocks import Block
 from closedloop.jit.kernel import brief_entry, kernel_inlined
 from closedloop.jit.pointers import address_of, fortran_at, integers_at, matrix_at, vector_at
 from closedloop.robot.tip import tip_kinematics
-from closedloop.step.memory import Loop, loop_at
+from closedloop.step.make_loop import Loop
+from closedloop.step.memory import loop_at
 
 Array = NDArray[np.float64]
 

@@ -32,7 +32,7 @@ from closedloop.jit.calls import callback, compiled_address, forget_entry, inter
 from closedloop.jit.kernel import jit_disabled, plain
 from closedloop.robot.pinocchio import Terms
 from closedloop.step.entries import START, TORQUE, law_input
-from closedloop.step.memory import Loop
+from closedloop.step.make_loop import Loop
 
 Array = NDArray[np.float64]
 Law = Callable[..., ArrayLike]

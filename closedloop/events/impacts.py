@@ -11,7 +11,7 @@ from closedloop.events.phases import MAX_RAPID
 from closedloop.events.stops import MOST_TRIALS, note_sides, yield_stops
 from closedloop.events.table import IMPACT, TOUCHDOWN, write_event
 from closedloop.impact import CUT as ENERGY_CUT
-from closedloop.impact import MODES, energy_lost, impact
+from closedloop.impact import ImpactWork, energy_lost, impact
 from closedloop.jit.kernel import entry_kernel, kernel
 from closedloop.step.entries import RESTART
 from closedloop.step.evaluate import call_law
@@ -95,7 +95,7 @@ def strike_surface(w: Work, constants: Constants, state: State) -> None:
         if state.status != OK or state.kind == TOUCHDOWN:
             return
         if w.after[0] >= constants.rest_speed:
-            cut = int(w.scratch[MODES]) & ENERGY_CUT != 0
+            cut = int(ImpactWork(w.scratch).happened) & ENERGY_CUT != 0
             w.restitution_given = -w.after[0] / w.before[0] if cut else restitution
             return
         state.kind, w.discarded_rebound = TOUCHDOWN, w.after[0]

@@ -46,10 +46,8 @@ may let ε depend on the speed of approach.
 
 from closedloop.impact.modes import (
     CUT,
-    IMPACT_WORK,
     JAM,
     MODE_NAMES,
-    MODES,
     NEWTON,
     POISSON,
     RATIOS,
@@ -63,12 +61,11 @@ from closedloop.impact.modes import (
 )
 from closedloop.impact.phases import energy_lost, impact
 from closedloop.impact.single import Impact, two_phase_impact
+from closedloop.impact.taylor import ImpactWork
 
 __all__ = [
     "CUT",
-    "IMPACT_WORK",
     "JAM",
-    "MODES",
     "MODE_NAMES",
     "NEWTON",
     "POISSON",
@@ -81,6 +78,7 @@ __all__ = [
     "TURN",
     "WEDGE",
     "Impact",
+    "ImpactWork",
     "energy_lost",
     "impact",
     "two_phase_impact",

@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 from closedloop.impact.modes import SLIP, STICK, TURN
 from closedloop.impact.rest import leave_rest
-from closedloop.impact.taylor import ORDER, OTHER, W1, W2, R, expand_straight, expand_turning, first_reach, value
+from closedloop.impact.taylor import ORDER, ImpactWork, expand_straight, expand_turning, first_reach, value
 from closedloop.jit.kernel import kernel
 
 Array = NDArray[np.float64]
@@ -23,16 +23,16 @@ STRAIGHT, TURNING, RESTING = 0, 1, 2
 
 
 @kernel
-def begin_piece(S: Array, mu: float, speed: float, c: Array) -> tuple[int, float, int]:
+def begin_piece(S: Array, mu: float, speed: float, c: ImpactWork) -> tuple[int, float, int]:
     """Expand the piece that begins in column 0; return its kind, its length (inf: until the impact ends), its bits."""
-    x, y = c[W1, 0], c[W2, 0]
+    x, y = c.w1[0], c.w2[0]
     r = math.hypot(x, y)
-    c[R, 0] = r
+    c.r[0] = r
     if mu == 0.0:
         expand_straight(S[0, 0], S[1, 0], S[2, 0], 0.0, 0.0, c)
         return STRAIGHT, np.inf, 0
     if r <= STILL * speed:
-        c[W1, 0], c[W2, 0], c[R, 0] = 0.0, 0.0, 0.0
+        c.w1[0], c.w2[0], c.r[0] = 0.0, 0.0, 0.0
         t1, t2, k = leave_rest(S, mu)
         expand_straight(S[0, 0] + S[0, 1] * t1 + S[0, 2] * t2, -k * t1 / mu, -k * t2 / mu, t1, t2, c)
         return RESTING, np.inf, SLIP if k > 0.0 else STICK
@@ -49,7 +49,7 @@ def begin_piece(S: Array, mu: float, speed: float, c: Array) -> tuple[int, float
 
 
 @kernel
-def to_extremum(S: Array, mu: float, length: float, c: Array) -> float:
+def to_extremum(S: Array, mu: float, length: float, c: ImpactWork) -> float:
     """Shorten a turning piece to where slip passes a direction with du_n/dP_n = S_nn − μ S_nt·s = 0.
 
     There are two such directions s or none, and slip turns one way: between them u_n is monotone.
@@ -62,8 +62,8 @@ def to_extremum(S: Array, mu: float, length: float, c: Array) -> float:
         angle = towards + (2 * side - 1) * math.acos(S[0, 0] / steep)
         s1, s2 = math.cos(angle), math.sin(angle)
         for k in range(ORDER + 1):
-            c[OTHER, k] = s1 * c[W2, k] - s2 * c[W1, k]
-        before, beyond = c[OTHER, 0], value(c, OTHER, ORDER, length)
-        if abs(before) > 1e-12 * c[R, 0] and (before > 0.0) != (beyond > 0.0):
-            length = first_reach(c, OTHER, ORDER, 0.0, length)
+            c.turned[k] = s1 * c.w2[k] - s2 * c.w1[k]
+        before, beyond = c.turned[0], value(c.turned, ORDER, length)
+        if abs(before) > 1e-12 * c.r[0] and (before > 0.0) != (beyond > 0.0):
+            length = first_reach(c.turned, ORDER, 0.0, length)
     return length

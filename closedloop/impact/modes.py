@@ -2,16 +2,12 @@
 
 from __future__ import annotations
 
-from closedloop.impact.taylor import ORDER, ROWS
-
 NEWTON, POISSON, STRONGE = 0, 1, 2
 
-# What happened, as bits: `work[MODES]` after a call of `closedloop.impact.impact`. The tip slid; ended sticking; slip
-# stopped and went on in another direction; slip turned; friction drove the tip into the surface for a while; there was
-# a second compression; Newton's law would have created energy; held by friction, the tip cannot leave.
+# What happened, as bits: `ImpactWork.happened` after a call of `closedloop.impact.impact`. The tip slid; ended
+# sticking; slip stopped and went on in another direction; slip turned; friction drove the tip into the surface for a
+# while; there was a second compression; Newton's law would have created energy; held by friction, the tip cannot leave.
 SLIP, STICK, REVERSAL, TURN, JAM, RECOMPRESSION, CUT, WEDGE = 1, 2, 4, 8, 16, 32, 64, 128
-MODES = ROWS * (ORDER + 1)
-IMPACT_WORK = MODES + 1
 
 # A law of restitution by what its coefficient is the ratio of, see `closedloop.impact.restitution`.
 RATIOS = {"velocities": NEWTON, "impulses": POISSON, "energies": STRONGE}

@@ -14,31 +14,8 @@ from numpy.typing import NDArray
 
 from closedloop.closure.solve import DIVERGED, OK, SINGULAR
 from closedloop.impact.begin import RESTING, STILL, TURNING, begin_piece, to_extremum
-from closedloop.impact.modes import (
-    CUT,
-    JAM,
-    MODES,
-    NEWTON,
-    POISSON,
-    RECOMPRESSION,
-    REVERSAL,
-    SLIP,
-    STRONGE,
-    WEDGE,
-)
-from closedloop.impact.taylor import (
-    ENERGY,
-    ORDER,
-    OTHER,
-    PN,
-    ROWS,
-    UN,
-    W1,
-    W2,
-    WORK,
-    first_reach,
-    value,
-)
+from closedloop.impact.modes import CUT, JAM, NEWTON, POISSON, RECOMPRESSION, REVERSAL, SLIP, STRONGE, WEDGE
+from closedloop.impact.taylor import ORDER, ImpactWork, first_reach, value
 from closedloop.jit.kernel import kernel
 
 Array = NDArray[np.float64]
@@ -76,8 +53,8 @@ def impact(
         NEWTON, POISSON or STRONGE.
     mu : float
         Coulomb coefficient μ >= 0 of the circle |P_t| <= μ P_n.
-    work : (IMPACT_WORK,) array
-        Scratch. Written: work[MODES], what happened, a sum of the bits of `closedloop.impact.modes`.
+    work : (ImpactWork.count(),) array
+        Scratch. Written: `ImpactWork.happened`, what happened, a sum of the bits of `closedloop.impact.modes`.
     phases : two (3,) arrays
         Written: impulse on the robot while u_n < 0, of compression, and while u_n > 0, of decompression, N s, in the
         contact frame.
@@ -99,7 +76,8 @@ def impact(
         total += u[i]
         for j in range(3):
             total += S[i, j]
-    work[MODES] = 0.0
+    c = ImpactWork(work)
+    c.happened = 0.0
     if not math.isfinite(total):
         return DIVERGED
     if not S[0, 0] > 0.0:
@@ -109,14 +87,13 @@ def impact(
         return OK
     if restitution < TINY:
         restitution = 0.0
-    c = work[:MODES].reshape(ROWS, ORDER + 1)
     happened = _collide(S, u, restitution, law, mu, c, compression, decompression)
     if happened < 0:
         for i in range(3):
             compression[i] = 0.0
             decompression[i] = 0.0
         return SINGULAR
-    work[MODES] = happened
+    c.happened = happened
     for i in range(3):
         for j in range(3):
             after[i] += S[i, j] * (compression[j] + decompression[j])
@@ -139,13 +116,12 @@ def energy_lost(u: Array, after: Array, impulse: Array) -> float:
 
 @kernel
 def _collide(
-    S: Array, u: Array, restitution: float, law: int, mu: float, c: Array, compression: Array, decompression: Array
+    S: Array, u: Array, restitution: float, law: int, mu: float, c: ImpactWork, compression: Array, decompression: Array
 ) -> int:
     """Add up the pieces of the impact; return what happened, or -1 if it does not end."""
-    c[W1, 0], c[W2, 0], c[UN, 0] = u[1], u[2], u[0]
+    c.w1[0], c.w2[0], c.un[0] = u[1], u[2], u[0]
     speed = math.hypot(u[0], math.hypot(u[1], u[2]))
-    for row in range(PN, OTHER):
-        c[row, 0] = 0.0
+    c.pn[0], c.p1[0], c.p2[0], c.work[0], c.energy[0] = 0.0, 0.0, 0.0, 0.0, 0.0
     slid = math.hypot(u[1], u[2]) > STILL * speed
     rebound = -restitution * u[0]
     compressing, happened = True, 0
@@ -160,13 +136,13 @@ def _collide(
         if kind == TURNING:
             end = GOES_ON
             length = to_extremum(S, mu, length, c)
-        elif c[UN, 1] > FLAT * S[0, 0]:
+        elif c.un[1] > FLAT * S[0, 0]:
             enough = _enough(compressing, law, rebound, owed, c)
             if enough < length:
                 length, end = enough, GOES_ON
         elif end == GOES_ON:
             # The normal velocity stays what it is, whatever the impulse.
-            if abs(c[UN, 0]) > RESIDUE * speed:
+            if abs(c.un[0]) > RESIDUE * speed:
                 return -1
             happened |= WEDGE
             end, length = ENDS, max(owed, 0.0) if law == POISSON else 0.0
@@ -174,13 +150,14 @@ def _collide(
         if end != ENDS:
             length, end, cut = _end_piece(compressing, law, rebound, owed, energy, (length, end, degree), c)
             happened |= cut
-        if compressing and value(c, UN, degree, length) < c[UN, 0]:
+        if compressing and value(c.un, degree, length) < c.un[0]:
             happened |= JAM
         phase = compression if compressing else decompression
-        normal, power = value(c, PN, degree, length), value(c, WORK, degree, length)
-        for i in range(3):
-            phase[i] += value(c, PN + i, degree, length)
-        energy += value(c, ENERGY, degree, length)
+        normal, power = value(c.pn, degree, length), value(c.work, degree, length)
+        phase[0] += normal
+        phase[1] += value(c.p1, degree, length)
+        phase[2] += value(c.p2, degree, length)
+        energy += value(c.energy, degree, length)
         if law == POISSON:
             owed += restitution * normal if compressing else -normal
         elif law == STRONGE:
@@ -198,10 +175,10 @@ def _collide(
 
 
 @kernel
-def _enough(compressing: bool, law: int, rebound: float, owed: float, c: Array) -> float:
+def _enough(compressing: bool, law: int, rebound: float, owed: float, c: ImpactWork) -> float:
     """Return a normal impulse beyond the end of this phase, for a straight piece with du_n/dP_n > 0."""
-    a: float = c[UN, 1]
-    rate: float = c[UN, 0]
+    a: float = c.un[1]
+    rate: float = c.un[0]
     if compressing:
         return -2.0 * rate / a
     if law == NEWTON:
@@ -213,39 +190,45 @@ def _enough(compressing: bool, law: int, rebound: float, owed: float, c: Array) 
 
 @kernel
 def _end_piece(
-    compressing: bool, law: int, rebound: float, owed: float, energy: float, piece: tuple[float, int, int], c: Array
-) -> tuple[float, int, int]:
+    compressing: bool,
+    law: int,
+    rebound: float,
+    owed: float,
+    energy: float,
+    piece: tuple[float, int, int],
+    c: ImpactWork,
+) -> tuple[float, int, int]:  # fmt: skip
     """Return the length of a piece inside which u_n is monotone, how it ends, and CUT if energy ends it.
 
     `piece` has the length and the end that are known of it, and the degree of its polynomials.
     """
     length, end, degree = piece
-    beyond = value(c, UN, degree, length)
+    beyond = value(c.un, degree, length)
     if compressing:
         if beyond >= 0.0:
-            return first_reach(c, UN, degree, 0.0, length), PHASE, 0
+            return first_reach(c.un, degree, 0.0, length), PHASE, 0
         return length, end, 0
     if beyond < 0.0:
-        length, end = first_reach(c, UN, degree, 0.0, length), PHASE
-    row, level = UN, rebound
+        length, end = first_reach(c.un, degree, 0.0, length), PHASE
+    row, level = c.un, rebound
     if law == POISSON:
-        row, level = PN, owed
+        row, level = c.pn, owed
     elif law == STRONGE:
-        row, level = WORK, owed
-    if level <= c[row, 0]:
+        row, level = c.work, owed
+    if level <= row[0]:
         return 0.0, ENDS, 0
-    if value(c, row, degree, length) >= level:
-        length, end = first_reach(c, row, degree, level, length), ENDS
-    if law == NEWTON and energy < 0.0 and energy + value(c, ENERGY, degree, length) > -GAIN * energy:
-        return first_reach(c, ENERGY, degree, -energy, length), ENDS, CUT
+    if value(row, degree, length) >= level:
+        length, end = first_reach(row, degree, level, length), ENDS
+    if law == NEWTON and energy < 0.0 and energy + value(c.energy, degree, length) > -GAIN * energy:
+        return first_reach(c.energy, degree, -energy, length), ENDS, CUT
     return length, end, 0
 
 
 @kernel
-def _move_on(degree: int, length: float, end: int, c: Array) -> None:
+def _move_on(degree: int, length: float, end: int, c: ImpactWork) -> None:
     """Put the velocities at the end of a piece into column 0."""
-    x, y, normal = value(c, W1, degree, length), value(c, W2, degree, length), value(c, UN, degree, length)
-    c[W1, 0], c[W2, 0] = x, y
-    c[UN, 0] = 0.0 if end == PHASE else normal
+    x, y, normal = value(c.w1, degree, length), value(c.w2, degree, length), value(c.un, degree, length)
+    c.w1[0], c.w2[0] = x, y
+    c.un[0] = 0.0 if end == PHASE else normal
     if end == STOPS:
-        c[W1, 0], c[W2, 0] = 0.0, 0.0
+        c.w1[0], c.w2[0] = 0.0, 0.0

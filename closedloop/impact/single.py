@@ -10,9 +10,10 @@ from numpy.typing import ArrayLike, NDArray
 
 from closedloop.closure.solve import OK
 from closedloop.errors import ScenarioError
-from closedloop.impact.modes import IMPACT_WORK, MODE_NAMES, MODES, RATIOS
+from closedloop.impact.modes import MODE_NAMES, RATIOS
 from closedloop.impact.phases import impact
 from closedloop.impact.restitution import RESTITUTIONS, coefficient_at
+from closedloop.impact.taylor import ImpactWork
 from closedloop.jit.kernel import entry_kernel
 
 Array = NDArray[np.float64]
@@ -97,7 +98,7 @@ def two_phase_impact(
             f"S[0, 0] = {mobility[0, 0]:g} 1/kg: the tip cannot move along the normal; must be positive"
         )
     compression, decompression, after = np.zeros(3), np.zeros(3), np.zeros(3)
-    work = np.zeros(IMPACT_WORK)
+    work = np.zeros(ImpactWork.count())
     if _impact(mobility, before, eps, RATIOS[member.ratio_of], mu, work, (compression, decompression), after) != OK:
         raise ScenarioError(
             f"u = {before.tolist()}: no impulse ends the approach; must be a velocity that a tip with this S can have"
@@ -105,7 +106,7 @@ def two_phase_impact(
     for array in (compression, decompression, after):
         array.setflags(write=False)
     lost = float(-0.5 * (before + after) @ (compression + decompression))
-    bits = int(work[MODES])
+    bits = int(ImpactWork(work).happened)
     return Impact(compression, decompression, after, lost, tuple(n for bit, n in MODE_NAMES.items() if bits & bit))
 
 

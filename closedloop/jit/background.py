@@ -16,7 +16,7 @@ import threading
 import time as clock
 from collections.abc import Callable, Sequence
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 from closedloop.jit.cache_folder import MARKER, cache_folder, claim, why_not_kept
 from closedloop.jit.kernel import jit_disabled, needs_compiling
@@ -31,12 +31,25 @@ VARIABLE = "CLOSEDLOOP_BACKGROUND_COMPILE"
 notices = logging.getLogger("closedloop.compiling")
 
 NICE, LONGEST = 19, 900  # the priority: the lowest; s, after which the process is given up
-# Entry kernels that take longer than a few seconds to compile, and what they are: the others are compiled in silence.
+
+
+class Long(NamedTuple):
+    """What an entry kernel is that takes more than a few seconds to compile, and its processor time, about, s."""
+
+    what: str
+    seconds: float
+
+
+# As `closedloop compile` prints them; the others are compiled in silence, in a second or two.
 TAKES_LONG = {
-    "proceed_at": "the step",
-    "run_in_lanes": "the step of eight runs at a time",
-    "evaluate_on_pinocchio": "the step of dop853",
+    "proceed_at": Long("the step", 55.0),
+    "run_in_lanes": Long("the step of eight runs at a time", 33.0),
+    "contacts_in_step": Long("contacts of links", 41.0),
+    "closed_loops": Long("loops and stops", 25.0),
+    "along_path": Long("loops along a path", 15.0),
+    "evaluate_on_pinocchio": Long("the step of dop853", 13.0),
 }
+BRIEF = 1.5  # s, of the others
 # A process that needs what another is compiling waits for that so long, s, before it compiles it too.
 PATIENCE, BETWEEN_LOOKS = 180.0, 0.1
 
@@ -148,6 +161,17 @@ def wait_until_done(functions: Sequence[Callable[..., Any]] = (), patience: floa
         clock.sleep(BETWEEN_LOOKS)
 
 
+def takes_long(function: Callable[..., Any]) -> bool:
+    """Whether an entry kernel takes more than a few seconds to compile."""
+    return function.__name__ in TAKES_LONG
+
+
+def seconds_to_compile(functions: Sequence[Callable[..., Any]]) -> float:
+    """Return the processor time, about, s, of compiling those of these entry kernels that are not compiled yet."""
+    missing = (function.__name__ for function in functions if needs_compiling(function))
+    return sum(TAKES_LONG[name].seconds if name in TAKES_LONG else BRIEF for name in missing)
+
+
 def compiling_notice(names: Sequence[str] = ()) -> str:
     """Return the line for a user who is about to wait for the compiler of these kernels."""
     reason = why_not_kept()
@@ -157,7 +181,7 @@ def compiling_notice(names: Sequence[str] = ()) -> str:
 
 def _named(names: Sequence[str]) -> str:
     """Return in words what of these kernels takes longest."""
-    return next((what for name, what in TAKES_LONG.items() if name in names), "the step")
+    return next((long.what for name, long in TAKES_LONG.items() if name in names), "the step")
 
 
 def _say(sort: str, line: str) -> None:

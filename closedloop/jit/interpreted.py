@@ -29,6 +29,7 @@ from closedloop.jit.calls import (
     Entry,
     NeedsArraysError,
     address_of_function,
+    entry_address,
     give_with_buffers,
 )
 from closedloop.jit.kernel import direct, needs_compiling
@@ -182,6 +183,8 @@ class Interim:
             self._look_at = began + BETWEEN_LOOKS
             if not any(map(needs_compiling, self._with_it)):
                 return self._compile(arguments)(*arguments)
+            if self._decided:
+                self._compile_behind()  # again, if another process was compiling something else
         before = [array.copy() for array in self._written]
         busy = clock.thread_time()  # of the processor: on a loaded machine compiling takes longer by as much
         try:
@@ -221,12 +224,15 @@ class Interim:
         if left > WORTH_WAITING * self._seconds:
             self._compile(arguments)
         else:
-            wanted = (*self._with_it, *self._later)
-            background.start([function for function in wanted if needs_compiling(function)])
+            self._compile_behind()
+
+    def _compile_behind(self) -> None:
+        wanted = (*self._with_it, *self._later)
+        background.start([function for function in wanted if needs_compiling(function)])
 
     def _compile(self, arguments: tuple[Any, ...]) -> Callable[..., Any]:
         began = clock.perf_counter()
-        background.make_ready(self._function)
+        background.make_ready(*self._with_it)
         compiled = direct(self._function, *arguments)
         self._on_compiled()
         self._compiled = compiled
@@ -258,13 +264,34 @@ def not_compiled_first() -> Iterator[None]:
 
 
 def call_once(function: Callable[..., Any], written: Sequence[NDArray[Any]], brief: bool, *arguments: Any) -> Any:
-    """Call a kernel of which a run needs a call or two; within `not_compiled_first` as `call_now` does, if it is brief.
+    """Call a kernel of which a run needs a call or two; within `not_compiled_first` interpreted, if that is brief.
 
-    Else it is compiled first: elsewhere many runs are prepared. `brief` is whether it is done, interpreted, before it
-    would be compiled.
+    Parameters
+    ----------
+    function : callable
+        The kernel, an `entry_kernel`.
+    written : sequence of arrays
+        What the call changes: it is put back if the call must be begun again, compiled.
+    brief : bool
+        Whether it is done, interpreted, before it would be compiled; else it is compiled first.
+    *arguments
+        An entry among them is given to the kernel as its address, see `closedloop.jit.calls`.
     """
-    meanwhile = brief and not _compiled_first.get()
-    return call_now(function, written, *arguments) if meanwhile else function(*arguments)
+    needed = function, *filter(callable, arguments)
+    if brief and not _compiled_first.get() and not all(map(at_hand, needed)):
+        before = [array.copy() for array in written]
+        try:
+            with np.errstate(all="ignore"):
+                return interpreted(function)(*_by_address(arguments, twin_address))
+        except (ArithmeticError, ValueError):  # where compiled code would go on
+            for array, earlier in zip(written, before, strict=True):
+                array[...] = earlier
+    background.make_ready(*needed)
+    return function(*_by_address(arguments, entry_address))
+
+
+def _by_address(arguments: Sequence[Any], address: Callable[[Entry], int]) -> Iterator[Any]:
+    return (address(each) if callable(each) else each for each in arguments)
 
 
 def at_hand(function: Callable[..., Any]) -> bool:

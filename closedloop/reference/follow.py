@@ -12,13 +12,12 @@ from __future__ import annotations
 
 import itertools
 import math
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
 from closedloop.errors import ScenarioError
-from closedloop.jit.calls import entry_address
 from closedloop.jit.interpreted import call_once
 from closedloop.loops.along_path import along_path
 from closedloop.loops.bind import loop_memory
@@ -50,7 +49,8 @@ MOST_KNOTS = 20_000
 # Of a tool held against a surface: by which factor intervals are multiplied before a part is halved, and the shortest
 # part that is, as a share of its segment.
 DOUBLED, SHORTEST_HALF = 4, 1e-6
-FEW_KNOTS = 2_000  # take as long interpreted, 1 to 3 ms each, as the inverse kinematics takes to be compiled
+# So many knots take as long interpreted, 1 to 3 ms each, with loops 5 to 30, as their kernel takes to be compiled.
+FEW_KNOTS, FEW_WITH_LOOPS = 2_000, 1_000
 DIFFERENCES = 257  # points at which a segment's acceleration is sampled to choose the first intervals
 
 
@@ -101,12 +101,14 @@ class Follower(NamedTuple):
         )  # fmt: skip
         way.q[0] = q
         outcome, scratch = np.zeros(OUTCOMES), np.zeros(scratch_size(n, held.rows))
-        if not robot.model.loops:
-            brief, written = times.size <= FEW_KNOTS, (way.q, way.v, scratch, outcome)
-            reached: int = call_once(walk, written, brief, robot.tree, scratch, way, outcome, 0, 0)
-            return way, reached, outcome
-        memory = loop_memory(robot)
-        reached = walk(robot.tree, scratch, way, outcome, entry_address(along_path), memory.address)
+        written: list[Array | NDArray[np.int64]] = [way.q, way.v, scratch, outcome]
+        loops: tuple[Any, int] = 0, 0
+        if robot.model.loops:
+            memory = loop_memory(robot)
+            written += [memory.rows.memory, memory.links.memory]
+            loops = along_path, memory.address
+        brief = times.size <= (FEW_WITH_LOOPS if robot.model.loops else FEW_KNOTS)
+        reached: int = call_once(walk, written, brief, robot.tree, scratch, way, outcome, *loops)
         return way, reached, outcome
 
 

@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 from closedloop.closure.solve import LAW_FAILED
 from closedloop.engines.failures import failure_of, raised_by_member
-from closedloop.engines.loops import COMPILED, SECONDS, kernels_of
+from closedloop.engines.loops import COMPILED, kernels_of
 from closedloop.engines.problem import Problem
 from closedloop.engines.proceed import FROM_PINOCCHIO, Addresses, addresses_of, set_events
 from closedloop.engines.user_law import Law, UserLaw
@@ -21,14 +21,17 @@ from closedloop.errors import SimulationError
 from closedloop.events.impacts import collide
 from closedloop.events.phases import INITIAL_EVENTS, TABLE_FULL, TERMS
 from closedloop.events.table import EVENT_WIDTH
-from closedloop.jit.background import make_ready, start
+from closedloop.jit.background import make_ready, seconds_to_compile, start, takes_long
 from closedloop.jit.interpreted import Interim, at_hand, call_now
 from closedloop.jit.kernel import direct
 from closedloop.jit.pointers import address_of
+from closedloop.loops.along_path import along_path
+from closedloop.loops.close import closed_to
+from closedloop.loops.reactions import rows_along
 from closedloop.reference.inverse_kinematics import walk
 from closedloop.reference.joint_path import sample_spline
 from closedloop.robot.tree import Tree, potential_energies
-from closedloop.step.memory import Loop
+from closedloop.step.make_loop import Loop
 from closedloop.step.record_row import complete_record
 
 Array = NDArray[np.float64]
@@ -36,8 +39,8 @@ Call = Callable[[Array], int]
 
 # Evaluations between two returns to Python's bookkeeping, where nothing else is asked for.
 CHUNK = 400
-# What a run calls once or twice before and after its loop, interpreted where it is not compiled yet.
-USED_ONCE = (walk, sample_spline, potential_energies)
+# What a run calls once or twice before and after its loop, interpreted where it is not compiled yet; and with loops.
+USED_ONCE, WITH_LOOPS = (walk, sample_spline, potential_energies), (along_path, closed_to, rows_along)
 
 
 class Answers:
@@ -212,15 +215,17 @@ def begun(
     engine: str, problem: Problem, loop: Loop, connect: Callable[[], None], law: Law | None
 ) -> Callable[..., int]:
     """Return the loop, or what it is begun with if it is not compiled; and have compiled what else is missing."""
-    kernel, *called = kernels_of(engine)
-    entries = problem.entries(user_law=law is not None).values()
-    with_it = [*called, complete_record, *([collide] if loop.state.unilateral else []), *entries]
-    if not (at_hand(kernel) and all(map(at_hand, called))):
+    kernels, called = kernels_of(engine), problem.called(loop, user_law=law is not None)
+    with_it = [*kernels[1:], complete_record, *([collide] if loop.state.unilateral else []), *called]
+    once = (*USED_ONCE, *(WITH_LOOPS if problem.robot.model.loops else ()))
+    waited_for = [*kernels, *filter(takes_long, called)]
+    if not all(map(at_hand, waited_for)):
         calls = problem.steps * problem.integrator.stages
         # A user's law, loops and contacts of links have memory of their own: none of them is asked twice.
         again = law is None and loop.state.loops_at == 0 and loop.state.contacts_at == 0
         written = loop.state.memory, loop.w.memory
-        return Interim(kernel, written, calls, SECONDS, with_it, connect, USED_ONCE, again)
-    make_ready(kernel, *called)
-    start([function for function in (*with_it, *USED_ONCE) if not at_hand(function)])
-    return kernel
+        seconds = seconds_to_compile((kernels[0], *with_it))
+        return Interim(kernels[0], written, calls, seconds, with_it, connect, once, again)
+    make_ready(*waited_for)
+    start([function for function in (*with_it, *once) if not at_hand(function)])
+    return kernels[0]

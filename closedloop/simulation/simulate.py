@@ -185,7 +185,7 @@ def run_loop(
         kernel = begun(engine, problem, loop, connect, law)
     else:
         kernel = loop_for(engine)
-        make_ready(*kernels_of(engine))
+        make_ready(*kernels_of(engine), *problem.called(loop, law is not None))
     connect(compiled=not (isinstance(kernel, Interim) and kernel.interpreting))
     step, many = driver(problem, kernel, loop, (problem.table, problem.integrator.tableau(), rows), engine, tree)
     answers = Answers(problem, loop, interim)

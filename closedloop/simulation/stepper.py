@@ -36,10 +36,9 @@ Array = NDArray[np.float64]
 Mark = tuple[bytes, bytes, bool, tuple[bytes, ...]]
 _REAL = Struct("d")
 
-# Places in the loop's numbers: read and written at every step, and an attribute of `State` takes three times as long.
-_ROW, _PHASE, _SAMPLED, _EVENTS, _MODE, _NO_SEARCH, _LAW, _COMPENSATION, _STARTED, _DRIVES = (
-    cast(int, State.place(name))
-    for name in ("row", "phase", "sampled", "events", "mode", "no_search", "law", "compensation", "started", "drives")
+# Places in the loop's numbers that are read at every step: an attribute of `State` takes three times as long.
+_ROW, _PHASE, _EVENTS, _MODE, _DRIVES = (
+    cast(int, State.place(name)) for name in ("row", "phase", "events", "mode", "drives")
 )
 
 
@@ -64,7 +63,7 @@ class Stepper:
         problem = replace(problem, robot=Robot(problem.robot.model, problem.robot.tip))
         self._problem = problem
         self.loop = problem.loop()
-        make_ready(*kernels_of(engine))
+        make_ready(*kernels_of(engine), *problem.called(self.loop))
         problem.connect(self.loop)
         state, w = self.loop.state, self.loop.w
         self._numbers = state.memory
@@ -102,12 +101,13 @@ class Stepper:
             block[:] = before
         self.mark, self._at_mark, self._terms_there = mark, True, mark is self._terms_of
         if numbers.item(_ROW) > 0 and (numbers.item(_MODE) != FREE or contacts):
-            numbers[_NO_SEARCH] = 1  # the step before has been searched for events, with the torque that acted in it
+            self.loop.state.no_search = 1  # the step before has been searched, with the torque that acted in it
 
     def hold(self, torque: Array) -> None:
         """Let a torque (n,), an array of doubles, act from the row on, to which the loop has gone back."""
         if self._held and self._own_started:  # the laws are as they were
-            self._numbers[_LAW], self._numbers[_COMPENSATION] = self._own
+            state = self.loop.state
+            state.law, state.compensation = self._own
         else:
             self._set_law(None)
             self._held = True
@@ -128,19 +128,19 @@ class Stepper:
         """Let a law, None: the scenario's own, act from the row on, to which the loop has gone back."""
         self._set_law(law)
         self._held = False
-        self._numbers[_SAMPLED] = 1
+        self.loop.state.sampled = 1
 
     def _set_law(self, law: Law | None) -> None:
         self.release()
-        numbers = self._numbers
-        numbers[_LAW], numbers[_COMPENSATION] = self._own
+        state = self.loop.state
+        state.law, state.compensation = self._own
         self._law = law
         if law is not None:
-            numbers[_COMPENSATION], numbers[_STARTED] = 0, 0
-            self.loop.w.dz[: int(self.loop.state.law_states)] = 0.0  # those of the scenario's law wait
+            state.compensation, state.started = 0, 0
+            self.loop.w.dz[: int(state.law_states)] = 0.0  # those of the scenario's law wait
             self._connect()
         elif not self._own_started:
-            numbers[_STARTED], self._own_started = 0, True
+            state.started, self._own_started = 0, True
 
     def _connect(self) -> None:
         assert self._law is not None
@@ -176,7 +176,7 @@ class Stepper:
                 before = self._copied()
             marked = row == 0
             if self._held:
-                numbers[_SAMPLED] = 0
+                self.loop.state.sampled = 0
             request = call(self.answers.events)
             call = self._once
             if request == TERMS:
@@ -195,12 +195,12 @@ class Stepper:
     @property
     def rows_done(self) -> int:
         """The rows that a run which fails now has."""
-        return int(self._numbers[_ROW])
+        return int(self.loop.state.row)
 
     @property
     def events_done(self) -> int:
         """The events so far."""
-        return int(self._numbers[_EVENTS])
+        return int(self.loop.state.events)
 
     def seen(self) -> tuple[float, int]:
         """Return what the force sensor said before the latest row, N, and how many events there are."""

@@ -23,7 +23,7 @@ import zipfile
 from contextlib import suppress
 from pathlib import Path
 from types import TracebackType
-from typing import TYPE_CHECKING, Any, BinaryIO
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -31,7 +31,7 @@ from numpy.typing import NDArray
 from closedloop.errors import OutputError
 from closedloop.files import reason_of, remove_unfinished, write_whole
 from closedloop.record.difference import difference
-from closedloop.record.sealed import seal, unsealed
+from closedloop.sweep.part_file import read_part, write_part
 
 if TYPE_CHECKING:
     import pyarrow as pa
@@ -168,11 +168,11 @@ class Store:
         """Return the rows of a part."""
         import pyarrow as pa
 
-        return pa.ipc.open_file(pa.BufferReader(_read_sealed(self.rows_of(part)))).read_all()
+        return pa.ipc.open_file(pa.BufferReader(read_part(self.rows_of(part)))).read_all()
 
     def read_columns(self, part: int) -> dict[str, Array]:
         """Return the whole columns of a part."""
-        with np.load(io.BytesIO(_read_sealed(self.columns_of(part))), allow_pickle=False) as columns:
+        with np.load(io.BytesIO(read_part(self.columns_of(part))), allow_pickle=False) as columns:
             return {name: columns[name] for name in columns.files}
 
     def write(self, part: int, rows: pa.Table, columns: dict[str, Array]) -> None:
@@ -191,8 +191,8 @@ class Store:
         try:
             if columns:
                 np.savez(whole_columns, **columns)  # type: ignore[arg-type]
-                _write_sealed(self.columns_of(part), whole_columns.getbuffer())
-            _write_sealed(self.rows_of(part), memoryview(table.getvalue()))
+                write_part(self.columns_of(part), whole_columns.getbuffer())
+            write_part(self.rows_of(part), memoryview(table.getvalue()))
         except OSError as error:
             raise OutputError(f"{error}; what was done is kept: once there is room, the same command goes on") from None
 
@@ -209,23 +209,6 @@ class Store:
         mine = [path for path in self.folder.iterdir() if _PART.fullmatch(path.name)]
         for path in [*mine, self.folder / DESCRIPTION]:
             _remove_file(path)
-
-
-def _write_sealed(path: Path, content: memoryview) -> None:
-    named = memoryview(b"".join((content, path.name.encode())))
-
-    def write(file: BinaryIO) -> None:
-        file.write(named)
-        file.write(seal(named))
-
-    write_whole(path, write)
-
-
-def _read_sealed(path: Path) -> memoryview:
-    named, name = unsealed(memoryview(path.read_bytes())), path.name.encode()
-    if named[-len(name) :] != name:
-        raise ValueError("is another file")
-    return named[: -len(name)]
 
 
 def _remove_file(path: Path) -> None:

@@ -21,7 +21,7 @@ from closedloop.jit.calls import entry_address
 from closedloop.jit.kernel import plain
 from closedloop.parameters import parameter_block, state_block
 from closedloop.step.entries import RATES, RESTART, START, TORQUE, law_entry, law_input
-from closedloop.step.memory import make_loop
+from closedloop.step.make_loop import make_loop
 from closedloop.surface.plane import contact_frame
 
 # Where the arms press, and how their surface lies.

@@ -37,7 +37,7 @@ from closedloop.step.entries import (
     friction_entry,
     joint_friction_entry,
 )
-from closedloop.step.memory import make_loop
+from closedloop.step.make_loop import make_loop
 
 
 @pytest.mark.parametrize("name", EXAMPLES)

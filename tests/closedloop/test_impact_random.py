@@ -11,9 +11,7 @@ import pytest
 from closedloop.closure.solve import DIVERGED, OK, SINGULAR
 from closedloop.impact import (
     CUT,
-    IMPACT_WORK,
     JAM,
-    MODES,
     NEWTON,
     POISSON,
     RECOMPRESSION,
@@ -23,6 +21,7 @@ from closedloop.impact import (
     STRONGE,
     TURN,
     WEDGE,
+    ImpactWork,
     impact,
 )
 from closedloop.jit.kernel import kernel
@@ -37,7 +36,7 @@ def many(S, u, restitution, law, mu, work, compression, decompression, after, st
         status[k] = impact(
             S[k], u[k], restitution[k], law[k], mu[k], work, (compression[k], decompression[k]), after[k]
         )  # fmt: skip
-        happened[k] = int(work[MODES])
+        happened[k] = int(ImpactWork(work).happened)
 
 
 @pytest.mark.slow  # compiles the loop, some ten seconds
@@ -57,7 +56,7 @@ def test_a_hundred_thousand_impacts():
     law = rng.integers(0, 3, size=count)
     compression, decompression, after = np.full((3, count, 3), np.nan)
     status, happened = np.full((2, count), -1)
-    eps, work = rng.uniform(size=count), np.zeros(IMPACT_WORK)
+    eps, work = rng.uniform(size=count), np.zeros(ImpactWork.count())
     many(S, u, eps, law, mu, work, compression, decompression, after, status, happened)
     assert np.all(status == OK)
     assert np.bitwise_or.reduce(happened) == ALL
@@ -78,10 +77,10 @@ def test_a_hundred_thousand_impacts():
 
 def call(S, u, restitution, law, mu):
     """Return status, modes and the nine numbers that the kernel writes, from outputs full of NaN."""
-    work = np.full(IMPACT_WORK, np.nan)
+    work = np.full(ImpactWork.count(), np.nan)
     out = np.full((3, 3), np.nan)
     status = impact(np.array(S), np.array(u), restitution, law, mu, work, (out[0], out[1]), out[2])
-    return status, int(work[MODES]), out
+    return status, int(ImpactWork(work).happened), out
 
 
 def test_status_and_outputs_where_there_is_no_impact():
@@ -122,15 +121,15 @@ def test_numbers_that_underflow_are_zero(law):
 SAME = """
 import json, sys
 import numpy as np
-from closedloop.impact import IMPACT_WORK, MODES, impact
+from closedloop.impact import ImpactWork, impact
 rows = []
 rng = np.random.default_rng(21)
 for k in range(24):
     B = rng.normal(size=(3, 1 + k % 4))
     u = B @ rng.normal(size=B.shape[1])
-    out, work = np.zeros((3, 3)), np.zeros(IMPACT_WORK)
+    out, work = np.zeros((3, 3)), np.zeros(ImpactWork.count())
     impact(B @ B.T, -u * np.sign(u[0]), 0.6, k % 3, [0.0, 0.3, 0.8, 2.0, 5.0][k % 5], work, (out[0], out[1]), out[2])
-    rows.append([*out.ravel().tolist(), float(work[MODES])])
+    rows.append([*out.ravel().tolist(), float(ImpactWork(work).happened)])
 json.dump(rows, sys.stdout)
 """
 

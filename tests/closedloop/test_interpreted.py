@@ -10,14 +10,17 @@ import pytest
 
 import closedloop as cl
 from closedloop.engines.loops import COMPILED, ENGINES, PINOCCHIO, loop_for
+from closedloop.engines.proceed import proceed_at
 from closedloop.events.impacts import collide
 from closedloop.jit import background, interpreted
 from closedloop.jit.calls import call_at, forget_entry, interpreted_address
 from closedloop.jit.interpreted import PROBE, Interim
 from closedloop.jit.kernel import entry_kernel, jit_disabled
 from closedloop.jit.pointers import address_of, matrix_at
+from closedloop.reference.follow import follow
 from closedloop.report.measured import measure_rows
 from closedloop.simulation.loop_calls import USED_ONCE
+from closedloop.simulation.prepare import prepare
 from closedloop.step.record_row import complete_record
 
 SHORT = {"time.duration": 0.06}
@@ -44,6 +47,8 @@ CASES = {
         {"reference.start": 0.0, "law.kind": "impedance", "law.force_integral": 20.0, "compensation.kind": "observer",
          "compensation.rate": 100.0, "sensor.delay": 0.004, "sensor.noise": 0.1},
     ),
+    "loops": ("four_bar", {"time.duration": 0.02}),
+    "contacts of links": ("gripper_block", {"time.duration": 0.004, "time.integrator": "semi_implicit_euler"}),
 }  # fmt: skip
 
 
@@ -56,7 +61,8 @@ def nothing_compiled(monkeypatch):
         raise AssertionError("something is compiled")
 
     monkeypatch.setattr(background, "refused", lambda: "")
-    monkeypatch.setattr(interpreted, "needs_compiling", lambda function: True)
+    for module in (interpreted, background):
+        monkeypatch.setattr(module, "needs_compiling", lambda function: True)
     monkeypatch.setattr(interpreted, "direct", never)
     monkeypatch.setattr(background, "start", lambda functions: wanted.append([f.__name__ for f in functions]))
     return wanted
@@ -76,9 +82,33 @@ def test_an_interpreted_run_is_the_compiled_one_to_the_last_bit(name, engine, re
     wanted = request.getfixturevalue("nothing_compiled")
     interpreted._so_far[loop_for(engine).__name__] += PROBE  # a short run asks for compiled code after others
     run = cl.simulate(scenario, engine=engine)
-    assert [names[0] for names in wanted if len(names) > 1] == [loop_for(engine).__name__]
+    assert {names[0] for names in wanted if len(names) > 1} == {loop_for(engine).__name__}
     assert np.ptp(run.contact_force) > 0.0 or np.ptp(run.q) > 0.0
     assert bits(run) == bits(compiled)
+
+
+def test_a_path_of_a_mechanism_is_interpreted_to_the_last_bit(nothing_compiled, monkeypatch):
+    """Postures along the path, with the loops closed, before their kernels are there."""
+    problem = prepare(cl.load_scenario("five_bar"))
+    compiled = problem.wanted.joints
+    for module in ("closedloop.jit.kernel.Kernel.__call__", "closedloop.jit.interpreted.entry_address"):
+        monkeypatch.setattr(module, lambda *_: pytest.fail("something is compiled"))
+    with interpreted.not_compiled_first():
+        path = follow(problem.robot, compiled.q[0], problem.wanted.tip)
+    for name in ("times", "q", "v"):
+        assert getattr(path, name).tobytes() == getattr(compiled, name).tobytes()
+
+
+@pytest.mark.parametrize("name", ["wam_slide", "panda_scan", "four_bar", "wam_slide_friction", "gripper_block"])
+def test_all_that_the_loop_calls_is_compiled_with_it(name, monkeypatch):
+    """What gets an address in the loop's memory is known beforehand: a run waits for all of it, or for nothing."""
+    problem = prepare(cl.load_scenario(name, {"time.duration": 0.01}))
+    loop, connected = problem.loop(), []
+    for module in ("closedloop.engines.problem", "closedloop.contacts.surfaces"):
+        monkeypatch.setattr(f"{module}.entry_address", lambda entry: connected.append(entry) or 0, raising=False)
+    problem.connect(loop)
+    assert proceed_at in connected
+    assert {id(entry) for entry in connected if entry is not proceed_at} == {id(e) for e in problem.called(loop)}
 
 
 def test_a_law_of_ones_own_is_asked_as_often(nothing_compiled):
@@ -226,6 +256,19 @@ def decided(monkeypatch, calls, seconds):
 def test_whether_to_wait_is_judged_by_what_is_ahead(monkeypatch, calls, seconds, does):
     """A short run goes on while another process compiles; a long one waits for the compiler; once it is decided."""
     assert decided(monkeypatch, calls, seconds) == does
+
+
+def test_a_run_asks_again_until_its_loop_is_compiled(monkeypatch):
+    """A process that compiles something else at first does not leave a long run interpreted to its end."""
+    asked = []
+    monkeypatch.setattr(interpreted, "BETWEEN_LOOKS", 0.0)
+    monkeypatch.setattr(interpreted, "needs_compiling", lambda function: True)
+    monkeypatch.setattr(background, "start", lambda functions: asked.append(functions))
+    out = np.zeros(2)
+    kernel = Interim(over, (out,), 2 * PROBE, 100.0)
+    for _ in range(2 * PROBE):
+        kernel(2.0, out)
+    assert asked == [[over]] * (PROBE + 1)
 
 
 def test_many_short_runs_are_as_good_as_a_long_one(monkeypatch):

@@ -22,7 +22,7 @@ from closedloop.jit.kernel import entry_kernel
 from closedloop.jit.pointers import address_of
 from closedloop.robot.pinocchio import Terms
 from closedloop.robot.tree import Tree, tree_of, tree_terms, work_size
-from closedloop.step.memory import make_loop
+from closedloop.step.make_loop import make_loop
 from closedloop.step.record_row import Row
 from closedloop.surface.plane import contact_frame
 from robot_models import RobotModel

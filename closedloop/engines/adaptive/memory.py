@@ -34,7 +34,6 @@ from closedloop.events.table import EVENT_WIDTH
 from closedloop.jit.background import make_ready
 from closedloop.jit.pointers import address_of
 from closedloop.step.closed_loops import CLOSE, closed_loops
-from closedloop.step.contacts import contacts_in_step
 from closedloop.step.memory import RIGID_STICK
 
 Array = NDArray[np.float64]
@@ -73,8 +72,7 @@ class Memory:
         self.loop = problem.loop(user_law=law is not None)
         self.state, self.constants, self.w = self.loop
         self.user_law = None if law is None else UserLaw(law, self.loop)
-        called = {closed_loops: self.state.loops_at, contacts_in_step: self.state.contacts_at}
-        make_ready(proceed_at, evaluate_on_pinocchio, *(entry for entry, there in called.items() if there != 0))
+        make_ready(proceed_at, evaluate_on_pinocchio, *problem.called(self.loop, law is not None))
         problem.connect(self.loop, self.user_law.connect if self.user_law else None)
         self.state.steps = -1  # not of fixed length: friction need not be corrected for slip turning within a step
         self.hold = int(self.state.hold)

@@ -32,12 +32,12 @@ os.environ[VARIABLE] = "0"  # for the processes that tests start, too
 # Files that take longest, in either suite: begun first, so that no process is left with one of them at the end. The
 # others follow by their numbers of tests, as xdist would have them.
 LONGEST = (
-    "test_environments", "test_scenarios", "test_sweep_killed", "test_contact_energy", "test_compile_command",
-    "test_run_files", "test_notebooks", "test_sweep_disk", "test_sweep_signals", "test_sweep_fuzz", "test_background",
-    "test_engines_agree", "test_break_away", "test_impact_spatial", "test_robot_files", "test_integrator_choice",
-    "test_contact_random", "test_mutate", "test_tree_kernels", "test_compiled_law", "test_control_compensation",
-    "test_friction_lugre", "test_user_law", "test_friction_own", "test_solve", "test_speed", "test_compiled",
-    "test_batch_memory", "test_scipy_later",
+    "test_pages", "test_environments", "test_notebooks", "test_sweep_killed", "test_lab_browser", "test_scenarios",
+    "test_sweep_signals", "test_control_compensation", "test_engines_agree", "test_contact_energy",
+    "test_integrator_choice", "test_compile_command", "test_run_files", "test_sweep_disk", "test_sweep_fuzz",
+    "test_background", "test_break_away", "test_impact_spatial", "test_robot_files", "test_contact_random",
+    "test_mutate", "test_tree_kernels", "test_compiled_law", "test_friction_lugre", "test_user_law",
+    "test_friction_own", "test_solve", "test_speed", "test_compiled", "test_batch_memory", "test_scipy_later",
 )  # fmt: skip
 
 

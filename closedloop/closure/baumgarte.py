@@ -50,6 +50,7 @@ __all__ = [
     "recommended_ratio",
     "rounding_gain",
     "sliding_error",
+    "spectral_radii",
     "spectral_radius",
 ]
 
@@ -65,16 +66,16 @@ def _scheme(integrator: str | type[Integrator]) -> type[Integrator]:
     return INTEGRATORS[integrator] if isinstance(integrator, str) else integrator
 
 
-def amplification(integrator: str | type[Integrator], damping_ratio: float, ratio: float | Array) -> Array:
-    """Return the (2, 2) map of (e, hė) over one step of `integrator`, for ratio = h/T; (k, 2, 2) for k ratios.
+def amplification(integrator: str | type[Integrator], damping_ratio: float | Array, ratio: float | Array) -> Array:
+    """Return the (2, 2) map of (e, hė) over one step of `integrator`, for ratio = h/T; (..., 2, 2) for many ratios.
 
     Parameters
     ----------
     integrator : str or type
         A name in `closedloop.integrators.INTEGRATORS`, or the scheme itself.
-    damping_ratio : float
-        ζ, dimensionless.
-    ratio : float, or ndarray (k,)
+    damping_ratio : float, or ndarray (...)
+        ζ, dimensionless; one for all, or one for each ratio.
+    ratio : float, or ndarray (...)
         h/T, dimensionless.
     """
     # (e, hė)' = M (e, hė)/h with the stabilised closure ë = −s_v ė − s_p e
@@ -100,11 +101,11 @@ def linear_step(scheme: type[Integrator], M: Array) -> Array:
 
 def spectral_radius(integrator: str | type[Integrator], damping_ratio: float, ratio: float) -> float:
     """Return the spectral radius: the asymptotic growth of the closure error per step."""
-    return float(_spectral_radii(integrator, damping_ratio, ratio))
+    return float(spectral_radii(integrator, damping_ratio, ratio))
 
 
-def _spectral_radii(integrator: str | type[Integrator], damping_ratio: float, ratios: float | Array) -> Array:
-    """Return the spectral radius for one ratio h/T, or for each of an array."""
+def spectral_radii(integrator: str | type[Integrator], damping_ratio: float | Array, ratios: float | Array) -> Array:
+    """Return the spectral radius for one ratio h/T, or for each of an array; arguments as those of `amplification`."""
     radii: Array = np.max(np.abs(np.linalg.eigvals(amplification(integrator, damping_ratio, ratios))), axis=-1)
     return radii
 
@@ -122,7 +123,7 @@ def largest_stable_ratio(integrator: str | type[Integrator], damping_ratio: floa
 def _largest_stable_ratio(integrator: type[Integrator], damping_ratio: float) -> float:
     # The faster of two overdamped modes has rate 2ζ/T, so limits fall with 1/ζ.
     ratios = np.geomspace(1e-5, 1e3, 801) / max(1.0, damping_ratio)
-    grows = np.flatnonzero(_spectral_radii(integrator, damping_ratio, ratios) > NEUTRAL)
+    grows = np.flatnonzero(spectral_radii(integrator, damping_ratio, ratios) > NEUTRAL)
     if grows.size == 0:
         return float(ratios[-1])
     if grows[0] == 0:

@@ -14,7 +14,7 @@ from pydantic.fields import FieldInfo
 
 from closedloop.errors import ScenarioError
 from closedloop.families import OneOf
-from closedloop.scenario.messages import OWN, usual_kind, variants
+from closedloop.scenario.messages import OWN, is_section, usual_kind, variants
 from closedloop.scenario.scenario import Scenario, families
 from closedloop.sections import field_units, sizes
 from robot_models.errors import shown
@@ -42,7 +42,7 @@ class Key(NamedTuple):
 
 def sections() -> dict[str, str]:
     """Return the sections of a scenario, in order, and what each is."""
-    return {name: field.description or "" for name, field in Scenario.model_fields.items() if variants(name)}
+    return {name: field.description or "" for name, field in Scenario.model_fields.items() if is_section(name)}
 
 
 def keys(section: str) -> list[Key]:

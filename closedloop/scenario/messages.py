@@ -35,6 +35,11 @@ def variants(section: str) -> Mapping[str, type[Section]]:
     return found
 
 
+def is_section(name: str) -> bool:
+    """Tell whether a field of a scenario is a section; unlike `variants`, this imports no member of a family."""
+    return _family(name) is not None or bool(variants(name))
+
+
 def _family(section: str) -> Family[Any] | None:
     """Return the family that a section's kinds are the members of, None if it is no family."""
     return next((each for each in Scenario.model_fields[section].metadata if isinstance(each, Family)), None)

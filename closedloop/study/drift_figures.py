@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Any, cast
 
 import numpy as np
 
-from closedloop.closure.baumgarte import spectral_radius
+from closedloop.closure.baumgarte import spectral_radii
 from closedloop.figures.files import write_figure
 from closedloop.figures.style import COLOURS, STYLE
 
@@ -59,11 +59,8 @@ def stability_map(axes: Axes, limits: list[dict[str, Any]]) -> None:
     """Draw where Baumgarte is stable in the plane of (s_v h, s_p h²), and the limits that were measured."""
     x, y = np.meshgrid(np.linspace(0.02, 6.5, 220), np.linspace(0.02, 9.5, 220))  # s_v h, s_p h²
     for scheme, colour, marker in zip(NAMES, COLOURS, MARKERS, strict=True):
-        radius = np.empty_like(x)
-        for index in np.ndindex(x.shape):
-            ratio = float(np.sqrt(y[index]))
-            radius[index] = spectral_radius(scheme, float(x[index] / (2.0 * ratio)), ratio)
-        axes.contour(x, y, radius, levels=[1.0], colors=[colour], linewidths=1.4)
+        radii = spectral_radii(scheme, x / (2.0 * np.sqrt(y)), np.sqrt(y))
+        axes.contour(x, y, radii, levels=[1.0], colors=[colour], linewidths=1.4)
         mine = [row for row in limits if row["integrator"] == scheme]
         measured = np.array([row["measured"] for row in mine])
         damping = np.array([row["damping_ratio"] for row in mine])

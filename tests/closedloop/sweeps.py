@@ -1,10 +1,19 @@
-"""What the tests of sweeps share: a small sweep, the command line in this process, and as a process to be killed."""
+"""What the tests of sweeps share: a small sweep, the command line in this process, and as a process to be killed.
 
+A process of its own takes two seconds to import and load what a fork of this one has already: it is for what happens
+while it starts, and for what has to hold from one process to another.
+"""
+
+import contextlib
+import io
 import os
 import re
+import resource
 import signal
 import subprocess
 import sys
+import threading
+import traceback
 from pathlib import Path
 
 from closedloop.sweep.__main__ import main
@@ -49,3 +58,75 @@ def process(folder: Path, *arguments):
         cwd=folder, env=os.environ | {"PYTHONPATH": os.pathsep.join(sys.path)}, text=True,
         stdout=subprocess.PIPE, stderr=subprocess.PIPE, preexec_fn=_heed_interrupts,
     )  # fmt: skip
+
+
+def here(*arguments):
+    """Run the command line here, where nothing captures what it prints; return exit status and standard output.
+
+    Forks made afterwards have loaded what it needs.
+    """
+    with contextlib.redirect_stdout(io.StringIO()) as out, contextlib.redirect_stderr(io.StringIO()):
+        return main([str(a) for a in arguments]), out.getvalue()
+
+
+class Forked:
+    """The command line in a fork of this process, in `folder`; with what is used here of `subprocess.Popen`.
+
+    `most_bytes` is how large a file it may write; pipes know no such limit.
+    """
+
+    def __init__(self, folder: Path, *arguments, most_bytes=None):
+        self.returncode = None
+        said = [os.pipe(), os.pipe()]
+        self._pid = os.fork()
+        if self._pid == 0:
+            self._child(folder, arguments, most_bytes, [into for _, into in said])
+        for _, into in said:
+            os.close(into)
+        self._said = [read for read, _ in said]
+
+    @staticmethod
+    def _child(folder, arguments, most_bytes, said):
+        status = 98
+        try:
+            signal.signal(signal.SIGINT, signal.default_int_handler)
+            for number, into in enumerate(said, 1):
+                os.dup2(into, number)
+            sys.stdout, sys.stderr = os.fdopen(1, "w"), os.fdopen(2, "w")
+            os.chdir(folder)
+            if most_bytes is not None:
+                resource.setrlimit(resource.RLIMIT_FSIZE, (most_bytes, resource.RLIM_INFINITY))
+            status = main([str(a) for a in arguments])
+            sys.stdout.flush()
+        except KeyboardInterrupt:  # before or after the command: what Python does
+            signal.signal(signal.SIGINT, signal.SIG_DFL)
+            os.kill(os.getpid(), signal.SIGINT)
+        except BaseException:
+            traceback.print_exc()
+        finally:
+            sys.stderr.flush()
+            os._exit(status)
+
+    def poll(self):
+        """Return the exit status, None while it runs."""
+        if self.returncode is None:
+            ended, status = os.waitpid(self._pid, os.WNOHANG)
+            self.returncode = os.waitstatus_to_exitcode(status) if ended else None
+        return self.returncode
+
+    def send_signal(self, number):
+        """Send a signal."""
+        os.kill(self._pid, number)
+
+    def communicate(self, timeout=120.0):
+        """Return what it said on standard output and error, when it has ended; it is killed after `timeout` s."""
+        clock = threading.Timer(timeout, os.kill, (self._pid, signal.SIGKILL))
+        clock.start()
+        texts = []
+        for read in self._said:
+            with open(read) as file:
+                texts.append(file.read())
+        if self.returncode is None:
+            self.returncode = os.waitstatus_to_exitcode(os.waitpid(self._pid, 0)[1])
+        clock.cancel()
+        return tuple(texts)

@@ -86,8 +86,8 @@ MATRIX += [("wam4", law, tuple(STABILISERS)[k % len(STABILISERS)]) for k, law in
 @pytest.mark.slow  # compiles the adaptive scheme with friction
 @pytest.mark.parametrize(("arm", "law", "stabiliser"), MATRIX)
 def test_every_law_scheme_and_stabiliser_passes_break_away(law, stabiliser, arm):
-    """The whole matrix, on a block and on an arm."""
-    for integrator in INTEGRATORS:
+    """The whole matrix, on a block and on an arm; the block in steps of fixed length is in the test further above."""
+    for integrator in INTEGRATORS if arm == "wam4" else ("dop853",):
         if integrator == "dop853" and law == "seven_parameter":
             continue  # refused, see above
         check(cl.simulate(scenario(law, integrator, stabiliser, arm)), law)

@@ -225,5 +225,5 @@ def test_a_singular_start_on_the_surface_stops_at_once(arm):
 @pytest.mark.parametrize("arm", ARMS)
 def test_a_thousand_random_drops(arm, seed):
     """The same with many of each seed."""
-    count = budget(300, 1000)
+    count = budget(120, 1000)
     assert drops(arm, 100 + seed, count) == {"done": count}

@@ -111,7 +111,7 @@ def compare(S, u, eps, law, mu):
     return hit
 
 
-@pytest.mark.parametrize("count", [12, pytest.param(budget(150, 300), marks=pytest.mark.slow)])
+@pytest.mark.parametrize("count", [12, pytest.param(budget(100, 300), marks=pytest.mark.slow)])
 @pytest.mark.parametrize("law", LAWS)
 def test_random_impacts_are_those_of_an_ode_solver(law, count):
     """Slip that turns, stops, sticks, leaves again and jams; the quick form meets each law, the slow one every mode."""
@@ -123,7 +123,7 @@ def test_random_impacts_are_those_of_an_ode_solver(law, count):
             u[1:] *= 10.0 ** rng.uniform(-3.0, 0.0)
         met |= set(compare(S, u, rng.uniform(), law, np.exp(rng.normal())).modes)
     assert {"slip", "turn", "stick"} <= met
-    if count > 100:
+    if count > 12:
         wanted = set(MODE_NAMES.values()) - {"wedge", "recompression"}
         assert wanted - ({"cut"} if law != "newton" else set()) <= met
 

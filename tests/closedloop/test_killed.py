@@ -9,6 +9,7 @@ import traceback
 
 import numpy as np
 import pytest
+from budget import budget
 
 import closedloop as cl
 from closedloop.columns.recorded import COLUMNS
@@ -124,7 +125,7 @@ def test_signal_at_a_few_moments(number, place):
 @pytest.mark.slow
 @pytest.mark.parametrize("number", ALLOWED)
 def test_signal_at_many_moments(number, place):
-    """Forty moments each, of which some are in the middle of the run."""
-    statuses, lengths = judge(place, number, 40, 1)
+    """Some moments each, forty with the full budget, of which some are in the middle of the run."""
+    statuses, lengths = judge(place, number, budget(16, 40), 1)
     assert statuses <= ALLOWED[number]
     assert number == signal.SIGKILL or len(lengths) > 3

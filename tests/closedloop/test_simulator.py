@@ -4,6 +4,7 @@ import signal
 
 import numpy as np
 import pytest
+from budget import budget
 
 import closedloop as cl
 from closedloop.simulation import stepper
@@ -43,6 +44,7 @@ def assert_stepped_the_same(scenario, engine):
             assert state.measured == once.measured_force[k - 1]
 
 
+LONGEST = budget(4.0, np.inf)  # s of a scenario, in the longer tests
 BRIEF = {"wam_slide": 0.6, "wam_bounce": 0.6, "panda_wipe": 0.8, "wam_edge": 3.0, "joint_friction": 1.0}
 
 
@@ -57,8 +59,9 @@ def test_stepping_is_simulating(name, duration):
     ("name", "engine"), [(name, ("pinocchio", "compiled")[k % 2]) for k, name in enumerate(cl.shipped_scenarios())]
 )
 def test_every_shipped_scenario_can_be_stepped(name, engine):
-    """The same for whole scenarios, on the engines in turn."""
-    assert_stepped_the_same(cl.load_scenario(name), engine)
+    """The same for every scenario, on the engines in turn; with the full budget to its end."""
+    ends = min(cl.load_scenario(name).time.duration, LONGEST)
+    assert_stepped_the_same(cl.load_scenario(name, {"time.duration": ends}), engine)
 
 
 # Torques recorded with Runge-Kutta and held over steps are another run, which bounces: an event that both the held
@@ -82,7 +85,7 @@ ALIKE = [name for name in cl.shipped_scenarios() if name not in OTHERS]
 )
 def test_torques_from_outside_are_a_sampled_law(name, duration):
     """Recorded torques, given step by step, give the run of a user's law that returns these, held over each step."""
-    changes = {} if duration is None else {"time.duration": duration}
+    changes = {"time.duration": min(cl.load_scenario(name).time.duration, LONGEST) if duration is None else duration}
     recorded = cl.simulate(cl.load_scenario(name, changes)).torque
     h = cl.load_scenario(name).time.step
     scenario = cl.load_scenario(name, {**changes, "law.sample_period": h})

@@ -5,12 +5,12 @@ import io
 import h5netcdf
 import numpy as np
 import pytest
-from disk import limited
 from pyarrow import parquet
-from sweeps import sweep
+from sweeps import Forked, sweep
 
 import closedloop as cl
 from closedloop.errors import OutputError
+from closedloop.files import write_whole
 from closedloop.sweep import Design, Sweep, parse_axis, run_sweep
 from closedloop.sweep.columns import Unfailing
 from closedloop.sweep.store import Store
@@ -80,11 +80,8 @@ def small(**options):
 @pytest.mark.parametrize(("where", "after"), [("store", 0), ("store", 1), ("store", 3), ("join", 0), ("join", 1)])
 def test_what_cannot_be_written_is_said_and_leaves_nothing(tmp_path, monkeypatch, where, after):
     """A write that fails in the parts, or in the table: what was done is kept, nothing else, and it goes on."""
-    import closedloop.sweep.join as join_module
-    import closedloop.sweep.store as store_module
-
-    module = {"store": store_module, "join": join_module}[where]
-    calls, write_whole = [], module.write_whole
+    modules = {"store": ("store", "part_file"), "join": ("join",)}[where]
+    calls = []
 
     def full(path, *rest, **options):
         calls.append(path)
@@ -94,7 +91,8 @@ def test_what_cannot_be_written_is_said_and_leaves_nothing(tmp_path, monkeypatch
 
     out = tmp_path / "t.parquet"
     with monkeypatch.context() as patch:
-        patch.setattr(module, "write_whole", full)
+        for module in modules:
+            patch.setattr(f"closedloop.sweep.{module}.write_whole", full)
         with pytest.raises(OutputError) as refused:
             run_sweep(small(), out, workers=1)
     assert "No space left on device" in str(refused.value)
@@ -106,10 +104,10 @@ def test_what_cannot_be_written_is_said_and_leaves_nothing(tmp_path, monkeypatch
     assert sorted(path.name for path in tmp_path.iterdir()) == ["t.nc", "t.parquet"]
 
 
-def assert_goes_on(capsys, folder, done):
+def assert_goes_on(capsys, folder, status, err):
     """Check what a limit has left in the folder, and that the sweep goes on from it to the end."""
-    assert done.returncode == 2, done.stderr
-    (line,) = [line for line in done.stderr.splitlines() if not line.startswith("compiling")]
+    assert status == 2, err
+    (line,) = [line for line in err.splitlines() if not line.startswith("compiling")]
     assert "cannot be written: File too large" in line
     assert {path.name for path in folder.iterdir()} <= {"t.parquet.parts", "t.nc"}
     assert not [path for path in folder.rglob("*") if path.name.endswith(".unfinished")]
@@ -126,7 +124,9 @@ def assert_goes_on(capsys, folder, done):
 @pytest.mark.parametrize("size", [0, 500, *range(4000, 20000, 4000), *range(20_000, 210_000, 20_000)])
 def test_a_limit_on_files_at_any_size_is_one_line(capsys, tmp_path, size):
     """From nothing at all, as with ``ulimit -f``, to just too little for the columns: it was a segmentation fault."""
-    assert_goes_on(capsys, tmp_path, limited(tmp_path, size, *KEPT))
+    run = Forked(tmp_path, *KEPT, most_bytes=size)
+    _, err = run.communicate()
+    assert_goes_on(capsys, tmp_path, run.returncode, err)
 
 
 def test_a_store_that_cannot_begin_leaves_nothing(tmp_path, monkeypatch):

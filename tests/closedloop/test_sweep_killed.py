@@ -14,14 +14,14 @@ import pyarrow as pa
 import pytest
 from budget import budget
 from pyarrow import parquet
-from sweeps import process, refusal, sweep
+from sweeps import Forked, here, process, refusal, sweep
 
 import closedloop as cl
 
-# 640 runs in 64 parts, a few seconds' work; short contacts and impacts, and some runs that are refused.
+# 640 runs in 64 parts, some seconds' work; short contacts and impacts, and some runs that are refused.
 ARGUMENTS = (
-    "wam_bounce", "--time.duration", "1", "--over", "impact.restitution=-0.05:0.8", "--over", "surface.gap=0.001:0.02",
-    "--random", "640", "--seed", "5",
+    "wam_bounce", "--time.duration", "0.4", "--over", "impact.restitution=-0.05:0.8",
+    "--over", "surface.gap=0.001:0.02", "--random", "640", "--seed", "5",
 )  # fmt: skip
 KILLS = budget(3, 10)
 
@@ -57,11 +57,14 @@ def kill_after(run, seconds, ready):
 def test_killed_again_and_again_the_table_is_the_same(tmp_path, uninterrupted):
     """kill -9 at random moments, one in five before anything is done: no row is lost, none doubled, none another."""
     rng = random.Random(11)
+    here("wam_bounce", "--time.duration", "0.01", "--over", "law.force=1:2:16", "--out", tmp_path / "loaded.parquet")
+    (tmp_path / "loaded.parquet").unlink()
     killed = 0
     for k in range(KILLS):
         before = parts(tmp_path)
-        run = process(tmp_path, *ARGUMENTS, "--keep", "f", "--out", "t.parquet")
-        if k % 5 == 4:  # while it starts
+        starts = k % 5 == 4
+        run = (process if starts else Forked)(tmp_path, *ARGUMENTS, "--keep", "f", "--out", "t.parquet")
+        if starts:
             killed += kill_after(run, rng.uniform(0.0, 0.8), lambda: True)
         else:  # while it writes: by parts, not by the clock, so that a fast machine has not done all before the tenth
             some = rng.randint(1, 5)
@@ -72,7 +75,7 @@ def test_killed_again_and_again_the_table_is_the_same(tmp_path, uninterrupted):
         assert not (tmp_path / "t.parquet").exists()
     assert killed == KILLS
     assert KILLS - KILLS // 5 <= len(parts(tmp_path)) < 64
-    run = process(tmp_path, *ARGUMENTS, "--keep", "f", "--out", "t.parquet")
+    run = Forked(tmp_path, *ARGUMENTS, "--keep", "f", "--out", "t.parquet")
     out, err = run.communicate(timeout=300)
     assert run.returncode == 0, err
     assert "were there before" in out
@@ -88,36 +91,40 @@ def test_the_killed_sweep_is_the_batch(uninterrupted):
     table = parquet.read_table(uninterrupted / "t.parquet").replace_schema_metadata()
     keys = ("impact.restitution", "surface.gap")
     changes = {key: table[key].to_pylist() for key in keys}
-    batch = cl.simulate_batch(cl.load_scenario("wam_bounce", {"time.duration": 1.0}), changes)
+    batch = cl.simulate_batch(cl.load_scenario("wam_bounce", {"time.duration": 0.4}), changes)
     assert table.equals(batch)
     assert {"done", "refused"} == set(table["status"].to_pylist())
 
 
-@pytest.mark.slow
-def test_a_cluster_that_loses_a_worker_gives_the_same_table(capsys, tmp_path, uninterrupted):
-    """Three worker processes, one of them killed in the middle: the same bytes as the threads wrote."""
+@pytest.fixture(scope="module")
+def cluster():
+    """Two worker processes, for the tests of one that is killed and, after it, of all that go away."""
     distributed = pytest.importorskip("distributed")
     with distributed.LocalCluster(
-        n_workers=3, threads_per_worker=1, processes=True, dashboard_address=None, memory_limit=0
+        n_workers=2, threads_per_worker=1, processes=True, dashboard_address=None, memory_limit=0
     ) as cluster:
-        victim = next(iter(cluster.workers.values()))
-        pid = victim.process.pid
+        yield cluster
 
-        def kill() -> None:
-            while len(parts(tmp_path)) < 10:
-                time.sleep(0.005)
-            os.kill(pid, signal.SIGKILL)
-            deaths.append(len(parts(tmp_path)))
 
-        deaths: list[int] = []
-        killer = threading.Thread(target=kill, daemon=True)
-        killer.start()
-        out = tmp_path / "t.parquet"
-        status, _, err = sweep(
-            capsys, *ARGUMENTS, "--keep", "f", "--out", out, "--scheduler", cluster.scheduler_address
-        )
-        assert status == 0, err
-        killer.join(timeout=10)
+@pytest.mark.slow
+def test_a_cluster_that_loses_a_worker_gives_the_same_table(capsys, tmp_path, uninterrupted, cluster):
+    """One of the workers is killed in the middle: the same bytes as the threads wrote."""
+    victim = next(iter(cluster.workers.values()))
+    pid = victim.process.pid
+
+    def kill() -> None:
+        while len(parts(tmp_path)) < 10:
+            time.sleep(0.005)
+        os.kill(pid, signal.SIGKILL)
+        deaths.append(len(parts(tmp_path)))
+
+    deaths: list[int] = []
+    killer = threading.Thread(target=kill, daemon=True)
+    killer.start()
+    out = tmp_path / "t.parquet"
+    status, _, err = sweep(capsys, *ARGUMENTS, "--keep", "f", "--out", out, "--scheduler", cluster.scheduler_address)
+    assert status == 0, err
+    killer.join(timeout=10)
     assert 10 <= deaths[0] < 64
     assert out.read_bytes() == (uninterrupted / "t.parquet").read_bytes()
     with h5netcdf.File(tmp_path / "t.nc") as mine, h5netcdf.File(uninterrupted / "t.nc") as whole:
@@ -138,12 +145,8 @@ def test_a_scheduler_that_does_not_answer_is_given_up(capsys, tmp_path):
 
 
 @pytest.mark.slow
-def test_a_cluster_that_goes_away_is_gone_on_without(capsys, tmp_path, uninterrupted):
+def test_a_cluster_that_goes_away_is_gone_on_without(capsys, tmp_path, uninterrupted, cluster):
     """The whole cluster dies in the middle: exit status 3, and the same command without it ends the sweep."""
-    distributed = pytest.importorskip("distributed")
-    cluster = distributed.LocalCluster(
-        n_workers=2, threads_per_worker=1, processes=True, dashboard_address=None, memory_limit=0
-    )
     try:
         out, folder = tmp_path / "t.parquet", tmp_path
         run = process(folder, *ARGUMENTS, "--keep", "f", "--out", "t.parquet", "--scheduler", cluster.scheduler_address)

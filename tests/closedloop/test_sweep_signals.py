@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 from budget import budget
 from pyarrow import parquet
-from sweeps import process, sweep
+from sweeps import Forked, here, process, sweep
 
 from closedloop.batch import threads
 from closedloop.batch.threads import Done, Ended, side_by_side, uninterrupted
@@ -35,8 +35,9 @@ def names(folder):
 def whole(tmp_path_factory):
     """Return the folder of the sweep that nothing has ended."""
     folder = tmp_path_factory.mktemp("whole")
-    run = process(folder, *ARGUMENTS, "--out", "t.parquet")
-    assert run.communicate(timeout=300)[0].startswith("200 runs: 200 done")
+    status, said = here(*ARGUMENTS, "--out", folder / "t.parquet")
+    assert status == 0
+    assert said.startswith("200 runs: 200 done")
     return folder
 
 
@@ -66,8 +67,8 @@ def assert_sound(folder, status, number, said):
 
 def assert_goes_on_to(folder, whole):
     """Check that the sweep goes on to the same table, and that nothing else is left."""
-    run = process(folder, *ARGUMENTS, "--out", "t.parquet")
-    _, err = run.communicate(timeout=300)
+    run = Forked(folder, *ARGUMENTS, "--out", "t.parquet")
+    _, err = run.communicate()
     assert run.returncode == 0, err
     assert names(folder) == ["mine.txt", "t.nc", "t.parquet"]
     assert (folder / "mine.txt").read_text() == "mine"
@@ -95,9 +96,10 @@ def test_any_signal_at_any_moment_costs_nothing(tmp_path, whole, number):
     rng = random.Random(int(number))
     (tmp_path / "mine.txt").write_text("mine")
     for k in range(budget(6, 12)):
-        run = process(tmp_path, *ARGUMENTS, "--out", "t.parquet")
         # Every third while it starts; else from the first part that is there on: the runs, then the joining.
-        _, err = send(run, number, tmp_path, -rng.uniform(0.2, 3.0) if k % 3 == 0 else rng.uniform(0.0, 1.5))
+        starts = k % 3 == 0
+        run = (process if starts else Forked)(tmp_path, *ARGUMENTS, "--out", "t.parquet")
+        _, err = send(run, number, tmp_path, -rng.uniform(0.2, 3.0) if starts else rng.uniform(0.0, 1.5))
         if run.returncode == 0 or (number == signal.SIGKILL and (tmp_path / "t.parquet").exists()):  # all was done
             assert parquet.read_table(tmp_path / "t.parquet").equals(parquet.read_table(whole / "t.parquet"))
             for name in ("t.parquet", "t.nc"):
@@ -164,7 +166,7 @@ def test_uninterrupted_returns_and_raises():
 def test_a_second_sweep_to_the_same_file_is_refused(capsys, tmp_path):
     """While a process is at work, another that would write there, the same sweep or another, gets one line."""
     out = tmp_path / "t.parquet"
-    first = process(tmp_path, *LONG, "--out", "t.parquet")
+    first = Forked(tmp_path, *LONG, "--out", "t.parquet")
     try:
         while first.poll() is None and not list(tmp_path.glob("t.parquet.parts/*.arrow")):
             time.sleep(0.002)
@@ -175,7 +177,7 @@ def test_a_second_sweep_to_the_same_file_is_refused(capsys, tmp_path):
             assert (status, len(err.splitlines())) == (2, 1)
             assert re.search("another process is at work on this sweep; wait for it, or end it", err)
     finally:
-        first.kill()
+        first.send_signal(signal.SIGKILL)
         first.communicate()
     status, _, err = sweep(capsys, *LONG, "--law.kd", "5", "--out", out)  # the lock has died with its process
     assert status == 2

@@ -10,9 +10,11 @@ import pytest
 from pages import DOCS, PAGES, ROOT, blocks, broken_links, commands, session
 
 import closedloop
+from closedloop.study.__main__ import STUDIES
 
 WITH_CODE = [page for page in PAGES if blocks(page.read_text(encoding="utf-8"), "python")]
-# Pages whose commands, in the folder of their Python blocks, run too; those of others take minutes, or a browser.
+# Pages whose commands, in the folder of their Python blocks, run too; those of others take minutes, or a browser. So do
+# studies, of which each has a test with its quick form, and the figures of a run, which quickstart's commands draw.
 WITH_COMMANDS = ("scenarios", "controllers", "extending", "surfaces")
 ENVIRONMENT = {**os.environ, "PYTHONPATH": str(ROOT), "MPLBACKEND": "agg"}
 
@@ -45,6 +47,11 @@ def shell(commands, folder):
     head = f'set -eu\nclosedloop() {{ {python} -m closedloop "$@"; }}\npython() {{ {python} "$@"; }}\n'
     done = run(["bash", "-c", head + commands], folder)
     assert done.returncode == 0, done.stderr
+
+
+def undrawn(commands):
+    """Return commands whose runs make no figures, which take most of their time."""
+    return re.sub(r"(closedloop[ .]run) ", r"\1 --no-figures ", commands)
 
 
 def test_the_readme_is_a_door():
@@ -98,21 +105,26 @@ def test_the_controller_of_the_page_is_short():
 @pytest.mark.slow
 @pytest.mark.parametrize("page", WITH_CODE, ids=lambda page: page.stem)
 def test_the_code_of_a_page_runs(page, tmp_path):
-    """All Python blocks of a page, in order, as one session in an empty folder."""
+    """All Python blocks of a page, in order, as one session in an empty folder, and then its commands."""
     (tmp_path / "session.py").write_text(session(page.read_text(encoding="utf-8")), encoding="utf-8")
     done = run([sys.executable, "session.py"], tmp_path)
     assert done.returncode == 0, done.stderr
     if page.stem in WITH_COMMANDS:
-        shell(commands(page.read_text(encoding="utf-8")), tmp_path)
+        studies = re.compile(r"^closedloop study (\S+).*$", re.MULTILINE)
+        given = commands(page.read_text(encoding="utf-8"))
+        assert STUDIES.keys() >= set(studies.findall(given))
+        shell(undrawn(studies.sub("", given)), tmp_path)
 
 
 @pytest.mark.slow
 def test_the_commands_of_the_quickstart_run(tmp_path):
-    """As they stand there, one after the other, in an empty folder."""
+    """As they stand there, one after the other, in an empty folder; the first ones with their figures."""
     text = (DOCS / "quickstart.md").read_text(encoding="utf-8")
-    given = "".join(code for _, code in blocks(text, "sh"))
-    assert given.count("closedloop run") == 4
-    shell(given, tmp_path)
+    (_, first), (_, more) = blocks(text, "sh")
+    assert (first.count("closedloop run"), more.count("closedloop run")) == (1, 3)
+    shell(first, tmp_path)
+    assert (tmp_path / "out" / "wam_slide" / "fig5_contact_force.png").exists()
+    shell(undrawn(more), tmp_path)
     assert {path.name for path in (tmp_path / "out").iterdir()} == {"wam_slide", "my_slide"}
     assert all((tmp_path / name / "run.nc").exists() for name in ("stronger", "tilted"))
 

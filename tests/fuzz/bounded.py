@@ -24,7 +24,12 @@ Judge = Callable[[Any], tuple[str, str]]
 
 
 def judged(
-    cases: Sequence[Any], judge: Judge, faulty: str, first: Sequence[Any] = (), seconds: float = float("inf")
+    cases: Sequence[Any],
+    judge: Judge,
+    faulty: str,
+    first: Sequence[Any] = (),
+    seconds: float = float("inf"),
+    most: float = MOST_SECONDS,
 ) -> Iterator[tuple[Any, str, str, float]]:
     """Return (case, outcome, words, processor seconds) of each case, in order.
 
@@ -39,12 +44,14 @@ def judged(
         Cases that each process does before, without bounds: what they compile is no part of any case.
     seconds : float
         No further case is begun once the cases have used so much processor time.
+    most : float
+        The processor time that one case may use, s.
     """
     context = multiprocessing.get_context("spawn")
     used, at = 0.0, 0
     while at < len(cases) and used < seconds:
         ours, theirs = context.Pipe()
-        worker = context.Process(target=_work, args=(theirs, judge, list(first)), daemon=True)
+        worker = context.Process(target=_work, args=(theirs, judge, list(first), most), daemon=True)
         worker.start()
         theirs.close()
         try:
@@ -64,7 +71,7 @@ def judged(
             if at >= len(cases):
                 raise
             spent = time.monotonic() - began
-            used += min(spent, MOST_SECONDS)
+            used += min(spent, most)
             at += 1
             why = "more processor time than allowed" if worker.exitcode == -signal.SIGPROF else f"{worker.exitcode}"
             yield cases[at - 1], faulty, f"ended its process: {why}", spent
@@ -74,7 +81,7 @@ def judged(
             worker.join()
 
 
-def _work(connection: Connection, judge: Judge, first: list[Any]) -> None:
+def _work(connection: Connection, judge: Judge, first: list[Any], most: float) -> None:
     os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stderr.fileno())  # what libraries say there is not in a case's words
     for case in first:
         outcome, words = judge(case)
@@ -89,7 +96,7 @@ def _work(connection: Connection, judge: Judge, first: list[Any]) -> None:
         except EOFError:
             return
         began = time.process_time()
-        signal.setitimer(signal.ITIMER_PROF, MOST_SECONDS)
+        signal.setitimer(signal.ITIMER_PROF, most)
         outcome, words = judge(case)
         signal.setitimer(signal.ITIMER_PROF, 0.0)
         connection.send((outcome, words, time.process_time() - began))

@@ -17,12 +17,13 @@ import robot_models
 def test_every_file_is_refused_in_one_line_or_is_the_robot_of_its_text(seed):
     """No traceback, no noise, no hang, no other robot; blanks and remarks change nothing; the count is what ran."""
     pytest.importorskip("mujoco")
-    outcomes = robot_files.run(robot_files.generate(seed, 400))
+    files = budget(160, 400)
+    outcomes = robot_files.run(robot_files.generate(seed, files))
     wrong = [f"{outcome.kind}: {outcome.case.name}\n{outcome.text}" for outcome in outcomes if not outcome.clean]
     assert not wrong, "\n".join(wrong)
     count = Counter((outcome.case.suffix, outcome.kind) for outcome in outcomes)
-    assert sum(count.values()) == 400
-    assert min(count[suffix, kind] for suffix in (".urdf", ".xml") for kind in ("refused", "loaded")) >= 50
+    assert sum(count.values()) == files
+    assert min(count[suffix, kind] for suffix in (".urdf", ".xml") for kind in ("refused", "loaded")) >= files // 8
 
 
 @pytest.mark.slow

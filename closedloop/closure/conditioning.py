@@ -18,9 +18,9 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from closedloop.jit.buffers import matrix_of, row_of
 from closedloop.jit.kernel import kernel, kernel_inlined
 from closedloop.jit.lanewise import lanewise, takes_arrays
+from closedloop.jit.pointers import matrix_of, row_of
 
 Array = NDArray[np.float64]
 

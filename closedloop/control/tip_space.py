@@ -13,8 +13,8 @@ from closedloop.closure.contact_force import IMMOBILE
 from closedloop.control.law import ControlLaw
 from closedloop.control.law_input import LawInput
 from closedloop.jit.blocks import Block, Count
-from closedloop.jit.buffers import matrix_of
 from closedloop.jit.kernel import kernel
+from closedloop.jit.pointers import matrix_of
 from closedloop.sections import (
     ACCELERATION_GAIN,
     RATE,

@@ -12,8 +12,8 @@ from closedloop.events.stops import MOST_TRIALS, note_sides, yield_stops
 from closedloop.events.table import IMPACT, TOUCHDOWN, write_event
 from closedloop.impact import CUT as ENERGY_CUT
 from closedloop.impact import ImpactWork, energy_lost, impact
-from closedloop.jit.buffers import row_of
 from closedloop.jit.kernel import entry_kernel, kernel
+from closedloop.jit.pointers import row_of
 from closedloop.step.entries import RESTART
 from closedloop.step.evaluate import call_law
 from closedloop.step.locate import set_anchor

@@ -19,9 +19,9 @@ from closedloop.closure.contact_force import FREE, PRESSED, STUCK, apply_impulse
 from closedloop.closure.solve import forward_substitute
 from closedloop.contacts.impact import SLOWEST_REBOUND
 from closedloop.events.phases import MAX_RAPID, RESTING
-from closedloop.jit.buffers import row_of
 from closedloop.jit.calls import call_at
 from closedloop.jit.kernel import kernel
+from closedloop.jit.pointers import row_of
 from closedloop.step.closed_loops import BIND_TIP, IMPULSE, STOP_TORQUE, missing_torque
 from closedloop.step.memory import RIGID_STICK, Constants, State, Work
 

@@ -21,8 +21,7 @@ from numpy.typing import NDArray
 
 from closedloop.jit.blocks import Block
 from closedloop.jit.calls import call_at, call_with_buffers
-from closedloop.jit.kernel import kernel_inlined
-from closedloop.jit.pointers import MOST_KEPT, fortran_at, integers_at, matrix_at, vector_at
+from closedloop.jit.pointers import MOST_KEPT, fortran_at, integers_at, matrix_at, matrix_of, row_of, vector_at
 
 Array = NDArray[np.float64]
 Buffer = Any  # a memoryview of one or two dimensions
@@ -58,18 +57,6 @@ def fortran_buffer(address: int, rows: int, columns: int) -> Buffer:
 def integers_buffer(address: int, n: int) -> Buffer:
     """Return the n whole numbers at an address."""
     return memoryview((ctypes.c_int64 * int(n)).from_address(int(address))).cast("B").cast("q")
-
-
-@kernel_inlined
-def row_of(matrix: Array, i: int) -> Array:
-    """Return a row of a matrix: what `matrix[i]` is, which a buffer refuses."""
-    return matrix[i]  # type: ignore[no-any-return]
-
-
-@kernel_inlined
-def matrix_of(vector: Array, rows: int, columns: int) -> Array:
-    """Return the first numbers of a vector as a matrix, row after row."""
-    return vector[0 : rows * columns].reshape(rows, columns)
 
 
 def matrix_buffer_of(vector: Any, rows: int, columns: int) -> Buffer:

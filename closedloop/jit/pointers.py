@@ -1,4 +1,4 @@
-"""Arrays by address: at each step one number is passed from Python to compiled code.
+"""Arrays by address, and parts of arrays: at each step one number is passed from Python to compiled code.
 
 Each array passed costs some 60 ns, fourteen of them as much as the step. None of them moves during a run, so their
 addresses are stored once, in a block of whole numbers, and compiled code makes array views from them.
@@ -48,3 +48,14 @@ def fortran_at(address: int, rows: int, columns: int) -> Array:
 def integers_at(address: int, n: int) -> IntArray:
     """Return the (n,) array of int64 at an address."""
     return np.ctypeslib.as_array((ctypes.c_int64 * int(n)).from_address(int(address)))
+
+
+def row_of(matrix: NDArray[Any], i: int) -> NDArray[Any]:
+    """Return a row of a matrix: what `matrix[i]` is, which a buffer refuses (`closedloop.jit.buffers`)."""
+    row: NDArray[Any] = matrix[i]
+    return row
+
+
+def matrix_of(vector: NDArray[Any], rows: int, columns: int) -> NDArray[Any]:
+    """Return the first numbers of a vector as a matrix, row after row."""
+    return vector[0 : rows * columns].reshape(rows, columns)

@@ -11,8 +11,8 @@ import math
 import numpy as np
 from numpy.typing import NDArray
 
-from closedloop.jit.buffers import row_of
 from closedloop.jit.kernel import entry_kernel, kernel
+from closedloop.jit.pointers import row_of
 from closedloop.loops.factor import factor, meet
 from closedloop.loops.memory import LoopLinks, LoopRows, loops_at
 from closedloop.loops.rows import place_rows

@@ -20,9 +20,8 @@ import math
 import numpy as np
 from numpy.typing import NDArray
 
-from closedloop.jit.buffers import row_of
 from closedloop.jit.kernel import kernel
-from closedloop.jit.pointers import integers_at, vector_at
+from closedloop.jit.pointers import integers_at, row_of, vector_at
 from closedloop.loops.memory import DISTANCE, GEAR, IDLE, ROTATION, STOP, LoopLinks, LoopRows, tree_at
 from closedloop.robot.tree import Tree
 from closedloop.robot.tree import layout as at

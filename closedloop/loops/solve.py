@@ -16,8 +16,8 @@ import math
 import numpy as np
 from numpy.typing import NDArray
 
-from closedloop.jit.buffers import row_of
 from closedloop.jit.kernel import kernel
+from closedloop.jit.pointers import row_of
 from closedloop.loops.factor import DEPENDENT, order_of
 from closedloop.loops.memory import LoopLinks, LoopRows
 

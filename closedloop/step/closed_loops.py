@@ -17,10 +17,9 @@ from numpy.typing import NDArray
 from closedloop.closure.contact_force import factorise
 from closedloop.closure.solve import OK, SINGULAR_MOBILITY, back_substitute, forward_substitute
 from closedloop.control.seen import Seen
-from closedloop.jit.buffers import row_of
 from closedloop.jit.calls import call_at
 from closedloop.jit.kernel import entry_kernel, kernel, kernel_inlined
-from closedloop.jit.pointers import integers_at
+from closedloop.jit.pointers import integers_at, row_of
 from closedloop.loops.close import close_state
 from closedloop.loops.factor import factor, force_of
 from closedloop.loops.memory import STOP, LoopLinks, LoopRows, loops_at

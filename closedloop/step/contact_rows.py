@@ -13,10 +13,9 @@ from closedloop.closure.contact_force import FREE, baumgarte_acceleration
 from closedloop.closure.solve import NO_NORMAL, OK, forward_substitute
 from closedloop.contacts.given_modes import mobility_of
 from closedloop.contacts.memory import LINE, OFF, ContactLinks, Contacts
-from closedloop.jit.buffers import row_of
 from closedloop.jit.calls import call_at
 from closedloop.jit.kernel import kernel
-from closedloop.jit.pointers import integers_at, vector_at
+from closedloop.jit.pointers import integers_at, row_of, vector_at
 from closedloop.loops.memory import loops_at, tree_at
 from closedloop.loops.rows import ALONG, POINT, locate_rows, move_point, turn_direction
 from closedloop.loops.solve import leave_free

@@ -17,9 +17,9 @@ from closedloop.control.law import Compensation, ControlLaw
 from closedloop.control.law_input import LawInput
 from closedloop.control.seen import Seen
 from closedloop.friction.law import JointFriction, Slip, SurfaceFriction, length_of
-from closedloop.jit.buffers import row_of
 from closedloop.jit.calls import Entry
 from closedloop.jit.kernel import kernel, kernel_inlined
+from closedloop.jit.pointers import row_of
 from closedloop.parameters import one_joint_block, parameter_block, state_block
 from closedloop.step.memory import Constants, State, Work, loop_at
 from closedloop.user_code import function_of, member_entry

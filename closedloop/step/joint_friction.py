@@ -13,9 +13,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from closedloop.closure.contact_force import FREE, PRESSED, STUCK, accelerate, pressed_force, stuck_force
-from closedloop.jit.buffers import row_of
 from closedloop.jit.calls import call_at
 from closedloop.jit.kernel import kernel
+from closedloop.jit.pointers import row_of
 from closedloop.step.closed_loops import BIND_ANSWER
 from closedloop.step.entries import ADVANCE_STATES, LIMIT, SLIDE
 from closedloop.step.entries import STICK as END_OF_SLIP

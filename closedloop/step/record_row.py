@@ -19,9 +19,9 @@ from closedloop.closure.residuals import residuals
 from closedloop.contacts.memory import contacts_at
 from closedloop.control.sensor import SensorParameters, sense
 from closedloop.jit.blocks import Block
-from closedloop.jit.buffers import row_of
 from closedloop.jit.calls import call_at
 from closedloop.jit.kernel import entry_kernel, kernel, kernel_inlined
+from closedloop.jit.pointers import row_of
 from closedloop.jit.simd8 import every, select
 from closedloop.step.closed_loops import REACTION, missing_torque
 from closedloop.step.energy_supplied import driving_torque

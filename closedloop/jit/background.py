@@ -143,7 +143,7 @@ def make_ready(*functions: Callable[..., Any]) -> None:
         missing = [function for function in missing if needs_compiling(function)]
     names = [function.__name__ for function in missing]
     if not TAKES_LONG.keys().isdisjoint(names):
-        _say(_HERE, compiling_notice(names))
+        _say(f"{_HERE}: {_named(names)}", compiling_notice(names))
 
 
 def wait_until_done(functions: Sequence[Callable[..., Any]] = (), patience: float = PATIENCE) -> bool:
@@ -188,7 +188,7 @@ def _named(names: Sequence[str]) -> str:
 
 
 def _say(sort: str, line: str) -> None:
-    """Say a line, one of each sort in a process: what else is compiled there is the same to who waits."""
+    """Say a line, one of each sort in a process: what else another one compiles is the same to who waits."""
     if sort not in _said:
         _said.add(sort)
         notices.info(line)

@@ -172,8 +172,8 @@ class Compensation(Parameters):
     """
 
     folder: ClassVar[str] = "closedloop.control.compensation"
-    # Parameters that are figures of friction as the controller believes it to be, see `model_error.friction`.
-    friction_figures: ClassVar[tuple[str, ...]] = ()
+    # Parameters that are values of friction as the controller believes it to be, see `model_error.friction`.
+    friction_values: ClassVar[tuple[str, ...]] = ()
     states: ClassVar[tuple[str, ...]] = ()
     joint_states: ClassVar[tuple[str, ...]] = ()
 

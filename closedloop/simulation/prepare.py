@@ -13,7 +13,7 @@ from closedloop.closure.contact_force import PRESSED, STUCK
 from closedloop.contacts.bind import check_contacts
 from closedloop.control.drives import torque_limits, torque_steps
 from closedloop.control.encoder import check_steps
-from closedloop.control.law import Compensation
+from closedloop.control.law import Compensation, ControlLaw
 from closedloop.control.laws.paper import PaperLaw
 from closedloop.control.sensor import pack_sensor
 from closedloop.control.stability import check_sampling
@@ -24,6 +24,7 @@ from closedloop.engines.start_memory import STICK_SPEED
 from closedloop.errors import ScenarioError
 from closedloop.loops.assemble import closed_start
 from closedloop.parameters import pack
+from closedloop.reference.desired import Desired
 from closedloop.robot.pinocchio import Robot
 from closedloop.scenario.arm import joint_friction_of, robot_of
 from closedloop.scenario.gains import check_transmission
@@ -35,6 +36,7 @@ from closedloop.simulation.loop_entries import with_loop_entries
 from closedloop.simulation.reference_table import reference_table
 from closedloop.simulation.start import placed_surface, refuse_combinations, refuse_lengths, start_state
 from closedloop.simulation.time_step import check_stiffness, integrator_of, stabiliser_gains, steps_and_hold
+from closedloop.surface.compliance import Compliance
 from closedloop.surface.compliances.none import Rigid
 from closedloop.surface.rates import check_rates
 from closedloop.user_code import of_users
@@ -94,14 +96,10 @@ def prepare(scenario: Scenario, model: RobotModel | None = None, cache: Cache | 
         check_contacts(scenario, robot, q)
     h, period = scenario.time.step, scenario.law.sample_period
     steps, hold = steps_and_hold(scenario, n)
-    nodes_per_step = integrator.parts
     with of_users(scenario.reference, "reference.kind"):  # its curves are evaluated in there
-        wanted, table = reference_table(scenario, robot, surface, q, steps, nodes_per_step, cache)
+        wanted, table = reference_table(scenario, robot, surface, q, steps, integrator.parts, cache)
 
-    law = scenario.law
-    given = getattr(law, "pd_start", None)
-    start = (wanted.tip.start if given is None else given) - 1e-9 * h  # i·h and 0.5 may differ by rounding
-    law = law.model_copy(update={"pd_start": start}) if isinstance(law, PaperLaw) else law
+    law, start = _law_from(scenario, wanted)
     compensation = _believed_compensation(scenario)
     compensation.check(law)
     check_sampling(law, compensation, scenario.sensor, law.sample_period or h)
@@ -115,46 +113,39 @@ def prepare(scenario: Scenario, model: RobotModel | None = None, cache: Cache | 
         u = now.frame @ robot.terms(q, v).jacobian @ v - now.carried
         mode = STUCK if np.hypot(u[1], u[2]) <= STICK_SPEED else PRESSED
     return Problem(
-        scenario=scenario,
-        robot=robot,
-        surface=surface,
-        frame=now.frame,
-        integrator=integrator,
-        q=q,
-        v=v,
-        mode=mode,
-        steps=steps,
-        h=h,
-        stabiliser=np.array(stabiliser_gains(scenario)),
-        pd_start=start,
-        law=pack_law(law, n, model.joint_names),
+        scenario=scenario, robot=robot, surface=surface, frame=now.frame, integrator=integrator, tolerance=tolerance,
+        q=q, v=v, mode=mode, h=h, steps=steps, hold=hold, nodes=integrator.parts, table=table, wanted=wanted,
+        pd_start=start, law=pack_law(law, n, model.joint_names), friction=friction,
         compensation=packed("compensation", compensation, lambda: pack_law(compensation, n, model.joint_names)),
-        friction=friction,
         joint_friction=packed("joint_friction", joint_friction, lambda: pack_friction(joint_friction, n, joints=True)),
-        compliance=packed(
-            "compliance",
-            scenario.compliance,
-            lambda: PackedLaw(type(scenario.compliance), pack(scenario.compliance, n, "compliance"), 0),
-        ),
+        compliance=packed("compliance", scenario.compliance, lambda: pack_compliance(scenario.compliance, n)),
         sensor=cache.get(
-            ("sensor", scenario.sensor.model_dump_json(), h),
-            lambda: pack_sensor(scenario.sensor, h),
+            ("sensor", scenario.sensor.model_dump_json(), h), lambda: pack_sensor(scenario.sensor, h),
             lambda found: SECTION_BYTES,
         ),
-        table=table,
-        nodes=nodes_per_step,
-        project=scenario.stabiliser.kind in ("projection", "both") and not soft,
-        hold=hold,
-        transmission=transmission_constants(scenario.transmission, model),
         encoder=cache.get(
-            ("encoder", n, scenario.encoder.model_dump_json(), robot_key(scenario)),
-            lambda: _encoder(scenario, model),
+            ("encoder", n, scenario.encoder.model_dump_json(), robot_key(scenario)), lambda: _encoder(scenario, model),
             lambda found: SECTION_BYTES,
         ),
+        transmission=transmission_constants(scenario.transmission, model),
         drives=np.stack([torque_limits(scenario.drives, model), torque_steps(scenario.drives, model, period)]),
-        wanted=wanted,
-        tolerance=tolerance,
-    )
+        stabiliser=np.array(stabiliser_gains(scenario)),
+        project=scenario.stabiliser.kind in ("projection", "both") and not soft,
+    )  # fmt: skip
+
+
+def _law_from(scenario: Scenario, wanted: Desired) -> tuple[ControlLaw, float]:
+    """Return the control law, and the instant, s, from which its PD part acts: of the path, if the law says none."""
+    law = scenario.law
+    given = getattr(law, "pd_start", None)
+    h = scenario.time.step
+    start = (wanted.tip.start if given is None else given) - 1e-9 * h  # i·h and 0.5 may differ by rounding
+    return law.model_copy(update={"pd_start": start}) if isinstance(law, PaperLaw) else law, start
+
+
+def pack_compliance(section: Compliance, n: int) -> PackedLaw:
+    """Return a soft surface as numbers."""
+    return PackedLaw(type(section), pack(section, n, "compliance"), 0)
 
 
 def _encoder(scenario: Scenario, model: RobotModel) -> Array:
@@ -195,19 +186,19 @@ def load_model(scenario: Scenario) -> RobotModel:
 
 
 def _believed_compensation(scenario: Scenario) -> Compensation:
-    """Return the compensation with its figures of friction wrong by `model_error.friction`."""
+    """Return the compensation with its values of friction wrong by `model_error.friction`."""
     section, factor = scenario.compensation, scenario.model_error.friction
     if factor == 1.0:
         return section
-    figures = {name: getattr(section, name) for name in section.friction_figures}
+    values = {name: getattr(section, name) for name in section.friction_values}
     wrong = {
         name: tuple(factor * x for x in value) if isinstance(value, tuple) else factor * value
-        for name, value in figures.items()
+        for name, value in values.items()
         if value is not None
     }
-    if not any(np.any(figures[name]) for name in wrong):
+    if not any(np.any(values[name]) for name in wrong):
         raise ScenarioError(
-            f"model_error.friction = {factor:g}: the compensation {section.kind!r} has no figures of friction to "
+            f"model_error.friction = {factor:g}: the compensation {section.kind!r} has no values of friction to "
             "be wrong about; give compensation.kind = 'model' some, or leave it out"
         )
     return section.model_copy(update=wrong)

@@ -1,4 +1,4 @@
-"""Published benchmarks of multibody dynamics that have loops, held against their printed figures."""
+"""Published benchmarks of multibody dynamics that have loops, held against their printed values."""
 
 from __future__ import annotations
 
@@ -40,7 +40,7 @@ def compare_with_published(quick: bool) -> Section:
     quick : bool
         Leaves out what takes more than a few seconds: the forty windows, and energy over a minute.
     """
-    section = Section("published mechanisms with loops: figures as printed")
+    section = Section("published mechanisms with loops: values as printed")
     section.checks += _andrews()
     section.checks += _windows(2)
     if not quick:
@@ -96,7 +96,7 @@ def _for_long(title: str, run: Run) -> list[Check]:
     drift = float(np.max(np.abs(energy - energy[0])) / np.max(kinetic))
     assert run.loops is not None
     open_by = float(np.max(np.abs(run.loops.errors)))
-    why = f"over {run.time[-1]:g} s, of the largest kinetic energy; no figures of this motion were found"
+    why = f"over {run.time[-1]:g} s, of the largest kinetic energy; no values of this motion were found"
     return [
         Check(f"{title}, energy", LOOP, drift, ENERGY, drift <= ENERGY, why),
         Check(f"{title}, closure, m", LOOP, open_by, CLOSED, open_by <= CLOSED, f"over {run.time[-1]:g} s"),

@@ -66,7 +66,7 @@ class ModelCompensation(Compensation):
         0.001, description="wanted joint speed below which its feed-forward fades, rad/s (m/s)"
     )
 
-    friction_figures: ClassVar = ("kinetic", "static", "viscous", "joint_coulomb", "joint_viscous")
+    friction_values: ClassVar = ("kinetic", "static", "viscous", "joint_coulomb", "joint_viscous")
 
     @field_validator("static")
     @classmethod

@@ -20,7 +20,7 @@ The first follows from |z| <= μ_s/σ_0. For a constant σ_1 it is the condition
 Necessary and sufficient conditions for passivity of the LuGre friction model, IEEE Trans. Automatic Control 45
 (2000) 830-832 (recalled, and as others quote it from Åström and Canudas de Wit 2008, Eq. 7). The second makes
 the quadratic form definite for every z: with b = 0 that is σ_1(v) v <= 4 g(v), and v exp(−(v/v_d)²) is at most
-v_d/√(2e). The published figures, with constant σ_1, fulfil neither. Where f changes, energy comes and goes with
+v_d/√(2e). The published values, with constant σ_1, fulfil neither. Where f changes, energy comes and goes with
 the stiffness of bent bristles, at most μ_s²/(2σ_0) per newton.
 
 Under a small load that oscillates about a mean the bristles let the tip drift, as dahl's do.

@@ -10,10 +10,14 @@ In interpreted code an address is a number under which the Python function is re
 from __future__ import annotations
 
 import ctypes
+import signal
 from collections.abc import Callable
 from functools import cache
 from itertools import count
 from typing import Any
+from weakref import WeakKeyDictionary
+
+from closedloop.interrupts import answered_where_it_can_be, held_back
 
 Entry = Callable[[int, int], int]
 
@@ -22,6 +26,7 @@ _CALLBACK = ctypes.CFUNCTYPE(ctypes.c_int64, ctypes.c_int64, ctypes.c_int64)
 _interpreted: dict[int, Entry] = {}
 _with_buffers: dict[int, Entry] = {}
 _numbers = count(1)
+_addresses: WeakKeyDictionary[Any, int] = WeakKeyDictionary()  # of machine code, by the entries that keep it
 
 
 def call_at(address: int, loop: int, what: int) -> int:
@@ -62,11 +67,18 @@ def address_of_function(entry: Entry) -> int:
 
 
 def compiled_address(entry: Any) -> int:
-    """Return the address of an entry that numba compiles, compiling it first or reading it from the cache."""
-    from numba import types
+    """Return the address of an entry that numba compiles, compiling it first or reading it from the cache.
 
-    compiled = entry.get_compile_result(types.int64(types.int64, types.int64))
-    return int(compiled.library.get_pointer_to_function(compiled.fndesc.llvm_cfunc_wrapper_name))
+    LLVM's library is asked for it under a lock, which Ctrl-C at that moment would leave taken: the next thread that
+    asks would wait for ever. So Ctrl-C waits, and an entry is asked for once.
+    """
+    if entry not in _addresses:
+        from numba import types
+
+        with answered_where_it_can_be(), held_back(signal.SIGINT):
+            compiled = entry.get_compile_result(types.int64(types.int64, types.int64))
+            _addresses[entry] = int(compiled.library.get_pointer_to_function(compiled.fndesc.llvm_cfunc_wrapper_name))
+    return _addresses[entry]
 
 
 def give_with_buffers(address: int, entry: Entry) -> None:

@@ -8,10 +8,15 @@ import time
 import numba
 import numpy as np
 import pytest
+from numba import types
 from numba.core.compiler_lock import _CompilerLock, global_compiler_lock
 
+from closedloop.control.law import LAWS
 from closedloop.interrupts import Terminated, terminable
+from closedloop.jit import calls
+from closedloop.jit.calls import compiled_address
 from closedloop.jit.kernel import direct, entry_kernel, jit_disabled, kernel
+from closedloop.step.entries import law_entry
 
 pytestmark = pytest.mark.skipif(bool(jit_disabled()), reason="nothing is compiled")
 
@@ -89,6 +94,61 @@ def test_numba_alone_leaves_its_lock_taken():
     finally:
         while global_compiler_lock.is_locked():
             global_compiler_lock._lock.release()
+
+
+class SignalOnceTaken:
+    """LLVM's lock, with Ctrl-C as it has been taken."""
+
+    def __init__(self, lock):
+        self.lock, self.sent = lock, False
+
+    def acquire(self):
+        """Take it, and send Ctrl-C the first time."""
+        self.lock.acquire()
+        if not self.sent:
+            self.sent = True
+            signal.raise_signal(signal.SIGINT)
+
+    def release(self):
+        """Let it go."""
+        self.lock.release()
+
+    def is_free(self):
+        """Whether another thread could ask LLVM now; if not, it can afterwards."""
+        taken = []
+
+        def ask():
+            taken.append(self.lock.acquire(timeout=1.0))
+            if taken[0]:
+                self.lock.release()
+
+        thread = threading.Thread(target=ask)
+        thread.start()
+        thread.join()
+        if not taken[0]:
+            self.lock.release()
+        return taken[0]
+
+
+@pytest.mark.parametrize("ours", [True, False])
+def test_ctrl_c_as_llvm_is_asked_for_an_address(monkeypatch, ours):
+    """Each run asks for the addresses of what its loop calls: it left the lock taken, and the next batch hung."""
+    from llvmlite.binding import ffi
+
+    entry = law_entry(LAWS["paper"])
+    compiled = entry.get_compile_result(types.int64(types.int64, types.int64))
+    where = compiled_address(entry)
+    monkeypatch.delitem(calls._addresses, entry)
+    lock = SignalOnceTaken(ffi.lib._lock._lock)
+    monkeypatch.setattr(ffi.lib._lock, "_lock", lock)
+    ask, what = compiled_address, entry
+    if not ours:  # the negative control
+        ask, what = compiled.library.get_pointer_to_function, compiled.fndesc.llvm_cfunc_wrapper_name
+    with pytest.raises(KeyboardInterrupt):
+        ask(what)
+    assert lock.sent
+    assert lock.is_free() == ours
+    assert compiled_address(entry) == where
 
 
 def test_a_second_ctrl_c_does_not_wait(monkeypatch):

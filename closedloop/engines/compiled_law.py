@@ -19,11 +19,10 @@ from closedloop.jit.calls import is_compiled
 from closedloop.jit.compiler_words import why_not_compiled
 from closedloop.jit.inline_once import NestedFunction
 from closedloop.jit.kernel import numba_ready
+from closedloop.jit.uninterrupted import compiler_at_work
 from closedloop.robot.pinocchio import Terms
 from closedloop.step.entries import TORQUE, law_input
 from closedloop.step.memory import loop_at
-
-numba_ready()
 
 Array = NDArray[np.float64]
 
@@ -42,6 +41,7 @@ _INPUT: Any = types.NamedTuple(tuple(map(_kind_of, LawInput._fields)), LawInput)
 
 
 @lru_cache(maxsize=32)
+@compiler_at_work()
 def compiled_law(law: Any) -> Any:
     """Return the entry of a law of numba's, or say why there can be none; see `closedloop.jit.calls`.
 
@@ -94,15 +94,14 @@ def _check(law: Any, result: Any, right: bool, cure: str) -> None:
         raise ScenarioError(f"the compiled law {name_of(law)} returns {result}: {cure}")
 
 
-@numba.njit(_READ[1](_READ[1]))
-def _read(x: Array) -> Array:
-    """Return an array of which compiled code can only read."""
+def _same(x: Array) -> Array:
     return x
 
 
-@numba.njit(_READ[2](_READ[2]))
-def _read2(x: Array) -> Array:
-    return x
+with compiler_at_work():
+    numba_ready()
+    # An array of one and of two dimensions, as one of which compiled code can only read.
+    _read, _read2 = (numba.njit(_READ[d](_READ[d]))(_same) for d in (1, 2))
 
 
 def _inner(function: Any) -> Any:

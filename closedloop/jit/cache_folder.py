@@ -24,6 +24,8 @@ from functools import lru_cache
 from pathlib import Path
 from typing import Any
 
+from closedloop.jit.uninterrupted import compiler_at_work
+
 # What tells a file whose text the compiled code depends on, and files that say how it is compiled.
 MARKS = (b"\n@kernel", b"\n@inlined_kernel", b"\n@entry_kernel", b"\n@brief_entry", b"@lower_builtin")
 COMPILERS = ("kernel.py", "inline_once.py", "blocks.py", "parameters.py", "measures.py")
@@ -61,18 +63,20 @@ def cache_folder() -> Path:
 @lru_cache(maxsize=1)
 def compiler_and_processor() -> tuple[Any, ...]:
     """Return what compiled code depends on beside its source: versions, and the processor, which may be one's wish."""
-    import llvmlite
-    import llvmlite.binding as llvm
-    import numba
-    from numba.core import config
+    with compiler_at_work():
+        import llvmlite
+        import llvmlite.binding as llvm
+        import numba
+        from numba.core import config
 
-    numba_settings: Any = config  # its attributes are made at run time, which type checkers cannot see
-    versions = (numba.__version__, llvmlite.__version__, sys.implementation.cache_tag, sys.flags.optimize)
-    name = numba_settings.CPU_NAME or llvm.get_host_cpu_name()
-    features = numba_settings.CPU_FEATURES
-    if features is None:
-        features = "" if numba_settings.CPU_NAME else llvm.get_host_cpu_features().flatten()
-    return (*versions, llvm.get_process_triple(), name, features, numba_settings.OPT, numba_settings.ENABLE_AVX)
+        numba_settings: Any = config  # its attributes are made at run time, which type checkers cannot see
+        versions = (numba.__version__, llvmlite.__version__, sys.implementation.cache_tag, sys.flags.optimize)
+        name = numba_settings.CPU_NAME or llvm.get_host_cpu_name()
+        features = numba_settings.CPU_FEATURES
+        if features is None:
+            features = "" if numba_settings.CPU_NAME else llvm.get_host_cpu_features().flatten()
+        triple = llvm.get_process_triple()
+    return (*versions, triple, name, features, numba_settings.OPT, numba_settings.ENABLE_AVX)
 
 
 def _cache_root() -> Path:

@@ -10,14 +10,13 @@ In interpreted code an address is a number under which the Python function is re
 from __future__ import annotations
 
 import ctypes
-import signal
 from collections.abc import Callable
 from functools import cache
 from itertools import count
 from typing import Any
 from weakref import WeakKeyDictionary
 
-from closedloop.interrupts import answered_where_it_can_be, held_back
+from closedloop.jit.uninterrupted import compiler_at_work
 
 Entry = Callable[[int, int], int]
 
@@ -69,13 +68,12 @@ def address_of_function(entry: Entry) -> int:
 def compiled_address(entry: Any) -> int:
     """Return the address of an entry that numba compiles, compiling it first or reading it from the cache.
 
-    LLVM's library is asked for it under a lock, which Ctrl-C at that moment would leave taken: the next thread that
-    asks would wait for ever. So Ctrl-C waits, and an entry is asked for once.
+    LLVM is asked once for each entry, uninterrupted.
     """
     if entry not in _addresses:
-        from numba import types
+        with compiler_at_work():
+            from numba import types
 
-        with answered_where_it_can_be(), held_back(signal.SIGINT):
             compiled = entry.get_compile_result(types.int64(types.int64, types.int64))
             _addresses[entry] = int(compiled.library.get_pointer_to_function(compiled.fndesc.llvm_cfunc_wrapper_name))
     return _addresses[entry]

@@ -10,15 +10,12 @@ inside a cached `step.py`. So the cache is our own, in a folder named by a diges
 
 from __future__ import annotations
 
-import gc
 import os
-import signal
-from collections.abc import Callable, Iterator
-from contextlib import contextmanager
+from collections.abc import Callable
 from functools import cache, cached_property, update_wrapper
 from typing import Any, TypeVar, cast
 
-from closedloop.interrupts import answered_where_it_can_be, held_back
+from closedloop.jit.uninterrupted import compiler_at_work
 
 F = TypeVar("F", bound=Callable[..., Any])
 
@@ -58,8 +55,9 @@ class Kernel:
     @cached_property
     def dispatcher(self) -> Any:
         """What numba made of the function."""
-        numba_ready()
-        return self._make(self.py_func)
+        with compiler_at_work():
+            numba_ready()
+            return self._make(self.py_func)
 
     @property
     def _numba_type_(self) -> Any:
@@ -121,11 +119,7 @@ def _njit(function: Callable[..., Any], **options: Any) -> Any:
 
 
 def _kept(function: Callable[..., Any], compiled: Any, identity: str = "") -> Any:
-    """Let what numba compiles for Python to call be kept on disk, and Ctrl-C wait until it is compiled.
-
-    numba takes a lock while it compiles, and Ctrl-C at that moment would leave it taken: another thread that compiles
-    later would wait for ever. A second Ctrl-C does not wait, nor does SIGTERM, after which nothing is compiled.
-    """
+    """Let what numba compiles for Python to call be kept on disk, and Ctrl-C wait until it is compiled."""
     from closedloop.jit.compile_cache import KernelCache
 
     if os.path.isfile(function.__code__.co_filename):
@@ -133,23 +127,11 @@ def _kept(function: Callable[..., Any], compiled: Any, identity: str = "") -> An
     compile_now = compiled.compile
 
     def compile_uninterrupted(signature: Any) -> Any:
-        with answered_where_it_can_be(), held_back(signal.SIGINT), _no_garbage_collection():
+        with compiler_at_work():
             return compile_now(signature)
 
     compiled.compile = compile_uninterrupted
     return compiled
-
-
-@contextmanager
-def _no_garbage_collection() -> Iterator[None]:
-    """Do not look for garbage meanwhile: a compiler's graphs are in use, and looking through them takes a tenth."""
-    was = gc.isenabled()
-    gc.disable()
-    try:
-        yield
-    finally:
-        if was:
-            gc.enable()
 
 
 def inlined_kernel(function: F) -> F:

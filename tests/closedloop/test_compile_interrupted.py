@@ -2,6 +2,8 @@
 
 import random
 import signal
+import subprocess
+import sys
 import threading
 import time
 
@@ -149,6 +151,48 @@ def test_ctrl_c_as_llvm_is_asked_for_an_address(monkeypatch, ours):
     assert lock.sent
     assert lock.is_free() == ours
     assert compiled_address(entry) == where
+
+
+# Runs of every kind, from Python that has nothing of numba's yet; prints what asked LLVM while Ctrl-C would not wait.
+EVERY_WAY = """
+import signal, threading, traceback
+from llvmlite.binding import ffi
+
+def taken():
+    if threading.current_thread() is threading.main_thread():
+        asked.append(True)
+        if signal.getsignal(signal.SIGINT) is signal.default_int_handler:
+            stack = traceback.extract_stack()
+            print(*(f"{call.filename}:{call.lineno}" for call in stack if "closedloop" in call.filename), sep=" > ")
+
+asked = []
+ffi.register_lock_callback(taken, lambda: None)
+signal.signal(signal.SIGINT, signal.default_int_handler)
+import closedloop as cl
+
+short = cl.load_scenario("planar2_slide", {"time.duration": 0.02})
+cl.simulate(short)
+cl.simulate(short, engine="compiled")
+cl.Simulator(short).run()
+cl.simulate_batch(short, {"law.force": [1.0, 2.0]}, workers=1)
+import numba
+
+before = len(asked)
+cl.simulate(short, law=numba.njit(lambda t, q, v, terms: terms.bias), engine="compiled")
+assert 0 < before < len(asked)
+GUARDLESS
+"""
+
+
+@pytest.mark.parametrize("guarded", [True, False])
+def test_ctrl_c_waits_whenever_llvm_is_asked(guarded):
+    """Whatever a run asks of LLVM, Ctrl-C waits: numba's start and its addresses too; but not what others ask."""
+    others = "" if guarded else "import llvmlite.binding as llvm; llvm.get_host_cpu_name()"
+    done = subprocess.run(
+        [sys.executable, "-c", EVERY_WAY.replace("GUARDLESS", others)], capture_output=True, text=True, check=False
+    )
+    assert done.returncode == 0, done.stderr
+    assert (done.stdout == "") == guarded, done.stdout
 
 
 def test_a_second_ctrl_c_does_not_wait(monkeypatch):

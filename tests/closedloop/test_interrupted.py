@@ -123,10 +123,10 @@ def test_ctrl_c_keeps_what_ran(integrator):
 
 @pytest.fixture
 def alarm():
-    """Return a function that raises KeyboardInterrupt after so many seconds, wherever Python is then."""
+    """Return a function that sends Ctrl-C after so many seconds, wherever Python is then."""
 
     def ring(number, frame):
-        raise KeyboardInterrupt
+        interrupt()
 
     before = signal.signal(signal.SIGALRM, ring)
     yield lambda seconds: signal.setitimer(signal.ITIMER_REAL, seconds)

@@ -276,7 +276,7 @@ def test_ctrl_c_itself():
     sim = cl.Simulator(scenario)
     sim.reset()
     signal.setitimer(signal.ITIMER_REAL, 0.003)
-    before = signal.signal(signal.SIGALRM, signal.default_int_handler)
+    before = signal.signal(signal.SIGALRM, lambda number, frame: signal.raise_signal(signal.SIGINT))
 
     def go_on():
         while not sim.done:

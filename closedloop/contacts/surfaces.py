@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from closedloop.errors import ScenarioError
 from closedloop.families import is_users
 from closedloop.scenario.contact_sections import ContactSection
-from closedloop.surface.contact import SurfaceMemory, motion_entry, surface_entry
+from closedloop.surface.contact import SurfaceMemory
 from closedloop.surface.motion import MOTIONS
 from closedloop.surface.placed import PlacedSurface
 from closedloop.surface.plane import contact_frame, unit
@@ -33,18 +33,15 @@ class ContactSurfaces(NamedTuple):
 
     def entries(self) -> list[Any]:
         """Return the entry kernels of the surfaces and of their motions."""
-        surfaces = [surface for surface, _ in self.placed.values()]
-        motions = [motion_entry(type(surface.motion)) for surface in surfaces if surface.moves]
-        return [*(surface_entry(type(surface.section)) for surface in surfaces), *motions]
+        return [entry for surface, _ in self.placed.values() for entry in surface.entries().values()]
 
     def connect(self, address: Callable[[Any], int]) -> None:
         """Write where the entries are, by what gives the address of one."""
         for i, (surface, memory) in self.placed.items():
-            self.addresses[2 * i], self.addresses[2 * i + 1] = (
-                address(surface_entry(type(surface.section))), memory.address,
-            )  # fmt: skip
+            entries = surface.entries()
+            self.addresses[2 * i : 2 * i + 2] = address(entries["surface"]), memory.address
             if surface.moves:
-                memory.links.motion = address(motion_entry(type(surface.motion)))
+                memory.links.motion = address(entries["surface_motion"])
 
 
 def surface_of(section: ContactSection, name: str = "") -> PlacedSurface | None:

@@ -13,6 +13,7 @@ from closedloop.friction.law import FrictionLaw
 from closedloop.friction.laws.none import NoFriction
 from closedloop.parameters import pack, pack_each_joint, state_block
 from closedloop.step.memory import ELASTIC_STICK, RIGID_STICK, SMOOTH, SPRING_STICK
+from closedloop.surface.compliance import Compliance
 
 Array = NDArray[np.float64]
 
@@ -20,7 +21,7 @@ STICKING = {"rigid": RIGID_STICK, "elastic": ELASTIC_STICK, "spring": SPRING_STI
 
 
 class PackedLaw(NamedTuple):
-    """A law as the loop reads it: of control, of compensation, or of friction.
+    """A law as the loop reads it: of control, of compensation, of friction, or of a soft surface.
 
     Attributes
     ----------
@@ -64,6 +65,11 @@ def pack_friction(section: FrictionLaw, n: int, joints: bool = False) -> PackedL
         member.check_functions(f"{where}.kind")
     numbers = pack_each_joint(section, n, where) if joints else pack(section, n, where)
     return PackedLaw(member, numbers, state_block(member).count(1 if joints else 2))
+
+
+def pack_compliance(section: Compliance, n: int) -> PackedLaw:
+    """Turn a soft surface into numbers for n joints."""
+    return PackedLaw(type(section), pack(section, n, "compliance"), 0)
 
 
 def sticking(friction: PackedLaw) -> int:

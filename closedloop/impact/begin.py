@@ -24,7 +24,10 @@ STRAIGHT, TURNING, RESTING = 0, 1, 2
 
 @kernel
 def begin_piece(S: Array, mu: float, speed: float, c: ImpactWork) -> tuple[int, float, int]:
-    """Expand the piece that begins in column 0; return its kind, its length (inf: until the impact ends), its bits."""
+    """Expand the next piece; return its kind, its length (inf: until the impact ends), its bits.
+
+    It begins with the velocities that are the first coefficients of `w1`, `w2` and `un`.
+    """
     x, y = c.w1[0], c.w2[0]
     r = math.hypot(x, y)
     c.r[0] = r

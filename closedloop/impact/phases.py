@@ -226,7 +226,7 @@ def _end_piece(
 
 @kernel
 def _move_on(degree: int, length: float, end: int, c: ImpactWork) -> None:
-    """Put the velocities at the end of a piece into column 0."""
+    """Begin the next piece with the velocities at the end of this one."""
     x, y, normal = value(c.w1, degree, length), value(c.w2, degree, length), value(c.un, degree, length)
     c.w1[0], c.w2[0] = x, y
     c.un[0] = 0.0 if end == PHASE else normal

@@ -51,7 +51,7 @@ class ImpactWork(Block):
 
 @kernel
 def expand_straight(a: float, a1: float, a2: float, t1: float, t2: float, c: ImpactWork) -> None:
-    """Write the polynomials in P_n of a piece with one direction of friction, from the velocities in column 0.
+    """Write the polynomials in P_n of a piece with one direction of friction, from the velocities at its begin.
 
     `a`, `a1`, `a2` are du_n/dP_n, du_t1/dP_n and du_t2/dP_n, 1/kg; `t1`, `t2` are dP_t/dP_n.
     """
@@ -66,7 +66,10 @@ def expand_straight(a: float, a1: float, a2: float, t1: float, t2: float, c: Imp
 
 @kernel
 def expand_turning(S: Array, mu: float, c: ImpactWork) -> float:
-    """Write the Taylor polynomials in τ of slip whose direction turns, from column 0; return how far they reach."""
+    """Write the Taylor polynomials in τ of slip whose direction turns; return how far they reach.
+
+    They begin with the velocities that are the first coefficients of `w1`, `w2` and `un`.
+    """
     rate = (1.0 + mu) * (S[0, 0] + S[1, 1] + S[2, 2])
     for k in range(ORDER):
         d = 1.0 / (rate * (k + 1))

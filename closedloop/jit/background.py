@@ -14,7 +14,7 @@ import subprocess
 import sys
 import threading
 import time as clock
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -169,15 +169,18 @@ def takes_long(function: Callable[..., Any]) -> bool:
 
 def seconds_to_compile(functions: Sequence[Callable[..., Any]]) -> float:
     """Return the processor time, about, s, of compiling those of these entry kernels that are not compiled yet."""
-    missing = (function.__name__ for function in functions if needs_compiling(function))
-    return sum(TAKES_LONG[name].seconds if name in TAKES_LONG else BRIEF for name in missing)
+    return _seconds(function.__name__ for function in functions if needs_compiling(function))
+
+
+def _seconds(names: Iterable[str]) -> float:
+    return sum(TAKES_LONG[name].seconds if name in TAKES_LONG else BRIEF for name in names)
 
 
 def compiling_notice(names: Sequence[str] = ()) -> str:
     """Return the line for a user who is about to wait for the compiler of these kernels."""
     reason = why_not_kept()
     how_often = "once for this installation" if not reason else f"each time, as it cannot be kept: {reason}"
-    seconds = sum(TAKES_LONG[name].seconds if name in TAKES_LONG else BRIEF for name in names or TAKES_LONG)
+    seconds = _seconds(names or TAKES_LONG)
     how_long = "some ten seconds" if seconds < 20.0 else "half a minute" if seconds < 45.0 else "a minute or two"
     return f"compiling {_named(names)} ({how_often}, {how_long}) ..."
 

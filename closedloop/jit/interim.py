@@ -93,16 +93,16 @@ class Interim:
                 return self._compile(arguments)(*arguments)
             if self._decided:
                 self._compile_behind()  # again, if another process was compiling something else
-        before = [array.copy() for array in self._written]
+        before = _copies(self._written)
         busy = clock.thread_time()  # of the processor: on a loaded machine compiling takes longer by as much
         try:
             with np.errstate(all="ignore"):
                 answer = self._interpret(arguments, before)
         except (ArithmeticError, ValueError):  # where compiled code would go on
-            self._put_back(before)
+            _put_back(self._written, before)
             return self._compile(arguments)(*arguments)
         except BaseException:
-            self._put_back(before)
+            _put_back(self._written, before)
             raise
         _so_far[self._function.__name__] += 1
         self._done += 1
@@ -118,12 +118,12 @@ class Interim:
             try:
                 return self._quick(*arguments)
             except NeedsArraysError:
-                self._put_back(before)
+                _put_back(self._written, before)
             except ArithmeticError:  # such as a division by zero, of which arrays make an infinity
-                self._put_back(before)
+                _put_back(self._written, before)
                 break
             except NOT_WITH_BUFFERS:
-                self._put_back(before)
+                _put_back(self._written, before)
                 self._with_buffers = False
         return self._twin(*arguments)
 
@@ -147,9 +147,14 @@ class Interim:
         self.compiling += clock.perf_counter() - began
         return compiled
 
-    def _put_back(self, before: Sequence[NDArray[Any]]) -> None:
-        for array, earlier in zip(self._written, before, strict=True):
-            array[...] = earlier
+
+def _copies(arrays: Sequence[NDArray[Any]]) -> list[NDArray[Any]]:
+    return [array.copy() for array in arrays]
+
+
+def _put_back(arrays: Sequence[NDArray[Any]], before: Sequence[NDArray[Any]]) -> None:
+    for array, earlier in zip(arrays, before, strict=True):
+        array[...] = earlier
 
 
 def call_now(function: Callable[..., Any], written: Sequence[NDArray[Any]], *arguments: Any) -> Any:
@@ -189,15 +194,14 @@ def call_once(function: Callable[..., Any], written: Sequence[NDArray[Any]], bri
         An entry among them is given to the kernel as its address, see `closedloop.jit.calls`.
     """
     needed = function, *filter(callable, arguments)
-    brief = brief and _spent[function.__name__] <= background.seconds_to_compile(needed)
-    if brief and not _compiled_first.get() and not all(map(at_hand, needed)):
-        before, busy = [array.copy() for array in written], clock.thread_time()
+    interpretable = brief and not _compiled_first.get() and not all(map(at_hand, needed))
+    if interpretable and _spent[function.__name__] <= background.seconds_to_compile(needed):
+        before, busy = _copies(written), clock.thread_time()
         try:
             with np.errstate(all="ignore"):
                 return interpreted(function)(*_by_address(arguments, twin_address))
         except (ArithmeticError, ValueError):  # where compiled code would go on
-            for array, earlier in zip(written, before, strict=True):
-                array[...] = earlier
+            _put_back(written, before)
         finally:
             _spent[function.__name__] += clock.thread_time() - busy
     background.make_ready(*needed)

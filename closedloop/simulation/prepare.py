@@ -18,7 +18,7 @@ from closedloop.control.laws.paper import PaperLaw
 from closedloop.control.sensor import pack_sensor
 from closedloop.control.stability import check_sampling
 from closedloop.control.transmission import transmission_constants
-from closedloop.engines.packed import PackedLaw, pack_friction, pack_law
+from closedloop.engines.packed import PackedLaw, pack_compliance, pack_friction, pack_law
 from closedloop.engines.problem import Problem
 from closedloop.engines.start_memory import STICK_SPEED
 from closedloop.errors import ScenarioError
@@ -36,7 +36,6 @@ from closedloop.simulation.loop_entries import with_loop_entries
 from closedloop.simulation.reference_table import reference_table
 from closedloop.simulation.start import placed_surface, refuse_combinations, refuse_lengths, start_state
 from closedloop.simulation.time_step import check_stiffness, integrator_of, stabiliser_gains, steps_and_hold
-from closedloop.surface.compliance import Compliance
 from closedloop.surface.compliances.none import Rigid
 from closedloop.surface.rates import check_rates
 from closedloop.user_code import of_users
@@ -141,11 +140,6 @@ def _law_from(scenario: Scenario, wanted: Desired) -> tuple[ControlLaw, float]:
     h = scenario.time.step
     start = (wanted.tip.start if given is None else given) - 1e-9 * h  # i·h and 0.5 may differ by rounding
     return law.model_copy(update={"pd_start": start}) if isinstance(law, PaperLaw) else law, start
-
-
-def pack_compliance(section: Compliance, n: int) -> PackedLaw:
-    """Return a soft surface as numbers."""
-    return PackedLaw(type(section), pack(section, n, "compliance"), 0)
 
 
 def _encoder(scenario: Scenario, model: RobotModel) -> Array:

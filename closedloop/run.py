@@ -70,7 +70,11 @@ def _main(arguments: list[str]) -> int:
 def _run(options: Namespace, overrides: dict[str, Any]) -> int:
     """Simulate what the command line asks for, save, draw and report it, and return the exit status."""
     job = _job(options, overrides)
-    results = _results(job, options.overwrite)
+    with _results(job, options.overwrite) as results:
+        return _run_into(results, job, options)
+
+
+def _run_into(results: Results, job: _Job, options: Namespace) -> int:
     if job.earlier is not None:
         warn_of_other_texts(options.scenario, job.earlier, {options.law or "": job.digest, **job.members})
     if job.law is None:

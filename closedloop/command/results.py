@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import json
 import os
+from contextlib import suppress
 from pathlib import Path
 
 from closedloop.errors import ClosedLoopError, InterruptedRunError, OutputError, RunFileError
@@ -29,7 +30,7 @@ _NAMES = {
 
 
 class Results:
-    """Where the results of a run go.
+    """Where the results of a run go; at the end of a ``with`` block no folder is left that was made for nothing.
 
     Parameters
     ----------
@@ -47,8 +48,7 @@ class Results:
     """
 
     def __init__(self, folder: Path, question: dict[str, str], overwrite: bool) -> None:
-        self.folder = folder
-        _make_writable(folder)
+        self.folder, self._made = folder, _make_writable(folder)
         remove_unfinished(folder)
         self._rows, self._other = -1, False
         fault = self._look(question)
@@ -57,6 +57,14 @@ class Results:
                 f"--out {str(folder)!r}: {fault}; name another folder with --out, or replace it with --overwrite"
             )
         self._other = bool(fault)
+
+    def __enter__(self) -> Results:
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        for folder in self._made:
+            with suppress(OSError):  # something is in it
+                folder.rmdir()
 
     def _look(self, question: dict[str, str]) -> str:
         """Return why what is in the folder may not be replaced, and "" if it may."""
@@ -87,6 +95,8 @@ class Results:
         if isinstance(failure, InterruptedRunError) and not self._other and len(run) <= self._rows:
             return []
         with held_back():
+            with suppress(OSError):  # a run beside this one, that was refused, may have removed it
+                self.folder.mkdir(parents=True, exist_ok=True)
             if self._other:
                 self._clear()
             summary = json.dumps(run.summary(), indent=2, allow_nan=False) + "\n"
@@ -108,11 +118,16 @@ class Results:
                 raise OutputError(f"{path}: cannot be removed: {reason_of(error)}") from None
 
 
-def _make_writable(folder: Path) -> None:
-    """Make the output folder before anything is simulated, so that no result is lost if that fails."""
+def _make_writable(folder: Path) -> list[Path]:
+    """Make the output folder before anything is simulated, so that no result is lost if that fails.
+
+    Returns the folders that were not there, the innermost first.
+    """
     try:
+        missing = [place for place in (folder, *folder.parents) if not place.exists()]
         with held_back():
             probe_folder(folder)
+        return missing
     except (OSError, ValueError) as error:
         raise OutputError(
             f"--out {str(folder)!r}: cannot be written: {reason_of(error)}; name another folder"

@@ -96,6 +96,20 @@ def test_nothing_of_a_replaced_run_stays_beside_the_new_one(command_line, tmp_pa
     assert set(contents(tmp_path / "r")) == {"fig_mine.png", "notes.txt", "run.nc", "summary.json"}
 
 
+@pytest.mark.parametrize("law", [(), ("--law", "laws_of_results:interrupted_at_once")])
+@pytest.mark.usefixtures("laws")
+def test_a_run_that_gives_nothing_leaves_no_folder(law, command_line, tmp_path):
+    """Refused, or interrupted before its first step: the folders made for it go, and those that were there stay."""
+    (tmp_path / "mine").mkdir()
+    wrong = () if law else ("--law.kp", "[1.0]")
+    words = ("planar2_slide", *SHORT[:-1], "mine/new/r", *law, *wrong)
+    assert command_line(*words).status == (130 if law else 2)
+    assert list((tmp_path / "mine").iterdir()) == []
+    assert command_line("planar2_slide", *SHORT[:-1], "mine/new/r").status == 0
+    assert command_line(*words).status == 2
+    assert set(contents(tmp_path / "mine" / "new" / "r")) == {"run.nc", "summary.json"}
+
+
 @pytest.mark.parametrize("name", ["run.nc", "summary.json"])
 def test_files_of_others_are_not_replaced(name, command_line, tmp_path):
     """A run.nc that is no run, or a summary.json of another program, is refused."""
@@ -158,7 +172,7 @@ def test_a_signal_before_the_first_row_leaves_nothing(laws, command_line, tmp_pa
     """There is nothing to be saved, and nothing is."""
     line = command_line("planar2_slide", "--law", f"{laws}:interrupted_at_once", *SHORT).refusal(status=130)
     assert "interrupted" in line
-    assert contents(tmp_path / "r") == {}
+    assert not (tmp_path / "r").exists()
 
 
 def test_an_interrupted_repeat_does_not_replace_the_whole_run(laws, command_line, tmp_path, monkeypatch):

@@ -20,11 +20,16 @@ from typing import Any, Generic, TypeVar
 T = TypeVar("T")
 
 
+def cores() -> int:
+    """Return how many cores this process may use."""
+    return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
+
+
 def possible() -> bool:
     """Whether a second process can be begun, and has a core of its own."""
     alone = threading.current_thread() is threading.main_thread() and threading.active_count() == 1
     daemon = multiprocessing.current_process().daemon  # which may have no children
-    return sys.platform == "linux" and alone and not daemon and len(os.sched_getaffinity(0)) > 1
+    return sys.platform == "linux" and alone and not daemon and cores() > 1
 
 
 class Beside(Generic[T]):

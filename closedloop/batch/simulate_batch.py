@@ -10,7 +10,6 @@ interpreter's lock while it steps, so threads run in parallel and share memory.
 from __future__ import annotations
 
 import itertools
-import os
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from contextlib import ExitStack
 from typing import TYPE_CHECKING, Any
@@ -24,6 +23,7 @@ from closedloop.errors import ScenarioError
 from closedloop.jit.simd8 import WIDE
 from closedloop.scenario.overrides import Variants
 from closedloop.scenario.scenario import Scenario, families
+from closedloop.second_process import cores
 from closedloop.simulation.cache import Cache
 from closedloop.simulation.simulate import check_engine
 from robot_models import RobotModel
@@ -182,8 +182,7 @@ def threads_for(engine: str, workers: int | None) -> int:
         raise ScenarioError(f"workers = {workers}: must be at least 1, and at most {MOST_THREADS}")
     if engine != COMPILED:
         return 1
-    cores = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
-    return workers or cores
+    return workers or cores()
 
 
 def _points(changes: Mapping[str, Sequence[Any]], grid: bool) -> list[tuple[Any, ...]]:

@@ -8,25 +8,45 @@ from __future__ import annotations
 
 import argparse
 import logging
+import signal
 import time as clock
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
+from concurrent.futures import FIRST_COMPLETED, Future, ProcessPoolExecutor, wait
+from concurrent.futures.process import BrokenProcessPool
 from functools import partial
+from multiprocessing import active_children, get_context
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 from closedloop.command.border import DONE, Parser, run_command
 from closedloop.errors import ScenarioError
+from closedloop.jit.background import notices, seconds_of
+from closedloop.second_process import cores
 
 if TYPE_CHECKING:
     from closedloop.engines.problem import Problem
     from closedloop.families import Family
 
 
+MOST_WORKERS = 8  # more would wait for what is compiled one after the other
+
+
 class Piece(NamedTuple):
-    """Something to be compiled: the entry kernel's name, a description, and a function that compiles it."""
+    """Something to be compiled.
+
+    Attributes
+    ----------
+    kernel, what : str
+        The entry kernel's name, and a description.
+    compile : callable
+        Compiles it.
+    after : str
+        The kernel that has to be there: `compile` would compile that too.
+    """
 
     kernel: str
     what: str
     compile: Callable[[], Any]
+    after: str = ""
 
 
 def pieces() -> tuple[Piece, ...]:
@@ -37,12 +57,12 @@ def pieces() -> tuple[Piece, ...]:
         Piece("walk", "inverse kinematics of a path", _problem),
         Piece("sample_spline", "a path of joints", _problem),
         Piece("proceed_at", "the step", lambda: _run(PINOCCHIO)),
-        Piece("complete_record", "the end of a record", lambda: _run(PINOCCHIO)),
+        Piece("complete_record", "the end of a record", lambda: _run(PINOCCHIO), "proceed_at"),
         Piece("collide", "impacts", _impacts),
-        Piece("run_compiled", "the compiled engine's terms", lambda: _run(COMPILED)),
-        Piece("measure_rows", "values of a batch's runs", _measures),
-        Piece("run_in_lanes", "eight runs of a batch at a time", _batch),
-        Piece("evaluate_on_pinocchio", "dop853", lambda: _run(PINOCCHIO, "dop853")),
+        Piece("run_compiled", "the compiled engine's terms", lambda: _run(COMPILED), "proceed_at"),
+        Piece("measure_rows", "values of a batch's runs", _measures, "run_compiled"),
+        Piece("run_in_lanes", "eight runs of a batch at a time", _batch, "measure_rows"),
+        Piece("evaluate_on_pinocchio", "dop853", lambda: _run(PINOCCHIO, "dop853"), "proceed_at"),
         Piece("_impact", "an impact by itself", _impact),
         Piece("put_on_surface", "a path on a surface", lambda: _path("put_on_surface")),
         Piece("normals_on_surface", "the normal along a path", lambda: _path("normals_on_surface")),
@@ -138,32 +158,74 @@ def main(arguments: Sequence[str] | None = None) -> int:
 
 def compile_command(arguments: list[str]) -> int:
     """Compile everything, with a line for each piece, and return the exit status."""
-    from closedloop.jit.background import notices
     from closedloop.jit.cache_folder import cache_folder, why_not_kept
     from closedloop.jit.kernel import jit_disabled
 
-    Parser(
+    parser = Parser(
         prog="closedloop compile",
         description="Compile everything that ships, so that no later run has to, and say where it\nis kept.",
         epilog="exit status: 0 done; 2 nothing can be kept, or NUMBA_DISABLE_JIT is set;\n130 interrupted",
         formatter_class=argparse.RawDescriptionHelpFormatter,
-    ).parse_args(arguments)
+    )
+    parser.add_argument(
+        "--workers", type=int, metavar="N", help=f"processes (default: one for each core, at most {MOST_WORKERS})"
+    )
+    workers = parser.parse_args(arguments).workers
+    if workers is not None and not 1 <= workers <= MOST_WORKERS:
+        raise ScenarioError(f"--workers {workers}: must be at least 1, and at most {MOST_WORKERS}")
     if jit_disabled():
         raise ScenarioError("NUMBA_DISABLE_JIT is set: there is nothing to compile")
     if reason := why_not_kept():
         raise ScenarioError(f"compiled code cannot be kept: {reason}")
-    notices.setLevel(logging.WARNING)  # a line for each piece says it already
-    everything = pieces()
-    width = max(len(piece.what) for piece in everything)
-    began, cpu = clock.perf_counter(), clock.process_time()
-    for piece in everything:
-        start, start_cpu = clock.perf_counter(), clock.process_time()
-        piece.compile()
-        wall, own = clock.perf_counter() - start, clock.process_time() - start_cpu
-        print(f"{piece.what:{width}}  {wall:6.1f} s  ({own:.1f} s of processor time)", flush=True)
-    wall, own = clock.perf_counter() - began, clock.process_time() - cpu
-    print(f"{'together':{width}}  {wall:6.1f} s  ({own:.1f} s of processor time); kept in {cache_folder()}")
+    began, processor_time = clock.perf_counter(), 0.0
+    width = max(len(piece.what) for piece in pieces())
+    for what, wall, own in _compiled(workers or min(cores(), MOST_WORKERS)):
+        processor_time += own
+        print(f"{what:{width}}  {wall:6.1f} s  ({own:.1f} s of processor time)", flush=True)
+    wall = clock.perf_counter() - began
+    print(f"{'together':{width}}  {wall:6.1f} s  ({processor_time:.1f} s of processor time); kept in {cache_folder()}")
     return DONE
+
+
+def _compiled(workers: int) -> Iterator[tuple[str, float, float]]:
+    """Compile everything in so many processes; yield what is done, and its time and processor time, s."""
+    # What others come after is begun first, and then what takes longest.
+    waiting = dict(enumerate(pieces()))
+    order = sorted(waiting, key=lambda i: (not waiting[i].after, -seconds_of([waiting[i].kernel])))
+    there: set[str] = set()
+    running: dict[Future[tuple[float, float]], Piece] = {}
+    # Fresh processes: in a copy of this one the locks of libraries' threads could be taken.
+    with ProcessPoolExecutor(workers, get_context("spawn"), _ignore_ctrl_c) as pool:
+        try:
+            while waiting or running:
+                for i in order:
+                    if i in waiting and len(running) < workers and waiting[i].after in {"", *there}:
+                        running[pool.submit(_compile_piece, i)] = waiting.pop(i)
+                for done in wait(running, return_when=FIRST_COMPLETED).done:
+                    piece = running.pop(done)
+                    there.add(piece.kernel)
+                    yield piece.what, *done.result()
+        except BrokenProcessPool:
+            raise ScenarioError(
+                "a process that compiles was ended from outside, perhaps as memory is short; try --workers 1"
+            ) from None
+        except BaseException:
+            for process in active_children():
+                process.terminate()
+            raise
+
+
+def _ignore_ctrl_c() -> None:
+    """Leave Ctrl-C to the process that waits, which ends this one."""
+    signal.signal(signal.SIGINT, signal.SIG_IGN)
+
+
+def _compile_piece(i: int) -> tuple[float, float]:
+    """Compile one of `pieces`, and return the time and the processor time, s, that it took."""
+    notices.setLevel(logging.WARNING)  # a line for each piece says it already
+    began, busy = clock.perf_counter(), clock.process_time()
+    pieces()[i].compile()
+    return clock.perf_counter() - began, clock.process_time() - busy
 
 
 def _problem(integrator: str = "semi_implicit_euler") -> Problem:
@@ -174,9 +236,12 @@ def _problem(integrator: str = "semi_implicit_euler") -> Problem:
 
 
 def _run(engine: str, integrator: str = "semi_implicit_euler") -> None:
+    from closedloop.jit.interim import not_compiled_first
     from closedloop.simulation.simulate import run_loop
 
-    run_loop(_problem(integrator), engine=engine)
+    with not_compiled_first():  # the path is a piece of its own
+        problem = _problem(integrator)
+    run_loop(problem, engine=engine)
 
 
 def _impacts() -> None:

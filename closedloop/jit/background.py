@@ -169,10 +169,11 @@ def takes_long(function: Callable[..., Any]) -> bool:
 
 def seconds_to_compile(functions: Sequence[Callable[..., Any]]) -> float:
     """Return the processor time, about, s, of compiling those of these entry kernels that are not compiled yet."""
-    return _seconds(function.__name__ for function in functions if needs_compiling(function))
+    return seconds_of(function.__name__ for function in functions if needs_compiling(function))
 
 
-def _seconds(names: Iterable[str]) -> float:
+def seconds_of(names: Iterable[str]) -> float:
+    """Return the processor time, about, s, of compiling the entry kernels of these names."""
     return sum(TAKES_LONG[name].seconds if name in TAKES_LONG else BRIEF for name in names)
 
 
@@ -180,7 +181,7 @@ def compiling_notice(names: Sequence[str] = ()) -> str:
     """Return the line for a user who is about to wait for the compiler of these kernels."""
     reason = why_not_kept()
     how_often = "once for this installation" if not reason else f"each time, as it cannot be kept: {reason}"
-    seconds = _seconds(names or TAKES_LONG)
+    seconds = seconds_of(names or TAKES_LONG)
     how_long = "some ten seconds" if seconds < 20.0 else "half a minute" if seconds < 45.0 else "a minute or two"
     return f"compiling {_named(names)} ({how_often}, {how_long}) ..."
 

@@ -13,6 +13,7 @@ from budget import FULL
 
 import closedloop
 from closedloop.__main__ import main
+from closedloop.command import compile_all
 from closedloop.command.compile_all import pieces
 from closedloop.control.law import COMPENSATIONS, LAWS
 from closedloop.friction.law import JOINT_LAWS, SURFACE_LAWS
@@ -49,7 +50,12 @@ def test_every_kernel_that_is_kept_is_compiled():
 
 @pytest.mark.parametrize(
     ("arguments", "said"),
-    [(["compile", "wam_slide"], "unrecognized arguments: wam_slide"), (["compile", "--fast"], "--fast")],
+    [
+        (["compile", "wam_slide"], "unrecognized arguments: wam_slide"),
+        (["compile", "--fast"], "--fast"),
+        (["compile", "--workers", "0"], "--workers 0: must be at least 1, and at most 8"),
+        (["compile", "--workers", "many"], "--workers"),
+    ],
 )
 def test_bad_arguments(arguments, said, capsys):
     """Exit status 2 and one line."""
@@ -57,6 +63,22 @@ def test_bad_arguments(arguments, said, capsys):
     (line,) = capsys.readouterr().err.splitlines()
     assert line.startswith("closedloop: ")
     assert said in line
+
+
+def test_what_a_piece_comes_after_is_there():
+    """It is the kernel of a piece before it in the list: no two wait for each other."""
+    before = {""}
+    for piece in pieces():
+        assert piece.after in before
+        before.add(piece.kernel)
+
+
+def test_a_process_that_is_killed(monkeypatch, capsys):
+    """One line says so, and what may help."""
+    monkeypatch.setattr(compile_all, "_compile_piece", os._exit)
+    assert main(["compile", "--workers", "1"]) == 2
+    (line,) = capsys.readouterr().err.splitlines()
+    assert line.startswith("closedloop: a process that compiles was ended from outside")
 
 
 def test_help(capsys):

@@ -78,7 +78,9 @@ def rows_of(sections: tuple[ContactSection, ...], robot: Robot) -> LoopMemory:
         [*[POSITION] * m, *(a for a, _ in sides), *(b for _, b in sides), *[0, 1, 1] * len(sections)], dtype=np.int64
     )
     none = np.zeros((m, 3))
-    bound = Bound(kinds, np.array(at_a), np.array(at_b), none, np.array(along), np.zeros((m, 5)), np.zeros(robot.n))
+    bound = Bound(
+        kinds, np.array(at_a), np.array(at_b), none, np.array(along), np.zeros((m, 5)), np.ones(m), np.zeros(robot.n)
+    )
     return make_loop_memory(robot.tree, bound)
 
 

@@ -42,6 +42,8 @@ DIRECTIONS: dict[str, tuple[tuple[str, str], ...]] = {
 
 # A row that is no longer than this, and open by no more, m or rad, at every one of so many postures is so everywhere.
 NOTHING, POSTURES = 1e-13, 4
+# A row that is shorter than the longest by this factor there is rounding: no joint of the tree moves what it binds.
+NO_ROW = 1e-11
 
 
 @lru_cache(maxsize=8)
@@ -76,9 +78,10 @@ def bound_by_loops(robot: Robot, stops: bool = False) -> Bound:
         undriven[:] = [name not in model.drives for name in model.joint_names]
     at_a, at_b, along_a, along_b, value = (np.array(part, dtype=np.float64) for part in parts)
     sides = np.array([kinds, one_sides, other_sides, np.zeros(len(kinds))], dtype=np.int64)
-    made = Bound(sides.ravel(), at_a, at_b, along_a, along_b, value, undriven)
-    sides[0, _idle(tree, made)] = IDLE
-    return _with_points_shared(made._replace(sides=sides.ravel()))
+    made = Bound(sides.ravel(), at_a, at_b, along_a, along_b, value, np.ones(len(kinds)), undriven)
+    idle, lengths = _lengths(tree, made)
+    sides[0, idle] = IDLE
+    return _with_points_shared(made._replace(sides=sides.ravel(), scale=1.0 / lengths))
 
 
 def _with_points_shared(bound: Bound) -> Bound:
@@ -91,15 +94,21 @@ def _with_points_shared(bound: Bound) -> Bound:
     return bound._replace(sides=sides.ravel())
 
 
-def _idle(tree: Tree, bound: Bound) -> NDArray[np.bool_]:
-    """Return which rows bind what no joint of the tree can move, and what is as it should be."""
+def _lengths(tree: Tree, bound: Bound) -> tuple[NDArray[np.bool_], Array]:
+    """Return which rows bind what no joint of the tree can move, and is as it should be, and how long the rows are.
+
+    That is the longest that each is at some postures; at others, where the mechanism lies flat, it may be nothing.
+    """
     memory, random = make_loop_memory(tree, bound), np.random.default_rng(0)
-    found = bound.sides[: bound.m] != STOP
+    stops = bound.sides[: bound.m] == STOP
+    idle, lengths = ~stops, stops.astype(np.float64)
     for _ in range(POSTURES):
         memory.rows.q[:] = random.normal(size=tree.n)
         interpreted(locate_rows)(memory.links, memory.rows)
-        found &= (np.max(np.abs(memory.rows.G), axis=1) <= NOTHING) & (np.abs(memory.rows.error) <= NOTHING)
-    return np.asarray(found, dtype=np.bool_)
+        idle &= (np.max(np.abs(memory.rows.G), axis=1) <= NOTHING) & (np.abs(memory.rows.error) <= NOTHING)
+        lengths = np.maximum(lengths, np.linalg.norm(memory.rows.G, axis=1))
+    longest = np.max(lengths, initial=0.0) or 1.0
+    return idle, np.where(lengths > NO_ROW * longest, lengths, longest)
 
 
 def loop_memory(robot: Robot) -> LoopMemory:
@@ -112,7 +121,7 @@ def step_memory(robot: Robot, stops: bool) -> LoopMemory:
     bound = bound_by_loops(robot, stops)
     sides = bound.sides.reshape(4, -1)
     moving = sides[0] != IDLE
-    parts = {name: getattr(bound, name)[moving] for name in ("at_a", "at_b", "along_a", "along_b", "value")}
+    parts = {name: getattr(bound, name)[moving] for name in ("at_a", "at_b", "along_a", "along_b", "value", "scale")}
     return make_loop_memory(robot.tree, _with_points_shared(bound._replace(sides=sides[:, moving].ravel(), **parts)))
 
 

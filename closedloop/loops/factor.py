@@ -24,9 +24,9 @@ from closedloop.loops.memory import LoopLinks, LoopRows
 Array = NDArray[np.float64]
 IntArray = NDArray[np.int64]
 
-# A row of which no more than this share of its length is left depends on the others. A row that is shorter than the
-# longest by the second factor is rounding: no joint of the tree moves what it binds.
-DEPENDENT, NO_ROW = 1e-8, 1e-11
+# A row of which no more than this share of its usual length is left depends on the others, or is none. A state is
+# closed to rounding, and the direction of a row of which a share s is left is known to that over s²: to 1e-4 here.
+DEPENDENT = 1e-6
 # An entry may become a pivot if it is no less than this share of the largest; and the order is chosen anew where an
 # entry is larger than a pivot that divides it by more than the second number.
 PIVOT, LARGEST = 0.1, 30.0
@@ -63,7 +63,8 @@ def eliminate(links: LoopLinks, rows: LoopRows, b: Array, most: int, least: floa
     m, n, rank, F, R = links.m, links.n, links.rank, rows.factors, rows.left
     count = m if rank < most else rank
     for k in range(count):
-        row, scale = of_rows[k], rows.scale[k]
+        row = of_rows[k]
+        scale = rows.scale[row]
         for j in range(n):
             R[k, j] = scale * rows.G[row, j]
         R[k, n] = scale * b[row]
@@ -118,19 +119,11 @@ def solve_for_determined(links: LoopLinks, rows: LoopRows) -> float:
 def order_rows(links: LoopLinks, rows: LoopRows, most: int) -> None:
     """Choose the order of elimination, and find how many rows are independent, `most` at most."""
     of_rows, joints = order_of(links)
-    m, n, R, longest, rank = links.m, links.n, rows.left, 0.0, 0
+    m, n, R, rank = links.m, links.n, rows.left, 0
     for k in range(m):
-        square = 0.0
+        of_rows[k] = k
         for j in range(n):
-            square += rows.G[k, j] * rows.G[k, j]
-            R[k, j] = rows.G[k, j]
-        rows.along[k] = math.sqrt(square)
-        longest = max(longest, rows.along[k])
-    for k in range(m):
-        scale = 1.0 / rows.along[k] if rows.along[k] > NO_ROW * longest else (1.0 / longest if longest > 0.0 else 1.0)
-        of_rows[k], rows.scale[k] = k, scale
-        for j in range(n):
-            R[k, j] *= scale
+            R[k, j] = rows.scale[k] * rows.G[k, j]
     for j in range(n):
         joints[j] = j
     while rank < most:
@@ -143,7 +136,6 @@ def order_rows(links: LoopLinks, rows: LoopRows, most: int) -> None:
         row, column = fewest_entries(R, of_rows, joints, rank, PIVOT * size)
         of_rows[rank], of_rows[row] = of_rows[row], of_rows[rank]
         joints[rank], joints[column] = joints[column], joints[rank]
-        rows.scale[rank], rows.scale[row] = rows.scale[row], rows.scale[rank]
         top, c = of_rows[rank], joints[rank]
         for i in range(rank + 1, m):
             share = R[of_rows[i], c] / R[top, c]
@@ -181,7 +173,7 @@ def meet(links: LoopLinks, rows: LoopRows, b: Array) -> None:
     of_rows, joints = order_of(links)
     F, x, rank = rows.factors, rows.along, links.rank
     for k in range(rank):
-        x[k] = rows.scale[k] * b[of_rows[k]]
+        x[k] = rows.scale[of_rows[k]] * b[of_rows[k]]
     for j in range(links.n):
         rows.met[j] = 0.0
     for k in range(rank):  # what is known is taken off all that follow: they do not wait for each other's sums
@@ -212,12 +204,12 @@ def force_of(links: LoopLinks, rows: LoopRows, t: Array) -> None:
         for i in range(k + 1, rank):
             s -= F[k, i] * x[i]
         x[k] = s
-        rows.force[of_rows[k]] = rows.scale[k] * s
+        rows.force[of_rows[k]] = rows.scale[of_rows[k]] * s
 
 
 @kernel
 def smallest_share(links: LoopLinks, rows: LoopRows) -> float:
-    """Return how far the last of the independent rows is outside the span of the others, as a share of its length.
+    """Return how far the last of the independent rows is outside the span of the others, by its usual length.
 
     Or less: it is one over the motion, of the joints that the rows determine, which changes this row alone, by its
     length, and the shortest of all such motions is no longer.

@@ -56,13 +56,13 @@ class LoopRows(Block, sizes=("n", "m")):
     along_a: Annotated[Array, M, 3]  # and a direction
     along_b: Annotated[Array, M, 3]
     value: Annotated[Array, M, 5]  # a distance, m; the coefficients of a gear; the lower and the upper stop of a joint
+    scale: Annotated[Array, M]  # one over the usual length of each row
     undriven: Annotated[Array, N]  # 1 for a joint without a drive
     held: Annotated[Array, N]  # 1 for a joint at its upper stop, −1 at its lower, else 0
     G: Annotated[Array, M, N]  # written, as all that follow: the rows, their drift, error and its rate
     drift: Annotated[Array, M]
     error: Annotated[Array, M]  # m, or the sine of an angle
     rate: Annotated[Array, M]
-    scale: Annotated[Array, M]  # by which the rows are multiplied, in the order of elimination
     factors: Annotated[Array, M, M]  # Lᵀ above the diagonal, Uᵀ below, the reciprocal pivots on it
     left: Annotated[Array, M, N + 1]  # the rows and their right side, after elimination
     reduced: Annotated[Array, M, N + 1]  # the same solved for the joints that they determine: the free ones' part
@@ -132,6 +132,9 @@ class Bound(NamedTuple):
         the other; −1 is the base; then 1 for a row whose points are those of the row before it.
     at_a, at_b, along_a, along_b, value : (m, 3), ..., (m, 5) arrays
         See `LoopRows`.
+    scale : (m,) array
+        One over the usual length of each row, so that rows of any unit can be compared, and one that is short in some
+        posture is known to be.
     undriven : (n,) array
         1 for a joint without a drive.
     """
@@ -142,6 +145,7 @@ class Bound(NamedTuple):
     along_a: Array
     along_b: Array
     value: Array
+    scale: Array
     undriven: Array
 
     @property
@@ -164,7 +168,7 @@ def make_loop_memory(tree: Tree, bound: Bound) -> LoopMemory:
     links.tree_links, links.tree_constants = address_of(tree.links), address_of(tree.constants)
     links.tree_constants_size = tree.constants.size
     links.scratch, links.scratch_size = address_of(scratch), scratch.size
-    for name in ("at_a", "at_b", "along_a", "along_b", "value", "undriven"):
+    for name in ("at_a", "at_b", "along_a", "along_b", "value", "scale", "undriven"):
         getattr(rows, name)[:] = getattr(bound, name)
     links.keep_alive(tree=tree, bound=bound, scratch=scratch, order=order)
     return LoopMemory(links, rows)

@@ -24,7 +24,7 @@ Array = NDArray[np.float64]
 
 # A row is near to losing its direction below this share; the way to the next of the four states between which what it
 # requires is interpolated, rad or m; by how much more it has to be outside the span there; and the way to the state
-# whose direction stands for one that is lost.
+# whose direction stands for one that is lost, which must be far enough for it to be found there again (`DEPENDENT`).
 NEAR, WAY, FARTHER, ASIDE = 1e-3, 1e-2, 3.0, 1e-4
 
 

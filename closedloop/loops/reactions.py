@@ -9,8 +9,8 @@ from numpy.typing import NDArray
 
 from closedloop.jit.interim import call_now
 from closedloop.jit.kernel import entry_kernel
-from closedloop.loops.bind import DIRECTIONS, loop_memory
-from closedloop.loops.factor import DEPENDENT, NO_ROW
+from closedloop.loops.bind import DIRECTIONS, bound_by_loops, loop_memory
+from closedloop.loops.factor import DEPENDENT
 from closedloop.loops.memory import loops_at
 from closedloop.loops.rows import locate_rows
 from closedloop.robot.pinocchio import Robot
@@ -65,10 +65,8 @@ def loop_reactions(
     """
     rows, errors = loop_rows(robot, q, v)
     missing = missing_torque(robot, q, v, acceleration, torque, force)
-    # rows differ in unit: what depends on what is decided with each at length one
-    lengths = np.linalg.norm(rows, axis=2, keepdims=True)
-    longest = np.max(lengths, axis=1, keepdims=True, initial=0.0)
-    scaled = np.divide(rows, lengths, out=np.zeros_like(rows), where=lengths > NO_ROW * longest)
+    # rows differ in unit: what depends on what is decided with each by its usual length
+    scaled = bound_by_loops(robot).scale[:, None] * rows
     rank = np.linalg.matrix_rank(scaled, tol=DEPENDENT * np.sqrt(rows.shape[1])) if len(q) else np.zeros(0, dtype=int)
     reactions, stops = share_of_rows(rows, missing, at_stop)
     left = missing - stops - np.einsum("kmn,km->kn", rows, reactions)

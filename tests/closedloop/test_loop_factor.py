@@ -20,10 +20,10 @@ def memory():
     return loop_memory(Robot(robot_models.load("five_bar")))
 
 
-def rows_of_rank(rank, rng):
-    """Rows (M, N) of lengths from 1e-3 to 1e3, of which so many are independent."""
-    G = rng.normal(size=(M, rank)) @ rng.normal(size=(rank, N))
-    return G * 10.0 ** rng.uniform(-3, 3, size=(M, 1))
+def give_rows(rows, rank, rng):
+    """Write rows (M, N) of usual lengths from 1e-3 to 1e3, of which so many are independent."""
+    rows.scale[:] = 10.0 ** rng.uniform(-3, 3, size=M)
+    rows.G[:] = rng.normal(size=(M, rank)) @ rng.normal(size=(rank, N)) / rows.scale[:, None]
 
 
 def test_factors_and_basis_are_those_of_the_rows(memory):
@@ -31,8 +31,8 @@ def test_factors_and_basis_are_those_of_the_rows(memory):
     links, rows = memory
     for rank in range(N + 1):
         rng = np.random.default_rng(rank)
-        rows.G[:] = rows_of_rank(rank, rng)
-        scale = np.linalg.norm(rows.G, axis=1) + 1e-300
+        give_rows(rows, rank, rng)
+        scale = 1.0 / rows.scale
         x, force = rng.normal(size=N), rng.normal(size=M)
         interpreted(factor)(links, rows, rows.G @ x, M)
         assert links.rank == rank
@@ -65,10 +65,9 @@ def test_order_is_kept_until_a_pivot_becomes_small(memory):
     """Rows that have changed a little are eliminated in the order there is; where a pivot vanishes, in another."""
     links, rows = memory
     rng = np.random.default_rng(1)
-    G = rows_of_rank(3, rng)
-    x = rng.normal(size=N)
+    give_rows(rows, 3, rng)
+    G, x = rows.G.copy(), rng.normal(size=N)
     of_rows, joints = interpreted(order_of)(links)
-    rows.G[:] = G
     interpreted(factor)(links, rows, rows.G @ x, M)
     first = [*of_rows, *joints]
     rows.G[:] = G @ (np.eye(N) + 1e-3 * rng.normal(size=(N, N)))
@@ -85,14 +84,14 @@ def test_share_of_the_last_row_is_its_part_outside_the_span_of_the_others(memory
     """Where the rows determine all joints; else no more than that: the motion of the joints that they determine."""
     links, rows = memory
     rng = np.random.default_rng(10 + rank)
-    rows.G[:] = rows_of_rank(rank, rng)
+    give_rows(rows, rank, rng)
     interpreted(factor)(links, rows, rows.drift, M)
     share = interpreted(smallest_share)(links, rows)
     if rank == 0:
         assert share == 1.0
         return
     of_rows, joints = interpreted(order_of)(links)
-    units = rows.G[of_rows[:rank]] / np.linalg.norm(rows.G[of_rows[:rank]], axis=1, keepdims=True)
+    units = (rows.scale[:, None] * rows.G)[of_rows[:rank]]
     alone = np.linalg.solve(units[:, joints[:rank]], np.eye(rank)[-1])
     assert share == pytest.approx(1.0 / np.linalg.norm(alone), rel=1e-9)
     last, others = units[-1], units[:-1]
@@ -122,7 +121,7 @@ def test_drives_give_the_power_of_all_torques(memory):
     """By the smallest change where they can, more drives than needed or just as many; else as near as they come."""
     links, rows = memory
     rng = np.random.default_rng(2)
-    rows.G[:] = rows_of_rank(2, rng)
+    give_rows(rows, 2, rng)
     interpreted(factor)(links, rows, rows.drift, M)
     motions = np.linalg.svd(rows.G / np.linalg.norm(rows.G, axis=1, keepdims=True))[2][2:]
     for drives in (1, 2, 3):

@@ -5,6 +5,7 @@ import pytest
 
 from closedloop.jit.interpreted import interpreted
 from closedloop.loops.bind import loop_memory
+from closedloop.loops.close import close_state
 from closedloop.loops.passing import find_required_on_the_way
 from closedloop.loops.solve import leave_free
 from closedloop.robot.pinocchio import Robot
@@ -69,6 +70,20 @@ def test_what_is_required_is_as_the_angles_have_it(memory, crank):
         np.testing.assert_allclose(left, expected, atol=3e-7)
         interpreted(leave_free)(links, rows, rows.part)
         np.testing.assert_allclose(rows.part, 0.0, atol=1e-15 * speed**2)
+
+
+@pytest.mark.parametrize("crank", [0.3, -1e-2, 1e-4, -1e-5, 1e-6, -1e-7, 1e-8, 1e-9, 0.0])
+def test_closing_a_closed_state_leaves_its_velocity(memory, crank):
+    """However near it is to a pose in which the rows lose rank, and whatever state was closed before."""
+    links, rows = memory
+    q, rate, _ = state(crank)
+    for before in (0.3, 1e-4, crank):
+        links.known = 2
+        interpreted(close_state)(links, rows, *(each.copy() for each in tuple(state(before))[:2]))
+        closed, velocity = q.copy(), 5.0 * rate
+        assert interpreted(close_state)(links, rows, closed, velocity) < 1e-12
+        np.testing.assert_allclose(closed, q, atol=1e-9)
+        np.testing.assert_allclose(velocity, 5.0 * rate, atol=3e-6)
 
 
 def test_at_rest_in_the_flat_pose_nothing_is_required(memory):

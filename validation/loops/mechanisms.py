@@ -99,13 +99,17 @@ def four_bar(kind: str = "hinge") -> RobotModel:
     return mechanism(f"four_bar_{kind}", body, [loop("pin", kind, "ab", **more)], [1.1, -0.6, 1.5], tip="a")
 
 
-def change_point(base: float, rocker: float) -> RobotModel:
-    """Return a four-bar whose bars lie in one line at J1 = 0: crank and coupler as long as base and rocker together."""
+def change_point(base: float, rocker: float, turn: float = 0.0) -> RobotModel:
+    """Return a four-bar whose bars lie in one line at J1 = 0: crank and coupler as long as base and rocker together.
+
+    The two directions in which its loop is closed are turned against the bars by an angle, rad: without it the row
+    along the line is nothing there, and with it the two rows are one.
+    """
     coupler = base + rocker - 0.2
     body = bar("crank", 0.2) + bar("coupler", coupler) + bar("rocker", rocker)
     body += joint("J1", "base", "crank") + joint("J2", "crank", "coupler", "0.2 0 0")
     body += joint("J3", "base", "rocker", f"{base} 0 0") + point("a", "coupler", f"{coupler} 0 0")
-    body += point("b", "rocker", f"{rocker} 0 0")
+    body += point("b", "rocker", f"{rocker} 0 0", rpy=f"0 {turn} 0")
     near = [-0.3, 0.3, -0.3] if base == coupler else [-0.3, 0.25, -0.1]
     return mechanism("change_point", body, [loop("pin", "point", "ab")], near, tip="a")
 

@@ -1,8 +1,4 @@
-"""Compile everything that ships, at once: ``closedloop compile``, for images and clusters.
-
-Each entry kernel of the package is compiled by a short run that calls it, so for the same types as in use. The process
-in the background (`closedloop.jit.background`) calls `compile_these` for a few of them.
-"""
+"""Compile everything that ships, at once: ``closedloop compile``, for images and clusters."""
 
 from __future__ import annotations
 
@@ -10,145 +6,18 @@ import argparse
 import logging
 import signal
 import time as clock
-from collections.abc import Callable, Iterable, Iterator, Sequence
+from collections.abc import Iterator, Sequence
 from concurrent.futures import FIRST_COMPLETED, Future, ProcessPoolExecutor, wait
 from concurrent.futures.process import BrokenProcessPool
-from functools import partial
 from multiprocessing import active_children, get_context
-from typing import TYPE_CHECKING, Any, NamedTuple
 
 from closedloop.command.border import DONE, Parser, run_command
+from closedloop.command.pieces import Piece, pieces
 from closedloop.errors import ScenarioError
 from closedloop.jit.background import notices, seconds_of
 from closedloop.second_process import cores
 
-if TYPE_CHECKING:
-    from closedloop.engines.problem import Problem
-    from closedloop.families import Family
-
-
 MOST_WORKERS = 8  # more would wait for what is compiled one after the other
-
-
-class Piece(NamedTuple):
-    """Something to be compiled.
-
-    Attributes
-    ----------
-    kernel, what : str
-        The entry kernel's name, and a description.
-    compile : callable
-        Compiles it.
-    after : str
-        The kernel that has to be there: `compile` would compile that too.
-    """
-
-    kernel: str
-    what: str
-    compile: Callable[[], Any]
-    after: str = ""
-
-
-def pieces() -> tuple[Piece, ...]:
-    """Return everything that ships, in the order of how many runs need it."""
-    from closedloop.engines.loops import COMPILED, PINOCCHIO
-
-    return (
-        Piece("walk", "inverse kinematics of a path", _problem),
-        Piece("sample_spline", "a path of joints", _problem),
-        Piece("proceed_at", "the step", lambda: _run(PINOCCHIO)),
-        Piece("complete_record", "the end of a record", lambda: _run(PINOCCHIO), "proceed_at"),
-        Piece("collide", "impacts", _impacts),
-        Piece("run_compiled", "the compiled engine's terms", lambda: _run(COMPILED), "proceed_at"),
-        Piece("measure_rows", "values of a batch's runs", _measures, "run_compiled"),
-        Piece("run_in_lanes", "eight runs of a batch at a time", _batch, "measure_rows"),
-        Piece("evaluate_on_pinocchio", "dop853", lambda: _run(PINOCCHIO, "dop853"), "proceed_at"),
-        Piece("_impact", "an impact by itself", _impact),
-        Piece("put_on_surface", "a path on a surface", lambda: _path("put_on_surface")),
-        Piece("normals_on_surface", "the normal along a path", lambda: _path("normals_on_surface")),
-        Piece("gradients_on_surface", "the gradient along a path", lambda: _path("gradients_on_surface")),
-        Piece("potential_energies", "potential energy of a record", _energies),
-        Piece("closed_loops", "loops and stops", lambda: _loops("closed_loops")),
-        Piece("along_path", "loops along a path", lambda: _loops("along_path")),
-        Piece("closed_to", "a closed start", lambda: _loops("closed_to")),
-        Piece("rows_along", "loops of a record", lambda: _loops("rows_along")),
-        Piece("contacts_in_step", "contacts of the links", _contacts),
-        *_laws(),
-    )
-
-
-def _contacts() -> None:
-    """Compile the contacts of the links."""
-    from closedloop.jit.calls import entry_address
-    from closedloop.step.contacts import contacts_in_step
-
-    entry_address(contacts_in_step)
-
-
-def _loops(kernel: str) -> None:
-    """Compile one of the kernels of mechanisms with loops."""
-    import numpy as np
-
-    import robot_models
-    from closedloop.jit.calls import entry_address
-    from closedloop.loops.along_path import along_path
-    from closedloop.loops.bind import loop_memory
-    from closedloop.loops.close import closed_to
-    from closedloop.loops.reactions import rows_along
-    from closedloop.robot.pinocchio import Robot
-    from closedloop.step.closed_loops import closed_loops
-
-    if kernel in ("closed_loops", "along_path"):
-        entry_address(closed_loops if kernel == "closed_loops" else along_path)
-        return
-    memory = loop_memory(Robot(robot_models.load("five_bar")))
-    q = memory.rows.q.copy()
-    if kernel == "closed_to":
-        closed_to(memory.address, q, q.copy())
-    else:
-        states = np.zeros((0, len(q)))
-        states.flags.writeable = False  # as a run's columns are: another type, which is compiled for itself
-        rows_along(memory.address, states, states, np.zeros((0, 1, 1)), np.zeros((0, 1)))
-
-
-def _laws() -> Iterable[Piece]:
-    from closedloop.control.law import COMPENSATIONS, LAWS
-    from closedloop.friction.law import JOINT_LAWS, SURFACE_LAWS
-    from closedloop.friction.laws.none import NoFriction
-    from closedloop.jit.calls import entry_address
-    from closedloop.step.entries import friction_entry, joint_friction_entry, law_entry
-    from closedloop.step.soft_contact import compliance_entry
-    from closedloop.surface.compliance import COMPLIANCES
-    from closedloop.surface.compliances.none import Rigid
-    from closedloop.surface.contact import motion_entry, surface_entry
-    from closedloop.surface.motion import MOTIONS
-    from closedloop.surface.motions.none import NoMotion
-    from closedloop.surface.surface import SURFACES
-
-    families: tuple[tuple[Family[Any], Callable[[Any], Any], str], ...] = (
-        (LAWS, law_entry, "law"),
-        (COMPENSATIONS, law_entry, "compensation"),
-        (SURFACE_LAWS, friction_entry, "friction"),
-        (JOINT_LAWS, joint_friction_entry, "joint friction"),
-        (SURFACES, surface_entry, "surface"),
-        (COMPLIANCES, compliance_entry, "soft surface"),
-        (MOTIONS, motion_entry, "surface that moves:"),
-    )
-    for family, entry_of, what in families:
-        for kind, member in family.items():
-            if member not in (NoFriction, NoMotion, Rigid):
-                entry = entry_of(member)
-                yield Piece(getattr(entry, "__name__", ""), f"{what} {kind}", partial(entry_address, entry))
-
-
-def compile_these(names: Iterable[str]) -> None:
-    """Compile these kernels, in the order of `pieces`."""
-    from closedloop.jit import cache_folder
-
-    cache_folder.make_folders, wanted = False, set(names)
-    for piece in pieces():
-        if piece.kernel in wanted:
-            piece.compile()
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
@@ -226,81 +95,3 @@ def _compile_piece(i: int) -> tuple[float, float]:
     began, busy = clock.perf_counter(), clock.process_time()
     pieces()[i].compile()
     return clock.perf_counter() - began, clock.process_time() - busy
-
-
-def _problem(integrator: str = "semi_implicit_euler") -> Problem:
-    from closedloop.scenario.load import load_scenario
-    from closedloop.simulation.prepare import prepare
-
-    return prepare(load_scenario("planar2_slide", {"time.duration": 0.002, "time.integrator": integrator}))
-
-
-def _run(engine: str, integrator: str = "semi_implicit_euler") -> None:
-    from closedloop.jit.interim import not_compiled_first
-    from closedloop.simulation.simulate import run_loop
-
-    with not_compiled_first():  # the path is a piece of its own
-        problem = _problem(integrator)
-    run_loop(problem, engine=engine)
-
-
-def _impacts() -> None:
-    from closedloop.events.impacts import collide
-    from closedloop.jit.kernel import direct
-
-    direct(collide, _problem().loop().address)
-
-
-def _energies() -> None:
-    import numpy as np
-
-    from closedloop.robot.tree import potential_energies, work_size
-    from closedloop.scenario.load import load_scenario
-    from closedloop.simulation.prepare import prepare
-
-    robot = prepare(load_scenario("planar2_slide", {"time.duration": 0.002})).robot
-    potential_energies(robot.tree, np.zeros((1, robot.n)), np.zeros(int(work_size(robot.n))), np.zeros(1))
-
-
-def _path(kernel: str) -> None:
-    """Compile one of the kernels of paths on a surface."""
-    import numpy as np
-
-    from closedloop.jit.calls import entry_address
-    from closedloop.surface.contact import make_memory, normals_on_surface, put_on_surface, surface_entry
-    from closedloop.surface.gradient import gradients_on_surface
-    from closedloop.surface.kinds.plane import PlaneSurface
-
-    memory = make_memory(np.zeros(0), np.zeros(0), 0, np.zeros(3), np.eye(3), (np.inf, np.inf))
-    nothing = np.zeros((0, 3))
-    place, now = entry_address(surface_entry(PlaneSurface)), np.zeros(0)
-    if kernel == "gradients_on_surface":
-        gradients_on_surface(place, memory.address, now, nothing, nothing)
-    elif kernel == "normals_on_surface":
-        normals_on_surface(place, memory.address, now, nothing, nothing)
-    else:
-        put_on_surface(place, memory.address, np.zeros(3), 0.0, now, nothing, nothing, nothing)
-
-
-def _impact() -> None:
-    import numpy as np
-
-    from closedloop.impact import two_phase_impact
-
-    two_phase_impact(np.eye(3), np.array([-1.0, 0.0, 0.0]), 0.5, friction=0.1)
-
-
-def _measures() -> None:
-    from closedloop.batch.simulate_batch import simulate_batch
-    from closedloop.scenario.load import load_scenario
-
-    simulate_batch(load_scenario("planar2_slide", {"time.duration": 0.002}), {"law.force": [10.0]}, workers=1)
-
-
-def _batch() -> None:
-    from closedloop.batch.simulate_batch import simulate_batch
-    from closedloop.engines.lanes import FEWEST
-    from closedloop.scenario.load import load_scenario
-
-    scenario = load_scenario("planar2_slide", {"time.duration": 0.002})
-    simulate_batch(scenario, {"law.force": [10.0 + i for i in range(FEWEST)]}, workers=1)

@@ -72,7 +72,7 @@ import signal, sys
 signal.alarm({LONGEST})
 if sys.argv[1] not in sys.path:
     sys.path.insert(0, sys.argv[1])
-from closedloop.command.compile_all import compile_these
+from closedloop.command.pieces import compile_these
 compile_these(sys.argv[2:])
 """
 

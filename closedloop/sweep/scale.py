@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
+from closedloop.errors import ScenarioError
 from closedloop.figures.style import length_unit
 
 if TYPE_CHECKING:
@@ -15,6 +16,9 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
 Array = NDArray[np.float64]
+
+# Larger numbers are not drawn: the edges of cells, and what lies between two of them, would overflow.
+LARGEST = 1e150
 
 
 class Scale:
@@ -28,6 +32,7 @@ class Scale:
         self.words: list[str] = []
         if str(field.type) in ("double", "int64"):
             self.at = np.array(given, dtype=np.float64)
+            _refuse_large(key, self.at)
         else:
             self.words = list(dict.fromkeys(str(value) for value in given))
             self.at = np.array([self.words.index(str(value)) for value in given], dtype=np.float64)
@@ -65,6 +70,7 @@ def column_values(table: pa.Table, name: str) -> tuple[Array, str, str]:
     """Return a column's values, NaN where there is none, its meaning, and a unit in which it reads well."""
     field = table.schema.field(name)
     values = np.array(table[name].to_numpy(zero_copy_only=False), dtype=np.float64)
+    _refuse_large(name, values)
     metadata = field.metadata or {}
     units, meaning = metadata.get(b"units", b"").decode(), metadata.get(b"meaning", name.encode()).decode()
     if units == "m" and np.any(np.isfinite(values)):
@@ -72,6 +78,12 @@ def column_values(table: pa.Table, name: str) -> tuple[Array, str, str]:
         values = values * factor
     text = "\n".join(textwrap.wrap(meaning.partition(";")[0], 48))
     return values, text, _typeset(units) if units not in ("", "1") else ""
+
+
+def _refuse_large(name: str, values: Array) -> None:
+    largest = float(np.max(np.abs(values[np.isfinite(values)]), initial=0.0))
+    if largest > LARGEST:
+        raise ScenarioError(f"{name}: has values of up to {largest:.3g}, and is drawn up to {LARGEST:g}")
 
 
 def _typeset(units: str) -> str:

@@ -96,6 +96,9 @@ def tables(tmp_path_factory):
     parquet.write_table(rows.drop_columns(["law.force", "stabiliser.time_constant"]), folder / "keyless.parquet")
     parquet.write_table(rows.slice(0, 0), folder / "rowless.parquet")
     parquet.write_table(rows.set_column(1, "law.force", pa.nulls(12, pa.float64())), folder / "nulls.parquet")
+    large, at = pa.array([1e308] * 6 + [-1e308] * 6), rows.column_names.index("min_contact_force")
+    parquet.write_table(rows.set_column(at, "min_contact_force", large), folder / "large.parquet")
+    parquet.write_table(rows.set_column(1, "law.force", large), folder / "far.parquet")
     return folder
 
 
@@ -111,6 +114,8 @@ def tables(tmp_path_factory):
         (("keyless.parquet",), "the table has no key that changes, or no value to draw"),
         (("rowless.parquet",), "the table has no rows"),
         (("nulls.parquet",), "law.force: has no value in some rows: this is not the table of a sweep"),
+        (("large.parquet",), "min_contact_force: has values of up to 1e+308, and is drawn up to 1e+150"),
+        (("far.parquet",), "law.force: has values of up to 1e+308, and is drawn up to 1e+150"),
         (("t.parquet", "--x", "law.force", "--y", "law.force"), "law.force: is asked for along both axes"),
         (("t.parquet", "--of", "beauty"), "beauty: is no value of this sweep; they are rows, end_time"),
         (("t.parquet", "--of", "min_contactforce"), "of this sweep; did you mean 'min_contact_force'?"),

@@ -1,7 +1,7 @@
 """The table of a sweep as a Parquet file that tells damage: each page of values has a checksum, Parquet's own.
 
 What stands outside of the pages, names and units, has none: a digest in the file's metadata would be kept by a program
-that leaves rows out, and refuse what is as it should be.
+that leaves rows out, and refuse what is as it should be. But a column's name is there more than once.
 """
 
 from __future__ import annotations
@@ -49,7 +49,11 @@ def pieces(path: Path) -> Iterator[pa.Table]:
     # Arrow would open names that are text only.
     with path.open("rb") as opened, parquet.ParquetFile(opened, page_checksum_verification=True) as file:
         yield file.schema_arrow.empty_table()
+        columns = [file.schema.column(i).path for i in range(len(file.schema))]
         for group in range(file.num_row_groups):
+            there = file.metadata.row_group(group)
+            if [there.column(i).path_in_schema for i in range(there.num_columns)] != columns:
+                raise ValueError("the names of its columns differ")
             yield file.read_row_group(group)
 
 

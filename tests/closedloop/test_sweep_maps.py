@@ -92,6 +92,10 @@ def tables(tmp_path_factory):
     rows = parquet.read_table(folder / "t.parquet")
     (folder / "text.parquet").write_text("not a table")
     (folder / "cut.parquet").write_bytes((folder / "t.parquet").read_bytes()[:-100])
+    name, other = b"max_stabiliser_force", b"max_stabiliser_farce"
+    before, between, behind = (folder / "t.parquet").read_bytes().split(name)
+    (folder / "first.parquet").write_bytes(before + other + between + name + behind)
+    (folder / "second.parquet").write_bytes(before + name + between + other + behind)
     parquet.write_table(rows.drop_columns("status"), folder / "other.parquet")
     parquet.write_table(rows.drop_columns(["law.force", "stabiliser.time_constant"]), folder / "keyless.parquet")
     parquet.write_table(rows.slice(0, 0), folder / "rowless.parquet")
@@ -108,6 +112,8 @@ def tables(tmp_path_factory):
         (("no.parquet",), "no.parquet: there is no such file; name the table of a sweep"),
         (("text.parquet",), "text.parquet: is no Parquet file, or is damaged"),
         (("cut.parquet",), "cut.parquet: is no Parquet file, or is damaged"),
+        (("first.parquet",), "first.parquet: is no Parquet file, or is damaged"),  # by the name of a column
+        (("second.parquet",), "second.parquet: is no Parquet file, or is damaged"),
         (("folder.parquet",), "folder.parquet: is a folder; name the table of a sweep"),
         (("pipe.parquet",), "pipe.parquet: is a pipe; name the table of a sweep"),
         (("other.parquet",), "other.parquet: is not the table of a sweep"),

@@ -1,6 +1,7 @@
 """What becomes of a contact in an event: its mode by force and acceleration, and what is told of it."""
 
 import itertools
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -20,6 +21,9 @@ from closedloop.contacts.modes import (
     happened_to,
     mode_after,
 )
+from closedloop.events.contacts import apply_contact_event, log_contacts, resume_with_contacts
+from closedloop.events.phases import AFTER_EVENT, APPLY_EVENT, AT_EVENT, ENLARGE_TABLE, NEED_TERMS
+from closedloop.events.table import EVENT_WIDTH, LIFTOFF, RELEASE, STOP, EventRow
 from closedloop.jit.interpreted import interpreted
 
 NOTHING = 1e-9
@@ -152,3 +156,42 @@ def test_what_does_not_come_together_does_not_strike(memory):
         np.testing.assert_array_equal(c.F, 0.0)
         np.testing.assert_array_equal(c.after, c.u)
         assert list(c.happened) == list(c.struck) == list(c.pulled) == [0.0, 0.0]
+
+
+@pytest.mark.parametrize("struck", [0.0, 1.0])
+def test_each_contact_to_which_something_happened_has_its_row(struck):
+    """Rates, slips, impulses and place; the loss once, and what the surfaces gave by their motion; stops by their own
+    names.
+    """
+    links, c = make_contact_memory(4, 4, stops=2)
+    rng = np.random.default_rng(0)
+    for array in (c.F, c.before, c.after, c.axes, c.point, c.carried):
+        array[:] = rng.normal(size=array.shape)
+    c.happened[:], c.struck[:], c.energy_lost = [0.0, STRUCK_AND_LEFT, LIFTOFF, STRUCK_AND_STAYED], struck, 0.7
+    c.before[[3, 6, 9]], c.after[[3, 6, 9]] = [-2.0, -2.0, -2.0], [0.5, -0.5, 0.0]
+    w = SimpleNamespace(time=0.3, supplied=1.0, carried=rng.normal(size=3))
+    state, events = SimpleNamespace(events=1), np.full((5, EVENT_WIDTH), np.nan)
+    interpreted(log_contacts)(w, links, c, state, events)
+    assert state.events == 4
+    assert np.all(np.isnan(events[[0, 4]]))
+    for row, i, kind, lost in ((1, 1, STRUCK_AND_LEFT, 0.7), (2, 2, RELEASE, 0.0), (3, 3, STOP, 0.0)):
+        event, at = EventRow(events[row]), 3 * i
+        assert (event.time, event.kind, event.contact, event.energy_lost) == (0.3, kind, i, lost)
+        assert (event.rate_before, event.rate_after, event.compression) == (c.before[at], c.after[at], c.F[at])
+        assert event.slip_before == pytest.approx(np.linalg.norm(c.before[at + 1 : at + 3]), rel=1e-15)
+        assert event.slip_after == pytest.approx(np.linalg.norm(c.after[at + 1 : at + 3]), rel=1e-15)
+        assert event.restitution == (0.25 if i == 1 and struck else 0.0)
+        np.testing.assert_allclose(event.tangential, c.F[at + 1 : at + 3] @ c.axes[at + 1 : at + 3], rtol=1e-14)
+        np.testing.assert_array_equal(event.position, c.point[i])
+    carried = np.r_[w.carried, c.carried[3:]]
+    assert w.supplied == pytest.approx(1.0 - 0.7 + c.F @ carried, rel=1e-14)
+
+
+def test_an_event_waits_for_room_in_the_table_and_tells_the_mode_of_the_tip():
+    """Room for two rows of each contact; where modes are known, on with the step or to what is to be done next."""
+    links, c = make_contact_memory(2, 2)
+    state = SimpleNamespace(contacts_at=links.address, events=7, phase=-1)
+    assert interpreted(apply_contact_event)(None, state, np.zeros((10, EVENT_WIDTH))) == ENLARGE_TABLE
+    assert state.phase == AT_EVENT
+    decided = interpreted(resume_with_contacts)
+    assert decided(SimpleNamespace(contact_margin=-1e-9), None, state, None) == APPLY_EVENT

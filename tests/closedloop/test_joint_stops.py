@@ -100,6 +100,29 @@ def test_several_stops_and_the_tip_at_once(contact, restitution):
         np.testing.assert_allclose(run.v[-1], wanted, atol=2e-4)
 
 
+@pytest.mark.parametrize("restitution", [0.0, 0.6])
+def test_an_arm_that_swings_about_a_tip_that_sticks_strikes_a_stop(restitution):
+    """With one motion left, which the stop bars, all of it is reversed by ε, and 1 − ε² of its energy is lost."""
+    still = cl.load_scenario("wam_slide")
+    model, q = load("wam4"), np.array(still.start.q)
+    terms = Robot(model).terms(q, np.zeros(4))
+    H = np.triu(terms.mass_matrix) + np.triu(terms.mass_matrix, 1).T
+    v = np.linalg.svd(terms.jacobian)[2][-1]
+    j = int(np.argmax(np.abs(v)))
+    v *= np.sign(v[j])
+    upper = model.position_upper.copy()
+    upper[j] = q[j]
+    changes = {
+        "start.v": v.tolist(), "friction.kind": "coulomb", "friction.coefficient": 50.0, "stabiliser.kind": "none",
+        "robot.stops": True, "robot.stop_restitution": restitution, "law.kp": 0, "law.kd": 0, "reference.kind": "hold",
+        "time.step": 1e-6, "time.duration": 2e-6,
+    }  # fmt: skip
+    run = cl.simulate(cl.load_scenario("wam_slide", changes), model=dataclasses.replace(model, position_upper=upper))
+    assert [event.kind for event in run.events] == ["stop"]
+    np.testing.assert_allclose(run.v[-1], -restitution * v, atol=2e-4)
+    assert run.events[0].energy_lost == pytest.approx(0.5 * v @ H @ v * (1.0 - restitution**2), rel=1e-9)
+
+
 @pytest.fixture(scope="module")
 def at_three_stops():
     """The WAM with three joints at their stops and its tip on a surface: J and H there, the stops, and how to run it."""

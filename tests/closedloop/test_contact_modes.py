@@ -22,7 +22,7 @@ from closedloop.contacts.modes import (
     mode_after,
 )
 from closedloop.events.contacts import apply_contact_event, log_contacts, resume_with_contacts
-from closedloop.events.phases import AFTER_EVENT, APPLY_EVENT, AT_EVENT, ENLARGE_TABLE, NEED_TERMS
+from closedloop.events.phases import APPLY_EVENT, AT_EVENT, ENLARGE_TABLE
 from closedloop.events.table import EVENT_WIDTH, LIFTOFF, RELEASE, STOP, EventRow
 from closedloop.jit.interpreted import interpreted
 
@@ -187,9 +187,9 @@ def test_each_contact_to_which_something_happened_has_its_row(struck):
     assert w.supplied == pytest.approx(1.0 - 0.7 + c.F @ carried, rel=1e-14)
 
 
-def test_an_event_waits_for_room_in_the_table_and_tells_the_mode_of_the_tip():
-    """Room for two rows of each contact; where modes are known, on with the step or to what is to be done next."""
-    links, c = make_contact_memory(2, 2)
+def test_an_event_waits_for_room_in_the_table():
+    """Two rows for each contact; and where modes are known, one that does not last is an event."""
+    links, _ = make_contact_memory(2, 2)
     state = SimpleNamespace(contacts_at=links.address, events=7, phase=-1)
     assert interpreted(apply_contact_event)(None, state, np.zeros((10, EVENT_WIDTH))) == ENLARGE_TABLE
     assert state.phase == AT_EVENT

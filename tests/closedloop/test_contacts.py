@@ -129,6 +129,14 @@ def test_block_falls_on_two_corners_at_one_instant(restitution):
     assert np.ptp(total_energy(run)) < 1e-12
 
 
+def test_a_scheme_of_one_stage_meets_the_floor_where_it_is():
+    """The gap is asked for at the end of each trial step: at the first blow a corner is on the floor."""
+    changes = {"time.integrator": "semi_implicit_euler"}
+    run = moved([0, HEIGHT / 2 + 0.006, 0.05], [0.3, 0, 0.5], corners(0.3, restitution=0.3), 0.03, **changes)
+    assert run.events[0].kind == "impact"
+    assert abs(run.events[0].position[2]) < 1e-9
+
+
 def test_tilted_block_rattles_without_energy_or_penetration():
     """Impacts of one corner and the other, slip and its end: the energy balance holds and no corner goes through."""
     run = moved([0, HEIGHT / 2 + 0.01, 0.05], [0.3, 0, 0.5], corners(0.3, restitution=0.3), 0.12, 2e-3)

@@ -125,7 +125,7 @@ def test_an_arm_that_swings_about_a_tip_that_sticks_strikes_a_stop(restitution):
 
 @pytest.fixture(scope="module")
 def at_three_stops():
-    """The WAM with three joints at their stops and its tip on a surface: J and H there, the stops, and how to run it."""
+    """The WAM with three joints at their stops and its tip on a surface: J, H, the stops, and how to run it."""
     robot, sides = Robot(load("wam4")), np.array([0.0, 1.0, -1.0, 1.0])
     model = robot.model
     q = np.where(sides > 0, model.position_upper, np.where(sides < 0, model.position_lower, 0.3))

@@ -233,6 +233,7 @@ TESTS: dict[str, tuple[str, ...]] = {
         f"{IN}test_contacts.py::test_block_slides_and_stops_and_a_tall_one_tips",
     ),
     "closedloop.step.closed_loops": (
+        f"{IN}test_step_kernels.py",
         f"{IN}test_event_kernels.py",
         f"{IN}test_loop_factor.py",
         f"{IN}test_joint_stops.py::test_several_stops_and_the_tip_at_once",

@@ -87,6 +87,7 @@ def test_the_margin_of_stops_is_what_is_left_of_the_way_and_of_their_torque(side
     loop, H, rng = loop_at_random("wam_bounce", {"robot.stops": True})
     state, constants, w = loop.state, loop.constants, loop.w
     constants.lower_stop[:], constants.upper_stop[:], w.joint_friction[:], w.F[:] = -4.0, 4.0, 0.3, rng.normal(size=3)
+    w.contact_torque[:] = 99.0  # of contacts that there are not
     w.stopped[:], w.q[:] = [0.0, side, 0.0, 0.0], [0.0, 4.0 * side, (4.0 - left) * -side, (4.0 - left) * side]
     assert interpreted(factorise_tip)(H, w, constants, state) == 0
     C, w.torque[:], torque = rng.normal(size=4), rng.normal(size=4), -side * (2.0 if pushes else -2.0)

@@ -224,9 +224,9 @@ def test_brakes_push_the_tip_along_the_normal():
 
 
 def near_the_pose(seed):
-    """The memory of a tip near a singular pose, with friction that is also viscous, and what counts as no push there."""
+    """The memory of a tip near a singular pose, with viscous friction too, and what counts as no push there."""
     loop, _, rng = loop_at_random("wam_slide", {"time.duration": 0.01}, seed)
-    state, constants, w = loop.state, loop.constants, loop.w
+    constants, w = loop.constants, loop.w
     constants.gravity[:], w.column[:], w.c[:], w.viscous[:] = rng.normal(size=(4, 3))[0], 3.0, [0.3, -0.2], [0.5, 0.7]
     C, L = rng.normal(size=4), np.tril(w.L, -1) + np.diag(1.0 / np.diag(w.L))
     w.S[0, 0] = 0.0

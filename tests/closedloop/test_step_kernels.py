@@ -8,15 +8,19 @@ import closedloop as cl
 from closedloop.closure.contact_force import FREE, PRESSED, STUCK
 from closedloop.control.seen import Seen
 from closedloop.jit.interpreted import interpreted
+from closedloop.loops.bind import step_memory
+from closedloop.loops.factor import factor
+from closedloop.loops.rows import locate_rows
 from closedloop.step.belief import believe
+from closedloop.step.closed_loops import BIND_LOAD, IMPULSE, REACTION, closed_loops, drive, factorise_tip
 from closedloop.step.energy_supplied import add_stage_work, commit_work, save_power
-from closedloop.step.joint_friction import _delayed, hold_joints
+from closedloop.step.joint_friction import _delayed, add_joint_friction, hold_joints, stick_or_slip_joints
 from closedloop.step.locate import locate_tip, off_anchor, set_anchor
 from closedloop.step.memory import Reference
 from closedloop.step.seen import see
-from closedloop.step.soft_contact import spring_energy
+from closedloop.step.soft_contact import soft_contact_force, spring_energy
 
-SHORT = {"time.duration": 0.01}
+SHORT, HOLD = {"time.duration": 0.01}, {"reference": {"kind": "hold"}}
 STICKING = {"friction.kind": "coulomb", "friction.coefficient": 0.4}
 EGG = {
     "surface.kind": "ellipsoid", "surface_motion.kind": "turntable", "surface_motion.axis": [0.2, 0.1, 1.0],
@@ -26,7 +30,7 @@ EGG = {
 
 
 def test_the_tip_is_where_the_surface_says():
-    """Gap, frame and the surface's motion are its answers for place, velocity and instant; where it stuck turns along."""
+    """Gap, frame and the surface's motion are its answers for place, velocity and time; where it stuck turns along."""
     surface = cl.prepare(cl.load_scenario("wam_slide", EGG)).surface
     loop, _, rng = loop_at_random("wam_slide", EGG)
     state, constants, w = loop.state, loop.constants, loop.w
@@ -93,7 +97,7 @@ def test_what_the_controller_believes_is_the_arm_without_its_payload(masses):
 @pytest.mark.parametrize("integrator", ["semi_implicit_euler", "rk4"])
 def test_the_work_of_a_substep_is_that_of_all_forces(integrator):
     """Of joints and tip, on a surface that moves; with one stage to second order in its length."""
-    loop, H, rng = loop_at_random("wam_slide", SHORT | {"time.integrator": integrator})
+    loop, _, rng = loop_at_random("wam_slide", SHORT | {"time.integrator": integrator})
     state, w = loop.state, loop.w
     for array in (w.torque, w.joint_friction, w.F, w.drift_c, w.turning, w.qdd):
         array[:] = rng.normal(size=array.shape)
@@ -133,7 +137,7 @@ def test_energy_of_a_soft_surface_is_the_integral_of_its_force_at_rest(kind, pow
 
 @pytest.mark.parametrize("mode", [FREE, PRESSED, STUCK])
 def test_dry_friction_of_joints_stops_what_it_can(mode):
-    """Each joint comes to rest at the end of the step, or is braked by all of its friction; the tip keeps its contact."""
+    """Each joint is at rest at the end of the step, or braked by all of its friction; the tip keeps its contact."""
     changes = {"joint_friction.kind": "coulomb", "joint_friction.kinetic": [0.5, 1.0, 1.5, 0.0]}
     held, braked = 0, 0
     loop, H, rng = loop_at_random("wam_slide", SHORT | changes | STICKING)
@@ -185,3 +189,106 @@ def test_friction_of_a_joint_that_lags_knows_its_speed_a_while_ago(since):
         assert interpreted(_delayed)(w, constants, state, rows, j) == pytest.approx(wanted, rel=1e-12)
     constants.joint_lag[j] = 0.0
     assert interpreted(_delayed)(w, constants, state, rows, j) == 0.5
+
+
+@pytest.mark.parametrize("pulls", [False, True])
+def test_friction_on_a_soft_surface_is_that_of_its_force(pulls):
+    """k δ along the normal, and across it μ|f| in one direction, turned with slow slip, beside the viscous part."""
+    changes = STICKING | {"compliance": {"kind": "kelvin_voigt", "stiffness": 1e4, "damping": 0.0}}
+    loop, H, rng = loop_at_random("wam_slide", SHORT | changes)
+    state, constants, w, turned = loop.state, loop.constants, loop.w, 0
+    state.mode, w.rate, w.gap = PRESSED, 0.0, 0.002 if pulls else -0.002
+    f = -1e4 * w.gap
+    for speed in (1e-6, 1e-5, 1e-4, 1e-3, 1.0):
+        ahead = rng.normal(size=2)
+        ahead /= np.linalg.norm(ahead)
+        w.u[1:], w.c[:], w.viscous[:], w.y[:], w.a[:] = (
+            speed * ahead, 0.4 * ahead, rng.normal(size=2), rng.normal(size=4), rng.normal(size=3),
+        )  # fmt: skip
+        w.direction[:], w.F[:] = ahead, np.nan
+        interpreted(soft_contact_force)(w, constants, state)
+        assert w.F[0] == pytest.approx(f, rel=1e-14)
+        rub = w.F[1:] + w.viscous
+        assert np.linalg.norm(rub) == pytest.approx(0.4 * abs(f), rel=1e-9)
+        ways = rub @ ahead / np.linalg.norm(rub)
+        turned += ways > -1.0 + 1e-6
+        assert ways == pytest.approx(-1.0, abs=1e-4) or speed < 1.0
+        L = np.tril(w.L, -1) + np.diag(1.0 / np.diag(w.L))  # its diagonal holds reciprocals
+        np.testing.assert_allclose(H @ w.qdd, L @ w.y + w.A.T @ w.F, atol=1e-9)
+    assert 0 < turned < 5
+
+
+@pytest.mark.parametrize(("kind", "more"), [("dahl", {"stiffness": 300.0}), ("coulomb_viscous", {})])
+def test_friction_of_joints_that_the_state_determines(kind, more):
+    """−σ z − b q̇ of bristles; of a law that sticks rigidly the viscous part alone, for the dry one is not known yet."""
+    changes = {"joint_friction": {"kind": kind, "kinetic": 0.5, "viscous": 2.0, **more}}
+    loop, _, _ = loop_at_random("wam_slide", SHORT | changes)
+    state, constants, w = loop.state, loop.constants, loop.w
+    bristles = 300.0 * w.z[-4:] if kind == "dahl" else 0.0
+    interpreted(add_joint_friction)(w, constants, state, np.zeros((state.steps + 1, 12)))
+    np.testing.assert_allclose(w.joint_friction, -bristles - 2.0 * w.v, rtol=1e-12)
+
+
+def test_joints_stick_where_their_motion_has_turned():
+    """From row to row, in the direction in which each came; a joint that moves on slides, one that is drawn slips."""
+    law = {
+        "kind": "seven_parameter", "kinetic": 0.5, "static_excess": 0.2, "stribeck_speed": 0.1, "stiffness": 300.0,
+        "memory_delay": 0.0, "rise_time": 0.1,
+    }  # fmt: skip
+    loop, _, _ = loop_at_random("wam_slide", SHORT | {"joint_friction": law})
+    state, constants, w = loop.state, loop.constants, loop.w
+    rows, w.v[:], w.z[:], w.stuck[:], state.row = np.zeros((4, 12)), [0.1, -0.1, 0.1, 0.0], 0.0, 0.0, 2
+    rows[1, 4:8] = [0.2, 0.2, -0.2, -0.2]
+    interpreted(stick_or_slip_joints)(w, constants, state, rows)
+    np.testing.assert_array_equal(w.stuck, [0.0, 1.0, 1.0, 1.0])
+    np.testing.assert_array_equal(w.joint_direction, [0.0, 1.0, -1.0, -1.0])
+
+
+def test_loops_take_what_they_bind_in_the_measure_of_the_mass():
+    """Mobility and drift of the tip, what is left of a load, reactions and impulses: by the null space of the rows."""
+    loop, H, rng = loop_at_random("five_bar", SHORT | HOLD)
+    state, constants, w = loop.state, loop.constants, loop.w
+    drift = w.drift_c.copy()
+    assert interpreted(factorise_tip)(H, w, constants, state) == 0
+    rows = w.kept["loops"].rows
+    G = rows.G.copy()
+    rank = np.linalg.matrix_rank(G, tol=1e-9)
+    N = np.linalg.svd(G)[2][rank:].T
+    free = N @ np.linalg.solve(N.T @ H @ N, N.T)  # the inverse of H that the loops leave
+    required = np.linalg.lstsq(G @ np.linalg.inv(H) @ G.T, -rows.drift, rcond=1e-9)[0]
+    required = np.linalg.solve(H, G.T @ required)
+    assert 0 < rank < 4
+    assert np.linalg.norm(w.A @ required) > 1e-2
+    np.testing.assert_allclose(w.S, w.A @ free @ w.A.T, atol=1e-10)
+    np.testing.assert_allclose(w.drift_c, drift + w.A @ required, atol=1e-9)
+    L, load, ask = np.linalg.cholesky(H), rng.normal(size=4), interpreted(closed_loops)
+    w.y[:] = np.linalg.solve(L, load)
+    ask(state.loops_at, BIND_LOAD)
+    np.testing.assert_allclose(np.linalg.solve(L.T, w.y), free @ load + required, atol=1e-9)
+    w.column[:] = load
+    ask(state.loops_at, REACTION)
+    np.testing.assert_allclose(w.column, load - H @ free @ load, atol=1e-9)
+    np.testing.assert_allclose(w.drift_c, drift, atol=1e-12)
+    v = w.v.copy()
+    ask(state.loops_at, IMPULSE)
+    np.testing.assert_allclose(w.v, free @ H @ v, atol=1e-9)
+
+
+@pytest.mark.parametrize("drives", [1, 2])
+def test_a_stop_passes_no_torque_to_the_drives(drives):
+    """What joints without a drive would give goes through the loops as if no joint were at its stop."""
+    problem, rng = cl.prepare(cl.load_scenario("five_bar", SHORT | HOLD)), np.random.default_rng(0)
+    links, rows = step_memory(problem.robot, True)
+    assert links.stops == 4
+    rows.q[:], rows.undriven[:], links.undriven = problem.q, np.arange(4) >= drives, 4 - drives
+    asked, given, torque = rng.normal(size=4), [], rows.met.copy()
+    for side in (0.0, 1.0, -1.0):
+        rows.held[1] = side
+        interpreted(locate_rows)(links, rows)
+        interpreted(factor)(links, rows, rows.drift, links.m)
+        rank, torque = links.rank, asked.copy()
+        interpreted(drive)(links, rows, torque)
+        assert links.rank == rank == (3 if side else 2)
+        given.append(torque)
+    np.testing.assert_allclose(given[1:], [given[0]] * 2, atol=1e-12)
+    assert not np.any(given[0][drives:])

@@ -189,6 +189,7 @@ TESTS: dict[str, tuple[str, ...]] = {
         f"{IN}test_contacts.py::test_painleves_rod_is_named",
         f"{IN}test_contacts.py::test_a_scheme_of_one_stage_meets_the_floor_where_it_is",
         f"{IN}test_contact_events.py::test_a_tip_that_leaves_once_leaves_once",
+        f"{IN}test_friction_bristles.py::test_bristles_of_tip_and_joints_are_advanced_with_the_step",
     ),
     "closedloop.step.locate": (
         f"{IN}test_step_kernels.py",
@@ -242,6 +243,7 @@ TESTS: dict[str, tuple[str, ...]] = {
         f"{IN}test_contact_surfaces.py::test_mass_in_a_bowl_is_the_tip_in_a_bowl",
     ),
     "closedloop.step.contacts": (
+        f"{IN}test_contact_modes.py",
         f"{IN}test_contacts.py::test_block_on_an_incline_slips_where_friction_is_less_than_the_slope",
         f"{IN}test_contacts.py::test_block_on_a_steep_incline_tips_where_its_weight_is_outside_its_base",
         f"{IN}test_contacts.py::test_block_slides_and_stops_and_a_tall_one_tips",

@@ -12,6 +12,8 @@ from closedloop.contacts.impact import STRUCK_AND_LEFT, STRUCK_AND_STAYED, apply
 from closedloop.contacts.memory import CONE, LINE, OFF, RAY, make_contact_memory
 from closedloop.contacts.modes import (
     CAME,
+    CLOSED_GAP,
+    HOVERING,
     LEFT,
     SLIPPED,
     STUCK_NOW,
@@ -25,6 +27,7 @@ from closedloop.events.contacts import apply_contact_event, log_contacts, resume
 from closedloop.events.phases import APPLY_EVENT, AT_EVENT, ENLARGE_TABLE
 from closedloop.events.table import EVENT_WIDTH, LIFTOFF, RELEASE, STOP, EventRow
 from closedloop.jit.interpreted import interpreted
+from closedloop.step.contacts import STICK_SPEED, margin_of, save_contacts
 
 NOTHING = 1e-9
 
@@ -195,3 +198,39 @@ def test_an_event_waits_for_room_in_the_table():
     assert state.phase == AT_EVENT
     decided = interpreted(resume_with_contacts)
     assert decided(SimpleNamespace(contact_margin=-1e-9), None, state, None) == APPLY_EVENT
+
+
+def test_the_margin_of_contacts_is_what_is_left_of_their_modes(memory):
+    """Of the gap, the pressure, the cone and the speed along the old direction, the least; what also pulls has none."""
+    c, slow, margin = memory.contacts, 1e-7, interpreted(margin_of)
+    c.located[0], c.rounding, c.direction[1] = 100.0, 1e-9, [0.6, 0.8]
+    c.mode[1], c.located[3], c.floor[1] = FREE, 0.5, -0.1
+    for risen, hair in ((0.0, HOVERING), (1.0, CLOSED_GAP)):
+        c.risen[1] = risen
+        assert margin(c, 2, slow, 0.0) == pytest.approx(0.6 + hair, rel=1e-15)
+    c.mode[1], c.rigid[3:], c.mu[1] = STUCK, [5.0, 0.9, 1.2], 0.5
+    assert margin(c, 2, slow, 0.0) == pytest.approx(1.0 + 1e-9, rel=1e-14)
+    c.rigid[3:] = [5.0, 0.0, 0.0]
+    assert margin(c, 2, slow, 0.0) == pytest.approx(2.5 + 1e-9, rel=1e-14)
+    c.mode[1], c.u[3:], c.rigid[3:] = PRESSED, [9.0, 0.3, 0.4], [5.0, 9.0, 9.0]
+    for start, rest, added in ((1e-3, 0.0, 0.0), (1e-8, 0.0, slow), (1e-3, 2e-7, -2e-7), (1.5e-7, 2e-7, slow)):
+        c.start_slip[1] = start
+        assert margin(c, 2, slow, rest) == pytest.approx(0.5 + added, rel=1e-14)
+    c.mu[1] = 0.0
+    assert margin(c, 2, slow, 0.0) == pytest.approx(5.0 + 1e-9, rel=1e-14)
+    c.kind[1] = LINE
+    assert margin(c, 2, slow, 0.0) == pytest.approx(100.0, rel=1e-6)
+
+
+def test_what_a_substep_begins_with_is_kept(memory):
+    """The speed of every slip, the direction of one that slides, and that a contact has come clear of its surface."""
+    links, c = memory
+    for mode, slip, clear in itertools.product((FREE, PRESSED, STUCK), ([0.3, -0.4], [3e-8, 4e-8]), (True, False)):
+        c.mode[1], c.u[4:], c.direction[1], c.risen[1], c.floor[1] = mode, slip, [1.0, 0.0], 0.0, -0.5
+        c.located[3] = (2.0 if clear else 0.5) * HOVERING
+        interpreted(save_contacts)(links, c)
+        speed = np.linalg.norm(slip)
+        assert c.start_slip[1] == pytest.approx(speed, rel=1e-15)
+        slides = mode == PRESSED and speed > STICK_SPEED
+        np.testing.assert_allclose(c.direction[1], np.array(slip) / speed if slides else [1.0, 0.0])
+        assert (c.risen[1], c.floor[1]) == ((1.0, 0.0) if clear else (0.0, -0.5))

@@ -241,6 +241,9 @@ TESTS: dict[str, tuple[str, ...]] = {
         f"{IN}test_contacts.py::test_block_on_an_incline_slips_where_friction_is_less_than_the_slope[0.3-0.305]",
         f"{IN}test_contact_stops.py::test_weight_is_shared_by_a_foot_and_a_stop",
         f"{IN}test_contact_surfaces.py::test_mass_in_a_bowl_is_the_tip_in_a_bowl",
+        f"{IN}test_contact_surfaces.py::test_body_strikes_and_slides_in_a_bowl_that_another_carries[0.1]",
+        f"{IN}test_contacts.py::test_a_scheme_of_one_stage_meets_the_floor_where_it_is",
+        f"{IN}test_contacts.py::test_block_falls_on_two_corners_at_one_instant[0.5]",
     ),
     "closedloop.step.contacts": (
         f"{IN}test_contact_modes.py",
@@ -261,6 +264,7 @@ TESTS: dict[str, tuple[str, ...]] = {
         f"{IN}test_loops.py::test_open_start_is_refused_or_assembled",
         f"{IN}test_loops.py::test_mechanism_falls_as_its_null_space_does[four_bar]",
         f"{IN}test_loops.py::test_reaction_of_dependent_rows_is_of_least_norm",
+        f"{IN}test_loops.py::test_what_loops_and_stops_cannot_explain_is_told",
     ),
 }
 

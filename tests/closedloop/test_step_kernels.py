@@ -17,7 +17,7 @@ from closedloop.step.energy_supplied import add_stage_work, commit_work, save_po
 from closedloop.step.joint_friction import _delayed, add_joint_friction, hold_joints, stick_or_slip_joints
 from closedloop.step.locate import locate_tip, off_anchor, set_anchor
 from closedloop.step.memory import Reference
-from closedloop.step.seen import see
+from closedloop.step.seen import MOTORS_MEASURED, read_joints, see
 from closedloop.step.soft_contact import soft_contact_force, spring_energy
 
 SHORT, HOLD = {"time.duration": 0.01}, {"reference": {"kind": "hold"}}
@@ -150,6 +150,7 @@ def test_dry_friction_of_joints_stops_what_it_can(mode):
             motion -= np.linalg.pinv(rows) @ rows @ motion
         w.joint_friction[:], w.joint_dry[:], w.joint_slip[:], before = 0.1, 0.0, w.v, w.qdd.copy()
         w.joint_direction[:], w.joint_lagged[:] = np.sign(w.v), np.abs(w.v)
+        w.scratch[:], w.before[:] = 99.0, 99.0
         interpreted(hold_joints)(w, constants, state)
         dry, limit = w.joint_friction - 0.1, [0.5, 1.0, 1.5, 0.0]
         np.testing.assert_allclose(w.joint_limit, limit)
@@ -292,3 +293,33 @@ def test_a_stop_passes_no_torque_to_the_drives(drives):
         given.append(torque)
     np.testing.assert_allclose(given[1:], [given[0]] * 2, atol=1e-12)
     assert not np.any(given[0][drives:])
+
+
+@pytest.mark.parametrize("elastic", [1, MOTORS_MEASURED])
+def test_encoders_read_the_side_they_are_on(elastic):
+    """The motors' where they are measured and a joint has one, else the links'; the true state is kept aside."""
+    stiff = {"transmission.stiffness": 1e4, "encoder.seed": 1}
+    loop, _, rng = loop_at_random("wam_slide", SHORT | stiff)
+    state, constants, w = loop.state, loop.constants, loop.w
+    state.elastic, constants.motor_inertia[:], w.q[:] = elastic, [0.1, 0.0, 0.1, 0.1], rng.normal(size=4)
+    q, v, motors = w.q.copy(), w.v.copy(), w.z[-8:].copy()
+    interpreted(read_joints)(w, constants, state, np.zeros((40, 40)))
+    on_motors = (constants.motor_inertia > 0.0) & (elastic == MOTORS_MEASURED)
+    np.testing.assert_array_equal([w.q, w.read_q], [np.where(on_motors, motors[:4], q)] * 2)
+    np.testing.assert_array_equal([w.v, w.read_v], [np.where(on_motors, motors[4:], v)] * 2)
+    np.testing.assert_array_equal([w.true_q, w.true_v], [q, v])
+
+
+def test_what_encoders_read_of_a_mechanism_is_closed():
+    """The law is given the state nearest to the readings at which the loops are closed."""
+    problem = cl.prepare(cl.load_scenario("five_bar", SHORT | HOLD | {"encoder.quantisation": 0.01}))
+    loop = problem.loop()
+    problem.connect(loop, compiled=False)
+    state, w = loop.state, loop.w
+    w.q[:], w.v[:] = problem.q + 1e-3, 0.1
+    interpreted(read_joints)(w, loop.constants, state, problem.table)
+    assert np.max(np.abs(w.q - w.read_q)) > 1e-4
+    links, rows = w.kept["seen_loops"]
+    rows.q[:], rows.v[:] = w.q, w.v
+    interpreted(locate_rows)(links, rows)
+    np.testing.assert_allclose([rows.error, rows.rate], 0.0, atol=1e-9)

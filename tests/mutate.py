@@ -241,6 +241,7 @@ TESTS: dict[str, tuple[str, ...]] = {
         f"{IN}test_contacts.py::test_block_on_an_incline_slips_where_friction_is_less_than_the_slope[0.3-0.305]",
         f"{IN}test_contact_stops.py::test_weight_is_shared_by_a_foot_and_a_stop",
         f"{IN}test_contact_surfaces.py::test_mass_in_a_bowl_is_the_tip_in_a_bowl",
+        f"{IN}test_contact_surfaces.py::test_belt_takes_a_mass_along_and_a_turntable_holds_it",
         f"{IN}test_contact_surfaces.py::test_body_strikes_and_slides_in_a_bowl_that_another_carries[0.1]",
         f"{IN}test_contacts.py::test_a_scheme_of_one_stage_meets_the_floor_where_it_is",
         f"{IN}test_contacts.py::test_block_falls_on_two_corners_at_one_instant[0.5]",
@@ -250,6 +251,7 @@ TESTS: dict[str, tuple[str, ...]] = {
         f"{IN}test_contacts.py::test_block_on_an_incline_slips_where_friction_is_less_than_the_slope",
         f"{IN}test_contacts.py::test_block_on_a_steep_incline_tips_where_its_weight_is_outside_its_base",
         f"{IN}test_contacts.py::test_block_slides_and_stops_and_a_tall_one_tips",
+        f"{IN}test_contacts.py::test_a_scheme_of_one_stage_meets_the_floor_where_it_is",
     ),
     "closedloop.step.closed_loops": (
         f"{IN}test_step_kernels.py",

@@ -210,6 +210,7 @@ def test_friction_on_a_soft_surface_is_that_of_its_force(pulls):
         interpreted(soft_contact_force)(w, constants, state)
         assert w.F[0] == pytest.approx(f, rel=1e-14)
         rub = w.F[1:] + w.viscous
+        np.testing.assert_allclose(rub, -w.c * f, rtol=1e-9)
         assert np.linalg.norm(rub) == pytest.approx(0.4 * abs(f), rel=1e-9)
         ways = rub @ ahead / np.linalg.norm(rub)
         turned += ways > -1.0 + 1e-6

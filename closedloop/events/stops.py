@@ -28,7 +28,8 @@ from closedloop.step.memory import RIGID_STICK, Constants, State, Work
 Array = NDArray[np.float64]
 
 # A joint no farther beyond its stop than this, rad (m), is at it: the rounding of a position. Nearer than the second to
-# it, and moving there, it has reached it: an instant is located to 1e-14 s.
+# it, and moving there, it has reached it: an instant is located to 1e-14 s. One that is not beyond it moves there if it
+# is faster than `LEAVING_SPEED`: a joint that a stop has just let go has the rounding of a velocity of zero.
 BEYOND, REACHED = 1e-13, 1e-9
 # The torque of a stop is known to this, N m (N): what pulls less does not pull.
 PULLING = 1e-9
@@ -66,8 +67,9 @@ def reach_stops(w: Work, constants: Constants, state: State) -> bool:
     """
     n, fastest, sides = w.q.shape[0], 0.0, w.y
     for j in range(n):
-        low = w.q[j] - constants.lower_stop[j] <= REACHED and w.v[j] < 0.0
-        high = constants.upper_stop[j] - w.q[j] <= REACHED and w.v[j] > 0.0
+        to_lower, to_upper = w.q[j] - constants.lower_stop[j], constants.upper_stop[j] - w.q[j]
+        low = to_lower <= REACHED and w.v[j] < (0.0 if to_lower + BEYOND < 0.0 else -LEAVING_SPEED)
+        high = to_upper <= REACHED and w.v[j] > (0.0 if to_upper + BEYOND < 0.0 else LEAVING_SPEED)
         if w.stopped[j] == 0.0 and (low or high):
             w.stopped[j] = -1.0 if low else 1.0
             w.q[j] = constants.lower_stop[j] if low else constants.upper_stop[j]  # not beyond it, by rounding

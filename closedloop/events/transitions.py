@@ -17,7 +17,7 @@ from closedloop.closure.contact_force import (
     stuck_force,
     stuck_tangentially,
 )
-from closedloop.closure.solve import CHATTER, OK
+from closedloop.closure.solve import CHATTER, OK, PAINLEVE
 from closedloop.events.contacts import apply_contact_event, resume_with_contacts
 from closedloop.events.impacts import log_event, make_contact
 from closedloop.events.locate import cone_margin
@@ -279,7 +279,15 @@ def slip_onset(w: Work, state: State, angle: float) -> tuple[float, float]:
     """Return the acceleration across and along a direction if slip starts in it, m/s²."""
     w.direction[0], w.direction[1] = math.cos(angle), math.sin(angle)
     call_at(state.friction, state.address, SLIDE)
-    pressed_force(w.S, w.a, 0.0, w.c, w.viscous, w.F)
+    if state.compliance != 0:  # f is that of the depth
+        side = 1.0 if w.F[0] >= 0.0 else -1.0
+        for i in range(2):
+            w.F[1 + i] = -side * w.c[i] * w.F[0] - w.viscous[i]
+    else:
+        status, _ = pressed_force(w.S, w.a, 0.0, w.c, w.viscous, w.F)
+        if state.unilateral == 0 and (status == PAINLEVE or w.F[0] < 0.0):  # what pulls rubs with |f|
+            w.c[0], w.c[1] = -w.c[0], -w.c[1]
+            pressed_force(w.S, w.a, 0.0, w.c, w.viscous, w.F)
     a1 = w.a[1] + w.S[1, 0] * w.F[0] + w.S[1, 1] * w.F[1] + w.S[1, 2] * w.F[2]
     a2 = w.a[2] + w.S[2, 0] * w.F[0] + w.S[2, 1] * w.F[1] + w.S[2, 2] * w.F[2]
     d1, d2 = w.direction[0], w.direction[1]

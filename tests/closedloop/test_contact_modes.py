@@ -1,6 +1,7 @@
 """What becomes of a contact in an event: its mode by force and acceleration, and what is told of it."""
 
 import itertools
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -11,6 +12,8 @@ from closedloop.contacts.impact import STRUCK_AND_LEFT, STRUCK_AND_STAYED, apply
 from closedloop.contacts.memory import CONE, LINE, OFF, RAY, make_contact_memory
 from closedloop.contacts.modes import (
     CAME,
+    CLOSED_GAP,
+    HOVERING,
     LEFT,
     SLIPPED,
     STUCK_NOW,
@@ -20,7 +23,11 @@ from closedloop.contacts.modes import (
     happened_to,
     mode_after,
 )
+from closedloop.events.contacts import apply_contact_event, log_contacts, resume_with_contacts
+from closedloop.events.phases import APPLY_EVENT, AT_EVENT, ENLARGE_TABLE
+from closedloop.events.table import EVENT_WIDTH, LIFTOFF, RELEASE, STOP, EventRow
 from closedloop.jit.interpreted import interpreted
+from closedloop.step.contacts import STICK_SPEED, margin_of, save_contacts
 
 NOTHING = 1e-9
 
@@ -152,3 +159,78 @@ def test_what_does_not_come_together_does_not_strike(memory):
         np.testing.assert_array_equal(c.F, 0.0)
         np.testing.assert_array_equal(c.after, c.u)
         assert list(c.happened) == list(c.struck) == list(c.pulled) == [0.0, 0.0]
+
+
+@pytest.mark.parametrize("struck", [0.0, 1.0])
+def test_each_contact_to_which_something_happened_has_its_row(struck):
+    """Rates, slips, impulses and place; the loss once, and what the surfaces gave by their motion; stops by their own
+    names.
+    """
+    links, c = make_contact_memory(4, 4, stops=2)
+    rng = np.random.default_rng(0)
+    for array in (c.F, c.before, c.after, c.axes, c.point, c.carried):
+        array[:] = rng.normal(size=array.shape)
+    c.happened[:], c.struck[:], c.energy_lost = [0.0, STRUCK_AND_LEFT, LIFTOFF, STRUCK_AND_STAYED], struck, 0.7
+    c.before[[3, 6, 9]], c.after[[3, 6, 9]] = [-2.0, -2.0, -2.0], [0.5, -0.5, 0.0]
+    w = SimpleNamespace(time=0.3, supplied=1.0, carried=rng.normal(size=3))
+    state, events = SimpleNamespace(events=1), np.full((5, EVENT_WIDTH), np.nan)
+    interpreted(log_contacts)(w, links, c, state, events)
+    assert state.events == 4
+    assert np.all(np.isnan(events[[0, 4]]))
+    for row, i, kind, lost in ((1, 1, STRUCK_AND_LEFT, 0.7), (2, 2, RELEASE, 0.0), (3, 3, STOP, 0.0)):
+        event, at = EventRow(events[row]), 3 * i
+        assert (event.time, event.kind, event.contact, event.energy_lost) == (0.3, kind, i, lost)
+        assert (event.rate_before, event.rate_after, event.compression) == (c.before[at], c.after[at], c.F[at])
+        assert event.slip_before == pytest.approx(np.linalg.norm(c.before[at + 1 : at + 3]), rel=1e-15)
+        assert event.slip_after == pytest.approx(np.linalg.norm(c.after[at + 1 : at + 3]), rel=1e-15)
+        assert event.restitution == (0.25 if i == 1 and struck else 0.0)
+        np.testing.assert_allclose(event.tangential, c.F[at + 1 : at + 3] @ c.axes[at + 1 : at + 3], rtol=1e-14)
+        np.testing.assert_array_equal(event.position, c.point[i])
+    carried = np.r_[w.carried, c.carried[3:]]
+    assert w.supplied == pytest.approx(1.0 - 0.7 + c.F @ carried, rel=1e-14)
+
+
+def test_an_event_waits_for_room_in_the_table():
+    """Two rows for each contact; and where modes are known, one that does not last is an event."""
+    links, _ = make_contact_memory(2, 2)
+    state = SimpleNamespace(contacts_at=links.address, events=7, phase=-1)
+    assert interpreted(apply_contact_event)(None, state, np.zeros((10, EVENT_WIDTH))) == ENLARGE_TABLE
+    assert state.phase == AT_EVENT
+    decided = interpreted(resume_with_contacts)
+    assert decided(SimpleNamespace(contact_margin=-1e-9), None, state, None) == APPLY_EVENT
+
+
+def test_the_margin_of_contacts_is_what_is_left_of_their_modes(memory):
+    """Of the gap, the pressure, the cone and the speed along the old direction, the least; what also pulls has none."""
+    c, slow, margin = memory.contacts, 1e-7, interpreted(margin_of)
+    c.located[0], c.rounding, c.direction[1] = 100.0, 1e-9, [0.6, 0.8]
+    c.mode[1], c.located[3], c.floor[1] = FREE, 0.5, -0.1
+    for risen, hair in ((0.0, HOVERING), (1.0, CLOSED_GAP)):
+        c.risen[1] = risen
+        assert margin(c, 2, slow, 0.0) == pytest.approx(0.6 + hair, rel=1e-15)
+    c.mode[1], c.rigid[3:], c.mu[1] = STUCK, [5.0, 0.9, 1.2], 0.5
+    assert margin(c, 2, slow, 0.0) == pytest.approx(1.0 + 1e-9, rel=1e-14)
+    c.rigid[3:] = [5.0, 0.0, 0.0]
+    assert margin(c, 2, slow, 0.0) == pytest.approx(2.5 + 1e-9, rel=1e-14)
+    c.mode[1], c.u[3:], c.rigid[3:] = PRESSED, [9.0, 0.3, 0.4], [5.0, 9.0, 9.0]
+    for start, rest, added in ((1e-3, 0.0, 0.0), (1e-8, 0.0, slow), (1e-3, 2e-7, -2e-7), (1.5e-7, 2e-7, slow)):
+        c.start_slip[1] = start
+        assert margin(c, 2, slow, rest) == pytest.approx(0.5 + added, rel=1e-14)
+    c.mu[1] = 0.0
+    assert margin(c, 2, slow, 0.0) == pytest.approx(5.0 + 1e-9, rel=1e-14)
+    c.kind[1] = LINE
+    assert margin(c, 2, slow, 0.0) == pytest.approx(100.0, rel=1e-6)
+
+
+def test_what_a_substep_begins_with_is_kept(memory):
+    """The speed of every slip, the direction of one that slides, and that a contact has come clear of its surface."""
+    links, c = memory
+    for mode, slip, clear in itertools.product((FREE, PRESSED, STUCK), ([0.3, -0.4], [3e-8, 4e-8]), (True, False)):
+        c.mode[1], c.u[4:], c.direction[1], c.risen[1], c.floor[1] = mode, slip, [1.0, 0.0], 0.0, -0.5
+        c.located[3] = (2.0 if clear else 0.5) * HOVERING
+        interpreted(save_contacts)(links, c)
+        speed = np.linalg.norm(slip)
+        assert c.start_slip[1] == pytest.approx(speed, rel=1e-15)
+        slides = mode == PRESSED and speed > STICK_SPEED
+        np.testing.assert_allclose(c.direction[1], np.array(slip) / speed if slides else [1.0, 0.0])
+        assert (c.risen[1], c.floor[1]) == ((1.0, 0.0) if clear else (0.0, -0.5))

@@ -124,9 +124,21 @@ def test_block_falls_on_two_corners_at_one_instant(restitution):
     assert first.kind == second.kind == ("impact" if restitution else "touchdown")
     assert first.time == second.time == pytest.approx(t, abs=1e-9)
     assert first.rate_after == pytest.approx(restitution * v, abs=1e-6)
+    np.testing.assert_allclose([sorted([first.position[0], second.position[0]])], [[-WIDTH / 2, WIDTH / 2]], atol=1e-12)
+    np.testing.assert_allclose([first.position[1:], second.position[1:]], 0.0, atol=1e-9)
     assert first.energy_lost + second.energy_lost == pytest.approx(0.5 * MASS * v**2 * (1 - restitution**2), rel=1e-6)
     assert np.max(np.abs(run.v[:, 2])) < 1e-12
     assert np.ptp(total_energy(run)) < 1e-12
+
+
+def test_a_scheme_of_one_stage_meets_the_floor_where_it_is():
+    """The gap is asked for at the end of each trial step: at the first blow a corner is on the floor."""
+    changes = {"time.integrator": "semi_implicit_euler"}
+    run = moved([0, HEIGHT / 2 + 0.006, 0.05], [0.3, 0, 0.5], corners(0.3, restitution=0.3), 0.03, **changes)
+    blow = run.events[0]
+    assert blow.kind == "impact"
+    assert abs(blow.position[2]) < 1e-9
+    np.testing.assert_allclose(np.abs(blow.tangential), [0.3 * blow.compression, 0.0, 0.0], atol=1e-9)  # it slides
 
 
 def test_tilted_block_rattles_without_energy_or_penetration():

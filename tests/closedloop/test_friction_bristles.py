@@ -10,6 +10,7 @@ from hypothesis import strategies as st
 from scipy.integrate import solve_ivp
 from test_friction_examples import EXAMPLES, PUBLISHED, angles, contact, patient, pointing, some_states
 
+import closedloop as cl
 from closedloop.friction import largest_step, presliding_motion
 from closedloop.friction.laws.dahl import SurfaceDahl
 
@@ -134,3 +135,17 @@ def test_presliding_is_refused_without_stiffness():
     """A law without bristles has no motion before slip."""
     with pytest.raises(ValueError, match="coulomb has no stiffness"):
         presliding_motion(EXAMPLES["coulomb"], 1.0)
+
+
+@pytest.mark.parametrize("integrator", ["semi_implicit_euler", "rk4"])
+def test_bristles_of_tip_and_joints_are_advanced_with_the_step(integrator):
+    """A mass that is pressed on and slides is soon braked by μ f, and by all of the friction in its slide."""
+    run = cl.simulate(cl.load_scenario("wam_slide", {
+        "robot.model": "pointmass3", "robot.tip": "tip", "start.q": [0.0] * 3, "start.v": [0.3, 0.0, 0.0],
+        "reference": {"kind": "hold"}, "law": {"kind": "paper", "kp": 0.0, "kd": 0.0, "force": 20.0},
+        "friction": {"kind": "dahl", "coefficient": 0.3, "stiffness": 1e3},
+        "joint_friction": {"kind": "dahl", "kinetic": 0.5, "stiffness": 2e3},
+        "time.integrator": integrator, "time.step": 1e-3, "time.duration": 0.02,
+    }))  # fmt: skip
+    assert run.friction_force[-1, 0] == pytest.approx(-6.0, rel=1e-2)
+    assert run.joint_friction[-1, 0] == pytest.approx(-0.5, rel=1e-2)

@@ -100,6 +100,69 @@ def test_several_stops_and_the_tip_at_once(contact, restitution):
         np.testing.assert_allclose(run.v[-1], wanted, atol=2e-4)
 
 
+@pytest.mark.parametrize("restitution", [0.0, 0.6])
+def test_an_arm_that_swings_about_a_tip_that_sticks_strikes_a_stop(restitution):
+    """With one motion left, which the stop bars, all of it is reversed by ε, and 1 − ε² of its energy is lost."""
+    still = cl.load_scenario("wam_slide")
+    model, q = load("wam4"), np.array(still.start.q)
+    terms = Robot(model).terms(q, np.zeros(4))
+    H = np.triu(terms.mass_matrix) + np.triu(terms.mass_matrix, 1).T
+    v = np.linalg.svd(terms.jacobian)[2][-1]
+    j = int(np.argmax(np.abs(v)))
+    v *= np.sign(v[j])
+    upper = model.position_upper.copy()
+    upper[j] = q[j]
+    changes = {
+        "start.v": v.tolist(), "friction.kind": "coulomb", "friction.coefficient": 50.0, "stabiliser.kind": "none",
+        "robot.stops": True, "robot.stop_restitution": restitution, "law.kp": 0, "law.kd": 0, "reference.kind": "hold",
+        "time.step": 1e-6, "time.duration": 2e-6,
+    }  # fmt: skip
+    run = cl.simulate(cl.load_scenario("wam_slide", changes), model=dataclasses.replace(model, position_upper=upper))
+    assert [event.kind for event in run.events] == ["stop"]
+    np.testing.assert_allclose(run.v[-1], -restitution * v, atol=2e-4)
+    assert run.events[0].energy_lost == pytest.approx(0.5 * v @ H @ v * (1.0 - restitution**2), rel=1e-9)
+
+
+@pytest.fixture(scope="module")
+def at_three_stops():
+    """The WAM with three joints at their stops and its tip on a surface: J, H, the stops, and how to run it."""
+    robot, sides = Robot(load("wam4")), np.array([0.0, 1.0, -1.0, 1.0])
+    model = robot.model
+    q = np.where(sides > 0, model.position_upper, np.where(sides < 0, model.position_lower, 0.3))
+    terms = robot.terms(q, np.zeros(4))
+    H = np.triu(terms.mass_matrix) + np.triu(terms.mass_matrix, 1).T
+    changes = {
+        "robot.stops": True, "start.q": list(q), "law.kp": 0, "law.kd": 0, "time.step": 1e-6, "time.duration": 1e-6,
+        "stabiliser.kind": "none", "surface.gap": 0.0, "law.force": 0.0, "impact.restitution": 0.0,
+    }  # fmt: skip
+
+    def run(v, normal):
+        start = {"start.v": list(v), "surface.normal": list(normal)}
+        return cl.simulate(cl.load_scenario("wam_bounce", changes | start), model=model)
+
+    return terms.jacobian, H, [-sides[j] * np.eye(4)[j] for j in range(1, 4)], run
+
+
+def test_the_tip_strikes_an_arm_whose_joints_are_at_stops(at_three_stops):
+    """First the stops stop their joints, then the surface stops the tip: those that would have to pull let go."""
+    J, H, stops, run = at_three_stops
+    rng, found = np.random.default_rng(3), set()
+    while len(found) < 5:
+        normal, v = rng.normal(size=3), rng.uniform(-1.0, 1.0, 4)
+        A = normal @ J / np.linalg.norm(normal)
+        if A @ v > -0.1 or any(row @ v > -0.05 for row in stops):
+            continue
+        first = after_moreau(H, v, [], stops, 0.0)
+        wanted = after_moreau(H, first, [], [*stops, A], 0.0)
+        left = tuple(np.abs(wanted[1:]) > 1e-3)
+        if left in found or A @ first > -0.1:
+            continue
+        moved = run(v, normal)
+        assert [event.kind for event in moved.events[:2]] == ["stop", "touchdown"]
+        np.testing.assert_allclose(moved.v[0], wanted, atol=1e-9)
+        found.add(left)
+
+
 def test_loops_and_stops_together():
     """A five-bar falls onto its stops and bounces: the loop stays closed, and every torque is explained."""
     model = load("five_bar")

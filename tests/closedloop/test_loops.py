@@ -14,6 +14,7 @@ from closedloop.loops import close
 from closedloop.loops.assemble import closed_start, errors_at
 from closedloop.loops.bind import bound_by_loops, loop_memory
 from closedloop.loops.memory import IDLE, POSITION
+from closedloop.loops.reactions import loop_reactions
 from closedloop.loops.reactions import loop_rows as rows_of_loops
 from closedloop.robot.pinocchio import Robot
 from validation.loops.mechanisms import MECHANISMS, bar, change_point, four_bar, joint, loop, mechanism, point
@@ -317,6 +318,26 @@ def test_reaction_of_dependent_rows_is_of_least_norm(mechanisms):
     hinge, lone = (run.loops.reactions for run in runs)
     np.testing.assert_allclose(np.linalg.norm(hinge[:, :3], axis=1), np.linalg.norm(lone, axis=1), rtol=1e-8)
     np.testing.assert_allclose(hinge[:, 3:], 0.0, atol=1e-9)  # couples that the pins share are not asked for
+
+
+@pytest.mark.parametrize("stopped", [False, True])
+def test_what_loops_and_stops_cannot_explain_is_told(mechanisms, stopped):
+    """Of any motion: reactions and stops of least norm, and the largest torque that is left over."""
+    model, rng = mechanisms["five_bar"], np.random.default_rng(4)
+    q, v, acceleration, torque = (rng.normal(size=(3, model.n)) for _ in range(4))
+    force, at_stop = rng.normal(size=(3, 3)), np.arange(model.n) == np.array([[0], [1], [3]])
+    robot = Robot(model)
+    found = loop_reactions(robot, q, v, acceleration, torque, force, at_stop if stopped else None)
+    for k in range(3):
+        G, terms = rows_at(model, q[k], v[k])[1], robot.terms(q[k], v[k])
+        H = np.triu(terms.mass_matrix) + np.triu(terms.mass_matrix, 1).T
+        missing = H @ acceleration[k] + terms.bias - torque[k] - terms.jacobian.T @ force[k]
+        rows = np.vstack([G, np.eye(model.n)[at_stop[k]]]) if stopped else G
+        given = np.linalg.lstsq(rows.T, missing, rcond=1e-9)[0]
+        np.testing.assert_allclose(found.reactions[k], given[: len(G)], atol=1e-8)
+        assert found.unexplained[k] == pytest.approx(np.max(np.abs(missing - rows.T @ given)), rel=1e-8)
+        assert found.unexplained[k] > 1e-3
+        assert found.rank[k] == np.linalg.matrix_rank(G, tol=1e-9)
 
 
 def test_friction_in_joints_acts_through_the_loop(mechanisms):

@@ -1,0 +1,21 @@
+"""The memory of a loop that is ready to run, with everything in it drawn: for kernels, one at a time."""
+
+import numpy as np
+
+import closedloop as cl
+from closedloop.closure.contact_force import factorise
+from closedloop.jit.interpreted import interpreted
+
+
+def loop_at_random(scenario, changes, seed=0):
+    """The memory of a scenario's loop, interpreted, with a random H, rows of the tip, velocities and states."""
+    problem = cl.prepare(cl.load_scenario(scenario, changes))
+    loop, rng = problem.loop(), np.random.default_rng(seed)
+    problem.connect(loop, compiled=False)
+    state, constants, w = loop.state, loop.constants, loop.w
+    root = rng.normal(size=(state.n, state.n))
+    H = root @ root.T + np.eye(state.n)
+    w.A[:], w.v[:], w.z[:], w.carried[:] = (rng.normal(size=x.shape) for x in (w.A, w.v, w.z, w.carried))
+    assert interpreted(factorise)(H, w.A, w.L, w.X, w.S, constants.reach) == 0
+    w.u[:] = w.A @ w.v - w.carried
+    return loop, H, rng

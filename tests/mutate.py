@@ -120,6 +120,52 @@ TESTS: dict[str, tuple[str, ...]] = {
         f"{IN}test_contacts.py::test_impulses_with_restitution_are_missed_only_where_there_are_none",
     ),
     "closedloop.robot.tree.dynamics": (f"{IN}test_tree_kernels.py", f"{IN}test_tree_terms.py"),
+    "closedloop.closure.conditioning": (f"{IN}test_solve.py",),
+    "closedloop.control.laws.hybrid": (
+        f"{IN}test_control_laws.py::test_hybrid_is_its_formula",
+        f"{IN}test_control_laws.py::test_at_rest_the_force_is_the_wanted_one",
+        f"{IN}test_control_laws.py::test_torque_does_not_depend_on_the_tangents",
+        f"{IN}test_control_laws.py::test_a_tip_off_the_surface_comes_down_at_a_set_speed[hybrid-]",
+    ),
+    "closedloop.control.laws.paper": (
+        f"{IN}test_control_laws.py::test_at_rest_the_force_is_the_wanted_one",
+        f"{IN}test_control_laws.py::test_paper_law_through_the_family_is_eq_33_to_the_last_bit",
+    ),
+    "closedloop.control.sensor": (f"{IN}test_control_sensor.py",),
+    "closedloop.control.encoder": (
+        f"{IN}test_encoder.py::test_a_perfect_encoder_samples_the_law_and_nothing_else",
+        f"{IN}test_encoder.py::test_the_law_computes_everything_from_its_readings",
+        f"{IN}test_encoder.py::test_readings_are_quantised_and_as_noisy_as_asked_for",
+        f"{IN}test_encoder.py::test_a_velocity_by_differences_is_that_of_the_readings",
+        f"{IN}test_encoder.py::test_what_does_not_go_is_refused_in_one_line",
+    ),
+    "closedloop.control.drives": (
+        f"{IN}test_drives.py::test_a_torque_that_is_cut_is_the_limit_to_the_bit",
+        f"{IN}test_drives.py::test_limits_of_the_robots_file_act_on_request",
+        f"{IN}test_drives.py::test_a_torque_from_outside_is_cut_too",
+        f"{IN}test_drives.py::test_what_does_not_go_is_refused_in_one_line",
+        f"{IN}test_drives.py::test_a_file_without_effort_limits_has_none_to_act",
+    ),
+    "closedloop.control.compensation.model": (
+        f"{IN}test_control_compensation.py::test_a_true_model_leaves_no_friction_and_a_wrong_one_its_error",
+        f"{IN}test_control_compensation.py::test_compensation_rests_without_friction",
+        f"{IN}test_control_sections.py",
+    ),
+    "closedloop.friction.laws.lugre": (f"{IN}test_friction_laws.py", f"{IN}test_friction_lugre.py"),
+    "closedloop.friction.law": (f"{IN}test_friction_laws.py", f"{IN}test_friction_sections.py"),
+    "closedloop.robot.tree.kinematics": (f"{IN}test_tree_terms.py", f"{IN}test_tree_kernels.py"),
+    "closedloop.robot.tree.terms": (f"{IN}test_tree_terms.py", f"{IN}test_tree_kernels.py"),
+    "closedloop.robot.tree.energy": (f"{IN}test_tree_terms.py", f"{IN}test_tree_kernels.py"),
+    "closedloop.robot.tree.angles": (f"{IN}test_tree_terms.py", f"{IN}test_tree_kernels.py"),
+    "closedloop.robot.tip": (f"{IN}test_robot.py",),
+    "closedloop.reference.least_norm": (f"{IN}test_reference_least_norm.py",),
+    "closedloop.surface.second_order": (f"{IN}test_surface_expression.py::test_derivatives_are_exact",),
+    "closedloop.surface.motion": (f"{IN}test_surfaces.py::test_rates_are_the_derivatives",),
+    "closedloop.surface.gradient": (f"{IN}test_reference_no_normal.py",),
+    "closedloop.surface.kinds.height_field": (
+        f"{IN}test_surfaces.py::test_rates_are_the_derivatives",
+        f"{IN}test_surface_edges.py",
+    ),
 }
 
 ARITHMETIC = {ast.Add: ast.Sub, ast.Sub: ast.Add, ast.Mult: ast.Div, ast.Div: ast.Mult}

@@ -53,7 +53,7 @@ def test_the_law_computes_everything_from_its_readings():
 
 
 def test_readings_are_quantised_and_as_noisy_as_asked_for():
-    """Whole quanta, half a quantum and the noise from the truth; white noise of the deviation asked for."""
+    """Whole quanta, half a quantum and the noise from the truth; white noise as large as asked for, each its own."""
     run, quanta = slide(NOISY | {"time.duration": 1.0}), np.array(NOISY["encoder.quantisation"])
     off, noise = run.measured_position - run.q, NOISY["encoder.noise"]
     coarse = quanta > 0.0
@@ -63,6 +63,8 @@ def test_readings_are_quantised_and_as_noisy_as_asked_for():
     assert np.std(off[:, 2]) == pytest.approx(noise, rel=0.1)
     assert np.std(run.measured_velocity - run.v) == pytest.approx(1e-3, rel=0.05)
     assert abs(np.corrcoef(off[1:, 2], off[:-1, 2])[0, 1]) < 0.15
+    each = np.corrcoef(np.hstack([off[:, 2:], run.measured_velocity - run.v]).T)
+    assert np.max(np.abs(each - np.eye(6))) < 0.15
 
 
 def test_a_velocity_by_differences_is_that_of_the_readings():

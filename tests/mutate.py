@@ -140,6 +140,7 @@ TESTS: dict[str, tuple[str, ...]] = {
         f"{IN}test_encoder.py::test_what_does_not_go_is_refused_in_one_line",
     ),
     "closedloop.control.drives": (
+        f"{IN}test_drives.py::test_a_cut_is_the_nearest_torque_within_the_limits",
         f"{IN}test_drives.py::test_a_torque_that_is_cut_is_the_limit_to_the_bit",
         f"{IN}test_drives.py::test_limits_of_the_robots_file_act_on_request",
         f"{IN}test_drives.py::test_a_torque_from_outside_is_cut_too",
@@ -147,12 +148,21 @@ TESTS: dict[str, tuple[str, ...]] = {
         f"{IN}test_drives.py::test_a_file_without_effort_limits_has_none_to_act",
     ),
     "closedloop.control.compensation.model": (
-        f"{IN}test_control_compensation.py::test_a_true_model_leaves_no_friction_and_a_wrong_one_its_error",
+        f"{IN}test_control_compensation.py::test_the_model_is_its_formula",
         f"{IN}test_control_compensation.py::test_compensation_rests_without_friction",
         f"{IN}test_control_sections.py",
     ),
-    "closedloop.friction.laws.lugre": (f"{IN}test_friction_laws.py", f"{IN}test_friction_lugre.py"),
-    "closedloop.friction.law": (f"{IN}test_friction_laws.py", f"{IN}test_friction_sections.py"),
+    "closedloop.friction.laws.lugre": (
+        f"{IN}test_friction_laws.py",
+        f"{IN}test_friction_lugre.py",
+        f"{IN}test_friction_sections.py::test_energy_fault_says_what_would_be_right",
+        f"{IN}test_friction_sections.py::test_energy_fault_names_the_joint",
+    ),
+    "closedloop.friction.law": (
+        f"{IN}test_friction_laws.py",
+        f"{IN}test_friction_sections.py::test_bad_figures_are_refused",
+        f"{IN}test_friction_sections.py::test_static_friction_may_equal_kinetic",
+    ),
     "closedloop.robot.tree.kinematics": (f"{IN}test_tree_terms.py", f"{IN}test_tree_kernels.py"),
     "closedloop.robot.tree.terms": (f"{IN}test_tree_terms.py", f"{IN}test_tree_kernels.py"),
     "closedloop.robot.tree.energy": (f"{IN}test_tree_terms.py", f"{IN}test_tree_kernels.py"),

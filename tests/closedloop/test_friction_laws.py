@@ -99,6 +99,15 @@ def test_slip_is_no_harder_to_keep_than_to_start(name):
     assert sizes[-1] == pytest.approx(kinetic, rel=1e-12)
 
 
+@pytest.mark.parametrize("name", EXAMPLES)
+def test_the_viscous_part_is_b_u(name):
+    """Whatever the states: w = b u of a law with a viscous coefficient b, and nothing of one without."""
+    for d, u in ((1, np.array([-0.07])), (2, np.array([0.03, -0.4]))):
+        law = contact(EXAMPLES[name], d)
+        law.states[:] = 1e-6
+        assert law.slide(u)[1] == pytest.approx(getattr(law.par, "viscous", 0.0) * u, rel=1e-15)
+
+
 def test_only_karnopp_has_a_dead_band():
     """Karnopp's law gives its dead band; the others ask for slip to end exactly."""
     for name, section in EXAMPLES.items():

@@ -162,6 +162,7 @@ TESTS: dict[str, tuple[str, ...]] = {
         f"{IN}test_friction_laws.py",
         f"{IN}test_friction_sections.py::test_bad_figures_are_refused",
         f"{IN}test_friction_sections.py::test_static_friction_may_equal_kinetic",
+        f"{IN}test_friction_own.py::test_what_a_law_must_define",
     ),
     "closedloop.robot.tree.kinematics": (f"{IN}test_tree_terms.py", f"{IN}test_tree_kernels.py"),
     "closedloop.robot.tree.terms": (f"{IN}test_tree_terms.py", f"{IN}test_tree_kernels.py"),
@@ -175,6 +176,17 @@ TESTS: dict[str, tuple[str, ...]] = {
     "closedloop.surface.kinds.height_field": (
         f"{IN}test_surfaces.py::test_rates_are_the_derivatives",
         f"{IN}test_surface_edges.py",
+    ),
+    "closedloop.report.row_sample": (f"{IN}test_measured.py",),
+    "closedloop.report.measured": (
+        f"{IN}test_measured.py",
+        f"{IN}test_verdict.py::test_planted_nonsense_is_named_everywhere[singular pose passed]",
+    ),
+    "closedloop.report.row_assumptions": (f"{IN}test_measured.py::test_values_are_what_they_are_called",),
+    "closedloop.report.alternation": (
+        f"{IN}test_measured.py::test_values_are_what_they_are_called",
+        f"{IN}test_measured.py::test_alternation_is_that_of_the_values_one_by_one",
+        f"{IN}test_verdict.py::test_alternation_is_the_amplitude_of_what_alternates",
     ),
 }
 

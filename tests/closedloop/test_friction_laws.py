@@ -23,6 +23,7 @@ from test_friction_examples import (
 
 from closedloop.closure.contact_force import PRESSED, STUCK
 from closedloop.friction import JOINT_LAWS, SURFACE_LAWS
+from closedloop.friction.law import length_of
 from closedloop.friction.laws.stribeck import SurfaceStribeck
 from closedloop.jit.calls import entry_address
 from closedloop.jit.interpreted import interpreted
@@ -106,6 +107,12 @@ def test_the_viscous_part_is_b_u(name):
         law = contact(EXAMPLES[name], d)
         law.states[:] = 1e-6
         assert law.slide(u)[1] == pytest.approx(getattr(law.par, "viscous", 0.0) * u, rel=1e-15)
+
+
+def test_length_of_a_slip():
+    """Of one component and of two, whatever their signs."""
+    for u in ([-0.3], [0.0], [3.0, -4.0], [-0.1, 0.0], [0.0, 0.2]):
+        assert interpreted(length_of)(np.array(u)) == pytest.approx(np.linalg.norm(u), rel=1e-15)
 
 
 def test_only_karnopp_has_a_dead_band():

@@ -174,8 +174,32 @@ TESTS: dict[str, tuple[str, ...]] = {
     "closedloop.surface.motion": (f"{IN}test_surfaces.py::test_rates_are_the_derivatives",),
     "closedloop.surface.gradient": (f"{IN}test_reference_no_normal.py",),
     "closedloop.surface.kinds.height_field": (
+        f"{IN}test_surfaces.py::test_a_height_field_goes_through_its_heights",
+        f"{IN}test_surfaces.py::test_the_surface_is_below_the_tip[height_field]",
         f"{IN}test_surfaces.py::test_rates_are_the_derivatives",
-        f"{IN}test_surface_edges.py",
+        f"{IN}test_surface_edges.py::test_a_height_field_ends_where_its_grid_does",
+        f"{IN}test_surface_edges.py::test_what_does_not_go_with_an_edge_is_refused",
+    ),
+    "closedloop.reference.joint_path": (
+        f"{IN}test_reference_follow.py::test_path_between_knots_is_the_cubic_of_hermite[wam4-circle]",
+        f"{IN}test_reference_follow.py::test_joint_velocity_and_acceleration_are_the_derivatives[wam4-linear]",
+        f"{IN}test_reference.py::test_velocity_begins_and_ends_with_a_step",
+        f"{IN}test_reference.py::test_instants_that_rounding_moved_count_as_the_instant_itself",
+        f"{IN}test_reference.py::test_hold_stays",
+    ),
+    "closedloop.reference.inverse_kinematics": (
+        f"{IN}test_reference_follow.py::test_tip_is_on_the_path_between_knots[wam4-linear]",
+        f"{IN}test_reference_follow.py::test_tip_is_on_the_path_at_the_knots_to_rounding[wam4-linear]",
+        f"{IN}test_reference_follow.py::test_joint_motion_gives_the_tip_its_velocity_and_acceleration[wam4-linear]",
+        f"{IN}test_reference_follow.py::test_knots_take_the_least_joint_motion[wam4-linear]",
+        f"{IN}test_reference.py::test_leaving_the_joint_limits_is_refused_with_the_joint_and_the_instant",
+        f"{IN}test_reference_orientation.py::test_a_frame_is_held",
+        f"{IN}test_reference_orientation.py::test_another_axis_of_the_tool",
+    ),
+    "closedloop.step.transmission": (
+        f"{IN}test_transmission.py::test_a_motor_and_a_mass_swing_as_two_masses_do",
+        f"{IN}test_transmission.py::test_the_motors_are_integrated_with_the_schemes_order",
+        f"{IN}test_transmission.py::test_a_bouncing_tip_leaves_its_motors_behind",
     ),
     "closedloop.report.row_sample": (f"{IN}test_measured.py",),
     "closedloop.report.measured": (

@@ -117,6 +117,17 @@ def test_condition_column_is_the_condition(run, arm, on):
         assert run.kkt_condition[k] == pytest.approx(np.linalg.cond(K, 1), rel=1e-9)
 
 
+def test_every_row_has_its_own_condition(robot):
+    """Also where rows are taken together, thirty-two at a time, and at the end of a run."""
+    moving = {"time.duration": 0.069, "reference.start": 0.0, "law.pd_start": 0.0}
+    run, arm = cl.simulate(cl.load_scenario("planar2_slide", moving)), robot("planar2")
+    for k in range(len(run)):
+        terms = arm.terms(run.q[k], run.v[k])
+        K = np.block([[terms.mass_matrix, terms.jacobian[2][:, None]], [terms.jacobian[2], 0.0]])
+        assert run.kkt_condition[k] == pytest.approx(np.linalg.cond(K, 1), rel=1e-9)
+    assert len(np.unique(run.kkt_condition)) > 60
+
+
 @pytest.mark.parametrize("contact", ["pressed", "free"])
 def test_columns_of_a_slip_on_a_slope(contact, robot):
     """Each column, with friction on a slope and in the joints and a biased sensor, from H, C, J and its neighbours."""
@@ -151,7 +162,8 @@ def test_columns_of_a_slip_on_a_slope(contact, robot):
         assert run.kinetic_energy[k] == pytest.approx(0.5 * run.v[k] @ H @ run.v[k], rel=1e-13)
         K = np.block([[H, A[:, None]], [A[None], 0.0]]) if pressed else H
         assert run.kkt_condition[k] == pytest.approx(np.linalg.cond(K, 1), rel=1e-9)
-    assert max(run.residual_motion.max(), run.residual_closure.max()) < 1e-14
+    assert 0.0 < max(run.residual_motion.max(), run.residual_closure.max()) < 1e-14
+    assert np.ptp(run.residual_motion) > 0.0  # it is of the row
     force = run.contact_force[:, None] * normal + run.friction_force
     power = np.sum(force * run.velocity, axis=1) + np.sum((run.torque + run.joint_friction) * run.v, axis=1)
     work = 0.0005 * (power[1:] + power[:-1])

@@ -202,9 +202,8 @@ TESTS: dict[str, tuple[str, ...]] = {
         f"{IN}test_reference_orientation.py::test_another_axis_of_the_tool",
     ),
     "closedloop.step.transmission": (
+        f"{IN}test_transmission.py::test_spring_damper_and_motor_are_their_formulas",
         f"{IN}test_transmission.py::test_a_motor_and_a_mass_swing_as_two_masses_do",
-        f"{IN}test_transmission.py::test_the_motors_are_integrated_with_the_schemes_order",
-        f"{IN}test_transmission.py::test_a_bouncing_tip_leaves_its_motors_behind",
     ),
     "closedloop.report.row_sample": (f"{IN}test_measured.py",),
     "closedloop.report.measured": (
@@ -226,10 +225,12 @@ TESTS: dict[str, tuple[str, ...]] = {
         f"{IN}test_contacts.py::test_block_on_an_incline_slips_where_friction_is_less_than_the_slope[0.3-0.1]",
     ),
     "closedloop.step.entries": (
-        f"{IN}test_friction_laws.py::test_states_are_all_written",
+        f"{IN}test_friction_laws.py::test_an_entry_is_the_law_of_each_contact",
         f"{IN}test_simulation.py::test_columns_of_a_slip_on_a_slope",
-        f"{IN}test_control_laws.py::test_at_rest_the_force_is_the_wanted_one",
+        f"{IN}test_control_force.py::test_proportional_and_integral_feedback",
+        f"{IN}test_control_force.py::test_observer_takes_a_constant_load_out",
         f"{IN}test_encoder.py::test_the_law_computes_everything_from_its_readings",
+        f"{IN}test_encoder.py::test_what_is_wanted_is_not_measured",
         f"{IN}test_friction_own.py::test_drag_in_the_joints[compiled]",
     ),
 }

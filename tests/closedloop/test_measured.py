@@ -89,9 +89,12 @@ def made_up(case, n=3, count=60):
     limits = np.abs(rng.normal(size=(4, n))) * [[-1.0], [1.0], [1.0], [1.0]]
     if case == "free":
         row["mode"][:] = FREE
+    elif case == "no force wanted":
+        row["contact_force"][:], wanted.force[:] = 0.0, 0.0
     elif case == "as the paper assumes":
         row["mode"][:], limits = PRESSED, 1e3 * limits
-        row["contact_force"] = wanted.force + np.where(np.arange(count) < 20, 1.0, 0.1 * SETTLED)
+        just_settled = 0.99 * SETTLED * np.max(wanted.force)
+        row["contact_force"] = wanted.force + np.where(np.arange(count) < 20, 1.0, just_settled)
         row["friction_force"][:] = row["joint_friction"][:] = 0.0
         row["residual_motion"], row["residual_closure"] = np.full((2, count), RESIDUAL_TOLERANCE)
         row["normal_mobility"] = np.maximum(row["normal_mobility"], 2.0 * NEAR_SINGULAR)
@@ -107,7 +110,7 @@ def made_up(case, n=3, count=60):
     return row, wanted, limits, rng.normal(size=count)
 
 
-MADE_UP = ("anything", "free", "as the paper assumes", "a singular pose", "a force that grows",
+MADE_UP = ("anything", "free", "as the paper assumes", "no force wanted", "a singular pose", "a force that grows",
            "an end in a singular pose")  # fmt: skip
 
 
@@ -135,6 +138,7 @@ def written_out(row, wanted, limits, V):
     off = off - np.sum(off * r.surface_normal, axis=1)[:, None] * r.surface_normal
     size = np.sum(np.abs(r.torque), axis=0)
     far = np.flatnonzero(np.abs(miss) > SETTLED * np.max(np.abs(wanted.force)))
+    settles = np.any(wanted.force) and far[-1] < count - 1
     left = r.kinetic_energy + V - r.kinetic_energy[0] - V[0] - r.energy_supplied + r.energy_supplied[0]
     friction = np.sum(r.friction_force * r.slip_velocity, axis=1) + np.sum(r.joint_friction * r.v, axis=1)
     near, way = least <= NEAR_SINGULAR, (least > NEAR_SINGULAR) & (least <= ON_THE_WAY)
@@ -171,10 +175,10 @@ def written_out(row, wanted, limits, V):
         "largest_rate_cut": 0.0,
         "max_kinetic_energy": np.max(r.kinetic_energy),
         "rms_force_error": np.sqrt(np.mean(miss[touching] ** 2)) if np.any(touching) else np.nan,
-        "force_settled_at": np.nan if far[-1] == count - 1 else H * (far[-1] + 1),
+        "force_settled_at": H * (far[-1] + 1) if settles else np.nan,
         "rms_path_error": np.sqrt(np.mean(np.sum(off**2, axis=1))),
         "start_closure_error": e[0] if touching[0] else 0.0,
-        "force_chatter": alternating(f) / np.sum(np.abs(f)),
+        "force_chatter": alternating(f) / np.sum(np.abs(f)) if np.any(f) else 0.0,
         "failed_at": [first_of(~met[name]) for name in NAMES],
         "position_excess": np.maximum(np.max(excess, axis=0), 0.0),
         "max_joint_velocity": np.max(np.abs(r.v), axis=0),

@@ -20,7 +20,14 @@ from closedloop.report.measured import (
     write_values,
 )
 from closedloop.report.measures import LEAST_TORQUE, SETTLED
-from closedloop.report.row_assumptions import MOST_GROWTH, NAMES, NEAR_SINGULAR, ON_THE_WAY, RESIDUAL_TOLERANCE
+from closedloop.report.row_assumptions import (
+    MOST_GROWTH,
+    NAMES,
+    NEAR_SINGULAR,
+    ON_THE_WAY,
+    RESIDUAL_TOLERANCE,
+    assumptions_met,
+)
 from closedloop.report.row_sample import JointLimits, Scale, energy_left, friction_power, joint_limits
 from closedloop.report.run_values import columns_of, run_values
 from closedloop.step.record_row import RECORDED
@@ -213,6 +220,30 @@ def test_values_are_what_they_are_called(case):
     for name, value in expected.items():
         assert getattr(values, name) == pytest.approx(value, rel=1e-11, abs=1e-14, nan_ok=True), name
     assert not np.any(values.events)
+
+
+@pytest.mark.parametrize(
+    ("change", "fail"),
+    [
+        ({}, set()),
+        ({"residual_motion": 1.01 * RESIDUAL_TOLERANCE}, {"single_point", "frictionless"}),
+        ({"residual_closure": 1.01 * RESIDUAL_TOLERANCE}, {"one_loop"}),
+        ({"mode": STUCK}, {"one_loop"}),
+        ({"mode": FREE}, {"contact_kept"}),
+        ({"contact_force": 0.0}, {"contact_kept"}),
+        ({"friction": 1e-9}, {"frictionless"}),
+        ({"in_joints": 1e-9}, {"frictionless"}),
+        ({"normal_mobility": NEAR_SINGULAR}, {"nonsingular"}),
+    ],
+)
+def test_every_assumption_by_itself(change, fail):
+    """In a row that is just within all of them, one number that is just not fails those that it is about."""
+    row = {
+        "residual_motion": RESIDUAL_TOLERANCE, "residual_closure": RESIDUAL_TOLERANCE, "mode": PRESSED,
+        "contact_force": 1e-9, "normal_mobility": 1.01 * NEAR_SINGULAR, "friction": 0.0, "in_joints": 0.0,
+    } | change  # fmt: skip
+    met = interpreted(assumptions_met)(SimpleNamespace(**row), row["friction"], row["in_joints"])
+    assert {name for name, holds in zip(NAMES, met, strict=True) if not holds} == fail
 
 
 @pytest.mark.parametrize("count", range(1, 9))

@@ -199,6 +199,7 @@ TESTS: dict[str, tuple[str, ...]] = {
         f"{IN}test_reference_follow.py::test_path_is_the_solution_of_least_joint_motion[linear]",
         f"{IN}test_reference.py::test_path_is_the_solution_of_least_joint_motion",
         f"{IN}test_reference.py::test_leaving_the_joint_limits_is_refused_with_the_joint_and_the_instant",
+        f"{IN}test_reference_orientation.py::test_rows_of_the_axis_and_of_the_frame",
         f"{IN}test_reference_orientation.py::test_a_frame_is_held[start]",
         f"{IN}test_reference_orientation.py::test_another_axis_of_the_tool",
     ),

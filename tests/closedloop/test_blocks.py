@@ -7,7 +7,16 @@ import pytest
 from closedloop.jit.blocks import Count, Layout
 from closedloop.jit.kernel import entry_kernel, kernel
 from closedloop.step.memory import Constants, State, Work
-from closedloop.step.record_row import Row
+from closedloop.step.record_row import (
+    ARM_RECORDED,
+    CONTACT_RECORDED,
+    RECORDED,
+    ArmRow,
+    ContactRow,
+    Row,
+    recorded,
+    row_width,
+)
 
 SIZES = [(1, 0, 1, 1), (2, 3, 4, 1), (4, 0, 1, 1), (7, 21, 4, 6), (30, 5, 1, 2)]
 NUMBERS = [name for name, shape in Work.layout.shape.items() if not shape]
@@ -48,6 +57,27 @@ def test_numbers_may_follow_arrays(n):
     assert seen == memory.tolist()
     row.energy_supplied = 0.5
     assert memory[-1] == 0.5
+
+
+@pytest.mark.parametrize("contacts", [0, 2])
+def test_recorded_columns_are_those_written(contacts):
+    """Each part of a row, of its arm and of its contacts is found by its name; what rows do not have is no number."""
+    n, width = 3, row_width(3, True, contacts)
+    rows = np.zeros((5, width))
+    for k, memory in enumerate(rows):
+        arm, behind = memory[Row.count(n) :], memory[width - ContactRow.count(contacts) :]
+        blocks = Row(memory, n), ArmRow(arm, n), *([ContactRow(behind, contacts)] if contacts else [])
+        for i, (name, part) in enumerate((name, part) for block in blocks for name, part in parts(block).items()):
+            block = next(block for block in blocks if name in block.layout.at)
+            setattr(block, name, 100.0 * k + i) if not part.ndim else part.__setitem__(..., 100.0 * k + i)
+    names = [*RECORDED, *ARM_RECORDED, *(CONTACT_RECORDED if contacts else ())]
+    for i, name in enumerate(names):
+        column = recorded(rows, n, name, contacts).reshape(5, -1)
+        assert np.array_equal(column, np.full_like(column, 1.0) * (100.0 * np.arange(5.0)[:, None] + i)), name
+    bare = np.delete(rows, np.s_[Row.count(n) : Row.count(n) + ArmRow.count(n)], axis=1)
+    for name in ARM_RECORDED:
+        assert recorded(bare, n, name, contacts).shape == (5, n)
+        assert np.all(np.isnan(recorded(bare, n, name, contacts)))
 
 
 @kernel

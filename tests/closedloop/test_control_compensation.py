@@ -191,6 +191,27 @@ def test_observer_sees_friction_of_joints_and_surface():
     assert estimate == pytest.approx(truth, abs=5e-3)
 
 
+@pytest.mark.parametrize("static", [None, 0.35])
+def test_the_model_is_its_formula(static):
+    """What it adds is the Stribeck curve of the wanted speed, if pressed, and the joints' friction, faded to rest."""
+    section = ModelCompensation(
+        kinetic=0.2, static=static, stribeck_speed=0.04, viscous=3.0, smoothing_speed=0.02,
+        joint_coulomb=(0.5, 0.0, 0.3, 0.2), joint_viscous=(0.1, 0.4, 0.0, 0.2), joint_smoothing_speed=0.01,
+    )  # fmt: skip
+    loop, bare = Loop("wam4", LAWS["hybrid"], section), Loop("wam4", LAWS["hybrid"])
+    x, _ = loop.moment(0.0, loop.q, loop.v)
+    for u, v_des in (([0.0, 0.03, -0.04], [0.02, -0.01, 0.0, 0.3]), ([0.0, 0.0, 0.0], [0.0, 0.0, 0.0, 0.0])):
+        wanted, v = np.array(u), np.array(v_des)
+        speed = np.linalg.norm(wanted)
+        mu = 0.2 + ((static or 0.2) - 0.2) * np.exp(-((speed / 0.04) ** 2))
+        joints = np.array(section.joint_coulomb) * v / np.hypot(v, 0.01) + np.array(section.joint_viscous) * v
+        surface = (10.0 * mu + 3.0 * speed) * wanted[1:] / np.hypot(speed, 0.02) @ x.A[1:]
+        for pressed in (0.0, 1.0):
+            now = x._replace(u_des=wanted, v_des=v, pressed=pressed)
+            added = loop.torque(now) - bare.torque(now)
+            assert added == pytest.approx(joints + pressed * surface, rel=1e-12, abs=1e-12)
+
+
 @pytest.mark.parametrize("kind", ["observer", "adaptive", "model"])
 def test_compensation_rests_without_friction(kind):
     """Without friction, and at rest, observer and adaptation stay at zero, and the model adds nothing."""

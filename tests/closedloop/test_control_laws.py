@@ -146,15 +146,18 @@ def test_torque_does_not_depend_on_the_tangents(kind, compensation):
 
 
 def test_paper_law_through_the_family_is_eq_33_to_the_last_bit():
-    """Chosen by name, the paper's law gives the numbers of `paper_law` itself, before and after the PD part starts."""
+    """Chosen by name, the law gives the numbers of `paper_law`, those of Eq. 33; the PD part acts from its start."""
     law = PaperLaw(kp=(900, 900, 400, 300), kd=(60, 60, 30, 20), force=7.3)
     loop, x = drawn("wam4", law, 5)
-    for start in (-1.0, 1.0):
+    kp, kd = np.array(law.kp), np.array(law.kd)
+    for start in (x.t - 1.0, x.t, x.t + 1.0):
         loop.packed[0] = pack_law(law.model_copy(update={"pd_start": start}), 4)
         expected = np.zeros(4)
-        par = SimpleNamespace(kp=np.array(law.kp), kd=np.array(law.kd), pd_start=start)
+        par = SimpleNamespace(kp=kp, kd=kd, pd_start=start)
         plain(paper_law)(x.t, x.f_des, par, (x.q_des, x.v_des), (x.q, x.v), x.C, x.A, expected)
         assert np.array_equal(loop.torque(x), expected)
+        pd = -kp * (x.q - x.q_des) - kd * (x.v - x.v_des) if x.t >= start else 0.0
+        assert expected == pytest.approx(x.C - 7.3 * x.A[0] + pd, rel=1e-12)
 
 
 @pytest.mark.parametrize("name", ["wam4", "planar2", "ur5", "panda"])
@@ -213,6 +216,25 @@ def test_hybrid_is_stable_where_the_inverse_jacobian_is_not():
             lowest[key].append(np.linalg.eigvals(np.linalg.solve(x.H, K)).real.min())
     assert min(lowest["ours"]) > -1e-6
     assert min(lowest["inverse"]) < -10.0
+
+
+@pytest.mark.parametrize("name", POSES)
+def test_hybrid_is_its_formula(name):
+    """Q is the law written with numpy's pseudo-inverse: pressed, and free with no force to apply, where p_des leads."""
+    law = HybridLaw(kp=400.0, kd=30.0, force=7.0)
+    rate, speed = law.approach_damping, law.approach_speed
+    for seed, height in enumerate((-0.1, -0.001, 0.0, 0.002)):
+        loop, x = drawn(name, law, seed)
+        T, N = np.linalg.pinv(x.A[1:], rcond=1e-6), np.eye(loop.n) - np.linalg.pinv(x.A, rcond=1e-6) @ x.A
+        joints = 400.0 * (T @ (x.p_des - x.p)[1:] + N @ (x.q_des - x.q))
+        joints += 30.0 * (T @ (x.u_des - x.u)[1:] + N @ (x.v_des - x.v))
+        assert loop.torque(x) == pytest.approx(x.C + joints - 7.0 * x.A[0], rel=1e-9, abs=1e-9)
+        free = x._replace(pressed=0.0, f_des=0.0, p_des=x.p_des + height * np.eye(3)[0])
+        a = rate * (np.clip(0.25 * rate * (free.p_des - free.p)[0], -speed, speed) - x.u[0])
+        off = joints + a / x.S[0, 0] * x.A[0]
+        assert loop.torque(free) == pytest.approx(x.C + off, rel=1e-9, abs=1e-9)
+        singular = free._replace(S=np.zeros((3, 3)))  # where nothing moves the tip along the normal
+        assert loop.torque(singular) == pytest.approx(x.C + joints, rel=1e-9, abs=1e-9)
 
 
 def test_impedance_yields_to_a_push_like_its_spring():

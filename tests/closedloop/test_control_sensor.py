@@ -8,6 +8,7 @@ from closedloop.control.sensor import (
     continuous_reading,
     draws,
     pack_sensor,
+    quantised,
     sense,
     sensor_rates,
     start_sensor,
@@ -54,6 +55,13 @@ def test_readings_come_in_steps():
     assert len(np.unique(said)) > 50
 
 
+def test_what_a_double_resolves_no_finer_is_not_quantised():
+    """Beyond 2⁵² quanta, and where there is no number, the reading stays as it is."""
+    for reading in (5e3, -1e9, 1e300, np.inf, -np.inf):
+        assert interpreted(quantised)(reading, 1e-12) == reading
+    assert np.isnan(interpreted(quantised)(np.nan, 1e-12))
+
+
 def test_delay_shifts_by_whole_samples():
     """A delay of three samples gives the force of three samples ago, and the start's before."""
     said = readings(SensorSection(delay=0.003), FORCES)
@@ -82,6 +90,20 @@ def test_low_pass_answers_a_step_with_an_exponential():
         errors.append(np.max(np.abs(said - (12.0 - 2.0 * np.exp(-np.maximum(t - period, 0.0) / T)))))
     assert errors[0] < 0.03
     assert errors[0] / errors[1] == pytest.approx(2.0, abs=0.15)
+
+
+@pytest.mark.parametrize("change", [{"noise": 0.1}, {"quantisation": 0.1}, {"delay": H}])
+def test_each_error_of_a_sample_makes_the_sensor_sampled(change):
+    """Noise, steps and delay each by themselves; a bias and a low-pass are there between samples too."""
+    assert pack_sensor(SensorSection(**change), H).sampled is True
+    assert pack_sensor(SensorSection(bias=1.0, filter_time_constant=0.01), H).sampled is False
+
+
+def test_a_delay_may_be_written_with_ten_digits():
+    """A thousand samples of 1/3 ms are a whole number of them as 0.3333333333 s; a ten-thousandth of one is none."""
+    assert pack_sensor(SensorSection(delay=0.3333333333), 1.0 / 3000.0).ring == 1001
+    with pytest.raises(ScenarioError, match="whole number of samples"):
+        pack_sensor(SensorSection(delay=0.3333333333 + 1e-4 / 3000.0), 1.0 / 3000.0)
 
 
 def test_continuous_reading_is_low_passed_and_biased_only():

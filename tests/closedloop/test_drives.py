@@ -7,7 +7,8 @@ import numpy as np
 import pytest
 
 import closedloop as cl
-from closedloop.control.drives import AS_ASKED, AT_RATE_LIMIT, AT_TORQUE_LIMIT
+from closedloop.control.drives import AS_ASKED, AT_RATE_LIMIT, AT_TORQUE_LIMIT, cut_torque
+from closedloop.jit.interpreted import interpreted
 
 # A start off the path, which the law answers with more torque than the limits allow.
 OFF = {"time.duration": 0.4, "law.pd_start": 0.2, "law.sample_period": 0.002, "reference.start": 0.0,
@@ -35,6 +36,21 @@ def test_a_torque_that_is_cut_is_the_limit_to_the_bit(engine):
     assert np.array_equal(run.torque[:-1:2], run.torque[1::2])
     assert np.max(run.residual_motion) < 1e-13
     assert "energy" not in {problem["name"] for problem in run.summary()["verdict"]["problems"]}
+
+
+@pytest.mark.parametrize("first", [True, False])
+def test_a_cut_is_the_nearest_torque_within_the_limits(first):
+    """First within the rate limit, then within ±limit, either way; what is just at a limit is as asked for."""
+    asked, before = (x.ravel() for x in np.meshgrid(np.arange(-6.0, 7.0), np.arange(-6.0, 7.0)))
+    torque, change, limit, limited = asked.copy(), np.full(169, 2.0), np.full(169, 4.0), np.full(169, -1)
+    interpreted(cut_torque)(torque, before, change, limit, first, limited)
+    slow = asked if first else np.clip(asked, before - change, before + change)
+    assert np.array_equal(torque, np.clip(slow, -limit, limit))
+    kinds = np.where(np.abs(slow) > limit, AT_TORQUE_LIMIT, np.where(slow != asked, AT_RATE_LIMIT, AS_ASKED))
+    assert np.array_equal(limited, kinds)
+    endless = np.array([np.nan, np.inf, -np.inf])  # the run is to end by it
+    interpreted(cut_torque)(endless, np.zeros(3), change, limit, True, limited)
+    assert np.array_equal(endless, [np.nan, np.inf, -np.inf], equal_nan=True)
 
 
 def test_limits_that_are_not_reached_change_nothing():

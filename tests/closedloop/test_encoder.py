@@ -52,8 +52,25 @@ def test_the_law_computes_everything_from_its_readings():
         assert np.allclose(u, frame @ terms.jacobian @ v, rtol=0, atol=1e-15)
 
 
+def test_what_is_wanted_is_not_measured():
+    """A law behind encoders is told the same path, force and contact as one that knows the state."""
+    circle = {"kind": "circle", "radius": 0.03, "direction": [0.0, 1.0, 0.0], "start": 0.0, "stop": 0.1}
+    given = []
+
+    def spy(x):
+        given.append([*x.q_des, *x.v_des, *x.qdd_des, *x.p_des, *x.u_des, *x.a_des, x.f_des, x.pressed])
+        return x.C - 10.0 * x.A[0]
+
+    for changes in ({"law.sample_period": 0.001}, NOISY):
+        slide(changes | {"reference": circle, "time.duration": 0.02}, law=spy)
+    knowing, measuring = np.split(np.array(given), 2)
+    assert np.array_equal(knowing, measuring)
+    assert np.all(knowing[:, -2:] == [10.0, 1.0])
+    assert np.all(np.any(knowing[-1, 12:21].reshape(3, 3) != 0.0, axis=1))
+
+
 def test_readings_are_quantised_and_as_noisy_as_asked_for():
-    """Whole quanta, half a quantum and the noise from the truth; white noise of the deviation asked for."""
+    """Whole quanta, half a quantum and the noise from the truth; white noise as large as asked for, each its own."""
     run, quanta = slide(NOISY | {"time.duration": 1.0}), np.array(NOISY["encoder.quantisation"])
     off, noise = run.measured_position - run.q, NOISY["encoder.noise"]
     coarse = quanta > 0.0
@@ -63,6 +80,8 @@ def test_readings_are_quantised_and_as_noisy_as_asked_for():
     assert np.std(off[:, 2]) == pytest.approx(noise, rel=0.1)
     assert np.std(run.measured_velocity - run.v) == pytest.approx(1e-3, rel=0.05)
     assert abs(np.corrcoef(off[1:, 2], off[:-1, 2])[0, 1]) < 0.15
+    each = np.corrcoef(np.hstack([off[:, 2:], run.measured_velocity - run.v]).T)
+    assert np.max(np.abs(each - np.eye(6))) < 0.15
 
 
 def test_a_velocity_by_differences_is_that_of_the_readings():

@@ -23,7 +23,10 @@ from test_friction_examples import (
 
 from closedloop.closure.contact_force import PRESSED, STUCK
 from closedloop.friction import JOINT_LAWS, SURFACE_LAWS
+from closedloop.friction.contact import Contact
+from closedloop.friction.law import length_of
 from closedloop.friction.laws.stribeck import SurfaceStribeck
+from closedloop.friction.packing import joint_parameters, surface_parameters
 from closedloop.jit.calls import entry_address
 from closedloop.jit.interpreted import interpreted
 from closedloop.parameters import one_joint_block, parameter_block, state_block
@@ -97,6 +100,21 @@ def test_slip_is_no_harder_to_keep_than_to_start(name):
     assert max(sizes) <= limit
     assert sizes[0] == pytest.approx(kinetic if name == "karnopp" else limit, rel=1e-6)
     assert sizes[-1] == pytest.approx(kinetic, rel=1e-12)
+
+
+@pytest.mark.parametrize("name", EXAMPLES)
+def test_the_viscous_part_is_b_u(name):
+    """Whatever the states: w = b u of a law with a viscous coefficient b, and nothing of one without."""
+    for d, u in ((1, np.array([-0.07])), (2, np.array([0.03, -0.4]))):
+        law = contact(EXAMPLES[name], d)
+        law.states[:] = 1e-6
+        assert law.slide(u)[1] == pytest.approx(getattr(law.par, "viscous", 0.0) * u, rel=1e-15)
+
+
+def test_length_of_a_slip():
+    """Of one component and of two, whatever their signs."""
+    for u in ([-0.3], [0.0], [3.0, -4.0], [-0.1, 0.0], [0.0, 0.2]):
+        assert interpreted(length_of)(np.array(u)) == pytest.approx(np.linalg.norm(u), rel=1e-15)
 
 
 def test_only_karnopp_has_a_dead_band():
@@ -174,3 +192,67 @@ def test_interpreted_and_compiled_are_the_same(name, joints):
     compiled, twin = numbers((JOINT_LAWS if joints else SURFACE_LAWS)[name], joints)
     assert np.ptp(compiled) > 0.0
     assert np.array_equal(compiled, twin)
+
+
+@pytest.mark.parametrize("joints", [False, True], ids=["surface", "joints"])
+@pytest.mark.parametrize("name", ["lugre", "seven_parameter"])
+def test_an_entry_is_the_law_of_each_contact(name, joints):
+    """What the loop's memory has after each call is what the law says of the tip, or of each joint by itself."""
+    rng, shared = np.random.default_rng(2), {"stribeck_speed": 0.1, "stiffness": 300.0, "viscous": 0.2}
+    shared |= {"memory_delay": 0.0, "rise_time": 0.4} if name == "seven_parameter" else {"damping": 2.0}
+    above = "static_excess" if name == "seven_parameter" else "static"
+    if joints:
+        section = JOINT_LAWS[name](**shared | {"kinetic": [0.1, 0.2, 0.3], above: [0.4, 0.7, 0.5]})
+        pars, d, key = joint_parameters(section, 3), 1, "joint_friction"
+    else:
+        section = SURFACE_LAWS[name](**shared | {"kinetic": 0.2, above: 0.7})
+        pars, d, key = [surface_parameters(section)], 2, "friction"
+    laws = [Contact(type(section), par, d) for par in pars]
+    count = laws[0].states.size
+    state, constants, w = loop = make_loop(3, extra=count * len(laws), **{key: pars[0].memory.size})
+    getattr(constants, key)[:] = [par.memory for par in pars] if joints else pars[0].memory
+    setattr(state, "joint_states" if joints else "friction_states", count)
+    entry = interpreted((joint_friction_entry if joints else friction_entry)(type(section)))
+    z = w.z.reshape(len(laws), count)
+    for stuck in ([False, True, False], [True, False, True]):
+        stuck = stuck[: len(laws)]
+        w.stuck[: len(laws)], state.mode = stuck, STUCK if stuck[0] else PRESSED
+        u, w.friction_span = rng.normal(size=(len(laws), d)), 0.02
+        along = np.array([[1.0], [-1.0], [0.0]]) if joints else np.array([[0.6, -0.8]])
+        slip, direction = (w.joint_slip, w.joint_direction) if joints else (w.slip, w.direction)
+        slip[:], direction[:], w.delayed_slip, w.joint_lagged[:] = (
+            u.ravel(),
+            along.ravel(),
+            np.linalg.norm(u[0]),
+            abs(u[:, 0]),
+        )
+        z[:] = np.abs(rng.normal(size=z.shape)) * 1e-3
+        for law, states in zip(laws, z, strict=True):
+            law.states[:] = states
+        w.c[:], w.viscous[:], w.joint_dry[:], w.joint_viscous[:] = 7.0, 7.0, 7.0, 7.0
+        each = list(zip(laws, u, along, stuck, strict=True))
+        held = [(law.hold(), np.zeros(d)) for law in laws]
+        slid = [law.slide(x, direction=way) for law, x, way, _ in each]
+        if joints:
+            assert entry(loop.address, SLIDE) == 0
+            wanted = [h if still else s for h, s, still in zip(held, slid, stuck, strict=True)]
+            assert [*zip(w.joint_dry, w.joint_viscous, strict=True)] == [(c[0], v[0]) for c, v in wanted]
+        else:
+            for what, wanted in ((SLIDE, slid[0]), (HOLD, held[0])):
+                assert entry(loop.address, what) == 0
+                assert np.array_equal([w.c, w.viscous], wanted)
+        assert entry(loop.address, RATES) == 0
+        assert np.array_equal(w.dz.reshape(z.shape), [law.rates(x, still) for law, x, _, still in each])
+        assert entry(loop.address, LIMIT) == 0
+        assert (w.joint_limit.tolist() if joints else [w.stick_limit]) == [law.stick_limit for law in laws]
+        assert entry(loop.address, ADVANCE_STATES) == 0
+        for law, x, _, still in each:
+            law.advance(x, 0.02, still)
+        assert np.array_equal(z, [law.states for law in laws])
+        slip[:] = 0.0
+        w.delayed_slip, w.joint_lagged[:] = 0.0, 0.0
+        assert entry(loop.address, STICK) == 0
+        for law, _, way, _ in each:
+            if np.any(way):
+                law.stick(way)
+        assert np.array_equal(z, [law.states for law in laws])

@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 
 import closedloop as cl
+from closedloop.friction.law import SurfaceFriction
 from closedloop.jit.kernel import jit_disabled
 from closedloop.report.tables import restitution_cut
 from closedloop.scenario.load import parse_scenario
@@ -302,6 +303,22 @@ def test_what_is_no_law_is_refused_in_one_line(case):
         cl.prepare(cl.load_scenario("wam_slide", changes))
     assert words in str(caught.value)
     assert "\n" not in str(caught.value)
+
+
+@pytest.mark.parametrize(
+    ("sticks", "lacks"),
+    [("elastic", "slide"), ("rigid", "slide, stick_limit"), ("spring", "slide, stick_limit, hold, stick")],
+)
+def test_what_a_law_must_define(sticks, lacks):
+    """By how it sticks, and rates and advance if it has states; what it leaves out is zero: no level, no energy."""
+    bare = type("Bare", (SurfaceFriction,), {"sticks": sticks})
+    with pytest.raises(cl.ScenarioError, match=f"must define {lacks}$"):
+        bare.check_functions("friction.kind")
+    stateful = type("Stateful", (SurfaceFriction,), {"sticks": sticks, "states": ("wear",)})
+    with pytest.raises(cl.ScenarioError, match=f"must define {lacks.replace('slide', 'slide, rates, advance')}$"):
+        stateful.check_functions("friction.kind")
+    assert bare.stick_limit(None, None) == bare.kinetic_level(None) == bare.capture_speed(None) == 0.0
+    assert bare.lag(None) == bare.stored_energy(None, None, True) == 0.0
 
 
 @pytest.mark.skipif(jit_disabled(), reason="nothing is compiled")

@@ -15,7 +15,7 @@ from closedloop.friction import JOINT_LAWS, SURFACE_LAWS
 from closedloop.friction.laws.coulomb import SurfaceCoulomb
 from closedloop.friction.laws.coulomb_viscous import JointCoulombViscous
 from closedloop.friction.laws.dahl import JointDahl
-from closedloop.friction.laws.lugre import JointLuGre, SurfaceLuGre
+from closedloop.friction.laws.lugre import JointLuGre, SurfaceLuGre, passive_damping_speed, passive_viscous
 from closedloop.friction.laws.none import NoFriction
 from closedloop.friction.laws.seven_parameter import JointSevenParameter
 from closedloop.friction.laws.stribeck import JointStribeck, SurfaceStribeck
@@ -175,6 +175,9 @@ def test_energy_fault_says_what_would_be_right():
     assert section.model_copy(update={"damping_speed": 0.0621}).energy_fault(load=10.0) is None
     assert section.model_copy(update={"viscous": 150.1}).energy_fault(load=10.0) is None
     assert section.model_copy(update={"viscous": 150.1}).energy_fault(load=10.1) is not None
+    par = surface_parameters(section)  # just at its bound neither is too little
+    assert section.model_copy(update={"damping_speed": passive_damping_speed(par)}).energy_fault(load=10.0) is None
+    assert section.model_copy(update={"viscous": passive_viscous(par, 10.0)}).energy_fault(load=10.0) is None
     assert SurfaceCoulomb(coefficient=0.3).energy_fault() is None
 
 

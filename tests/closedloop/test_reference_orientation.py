@@ -1,12 +1,16 @@
 """The orientation of the tool along a path: held by the reference, followed by the laws, refused where it cannot be."""
 
+from types import SimpleNamespace
+
 import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
 import closedloop as cl
 from closedloop.engines.problem import Problem
+from closedloop.jit.interpreted import interpreted
 from closedloop.jit.kernel import plain
+from closedloop.reference.inverse_kinematics import _axis_rows, _frame_rows
 from closedloop.step.reference_row import desired_acceleration
 
 ON_A_BALL = {
@@ -166,3 +170,21 @@ def test_a_tool_is_held_against_a_height_field():
     normals = problem.surface.normals(times, r, v)[0]
     assert np.max(np.abs(problem.robot.tip_axes(q)[:, :, 2] + normals)) < 1e-9
     assert np.max(np.abs([problem.robot.position(each) for each in q] - r)) < 1e-9
+
+
+@pytest.mark.parametrize("seed", range(6))
+def test_rows_of_the_axis_and_of_the_frame(seed):
+    """Two unit vectors across the axis, and its error a × d and the rate d × ḋ along them; ½ Σ cᵢ × dᵢ of a frame."""
+    random = np.random.default_rng(seed)
+    axes, wanted = (np.linalg.qr(random.normal(size=(3, 3)))[0] for _ in range(2))
+    target, a = random.normal(size=12), axes[:, 2]
+    w = SimpleNamespace(axes=axes, turn=np.eye(3), J=np.zeros((6, 3)), error=np.zeros(6), rate=np.full(6, 7.0))
+    interpreted(_axis_rows)(w, target)
+    across = w.J[3:5]
+    assert np.allclose(across @ np.column_stack([across.T, a]), np.eye(2, 3), rtol=0, atol=1e-14)
+    assert np.allclose(w.error[3:5], across @ np.cross(a, target[6:9]), rtol=0, atol=1e-14)
+    assert np.allclose(w.rate[3:5], across @ np.cross(target[6:9], target[9:12]), rtol=0, atol=1e-14)
+    interpreted(_frame_rows)(w, wanted)
+    assert np.allclose(w.error[3:], 0.5 * np.sum(np.cross(axes.T, wanted.T), axis=0), rtol=0, atol=1e-14)
+    assert np.array_equal(w.J[3:], np.eye(3))
+    assert not np.any(w.rate[3:])

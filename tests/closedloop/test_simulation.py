@@ -117,6 +117,59 @@ def test_condition_column_is_the_condition(run, arm, on):
         assert run.kkt_condition[k] == pytest.approx(np.linalg.cond(K, 1), rel=1e-9)
 
 
+def test_every_row_has_its_own_condition(robot):
+    """Also where rows are taken together, thirty-two at a time, and at the end of a run."""
+    moving = {"time.duration": 0.069, "reference.start": 0.0, "law.pd_start": 0.0}
+    run, arm = cl.simulate(cl.load_scenario("planar2_slide", moving)), robot("planar2")
+    for k in range(len(run)):
+        terms = arm.terms(run.q[k], run.v[k])
+        K = np.block([[terms.mass_matrix, terms.jacobian[2][:, None]], [terms.jacobian[2], 0.0]])
+        assert run.kkt_condition[k] == pytest.approx(np.linalg.cond(K, 1), rel=1e-9)
+    assert len(np.unique(run.kkt_condition)) > 60
+
+
+@pytest.mark.parametrize("contact", ["pressed", "free"])
+def test_columns_of_a_slip_on_a_slope(contact, robot):
+    """Each column, with friction on a slope and in the joints and a biased sensor, from H, C, J and its neighbours."""
+    arm, normal, q = robot("wam4"), np.array([0.3, -0.2, 1.0]) / np.sqrt(1.13), [1.57, 1.9, 0.1, -0.85]
+    A = normal @ arm.terms(q, np.zeros(4)).jacobian
+    v = np.array([0.3, 0.2, 0.5, -0.3])
+    changes = {
+        "surface.normal": normal, "start.q": q, "start.v": v - A * (A @ v) / (A @ A), "time.duration": 0.002,
+        "friction.kind": "coulomb", "friction.coefficient": 0.3, "joint_friction.kind": "coulomb_viscous",
+        "joint_friction.kinetic": 0.1, "joint_friction.viscous": 0.4, "sensor.bias": 0.7, "reference": {"kind": "hold"},
+    }  # fmt: skip
+    if contact == "free":
+        changes |= {"surface.contact": "unilateral", "surface.gap": 0.05}
+    run, pressed = cl.simulate(cl.load_scenario("wam_slide", changes)), contact == "pressed"
+    assert np.all(run.mode == pressed)
+    assert np.all(run.stabiliser_force == 0.0) != pressed
+    for k in range(len(run)):
+        terms = arm.terms(run.q[k], run.v[k])
+        H, J, f = terms.mass_matrix, terms.jacobian, run.contact_force[k]
+        A, u = normal @ J, J @ run.v[k]
+        slip, mobility = u - normal * (normal @ u), J @ np.linalg.solve(H, J.T)
+        assert run.surface_normal[k] == pytest.approx(normal, abs=1e-15)
+        assert run.velocity[k] == pytest.approx(u, abs=1e-14)
+        assert run.slip_velocity[k] == pytest.approx(slip, abs=1e-14)
+        assert run.friction_force[k] == pytest.approx(-0.3 * f * slip / np.linalg.norm(slip), abs=1e-12)
+        joints = -0.1 * np.sign(run.v[k]) - 0.4 * run.v[k]
+        assert run.joint_friction[k] == pytest.approx(joints, abs=1e-12)
+        push = run.torque[k] + joints + J.T @ (f * normal + run.friction_force[k])
+        assert H @ run.acceleration[k] + terms.bias == pytest.approx(push, abs=1e-11)
+        assert run.measured_force[k] == f + 0.7
+        assert run.normal_mobility[k] == pytest.approx(normal @ mobility @ normal / np.trace(mobility), rel=1e-12)
+        assert run.kinetic_energy[k] == pytest.approx(0.5 * run.v[k] @ H @ run.v[k], rel=1e-13)
+        K = np.block([[H, A[:, None]], [A[None], 0.0]]) if pressed else H
+        assert run.kkt_condition[k] == pytest.approx(np.linalg.cond(K, 1), rel=1e-9)
+    assert 0.0 < max(run.residual_motion.max(), run.residual_closure.max()) < 1e-14
+    assert np.ptp(run.residual_motion) > 0.0  # it is of the row
+    force = run.contact_force[:, None] * normal + run.friction_force
+    power = np.sum(force * run.velocity, axis=1) + np.sum((run.torque + run.joint_friction) * run.v, axis=1)
+    work = 0.0005 * (power[1:] + power[:-1])
+    assert np.diff(run.energy_supplied) == pytest.approx(work, rel=0.15)  # of first order
+
+
 def test_planar2_slide_is_the_textbooks(shipped_run):
     """On planar2 every row meets Eq. 24 with the terms of the closed form, which no engine took part in."""
     run = shipped_run("planar2_slide")

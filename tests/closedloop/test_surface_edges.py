@@ -7,6 +7,7 @@ import pytest
 
 import closedloop as cl
 from closedloop.lab.scene import scene_of
+from closedloop.surface.kinds.height_field import HeightField
 
 MASS, PRESS = 2.0, 5.0
 
@@ -100,6 +101,9 @@ def test_a_height_field_ends_where_its_grid_does():
         point_mass(surface=field | {"extent": [0.03, 0.03]}, start__v=[0.0, 0.4, 0.0], law__force=50.0)
     )
     assert smaller.events[-1].position[1] - run.position[0, 1] == pytest.approx(0.03, abs=1e-12)
+    for extent, bounds in (([9.0, 0.01], (0.06, 0.01)), ([0.04, 0.5], (0.04, 0.05))):
+        assert HeightField(heights=heights, spacing=0.02, extent=extent).bounds() == pytest.approx(bounds, rel=1e-15)
+    assert HeightField(heights=heights, spacing=0.02, edge_radius=0.05).bounds() == (0.05, 0.0)
     with pytest.raises(cl.ScenarioError, match=r"edge_radius = 0\.2: the grid ends 0\.05 m from its middle"):
         cl.prepare(point_mass(surface=field | {"edge_radius": 0.2}))
 

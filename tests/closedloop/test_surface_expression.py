@@ -14,7 +14,7 @@ FORMULAS = (
     "z - 0.1*sin(5*x)*cos(3*y) + exp(-x**2)*tanh(y)/7",
     "sqrt(x**2 + y**2 + 3) - (z + 2)**1.5 + log(2 + z)*atan(x - y)",
     "-(sinh(x) - cosh(y*z))/(4 + tan(z)) + 2**x - (3 + x)**y + (1 + x*y*z)**(-2) + z**5 - +pi*y**3",
-    "(x - y)*(x - y)*(x - y) - 2/(3 + x) + z**0",
+    "(x - y)*(x - y)*(x - y) - 2/(3 + x) + z**0 + (y - 1)**(-3)",
     "x",
 )
 P = np.array([0.31, -0.47, 0.73])
@@ -61,11 +61,13 @@ def test_where_there_is_no_value_there_is_none():
         ("sqrt(x)", -1.0),
         ("log(x)", 0.0),
         ("x**0.5", -1.0),
+        ("x**1.5", 0.0),  # no second derivative
         ("exp(x)", 1e9),
         ("1/x", 0.0),
         ("sin(x)", 1e400),
     ):
         assert math.isnan(second_order(text, (p, 0.0, 0.0))[0]), text
+    assert second_order("x**2", (0.0, 0.0, 0.0))[2][0, 0] == 2.0
 
 
 @pytest.mark.parametrize("engine", ["pinocchio", "compiled"])

@@ -1,6 +1,7 @@
 """Curved surfaces and surfaces that move: geometry against differentiation, and motions known in closed form."""
 
 import math
+from types import SimpleNamespace
 from typing import Annotated
 
 import numpy as np
@@ -9,11 +10,17 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from numpy.polynomial import Chebyshev
 from pydantic import Field
+from scipy.ndimage import map_coordinates
+from scipy.spatial.transform import Rotation
 
 import closedloop as cl
 from closedloop.closure.solve import solve_closure
+from closedloop.jit.interpreted import interpreted
 from closedloop.sections import Number
-from closedloop.surface.motion import MOTIONS, SurfaceMotion
+from closedloop.surface.geometry import Pose
+from closedloop.surface.gradient import gradients
+from closedloop.surface.kinds.height_field import HeightField
+from closedloop.surface.motion import MOTIONS, Move, SurfaceMotion, begin_move, displace
 from closedloop.surface.placed import PlacedSurface
 from closedloop.surface.plane import contact_frame, unit
 from closedloop.surface.surface import CURVATURE, SURFACES, Surface
@@ -84,6 +91,47 @@ def test_rates_are_the_derivatives(kind, motion, seed):
     ):  # of a φ that is no distance: to first order
         rate = Chebyshev.fit(t, gaps, 19).deriv()(0.4)
         assert now.frame[0] @ v - now.carried[0] == pytest.approx(rate, abs=1e-10)
+
+
+def test_a_displacement_is_a_rotation_and_then_a_shift():
+    """Place, velocity and acceleration of a surface's frame, by scipy's rotation and cross products; at first none."""
+    random = np.random.default_rng(3)
+    origin, axes = random.normal(size=3), Rotation.random(random_state=3).as_matrix()
+    m, pose = Move(np.full(Move.count(), 7.0)), Pose(np.full(Pose.count(), 7.0))
+    interpreted(begin_move)(m)
+    interpreted(displace)(m, origin, axes, pose)
+    assert np.array_equal(pose.origin, origin)
+    assert np.array_equal(pose.axes, axes)
+    assert np.array_equal(m.axis, [0.0, 0.0, 1.0])
+    for part in (pose.spin, pose.spin_rate, pose.velocity, pose.acceleration, m.centre, m.shift):
+        assert not np.any(part)
+    m.angle, m.rate, m.acceleration = 2.3, -0.7, 1.9
+    m.axis[:], m.centre[:] = unit(random.normal(size=3), "axis"), random.normal(size=3)
+    m.shift[:], m.shift_rate[:], m.shift_acceleration[:] = random.normal(size=(3, 3))
+    interpreted(displace)(m, origin, axes, pose)
+    turn = Rotation.from_rotvec(2.3 * m.axis)
+    arm, spin, spin_rate = turn.apply(origin - m.centre), -0.7 * m.axis, 1.9 * m.axis
+    around = np.cross(spin_rate, arm) + np.cross(spin, np.cross(spin, arm))
+    for part, wanted in (
+        (pose.axes, turn.apply(axes)), (pose.origin, m.centre + arm + m.shift), (pose.spin, spin),
+        (pose.spin_rate, spin_rate), (pose.velocity, np.cross(spin, arm) + m.shift_rate),
+        (pose.acceleration, around + m.shift_acceleration),
+    ):  # fmt: skip
+        assert np.allclose(part, wanted, rtol=0, atol=1e-14)
+
+
+def test_gradients_at_many_instants():
+    """On a belt they are those at rest of the points that it carries; where φ is no number they are zero."""
+    on, t = surface("ellipsoid", "conveyor"), np.array([0.0, 0.5, 2.0])
+    carried = np.outer(t, MOVES["conveyor"]["velocity"])
+    r = TIP + np.array([[0.1, 0.0, 0.0], [0.0, -0.1, 0.05], [0.02, 0.03, 0.0]])
+    at_rest = gradients(on, np.zeros(3), r)
+    assert np.allclose(gradients(on, t, r + carried), at_rest, rtol=0, atol=1e-14)
+    assert np.min(np.ptp(at_rest, axis=0)) > 1e-2
+    half = surface("implicit", expression="z + log(1 + 10*x)")
+    ahead, behind = gradients(half, np.zeros(2), half.origin + np.array([[0.1, 0.2, 0.0], [-0.2, 0.0, 0.0]]))
+    assert ahead == pytest.approx([5.0, 0.0, 1.0], abs=1e-14)
+    assert np.array_equal(behind, np.zeros(3))
 
 
 @pytest.mark.parametrize("kind", KINDS)
@@ -296,6 +344,35 @@ def test_a_height_field_goes_through_its_heights():
     assert np.allclose(found - found[3, 4], wanted - wanted[3, 4], rtol=0, atol=1e-14)
     assert on.touching(on.origin + np.array([0.2, 0.1, 0.0])).inside == pytest.approx(0.075, abs=1e-15)
     assert on.touching(on.origin + np.array([0.3, 0.1, 0.0])).inside == pytest.approx(-0.025, abs=1e-15)
+
+
+def test_a_height_field_is_scipys_spline():
+    """φ is z less the spline through the heights, mirrored at the edge; ∇φ and ∇∇φ are its derivatives."""
+    section = HeightField(heights=tuple(map(tuple, GRID)), spacing=0.05)
+    par = SimpleNamespace(heights=np.array(section.resolved()["heights"]), spacing=0.05)
+    half = 0.5 * 0.05 * (np.array(GRID.shape[::-1]) - 1.0)
+
+    def at(p):
+        gradient, hessian = np.zeros(3), np.zeros((3, 3))
+        return interpreted(HeightField.level)(np.array(p), par, gradient, hessian), gradient, hessian
+
+    def scipys(x, y):
+        place = [[4.0 + y / 0.05, 4.0], [5.5 + x / 0.05, 5.5]]  # there, and in the middle
+        return -np.diff(map_coordinates(GRID, place, order=3, mode="mirror"))[0]
+
+    random, step = np.random.default_rng(0), 1e-6
+    for x, y in [*random.uniform(-half, half, (12, 2)), -half, half, (half[0], -half[1])]:
+        level, gradient, hessian = at((x, y, 0.3))
+        assert level == pytest.approx(0.3 - scipys(x, y), abs=1e-14)
+        assert gradient[2] == 1.0
+        assert np.array_equal(hessian, hessian.T)
+        if np.all(np.abs([x, y]) < half - step):
+            ends = [[at((x + s * dx, y + s * dy, 0.3)) for s in (step, -step)] for dx, dy in ((1, 0), (0, 1))]
+            for i, (ahead, behind) in enumerate(ends):
+                assert (ahead[0] - behind[0]) / (2.0 * step) == pytest.approx(gradient[i], abs=1e-8)
+                assert (ahead[1] - behind[1]) / (2.0 * step) == pytest.approx(hessian[i], abs=1e-6)
+        beyond = at(np.array([3.0 * x, 3.0 * y, 0.3]))[0]
+        assert beyond == at((*np.clip([3.0 * x, 3.0 * y], -half, half), 0.3))[0]
 
 
 def _height(on, x, y):

@@ -4,6 +4,9 @@ import numpy as np
 import pytest
 
 import closedloop as cl
+from closedloop.jit.interpreted import interpreted
+from closedloop.step.make_loop import make_loop
+from closedloop.step.transmission import lead_motors, motor_rates, transmit
 
 # A mass of 2 kg on three slides, held to a plane: in x and y nothing acts on it but its motors.
 M, B, K, Q = 2.0, 0.5, 300.0, 3.0
@@ -28,6 +31,26 @@ def pushed(x):
 def slider(changes, law=pushed, **options):
     """Return a run of the mass on its slides."""
     return cl.simulate(cl.load_scenario("planar2_drop", SLIDER | changes), law=law, **options)
+
+
+def test_spring_damper_and_motor_are_their_formulas():
+    """What is passed on, how motors accelerate, one that is no drive stays, and angles advance with the new rates."""
+    random, states, (_, constants, w) = np.random.default_rng(0), 2, make_loop(3, extra=8)
+    for part in (w.q, w.v, w.z, w.torque, constants.stiffness, constants.shaft_damping, constants.motor_inertia):
+        part[:] = random.uniform(0.5, 2.0, part.size)
+    constants.motor_inertia[1] = 0.0
+    w.dz[:] = 7.0
+    angle, rate = w.z[states : states + 3].copy(), w.z[states + 3 :].copy()
+    interpreted(transmit)(w, constants)
+    passed = constants.stiffness * (angle - w.q) + constants.shaft_damping * (rate - w.v)
+    assert w.transmitted == pytest.approx(passed, rel=1e-14)
+    interpreted(motor_rates)(w, constants)
+    inertia = np.array([constants.motor_inertia[0], np.inf, constants.motor_inertia[2]])
+    acceleration = (w.torque - passed) / inertia
+    assert w.dz == pytest.approx([7.0, 7.0, *rate, *acceleration], rel=1e-13)
+    for substep, share in ((False, 1.0), (True, 0.5)):
+        interpreted(lead_motors)(w, 0.1, substep)
+        assert w.dz == pytest.approx([7.0, 7.0, *(rate + share * 0.1 * acceleration), *acceleration], rel=1e-13)
 
 
 def test_a_motor_and_a_mass_swing_as_two_masses_do():

@@ -267,6 +267,7 @@ TESTS: dict[str, tuple[str, ...]] = {
         f"{IN}test_loops.py::test_mechanism_falls_as_its_null_space_does[four_bar]",
         f"{IN}test_loops.py::test_reaction_of_dependent_rows_is_of_least_norm",
         f"{IN}test_loops.py::test_what_loops_and_stops_cannot_explain_is_told",
+    ),
     "closedloop.closure.conditioning": (f"{IN}test_solve.py",),
     "closedloop.control.laws.hybrid": (
         f"{IN}test_control_laws.py::test_hybrid_is_its_formula",

@@ -62,9 +62,7 @@ class Results:
         return self
 
     def __exit__(self, *_: object) -> None:
-        for folder in self._made:
-            with suppress(OSError):  # something is in it
-                folder.rmdir()
+        _remove_empty(self._made)
 
     def _look(self, question: dict[str, str]) -> str:
         """Return why what is in the folder may not be replaced, and "" if it may."""
@@ -123,15 +121,23 @@ def _make_writable(folder: Path) -> list[Path]:
 
     Returns the folders that were not there, the innermost first.
     """
+    missing: list[Path] = []
     try:
-        missing = [place for place in (folder, *folder.parents) if not place.exists()]
+        missing += [place for place in (folder, *folder.parents) if not place.exists()]
         with held_back():
             probe_folder(folder)
         return missing
     except (OSError, ValueError) as error:
+        _remove_empty(missing)
         raise OutputError(
             f"--out {str(folder)!r}: cannot be written: {reason_of(error)}; name another folder"
         ) from None
+
+
+def _remove_empty(folders: list[Path]) -> None:
+    for folder in folders:
+        with suppress(OSError, ValueError):  # something is in it
+            folder.rmdir()
 
 
 def why_not_writable(folder: Path) -> str:

@@ -1,9 +1,11 @@
 """The folder of results: what is replaced there, what is not, and that no result is lost or written through a link."""
 
+import errno
 import json
 import os
 import resource
 import signal
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -108,6 +110,17 @@ def test_a_run_that_gives_nothing_leaves_no_folder(law, command_line, tmp_path):
     assert command_line("planar2_slide", *SHORT[:-1], "mine/new/r").status == 0
     assert command_line(*words).status == 2
     assert set(contents(tmp_path / "mine" / "new" / "r")) == {"run.nc", "summary.json"}
+
+
+def test_a_folder_in_which_nothing_can_be_written_is_not_left(monkeypatch, command_line, tmp_path):
+    """There is room for a folder, and for no file in it."""
+
+    def full(*_, **__):
+        raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
+
+    monkeypatch.setattr(Path, "touch", full)
+    assert "No space left on device" in command_line("planar2_slide", *SHORT[:-1], "new/r").refusal()
+    assert not (tmp_path / "new").exists()
 
 
 @pytest.mark.parametrize("name", ["run.nc", "summary.json"])

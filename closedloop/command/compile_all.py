@@ -46,9 +46,9 @@ def compile_command(arguments: list[str]) -> int:
         raise ScenarioError("NUMBA_DISABLE_JIT is set: there is nothing to compile")
     if reason := why_not_kept():
         raise ScenarioError(f"compiled code cannot be kept: {reason}")
-    began, processor_time = clock.perf_counter(), 0.0
-    width = max(len(piece.what) for piece in pieces())
-    for what, wall, own in _compiled(workers or min(cores(), MOST_WORKERS)):
+    began, processor_time, everything = clock.perf_counter(), 0.0, pieces()
+    width = max(len(piece.what) for piece in everything)
+    for what, wall, own in _compiled(everything, workers or min(cores(), MOST_WORKERS)):
         processor_time += own
         print(f"{what:{width}}  {wall:6.1f} s  ({own:.1f} s of processor time)", flush=True)
     wall = clock.perf_counter() - began
@@ -56,10 +56,10 @@ def compile_command(arguments: list[str]) -> int:
     return DONE
 
 
-def _compiled(workers: int) -> Iterator[tuple[str, float, float]]:
+def _compiled(everything: Sequence[Piece], workers: int) -> Iterator[tuple[str, float, float]]:
     """Compile everything in so many processes; yield what is done, and its time and processor time, s."""
     # What others come after is begun first, and then what takes longest.
-    waiting = dict(enumerate(pieces()))
+    waiting = dict(enumerate(everything))
     order = sorted(waiting, key=lambda i: (not waiting[i].after, -seconds_of([waiting[i].kernel])))
     there: set[str] = set()
     running: dict[Future[tuple[float, float]], Piece] = {}

@@ -13,11 +13,10 @@ from closedloop.closure.contact_force import (
     STUCK,
     apply_impulse,
     normal_rounding,
-    pressed_force,
     stuck_force,
     stuck_tangentially,
 )
-from closedloop.closure.solve import CHATTER, OK, PAINLEVE
+from closedloop.closure.solve import CHATTER, OK
 from closedloop.events.contacts import apply_contact_event, resume_with_contacts
 from closedloop.events.impacts import log_event, make_contact
 from closedloop.events.locate import cone_margin
@@ -66,7 +65,8 @@ from closedloop.step.entries import STICK as END_OF_SLIP
 from closedloop.step.evaluate import call_law
 from closedloop.step.locate import set_anchor
 from closedloop.step.memory import RIGID_STICK, SPRING_STICK, Constants, State, Work
-from closedloop.step.soft_contact import spring_energy
+from closedloop.step.soft_contact import rub_softly, spring_energy
+from closedloop.step.solve_contact import rubbed_force
 from closedloop.step.tip_friction import delayed_speed
 
 Array = NDArray[np.float64]
@@ -280,14 +280,9 @@ def slip_onset(w: Work, state: State, angle: float) -> tuple[float, float]:
     w.direction[0], w.direction[1] = math.cos(angle), math.sin(angle)
     call_at(state.friction, state.address, SLIDE)
     if state.compliance != 0:  # f is that of the depth
-        side = 1.0 if w.F[0] >= 0.0 else -1.0
-        for i in range(2):
-            w.F[1 + i] = -side * w.c[i] * w.F[0] - w.viscous[i]
+        rub_softly(w)
     else:
-        status, _ = pressed_force(w.S, w.a, 0.0, w.c, w.viscous, w.F)
-        if state.unilateral == 0 and (status == PAINLEVE or w.F[0] < 0.0):  # what pulls rubs with |f|
-            w.c[0], w.c[1] = -w.c[0], -w.c[1]
-            pressed_force(w.S, w.a, 0.0, w.c, w.viscous, w.F)
+        rubbed_force(0.0, w, state)
     a1 = w.a[1] + w.S[1, 0] * w.F[0] + w.S[1, 1] * w.F[1] + w.S[1, 2] * w.F[2]
     a2 = w.a[2] + w.S[2, 0] * w.F[0] + w.S[2, 1] * w.F[1] + w.S[2, 2] * w.F[2]
     d1, d2 = w.direction[0], w.direction[1]

@@ -53,15 +53,22 @@ def soft_contact_force(w: Work, constants: Constants, state: State) -> None:
             w.b[i] = baumgarte_acceleration(constants.s_v, constants.s_p, w.u[i], off_anchor(w, state, i))
         stuck_tangentially(w.S, w.a, w.b, w.F)
     else:
-        if f < 0.0:  # a bilateral surface that pulls: friction is that of |f|, against the slip
-            w.c[0], w.c[1] = -w.c[0], -w.c[1]
-        w.F[1], w.F[2] = -w.c[0] * f - w.viscous[0], -w.c[1] * f - w.viscous[1]
+        rub_softly(w)
         if state.mode != STUCK and state.steps > 0 and state.sticking in (RIGID_STICK, SPRING_STICK):
             for _ in range(2):
                 if not turn_with_slip(w, constants.h):
                     break
                 w.F[1], w.F[2] = -w.c[0] * f - w.viscous[0], -w.c[1] * f - w.viscous[1]
     accelerate(w.L, w.X, w.y, w.F, w.qdd)
+
+
+@kernel
+def rub_softly(w: Work) -> None:
+    """Write the friction of a tip that slips, for the f of a soft surface: of |f| where a bilateral one pulls."""
+    f = w.F[0]
+    if f < 0.0:
+        w.c[0], w.c[1] = -w.c[0], -w.c[1]
+    w.F[1], w.F[2] = -w.c[0] * f - w.viscous[0], -w.c[1] * f - w.viscous[1]
 
 
 @kernel

@@ -51,16 +51,7 @@ def contact_force(C: Array, w: Work, constants: Constants, state: State) -> int:
         return OK
     if state.mode == PRESSED or (state.mode == STUCK and state.sticking == SPRING_STICK):
         b = baumgarte_acceleration(constants.s_v, constants.s_p, w.rate, w.gap)
-        status, share = pressed_force(w.S, w.a, b, w.c, w.viscous, w.F)
-        rubbed = w.c[0] != 0.0 or w.c[1] != 0.0
-        if state.unilateral == 0 and rubbed and (status == PAINLEVE or (status == OK and w.F[0] < 0.0)):
-            # A bilateral closure may pull: friction is then that of |f| on the other side, and there is no paradox if
-            # that solution exists.
-            w.c[0], w.c[1] = -w.c[0], -w.c[1]
-            wedged = status == PAINLEVE
-            status, share = pressed_force(w.S, w.a, b, w.c, w.viscous, w.F)
-            if status == OK and wedged and not w.F[0] < 0.0:
-                status = PAINLEVE
+        status, share = rubbed_force(b, w, state)
         if status == SINGULAR and state.mode == PRESSED:
             return force_in_singular_pose(C, w, constants, state)
         if status != OK:
@@ -96,6 +87,23 @@ def contact_force(C: Array, w: Work, constants: Constants, state: State) -> int:
         w.rigid_force = kept_force(w.F[0] - w.stabiliser_force[0], C, w, state)
     accelerate(w.L, w.X, w.y, w.F, w.qdd)
     return OK
+
+
+@kernel_inlined
+def rubbed_force(b: float, w: Work, state: State) -> tuple[int, float]:
+    """Do `pressed_force` for a tip that slips, on a closure that may pull if it is bilateral.
+
+    Where it pulls, friction is that of |f| on the other side, and there is no paradox if that solution exists.
+    """
+    status, share = pressed_force(w.S, w.a, b, w.c, w.viscous, w.F)
+    rubbed = w.c[0] != 0.0 or w.c[1] != 0.0
+    if state.unilateral == 0 and rubbed and (status == PAINLEVE or (status == OK and w.F[0] < 0.0)):
+        w.c[0], w.c[1] = -w.c[0], -w.c[1]
+        wedged = status == PAINLEVE
+        status, share = pressed_force(w.S, w.a, b, w.c, w.viscous, w.F)
+        if status == OK and wedged and not w.F[0] < 0.0:
+            status = PAINLEVE
+    return status, share
 
 
 @kernel_inlined

@@ -118,7 +118,7 @@ def test_nothing_is_written_but_whole():
     own_way = {"closedloop/files.py", "closedloop/jit/cache_folder.py", "closedloop/jit/compile_cache.py"}
     nothing = {"closedloop/second_process.py", "closedloop/command/streams.py", "closedloop/jit/background.py"}
     writing = re.compile(
-        r"write_text\(|write_bytes\(|\bopen\([^)\n]*[\"'][wxa]b?\+?[\"']|savefig\((?!image|file|picture)"
+        r"write_text\(|write_bytes\(|\bopen\([^)\n]*[\"'][wxa][b+]*[\"']|savefig\((?!image|file|picture)"
     )
     found = {
         str(file.relative_to(ROOT))

@@ -47,7 +47,7 @@ def test_a_line_on_a_sphere_is_a_great_circle():
 
 @pytest.mark.parametrize("gap", [0.05, -0.02])
 def test_a_path_that_begins_off_the_surface_keeps_its_height(gap):
-    """It rolls along the parallel surface through its start: a great circle, of a sphere larger or smaller by the gap."""
+    """It rolls along the parallel surface through its start: a great circle of a larger or smaller sphere."""
     R = 0.4
     section = PATHS["line"](on_surface="geodesic", **line())
     path = path_on(section, TIP + gap * UP, place("sphere", radius=R), 6.0)

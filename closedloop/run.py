@@ -227,7 +227,7 @@ def _parser() -> Parser:
     add("scenario", nargs="?", metavar="SCENARIO", help="a shipped name, a .toml file, or a run.nc to repeat")
     add("--version", action="store_true", help="print the versions that a run depends on")
     add("--list", action="store_true", help="list the shipped scenarios")
-    add("--out", metavar="DIR", help="where results go (default: out/SCENARIO, or out/SCENARIO-2 ...)")
+    add("--out", metavar="DIR", help="where results go (default: out/SCENARIO, -2 ...)")
     add("--overwrite", action="store_true", help="replace results of another run in that folder")
     add("--no-figures", action="store_true", help="write run.nc and summary.json only")
     add("--json", action="store_true", help="print the summary as JSON instead of tables")

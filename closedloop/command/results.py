@@ -34,11 +34,14 @@ _NAMES = {
 class TakenError(OutputError):
     """A folder holds what may not be replaced, or another run is being written into it."""
 
-    def __init__(self, folder: Path, why: str) -> None:
-        super().__init__(
-            f"--out {str(folder)!r}: {why}; name another folder with --out, or replace it with --overwrite"
-        )
-        self.why = f"{folder}: {why}"
+    why = ""
+
+
+def _taken(folder: Path, why: str) -> TakenError:
+    """Return the refusal of a folder, and what it holds as its `why`."""
+    error = TakenError(f"--out {str(folder)!r}: {why}; name another folder with --out, or replace it with --overwrite")
+    error.why = f"{folder}: {why}"
+    return error
 
 
 def first_free(folder: Path, question: dict[str, str], overwrite: bool) -> Results:
@@ -94,7 +97,7 @@ class Results:
             self._rows, self._other = -1, False
             fault = self._look(question)
             if fault and not overwrite:
-                raise TakenError(folder, fault)
+                raise _taken(folder, fault)
             self._other = bool(fault)
         except BaseException:
             self.__exit__()
@@ -166,7 +169,7 @@ def _made_and_locked(folder: Path) -> tuple[list[Path], FolderLock]:
         with suppress(FileNotFoundError):  # removed in between by another run that gave nothing
             lock = FolderLock.of(folder)
             if lock is None:
-                raise TakenError(folder, "another run is being written there")
+                raise _taken(folder, "another run is being written there")
             return made, lock
 
 

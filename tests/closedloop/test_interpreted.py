@@ -219,7 +219,7 @@ def over(x, out):
     out[1] = 1.0 / float(x)
 
 
-def test_where_python_raises_the_compiled_form_goes_on():
+def test_where_python_raises_the_compiled_form_goes_on(nothing_compiled):
     """It begins from what the call before has left: nothing is counted twice, nothing is lost."""
     out = np.zeros(2)
     kernel = Interim(over, (out,), 1000, 1.0)

@@ -14,6 +14,7 @@ instant that moves with the step.
 
 from __future__ import annotations
 
+from itertools import pairwise
 from typing import Any
 
 import numpy as np
@@ -44,7 +45,7 @@ def step_error(run: Record) -> dict[str, Any]:
     held = max(1, round(period / run.scenario.time.step)) if period else 1
     total = np.zeros(signals.shape[1])
     ends = [0, *(np.flatnonzero(np.diff(run.mode)) + 1), len(run)]
-    for begin, end in zip(ends[:-1], ends[1:], strict=True):
+    for begin, end in pairwise(ends):
         total += variation(signals[-(-begin // held) * held : end : held]) / held
     total = np.minimum(total, np.ptp(signals, axis=0))
     return {"contact_force": float(total[0]), "position": float(np.linalg.norm(total[1:])), "why_not": None}

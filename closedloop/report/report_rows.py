@@ -11,6 +11,7 @@ from closedloop.columns.record import Record
 from closedloop.control.drives import AT_RATE_LIMIT, AT_TORQUE_LIMIT
 from closedloop.integrators import ADAPTIVE, scheme_of
 from closedloop.report.link_contacts import contact_rows
+from closedloop.report.step_error import step_rows
 from closedloop.report.summary import joint_measures
 
 # Quantity, value, unit, and what stands beside it.
@@ -62,6 +63,7 @@ def report_rows(run: Record) -> list[Row]:
             "",
             f"{time.integrator}, {step}",
         ),
+        *step_rows(facts["step_error"]),
         ("tip speed", _shown(facts["max_tip_speed"], ".4g"), "m/s", ""),
         *_loop_rows(run),
         *contact_rows(run),

@@ -16,9 +16,11 @@ from closedloop.report.assumptions import assumptions
 from closedloop.report.measures import JOINT_MEASURES, MEASURES
 from closedloop.report.row_sample import Scale, energy_left, torque_power
 from closedloop.report.run_values import columns_of, run_values
+from closedloop.report.step_error import step_error, step_problem
 from closedloop.report.verdict import Facts, judge
 from closedloop.scenario.arm import robot_of
 from closedloop.scenario.gains import gains_fault
+from closedloop.scenario.modes import unresolved
 
 Array = NDArray[np.float64]
 
@@ -33,6 +35,8 @@ def summarise(run: Record) -> dict[str, Any]:
     joints = {name: getattr(found, name, np.full(run.model.n, np.nan)) for name in JOINT_MEASURES}
     held = assumptions(run, values)
     problems = judge(_facts(run, values, joints, held), lambda: run_gains_fault(run))
+    of_step = step_error(run)
+    problems += step_problem(run, of_step) + _unresolved(run)
     return {
         "verdict": {"good": not problems, "problems": problems},
         "scenario": run.scenario.name,
@@ -43,6 +47,7 @@ def summarise(run: Record) -> dict[str, Any]:
         "stopped": run.stopped,
         **{name: value if _exists(value) else None for name, value in values.items()},
         "not_finite": [name for name, value in values.items() if not _exists(value)],
+        "step_error": of_step,
         "wrist": _wrist(run),
         "tool": _tool(run),
         "events": {kind: sum(event.kind == kind for event in run.events) for kind in KINDS.values()},
@@ -54,6 +59,17 @@ def summarise(run: Record) -> dict[str, Any]:
         "loops": _loops(run),
         "wall_seconds": run.wall_seconds,
     }
+
+
+def _unresolved(run: Record) -> list[dict[str, Any]]:
+    """Return a problem for each swing of elastic joints or of a soft surface that the step does not resolve."""
+    scenario = run.scenario
+    if not len(run) or (scenario.compliance.kind == "none" and not scenario.transmission.elastic):
+        return []
+    robot, q = robot_of(scenario, run.model), np.array(run.q[0])
+    row = np.array(run.surface_normal[0]) @ robot.terms(q, np.zeros(robot.n)).jacobian
+    found = unresolved(scenario, robot, q, row, -float(run.closure_error[0]))
+    return [{"name": "resolution", "at": None, "text": text} for text in found]
 
 
 def _loops(run: Record) -> dict[str, dict[str, float]]:

@@ -15,7 +15,7 @@ import sys
 import uuid
 from collections.abc import Callable
 from contextlib import suppress
-from functools import cached_property, lru_cache
+from functools import lru_cache
 from pathlib import Path
 from typing import Any
 
@@ -27,6 +27,7 @@ from numba.core.serialize import dumps
 
 from closedloop.jit.cache_folder import MAGIC, cache_folder, claim, forget_old_caches
 from closedloop.jit.scipy_later import import_array_functions
+from robot_models.cached import cached_property
 
 
 class KernelCache(_Cache):

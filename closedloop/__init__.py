@@ -27,9 +27,13 @@ quick.
 
 from __future__ import annotations
 
-from closedloop.command.current_folder import leave_out_current_folder
+from closedloop.command.current_folder import leave_out_current_folder, runs_a_command
 
 leave_out_current_folder(__file__)  # before anything else is imported
+if runs_a_command():
+    from closedloop.interrupts import leave_quietly
+
+    leave_quietly()  # until the command catches what is raised
 
 import sys  # noqa: E402
 from importlib import import_module  # noqa: E402

@@ -19,6 +19,44 @@ class Terminated(KeyboardInterrupt):
     """SIGTERM: a user or a batch system ends the program."""
 
 
+def leave_quietly() -> None:
+    """Let Ctrl-C end this process at once and without a word, where it would print a traceback.
+
+    For a command that has done nothing yet but to import, or that has done all; see `as_exceptions`.
+    """
+    here = threading.current_thread() is threading.main_thread()
+    if here and signal.getsignal(signal.SIGINT) is signal.default_int_handler:
+        signal.signal(signal.SIGINT, _leave)
+
+
+def _leave(number: int, frame: FrameType | None) -> None:
+    os._exit(INTERRUPTED)
+
+
+# Each Ctrl-C within `as_exceptions`: a library that is being imported may turn what is raised into something else.
+_came: list[int] = []
+
+
+def _raise(number: int, frame: FrameType | None) -> None:
+    _came.append(number)
+    signal.default_int_handler(number, frame)
+
+
+@contextmanager
+def as_exceptions() -> Iterator[list[int]]:
+    """Let Ctrl-C raise KeyboardInterrupt again meanwhile, after `leave_quietly`; yield a list of those that came."""
+    ours = threading.current_thread() is threading.main_thread() and signal.getsignal(signal.SIGINT) is _leave
+    _came.clear()
+    if not ours:
+        yield _came
+        return
+    signal.signal(signal.SIGINT, _raise)
+    try:
+        yield _came
+    finally:
+        signal.signal(signal.SIGINT, _leave)
+
+
 def exit_status(interruption: BaseException) -> int:
     """Return the exit status for what Ctrl-C or SIGTERM raised, itself or as the cause."""
     causes = (interruption, interruption.__cause__)

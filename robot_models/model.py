@@ -3,13 +3,13 @@
 from collections.abc import Mapping
 from dataclasses import dataclass, field, fields
 from difflib import get_close_matches
-from functools import cached_property
 from types import MappingProxyType
 from typing import TYPE_CHECKING, Any, Literal
 
 import numpy as np
 from numpy.typing import NDArray
 
+from robot_models.cached import cached_property
 from robot_models.errors import ModelError
 from robot_models.loop_joint import LoopJoint
 from robot_models.tool import Tool

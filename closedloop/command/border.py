@@ -19,7 +19,7 @@ from typing import NoReturn
 
 from closedloop.command.streams import patient_output
 from closedloop.errors import ClosedLoopError, ClusterError, ScenarioError, SimulationError, lines_of, one_line
-from closedloop.interrupts import exit_status, terminable, word_for
+from closedloop.interrupts import INTERRUPTED, as_exceptions, exit_status, terminable, word_for
 from closedloop.jit.numba_settings import sound_settings, why_no_settings
 from closedloop.jit.openmp_settings import readable_openmp
 
@@ -97,8 +97,9 @@ def _run(
     main: Callable[[list[str]], int], words: list[str], stopped: tuple[type[ClosedLoopError], ...], interrupted: str
 ) -> tuple[int, tuple[str, ...]]:
     """Return the exit status, and what to say on standard error, a line for each fault of the input."""
+    came: list[int] = []
     try:
-        with terminable():
+        with as_exceptions() as came, terminable():
             if reason := why_no_settings():
                 return BAD_INPUT, (reason,)
             return main(words), ()
@@ -115,6 +116,10 @@ def _run(
         return BAD_INPUT, (f"{where}{error.strerror or error}",)
     except SystemExit as leaving:  # our own parsers raise Left
         return BAD_INPUT, (f"something that was run, such as a law, called sys.exit({leaving.code!r})",)
+    except Exception:
+        if came:  # within a library that was being imported, which made an ImportError of it, for example
+            return INTERRUPTED, ("interrupted",)
+        raise
 
 
 class _Notices(logging.Handler):

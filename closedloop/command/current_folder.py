@@ -11,17 +11,29 @@ import sys
 COMMANDS = ("closedloop", "validation")
 
 
+def runs_a_command() -> bool:
+    """Whether this process was started as a command of ours: by its console script, or with ``python -m``."""
+    if sys.argv[:1] == ["-m"]:
+        return _module_asked_for().partition(".")[0] in COMMANDS
+    return (
+        os.path.basename(sys.argv[0]).partition(".")[0].removesuffix("-script") == "closedloop" if sys.argv else False
+    )
+
+
+def _module_asked_for() -> str:
+    """Return the module that ``python -m`` looks for: meanwhile the arguments begin with "-m", its name before them."""
+    if len(sys.orig_argv) < len(sys.argv):
+        return ""
+    word = sys.orig_argv[-len(sys.argv)]
+    return word.partition("m")[2] if word.startswith("-") else word
+
+
 def leave_out_current_folder(package_file: str) -> None:
     """Take the current folder from the head of `sys.path`, if ``python -m`` put it there to run a command of ours.
 
     It stays where the package itself was found in it: a checkout that is not installed.
     """
-    # While `-m` looks for its module, the arguments begin with it; the module's name stands before the other arguments.
-    if sys.argv[:1] != ["-m"] or sys.flags.safe_path or len(sys.orig_argv) < len(sys.argv):
-        return
-    word = sys.orig_argv[-len(sys.argv)]
-    module = word.partition("m")[2] if word.startswith("-") else word
-    if module.partition(".")[0] not in COMMANDS:
+    if sys.argv[:1] != ["-m"] or sys.flags.safe_path or not runs_a_command():
         return
     home = os.path.dirname(os.path.dirname(os.path.abspath(package_file)))
     try:

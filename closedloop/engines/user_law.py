@@ -18,7 +18,6 @@ from __future__ import annotations
 
 import sys
 from collections.abc import Callable
-from functools import cached_property
 from typing import Any
 
 import numpy as np
@@ -33,6 +32,7 @@ from closedloop.jit.kernel import jit_disabled, plain
 from closedloop.robot.pinocchio import Terms
 from closedloop.step.entries import START, TORQUE, law_input
 from closedloop.step.make_loop import Loop
+from robot_models.cached import cached_property
 
 Array = NDArray[np.float64]
 Law = Callable[..., ArrayLike]

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping
-from functools import cached_property
 from importlib import import_module
 from pkgutil import iter_modules
 from typing import Any, Generic, TypeVar
@@ -16,6 +15,7 @@ from closedloop.families.member import Absent, Member, users
 from closedloop.families.refusal import KEEP_ABSENT, not_named
 from closedloop.families.signatures import signature_faults
 from closedloop.sections import Section
+from robot_models.cached import cached_property
 from robot_models.errors import shown
 
 M = TypeVar("M", bound=Member)

@@ -51,7 +51,7 @@ TAKES_LONG = {
     "evaluate_on_pinocchio": Long("the step of dop853", 13.0),
 }
 BRIEF = 1.5  # s, of the others
-# A process that needs what another is compiling waits for that so long, s, before it compiles it too.
+# How long `wait_until_done` waits at most, unless it is told otherwise, and between two looks, s.
 PATIENCE, BETWEEN_LOOKS = 180.0, 0.1
 
 # The first process started ends at once, so that nobody has to wait for the one that compiles. Linux shares a processor
@@ -78,6 +78,7 @@ compile_these(sys.argv[2:])
 
 _lock = threading.Lock()
 _asked: set[str] = set()  # names of what this process has had compiled in the background
+_waited_for: set[str] = set()  # names of what this process has waited for
 _said: set[str] = set()  # of what sort a line has been said already
 _BEHIND, _WAITING, _HERE = "in the background", "waiting", "here"
 
@@ -130,15 +131,21 @@ def start(functions: Sequence[Callable[..., Any]]) -> None:
 
 
 def make_ready(*functions: Callable[..., Any]) -> None:
-    """Announce what is about to be compiled here, if anything; wait if a background process is compiling it."""
+    """Announce what is about to be compiled here, if anything; wait if a background process is compiling it.
+
+    Each function is waited for once, and no longer than compiling it takes: the other process may be stopped, or get
+    no processor on a busy machine, as its priority is the lowest.
+    """
     missing = [function for function in functions if needs_compiling(function)]
     if not missing:
         return
-    if not refused() and not why_not_kept() and _at_work():
+    new = {function.__name__ for function in missing} - _waited_for
+    if new and not refused() and not why_not_kept() and _at_work():
+        _waited_for.update(new)
         if not TAKES_LONG.keys().isdisjoint(f.__name__ for f in missing):
             what = _named([function.__name__ for function in missing])
             _say(_WAITING, f"compiling {what}: waiting for the process that does it in the background ...")
-        if wait_until_done(missing):
+        if wait_until_done(missing, seconds_of(new)):
             return
         missing = [function for function in missing if needs_compiling(function)]
     names = [function.__name__ for function in missing]

@@ -12,23 +12,32 @@ with anything else in it is kept.
 from __future__ import annotations
 
 import hashlib
+import logging
 import os
 import re
 import stat
 import sys
 import tempfile
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from contextlib import suppress
-from functools import lru_cache
+from functools import cache, lru_cache
 from pathlib import Path
 from typing import Any
+
+import numpy as np
 
 from closedloop.jit.uninterrupted import compiler_at_work
 
 # What tells a file whose text the compiled code depends on, and files that say how it is compiled.
 MARKS = (b"\n@kernel", b"\n@inlined_kernel", b"\n@entry_kernel", b"\n@brief_entry", b"@lower_builtin")
 COMPILERS = ("kernel.py", "inline_once.py", "blocks.py", "parameters.py", "measures.py")
+
+# numba's settings, each an environment variable, that change what it compiles.
+SETTINGS = (
+    "OPT", "ENABLE_AVX", "LOOP_VECTORIZE", "SLP_VECTORIZE", "BOUNDSCHECK", "DEBUGINFO_DEFAULT", "DISABLE_INTEL_SVML",
+    "DEBUG_NRT", "LLVM_REFPRUNE_PASS", "LLVM_REFPRUNE_FLAGS", "EXTEND_VARIABLE_LIFETIMES",
+)  # fmt: skip
 
 MARKER = "closedloop-cache"
 MAGIC = b"closedloop code 1\n"  # the end of every file
@@ -38,6 +47,8 @@ FILE_NAME = re.compile(r"[\w.]+-[0-9a-f]{32}\.nbc(\.tmp\.[0-9a-f]{16})?")
 UNUSED, MOST_KEPT, UNUSED_OF_MANY = 30 * 86400.0, 16, 86400.0
 
 
+notices = logging.getLogger("closedloop.compiling")
+
 # Whether a folder that is not there may be made: a process in the background brings none back that was removed.
 make_folders = True
 
@@ -46,18 +57,48 @@ make_folders = True
 def cache_folder() -> Path:
     """Return where the compiled entry kernels of exactly this source are kept, whether or not it is there.
 
-    And of this compiler and processor: what is in the folder can be used.
+    And of this compiler and processor: what is in the folder can be used. Where other users could have put code there
+    a line says so, and the next folder is taken; the last one can never be made.
     """
     digest = hashlib.sha256(repr(compiler_and_processor()).encode())
-    for path in sorted(Path(__file__).parent.parent.rglob("*.py")):
+    for text in source_texts(Path(__file__).parent.parent):
+        digest.update(hashlib.sha256(text).digest())
+    name = f"closedloop-{digest.hexdigest()[:16]}"
+    for root in _cache_roots():
+        with suppress(OSError):  # of a current folder that was deleted
+            root = root.absolute()
+        if why := why_not_trusted(root / name):
+            notices.warning(f"compiled code in {root} is not used: {why}")
+        else:
+            return root / name
+    return Path(os.devnull) / name
+
+
+_IMPORTED = re.compile(rb"^from ((?:closedloop|robot_models)[\w.]*) import (\([^)]*\)|.*)$", re.MULTILINE)
+_NAME_OF_VALUE = re.compile(rb"\b[A-Z]\w*")
+
+
+def source_texts(package: Path) -> list[bytes]:
+    """Return the texts of all files that compiled code depends on, in the order of their names.
+
+    Those with kernels, those that say how to compile, and those that either has constants or types from, and so on.
+    """
+    texts: dict[Path, bytes] = {}
+    for path in sorted(package.rglob("*.py")):
         with suppress(OSError):  # an editor's lock is a link that leads nowhere
-            text = path.read_bytes()
-            if path.name in COMPILERS or any(mark in text for mark in MARKS):
-                digest.update(text)
-    root = _cache_root()
-    with suppress(OSError):  # of a current folder that was deleted
-        root = root.absolute()
-    return root / f"closedloop-{digest.hexdigest()[:16]}"
+            texts[path] = path.read_bytes()
+    found = {path for path, text in texts.items() if path.name in COMPILERS or any(mark in text for mark in MARKS)}
+    new = set(found)
+    while new:
+        named = {
+            package.parent.joinpath(*module.decode().split("."))
+            for path in new
+            for module, names in _IMPORTED.findall(texts[path])
+            if _NAME_OF_VALUE.search(names)
+        }
+        new = {file for at in named for file in (at.with_suffix(".py"), at / "__init__.py") if file in texts} - found
+        found |= new
+    return [texts[path] for path in sorted(found)]
 
 
 @lru_cache(maxsize=1)
@@ -70,29 +111,100 @@ def compiler_and_processor() -> tuple[Any, ...]:
         from numba.core import config
 
         numba_settings: Any = config  # its attributes are made at run time, which type checkers cannot see
-        versions = (numba.__version__, llvmlite.__version__, sys.implementation.cache_tag, sys.flags.optimize)
+        python = (sys.implementation.cache_tag, *sys.version_info[:3], getattr(sys, "abiflags", ""), sys.flags.optimize)
+        versions = (numba.__version__, llvmlite.__version__, np.__version__, *python)
         name = numba_settings.CPU_NAME or llvm.get_host_cpu_name()
         features = numba_settings.CPU_FEATURES
         if features is None:
             features = "" if numba_settings.CPU_NAME else llvm.get_host_cpu_features().flatten()
         triple = llvm.get_process_triple()
-    return (*versions, triple, name, features, numba_settings.OPT, numba_settings.ENABLE_AVX)
+        settings = tuple(str(getattr(numba_settings, setting, None)) for setting in SETTINGS)
+    return (*versions, triple, name, features, *settings)
 
 
-def _cache_root() -> Path:
-    """NUMBA_CACHE_DIR if set, the package's own __pycache__ if writable, else the user's cache folder."""
+def _cache_roots() -> Iterator[Path]:
+    """Yield NUMBA_CACHE_DIR if set, the user's cache folder, and the package's own __pycache__, where they can be used.
+
+    The user's is the same for each copy of the package.
+    """
     if chosen := os.environ.get("NUMBA_CACHE_DIR"):
-        return Path(chosen)
-    beside = Path(__file__).parent.parent / "__pycache__"
-    with suppress(OSError):
-        beside.mkdir(exist_ok=True)
-    if os.access(beside, os.W_OK | os.X_OK):
-        return beside
+        yield Path(chosen)
     users = os.environ.get("XDG_CACHE_HOME", "")
+    own = [Path(__file__).parent.parent / "__pycache__"]
+    with suppress(RuntimeError):  # this user has no home
+        own.insert(0, Path(users) if os.path.isabs(users) else Path.home() / ".cache")
+    for root in own:
+        there = next((place for place in (root, *root.parents) if place.exists()), Path(os.devnull))
+        if there.is_dir() and os.access(there, os.W_OK | os.X_OK):
+            yield root
+
+
+def why_not_trusted(folder: Path) -> str:
+    """Return why another user could have put code into a folder; "" if only this one and root could.
+
+    As ssh asks of its files: the folder and all above it must be this user's or root's, and not writable by others,
+    unless they are such that nobody can replace what is another's there, as /tmp. Where there are no such owners
+    (Windows) a user's profile is private by itself.
+    """
+    if not hasattr(os, "geteuid"):
+        return ""
     try:
-        return Path(users) if os.path.isabs(users) else Path.home() / ".cache"
-    except RuntimeError:  # this user has no home: nothing can be kept
-        return Path(os.devnull)
+        real = Path(os.path.realpath(folder))
+    except OSError:  # of a current folder that was deleted: nothing can be kept there
+        return ""
+    for place in (real, *real.parents):
+        try:
+            found = place.lstat()
+        except OSError:
+            continue  # it is not there yet
+        if not stat.S_ISDIR(found.st_mode):
+            continue
+        protected = place != real and found.st_mode & stat.S_ISVTX
+        if why := _another_may_write(found, bool(protected)):
+            return f"{place} {why}"
+    return ""
+
+
+def _another_may_write(found: os.stat_result, protected: bool = False) -> str:
+    if found.st_uid not in (0, os.geteuid()):
+        return "belongs to another user"
+    by_group = found.st_mode & stat.S_IWGRP and not _is_users_own_group(found.st_gid)
+    if not protected and (by_group or found.st_mode & stat.S_IWOTH):
+        return "can be written by other users (chmod go-w)"
+    return ""
+
+
+@cache
+def _is_users_own_group(number: int) -> bool:
+    """Whether nobody else is in a group: many systems make one for each user, of the same name."""
+    import grp
+    import pwd
+
+    try:
+        me, group = pwd.getpwuid(os.geteuid()), grp.getgrgid(number)
+    except KeyError:
+        return False
+    return number == me.pw_gid and group.gr_name == me.pw_name and set(group.gr_mem) <= {me.pw_name}
+
+
+def trusted_content(file: Path) -> bytes | None:
+    """Return what is in a file of code; None if it is none, or another user could have written it."""
+    try:
+        # A pipe is not waited for, and no link is followed.
+        opened = os.open(file, os.O_RDONLY | getattr(os, "O_NONBLOCK", 0) | getattr(os, "O_NOFOLLOW", 0) | _BINARY)
+    except OSError:
+        return None
+    with os.fdopen(opened, "rb") as code:
+        found = os.fstat(opened)
+        if not stat.S_ISREG(found.st_mode):
+            return None
+        if hasattr(os, "geteuid") and (why := _another_may_write(found)):
+            notices.warning(f"compiled code in {file} is not used: it {why}")
+            return None
+        return code.read()
+
+
+_BINARY = getattr(os, "O_BINARY", 0)
 
 
 def is_kept(function: Callable[..., Any]) -> bool:
@@ -123,7 +235,9 @@ def claim(folder: Path) -> None:
         If it cannot be made.
     """
     if make_folders:
-        folder.mkdir(parents=True, exist_ok=True)
+        for place in reversed([place for place in (folder, *folder.parents) if not place.exists()]):
+            place.mkdir(mode=0o755, exist_ok=True)
+        folder.mkdir(exist_ok=True)  # says what is in the way
     marker = folder / MARKER
     if is_ours(folder):
         with suppress(OSError):  # someone else's, and only to be read

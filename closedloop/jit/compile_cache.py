@@ -11,22 +11,28 @@ from __future__ import annotations
 import hashlib
 import os
 import re
-import sys
 import uuid
 from collections.abc import Callable
 from contextlib import suppress
-from functools import cached_property, lru_cache
+from functools import lru_cache
 from pathlib import Path
 from typing import Any
 
-import llvmlite
-import numba
 from numba.core.caching import IndexDataCacheFile, _Cache
 from numba.core.compiler import CompileResult
 from numba.core.serialize import dumps
 
-from closedloop.jit.cache_folder import MAGIC, cache_folder, claim, forget_old_caches
+from closedloop.jit.cache_folder import (
+    MAGIC,
+    cache_folder,
+    claim,
+    compiler_and_processor,
+    forget_old_caches,
+    trusted_content,
+)
+from closedloop.jit.depends import users_text
 from closedloop.jit.scipy_later import import_array_functions
+from robot_models.cached import cached_property
 
 
 class KernelCache(_Cache):
@@ -64,10 +70,10 @@ class KernelCache(_Cache):
         codegen = target_context.codegen()
         try:
             file = self._file(sig, codegen)
-            if not file.is_file():
-                return None
-            content = file.read_bytes()
+            content = trusted_content(file)
         except OSError:
+            return None
+        if content is None:
             return None
         code = content[: -len(MAGIC) - 32]
         if content[len(code) :] != _seal(code):
@@ -94,6 +100,7 @@ class KernelCache(_Cache):
             claim(file.parent)
             try:
                 unfinished.write_bytes(code + _seal(code))
+                unfinished.chmod(unfinished.stat().st_mode & ~0o022)  # what others can write is not loaded
                 os.replace(unfinished, file)
             except BaseException:
                 with suppress(OSError):
@@ -111,6 +118,7 @@ class KernelCache(_Cache):
             self._made_of.encode() or (dumps(tuple(cell.cell_contents for cell in cells)) if cells else b""),
             self._function.__code__.co_code,
             Path(self._function.__code__.co_filename).read_bytes(),
+            users_text(self._function),
         )
         return tuple(hashlib.sha256(part).digest() for part in parts)
 
@@ -118,11 +126,13 @@ class KernelCache(_Cache):
         return (sig, self._place(sig, codegen), *self._identity)
 
     def _place(self, sig: Any, codegen: Any) -> str:
-        """Return what tells the files of a function apart: its signature, what it encloses, processor and versions."""
+        """Return what tells the files of a function apart: its signature, what it encloses, processor and versions.
+
+        Not where its source lies: a copy finds what was compiled.
+        """
         code = self._function.__code__
-        versions = (numba.__version__, llvmlite.__version__, sys.implementation.cache_tag, sys.flags.optimize)
-        where = (os.path.abspath(code.co_filename), code.co_firstlineno, self._identity[0])
-        return repr((str(sig), codegen.magic_tuple(), versions, where))
+        where = (self._function.__module__, os.path.basename(code.co_filename), code.co_firstlineno, self._identity)
+        return repr((str(sig), codegen.magic_tuple(), compiler_and_processor(), where))
 
     def _file(self, sig: Any, codegen: Any) -> Path:
         function = self._function

@@ -9,7 +9,6 @@ all of them.
 from __future__ import annotations
 
 from collections.abc import Callable
-from functools import cached_property
 from typing import Any
 
 from numba.core.codegen import JITCodeLibrary
@@ -17,6 +16,8 @@ from numba.core.compiler import CompilerBase, DefaultPassBuilder
 from numba.core.compiler_machinery import AnalysisPass, register_pass
 from numba.core.registry import CPUDispatcher
 from numba.core.typed_passes import NopythonTypeInference
+
+from robot_models.cached import cached_property
 
 
 class NestedLibrary(JITCodeLibrary):

@@ -12,10 +12,11 @@ from __future__ import annotations
 
 import os
 from collections.abc import Callable
-from functools import cache, cached_property, update_wrapper
+from functools import cache, update_wrapper
 from typing import Any, TypeVar, cast
 
 from closedloop.jit.uninterrupted import compiler_at_work
+from robot_models.cached import cached_property
 
 F = TypeVar("F", bound=Callable[..., Any])
 

@@ -23,7 +23,7 @@ from closedloop.lab.look import GREYED, KEYS, PLOTS, paragraph
 from closedloop.lab.newest import Newest
 from closedloop.lab.picture import Picture
 from closedloop.lab.playback import Playback
-from closedloop.lab.server import FIRST_PORT, serve
+from closedloop.lab.server import FIRST_PORT, new_token, serve
 from closedloop.lab.view_controls import Tabs
 from closedloop.lab.view_keep import STEPS, KeepTab
 from closedloop.lab.view_map import MapTab
@@ -84,7 +84,8 @@ class Lab:
         self.after_show: list[Callable[[Answer], None]] = []
         self.answers = Answers(history, law, model, self._say, lambda: self._newest.overtaken)
         prepare(history.base, self.answers.model(history.base))  # what cannot be run is refused before there is a page
-        self.server = serve(host, port)
+        self._token = new_token()
+        self.server = serve(host, port, self._token)
         self._lay_out(dark)
         self._newest: Newest[tuple[Changes, str], Answer] = Newest(self._compute, self._show)
         self.refresh()
@@ -94,9 +95,10 @@ class Lab:
 
     @property
     def url(self) -> str:
-        """The address of the page."""
+        """The address of the page, with the token that lets in."""
         host = self.server.get_host()
-        return f"http://{'127.0.0.1' if host == '0.0.0.0' else host}:{self.server.get_port()}"
+        host = "127.0.0.1" if host == "0.0.0.0" else f"[{host}]" if ":" in host else host
+        return f"http://{host}:{self.server.get_port()}/?token={self._token}"
 
     @property
     def space(self) -> Space:

@@ -12,7 +12,7 @@ from closedloop.command.user_module import import_law, name_members
 from closedloop.errors import ScenarioError
 from closedloop.interrupts import Terminated
 from closedloop.lab.server import is_loopback
-from closedloop.lab.start import NEEDS_VISER, lab
+from closedloop.lab.start import NEEDS_VISER, lab, open_in_browser
 from closedloop.scenario.overrides import split_overrides
 
 
@@ -37,8 +37,8 @@ def lab_command(arguments: list[str]) -> int:
     law = import_law(options.law) if options.law else None
     if not is_loopback(options.host):
         print(
-            f"closedloop: warning: --host {options.host} lets every computer that reaches this one move the controls "
-            "and save files; there is no password",
+            f"closedloop: warning: --host {options.host} lets every computer that reaches this one and knows the "
+            "address with its token move the controls and save files; the address goes over the network unencrypted",
             file=sys.stderr, flush=True,
         )  # fmt: skip
     opened = lab(
@@ -47,9 +47,7 @@ def lab_command(arguments: list[str]) -> int:
     try:
         print(f"the lab is at {opened.url} (Ctrl-C closes it)", flush=True)
         if not options.no_browser:
-            import webbrowser
-
-            webbrowser.open(opened.url)
+            open_in_browser(opened.url)
         threading.Event().wait()
     except Terminated:
         raise

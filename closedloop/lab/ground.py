@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from functools import cached_property
 
 import numpy as np
 from numpy.typing import NDArray
@@ -16,6 +15,7 @@ from closedloop.surface.kinds.plane import PlaneSurface
 from closedloop.surface.motion import SurfaceMotion
 from closedloop.surface.placed import PlacedSurface
 from closedloop.surface.surface import Surface
+from robot_models.cached import cached_property
 
 Array = NDArray[np.float64]
 

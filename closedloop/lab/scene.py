@@ -8,7 +8,7 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
-from functools import cached_property, lru_cache
+from functools import lru_cache
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -23,6 +23,7 @@ from closedloop.lab.shapes import Shape, robot_shapes
 from closedloop.record.run import Run
 from closedloop.robot.pinocchio import Robot
 from robot_models import RobotModel
+from robot_models.cached import cached_property
 
 Array = NDArray[np.float64]
 

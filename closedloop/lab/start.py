@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+import atexit
+import html
+import shutil
 from collections.abc import Mapping
 from importlib.util import find_spec
 from pathlib import Path
@@ -115,6 +118,20 @@ def _show(lab: Lab) -> None:
 
         display(IFrame(lab.url, width="100%", height=HEIGHT))  # type: ignore[no-untyped-call]
     else:
-        import webbrowser
+        open_in_browser(lab.url)
 
-        webbrowser.open(lab.url)
+
+def open_in_browser(url: str) -> None:
+    """Open an address in the user's browser, without naming it where other users see it.
+
+    The words of a command line are shown to all: the browser is given a file that only this user can read, and that
+    sends it on.
+    """
+    import tempfile
+    import webbrowser
+
+    folder = tempfile.mkdtemp(prefix="closedloop-lab-")  # of this user alone
+    page = Path(folder) / "open.html"
+    page.write_text(f'<meta charset="utf-8"><meta http-equiv="refresh" content="0; url={html.escape(url)}">\n')
+    atexit.register(shutil.rmtree, folder, ignore_errors=True)
+    webbrowser.open(page.as_uri())

@@ -2,9 +2,10 @@
 
     closedloop SHA-256 of all bytes before this line: 0123...
 
-A file whose seal holds is as it was written, and HDF5 may read it in this process. One whose seal is broken is damaged.
-One without (made before there was a seal, or changed by another program, which cuts it off) is read by a process of its
-own, because HDF5 that reads damaged bytes may loop for ever or end the process.
+A file whose seal is broken is damaged. But anyone can seal a file, and HDF5 that reads damaged bytes may loop for ever,
+deaf to Ctrl-C, or end the process: it reads in this process what this process has written, and nothing else. Any other
+file, with a seal or without (made before there was one, or changed by another program, which cuts it off), is read by a
+process of its own, which can be ended.
 """
 
 from __future__ import annotations
@@ -34,9 +35,19 @@ Attributes = dict[str, str | int | float]
 Columns = dict[str, NDArray[Any]]
 
 
+# The digests of all that this process has sealed.
+_ours: set[bytes] = set()
+
+
 def seal(content: bytes | memoryview) -> bytes:
-    """Return the line that goes behind the content of a file."""
-    return _WORDS + hashlib.sha256(content).hexdigest().encode() + b"\n"
+    """Return the line that goes behind the content of a file that this process writes."""
+    digest = hashlib.sha256(content).hexdigest().encode()
+    _ours.add(digest)
+    return _line(digest)
+
+
+def _line(digest: bytes) -> bytes:
+    return _WORDS + digest + b"\n"
 
 
 def unsealed(whole: memoryview) -> memoryview:
@@ -47,10 +58,16 @@ def unsealed(whole: memoryview) -> memoryview:
     ValueError
         If there is no seal, or it is broken.
     """
+    return _unsealed(whole)[0]
+
+
+def _unsealed(whole: memoryview) -> tuple[memoryview, bool]:
+    """Return what stands before the seal, and whether this process has written it."""
     content, line = whole[:-SEAL_LENGTH], whole[-SEAL_LENGTH:]
-    if line != seal(content):
+    digest = hashlib.sha256(content).hexdigest().encode()
+    if line != _line(digest):
         raise ValueError("is damaged: its bytes are not those that were written (their SHA-256 is another)")
-    return content
+    return content, digest in _ours
 
 
 def read_sealed(path: Path, names: list[str]) -> tuple[Attributes, Columns]:
@@ -71,9 +88,12 @@ def read_sealed(path: Path, names: list[str]) -> tuple[Attributes, Columns]:
         file.seek(0)
         whole = memoryview(file.read())
     try:
-        content = unsealed(whole)
+        content, ours = _unsealed(whole)
     except ValueError as error:
         raise RunFileError(str(error)) from None
+    if not ours:
+        del content, whole
+        return _read_apart(path, size, names)
     from closedloop.record.hdf5_reader import read_hdf5
 
     return read_hdf5(io.BytesIO(content), len(content), names)
@@ -90,23 +110,28 @@ def _size_of_file(path: Path) -> int:
 
 
 def _read_apart(path: Path, size: int, names: list[str]) -> tuple[Attributes, Columns]:
-    """Read a file that nothing vouches for in a process that can be ended."""
+    """Read a file of which this process does not know who wrote it in a process that can be ended, by Ctrl-C too."""
     from importlib.util import find_spec
 
     found = find_spec("closedloop.record.hdf5_reader")
     assert found is not None
     assert found.origin is not None
     limit = PATIENCE + size / BYTES_A_SECOND
-    try:
-        done = subprocess.run(
-            [sys.executable, "-P", found.origin, os.path.abspath(path), *names],
-            stdin=subprocess.DEVNULL, stdout=subprocess.PIPE, stderr=subprocess.DEVNULL, timeout=limit, check=False,
-        )  # fmt: skip
-    except subprocess.TimeoutExpired:
-        raise RunFileError(f"is damaged: HDF5 did not come to an end of it in {limit:.0f} s") from None
-    if done.returncode != 0:
+    command = [sys.executable, "-P", found.origin, os.path.abspath(path), *names]
+    with subprocess.Popen(
+        command, stdin=subprocess.DEVNULL, stdout=subprocess.PIPE, stderr=subprocess.DEVNULL
+    ) as reader:  # fmt: skip
+        try:
+            answer, _ = reader.communicate(timeout=limit)
+        except BaseException as error:
+            reader.kill()
+            reader.wait()
+            if isinstance(error, subprocess.TimeoutExpired):
+                raise RunFileError(f"is damaged: HDF5 did not come to an end of it in {limit:.0f} s") from None
+            raise
+    if reader.returncode != 0:
         raise RunFileError("is not a run file, or is damaged: HDF5 broke down over it")
-    head, _, rest = done.stdout.partition(b"\n")
+    head, _, rest = answer.partition(b"\n")
     said = json.loads(head)
     if "error" in said:
         raise RunFileError(f"is not a run file, or is damaged: {reason_of(ValueError(said['error']))}")

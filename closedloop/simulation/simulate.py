@@ -16,6 +16,7 @@ from closedloop.engines.problem import Problem
 from closedloop.engines.user_law import Law, UserLaw
 from closedloop.errors import DivergenceError, InterruptedRunError, LawError, ScenarioError, SimulationError
 from closedloop.events.phases import DONE, IMPACT_LAW_WANTED, TABLE_FULL, TERMS
+from closedloop.events.table import EVENT_WIDTH
 from closedloop.integrators import ADAPTIVE, INTEGRATORS
 from closedloop.interrupts import held_back
 from closedloop.jit.background import make_ready
@@ -77,16 +78,16 @@ def simulate(
         `InterruptedRunError`, also a KeyboardInterrupt, follows Ctrl-C, between two steps or after the compiled loop.
     """
     check_engine(scenario, engine, law)
-    with not_compiled_first():
-        problem = prepare(scenario, model)
-    if progress is True:
-        from closedloop.progress import bar
-
-        with bar(scenario.name, problem.steps) as report:
-            rows, events, failure, seconds = run_loop(problem, law, report, engine, keep_interrupted=True, interim=True)
-    else:
-        report = progress or _silent
-        rows, events, failure, seconds = run_loop(problem, law, report, engine, keep_interrupted=True, interim=True)
+    problem: Problem | None = None
+    try:
+        with held_back(), not_compiled_first():
+            problem = prepare(scenario, model)
+        rows, events, failure, seconds = _looped(problem, law, progress, engine)
+    except KeyboardInterrupt as stop:
+        if problem is None:
+            raise  # a second one, which does not wait
+        rows, events = np.empty((0, problem.row_width)), np.empty((0, EVENT_WIDTH))
+        failure, seconds = interrupted(stop, 0.0), 0.0
     run: Run | None = None
     try:
         with held_back(), not_compiled_first():
@@ -101,6 +102,18 @@ def simulate(
         failure.run = run
         raise failure
     return run
+
+
+def _looped(
+    problem: Problem, law: Law | None, progress: bool | Callable[[int, int], None], engine: str
+) -> tuple[Array, Array, SimulationError | None, float]:
+    """Step the problem, as `run_loop` does, and show how far it is."""
+    if progress is True:
+        from closedloop.progress import bar
+
+        with bar(problem.scenario.name, problem.steps) as report:
+            return run_loop(problem, law, report, engine, keep_interrupted=True, interim=True)
+    return run_loop(problem, law, progress or _silent, engine, keep_interrupted=True, interim=True)
 
 
 def check_engine(scenario: Scenario, engine: str, law: Law | None) -> None:

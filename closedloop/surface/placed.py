@@ -5,7 +5,6 @@ from __future__ import annotations
 import math
 from collections.abc import Callable
 from dataclasses import dataclass
-from functools import cached_property
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -37,6 +36,7 @@ from closedloop.surface.motions.none import NoMotion
 from closedloop.surface.plane import contact_frame, unit
 from closedloop.surface.surface import Surface
 from closedloop.user_code import of_users
+from robot_models.cached import cached_property
 
 Array = NDArray[np.float64]
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from functools import cached_property, lru_cache
+from functools import lru_cache
 from typing import Any, overload
 
 import numpy as np
@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 
 from closedloop.errors import ScenarioError
 from closedloop.sweep.axes import Axis
+from robot_models.cached import cached_property
 
 GRID, RANDOM, LATIN = "grid", "random", "latin"
 

@@ -7,7 +7,6 @@ import json
 import math
 from collections.abc import Iterable
 from dataclasses import dataclass
-from functools import cached_property
 from typing import Any
 
 import robot_models
@@ -26,6 +25,7 @@ from closedloop.simulation.simulate import check_engine
 from closedloop.sweep.design import GRID, LATIN, Design
 from closedloop.sweep.part import Job
 from closedloop.user_code import source_digest
+from robot_models.cached import cached_property
 
 # Runs in a part: enough that writing it costs little, few enough that a kill loses little and all cores have work to
 # the end. It depends on the sweep only, so that the parts are the same whoever makes them.

@@ -39,6 +39,7 @@ def folder(tmp_path, monkeypatch):
     monkeypatch.setattr(background, "_PROGRAM", background._DETACHED + SLEEPER.format(folder=str(notes)))
     monkeypatch.setattr(background, "_asked", set())
     monkeypatch.setattr(background, "_said", set())
+    monkeypatch.setattr(background, "_waited_for", set())
     monkeypatch.setattr(background, "needs_compiling", lambda function: True)
     monkeypatch.delenv(background.VARIABLE)
     yield notes
@@ -97,6 +98,34 @@ def test_who_needs_it_waits(folder, monkeypatch, caplog):
         background.make_ready(proceed_at)
     assert caplog.messages == ["compiling the step: waiting for the process that does it in the background ..."]
     assert next(missing, None) is None
+
+
+class SimulatedClock:
+    """A clock that goes on only while somebody sleeps."""
+
+    def __init__(self):
+        self.now = 0.0
+
+    def monotonic(self):
+        """Return the time, s."""
+        return self.now
+
+    def sleep(self, seconds):
+        """Let time pass."""
+        self.now += seconds
+
+
+def test_nobody_waits_longer_than_compiling_takes(folder, monkeypatch):
+    """A process may be stopped, or get no processor: all who wait for it give up in time, and for good."""
+    background.start([proceed_at, run_in_lanes])
+    who(folder, "proceed_at", "run_in_lanes")
+    clock = SimulatedClock()
+    monkeypatch.setattr(background, "clock", clock)
+    wanted = [(proceed_at,), (proceed_at, run_in_lanes), (run_in_lanes, collide), (proceed_at,), (collide,)]
+    for functions in wanted * 3:
+        background.make_ready(*functions)
+    needed = background.seconds_of({function.__name__ for functions in wanted for function in functions})
+    assert 0.9 * needed < clock.now < needed + len(wanted) * 3 * background.BETWEEN_LOOKS
 
 
 def test_who_needs_what_never_comes_compiles_it(folder, caplog):

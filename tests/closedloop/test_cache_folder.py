@@ -2,11 +2,15 @@
 
 import os
 import resource
+import shutil
+import subprocess
+import sys
 import time
 from pathlib import Path
 
 import pytest
 
+import closedloop
 from closedloop.jit import cache_folder as caches
 from closedloop.jit.background import compiling_notice
 from closedloop.jit.cache_folder import (
@@ -18,7 +22,9 @@ from closedloop.jit.cache_folder import (
     claim,
     forget_old_caches,
     is_ours,
+    source_texts,
     why_not_kept,
+    why_not_trusted,
 )
 
 OLD, LATELY = UNUSED + 3600.0, 3600.0
@@ -233,3 +239,89 @@ def test_why_nothing_can_be_kept(root, monkeypatch):
     monkeypatch.setattr(caches, "cache_folder", lambda: root / "file" / "closedloop-ffffffffffffffff")
     assert why_not_kept() == f"{root / 'file' / 'closedloop-ffffffffffffffff'}: Not a directory"
     assert "cannot be kept" in compiling_notice()
+
+
+PACKAGE = Path(closedloop.__file__).parent
+
+
+def test_constants_of_kernels_count(tmp_path):
+    """A file without a kernel, whose constants kernels have, is part of what they say; the commands are not."""
+    texts = source_texts(PACKAGE)
+    for name, counts in ("events/phases.py", True), ("step/memory.py", True), ("command/table.py", False):
+        assert ((PACKAGE / name).read_bytes() in texts) == counts, name
+
+
+def test_each_copy_of_the_tree_says_the_same(tmp_path):
+    """Elsewhere the texts are the same, in the same order; with another constant they are not."""
+    copy = tmp_path / "elsewhere" / "closedloop"
+    shutil.copytree(PACKAGE, copy, ignore=shutil.ignore_patterns("__pycache__"))
+    assert source_texts(copy) == source_texts(PACKAGE)
+    phases = copy / "events" / "phases.py"
+    phases.write_text(phases.read_text() + "MORE = 1\n")
+    assert source_texts(copy) != source_texts(PACKAGE)
+
+
+unix = pytest.mark.skipif(not hasattr(os, "geteuid"), reason="files have no such owners")
+
+
+@unix
+def test_a_folder_that_others_can_write_is_not_trusted(tmp_path):
+    """Nor one in such a folder, unless nobody can replace what is another's there."""
+    inside = tmp_path / "open" / "inside"
+    inside.mkdir(parents=True)
+    assert why_not_trusted(inside) == ""
+    for mode in (0o777, 0o757):
+        (tmp_path / "open").chmod(mode)
+        assert why_not_trusted(inside).startswith(f"{tmp_path / 'open'} can be written by other users")
+        assert why_not_trusted(inside / "not" / "there") != ""
+    (tmp_path / "open").chmod(0o1777)
+    assert why_not_trusted(inside) == ""
+    inside.chmod(0o1777)  # code in it could be another's
+    assert why_not_trusted(inside).startswith(str(inside))
+    (tmp_path / "link").symlink_to(inside)
+    assert why_not_trusted(tmp_path / "link").startswith(str(inside))
+
+
+@pytest.mark.skipif(not hasattr(os, "geteuid") or os.geteuid() != 0, reason="only root can give a folder away")
+def test_a_folder_of_another_user_is_not_trusted(tmp_path):
+    """Whoever owns a folder can put anything into it."""
+    os.chown(tmp_path, 65534, 65534)
+    assert why_not_trusted(tmp_path / "inside") == f"{tmp_path} belongs to another user"
+
+
+def folder_of(**environment):
+    """Return the cache folder of a process with other variables, and what it says."""
+    code = "from closedloop.jit.cache_folder import cache_folder; print(cache_folder())"
+    known = {key: value for key, value in os.environ.items() if not key.startswith("NUMBA_")}
+    done = subprocess.run(
+        [sys.executable, "-c", code], env=known | environment, cwd=PACKAGE.parent, capture_output=True, text=True,
+        check=True,
+    )  # fmt: skip
+    return Path(done.stdout.strip()), done.stderr
+
+
+@unix
+def test_the_run_goes_on_with_a_folder_of_its_own(tmp_path):
+    """One line says why the folder that was named is not used; the user's own is, wherever the package lies."""
+    (tmp_path / "open").mkdir()
+    (tmp_path / "open").chmod(0o777)
+    own = tmp_path / "own"
+    folder, said = folder_of(NUMBA_CACHE_DIR=str(tmp_path / "open"), XDG_CACHE_HOME=str(own))
+    assert folder.parent == own
+    (line,) = said.splitlines()
+    assert line.startswith(f"compiled code in {tmp_path / 'open'} is not used: ")
+    assert folder_of(XDG_CACHE_HOME=str(own)) == (folder, "")
+
+
+@pytest.mark.slow
+def test_code_for_another_processor_is_kept_apart(tmp_path):
+    """And that of other settings of the compiler."""
+    ways = (
+        {},
+        {"NUMBA_CPU_NAME": "generic"},
+        {"NUMBA_BOUNDSCHECK": "1"},
+        {"NUMBA_SLP_VECTORIZE": "1"},
+        {"NUMBA_OPT": "1"},
+    )
+    names = [folder_of(NUMBA_CACHE_DIR=str(tmp_path), **way)[0].name for way in ways]
+    assert len(set(names)) == len(ways)

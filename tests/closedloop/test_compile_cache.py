@@ -76,12 +76,15 @@ def test_the_next_process_finds_it(twice, folder):
 
 
 def test_another_source_is_not_found(twice, folder):
-    """A kernel outside the package whose file has changed is compiled again, into the same place."""
+    """A kernel outside the package whose file has changed is compiled again."""
     twice()(3)
     changed = twice(SOURCE.replace("2 * x", "5 * x"))
     assert changed(3) == 15
     assert hits(changed) == 0
-    assert code_of(folder).is_file()
+    assert len(list(folder.glob("*.nbc"))) == 2
+    again = twice()
+    assert again(3) == 6
+    assert hits(again) == 1
 
 
 def cut(data):
@@ -184,3 +187,75 @@ def test_several_processes_at_once(tmp_path):
     assert after.stdout.split() == ["6", "3.0", "2", "3"]
     (folder,) = (tmp_path / "cache").iterdir()
     assert all(p.name == MARKER or p.suffix == ".nbc" for p in folder.iterdir())
+
+
+CALLS = """
+from closedloop.jit.kernel import entry_kernel
+import numba
+import helper_of_test as helper
+from helper_of_test import HALF
+
+inner = numba.njit(helper.inner)
+
+@entry_kernel
+def whole(x):
+    return inner(x) + HALF + helper.MORE
+"""
+HELPER = "HALF, MORE = 0.5, 0.0\n\ndef inner(x):\n    return 2.0 * x\n"
+
+
+def made_in(place, helper, monkeypatch):
+    """Return a kernel made from files in a folder, as another process would."""
+    place.mkdir(exist_ok=True)
+    (place / "helper_of_test.py").write_text(helper)
+    (place / "calls_of_test.py").write_text(CALLS)
+    for name in ("helper_of_test", "calls_of_test"):
+        sys.modules.pop(name, None)
+        spec = importlib.util.spec_from_file_location(name, place / f"{name}.py")
+        module = importlib.util.module_from_spec(spec)
+        monkeypatch.setitem(sys.modules, name, module)
+        exec(compile((place / f"{name}.py").read_text(), str(place / f"{name}.py"), "exec"), module.__dict__)
+    return module.whole
+
+
+@pytest.mark.usefixtures("folder")
+def test_a_copy_elsewhere_finds_it(tmp_path, monkeypatch):
+    """What the code says counts, and not where it lies; but all that it says, in other files and constants too."""
+    assert made_in(tmp_path / "one", HELPER, monkeypatch)(3.0) == 6.5
+    copy = made_in(tmp_path / "two", HELPER, monkeypatch)
+    assert copy(3.0) == 6.5
+    assert hits(copy) == 1
+    for changed, answer in (("2.0 *", "4.0 *"), 12.5), (("= 0.5", "= 1.5"), 7.5), (("0.0\n", "9.0\n"), 15.5):
+        other = made_in(tmp_path / "two", HELPER.replace(*changed), monkeypatch)
+        assert other(3.0) == answer
+        assert hits(other) == 0
+
+
+@pytest.mark.skipif(not hasattr(os, "geteuid"), reason="files have no such owners")
+def test_code_that_another_user_could_have_written_is_not_loaded(twice, folder, caplog):
+    """A file that others can write, or of another user, is compiled again, with a line that says so."""
+    twice()(3)
+    ways = [lambda file: file.chmod(0o666)]
+    if os.geteuid() == 0:
+        ways.append(lambda file: os.chown(file, 65534, 65534))
+    for make in ways:
+        make(code_of(folder))
+        caplog.clear()
+        again = twice()
+        assert again(3) == 6
+        assert hits(again) == 0
+        assert "is not used: it " in caplog.text
+        trusted = twice()
+        trusted(3)
+        assert hits(trusted) == 1
+
+
+def test_a_link_to_code_is_not_followed(twice, folder, tmp_path):
+    """Who can make a link only cannot choose what is loaded."""
+    twice()(3)
+    file = code_of(folder)
+    file.rename(tmp_path / "planted")
+    file.symlink_to(tmp_path / "planted")
+    again = twice()
+    assert again(3) == 6
+    assert hits(again) == 0

@@ -1,6 +1,7 @@
 """A run that a law or a signal ends early: everything until then is there, to the bit, and the reason in one line."""
 
 import signal
+import subprocess
 import sys
 
 import numpy as np
@@ -237,3 +238,49 @@ def test_sigterm_is_an_interruption_with_a_name():
     assert isinstance(caught.value.__cause__, Terminated)
     assert len(caught.value.run) == 21
     assert signal.getsignal(signal.SIGTERM) is signal.SIG_DFL
+
+
+@pytest.mark.parametrize("where", ["prepare", "begun", "driver"])
+def test_ctrl_c_before_the_first_step_carries_the_run(where, monkeypatch):
+    """Whenever it comes, what is raised is the interrupted run; before there is a row it has none."""
+    from closedloop.simulation import simulate as module
+
+    plain = getattr(module, where)
+
+    def interrupted_there(*arguments, **options):
+        interrupt()
+        return plain(*arguments, **options)
+
+    monkeypatch.setattr(module, where, interrupted_there)
+    with pytest.raises(cl.InterruptedRunError) as caught:
+        cl.simulate(scenario())
+    assert len(caught.value.run) == 0
+    assert caught.value.run.scenario.name == "wam_slide"
+
+
+STARTS = """
+import os, signal, sys, _thread
+count, at = 0, int(sys.argv.pop(1))
+def see(event, arguments):
+    global count
+    if event == "import" and not at < 0:
+        count += 1
+        if count == at:
+            signal.raise_signal(signal.SIGINT)
+sys.argv[0] = "closedloop"
+import closedloop
+sys.addaudithook(see)
+from closedloop.__main__ import main
+sys.exit(main())
+"""
+
+
+def test_ctrl_c_while_a_command_is_imported_prints_no_traceback():
+    """At whichever import it comes, the status is 130, and there is one line or none."""
+    for at in (1, 40, 150):
+        done = subprocess.run(
+            [sys.executable, "-c", STARTS, str(at), "run", "--list"], capture_output=True, text=True, check=False
+        )
+        assert done.returncode == 130, done.stderr
+        assert len(done.stderr.splitlines()) <= 1, done.stderr
+        assert "Traceback" not in done.stderr

@@ -6,6 +6,7 @@ import signal
 import socket
 import subprocess
 import sys
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -13,7 +14,8 @@ import pytest
 import closedloop as cl
 from closedloop.__main__ import main
 from closedloop.export.mcap_file import write_mcap
-from closedloop.lab.server import is_loopback, serve
+from closedloop.lab.server import is_loopback, serve, without_token
+from closedloop.lab.start import open_in_browser
 
 
 @pytest.fixture(scope="module")
@@ -57,6 +59,35 @@ def test_only_loopback_is_without_a_warning():
     assert [is_loopback(host) for host in ("0.0.0.0", "192.168.1.2", "example.org")] == [False] * 3
 
 
+TOKEN = "0123456789abcdef"
+
+
+@pytest.fixture(scope="module")
+def served():
+    """A server of a page, its port, and the subprotocol that its page asks for."""
+    viser = pytest.importorskip("viser", reason="viser is not installed: the extra 'lab'")
+    server = serve("127.0.0.1", 8591, TOKEN)
+    yield server.get_port(), f"viser-v{viser.__version__}"
+    server.stop()
+
+
+def asked_for(served, path, *, socketed=True, origin="http://{}", host="{}"):
+    """Return the head of what the server answers to a request, for its websocket or for a page."""
+    port, protocol = served
+    own = f"127.0.0.1:{port}"
+    lines = [f"Host: {host.format(own)}"]
+    if socketed:
+        lines += ["Upgrade: websocket", "Connection: Upgrade", "Sec-WebSocket-Version: 13",
+                  "Sec-WebSocket-Key: AAAAAAAAAAAAAAAAAAAAAA==", f"Sec-WebSocket-Protocol: {protocol}"]  # fmt: skip
+    lines += [] if origin is None else [f"Origin: {origin.format(own)}"]
+    with socket.create_connection(("127.0.0.1", port), 30.0) as asking:
+        asking.sendall("\r\n".join([f"GET {path} HTTP/1.1", *lines, "", ""]).encode())
+        head = b""
+        while b"\r\n\r\n" not in head and (more := asking.recv(4096)):
+            head += more
+    return head.partition(b"\r\n\r\n")[0].decode()
+
+
 @pytest.mark.parametrize(
     ("origin", "host", "let_in"),
     [
@@ -67,22 +98,49 @@ def test_only_loopback_is_without_a_warning():
         ("http://example.org", "example.org", False),
     ],
 )
-def test_no_other_page_reaches_the_socket(origin, host, let_in):
+def test_no_other_page_reaches_the_socket(origin, host, let_in, served):
     """A browser lets any page open it: it is refused by its origin, a name elsewhere that leads here by its host."""
-    viser = pytest.importorskip("viser", reason="viser is not installed: the extra 'lab'")
-    server = serve("127.0.0.1", 8591)
-    own = f"127.0.0.1:{server.get_port()}"
-    lines = [f"Host: {host.format(own)}", "Upgrade: websocket", "Connection: Upgrade", "Sec-WebSocket-Version: 13",
-             "Sec-WebSocket-Key: AAAAAAAAAAAAAAAAAAAAAA==",
-             f"Sec-WebSocket-Protocol: viser-v{viser.__version__}"]  # fmt: skip
-    lines += [] if origin is None else [f"Origin: {origin.format(own)}"]
-    try:
-        with socket.create_connection(("127.0.0.1", server.get_port()), 30.0) as asked:
-            asked.sendall("\r\n".join(["GET / HTTP/1.1", *lines, "", ""]).encode())
-            status = asked.recv(12).decode()
-    finally:
-        server.stop()
-    assert status == ("HTTP/1.1 101" if let_in else "HTTP/1.1 403")
+    status = asked_for(served, f"/{TOKEN}", origin=origin, host=host)
+    assert status.startswith("HTTP/1.1 101" if let_in else "HTTP/1.1 403")
+
+
+@pytest.mark.parametrize("socketed", [True, False], ids=["websocket", "page"])
+@pytest.mark.parametrize(
+    "path",
+    [
+        "/", "/index.html", f"/{TOKEN[:-1]}", f"/{TOKEN}0", f"/x/{TOKEN}", "/?token=", f"/?token={TOKEN[1:]}",
+        "/?token=%C3%A9",
+    ],
+)  # fmt: skip
+def test_who_does_not_name_the_token_gets_nothing(path, socketed, served):
+    """Another user of this computer reaches the port, and neither the page nor its socket."""
+    assert asked_for(served, path, socketed=socketed, origin=None).startswith("HTTP/1.1 403")
+
+
+def test_the_address_leads_to_the_page_and_its_socket(served):
+    """The address that is printed sends the page on to one below which it opens its socket; nothing tells it on."""
+    sent_on = asked_for(served, f"/?token={TOKEN}", socketed=False, origin=None)
+    assert sent_on.startswith("HTTP/1.1 302")
+    assert f"Location: /{TOKEN}" in sent_on
+    page = asked_for(served, f"/{TOKEN}", socketed=False, origin=None)
+    assert page.startswith("HTTP/1.1 200")
+    assert "text/html" in page
+    assert "Referrer-Policy: no-referrer" in page
+    for path in (f"/{TOKEN}", f"/?token={TOKEN}"):
+        assert asked_for(served, path).startswith("HTTP/1.1 101")
+    assert without_token(f"/{TOKEN}/any/file?x=1", TOKEN) == "/any/file"
+
+
+def test_the_browser_is_given_no_token_on_its_command_line(monkeypatch):
+    """Other users see the words of a command line: they name a file of this user's, which has the address."""
+    opened = []
+    monkeypatch.setattr("webbrowser.open", opened.append)
+    open_in_browser(f"http://127.0.0.1:8080/?token={TOKEN}")
+    (uri,) = opened
+    assert TOKEN not in uri
+    page = Path(uri.removeprefix("file://"))
+    assert f"url=http://127.0.0.1:8080/?token={TOKEN}" in page.read_text()
+    assert os.name != "posix" or page.parent.stat().st_mode & 0o077 == 0
 
 
 @pytest.mark.slow
@@ -93,6 +151,7 @@ def test_ctrl_c_closes_the_lab_without_a_traceback(tmp_path):
     with subprocess.Popen(words, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True, cwd=tmp_path) as process:
         line = process.stdout.readline()
         assert "http://127.0.0.1:84" in line
+        assert "/?token=" in line
         os.kill(process.pid, signal.SIGINT)
         _, err = process.communicate(timeout=60)
     assert process.returncode == 0

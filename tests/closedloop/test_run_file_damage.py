@@ -5,6 +5,9 @@ import hashlib
 import io
 import os
 import shutil
+import signal
+import threading
+import time
 
 import h5py
 import numpy as np
@@ -75,6 +78,51 @@ def test_every_changed_byte_is_told_before_hdf5_reads_it(copy, saved):
 def test_intact_file_needs_no_other_process(saved):
     """What was written is read here, and quickly."""
     assert len(cl.load_run(saved)) == 51
+
+
+@pytest.fixture
+def not_ours(monkeypatch):
+    """Let this process have written nothing."""
+    monkeypatch.setattr(sealed, "_ours", set())
+
+
+@pytest.mark.usefixtures("not_ours")
+def test_a_seal_is_no_reason_to_read_a_file_here(saved, monkeypatch):
+    """Anyone can seal a damaged file: what this process did not write is read by one that can be ended."""
+    expected, asked = cl.load_run(saved), []
+    monkeypatch.setattr(
+        sealed, "_read_apart", lambda path, size, names: asked.append(path) or read_hdf5(str(path), size, names)
+    )
+    assert np.array_equal(cl.load_run(saved).q, expected.q)
+    assert asked == [saved]
+
+
+@pytest.mark.usefixtures("not_ours")
+@pytest.mark.parametrize("ended_by", ["the limit", "Ctrl-C"])
+def test_a_sealed_file_that_hdf5_never_finishes_is_ended(saved, ended_by, monkeypatch, tmp_path):
+    """The reader of a resealed file loops for ever: after the time for its size, or at Ctrl-C, it is gone."""
+    program, begun = tmp_path / "python", tmp_path / "begun"
+    program.write_text(
+        f"#!/bin/sh\ntrap '' INT\necho $$ >{begun}.new; mv {begun}.new {begun}\nwhile :; do sleep 1; done\n"
+    )
+    program.chmod(0o700)
+    monkeypatch.setattr(sealed.sys, "executable", str(program))
+    if ended_by == "the limit":
+        monkeypatch.setattr(sealed, "PATIENCE", 2.0)
+        with pytest.raises(cl.RunFileError, match="did not come to an end"):
+            cl.load_run(saved)
+    else:
+
+        def interrupt():
+            while not begun.exists():
+                time.sleep(0.01)
+            os.kill(os.getpid(), signal.SIGINT)
+
+        threading.Thread(target=interrupt, daemon=True).start()
+        with pytest.raises(KeyboardInterrupt):
+            cl.load_run(saved)
+    with pytest.raises(ProcessLookupError):
+        os.kill(int(begun.read_text()), 0)
 
 
 def test_the_line_of_the_seal_says_what_it_is(saved):

@@ -195,6 +195,7 @@ def end_stick_or_slip(w: Work, constants: Constants, state: State, rows: Array, 
             find_direction(w, state)
         if state.sticking == RIGID_STICK:  # slip starts from rest: the velocity left by errors is removed
             loss = stop_tip(w, state)
+            w.start_slip_speed = 0.0  # that of the substep before was such an error, and judges this slip no more
     else:
         speed = np.hypot(w.u[1], w.u[2])
         slow = speed <= max(2.0 * constants.stick_speed, constants.capture_speed * (1.0 + 1e-9))
@@ -224,6 +225,7 @@ def end_stick_or_slip(w: Work, constants: Constants, state: State, rows: Array, 
                 return NEED_TERMS
             else:
                 state.kind = REVERSAL
+                w.start_slip_speed = 0.0  # as where sticking ends: the slip in the new direction starts from rest
                 find_direction(w, state)
     log_event(w, constants, state, events, loss)
     request_terms(state, AFTER_EVENT)

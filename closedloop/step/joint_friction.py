@@ -12,7 +12,15 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from closedloop.closure.contact_force import FREE, PRESSED, STUCK, accelerate, pressed_force, stuck_force
+from closedloop.closure.contact_force import (
+    FREE,
+    PRESSED,
+    STUCK,
+    accelerate,
+    pressed_force,
+    stuck_force,
+    stuck_tangentially,
+)
 from closedloop.jit.calls import call_at
 from closedloop.jit.kernel import kernel
 from closedloop.jit.pointers import row_of
@@ -98,7 +106,12 @@ def hold_joints(w: Work, constants: Constants, state: State) -> None:
             a[i] = 0.0
             for m in range(n):
                 a[i] += w.X[i, m] * y[m]
-        if state.mode == PRESSED or (state.mode == STUCK and state.sticking == SPRING_STICK):
+        if state.compliance != 0:  # f follows the depth, which a torque does not change at once
+            if state.mode == STUCK and state.sticking == RIGID_STICK:
+                for i in range(3):
+                    w.b_stabiliser[i] = 0.0
+                stuck_tangentially(w.S, a, w.b_stabiliser, F)
+        elif state.mode == PRESSED or (state.mode == STUCK and state.sticking == SPRING_STICK):
             pressed_force(w.S, a, 0.0, w.c, none, F)
         elif state.mode != FREE:
             for i in range(3):

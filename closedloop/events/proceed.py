@@ -49,6 +49,7 @@ from closedloop.events.phases import (
     IMPULSES_KNOWN,
     MEASURED,
     NEED_TERMS,
+    OUTPACED,
     PROJECT,
     PROJECTION,
     RETRY_SUBSTEP,
@@ -144,7 +145,7 @@ def proceed(
             if state.row == state.steps:
                 return DONE
             state.row += 1
-            state.events_in_step, state.after_event = 0, 0
+            state.events_in_step, state.after_event = max(state.events_in_step - OUTPACED, 0), 0
             w.length = constants.h
         elif todo == RETRY_SUBSTEP and state.hold > 0 and state.sampled != 0:
             for j in range(w.torque.shape[0]):

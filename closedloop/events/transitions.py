@@ -16,7 +16,7 @@ from closedloop.closure.contact_force import (
     stuck_force,
     stuck_tangentially,
 )
-from closedloop.closure.solve import CHATTER, OK
+from closedloop.closure.solve import OK
 from closedloop.events.contacts import apply_contact_event, resume_with_contacts
 from closedloop.events.impacts import log_event, make_contact
 from closedloop.events.locate import cone_margin
@@ -45,7 +45,7 @@ from closedloop.events.stops import (
     reach_stops,
     release_stops,
 )
-from closedloop.events.substep import count_event, resume_step
+from closedloop.events.substep import count_event, resume_step, too_many_events
 from closedloop.events.table import (
     EDGE,
     LIFTOFF,
@@ -89,8 +89,7 @@ def resume_after_event(C: Array, w: Work, constants: Constants, state: State, ev
             make_contact(w, constants, state, np.hypot(w.u[1], w.u[2]))
             state.events -= 1
             state.events_in_step += 1
-            if state.events_in_step > MAX_IN_STEP or state.rapid_events > MAX_RAPID:
-                state.status = CHATTER
+            if too_many_events(state, MAX_RAPID):
                 return FAIL
             request_terms(state, AFTER_EVENT)
             return NEED_TERMS
@@ -114,8 +113,7 @@ def apply_event(H: Array, w: Work, constants: Constants, state: State, rows: Arr
         request_terms(state, AFTER_EVENT)
         return NEED_TERMS
     count_event(w, state)
-    if state.events_in_step > MAX_IN_STEP or (state.rapid_events > MAX_RAPID and state.mode != FREE):
-        state.status = CHATTER
+    if too_many_events(state, MAX_RAPID if state.mode != FREE else MAX_IN_STEP):
         return FAIL
     if state.mode == FREE:
         state.status = factorise_tip(H, w, constants, state)

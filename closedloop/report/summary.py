@@ -16,6 +16,7 @@ from closedloop.report.assumptions import assumptions
 from closedloop.report.measures import JOINT_MEASURES, MEASURES
 from closedloop.report.row_sample import Scale, energy_left, torque_power
 from closedloop.report.run_values import columns_of, run_values
+from closedloop.report.undetermined import not_determined_from
 from closedloop.report.verdict import Facts, judge
 from closedloop.scenario.arm import robot_of
 from closedloop.scenario.gains import gains_fault
@@ -45,6 +46,7 @@ def summarise(run: Record) -> dict[str, Any]:
         "not_finite": [name for name, value in values.items() if not _exists(value)],
         "wrist": _wrist(run),
         "tool": _tool(run),
+        "force_not_determined_from": not_determined_from(run),
         "events": {kind: sum(event.kind == kind for event in run.events) for kind in KINDS.values()},
         "assumptions": held,
         "joints": {

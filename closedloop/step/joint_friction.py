@@ -21,6 +21,7 @@ from closedloop.closure.contact_force import (
     stuck_force,
     stuck_tangentially,
 )
+from closedloop.friction.quantities import AT_REST
 from closedloop.jit.calls import call_at
 from closedloop.jit.kernel import kernel
 from closedloop.jit.pointers import row_of
@@ -87,7 +88,7 @@ def hold_joints(w: Work, constants: Constants, state: State) -> None:
     none[0], none[1] = 0.0, 0.0
     call_at(state.joint_friction, state.address, LIMIT)
     for j in range(n):
-        if not abs(w.v[j]) <= max(constants.joint_capture_speed[j], 1e-9):
+        if not abs(w.v[j]) <= max(constants.joint_capture_speed[j], AT_REST):
             limit[j] = abs(w.joint_dry[j])
         dry[j] = 0.0
         # Column j of the answer: q̈ to a torque of 1 N m in joint j, the contact as it is.

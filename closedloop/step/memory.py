@@ -97,7 +97,7 @@ class State(Block):
     next_phase: int  # after a projection
     projections: int  # Newton steps of this projection
     status: int
-    events_in_step: int
+    events_in_step: int  # less what rows took off, see `closedloop.events.phases.OUTPACED`
     rapid_events: int  # events in a row within `RAPID` of each other
     sampled: int  # 1 if the law is evaluated with these terms
     raised: int  # 1 once a user's member has raised something

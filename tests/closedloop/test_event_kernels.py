@@ -7,11 +7,14 @@ from scipy.optimize import brentq
 from test_joint_stops import after_moreau
 
 from closedloop.closure.contact_force import FREE, PRESSED, STUCK, apply_impulse
+from closedloop.closure.solve import CHATTER, CROWDED, RUBS
+from closedloop.engines.failures import _rubs_without_end
 from closedloop.events.impacts import apply_impact, collide
 from closedloop.events.locate import slip_margin
-from closedloop.events.phases import AFTER_EVENT, AT_EVENT, MAX_MOVES, NEED_TERMS, PROJECTION, STEP_END
+from closedloop.events.phases import AFTER_EVENT, AT_EVENT, MAX_IN_STEP, MAX_MOVES, NEED_TERMS, PROJECTION, STEP_END
 from closedloop.events.projection import project
 from closedloop.events.stops import BEYOND, PULLING, measure_stops, reach_stops
+from closedloop.events.substep import too_many_events
 from closedloop.events.table import EVENT_WIDTH, IMPACT, LIFTOFF, REVERSAL, SLIP_AGAIN, STICK, TOUCHDOWN, EventRow
 from closedloop.events.transitions import apply_event, end_stick_or_slip, find_direction
 from closedloop.jit.interpreted import interpreted
@@ -220,7 +223,7 @@ def test_the_end_of_stick_or_slip(case, soft):
 
 
 def test_friction_of_a_slow_tip_keeps_its_direction_through_a_step():
-    """A stage inside a step has the direction that solves the whole step, whatever its own slip; a new step asks anew."""
+    """A stage inside a step has the direction that solves the whole step, whatever its slip; a new step asks anew."""
     loop, _, _ = loop_at_random("wam_bounce", STICKING)
     state, w, mu, h = loop.state, loop.w, STICKING["friction.coefficient"], 1e-3
     w.S[:] = [[1.0, 0.1, 0.2], [0.1, 2.0, 0.5], [0.2, 0.5, 9.0]]
@@ -293,3 +296,18 @@ def test_projection_leaves_a_tip_that_has_no_way_along_the_normal():
         assert interpreted(project)(H, w, constants, state) == NEED_TERMS
     assert state.phase != PROJECTION
     np.testing.assert_array_equal([w.q, w.v], [q, v])
+
+
+def test_events_without_end_stop_the_run_and_are_told_apart():
+    """Too many at one instant say what alternated; too many in the latest steps are too many, wherever they are."""
+    loop, _, _ = loop_at_random("wam_bounce", STICKING)
+    state, most = loop.state, 20
+    for kind, status in ((SLIP_AGAIN, RUBS), (STICK, RUBS), (REVERSAL, RUBS), (LIFTOFF, CHATTER), (TOUCHDOWN, CHATTER)):
+        for rapid, events, told in ((most, MAX_IN_STEP, 0), (most + 1, 1, status), (0, MAX_IN_STEP + 1, CROWDED)):
+            state.kind, state.rapid_events, state.events_in_step, state.status = kind, rapid, events, 0
+            assert interpreted(too_many_events)(state, most) == (told != 0)
+            assert state.status == told
+    alternating, crowded = (_rubs_without_end(status, 0.25) for status in (RUBS, CROWDED))
+    assert "stick and slip follow each other" in str(alternating)
+    assert f"more than {MAX_IN_STEP} times" in str(crowded)
+    assert all("torque presses" not in str(error) and error.time == 0.25 for error in (alternating, crowded))

@@ -133,7 +133,7 @@ def _rubs_without_end(status: int, t: float) -> SimulationError:
         )
     return ChatterError(
         f"{when(t)}: too many events: the contact changed its mode more than {MAX_IN_STEP} times in the last few "
-        f"steps, and more than {OUTPACED} times in each, faster than time.step resolves; look at the events of the run, "
+        f"steps, and more than {OUTPACED} times in each, faster than time.step resolves; look at its events, "
         "at a law or a friction that acts faster than a step, and at time.step",
         t,
     )

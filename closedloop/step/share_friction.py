@@ -84,7 +84,7 @@ def share_friction(w: Work, constants: Constants, state: State) -> None:
 def in_cone(w: Work, change: Array) -> bool:
     """Return whether F with this change is in the cone of friction of a tip that sticks."""
     size = math.hypot(w.F[1] + change[1], w.F[2] + change[2])
-    return size <= (1.0 - RIM) * w.stick_limit * (w.F[0] + change[0])
+    return bool(size <= (1.0 - RIM) * w.stick_limit * (w.F[0] + change[0]))
 
 
 @kernel

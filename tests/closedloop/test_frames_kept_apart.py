@@ -22,8 +22,8 @@ def test_a_joint_without_a_drive_has_no_motor():
 
 
 def test_a_normal_turns_at_right_angles_to_itself_though_the_point_leaves_the_surface():
-    """Of a sphere ṅ is the velocity across n over the distance from its centre."""
-    changes = {"surface.kind": "sphere", "surface.radius": 0.25, "reference.kind": "hold"}
+    """Of an ellipsoid, whose φ bends along its normal too; ṅ is that of differences."""
+    changes = {"surface.kind": "ellipsoid", "reference.kind": "hold"}
     problem = prepare(cl.load_scenario("panda_slide", changes))
     shape, r = shape_at(problem.surface), np.asarray(problem.surface.origin)
     velocity, h = np.array([0.3, -0.2, 0.5]), 1e-6

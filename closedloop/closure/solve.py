@@ -27,7 +27,9 @@ Array = NDArray[np.float64]
 # where no joint's lever arm along the normal is above 1e-6 of the arm's reach (its square above this share of reach²).
 SINGULAR_MOBILITY = 1e-12
 
-OK, SINGULAR, NOT_POSITIVE_DEFINITE, DIVERGED, PAINLEVE, CHATTER, LAW_FAILED, NO_NORMAL, PUSHED = range(9)
+OK, SINGULAR, NOT_POSITIVE_DEFINITE, DIVERGED, PAINLEVE, CHATTER, LAW_FAILED, NO_NORMAL, PUSHED, RUBS, CROWDED = range(
+    11
+)
 
 
 def bordered_matrix(H: ArrayLike, A: ArrayLike) -> Array:

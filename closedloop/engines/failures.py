@@ -9,7 +9,16 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from closedloop.closure.solve import CHATTER, NO_NORMAL, NOT_POSITIVE_DEFINITE, PAINLEVE, PUSHED, SINGULAR
+from closedloop.closure.solve import (
+    CHATTER,
+    CROWDED,
+    NO_NORMAL,
+    NOT_POSITIVE_DEFINITE,
+    PAINLEVE,
+    PUSHED,
+    RUBS,
+    SINGULAR,
+)
 from closedloop.engines.problem import Problem
 from closedloop.errors import (
     ChatterError,
@@ -22,6 +31,7 @@ from closedloop.errors import (
     SimulationError,
     SingularClosureError,
 )
+from closedloop.events.phases import MAX_IN_STEP, OUTPACED
 from closedloop.families import is_users
 from closedloop.interrupts import word_for
 from closedloop.jit.interpreted import interpreted
@@ -89,6 +99,8 @@ def failure_of(status: int, t: float, robot: Robot, problem: Problem, law: Any, 
             "surface and lifts it off while it is on; look at a law that depends on the contact, and at time.step",
             t,
         )
+    if status in (RUBS, CROWDED):
+        return _rubs_without_end(status, t)
     if problem.scenario.contact and status in (PAINLEVE, SINGULAR):
         return _contacts_fail(status, t)
     if status == PAINLEVE:
@@ -107,6 +119,23 @@ def failure_of(status: int, t: float, robot: Robot, problem: Problem, law: Any, 
         cure = gains_fault(problem.scenario, robot) or cure
     return DivergenceError(
         f"{when(t)}: {DIVERGES}: joint {name} is beyond {SPEED_LIMIT:g} rad/s or not a number; {cure}", t
+    )
+
+
+def _rubs_without_end(status: int, t: float) -> SimulationError:
+    """Return the error of a tip that changes its mode again and again, at one instant or in every step."""
+    if status == RUBS:
+        return ChatterError(
+            f"{when(t)}: stick and slip follow each other without end at one instant: friction finds no direction in "
+            "which the tip slips, and cannot hold it; look at friction, at stabiliser.kind (a tip that sticks drifts "
+            "without one), and at time.step",
+            t,
+        )
+    return ChatterError(
+        f"{when(t)}: too many events: the contact changed its mode more than {MAX_IN_STEP} times in the last few "
+        f"steps, and more than {OUTPACED} times in each, faster than time.step resolves; look at its events, "
+        "at a law or a friction that acts faster than a step, and at time.step",
+        t,
     )
 
 

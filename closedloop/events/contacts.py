@@ -11,7 +11,7 @@ import math
 import numpy as np
 from numpy.typing import NDArray
 
-from closedloop.closure.solve import CHATTER, OK
+from closedloop.closure.solve import OK
 from closedloop.contacts.memory import ContactLinks, Contacts, contacts_at
 from closedloop.events.phases import (
     AFTER_EVENT,
@@ -19,12 +19,11 @@ from closedloop.events.phases import (
     AT_EVENT,
     ENLARGE_TABLE,
     FAIL,
-    MAX_IN_STEP,
     MAX_RAPID,
     NEED_TERMS,
     request_terms,
 )
-from closedloop.events.substep import count_event, resume_step
+from closedloop.events.substep import count_event, resume_step, too_many_events
 from closedloop.events.table import LIFTOFF, RELEASE, STOP, EventRow
 from closedloop.jit.calls import call_at
 from closedloop.jit.kernel import kernel
@@ -44,8 +43,8 @@ def apply_contact_event(w: Work, state: State, events: Array) -> int:
         state.phase = AT_EVENT
         return ENLARGE_TABLE
     count_event(w, state)
-    if state.events_in_step > MAX_IN_STEP or state.rapid_events > 2 * MAX_RAPID:
-        state.status = CHATTER
+    state.kind = 0
+    if too_many_events(state, 2 * MAX_RAPID):
         return FAIL
     links.tired = 1 if state.rapid_events > MAX_RAPID else 0
     state.status = call_at(state.contacts, state.contacts_at, IMPULSE)

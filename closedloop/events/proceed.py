@@ -49,6 +49,7 @@ from closedloop.events.phases import (
     IMPULSES_KNOWN,
     MEASURED,
     NEED_TERMS,
+    OUTPACED,
     PROJECT,
     PROJECTION,
     RETRY_SUBSTEP,
@@ -120,6 +121,7 @@ def proceed(
     # The gap of a tip that is free is all that a trial step is for, unless there is more to watch.
     free = state.mode == FREE and state.stops == 0 and state.contacts == 0
     if phase in (STEP_END, STAGE, AFTER_EVENT) or (phase in (TRIAL_END, AT_EVENT) and not free):
+        state.inside = 1 if phase == STAGE else 0
         status = evaluate(H, C, w, constants, state, table, rows)
         if status != OK:
             state.status = status
@@ -143,7 +145,7 @@ def proceed(
             if state.row == state.steps:
                 return DONE
             state.row += 1
-            state.events_in_step, state.after_event = 0, 0
+            state.events_in_step, state.after_event = max(state.events_in_step - OUTPACED, 0), 0
             w.length = constants.h
         elif todo == RETRY_SUBSTEP and state.hold > 0 and state.sampled != 0:
             for j in range(w.torque.shape[0]):

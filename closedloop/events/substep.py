@@ -6,6 +6,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from closedloop.closure.contact_force import FREE, PRESSED
+from closedloop.closure.solve import CHATTER, CROWDED, RUBS
 from closedloop.events.locate import choose_trial, event_function
 from closedloop.events.phases import (
     ADVANCE,
@@ -17,6 +18,7 @@ from closedloop.events.phases import (
     LEAVING,
     LOCATE_EVENT,
     LOCATE_MINIMUM,
+    MAX_IN_STEP,
     NEED_TERMS,
     NO_TRIAL,
     PROJECTION,
@@ -32,6 +34,7 @@ from closedloop.events.phases import (
     TRIAL_END,
     request_terms,
 )
+from closedloop.events.table import REVERSAL, SLIP_AGAIN, STICK
 from closedloop.jit.calls import call_at
 from closedloop.jit.kernel import kernel, kernel_inlined
 from closedloop.step.contacts import SAVE
@@ -144,6 +147,18 @@ def count_event(w: Work, state: State) -> None:
     else:
         state.rapid_events += 1
     w.last_event = w.time
+
+
+@kernel
+def too_many_events(state: State, most_rapid: int) -> bool:
+    """Return whether there are too many events at one instant, or in the latest steps, and write the status then."""
+    if state.events_in_step > MAX_IN_STEP:
+        state.status = CROWDED
+        return True
+    if state.rapid_events > most_rapid:
+        state.status = RUBS if state.kind in (STICK, SLIP_AGAIN, REVERSAL) else CHATTER
+        return True
+    return False
 
 
 @kernel_inlined

@@ -16,7 +16,7 @@ from closedloop.closure.contact_force import (
     stuck_force,
     stuck_tangentially,
 )
-from closedloop.closure.solve import CHATTER, OK
+from closedloop.closure.solve import OK
 from closedloop.events.contacts import apply_contact_event, resume_with_contacts
 from closedloop.events.impacts import log_event, make_contact
 from closedloop.events.locate import cone_margin
@@ -45,7 +45,7 @@ from closedloop.events.stops import (
     reach_stops,
     release_stops,
 )
-from closedloop.events.substep import count_event, resume_step
+from closedloop.events.substep import count_event, resume_step, too_many_events
 from closedloop.events.table import (
     EDGE,
     LIFTOFF,
@@ -89,8 +89,7 @@ def resume_after_event(C: Array, w: Work, constants: Constants, state: State, ev
             make_contact(w, constants, state, np.hypot(w.u[1], w.u[2]))
             state.events -= 1
             state.events_in_step += 1
-            if state.events_in_step > MAX_IN_STEP or state.rapid_events > MAX_RAPID:
-                state.status = CHATTER
+            if too_many_events(state, MAX_RAPID):
                 return FAIL
             request_terms(state, AFTER_EVENT)
             return NEED_TERMS
@@ -114,8 +113,7 @@ def apply_event(H: Array, w: Work, constants: Constants, state: State, rows: Arr
         request_terms(state, AFTER_EVENT)
         return NEED_TERMS
     count_event(w, state)
-    if state.events_in_step > MAX_IN_STEP or (state.rapid_events > MAX_RAPID and state.mode != FREE):
-        state.status = CHATTER
+    if too_many_events(state, MAX_RAPID if state.mode != FREE else MAX_IN_STEP):
         return FAIL
     if state.mode == FREE:
         state.status = factorise_tip(H, w, constants, state)
@@ -195,6 +193,7 @@ def end_stick_or_slip(w: Work, constants: Constants, state: State, rows: Array, 
             find_direction(w, state)
         if state.sticking == RIGID_STICK:  # slip starts from rest: the velocity left by errors is removed
             loss = stop_tip(w, state)
+            w.start_slip_speed = 0.0  # that of the substep before was such an error, and judges this slip no more
     else:
         speed = np.hypot(w.u[1], w.u[2])
         slow = speed <= max(2.0 * constants.stick_speed, constants.capture_speed * (1.0 + 1e-9))
@@ -224,6 +223,7 @@ def end_stick_or_slip(w: Work, constants: Constants, state: State, rows: Array, 
                 return NEED_TERMS
             else:
                 state.kind = REVERSAL
+                w.start_slip_speed = 0.0  # as where sticking ends: the slip in the new direction starts from rest
                 find_direction(w, state)
     log_event(w, constants, state, events, loss)
     request_terms(state, AFTER_EVENT)

@@ -22,6 +22,9 @@ from closedloop.sections import (
 
 Figure = float | tuple[float, ...]
 
+# A joint no faster than this, rad/s (m/s), rests: more than the rounding of a velocity that friction has stopped.
+AT_REST = 1e-9
+
 
 def entries(value: Figure) -> tuple[float, ...]:
     """Return one number, or one per joint, as a tuple."""

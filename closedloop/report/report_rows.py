@@ -40,6 +40,7 @@ def report_rows(run: Record) -> list[Row]:
             commanded if touching[-1] else f"free; {commanded}",
         ),
         ("f, lowest and highest", f"{np.min(force):.4g} … {np.max(force):.4g}", "N", where),
+        *_undetermined_rows(facts),
         ("force error, RMS", _shown(facts["rms_force_error"], ".2g"), "N", "while it touches"),
         ("path error, RMS", _shown(facts["rms_path_error"], ".2g"), "m", "along the surface"),
         ("the stabiliser's part of f", _shown(facts["max_stabiliser_force"], ".2g"), "N", absent),
@@ -72,6 +73,14 @@ def report_rows(run: Record) -> list[Row]:
         *_limited_rows(run),
         *_contact_rows(run, facts),
     ]
+
+
+def _undetermined_rows(facts: dict[str, Any]) -> list[Row]:
+    """Return since when f is not determined by rigid bodies, at an arm that rests on friction in its joints."""
+    at = facts["force_not_determined_from"]
+    if at is None:
+        return []
+    return [("f not determined by rigid bodies", f"from {at:.4g}", "s", "at rest; that of least friction is given")]
 
 
 def _loop_rows(run: Record) -> list[Row]:

@@ -30,6 +30,7 @@ from closedloop.step.locate import in_contact_frame, locate_tip
 from closedloop.step.memory import RIGID_STICK, Constants, Reference, State, Work
 from closedloop.step.reference_row import desired_acceleration, reference_row
 from closedloop.step.seen import keep_terms, see
+from closedloop.step.share_friction import share_friction
 from closedloop.step.solve_contact import contact_force
 from closedloop.step.tip_friction import surface_friction
 from closedloop.step.transmission import motor_rates, transmit
@@ -97,6 +98,7 @@ def evaluate(H: Array, C: Array, w: Work, constants: Constants, state: State, ta
             status = contact_force(C, w, constants, state)
             if status != OK:
                 return status
+            share_friction(w, constants, state)
         write_rates(w, constants, state)
         if state.raised != 0:
             return LAW_FAILED

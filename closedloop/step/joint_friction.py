@@ -12,7 +12,16 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from closedloop.closure.contact_force import FREE, PRESSED, STUCK, accelerate, pressed_force, stuck_force
+from closedloop.closure.contact_force import (
+    FREE,
+    PRESSED,
+    STUCK,
+    accelerate,
+    pressed_force,
+    stuck_force,
+    stuck_tangentially,
+)
+from closedloop.friction.quantities import AT_REST
 from closedloop.jit.calls import call_at
 from closedloop.jit.kernel import kernel
 from closedloop.jit.pointers import row_of
@@ -79,7 +88,7 @@ def hold_joints(w: Work, constants: Constants, state: State) -> None:
     none[0], none[1] = 0.0, 0.0
     call_at(state.joint_friction, state.address, LIMIT)
     for j in range(n):
-        if not abs(w.v[j]) <= max(constants.joint_capture_speed[j], 1e-9):
+        if not abs(w.v[j]) <= max(constants.joint_capture_speed[j], AT_REST):
             limit[j] = abs(w.joint_dry[j])
         dry[j] = 0.0
         # Column j of the answer: q̈ to a torque of 1 N m in joint j, the contact as it is.
@@ -98,7 +107,12 @@ def hold_joints(w: Work, constants: Constants, state: State) -> None:
             a[i] = 0.0
             for m in range(n):
                 a[i] += w.X[i, m] * y[m]
-        if state.mode == PRESSED or (state.mode == STUCK and state.sticking == SPRING_STICK):
+        if state.compliance != 0:  # f follows the depth, which a torque does not change at once
+            if state.mode == STUCK and state.sticking == RIGID_STICK:
+                for i in range(3):
+                    w.b_stabiliser[i] = 0.0
+                stuck_tangentially(w.S, a, w.b_stabiliser, F)
+        elif state.mode == PRESSED or (state.mode == STUCK and state.sticking == SPRING_STICK):
             pressed_force(w.S, a, 0.0, w.c, none, F)
         elif state.mode != FREE:
             for i in range(3):

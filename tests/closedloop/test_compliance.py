@@ -7,6 +7,7 @@ import pytest
 
 import closedloop as cl
 from closedloop.surface.compliance import COMPLIANCES, Compliance
+from closedloop.surface.compliances.hunt_crossley import HuntCrossley
 
 G, MASS = 9.81, 2.0
 
@@ -227,3 +228,17 @@ def test_the_spring_at_an_edge_is_booked(law):
     total = energy + stored + np.where(run.time > edge.time, edge.energy_lost, 0.0)
     np.testing.assert_allclose(total, total[0], atol=1e-7)
     assert np.ptp(run.energy_supplied - energy) < 1e-7  # and the arm's own books close as before
+
+
+@pytest.mark.parametrize(("exponent", "dissipation"), [(1.5, 0.8), (1.0, 0.0), (2.2, 3.0)])
+def test_hunt_and_crossley_by_its_own_differences(exponent, dissipation):
+    """The tangent is that of the force, and where a bilateral surface pulls the force is the mirrored one."""
+    law = HuntCrossley(stiffness=3e5, exponent=exponent, dissipation=dissipation)
+    depth, step = 2e-3, 1e-6
+    stiffness, damping = law.tangent(depth)
+    along = (HuntCrossley.force(depth + step, 0.0, law) - HuntCrossley.force(depth - step, 0.0, law)) / (2.0 * step)
+    assert stiffness == pytest.approx(along, rel=1e-6)
+    rate = HuntCrossley.force(depth, 0.5, law) - HuntCrossley.force(depth, -0.5, law)
+    assert damping == pytest.approx(rate, rel=1e-12)
+    for speed in (0.0, 0.1, -0.2):
+        assert HuntCrossley.force(-depth, -speed, law) == -HuntCrossley.force(depth, speed, law)

@@ -7,14 +7,19 @@ from scipy.optimize import brentq
 from test_joint_stops import after_moreau
 
 from closedloop.closure.contact_force import FREE, PRESSED, STUCK, apply_impulse
+from closedloop.closure.solve import CHATTER, CROWDED, RUBS
+from closedloop.engines.failures import _rubs_without_end
 from closedloop.events.impacts import apply_impact, collide
-from closedloop.events.phases import AFTER_EVENT, AT_EVENT, MAX_MOVES, NEED_TERMS, PROJECTION, STEP_END
+from closedloop.events.locate import slip_margin
+from closedloop.events.phases import AFTER_EVENT, AT_EVENT, MAX_IN_STEP, MAX_MOVES, NEED_TERMS, PROJECTION, STEP_END
 from closedloop.events.projection import project
 from closedloop.events.stops import BEYOND, PULLING, measure_stops, reach_stops
+from closedloop.events.substep import too_many_events
 from closedloop.events.table import EVENT_WIDTH, IMPACT, LIFTOFF, REVERSAL, SLIP_AGAIN, STICK, TOUCHDOWN, EventRow
 from closedloop.events.transitions import apply_event, end_stick_or_slip, find_direction
 from closedloop.jit.interpreted import interpreted
 from closedloop.step.closed_loops import factorise_tip
+from closedloop.step.tip_friction import turn_for_step
 
 RUBBING = {
     "friction.kind": "dahl", "friction.coefficient": 0.4, "friction.stiffness": 3e3, "joint_friction.kind": "dahl",
@@ -182,7 +187,7 @@ def test_the_end_of_stick_or_slip(case, soft):
     w.v[:] = w.v if case == "fast" else 1e-8 * w.v
     w.u[:], w.a[:], w.F[:], w.rigid_force = w.A @ w.v, -w.S @ force, force, force[0]
     w.before[:], w.after[:], w.compression[:], w.decompression[:] = w.u, w.u, 0.0, 0.0
-    v, events = w.v.copy(), np.zeros((3, EVENT_WIDTH))
+    v, events, w.start_slip_speed = w.v.copy(), np.zeros((3, EVENT_WIDTH)), 1e-6  # of a tip that had drifted
     state.phase, w.stick_limit = AT_EVENT, np.nan
     assert interpreted(end_stick_or_slip)(w, constants, state, no_rows(state), events) == NEED_TERMS
     assert state.phase == AFTER_EVENT
@@ -205,12 +210,40 @@ def test_the_end_of_stick_or_slip(case, soft):
         assert abs(impulse[0]) < 1e-20 or not soft
     else:
         np.testing.assert_array_equal(w.v, v)
+    if case in ("let go", "reversed"):  # its slip starts from rest: a rounding of u against the slip is no end of it
+        w.u[1:], before = -1e-17 * w.direction, w.start_slip_speed
+        assert (before, slip_margin(w, constants) > 0.0) == (0.0, True)
+        w.u[:] = w.before
     np.testing.assert_array_equal(w.anchor, w.p if case == "held" else loop.w.anchor)
     ahead = {"fast": w.u[1:], "let go": -force[1:]}.get(case, [1.0, 0.0])
     if case == "reversed":  # driven on against friction
         f = 5.0 if soft else -w.a[0] / (w.S[0, 0] - 0.4 * w.S[0, 1:] @ w.direction)
         ahead = w.a[1:] + f * (w.S[1:, 0] - 0.4 * w.S[1:, 1:] @ w.direction)
     np.testing.assert_allclose(w.direction, ahead / np.linalg.norm(ahead), atol=1e-12)
+
+
+def test_friction_of_a_slow_tip_keeps_its_direction_through_a_step():
+    """A stage inside a step has the direction that solves the whole step, whatever its slip; a new step asks anew."""
+    loop, _, _ = loop_at_random("wam_bounce", STICKING)
+    state, w, mu, h = loop.state, loop.w, STICKING["friction.coefficient"], 1e-3
+    w.S[:] = [[1.0, 0.1, 0.2], [0.1, 2.0, 0.5], [0.2, 0.5, 9.0]]
+    w.F[:], w.viscous[:], w.direction[:] = [10.0, 0.0, 0.0], 0.0, [1.0, 0.0]
+    w.a[:] = [-10.0, 30.0, -50.0]
+
+    def ask(inside, slip):
+        state.inside, w.u[1:] = inside, slip
+        w.c[:] = mu * w.u[1:] / np.linalg.norm(slip)
+        return interpreted(turn_for_step)(w, state, h), w.c.copy()
+
+    slow, first = ask(0, [1e-5, 2e-6])
+    after = np.array([1e-5, 2e-6]) + h * (w.a[1:] + 10.0 * (w.S[1:, 0] - w.S[1:, 1:] @ first))
+    np.testing.assert_allclose(first, mu * after / np.linalg.norm(after), rtol=1e-9)
+    assert slow
+    turned, within = ask(1, [-3e-6, 7e-6])
+    np.testing.assert_allclose(within, first, rtol=1e-15)
+    assert turned
+    assert not ask(0, [1.0, 0.0])[0]  # fast: friction is against the slip
+    assert not ask(1, [1e-5, 2e-6])[0]
 
 
 def test_a_tip_that_lifts_off_leaves_what_is_left_of_its_rate():
@@ -263,3 +296,18 @@ def test_projection_leaves_a_tip_that_has_no_way_along_the_normal():
         assert interpreted(project)(H, w, constants, state) == NEED_TERMS
     assert state.phase != PROJECTION
     np.testing.assert_array_equal([w.q, w.v], [q, v])
+
+
+def test_events_without_end_stop_the_run_and_are_told_apart():
+    """Too many at one instant say what alternated; too many in the latest steps are too many, wherever they are."""
+    loop, _, _ = loop_at_random("wam_bounce", STICKING)
+    state, most = loop.state, 20
+    for kind, status in ((SLIP_AGAIN, RUBS), (STICK, RUBS), (REVERSAL, RUBS), (LIFTOFF, CHATTER), (TOUCHDOWN, CHATTER)):
+        for rapid, events, told in ((most, MAX_IN_STEP, 0), (most + 1, 1, status), (0, MAX_IN_STEP + 1, CROWDED)):
+            state.kind, state.rapid_events, state.events_in_step, state.status = kind, rapid, events, 0
+            assert interpreted(too_many_events)(state, most) == (told != 0)
+            assert state.status == told
+    alternating, crowded = (_rubs_without_end(status, 0.25) for status in (RUBS, CROWDED))
+    assert "stick and slip follow each other" in str(alternating)
+    assert f"more than {MAX_IN_STEP} times" in str(crowded)
+    assert all("torque presses" not in str(error) and error.time == 0.25 for error in (alternating, crowded))

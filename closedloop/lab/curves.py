@@ -19,7 +19,7 @@ from closedloop.figures.friction import friction_levels
 from closedloop.figures.style import length_unit
 from closedloop.lab.ground import Ground
 from closedloop.lab.joined import errors_in
-from closedloop.loops.bind import DIRECTIONS
+from closedloop.loops.wrench import parts_of
 from closedloop.record.run import Run
 
 Array = NDArray[np.float64]
@@ -118,7 +118,7 @@ def _loops(run: Run) -> Panel:
         Trace(loop.name, COLOURS[k % len(COLOURS)], factor * part.max(axis=1))
         for k, (loop, part) in enumerate(zip(run.model.loops, parts, strict=True))
     )
-    turning = any(unit == "N m" for loop in run.model.loops for _, unit in DIRECTIONS[loop.type])
+    turning = any("N m" in (unit for _, unit in parts_of(run.model, loop)) for loop in run.model.loops)
     return Panel("loops", f"{name}, {name[:-1]}rad" if turning else name, run.time, traces)
 
 

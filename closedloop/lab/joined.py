@@ -1,7 +1,7 @@
 """The loop joints of a mechanism in space: a mark for each where it is, and the force that it carries.
 
-Both follow from the rows of the closure (`closedloop.loops.bind`), so that a later kind of loop joint is drawn as
-well: as a ball, with an arrow for the force of those of its rows that have one.
+A mark's place follows from the rows of the closure (`closedloop.loops.bind`), its force from the joint's reaction
+(`closedloop.loops.wrench`), so that a later kind of loop joint is drawn as well: as a ball.
 """
 
 from __future__ import annotations
@@ -19,8 +19,9 @@ from closedloop.columns.derived import reactions_of
 from closedloop.columns.recorded import ALL_COLUMNS
 from closedloop.lab.shapes import Shape, mark_shape
 from closedloop.loops.bind import bound_by_loops, link_poses, loop_memory
-from closedloop.loops.memory import DISTANCE, GEAR, POSITION
+from closedloop.loops.memory import GEAR
 from closedloop.loops.reactions import loop_rows, rows_along
+from closedloop.loops.wrench import named_side, parts_of
 from closedloop.record.run import Run
 from closedloop.robot.pinocchio import Robot
 from closedloop.scenario.arm import robot_of
@@ -36,14 +37,6 @@ _robots = Cache(limit=4)
 _one_at_a_time = threading.Lock()
 
 
-class _Row(NamedTuple):
-    """A row that has a force: its number, its kind, and in the frame of the second side's joint its direction (3,)."""
-
-    at: int
-    kind: int
-    direction: Array
-
-
 class _Side(NamedTuple):
     """A side of a loop joint: the number of its joint's frame, 0 for the base, and there its point (3,), m."""
 
@@ -53,13 +46,18 @@ class _Side(NamedTuple):
 
 @dataclass(frozen=True)
 class _Loop:
-    """A loop joint: its name, what its mark looks like, its two sides, and its axes, in the first side's frame."""
+    """A loop joint: its name, what its mark looks like, its two sides, and its axes, in the first side's frame.
+
+    `named` are the joint's frame, 0 for the base, and there the axes, as columns, in which its reaction is; `force`
+    says which parts of all reactions are its force: none of a gear.
+    """
 
     name: str
     shape: Shape
     sides: tuple[_Side, _Side]
     axes: Array
-    rows: tuple[_Row, ...]
+    named: tuple[int, Array]
+    force: tuple[int, ...]
     rod: bool  # from one side to the other
 
 
@@ -104,20 +102,16 @@ class Joined:
 
         Parameters
         ----------
-        reactions : (m,) array
-            Of all rows, on the first side, see `closedloop.loops.reactions.LoopReactions`.
+        reactions : (c,) array
+            On the first side, see `closedloop.loops.reactions.LoopReactions`.
         axes, origins : (n + 1, 3, 3) and (n + 1, 3) arrays
             The frames of the base and the joints.
         """
         found = np.zeros((len(self.loops), 3))
         for k, loop in enumerate(self.loops):
-            a, b = (origins[s.frame] + axes[s.frame] @ s.point for s in loop.sides)
-            for row in loop.rows:
-                apart = a - b
-                along = (
-                    apart / np.linalg.norm(apart) if row.kind == DISTANCE else axes[loop.sides[1].frame] @ row.direction
-                )
-                found[k] -= reactions[row.at] * along
+            if loop.force:
+                number, turn = loop.named
+                found[k] = -axes[number] @ turn @ reactions[list(loop.force)]
         return found
 
 
@@ -134,44 +128,45 @@ def _loops_of(robot: Robot, size: float) -> tuple[_Loop, ...]:
     pin.forwardKinematics(mechanism, data, model.home)
     frames = [(place.rotation, place.translation) for place in data.oMi]
 
-    def turned(link: int, vector: Array) -> Array:  # from a link of the tree to the frame of its joint
-        along: Array = frames[link + 1][0].T @ poses[link][0] @ vector
-        return along
-
     def side(link: int, point: Array) -> _Side:
         place = poses[link][1] + poses[link][0] @ point
         return _Side(link + 1, frames[link + 1][0].T @ (place - frames[link + 1][1]))
 
-    found, at = [], 0
+    found, at, parts = [], 0, 0
     for loop in model.loops:
-        rows = range(at, at + loop.rows)
         a, b = int(first[at]), int(second[at])
         sides = side(a, bound.at_a[at]), side(a if kinds[at] == GEAR else b, bound.at_b[at])
-        forces = [_Row(k, int(kinds[k]), turned(b, bound.along_b[k])) for k in rows if kinds[k] in (POSITION, DISTANCE)]
-        axis = np.array([0.0, 0.0, 1.0])
+        axis, named, force = np.array([0.0, 0.0, 1.0]), (0, np.eye(3)), range(0)
         if kinds[at] == GEAR:
-            axis = turned(a, axis)
+            axis = frames[a + 1][0].T @ poses[a][0] @ axis
         elif loop.frames:
+            number, turn, _ = robot.frame_at(named_side(robot, loop)[0], model.home)
+            named, force = (number + 1, frames[number + 1][0].T @ turn), range(parts, parts + 3)
             axis = mechanism.frames[mechanism.getFrameId(loop.frames[0])].placement.rotation @ np.array(loop.axes[0])
         shape = mark_shape(loop.type, size, loop.length)
-        found.append(_Loop(loop.name, shape, sides, _upright(axis), tuple(forces), bool(loop.length)))
-        at += loop.rows
+        found.append(_Loop(loop.name, shape, sides, _upright(axis), named, tuple(force), bool(loop.length)))
+        at, parts = at + loop.rows, parts + len(parts_of(model, loop))
     return tuple(found)
 
 
-def reactions_in(run: Run, robot: Robot, rows: NDArray[np.int64]) -> Array:
-    """Return the reactions (k, m) of a mechanism's loops in some rows (k,) of its run, N or N m; (k, 0) of a tree."""
+def reactions_in(run: Run, rows: NDArray[np.int64]) -> Array:
+    """Return the reactions (k, c) of a mechanism's loops in some rows (k,) of its run, N or N m; (k, 0) of a tree."""
     if not run.model.loops:
         return np.zeros((len(rows), 0))
     few = {name: column[rows] for name, column in run.columns.items() if ALL_COLUMNS[name].dims[0] == "time"}
+    robot = robot_in(run, whole=True)
     with _one_at_a_time:
         return reactions_of(replace(run, columns={**run.columns, **few}), robot).reactions
 
 
-def robot_in(run: Run) -> Robot:
-    """Return the robot of a run, with the tool that the scenario puts on its tip: one for all runs with the same."""
-    key = run.model, robot_key(run.scenario)
-    return _robots.get_shared(key, lambda: robot_of(run.scenario, run.model), lambda robot: 1)
+def robot_in(run: Run, whole: bool = False) -> Robot:
+    """Return the robot of a run, with the tool that the scenario puts on its tip: one for all runs with the same.
+
+    If asked for, links that stand for coordinates of loop joints share no mass, as for their reactions.
+    """
+    key = run.model, whole, robot_key(run.scenario)
+    model = replace(run.model, whole=True) if whole else run.model
+    return _robots.get_shared(key, lambda: robot_of(run.scenario, model), lambda robot: 1)
 
 
 def errors_in(run: Run) -> Array:

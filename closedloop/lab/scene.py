@@ -143,7 +143,7 @@ class Scene:
         First those at the tip, of the surface on the tip and the commanded one on the surface; then that of each loop
         joint on its second side; then that of each contact of links on the link that has the point.
         """
-        reactions = reactions_in(self.run, self.robot, np.asarray(rows, dtype=np.int64))
+        reactions = reactions_in(self.run, np.asarray(rows, dtype=np.int64))
         found = [self._at_tip(row) for row in rows]
         if self.joined.loops or self.touching:
             for arrows, row, each in zip(found, rows, reactions, strict=True):

@@ -26,19 +26,9 @@ from closedloop.robot.tree import Tree, work_size
 from closedloop.robot.tree import layout as at
 from closedloop.robot.tree.angles import sines
 from closedloop.robot.tree.kinematics import motion
-from robot_models.loop_joint import BINDS, WORLD, LoopJoint
+from robot_models.loop_joint import BINDS, LoopJoint
 
 Array = NDArray[np.float64]
-
-# What the reaction of each row is, and its unit.
-DIRECTIONS: dict[str, tuple[tuple[str, str], ...]] = {
-    kind: (
-        *((f"force along {'xyz'[i]}", "N") for i in positions),
-        *((f"couple about {'xyz'[3 - i - j] if i != j else 'the common normal'}", "N m") for i, j in rotations),
-    )
-    for kind, (positions, rotations) in BINDS.items()
-} | {"distance": (("force along it", "N"),), "gear": (("torque on the first joint", "N m"),)}
-
 
 # A row that is no longer than this, and open by no more, m or rad, at every one of so many postures is so everywhere.
 NOTHING, POSTURES = 1e-13, 4
@@ -66,9 +56,8 @@ def bound_by_loops(robot: Robot, stops: bool = False) -> Bound:
             continue
         positions, rotations = BINDS[loop.type]
         rows += [(POSITION, a, b, at_a, at_b, zero, axes_b[:, i], none) for i in positions]
-        for i, j in rotations:  # its couple is about axis j of the first side × axis i of the second
-            sign = -1.0 if (i - j) % 3 == 2 else 1.0
-            rows.append((ROTATION, a, b, at_a, at_b, axes_a[:, j], sign * axes_b[:, i], none))
+        for i, j in rotations:
+            rows.append((ROTATION, a, b, at_a, at_b, axes_a[:, j], _sign(i, j) * axes_b[:, i], none))
     if stops:
         for j, (low, high) in enumerate(zip(model.position_lower, model.position_upper, strict=True)):
             rows.append((STOP, j, -1, zero, zero, zero, zero, np.array([low, high, 0.0, 0.0, 0.0])))
@@ -143,15 +132,28 @@ def _side(robot: Robot, poses: list[tuple[Array, Array]], loop: LoopJoint, k: in
 
     The tree has axes of its own in its links: where a frame is in them follows from where both are at one posture.
     """
-    point, link, rotation, origin = np.array(loop.points[k]), -1, np.eye(3), np.zeros(3)
-    if loop.frames[k] != WORLD:
-        link, rotation, origin = robot.frame_at(loop.frames[k], robot.model.home)
+    link, rotation, origin = robot.frame_at(loop.frames[k], robot.model.home)
     axes, place = poses[link]
-    own = _axes(np.array(loop.axes[k]))
+    return link, axes.T @ (origin + rotation @ np.array(loop.points[k]) - place), axes.T @ rotation @ side_axes(loop, k)
+
+
+def side_axes(loop: LoopJoint, k: int) -> Array:
+    """Return the axes that the rows of a loop joint have on a side, as columns, in the axes of that side's frame."""
     if loop.type in ("slider", "weld"):  # all three directions agree
         first = _axes(np.array(loop.axes[0]))
-        own = first if k == 0 else np.array(loop.turn) @ first
-    return link, axes.T @ (origin + rotation @ point - place), axes.T @ rotation @ own
+        return first if k == 0 else np.array(loop.turn) @ first
+    return _axes(np.array(loop.axes[k]))
+
+
+def rotation_axes(loop: LoopJoint, pair: tuple[int, int]) -> tuple[Array, Array]:
+    """Return the directions of a row of kind ROTATION, in the axes of either frame: its couple is about u × w."""
+    i, j = pair
+    return side_axes(loop, 0)[:, j], _sign(i, j) * side_axes(loop, 1)[:, i]
+
+
+def _sign(i: int, j: int) -> float:
+    """Return the sign with which axis j of the first side × axis i of the second is an axis of the joint."""
+    return -1.0 if (i - j) % 3 == 2 else 1.0
 
 
 def _axes(z: Array) -> Array:

@@ -9,10 +9,11 @@ from numpy.typing import NDArray
 
 from closedloop.jit.interim import call_now
 from closedloop.jit.kernel import entry_kernel
-from closedloop.loops.bind import DIRECTIONS, bound_by_loops, loop_memory
+from closedloop.loops.bind import bound_by_loops, loop_memory
 from closedloop.loops.factor import DEPENDENT
 from closedloop.loops.memory import loops_at
 from closedloop.loops.rows import locate_rows
+from closedloop.loops.wrench import labels_of, wrenches
 from closedloop.robot.pinocchio import Robot
 
 Array = NDArray[np.float64]
@@ -20,19 +21,26 @@ Mask = NDArray[np.bool_]
 
 
 class LoopReactions(NamedTuple):
-    """Reactions and errors of the m rows of a mechanism's loops at N instants.
+    """Reactions of a mechanism's loop joints at N instants, and errors of the m rows that they bind.
 
     Attributes
     ----------
     labels : tuple of str
-        Of the rows: the loop joint's name, and what the row binds, such as "coupler: force along x". Axes are those of
-        the joint on its second side, z its axis.
+        Of the c parts of the reactions: the loop joint's name, and what, such as "coupler: force along x".
     units : tuple of str
-        Of their reactions: N, or N m.
-    reactions : (N, m) array
-        On the first side of each joint. Where rows depend on each other they are those of least norm.
+        Of each: N, or N m.
+    reactions : (N, c) array
+        On the first side of each joint (`frames[0]`), in the axes of its second frame (`frames[1]`; the base frame if
+        that is "world"): the force, and but for a point and a distance the couple about the joint's point on the second
+        side (`points[1]`). Friction, stops and the drive of a loop joint are part of it. A distance has the push
+        between its points too, of which the force is made: positive pushes them apart. A gear has the torque, N m, or
+        force, N, on each of its joints. Where rows depend on each other they are those of least norm.
+    joints : tuple of str
+        The loop joint of each row.
+    multipliers : (N, m) array
+        Forces of the rows of `loop_rows`, which act on the joints with Gᵀ multipliers.
     errors : (N, m) array
-        m, or the sine of an angle.
+        Of the rows, m, or the sine of an angle.
     rank : (N,) array of int
         How many rows were independent.
     unexplained : (N,) array
@@ -42,6 +50,8 @@ class LoopReactions(NamedTuple):
     labels: tuple[str, ...]
     units: tuple[str, ...]
     reactions: Array
+    joints: tuple[str, ...]
+    multipliers: Array
     errors: Array
     rank: NDArray[np.int64]
     unexplained: Array
@@ -68,10 +78,11 @@ def loop_reactions(
     # rows differ in unit: what depends on what is decided with each by its usual length
     scaled = bound_by_loops(robot).scale[:, None] * rows
     rank = np.linalg.matrix_rank(scaled, tol=DEPENDENT * np.sqrt(rows.shape[1])) if len(q) else np.zeros(0, dtype=int)
-    reactions, stops = share_of_rows(rows, missing, at_stop)
-    left = missing - stops - np.einsum("kmn,km->kn", rows, reactions)
-    labels, units = _labels(robot)
-    return LoopReactions(labels, units, reactions, errors, np.asarray(rank), np.max(np.abs(left), axis=1, initial=0.0))
+    forces, stops = share_of_rows(rows, missing, at_stop)
+    left = np.max(np.abs(missing - stops - np.einsum("kmn,km->kn", rows, forces)), axis=1, initial=0.0)
+    joints = tuple(loop.name for loop in robot.model.loops for _ in range(loop.rows))
+    parts = wrenches(robot, q, rows, forces)
+    return LoopReactions(*labels_of(robot.model), parts, joints, forces, errors, np.asarray(rank), left)
 
 
 def loop_rows(robot: Robot, q: Array, v: Array) -> tuple[Array, Array]:
@@ -107,16 +118,6 @@ def missing_torque(robot: Robot, q: Array, v: Array, acceleration: Array, torque
         terms = robot.terms(q[k], v[k])
         missing[k] = terms.mass_matrix @ acceleration[k] + terms.bias - torque[k] - terms.jacobian.T @ force[k]
     return missing
-
-
-def _labels(robot: Robot) -> tuple[tuple[str, ...], tuple[str, ...]]:
-    """Return what each row is called, and the unit of its reaction."""
-    labels, units = [], []
-    for loop in robot.model.loops:
-        for what, unit in DIRECTIONS[loop.type]:
-            labels.append(f"{loop.name}: {what}")
-            units.append(unit)
-    return tuple(labels), tuple(units)
 
 
 @entry_kernel

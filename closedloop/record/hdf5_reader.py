@@ -37,7 +37,7 @@ def read_hdf5(
     Raises
     ------
     ValueError
-        If a column is not numbers, or larger than the file can hold.
+        If a column is not numbers, larger than the file can hold, or not in the file itself.
     """
     attributes: dict[str, str | int | float] = {}
     columns: dict[str, np.ndarray[Any, Any]] = {}
@@ -50,9 +50,14 @@ def read_hdf5(
             if value is not None:
                 attributes[name] = value
         for name in names:
+            link = file.get(name, getlink=True)
+            if link is not None and not isinstance(link, h5py.HardLink):
+                raise ValueError(f"column '{name}' is a link to somewhere else: a run has its numbers in its own file")
             column = file.get(name)
             if not isinstance(column, h5py.Dataset):
                 continue
+            if column.external or column.is_virtual:
+                raise ValueError(f"column '{name}' lies in another file: a run has its numbers in its own")
             if column.dtype.kind not in "iuf" or column.shape is None:
                 raise ValueError(f"column '{name}' is {column.dtype}, not numbers")
             if column.nbytes > BEST_COMPRESSION * size:

@@ -15,8 +15,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 import robot_models
+from closedloop.closure.contact_force import FREE, PRESSED, STUCK
 from closedloop.columns.recorded import ALL_COLUMNS, CONTACT_COLUMNS, columns_there
 from closedloop.errors import ClosedLoopError, RunFileError, faults_on_one_line
+from closedloop.events.table import KINDS
 from closedloop.files import reason_of
 from closedloop.record.run import Run
 from closedloop.record.save import (
@@ -137,3 +139,25 @@ def _check_columns(columns: Mapping[str, NDArray[Any]], joints: int, contacts: i
             )
     if wrong := [name for name in not_finite(columns) if name not in allowed]:
         raise RunFileError(f"is damaged: column '{wrong[0]}' has entries that are not finite numbers")
+    _check_values(columns)
+
+
+# Columns of whole numbers, and what each may be.
+_KNOWN: dict[str, tuple[int, ...]] = {
+    "mode": (FREE, PRESSED, STUCK), "link_modes": (FREE, PRESSED, STUCK), "torque_limited": (0, 1, 2),
+    "event_kind": tuple(KINDS),
+}  # fmt: skip
+
+
+def _check_values(columns: Mapping[str, NDArray[Any]]) -> None:
+    """Refuse what no run can hold: time that does not go on, unknown modes and kinds, events out of order."""
+    time, event_time = columns["time"], columns["event_time"]
+    if time.size and (time[0] != 0.0 or not np.all(np.diff(time) > 0.0)):
+        raise RunFileError("is damaged: column 'time' does not go from 0 upwards, row by row")
+    for name, known in _KNOWN.items():
+        if name in columns and (wrong := columns[name][~np.isin(columns[name], known)]).size:
+            raise RunFileError(
+                f"is damaged: column '{name}' has {wrong[0]:g}, which is none of {', '.join(map(str, known))}"
+            )
+    if event_time.size and not (event_time[0] >= 0.0 and np.all(np.diff(event_time) >= 0.0)):
+        raise RunFileError("is damaged: column 'event_time' does not go from 0 upwards")

@@ -91,7 +91,7 @@ def _loop_rows(run: Record) -> list[Row]:
     worst = int(np.argmax(np.max(np.abs(found.errors), axis=0)))
     m, least, most = found.errors.shape[1], int(np.min(found.rank)), int(np.max(found.rank))
     ranks = f"{least}" if least == most else f"{least} to {most}"
-    rows = [("loops: error", f"{np.max(np.abs(found.errors)):.2g}", "m (rad)", found.labels[worst])]
+    rows = [("loops: error", f"{np.max(np.abs(found.errors)):.2g}", "m (rad)", found.joints[worst])]
     for unit in ("N", "N m"):
         at = [k for k, own in enumerate(found.units) if own == unit]
         if at:

@@ -12,6 +12,7 @@ from closedloop.closure.contact_force import FREE
 from closedloop.columns.record import Record
 from closedloop.events.table import KINDS
 from closedloop.jit.interpreted import interpreted
+from closedloop.loops.wrench import parts_of
 from closedloop.report.assumptions import assumptions
 from closedloop.report.measures import JOINT_MEASURES, MEASURES
 from closedloop.report.row_sample import Scale, energy_left, torque_power
@@ -75,16 +76,18 @@ def _unresolved(run: Record) -> list[dict[str, Any]]:
 
 
 def _loops(run: Record) -> dict[str, dict[str, float]]:
-    """Return the largest reaction, N or N m, and the largest error, m or rad, of each row of a mechanism's loops."""
+    """Return the largest of each part of a mechanism's reactions, N or N m, and of its joint's errors, m or rad."""
     if run.loops is None or not len(run):
         return {}
     found = run.loops
+    worst: dict[str, float] = {}
+    for name, error in zip(found.joints, np.max(np.abs(found.errors), axis=0).tolist(), strict=True):
+        worst[name] = max(error, worst.get(name, 0.0))
+    most = np.max(np.abs(found.reactions), axis=0).tolist()
+    joints = [loop.name for loop in run.model.loops for _ in parts_of(run.model, loop)]
     return {
-        label: {
-            "max_reaction": float(np.max(np.abs(found.reactions[:, k]))),
-            "max_error": float(np.max(np.abs(found.errors[:, k]))),
-        }
-        for k, label in enumerate(found.labels)
+        label: {"max_reaction": size, "max_error": worst[name]}
+        for label, size, name in zip(found.labels, most, joints, strict=True)
     }
 
 

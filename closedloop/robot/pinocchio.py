@@ -15,6 +15,7 @@ from closedloop.jit.interpreted import interpreted
 from closedloop.jit.kernel import plain
 from closedloop.robot.tree import Tree, tree_kinematics, tree_of, tree_turning, work_size
 from robot_models import RobotModel
+from robot_models.loop_joint import WORLD
 from robot_models.tool import carried_by
 
 Array = NDArray[np.float64]
@@ -224,10 +225,30 @@ class Robot:
 
     def frame_at(self, name: str, q: Array) -> tuple[int, Array, Array]:
         """Return the joint that carries a frame, −1 for the base, and at q its axes, as columns, and its origin, m."""
-        number = self._pin.getFrameId(self.model.require_frame(name))
+        number = 0 if name == WORLD else self._pin.getFrameId(self.model.require_frame(name))
         pin.framesForwardKinematics(self._pin, self._data, q)
         place = self._data.oMf[number]
         return self._pin.frames[number].parentJoint - 1, np.array(place.rotation), np.array(place.translation)
+
+    def frame_poses(self, name: str, q: Array) -> tuple[Array, Array]:
+        """Return the axes of a frame, as columns, and its origin, m, base frame, at each row of q (N, n).
+
+        (N, 3, 3) and (N, 3); "world" is the base.
+        """
+        number = 0 if name == WORLD else self._pin.getFrameId(self.model.require_frame(name))
+        axes, origins = np.empty((len(q), 3, 3)), np.empty((len(q), 3))
+        for k, row in enumerate(np.ascontiguousarray(q)):
+            pin.forwardKinematics(self._pin, self._data, row)
+            place = pin.updateFramePlacement(self._pin, self._data, number)
+            axes[k], origins[k] = place.rotation, place.translation
+        return axes, origins
+
+    def link_below(self, joint: str) -> tuple[str, Array]:
+        """Return the name of the link that a joint hangs on, and where on it (3,), m, in the axes of that link."""
+        frame = self._pin.frames[self._pin.getFrameId(joint, pin.FrameType.JOINT)]
+        link = self._pin.frames[frame.parentFrame]
+        placement = self._pin.jointPlacements[self._pin.getJointId(joint)]
+        return str(link.name), np.array(link.placement.actInv(placement).translation)
 
     def tip_axes(self, q: Array) -> Array:
         """Return the axes of the tip's frame at each row of q (N, n): columns, base frame, (N, 3, 3)."""

@@ -125,7 +125,7 @@ def test_the_drawn_forces_between_links_are_the_torques_that_are_missing(name):
     terms = scene.robot.terms(run.q[row], run.v[row])
     missing = terms.mass_matrix @ run.acceleration[row] + terms.bias - run.torque[row] - work
     if run.loops is not None:  # the gear between the fingers
-        missing -= loop_rows(scene.robot, run.q, run.v)[0][row].T @ run.loops.reactions[row]
+        missing -= loop_rows(scene.robot, run.q, run.v)[0][row].T @ run.loops.multipliers[row]
     assert np.abs(work).max() > 1.0
     assert missing == pytest.approx(0.0, abs=1e-9)
 

@@ -334,7 +334,7 @@ def test_what_loops_and_stops_cannot_explain_is_told(mechanisms, stopped):
         missing = H @ acceleration[k] + terms.bias - torque[k] - terms.jacobian.T @ force[k]
         rows = np.vstack([G, np.eye(model.n)[at_stop[k]]]) if stopped else G
         given = np.linalg.lstsq(rows.T, missing, rcond=1e-9)[0]
-        np.testing.assert_allclose(found.reactions[k], given[: len(G)], atol=1e-8)
+        np.testing.assert_allclose(found.multipliers[k], given[: len(G)], atol=1e-8)
         assert found.unexplained[k] == pytest.approx(np.max(np.abs(missing - rows.T @ given)), rel=1e-8)
         assert found.unexplained[k] > 1e-3
         assert found.rank[k] == np.linalg.matrix_rank(G, tol=1e-9)

@@ -293,3 +293,55 @@ def test_seed_is_that_of_the_sensors_noise(saved):
     assert attributes(run)["seed"].startswith("none")
     noisy = cl.load_scenario("planar2_slide", {"sensor.noise": 0.1, "sensor.seed": 7})
     assert attributes(dataclasses.replace(run, scenario=noisy))["seed"].startswith("7: ")
+
+
+@pytest.mark.parametrize(("name", "where", "value", "words"), [
+    ("time", slice(None, None), 0.0, "'time' does not go"),
+    ("time", 3, 0.0, "'time' does not go"),
+    ("time", 0, -1.0, "'time' does not go"),
+    ("mode", 2, 77, "'mode' has 77"),
+    ("mode", 2, -1, "'mode' has -1"),
+    ("event_kind", 0, 99, "'event_kind' has 99"),
+    ("event_time", 0, -1.0, "'event_time' does not go"),
+])  # fmt: skip
+def test_what_no_run_can_hold_is_refused(bounced, tmp_path, read_here, name, where, value, words):
+    """In a file without digests: time backwards or standing still, modes and kinds that there are not."""
+    copy = shutil.copy(bounced, tmp_path / "copy.nc")
+    with h5py.File(copy, "r+") as file:
+        del file.attrs["checksum"]
+        file[name][where] = value
+    with pytest.raises(cl.RunFileError, match=words) as caught:
+        cl.load_run(copy)
+    assert "\n" not in str(caught.value)
+
+
+@pytest.fixture(scope="module")
+def bounced(tmp_path_factory):
+    """Return the file of a short run with an event."""
+    run = cl.simulate(cl.load_scenario("planar2_drop", {"time.duration": 0.5}))
+    assert len(run.events)
+    return run.save(tmp_path_factory.mktemp("bounced") / "run.nc")
+
+
+@pytest.mark.parametrize("how", ["external storage", "external link", "virtual dataset", "soft link", "circle"])
+def test_a_column_in_another_file_is_refused(copy, tmp_path, read_here, how):
+    """Bytes of another file are never read as numbers of a run, whatever way HDF5 has to refer to them."""
+    secret, name = tmp_path / "secret", "contact_force"
+    with h5py.File(copy, "r+") as file:
+        length, dtype = file[name].shape[0], file[name].dtype
+        secret.write_bytes(bytes(8 * length))
+        with h5py.File(tmp_path / "other.nc", "w") as other:
+            other[name] = np.zeros(length)
+        del file.attrs["checksum"], file[name]
+        if how == "external storage":
+            file.create_dataset(name, (length,), dtype, external=[(str(secret), 0, 8 * length)])
+        elif how == "external link":
+            file[name] = h5py.ExternalLink(str(tmp_path / "other.nc"), name)
+        elif how == "virtual dataset":
+            layout = h5py.VirtualLayout((length,), dtype)
+            layout[:] = h5py.VirtualSource(str(tmp_path / "other.nc"), name, (length,))
+            file.create_virtual_dataset(name, layout)
+        else:
+            file[name] = h5py.SoftLink("/measured_force" if how == "soft link" else f"/{name}")
+    with pytest.raises(cl.RunFileError, match=f"column '{name}' (lies in another file|is a link)"):
+        cl.load_run(copy)

@@ -25,6 +25,7 @@ from closedloop.loops.rows import locate_rows
 from closedloop.simulation.loop_calls import driver
 from closedloop.step.closed_loops import DRIVE, closed_loops
 from closedloop.step.record_row import Row
+from robot_models.loop_joint import BINDS
 from validation.loops.cases import AWAY, FRICTION, SLIDES, Case, oracle_of
 from validation.oracle.loops import LoopOracle, Motion
 from validation.oracle.spatial import Array
@@ -127,7 +128,7 @@ def _motion(case: Case, problem: Problem, row: Any, fault: LoopFault) -> Motion:
     q, v, a, torque = (np.array(x)[None, :] for x in (row.q, row.v, row.acceleration, row.torque))
     F = (row.contact_force * np.array(row.surface_normal) + row.friction_force)[None, :]
     found = loop_reactions(problem.robot, q, v, a, torque, F)
-    forces = fault.reactions(found.reactions)[0]
+    forces = fault.reactions(found.multipliers)[0]
     memory = loop_memory(problem.robot)  # with the rows that no joint can move
     memory.rows.q[:], memory.rows.v[:] = case.q, case.v
     interpreted(locate_rows)(memory.links, memory.rows)
@@ -135,7 +136,8 @@ def _motion(case: Case, problem: Problem, row: Any, fault: LoopFault) -> Motion:
     for joint in problem.robot.model.loops:
         span = range(at, at + joint.rows)
         pulls.append(memory.rows.G[at : at + joint.rows].T @ forces[at : at + joint.rows])
-        is_force = [found.units[k] == "N" for k in span]
+        positions = {"distance": 1, "gear": 0}.get(joint.type, len(BINDS.get(joint.type, ((),))[0]))
+        is_force = [k - at < positions for k in span]
         force.append(float(np.linalg.norm([forces[k] for k, yes in zip(span, is_force, strict=True) if yes])))
         couple.append(float(np.linalg.norm([forces[k] for k, yes in zip(span, is_force, strict=True) if not yes])))
         at += joint.rows

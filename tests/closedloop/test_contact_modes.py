@@ -194,7 +194,7 @@ def test_an_event_waits_for_room_in_the_table():
     """Two rows for each contact; and where modes are known, one that does not last is an event."""
     links, _ = make_contact_memory(2, 2)
     state = SimpleNamespace(contacts_at=links.address, events=7, phase=-1)
-    assert interpreted(apply_contact_event)(None, state, np.zeros((10, EVENT_WIDTH))) == ENLARGE_TABLE
+    assert interpreted(apply_contact_event)(None, None, state, np.zeros((10, EVENT_WIDTH))) == ENLARGE_TABLE
     assert state.phase == AT_EVENT
     decided = interpreted(resume_with_contacts)
     assert decided(SimpleNamespace(contact_margin=-1e-9), None, state, None) == APPLY_EVENT

@@ -130,7 +130,7 @@ def solve_closed(c: Contacts, k: int) -> int:
 
 @kernel
 def solve_one(c: Contacts, k: int, i: int) -> bool:
-    """Do `solve_modes` for contact i, the only one closed, by the closed form of the tip; return whether there is one."""
+    """Do `solve_modes` for contact i, the only one closed, by the closed form of the tip, where there is one."""
     at, n, asked = 3 * i, c.X.shape[1], 0.0
     S, a, b, F, rigid = c.slope, c.a[at : at + 3], c.b[at : at + 3], c.F[at : at + 3], c.rigid[at : at + 3]
     own_mobility(c, i, S)

@@ -173,7 +173,7 @@ def test_each_contact_to_which_something_happened_has_its_row(struck):
     c.happened[:], c.struck[:], c.energy_lost = [0.0, STRUCK_AND_LEFT, LIFTOFF, STRUCK_AND_STAYED], struck, 0.7
     c.before[[3, 6, 9]], c.after[[3, 6, 9]] = [-2.0, -2.0, -2.0], [0.5, -0.5, 0.0]
     w = SimpleNamespace(time=0.3, supplied=1.0, carried=rng.normal(size=3))
-    state, events = SimpleNamespace(events=1), np.full((5, EVENT_WIDTH), np.nan)
+    state, events = SimpleNamespace(events=1, striking=-1), np.full((5, EVENT_WIDTH), np.nan)
     interpreted(log_contacts)(w, links, c, state, events)
     assert state.events == 4
     assert np.all(np.isnan(events[[0, 4]]))

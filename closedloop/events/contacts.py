@@ -1,7 +1,9 @@
 """Events of the contacts of the links: at one instant several may come together, part, slip or stick.
 
-First contacts that come together strike each other; then, with the terms of the state after that, the modes of all
-contacts are found (`closedloop.contacts`). Each contact to which something happened has its own row in the table.
+While the contacts of links are open the tip and the stops are solved by themselves (`State.together` is 0), and what is
+here begins once one of them closes. First contacts that come together strike each other; then, with the terms of the
+state after that, the modes of all contacts are found (`closedloop.contacts`). Each contact to which something happened
+has its own row in the table.
 """
 
 from __future__ import annotations
@@ -106,10 +108,10 @@ def resume_with_contacts(w: Work, constants: Constants, state: State, events: Ar
 @kernel
 def open_but_tip(links: ContactLinks, c: Contacts) -> bool:
     """Whether the contacts of links are all open: the tip and the stops are then solved by themselves."""
+    closed = 0
     for i in range(1, links.k - links.stops):
-        if c.mode[i] != FREE:
-            return False
-    return True
+        closed += 1 if c.mode[i] != FREE else 0
+    return closed == 0
 
 
 @kernel

@@ -1,4 +1,4 @@
-"""The contacts of the links in a step: all of them, the tip's among them, solved together.
+"""The contacts of the links in a step: watched while they are open, else solved, the tip's among them, together.
 
 With H = L Lᵀ, y = L⁻¹(Q − C) of the tree, less what loops bind (`closedloop.step.closed_loops`), and X = L⁻¹Gᵀ of all
 contacts, likewise, the acceleration of the contacts is u̇ = X y + drift + X Xᵀ F. An event

@@ -46,7 +46,6 @@ def contact_memory(scenario: Scenario, robot: Robot) -> ContactMemory:
         contacts.mu[0] = scenario.friction.coefficient
     if drives := robot.model.drives:
         contacts.driven[:] = [name in drives for name in robot.model.joint_names]
-    links.undecided, links.fresh = 1, 1
     if surfaces := surfaces_of(sections, names_of(sections)):
         asked = contact_surfaces(surfaces, points + len(stops))
         links.surfaces = address_of(asked.addresses)
@@ -118,23 +117,33 @@ def check_contacts(scenario: Scenario, robot: Robot, q: Array) -> None:
     for name, section in zip(names, sections, strict=True):
         if section.link == section.against:
             raise ScenarioError(f"contact {name!r}: link and against are both {section.link!r}: name two frames")
-    rows = rows_of(sections, robot)
-    sides = rows.links.kept["bound"].sides.reshape(4, -1)[:, ::3]
-    rows.rows.q[:] = q
-    interpreted(locate_rows)(rows.links, rows.rows)
-    surfaces = surfaces_of(sections, names)
-    for i, name in enumerate(names):
+    sides = rows_of(sections, robot).links.kept["bound"].sides.reshape(4, -1)[:, ::3]
+    for i, (name, gap) in enumerate(zip(names, start_gaps(sections, robot, q), strict=True)):
         if sides[1, i] == sides[2, i]:
             raise ScenarioError(f"contact {name!r}: no joint is between link and against: name frames that move apart")
-        gap = rows.rows.error[3 * i]
-        if surface := surfaces.get(i + 1):
-            gap = check_surface(surface, rows.rows.error[3 * i : 3 * i + 3], name)
         if gap < -HOVERING:
             raise ScenarioError(
                 f"contact {name!r}: the point starts {-gap:.4g} m inside the surface: start it outside, or move the "
                 "surface with through"
             )
     _refuse_together(scenario)
+
+
+def start_gaps(sections: tuple[ContactSection, ...], robot: Robot, q: Array) -> list[float]:
+    """Return the gap of each contact at q (n,), m."""
+    rows, names = rows_of(sections, robot), names_of(sections)
+    rows.rows.q[:] = q
+    interpreted(locate_rows)(rows.links, rows.rows)
+    surfaces, gaps = surfaces_of(sections, names), []
+    for i, name in enumerate(names):
+        place, surface = rows.rows.error[3 * i : 3 * i + 3], surfaces.get(i + 1)
+        gaps.append(float(place[0]) if surface is None else check_surface(surface, place, name))
+    return gaps
+
+
+def starts_closed(scenario: Scenario, robot: Robot, q: Array) -> bool:
+    """Whether a contact of a link is closed at the start."""
+    return any(gap <= HOVERING for gap in start_gaps(scenario.contact or (), robot, q))
 
 
 def _refuse_together(scenario: Scenario) -> None:

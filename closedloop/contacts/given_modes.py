@@ -28,14 +28,24 @@ SAME_ROW, CONTRADICTS = 1e-10, 1e-6
 
 @kernel
 def mobility_of(c: Contacts, k: int) -> None:
-    """Write W = X Xᵀ."""
+    """Write W = X Xᵀ, of the contacts that are near: elsewhere both are zero."""
     n = c.X.shape[1]
     for i in range(3 * k):
-        for j in range(i + 1):
+        for j in range(i + 1 if c.near[i // 3] != 0.0 else 0):
+            if c.near[j // 3] == 0.0:
+                continue
             s = 0.0
             for m in range(n):
                 s += c.X[i, m] * c.X[j, m]
             c.W[i, j], c.W[j, i] = s, s
+
+
+@kernel
+def own_mobility(c: Contacts, i: int, S: Array) -> None:
+    """Write the mobility of contact i by itself, S (3, 3), 1/kg."""
+    for j in range(3):
+        for m in range(3):
+            S[j, m] = c.W[3 * i + j, 3 * i + m]
 
 
 @kernel

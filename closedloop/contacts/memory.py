@@ -55,6 +55,7 @@ class Contacts(Block, sizes=("n", "k")):
     driven: Annotated[Array, N]  # 0 for a joint without a drive
     mode: Annotated[Array, K]  # see `closedloop.closure.contact_force`
     kind: Annotated[Array, K]  # in the present problem
+    near: Annotated[Array, K]  # 1 while its rows X and W are written: while it is closed, or about to be
     risen: Annotated[Array, K]  # 1 if it has been clear of the surface since it lifted off
     floor: Annotated[Array, K]  # the gap at which it parted, m, if that was negative
     direction: Annotated[Array, K, 2]  # of its slip at the beginning of the substep
@@ -151,6 +152,6 @@ def make_contact_memory(n: int, k: int, rows: LoopMemory | None = None, stops: i
     )
     links.n, links.k, links.stops = n, k, stops
     links.rows = 0 if rows is None else rows.address
-    contacts.driven[:], contacts.direction[:, 0] = 1.0, 1.0
+    contacts.driven[:], contacts.direction[:, 0], contacts.near[:] = 1.0, 1.0, 1.0
     links.keep_alive(rows=rows)
     return ContactMemory(links, contacts)

@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 
 from closedloop.closure.contact_force import FREE, PRESSED
-from closedloop.contacts.bind import contact_memory
+from closedloop.contacts.bind import contact_memory, starts_closed
 from closedloop.control.compensation.none import NoCompensation
 from closedloop.control.encoder import NO_ENCODER
 from closedloop.control.law_input import LawInput
@@ -84,6 +84,8 @@ class Problem(ScenarioNumbers):
             state.contacts_at, contacts.links.loop = contacts.address, state.address
             contacts.links.record_at = self.row_width - ContactRow.count(len(self.scenario.contact))
             contacts.contacts.mode[0] = PRESSED if state.unilateral == 0 else FREE
+            state.together = starts_closed(self.scenario, self.robot, self.q)
+            contacts.links.undecided = contacts.links.fresh = state.together
             loop.w.keep_alive(contacts=contacts)
         if state.encoder != NO_ENCODER and state.phase == STEP_END:
             interpreted(read_joints)(loop.w, loop.constants, state, self.table)
@@ -176,7 +178,10 @@ class Problem(ScenarioNumbers):
         LawError
             If a user's law gives none.
         """
-        given, t = self.scenario.impact.restitution, float(loop.w.time)
+        i, t = int(loop.state.striking), float(loop.w.time)
+        given = self.scenario.impact.restitution
+        if loop.state.together and i > 0:
+            given = (self.scenario.contact or ())[i - 1].restitution
         try:
             loop.constants.restitution = coefficient_at(self.restitution, given, -float(loop.w.before[0]))
         except ScenarioError as error:

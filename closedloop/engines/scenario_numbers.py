@@ -141,8 +141,8 @@ class ScenarioNumbers:
 
     @property
     def stopped(self) -> bool:
-        """Whether joints have stops, and these are no contacts among several (`closedloop.contacts`)."""
-        return has_stops(self.scenario, self.robot.model) and not self.scenario.contact
+        """Whether joints have stops."""
+        return has_stops(self.scenario, self.robot.model)
 
     @property
     def row_width(self) -> int:

@@ -7,6 +7,8 @@ from numpy.typing import NDArray
 
 from closedloop.closure.contact_force import PRESSED, STUCK, apply_impulse
 from closedloop.closure.solve import OK
+from closedloop.contacts.given_modes import own_mobility
+from closedloop.contacts.memory import contacts_at
 from closedloop.events.phases import MAX_RAPID
 from closedloop.events.stops import MOST_TRIALS, note_sides, yield_stops
 from closedloop.events.table import IMPACT, TOUCHDOWN, write_event
@@ -72,25 +74,30 @@ def collide(address: int) -> None:
     `proceed` because impacts are rare and their law takes longer to compile than all the rest.
     """
     state, constants, w = loop_at(address)
+    if state.together != 0:
+        _, c = contacts_at(state.contacts_at)
+        own_mobility(c, state.striking, c.slope)
+        strike_surface(c.slope, c.mu[state.striking], w, constants, state)
+        return
     if state.stops == 0:
-        strike_surface(w, constants, state)
+        strike_surface(w.S, constants.impact_friction, w, constants, state)
         return
     note_sides(w)
     for _ in range(MOST_TRIALS):
-        strike_surface(w, constants, state)
+        strike_surface(w.S, constants.impact_friction, w, constants, state)
         if state.status != OK or not yield_stops(w, state):
             return
 
 
 @kernel
-def strike_surface(w: Work, constants: Constants, state: State) -> None:
-    """Do the same with the stops that hold joints now."""
+def strike_surface(S: Array, mu: float, w: Work, constants: Constants, state: State) -> None:
+    """Write the impulses on a point of mobility S (3, 3), 1/kg, that strikes with `before`, and the kind of event."""
     bounces = state.rapid_events <= MAX_RAPID
     state.kind, w.discarded_rebound, w.restitution_given = IMPACT if bounces else TOUCHDOWN, 0.0, 0.0
     for _ in range(2):
         restitution = constants.restitution if state.kind == IMPACT else 0.0
         state.status = impact(
-            w.S, w.before, restitution, state.impact_law, constants.impact_friction, w.scratch,
+            S, w.before, restitution, state.impact_law, mu, w.scratch,
             (w.compression, w.decompression), w.after,
         )  # fmt: skip
         if state.status != OK or state.kind == TOUCHDOWN:

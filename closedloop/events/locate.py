@@ -34,11 +34,14 @@ AT_LIMIT = 1e-12
 def event_function(w: Work, constants: Constants, state: State) -> float:
     """Return the event function, positive as long as nothing changes: a gap, m, a force, N, or a speed, mm/s.
 
-    Of joints with stops `Work.stop_margin` counts too, rad (m) or N m (N).
+    Of joints with stops `Work.stop_margin` counts too, rad (m) or N m (N), and the gaps of open contacts of links where
+    one of them closes in the substep (`State.watched`): elsewhere they must not choose the instants that are tried.
     """
+    if state.together != 0:
+        return float(w.contact_margin)
     stops: float = w.stop_margin if state.stops != 0 else np.inf
-    if state.contacts != 0:
-        return min(float(w.contact_margin), stops)
+    if state.watched != 0:
+        stops = min(stops, float(w.contact_margin))
     if state.mode == FREE:
         return min(float(w.gap) if state.beside == 0 else 1.0, stops)
     least: float = min(w.rigid_force if state.unilateral != 0 else 1.0, stops)
@@ -113,5 +116,5 @@ def refine_bracket(w: Work, state: State) -> int:
     else:
         # An impact is applied just before penetration, every other event just after its mode has ended.
         state.trial = REACH_EVENT
-        w.tau = w.low if state.mode == FREE and state.contacts == 0 else w.high
+        w.tau = w.low if state.mode == FREE and state.together == 0 and state.watched == 0 else w.high
     return RETRY_SUBSTEP

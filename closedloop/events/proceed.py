@@ -32,6 +32,7 @@ from numpy.typing import NDArray
 
 from closedloop.closure.contact_force import FREE
 from closedloop.closure.solve import OK
+from closedloop.events.contacts import apply_contact_impulses
 from closedloop.events.impacts import apply_impact
 from closedloop.events.locate import event_function, refine_bracket
 from closedloop.events.phases import (
@@ -69,6 +70,7 @@ from closedloop.jit.calls import call_at
 from closedloop.jit.kernel import inlined_kernel
 from closedloop.step.advance import advance
 from closedloop.step.closed_loops import CLOSE
+from closedloop.step.contacts import WATCH
 from closedloop.step.energy_supplied import add_stage_work, commit_work
 from closedloop.step.evaluate import evaluate, evaluate_law
 from closedloop.step.joint_friction import stick_or_slip_joints
@@ -119,19 +121,23 @@ def proceed(
         state.phase = STEP_END
         return TERMS
     # The gap of a tip that is free is all that a trial step is for, unless there is more to watch.
-    free = state.mode == FREE and state.stops == 0 and state.contacts == 0
+    free = state.mode == FREE and state.stops == 0 and state.together == 0
     if phase in (STEP_END, STAGE, AFTER_EVENT) or (phase in (TRIAL_END, AT_EVENT) and not free):
         state.inside = 1 if phase == STAGE else 0
         status = evaluate(H, C, w, constants, state, table, rows)
         if status != OK:
             state.status = status
             return FAILED
-        if state.stops != 0 and phase != STAGE:
+        if state.stops != 0 and state.together == 0 and phase != STAGE:
             measure_stops(H, C, w, constants, state)
     elif phase != IMPULSES_KNOWN:
         status = locate_tip(w, constants, state)
         if status != OK:
             state.status = status
+            return FAILED
+    if state.contacts != 0 and state.together == 0 and phase in (STEP_END, TRIAL_END, AT_EVENT, AFTER_EVENT):
+        state.status = call_at(state.contacts, state.contacts_at, WATCH)
+        if state.status != OK:
             return FAILED
     todo = NEED_TERMS
     if phase == STEP_END:
@@ -170,13 +176,16 @@ def proceed(
     if todo == APPLY_IMPACT:
         if state.status != OK:
             return FAILED
-        apply_impact(w, constants, state, events)
-        todo = NEED_TERMS
-        if state.project != 0 and state.mode != FREE:
-            state.projections, state.next_phase = 0, AFTER_EVENT
-            request_terms(state, PROJECTION)
+        if state.together != 0:
+            todo = apply_contact_impulses(w, state, events)
         else:
-            request_terms(state, AFTER_EVENT)
+            apply_impact(w, constants, state, events)
+            todo = NEED_TERMS
+            if state.project != 0 and state.mode != FREE:
+                state.projections, state.next_phase = 0, AFTER_EVENT
+                request_terms(state, PROJECTION)
+            else:
+                request_terms(state, AFTER_EVENT)
     if todo == PROJECT:
         todo = project(H, w, constants, state)
     if todo == BEGIN_SUBSTEP:

@@ -60,8 +60,8 @@ def save_state(w: Work, constants: Constants, state: State) -> None:
         w.begin[2 * n + j] = w.z[j]
         w.slope[n + j] = w.dz[j]
     w.begin_time, w.tau = w.time, w.length
-    w.start_gap, w.start_rate = w.gap, w.rate
-    state.trial, state.stage, state.no_search = NO_TRIAL, 0, 0
+    w.start_gap, w.start_rate, w.start_contact_margin = w.gap, w.rate, w.contact_margin
+    state.trial, state.stage, state.no_search, state.watched = NO_TRIAL, 0, 0, 0
     if state.sticking != SMOOTH:
         speed = np.hypot(w.u[1], w.u[2])
         w.start_slip_speed = speed
@@ -170,7 +170,7 @@ def check_stage(w: Work, state: State) -> int:
     """
     tau = w.time - w.begin_time
     if (
-        state.contacts != 0
+        state.together != 0
         or state.trial != NO_TRIAL
         or state.mode == FREE
         or not w.rigid_force < 0.0
@@ -188,7 +188,7 @@ def check_step(w: Work, drift: float, state: State) -> int:
     """Return the action at the end of a step: BEGIN_SUBSTEP, APPLY_EVENT here, or RETRY_SUBSTEP to locate an event."""
     here = state.row == 0 or state.no_search != 0  # there is no earlier instant to search
     trial = NO_TRIAL
-    if state.mode != FREE or state.contacts != 0:
+    if state.mode != FREE or state.together != 0:
         if w.event_value < 0.0:
             trial = REACH_EVENT if here else LOCATE_EVENT
     elif state.unilateral != 0:
@@ -205,8 +205,13 @@ def check_step(w: Work, drift: float, state: State) -> int:
             trial = LOCATE_MINIMUM  # down and up again: locate the lowest point
         if w.gap > leaving:
             state.risen = 1
-    if state.stops != 0 and w.stop_margin < 0.0:
-        trial = REACH_EVENT if here else LOCATE_EVENT
+    if state.together == 0:
+        if state.stops != 0 and w.stop_margin < 0.0:
+            trial = REACH_EVENT if here else LOCATE_EVENT
+        if state.contacts != 0 and w.contact_margin < 0.0:
+            trial, state.watched = REACH_EVENT if here else LOCATE_EVENT, 1
+            w.start_event_value = min(w.start_event_value, w.start_contact_margin)
+            w.event_value = min(w.event_value, w.contact_margin)
     state.trial = trial
     if trial == NO_TRIAL:
         return BEGIN_SUBSTEP

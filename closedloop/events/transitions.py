@@ -78,7 +78,7 @@ LEAST_PULL = 1e-9
 @kernel
 def resume_after_event(C: Array, w: Work, constants: Constants, state: State, events: Array) -> int:
     """Continue after an event to the end of the step, unless the mode is inconsistent with the state."""
-    if state.contacts != 0:
+    if state.together != 0:
         return resume_with_contacts(w, constants, state, events)
     if state.mode == FREE:
         # A tip just after liftoff that accelerates towards the surface has not left it: at the projected state f is
@@ -95,7 +95,7 @@ def resume_after_event(C: Array, w: Work, constants: Constants, state: State, ev
             return NEED_TERMS
     elif (state.unilateral != 0 and w.rigid_force < 0.0) or (state.mode == STUCK and cone_margin(w, state) < 0.0):
         return APPLY_EVENT
-    if state.stops != 0 and w.stop_margin < 0.0:
+    if (state.stops != 0 and w.stop_margin < 0.0) or (state.contacts != 0 and w.contact_margin < 0.0):
         return APPLY_EVENT
     return resume_step(w, constants, state)
 
@@ -106,8 +106,8 @@ def apply_event(H: Array, w: Work, constants: Constants, state: State, rows: Arr
     if state.events >= events.shape[0]:
         state.phase = AT_EVENT
         return ENLARGE_TABLE
-    if state.contacts != 0:
-        return apply_contact_event(w, state, events)
+    if state.contacts != 0 and (state.together != 0 or w.contact_margin < 0.0):
+        return apply_contact_event(w, constants, state, events)
     if state.mode == FREE and state.surface != 0 and w.inside < 0.0:  # there is no surface to touch
         state.beside = 1
         request_terms(state, AFTER_EVENT)

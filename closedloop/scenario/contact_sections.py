@@ -51,4 +51,6 @@ class ContactSection(Section):
         None, description="how it moves in the frame against, as [surface_motion] says it; not at all if left out"
     )
     friction: Annotated[NotNegative, COEFFICIENT] = Field(0.0, description="Coulomb's coefficient of friction μ, 1")
-    restitution: Restitution = Field(0.0, description="Newton's coefficient of restitution, 0 to 1")
+    restitution: Restitution = Field(
+        0.0, description="coefficient of restitution, 0 to 1: of impact.law alone, Newton's with others"
+    )

@@ -216,7 +216,12 @@ def begun(
 ) -> Callable[..., int]:
     """Return the loop, or what it is begun with if it is not compiled; and have compiled what else is missing."""
     kernels, called = kernels_of(engine), problem.called(loop, user_law=law is not None)
-    with_it = [*kernels[1:], complete_record, *([collide] if loop.state.unilateral else []), *called]
+    with_it = [
+        *kernels[1:],
+        complete_record,
+        *([collide] if loop.state.unilateral or loop.state.contacts_at else []),
+        *called,
+    ]
     once = (*USED_ONCE, *(WITH_LOOPS if problem.robot.model.loops else ()))
     waited_for = [*kernels, *filter(takes_long, called)]
     if not all(map(at_hand, waited_for)):

@@ -76,7 +76,7 @@ class Stepper:
         self._torque: Any = w.torque.data
         self.rows: Array = np.zeros((problem.steps + 1, problem.row_width))
         self.answers = Answers(problem, self.loop)
-        make_ready(*([collide] if state.unilateral else []), complete_record)
+        make_ready(*([collide] if state.unilateral or state.contacts_at else []), complete_record)
         arrays = problem.table, problem.integrator.tableau(), self.rows
         self._once, self._again = single_calls(problem, loop_for(engine), self.loop, arrays, engine)
         self._held, self._own_started = False, False

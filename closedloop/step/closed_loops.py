@@ -234,7 +234,7 @@ def missing_torque(H: Array, C: Array, w: Work, state: State) -> None:
         s = C[i] - driving_torque(w, state, i) - w.joint_friction[i]
         for k in range(3):
             s -= w.A[k, i] * w.F[k]
-        if state.contacts != 0:
+        if state.together != 0:
             s -= w.contact_torque[i]
         for j in range(n):
             s += (H[i, j] if i <= j else H[j, i]) * w.qdd[j]

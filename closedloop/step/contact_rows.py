@@ -13,6 +13,7 @@ from closedloop.closure.contact_force import FREE, baumgarte_acceleration
 from closedloop.closure.solve import NO_NORMAL, OK, forward_substitute
 from closedloop.contacts.given_modes import mobility_of
 from closedloop.contacts.memory import LINE, OFF, ContactLinks, Contacts
+from closedloop.contacts.modes import HOVERING
 from closedloop.jit.calls import call_at
 from closedloop.jit.kernel import kernel
 from closedloop.jit.pointers import integers_at, row_of, vector_at
@@ -29,7 +30,9 @@ Array = NDArray[np.float64]
 
 @kernel
 def locate_contacts(links: ContactLinks, c: Contacts, w: Work, constants: Constants, state: State) -> int:
-    """Write rows, mobility and free acceleration of all contacts, and what the stabiliser asks for.
+    """Write rows, mobility and free acceleration of the contacts, and what the stabiliser asks for.
+
+    Those of a contact that is open, and not about to close, are zero: it costs its gap.
 
     Returns
     -------
@@ -37,34 +40,19 @@ def locate_contacts(links: ContactLinks, c: Contacts, w: Work, constants: Consta
         OK, or NO_NORMAL where a surface has none.
     """
     n, k = links.n, links.k
-    joints, rows = loops_at(links.rows)
-    for j in range(n):
-        rows.q[j], rows.v[j], c.load[j] = w.q[j], w.v[j], w.y[j]
-    locate_rows(joints, rows)
+    if locate_points(links, c, w, constants, state) != OK:
+        return NO_NORMAL
     locate_stops(links, c, w, constants)
     for i in range(3):
         c.located[i] = w.gap if i == 0 else off_anchor(w, state, i)
-        c.u[i], c.drift[i], c.a[i] = w.u[i], w.drift_c[i], w.a[i]
-        for j in range(n):
-            c.G[i, j], c.X[i, j] = w.A[i, j], w.X[i, j]
-    for r in range(joints.m):
-        i = r + 3
-        c.located[i], c.u[i], c.drift[i] = rows.error[r], rows.rate[r], rows.drift[r]
-        for j in range(n):
-            c.G[i, j] = rows.G[r, j]
-    for i in range(1, k if links.surfaces != 0 else 0):
-        if not turn_to_surface(links, c, i, w.time, constants.h, state):
-            return NO_NORMAL
-    for i in range(3, 3 * k):
-        for j in range(n):
-            c.X[i, j] = c.G[i, j]
-        forward_substitute(w.L, row_of(c.X, i))
-        c.a[i] = c.drift[i]
-        for j in range(n):
-            c.a[i] += c.X[i, j] * w.y[j]
-        if state.loops != 0:
-            bound, loops = loops_at(state.loops_at)
-            leave_free(bound, loops, row_of(c.X, i))
+        c.u[i], c.drift[i], c.a[i], c.carried[i], c.turning[i] = w.u[i], w.drift_c[i], w.a[i], 0.0, 0.0
+    for j in range(n):
+        c.load[j] = w.y[j]
+    for i in range(k):
+        near = c.mode[i] != FREE or c.located[3 * i] <= HOVERING or (i == 0 and state.unilateral == 0)
+        if near or c.near[i] != 0.0:
+            write_mobility_rows(c, i, near, w, state)
+        c.near[i] = 1.0 if near else 0.0
     mobility_of(c, k)
     for i in range(k):
         for j in range(3 * i, 3 * i + 3):
@@ -79,6 +67,48 @@ def locate_contacts(links: ContactLinks, c: Contacts, w: Work, constants: Consta
         for i in range(2):
             c.along[0, i], c.viscous[1 + i] = w.c[i], w.viscous[i]
     return int(OK)
+
+
+@kernel
+def locate_points(links: ContactLinks, c: Contacts, w: Work, constants: Constants, state: State) -> int:
+    """Write gaps, velocities and rows of the contacts of links; return OK, or NO_NORMAL where a surface has none."""
+    joints, rows = loops_at(links.rows)
+    for j in range(links.n):
+        rows.q[j], rows.v[j] = w.q[j], w.v[j]
+    locate_rows(joints, rows)
+    for r in range(joints.m):
+        i = r + 3
+        c.located[i], c.u[i], c.drift[i] = rows.error[r], rows.rate[r], rows.drift[r]
+        for j in range(links.n):
+            c.G[i, j] = rows.G[r, j]
+    for i in range(1, links.k if links.surfaces != 0 else 0):
+        if not turn_to_surface(links, c, i, w.time, constants.h, state):
+            return int(NO_NORMAL)
+    return int(OK)
+
+
+@kernel
+def write_mobility_rows(c: Contacts, i: int, near: bool, w: Work, state: State) -> None:
+    """Write X = L⁻¹Gᵀ of contact i, less what loops bind, and its free acceleration; zeros if it is not near."""
+    n = c.X.shape[1]
+    for r in range(3 * i, 3 * i + 3):
+        if i == 0:
+            for j in range(n):
+                c.G[r, j], c.X[r, j] = w.A[r, j], w.X[r, j] if near else 0.0
+            continue
+        for j in range(n):
+            c.X[r, j] = c.G[r, j] if near else 0.0
+        c.a[r] = c.drift[r]
+        if not near:
+            for j in range(c.W.shape[0]):
+                c.W[r, j], c.W[j, r] = 0.0, 0.0
+            continue
+        forward_substitute(w.L, row_of(c.X, r))
+        for j in range(n):
+            c.a[r] += c.X[r, j] * w.y[j]
+        if state.loops != 0:
+            bound, loops = loops_at(state.loops_at)
+            leave_free(bound, loops, row_of(c.X, r))
 
 
 @kernel

@@ -1,4 +1,4 @@
-"""The contacts of the links in a step: all of them, the tip's among them, solved together.
+"""The contacts of the links in a step: watched while they are open, else solved, the tip's among them, together.
 
 With H = L Lᵀ, y = L⁻¹(Q − C) of the tree, less what loops bind (`closedloop.step.closed_loops`), and X = L⁻¹Gᵀ of all
 contacts, likewise, the acceleration of the contacts is u̇ = X y + drift + X Xᵀ F. An event
@@ -13,21 +13,23 @@ import math
 import numpy as np
 from numpy.typing import NDArray
 
-from closedloop.closure.contact_force import FREE, PRESSED, STUCK, accelerate
+from closedloop.closure.contact_force import FREE, PRESSED, STUCK, accelerate, pressed_force, stuck_force
 from closedloop.closure.solve import OK, back_substitute
-from closedloop.contacts.given_modes import kinds_of_modes, solve_modes
-from closedloop.contacts.impact import apply_impulses
-from closedloop.contacts.memory import LINE, ContactLinks, Contacts, contacts_at
-from closedloop.contacts.modes import CLOSED_GAP, HOVERING, decide
+from closedloop.contacts.given_modes import kinds_of_modes, own_mobility, solve_modes, write_after
+from closedloop.contacts.impact import RESTING, STRUCK_AND_LEFT, STRUCK_AND_STAYED, apply_impulses
+from closedloop.contacts.memory import LINE, OFF, RAY, ContactLinks, Contacts, contacts_at
+from closedloop.contacts.modes import CLOSED_GAP, HOVERING, decide, touches
+from closedloop.impact import energy_lost
 from closedloop.jit.kernel import entry_kernel, kernel
-from closedloop.step.contact_rows import locate_contacts, place_contacts
+from closedloop.jit.pointers import row_of
+from closedloop.step.contact_rows import locate_contacts, locate_points, place_contacts
 from closedloop.step.locate import set_anchor
 from closedloop.step.memory import State, Work, loop_at
 
 Array = NDArray[np.float64]
 
 # What the contacts are asked for.
-FORCE, SAVE, IMPULSE, DECIDE, DRIVE = range(5)
+FORCE, WATCH, SAVE, PLACE, IMPULSE, DECIDE, DRIVE = range(7)
 
 
 @entry_kernel
@@ -35,7 +37,9 @@ def contacts_in_step(address: int, what: int) -> int:
     """Answer for the contacts, by the address of their memory; return a status of `closedloop.closure.solve`.
 
     FORCE    write the forces at the state in `Work`, q̈, and the margin of the event function
+    WATCH    write the gaps of the links' contacts, all of them open, and the least as that margin
     SAVE     keep what a substep begins with
+    PLACE    write where the contacts are, and which of them strikes alone
     IMPULSE  apply the impulses of contacts that come together to q̇; `happened` says what
     DECIDE   write the modes after an event or at the start, `happened` likewise, and take what velocity they have not
     DRIVE    take the torque from joints without a drive
@@ -47,11 +51,22 @@ def contacts_in_step(address: int, what: int) -> int:
         status = locate_contacts(links, c, w, constants, state)
         if status == OK:
             status = contact_forces(links, c, w, state)
+    elif what == WATCH:
+        status = locate_points(links, c, w, constants, state)
+        c.margin = math.inf
+        for i in range(1, links.k - links.stops):
+            c.margin = min(c.margin, open_margin(c, i))
+        w.contact_margin = c.margin
     elif what == SAVE:
         save_contacts(links, c)
-    elif what == IMPULSE:
+    elif what == PLACE:
         place_contacts(links, c, w)
-        status = apply_impulses(links, c, constants.rest_speed)
+        state.striking = striking_alone(links, c)
+    elif what == IMPULSE:
+        if state.striking < 0:
+            status = apply_impulses(links, c, constants.rest_speed)
+        else:
+            apply_impulse_alone(links, c, w, state.striking, state.kind == int(STRUCK_AND_LEFT))
         move(links, c, w)
     elif what == DECIDE:
         place_contacts(links, c, w)
@@ -75,7 +90,7 @@ def contact_forces(links: ContactLinks, c: Contacts, w: Work, state: State) -> i
         c.margin = -1.0
     else:
         kinds_of_modes(c, k)
-        status = solve_modes(c, k)
+        status = solve_closed(c, k)
         if c.kind[0] == LINE and c.rigid[0] < 0.0 and (c.along[0, 0] != 0.0 or c.along[0, 1] != 0.0):
             c.along[0, 0], c.along[0, 1] = -c.along[0, 0], -c.along[0, 1]  # what pulls rubs with |f|
             status = solve_modes(c, k)
@@ -99,6 +114,52 @@ def contact_forces(links: ContactLinks, c: Contacts, w: Work, state: State) -> i
     return status
 
 
+@kernel
+def solve_closed(c: Contacts, k: int) -> int:
+    """Write F, `rigid` and `rounding` in the present modes: of one contact by its closed form, else of all."""
+    alone = -1
+    for i in range(k):
+        if c.kind[i] != OFF:
+            if alone >= 0 or c.kind[i] == LINE:
+                return int(solve_modes(c, k))
+            alone = i
+    if alone < 0 or not solve_one(c, k, alone):
+        return int(solve_modes(c, k))
+    return int(OK)
+
+
+@kernel
+def solve_one(c: Contacts, k: int, i: int) -> bool:
+    """Do `solve_modes` for contact i, the only one closed, by the closed form of the tip, where there is one."""
+    at, n, asked = 3 * i, c.X.shape[1], 0.0
+    S, a, b, F, rigid = c.slope, c.a[at : at + 3], c.b[at : at + 3], c.F[at : at + 3], c.rigid[at : at + 3]
+    own_mobility(c, i, S)
+    for j in range(3 * k):
+        c.F[j], c.rigid[j] = 0.0, 0.0
+    if c.kind[i] == RAY:
+        along, viscous = row_of(c.along, i), c.viscous[at + 1 : at + 3]
+        status, share = pressed_force(S, a, b[0], along, viscous, F)
+        if status != OK:
+            return False
+        rigid[0] = F[0] - share
+        rigid[1], rigid[2] = -along[0] * rigid[0] - viscous[0], -along[1] * rigid[0] - viscous[1]
+    else:
+        if stuck_force(S, a, b, F, rigid) != OK:
+            return False
+        for j in range(3):
+            rigid[j] = F[j] - rigid[j]
+    size, most = 0.0, 0.0
+    for r in range(at, at + (1 if c.kind[i] == RAY else 3)):
+        s = abs(c.drift[r]) + abs(c.b[r])
+        for j in range(n):
+            s += abs(c.X[r, j] * c.load[j])
+        asked = max(asked, s)
+    for j in range(3):
+        size, most = max(size, abs(rigid[j])), max(most, S[j, j])
+    c.rounding = 1e-10 * max(size, asked / most)
+    return True
+
+
 # The speed of slip below which it is none, m/s.
 STICK_SPEED = 1e-7
 
@@ -116,7 +177,7 @@ def margin_of(c: Contacts, k: int, slow: float, rest: float) -> float:
         if c.kind[i] == LINE:
             continue
         if c.mode[i] == FREE:
-            least = min(least, c.located[n] - c.floor[i] + (CLOSED_GAP if c.risen[i] != 0.0 else HOVERING))
+            least = min(least, open_margin(c, i))
             continue
         least = min(least, c.rigid[n] + c.rounding)
         if c.mode[i] == STUCK:
@@ -126,6 +187,42 @@ def margin_of(c: Contacts, k: int, slow: float, rest: float) -> float:
             along = c.u[n + 1] * c.direction[i, 0] + c.u[n + 2] * c.direction[i, 1]
             least = min(least, along + (slow if c.start_slip[i] <= max(slow, rest) else -rest))
     return float(least)
+
+
+@kernel
+def open_margin(c: Contacts, i: int) -> float:
+    """Return what is left until contact i, which is open, closes, m."""
+    return float(c.located[3 * i] - c.floor[i] + (CLOSED_GAP if c.risen[i] != 0.0 else HOVERING))
+
+
+@kernel
+def striking_alone(links: ContactLinks, c: Contacts) -> int:
+    """Return the contact that strikes while no other is closed or closes, −1 if there is none such."""
+    alone = -1
+    for i in range(links.k):
+        if c.kind[i] == LINE or (touches(links, c, i) and (alone >= 0 or c.mode[i] != FREE)):
+            return -1
+        if touches(links, c, i):
+            alone = i
+    if alone < 0 or alone >= links.k - links.stops or not c.u[3 * alone] < -RESTING:
+        return -1
+    return alone
+
+
+@kernel
+def apply_impulse_alone(links: ContactLinks, c: Contacts, w: Work, i: int, leaves: bool) -> None:
+    """Write what the impulse of a contact that strikes alone does, which `collide` has left in `Work`."""
+    k, at = links.k, 3 * i
+    for j in range(3 * k):
+        c.F[j], c.before[j] = 0.0, c.u[j]
+    for j in range(k):
+        c.happened[j], c.struck[j], c.pulled[j] = 0.0, 0.0, 0.0
+    for j in range(3):
+        c.F[at + j] = w.compression[j] + w.decompression[j]
+    write_after(c, k)
+    c.energy_lost, c.restitution_share, c.struck[i] = energy_lost(w.before, w.after, c.F[at : at + 3]), 1.0, 1.0
+    c.happened[i] = STRUCK_AND_LEFT if leaves else STRUCK_AND_STAYED
+    c.mode[i], c.risen[i], c.floor[i] = FREE if leaves else PRESSED, 1.0, min(c.located[at], 0.0)
 
 
 @kernel

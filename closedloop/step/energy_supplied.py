@@ -38,7 +38,7 @@ def power(w: Work, state: State) -> float:
     )
     for j in range(w.v.shape[0]):
         total += (driving_torque(w, state, j) + w.joint_friction[j]) * w.v[j]
-    if state.contacts != 0:
+    if state.together != 0:
         total += w.contact_power
     return total
 
@@ -55,7 +55,7 @@ def save_power(w: Work, state: State) -> None:
             growth += w.F[i] * (w.S[i, 0] * w.F[0] + w.S[i, 1] * w.F[1] + w.S[i, 2] * w.F[2])
         for j in range(w.v.shape[0]):
             growth += (driving_torque(w, state, j) + w.joint_friction[j]) * w.qdd[j]
-        if state.contacts != 0:
+        if state.together != 0:
             growth += w.contact_power_rate
         w.start_power_rate = growth
 

@@ -78,6 +78,9 @@ class State(Block):
     seen_loops_at: int  # address of the memory of the loops as the law sees them, 0: it sees the state itself
     contacts: int  # address of the entry of the contacts of the links, 0: none but the tip's; and of their memory
     contacts_at: int
+    together: int  # 1 while a contact of a link is closed, or strikes: all contacts are then solved together
+    watched: int  # 1 if the event that is searched for may be that an open contact of a link closes
+    striking: int  # which contact strikes alone, 0 the tip; see `closedloop.events.impacts.collide`
     stops: int  # 1 if the joints have stops
     feed_forward: int  # whether the law is told of the joints' desired acceleration
     proceed: int  # address of the entry of `closedloop.events.proceed`, for the compiled engine
@@ -200,6 +203,7 @@ class Work(Block, sizes=("n", "k", "stages", "ring")):
     start_power: float
     start_power_rate: float
     contact_margin: float  # of the links' contacts in the event function, see `closedloop.step.contacts`, as the next
+    start_contact_margin: float
     contact_power: float  # of their forces, the tip's apart, W, and its rate with these forces, W/s
     contact_power_rate: float
     r: Annotated[Array, 3]  # base axes

@@ -197,7 +197,7 @@ def record_state(H: Array, C: Array, w: Work, state: State, rows: Array, place: 
         call_at(state.loops, state.loops_at, REACTION)
         for j in range(n):
             w.column[j] += driving_torque(w, state, j) + w.joint_friction[j]
-    if state.contacts != 0:
+    if state.together != 0:
         for j in range(n):
             w.column[j] += w.contact_torque[j]
     motion, closed = residuals(H, w.column, C, w, first, last)

@@ -39,7 +39,7 @@ def contact_force(C: Array, w: Work, constants: Constants, state: State) -> int:
     free_acceleration(w.L, w.X, w.drift_c, w.column, C, w.y, w.a)
     if state.loops != 0:
         call_at(state.loops, state.loops_at, BIND_LOAD)
-    if state.contacts != 0:
+    if state.together != 0:
         return call_at(state.contacts, state.contacts_at, FORCE)
     w.rigid_force = 0.0
     for i in range(3):

@@ -173,7 +173,7 @@ def test_each_contact_to_which_something_happened_has_its_row(struck):
     c.happened[:], c.struck[:], c.energy_lost = [0.0, STRUCK_AND_LEFT, LIFTOFF, STRUCK_AND_STAYED], struck, 0.7
     c.before[[3, 6, 9]], c.after[[3, 6, 9]] = [-2.0, -2.0, -2.0], [0.5, -0.5, 0.0]
     w = SimpleNamespace(time=0.3, supplied=1.0, carried=rng.normal(size=3))
-    state, events = SimpleNamespace(events=1), np.full((5, EVENT_WIDTH), np.nan)
+    state, events = SimpleNamespace(events=1, striking=-1), np.full((5, EVENT_WIDTH), np.nan)
     interpreted(log_contacts)(w, links, c, state, events)
     assert state.events == 4
     assert np.all(np.isnan(events[[0, 4]]))
@@ -194,7 +194,7 @@ def test_an_event_waits_for_room_in_the_table():
     """Two rows for each contact; and where modes are known, one that does not last is an event."""
     links, _ = make_contact_memory(2, 2)
     state = SimpleNamespace(contacts_at=links.address, events=7, phase=-1)
-    assert interpreted(apply_contact_event)(None, state, np.zeros((10, EVENT_WIDTH))) == ENLARGE_TABLE
+    assert interpreted(apply_contact_event)(None, None, state, np.zeros((10, EVENT_WIDTH))) == ENLARGE_TABLE
     assert state.phase == AT_EVENT
     decided = interpreted(resume_with_contacts)
     assert decided(SimpleNamespace(contact_margin=-1e-9), None, state, None) == APPLY_EVENT

@@ -61,7 +61,7 @@ class AdaptiveRun:
         self.memory = Memory(problem, law)
         state = self.memory.state
         sticking, several = state.sticking, state.contacts_at != 0
-        self.has_dry_friction = sticking != SMOOTH and not several
+        self.may_rub = sticking != SMOOTH
         ends = problem.surface.ends or state.stops != 0 or several
         self.has_events = state.unilateral != 0 or sticking == RIGID_STICK or ends
         self.instants = problem.h * np.arange(problem.steps + 1, dtype=np.float64)
@@ -94,6 +94,11 @@ class AdaptiveRun:
             self.advance(interval)
             if self.time >= interval.end:
                 interval = self.interval()
+
+    @property
+    def has_dry_friction(self) -> bool:
+        """Whether the tip rubs, and is not one of several contacts."""
+        return self.may_rub and self.memory.state.together == 0
 
     def interval(self) -> Interval:
         """Return the interval that begins at the present time."""
@@ -227,10 +232,14 @@ class AdaptiveRun:
         # After liftoff the gap grows with the cube of time at first, no faster than the error; and so does the way of a
         # joint from its stop.
         leaving, stop = max(SHALLOW, 10.0 * self.tolerance), None
-        if state.stops != 0:
+        if state.stops != 0 and state.together == 0:
             stop = first_crossing(value("stop_margin"), length, leaving)
             length = length if stop is None else stop
-        if state.mode != FREE or state.contacts != 0:
+        if state.contacts != 0 and state.together == 0:
+            closes = first_crossing(value("contact_margin"), length)
+            if closes is not None:
+                stop = length = closes
+        if state.mode != FREE or state.together != 0:
             event = first_crossing(value("event_value"), length)
             return stop if event is None else event
         event = first_crossing(value("event_value"), length, SHALLOW if state.risen != 0 else leaving, value("rate"))

@@ -11,8 +11,10 @@ from closedloop.engines.proceed import ADDRESSES, Addresses, tip_from_pinocchio
 from closedloop.events.locate import event_function, slip_margin
 from closedloop.events.stops import measure_stops
 from closedloop.events.substep import save_state
+from closedloop.jit.calls import call_at
 from closedloop.jit.kernel import entry_kernel
 from closedloop.jit.pointers import fortran_at, integers_at, matrix_at, vector_at
+from closedloop.step.contacts import WATCH
 from closedloop.step.energy_supplied import power
 from closedloop.step.evaluate import evaluate
 from closedloop.step.memory import RIGID_STICK, loop_at
@@ -46,8 +48,13 @@ def evaluate_on_pinocchio(address: int, table: Array, use: int) -> int:
     status = evaluate(H, C, w, constants, state, matrix_at(a.table, a.instants, a.table_width), rows)
     if status != OK:
         return status
-    if state.stops != 0 and use != DERIVE:
-        measure_stops(H, C, w, constants, state)
+    if state.together == 0 and use != DERIVE:
+        if state.stops != 0:
+            measure_stops(H, C, w, constants, state)
+        if state.contacts != 0:
+            status = call_at(state.contacts, state.contacts_at, WATCH)
+            if status != OK:
+                return status
     if use == DERIVE:
         w.start_power = power(w, state)
     elif use == BEGIN_STEP:
@@ -57,7 +64,7 @@ def evaluate_on_pinocchio(address: int, table: Array, use: int) -> int:
         w.stop_margin = np.inf
         w.event_value = event_function(w, constants, state)
         w.stop_margin = stop
-        if state.sticking == RIGID_STICK and state.mode == PRESSED and state.contacts == 0:
+        if state.sticking == RIGID_STICK and state.mode == PRESSED and state.together == 0:
             begun, band = w.start_slip_speed, constants.capture_speed
             if begun > constants.stick_speed and not begun > band > 0.0:  # see `Memory.apply_event`
                 w.event_value = min(w.event_value, 1e3 * (slip_margin(w, constants) - constants.stick_speed))

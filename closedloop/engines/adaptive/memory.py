@@ -168,7 +168,7 @@ class Memory:
         acceleration are constant to 1e-12, so the stop is extrapolated; near rest the direction of slip is rounding.
         """
         self.evaluate(t, y, interval, EVENT_VALUE)
-        w, alone = self.w, self.state.contacts_at == 0
+        w, alone = self.w, self.state.together == 0
         rigid = alone and self.state.sticking == RIGID_STICK and self.state.mode == PRESSED
         slip = w.u[1:]
         if rigid and 0.0 < np.hypot(*slip) <= 2.0 * self.constants.stick_speed and w.rigid_force > 0.0:

@@ -1,0 +1,117 @@
+"""An untouched contact changes nothing: a run with one more `[[contact]]`, 50 m away, is the run without it."""
+
+import itertools
+
+import numpy as np
+import pytest
+
+import closedloop as cl
+from closedloop.columns.recorded import COLUMNS
+from robot_models import load
+
+# To the end of what happens in each, s, where that is not 0.1 s.
+LONG = {"wam_bounce": 0.9, "wam_liftoff": 0.4, "wam_touchdown": 0.4, "planar2_drop": 0.4, "wam_edge": 0.6}
+# What has a section that does not go with `[[contact]]`, whatever else is asked for; see "Limits" in docs/contacts.md.
+NEVER_BESIDE = (
+    "joint_friction", "panda_polish", "panda_wipe", "soft_table", "wam_hybrid_friction", "wam_slide_friction",
+    "wam_stick_slip",
+)  # fmt: skip
+LAWS = ("newton", "poisson", "stronge")
+SCHEMES = ("semi_implicit_euler", "rk4", "dop853")
+
+
+def far_contact(scenario):
+    """Return the section of a contact of the tip's frame that is 50 m below it, with properties of its own."""
+    model = load(scenario.robot.model)
+    tip = scenario.robot.tip or model.tip
+    return {"link": tip, "name": "far away", "through": [0, 0, -50.0], "friction": 0.7, "restitution": 0.9}
+
+
+def both(name, changes):
+    """Return the run of a scenario without and with the far contact, or the refusal of it."""
+    scenario = cl.load_scenario(name, changes)
+    here = [each.model_dump() for each in scenario.contact or ()]
+    runs = []
+    for more in ([], [far_contact(scenario)]):
+        given = {"contact": [*here, *more]} if here or more else {}
+        try:
+            runs.append(cl.simulate(cl.load_scenario(name, {**changes, **given}), progress=False))
+        except cl.ScenarioError as refusal:
+            runs.append(str(refusal))
+    return runs
+
+
+def assert_same(alone, beside):
+    """Every column that is recorded is the same to the bit, and so are the events; the contact stays open."""
+    if isinstance(alone, str):
+        assert beside == alone
+        return
+    assert not isinstance(beside, str), beside
+    for column in COLUMNS:
+        one, other = (np.asarray(getattr(run, column)) for run in (alone, beside))
+        if one.ndim == 2 and other.shape[1:] != one.shape[1:]:  # of the contacts, the far one's last
+            other = other[:, : one.shape[1]]
+        assert np.array_equal(one, other, equal_nan=True), column
+    assert alone.stopped == beside.stopped
+    assert not np.any(beside.link_modes[:, -1])
+    assert np.all(beside.link_gaps[:, -1] > 40.0)
+
+
+@pytest.mark.parametrize(
+    ("name", "changes"),
+    [
+        ("wam_bounce", {"impact.law": "poisson", "impact.restitution": 0.6, "time.duration": 0.9}),
+        ("wam_slide", {"time.duration": 0.02}),
+    ],
+)
+def test_untouched_contact_changes_nothing(name, changes):
+    """A selection of what `test_untouched_contact_changes_nothing_anywhere` runs."""
+    assert_same(*both(name, changes))
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("name", cl.shipped_scenarios())
+def test_untouched_contact_changes_nothing_anywhere(name):
+    """Every shipped scenario with every law of restitution where it may bounce, friction and integrator."""
+    scenario = cl.load_scenario(name)
+    laws = LAWS if scenario.surface.contact == "unilateral" else LAWS[:1]
+    frictions = ({}, {"friction.kind": "coulomb", "friction.coefficient": 0.3})
+    compared = 0
+    for law, friction, scheme in itertools.product(laws, frictions, SCHEMES):
+        changes = {"impact.law": law, "time.integrator": scheme, "time.duration": LONG.get(name, 0.1), **friction}
+        alone, beside = both(name, changes)
+        if isinstance(beside, str) and "does not go with [[contact]]" in beside:
+            continue  # said in docs/contacts.md
+        assert_same(alone, beside)
+        compared += not isinstance(alone, str)
+    assert compared > 0 or name in NEVER_BESIDE, "nothing was compared"
+
+
+@pytest.mark.parametrize(
+    ("name", "law", "restitution", "friction"),
+    [
+        ("planar2_drop", "poisson", 0.5, 0.4),
+        pytest.param("wam_bounce", "newton", 0.6, 0.3, marks=pytest.mark.slow),
+        pytest.param("wam_bounce", "stronge", 0.6, 0.3, marks=pytest.mark.slow),
+    ],
+)
+def test_contact_of_a_link_strikes_as_the_tip_does(name, law, restitution, friction):
+    """A point of the tip's frame on the tip's plane bounces, with friction, as the tip does: by `impact.law`.
+
+    An impact is applied on either side of an instant known to 1e-14 s, and the small ones at the end follow from that.
+    """
+    changes = {"impact.law": law, "time.duration": 0.6, "time.integrator": "rk4"}
+    rubs = {"impact.restitution": restitution, "friction.kind": "coulomb", "friction.coefficient": friction}
+    tip = cl.simulate(cl.load_scenario(name, changes | rubs), progress=False)
+    through = tip.position[0] - tip.closure_error[0] * tip.surface_normal[0]
+    contact = far_contact(tip.scenario) | {
+        "normal": tip.surface_normal[0].tolist(), "through": through.tolist(),
+        "friction": friction, "restitution": restitution,
+    }  # fmt: skip
+    link = cl.simulate(cl.load_scenario(name, changes | {"surface.gap": 50.0, "contact": [contact]}), progress=False)
+    assert np.sum(tip.event_kind == 1) >= 2
+    assert link.event_kind.tolist() == tip.event_kind.tolist()
+    assert np.all(link.event_contact == 1)
+    for column in ("event_time", "event_rate_after", "event_compression", "event_decompression", "event_restitution"):
+        np.testing.assert_allclose(getattr(link, column), getattr(tip, column), rtol=1e-7, atol=1e-8, err_msg=column)
+    np.testing.assert_allclose(link.v, tip.v, atol=1e-7)

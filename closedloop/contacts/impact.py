@@ -11,6 +11,8 @@ and they create none. With e = 0 there always are (`closedloop.contacts.continua
 
 from __future__ import annotations
 
+import math
+
 import numpy as np
 from numpy.typing import NDArray
 
@@ -93,7 +95,8 @@ def let_stay(links: ContactLinks, c: Contacts, rest_speed: float) -> None:
         if stays:
             fastest = max(fastest, c.after[3 * i])
         if c.kind[i] != LINE:
-            c.kind[i] = RAY if stays else OFF
+            slow = math.hypot(c.after[3 * i + 1], c.after[3 * i + 2]) <= rest_speed
+            c.kind[i] = OFF if not stays else (CONE if slow and c.mu[i] > 0.0 else RAY)
             c.along[i, 0], c.along[i, 1] = 0.0, 0.0
     if fastest > RESTING:
         for i in range(3 * k):

@@ -98,6 +98,8 @@ class Contacts(Block, sizes=("n", "k")):
     solution: Annotated[Array, 2, 3 * K + N]
     unknown: Annotated[Array, 3 * K]
     unknowns: Annotated[Array, 3 * K, 3 * K]
+    basis: Annotated[Array, 3 * K, N]
+    Y: Annotated[Array, 3 * K, N]
     residuals: Annotated[Array, 3 * K]
     trial: Annotated[Array, 3 * K]
     best: Annotated[Array, 3 * K]

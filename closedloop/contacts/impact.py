@@ -16,7 +16,7 @@ import math
 import numpy as np
 from numpy.typing import NDArray
 
-from closedloop.closure.contact_force import FREE, PRESSED
+from closedloop.closure.contact_force import FREE, PRESSED, STUCK
 from closedloop.closure.solve import OK, PAINLEVE
 from closedloop.contacts.complementarity import STARTS, largest_mobility, solve_contacts
 from closedloop.contacts.continuation import force_size
@@ -56,6 +56,8 @@ def apply_impulses(links: ContactLinks, c: Contacts, rest_speed: float) -> int:
     for i in range(k):
         c.happened[i], c.struck[i] = 0.0, 0.0
         c.pulled[i] = 1.0 if c.mode[i] != FREE and c.rigid[3 * i] < -c.rounding else 0.0
+        rub = math.hypot(c.rigid[3 * i + 1], c.rigid[3 * i + 2])
+        c.outside[i] = 1.0 if c.mode[i] == STUCK and rub > c.mu[i] * c.rigid[3 * i] + c.rounding else 0.0
         if c.kind[i] != LINE:
             c.kind[i] = OFF
             if touches(links, c, i):

@@ -100,7 +100,7 @@ def choose_kinds(links: ContactLinks, c: Contacts, slow: float) -> float:
 
 
 @kernel
-def mode_after(c: Contacts, i: int, nothing: float, tired: bool) -> int:
+def mode_after(c: Contacts, i: int, nothing: float, tired: bool = False) -> int:
     """Return the mode that goes with force and acceleration of contact i, and write the direction of its slip.
 
     At the edge of the cone there is hardly any acceleration: a contact that is found to stick there again and again

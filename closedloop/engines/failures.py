@@ -83,6 +83,13 @@ def failure_of(status: int, t: float, robot: Robot, problem: Problem, law: Any, 
             "away from its centre, edge or apex",
             t,
         )
+    if status == CHATTER and problem.scenario.contact:
+        asked = "look at a law that depends on the contacts, and at time.step" if law is not None else "look at time.step"
+        return ChatterError(
+            f"{when(t)}: the contacts chatter: at one instant their modes change again and again, for the forces of each "
+            f"set of modes ask for another; {asked}",
+            t,
+        )
     if status == CHATTER:
         return ChatterError(
             f"{when(t)}: the contact chatters: at one instant the torque presses the tip on while it is off the "

@@ -22,6 +22,7 @@ def contacts(rng, n, kinds=(CONE, RAY, LINE, OFF)):
     c.X[:] = rng.normal(size=c.X.shape)
     interpreted(mobility_of)(c, K)
     c.kind[:], c.mu[:], c.along[:] = kinds, 0.4, 0.2 * rng.normal(size=(K, 2))
+    c.Y[:] = c.X
     c.a[:], c.b[:], c.viscous[:] = rng.normal(size=(3, 3 * K))
     c.load[:] = rng.normal(size=n)
     return c
@@ -162,7 +163,7 @@ def in_cones(c, forces, tolerance):
 def test_slopes_are_the_derivatives_of_the_projection(spans):
     """Of each kind of contact, inside its cone, beside it and behind it, by central differences."""
     c, h = contacts(np.random.default_rng(12), 3 * K, (CONE, RAY, LINE, CONE)), 1e-6
-    c.X[:] = np.eye(3 * K)
+    c.Y[:] = np.eye(3 * K)
     for seed in range(4):
         at = np.random.default_rng(seed).normal(size=3 * K)
         columns = []

@@ -175,8 +175,8 @@ def pulled_in(c: Contacts, i: int) -> bool:
 def span_rows(c: Contacts, k: int, p: int) -> None:
     """Write in `Y` what of X the p equations of the unknowns see, in an orthonormal basis of their rows.
 
-    Forces with the same Yᵀ F give the rows the same acceleration. They move the tree alike too, unless a contact slides:
-    the friction of contacts that share a normal force otherwise is another.
+    Forces with the same Yᵀ F give the rows the same acceleration. They move the tree alike too, unless a contact
+    slides: the friction of contacts that share a normal force otherwise is another.
     """
     n, rubbed = c.X.shape[1], False
     for i in range(k):

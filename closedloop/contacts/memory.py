@@ -41,7 +41,7 @@ class ContactLinks(Block):
     undriven: int  # joints without a drive
     undecided: int  # 1 until the modes after an event, or at the start, are found
     fresh: int  # 1 at the start
-    tired: int  # 1 after so many events in a row that there is no restitution any more, and no contact holds at its limit
+    tired: int  # 1 after many events in a row: there is no restitution, and no contact sticks at its limit
     record_at: int  # where in a row of the record there is a `ContactRow`
 
 

@@ -84,10 +84,10 @@ def failure_of(status: int, t: float, robot: Robot, problem: Problem, law: Any, 
             t,
         )
     if status == CHATTER and problem.scenario.contact:
-        asked = "look at a law that depends on the contacts, and at time.step" if law is not None else "look at time.step"
+        cure = "look at time.step" + ("" if law is None else ", and at a law that depends on the contacts")
         return ChatterError(
-            f"{when(t)}: the contacts chatter: at one instant their modes change again and again, for the forces of each "
-            f"set of modes ask for another; {asked}",
+            f"{when(t)}: the contacts chatter: at one instant their modes change again and again, for the forces of "
+            f"each set of modes ask for another; {cure}",
             t,
         )
     if status == CHATTER:

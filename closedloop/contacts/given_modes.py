@@ -107,7 +107,6 @@ def solve_modes(c: Contacts, k: int) -> int:
             if not abs(left) <= CONTRADICTS * asked:
                 return SINGULAR
         share_forces(c, k, p)
-    keep_in_cones(c, k)
     size = 0.0
     for i in range(3 * k):
         size = max(size, abs(c.rigid[i]))
@@ -147,10 +146,15 @@ def keep_in_cones(c: Contacts, k: int) -> None:
 
 @kernel
 def share_inside(c: Contacts, i: int) -> float:
-    """Return the largest share <= 1 of the stabiliser's part of contact i with which its force is in its cone."""
+    """Return the largest share <= 1 of the stabiliser's part of contact i with which its force is in its cone.
+
+    1.0 where the force without that part is outside: the contact's mode ends there.
+    """
     n, mu = 3 * i, c.mu[i]
     f, grown = c.rigid[n], c.F[n] - c.rigid[n]
-    share = 1.0 if f + grown >= 0.0 else max(0.0, f / -grown)
+    if f < -c.rounding:
+        return 1.0
+    share = 1.0 if c.F[n] >= 0.0 else max(0.0, f) / (max(0.0, f) - c.F[n])
     if c.kind[i] == RAY or mu * c.F[n] >= math.hypot(c.F[n + 1], c.F[n + 2]):
         return share
     r1, r2, d1, d2 = c.rigid[n + 1], c.rigid[n + 2], c.F[n + 1] - c.rigid[n + 1], c.F[n + 2] - c.rigid[n + 2]
@@ -158,7 +162,7 @@ def share_inside(c: Contacts, i: int) -> float:
     a, half = (mu * grown) * (mu * grown) - d1 * d1 - d2 * d2, mu * mu * f * grown - r1 * d1 - r2 * d2
     inside = (mu * f) * (mu * f) - r1 * r1 - r2 * r2
     if not inside > 0.0:
-        return 0.0
+        return 0.0 if math.hypot(r1, r2) <= mu * f + c.rounding else 1.0
     below = math.sqrt(max(0.0, half * half - a * inside)) - half
     return min(share, inside / below) if below > 0.0 else share
 

@@ -57,7 +57,8 @@ def apply_impulses(links: ContactLinks, c: Contacts, rest_speed: float) -> int:
         c.happened[i], c.struck[i] = 0.0, 0.0
         c.pulled[i] = 1.0 if c.mode[i] != FREE and c.rigid[3 * i] < -c.rounding else 0.0
         rub = math.hypot(c.rigid[3 * i + 1], c.rigid[3 * i + 2])
-        c.outside[i] = 1.0 if c.mode[i] == STUCK and rub > c.mu[i] * c.rigid[3 * i] + c.rounding else 0.0
+        left = c.mu[i] * c.rigid[3 * i] - rub + c.rounding
+        c.outside[i] = 1.0 if c.mode[i] == STUCK and left < 0.0 else 0.0
         if c.kind[i] != LINE:
             c.kind[i] = OFF
             if touches(links, c, i):
@@ -74,10 +75,10 @@ def apply_impulses(links: ContactLinks, c: Contacts, rest_speed: float) -> int:
     for i in range(k):
         if c.kind[i] == LINE or c.kind[i] == OFF:
             continue
-        left = c.after[3 * i] > 0.5 * slowest_rebound(links, i, rest_speed)
+        parts = c.after[3 * i] > 0.5 * slowest_rebound(links, i, rest_speed)
         if c.struck[i] != 0.0:
-            c.happened[i] = STRUCK_AND_LEFT if left else STRUCK_AND_STAYED
-        if left:
+            c.happened[i] = STRUCK_AND_LEFT if parts else STRUCK_AND_STAYED
+        if parts:
             c.mode[i], c.risen[i], c.floor[i] = FREE, 1.0, min(c.located[3 * i], 0.0)
         elif c.mode[i] == FREE:
             c.mode[i] = PRESSED

@@ -116,10 +116,10 @@ def mode_after(c: Contacts, i: int, nothing: float, tired: bool = False) -> int:
     size = math.hypot(a1, a2)
     if c.kind[i] == CONE:
         if size <= nothing:
-            rub = math.hypot(c.rigid[at + 1], c.rigid[at + 2])
+            rub = math.hypot(c.F[at + 1], c.F[at + 2])
             if not (tired and c.outside[i] != 0.0 and rub > 0.0):
                 return STUCK
-            a1, a2, size = -c.rigid[at + 1], -c.rigid[at + 2], rub
+            a1, a2, size = -c.F[at + 1], -c.F[at + 2], rub
         c.turned[i] = 1.0 if a1 * c.direction[i, 0] + a2 * c.direction[i, 1] < 0.0 else 0.0
         c.direction[i, 0], c.direction[i, 1] = a1 / size, a2 / size
     elif c.mu[i] > 0.0:

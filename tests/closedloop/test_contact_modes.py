@@ -92,7 +92,7 @@ def test_a_contact_at_its_limit_slips_if_it_is_found_to_stick_again_and_again(me
     """Against the friction that would have to hold it; only after many events in a row, and only at its limit."""
     c = memory.contacts
     after = interpreted(mode_after)
-    c.kind[1], c.F[3], c.rigid[4:6] = CONE, 1.0, [0.3, -0.4]
+    c.kind[1], c.F[3:] = CONE, [1.0, 0.3, -0.4]
     for many, outside, mode in ((True, 1.0, PRESSED), (True, 0.0, STUCK), (False, 1.0, STUCK)):
         c.outside[1] = outside
         assert after(c, 1, NOTHING, many) == mode

@@ -18,12 +18,14 @@ from closedloop.contacts.least_norm import least_norm
 from closedloop.contacts.linear import solve_any_rank
 from closedloop.contacts.memory import CONE, LINE, OFF, RAY, Contacts
 from closedloop.jit.kernel import kernel
+from closedloop.loops.solve import orthonormal_rows
 
 Array = NDArray[np.float64]
 
 # A pivot of the mobility below this share of the largest: the row depends on others, its force is not unique. A row
-# that asks for more than this share beyond what the others give contradicts them.
-SAME_ROW, CONTRADICTS = 1e-10, 1e-6
+# that asks for more than this share beyond what the others give contradicts them: points of one body that stick
+# contradict each other by the square of what a step's error leaves of the velocity between them.
+SAME_ROW, CONTRADICTS = 1e-10, 1e-3
 
 
 @kernel
@@ -96,12 +98,8 @@ def solve_modes(c: Contacts, k: int) -> int:
     c.rounding = 0.0
     if p == 0:
         return OK
-    for i in range(k):
-        if c.kind[i] == RAY:
-            at = 3 * i
-            own = c.W[at, at] - c.W[at, at + 1] * c.along[i, 0] - c.W[at, at + 2] * c.along[i, 1]
-            if not own > 1e-12 * (c.W[at, at] + c.W[at + 1, at + 1] + c.W[at + 2, at + 2]):
-                return PAINLEVE
+    if p == 1 and pulled_in(c, int(c.unknown[0]) // 3):
+        return PAINLEVE
     asked = write_system(c, k, p)
     for i in range(p):
         for j in range(p):
@@ -118,17 +116,97 @@ def solve_modes(c: Contacts, k: int) -> int:
                 left += c.unknowns[i, j] * c.solution[0, j]
             if not abs(left) <= CONTRADICTS * asked:
                 return SINGULAR
-        for i in range(3 * k):
-            c.F[i] -= c.rigid[i]
-        if not least_norm(c, k, c.rigid, True):
-            least_norm(c, k, c.rigid, False)
-        for i in range(3 * k):
-            c.F[i] += c.rigid[i]
+        share_forces(c, k, p)
     size = 0.0
     for i in range(3 * k):
         size = max(size, abs(c.rigid[i]))
     c.rounding = 1e-10 * max(size, asked / most) if n > 0 else 0.0
     return OK
+
+
+@kernel
+def share_forces(c: Contacts, k: int, p: int) -> None:
+    """Replace `rigid` and F, which are not unique, by the shortest that do the same."""
+    m = 3 * k
+    span_rows(c, k, p)
+    for i in range(m):
+        c.trial[i] = c.F[i] - c.rigid[i]
+        c.after[i] = c.trial[i]
+    if not least_norm(c, k, c.rigid, True):
+        least_norm(c, k, c.rigid, False)
+    if not least_norm(c, k, c.F, True):
+        for i in range(m):
+            c.F[i] = c.after[i] - c.viscous[i]
+        least_norm(c, k, c.F, False)
+        for i in range(m):
+            c.F[i] += c.rigid[i] + c.viscous[i]
+
+
+@kernel
+def keep_in_cones(c: Contacts, k: int) -> None:
+    """Lessen the stabiliser's part of all forces by one factor, so that no force pulls or leaves its cone by it."""
+    share = 1.0
+    for i in range(k):
+        if c.kind[i] == RAY or c.kind[i] == CONE:
+            share = min(share, share_inside(c, i))
+    if share < 1.0:
+        for i in range(3 * k):
+            c.F[i] = c.rigid[i] + share * (c.F[i] - c.rigid[i])
+
+
+@kernel
+def share_inside(c: Contacts, i: int) -> float:
+    """Return the largest share <= 1 of the stabiliser's part of contact i with which its force is in its cone.
+
+    1.0 where the force without that part is outside: the contact's mode ends there.
+    """
+    n, mu = 3 * i, c.mu[i]
+    f, grown = c.rigid[n], c.F[n] - c.rigid[n]
+    if f < -c.rounding:
+        return 1.0
+    share = 1.0 if c.F[n] >= 0.0 else max(0.0, f) / (max(0.0, f) - c.F[n])
+    if c.kind[i] == RAY or mu * c.F[n] >= math.hypot(c.F[n + 1], c.F[n + 2]):
+        return share
+    r1, r2, d1, d2 = c.rigid[n + 1], c.rigid[n + 2], c.F[n + 1] - c.rigid[n + 1], c.F[n + 2] - c.rigid[n + 2]
+    # The first root of (μ (f + s df))² − |F_t + s dF_t|², a parabola in s that is positive at 0.
+    a, half = (mu * grown) * (mu * grown) - d1 * d1 - d2 * d2, mu * mu * f * grown - r1 * d1 - r2 * d2
+    inside = (mu * f) * (mu * f) - r1 * r1 - r2 * r2
+    if not inside > 0.0:
+        return 0.0 if math.hypot(r1, r2) <= mu * f + c.rounding else 1.0
+    below = math.sqrt(max(0.0, half * half - a * inside)) - half
+    return min(share, inside / below) if below > 0.0 else share
+
+
+@kernel
+def pulled_in(c: Contacts, i: int) -> bool:
+    """Whether contact i, alone, slides so that a larger force does not push it out."""
+    at = 3 * i
+    own = c.W[at, at] - c.W[at, at + 1] * c.along[i, 0] - c.W[at, at + 2] * c.along[i, 1]
+    return bool(c.kind[i] == RAY and not own > 1e-12 * (c.W[at, at] + c.W[at + 1, at + 1] + c.W[at + 2, at + 2]))
+
+
+@kernel
+def span_rows(c: Contacts, k: int, p: int) -> None:
+    """Write in `Y` what of X the p equations of the unknowns see, in an orthonormal basis of their rows.
+
+    Forces with the same Yᵀ F give the rows the same acceleration. They move the tree alike too, unless a contact
+    slides: the friction of contacts that share a normal force otherwise is another.
+    """
+    n, rubbed = c.X.shape[1], False
+    for i in range(k):
+        rubbed = rubbed or (c.kind[i] != OFF and (c.along[i, 0] != 0.0 or c.along[i, 1] != 0.0))
+    rank = n
+    if rubbed:
+        for r in range(p):
+            for j in range(n):
+                c.basis[r, j] = c.X[int(c.unknown[r]), j]
+        rank = orthonormal_rows(c.basis, p, c.column_order, c.unknowns, c.sought)
+    for i in range(3 * k):
+        for j in range(n):
+            c.Y[i, j] = 0.0 if rubbed else c.X[i, j]
+        for r in range(rank if rubbed else 0):
+            for j in range(n):
+                c.Y[i, r] += c.X[i, j] * c.basis[r, j]
 
 
 @kernel

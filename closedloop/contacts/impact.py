@@ -11,10 +11,12 @@ and they create none. With e = 0 there always are (`closedloop.contacts.continua
 
 from __future__ import annotations
 
+import math
+
 import numpy as np
 from numpy.typing import NDArray
 
-from closedloop.closure.contact_force import FREE, PRESSED
+from closedloop.closure.contact_force import FREE, PRESSED, STUCK
 from closedloop.closure.solve import OK, PAINLEVE
 from closedloop.contacts.complementarity import STARTS, largest_mobility, solve_contacts
 from closedloop.contacts.continuation import force_size
@@ -54,6 +56,9 @@ def apply_impulses(links: ContactLinks, c: Contacts, rest_speed: float) -> int:
     for i in range(k):
         c.happened[i], c.struck[i] = 0.0, 0.0
         c.pulled[i] = 1.0 if c.mode[i] != FREE and c.rigid[3 * i] < -c.rounding else 0.0
+        rub = math.hypot(c.rigid[3 * i + 1], c.rigid[3 * i + 2])
+        left = c.mu[i] * c.rigid[3 * i] - rub + c.rounding
+        c.outside[i] = 1.0 if c.mode[i] == STUCK and left < 0.0 else 0.0
         if c.kind[i] != LINE:
             c.kind[i] = OFF
             if touches(links, c, i):
@@ -70,10 +75,10 @@ def apply_impulses(links: ContactLinks, c: Contacts, rest_speed: float) -> int:
     for i in range(k):
         if c.kind[i] == LINE or c.kind[i] == OFF:
             continue
-        left = c.after[3 * i] > 0.5 * slowest_rebound(links, i, rest_speed)
+        parts = c.after[3 * i] > 0.5 * slowest_rebound(links, i, rest_speed)
         if c.struck[i] != 0.0:
-            c.happened[i] = STRUCK_AND_LEFT if left else STRUCK_AND_STAYED
-        if left:
+            c.happened[i] = STRUCK_AND_LEFT if parts else STRUCK_AND_STAYED
+        if parts:
             c.mode[i], c.risen[i], c.floor[i] = FREE, 1.0, min(c.located[3 * i], 0.0)
         elif c.mode[i] == FREE:
             c.mode[i] = PRESSED
@@ -93,7 +98,8 @@ def let_stay(links: ContactLinks, c: Contacts, rest_speed: float) -> None:
         if stays:
             fastest = max(fastest, c.after[3 * i])
         if c.kind[i] != LINE:
-            c.kind[i] = RAY if stays else OFF
+            slow = math.hypot(c.after[3 * i + 1], c.after[3 * i + 2]) <= rest_speed
+            c.kind[i] = OFF if not stays else (CONE if slow and c.mu[i] > 0.0 else RAY)
             c.along[i, 0], c.along[i, 1] = 0.0, 0.0
     if fastest > RESTING:
         for i in range(3 * k):

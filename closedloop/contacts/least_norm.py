@@ -34,12 +34,12 @@ def least_norm(c: Contacts, k: int, force: Array, inside: bool) -> bool:
     With `inside` it is in the cones of its contacts, as `kind`, mu and along have them; else in the spaces that they
     span.
     """
-    n, m = c.X.shape[1], 3 * k
+    n, m = c.Y.shape[1], 3 * k
     size, scale = 0.0, 0.0
     for j in range(n):
         s = 0.0
         for i in range(m):
-            s += c.X[i, j] * (force[i] + c.viscous[i])
+            s += c.Y[i, j] * (force[i] + c.viscous[i])
         c.sum[j], c.multiplier[j] = s, 0.0
         size = max(size, abs(s))
     for i in range(m):
@@ -83,11 +83,11 @@ def least_norm(c: Contacts, k: int, force: Array, inside: bool) -> bool:
 @kernel
 def project_all(c: Contacts, k: int, multiplier: Array, spans: bool) -> float:
     """Write `trial` = Π(X λ), and s − Xᵀ Π(X λ) as the second row of `solution`; return its largest number."""
-    n, m = c.X.shape[1], 3 * k
+    n, m = c.Y.shape[1], 3 * k
     for i in range(m):
         s = 0.0
         for j in range(n):
-            s += c.X[i, j] * multiplier[j]
+            s += c.Y[i, j] * multiplier[j]
         c.best[i], c.trial[i] = s, s
     for i in range(k):
         F, kind = c.trial[3 * i : 3 * i + 3], c.kind[i]
@@ -106,7 +106,7 @@ def project_all(c: Contacts, k: int, multiplier: Array, spans: bool) -> float:
     for j in range(n):
         s = c.sum[j]
         for i in range(m):
-            s -= c.X[i, j] * c.trial[i]
+            s -= c.Y[i, j] * c.trial[i]
         c.solution[1, j] = s
         worst = max(worst, abs(s))
     return worst
@@ -118,7 +118,7 @@ def value_of(c: Contacts, k: int) -> float:
     total = 0.0
     for i in range(3 * k):
         total += 0.5 * c.trial[i] * c.trial[i]
-    for j in range(c.X.shape[1]):
+    for j in range(c.Y.shape[1]):
         total -= c.sum[j] * c.multiplier[j]
     return total
 
@@ -126,7 +126,7 @@ def value_of(c: Contacts, k: int) -> float:
 @kernel
 def newton(c: Contacts, k: int, spans: bool, scale: float) -> None:
     """Write the step (Xᵀ DΠ X + ε)⁻¹(s − Xᵀ Π(X λ)) as the first row of `solution`; ε only makes it unique."""
-    n, S = c.X.shape[1], c.system
+    n, S = c.Y.shape[1], c.system
     for j in range(n):
         for i in range(n):
             S[j, i] = 0.0
@@ -141,7 +141,7 @@ def newton(c: Contacts, k: int, spans: bool, scale: float) -> None:
                 if d != 0.0:
                     for j in range(n):
                         for m in range(n):
-                            S[j, m] += c.X[3 * i + a, j] * d * c.X[3 * i + b, m]
+                            S[j, m] += c.Y[3 * i + a, j] * d * c.Y[3 * i + b, m]
     for j in range(n):
         c.sum_trial[j] = c.solution[1, j]
     solve_any_rank(S, n, 1, c.column_order, c.solution, 0.0)

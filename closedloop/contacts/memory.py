@@ -41,7 +41,7 @@ class ContactLinks(Block):
     undriven: int  # joints without a drive
     undecided: int  # 1 until the modes after an event, or at the start, are found
     fresh: int  # 1 at the start
-    tired: int  # 1 after so many impacts in a row that there is no restitution any more
+    tired: int  # 1 after many events in a row: there is no restitution, and no contact sticks at its limit
     record_at: int  # where in a row of the record there is a `ContactRow`
 
 
@@ -87,6 +87,7 @@ class Contacts(Block, sizes=("n", "k")):
     happened: Annotated[Array, K]  # to each contact in an event, a kind of `closedloop.events.table`; 0: nothing
     struck: Annotated[Array, K]  # 1 if it was an impact
     pulled: Annotated[Array, K]  # 1 if its mode would have had it pull
+    outside: Annotated[Array, K]  # 1 if it would have had to hold with more than friction can
     turned: Annotated[Array, K]  # 1 if its slip has turned round
     energy_lost: float  # J, in an event
     restitution_share: float  # by which the restitution of an impact was lessened, so that it creates no energy
@@ -99,6 +100,8 @@ class Contacts(Block, sizes=("n", "k")):
     solution: Annotated[Array, 2, 3 * K + N]
     unknown: Annotated[Array, 3 * K]
     unknowns: Annotated[Array, 3 * K, 3 * K]
+    basis: Annotated[Array, 3 * K, N]
+    Y: Annotated[Array, 3 * K, N]
     residuals: Annotated[Array, 3 * K]
     trial: Annotated[Array, 3 * K]
     best: Annotated[Array, 3 * K]

@@ -59,7 +59,7 @@ def decide(links: ContactLinks, c: Contacts, slow: float) -> int:
         return PAINLEVE
     for i in range(k):
         if c.kind[i] != LINE:
-            mode = mode_after(c, i, NO_ACCELERATION * size)
+            mode = mode_after(c, i, NO_ACCELERATION * size, links.tired != 0)
             c.happened[i] = 0.0 if links.fresh != 0 else happened_to(c, i, mode)
             if mode == STUCK and c.mode[i] != STUCK:
                 for j in range(3 * i, 3 * i + 3):
@@ -100,8 +100,12 @@ def choose_kinds(links: ContactLinks, c: Contacts, slow: float) -> float:
 
 
 @kernel
-def mode_after(c: Contacts, i: int, nothing: float) -> int:
-    """Return the mode that goes with force and acceleration of contact i, and write the direction of its slip."""
+def mode_after(c: Contacts, i: int, nothing: float, tired: bool = False) -> int:
+    """Return the mode that goes with force and acceleration of contact i, and write the direction of its slip.
+
+    At the edge of the cone there is hardly any acceleration: a contact that is found to stick there again and again
+    slips, against the friction that would have to hold it.
+    """
     at = 3 * i
     if c.kind[i] == OFF or c.after[at] > nothing:
         return FREE
@@ -112,7 +116,10 @@ def mode_after(c: Contacts, i: int, nothing: float) -> int:
     size = math.hypot(a1, a2)
     if c.kind[i] == CONE:
         if size <= nothing:
-            return STUCK
+            rub = math.hypot(c.F[at + 1], c.F[at + 2])
+            if not (tired and c.outside[i] != 0.0 and rub > 0.0):
+                return STUCK
+            a1, a2, size = -c.F[at + 1], -c.F[at + 2], rub
         c.turned[i] = 1.0 if a1 * c.direction[i, 0] + a2 * c.direction[i, 1] < 0.0 else 0.0
         c.direction[i, 0], c.direction[i, 1] = a1 / size, a2 / size
     elif c.mu[i] > 0.0:

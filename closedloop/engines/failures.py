@@ -93,6 +93,13 @@ def failure_of(status: int, t: float, robot: Robot, problem: Problem, law: Any, 
             "away from its centre, edge or apex",
             t,
         )
+    if status == CHATTER and problem.scenario.contact:
+        cure = "look at time.step" + ("" if law is None else ", and at a law that depends on the contacts")
+        return ChatterError(
+            f"{when(t)}: the contacts chatter: at one instant their modes change again and again, for the forces of "
+            f"each set of modes ask for another; {cure}",
+            t,
+        )
     if status == CHATTER:
         return ChatterError(
             f"{when(t)}: the contact chatters: at one instant the torque presses the tip on while it is off the "

@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 
 from closedloop.closure.contact_force import FREE, PRESSED, STUCK, accelerate, pressed_force, stuck_force
 from closedloop.closure.solve import OK, back_substitute
-from closedloop.contacts.given_modes import kinds_of_modes, own_mobility, solve_modes, write_after
+from closedloop.contacts.given_modes import keep_in_cones, kinds_of_modes, own_mobility, solve_modes, write_after
 from closedloop.contacts.impact import RESTING, STRUCK_AND_LEFT, STRUCK_AND_STAYED, apply_impulses
 from closedloop.contacts.memory import LINE, OFF, RAY, ContactLinks, Contacts, contacts_at
 from closedloop.contacts.modes import CLOSED_GAP, HOVERING, decide, touches
@@ -94,6 +94,7 @@ def contact_forces(links: ContactLinks, c: Contacts, w: Work, state: State) -> i
         if c.kind[0] == LINE and c.rigid[0] < 0.0 and (c.along[0, 0] != 0.0 or c.along[0, 1] != 0.0):
             c.along[0, 0], c.along[0, 1] = -c.along[0, 0], -c.along[0, 1]  # what pulls rubs with |f|
             status = solve_modes(c, k)
+        keep_in_cones(c, k)
         c.margin = margin_of(c, k, STICK_SPEED, 2.0 * STICK_SPEED if state.steps < 0 else 0.0)
     w.contact_margin, w.contact_power, w.contact_power_rate = c.margin, 0.0, 0.0
     for i in range(3):

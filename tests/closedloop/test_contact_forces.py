@@ -7,7 +7,13 @@ from scipy.linalg import null_space
 from closedloop.closure.contact_force import FREE, PRESSED, STUCK
 from closedloop.closure.solve import OK, PAINLEVE, SINGULAR
 from closedloop.contacts.continuation import force_size
-from closedloop.contacts.given_modes import kinds_of_modes, mobility_of, solve_modes, stopping_impulses
+from closedloop.contacts.given_modes import (
+    keep_in_cones,
+    kinds_of_modes,
+    mobility_of,
+    solve_modes,
+    stopping_impulses,
+)
 from closedloop.contacts.least_norm import least_norm, project_all, write_slope
 from closedloop.contacts.linear import solve_any_rank
 from closedloop.contacts.memory import CONE, LINE, OFF, RAY, make_contact_memory
@@ -22,6 +28,7 @@ def contacts(rng, n, kinds=(CONE, RAY, LINE, OFF)):
     c.X[:] = rng.normal(size=c.X.shape)
     interpreted(mobility_of)(c, K)
     c.kind[:], c.mu[:], c.along[:] = kinds, 0.4, 0.2 * rng.normal(size=(K, 2))
+    c.Y[:] = c.X
     c.a[:], c.b[:], c.viscous[:] = rng.normal(size=(3, 3 * K))
     c.load[:] = rng.normal(size=n)
     return c
@@ -162,7 +169,7 @@ def in_cones(c, forces, tolerance):
 def test_slopes_are_the_derivatives_of_the_projection(spans):
     """Of each kind of contact, inside its cone, beside it and behind it, by central differences."""
     c, h = contacts(np.random.default_rng(12), 3 * K, (CONE, RAY, LINE, CONE)), 1e-6
-    c.X[:] = np.eye(3 * K)
+    c.Y[:] = np.eye(3 * K)
     for seed in range(4):
         at = np.random.default_rng(seed).normal(size=3 * K)
         columns = []
@@ -235,3 +242,30 @@ def test_size_of_forces_is_the_largest_of_those_asked_about():
     assert interpreted(force_size)(F, 2) == 2e-3
     F[1] = np.nan
     assert interpreted(force_size)(F, 2) == np.inf
+
+
+def test_the_stabiliser_leaves_no_cone():
+    """Its part is lessened by one factor, the largest with which every force presses within its cone."""
+    rng, lessened = np.random.default_rng(13), 0
+    c = contacts(rng, 6, (CONE, RAY, LINE, CONE))
+    for _ in range(100):
+        part = rng.normal(size=3 * K)
+        c.rigid[:], f = rng.normal(size=3 * K), rng.uniform(0.5, 1.5, size=K)
+        c.rigid[::3] = f
+        for i in range(K):
+            rub = rng.normal(size=2)
+            c.rigid[3 * i + 1 : 3 * i + 3] = rng.uniform() * c.mu[i] * f[i] * rub / np.linalg.norm(rub)
+        c.F[:] = c.rigid + part
+        interpreted(keep_in_cones)(c, K)
+        share = (c.F[0] - c.rigid[0]) / part[0]
+        np.testing.assert_allclose(c.F, c.rigid + share * part, atol=1e-12)
+
+        def inside(share, tolerance, part=part):
+            force = (c.rigid + share * part).reshape(K, 3)
+            rub = np.hypot(force[:, 1], force[:, 2]) - c.mu * force[:, 0]
+            return np.min(force[[0, 1, 3], 0]) >= -tolerance and np.max(rub[[0, 3]]) <= tolerance
+
+        assert inside(share, 1e-12)
+        assert share == pytest.approx(1.0) or not inside(min(1.0, share * (1 + 1e-6) + 1e-9), 0.0)
+        lessened += share < 1.0
+    assert lessened > 20

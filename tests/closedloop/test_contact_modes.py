@@ -88,6 +88,19 @@ def test_mode_and_direction_by_force_and_acceleration(memory):
     np.testing.assert_allclose(c.direction[1], [-0.28, 0.96])
 
 
+def test_a_contact_at_its_limit_slips_if_it_is_found_to_stick_again_and_again(memory):
+    """Against the friction that would have to hold it; only after many events in a row, and only at its limit."""
+    c = memory.contacts
+    after = interpreted(mode_after)
+    c.kind[1], c.F[3:] = CONE, [1.0, 0.3, -0.4]
+    for many, outside, mode in ((True, 1.0, PRESSED), (True, 0.0, STUCK), (False, 1.0, STUCK)):
+        c.outside[1] = outside
+        assert after(c, 1, NOTHING, many) == mode
+    c.outside[1] = 1.0
+    after(c, 1, NOTHING, True)
+    np.testing.assert_allclose(c.direction[1], [-0.6, 0.8])
+
+
 @pytest.mark.parametrize(("lift", "mode"), [(1.0, FREE), (-1.0, STUCK)])
 def test_where_it_parts_and_where_it_sticks_is_kept(memory, lift, mode):
     """The gap at which it parted if that was inside; the place where it sticks; impulses take what is left of slip."""

@@ -1,0 +1,242 @@
+"""Motions with many contacts: a box on feet that slides and turns, faces that land, a block that rocks to rest.
+
+The box is a body on three prismatic and three revolute joints, the block one on two and one.
+"""
+
+import numpy as np
+import pytest
+from numba import njit
+from scipy.integrate import quad
+
+import closedloop as cl
+
+G = 9.81
+
+
+@njit
+def no_torque(x, Q):
+    """Leave the joints to gravity and contact."""
+    for j in range(Q.shape[0]):
+        Q[j] = 0.0
+
+
+def body(path, mass, half, planar=False):
+    """Write a URDF of a box of these half sides, m, on six joints, or on three in the plane y = 0; return its name."""
+    x, y, z = half
+    inertia = mass / 3 * np.array([y * y + z * z, x * x + z * z, x * x + y * y])
+    moves = [("prismatic", axis) for axis in np.eye(3)] + [("continuous", axis) for axis in np.eye(3)]
+    moves = [moves[i] for i in (0, 2, 4)] if planar else moves
+    parts, parent = ['<link name="base"/>'], "base"
+    for i, (kind, axis) in enumerate(moves):
+        last = i == len(moves) - 1
+        child = "block" if last else f"c{i}"
+        heavy = (
+            f'<inertial><mass value="{mass}"/><inertia ixx="{inertia[0]}" iyy="{inertia[1]}" izz="{inertia[2]}" '
+            'ixy="0" ixz="0" iyz="0"/></inertial>'
+        )
+        limit = '<limit lower="-1000" upper="1000" velocity="1e4" effort="1e6"/>' if kind == "prismatic" else ""
+        parts.append(f'<link name="{child}">{heavy if last else ""}</link>')
+        parts.append(
+            f'<joint name="j{i}" type="{kind}"><parent link="{parent}"/><child link="{child}"/>'
+            f'<axis xyz="{" ".join(str(a) for a in axis)}"/>{limit}</joint>'
+        )
+        parent = child
+    parts.append(
+        '<link name="tip"/><joint name="t" type="fixed"><parent link="block"/><child link="tip"/>'
+        '<origin xyz="0 0 1"/></joint>'
+    )
+    (path / "body.urdf").write_text(f'<robot name="body">{"".join(parts)}</robot>')
+    return str(path / "body.urdf")
+
+
+def simulate(path, half, feet, start, mu, e=0.0, **changes):
+    """Return the run of a box of 1 kg on feet, points of it (N, 3), m, over a floor at z = 0."""
+    q, v = start
+    contacts = [
+        {"link": "block", "at": list(map(float, at)), "friction": float(mu), "restitution": float(e)} for at in feet
+    ]
+    text = ['name = "box"', "[robot]", f'model = "{body(path, 1.0, half, len(q) == 3)}"', 'tip = "tip"', "[surface]"]
+    text += ["gap = 100.0", 'contact = "unilateral"', "[law]", "kp = 0", "kd = 0", "force = 0", "[stabiliser]"]
+    text += ["time_constant = 0.01", "[time]", "duration = 1.0", "step = 0.001", 'integrator = "rk4"', "[start]"]
+    text += [f"q = {list(map(float, q))}", f"v = {list(map(float, v))}"]
+    for contact in contacts:
+        text += ["[[contact]]", *(f"{key} = {value!r}".replace("'", '"') for key, value in contact.items())]
+    (path / "scenario.toml").write_text("\n".join(text[1:]) + "\n")
+    scenario = cl.load_scenario(str(path / "scenario.toml"), changes)
+    adaptive = scenario.time.integrator == "dop853"
+    return cl.simulate(scenario, law=no_torque, engine="pinocchio" if adaptive else "compiled")
+
+
+HALF = (0.1, 0.075, 0.05)
+FOUR = np.array([(x * 0.1, y * 0.075, -0.05) for x in (1, -1) for y in (1, -1)])
+FEET = {
+    4: FOUR,
+    5: np.vstack([FOUR, [0.03, 0.015, -0.05]]),
+    8: np.vstack([FOUR, FOUR * [1, 1, -1]]),
+}
+
+
+def examine(run, mu, gap):
+    """Forces press and are in their cones, nothing is deeper than this gap, m, and no energy comes from nowhere."""
+    f = run.link_forces
+    rub = np.hypot(*np.moveaxis(run.link_frictions.reshape(*f.shape, 2), -1, 0))
+    size = np.maximum(1.0, f.max(axis=1, initial=0.0))[:, None]
+    assert np.min(f) >= 0.0
+    assert np.max((rub - mu * f) / size) < 1e-9
+    assert np.min(run.link_gaps) > gap
+    energy = run.kinetic_energy + run.potential_energy
+    assert np.max(np.diff(energy)) < 1e-8 * max(1.0, np.ptp(energy))
+    assert np.all(run.event_energy_lost >= -1e-12)
+
+
+@pytest.mark.parametrize("mu", [0.01, pytest.param(0.3, marks=pytest.mark.slow), 0.5])
+def test_a_box_slides_and_turns_on_four_feet(tmp_path, mu):
+    """It comes to rest; its friction takes its energy; while all slide, as the forces say: Newton's law of the box.
+
+    The four normal forces have a sum and two moments, and are three numbers for four: those of least norm, which are
+    recomputed here by non-negative least squares from the feet's places and slips alone.
+    """
+    run = simulate(tmp_path, HALF, FOUR, ([0, 0, 0.05, 0, 0, 0], [0.2, 0, 0, 0, 0, 1.0]), mu)
+    examine(run, mu, -1e-9)
+    f, slip = run.link_forces, run.link_slips
+    sliding = np.flatnonzero(np.all(run.link_modes == 1, axis=1))
+    assert len(sliding) > 10
+    np.testing.assert_allclose(np.sum(f, axis=1), G, rtol=1e-6)
+    for k in sliding[:: len(sliding) // 5]:
+        turn = np.array([[np.cos(run.q[k, 5]), -np.sin(run.q[k, 5])], [np.sin(run.q[k, 5]), np.cos(run.q[k, 5])]])
+        at = FOUR[:, :2] @ turn.T
+        u = run.v[k, :2] + run.v[k, 5] * np.stack([-at[:, 1], at[:, 0]], axis=1)
+        np.testing.assert_allclose(np.hypot(*slip[k].reshape(4, 2).T), np.linalg.norm(u, axis=1), atol=1e-8)
+        rub = -mu * u / np.linalg.norm(u, axis=1)[:, None]
+        # moments about the centre, of f at (x, y) and of friction at 0.05 m below it: none, for it does not tip
+        rows = np.stack([np.ones(4), at[:, 1] + 0.05 * rub[:, 1], -at[:, 0] - 0.05 * rub[:, 0]])
+        expected = np.linalg.pinv(rows) @ [G, 0.0, 0.0]
+        assert np.min(expected) > 0.0
+        np.testing.assert_allclose(f[k], expected, atol=1e-5)
+    if mu > 0.1:
+        assert np.all(run.link_modes[-1] != 0)
+        assert np.max(np.abs(run.v[-1])) < 1e-9
+
+
+@pytest.mark.parametrize("integrator", ["semi_implicit_euler", pytest.param("dop853", marks=pytest.mark.slow)])
+def test_every_integrator_slides_and_turns_alike(tmp_path, integrator):
+    """The box ends where rk4 has it: to 1e-8 by another of high order, to a step's way, 0.5 mm, by that of first."""
+    start, changes = ([0, 0, 0.05, 0, 0, 0], [0.3, 0, 0, 0, 0, 0.5]), {"time.duration": 0.3}
+    other = simulate(tmp_path, HALF, FOUR, start, 0.3, **changes, **{"time.integrator": integrator})
+    exact = simulate(tmp_path, HALF, FOUR, start, 0.3, **changes)
+    assert np.all(other.link_modes[-1] == 2)
+    np.testing.assert_allclose(other.q[-1], exact.q[-1], atol=1e-8 if integrator == "dop853" else 5e-4)
+
+
+def draw(rng, feet):
+    """Return half sides, feet, a pose above the floor with a velocity, μ and e, at random."""
+    half = np.array(HALF) * np.exp(rng.uniform(-0.5, 0.5, size=3))
+    at = FEET[feet] / HALF * half
+    tilt = 0.25 if feet < 8 else 1.2
+    x, y, z = rng.uniform(-tilt, tilt), rng.uniform(-tilt, tilt), rng.uniform(-3.0, 3.0)
+    turn = np.eye(3)
+    for angle, (a, b) in ((z, (0, 1)), (y, (2, 0)), (x, (1, 2))):
+        one = np.eye(3)
+        one[[a, b], [a, b]], one[a, b], one[b, a] = np.cos(angle), -np.sin(angle), np.sin(angle)
+        turn = one @ turn
+    height = 10 ** rng.uniform(-4.0, -1.5) - np.min(at @ turn[2])
+    v = np.concatenate([rng.normal(size=3) * 0.5, rng.normal(size=3) * (0.2, 0.2, 1.0)])
+    return (
+        half,
+        at,
+        ([0.0, 0.0, height, x, y, z], v),
+        rng.choice([0.0, 0.05, 1.0, rng.uniform()]),
+        rng.uniform(0.0, 0.9),
+    )
+
+
+@pytest.mark.parametrize("seed", [0, 1, *(pytest.param(k, marks=pytest.mark.slow) for k in range(2, 30))])
+@pytest.mark.parametrize("feet", FEET)
+def test_a_box_that_is_dropped_comes_to_rest(tmp_path, feet, seed):
+    """With whatever pose, velocity, friction and restitution; without friction it may go on along the floor."""
+    half, at, start, mu, e = draw(np.random.default_rng([seed, feet]), feet)
+    run = simulate(tmp_path, half, at, start, mu, e, **{"time.duration": 2.5})
+    examine(run, mu, -1e-6)
+    assert len(run.events) < 5000
+    assert np.min(run.link_gaps[-1]) > -1e-9
+    left = run.v[-1] if mu > 0.04 else run.v[-1, 2:5]
+    assert np.max(np.abs(left)) < 1e-6
+
+
+def falling(angle, alpha, p):
+    """Return how long a block that rocks needs from rest at this angle, rad, to the floor, s.
+
+    θ'' = −p² sin(α − θ), so that θ'² = 2 p² (cos(α − θ0) − cos(α − θ)) with its signs; θ = θ0 (1 − s²).
+    """
+
+    def time(s):
+        theta = angle * (1.0 - s * s)
+        speed = 2.0 * p * np.sqrt(abs(np.sin(alpha - (angle + theta) / 2) * np.sin((angle - theta) / 2)))
+        return 2.0 * angle * s / speed
+
+    return quad(time, 0.0, 1.0)[0]
+
+
+@pytest.mark.parametrize(
+    ("aspect", "mu"),
+    [(2.0, 0.7), pytest.param(1.0, 3.0), *(pytest.param(a, 3.0, marks=pytest.mark.slow) for a in (2, 4))],
+)
+def test_a_rocking_block_rests_when_housner_says(tmp_path, aspect, mu):
+    """Each strike leaves r = 1 − 3/2 sin²α of the rate (G. W. Housner, 1963), and it rests where the strikes converge.
+
+    After the strikes the block has rested at the end of their geometric sum to a thousandth of it, has lost all of the
+    energy that it had and no more, and stands on the floor to a nanometre.
+    """
+    half = np.array([0.1, 0.1, 0.1 * aspect])
+    alpha, radius, angle = np.arctan2(1.0, aspect), np.hypot(half[0], half[2]), 0.05
+    p, ratio = np.sqrt(0.75 * G / radius), 1.0 - 1.5 * np.sin(alpha) ** 2
+    feet = [(x, 0.0, -half[2]) for x in (half[0], -half[0])]
+    low = radius * np.cos(alpha - angle)
+    side = -half[0] + radius * np.sin(alpha - angle)
+    run = simulate(
+        tmp_path,
+        half,
+        feet,
+        ([side, low, -angle], [0.0, 0.0, 0.0]),
+        mu,
+        **{"time.duration": 1.5 if aspect > 3 else 0.8},
+    )
+    examine(run, mu, -1e-9)
+    strikes, expected, swing = [event for event in run.events if event.kind in ("impact", "touchdown")], [], angle
+    lift = np.cos(alpha - angle) - np.cos(alpha)
+    time = falling(angle, alpha, p)
+    while swing > 1e-9:
+        expected.append(time)
+        lift *= ratio * ratio
+        swing = alpha - np.arccos(np.cos(alpha) + lift)
+        time += 2.0 * falling(swing, alpha, p)
+    first = min(5, len(strikes))
+    np.testing.assert_allclose([event.time for event in strikes[:first]], expected[:first], rtol=1e-6)
+    assert run.events[-1].time == pytest.approx(expected[-1], rel=1e-3)
+    assert len(run.events) < 200
+    assert np.max(np.abs(run.v[-1])) < 1e-9
+    taken = run.kinetic_energy[0] + run.potential_energy[0] - run.kinetic_energy[-1] - run.potential_energy[-1]
+    assert np.sum(run.event_energy_lost) == pytest.approx(taken, rel=1e-6)
+
+
+@pytest.mark.parametrize(
+    ("aspect", "mu", "e"),
+    [
+        pytest.param(a, mu, e, marks=() if (a, mu, e) in ((1.0, 0.05, 0.0), (4.0, 0.3, 0.5)) else pytest.mark.slow)
+        for a in (1.0, 4.0)
+        for mu in (0.05, 0.3, 3.0)
+        for e in (0.0, 0.5, 0.9)
+    ],
+)
+def test_a_rocking_block_rests_whatever_its_friction_and_restitution(tmp_path, aspect, mu, e):
+    """It comes to rest after finitely many events, on the floor."""
+    half, angle = np.array([0.1, 0.1, 0.1 * aspect]), 0.05
+    feet = [(x, 0.0, -half[2]) for x in (half[0], -half[0])]
+    height = half[0] * np.sin(angle) + half[2] * np.cos(angle)
+    run = simulate(
+        tmp_path, half, feet, ([0.0, height, -angle], [0.0, 0.0, 0.0]), mu, e, **{"time.duration": 2.5 + 5.0 * e}
+    )
+    examine(run, mu, -1e-7)
+    assert len(run.events) < 3000
+    assert np.min(run.link_gaps[-1]) > -1e-9
+    assert np.max(np.abs(run.v[-1])) < 1e-6

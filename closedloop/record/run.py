@@ -18,7 +18,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from closedloop.columns.by_contact import columns_by_contact
-from closedloop.columns.derived import DERIVED, reactions_of
+from closedloop.columns.derived import DERIVED, DerivedColumn, reactions_of
 from closedloop.columns.events import Event, events_of
 from closedloop.columns.recorded import Column, columns_there
 from closedloop.contacts.names import labels_of, tangents_of
@@ -159,8 +159,7 @@ class Run:
         """Return the unit of a column; of a robot that turns and slides both, by joint type ("rad | m")."""
         if name in (of_contacts := columns_by_contact(self.scenario.contact or ())):
             name = of_contacts[name][0]
-        known: Mapping[str, Any] = {**DERIVED, **self.specs}
-        spec = known[name]
+        spec = self.specs[name] if name in self.specs else DERIVED[name]
         sliding = spec.units.replace("rad", "m").replace("N m", "N")
         if "joint" not in spec.dims or sliding == spec.units:
             return spec.units
@@ -197,7 +196,7 @@ class Run:
         """
         from closedloop.record.frame import data_frame
 
-        known = {**self.specs, **DERIVED}
+        known: dict[str, Column | DerivedColumn] = {**self.specs, **DERIVED}
         dims = {name: spec.dims for name, spec in known.items() if spec.dims[0] == "time"}
         contacts = labels_of(self.scenario.contact or ())
         return data_frame(

@@ -167,10 +167,12 @@ def test_labels_are_never_the_same():
 
 
 def test_contacts_have_columns_by_their_names(tmp_path):
-    """In run.nc, as attributes, and in CSV, where two contacts of one name had one column."""
+    """In run.nc, as attributes, and in CSV, where two names that differ in a space have columns of their own."""
     short = {"time.duration": 0.004}
     scenario = cl.load_scenario("gripper_block", short)
-    twins = [{**each.model_dump(exclude_none=True), "name": "pad one"} for each in scenario.contact]
+    parts = zip(scenario.contact, ("pad one", "pad-one", "pad_one", "pad.one"), strict=False)
+    twins = [{**each.model_dump(exclude_none=True), "name": name} for each, name in parts]
+    twins += [each.model_dump(exclude_none=True) for each in scenario.contact[4:]]
     for given in (scenario, cl.load_scenario("gripper_block", short | {"contact": twins})):
         run = cl.simulate(given)
         with h5py.File(run.save(tmp_path / "run.nc")) as file:

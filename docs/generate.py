@@ -104,6 +104,14 @@ def columns() -> Iterator[str]:
             comma = "," if len(ALL_COLUMNS[name].dims) == 1 else ""
             rows.append((f"`{name}`", f"({shape}{comma})", ALL_COLUMNS[name].units, ALL_COLUMNS[name].meaning))
         yield from table(("column", "shape", "unit", "meaning"), rows)
+        if title.startswith("With contacts"):
+            yield from ("", "Each contact has them by its name as well: of one called `floor left` they are")
+            yield "`link_forces_floor_left` (N,), `link_slips_floor_left_t1` ..., attributes of a run and variables of"
+            yield "`run.nc`. Where two names would give one label, each has the number of its section behind it, the"
+            yield "first 1: of `pad one` and `pad-one`, `pad_one_1` and `pad_one_2`."
+    yield from ("", "## States of the law, and columns of your own", "")
+    yield "`law_NAME` and `compensation_NAME`, and what `record` asked for: see"
+    yield "[columns of your own](../controllers.md#columns-of-your-own)."
     yield from ("", "## Worked out from the others", "")
     yield "They are attributes of a run, and stand in CSV and pandas, but not in `run.nc`: they follow from it."
     shapes = {

@@ -227,7 +227,10 @@ class Worker:
             )  # fmt: skip
             if problem.scenario.drives != DrivesSection():
                 count_limited(recorded(rows, n, "torque_limited"), problem.h, Values(values, n))
-        columns = {name: recorded(rows, problem.robot.n, name) for name in self._keep}
+        columns = {
+            name: recorded(rows, n, name, len(problem.scenario.contact or ()), problem.row_states)
+            for name in self._keep
+        }
         end = problem.h * (len(rows) - 1) if len(rows) > 0 else math.nan
         if isinstance(failure, SingularClosureError) and np.isnan(values[SINGULAR_AT]):
             values[SINGULAR_AT] = end + problem.h  # no row was near it: the step after the last was

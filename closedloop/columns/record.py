@@ -11,6 +11,7 @@ from typing import Any, Protocol
 from numpy.typing import NDArray
 
 from closedloop.columns.events import Event
+from closedloop.columns.recorded import Column
 from closedloop.loops.reactions import LoopReactions
 from closedloop.scenario.scenario import Scenario
 from robot_models import RobotModel
@@ -30,6 +31,14 @@ class Record(Protocol):
     @property
     def columns(self) -> Mapping[str, NDArray[Any]]:
         """The columns recorded."""
+
+    @property
+    def added(self) -> Mapping[str, Column]:
+        """What those of the columns are that not every run has, see `closedloop.columns.added`."""
+
+    @property
+    def specs(self) -> Mapping[str, Column]:
+        """What each column is."""
 
     @property
     def law(self) -> str:

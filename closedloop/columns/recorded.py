@@ -87,6 +87,12 @@ COLUMNS: dict[str, Column] = _BY_TIME | {name: Column(*spec) for name, spec in E
 ALL_COLUMNS = COLUMNS | SOMETIMES
 
 
+def in_order(columns: Iterable[str]) -> list[str]:
+    """Return the names of columns in the order of `ALL_COLUMNS`, and those that are not in it behind, sorted."""
+    there = set(columns)
+    return [*(name for name in ALL_COLUMNS if name in there), *sorted(there - set(ALL_COLUMNS))]
+
+
 def columns_there(columns: Iterable[str]) -> dict[str, Column]:
     """Return `COLUMNS`, and those of `SOMETIMES` that are among the columns of a run."""
     return COLUMNS | {name: spec for name, spec in SOMETIMES.items() if name in columns}

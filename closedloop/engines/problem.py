@@ -82,7 +82,7 @@ class Problem(ScenarioNumbers):
         if self.scenario.contact:
             contacts = contact_memory(self.scenario, self.robot)
             state.contacts_at, contacts.links.loop = contacts.address, state.address
-            contacts.links.record_at = self.row_width - ContactRow.count(len(self.scenario.contact))
+            contacts.links.record_at = self.row_width - self.row_states - ContactRow.count(len(self.scenario.contact))
             contacts.contacts.mode[0] = PRESSED if state.unilateral == 0 else FREE
             state.together = starts_closed(self.scenario, self.robot, self.q)
             contacts.links.undecided = contacts.links.fresh = state.together

@@ -8,6 +8,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from closedloop.columns.added import recorded_states
 from closedloop.control.sensor import PackedSensor
 from closedloop.engines.needs import arm_columns, needs_general_form
 from closedloop.engines.packed import PackedLaw
@@ -148,7 +149,12 @@ class ScenarioNumbers:
     def row_width(self) -> int:
         """Numbers in a recorded row."""
         contacts = len(self.scenario.contact or ())
-        return row_width(self.robot.n, bool(arm_columns(self.scenario)), contacts)
+        return row_width(self.robot.n, bool(arm_columns(self.scenario)), contacts, self.row_states)
+
+    @property
+    def row_states(self) -> int:
+        """How many of them are states of the law and its compensation, the last."""
+        return recorded_states(self.scenario, self.robot.n)
 
     @property
     def sizes(self) -> dict[str, int]:

@@ -77,6 +77,8 @@ def write_state(problem: ScenarioNumbers, state: State) -> None:
     state.encoder = reading_kind(problem.scenario)
     state.drives = problem.scenario.drives != DrivesSection()
     state.arm_at = Row.count(problem.robot.n) if arm_columns(problem.scenario) else 0
+    states = problem.row_states if state.law_states > 0 else 0  # a user's function in place of the law has none
+    state.states_at = problem.row_width - states if states > 0 else 0
     state.model_error = problem.scenario.model_error != ModelErrorSection()
     state.seen = state.model_error or state.elastic or state.encoder
     state.mode, state.sampled, state.risen = problem.mode, 1, 1

@@ -11,8 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from closedloop.columns.derived import DERIVED, WRENCH
-from closedloop.columns.recorded import ALL_COLUMNS, columns_there
-from closedloop.contacts.names import names_of, tangents_of
+from closedloop.contacts.names import labels_of, tangents_of
 from closedloop.events.table import EVENT_COLUMNS, KINDS
 from closedloop.files import write_whole
 from closedloop.record.run import Run
@@ -32,7 +31,7 @@ def write_csv(run: Run, path: str | Path) -> list[Path]:
         If a file cannot be written.
     """
     path = Path(path)
-    rows = [*(name for name in columns_there(run.columns) if name not in EVENT_COLUMNS), *DERIVED]
+    rows = [*(name for name in run.specs if name not in EVENT_COLUMNS), *DERIVED]
     written = [write_whole(path, _table({k: v for name in rows for k, v in _flat(run, name).items()}))]
     if run.events:
         columns = {k: v for name in EVENT_COLUMNS for k, v in _flat(run, name).items()}
@@ -43,13 +42,13 @@ def write_csv(run: Run, path: str | Path) -> list[Path]:
 
 def _flat(run: Run, name: str) -> dict[str, NDArray[Any]]:
     """Return a column of a run as columns of single numbers, by their headers."""
-    values, dims = getattr(run, name), (ALL_COLUMNS[name] if name in ALL_COLUMNS else DERIVED[name]).dims
+    values, dims = getattr(run, name), (run.specs.get(name) or DERIVED[name]).dims
     if len(dims) == 1:
         return {_header(name, run.units(name)): values}
-    names = names_of(run.scenario.contact or ())
+    names = labels_of(run.scenario.contact or ())
     contacts = {"contact": names, "contact_tangent": tangents_of(names)}
     entries_of = {"joint": run.model.joint_names, "axis": AXES, "component": WRENCH} | contacts
-    entries = entries_of[dims[1]]
+    entries = entries_of.get(dims[1]) or tuple(map(str, range(1, values.shape[1] + 1)))
     found = {}
     for k, entry in enumerate(entries):
         unit = _of_joint(run, name, k) if dims[1] == "joint" else _of_part(run.units(name), entry)

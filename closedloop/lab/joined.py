@@ -16,7 +16,6 @@ import pinocchio as pin
 from numpy.typing import NDArray
 
 from closedloop.columns.derived import reactions_of
-from closedloop.columns.recorded import ALL_COLUMNS
 from closedloop.lab.shapes import Shape, mark_shape
 from closedloop.loops.bind import bound_by_loops, link_poses, loop_memory
 from closedloop.loops.memory import GEAR
@@ -153,7 +152,7 @@ def reactions_in(run: Run, rows: NDArray[np.int64]) -> Array:
     """Return the reactions (k, c) of a mechanism's loops in some rows (k,) of its run, N or N m; (k, 0) of a tree."""
     if not run.model.loops:
         return np.zeros((len(rows), 0))
-    few = {name: column[rows] for name, column in run.columns.items() if ALL_COLUMNS[name].dims[0] == "time"}
+    few = {name: column[rows] for name, column in run.columns.items() if run.specs[name].dims[0] == "time"}
     robot = robot_in(run, whole=True)
     with _one_at_a_time:
         return reactions_of(replace(run, columns={**run.columns, **few}), robot).reactions

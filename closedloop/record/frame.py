@@ -31,7 +31,7 @@ def data_frame(
     joints : tuple of str
         Names of the joints.
     contacts : tuple of str
-        Names of the links' contacts.
+        What columns call the links' contacts.
     units : callable
         The unit of a column by its name.
     """
@@ -52,6 +52,8 @@ def data_frame(
                 "contact_tangent": tangents_of(contacts),
             }.get(dimensions[-1], ()),
         )
+        if not labels and values.ndim == 2:  # a column of one's own
+            labels = tuple(map(str, range(1, values.shape[1] + 1)))
         for k, label in enumerate(labels):
             parts[f"{name}[{label}]"], of[f"{name}[{label}]"] = values[:, k], units(name)
         if not labels:

@@ -32,7 +32,7 @@ def read_hdf5(
     size : int
         Its length in bytes.
     names : list of str
-        Columns.
+        Columns; those that the attribute `added` names are read as well.
 
     Raises
     ------
@@ -49,7 +49,7 @@ def read_hdf5(
                 continue  # of a type that is not ours
             if value is not None:
                 attributes[name] = value
-        for name in names:
+        for name in [*names, *_added(attributes)]:
             link = file.get(name, getlink=True)
             if link is not None and not isinstance(link, h5py.HardLink):
                 raise ValueError(f"column '{name}' is a link to somewhere else: a run has its numbers in its own file")
@@ -64,6 +64,14 @@ def read_hdf5(
                 raise ValueError(f"column '{name}' says that it has {column.nbytes} bytes, in a file of {size}")
             columns[name] = np.ascontiguousarray(column[()])
     return attributes, columns
+
+
+def _added(attributes: dict[str, str | int | float]) -> list[str]:
+    """Return the names that the JSON table `added` has; none if it is no such table, which the reader's caller says."""
+    try:
+        return list(dict(json.loads(str(attributes.get("added", "{}")))))
+    except (TypeError, ValueError):
+        return []
 
 
 def _plain(value: Any) -> str | int | float | None:

@@ -16,12 +16,14 @@ from numpy.typing import NDArray
 
 import robot_models
 from closedloop.closure.contact_force import FREE, PRESSED, STUCK
-from closedloop.columns.recorded import ALL_COLUMNS, CONTACT_COLUMNS, columns_there
+from closedloop.columns.added import from_text
+from closedloop.columns.recorded import ALL_COLUMNS, CONTACT_COLUMNS, Column, columns_there
 from closedloop.errors import ClosedLoopError, RunFileError, faults_on_one_line
 from closedloop.events.table import KINDS
 from closedloop.files import reason_of
 from closedloop.record.run import Run
 from closedloop.record.save import (
+    ADDED,
     ATTRIBUTES,
     CHECKSUM,
     FORMAT,
@@ -96,7 +98,9 @@ def _run_of(found: Mapping[str, Any], columns: dict[str, NDArray[Any]]) -> Run:
     _add_plane(columns, scenario)
     absent = [name for name in _LATER_COLUMNS if name not in columns]
     columns |= {name: np.full(columns[_LATER_COLUMNS[name]].size, np.nan) for name in absent}
-    _check_columns(columns, model.n, len(scenario.contact or ()), [*json.loads(found["not_finite"]), *absent])
+    allowed = [*json.loads(found["not_finite"]), *absent]
+    added = from_text(found[ADDED]) if ADDED in found else {}
+    _check_columns(columns, added, {"joint": model.n, "contact": len(scenario.contact or ())}, allowed)
     return Run(
         scenario=scenario,
         model=model,
@@ -108,6 +112,7 @@ def _run_of(found: Mapping[str, Any], columns: dict[str, NDArray[Any]]) -> Run:
         engine=found["engine"],
         law_digest=found["law_digest"],
         member_digests=members,
+        added=added,
     )
 
 
@@ -127,12 +132,16 @@ def _verify(found: Mapping[str, Any], columns: Mapping[str, NDArray[Any]]) -> No
         raise RunFileError("is damaged, or was changed: its checksum is not that of its columns and attributes")
 
 
-def _check_columns(columns: Mapping[str, NDArray[Any]], joints: int, contacts: int, allowed: list[str]) -> None:
-    sizes = {"time": columns["time"].size, "joint": joints, "axis": 3, "event": columns["event_time"].size}
-    sizes |= {"contact": contacts, "contact_tangent": 2 * contacts}
-    needed = CONTACT_COLUMNS if contacts else {}
-    for name, spec in (columns_there(columns) | needed).items():
-        column, shape = columns[name], tuple(sizes[dim] for dim in spec.dims)
+def _check_columns(
+    columns: Mapping[str, NDArray[Any]], added: Mapping[str, Column], known: dict[str, int], allowed: list[str]
+) -> None:
+    sizes = {"time": columns["time"].size, "axis": 3, "event": columns["event_time"].size}
+    sizes |= known | {"contact_tangent": 2 * known["contact"]}
+    needed = CONTACT_COLUMNS if known["contact"] else {}
+    for name, spec in (columns_there(columns) | needed | dict(added)).items():
+        column = columns[name]
+        own = column.shape[-1] if column.ndim == 2 else 0  # a column of one's own has as many parts as it has
+        shape = tuple(sizes.get(dim, own) for dim in spec.dims)
         if column.shape != shape or column.dtype.kind not in "fi":
             raise RunFileError(
                 f"is damaged: column '{name}' is {column.dtype} of shape {column.shape}, not numbers of shape {shape}"

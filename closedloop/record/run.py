@@ -16,10 +16,11 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
-from closedloop.columns.derived import DERIVED, reactions_of
+from closedloop.columns.by_contact import columns_by_contact
+from closedloop.columns.derived import DERIVED, DerivedColumn, reactions_of
 from closedloop.columns.events import Event, events_of
-from closedloop.columns.recorded import ALL_COLUMNS, COLUMNS, SOMETIMES, columns_there
-from closedloop.contacts.names import names_of, tangents_of
+from closedloop.columns.recorded import Column, columns_there
+from closedloop.contacts.names import labels_of, tangents_of
 from closedloop.loops.reactions import LoopReactions
 from closedloop.record.save import attributes, save_run
 from closedloop.report.summary import summarise
@@ -76,6 +77,9 @@ class Run:
         SHA-256 of the text of the user's law, see `closedloop.engines.law_source.law_digest`; "" if it is not known.
     member_digests : mapping of str to str
         Name, MODULE:CLASS, of each user's class that the scenario picks, to the same of its text.
+    added : mapping of str to Column
+        Dimensions, unit and meaning of the columns that not every run has: states of its law, ``law_NAME``, and what
+        `record` of `closedloop.simulate` asked for.
     """
 
     scenario: Scenario
@@ -88,6 +92,7 @@ class Run:
     engine: str = "pinocchio"
     law_digest: str = ""
     member_digests: Mapping[str, str] = field(default_factory=dict)
+    added: Mapping[str, Column] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
         derived = (self.__dict__[name] for name in DERIVED if name in self.__dict__)
@@ -100,18 +105,22 @@ class Run:
         self.__post_init__()
 
     def __getattr__(self, name: str) -> NDArray[Any]:
-        if name in COLUMNS or (name in SOMETIMES and name in self.columns):
-            column: NDArray[Any] = self.columns[name]
+        there = self.__dict__.get("columns", {})  # none while it is being copied
+        if name in there:
+            column: NDArray[Any] = there[name]
             return column
         if name in DERIVED:
             column = self.__dict__[name] = DERIVED[name].of(self)  # once: then it is found without asking here
             column.setflags(write=False)
             return column
-        there = ", ".join((*columns_there(self.columns), *DERIVED))
-        raise AttributeError(f"a Run has no '{name}'; its columns are {there}")
+        if there and self.scenario.contact and name in (of_contacts := columns_by_contact(self.scenario.contact)):
+            base, k = of_contacts[name]
+            part: NDArray[Any] = there[base][:, k]
+            return part
+        raise AttributeError(f"a Run has no '{name}'; its columns are {', '.join((*there, *DERIVED))}")
 
     def __dir__(self) -> list[str]:
-        return [*super().__dir__(), *columns_there(self.columns), *DERIVED]
+        return [*super().__dir__(), *self.specs, *columns_by_contact(self.scenario.contact or ()), *DERIVED]
 
     def __len__(self) -> int:
         return int(self.columns["time"].size)
@@ -137,13 +146,20 @@ class Run:
             return None
         return reactions_of(self, robot_of(self.scenario, replace(self.model, whole=True)))
 
+    @property
+    def specs(self) -> Mapping[str, Column]:
+        """Dimensions, unit and meaning of each of the columns."""
+        return columns_there(self.columns) | dict(self.added)
+
     def summary(self) -> dict[str, Any]:
         """Return what the command line prints and writes as summary.json; see `closedloop.report`."""
         return deepcopy(self._summary)
 
     def units(self, name: str) -> str:
         """Return the unit of a column; of a robot that turns and slides both, by joint type ("rad | m")."""
-        spec = ALL_COLUMNS[name] if name in ALL_COLUMNS else DERIVED[name]
+        if name in (of_contacts := columns_by_contact(self.scenario.contact or ())):
+            name = of_contacts[name][0]
+        spec = self.specs[name] if name in self.specs else DERIVED[name]
         sliding = spec.units.replace("rad", "m").replace("N m", "N")
         if "joint" not in spec.dims or sliding == spec.units:
             return spec.units
@@ -154,14 +170,14 @@ class Run:
         """Return the run as an xarray Dataset with units and the attributes of the file."""
         import xarray
 
-        contacts = names_of(self.scenario.contact or ())
+        contacts, specs = labels_of(self.scenario.contact or ()), self.specs
 
         def variable(name: str) -> tuple[tuple[str, ...], NDArray[Any], dict[str, str]]:
-            spec = ALL_COLUMNS[name]
+            spec = specs[name]
             return spec.dims, np.asarray(self.columns[name]), {"units": self.units(name), "long_name": spec.meaning}
 
         return xarray.Dataset(
-            {name: variable(name) for name in columns_there(self.columns) if name != "time"},
+            {name: variable(name) for name in specs if name != "time"},
             {
                 "time": variable("time"),
                 "joint": list(self.model.joint_names),
@@ -180,9 +196,9 @@ class Run:
         """
         from closedloop.record.frame import data_frame
 
-        known = columns_there(self.columns) | DERIVED
+        known: dict[str, Column | DerivedColumn] = {**self.specs, **DERIVED}
         dims = {name: spec.dims for name, spec in known.items() if spec.dims[0] == "time"}
-        contacts = names_of(self.scenario.contact or ())
+        contacts = labels_of(self.scenario.contact or ())
         return data_frame(
             {name: getattr(self, name) for name in dims}, dims, self.model.joint_names, contacts, self.units
         )

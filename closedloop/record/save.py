@@ -16,9 +16,11 @@ from typing import Any, BinaryIO
 import numpy as np
 from numpy.typing import NDArray
 
+from closedloop.columns.added import as_text
+from closedloop.columns.by_contact import columns_by_contact
 from closedloop.columns.record import Record
-from closedloop.columns.recorded import ALL_COLUMNS, columns_there
-from closedloop.contacts.names import names_of, tangents_of
+from closedloop.columns.recorded import in_order
+from closedloop.contacts.names import labels_of, tangents_of
 from closedloop.files import write_whole
 from closedloop.record.netcdf_image import Variable, netcdf_image
 from closedloop.record.sealed import seal
@@ -32,8 +34,10 @@ TEXTS = ("scenario", "robot_text", "robot", "law", "versions", "stopped")
 LATER_TEXTS = ("engine", "law_digest", "not_finite")
 # An attribute of a run with users' classes only: JSON of their names and the SHA-256 of their texts.
 MEMBERS = "members"
+# An attribute of a run that has columns beyond those of all runs: what they are, see `closedloop.columns.added`.
+ADDED = "added"
 # What the checksum is of.
-ATTRIBUTES = {"format", "format_version", "seed", "wall_seconds", "summary", *TEXTS, *LATER_TEXTS, MEMBERS}
+ATTRIBUTES = {ADDED, "format", "format_version", "seed", "wall_seconds", "summary", *TEXTS, *LATER_TEXTS, MEMBERS}
 
 
 def question(
@@ -70,7 +74,7 @@ def attributes(run: Record) -> dict[str, Any]:
         "wall_seconds": run.wall_seconds,
         "not_finite": json.dumps(not_finite(run.columns)),
         "summary": json.dumps(run.summary()),
-    }
+    } | ({ADDED: as_text(run.added)} if run.added else {})
 
 
 def _seed(run: Record) -> str:
@@ -85,7 +89,7 @@ def _seed(run: Record) -> str:
 
 def not_finite(columns: Mapping[str, NDArray[Any]]) -> list[str]:
     """Return the columns in which a number is infinite or none at all."""
-    return [name for name in columns_there(columns) if not np.all(np.isfinite(columns[name]))]
+    return [name for name in in_order(columns) if not np.all(np.isfinite(columns[name]))]
 
 
 def checksum(found: Mapping[str, Any], columns: Mapping[str, NDArray[Any]]) -> str:
@@ -97,7 +101,7 @@ def checksum(found: Mapping[str, Any], columns: Mapping[str, NDArray[Any]]) -> s
     total = hashlib.sha256()
     for name in sorted(found):
         total.update(json.dumps([name, found[name]]).encode())
-    for name in (name for name in ALL_COLUMNS if name in columns):
+    for name in in_order(columns):
         column = np.ascontiguousarray(columns[name])
         total.update(json.dumps([name, column.dtype.str, column.shape]).encode())
         total.update(column.tobytes())
@@ -114,7 +118,7 @@ def save_run(run: Record, path: str | Path) -> Path:
     """
     variables = {
         name: Variable(spec.dims, np.asarray(run.columns[name]), {"units": run.units(name), "long_name": spec.meaning})
-        for name, spec in columns_there(run.columns).items()
+        for name, spec in run.specs.items()
     }
     labels = {
         "joint": ("joint", run.model.joint_names),
@@ -122,13 +126,18 @@ def save_run(run: Record, path: str | Path) -> Path:
         "axis": ("axis", ("x", "y", "z")),
     }
     if run.scenario.contact:
-        names = names_of(run.scenario.contact)
+        names = labels_of(run.scenario.contact)
         labels |= {"contact": ("contact", names), "contact_tangent": ("contact_tangent", tangents_of(names))}
+        for name, (whole, k) in columns_by_contact(run.scenario.contact).items():  # again, each by its contact's name
+            told = variables[whole].attributes
+            variables[name] = Variable(("time",), np.ascontiguousarray(run.columns[whole][:, k]), told)
     for name, (dimension, words) in labels.items():
         variables[name] = Variable((dimension,), np.array(words, dtype=object))
     dimensions = {"time": len(run), "joint": run.model.n, "axis": 3, "event": len(run.events)}
     if contacts := len(run.scenario.contact or ()):
         dimensions |= {"contact": contacts, "contact_tangent": 2 * contacts}
+    own = {spec.dims[1]: run.columns[name].shape[1] for name, spec in run.added.items() if len(spec.dims) == 2}
+    dimensions = own | dimensions
     made = attributes(run)
     content = netcdf_image(dimensions, variables, made | {CHECKSUM: checksum(made, run.columns)})
 

@@ -8,6 +8,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from closedloop.columns.added import state_columns
 from closedloop.engines.needs import arm_columns
 from closedloop.engines.problem import Problem
 from closedloop.engines.user_law import Law
@@ -35,11 +36,14 @@ def as_run(
     seconds: float,
     engine: str,
     *,
-    law: str = "scenario",
-    digest: str = "",
+    law: tuple[str, str] = ("scenario", ""),
+    with_states: bool = True,
     stopped: str | None = None,
 ) -> Run:
-    """Return the rows and events of a problem, see `run_loop`, as a run; the rest as in `Run`."""
+    """Return the rows and events of a problem, see `run_loop`, as a run; the rest as in `Run`.
+
+    `law` is the name and the digest of what drove it, `with_states` whether the rows have the states of the scenario's.
+    """
     n, length = problem.robot.n, rows.shape[0]
     wanted = problem.table[:: problem.nodes][:length]
     reference_rows = problem.path[:: problem.nodes][:length]
@@ -51,11 +55,14 @@ def as_run(
         "reference_force": wanted[:, 2 * n + 9].copy(),
     }
     columns |= {
-        name: recorded(rows, n, name, len(problem.scenario.contact or ()))
+        name: recorded(rows, n, name, len(problem.scenario.contact or ()), problem.row_states)
         for name in (*RECORDED, *arm_columns(problem.scenario))
     }
+    states = state_columns(problem.scenario, n) if with_states else {}
+    first = rows.shape[1] - problem.row_states
+    columns |= {name: rows[:, first:][:, place].copy() for name, (_, place) in states.items()}
     if contacts := len(problem.scenario.contact or ()):
-        columns |= {name: recorded(rows, n, name, contacts) for name in CONTACT_RECORDED}
+        columns |= {name: recorded(rows, n, name, contacts, problem.row_states) for name in CONTACT_RECORDED}
         columns["link_modes"] = columns["link_modes"].astype(np.int8)
     columns["mode"] = columns["mode"].astype(np.int8)
     columns["potential_energy"] = _potential_energies(problem.robot.tree, columns["q"])
@@ -63,13 +70,14 @@ def as_run(
         scenario=problem.scenario,
         model=without_tools(problem.robot.model),
         columns=columns | event_columns(events),
-        law=law,
+        law=law[0],
         versions=package_versions(),
         stopped=stopped,
         wall_seconds=seconds,
         engine=engine,
-        law_digest=digest,
+        law_digest=law[1],
         member_digests=member_digests(problem.scenario),
+        added={name: column for name, (column, _) in states.items()},
     )
 
 

@@ -4,11 +4,15 @@ from __future__ import annotations
 
 import time as clock
 from collections.abc import Callable
+from dataclasses import replace
 from functools import partial
 
 import numpy as np
 from numpy.typing import NDArray
 
+from closedloop.columns.added import RESERVED, Recorded, check_names, own_columns
+from closedloop.columns.derived import DERIVED
+from closedloop.columns.recorded import ALL_COLUMNS
 from closedloop.engines.failures import interrupted, member_error
 from closedloop.engines.law_source import arguments_of, law_digest
 from closedloop.engines.loops import ENGINES, PINOCCHIO, kernels_of, loop_for
@@ -40,6 +44,7 @@ def simulate(
     model: RobotModel | None = None,
     progress: bool | Callable[[int, int], None] = False,
     engine: str = PINOCCHIO,
+    record: Recorded | None = None,
 ) -> Run:
     """Simulate a scenario.
 
@@ -62,6 +67,10 @@ def simulate(
         The source of H, C, r, Jᵣ and J̇ᵣq̇: Pinocchio, or the package's own compiled terms (`closedloop.robot.tree`),
         which are equal to rounding and a few times as fast. The compiled engine takes a user's law only if numba has
         compiled it, see `closedloop.engines.user_law`.
+    record : mapping of str to callable, optional
+        Columns of one's own: by name a function of the `Run` that returns (N,) or (N, k) finite numbers, or a pair of
+        such a function and a unit, ``{"power": (power, "W")}``. They are worked out once, at the end, and are columns
+        of the run and its file like all others.
 
     Returns
     -------
@@ -78,6 +87,7 @@ def simulate(
         `InterruptedRunError`, also a KeyboardInterrupt, follows Ctrl-C, between two steps or after the compiled loop.
     """
     check_engine(scenario, engine, law)
+    check_names(record or {}, set(ALL_COLUMNS) | set(dir(Run)) | set(DERIVED) | RESERVED)
     problem: Problem | None = None
     try:
         with held_back(), not_compiled_first():
@@ -93,11 +103,20 @@ def simulate(
         with held_back(), not_compiled_first():
             stopped = str(failure) if failure else None
             name, digest = ("scenario", "") if law is None else (law_name(law), law_digest(law))
-            run = as_run(problem, rows, events, seconds, engine, law=name, digest=digest, stopped=stopped)
+            run = as_run(
+                problem, rows, events, seconds, engine, law=(name, digest), with_states=law is None, stopped=stopped
+            )
     except KeyboardInterrupt as stop:  # it came while the record was being assembled
         if run is None:
             raise  # a second one, which does not wait
         failure = failure or interrupted(stop, float(run.time[-1]))
+    if record and len(run):
+        try:
+            run = with_own_columns(run, record)
+        except LawError as error:
+            if failure is None:
+                raise
+            failure.add_note(str(error))
     if failure is not None:
         failure.run = run
         raise failure
@@ -114,6 +133,13 @@ def _looped(
         with bar(problem.scenario.name, problem.steps) as report:
             return run_loop(problem, law, report, engine, keep_interrupted=True, interim=True)
     return run_loop(problem, law, progress or _silent, engine, keep_interrupted=True, interim=True)
+
+
+def with_own_columns(run: Run, record: Recorded) -> Run:
+    """Return a run with columns of one's own besides; see `simulate`, and `own_columns` for its errors."""
+    check_names(record, {*dir(run), *RESERVED})
+    values, added = own_columns(run, record)
+    return replace(run, columns={**run.columns, **values}, added={**run.added, **added})
 
 
 def check_engine(scenario: Scenario, engine: str, law: Law | None) -> None:

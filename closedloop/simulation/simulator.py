@@ -286,4 +286,4 @@ class Simulator:
         rows, events = self._stepper.completed(done)
         law = " and ".join(self._drivers) or "scenario"
         digest = self._drivers.get(law, "")
-        return as_run(self.problem, rows, events, self._seconds, self._engine, law=law, digest=digest, stopped=stopped)
+        return as_run(self.problem, rows, events, self._seconds, self._engine, law=(law, digest), stopped=stopped)

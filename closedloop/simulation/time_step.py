@@ -8,6 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from closedloop.closure.baumgarte import baumgarte_gains, largest_stable_ratio, recommended_ratio
+from closedloop.columns.added import recorded_states
 from closedloop.control.encoder import NO_ENCODER, encoder_kind
 from closedloop.engines.needs import arm_columns
 from closedloop.errors import ScenarioError
@@ -138,7 +139,9 @@ def steps_and_hold(scenario: Scenario, n: int) -> tuple[int, int]:
     """Return the steps of a run of n joints, and for how many of them a torque is held, 0: it is not sampled."""
     h, duration, period = scenario.time.step, scenario.time.duration, scenario.law.sample_period
     steps = whole_steps(duration, h, "time.duration")
-    most_rows = MOST_NUMBERS // row_width(n, bool(arm_columns(scenario)), len(scenario.contact or ()))
+    most_rows = MOST_NUMBERS // row_width(
+        n, bool(arm_columns(scenario)), len(scenario.contact or ()), recorded_states(scenario, n)
+    )
     if steps > most_rows:
         raise ScenarioError(
             f"time.step = {h:g}: {duration:g} s would be {steps:.3g} rows, over the "

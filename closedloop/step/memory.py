@@ -70,6 +70,7 @@ class State(Block):
     elastic: int  # 1 if the joints are; 2 if the motors are measured
     drives: int  # 1 if the drives have limits
     arm_at: int  # where in a row there is a `closedloop.step.record_row.ArmRow`; 0: nowhere
+    states_at: int  # where in a row the states of law and compensation are; 0: nowhere
     compliance: int  # address of the entry of the surface's compliance, 0: it is rigid; and its parameters
     compliance_size: int
     surface_motion: int  # address of the entry of its motion, 0: it is at rest

@@ -85,16 +85,21 @@ CONTACT_RECORDED = tuple(ContactRow.layout.at)
 ARM_RECORDED = tuple(ArmRow.layout.at)
 
 
-def row_width(n: int, arm: bool, contacts: int = 0) -> int:
-    """Return the numbers in a row of n joints, `arm` whether there is an `ArmRow` behind it, and of k `contacts`."""
-    return Row.count(n) + (ArmRow.count(n) if arm else 0) + ContactRow.count(contacts)
+def row_width(n: int, arm: bool, contacts: int = 0, states: int = 0) -> int:
+    """Return the numbers in a row of n joints.
+
+    Behind it are an `ArmRow` if `arm`, the `ContactRow` of k `contacts`, and so many `states` of law and compensation.
+    """
+    return Row.count(n) + (ArmRow.count(n) if arm else 0) + ContactRow.count(contacts) + states
 
 
-def recorded(rows: Array, n: int, name: str, contacts: int = 0) -> Array:
+def recorded(rows: Array, n: int, name: str, contacts: int = 0, states: int = 0) -> Array:
     """Return a copy of one of the columns `RECORDED` or `ARM_RECORDED`, (N,) or (N, k), of rows of n joints.
 
-    A column of `ARM_RECORDED` is NaN where the rows do not have it. Those of `CONTACT_RECORDED` are of k `contacts`.
+    A column of `ARM_RECORDED` is NaN where the rows do not have it. Those of `CONTACT_RECORDED` are of k `contacts`;
+    behind them are so many `states`, see `row_width`.
     """
+    rows = rows[:, : rows.shape[1] - states]
     if name in CONTACT_RECORDED:
         return rows[:, rows.shape[1] - ContactRow.count(contacts) :][:, ContactRow.place(name, contacts)].copy()
     rows = rows[:, : rows.shape[1] - ContactRow.count(contacts)]
@@ -162,6 +167,9 @@ def record(
     if state.arm_at != 0:
         record_arm(w, state, row_of(rows, place)[state.arm_at :])
     Row(row_of(rows, place), n).measured_force = w.measured
+    if state.states_at != 0:
+        for k in range(state.law_states):
+            row_of(rows, place)[state.states_at + k] = w.z[k]
 
 
 @kernel_inlined

@@ -42,6 +42,11 @@ Array = NDArray[np.float64]
 NEEDS_EVENTS = -1
 
 
+# Of each row for `closedloop.report.control_signals`: f, the tip less its path along the surface, and how far off the
+# surface the path is.
+SIGNALS = 5
+
+
 class LaneAddresses(Block):
     """Whole numbers, int64: addresses of the arrays of the loop's memory, each of float64x8."""
 
@@ -53,6 +58,7 @@ class LaneAddresses(Block):
     rows: int
     tallies: int
     values: int
+    signals: int
 
 
 class Sizes(NamedTuple):
@@ -124,6 +130,7 @@ def run_in_lanes(
     rows = float64x8_at(at.rows, kept * width).reshape(kept, width)
     tally, values = Tally(float64x8_at(at.tallies, 0), n), Values(float64x8_at(at.values, 0), n)
     joint_limits, wanted = JointLimits(limits, n), Reference(w.reference, n)
+    signals = float64x8_at(at.signals, (steps + 1) * SIGNALS).reshape(steps + 1, SIGNALS)
     begin_tally(tally, n, h, largest)
     w.supplied = 0.0
     for row in range(steps + 1):
@@ -144,6 +151,7 @@ def run_in_lanes(
             if stage == 0:
                 record_state(H, C, w, state, rows, slot)
                 potential = energy_there(tree, scratch)
+                write_signals(Row(rows[slot], n), wanted, signals, row)
                 count_row(Row(rows[slot], n), n, potential, wanted, joint_limits, row, tally)
                 if row == steps:
                     record_conditions(w.batch, rows, state, slot + 1, n)
@@ -160,6 +168,18 @@ def run_in_lanes(
         commit_work(w)
     write_values(Row(rows[steps % kept], n), n, steps + 1, tally, values)
     return OK
+
+
+@kernel_inlined
+def write_signals(row: Row, wanted: Reference, signals: Array, i: int) -> None:
+    """Write `SIGNALS` numbers of row i."""
+    out, normal = 0.0, row.surface_normal
+    for k in range(3):
+        out = out + normal[k] * (row.position[k] - wanted.position[k])
+    for k in range(3):
+        signals[i, 1 + k] = row.position[k] - wanted.position[k] - out * normal[k]
+    signals[i, 0] = row.contact_force
+    signals[i, 4] = row.closure_error - out
 
 
 @kernel_inlined

@@ -74,7 +74,8 @@ def compared(pins: Sequence[Pin], run: Run, changes: Changes) -> list[tuple[str,
         label = f"{name} [{unit}]" if unit not in ("", "1") else name
         rows.append((label, [_with_difference(number, numbers[-1], k < len(pins)) for k, number in enumerate(numbers)]))
     rows.append(("verdict", [names_of(summary["verdict"]["problems"]) for summary in summaries]))
-    return rows
+    told = [names_of(summary["control_verdict"]["problems"]) for summary in summaries]
+    return [*rows, ("control_verdict", told)]
 
 
 def table_html(pins: Sequence[Pin], run: Run, changes: Changes) -> str:

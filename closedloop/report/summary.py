@@ -13,6 +13,8 @@ from closedloop.columns.record import Record
 from closedloop.events.table import KINDS
 from closedloop.jit.interpreted import interpreted
 from closedloop.report.assumptions import assumptions
+from closedloop.report.control_signals import limited_joints, run_signals
+from closedloop.report.control_verdict import judge_control
 from closedloop.report.measures import JOINT_MEASURES, MEASURES
 from closedloop.report.row_sample import Scale, energy_left, torque_power
 from closedloop.report.run_values import columns_of, run_values
@@ -35,6 +37,7 @@ def summarise(run: Record) -> dict[str, Any]:
     problems = judge(_facts(run, values, joints, held), lambda: run_gains_fault(run))
     return {
         "verdict": {"good": not problems, "problems": problems},
+        "control_verdict": _control(run, joints),
         "scenario": run.scenario.name,
         "robot": run.model.name,
         "law": run.law,
@@ -54,6 +57,14 @@ def summarise(run: Record) -> dict[str, Any]:
         "loops": _loops(run),
         "wall_seconds": run.wall_seconds,
     }
+
+
+def _control(run: Record, joints: dict[str, Array]) -> dict[str, Any]:
+    """Return the verdict of the control, and what of it is not known."""
+    shares, since = joints["torque_limited_share"], joints["torque_limited_at"]
+    limited = limited_joints(run.model.joint_names, shares, since)
+    problems, unknown = judge_control(run_signals(run), limited, run.stopped)
+    return {"good": not problems, "problems": problems, "not_known": unknown}
 
 
 def _loops(run: Record) -> dict[str, dict[str, float]]:

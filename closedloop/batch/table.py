@@ -65,7 +65,8 @@ def key_type(values: Sequence[Any]) -> pa.DataType:
 def schema(types: Mapping[str, pa.DataType], keep: Sequence[str] = ()) -> pa.Schema:
     """Return the columns of a table of runs, with units and meaning as metadata.
 
-    The columns are ``run``, its number; the changed keys; ``status``, ``verdict``, ``control_verdict``, ``reason``, ``rows``, ``end_time``;
+    The columns are ``run``, its number; the changed keys; ``status``, ``verdict``, ``control_verdict``,
+    ``reason``, ``rows``, ``end_time``;
     the values of `closedloop.report.measures`; the number of events of each kind; when each assumption of the paper
     first failed; the values of the joints, each a list with a number for each joint; and the columns that were kept,
     each a list of numbers.

@@ -1,8 +1,8 @@
 """The outer part of all commands: arguments, exit status, and one line for any error, or for each fault of a scenario.
 
 Exit status: 0 done; 2 the input is at fault, or the environment (a file, the output, memory); 3 the work could not be
-finished; with --strict, 4 it ended, but the verdict of its numbers is bad, 5 that of its control alone; 130 interrupted by
-Ctrl-C, 143 by SIGTERM.
+finished; with --strict, 4 it ended, but the verdict of its numbers is bad, 5 that of its control alone; 130
+interrupted by Ctrl-C, 143 by SIGTERM.
 """
 
 from __future__ import annotations

@@ -161,7 +161,7 @@ class LaneRuns:
         return self._values[:, lane].copy()
 
     def signals(self, lane: int) -> tuple[Array, Array, Array]:
-        """Return `SIGNALS` of each of N rows, (N, SIGNALS), f_des, (N,), and the path, (N, 3); the next run overwrites."""
+        """Return `SIGNALS` of each of N rows, (N, SIGNALS), f_des, (N,), and the path, (N, 3), until the next run."""
         n, nodes = self.n, self._sizes.nodes
         wanted = self._forces[::nodes, lane]
         return self._signals[:, :, lane], wanted, self._tables[lane][::nodes, 2 * n : 2 * n + 3]

@@ -22,6 +22,7 @@ Array = NDArray[np.float64]
 RELEASE = 1e-5
 # Gains of the laws that ship with which they lead the tip along its path.
 _LEADS = ("kp", "motion_stiffness", "stiffness")
+_FEEDBACK = (*_LEADS, "kd", "motion_damping", "damping", "force_feedback", "force_integral")
 
 
 def follows_path(scenario: Scenario, own_law: bool = False) -> bool:
@@ -29,6 +30,14 @@ def follows_path(scenario: Scenario, own_law: bool = False) -> bool:
     if own_law or is_users(scenario.law):
         return scenario.reference.kind != "hold"
     return any(np.any(np.asarray(getattr(scenario.law, name, 0.0)) != 0.0) for name in _LEADS)
+
+
+def negative_gain(scenario: Scenario) -> str:
+    """Return the key of a gain of a law that ships which is below zero, "" if none is."""
+    if is_users(scenario.law):
+        return ""
+    below = (name for name in _FEEDBACK if np.any(np.asarray(getattr(scenario.law, name, None) or 0.0) < 0.0))
+    return next((f"law.{name}" for name in below), "")
 
 
 def run_signals(run: Record) -> Signals | None:
@@ -84,7 +93,7 @@ def signals_of(
     sparse = scenario.time.integrator in ADAPTIVE and h > SPARSE
     return Signals(
         h, force, wanted, touching, commanded, approaching, off if led else None, tip, touching | (wanted == 0.0),
-        touchdowns, sparse,
+        touchdowns, sparse, "" if own_law else negative_gain(scenario),
     )  # fmt: skip
 
 

@@ -12,6 +12,7 @@ while contact is commanded (`closedloop.report.control_signals`); with F, the ro
 ``not_settled``     the mean error of the last tenth is too large and still changes
 ``oscillation``     force or path swings regularly: growing, or a limit cycle
 ``path_error``      the tip is off its path along the surface
+``unstable``        a gain of the law is negative: it drives the arm away from where it should be
 ``saturated``       a limit of `[drives]` cuts a joint's torque in a tenth of the rows and more
 ==================  ===========================================================================================
 
@@ -80,6 +81,8 @@ class Signals(NamedTuple):
         When contact began, or the tip bounced, s.
     sparse : bool
         Whether there may be more between two rows than the rows show, see `SPARSE`.
+    negative_gain : str
+        A gain of the law that is negative, "" where none is.
     """
 
     h: float
@@ -93,6 +96,7 @@ class Signals(NamedTuple):
     led: Bools
     touchdowns: Array
     sparse: bool
+    negative_gain: str = ""
 
 
 class Swing(NamedTuple):
@@ -125,6 +129,9 @@ def judge_control(
     if signals is not None:
         with np.errstate(all="ignore"):
             problems += _contact(signals, unknown) + _path(signals)
+            if signals.negative_gain:
+                text = f"{signals.negative_gain} is below 0: the feedback drives the arm away, however slowly"
+                problems.append(_problem("unstable", text))
             if signals.sparse:
                 unknown.append(f"oscillation: rows are {signals.h:g} s apart, steps are shorter")
     problems += [
@@ -233,14 +240,15 @@ def _swinging(swing: Swing | None, what: str, unit: str) -> list[Problem]:
 def regular_swing(x: Array, bound: float, h: float, begin: float) -> Swing | None:
     """Return the swing of a signal (N,), `h` s apart from `begin` on, that lasts beyond ±`bound`; None without one.
 
-    What counts is a period from one rise through the middle to the next, each with an excursion of more than half the
-    bound to both sides between; the last third of them must reach the bound, and all must last about equally long.
+    What counts is a period from one rise through the middle to the next, each with an excursion to both sides between of more
+    than half the bound and half the RMS; the last third of them must reach the bound, and all must last about equally long.
     """
     if len(x) < PERIODS * ROWS_IN_PERIOD or not np.all(np.isfinite(x)):
         return None
     k = np.arange(len(x), dtype=float) - 0.5 * (len(x) - 1)
     y = x - np.mean(x) - k * (np.dot(k, x) / np.dot(k, k))  # a drift is no swing
-    side = np.where(y > 0.5 * bound, 1, np.where(y < -0.5 * bound, -1, 0))
+    level = 0.5 * max(bound, _rms(y))  # noise on a large swing does not pass the middle twice
+    side = np.where(y > level, 1, np.where(y < -level, -1, 0))
     there = np.flatnonzero(side)
     if there.size < 2 * PERIODS:
         return None

@@ -126,7 +126,7 @@ def print_report(run: Record, width: int | None = None) -> None:
 
 
 def _print_verdict(facts: dict[str, Any], console: Console) -> None:
-    """Print the two verdicts in a line each, at any width, of the numbers and of the control, and then what is wrong."""
+    """Print the verdicts of numbers and control in a line each, at any width, and then what is wrong."""
     from rich.markup import escape
 
     problems, control = facts["verdict"]["problems"], facts["control_verdict"]

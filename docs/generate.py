@@ -156,8 +156,8 @@ def models() -> Iterator[str]:
 def verdicts(judged: Iterable[str] | None = None) -> Iterator[str]:
     """Return the lines of the page of both verdicts of every shipped scenario, each simulated for it."""
     yield from ("# Verdicts of the shipped scenarios", "")
-    yield "Made by the build, which runs them all; see [the verdicts of a run](../verdict.md). Where control is bad, that is"
-    yield "what the scenario is to show, as its file says."
+    yield "Made by the build, which runs them all; see [the verdicts of a run](../verdict.md). Where control is bad,"
+    yield "that is what the scenario is to show, as its file says."
     yield ""
     rows = []
     for name in judged or closedloop.shipped_scenarios():

@@ -100,7 +100,7 @@ class Signals(NamedTuple):
 
 
 class Swing(NamedTuple):
-    """A regular swing: its amplitude at the end, period, s, first instant, s, and growth from first to last third."""
+    """A regular swing: the median amplitude of its last third, period, s, first instant, s, and growth from first to last third."""
 
     amplitude: float
     period: float
@@ -240,8 +240,8 @@ def _swinging(swing: Swing | None, what: str, unit: str) -> list[Problem]:
 def regular_swing(x: Array, bound: float, h: float, begin: float) -> Swing | None:
     """Return the swing of a signal (N,), `h` s apart from `begin` on, that lasts beyond ±`bound`; None without one.
 
-    What counts is a period from one rise through the middle to the next, each with an excursion to both sides between of more
-    than half the bound and half the RMS; the last third of them must reach the bound, and all must last about equally long.
+    What counts is a period from one rise through the middle to the next, each with an excursion to both sides between
+    of more than half the bound and half the RMS; the last third of them must reach the bound, and all must last about equally long.
     """
     if len(x) < PERIODS * ROWS_IN_PERIOD or not np.all(np.isfinite(x)):
         return None

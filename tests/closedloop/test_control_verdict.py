@@ -1,6 +1,7 @@
 """The verdict of the control: each criterion from both sides of its bound, whatever the rows and the noise."""
 
 import dataclasses
+import re
 
 import numpy as np
 import pytest
@@ -71,7 +72,7 @@ def test_growing_and_lasting_swings_are_told_apart():
         (problem,) = judge_control(drawn(cycle(0.12, grows=grows)), {})[0]
         assert problem["name"] == "oscillation"
         assert word in problem["text"]
-        assert "3 Hz" in problem["text"]
+        assert re.search(r"with 3(\.0\d)? Hz", problem["text"])
         assert DURATION / 2 <= problem["at"] < (DURATION - 1.0 if grows else DURATION / 2 + 1.0)
 
 
@@ -85,7 +86,7 @@ def test_noise_is_no_swing_and_no_force_error(share):
     for noise in (white, smooth / np.std(smooth)):
         assert told(drawn(lambda t, noise=noise: share * FORCE * noise)) == "good"
     # and does not hide a swing beneath it
-    assert "oscillation" in told(drawn(lambda t: cycle(0.4, 1.0)(t) + 0.02 * FORCE * white))
+    assert "oscillation" in told(drawn(lambda t: cycle(0.4, 2.0)(t) + 0.02 * FORCE * white))
 
 
 def test_contact_that_never_comes_is_lost_or_bounces():

@@ -241,7 +241,8 @@ def regular_swing(x: Array, bound: float, h: float, begin: float) -> Swing | Non
     """Return the swing of a signal (N,), `h` s apart from `begin` on, that lasts beyond ±`bound`; None without one.
 
     What counts is a period from one rise through the middle to the next, each with an excursion to both sides between
-    of more than half the bound and half the RMS; the last third of them must reach the bound, and all must last about equally long.
+    of more than half the bound and half the RMS; the last third of them must reach the bound, and all must last
+    about equally long.
     """
     if len(x) < PERIODS * ROWS_IN_PERIOD or not np.all(np.isfinite(x)):
         return None

@@ -159,7 +159,8 @@ def written_out(row, wanted, limits, V):
     slippery = np.all(r.friction_force == 0.0, axis=1) & np.all(r.joint_friction == 0.0, axis=1)
     met = {
         "one_loop": (r.residual_closure <= RESIDUAL_TOLERANCE) & (r.mode != STUCK), "single_point": solved,
-        "contact_kept": touching & (f > 0.0), "frictionless": solved & slippery, "nonsingular": (least > NEAR_SINGULAR) | ~touching,
+        "contact_kept": touching & (f > 0.0), "frictionless": solved & slippery, "nonsingular": (least >
+        NEAR_SINGULAR) | ~touching,
     }  # fmt: skip
     failed = ~met["nonsingular"]
     lower, upper, fast, strong = limits

@@ -100,7 +100,7 @@ class Signals(NamedTuple):
 
 
 class Swing(NamedTuple):
-    """A regular swing: the median amplitude of its last third, period, s, first instant, s, and growth from first to last third."""
+    """A regular swing: median amplitude of its last third, period, s, first instant, s, growth from first to last third."""
 
     amplitude: float
     period: float

@@ -100,7 +100,7 @@ class Signals(NamedTuple):
 
 
 class Swing(NamedTuple):
-    """A regular swing: median amplitude of its last third, period, s, first instant, s, growth from first to last third."""
+    """A regular swing: median amplitude of its last third, period, s, first instant, s, and growth over the run."""
 
     amplitude: float
     period: float

@@ -6,6 +6,7 @@ A temporary file left by a kill has a name that no other program makes, so that 
 
 from __future__ import annotations
 
+import errno
 import hashlib
 import os
 import re
@@ -27,8 +28,9 @@ _UNFINISHED = re.compile(r"\.closedloop-([0-9a-f]{16})-([0-9a-f]{16})\.unfinishe
 
 
 def write_whole(
-    path: str | Path, content: bytes | memoryview | Callable[[BinaryIO], object], *, reserve: int = 0
-) -> Path:
+    path: str | Path, content: bytes | memoryview | Callable[[BinaryIO], object], *, reserve: int = 0,
+    replace: bool = True,
+) -> Path:  # fmt: skip
     """Write a file, and return its path; if that fails, the older file of that name is unchanged.
 
     Parameters
@@ -42,11 +44,14 @@ def write_whole(
     reserve : int
         So many bytes of the disk are made sure of before anything is written, where the system can do that; what is
         not used stays as zeros at the end, unless the function truncates the file.
+    replace : bool
+        Whether an older file of that name is replaced.
 
     Raises
     ------
     OutputError
-        If it cannot be written: no such folder, no permission, a full disk, something there that is no file.
+        If it cannot be written: no such folder, no permission, a full disk, something there that is no file, or that
+        is not to be replaced.
     """
     path = Path(path)
     unfinished = path.with_name(_unfinished_name())
@@ -63,9 +68,9 @@ def write_whole(
                 file.flush()
                 os.fsync(file.fileno())
                 if fcntl is not None:
-                    unfinished.replace(path)
+                    _give_name(unfinished, path, replace)
             if fcntl is None:  # Windows moves no open file
-                unfinished.replace(path)
+                _give_name(unfinished, path, replace)
         except BaseException:  # an interruption too must leave nothing behind
             with suppress(OSError, ValueError):
                 unfinished.unlink(missing_ok=True)
@@ -75,6 +80,22 @@ def write_whole(
     except (OSError, ValueError) as error:
         raise OutputError(f"{path}: cannot be written: {reason_of(error)}") from None
     return path
+
+
+def _give_name(unfinished: Path, path: Path, replace: bool) -> None:
+    if replace:
+        unfinished.replace(path)
+        return
+    try:
+        os.link(unfinished, path)  # unlike a renaming it fails if there is such a file
+    except OSError as error:
+        if os.path.lexists(path):
+            raise OutputError(f"{path}: is there already and is not replaced; choose another name") from None
+        if error.errno not in (errno.EPERM, errno.ENOTSUP, errno.ENOSYS, errno.EMLINK):
+            raise
+        unfinished.replace(path)  # a file system without hard links
+    else:
+        unfinished.unlink()
 
 
 def remove_unfinished(folder: str | Path) -> list[Path]:
@@ -114,20 +135,72 @@ def probe_folder(folder: Path) -> None:
         probe.unlink(missing_ok=True)
 
 
+class FolderLock:
+    """The lock that one process has on a folder; without it nothing keeps others from the folder.
+
+    It goes with the process. File systems without locks, and Windows, let everybody have it.
+    """
+
+    def __init__(self, file: int | None) -> None:
+        self._file = file
+
+    @classmethod
+    def of(cls, folder: Path) -> FolderLock | None:
+        """Lock a folder; None if another process, or another lock of this one, has it.
+
+        Raises
+        ------
+        FileNotFoundError
+            If there is no such folder, or it was removed meanwhile.
+        """
+        if fcntl is None:
+            return cls(None)
+        try:
+            file = os.open(folder, os.O_RDONLY | os.O_CLOEXEC)
+        except PermissionError:  # it can be written into, and not be listed
+            return cls(None)
+        try:
+            with suppress(OSError):  # a file system without locks
+                try:
+                    fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
+                except BlockingIOError:
+                    os.close(file)
+                    return None
+            if not os.path.samestat(os.fstat(file), folder.stat()):
+                raise FileNotFoundError(folder)
+        except BaseException:
+            os.close(file)
+            raise
+        return cls(file)
+
+    def release(self) -> None:
+        """Let others have it, whatever processes this one started meanwhile."""
+        file, self._file = self._file, None
+        if file is not None:
+            with suppress(OSError):
+                fcntl.flock(file, fcntl.LOCK_UN)
+            os.close(file)
+
+
 def refuse_special(path: Path) -> None:
-    """Refuse to replace what is no regular file, and no link.
+    """Refuse to replace what is no regular file, and no link to one or to nothing.
 
     Raises
     ------
     OutputError
-        If there is a folder, a device, a pipe or a socket.
+        If there is a folder, a device, a pipe or a socket, or a link to such, as /dev/stdout is.
     """
-    try:
-        mode = path.lstat().st_mode
-    except FileNotFoundError:
-        return
-    if not (stat.S_ISREG(mode) or stat.S_ISLNK(mode)):
-        raise OutputError(f"{path}: cannot be written: there is {kind_of(mode)} of that name")
+    for follow, link in ((False, ""), (True, "a link to ")):
+        try:
+            mode = path.stat(follow_symlinks=follow).st_mode
+        except FileNotFoundError:
+            return
+        except OSError:
+            if follow:
+                return  # a link that leads in a circle, or to where one may not look
+            raise
+        if not (stat.S_ISREG(mode) or stat.S_ISLNK(mode)):
+            raise OutputError(f"{path}: cannot be written: there is {link}{kind_of(mode)} of that name")
 
 
 def kind_of(mode: int) -> str:

@@ -70,8 +70,8 @@ def _main(arguments: list[str]) -> int:
 def _run(options: Namespace, overrides: dict[str, Any]) -> int:
     """Simulate what the command line asks for, save, draw and report it, and return the exit status."""
     job = _job(options, overrides)
-    with _results(job, options.overwrite) as results:
-        return _run_into(results, job, options)
+    with _results(job, options) as results:
+        return _run_into(results, job._replace(folder=results.folder), options)
 
 
 def _run_into(results: Results, job: _Job, options: Namespace) -> int:
@@ -92,12 +92,14 @@ def _run_into(results: Results, job: _Job, options: Namespace) -> int:
             paths += _draw(run, job.folder, None if failure else unstabilised)
     if options.json:
         print(json.dumps(run.summary(), indent=2, allow_nan=False))
+        if results.not_first:  # standard output is for the summary
+            print(f"closedloop: wrote {job.folder}{os.sep}; {results.not_first}", file=sys.stderr)
     else:
         from closedloop.report import print_report
 
         print_report(run)
-        steps, names = max(0, len(run) - 1), ", ".join(path.name for path in paths)
-        print(f"{steps} steps in {run.wall_seconds:.2g} s; wrote {job.folder}{os.sep}: {names}")
+        names = ", ".join(path.name for path in paths) + (results.not_first and f"; {results.not_first}")
+        print(f"{max(0, len(run) - 1)} steps in {run.wall_seconds:.2g} s; wrote {job.folder}{os.sep}: {names}")
     if failure:
         raise failure
     facts = run.summary()
@@ -154,14 +156,14 @@ def _job(options: Namespace, overrides: dict[str, Any]) -> _Job:
     )
 
 
-def _results(job: _Job, overwrite: bool) -> Results:
+def _results(job: _Job, options: Namespace) -> Results:
     """Return where the results go, saying what is at fault with the scenario too if they cannot go there."""
-    from closedloop.command.results import Results
+    from closedloop.command.results import Results, first_free
     from closedloop.record.save import question
 
     inputs = question(job.scenario, job.model, job.law_name, job.digest, job.engine, job.members)
     try:
-        return Results(job.folder, inputs, overwrite)
+        return (Results if options.out else first_free)(job.folder, inputs, options.overwrite)
     except OutputError as error:
         if faults := _faults_of(job.scenario, job.model):
             raise ScenarioError(*faults, str(error)) from None
@@ -173,11 +175,10 @@ def _simulate(job: _Job, progress: bool) -> tuple[Run, SimulationError | None]:
     from closedloop.engines.law_source import fresh
     from closedloop.simulation.simulate import simulate
 
+    asked = {"model": job.model, "progress": progress, "engine": job.engine}
     try:
         with redirect_stdout(sys.stderr):  # what a law prints is no result
-            return simulate(
-                job.scenario, law=fresh(job.law), model=job.model, progress=progress, engine=job.engine
-            ), None  # fmt: skip
+            return simulate(job.scenario, law=fresh(job.law), **asked), None
     except SimulationError as error:
         if error.run is None or (isinstance(error, InterruptedRunError) and len(error.run) == 0):
             raise
@@ -229,7 +230,7 @@ def _parser() -> Parser:
     add("scenario", nargs="?", metavar="SCENARIO", help="a shipped name, a .toml file, or a run.nc to repeat")
     add("--version", action="store_true", help="print the versions that a run depends on")
     add("--list", action="store_true", help="list the shipped scenarios")
-    add("--out", metavar="DIR", help="where results go (default: out/SCENARIO)")
+    add("--out", metavar="DIR", help="where results go (default: out/SCENARIO, -2 ...)")
     add("--overwrite", action="store_true", help="replace results of another run in that folder")
     add("--no-figures", action="store_true", help="write run.nc and summary.json only")
     add("--json", action="store_true", help="print the summary as JSON instead of tables")

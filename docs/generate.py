@@ -20,6 +20,7 @@ from closedloop.command.table import COMMANDS, imported, overview
 from closedloop.events.table import EVENT_COLUMNS
 from closedloop.report.verdict import names_of
 from closedloop.scenario import describe
+from closedloop.scenario.tables import table_type
 
 # What each public name is for, in the order of the page; a name that is in none of these is a fault.
 API = {
@@ -70,7 +71,8 @@ def scenario() -> Iterator[str]:
     yield "What a scenario file may say. The same texts are printed by `closedloop run --help SECTION` and"
     yield "`closedloop run --explain KEY`. A number beyond its bounds, and a key that is not listed here, is an error."
     for section, text in describe.sections().items():
-        yield from ("", f"## [{section}]", "", f"{sentence(text)}", "")
+        head = f"[[{section}]]" if table_type(section) else f"[{section}]"
+        yield from ("", f"## {head}", "", f"{sentence(text)}", "")
         kinds = describe.kinds(section)
         if kinds:
             yield from table(("kind", ""), ((f"`{kind}`", told) for kind, told in kinds.items()))

@@ -15,6 +15,8 @@ from pathlib import Path
 from typing import Any
 
 from closedloop.command.border import Parser, run_command
+from closedloop.errors import OutputError
+from closedloop.files import write_whole
 from robot_models import ClosedLoopError, ModelError
 
 PASSED, FAILED, BAD_INPUT = 0, 1, 2
@@ -48,9 +50,9 @@ def _main(words: list[str]) -> int:
     for kind, path in files.items():
         text = {"json": report.to_json, "html": report.to_html, "markdown": report.to_markdown}[kind]()
         try:
-            path.write_text(text + "\n", encoding="utf-8", errors="backslashreplace")
-        except OSError as error:
-            raise InputError(f"--{kind} {path}: cannot be written: {error.strerror}") from None
+            write_whole(path, f"{text}\n".encode(errors="backslashreplace"))
+        except OutputError as error:
+            raise InputError(f"--{kind} {error}") from None
     return PASSED if report.passed else FAILED
 
 

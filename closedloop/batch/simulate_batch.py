@@ -19,6 +19,7 @@ from closedloop.batch.threads import Done, side_by_side
 from closedloop.batch.worker import Outcome, Worker, failed
 from closedloop.engines.lanes import FEWEST, uses_lanes
 from closedloop.engines.loops import COMPILED
+from closedloop.engines.user_law import Law
 from closedloop.errors import ScenarioError
 from closedloop.jit.simd8 import WIDE
 from closedloop.scenario.overrides import Variants
@@ -49,6 +50,7 @@ def simulate_batch(
     workers: int | None = None,
     model: RobotModel | None = None,
     progress: bool | Callable[[int, int], None] = False,
+    law: Law | None = None,
 ) -> pa.Table:
     """Simulate a scenario many times with some keys changed, and return a table of the runs.
 
@@ -70,6 +72,8 @@ def simulate_batch(
         The robot to use instead of loading the one that the scenario names.
     progress : bool or callable
         True draws a bar on standard error; a callable gets (runs done, runs in all).
+    law : callable, optional
+        A user's law in place of the scenario's, see `simulate`; the compiled engine takes one that numba has compiled.
 
     Returns
     -------
@@ -90,9 +94,9 @@ def simulate_batch(
     points = _points(changes, grid)
     columns = kept_columns(keep)
     variants = Variants(scenario, keys)
-    check_engine(variants.look(points), engine, None)
+    check_engine(variants.look(points), engine, law)
     threads, shared = threads_for(engine, workers), Cache()
-    blocks = in_blocks(variants, points, engine, len(points), threads)
+    blocks = in_blocks(variants, points, engine, len(points), threads, lanes=law is None)
     outcomes: list[Outcome | None] = [None] * len(points)
     done = Done()
 
@@ -108,7 +112,7 @@ def simulate_batch(
             progress = open_until_done.enter_context(bar(scenario.name, len(points)))
         report = progress or _silent
         side_by_side(
-            one, len(blocks), threads, lambda: Worker(engine, columns, model, len(points), shared),
+            one, len(blocks), threads, lambda: Worker(engine, columns, model, len(points), shared, law),
             lambda: report(done.count, len(points)), done,
         )  # fmt: skip
     kinds = {key: key_type([point[k] for point in points]) for k, key in enumerate(keys)}
@@ -116,7 +120,13 @@ def simulate_batch(
 
 
 def in_blocks(
-    variants: Variants, points: Sequence[Sequence[Any]], engine: str, runs: int, threads: int = 1
+    variants: Variants,
+    points: Sequence[Sequence[Any]],
+    engine: str,
+    runs: int,
+    threads: int = 1,
+    *,
+    lanes: bool = True,
 ) -> list[list[int]]:
     """Return the numbers of all points: in blocks of those that may share SIMD lanes, the others one by one.
 
@@ -130,6 +140,8 @@ def in_blocks(
         How many runs there are in all, these and others.
     threads : int
         How many threads take blocks; each should get some.
+    lanes : bool
+        Whether lanes may be used: they have no law of a user's.
     """
     tells_kinds = [at for at, key in enumerate(variants.keys) if not key.startswith(OF_ANY_KIND)]
     kinds: dict[tuple[str, ...], list[int]] = {}
@@ -138,8 +150,8 @@ def in_blocks(
     width = max(FEWEST, min(WIDE, -(-len(points) // threads)))
     blocks = []
     for members in kinds.values():
-        few = len(members) < FEWEST
-        each = 1 if few or not _use_lanes(variants, [points[i] for i in members[:WIDE]], engine, runs) else width
+        alone = not lanes or len(members) < FEWEST
+        each = 1 if alone or not _use_lanes(variants, [points[i] for i in members[:WIDE]], engine, runs) else width
         blocks += [members[first : first + each] for first in range(0, len(members), each)]
     return blocks
 
@@ -166,7 +178,7 @@ def run_variants(
     for values in points:
         try:
             scenario = variants.scenario(values)
-            check_engine(scenario, engine, None)
+            check_engine(scenario, engine, worker.law)
             scenarios.append(scenario)
             outcomes.append(None)
         except Exception as error:  # the border of a row: see `failed`

@@ -24,8 +24,10 @@ from closedloop.batch.control import control_in_lanes, control_of_rows
 from closedloop.control.drives import DrivesSection
 from closedloop.engines.compiled import compiled_tree, compiled_work
 from closedloop.engines.lanes import FEWEST, Kind, LaneRuns, kind_of, uses_lanes
+from closedloop.engines.law_source import fresh
 from closedloop.engines.loops import COMPILED
 from closedloop.engines.problem import Problem
+from closedloop.engines.user_law import Law
 from closedloop.errors import ClosedLoopError, SingularClosureError, faults_on_one_line, one_line
 from closedloop.jit.background import make_ready
 from closedloop.jit.simd8 import WIDE
@@ -106,6 +108,8 @@ class Worker:
         How many runs there will be, of this worker and others.
     shared : Cache, optional
         Cache that the threads share, see `closedloop.simulation.cache`.
+    law : callable, optional
+        A user's law in place of the scenarios' own, see `closedloop.simulate`; an object is copied for each run.
     """
 
     def __init__(
@@ -115,7 +119,9 @@ class Worker:
         model: RobotModel | None = None,
         runs: int = 1,
         shared: Cache | None = None,
+        law: Law | None = None,
     ) -> None:
+        self.law = law
         self._engine, self._keep, self._model, self._runs = engine, keep, model, runs
         self._cache = Cache(shared=shared)
         self._trees: WeakKeyDictionary[Robot, tuple[Tree, Array]] = WeakKeyDictionary()
@@ -182,7 +188,7 @@ class Worker:
 
     def _try_lanes(self, scenario: Scenario) -> bool:
         """Whether to try lanes for scenarios like this one: not after repeated failures, see `_count`."""
-        if not uses_lanes(scenario, self._engine, self._runs):
+        if self.law is not None or not uses_lanes(scenario, self._engine, self._runs):
             return False
         contact = scenario.surface.contact
         self._one_by_one[contact] -= 1
@@ -213,7 +219,8 @@ class Worker:
 
     def _run(self, problem: Problem) -> Outcome:
         tree = self._tree(problem)
-        rows, events, failure, _ = run_loop(problem, engine=self._engine, rows=self._row_memory(problem), tree=tree)
+        memory = self._row_memory(problem)
+        rows, events, failure, _ = run_loop(problem, fresh(self.law), engine=self._engine, rows=memory, tree=tree)
         n = problem.robot.n
         values = np.full(Values.count(n), math.nan)
         if len(rows) > 0:

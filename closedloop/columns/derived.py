@@ -20,6 +20,7 @@ from closedloop.loops.reactions import (
     missing_torque,
     share_of_rows,
 )
+from closedloop.reference.orientation import turned_by
 from closedloop.robot.pinocchio import Robot
 from closedloop.scenario.arm import has_stops, robot_of, stop_limits, without_tools
 from closedloop.surface.plane import unit
@@ -86,9 +87,7 @@ def tool_angle(run: Record) -> Array:
 def orientation_error(run: Record) -> Array:
     """Return the angle between the tip's frames at q and at q_des in each row, (N,), degrees."""
     robot = robot_of(run.scenario, without_tools(run.model))
-    apart = robot.tip_axes(run.q) - robot.tip_axes(run.reference_position)
-    size = np.linalg.norm(apart, axis=(1, 2)) / np.sqrt(8.0)
-    error: Array = np.degrees(2.0 * np.arcsin(np.minimum(size, 1.0)))
+    error: Array = np.degrees(turned_by(robot.tip_axes(run.q), robot.tip_axes(run.reference_position)))
     return error
 
 

@@ -57,6 +57,7 @@ def collect() -> Words:
     from closedloop.command.robots import names
     from closedloop.scenario.describe import all_keys, choices, sections
     from closedloop.scenario.file import shipped_scenarios
+    from closedloop.scenario.tables import table_type
 
     keys = all_keys()
     robots = list(names())
@@ -69,7 +70,7 @@ def collect() -> Words:
         said = _help_of(command)
         options[command.name] = sorted(set(re.findall(r"(?m)^ +(?:-\w(?: \[\w+\])?, )?(--[a-z][a-z-]*)", said)))
         if command.takes == "scenario":
-            options[command.name] += [f"--{key}" for key in keys]
+            options[command.name] += [f"--{key}" for key in keys if not table_type(key.partition(".")[0])]
         own = [word for group in re.findall(r"(?m)^ +\{([\w,]+)\}", said) for word in group.split(",")]
         arguments[command.name] = list(dict.fromkeys(own)) or known.get(command.takes, [])
         values |= {option: group.split(",") for option, group in re.findall(r"(--[a-z-]+) \{([\w,]+)\}", said)}

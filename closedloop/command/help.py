@@ -3,9 +3,10 @@
 from __future__ import annotations
 
 import argparse
+import re
 import textwrap
 from collections.abc import Sequence
-from typing import Any
+from typing import Any, NoReturn
 
 from closedloop.command.border import Parser
 from closedloop.errors import ScenarioError
@@ -21,6 +22,19 @@ class OneScreen(argparse.RawDescriptionHelpFormatter):
         super().__init__(prog, **{"max_help_position": COLUMN} | settings)
 
 
+class _OfScenarios(Parser):
+    """A parser that says which key is meant by an option that there is not, such as --dt."""
+
+    def error(self, message: str) -> NoReturn:
+        """Refuse the arguments."""
+        from closedloop.scenario.messages import elsewhere
+
+        word = re.search(r"unrecognized arguments:.*?--([^\s=.]+)", message)
+        if word and (meant := elsewhere(word[1])):
+            raise ScenarioError(f"command line: {message}; did you mean --{meant}?")
+        super().error(message)
+
+
 def scenario_parser(prog: str, rest: str, **settings: Any) -> Parser:
     """Return a parser whose help lists the sections of a scenario and explains each, and each of its keys.
 
@@ -31,7 +45,7 @@ def scenario_parser(prog: str, rest: str, **settings: Any) -> Parser:
     **settings
         See `closedloop.command.border.Parser`.
     """
-    parser = Parser(
+    parser = _OfScenarios(
         prog=prog, usage=f"{prog} {rest} [options] [--SECTION.KEY VALUE ...]", formatter_class=OneScreen,
         add_help=False, **settings,
     )  # fmt: skip

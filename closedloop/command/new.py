@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING
 
 from closedloop.command.border import DONE, Parser, run_command
 from closedloop.errors import OutputError, ScenarioError, one_line
+from closedloop.files import write_whole
 
 if TYPE_CHECKING:
     from closedloop.robot.pinocchio import Robot
@@ -35,7 +36,7 @@ def _main(words: list[str]) -> int:
     scenario = first_slide(robot, options.robot, options.force)
     text = scenario_text(scenario, robot, _named_from(file, options.robot))
     parse_scenario(text, file.stem, str(file))  # refuses a name that is none
-    _write(file, text)
+    write_whole(file, text.encode(), replace=False)
     print(f"wrote {file}: {_what(scenario, robot)}\nrun it with: closedloop run {file}")
     return DONE
 
@@ -143,11 +144,3 @@ def _refuse_to_replace(file: Path) -> None:
         raise OutputError(f"{file}: is there already and is not replaced; choose another name")
     if not file.parent.is_dir():
         raise OutputError(f"{file}: cannot be written: there is no folder {str(file.parent)!r}")
-
-
-def _write(file: Path, text: str) -> None:
-    try:
-        with file.open("x", encoding="utf-8") as stream:
-            stream.write(text)
-    except OSError as error:
-        raise OutputError(f"{file}: cannot be written: {error.strerror}") from None

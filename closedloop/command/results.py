@@ -1,18 +1,20 @@
 """The folder of a run's results: run.nc, summary.json and the figures; replacing an earlier run's results.
 
 Results of the same inputs (scenario, robot, law, engine) may be overwritten. Those of other inputs are replaced only
-with --overwrite, and then none of their files is left.
+with --overwrite, and then none of their files is left. Where no folder was named, results go beside them: FOLDER-2 ...
+A lock on the folder keeps two runs at once out of one folder.
 """
 
 from __future__ import annotations
 
+import itertools
 import json
 import os
 from contextlib import suppress
 from pathlib import Path
 
 from closedloop.errors import ClosedLoopError, InterruptedRunError, OutputError, RunFileError
-from closedloop.files import probe_folder, reason_of, refuse_special, remove_unfinished, write_whole
+from closedloop.files import FolderLock, probe_folder, reason_of, refuse_special, remove_unfinished, write_whole
 from closedloop.interrupts import held_back
 from closedloop.record.difference import difference
 from closedloop.record.run import Run
@@ -29,8 +31,46 @@ _NAMES = {
 }  # fmt: skip
 
 
+class TakenError(OutputError):
+    """A folder holds what may not be replaced, or another run is being written into it."""
+
+    why = ""
+
+
+def _taken(folder: Path, why: str) -> TakenError:
+    """Return the refusal of a folder, and what it holds as its `why`."""
+    error = TakenError(f"--out {str(folder)!r}: {why}; name another folder with --out, or replace it with --overwrite")
+    error.why = f"{folder}: {why}"
+    return error
+
+
+def first_free(folder: Path, question: dict[str, str], overwrite: bool) -> Results:
+    """Return where results go if no folder was named: `folder`, or the first of FOLDER-2, FOLDER-3 ... that is free.
+
+    Free is what holds no other run, and what no other run is being written into. See `Results`.
+    """
+    why = ""
+    for number in itertools.count(1):
+        place = folder if number == 1 else folder.with_name(f"{folder.name}-{number}")
+        try:
+            found = Results(place, question, overwrite)
+        except TakenError as error:
+            why = why or error.why
+        else:
+            found.not_first = why
+            break
+    return found
+
+
 class Results:
     """Where the results of a run go; at the end of a ``with`` block no folder is left that was made for nothing.
+
+    Attributes
+    ----------
+    folder : Path
+        The folder, which this process has locked until the end of the ``with`` block.
+    not_first : str
+        Why they do not go into the folder that is tried first, see `first_free`; "" if they do.
 
     Parameters
     ----------
@@ -43,26 +83,32 @@ class Results:
 
     Raises
     ------
+    TakenError
+        If the folder holds something else that may not be replaced, or another run is being written into it.
     OutputError
-        If the folder cannot be written, or holds something else that may not be replaced.
+        If the folder cannot be written.
     """
 
     def __init__(self, folder: Path, question: dict[str, str], overwrite: bool) -> None:
-        self.folder, self._made = folder, _make_writable(folder)
-        remove_unfinished(folder)
-        self._rows, self._other = -1, False
-        fault = self._look(question)
-        if fault and not overwrite:
-            raise OutputError(
-                f"--out {str(folder)!r}: {fault}; name another folder with --out, or replace it with --overwrite"
-            )
-        self._other = bool(fault)
+        self.folder, self.not_first = folder, ""
+        self._made, self._lock = _made_and_locked(folder)
+        try:
+            remove_unfinished(folder)
+            self._rows, self._other = -1, False
+            fault = self._look(question)
+            if fault and not overwrite:
+                raise _taken(folder, fault)
+            self._other = bool(fault)
+        except BaseException:
+            self.__exit__()
+            raise
 
     def __enter__(self) -> Results:
         return self
 
     def __exit__(self, *_: object) -> None:
-        _remove_empty(self._made)
+        _remove_empty(self._made)  # while it is locked, so that nobody else is at work in it
+        self._lock.release()
 
     def _look(self, question: dict[str, str]) -> str:
         """Return why what is in the folder may not be replaced, and "" if it may."""
@@ -114,6 +160,17 @@ class Results:
                     path.unlink()
             except OSError as error:
                 raise OutputError(f"{path}: cannot be removed: {reason_of(error)}") from None
+
+
+def _made_and_locked(folder: Path) -> tuple[list[Path], FolderLock]:
+    """Make a folder and lock it; return the folders that were not there, and the lock."""
+    while True:
+        made = _make_writable(folder)
+        with suppress(FileNotFoundError):  # removed in between by another run that gave nothing
+            lock = FolderLock.of(folder)
+            if lock is None:
+                raise _taken(folder, "another run is being written there")
+            return made, lock
 
 
 def _make_writable(folder: Path) -> list[Path]:

@@ -3,11 +3,12 @@
 from __future__ import annotations
 
 from closedloop.scenario.contact_sections import ContactSection
+from closedloop.scenario.tables import names_in
 
 
 def names_of(sections: tuple[ContactSection, ...]) -> tuple[str, ...]:
     """Return the names of the contacts, in the order of their sections."""
-    return tuple(section.name or f"contact {i}" for i, section in enumerate(sections, 1))
+    return names_in("contact", sections)
 
 
 def tangents_of(names: tuple[str, ...]) -> tuple[str, ...]:

@@ -7,7 +7,7 @@ the key's field; the span of a slider starts from the value that the scenario ha
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import Any, Literal, get_args, get_origin
 
@@ -18,13 +18,14 @@ from closedloop.lab.spans import nearest_round, span
 from closedloop.scenario.messages import variants
 from closedloop.scenario.overrides import toml_value
 from closedloop.scenario.scenario import Scenario, families
-from closedloop.sections import field_units
+from closedloop.scenario.tables import names_in, table_type
+from closedloop.sections import Section, field_units
 from robot_models import RobotModel
 
 # The tabs of the lab, and the sections of the scenario in each.
 TABS: dict[str, tuple[str, ...]] = {
     "law": ("law", "compensation", "sensor", "force_profile", "model_error"),
-    "surface": ("surface", "surface_motion", "compliance", "impact"),
+    "surface": ("surface", "surface_motion", "compliance", "impact", "contact"),
     "friction": ("friction", "joint_friction"),
     "arm": ("encoder", "drives", "transmission"),
     "stabiliser": ("stabiliser",),
@@ -37,7 +38,7 @@ ROUND = ("time.step",)
 # Units of a joint that turns, and what they are of one that slides.
 SLIDING = {"rad": "m", "rad/s": "m/s", "N m": "N", "N m/rad": "N/m", "N m s/rad": "N s/m"}
 # Sections whose lists are of other things than joints, however many they have.
-NO_JOINTS = ("tool", "surface", "surface_motion", "force_profile", "reference")
+NO_JOINTS = ("tool", "surface", "surface_motion", "force_profile", "reference", "contact")
 DIGITS = 3  # of a value from a logarithmic slider
 
 
@@ -149,6 +150,8 @@ def controls(scenario: Scenario, section: str, model: RobotModel | None = None) 
         Its joints' names and bounds; without it lists are counted.
     """
     held = getattr(scenario, section)
+    if table_type(section):
+        return list(_of_tables(section, held or (), scenario))
     found: list[Control] = []
     kinds = _kinds(section, str(getattr(held, "kind", "")))
     if len(kinds) > 1:
@@ -165,6 +168,15 @@ def controls(scenario: Scenario, section: str, model: RobotModel | None = None) 
             value = resolved.get(name) if value is None else value
             found += _of_field(f"{section}.{name}", field, value, scenario, model)
     return found
+
+
+def _of_tables(section: str, tables: Sequence[Section], scenario: Scenario) -> Iterator[Control]:
+    """Yield the controls of the numbers of each table of a list, with the table's name in their label."""
+    for i, (table, name) in enumerate(zip(tables, names_in(section, tables), strict=True)):
+        for key, field in type(table).model_fields.items():
+            if field_units(field):
+                for control in _of_field(f"{section}.{i}.{key}", field, getattr(table, key), scenario, None):
+                    yield replace(control, label=control.label.replace(f"{i}.", f"{name}: ", 1))
 
 
 def _kinds(section: str, present: str) -> tuple[str, ...]:

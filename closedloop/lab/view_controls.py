@@ -36,6 +36,8 @@ class Tabs:
             for section in sections:
                 wanted = controls(scenario, section, model)
                 held = self._held.get(section)
+                if held is None and not wanted:
+                    continue  # a list without a table
                 if held is None or not all(map(_can_show, (c for c, _ in held), wanted)) or len(held) != len(wanted):
                     self._make(tab, section, wanted)
                 else:

@@ -91,7 +91,7 @@ class Orientation:
         if self.rows == AXIS:
             wanted = self.axis_along(np.zeros(1), robot.position(q)[None], np.zeros((1, 3)))[0, :3]
             return float(np.arctan2(np.linalg.norm(np.cross(axes[:, 2], wanted)), axes[:, 2] @ wanted))
-        return turned_by(axes, self.frame) if self.rows == FRAME else 0.0
+        return float(turned_by(axes, self.frame)) if self.rows == FRAME else 0.0
 
     def check_joints(self, robot: Robot, q: Array) -> None:
         """Refuse an arm that has not the joints to hold position and orientation at once.
@@ -123,9 +123,10 @@ class Orientation:
 FREE_ORIENTATION = Orientation(POSITION, np.zeros((3, 3)), np.zeros((3, 3)))
 
 
-def turned_by(axes: Array, wanted: Array) -> float:
-    """Return the angle between two frames, (3, 3) rotations, rad."""
-    return 2.0 * math.asin(min(1.0, float(np.linalg.norm(axes - wanted)) / math.sqrt(8.0)))
+def turned_by(axes: Array, wanted: Array) -> Array:
+    """Return the angles between frames, (..., 3, 3) rotations, rad: |A − B| = √8 sin(θ/2), Frobenius' norm."""
+    apart = np.linalg.norm(axes - wanted, axis=(-2, -1))
+    return np.asarray(2.0 * np.arcsin(np.minimum(1.0, apart / math.sqrt(8.0))))
 
 
 def orientation_of(

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import difflib
 import re
 import textwrap
 from collections.abc import Iterator
@@ -14,12 +13,15 @@ from pydantic.fields import FieldInfo
 
 from closedloop.errors import ScenarioError
 from closedloop.families import OneOf
-from closedloop.scenario.messages import OWN, is_section, usual_kind, variants
+from closedloop.scenario.messages import OWN, elsewhere, is_section, usual_kind, variants
 from closedloop.scenario.scenario import Scenario, families
+from closedloop.scenario.synonyms import key_meant, section_meant
+from closedloop.scenario.tables import described_key, table_type
 from closedloop.sections import field_units, sizes
 from robot_models.errors import shown
 
 WIDTH = 80
+OF_A_TABLE = "In place of N the number, from 0, or the name of one, or * for all: --{0}.*.friction 0.3"
 
 
 class Key(NamedTuple):
@@ -42,13 +44,15 @@ class Key(NamedTuple):
 
 def sections() -> dict[str, str]:
     """Return the sections of a scenario, in order, and what each is."""
-    return {name: field.description or "" for name, field in Scenario.model_fields.items() if is_section(name)}
+    fields = Scenario.model_fields.items()
+    return {name: field.description or "" for name, field in fields if is_section(name) or table_type(name)}
 
 
 def keys(section: str) -> list[Key]:
     """Return the keys of a section but its kind; one that means another thing in another kind is there for each."""
     found: dict[tuple[Any, ...], Key] = {}
-    for kind, variant in variants(section).items():
+    table = table_type(section)
+    for kind, variant in ({"": table} if table else variants(section)).items():
         for name, field in variant.model_fields.items():
             if name == "kind":
                 continue
@@ -95,15 +99,17 @@ def describe_section(section: str) -> str:
     """
     known = sections()
     if section not in known:
-        near = difflib.get_close_matches(section, known, n=1, cutoff=0.5)
-        cure = f"did you mean {near[0]!r}?" if near else f"sections are {', '.join(known)}"
+        near = elsewhere(section) or section_meant(section, known)
+        cure = f"did you mean {near!r}?" if near else f"sections are {', '.join(known)}"
         raise ScenarioError(f"there is no section {shown(section)}; {cure}")
     lines = _wrapped(f"[{section}] ", known[section])
+    if table_type(section):
+        lines = [*_wrapped(f"[[{section}]] ", known[section]), "", *_wrapped("", OF_A_TABLE.format(section))]
     if _has_kinds(section):
         lines += ["", *_kinds(section)]
     for key in keys(section):
         kinds = "" if len(key.kinds) == len(variants(section)) else f"  [{', '.join(key.kinds)}]" if key.kinds else ""
-        head = f"  --{key.name} ({_default(key.field)})"
+        head = f"  --{_with_place(key.name)} ({_default(key.field)})"
         lines += ["", *_wrapped(head, kinds, hang=8), *_wrapped("        ", _meaning(key))]
     return "\n".join(lines)
 
@@ -118,16 +124,29 @@ def explain_key(key: str) -> str:
     ScenarioError
         If there is no such key.
     """
+    key = described_key(key)
     section, dot, name = key.partition(".")
     if not dot:
         return describe_section(section)
     if section not in sections() or key not in _names(section):
-        near = difflib.get_close_matches(key, all_keys(), n=1, cutoff=0.6)
-        cure = f"did you mean {near[0]!r}?" if near else "--help SECTION lists the keys of a section"
-        raise ScenarioError(f"there is no key {shown(key)}; {cure}")
+        raise ScenarioError(f"there is no key {shown(key)}; {_meant(section, name)}")
     if name == "kind":
         return "\n".join([f"{key}: one of", *_kinds(section)])
     return "\n\n".join("\n".join(_explained(found)) for found in keys(section) if found.name == key)
+
+
+def _meant(section: str, name: str) -> str:
+    """Return which key is meant by one that there is not."""
+    known = section if section in sections() else section_meant(section, sections())
+    near = key_meant(name, {each.partition(".")[2]: None for each in _names(known)}) if known else None
+    found = f"{known}.{near}" if near else elsewhere(name)
+    return f"did you mean {found!r}?" if found else "--help SECTION lists the keys of a section"
+
+
+def _with_place(key: str) -> str:
+    """Return a key as it is given: with a place for the number, where its section is a list of tables."""
+    section, _, name = key.partition(".")
+    return f"{section}.N.{name}" if table_type(section) else key
 
 
 def facts(key: Key) -> dict[str, str]:

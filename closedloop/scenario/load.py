@@ -16,10 +16,11 @@ from typing import Any
 from pydantic import ValidationError
 
 from closedloop.errors import ScenarioError
-from closedloop.families import KEEP_ABSENT
+from closedloop.families import KEEP_ABSENT, Family
 from closedloop.scenario.file import absolute, robot_file, scenario_text
 from closedloop.scenario.messages import explain, variant_keys
 from closedloop.scenario.scenario import Scenario, families
+from closedloop.scenario.tables import ALL, families_in, table_type, tables_of
 from robot_models.described import names_a_file
 from robot_models.toml_text import toml_tables
 
@@ -32,7 +33,8 @@ def load_scenario(name: str | Path, overrides: Mapping[str, Any] | None = None) 
     name : str or Path
         A shipped name (see `shipped_scenarios`) or a path to a .toml file.
     overrides : mapping, optional
-        Dotted keys and values laid over the file before it is checked, such as ``{"law.force": 15.0}``. Overriding a
+        Dotted keys and values laid over the file before it is checked, such as ``{"law.force": 15.0}``; of a contact by
+        its name or number, or of all: ``{"contact.0.friction": 0.3, "contact.*.restitution": 0.0}``. Overriding a
         `kind` drops the keys of the old kind that the new one does not know, if the file has them: of those given here
         none is dropped. A user's class is named here, as ``{"reference.kind": "my_module:MyPath"}`` or by the class
         itself.
@@ -92,26 +94,40 @@ def _standing(overrides: Mapping[str, Any]) -> list[str]:
     return standing
 
 
-def _turn(key: str) -> int:
-    """Return when a key is laid over the file: sections before kinds, and kinds, which drop keys, before others."""
-    return 2 if not key.endswith(".kind") and "." in key else int("." in key)
+def _turn(key: str) -> tuple[int, bool]:
+    """Return when a key is laid over the file: sections before kinds, and kinds, which drop keys, before others.
+
+    Of these what is for all tables of a list comes before what is for one.
+    """
+    return 2 if not key.endswith(".kind") and "." in key else int("." in key), f".{ALL}." not in key
 
 
 def _override(data: dict[str, Any], key: str, value: Any) -> None:
-    parts = key.split(".")
-    section = data
     if key == "robot.model" and isinstance(value, str) and names_a_file(value):
         value = absolute(value)
     if family := families().get(key):
         value = family.named(value, key)
     elif isinstance(value, dict) and (family := families().get(f"{key}.kind")) and "kind" in value:
         value["kind"] = family.named(value["kind"], f"{key}.kind")
+    section, _, name = key.partition(".")
+    if name and (table_of := table_type(section)):
+        tables, rest = tables_of(data, key)
+        for table in tables:
+            _set(table, rest.split("."), deepcopy(value), key, families_in(table_of))
+    else:
+        _set(data, key.split("."), value, key, {})
+
+
+def _set(data: dict[str, Any], parts: list[str], value: Any, key: str, within: Mapping[str, Family[Any]]) -> None:
+    """Write a value to its place; a kind drops what it does not know. `within`: sections of a table of a list."""
+    section = data
     for part in parts[:-1]:
         section = section.setdefault(part, {})
         if not isinstance(section, dict):
             raise ScenarioError(f"{key}: '{part}' is not a section")
     if parts[-1] == "kind" and len(parts) == 2 and isinstance(value, str) and section.get("kind") != value:
-        known = variant_keys(parts[0], value)
+        family = within.get(parts[0])
+        known = variant_keys(parts[0], value) if family is None else set(getattr(family.get(value), "model_fields", ()))
         for stale in [k for k in section if k not in known]:
             del section[stale]
     section[parts[-1]] = value

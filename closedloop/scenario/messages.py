@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import difflib
 from collections.abc import Mapping
 from typing import Any, get_args
 
@@ -12,6 +11,8 @@ from pydantic_core import ErrorDetails
 from closedloop.errors import one_line
 from closedloop.families import NOT_NAMED, Family, how_to_name
 from closedloop.scenario.scenario import Scenario
+from closedloop.scenario.synonyms import called, is_called, key_meant, section_meant
+from closedloop.scenario.tables import families_in, table_type
 from closedloop.sections import Section, SizeError
 from robot_models.errors import shown as shown_value
 
@@ -63,27 +64,6 @@ def variant_keys(section: str, kind: Any) -> set[str]:
     return set(variant.model_fields) if variant else set()
 
 
-def _listed(section: str) -> type[Section] | None:
-    """Return the type of the tables of a section that is a list of them, as [[contact]] is, None of any other."""
-    field = Scenario.model_fields.get(section)
-    for part in get_args(field.annotation) if field is not None else ():
-        for each in get_args(part):
-            if isinstance(each, type) and issubclass(each, Section):
-                return each
-    return None
-
-
-def _families_in(table: type[Section]) -> dict[str, Family[Any]]:
-    """Return the keys of a table that are sections of a family, and the family."""
-    return {
-        name: each
-        for name, field in table.model_fields.items()
-        for part in get_args(field.annotation)
-        for each in getattr(part, "__metadata__", ())
-        if isinstance(each, Family)
-    }
-
-
 # What is right, for the kinds of fault whose text does not depend on the key.
 CURES = {
     "greater_than": "must be greater than 0",
@@ -109,7 +89,8 @@ def explain(error: ValidationError, data: dict[str, Any]) -> list[str]:
         if problem["type"] in ("extra_forbidden", "missing") and problem["loc"][:1] in unknown_kind:
             continue  # its keys are those of the kind that was meant
         name, line = _explain(problem, data)
-        if problem["type"] == "missing" and any(f"did you mean '{name}'?" in said for said in lines.values()):
+        meant = (f"did you mean '{name}'?", f"did you mean '{name}.")
+        if problem["type"] == "missing" and any(words in said for said in lines.values() for words in meant):
             continue  # it is there under the misspelt name
         lines.setdefault(name, one_line(line))  # the branches of a union say the same of one key
     short = [name for name, line in lines.items() if line.endswith(CURES["too_short"])]
@@ -144,15 +125,15 @@ def _explain(problem: ErrorDetails, data: dict[str, Any]) -> tuple[str, str]:
         return whole, f"'{whole}' is missing"
     elif kind == "value_error" and isinstance(problem["ctx"]["error"], SizeError):
         cure = str(problem["ctx"]["error"])
-    elif _listed(section) and len(location) < 3 and kind in ("model_type", "tuple_type"):
+    elif table_type(section) and len(location) < 3 and kind in ("model_type", "tuple_type"):
         cure = f"must be tables, each headed [[{section}]]"
     elif name == "surface.offset":
         cure = 'must be a finite number of metres, or "start"'
     elif kind in ("union_tag_invalid", "union_tag_not_found"):
         shown = shown_value(problem["ctx"].get("tag")) if kind == "union_tag_invalid" else "missing"
         kinds = _shipped_kinds(section)
-        if table := _listed(section):
-            kinds = [kind for key, family in _families_in(table).items() if key in path for kind in family.names()]
+        if table := table_type(section):
+            kinds = [kind for key, family in families_in(table).items() if key in path for kind in family.names()]
         name, cure = f"{name}.kind", f"must be {' or '.join(map(repr, kinds))}"
     elif kind == NOT_NAMED:
         user = problem["ctx"]["name"]
@@ -181,15 +162,15 @@ def _brief(key: str) -> str:
 
 
 def _all_keys(section: str) -> set[str]:
-    if table := _listed(section):
-        members = [member for family in _families_in(table).values() for member in family.values()]
+    if table := table_type(section):
+        members = [member for family in families_in(table).values() for member in family.values()]
         return {key for each in (table, *members) for key in each.model_fields}
     return {key for kind in variants(section) for key in variant_keys(section, kind)}
 
 
 def _known_in_list(table: type[Section], path: list[str], data: dict[str, Any]) -> tuple[list[str], str]:
     """Return the keys of a table of a list in place of an unknown one, or of a section in it, and whose they are."""
-    family = _families_in(table).get(path[2]) if len(path) > 3 else None
+    family = families_in(table).get(path[2]) if len(path) > 3 else None
     if family is None:
         return sorted(table.model_fields), f"[[{path[0]}]] knows"
     given = data[path[0]][int(path[1])][path[2]]
@@ -200,20 +181,46 @@ def _known_in_list(table: type[Section], path: list[str], data: dict[str, Any]) 
 def _known_keys(section: str, path: list[str], data: dict[str, Any]) -> str:
     """Return which keys there are in place of an unknown one: the nearest, the kind that has it, or all."""
     if len(path) == 1:
-        known = list(Scenario.model_fields)
-        place = "sections are"
-    elif table := _listed(section):
+        return _known_sections(section, data)
+    if table := table_type(section):
         known, place = _known_in_list(table, path, data)
     else:
         kinds = variants(section)
         given = data[section] if isinstance(data[section], dict) else {}
         kind = given.get("kind", usual_kind(section))
         kind = kind if isinstance(kind, str) and kind in kinds else ""
-        known = sorted(variant_keys(section, kind))
-        place = f"[{section}] knows"
-        others = [repr(each) for each in _shipped_kinds(section) if path[1] in variant_keys(section, each)]
-        if others and len(path) == 2:
-            said = f"is {kind!r}" if "kind" in given else f"is {kind!r} where it is not given"
-            return f"{section}.kind {said}, and {path[1]} goes with {' or '.join(others)}"
-    near = difflib.get_close_matches(path[-1], known, n=1, cutoff=0.5)
-    return f"did you mean '{_dotted([*path[:-1], near[0]])}'?" if near else f"{place} {', '.join(known)}"
+        known, place = sorted(variant_keys(section, kind)), f"[{section}] knows"
+        mine = {path[1].lower(), *called(path[1])} & set(known)
+        for name in (path[1], *(() if mine else called(path[1]))) if len(path) == 2 else ():
+            others = [repr(each) for each in _shipped_kinds(section) if name in variant_keys(section, each)]
+            if others:
+                meant = "" if name == path[1] else f"did you mean '{section}.{name}'? "
+                said = f"is {kind!r}" if "kind" in given else f"is {kind!r} where it is not given"
+                return f"{meant}{section}.kind {said}, and {name} goes with {' or '.join(others)}"
+    if near := key_meant(path[-1], known):
+        return f"did you mean '{_dotted([*path[:-1], near])}'?"
+    if len(path) == 2 and (other := elsewhere(path[-1])):
+        return f"did you mean '{other}'? {place} {', '.join(known)}"
+    return f"{place} {', '.join(known)}"
+
+
+def _known_sections(section: str, data: dict[str, Any]) -> str:
+    """Return which section is meant by an unknown one, with the key that it was given if that is one key."""
+    known = list(Scenario.model_fields)
+    near = section_meant(section, known)
+    if near is None:
+        other = elsewhere(section)
+        return f"did you mean '{other}'?" if other else f"sections are {', '.join(known)}"
+    given = data.get(section) if is_called(section, near) else None
+    if isinstance(given, dict) and len(given) == 1 and (key := key_meant(next(iter(given)), _all_keys(near))):
+        return f"did you mean '{near}.{key}'?"
+    return f"did you mean '{near}'?"
+
+
+def elsewhere(word: str) -> str | None:
+    """Return the key of any section, with it, that has this name or is called so by others, as mu and dt are."""
+    for name in (word, *called(word)):
+        for section in Scenario.model_fields:
+            if variants(section) and name in _all_keys(section) and name != "kind":
+                return f"{section}.{name}"
+    return None

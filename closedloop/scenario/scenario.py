@@ -59,7 +59,7 @@ class Scenario(Section):
     impact: ImpactSection = Field(ImpactSection(), description="how the tip bounces, where it may leave the surface")
     contact: tuple[ContactSection, ...] | None = Field(
         None,
-        description="contacts of the robot's links besides the tip's, each with a surface of a link or of the world",
+        description="contacts of the robot's links besides the tip's",
     )
     start: StartSection = Field(StartSection(), description="the posture and the velocity at t = 0")
     reference: Annotated[paths.Path, paths.PATHS] = Field(

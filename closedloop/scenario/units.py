@@ -18,19 +18,23 @@ def _fields(users: tuple[str, ...]) -> dict[str, list[FieldInfo]]:
 
     `users` are the users' classes that have keys of their own (`users_named`): what is remembered depends on them.
     """
-    from closedloop.scenario.messages import variant_keys, variants
+    from closedloop.scenario.messages import variants
     from closedloop.scenario.scenario import Scenario
+    from closedloop.scenario.tables import table_type
 
     found: dict[str, list[FieldInfo]] = {}
     for section in Scenario.model_fields:
-        for kind, variant in variants(section).items():
-            for key in sorted(variant_keys(section, kind)):
+        table = table_type(section)
+        for variant in [table] if table else variants(section).values():
+            for key in sorted(variant.model_fields):
                 found.setdefault(f"{section}.{key}", []).append(variant.model_fields[key])
     return found
 
 
 def _fields_of(key: str) -> list[FieldInfo]:
-    return _fields(users_named()).get(key, [])
+    from closedloop.scenario.tables import described_key
+
+    return _fields(users_named()).get(described_key(key), [])
 
 
 def key_description(key: str) -> str:

@@ -159,7 +159,7 @@ def _asked_for(options: Namespace, overrides: dict[str, Any]) -> Sweep:
     design = Design(axes, kind, {RANDOM: options.random, LATIN: options.latin}.get(kind) or 0, options.seed)
     scenario = _common(options.scenario, overrides, axes, drawn=kind != GRID)
     keep = [name for word in options.keep for name in word.split(",") if name]
-    return Sweep.of(scenario, design, keep, options.engine)
+    return Sweep.of(scenario, design, keep, options.engine, options.law or "")
 
 
 def _common(name: str, overrides: dict[str, Any], axes: Sequence[Axis], drawn: bool) -> Scenario:
@@ -227,6 +227,7 @@ def _sweep_parser() -> Parser:
         help="keep columns of every run, such as f,e, in a .nc beside it",
     )  # fmt: skip
     add("--engine", choices=ENGINES, default=COMPILED, help="default compiled; pinocchio runs on one core")
+    add("--law", metavar="MODULE:NAME", help="law(x) or law(t, q, v, terms) of your own, in every run")
     add("--workers", type=int, metavar="N", help="threads (default: one for each core)")
     add("--strict", action="store_true", help="status 4 if a run did not end well")
     add("--debug", action="store_true", help="print the traceback of an unforeseen error")

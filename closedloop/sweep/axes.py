@@ -17,7 +17,7 @@ FORMS = "5:15:11 (from, to, how many), log:1e-4:1e-2:20, or 5,10,15"
 # Values of one axis.
 MOST_VALUES = 1_000_000_000
 LARGEST_WHOLE = 2**53
-_KEY = re.compile(r"[A-Za-z_][\w-]*(\.[\w-]+)+")
+_KEY = re.compile(r"[A-Za-z_][\w-]*(\.[^.=]+)+")
 
 
 @dataclass(frozen=True)

@@ -14,6 +14,9 @@ from numpy.typing import NDArray
 from closedloop.batch.simulate_batch import in_blocks, run_variants
 from closedloop.batch.table import schema, table_of
 from closedloop.batch.worker import Outcome, Worker
+from closedloop.command.user_module import import_law
+from closedloop.engines.law_source import law_digest
+from closedloop.errors import ScenarioError
 from closedloop.scenario.load import parse_scenario
 from closedloop.scenario.overrides import Variants
 from closedloop.scenario.scenario import families
@@ -45,6 +48,8 @@ class Job:
         How many runs the sweep has.
     members : tuple of (str, str)
         Keys of the scenario that pick a user's class, with its name: the command line named it.
+    law, law_digest : str
+        MODULE:FUNCTION of the user's law, and the SHA-256 of its text; "" for the scenario's own.
     """
 
     scenario: str
@@ -54,6 +59,29 @@ class Job:
     keep: tuple[str, ...]
     runs: int
     members: tuple[tuple[str, str], ...] = ()
+    law: str = ""
+    law_digest: str = ""
+
+
+_importing = threading.Lock()
+
+
+@lru_cache(maxsize=4)
+def law_of(name: str, digest: str) -> Any:
+    """Return the law of a sweep, imported here; None for the scenario's own.
+
+    Raises
+    ------
+    ScenarioError
+        If it cannot be imported, or its text is not the one that the sweep was begun with.
+    """
+    if not name:
+        return None
+    with _importing:  # what a module prints as it is imported is turned to standard error, of the whole process
+        law = import_law(name)
+    if law_digest(law) != digest:
+        raise ScenarioError(f"--law {name}: its text here is not the one that the sweep was begun with")
+    return law
 
 
 @lru_cache(maxsize=4)
@@ -83,7 +111,7 @@ def run_part(
         The columns kept; after a run's last row NaN.
     """
     came_to: dict[int, Outcome] = {}
-    for block in in_blocks(_variants(job), points, job.engine, job.runs):
+    for block in in_blocks(_variants(job), points, job.engine, job.runs, lanes=not job.law):
         some = run_variants(worker, _variants(job), [points[i] for i in block], job.engine, ran)
         came_to |= dict(zip(block, some, strict=True))
     outcomes = [came_to[i] for i in range(len(points))]
@@ -103,7 +131,7 @@ def _stacked(outcomes: Sequence[Outcome], name: str) -> Array:
 
 def worker_for(job: Job, shared: Cache | None = None) -> Worker:
     """Return a worker for a thread; `shared` is the cache that it shares with others."""
-    return Worker(job.engine, job.keep, runs=job.runs, shared=shared)
+    return Worker(job.engine, job.keep, runs=job.runs, shared=shared, law=law_of(job.law, job.law_digest))
 
 
 _here = threading.local()

@@ -47,6 +47,7 @@ _NAMES = {
     "scenario": "scenario", "robot": "robot", "design": "design", "axes": "list of keys and values",
     "runs": "number of runs", "seed": "seed", "keep": "list of columns kept", "engine": "engine",
     "versions": "list of versions", "kernels": "text of closedloop", "members": "text of a class of your own",
+    "law": "law", "law_digest": "text of the law",
 }  # fmt: skip
 # How often the lock's file is made anew where another process removes it in between.
 TRIES = 20
@@ -264,7 +265,7 @@ def check_identity(found: Any, identity: dict[str, Any], out: Path) -> None:
     if not isinstance(found, dict) or found.get("format") != FORMAT or not isinstance(found.get("identity"), dict):
         raise occupied(out, "is there and is no sweep")
     theirs, mine = found["identity"], json.loads(json.dumps(identity))
-    different = [key for key in mine if theirs.get(key) != mine[key]]
+    different = [key for key in mine | theirs if theirs.get(key) != mine.get(key)]
     if different:
         raise occupied(out, f"holds another sweep: {difference(different, _NAMES, theirs, mine)}")
 

@@ -13,6 +13,8 @@ from typing import Any
 import robot_models
 from closedloop.batch.table import kept_columns
 from closedloop.columns.recorded import ALL_COLUMNS
+from closedloop.command.user_module import import_law
+from closedloop.engines.law_source import law_digest
 from closedloop.engines.loops import COMPILED
 from closedloop.errors import ScenarioError
 from closedloop.jit.cache_folder import cache_folder
@@ -48,16 +50,22 @@ class Sweep:
         Full names of the columns to keep whole, see `closedloop.batch.table.kept_columns`.
     engine : str
         See `closedloop.simulate`.
+    law, law_digest : str
+        See `closedloop.sweep.part.Job`.
     """
 
     scenario: Scenario
     design: Design
     keep: tuple[str, ...] = ()
     engine: str = COMPILED
+    law: str = ""
+    law_digest: str = ""
 
     @classmethod
-    def of(cls, scenario: Scenario, design: Design, keep: Iterable[str] = (), engine: str = COMPILED) -> Sweep:
-        """Return a sweep that can begin.
+    def of(
+        cls, scenario: Scenario, design: Design, keep: Iterable[str] = (), engine: str = COMPILED, law: str = ""
+    ) -> Sweep:
+        """Return a sweep that can begin; `law` is MODULE:FUNCTION, imported here, or "" for the scenario's own.
 
         Raises
         ------
@@ -65,8 +73,9 @@ class Sweep:
             If a key is unknown, the engine does not cover the scenario, there is no such column to keep, or the robot
             is at fault.
         """
-        sweep = cls(scenario, design, kept_columns(keep), engine)
-        check_engine(Variants(scenario, design.keys).look(design), engine, None)
+        own = import_law(law) if law else None
+        sweep = cls(scenario, design, kept_columns(keep), engine, law, law_digest(own) if law else "")
+        check_engine(Variants(scenario, design.keys).look(design), engine, own)
         for name in sweep.keep:
             if "joint" in ALL_COLUMNS[name].dims and any(key.startswith("robot.") for key in design.keys):
                 raise ScenarioError(f"keep: {name} has a number a joint, and the robot changes from run to run")
@@ -90,15 +99,18 @@ class Sweep:
             "engine": self.engine,
             "versions": versions,
             "kernels": cache_folder().name,
-        } | ({"members": self._digests()} if self._members else {})
+            **({"members": self._digests()} if self._members else {}),
+            **({"law": self.law, "law_digest": self.law_digest} if self.law else {}),
+        }
 
     @property
     def job(self) -> Job:
         """What a worker needs to run any part."""
         kinds = tuple(axis.kind for axis in self.design.axes)
         return Job(
-            self.scenario.to_toml(), self.design.keys, kinds, self.engine, self.keep, self.design.runs, self._members
-        )
+            self.scenario.to_toml(), self.design.keys, kinds, self.engine, self.keep, self.design.runs, self._members,
+            self.law, self.law_digest,
+        )  # fmt: skip
 
     @cached_property
     def part_size(self) -> int:

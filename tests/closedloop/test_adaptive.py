@@ -2,6 +2,7 @@
 
 import numpy as np
 import pytest
+from rounding import rounding
 from scipy.optimize import brentq
 from scipy.special import ellipj
 
@@ -44,7 +45,8 @@ def test_a_ball_bounces_when_and_as_the_closed_form_says(restitution, user_law):
     """Impacts of a falling point mass are at sqrt(2 h/g) (1 + 2 (ε + ε² + ...)), with εᵏ times the first speed.
 
     A law of one's own that does nothing leaves gravity; the paper's law takes it away and presses with m g instead, in
-    one stretch without a stop. 1e-14 s and m/s are a few roundings of a second and of 3 m/s.
+    one stretch without a stop. The instants are found to a few roundings of two seconds, and the speeds are theirs
+    times g: twenty of 3 m/s.
     """
     changes = {"start.q": [0, 0, 0.5], "start.v": [0.3, 0, 0], "impact.restitution": restitution, "time.duration": 2.0}
     run = cl.simulate(point(**changes | {"law.force": MASS * G}), law=limp if user_law else None)
@@ -53,10 +55,10 @@ def test_a_ball_bounces_when_and_as_the_closed_form_says(restitution, user_law):
     times = first * (1 + 2 * np.concatenate([[0.0], np.cumsum(shrink)]))
     times = times[times < 2.0]
     assert len(run.events) == times.size >= 3
-    assert np.max(np.abs(run.event_time - times)) < 1e-14
+    assert np.max(np.abs(run.event_time - times)) < rounding(25, times)
     speeds = G * first * restitution ** np.arange(times.size)
-    assert np.max(np.abs(run.event_rate_before + speeds)) < 1e-14
-    assert np.max(np.abs(run.q[:, 0] - 0.3 * run.time)) < 1e-14
+    assert np.max(np.abs(run.event_rate_before + speeds)) < rounding(50, speeds)
+    assert np.max(np.abs(run.q[:, 0] - 0.3 * run.time)) < rounding(50, run.q[:, 0])
 
 
 def test_a_force_that_fades_lets_go_at_its_zero_and_the_flight_after_it_is_the_closed_form():
@@ -87,7 +89,7 @@ def test_a_force_that_fades_lets_go_at_its_zero_and_the_flight_after_it_is_the_c
 
     on = brentq(height, off + 0.1, off + 1.0, xtol=1e-15, rtol=1e-15)
     assert [e.kind for e in run.events[:2]] == ["liftoff", "impact"]
-    assert abs(run.event_time[0] - off) < 1e-14
+    assert abs(run.event_time[0] - off) < rounding(100, off)
     assert abs(run.event_time[1] - on) < 1e-12
     pressed = run.time < off
     wanted = mean + swing * np.sin(omega * np.maximum(run.time - s, 0.0))
@@ -153,7 +155,7 @@ def test_rows_meet_eq_24_at_their_own_state(slide):
         left = terms.mass_matrix @ slide.acceleration[k] + terms.bias
         right = slide.torque[k] + terms.jacobian[2] * slide.contact_force[k]
         assert np.max(np.abs(left - right)) < 1e-11
-        assert np.max(np.abs(terms.position - slide.position[k])) < 1e-14
+        assert np.max(np.abs(terms.position - slide.position[k])) < rounding(50, terms.position)
 
 
 def test_jump_is_in_the_row_at_which_it_happens(slide):
@@ -220,7 +222,7 @@ def test_friction_stops_a_block_where_coulomb_says():
     )
     (stop,) = run.events
     assert stop.kind == "stick"
-    assert abs(stop.time - 0.5 * MASS / (0.3 * 4.0)) < 1e-14
+    assert abs(stop.time - 0.5 * MASS / (0.3 * 4.0)) < rounding(50, 0.5 * MASS / (0.3 * 4.0))
     assert run.q[-1, :2] == pytest.approx(0.5 * 0.25 * MASS / 1.2 * np.array([0.6, 0.8]), abs=1e-14)
     assert run.mode[-1] == 2
 
@@ -253,7 +255,7 @@ def test_a_stuck_block_that_nothing_drags_is_lifted_straight_off():
     run = cl.simulate(scenario, law=lambda t, q, v, terms: terms.bias - 10.0 * np.cos(omega * t) * terms.jacobian[2])
     off = np.pi / (2 * omega)
     assert [e.kind for e in run.events] == ["liftoff"]
-    assert abs(run.event_time[0] - off) < 1e-14
+    assert abs(run.event_time[0] - off) < rounding(100, off)
     up = run.time > off
     assert np.array_equal(run.mode, np.where(up, 0, 2))
     height = 10.0 / (MASS * omega) * (run.time - off + np.cos(omega * run.time) / omega)

@@ -1,6 +1,7 @@
 """The folder of compiled code: what is ours goes when nobody uses it, and nothing of anyone else's is ever touched."""
 
 import os
+import resource
 import time
 from pathlib import Path
 
@@ -199,6 +200,20 @@ def test_a_folder_with_something_in_it_never_becomes_ours(root):
     (root / f"closedloop-{2:016x}").mkdir()
     claim(root / f"closedloop-{2:016x}")
     assert is_ours(root / f"closedloop-{2:016x}")
+
+
+def test_a_full_disk_leaves_no_half_marker(root):
+    """With it the folder would be nobody's, and nothing compiled would ever be kept again."""
+    folder = root / f"closedloop-{1:016x}"
+    before = resource.getrlimit(resource.RLIMIT_FSIZE)
+    resource.setrlimit(resource.RLIMIT_FSIZE, (0, before[1]))
+    try:
+        with pytest.raises(OSError, match="too large"):
+            claim(folder)
+    finally:
+        resource.setrlimit(resource.RLIMIT_FSIZE, before)
+    claim(folder)
+    assert is_ours(folder)
 
 
 @pytest.mark.skipif(not hasattr(os, "geteuid") or os.geteuid() != 0, reason="only root can give a folder away")

@@ -5,11 +5,14 @@ import re
 import resource
 import subprocess
 import sys
+from pathlib import Path
 
 import pytest
 
 from closedloop.errors import OutputError
 from closedloop.files import remove_unfinished, write_whole
+
+ROOT = Path(__file__).resolve().parents[2]
 
 
 @pytest.fixture
@@ -108,3 +111,19 @@ def test_a_writer_at_work_is_left_alone(tmp_path):
     """An unfinished file in use is not taken for left behind."""
     write_whole(tmp_path / "a", lambda file: file.write(bytes([len(remove_unfinished(tmp_path))])))
     assert (tmp_path / "a").read_bytes() == b"\0"
+
+
+def test_nothing_is_written_but_whole():
+    """No command opens a file of a user's for writing by itself; caches of compiled code have a way of their own."""
+    own_way = {"closedloop/files.py", "closedloop/jit/cache_folder.py", "closedloop/jit/compile_cache.py"}
+    nothing = {"closedloop/second_process.py", "closedloop/command/streams.py", "closedloop/jit/background.py"}
+    writing = re.compile(
+        r"write_text\(|write_bytes\(|\bopen\([^)\n]*[\"'][wxa][b+]*[\"']|savefig\((?!image|file|picture)"
+    )
+    found = {
+        str(file.relative_to(ROOT))
+        for package in ("closedloop", "validation")
+        for file in (ROOT / package).rglob("*.py")
+        if writing.search(file.read_text(encoding="utf-8"))
+    }
+    assert found - nothing == own_way

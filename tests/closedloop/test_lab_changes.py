@@ -72,6 +72,20 @@ def test_every_control_says_what_it_is():
     assert [c.key for c in controls(cl.load_scenario("panda_scan"), "law")][:2] == ["law.kind", "law.force"]
 
 
+def test_each_contact_of_a_list_has_sliders():
+    """Of all its numbers, with its name; what a slider says is laid over that contact alone."""
+    base = cl.load_scenario("gripper_block")
+    slider = control_of(base, "contact.4.friction")
+    assert (slider.label, slider.form, slider.own) == ("floor left: friction", "linear", base.contact[4].friction)
+    assert {control.key.rpartition(".")[2] for control in controls(base, "contact")} == {
+        "at", "normal", "through", "friction", "restitution"
+    }  # fmt: skip
+    changed = Variants(base, (slider.key,)).scenario((0.25,))
+    assert [contact.friction for contact in changed.contact].count(0.25) == 1
+    assert changed.contact[4].friction == 0.25
+    assert controls(cl.load_scenario("wam_slide"), "contact") == []
+
+
 @pytest.mark.parametrize(("contact", "pulls"), [("unilateral", False), ("bilateral", True)])
 def test_the_force_is_moved_to_a_pull_only_where_the_surface_can_hold_the_tip(contact, pulls):
     """A tip that is pulled off a surface that only pushes has left it; a force that is there to begin with is shown."""

@@ -1,5 +1,7 @@
 """``closedloop new``: a scenario that runs as it is, for many arms; nothing is replaced."""
 
+import errno
+import os
 import re
 
 import pytest
@@ -78,3 +80,25 @@ def test_a_robot_in_a_file_is_named_from_the_scenario(new, tmp_path):
     assert new("deep/slide", "--robot", "mine.urdf", "--tip", "tip")[0] == 0
     assert re.search(r'^model = "../mine.urdf"', (tmp_path / "deep" / "slide.toml").read_text(), re.MULTILINE)
     cl.prepare(cl.load_scenario("deep/slide.toml"))
+
+
+def test_a_full_disk_leaves_no_file(new, tmp_path, monkeypatch):
+    """The next ``new`` has nothing in its way; and a file that appears meanwhile is not replaced."""
+
+    def full(_):
+        raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
+
+    with monkeypatch.context() as patched:
+        patched.setattr("closedloop.files.os.fsync", full)
+        assert new("mine", "--robot", "planar2")[2] == (
+            "closedloop: mine.toml: cannot be written: No space left on device\n"
+        )
+    assert not list(tmp_path.iterdir())
+
+    def meanwhile(_):
+        (tmp_path / "mine.toml").write_text("theirs")
+
+    with monkeypatch.context() as patched:
+        patched.setattr("closedloop.files.os.fsync", meanwhile)
+        assert "is there already and is not replaced" in new("mine", "--robot", "planar2")[2]
+    assert [(path.name, path.read_text()) for path in tmp_path.iterdir()] == [("mine.toml", "theirs")]

@@ -45,6 +45,18 @@ def test_a_line_on_a_sphere_is_a_great_circle():
     assert np.allclose(a, -0.01 / R * out, rtol=0, atol=1e-10)
 
 
+@pytest.mark.parametrize("gap", [0.05, -0.02])
+def test_a_path_that_begins_off_the_surface_keeps_its_height(gap):
+    """It rolls along the parallel surface through its start: a great circle of a larger or smaller sphere."""
+    R = 0.4
+    section = PATHS["line"](on_surface="geodesic", **line())
+    path = path_on(section, TIP + gap * UP, place("sphere", radius=R), 6.0)
+    r = path.sample(T)[0] - (TIP - R * UP)
+    assert np.allclose(np.linalg.norm(r, axis=1), R + gap, rtol=0, atol=1e-12)
+    angle = 0.1 * (T - 0.5) / (R + gap)
+    assert np.allclose(np.arctan2(r[:, 0], r[:, 2]), angle, rtol=0, atol=1e-11)
+
+
 @pytest.mark.parametrize("inside", [False, True])
 def test_a_line_on_a_cylinder_is_a_helix(inside):
     """From outside and in a pipe, at constant speed."""

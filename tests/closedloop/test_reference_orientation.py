@@ -11,6 +11,7 @@ from closedloop.engines.problem import Problem
 from closedloop.jit.interpreted import interpreted
 from closedloop.jit.kernel import plain
 from closedloop.reference.inverse_kinematics import _axis_rows, _frame_rows
+from closedloop.reference.orientation import turned_by
 from closedloop.step.reference_row import desired_acceleration
 
 ON_A_BALL = {
@@ -188,3 +189,15 @@ def test_rows_of_the_axis_and_of_the_frame(seed):
     assert np.allclose(w.error[3:], 0.5 * np.sum(np.cross(axes.T, wanted.T), axis=0), rtol=0, atol=1e-14)
     assert np.array_equal(w.J[3:], np.eye(3))
     assert not np.any(w.rate[3:])
+
+
+def test_the_angle_between_two_frames():
+    """As large as they are turned, about any axis, up to half a turn; of many at once each its own."""
+    rng = np.random.default_rng(0)
+    angles = np.array([0.0, 1e-6, 0.3, 1.0, 2.0, 3.0])
+    axes = rng.normal(size=(angles.size, 3))
+    axes /= np.linalg.norm(axes, axis=1)[:, None]
+    first = Rotation.random(angles.size, rng)
+    second = first * Rotation.from_rotvec(angles[:, None] * axes)
+    assert np.allclose(turned_by(first.as_matrix(), second.as_matrix()), angles, rtol=1e-8, atol=1e-14)
+    assert turned_by(np.eye(3), np.diag([1.0, -1.0, -1.0])) == pytest.approx(np.pi, rel=1e-7)

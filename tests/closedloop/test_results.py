@@ -139,6 +139,9 @@ def test_a_pipe_in_the_place_of_a_result_is_refused_at_once(command_line, tmp_pa
         os.mkfifo(tmp_path / "r" / name)
         assert "there is a pipe of that name" in command_line("planar2_slide", *SHORT).refusal()
         (tmp_path / "r" / name).unlink()
+        (tmp_path / "r" / name).symlink_to("/dev/null")
+        assert "there is a link to a device of that name" in command_line("planar2_slide", *SHORT).refusal()
+        (tmp_path / "r" / name).unlink()
 
 
 def test_no_result_is_written_through_a_link(command_line, tmp_path, monkeypatch):

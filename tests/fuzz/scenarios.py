@@ -10,6 +10,7 @@ import argparse
 from collections import Counter
 
 from bounded import judged
+from combinations import combinations
 from judged import FAULTY, judge
 from scenario_cases import SEED, Case, all_cases, tables
 from shipped_cases import shipped_cases, shipped_tables
@@ -35,10 +36,13 @@ def main() -> None:
     parser.add_argument("--extremes", type=int, default=6000, help="how many combinations of legal extremes")
     parser.add_argument("--count", type=int)
     parser.add_argument("--shipped", type=int, help="only so many shipped scenarios and mechanisms")
+    parser.add_argument("--combined", type=int, help="only so many combinations of keys that are valid by themselves")
     parser.add_argument("--only", default="")
     parser.add_argument("--slow", type=float, default=2.0, help="name cases that take longer, s of processor time")
     options = parser.parse_args()
-    if options.shipped is None:
+    if options.combined is not None:
+        every = list(combinations(options.combined, options.seed))
+    elif options.shipped is None:
         every = all_cases(options.extremes, options.seed)
     else:
         every = list(shipped_cases(options.shipped, options.seed))

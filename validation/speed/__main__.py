@@ -10,6 +10,8 @@ from pathlib import Path
 from typing import Any
 
 from closedloop.command.border import Parser, run_command
+from closedloop.errors import OutputError
+from closedloop.files import write_whole
 from validation.run import InputError, say
 from validation.speed.arms import ARMS, slide
 from validation.speed.contestants import Contestant
@@ -50,9 +52,9 @@ def _main(words: list[str]) -> int:
     show(data)
     if file:
         try:
-            file.write_text(json.dumps(data, indent=2, allow_nan=False) + "\n", encoding="utf-8")
-        except OSError as error:
-            raise InputError(f"--json {file}: cannot be written: {error.strerror}") from None
+            write_whole(file, (json.dumps(data, indent=2, allow_nan=False) + "\n").encode())
+        except OutputError as error:
+            raise InputError(f"--json {error}") from None
     return 0
 
 

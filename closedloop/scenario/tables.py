@@ -1,0 +1,112 @@
+"""Sections that are lists of tables, as [[contact]], and the keys of one table, by its name or its number.
+
+contact.floor left.friction     of the one with that name
+contact.0.friction              of the first
+contact.*.friction              of all
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from functools import cache
+from typing import Any, get_args
+
+from closedloop.errors import ScenarioError
+from closedloop.families import Family
+from closedloop.scenario.scenario import Scenario, families
+from closedloop.sections import Section
+from robot_models.errors import shown
+
+ALL = "*"
+
+
+def table_type(section: str) -> type[Section] | None:
+    """Return the type of the tables of a section that is a list of them, as [[contact]] is, None of any other."""
+    field = Scenario.model_fields.get(section)
+    for part in get_args(field.annotation) if field is not None else ():
+        for each in get_args(part):
+            if isinstance(each, type) and issubclass(each, Section):
+                return each
+    return None
+
+
+@cache
+def families_in(table: type[Section]) -> dict[str, Family[Any]]:
+    """Return the keys of a table that are sections of a family, and the family."""
+    return {
+        name: each
+        for name, field in table.model_fields.items()
+        for part in get_args(field.annotation)
+        for each in getattr(part, "__metadata__", ())
+        if isinstance(each, Family)
+    }
+
+
+def names_in(section: str, tables: Sequence[Any]) -> tuple[str, ...]:
+    """Return the names of tables, as they are in a file or read: "contact 2" of the second that has none."""
+    given = (table.get("name") if isinstance(table, dict) else getattr(table, "name", "") for table in tables)
+    return tuple(name if isinstance(name, str) and name else f"{section} {i}" for i, name in enumerate(given, 1))
+
+
+def tables_of(data: dict[str, Any], key: str) -> tuple[list[dict[str, Any]], str]:
+    """Return the tables that a key is of, to be written to, and the rest of the key; see the top of this file.
+
+    Tables at fault in themselves are left out: the validation names them.
+
+    Raises
+    ------
+    ScenarioError
+        If there is no such table, several have that name, or the key does not say which.
+    """
+    section, _, rest = key.partition(".")
+    given = data.get(section)
+    if not isinstance(given, list | tuple):
+        if given is None:
+            raise ScenarioError(f"{key}: the scenario has no [[{section}]]")
+        return [], ""
+    tables = [each.model_dump(exclude_none=True) if isinstance(each, Section) else each for each in given]
+    data[section] = tables
+    names = names_in(section, tables)
+    named = [name for name in (*names, *map(str, range(len(tables))), ALL) if rest.startswith(f"{name}.")]
+    if not named:
+        raise ScenarioError(f"{key}: {_which(section, rest, names)}")
+    name = max(named, key=len)
+    where = [i for i, each in enumerate(names) if name == each]
+    if not where:
+        where = list(range(len(tables))) if name == ALL else [int(name)]
+    elif len(where) > 1:
+        numbers = " and ".join(f"{section}.{i}" for i in where)
+        raise ScenarioError(f"{key}: the name {shown(name)} is that of {numbers}: use the number")
+    return [tables[i] for i in where if isinstance(tables[i], dict)], rest[len(name) + 1 :]
+
+
+def _which(section: str, rest: str, names: Sequence[str]) -> str:
+    """Return what would be right in place of a key that names no table that is there."""
+    if rest in (*names, *map(str, range(len(names))), ALL):
+        return f"which key of it? such as {section}.{rest}.friction; --help {section} lists them"
+    first = rest.partition(".")[0]
+    table = table_type(section)
+    if table is not None and first in table.model_fields:
+        said = " or ".join(f"'{section}.{name}.{rest}'" for name in ("0", *names[:1], ALL))
+        return f"which {section}? {said}, which is for all"
+    listed = ", ".join(f"{name!r} ({i})" for i, name in enumerate(names))
+    return f"there is no {section} {shown(first)}; there are {listed}" if names else f"the list [[{section}]] is empty"
+
+
+def described_key(key: str) -> str:
+    """Return the key under which a key is described: that of a table without its name, that of a section in it as such.
+
+    contact.floor left.friction     contact.friction
+    contact.0.surface.radius        surface.radius
+    """
+    section, _, rest = key.partition(".")
+    table = table_type(section)
+    if table is None or not rest:
+        return key
+    parts, within = rest.split("."), families_in(table)
+    while len(parts) > 1 and parts[0] not in within:
+        del parts[0]
+    family = within.get(parts[0]) if len(parts) > 1 else None
+    if family is None:
+        return ".".join([section, *parts])
+    return next(k.removesuffix("kind") + parts[1] for k, each in families().items() if each is family)

@@ -1,0 +1,109 @@
+"""A contact is reached as any section is: by its name, by its number, or all; with --help, --explain and in sweeps."""
+
+import pyarrow.parquet
+import pytest
+
+import closedloop as cl
+from closedloop.scenario.contact_sections import ContactSection
+from closedloop.scenario.describe import describe_section, explain_key
+from closedloop.scenario.units import key_description, key_unit
+from closedloop.sweep.__main__ import main as sweep
+
+NAME = "gripper_block"
+
+
+def frictions(changes):
+    """Return the friction of every contact, with changes."""
+    return [contact.friction for contact in cl.load_scenario(NAME, changes).contact]
+
+
+def test_one_contact_by_name_or_number_or_all():
+    """What is for one is laid over what is for all, whichever is given first."""
+    usual = frictions({})
+    for key, changed in (
+        ("contact.floor left.friction", [4]),
+        ("contact.0.friction", [0]),
+        ("contact.*.friction", range(6)),
+    ):
+        assert frictions({key: 0.25}) == [0.25 if i in changed else usual[i] for i in range(6)]
+    both = {"contact.left above.friction": 0.2, "contact.*.friction": 0.1}
+    assert frictions(both) == frictions(dict(reversed(both.items()))) == [0.1, 0.2, 0.1, 0.1, 0.1, 0.1]
+
+
+def test_a_contact_without_a_name_and_one_whose_name_has_dots():
+    """The one is called contact 1 as in columns, of the other the longest name counts; sections in it are reached."""
+    tables = [{"link": "left_tip"}, {"link": "left_tip", "name": "a.b"}, {"link": "left_tip", "name": "a"}]
+    changes = {
+        "contact": tables,
+        "contact.contact 1.friction": 0.1,
+        "contact.a.b.friction": 0.2,
+        "contact.a.friction": 0.3,
+    }
+    assert frictions(changes) == [0.1, 0.2, 0.3]
+    changes = {"contact": tables, "contact.1.surface.radius": 0.2, "contact.1.surface.kind": "sphere"}
+    contacts = cl.load_scenario(NAME, changes).contact
+    assert (contacts[1].surface.radius, contacts[0].surface) == (0.2, None)
+    again = {"contact": contacts, "contact.1.surface.kind": "plane"}  # which knows no radius
+    assert cl.load_scenario(NAME, again).contact[1].surface.kind == "plane"
+
+
+@pytest.mark.parametrize(
+    ("key", "words"),
+    [
+        ("contact.friction", "which contact? 'contact.0.friction' or 'contact.left below.friction' or 'contact.*."),
+        ("contact.6.friction", "there is no contact '6'; there are 'left below' (0), "),
+        ("contact.0", "which key of it?"),
+        ("contact.0.mu", "did you mean 'contact[0].friction'?"),
+        ("contact.0.friction.x", "'friction' is not a section"),
+    ],
+)  # fmt: skip
+def test_what_names_no_contact_is_refused(key, words):
+    """The line says which there are."""
+    with pytest.raises(cl.ScenarioError) as refused:
+        cl.load_scenario(NAME, {key: 0.1})
+    assert words in str(refused.value)
+
+
+def test_no_contacts_and_two_of_a_name():
+    """Neither is guessed at."""
+    with pytest.raises(cl.ScenarioError, match=r"the scenario has no \[\[contact\]\]"):
+        cl.load_scenario("wam_slide", {"contact.0.friction": 0.1})
+    twice = [{"link": "left_tip", "name": "a"}] * 2
+    with pytest.raises(cl.ScenarioError, match=r"the name 'a' is that of contact.0 and contact.1: use the number"):
+        cl.load_scenario(NAME, {"contact": twice, "contact.a.friction": 0.1})
+
+
+def test_help_and_explain_know_contacts():
+    """Under its own name, and a section in it under that of the section."""
+    assert all(f"--contact.N.{name} (" in describe_section("contact") for name in ContactSection.model_fields)
+    assert explain_key("contact.friction").startswith("contact.friction: Coulomb's coefficient")
+    assert (
+        explain_key("contact.floor left.friction")
+        == explain_key("contact.*.friction")
+        == explain_key("contact.friction")
+    )
+    assert explain_key("contact.0.surface.radius") == explain_key("surface.radius")
+    assert key_unit("contact.floor left.surface.radius") == "m"
+    assert key_description("contact.0.restitution").startswith("Newton's coefficient")
+
+
+def test_a_sweep_over_a_contact(command_line, tmp_path):
+    """The column has the key's name and meaning, and each run its value; the command line takes the keys too."""
+    words = (
+        "--time.duration",
+        "0.01",
+        "--over",
+        "contact.floor left.friction=0.1,0.3",
+        "--over",
+        "contact.*.restitution=0,0.5",
+    )
+    assert (
+        command_line(NAME, "--contact.floor left.friction", "0.3", "--time.duration", "0.002", "--no-figures").status
+        == 0
+    )
+    assert sweep([NAME, *words, "--engine", "pinocchio", "--out", str(tmp_path / "s.parquet")]) == 0
+    table = pyarrow.parquet.read_table(tmp_path / "s.parquet")
+    assert table["contact.floor left.friction"].to_pylist() == [0.1, 0.1, 0.3, 0.3]
+    assert table["contact.*.restitution"].to_pylist() == [0.0, 0.5, 0.0, 0.5]
+    assert b"Coulomb" in table.schema.field("contact.floor left.friction").metadata[b"meaning"]
+    assert set(table["status"].to_pylist()) == {"done"}

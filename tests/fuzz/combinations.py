@@ -1,0 +1,81 @@
+"""Combinations of keys, each of them valid by itself on a shipped scenario: what one leaves out another may need."""
+
+from __future__ import annotations
+
+import random
+from collections.abc import Iterator
+from copy import deepcopy
+from typing import Any, Literal, get_args, get_origin
+
+from scenario_cases import EXAMPLES, SEED, Case
+from shipped_cases import shipped_tables
+
+from closedloop.errors import ScenarioError
+from closedloop.families import OneOf
+from closedloop.lab.spans import USUAL
+from closedloop.scenario.file import shipped_scenarios
+from closedloop.scenario.load import scenario_of
+from closedloop.scenario.messages import variants
+from closedloop.scenario.scenario import Scenario
+from closedloop.sections import field_units
+
+MOST = 6  # changes of a scenario
+# A robot and a start go with each other, and the duration is what a case costs.
+FIXED = {"robot.model", "robot.tip", "start.q", "time.duration", "surface.heights", "surface.expression"}
+
+
+def value_of(draw: random.Random, dotted: str, field: Any, held: Any) -> Any:
+    """Return a value that a key may well have: another of its words, or numbers of the size that its unit suggests."""
+    names = next((one for one in field.metadata if isinstance(one, OneOf)), None)
+    if names is not None or get_origin(field.annotation) is Literal:
+        return draw.choice(names.names() if names else list(get_args(field.annotation)))
+    if field.annotation is bool:
+        return draw.random() < 0.5
+    held = EXAMPLES.get(dotted, field.default) if held is None else held
+    if isinstance(held, list | tuple):
+        return [x * draw.uniform(0.5, 2.0) if isinstance(x, float | int) else x for x in held]
+    if field.annotation is int:
+        return draw.randrange(5)
+    usual = next((USUAL.get(unit.partition(" (")[0], 1.0) for unit in field_units(field)), 1.0)
+    size = abs(held) if isinstance(held, float | int) and held else usual
+    return draw.choice((1, 1, 1, -1)) * size * 10.0 ** draw.uniform(-2.0, 1.0)
+
+
+def change(draw: random.Random, data: dict[str, Any]) -> str:
+    """Change a kind or a key of a scenario's tables, and return what was changed."""
+    section = draw.choice([name for name in Scenario.model_fields if variants(name)])
+    kinds, table = variants(section), data.setdefault(section, {})
+    if len(kinds) > 1 and draw.random() < 0.4:
+        kind = draw.choice([name for name in kinds if ":" not in name])
+        data[section] = table = {k: v for k, v in table.items() if k in kinds[kind].model_fields} | {"kind": kind}
+        for key, field in kinds[kind].model_fields.items():
+            if field.is_required() and key not in table:
+                dotted = f"{section}.{key}"
+                table[key] = deepcopy(EXAMPLES.get(dotted)) or value_of(draw, dotted, field, None)
+        return f"{section}.kind = {kind}"
+    family = next((each for each in Scenario.model_fields[section].metadata if hasattr(each, "usual")), None)
+    kind = table.get("kind", getattr(family, "usual", None) or next(iter(kinds)))
+    key = draw.choice(list(kinds[kind].model_fields))
+    if key == "kind" or f"{section}.{key}" in FIXED:
+        return ""
+    table[key] = value_of(draw, f"{section}.{key}", kinds[kind].model_fields[key], table.get(key))
+    return f"{section}.{key} = {table[key]}"
+
+
+def combinations(count: int, seed: int = SEED) -> Iterator[Case]:
+    """Return so many shipped scenarios with two changes and more, none of which is refused by itself."""
+    draw, names = random.Random(seed), shipped_scenarios()
+    for number in range(count):
+        name = draw.choice(names)
+        data, said = deepcopy(shipped_tables(name)), []
+        for _ in range(draw.randint(2, MOST)):
+            seed_of_this = draw.random()
+            alone = deepcopy(shipped_tables(name))
+            if not change(random.Random(seed_of_this), alone):
+                continue
+            try:
+                scenario_of(alone, "fuzz", {})
+            except ScenarioError:
+                continue
+            said.append(change(random.Random(seed_of_this), data))
+        yield Case(f"{number} {name}: {', '.join(said)}", data, {})

@@ -10,6 +10,7 @@ import numpy as np
 
 from closedloop.figures.style import COLOURS
 from closedloop.record.run import Run
+from closedloop.report.control_verdict import unknown_text
 
 # Of the picture: inches, dots for each, and points of the curve at most.
 SIZE, DOTS, MOST_POINTS = (3.4, 1.9), 90, 1000
@@ -38,9 +39,8 @@ def html(run: Run) -> str:
 
 def _said(of: str, verdict: dict[str, Any]) -> str:
     """Return a verdict in a line."""
-    return f"{of}: " + (
-        "good" if verdict["good"] else "BAD: " + "; ".join(each["text"] for each in verdict["problems"])
-    )
+    said = "good" if verdict["good"] else "BAD: " + "; ".join(each["text"] for each in verdict["problems"])
+    return f"{of}: {said}{unknown_text(verdict.get('not_known', ()))}"
 
 
 def _picture(run: Run) -> str:

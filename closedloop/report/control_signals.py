@@ -36,8 +36,12 @@ def negative_gain(scenario: Scenario) -> str:
     """Return the key of a gain of a law that ships which is below zero, "" if none is."""
     if is_users(scenario.law):
         return ""
-    below = (name for name in _FEEDBACK if np.any(np.asarray(getattr(scenario.law, name, None) or 0.0) < 0.0))
-    return next((f"law.{name}" for name in below), "")
+    return next((f"law.{name}" for name in _FEEDBACK if _below(getattr(scenario.law, name, None))), "")
+
+
+def _below(gain: Any) -> bool:
+    """Whether a gain, or one of several, is below zero; without numpy, for batches ask it of every run."""
+    return any(map(_below, gain)) if isinstance(gain, tuple | list) else gain is not None and bool(np.any(gain < 0.0))
 
 
 def run_signals(run: Record) -> Signals | None:

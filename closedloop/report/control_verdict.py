@@ -6,11 +6,12 @@ while contact is commanded (`closedloop.report.control_signals`); with F, the ro
 ==================  ===========================================================================================
 ``stopped``         the simulation could not go on, so what was commanded was not done
 ``no_contact``      contact was commanded and never came
-``lost_contact``    contact was commanded and had ended for good: free over the last `LOST_SHARE` of that time
+``lost_contact``    contact was commanded and given up: free over the last `LOST_SHARE` of that time, or at any time
+                    for `FREE_SHARE` of it at a stretch
 ``bouncing``        `BOUNCES` touchdowns and more in the later half of that time
 ``force_error``     f is far from f_des: RMS over the later half, or the mean of the last tenth
 ``not_settled``     the mean error of the last tenth is too large and still changes
-``oscillation``     force or path swings regularly: growing, or a limit cycle
+``oscillation``     force or path swings regularly: growing over all of that time, or a limit cycle in its later half
 ``path_error``      the tip is off its path along the surface
 ``unstable``        a gain of the law is negative: it drives the arm away from where it should be
 ``saturated``       a limit of `[drives]` cuts a joint's torque in a tenth of the rows and more
@@ -26,6 +27,8 @@ from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
+
+from closedloop.report.verdict import names_of
 
 Array = NDArray[np.float64]
 Bools = NDArray[np.bool_]
@@ -43,6 +46,8 @@ SWING_SHARE = 0.05
 # A regular swing has so many periods, each so many rows long, and periods that vary by this share of their mean at
 # most. The times between crossings of noise vary by as much as their mean.
 PERIODS, ROWS_IN_PERIOD, IRREGULAR = 4, 4, 0.4
+# A swing that grows is no transient, wherever it began: in a slow one three periods over all the time tell.
+GROWING_PERIODS = 3
 # Swings of the last third over those of the first: beyond this they grow, below its inverse they die away.
 GROWTH = 1.5
 # Force loops of arms swing with 1 to 30 Hz. Rows that a scheme of steps of its own leaves farther apart than this, s,
@@ -50,7 +55,9 @@ GROWTH = 1.5
 SPARSE = 0.01
 # Three returns in the later half are no touchdown any more, which has its bounces at its start.
 BOUNCES = 3
-LOST_SHARE = 0.05
+# The tip is off for good where it is off at the end; a flight of a fifth of the time is more than the bounce of a
+# touchdown: those of wam_bounce, from 50 mm with a restitution of 0.7, take 0.07 each.
+LOST_SHARE, FREE_SHARE = 0.05, 0.2
 # RMS off the path, m or share of the path's extent: tools in contact are led to a millimetre.
 PATH_FLOOR, PATH_SHARE = 1e-3, 0.02
 SATURATED_SHARE = 0.1
@@ -151,23 +158,17 @@ def _contact(s: Signals, unknown: list[str]) -> list[Problem]:
     if not rows.size:
         return []
     met = np.flatnonzero(s.touching & s.commanded)
-    if not met.size:
+    struck = s.touchdowns[s.commanded[np.minimum((s.touchdowns / s.h).astype(int), len(s.commanded) - 1)]]
+    if not met.size and not struck.size:
         if s.approaching:
             unknown.append("contact: the path had not come to the surface at the end")
             return []
         return [_problem("no_contact", f"contact was commanded from {rows[0] * s.h:.4g} s on and never came",
                          rows[0] * s.h)]  # fmt: skip
-    rows = rows[rows >= met[0]]
-    problems = []
-    last = rows[-max(1, int(np.ceil(LOST_SHARE * rows.size))) :]
-    lost = not np.any(s.touching[last]) and rows.size > 1
-    if lost:
-        at = met[-1] * s.h
-        share = 100 * LOST_SHARE
-        problems.append(
-            _problem("lost_contact", f"contact ended at {at:.4g} s though it was commanded until {rows[-1] * s.h:.4g} "
-                     f"s: free over more than {share:g} % of that time", at)
-        )  # fmt: skip
+    first = min([*met[:1], *np.ceil(struck[:1] / s.h).astype(int)])  # an impact leaves no row in contact
+    rows = rows[rows >= first] if np.any(rows >= first) else rows[-1:]
+    free, lost = _longest_free(s, rows)
+    problems = [free] if free else []
     later = rows[rows.size // 2 :]
     begin, end = later[0] * s.h, later[-1] * s.h
     count = np.count_nonzero((s.touchdowns > begin) & (s.touchdowns <= end))
@@ -176,6 +177,30 @@ def _contact(s: Signals, unknown: list[str]) -> list[Problem]:
         said = f"{count} touchdowns between {begin:.4g} and {end:.4g} s, {BOUNCES} and more are no touchdown any more"
         problems.append(_problem("bouncing", said, at))
     return problems if lost else problems + _force(s, rows, later)
+
+
+def _longest_free(s: Signals, rows: NDArray[np.int64]) -> tuple[Problem | None, bool]:
+    """Return what is wrong where the tip is off the surface for long, and whether it is off at the end."""
+    free = ~s.touching[rows]
+    if not np.any(free) or rows.size < 2:
+        return None, False
+    # A touchdown between two rows ends a flight, though no row is in contact.
+    bounds = np.union1d(np.flatnonzero(~free), np.searchsorted(rows, s.touchdowns / s.h))
+    bounds = np.concatenate([[-1], bounds[bounds < rows.size], [rows.size]])
+    flights = np.diff(bounds)
+    k, share = int(np.argmax(flights)), float(np.max(flights) - 1) / rows.size
+    lost = not np.any(s.touching[rows[-max(1, int(np.ceil(LOST_SHARE * rows.size))) :]]) and flights[-1] - 1 >= (
+        LOST_SHARE * rows.size
+    )
+    if lost:
+        k, share = len(flights) - 1, float(flights[-1] - 1) / rows.size
+    bound = LOST_SHARE if lost else FREE_SHARE
+    if not lost and share <= bound:
+        return None, False
+    begin, end = rows[max(bounds[k], 0)] * s.h, rows[min(bounds[k + 1], rows.size - 1)] * s.h
+    text = f"off the surface from {begin:.4g} to {end:.4g} s, {100 * share:.3g} % of the time commanded, more than "
+    text += f"{100 * bound:g} %" + (" at the end" if lost else "")
+    return _problem("lost_contact", text, begin), lost
 
 
 def _force(s: Signals, rows: NDArray[np.int64], later: NDArray[np.int64]) -> list[Problem]:
@@ -200,7 +225,7 @@ def _force(s: Signals, rows: NDArray[np.int64], later: NDArray[np.int64]) -> lis
         text = f"{rms:.3g} N RMS, more than {RMS_SHARE * scale:.3g} N; most, {off.max():.3g} N, at {worst * s.h:.4g} s"
         problems.append(_problem("force_error", text, worst * s.h))
     if not s.sparse:
-        problems += _swinging(regular_swing(miss[later], SWING_SHARE * scale, s.h, later[0] * s.h), "force", "N")
+        problems += _swinging(_swing(miss[rows], SWING_SHARE * scale, s.h, rows[0] * s.h), "force", "N")
     return problems
 
 
@@ -219,11 +244,20 @@ def _path(s: Signals) -> list[Problem]:
         text = f"{rms:.3g} m RMS along the surface, more than {bound:.2g} m; most, {np.sqrt(square[worst]):.3g} m"
         problems.append(_problem("path_error", text, worst * s.h))
     if not s.sparse:
-        half = len(s.off) // 2
-        part = s.off[half:] * s.led[half:, None]
-        most = int(np.argmax(np.var(part, axis=0)))
-        problems += _swinging(regular_swing(part[:, most], 0.5 * bound, s.h, half * s.h), "path", "m")
+        part = s.off * s.led[:, None]
+        along = np.linalg.eigh(np.cov(part[len(part) // 2 :], rowvar=False))[1][:, -1]  # where it varies most
+        problems += _swinging(_swing(part @ along, 0.5 * bound, s.h, 0.0), "path", "m")
     return problems
+
+
+def _swing(x: Array, bound: float, h: float, begin: float) -> Swing | None:
+    """Return the regular swing in the later half of a signal (N,), or one that grows over all of it."""
+    half = len(x) // 2
+    found = regular_swing(x[half:], bound, h, begin + half * h)
+    if found is None:
+        found = regular_swing(x, bound, h, begin, GROWING_PERIODS)
+        return found if found is not None and found.growth > GROWTH else None
+    return found
 
 
 def _swinging(swing: Swing | None, what: str, unit: str) -> list[Problem]:
@@ -237,24 +271,24 @@ def _swinging(swing: Swing | None, what: str, unit: str) -> list[Problem]:
     return [_problem("oscillation", text, swing.at)]
 
 
-def regular_swing(x: Array, bound: float, h: float, begin: float) -> Swing | None:
-    """Return the swing of a signal (N,), `h` s apart from `begin` on, that lasts beyond ±`bound`; None without one.
+def regular_swing(x: Array, bound: float, h: float, begin: float, periods: int = PERIODS) -> Swing | None:
+    """Return the swing of a signal (N,), `h` s apart, of `periods` and more beyond ±`bound`; None without one.
 
     What counts is a period from one rise through the middle to the next, each with an excursion to both sides between
     of more than half the bound and half the RMS; the last third of them must reach the bound, and all must last
     about equally long.
     """
-    if len(x) < PERIODS * ROWS_IN_PERIOD or not np.all(np.isfinite(x)):
+    if len(x) < periods * ROWS_IN_PERIOD or not np.all(np.isfinite(x)):
         return None
     k = np.arange(len(x), dtype=float) - 0.5 * (len(x) - 1)
     y = x - np.mean(x) - k * (np.dot(k, x) / np.dot(k, k))  # a drift is no swing
     level = 0.5 * max(bound, _rms(y))  # noise on a large swing does not pass the middle twice
-    side = np.where(y > level, 1, np.where(y < -level, -1, 0))
-    there = np.flatnonzero(side)
-    if there.size < 2 * PERIODS:
+    if np.max(y) - np.min(y) <= 2.0 * bound:
         return None
-    rises = there[1:][(side[there][1:] > 0) & (side[there][:-1] < 0)]
-    if rises.size < PERIODS + 1:
+    there = np.flatnonzero(np.abs(y) > level)
+    above = y[there] > 0.0
+    rises = there[1:][above[1:] & ~above[:-1]]
+    if rises.size < periods + 1:
         return None
     lengths = np.diff(rises)
     period = float(np.mean(lengths))
@@ -276,6 +310,12 @@ def _rms(x: Array) -> float:
 
 def _problem(name: str, text: str, at: float | None = None) -> Problem:
     return {"name": name, "at": None if at is None else float(at), "text": text}
+
+
+def told(facts: Mapping[str, Any]) -> str:
+    """Return the verdict of the control of a summary as a cell of a table: names of problems, and what is not known."""
+    control = facts["control_verdict"]
+    return names_of(control["problems"]) + unknown_text(control["not_known"])
 
 
 def unknown_text(unknown: Sequence[str]) -> str:

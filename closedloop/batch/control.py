@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from functools import lru_cache
 from typing import Any
 
 import numpy as np
@@ -13,7 +14,7 @@ from closedloop.engines.lanes import LaneRuns
 from closedloop.engines.problem import Problem
 from closedloop.events.table import IMPACT, TOUCHDOWN, EventRow
 from closedloop.report.control_signals import RELEASE, limited_joints, negative_gain, signals_of
-from closedloop.report.control_verdict import MEAN_SHARE, PATH_FLOOR, judge_control, told
+from closedloop.report.control_verdict import MEAN_SHARE, PATH_FLOOR, judge_control, judge_force, told
 from closedloop.report.measured import Values
 from closedloop.report.verdict import GOOD
 from closedloop.scenario.scenario import Scenario
@@ -30,14 +31,21 @@ def control_in_lanes(runs: LaneRuns, lane: int, scenario: Scenario) -> str:
     """
     worst, count = runs.worst(lane), runs.kind.steps + 1
     scale = math.sqrt(worst.wanted_squared / count)
-    near = worst.miss <= MEAN_SHARE * scale and 4.0 * worst.off_squared <= PATH_FLOOR**2
-    if near and worst.least > 0.0 and worst.rise <= RELEASE and not negative_gain(scenario):
-        return GOOD
+    on_path = 4.0 * worst.off_squared <= PATH_FLOOR**2
+    if on_path and worst.least > 0.0 and worst.rise <= RELEASE and not negative_gain(scenario):
+        if worst.miss <= MEAN_SHARE * scale:
+            return GOOD
+        return _told((judge_force(runs.miss(lane), scale, runs.kind.h, _rows(count)), []))
     wanted, force, along, tip = runs.signals(lane)
     # In contact from the start, only by how much the path rises off the surface counts.
     path = along, tip @ runs.normal(lane), tip
     signals = signals_of(scenario, runs.kind.h, force, wanted, np.ones(count, dtype=bool), path, np.empty(0))
     return _told(judge_control(signals, {}))
+
+
+@lru_cache(maxsize=8)
+def _rows(count: int) -> NDArray[np.int64]:
+    return np.arange(count)
 
 
 def control_of_rows(problem: Problem, rows: Array, events: Array, values: Any, stopped: str | None) -> str:

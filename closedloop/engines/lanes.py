@@ -165,6 +165,10 @@ class LaneRuns:
         """Return what a first look at the control goes by."""
         return Worst(self._worst[:, lane])
 
+    def miss(self, lane: int) -> Array:
+        """Return f − f_des, (N,)."""
+        return self._signals[:, 0, lane].copy()
+
     def signals(self, lane: int) -> tuple[Array, Array, Array, Array]:
         """Return f_des, (N,), f, (N,), the tip less its path along the surface, (N, 3), and the path, (N, 3)."""
         n, nodes = self.n, self._sizes.nodes

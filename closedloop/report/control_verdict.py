@@ -22,12 +22,14 @@ The later half leaves a run the first for its transients: an approach, the bounc
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping, Sequence
 from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
+from closedloop.report.swings import GROWTH, Swing, lasting_swing, rms
 from closedloop.report.verdict import names_of
 
 Array = NDArray[np.float64]
@@ -43,13 +45,6 @@ MEAN_SHARE = 0.05
 STILL_CHANGING = 0.2
 # Swings count beyond the settling band; of the path, beyond half of what its error may be.
 SWING_SHARE = 0.05
-# A regular swing has so many periods, each so many rows long, and periods that vary by this share of their mean at
-# most. The times between crossings of noise vary by as much as their mean.
-PERIODS, ROWS_IN_PERIOD, IRREGULAR = 4, 4, 0.4
-# A swing that grows is no transient, wherever it began: in a slow one three periods over all the time tell.
-GROWING_PERIODS = 3
-# Swings of the last third over those of the first: beyond this they grow, below its inverse they die away.
-GROWTH = 1.5
 # Force loops of arms swing with 1 to 30 Hz. Rows that a scheme of steps of its own leaves farther apart than this, s,
 # show no swing of 25 Hz and more, or show it as a slow one; then nothing is said.
 SPARSE = 0.01
@@ -104,15 +99,6 @@ class Signals(NamedTuple):
     touchdowns: Array
     sparse: bool
     negative_gain: str = ""
-
-
-class Swing(NamedTuple):
-    """A regular swing: median amplitude of its last third, period, s, first instant, s, and growth over the run."""
-
-    amplitude: float
-    period: float
-    at: float
-    growth: float
 
 
 def judge_control(
@@ -176,7 +162,11 @@ def _contact(s: Signals, unknown: list[str]) -> list[Problem]:
         at = float(s.touchdowns[s.touchdowns > begin][0])
         said = f"{count} touchdowns between {begin:.4g} and {end:.4g} s, {BOUNCES} and more are no touchdown any more"
         problems.append(_problem("bouncing", said, at))
-    return problems if lost else problems + _force(s, rows, later)
+    return (
+        problems
+        if lost
+        else problems + judge_force((s.force - s.wanted)[rows], rms(s.wanted[rows]), s.h, rows, s.sparse)
+    )
 
 
 def _longest_free(s: Signals, rows: NDArray[np.int64]) -> tuple[Problem | None, bool]:
@@ -203,29 +193,42 @@ def _longest_free(s: Signals, rows: NDArray[np.int64]) -> tuple[Problem | None, 
     return _problem("lost_contact", text, begin), lost
 
 
-def _force(s: Signals, rows: NDArray[np.int64], later: NDArray[np.int64]) -> list[Problem]:
-    """Return what is wrong with the force in the rows in which contact is commanded, and in the later half of them."""
-    miss = s.force - s.wanted
-    scale = _rms(s.wanted[rows])
-    off = np.abs(miss[later])
-    if np.max(off) <= MEAN_SHARE * scale:
+def judge_force(miss: Array, scale: float, h: float, rows: NDArray[np.int64], sparse: bool = False) -> list[Problem]:
+    """Return what is wrong with the force while contact is commanded, above all in the later half of that time.
+
+    Parameters
+    ----------
+    miss : (R,) array
+        f − f_des, N, while contact is commanded.
+    scale : float
+        F, N.
+    h : float
+        Time between two rows, s.
+    rows : (R,) array of int
+        Which rows of the run these are.
+    sparse : bool
+        See `Signals`.
+    """
+    late = miss[rows.size // 2 :]
+    off = max(float(np.max(late)), -float(np.min(late)))
+    if off <= MEAN_SHARE * scale:
         return []
     problems = []
     tenth = max(1, rows.size // 10)
-    mean = float(np.mean(miss[rows[-tenth:]]))
-    before = float(np.mean(miss[rows[-2 * tenth : -tenth]])) if rows.size >= 2 * tenth else mean
-    rms, worst = _rms(miss[later]), int(later[np.argmax(off)])
-    if not abs(mean) <= MEAN_SHARE * scale and abs(mean - before) > STILL_CHANGING * abs(mean):
-        text = f"f is {mean:+.3g} N off on average at the end, more than {MEAN_SHARE * scale:.3g} N, and still changes"
-        problems.append(_problem("not_settled", text, rows[-tenth] * s.h))
-    elif not abs(mean) <= MEAN_SHARE * scale:
+    mean = float(np.mean(miss[-tenth:]))
+    if not abs(mean) <= MEAN_SHARE * scale:
+        before = float(np.mean(miss[-2 * tenth : -tenth])) if rows.size >= 2 * tenth else mean
+        changes = abs(mean - before) > STILL_CHANGING * abs(mean)
         text = f"f is {mean:+.3g} N off on average at the end, more than {MEAN_SHARE * scale:.3g} N"
-        problems.append(_problem("force_error", text, rows[-tenth] * s.h))
-    if not rms <= RMS_SHARE * scale:
-        text = f"{rms:.3g} N RMS, more than {RMS_SHARE * scale:.3g} N; most, {off.max():.3g} N, at {worst * s.h:.4g} s"
-        problems.append(_problem("force_error", text, worst * s.h))
-    if not s.sparse:
-        problems += _swinging(_swing(miss[rows], SWING_SHARE * scale, s.h, rows[0] * s.h), "force", "N")
+        text, name = (f"{text}, and still changes", "not_settled") if changes else (text, "force_error")
+        problems.append(_problem(name, text, rows[-tenth] * h))
+    error = math.sqrt(np.dot(late, late) / late.size)
+    if not error <= RMS_SHARE * scale:
+        at = rows[rows.size // 2 + int(np.argmax(np.abs(late)))] * h
+        text = f"{error:.3g} N RMS, more than {RMS_SHARE * scale:.3g} N; most, {off:.3g} N, at {at:.4g} s"
+        problems.append(_problem("force_error", text, at))
+    if not sparse:
+        problems += _swinging(lasting_swing(miss, SWING_SHARE * scale, h, rows[0] * h), "force", "N")
     return problems
 
 
@@ -238,26 +241,16 @@ def _path(s: Signals) -> list[Problem]:
         return []  # neither RMS nor a swing can reach its bound
     extent = float(np.max(np.linalg.norm(s.tip - s.tip[0], axis=1)))
     bound = max(PATH_FLOOR, PATH_SHARE * extent)
-    problems, rms = [], float(np.sqrt(np.sum(square) / np.count_nonzero(s.led)))
-    if not rms <= bound:
+    problems, error = [], float(np.sqrt(np.sum(square) / np.count_nonzero(s.led)))
+    if not error <= bound:
         worst = int(np.argmax(square))
-        text = f"{rms:.3g} m RMS along the surface, more than {bound:.2g} m; most, {np.sqrt(square[worst]):.3g} m"
+        text = f"{error:.3g} m RMS along the surface, more than {bound:.2g} m; most, {np.sqrt(square[worst]):.3g} m"
         problems.append(_problem("path_error", text, worst * s.h))
     if not s.sparse:
         part = s.off * s.led[:, None]
         along = np.linalg.eigh(np.cov(part[len(part) // 2 :], rowvar=False))[1][:, -1]  # where it varies most
-        problems += _swinging(_swing(part @ along, 0.5 * bound, s.h, 0.0), "path", "m")
+        problems += _swinging(lasting_swing(part @ along, 0.5 * bound, s.h, 0.0), "path", "m")
     return problems
-
-
-def _swing(x: Array, bound: float, h: float, begin: float) -> Swing | None:
-    """Return the regular swing in the later half of a signal (N,), or one that grows over all of it."""
-    half = len(x) // 2
-    found = regular_swing(x[half:], bound, h, begin + half * h)
-    if found is None:
-        found = regular_swing(x, bound, h, begin, GROWING_PERIODS)
-        return found if found is not None and found.growth > GROWTH else None
-    return found
 
 
 def _swinging(swing: Swing | None, what: str, unit: str) -> list[Problem]:
@@ -269,43 +262,6 @@ def _swinging(swing: Swing | None, what: str, unit: str) -> list[Problem]:
         f"{swing.growth:.3g} times as much in the last third as in the first"
     )
     return [_problem("oscillation", text, swing.at)]
-
-
-def regular_swing(x: Array, bound: float, h: float, begin: float, periods: int = PERIODS) -> Swing | None:
-    """Return the swing of a signal (N,), `h` s apart, of `periods` and more beyond ±`bound`; None without one.
-
-    What counts is a period from one rise through the middle to the next, each with an excursion to both sides between
-    of more than half the bound and half the RMS; the last third of them must reach the bound, and all must last
-    about equally long.
-    """
-    if len(x) < periods * ROWS_IN_PERIOD or not np.all(np.isfinite(x)):
-        return None
-    k = np.arange(len(x), dtype=float) - 0.5 * (len(x) - 1)
-    y = x - np.mean(x) - k * (np.dot(k, x) / np.dot(k, k))  # a drift is no swing
-    level = 0.5 * max(bound, _rms(y))  # noise on a large swing does not pass the middle twice
-    if np.max(y) - np.min(y) <= 2.0 * bound:
-        return None
-    there = np.flatnonzero(np.abs(y) > level)
-    above = y[there] > 0.0
-    rises = there[1:][above[1:] & ~above[:-1]]
-    if rises.size < periods + 1:
-        return None
-    lengths = np.diff(rises)
-    period = float(np.mean(lengths))
-    if period < ROWS_IN_PERIOD or np.std(lengths) > IRREGULAR * period:
-        return None
-    swings = 0.5 * (np.maximum.reduceat(y[: rises[-1]], rises[:-1]) - np.minimum.reduceat(y[: rises[-1]], rises[:-1]))
-    third = max(1, swings.size // 3)
-    first, last = float(np.median(swings[:third])), float(np.median(swings[-third:]))
-    ended = (len(x) - rises[-1]) > max(2.0 * period, 0.25 * len(x))
-    growth = last / first
-    if last <= bound or growth < 1.0 / GROWTH or ended:
-        return None
-    return Swing(last, period * h, begin + rises[0] * h, growth)
-
-
-def _rms(x: Array) -> float:
-    return float(np.sqrt(np.mean(x * x)))
 
 
 def _problem(name: str, text: str, at: float | None = None) -> Problem:

@@ -186,7 +186,7 @@ def _counted(rows: pa.Table) -> tuple[dict[str, int], dict[str, int], dict[str, 
 
     def bad(name: str) -> dict[str, int]:
         said = Counter(rows[name].to_pylist() if name in rows.column_names else ())
-        return {word: many for word, many in said.items() if word not in (None, GOOD)}
+        return {word: many for word, many in said.items() if word is not None and word.partition(";")[0] != GOOD}
 
     return dict(Counter(rows["status"].to_pylist())), bad(VERDICT), bad(CONTROL)
 

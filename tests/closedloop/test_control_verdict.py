@@ -175,3 +175,87 @@ def test_a_tip_that_never_touches_may_be_in_any_pose(shipped_run):
     assert not dataclasses.replace(run, columns={**run.columns, "normal_mobility": touching}).summary()["verdict"][
         "good"
     ]
+
+
+def test_a_slow_swing_that_grows_is_seen_over_all_of_the_time():
+    """Half a period a second: too few periods in the later half; the same swing dying away is none."""
+    slow = lambda rate: lambda t: 0.09 * FORCE * np.exp(rate * t) * np.sin(np.pi * t) / np.exp(max(rate, 0.0) * 10.0)  # noqa: E731
+    (problem,) = judge_control(drawn(slow(0.2)), {})[0]
+    assert problem["name"] == "oscillation"
+    assert "grows" in problem["text"]
+    assert told(drawn(slow(-0.2))) == "good"
+
+
+def test_a_swing_across_the_axes_counts_as_one_along_them():
+    """The path's direction is not an axis of the base: the same swing, turned, is judged alike."""
+    flat = drawn(off=lambda t: 0.6 * PATH_FLOOR * np.sin(9.0 * t))
+    turned = flat._replace(off=flat.off @ np.array([[1.0, 1.0, 1.0]] * 3) / np.sqrt(3.0))
+    assert told(turned) == told(flat) == "oscillation"
+
+
+def test_contact_that_is_lost_for_long_and_comes_back():
+    """A flight of a quarter of the time counts wherever it is, one of a tenth does not; touchdowns end flights."""
+    away = lambda until: lambda t: (t < 1.0) | (t > until)  # noqa: E731
+    (problem,) = judge_control(drawn(touching=away(3.5)), {})[0]
+    assert (problem["name"], problem["at"]) == ("lost_contact", pytest.approx(1.0, abs=2e-3))
+    assert told(drawn(touching=away(2.0))) == "good"
+    assert told(drawn(touching=away(3.5), touchdowns=[2.0, 3.0])) == "good"
+
+
+def test_a_tip_that_only_bounces_has_come_to_the_surface():
+    """Impacts leave no row in contact: it is bouncing, and contact did come."""
+    said = told(drawn(touching=False, touchdowns=[0.5 * k for k in range(1, 20)]))
+    assert "bouncing" in said
+    assert "no_contact" not in said
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(
+    ("name", "changes", "control"),
+    [
+        ("wam_slide", {"force_profile.kind": "waypoints", "force_profile.times": [6.0, 6.05],
+                       "force_profile.forces": [10.0, 15.0]}, {"good"}),
+        ("wam_slide", {"reference.stop": 2.0}, {"good"}),
+        ("wam_slide", {"drives.torque_limit": [60.0, 4.0, 4.0, 4.0]}, {"saturated", "path_error", "force_error"}),
+        ("wam_liftoff", {}, {"good"}),
+        ("wam_hybrid_friction", {}, {"good"}),
+        ("wam_bounce", {}, {"good"}),
+        ("wam_bounce", {"time.duration": 0.45, "impact.restitution": 0.95}, {"bouncing"}),
+    ],
+)  # fmt: skip
+def test_simulated_runs(name, changes, control):
+    """A force step, a dwell, a low torque limit, a release, bounces that end and bounces that do not."""
+    problems = cl.simulate(cl.load_scenario(name, changes), progress=False).summary()["control_verdict"]["problems"]
+    assert {p["name"] for p in problems} - {"force_error"} == control - {"good", "force_error"}
+
+
+def test_lanes_say_what_a_summary_says():
+    """Good, a force step, a soft law off its path, a wrong sign: the column in lanes is the summary's text."""
+    changes = {
+        "law.kp": [900.0, 0.1, -5.0, 900.0],
+        "law.force": [10.0, 10.0, 10.0, 2.0],
+        "law.kd": [30.0, 1.0, 30.0, 30.0],
+    }
+    scenario = cl.load_scenario("wam_slide", {"time.duration": 3.0, "reference.stop": 2.5})
+    column = cl.simulate_batch(scenario, changes, workers=1)["control_verdict"].to_pylist()
+    rows = [dict(zip(changes, row, strict=True)) for row in zip(*changes.values(), strict=True)]
+    alone = [
+        cl.simulate(
+            scenario.changed(row)
+            if hasattr(scenario, "changed")
+            else cl.load_scenario("wam_slide", {"time.duration": 3.0, "reference.stop": 2.5} | row),
+            progress=False,
+        ).summary()
+        for row in rows
+    ]
+    assert column == [names_of(facts["control_verdict"]["problems"]) for facts in alone]
+    assert len(set(column)) > 1
+
+
+def test_strict_ends_with_5_where_only_the_control_is_bad(tmp_path):
+    """4 is kept for the numbers; without --strict a bad control ends with 0."""
+    from closedloop.run import main
+
+    words = ["wam_slide", "--law.kp", "-5", "--time.duration", "0.2", "--no-figures", "--out", str(tmp_path / "r")]
+    assert main([*words, "--strict"]) == 5
+    assert main(words) == 0

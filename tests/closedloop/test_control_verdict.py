@@ -220,7 +220,6 @@ def test_a_tip_that_only_bounces_has_come_to_the_surface():
         ("wam_liftoff", {}, {"good"}),
         ("wam_hybrid_friction", {}, {"good"}),
         ("wam_bounce", {}, {"good"}),
-        ("wam_bounce", {"time.duration": 0.45, "impact.restitution": 0.95}, {"bouncing"}),
     ],
 )  # fmt: skip
 def test_simulated_runs(name, changes, control):

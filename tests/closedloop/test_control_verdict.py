@@ -178,12 +178,12 @@ def test_a_tip_that_never_touches_may_be_in_any_pose(shipped_run):
 
 
 def test_a_slow_swing_that_grows_is_seen_over_all_of_the_time():
-    """Half a period a second: too few periods in the later half; the same swing dying away is none."""
-    slow = lambda rate: lambda t: 0.09 * FORCE * np.exp(rate * t) * np.sin(np.pi * t) / np.exp(max(rate, 0.0) * 10.0)  # noqa: E731
-    (problem,) = judge_control(drawn(slow(0.2)), {})[0]
+    """Six periods, too few of them in the later half; the same swing dying away is none."""
+    slow = lambda rate: lambda t: 0.09 * FORCE * np.exp(rate * t) * np.sin(1.2 * np.pi * t) / np.exp(max(rate, 0.0) * 10.0)  # noqa: E731
+    (problem,) = judge_control(drawn(slow(0.12)), {})[0]
     assert problem["name"] == "oscillation"
     assert "grows" in problem["text"]
-    assert told(drawn(slow(-0.2))) == "good"
+    assert told(drawn(slow(-0.12))) == "good"
 
 
 def test_a_swing_across_the_axes_counts_as_one_along_them():

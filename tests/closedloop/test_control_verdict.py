@@ -179,7 +179,8 @@ def test_a_tip_that_never_touches_may_be_in_any_pose(shipped_run):
 
 def test_a_slow_swing_that_grows_is_seen_over_all_of_the_time():
     """Six periods, too few of them in the later half; the same swing dying away is none."""
-    slow = lambda rate: lambda t: 0.09 * FORCE * np.exp(rate * t) * np.sin(1.2 * np.pi * t) / np.exp(max(rate, 0.0) * 10.0)  # noqa: E731
+    swing = lambda t: 0.09 * FORCE * np.sin(1.2 * np.pi * t)  # noqa: E731
+    slow = lambda rate: lambda t: swing(t) * np.exp(rate * t - max(rate, 0.0) * DURATION)  # noqa: E731
     (problem,) = judge_control(drawn(slow(0.12)), {})[0]
     assert problem["name"] == "oscillation"
     assert "grows" in problem["text"]

@@ -1,8 +1,8 @@
 """Simulate one scenario: ``closedloop run wam_slide``, or ``python -m closedloop.run wam_slide``.
 
 Exit status: 0 done; 2 the input is at fault (one line on standard error); 3 the simulation could not go on (what ran
-until then is saved, and the line says when and why); 4 the run ended, but its verdict is bad, with --strict; 130
-interrupted by Ctrl-C, 143 by SIGTERM (what ran is saved).
+until then is saved, and the line says when and why); with --strict, 4 the run ended, but the verdict of its
+numbers is bad, 5 that of its control alone; 130 interrupted by Ctrl-C, 143 by SIGTERM (what ran is saved).
 """
 
 from __future__ import annotations
@@ -17,7 +17,7 @@ from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, NamedTuple
 
-from closedloop.command.border import DONE, NOT_GOOD, Parser, run_command
+from closedloop.command.border import DONE, NOT_CONTROLLED, NOT_GOOD, Parser, run_command
 from closedloop.command.cautions import warn_of_gains, warn_of_other_texts
 from closedloop.command.help import list_of_sections, scenario_parser
 from closedloop.command.lists import list_of_scenarios, versions
@@ -102,7 +102,10 @@ def _run_into(results: Results, job: _Job, options: Namespace) -> int:
         print(f"{max(0, len(run) - 1)} steps in {run.wall_seconds:.2g} s; wrote {job.folder}{os.sep}: {names}")
     if failure:
         raise failure
-    return NOT_GOOD if options.strict and not run.summary()["verdict"]["good"] else DONE
+    facts = run.summary()
+    if options.strict and not facts["verdict"]["good"]:
+        return NOT_GOOD
+    return NOT_CONTROLLED if options.strict and not facts["control_verdict"]["good"] else DONE
 
 
 class _Job(NamedTuple):
@@ -220,7 +223,7 @@ def _parser() -> Parser:
         description="Simulate a robot arm whose tip is in contact with a surface.",
         epilog=list_of_sections()
         + "\n\nexit status: 0 done; 2 the input is at fault; 3 the simulation could not go on;\n"
-        "4 a bad verdict, with --strict; 130 Ctrl-C, 143 SIGTERM. What ran is saved.",
+        "with --strict, 4 a bad verdict, 5 of the control alone; 130 Ctrl-C, 143 SIGTERM. What ran is saved.",
         cure="a key of the scenario is set as --law.force 15; see --help",
     )  # fmt: skip
     add = parser.add_argument
@@ -231,7 +234,11 @@ def _parser() -> Parser:
     add("--overwrite", action="store_true", help="replace results of another run in that folder")
     add("--no-figures", action="store_true", help="write run.nc and summary.json only")
     add("--json", action="store_true", help="print the summary as JSON instead of tables")
-    add("--strict", action="store_true", help="exit with status 4 if the run's verdict is bad")
+    add(
+        "--strict",
+        action="store_true",
+        help="exit with status 4 if the run's verdict is bad, with 5 if that of its control alone is",
+    )
     add("--engine", choices=("pinocchio", "compiled"), help="whose H, C, r, J (default pinocchio)")
     add("--law", metavar="MODULE:NAME", help="law(x) or law(t, q, v, terms) of your own as the law")
     return parser

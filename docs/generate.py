@@ -18,6 +18,7 @@ from closedloop.columns.derived import DERIVED
 from closedloop.columns.recorded import ALL_COLUMNS, ARM_COLUMNS, COLUMNS, CONTACT_COLUMNS
 from closedloop.command.table import COMMANDS, imported, overview
 from closedloop.events.table import EVENT_COLUMNS
+from closedloop.report.verdict import names_of
 from closedloop.scenario import describe
 from closedloop.scenario.tables import table_type
 
@@ -50,10 +51,14 @@ MODELS = {
 }
 
 
-def write(folder: Path) -> None:
-    """Write the pages into a folder; one that has not changed is left alone, so that Sphinx need not read it again."""
+def write(folder: Path, judged: Iterable[str] | None = None) -> None:
+    """Write the pages into a folder, with the verdicts of the scenarios `judged`, of all if None.
+
+    One that has not changed is left alone, so that Sphinx need not read it again.
+    """
     folder.mkdir(exist_ok=True)
-    pages = {"scenario": scenario(), "columns": columns(), "commands": commands(), "api": api(), "models": models()}
+    pages = {"scenario": scenario(), "columns": columns(), "commands": commands(), "api": api(), "models": models(),
+             "verdicts": verdicts(judged)}  # fmt: skip
     for name, lines in pages.items():
         text, file = "\n".join(lines) + "\n", folder / f"{name}.md"
         if not file.exists() or file.read_text(encoding="utf-8") != text:
@@ -156,6 +161,25 @@ def models() -> Iterator[str]:
             name = f"closedloop.{package}.{module.name}"
             yield from (f"### {module.name}", "", f"`{name}`", "")
             yield from ("```{eval-rst}", f".. automodule:: {name}", "   :no-index:", "```", "")
+
+
+def verdicts(judged: Iterable[str] | None = None) -> Iterator[str]:
+    """Return the lines of the page of both verdicts of every shipped scenario, each simulated for it."""
+    yield from ("# Verdicts of the shipped scenarios", "")
+    yield "Made by the build, which runs them all; see [the verdicts of a run](../verdict.md). Where control is bad,"
+    yield "that is what the scenario is to show, as its file says."
+    yield ""
+    rows = []
+    for name in judged or closedloop.shipped_scenarios():
+        facts = closedloop.simulate(closedloop.load_scenario(name), progress=False).summary()
+        rows.append((f"`{name}`", *verdicts_of(facts)))
+    yield from table(("scenario", "numbers", "control", "what is wrong with the control"), rows)
+
+
+def verdicts_of(facts: dict) -> tuple[str, str, str]:
+    """Return how a summary judges numbers and control, and why the latter are bad."""
+    numbers, control = (names_of(facts[key]["problems"]) for key in ("verdict", "control_verdict"))
+    return numbers, control, "; ".join(problem["text"] for problem in facts["control_verdict"]["problems"])
 
 
 def api() -> Iterator[str]:

@@ -65,7 +65,8 @@ def key_type(values: Sequence[Any]) -> pa.DataType:
 def schema(types: Mapping[str, pa.DataType], keep: Sequence[str] = ()) -> pa.Schema:
     """Return the columns of a table of runs, with units and meaning as metadata.
 
-    The columns are ``run``, its number; the changed keys; ``status``, ``verdict``, ``reason``, ``rows``, ``end_time``;
+    The columns are ``run``, its number; the changed keys; ``status``, ``verdict``, ``control_verdict``,
+    ``reason``, ``rows``, ``end_time``;
     the values of `closedloop.report.measures`; the number of events of each kind; when each assumption of the paper
     first failed; the values of the joints, each a list with a number for each joint; and the columns that were kept,
     each a list of numbers.
@@ -93,6 +94,12 @@ def schema(types: Mapping[str, pa.DataType], keep: Sequence[str] = ()) -> pa.Sch
             text,
             "",
             "good, or what is wrong with what ran, see closedloop.report.verdict; empty if it was refused or failed",
+        ),
+        field(
+            "control_verdict",
+            text,
+            "",
+            "good, or what is wrong with the control, see closedloop.report.control_verdict; empty likewise",
         ),
         field("reason", text, "", "why it was stopped, was refused or failed"),
         field("rows", whole, "1", "rows of the run's record"),
@@ -134,6 +141,7 @@ def table_of(
     data += [
         [outcome.status for outcome in outcomes],
         [outcome.verdict for outcome in outcomes],
+        [outcome.control for outcome in outcomes],
         [outcome.reason for outcome in outcomes],
         [outcome.rows for outcome in outcomes],
         [outcome.end_time for outcome in outcomes],

@@ -20,6 +20,7 @@ from weakref import WeakKeyDictionary
 import numpy as np
 from numpy.typing import NDArray
 
+from closedloop.batch.control import control_in_lanes, control_of_rows
 from closedloop.control.drives import DrivesSection
 from closedloop.engines.compiled import compiled_tree, compiled_work
 from closedloop.engines.lanes import FEWEST, Kind, LaneRuns, kind_of, uses_lanes
@@ -78,6 +79,8 @@ class Outcome:
         Instant of the last row, s; NaN if there is none.
     verdict : str or None
         "good", or what is wrong with what ran, see `closedloop.report.verdict`; None if it was refused or failed.
+    control : str or None
+        The same of the control, see `closedloop.report.control_verdict`.
     """
 
     status: str
@@ -87,6 +90,7 @@ class Outcome:
     end_time: float = math.nan
     columns: dict[str, Array] = field(default_factory=dict)
     verdict: str | None = None
+    control: str | None = None
 
 
 class Worker:
@@ -210,7 +214,8 @@ class Worker:
         columns = {name: recorded(rows, lane_runs.n, name) for name in self._keep}
         steps, values = lane_runs.kind.steps, lane_runs.values(lane)
         verdict = verdict_of(scenario, lane_runs.kind.robot, values, steps)
-        return Outcome(RAN, None, steps + 1, values, lane_runs.end, columns, verdict)
+        control = control_in_lanes(lane_runs, lane, scenario)
+        return Outcome(RAN, None, steps + 1, values, lane_runs.end, columns, verdict, control)
 
     def _run(self, problem: Problem) -> Outcome:
         tree = self._tree(problem)
@@ -236,7 +241,9 @@ class Worker:
             values[SINGULAR_AT] = end + problem.h  # no row was near it: the step after the last was
         reason = None if failure is None else str(failure)
         verdict = verdict_of(problem.scenario, problem.robot, values, len(rows) - 1, reason)
-        return Outcome(RAN if failure is None else STOPPED, reason, len(rows), values, end, columns, verdict)
+        control = control_of_rows(problem, rows, events, values, reason)
+        status = RAN if failure is None else STOPPED
+        return Outcome(status, reason, len(rows), values, end, columns, verdict, control)
 
     def _tree(self, problem: Problem) -> tuple[Tree, Array]:
         robot = problem.robot

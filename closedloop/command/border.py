@@ -1,7 +1,8 @@
 """The outer part of all commands: arguments, exit status, and one line for any error, or for each fault of a scenario.
 
 Exit status: 0 done; 2 the input is at fault, or the environment (a file, the output, memory); 3 the work could not be
-finished; 4 it ended, but its verdict is bad, with --strict; 130 interrupted by Ctrl-C, 143 by SIGTERM.
+finished; with --strict, 4 it ended, but the verdict of its numbers is bad, 5 that of its control alone; 130
+interrupted by Ctrl-C, 143 by SIGTERM.
 """
 
 from __future__ import annotations
@@ -23,7 +24,7 @@ from closedloop.interrupts import INTERRUPTED, as_exceptions, exit_status, termi
 from closedloop.jit.numba_settings import sound_settings, why_no_settings
 from closedloop.jit.openmp_settings import readable_openmp
 
-DONE, BAD_INPUT, STOPPED, NOT_GOOD = 0, 2, 3, 4
+DONE, BAD_INPUT, STOPPED, NOT_GOOD, NOT_CONTROLLED = 0, 2, 3, 4, 5
 
 
 class Left(Exception):

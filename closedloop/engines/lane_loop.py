@@ -42,6 +42,21 @@ Array = NDArray[np.float64]
 NEEDS_EVENTS = -1
 
 
+# Of each row for `closedloop.report.control_signals`: f − f_des, and the tip less its path along both tangents.
+SIGNALS = 3
+
+
+class Worst(Block):
+    """Of all rows, for a first look at the control: `closedloop.batch.control`."""
+
+    miss: float  # largest |f − f_des| of the later half, N
+    off_squared: float  # of the tip off its path along the surface, m²
+    least: float  # f_des, N
+    wanted_squared: float  # the sum of f_des² over the rows, N²
+    lowest: float  # the path along the normal, least until now, m
+    rise: float  # and the most that it then rose from there, m
+
+
 class LaneAddresses(Block):
     """Whole numbers, int64: addresses of the arrays of the loop's memory, each of float64x8."""
 
@@ -53,6 +68,8 @@ class LaneAddresses(Block):
     rows: int
     tallies: int
     values: int
+    signals: int
+    worst: int
 
 
 class Sizes(NamedTuple):
@@ -124,6 +141,8 @@ def run_in_lanes(
     rows = float64x8_at(at.rows, kept * width).reshape(kept, width)
     tally, values = Tally(float64x8_at(at.tallies, 0), n), Values(float64x8_at(at.values, 0), n)
     joint_limits, wanted = JointLimits(limits, n), Reference(w.reference, n)
+    signals = float64x8_at(at.signals, (steps + 1) * SIGNALS).reshape(steps + 1, SIGNALS)
+    worst = Worst(float64x8_at(at.worst, 0))
     begin_tally(tally, n, h, largest)
     w.supplied = 0.0
     for row in range(steps + 1):
@@ -144,6 +163,7 @@ def run_in_lanes(
             if stage == 0:
                 record_state(H, C, w, state, rows, slot)
                 potential = energy_there(tree, scratch)
+                write_signals(w, wanted, signals, row, worst)
                 count_row(Row(rows[slot], n), n, potential, wanted, joint_limits, row, tally)
                 if row == steps:
                     record_conditions(w.batch, rows, state, slot + 1, n)
@@ -160,6 +180,31 @@ def run_in_lanes(
         commit_work(w)
     write_values(Row(rows[steps % kept], n), n, steps + 1, tally, values)
     return OK
+
+
+@kernel_inlined
+def write_signals(w: Work, wanted: Reference, signals: Array, i: int, worst: Worst) -> None:
+    """Write `SIGNALS` numbers of row i, and count it into the worst."""
+    frame, miss, off, height = w.frame, w.F[0] - wanted.force, 0.0, 0.0
+    for a in range(2):
+        along = 0.0
+        for k in range(3):
+            along = along + frame[1 + a, k] * (w.r[k] - wanted.position[k])
+        signals[i, 1 + a] = along
+        off = off + along * along
+    for k in range(3):
+        height = height + frame[0, k] * wanted.position[k]
+    signals[i, 0] = miss
+    if i == 0:
+        worst.miss = worst.off_squared = worst.rise = worst.wanted_squared = 0.0 * miss
+        worst.least, worst.lowest = wanted.force, height
+    if i >= signals.shape[0] // 2:
+        worst.miss = max(worst.miss, abs(miss))
+    worst.off_squared = max(worst.off_squared, off)
+    worst.least = min(worst.least, wanted.force)
+    worst.wanted_squared += wanted.force * wanted.force
+    worst.lowest = min(worst.lowest, height)
+    worst.rise = max(worst.rise, height - worst.lowest)
 
 
 @kernel_inlined

@@ -19,7 +19,7 @@ from numpy.typing import NDArray
 from closedloop.closure.conditioning import BATCH
 from closedloop.closure.contact_force import PRESSED
 from closedloop.closure.solve import OK
-from closedloop.engines.lane_loop import LaneAddresses, Sizes, run_in_lanes
+from closedloop.engines.lane_loop import SIGNALS, LaneAddresses, Sizes, Worst, run_in_lanes
 from closedloop.engines.loops import COMPILED
 from closedloop.engines.needs import needs_general_form
 from closedloop.engines.problem import Problem
@@ -113,12 +113,13 @@ class LaneRuns:
         self._forces, self._largest = aligned(like.table.shape[0]), aligned(1)
         self._rows = aligned(like.steps + 1 if keep else BATCH, Row.count(n))
         self._sizes = Sizes(like.nodes, *like.table.shape, *self._rows.shape[:2])
-        self._values = aligned(Values.count(n))
+        self._values, self._signals = aligned(Values.count(n)), aligned(like.steps + 1, SIGNALS)
+        self._worst = aligned(Worst.count())
         self._limits = joint_limits(like.robot.model)
         self._parts = {
             "work": self._work.memory, "terms": aligned(n * n + n + plain(work_size)(n)), "constants": self._constants,
             "forces": self._forces, "largest": self._largest, "rows": self._rows, "tallies": aligned(Tally.count(n)),
-            "values": self._values,
+            "values": self._values, "signals": self._signals, "worst": self._worst,
         }  # fmt: skip
         self._addresses = LaneAddresses(np.zeros(LaneAddresses.count(), dtype=np.int64))
         for name, part in self._parts.items():
@@ -154,12 +155,30 @@ class LaneRuns:
         status = run_in_lanes(
             tree, self._addresses.memory, self._state.memory, self._h, self._tableau, tables, self._sizes, self._limits
         )
-        self._tables.clear()
         return status == OK
 
     def values(self, lane: int) -> Array:
         """Return the values of a run's summary, see `closedloop.report.measured`."""
         return self._values[:, lane].copy()
+
+    def worst(self, lane: int) -> Worst:
+        """Return what a first look at the control goes by."""
+        return Worst(self._worst[:, lane])
+
+    def miss(self, lane: int) -> Array:
+        """Return f − f_des, (N,)."""
+        return self._signals[:, 0, lane].copy()
+
+    def signals(self, lane: int) -> tuple[Array, Array, Array, Array]:
+        """Return f_des, (N,), f, (N,), the tip less its path along the surface, (N, 3), and the path, (N, 3)."""
+        n, nodes = self.n, self._sizes.nodes
+        wanted, own = self._forces[::nodes, lane].copy(), self._signals[:, :, lane].T.copy()
+        along = own[1:].T @ self._work.frame[1:, :, lane]
+        return wanted, wanted + own[0], along, self._tables[lane][::nodes, 2 * n : 2 * n + 3]
+
+    def normal(self, lane: int) -> Array:
+        """Return the normal (3,) of the plane."""
+        return self._work.frame[0, :, lane].copy()
 
     def rows(self, lane: int) -> Array:
         """Return the rows of a run, if they were kept; the next run overwrites them."""

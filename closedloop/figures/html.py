@@ -10,6 +10,7 @@ import numpy as np
 
 from closedloop.figures.style import COLOURS
 from closedloop.record.run import Run
+from closedloop.report.control_verdict import unknown_text
 
 # Of the picture: inches, dots for each, and points of the curve at most.
 SIZE, DOTS, MOST_POINTS = (3.4, 1.9), 90, 1000
@@ -27,12 +28,19 @@ def html(run: Run) -> str:
         for name, value, unit in told
     )
     verdict = run.summary()["verdict"]
-    said = "verdict: good" if verdict["good"] else "verdict: " + "; ".join(each["text"] for each in verdict["problems"])
+    said = _said("verdict", verdict)
+    control = _said("control", run.summary()["control_verdict"])
     picture = f"<div>{_picture(run)}</div>" if len(run) > 1 else ""
     return (
-        f"<div>{title}<br>{escape(said)}</div>"
+        f"<div>{title}<br>{escape(said)}<br>{escape(control)}</div>"
         f"<div style='display:flex;gap:1.5em;align-items:flex-start'>{picture}<table>{lines}</table></div>"
     )
+
+
+def _said(of: str, verdict: dict[str, Any]) -> str:
+    """Return a verdict in a line."""
+    said = "good" if verdict["good"] else "BAD: " + "; ".join(each["text"] for each in verdict["problems"])
+    return f"{of}: {said}{unknown_text(verdict.get('not_known', ()))}"
 
 
 def _picture(run: Run) -> str:

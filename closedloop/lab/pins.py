@@ -10,6 +10,7 @@ from typing import Any
 from closedloop.lab.controls import toml_text
 from closedloop.lab.history import Changes
 from closedloop.record.run import Run
+from closedloop.report.control_verdict import told
 from closedloop.report.measures import MEASURES
 from closedloop.report.verdict import names_of
 
@@ -74,7 +75,7 @@ def compared(pins: Sequence[Pin], run: Run, changes: Changes) -> list[tuple[str,
         label = f"{name} [{unit}]" if unit not in ("", "1") else name
         rows.append((label, [_with_difference(number, numbers[-1], k < len(pins)) for k, number in enumerate(numbers)]))
     rows.append(("verdict", [names_of(summary["verdict"]["problems"]) for summary in summaries]))
-    return rows
+    return [*rows, ("control_verdict", [told(summary) for summary in summaries])]
 
 
 def table_html(pins: Sequence[Pin], run: Run, changes: Changes) -> str:

@@ -21,6 +21,8 @@ from closedloop.lab.look import MEANINGS
 from closedloop.lab.scene import ARROWS, JOINTS, PATH, WANTED, Scene, quaternions, scene_of
 from closedloop.lab.shapes import Shape
 from closedloop.record.run import Run
+from closedloop.report.control_verdict import told
+from closedloop.report.verdict import names_of
 
 # Frames of the replay at most, points of a path, and parts of the time of which a curve shows the extremes.
 MOST_FRAMES, MOST_POINTS, CELLS = 500, 600, 400
@@ -75,6 +77,7 @@ def _data(run: Run, command: str) -> dict[str, Any]:
         "title": name if name == robot else f"{name} ({robot})",
         "about": about[:1].upper() + about[1:],
         "stopped": run.stopped or "",
+        "verdicts": [f"verdict: {names_of(run.summary()['verdict']['problems'])}", f"control: {told(run.summary())}"],
         "command": command,
         "scenario": run.scenario.to_toml(),
         "end": end, "step": run.scenario.time.step, "joints": run.model.n + 2 + len(scene.joined.loops),

@@ -64,6 +64,8 @@ class Tally(Block, sizes=("n",)):
     condition: float  # the largest condition number
     start_error: float
     last_unsettled: float  # the last row of which the force was not yet near that desired; -1: none
+    excess_before: float  # `Sample.unsettled` of the row before
+    settled: float  # from which row on it is near, by a line between two rows
     scale: Annotated[Array, Scale.count()]
     powers_before: Annotated[Array, Powers.count()]
     work: Annotated[Array, Powers.count()]
@@ -124,6 +126,7 @@ def measure_rows(
 def begin_tally(tally: Tally, n: int, h: float, largest: float) -> None:
     """Write the tally of no row of n joints; `h`, s, is the time between two rows, `largest` the largest |f_des|, N."""
     tally.h, tally.condition, tally.start_error, tally.last_unsettled = h, 0.0, 0.0, -1.0
+    tally.excess_before = tally.settled = 0.0
     scale = Scale(tally.scale)
     scale.largest_force = largest
     for k in range(tally.work.shape[0]):
@@ -156,6 +159,9 @@ def count_row(row: Row, n: int, potential: float, wanted: Reference, limits: Joi
             tally.work[k] += 0.5 * (power + tally.powers_before[k]) * dt
         tally.powers_before[k] = power
     tally.last_unsettled = select(sample.unsettled > 0.0, 1.0 * i, tally.last_unsettled)
+    enters = (sample.unsettled <= 0.0) & (tally.excess_before > 0.0)
+    tally.settled = select(enters, i - 1.0 + share_inside(tally.excess_before, sample.unsettled), tally.settled)
+    tally.excess_before = sample.unsettled
     for k in range(sample.greatest.shape[0]):
         tally.greatest[k] = max(tally.greatest[k], sample.greatest[k])
     for k in range(sample.sums.shape[0]):
@@ -198,7 +204,7 @@ def write_values(last: Any, n: int, count: int, tally: Tally, values: Any) -> No
     touching = select(sums.touching > 0.0, sums.touching, math.nan)
     values.rms_force_error = math.sqrt(sums.force_error_squared / touching)
     settles = (scale.largest_force > 0.0) & (tally.last_unsettled < count - 1)
-    values.force_settled_at = select(settles, tally.h * (tally.last_unsettled + 1), math.nan)
+    values.force_settled_at = select(settles, tally.h * tally.settled, math.nan)
     values.rms_path_error = math.sqrt(sums.path_error_squared / count)
     force, joint_friction, mean = Signal(tally.signals[0]), 0.0 * sums.force, 0.0 * sums.force
     values.force_chatter = share_of(force.alternating, sums.force)
@@ -238,6 +244,14 @@ def passed_singular_pose(last: Any, most: Greatest, first: float) -> float:
     on_the_way = (first > 0.0) & (last.normal_mobility > NEAR_SINGULAR)
     passed: float = select(on_the_way & (most.singular_force <= MOST_GROWTH * most.approach_force), 1.0, 0.0)
     return passed
+
+
+@kernel_inlined
+def share_inside(before: float, after: float) -> float:
+    """Return where between two rows, from 0 to 1, a line from `before`, above 0, to `after`, not above it, is 0."""
+    fall = select(before > after, before - after, 1.0)
+    share: float = before / fall
+    return share
 
 
 @kernel_inlined

@@ -100,7 +100,7 @@ class Signals(Block, sizes=("n",)):
 class Sample(Block, sizes=("n",)):
     """What a row has to say."""
 
-    unsettled: float  # 1 where the force is not yet near that desired; the last such row counts
+    unsettled: float  # N by which the force is farther from that desired than it may be; the last above 0 counts
     contact_error: float  # e in contact, else 0; the first row's counts
     powers: Annotated[Array, Powers.count()]
     greatest: Annotated[Array, Greatest.count(N)]
@@ -150,7 +150,7 @@ def sample_row(
     greatest.penetration = -error
 
     miss = force - wanted.force
-    sample.unsettled = select(abs(miss) > SETTLED * scale.largest_force, 1.0, 0.0)
+    sample.unsettled = abs(miss) - SETTLED * scale.largest_force
     sums.touching = select(touching, 1.0, 0.0)
     sums.force_error_squared = select(touching, miss * miss, 0.0)
     out, off_path, normal = 0.0, 0.0, row.surface_normal

@@ -18,7 +18,7 @@ from closedloop.columns.record import Record
 from closedloop.jit.interpreted import interpreted
 from closedloop.report.alternation import SPAN, alternation
 from closedloop.report.limited import count_limited
-from closedloop.report.measured import Tally, Values, begin_tally, write_values
+from closedloop.report.measured import Tally, Values, begin_tally, share_inside, write_values
 from closedloop.report.row_sample import JointLimits, Sample, Scale, joint_limits, sample_row
 from closedloop.step.record_row import RECORDED
 
@@ -86,6 +86,12 @@ def _count_rows(time: Array, begin: int, sample: Sample, tally: Tally) -> None:
     flagged = sample.flags > 0.0
     when = np.where(np.any(flagged, axis=1), time[-flagged.shape[1] :][np.argmax(flagged, axis=1)], np.nan)
     tally.first[:] = np.where(np.isnan(tally.first), when, tally.first)
-    unsettled = np.flatnonzero(sample.unsettled)
+    excess = np.concatenate([[tally.excess_before], sample.unsettled])
+    enters = np.flatnonzero((excess[1:] <= 0.0) & (excess[:-1] > 0.0))
+    if enters.size:
+        at = enters[-1]
+        tally.settled = begin + at - 1.0 + interpreted(share_inside)(excess[at], excess[at + 1])
+    unsettled = np.flatnonzero(excess[1:] > 0.0)
     if unsettled.size:
         tally.last_unsettled = begin + unsettled[-1]
+    tally.excess_before = excess[-1]

@@ -14,6 +14,8 @@ from closedloop.events.table import KINDS
 from closedloop.jit.interpreted import interpreted
 from closedloop.loops.wrench import parts_of
 from closedloop.report.assumptions import assumptions
+from closedloop.report.control_signals import limited_joints, run_signals
+from closedloop.report.control_verdict import judge_control
 from closedloop.report.measures import JOINT_MEASURES, MEASURES
 from closedloop.report.row_sample import Scale, energy_left, torque_power
 from closedloop.report.run_values import columns_of, run_values
@@ -41,6 +43,7 @@ def summarise(run: Record) -> dict[str, Any]:
     problems += step_problem(run, of_step) + _unresolved(run)
     return {
         "verdict": {"good": not problems, "problems": problems},
+        "control_verdict": _control(run, joints),
         "scenario": run.scenario.name,
         "robot": run.model.name,
         "law": run.law,
@@ -73,6 +76,14 @@ def _unresolved(run: Record) -> list[dict[str, Any]]:
     row = np.array(run.surface_normal[0]) @ robot.terms(q, np.zeros(robot.n)).jacobian
     found = unresolved(scenario, robot, q, row, -float(run.closure_error[0]))
     return [{"name": "resolution", "at": None, "text": text} for text in found]
+
+
+def _control(run: Record, joints: dict[str, Array]) -> dict[str, Any]:
+    """Return the verdict of the control, and what of it is not known."""
+    shares, since = joints["torque_limited_share"], joints["torque_limited_at"]
+    limited = limited_joints(run.model.joint_names, shares, since)
+    problems, unknown = judge_control(run_signals(run), limited, run.stopped)
+    return {"good": not problems, "problems": problems, "not_known": unknown}
 
 
 def _loops(run: Record) -> dict[str, dict[str, float]]:

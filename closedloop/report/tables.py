@@ -11,6 +11,7 @@ from closedloop.control.drives import OF_THE_ROBOT
 from closedloop.events.table import IMPACT, TOUCHDOWN
 from closedloop.friction.law import FrictionLaw
 from closedloop.integrators import scheme_of
+from closedloop.report.control_verdict import unknown_text
 from closedloop.report.report_rows import report_rows
 from closedloop.report.summary import run_gains_fault
 from closedloop.report.verdict import GOOD, names_of, probable_reason
@@ -125,19 +126,22 @@ def print_report(run: Record, width: int | None = None) -> None:
 
 
 def _print_verdict(facts: dict[str, Any], console: Console) -> None:
-    """Print the verdict in one line, and what is wrong in a line each."""
+    """Print the verdicts of numbers and control in a line each, at any width, and then what is wrong."""
     from rich.markup import escape
 
-    problems = facts["verdict"]["problems"]
+    problems, control = facts["verdict"]["problems"], facts["control_verdict"]
     if facts["verdict"]["good"]:
         left = facts["assumptions"]["nonsingular"]
+        outside = left["held"] is False and left["measured"].startswith("passed")
         passed = f", outside the paper's assumptions: singular pose {left['measured'].split(';')[0]}"
-        console.print(f"verdict: [green]{GOOD}[/]{passed if left['held'] is False else ''}", soft_wrap=True)
-        return
-    reason = probable_reason(problems)
-    why = f" ({reason})" if reason else ""
-    console.print(f"verdict: [bold red]BAD[/]: {names_of(problems)}{why}", soft_wrap=True)  # one line, at any width
-    for problem in problems:
+        console.print(f"verdict: [green]{GOOD}[/]{passed if outside else ''}", soft_wrap=True)
+    else:
+        reason = probable_reason(problems)
+        why = f" ({reason})" if reason else ""
+        console.print(f"verdict: [bold red]BAD[/]: {names_of(problems)}{why}", soft_wrap=True)
+    said = f"[green]{GOOD}[/]" if control["good"] else f"[bold red]BAD[/]: {names_of(control['problems'])}"
+    console.print(f"control: {said}{escape(unknown_text(control['not_known']))}", soft_wrap=True)
+    for problem in problems + control["problems"]:
         when = "" if problem["at"] is None else f" (from {problem['at']:.4g} s)"
         console.print(f"  [bold red]{problem['name']}[/]: {escape(problem['text'])}{when}")
 

@@ -24,6 +24,7 @@ from numpy.typing import NDArray
 from closedloop.errors import ClosedLoopError, InterruptedRunError, faults_on_one_line
 from closedloop.progress import bar
 from closedloop.record.run import Run
+from closedloop.report.control_verdict import told
 from closedloop.scenario.load import load_scenario
 from closedloop.scenario.scenario import Scenario
 from closedloop.simulation.simulate import simulate
@@ -129,11 +130,12 @@ def cell(controller: str, friction: str, ideal: bool = False) -> dict[str, Any]:
     """Run one controller on one kind of friction; a run that cannot go on is its reason."""
     row: dict[str, Any] = {"controller": controller, "friction": friction, "reason": ""}
     try:
-        return row | measures(simulate(scenario_of(controller, friction, ideal), engine="compiled"))
+        run = simulate(scenario_of(controller, friction, ideal), engine="compiled")
+        return row | measures(run) | {"control_verdict": told(run.summary())}
     except InterruptedRunError:
         raise
     except ClosedLoopError as error:
-        return row | dict.fromkeys(MEASURES, math.nan) | {"reason": faults_on_one_line(error)}
+        return row | dict.fromkeys(MEASURES, math.nan) | {"control_verdict": "", "reason": faults_on_one_line(error)}
 
 
 def measure(quick: bool = False) -> list[dict[str, Any]]:
@@ -150,7 +152,9 @@ def measure(quick: bool = False) -> list[dict[str, Any]]:
 def run(folder: Path, quick: bool = False, as_json: bool = False) -> list[dict[str, Any]]:
     """Do the study, write controllers.json, controllers.csv and the figure into `folder`, and print the table."""
     results = measure(quick)
-    said = write_results(folder, "controllers", ["controller", "friction", *MEASURES, "reason"], results)
+    said = write_results(
+        folder, "controllers", ["controller", "friction", *MEASURES, "control_verdict", "reason"], results
+    )
     figure = draw_controllers(results, folder)
     if as_json:
         print(said)
@@ -166,6 +170,7 @@ TITLES = {
     "path_rms": "path error along the surface, RMS [mm]",
     "settling": "settling after a rise of the force [s]",
 }
+CONTROL = "verdict of the control, see docs/verdict.md"
 CAPTION = (
     f"errors from {SETTLED_FROM:g} s to {RISES_AT:g} s; settling: from there, where f_des rises by {FORCE_STEP:g} N, "
     f"until the force keeps to {BAND:g} N"
@@ -194,13 +199,17 @@ def print_table(results: list[dict[str, Any]]) -> None:
     table = Table(box=box.SIMPLE_HEAD, caption=CAPTION, caption_justify="left")
     table.add_column("controller", no_wrap=True)
     for friction in frictions:
-        table.add_column(friction, justify="right", no_wrap=True)
+        table.add_column(friction, justify="right")
     for key, title in TITLES.items():
         table.add_row(Text(title, style="bold"))
         for controller in dict.fromkeys(row["controller"] for row in results):
             mine = [row for row in results if row["controller"] == controller]
             table.add_row(f"  {controller}", *(cell_text(row, key) for row in mine))
         table.add_section()
+    table.add_row(Text(CONTROL, style="bold"))
+    for controller in dict.fromkeys(row["controller"] for row in results):
+        mine = [row for row in results if row["controller"] == controller]
+        table.add_row(f"  {controller}", *(row.get("control_verdict") or "stopped" for row in mine))
     console.print(table)
 
 

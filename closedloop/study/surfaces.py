@@ -24,6 +24,7 @@ import numpy as np
 from closedloop.errors import ClosedLoopError, InterruptedRunError, faults_on_one_line
 from closedloop.progress import bar
 from closedloop.record.run import Run
+from closedloop.report.control_verdict import told
 from closedloop.scenario.load import load_scenario
 from closedloop.scenario.scenario import Scenario
 from closedloop.simulation.simulate import simulate
@@ -97,11 +98,12 @@ def cell(law: str, on: str, scenario: Scenario) -> dict[str, Any]:
     """Run one law on one surface, which `on` names; a run that cannot go on is its reason."""
     row: dict[str, Any] = {"law": law, "on": on, "reason": ""}
     try:
-        return row | measures(simulate(scenario, engine="compiled"))
+        run = simulate(scenario, engine="compiled")
+        return row | measures(run) | {"control_verdict": told(run.summary())}
     except InterruptedRunError:
         raise
     except ClosedLoopError as error:
-        return row | dict.fromkeys(MEASURES, math.nan) | {"reason": faults_on_one_line(error)}
+        return row | dict.fromkeys(MEASURES, math.nan) | {"control_verdict": "", "reason": faults_on_one_line(error)}
 
 
 def measure(quick: bool = False) -> list[dict[str, Any]]:
@@ -129,7 +131,7 @@ TITLES = {"force_rms": "force RMS\nN", "force_peak": "force peak\nN", "path_rms"
 def run(folder: Path, quick: bool = False, as_json: bool = False) -> list[dict[str, Any]]:
     """Do the study, write surfaces.json, surfaces.csv and the figure into `folder`, and print the tables."""
     results = measure(quick)
-    said = write_results(folder, "surfaces", ["law", "on", *MEASURES, "reason"], results)
+    said = write_results(folder, "surfaces", ["law", "on", *MEASURES, "control_verdict", "reason"], results)
     figure = draw_surfaces(results, folder)
     if as_json:
         print(said)
@@ -157,17 +159,24 @@ def print_tables(results: list[dict[str, Any]]) -> None:
     hard.add_column("law", no_wrap=True)
     for title in TITLES.values():
         hard.add_column(title, justify="right")
+    hard.add_column("control")
     for row in (row for row in results if row["on"] == BREATHING):
-        hard.add_row(row["law"], *(text_of(row, key) for key in MEASURES))
+        hard.add_row(row["law"], *(text_of(row, key) for key in MEASURES), row.get("control_verdict") or "stopped")
     console.print(hard)
     soft_rows = [row for row in results if row["on"] != BREATHING]
-    table = Table(box=box.SIMPLE_HEAD, title="soft, breathes: force RMS, N", title_justify="left")
+    table = Table(box=box.SIMPLE_HEAD, title="soft, breathes: force RMS, N, and the control", title_justify="left")
     table.add_column("law", no_wrap=True)
     for on in dict.fromkeys(row["on"] for row in soft_rows):
         table.add_column(on, justify="right")
     for law in dict.fromkeys(row["law"] for row in soft_rows):
-        table.add_row(law, *(text_of(row, "force_rms") for row in soft_rows if row["law"] == law))
+        table.add_row(law, *(f"{text_of(row, 'force_rms')} {_short(row)}" for row in soft_rows if row["law"] == law))
     console.print(table)
+
+
+def _short(row: dict[str, Any]) -> str:
+    """Return nothing of a good control, and what is wrong otherwise."""
+    said = row.get("control_verdict", "")
+    return "" if said == "good" else said
 
 
 def draw_surfaces(results: list[dict[str, Any]], folder: Path) -> Path:

@@ -89,7 +89,7 @@ def _signals_raise() -> Iterator[None]:
 
 
 def _sweep(arguments: list[str]) -> int:
-    from closedloop.command.border import DONE, NOT_GOOD, STOPPED
+    from closedloop.command.border import DONE, NOT_CONTROLLED, NOT_GOOD, STOPPED
     from closedloop.command.user_module import name_members
     from closedloop.errors import ScenarioError
     from closedloop.progress import count
@@ -140,7 +140,9 @@ def _sweep(arguments: list[str]) -> int:
 
     if options.strict and (result.verdicts or {HALTED, FAILED} & result.counts.keys()):
         return NOT_GOOD
-    return STOPPED if FAILED in result.counts else DONE
+    if FAILED in result.counts:
+        return STOPPED
+    return NOT_CONTROLLED if options.strict and result.controls else DONE
 
 
 def _asked_for(options: Namespace, overrides: dict[str, Any]) -> Sweep:
@@ -177,9 +179,11 @@ def _common(name: str, overrides: dict[str, Any], axes: Sequence[Axis], drawn: b
 def _counted(result: Joined) -> str:
     """Return how many runs ended how, and how many with a bad verdict, the commonest first."""
     text = ", ".join(f"{many} {status}" for status, many in sorted(result.counts.items()))
-    if result.verdicts:
-        worst = sorted(result.verdicts.items(), key=lambda item: (-item[1], item[0]))
-        text += f"; {sum(result.verdicts.values())} with a bad verdict: "
+    for what, found in (("a bad verdict", result.verdicts), ("bad control", result.controls)):
+        if not found:
+            continue
+        worst = sorted(found.items(), key=lambda item: (-item[1], item[0]))
+        text += f"; {sum(found.values())} with {what}: "
         text += "; ".join(f"{many} {said}" for said, many in worst[:MOST_VERDICTS])
         text += "; ..." if len(worst) > MOST_VERDICTS else ""
     return text
@@ -198,7 +202,8 @@ def _sweep_parser() -> Parser:
         epilog=list_of_sections(names_only=True)
         + "\n\nexit status: 0 done, runs stopped or refused are rows that say why; 2 the input is\n"
         "at fault; 3 an unforeseen error ended a run, or a cluster was lost; 4 with --strict,\n"
-        "a run did not end or has a bad verdict; 130 Ctrl-C, 143 SIGTERM",
+        "a run did not end or has a bad verdict, 5 with --strict, all verdicts are good but\n"
+        "one of a control; 130 Ctrl-C, 143 SIGTERM",
     )
     add = parser.add_argument
     add("scenario", metavar="SCENARIO", help="a shipped name, or a .toml file")

@@ -26,8 +26,8 @@ from closedloop.sweep.table_file import METADATA, description_of, open_table, pi
 if TYPE_CHECKING:
     import pyarrow as pa
 
-# The column that judges a run, where the table has it, and what it says of a good one.
-VERDICT, GOOD = "verdict", "good"
+# The columns that judge a run's numbers and its control, where the table has them, and what they say of a good one.
+VERDICT, CONTROL, GOOD = "verdict", "control_verdict", "good"
 # Rows of the table that are compressed together.
 ROWS_TOGETHER = 8192
 
@@ -46,12 +46,15 @@ class Joined:
         How many runs have each status.
     verdicts : mapping of str to int
         How many runs have each verdict that is not good.
+    controls : mapping of str to int
+        The same of the verdict of the control.
     """
 
     table: Path
     columns: Path | None
     counts: dict[str, int]
     verdicts: dict[str, int]
+    controls: dict[str, int]
 
 
 def already_there(identity: dict[str, Any], out: Path) -> Joined | None:
@@ -119,15 +122,17 @@ def join(store: Store, out: Path, parts: int, columns: pa.Schema, step: float) -
     kept = out.with_suffix(".nc") if store.identity["keep"] else None
     counts: Counter[str] = Counter()
     verdicts: Counter[str] = Counter()
+    controls: Counter[str] = Counter()
 
     def write(done: Done) -> None:
         def write_table(file: BinaryIO) -> None:
             with open_table(file, columns, description) as table:
                 for rows in _rows(store, parts, done.check):
                     table.write_table(rows, row_group_size=2**30)
-                    statuses, bad = _counted(rows)
+                    statuses, bad, uncontrolled = _counted(rows)
                     counts.update(statuses)
                     verdicts.update(bad)
+                    controls.update(uncontrolled)
 
         if kept is None and store.overwrite:
             _remove_columns(out)
@@ -143,7 +148,7 @@ def join(store: Store, out: Path, parts: int, columns: pa.Schema, step: float) -
             f"--out {out}: {error}; what was done is kept: once there is room, the same command goes on"
         ) from None
     store.remove()
-    return Joined(out, kept, dict(counts), dict(verdicts))
+    return Joined(out, kept, dict(counts), dict(verdicts), dict(controls))
 
 
 def _remove_columns(out: Path) -> None:
@@ -168,19 +173,22 @@ def _rows(store: Store, parts: int, check: Callable[[], None]) -> Iterator[pa.Ta
             waiting = []
 
 
-def _counted_all(pieces: Iterable[pa.Table]) -> tuple[dict[str, int], dict[str, int]]:
-    counts: tuple[Counter[str], Counter[str]] = Counter(), Counter()
+def _counted_all(pieces: Iterable[pa.Table]) -> tuple[dict[str, int], dict[str, int], dict[str, int]]:
+    counts: tuple[Counter[str], Counter[str], Counter[str]] = Counter(), Counter(), Counter()
     for rows in pieces:
         for count, more in zip(counts, _counted(rows), strict=True):
             count.update(more)
-    return dict(counts[0]), dict(counts[1])
+    return dict(counts[0]), dict(counts[1]), dict(counts[2])
 
 
-def _counted(rows: pa.Table) -> tuple[dict[str, int], dict[str, int]]:
-    """Return how many runs have each status, and each verdict that is not good."""
-    statuses = Counter(rows["status"].to_pylist())
-    verdicts = Counter(rows[VERDICT].to_pylist() if VERDICT in rows.column_names else ())
-    return dict(statuses), {said: many for said, many in verdicts.items() if said not in (None, GOOD)}
+def _counted(rows: pa.Table) -> tuple[dict[str, int], dict[str, int], dict[str, int]]:
+    """Return how many runs have each status, and each verdict of either kind that is not good."""
+
+    def bad(name: str) -> dict[str, int]:
+        said = Counter(rows[name].to_pylist() if name in rows.column_names else ())
+        return {word: many for word, many in said.items() if word is not None and word.partition(";")[0] != GOOD}
+
+    return dict(Counter(rows["status"].to_pylist())), bad(VERDICT), bad(CONTROL)
 
 
 def _of_netcdf(path: Path) -> Any:

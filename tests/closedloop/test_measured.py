@@ -146,6 +146,11 @@ def written_out(row, wanted, limits, V):
     size = np.sum(np.abs(r.torque), axis=0)
     far = np.flatnonzero(np.abs(miss) > SETTLED * np.max(np.abs(wanted.force)))
     settles = np.any(wanted.force) and far[-1] < count - 1
+    settled = np.nan
+    if settles:
+        around = np.abs(miss[far[-1] : far[-1] + 2])
+        bound = SETTLED * np.max(np.abs(wanted.force))
+        settled = H * (far[-1] + (around[0] - bound) / (around[0] - around[1]))
     left = r.kinetic_energy + V - r.kinetic_energy[0] - V[0] - r.energy_supplied + r.energy_supplied[0]
     friction = np.sum(r.friction_force * r.slip_velocity, axis=1) + np.sum(r.joint_friction * r.v, axis=1)
     near, way = least <= NEAR_SINGULAR, (least > NEAR_SINGULAR) & (least <= ON_THE_WAY)
@@ -154,8 +159,10 @@ def written_out(row, wanted, limits, V):
     slippery = np.all(r.friction_force == 0.0, axis=1) & np.all(r.joint_friction == 0.0, axis=1)
     met = {
         "one_loop": (r.residual_closure <= RESIDUAL_TOLERANCE) & (r.mode != STUCK), "single_point": solved,
-        "contact_kept": touching & (f > 0.0), "frictionless": solved & slippery, "nonsingular": least > NEAR_SINGULAR,
+        "contact_kept": touching & (f > 0.0), "frictionless": solved & slippery, "nonsingular": (least >
+        NEAR_SINGULAR) | ~touching,
     }  # fmt: skip
+    failed = ~met["nonsingular"]
     lower, upper, fast, strong = limits
     excess = np.maximum(r.q - upper, lower - r.q)
     return {
@@ -170,7 +177,7 @@ def written_out(row, wanted, limits, V):
         "max_kkt_condition": np.max(r.kkt_condition),
         "max_kkt_residual": max(np.max(r.residual_motion), np.max(r.residual_closure)),
         "min_normal_mobility": np.min(least),
-        "singular_pose_passed": float(near.any() and not near[0] and not near[-1] and not grown),
+        "singular_pose_passed": float(failed.any() and not failed[0] and not near[-1] and not grown),
         "max_energy_residual": np.max(np.abs(left)),
         "energy_exchanged": trapezoids(np.abs(np.sum(r.torque * r.v, axis=1))),
         "deepest_penetration": max(0.0, np.max(-e)),
@@ -182,7 +189,7 @@ def written_out(row, wanted, limits, V):
         "largest_rate_cut": 0.0,
         "max_kinetic_energy": np.max(r.kinetic_energy),
         "rms_force_error": np.sqrt(np.mean(miss[touching] ** 2)) if np.any(touching) else np.nan,
-        "force_settled_at": H * (far[-1] + 1) if settles else np.nan,
+        "force_settled_at": settled,
         "rms_path_error": np.sqrt(np.mean(np.sum(off**2, axis=1))),
         "start_closure_error": e[0] if touching[0] else 0.0,
         "force_chatter": alternating(f) / np.sum(np.abs(f)) if np.any(f) else 0.0,

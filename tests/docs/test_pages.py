@@ -32,8 +32,16 @@ def generate():
 def generated(generate, tmp_path_factory):
     """Return the pages that follow from the code, by name."""
     folder = tmp_path_factory.mktemp("generated")
-    generate.write(folder)
+    generate.write(folder, ["planar2_slide"])  # all of them take minutes
     return {page.stem: page.read_text(encoding="utf-8") for page in folder.iterdir()}
+
+
+def test_both_verdicts_are_tabled(generate, generated):
+    """A row for each scenario, with what is wrong of one that is bad."""
+    assert "`planar2_slide` | good | good |" in generated["verdicts"]
+    good, bad = {"problems": []}, {"problems": [{"name": "bouncing", "text": "3 touchdowns"}]}
+    facts = {"verdict": good, "control_verdict": bad}
+    assert generate.verdicts_of(facts) == ("good", "bouncing", "3 touchdowns")
 
 
 def run(command, folder):

@@ -13,6 +13,7 @@ document.querySelector("h1").textContent = data.title;
 $("about").textContent = data.about;
 $("stopped").hidden = !data.stopped;
 $("stopped").textContent = data.stopped;
+$("verdicts").textContent = data.verdicts.join("; ");
 $("command").textContent = data.command;
 $("scenario").textContent = data.scenario;
 const marks = data.shapes.filter((s) => s.kind).map((s) => [s.kind, s.colour]);

@@ -18,12 +18,14 @@ import robot_models
 from closedloop.columns.recorded import ALL_COLUMNS, CONTACT_COLUMNS, columns_there
 from closedloop.errors import ClosedLoopError, RunFileError, faults_on_one_line
 from closedloop.files import reason_of
+from closedloop.record.halved import checked_comparison
 from closedloop.record.run import Run
 from closedloop.record.save import (
     ATTRIBUTES,
     CHECKSUM,
     FORMAT,
     FORMAT_VERSION,
+    HALVED,
     LATER_TEXTS,
     MEMBERS,
     TEXTS,
@@ -106,6 +108,7 @@ def _run_of(found: Mapping[str, Any], columns: dict[str, NDArray[Any]]) -> Run:
         engine=found["engine"],
         law_digest=found["law_digest"],
         member_digests=members,
+        halved=checked_comparison(json.loads(found[HALVED])) if HALVED in found else None,
     )
 
 

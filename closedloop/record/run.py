@@ -76,6 +76,8 @@ class Run:
         SHA-256 of the text of the user's law, see `closedloop.engines.law_source.law_digest`; "" if it is not known.
     member_digests : mapping of str to str
         Name, MODULE:CLASS, of each user's class that the scenario picks, to the same of its text.
+    halved : mapping, optional
+        By how much it differs from the same run at half the step, see `closedloop.simulation.halve`.
     """
 
     scenario: Scenario
@@ -88,6 +90,7 @@ class Run:
     engine: str = "pinocchio"
     law_digest: str = ""
     member_digests: Mapping[str, str] = field(default_factory=dict)
+    halved: Mapping[str, Any] | None = None
 
     def __post_init__(self) -> None:
         derived = (self.__dict__[name] for name in DERIVED if name in self.__dict__)

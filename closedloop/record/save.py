@@ -32,8 +32,10 @@ TEXTS = ("scenario", "robot_text", "robot", "law", "versions", "stopped")
 LATER_TEXTS = ("engine", "law_digest", "not_finite")
 # An attribute of a run with users' classes only: JSON of their names and the SHA-256 of their texts.
 MEMBERS = "members"
+# An attribute of a run that was compared with one at half its step: JSON, see `closedloop.report.halved`.
+HALVED = "halved"
 # What the checksum is of.
-ATTRIBUTES = {"format", "format_version", "seed", "wall_seconds", "summary", *TEXTS, *LATER_TEXTS, MEMBERS}
+ATTRIBUTES = {"format", "format_version", "seed", "wall_seconds", "summary", *TEXTS, *LATER_TEXTS, MEMBERS, HALVED}
 
 
 def question(
@@ -70,7 +72,7 @@ def attributes(run: Record) -> dict[str, Any]:
         "wall_seconds": run.wall_seconds,
         "not_finite": json.dumps(not_finite(run.columns)),
         "summary": json.dumps(run.summary()),
-    }
+    } | ({HALVED: json.dumps(dict(run.halved))} if run.halved is not None else {})
 
 
 def _seed(run: Record) -> str:

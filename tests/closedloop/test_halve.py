@@ -109,14 +109,3 @@ def test_the_command_runs_it_twice_and_says_what_differs(command_line):
     refusal = command_line("planar2_slide", "--time.integrator", "dop853", "--halve", "--out", "no").refusal()
     assert "--halve: time.integrator = 'dop853'" in refusal
     assert "time.tolerance" in refusal
-
-
-@pytest.mark.slow
-def test_a_soft_surface_that_only_short_steps_resolve_is_bad():
-    """Peak f falls from 56 N to 26 N as the step is halved, with an admittance that the sensor's delay drives."""
-    changes = {
-        "surface.contact": "unilateral", "compliance.kind": "kelvin_voigt", "compliance.stiffness": 2.5e5,
-        "compliance.damping": 108.0, "law.kind": "admittance", "law.force_integral": 5.0, "sensor.delay": 0.01,
-    }  # fmt: skip
-    run = cl.halve(cl.load_scenario("joint_friction", changes), engine="compiled")
-    assert "step" in {problem["name"] for problem in run.summary()["verdict"]["problems"]}

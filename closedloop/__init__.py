@@ -7,6 +7,7 @@
 Simulate
     load_scenario, shipped_scenarios, Scenario    what is simulated
     simulate                                      a scenario to its end, as a Run
+    halve                                         the same, and by how much it differs at half the step
     Simulator, StepState                          the same step by step, driven from outside
     simulate_batch, sweep_plot                    many runs at once; maps of a sweep
     Run, Event, load_run                          the record, what happened to the contact, a run file
@@ -70,6 +71,7 @@ if TYPE_CHECKING:
     from closedloop.scenario.file import shipped_scenarios as shipped_scenarios
     from closedloop.scenario.load import load_scenario as load_scenario
     from closedloop.scenario.scenario import Scenario as Scenario
+    from closedloop.simulation.halve import halve as halve
     from closedloop.simulation.prepare import prepare as prepare
     from closedloop.simulation.simulate import simulate as simulate
     from closedloop.simulation.simulator import Simulator as Simulator
@@ -111,6 +113,7 @@ _HOME = {
     "StepState": "simulation.state",
     "Terms": "robot.pinocchio",
     "figures": "figures",
+    "halve": "simulation.halve",
     "lab": "lab.start",
     "load_run": "record.load",
     "load_scenario": "scenario.load",

@@ -11,15 +11,15 @@ import json
 import os
 import sys
 from argparse import Namespace
-from collections.abc import Callable, Iterator, Sequence
-from contextlib import contextmanager, redirect_stdout
+from collections.abc import Callable, Sequence
 from dataclasses import replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, NamedTuple
+from typing import TYPE_CHECKING, Any
 
 from closedloop.command.border import DONE, NOT_CONTROLLED, NOT_GOOD, Parser, run_command
 from closedloop.command.cautions import warn_of_gains, warn_of_other_texts
 from closedloop.command.help import list_of_sections, scenario_parser
+from closedloop.command.job import Job, halved, simulated, without_stabiliser
 from closedloop.command.lists import list_of_scenarios, versions
 from closedloop.command.user_module import import_law
 from closedloop.errors import (
@@ -27,7 +27,6 @@ from closedloop.errors import (
     InterruptedRunError,
     OutputError,
     ScenarioError,
-    SimulationError,
     lines_of,
 )
 from closedloop.interrupts import Terminated, word_for
@@ -35,7 +34,6 @@ from closedloop.scenario.load import load_scenario, parse_scenario
 from closedloop.scenario.members import member_digests
 from closedloop.scenario.overrides import split_overrides
 from closedloop.scenario.scenario import Scenario
-from closedloop.second_process import Beside
 
 if TYPE_CHECKING:
     from closedloop.command.results import Results
@@ -74,13 +72,15 @@ def _run(options: Namespace, overrides: dict[str, Any]) -> int:
         return _run_into(results, job._replace(folder=results.folder), options)
 
 
-def _run_into(results: Results, job: _Job, options: Namespace) -> int:
+def _run_into(results: Results, job: Job, options: Namespace) -> int:
     if job.earlier is not None:
         warn_of_other_texts(options.scenario, job.earlier, {options.law or "": job.digest, **job.members})
     if job.law is None:
         warn_of_gains(job.scenario, job.model)
-    with _without_stabiliser(job, not options.no_figures) as unstabilised:
-        run, failure = _simulate(job, progress=not options.json)
+    with without_stabiliser(job, not options.no_figures) as unstabilised:
+        run, failure = simulated(job, progress=not options.json)
+        if options.halve:
+            run, failure = halved(job, run, failure, progress=not options.json)
         if options.law:
             run = replace(run, law=options.law)
         paths = results.save(run, failure)
@@ -108,24 +108,7 @@ def _run_into(results: Results, job: _Job, options: Namespace) -> int:
     return NOT_CONTROLLED if options.strict and not facts["control_verdict"]["good"] else DONE
 
 
-class _Job(NamedTuple):
-    """What is to be simulated, with which law and engine, and where the results go.
-
-    `law` is None for the scenario's own, `law_name` what the record calls it; `earlier` is the run that is repeated.
-    """
-
-    scenario: Scenario
-    model: Any
-    law: Any
-    law_name: str
-    digest: str
-    members: dict[str, str]
-    engine: str
-    folder: Path
-    earlier: Run | None
-
-
-def _job(options: Namespace, overrides: dict[str, Any]) -> _Job:
+def _job(options: Namespace, overrides: dict[str, Any]) -> Job:
     try:
         scenario, model, earlier = _open(options.scenario, overrides)
     except ScenarioError as error:
@@ -143,7 +126,9 @@ def _job(options: Namespace, overrides: dict[str, Any]) -> _Job:
 
     engine = options.engine or (earlier.engine if earlier else "pinocchio")
     check_engine(scenario, engine, law)
-    return _Job(
+    if options.halve:
+        _refuse_to_halve(scenario)
+    return Job(
         scenario=scenario,
         model=load_model(scenario) if model is None else model,
         law=law,
@@ -156,7 +141,18 @@ def _job(options: Namespace, overrides: dict[str, Any]) -> _Job:
     )
 
 
-def _results(job: _Job, options: Namespace) -> Results:
+def _refuse_to_halve(scenario: Scenario) -> None:
+    """Say why a scenario cannot be run at half its step, before it is run at all."""
+    from closedloop.simulation.halve import half_step
+    from closedloop.simulation.time_step import steps_and_hold
+
+    try:
+        steps_and_hold(half_step(scenario), 1)
+    except ScenarioError as error:
+        raise ScenarioError(*(f"--halve: {fault}" for fault in error.faults)) from None
+
+
+def _results(job: Job, options: Namespace) -> Results:
     """Return where the results go, saying what is at fault with the scenario too if they cannot go there."""
     from closedloop.command.results import Results, first_free
     from closedloop.record.save import question
@@ -168,21 +164,6 @@ def _results(job: _Job, options: Namespace) -> Results:
         if faults := _faults_of(job.scenario, job.model):
             raise ScenarioError(*faults, str(error)) from None
         raise
-
-
-def _simulate(job: _Job, progress: bool) -> tuple[Run, SimulationError | None]:
-    """Return the run, or what there is of one that could not go on, and why it could not."""
-    from closedloop.engines.law_source import fresh
-    from closedloop.simulation.simulate import simulate
-
-    asked = {"model": job.model, "progress": progress, "engine": job.engine}
-    try:
-        with redirect_stdout(sys.stderr):  # what a law prints is no result
-            return simulate(job.scenario, law=fresh(job.law), **asked), None
-    except SimulationError as error:
-        if error.run is None or (isinstance(error, InterruptedRunError) and len(error.run) == 0):
-            raise
-        return error.run, error
 
 
 def _fault_of_out(out: str | None) -> list[str]:
@@ -234,6 +215,7 @@ def _parser() -> Parser:
     add("--overwrite", action="store_true", help="replace results of another run in that folder")
     add("--no-figures", action="store_true", help="write run.nc and summary.json only")
     add("--json", action="store_true", help="print the summary as JSON instead of tables")
+    add("--halve", action="store_true", help="run it at half the step too, and say by how much each value differs")
     add(
         "--strict",
         action="store_true",
@@ -254,53 +236,6 @@ def _open(name: str, overrides: dict[str, Any]) -> tuple[Scenario, Any, Run | No
     scenario = parse_scenario(earlier.scenario.to_toml(), where=name, overrides=overrides)
     changed = any(key.startswith("robot.") and key != "robot.tip" for key in overrides)
     return scenario, None if changed else earlier.model, earlier
-
-
-@contextmanager
-def _without_stabiliser(job: _Job, wanted: bool) -> Iterator[Callable[[], Any] | None]:
-    """Yield what gives the same scenario without its stabiliser, for Fig. 7; None where there is no such figure.
-
-    A run takes seconds while its loop is not compiled yet: the two are then simulated side by side.
-    """
-    if not wanted or job.scenario.stabiliser.kind == "none":
-        yield None
-        return
-    from closedloop.engines.loops import loop_for
-    from closedloop.figures import closure_error, images_of, is_papers
-    from closedloop.jit import background
-    from closedloop.jit.interim import at_hand
-
-    if not is_papers(job.scenario.name):
-        yield None
-        return
-    plain = parse_scenario(
-        job.scenario.to_toml(), where=job.scenario.name, overrides={"stabiliser.kind": "none"}
-    )  # fmt: skip
-
-    def simulated() -> Run | None:
-        try:
-            run, failure = _simulate(job._replace(scenario=plain), progress=False)
-        except InterruptedRunError:
-            raise
-        except SimulationError:
-            return None
-        if isinstance(failure, InterruptedRunError):
-            raise failure
-        return None if failure else run
-
-    def drawn() -> Any:
-        background.left_to_another = True
-        run = simulated()
-        return run and images_of(closure_error, run)
-
-    if at_hand(loop_for(job.engine)):
-        yield simulated
-        return
-    beside = Beside(drawn)
-    try:
-        yield beside.result
-    finally:
-        beside.stop()
 
 
 if __name__ == "__main__":

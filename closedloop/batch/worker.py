@@ -35,9 +35,10 @@ from closedloop.report.limited import count_limited
 from closedloop.report.measured import FAILED_AT, WIDTH, Tally, Values, measure_rows
 from closedloop.report.row_assumptions import NAMES
 from closedloop.report.row_sample import joint_limits
-from closedloop.report.tabled import verdict_of
+from closedloop.report.tabled import forget_step_error, verdict_of
 from closedloop.robot.pinocchio import Robot
 from closedloop.robot.tree import Tree
+from closedloop.scenario.modes import unresolved
 from closedloop.scenario.scenario import Scenario
 from closedloop.simulation.cache import Cache
 from closedloop.simulation.prepare import prepare
@@ -213,6 +214,7 @@ class Worker:
         rows = lane_runs.rows(lane)
         columns = {name: recorded(rows, lane_runs.n, name) for name in self._keep}
         steps, values = lane_runs.kind.steps, lane_runs.values(lane)
+        forget_step_error(scenario, lane_runs.kind.robot, values)
         verdict = verdict_of(scenario, lane_runs.kind.robot, values, steps)
         control = control_in_lanes(lane_runs, lane, scenario)
         return Outcome(RAN, None, steps + 1, values, lane_runs.end, columns, verdict, control)
@@ -226,10 +228,12 @@ class Worker:
         if len(rows) > 0:
             make_ready(measure_rows)
             robot, work = tree
+            wanted = problem.table, problem.nodes, max(1, problem.hold)
             measure_rows(
-                robot, (work, np.empty(Tally.count(n))), rows, (problem.table, problem.nodes), problem.h,
+                robot, (work, np.empty(Tally.count(n))), rows, wanted, problem.h,
                 joint_limits(problem.robot.model), events, values,
             )  # fmt: skip
+            forget_step_error(problem.scenario, problem.robot, values)
             if problem.scenario.drives != DrivesSection():
                 count_limited(recorded(rows, n, "torque_limited"), problem.h, Values(values, n))
         columns = {
@@ -240,7 +244,8 @@ class Worker:
         if isinstance(failure, SingularClosureError) and np.isnan(values[SINGULAR_AT]):
             values[SINGULAR_AT] = end + problem.h  # no row was near it: the step after the last was
         reason = None if failure is None else str(failure)
-        verdict = verdict_of(problem.scenario, problem.robot, values, len(rows) - 1, reason)
+        swings = _unresolved(problem, rows)
+        verdict = verdict_of(problem.scenario, problem.robot, values, len(rows) - 1, reason, swings)
         control = control_of_rows(problem, rows, events, values, reason)
         status = RAN if failure is None else STOPPED
         return Outcome(status, reason, len(rows), values, end, columns, verdict, control)
@@ -258,6 +263,13 @@ class Worker:
         if self._rows.size < count:
             self._rows = np.empty(count)
         return self._rows[:count].reshape(-1, width)
+
+
+def _unresolved(problem: Problem, rows: Array) -> list[str]:
+    if not len(rows):
+        return []
+    first = Row(rows[0], problem.robot.n)
+    return unresolved(problem.scenario, problem.robot, problem.q, first.surface_normal, -float(first.closure_error))
 
 
 def failed(error: Exception) -> Outcome:

@@ -69,6 +69,10 @@ class Record(Protocol):
         """Time the simulation took, s."""
 
     @property
+    def halved(self) -> Mapping[str, Any] | None:
+        """By how much it differs from the same run at half the step; None if that was not run."""
+
+    @property
     def events(self) -> tuple[Event, ...]:
         """What happened to the contact, in order of time."""
 

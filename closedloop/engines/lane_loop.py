@@ -26,6 +26,7 @@ from closedloop.jit.pointers import matrix_at
 from closedloop.jit.simd8 import WIDE, every
 from closedloop.report.measured import Tally, Values, begin_tally, count_condition, count_row, write_values
 from closedloop.report.row_sample import JointLimits
+from closedloop.report.step_variation import Swings, count_swings, end_stretch
 from closedloop.robot.tree import Tree, energy_there, tree_terms, work_size
 from closedloop.step.advance import advance
 from closedloop.step.energy_supplied import add_stage_work, commit_work, save_power
@@ -165,6 +166,7 @@ def run_in_lanes(
                 potential = energy_there(tree, scratch)
                 write_signals(w, wanted, signals, row, worst)
                 count_row(Row(rows[slot], n), n, potential, wanted, joint_limits, row, tally)
+                count_swings(Row(rows[slot], n), wanted, row, max(1, hold), Swings(tally.swings))
                 if row == steps:
                     record_conditions(w.batch, rows, state, slot + 1, n)
                 if state.batched == 0:
@@ -178,6 +180,7 @@ def run_in_lanes(
                 add_stage_work(w, state, stage, h, tableau[stages, stage])
                 advance(stage, h, semi_implicit, False, tableau, w)
         commit_work(w)
+    end_stretch(max(1, hold), Swings(tally.swings))
     write_values(Row(rows[steps % kept], n), n, steps + 1, tally, values)
     return OK
 

@@ -21,6 +21,7 @@ from closedloop.columns.recorded import ALL_COLUMNS, CONTACT_COLUMNS, Column, co
 from closedloop.errors import ClosedLoopError, RunFileError, faults_on_one_line
 from closedloop.events.table import KINDS
 from closedloop.files import reason_of
+from closedloop.record.halved import checked_comparison
 from closedloop.record.run import Run
 from closedloop.record.save import (
     ADDED,
@@ -28,6 +29,7 @@ from closedloop.record.save import (
     CHECKSUM,
     FORMAT,
     FORMAT_VERSION,
+    HALVED,
     LATER_TEXTS,
     MEMBERS,
     TEXTS,
@@ -113,6 +115,7 @@ def _run_of(found: Mapping[str, Any], columns: dict[str, NDArray[Any]]) -> Run:
         law_digest=found["law_digest"],
         member_digests=members,
         added=added,
+        halved=checked_comparison(json.loads(found[HALVED])) if HALVED in found else None,
     )
 
 

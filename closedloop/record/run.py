@@ -80,6 +80,8 @@ class Run:
     added : mapping of str to Column
         Dimensions, unit and meaning of the columns that not every run has: states of its law, ``law_NAME``, and what
         `record` of `closedloop.simulate` asked for.
+    halved : mapping, optional
+        By how much it differs from the same run at half the step, see `closedloop.simulation.halve`.
     """
 
     scenario: Scenario
@@ -93,6 +95,7 @@ class Run:
     law_digest: str = ""
     member_digests: Mapping[str, str] = field(default_factory=dict)
     added: Mapping[str, Column] = field(default_factory=dict)
+    halved: Mapping[str, Any] | None = None
 
     def __post_init__(self) -> None:
         derived = (self.__dict__[name] for name in DERIVED if name in self.__dict__)

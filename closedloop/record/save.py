@@ -36,8 +36,12 @@ LATER_TEXTS = ("engine", "law_digest", "not_finite")
 MEMBERS = "members"
 # An attribute of a run that has columns beyond those of all runs: what they are, see `closedloop.columns.added`.
 ADDED = "added"
+# An attribute of a run that was compared with one at half its step: JSON, see `closedloop.report.halved`.
+HALVED = "halved"
 # What the checksum is of.
-ATTRIBUTES = {ADDED, "format", "format_version", "seed", "wall_seconds", "summary", *TEXTS, *LATER_TEXTS, MEMBERS}
+ATTRIBUTES = {
+    ADDED, "format", "format_version", "seed", "wall_seconds", "summary", *TEXTS, *LATER_TEXTS, MEMBERS, HALVED,
+}  # fmt: skip
 
 
 def question(
@@ -74,7 +78,13 @@ def attributes(run: Record) -> dict[str, Any]:
         "wall_seconds": run.wall_seconds,
         "not_finite": json.dumps(not_finite(run.columns)),
         "summary": json.dumps(run.summary()),
-    } | ({ADDED: as_text(run.added)} if run.added else {})
+    } | _more(run)
+
+
+def _more(run: Record) -> dict[str, str]:
+    """Return the attributes that only some runs have."""
+    more = {ADDED: as_text(run.added)} if run.added else {}
+    return more | ({HALVED: json.dumps(dict(run.halved))} if run.halved is not None else {})
 
 
 def _seed(run: Record) -> str:

@@ -33,6 +33,7 @@ from closedloop.report.row_sample import (
     Sums,
     sample_row,
 )
+from closedloop.report.step_variation import SIGNALS, Swing, Swings, begin_swings, count_swings, end_stretch
 from closedloop.robot.tree import Tree, tree_potential_energy
 from closedloop.step.memory import Reference
 from closedloop.step.record_row import Row
@@ -74,11 +75,12 @@ class Tally(Block, sizes=("n",)):
     first: Annotated[Array, Flags.count(N)]
     signals: Annotated[Array, Signals.count(N), Signal.count()]
     sample: Annotated[Array, Sample.count(N)]
+    swings: Annotated[Array, Swings.count()]
 
 
 @entry_kernel
 def measure_rows(
-    tree: Tree, scratch: tuple[Array, Array], rows: Array, wanted: tuple[Array, int], h: float, limits: Array,
+    tree: Tree, scratch: tuple[Array, Array], rows: Array, wanted: tuple[Array, int, int], h: float, limits: Array,
     events: Array, out: Array,
 ) -> None:  # fmt: skip
     """Write the values of a run.
@@ -91,9 +93,9 @@ def measure_rows(
         From `closedloop.engines.compiled.compiled_work`, and (Tally.count(n),).
     rows : (N, width) array
         The record, N >= 1 of `closedloop.step.record_row.Row`s, `h` seconds apart.
-    wanted : (P, >= 2 n + 10) array, int
-        The table of what is desired, see `closedloop.step.reference_row`, and how many of its rows there are to each of
-        the record's.
+    wanted : (P, >= 2 n + 10) array, int, int
+        The table of what is desired, see `closedloop.step.reference_row`, how many of its rows there are to each of
+        the record's, and for how many steps a torque is held, at least 1.
     limits : (4 n,) array
         See `closedloop.report.row_sample.joint_limits`.
     events : (E, EVENT_WIDTH) array
@@ -102,7 +104,7 @@ def measure_rows(
         Written.
     """
     n, count = tree.n, rows.shape[0]
-    (terms, memory), (table, nodes) = scratch, wanted
+    (terms, memory), (table, nodes, held) = scratch, wanted
     largest = 0.0
     for i in range(count):
         largest = max(largest, abs(Reference(table[i * nodes], n).force))
@@ -114,6 +116,8 @@ def measure_rows(
         potential = tree_potential_energy(tree, row.q, sines)
         count_row(row, n, potential, Reference(table[i * nodes], n), joint_limits, i, tally)
         count_condition(row, tally)
+        count_swings(row, Reference(table[i * nodes], n), i, held, Swings(tally.swings))
+    end_stretch(held, Swings(tally.swings))
     write_values(Row(rows[count - 1], n), n, count, tally, values)
     for i in range(events.shape[0]):
         event = EventRow(events[i])
@@ -129,6 +133,9 @@ def begin_tally(tally: Tally, n: int, h: float, largest: float) -> None:
     tally.excess_before = tally.settled = 0.0
     scale = Scale(tally.scale)
     scale.largest_force = largest
+    for k in range(tally.swings.shape[0]):
+        tally.swings[k] = 0.0
+    begin_swings(Swings(tally.swings))
     for k in range(tally.work.shape[0]):
         tally.work[k] = tally.powers_before[k] = 0.0
     for k in range(tally.greatest.shape[0]):
@@ -209,6 +216,8 @@ def write_values(last: Any, n: int, count: int, tally: Tally, values: Any) -> No
     force, joint_friction, mean = Signal(tally.signals[0]), 0.0 * sums.force, 0.0 * sums.force
     values.force_chatter = share_of(force.alternating, sums.force)
     values.energy_lost_in_impacts = values.largest_rate_cut = 0.0
+    values.largest_reference_force = scale.largest_force
+    write_step_error(Swings(tally.swings), values)
     for k in range(values.events.shape[0]):
         values.events[k] = 0.0
     for k in range(values.failed_at.shape[0]):
@@ -226,6 +235,20 @@ def write_values(last: Any, n: int, count: int, tally: Tally, values: Any) -> No
         values.effort_limit_exceeded_at[j] = first.effort[j]
         values.torque_limited_share[j], values.torque_limited_at[j] = 0.0, math.nan  # see `closedloop.report.limited`
         values.torque_chatter[j] = share_of(torque.alternating, max(sums.torque[j], LEAST_TORQUE * mean))
+
+
+@kernel_inlined
+def write_step_error(swings: Swings, values: Any) -> None:
+    """Write the errors of the step, see `closedloop.report.step_error`: no signal errs by more than its range."""
+    squared = 0.0
+    for k in range(SIGNALS):
+        swing = Swing(swings.each[k])
+        error = min(swing.error, swing.highest - swing.lowest)
+        if k == 0:
+            values.step_error_force = error
+        else:
+            squared += error * error
+    values.step_error_position = math.sqrt(squared)
 
 
 @kernel_inlined

@@ -44,6 +44,9 @@ MEASURES: dict[str, Measure] = {
     "rms_path_error": Measure("m", "RMS distance of the tip from its path, along the surface"),
     "max_kinetic_energy": Measure("J", "highest kinetic energy"),
     "start_closure_error": Measure("m", "closure error at the start, if in contact then; positive off the surface"),
+    "largest_reference_force": Measure("N", "largest contact force asked for, either way"),
+    "step_error_force": Measure("N", "how far the step leaves the contact force uncertain; none where it is not known"),
+    "step_error_position": Measure("m", "how far the step leaves the tip uncertain; none where it is not known"),
     "force_chatter": Measure("1", "share of the contact force that alternates from row to row"),
 }
 

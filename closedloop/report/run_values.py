@@ -20,6 +20,8 @@ from closedloop.report.alternation import SPAN, alternation
 from closedloop.report.limited import count_limited
 from closedloop.report.measured import Tally, Values, begin_tally, share_inside, write_values
 from closedloop.report.row_sample import JointLimits, Sample, Scale, joint_limits, sample_row
+from closedloop.report.step_error import write_swings
+from closedloop.report.step_variation import Swings
 from closedloop.step.record_row import RECORDED
 
 Array = NDArray[np.float64]
@@ -55,6 +57,7 @@ def run_values(run: Record) -> Any:
         signals = np.hstack([signals[:, 1 - SPAN :], sample.signals])
         tally.signals[:, -1] += alternation(signals.T)
     tally.condition = np.max(run.kkt_condition)
+    write_swings(run, Swings(tally.swings))
     last = SimpleNamespace(**{name: getattr(run, name)[-1] for name in _LAST})
     interpreted(write_values)(last, n, count, tally, values)
     if "torque_limited" in run.columns:

@@ -23,32 +23,30 @@ from numpy.typing import NDArray
 from closedloop.closure.contact_force import FREE
 from closedloop.columns.record import Record
 from closedloop.integrators import ADAPTIVE, scheme_of
+from closedloop.jit.interpreted import interpreted
+from closedloop.report.step_variation import SPAN, Swing, Swings, cut_slope
+from closedloop.scenario.scenario import Scenario
+from robot_models import RobotModel
 
 Array = NDArray[np.float64]
 
-# The share of the largest force asked for that the step may cost. Shipped scenarios state 0.35 at most.
-LARGEST_SHARE = 0.5
 
-
-def step_error(run: Record) -> dict[str, Any]:
-    """Return ``contact_force``, N, and ``position``, m, and ``why_not``: why they are None, or None.
-
-    They are the largest difference from a run at a much shorter step, over the rows that are not beside a change of the
-    mode of contact.
-    """
-    why = _why_not(run)
-    if why:
-        return {"contact_force": None, "position": None, "why_not": why}
+def write_swings(run: Record, swings: Swings) -> None:
+    """Write what the rows of a run, at least one, come to, see `closedloop.report.step_variation`."""
     miss = np.where(run.mode != FREE, run.contact_force - run.reference_force, 0.0)
     signals = np.column_stack([miss, run.position - run.reference_tip])
-    period = run.scenario.law.sample_period
-    held = max(1, round(period / run.scenario.time.step)) if period else 1
-    total = np.zeros(signals.shape[1])
-    ends = [0, *(np.flatnonzero(np.diff(run.mode)) + 1), len(run)]
-    for begin, end in pairwise(ends):
+    held, total = held_for(run.scenario), np.zeros(signals.shape[1])
+    for begin, end in pairwise([0, *(np.flatnonzero(np.diff(run.mode)) + 1), len(run)]):
         total += variation(signals[-(-begin // held) * held : end : held]) / held
-    total = np.minimum(total, np.ptp(signals, axis=0))
-    return {"contact_force": float(total[0]), "position": float(np.linalg.norm(total[1:])), "why_not": None}
+    for k, error in enumerate(total):
+        swing = Swing(swings.each[k])
+        swing.error, swing.lowest, swing.highest = error, np.min(signals[:, k]), np.max(signals[:, k])
+
+
+def held_for(scenario: Scenario) -> int:
+    """Return for how many steps the law's torque is held, at least 1."""
+    period = scenario.law.sample_period
+    return max(1, round(period / scenario.time.step)) if period else 1
 
 
 def variation(signals: Array) -> Array:
@@ -56,50 +54,48 @@ def variation(signals: Array) -> Array:
 
     Of fewer than four rows it is half of their range: nothing is known of what they resolve.
     """
-    if signals.shape[0] < 4:
+    if signals.shape[0] < SPAN:
         return 0.5 * np.ptp(signals, axis=0) if signals.shape[0] else np.zeros(signals.shape[1])
     steps = np.diff(signals, axis=0)
-    size = np.abs(steps)
-    beside = np.zeros_like(size)
-    beside[1:] = size[:-1]
-    beside[:-1] = np.maximum(beside[:-1], size[1:])
-    clipped = np.sign(steps) * np.minimum(size, beside)
-    half: Array = 0.5 * np.sum(np.abs(np.diff(clipped, axis=0)), axis=0)
+    none = np.zeros((1, signals.shape[1]))
+    cut = interpreted(cut_slope)(np.vstack([none, steps[:-1]]), steps, np.vstack([steps[1:], none]))
+    half: Array = 0.5 * np.sum(np.abs(np.diff(cut, axis=0)), axis=0)
     return half
 
 
-def _why_not(run: Record) -> str:
-    name = run.scenario.time.integrator
-    if len(run) == 0:
-        return "no row could be computed"
+def why_not_known(scenario: Scenario, model: RobotModel) -> str:
+    """Return why the error of the step is not estimated, "" where it is."""
+    name = scenario.time.integrator
     if name in ADAPTIVE:
         return f"{name} chooses its steps: its error is set by time.tolerance"
     scheme = scheme_of(name)
     if scheme is None or scheme.order != 1:
-        return f"not estimated with {name}, of order two and more"
-    if run.model.loops:
-        return "not estimated for mechanisms with loops"
-    return ""
+        return f"not estimated with {name}, of order two and more; measured with --halve"
+    return "not estimated for mechanisms with loops; measured with --halve" if model.loops else ""
 
 
-def step_problem(run: Record, found: dict[str, Any]) -> list[dict[str, Any]]:
-    """Return the problem of a force that the step leaves uncertain, in a list; empty if there is none."""
-    error = found["contact_force"]
-    asked = float(np.max(np.abs(run.reference_force))) if len(run) else 0.0
-    if error is None or not asked > 0.0 or error <= LARGEST_SHARE * asked:
-        return []
-    text = (
-        f"f is within ±{error:.3g} N only of a run at a shorter step, where at most {asked:.3g} N are asked for: take "
-        f"a shorter time.step than {run.scenario.time.step:g} s, or time.integrator = 'rk4'"
-    )
-    return [{"name": "step", "at": None, "text": text}]
+def step_error(run: Record, values: dict[str, Any]) -> dict[str, Any]:
+    """Return the part ``step_error`` of the summary, of its values.
+
+    ``contact_force``, N, and ``position``, m; ``measured``: whether they are the difference of the run at half the
+    step, see `closedloop.report.halved`, and no estimate; ``why_not``: why they are None, or None.
+    """
+    why = None
+    if values["step_error_force"] is None:
+        why = why_not_known(run.scenario, run.model) if len(run) else "no row could be computed"
+    return {
+        "contact_force": values["step_error_force"],
+        "position": values["step_error_position"],
+        "measured": run.halved is not None,
+        "why_not": why,
+    }
 
 
 def step_rows(found: dict[str, Any]) -> list[tuple[str, str, str, str]]:
     """Return the rows of the table of errors, see `closedloop.report.report_rows`."""
-    if found["contact_force"] is None:
-        return [("error of the step", "not known", "", f"{found['why_not']}; run it at half the step too")]
-    beside = "estimate, of a run at a shorter step"
+    if found["contact_force"] is None or found["position"] is None:
+        return [("error of the step", "not known", "", f"{found['why_not'] or 'no finite number'}")]
+    beside = "measured, of the run at half the step" if found["measured"] else "estimate, of a run at a shorter step"
     return [
         ("f is within", f"±{found['contact_force']:.2g}", "N", beside),
         ("tip is within", f"±{found['position']:.2g}", "m", beside),

@@ -16,10 +16,11 @@ from closedloop.loops.wrench import parts_of
 from closedloop.report.assumptions import assumptions
 from closedloop.report.control_signals import limited_joints, run_signals
 from closedloop.report.control_verdict import judge_control
+from closedloop.report.halved import measured_step_error
 from closedloop.report.measures import JOINT_MEASURES, MEASURES
 from closedloop.report.row_sample import Scale, energy_left, torque_power
 from closedloop.report.run_values import columns_of, run_values
-from closedloop.report.step_error import step_error, step_problem
+from closedloop.report.step_error import step_error, why_not_known
 from closedloop.report.undetermined import not_determined_from
 from closedloop.report.verdict import Facts, judge
 from closedloop.scenario.arm import robot_of
@@ -39,8 +40,6 @@ def summarise(run: Record) -> dict[str, Any]:
     joints = {name: getattr(found, name, np.full(run.model.n, np.nan)) for name in JOINT_MEASURES}
     held = assumptions(run, values)
     problems = judge(_facts(run, values, joints, held), lambda: run_gains_fault(run))
-    of_step = step_error(run)
-    problems += step_problem(run, of_step) + _unresolved(run)
     return {
         "verdict": {"good": not problems, "problems": problems},
         "control_verdict": _control(run, joints),
@@ -52,7 +51,8 @@ def summarise(run: Record) -> dict[str, Any]:
         "stopped": run.stopped,
         **{name: value if _exists(value) else None for name, value in values.items()},
         "not_finite": [name for name, value in values.items() if not _exists(value)],
-        "step_error": of_step,
+        "step_error": step_error(run, values),
+        "halved": None if run.halved is None else dict(run.halved),
         "wrist": _wrist(run),
         "tool": _tool(run),
         "force_not_determined_from": not_determined_from(run),
@@ -67,15 +67,11 @@ def summarise(run: Record) -> dict[str, Any]:
     }
 
 
-def _unresolved(run: Record) -> list[dict[str, Any]]:
-    """Return a problem for each swing of elastic joints or of a soft surface that the step does not resolve."""
-    scenario = run.scenario
-    if not len(run) or (scenario.compliance.kind == "none" and not scenario.transmission.elastic):
+def _unresolved(run: Record) -> list[str]:
+    if not len(run):
         return []
-    robot, q = robot_of(scenario, run.model), np.array(run.q[0])
-    row = np.array(run.surface_normal[0]) @ robot.terms(q, np.zeros(robot.n)).jacobian
-    found = unresolved(scenario, robot, q, row, -float(run.closure_error[0]))
-    return [{"name": "resolution", "at": None, "text": text} for text in found]
+    robot = robot_of(run.scenario, run.model)
+    return unresolved(run.scenario, robot, run.q[0], run.surface_normal[0], -float(run.closure_error[0]))
 
 
 def _control(run: Record, joints: dict[str, Array]) -> dict[str, Any]:
@@ -107,7 +103,10 @@ def _facts(run: Record, values: dict[str, Any], joints: dict[str, Array], held: 
         name: (v["first_failed"], v["measured"]) for name, v in held.items() if v["held"] is False and v["expected"]
     }
     columns = {name: column.tolist() for name, column in joints.items()}
-    return Facts(run.scenario, run.model, run.stopped, len(run) - 1, values, len(run.events), failed, columns)
+    return Facts(
+        run.scenario, run.model, run.stopped, len(run) - 1, values, len(run.events), failed, columns, _unresolved(run),
+        run.halved["stopped"] if run.halved else None,
+    )  # fmt: skip
 
 
 def _wrist(run: Record) -> dict[str, float | None] | None:
@@ -157,6 +156,10 @@ def _measures(run: Record, values: Any) -> dict[str, float | None]:
         found["rms_force_error"] = None
     if np.isnan(values.force_settled_at):
         found["force_settled_at"] = None
+    if run.halved is not None:
+        found |= measured_step_error(run.halved)
+    elif why_not_known(run.scenario, run.model):
+        found["step_error_force"] = found["step_error_position"] = None
     return found
 
 

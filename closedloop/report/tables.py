@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -12,6 +13,7 @@ from closedloop.events.table import IMPACT, TOUCHDOWN
 from closedloop.friction.law import FrictionLaw
 from closedloop.integrators import scheme_of
 from closedloop.report.control_verdict import unknown_text
+from closedloop.report.halved import halved_rows
 from closedloop.report.report_rows import report_rows
 from closedloop.report.summary import run_gains_fault
 from closedloop.report.verdict import GOOD, names_of, probable_reason
@@ -119,6 +121,8 @@ def print_report(run: Record, width: int | None = None) -> None:
     for row in report_rows(run):
         errors.add_row(*row)
     console.print(errors)
+    if run.halved is not None:
+        _print_halved(run.halved, console)
     if run.events:
         _print_events(run, console)
     for note in notes(run):
@@ -144,6 +148,23 @@ def _print_verdict(facts: dict[str, Any], console: Console) -> None:
     for problem in problems + control["problems"]:
         when = "" if problem["at"] is None else f" (from {problem['at']:.4g} s)"
         console.print(f"  [bold red]{problem['name']}[/]: {escape(problem['text'])}{when}")
+
+
+def _print_halved(halved: Mapping[str, Any], console: Console) -> None:
+    """Print by how much the run at half the step differs."""
+    from rich import box
+    from rich.markup import escape
+    from rich.table import Table
+
+    title = f"at half the step, {halved['step']:g} s, by how much it differs"
+    table = Table(box=box.SIMPLE_HEAD, title=title, title_justify="left")
+    table.add_column("quantity", no_wrap=True)
+    table.add_column("differs by", justify="right", no_wrap=True)
+    table.add_column("unit", no_wrap=True)
+    table.add_column("beside it")
+    for row in halved_rows(halved):
+        table.add_row(*map(escape, row))
+    console.print(table)
 
 
 def _print_events(run: Record, console: Console) -> None:

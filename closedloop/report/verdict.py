@@ -12,6 +12,8 @@ verdict stands in the first line of the report, in ``summary.json`` and in a col
 ``position_limit``        a joint beyond its position limits
 ``velocity_limit``        a joint faster than its velocity limit
 ``effort_limit``          more torque asked of a joint than its effort limit
+``step``                  the step leaves the contact force uncertain (`closedloop.report.step_error`)
+``resolution``            swings that the step gets wrong (`closedloop.scenario.modes`)
 ``saturation``            a limit of `[drives]` cut a joint's torque more often than not
 an assumption's name      an assumption of the paper that failed though the scenario keeps to it
 ========================  ==============================================================================
@@ -64,6 +66,9 @@ CLOSURE_BOUND = 1e-4
 # is the limit that moves the arm, and no longer the law.
 SATURATED_SHARE = 0.5
 
+# The share of the largest force asked for that the step may cost. Shipped scenarios state 0.35 at most.
+LARGEST_SHARE = 0.5
+
 # What a run says that stopped by it (`closedloop.engines.failures`).
 DIVERGES = "the motion diverges"
 # Problems with which gains that the step cannot carry show.
@@ -96,6 +101,10 @@ class Facts(NamedTuple):
         Of the assumptions that failed though they were expected to hold: when first, s, and what decided, in words.
     joints : mapping of str to sequence of float
         See `closedloop.report.measures.JOINT_MEASURES`; when is NaN where it never was.
+    unresolved : sequence of str
+        See `closedloop.scenario.modes.unresolved`.
+    halved_stopped : str or None
+        Why a run at half the step stopped, if there is one and it did.
     """
 
     scenario: Scenario
@@ -106,6 +115,8 @@ class Facts(NamedTuple):
     events: int
     failed: Mapping[str, tuple[float, str]]
     joints: Mapping[str, Sequence[float]]
+    unresolved: Sequence[str] = ()
+    halved_stopped: str | None = None
 
 
 def outside_by_the_scenario(scenario: Scenario, model: RobotModel) -> set[str]:
@@ -158,6 +169,7 @@ def judge(facts: Facts, gains: Callable[[], str]) -> list[dict[str, Any]]:
             _problem(name, f"the scenario keeps to this assumption of the paper, and it failed: {measured}", at)
             for name, (at, measured) in facts.failed.items()
         ]
+        problems += _step(facts) + [_problem("resolution", text) for text in facts.unresolved]
     return problems
 
 
@@ -250,6 +262,23 @@ def _limits(facts: Facts) -> list[dict[str, Any]]:
                 text = f"is asked for up to {value:.3g} {unit_here}, its limit is {model.effort_limit[j]:g}"
             problems.append(_problem(name, f"joint {model.joint_names[j]} {text}", at))
     return problems
+
+
+def _step(facts: Facts) -> list[dict[str, Any]]:
+    """Return the problem of a force that the step leaves uncertain, in a list; empty if there is none."""
+    if facts.halved_stopped and not facts.stopped:
+        return [_problem("step", f"the run at half the step could not go on: {facts.halved_stopped}")]
+    error, asked = facts.measures["step_error_force"], facts.measures["largest_reference_force"] or 0.0
+    if error is None or math.isnan(error) or not asked > 0.0 or error <= LARGEST_SHARE * asked:
+        return []
+    time = facts.scenario.time
+    scheme = scheme_of(time.integrator)
+    other = ", or time.integrator = 'rk4'" if scheme is None or scheme.order == 1 else ""
+    text = (
+        f"f is within ±{error:.3g} N only of a run at a shorter step, where at most {asked:.3g} N are asked for: take "
+        f"a shorter time.step than {time.step:g} s{other}"
+    )
+    return [_problem("step", text)]
 
 
 def _saturation(facts: Facts) -> list[dict[str, Any]]:

@@ -41,7 +41,7 @@ def wrong_by(integrator: str, h: float, stiffness: Array, damping: Array) -> tup
     return worst, rate
 
 
-def unresolved(scenario: Scenario, robot: Robot, q: Array, A: Array, depth: float) -> list[str]:
+def unresolved(scenario: Scenario, robot: Robot, q: Array, normal: Array, depth: float) -> list[str]:
     """Return a line for each swing that the step does not resolve, with a step that would.
 
     Parameters
@@ -50,25 +50,28 @@ def unresolved(scenario: Scenario, robot: Robot, q: Array, A: Array, depth: floa
         What is run, and its robot with its tip.
     q : (n,) array
         A posture.
-    A : (n,) array
-        The closure's row nᵀJᵣ there.
+    normal : (3,) array
+        The unit normal of the surface there, base axes.
     depth : float
         How deep the tip is in the surface there, m.
     """
     name, h = scenario.time.integrator, scenario.time.step
-    if name not in INTEGRATORS:
+    soft, elastic = scenario.compliance.kind != "none", scenario.transmission.elastic
+    if name not in INTEGRATORS or not (soft or elastic):
         return []
     swings: list[tuple[str, Array, Array]] = []
     try:
-        inverse = np.linalg.inv(robot.terms(q, np.zeros(robot.n)).mass_matrix)
+        terms = robot.terms(np.array(q), np.zeros(robot.n))
+        inverse = np.linalg.inv(terms.mass_matrix)
     except np.linalg.LinAlgError:  # some joint moves no inertia: the run says so
         return []
     mobility = closed_mobility(robot, q, inverse)
-    if scenario.transmission.elastic:
+    if elastic:
         k, d, inertia = transmission_constants(scenario.transmission, robot.model)
         between = mobility + np.diag(np.divide(1.0, inertia, out=np.zeros(robot.n), where=inertia > 0.0))
         swings.append(("transmission.stiffness", between * k, between * d))
-    if scenario.compliance.kind != "none":
+    if soft:
+        A = normal @ terms.jacobian
         k, d = scenario.compliance.tangent(max(0.0, depth))
         along = np.array([[float(A @ mobility @ A)]])
         swings.append(("compliance", along * k, along * d))

@@ -30,6 +30,8 @@ from closedloop.report.row_assumptions import (
 )
 from closedloop.report.row_sample import JointLimits, Scale, energy_left, friction_power, joint_limits
 from closedloop.report.run_values import columns_of, run_values
+from closedloop.report.step_error import held_for
+from closedloop.report.step_variation import Swings, count_swings, end_stretch
 from closedloop.step.record_row import RECORDED
 
 SLIDE = {"time.duration": 0.3, "law.pd_start": 0.1, "reference.start": 0.1}  # the motion starts within
@@ -49,7 +51,7 @@ RUNS = {
 
 def row_by_row(run):
     """The values by the kernels of a batch, interpreted, on rows taken from the run's columns."""
-    n = run.model.n
+    n, held = run.model.n, held_for(run.scenario)
     tally, values = Tally(np.zeros(Tally.count(n)), n), Values(np.zeros(Values.count(n)), n)
     interpreted(begin_tally)(tally, n, run.scenario.time.step, np.max(np.abs(run.reference_force)))
     limits = JointLimits(joint_limits(run.model), n)
@@ -58,6 +60,8 @@ def row_by_row(run):
         wanted.position, wanted.force = run.reference_tip[i], run.reference_force[i]
         interpreted(count_row)(row, n, run.potential_energy[i], wanted, limits, i, tally)
         interpreted(count_condition)(row, tally)
+        interpreted(count_swings)(row, wanted, i, held, Swings(tally.swings))
+    interpreted(end_stretch)(held, Swings(tally.swings))
     interpreted(write_values)(row, n, len(run), tally, values)
     return values
 
@@ -127,6 +131,22 @@ def alternating(x):
     return sum(min(abs(a), abs(b)) / 4.0 for a, b in itertools.pairwise(turns) if a * b < 0.0)
 
 
+def step_error_of(x, mode):
+    """Return half of what the differences of a signal change by in each mode, each cut to the larger beside it."""
+    total, begin = 0.0, 0
+    for i in range(1, len(x) + 1):
+        if i < len(x) and mode[i] == mode[begin]:
+            continue
+        part, begin = x[begin:i].tolist(), i
+        if len(part) < 4:
+            total += 0.5 * (max(part) - min(part))
+            continue
+        d = [0.0, *(b - a for a, b in itertools.pairwise(part)), 0.0]
+        cut = [np.copysign(min(abs(d[k]), max(abs(d[k - 1]), abs(d[k + 1]))), d[k]) for k in range(1, len(d) - 1)]
+        total += 0.5 * sum(abs(b - a) for a, b in itertools.pairwise(cut))
+    return min(total, max(x) - min(x))
+
+
 def trapezoids(x):
     """Return the integral over time."""
     return H * np.sum(x[1:] + x[:-1]) / 2.0
@@ -192,6 +212,9 @@ def written_out(row, wanted, limits, V):
         "force_settled_at": settled,
         "rms_path_error": np.sqrt(np.mean(np.sum(off**2, axis=1))),
         "start_closure_error": e[0] if touching[0] else 0.0,
+        "largest_reference_force": np.max(np.abs(wanted.force)),
+        "step_error_force": step_error_of(np.where(touching, miss, 0.0), r.mode),
+        "step_error_position": np.linalg.norm([step_error_of(x, r.mode) for x in (r.position - wanted.position).T]),
         "force_chatter": alternating(f) / np.sum(np.abs(f)) if np.any(f) else 0.0,
         "failed_at": [first_of(~met[name]) for name in NAMES],
         "position_excess": np.maximum(np.max(excess, axis=0), 0.0),
@@ -221,6 +244,8 @@ def test_values_are_what_they_are_called(case):
         desired = SimpleNamespace(position=wanted.position[i], force=wanted.force[i])
         interpreted(count_row)(now, n, V[i], desired, joint, i, tally)
         interpreted(count_condition)(now, tally)
+        interpreted(count_swings)(now, desired, i, 1, Swings(tally.swings))
+    interpreted(end_stretch)(1, Swings(tally.swings))
     interpreted(write_values)(now, n, count, tally, values)
     expected = written_out(row, wanted, limits, V)
     assert set(Values.layout.at) == {*expected, "events"}

@@ -27,7 +27,7 @@ from closedloop.step.memory import State, Work, loop_at
 Array = NDArray[np.float64]
 
 # What the contacts are asked for.
-FORCE, SAVE, IMPULSE, DECIDE, DRIVE = range(5)
+FORCE, SAVE, IMPULSE, DECIDE = range(4)
 
 
 @entry_kernel
@@ -38,7 +38,6 @@ def contacts_in_step(address: int, what: int) -> int:
     SAVE     keep what a substep begins with
     IMPULSE  apply the impulses of contacts that come together to q̇; `happened` says what
     DECIDE   write the modes after an event or at the start, `happened` likewise, and take what velocity they have not
-    DRIVE    take the torque from joints without a drive
     """
     links, c = contacts_at(address)
     state, constants, w = loop_at(links.loop)
@@ -53,15 +52,12 @@ def contacts_in_step(address: int, what: int) -> int:
         place_contacts(links, c, w)
         status = apply_impulses(links, c, constants.rest_speed)
         move(links, c, w)
-    elif what == DECIDE:
+    else:
         place_contacts(links, c, w)
         status = decide(links, c, (3.0 if state.steps < 0 else 1.0) * constants.stick_speed)
         move(links, c, w)
         if c.mode[0] == STUCK and c.happened[0] != 0.0:
             set_anchor(w, state)
-    else:
-        for j in range(links.n):
-            w.torque[j] *= c.driven[j]
     return int(status)
 
 

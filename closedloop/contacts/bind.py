@@ -44,8 +44,6 @@ def contact_memory(scenario: Scenario, robot: Robot) -> ContactMemory:
     contacts.joint[points:] = stops
     if isinstance(scenario.friction, SurfaceCoulomb) and scenario.surface.contact == "unilateral":
         contacts.mu[0] = scenario.friction.coefficient
-    if drives := robot.model.drives:
-        contacts.driven[:] = [name in drives for name in robot.model.joint_names]
     if surfaces := surfaces_of(sections, names_of(sections)):
         asked = contact_surfaces(surfaces, points + len(stops))
         links.surfaces = address_of(asked.addresses)

@@ -38,7 +38,6 @@ class ContactLinks(Block):
     surfaces: int  # address of the entry and the memory of the surface of each, 0 of a plane at rest; 0: all are such
     rows: int  # address of the memory of their rows, see `closedloop.loops.memory`
     loop: int  # and of the loop that they are for; 0: none
-    undriven: int  # joints without a drive
     undecided: int  # 1 until the modes after an event, or at the start, are found
     fresh: int  # 1 at the start
     tired: int  # 1 after many events in a row: there is no restitution, and no contact sticks at its limit
@@ -52,7 +51,6 @@ class Contacts(Block, sizes=("n", "k")):
     restitution: Annotated[Array, K]
     joint: Annotated[Array, K]  # of a stop, as the next
     side: Annotated[Array, K]  # 1 of a lower stop, −1 of an upper
-    driven: Annotated[Array, N]  # 0 for a joint without a drive
     mode: Annotated[Array, K]  # see `closedloop.closure.contact_force`
     kind: Annotated[Array, K]  # in the present problem
     near: Annotated[Array, K]  # 1 while its rows X and W are written: while it is closed, or about to be
@@ -155,6 +153,6 @@ def make_contact_memory(n: int, k: int, rows: LoopMemory | None = None, stops: i
     )
     links.n, links.k, links.stops = n, k, stops
     links.rows = 0 if rows is None else rows.address
-    contacts.driven[:], contacts.direction[:, 0], contacts.near[:] = 1.0, 1.0, 1.0
+    contacts.direction[:, 0], contacts.near[:] = 1.0, 1.0
     links.keep_alive(rows=rows)
     return ContactMemory(links, contacts)

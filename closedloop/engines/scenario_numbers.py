@@ -133,7 +133,9 @@ class ScenarioNumbers:
     @property
     def general(self) -> bool:
         """Whether the law is called by address: see `closedloop.engines.needs.needs_general_form`."""
-        return needs_general_form(self.scenario) or has_stops(self.scenario, self.robot.model)
+        model = self.robot.model
+        undriven = not model.loops and not all(model.driven)
+        return needs_general_form(self.scenario) or has_stops(self.scenario, model) or undriven
 
     @property
     def bound(self) -> bool:

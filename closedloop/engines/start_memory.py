@@ -8,7 +8,6 @@ from numpy.typing import NDArray
 from closedloop.closure.contact_force import FREE
 from closedloop.control.drives import DrivesSection
 from closedloop.control.sensor import start_sensor
-from closedloop.engines.loop_start import torque_of_drives
 from closedloop.engines.needs import arm_columns, reading_kind
 from closedloop.engines.packed import sticking
 from closedloop.engines.scenario_numbers import ScenarioNumbers
@@ -16,6 +15,7 @@ from closedloop.events.phases import PROJECTION, STEP_END, TOUCHING
 from closedloop.friction.contact import Contact
 from closedloop.friction.laws.none import NoFriction
 from closedloop.impact import RATIOS
+from closedloop.loops.drives import torque_of_drives
 from closedloop.parameters import one_joint_block, parameter_block
 from closedloop.scenario.arm import stop_limits
 from closedloop.scenario.robot_sections import ModelErrorSection
@@ -45,7 +45,7 @@ def write_constants(problem: ScenarioNumbers, constants: Constants) -> None:
     constants.law[:], constants.compensation[:] = problem.law.numbers, problem.compensation.numbers
     wrong = problem.scenario.model_error
     constants.believed_masses, constants.unknown_payload = wrong.masses, wrong.payload
-    constants.armature[:] = robot.model.rigid_armature
+    constants.armature[:], constants.driven[:] = robot.model.rigid_armature, robot.model.driven
     constants.stiffness[:], constants.shaft_damping[:], constants.motor_inertia[:] = problem.transmission
     constants.tilt[:], constants.encoder[:] = np.eye(3) if wrong.normal == 0.0 else wrong.tilt(), problem.encoder
     constants.torque_limit[:], constants.torque_change[:] = problem.drives
@@ -122,7 +122,7 @@ def write_start(problem: ScenarioNumbers, state: State, w: Work) -> None:
         # Each spring carries what holds the arm against gravity and the force desired, so that none is released.
         held = terms.bias - felt * (problem.frame[0] @ terms.jacobian)
         if problem.robot.model.loops:
-            held = torque_of_drives(problem.robot, problem.q, held)
+            held, _ = torque_of_drives(problem.robot, problem.q, held)
         stiffness = problem.transmission[0]
         driven = stiffness > 0.0
         w.z[-2 * n : -n] = problem.q + np.divide(held, stiffness, out=np.zeros(n), where=driven)

@@ -66,6 +66,7 @@ def report_rows(run: Record) -> list[Row]:
         ),
         *step_rows(facts["step_error"]),
         ("tip speed", _shown(facts["max_tip_speed"], ".4g"), "m/s", ""),
+        *_undriven_rows(run, facts),
         *_loop_rows(run),
         *contact_rows(run),
         *_joint_rows(run),
@@ -81,6 +82,15 @@ def _undetermined_rows(facts: dict[str, Any]) -> list[Row]:
     if at is None:
         return []
     return [("f not determined by rigid bodies", f"from {at:.4g}", "s", "at rest; that of least friction is given")]
+
+
+def _undriven_rows(run: Record, facts: dict[str, Any]) -> list[Row]:
+    """Return of how many motions the law's torque on joints without a drive is lost, and which joints these are."""
+    lost = facts["motions_without_drive"]
+    names = [name for name, has in zip(run.model.joint_names, run.model.driven, strict=True) if not has]
+    return (
+        [("motions without a drive", f"{lost}", "", f"torque asked there is lost: {', '.join(names)}")] if lost else []
+    )
 
 
 def _loop_rows(run: Record) -> list[Row]:

@@ -22,6 +22,7 @@ from closedloop.report.row_sample import Scale, energy_left, torque_power
 from closedloop.report.run_values import columns_of, run_values
 from closedloop.report.step_error import step_error, why_not_known
 from closedloop.report.undetermined import not_determined_from
+from closedloop.report.undriven import motions_without_drive
 from closedloop.report.verdict import Facts, judge
 from closedloop.scenario.arm import robot_of
 from closedloop.scenario.gains import gains_fault
@@ -56,6 +57,7 @@ def summarise(run: Record) -> dict[str, Any]:
         "wrist": _wrist(run),
         "tool": _tool(run),
         "force_not_determined_from": not_determined_from(run),
+        "motions_without_drive": motions_without_drive(run),
         "events": {kind: sum(event.kind == kind for event in run.events) for kind in KINDS.values()},
         "assumptions": held,
         "joints": {

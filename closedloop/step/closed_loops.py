@@ -21,16 +21,13 @@ from closedloop.jit.calls import call_at
 from closedloop.jit.kernel import entry_kernel, kernel, kernel_inlined
 from closedloop.jit.pointers import integers_at, row_of
 from closedloop.loops.close import close_state
+from closedloop.loops.drives import through_drives
 from closedloop.loops.factor import factor, force_of
 from closedloop.loops.memory import STOP, LoopLinks, LoopRows, loops_at
 from closedloop.loops.passing import find_basis, find_required_on_the_way
 from closedloop.loops.solve import (
-    free_motion,
     leave_free,
-    meet_rows,
     multiply_transposed,
-    orthonormal_rows,
-    spanned_force,
     take_free,
 )
 from closedloop.step.energy_supplied import driving_torque
@@ -58,7 +55,7 @@ def closed_loops(address: int, what: int) -> int:
     BIND_TIP        project X, write S of it, and add to the tip's drift what the loops require of it
     BIND_LOAD       replace y = L⁻¹(Q − C) by P y + y_b
     BIND_ANSWER     replace `column`, L⁻¹ of a torque, by P of it
-    DRIVE           replace the torque by one of the drives alone that has the same effect
+    DRIVE           replace the torque by one of the drives alone, see `closedloop.loops.drives`
     CLOSE           move q and q̇ to the nearest state that the loops allow
     REACTION        replace `column`, H q̈ + C − Q − AᵀF, by the part of it that the loops can give, and take from the
                     tip's drift what BIND_TIP has added
@@ -137,58 +134,6 @@ def drive(links: LoopLinks, rows: LoopRows, torque: Array) -> None:
     through_drives(links, rows, torque)
     links.m, links.ordered = m, 0
     factor(links, rows, rows.drift, rank)
-
-
-@kernel
-def through_drives(links: LoopLinks, rows: LoopRows, torque: Array) -> None:
-    """Replace a torque by one of the drives alone: what the joints without one would give goes through the loops.
-
-    A force of the loops gives no power to a motion that they allow. So Q' moves the mechanism as Q would if both give
-    the same power to each motion of a free joint: Q' differs from Q by what the drives have to add to give the power
-    of the joints without one, and is the shortest. If the drives cannot give that, it is as near as they come.
-    """
-    if links.undriven == 0:
-        return
-    n, count, wanted = links.n, links.n - links.rank, rows.wanted
-    for i in range(count):
-        power = 0.0
-        Z = row_of(rows.drive_basis, i)
-        free_motion(links, rows, i, Z)
-        for j in range(n):
-            if rows.undriven[j] != 0.0:
-                power += Z[j] * torque[j]
-                Z[j] = 0.0
-        wanted[i] = power
-    for j in range(n):
-        if rows.undriven[j] != 0.0:
-            torque[j] = 0.0
-    rank = orthonormal_rows(rows.drive_basis, count, rows.drive_order, rows.drive_coefficients, rows.drive_lengths)
-    if rank == count:
-        meet_rows(
-            wanted, rows.drive_order, rows.drive_coefficients, rows.drive_basis, rank, rows.drive_lengths, rows.share
-        )
-    else:
-        nearest_drives(links, rows, count)
-    for j in range(n):
-        torque[j] += rows.share[j]
-
-
-@kernel
-def nearest_drives(links: LoopLinks, rows: LoopRows, count: int) -> None:
-    """Write into `share` what the drives have to add for powers, `wanted`, that they cannot all give: least squares."""
-    n = links.n
-    for j in range(n):
-        for i in range(n):
-            rows.drive_basis[j, i] = 0.0
-    for i in range(count):
-        free_motion(links, rows, i, rows.share)
-        for j in range(n):
-            if rows.undriven[j] == 0.0:
-                rows.drive_basis[j, i] = rows.share[j]
-    rank = orthonormal_rows(rows.drive_basis, n, rows.drive_order, rows.drive_coefficients, rows.drive_lengths)
-    for i in range(count, n):
-        rows.wanted[i] = 0.0
-    spanned_force(rows.wanted, rows.drive_order, rows.drive_coefficients, rows.drive_basis, rank, rows.share)
 
 
 @kernel

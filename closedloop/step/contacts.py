@@ -29,7 +29,7 @@ from closedloop.step.memory import State, Work, loop_at
 Array = NDArray[np.float64]
 
 # What the contacts are asked for.
-FORCE, WATCH, SAVE, PLACE, IMPULSE, DECIDE, DRIVE = range(7)
+FORCE, WATCH, SAVE, PLACE, IMPULSE, DECIDE = range(6)
 
 
 @entry_kernel
@@ -42,7 +42,6 @@ def contacts_in_step(address: int, what: int) -> int:
     PLACE    write where the contacts are, and which of them strikes alone
     IMPULSE  apply the impulses of contacts that come together to q̇; `happened` says what
     DECIDE   write the modes after an event or at the start, `happened` likewise, and take what velocity they have not
-    DRIVE    take the torque from joints without a drive
     """
     links, c = contacts_at(address)
     state, constants, w = loop_at(links.loop)
@@ -68,15 +67,12 @@ def contacts_in_step(address: int, what: int) -> int:
         else:
             apply_impulse_alone(links, c, w, state.striking, state.kind == int(STRUCK_AND_LEFT))
         move(links, c, w)
-    elif what == DECIDE:
+    else:
         place_contacts(links, c, w)
         status = decide(links, c, (3.0 if state.steps < 0 else 1.0) * constants.stick_speed)
         move(links, c, w)
         if c.mode[0] == STUCK and c.happened[0] != 0.0:
             set_anchor(w, state)
-    else:
-        for j in range(links.n):
-            w.torque[j] *= c.driven[j]
     return int(status)
 
 

@@ -23,7 +23,6 @@ from closedloop.jit.kernel import kernel, kernel_inlined
 from closedloop.jit.simd8 import every
 from closedloop.parameters import parameter_block
 from closedloop.step.closed_loops import DRIVE, factorise_tip
-from closedloop.step.contacts import DRIVE as DRIVE_CONTACTS
 from closedloop.step.entries import RATES, START, TORQUE
 from closedloop.step.joint_friction import add_joint_friction, hold_joints
 from closedloop.step.locate import in_contact_frame, locate_tip
@@ -194,8 +193,9 @@ def drive_torque(w: Work, constants: Constants, state: State) -> int:
     failed = call_law(state, TORQUE)
     if state.loops != 0:
         call_at(state.loops, state.seen_loops_at if state.seen_loops_at != 0 else state.loops_at, DRIVE)
-    elif state.contacts != 0:
-        call_at(state.contacts, state.contacts_at, DRIVE_CONTACTS)
+    else:
+        for j in range(w.q.shape[0]):
+            w.torque[j] *= constants.driven[j]
     if state.drives != 0 and failed == 0:
         cut_torque(
             w.torque, w.torque_before, constants.torque_change, constants.torque_limit, not w.time > 0.0,

@@ -144,6 +144,7 @@ class Constants(Block, sizes=("n", "law", "compensation", "friction", "joint_fri
     stiffness: Annotated[Array, N]  # see `closedloop.control.transmission`, as the next two
     shaft_damping: Annotated[Array, N]
     motor_inertia: Annotated[Array, N]
+    driven: Annotated[Array, N]  # 0 for a joint without a drive
     torque_limit: Annotated[Array, N]  # see `closedloop.control.drives`, as the next; infinite: none
     torque_change: Annotated[Array, N]  # from sample to sample
     joint_capture_speed: Annotated[Array, N]

@@ -58,6 +58,19 @@ def test_mass_bounces():
     assert np.ptp(run.energy_supplied - run.kinetic_energy - run.potential_energy) < 1e-9
 
 
+@pytest.mark.parametrize("stops", [False, True])
+def test_what_is_asked_of_a_joint_without_a_drive_does_not_act(stops):
+    """With stops, which may be rows of loops, and without: H q̈ + C = (τ₁, 0), and the report says so."""
+    model = load("planar2")
+    model = dataclasses.replace(model, drives=model.joint_names[:1])
+    scenario = free("planar2", **{"robot.stops": stops, "start.v": [0.3, -0.2], "time.duration": 0.002})
+    run = cl.simulate(scenario, law=lambda x: np.array([1.5, -2.0]) + 0.0 * x.q, model=model)
+    terms = Robot(model).terms(run.q[0], run.v[0])
+    wanted = np.linalg.solve(terms.mass_matrix, [1.5, 0.0] - terms.bias)
+    np.testing.assert_allclose(run.acceleration[0], wanted, rtol=1e-12)
+    assert run.summary()["motions_without_drive"] == 1
+
+
 def after_moreau(H, v, kept, pushing, restitution):
     """q̇ after Moreau's impact: rows `kept` stay at zero, rows `pushing` do not fall below it; by trying all sets."""
     answer, inverse = (np.inf, v), np.linalg.inv(H)

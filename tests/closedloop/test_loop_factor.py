@@ -2,14 +2,15 @@
 
 import numpy as np
 import pytest
+import scipy.linalg
 
 import robot_models
 from closedloop.jit.interpreted import interpreted
 from closedloop.loops.bind import loop_memory
+from closedloop.loops.drives import through_drives
 from closedloop.loops.factor import PIVOT, factor, fewest_entries, force_of, meet, order_of, smallest_share
 from closedloop.loops.solve import basis_alike, basis_in_metric, leave_free, take_free
 from closedloop.robot.pinocchio import Robot
-from closedloop.step.closed_loops import through_drives
 
 M, N = 5, 4
 
@@ -116,7 +117,10 @@ def test_pivot_is_the_entry_with_the_fewest_others():
 
 
 def test_drives_give_the_power_of_all_torques(memory):
-    """By the smallest change where they can, more drives than needed or just as many; else as near as they come."""
+    """By the smallest change where they can, more drives than needed or just as many; of one too few no other part.
+
+    What is lost then is the part of the passive joints along the one motion of theirs with the drive at rest.
+    """
     links, rows = memory
     rng = np.random.default_rng(2)
     give_rows(rows, 2, rng)
@@ -127,9 +131,14 @@ def test_drives_give_the_power_of_all_torques(memory):
         links.undriven = N - drives
         asked = rng.normal(size=N)
         torque = asked.copy()
-        interpreted(through_drives)(links, rows, torque)
+        lost = interpreted(through_drives)(links, rows, torque)
+        assert lost == max(0, 2 - drives)
         np.testing.assert_array_equal(torque[drives:], 0.0)
         free = interpreted(order_of)(links)[1][2:]  # powers are those of motions of one free joint at rate one each
         alone = np.linalg.solve(motions[:, free], motions)
-        least = np.linalg.pinv(alone[:, :drives]) @ (alone[:, drives:] @ asked[drives:])
+        passive = scipy.linalg.null_space(rows.G[:2, drives:])  # motions of the passive joints alone
+        assert passive.shape[1] == lost
+        passed = asked[drives:] - passive @ (passive.T @ asked[drives:])
+        least = np.linalg.pinv(alone[:, :drives]) @ (alone[:, drives:] @ passed)
         np.testing.assert_allclose(torque[:drives], asked[:drives] + least, rtol=1e-8, atol=1e-9)
+        np.testing.assert_allclose(motions @ torque, motions @ np.concatenate([asked[:drives], passed]), atol=1e-8)

@@ -27,7 +27,7 @@ from closedloop.engines.adaptive.slow import (
 from closedloop.engines.adaptive.smooth import Interval, interval_from, jumps
 from closedloop.engines.problem import Problem
 from closedloop.engines.user_law import Law
-from closedloop.events.phases import INSTANT, SHALLOW
+from closedloop.events.phases import INSTANT, OUTPACED, SHALLOW
 from closedloop.step.memory import RIGID_STICK, SMOOTH, State
 
 Array = NDArray[np.float64]
@@ -277,7 +277,8 @@ class AdaptiveRun:
 
     def record(self, y: Array, t: float, interval: Interval) -> None:
         """Record the next row at the state y at t, s."""
-        self.memory.state.row = self.row
+        state = self.memory.state
+        state.row, state.events_in_step = self.row, max(state.events_in_step - OUTPACED, 0)
         self.memory.evaluate(t, y, interval, RECORD)
         self.row, self.steps_since_row = self.row + 1, 0
         if self.row % 100 == 0:

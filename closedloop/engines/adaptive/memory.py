@@ -197,7 +197,7 @@ class Memory:
     def _run_events(self, phase: int) -> None:
         """Handle the events or the projection at this instant, from a phase on until the state could be recorded."""
         sampled, row = int(self.state.sampled), int(self.state.row)
-        self.state.phase, self.state.row, self.state.events_in_step = phase, 1, 0
+        self.state.phase, self.state.row = phase, 1
         self.constants.h = self.w.time
         answer = TERMS  # the torque has been evaluated
         while self.state.phase != STEP_END:

@@ -36,12 +36,17 @@ __all__ = [
 LONGEST_LINE = 900
 
 
+def printable(text: str) -> str:
+    """Return a text with what cannot be printed, line breaks above all, written as Python spells it."""
+    return "".join(c if c.isprintable() else c.encode("unicode_escape").decode("ascii") for c in text)
+
+
 def one_line(message: str) -> str:
     """Return the message on one line of printable characters, without the middle of a very long one.
 
     Names in it may be arbitrary text. A message begins with what was wrong and ends with what would be right.
     """
-    line = message if message.isprintable() else message.encode("unicode_escape").decode("ascii")
+    line = printable(message)
     half = LONGEST_LINE // 2
     return line if len(line) <= LONGEST_LINE else f"{line[:half]} ... {line[-half:]}"
 

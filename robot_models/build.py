@@ -16,6 +16,7 @@ import numpy as np
 from robot_models import mjcf, mjcf_mechanism, mjcf_pinocchio, urdf, urdf_mechanism
 from robot_models.compare import check_built
 from robot_models.errors import ModelError
+from robot_models.physics import check_size, check_sizes
 
 if TYPE_CHECKING:
     import pinocchio as pin
@@ -71,6 +72,7 @@ def build(text: str, format: str, locked: Mapping[str, float], where: str) -> Bu
             raise ModelError(f"{where}: cannot lock {name!r}, no joint that moves: {hint}")
         if isinstance(value, bool) or not isinstance(value, int | float) or not abs(value) <= float_info.max:
             raise ModelError(f"{where}: cannot lock {name!r} at {value!r}: it must be a finite number")
+        check_size("home", value, f"{where}: locked joint {name!r}")
     if locked:
         posture = np.zeros(model.nq)
         for name, value in locked.items():
@@ -86,6 +88,7 @@ def build(text: str, format: str, locked: Mapping[str, float], where: str) -> Bu
         bound = np.where(np.abs(bound) >= urdf_mechanism.NO_BOUND, np.copysign(np.inf, bound), bound)
         setattr(model, side, bound)
     links = urdf_mechanism.mechanism(text) if format == "urdf" else mjcf_mechanism.mechanism(text, mjcf.STILL)
+    check_sizes(links, where)
     check_built(model, links, locked, where)
     return Built(model, types)
 

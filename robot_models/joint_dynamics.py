@@ -7,6 +7,7 @@ from numpy.typing import NDArray
 
 from robot_models.errors import ModelError
 from robot_models.model import RobotModel
+from robot_models.physics import check_size
 
 KEYS = ("damping", "friction")
 
@@ -46,4 +47,6 @@ def _dynamics(model: RobotModel) -> NDArray[np.float64]:
         found[:, j] = [float(dynamics.get(key, "0")) for key in KEYS]
         if not (np.all(np.isfinite(found[:, j])) and np.all(found[:, j] >= 0.0)):
             raise ModelError(f"{model.name}: joint {name}: <dynamics>: damping and friction must be zero or more")
+        for key, number in zip(KEYS, found[:, j], strict=True):
+            check_size(key, number, f"{model.name}: joint {name}: <dynamics>")
     return found

@@ -251,9 +251,11 @@ def _finish(
 ) -> RobotModel:
     """Check the mechanism that was built and write it down."""
     model = built.model
-    physics.check_mechanism(model, home, found.where)
     if gravity is None:
         gravity = np.array(mjcf.gravity(found.text) if found.format == "mjcf" else (0.0, 0.0, -9.81))
+    for what, numbers in (("armature", model.armature), ("home", home), ("gravity", gravity)):
+        physics.check_size(what, numbers, found.where)
+    physics.check_mechanism(model, home, found.where)
     joints = tuple(model.names)[1:]
     own = [joint for joint in joints if joint not in stands_for(found.sidecar.closed_loop)]
     robot = RobotModel(

@@ -77,6 +77,8 @@ ACTING = ("friction", "damping", "limits")
 WORLD = "world"
 #: A shorter distance has no direction to speak of, m.
 SHORTEST = 1e-6
+#: The largest number of a loop joint, m and others.
+MOST_NUMBER = 1e6
 #: No mechanism has more rows in its loops.
 MOST_ROWS = 120
 
@@ -242,8 +244,8 @@ def _names(value: Any, what: str, counts: tuple[int, ...]) -> tuple[str, ...]:
 
 
 def _number(value: Any, what: str) -> float:
-    if isinstance(value, bool) or not isinstance(value, int | float) or not abs(value) <= 1e6:
-        raise ModelError(f"{what} is {shown(value)}: it must be a finite number, at most 1e6")
+    if isinstance(value, bool) or not isinstance(value, int | float) or not abs(value) <= MOST_NUMBER:
+        raise ModelError(f"{what} is {shown(value)}: it must be a finite number, at most {MOST_NUMBER:g}")
     return float(value)
 
 

@@ -15,18 +15,20 @@ Read against Pinocchio 4.1 and MuJoCo 3.17, Pinocchio's own reader
 
 So `read` inlines the includes, resolves the default classes into plain attributes, keeps what the mechanism
 needs (bodies, joints, inertias, sites, shapes that are not meshes, loops, keyframes) and refuses what would change
-the motion and cannot be honoured. Damping, friction loss, contacts, actuators and sensors do not belong to
-the mechanism and are left out.
+the motion and cannot be honoured. Damping, friction loss, contacts and sensors do not belong to the mechanism and
+are left out; of actuators the torques that they can give are kept (`robot_models.mjcf_actuators`).
 """
 
 import xml.etree.ElementTree as ET
 from collections.abc import Iterator
+from math import inf
 from pathlib import Path
 from typing import NamedTuple
 
 from robot_models import mjcf_equality
 from robot_models.errors import ModelError
 from robot_models.mechanism import check_size
+from robot_models.mjcf_actuators import limit_joint, torque_ranges
 from robot_models.mjcf_defaults import Defaults
 from robot_models.mjcf_mechanism import TURNS, Units, mechanism
 from robot_models.mjcf_schema import check_schema
@@ -106,8 +108,9 @@ def read(text: str, where: str, folder: Path | None) -> str:
     names: set[tuple[str, str]] = set()
     # Joints with friction, from the file itself or from a canonical text that was written before.
     rough = [e.get("data", "") for e in root.iterfind("custom/text") if e.get("name") == LEFT_OUT]
+    shared = _Copied(defaults, Units(out), names, rough, torque_ranges(root, defaults, where))
     for element in root.findall("worldbody"):
-        _copy_body(element, world, _Copied(defaults, Units(out), names, rough), None, False, f"{where}: the world")
+        _copy_body(element, world, shared, None, False, f"{where}: the world")
     check_weighing_bodies(mechanism(ET.tostring(out, encoding="unicode"), STILL), where)
     if rough:
         custom = ET.SubElement(out, "custom")
@@ -191,12 +194,15 @@ class _Copied(NamedTuple):
         Tag and name of every body and joint so far.
     rough
         Joints with friction so far.
+    most
+        The largest torque of the actuators of each joint that has some, N m (N).
     """
 
     defaults: Defaults
     units: Units
     names: set[tuple[str, str]]
     rough: list[str]
+    most: dict[str, float]
 
 
 def _copy_body(
@@ -237,6 +243,7 @@ def _copy_body(
             _copy_body(child, copy, shared, childclass, moves, here)
         elif child.tag == "joint":
             check_joint(given, here)
+            limit_joint(copy, given, shared.most.get(given["name"], inf), here)
             if any(word.strip("0.") for key in _FRICTION for word in given.get(key, "").split()):
                 shared.rough.append(given["name"])
         elif child.tag == "inertial":

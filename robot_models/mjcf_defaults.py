@@ -4,7 +4,15 @@ import xml.etree.ElementTree as ET
 
 from robot_models.errors import ModelError
 
-_TAGS = ("joint", "geom", "site")
+#: What stands in <actuator>. In a class they share one set of defaults, as for MuJoCo: a later one goes before.
+ACTUATORS = (
+    "general", "motor", "position", "velocity", "intvelocity", "damper", "cylinder", "muscle", "adhesion", "dcmotor",
+)  # fmt: skip
+_TAGS = ("joint", "geom", "site", "actuator")
+
+# What force a <general> makes of its control; a shortcut says it itself.
+_LAW = {"gaintype": "fixed", "gainprm": "1", "biastype": "none", "dyntype": "none"}
+_BY_SHORTCUT = {"general": {}, "motor": _LAW}  # the force of any other is not proportional to its control
 
 
 class Defaults:
@@ -36,6 +44,9 @@ class Defaults:
         for tag in _TAGS:
             for element in section.findall(tag):
                 own[tag].update(element.attrib)
+        for element in section:
+            if element.tag in ACTUATORS:
+                own["actuator"].update(element.attrib, **_law(element.tag))
         for nested in section.findall("default"):
             name = nested.get("class")
             if not name:
@@ -69,7 +80,8 @@ class Defaults:
         ModelError
             The class is not defined.
         """
-        if element.tag not in _TAGS:
+        tag = "actuator" if element.tag in ACTUATORS else element.tag
+        if tag not in _TAGS:
             return dict(element.attrib)
         name = element.get("class", childclass)
         if name is None:
@@ -78,4 +90,9 @@ class Defaults:
             chosen = self._classes[name]
         else:
             raise ModelError(f"{self._where}: class {name!r} is not defined in <default>")
-        return {**chosen[element.tag], **element.attrib}
+        return {**(_LAW if tag == "actuator" else {}), **chosen[tag], **element.attrib, **_law(element.tag)}
+
+
+def _law(tag: str) -> dict[str, str]:
+    """Return what the tag of an actuator says by itself of its force."""
+    return _BY_SHORTCUT.get(tag, {"biastype": "affine"}) if tag in ACTUATORS else {}

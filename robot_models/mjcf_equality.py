@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from robot_models.errors import ModelError
-from robot_models.loop_joint import WORLD, LoopJoint
+from robot_models.loop_joint import MOST_NUMBER, WORLD, LoopJoint
 from robot_models.mjcf_mechanism import Units, pose
 from robot_models.xml_text import numbers
 
@@ -48,12 +48,19 @@ def copy(root: ET.Element, out: ET.Element, where: str) -> None:
             raise ModelError(f"{where}: <equality>: a <{element.tag}> does not say what it holds together")
         for key, count in (("anchor", 3), ("relpose", 7)):
             if key in given:
-                numbers(given[key], count, f"{where}: {element.tag} {key}")
+                _check(given[key], count, f"{where}: {element.tag} {key}")
         if "polycoef" in given:
-            numbers(given["polycoef"], None, f"{where}: joint polycoef")
+            _check(given["polycoef"], None, f"{where}: joint polycoef")
         ET.SubElement(target, element.tag, given)
     if len(target):
         out.append(target)
+
+
+def _check(value: str, count: int | None, what: str) -> None:
+    """Refuse numbers larger than those of a loop joint, or none."""
+    for number in numbers(value, count, what):
+        if abs(number) > MOST_NUMBER:
+            raise ModelError(f"{what} is {value!r}: it must be numbers, at most {MOST_NUMBER:g}")
 
 
 def loops(text: str, model: "pin.Model") -> tuple[LoopJoint, ...]:

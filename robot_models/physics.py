@@ -4,15 +4,18 @@ Pinocchio accepts a negative mass, a tensor that no body can have and a mechanis
 singular, and answers with plausible numbers. Both formats pass through here.
 """
 
+from collections.abc import Sequence
 from typing import TYPE_CHECKING
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 
 from robot_models.errors import ModelError
 
 if TYPE_CHECKING:
     import pinocchio as pin
+
+    from robot_models.mechanism import Link
 
 #: A tensor printed with four significant digits is off by at most 5e-4 of its largest entry per entry, and
 #: a thin rod or plate lies exactly on the bound λ₁ + λ₂ = λ₃. One part in a thousand of λ₃ forgives that
@@ -69,6 +72,61 @@ def check_tensor(tensor: NDArray[np.float64], mass: float, what: str, rounding: 
         raise ModelError(f"{what} is not positive definite ({moments}): check the signs of its entries")
     if not low + mid >= high - slack:
         raise ModelError(f"{what} breaks the triangle inequality ({moments}): none may exceed the sum of the other two")
+
+
+#: The largest numbers of a robot, and why there are no larger ones: products and squares of these stay far inside the
+#: range of a double, where 1e308 kg has an infinite energy.
+MOST = {
+    "mass": (1e9, "kg", "no arm moves so much"),
+    "centre of mass": (1e6, "m", "no arm reaches so far"),
+    "inertia tensor": (1e9, "kg m²", "no arm moves so much"),
+    "origin": (1e6, "m", "no arm reaches so far"),
+    "armature": (1e9, "kg m² (kg)", "no drive is so heavy"),
+    "home": (1e6, "rad (m)", "no joint turns or reaches so far"),
+    "gravity": (1e4, "m/s²", "no body pulls so hard"),
+    "damping": (1e12, "N m s/rad (N s/m)", "nothing is so viscous"),
+    "friction": (1e9, "N m (N)", "no joint bears so much"),
+}
+
+
+def check_size(what: str, value: ArrayLike, owner: str) -> None:
+    """Refuse numbers beyond `MOST`, whose products might be none.
+
+    Parameters
+    ----------
+    what
+        A key of `MOST`.
+    value
+        A number, or an array of them.
+    owner
+        How to name their owner in a message.
+
+    Raises
+    ------
+    ModelError
+        One is larger, or is none.
+    """
+    most, unit, why = MOST[what]
+    for number in np.ravel(np.asarray(value, dtype=np.float64)):
+        if not abs(number) <= most:
+            raise ModelError(f"{owner}: its {what} has {number:g}: at most {most:g} {unit}: {why}")
+
+
+def check_sizes(links: "Sequence[Link]", where: str) -> None:
+    """Refuse links with numbers beyond `MOST`.
+
+    Raises
+    ------
+    ModelError
+        A number of one is larger, or is none.
+    """
+    for link in links:
+        at = f"{where}: {'site' if link.site else 'link'} {link.name!r}"
+        check_size("mass", link.weight.mass, at)
+        check_size("centre of mass", link.weight.centre, at)
+        check_size("inertia tensor", link.weight.tensor, at)
+        check_size("origin", [link.placement[:3, 3], link.offset[:3, 3]], at)
+        check_size("armature", link.armature, f"{where}: joint {link.joint!r}")
 
 
 def check_mechanism(model: "pin.Model", home: NDArray[np.float64], where: str) -> None:

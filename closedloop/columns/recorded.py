@@ -52,7 +52,7 @@ _BY_TIME: dict[str, Column] = {
     "kinetic_energy": Column(("time",), "J", "kinetic energy, drives included"),
     "potential_energy": Column(("time",), "J", "potential energy of gravity"),
     "energy_supplied": Column(
-        ("time",), "J", "work of torque, contact force and friction since the start, less what the events took"
+        ("time",), "J", "work of torque, contact force and friction since row 0, less what the events after it took"
     ),
 }
 

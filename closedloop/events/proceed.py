@@ -145,6 +145,8 @@ def proceed(
         todo = check_step(w, w.drift_c[0], state)
         if todo == BEGIN_SUBSTEP:
             commit_work(w)
+            if state.row == 0:
+                w.supplied = 0.0  # row 0 is the state after the events of t = 0, and the balance begins with it
             if state.law != 0:
                 stick_or_slip_joints(w, constants, state, rows)
             record(H, C, w, constants, state, table, rows, state.row)

@@ -10,6 +10,7 @@ The law, the closure and friction are no part of it: contact in MuJoCo is soft, 
 
 from __future__ import annotations
 
+import re
 from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
@@ -18,7 +19,7 @@ from xml.etree import ElementTree
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from closedloop.errors import ScenarioError
+from closedloop.errors import ScenarioError, printable
 from closedloop.export.mjcf_joined import add_equalities, add_joined_parts, add_pairs, check_joined
 from closedloop.export.mjcf_surface import add_surface
 from closedloop.export.mjcf_text import element, numbers, quaternion
@@ -59,11 +60,16 @@ def write_mjcf(run: Run, path: str | Path) -> list[Path]:
     return [write_whole(path, text.encode())]
 
 
+def explained(name: str) -> str:
+    """Return the comment of the file, which no name ends: two hyphens would."""
+    return EXPLAINED.format(re.sub("-(?=-)", "- ", printable(name)))
+
+
 def mjcf_of(run: Run) -> ElementTree.Element:
     """Return the scene of a run of at least one row as the element <mujoco>."""
     scene, mechanism = scene_of(run), scene_of(run).model.pinocchio_model()
     root = ElementTree.Element("mujoco", model=run.scenario.name)
-    root.append(ElementTree.Comment(EXPLAINED.format(run.scenario.name.replace("--", "- -"))))
+    root.append(ElementTree.Comment(explained(run.scenario.name)))
     element(root, "compiler", angle="radian", autolimits="true", boundmass=LEAST, boundinertia=LEAST)
     element(root, "option", gravity=mechanism.gravity.linear, timestep=run.scenario.time.step)
     assets, world = element(root, "asset"), element(root, "worldbody")

@@ -104,7 +104,19 @@ class History:
         for key, value in (self.changes if changes is None else changes).items():
             merged = with_change(merged, key, value)
         words = ["closedloop", self.name, *(w for k, v in merged.items() for w in (f"--{k}", toml_text(v)))]
-        return " ".join([*map(shlex.quote, words), *([self.words] if self.words else []), "--engine", engine])
+        return " ".join([*map(quoted, words), *([self.words] if self.words else []), "--engine", engine])
+
+
+def quoted(word: str) -> str:
+    """Return a word as a shell reads it, on one line; with line breaks in it as bash, zsh and POSIX 2024 spell them."""
+    if word.isprintable():
+        return shlex.quote(word)
+    plain = word.replace("\\", "\\\\").replace("'", "\\'")
+    return "$'" + "".join(c if c.isprintable() else _octal(c) for c in plain) + "'"
+
+
+def _octal(c: str) -> str:
+    return "".join(f"\\{byte:03o}" for byte in c.encode("utf-8", "surrogateescape"))
 
 
 def in_words(scenario: Scenario) -> tuple[str, Changes]:

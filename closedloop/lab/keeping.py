@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from pathlib import Path
 
-from closedloop.errors import OutputError
+from closedloop.errors import OutputError, printable
 from closedloop.files import reason_of, write_whole
 from closedloop.lab.share import share
 from closedloop.record.run import Run
@@ -46,7 +46,7 @@ def save(run: Run, command: str, parent: Path | None = None) -> list[Path]:
         If they cannot be written.
     """
     folder = new_folder(run.scenario.name, parent)
-    text = f"# {command}\n{run.scenario.to_toml()}"
+    text = f"# {printable(command)}\n{run.scenario.to_toml()}"
     return [write_whole(folder / "scenario.toml", text.encode()), run.save(folder / "run.nc")]
 
 

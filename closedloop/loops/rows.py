@@ -150,7 +150,8 @@ def _distance(tree: Tree, work: Array, rows: LoopRows, k: int, one: int, other: 
         u[i] = a[POINT + i] - b[POINT + i]
         square += u[i] * u[i]
     length = math.sqrt(square)
-    for i in range(3):
+    apart = length > 0.0  # of points in one place the row is zeros, and its error says that it is open
+    for i in range(3 if apart else 0):
         u[i] /= length
     _along_joints(tree, work, one, a, 1.0, rows, k, 1)
     _along_joints(tree, work, other, b, -1.0, rows, k, 1)
@@ -159,7 +160,8 @@ def _distance(tree: Tree, work: Array, rows: LoopRows, k: int, one: int, other: 
         rate += u[i] * parting
         speed += parting * parting
         drift += u[i] * (a[ACCELERATION + i] - b[ACCELERATION + i])
-    rows.error[k], rows.rate[k], rows.drift[k] = length - rows.value[k, 0], rate, drift + (speed - rate * rate) / length
+    bend = (speed - rate * rate) / length if apart else 0.0
+    rows.error[k], rows.rate[k], rows.drift[k] = length - rows.value[k, 0], rate, drift + bend
 
 
 @kernel

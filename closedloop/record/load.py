@@ -19,6 +19,7 @@ from closedloop.closure.contact_force import FREE, PRESSED, STUCK
 from closedloop.columns.added import from_text
 from closedloop.columns.recorded import ALL_COLUMNS, CONTACT_COLUMNS, Column, columns_there
 from closedloop.errors import ClosedLoopError, RunFileError, faults_on_one_line
+from closedloop.events.phases import INSTANT
 from closedloop.events.table import KINDS
 from closedloop.files import reason_of
 from closedloop.record.halved import checked_comparison
@@ -41,6 +42,8 @@ from closedloop.scenario.load import parse_scenario
 from closedloop.scenario.scenario import Scenario
 from closedloop.surface.plane import unit
 
+# Of instants, relative.
+ROUNDING = 1e-14
 # What files from before there was a checksum may lack.
 _LATER = dict(zip(LATER_TEXTS, ("pinocchio", "", '["kkt_condition"]'), strict=True))
 # Columns that files of earlier versions may lack, and a column as long: what nobody wrote down is NaN.
@@ -102,7 +105,10 @@ def _run_of(found: Mapping[str, Any], columns: dict[str, NDArray[Any]]) -> Run:
     columns |= {name: np.full(columns[_LATER_COLUMNS[name]].size, np.nan) for name in absent}
     allowed = [*json.loads(found["not_finite"]), *absent]
     added = from_text(found[ADDED]) if ADDED in found else {}
-    _check_columns(columns, added, {"joint": model.n, "contact": len(scenario.contact or ())}, allowed)
+    contacts = len(scenario.contact or ())
+    _check_columns(columns, added, {"joint": model.n, "contact": contacts}, allowed)
+    # A run that was stopped may have events in the step that it did not finish.
+    _check_events(columns, model.n + contacts, scenario.time.step if found["stopped"] else 0.0)
     return Run(
         scenario=scenario,
         model=model,
@@ -162,8 +168,8 @@ _KNOWN: dict[str, tuple[int, ...]] = {
 
 
 def _check_values(columns: Mapping[str, NDArray[Any]]) -> None:
-    """Refuse what no run can hold: time that does not go on, unknown modes and kinds, events out of order."""
-    time, event_time = columns["time"], columns["event_time"]
+    """Refuse what no run can hold: time that does not go on, unknown modes and kinds."""
+    time = columns["time"]
     if time.size and (time[0] != 0.0 or not np.all(np.diff(time) > 0.0)):
         raise RunFileError("is damaged: column 'time' does not go from 0 upwards, row by row")
     for name, known in _KNOWN.items():
@@ -171,5 +177,17 @@ def _check_values(columns: Mapping[str, NDArray[Any]]) -> None:
             raise RunFileError(
                 f"is damaged: column '{name}' has {wrong[0]:g}, which is none of {', '.join(map(str, known))}"
             )
-    if event_time.size and not (event_time[0] >= 0.0 and np.all(np.diff(event_time) >= 0.0)):
+
+
+def _check_events(columns: Mapping[str, NDArray[Any]], most: int, beyond: float) -> None:
+    """Refuse events out of order, later than `beyond`, s, after the last row, or of more contacts than the `most`."""
+    instants, which = columns["event_time"], columns["event_contact"]
+    if not instants.size:
+        return
+    if not (instants[0] >= 0.0 and np.all(np.diff(instants) >= 0.0)):
         raise RunFileError("is damaged: column 'event_time' does not go from 0 upwards")
+    end = float(columns["time"][-1]) if columns["time"].size else 0.0
+    if instants[-1] > end + beyond + INSTANT + ROUNDING * end:
+        raise RunFileError(f"is damaged: column 'event_time' has {instants[-1]:g} s, and the run ends at {end:g} s")
+    if (wrong := which[(which < 0) | (which > most)]).size:
+        raise RunFileError(f"is damaged: column 'event_contact' has {wrong[0]:g}: the run has contacts 0 to {most}")

@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
-from typing import Annotated
+from typing import Annotated, Any
 
-from pydantic import Field
+from pydantic import BeforeValidator, Field
 
 from closedloop.families import OneOf
 from closedloop.impact.restitution import RESTITUTIONS
@@ -29,10 +29,20 @@ class ImpactSection(Section):
     )
 
 
+def _one_line(value: Any) -> Any:
+    """A name stands in headers and comments of the files that are written, so nothing in it ends a line."""
+    if isinstance(value, str) and not value.isprintable():
+        raise ValueError("must be a name on one line, of characters that can be printed")
+    return value
+
+
+OneLine = Annotated[str, BeforeValidator(_one_line)]
+
+
 class ContactSection(Section):
     """[[contact]]: a point of a link that touches a surface of another link, or of the world; any number of them."""
 
-    name: str = Field("", description="what it is called; contact 1, contact 2 ... if left out")
+    name: OneLine = Field("", description="what it is called; contact 1, contact 2 ... if left out")
     link: str = Field(description="frame that the point belongs to")
     at: tuple[Coordinate, Coordinate, Coordinate] = Field(
         (0.0, 0.0, 0.0), description="the point, m, axes of that frame"

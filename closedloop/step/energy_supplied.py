@@ -7,6 +7,8 @@ stage, which holds the torque over the step, the work is that torque times the m
 
     P = (Q + τ)ᵀq̇ + F·N ṙ        τ friction of the joints, F = (f, F_t) at the tip, N ṙ = u on a surface at rest
 
+It counts from row 0, which holds the state after the events of t = 0: what these took is in the table of events alone.
+
 With elastic joints the arm ends at the links: Q is then what they pass on to these.
 """
 

@@ -14,6 +14,7 @@ import numpy as np
 import pytest
 
 import closedloop as cl
+from closedloop.__main__ import main
 from closedloop.columns.recorded import COLUMNS
 from closedloop.figures import draw_figures
 from closedloop.record import sealed
@@ -303,8 +304,12 @@ def test_seed_is_that_of_the_sensors_noise(saved):
     ("mode", 2, -1, "'mode' has -1"),
     ("event_kind", 0, 99, "'event_kind' has 99"),
     ("event_time", 0, -1.0, "'event_time' does not go"),
+    ("event_time", -1, 0.6, "'event_time' has 0.6 s, and the run ends at 0.5 s"),
+    ("event_time", -1, 0.500001, "'event_time' has 0.500001 s, and the run ends at 0.5 s"),
+    ("event_contact", 0, -1, "'event_contact' has -1: the run has contacts 0 to 2"),
+    ("event_contact", 0, 3, "'event_contact' has 3: the run has contacts 0 to 2"),
 ])  # fmt: skip
-def test_what_no_run_can_hold_is_refused(bounced, tmp_path, read_here, name, where, value, words):
+def test_what_no_run_can_hold_is_refused(bounced, tmp_path, read_here, capsys, name, where, value, words):
     """In a file without digests: time backwards or standing still, modes and kinds that there are not."""
     copy = shutil.copy(bounced, tmp_path / "copy.nc")
     with h5py.File(copy, "r+") as file:
@@ -313,6 +318,8 @@ def test_what_no_run_can_hold_is_refused(bounced, tmp_path, read_here, name, whe
     with pytest.raises(cl.RunFileError, match=words) as caught:
         cl.load_run(copy)
     assert "\n" not in str(caught.value)
+    assert main(["show", str(copy)]) == 2
+    assert capsys.readouterr().err.count("\n") == 1
 
 
 @pytest.fixture(scope="module")

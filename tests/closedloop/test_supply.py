@@ -41,6 +41,36 @@ def test_an_impact_at_the_start_is_accounted_for():
     assert off < 1e-9
 
 
+def starting(kind, engine, **changes):
+    """Return the run of an arm of which the tip, a contact of a link or a joint strikes at t = 0."""
+    values = {"time.duration": 0.02, "law.force": 0.0, "stabiliser.kind": "none", "time.integrator": "rk4"} | changes
+    if kind == "tip":
+        values |= {"surface.gap": 0.0, "start.v": [-0.5, -0.5]}
+    elif kind == "stop":
+        values |= {"robot.stops": True, "start.q": [0.0, 0.0, -10.0], "start.v": [0.5, 0.0, -2.0], "surface.gap": 5.0}
+        values |= {"law.kp": 0, "law.kd": 0, "reference.kind": "hold", "surface.contact": "unilateral"}
+        values |= {"robot.model": "pointmass3", "robot.stop_restitution": 0.5}
+    else:
+        values |= {"start.v": [-0.5, -0.5], "surface.gap": 50.0, "time.step": 1e-3, "law.kp": 0, "law.kd": 0}
+        drop = cl.load_scenario("planar2_drop")
+        tip = cl.prepare(drop).robot.terms(np.array(drop.start.q), np.zeros(2)).position
+        values["contact"] = [{"link": "tip", "through": [0, 0, float(tip[2])], "restitution": 0.4}]
+    return cl.simulate(cl.load_scenario("planar2_drop", values), engine=engine)
+
+
+@pytest.mark.parametrize("engine", ["compiled", "pinocchio", "dop853"])
+@pytest.mark.parametrize("kind", ["tip", "contact", "stop"])
+def test_the_balance_closes_from_row_0_after_an_impact_at_the_start(kind, engine):
+    """E(k) − E(0) is the energy supplied, in every row: it was off by what the impact at t = 0 took."""
+    changes = {"time.integrator": "dop853"} if engine == "dop853" else {}
+    run = starting(kind, "pinocchio" if changes else engine, **changes)
+    assert run.event_time[0] < 1e-12
+    assert run.event_energy_lost[0] > 0.05
+    energy = run.kinetic_energy + run.potential_energy
+    assert run.energy_supplied[0] == 0.0
+    np.testing.assert_allclose(energy - energy[0], run.energy_supplied, rtol=0.0, atol=1e-8)
+
+
 def test_supplied_is_the_sum_of_what_the_rows_say():
     """Without events it is the power of the rows, by the trapezoidal rule, to the square of the step."""
     run = cl.simulate(cl.load_scenario("wam_slide", {"time.integrator": "rk4", "time.duration": 0.6}))

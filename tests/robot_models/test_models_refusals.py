@@ -192,7 +192,7 @@ MJCF = {
     "pose is nan": (mjcf(base='<body name="base" quat="1 0 nan 0">'), ["'base'", "quat", "'nan'"]),
     "far too large": (
         mjcf(inertial=MJCF_INERTIAL.replace("0.1 0.02", "1e200 0")),
-        ["'upper'", "not finite"],
+        ["'upper'", "centre of mass has 1e+200", "at most 1e+06 m"],
     ),
     "limits reversed": (mjcf(joint='<joint name="shoulder" range="1 -1"/>'), ["'shoulder'", "lower limit 1"]),
     "negative armature": (mjcf(joint='<joint name="shoulder" armature="-1"/>'), ["'shoulder'", "armature"]),

@@ -1,0 +1,93 @@
+"""The torque limits of an MJCF are what MuJoCo's actuators give at most."""
+
+import mujoco
+import numpy as np
+import pytest
+from model_texts import mjcf
+
+import robot_models
+
+CLASSES = (
+    '<default><motor ctrlrange="-3 3" gear="2"/>'
+    '<default class="servo"><position kp="10" forcerange="-4 5"/></default>'
+    '<default class="weak"><general forcerange="-1 1"/></default></default>'
+)
+
+
+def driven(actuators, head="", joint='<joint name="shoulder"/>'):
+    """Return a text of one joint with actuators."""
+    return mjcf(head=head, joint=joint, tail=f"<actuator>{actuators}</actuator>" if actuators else "")
+
+
+LIMITED = {
+    "forcerange of a position servo": (driven('<position joint="shoulder" kp="5" forcerange="-7 7"/>'), 7.0),
+    "times its gear": (driven('<position joint="shoulder" kp="5" forcerange="-7 7" gear="-3"/>'), 21.0),
+    "ctrlrange of a motor": (driven('<motor joint="shoulder" ctrlrange="-2 2" gear="50"/>'), 100.0),
+    "the smaller of both": (driven('<motor joint="shoulder" ctrlrange="-2 2" forcerange="-1.5 1.5" gear="4"/>'), 6.0),
+    "general with a gain": (driven('<general joint="shoulder" ctrlrange="-1 1" gainprm="30"/>'), 30.0),
+    "the joint's own": (driven("", joint='<joint name="shoulder" actuatorfrcrange="-9 9"/>'), 9.0),
+    "the joint's, below": (
+        driven('<motor joint="shoulder" ctrlrange="-20 20"/>', "", '<joint name="shoulder" actuatorfrcrange="-9 9"/>'),
+        9.0,
+    ),
+    "two that add up": (
+        driven('<motor joint="shoulder" ctrlrange="-2 2"/><velocity joint="shoulder" kv="1" forcerange="-3 3"/>'),
+        5.0,
+    ),
+    "defaults of a shortcut": (driven('<motor joint="shoulder"/>', CLASSES), 6.0),
+    "defaults of a class": (driven('<position joint="shoulder" class="servo"/>', CLASSES), 8.0),
+    "defaults of another tag": (driven('<motor joint="shoulder" class="weak"/>', CLASSES), 2.0),
+    "a servo of the class as general": (driven('<general joint="shoulder" class="servo"/>', CLASSES), 8.0),
+    "in the parent's axes": (driven('<motor jointinparent="shoulder" ctrlrange="-2 2"/>'), 2.0),
+    "none: a range switched off": (driven('<motor joint="shoulder" ctrlrange="-2 2" ctrllimited="false"/>'), np.inf),
+    "none: the set-point of a servo": (driven('<position joint="shoulder" ctrlrange="-2 2" kp="9"/>'), np.inf),
+    "none: an integrator": (driven('<general joint="shoulder" ctrlrange="-2 2" dyntype="integrator"/>'), np.inf),
+    "none: one of two": (
+        driven('<motor joint="shoulder" ctrlrange="-2 2"/><velocity joint="shoulder" kv="1e9"/>'), np.inf
+    ),
+    "none: the joint's switched off": (
+        driven("", joint='<joint name="shoulder" actuatorfrcrange="-9 9" actuatorfrclimited="false"/>'), np.inf
+    ),
+}  # fmt: skip
+
+
+def load(tmp_path, text):
+    """Return the robot of a text."""
+    path = tmp_path / "robot.xml"
+    path.write_text(text)
+    return robot_models.load(path)
+
+
+@pytest.mark.parametrize(("text", "limit"), LIMITED.values(), ids=LIMITED)
+def test_torque_limits_are_those_of_the_actuators(tmp_path, text, limit):
+    """MuJoCo, whose actuators are asked for far too much either way, gives the limit and no more."""
+    robot = load(tmp_path, text)
+    assert robot.effort_limit[0] == limit
+    model = mujoco.MjModel.from_xml_string(text)
+    data = mujoco.MjData(model)
+    given = []
+    for sign in (1.0, -1.0):
+        data.ctrl[:] = sign * 1e6 * np.sign(model.actuator_gear[:, 0])
+        data.act[:] = sign * 1e6
+        data.qpos[:] = data.qvel[:] = -sign * 1e6  # servos push, too
+        mujoco.mj_forward(model, data)
+        given.append(abs(float(data.qfrc_actuator[0])))
+    if model.nu:
+        assert min(given) == limit if np.isfinite(limit) else min(given) >= 1e6
+    again = robot_models.from_text(
+        robot.text, "mjcf", name="again", armature=robot.armature, tip=robot.tip, home=robot.home, locked={}
+    )
+    assert again.effort_limit[0] == limit
+
+
+def test_a_range_of_one_direction_has_its_larger_bound(tmp_path):
+    """A muscle pulls in one direction: its bound there is the limit, not 0, which is none."""
+    assert load(tmp_path, driven('<motor joint="shoulder" ctrlrange="0 4"/>')).effort_limit[0] == 4.0
+    assert load(tmp_path, driven('<motor joint="shoulder" ctrlrange="-4 0"/>')).effort_limit[0] == 4.0
+
+
+@pytest.mark.parametrize("key", ["forcerange", "ctrlrange"])
+def test_a_reversed_range_is_refused(tmp_path, key):
+    """As MuJoCo does, with the actuator and the key."""
+    with pytest.raises(robot_models.ModelError, match=f"<motor> 'm': {key} is '2 -2': its upper limit must be above"):
+        load(tmp_path, driven(f'<motor name="m" joint="shoulder" {key}="2 -2"/>'))

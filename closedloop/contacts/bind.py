@@ -20,7 +20,7 @@ from closedloop.loops.memory import POSITION, Bound, LoopMemory, make_loop_memor
 from closedloop.loops.rows import locate_rows
 from closedloop.robot.pinocchio import Robot
 from closedloop.scenario.arm import stop_limits
-from closedloop.scenario.contact_sections import ContactSection, ImpactSection
+from closedloop.scenario.contact_sections import ContactSection
 from closedloop.scenario.scenario import Scenario
 from closedloop.surface.plane import contact_frame, unit
 from robot_models.errors import shown

@@ -20,7 +20,7 @@ from closedloop.loops.memory import POSITION, Bound, LoopMemory, make_loop_memor
 from closedloop.loops.rows import locate_rows
 from closedloop.robot.pinocchio import Robot
 from closedloop.scenario.arm import stop_limits
-from closedloop.scenario.contact_sections import ContactSection, ImpactSection
+from closedloop.scenario.contact_sections import ContactSection
 from closedloop.scenario.scenario import Scenario
 from closedloop.surface.plane import contact_frame, unit
 from robot_models.errors import shown
@@ -154,8 +154,6 @@ def _refuse_together(scenario: Scenario) -> None:
         (f"friction.kind = {kind!r}", not tip, "none or one without sticking" if bilateral else "none or coulomb"),
         ("joint_friction.kind", scenario.joint_friction.sticks == "rigid", "none, or one that sticks as a spring"),
         ("stabiliser.kind", scenario.stabiliser.kind in ("projection", "both"), "baumgarte or none"),
-        # several contacts know Newton's restitution alone; the default is what a scenario that says nothing has
-        ("impact.law", scenario.impact.law not in ("newton", ImpactSection().law), "newton"),
         ("surface.extent", scenario.surface.extent is not None, "left out"),
         ("surface.edge_radius", scenario.surface.edge_radius is not None, "left out"),
         ("robot.friction", scenario.robot.friction, "false: give joint_friction"),

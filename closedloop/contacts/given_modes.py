@@ -87,7 +87,8 @@ def solve_modes(c: Contacts, k: int) -> int:
     Returns
     -------
     int
-        OK; SINGULAR: the rows contradict each other; PAINLEVE: a contact slides so that a larger force pulls it in.
+        OK; SINGULAR: the rows contradict each other; PAINLEVE: the only contact slides so that a larger force pulls
+        it in.
     """
     n, most = c.X.shape[1], 0.0
     for i in range(3 * k):

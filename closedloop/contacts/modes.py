@@ -45,7 +45,7 @@ def decide(links: ContactLinks, c: Contacts, slow: float) -> int:
     Returns
     -------
     int
-        OK, or PAINLEVE if no forces in the cones go with any modes.
+        OK, or PAINLEVE if no forces in the cones were found, with any modes.
     """
     k = links.k
     size = choose_kinds(links, c, slow)

@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 
 from closedloop.closure.contact_force import FREE, PRESSED
 from closedloop.closure.solve import OK
+from closedloop.contacts.given_modes import STILL
 from closedloop.contacts.memory import ContactLinks, Contacts, contacts_at
 from closedloop.contacts.modes import HOVERING
 from closedloop.events.phases import (
@@ -33,7 +34,7 @@ from closedloop.events.substep import count_event, resume_step, too_many_events
 from closedloop.events.table import LIFTOFF, RELEASE, STOP, EventRow
 from closedloop.jit.calls import call_at
 from closedloop.jit.kernel import kernel
-from closedloop.step.contacts import DECIDE, IMPULSE, PLACE
+from closedloop.step.contacts import DECIDE, IMPULSE, PLACE, STICK_SPEED
 from closedloop.step.entries import RESTART
 from closedloop.step.evaluate import call_law
 from closedloop.step.memory import Constants, State, Work
@@ -99,9 +100,19 @@ def resume_with_contacts(w: Work, constants: Constants, state: State, events: Ar
             leave_tip(w, links, c, constants, state)
         request_terms(state, AFTER_EVENT)
         return NEED_TERMS
-    if w.contact_margin < 0.0:
+    if w.contact_margin < 0.0 or stopped_by_others(links, c):
         return APPLY_EVENT
     return resume_step(w, constants, state)
+
+
+@kernel
+def stopped_by_others(links: ContactLinks, c: Contacts) -> bool:
+    """Whether a contact that slid at the event is at rest after it, by what stopped others: its mode ends."""
+    for i in range(links.k):
+        slid = c.mode[i] == PRESSED and c.mu[i] > 0.0 and c.start_slip[i] > STICK_SPEED
+        if slid and math.hypot(c.u[3 * i + 1], c.u[3 * i + 2]) <= STILL:
+            return True
+    return False
 
 
 @kernel

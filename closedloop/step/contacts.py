@@ -213,7 +213,7 @@ def apply_impulse_alone(links: ContactLinks, c: Contacts, w: Work, i: int, leave
     for j in range(3 * k):
         c.F[j], c.before[j] = 0.0, c.u[j]
     for j in range(k):
-        c.happened[j], c.struck[j], c.pulled[j] = 0.0, 0.0, 0.0
+        c.happened[j], c.struck[j], c.pulled[j], c.outside[j] = 0.0, 0.0, 0.0, 0.0
     for j in range(3):
         c.F[at + j] = w.compression[j] + w.decompression[j]
     write_after(c, k)

@@ -278,7 +278,6 @@ def test_what_is_wrong_with_a_contact_is_said_in_one_line(change, said):
         ("stabiliser.kind", "projection"),
         ("compliance", {"kind": "kelvin_voigt", "stiffness": 1e4, "damping": 10.0}),
         ("surface.edge_radius", 0.1),
-        ("impact.law", "poisson"),
     ],
 )
 def test_what_does_not_go_with_contacts_is_refused(key, value):

@@ -212,7 +212,7 @@ def test_the_end_of_stick_or_slip(case, soft):
         np.testing.assert_array_equal(w.v, v)
     if case in ("let go", "reversed"):  # its slip starts from rest: a rounding of u against the slip is no end of it
         w.u[1:], before = -1e-17 * w.direction, w.start_slip_speed
-        assert (before, slip_margin(w, constants) > 0.0) == (0.0, True)
+        assert (before, interpreted(slip_margin)(w, constants) > 0.0) == (0.0, True)
         w.u[:] = w.before
     np.testing.assert_array_equal(w.anchor, w.p if case == "held" else loop.w.anchor)
     ahead = {"fast": w.u[1:], "let go": -force[1:]}.get(case, [1.0, 0.0])

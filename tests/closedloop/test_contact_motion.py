@@ -90,7 +90,7 @@ def examine(run, mu, gap, rise=1e-8):
     assert np.min(run.link_gaps) > gap
     energy = run.kinetic_energy + run.potential_energy
     rate = np.max(np.abs(run.v), axis=1)
-    resolved = np.maximum(rate[1:], rate[:-1]) * np.diff(run.time) < 0.1
+    resolved = np.maximum(rate[1:], rate[:-1]) * np.diff(run.time) < 0.05
     assert np.mean(resolved) > 0.95
     assert np.max(np.diff(energy)[resolved]) < rise * max(1.0, np.ptp(energy))
     assert np.all(run.event_energy_lost >= -1e-12)

@@ -204,7 +204,7 @@ def _parser() -> Parser:
         description="Simulate a robot arm whose tip is in contact with a surface.",
         epilog=list_of_sections()
         + "\n\nexit status: 0 done; 2 the input is at fault; 3 the simulation could not go on;\n"
-        "with --strict, 4 a bad verdict, 5 of the control alone; 130 Ctrl-C, 143 SIGTERM. What ran is saved.",
+        "with --strict 4, a bad verdict, or 5, of the control; 130 Ctrl-C, 143 SIGTERM.",
         cure="a key of the scenario is set as --law.force 15; see --help",
     )  # fmt: skip
     add = parser.add_argument
@@ -215,12 +215,8 @@ def _parser() -> Parser:
     add("--overwrite", action="store_true", help="replace results of another run in that folder")
     add("--no-figures", action="store_true", help="write run.nc and summary.json only")
     add("--json", action="store_true", help="print the summary as JSON instead of tables")
-    add("--halve", action="store_true", help="run it at half the step too, and say by how much each value differs")
-    add(
-        "--strict",
-        action="store_true",
-        help="exit with status 4 if the run's verdict is bad, with 5 if that of its control alone is",
-    )
+    add("--halve", action="store_true", help="also run it at half the step, and compare")
+    add("--strict", action="store_true", help="exit with status 4 or 5 if a verdict is bad")
     add("--engine", choices=("pinocchio", "compiled"), help="whose H, C, r, J (default pinocchio)")
     add("--law", metavar="MODULE:NAME", help="law(x) or law(t, q, v, terms) of your own as the law")
     return parser

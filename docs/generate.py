@@ -25,7 +25,7 @@ from closedloop.scenario.tables import table_type
 # What each public name is for, in the order of the page; a name that is in none of these is a fault.
 API = {
     "From a scenario to a run": (
-        "load_scenario shipped_scenarios Scenario simulate simulate_batch prepare Problem Run Event load_run "
+        "load_scenario shipped_scenarios Scenario simulate halve simulate_batch prepare Problem Run Event load_run "
         "sweep_plot Simulator StepState figures lab"
     ),
     "Laws and surfaces of your own": "Law LawInput ControlLaw Surface SurfaceMotion Compliance",

@@ -12,6 +12,7 @@ from typing import TYPE_CHECKING, Any
 
 from closedloop.control.law import ControlLaw
 from closedloop.errors import ScenarioError
+from closedloop.files import write_whole
 from closedloop.lab.history import History, in_words
 from closedloop.record.run import Run
 from closedloop.scenario.load import load_scenario
@@ -132,6 +133,8 @@ def open_in_browser(url: str) -> None:
 
     folder = tempfile.mkdtemp(prefix="closedloop-lab-")  # of this user alone
     page = Path(folder) / "open.html"
-    page.write_text(f'<meta charset="utf-8"><meta http-equiv="refresh" content="0; url={html.escape(url)}">\n')
+    write_whole(
+        page, f'<meta charset="utf-8"><meta http-equiv="refresh" content="0; url={html.escape(url)}">\n'.encode()
+    )
     atexit.register(shutil.rmtree, folder, ignore_errors=True)
     webbrowser.open(page.as_uri())

@@ -107,7 +107,7 @@ def _facts(run: Record, values: dict[str, Any], joints: dict[str, Array], held: 
     columns = {name: column.tolist() for name, column in joints.items()}
     return Facts(
         run.scenario, run.model, run.stopped, len(run) - 1, values, len(run.events), failed, columns, _unresolved(run),
-        run.halved["stopped"] if run.halved else None,
+        run.halved is not None, run.halved["stopped"] if run.halved else None,
     )  # fmt: skip
 
 

@@ -9,7 +9,7 @@ import pytest
 import closedloop as cl
 from closedloop.record.halved import checked_comparison
 from closedloop.report.halved import MOVES, _away_from_changes
-from closedloop.report.verdict import LARGEST_SHARE
+from closedloop.report.verdict import MEASURED_SHARE
 
 SHORT = {"time.duration": 0.04, "reference.start": 0.0, "reference.stop": 0.2, "law.pd_start": 0.0}
 
@@ -52,7 +52,7 @@ def test_the_comparison_is_that_of_two_runs(halved):
 def test_the_verdict_is_judged_by_what_was_measured(halved):
     """Just beyond the bound it is BAD, just within good; and BAD where the other run could not go on."""
     run, _ = halved
-    bound = LARGEST_SHARE * run.summary()["largest_reference_force"]
+    bound = MEASURED_SHARE * run.summary()["largest_reference_force"]
     for changed, bad in (
         ({"force": 0.99 * bound}, False),
         ({"force": 1.01 * bound}, True),

@@ -55,7 +55,7 @@ def test_every_command_is_there_and_says_what_it_is(command, closedloop):
     assert callable(getattr(import_module(module), function))
     status, out, err = closedloop(command.name, "--help")
     assert (status, err) == (0, "")
-    assert len(out.splitlines()) <= 48
+    assert len(out.splitlines()) <= 49
     assert f"\n  {command.name} " in overview()
     assert len(command.help) + 14 <= 80
     status, out, err = closedloop(command.name, "--nosuch")
@@ -99,7 +99,7 @@ def test_a_saved_run_is_shown(closedloop, saved):
     """`show` prints the report, with --json the summary; a file that is no run is refused."""
     status, out, err = closedloop("show", saved)
     assert (status, err) == (0, "")
-    assert out.startswith("verdict: good\nplanar2_slide: the paper's assumptions")
+    assert out.startswith("verdict: good\ncontrol: good\nplanar2_slide: the paper's assumptions")
     assert json.loads(closedloop("show", saved, "--json")[1]) == cl.load_run(saved).summary()
     assert closedloop("show", "nosuch.nc")[::2] == (2, "closedloop: nosuch.nc: there is no such file\n")
 

@@ -39,7 +39,7 @@ def test_public_names_are_those_that_type_checkers_see():
     declared = {
         alias.asname: node.module
         for block in ast.walk(tree)
-        if isinstance(block, ast.If)
+        if isinstance(block, ast.If) and isinstance(block.test, ast.Name) and block.test.id == "TYPE_CHECKING"
         for node in block.body
         if isinstance(node, ast.ImportFrom)
         for alias in node.names

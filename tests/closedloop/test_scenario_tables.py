@@ -84,7 +84,7 @@ def test_help_and_explain_know_contacts():
     )
     assert explain_key("contact.0.surface.radius") == explain_key("surface.radius")
     assert key_unit("contact.floor left.surface.radius") == "m"
-    assert key_description("contact.0.restitution").startswith("Newton's coefficient")
+    assert key_description("contact.0.restitution").startswith("coefficient of restitution")
 
 
 def test_a_sweep_over_a_contact(command_line, tmp_path):

@@ -123,7 +123,6 @@ def proceed(
     # The gap of a tip that is free is all that a trial step is for, unless there is more to watch.
     free = state.mode == FREE and state.stops == 0 and state.together == 0
     if phase in (STEP_END, STAGE, AFTER_EVENT) or (phase in (TRIAL_END, AT_EVENT) and not free):
-        state.inside = 1 if phase == STAGE else 0
         status = evaluate(H, C, w, constants, state, table, rows)
         if status != OK:
             state.status = status

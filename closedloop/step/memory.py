@@ -93,7 +93,6 @@ class State(Block):
     phase: int  # what the terms requested last are for
     row: int  # the next to be recorded
     stage: int
-    inside: int  # 1 while a stage inside a step is evaluated
     mode: int
     trial: int  # what the trial step is for
     events: int  # rows written of the table of events
@@ -226,9 +225,6 @@ class Work(Block, sizes=("n", "k", "stages", "ring")):
     after: Annotated[Array, 3]
     start_slip: Annotated[Array, 2]  # velocity of slip at the beginning of the substep
     direction: Annotated[Array, 2]  # and its direction
-    turned: Annotated[
-        Array, 2
-    ]  # direction that friction of a slow tip keeps through the step; zero where it is not slow
     carried: Annotated[Array, 3]  # u = N ṙ − carried and u̇ = N r̈ + turning; zero on a plane at rest
     turning: Annotated[Array, 3]
     anchor: Annotated[Array, 3]  # where the tip stuck, see `closedloop.step.locate`

@@ -11,7 +11,7 @@ from closedloop.parameters import parameter_block
 from closedloop.step.entries import mark_raised
 from closedloop.step.locate import off_anchor
 from closedloop.step.memory import RIGID_STICK, SPRING_STICK, Constants, State, Work, loop_at
-from closedloop.step.tip_friction import turn_for_step
+from closedloop.step.tip_friction import turn_with_slip
 from closedloop.surface.compliance import Compliance
 from closedloop.user_code import function_of, member_entry
 
@@ -56,7 +56,7 @@ def soft_contact_force(w: Work, constants: Constants, state: State) -> None:
         rub_softly(w)
         if state.mode != STUCK and state.steps > 0 and state.sticking in (RIGID_STICK, SPRING_STICK):
             for _ in range(2):
-                if not turn_for_step(w, state, constants.h):
+                if not turn_with_slip(w, constants.h):
                     break
                 w.F[1], w.F[2] = -w.c[0] * f - w.viscous[0], -w.c[1] * f - w.viscous[1]
     accelerate(w.L, w.X, w.y, w.F, w.qdd)

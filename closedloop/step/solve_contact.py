@@ -26,7 +26,7 @@ from closedloop.step.locate import off_anchor
 from closedloop.step.memory import RIGID_STICK, SPRING_STICK, Constants, State, Work
 from closedloop.step.singular import force_in_singular_pose, pushed_on_the_way
 from closedloop.step.soft_contact import soft_contact_force
-from closedloop.step.tip_friction import rub_without_pressure, turn_for_step
+from closedloop.step.tip_friction import rub_without_pressure, turn_with_slip
 
 Array = NDArray[np.float64]
 
@@ -59,7 +59,7 @@ def contact_force(C: Array, w: Work, constants: Constants, state: State) -> int:
         sticking = state.sticking
         if state.mode == PRESSED and state.steps > 0 and sticking in (RIGID_STICK, SPRING_STICK):
             for _ in range(2):  # f and the direction of slip depend on each other
-                if not turn_for_step(w, state, constants.h):
+                if not turn_with_slip(w, constants.h):
                     break
                 status, share = pressed_force(w.S, w.a, b, w.c, w.viscous, w.F)
                 if status != OK:

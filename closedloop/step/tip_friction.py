@@ -82,27 +82,6 @@ def turn_with_slip(w: Work, h: float) -> bool:
 
 
 @kernel
-def turn_for_step(w: Work, state: State, h: float) -> bool:
-    """Do `turn_with_slip` at the beginning of a step, and at a stage inside it keep the direction found there.
-
-    The direction solves the whole step of h seconds: asked again at a stage, from a slip that has hardly begun, it
-    would be that of another step, and the stages of Runge and Kutta would throw the tip about where it breaks away.
-    """
-    if state.inside == 0:
-        w.turned[0], w.turned[1] = 0.0, 0.0
-        if not turn_with_slip(w, h):
-            return False
-        level = math.copysign(math.hypot(w.c[0], w.c[1]), w.F[0])
-        w.turned[0], w.turned[1] = w.c[0] / level, w.c[1] / level
-        return True
-    if w.turned[0] == 0.0 and w.turned[1] == 0.0:
-        return False
-    level = math.copysign(math.hypot(w.c[0], w.c[1]), w.F[0])
-    w.c[0], w.c[1] = level * w.turned[0], level * w.turned[1]
-    return True
-
-
-@kernel
 def surface_friction(w: Work, constants: Constants, state: State, rows: Array) -> None:
     """Write c and w of the tip's friction F_t = −c f − w in the present mode; zero where there is none."""
     w.c[0], w.c[1], w.viscous[0], w.viscous[1] = 0.0, 0.0, 0.0, 0.0

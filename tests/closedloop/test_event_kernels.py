@@ -19,7 +19,6 @@ from closedloop.events.table import EVENT_WIDTH, IMPACT, LIFTOFF, REVERSAL, SLIP
 from closedloop.events.transitions import apply_event, end_stick_or_slip, find_direction
 from closedloop.jit.interpreted import interpreted
 from closedloop.step.closed_loops import factorise_tip
-from closedloop.step.tip_friction import turn_for_step
 
 RUBBING = {
     "friction.kind": "dahl", "friction.coefficient": 0.4, "friction.stiffness": 3e3, "joint_friction.kind": "dahl",
@@ -220,30 +219,6 @@ def test_the_end_of_stick_or_slip(case, soft):
         f = 5.0 if soft else -w.a[0] / (w.S[0, 0] - 0.4 * w.S[0, 1:] @ w.direction)
         ahead = w.a[1:] + f * (w.S[1:, 0] - 0.4 * w.S[1:, 1:] @ w.direction)
     np.testing.assert_allclose(w.direction, ahead / np.linalg.norm(ahead), atol=1e-12)
-
-
-def test_friction_of_a_slow_tip_keeps_its_direction_through_a_step():
-    """A stage inside a step has the direction that solves the whole step, whatever its slip; a new step asks anew."""
-    loop, _, _ = loop_at_random("wam_bounce", STICKING)
-    state, w, mu, h = loop.state, loop.w, STICKING["friction.coefficient"], 1e-3
-    w.S[:] = [[1.0, 0.1, 0.2], [0.1, 2.0, 0.5], [0.2, 0.5, 9.0]]
-    w.F[:], w.viscous[:], w.direction[:] = [10.0, 0.0, 0.0], 0.0, [1.0, 0.0]
-    w.a[:] = [-10.0, 30.0, -50.0]
-
-    def ask(inside, slip):
-        state.inside, w.u[1:] = inside, slip
-        w.c[:] = mu * w.u[1:] / np.linalg.norm(slip)
-        return interpreted(turn_for_step)(w, state, h), w.c.copy()
-
-    slow, first = ask(0, [1e-5, 2e-6])
-    after = np.array([1e-5, 2e-6]) + h * (w.a[1:] + 10.0 * (w.S[1:, 0] - w.S[1:, 1:] @ first))
-    np.testing.assert_allclose(first, mu * after / np.linalg.norm(after), rtol=1e-9)
-    assert slow
-    turned, within = ask(1, [-3e-6, 7e-6])
-    np.testing.assert_allclose(within, first, rtol=1e-15)
-    assert turned
-    assert not ask(0, [1.0, 0.0])[0]  # fast: friction is against the slip
-    assert not ask(1, [1e-5, 2e-6])[0]
 
 
 def test_a_tip_that_lifts_off_leaves_what_is_left_of_its_rate():

@@ -250,7 +250,7 @@ def test_engines_and_repetition_agree(tmp_path):
     repeated = cl.simulate(again.scenario, model=again.model)
     np.testing.assert_array_equal(repeated.q, run.q)
     np.testing.assert_array_equal(repeated.link_frictions, run.link_frictions)
-    assert "link_forces_left_below" in again.to_pandas().columns
+    assert "link_forces[left_below]" in again.to_pandas().columns
 
 
 @pytest.mark.parametrize(

@@ -27,9 +27,8 @@ Array = NDArray[np.float64]
 # where no joint's lever arm along the normal is above 1e-6 of the arm's reach (its square above this share of reach²).
 SINGULAR_MOBILITY = 1e-12
 
-OK, SINGULAR, NOT_POSITIVE_DEFINITE, DIVERGED, PAINLEVE, CHATTER, LAW_FAILED, NO_NORMAL, PUSHED, RUBS, CROWDED = range(
-    11
-)
+OK, SINGULAR, NOT_POSITIVE_DEFINITE, DIVERGED, PAINLEVE, CHATTER, LAW_FAILED = range(7)
+NO_NORMAL, PUSHED, RUBS, CROWDED = range(7, 11)
 
 
 def bordered_matrix(H: ArrayLike, A: ArrayLike) -> Array:

@@ -20,7 +20,7 @@ from closedloop.report.alternation import SPAN, alternation
 from closedloop.report.limited import count_limited
 from closedloop.report.measured import Tally, Values, begin_tally, share_inside, write_values
 from closedloop.report.row_sample import JointLimits, Sample, Scale, joint_limits, sample_row
-from closedloop.report.step_error import write_swings
+from closedloop.report.step_error import resolution_of, write_swings
 from closedloop.report.step_variation import Swings
 from closedloop.step.record_row import RECORDED
 
@@ -43,7 +43,8 @@ def run_values(run: Record) -> Any:
     """Return the values of a run of at least one row, see `closedloop.report.measured.Values`."""
     n, count, h = run.model.n, len(run), run.scenario.time.step
     tally, values = Tally(np.zeros(Tally.count(n)), n), Values(np.zeros(Values.count(n)), n)
-    interpreted(begin_tally)(tally, n, h, float(np.max(np.abs(run.reference_force))))
+    order = resolution_of(run.scenario)[1]
+    interpreted(begin_tally)(tally, n, h, float(np.max(np.abs(run.reference_force))), order)
     Scale(tally.scale).start_energy = run.kinetic_energy[0] + run.potential_energy[0]
     Scale(tally.scale).start_supplied = run.energy_supplied[0]
     memory, signals = np.empty((Sample.count(n), min(ROWS, count))), np.empty((1 + n, 0))

@@ -18,6 +18,7 @@ from closedloop.report.control_signals import limited_joints, run_signals
 from closedloop.report.control_verdict import judge_control
 from closedloop.report.halved import measured_step_error
 from closedloop.report.measures import JOINT_MEASURES, MEASURES
+from closedloop.report.row_assumptions import NAMES
 from closedloop.report.row_sample import Scale, energy_left, torque_power
 from closedloop.report.run_values import columns_of, run_values
 from closedloop.report.step_error import step_error, why_not_known
@@ -160,8 +161,10 @@ def _measures(run: Record, values: Any) -> dict[str, float | None]:
         found["force_settled_at"] = None
     if run.halved is not None:
         found |= measured_step_error(run.halved)
-    elif why_not_known(run.scenario, run.model):
+    elif why_not_known(run.scenario, singular=False):
         found["step_error_force"] = found["step_error_position"] = None
+    elif not np.isnan(values.failed_at[NAMES.index("nonsingular")]):
+        found["step_error_force"] = None
     return found
 
 

@@ -232,7 +232,7 @@ def written_out(row, wanted, limits, V, order):
         "start_closure_error": e[0] if touching[0] else 0.0,
         "largest_reference_force": np.max(np.abs(wanted.force)),
         "step_error_force": np.nan if failed.any() else varied + moved + of_pose,
-        "step_error_position": np.linalg.norm(aside) + late,
+        "step_error_position": np.linalg.norm(aside) + late + 1e-12,
         "force_chatter": alternating(f) / np.sum(np.abs(f)) if np.any(f) else 0.0,
         "failed_at": [first_of(~met[name]) for name in NAMES],
         "position_excess": np.maximum(np.max(excess, axis=0), 0.0),

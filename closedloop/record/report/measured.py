@@ -49,6 +49,7 @@ _NONSINGULAR = NAMES.index("nonsingular")
 # In steady motion a run with a scheme of order one lags by half a step; one of a higher order by far less, but stiff
 # modes that only follow, as a closure's, it still gets wrong in that proportion: by a tenth. A tip whose pose is off by
 # a radian presses with another force altogether, and posture and weight both count: four times the force itself.
+# Rounding is a share of the force, and of the metre that an arm is long, `RESIDUAL_TOLERANCE`.
 LAG, HIGHER, POSE = 0.5, 0.1, 4.0
 _VALUES: dict[str, Any] = {
     **dict.fromkeys(MEASURES, float),
@@ -261,7 +262,7 @@ def write_step_error(most: Greatest, n: int, tally: Tally, values: Any) -> None:
         error = min(swing.error, swing.highest - swing.lowest)
         squared += error * error
     lag = LAG * select(first_order, 1.0, HIGHER) * tally.h
-    values.step_error_position = math.sqrt(squared) + lag * values.max_tip_speed
+    values.step_error_position = math.sqrt(squared) + lag * values.max_tip_speed + RESIDUAL_TOLERANCE
     for j in range(n):
         fastest = max(fastest, most.joint_speed[j])
     largest = max(most.force, most.minus_force)

@@ -97,17 +97,18 @@ def step_error(run: Record, values: dict[str, Any]) -> dict[str, Any]:
     """Return the part ``step_error`` of the summary, of its values.
 
     ``contact_force``, N, and ``position``, m; ``measured``: whether they are the difference of the run at half the
-    step, see `closedloop.record.report.halved`, and no estimate; ``why_not``: why they are None, or None.
+    step, see `closedloop.report.halved`, and no estimate; ``why_not``: why one is None, or None.
     """
+    force, position = (
+        value if value is not None and np.isfinite(value) else None
+        for value in (values["step_error_force"], values["step_error_position"])
+    )
     why = None
     if values["step_error_force"] is None:
         why = why_not_known(run.scenario, True) if len(run) else "no row could be computed"
-    return {
-        "contact_force": values["step_error_force"],
-        "position": values["step_error_position"],
-        "measured": run.halved is not None,
-        "why_not": why,
-    }
+    elif force is None or position is None:
+        why = "it is no finite number"
+    return {"contact_force": force, "position": position, "measured": run.halved is not None, "why_not": why}
 
 
 def step_rows(found: dict[str, Any]) -> list[tuple[str, str, str, str]]:
@@ -115,5 +116,5 @@ def step_rows(found: dict[str, Any]) -> list[tuple[str, str, str, str]]:
     beside = "measured, of the run at half the step" if found["measured"] else "estimate, of a run at a shorter step"
     said = [("f is within", found["contact_force"], "N"), ("tip is within", found["position"], "m")]
     known = [(label, f"±{error:.2g}", unit, beside) for label, error, unit in said if error is not None]
-    missing = [("error of the step", "not known", "", f"{found['why_not'] or 'no finite number'}")]
+    missing = [("error of the step", "not known", "", found["why_not"])]
     return known if len(known) == len(said) else missing + known

@@ -18,7 +18,7 @@ import stat
 import subprocess
 import sys
 from pathlib import Path
-from typing import Any
+from typing import Any, BinaryIO
 
 import numpy as np
 from numpy.typing import NDArray
@@ -44,6 +44,17 @@ def seal(content: bytes | memoryview) -> bytes:
     digest = hashlib.sha256(content).hexdigest().encode()
     _ours.add(digest)
     return _line(digest)
+
+
+def seal_file(file: BinaryIO) -> None:
+    """Write the line behind the content of an open file that this process has written."""
+    total = hashlib.sha256()
+    file.seek(0)
+    while block := file.read(1 << 20):
+        total.update(block)
+    digest = total.hexdigest().encode()
+    _ours.add(digest)
+    file.write(_line(digest))
 
 
 def _line(digest: bytes) -> bytes:

@@ -16,6 +16,7 @@ from closedloop.loops.wrench import parts_of
 from closedloop.report.assumptions import assumptions
 from closedloop.report.control_signals import limited_joints, run_signals
 from closedloop.report.control_verdict import judge_control
+from closedloop.report.friction_direction import friction_off_slip
 from closedloop.report.halved import measured_step_error
 from closedloop.report.measures import JOINT_MEASURES, MEASURES
 from closedloop.report.row_sample import Scale, energy_left, torque_power
@@ -57,6 +58,7 @@ def summarise(run: Record) -> dict[str, Any]:
         "wrist": _wrist(run),
         "tool": _tool(run),
         "force_not_determined_from": not_determined_from(run),
+        "friction_off_slip": friction_off_slip(run),
         "motions_without_drive": motions_without_drive(run),
         "events": {kind: sum(event.kind == kind for event in run.events) for kind in KINDS.values()},
         "assumptions": held,

@@ -5,6 +5,7 @@ import pytest
 
 import closedloop as cl
 import robot_models
+from closedloop.report import print_report
 
 PRESSED = 1
 
@@ -80,6 +81,31 @@ def test_a_tip_that_had_drifted_breaks_away_at_a_row(engine):
     }  # fmt: skip
     run = cl.simulate(cl.load_scenario("panda_wipe", changes), engine=engine)  # it stopped at 0.206 s
     assert run.summary()["verdict"]["good"]
+
+
+def test_the_report_says_how_far_friction_is_off_a_slow_slip(capsys):
+    """A block at 0.4 mm/s that is pushed across: the largest angle, by hand from columns; none if it goes straight."""
+
+    def push(t, q, v, terms):
+        return terms.bias - 2.0 * terms.jacobian[2] + across * terms.jacobian[1]
+
+    changes = {
+        "robot.model": "pointmass3", "start": {"v": [4e-4, 0.0, 0.0]}, "reference": {"kind": "hold"}, "law.kp": 0.0,
+        "law.kd": 0.0, "friction": {"kind": "coulomb", "coefficient": 0.3}, "time.duration": 0.01,
+    }  # fmt: skip
+    for across in (0.0, 0.8):
+        run = cl.simulate(cl.load_scenario("wam_slide", changes), law=push, engine="pinocchio")
+        off = run.summary()["friction_off_slip"]
+        if across == 0.0:
+            assert off is None
+    slip, friction = run.slip_velocity[:, :2] @ [1, 1j], -run.friction_force[:, :2] @ [1, 1j]
+    turn = np.degrees(np.abs(np.angle(friction / slip)))
+    assert off["max_angle"] == pytest.approx(np.max(turn), rel=1e-6)
+    assert off["max_angle"] > 20.0
+    assert off["at"] == run.time[np.argmax(turn)]
+    assert off["below_speed"] == pytest.approx(np.max(np.abs(slip[turn > 1.0])), rel=1e-12)
+    print_report(run, width=100)
+    assert "friction off the slip" in capsys.readouterr().out
 
 
 @pytest.mark.slow  # compiles the adaptive scheme with friction

@@ -8,7 +8,7 @@ are kept in the order in which they were made. A dimension of length 0 has no fi
 from __future__ import annotations
 
 from collections.abc import Mapping
-from typing import Any, NamedTuple
+from typing import Any, BinaryIO, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -35,26 +35,76 @@ class Variable(NamedTuple):
     attributes: Mapping[str, str] = {}
 
 
-def netcdf_image(
-    dimensions: Mapping[str, int], variables: Mapping[str, Variable], attributes: Mapping[str, Any]
-) -> bytes:
-    """Return the bytes of a NetCDF-4 file.
+class Uncomplaining:
+    """An open file for HDF5, which does not survive a write that fails: the first failure is kept in `error`."""
 
-    It is made in memory: HDF5 would end the process over a full disk.
+    def __init__(self, file: BinaryIO) -> None:
+        self._file = file
+        self.error: BaseException | None = None
+        self.read, self.seek, self.tell = file.read, file.seek, file.tell
+        self.readinto = file.readinto  # type: ignore[attr-defined]
+
+    def write(self, data: memoryview) -> int:
+        """Write, unless that has failed before; a full disk or Ctrl-C is told when HDF5 has come to its end."""
+        try:
+            if self.error is None:
+                self._file.write(data)
+        except BaseException as error:
+            self.error = error
+        return len(data)
+
+    def truncate(self, size: int) -> int:
+        """Give the file its length; a longer one has nothing there yet."""
+        try:
+            if self.error is None:
+                self._file.truncate(size)
+        except BaseException as error:
+            self.error = error
+        return size
+
+    def flush(self) -> None:
+        """Do nothing: who opened the file flushes it."""
+
+
+def write_netcdf(
+    output: BinaryIO, dimensions: Mapping[str, int], variables: Mapping[str, Variable], attributes: Mapping[str, Any]
+) -> None:
+    """Write a NetCDF-4 file, one variable after the other: beside them no more than the largest is in memory.
 
     Parameters
     ----------
+    output : binary file
+        Open, empty, to be read, written and sought in.
     dimensions : mapping
         Lengths by name.
     variables : mapping
         By name; one with the name of a dimension has that dimension alone.
     attributes : mapping
         The file's own attributes.
+
+    Raises
+    ------
+    OSError
+        If the system refuses to write, as on a full disk.
     """
+    file = Uncomplaining(output)
+    try:
+        _write_netcdf(file, dimensions, variables, attributes)
+    finally:
+        if file.error is not None:
+            raise file.error
+
+
+def _write_netcdf(
+    output: Uncomplaining,
+    dimensions: Mapping[str, int],
+    variables: Mapping[str, Variable],
+    attributes: Mapping[str, Any],
+) -> None:
     import h5py
 
     numbers = {name: np.int32(number) for number, name in enumerate(dimensions)}
-    with h5py.File("image", "w", driver="core", backing_store=False, track_order=True) as file:
+    with h5py.File(output, "w", track_order=True) as file:
         made_by = f"version=2,hdf5={h5py.version.hdf5_version},h5py={h5py.__version__}"
         file.attrs["_NCProperties"] = np.bytes_(made_by)
         scales: dict[str, Any] = {}
@@ -93,5 +143,3 @@ def netcdf_image(
                 dataset.attrs[key] = text
         for key, value in attributes.items():
             file.attrs[key] = value if isinstance(value, str) else np.atleast_1d(value)
-        file.flush()
-        return bytes(file.id.get_file_image())

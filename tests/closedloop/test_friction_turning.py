@@ -5,7 +5,7 @@ import pytest
 
 import closedloop as cl
 import robot_models
-from closedloop.report import print_report
+from closedloop.record.report import print_report
 
 PRESSED = 1
 

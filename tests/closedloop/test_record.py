@@ -17,7 +17,7 @@ import xarray
 
 import closedloop as cl
 import robot_models
-from closedloop.columns.recorded import COLUMNS
+from closedloop.record.columns.recorded import COLUMNS
 from closedloop.record.netcdf_file import Variable, write_netcdf
 from closedloop.record.sealed import seal
 from robot_models.shipped import path_of

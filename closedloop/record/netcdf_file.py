@@ -13,6 +13,8 @@ from typing import Any, BinaryIO, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from closedloop.record.unfailing import Unfailing
+
 # The name of a scale without a variable, before its length in ten places: the one that the NetCDF library looks for.
 NO_VARIABLE = "This is a netCDF dimension but not a netCDF variable."
 
@@ -35,37 +37,6 @@ class Variable(NamedTuple):
     attributes: Mapping[str, str] = {}
 
 
-class Uncomplaining:
-    """An open file for HDF5, which does not survive a write that fails: the first failure is kept in `error`."""
-
-    def __init__(self, file: BinaryIO) -> None:
-        self._file = file
-        self.error: BaseException | None = None
-        self.read, self.seek, self.tell = file.read, file.seek, file.tell
-        self.readinto = file.readinto  # type: ignore[attr-defined]
-
-    def write(self, data: memoryview) -> int:
-        """Write, unless that has failed before; a full disk or Ctrl-C is told when HDF5 has come to its end."""
-        try:
-            if self.error is None:
-                self._file.write(data)
-        except BaseException as error:
-            self.error = error
-        return len(data)
-
-    def truncate(self, size: int) -> int:
-        """Give the file its length; a longer one has nothing there yet."""
-        try:
-            if self.error is None:
-                self._file.truncate(size)
-        except BaseException as error:
-            self.error = error
-        return size
-
-    def flush(self) -> None:
-        """Do nothing: who opened the file flushes it."""
-
-
 def write_netcdf(
     output: BinaryIO, dimensions: Mapping[str, int], variables: Mapping[str, Variable], attributes: Mapping[str, Any]
 ) -> None:
@@ -84,27 +55,14 @@ def write_netcdf(
 
     Raises
     ------
-    OSError
-        If the system refuses to write, as on a full disk.
+    BaseException
+        What a write has raised: OSError on a full disk, or Ctrl-C.
     """
-    file = Uncomplaining(output)
-    try:
-        _write_netcdf(file, dimensions, variables, attributes)
-    finally:
-        if file.error is not None:
-            raise file.error
-
-
-def _write_netcdf(
-    output: Uncomplaining,
-    dimensions: Mapping[str, int],
-    variables: Mapping[str, Variable],
-    attributes: Mapping[str, Any],
-) -> None:
     import h5py
 
+    image = Unfailing(output)
     numbers = {name: np.int32(number) for number, name in enumerate(dimensions)}
-    with h5py.File(output, "w", track_order=True) as file:
+    with h5py.File(image, "w", track_order=True) as file:
         made_by = f"version=2,hdf5={h5py.version.hdf5_version},h5py={h5py.__version__}"
         file.attrs["_NCProperties"] = np.bytes_(made_by)
         scales: dict[str, Any] = {}
@@ -133,6 +91,7 @@ def _write_netcdf(
             dims, data, texts = variables[name]
             kind = h5py.string_dtype() if data.dtype == object else data.dtype
             dataset = create(name, dims, dtype=kind, data=data)
+            image.check()
             if name not in dimensions:
                 for axis, dim in enumerate(dims):
                     dataset.dims[axis].attach_scale(scales[dim])
@@ -143,3 +102,4 @@ def _write_netcdf(
                 dataset.attrs[key] = text
         for key, value in attributes.items():
             file.attrs[key] = value if isinstance(value, str) else np.atleast_1d(value)
+    image.check()

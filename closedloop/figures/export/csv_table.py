@@ -23,7 +23,8 @@ def write_csv(run: Run, path: str | Path) -> list[Path]:
     """Write a run as CSV, and its events, if it has any, beside it with ``_events`` in the name; return the paths.
 
     Numbers have as many digits as tell them apart from all others, so they are read back to the bit. Headers are
-    ``q J1 [rad]``, ``position x [m]`` ...; what has no unit has none.
+    ``q J1 [rad]``, ``position x [m]`` ...; what has no unit has none. Reactions
+    of loop joints are last, ``reaction pin: force along x [N]`` ..., in the axes of the second of its frames.
 
     Raises
     ------
@@ -32,7 +33,8 @@ def write_csv(run: Run, path: str | Path) -> list[Path]:
     """
     path = Path(path)
     rows = [*(name for name in run.specs if name not in EVENT_COLUMNS), *DERIVED]
-    written = [write_whole(path, _table({k: v for name in rows for k, v in _flat(run, name).items()}))]
+    whole = {k: v for name in rows for k, v in _flat(run, name).items()} | _reactions(run)
+    written = [write_whole(path, _table(whole))]
     if run.events:
         columns = {k: v for name in EVENT_COLUMNS for k, v in _flat(run, name).items()}
         columns["event_kind"] = np.array([KINDS[int(kind)] for kind in run.event_kind])
@@ -54,6 +56,15 @@ def _flat(run: Run, name: str) -> dict[str, NDArray[Any]]:
         unit = _of_joint(run, name, k) if dims[1] == "joint" else _of_part(run.units(name), entry)
         found[_header(f"{name} {entry}", unit)] = values[:, k]
     return found
+
+
+def _reactions(run: Run) -> dict[str, NDArray[Any]]:
+    """Return what the loop joints of a mechanism carried, a column for each part, by their headers."""
+    found = run.loops
+    if found is None:
+        return {}
+    parts = zip(found.labels, found.units, found.reactions.T, strict=True)
+    return {_header(f"reaction {label}", unit): values for label, unit, values in parts}
 
 
 def _of_joint(run: Run, name: str, joint: int) -> str:

@@ -41,6 +41,7 @@ def report_rows(run: Record) -> list[Row]:
         ),
         ("f, lowest and highest", f"{np.min(force):.4g} … {np.max(force):.4g}", "N", where),
         *_undetermined_rows(facts),
+        *_direction_rows(facts),
         ("force error, RMS", _shown(facts["rms_force_error"], ".2g"), "N", "while it touches"),
         ("path error, RMS", _shown(facts["rms_path_error"], ".2g"), "m", "along the surface"),
         ("the stabiliser's part of f", _shown(facts["max_stabiliser_force"], ".2g"), "N", absent),
@@ -82,6 +83,15 @@ def _undetermined_rows(facts: dict[str, Any]) -> list[Row]:
     if at is None:
         return []
     return [("f not determined by rigid bodies", f"from {at:.4g}", "s", "at rest; that of least friction is given")]
+
+
+def _direction_rows(facts: dict[str, Any]) -> list[Row]:
+    """Return by how much friction points away from the slip, where the step does not resolve how the slip turns."""
+    off = facts["friction_off_slip"]
+    if off is None:
+        return []
+    what = f"at {off['at']:.4g} s; of slip slower than {off['below_speed']:.2g} m/s, which turns within a step"
+    return [("friction off the slip, at most", f"{off['max_angle']:.2g}", "deg", what)]
 
 
 def _undriven_rows(run: Record, facts: dict[str, Any]) -> list[Row]:

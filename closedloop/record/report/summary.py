@@ -16,6 +16,7 @@ from closedloop.record.columns.record import Record
 from closedloop.record.report.assumptions import assumptions
 from closedloop.record.report.control_signals import limited_joints, run_signals
 from closedloop.record.report.control_verdict import judge_control
+from closedloop.record.report.friction_direction import friction_off_slip
 from closedloop.record.report.halved import measured_step_error
 from closedloop.record.report.measures import JOINT_MEASURES, MEASURES
 from closedloop.record.report.row_assumptions import NAMES
@@ -58,6 +59,7 @@ def summarise(run: Record) -> dict[str, Any]:
         "wrist": _wrist(run),
         "tool": _tool(run),
         "force_not_determined_from": not_determined_from(run),
+        "friction_off_slip": friction_off_slip(run),
         "motions_without_drive": motions_without_drive(run),
         "events": {kind: sum(event.kind == kind for event in run.events) for kind in KINDS.values()},
         "assumptions": held,

@@ -7,6 +7,7 @@ from Python, or from compiled terms of our own (`closedloop.robot.tree`).
 The phase says what the terms are for:
 
     STEP_END        the end of a step (or the start): record the row, unless an event happened in the step
+    PART_END        the end of a part of a step that is divided for joints that turn fast: go on with the next
     STAGE           a later stage of a Runge-Kutta step
     TRIAL_END       the end of a trial step, taken to locate an event inside a step
     AT_EVENT        the state at the instant of an event: apply the impact, change the mode
@@ -51,6 +52,7 @@ from closedloop.events.phases import (
     MEASURED,
     NEED_TERMS,
     OUTPACED,
+    PART_END,
     PROJECT,
     PROJECTION,
     RETRY_SUBSTEP,
@@ -122,7 +124,7 @@ def proceed(
         return TERMS
     # The gap of a tip that is free is all that a trial step is for, unless there is more to watch.
     free = state.mode == FREE and state.stops == 0 and state.together == 0
-    if phase in (STEP_END, STAGE, AFTER_EVENT) or (phase in (TRIAL_END, AT_EVENT) and not free):
+    if phase in (STEP_END, PART_END, STAGE, AFTER_EVENT) or (phase in (TRIAL_END, AT_EVENT) and not free):
         status = evaluate(H, C, w, constants, state, table, rows)
         if status != OK:
             state.status = status
@@ -134,15 +136,18 @@ def proceed(
         if status != OK:
             state.status = status
             return FAILED
-    if state.contacts != 0 and state.together == 0 and phase in (STEP_END, TRIAL_END, AT_EVENT, AFTER_EVENT):
+    if state.contacts != 0 and state.together == 0 and phase in (STEP_END, PART_END, TRIAL_END, AT_EVENT, AFTER_EVENT):
         state.status = call_at(state.contacts, state.contacts_at, WATCH)
         if state.status != OK:
             return FAILED
     todo = NEED_TERMS
-    if phase == STEP_END:
+    if phase in (STEP_END, PART_END):
         w.event_value = event_function(w, constants, state)
         todo = check_step(w, w.drift_c[0], state)
-        if todo == BEGIN_SUBSTEP:
+        if todo == BEGIN_SUBSTEP and phase == PART_END:
+            commit_work(w)
+            w.length = state.row * constants.h - w.time
+        elif todo == BEGIN_SUBSTEP:
             commit_work(w)
             if state.row == 0:
                 w.supplied = 0.0  # row 0 is the state after the events of t = 0, and the balance begins with it

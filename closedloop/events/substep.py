@@ -15,12 +15,14 @@ from closedloop.events.phases import (
     BEGIN_SUBSTEP,
     CHECK_STAGE,
     INSTANT,
+    LARGEST_TURN,
     LEAVING,
     LOCATE_EVENT,
     LOCATE_MINIMUM,
     MAX_IN_STEP,
     NEED_TERMS,
     NO_TRIAL,
+    PART_END,
     PROJECTION,
     RAPID,
     REACH_EVENT,
@@ -51,6 +53,8 @@ Array = NDArray[np.float64]
 def save_state(w: Work, constants: Constants, state: State) -> None:
     """Save the state and its derivative at the beginning of a substep of length w.length."""
     n, extra = w.q.shape[0], w.z.shape[0]
+    if state.contacts != 0:
+        divide_step(w, state)
     for j in range(n):
         w.begin[j] = w.q[j]
         w.begin[n + j] = w.v[j]
@@ -76,6 +80,18 @@ def save_state(w: Work, constants: Constants, state: State) -> None:
         call_at(state.contacts, state.contacts_at, SAVE)
     w.start_event_value = event_function(w, constants, state)
     save_power(w, state)
+
+
+@kernel
+def divide_step(w: Work, state: State) -> None:
+    """Shorten a substep in which a joint would turn by more than `LARGEST_TURN`, and say whether it was."""
+    fastest, left = 0.0, w.length
+    for j in range(w.q.shape[0]):
+        fastest = max(fastest, abs(w.v[j]))
+    state.divided = 0
+    if fastest * left > LARGEST_TURN and state.steps > 0:
+        w.length = left / np.ceil(fastest * left / LARGEST_TURN)
+        state.divided = 1
 
 
 @kernel_inlined
@@ -116,12 +132,13 @@ def finish_stage(w: Work, h: float, state: State, tableau: Array) -> None:
         w.time = w.begin_time + tau
         request_terms(state, AT_EVENT if state.trial == REACH_EVENT else TRIAL_END)
     else:
-        w.time = state.row * h
+        w.time = state.row * h if state.divided == 0 else w.begin_time + tau
+        end = STEP_END if state.divided == 0 else PART_END
         if state.project != 0 and state.mode != FREE:
-            state.projections, state.next_phase = 0, STEP_END
+            state.projections, state.next_phase = 0, end
             request_terms(state, PROJECTION)
         else:
-            request_terms(state, STEP_END)
+            request_terms(state, end)
 
 
 @kernel

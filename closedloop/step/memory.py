@@ -105,6 +105,7 @@ class State(Block):
     sampled: int  # 1 if the law is evaluated with these terms
     raised: int  # 1 once a user's member has raised something
     no_search: int  # 1 if an event at the end of this step happens there, not before
+    divided: int  # 1 in a substep that ends before the step for joints that turn fast
     after_event: int  # 1 in the remainder of a step after an event
     beside: int  # 1 while the tip is not above the surface because it has gone beyond its edge
     risen: int  # 1 if the tip has been clear of the surface since it lifted off

@@ -66,13 +66,21 @@ from closedloop.events.phases import (
 )
 from closedloop.events.projection import project
 from closedloop.events.stops import measure_stops
-from closedloop.events.substep import advance_friction, check_stage, check_step, finish_stage, restore_state, save_state
+from closedloop.events.substep import (
+    advance_friction,
+    check_stage,
+    check_step,
+    end_before_stage,
+    finish_stage,
+    restore_state,
+    save_state,
+)
 from closedloop.events.transitions import apply_event, resume_after_event
 from closedloop.jit.calls import call_at
 from closedloop.jit.kernel import inlined_kernel
 from closedloop.step.advance import advance
 from closedloop.step.closed_loops import CLOSE
-from closedloop.step.contacts import WATCH
+from closedloop.step.contacts import NO_FORCES, WATCH
 from closedloop.step.energy_supplied import add_stage_work, commit_work
 from closedloop.step.evaluate import evaluate, evaluate_law
 from closedloop.step.joint_friction import stick_or_slip_joints
@@ -164,6 +172,8 @@ def proceed(
                 w.torque[j] = w.held[j]  # until the end of the step the torque of the last sample acted
     elif phase == STAGE:
         todo = check_stage(w, state) if state.unilateral != 0 else ADVANCE
+        if state.together != 0 and w.contact_margin <= NO_FORCES:
+            todo = end_before_stage(w, state)
     elif phase == TRIAL_END:
         w.event_value = event_function(w, constants, state)
         todo = refine_bracket(w, state)

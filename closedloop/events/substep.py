@@ -7,7 +7,7 @@ from numpy.typing import NDArray
 
 from closedloop.closure.contact_force import FREE, PRESSED
 from closedloop.closure.solve import CHATTER, CROWDED, RUBS
-from closedloop.events.locate import choose_trial, event_function
+from closedloop.events.locate import choose_trial, event_function, refine_bracket
 from closedloop.events.phases import (
     ADVANCE,
     APPLY_EVENT,
@@ -197,6 +197,22 @@ def check_stage(w: Work, state: State) -> int:
     state.trial, state.trials = CHECK_STAGE, 0
     w.low, w.high, w.tau = 0.0, tau, tau
     w.at_low = max(w.start_event_value, 0.0)
+    return RETRY_SUBSTEP
+
+
+@kernel
+def end_before_stage(w: Work, state: State) -> int:
+    """Search for the event before a stage at which no forces go with the modes of the contacts."""
+    if state.trial == REACH_EVENT:
+        w.tau = w.low
+        return RETRY_SUBSTEP
+    if state.trial > STAGE_CHECKED:
+        w.event_value = -1.0
+        return int(refine_bracket(w, state))
+    state.trial, state.trials = LOCATE_EVENT, 0
+    w.low, w.high = 0.0, w.tau - INSTANT
+    w.at_low, w.at_high = max(w.start_event_value, 0.0), -1.0
+    choose_trial(w, state)
     return RETRY_SUBSTEP
 
 

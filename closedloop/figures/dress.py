@@ -21,6 +21,7 @@ from closedloop.events.table import (
     SLIP_AGAIN,
     STICK,
     STOP,
+    TIME_STEP,
     TOUCHDOWN,
 )
 from closedloop.figures.instants import intervals, marks, thinned
@@ -47,6 +48,7 @@ SHAPES: dict[int, dict[str, Any]] = {
     EDGE: {"marker": "X", "markersize": 6},
     STOP: {"marker": "P", "markersize": 5},
     RELEASE: {"marker": "<", "markersize": 5},
+    TIME_STEP: {"marker": "*", "markersize": 6},
 }
 INK = "0.15"
 # Up to so many times its rounding a value is drawn beside it.

@@ -200,6 +200,7 @@ class Work(Block, sizes=("n", "k", "stages", "ring")):
     discarded_rebound: float  # of a restitution too slow to leave the surface, m/s
     straight_speed: float  # up to this speed of slip, m/s, friction acts against `direction`, not against the slip
     restitution_given: float
+    energy_rested: float  # of an impact, what it took so that what parts too slowly rests, J
     supplied: float  # see `closedloop.step.energy_supplied`, as all that follow
     substep_work: float
     start_power: float

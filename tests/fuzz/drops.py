@@ -2,9 +2,9 @@
 
     PYTHONPATH=.:tests/closedloop:tests/fuzz python tests/fuzz/drops.py --count 1000 --seed 0 --integrator rk4
 
-Any pose: its feet may be above it, and two of its three revolute joints nearly parallel. Of each drop it says what is wrong:
-a run that stopped, a gap below −1e-9 m, a force outside its cone, energy that grew, and a box that has not come to rest though
-there is friction and the bounces have had their time.
+Any pose: its feet may be above it, and two of its three revolute joints nearly parallel. Of each drop it says what is
+wrong: a run that stopped, a gap below −1e-9 m, a force outside its cone, energy that grew, and a box that has not come
+to rest though there is friction and the bounces have had their time.
 """
 
 from __future__ import annotations

@@ -11,13 +11,11 @@ its impulse stops the slip at once, as in an impact without collision (F. Génot
 
 from __future__ import annotations
 
-import math
-
 import numpy as np
 from numpy.typing import NDArray
 
 from closedloop.jit.kernel import kernel
-from closedloop.mechanics.closure.contact_force import FREE, PRESSED, STUCK
+from closedloop.mechanics.closure.contact_force import FREE, PRESSED
 from closedloop.mechanics.closure.solve import OK, PAINLEVE
 from closedloop.mechanics.contacts.complementarity import largest_mobility, solve_contacts, sweep, write_residuals
 from closedloop.mechanics.contacts.continuation import force_size
@@ -29,8 +27,6 @@ Array = NDArray[np.float64]
 # Length of the step, s; sweeps where nothing else finds the impulses, and the residual, of the largest, they may then
 # have.
 SPAN, SWEEPS, NEAR = 2e-5, 2000, 1e-6
-# A speed after the step that is none, m/s.
-STOPPED = 1e-9
 # What happened to a contact, as the kinds of `closedloop.loop.events.table`.
 TIME_STEP = 10.0
 
@@ -64,9 +60,7 @@ def begin_time_step(links: ContactLinks, c: Contacts, time: float) -> int:
         c.happened[i], c.start_slip[i] = 0.0, 0.0
         if c.kind[i] == LINE:
             continue
-        mode = FREE
-        if c.F[at] > 0.0:
-            mode = STUCK if math.hypot(c.after[at + 1], c.after[at + 2]) <= STOPPED else PRESSED
+        mode = PRESSED if c.F[at] > 0.0 else FREE  # what sticks after the step is found then
         c.happened[i] = happened_to(c, i, mode)
         if mode == FREE and c.kind[i] != OFF:
             c.risen[i], c.floor[i] = 0.0, min(c.located[at], 0.0)

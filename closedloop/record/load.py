@@ -47,7 +47,12 @@ ROUNDING = 1e-14
 # What files from before there was a checksum may lack.
 _LATER = dict(zip(LATER_TEXTS, ("pinocchio", "", '["kkt_condition"]'), strict=True))
 # Columns that files of earlier versions may lack, and a column as long: what nobody wrote down is NaN.
-_LATER_COLUMNS = {"energy_supplied": "time", "event_restitution": "event_time", "event_contact": "event_time"}
+_LATER_COLUMNS = {
+    "energy_supplied": "time",
+    "event_restitution": "event_time",
+    "event_contact": "event_time",
+    "event_energy_rested": "event_time",
+}
 
 
 def load_run(path: str | Path) -> Run:

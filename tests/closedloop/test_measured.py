@@ -224,6 +224,7 @@ def written_out(row, wanted, limits, V, order):
         "max_joint_friction": np.max(np.abs(r.joint_friction)),
         "energy_lost_to_friction": -trapezoids(friction),
         "energy_lost_in_impacts": 0.0,
+        "energy_taken_at_rest": 0.0,
         "largest_rate_cut": 0.0,
         "max_kinetic_energy": np.max(r.kinetic_energy),
         "rms_force_error": np.sqrt(np.mean(miss[touching] ** 2)) if np.any(touching) else np.nan,

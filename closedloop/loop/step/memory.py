@@ -106,6 +106,7 @@ class State(Block):
     sampled: int  # 1 if the law is evaluated with these terms
     raised: int  # 1 once a user's member has raised something
     no_search: int  # 1 if an event at the end of this step happens there, not before
+    divided: int  # 1 in a substep that ends before the step for joints that turn fast
     after_event: int  # 1 in the remainder of a step after an event
     beside: int  # 1 while the tip is not above the surface because it has gone beyond its edge
     risen: int  # 1 if the tip has been clear of the surface since it lifted off
@@ -200,6 +201,7 @@ class Work(Block, sizes=("n", "k", "stages", "ring")):
     discarded_rebound: float  # of a restitution too slow to leave the surface, m/s
     straight_speed: float  # up to this speed of slip, m/s, friction acts against `direction`, not against the slip
     restitution_given: float
+    energy_rested: float  # of an impact, what it took so that what parts too slowly rests, J
     supplied: float  # see `closedloop.loop.step.energy_supplied`, as all that follow
     substep_work: float
     start_power: float

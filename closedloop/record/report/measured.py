@@ -128,6 +128,7 @@ def measure_rows(
     for i in range(events.shape[0]):
         event = EventRow(events[i])
         values.energy_lost_in_impacts += event.energy_lost
+        values.energy_taken_at_rest += event.energy_rested
         values.largest_rate_cut = max(values.largest_rate_cut, event.rate_cut)
         values.events[int(event.kind) - 1] += 1.0
 
@@ -226,7 +227,7 @@ def write_values(last: Any, n: int, count: int, tally: Tally, values: Any) -> No
     values.rms_path_error = math.sqrt(sums.path_error_squared / count)
     force, joint_friction, mean = Signal(tally.signals[0]), 0.0 * sums.force, 0.0 * sums.force
     values.force_chatter = share_of(force.alternating, sums.force)
-    values.energy_lost_in_impacts = values.largest_rate_cut = 0.0
+    values.energy_lost_in_impacts = values.energy_taken_at_rest = values.largest_rate_cut = 0.0
     values.largest_reference_force = scale.largest_force
     for k in range(values.events.shape[0]):
         values.events[k] = 0.0

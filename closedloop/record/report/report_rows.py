@@ -170,7 +170,9 @@ def _shown(value: float | None, form: str) -> str:
 
 def _contact_rows(run: Record, facts: dict[str, Any]) -> list[Row]:
     """Return what a run in which contact changes has to say beside the rest."""
-    counts = ", ".join(f"{count} {kind}{'s' * (count > 1)}" for kind, count in facts["events"].items() if count)
+    counts = ", ".join(
+        f"{count} {kind.replace('_', ' ')}{'s' * (count > 1)}" for kind, count in facts["events"].items() if count
+    )
     rows = [("events", str(len(run.events)), "", counts)] if run.events else []
     if facts["max_friction_force"] or facts["max_joint_friction"]:
         rows.append(("energy lost to friction", _shown(facts["energy_lost_to_friction"], ".3g"), "J", ""))
@@ -183,5 +185,7 @@ def _contact_rows(run: Record, facts: dict[str, Any]) -> list[Row]:
     ]
     if facts["events"]["impact"] or facts["events"]["touchdown"]:
         what = f"bounce cut: {cut:.2g} m/s" if cut > 0.0 else "no bounce was cut"
+        if rested := facts["energy_taken_at_rest"]:
+            what += f", {rested:.2g} J taken to rest"
         rows.append(("energy lost in impacts", _shown(facts["energy_lost_in_impacts"], ".3g"), "J", what))
     return rows

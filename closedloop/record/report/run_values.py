@@ -65,6 +65,7 @@ def run_values(run: Record) -> Any:
     if "torque_limited" in run.columns:
         count_limited(run.torque_limited, h, values)
     values.energy_lost_in_impacts = np.sum(run.event_energy_lost)
+    values.energy_taken_at_rest = np.nansum(run.event_energy_rested)  # NaN in files from before there was the column
     values.largest_rate_cut = np.max(run.event_rate_cut, initial=0.0)
     values.events[:] = np.bincount(run.event_kind, minlength=values.events.size + 1)[1:]
     return values

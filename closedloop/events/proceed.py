@@ -79,6 +79,7 @@ from closedloop.step.memory import Constants, State, Work
 from closedloop.step.record_row import record
 from closedloop.step.seen import back_to_true, read_joints
 from closedloop.step.transmission import lead_motors
+from closedloop.step.turn import advance_on_manifold
 
 Array = NDArray[np.float64]
 
@@ -202,7 +203,12 @@ def proceed(
             advance_friction(w, state, tau)
             if state.elastic != 0:
                 lead_motors(w, tau, state.after_event != 0)
-        advance(stage, tau, state.semi_implicit != 0, state.after_event != 0, tableau, w)
+        if state.balls == 0:
+            advance(stage, tau, state.semi_implicit != 0, state.after_event != 0, tableau, w)
+        else:
+            advance_on_manifold(
+                stage, tau, state.semi_implicit != 0, state.after_event != 0, tableau, w, constants
+            )
         if state.loops != 0:  # at every stage: rows that depend on others do so only where the loops are closed
             call_at(state.loops, state.loops_at, CLOSE)
         finish_stage(w, constants.h, state, tableau)

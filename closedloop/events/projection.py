@@ -5,13 +5,14 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from closedloop.closure.contact_force import STUCK, apply_impulse, stuck_force
+from closedloop.closure.contact_force import STUCK, answer_impulse, apply_impulse, stuck_force
 from closedloop.closure.solve import OK
 from closedloop.events.phases import CLOSED, FAIL, MAX_MOVES, NEED_TERMS, PROJECTION, request_terms
 from closedloop.jit.kernel import kernel
 from closedloop.step.closed_loops import factorise_tip
 from closedloop.step.locate import off_anchor
 from closedloop.step.memory import RIGID_STICK, Constants, State, Work
+from closedloop.step.turn import move
 
 Array = NDArray[np.float64]
 
@@ -47,7 +48,11 @@ def project(H: Array, w: Work, constants: Constants, state: State) -> int:
             w.F[0] = -w.a[0] / w.S[0, 0] if w.S[0, 0] > 0.0 else 0.0
             w.F[1], w.F[2] = 0.0, 0.0
         if level == 0:
-            apply_impulse(w.L, w.X, w.F, w.column, w.q)
+            if state.balls == 0:
+                apply_impulse(w.L, w.X, w.F, w.column, w.q)
+            else:
+                answer_impulse(w.L, w.X, w.F, w.column)
+                move(w, constants)
             state.projections += 1
             request_terms(state, PROJECTION)
             return NEED_TERMS

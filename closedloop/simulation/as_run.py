@@ -21,6 +21,7 @@ from closedloop.robot.tree import Tree, energies_of_rows, potential_energies, wo
 from closedloop.scenario.arm import without_tools
 from closedloop.scenario.members import member_digests
 from closedloop.step.record_row import CONTACT_RECORDED, RECORDED, recorded
+from robot_models.coordinates import continuous, with_quaternions
 
 Array = NDArray[np.float64]
 
@@ -66,6 +67,9 @@ def as_run(
         columns["link_modes"] = columns["link_modes"].astype(np.int8)
     columns["mode"] = columns["mode"].astype(np.int8)
     columns["potential_energy"] = _potential_energies(problem.robot.tree, columns["q"])
+    types = problem.robot.model.joint_types
+    for name in ("q", "reference_position"):
+        columns[name] = continuous(with_quaternions(columns[name], types), types)
     return Run(
         scenario=problem.scenario,
         model=without_tools(problem.robot.model),

@@ -19,6 +19,8 @@ Array = NDArray[np.float64]
 
 #: The type of each of a ball joint's three velocities.
 BALL = "ball"
+#: The type of each of its four positions.
+QUATERNION = "quaternion"
 
 #: Ends of the names of a free joint's coordinates, of a ball joint's velocities and of its positions.
 PLACES, RATES, PARTS = ("_x", "_y", "_z"), ("_wx", "_wy", "_wz"), ("_qw", "_qx", "_qy", "_qz")
@@ -45,6 +47,15 @@ def coordinate_names(names: Sequence[str], types: Sequence[str]) -> tuple[str, .
             found += [name.removesuffix(RATES[0]) + part for part in PARTS]
         elif types[j] != BALL:
             found.append(name)
+    return tuple(found)
+
+
+def coordinate_types(types: Sequence[str]) -> tuple[str, ...]:
+    """Return the types of all positions, by those of all velocities: of a quaternion's four numbers QUATERNION."""
+    first = balls(types)
+    found: list[str] = []
+    for j, kind in enumerate(types):
+        found += [QUATERNION] * 4 if j in first else [kind] * (kind != BALL)
     return tuple(found)
 
 
@@ -103,15 +114,18 @@ def with_rotation_vectors(q: Array, types: Sequence[str]) -> Array:
     return np.concatenate([*parts, q[..., done:]], axis=-1)
 
 
-def continuous(q: Array, types: Sequence[str]) -> Array:
-    """Return rows of positions (N, nq) with the sign of each quaternion that of the row before it, q and −q being one."""
-    first = quaternions(types)
-    if not first or q.shape[0] < 2:
+def continuous(q: Array, types: Sequence[str], start: ArrayLike) -> Array:
+    """Return rows of positions (N, nq) with the sign of each quaternion that of the row before it, q and −q being one.
+
+    That of the first row is as in `start` (nq,).
+    """
+    if not (first := quaternions(types)) or not len(q):
         return q
-    found = q.copy()
+    found, begins = q.copy(), np.asarray(start, dtype=np.float64)
     for at in first:
         part = found[:, at : at + 4]
-        part[1:] *= np.cumprod(np.where(np.sum(part[1:] * part[:-1], axis=1) < 0.0, -1.0, 1.0))[:, None]
+        before = np.vstack([begins[at : at + 4], part[:-1]])
+        part *= np.cumprod(np.where(np.sum(part * before, axis=1) < 0.0, -1.0, 1.0))[:, None]
     return found
 
 

@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from robot_models.cached import cached_property
-from robot_models.coordinates import PLACES, RATES, balls, coordinate_names
+from robot_models.coordinates import PLACES, RATES, balls, coordinate_names, coordinate_types, with_rotation_vectors
 from robot_models.errors import ModelError
 from robot_models.loop_joint import LoopJoint
 from robot_models.tool import Tool
@@ -99,6 +99,16 @@ class RobotModel:
     def coordinate_names(self) -> tuple[str, ...]:
         """Names of the positions, (nq,); of a quaternion w, x, y, z."""
         return coordinate_names(self.joint_names, self.joint_types) if self.balls else self.joint_names
+
+    @cached_property
+    def coordinate_types(self) -> tuple[str, ...]:
+        """Types of the positions, (nq,): those of `joint_types`, and "quaternion" four times for a ball joint."""
+        return coordinate_types(self.joint_types)
+
+    @cached_property
+    def loop_home(self) -> Vector:
+        """(n,) `home` as a simulation has it inside: rotation vectors instead of quaternions."""
+        return with_rotation_vectors(self.home, self.joint_types)
 
     @cached_property
     def balls(self) -> tuple[int, ...]:

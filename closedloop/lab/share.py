@@ -80,9 +80,9 @@ def _data(run: Run, command: str) -> dict[str, Any]:
         "verdicts": [f"verdict: {names_of(run.summary()['verdict']['problems'])}", f"control: {told(run.summary())}"],
         "command": command,
         "scenario": run.scenario.to_toml(),
-        "end": end, "step": run.scenario.time.step, "joints": run.model.n + 2 + len(scene.joined.loops),
+        "end": end, "step": run.scenario.time.step, "joints": len(scene.joint_places(0)[0]) + 1 + len(scene.joined.loops),
         "size": scene.size, "centre": middle.tolist(), "radius": radius, "metres_per_newton": scene.metres_per_newton,
-        "surface": {"joint": run.model.n + 1, "vertices": _numbers(vertices), "faces": _numbers(faces, np.uint32)},
+        "surface": {"joint": len(scene.joint_places(0)[0]), "vertices": _numbers(vertices), "faces": _numbers(faces, np.uint32)},
         "arrows": [{"name": a.name, "kind": a.kind, "colour": ARROWS[a.kind]} for a in scene.arrows([0])[0]],
         "kinds": scene.kinds, "meanings": MEANINGS,
         "paths": [
@@ -108,7 +108,7 @@ def _shapes(scene: Scene) -> Iterator[tuple[int, str, Shape]]:
     for shape in scene.shapes:
         yield shape.joint, "", shape
     for k, loop in enumerate(scene.joined.loops):
-        yield scene.run.model.n + 2 + k, JOINTS, loop.shape
+        yield len(scene.joint_places(0)[0]) + 1 + k, JOINTS, loop.shape
 
 
 def _frames(scene: Scene) -> dict[str, str]:

@@ -15,6 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from closedloop.columns.record import Record
+from closedloop.columns.recorded import POSITIONS
 from closedloop.jit.interpreted import interpreted
 from closedloop.report.alternation import SPAN, alternation
 from closedloop.report.limited import count_limited
@@ -23,6 +24,7 @@ from closedloop.report.row_sample import JointLimits, Sample, Scale, joint_limit
 from closedloop.report.step_error import write_swings
 from closedloop.report.step_variation import Swings
 from closedloop.step.record_row import RECORDED
+from robot_models.coordinates import with_rotation_vectors
 
 Array = NDArray[np.float64]
 
@@ -35,7 +37,10 @@ _COLUMNS = tuple(name for name in RECORDED if name not in ("acceleration", "meas
 
 def columns_of(run: Record, rows: slice = slice(None)) -> Any:
     """Return these rows of a run as `sample_row` reads them: columns (N,) and (k, N) by their names."""
-    return SimpleNamespace(**{name: getattr(run, name)[rows].T for name in _COLUMNS})
+    found = {name: getattr(run, name)[rows].T for name in _COLUMNS}
+    if run.model.balls:
+        found |= {name: with_rotation_vectors(found[name].T, run.model.joint_types).T for name in POSITIONS if name in found}
+    return SimpleNamespace(**found)
 
 
 @np.errstate(all="ignore")  # what overflows is named in the summary

@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from closedloop.columns.added import state_columns
+from closedloop.columns.recorded import POSITIONS
 from closedloop.engines.needs import arm_columns
 from closedloop.engines.problem import Problem
 from closedloop.engines.user_law import Law
@@ -45,7 +46,8 @@ def as_run(
 
     `law` is the name and the digest of what drove it, `with_states` whether the rows have the states of the scenario's.
     """
-    n, length = problem.robot.n, rows.shape[0]
+    model = problem.robot.model
+    n, length = model.n, rows.shape[0]
     wanted = problem.table[:: problem.nodes][:length]
     reference_rows = problem.path[:: problem.nodes][:length]
     columns: dict[str, NDArray[Any]] = {
@@ -67,12 +69,13 @@ def as_run(
         columns["link_modes"] = columns["link_modes"].astype(np.int8)
     columns["mode"] = columns["mode"].astype(np.int8)
     columns["potential_energy"] = _potential_energies(problem.robot.tree, columns["q"])
-    types = problem.robot.model.joint_types
-    for name in ("q", "reference_position"):
-        columns[name] = continuous(with_quaternions(columns[name], types), types)
+    if model.balls:
+        start = model.home if problem.scenario.start.q is None else problem.scenario.start.q
+        for name in POSITIONS:
+            columns[name] = continuous(with_quaternions(columns[name], model.joint_types), model.joint_types, start)
     return Run(
         scenario=problem.scenario,
-        model=without_tools(problem.robot.model),
+        model=without_tools(model),
         columns=columns | event_columns(events),
         law=law[0],
         versions=package_versions(),

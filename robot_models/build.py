@@ -62,8 +62,9 @@ def build(text: str, format: str, locked: Mapping[str, float], where: str) -> Bu
     Returns
     -------
     Built
-        With nv = n ≥ 1 velocities, free joints taken apart (`robot_models.separate`). The armature is that of the text (zero for a URDF), the gravity Pinocchio's
-        own. A limit that the text does not give, and an effort or velocity limit of 0, is infinite.
+        With nv = n ≥ 1 velocities, free joints taken apart (`robot_models.separate`). The armature is that of the text
+        (zero for a URDF), the gravity Pinocchio's own. A limit that the text does not give, and an effort or velocity
+        limit of 0, is infinite.
 
     Raises
     ------

@@ -27,6 +27,8 @@ PLACES, RATES, PARTS = ("_x", "_y", "_z"), ("_wx", "_wy", "_wz"), ("_qw", "_qx",
 
 #: A quaternion shorter than this is none.
 LEAST_LENGTH = 1e-10
+# The rounding of a quaternion's length.
+ROUNDING = 1e-15
 
 
 def balls(types: Sequence[str]) -> list[int]:
@@ -81,7 +83,8 @@ def normalised(q: ArrayLike, types: Sequence[str], what: str) -> Array:
                 f"{what}[{at}:{at + 4}] = {found[at : at + 4].tolist()}: a quaternion w, x, y, z of length zero turns "
                 "nothing: [1, 0, 0, 0] does not turn"
             )
-        found[at : at + 4] /= length
+        if abs(length - 1.0) > ROUNDING:  # what has been normalised once stays as it is
+            found[at : at + 4] /= length
     return found
 
 

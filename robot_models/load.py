@@ -230,7 +230,7 @@ def _where_bodies_stand(found: Description) -> dict[str, float]:
     """Return by name the positions of free joints where the bodies are written."""
     import pinocchio as pin
 
-    named = {}
+    named: dict[str, float] = {}
     for joint, pose in (mjcf_mechanism.start_poses(found.text) if found.format == "mjcf" else {}).items():
         x, y, z, w = pin.Quaternion(pose[:3, :3]).coeffs().tolist()
         ends = (*PLACES, *PARTS)

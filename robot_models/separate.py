@@ -53,6 +53,8 @@ def separated(model: "pin.Model", joints: Collection[str], sliding: bool = True)
     for frame in list(model.frames)[1:]:
         carrier, before = moved[frame.parentJoint], frames[frame.parentFrame]
         apart = frame.type == pin.FrameType.JOINT and frame.name in joints  # its link may have the same name
-        copy = pin.Frame(f"{frame.name} joint" if apart else frame.name, carrier, before, frame.placement, frame.type, frame.inertia)
+        copy = pin.Frame(
+            f"{frame.name} joint" if apart else frame.name, carrier, before, frame.placement, frame.type, frame.inertia
+        )
         frames.append(out.addFrame(copy, False))
     return out

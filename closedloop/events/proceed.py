@@ -206,9 +206,7 @@ def proceed(
         if state.balls == 0:
             advance(stage, tau, state.semi_implicit != 0, state.after_event != 0, tableau, w)
         else:
-            advance_on_manifold(
-                stage, tau, state.semi_implicit != 0, state.after_event != 0, tableau, w, constants
-            )
+            advance_on_manifold(stage, tau, state.semi_implicit != 0, state.after_event != 0, tableau, w, constants)
         if state.loops != 0:  # at every stage: rows that depend on others do so only where the loops are closed
             call_at(state.loops, state.loops_at, CLOSE)
         finish_stage(w, constants.h, state, tableau)

@@ -84,7 +84,8 @@ def mjcf_of(run: Run) -> ElementTree.Element:
     for joint in driven:
         name, most = str(mechanism.names[joint]), float(run.model.effort_limit[mechanism.joints[joint].idx_v])
         element(motors, "motor", name=name, joint=name, ctrlrange=(-most, most) if np.isfinite(most) else None)
-    columns, places = [], []
+    columns: list[int] = []
+    places: list[int] = []
     for joint in (mechanism.joints[joint] for joint in order):
         places += range(joint.idx_q, joint.idx_q + joint.nq)
         columns += range(joint.idx_v, joint.idx_v + joint.nv)

@@ -207,11 +207,12 @@ def _of_field(key: str, field: FieldInfo, value: Any, scenario: Scenario, model:
     if isinstance(value, float | int):
         return [make(**span(key, field, float(value), unit, scenario), value=float(value))]
     if isinstance(value, tuple) and value and all(isinstance(entry, float | int) for entry in value):
-        names, types = ((), ()) if model is None else (model.joint_names, model.joint_types)
+        of_joints: tuple[str, ...] = () if model is None else model.joint_names
+        types: tuple[str, ...] = () if model is None else model.joint_types
         if model is not None and key == "start.q":
-            names, types = model.coordinate_names, model.coordinate_types
-        by_joint = len(names) == len(value) and key.partition(".")[0] not in NO_JOINTS
-        joints = names if by_joint else ()
+            of_joints, types = model.coordinate_names, model.coordinate_types
+        by_joint = len(of_joints) == len(value) and key.partition(".")[0] not in NO_JOINTS
+        joints = of_joints if by_joint else ()
         entries = joints or (("x", "y", "z") if len(value) == 3 else tuple(map(str, range(len(value)))))
         of_law = model is not None and by_joint and key.startswith("law.")
         drives = model.driven.tolist() if model is not None and of_law else [True] * len(value)

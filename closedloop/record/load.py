@@ -15,6 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 import robot_models
+from robot_models import RobotModel
 from closedloop.closure.contact_force import FREE, PRESSED, STUCK
 from closedloop.columns.added import from_text
 from closedloop.columns.recorded import ALL_COLUMNS, CONTACT_COLUMNS, Column, columns_there

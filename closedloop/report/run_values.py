@@ -39,7 +39,9 @@ def columns_of(run: Record, rows: slice = slice(None)) -> Any:
     """Return these rows of a run as `sample_row` reads them: columns (N,) and (k, N) by their names."""
     found = {name: getattr(run, name)[rows].T for name in _COLUMNS}
     if run.model.balls:
-        found |= {name: with_rotation_vectors(found[name].T, run.model.joint_types).T for name in POSITIONS if name in found}
+        found |= {
+            name: with_rotation_vectors(found[name].T, run.model.joint_types).T for name in POSITIONS if name in found
+        }
     return SimpleNamespace(**found)
 
 

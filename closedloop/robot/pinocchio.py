@@ -117,7 +117,7 @@ class Robot:
         Raises
         ------
         ModelError
-            If a joint is of another type than those of `closedloop.robot.tree.layout`: one that `robot_models` does not load.
+            If a joint is of another type than `closedloop.robot.tree.layout` has: one that `robot_models` does not load.
         """
         return _tree_of(self.model, self.tip)
 
@@ -129,8 +129,8 @@ class Robot:
     def evaluator(self, q: Array, v: Array) -> Callable[[], None]:
         """Return a function that evaluates H, C and the motion of the tip's link into `views`.
 
-        `q` and `v`, each (n,), as the loop has them (`robot_models.coordinates`), are read at each call, and nothing is checked: this is the inner loop's call. The tip's
-        motion follows from `closedloop.robot.tip`.
+        `q` and `v`, each (n,), as the loop has them (`robot_models.coordinates`), are read at each call, and nothing is
+        checked: this is the inner loop's call. The tip's motion follows from `closedloop.robot.tip`.
         """
         crba, bias, convention, model, data = self.passes
         q, turned = self.configuration(q)
@@ -182,8 +182,8 @@ class Robot:
         Parameters
         ----------
         q, v : (nq,) and (n,) arrays
-            Joint positions, rad (m), and velocities, rad/s (m/s), see `robot_models.coordinates`; q may also be (n,), as
-            the loop has it.
+            Joint positions, rad (m), and velocities, rad/s (m/s), see `robot_models.coordinates`; q may also be (n,),
+            as the loop has it.
 
         Raises
         ------
@@ -268,11 +268,18 @@ class Robot:
         return found
 
     def frame_at(self, name: str, q: Array) -> tuple[int, Array, Array]:
-        """Return the joint that carries a frame, of several velocities the last, −1 for the base, and at q its axes, as columns, and its origin, m."""
+        """Return the velocity that carries a frame, −1 for the base, and at q its axes, as columns, and its origin, m.
+
+        Of a joint with several velocities it is the last.
+        """
         number = 0 if name == WORLD else self._pin.getFrameId(self.model.require_frame(name))
         pin.framesForwardKinematics(self._pin, self._data, self.pinocchios(q))
         place = self._data.oMf[number]
-        return last_velocity(self._pin, self._pin.frames[number].parentJoint), np.array(place.rotation), np.array(place.translation)
+        return (
+            last_velocity(self._pin, self._pin.frames[number].parentJoint),
+            np.array(place.rotation),
+            np.array(place.translation),
+        )
 
     def frame_poses(self, name: str, q: Array) -> tuple[Array, Array]:
         """Return the axes of a frame, as columns, and its origin, m, base frame, at each row of q (N, n).

@@ -153,7 +153,9 @@ def refuse_lengths(scenario: Scenario, model: RobotModel) -> None:
     for key, value in lists.items():
         names = model.coordinate_names if key == "start.q" else model.joint_names
         if value is not None and len(value) != len(names):
-            what = f"{model.name} has {len(names)} joints" if not model.balls else f"for {model.name} it has {len(names)}"
+            what = (
+                f"{model.name} has {len(names)} joints" if not model.balls else f"for {model.name} it has {len(names)}"
+            )
             faults.append(f"{key} has {len(value)} entries: {what}, {', '.join(names)}")
     if faults:
         raise ScenarioError(*faults)

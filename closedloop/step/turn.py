@@ -68,12 +68,15 @@ def turn_rate(u0: float, u1: float, u2: float, v: Array, j: int, rate: Array, i:
 
 
 @kernel
-def within(w: Work, tableau: Array, stage: int, h: float, j: int) -> float:
-    """Return how far coordinate j has come at a stage by the rates of those before it."""
-    x = 0.0
+def turned_within(w: Work, tableau: Array, stage: int, h: float, j: int) -> tuple[float, float, float]:
+    """Return by what the ball joint from coordinate j on has turned at a stage, by the rates of those before it."""
+    x = y = z = 0.0
     for i in range(stage):
-        x += tableau[stage, i] * w.stages[i, j]
-    return h * x
+        weight = h * tableau[stage, i]
+        x += weight * w.stages[i, j]
+        y += weight * w.stages[i, j + 1]
+        z += weight * w.stages[i, j + 2]
+    return x, y, z
 
 
 @kernel
@@ -92,14 +95,9 @@ def advance_on_manifold(
             u1 = h * (part * v[j + 1] + old * begin[n + j + 1])
             u2 = h * (part * v[j + 2] + old * begin[n + j + 2])
         else:
-            u0, u1, u2 = (
-                within(w, tableau, stage, h, j), within(w, tableau, stage, h, j + 1), within(w, tableau, stage, h, j + 2),
-            )  # fmt: skip
+            u0, u1, u2 = turned_within(w, tableau, stage, h, j)
             turn_rate(u0, u1, u2, stages[stage], j, stages[stage], j)
-            u0, u1, u2 = (
-                within(w, tableau, stage + 1, h, j), within(w, tableau, stage + 1, h, j + 1),
-                within(w, tableau, stage + 1, h, j + 2),
-            )  # fmt: skip
+            u0, u1, u2 = turned_within(w, tableau, stage + 1, h, j)
         turn(w.q, j, begin, j, u0, u1, u2)
 
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import time as clock
 from collections.abc import Callable
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -43,7 +44,7 @@ Array = NDArray[np.float64]
 # that instant: it does not act yet.
 BEFORE = 1e-6
 
-rate_of_turn = interpreted(turn_rate)
+rate_of_turn: Any = interpreted(turn_rate)
 
 
 class Stopped(Exception):

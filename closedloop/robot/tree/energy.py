@@ -97,7 +97,7 @@ def energy_there(tree: Tree, work: Array) -> float:
 
 @kernel
 def energy_of_links(tree: Tree, work: Array) -> float:
-    """Return the same, link by link, for the q whose axes and origins `closedloop.robot.tree.kinematics` has written."""
+    """Return the same, link by link, where `closedloop.robot.tree.kinematics` has written axes and origins."""
     n, table, k, w = tree.n, tree.links, tree.constants, work
     zero = 0.0 * w[table[at.SCRATCH * n] & at.INDEX]
     total0, total1, total2 = k[at.RESTING] + zero, k[at.RESTING + 1] + zero, k[at.RESTING + 2] + zero

@@ -76,8 +76,8 @@ class Tree(NamedTuple):
         1 if every joint but the first is a child of the one before it, else 0.
     links : (6 n,) array
         For each joint: its parent (−1: base; always smaller than the joint), where its constants and its scratch
-        begin, what it is (SLIDES, TURNS ...), whether it moves the tip, and the first joint of its unbranched chain: of the
-        joints up to it that are each a child of the one before.
+        begin, what it is (SLIDES, TURNS ...), whether it moves the tip, and the first joint of its unbranched chain:
+        of the joints up to it that are each a child of the one before.
     constants : (HEAD + blocks * CONSTANTS,) array
         See the names of `closedloop.robot.tree.layout`. The z axis of a link is its joint axis; its x axis is
         perpendicular to its own joint axis and to that of the next joint.

@@ -46,18 +46,17 @@ def tree_of(model: RobotModel, tip: str) -> Tree:
     pin: Any = model.pinocchio_model()
     frame = pin.frames[pin.getFrameId(model.require_frame(tip))]
     n = pin.nv
-    kinds, axes, parents, joints = np.zeros(n, dtype=np.int64), np.zeros((n, 3)), np.zeros(n, dtype=np.int64), []
+    kinds, axes, parents, joints = np.zeros(n, dtype=np.int64), np.zeros((n, 3)), np.zeros(n, dtype=np.int64)
     placed: list[Any] = []  # where each stands in what carries it
     for joint in range(1, pin.njoints):
         for i in range(pin.idx_vs[joint], pin.idx_vs[joint] + pin.nvs[joint]):
             kinds[i], axes[i] = _joint(model, pin, joint, i)
             first = i == pin.idx_vs[joint]
-            parents[i] = last_velocity(pin, pin.parents[joint]) if first else i - 1
+            parents[i] = last_velocity(pin, int(pin.parents[joint])) if first else i - 1
             placed.append(pin.jointPlacements[joint] if first else None)
-            joints.append(joint)
     rotations = [np.eye(3) if place is None else np.array(place.rotation) for place in placed]
     bases = [_link_axes(i, axes, parents, rotations) for i in range(n)]
-    for i in np.flatnonzero(kinds == at.BALL):
+    for i in np.flatnonzero(kinds == at.BALL).tolist():
         bases[i], bases[i + 1] = _ONWARD, _ONWARD @ _ONWARD
     # Each joint in its parent's frame at q = 0, and each link's mass; entry −1 is the base.
     places = np.zeros((n, 4, 4))

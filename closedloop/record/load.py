@@ -15,7 +15,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 import robot_models
-from robot_models import RobotModel
 from closedloop.closure.contact_force import FREE, PRESSED, STUCK
 from closedloop.columns.added import from_text
 from closedloop.columns.recorded import ALL_COLUMNS, CONTACT_COLUMNS, Column, columns_there
@@ -42,6 +41,7 @@ from closedloop.record.sealed import read_sealed
 from closedloop.scenario.load import parse_scenario
 from closedloop.scenario.scenario import Scenario
 from closedloop.surface.plane import unit
+from robot_models import RobotModel
 
 # Of instants, relative.
 ROUNDING = 1e-14

@@ -117,7 +117,7 @@ class Robot:
         Raises
         ------
         ModelError
-            If a joint is of another type than `closedloop.robot.tree.layout` has: one that `robot_models` does not load.
+            If a joint is of another type than `closedloop.robot.tree.layout` has: one that no file gives.
         """
         return _tree_of(self.model, self.tip)
 

@@ -9,8 +9,8 @@ import closedloop as cl
 from robot_models import RobotModel
 from robot_models.coordinates import normalised
 
-#: A floating body with an arm on a ball joint, a hand on a hinge and a leg on a slider; a free ball beside it, and a stick
-#: that hangs on a ball joint.
+#: A floating body with an arm on a ball joint, a hand on a hinge and a leg on a slider; a free ball beside it, and a
+#: stick that hangs on a ball joint.
 TREE = """<mujoco><worldbody>
 <body name="cube" pos="0 0 1" quat="1 0.2 0 0"><freejoint/>
  <inertial mass="0.37" pos="0.01 0.02 0.03" fullinertia="8e-4 9e-4 1e-3 1e-5 2e-5 3e-5"/>

@@ -46,7 +46,7 @@ def tree_of(model: RobotModel, tip: str) -> Tree:
     pin: Any = model.pinocchio_model()
     frame = pin.frames[pin.getFrameId(model.require_frame(tip))]
     n = pin.nv
-    kinds, axes, parents, joints = np.zeros(n, dtype=np.int64), np.zeros((n, 3)), np.zeros(n, dtype=np.int64)
+    kinds, axes, parents = np.zeros(n, dtype=np.int64), np.zeros((n, 3)), np.zeros(n, dtype=np.int64)
     placed: list[Any] = []  # where each stands in what carries it
     for joint in range(1, pin.njoints):
         for i in range(pin.idx_vs[joint], pin.idx_vs[joint] + pin.nvs[joint]):

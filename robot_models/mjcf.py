@@ -229,7 +229,7 @@ def _copy_body(
         if child.tag in _IGNORED_IN_BODY:
             continue
         if child.tag == "freejoint":
-            check_neutral(child, dict(child.attrib), f"{where}: freejoint")
+            check_neutral(child, dict(child.attrib), f"{at}: freejoint")
             given = {"type": "free", "name": child.get("name", source.get("name", ""))}
             child = ET.Element("joint", given)
         elif child.tag in _IN_BODY:

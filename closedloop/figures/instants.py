@@ -7,13 +7,13 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from closedloop.events.table import IMPACT, REVERSAL
-from closedloop.families import Absent
+from closedloop.base.families import Absent
+from closedloop.control.reference.force import StepForceSection
+from closedloop.control.reference.path import tip_path
+from closedloop.loop.events.table import IMPACT, REVERSAL
+from closedloop.mechanics.surface.plane import unit
 from closedloop.record.run import Run
-from closedloop.reference.force import StepForceSection
-from closedloop.reference.path import tip_path
 from closedloop.scenario.scenario import Scenario
-from closedloop.surface.plane import unit
 
 # The text of the one mark that is not of the motion.
 FORCE_STEPS = "force steps"

@@ -5,10 +5,10 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from closedloop.closure.contact_force import FREE, PRESSED, STUCK
-from closedloop.columns.events import Event, events_of
-from closedloop.events.table import event_columns
-from closedloop.step.record_row import ArmRow, Row
+from closedloop.loop.events.table import event_columns
+from closedloop.loop.step.record_row import ArmRow, Row
+from closedloop.mechanics.closure.contact_force import FREE, PRESSED, STUCK
+from closedloop.record.columns.events import Event, events_of
 from robot_models.coordinates import with_quaternions
 
 Array = NDArray[np.float64]

@@ -9,11 +9,11 @@ import pytest
 
 import closedloop as cl
 import robot_models
-from closedloop.errors import ScenarioError
+from closedloop.base.errors import ScenarioError
 from closedloop.jit.interpreted import interpreted
 from closedloop.jit.kernel import plain
-from closedloop.robot.tree import tree_potential_energy, tree_terms, work_size
-from closedloop.step.turn import turn, turn_rate
+from closedloop.loop.step.turn import turn, turn_rate
+from closedloop.mechanics.robot.tree import tree_potential_energy, tree_terms, work_size
 from robot_models.coordinates import continuous, with_quaternions, with_rotation_vectors
 from tests.closedloop.free_bodies import BODY, TREE, matrices, no_torque, random_positions, scenario_of, written
 
@@ -260,7 +260,7 @@ def test_a_run_is_read_back_and_said_in_its_own_units(tree, tmp_path):
 
 def test_the_scene_is_the_same_mechanism_in_mujoco(tree, tmp_path):
     """The exported free joint has MuJoCo's place and bias."""
-    from closedloop.export.mjcf import write_mjcf
+    from closedloop.figures.export.mjcf import write_mjcf
 
     model, path = tree
     q = random_positions(model, np.random.default_rng(7))

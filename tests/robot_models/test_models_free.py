@@ -15,9 +15,11 @@ MJCF = """<mujoco><worldbody><body name="base" pos="1 2 3" quat="2 0 0 2"><freej
 
 INERTIA = '<inertia ixx="{}" iyy="{}" izz="{}" ixy="0" ixz="0" iyz="0"/>'
 URDF = f"""<robot name="r"><link name="world"/>
-<link name="base"><inertial><origin xyz="0.01 0.02 0.03"/><mass value="2"/>{INERTIA.format(0.01, 0.02, 0.025)}</inertial></link>
-<link name="arm"><inertial><origin xyz="0 0 0.1"/><mass value="1"/>{INERTIA.format(0.01, 0.01, 0.01)}</inertial></link>
-<joint name="base" type="floating"><parent link="world"/><child link="base"/></joint>
+<link name="base"><inertial><origin xyz="0.01 0.02 0.03"/><mass value="2"/>{
+    INERTIA.format(0.01, 0.02, 0.025)
+}</inertial></link> <link name="arm"><inertial><origin xyz="0 0 0.1"/><mass value="1"/>{
+    INERTIA.format(0.01, 0.01, 0.01)
+}</inertial></link> <joint name="base" type="floating"><parent link="world"/><child link="base"/></joint>
 <joint name="wrist" type="spherical"><parent link="base"/><child link="arm"/><origin xyz="0.1 0 0"/></joint></robot>"""
 
 NAMES = ("base_x", "base_y", "base_z", "base_wx", "base_wy", "base_wz", "wrist_wx", "wrist_wy", "wrist_wz")

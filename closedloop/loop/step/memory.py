@@ -36,7 +36,8 @@ class State(Block):
     stages: int  # of the integrator
     steps: int
     hold: int  # steps for which a sampled torque is held; 0: the law is evaluated at every stage
-    law: int  # address of the control law's entry, see `closedloop.loop.step.entries`; 0: the paper's, on a smooth surface
+    # Address of the control law's entry, see `closedloop.loop.step.entries`; 0: the paper's, on a smooth surface
+    law: int
     compensation: int  # and of its compensation's; 0: none
     own_law_states: int  # of the law alone
     law_states: int  # of the law and its compensation

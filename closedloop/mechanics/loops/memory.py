@@ -28,7 +28,8 @@ class LoopLinks(Block):
     m: int  # rows
     rank: int  # how many of the rows are independent
     ordered: int  # 1 once there is an order of elimination, see `closedloop.mechanics.loops.factor`
-    free: int  # 1 if the basis spans what the rows leave free, 0 if it spans the rows, see `closedloop.mechanics.loops.solve`
+    # 1 if the basis spans what the rows leave free, 0 if it spans the rows, see `closedloop.mechanics.loops.solve`
+    free: int
     spanned: int  # directions of the basis
     known: int  # how many were where the loops were closed last, 0: not known
     undriven: int  # joints without a drive

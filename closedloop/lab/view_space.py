@@ -115,7 +115,7 @@ class Space:
         for node in (*self._joints, *self._marks):
             node.remove()
         self._shapes = scene.shapes
-        count = scene.run.model.n + 1
+        count = len(scene.joint_places(0)[0])
         self._hiding = []
         self._joints = [self._api.add_frame(f"/arm/{k}", show_axes=False) for k in range(count)]
         for at, shape in enumerate(scene.shapes):

@@ -135,6 +135,8 @@ def save_run(run: Record, path: str | Path) -> Path:
         "joint_type": ("joint", run.model.joint_types),
         "axis": ("axis", ("x", "y", "z")),
     }
+    if run.model.balls:
+        labels["coordinate"] = ("coordinate", run.model.coordinate_names)
     if run.scenario.contact:
         names = labels_of(run.scenario.contact)
         labels |= {"contact": ("contact", names), "contact_tangent": ("contact_tangent", tangents_of(names))}
@@ -144,6 +146,8 @@ def save_run(run: Record, path: str | Path) -> Path:
     for name, (dimension, words) in labels.items():
         variables[name] = Variable((dimension,), np.array(words, dtype=object))
     dimensions = {"time": len(run), "joint": run.model.n, "axis": 3, "event": len(run.events)}
+    if run.model.balls:
+        dimensions["coordinate"] = len(run.model.coordinate_names)
     if contacts := len(run.scenario.contact or ()):
         dimensions |= {"contact": contacts, "contact_tangent": 2 * contacts}
     own = {spec.dims[1]: run.columns[name].shape[1] for name, spec in run.added.items() if len(spec.dims) == 2}

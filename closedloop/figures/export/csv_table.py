@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 from closedloop.base.files import write_whole
 from closedloop.loop.events.table import EVENT_COLUMNS, KINDS
 from closedloop.record.columns.derived import DERIVED, WRENCH
+from closedloop.record.run import KINDS as UNIT_PARTS
 from closedloop.record.run import Run
 from closedloop.scenario.contact_names import labels_of, tangents_of
 
@@ -49,11 +50,15 @@ def _flat(run: Run, name: str) -> dict[str, NDArray[Any]]:
         return {_header(name, run.units(name)): values}
     names = labels_of(run.scenario.contact or ())
     contacts = {"contact": names, "contact_tangent": tangents_of(names)}
-    entries_of = {"joint": run.model.joint_names, "axis": AXES, "component": WRENCH} | contacts
+    coordinates = {"coordinate": run.model.coordinate_names}
+    entries_of = coordinates | {"joint": run.model.joint_names, "axis": AXES, "component": WRENCH} | contacts
     entries = entries_of.get(dims[1]) or tuple(map(str, range(1, values.shape[1] + 1)))
     found = {}
     for k, entry in enumerate(entries):
-        unit = _of_joint(run, name, k) if dims[1] == "joint" else _of_part(run.units(name), entry)
+        if dims[1] == "coordinate":
+            unit = ("rad", "m", "1")[UNIT_PARTS.get(run.model.coordinate_types[k], 0)]
+        else:
+            unit = _of_joint(run, name, k) if dims[1] == "joint" else _of_part(run.units(name), entry)
         found[_header(f"{name} {entry}", unit)] = values[:, k]
     return found
 

@@ -1,6 +1,7 @@
 """A run as MCAP with standard ROS 2 messages: Foxglove, PlotJuggler and ``ros2 bag`` open it.
 
-    /joint_states         sensor_msgs/msg/JointState        q, q̇ and the torque of the law
+    /joint_states         sensor_msgs/msg/JointState        q, q̇ and the torque of the law; of what turns freely the
+                                                            rotation vector and the angular velocity in its axes
     /tip_pose             geometry_msgs/msg/PoseStamped     the tip's frame, in the base frame
     /tip_wrench           geometry_msgs/msg/WrenchStamped   f n and friction on the tip, base axes
     /wrist_wrench         geometry_msgs/msg/WrenchStamped   what a sensor between arm and tool reads, the tip's axes
@@ -27,6 +28,7 @@ from closedloop.base.files import write_whole
 from closedloop.figures.export.messages import DEFINITIONS
 from closedloop.figures.scene.scene import quaternions, scene_of
 from closedloop.mechanics.loops.wrench import named_side, parts_of
+from closedloop.record.columns.derived import loop_positions
 from closedloop.record.run import Run
 from closedloop.scenario.arm import robot_of
 
@@ -63,12 +65,12 @@ def _write(run: Run, file: BinaryIO) -> None:
         send("/robot_description", "std_msgs/msg/String", {"data": run.model.text}, 0.0)
     base, scene = _base_frame(run), scene_of(run)
     reactions = list(_reactions(run))
+    names, q = list(run.model.joint_names), loop_positions(run)
     nothing = {"x": 0.0, "y": 0.0, "z": 0.0}
     for k in range(len(run)):
         time, there = float(run.time[k]), scene.joint_places(k)
         header = {"stamp": _stamp(time), "frame_id": base}
-        joints = {"name": list(run.model.joint_names), "position": run.q[k], "velocity": run.v[k]}
-        joints["effort"] = run.torque[k]
+        joints = {"name": names, "position": q[k], "velocity": run.v[k], "effort": run.torque[k]}
         send("/joint_states", "sensor_msgs/msg/JointState", {"header": header, **_listed(joints)}, time)
         pose = {"position": _vector(run.position[k]), "orientation": _turn(scene.tip_axes(there[0]))}
         send("/tip_pose", "geometry_msgs/msg/PoseStamped", {"header": header, "pose": pose}, time)

@@ -87,6 +87,7 @@ from closedloop.loop.step.memory import Constants, State, Work
 from closedloop.loop.step.record_row import record
 from closedloop.loop.step.seen import back_to_true, read_joints
 from closedloop.loop.step.transmission import lead_motors
+from closedloop.loop.step.turn import advance_on_manifold
 from closedloop.mechanics.closure.contact_force import FREE
 from closedloop.mechanics.closure.solve import OK
 
@@ -217,7 +218,10 @@ def proceed(
             advance_friction(w, state, tau)
             if state.elastic != 0:
                 lead_motors(w, tau, state.after_event != 0)
-        advance(stage, tau, state.semi_implicit != 0, state.after_event != 0, tableau, w)
+        if state.balls == 0:
+            advance(stage, tau, state.semi_implicit != 0, state.after_event != 0, tableau, w)
+        else:
+            advance_on_manifold(stage, tau, state.semi_implicit != 0, state.after_event != 0, tableau, w, constants)
         if state.loops != 0:  # at every stage: rows that depend on others do so only where the loops are closed
             call_at(state.loops, state.loops_at, CLOSE)
         finish_stage(w, constants.h, state, tableau)

@@ -84,6 +84,7 @@ class State(Block):
     watched: int  # 1 if the event that is searched for may be that an open contact of a link closes
     striking: int  # which contact strikes alone, 0 the tip; see `closedloop.loop.events.impacts.collide`
     stops: int  # 1 if the joints have stops
+    balls: int  # ball joints
     feed_forward: int  # whether the law is told of the joints' desired acceleration
     proceed: int  # address of the entry of `closedloop.loop.events.proceed`, for the compiled engine
     constants_at: int
@@ -141,6 +142,7 @@ class Constants(Block, sizes=("n", "law", "compensation", "friction", "joint_fri
     lower_stop: Annotated[Array, N]
     upper_stop: Annotated[Array, N]
     armature: Annotated[Array, N]
+    turns: Annotated[Array, N]  # 1 for the first of a ball joint's three, see `closedloop.loop.step.turn`
     tilt: Annotated[Array, 3, 3]  # of the contact frame that the controller believes in, in the true one
     stiffness: Annotated[Array, N]  # see `closedloop.control.transmission`, as the next two
     shaft_damping: Annotated[Array, N]

@@ -18,12 +18,14 @@ from numpy.typing import NDArray
 from closedloop.jit.interpreted import interpreted
 from closedloop.loop.step.record_row import RECORDED
 from closedloop.record.columns.record import Record
+from closedloop.record.columns.recorded import POSITIONS
 from closedloop.record.report.alternation import SPAN, alternation
 from closedloop.record.report.limited import count_limited
 from closedloop.record.report.measured import Tally, Values, begin_tally, share_inside, write_values
 from closedloop.record.report.row_sample import JointLimits, Sample, Scale, joint_limits, sample_row
 from closedloop.record.report.step_error import resolution_of, write_swings
 from closedloop.record.report.step_variation import Swings
+from robot_models.coordinates import with_rotation_vectors
 
 Array = NDArray[np.float64]
 
@@ -36,7 +38,12 @@ _COLUMNS = tuple(name for name in RECORDED if name not in ("acceleration", "meas
 
 def columns_of(run: Record, rows: slice = slice(None)) -> Any:
     """Return these rows of a run as `sample_row` reads them: columns (N,) and (k, N) by their names."""
-    return SimpleNamespace(**{name: getattr(run, name)[rows].T for name in _COLUMNS})
+    found = {name: getattr(run, name)[rows].T for name in _COLUMNS}
+    if run.model.balls:
+        found |= {
+            name: with_rotation_vectors(found[name].T, run.model.joint_types).T for name in POSITIONS if name in found
+        }
+    return SimpleNamespace(**found)
 
 
 @np.errstate(all="ignore")  # what overflows is named in the summary

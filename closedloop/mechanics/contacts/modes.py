@@ -157,5 +157,5 @@ def remove_motion(c: Contacts, k: int) -> int:
         c.before[i] = c.u[i]
     stopping_impulses(c, k)
     write_after(c, k)
-    c.energy_lost = -energy_gained(c, k)
+    c.energy_lost = c.energy_rested = -energy_gained(c, k)
     return OK

@@ -85,6 +85,7 @@ SOMETIMES = ARM_COLUMNS | CONTACT_COLUMNS
 
 COLUMNS: dict[str, Column] = _BY_TIME | {name: Column(*spec) for name, spec in EVENT_COLUMNS.items()}
 ALL_COLUMNS = COLUMNS | SOMETIMES
+POSITIONS = ("q", "reference_position")
 
 
 def in_order(columns: Iterable[str]) -> list[str]:
@@ -93,6 +94,12 @@ def in_order(columns: Iterable[str]) -> list[str]:
     return [*(name for name in ALL_COLUMNS if name in there), *sorted(there - set(ALL_COLUMNS))]
 
 
-def columns_there(columns: Iterable[str]) -> dict[str, Column]:
-    """Return `COLUMNS`, and those of `SOMETIMES` that are among the columns of a run."""
-    return COLUMNS | {name: spec for name, spec in SOMETIMES.items() if name in columns}
+def columns_there(columns: Iterable[str], turns_freely: bool = False) -> dict[str, Column]:
+    """Return `COLUMNS`, and those of `SOMETIMES` that are among the columns of a run.
+
+    A robot that turns freely has other positions than velocities, see `robot_models.coordinates`.
+    """
+    found = COLUMNS | {name: spec for name, spec in SOMETIMES.items() if name in columns}
+    if turns_freely:
+        found |= {name: found[name]._replace(dims=("time", "coordinate")) for name in POSITIONS}
+    return found

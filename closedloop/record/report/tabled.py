@@ -46,8 +46,8 @@ def verdict_of(
     return names_of(judge(facts, lambda: gains_fault(scenario, robot)))
 
 
-def forget_step_error(scenario: Scenario, robot: Robot, values: Array) -> None:
+def forget_step_error(scenario: Scenario, values: Array) -> None:
     """Write NaN for the errors of the step where they are not known."""
-    if why_not_known(scenario, robot.model):
+    if why_not_known(scenario, singular=False):
         for name in ("step_error_force", "step_error_position"):
             values[_AT[name]] = math.nan

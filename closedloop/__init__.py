@@ -5,18 +5,18 @@
     run.time, run.contact_force, run.summary(), run.plot()
 
 Simulate
-    load_scenario, shipped_scenarios, Scenario    what is simulated
-    simulate                                      a scenario to its end, as a Run
-    halve                                         the same, and by how much it differs at half the step
-    Simulator, StepState                          the same step by step, driven from outside
+    load_scenario, shipped_scenarios, Scenario    scenarios: read one, list those of the package
+    simulate                                      simulate a scenario to its end; returns a Run
+    halve                                         the same, with the difference from a run at half the step
+    Simulator, StepState                          simulate step by step, from your own program
     simulate_batch, sweep_plot                    many runs at once; maps of a sweep
-    Run, Event, load_run                          the record, what happened to the contact, a run file
-    figures, lab                                  what of a run can be drawn; a page with sliders on which it answers
+    Run, Event, load_run                          the record, a change of the contact, read a run file
+    figures, lab                                  figures of a run; a page with sliders that simulates again
 Build
-    ControlLaw, Law, LawInput                     laws of one's own, and what they see
-    Surface, SurfaceMotion, Compliance            surfaces of one's own, how they move, how they give way
+    ControlLaw, Law, LawInput                     control laws of your own, and their input
+    Surface, SurfaceMotion, Compliance            surfaces of your own, their motion and their compliance
     Robot, Terms, Plane, solve_closure            the arm, its terms at a state, the surface, Eq. 24
-    prepare, Problem                              a scenario as numbers
+    prepare, Problem                              a scenario as arrays
 Errors, all of them ClosedLoopError
     ScenarioError, ModelError, RunFileError, OutputError, ClusterError
     SimulationError (its run has the rows until then): SingularClosureError, DivergenceError, ChatterError,

@@ -68,7 +68,7 @@ def write(folder: Path, judged: Iterable[str] | None = None) -> None:
 def scenario() -> Iterator[str]:
     """Return the lines of the scenario reference: every section, kind and key."""
     yield from ("# Scenario reference", "")
-    yield "What a scenario file may say. The same texts are printed by `closedloop run --help SECTION` and"
+    yield "All sections and keys of a scenario file. The same texts are printed by `closedloop run --help SECTION` and"
     yield "`closedloop run --explain KEY`. A number beyond its bounds, and a key that is not listed here, is an error."
     for section, text in describe.sections().items():
         head = f"[[{section}]]" if table_type(section) else f"[{section}]"
@@ -117,8 +117,8 @@ def columns() -> Iterator[str]:
     yield from ("", "## States of the law, and columns of your own", "")
     yield "`law_NAME` and `compensation_NAME`, and what `record` asked for: see"
     yield "[columns of your own](../controllers.md#columns-of-your-own)."
-    yield from ("", "## Worked out from the others", "")
-    yield "They are attributes of a run, and stand in CSV and pandas, but not in `run.nc`: they follow from it."
+    yield from ("", "## Computed from the others", "")
+    yield "They are attributes of a run, and columns in CSV and pandas. They follow from `run.nc`, which does not have them."
     shapes = {
         ("time",): "(N,)",
         ("time", "axis"): "(N, 3)",
@@ -153,8 +153,8 @@ def help_of(command) -> str:
 def models() -> Iterator[str]:
     """Return the lines of the page of models: what stands at the top of the file of each that ships."""
     yield from ("# Models and their sources", "")
-    yield "Every law, surface, path and scheme that ships is one file; this is what it says of itself: its equations,"
-    yield "and where they come from."
+    yield "Every law, surface, path and integrator of the package is one file. This page has the documentation of each:"
+    yield "its equations and their sources."
     for title, package in MODELS.items():
         yield from ("", f"## {title}", "")
         for module in iter_modules([str(HOME / package.replace(".", "/"))]):
@@ -166,8 +166,8 @@ def models() -> Iterator[str]:
 def verdicts(judged: Iterable[str] | None = None) -> Iterator[str]:
     """Return the lines of the page of both verdicts of every shipped scenario, each simulated for it."""
     yield from ("# Verdicts of the shipped scenarios", "")
-    yield "Made by the build, which runs them all; see [the verdicts of a run](../verdict.md). Where control is bad,"
-    yield "that is what the scenario is to show, as its file says."
+    yield "The build runs all scenarios and makes this table; see [the verdicts of a run](../verdict.md). If control is"
+    yield "bad, the scenario is meant to show that, as its file says."
     yield ""
     rows = []
     for name in judged or closedloop.shipped_scenarios():

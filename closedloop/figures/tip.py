@@ -19,7 +19,7 @@ SMALL, ROUNDING = 0.01, 1e-15
 
 
 def tip_position(run: Run) -> Figure:
-    """Draw the tip's displacement from its start along x, y and z against time, and its small parts apart (Fig. 4)."""
+    """Draw the tip's displacement from its start along x, y and z against time, its small components apart (Fig. 4)."""
     moved = run.position - run.position[0]
     sizes = np.max(np.abs(moved), axis=0)
     if length_unit(float(sizes.max()))[1] == "mm":
@@ -46,7 +46,7 @@ def tip_position(run: Run) -> Figure:
         dress(
             below,
             run,
-            "The same, off the path" if slide else "Its small parts",
+            "The same, off the path" if slide else "Small components of the displacement",
             f"[{unit}]",
             label_marks=False,
         )

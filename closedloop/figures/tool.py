@@ -38,7 +38,7 @@ def tool(run: Run) -> Figure:
         told = f"{title}, up to {largest:.3g} {unit}"
         if largest < ROUNDING * strongest:  # rounding is no picture
             axes.set_ylim(-1.0, 1.0)
-            told = f"{title}: rounding"
+            told = f"{title}: zero, to rounding"
         label = f"{title.split()[0].lower()} [{unit}]"
         dress(axes, run, told, label, label_marks=first == 0, show_events=False)
         legend_beside_title(axes)
@@ -46,7 +46,7 @@ def tool(run: Run) -> Figure:
     panels[2].plot(run.time, run.tool_angle, color=MANY[0], label="from the normal")
     panels[2].plot(run.time, run.orientation_error, "--", color=MANY[1], label="from its reference")
     panels[2].margins(y=0.08)
-    told = f"Turn of the tool, up to {float(np.max(run.tool_angle)):.3g} deg"
+    told = f"Angle of the tool, up to {float(np.max(run.tool_angle)):.3g} deg"
     dress(panels[2], run, told, "angle [deg]", label_marks=False)
     legend_beside_title(panels[2])
     explain_contact(figure, run)

@@ -139,7 +139,7 @@ class Run:
 
     @cached_property
     def events(self) -> tuple[Event, ...]:
-        """What happened to the contact, in order of time."""
+        """Changes of the contact, in order of time."""
         return events_of(self.columns)
 
     @cached_property
@@ -148,7 +148,7 @@ class Run:
 
     @cached_property
     def loops(self) -> LoopReactions | None:
-        """What the loop joints of a mechanism carried, worked out when it is asked for; None of a tree."""
+        """Reactions of the loop joints of a mechanism, computed on first access; None for a tree."""
         if not self.model.loops:
             return None
         return reactions_of(self, robot_of(self.scenario, replace(self.model, whole=True)))

@@ -174,7 +174,7 @@ def kinds(section: str) -> dict[str, str]:
     for kind, variant in variants(section).items() if _has_kinds(section) else ():
         text = (variant.__doc__ or "").strip().partition("\n")[0]
         text = re.sub(r'^\[.*?\](?: kind = ".*?")?(?:, .*?)?: ', "", text).rstrip(".")
-        told[kind] = text + ("; so where no kind is given" if kind == usual else "")
+        told[kind] = text + ("; the default" if kind == usual else "")
     return told
 
 

@@ -48,8 +48,8 @@ def simulate(
 ) -> Run:
     """Simulate a scenario.
 
-    A run whose loop is not compiled yet is begun interpreted where that is sooner, to the same bits, while the loop is
-    compiled in the background (`closedloop.jit.background`); the logger ``closedloop.compiling`` says so.
+    If the loop is not compiled yet, the run may start interpreted while the loop is compiled in the background
+    (`closedloop.jit.background`), with the same result to the last bit; the logger ``closedloop.compiling`` says so.
 
     Parameters
     ----------
@@ -68,8 +68,8 @@ def simulate(
         (`closedloop.mechanics.robot.tree`), which are equal to rounding and a few times as fast. The compiled engine
         takes a user's law only if numba has compiled it, see `closedloop.simulation.engines.user_law`.
     record : mapping of str to callable, optional
-        Columns of one's own: by name a function of the `Run` that returns (N,) or (N, k) finite numbers, or a pair of
-        such a function and a unit, ``{"power": (power, "W")}``. They are worked out once, at the end, and are columns
+        Columns of your own: by name a function of the `Run` that returns (N,) or (N, k) finite numbers, or a pair of
+        such a function and a unit, ``{"power": (power, "W")}``. They are computed once, at the end, and are columns
         of the run and its file like all others.
 
     Returns
@@ -82,7 +82,7 @@ def simulate(
     ScenarioError, ModelError
         If the scenario or the robot is at fault; nothing was simulated.
     SimulationError
-        If the simulation could not go on; its `run` holds the rows until then. `SingularClosureError`,
+        If the simulation stopped early; its `run` holds the rows until then. `SingularClosureError`,
         `DivergenceError` and others name the reason; the cause of a `LawError` is the exception of the user's law;
         `InterruptedRunError`, also a KeyboardInterrupt, follows Ctrl-C, between two steps or after the compiled loop.
     """

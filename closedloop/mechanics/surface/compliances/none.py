@@ -6,4 +6,4 @@ from closedloop.mechanics.surface.compliance import Compliance
 
 
 class Rigid(Compliance):
-    """The surface does not give way; the contact force is the multiplier of Eq. 24."""
+    """The surface is rigid; the contact force is the multiplier of Eq. 24."""

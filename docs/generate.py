@@ -118,7 +118,7 @@ def columns() -> Iterator[str]:
     yield "`law_NAME` and `compensation_NAME`, and what `record` asked for: see"
     yield "[columns of your own](../controllers.md#columns-of-your-own)."
     yield from ("", "## Computed from the others", "")
-    yield "They are attributes of a run, and columns in CSV and pandas. They follow from `run.nc`, which does not have them."
+    yield "They are attributes of a run, and columns in CSV and pandas. `run.nc` does not have them; they follow."
     shapes = {
         ("time",): "(N,)",
         ("time", "axis"): "(N, 3)",

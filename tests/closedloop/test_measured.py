@@ -136,7 +136,7 @@ def step_error_of(x, mode, order):
     """Return what a signal's steps add to its error in each mode, and its largest difference.
 
     Differences are cut to the larger beside them, and half of what they change by counts: with order one all of it,
-    else half, less by the power order - 1 of how smooth these changes are.
+    else 0.45 of it, less by the power order - 1 of how smooth these changes are.
     """
     total, begin, steepest = 0.0, 0, 0.0
     for i in range(1, len(x) + 1):
@@ -155,7 +155,7 @@ def step_error_of(x, mode, order):
             if near[1] == 0.0:
                 continue
             rough = max(abs(near[1] - near[0]), abs(near[2] - near[1])) / max(map(abs, near))
-            total += 0.5 * abs(near[1]) * (1.0 if order == 1 else 0.5 * min(1.0, rough) ** (order - 1))
+            total += 0.5 * abs(near[1]) * (1.0 if order == 1 else 0.45 * min(1.0, rough) ** (order - 1))
     return min(total, max(x) - min(x)), steepest
 
 

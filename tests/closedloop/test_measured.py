@@ -198,9 +198,9 @@ def written_out(row, wanted, limits, V, order):
     fastest, first = np.max(np.abs(r.v)), order == 1
     varied, steepest = step_error_of(np.where(touching, miss, 0.0), r.mode, order)
     moved = steepest if first and np.any(np.diff(r.mode)) else 0.0
-    of_pose = (2.0 if first else 0.2) * H * fastest * np.max(np.abs(f)) + 1e-12 * np.max(np.abs(f))
+    of_pose = (2.0 if first else 1.0) * H * fastest * np.max(np.abs(f)) + 1e-12 * np.max(np.abs(f))
     aside = [step_error_of(x, r.mode, order)[0] for x in (r.position - wanted.position).T]
-    late = (0.5 if first else 0.05) * H * np.max(np.linalg.norm(r.velocity, axis=1))
+    late = (0.5 if first else 0.25) * H * np.max(np.linalg.norm(r.velocity, axis=1))
     lower, upper, fast, strong = limits
     excess = np.maximum(r.q - upper, lower - r.q)
     return {

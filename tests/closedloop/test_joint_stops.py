@@ -69,6 +69,10 @@ def test_what_is_asked_of_a_joint_without_a_drive_does_not_act(stops):
     wanted = np.linalg.solve(terms.mass_matrix, [1.5, 0.0] - terms.bias)
     np.testing.assert_allclose(run.acceleration[0], wanted, rtol=1e-12)
     assert run.summary()["motions_without_drive"] == 1
+    stepped = cl.Simulator(scenario, model=model, engine="pinocchio")
+    stepped.step(torque=[1.5, -2.0])
+    assert stepped.run().torque[0].tolist() == [1.5, 0.0]
+    np.testing.assert_allclose(stepped.run().acceleration[0], wanted, rtol=1e-12)
 
 
 def after_moreau(H, v, kept, pushing, restitution):

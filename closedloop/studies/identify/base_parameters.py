@@ -54,20 +54,19 @@ def base_parameters(regressor: Regressor, seed: int = 0) -> BaseParameters:
         regressor = Regressor(regressor.robot, replace(regressor.terms, stribeck_speed=1.0))
     W = regressor.rows(q, v, a).reshape(-1, p)
     size = np.linalg.norm(W, axis=0)
-    there = np.flatnonzero(size > RANK)
-    rank = int((np.abs(np.diag(linalg.qr(W[:, there] / size[there], mode="r", pivoting=True)[0])) > RANK).sum())
-    order = _preferred(regressor, there)
-    scaled = W[:, order] / size[order]
-    R = linalg.qr(scaled, mode="r")[0][: len(order)]
+    order = _preferred(regressor, np.flatnonzero(size > RANK))
+    R = linalg.qr(W[:, order] / size[order], mode="r")[0][: len(order)]
+    rank = int((np.abs(np.diag(linalg.qr(R, mode="r", pivoting=True)[0])) > RANK).sum())
     diagonal = np.abs(np.diag(R))
     # The diagonal of R without pivoting can stay away from zero where a column nearly depends: the rank decides.
     first = np.sort(np.argsort(-diagonal, kind="stable")[:rank])
     kept = order[first]
-    others = np.setdiff1d(order, kept)
+    second = np.setdiff1d(np.arange(len(order)), first)
     grouping = np.zeros((len(kept), p))
     grouping[np.arange(len(kept)), kept] = 1.0
-    if len(others):
-        grouping[:, others] = linalg.lstsq(W[:, kept], W[:, others])[0]
+    if len(second):
+        beta = linalg.lstsq(R[:, first], R[:, second])[0]
+        grouping[:, order[second]] = beta * size[order[second]] / size[kept][:, None]
     grouping[np.abs(grouping) < ROUNDING] = 0.0
     by_number = np.argsort(kept)
     kept, grouping = kept[by_number], grouping[by_number]

@@ -78,7 +78,7 @@ def judge(given: Path | None = None) -> Judged:
 
 
 def _log(read: dict[str, Array], run: str) -> Log:
-    q = np.deg2rad(read["act_pos_mot_deg"]) + START
+    q: Array = read["act_pos_mot_deg"] * (np.pi / 180.0) + START
     return Log(np.arange(len(q)) * STEP, q, read["act_torque_abs_nm"] * RATIOS, source=f"kr300_{run}.npz")
 
 

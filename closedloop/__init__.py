@@ -17,6 +17,8 @@ Build
     Surface, SurfaceMotion, Compliance            surfaces of one's own, how they move, how they give way
     Robot, Terms, Plane, solve_closure            the arm, its terms at a state, the surface, Eq. 24
     prepare, Problem                              a scenario as numbers
+Identify
+    identify, Log                                 parameters of a robot, with intervals, from a log of its motion
 Errors, all of them ClosedLoopError
     ScenarioError, ModelError, RunFileError, OutputError, ClusterError
     SimulationError (its run has the rows until then): SingularClosureError, DivergenceError, ChatterError,
@@ -80,6 +82,8 @@ if TYPE_CHECKING:
     from closedloop.simulation.simulate import simulate as simulate
     from closedloop.simulation.simulator import Simulator as Simulator
     from closedloop.simulation.state import StepState as StepState
+    from closedloop.studies.identify.identify import identify as identify
+    from closedloop.studies.identify.log import Log as Log
     from closedloop.studies.sweep import sweep_plot as sweep_plot
 
 _HOME = {
@@ -94,6 +98,7 @@ _HOME = {
     "Law": "simulation.engines.user_law",
     "LawError": "base.errors",
     "LawInput": "control.law_input",
+    "Log": "studies.identify.log",
     "ModelError": "base.errors",
     "NoNormalError": "base.errors",
     "OutputError": "base.errors",
@@ -114,6 +119,7 @@ _HOME = {
     "Terms": "mechanics.robot.pinocchio",
     "figures": "figures",
     "halve": "simulation.halve",
+    "identify": "studies.identify.identify",
     "lab": "lab.start",
     "load_run": "record.load",
     "load_scenario": "scenario.load",

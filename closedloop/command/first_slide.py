@@ -82,7 +82,7 @@ def first_slide(robot: Robot, name: str, force: float | None = None) -> Scenario
             faults.setdefault(RUN, fault.partition(";")[0])
     raise ScenarioError(
         f"{robot.model.name} with the tip {robot.tip}: no start was found from which it slides along a level surface; "
-        f"where most is right, {faults[max(faults)]}; another frame may do, see --tip"
+        f"at the best posture found: {faults[max(faults)]}; another frame may work, see --tip"
     )
 
 

@@ -40,10 +40,10 @@ COMMANDS = (
     Command("study", "run a study: drift, controllers", "closedloop.command.study:main"),
     Command("validate", "compare the simulator with other engines", "validation.run:main"),
     Command("robots", "list the robots, or show one: joints, frames", "closedloop.command.robots:main", "robot"),
-    Command("scenarios", "list the scenarios that ship", "closedloop.command.lists:scenarios"),
+    Command("scenarios", "list the scenarios of the package", "closedloop.command.lists:scenarios"),
     Command("lab", "open the lab: sliders, the arm in space, curves", "closedloop.command.lab:main", "scenario"),
     Command("export", "write a saved run as CSV or MCAP", "closedloop.command.export:main", "run"),
-    Command("compile", "compile all that ships, for images and clusters", "closedloop.command.compile_all:main"),
+    Command("compile", "compile everything now, for images and clusters", "closedloop.command.compile_all:main"),
     Command("completion", "print the completion script of a shell", "closedloop.command.completion:main"),
     Command("version", "print the versions that a run depends on", "closedloop.command.lists:version"),
 )

@@ -71,7 +71,7 @@ def unsealed(whole: memoryview) -> tuple[memoryview, bool]:
     total = hashlib.sha256(content)
     told = _WORDS + total.hexdigest().encode()
     if line[: len(told)] != told or line[len(told) : len(told) + 1] not in (b" ", b"\n"):
-        raise ValueError("is damaged: its bytes are not those that were written (their SHA-256 is another)")
+        raise ValueError("is damaged: its bytes are not those that were written (their SHA-256 differs)")
     return content, hmac.compare_digest(line, _line(total))
 
 
@@ -137,10 +137,10 @@ def _read_apart(path: Path, size: int, names: list[str]) -> tuple[Attributes, Co
             reader.kill()
             reader.wait()
             if isinstance(error, subprocess.TimeoutExpired):
-                raise RunFileError(f"is damaged: HDF5 did not come to an end of it in {limit:.0f} s") from None
+                raise RunFileError(f"is damaged: HDF5 did not finish reading it in {limit:.0f} s") from None
             raise
     if reader.returncode != 0:
-        raise RunFileError("is not a run file, or is damaged: HDF5 broke down over it")
+        raise RunFileError("is not a run file, or is damaged: HDF5 failed while reading it")
     end = answer.index(b"\n") if b"\n" in answer else len(answer)
     said, rest = json.loads(answer[:end]), memoryview(answer)[end + 1 :]
     if "error" in said:

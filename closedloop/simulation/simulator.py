@@ -70,8 +70,8 @@ class Simulator:
         name = scenario.time.integrator
         if name in ADAPTIVE:
             raise ScenarioError(
-                f"time.integrator = {name!r}: its steps reach over several rows, so that no torque from outside could "
-                f"act from the row just seen; use {', '.join(map(repr, INTEGRATORS))}, or closedloop.simulate"
+                f"time.integrator = {name!r}: its steps do not end at the rows, so that an external torque cannot "
+                f"act from a row on; use {', '.join(map(repr, INTEGRATORS))}, or closedloop.simulate"
             )
         check_engine(scenario, engine, None)
         self.problem = prepare(scenario, model)

@@ -308,7 +308,7 @@ def test_a_path_of_a_tip_that_no_drive_leads_is_refused(tmp_path):
         tmp_path, body(tmp_path), STILL, [0] * 6,
         reference__kind="line", reference__direction=[0.0, 1.0, 0.0], reference__speed=0.1, reference__stop=0.9,
     )  # fmt: skip
-    with pytest.raises(ScenarioError, match="hangs on a joint that turns freely"):
+    with pytest.raises(ScenarioError, match="depends on a ball joint, which has no drive"):
         cl.simulate(scenario, progress=False)
 
 

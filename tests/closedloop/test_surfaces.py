@@ -451,7 +451,7 @@ REFUSED = {
     "tool without mass": ({"tool.centre": [0.0, 0.0, 0.1]}, "tool.mass = 0: a tool with a centre of mass"),
     "gap of a placed one": (
         {"surface.kind": "sphere", "surface.point": [0.0, 0.3, 0.9], "surface.gap": 0.1},
-        'goes with point = "start" only',
+        'acts with point = "start" only',
     ),
 }  # fmt: skip
 

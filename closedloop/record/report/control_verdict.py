@@ -148,9 +148,9 @@ def _contact(s: Signals, unknown: list[str]) -> list[Problem]:
     struck = s.touchdowns[s.commanded[np.minimum((s.touchdowns / s.h).astype(int), len(s.commanded) - 1)]]
     if not met.size and not struck.size:
         if s.approaching:
-            unknown.append("contact: the path had not come to the surface at the end")
+            unknown.append("contact: the path had not reached the surface at the end")
             return []
-        return [_problem("no_contact", f"contact was commanded from {rows[0] * s.h:.4g} s on and never came",
+        return [_problem("no_contact", f"contact was commanded from {rows[0] * s.h:.4g} s on and did not occur",
                          rows[0] * s.h)]  # fmt: skip
     first = min([*met[:1], *np.ceil(struck[:1] / s.h).astype(int)])  # an impact leaves no row in contact
     rows = rows[rows >= first] if np.any(rows >= first) else rows[-1:]
@@ -161,7 +161,7 @@ def _contact(s: Signals, unknown: list[str]) -> list[Problem]:
     count = np.count_nonzero((s.touchdowns > begin) & (s.touchdowns <= end))
     if count >= BOUNCES:
         at = float(s.touchdowns[s.touchdowns > begin][0])
-        said = f"{count} touchdowns between {begin:.4g} and {end:.4g} s, {BOUNCES} and more are no touchdown any more"
+        said = f"{count} touchdowns between {begin:.4g} and {end:.4g} s, at most {BOUNCES - 1} belong to a touchdown"
         problems = [problem for problem in problems if problem["name"] != "bouncing"] + [_problem("bouncing", said, at)]
     return (
         problems

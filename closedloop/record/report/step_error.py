@@ -101,7 +101,7 @@ def why_not_known(scenario: Scenario, singular: bool) -> str:
         return f"{name} chooses its steps: its error is set by time.tolerance"
     if scheme_of(name) is None:
         return f"the order of {name}, a user's, is not in a file"
-    return "near a singular pose f hangs on where in it the rows are" if singular else ""
+    return "near a singular pose f depends on how near to it the rows are" if singular else ""
 
 
 def step_error(run: Record, values: dict[str, Any]) -> dict[str, Any]:
@@ -118,7 +118,7 @@ def step_error(run: Record, values: dict[str, Any]) -> dict[str, Any]:
     if values["step_error_force"] is None:
         why = why_not_known(run.scenario, True) if len(run) else "no row could be computed"
     elif force is None or position is None:
-        why = "it is no finite number"
+        why = "it is not a finite number"
     return {"contact_force": force, "position": position, "measured": run.halved is not None, "why_not": why}
 
 

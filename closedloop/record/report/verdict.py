@@ -214,7 +214,7 @@ def _energy(facts: Facts) -> dict[str, Any] | None:
     if left <= bound:
         return None
     if left == math.inf:
-        return _problem("energy", "how much energy is unaccounted for is not known: it is no number in the record")
+        return _problem("energy", "the energy that is unaccounted for is not known: it is not a number in the record")
     return _problem("energy", f"{left:.3g} J are unaccounted for, more than {bound:.2g} J, what this step may leave")
 
 

@@ -11,6 +11,7 @@ Simulate
     Simulator, StepState                          the same step by step, driven from outside
     simulate_batch, sweep_plot                    many runs at once; maps of a sweep
     Run, Event, load_run                          the record, what happened to the contact, a run file
+    linearise                                     the force loop as a linear system: poles, margins, the port
     figures, lab                                  what of a run can be drawn; a page with sliders on which it answers
 Build
     ControlLaw, Law, LawInput                     laws of one's own, and what they see
@@ -80,6 +81,7 @@ if TYPE_CHECKING:
     from closedloop.simulation.simulate import simulate as simulate
     from closedloop.simulation.simulator import Simulator as Simulator
     from closedloop.simulation.state import StepState as StepState
+    from closedloop.studies.analysis.linearise import linearise as linearise
     from closedloop.studies.sweep import sweep_plot as sweep_plot
 
 _HOME = {
@@ -115,6 +117,7 @@ _HOME = {
     "figures": "figures",
     "halve": "simulation.halve",
     "lab": "lab.start",
+    "linearise": "studies.analysis.linearise",
     "load_run": "record.load",
     "load_scenario": "scenario.load",
     "prepare": "simulation.prepare",

@@ -177,12 +177,12 @@ class Here:
     def __post_init__(self) -> None:
         problem = self.problem
         model = problem.robot.model
-        self.problem = problem = replace(problem, robot=Robot(model, problem.robot.tip), table=problem.table.copy())
+        self.problem = problem = replace(problem, robot=Robot(model, problem.robot.tip))
         self.row = round(self.instant.time / problem.h)
         self.loop = loop = problem.loop()
         make_ready(*kernels_of(PINOCCHIO), *problem.called(loop), complete_record)
         problem.connect(loop)
-        self._rows = np.zeros((problem.steps + 1, problem.row_width))
+        self._rows = np.empty((self.row + 2, problem.row_width))
         self._answers = Answers(problem, loop)
         arrays = problem.table, problem.integrator.tableau(), self._rows
         _, self._call = single_calls(problem, loop_for(PINOCCHIO), loop, arrays, PINOCCHIO)
@@ -269,6 +269,7 @@ class Here:
             constants.compliance[index] += amount
         force = changes.get("force", 0.0)
         nodes = problem.table[self._node : self._node + problem.nodes + 1, 2 * n + 9]
+        before = nodes.copy()
         nodes += force
         crba, bias, convention, pinocchio, data = self._passes
         state.phase = STEP_END
@@ -285,7 +286,7 @@ class Here:
                 self._call(self._answers.events)
                 self.count += 1
         finally:
-            nodes -= force
+            nodes[:] = before
         if state.row != self.row + 1 and not (state.row == problem.steps and self.row == state.row):
             raise EventHere
         dz = np.array(w.dz) if state.law != 0 else np.zeros(w.z.size)

@@ -6,6 +6,7 @@ Exit status: 0 done; 2 the input is at fault; 3 the run stops before the instant
 from __future__ import annotations
 
 import json
+import math
 from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -61,7 +62,7 @@ def _main(words: list[str]) -> int:
     found: dict[str, Any] = {}
     drawn: list[tuple[str, Any]] = []
     if ranges:
-        lines, found, drawn = _varied(study, page, ranges, runs=not options.no_runs, draw=folder is not None)
+        lines, found, drawn = _varied(study, ranges, runs=not options.no_runs, draw=folder is not None)
     else:
         lines = []
     report = page.as_dict() | found
@@ -116,7 +117,7 @@ def _range(text: str) -> tuple[Range, int]:
 
 
 def _varied(
-    study: Stability, page: Any, ranges: list[tuple[Range, int]], runs: bool, draw: bool
+    study: Stability, ranges: list[tuple[Range, int]], runs: bool, draw: bool
 ) -> tuple[list[str], dict[str, Any], list[tuple[str, Any]]]:
     """Return lines, values for JSON and figures of the limits over one key, or the boundary over two."""
     from closedloop.studies.analysis.page import trial_line
@@ -160,10 +161,11 @@ def _varied(
             "vary": [along.key, over.key],
             "boundary": [{along.key: value} | limit.as_dict() for value, limit in boundary],
         }  # fmt: skip
-    page.trials = trials
-    found["trials"] = [{"values": t.values, "expected": t.expected, "seen": t.seen, "what": t.what} for t in trials]
-    lines += [trial_line(trial) for trial in trials]
-    page.trials = []
+    found["trials"] = [
+        {"values": t.values, "expected": t.expected, "seen": t.seen if math.isfinite(t.seen) else None} for t in trials
+    ]
+    if trials:
+        lines += ["", f"beside it, from t = {study.base.time:g} s on:", *map(trial_line, trials)]
     return lines, found, drawn
 
 

@@ -166,8 +166,8 @@ def stability_map(
     axes = _axes(figure)
     x, y = np.array([value for value, _ in boundary]), np.array([limit.value for _, limit in boundary])
     axes.plot(x, y, ".-" if len(x) < 100 else "-", color=COLOURS[0], label="boundary", markersize=4)
-    for seen, marker, colour, name in ((True, "o", COLOURS[2], "settles"), (False, "x", COLOURS[1], "does not settle")):
-        mine = [trial.values for trial in trials if trial.seen is seen and along.key in trial.values]
+    for grows, marker, colour, name in ((False, "o", COLOURS[2], "stable"), (True, "x", COLOURS[1], "unstable")):
+        mine = [trial.values for trial in trials if (trial.seen > 0.0) is grows and along.key in trial.values]
         if mine:
             axes.plot([v[along.key] for v in mine], [v[over.key] for v in mine], marker, color=colour, linestyle="none",
                       label=f"whole run: {name}")  # fmt: skip

@@ -18,9 +18,11 @@ from closedloop.control.encoder import DIFFERENCE, NO_ENCODER, EncoderParameters
 from closedloop.control.sensor import SensorParameters
 from closedloop.jit.background import make_ready
 from closedloop.jit.interpreted import interpreted
-from closedloop.loop.events.phases import MEASURED, STEP_END
+from closedloop.loop.events.impacts import collide
+from closedloop.loop.events.phases import IMPACT_LAW_WANTED, MEASURED, STEP_END, TABLE_FULL, TERMS
 from closedloop.loop.events.table import KINDS
-from closedloop.loop.step.record_row import complete_record
+from closedloop.loop.step.make_loop import Loop
+from closedloop.loop.step.record_row import Row, complete_record
 from closedloop.loop.step.seen import read_joints
 from closedloop.mechanics.closure.contact_force import FREE
 from closedloop.mechanics.robot.pinocchio import Robot
@@ -154,6 +156,65 @@ def run_to(problem: Problem, row: int) -> Instant:
     return Instant(row * h, int(state.mode), values, z, float(w.measured), force)
 
 
+def put(instant: Instant, problem: Problem, loop: Loop) -> None:
+    """Write the state of an instant into a loop's memory, which may be that of another sensor: it is then at rest."""
+    state, w = loop.state, loop.w
+    for name, value in instant.values.items():
+        getattr(w, name)[:] = value
+    for name, where in parts_of(problem).items():
+        mine, width = instant.z[name], where.stop - where.start
+        if mine.size == width:
+            w.z[where] = mine
+        elif name == "filter" and width:
+            w.z[where] = instant.force
+    w.ring[:] = w.measured = instant.measured
+    state.row = row = round(instant.time / problem.h)
+    w.time = row * problem.h
+    state.mode, state.started, state.sampled, state.no_search, state.risen = instant.mode, 1, 1, 1, 1
+    state.phase = STEP_END
+    if state.encoder != NO_ENCODER:
+        interpreted(read_joints)(w, loop.constants, state, problem.table)
+        state.phase = MEASURED
+
+
+def run_on(problem: Problem, instant: Instant, rows: int, kick: float = 0.0) -> Array:
+    """Run the whole loop on from an instant and return the contact force of the next rows (rows,), N.
+
+    Parameters
+    ----------
+    problem, instant
+        The scenario as numbers, and the state, which may be that of a run with other gains.
+    rows : int
+        How many; less if the run ends or stops before.
+    kick : float
+        Added to f_des at the first sample, N.
+    """
+    problem = replace(problem, robot=Robot(problem.robot.model, problem.robot.tip))
+    loop, n = problem.loop(), problem.robot.n
+    make_ready(*kernels_of(PINOCCHIO), *problem.called(loop), complete_record, collide)
+    problem.connect(loop)
+    put(instant, problem, loop)
+    first = int(loop.state.row)
+    last = min(first + rows, problem.steps)
+    record = np.zeros((problem.steps + 1, problem.row_width))
+    answers = Answers(problem, loop)
+    arrays = problem.table, problem.integrator.tableau(), record
+    once, _ = single_calls(problem, loop_for(PINOCCHIO), loop, arrays, PINOCCHIO)
+    kicked = problem.table[first * problem.nodes : (first + max(problem.hold, 1)) * problem.nodes, 2 * n + 9]
+    before = kicked.copy()
+    kicked += kick
+    try:
+        while loop.state.row < last:
+            request = once(answers.events)
+            if request in (TABLE_FULL, IMPACT_LAW_WANTED):
+                answers.give(request)
+            elif request != TERMS:
+                break
+    finally:
+        kicked[:] = before
+    return np.array(record[first : loop.state.row, Row.place("contact_force", n)])
+
+
 @dataclass
 class Here:
     """Evaluations at states beside that of an instant.
@@ -189,18 +250,8 @@ class Here:
         self._passes = problem.robot.passes
         state, w, constants = loop.state, loop.w, loop.constants
         n = problem.robot.n
-        for name, value in self.instant.values.items():
-            getattr(w, name)[:] = value
-        for name, where in parts_of(problem).items():
-            mine, width = self.instant.z[name], where.stop - where.start
-            if mine.size == width:
-                w.z[where] = mine
-            elif name == "filter" and width:
-                w.z[where] = self.instant.force
-        w.ring[:] = w.measured = self.instant.measured
-        w.time = self.row * problem.h
-        state.row, state.mode, state.started, state.sampled = self.row, self.instant.mode, 1, 1
-        state.no_search, state.risen, state.project = 1, 1, 0
+        put(self.instant, problem, loop)
+        state.project = 0
         state.semi_implicit = 0  # so that friction's states have rates
         sensor = SensorParameters(constants.sensor, 0)
         sensor.noise = sensor.quantisation = 0.0
@@ -253,8 +304,6 @@ class Here:
         loop, problem, n = self.loop, self.problem, self.n
         state, w, constants = loop.state, loop.w, loop.constants
         state.memory[:], w.memory[:], constants.memory[:] = self._saved
-        w.q += changes.get("q", 0.0)
-        w.v += changes.get("v", 0.0)
         w.z += changes.get("z", 0.0)
         w.torque += changes.get("torque", 0.0)
         w.measured += changes.get("measured", 0.0)
@@ -272,10 +321,14 @@ class Here:
         before = nodes.copy()
         nodes += force
         crba, bias, convention, pinocchio, data = self._passes
-        state.phase = STEP_END
         if self._encoder != NO_ENCODER:
+            w.q[:] = w.true_q + changes.get("q", 0.0)
+            w.v[:] = w.true_v + changes.get("v", 0.0)
             interpreted(read_joints)(w, constants, state, problem.table)
             state.phase = MEASURED
+        else:
+            w.q += changes.get("q", 0.0)
+            w.v += changes.get("v", 0.0)
         try:
             for _ in range(2 if self._encoder != NO_ENCODER else 1):
                 crba(pinocchio, data, w.q, convention)

@@ -34,15 +34,12 @@ class Page:
         Largest stable values by key, or why none was found.
     delay : float or None
         The longest stable `sensor.delay`, s, of those tried; None if the law reads no force.
-    trials : list of Trial
-        Whole runs beside a limit.
     """
 
     loop: LinearLoop
     margins: dict[str, Margins]
     limits: dict[str, Limit | str] = field(default_factory=dict)
     delay: float | None = None
-    trials: list[Trial] = field(default_factory=list)
 
     @property
     def weakest(self) -> Margins:
@@ -125,8 +122,6 @@ class Page:
                 found.append(f"{name}: {side} stable value {limit.value:.6g}, then {limit.pole.frequency:.3g} Hz")
         if self.delay is not None:
             found.append(f"sensor.delay: longest stable value {self.delay:.4g} s")
-        for trial in self.trials:
-            found.append(trial_line(trial))
         return found
 
     def as_dict(self) -> dict[str, Any]:
@@ -142,17 +137,18 @@ class Page:
             "passive": port.passive, "active_at": port.active_at,
             "limits": {k: v if isinstance(v, str) else v.as_dict() for k, v in self.limits.items()},
             "longest_delay": self.delay,
-            "trials": [
-                {"values": t.values, "expected": t.expected, "seen": t.seen, "what": t.what} for t in self.trials
-            ],
         }  # fmt: skip
 
 
 def trial_line(trial: Trial) -> str:
-    """Return one line about a whole run beside the boundary."""
+    """Return one line about whole runs beside the boundary."""
     values = ", ".join(f"{key} = {value:.4g}" for key, value in trial.values.items())
-    expected = "stable" if trial.expected else "unstable"
-    return f"a whole run with {values}, where the linear loop is {expected}: {trial.what}"
+    if math.isinf(trial.seen) and trial.seen > 0.0:
+        seen = "a whole run from there on stops"
+    else:
+        seen = f"two whole runs grow apart with exp({trial.seen:+.3g} t)"
+    verdict = "" if trial.agrees else ": the two DISAGREE"
+    return f"  {values}: linear exp({trial.expected:+.3g} t), {seen}{verdict}"
 
 
 def page_of(study: Stability, limits: bool = True) -> Page:

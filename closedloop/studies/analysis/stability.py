@@ -16,14 +16,14 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.optimize import brentq
 
-from closedloop.base.errors import ClosedLoopError, ScenarioError, SimulationError
+from closedloop.base.errors import ScenarioError
 from closedloop.mechanics.surface.compliances.none import Rigid
 from closedloop.scenario.overrides import Variants
 from closedloop.scenario.scenario import Scenario
 from closedloop.simulation.cache import Cache
 from closedloop.simulation.prepare import prepare
-from closedloop.simulation.simulate import simulate
-from closedloop.studies.analysis.instant import Here
+from closedloop.simulation.engines.problem import Problem
+from closedloop.studies.analysis.instant import Here, Instant, run_on
 from closedloop.studies.analysis.linear_loop import LinearLoop, Pole
 from closedloop.studies.analysis.linearise import instant_of, loop_at
 from robot_models import RobotModel
@@ -34,8 +34,9 @@ Array = NDArray[np.float64]
 LOOKS = 25
 # Tolerance of a limit, as a share of its range.
 LIMIT_TOLERANCE = 1e-11
-# A change of this share beside the boundary is what whole runs are tried at.
-BESIDE = 0.1
+# Beside the boundary by this share whole runs are tried, for so many periods of the critical pole, and at least so many
+# samples; they begin apart by this share of the force, in f_des.
+BESIDE, PERIODS, LEAST_SAMPLES, KICK = 0.1, 12.0, 100, 1e-6
 
 
 @dataclass(frozen=True)
@@ -99,22 +100,25 @@ class Limit:
 
 @dataclass(frozen=True)
 class Trial:
-    """A whole nonlinear run beside the boundary.
+    """Two runs of the whole nonlinear loop beside the boundary, from the instant on, that begin a little apart.
 
     Attributes
     ----------
     values : dict
-        What is changed.
-    expected, seen : bool
-        Whether the linear loop is stable there, and whether the run's force settles.
-    what : str
-        What the run did.
+        What is changed, from the instant on.
+    expected, seen : float
+        The rate of the linear loop's slowest pole, and that with which the two runs grow apart, 1/s; infinite if one of
+        them stops.
     """
 
     values: dict[str, float]
-    expected: bool
-    seen: bool
-    what: str
+    expected: float
+    seen: float
+
+    @property
+    def agrees(self) -> bool:
+        """Whether both say the same of its stability."""
+        return (self.expected > 0.0) == (self.seen > 0.0)
 
 
 class Stability:
@@ -158,6 +162,10 @@ class Stability:
         """
         if not values:
             return self.base
+        return loop_at(*self._at(values))
+
+    def _at(self, values: Mapping[str, float]) -> tuple[Problem, Instant]:
+        """Return the scenario with other numbers, and its state at the instant."""
         scenario = self.changed(values)
         problem = prepare(scenario, self._model, self._cache)
         instant = self._instant
@@ -165,7 +173,7 @@ class Stability:
         if surface != self.scenario.compliance:
             depth = 0.0 if isinstance(surface, Rigid) else surface.static_depth(max(instant.force, 0.0))
             instant = Here(problem, instant).moved(depth)
-        return loop_at(problem, instant)
+        return problem, instant
 
     def growth(self, values: Mapping[str, float]) -> float:
         """Return the rate of the loop's slowest pole, 1/s: above 0 it is unstable."""
@@ -271,39 +279,30 @@ class Stability:
         return None
 
     def try_beside(self, limit: Limit, given: Mapping[str, float] | None = None, beside: float = BESIDE) -> list[Trial]:
-        """Run the whole nonlinear scenario below and above a limit, and say whether its force settles."""
+        """Run the whole nonlinear loop on from the instant below and above a limit; see `Trial`."""
         trials = []
         for factor in (1.0 - beside, 1.0 + beside):
             values = {**(given or {}), limit.key: limit.value * factor}
-            expected = (factor < 1.0) == limit.upwards
             try:
-                scenario = self.changed(values)
-                seen, what = settles(scenario, self._model)
-            except ScenarioError as error:
-                seen, what = False, f"refused: {error}"
-            trials.append(Trial(values, expected, seen, what))
+                problem, instant = self._at(values)
+                expected = self.growth(values)
+                trials.append(Trial(values, expected, self._seen(problem, instant, limit.pole.frequency)))
+            except ScenarioError:  # beyond what the scenario may be
+                continue
         return trials
 
-
-def settles(scenario: Scenario, model: RobotModel | None = None) -> tuple[bool, str]:
-    """Run a scenario to its end; return whether its force settles, and what it did.
-
-    It does not if the run stops, the tip leaves the surface and does not stay on it, or the swing of the force about
-    its mean over the last fifth is larger than over the fifth before, and above a thousandth of the force.
-    """
-    try:
-        run = simulate(scenario, progress=False, model=model)
-    except SimulationError as error:
-        return False, f"stopped: {error}"
-    except ClosedLoopError as error:
-        return False, str(error)
-    f, mode = run.contact_force, run.mode
-    k = max(2, f.size // 5)
-    last, before = f[-k:], f[-2 * k : -k]
-    if np.any(mode[-k:] == 0):
-        return False, "the tip bounces"
-    swing, earlier = float(np.std(last)), float(np.std(before))
-    size = max(1.0, abs(float(np.mean(last))))
-    if swing > 1e-3 * size and swing >= 0.98 * earlier:
-        return False, f"f swings by {swing:.3g} N, {earlier:.3g} N before"
-    return True, f"f settles: {swing:.3g} N, {earlier:.3g} N before"
+    def _seen(self, problem: Problem, instant: Instant, frequency: float) -> float:
+        """Return the rate with which two runs grow apart that begin a little apart, 1/s."""
+        span = max(PERIODS / max(frequency, 1e-3), LEAST_SAMPLES * problem.h * max(problem.hold, 1))
+        rows = min(round(span / problem.h), problem.steps - round(instant.time / problem.h))
+        kick = KICK * max(1.0, abs(instant.force))
+        with_it, without = (run_on(problem, instant, rows, size) for size in (kick, -kick))
+        if min(with_it.size, without.size) < rows:
+            return math.inf
+        apart = with_it - without
+        apart = apart[rows // 4 :]  # once the kick itself is over
+        half = apart.size // 2
+        early, late = (float(np.sqrt(np.mean(part**2))) for part in (apart[:half], apart[half:]))
+        if late == 0.0:
+            return -math.inf
+        return math.log(late / max(early, 1e-300)) / (half * problem.h)

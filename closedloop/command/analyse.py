@@ -72,13 +72,13 @@ def _main(words: list[str]) -> int:
         print("\n".join([*page.lines(), *lines]))
     if folder is not None:
         from closedloop.base.files import write_whole
-        from closedloop.studies.analysis.figures import _written, draw_page
+        from closedloop.studies.analysis.figures import draw_page, written
 
-        written = [write_whole(folder / "analysis.json", (json.dumps(report, indent=2) + "\n").encode())]
-        written += draw_page(page, folder)
-        written += [_written(figure, folder / name) for name, figure in drawn]
+        paths = [write_whole(folder / "analysis.json", (json.dumps(report, indent=2) + "\n").encode())]
+        paths += draw_page(page, folder)
+        paths += [written(figure, folder / name) for name, figure in drawn]
         if not options.json:
-            print(f"wrote {', '.join(map(str, written))}")
+            print(f"wrote {', '.join(map(str, paths))}")
     return DONE
 
 

@@ -1,1 +1,1 @@
-"""The force loop as a linear system about the motion at an instant: poles, margins, the port, and where it is stable."""
+"""The force loop, linear about the motion at an instant: poles, margins, the port, and where it is stable."""

@@ -1,4 +1,4 @@
-"""Figures of a force loop: its transfer as Bode and Nyquist draw it, its poles, its sensitivity, and where it is stable."""
+"""Figures of a force loop: Bode and Nyquist of its transfer, its poles, its sensitivity, and where it is stable."""
 
 from __future__ import annotations
 
@@ -27,10 +27,10 @@ NYQUIST = 3.0
 def draw_page(page: Page, folder: Path) -> list[Path]:
     """Draw Bode's and Nyquist's diagrams, the poles, and the sensitivity; return the paths of the PNGs."""
     drawn = {"bode": bode, "nyquist": nyquist, "poles": poles, "sensitivity": sensitivity}
-    return [_written(figure(page), folder / f"analysis_{name}") for name, figure in drawn.items()]
+    return [written(figure(page), folder / f"analysis_{name}") for name, figure in drawn.items()]
 
 
-def _written(figure: Figure, path: Path) -> Path:
+def written(figure: Figure, path: Path) -> Path:
     import matplotlib as mpl
 
     with mpl.rc_context(cast(Any, STYLE)):
@@ -150,9 +150,9 @@ def locus(loops: Sequence[tuple[float, LinearLoop]], over: Range, limits: Sequen
         z = np.array([pole.z for pole in loop.poles()])
         axes.plot(z.real, z.imag, ".", color=colours(0.1 + 0.9 * over.share(value)), markersize=3)
     for limit in limits:
-        z = limit.pole.z
-        axes.plot([z.real, z.real], [z.imag, -z.imag], "o", color=COLOURS[1], fillstyle="none")
-        axes.annotate(f" {limit.value:.4g}", (z.real, z.imag), fontsize=8)
+        x, y = limit.pole.z.real, limit.pole.z.imag
+        axes.plot([x, x], [y, -y], "o", color=COLOURS[1], fillstyle="none")
+        axes.annotate(f" {limit.value:.4g}", (x, y), fontsize=8)
     axes.set_title(f"poles for {over.key} = {over.low:g} (light) to {over.high:g} (dark)")
     return figure
 

@@ -6,8 +6,7 @@ nothing is written twice. White noise and quantisation, which have no derivative
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field, replace
-from functools import partial
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -217,23 +216,22 @@ def run_on(problem: Problem, instant: Instant, rows: int, kick: float = 0.0) -> 
 
 @dataclass
 class Here:
-    """Evaluations at states beside that of an instant.
+    """Evaluations at states beside that of an instant, without the stabiliser.
+
+    So a tip that is off the surface, or moves off it, is one whose surface has been moved.
 
     Parameters
     ----------
     problem : Problem
         The scenario as numbers; the instant may be that of another with other gains.
     instant : Instant
-    stabilised : bool
-        Whether Baumgarte's stabiliser acts: without it a tip that is off the surface, or moves off it, is one whose
-        surface has been moved.
+    free : bool
+        Whether it may be in flight.
     """
 
     problem: Problem
     instant: Instant
-    stabilised: bool = False
     free: bool = False
-    count: int = field(default=0, init=False)
 
     def __post_init__(self) -> None:
         problem = self.problem
@@ -253,7 +251,7 @@ class Here:
         put(self.instant, problem, loop)
         state.project = 0
         state.semi_implicit = 0  # so that friction's states have rates
-        sensor = SensorParameters(constants.sensor, 0)
+        sensor: Any = SensorParameters(constants.sensor, 0)
         sensor.noise = sensor.quantisation = 0.0
         if problem.encoder.size:
             encoder = EncoderParameters(constants.encoder, n)
@@ -262,9 +260,10 @@ class Here:
         for key, lag in (("friction", constants.lag), ("joint_friction", np.max(constants.joint_lag))):
             if lag > 0.0:
                 kind = getattr(problem.scenario, key).kind
-                raise ScenarioError(f"linearise: {key}.kind = {kind!r} answers to the slip of {lag:g} s ago; take another")
-        if not self.stabilised:
-            constants.s_v = constants.s_p = 0.0
+                raise ScenarioError(
+                    f"linearise: {key}.kind = {kind!r} answers to the slip of {lag:g} s ago; take another"
+                )
+        constants.s_v = constants.s_p = 0.0
         if self.instant.mode == FREE and not self.free:
             raise SimulationError(
                 f"linearise: the tip is in flight at t = {self.instant.time:g} s, where there is no force loop; take an "
@@ -292,9 +291,9 @@ class Here:
         ----------
         held : bool
             Whether the torque is what it was, instead of the law's.
-        changes : arrays and numbers
-            q, v, z, last: added to the state; measured, force (f_des), bias (of the sensor): N; link: torque on the
-            links (n,), N m; torque: added to what is held (n,); compliance: added to a parameter, (index, amount).
+        changes : arrays
+            q, v, z, last: added to the state; measured, force (f_des), bias (of the sensor), (1,), N; link: torque on
+            the links (n,), N m; torque: added to what is held (n,); compliance: added to its parameters.
 
         Raises
         ------
@@ -306,20 +305,18 @@ class Here:
         state.memory[:], w.memory[:], constants.memory[:] = self._saved
         w.z += changes.get("z", 0.0)
         w.torque += changes.get("torque", 0.0)
-        w.measured += changes.get("measured", 0.0)
+        w.measured += changes["measured"][0] if "measured" in changes else 0.0
         last = changes.get("last")
         if last is not None:
             w.last_read_q += last[:n]
             w.last_read_v += last[n:]
         if "bias" in changes:
-            SensorParameters(constants.sensor, 0).bias += changes["bias"]
-        if "compliance" in changes:
-            index, amount = changes["compliance"]
-            constants.compliance[index] += amount
-        force = changes.get("force", 0.0)
+            sensor: Any = SensorParameters(constants.sensor, 0)
+            sensor.bias += changes["bias"][0]
+        constants.compliance += changes.get("compliance", 0.0)
         nodes = problem.table[self._node : self._node + problem.nodes + 1, 2 * n + 9]
         before = nodes.copy()
-        nodes += force
+        nodes += changes.get("force", 0.0)
         crba, bias, convention, pinocchio, data = self._passes
         if self._encoder != NO_ENCODER:
             w.q[:] = w.true_q + changes.get("q", 0.0)
@@ -337,14 +334,15 @@ class Here:
                     problem.robot.views[1][:] -= changes["link"]
                 state.sampled = 0 if held else 1
                 self._call(self._answers.events)
-                self.count += 1
         finally:
             nodes[:] = before
         if state.row != self.row + 1 and not (state.row == problem.steps and self.row == state.row):
             raise EventHere
         dz = np.array(w.dz) if state.law != 0 else np.zeros(w.z.size)
         motors = parts_of(problem)["transmission"]
-        dz[motors][:n] = self._z_of(changes, motors)[n:] if motors.stop > motors.start else 0.0
+        if motors.stop > motors.start:  # what the semi-implicit scheme writes there is its own
+            place = type(w).place("z", *w.sizes)
+            dz[motors][:n] = (self._saved[1][place] + changes.get("z", 0.0))[motors][n:]
         f = float(w.F[0])
         return {
             "qdd": np.array(w.qdd), "dz": dz, "f": np.array([f]),
@@ -352,15 +350,6 @@ class Here:
             "r": np.array(w.r), "u": np.array(w.u), "gap": np.array([w.gap]),
             "last": np.concatenate([w.last_read_q, w.last_read_v]),
         }  # fmt: skip
-
-    def _z_of(self, changes: dict[str, Any], where: slice) -> Array:
-        start = self.loop.w.z.size
-        z = np.zeros(start)
-        kept = self._saved[1]
-        place = type(self.loop.w).place("z", *self.loop.w.sizes)
-        z[:] = kept[place]
-        z += changes.get("z", 0.0)
-        return np.array(z[where])
 
     def geometry(self) -> tuple[Array, Array, Array, Array]:
         """Return H (n, n), the contact frame's Jacobian A (3, n), the frame (3, 3) and S (3, 3) at the instant."""
@@ -372,7 +361,7 @@ class Here:
 
     def moved(self, depth: float) -> Instant:
         """Return the instant with the tip moved along the normal until it is so deep, m, in a soft surface."""
-        instant, self.free = self.instant, self.free
+        instant = self.instant
         H, A, _, _ = self.geometry()
         along = np.linalg.solve(H, A[0])
         along /= A[0] @ along
@@ -432,21 +421,26 @@ def _central(function: Any, step: float) -> dict[str, Array]:
     return {name: (above[name] - below[name]) / (2.0 * step) for name in above}
 
 
-def columns(here: Here, name: str, count: int, scales: Array, held: bool) -> dict[str, Array]:
-    """Return the derivatives of all that `Here` evaluates by the `count` numbers of a change, matrices (rows, count)."""
+def columns(here: Here, name: str, steps: Array, held: bool) -> dict[str, Array]:
+    """Return the derivatives of all that `Here` evaluates by the numbers of a change, matrices (rows, k).
+
+    Parameters
+    ----------
+    here, name, held
+        Where, the change, and whether the torque is held; see `Here`.
+    steps : (k,) array
+        The first step of each number, see `derivative`.
+    """
     value = here(held=held)
     found: list[dict[str, Array]] = []
-    scalar = name in ("measured", "force", "bias")
-    for j in range(count):
+    for j, step in enumerate(steps):
 
         def along(amount: float, j: int = j) -> dict[str, Array]:
-            if scalar:
-                return here(held=held, **{name: amount})
-            if name == "compliance":
-                return here(held=held, compliance=(j, amount))
-            change = np.zeros(count)
+            change = np.zeros(steps.size)
             change[j] = amount
             return here(held=held, **{name: change})
 
-        found.append(derivative(partial(along), float(scales[j]), value))
-    return {key: np.stack([each[key] for each in found], axis=1) if found else value[key][:, None][:, :0] for key in value}
+        found.append(derivative(along, float(step), value))
+    return {
+        key: np.stack([each[key] for each in found], axis=1) if found else x[:, None][:, :0] for key, x in value.items()
+    }

@@ -224,7 +224,7 @@ class LinearLoop:
         """Frequencies, Hz, up to half of the sampling rate: even in their logarithm, and dense about each pole."""
         nyquist = 0.5 / self.dt
         low = min(1e-2, 1e-4 * nyquist)
-        points = [np.geomspace(low, nyquist * (1.0 - 1e-9), int(POINTS * math.log10(nyquist / low)))]
+        points: list[Array] = [np.geomspace(low, nyquist * (1.0 - 1e-9), int(POINTS * math.log10(nyquist / low)))]
         for pole in self._poles:
             peak = abs(pole.s.imag) / (2.0 * math.pi)
             if math.isfinite(peak) and low < peak < nyquist:
@@ -266,7 +266,7 @@ class LinearLoop:
         """
         f = self.grid
         T = np.abs(self.frequency_response("force command", "contact force", f))
-        low = np.flatnonzero(T < T[0] / math.sqrt(2.0))
+        low = np.flatnonzero(T[0] / math.sqrt(2.0) > T)
         return float(f[low[0]]) if low.size else math.inf
 
     def peak_sensitivity(self, cut: str = "sensor") -> float:
@@ -295,7 +295,7 @@ class LinearLoop:
         surface = input == "surface"
         column = self.input("surface acceleration" if surface else input)
         row = self.output(output)
-        t = self.dt * np.arange(steps + 1)
+        t: Array = self.dt * np.arange(steps + 1)
         u = np.ones(steps + 1)
         if surface:
             moving = max(2, round(rise / self.dt))
@@ -331,7 +331,7 @@ class LinearLoop:
             If python-control is not installed.
         """
         try:
-            import control
+            import control  # type: ignore[import-untyped]
         except ImportError:
             raise ScenarioError("to_control needs python-control: pip install 'closedloop[analysis]'") from None
         names = {key: [each.name for each in getattr(self, key)] for key in ("states", "inputs", "outputs")}

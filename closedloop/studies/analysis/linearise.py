@@ -21,8 +21,9 @@ from scipy.linalg import null_space
 
 from closedloop.base.errors import ScenarioError, SimulationError
 from closedloop.control.drives import AS_ASKED
+from closedloop.loop.step.memory import RIGID_STICK
 from closedloop.mechanics.closure.contact_force import FREE, STUCK
-from closedloop.mechanics.integrators import ADAPTIVE, scheme_of
+from closedloop.mechanics.integrators import ADAPTIVE, Scheme, scheme_of
 from closedloop.mechanics.surface.compliances.none import Rigid
 from closedloop.scenario.overrides import Variants
 from closedloop.scenario.scenario import Scenario
@@ -39,11 +40,15 @@ from closedloop.studies.analysis.instant import (
     row_at,
     run_to,
 )
-from closedloop.studies.analysis.linear_loop import LinearLoop, Quantity
+from closedloop.studies.analysis.linear_loop import OUTSIDE, LinearLoop, Quantity
 from robot_models import RobotModel
 
 Array = NDArray[np.float64]
+ComplexArray = NDArray[np.complex128]
+Block = dict[str, dict[str, Array]]
 
+# Columns of the inputs.
+COMMAND, ACCELERATION, LOAD, NOISE = range(4)
 # First steps of the differences: of positions, rad (m), velocities, forces, N, and torques, N m; Richardson's
 # extrapolation leaves their fourth power, rounding is an ε over them.
 STEP_Q, STEP_V, STEP_FORCE, STEP_TORQUE = 1e-4, 1e-3, 1e-2, 1e-2
@@ -93,10 +98,13 @@ def instant_of(scenario: Scenario, problem: Problem, at: float, model: RobotMode
     return run_to(problem, row)
 
 
-def loop_at(problem: Problem, instant: Instant) -> LinearLoop:
-    """Return the loop of a problem at the state of an instant, which may be that of a run with other gains."""
+def loop_at(problem: Problem, instant: Instant, free: bool = False) -> LinearLoop:
+    """Return the loop of a problem at the state of an instant, which may be that of a run with other gains.
+
+    In flight there is only a loop of motion, which is returned if `free` says that it is meant.
+    """
     try:
-        return _Assembly(problem, instant).loop()
+        return _Assembly(problem, instant, free).loop()
     except EventHere:
         raise SimulationError(
             f"linearise: the contact is about to change at t = {instant.time:g} s, where there is no linear loop; take "
@@ -106,209 +114,179 @@ def loop_at(problem: Problem, instant: Instant) -> LinearLoop:
 
 
 class _Assembly:
-    """The derivatives at an instant, and the loop that is made of them."""
+    """The derivatives at an instant, and the loop that is made of them.
 
-    def __init__(self, problem: Problem, instant: Instant) -> None:
+    The coordinates of a step are y, e | w, ė | z | s, ṡ: of e those rows that bind but give way, s the displacement of
+    the surface. Its inputs: the reading of the sensor, the latest readings of the encoders, `inputs`, and the torque.
+    """
+
+    def __init__(self, problem: Problem, instant: Instant, free: bool) -> None:
         self.problem, self.instant, self.n = problem, instant, problem.robot.n
-        self.here = Here(problem, instant)
-        self.soft = problem.compliance.member is not Rigid
-        self.parts = parts_of(problem)
-        self.k = self.parts["transmission"].stop
-        n = self.n
-        value = self.here()
-        self.value = value
-        limited = np.flatnonzero(self.here.loop.w.torque_limited != AS_ASKED)
-        if problem.scenario.drives != type(problem.scenario.drives)() and limited.size:
-            name = problem.robot.joint_names[int(limited[0])]
-            raise SimulationError(
-                f"linearise: the drive of joint {name} is at its limit at t = {instant.time:g} s, so that its torque "
-                "answers to nothing; take another instant, or a higher limit",
-                instant.time,
-            )
-        self.immediate = problem.sensor.states == 0 and not problem.sensor.sampled and self.here.loop.state.law != 0
+        self.here = here = Here(problem, instant, free)
+        here()
+        _refuse_limited(here)
+        self.state = here.loop.state
+        self.soft = problem.compliance.member is not Rigid and instant.mode != FREE
+        self.rigid = problem.compliance.member is Rigid and instant.mode != FREE
         self.sampled = problem.hold > 0
+        self.parts = parts_of(problem)
+        self._coordinates()
+        self._differentiate()
+        names = problem.robot.joint_names
+        self.inputs = (
+            Quantity("force command", "N"), Quantity("surface acceleration", "m/s²"), Quantity("load", "N"),
+            Quantity("sensor noise", "N"), *(Quantity(f"torque[{name}]", "N m") for name in names),
+        )  # fmt: skip
+        self.outputs = (
+            Quantity("contact force", "N"), *(Quantity(f"tip {axis}", "m") for axis in "xyz"),
+            *(Quantity(f"torque[{name}]", "N m") for name in names),
+        )  # fmt: skip
+
+    def _coordinates(self) -> None:
+        """Lay out the coordinates, and write δq, δq̇ and δz by them."""
+        n, k = self.n, self.parts["transmission"].stop
         H, A, self.frame, _ = self.here.geometry()
-        rigid_stick = instant.mode == STUCK and self.here.loop.state.sticking == 1
-        self.G = A if rigid_stick else A[:1]
-        PT = np.linalg.solve(H, self.G.T)
-        self.P = PT @ np.linalg.inv(self.G @ PT)
+        sticks = self.instant.mode == STUCK and self.state.sticking == RIGID_STICK
+        self.H, self.G = H, A if sticks else A[:1]
+        m = self.G.shape[0]
+        answer = np.linalg.solve(H, self.G.T)
+        self.P = answer @ np.linalg.inv(self.G @ answer)
         basis = null_space(self.G)
         self.N = basis @ np.linalg.inv(np.linalg.cholesky(basis.T @ H @ basis)).T if basis.size else basis
-        self.H, self.m = H, self.G.shape[0]
-        zscale = np.maximum(np.abs(self.here.loop.w.z), 1e-2) * 1e-2
-        sizes = {
-            "q": (n, np.full(n, STEP_Q)), "v": (n, np.full(n, STEP_V)), "z": (self.k, zscale),
-            "measured": (1, [STEP_FORCE]), "force": (1, [STEP_FORCE]), "bias": (1, [STEP_FORCE]),
+        self.bound = slice(1 if self.soft else m if self.instant.mode == FREE else 0, m)  # rows that do not give way
+        self.free, self.kept = n - m, self.bound.start
+        self.half = self.free + self.kept
+        self.z0, self.s0 = 2 * self.half, 2 * self.half + k
+        self.size = self.s0 + 2
+        self.by_q, self.by_v, self.by_z = (np.zeros((rows, self.size)) for rows in (n, n, k))
+        for part, start in ((self.by_q, 0), (self.by_v, self.half)):
+            part[:, start : start + self.free] = self.N
+            part[:, start + self.free : start + self.half] = self.P[:, : self.kept]
+        if self.rigid:  # on the closure of a surface that moves: e = s, ė = ṡ
+            self.by_q[:, self.s0], self.by_v[:, self.s0 + 1] = self.P[:, 0], self.P[:, 0]
+        self.by_z[:, self.z0 : self.s0] = np.eye(k)
+
+    def _differentiate(self) -> None:
+        """Take the derivatives by the state and the inputs, with the law's torque and with a held one."""
+        n, here = self.n, self.here
+        sizes: dict[str, Array] = {
+            "q": np.full(n, STEP_Q), "v": np.full(n, STEP_V), "z": 1e-2 * np.maximum(np.abs(here.loop.w.z), 1e-2),
+            "measured": np.array([STEP_FORCE]), "force": np.array([STEP_FORCE]), "bias": np.array([STEP_FORCE]),
         }  # fmt: skip
-        if self.here.differences:
-            sizes["last"] = (2 * n, np.full(2 * n, STEP_Q))
-        self.order = list(sizes)
-
-        def all_of(held: bool) -> dict[str, dict[str, Array]]:
-            return {
-                name: columns(self.here, name, count, np.asarray(scale), held)
-                for name, (count, scale) in sizes.items()
-            }
-
-        self.law = all_of(False)
-        self.plant = all_of(True) if self.sampled else self.law
+        if here.differences:
+            sizes["last"] = np.full(2 * n, STEP_Q)
+        self.law = {name: columns(here, name, steps, False) for name, steps in sizes.items()}
+        self.plant = self.law
+        if self.sampled:
+            self.plant = {name: columns(here, name, steps, True) for name, steps in sizes.items()}
+        if not here.differences:
+            nothing = {key: found[:, :0] for key, found in self.law["bias"].items()}
+            self.law["last"] = self.plant["last"] = nothing
         torques = np.full(n, STEP_TORQUE)
-        link = columns(self.here, "link", n, torques, True)
-        motor = columns(self.here, "torque", n, torques, True)
-        self.link, self.held = self._unseen(link), motor
-        self.disturbance = self._unseen(motor) if problem.scenario.transmission.elastic else self.link
+        self.link = self._unseen(columns(here, "link", torques, True))
+        self.held = columns(here, "torque", torques, True)
+        elastic = self.problem.scenario.transmission.elastic
+        self.disturbance = self._unseen(self.held) if elastic else self.link
+        if self.bound.stop > self.bound.start:
+            # On the closure δq̇ along P makes up for how G turns with q.
+            turn = self.law["q"]["u"][: self.G.shape[0]][self.bound]
+            self.by_v -= self.P[:, self.bound] @ (turn @ self.by_q)
+        if self.soft:
+            self.by_force = self._by_contact_force()
+            along = self.P[:, :1]  # moves the tip along n alone
+            self.stiffness = -float((self.plant["q"]["f"] @ along)[0, 0])
+            self.damping = -float((self.plant["v"]["f"] @ along)[0, 0])
 
     def _unseen(self, found: dict[str, Array]) -> dict[str, Array]:
         """Return the derivatives by a torque that the law does not know of: it sees the change of f alone."""
-        dz = found["dz"].copy()
+        dz, sensor = found["dz"].copy(), self.problem.sensor
         laws = slice(0, self.parts["compensation"].stop)
         dz[laws] = 0.0
-        if self.immediate:
+        if sensor.states == 0 and not sensor.sampled and self.state.law != 0:
             dz[laws] = self.law["bias"]["dz"][laws] @ found["f"]
         return found | {"dz": dz}
 
-    def _pressed(self) -> tuple[dict[str, Array], float, float]:
-        """Return the derivatives by f of a soft surface, and the f of its deformation and of its rate, N/m, N s/m."""
-        problem, (size,) = self.problem, self.problem.compliance.numbers.shape
-        for index in range(size):
-            scale = np.full(size, 1e-3 * max(abs(float(problem.compliance.numbers[index])), 1e-6))
-            found = columns(self.here, "compliance", size, scale, True)
-            f = found["f"][0]
-            index = int(np.argmax(np.abs(f * scale)))
-            if f[index] != 0.0:
-                by_force = {key: x[:, index : index + 1] / f[index] for key, x in found.items()}
-                break
-        else:
-            raise ScenarioError("linearise: the soft surface gives no force here; take another instant")
-        along_n = self.P[:, :1]  # moves the tip along n alone
-        stiffness = -float((self.plant["q"]["f"] @ along_n)[0, 0])
-        damping = -float((self.plant["v"]["f"] @ along_n)[0, 0])
-        return by_force, stiffness, damping
-
-    def loop(self) -> LinearLoop:
-        """Put the loop together."""
-        here, n, m, soft = self.here, self.n, self.m, self.soft
-        kept = 1 if soft and self.instant.mode != FREE else 0  # of the rows that bind, those that are states
-        if self.instant.mode == FREE:
-            kept = m
-        free = n - m
-        N, P = self.N, self.P
-        # Columns of δq and δq̇ of the coordinates: y, e kept | w, ė kept | z, and s, ṡ of the surface.
-        names: list[Quantity] = []
-        joints = self.problem.robot.joint_names
-        for rate in (False, True):
-            per = "/s" if rate else ""
-            names += [
-                Quantity(f"{'w' if rate else 'y'}{j + 1}", "√kg m" + per, "arm") for j in range(free)
-            ]
-            names += [
-                Quantity(("deformation rate" if rate else "deformation") if soft else f"{'u' if rate else 'p'}{j + 1}",
-                         "m" + per, "contact" if soft else "arm") for j in range(kept)
-            ]  # fmt: skip
-        half = free + kept
-        names += self._states_of_z()
-        z0 = 2 * half
-        s0 = z0 + self.k
-        names += [Quantity("surface", "m", "surface"), Quantity("surface rate", "m/s", "surface")]
-        size = s0 + 2
-        Tq, Tv = np.zeros((n, size)), np.zeros((n, size))
-        Tq[:, :free], Tv[:, half : half + free] = N, N
-        Tq[:, free:half], Tv[:, half + free : 2 * half] = P[:, :kept], P[:, :kept]
-        rigid = not soft and self.instant.mode != FREE
-        if rigid:
-            # On the closure: e = s, ė = ṡ, and δq̇ along P makes up for how G turns with q.
-            Tq[:, s0], Tv[:, s0 + 1] = P[:, 0], P[:, 0]
-        if self.instant.mode != FREE and m > kept:
-            turn = self.law["q"]["u"][:m] if m == 3 else self.law["q"]["u"][:1]
-            bound = slice(kept, m)
-            Tv -= P[:, bound] @ (turn[bound] @ Tq)
-        Tz = np.zeros((self.k, size))
-        Tz[:, z0:s0] = np.eye(self.k)
-
-        by_force = stiffness = damping = None
-        if soft and self.instant.mode != FREE:
-            by_force, stiffness, damping = self._pressed()
-
-        def through(block: dict[str, dict[str, Array]], key: str) -> Array:
-            found = block["q"][key] @ Tq + block["v"][key] @ Tv + block["z"][key] @ Tz
-            if by_force is not None:  # a soft surface that is moved presses
-                found[:, s0] += by_force[key][:, 0] * stiffness
-                found[:, s0 + 1] += by_force[key][:, 0] * damping
-            return found
-
-        # Inputs of a step: reading, last readings, f_des, surface acceleration, load, noise, disturbance, torque.
-        lasts = 2 * n if here.differences else 0
-        inputs = [Quantity("force command", "N"), Quantity("surface acceleration", "m/s²"), Quantity("load", "N"),
-                  Quantity("sensor noise", "N"), *(Quantity(f"torque[{name}]", "N m") for name in joints)]  # fmt: skip
-        load_row = self.frame[0] @ self.problem.robot.terms(
-            self.instant.values["q"], self.instant.values["v"]
-        ).jacobian
-        # A rigid surface that accelerates by a is one at rest, and the load −S⁻¹n a of inertia.
-        S = self.G @ np.linalg.solve(self.H, self.G.T)
-        carry = self.G.T @ np.linalg.solve(S, np.eye(m)[:, :1]) if rigid else np.zeros((n, 1))
-
-        def of_inputs(block: dict[str, dict[str, Array]], key: str) -> Array:
-            link = self.link[key]
-            return np.hstack([
-                block["force"][key], -link @ carry, link @ load_row[:, None], block["bias"][key], self.disturbance[key],
-            ])  # fmt: skip
-
-        def rates(block: dict[str, dict[str, Array]]) -> tuple[Array, Array, Array, Array]:
-            """Return the rates of the coordinates by coordinates, reading, last readings and inputs, and by Q."""
-            qdd, dz = through(block, "qdd"), through(block, "dz")
-            parts = [(qdd, dz)]
-            parts.append((block["measured"]["qdd"], block["measured"]["dz"]))
-            parts.append(
-                (block["last"]["qdd"], block["last"]["dz"]) if lasts else (np.zeros((n, 0)), np.zeros((self.k, 0)))
+    def _by_contact_force(self) -> dict[str, Array]:
+        """Return the derivatives by f of a soft surface: those by the parameter of it that f depends on most."""
+        numbers = self.problem.compliance.numbers
+        scales = 1e-3 * np.maximum(np.abs(numbers), 1e-6)
+        found = columns(self.here, "compliance", scales, True)
+        index = int(np.argmax(np.abs(found["f"][0] * scales)))
+        if found["f"][0, index] == 0.0:
+            raise SimulationError(
+                f"linearise: the soft surface gives no force at t = {self.instant.time:g} s; take another instant",
+                self.instant.time,
             )
-            parts.append((of_inputs(block, "qdd"), of_inputs(block, "dz")))
-            parts.append((self.held["qdd"], self.held["dz"]))
-            found = []
-            for number, (a, b) in enumerate(parts):
-                rows = np.zeros((size, a.shape[1]))
-                if number == 0:
-                    rows[:half, half : 2 * half] = np.eye(half)
-                    rows[s0, s0 + 1] = 1.0
-                rows[half : half + free] = N.T @ self.H @ a
-                rows[half + free : 2 * half] = (self.G @ a)[:kept]
-                rows[z0:s0] = b
-                if number == 3:
-                    rows[s0 + 1, 1] = 1.0
-                found.append(rows)
-            return tuple(found)  # type: ignore[return-value]
+        return {key: x[:, index : index + 1] / found["f"][0, index] for key, x in found.items()}
 
-        def seen(block: dict[str, dict[str, Array]], key: str) -> list[Array]:
-            empty = np.zeros((block["q"][key].shape[0], 0))
-            return [
-                through(block, key), block["measured"][key], block["last"][key] if lasts else empty,
-                of_inputs(block, key), self.held[key],
-            ]  # fmt: skip
+    def _by_coordinates(self, block: Block, key: str) -> Array:
+        found = block["q"][key] @ self.by_q + block["v"][key] @ self.by_v + block["z"][key] @ self.by_z
+        if self.soft:  # a surface that is moved presses
+            found[:, self.s0] += self.by_force[key][:, 0] * self.stiffness
+            found[:, self.s0 + 1] += self.by_force[key][:, 0] * self.damping
+        return np.asarray(found)
 
-        block = self.plant if self.sampled else self.law
-        scheme = scheme_of(self.problem.scenario.time.integrator)
-        assert scheme is not None
-        leads = np.full(size, -1)
+    def _by_inputs(self, block: Block, key: str) -> Array:
+        """Return the derivatives by `inputs`: a rigid surface that accelerates is one at rest, and a load of inertia."""
+        carry, load = np.zeros((self.n, 1)), (self.frame[0] @ np.asarray(self.jacobian))[:, None]
+        if self.rigid:
+            S = self.G @ np.linalg.solve(self.H, self.G.T)
+            carry = self.G.T @ np.linalg.solve(S, np.eye(S.shape[0])[:, :1])
+        link = self.link[key]
+        return np.hstack([block["force"][key], -link @ carry, link @ load, block["bias"][key], self.disturbance[key]])
+
+    @property
+    def jacobian(self) -> Array:
+        """Jᵣ at the instant."""
+        values = self.instant.values
+        return self.problem.robot.terms(values["q"], values["v"]).jacobian
+
+    def _all(self, block: Block, key: str) -> list[Array]:
+        """Return the derivatives by coordinates, reading, readings of the encoders, inputs and torque."""
+        return [
+            self._by_coordinates(block, key), block["measured"][key], block["last"][key], self._by_inputs(block, key),
+            self.held[key],
+        ]  # fmt: skip
+
+    def _step(self) -> tuple[Array, list[Array]]:
+        """Return Φ (x, x) of a step of the coordinates, and Γ by each of the inputs of a step."""
+        block, half, free = self.plant, self.half, self.free
+        parts = []
+        for qdd, dz in zip(self._all(block, "qdd"), self._all(block, "dz"), strict=True):
+            rows = np.zeros((self.size, qdd.shape[1]))
+            rows[half : half + free] = self.N.T @ self.H @ qdd
+            rows[half + free : 2 * half] = (self.G @ qdd)[: self.kept]
+            rows[self.z0 : self.s0] = dz
+            parts.append(rows)
+        A, by_input = parts[0], parts[3]
+        A[:half, half : 2 * half] = np.eye(half)
+        A[self.s0, self.s0 + 1] = by_input[self.s0 + 1, ACCELERATION] = 1.0
+        leads, exact = np.full(self.size, -1), np.zeros(self.size, dtype=bool)
         leads[:half] = np.arange(half, 2 * half)
         motors = self.parts["transmission"]
         if motors.stop > motors.start:
-            leads[z0 + motors.start : z0 + motors.start + n] = np.arange(z0 + motors.start + n, z0 + motors.stop)
-        exact = np.zeros(size, dtype=bool)
+            first = self.z0 + motors.start
+            leads[first : first + self.n] = np.arange(first + self.n, first + 2 * self.n)
         for name in ("friction", "joint friction"):
-            exact[z0 + self.parts[name].start : z0 + self.parts[name].stop] = True
-        A, by_reading, by_last, by_input, by_torque = rates(block)
+            exact[self.z0 + self.parts[name].start : self.z0 + self.parts[name].stop] = True
         h = self.problem.h
-        widths = np.cumsum([0, 1, lasts, len(inputs), n])
-        Phi, Gamma = step_of(scheme, A, np.hstack([by_reading, by_last, by_input, by_torque]), h, leads, exact)
-        Phi[[s0, s0 + 1]] = 0.0
-        Phi[s0, s0], Phi[s0, s0 + 1], Phi[s0 + 1, s0 + 1] = 1.0, h, 1.0
-        Gamma[[s0, s0 + 1]] = 0.0
-        Gamma[s0, 1 + lasts + 1], Gamma[s0 + 1, 1 + lasts + 1] = 0.5 * h * h, h
-        reading, lasting, entering, driving = (Gamma[:, a:b] for a, b in zip(widths[:-1], widths[1:], strict=True))
+        Phi, Gamma = step_of(_scheme(self.problem), A, np.hstack(parts[1:]), h, leads, exact)
+        ends = np.cumsum([part.shape[1] for part in parts[1:]])
+        effects = np.split(Gamma, ends[:-1], axis=1)
+        surface = slice(self.s0, self.s0 + 2)  # which moves as it moves, whatever the scheme
+        Phi[surface], Phi[surface, surface] = 0.0, [[1.0, h], [0.0, 1.0]]
+        for effect in effects:
+            effect[surface] = 0.0
+        effects[2][surface, ACCELERATION] = 0.5 * h * h, h
+        return Phi, effects
 
-        # From row to row: coordinates, samples of the sensor from the newest to the oldest, readings, and the torque.
-        ages = self.problem.sensor.ring
-        held = n if self.sampled else 0
-        at_ring, at_last, at_torque = size, size + ages, size + ages + lasts
+    def loop(self) -> LinearLoop:
+        """Put the loop together: coordinates, samples of the sensor, newest first, encoders' readings, held torque."""
+        Phi, (reading, lasting, entering, driving) = self._step()
+        ages, size = self.problem.sensor.ring, self.size
+        lasts, held = lasting.shape[1], self.n if self.sampled else 0
+        at_last = size + ages
+        at_torque = at_last + lasts
         whole = at_torque + held
         if whole > MOST_STATES:
             raise ScenarioError(
@@ -316,125 +294,133 @@ class _Assembly:
                 "take a longer time.step or a shorter delay"
             )
 
+        def widened(parts: list[Array], torque: tuple[Array, Array] | None) -> tuple[Array, Array]:
+            """Return what depends on the coordinates, and so on, by all states and by the inputs."""
+            x, u = np.zeros((parts[0].shape[0], whole)), parts[3].copy()
+            x[:, :size], x[:, at_last - 1], x[:, at_last:at_torque] = parts[0], parts[1][:, 0], parts[2]
+            if torque is not None:
+                x += parts[4] @ torque[0]
+                u += parts[4] @ torque[1]
+            return x, u
+
         def row_map(asked: bool) -> tuple[Array, Array, Array, Array]:
             """Return the map over a row, and the outputs at it; `asked`: the law gives its torque there."""
-            F, E = np.zeros((whole, whole)), np.zeros((whole, len(inputs)))
-            F[:size, :size], F[:size, at_ring + ages - 1] = Phi, reading[:, 0]
-            F[:size, at_last:at_torque], E[:size] = lasting, entering
-
-            def widened(parts: list[Array], torque: Array | None) -> tuple[Array, Array]:
-                x = np.zeros((parts[0].shape[0], whole))
-                x[:, :size], x[:, at_ring + ages - 1] = parts[0], parts[1][:, 0]
-                x[:, at_last:at_torque] = parts[2]
-                if self.sampled and torque is not None:
-                    x += parts[4] @ torque
-                return x, parts[3] + (parts[4] @ Qu if self.sampled and torque is not None else 0.0)
-
-            Qx, Qu = np.zeros((n, whole)), np.zeros((n, len(inputs)))
-            if self.sampled and not asked:
-                Qx[:, at_torque:] = np.eye(n)
+            F, E = np.zeros((whole, whole)), np.zeros((whole, len(self.inputs)))
+            F[:size], E[:size] = widened([Phi, reading, lasting, entering, driving], None)
+            if asked:
+                Q = widened(self._all(self.law, "torque"), None)
+                Q[1][:, 1:3] = Q[1][:, 4:] = 0.0  # what disturbs the arm has not been seen yet
             else:
-                Qx, Qu = widened(seen(self.law, "torque"), None)
-                Qu = Qu.copy()
-                Qu[:, 1:3] = 0.0  # at this sample the law has not seen them yet
-                Qu[:, 4:] = 0.0
-            if self.sampled:
-                F[:size] += driving @ Qx
-                E[:size] += driving @ Qu
-                F[at_torque:], E[at_torque:] = Qx, Qu
-            fx, fu = widened(seen(block, "f"), Qx)
-            sx, su = (fx, fu.copy()) if self.problem.sensor.states == 0 else (np.zeros((1, whole)), np.zeros_like(fu))
+                Q = np.zeros((self.n, whole)), np.zeros((self.n, len(self.inputs)))
+                Q[0][:, at_torque:] = np.eye(self.n)
+            torque = Q if self.sampled else None
+            if torque is not None:
+                F[:size] += driving @ Q[0]
+                E[:size] += driving @ Q[1]
+                F[at_torque:], E[at_torque:] = Q
+            f = widened(self._all(self.plant, "f"), torque)
             if self.problem.sensor.states:
-                sx[0, z0 + self.parts["filter"].start] = 1.0
-            su[0, 3] += 1.0
-            F[at_ring], E[at_ring] = sx[0], su[0]
-            for age in range(1, ages):
-                F[at_ring + age, at_ring + age - 1] = 1.0
-            if lasts:
-                lx, lu = widened(seen(block, "last"), None)
-                F[at_last:at_torque], E[at_last:at_torque] = lx, lu
-            rx = np.zeros((3, whole))
-            rx[:, :size] = block["q"]["r"] @ Tq
-            return F, E, np.vstack([fx, rx, Qx]), np.vstack([fu, np.zeros((3, len(inputs))), Qu])
+                F[size, self.z0 + self.parts["filter"].start] = 1.0
+            else:
+                F[size], E[size] = f[0][0], f[1][0]
+            E[size, NOISE] += 1.0
+            F[size + 1 : at_last, size : at_last - 1] = np.eye(ages - 1)
+            F[at_last:at_torque], E[at_last:at_torque] = (
+                widened(self._all(self.plant, "last"), None) if lasts else (0, 0)
+            )
+            r = np.zeros((3, whole))
+            r[:, :size] = self.plant["q"]["r"] @ self.by_q
+            return F, E, np.vstack([f[0], r, Q[0]]), np.vstack([f[1], np.zeros((3, len(self.inputs))), Q[1]])
 
-        F, E, Cx, Du = row_map(True)
-        if self.problem.hold > 1:
+        F, E, C, D = row_map(True)
+        for _ in range(self.problem.hold - 1):
             F2, E2, _, _ = row_map(False)
-            for _ in range(self.problem.hold - 1):
-                F, E = F2 @ F, F2 @ E + E2
-        names += [
-            Quantity("reading" if ages == 1 else f"reading, {age + 1} samples old", "N", "sensor" if ages == 1 else "delay")
-            for age in range(ages)
-        ]
-        names += [Quantity(f"{what}[{joint}]", unit, "encoder") for what, unit in (("read q", "rad"), ("read v", "rad/s"))
-                  for joint in joints][:lasts]  # fmt: skip
-        names += [Quantity(f"held torque[{joint}]", "N m", "hold") for joint in joints][:held]
-        outputs = [Quantity("contact force", "N"), *(Quantity(f"tip {axis}", "m") for axis in "xyz"),
-                   *(Quantity(f"torque[{name}]", "N m") for name in joints)]  # fmt: skip
-        keep = _moving(F, Cx, self.problem.hold <= 1)
-        surface = np.zeros(whole, dtype=bool)
-        surface[s0 : s0 + 2] = True
-        keep |= surface
+            F, E = F2 @ F, F2 @ E + E2
+        keep = _moving(F, C)
+        keep[self.s0 : self.s0 + 2] = True
         normal = np.zeros(whole)
-        normal[:size] = self.G[0] @ Tq
-        pick = np.flatnonzero(keep)
+        normal[:size] = self.G[0] @ self.by_q
+        pick, names = np.flatnonzero(keep), self._names(ages, lasts, held)
         return LinearLoop(
-            A=F[np.ix_(pick, pick)], B=E[pick], C=Cx[:, pick], D=Du, dt=h * max(self.problem.hold, 1),
-            states=tuple(names[i] for i in pick), inputs=tuple(inputs), outputs=tuple(outputs),
-            time=self.instant.time, scenario=self.problem.scenario, mode=self.instant.mode, soft=soft,
-            closure=self._closure_poles(), normal=normal[pick],
+            A=F[np.ix_(pick, pick)], B=E[pick], C=C[:, pick], D=D, dt=self.problem.h * max(self.problem.hold, 1),
+            states=tuple(names[i] for i in pick), inputs=self.inputs, outputs=self.outputs, time=self.instant.time,
+            scenario=self.problem.scenario, mode=self.instant.mode, soft=self.soft, closure=self._closure_poles(),
+            normal=normal[pick],
         )  # fmt: skip
 
-    def _states_of_z(self) -> list[Quantity]:
-        """Return what the states beside q and q̇ are."""
+    def _names(self, ages: int, lasts: int, held: int) -> list[Quantity]:
+        """Return the names of all states, in their order."""
         names: list[Quantity] = []
         joints = self.problem.robot.joint_names
+        for tangent, normal, per in (("y", "deformation", ""), ("w", "deformation rate", "/s")):
+            names += [Quantity(f"{tangent}{j + 1}", f"√kg m{per}", "arm") for j in range(self.free)]
+            if self.soft:
+                names.append(Quantity(normal, f"m{per}", "contact"))
+            else:
+                names += [Quantity(f"{'pu'[bool(per)]}{j + 1}", f"m{per}", "arm") for j in range(self.kept)]
         for part, where in self.parts.items():
             member = {"law": self.problem.law.member, "compensation": self.problem.compensation.member}.get(part)
             if member is not None:
-                own = list(member.states) + [f"{name}[{joint}]" for name in member.joint_states for joint in joints]
+                own = [*member.states, *(f"{name}[{joint}]" for name in member.joint_states for joint in joints)]
                 names += [Quantity(f"{part} {name}", "", part) for name in own]
             elif part == "transmission" and where.stop > where.start:
                 names += [Quantity(f"motor[{joint}]", "rad", part) for joint in joints]
                 names += [Quantity(f"motor rate[{joint}]", "rad/s", part) for joint in joints]
             else:
-                named = "friction" if "friction" in part else part
-                names += [Quantity(f"{part} {i + 1}", "", named) for i in range(where.stop - where.start)]
-        return names
+                belongs = "friction" if "friction" in part else part
+                names += [Quantity(f"{part} {i + 1}", "", belongs) for i in range(where.stop - where.start)]
+        names += [Quantity("surface", "m", OUTSIDE), Quantity("surface rate", "m/s", OUTSIDE)]
+        names += [Quantity("reading", "N", "sensor")] if ages == 1 else [
+            Quantity(f"reading, {age + 1} samples old", "N", "delay") for age in range(ages)
+        ]  # fmt: skip
+        read = (("read q", "rad"), ("read v", "rad/s"))
+        names += [Quantity(f"{what}[{joint}]", unit, "encoder") for what, unit in read for joint in joints][:lasts]
+        return names + [Quantity(f"held torque[{joint}]", "N m", "hold") for joint in joints][:held]
 
-    def _closure_poles(self) -> Array:
+    def _closure_poles(self) -> ComplexArray:
         """Return the poles of Baumgarte's stabiliser, of e and ė alone, as the integrator makes them; (k,) complex."""
         section = self.problem.scenario.stabiliser
-        if self.soft or self.instant.mode == FREE or section.kind not in ("baumgarte", "both"):
-            return np.zeros(0)
+        if not self.rigid or section.kind not in ("baumgarte", "both"):
+            return np.zeros(0, dtype=complex)
         s_v, s_p = self.problem.stabiliser
         A = np.array([[0.0, 1.0], [-s_p, -s_v]])
-        scheme = scheme_of(self.problem.scenario.time.integrator)
-        assert scheme is not None
         step, _ = step_of(
-            scheme, A, np.zeros((2, 0)), self.problem.h, np.array([1, -1]), np.zeros(2, dtype=bool)
+            _scheme(self.problem), A, np.zeros((2, 0)), self.problem.h, np.array([1, -1]), np.zeros(2, dtype=bool)
         )
-        poles: Array = np.repeat(np.linalg.eigvals(step), self.m)
-        return poles
+        return np.repeat(np.linalg.eigvals(step).astype(complex), self.G.shape[0])
 
 
-def _moving(F: Array, C: Array, whole: bool) -> Array:
+def _scheme(problem: Problem) -> type[Scheme]:
+    scheme = scheme_of(problem.scenario.time.integrator)
+    assert scheme is not None
+    return scheme
+
+
+def _refuse_limited(here: Here) -> None:
+    """Refuse a drive that is at its limit: its torque answers to nothing."""
+    problem, time = here.problem, here.instant.time
+    limited = np.flatnonzero(here.loop.w.torque_limited != AS_ASKED)
+    if here.loop.state.drives != 0 and limited.size:
+        raise SimulationError(
+            f"linearise: the drive of joint {problem.robot.joint_names[int(limited[0])]} is at its limit at "
+            f"t = {time:g} s, so that its torque answers to nothing; take another instant, or a higher limit",
+            time,
+        )
+
+
+def _moving(F: Array, C: Array) -> NDArray[np.bool_]:
     """Return which states are part of the loop: not those that stay as they are, nor those that nothing reads."""
-    size = F.shape[0]
-    keep = np.ones(size, dtype=bool)
-    eye = np.eye(size)
-    scale = float(np.max(np.abs(F)))
+    keep = np.ones(F.shape[0], dtype=bool)
+    change, scale = F - np.eye(F.shape[0]), float(np.max(np.abs(F)))
     while True:
         before = keep.copy()
         for i in np.flatnonzero(keep):
             others = keep.copy()
             others[i] = False
-            column = np.abs(F[others, i])
-            unread = not np.any(column > NONE * scale) and not np.any(np.abs(C[:, i]) > NONE)
-            still = np.all(np.abs(F[i, keep] - eye[i, keep]) <= NONE * scale)
-            if unread and (still or abs(F[i, i]) < NONE):
-                keep[i] = False
-            elif still and whole and not np.any(column > NONE * scale):
+            unread = not np.any(np.abs(F[others, i]) > NONE * scale)
+            still = not np.any(np.abs(change[i, keep]) > NONE * scale)
+            seen = np.any(np.abs(C[:, i]) > NONE)
+            if unread and (still or (abs(F[i, i]) < NONE and not seen)):
                 keep[i] = False
         if np.array_equal(before, keep):
             return keep

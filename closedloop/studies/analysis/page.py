@@ -53,9 +53,9 @@ class Page:
         if not loop.stable:
             pole = next(pole for pole in loop.poles() if pole.grows)
             how = f"oscillates at {pole.frequency:.3g} Hz and " if abs(pole.s.imag) > 1e-9 * abs(pole.s) else ""
-            said = f"unstable: what belongs mostly to the {pole.part} {how}grows with exp({pole.s.real:.3g} t)"
+            grows = f"unstable: what belongs mostly to the {pole.part} {how}grows with exp({pole.s.real:.3g} t)"
             below = [f"{name} below {limit.value:.3g}" for name, limit in self._limits() if not limit.upwards]
-            return "; ".join([said, *below])
+            return "; ".join([grows, *below])
         margins = self.weakest
         decibels = "no gain" if math.isinf(margins.decibels) else f"{margins.decibels:.1f} dB"
         degrees = "no phase lag" if math.isinf(margins.phase) else f"{margins.phase:.0f}°"
@@ -111,7 +111,8 @@ class Page:
                   f"beyond {0.5 / loop.dt:.3g} Hz, half of the sampling rate")]  # fmt: skip
         port = loop.port()
         found.append(
-            "port: passive, so stable on every passive surface" if port.passive
+            "port: passive, so stable on every passive surface"
+            if port.passive
             else f"port: not passive, most active at {port.active_at:.3g} Hz"
         )
         for name, limit in self.limits.items():

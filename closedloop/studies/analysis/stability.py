@@ -8,8 +8,9 @@ the tip is put as deep as carries the same force.
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import dataclass
+from itertools import pairwise
 from typing import Any
 
 import numpy as np
@@ -21,8 +22,8 @@ from closedloop.mechanics.surface.compliances.none import Rigid
 from closedloop.scenario.overrides import Variants
 from closedloop.scenario.scenario import Scenario
 from closedloop.simulation.cache import Cache
-from closedloop.simulation.prepare import prepare
 from closedloop.simulation.engines.problem import Problem
+from closedloop.simulation.prepare import prepare
 from closedloop.studies.analysis.instant import Here, Instant, run_on
 from closedloop.studies.analysis.linear_loop import LinearLoop, Pole
 from closedloop.studies.analysis.linearise import instant_of, loop_at
@@ -207,9 +208,9 @@ class Stability:
         if not seen:
             raise ScenarioError(refused)
         found = []
-        for (a, low), (b, high) in zip(seen, seen[1:], strict=False):
-            if (low > 0.0) != (high > 0.0):
-                found.append(self._solved(over, given, (a, low), (b, high)))
+        for below, above in pairwise(seen):
+            if (below[1] > 0.0) != (above[1] > 0.0):
+                found.append(self._solved(over, given, below, above))
         return found, refused
 
     def _solved(
@@ -232,8 +233,8 @@ class Stability:
     def boundary(self, over: Range, along: Range, points: int = 60) -> list[tuple[float, Limit]]:
         """Return the boundary over two keys: for values of `along`, the limits of `over`.
 
-        The first value is looked at over the whole range; then each limit is followed from value to value, and the whole
-        range is looked at again where one ends.
+        At the first value the whole range is looked at; then each limit is followed from value to value, and the range is
+        looked at again where one ends.
 
         Parameters
         ----------

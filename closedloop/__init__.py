@@ -11,6 +11,7 @@ Simulate
     Simulator, StepState                          the same step by step, driven from outside
     simulate_batch, sweep_plot                    many runs at once; maps of a sweep
     Run, Event, load_run                          the record, what happened to the contact, a run file
+    linearise                                     the force loop as a linear system: poles, margins, the port
     figures, lab                                  what of a run can be drawn; a page with sliders on which it answers
 Build
     ControlLaw, Law, LawInput                     laws of one's own, and what they see
@@ -82,6 +83,7 @@ if TYPE_CHECKING:
     from closedloop.simulation.simulate import simulate as simulate
     from closedloop.simulation.simulator import Simulator as Simulator
     from closedloop.simulation.state import StepState as StepState
+    from closedloop.studies.analysis.linearise import linearise as linearise
     from closedloop.studies.identify.identify import identify as identify
     from closedloop.studies.identify.log import Log as Log
     from closedloop.studies.sweep import sweep_plot as sweep_plot
@@ -121,6 +123,7 @@ _HOME = {
     "halve": "simulation.halve",
     "identify": "studies.identify.identify",
     "lab": "lab.start",
+    "linearise": "studies.analysis.linearise",
     "load_run": "record.load",
     "load_scenario": "scenario.load",
     "prepare": "simulation.prepare",

@@ -38,6 +38,7 @@ COMMANDS = (
     Command("plot", "draw the figures of a saved run", "closedloop.command.saved:plot", "run"),
     Command("sweep", "run a scenario many times, into a table", "closedloop.command.sweep:as_process", "scenario"),
     Command("study", "run a study: drift, controllers", "closedloop.command.study:main"),
+    Command("analyse", "margins, poles and limits of the force loop", "closedloop.command.analyse:main", "scenario"),
     Command("validate", "compare the simulator with other engines", "validation.run:main"),
     Command("robots", "list the robots, or show one: joints, frames", "closedloop.command.robots:main", "robot"),
     Command("scenarios", "list the scenarios of the package", "closedloop.command.lists:scenarios"),

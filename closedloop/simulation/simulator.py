@@ -124,7 +124,8 @@ class Simulator:
         torque : (n,) array, optional
             Torque Q on the joints, N m (N of a joint that slides), that acts from the present state on and is held over
             the step, in place of the law's. None: the scenario's own law acts, as often as it says. Its states, and
-            those of its compensation, go on beside a torque from outside.
+            those of its compensation, go on beside a torque from outside. A joint without a drive gives none, see
+            `closedloop.mechanics.loops.drives`.
 
         Raises
         ------

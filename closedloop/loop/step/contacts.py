@@ -110,7 +110,7 @@ def contact_forces(links: ContactLinks, c: Contacts, w: Work, state: State) -> i
             status = solve_modes(c, k)
         keep_in_cones(c, k)
         c.margin = margin_of(c, k, STICK_SPEED, 2.0 * STICK_SPEED if state.steps < 0 else 0.0)
-        if status == PAINLEVE and w.time > 0.0:  # its mode ends here: other modes, or a time step, go on
+        if status != OK and w.time > 0.0:  # these modes end here: others, or a time step, go on
             status, c.margin = OK, NO_FORCES
     w.contact_margin, w.contact_power, w.contact_power_rate = c.margin, 0.0, 0.0
     for i in range(3):
@@ -119,11 +119,14 @@ def contact_forces(links: ContactLinks, c: Contacts, w: Work, state: State) -> i
     for j in range(n):
         w.contact_torque[j] = 0.0
     for i in range(3, 3 * k):
-        growth = c.a[i]
-        for j in range(3 * k):
-            growth += c.W[i, j] * c.F[j]
+        if c.F[i] == 0.0:
+            continue
         w.contact_power += c.F[i] * (c.u[i] + c.carried[i])
-        w.contact_power_rate += c.F[i] * (growth - c.turning[i])
+        if state.stages == 1:
+            growth = c.a[i]
+            for j in range(3 * k):
+                growth += c.W[i, j] * c.F[j]
+            w.contact_power_rate += c.F[i] * (growth - c.turning[i])
         for j in range(n):
             w.contact_torque[j] += c.G[i, j] * c.F[i]
             w.y[j] += c.X[i, j] * c.F[i]

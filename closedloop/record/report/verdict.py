@@ -13,7 +13,7 @@ verdict stands in the first line of the report, in ``summary.json`` and in a col
 ``velocity_limit``        a joint faster than its velocity limit
 ``effort_limit``          more torque asked of a joint than its effort limit
 ``step``                  the step leaves the contact force uncertain (`closedloop.record.report.step_error`)
-``resolution``            swings that the step gets wrong (`closedloop.scenario.modes`)
+``resolution``            what is fast that the step gets wrong (`closedloop.scenario.modes`)
 ``saturation``            a limit of `[drives]` cut a joint's torque more often than not
 an assumption's name      an assumption of the paper that failed though the scenario keeps to it
 ========================  ==============================================================================

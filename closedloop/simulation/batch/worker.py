@@ -36,6 +36,7 @@ from closedloop.record.report.step_error import resolution_of
 from closedloop.record.report.tabled import forget_step_error, verdict_of
 from closedloop.scenario.modes import unresolved
 from closedloop.scenario.scenario import Scenario
+from closedloop.simulation.as_run import positions_told
 from closedloop.simulation.batch.control import control_in_lanes, control_of_rows
 from closedloop.simulation.cache import Cache
 from closedloop.simulation.engines.compiled import compiled_tree, compiled_work
@@ -243,6 +244,7 @@ class Worker:
             name: recorded(rows, n, name, len(problem.scenario.contact or ()), problem.row_states)
             for name in self._keep
         }
+        columns |= positions_told(problem, columns)
         end = problem.h * (len(rows) - 1) if len(rows) > 0 else math.nan
         if isinstance(failure, SingularClosureError) and np.isnan(values[SINGULAR_AT]):
             values[SINGULAR_AT] = end + problem.h  # no row was near it: the step after the last was

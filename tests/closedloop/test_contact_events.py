@@ -277,3 +277,24 @@ def test_a_run_file_repeats_its_events(command_line, tmp_path):
     assert len(one.events) > 3
     for name in one.columns:
         assert np.array_equal(one.columns[name], two.columns[name]), name
+
+
+@pytest.mark.slow  # thousands of events
+@pytest.mark.parametrize(("height", "ends"), [(1e-6, False), (1e-8, True)])
+def test_a_contact_that_changes_faster_than_the_step_resolves_ends_the_run(height, ends):
+    """A mass that bounces without loss: 55 times in each step of 50 ms it goes on for all, 550 times it is too much."""
+    changes = {
+        "robot.model": "pointmass3", "start.q": [0.0, 0.0, 0.0], "start.v": [0.0, 0.0, 0.0], "time.step": 0.05,
+        "surface.contact": "unilateral", "surface.normal": [0, 0, 1], "surface.gap": height, "impact.rest_speed": 1e-9,
+        "impact.restitution": 1.0, "reference.kind": "hold", "law.kp": 0, "law.kd": 0, "law.force": 0.0,
+        "time.duration": 1.0, "time.integrator": "rk4", "stabiliser.kind": "none",
+    }  # fmt: skip
+    scenario = cl.load_scenario("planar2_drop", changes)
+    if not ends:
+        flights = 1.0 / (2.0 * np.sqrt(2.0 * height / 9.81))
+        run = cl.simulate(scenario, law=lambda x: np.zeros(3), engine="pinocchio")
+        assert len(run.events) == pytest.approx(flights, rel=0.01)
+        return
+    with pytest.raises(cl.ChatterError, match="more than 2000 times in the last few steps") as caught:
+        cl.simulate(scenario, law=lambda x: np.zeros(3), engine="pinocchio")
+    assert 2000 < len(caught.value.run.events) < 3500

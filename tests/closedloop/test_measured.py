@@ -72,7 +72,7 @@ def test_columns_and_rows_come_to_the_same(name, monkeypatch):
     """However many rows the columns are taken at a time."""
     run = cl.simulate(cl.load_scenario(*RUNS[name]))
     by_rows = row_by_row(run)
-    events = {"events", "energy_lost_in_impacts", "largest_rate_cut"}
+    events = {"events", "energy_lost_in_impacts", "energy_taken_at_rest", "largest_rate_cut"}
     for rows in (2, 3, 257, 10**6):
         monkeypatch.setattr(values_module, "ROWS", rows)
         by_columns = run_values(run)

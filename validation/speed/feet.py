@@ -1,8 +1,9 @@
 """A box on four feet that slides and turns on a floor, or stands on it: ours beside MuJoCo's bare ``mj_step``.
 
 The box is a body on three prismatic and three revolute joints, the feet are points of it; in MuJoCo they are spheres
-of a micrometre with elliptic cones. Both take steps of a millisecond of their first-order scheme. Ours records all
-columns, and its contacts are rigid; MuJoCo's give way.
+of a millimetre with elliptic cones. Both take steps of a millisecond of their first-order scheme. Ours records all
+columns, and its contacts are rigid; MuJoCo's give way: sliding, its box hops on them, and most of its steps have one
+contact or none.
 """
 
 from __future__ import annotations
@@ -22,7 +23,7 @@ from validation.speed.contestants import Contestant
 
 BOXES = ("box_slides", "box_stands")
 SLIDES, STANDS = BOXES
-STEPS, STEP, RADIUS, FRICTION = 1000, 1e-3, 1e-6, 0.2
+STEPS, STEP, RADIUS, FRICTION = 1000, 1e-3, 1e-3, 0.2
 # How far apart may they end, m or rad: a soft contact creeps.
 GIVES_WAY = 0.02
 HALF = (0.1, 0.075, 0.05)
@@ -108,7 +109,7 @@ def bare(name: str, wanted: Array) -> Contestant:
         mujoco.mj_resetData(made, data)
         data.qpos[2], data.qvel[:] = HALF[2], START[name]
         mujoco.mj_step(made, data, STEPS)
-        if data.ncon != 4:
+        if name == STANDS and data.ncon != 4:
             raise RuntimeError(f"MuJoCo ended with {data.ncon} contacts, where four are wanted")
         return None, data.qpos.copy()
 

@@ -14,6 +14,7 @@ from closedloop.loop.events.phases import (
     AT_EVENT,
     BEGIN_SUBSTEP,
     CHECK_STAGE,
+    FAST,
     INSTANT,
     LARGEST_TURN,
     LEAVING,
@@ -84,12 +85,12 @@ def save_state(w: Work, constants: Constants, state: State) -> None:
 
 @kernel
 def divide_step(w: Work, state: State) -> None:
-    """Shorten a substep in which a joint would turn by more than `LARGEST_TURN`, and say whether it was."""
+    """Shorten a substep in which a fast joint would turn by more than `LARGEST_TURN`, and say whether it was."""
     fastest, left = 0.0, w.length
     for j in range(w.q.shape[0]):
         fastest = max(fastest, abs(w.v[j]))
     state.divided = 0
-    if fastest * left > LARGEST_TURN and state.steps > 0:
+    if fastest > FAST and fastest * left > LARGEST_TURN and state.steps > 0:
         w.length = left / np.ceil(fastest * left / LARGEST_TURN)
         state.divided = 1
 

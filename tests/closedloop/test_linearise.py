@@ -222,7 +222,7 @@ def test_a_run_that_goes_on_is_the_run(name):
 
 
 def test_a_torque_that_disturbs_the_run():
-    """A torque of 10 mN m beside the law's for one step moves the force as the linear loop says, within one per cent."""
+    """10 mN m beside the torque of the law, for one step, move f as the linear loop says, within one per cent."""
     scenario = cl.load_scenario("soft_table", {"law.force_integral": 20.0, "time.duration": 7.0})
     loop, seen = cl.linearise(scenario, at=3.0), []
     for sign in (1.0, -1.0):

@@ -340,7 +340,7 @@ class LinearLoop:
             If python-control is not installed.
         """
         try:
-            import control  # type: ignore[import-untyped]
+            import control
         except ImportError:
             raise ScenarioError("to_control needs python-control: pip install 'closedloop[analysis]'") from None
         names = {key: [each.name for each in getattr(self, key)] for key in ("states", "inputs", "outputs")}

@@ -23,7 +23,7 @@ POINTS, TRIED = 60, (0.25, 0.5, 0.75)
 
 def main(arguments: Sequence[str] | None = None) -> int:
     """Run the command line and return the exit status."""
-    return run_command("closedloop analyse", _main, arguments)
+    return run_command("closedloop", _main, arguments)
 
 
 def _main(words: list[str]) -> int:

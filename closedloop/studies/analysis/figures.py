@@ -31,6 +31,7 @@ def draw_page(page: Page, folder: Path) -> list[Path]:
 
 
 def written(figure: Figure, path: Path) -> Path:
+    """Write a figure, and return the path of its PNG."""
     import matplotlib as mpl
 
     with mpl.rc_context(cast(Any, STYLE)):

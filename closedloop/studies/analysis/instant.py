@@ -266,8 +266,8 @@ class Here:
         constants.s_v = constants.s_p = 0.0
         if self.instant.mode == FREE and not self.free:
             raise SimulationError(
-                f"linearise: the tip is in flight at t = {self.instant.time:g} s, where there is no force loop; take an "
-                "instant at which it presses",
+                f"linearise: the tip is in flight at t = {self.instant.time:g} s, where there is no force loop; take "
+                "an instant at which it presses",
                 self.instant.time,
             )
         self._encoder = int(state.encoder)

@@ -24,6 +24,9 @@ AT_REST = 1e-6
 DEADBEAT = 1e-6
 # Parts that are no part of the loop.
 OUTSIDE = "surface"
+# −Re Y/|Y| up to which a port is passive: the rounding of a response; and what sampling makes of one that is 0, per
+# frequency in samples.
+PASSIVE, SAMPLING = 1e-6, 0.1
 # Points of a frequency response to a decade, at first.
 POINTS = 60
 
@@ -93,7 +96,7 @@ class Port:
     frequency : (k,) array
         Hz, up to half of the sampling rate.
     admittance : (k,) array of complex
-        Y, m/s/N: the mean velocity of the tip over a sample, along n, to f.
+        Y, m/s/N: the velocity of the tip along n to f.
     passive : bool
         Whether Re Y ≥ 0 at all of them: then the loop is stable on every passive surface.
     active_at : float or None
@@ -127,7 +130,10 @@ class LinearLoop:
     closure : (k,) array of complex
         Poles of Baumgarte's stabiliser, from step to step: they are no part of the loop, which stays on the closure.
     normal : (x,) array
-        The tip's position along n, m, by the states.
+        The tip's velocity along n, m/s, by the states.
+    held_force : bool
+        Whether f acts unchanged over a step, as in a scheme of one stage, and on a rigid surface: its power is then f
+        times the mean of the velocities before and after.
     """
 
     A: Array
@@ -144,6 +150,7 @@ class LinearLoop:
     soft: bool
     closure: ComplexArray
     normal: Array
+    held_force: bool
 
     def __post_init__(self) -> None:
         for array in (self.A, self.B, self.C, self.D, self.closure, self.normal):
@@ -196,8 +203,8 @@ class LinearLoop:
     def frequency_response(self, input: str, output: str, frequency: ArrayLike) -> ComplexArray:
         """Return the response of an output to an input at frequencies, Hz, (k,).
 
-        The input "surface" is the displacement of the surface along n, m, and the output "normal velocity" the mean
-        velocity of the tip along n over a sample, m/s.
+        The input "surface" is the displacement of the surface along n, m, and the output "normal velocity" the
+        velocity of the tip along n with which f has its power, m/s.
 
         Raises
         ------
@@ -213,8 +220,8 @@ class LinearLoop:
             at = self.output(output)
             row, direct = self.C[at], float(self.D[at, column])
         y: ComplexArray = _at(self.A, self.B[:, column], row, z) + direct
-        if output == "normal velocity":  # from the position at the row: its difference over the sample
-            y = y * (z - 1.0) / self.dt
+        if output == "normal velocity" and self.held_force:
+            y = y * (z + 1.0) / 2.0
         if input == "surface":  # h²/2 (z + 1)/(z − 1)² of the acceleration is the displacement
             y = y * 2.0 * (z - 1.0) ** 2 / (self.dt * self.dt * (z + 1.0))
         return y
@@ -295,7 +302,7 @@ class LinearLoop:
         surface = input == "surface"
         column = self.input("surface acceleration" if surface else input)
         row = self.output(output)
-        t: Array = self.dt * np.arange(steps + 1)
+        t = np.linspace(0.0, steps * self.dt, steps + 1)
         u = np.ones(steps + 1)
         if surface:
             moving = max(2, round(rise / self.dt))
@@ -318,8 +325,10 @@ class LinearLoop:
             Y = v / force
         known = np.isfinite(Y)
         share = np.where(known, Y.real / np.where(known, np.abs(Y), 1.0), 0.0)
+        if not self.held_force:  # within a step f varies: by so much Re Y is uncertain, and beyond a quarter not known
+            share = np.where(f < 0.25 / self.dt, share + SAMPLING * f * self.dt, 0.0)
         worst = int(np.argmin(share))
-        passive = bool(share[worst] >= -1e-6)
+        passive = bool(share[worst] >= -PASSIVE)
         return Port(f, Y, passive, None if passive else float(f[worst]))
 
     def to_control(self) -> Any:
@@ -331,7 +340,7 @@ class LinearLoop:
             If python-control is not installed.
         """
         try:
-            import control  # type: ignore[import-untyped]
+            import control
         except ImportError:
             raise ScenarioError("to_control needs python-control: pip install 'closedloop[analysis]'") from None
         names = {key: [each.name for each in getattr(self, key)] for key in ("states", "inputs", "outputs")}

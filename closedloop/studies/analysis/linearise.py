@@ -23,7 +23,7 @@ from closedloop.base.errors import ScenarioError, SimulationError
 from closedloop.control.drives import AS_ASKED
 from closedloop.loop.step.memory import RIGID_STICK
 from closedloop.mechanics.closure.contact_force import FREE, STUCK
-from closedloop.mechanics.integrators import ADAPTIVE, Scheme, scheme_of
+from closedloop.mechanics.integrators import ADAPTIVE, AdaptiveIntegrator, Scheme, scheme_of
 from closedloop.mechanics.surface.compliances.none import Rigid
 from closedloop.scenario.overrides import Variants
 from closedloop.scenario.scenario import Scenario
@@ -227,7 +227,7 @@ class _Assembly:
         return np.asarray(found)
 
     def _by_inputs(self, block: Block, key: str) -> Array:
-        """Return the derivatives by `inputs`: a rigid surface that accelerates is one at rest, and a load of inertia."""
+        """Return the derivatives by `inputs`: a rigid surface that accelerates is one at rest, and an inertial load."""
         carry, load = np.zeros((self.n, 1)), (self.frame[0] @ np.asarray(self.jacobian))[:, None]
         if self.rigid:
             S = self.G @ np.linalg.solve(self.H, self.G.T)
@@ -339,13 +339,13 @@ class _Assembly:
         keep = _moving(F, C)
         keep[self.s0 : self.s0 + 2] = True
         normal = np.zeros(whole)
-        normal[:size] = self.G[0] @ self.by_q
+        normal[self.s0 + 1 if self.rigid else self.half + self.free] = 1.0
         pick, names = np.flatnonzero(keep), self._names(ages, lasts, held)
         return LinearLoop(
             A=F[np.ix_(pick, pick)], B=E[pick], C=C[:, pick], D=D, dt=self.problem.h * max(self.problem.hold, 1),
             states=tuple(names[i] for i in pick), inputs=self.inputs, outputs=self.outputs, time=self.instant.time,
             scenario=self.problem.scenario, mode=self.instant.mode, soft=self.soft, closure=self._closure_poles(),
-            normal=normal[pick],
+            normal=normal[pick], held_force=self.rigid or _one_stage(self.problem),
         )  # fmt: skip
 
     def _names(self, ages: int, lasts: int, held: int) -> list[Quantity]:
@@ -396,6 +396,11 @@ def _scheme(problem: Problem) -> type[Scheme]:
     return scheme
 
 
+def _one_stage(problem: Problem) -> bool:
+    scheme = _scheme(problem)
+    return scheme.stages == 1 and not issubclass(scheme, AdaptiveIntegrator)
+
+
 def _refuse_limited(here: Here) -> None:
     """Refuse a drive that is at its limit: its torque answers to nothing."""
     problem, time = here.problem, here.instant.time
@@ -410,17 +415,14 @@ def _refuse_limited(here: Here) -> None:
 
 def _moving(F: Array, C: Array) -> NDArray[np.bool_]:
     """Return which states are part of the loop: not those that stay as they are, nor those that nothing reads."""
-    keep = np.ones(F.shape[0], dtype=bool)
-    change, scale = F - np.eye(F.shape[0]), float(np.max(np.abs(F)))
+    keep, scale = np.ones(F.shape[0], dtype=bool), NONE * float(np.max(np.abs(F)))
+    changes = np.abs(F - np.eye(F.shape[0])) > scale
+    reads = changes & ~np.eye(F.shape[0], dtype=bool)
+    seen, over = np.any(np.abs(C) > NONE, axis=0), np.abs(np.diag(F)) <= scale
     while True:
-        before = keep.copy()
-        for i in np.flatnonzero(keep):
-            others = keep.copy()
-            others[i] = False
-            unread = not np.any(np.abs(F[others, i]) > NONE * scale)
-            still = not np.any(np.abs(change[i, keep]) > NONE * scale)
-            seen = np.any(np.abs(C[:, i]) > NONE)
-            if unread and (still or (abs(F[i, i]) < NONE and not seen)):
-                keep[i] = False
-        if np.array_equal(before, keep):
+        unread = ~np.any(reads[keep], axis=0)
+        still = ~np.any(changes[:, keep], axis=1)
+        left = keep & ~(unread & (still | (over & ~seen)))
+        if np.array_equal(left, keep):
             return keep
+        keep = left

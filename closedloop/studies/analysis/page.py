@@ -54,8 +54,11 @@ class Page:
             pole = next(pole for pole in loop.poles() if pole.grows)
             how = f"oscillates at {pole.frequency:.3g} Hz and " if abs(pole.s.imag) > 1e-9 * abs(pole.s) else ""
             grows = f"unstable: what belongs mostly to the {pole.part} {how}grows with exp({pole.s.real:.3g} t)"
-            below = [f"{name} below {limit.value:.3g}" for name, limit in self._limits() if not limit.upwards]
-            return "; ".join([grows, *below])
+            ways = [
+                f"{name} {'below' if limit.upwards else 'above'} {limit.value:.3g} makes it stable"
+                for name, limit in self._limits()
+            ]
+            return "; ".join([grows, *ways])
         margins = self.weakest
         decibels = "no gain" if math.isinf(margins.decibels) else f"{margins.decibels:.1f} dB"
         degrees = "no phase lag" if math.isinf(margins.phase) else f"{margins.phase:.0f}°"
@@ -192,9 +195,7 @@ def _limits_of(study: Stability) -> dict[str, Limit | str]:
             found[key] = str(error)
             continue
         if limits:
-            first = limits[0]
-            upwards = first.upwards if stable else not first.upwards
-            found[key] = Limit(key, first.value, upwards, first.pole)
+            found[key] = limits[0]
         else:
             found[key] = f"no limit is found; {refused}" if refused else f"no limit up to {over.high:.3g}"
     return found

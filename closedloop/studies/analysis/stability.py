@@ -49,7 +49,7 @@ class Range:
     key : str
         Dotted key.
     low, high : float
-        Ends.
+        Ends, in either order: limits are found from `low` on.
     log : bool
         Whether it is looked at evenly in its logarithm.
     """
@@ -228,13 +228,14 @@ class Stability:
         value = over.at(share)
         loop = self.loop({**given, over.key: value})
         moving = [pole for pole in loop.poles() if not pole.at_rest]
-        return Limit(over.key, value, above[1] > 0.0, moving[0] if moving else loop.poles()[0])
+        upwards = (above[1] > 0.0) == (over.high > over.low)
+        return Limit(over.key, value, upwards, moving[0] if moving else loop.poles()[0])
 
     def boundary(self, over: Range, along: Range, points: int = 60) -> list[tuple[float, Limit]]:
         """Return the boundary over two keys: for values of `along`, the limits of `over`.
 
-        At the first value the whole range is looked at; then each limit is followed from value to value, and the range is
-        looked at again where one ends.
+        At the first value the whole range is looked at; then each limit is followed from value to value, and the
+        range is looked at again where one ends.
 
         Parameters
         ----------

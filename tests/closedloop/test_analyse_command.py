@@ -1,0 +1,99 @@
+"""The command `closedloop analyse`."""
+
+import json
+from collections import namedtuple
+
+import pytest
+from linear_loops import DAMPING, MASS, STIFFNESS, mass_on_a_spring
+
+from closedloop.__main__ import main
+
+GAIN = ("--law.force_integral", "20", "--at", "1")
+
+
+Outcome = namedtuple("Outcome", "status out err")
+
+
+@pytest.fixture
+def command_line(capsys, monkeypatch, tmp_path):
+    """Return a function that runs `closedloop` here, in an empty folder."""
+    monkeypatch.chdir(tmp_path)
+
+    def call(*words):
+        capsys.readouterr()
+        status = main(list(map(str, words)))
+        said = capsys.readouterr()
+        err = "".join(line for line in said.err.splitlines(True) if not line.startswith("compiling the step"))
+        return Outcome(status, said.out, err)
+
+    return call
+
+
+def test_first_line_is_a_sentence(command_line):
+    """Then a table, whose poles are said to belong to parts."""
+    said = command_line("analyse", "wam_slide", "--at", "3")
+    assert said.status == 0
+    first = said.out.splitlines()[0]
+    assert first == "stable; the law reads no force; at torque[J3] 14.9 dB and 78° from instability"
+    assert "nothing is fed back" in said.out
+    assert "arm 100 %" in said.out
+
+
+def test_json_and_a_key(command_line, tmp_path):
+    """The limit in a range, with whole runs beside it, as JSON."""
+    path = tmp_path / "spring.toml"
+    scenario = mass_on_a_spring(time__integrator="semi_implicit_euler", time__duration=2.0)
+    path.write_text(scenario.to_toml(), encoding="utf-8")
+    said = command_line("analyse", path, "--at", "0.1", "--json", "--vary", "law.force_integral=5:80")
+    assert said.status == 0
+    page = json.loads(said.out)
+    (limit,) = page["limits"]["law.force_integral"]
+    assert limit["value"] == pytest.approx(DAMPING * STIFFNESS / (MASS * STIFFNESS - DAMPING**2), rel=0.05)
+    assert limit["unstable"] == "above"
+    assert [trial["seen"] > 0.0 for trial in page["trials"]] == [False, True]
+
+
+def test_figures_and_a_map(command_line, tmp_path, monkeypatch):
+    """With --out the numbers and the figures are written, with two keys a map among them."""
+    drawn = []
+    monkeypatch.setattr(
+        "closedloop.studies.analysis.figures.write_figure",
+        lambda figure, path: drawn.append((path.name, figure)) or path,
+    )
+    said = command_line(
+        "analyse", "soft_table", *GAIN, "--out", tmp_path / "out", "--no-runs",
+        "--vary", "compliance.stiffness=log:1e4:4e4:3", "--vary", "law.force_integral=log:100:4000",
+    )  # fmt: skip
+    assert said.status == 0
+    names = [name for name, _ in drawn]
+    assert names == [f"analysis_{name}" for name in ("bode", "nyquist", "poles", "sensitivity", "map")]
+    page = json.loads((tmp_path / "out" / "analysis.json").read_text(encoding="utf-8"))
+    assert [point["compliance.stiffness"] for point in page["boundary"]] == pytest.approx([1e4, 2e4, 4e4])
+    (line,) = [line for line in drawn[-1][1].axes[0].lines if line.get_label() == "boundary"]
+    assert list(line.get_ydata()) == [point["value"] for point in page["boundary"]]
+
+
+@pytest.mark.parametrize(
+    ("words", "why", "status"),
+    [
+        (("--vary", "law.force_integral=1,2"), "--vary law.force_integral=1,2: must be a range of real numbers", 2),
+        (("--vary", "law.kind=a:b"), "--vary law.kind=a:b: ", 2),
+        (("--vary", "x=1:2"), "--vary x=1:2: must be KEY=VALUES with a key such as law.force", 2),
+        (("--vary", "law.nothing=1:2"), "law.nothing", 2),
+        (("--at", "99"), "at = 99 s: must be within the run", 2),
+        (("--vary", "law.force=1:2") * 3, "--vary: at most two keys", 2),
+    ],
+)
+def test_refusals(command_line, words, why, status):
+    """Each is one line."""
+    said = command_line("analyse", "soft_table", *words)
+    assert said.status == status
+    assert why in said.err
+    assert len(said.err.splitlines()) == 1
+
+
+def test_in_flight_is_no_fault_of_the_input(command_line):
+    """The exit status is that of a run that could not go on."""
+    said = command_line("analyse", "wam_touchdown", "--at", "0.01")
+    assert said.status == 3
+    assert "the tip is in flight" in said.err

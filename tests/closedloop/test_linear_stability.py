@@ -1,0 +1,95 @@
+"""Where the force loop becomes unstable: closed forms, and whole runs on both sides."""
+
+import pytest
+from linear_loops import DAMPING, MASS, STIFFNESS, mass_on_a_spring
+
+import closedloop as cl
+from closedloop.studies.analysis.page import page_of
+from closedloop.studies.analysis.stability import Range, Stability
+
+
+def limit_of(k, c=DAMPING, m=MASS):
+    """Return the integral gain at which m s³ + (k + c s)(s + K) has roots on the axis."""
+    return c * k / (m * k - c * c)
+
+
+@pytest.fixture(scope="module")
+def study():
+    """Return the study of a mass on a spring under an integral law, continuous."""
+    return Stability(mass_on_a_spring())
+
+
+def test_limit_of_a_gain(study):
+    """The boundary is K = c k/(m k − c²), to 1e-9, and its pole oscillates at the frequency of the closed form."""
+    (limit,), refused = study.limits(Range("law.force_integral", 5.0, 80.0))
+    assert limit.value == pytest.approx(limit_of(STIFFNESS), rel=1e-9)
+    assert limit.upwards
+    assert not refused
+    assert limit.pole.part == "contact"
+    assert abs(limit.pole.z) == pytest.approx(1.0, abs=1e-9)
+
+
+def test_limit_below_which_it_is_unstable(study):
+    """With too little damping of the surface the loop is unstable: the limit is one downwards."""
+    (limit,), _ = study.limits(Range("compliance.damping", 10.0, 60.0), {"law.force_integral": 20.0})
+    k = STIFFNESS  # K (m k − c²) = c k
+    wanted = (-k + (k * k + 4.0 * 20.0**2 * MASS * k) ** 0.5) / (2.0 * 20.0)
+    assert limit.value == pytest.approx(wanted, rel=1e-8)
+    assert not limit.upwards
+
+
+def test_boundary_over_two_keys(study):
+    """Over three decades of stiffness the limit of the gain is the closed form."""
+    found = study.boundary(
+        Range("law.force_integral", 5.0, 80.0), Range("compliance.stiffness", 2.5e3, 2.5e6, log=True), 3
+    )
+    assert len(found) == 3
+    for stiffness, limit in found:
+        assert limit.value == pytest.approx(limit_of(stiffness), rel=1e-6)
+
+
+def test_whole_runs_on_both_sides():
+    """Ten per cent below and above the limit two nonlinear runs go together, and apart, as fast as the linear loop."""
+    scenario = mass_on_a_spring(time__integrator="semi_implicit_euler", time__duration=3.0)
+    study = Stability(scenario, at=0.1)
+    (limit,), _ = study.limits(Range("law.force_integral", 5.0, 80.0))
+    below, above = study.try_beside(limit)
+    for trial in (below, above):
+        assert trial.agrees
+        assert trial.seen == pytest.approx(trial.expected, rel=0.1, abs=0.05)
+    assert below.seen < 0.0 < above.seen
+
+
+@pytest.mark.slow
+def test_whole_runs_beside_the_boundary_of_a_shipped_scenario():
+    """With friction, an observer and a moving arm: three stiffnesses, on both sides."""
+    study = Stability(cl.load_scenario("wam_hybrid_friction", {"compliance.kind": "kelvin_voigt"}), at=3.0)
+    found = study.boundary(
+        Range("law.force_integral", 1.0, 300.0), Range("compliance.stiffness", 3e4, 1e6, log=True), 3
+    )
+    assert len(found) == 3
+    for stiffness, limit in found:
+        trials = study.try_beside(limit, {"compliance.stiffness": stiffness})
+        assert [trial.agrees for trial in trials] == [True, True]
+        assert trials[0].expected < 0.0 < trials[1].expected
+
+
+@pytest.mark.slow
+def test_page_of_a_stable_loop(study):
+    """The first line is a sentence with margins and limits, and the gain margin leads to the limit of the gain."""
+    page = page_of(study)
+    limit = limit_of(STIFFNESS)
+    assert page.sentence().startswith("stable; 3.1 dB and ")
+    assert f"law.force_integral above {limit:.3g} 1/s makes it unstable" in page.sentence()
+    assert page.limits["law.force_integral"].value == pytest.approx(limit, rel=1e-6)
+    assert 20.0 * page.margins["sensor"].gain == pytest.approx(limit, rel=0.02)
+    assert page.lines()[0] == page.sentence()
+    assert page.delay == pytest.approx(page.margins["sensor"].delay, abs=3 * 0.0005)  # sampled, the reading is older
+
+
+def test_page_of_an_unstable_loop():
+    """It says what grows, how fast, and below which gain it does not."""
+    page = page_of(Stability(mass_on_a_spring(gain=40.0), at=0.005))
+    assert page.sentence().startswith("unstable: what belongs mostly to the contact oscillates at 12.6 Hz and grows")
+    assert f"; law.force_integral below {limit_of(STIFFNESS):.3g} makes it stable" in page.sentence()
+    assert page.as_dict()["longest_delay"] is None

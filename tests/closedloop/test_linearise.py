@@ -1,0 +1,302 @@
+"""The force loop as a linear system: closed forms, another tool, another engine, and small steps of the run itself."""
+
+import json
+import math
+
+import numpy as np
+import pytest
+from linear_loops import DAMPING, MASS, STIFFNESS, mass_on_a_spring
+
+import closedloop as cl
+from closedloop.simulation.prepare import prepare
+from closedloop.studies.analysis.instant import Here, columns, run_on
+from closedloop.studies.analysis.linearise import instant_of, loop_at
+
+ALONG_N = ("contact", "law", "sensor", "delay", "filter", "hold")
+
+
+def normal_poles(loop):
+    """Return the poles of the loop along the normal, in order."""
+    return [pole for pole in loop.poles() if sum(pole.participation.get(part, 0.0) for part in ALONG_N) > 0.5]
+
+
+def sorted_by(values):
+    """Return complex numbers in an order of their own."""
+    return np.sort_complex(np.array(values, dtype=complex))
+
+
+@pytest.fixture(scope="module")
+def spring():
+    """Return the loop of a mass on a spring under an integral law, continuous."""
+    return cl.linearise(mass_on_a_spring())
+
+
+def test_poles_of_a_mass_on_a_spring(spring):
+    """They are the roots of m s³ + (k + c s)(s + K): with an integrator that chooses its steps, to 1e-9."""
+    wanted = np.roots([MASS, DAMPING, STIFFNESS + DAMPING * 20.0, STIFFNESS * 20.0])
+    found = [pole.s for pole in normal_poles(spring)]
+    np.testing.assert_allclose(sorted_by(found), sorted_by(wanted), rtol=1e-9)
+
+
+@pytest.mark.parametrize("scheme", ["semi_implicit_euler", "explicit_euler", "rk4"])
+def test_poles_as_the_integrator_makes_them(scheme):
+    """A step of each scheme, written out for the three states v, x, ∫: its eigenvalues, to 1e-11."""
+    h, m, k, c, K = 0.0002, MASS, STIFFNESS, DAMPING, 20.0
+    a = np.array([[-c / m, -k / m, 1.0 / m], [1.0, 0.0, 0.0], [-c * K, -k * K, 0.0]])
+    step = np.eye(3) + h * a
+    if scheme == "semi_implicit_euler":
+        step[1] = [0.0, 1.0, 0.0] + h * step[0]
+    elif scheme == "rk4":
+        step += (h * a) @ (h * a) / 2 + np.linalg.matrix_power(h * a, 3) / 6 + np.linalg.matrix_power(h * a, 4) / 24
+    loop = cl.linearise(mass_on_a_spring(time__integrator=scheme, time__step=h))
+    found = [pole.z for pole in normal_poles(loop)]
+    np.testing.assert_allclose(sorted_by(found), sorted_by(np.linalg.eigvals(step)), atol=1e-11)
+
+
+def test_poles_belong_to_parts(spring):
+    """The shares of a pole sum to one; without the integral, its pole is gone and the others are the contact's."""
+    for pole in spring.poles():
+        assert sum(pole.participation.values()) == pytest.approx(1.0)
+    assert {pole.part for pole in spring.poles()} == {"arm", "contact", "law"}
+    without = cl.linearise(mass_on_a_spring(gain=0.0))
+    assert {pole.part for pole in without.poles()} == {"arm", "contact"}
+    assert len(without.poles()) == len(spring.poles()) - 1
+    pair = [pole for pole in without.poles() if pole.part == "contact"]
+    assert pair[0].frequency == pytest.approx(math.sqrt(STIFFNESS / MASS) / (2 * math.pi), rel=1e-9)
+    assert pair[0].damping == pytest.approx(0.5 * DAMPING / math.sqrt(STIFFNESS * MASS), rel=1e-9)
+
+
+def test_loop_transfer_of_a_mass_on_a_spring(spring):
+    """Cut at the sensor it is K (k + c s)/(s (m s² + c s + k)), as the exact hold of a fast sampling gives it."""
+    f = np.array([0.1, 1.0, 5.0, 20.0])
+    s = 2j * math.pi * f
+    wanted = 20.0 * (STIFFNESS + DAMPING * s) / (s * (MASS * s**2 + DAMPING * s + STIFFNESS))
+    np.testing.assert_allclose(spring.loop_transfer(f), wanted, rtol=4e-2)  # noise is held over 0.5 ms
+    finer = cl.linearise(mass_on_a_spring(time__step=0.00005, time__duration=0.01))
+    np.testing.assert_allclose(finer.loop_transfer(f), wanted, rtol=4e-3)
+
+
+def test_gain_margin_is_the_gain_that_oscillates(spring):
+    """K times the gain margin, from the transfer, is the K at which the roots of the closed form are on the axis."""
+    limit = DAMPING * STIFFNESS / (MASS * STIFFNESS - DAMPING**2)
+    finer = cl.linearise(mass_on_a_spring(time__step=0.00005, time__duration=0.01))
+    assert 20.0 * finer.margins().gain == pytest.approx(limit, rel=2e-3)
+    assert not cl.linearise(mass_on_a_spring(gain=1.02 * limit)).stable
+    assert cl.linearise(mass_on_a_spring(gain=0.98 * limit)).stable
+
+
+def test_admittance_of_a_mass(spring):
+    """That of a mass under a law that feeds no motion back is 1/(m s), with K it is (s + K)/(m s²): passive, active."""
+    free = cl.linearise(mass_on_a_spring(gain=0.0)).port()
+    low = free.frequency < 50.0
+    s = 2j * math.pi * free.frequency[low]
+    np.testing.assert_allclose(free.admittance[low], 1.0 / (MASS * s), rtol=2e-2)
+    assert free.passive
+    by_steps = cl.linearise(mass_on_a_spring(gain=0.0, time__integrator="semi_implicit_euler")).port()
+    w = 2.0 * math.pi * by_steps.frequency * 0.0005
+    np.testing.assert_allclose(by_steps.admittance, 0.0005 / (2.0 * MASS) / (1j * np.tan(0.5 * w)), rtol=1e-6)
+    assert by_steps.passive
+    port = spring.port()
+    low = (port.frequency > 1.0) & (port.frequency < 50.0)
+    s = 2j * math.pi * port.frequency[low]
+    np.testing.assert_allclose(port.admittance[low], (s + 20.0) / (MASS * s**2), rtol=3e-2)
+    assert not port.passive
+
+
+def test_response_to_a_surface_that_moves():
+    """Without a motion gain the force settles at f_des; with one along n it keeps that stiffness, in N per mm."""
+    _, f = cl.linearise(mass_on_a_spring(gain=0.0)).response("surface", duration=1.0)
+    assert abs(f[-1]) < 1e-3 < np.max(np.abs(f))
+    loop = cl.linearise(mass_on_a_spring(gain=0.0, law__kp=[100, 100, 2e3], law__kd=[20, 20, 40]))
+    _, f = loop.response("surface", duration=1.0)
+    assert f[-1] == pytest.approx(1e-3 / (1.0 / STIFFNESS + 1.0 / 2e3), rel=1e-3)
+    _, f = loop.response("load", duration=1.0)  # the spring of the law and that of the surface share it
+    assert f[-1] == pytest.approx(-STIFFNESS / (STIFFNESS + 2e3), rel=1e-3)
+
+
+def test_a_rigid_surface_answers_with_the_laws_stiffness():
+    """On the closure a load goes into the surface at once, and a surface that has moved meets the law's own spring."""
+    scenario = mass_on_a_spring(
+        gain=0.0, compliance={"kind": "none"}, time__integrator="semi_implicit_euler", law__kp=[100, 100, 2e3],
+        law__kd=[20, 20, 40], stabiliser={"kind": "baumgarte", "damping_ratio": 0.707, "time_constant": 0.001},
+    )  # fmt: skip
+    loop = cl.linearise(scenario)
+    _, f = loop.response("load", duration=0.1)
+    np.testing.assert_allclose(f, -1.0, atol=1e-9)
+    _, f = loop.response("surface", duration=0.1)
+    assert f[-1] == pytest.approx(2.0, rel=1e-6)
+    assert loop.closure.size == 2
+    assert not any(state.part == "contact" for state in loop.states)
+
+
+def test_delay_and_sampling_against_python_control():
+    """The sampled loop with a delay, built of the plant's exact hold and of shifts: the same poles and margins."""
+    control = pytest.importorskip("control")
+    h, delayed, K = 0.002, 3, 15.0
+    loop = cl.linearise(
+        mass_on_a_spring(gain=K, time__step=h, sensor__delay=delayed * h, law__sample_period=h)
+    )  # fmt: skip
+    plant = control.ss([[0.0, 1.0], [-STIFFNESS / MASS, -DAMPING / MASS]], [[0.0], [1.0 / MASS]],
+                       [[STIFFNESS, DAMPING]], [[0.0]])  # fmt: skip
+    z = control.tf([1, 0], [1], h)
+    cut = control.c2d(plant, h, "zoh") * control.ss(control.tf([K * h], [1, -1], h)) * control.ss(z ** -(delayed + 1))
+    wanted = control.feedback(cut, 1).poles()
+    found = [pole.z for pole in normal_poles(loop)]
+    np.testing.assert_allclose(sorted_by(found), sorted_by(wanted), atol=1e-9)
+    gain, phase, _, at_phase = control.margin(cut)
+    margins = loop.margins()
+    assert margins.gain == pytest.approx(gain, rel=1e-4)
+    assert margins.phase == pytest.approx(phase, rel=1e-4)
+    assert 2 * math.pi * margins.phase_at == pytest.approx(at_phase, rel=1e-4)
+    assert margins.peak_sensitivity == pytest.approx(1.0 / control.stability_margins(cut)[2], rel=1e-3)
+    whole = loop.to_control()
+    np.testing.assert_allclose(sorted_by(whole.poles())[-3:], sorted_by(np.linalg.eigvals(loop.A))[-3:])
+    assert whole.input_labels == [each.name for each in loop.inputs]
+
+
+def test_flight_against_mujoco():
+    """Of an arm in flight, with the torque held, MuJoCo's finite differences give the same ∂q̇⁺/∂(q, q̇)."""
+    mujoco = pytest.importorskip("mujoco")
+    from validation.engines.mujoco import MuJoCo
+
+    scenario = cl.load_scenario("wam_touchdown", {"start.v": [0.3, -0.2, 0.4, 0.1]})
+    problem = prepare(scenario)
+    here = Here(problem, instant_of(scenario, problem, 0.005), free=True)
+    other = MuJoCo(problem.robot.model, problem.robot.tip)
+    model, data, at = other.model, other.data, other.columns
+    h, n = 1e-5, problem.robot.n
+    model.opt.timestep, model.opt.integrator = h, mujoco.mjtIntegrator.mjINT_EULER
+    data.eq_active[0] = False
+    data.qpos[at], data.qvel[at] = here.instant.values["q"], here.instant.values["v"]
+    data.qfrc_applied[at] = here.instant.values["torque"]
+    A = np.zeros((2 * n, 2 * n))
+    mujoco.mjd_transitionFD(model, data, 1e-6, True, A, None, None, None)
+    by_q, by_v = A[n:, :n][np.ix_(at, at)], A[n:, n:][np.ix_(at, at)] - np.eye(n)
+    for name, block in (("q", by_q), ("v", by_v)):
+        mine = columns(here, name, np.full(n, 1e-4), True)["qdd"]
+        np.testing.assert_allclose(mine, block / h, rtol=1e-4, atol=1e-3)
+        assert np.max(np.abs(mine)) > 0.1
+
+
+PULSES = {
+    "wam_slide": ("wam_slide", {}),
+    "soft_table": ("soft_table", {}),
+    "wam_hybrid_friction": ("wam_hybrid_friction", {}),
+    "integral": ("soft_table", {"law.force_integral": 20.0}),
+    "late": ("soft_table", {
+        "law.force_integral": 20.0, "law.force_feedback": 0.2, "sensor.delay": 0.004,
+        "sensor.filter_time_constant": 0.006, "law.sample_period": 0.002,
+    }),
+    "elastic": ("soft_table", {
+        "law.force_integral": 20.0, "transmission.stiffness": 5000.0, "transmission.damping": 10.0,
+    }),
+    "encoders": ("wam_hybrid_friction", {
+        "encoder.velocity": "difference", "encoder.filter_time_constant": 0.003, "compliance.kind": "kelvin_voigt",
+    }),
+}  # fmt: skip
+
+
+@pytest.mark.parametrize("case", PULSES)
+def test_small_steps_of_the_run(case):
+    """After a step of f_des by a millinewton the run's force does what the linear loop's does, within one per cent."""
+    name, changes = PULSES[case]
+    scenario = cl.load_scenario(name, {"time.duration": 7.0} | changes)
+    problem = prepare(scenario)
+    instant = instant_of(scenario, problem, 3.0)
+    loop = loop_at(problem, instant)
+    rows, hold = 200, max(problem.hold, 1)
+    apart = (run_on(problem, instant, rows, 1e-3) - run_on(problem, instant, rows, -1e-3)) / 2e-3
+    seen = np.cumsum(apart[::hold])  # of a pulse: the sum is the step
+    _, wanted = loop.response("force command", duration=(seen.size - 1) * loop.dt)
+    assert np.max(np.abs(seen - wanted)) <= 0.01 * np.max(np.abs(seen))
+    assert np.max(np.abs(seen)) > 0.5
+
+
+@pytest.mark.parametrize("name", ["soft_table", "wam_hybrid_friction"])
+def test_a_run_that_goes_on_is_the_run(name):
+    """What is run on from an instant is the rest of the run, to the last bit."""
+    scenario = cl.load_scenario(name, {"time.duration": 7.0, "law.force_integral": 10.0})
+    problem = prepare(scenario)
+    on = run_on(problem, instant_of(scenario, problem, 1.2), 50)
+    assert np.array_equal(on, cl.simulate(scenario, progress=False).contact_force[1200:1250])
+
+
+def test_a_torque_that_disturbs_the_run():
+    """10 mN m beside the torque of the law, for one step, move f as the linear loop says, within one per cent."""
+    scenario = cl.load_scenario("soft_table", {"law.force_integral": 20.0, "time.duration": 7.0})
+    loop, seen = cl.linearise(scenario, at=3.0), []
+    for sign in (1.0, -1.0):
+        sim = cl.Simulator(scenario)
+        disturbed = sim.run_until(3.0).torque + sign * np.array([0.0, 1e-2, 0.0, 0.0])
+        seen.append([sim.step(disturbed).f, *(sim.step().f for _ in range(149))])
+    apart = np.cumsum((np.array(seen[0]) - seen[1]) / 2e-2)  # of a pulse: the sum is the step
+    _, wanted = loop.response("torque[J2]", duration=0.150)
+    np.testing.assert_allclose(apart, wanted[1:], atol=0.01 * np.max(np.abs(wanted)))
+
+
+@pytest.mark.parametrize(("name", "size"), [("soft_table", 1e-6), ("wam_slide", 1e-7)])
+def test_a_surface_that_breathes(name, size):
+    """The force of a run on a surface that swings at 2 Hz swings as the linear loop's does, within one per cent.
+
+    The desired path is that on the surface at rest: what is asked is how the loop answers, not what a path adds.
+    """
+    still, span = cl.load_scenario(name, {"time.duration": 3.0}), 3000
+    moving = cl.load_scenario(name, {
+        "time.duration": 3.0, "surface_motion.kind": "breathing", "surface_motion.amplitude": 2.0 * size,
+        "surface_motion.frequency": 2.0, "surface_motion.direction": [0, 0, 1],
+    })  # fmt: skip
+    at_rest, problem = prepare(still), prepare(moving)
+    problem.table[:] = at_rest.table
+    f = run_on(problem, instant_of(moving, problem, 0.0), span)
+    apart, t = (f - run_on(at_rest, instant_of(still, at_rest, 0.0), span))[2000:], 0.001 * np.arange(2000, span)
+    seen = -2.0 * np.mean(np.exp(-4j * math.pi * t) * apart) / size  # it swings with −cos
+    wanted = cl.linearise(still, at=2.5).frequency_response("surface", "contact force", 2.0)[0]
+    assert abs(seen - wanted) < 0.01 * abs(wanted)
+
+
+def test_the_torque_of_each_joint_can_be_cut():
+    """Each joint has its own margins there; the law of wam_slide reads no force: at the sensor nothing is fed back."""
+    loop = cl.linearise(cl.load_scenario("wam_slide"), at=3.0)
+    assert not loop.margins().closed
+    margins = [loop.margins(f"torque[J{j}]") for j in range(1, 5)]
+    assert all(one.closed and one.stable for one in margins)
+    assert loop.stable
+    assert loop.peak_sensitivity("torque[J3]") == pytest.approx(1.0 / margins[2].modulus)
+    assert loop.bandwidth() == math.inf
+
+
+@pytest.mark.parametrize(
+    ("name", "changes", "at", "why"),
+    [
+        ("wam_touchdown", {}, 0.01, "the tip is in flight at t = 0.01 s"),
+        ("wam_slide", {}, 9.0, "at = 9 s: must be within the run, 0 to time.duration = 8 s"),
+        ("wam_slide", {}, -1.0, "at = -1 s: must be within the run"),
+        ("delta", {}, 0.1, "a mechanism with loop joints is not linearised"),
+        ("wam_slide", {"drives.torque_limit": 1.0}, 1.0, "the drive of joint J[1-4] is at its limit at t = 1 s"),
+    ],
+)  # fmt: skip
+def test_where_there_is_no_linear_loop(name, changes, at, why):
+    """It is said in one line."""
+    with pytest.raises(cl.ClosedLoopError, match=why) as caught:
+        cl.linearise(cl.load_scenario(name, changes), at=at)
+    assert "\n" not in str(caught.value)
+
+
+def test_at_an_impact_and_beyond_the_end_of_a_run():
+    """The instant of an event is refused, with the event's name; so is one that the run does not come to."""
+    scenario = cl.load_scenario("wam_touchdown")
+    event = cl.simulate(scenario, progress=False).events[0]
+    with pytest.raises(cl.SimulationError, match=f"within a step of an event \\({event.kind} at"):
+        cl.linearise(scenario, at=event.time)
+    stops = cl.load_scenario("wam_slide", {"law.kd": [-60.0, -60.0, -30.0, -20.0]})
+    with pytest.raises(cl.SimulationError, match="the run stops before t = 7 s"):
+        cl.linearise(stops, at=7.0)
+
+
+def test_names_are_refused_with_those_that_there_are(spring):
+    """Of inputs and outputs."""
+    with pytest.raises(cl.ScenarioError, match="input 'f': there is none; there are force command, surface accel"):
+        spring.response("f")
+    with pytest.raises(cl.ScenarioError, match="output 'q': there is none; there are contact force, tip x"):
+        spring.response("load", "q")
+    assert json.dumps([pole.as_dict() for pole in spring.poles()], allow_nan=False)

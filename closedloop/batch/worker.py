@@ -21,6 +21,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from closedloop.batch.control import control_in_lanes, control_of_rows
+from closedloop.columns.recorded import SURFACE_COLUMNS
 from closedloop.control.drives import DrivesSection
 from closedloop.engines.compiled import compiled_tree, compiled_work
 from closedloop.engines.lanes import FEWEST, Kind, LaneRuns, kind_of, uses_lanes
@@ -35,7 +36,7 @@ from closedloop.report.limited import count_limited
 from closedloop.report.measured import FAILED_AT, WIDTH, Tally, Values, measure_rows
 from closedloop.report.row_assumptions import NAMES
 from closedloop.report.row_sample import joint_limits
-from closedloop.report.tabled import forget_step_error, verdict_of
+from closedloop.report.tabled import forget_absent, verdict_of
 from closedloop.robot.pinocchio import Robot
 from closedloop.robot.tree import Tree
 from closedloop.scenario.modes import unresolved
@@ -214,7 +215,7 @@ class Worker:
         rows = lane_runs.rows(lane)
         columns = {name: recorded(rows, lane_runs.n, name) for name in self._keep}
         steps, values = lane_runs.kind.steps, lane_runs.values(lane)
-        forget_step_error(scenario, lane_runs.kind.robot, values)
+        forget_absent(scenario, lane_runs.kind.robot, values)
         verdict = verdict_of(scenario, lane_runs.kind.robot, values, steps)
         control = control_in_lanes(lane_runs, lane, scenario)
         return Outcome(RAN, None, steps + 1, values, lane_runs.end, columns, verdict, control)
@@ -233,13 +234,15 @@ class Worker:
                 robot, (work, np.empty(Tally.count(n))), rows, wanted, problem.h,
                 joint_limits(problem.robot.model), events, values,
             )  # fmt: skip
-            forget_step_error(problem.scenario, problem.robot, values)
+            forget_absent(problem.scenario, problem.robot, values, self.law is not None)
             if problem.scenario.drives != DrivesSection():
                 count_limited(recorded(rows, n, "torque_limited"), problem.h, Values(values, n))
         columns = {
             name: recorded(rows, n, name, len(problem.scenario.contact or ()), problem.row_states)
             for name in self._keep
         }
+        if not problem.scenario.has_surface:
+            columns |= {name: np.full_like(columns[name], math.nan) for name in SURFACE_COLUMNS if name in columns}
         end = problem.h * (len(rows) - 1) if len(rows) > 0 else math.nan
         if isinstance(failure, SingularClosureError) and np.isnan(values[SINGULAR_AT]):
             values[SINGULAR_AT] = end + problem.h  # no row was near it: the step after the last was

@@ -83,8 +83,15 @@ CONTACT_COLUMNS: dict[str, Column] = {
 }
 SOMETIMES = ARM_COLUMNS | CONTACT_COLUMNS
 
+# What it has if there is a surface that its tip may touch; without one a `Run` answers with zeros.
+SURFACE_COLUMNS = (
+    "surface_normal", "slip_velocity", "contact_force", "stabiliser_force", "friction_force", "closure_error",
+    "closure_rate", "mode", "residual_closure",
+)  # fmt: skip
+
 COLUMNS: dict[str, Column] = _BY_TIME | {name: Column(*spec) for name, spec in EVENT_COLUMNS.items()}
 ALL_COLUMNS = COLUMNS | SOMETIMES
+_NOT_ALWAYS = {*SURFACE_COLUMNS, *SOMETIMES}
 
 
 def in_order(columns: Iterable[str]) -> list[str]:
@@ -94,5 +101,6 @@ def in_order(columns: Iterable[str]) -> list[str]:
 
 
 def columns_there(columns: Iterable[str]) -> dict[str, Column]:
-    """Return `COLUMNS`, and those of `SOMETIMES` that are among the columns of a run."""
-    return COLUMNS | {name: spec for name, spec in SOMETIMES.items() if name in columns}
+    """Return `COLUMNS`, but of `SURFACE_COLUMNS` and `SOMETIMES` only those that are among the columns of a run."""
+    there = set(columns)
+    return {name: spec for name, spec in ALL_COLUMNS.items() if name in there or name not in _NOT_ALWAYS}

@@ -11,9 +11,8 @@ from closedloop.events.table import IMPACT, REVERSAL
 from closedloop.families import Absent
 from closedloop.record.run import Run
 from closedloop.reference.force import StepForceSection
-from closedloop.reference.path import tip_path
+from closedloop.reference.path import path_normal, tip_path
 from closedloop.scenario.scenario import Scenario
-from closedloop.surface.plane import unit
 
 # The text of the one mark that is not of the motion.
 FORCE_STEPS = "force steps"
@@ -41,7 +40,7 @@ def motion(scenario: Scenario) -> tuple[float, float] | None:
     """
     if isinstance(scenario.reference, Absent):
         return None
-    segments = tip_path(scenario.reference, np.zeros(3), unit(scenario.surface.normal, "surface.normal")).segments
+    segments = tip_path(scenario.reference, np.zeros(3), path_normal(scenario.reference, scenario.surface)).segments
     return (segments[0].start, segments[-1].stop) if segments else None
 
 

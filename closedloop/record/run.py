@@ -19,13 +19,14 @@ from numpy.typing import NDArray
 from closedloop.columns.by_contact import columns_by_contact
 from closedloop.columns.derived import DERIVED, DerivedColumn, reactions_of
 from closedloop.columns.events import Event, events_of
-from closedloop.columns.recorded import Column, columns_there
+from closedloop.columns.recorded import COLUMNS, SURFACE_COLUMNS, Column, columns_there
 from closedloop.contacts.names import labels_of, tangents_of
 from closedloop.loops.reactions import LoopReactions
 from closedloop.record.save import attributes, save_run
 from closedloop.report.summary import summarise
 from closedloop.scenario.arm import robot_of
 from closedloop.scenario.scenario import Scenario
+from closedloop.surface.plane import unit
 from robot_models import RobotModel
 from robot_models.cached import cached_property
 
@@ -50,7 +51,8 @@ DRAWN_BY = {
 class Run:
     """The record of a simulation, and what produced it.
 
-    Every column in `COLUMNS`, and in `SOMETIMES` where the scenario asks for it, is also an attribute: `run.time`
+    Every column in `COLUMNS`, and in `SOMETIMES` where the scenario asks for it, is also an attribute, those of
+    `SURFACE_COLUMNS` without a surface too, but they are in no file then: `run.time`
     (N,), `run.q` (N, n), `run.position` (N, 3), `run.contact_force` (N,) ... So is every column of the table of events
     (`closedloop.events.table.EVENT_COLUMNS`), which `run.events` reads row by row; and what follows from them,
     `closedloop.columns.derived.DERIVED`, such as `run.wrist_wrench` (N, 6). All are read-only.
@@ -112,6 +114,8 @@ class Run:
         if name in there:
             column: NDArray[Any] = there[name]
             return column
+        if there and name in SURFACE_COLUMNS and not self.scenario.has_surface:
+            return self._without_surface(name)
         if name in DERIVED:
             column = self.__dict__[name] = DERIVED[name].of(self)  # once: then it is found without asking here
             column.setflags(write=False)
@@ -121,6 +125,15 @@ class Run:
             part: NDArray[Any] = there[base][:, k]
             return part
         raise AttributeError(f"a Run has no '{name}'; its columns are {', '.join((*there, *DERIVED))}")
+
+    def _without_surface(self, name: str) -> NDArray[Any]:
+        """Return what stands for a column of the tip's contact where there is none: no force, and `surface.normal`."""
+        normal = name == "surface_normal"
+        shape = (len(self), 3) if "axis" in COLUMNS[name].dims else (len(self),)
+        value = unit(self.scenario.surface.normal, "surface.normal") if normal else 0.0
+        column = np.full(shape, value, dtype=np.int8 if name == "mode" else np.float64)
+        column.setflags(write=False)
+        return column
 
     def __dir__(self) -> list[str]:
         return [*super().__dir__(), *self.specs, *columns_by_contact(self.scenario.contact or ()), *DERIVED]

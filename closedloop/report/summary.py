@@ -17,7 +17,7 @@ from closedloop.report.assumptions import assumptions
 from closedloop.report.control_signals import limited_joints, run_signals
 from closedloop.report.control_verdict import judge_control
 from closedloop.report.halved import measured_step_error
-from closedloop.report.measures import JOINT_MEASURES, MEASURES
+from closedloop.report.measures import JOINT_MEASURES, MEASURES, absent_measures
 from closedloop.report.row_sample import Scale, energy_left, torque_power
 from closedloop.report.run_values import columns_of, run_values
 from closedloop.report.step_error import step_error, why_not_known
@@ -162,7 +162,7 @@ def _measures(run: Record, values: Any) -> dict[str, float | None]:
         found |= measured_step_error(run.halved)
     elif why_not_known(run.scenario, run.model):
         found["step_error_force"] = found["step_error_position"] = None
-    return found
+    return found | dict.fromkeys(absent_measures(run.scenario, run.law != "scenario"))
 
 
 def energy_balance(run: Record) -> tuple[Array, Array]:

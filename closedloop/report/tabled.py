@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from closedloop.report.measured import EVENTS_AT, FAILED_AT, WIDTH
-from closedloop.report.measures import JOINT_MEASURES, MEASURES
+from closedloop.report.measures import JOINT_MEASURES, MEASURES, absent_measures
 from closedloop.report.row_assumptions import NAMES
 from closedloop.report.step_error import why_not_known
 from closedloop.report.verdict import Facts, judge, names_of, outside_by_the_run, outside_by_the_scenario
@@ -46,8 +46,8 @@ def verdict_of(
     return names_of(judge(facts, lambda: gains_fault(scenario, robot)))
 
 
-def forget_step_error(scenario: Scenario, robot: Robot, values: Array) -> None:
-    """Write NaN for the errors of the step where they are not known."""
-    if why_not_known(scenario, robot.model):
-        for name in ("step_error_force", "step_error_position"):
-            values[_AT[name]] = math.nan
+def forget_absent(scenario: Scenario, robot: Robot, values: Array, own_law: bool = False) -> None:
+    """Write NaN for the measures that do not exist, and for the errors of the step where they are not known."""
+    unknown = ("step_error_force", "step_error_position") if why_not_known(scenario, robot.model) else ()
+    for name in (*unknown, *absent_measures(scenario, own_law)):
+        values[_AT[name]] = math.nan

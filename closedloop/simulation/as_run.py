@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from closedloop.columns.added import state_columns
+from closedloop.columns.recorded import SURFACE_COLUMNS
 from closedloop.engines.needs import arm_columns
 from closedloop.engines.problem import Problem
 from closedloop.engines.user_law import Law
@@ -65,6 +66,9 @@ def as_run(
         columns |= {name: recorded(rows, n, name, contacts, problem.row_states) for name in CONTACT_RECORDED}
         columns["link_modes"] = columns["link_modes"].astype(np.int8)
     columns["mode"] = columns["mode"].astype(np.int8)
+    if not problem.scenario.has_surface:
+        for name in SURFACE_COLUMNS:
+            del columns[name]
     columns["potential_energy"] = _potential_energies(problem.robot.tree, columns["q"])
     return Run(
         scenario=problem.scenario,

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import math
+
 import numpy as np
 from numpy.typing import NDArray
 
@@ -9,6 +11,7 @@ from closedloop.closure.contact_force import FREE, PRESSED, STUCK
 from closedloop.columns.events import Event, events_of
 from closedloop.events.table import event_columns
 from closedloop.step.record_row import ArmRow, Row
+from closedloop.surface.kinds.none import NoSurface
 
 Array = NDArray[np.float64]
 
@@ -108,8 +111,9 @@ class StepState:
 
     @property
     def gap(self) -> float:
-        """Closure error e = n·r − d, m; off the surface the gap."""
-        return float(self._part("closure_error"))
+        """Closure error e = n·r − d, m; off the surface the gap; inf without a surface."""
+        gap = float(self._part("closure_error"))
+        return gap if gap < 0.5 * NoSurface.distance else math.inf
 
     @property
     def gap_rate(self) -> float:

@@ -138,8 +138,8 @@ def _draw_path(axes: Axes, run: Run, seen: Array, wanted: Array, wide: bool) -> 
                   label="desired")  # fmt: skip
     free = run.mode[rows] == FREE
     if np.any(free):
-        told = {"linestyle": ":", "label": "free"} if run.scenario.has_surface else {"label": "tip"}
-        axes.plot(np.where(free, x, np.nan), np.where(free, y, np.nan), color="0.35", **told)
+        stroke, told = (":", "free") if run.scenario.has_surface else ("-", "tip")
+        axes.plot(np.where(free, x, np.nan), np.where(free, y, np.nan), stroke, color="0.35", label=told)
     pressed = np.flatnonzero(~free[:-1] & ~free[1:])
     if pressed.size:
         points = np.stack((x, y), axis=1)

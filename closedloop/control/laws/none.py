@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import Any, ClassVar, Literal
+from typing import Any, ClassVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -10,6 +10,7 @@ from pydantic import Field
 
 from closedloop.control.law import ControlLaw
 from closedloop.control.law_input import LawInput
+from closedloop.sections import Nothing
 
 Array = NDArray[np.float64]
 
@@ -19,9 +20,9 @@ class NoLaw(ControlLaw):
 
     states: ClassVar[tuple[str, ...]] = ()
 
-    force: Literal[0.0] = Field(0.0, description="left out: nothing presses")
-    force_feedback: Literal[0.0] = Field(0.0, description="left out: nothing is controlled")
-    force_integral: Literal[0.0] = Field(0.0, description="left out: nothing is controlled")
+    force: Nothing = Field(0.0, description="left out: nothing presses")
+    force_feedback: Nothing = Field(0.0, description="left out: nothing is controlled")
+    force_integral: Nothing = Field(0.0, description="left out: nothing is controlled")
 
     @staticmethod
     def torque(x: LawInput, par: Any, z: Any, torque: Array) -> None:

@@ -8,6 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 from pydantic import Field
 
+from closedloop.sections import Nothing
 from closedloop.surface.surface import Surface
 
 Array = NDArray[np.float64]
@@ -18,7 +19,7 @@ class NoSurface(Surface):
 
     distance: ClassVar[float] = 1e9  # in place of a gap in the loop, m: no body comes so far, and no sum overflows
 
-    gap: Literal[0.0] = Field(0.0, description="left out: there is nothing below the tip")
+    gap: Nothing = Field(0.0, description="left out: there is nothing below the tip")
     extent: None = Field(None, description="left out: there is no edge")
     edge_radius: None = Field(None, description="left out: there is no edge")
     contact: Literal["unilateral"] = Field("unilateral", description="unilateral: nothing holds the tip")

@@ -124,6 +124,7 @@ class Problem(ScenarioNumbers):
         if loop.state.contacts_at != 0:
             links = loop.w.kept["contacts"].links
             entries += [contacts_in_step, *(links.kept["surfaces"].entries() if links.surfaces != 0 else [])]
+            entries += links.kept["compliances"].entries() if links.compliances != 0 else []
         return entries
 
     def connect(self, loop: Loop, user_law: Callable[[bool], None] | None = None, compiled: bool = True) -> None:
@@ -165,6 +166,8 @@ class Problem(ScenarioNumbers):
             links = loop.w.kept["contacts"].links
             if links.surfaces != 0:
                 links.kept["surfaces"].connect(address)
+            if links.compliances != 0:
+                links.kept["compliances"].connect(address)
         if loop.state.surface_motion != 0:
             loop.w.kept["surface"].links.motion = loop.state.surface_motion
         if user_law is not None:

@@ -9,6 +9,7 @@ from pydantic import BeforeValidator, Field
 from closedloop.families import OneOf
 from closedloop.impact.restitution import RESTITUTIONS
 from closedloop.sections import COEFFICIENT, Coordinate, Direction, NotNegative, Positive, Restitution, Section, Size
+from closedloop.surface.compliance import COMPLIANCES, Compliance
 from closedloop.surface.motion import MOTIONS, SurfaceMotion
 from closedloop.surface.surface import SURFACES, Surface
 
@@ -59,6 +60,9 @@ class ContactSection(Section):
     )
     motion: Annotated[SurfaceMotion, MOTIONS] | None = Field(
         None, description="how it moves in the frame against, as [surface_motion] says it; not at all if left out"
+    )
+    compliance: Annotated[Compliance, COMPLIANCES] | None = Field(
+        None, description="how it gives way, as [compliance] says it; not at all if left out"
     )
     friction: Annotated[NotNegative, COEFFICIENT] = Field(0.0, description="Coulomb's coefficient of friction μ, 1")
     restitution: Restitution = Field(

@@ -14,6 +14,7 @@ from closedloop.closure.solve import NO_NORMAL, OK, forward_substitute
 from closedloop.contacts.given_modes import mobility_of
 from closedloop.contacts.memory import LINE, OFF, ContactLinks, Contacts
 from closedloop.contacts.modes import HOVERING
+from closedloop.contacts.soft import write_soft_forces
 from closedloop.jit.calls import call_at
 from closedloop.jit.kernel import kernel
 from closedloop.jit.pointers import integers_at, row_of, vector_at
@@ -66,6 +67,7 @@ def locate_contacts(links: ContactLinks, c: Contacts, w: Work, constants: Consta
         c.kind[0] = LINE
         for i in range(2):
             c.along[0, i], c.viscous[1 + i] = w.c[i], w.viscous[i]
+    write_soft_forces(links, c)
     return int(OK)
 
 

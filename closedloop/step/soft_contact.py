@@ -5,6 +5,7 @@ from __future__ import annotations
 from functools import cache
 
 from closedloop.closure.contact_force import STUCK, accelerate, baumgarte_acceleration, stuck_tangentially
+from closedloop.contacts.soft import AS_FORCE
 from closedloop.jit.calls import Entry, call_at
 from closedloop.jit.kernel import kernel
 from closedloop.parameters import parameter_block
@@ -15,8 +16,6 @@ from closedloop.step.tip_friction import turn_with_slip
 from closedloop.surface.compliance import Compliance
 from closedloop.user_code import function_of, member_entry
 
-# N/m by which a gap becomes a force, for the event function alone: its sign decides.
-AS_FORCE = 1e6
 # Gauss and Legendre's rule with eight points, on −1 to 1: half of the points, and their weights.
 POINTS = (0.1834346424956498, 0.5255324099163290, 0.7966664774136267, 0.9602898564975363)
 WEIGHTS = (0.3626837833783620, 0.3137066458778873, 0.2223810344533745, 0.1012285362903763)

@@ -32,7 +32,7 @@ from closedloop.command.current_folder import leave_out_current_folder, runs_a_c
 
 leave_out_current_folder(__file__)  # before anything else is imported
 if runs_a_command():
-    from closedloop.interrupts import leave_quietly
+    from closedloop.base.interrupts import leave_quietly
 
     leave_quietly()  # until the command catches what is raised
 
@@ -42,76 +42,76 @@ from typing import TYPE_CHECKING, Any  # noqa: E402
 
 if TYPE_CHECKING:
     from closedloop import figures as figures
-    from closedloop.batch.simulate_batch import simulate_batch as simulate_batch
-    from closedloop.closure.solve import solve_closure as solve_closure
-    from closedloop.columns.events import Event as Event
+    from closedloop.base.errors import ChatterError as ChatterError
+    from closedloop.base.errors import ClosedLoopError as ClosedLoopError
+    from closedloop.base.errors import ClusterError as ClusterError
+    from closedloop.base.errors import DivergenceError as DivergenceError
+    from closedloop.base.errors import InterruptedRunError as InterruptedRunError
+    from closedloop.base.errors import LawError as LawError
+    from closedloop.base.errors import ModelError as ModelError
+    from closedloop.base.errors import NoNormalError as NoNormalError
+    from closedloop.base.errors import OutputError as OutputError
+    from closedloop.base.errors import PainleveError as PainleveError
+    from closedloop.base.errors import RunFileError as RunFileError
+    from closedloop.base.errors import ScenarioError as ScenarioError
+    from closedloop.base.errors import SimulationError as SimulationError
+    from closedloop.base.errors import SingularClosureError as SingularClosureError
     from closedloop.control.law import ControlLaw as ControlLaw
     from closedloop.control.law_input import LawInput as LawInput
-    from closedloop.engines.problem import Problem as Problem
-    from closedloop.engines.user_law import Law as Law
-    from closedloop.errors import ChatterError as ChatterError
-    from closedloop.errors import ClosedLoopError as ClosedLoopError
-    from closedloop.errors import ClusterError as ClusterError
-    from closedloop.errors import DivergenceError as DivergenceError
-    from closedloop.errors import InterruptedRunError as InterruptedRunError
-    from closedloop.errors import LawError as LawError
-    from closedloop.errors import ModelError as ModelError
-    from closedloop.errors import NoNormalError as NoNormalError
-    from closedloop.errors import OutputError as OutputError
-    from closedloop.errors import PainleveError as PainleveError
-    from closedloop.errors import RunFileError as RunFileError
-    from closedloop.errors import ScenarioError as ScenarioError
-    from closedloop.errors import SimulationError as SimulationError
-    from closedloop.errors import SingularClosureError as SingularClosureError
     from closedloop.lab.start import lab as lab
+    from closedloop.mechanics.closure.solve import solve_closure as solve_closure
+    from closedloop.mechanics.robot.pinocchio import Robot as Robot
+    from closedloop.mechanics.robot.pinocchio import Terms as Terms
+    from closedloop.mechanics.surface.compliance import Compliance as Compliance
+    from closedloop.mechanics.surface.motion import SurfaceMotion as SurfaceMotion
+    from closedloop.mechanics.surface.plane import Plane as Plane
+    from closedloop.mechanics.surface.surface import Surface as Surface
+    from closedloop.record.columns.events import Event as Event
     from closedloop.record.load import load_run as load_run
     from closedloop.record.run import Run as Run
-    from closedloop.robot.pinocchio import Robot as Robot
-    from closedloop.robot.pinocchio import Terms as Terms
     from closedloop.scenario.file import shipped_scenarios as shipped_scenarios
     from closedloop.scenario.load import load_scenario as load_scenario
     from closedloop.scenario.scenario import Scenario as Scenario
+    from closedloop.simulation.batch.simulate_batch import simulate_batch as simulate_batch
+    from closedloop.simulation.engines.problem import Problem as Problem
+    from closedloop.simulation.engines.user_law import Law as Law
     from closedloop.simulation.halve import halve as halve
     from closedloop.simulation.prepare import prepare as prepare
     from closedloop.simulation.simulate import simulate as simulate
     from closedloop.simulation.simulator import Simulator as Simulator
     from closedloop.simulation.state import StepState as StepState
-    from closedloop.surface.compliance import Compliance as Compliance
-    from closedloop.surface.motion import SurfaceMotion as SurfaceMotion
-    from closedloop.surface.plane import Plane as Plane
-    from closedloop.surface.surface import Surface as Surface
-    from closedloop.sweep import sweep_plot as sweep_plot
+    from closedloop.studies.sweep import sweep_plot as sweep_plot
 
 _HOME = {
-    "ChatterError": "errors",
-    "ClosedLoopError": "errors",
-    "ClusterError": "errors",
-    "Compliance": "surface.compliance",
+    "ChatterError": "base.errors",
+    "ClosedLoopError": "base.errors",
+    "ClusterError": "base.errors",
+    "Compliance": "mechanics.surface.compliance",
     "ControlLaw": "control.law",
-    "DivergenceError": "errors",
-    "Event": "columns.events",
-    "InterruptedRunError": "errors",
-    "Law": "engines.user_law",
-    "LawError": "errors",
+    "DivergenceError": "base.errors",
+    "Event": "record.columns.events",
+    "InterruptedRunError": "base.errors",
+    "Law": "simulation.engines.user_law",
+    "LawError": "base.errors",
     "LawInput": "control.law_input",
-    "ModelError": "errors",
-    "NoNormalError": "errors",
-    "OutputError": "errors",
-    "PainleveError": "errors",
-    "Plane": "surface.plane",
-    "Problem": "engines.problem",
-    "Robot": "robot.pinocchio",
+    "ModelError": "base.errors",
+    "NoNormalError": "base.errors",
+    "OutputError": "base.errors",
+    "PainleveError": "base.errors",
+    "Plane": "mechanics.surface.plane",
+    "Problem": "simulation.engines.problem",
+    "Robot": "mechanics.robot.pinocchio",
     "Run": "record.run",
-    "RunFileError": "errors",
+    "RunFileError": "base.errors",
     "Scenario": "scenario.scenario",
-    "ScenarioError": "errors",
-    "SimulationError": "errors",
+    "ScenarioError": "base.errors",
+    "SimulationError": "base.errors",
     "Simulator": "simulation.simulator",
-    "SingularClosureError": "errors",
-    "Surface": "surface.surface",
-    "SurfaceMotion": "surface.motion",
+    "SingularClosureError": "base.errors",
+    "Surface": "mechanics.surface.surface",
+    "SurfaceMotion": "mechanics.surface.motion",
     "StepState": "simulation.state",
-    "Terms": "robot.pinocchio",
+    "Terms": "mechanics.robot.pinocchio",
     "figures": "figures",
     "halve": "simulation.halve",
     "lab": "lab.start",
@@ -120,9 +120,9 @@ _HOME = {
     "prepare": "simulation.prepare",
     "shipped_scenarios": "scenario.file",
     "simulate": "simulation.simulate",
-    "simulate_batch": "batch.simulate_batch",
-    "solve_closure": "closure.solve",
-    "sweep_plot": "sweep",
+    "simulate_batch": "simulation.batch.simulate_batch",
+    "solve_closure": "mechanics.closure.solve",
+    "sweep_plot": "studies.sweep",
 }
 
 _NAMES = sorted(_HOME)

@@ -64,8 +64,8 @@ def _refuse(words: list[str], line: str = "") -> int:
     """Refuse a command line with one line: what is wrong, and what would be right."""
     from difflib import get_close_matches
 
+    from closedloop.base.errors import ScenarioError
     from closedloop.command.border import run_command
-    from closedloop.errors import ScenarioError
     from closedloop.scenario.file import shipped_scenarios
 
     if not words:

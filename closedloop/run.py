@@ -16,24 +16,24 @@ from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from closedloop.command.border import DONE, NOT_CONTROLLED, NOT_GOOD, Parser, run_command
-from closedloop.command.cautions import warn_of_gains, warn_of_no_surface, warn_of_other_texts
-from closedloop.command.help import list_of_sections, scenario_parser
-from closedloop.command.job import Job, halved, simulated, without_stabiliser
-from closedloop.command.lists import list_of_scenarios, versions
-from closedloop.command.user_module import import_law
-from closedloop.errors import (
+from closedloop.base.errors import (
     ClosedLoopError,
     InterruptedRunError,
     OutputError,
     ScenarioError,
     lines_of,
 )
-from closedloop.interrupts import Terminated, word_for
+from closedloop.base.interrupts import Terminated, word_for
+from closedloop.command.border import DONE, NOT_CONTROLLED, NOT_GOOD, Parser, run_command
+from closedloop.command.cautions import warn_of_gains, warn_of_no_surface, warn_of_other_texts
+from closedloop.command.help import list_of_sections, scenario_parser
+from closedloop.command.job import Job, halved, simulated, without_stabiliser
+from closedloop.command.lists import list_of_scenarios, versions
 from closedloop.scenario.load import load_scenario, parse_scenario
 from closedloop.scenario.members import member_digests
 from closedloop.scenario.overrides import split_overrides
 from closedloop.scenario.scenario import Scenario
+from closedloop.scenario.user_module import import_law
 
 if TYPE_CHECKING:
     from closedloop.command.results import Results
@@ -48,7 +48,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
 def _main(arguments: list[str]) -> int:
     overrides, rest = split_overrides(arguments)
     if any(isinstance(value, str) and ":" in value for value in overrides.values()):
-        from closedloop.command.user_module import name_members
+        from closedloop.scenario.user_module import name_members
 
         name_members(overrides.items())
     options = _parser().parse_args(rest)
@@ -96,7 +96,7 @@ def _run_into(results: Results, job: Job, options: Namespace) -> int:
         if results.not_first:  # standard output is for the summary
             print(f"closedloop: wrote {job.folder}{os.sep}; {results.not_first}", file=sys.stderr)
     else:
-        from closedloop.report import print_report
+        from closedloop.record.report import print_report
 
         print_report(run)
         names = ", ".join(path.name for path in paths) + (results.not_first and f"; {results.not_first}")
@@ -121,7 +121,7 @@ def _job(options: Namespace, overrides: dict[str, Any]) -> Job:
             "add --law MODULE:FUNCTION"
         )
 
-    from closedloop.engines.law_source import law_digest
+    from closedloop.simulation.engines.law_source import law_digest
     from closedloop.simulation.prepare import load_model
     from closedloop.simulation.simulate import check_engine
 

@@ -14,11 +14,11 @@ from types import ModuleType
 from unittest.mock import patch
 
 import closedloop
-from closedloop.columns.derived import DERIVED
-from closedloop.columns.recorded import ALL_COLUMNS, ARM_COLUMNS, COLUMNS, CONTACT_COLUMNS
 from closedloop.command.table import COMMANDS, imported, overview
-from closedloop.events.table import EVENT_COLUMNS
-from closedloop.report.verdict import names_of
+from closedloop.loop.events.table import EVENT_COLUMNS
+from closedloop.record.columns.derived import DERIVED
+from closedloop.record.columns.recorded import ALL_COLUMNS, ARM_COLUMNS, COLUMNS, CONTACT_COLUMNS
+from closedloop.record.report.verdict import names_of
 from closedloop.scenario import describe
 from closedloop.scenario.tables import table_type
 
@@ -198,7 +198,7 @@ def directive(name: str) -> Iterator[str]:
     """Return the directive of a public name."""
     thing = getattr(closedloop, name)
     if name == "Law":  # a type: its text stands below it in its module
-        yield from (".. autodata:: closedloop.engines.user_law.Law", "   :no-value:")
+        yield from (".. autodata:: closedloop.simulation.engines.user_law.Law", "   :no-value:")
     elif name == "lab":  # a package that can be called, as this function
         yield ".. autofunction:: closedloop.lab.start.lab"
     elif isinstance(thing, ModuleType):

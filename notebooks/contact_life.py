@@ -35,7 +35,7 @@ import numpy as np
 
 import closedloop as cl
 from closedloop.figures import STYLE, closure_error, contact_force, impacts
-from closedloop.report import print_report
+from closedloop.record.report import print_report
 
 plt.rcParams.update(STYLE)
 plt.rcParams["figure.dpi"] = 100

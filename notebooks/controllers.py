@@ -25,7 +25,7 @@ import closedloop as cl
 from closedloop.figures import STYLE
 from closedloop.figures.friction_laws import draw
 from closedloop.scenario.load import load_scenario
-from closedloop.study import controllers as study
+from closedloop.studies.study import controllers as study
 
 plt.rcParams.update(STYLE)
 plt.rcParams["figure.dpi"] = 110
@@ -128,9 +128,9 @@ print(f"  together                     {-sum(parts.values()) / mobility:+.4f} N"
 # %% [markdown]
 # ## Every controller, every friction
 #
-# A part of `python -m closedloop.study controllers`, which has seventeen controllers. RMS and peak are taken from 1.5 s
-# on, when the tip has broken away, until the force rises at 7 s; settling is how long after that the force is last off
-# by 0.05 N, of which the rise itself takes 0.05 s.
+# A part of `python -m closedloop.studies.study controllers`, which has seventeen controllers. RMS and peak are taken
+# from 1.5 s on, when the tip has broken away, until the force rises at 7 s; settling is how long after that the force
+# is last off by 0.05 N, of which the rise itself takes 0.05 s.
 
 # %%
 picked = ("paper", "paper + integral", "hybrid", "operational space", "impedance", "admittance",

@@ -19,10 +19,10 @@
 # %matplotlib inline
 import matplotlib.pyplot as plt
 
-from closedloop.closure.baumgarte import recommended_ratio, spectral_radius
 from closedloop.figures import STYLE
-from closedloop.study.drift import measure, print_tables
-from closedloop.study.drift_figures import power_laws, stability_map
+from closedloop.mechanics.closure.baumgarte import recommended_ratio, spectral_radius
+from closedloop.studies.study.drift import measure, print_tables
+from closedloop.studies.study.drift_figures import power_laws, stability_map
 
 plt.rcParams.update(STYLE)
 plt.rcParams["figure.dpi"] = 120

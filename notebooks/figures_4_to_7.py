@@ -34,7 +34,7 @@ import numpy as np
 
 import closedloop as cl
 from closedloop.figures import STYLE, closure_error, contact_force, tip_position
-from closedloop.report import energy_balance, print_report
+from closedloop.record.report import energy_balance, print_report
 
 plt.rcParams.update(STYLE)
 plt.rcParams["figure.dpi"] = 120

@@ -1,6 +1,6 @@
 """Faults planted in a module, one at a time: which of them do its tests see?
 
-    python -m tests.mutate --module closedloop.closure.contact_force --limit 40 --seed 0
+    python -m tests.mutate --module closedloop.mechanics.closure.contact_force --limit 40 --seed 0
 
 A mutant is the module with one small change: + for −, < for ≤, a constant of the other sign, `and` for `or`, a term
 left out, min for max, an index off by one, a statement left out. Each is put into a copy of the tree, and the tests

@@ -17,7 +17,7 @@ LAYERS = (
     "batch", "command", "sweep", "lab", "export", "study", "run", "__main__", "__init__",
 )  # fmt: skip
 # Modules that import by name what users named, and their own files.
-NEVER_UPWARDS = {"closedloop.families.family", "closedloop.friction"}
+NEVER_UPWARDS = {"closedloop.base.families.family", "closedloop.mechanics.friction"}
 
 
 def modules(package):

@@ -13,10 +13,10 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from closedloop.closure.solve import OK
-from closedloop.contacts.impact import apply_impulses
-from closedloop.contacts.memory import ContactMemory, make_contact_memory
 from closedloop.jit.interpreted import interpreted
+from closedloop.mechanics.closure.solve import OK
+from closedloop.mechanics.contacts.impact import apply_impulses
+from closedloop.mechanics.contacts.memory import ContactMemory, make_contact_memory
 from validation.plant import Catch, catch_of
 
 Array = NDArray[np.float64]

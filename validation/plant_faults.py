@@ -9,7 +9,7 @@ from typing import Any
 
 import numpy as np
 
-from closedloop.robot.tree import Tree
+from closedloop.mechanics.robot.tree import Tree
 from validation.engines import Engine
 from validation.oracle import Oracle
 from validation.oracle.spatial import Array
@@ -30,8 +30,8 @@ class Fault:
         Engine, and an oracle of the sound robot to borrow from -> methods to put in place of the engine's own; empty if
         it does not compute what the fault touches.
     tree : callable or None
-        `closedloop.robot.tree.Tree` -> the faulty one, or None if it cannot carry the fault: for the engine that has
-        one.
+        `closedloop.mechanics.robot.tree.Tree` -> the faulty one, or None if it cannot carry the fault: for the engine
+        that has one.
     """
 
     name: str

@@ -1,5 +1,5 @@
-"""Faults in the arrays of the compiled engine: what `closedloop.robot.tree.tree_of` made of the robot, made a little
-wrong.
+"""Faults in the arrays of the compiled engine: what `closedloop.mechanics.robot.tree.tree_of` made of the robot, made a
+little wrong.
 
 A robot's text read wrongly is planted in every engine (`validation.plant`); these are faults of the compiled engine's
 own: one constant of one joint, the tip, gravity, the links' order.
@@ -11,8 +11,8 @@ from collections.abc import Callable
 
 import numpy as np
 
-from closedloop.robot.tree import Tree
-from closedloop.robot.tree import layout as at
+from closedloop.mechanics.robot.tree import Tree
+from closedloop.mechanics.robot.tree import layout as at
 
 PART = 1e-6
 

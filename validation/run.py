@@ -14,9 +14,9 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
+from closedloop.base.errors import OutputError
+from closedloop.base.files import write_whole
 from closedloop.command.border import Parser, run_command
-from closedloop.errors import OutputError
-from closedloop.files import write_whole
 from robot_models import ClosedLoopError, ModelError
 
 PASSED, FAILED, BAD_INPUT = 0, 1, 2
@@ -124,7 +124,7 @@ def _plant(options: argparse.Namespace) -> Any:
 
 def _engine(name: str) -> Any:
     """Import a user's engine class, which must be asked for by name on the command line."""
-    from closedloop.command.user_module import importing
+    from closedloop.scenario.user_module import importing
     from validation.engines import Engine
 
     wanted = "MODULE:CLASS of a subclass of validation.engines.Engine"

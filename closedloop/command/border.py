@@ -18,9 +18,9 @@ from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager, suppress
 from typing import NoReturn
 
+from closedloop.base.errors import ClosedLoopError, ClusterError, ScenarioError, SimulationError, lines_of, one_line
+from closedloop.base.interrupts import INTERRUPTED, as_exceptions, exit_status, terminable, word_for
 from closedloop.command.streams import patient_output
-from closedloop.errors import ClosedLoopError, ClusterError, ScenarioError, SimulationError, lines_of, one_line
-from closedloop.interrupts import INTERRUPTED, as_exceptions, exit_status, terminable, word_for
 from closedloop.jit.numba_settings import sound_settings, why_no_settings
 from closedloop.jit.openmp_settings import readable_openmp
 

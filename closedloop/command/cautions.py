@@ -5,7 +5,7 @@ from __future__ import annotations
 import sys
 from typing import TYPE_CHECKING, Any
 
-from closedloop.errors import ScenarioError, one_line
+from closedloop.base.errors import ScenarioError, one_line
 from closedloop.scenario.scenario import Scenario
 
 if TYPE_CHECKING:

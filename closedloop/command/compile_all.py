@@ -11,11 +11,11 @@ from concurrent.futures import FIRST_COMPLETED, Future, ProcessPoolExecutor, wai
 from concurrent.futures.process import BrokenProcessPool
 from multiprocessing import active_children, get_context
 
+from closedloop.base.errors import ScenarioError
+from closedloop.base.second_process import cores
 from closedloop.command.border import DONE, Parser, run_command
 from closedloop.command.pieces import Piece, pieces
-from closedloop.errors import ScenarioError
 from closedloop.jit.background import notices, seconds_of
-from closedloop.second_process import cores
 
 MOST_WORKERS = 8  # more would wait for what is compiled one after the other
 

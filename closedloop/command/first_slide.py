@@ -13,12 +13,12 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from closedloop.errors import InterruptedRunError, ScenarioError, SimulationError, faults_on_one_line
-from closedloop.robot.pinocchio import Robot
+from closedloop.base.errors import InterruptedRunError, ScenarioError, SimulationError, faults_on_one_line
+from closedloop.mechanics.robot.pinocchio import Robot
+from closedloop.mechanics.surface.plane import contact_frame
 from closedloop.scenario.gains import gains_fault
 from closedloop.scenario.load import scenario_of
 from closedloop.scenario.scenario import Scenario
-from closedloop.surface.plane import contact_frame
 
 Array = NDArray[np.float64]
 

@@ -8,8 +8,8 @@ import textwrap
 from collections.abc import Sequence
 from typing import Any, NoReturn
 
+from closedloop.base.errors import ScenarioError
 from closedloop.command.border import Parser
-from closedloop.errors import ScenarioError
 
 # Column at which an option's meaning begins, so that most take one line.
 COLUMN = 26

@@ -8,10 +8,10 @@ from contextlib import contextmanager, redirect_stdout
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, NamedTuple
 
-from closedloop.errors import InterruptedRunError, SimulationError
+from closedloop.base.errors import InterruptedRunError, SimulationError
+from closedloop.base.second_process import Beside
 from closedloop.scenario.load import parse_scenario
 from closedloop.scenario.scenario import Scenario
-from closedloop.second_process import Beside
 
 if TYPE_CHECKING:
     from closedloop.record.run import Run
@@ -36,7 +36,7 @@ class Job(NamedTuple):
 
 def simulated(job: Job, progress: bool) -> tuple[Run, SimulationError | None]:
     """Return the run, or what there is of one that could not go on, and why it could not."""
-    from closedloop.engines.law_source import fresh
+    from closedloop.simulation.engines.law_source import fresh
     from closedloop.simulation.simulate import simulate
 
     asked = {"model": job.model, "progress": progress, "engine": job.engine}
@@ -71,10 +71,10 @@ def without_stabiliser(job: Job, wanted: bool) -> Iterator[Callable[[], Any] | N
     if not wanted or job.scenario.stabiliser.kind == "none":
         yield None
         return
-    from closedloop.engines.loops import loop_for
     from closedloop.figures import closure_error, images_of, is_papers
     from closedloop.jit import background
     from closedloop.jit.interim import at_hand
+    from closedloop.simulation.engines.loops import loop_for
 
     if not is_papers(job.scenario.name):
         yield None

@@ -7,12 +7,12 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+from closedloop.base.errors import OutputError, ScenarioError, one_line
+from closedloop.base.files import write_whole
 from closedloop.command.border import DONE, Parser, run_command
-from closedloop.errors import OutputError, ScenarioError, one_line
-from closedloop.files import write_whole
 
 if TYPE_CHECKING:
-    from closedloop.robot.pinocchio import Robot
+    from closedloop.mechanics.robot.pinocchio import Robot
     from closedloop.scenario.scenario import Scenario
 
 
@@ -29,7 +29,7 @@ def _main(words: list[str]) -> int:
         raise ScenarioError(f"--force {options.force:g}: must be greater than 0 and at most {MOST_FORCE:g} N")
     import robot_models
     from closedloop.command.first_slide import first_slide
-    from closedloop.robot.pinocchio import Robot
+    from closedloop.mechanics.robot.pinocchio import Robot
     from closedloop.scenario.load import parse_scenario
 
     robot = Robot(robot_models.load(options.robot), options.tip)

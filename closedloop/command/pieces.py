@@ -11,8 +11,8 @@ from functools import partial
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 if TYPE_CHECKING:
-    from closedloop.engines.problem import Problem
-    from closedloop.families import Family
+    from closedloop.base.families import Family
+    from closedloop.simulation.engines.problem import Problem
 
 
 class Piece(NamedTuple):
@@ -36,7 +36,7 @@ class Piece(NamedTuple):
 
 def pieces() -> tuple[Piece, ...]:
     """Return everything that ships, in the order of how many runs need it."""
-    from closedloop.engines.loops import COMPILED, PINOCCHIO
+    from closedloop.simulation.engines.loops import COMPILED, PINOCCHIO
 
     return (
         Piece("walk", "inverse kinematics of a path", _problem),
@@ -65,7 +65,7 @@ def pieces() -> tuple[Piece, ...]:
 def _contacts() -> None:
     """Compile the contacts of the links."""
     from closedloop.jit.calls import entry_address
-    from closedloop.step.contacts import contacts_in_step
+    from closedloop.loop.step.contacts import contacts_in_step
 
     entry_address(contacts_in_step)
 
@@ -76,12 +76,12 @@ def _loops(kernel: str) -> None:
 
     import robot_models
     from closedloop.jit.calls import entry_address
-    from closedloop.loops.along_path import along_path
-    from closedloop.loops.bind import loop_memory
-    from closedloop.loops.close import closed_to
-    from closedloop.loops.reactions import rows_along
-    from closedloop.robot.pinocchio import Robot
-    from closedloop.step.closed_loops import closed_loops
+    from closedloop.loop.step.closed_loops import closed_loops
+    from closedloop.mechanics.loops.along_path import along_path
+    from closedloop.mechanics.loops.bind import loop_memory
+    from closedloop.mechanics.loops.close import closed_to
+    from closedloop.mechanics.loops.reactions import rows_along
+    from closedloop.mechanics.robot.pinocchio import Robot
 
     if kernel in ("closed_loops", "along_path"):
         entry_address(closed_loops if kernel == "closed_loops" else along_path)
@@ -98,17 +98,17 @@ def _loops(kernel: str) -> None:
 
 def _laws() -> Iterable[Piece]:
     from closedloop.control.law import COMPENSATIONS, LAWS
-    from closedloop.friction.law import JOINT_LAWS, SURFACE_LAWS
-    from closedloop.friction.laws.none import NoFriction
     from closedloop.jit.calls import entry_address
-    from closedloop.step.entries import friction_entry, joint_friction_entry, law_entry
-    from closedloop.step.soft_contact import compliance_entry
-    from closedloop.surface.compliance import COMPLIANCES
-    from closedloop.surface.compliances.none import Rigid
-    from closedloop.surface.contact import motion_entry, surface_entry
-    from closedloop.surface.motion import MOTIONS
-    from closedloop.surface.motions.none import NoMotion
-    from closedloop.surface.surface import SURFACES
+    from closedloop.loop.step.entries import friction_entry, joint_friction_entry, law_entry
+    from closedloop.loop.step.soft_contact import compliance_entry
+    from closedloop.mechanics.friction.law import JOINT_LAWS, SURFACE_LAWS
+    from closedloop.mechanics.friction.laws.none import NoFriction
+    from closedloop.mechanics.surface.compliance import COMPLIANCES
+    from closedloop.mechanics.surface.compliances.none import Rigid
+    from closedloop.mechanics.surface.contact import motion_entry, surface_entry
+    from closedloop.mechanics.surface.motion import MOTIONS
+    from closedloop.mechanics.surface.motions.none import NoMotion
+    from closedloop.mechanics.surface.surface import SURFACES
 
     families: tuple[tuple[Family[Any], Callable[[Any], Any], str], ...] = (
         (LAWS, law_entry, "law"),
@@ -153,8 +153,8 @@ def _run(engine: str, integrator: str = "semi_implicit_euler") -> None:
 
 
 def _impacts() -> None:
-    from closedloop.events.impacts import collide
     from closedloop.jit.kernel import direct
+    from closedloop.loop.events.impacts import collide
 
     direct(collide, _problem().loop().address)
 
@@ -162,7 +162,7 @@ def _impacts() -> None:
 def _energies() -> None:
     import numpy as np
 
-    from closedloop.robot.tree import potential_energies, work_size
+    from closedloop.mechanics.robot.tree import potential_energies, work_size
     from closedloop.scenario.load import load_scenario
     from closedloop.simulation.prepare import prepare
 
@@ -175,9 +175,9 @@ def _path(kernel: str) -> None:
     import numpy as np
 
     from closedloop.jit.calls import entry_address
-    from closedloop.surface.contact import make_memory, normals_on_surface, put_on_surface, surface_entry
-    from closedloop.surface.gradient import gradients_on_surface
-    from closedloop.surface.kinds.plane import PlaneSurface
+    from closedloop.mechanics.surface.contact import make_memory, normals_on_surface, put_on_surface, surface_entry
+    from closedloop.mechanics.surface.gradient import gradients_on_surface
+    from closedloop.mechanics.surface.kinds.plane import PlaneSurface
 
     memory = make_memory(np.zeros(0), np.zeros(0), 0, np.zeros(3), np.eye(3), (np.inf, np.inf))
     nothing = np.zeros((0, 3))
@@ -193,22 +193,22 @@ def _path(kernel: str) -> None:
 def _impact() -> None:
     import numpy as np
 
-    from closedloop.impact import two_phase_impact
+    from closedloop.mechanics.impact import two_phase_impact
 
     two_phase_impact(np.eye(3), np.array([-1.0, 0.0, 0.0]), 0.5, friction=0.1)
 
 
 def _measures() -> None:
-    from closedloop.batch.simulate_batch import simulate_batch
     from closedloop.scenario.load import load_scenario
+    from closedloop.simulation.batch.simulate_batch import simulate_batch
 
     simulate_batch(load_scenario("planar2_slide", {"time.duration": 0.002}), {"law.force": [10.0]}, workers=1)
 
 
 def _batch() -> None:
-    from closedloop.batch.simulate_batch import simulate_batch
-    from closedloop.engines.lanes import FEWEST
     from closedloop.scenario.load import load_scenario
+    from closedloop.simulation.batch.simulate_batch import simulate_batch
+    from closedloop.simulation.engines.lanes import FEWEST
 
     scenario = load_scenario("planar2_slide", {"time.duration": 0.002})
     simulate_batch(scenario, {"law.force": [10.0 + i for i in range(FEWEST)]}, workers=1)

@@ -13,9 +13,9 @@ import os
 from contextlib import suppress
 from pathlib import Path
 
-from closedloop.errors import ClosedLoopError, InterruptedRunError, OutputError, RunFileError
-from closedloop.files import FolderLock, probe_folder, reason_of, refuse_special, remove_unfinished, write_whole
-from closedloop.interrupts import held_back
+from closedloop.base.errors import ClosedLoopError, InterruptedRunError, OutputError, RunFileError
+from closedloop.base.files import FolderLock, probe_folder, reason_of, refuse_special, remove_unfinished, write_whole
+from closedloop.base.interrupts import held_back
 from closedloop.record.difference import difference
 from closedloop.record.run import Run
 from closedloop.record.sealed import read_sealed

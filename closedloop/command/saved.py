@@ -11,8 +11,8 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+from closedloop.base.errors import OutputError, RunFileError
 from closedloop.command.border import DONE, Parser, run_command
-from closedloop.errors import OutputError, RunFileError
 
 if TYPE_CHECKING:
     from closedloop.record.run import Run
@@ -36,7 +36,7 @@ def _show(words: list[str]) -> int:
     if options.json:
         print(json.dumps(run.summary(), indent=2, allow_nan=False))
     else:
-        from closedloop.report import print_report
+        from closedloop.record.report import print_report
 
         print_report(run)
     return DONE
@@ -75,7 +75,7 @@ def _load(path: str) -> Run:
 
 
 def _make(folder: Path) -> None:
-    from closedloop.files import probe_folder, reason_of
+    from closedloop.base.files import probe_folder, reason_of
 
     try:
         probe_folder(folder)

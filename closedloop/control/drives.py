@@ -18,10 +18,10 @@ import numpy as np
 from numpy.typing import NDArray
 from pydantic import BeforeValidator, Field
 
-from closedloop.errors import ScenarioError
+from closedloop.base.errors import ScenarioError
+from closedloop.base.sections import TORQUE, Gain, Section, Size, gain_of
 from closedloop.jit.kernel import kernel
-from closedloop.parameters import per_joint
-from closedloop.sections import TORQUE, Gain, Section, Size, gain_of
+from closedloop.jit.parameters import per_joint
 from robot_models import RobotModel
 
 Array = NDArray[np.float64]

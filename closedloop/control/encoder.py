@@ -19,11 +19,11 @@ import numpy as np
 from numpy.typing import NDArray
 from pydantic import AfterValidator, Field
 
+from closedloop.base.errors import ScenarioError
+from closedloop.base.sections import PERIOD, Gain, NotNegative, Section, Size, gains_not_negative
 from closedloop.control.sensor import Seed, quantised
-from closedloop.errors import ScenarioError
 from closedloop.jit.kernel import kernel
-from closedloop.parameters import parameter_block
-from closedloop.sections import PERIOD, Gain, NotNegative, Section, Size, gains_not_negative
+from closedloop.jit.parameters import parameter_block
 
 Array = NDArray[np.float64]
 

@@ -23,11 +23,11 @@ import numpy as np
 from numpy.typing import NDArray
 from pydantic import Field
 
+from closedloop.base.errors import ScenarioError
+from closedloop.base.families import Family, Parameters
+from closedloop.base.sections import FORCE, PERIOD, RATE, NotNegative, Number, gain_in
 from closedloop.control.law_input import LawInput
-from closedloop.errors import ScenarioError
-from closedloop.families import Family, Parameters
 from closedloop.jit.kernel import kernel
-from closedloop.sections import FORCE, PERIOD, RATE, NotNegative, Number, gain_in
 
 Array = NDArray[np.float64]
 

@@ -30,7 +30,7 @@ class LawInput(NamedTuple):
     C : (n,) array
         Bias torque (Coriolis, centrifugal, gravity), N m.
     L : (n, n) array
-        Lower Cholesky factor of H whose diagonal holds reciprocals, see `closedloop.closure.solve.cholesky`.
+        Lower Cholesky factor of H whose diagonal holds reciprocals, see `closedloop.mechanics.closure.solve.cholesky`.
     A : (3, n) array
         Tip Jacobian, contact frame: u = A q̇. Its first row is nᵀJᵣ.
     X : (3, n) array

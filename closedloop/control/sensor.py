@@ -13,11 +13,11 @@ import numpy as np
 from numpy.typing import NDArray
 from pydantic import BeforeValidator, Field
 
-from closedloop.errors import ScenarioError
+from closedloop.base.errors import ScenarioError
+from closedloop.base.sections import FORCE, PERIOD, NotNegative, Number, Section, Size, Unit
 from closedloop.jit.blocks import Block
 from closedloop.jit.kernel import kernel, plain
-from closedloop.parameters import pack, parameter_block
-from closedloop.sections import FORCE, PERIOD, NotNegative, Number, Section, Size, Unit
+from closedloop.jit.parameters import pack, parameter_block
 
 Array = NDArray[np.float64]
 

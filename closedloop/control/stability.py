@@ -18,10 +18,10 @@ from collections.abc import Callable
 import numpy as np
 from numpy.typing import NDArray
 
+from closedloop.base.errors import ScenarioError
 from closedloop.control.compensation.observer import ObserverCompensation
 from closedloop.control.law import Compensation, ControlLaw
 from closedloop.control.sensor import SensorSection, pack_sensor
-from closedloop.errors import ScenarioError
 
 Array = NDArray[np.float64]
 

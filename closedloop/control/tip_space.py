@@ -9,13 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 from pydantic import AfterValidator, Field
 
-from closedloop.closure.contact_force import IMMOBILE
-from closedloop.control.law import ControlLaw
-from closedloop.control.law_input import LawInput
-from closedloop.jit.blocks import Block, Count
-from closedloop.jit.kernel import kernel
-from closedloop.jit.pointers import matrix_of
-from closedloop.sections import (
+from closedloop.base.sections import (
     ACCELERATION_GAIN,
     RATE,
     SPEED,
@@ -25,6 +19,12 @@ from closedloop.sections import (
     Section,
     gains_not_negative,
 )
+from closedloop.control.law import ControlLaw
+from closedloop.control.law_input import LawInput
+from closedloop.jit.blocks import Block, Count
+from closedloop.jit.kernel import kernel
+from closedloop.jit.pointers import matrix_of
+from closedloop.mechanics.closure.contact_force import IMMOBILE
 
 Array = NDArray[np.float64]
 

@@ -19,11 +19,11 @@ import numpy as np
 from numpy.typing import NDArray
 from pydantic import Field
 
+from closedloop.base.errors import ScenarioError
+from closedloop.base.sections import Section, Size, stiffness_in, viscous_in
 from closedloop.control.drives import Limit
 from closedloop.control.encoder import EachJoint
-from closedloop.errors import ScenarioError
-from closedloop.parameters import per_joint
-from closedloop.sections import Section, Size, stiffness_in, viscous_in
+from closedloop.jit.parameters import per_joint
 from robot_models import RobotModel
 
 Array = NDArray[np.float64]

@@ -7,9 +7,9 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import NDArray
 
-from closedloop.closure.contact_force import FREE
 from closedloop.figures.dress import dress, explain_contact, mark_rounding, position_rounding
 from closedloop.figures.style import COLOURS, length_unit, new_figure
+from closedloop.mechanics.closure.contact_force import FREE
 from closedloop.record.run import Run
 
 if TYPE_CHECKING:

@@ -10,8 +10,8 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from closedloop.closure.contact_force import FREE, PRESSED, STUCK
-from closedloop.events.table import (
+from closedloop.figures.instants import intervals, marks, thinned
+from closedloop.loop.events.table import (
     EDGE,
     IMPACT,
     KINDS,
@@ -23,7 +23,7 @@ from closedloop.events.table import (
     STOP,
     TOUCHDOWN,
 )
-from closedloop.figures.instants import intervals, marks, thinned
+from closedloop.mechanics.closure.contact_force import FREE, PRESSED, STUCK
 from closedloop.record.run import Run
 
 if TYPE_CHECKING:

@@ -7,9 +7,9 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from closedloop.closure.contact_force import FREE
+from closedloop.mechanics.closure.contact_force import FREE
+from closedloop.mechanics.surface.plane import contact_frame, unit
 from closedloop.record.run import Run
-from closedloop.surface.plane import contact_frame, unit
 
 Array = NDArray[np.float64]
 

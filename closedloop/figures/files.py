@@ -7,6 +7,8 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, cast
 
+from closedloop.base.files import write_whole
+from closedloop.base.second_process import Beside
 from closedloop.figures.closure import closure_error
 from closedloop.figures.dress import tip_is_idle
 from closedloop.figures.force import contact_force
@@ -18,9 +20,7 @@ from closedloop.figures.overview import force_control
 from closedloop.figures.style import STYLE
 from closedloop.figures.tip import tip_position
 from closedloop.figures.tool import has_tool, tool
-from closedloop.files import write_whole
 from closedloop.record.run import Run
-from closedloop.second_process import Beside
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure

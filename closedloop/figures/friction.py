@@ -6,12 +6,12 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from closedloop.closure.contact_force import FREE
 from closedloop.figures.dress import dress, explain_contact, legend_beside_title
 from closedloop.figures.errors import directions, sideways
 from closedloop.figures.style import COLOURS, new_figure
-from closedloop.friction.contact import surface_contact
-from closedloop.friction.law import FrictionLaw
+from closedloop.mechanics.closure.contact_force import FREE
+from closedloop.mechanics.friction.contact import surface_contact
+from closedloop.mechanics.friction.law import FrictionLaw
 from closedloop.record.run import Run
 
 if TYPE_CHECKING:

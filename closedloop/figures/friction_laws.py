@@ -10,11 +10,11 @@ from typing import TYPE_CHECKING, Annotated, Any, cast
 import numpy as np
 from numpy.typing import NDArray
 
-from closedloop.files import write_whole
-from closedloop.friction.contact import Contact, joint_contacts, surface_contact
-from closedloop.friction.law import FrictionLaw, SurfaceFriction
-from closedloop.friction.laws.none import NoFriction
-from closedloop.sections import JOINT_SPEED_SCALE, PERIOD, SPEED_SCALE, Size, sizes
+from closedloop.base.files import write_whole
+from closedloop.base.sections import JOINT_SPEED_SCALE, PERIOD, SPEED_SCALE, Size, sizes
+from closedloop.mechanics.friction.contact import Contact, joint_contacts, surface_contact
+from closedloop.mechanics.friction.law import FrictionLaw, SurfaceFriction
+from closedloop.mechanics.friction.laws.none import NoFriction
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes

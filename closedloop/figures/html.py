@@ -9,8 +9,8 @@ from typing import Any
 import numpy as np
 
 from closedloop.figures.style import COLOURS
+from closedloop.record.report.control_verdict import unknown_text
 from closedloop.record.run import Run
-from closedloop.report.control_verdict import unknown_text
 
 # Of the picture: inches, dots for each, and points of the curve at most.
 SIZE, DOTS, MOST_POINTS = (3.4, 1.9), 90, 1000
@@ -18,7 +18,7 @@ SIZE, DOTS, MOST_POINTS = (3.4, 1.9), 90, 1000
 
 def html(run: Run) -> str:
     """Return a run as HTML: its verdict, its force as a picture, and how large every error was."""
-    from closedloop.report import report_rows
+    from closedloop.record.report import report_rows
 
     title = f"<b>{escape(repr(run).strip('<>'))}</b>"
     told = [(str(name), str(value), str(unit)) for name, value, unit, _ in report_rows(run)] if len(run) else []

@@ -8,9 +8,9 @@ from typing import TYPE_CHECKING, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from closedloop.events.table import IMPACT, TOUCHDOWN
 from closedloop.figures.dress import legend_beside_title
 from closedloop.figures.style import COLOURS, new_figure
+from closedloop.loop.events.table import IMPACT, TOUCHDOWN
 from closedloop.record.run import Run
 
 if TYPE_CHECKING:

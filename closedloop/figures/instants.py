@@ -7,11 +7,11 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from closedloop.events.table import IMPACT, REVERSAL
-from closedloop.families import Absent
+from closedloop.base.families import Absent
+from closedloop.control.reference.force import StepForceSection
+from closedloop.control.reference.path import path_normal, tip_path
+from closedloop.loop.events.table import IMPACT, REVERSAL
 from closedloop.record.run import Run
-from closedloop.reference.force import StepForceSection
-from closedloop.reference.path import path_normal, tip_path
 from closedloop.scenario.scenario import Scenario
 
 # The text of the one mark that is not of the motion.

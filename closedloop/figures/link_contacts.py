@@ -6,10 +6,10 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from closedloop.contacts.names import names_of
 from closedloop.figures.dress import dress, explain_contact
 from closedloop.figures.style import MANY, new_figure
 from closedloop.record.run import Run
+from closedloop.scenario.contact_names import names_of
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure

@@ -7,11 +7,11 @@ from typing import TYPE_CHECKING, Any, cast
 import numpy as np
 from numpy.typing import NDArray
 
-from closedloop.closure.contact_force import FREE
 from closedloop.figures.dress import dress, explain_contact, legend_beside_title, mark_rounding, position_rounding
 from closedloop.figures.errors import directions, force_error, frame_of, tip_errors
 from closedloop.figures.force import FLAT, draw_measured
 from closedloop.figures.style import COLOURS, STYLE, length_text, length_unit, new_figure
+from closedloop.mechanics.closure.contact_force import FREE
 from closedloop.record.run import Run
 
 if TYPE_CHECKING:

@@ -6,9 +6,9 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from closedloop.columns.derived import WRENCH
 from closedloop.figures.dress import dress, explain_contact, legend_beside_title
 from closedloop.figures.style import MANY, new_figure
+from closedloop.record.columns.derived import WRENCH
 from closedloop.record.run import Run
 
 if TYPE_CHECKING:

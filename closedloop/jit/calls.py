@@ -1,7 +1,7 @@
 """Functions called by address: how the loop, compiled once, calls the plug-ins that a scenario chooses.
 
 A plug-in is compiled separately, into an entry with two integer arguments: the address of the loop's memory
-(`closedloop.step.memory.loop_at`), and which of its functions to call. The loop reads the entry's address from its
+(`closedloop.loop.step.memory.loop_at`), and which of its functions to call. The loop reads the entry's address from its
 memory and calls it, at some 2 ns over an inlined call, and is not compiled again for another plug-in.
 
 In interpreted code an address is a number under which the Python function is registered.

@@ -11,7 +11,7 @@ import signal
 from collections.abc import Iterator
 from contextlib import contextmanager
 
-from closedloop.interrupts import answered_where_it_can_be, held_back
+from closedloop.base.interrupts import answered_where_it_can_be, held_back
 
 
 @contextmanager

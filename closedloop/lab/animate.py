@@ -13,10 +13,10 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
-from closedloop.errors import OutputError, ScenarioError
-from closedloop.files import write_whole
+from closedloop.base.errors import OutputError, ScenarioError
+from closedloop.base.files import write_whole
+from closedloop.figures.scene.scene import ARROWS, PATH, WANTED, Scene, scene_of
 from closedloop.lab.curves import main_panel, reduced
-from closedloop.lab.scene import ARROWS, PATH, WANTED, Scene, scene_of
 from closedloop.record.run import Run
 from robot_models import RobotModel
 

@@ -7,17 +7,17 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any
 
-from closedloop.engines.law_source import fresh
-from closedloop.engines.loops import COMPILED, PINOCCHIO, kernels_of
-from closedloop.errors import ClosedLoopError, ScenarioError, SimulationError, one_line
-from closedloop.integrators import ADAPTIVE
+from closedloop.base.errors import ClosedLoopError, ScenarioError, SimulationError, one_line
+from closedloop.figures.scene.joined import compile_rows
 from closedloop.jit.background import compiling_notice
 from closedloop.jit.kernel import needs_compiling
 from closedloop.lab.history import Changes, History
-from closedloop.lab.joined import compile_rows
+from closedloop.mechanics.integrators import ADAPTIVE
 from closedloop.record.run import Run
 from closedloop.scenario.scenario import Scenario
 from closedloop.simulation.as_run import as_run
+from closedloop.simulation.engines.law_source import fresh
+from closedloop.simulation.engines.loops import COMPILED, PINOCCHIO, kernels_of
 from closedloop.simulation.prepare import load_model, prepare
 from closedloop.simulation.simulate import check_engine, run_loop, simulate
 from robot_models import RobotModel

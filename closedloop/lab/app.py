@@ -15,7 +15,7 @@ import time as clock
 from collections.abc import Callable
 from typing import Any
 
-from closedloop.errors import ClosedLoopError
+from closedloop.base.errors import ClosedLoopError
 from closedloop.lab.answers import Answer, Answers
 from closedloop.lab.history import Changes, History
 from closedloop.lab.kinds import begin_values

@@ -13,13 +13,13 @@ from typing import Any, Literal, get_args, get_origin
 
 from pydantic.fields import FieldInfo
 
-from closedloop.families import Family, OneOf
+from closedloop.base.families import Family, OneOf
+from closedloop.base.sections import Section, field_units
 from closedloop.lab.spans import nearest_round, span
 from closedloop.scenario.messages import variants
 from closedloop.scenario.overrides import toml_value
 from closedloop.scenario.scenario import Scenario, families
 from closedloop.scenario.tables import names_in, table_type
-from closedloop.sections import Section, field_units
 from robot_models import RobotModel
 
 # The tabs of the lab, and the sections of the scenario in each.

@@ -12,15 +12,15 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from closedloop.closure.contact_force import FREE
-from closedloop.contacts.names import names_of
 from closedloop.figures.errors import tip_errors
 from closedloop.figures.friction import friction_levels
+from closedloop.figures.scene.ground import Ground
+from closedloop.figures.scene.joined import errors_in
 from closedloop.figures.style import length_unit
-from closedloop.lab.ground import Ground
-from closedloop.lab.joined import errors_in
-from closedloop.loops.wrench import parts_of
+from closedloop.mechanics.closure.contact_force import FREE
+from closedloop.mechanics.loops.wrench import parts_of
 from closedloop.record.run import Run
+from closedloop.scenario.contact_names import names_of
 
 Array = NDArray[np.float64]
 

@@ -12,7 +12,7 @@ import time as clock
 from collections.abc import Callable, Mapping
 from typing import Any
 
-from closedloop.errors import ScenarioError
+from closedloop.base.errors import ScenarioError
 from closedloop.lab.controls import toml_text
 from closedloop.scenario.load import load_scenario
 from closedloop.scenario.messages import variant_keys

@@ -4,8 +4,8 @@ from __future__ import annotations
 
 from pathlib import Path
 
-from closedloop.errors import OutputError, printable
-from closedloop.files import reason_of, write_whole
+from closedloop.base.errors import OutputError, printable
+from closedloop.base.files import reason_of, write_whole
 from closedloop.lab.share import share
 from closedloop.record.run import Run
 

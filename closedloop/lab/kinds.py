@@ -4,11 +4,11 @@ from __future__ import annotations
 
 from typing import Any, Literal, get_args, get_origin
 
+from closedloop.base.sections import field_units
 from closedloop.lab.spans import USUAL
+from closedloop.mechanics.surface.plane import contact_frame, unit
 from closedloop.scenario.messages import variants
 from closedloop.scenario.scenario import Scenario
-from closedloop.sections import field_units
-from closedloop.surface.plane import contact_frame, unit
 
 # By key; what the present kind has under the same name is kept instead.
 BEGIN: dict[str, Any] = {

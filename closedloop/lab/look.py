@@ -5,7 +5,7 @@ from __future__ import annotations
 import html
 from collections.abc import Sequence
 
-from closedloop.lab.scene import ARROWS, JOINTS, LOOP, PATH, TOUCH, WANTED
+from closedloop.figures.scene.scene import ARROWS, JOINTS, LOOP, PATH, TOUCH, WANTED
 from closedloop.scenario.scenario import Scenario
 
 # The label of a slider has its value and unit, and needs the place. The box beside a slider over decades would show the
@@ -28,7 +28,7 @@ KEYS = (
 GREYED = (
     "<style>.uplot{filter:grayscale(1) opacity(0.45)}canvas[data-engine]{filter:grayscale(0.9) opacity(0.55)}</style>"
 )
-# What the arrows and lines in space are, by the names of `closedloop.lab.scene`.
+# What the arrows and lines in space are, by the names of `closedloop.figures.scene.scene`.
 MEANINGS = {
     "contact force": "contact force on the tip",
     "friction": "friction on the tip",
@@ -65,8 +65,8 @@ def caption(
     """Return what stands below the picture in space: what is shown, what to do, what the colours mean, and the scale.
 
     `changed` says whether the scenario is another by now than its description was written for, and `kinds` are those of
-    the arrows, of `closedloop.lab.scene.ARROWS`. It is fixed to the window, beside a panel of so many px, since viser
-    has text in its panels only.
+    the arrows, of `closedloop.figures.scene.scene.ARROWS`. It is fixed to the window, beside a panel of so many px,
+    since viser has text in its panels only.
     """
     place = (
         f"position:fixed;left:14px;bottom:10px;max-width:calc(100vw - {panel_width + 40}px);font-size:0.85em;"

@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from closedloop.lab.mapping import Axis, Map
-from closedloop.report.measures import MEASURES
+from closedloop.record.report.measures import MEASURES
 
 Array = NDArray[np.float64]
 

@@ -13,10 +13,10 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from closedloop.batch.simulate_batch import simulate_batch
 from closedloop.lab.controls import Control
 from closedloop.lab.history import Changes, with_change
 from closedloop.scenario.scenario import Scenario
+from closedloop.simulation.batch.simulate_batch import simulate_batch
 from robot_models import RobotModel
 
 Array = NDArray[np.float64]
@@ -75,7 +75,7 @@ class Map:
     x, y : Axis
         Of two keys that differ, or of two entries of one list.
     quantity : str
-        A name of `closedloop.report.measures.MEASURES`.
+        A name of `closedloop.record.report.measures.MEASURES`.
     grid : (rows, columns) array
         The quantity, row by row along y; NaN where it is not known yet, or does not exist.
     reasons : dict

@@ -14,9 +14,9 @@ from typing import Any
 
 import numpy as np
 
+from closedloop.figures.scene.scene import ARROWS, scene_of
 from closedloop.lab.look import caption
 from closedloop.lab.playback import Playback
-from closedloop.lab.scene import ARROWS, scene_of
 from closedloop.lab.view_settings import ViewTab
 from closedloop.lab.view_space import Space
 from closedloop.record.run import Run

@@ -9,10 +9,10 @@ from typing import Any
 
 from closedloop.lab.controls import toml_text
 from closedloop.lab.history import Changes
+from closedloop.record.report.control_verdict import told
+from closedloop.record.report.measures import MEASURES
+from closedloop.record.report.verdict import names_of
 from closedloop.record.run import Run
-from closedloop.report.control_verdict import told
-from closedloop.report.measures import MEASURES
-from closedloop.report.verdict import names_of
 
 MOST_PINS = 4
 # Reddish purple, sky blue and orange of Okabe and Ito's palette, which the run itself does not have, and violet.

@@ -18,7 +18,7 @@ from http import HTTPStatus
 from typing import Any
 from urllib.parse import parse_qs, urlsplit
 
-from closedloop.errors import OutputError
+from closedloop.base.errors import OutputError
 
 FIRST_PORT, PORTS = 8080, 100  # how many are tried, one after the other
 

@@ -13,16 +13,16 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from closedloop.errors import ScenarioError
-from closedloop.files import write_whole
+from closedloop.base.errors import ScenarioError
+from closedloop.base.files import write_whole
+from closedloop.figures.scene.ground import thin_out
+from closedloop.figures.scene.scene import ARROWS, JOINTS, PATH, WANTED, Scene, quaternions, scene_of
+from closedloop.figures.scene.shapes import Shape
 from closedloop.lab.curves import panels, reduced
-from closedloop.lab.ground import thin_out
 from closedloop.lab.look import MEANINGS
-from closedloop.lab.scene import ARROWS, JOINTS, PATH, WANTED, Scene, quaternions, scene_of
-from closedloop.lab.shapes import Shape
+from closedloop.record.report.control_verdict import told
+from closedloop.record.report.verdict import names_of
 from closedloop.record.run import Run
-from closedloop.report.control_verdict import told
-from closedloop.report.verdict import names_of
 
 # Frames of the replay at most, points of a path, and parts of the time of which a curve shows the extremes.
 MOST_FRAMES, MOST_POINTS, CELLS = 500, 600, 400

@@ -11,8 +11,8 @@ import annotated_types
 import numpy as np
 from pydantic.fields import FieldInfo
 
+from closedloop.base.sections import field_units, sizes
 from closedloop.scenario.scenario import Scenario
-from closedloop.sections import field_units, sizes
 from robot_models import RobotModel
 
 # How far a slider reaches from zero where the scenario has zero, by unit.

@@ -10,9 +10,9 @@ from importlib.util import find_spec
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from closedloop.base.errors import ScenarioError
+from closedloop.base.files import write_whole
 from closedloop.control.law import ControlLaw
-from closedloop.errors import ScenarioError
-from closedloop.files import write_whole
 from closedloop.lab.history import History, in_words
 from closedloop.record.run import Run
 from closedloop.scenario.load import load_scenario

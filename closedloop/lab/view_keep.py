@@ -7,7 +7,7 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
-from closedloop.errors import ClosedLoopError, one_line
+from closedloop.base.errors import ClosedLoopError, one_line
 from closedloop.lab.answers import Answer
 from closedloop.lab.for_tabs import LabForTabs
 from closedloop.lab.history import IN_A_FILE

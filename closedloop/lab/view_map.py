@@ -10,7 +10,7 @@ import threading
 import time as clock
 from typing import Any
 
-from closedloop.errors import ClosedLoopError, one_line
+from closedloop.base.errors import ClosedLoopError, one_line
 from closedloop.lab.controls import TABS, Control, controls
 from closedloop.lab.for_tabs import LabForTabs
 from closedloop.lab.history import Changes
@@ -18,7 +18,7 @@ from closedloop.lab.look import MAP, paragraph
 from closedloop.lab.map_picture import MapPicture, Picture
 from closedloop.lab.mapping import Axis, Map
 from closedloop.lab.newest import Newest
-from closedloop.report.measures import MEASURES
+from closedloop.record.report.measures import MEASURES
 
 USUAL = "peak_contact_force"
 # The map is drawn again after so long at the earliest while it fills in, s: to draw it takes time from the runs.

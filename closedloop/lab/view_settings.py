@@ -6,8 +6,8 @@ import math
 from collections.abc import Callable
 from typing import Any
 
+from closedloop.figures.scene.scene import ARROWS, JOINTS, LOOP, TOUCH, Scene
 from closedloop.lab.look import MEANINGS
-from closedloop.lab.scene import ARROWS, JOINTS, LOOP, TOUCH, Scene
 from closedloop.lab.view_playback import PlaybackBar
 from closedloop.lab.view_space import Space
 

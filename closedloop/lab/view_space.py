@@ -8,8 +8,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from closedloop.lab.ground import thin_out
-from closedloop.lab.scene import ARROWS, JOINTS, LOOP, PATH, TOUCH, WANTED, Scene, quaternions
+from closedloop.figures.scene.ground import thin_out
+from closedloop.figures.scene.scene import ARROWS, JOINTS, LOOP, PATH, TOUCH, WANTED, Scene, quaternions
 
 Array = NDArray[np.float64]
 

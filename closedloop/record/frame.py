@@ -7,8 +7,8 @@ from typing import TYPE_CHECKING, Any
 
 from numpy.typing import NDArray
 
-from closedloop.columns.derived import WRENCH
-from closedloop.contacts.names import tangents_of
+from closedloop.record.columns.derived import WRENCH
+from closedloop.scenario.contact_names import tangents_of
 
 if TYPE_CHECKING:
     import pandas

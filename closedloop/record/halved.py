@@ -5,10 +5,10 @@ from __future__ import annotations
 import math
 from typing import Any
 
-from closedloop.errors import RunFileError
-from closedloop.events.table import KINDS
-from closedloop.report.halved import MAIN_COLUMNS
-from closedloop.report.measures import MEASURES
+from closedloop.base.errors import RunFileError
+from closedloop.loop.events.table import KINDS
+from closedloop.record.report.halved import MAIN_COLUMNS
+from closedloop.record.report.measures import MEASURES
 
 _WORD, _COUNT, _SIZE, _NUMBER = "text", "count", "size", "number"
 _TOP = {"step": _SIZE, "stopped": _WORD, "rows": _COUNT, "modes_differ": _COUNT, "force": _SIZE, "position": _SIZE}
@@ -20,7 +20,7 @@ _PARTS = {"columns": (MAIN_COLUMNS, _COLUMN), "values": (MEASURES, _VALUE), "eve
 
 
 def checked_comparison(found: Any) -> dict[str, Any]:
-    """Return what a file holds if it is what `closedloop.report.halved.halved_comparison` returns.
+    """Return what a file holds if it is what `closedloop.record.report.halved.halved_comparison` returns.
 
     Raises
     ------

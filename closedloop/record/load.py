@@ -15,13 +15,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 import robot_models
-from closedloop.closure.contact_force import FREE, PRESSED, STUCK
-from closedloop.columns.added import from_text
-from closedloop.columns.recorded import ALL_COLUMNS, CONTACT_COLUMNS, SURFACE_COLUMNS, Column, columns_there
-from closedloop.errors import ClosedLoopError, RunFileError, faults_on_one_line
-from closedloop.events.phases import INSTANT
-from closedloop.events.table import KINDS
-from closedloop.files import reason_of
+from closedloop.base.errors import ClosedLoopError, RunFileError, faults_on_one_line
+from closedloop.base.files import reason_of
+from closedloop.loop.events.phases import INSTANT
+from closedloop.loop.events.table import KINDS
+from closedloop.mechanics.closure.contact_force import FREE, PRESSED, STUCK
+from closedloop.mechanics.surface.plane import unit
+from closedloop.record.columns.added import from_text
+from closedloop.record.columns.recorded import ALL_COLUMNS, CONTACT_COLUMNS, SURFACE_COLUMNS, Column, columns_there
 from closedloop.record.halved import checked_comparison
 from closedloop.record.run import Run
 from closedloop.record.save import (
@@ -40,7 +41,6 @@ from closedloop.record.save import (
 from closedloop.record.sealed import read_sealed
 from closedloop.scenario.load import parse_scenario
 from closedloop.scenario.scenario import Scenario
-from closedloop.surface.plane import unit
 
 # Of instants, relative.
 ROUNDING = 1e-14

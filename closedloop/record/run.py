@@ -16,17 +16,17 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
-from closedloop.columns.by_contact import columns_by_contact
-from closedloop.columns.derived import DERIVED, DerivedColumn, reactions_of
-from closedloop.columns.events import Event, events_of
-from closedloop.columns.recorded import COLUMNS, SURFACE_COLUMNS, Column, columns_there
-from closedloop.contacts.names import labels_of, tangents_of
-from closedloop.loops.reactions import LoopReactions
+from closedloop.mechanics.loops.reactions import LoopReactions
+from closedloop.mechanics.surface.plane import unit
+from closedloop.record.columns.by_contact import columns_by_contact
+from closedloop.record.columns.derived import DERIVED, DerivedColumn, reactions_of
+from closedloop.record.columns.events import Event, events_of
+from closedloop.record.columns.recorded import COLUMNS, SURFACE_COLUMNS, Column, columns_there
+from closedloop.record.report.summary import summarise
 from closedloop.record.save import attributes, save_run
-from closedloop.report.summary import summarise
 from closedloop.scenario.arm import robot_of
+from closedloop.scenario.contact_names import labels_of, tangents_of
 from closedloop.scenario.scenario import Scenario
-from closedloop.surface.plane import unit
 from robot_models import RobotModel
 from robot_models.cached import cached_property
 
@@ -54,8 +54,8 @@ class Run:
     Every column in `COLUMNS`, and in `SOMETIMES` where the scenario asks for it, is also an attribute, those of
     `SURFACE_COLUMNS` without a surface too, but they are in no file then: `run.time`
     (N,), `run.q` (N, n), `run.position` (N, 3), `run.contact_force` (N,) ... So is every column of the table of events
-    (`closedloop.events.table.EVENT_COLUMNS`), which `run.events` reads row by row; and what follows from them,
-    `closedloop.columns.derived.DERIVED`, such as `run.wrist_wrench` (N, 6). All are read-only.
+    (`closedloop.loop.events.table.EVENT_COLUMNS`), which `run.events` reads row by row; and what follows from them,
+    `closedloop.record.columns.derived.DERIVED`, such as `run.wrist_wrench` (N, 6). All are read-only.
 
     Attributes
     ----------
@@ -76,7 +76,8 @@ class Run:
     engine : "pinocchio" or "compiled"
         Who computed the terms; the last bits of a run depend on it.
     law_digest : str
-        SHA-256 of the text of the user's law, see `closedloop.engines.law_source.law_digest`; "" if it is not known.
+        SHA-256 of the text of the user's law, see `closedloop.simulation.engines.law_source.law_digest`; "" if it is
+        not known.
     member_digests : mapping of str to str
         Name, MODULE:CLASS, of each user's class that the scenario picks, to the same of its text.
     added : mapping of str to Column
@@ -168,7 +169,7 @@ class Run:
         return columns_there(self.columns) | dict(self.added)
 
     def summary(self) -> dict[str, Any]:
-        """Return what the command line prints and writes as summary.json; see `closedloop.report`."""
+        """Return what the command line prints and writes as summary.json; see `closedloop.record.report`."""
         return deepcopy(self._summary)
 
     def units(self, name: str) -> str:

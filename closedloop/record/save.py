@@ -16,14 +16,14 @@ from typing import Any, BinaryIO
 import numpy as np
 from numpy.typing import NDArray
 
-from closedloop.columns.added import as_text
-from closedloop.columns.by_contact import columns_by_contact
-from closedloop.columns.record import Record
-from closedloop.columns.recorded import in_order
-from closedloop.contacts.names import labels_of, tangents_of
-from closedloop.files import write_whole
+from closedloop.base.files import write_whole
+from closedloop.record.columns.added import as_text
+from closedloop.record.columns.by_contact import columns_by_contact
+from closedloop.record.columns.record import Record
+from closedloop.record.columns.recorded import in_order
 from closedloop.record.netcdf_image import Variable, netcdf_image
 from closedloop.record.sealed import seal
+from closedloop.scenario.contact_names import labels_of, tangents_of
 from closedloop.scenario.scenario import Scenario
 from robot_models import RobotModel
 
@@ -34,9 +34,9 @@ TEXTS = ("scenario", "robot_text", "robot", "law", "versions", "stopped")
 LATER_TEXTS = ("engine", "law_digest", "not_finite")
 # An attribute of a run with users' classes only: JSON of their names and the SHA-256 of their texts.
 MEMBERS = "members"
-# An attribute of a run that has columns beyond those of all runs: what they are, see `closedloop.columns.added`.
+# An attribute of a run that has columns beyond those of all runs: what they are, see `closedloop.record.columns.added`.
 ADDED = "added"
-# An attribute of a run that was compared with one at half its step: JSON, see `closedloop.report.halved`.
+# An attribute of a run that was compared with one at half its step: JSON, see `closedloop.record.report.halved`.
 HALVED = "halved"
 # What the checksum is of.
 ATTRIBUTES = {

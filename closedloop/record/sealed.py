@@ -23,8 +23,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from closedloop.errors import RunFileError
-from closedloop.files import kind_of, reason_of
+from closedloop.base.errors import RunFileError
+from closedloop.base.files import kind_of, reason_of
 
 _WORDS = b"\nclosedloop SHA-256 of all bytes before this line: "
 SEAL_LENGTH = len(_WORDS) + 64 + 1

@@ -8,13 +8,13 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from closedloop.errors import ScenarioError
-from closedloop.friction.law import JointFriction
-from closedloop.friction.laws.coulomb_viscous import JointCoulombViscous
-from closedloop.robot.pinocchio import Robot
+from closedloop.base.errors import ScenarioError
+from closedloop.mechanics.friction.law import JointFriction
+from closedloop.mechanics.friction.laws.coulomb_viscous import JointCoulombViscous
+from closedloop.mechanics.robot.pinocchio import Robot
+from closedloop.mechanics.surface.plane import unit
 from closedloop.scenario.robot_sections import ToolSection
 from closedloop.scenario.scenario import Scenario
-from closedloop.surface.plane import unit
 from robot_models import RobotModel, Tool
 from robot_models.joint_dynamics import joint_dynamics, loop_dynamics
 

@@ -11,13 +11,13 @@ from typing import Annotated, Any, Literal, NamedTuple, get_args, get_origin
 from annotated_types import Ge, Gt, Le
 from pydantic.fields import FieldInfo
 
-from closedloop.errors import ScenarioError
-from closedloop.families import OneOf
+from closedloop.base.errors import ScenarioError
+from closedloop.base.families import OneOf
+from closedloop.base.sections import field_units, sizes
 from closedloop.scenario.messages import OWN, elsewhere, is_section, usual_kind, variants
 from closedloop.scenario.scenario import Scenario, families
 from closedloop.scenario.synonyms import key_meant, section_meant
 from closedloop.scenario.tables import described_key, table_type
-from closedloop.sections import field_units, sizes
 from robot_models.errors import shown
 
 WIDTH = 80

@@ -9,7 +9,7 @@ from importlib import resources
 from pathlib import Path
 from typing import Any
 
-from closedloop.errors import ScenarioError
+from closedloop.base.errors import ScenarioError
 from robot_models.described import names_a_file
 from robot_models.errors import shown
 

@@ -17,18 +17,18 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from closedloop.closure.baumgarte import linear_step
+from closedloop.base.errors import ScenarioError
 from closedloop.control.laws.hybrid import HybridLaw
 from closedloop.control.laws.impedance import ImpedanceLaw
 from closedloop.control.tip_space import Posture, TipMotion
 from closedloop.control.transmission import transmission_constants
-from closedloop.errors import ScenarioError
-from closedloop.integrators import ADAPTIVE, INTEGRATORS
-from closedloop.loops.reactions import loop_rows
-from closedloop.parameters import per_joint
-from closedloop.robot.pinocchio import Robot
+from closedloop.jit.parameters import per_joint
+from closedloop.mechanics.closure.baumgarte import linear_step
+from closedloop.mechanics.integrators import ADAPTIVE, INTEGRATORS
+from closedloop.mechanics.loops.reactions import loop_rows
+from closedloop.mechanics.robot.pinocchio import Robot
+from closedloop.mechanics.surface.placed import PlacedSurface
 from closedloop.scenario.scenario import Scenario
-from closedloop.surface.placed import PlacedSurface
 
 Array = NDArray[np.float64]
 
@@ -54,7 +54,7 @@ def growth(feedback: Feedback, integrator: str, h: float, hold: int = 0) -> floa
     ----------
     feedback : Feedback
     integrator : str
-        See `closedloop.integrators`; an adaptive one is stable with any gains but those of a held torque.
+        See `closedloop.mechanics.integrators`; an adaptive one is stable with any gains but those of a held torque.
     h : float
         Step, s.
     hold : int

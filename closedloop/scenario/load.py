@@ -2,8 +2,8 @@
 
     scenario = load_scenario("wam_slide", {"law.force": 15.0})
 
-Unknown keys are errors; `kind` picks a variant, or a member of a family of plug-ins (`closedloop.families`), a user's
-own too where an override or Python names it.
+Unknown keys are errors; `kind` picks a variant, or a member of a family of plug-ins (`closedloop.base.families`), a
+user's own too where an override or Python names it.
 """
 
 from __future__ import annotations
@@ -15,8 +15,8 @@ from typing import Any
 
 from pydantic import ValidationError
 
-from closedloop.errors import ScenarioError
-from closedloop.families import KEEP_ABSENT, Family
+from closedloop.base.errors import ScenarioError
+from closedloop.base.families import KEEP_ABSENT, Family
 from closedloop.scenario.file import absolute, robot_file, scenario_text
 from closedloop.scenario.messages import explain, variant_keys
 from closedloop.scenario.scenario import Scenario, families
@@ -57,7 +57,7 @@ def parse_scenario(
 
     A robot's file is looked up from `folder`, that of the scenario's own file, if it has one. With `keep_absent` a
     user's class not named in this process is kept as it is, for inspection and not to be run: see
-    `closedloop.families.Absent`.
+    `closedloop.base.families.Absent`.
     """
     try:
         data = toml_tables(text)

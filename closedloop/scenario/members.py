@@ -4,10 +4,10 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 
-from closedloop.errors import ScenarioError
-from closedloop.families import Absent, Member, how_to_name
+from closedloop.base.errors import ScenarioError
+from closedloop.base.families import Absent, Member, how_to_name
+from closedloop.jit.user_code import source_digest
 from closedloop.scenario.scenario import Scenario, families
-from closedloop.user_code import source_digest
 
 
 def members_of_users(scenario: Scenario) -> dict[str, str]:

@@ -8,12 +8,12 @@ from typing import Any, get_args
 from pydantic import ValidationError
 from pydantic_core import ErrorDetails
 
-from closedloop.errors import one_line
-from closedloop.families import NOT_NAMED, Family, how_to_name
+from closedloop.base.errors import one_line
+from closedloop.base.families import NOT_NAMED, Family, how_to_name
+from closedloop.base.sections import Section, SizeError
 from closedloop.scenario.scenario import Scenario
 from closedloop.scenario.synonyms import called, is_called, key_meant, section_meant
 from closedloop.scenario.tables import families_in, table_type
-from closedloop.sections import Section, SizeError
 from robot_models.errors import shown as shown_value
 
 # What a key that picks a member of a family takes beside the names that ship.

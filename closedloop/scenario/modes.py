@@ -10,10 +10,10 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from closedloop.closure.baumgarte import linear_step
 from closedloop.control.transmission import transmission_constants
-from closedloop.integrators import INTEGRATORS
-from closedloop.robot.pinocchio import Robot
+from closedloop.mechanics.closure.baumgarte import linear_step
+from closedloop.mechanics.integrators import INTEGRATORS
+from closedloop.mechanics.robot.pinocchio import Robot
 from closedloop.scenario.gains import closed_mobility
 from closedloop.scenario.scenario import Scenario
 

@@ -13,7 +13,7 @@ from typing import Any
 
 import numpy as np
 
-from closedloop.errors import ScenarioError
+from closedloop.base.errors import ScenarioError
 from closedloop.scenario.load import scenario_of
 from closedloop.scenario.scenario import Scenario
 

@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 from pydantic import Field
 
-from closedloop.sections import (
+from closedloop.base.sections import (
     ANGLE,
     PLACE,
     Coordinate,

@@ -10,23 +10,23 @@ from typing import Annotated, Any, Self
 
 from pydantic import BeforeValidator, Field, model_validator
 
+from closedloop.base.families import Absent, Family, OneOf
+from closedloop.base.sections import Section
 from closedloop.control.drives import DrivesSection
 from closedloop.control.encoder import NO_ENCODER, EncoderSection, encoder_kind
 from closedloop.control.law import COMPENSATIONS, LAWS, Compensation, ControlLaw
+from closedloop.control.reference import path as paths
+from closedloop.control.reference.force import ConstantForceSection, ForceProfile
 from closedloop.control.sensor import SensorSection
 from closedloop.control.transmission import TransmissionSection
-from closedloop.families import Absent, Family, OneOf
-from closedloop.friction.law import JOINT_LAWS, SURFACE_LAWS, FrictionLaw, JointFriction, SurfaceFriction
-from closedloop.reference import path as paths
-from closedloop.reference.force import ConstantForceSection, ForceProfile
-from closedloop.scenario.contact_sections import ContactSection, ImpactSection
+from closedloop.mechanics.contacts.sections import ContactSection, ImpactSection
+from closedloop.mechanics.friction.law import JOINT_LAWS, SURFACE_LAWS, FrictionLaw, JointFriction, SurfaceFriction
+from closedloop.mechanics.surface.compliance import COMPLIANCES, Compliance
+from closedloop.mechanics.surface.motion import MOTIONS, SurfaceMotion
+from closedloop.mechanics.surface.surface import SURFACES, Surface
 from closedloop.scenario.robot_sections import ModelErrorSection, RobotSection, ToolSection
 from closedloop.scenario.stabiliser_sections import BaumgarteSection, Stabiliser
 from closedloop.scenario.time_sections import StartSection, TimeSection
-from closedloop.sections import Section
-from closedloop.surface.compliance import COMPLIANCES, Compliance
-from closedloop.surface.motion import MOTIONS, SurfaceMotion
-from closedloop.surface.surface import SURFACES, Surface
 
 
 def _name(value: Any) -> Any:

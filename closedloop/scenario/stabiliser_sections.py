@@ -6,7 +6,7 @@ from typing import Annotated, Any, Literal
 
 from pydantic import BeforeValidator, Field
 
-from closedloop.sections import NotNegative, Section, Size, usual
+from closedloop.base.sections import NotNegative, Section, Size, usual
 
 DAMPING_RATIO = Size(1e6, "", "no closure is damped so", 1e-6, "nothing would die out")
 TIME_CONSTANT = Size(1e300, "s", "no run lasts so long", 1e-9, "no step resolves it")

@@ -11,10 +11,10 @@ from collections.abc import Sequence
 from functools import cache
 from typing import Any, get_args
 
-from closedloop.errors import ScenarioError
-from closedloop.families import Family
+from closedloop.base.errors import ScenarioError
+from closedloop.base.families import Family
+from closedloop.base.sections import Section
 from closedloop.scenario.scenario import Scenario, families
-from closedloop.sections import Section
 from robot_models.errors import shown
 
 ALL = "*"

@@ -6,9 +6,9 @@ from typing import Annotated
 
 from pydantic import AfterValidator, Field
 
-from closedloop.families import OneOf
-from closedloop.integrators import ADAPTIVE, INTEGRATORS
-from closedloop.sections import ANGLE, JOINT_SPEED, STEP, Flag, Number, PerJoint, Positive, Section, Size, Unit
+from closedloop.base.families import OneOf
+from closedloop.base.sections import ANGLE, JOINT_SPEED, STEP, Flag, Number, PerJoint, Positive, Section, Size, Unit
+from closedloop.mechanics.integrators import ADAPTIVE, INTEGRATORS
 
 DURATION = Size(1e9, "s", "no run lasts so long", 1e-9, "no step is so short")
 IntegratorName = Annotated[str, OneOf(INTEGRATORS, ADAPTIVE, words=("auto",))]

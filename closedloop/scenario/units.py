@@ -5,8 +5,8 @@ from __future__ import annotations
 from functools import lru_cache
 from typing import TYPE_CHECKING
 
-from closedloop.families import users_named
-from closedloop.sections import field_units
+from closedloop.base.families import users_named
+from closedloop.base.sections import field_units
 
 if TYPE_CHECKING:
     from pydantic.fields import FieldInfo

@@ -8,20 +8,20 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from closedloop.columns.added import state_columns
-from closedloop.columns.recorded import SURFACE_COLUMNS
-from closedloop.engines.needs import arm_columns
-from closedloop.engines.problem import Problem
-from closedloop.engines.user_law import Law
-from closedloop.events.table import event_columns
 from closedloop.jit.interim import at_hand
 from closedloop.jit.kernel import plain
+from closedloop.loop.events.table import event_columns
+from closedloop.loop.step.record_row import CONTACT_RECORDED, RECORDED, recorded
+from closedloop.mechanics.robot.tree import Tree, energies_of_rows, potential_energies, work_size
+from closedloop.record.columns.added import state_columns
+from closedloop.record.columns.recorded import SURFACE_COLUMNS
 from closedloop.record.run import Run
 from closedloop.record.versions import package_versions
-from closedloop.robot.tree import Tree, energies_of_rows, potential_energies, work_size
 from closedloop.scenario.arm import without_tools
 from closedloop.scenario.members import member_digests
-from closedloop.step.record_row import CONTACT_RECORDED, RECORDED, recorded
+from closedloop.simulation.engines.needs import arm_columns
+from closedloop.simulation.engines.problem import Problem
+from closedloop.simulation.engines.user_law import Law
 
 Array = NDArray[np.float64]
 

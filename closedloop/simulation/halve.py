@@ -5,14 +5,14 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import replace
 
-from closedloop.engines.law_source import fresh
-from closedloop.engines.loops import PINOCCHIO
-from closedloop.engines.user_law import Law
-from closedloop.errors import InterruptedRunError, ScenarioError, SimulationError
-from closedloop.integrators import ADAPTIVE
+from closedloop.base.errors import InterruptedRunError, ScenarioError, SimulationError
+from closedloop.mechanics.integrators import ADAPTIVE
+from closedloop.record.report.halved import halved_comparison
 from closedloop.record.run import Run
-from closedloop.report.halved import halved_comparison
 from closedloop.scenario.scenario import Scenario
+from closedloop.simulation.engines.law_source import fresh
+from closedloop.simulation.engines.loops import PINOCCHIO
+from closedloop.simulation.engines.user_law import Law
 from closedloop.simulation.simulate import simulate
 from robot_models import RobotModel
 
@@ -45,7 +45,7 @@ def halve(
     """Simulate a scenario as `simulate` does, and again at half its step; return the first run, with the comparison.
 
     The run's ``halved``, which is in its summary, its report and its file, says by how much each value and each main
-    column differ (`closedloop.report.halved`), and the error of the step that it states is the measured one.
+    column differ (`closedloop.record.report.halved`), and the error of the step that it states is the measured one.
 
     Parameters
     ----------

@@ -11,28 +11,28 @@ from collections.abc import Callable
 import numpy as np
 from numpy.typing import NDArray
 
-from closedloop.closure.solve import LAW_FAILED
-from closedloop.engines.failures import failure_of, raised_by_member
-from closedloop.engines.loops import COMPILED, kernels_of
-from closedloop.engines.problem import Problem
-from closedloop.engines.proceed import FROM_PINOCCHIO, Addresses, addresses_of, set_events
-from closedloop.engines.user_law import Law, UserLaw
-from closedloop.errors import SimulationError
-from closedloop.events.impacts import collide
-from closedloop.events.phases import INITIAL_EVENTS, TABLE_FULL, TERMS
-from closedloop.events.table import EVENT_WIDTH
+from closedloop.base.errors import SimulationError
+from closedloop.control.reference.inverse_kinematics import walk
+from closedloop.control.reference.joint_path import sample_spline
 from closedloop.jit.background import make_ready, seconds_to_compile, start, takes_long
 from closedloop.jit.interim import Interim, at_hand, call_now
 from closedloop.jit.kernel import direct
 from closedloop.jit.pointers import address_of
-from closedloop.loops.along_path import along_path
-from closedloop.loops.close import closed_to
-from closedloop.loops.reactions import rows_along
-from closedloop.reference.inverse_kinematics import walk
-from closedloop.reference.joint_path import sample_spline
-from closedloop.robot.tree import Tree, potential_energies
-from closedloop.step.make_loop import Loop
-from closedloop.step.record_row import complete_record
+from closedloop.loop.events.impacts import collide
+from closedloop.loop.events.phases import INITIAL_EVENTS, TABLE_FULL, TERMS
+from closedloop.loop.events.table import EVENT_WIDTH
+from closedloop.loop.step.make_loop import Loop
+from closedloop.loop.step.record_row import complete_record
+from closedloop.mechanics.closure.solve import LAW_FAILED
+from closedloop.mechanics.loops.along_path import along_path
+from closedloop.mechanics.loops.close import closed_to
+from closedloop.mechanics.loops.reactions import rows_along
+from closedloop.mechanics.robot.tree import Tree, potential_energies
+from closedloop.simulation.engines.failures import failure_of, raised_by_member
+from closedloop.simulation.engines.loops import COMPILED, kernels_of
+from closedloop.simulation.engines.problem import Problem
+from closedloop.simulation.engines.proceed import FROM_PINOCCHIO, Addresses, addresses_of, set_events
+from closedloop.simulation.engines.user_law import Law, UserLaw
 
 Array = NDArray[np.float64]
 Call = Callable[[Array], int]
@@ -67,7 +67,7 @@ class Answers:
         self.compiling, self._struck = 0.0, False
 
     def give(self, request: int) -> None:
-        """Answer TABLE_FULL or IMPACT_LAW_WANTED, see `closedloop.events.proceed`."""
+        """Answer TABLE_FULL or IMPACT_LAW_WANTED, see `closedloop.loop.events.proceed`."""
         if request == TABLE_FULL:
             self.events = np.vstack([self.events, np.zeros_like(self.events)])
             return
@@ -108,16 +108,16 @@ def driver(
     Parameters
     ----------
     problem, kernel, loop
-        The problem, one of its loops, see `closedloop.engines.loops.loop_for`, and the loop's memory.
+        The problem, one of its loops, see `closedloop.simulation.engines.loops.loop_for`, and the loop's memory.
     arrays : tuple of three arrays
-        Reference, tableau and rows, see `closedloop.events.proceed.proceed`.
+        Reference, tableau and rows, see `closedloop.loop.events.proceed.proceed`.
     engine : str
         See `closedloop.simulate`.
     made : (Tree, array), optional
         The robot for the compiled engine, and its scratch array, if they exist already.
     """
     if engine == COMPILED:
-        from closedloop.engines.compiled import ALL
+        from closedloop.simulation.engines.compiled import ALL
 
         given, addresses = _compiled_arguments(problem, loop, arrays, made)
         if not isinstance(kernel, Interim) and not getattr(kernel, "signatures", ()):
@@ -202,7 +202,7 @@ def _compiled_arguments(
     problem: Problem, loop: Loop, arrays: tuple[Array, Array, Array], made: tuple[Tree, Array] | None = None
 ) -> tuple[tuple[Tree, Array, int], Addresses]:
     """Return the arguments of `run_compiled` but for the last, and the addresses, which are kept as long as it runs."""
-    from closedloop.engines.compiled import compiled_terms, compiled_tree, compiled_work
+    from closedloop.simulation.engines.compiled import compiled_terms, compiled_tree, compiled_work
 
     n = problem.robot.n
     tree, work = made or (compiled_tree(problem), compiled_work(n))

@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from closedloop.parameters import lists_per_joint
+from closedloop.jit.parameters import lists_per_joint
 from closedloop.scenario.scenario import Scenario
 from robot_models import RobotModel
 from robot_models.loop_posture import coordinate_rates, place_coordinates

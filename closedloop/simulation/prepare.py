@@ -9,36 +9,36 @@ import numpy as np
 from numpy.typing import NDArray
 
 import robot_models
-from closedloop.closure.contact_force import PRESSED, STUCK
-from closedloop.contacts.bind import check_contacts
+from closedloop.base.errors import ScenarioError
+from closedloop.base.sections import Section
 from closedloop.control.drives import torque_limits, torque_steps
 from closedloop.control.encoder import check_steps
 from closedloop.control.law import Compensation, ControlLaw
 from closedloop.control.laws.paper import PaperLaw
+from closedloop.control.reference.desired import Desired
 from closedloop.control.sensor import pack_sensor
 from closedloop.control.stability import check_sampling
 from closedloop.control.transmission import transmission_constants
-from closedloop.engines.packed import PackedLaw, pack_compliance, pack_friction, pack_law
-from closedloop.engines.problem import Problem
-from closedloop.engines.start_memory import STICK_SPEED
-from closedloop.errors import ScenarioError
-from closedloop.loops.assemble import closed_start
-from closedloop.parameters import pack
-from closedloop.reference.desired import Desired
-from closedloop.robot.pinocchio import Robot
+from closedloop.jit.parameters import pack
+from closedloop.jit.user_code import of_users
+from closedloop.mechanics.closure.contact_force import PRESSED, STUCK
+from closedloop.mechanics.loops.assemble import closed_start
+from closedloop.mechanics.robot.pinocchio import Robot
+from closedloop.mechanics.surface.compliances.none import Rigid
+from closedloop.mechanics.surface.rates import check_rates
 from closedloop.scenario.arm import joint_friction_of, robot_of
 from closedloop.scenario.gains import check_transmission
 from closedloop.scenario.members import refuse_absent
 from closedloop.scenario.scenario import Scenario
-from closedloop.sections import Section
 from closedloop.simulation.cache import Cache
+from closedloop.simulation.engines.bind_contacts import check_contacts
+from closedloop.simulation.engines.packed import PackedLaw, pack_compliance, pack_friction, pack_law
+from closedloop.simulation.engines.problem import Problem
+from closedloop.simulation.engines.start_memory import STICK_SPEED
 from closedloop.simulation.loop_entries import with_loop_entries
 from closedloop.simulation.reference_table import reference_table
 from closedloop.simulation.start import placed_surface, refuse_combinations, refuse_lengths, start_state
 from closedloop.simulation.time_step import check_stiffness, integrator_of, stabiliser_gains, steps_and_hold
-from closedloop.surface.compliances.none import Rigid
-from closedloop.surface.rates import check_rates
-from closedloop.user_code import of_users
 from robot_models import RobotModel
 
 Array = NDArray[np.float64]

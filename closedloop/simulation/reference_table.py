@@ -9,14 +9,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from closedloop.control.encoder import encoder_draws
+from closedloop.control.reference.desired import Desired, desired
+from closedloop.control.reference.force import force_at
 from closedloop.control.sensor import draws
-from closedloop.reference.desired import Desired, desired
-from closedloop.reference.force import force_at
-from closedloop.robot.pinocchio import Robot
+from closedloop.mechanics.robot.pinocchio import Robot
+from closedloop.mechanics.surface.placed import PlacedSurface
+from closedloop.mechanics.surface.plane import unit
 from closedloop.scenario.scenario import Scenario
 from closedloop.simulation.cache import Cache
-from closedloop.surface.placed import PlacedSurface
-from closedloop.surface.plane import unit
 
 Array = NDArray[np.float64]
 

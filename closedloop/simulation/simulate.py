@@ -10,28 +10,28 @@ from functools import partial
 import numpy as np
 from numpy.typing import NDArray
 
-from closedloop.columns.added import RESERVED, Recorded, check_names, own_columns
-from closedloop.columns.derived import DERIVED
-from closedloop.columns.recorded import ALL_COLUMNS
-from closedloop.engines.failures import interrupted, member_error
-from closedloop.engines.law_source import arguments_of, law_digest
-from closedloop.engines.loops import ENGINES, PINOCCHIO, kernels_of, loop_for
-from closedloop.engines.problem import Problem
-from closedloop.engines.user_law import Law, UserLaw
-from closedloop.errors import DivergenceError, InterruptedRunError, LawError, ScenarioError, SimulationError
-from closedloop.events.phases import DONE, IMPACT_LAW_WANTED, TABLE_FULL, TERMS
-from closedloop.events.table import EVENT_WIDTH
-from closedloop.integrators import ADAPTIVE, INTEGRATORS
-from closedloop.interrupts import held_back
+from closedloop.base.errors import DivergenceError, InterruptedRunError, LawError, ScenarioError, SimulationError
+from closedloop.base.interrupts import held_back
 from closedloop.jit.background import make_ready
 from closedloop.jit.interim import Interim, call_now, not_compiled_first
+from closedloop.loop.events.phases import DONE, IMPACT_LAW_WANTED, TABLE_FULL, TERMS
+from closedloop.loop.events.table import EVENT_WIDTH
+from closedloop.loop.step.record_row import complete_record, rows_there
+from closedloop.mechanics.integrators import ADAPTIVE, INTEGRATORS
+from closedloop.mechanics.robot.tree import Tree
+from closedloop.record.columns.added import RESERVED, Recorded, check_names, own_columns
+from closedloop.record.columns.derived import DERIVED
+from closedloop.record.columns.recorded import ALL_COLUMNS
 from closedloop.record.run import Run
-from closedloop.robot.tree import Tree
 from closedloop.scenario.scenario import Scenario
 from closedloop.simulation.as_run import as_run, law_name
+from closedloop.simulation.engines.failures import interrupted, member_error
+from closedloop.simulation.engines.law_source import arguments_of, law_digest
+from closedloop.simulation.engines.loops import ENGINES, PINOCCHIO, kernels_of, loop_for
+from closedloop.simulation.engines.problem import Problem
+from closedloop.simulation.engines.user_law import Law, UserLaw
 from closedloop.simulation.loop_calls import Answers, begun, driver
 from closedloop.simulation.prepare import prepare
-from closedloop.step.record_row import complete_record, rows_there
 from robot_models import RobotModel
 
 Array = NDArray[np.float64]
@@ -64,9 +64,9 @@ def simulate(
     progress : bool or callable, optional
         True draws a bar on standard error; a callable gets (steps done, steps in all).
     engine : "pinocchio" or "compiled"
-        The source of H, C, r, Jᵣ and J̇ᵣq̇: Pinocchio, or the package's own compiled terms (`closedloop.robot.tree`),
-        which are equal to rounding and a few times as fast. The compiled engine takes a user's law only if numba has
-        compiled it, see `closedloop.engines.user_law`.
+        The source of H, C, r, Jᵣ and J̇ᵣq̇: Pinocchio, or the package's own compiled terms
+        (`closedloop.mechanics.robot.tree`), which are equal to rounding and a few times as fast. The compiled engine
+        takes a user's law only if numba has compiled it, see `closedloop.simulation.engines.user_law`.
     record : mapping of str to callable, optional
         Columns of one's own: by name a function of the `Run` that returns (N,) or (N, k) finite numbers, or a pair of
         such a function and a unit, ``{"power": (power, "W")}``. They are worked out once, at the end, and are columns
@@ -128,7 +128,7 @@ def _looped(
 ) -> tuple[Array, Array, SimulationError | None, float]:
     """Step the problem, as `run_loop` does, and show how far it is."""
     if progress is True:
-        from closedloop.progress import bar
+        from closedloop.base.progress import bar
 
         with bar(problem.scenario.name, problem.steps) as report:
             return run_loop(problem, law, report, engine, keep_interrupted=True, interim=True)
@@ -163,7 +163,7 @@ def check_engine(scenario: Scenario, engine: str, law: Law | None) -> None:
             f"use the engine 'pinocchio', or one of {', '.join(map(repr, INTEGRATORS))}"
         )
     if law is not None:
-        from closedloop.engines.compiled_law import compiled_law
+        from closedloop.simulation.engines.compiled_law import compiled_law
 
         compiled_law(law)
 
@@ -201,16 +201,16 @@ def run_loop(
     Returns
     -------
     rows : (N, width) array
-        The record, in the order of `closedloop.step.record_row.Row`.
+        The record, in the order of `closedloop.loop.step.record_row.Row`.
     events : (M, EVENT_WIDTH) array
-        See `closedloop.events.table`.
+        See `closedloop.loop.events.table`.
     failure : SimulationError or None
         Why it stopped early.
     seconds : float
         Wall time of the steps, s, without compilation; on Pinocchio of those after the first.
     """
     if problem.tolerance is not None:
-        from closedloop.engines.adaptive import run_adaptive
+        from closedloop.simulation.engines.adaptive import run_adaptive
 
         check_engine(problem.scenario, engine, law)
         return run_adaptive(problem, law, report, keep_interrupted)

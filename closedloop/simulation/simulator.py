@@ -15,15 +15,15 @@ import time as clock
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from closedloop.engines.failures import interrupted
-from closedloop.engines.law_source import law_digest
-from closedloop.engines.loops import PINOCCHIO
-from closedloop.engines.user_law import Law
-from closedloop.errors import ScenarioError, SimulationError
-from closedloop.integrators import ADAPTIVE, INTEGRATORS
+from closedloop.base.errors import ScenarioError, SimulationError
+from closedloop.mechanics.integrators import ADAPTIVE, INTEGRATORS
 from closedloop.record.run import Run
 from closedloop.scenario.scenario import Scenario
 from closedloop.simulation.as_run import as_run, law_name
+from closedloop.simulation.engines.failures import interrupted
+from closedloop.simulation.engines.law_source import law_digest
+from closedloop.simulation.engines.loops import PINOCCHIO
+from closedloop.simulation.engines.user_law import Law
 from closedloop.simulation.prepare import prepare
 from closedloop.simulation.simulate import check_engine
 from closedloop.simulation.state import StepState

@@ -7,20 +7,20 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from closedloop.closure.contact_force import FREE, PRESSED
-from closedloop.errors import ScenarioError
-from closedloop.events.phases import RESTING, TOUCHING
-from closedloop.parameters import lists_per_joint
-from closedloop.reference.edge import edge_key
-from closedloop.reference.force import force_at
-from closedloop.robot.pinocchio import Robot
+from closedloop.base.errors import ScenarioError
+from closedloop.control.reference.edge import edge_key
+from closedloop.control.reference.force import force_at
+from closedloop.jit.parameters import lists_per_joint
+from closedloop.jit.user_code import of_users
+from closedloop.loop.events.phases import RESTING, TOUCHING
+from closedloop.mechanics.closure.contact_force import FREE, PRESSED
+from closedloop.mechanics.robot.pinocchio import Robot
+from closedloop.mechanics.surface.compliances.none import Rigid
+from closedloop.mechanics.surface.kinds.plane import PlaneSurface
+from closedloop.mechanics.surface.placed import PlacedSurface, Touching
+from closedloop.mechanics.surface.surface import Surface
 from closedloop.scenario.arm import has_stops
 from closedloop.scenario.scenario import Scenario
-from closedloop.surface.compliances.none import Rigid
-from closedloop.surface.kinds.plane import PlaneSurface
-from closedloop.surface.placed import PlacedSurface, Touching
-from closedloop.surface.surface import Surface
-from closedloop.user_code import of_users
 from robot_models import RobotModel
 from robot_models.joint_dynamics import loop_dynamics
 

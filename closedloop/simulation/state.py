@@ -7,11 +7,11 @@ import math
 import numpy as np
 from numpy.typing import NDArray
 
-from closedloop.closure.contact_force import FREE, PRESSED, STUCK
-from closedloop.columns.events import Event, events_of
-from closedloop.events.table import event_columns
-from closedloop.step.record_row import ArmRow, Row
-from closedloop.surface.kinds.none import NoSurface
+from closedloop.loop.events.table import event_columns
+from closedloop.loop.step.record_row import ArmRow, Row
+from closedloop.mechanics.closure.contact_force import FREE, PRESSED, STUCK
+from closedloop.mechanics.surface.kinds.none import NoSurface
+from closedloop.record.columns.events import Event, events_of
 
 Array = NDArray[np.float64]
 

@@ -14,19 +14,19 @@ from typing import Any, cast
 import numpy as np
 from numpy.typing import NDArray
 
-from closedloop.closure.contact_force import FREE
 from closedloop.control.drives import cut_torque
-from closedloop.engines.loops import kernels_of, loop_for
-from closedloop.engines.problem import Problem
-from closedloop.engines.user_law import Law, UserLaw
-from closedloop.events.impacts import collide
-from closedloop.events.phases import DONE, IMPACT_LAW_WANTED, MEASURED, STEP_END, TABLE_FULL, TERMS
 from closedloop.jit.background import make_ready
 from closedloop.jit.kernel import plain
-from closedloop.robot.pinocchio import Robot
+from closedloop.loop.events.impacts import collide
+from closedloop.loop.events.phases import DONE, IMPACT_LAW_WANTED, MEASURED, STEP_END, TABLE_FULL, TERMS
+from closedloop.loop.step.memory import State, Work
+from closedloop.loop.step.record_row import complete_record
+from closedloop.mechanics.closure.contact_force import FREE
+from closedloop.mechanics.robot.pinocchio import Robot
+from closedloop.simulation.engines.loops import kernels_of, loop_for
+from closedloop.simulation.engines.problem import Problem
+from closedloop.simulation.engines.user_law import Law, UserLaw
 from closedloop.simulation.loop_calls import Answers, single_calls
-from closedloop.step.memory import State, Work
-from closedloop.step.record_row import complete_record
 
 Array = NDArray[np.float64]
 
@@ -53,7 +53,7 @@ class Stepper:
     Attributes
     ----------
     rows : (steps + 1, width) array
-        The record, see `closedloop.step.record_row.Row`.
+        The record, see `closedloop.loop.step.record_row.Row`.
     mark : Mark
         From just before the call that recorded the latest row; of the first row, from before anything was called.
     """

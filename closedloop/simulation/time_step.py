@@ -7,18 +7,18 @@ import math
 import numpy as np
 from numpy.typing import NDArray
 
-from closedloop.closure.baumgarte import baumgarte_gains, largest_stable_ratio, recommended_ratio
-from closedloop.columns.added import recorded_states
+from closedloop.base.errors import ScenarioError
 from closedloop.control.encoder import NO_ENCODER, encoder_kind
-from closedloop.engines.needs import arm_columns
-from closedloop.errors import ScenarioError
-from closedloop.friction.law import JOINT_LAWS, SURFACE_LAWS, JointFriction
-from closedloop.integrators import ADAPTIVE, INTEGRATORS, Scheme
-from closedloop.robot.pinocchio import Robot
+from closedloop.loop.step.record_row import row_width
+from closedloop.mechanics.closure.baumgarte import baumgarte_gains, largest_stable_ratio, recommended_ratio
+from closedloop.mechanics.friction.law import JOINT_LAWS, SURFACE_LAWS, JointFriction
+from closedloop.mechanics.integrators import ADAPTIVE, INTEGRATORS, Scheme
+from closedloop.mechanics.robot.pinocchio import Robot
+from closedloop.mechanics.surface.placed import Touching
+from closedloop.record.columns.added import recorded_states
 from closedloop.scenario.scenario import Scenario
 from closedloop.scenario.stabiliser_sections import BaumgarteGains
-from closedloop.step.record_row import row_width
-from closedloop.surface.placed import Touching
+from closedloop.simulation.engines.needs import arm_columns
 
 Array = NDArray[np.float64]
 

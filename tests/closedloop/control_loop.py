@@ -11,18 +11,18 @@ import numpy as np
 
 import closedloop as cl
 import robot_models
-from closedloop.closure.contact_force import FREE, PRESSED
 from closedloop.control.compensation.none import NoCompensation
 from closedloop.control.law import Compensation
 from closedloop.control.law_input import LawInput
 from closedloop.control.sensor import SensorSection, pack_sensor
-from closedloop.engines.packed import pack_law
 from closedloop.jit.calls import entry_address
 from closedloop.jit.kernel import plain
-from closedloop.parameters import parameter_block, state_block
-from closedloop.step.entries import RATES, RESTART, START, TORQUE, law_entry, law_input
-from closedloop.step.make_loop import make_loop
-from closedloop.surface.plane import contact_frame
+from closedloop.jit.parameters import parameter_block, state_block
+from closedloop.loop.step.entries import RATES, RESTART, START, TORQUE, law_entry, law_input
+from closedloop.loop.step.make_loop import make_loop
+from closedloop.mechanics.closure.contact_force import FREE, PRESSED
+from closedloop.mechanics.surface.plane import contact_frame
+from closedloop.simulation.engines.packed import pack_law
 
 # Where the arms press, and how their surface lies.
 NORMALS = {

@@ -3,8 +3,8 @@
 import numpy as np
 
 import closedloop as cl
-from closedloop.closure.contact_force import factorise
 from closedloop.jit.interpreted import interpreted
+from closedloop.mechanics.closure.contact_force import factorise
 
 
 def loop_at_random(scenario, changes, seed=0):

@@ -4,8 +4,8 @@ import numpy as np
 import pytest
 
 import closedloop as cl
-from closedloop.engines.adaptive.crossing import first_crossing, root
-from closedloop.engines.adaptive.smooth import interval_from, jumps
+from closedloop.simulation.engines.adaptive.crossing import first_crossing, root
+from closedloop.simulation.engines.adaptive.smooth import interval_from, jumps
 
 
 def wanted(name, **changes):

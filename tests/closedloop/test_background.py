@@ -10,12 +10,12 @@ from pathlib import Path
 import pytest
 
 import closedloop as cl
-from closedloop.engines.adaptive.kernels import evaluate_on_pinocchio
-from closedloop.engines.lane_loop import run_in_lanes
-from closedloop.engines.proceed import proceed_at
-from closedloop.events.impacts import collide
 from closedloop.jit import background, cache_folder
 from closedloop.jit.cache_folder import MARKER
+from closedloop.loop.events.impacts import collide
+from closedloop.simulation.engines.adaptive.kernels import evaluate_on_pinocchio
+from closedloop.simulation.engines.lane_loop import run_in_lanes
+from closedloop.simulation.engines.proceed import proceed_at
 
 ROOT = Path(cl.__file__).parent.parent
 # In place of the compiler: say who it is, and stay until it is told to go.

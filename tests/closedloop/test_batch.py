@@ -7,14 +7,14 @@ import pyarrow as pa
 import pytest
 
 import closedloop as cl
-from closedloop.batch import worker as worker_module
-from closedloop.report.measures import JOINT_MEASURES, MEASURES
-from closedloop.report.verdict import names_of
+from closedloop.loop.step.memory import State
+from closedloop.record.report.measures import JOINT_MEASURES, MEASURES
+from closedloop.record.report.verdict import names_of
 from closedloop.scenario.overrides import Variants
 from closedloop.scenario.units import key_unit
+from closedloop.simulation.batch import worker as worker_module
 from closedloop.simulation.cache import Cache
 from closedloop.simulation.prepare import prepare
-from closedloop.step.memory import State
 
 # What adds up is added in another order than numpy's: 8000 terms of like size, each rounded.
 SUMMED = {
@@ -279,7 +279,7 @@ def test_an_error_that_nobody_foresaw_costs_its_row_and_no_other(monkeypatch, ca
     sound = cl.simulate_batch(scenario, {"law.force": forces})
     assert set(sound["status"].to_pylist()) == {"done"}
     break_for(monkeypatch, 5.0, error, where)
-    with caplog.at_level("DEBUG", "closedloop.batch.worker"):
+    with caplog.at_level("DEBUG", "closedloop.simulation.batch.worker"):
         table = cl.simulate_batch(scenario, {"law.force": forces}, workers=1)
     others = [i for i in range(13) if i != 4]
     assert table.take(others).equals(sound.take(others))
@@ -300,7 +300,7 @@ def test_an_error_among_eight_side_by_side_leaves_them_to_go_alone(monkeypatch):
     forces = [1.0, 2.0, 3.0, 4.0]
     sound = cl.simulate_batch(scenario, {"law.force": forces})
     tried = []
-    monkeypatch.setattr("closedloop.engines.lanes.LaneRuns.run", lambda *_: tried.append(1) or 1 / 0)
+    monkeypatch.setattr("closedloop.simulation.engines.lanes.LaneRuns.run", lambda *_: tried.append(1) or 1 / 0)
     assert cl.simulate_batch(scenario, {"law.force": forces}, workers=1).equals(sound)
     assert tried == [1]
 

@@ -8,7 +8,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 import closedloop as cl
-from closedloop.closure.baumgarte import (
+from closedloop.loop.step.record_row import recorded
+from closedloop.mechanics.closure.baumgarte import (
     amplification,
     baumgarte_gains,
     largest_stable_ratio,
@@ -17,10 +18,9 @@ from closedloop.closure.baumgarte import (
     sliding_error,
     spectral_radius,
 )
-from closedloop.integrators import INTEGRATORS
+from closedloop.mechanics.integrators import INTEGRATORS
 from closedloop.scenario.load import parse_scenario
 from closedloop.simulation.simulate import run_loop
-from closedloop.step.record_row import recorded
 
 ROOT_HALF = 1.0 / np.sqrt(2.0)
 STEP = 0.001  # s

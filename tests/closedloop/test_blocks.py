@@ -6,8 +6,8 @@ import pytest
 
 from closedloop.jit.blocks import Count, Layout
 from closedloop.jit.kernel import entry_kernel, kernel
-from closedloop.step.memory import Constants, State, Work
-from closedloop.step.record_row import (
+from closedloop.loop.step.memory import Constants, State, Work
+from closedloop.loop.step.record_row import (
     ARM_RECORDED,
     CONTACT_RECORDED,
     RECORDED,

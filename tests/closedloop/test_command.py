@@ -6,10 +6,10 @@ import sys
 
 import pytest
 
+from closedloop.base.errors import ClusterError, ScenarioError, SimulationError
 from closedloop.command.border import Parser, run_command
 from closedloop.command.plain_text import HANDLER, plain
 from closedloop.command.streams import patient_output
-from closedloop.errors import ClusterError, ScenarioError, SimulationError
 
 
 def raising(error):

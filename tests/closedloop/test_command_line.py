@@ -11,7 +11,7 @@ import pytest
 
 import closedloop as cl
 from closedloop import figures
-from closedloop.report.verdict import CHATTER_SHARE, CLOSURE_BOUND, ENERGY_SHARE
+from closedloop.record.report.verdict import CHATTER_SHARE, CLOSURE_BOUND, ENERGY_SHARE
 from closedloop.run import main
 from robot_models.shipped import path_of
 

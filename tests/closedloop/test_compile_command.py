@@ -16,12 +16,12 @@ from closedloop.__main__ import main
 from closedloop.command import compile_all
 from closedloop.command.pieces import pieces
 from closedloop.control.law import COMPENSATIONS, LAWS
-from closedloop.friction.law import JOINT_LAWS, SURFACE_LAWS
 from closedloop.jit.cache_folder import cache_folder
 from closedloop.jit.compile_cache import KernelCache
-from closedloop.surface.compliance import COMPLIANCES
-from closedloop.surface.motion import MOTIONS
-from closedloop.surface.surface import SURFACES
+from closedloop.mechanics.friction.law import JOINT_LAWS, SURFACE_LAWS
+from closedloop.mechanics.surface.compliance import COMPLIANCES
+from closedloop.mechanics.surface.motion import MOTIONS
+from closedloop.mechanics.surface.surface import SURFACES
 
 ROOT = Path(closedloop.__file__).parent.parent
 

@@ -13,12 +13,12 @@ import pytest
 from numba import types
 from numba.core.compiler_lock import _CompilerLock, global_compiler_lock
 
+from closedloop.base.interrupts import Terminated, terminable
 from closedloop.control.law import LAWS
-from closedloop.interrupts import Terminated, terminable
 from closedloop.jit import calls
 from closedloop.jit.calls import compiled_address
 from closedloop.jit.kernel import direct, entry_kernel, jit_disabled, kernel
-from closedloop.step.entries import law_entry
+from closedloop.loop.step.entries import law_entry
 
 pytestmark = pytest.mark.skipif(bool(jit_disabled()), reason="nothing is compiled")
 

@@ -10,9 +10,9 @@ import numpy as np
 import pytest
 
 import closedloop as cl
-from closedloop.engines.loops import COMPILED, PINOCCHIO, kernels_of, loop_for
 from closedloop.jit.cache_folder import cache_folder
 from closedloop.jit.kernel import needs_compiling
+from closedloop.simulation.engines.loops import COMPILED, PINOCCHIO, kernels_of, loop_for
 
 ROOT = Path(cl.__file__).parent.parent
 
@@ -97,8 +97,8 @@ def test_folder_that_cannot_be_written_does_not_stop_a_run(tmp_path):
     blocked.write_text("in the way")
     code = (
         "import numpy as np\n"
-        "from closedloop.impact import two_phase_impact\n"
-        "from closedloop.impact.single import _impact\n"
+        "from closedloop.mechanics.impact import two_phase_impact\n"
+        "from closedloop.mechanics.impact.single import _impact\n"
         "print(two_phase_impact(np.eye(3), [-1.0, 0.0, 0.0], 0.5).after[0], len(_impact.signatures))"
     )
     done = subprocess.run(

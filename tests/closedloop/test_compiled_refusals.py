@@ -5,7 +5,7 @@ import pytest
 
 import closedloop as cl
 import robot_models
-from closedloop.robot.tree import tree_of
+from closedloop.mechanics.robot.tree import tree_of
 
 
 @pytest.mark.parametrize(

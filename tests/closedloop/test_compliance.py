@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 
 import closedloop as cl
-from closedloop.surface.compliance import COMPLIANCES, Compliance
-from closedloop.surface.compliances.hunt_crossley import HuntCrossley
+from closedloop.mechanics.surface.compliance import COMPLIANCES, Compliance
+from closedloop.mechanics.surface.compliances.hunt_crossley import HuntCrossley
 
 G, MASS = 9.81, 2.0
 

@@ -4,10 +4,10 @@ import numpy as np
 import pytest
 from test_contacts import faults, filled
 
-from closedloop.contacts.complementarity import LAST_ROUNDS, STARTS, solve_from_here
-from closedloop.contacts.continuation import END, follow_path, start_path, turn_tangent, write_path
-from closedloop.contacts.memory import CONE, LINE, OFF, RAY, make_contact_memory
 from closedloop.jit.interpreted import interpreted
+from closedloop.mechanics.contacts.complementarity import LAST_ROUNDS, STARTS, solve_from_here
+from closedloop.mechanics.contacts.continuation import END, follow_path, start_path, turn_tangent, write_path
+from closedloop.mechanics.contacts.memory import CONE, LINE, OFF, RAY, make_contact_memory
 
 # Of each kind one, and a cone without friction.
 KINDS = (CONE, RAY, CONE, OFF, LINE)

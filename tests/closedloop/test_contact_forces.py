@@ -4,20 +4,20 @@ import numpy as np
 import pytest
 from scipy.linalg import null_space
 
-from closedloop.closure.contact_force import FREE, PRESSED, STUCK
-from closedloop.closure.solve import OK, PAINLEVE, SINGULAR
-from closedloop.contacts.continuation import force_size
-from closedloop.contacts.given_modes import (
+from closedloop.jit.interpreted import interpreted
+from closedloop.mechanics.closure.contact_force import FREE, PRESSED, STUCK
+from closedloop.mechanics.closure.solve import OK, PAINLEVE, SINGULAR
+from closedloop.mechanics.contacts.continuation import force_size
+from closedloop.mechanics.contacts.given_modes import (
     keep_in_cones,
     kinds_of_modes,
     mobility_of,
     solve_modes,
     stopping_impulses,
 )
-from closedloop.contacts.least_norm import least_norm, project_all, write_slope
-from closedloop.contacts.linear import solve_any_rank
-from closedloop.contacts.memory import CONE, LINE, OFF, RAY, make_contact_memory
-from closedloop.jit.interpreted import interpreted
+from closedloop.mechanics.contacts.least_norm import least_norm, project_all, write_slope
+from closedloop.mechanics.contacts.linear import solve_any_rank
+from closedloop.mechanics.contacts.memory import CONE, LINE, OFF, RAY, make_contact_memory
 
 K = 4
 

@@ -10,7 +10,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 import closedloop as cl
-from closedloop.impact import two_phase_impact
+from closedloop.mechanics.impact import two_phase_impact
 from robot_models import load
 
 ARMS = {name: cl.Robot(load(name)) for name in ("planar2", "wam4", "panda")}

@@ -6,11 +6,16 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from closedloop.closure.contact_force import FREE, PRESSED, STUCK
-from closedloop.closure.solve import OK
-from closedloop.contacts.impact import STRUCK_AND_LEFT, STRUCK_AND_STAYED, apply_impulses
-from closedloop.contacts.memory import CONE, LINE, OFF, RAY, make_contact_memory
-from closedloop.contacts.modes import (
+from closedloop.jit.interpreted import interpreted
+from closedloop.loop.events.contacts import apply_contact_event, log_contacts, resume_with_contacts
+from closedloop.loop.events.phases import APPLY_EVENT, AT_EVENT, ENLARGE_TABLE
+from closedloop.loop.events.table import EVENT_WIDTH, LIFTOFF, RELEASE, STOP, EventRow
+from closedloop.loop.step.contacts import STICK_SPEED, margin_of, save_contacts
+from closedloop.mechanics.closure.contact_force import FREE, PRESSED, STUCK
+from closedloop.mechanics.closure.solve import OK
+from closedloop.mechanics.contacts.impact import STRUCK_AND_LEFT, STRUCK_AND_STAYED, apply_impulses
+from closedloop.mechanics.contacts.memory import CONE, LINE, OFF, RAY, make_contact_memory
+from closedloop.mechanics.contacts.modes import (
     CAME,
     CLOSED_GAP,
     HOVERING,
@@ -23,11 +28,6 @@ from closedloop.contacts.modes import (
     happened_to,
     mode_after,
 )
-from closedloop.events.contacts import apply_contact_event, log_contacts, resume_with_contacts
-from closedloop.events.phases import APPLY_EVENT, AT_EVENT, ENLARGE_TABLE
-from closedloop.events.table import EVENT_WIDTH, LIFTOFF, RELEASE, STOP, EventRow
-from closedloop.jit.interpreted import interpreted
-from closedloop.step.contacts import STICK_SPEED, margin_of, save_contacts
 
 NOTHING = 1e-9
 

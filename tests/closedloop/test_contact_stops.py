@@ -8,7 +8,7 @@ from test_contacts import HEIGHT, MASS, WIDTH, G, block, corners, moved, total_e
 
 import closedloop as cl
 import robot_models
-from closedloop.closure.contact_force import STUCK
+from closedloop.mechanics.closure.contact_force import STUCK
 
 
 def limited(lower, upper):

@@ -6,9 +6,9 @@ from test_contacts import G, body, total_energy
 
 import closedloop as cl
 import robot_models
-from closedloop.closure.contact_force import FREE, PRESSED, STUCK
-from closedloop.contacts.touching import contact_torques
-from closedloop.loops.reactions import missing_torque
+from closedloop.mechanics.closure.contact_force import FREE, PRESSED, STUCK
+from closedloop.mechanics.loops.reactions import missing_torque
+from closedloop.record.columns.touching import contact_torques
 from closedloop.scenario.arm import robot_of
 from validation.loops.mechanisms import joint, point
 

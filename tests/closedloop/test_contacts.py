@@ -8,14 +8,14 @@ from budget import budget
 
 import closedloop as cl
 import robot_models
-from closedloop.closure.contact_force import FREE, PRESSED, STUCK
-from closedloop.contacts.complementarity import ROUNDS, SWEEPS, solve_contacts, solve_from_here
-from closedloop.contacts.impact import apply_impulses
-from closedloop.contacts.memory import CONE, contacts_at, make_contact_memory
 from closedloop.jit.interpreted import interpreted
 from closedloop.jit.kernel import entry_kernel
+from closedloop.mechanics.closure.contact_force import FREE, PRESSED, STUCK
+from closedloop.mechanics.contacts.complementarity import ROUNDS, SWEEPS, solve_contacts, solve_from_here
+from closedloop.mechanics.contacts.impact import apply_impulses
+from closedloop.mechanics.contacts.memory import CONE, contacts_at, make_contact_memory
+from closedloop.mechanics.robot.pinocchio import Robot
 from closedloop.record.load import load_run
-from closedloop.robot.pinocchio import Robot
 from validation.loops.mechanisms import joint, point
 
 G = 9.81

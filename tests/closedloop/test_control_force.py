@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 from control_loop import Loop, force_loop_radius
 
+from closedloop.base.errors import ScenarioError
 from closedloop.control.compensation.model import ModelCompensation
 from closedloop.control.compensation.observer import ObserverCompensation
 from closedloop.control.law import commanded_force, force_error_rate
@@ -18,7 +19,6 @@ from closedloop.control.laws.operational_space import OperationalSpaceLaw
 from closedloop.control.laws.paper import PaperLaw
 from closedloop.control.sensor import SensorSection, pack_sensor, sense, sensor_rates, start_sensor
 from closedloop.control.stability import check_sampling, force_loop_settles
-from closedloop.errors import ScenarioError
 from closedloop.jit.interpreted import interpreted
 
 SECTIONS = (OperationalSpaceLaw, DynamicHybridLaw, ImpedanceLaw, AdmittanceLaw)

@@ -17,8 +17,8 @@ from closedloop.control.laws.impedance import ImpedanceLaw
 from closedloop.control.laws.operational_space import OperationalSpaceLaw
 from closedloop.control.laws.paper import PaperLaw, paper_law
 from closedloop.control.tip_space import motion_along_normal, pseudo_inverse, surface_mobility
-from closedloop.engines.packed import pack_law
 from closedloop.jit.kernel import plain
+from closedloop.simulation.engines.packed import pack_law
 
 LAWS = {
     "paper": PaperLaw(kp=400.0, kd=30.0),

@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 from pydantic import TypeAdapter, ValidationError
 
+from closedloop.base.errors import ScenarioError
 from closedloop.control import law as control
 from closedloop.control.compensation.adaptive import AdaptiveCompensation
 from closedloop.control.compensation.model import ModelCompensation
@@ -19,9 +20,8 @@ from closedloop.control.laws.impedance import ImpedanceLaw
 from closedloop.control.laws.operational_space import OperationalSpaceLaw
 from closedloop.control.laws.paper import PaperLaw
 from closedloop.control.sensor import SensorSection
-from closedloop.engines.packed import pack_law
-from closedloop.errors import ScenarioError
-from closedloop.parameters import parameter_block
+from closedloop.jit.parameters import parameter_block
+from closedloop.simulation.engines.packed import pack_law
 
 LAWS = (
     PaperLaw(kp=400.0, kd=30.0),

@@ -3,6 +3,7 @@
 import numpy as np
 import pytest
 
+from closedloop.base.errors import ScenarioError
 from closedloop.control.sensor import (
     SensorSection,
     continuous_reading,
@@ -13,7 +14,6 @@ from closedloop.control.sensor import (
     sensor_rates,
     start_sensor,
 )
-from closedloop.errors import ScenarioError
 from closedloop.jit.interpreted import interpreted
 
 H = 1e-3

@@ -7,8 +7,8 @@ import numpy as np
 import pytest
 
 import closedloop as cl
-from closedloop.report.control_signals import run_signals, signals_of
-from closedloop.report.control_verdict import (
+from closedloop.record.report.control_signals import run_signals, signals_of
+from closedloop.record.report.control_verdict import (
     LOST_SHARE,
     MEAN_SHARE,
     PATH_FLOOR,
@@ -18,7 +18,7 @@ from closedloop.report.control_verdict import (
     Signals,
     judge_control,
 )
-from closedloop.report.verdict import names_of
+from closedloop.record.report.verdict import names_of
 
 FORCE, DURATION = 10.0, 10.0
 # Shipped scenarios whose subject is control that is bad; of all others it is good.

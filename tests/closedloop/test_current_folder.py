@@ -33,7 +33,7 @@ def started(monkeypatch, tmp_path):
     [
         (("-m", "closedloop.run"), 1),
         (("-m", "closedloop.run", "wam_slide", "--json"), 3),
-        (("-W", "error", "-m", "closedloop.sweep", "plot"), 2),
+        (("-W", "error", "-m", "closedloop.studies.sweep", "plot"), 2),
         (("-X", "dev", "-umclosedloop.study", "drift"), 2),
         (("-mvalidation.run",), 1),
     ],

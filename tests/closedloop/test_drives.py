@@ -80,7 +80,7 @@ def test_the_engines_a_batch_and_the_file_agree(tmp_path, capsys):
         assert joint["torque_limited_at"] == (run.time[np.argmax(cut[:, j])] if cut[:, j].any() else None)
         assert table["torque_limited_share"].to_pylist()[0][j] == joint["torque_limited_share"]
         assert table["torque_limited_at"].to_pylist()[0][j] == joint["torque_limited_at"]
-    from closedloop.report import print_report
+    from closedloop.record.report import print_report
 
     print_report(run, width=120)
     assert "J2, first at 0.2" in (text := capsys.readouterr().out)
@@ -97,7 +97,7 @@ def test_limits_of_the_robots_file_act_on_request():
     assert at.any()
     assert np.all((np.abs(run.torque) == limit)[at])
     assert np.all(np.abs(run.torque) <= limit)
-    from closedloop.report.tables import notes
+    from closedloop.record.report.tables import notes
 
     assert not any("effort" in note for note in notes(run))
     assert "effort_limit" not in {problem["name"] for problem in run.summary()["verdict"]["problems"]}
@@ -146,7 +146,7 @@ def test_a_file_without_effort_limits_has_none_to_act():
 @pytest.mark.parametrize("engine", ["pinocchio", "compiled"])
 def test_friction_of_the_robots_file_acts_on_request(engine):
     """It is coulomb_viscous with the damping and friction of the URDF, to the bit; no note says that it does not."""
-    from closedloop.report.tables import notes
+    from closedloop.record.report.tables import notes
 
     model = cl.prepare(cl.load_scenario("panda_slide")).robot.model
     model = replace(model, text=re.sub("<dynamics[^>]*>", '<dynamics damping="0.4" friction="0.2"/>', model.text))

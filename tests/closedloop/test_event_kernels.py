@@ -6,19 +6,27 @@ from random_loop import loop_at_random
 from scipy.optimize import brentq
 from test_joint_stops import after_moreau
 
-from closedloop.closure.contact_force import FREE, PRESSED, STUCK, apply_impulse
-from closedloop.closure.solve import CHATTER, CROWDED, RUBS
-from closedloop.engines.failures import _rubs_without_end
-from closedloop.events.impacts import apply_impact, collide
-from closedloop.events.locate import slip_margin
-from closedloop.events.phases import AFTER_EVENT, AT_EVENT, MAX_IN_STEP, MAX_MOVES, NEED_TERMS, PROJECTION, STEP_END
-from closedloop.events.projection import project
-from closedloop.events.stops import BEYOND, PULLING, measure_stops, reach_stops
-from closedloop.events.substep import too_many_events
-from closedloop.events.table import EVENT_WIDTH, IMPACT, LIFTOFF, REVERSAL, SLIP_AGAIN, STICK, TOUCHDOWN, EventRow
-from closedloop.events.transitions import apply_event, end_stick_or_slip, find_direction
 from closedloop.jit.interpreted import interpreted
-from closedloop.step.closed_loops import factorise_tip
+from closedloop.loop.events.impacts import apply_impact, collide
+from closedloop.loop.events.locate import slip_margin
+from closedloop.loop.events.phases import (
+    AFTER_EVENT,
+    AT_EVENT,
+    MAX_IN_STEP,
+    MAX_MOVES,
+    NEED_TERMS,
+    PROJECTION,
+    STEP_END,
+)
+from closedloop.loop.events.projection import project
+from closedloop.loop.events.stops import BEYOND, PULLING, measure_stops, reach_stops
+from closedloop.loop.events.substep import too_many_events
+from closedloop.loop.events.table import EVENT_WIDTH, IMPACT, LIFTOFF, REVERSAL, SLIP_AGAIN, STICK, TOUCHDOWN, EventRow
+from closedloop.loop.events.transitions import apply_event, end_stick_or_slip, find_direction
+from closedloop.loop.step.closed_loops import factorise_tip
+from closedloop.mechanics.closure.contact_force import FREE, PRESSED, STUCK, apply_impulse
+from closedloop.mechanics.closure.solve import CHATTER, CROWDED, RUBS
+from closedloop.simulation.engines.failures import _rubs_without_end
 
 RUBBING = {
     "friction.kind": "dahl", "friction.coefficient": 0.4, "friction.stiffness": 3e3, "joint_friction.kind": "dahl",

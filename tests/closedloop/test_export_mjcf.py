@@ -5,10 +5,10 @@ import pytest
 
 import closedloop as cl
 from closedloop.__main__ import main
-from closedloop.closure.contact_force import FREE
-from closedloop.lab.scene import quaternions, scene_of
-from closedloop.loops.reactions import loop_rows
-from closedloop.robot.pinocchio import Robot
+from closedloop.figures.scene.scene import quaternions, scene_of
+from closedloop.mechanics.closure.contact_force import FREE
+from closedloop.mechanics.loops.reactions import loop_rows
+from closedloop.mechanics.robot.pinocchio import Robot
 from validation.loops import mechanisms
 from validation.loops.andrews import coasting
 

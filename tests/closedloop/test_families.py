@@ -14,20 +14,20 @@ import pytest
 from pydantic import TypeAdapter, ValidationError
 
 import closedloop as cl
-from closedloop.closure.baumgarte import largest_stable_ratio, spectral_radius
-from closedloop.families import Family
-from closedloop.integrators import ADAPTIVE, INTEGRATORS, Integrator
-from closedloop.reference.path import PATHS
-from closedloop.reference.paths.line import Line
+from closedloop.base.families import Family
+from closedloop.command.sweep import main as sweep_main
+from closedloop.control.reference.path import PATHS
+from closedloop.control.reference.paths.line import Line
+from closedloop.mechanics.closure.baumgarte import largest_stable_ratio, spectral_radius
+from closedloop.mechanics.integrators import ADAPTIVE, INTEGRATORS, Integrator
 from closedloop.scenario.load import parse_scenario
 from closedloop.scenario.units import key_unit
-from closedloop.sweep import Design, Sweep, parse_axis
-from closedloop.sweep.__main__ import main as sweep_main
+from closedloop.studies.sweep import Design, Sweep, parse_axis
 
 ROOT = File(__file__).resolve().parents[2]
 RALSTON = '''
 
-from closedloop.integrators import Integrator
+from closedloop.mechanics.integrators import Integrator
 
 
 class Ralston(Integrator):
@@ -230,7 +230,7 @@ REFUSED = {
     "a path to integrate": ({"time.integrator": "my_paths:Wave"}, "must be a class derived from closedloop.integ"),
     "no name": ({"reference.kind": "my_paths:"}, "named MODULE:CLASS"),
     "a name in a folder": ({"reference.kind": "../my_paths:Wave"}, "named MODULE:CLASS"),
-    "the base": ({"reference.kind": "closedloop.reference.path:Path"}, "must be a class derived from"),
+    "the base": ({"reference.kind": "closedloop.control.reference.path:Path"}, "must be a class derived from"),
     "no tip_path": ({"reference.kind": type("Nothing", (PATHS.base,), {})}, "must define tip_path"),
     "too long a path": ({"reference.kind": "my_paths:Wave", "reference.length": 3.0}, "shorten the path or start"),
 }  # fmt: skip
@@ -268,8 +268,8 @@ def test_a_path_that_fails(case, command_line, tmp_path):
     """What a user's path does wrong is one line with the line of its file, and status 2."""
     body, words = FAULTS[case]
     head = (
-        "import numpy as np; from closedloop.reference.timing import constant\n"
-        "from closedloop.reference.path import Path\nfrom closedloop.reference.tip_path import Segment, TipPath\n"
+        "import numpy as np; from closedloop.control.reference.timing import constant\n"
+        "from closedloop.control.reference.path import Path\nfrom closedloop.control.reference.tip_path import Segment, TipPath\n"
     )
     name = f"faulty_{case.replace(' ', '_')}"
     (tmp_path / f"{name}.py").write_text(f"{head}class Mine(Path):\n    def tip_path(self, origin, normal):\n{body}")
@@ -335,7 +335,7 @@ def test_the_registry(tmp_path, monkeypatch):
     package = tmp_path / "animals"
     package.mkdir()
     (package / "__init__.py").write_text(
-        "from closedloop.families import Member\n"
+        "from closedloop.base.families import Member\n"
         "class Bird(Member):\n    folder = 'animals'\n"
         "class Fish(Member):\n    folder = 'animals'\n"
     )

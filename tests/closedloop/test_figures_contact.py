@@ -10,12 +10,12 @@ from matplotlib.collections import PolyCollection
 from matplotlib.colors import to_rgb
 
 import closedloop as cl
-from closedloop.closure.contact_force import FREE, PRESSED, STUCK
-from closedloop.events.table import IMPACT, KINDS
 from closedloop.figures import closure_error, contact_force, draw_figures, files, friction_force, impacts, tip_position
 from closedloop.figures.dress import BANDS, SHAPES
 from closedloop.figures.force import transients
 from closedloop.figures.instants import intervals, marks, thinned
+from closedloop.loop.events.table import IMPACT, KINDS
+from closedloop.mechanics.closure.contact_force import FREE, PRESSED, STUCK
 
 OVER_TIME = (tip_position, contact_force, closure_error)
 UNITS = {"nm": 1e9, "µm": 1e6, "mm": 1e3}

@@ -9,8 +9,8 @@ from pathlib import Path
 
 import pytest
 
-from closedloop.errors import OutputError
-from closedloop.files import remove_unfinished, write_whole
+from closedloop.base.errors import OutputError
+from closedloop.base.files import remove_unfinished, write_whole
 
 ROOT = Path(__file__).resolve().parents[2]
 
@@ -90,7 +90,7 @@ def test_no_such_place(tmp_path, path):
 
 KILLED = """
 import os, signal, sys
-from closedloop.files import write_whole
+from closedloop.base.files import write_whole
 write_whole(sys.argv[1], lambda file: (file.write(b"half"), os.kill(os.getpid(), signal.SIGKILL)))
 """
 
@@ -115,8 +115,8 @@ def test_a_writer_at_work_is_left_alone(tmp_path):
 
 def test_nothing_is_written_but_whole():
     """No command opens a file of a user's for writing by itself; caches of compiled code have a way of their own."""
-    own_way = {"closedloop/files.py", "closedloop/jit/cache_folder.py", "closedloop/jit/compile_cache.py"}
-    nothing = {"closedloop/second_process.py", "closedloop/command/streams.py", "closedloop/jit/background.py"}
+    own_way = {"closedloop/base/files.py", "closedloop/jit/cache_folder.py", "closedloop/jit/compile_cache.py"}
+    nothing = {"closedloop/base/second_process.py", "closedloop/command/streams.py", "closedloop/jit/background.py"}
     writing = re.compile(
         r"write_text\(|write_bytes\(|\bopen\([^)\n]*[\"'][wxa][b+]*[\"']|savefig\((?!image|file|picture)"
     )

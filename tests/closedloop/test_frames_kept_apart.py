@@ -7,10 +7,10 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 import closedloop as cl
-from closedloop.contacts.touching import Touching
 from closedloop.control.transmission import TransmissionSection, transmission_constants
+from closedloop.mechanics.surface.along import shape_at
+from closedloop.record.columns.touching import Touching
 from closedloop.simulation.prepare import prepare
-from closedloop.surface.along import shape_at
 
 
 def test_a_joint_without_a_drive_has_no_motor():

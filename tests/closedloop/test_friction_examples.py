@@ -6,16 +6,16 @@ import numpy as np
 from hypothesis import settings
 from hypothesis import strategies as st
 
-from closedloop.friction import JOINT_LAWS, SURFACE_LAWS, Contact
-from closedloop.friction.laws.coulomb import SurfaceCoulomb
-from closedloop.friction.laws.coulomb_viscous import SurfaceCoulombViscous
-from closedloop.friction.laws.dahl import SurfaceDahl
-from closedloop.friction.laws.karnopp import SurfaceKarnopp
-from closedloop.friction.laws.lugre import SurfaceLuGre
-from closedloop.friction.laws.none import NoFriction
-from closedloop.friction.laws.seven_parameter import SurfaceSevenParameter
-from closedloop.friction.laws.stribeck import SurfaceStribeck
-from closedloop.friction.packing import surface_parameters
+from closedloop.mechanics.friction import JOINT_LAWS, SURFACE_LAWS, Contact
+from closedloop.mechanics.friction.laws.coulomb import SurfaceCoulomb
+from closedloop.mechanics.friction.laws.coulomb_viscous import SurfaceCoulombViscous
+from closedloop.mechanics.friction.laws.dahl import SurfaceDahl
+from closedloop.mechanics.friction.laws.karnopp import SurfaceKarnopp
+from closedloop.mechanics.friction.laws.lugre import SurfaceLuGre
+from closedloop.mechanics.friction.laws.none import NoFriction
+from closedloop.mechanics.friction.laws.seven_parameter import SurfaceSevenParameter
+from closedloop.mechanics.friction.laws.stribeck import SurfaceStribeck
+from closedloop.mechanics.friction.packing import surface_parameters
 
 patient = settings(deadline=None, max_examples=40)
 

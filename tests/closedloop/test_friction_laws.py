@@ -21,16 +21,10 @@ from test_friction_examples import (
     turned,
 )
 
-from closedloop.closure.contact_force import PRESSED, STUCK
-from closedloop.friction import JOINT_LAWS, SURFACE_LAWS
-from closedloop.friction.contact import Contact
-from closedloop.friction.law import length_of
-from closedloop.friction.laws.stribeck import SurfaceStribeck
-from closedloop.friction.packing import joint_parameters, surface_parameters
 from closedloop.jit.calls import entry_address
 from closedloop.jit.interpreted import interpreted
-from closedloop.parameters import one_joint_block, parameter_block, state_block
-from closedloop.step.entries import (
+from closedloop.jit.parameters import one_joint_block, parameter_block, state_block
+from closedloop.loop.step.entries import (
     ADVANCE_STATES,
     HOLD,
     LIMIT,
@@ -40,7 +34,13 @@ from closedloop.step.entries import (
     friction_entry,
     joint_friction_entry,
 )
-from closedloop.step.make_loop import make_loop
+from closedloop.loop.step.make_loop import make_loop
+from closedloop.mechanics.closure.contact_force import PRESSED, STUCK
+from closedloop.mechanics.friction import JOINT_LAWS, SURFACE_LAWS
+from closedloop.mechanics.friction.contact import Contact
+from closedloop.mechanics.friction.law import length_of
+from closedloop.mechanics.friction.laws.stribeck import SurfaceStribeck
+from closedloop.mechanics.friction.packing import joint_parameters, surface_parameters
 
 
 @pytest.mark.parametrize("name", EXAMPLES)

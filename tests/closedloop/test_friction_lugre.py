@@ -7,11 +7,11 @@ import pytest
 from test_friction_examples import contact
 
 import closedloop as cl
-from closedloop.friction import pull_block
-from closedloop.friction.laws.coulomb import SurfaceCoulomb
-from closedloop.friction.laws.dahl import SurfaceDahl
-from closedloop.friction.laws.lugre import SurfaceLuGre
-from closedloop.friction.laws.none import NoFriction
+from closedloop.mechanics.friction import pull_block
+from closedloop.mechanics.friction.laws.coulomb import SurfaceCoulomb
+from closedloop.mechanics.friction.laws.dahl import SurfaceDahl
+from closedloop.mechanics.friction.laws.lugre import SurfaceLuGre
+from closedloop.mechanics.friction.laws.none import NoFriction
 
 # Canudas de Wit, Olsson, Åström, Lischinsky 1995, as in EXUDYN's Examples/lugreFrictionODE1.py, commit e44aca1b.
 PUBLISHED = SurfaceLuGre(

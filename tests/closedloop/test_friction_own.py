@@ -7,9 +7,9 @@ import numpy as np
 import pytest
 
 import closedloop as cl
-from closedloop.friction.law import SurfaceFriction
 from closedloop.jit.kernel import jit_disabled
-from closedloop.report.tables import restitution_cut
+from closedloop.mechanics.friction.law import SurfaceFriction
+from closedloop.record.report.tables import restitution_cut
 from closedloop.scenario.load import parse_scenario
 
 ROOT = Path(__file__).resolve().parents[2]
@@ -18,8 +18,8 @@ MASS = 2.0  # kg, of pointmass3
 OWN = '''
 import math
 
-from closedloop.impact.restitution import Restitution
-from closedloop.sections import Positive, stiffness_in
+from closedloop.mechanics.impact.restitution import Restitution
+from closedloop.base.sections import Positive, stiffness_in
 
 
 class Dry(SurfaceFriction, JointFriction):
@@ -284,10 +284,16 @@ REFUSED = {
     "no force": ({"joint_friction.kind": "my_friction:OfJointsOnly"}, "my_friction:OfJointsOnly: must define slide"),
     "of joints": (
         {"friction.kind": "my_friction:OfJointsOnly"},
-        "derived from closedloop.friction.law.SurfaceFriction",
+        "derived from closedloop.mechanics.friction.law.SurfaceFriction",
     ),
-    "a restitution": ({"friction.kind": "my_friction:Generous"}, "derived from closedloop.friction.law.SurfaceFrict"),
-    "a friction": ({"impact.law": "my_friction:Drag"}, "derived from closedloop.impact.restitution.Restitution"),
+    "a restitution": (
+        {"friction.kind": "my_friction:Generous"},
+        "derived from closedloop.mechanics.friction.law.SurfaceFrict",
+    ),
+    "a friction": (
+        {"impact.law": "my_friction:Drag"},
+        "derived from closedloop.mechanics.impact.restitution.Restitution",
+    ),
     "depends on the step": (
         {"joint_friction.kind": "my_friction:Dry", "time.integrator": "dop853"},
         "joint_friction.kind = 'my_friction:Dry': depends on the step",

@@ -9,18 +9,18 @@ import pytest
 from pydantic import TypeAdapter, ValidationError
 
 import closedloop as cl
-import closedloop.friction
+import closedloop.mechanics.friction
 from closedloop.figures.friction_laws import draw
-from closedloop.friction import JOINT_LAWS, SURFACE_LAWS
-from closedloop.friction.laws.coulomb import SurfaceCoulomb
-from closedloop.friction.laws.coulomb_viscous import JointCoulombViscous
-from closedloop.friction.laws.dahl import JointDahl
-from closedloop.friction.laws.lugre import JointLuGre, SurfaceLuGre, passive_damping_speed, passive_viscous
-from closedloop.friction.laws.none import NoFriction
-from closedloop.friction.laws.seven_parameter import JointSevenParameter
-from closedloop.friction.laws.stribeck import JointStribeck, SurfaceStribeck
-from closedloop.friction.packing import joint_parameters, surface_parameters
-from closedloop.parameters import pack_each_joint
+from closedloop.jit.parameters import pack_each_joint
+from closedloop.mechanics.friction import JOINT_LAWS, SURFACE_LAWS
+from closedloop.mechanics.friction.laws.coulomb import SurfaceCoulomb
+from closedloop.mechanics.friction.laws.coulomb_viscous import JointCoulombViscous
+from closedloop.mechanics.friction.laws.dahl import JointDahl
+from closedloop.mechanics.friction.laws.lugre import JointLuGre, SurfaceLuGre, passive_damping_speed, passive_viscous
+from closedloop.mechanics.friction.laws.none import NoFriction
+from closedloop.mechanics.friction.laws.seven_parameter import JointSevenParameter
+from closedloop.mechanics.friction.laws.stribeck import JointStribeck, SurfaceStribeck
+from closedloop.mechanics.friction.packing import joint_parameters, surface_parameters
 
 # A unit stands between commas or at the end; 1 is that of numbers without.
 UNIT = r", (1|s|m/s|rad/s|1/m|s/m|N s/m|N m|N m/rad|N m s/rad)(,|;|$)"
@@ -236,7 +236,9 @@ def test_file_that_cannot_be_written(tmp_path):
 
 def test_public_names_are_there():
     """Every name that the package offers exists, and reading it twice gives the same thing."""
-    for name in closedloop.friction.__all__:
-        assert getattr(closedloop.friction, name) is getattr(importlib.import_module("closedloop.friction"), name)
+    for name in closedloop.mechanics.friction.__all__:
+        assert getattr(closedloop.mechanics.friction, name) is getattr(
+            importlib.import_module("closedloop.mechanics.friction"), name
+        )
     with pytest.raises(AttributeError, match="no attribute 'stiction'"):
-        _ = closedloop.friction.stiction
+        _ = closedloop.mechanics.friction.stiction

@@ -6,7 +6,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from test_friction_examples import contact
 
-from closedloop.friction.laws.seven_parameter import SurfaceSevenParameter
+from closedloop.mechanics.friction.laws.seven_parameter import SurfaceSevenParameter
 
 F_C, F_S, V_S, K_T, TAU, GAMMA, F_V = 0.1, 0.08, 2e-3, 2e4, 0.01, 0.4, 0.5
 SECTION = SurfaceSevenParameter(

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 import closedloop as cl
-from closedloop.report import energy_balance
+from closedloop.record.report import energy_balance
 from closedloop.scenario.load import parse_scenario
 
 # The point mass of 2 kg, pressed on the plane and drawn by an impedance, which here is a spring without a damper.

@@ -7,8 +7,8 @@ import pytest
 
 import closedloop as cl
 import robot_models
-from closedloop.closure.baumgarte import amplification, linear_step
-from closedloop.integrators import INTEGRATORS
+from closedloop.mechanics.closure.baumgarte import amplification, linear_step
+from closedloop.mechanics.integrators import INTEGRATORS
 from closedloop.scenario.gains import GROWING, Feedback, feedbacks, gains_fault, growth
 
 H = 0.001

@@ -8,8 +8,8 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from closedloop.errors import ScenarioError
-from closedloop.impact import Impact, two_phase_impact
+from closedloop.base.errors import ScenarioError
+from closedloop.mechanics.impact import Impact, two_phase_impact
 
 LAWS = ["newton", "poisson", "stronge"]
 # Relative error of a single impact: rounding times the condition of S, which is below 1e3 where this is used.

@@ -5,7 +5,7 @@ import math
 import numpy as np
 import pytest
 
-from closedloop.impact import two_phase_impact
+from closedloop.mechanics.impact import two_phase_impact
 
 # Rounding times the condition of the two pieces' algebra; mobilities are drawn with determinants above 0.05.
 AGREEMENT = 1e-11

@@ -8,8 +8,9 @@ import sys
 import numpy as np
 import pytest
 
-from closedloop.closure.solve import DIVERGED, OK, SINGULAR
-from closedloop.impact import (
+from closedloop.jit.kernel import kernel
+from closedloop.mechanics.closure.solve import DIVERGED, OK, SINGULAR
+from closedloop.mechanics.impact import (
     CUT,
     JAM,
     NEWTON,
@@ -24,7 +25,6 @@ from closedloop.impact import (
     ImpactWork,
     impact,
 )
-from closedloop.jit.kernel import kernel
 
 ALL = SLIP | STICK | REVERSAL | TURN | JAM | RECOMPRESSION | CUT | WEDGE
 
@@ -121,7 +121,7 @@ def test_numbers_that_underflow_are_zero(law):
 SAME = """
 import json, sys
 import numpy as np
-from closedloop.impact import ImpactWork, impact
+from closedloop.mechanics.impact import ImpactWork, impact
 rows = []
 rng = np.random.default_rng(21)
 for k in range(24):

@@ -9,7 +9,7 @@ from budget import budget
 from scipy.integrate import solve_ivp
 from scipy.optimize import brentq
 
-from closedloop.impact import MODE_NAMES, two_phase_impact
+from closedloop.mechanics.impact import MODE_NAMES, two_phase_impact
 
 LAWS = ["newton", "poisson", "stronge"]
 STILL = 1e-13  # share of the speed at which the reference takes slip for stopped: its equation is singular there

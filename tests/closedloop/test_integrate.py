@@ -6,10 +6,10 @@ import numpy as np
 import pytest
 
 import closedloop as cl
-from closedloop.integrators import INTEGRATORS
 from closedloop.jit.interpreted import interpreted
-from closedloop.report import energy_balance
-from closedloop.step.advance import advance
+from closedloop.loop.step.advance import advance
+from closedloop.mechanics.integrators import INTEGRATORS
+from closedloop.record.report import energy_balance
 
 DURATION = 0.2  # s
 # Steps in DURATION: as few as is smooth, doubled until rk4's error is still a hundred times rounding (1e-14 × steps).

@@ -5,8 +5,8 @@ import pytest
 from budget import budget
 
 import closedloop as cl
-from closedloop.integrators import ADAPTIVE, INTEGRATORS
-from closedloop.report import notes
+from closedloop.mechanics.integrators import ADAPTIVE, INTEGRATORS
+from closedloop.record.report import notes
 from closedloop.scenario.describe import explain_key
 from closedloop.scenario.file import shipped_scenarios
 from closedloop.scenario.load import parse_scenario

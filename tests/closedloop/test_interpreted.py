@@ -9,20 +9,20 @@ import numpy as np
 import pytest
 
 import closedloop as cl
-from closedloop.engines.loops import COMPILED, ENGINES, PINOCCHIO, loop_for
-from closedloop.engines.proceed import proceed_at
-from closedloop.events.impacts import collide
+from closedloop.control.reference.follow import follow
 from closedloop.jit import background, calls, interim
 from closedloop.jit.calls import call_at, forget_entry, interpreted_address
 from closedloop.jit.interim import PROBE, Interim
 from closedloop.jit.interpreted import interpreted
 from closedloop.jit.kernel import entry_kernel, jit_disabled
 from closedloop.jit.pointers import address_of, matrix_at
-from closedloop.reference.follow import follow
-from closedloop.report.measured import measure_rows
+from closedloop.loop.events.impacts import collide
+from closedloop.loop.step.record_row import complete_record
+from closedloop.record.report.measured import measure_rows
+from closedloop.simulation.engines.loops import COMPILED, ENGINES, PINOCCHIO, loop_for
+from closedloop.simulation.engines.proceed import proceed_at
 from closedloop.simulation.loop_calls import USED_ONCE
 from closedloop.simulation.prepare import prepare
-from closedloop.step.record_row import complete_record
 
 SHORT = {"time.duration": 0.06}
 AT_ONCE = {"reference.start": 0.0, "reference.stop": 0.5}  # a short path: the interpreter finds the joints along it
@@ -121,7 +121,7 @@ def test_all_that_the_loop_calls_is_compiled_with_it(name, monkeypatch):
     """What gets an address in the loop's memory is known beforehand: a run waits for all of it, or for nothing."""
     problem = prepare(cl.load_scenario(name, {"time.duration": 0.01}))
     loop, connected = problem.loop(), []
-    for module in ("closedloop.engines.problem", "closedloop.contacts.surfaces"):
+    for module in ("closedloop.simulation.engines.problem", "closedloop.mechanics.contacts.surfaces"):
         monkeypatch.setattr(f"{module}.entry_address", lambda entry: connected.append(entry) or 0, raising=False)
     problem.connect(loop)
     assert proceed_at in connected

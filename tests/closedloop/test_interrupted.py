@@ -8,11 +8,11 @@ import numpy as np
 import pytest
 
 import closedloop as cl
-from closedloop.columns.recorded import COLUMNS
-from closedloop.engines.user_law import UserLaw
-from closedloop.errors import ClosedLoopError
-from closedloop.interrupts import Terminated, held_back, terminable
-from closedloop.step import entries
+from closedloop.base.errors import ClosedLoopError
+from closedloop.base.interrupts import Terminated, held_back, terminable
+from closedloop.loop.step import entries
+from closedloop.record.columns.recorded import COLUMNS
+from closedloop.simulation.engines.user_law import UserLaw
 
 INTEGRATORS = ("semi_implicit_euler", "rk4", "dop853")
 LATE = 0.021

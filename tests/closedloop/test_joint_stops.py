@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 import closedloop as cl
-from closedloop.robot.pinocchio import Robot
+from closedloop.mechanics.robot.pinocchio import Robot
 from robot_models import load
 
 G = 9.81

@@ -9,8 +9,8 @@ import scipy.linalg
 
 import closedloop as cl
 from closedloop.jit.kernel import plain
-from closedloop.step.reference_row import reference_row
-from closedloop.step.tip_friction import turn_with_slip
+from closedloop.loop.step.reference_row import reference_row
+from closedloop.loop.step.tip_friction import turn_with_slip
 
 
 def test_the_reference_between_two_instants_is_the_cubic_through_both():

@@ -12,8 +12,8 @@ import pytest
 from budget import budget
 
 import closedloop as cl
-from closedloop.columns.recorded import COLUMNS
-from closedloop.files import remove_unfinished
+from closedloop.base.files import remove_unfinished
+from closedloop.record.columns.recorded import COLUMNS
 from closedloop.run import main
 
 pytestmark = pytest.mark.skipif(not hasattr(os, "fork"), reason="this system has no fork")

@@ -11,8 +11,8 @@ import pytest
 
 import closedloop as cl
 from closedloop.__main__ import main
+from closedloop.figures.scene.scene import scene_of
 from closedloop.lab import in_browser
-from closedloop.lab.scene import scene_of
 from closedloop.lab.share import MOST_FRAMES
 
 pytestmark = [pytest.mark.slow, pytest.mark.skipif(bool(in_browser.why_not()), reason=in_browser.why_not())]

@@ -13,7 +13,7 @@ import pytest
 
 import closedloop as cl
 from closedloop.__main__ import main
-from closedloop.export.mcap_file import write_mcap
+from closedloop.figures.export.mcap_file import write_mcap
 from closedloop.lab.server import is_loopback, serve, without_token
 from closedloop.lab.start import open_in_browser
 
@@ -48,7 +48,7 @@ def test_a_lab_that_cannot_be_opened_is_one_line(words, said, capsys):
 
 def test_without_viser_the_line_says_what_to_install(monkeypatch, capsys):
     """The extra is named."""
-    monkeypatch.setattr("closedloop.lab.command.find_spec", lambda name: None)
+    monkeypatch.setattr("closedloop.command.lab.find_spec", lambda name: None)
     assert main(["lab"]) == 2
     assert 'pip install "closedloop[lab]"' in capsys.readouterr().err
 
@@ -163,7 +163,7 @@ def test_ctrl_c_closes_the_lab_without_a_traceback(tmp_path):
 def test_a_minute_of_dragging_leaves_the_last_value_and_no_memory():
     """Sixty changes a second, for ten seconds here: no fault, the last value shown, no growth."""
     pytest.importorskip("viser", reason="viser is not installed: the extra 'lab'")
-    from closedloop.lab.benchmark import MOST_MB, drag
+    from closedloop.command.lab_benchmark import MOST_MB, drag
 
     lab = cl.lab("wam_slide", port=8441, show=False)
     try:

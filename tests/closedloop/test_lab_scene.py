@@ -11,15 +11,15 @@ import pinocchio
 import pytest
 
 import closedloop as cl
-from closedloop.closure.contact_force import FREE
-from closedloop.events.table import EVENT_COLUMNS
+from closedloop.figures.scene.joined import Joined
+from closedloop.figures.scene.scene import LOOP, TOUCH, quaternions, scene_of
 from closedloop.lab.curves import panels, reduced, with_instants
-from closedloop.lab.joined import Joined
 from closedloop.lab.playback import Playback
-from closedloop.lab.scene import LOOP, TOUCH, quaternions, scene_of
 from closedloop.lab.share import page_of
-from closedloop.loops.reactions import loop_rows
-from closedloop.robot.pinocchio import Robot
+from closedloop.loop.events.table import EVENT_COLUMNS
+from closedloop.mechanics.closure.contact_force import FREE
+from closedloop.mechanics.loops.reactions import loop_rows
+from closedloop.mechanics.robot.pinocchio import Robot
 from validation.loops import mechanisms
 
 SHIPPED = cl.shipped_scenarios()
@@ -156,7 +156,7 @@ def test_every_kind_of_loop_joint_has_a_mark_where_it_is(mechanism):
 def test_shapes_move_with_the_joints(model):
     """Each shape belongs to a joint of the robot or its base, and its triangles to its vertices."""
     import robot_models
-    from closedloop.lab.shapes import robot_shapes
+    from closedloop.figures.scene.shapes import robot_shapes
 
     robot = robot_models.load(model)
     shapes = robot_shapes(robot, robot.tip)
@@ -170,7 +170,7 @@ def test_shapes_move_with_the_joints(model):
 def test_a_robot_without_shapes_is_drawn_as_rods():
     """An MJCF, whose shapes are not read, has a rod or a ball for the base and every joint."""
     import robot_models
-    from closedloop.lab.shapes import robot_shapes
+    from closedloop.figures.scene.shapes import robot_shapes
 
     inertia = '<inertial pos="0 0 0" mass="1" diaginertia="1 1 1"/>'
     body = f'<body name="{{}}" pos="0 0 0.5">{inertia}<joint name="{{}}" type="hinge" axis="0 1 0"/>'

@@ -4,9 +4,9 @@ import numpy as np
 import pytest
 
 import closedloop as cl
-from closedloop.batch.worker import Worker
-from closedloop.engines.lanes import FEWEST, LaneRuns, kind_of
 from closedloop.jit.simd8 import WIDE
+from closedloop.simulation.batch.worker import Worker
+from closedloop.simulation.engines.lanes import FEWEST, LaneRuns, kind_of
 from closedloop.simulation.prepare import prepare
 from robot_models import load
 
@@ -60,7 +60,7 @@ def alone(monkeypatch, *args, **options):
     """Return the table of a batch in which each run goes by itself."""
     with monkeypatch.context() as now:
         for module in ("worker", "simulate_batch"):
-            now.setattr(f"closedloop.batch.{module}.uses_lanes", lambda *_: False)
+            now.setattr(f"closedloop.simulation.batch.{module}.uses_lanes", lambda *_: False)
         return cl.simulate_batch(*args, **options)
 
 

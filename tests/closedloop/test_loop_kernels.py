@@ -7,8 +7,8 @@ import pytest
 from numpy.polynomial import Polynomial
 
 from closedloop.jit.interpreted import interpreted
-from closedloop.loops.rows import _gear
-from closedloop.loops.solve import meet_rows, orthonormal_rows, spanned_force
+from closedloop.mechanics.loops.rows import _gear
+from closedloop.mechanics.loops.solve import meet_rows, orthonormal_rows, spanned_force
 
 
 @pytest.mark.parametrize("degree", range(5))

@@ -4,11 +4,11 @@ import numpy as np
 import pytest
 
 from closedloop.jit.interpreted import interpreted
-from closedloop.loops.bind import loop_memory
-from closedloop.loops.close import close_state
-from closedloop.loops.passing import find_required_on_the_way
-from closedloop.loops.solve import leave_free
-from closedloop.robot.pinocchio import Robot
+from closedloop.mechanics.loops.bind import loop_memory
+from closedloop.mechanics.loops.close import close_state
+from closedloop.mechanics.loops.passing import find_required_on_the_way
+from closedloop.mechanics.loops.solve import leave_free
+from closedloop.mechanics.robot.pinocchio import Robot
 from validation.loops.mechanisms import bar, joint, loop, mechanism, point
 
 CRANK, BASE, ROCKER = 0.2, 0.3, 0.4

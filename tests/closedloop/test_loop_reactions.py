@@ -6,7 +6,7 @@ import pytest
 
 import closedloop as cl
 import robot_models
-from closedloop.loops.wrench import labels_of
+from closedloop.mechanics.loops.wrench import labels_of
 from validation.loops.mechanisms import MECHANISMS, joint, loop, point
 
 MASS, CENTRE = 2.0, np.array([0.3, -0.2, 0.1])

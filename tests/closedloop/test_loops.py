@@ -9,14 +9,14 @@ from budget import budget
 
 import closedloop as cl
 import robot_models
-from closedloop.closure.solve import solve_closure
-from closedloop.loops import close
-from closedloop.loops.assemble import closed_start, errors_at
-from closedloop.loops.bind import bound_by_loops, loop_memory
-from closedloop.loops.memory import IDLE, POSITION
-from closedloop.loops.reactions import loop_reactions
-from closedloop.loops.reactions import loop_rows as rows_of_loops
-from closedloop.robot.pinocchio import Robot
+from closedloop.mechanics.closure.solve import solve_closure
+from closedloop.mechanics.loops import close
+from closedloop.mechanics.loops.assemble import closed_start, errors_at
+from closedloop.mechanics.loops.bind import bound_by_loops, loop_memory
+from closedloop.mechanics.loops.memory import IDLE, POSITION
+from closedloop.mechanics.loops.reactions import loop_reactions
+from closedloop.mechanics.loops.reactions import loop_rows as rows_of_loops
+from closedloop.mechanics.robot.pinocchio import Robot
 from validation.loops.mechanisms import MECHANISMS, bar, change_point, four_bar, joint, loop, mechanism, point
 from validation.oracle.closure import LoopJoint, loop_rows
 from validation.oracle.kinematics import forward_kinematics

@@ -7,11 +7,12 @@ import numpy as np
 import pytest
 
 import closedloop as cl
-from closedloop.closure.contact_force import FREE, PRESSED, STUCK
 from closedloop.jit.interpreted import interpreted
-from closedloop.report import run_values as values_module
-from closedloop.report.alternation import Signal, alternation, count_signal
-from closedloop.report.measured import (
+from closedloop.loop.step.record_row import RECORDED
+from closedloop.mechanics.closure.contact_force import FREE, PRESSED, STUCK
+from closedloop.record.report import run_values as values_module
+from closedloop.record.report.alternation import Signal, alternation, count_signal
+from closedloop.record.report.measured import (
     Tally,
     Values,
     begin_tally,
@@ -19,8 +20,8 @@ from closedloop.report.measured import (
     count_row,
     write_values,
 )
-from closedloop.report.measures import LEAST_TORQUE, SETTLED
-from closedloop.report.row_assumptions import (
+from closedloop.record.report.measures import LEAST_TORQUE, SETTLED
+from closedloop.record.report.row_assumptions import (
     MOST_GROWTH,
     NAMES,
     NEAR_SINGULAR,
@@ -28,11 +29,10 @@ from closedloop.report.row_assumptions import (
     RESIDUAL_TOLERANCE,
     assumptions_met,
 )
-from closedloop.report.row_sample import JointLimits, Scale, energy_left, friction_power, joint_limits
-from closedloop.report.run_values import columns_of, run_values
-from closedloop.report.step_error import held_for
-from closedloop.report.step_variation import Swings, count_swings, end_stretch
-from closedloop.step.record_row import RECORDED
+from closedloop.record.report.row_sample import JointLimits, Scale, energy_left, friction_power, joint_limits
+from closedloop.record.report.run_values import columns_of, run_values
+from closedloop.record.report.step_error import held_for
+from closedloop.record.report.step_variation import Swings, count_swings, end_stretch
 
 SLIDE = {"time.duration": 0.3, "law.pd_start": 0.1, "reference.start": 0.1}  # the motion starts within
 RUNS = {

@@ -11,7 +11,7 @@ import math
 import numpy as np
 
 from closedloop import ControlLaw, Surface
-from closedloop.friction.law import SurfaceFriction
+from closedloop.mechanics.friction.law import SurfaceFriction
 
 
 class Late(ControlLaw):

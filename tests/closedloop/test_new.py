@@ -89,7 +89,7 @@ def test_a_full_disk_leaves_no_file(new, tmp_path, monkeypatch):
         raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
 
     with monkeypatch.context() as patched:
-        patched.setattr("closedloop.files.os.fsync", full)
+        patched.setattr("closedloop.base.files.os.fsync", full)
         assert new("mine", "--robot", "planar2")[2] == (
             "closedloop: mine.toml: cannot be written: No space left on device\n"
         )
@@ -99,6 +99,6 @@ def test_a_full_disk_leaves_no_file(new, tmp_path, monkeypatch):
         (tmp_path / "mine.toml").write_text("theirs")
 
     with monkeypatch.context() as patched:
-        patched.setattr("closedloop.files.os.fsync", meanwhile)
+        patched.setattr("closedloop.base.files.os.fsync", meanwhile)
         assert "is there already and is not replaced" in new("mine", "--robot", "planar2")[2]
     assert [(path.name, path.read_text()) for path in tmp_path.iterdir()] == [("mine.toml", "theirs")]

@@ -60,7 +60,9 @@ def test_every_command_is_there_and_says_what_it_is(command, closedloop):
     assert len(command.help) + 14 <= 80
     status, out, err = closedloop(command.name, "--nosuch")
     assert (status, out) == (2, "")
-    assert re.fullmatch(r"(closedloop|closedloop.sweep|closedloop.study|validation): command line: .*\n", err)
+    assert re.fullmatch(
+        r"(closedloop|closedloop.studies.sweep|closedloop.studies.study|validation): command line: .*\n", err
+    )
 
 
 def test_the_words_before_a_command(closedloop):
@@ -81,7 +83,7 @@ def test_a_command_imports_what_it_needs_and_no_more(tmp_path):
     """The overview loads no other command; a foreign package called validation is named, and its code is not run."""
     code = "import sys; from closedloop.__main__ import main; main(['--help']); print(*sys.modules)"
     loaded = subprocess.run([sys.executable, "-c", code], cwd=ROOT, capture_output=True, text=True).stdout.split()
-    assert not {"pydantic", "pinocchio", "closedloop.run", "validation", "closedloop.sweep"} & set(loaded)
+    assert not {"pydantic", "pinocchio", "closedloop.run", "validation", "closedloop.studies.sweep"} & set(loaded)
     (tmp_path / "validation").mkdir()
     (tmp_path / "validation" / "__init__.py").write_text("")
     code = f"import sys; sys.path[:0] = [{str(tmp_path)!r}, {str(ROOT)!r}]\n" + "from closedloop.__main__ import main\n"

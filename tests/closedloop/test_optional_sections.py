@@ -10,9 +10,9 @@ import pytest
 import tomli_w
 
 import closedloop as cl
-from closedloop.columns.recorded import SURFACE_COLUMNS
-from closedloop.errors import ScenarioError
-from closedloop.report.measures import MEASURES
+from closedloop.base.errors import ScenarioError
+from closedloop.record.columns.recorded import SURFACE_COLUMNS
+from closedloop.record.report.measures import MEASURES
 from closedloop.scenario.file import scenario_text
 from closedloop.scenario.load import parse_scenario
 

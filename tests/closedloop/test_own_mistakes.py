@@ -6,10 +6,10 @@ import numpy as np
 import pytest
 
 import closedloop as cl
-from closedloop.engines.law_source import arguments_of
+from closedloop.control.reference.path import PATHS, Path
 from closedloop.jit.compiler_words import why_not_compiled
-from closedloop.reference.path import PATHS, Path
-from closedloop.user_code import why_member_not_compiled
+from closedloop.jit.user_code import why_member_not_compiled
+from closedloop.simulation.engines.law_source import arguments_of
 
 SHORT = {"time.duration": 0.01}
 

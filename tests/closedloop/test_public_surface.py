@@ -62,7 +62,7 @@ def test_what_is_not_used_is_not_loaded():
 
     Reading a scenario loads no engine, and of each family the members that it picks.
     """
-    other_paths = [f"closedloop.reference.paths.{name}" for name in ("circle", "hold", "raster", "waypoints")]
+    other_paths = [f"closedloop.control.reference.paths.{name}" for name in ("circle", "hold", "raster", "waypoints")]
     assert all(map(find_spec, other_paths))
     code = "import sys, closedloop\n"
     for use, absent in (

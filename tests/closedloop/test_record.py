@@ -13,7 +13,7 @@ import xarray
 
 import closedloop as cl
 import robot_models
-from closedloop.columns.recorded import COLUMNS
+from closedloop.record.columns.recorded import COLUMNS
 from closedloop.record.sealed import seal
 from robot_models.shipped import path_of
 

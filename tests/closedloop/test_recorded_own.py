@@ -8,11 +8,11 @@ import pytest
 from pydantic import Field
 
 import closedloop as cl
-from closedloop.columns.added import from_text
-from closedloop.contacts.names import labels_of
-from closedloop.errors import LawError, RunFileError, ScenarioError
-from closedloop.export.csv_table import write_csv
-from closedloop.sections import RATE, Positive
+from closedloop.base.errors import LawError, RunFileError, ScenarioError
+from closedloop.base.sections import RATE, Positive
+from closedloop.figures.export.csv_table import write_csv
+from closedloop.record.columns.added import from_text
+from closedloop.scenario.contact_names import labels_of
 from tests.rounding import rounding
 
 SHORT = {"time.duration": 0.02}

@@ -11,9 +11,9 @@ from scipy.integrate import solve_ivp
 from scipy.linalg import null_space
 
 import closedloop as cl
-from closedloop.reference.follow import follow
-from closedloop.reference.joint_path import JointPath
-from closedloop.reference.paths.line import Line
+from closedloop.control.reference.follow import follow
+from closedloop.control.reference.joint_path import JointPath
+from closedloop.control.reference.paths.line import Line
 from robot_models.planar2 import closed_form
 
 START, STOP = 0.5, 6.5  # s

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 import closedloop as cl
-from closedloop.reference.desired import desired
+from closedloop.control.reference.desired import desired
 from closedloop.scenario.describe import keys
 from closedloop.scenario.load import parse_scenario
 

@@ -11,15 +11,15 @@ from scipy.linalg import null_space
 from scipy.optimize import brentq
 
 import closedloop as cl
-from closedloop.reference.follow import follow
-from closedloop.reference.inverse_kinematics import KNOT_TOLERANCE, PATH_TOLERANCE
-from closedloop.reference.path import tip_path
-from closedloop.reference.paths.circle import Circle
-from closedloop.reference.paths.figure_eight import FigureEight
-from closedloop.reference.paths.line import Line
-from closedloop.reference.paths.raster import Raster
-from closedloop.reference.paths.waypoints import Waypoints
-from closedloop.reference.timing import minimum_jerk
+from closedloop.control.reference.follow import follow
+from closedloop.control.reference.inverse_kinematics import KNOT_TOLERANCE, PATH_TOLERANCE
+from closedloop.control.reference.path import tip_path
+from closedloop.control.reference.paths.circle import Circle
+from closedloop.control.reference.paths.figure_eight import FigureEight
+from closedloop.control.reference.paths.line import Line
+from closedloop.control.reference.paths.raster import Raster
+from closedloop.control.reference.paths.waypoints import Waypoints
+from closedloop.control.reference.timing import minimum_jerk
 from robot_models.planar2 import closed_form
 
 UP = np.array([0.0, 0.0, 1.0])

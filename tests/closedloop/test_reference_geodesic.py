@@ -5,10 +5,10 @@ import pytest
 from numpy.polynomial import Chebyshev
 
 import closedloop as cl
-from closedloop.reference.path import PATHS, path_on
-from closedloop.surface.motion import MOTIONS
-from closedloop.surface.placed import PlacedSurface
-from closedloop.surface.surface import SURFACES
+from closedloop.control.reference.path import PATHS, path_on
+from closedloop.mechanics.surface.motion import MOTIONS
+from closedloop.mechanics.surface.placed import PlacedSurface
+from closedloop.mechanics.surface.surface import SURFACES
 
 TIP = np.array([0.3, -0.2, 0.5])
 UP = np.array([0.0, 0.0, 1.0])

@@ -5,8 +5,8 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from closedloop.control.reference.least_norm import RANK_TOLERANCE, least_norm
 from closedloop.jit.kernel import plain
-from closedloop.reference.least_norm import RANK_TOLERANCE, least_norm
 
 
 def rate_of(J, wanted):

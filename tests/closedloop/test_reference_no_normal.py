@@ -6,12 +6,12 @@ import numpy as np
 import pytest
 
 import closedloop as cl
-from closedloop.reference import no_normal
-from closedloop.reference.no_normal import refuse_without_normal
-from closedloop.reference.tip_path import Segment, TipPath
-from closedloop.surface.motion import MOTIONS
-from closedloop.surface.placed import PlacedSurface
-from closedloop.surface.surface import SURFACES
+from closedloop.control.reference import no_normal
+from closedloop.control.reference.no_normal import refuse_without_normal
+from closedloop.control.reference.tip_path import Segment, TipPath
+from closedloop.mechanics.surface.motion import MOTIONS
+from closedloop.mechanics.surface.placed import PlacedSurface
+from closedloop.mechanics.surface.surface import SURFACES
 
 AT = (-0.2, 0.0, 0.0)
 SPEED, DURATION = np.array([0.05, 0.02, 0.0]), 4.0

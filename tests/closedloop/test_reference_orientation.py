@@ -7,12 +7,12 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 import closedloop as cl
-from closedloop.engines.problem import Problem
+from closedloop.control.reference.inverse_kinematics import _axis_rows, _frame_rows
+from closedloop.control.reference.orientation import turned_by
 from closedloop.jit.interpreted import interpreted
 from closedloop.jit.kernel import plain
-from closedloop.reference.inverse_kinematics import _axis_rows, _frame_rows
-from closedloop.reference.orientation import turned_by
-from closedloop.step.reference_row import desired_acceleration
+from closedloop.loop.step.reference_row import desired_acceleration
+from closedloop.simulation.engines.problem import Problem
 
 ON_A_BALL = {
     "law": {"kind": "operational_space", "force": 5.0, "posture_stiffness": 400.0, "posture_damping": 40.0},

@@ -5,14 +5,14 @@ import pytest
 from scipy.integrate import quad
 
 import closedloop as cl
-from closedloop.reference.path import tip_path
-from closedloop.reference.paths.circle import Circle
-from closedloop.reference.paths.figure_eight import FigureEight
-from closedloop.reference.paths.hold import Hold
-from closedloop.reference.paths.line import Line
-from closedloop.reference.paths.raster import Raster
-from closedloop.reference.paths.waypoints import Waypoints
-from closedloop.reference.timing import minimum_jerk
+from closedloop.control.reference.path import tip_path
+from closedloop.control.reference.paths.circle import Circle
+from closedloop.control.reference.paths.figure_eight import FigureEight
+from closedloop.control.reference.paths.hold import Hold
+from closedloop.control.reference.paths.line import Line
+from closedloop.control.reference.paths.raster import Raster
+from closedloop.control.reference.paths.waypoints import Waypoints
+from closedloop.control.reference.timing import minimum_jerk
 
 ORIGIN = np.array([0.4, -0.1, 0.25])
 NORMAL = np.array([2.0, -1.0, 2.0]) / 3.0

@@ -9,8 +9,8 @@ import pytest
 from slides import SLIDES
 
 import closedloop as cl
-from closedloop.report import NEAR_SINGULAR, RESIDUAL_TOLERANCE, energy_balance, notes, print_report
-from closedloop.report.tables import MOST_EVENTS
+from closedloop.record.report import NEAR_SINGULAR, RESIDUAL_TOLERANCE, energy_balance, notes, print_report
+from closedloop.record.report.tables import MOST_EVENTS
 
 NAMES = ("one_loop", "single_point", "contact_kept", "frictionless", "nonsingular")
 

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 import closedloop as cl
-from closedloop.report import notes
+from closedloop.record.report import notes
 
 # Slip that friction reverses: Newton's law asks for more rebound than the energy of the impact allows.
 START = {

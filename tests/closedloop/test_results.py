@@ -12,7 +12,7 @@ import pytest
 from matplotlib.figure import Figure
 
 import closedloop as cl
-from closedloop.files import write_whole
+from closedloop.base.files import write_whole
 
 SHORT = ("--time.duration", "0.02", "--no-figures", "--json", "--out", "r")
 LAWS = """

@@ -4,8 +4,8 @@ import errno
 import os
 
 import closedloop as cl
+from closedloop.base.files import FolderLock
 from closedloop.command.results import TakenError, first_free
-from closedloop.files import FolderLock
 
 SHORT = ("planar2_slide", "--time.duration", "0.02", "--no-figures")
 QUESTION = {"scenario": ""}
@@ -65,7 +65,7 @@ def test_a_folder_removed_while_it_is_locked_is_made_anew(tmp_path, monkeypatch)
             removed.append(os.rmdir(path))
         return file
 
-    monkeypatch.setattr("closedloop.files.os.open", removing)
+    monkeypatch.setattr("closedloop.base.files.os.open", removing)
     with first_free(tmp_path / "r", QUESTION, False) as results:
         assert results.folder.is_dir()
         assert FolderLock.of(results.folder) is None
@@ -78,7 +78,7 @@ def test_a_disk_without_locks_is_no_reason_to_refuse(tmp_path, monkeypatch):
     def refuse(*_):
         raise OSError(errno.ENOLCK, os.strerror(errno.ENOLCK))
 
-    monkeypatch.setattr("closedloop.files.fcntl.flock", refuse)
+    monkeypatch.setattr("closedloop.base.files.fcntl.flock", refuse)
     with first_free(tmp_path / "r", QUESTION, False) as first, first_free(tmp_path / "r", QUESTION, False) as second:
         assert first.folder == second.folder
 

@@ -6,7 +6,7 @@ import pytest
 
 import closedloop as cl
 import robot_models
-from closedloop.robot.tip import tip_kinematics
+from closedloop.mechanics.robot.tip import tip_kinematics
 from robot_models.planar2 import closed_form
 
 # Two summations of the same few dozen products in another order: some hundred roundings of 1e-16 of the largest.

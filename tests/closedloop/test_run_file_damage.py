@@ -15,12 +15,12 @@ import pytest
 
 import closedloop as cl
 from closedloop.__main__ import main
-from closedloop.columns.recorded import COLUMNS
 from closedloop.figures import draw_figures
 from closedloop.record import sealed
+from closedloop.record.columns.recorded import COLUMNS
 from closedloop.record.hdf5_reader import read_hdf5
+from closedloop.record.report import print_report
 from closedloop.record.save import attributes
-from closedloop.report import print_report
 
 
 @pytest.fixture(scope="module")

@@ -12,8 +12,8 @@ import numpy as np
 import pytest
 
 import closedloop as cl
-from closedloop.closure.contact_force import FREE
 from closedloop.figures.errors import directions, tip_errors
+from closedloop.mechanics.closure.contact_force import FREE
 
 PAGE = Path(cl.__file__).parents[1] / "docs" / "interactive.md"
 SHARED = {}

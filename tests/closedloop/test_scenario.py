@@ -9,11 +9,11 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 import closedloop as cl
+from closedloop.base.sections import ANGLE, PLACE
+from closedloop.loop.step.record_row import Row
 from closedloop.scenario.describe import all_keys, describe_section, explain_key, keys, sections
 from closedloop.scenario.load import parse_scenario
-from closedloop.sections import ANGLE, PLACE
 from closedloop.simulation.time_step import MOST_NUMBERS
-from closedloop.step.record_row import Row
 from robot_models.shipped import path_of
 
 MINIMAL = "[law]\nkp = 1\nkd = 1\n"

@@ -6,7 +6,7 @@ from pathlib import Path
 import pytest
 
 import closedloop as cl
-from closedloop.errors import faults_on_one_line, lines_of
+from closedloop.base.errors import faults_on_one_line, lines_of
 from closedloop.scenario.load import parse_scenario, scenario_of
 from closedloop.scenario.messages import MOST_FAULTS
 from robot_models.shipped import path_of

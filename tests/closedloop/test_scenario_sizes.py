@@ -7,13 +7,13 @@ import numpy as np
 import pytest
 
 import closedloop as cl
+from closedloop.base.errors import LONGEST_LINE, one_line
+from closedloop.base.sections import Section, Size, field_units, sizes
 from closedloop.control.sensor import MOST_QUANTA, SensorSection, pack_sensor, sense
-from closedloop.errors import LONGEST_LINE, one_line
 from closedloop.jit.interpreted import interpreted
 from closedloop.scenario.describe import explain_key
 from closedloop.scenario.messages import variants
 from closedloop.scenario.scenario import Scenario
-from closedloop.sections import Section, Size, field_units, sizes
 
 # Numbers of any size: instants beyond the end of a run, and what has a bound or a check of its own.
 ANY = {

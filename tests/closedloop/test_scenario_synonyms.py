@@ -3,11 +3,11 @@
 import pytest
 
 import closedloop as cl
+from closedloop.command.sweep import main as sweep
 from closedloop.scenario import synonyms
 from closedloop.scenario.describe import all_keys, explain_key, sections
 from closedloop.scenario.scenario import Scenario
 from closedloop.scenario.tables import described_key
-from closedloop.sweep.__main__ import main as sweep
 
 MEANT = {
     "friction.mu": "friction.coefficient", "law.Kp": "law.kp", "law.kv": "law.kd", "law.mu": "friction.coefficient",

@@ -4,10 +4,10 @@ import pyarrow.parquet
 import pytest
 
 import closedloop as cl
-from closedloop.scenario.contact_sections import ContactSection
+from closedloop.command.sweep import main as sweep
+from closedloop.mechanics.contacts.sections import ContactSection
 from closedloop.scenario.describe import describe_section, explain_key
 from closedloop.scenario.units import key_description, key_unit
-from closedloop.sweep.__main__ import main as sweep
 
 NAME = "gripper_block"
 

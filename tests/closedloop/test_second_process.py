@@ -4,7 +4,7 @@ import os
 
 import pytest
 
-from closedloop.second_process import Beside, possible
+from closedloop.base.second_process import Beside, possible
 
 
 def test_its_result_is_that_of_the_work():

@@ -6,11 +6,11 @@ from random_loop import loop_at_random
 from scipy.optimize import minimize
 
 import closedloop as cl
-from closedloop.closure.contact_force import STUCK, factorise
 from closedloop.jit.interpreted import interpreted
-from closedloop.report.report_rows import report_rows
-from closedloop.step.memory import RIGID_STICK
-from closedloop.step.share_friction import share_friction
+from closedloop.loop.step.memory import RIGID_STICK
+from closedloop.loop.step.share_friction import share_friction
+from closedloop.mechanics.closure.contact_force import STUCK, factorise
+from closedloop.record.report.report_rows import report_rows
 
 MU = 0.4
 RUBBING = {

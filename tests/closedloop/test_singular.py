@@ -13,10 +13,10 @@ from random_loop import loop_at_random
 
 import closedloop as cl
 import robot_models
-from closedloop.closure.solve import OK, PUSHED, SINGULAR
 from closedloop.jit.interpreted import interpreted
-from closedloop.report import print_report
-from closedloop.step.singular import Approach, force_in_singular_pose, pushed_on_the_way, remember_approach
+from closedloop.loop.step.singular import Approach, force_in_singular_pose, pushed_on_the_way, remember_approach
+from closedloop.mechanics.closure.solve import OK, PUSHED, SINGULAR
+from closedloop.record.report import print_report
 
 FORCE, RATE, BEGIN = 10.0, 0.5, 0.05  # N, rad/s, rad before the pose
 AT_POSE = BEGIN / RATE

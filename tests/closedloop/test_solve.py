@@ -9,15 +9,23 @@ from hypothesis import assume, given, settings
 from hypothesis import strategies as st
 
 import closedloop as cl
-from closedloop.closure.conditioning import (
+from closedloop.jit.interpreted import interpreted
+from closedloop.jit.kernel import entry_kernel
+from closedloop.mechanics.closure.conditioning import (
     add_to_batch,
     batch_rows,
     condition_number,
     condition_numbers_of_batch,
 )
-from closedloop.closure.contact_force import accelerate, factorise, free_acceleration, pressed_force, stuck_force
-from closedloop.closure.residuals import residuals
-from closedloop.closure.solve import (
+from closedloop.mechanics.closure.contact_force import (
+    accelerate,
+    factorise,
+    free_acceleration,
+    pressed_force,
+    stuck_force,
+)
+from closedloop.mechanics.closure.residuals import residuals
+from closedloop.mechanics.closure.solve import (
     NOT_POSITIVE_DEFINITE,
     OK,
     PAINLEVE,
@@ -25,9 +33,7 @@ from closedloop.closure.solve import (
     SINGULAR_MOBILITY,
     bordered_matrix,
 )
-from closedloop.jit.interpreted import interpreted
-from closedloop.jit.kernel import entry_kernel
-from closedloop.surface.plane import contact_frame
+from closedloop.mechanics.surface.plane import contact_frame
 
 EPS = np.finfo(float).eps
 # Both solutions carry rounding times the condition of Eq. 24. Away from singular poses (`WELL` below) that is

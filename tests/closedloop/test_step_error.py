@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 import closedloop as cl
-from closedloop.report.step_error import variation
+from closedloop.record.report.step_error import variation
 from closedloop.scenario.modes import wrong_by
 
 ELASTIC = {"transmission.stiffness": 7e4, "transmission.damping": 3.8, "transmission.motor_inertia": 0.05}

@@ -5,20 +5,20 @@ import pytest
 from random_loop import loop_at_random
 
 import closedloop as cl
-from closedloop.closure.contact_force import FREE, PRESSED, STUCK
 from closedloop.control.seen import Seen
 from closedloop.jit.interpreted import interpreted
-from closedloop.loops.bind import step_memory
-from closedloop.loops.factor import factor
-from closedloop.loops.rows import locate_rows
-from closedloop.step.belief import believe
-from closedloop.step.closed_loops import BIND_LOAD, IMPULSE, REACTION, closed_loops, drive, factorise_tip
-from closedloop.step.energy_supplied import add_stage_work, commit_work, save_power
-from closedloop.step.joint_friction import _delayed, add_joint_friction, hold_joints, stick_or_slip_joints
-from closedloop.step.locate import locate_tip, off_anchor, set_anchor
-from closedloop.step.memory import Reference
-from closedloop.step.seen import MOTORS_MEASURED, read_joints, see
-from closedloop.step.soft_contact import soft_contact_force, spring_energy
+from closedloop.loop.step.belief import believe
+from closedloop.loop.step.closed_loops import BIND_LOAD, IMPULSE, REACTION, closed_loops, drive, factorise_tip
+from closedloop.loop.step.energy_supplied import add_stage_work, commit_work, save_power
+from closedloop.loop.step.joint_friction import _delayed, add_joint_friction, hold_joints, stick_or_slip_joints
+from closedloop.loop.step.locate import locate_tip, off_anchor, set_anchor
+from closedloop.loop.step.memory import Reference
+from closedloop.loop.step.seen import MOTORS_MEASURED, read_joints, see
+from closedloop.loop.step.soft_contact import soft_contact_force, spring_energy
+from closedloop.mechanics.closure.contact_force import FREE, PRESSED, STUCK
+from closedloop.mechanics.loops.bind import step_memory
+from closedloop.mechanics.loops.factor import factor
+from closedloop.mechanics.loops.rows import locate_rows
 
 SHORT, HOLD = {"time.duration": 0.01}, {"reference": {"kind": "hold"}}
 STICKING = {"friction.kind": "coulomb", "friction.coefficient": 0.4}

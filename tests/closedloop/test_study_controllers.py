@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 
 import closedloop as cl
-from closedloop.study import controllers
-from closedloop.study.__main__ import main
+from closedloop.command.study import main
+from closedloop.studies.study import controllers
 
 
 def test_measures_of_known_signals():

@@ -6,10 +6,10 @@ import numpy as np
 import pytest
 
 import closedloop as cl
-from closedloop.closure.baumgarte import largest_stable_ratio
-from closedloop.study import drift
-from closedloop.study.__main__ import main
-from closedloop.study.drift import (
+from closedloop.command.study import main
+from closedloop.mechanics.closure.baumgarte import largest_stable_ratio
+from closedloop.studies.study import drift
+from closedloop.studies.study.drift import (
     SCHEMES,
     STEPS,
     TOLERANCES,
@@ -104,5 +104,5 @@ def test_bad_command_is_one_line_and_status_2(tmp_path, capsys):
     for arguments in (["drif"], ["drift", "--out", str(tmp_path / "file" / "x")]):
         assert main(arguments) == 2
         error = capsys.readouterr().err
-        assert error.startswith("closedloop.study: ")
+        assert error.startswith("closedloop.studies.study: ")
         assert error.count("\n") == 1

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 import closedloop as cl
-from closedloop.report import energy_balance
+from closedloop.record.report import energy_balance
 
 
 def left_over(**changes):

@@ -7,7 +7,7 @@ from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
 
 import closedloop as cl
-from closedloop.surface.plane import contact_frame
+from closedloop.mechanics.surface.plane import contact_frame
 
 COMPONENTS = st.lists(st.floats(-1e6, 1e6), min_size=3, max_size=3).filter(lambda n: max(map(abs, n)) > 1e-3)
 

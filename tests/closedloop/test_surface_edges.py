@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 
 import closedloop as cl
-from closedloop.lab.scene import scene_of
-from closedloop.surface.kinds.height_field import HeightField
+from closedloop.figures.scene.scene import scene_of
+from closedloop.mechanics.surface.kinds.height_field import HeightField
 
 MASS, PRESS = 2.0, 5.0
 

@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 
 import closedloop as cl
-from closedloop.surface.expression import instructions
-from closedloop.surface.second_order import FUNCTIONS, evaluate
+from closedloop.mechanics.surface.expression import instructions
+from closedloop.mechanics.surface.second_order import FUNCTIONS, evaluate
 
 FORMULAS = (
     "x**2 + y**2 + (z/2)**2 - 1",

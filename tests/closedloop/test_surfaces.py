@@ -14,16 +14,16 @@ from scipy.ndimage import map_coordinates
 from scipy.spatial.transform import Rotation
 
 import closedloop as cl
-from closedloop.closure.solve import solve_closure
+from closedloop.base.sections import Number
 from closedloop.jit.interpreted import interpreted
-from closedloop.sections import Number
-from closedloop.surface.geometry import Pose
-from closedloop.surface.gradient import gradients
-from closedloop.surface.kinds.height_field import HeightField
-from closedloop.surface.motion import MOTIONS, Move, SurfaceMotion, begin_move, displace
-from closedloop.surface.placed import PlacedSurface
-from closedloop.surface.plane import contact_frame, unit
-from closedloop.surface.surface import CURVATURE, SURFACES, Surface
+from closedloop.mechanics.closure.solve import solve_closure
+from closedloop.mechanics.surface.geometry import Pose
+from closedloop.mechanics.surface.gradient import gradients
+from closedloop.mechanics.surface.kinds.height_field import HeightField
+from closedloop.mechanics.surface.motion import MOTIONS, Move, SurfaceMotion, begin_move, displace
+from closedloop.mechanics.surface.placed import PlacedSurface
+from closedloop.mechanics.surface.plane import contact_frame, unit
+from closedloop.mechanics.surface.surface import CURVATURE, SURFACES, Surface
 
 KINDS = {
     "plane": {},

@@ -15,12 +15,12 @@ from sweeps import SMALL, refusal, sweep
 
 import closedloop as cl
 from closedloop import files
-from closedloop.progress import progress_text
-from closedloop.sweep import Design, Sweep, parse_axis, run_sweep
-from closedloop.sweep import __main__ as sweep_command
-from closedloop.sweep import join as join_module
-from closedloop.sweep import store as store_module
-from closedloop.sweep.design import BLOCK
+from closedloop.base.progress import progress_text
+from closedloop.command import sweep as sweep_command
+from closedloop.studies.sweep import Design, Sweep, parse_axis, run_sweep
+from closedloop.studies.sweep import join as join_module
+from closedloop.studies.sweep import store as store_module
+from closedloop.studies.sweep.design import BLOCK
 
 
 def values_of(text, drawn=False):
@@ -221,7 +221,7 @@ def test_an_end_before_or_after_any_rename_costs_nothing(tmp_path, monkeypatch, 
 def test_damaged_columns_are_made_again(tmp_path, monkeypatch, damage):
     """Columns that a disk has lost are no part, whatever is left of them."""
     with monkeypatch.context() as patch:
-        patch.setattr("closedloop.sweep.run.join", lambda *_: None)
+        patch.setattr("closedloop.studies.sweep.run.join", lambda *_: None)
         run_sweep(small(["f"]), tmp_path / "t.parquet", workers=1)
     (tmp_path / "t.parquet.parts" / "part-00000003.npz").write_bytes(damage)
     run_sweep(small(["f"]), tmp_path / "t.parquet", workers=1)
@@ -237,10 +237,10 @@ def test_only_what_is_missing_is_run(tmp_path, monkeypatch):
         made.append(first)
         return run_part(job, first, *rest)
 
-    from closedloop.sweep.part import run_part
+    from closedloop.studies.sweep.part import run_part
 
-    monkeypatch.setattr("closedloop.sweep.run.run_part", counted)
-    monkeypatch.setattr("closedloop.sweep.run.join", lambda *_: None)
+    monkeypatch.setattr("closedloop.studies.sweep.run.run_part", counted)
+    monkeypatch.setattr("closedloop.studies.sweep.run.join", lambda *_: None)
     out = tmp_path / "t.parquet"
     folder = tmp_path / "t.parquet.parts"
     run_sweep(small(), out, workers=1)
@@ -261,7 +261,7 @@ def test_a_sweep_that_is_done_is_not_run_again(capsys, tmp_path, monkeypatch):
     assert sweep(capsys, *SMALL, "--out", out)[0] == 0
     before = out.read_bytes()
     (tmp_path / "t.parquet.parts").mkdir()
-    monkeypatch.setattr("closedloop.sweep.run.side_by_side", lambda *_: 1 / 0)
+    monkeypatch.setattr("closedloop.studies.sweep.run.side_by_side", lambda *_: 1 / 0)
     status, said, _ = sweep(capsys, *SMALL, "--out", out)
     assert status == 0
     assert "all were there before" in said
@@ -311,7 +311,7 @@ def test_two_at_once_are_one_too_many(tmp_path):
 def test_refusals(capsys, tmp_path, monkeypatch, arguments, said):
     """One line, exit status 2, and nothing is written."""
     monkeypatch.chdir(tmp_path)
-    monkeypatch.setattr("closedloop.sweep.cluster.PATIENCE", 0.5)
+    monkeypatch.setattr("closedloop.studies.sweep.cluster.PATIENCE", 0.5)
     (tmp_path / "a_file").write_text("mine")
     (tmp_path / "a_folder.parquet").mkdir()
     assert said in refusal(capsys, "wam_slide", *arguments)
@@ -453,9 +453,9 @@ def test_an_interrupted_sweep_says_how_to_go_on(capsys, tmp_path, monkeypatch):
     def interrupt(*_):
         raise KeyboardInterrupt
 
-    monkeypatch.setattr("closedloop.sweep.run.run_part", interrupt)
+    monkeypatch.setattr("closedloop.studies.sweep.run.run_part", interrupt)
     status, _, err = sweep(capsys, *SMALL, "--out", tmp_path / "t.parquet")
-    assert (status, err) == (130, "closedloop.sweep: interrupted; the same command goes on from here\n")
+    assert (status, err) == (130, "closedloop.studies.sweep: interrupted; the same command goes on from here\n")
 
 
 def test_progress_has_rate_and_time_left():
@@ -467,7 +467,7 @@ def test_progress_has_rate_and_time_left():
 
 def test_a_run_that_fails_is_counted_and_not_run_again(capsys, tmp_path, monkeypatch):
     """An error that nobody foresaw costs its row; exit status 3, now and when asked again; --debug shows where."""
-    from closedloop.batch import worker as worker_module
+    from closedloop.simulation.batch import worker as worker_module
 
     whole = worker_module.prepare
 
@@ -505,7 +505,7 @@ def test_strict_takes_bad_verdicts_and_ends_for_a_failure(
     capsys, tmp_path, monkeypatch, statuses, verdicts, strict, plain, said
 ):
     """Exit status 4 with --strict, whether the rows are new or read from the table; the last line counts them."""
-    from closedloop.sweep import part
+    from closedloop.studies.sweep import part
 
     table_of = part.table_of
 

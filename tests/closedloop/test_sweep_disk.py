@@ -9,11 +9,11 @@ from pyarrow import parquet
 from sweeps import Forked, sweep
 
 import closedloop as cl
-from closedloop.errors import OutputError
-from closedloop.files import write_whole
-from closedloop.sweep import Design, Sweep, parse_axis, run_sweep
-from closedloop.sweep.columns import Unfailing
-from closedloop.sweep.store import Store
+from closedloop.base.errors import OutputError
+from closedloop.base.files import write_whole
+from closedloop.studies.sweep import Design, Sweep, parse_axis, run_sweep
+from closedloop.studies.sweep.columns import Unfailing
+from closedloop.studies.sweep.store import Store
 
 KEPT = (
     "wam_slide", "--time.duration", "0.2", "--over", "law.force=5:15:24", "--keep", "f,q", "--out", "t.parquet",
@@ -92,7 +92,7 @@ def test_what_cannot_be_written_is_said_and_leaves_nothing(tmp_path, monkeypatch
     out = tmp_path / "t.parquet"
     with monkeypatch.context() as patch:
         for module in modules:
-            patch.setattr(f"closedloop.sweep.{module}.write_whole", full)
+            patch.setattr(f"closedloop.studies.sweep.{module}.write_whole", full)
         with pytest.raises(OutputError) as refused:
             run_sweep(small(), out, workers=1)
     assert "No space left on device" in str(refused.value)
@@ -135,7 +135,7 @@ def test_a_store_that_cannot_begin_leaves_nothing(tmp_path, monkeypatch):
     def full(path, *_):
         raise OutputError(f"{path}: cannot be written: No space left on device")
 
-    monkeypatch.setattr("closedloop.sweep.store.write_whole", full)
+    monkeypatch.setattr("closedloop.studies.sweep.store.write_whole", full)
     with pytest.raises(OutputError), Store({"keep": []}, tmp_path / "t.parquet"):
         pass
     assert list(tmp_path.iterdir()) == []

@@ -8,11 +8,11 @@ import pyarrow.parquet
 import pytest
 
 import closedloop as cl
-from closedloop.engines.law_source import law_digest
-from closedloop.errors import ScenarioError
-from closedloop.sweep.__main__ import main
-from closedloop.sweep.part import law_of
-from closedloop.sweep.table_file import METADATA
+from closedloop.base.errors import ScenarioError
+from closedloop.command.sweep import main
+from closedloop.simulation.engines.law_source import law_digest
+from closedloop.studies.sweep.part import law_of
+from closedloop.studies.sweep.table_file import METADATA
 
 LAWS = """
 import numba

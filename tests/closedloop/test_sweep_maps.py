@@ -10,9 +10,9 @@ from pyarrow import parquet
 from sweeps import SMALL, refusal, sweep
 
 import closedloop as cl
-from closedloop.sweep.__main__ import main
-from closedloop.sweep.maps import draw_maps
-from closedloop.sweep.scale import Scale
+from closedloop.command.sweep import main
+from closedloop.studies.sweep.maps import draw_maps
+from closedloop.studies.sweep.scale import Scale
 
 
 @pytest.fixture(scope="module")

@@ -13,16 +13,16 @@ from budget import budget
 from pyarrow import parquet
 from sweeps import Forked, here, process, sweep
 
-from closedloop.batch import threads
-from closedloop.batch.threads import Done, Ended, side_by_side, uninterrupted
+from closedloop.simulation.batch import threads
+from closedloop.simulation.batch.threads import Done, Ended, side_by_side, uninterrupted
 
 # Some tenths of a second of runs, and as long to join: 200 runs of 400 steps in 100 parts, 6 MB of columns.
 ARGUMENTS = ("wam_slide", "--time.duration", "0.4", "--over", "law.force=5:15:200", "--keep", "f,q,v")
 # Some seconds of runs, so short that no loop is compiled for them.
 LONG = ("wam_bounce", "--time.duration", "1", "--over", "law.force=1:5:1500")
 LAST_LINES = {
-    signal.SIGINT: (130, "closedloop.sweep: interrupted; the same command goes on from here"),
-    signal.SIGTERM: (143, "closedloop.sweep: terminated; the same command goes on from here"),
+    signal.SIGINT: (130, "closedloop.studies.sweep: interrupted; the same command goes on from here"),
+    signal.SIGTERM: (143, "closedloop.studies.sweep: terminated; the same command goes on from here"),
 }
 
 
@@ -111,7 +111,7 @@ def test_any_signal_at_any_moment_costs_nothing(tmp_path, whole, number):
 
 def test_an_interruption_while_columns_are_joined_leaves_no_file(capsys, tmp_path, monkeypatch):
     """Ctrl-C in the middle of the NetCDF file: it is ended between two parts, not within a call of HDF5."""
-    from closedloop.sweep import columns
+    from closedloop.studies.sweep import columns
 
     waiting, main = threading.Event(), threading.main_thread().ident
     create = columns._create

@@ -8,8 +8,8 @@ import numpy as np
 import pytest
 from tree_cases import FIELDS, Own, random_model
 
-from closedloop.robot.tree import energies_of_rows, potential_energies, tree_terms
-from closedloop.robot.tree.energy import ROWS_AT_ONCE
+from closedloop.mechanics.robot.tree import energies_of_rows, potential_energies, tree_terms
+from closedloop.mechanics.robot.tree.energy import ROWS_AT_ONCE
 
 
 @pytest.mark.slow
@@ -58,7 +58,7 @@ def test_energies_of_many_rows_are_the_same_interpreted_and_compiled():
 
 SAMPLE = """
 import numpy as np, robot_models
-from closedloop.robot.tree import tree_of, tree_potential_energy, tree_terms, work_size
+from closedloop.mechanics.robot.tree import tree_of, tree_potential_energy, tree_terms, work_size
 from validation.random_trees import random_robot
 drawn = random_robot(3)
 model = robot_models.from_text(drawn.text, "urdf", name="x", armature=drawn.armature, tip="tip", home=drawn.home,
@@ -88,7 +88,7 @@ CACHED = """
 import numpy as np, robot_models, sys
 sys.path.insert(0, {folder!r})
 import kernel_of_test
-from closedloop.robot.tree import tree_of, work_size
+from closedloop.mechanics.robot.tree import tree_of, work_size
 tree = tree_of(robot_models.load("wam4"), "tip")
 drift = kernel_of_test.run(tree, np.ones(4), np.ones(4), np.zeros(work_size(4)), np.zeros((4, 4)), np.zeros(4),
                            np.zeros((3, 4)), np.zeros(3), np.zeros(3))
@@ -98,7 +98,7 @@ print(sum(kernel_of_test.run.stats.cache_hits.values()), drift)
 
 ENTRY = """
 from closedloop.jit.kernel import entry_kernel
-from closedloop.robot.tree import tree_terms
+from closedloop.mechanics.robot.tree import tree_terms
 
 @entry_kernel
 def run(tree, q, v, work, H, C, J, r, drift):

@@ -7,7 +7,7 @@ import pytest
 from tree_cases import FIELDS, Own, close, random_model
 
 import robot_models
-from closedloop.robot.tree import tree_potential_energy
+from closedloop.mechanics.robot.tree import tree_potential_energy
 
 
 @pytest.mark.parametrize("seed", range(3))

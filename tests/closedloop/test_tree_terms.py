@@ -7,10 +7,10 @@ from tree_cases import Own, assert_equal_terms, close, random_case, random_model
 
 import closedloop as cl
 import robot_models
-from closedloop.errors import ModelError
+from closedloop.base.errors import ModelError
 from closedloop.jit.interpreted import interpreted
-from closedloop.robot.tree import layout, tree_of, tree_potential_energy, tree_turning, work_size
-from closedloop.robot.tree.angles import sines
+from closedloop.mechanics.robot.tree import layout, tree_of, tree_potential_energy, tree_turning, work_size
+from closedloop.mechanics.robot.tree.angles import sines
 from robot_models.planar2 import closed_form
 
 # name and tip; solo12 has four legs, ur5 and panda come from example-robot-data

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 import closedloop as cl
-from closedloop.columns.recorded import COLUMNS
+from closedloop.record.columns.recorded import COLUMNS
 from robot_models import load
 
 # To the end of what happens in each, s, where that is not 0.1 s.

@@ -8,10 +8,10 @@ import numpy as np
 import pytest
 
 import closedloop as cl
+from closedloop.base.sections import Gain, Number
 from closedloop.control.law import commanded_force
 from closedloop.control.laws.paper import PaperLaw
-from closedloop.engines.law_source import fresh
-from closedloop.sections import Gain, Number
+from closedloop.simulation.engines.law_source import fresh
 
 PAGE = Path(__file__).resolve().parents[2] / "docs" / "controllers.md"
 SHORT = {"time.duration": 0.3, "reference.start": 0.05, "reference.stop": 0.25}

@@ -9,18 +9,18 @@ from pyarrow import parquet
 
 import closedloop as cl
 import robot_models
-from closedloop.report import print_report
-from closedloop.report.alternation import alternation
-from closedloop.report.measures import JOINT_MEASURES, MEASURES
-from closedloop.report.summary import joint_measures
-from closedloop.report.verdict import (
+from closedloop.command.sweep import main as run_sweeps
+from closedloop.record.report import print_report
+from closedloop.record.report.alternation import alternation
+from closedloop.record.report.measures import JOINT_MEASURES, MEASURES
+from closedloop.record.report.summary import joint_measures
+from closedloop.record.report.verdict import (
     Facts,
     energy_bound,
     judge,
     names_of,
     probable_reason,
 )
-from closedloop.sweep.__main__ import main as run_sweeps
 
 SHORT = {"time.duration": 0.65}
 COARSE = {"time.step": 0.05, "time.integrator": "semi_implicit_euler", "stabiliser.time_constant": "auto"}

@@ -11,9 +11,9 @@ import numpy as np
 import pytest
 
 import closedloop as cl
-from closedloop.errors import printable
-from closedloop.export.csv_table import _table
-from closedloop.export.mjcf import explained
+from closedloop.base.errors import printable
+from closedloop.figures.export.csv_table import _table
+from closedloop.figures.export.mjcf import explained
 from closedloop.lab.history import quoted
 from closedloop.lab.keeping import save
 

@@ -10,7 +10,7 @@ import pytest
 from pages import DOCS, PAGES, ROOT, blocks, broken_links, commands, session
 
 import closedloop
-from closedloop.study.__main__ import STUDIES
+from closedloop.command.study import STUDIES
 
 WITH_CODE = [page for page in PAGES if blocks(page.read_text(encoding="utf-8"), "python")]
 # Pages whose commands, in the folder of their Python blocks, run too; those of others take minutes, or a browser. So do
@@ -86,7 +86,7 @@ def test_every_page_is_in_the_contents(generated):
 
 def test_the_reference_is_complete(generated):
     """Every key of a scenario, every column and every public name has an entry, and a name without one is refused."""
-    from closedloop.columns.recorded import COLUMNS
+    from closedloop.record.columns.recorded import COLUMNS
     from closedloop.scenario.describe import all_keys
 
     for key in all_keys():

@@ -10,14 +10,14 @@ from typing import Any, Literal, get_args, get_origin
 from scenario_cases import EXAMPLES, SEED, Case
 from shipped_cases import shipped_tables
 
-from closedloop.errors import ScenarioError
-from closedloop.families import OneOf
+from closedloop.base.errors import ScenarioError
+from closedloop.base.families import OneOf
+from closedloop.base.sections import field_units
 from closedloop.lab.spans import USUAL
 from closedloop.scenario.file import shipped_scenarios
 from closedloop.scenario.load import scenario_of
 from closedloop.scenario.messages import variants
 from closedloop.scenario.scenario import Scenario
-from closedloop.sections import field_units
 
 MOST = 6  # changes of a scenario
 # A robot and a start go with each other, and the duration is what a case costs.

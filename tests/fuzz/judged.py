@@ -22,7 +22,7 @@ import numpy as np
 import tomli_w
 from scenario_cases import Case
 
-from closedloop.errors import ClosedLoopError, SimulationError, one_line
+from closedloop.base.errors import ClosedLoopError, SimulationError, one_line
 from closedloop.record.load import load_run
 from closedloop.record.run import Run
 from closedloop.scenario.load import load_scenario, parse_scenario

@@ -223,10 +223,10 @@ _LOADER = """
 import contextlib, io, json, os, sys, tempfile
 import numpy as np
 import closedloop as cl
-from closedloop.export.csv_table import write_csv
-from closedloop.export.mcap_file import write_mcap
-from closedloop.export.mjcf import write_mjcf
-from closedloop.report import print_report
+from closedloop.figures.export.csv_table import write_csv
+from closedloop.figures.export.mcap_file import write_mcap
+from closedloop.figures.export.mjcf import write_mjcf
+from closedloop.record.report import print_report
 from closedloop.scenario.load import parse_scenario
 whole = cl.load_run(sys.argv[1])
 

@@ -21,7 +21,7 @@ from typing import Any
 
 import tomli_w
 
-from closedloop.errors import ScenarioError
+from closedloop.base.errors import ScenarioError
 from closedloop.scenario.load import scenario_of
 from closedloop.scenario.messages import variants
 from closedloop.scenario.scenario import Scenario

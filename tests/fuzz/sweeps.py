@@ -23,7 +23,7 @@ import numpy as np
 import pyarrow as pa
 from pyarrow import parquet
 
-from closedloop.sweep.__main__ import main
+from closedloop.command.sweep import main
 
 SHORT = ("--time.duration", "0.002")
 KEYS = (
@@ -223,8 +223,8 @@ KEPT = (
 
 def parts(count: int, seed: int) -> list[str]:
     """Damage the parts of a killed sweep, and its table when it is done, so many times; return the faults."""
-    import closedloop.sweep.run as running
-    from closedloop.errors import OutputError
+    import closedloop.studies.sweep.run as running
+    from closedloop.base.errors import OutputError
 
     rng, faults = random.Random(seed), []
     with tempfile.TemporaryDirectory() as name:
@@ -281,8 +281,8 @@ def _gone_on(command: tuple[str, ...], halves: dict[Path, bytes], rng: random.Ra
 
 def _read_again(command: tuple[str, ...], out: Path, values: pa.Table) -> str:
     """Ask for a sweep whose table is damaged, and for its maps; return what is wrong."""
-    from closedloop.errors import ScenarioError
-    from closedloop.sweep.maps import _read
+    from closedloop.base.errors import ScenarioError
+    from closedloop.studies.sweep.maps import _read
 
     fault = fault_of(command)
     if fault:

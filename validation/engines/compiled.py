@@ -1,30 +1,30 @@
 # ruff: noqa: D102 - what a method returns is said once, in `interface.Engine`
-"""The package's own compiled engine, `closedloop.robot.tree` inside `closedloop.engines.compiled`, as one engine among
-others.
+"""The package's own compiled engine, `closedloop.mechanics.robot.tree` inside `closedloop.simulation.engines.compiled`,
+as one engine among others.
 
-The terms are asked of `closedloop.robot.tree` alone; q̈ and f of Eq. 24 are read from a row that the compiled loop
-itself recorded, so that what is judged is the loop that runs, and not its parts put together anew.
+The terms are asked of `closedloop.mechanics.robot.tree` alone; q̈ and f of Eq. 24 are read from a row that the compiled
+loop itself recorded, so that what is judged is the loop that runs, and not its parts put together anew.
 """
 
 from __future__ import annotations
 
 import numpy as np
 
-from closedloop.closure.contact_force import FREE, PRESSED
-from closedloop.engines.compiled import ALL, compiled_terms, compiled_work, run_compiled
-from closedloop.engines.proceed import addresses_of, proceed_at
-from closedloop.errors import ModelError
-from closedloop.events.phases import DONE
-from closedloop.events.table import EVENT_WIDTH
-from closedloop.integrators import INTEGRATORS
+from closedloop.base.errors import ModelError
 from closedloop.jit.calls import entry_address
 from closedloop.jit.kernel import entry_kernel
 from closedloop.jit.pointers import address_of
-from closedloop.robot.pinocchio import Terms
-from closedloop.robot.tree import Tree, tree_of, tree_terms, work_size
-from closedloop.step.make_loop import make_loop
-from closedloop.step.record_row import Row
-from closedloop.surface.plane import contact_frame
+from closedloop.loop.events.phases import DONE
+from closedloop.loop.events.table import EVENT_WIDTH
+from closedloop.loop.step.make_loop import make_loop
+from closedloop.loop.step.record_row import Row
+from closedloop.mechanics.closure.contact_force import FREE, PRESSED
+from closedloop.mechanics.integrators import INTEGRATORS
+from closedloop.mechanics.robot.pinocchio import Terms
+from closedloop.mechanics.robot.tree import Tree, tree_of, tree_terms, work_size
+from closedloop.mechanics.surface.plane import contact_frame
+from closedloop.simulation.engines.compiled import ALL, compiled_terms, compiled_work, run_compiled
+from closedloop.simulation.engines.proceed import addresses_of, proceed_at
 from robot_models import RobotModel
 from validation.engines.interface import METHODS, CannotBuild, Robot
 from validation.engines.loop import ClosedLoop, as_robot_model
@@ -32,7 +32,7 @@ from validation.oracle.spatial import Array
 
 
 class Compiled(ClosedLoop):
-    """The terms of `closedloop.robot.tree`, and Eq. 24 as `run_compiled` solves it.
+    """The terms of `closedloop.mechanics.robot.tree`, and Eq. 24 as `run_compiled` solves it.
 
     Joint order: Pinocchio's, mapped by name. Frames: tip Jacobian along base axes. Armature: `RobotModel.armature`,
     inside H. Gravity: the robot's, inside C. Sign of f: positive along +n on the robot. Constraint: the loop is given
@@ -90,7 +90,8 @@ class Compiled(ClosedLoop):
 
 
 class OwnTerms:
-    """Terms from `closedloop.robot.tree`, behind the two methods of `closedloop.Robot` that an engine asks."""
+    """Terms from `closedloop.mechanics.robot.tree`, behind the two methods of `closedloop.Robot` that an engine
+    asks."""
 
     def __init__(self, engine: Compiled, model: RobotModel, tip: str) -> None:
         self.engine, self.n = engine, len(model.joint_names)

@@ -18,10 +18,10 @@ from unittest import mock
 import numpy as np
 
 import closedloop
-from closedloop.engines.problem import Problem
-from closedloop.robot.tree import Tree, tree_of
+from closedloop.loop.step.record_row import Row
+from closedloop.mechanics.robot.tree import Tree, tree_of
+from closedloop.simulation.engines.problem import Problem
 from closedloop.simulation.simulate import run_loop
-from closedloop.step.record_row import Row
 from validation.engines.slides import SAME_SCHEME, SlideCheck
 from validation.oracle.spatial import Array
 from validation.tolerances import EPS, Tolerance
@@ -46,7 +46,7 @@ LOST = 1e-6
 
 @dataclass(frozen=True)
 class Recorded:
-    """What an engine recorded: rows, in the order of `closedloop.step.record_row.Row`, and events."""
+    """What an engine recorded: rows, in the order of `closedloop.loop.step.record_row.Row`, and events."""
 
     rows: Array
     events: Array
@@ -75,7 +75,7 @@ def faulty_tree(fault: Callable[[Tree], Tree | None]) -> Iterator[None]:
         sound = tree_of(of.robot.model, of.robot.tip)
         return fault(sound) or sound
 
-    with mock.patch("closedloop.engines.compiled.compiled_tree", tree):
+    with mock.patch("closedloop.simulation.engines.compiled.compiled_tree", tree):
         yield
 
 

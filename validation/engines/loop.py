@@ -8,7 +8,8 @@ from types import SimpleNamespace
 import numpy as np
 
 import robot_models
-from closedloop.closure.contact_force import (
+from closedloop.jit.interpreted import interpreted
+from closedloop.mechanics.closure.contact_force import (
     accelerate,
     baumgarte_acceleration,
     factorise,
@@ -16,10 +17,9 @@ from closedloop.closure.contact_force import (
     into_contact_frame,
     pressed_force,
 )
-from closedloop.closure.solve import OK, solve_closure
-from closedloop.jit.interpreted import interpreted
-from closedloop.robot.pinocchio import Robot as LoopRobot
-from closedloop.surface.plane import contact_frame
+from closedloop.mechanics.closure.solve import OK, solve_closure
+from closedloop.mechanics.robot.pinocchio import Robot as LoopRobot
+from closedloop.mechanics.surface.plane import contact_frame
 from validation.engines.interface import METHODS, CannotBuild, Engine, Robot
 from validation.oracle.spatial import Array
 

@@ -12,7 +12,7 @@ from typing import Any
 
 import numpy as np
 
-from closedloop.engines.problem import Problem
+from closedloop.simulation.engines.problem import Problem
 from validation.engines.drake import Drake
 from validation.engines.drake_slide import slide_drake
 from validation.engines.exudyn import Exudyn

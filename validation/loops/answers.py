@@ -9,22 +9,22 @@ from typing import Any
 import numpy as np
 
 import closedloop as cl
-from closedloop.closure.contact_force import FREE, PRESSED
-from closedloop.engines.loops import loop_for
-from closedloop.engines.problem import Problem
-from closedloop.events.phases import DONE
-from closedloop.events.table import EVENT_WIDTH
 from closedloop.jit.calls import callback, interpreted_address
 from closedloop.jit.interpreted import interpreted
 from closedloop.jit.kernel import jit_disabled
-from closedloop.loops.bind import loop_memory
-from closedloop.loops.factor import factor
-from closedloop.loops.memory import LoopMemory
-from closedloop.loops.reactions import loop_reactions
-from closedloop.loops.rows import locate_rows
+from closedloop.loop.events.phases import DONE
+from closedloop.loop.events.table import EVENT_WIDTH
+from closedloop.loop.step.closed_loops import DRIVE, closed_loops
+from closedloop.loop.step.record_row import Row
+from closedloop.mechanics.closure.contact_force import FREE, PRESSED
+from closedloop.mechanics.loops.bind import loop_memory
+from closedloop.mechanics.loops.factor import factor
+from closedloop.mechanics.loops.memory import LoopMemory
+from closedloop.mechanics.loops.reactions import loop_reactions
+from closedloop.mechanics.loops.rows import locate_rows
+from closedloop.simulation.engines.loops import loop_for
+from closedloop.simulation.engines.problem import Problem
 from closedloop.simulation.loop_calls import driver
-from closedloop.step.closed_loops import DRIVE, closed_loops
-from closedloop.step.record_row import Row
 from robot_models.loop_joint import BINDS
 from validation.loops.cases import AWAY, FRICTION, SLIDES, Case, oracle_of
 from validation.oracle.loops import LoopOracle, Motion
@@ -42,7 +42,7 @@ class LoopFault:
     Attributes
     ----------
     entry : callable
-        What answers for the loops, an entry as `closedloop.step.closed_loops.closed_loops` -> the faulty one.
+        What answers for the loops, an entry as `closedloop.loop.step.closed_loops.closed_loops` -> the faulty one.
     bound : callable
         Changes the memory of what the loop joints bind, in place.
     reactions : callable

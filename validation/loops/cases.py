@@ -8,9 +8,9 @@ from typing import Any
 
 import numpy as np
 
-from closedloop.errors import ScenarioError
-from closedloop.loops.assemble import closed_start
-from closedloop.robot.pinocchio import Robot
+from closedloop.base.errors import ScenarioError
+from closedloop.mechanics.loops.assemble import closed_start
+from closedloop.mechanics.robot.pinocchio import Robot
 from validation.loops.mechanisms import MECHANISMS
 from validation.oracle.engine import Oracle
 from validation.oracle.loops import LoopOracle

@@ -14,14 +14,14 @@ from typing import Any, cast
 
 import numpy as np
 
-from closedloop.closure.solve import forward_substitute
 from closedloop.jit.interpreted import interpreted
 from closedloop.jit.pointers import integers_at
-from closedloop.loops.factor import meet
-from closedloop.loops.memory import GEAR, LoopMemory, loops_at
-from closedloop.loops.solve import leave_free, multiply_transposed, take_free
-from closedloop.step.closed_loops import BIND_TIP, DRIVE
-from closedloop.step.memory import loop_at
+from closedloop.loop.step.closed_loops import BIND_TIP, DRIVE
+from closedloop.loop.step.memory import loop_at
+from closedloop.mechanics.closure.solve import forward_substitute
+from closedloop.mechanics.loops.factor import meet
+from closedloop.mechanics.loops.memory import GEAR, LoopMemory, loops_at
+from closedloop.mechanics.loops.solve import leave_free, multiply_transposed, take_free
 from robot_models.loop_joint import LoopJoint
 from validation.loops.answers import Entry, LoopFault, ask_loop, ask_oracle
 from validation.loops.cases import Case, draw_case, oracle_of

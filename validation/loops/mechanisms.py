@@ -9,9 +9,9 @@ import numpy as np
 from scipy.optimize import least_squares
 
 import robot_models
-from closedloop.loops.assemble import errors_at
-from closedloop.loops.bind import loop_memory
-from closedloop.robot.pinocchio import Robot
+from closedloop.mechanics.loops.assemble import errors_at
+from closedloop.mechanics.loops.bind import loop_memory
+from closedloop.mechanics.robot.pinocchio import Robot
 from robot_models import RobotModel
 from validation.oracle.spatial import Array
 

@@ -9,9 +9,9 @@ from importlib.util import find_spec
 from pathlib import Path
 from typing import Any
 
+from closedloop.base.errors import OutputError
+from closedloop.base.files import write_whole
 from closedloop.command.border import Parser, run_command
-from closedloop.errors import OutputError
-from closedloop.files import write_whole
 from validation.run import InputError, say
 from validation.speed.arms import ARMS, slide
 from validation.speed.contestants import Contestant

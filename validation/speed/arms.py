@@ -8,7 +8,7 @@ import numpy as np
 
 import closedloop as cl
 import robot_models
-from closedloop.engines.problem import Problem
+from closedloop.simulation.engines.problem import Problem
 from robot_models import RobotModel
 
 # The reach of a chain, its mass, and the drive inertia of each joint: those of an arm, whatever the number of joints.

@@ -12,12 +12,12 @@ from concurrent.futures import ThreadPoolExecutor
 import numpy as np
 
 import closedloop as cl
-from closedloop.engines.compiled import compiled_tree
-from closedloop.engines.lanes import LaneRuns, kind_of
-from closedloop.engines.problem import Problem
 from closedloop.jit.kernel import entry_kernel
 from closedloop.jit.simd8 import WIDE
 from closedloop.scenario.load import parse_scenario
+from closedloop.simulation.engines.compiled import compiled_tree
+from closedloop.simulation.engines.lanes import LaneRuns, kind_of
+from closedloop.simulation.engines.problem import Problem
 from validation.oracle.spatial import Array
 from validation.speed.contestants import Contestant, final
 

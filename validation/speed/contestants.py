@@ -16,12 +16,12 @@ import pinocchio as pin
 
 import closedloop as cl
 from closedloop.control.laws.paper import paper_law
-from closedloop.engines.loops import COMPILED
-from closedloop.engines.problem import Problem
 from closedloop.jit.kernel import entry_kernel
-from closedloop.robot.pinocchio import Terms
+from closedloop.loop.step.evaluate import PaperParameters
+from closedloop.mechanics.robot.pinocchio import Terms
+from closedloop.simulation.engines.loops import COMPILED
+from closedloop.simulation.engines.problem import Problem
 from closedloop.simulation.simulate import run_loop
-from closedloop.step.evaluate import PaperParameters
 from validation.oracle.spatial import Array
 
 Lap = Callable[[], tuple[float | None, Array | None]]

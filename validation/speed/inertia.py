@@ -9,7 +9,7 @@ from __future__ import annotations
 import numpy as np
 import pinocchio as pin
 
-from closedloop.engines.problem import Problem
+from closedloop.simulation.engines.problem import Problem
 from validation.oracle.spatial import Array
 from validation.speed.contestants import Contestant
 

@@ -14,10 +14,10 @@ import numpy as np
 
 import closedloop as cl
 import robot_models
-from closedloop.engines.problem import Problem
-from closedloop.loops.assemble import closed_start, errors_at
-from closedloop.loops.bind import loop_memory
-from closedloop.robot.pinocchio import Robot
+from closedloop.mechanics.loops.assemble import closed_start, errors_at
+from closedloop.mechanics.loops.bind import loop_memory
+from closedloop.mechanics.robot.pinocchio import Robot
+from closedloop.simulation.engines.problem import Problem
 from validation.engines.mujoco import build_spec, compile_spec
 from validation.oracle.spatial import Array
 from validation.speed.contestants import Contestant, final, our_engine

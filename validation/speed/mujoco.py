@@ -12,9 +12,9 @@ from typing import Any
 import numpy as np
 
 from closedloop.control.laws.paper import paper_law
-from closedloop.engines.problem import Problem
 from closedloop.jit.kernel import entry_kernel
-from closedloop.step.evaluate import PaperParameters
+from closedloop.loop.step.evaluate import PaperParameters
+from closedloop.simulation.engines.problem import Problem
 from validation.engines.mujoco import TIP, build_spec, columns, compile_spec
 from validation.oracle.spatial import Array
 from validation.speed.contestants import Contestant, final

@@ -9,15 +9,15 @@ from typing import Any
 import numpy as np
 
 import closedloop as cl
-from closedloop.closure.contact_force import PRESSED, STUCK
-from closedloop.engines.loops import loop_for
-from closedloop.engines.problem import Problem
-from closedloop.events.phases import DONE
-from closedloop.events.table import EVENT_WIDTH
+from closedloop.loop.events.phases import DONE
+from closedloop.loop.events.table import EVENT_WIDTH
+from closedloop.loop.step.record_row import Row
+from closedloop.mechanics.closure.contact_force import PRESSED, STUCK
+from closedloop.mechanics.surface.placed import PlacedSurface
+from closedloop.mechanics.surface.surface import SURFACES
+from closedloop.simulation.engines.loops import loop_for
+from closedloop.simulation.engines.problem import Problem
 from closedloop.simulation.loop_calls import driver
-from closedloop.step.record_row import Row
-from closedloop.surface.placed import PlacedSurface
-from closedloop.surface.surface import SURFACES
 from validation.engines import Engine
 from validation.oracle.spatial import Array
 from validation.oracle.surface import SurfaceContact, Touch

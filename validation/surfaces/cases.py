@@ -11,7 +11,7 @@ from typing import Any
 
 import numpy as np
 
-from closedloop.surface.motion import SurfaceMotion
+from closedloop.mechanics.surface.motion import SurfaceMotion
 from validation.oracle import Oracle
 from validation.oracle import surface as by_hand
 from validation.oracle.closure import stabiliser_gains

@@ -7,11 +7,11 @@ from typing import Any
 
 import numpy as np
 
-from closedloop.surface.motion import SurfaceMotion
-from closedloop.surface.motions.breathing import Breathing
-from closedloop.surface.motions.conveyor import Conveyor
-from closedloop.surface.motions.none import NoMotion
-from closedloop.surface.motions.turntable import Turntable
+from closedloop.mechanics.surface.motion import SurfaceMotion
+from closedloop.mechanics.surface.motions.breathing import Breathing
+from closedloop.mechanics.surface.motions.conveyor import Conveyor
+from closedloop.mechanics.surface.motions.none import NoMotion
+from closedloop.mechanics.surface.motions.turntable import Turntable
 from validation.oracle import surface as by_hand
 from validation.oracle.spatial import Array
 from validation.oracle.surface import Shape

@@ -13,16 +13,16 @@ from typing import Any
 import numpy as np
 
 import robot_models
-from closedloop.engines.problem import Problem
 from closedloop.jit.calls import call_at
 from closedloop.jit.kernel import entry_kernel
-from closedloop.parameters import parameter_block
-from closedloop.surface.contact import FOUND, NO_NORMAL, ask_at
-from closedloop.surface.geometry import Pose, Touch, contact_geometry, frame_and_turning, into_surface_axes
-from closedloop.surface.kinds.ellipsoid import Ellipsoid
-from closedloop.surface.placed import PlacedSurface
-from closedloop.surface.surface import Surface
-from closedloop.user_code import function_of
+from closedloop.jit.parameters import parameter_block
+from closedloop.jit.user_code import function_of
+from closedloop.mechanics.surface.contact import FOUND, NO_NORMAL, ask_at
+from closedloop.mechanics.surface.geometry import Pose, Touch, contact_geometry, frame_and_turning, into_surface_axes
+from closedloop.mechanics.surface.kinds.ellipsoid import Ellipsoid
+from closedloop.mechanics.surface.placed import PlacedSurface
+from closedloop.mechanics.surface.surface import Surface
+from closedloop.simulation.engines.problem import Problem
 from validation.oracle.spatial import Array
 from validation.oracle.surface import Shape, SurfaceContact
 from validation.plant import Catch, catch_of

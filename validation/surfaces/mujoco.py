@@ -17,10 +17,10 @@ from collections.abc import Iterator
 
 import numpy as np
 
-from closedloop.surface.compliances.kelvin_voigt import KelvinVoigt
-from closedloop.surface.kinds.sphere import Sphere
-from closedloop.surface.motions.none import NoMotion
-from closedloop.surface.placed import PlacedSurface
+from closedloop.mechanics.surface.compliances.kelvin_voigt import KelvinVoigt
+from closedloop.mechanics.surface.kinds.sphere import Sphere
+from closedloop.mechanics.surface.motions.none import NoMotion
+from closedloop.mechanics.surface.placed import PlacedSurface
 from validation.engines import Missing
 from validation.engines.interface import installed
 from validation.engines.mujoco import MuJoCo

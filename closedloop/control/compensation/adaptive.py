@@ -24,12 +24,12 @@ import numpy as np
 from numpy.typing import NDArray
 from pydantic import Field
 
+from closedloop.base.errors import ScenarioError
+from closedloop.base.sections import RATE, SPEED_SCALE, Positive, gain_in
 from closedloop.control.compensation.model import wanted_direction
 from closedloop.control.law import Compensation, ControlLaw
 from closedloop.control.law_input import LawInput
 from closedloop.control.tip_space import TipMotion, surface_mobility
-from closedloop.errors import ScenarioError
-from closedloop.sections import RATE, SPEED_SCALE, Positive, gain_in
 
 Array = NDArray[np.float64]
 

@@ -19,11 +19,19 @@ from numpy.typing import NDArray
 from pydantic import Field, field_validator
 from pydantic_core.core_schema import ValidationInfo
 
+from closedloop.base.sections import (
+    COEFFICIENT,
+    JOINT_SPEED_SCALE,
+    SPEED_SCALE,
+    TORQUE,
+    NotNegative,
+    Positive,
+    viscous_in,
+)
 from closedloop.control.law import Compensation
 from closedloop.control.law_input import LawInput
 from closedloop.control.tip_space import GainNotNegative
 from closedloop.jit.kernel import kernel
-from closedloop.sections import COEFFICIENT, JOINT_SPEED_SCALE, SPEED_SCALE, TORQUE, NotNegative, Positive, viscous_in
 
 Array = NDArray[np.float64]
 

@@ -20,11 +20,11 @@ import numpy as np
 from numpy.typing import NDArray
 from pydantic import Field
 
-from closedloop.closure.solve import back_substitute, forward_substitute
+from closedloop.base.sections import RATE, Positive
 from closedloop.control.law import Compensation
 from closedloop.control.law_input import LawInput
 from closedloop.control.tip_space import add_mass_times
-from closedloop.sections import RATE, Positive
+from closedloop.mechanics.closure.solve import back_substitute, forward_substitute
 
 Array = NDArray[np.float64]
 

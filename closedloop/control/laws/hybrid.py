@@ -25,6 +25,7 @@ import numpy as np
 from numpy.typing import NDArray
 from pydantic import Field
 
+from closedloop.base.sections import RATE, Positive, gain_in
 from closedloop.control.law import commanded_force
 from closedloop.control.law_input import LawInput
 from closedloop.control.tip_space import (
@@ -36,7 +37,6 @@ from closedloop.control.tip_space import (
     pseudo_inverse,
 )
 from closedloop.jit.kernel import kernel
-from closedloop.sections import RATE, Positive, gain_in
 
 Array = NDArray[np.float64]
 

@@ -24,10 +24,10 @@ import numpy as np
 from numpy.typing import NDArray
 from pydantic import Field
 
+from closedloop.base.sections import NotNegative, gain_in
 from closedloop.control.law import ControlLaw, commanded_force
 from closedloop.control.law_input import LawInput
 from closedloop.control.tip_space import Posture, TipScratch, move_tip, surface_mobility
-from closedloop.sections import NotNegative, gain_in
 
 Array = NDArray[np.float64]
 

@@ -8,9 +8,9 @@ import numpy as np
 from numpy.typing import NDArray
 from pydantic import Field
 
+from closedloop.base.sections import Nothing
 from closedloop.control.law import ControlLaw
 from closedloop.control.law_input import LawInput
-from closedloop.sections import Nothing
 
 Array = NDArray[np.float64]
 

@@ -19,11 +19,11 @@ import numpy as np
 from numpy.typing import NDArray
 from pydantic import Field
 
+from closedloop.base.sections import Gain, Instant, gain_in
 from closedloop.control.law import ControlLaw, commanded_force
 from closedloop.control.law_input import LawInput
 from closedloop.jit.kernel import kernel_inlined
 from closedloop.jit.simd8 import select
-from closedloop.sections import Gain, Instant, gain_in
 
 Array = NDArray[np.float64]
 

@@ -1,0 +1,54 @@
+"""The command ``closedloop export run.nc --to csv``."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from pathlib import Path
+
+from closedloop.base.errors import OutputError
+from closedloop.command.border import DONE, Parser, run_command
+from closedloop.figures.export.csv_table import write_csv
+from closedloop.figures.export.mcap_file import write_mcap
+from closedloop.figures.export.mjcf import write_mjcf
+from closedloop.record.load import load_run
+
+FORMATS = {"csv": write_csv, "mcap": write_mcap, "mjcf": write_mjcf}
+# Endings that are not the format's name.
+ENDINGS = {"mjcf": "xml"}
+
+
+def main(arguments: Sequence[str] | None = None) -> int:
+    """Run the command line and return the exit status."""
+    return run_command("closedloop", export_command, arguments)
+
+
+def export_command(arguments: list[str]) -> int:
+    """Write a run file in another format, and return the exit status.
+
+    Raises
+    ------
+    ClosedLoopError
+        If the input is at fault, or the output cannot be written.
+    """
+    parser = Parser(
+        prog="closedloop export",
+        description="Write a run file in a format of other programs.",
+        cure="such as: closedloop export out/wam_slide/run.nc --to csv",
+    )
+    parser.add_argument("run", help="a run.nc")
+    parser.add_argument(
+        "--to",
+        required=True,
+        choices=tuple(FORMATS),
+        help="csv: a table with units; mcap: ROS 2 messages, for Foxglove; mjcf: the scene, for MuJoCo",
+    )
+    parser.add_argument("--out", metavar="FILE", help="the file (default: beside run.nc, under its name)")
+    parser.add_argument("--overwrite", action="store_true", help="replace a file that is there")
+    options = parser.parse_args(arguments)
+    run = load_run(options.run)
+    out = Path(options.out) if options.out else Path(options.run).with_suffix(f".{ENDINGS.get(options.to, options.to)}")
+    if out.exists() and not options.overwrite:
+        raise OutputError(f"{out}: is there already; name another file with --out, or replace it with --overwrite")
+    paths = FORMATS[options.to](run, out)
+    print(f"wrote {', '.join(map(str, paths))}")
+    return DONE

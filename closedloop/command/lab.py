@@ -1,0 +1,74 @@
+"""The command ``closedloop lab [SCENARIO]``."""
+
+from __future__ import annotations
+
+import sys
+import threading
+from collections.abc import Sequence
+from importlib.util import find_spec
+
+from closedloop.base.errors import ScenarioError
+from closedloop.base.interrupts import Terminated
+from closedloop.command.border import DONE, Parser, run_command
+from closedloop.lab.server import is_loopback
+from closedloop.lab.start import NEEDS_VISER, lab, open_in_browser
+from closedloop.scenario.overrides import split_overrides
+from closedloop.scenario.user_module import import_law, name_members
+
+
+def main(arguments: Sequence[str] | None = None) -> int:
+    """Run the command line and return the exit status."""
+    return run_command("closedloop", lab_command, arguments)
+
+
+def lab_command(arguments: list[str]) -> int:
+    """Open the lab, wait for Ctrl-C, and return the exit status.
+
+    Raises
+    ------
+    ClosedLoopError
+        If the input is at fault.
+    """
+    overrides, rest = split_overrides(arguments)
+    options = _parser().parse_args(rest)
+    if find_spec("viser") is None:
+        raise ScenarioError(NEEDS_VISER)
+    name_members(overrides.items())
+    law = import_law(options.law) if options.law else None
+    if not is_loopback(options.host):
+        print(
+            f"closedloop: warning: --host {options.host} lets every computer that reaches this one and knows the "
+            "address with its token move the controls and save files; the address goes over the network unencrypted",
+            file=sys.stderr, flush=True,
+        )  # fmt: skip
+    opened = lab(
+        options.scenario, overrides, law=law, host=options.host, port=options.port, dark=options.dark, show=False
+    )
+    try:
+        print(f"the lab is at {opened.url} (Ctrl-C closes it)", flush=True)
+        if not options.no_browser:
+            open_in_browser(opened.url)
+        threading.Event().wait()
+    except Terminated:
+        raise
+    except KeyboardInterrupt:
+        print("closedloop: the lab is closed", file=sys.stderr)
+    finally:
+        opened.close()
+    return DONE
+
+
+def _parser() -> Parser:
+    parser = Parser(
+        prog="closedloop lab",
+        description="Open the lab in a browser: sliders for all keys of a scenario, the arm in space, its curves.",
+        epilog="Any key of the scenario can be set to begin with, as --law.force 15.",
+        cure="see closedloop lab --help",
+    )
+    parser.add_argument("scenario", nargs="?", default="wam_slide", help="a shipped name, a .toml file, or a run.nc")
+    parser.add_argument("--law", metavar="MODULE:FUNCTION", help="use this function as the control law")
+    parser.add_argument("--host", default="127.0.0.1", help="address to listen on (default: this computer alone)")
+    parser.add_argument("--port", type=int, default=8080, help="port; the next free one if it is in use (default 8080)")
+    parser.add_argument("--dark", action="store_true", help="begin with a dark page")
+    parser.add_argument("--no-browser", action="store_true", help="open no browser")
+    return parser

@@ -1,0 +1,166 @@
+"""How fast the lab answers: ``python -m closedloop.command.lab_benchmark [SCENARIO]``.
+
+A slider is moved as a browser would, and the time is taken until the run is computed and the new curves have been
+handed to the page. With --drag it is moved sixty times a second, for so many seconds. With --map a map of 40 by 40 runs
+is computed and drawn. With --browser the same is measured in a page, from the pointer
+that drags the slider to the plot drawn there.
+"""
+
+from __future__ import annotations
+
+import resource
+import sys
+import time as clock
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from closedloop.command.border import DONE, STOPPED, Parser, run_command
+from closedloop.lab import in_browser
+from closedloop.lab.app import Lab
+from closedloop.lab.history import History
+from closedloop.scenario.load import load_scenario
+from closedloop.scenario.overrides import split_overrides
+
+KEY, LABEL, RATE = "law.force", "force [N]", 60.0
+MAP_KEYS = "law.force", "law.kp"  # of a list its first entry
+WANTED_MS, MOST_MB, WANTED_MAP = 100.0, 50.0, 5.0
+
+
+class Drag(NamedTuple):
+    """What came of a slider that was moved all the time.
+
+    Attributes
+    ----------
+    asked, shown, faults : int
+        Changes made, runs shown, and those at fault.
+    last : float
+        Value of the run shown at the end.
+    wanted : float
+        Value that was asked for last.
+    growth : float
+        Memory gained between the first tenth and the end, MB.
+    """
+
+    asked: int
+    shown: int
+    faults: int
+    last: float
+    wanted: float
+    growth: float
+
+
+def latencies(lab: Lab, changes: int) -> tuple[np.ndarray, np.ndarray]:
+    """Return the wall and processor time (changes,), s, from each change to the new curves, one after the other."""
+    walls, processor = [], []
+    for k in range(changes):
+        before, spent = clock.perf_counter(), clock.process_time()
+        lab.changed(KEY, 8.0 + 0.01 * k)
+        lab.wait_for_plots()
+        walls.append(clock.perf_counter() - before)
+        processor.append(clock.process_time() - spent)
+    return np.array(walls), np.array(processor)
+
+
+def drag(lab: Lab, seconds: float, rate: float = RATE) -> Drag:
+    """Move a slider `rate` times a second."""
+    seen = [0, 0]
+
+    def count(answer: Any) -> None:
+        seen[0] += 1
+        seen[1] += bool(answer.fault or answer.stopped)
+
+    lab.after_show.append(count)
+    asked, value, early = 0, 0.0, 0.0
+    began = clock.perf_counter()
+    while (now := clock.perf_counter() - began) < seconds:
+        value = 10.0 + 5.0 * float(np.sin(2.0 * np.pi * now / 3.0))
+        lab.changed(KEY, value)
+        asked += 1
+        if not early and now > 0.1 * seconds:
+            early = memory_mb()
+        clock.sleep(max(0.0, asked / rate - (clock.perf_counter() - began)))
+    lab.wait()
+    lab.after_show.remove(count)
+    last = lab.run.scenario.law.force if lab.run is not None else np.nan
+    return Drag(asked, seen[0], seen[1], last, value, memory_mb() - early)
+
+
+def fill_map(lab: Lab) -> tuple[int, float, float]:
+    """Have the tab "map" compute and draw a map; return how many runs, and the wall and processor time, s."""
+    for choice, key in zip((lab.map.x, lab.map.y), MAP_KEYS, strict=True):
+        choice.value = next((name for name in choice.options if name.startswith(key)), choice.value)
+    before, spent = clock.perf_counter(), clock.process_time()
+    lab.map.press("compute")
+    lab.map.wait(600.0)
+    runs = 0 if lab.map.map is None else lab.map.map.grid.size
+    return runs, clock.perf_counter() - before, clock.process_time() - spent
+
+
+def memory_mb() -> float:
+    """Return the memory of this process, MB: what it holds now where the system says so, else the most it held."""
+    try:
+        with open("/proc/self/statm", encoding="ascii") as file:
+            return int(file.read().split()[1]) * resource.getpagesize() / 1e6
+    except OSError:
+        return resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1e3
+
+
+def benchmark_command(arguments: list[str]) -> int:
+    """Measure, print, and return the exit status: 3 where a target is missed."""
+    overrides, rest = split_overrides(arguments)
+    parser = Parser(prog="python -m closedloop.command.lab_benchmark", description=(__doc__ or "").partition("\n")[0])
+    parser.add_argument("scenario", nargs="?", default="wam_slide")
+    parser.add_argument("--changes", type=int, default=200, help="changes of which the time is taken (200)")
+    parser.add_argument("--drag", type=float, default=0.0, metavar="SECONDS", help="move the slider all the time")
+    parser.add_argument("--browser", action="store_true", help="measure in a page too, where Chromium is installed")
+    parser.add_argument("--map", action="store_true", help="compute a map as well")
+    options = parser.parse_args(rest)
+    lab = Lab(History(load_scenario(options.scenario, overrides), options.scenario, overrides))
+    try:
+        lab.wait(600.0)
+        latencies(lab, 20)  # warm
+        walls, processor = (1e3 * times for times in latencies(lab, options.changes))
+        p50, p95 = np.percentile(walls, [50, 95])
+        print(f"from a slider's event to redrawn plots, {options.changes} changes of {KEY}: median {p50:.0f} ms, "
+              f"95 % within {p95:.0f} ms; processor {np.median(processor):.0f} ms")  # fmt: skip
+        good = p95 < WANTED_MS
+        if options.drag:
+            found = drag(lab, options.drag)
+            print(f"{found.asked} changes in {options.drag:g} s: {found.shown} runs shown, {found.faults} faults, last "
+                  f"value {found.last:.6g} of {found.wanted:.6g}, memory {found.growth:+.1f} MB")  # fmt: skip
+            good = good and found.faults == 0 and found.growth < MOST_MB and abs(found.last - found.wanted) < 1e-6
+        if options.browser:
+            good = _in_a_page(lab, options.changes, options.drag) and good
+        if options.map:
+            fill_map(lab)  # warm
+            runs, wall, spent = fill_map(lab)
+            print(f"a map of {runs} runs: {wall:.1f} s, {spent:.1f} s of processor time")
+            good = good and wall < WANTED_MAP
+    finally:
+        lab.close()
+    return DONE if good else STOPPED
+
+
+def _in_a_page(lab: Lab, changes: int, seconds: float) -> bool:
+    """Measure in a page of the lab, print, and return whether the targets are met; they are where it cannot be done."""
+    if why := in_browser.why_not():
+        print(f"not measured in a browser: {why}")
+        return True
+    with in_browser.page_of(lab) as page:
+        drawn, shown = (1e3 * times for times in in_browser.page_latencies(page, LABEL, changes))
+        p50, p95 = np.percentile(drawn, [50, 95])
+        later = np.percentile(shown, [50, 95])
+        print(f"in the page, from the pointer to the plot drawn again, {changes} changes: median {p50:.0f} ms, 95 % "
+              f"within {p95:.0f} ms; to the frame that shows it {later[0]:.0f} and {later[1]:.0f} ms")  # fmt: skip
+        good = p95 < WANTED_MS
+        if seconds:
+            found = in_browser.page_drag(page, lab, LABEL, KEY, seconds, RATE)
+            print(f"in the page, {found.moves} movements in {found.seconds:.0f} s: {found.faults} faults, last value "
+                  f"{found.plotted:.6g} in the plot of {found.wanted:.6g}, memory {found.growth:+.1f} MB")  # fmt: skip
+            good = good and found.faults == 0 and found.growth < MOST_MB and abs(found.plotted - found.wanted) < 1e-6
+    return bool(good)
+
+
+if __name__ == "__main__":
+    sys.exit(run_command("closedloop.command.lab_benchmark", benchmark_command))

@@ -1,0 +1,62 @@
+"""The command line of the studies: ``closedloop study drift``, or ``python -m closedloop.studies.study drift``.
+
+Exit status: 0 done; 2 the input is at fault (one line on standard error).
+"""
+
+from __future__ import annotations
+
+import argparse
+import sys
+from collections.abc import Sequence
+from pathlib import Path
+
+from closedloop.base.errors import OutputError
+from closedloop.command.border import DONE, Parser, run_command
+
+STUDIES = {
+    "drift": "closure drift against step, speed and stabiliser; Baumgarte's limit",
+    "controllers": "every controller on every kind of friction: force and path error",
+    "surfaces": "every controller on a surface that breathes, and against its stiffness",
+}
+
+
+def main(arguments: Sequence[str] | None = None) -> int:
+    """Run the command line and return the exit status."""
+    return run_command("closedloop.studies.study", _main, arguments)
+
+
+def _main(words: list[str]) -> int:
+    studies = "\n".join(f"  {name:12} {what}" for name, what in STUDIES.items())
+    parser = Parser(
+        prog="closedloop study",
+        description="Run a study.\n\n" + studies,
+        formatter_class=argparse.RawDescriptionHelpFormatter,
+    )
+    parser.add_argument("study", choices=list(STUDIES))
+    parser.add_argument("--out", metavar="DIR", help="where results go (default: out/study_NAME)")
+    parser.add_argument("--quick", action="store_true", help="fewer points, in a few seconds")
+    parser.add_argument("--json", action="store_true", help="print the results as JSON instead of tables")
+    options = parser.parse_args(words)
+    folder = Path(options.out) if options.out else Path("out") / f"study_{options.study}"
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+    except (OSError, ValueError) as error:
+        reason = error.strerror if isinstance(error, OSError) else error
+        raise OutputError(f"--out {str(folder)!r}: cannot be written: {reason}; name another folder") from None
+    if options.study == "drift":
+        from closedloop.studies.study import drift
+
+        drift.run(folder, quick=options.quick, as_json=options.json)
+    elif options.study == "surfaces":
+        from closedloop.studies.study import surfaces
+
+        surfaces.run(folder, quick=options.quick, as_json=options.json)
+    else:
+        from closedloop.studies.study import controllers
+
+        controllers.run(folder, quick=options.quick, as_json=options.json)
+    return DONE
+
+
+if __name__ == "__main__":
+    sys.exit(main())

@@ -1,0 +1,302 @@
+"""The command line of sweeps: ``closedloop sweep wam_slide --over law.force=5:15:101 --out force.parquet``.
+
+Exit status: 0 done, and runs that were stopped or refused are rows that say why; 2 the input is at fault (one line on
+standard error); 3 an unforeseen error ended a run (its row says what and where), or a cluster was
+lost on the way; 4 with --strict, a run that did not end, failed or has a bad verdict. 130 interrupted, 143 ended by
+SIGTERM: the same command goes on from there, as after a cluster was lost.
+"""
+
+from __future__ import annotations
+
+import os
+import signal
+import sys
+import threading
+import time as clock
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager, suppress
+from pathlib import Path
+from types import FrameType
+from typing import TYPE_CHECKING, Any, NoReturn
+
+from closedloop.base.interrupts import Terminated, exit_status, word_for
+
+# What takes time to import is imported below, once signals are answered.
+if TYPE_CHECKING:
+    from argparse import Namespace
+
+    from closedloop.command.border import Parser
+    from closedloop.scenario.scenario import Scenario
+    from closedloop.studies.sweep import Sweep
+    from closedloop.studies.sweep.axes import Axis
+    from closedloop.studies.sweep.join import Joined
+
+# Different verdicts that the last line names.
+MOST_VERDICTS = 4
+
+
+def main(arguments: Sequence[str] | None = None) -> int:
+    """Run the command line and return the exit status."""
+    from closedloop.command.border import run_command
+
+    return run_command("closedloop.studies.sweep", _main, arguments)
+
+
+def as_process(arguments: Sequence[str] | None = None) -> int:
+    """Run the command line as all that this process does, and return the exit status.
+
+    Signals are answered from the first moment on, and a run that was abandoned keeps nobody waiting.
+    """
+    words = sys.argv[1:] if arguments is None else list(arguments)
+    with _ended_at_once_by_a_signal(words):
+        status = main(words)
+    _leave_if_still_at_work(status)
+    return status
+
+
+def _main(words: list[str]) -> int:
+    try:
+        return _plot(words[1:]) if words[:1] == ["plot"] else _sweep(words)
+    except KeyboardInterrupt as stop:
+        raise type(stop)(_last_words(stop, words)) from None
+
+
+def _last_words(stop: KeyboardInterrupt, words: Sequence[str]) -> str:
+    """Return what is said when a signal has ended it."""
+    then = "nothing was drawn" if words[:1] == ["plot"] else "the same command goes on from here"
+    return f"{word_for(stop)}; {then}"
+
+
+@contextmanager
+def _signals_raise() -> Iterator[None]:
+    """Raise `KeyboardInterrupt` in here at Ctrl-C, and `Terminated` at SIGTERM."""
+
+    def end(signum: int, frame: FrameType | None) -> NoReturn:
+        signal.signal(signal.SIGTERM, signal.SIG_IGN)  # it is on its way out
+        raise Terminated
+
+    if threading.current_thread() is not threading.main_thread():
+        yield
+        return
+    wanted = {signal.SIGTERM: end, signal.SIGINT: signal.default_int_handler}
+    heeded = [signum for signum in wanted if signal.getsignal(signum) is not signal.SIG_IGN]  # as in the background
+    before = {signum: signal.signal(signum, wanted[signum]) for signum in heeded}
+    try:
+        yield
+    finally:
+        for signum, handler in before.items():
+            signal.signal(signum, signal.SIG_DFL if handler is None else handler)
+
+
+def _sweep(arguments: list[str]) -> int:
+    from closedloop.base.errors import ScenarioError
+    from closedloop.base.progress import count
+    from closedloop.command.border import DONE, NOT_CONTROLLED, NOT_GOOD, STOPPED
+    from closedloop.scenario.overrides import split_overrides
+    from closedloop.scenario.user_module import name_members
+    from closedloop.studies.sweep import run_sweep
+    from closedloop.studies.sweep.store import why_no_place
+
+    overrides, rest = split_overrides(arguments)
+    name_members(overrides.items())
+    options = _sweep_parser().parse_args(rest)
+    if options.debug:
+        import logging
+
+        logging.basicConfig()
+        logging.getLogger("closedloop").setLevel(logging.DEBUG)
+    try:
+        sweep = _asked_for(options, overrides)
+    except ScenarioError as error:
+        why = "" if options.out is None else why_no_place(Path(options.out))
+        raise ScenarioError(*error.faults, *([why] if why else [])) from None
+    scenario, design = sweep.scenario, sweep.design
+    out = Path(options.out) if options.out else Path("out") / scenario.name / "sweep.parquet"
+    began = clock.monotonic()
+    done: list[tuple[int, int]] = []
+    with count("closedloop.studies.sweep", len(design)) as show:
+
+        def progress(runs: int, total: int) -> None:
+            done.append((runs, total)) if not done else done.__setitem__(slice(1, None), [(runs, total)])
+            show(runs, total)
+
+        with _signals_raise():
+            result = run_sweep(
+                sweep, out, workers=options.workers, scheduler=options.scheduler, progress=progress,
+                overwrite=options.overwrite,
+            )  # fmt: skip
+    seconds = clock.monotonic() - began
+    runs = done[-1][0] - done[0][0] if done else 0
+    before = len(design) - runs
+    columns = f" and {result.columns.name}" if result.columns else ""
+    if runs:
+        earlier = f" ({before} were there before)" if before else ""
+        made = f"{runs} in {seconds:.1f} s, {runs / seconds:.3g} runs/s{earlier}; wrote {result.table}{columns}"
+    else:
+        made = f"all were there before, in {result.table}{columns}"
+    print(f"{len(design)} runs: {_counted(result)}; {made}")
+    from closedloop.simulation.batch.worker import FAILED
+    from closedloop.simulation.batch.worker import STOPPED as HALTED
+
+    if options.strict and (result.verdicts or {HALTED, FAILED} & result.counts.keys()):
+        return NOT_GOOD
+    if FAILED in result.counts:
+        return STOPPED
+    return NOT_CONTROLLED if options.strict and result.controls else DONE
+
+
+def _asked_for(options: Namespace, overrides: dict[str, Any]) -> Sweep:
+    """Return the sweep that the command line asks for."""
+    from closedloop.scenario.overrides import refuse_lost
+    from closedloop.scenario.user_module import name_members
+    from closedloop.studies.sweep import Design, Sweep, parse_axis
+    from closedloop.studies.sweep.design import GRID, LATIN, RANDOM
+
+    kind = RANDOM if options.random is not None else LATIN if options.latin is not None else GRID
+    axes = [parse_axis(text, drawn=kind != GRID) for text in options.over]
+    name_members((axis.key, value) for axis in axes for value in axis.values)
+    refuse_lost(overrides, ((axis.key, value) for axis in axes for value in axis.values))
+    design = Design(axes, kind, {RANDOM: options.random, LATIN: options.latin}.get(kind) or 0, options.seed)
+    scenario = _common(options.scenario, overrides, axes, drawn=kind != GRID)
+    keep = [name for word in options.keep for name in word.split(",") if name]
+    return Sweep.of(scenario, design, keep, options.engine, options.law or "")
+
+
+def _common(name: str, overrides: dict[str, Any], axes: Sequence[Axis], drawn: bool) -> Scenario:
+    """Return the scenario that the runs have in common; a key that must be given may be one that changes."""
+    from closedloop.base.errors import ScenarioError
+    from closedloop.scenario.load import load_scenario
+
+    firsts = {axis.key: axis.drawn(0.0) if drawn else axis.at(0) for axis in axes}
+    # Another kind drops what the file says of its own, so that one is taken only where nothing else will do.
+    of_its_kind = {key: value for key, value in firsts.items() if not key.endswith(".kind")}
+    for more in ({}, of_its_kind):
+        with suppress(ScenarioError):
+            return load_scenario(name, overrides | more)
+    return load_scenario(name, overrides | firsts)
+
+
+def _counted(result: Joined) -> str:
+    """Return how many runs ended how, and how many with a bad verdict, the commonest first."""
+    text = ", ".join(f"{many} {status}" for status, many in sorted(result.counts.items()))
+    for what, found in (("a bad verdict", result.verdicts), ("bad control", result.controls)):
+        if not found:
+            continue
+        worst = sorted(found.items(), key=lambda item: (-item[1], item[0]))
+        text += f"; {sum(found.values())} with {what}: "
+        text += "; ".join(f"{many} {said}" for said, many in worst[:MOST_VERDICTS])
+        text += "; ..." if len(worst) > MOST_VERDICTS else ""
+    return text
+
+
+def _sweep_parser() -> Parser:
+    from closedloop.command.help import list_of_sections, scenario_parser
+    from closedloop.simulation.engines.loops import COMPILED, ENGINES
+
+    parser = scenario_parser(
+        "closedloop sweep",
+        "SCENARIO",
+        description="Run a scenario many times with some keys changed, into a table of what came of\n"
+        "each run. A sweep that was killed goes on with the same command.\n"
+        "closedloop sweep plot FILE draws maps of the table.",
+        epilog=list_of_sections(names_only=True)
+        + "\n\nexit status: 0 done, runs stopped or refused are rows that say why; 2 the input is\n"
+        "at fault; 3 an unforeseen error ended a run, or a cluster was lost; 4 with --strict,\n"
+        "a run did not end or has a bad verdict, 5 with --strict, all verdicts are good but\n"
+        "one of a control; 130 Ctrl-C, 143 SIGTERM",
+    )
+    add = parser.add_argument
+    add("scenario", metavar="SCENARIO", help="a shipped name, or a .toml file")
+    add(
+        "--over",
+        metavar="KEY=VALUES",
+        action="append",
+        default=[],
+        help="a key and its values, once for each key; several make a grid: law.force=5:15:101 (from, to, how many), "
+        "log:1e-4:1e-2:20, rk4,explicit_euler",
+    )
+    drawn = parser.add_mutually_exclusive_group()
+    number = {"type": int, "metavar": "N"}
+    drawn.add_argument("--random", **number, help="draw N runs from the ranges instead of a grid")  # type: ignore[arg-type]
+    drawn.add_argument("--latin", **number, help="draw a Latin hypercube of N runs")  # type: ignore[arg-type]
+    add("--seed", type=int, default=0, metavar="N", help="of the draws (default 0)")
+    add("--out", metavar="FILE", help="the .parquet file (default: out/SCENARIO/sweep.parquet)")
+    add("--overwrite", action="store_true", help="replace another sweep in that file")
+    add(
+        "--keep", metavar="COLUMNS", action="append", default=[],
+        help="keep columns of every run, such as f,e, in a .nc beside it",
+    )  # fmt: skip
+    add("--engine", choices=ENGINES, default=COMPILED, help="default compiled; pinocchio runs on one core")
+    add("--law", metavar="MODULE:NAME", help="law(x) or law(t, q, v, terms) of your own, in every run")
+    add("--workers", type=int, metavar="N", help="threads (default: one for each core)")
+    add("--strict", action="store_true", help="status 4 if a run did not end well")
+    add("--debug", action="store_true", help="print the traceback of an unforeseen error")
+    add("--scheduler", metavar="ADDRESS", help="a Dask cluster, such as tcp://host:8786")
+    return parser
+
+
+def _plot(arguments: list[str]) -> int:
+    from closedloop.command.border import DONE, Parser
+
+    parser = Parser(prog="closedloop sweep plot", description="Draw maps of a sweep's table.")
+    parser.add_argument("table", help="the .parquet file of a sweep")
+    parser.add_argument(
+        "--of",
+        metavar="FIGURES",
+        action="append",
+        default=[],
+        help="columns to draw: min_contact_force,rms_path_error ...",
+    )
+    parser.add_argument("--x", metavar="KEY", help="key along the horizontal axis (default: the first)")
+    parser.add_argument("--y", metavar="KEY", help="key along the vertical axis (default: the second, if there is one)")
+    parser.add_argument(
+        "--out", metavar="FILE", help="the figure, .png, .svg or .pdf (default: the table's name with .png)"
+    )
+    options = parser.parse_args(arguments)
+    from closedloop.studies.sweep import sweep_plot
+
+    of = [name for word in options.of for name in word.split(",") if name]
+    path = sweep_plot(options.table, of or None, x=options.x, y=options.y, out=options.out)
+    print(f"wrote {path}")
+    return DONE
+
+
+@contextmanager
+def _ended_at_once_by_a_signal(words: Sequence[str]) -> Iterator[None]:
+    """Let Ctrl-C and SIGTERM end the process, as long as no sweep is running: there is nothing to clean up.
+
+    An exception in the middle of the import of a large package would come out as whatever that package makes of it.
+    """
+
+    def end(signum: int, frame: FrameType | None) -> NoReturn:
+        stop = KeyboardInterrupt() if signum == signal.SIGINT else Terminated()
+        with suppress(OSError):
+            os.write(2, f"closedloop.studies.sweep: {_last_words(stop, words)}\n".encode())
+        os._exit(exit_status(stop))
+
+    if threading.current_thread() is not threading.main_thread():
+        yield
+        return
+    heeded = [s for s in (signal.SIGINT, signal.SIGTERM) if signal.getsignal(s) is not signal.SIG_IGN]
+    before = {signum: signal.signal(signum, end) for signum in heeded}  # those ignored are so in the background
+    try:
+        yield
+    finally:
+        for signum, handler in before.items():
+            signal.signal(signum, signal.SIG_DFL if handler is None else handler)
+
+
+def _leave_if_still_at_work(status: int) -> None:
+    """End the process at once if a run was abandoned, which would keep it waiting."""
+    from closedloop.simulation.batch.threads import still_at_work
+
+    if still_at_work():
+        for output in (sys.stdout, sys.stderr):
+            if output is not None:  # as it is where it was closed from the beginning
+                with suppress(OSError):
+                    output.flush()
+        os._exit(status)
+
+
+if __name__ == "__main__":
+    sys.exit(as_process())

@@ -1,0 +1,286 @@
+"""Least-norm inverse kinematics along the tip's path as a kernel; see `closedloop.control.reference.follow`.
+
+Between knots q̇ = Jᵣ⁺ ṙ_des is integrated with one step of RK4, and the error of the tip is removed by least-norm
+Newton steps. Where the tool's axis is held too, or the whole of its frame, Jᵣ has two rows more, or three: those of the
+angular velocity across the axis, or of all of it. The errors of the axis a, and of the frame's axes cᵢ, are to first
+order
+
+    a × a_des        ½ Σ cᵢ × cᵢ_des
+"""
+
+from __future__ import annotations
+
+import math
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from closedloop.control.reference.joint_path import cubic
+from closedloop.control.reference.least_norm import least_norm
+from closedloop.jit.calls import call_at
+from closedloop.jit.kernel import entry_kernel, kernel, plain
+from closedloop.mechanics.loops.along_path import NEAREST, TANGENT
+from closedloop.mechanics.loops.memory import loops_at as loops_memory
+from closedloop.mechanics.robot.tree import Tree, tree_kinematics, tree_turning, work_size
+
+Array = NDArray[np.float64]
+
+# Tolerances of the tip's distance from the path, m, and of its orientation, rad: between knots, a hundredth of the
+# closure error that the stabiliser leaves; at a knot; and of Newton's method.
+PATH_TOLERANCE, KNOT_TOLERANCE, NEWTON_TOLERANCE = 1e-10, 1e-11, 1e-14
+# Newton ends where a step moves no joint by more than this, rad (m), or after so many steps.
+SMALLEST_MOVE, NEWTON_STEPS = 1e-15, 20
+
+# What is held, as the number of its rows: the tip's position, the tool's axis with it, the tip's frame with it.
+POSITION, AXIS, FRAME = 3, 5, 6
+
+# How it ended: at the last knot; with something that is not finite; off the path; outside the joint limits.
+REACHED, BROKEN, OFF, OUTSIDE = range(4)
+# Where `walk` writes how it ended, and how far from the path the tip is midway between knots at most, m.
+ENDED, MIDWAY, OUTCOMES = 0, 1, 2
+
+
+class Way(NamedTuple):
+    """The tip's path at the knots, and the joints' path along it.
+
+    Attributes
+    ----------
+    times : (K,) array
+        Instants of the knots, s; only their differences matter.
+    knots, midway : (K, 12), (K - 1, 12) arrays
+        The tip's position, m, and velocity, m/s, base frame, at the knots and midway between them; then the wanted axis
+        of the tool, a unit vector, and its rate, 1/s, which only `AXIS` reads.
+    rows : int
+        What is held: `POSITION`, `AXIS` or `FRAME`.
+    held : (3, 3) array
+        Columns: axes of the tip's frame, of which `AXIS` holds the last, in the axes of its link as `Tree` has them.
+    frame : (3, 3) array
+        Of `FRAME`: the same as wanted, base axes.
+    limits : (2, n) array
+        Lower and upper joint limits, rad (m).
+    q, v : (K, n) arrays
+        Joint positions, rad (m), of which the first are given, and velocities, rad/s (m/s), for `walk` to write.
+    """
+
+    times: Array
+    knots: Array
+    midway: Array
+    rows: int
+    held: Array
+    frame: Array
+    limits: Array
+    q: Array
+    v: Array
+
+
+class Scratch(NamedTuple):
+    """Views into the scratch of `walk`: the tip at x, joint velocities, and what `least_norm` needs."""
+
+    J: Array
+    r: Array
+    drift: Array
+    rest: Array
+    x: Array
+    slope: Array
+    total: Array
+    error: Array
+    rate: Array
+    W: Array
+    c: Array
+    turn: Array
+    link: Array
+    axes: Array
+    tree: Array
+
+
+@kernel
+def _scratch(work: Array, n: int, m: int) -> Scratch:
+    """Return the views for m rows; joint velocities `rest` are zeros and stay so."""
+    at = (2 * m + 3 + 4) * n
+    return Scratch(
+        work[0 : m * n].reshape(m, n),
+        work[at : at + 3],
+        work[at + 3 : at + 6],
+        work[2 * m * n : (2 * m + 1) * n],
+        work[(2 * m + 1) * n : (2 * m + 2) * n],
+        work[(2 * m + 2) * n : (2 * m + 3) * n],
+        work[(2 * m + 3) * n : (2 * m + 4) * n],
+        work[at + 6 : at + 6 + m],
+        work[at + 12 : at + 12 + m],
+        work[m * n : 2 * m * n].reshape(m, n),
+        work[at + 18 : at + 18 + m],
+        work[(2 * m + 4) * n : at].reshape(3, n),
+        work[at + 24 : at + 33].reshape(3, 3),
+        work[at + 33 : at + 42].reshape(3, 3),
+        work[at + 42 :],
+    )
+
+
+def scratch_size(n: int, m: int = POSITION) -> int:
+    """Return how many numbers of scratch `walk` needs for n joints and m rows; they begin as zeros."""
+    return (2 * m + 7) * n + 42 + int(plain(work_size)(n))
+
+
+@entry_kernel
+def walk(tree: Tree, work: Array, way: Way, outcome: Array, loops: int, loops_at: int) -> int:
+    """Follow the tip's path from knot to knot, and return how many knots were reached.
+
+    Parameters
+    ----------
+    tree : Tree
+        The robot.
+    work : (scratch_size(n, way.rows),) array
+        Scratch, zeros at first.
+    way : Way
+        q and v are written, those of a knot that was not reached too, as far as they are there.
+    outcome : (OUTCOMES,) array
+        Written: `ENDED` and `MIDWAY`.
+    loops, loops_at : int
+        Addresses of the entry of the mechanism's loops, `closedloop.mechanics.loops.along_path`, and of their memory;
+        0: none.
+    """
+    w = _scratch(work, tree.n, way.rows)
+    outcome[ENDED], outcome[MIDWAY] = REACHED, 0.0
+    _look(tree, w, way, way.q[0], way.knots[0], loops, loops_at)
+    least_norm(w.J, w.rate, w.W, w.c, way.v[0])
+    for k in range(len(way.times) - 1):
+        ended = _advance(tree, w, way, k, loops, loops_at)
+        if ended != REACHED:
+            outcome[ENDED] = ended
+            return k + 1
+        h = way.times[k + 1] - way.times[k]
+        for j in range(tree.n):
+            w.x[j], _, _ = cubic(way.q[k, j], way.q[k + 1, j], way.v[k, j], way.v[k + 1, j], h, 0.5)
+        outcome[MIDWAY] = max(outcome[MIDWAY], _look(tree, w, way, w.x, way.midway[k], loops, loops_at))
+    return len(way.times)
+
+
+@kernel
+def _advance(tree: Tree, w: Scratch, way: Way, k: int, loops: int, loops_at: int) -> int:
+    """Write joint positions and velocities at knot k + 1 from those at knot k, and return the result."""
+    n = tree.n
+    h = way.times[k + 1] - way.times[k]
+    q, v, q_next, v_next = way.q[k], way.v[k], way.q[k + 1], way.v[k + 1]
+    target, midway = way.knots[k + 1], way.midway[k]
+    for j in range(n):
+        w.slope[j] = w.total[j] = v[j]
+    for stage in range(1, 4):
+        ahead = h if stage == 3 else 0.5 * h
+        finite = True
+        for j in range(n):
+            w.x[j] = q[j] + ahead * w.slope[j]
+            finite = finite and math.isfinite(w.x[j])
+        if not finite:
+            return BROKEN
+        _look(tree, w, way, w.x, target if stage == 3 else midway, loops, loops_at)
+        least_norm(w.J, w.rate, w.W, w.c, w.slope)
+        weight = 1.0 if stage == 3 else 2.0
+        for j in range(n):
+            w.total[j] += weight * w.slope[j]
+    for j in range(n):
+        q_next[j] = q[j] + h / 6.0 * w.total[j]
+    _close(q_next, loops, loops_at)
+    off, move, step = _look(tree, w, way, q_next, target, loops, loops_at), math.inf, 0
+    while step < NEWTON_STEPS and move >= SMALLEST_MOVE and off >= NEWTON_TOLERANCE:
+        least_norm(w.J, w.error, w.W, w.c, w.slope)
+        move, step = 0.0, step + 1
+        for j in range(n):
+            q_next[j] += w.slope[j]
+            move = max(move, abs(w.slope[j]))
+        _close(q_next, loops, loops_at)
+        off = _look(tree, w, way, q_next, target, loops, loops_at)
+    least_norm(w.J, w.rate, w.W, w.c, v_next)
+    finite, inside = True, True
+    for j in range(n):
+        finite = finite and math.isfinite(q_next[j]) and math.isfinite(v_next[j])
+        inside = inside and way.limits[0, j] <= q_next[j] <= way.limits[1, j]
+    if not finite:
+        return BROKEN
+    if off > KNOT_TOLERANCE:
+        return OFF
+    return REACHED if inside else OUTSIDE
+
+
+@kernel
+def _close(q: Array, loops: int, loops_at: int) -> None:
+    """Move q to the nearest posture that closes the loops."""
+    if loops != 0:
+        _, rows = loops_memory(loops_at)
+        for j in range(q.shape[0]):
+            rows.q[j] = q[j]
+        call_at(loops, loops_at, NEAREST)
+        for j in range(q.shape[0]):
+            q[j] = rows.q[j]
+
+
+@kernel
+def _look(tree: Tree, w: Scratch, way: Way, x: Array, target: Array, loops: int, loops_at: int) -> float:
+    """Write the rows at joint positions x (n,), the way from there to a target (12,), and the rates that it asks for.
+
+    Returns the largest component of the way, m or rad.
+    """
+    tree_kinematics(tree, x, w.rest, w.tree, w.J[0:3], w.r, w.drift)
+    for i in range(3):
+        w.error[i], w.rate[i] = target[i] - w.r[i], target[3 + i]
+    if way.rows > POSITION:
+        tree_turning(tree, w.tree, w.link, w.turn)
+        for i in range(3):
+            for k in range(3):
+                w.axes[i, k] = 0.0
+                for j in range(3):
+                    w.axes[i, k] += w.link[i, j] * way.held[j, k]
+        if way.rows == AXIS:
+            _axis_rows(w, target)
+        else:
+            _frame_rows(w, way.frame)
+    if loops != 0:  # what the loops leave of the rows
+        _, rows = loops_memory(loops_at)
+        for j in range(x.shape[0]):
+            rows.q[j] = x[j]
+            for i in range(way.rows):
+                rows.tip[i, j] = w.J[i, j]
+        call_at(loops, loops_at, TANGENT)
+        for j in range(x.shape[0]):
+            for i in range(way.rows):
+                w.J[i, j] = rows.tip[i, j]
+    largest = 0.0
+    for i in range(way.rows):
+        largest = max(largest, abs(w.error[i]))
+    return largest
+
+
+@kernel
+def _axis_rows(w: Scratch, target: Array) -> None:
+    """Write the two rows across the tool's axis, which is to be target[6:9] and to move with target[9:12]."""
+    a0, a1, a2 = w.axes[0, 2], w.axes[1, 2], w.axes[2, 2]
+    d0, d1, d2, e0, e1, e2 = target[6], target[7], target[8], target[9], target[10], target[11]
+    # Across it: with the coordinate axis that it leans to least, t = e − (e·a) a, and a × t.
+    least = 0 if abs(a0) <= abs(a1) and abs(a0) <= abs(a2) else (1 if abs(a1) <= abs(a2) else 2)
+    lean = w.axes[least, 2]
+    t0, t1, t2 = -lean * a0, -lean * a1, -lean * a2
+    t0 += 1.0 if least == 0 else 0.0
+    t1 += 1.0 if least == 1 else 0.0
+    t2 += 1.0 if least == 2 else 0.0
+    size = math.sqrt(t0 * t0 + t1 * t1 + t2 * t2)
+    t0, t1, t2 = t0 / size, t1 / size, t2 / size
+    for row in range(3, 5):
+        if row == 4:
+            t0, t1, t2 = a1 * t2 - a2 * t1, a2 * t0 - a0 * t2, a0 * t1 - a1 * t0
+        w.error[row] = t0 * (a1 * d2 - a2 * d1) + t1 * (a2 * d0 - a0 * d2) + t2 * (a0 * d1 - a1 * d0)
+        w.rate[row] = t0 * (d1 * e2 - d2 * e1) + t1 * (d2 * e0 - d0 * e2) + t2 * (d0 * e1 - d1 * e0)
+        for j in range(w.turn.shape[1]):
+            w.J[row, j] = t0 * w.turn[0, j] + t1 * w.turn[1, j] + t2 * w.turn[2, j]
+
+
+@kernel
+def _frame_rows(w: Scratch, frame: Array) -> None:
+    """Write the three rows of the tip's frame, which is to have these axes and to keep them."""
+    for i in range(3):
+        k, m = (i + 1) % 3, (i + 2) % 3
+        turn = 0.0
+        for c in range(3):
+            turn += 0.5 * (w.axes[k, c] * frame[m, c] - w.axes[m, c] * frame[k, c])
+        w.error[3 + i], w.rate[3 + i] = turn, 0.0
+        for j in range(w.turn.shape[1]):
+            w.J[3 + i, j] = w.turn[i, j]

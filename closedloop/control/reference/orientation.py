@@ -1,0 +1,159 @@
+"""The orientation of the tool along a path: its axis held to the normal of the surface, or its frame as asked for.
+
+The inverse kinematics of the reference holds it (`closedloop.control.reference.inverse_kinematics`), so that q_des
+carries it: the laws in joint space follow q_des, and those in tip space pull the motion of the joints that the tip
+leaves free to it (`closedloop.control.tip_space.posture`).
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Annotated, Any, Literal
+
+import numpy as np
+from numpy.typing import NDArray
+from pydantic import BeforeValidator
+
+from closedloop.base.errors import ScenarioError
+from closedloop.base.sections import Number, Size
+from closedloop.control.reference.inverse_kinematics import AXIS, FRAME, POSITION
+from closedloop.control.reference.least_norm import RANK_TOLERANCE
+from closedloop.mechanics.surface.placed import PlacedSurface
+from closedloop.mechanics.surface.plane import contact_frame
+
+if TYPE_CHECKING:
+    from closedloop.mechanics.robot.pinocchio import Robot
+
+Array = NDArray[np.float64]
+
+TURN = Size(1e3, "rad", "a turn more changes nothing")
+WORDS = ("free", "normal", "start")
+# How far the tool may be from its orientation at the start, rad: that of a posture given to three digits, 1 degree.
+ASKEW = math.radians(1.0)
+
+
+def _orientation(value: Any) -> Any:
+    if isinstance(value, str) and value in WORDS:
+        return value
+    numbers = isinstance(value, (list, tuple)) and len(value) == 3
+    if not numbers or not all(isinstance(x, (int, float)) and abs(x) <= TURN.most for x in value):
+        words = ", ".join(f'"{word}"' for word in WORDS)
+        raise ValueError(f"must be {words}, or three numbers, the rotation vector of the tip's frame, rad")
+    return value
+
+
+Held = Annotated[
+    Literal["free", "normal", "start"]
+    | tuple[Annotated[Number, TURN], Annotated[Number, TURN], Annotated[Number, TURN]],
+    BeforeValidator(_orientation),
+]
+
+
+@dataclass(frozen=True)
+class Orientation:
+    """What is held of the tip's orientation.
+
+    Attributes
+    ----------
+    rows : int
+        `POSITION` (nothing), `AXIS` or `FRAME`, see `closedloop.control.reference.inverse_kinematics`.
+    axes : (3, 3) array
+        Columns: axes of the tip's frame, in that frame, of which `AXIS` holds the last.
+    frame : (3, 3) array
+        Of `FRAME`: the same as wanted, base frame.
+    surface : PlacedSurface, optional
+        Of `AXIS`: the surface whose normal the axis is held against.
+    said : str
+        Key and value that ask for it, for messages.
+    """
+
+    rows: int
+    axes: Array
+    frame: Array
+    surface: PlacedSurface | None = None
+    said: str = ""
+
+    def axis_along(self, times: Array, r: Array, velocity: Array) -> Array:
+        """Return the wanted axis of the tool and its rate, 1/s, (N, 6), at points of the tip's path, base frame."""
+        if self.surface is None:
+            return np.zeros((times.size, 6))
+        normals, rates = self.surface.normals(times, r, velocity)
+        return np.hstack([-normals, -rates])
+
+    def in_link(self, robot: Robot, q: Array) -> Array:
+        """Return the axes in those of the tip's link as the robot's tree has them; `q` (n,) is any posture."""
+        return np.asarray(robot.link_axes(q).T @ robot.tip_axes(q[None])[0] @ self.axes)
+
+    def askew(self, robot: Robot, q: Array) -> float:
+        """Return the angle by which the tool is turned away from its orientation at the start, rad."""
+        axes = robot.tip_axes(q[None])[0] @ self.axes
+        if self.rows == AXIS:
+            wanted = self.axis_along(np.zeros(1), robot.position(q)[None], np.zeros((1, 3)))[0, :3]
+            return float(np.arctan2(np.linalg.norm(np.cross(axes[:, 2], wanted)), axes[:, 2] @ wanted))
+        return float(turned_by(axes, self.frame)) if self.rows == FRAME else 0.0
+
+    def check_joints(self, robot: Robot, q: Array) -> None:
+        """Refuse an arm that has not the joints to hold position and orientation at once.
+
+        Raises
+        ------
+        ScenarioError
+            Says how many it has.
+        """
+        if self.rows == POSITION:
+            return
+        J = robot.frame_jacobian(q)
+        if self.rows == AXIS:
+            J = np.vstack([J[:3], contact_frame((robot.tip_axes(q[None])[0] @ self.axes)[:, 2])[1:] @ J[3:]])
+        moved = int(np.sum(robot.support))
+        if moved < self.rows:
+            raise ScenarioError(
+                f"{self.said}: position and orientation of the tool together take {self.rows} joints, and "
+                f"{robot.model.name} has {moved} that move it; leave it out, or take an arm with more joints"
+            )
+        sizes = np.linalg.svd(J, compute_uv=False)
+        if sizes[-1] <= RANK_TOLERANCE * sizes[0]:
+            raise ScenarioError(
+                f"{self.said}: the start is a singular pose, in which the joints cannot turn the tool and leave the "
+                "tip where it is; start elsewhere (start.q)"
+            )
+
+
+FREE_ORIENTATION = Orientation(POSITION, np.zeros((3, 3)), np.zeros((3, 3)))
+
+
+def turned_by(axes: Array, wanted: Array) -> Array:
+    """Return the angles between frames, (..., 3, 3) rotations, rad: |A − B| = √8 sin(θ/2), Frobenius' norm."""
+    apart = np.linalg.norm(axes - wanted, axis=(-2, -1))
+    return np.asarray(2.0 * np.arcsin(np.minimum(1.0, apart / math.sqrt(8.0))))
+
+
+def orientation_of(
+    held: str | tuple[float, float, float], axis: Array, robot: Robot, q: Array, surface: PlacedSurface
+) -> Orientation:
+    """Return what reference.orientation asks for.
+
+    Parameters
+    ----------
+    held : str or tuple of float
+        "free", "normal", "start", or the rotation vector of the tip's frame, rad, base frame.
+    axis : (3,) array
+        Axis of the tool, a unit vector in the tip's frame.
+    robot, q
+        The arm, and its posture (n,) at the start.
+    surface : PlacedSurface
+        Whose normal it is held against.
+    """
+    if held == "free":
+        return FREE_ORIENTATION
+    if held == "normal":
+        axes = contact_frame(axis)[[1, 2, 0]].T
+        return Orientation(AXIS, axes, np.zeros((3, 3)), surface, 'reference.orientation = "normal"')
+    if held == "start":
+        frame = robot.tip_axes(q[None])[0]
+        return Orientation(FRAME, np.eye(3), frame, None, 'reference.orientation = "start"')
+    from scipy.spatial.transform import Rotation
+
+    frame = np.asarray(Rotation.from_rotvec(held).as_matrix())
+    return Orientation(FRAME, np.eye(3), frame, None, f"reference.orientation = {list(held)}")

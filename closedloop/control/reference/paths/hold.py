@@ -1,0 +1,19 @@
+"""[reference] kind = "hold": r(t) = r(0)."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from closedloop.control.reference.path import Path
+from closedloop.control.reference.tip_path import TipPath
+
+Array = NDArray[np.float64]
+
+
+class Hold(Path):
+    """The tip stays where it starts."""
+
+    def tip_path(self, origin: Array, normal: Array) -> TipPath:
+        """Return the path that stays; see `Path.tip_path`."""
+        return TipPath(origin)

@@ -1,0 +1,59 @@
+"""[reference] kind = "waypoints": r(times[k]) = r(0) + points[k], straight in between."""
+
+from __future__ import annotations
+
+from typing import Literal
+
+import numpy as np
+from numpy.typing import NDArray
+from pydantic import Field
+
+from closedloop.base.errors import ScenarioError
+from closedloop.control.reference.lists import MotionInstants, Points
+from closedloop.control.reference.path import Path
+from closedloop.control.reference.segments import through
+from closedloop.control.reference.timing import constant, minimum_jerk
+from closedloop.control.reference.tip_path import TipPath
+
+Array = NDArray[np.float64]
+
+
+class Waypoints(Path):
+    """Straight from point to point: in space, to approach the surface, press beyond it, retract; or on the surface."""
+
+    in_plane = False
+
+    on_surface: Literal["projected", "geodesic", "no"] = Field(
+        "no",
+        description="whether they are laid onto the surface, and how: projected along the normal at the start; "
+        "geodesic: with their lengths and angles; no: they are points in space",
+    )
+    times: MotionInstants = Field(description="instants at which the tip is at the points, s, increasing")
+    points: Points = Field(
+        description="displacements of the tip from its start, m, base frame, one an instant; the first is [0, 0, 0]"
+    )
+    timing: Literal["minimum_jerk", "linear"] = Field(
+        "minimum_jerk", description="minimum_jerk: at rest at every point; linear: constant velocity between points"
+    )
+
+    def tip_path(self, origin: Array, normal: Array) -> TipPath:
+        """Return the straight segments between the points; see `Path.tip_path`.
+
+        Raises
+        ------
+        ScenarioError
+            If there are not as many instants as points, or the first point is not where the tip starts.
+        """
+        times, points = np.array(self.times), np.array(self.points)
+        if len(times) != len(points):
+            raise ScenarioError(
+                f"reference.points has {len(points)} entries: must have one for each of the {len(times)} "
+                "reference.times"
+            )
+        if np.any(points[0] != 0.0):
+            raise ScenarioError(
+                f"reference.points[0] = {points[0].tolist()}: must be [0, 0, 0]; points are displacements from the "
+                "tip's start, and it leaves from there at the first of reference.times"
+            )
+        timing = constant if self.timing == "linear" else minimum_jerk
+        return TipPath(origin, through(times, points, origin, timing), ("reference.points",))

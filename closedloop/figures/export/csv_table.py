@@ -1,0 +1,81 @@
+"""A run as CSV: a column for each number of a row, with its unit in the header; and its events likewise."""
+
+from __future__ import annotations
+
+import io
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from closedloop.base.files import write_whole
+from closedloop.loop.events.table import EVENT_COLUMNS, KINDS
+from closedloop.record.columns.derived import DERIVED, WRENCH
+from closedloop.record.run import Run
+from closedloop.scenario.contact_names import labels_of, tangents_of
+
+AXES = ("x", "y", "z")
+
+
+def write_csv(run: Run, path: str | Path) -> list[Path]:
+    """Write a run as CSV, and its events, if it has any, beside it with ``_events`` in the name; return the paths.
+
+    Numbers have as many digits as tell them apart from all others, so they are read back to the bit. Headers are
+    ``q J1 [rad]``, ``position x [m]`` ...; what has no unit has none.
+
+    Raises
+    ------
+    OutputError
+        If a file cannot be written.
+    """
+    path = Path(path)
+    rows = [*(name for name in run.specs if name not in EVENT_COLUMNS), *DERIVED]
+    written = [write_whole(path, _table({k: v for name in rows for k, v in _flat(run, name).items()}))]
+    if run.events:
+        columns = {k: v for name in EVENT_COLUMNS for k, v in _flat(run, name).items()}
+        columns["event_kind"] = np.array([KINDS[int(kind)] for kind in run.event_kind])
+        written.append(write_whole(path.with_name(f"{path.stem}_events{path.suffix}"), _table(columns)))
+    return written
+
+
+def _flat(run: Run, name: str) -> dict[str, NDArray[Any]]:
+    """Return a column of a run as columns of single numbers, by their headers."""
+    values, dims = getattr(run, name), (run.specs.get(name) or DERIVED[name]).dims
+    if len(dims) == 1:
+        return {_header(name, run.units(name)): values}
+    names = labels_of(run.scenario.contact or ())
+    contacts = {"contact": names, "contact_tangent": tangents_of(names)}
+    entries_of = {"joint": run.model.joint_names, "axis": AXES, "component": WRENCH} | contacts
+    entries = entries_of.get(dims[1]) or tuple(map(str, range(1, values.shape[1] + 1)))
+    found = {}
+    for k, entry in enumerate(entries):
+        unit = _of_joint(run, name, k) if dims[1] == "joint" else _of_part(run.units(name), entry)
+        found[_header(f"{name} {entry}", unit)] = values[:, k]
+    return found
+
+
+def _of_joint(run: Run, name: str, joint: int) -> str:
+    """Return the unit of a column for one joint, which may turn or slide."""
+    turning, _, sliding = run.units(name).partition(" | ")
+    return sliding if sliding and run.model.joint_types[joint] == "prismatic" else turning
+
+
+def _of_part(units: str, entry: str) -> str:
+    """Return the unit of a part of a column; of a wrench it is that of a force or of a moment."""
+    force, _, moment = units.partition(" | ")
+    return moment if moment and entry.startswith("m") else force
+
+
+def _header(name: str, unit: str) -> str:
+    return name if unit in ("", "1") else f"{name} [{unit}]"
+
+
+def _table(columns: Mapping[str, NDArray[Any]]) -> bytes:
+    import pyarrow as pa
+    from pyarrow import csv
+
+    text = io.BytesIO()
+    csv.write_csv(pa.table(dict(columns)), text)
+    return text.getvalue()

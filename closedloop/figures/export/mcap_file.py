@@ -1,0 +1,110 @@
+"""A run as MCAP with standard ROS 2 messages: Foxglove, PlotJuggler and ``ros2 bag`` open it.
+
+    /joint_states         sensor_msgs/msg/JointState        q, q̇ and the torque of the law
+    /tip_pose             geometry_msgs/msg/PoseStamped     the tip's frame, in the base frame
+    /tip_wrench           geometry_msgs/msg/WrenchStamped   f n and friction on the tip, base axes
+    /wrist_wrench         geometry_msgs/msg/WrenchStamped   what a sensor between arm and tool reads, the tip's axes
+    /contacts/NAME        geometry_msgs/msg/WrenchStamped   of a contact of links, on the link with the point, base axes
+    /events               rcl_interfaces/msg/Log            impact, touchdown, liftoff, stick ..., each at its time
+    /robot_description    std_msgs/msg/String               the URDF, where the robot is one
+
+Times count from 0, the start of the run. The scenario's text is attached as scenario.toml.
+"""
+
+from __future__ import annotations
+
+from functools import partial
+from importlib.util import find_spec
+from pathlib import Path
+from typing import Any, BinaryIO
+
+import numpy as np
+
+from closedloop.base.errors import ScenarioError
+from closedloop.base.files import write_whole
+from closedloop.figures.export.messages import DEFINITIONS
+from closedloop.figures.scene.scene import quaternions, scene_of
+from closedloop.record.run import Run
+
+NEEDS_MCAP = 'MCAP needs two packages that are not installed: pip install "closedloop[mcap]"'
+INFO = 20  # level of a log message
+
+
+def write_mcap(run: Run, path: str | Path) -> list[Path]:
+    """Write a run as MCAP, and return its path in a list.
+
+    Raises
+    ------
+    ScenarioError
+        If the packages for it are not installed.
+    OutputError
+        If the file cannot be written.
+    """
+    if find_spec("mcap_ros2") is None:
+        raise ScenarioError(NEEDS_MCAP)
+    return [write_whole(path, partial(_write, run))]
+
+
+def _write(run: Run, file: BinaryIO) -> None:
+    from mcap_ros2.writer import Writer
+
+    writer: Any = Writer(file)
+    schemas = {name: writer.register_msgdef(name, text) for name, text in DEFINITIONS.items()}
+
+    def send(topic: str, kind: str, message: dict[str, Any], time: float) -> None:
+        at = round(1e9 * time)
+        writer.write_message(topic, schemas[kind], message, log_time=at, publish_time=at)
+
+    if run.model.format == "urdf":
+        send("/robot_description", "std_msgs/msg/String", {"data": run.model.text}, 0.0)
+    base, scene = _base_frame(run), scene_of(run)
+    nothing = {"x": 0.0, "y": 0.0, "z": 0.0}
+    for k in range(len(run)):
+        time, there = float(run.time[k]), scene.joint_places(k)
+        header = {"stamp": _stamp(time), "frame_id": base}
+        joints = {"name": list(run.model.joint_names), "position": run.q[k], "velocity": run.v[k]}
+        joints["effort"] = run.torque[k]
+        send("/joint_states", "sensor_msgs/msg/JointState", {"header": header, **_listed(joints)}, time)
+        pose = {"position": _vector(run.position[k]), "orientation": _turn(scene.tip_axes(there[0]))}
+        send("/tip_pose", "geometry_msgs/msg/PoseStamped", {"header": header, "pose": pose}, time)
+        wrench = {"force": _vector(run.tip_force[k]), "torque": nothing}
+        send("/tip_wrench", "geometry_msgs/msg/WrenchStamped", {"header": header, "wrench": wrench}, time)
+        wrench = {"force": _vector(run.wrist_wrench[k, :3]), "torque": _vector(run.wrist_wrench[k, 3:])}
+        at_wrist = header | {"frame_id": scene.tip}
+        send("/wrist_wrench", "geometry_msgs/msg/WrenchStamped", {"header": at_wrist, "wrench": wrench}, time)
+        for touching, arrow in zip(scene.touching, scene.between_links(k, *there), strict=True):
+            wrench, topic = {"force": _vector(arrow.force), "torque": nothing}, f"/contacts/{touching.name}"
+            send(topic, "geometry_msgs/msg/WrenchStamped", {"header": header, "wrench": wrench}, time)
+    for event in run.events:
+        rates = f"closure rate {event.rate_before:.6g} to {event.rate_after:.6g} m/s"
+        said = f"{event.kind}: {rates}, {event.energy_lost:.4g} J lost"
+        message = {"stamp": _stamp(event.time), "level": INFO, "name": "closedloop", "msg": said}
+        send("/events", "rcl_interfaces/msg/Log", message | {"file": "", "function": "", "line": 0}, event.time)
+    writer.add_attachment(0, 0, "scenario.toml", "application/toml", run.scenario.to_toml().encode())
+    writer.finish()
+
+
+def _stamp(time: float) -> dict[str, int]:
+    nanoseconds = round(1e9 * time)
+    return {"sec": nanoseconds // 10**9, "nanosec": nanoseconds % 10**9}
+
+
+def _vector(values: Any) -> dict[str, float]:
+    x, y, z = (float(value) for value in values)
+    return {"x": x, "y": y, "z": z}
+
+
+def _turn(axes: Any) -> dict[str, float]:
+    """Return the orientation of axes (3, 3), the columns of a rotation, as the parts of a quaternion."""
+    w, x, y, z = (float(part) for part in quaternions(axes[None])[0])
+    return {"x": x, "y": y, "z": z, "w": w}
+
+
+def _listed(parts: dict[str, Any]) -> dict[str, Any]:
+    return {name: part.tolist() if isinstance(part, np.ndarray) else part for name, part in parts.items()}
+
+
+def _base_frame(run: Run) -> str:
+    """Return the name of the robot's root link."""
+    model = run.model.pinocchio_model()
+    return str(next((frame.name for frame in list(model.frames)[1:] if frame.parentJoint == 0), "base"))

@@ -1,1 +1,0 @@
-"""The laws of restitution that ship, a file each; what they share is told in `closedloop.impact`."""

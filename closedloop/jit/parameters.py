@@ -1,0 +1,174 @@
+"""From the section of a plug-in to the parameters of its functions: each field by its own name.
+
+class Spring(ControlLaw):
+    stiffness: Annotated[NotNegative, gain_in("N/m")] = ...        par.stiffness       a number
+    kd: Annotated[Gain, gain_in("N m s/rad")] = ...                par.kd[j]           one for each joint
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from functools import cache
+from types import NoneType, new_class
+from typing import Annotated, Any, get_args, get_origin
+
+import numpy as np
+from numpy.typing import NDArray
+
+from closedloop.base.errors import ScenarioError
+from closedloop.base.sections import Section
+from closedloop.jit.blocks import Block, Count
+
+Array = NDArray[np.float64]
+
+_N = Count.of("n")
+# Annotation of a key whose parameter is the list that `resolved` makes of it, such as the formula of a surface.
+AS_RESOLVED = "as resolved"
+
+
+@cache
+def parameter_block(section: type[Section]) -> type[Block]:
+    """Return the block of a section's fields: numbers, and arrays (n,) of those with one for each joint.
+
+    Text, such as the kind, has no part in it, unless it is `AS_RESOLVED`.
+    """
+    shapes = {
+        name: (_N,) if AS_RESOLVED in field.metadata else _shape(field.annotation)
+        for name, field in section.model_fields.items()
+    }
+    return _block(section, "Parameters", {name: shape for name, shape in shapes.items() if shape is not None})
+
+
+@cache
+def one_joint_block(section: type[Section]) -> type[Block]:
+    """Return the block of what a section says of one joint: what has one entry for each joint is a number."""
+    shapes = parameter_block(section).layout.shape
+    own = {name: () if _is_per_joint(shape) else shape for name, shape in shapes.items()}
+    return _block(section, "OneJoint", own)
+
+
+@cache
+def state_block(member: type) -> type[Block]:
+    """Return the block of a member's states: `states` are numbers, `joint_states` and `slip_states` arrays (n,)."""
+    arrays = (*getattr(member, "joint_states", ()), *getattr(member, "slip_states", ()))
+    return _block(member, "States", dict.fromkeys(getattr(member, "states", ()), ()) | dict.fromkeys(arrays, (_N,)))
+
+
+def _block(member: type, suffix: str, shapes: dict[str, tuple[Any, ...]]) -> type[Block]:
+    ordered = sorted(shapes.items(), key=lambda part: len(part[1]))  # single numbers come first
+    annotations: dict[str, Any] = {name: Annotated[(Array, *shape)] if shape else float for name, shape in ordered}
+    body: dict[str, Any] = {
+        "__annotations__": annotations,
+        "__module__": member.__module__,
+        "__doc__": f"{suffix} of a member.",
+    }
+    body["__qualname__"] = f"{member.__qualname__}.{suffix}"
+    return new_class(suffix, (Block,), {"sizes": ("n",)}, lambda space: space.update(body))
+
+
+def _shape(annotation: Any) -> tuple[Any, ...] | None:
+    """Return the shape of a field: () a number, (n,) one for each joint, (3,) a vector; None: it is not of numbers."""
+    if get_origin(annotation) is Annotated:
+        return _shape(get_args(annotation)[0])
+    if annotation in (float, int, bool):
+        return ()
+    if get_origin(annotation) is tuple:
+        entries = get_args(annotation)
+        return (_N,) if Ellipsis in entries else (len(entries),)
+    shapes = [_shape(choice) for choice in get_args(annotation) if choice is not NoneType]
+    if not shapes or any(shape is None for shape in shapes):
+        return None
+    return max(shapes, key=lambda shape: len(shape or ()))
+
+
+def _is_per_joint(shape: tuple[Any, ...]) -> bool:
+    return bool(shape) and shape[0].terms == _N.terms
+
+
+def _values(section: Section) -> dict[str, Any]:
+    """Return what a section says, by name: of what it leaves out, what `resolved` says, else NaN."""
+    resolved: dict[str, Any] = getattr(section, "resolved", dict)()
+    given = {name: resolved.get(name, getattr(section, name)) for name in parameter_block(type(section)).layout.shape}
+    return {name: math.nan if value is None else value for name, value in given.items()}
+
+
+def pack(section: Section, n: int, where: str, joint_names: Sequence[str] = ()) -> Array:
+    """Return the numbers of a section for n joints, as its `parameter_block` has them.
+
+    Parameters
+    ----------
+    section : Section
+        What it leaves out (None) is what its method `resolved` says, if it has one, else NaN.
+    n : int
+        Number of joints.
+    where : str
+        The section's name in messages.
+    joint_names : sequence of str
+        For messages.
+
+    Raises
+    ------
+    ScenarioError
+        If a list has not one entry a joint.
+    """
+    kind = parameter_block(type(section))
+    block = kind(np.zeros(kind.count(n)), n)
+    for name, value in _values(section).items():
+        shape = kind.layout.shape[name]
+        if _is_per_joint(shape):
+            getattr(block, name)[:] = per_joint(f"{where}.{name}", value, n, joint_names)
+        elif shape:
+            getattr(block, name)[:] = value
+        else:
+            setattr(block, name, value)
+    return block.memory
+
+
+def lists_per_joint(section: Section) -> dict[str, tuple[float, ...]]:
+    """Return the keys of a section that it gives as a list with one number for each joint, and the lists."""
+    shapes = parameter_block(type(section)).layout.shape
+    given = {name: getattr(section, name) for name, shape in shapes.items() if _is_per_joint(shape)}
+    return {name: value for name, value in given.items() if isinstance(value, tuple)}
+
+
+def pack_each_joint(section: Section, n: int, where: str) -> Array:
+    """Return the numbers of a section for n joints, a row for each, (n, ...), as its `one_joint_block` has them.
+
+    Raises
+    ------
+    ScenarioError
+        If a list has not one entry a joint; `where` is the section's name in messages.
+    """
+    kind, shapes = one_joint_block(type(section)), parameter_block(type(section)).layout.shape
+    rows = np.zeros((n, kind.count(n)))
+    values = _values(section)
+    for j in range(n):
+        block = kind(rows[j], n)
+        for name, value in values.items():
+            if not _is_per_joint(shapes[name]) and shapes[name]:
+                getattr(block, name)[:] = value
+            elif not isinstance(value, tuple):
+                setattr(block, name, value)
+            elif len(value) == n:
+                setattr(block, name, value[j])
+            else:
+                entries = f"has {len(value)} entries: must be one number or {n}, one per joint"
+                raise ScenarioError(f"{where}.{name} {entries}")
+    return rows
+
+
+def per_joint(key: str, value: float | tuple[float, ...], n: int, joint_names: Sequence[str] = ()) -> Array:
+    """Return one number a joint (n,); `key` names it in messages.
+
+    Raises
+    ------
+    ScenarioError
+        If a list has another length.
+    """
+    if not isinstance(value, tuple):
+        return np.full(n, float(value))
+    if len(value) != n:
+        names = f", {', '.join(joint_names)}" if joint_names else ""
+        raise ScenarioError(f"{key} has {len(value)} entries: the robot has {n} joints{names}")
+    return np.array(value)

@@ -1,0 +1,225 @@
+"""The loop by reverse communication: steps, events, impacts and projections in one kernel.
+
+`proceed` is called with the terms (H, C, Jᵣ, r, J̇ᵣq̇) of the state it requested, does everything that can be done with
+them, and returns with the next state to be evaluated in `Work.q` and `Work.v`. The terms come from Pinocchio, called
+from Python, or from compiled terms of our own (`closedloop.mechanics.robot.tree`).
+
+The phase says what the terms are for:
+
+    STEP_END        the end of a step (or the start): record the row, unless an event happened in the step
+    STAGE           a later stage of a Runge-Kutta step
+    TRIAL_END       the end of a trial step, taken to locate an event inside a step
+    AT_EVENT        the state at the instant of an event: apply the impact, change the mode
+    IMPULSES_KNOWN  (no terms) the impulses of the impact have been computed
+    AFTER_EVENT     the state just after an event: continue from there to the end of the step
+    PROJECTION      a state to be projected onto the closure
+    MEASURED        what encoders read of the state at the end of a step, before STEP_END: ask the law
+
+An event is detected where the event function is negative at the end of a step: the gap while the tip is free, the
+distance from the surface's edge while it touches, the force of the rigid closure while it is pressed, the speed along
+the old direction while it slides, and the margin to the friction cone while it sticks. It is also detected where f of
+the rigid closure is negative at a stage, and where a free tip moves down at the beginning of a step and up at its end.
+The step is then repeated with other lengths until the instant is bracketed to `INSTANT`; a step to that instant, the
+event, and a step for the remainder replace it. Every substep is a full step of the integrator, so its order is kept.
+What begins and ends between two evaluations is not detected: a negative f that no stage samples, and a free tip that
+penetrates and rises again in one step after moving up at its beginning.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from closedloop.jit.calls import call_at
+from closedloop.jit.kernel import inlined_kernel
+from closedloop.loop.events.contacts import apply_contact_impulses
+from closedloop.loop.events.impacts import apply_impact
+from closedloop.loop.events.locate import event_function, refine_bracket
+from closedloop.loop.events.phases import (
+    ADVANCE,
+    AFTER_EVENT,
+    APPLY_EVENT,
+    APPLY_IMPACT,
+    AT_EVENT,
+    BEGIN_SUBSTEP,
+    DONE,
+    ENLARGE_TABLE,
+    FAIL,
+    FAILED,
+    IMPACT_LAW_WANTED,
+    IMPULSES_KNOWN,
+    MEASURED,
+    NEED_TERMS,
+    OUTPACED,
+    PROJECT,
+    PROJECTION,
+    RETRY_SUBSTEP,
+    SOLVE_IMPACT,
+    STAGE,
+    STEP_END,
+    TABLE_FULL,
+    TERMS,
+    TRIAL_END,
+    request_terms,
+)
+from closedloop.loop.events.projection import project
+from closedloop.loop.events.stops import measure_stops
+from closedloop.loop.events.substep import (
+    advance_friction,
+    check_stage,
+    check_step,
+    finish_stage,
+    restore_state,
+    save_state,
+)
+from closedloop.loop.events.transitions import apply_event, resume_after_event
+from closedloop.loop.step.advance import advance
+from closedloop.loop.step.closed_loops import CLOSE
+from closedloop.loop.step.contacts import WATCH
+from closedloop.loop.step.energy_supplied import add_stage_work, commit_work
+from closedloop.loop.step.evaluate import evaluate, evaluate_law
+from closedloop.loop.step.joint_friction import stick_or_slip_joints
+from closedloop.loop.step.locate import locate_tip
+from closedloop.loop.step.memory import Constants, State, Work
+from closedloop.loop.step.record_row import record
+from closedloop.loop.step.seen import back_to_true, read_joints
+from closedloop.loop.step.transmission import lead_motors
+from closedloop.mechanics.closure.contact_force import FREE
+from closedloop.mechanics.closure.solve import OK
+
+Array = NDArray[np.float64]
+
+
+@inlined_kernel
+def proceed(
+    H: Array, C: Array, w: Work, constants: Constants, state: State, table: Array, tableau: Array, rows: Array,
+    events: Array,
+) -> int:  # fmt: skip
+    """Use the terms of the state requested last, and request the next.
+
+    Parameters
+    ----------
+    H, C : (n, n), (n,) arrays
+        Terms at (q, q̇) in `w`; Jᵣ, r and J̇ᵣq̇ are in `w`.
+    w, constants, state
+        See `closedloop.loop.step.memory`.
+    table : (P, 2 n + 11) array
+        The reference at the instants of the stages, see `closedloop.loop.step.reference_row`.
+    tableau : (S + 1, S) array
+        See `closedloop.mechanics.integrators.Scheme.tableau`.
+    rows : (N, width) array
+        The record, see `closedloop.loop.step.record_row.Row`; row state.row is the next to be written.
+    events : (M, EVENT_WIDTH) array
+        The table of events, of which state.events rows are written.
+
+    Returns
+    -------
+    int
+        TERMS: evaluate the terms at (q, q̇) and call again. TABLE_FULL: give a larger table of events and call again.
+        IMPACT_LAW_WANTED: call `collide`, then again. DONE, or FAILED with state.status.
+    """
+    phase = state.phase
+    if state.law != 0 and phase == MEASURED:
+        status = evaluate_law(H, C, w, constants, state, table)
+        if status != OK:
+            state.status = status
+            return FAILED
+        back_to_true(w)
+        state.phase = STEP_END
+        return TERMS
+    # The gap of a tip that is free is all that a trial step is for, unless there is more to watch.
+    free = state.mode == FREE and state.stops == 0 and state.together == 0
+    if phase in (STEP_END, STAGE, AFTER_EVENT) or (phase in (TRIAL_END, AT_EVENT) and not free):
+        status = evaluate(H, C, w, constants, state, table, rows)
+        if status != OK:
+            state.status = status
+            return FAILED
+        if state.stops != 0 and state.together == 0 and phase != STAGE:
+            measure_stops(H, C, w, constants, state)
+    elif phase != IMPULSES_KNOWN:
+        status = locate_tip(w, constants, state)
+        if status != OK:
+            state.status = status
+            return FAILED
+    if state.contacts != 0 and state.together == 0 and phase in (STEP_END, TRIAL_END, AT_EVENT, AFTER_EVENT):
+        state.status = call_at(state.contacts, state.contacts_at, WATCH)
+        if state.status != OK:
+            return FAILED
+    todo = NEED_TERMS
+    if phase == STEP_END:
+        w.event_value = event_function(w, constants, state)
+        todo = check_step(w, w.drift_c[0], state)
+        if todo == BEGIN_SUBSTEP:
+            commit_work(w)
+            if state.row == 0:
+                w.supplied = 0.0  # row 0 is the state after the events of t = 0, and the balance begins with it
+            if state.law != 0:
+                stick_or_slip_joints(w, constants, state, rows)
+            record(H, C, w, constants, state, table, rows, state.row)
+            if state.row == state.steps:
+                return DONE
+            state.row += 1
+            state.events_in_step, state.after_event = max(state.events_in_step - OUTPACED, 0), 0
+            w.length = constants.h
+        elif todo == RETRY_SUBSTEP and state.hold > 0 and state.sampled != 0:
+            for j in range(w.torque.shape[0]):
+                w.torque[j] = w.held[j]  # until the end of the step the torque of the last sample acted
+    elif phase == STAGE:
+        todo = check_stage(w, state) if state.unilateral != 0 else ADVANCE
+    elif phase == TRIAL_END:
+        w.event_value = event_function(w, constants, state)
+        todo = refine_bracket(w, state)
+    elif phase == AT_EVENT:
+        todo = APPLY_EVENT
+    elif phase == IMPULSES_KNOWN:
+        todo = APPLY_IMPACT
+    elif phase == PROJECTION:
+        todo = PROJECT
+    else:
+        todo = resume_after_event(C, w, constants, state, events)
+
+    if todo == APPLY_EVENT:
+        commit_work(w)
+        todo = apply_event(H, w, constants, state, rows, events)
+    if todo == APPLY_IMPACT:
+        if state.status != OK:
+            return FAILED
+        if state.together != 0:
+            todo = apply_contact_impulses(w, state, events)
+        else:
+            apply_impact(w, constants, state, events)
+            todo = NEED_TERMS
+            if state.project != 0 and state.mode != FREE:
+                state.projections, state.next_phase = 0, AFTER_EVENT
+                request_terms(state, PROJECTION)
+            else:
+                request_terms(state, AFTER_EVENT)
+    if todo == PROJECT:
+        todo = project(H, w, constants, state)
+    if todo == BEGIN_SUBSTEP:
+        save_state(w, constants, state)
+        todo = ADVANCE
+    elif todo == RETRY_SUBSTEP:
+        restore_state(w, state)
+        todo = ADVANCE
+    if todo == ADVANCE:
+        stage, tau = state.stage, w.tau
+        add_stage_work(w, state, stage, tau, tableau[tableau.shape[0] - 1, stage])
+        if state.law != 0 and state.semi_implicit != 0:
+            advance_friction(w, state, tau)
+            if state.elastic != 0:
+                lead_motors(w, tau, state.after_event != 0)
+        advance(stage, tau, state.semi_implicit != 0, state.after_event != 0, tableau, w)
+        if state.loops != 0:  # at every stage: rows that depend on others do so only where the loops are closed
+            call_at(state.loops, state.loops_at, CLOSE)
+        finish_stage(w, constants.h, state, tableau)
+    elif todo == ENLARGE_TABLE:
+        return TABLE_FULL
+    elif todo == SOLVE_IMPACT:
+        return IMPACT_LAW_WANTED
+    elif todo == FAIL:
+        return FAILED
+    if state.encoder != 0 and state.phase == STEP_END:
+        read_joints(w, constants, state, table)
+        state.phase = MEASURED
+    return TERMS

@@ -1,0 +1,291 @@
+"""What an event does: the end of contact, of slip or of sticking, and the mode that follows."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+from numpy.typing import NDArray
+
+from closedloop.jit.calls import call_at
+from closedloop.jit.kernel import kernel
+from closedloop.loop.events.contacts import apply_contact_event, resume_with_contacts
+from closedloop.loop.events.impacts import log_event, make_contact
+from closedloop.loop.events.locate import cone_margin
+from closedloop.loop.events.phases import (
+    AFTER_EVENT,
+    APPLY_EVENT,
+    APPLY_IMPACT,
+    AT_EVENT,
+    DIRECTIONS,
+    ENLARGE_TABLE,
+    FAIL,
+    IMPULSES_KNOWN,
+    MAX_IN_STEP,
+    MAX_RAPID,
+    NEED_TERMS,
+    PROJECT,
+    RESTING,
+    SOLVE_IMPACT,
+    TOUCHING,
+    request_terms,
+)
+from closedloop.loop.events.stops import (
+    BEYOND,
+    REACHED,
+    energy_of_jump,
+    reach_stops,
+    release_stops,
+)
+from closedloop.loop.events.substep import count_event, resume_step, too_many_events
+from closedloop.loop.events.table import (
+    EDGE,
+    LIFTOFF,
+    RELEASE,
+    REVERSAL,
+    SLIP_AGAIN,
+    STICK,
+    STOP,
+    TOUCHDOWN,
+)
+from closedloop.loop.step.closed_loops import factorise_tip
+from closedloop.loop.step.entries import LIMIT, RESTART, SLIDE
+from closedloop.loop.step.entries import STICK as END_OF_SLIP
+from closedloop.loop.step.evaluate import call_law
+from closedloop.loop.step.locate import set_anchor
+from closedloop.loop.step.memory import RIGID_STICK, SPRING_STICK, Constants, State, Work
+from closedloop.loop.step.soft_contact import rub_softly, spring_energy
+from closedloop.loop.step.solve_contact import rubbed_force
+from closedloop.loop.step.tip_friction import delayed_speed
+from closedloop.mechanics.closure.contact_force import (
+    FREE,
+    PRESSED,
+    STUCK,
+    apply_impulse,
+    normal_rounding,
+    stuck_force,
+    stuck_tangentially,
+)
+from closedloop.mechanics.closure.solve import OK
+from closedloop.mechanics.impact import energy_lost
+
+Array = NDArray[np.float64]
+
+# A surface from which the tip can lift off holds no tip that it would have to pull at with more than this, N: rounding.
+LEAST_PULL = 1e-9
+
+
+@kernel
+def resume_after_event(C: Array, w: Work, constants: Constants, state: State, events: Array) -> int:
+    """Continue after an event to the end of the step, unless the mode is inconsistent with the state."""
+    if state.together != 0:
+        return resume_with_contacts(w, constants, state, events)
+    if state.mode == FREE:
+        # A tip just after liftoff that accelerates towards the surface has not left it: at the projected state f is
+        # still positive; or the law presses when the tip is free and lifts when it is in contact.
+        let_go = state.kind == LIFTOFF and w.last_event == w.time
+        back = let_go and w.gap <= TOUCHING and abs(w.rate) <= RESTING and w.a[0] < 0.0
+        if back and w.a[0] < -normal_rounding(w.L, w.X, w.drift_c, w.torque, w.joint_friction, C, w.column):
+            make_contact(w, constants, state, np.hypot(w.u[1], w.u[2]))
+            state.events -= 1
+            state.events_in_step += 1
+            if too_many_events(state, MAX_RAPID):
+                return FAIL
+            request_terms(state, AFTER_EVENT)
+            return NEED_TERMS
+    elif (state.unilateral != 0 and w.rigid_force < 0.0) or (state.mode == STUCK and cone_margin(w, state) < 0.0):
+        return APPLY_EVENT
+    if (state.stops != 0 and w.stop_margin < 0.0) or (state.contacts != 0 and w.contact_margin < 0.0):
+        return APPLY_EVENT
+    return resume_step(w, constants, state)
+
+
+@kernel
+def apply_event(H: Array, w: Work, constants: Constants, state: State, rows: Array, events: Array) -> int:
+    """Apply the event at this state: an impact, the end of the contact, of slip or of sticking."""
+    if state.events >= events.shape[0]:
+        state.phase = AT_EVENT
+        return ENLARGE_TABLE
+    # The instant may be a rounding before the one at which a contact closes.
+    closes = w.contact_margin < 0.0 or (state.mode == FREE and w.contact_margin <= min(w.gap, TOUCHING))
+    if state.contacts != 0 and (state.together != 0 or closes):
+        return apply_contact_event(w, constants, state, events)
+    if state.mode == FREE and state.surface != 0 and w.inside < 0.0:  # there is no surface to touch
+        state.beside = 1
+        request_terms(state, AFTER_EVENT)
+        return NEED_TERMS
+    count_event(w, state)
+    if too_many_events(state, MAX_RAPID if state.mode != FREE else MAX_IN_STEP):
+        return FAIL
+    if state.mode == FREE:
+        state.status = factorise_tip(H, w, constants, state)
+        if state.status != OK:
+            return FAIL
+    for i in range(3):
+        w.before[i] = w.u[i]
+        w.after[i] = w.u[i]
+        w.compression[i] = 0.0
+        w.decompression[i] = 0.0
+    w.discarded_rebound, w.restitution_given = 0.0, 0.0
+    if state.stops != 0 and w.stop_margin < BEYOND + REACHED:
+        if reach_stops(w, constants, state):
+            state.kind = STOP
+            log_event(w, constants, state, events, energy_of_jump(w))
+            if state.law != 0:
+                call_law(state, RESTART)
+            request_terms(state, AFTER_EVENT)
+            return NEED_TERMS
+        if release_stops(w):
+            state.kind = RELEASE
+            log_event(w, constants, state, events, 0.0)
+            request_terms(state, AFTER_EVENT)
+            return NEED_TERMS
+    if state.stops != 0 and state.mode == FREE and w.gap > TOUCHING + REACHED:  # it was for a stop, and there is none
+        request_terms(state, AFTER_EVENT)
+        return NEED_TERMS
+    if state.mode == FREE:
+        # At the end of a step of first order the gap may be negative and the velocity upwards: contact, no impulse.
+        state.phase, state.kind = IMPULSES_KNOWN, TOUCHDOWN
+        return SOLVE_IMPACT if w.u[0] < 0.0 and state.compliance == 0 else APPLY_IMPACT
+    if state.surface != 0 and w.inside < 0.0:
+        # The velocity stays what it is: f ends, there and then. What the spring has stored is not the arm's.
+        state.mode, state.risen, state.beside, state.kind = FREE, 0, 1, EDGE
+        stored = spring_energy(w, constants, state) if state.compliance != 0 else 0.0
+        log_event(w, constants, state, events, stored)
+        w.supplied += stored
+        request_terms(state, AFTER_EVENT)
+        return NEED_TERMS
+    if state.unilateral != 0 and w.rigid_force < 0.0 and not held_by_pulling(w, state):
+        state.mode, state.risen, state.kind = FREE, 0, LIFTOFF
+        if state.compliance != 0:
+            log_event(w, constants, state, events, 0.0)
+            request_terms(state, AFTER_EVENT)
+            return NEED_TERMS
+        w.after[0] = 0.0
+        log_event(w, constants, state, events, 0.5 * w.u[0] * w.u[0] / w.S[0, 0])
+        # The tip leaves from the surface itself: the error that the stabiliser had not yet removed is projected out.
+        state.projections, state.next_phase = 0, AFTER_EVENT
+        return PROJECT
+    if state.sticking in (RIGID_STICK, SPRING_STICK):
+        return end_stick_or_slip(w, constants, state, rows, events)
+    request_terms(state, AFTER_EVENT)
+    return NEED_TERMS
+
+
+@kernel
+def held_by_pulling(w: Work, state: State) -> bool:
+    """Whether the surface would have to pull at a tip that sticks, though without any force the tip comes towards it.
+
+    The force that holds it along the surface lifts it. It cannot leave, nor stick: it slips.
+    """
+    return state.mode == STUCK and w.a[0] < 0.0 and state.compliance == 0
+
+
+@kernel
+def end_stick_or_slip(w: Work, constants: Constants, state: State, rows: Array, events: Array) -> int:
+    """Apply the end of sticking, or of slip: it sticks, or goes on in another direction."""
+    loss, size = 0.0, np.hypot(w.F[1], w.F[2])
+    if state.mode == STUCK and not size > 0.0:  # no tangential force: f goes to zero, and is not negative yet
+        request_terms(state, AFTER_EVENT)
+        return NEED_TERMS
+    if state.mode == STUCK:  # slip starts against the friction force that held the tip
+        state.mode, state.kind = PRESSED, SLIP_AGAIN
+        w.direction[0], w.direction[1] = -w.F[1] / size, -w.F[2] / size
+        if state.unilateral != 0 and w.rigid_force < 0.0:
+            find_direction(w, state)
+        if state.sticking == RIGID_STICK:  # slip starts from rest: the velocity left by errors is removed
+            loss = stop_tip(w, state)
+            w.start_slip_speed = 0.0  # that of the substep before was such an error, and judges this slip no more
+    else:
+        speed = np.hypot(w.u[1], w.u[2])
+        slow = speed <= max(2.0 * constants.stick_speed, constants.capture_speed * (1.0 + 1e-9))
+        if state.sticking == SPRING_STICK:
+            w.delayed_slip = delayed_speed(w, constants, state, rows, constants.lag, speed)
+            w.event_value = 0.0
+            call_at(state.friction, state.address, END_OF_SLIP)
+            state.mode, state.kind = STUCK, STICK
+        else:
+            held = OK
+            for i in range(3):
+                w.b[i] = 0.0
+            if state.compliance != 0:
+                stuck_tangentially(w.S, w.a, w.b, w.F)
+            else:
+                held = stuck_force(w.S, w.a, w.b, w.F, w.stabiliser_force)
+            size = np.hypot(w.F[1], w.F[2])
+            call_at(state.friction, state.address, LIMIT)
+            pulls = state.unilateral != 0 and w.F[0] < -LEAST_PULL
+            if held == OK and slow and not pulls and size <= w.stick_limit * abs(w.F[0]):
+                state.mode, state.kind = STUCK, STICK
+                set_anchor(w, state)
+                loss = stop_tip(w, state)
+            elif not slow:  # slip has turned by a right angle since the substep began, and goes on
+                w.direction[0], w.direction[1] = w.u[1] / speed, w.u[2] / speed
+                request_terms(state, AFTER_EVENT)
+                return NEED_TERMS
+            else:
+                state.kind = REVERSAL
+                w.start_slip_speed = 0.0  # as where sticking ends: the slip in the new direction starts from rest
+                find_direction(w, state)
+    log_event(w, constants, state, events, loss)
+    request_terms(state, AFTER_EVENT)
+    return NEED_TERMS
+
+
+@kernel
+def stop_tip(w: Work, state: State) -> float:
+    """Set the tip's velocity u to zero by an impulse, on a soft surface that along it; return the energy lost, J."""
+    for i in range(3):
+        w.a[i], w.b[i], w.after[i] = w.u[i], 0.0, 0.0
+    if state.compliance != 0:
+        w.compression[0] = 0.0
+        stuck_tangentially(w.S, w.a, w.b, w.compression)
+        w.after[0] = w.u[0] + w.S[0, 1] * w.compression[1] + w.S[0, 2] * w.compression[2]
+    else:
+        stuck_force(w.S, w.a, w.b, w.compression, w.stabiliser_force)
+    apply_impulse(w.L, w.X, w.compression, w.column, w.v)
+    return float(energy_lost(w.before, w.after, w.compression))
+
+
+@kernel
+def find_direction(w: Work, state: State) -> None:
+    """Write the direction in which slip starts that friction cannot prevent: that in which the tip then accelerates.
+
+    The tip's mobility is anisotropic, so the direction is a root of the angle between it and the acceleration with
+    friction against it, found by a scan of the circle and bisection.
+    """
+    w.slip[0], w.slip[1], w.delayed_slip = 0.0, 0.0, 0.0
+    best, here, before = -1.0, 0.0, 0.0
+    low = 0.0
+    for i in range(DIRECTIONS + 1):
+        angle = 2.0 * np.pi * i / DIRECTIONS
+        across, along = slip_onset(w, state, angle)
+        if i > 0 and before * across <= 0.0 and along > 0.0:
+            a, b, sign = low, angle, before
+            for _ in range(60):
+                middle = 0.5 * (a + b)
+                across_middle, along_middle = slip_onset(w, state, middle)
+                if across_middle * sign > 0.0:
+                    a = middle
+                else:
+                    b = middle
+            across_middle, along_middle = slip_onset(w, state, b)
+            if along_middle > best:
+                best, here = along_middle, b
+        low, before = angle, across
+    w.direction[0], w.direction[1] = math.cos(here), math.sin(here)
+
+
+@kernel
+def slip_onset(w: Work, state: State, angle: float) -> tuple[float, float]:
+    """Return the acceleration across and along a direction if slip starts in it, m/s²."""
+    w.direction[0], w.direction[1] = math.cos(angle), math.sin(angle)
+    call_at(state.friction, state.address, SLIDE)
+    if state.compliance != 0:  # f is that of the depth
+        rub_softly(w)
+    else:
+        rubbed_force(0.0, w, state)
+    a1 = w.a[1] + w.S[1, 0] * w.F[0] + w.S[1, 1] * w.F[1] + w.S[1, 2] * w.F[2]
+    a2 = w.a[2] + w.S[2, 0] * w.F[0] + w.S[2, 1] * w.F[1] + w.S[2, 2] * w.F[2]
+    d1, d2 = w.direction[0], w.direction[1]
+    return float(d1 * a2 - d2 * a1), float(d1 * a1 + d2 * a2)

@@ -1,0 +1,186 @@
+"""The loops of a mechanism in a step: what they leave free of the motion of the tree.
+
+With H = L Lᵀ, y = L⁻¹(Q − C) and X = L⁻¹Aᵀ of the tip's rows A, the loops' rows Z = G L⁻ᵀ, and P the projection onto
+what they leave free (`closedloop.mechanics.loops.solve`), the motion of the closed mechanism is
+
+    q̈ = L⁻ᵀ(P y + y_b + (P Xᵀ) F),      Z P = 0,  Z y_b = −drift,  P y_b = 0
+
+So with P X for X and P y + y_b for y, Eq. 24, friction, impact and the mobility S = X P Xᵀ of the tip are those of a
+tree. The loops take what they bind, whatever acts.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from closedloop.control.seen import Seen
+from closedloop.jit.calls import call_at
+from closedloop.jit.kernel import entry_kernel, kernel, kernel_inlined
+from closedloop.jit.pointers import integers_at, row_of
+from closedloop.loop.step.energy_supplied import driving_torque
+from closedloop.loop.step.memory import Constants, State, Work, loop_at
+from closedloop.mechanics.closure.contact_force import factorise
+from closedloop.mechanics.closure.solve import OK, SINGULAR_MOBILITY, back_substitute, forward_substitute
+from closedloop.mechanics.loops.close import close_state
+from closedloop.mechanics.loops.drives import through_drives
+from closedloop.mechanics.loops.factor import factor, force_of
+from closedloop.mechanics.loops.memory import STOP, LoopLinks, LoopRows, loops_at
+from closedloop.mechanics.loops.passing import find_basis, find_required_on_the_way
+from closedloop.mechanics.loops.solve import (
+    leave_free,
+    multiply_transposed,
+    take_free,
+)
+
+Array = NDArray[np.float64]
+
+# What the loops are asked for.
+BIND_TIP, BIND_LOAD, BIND_ANSWER, DRIVE, CLOSE, REACTION, STOP_TORQUE, IMPULSE, BIND_SEEN = range(9)
+
+
+@kernel_inlined
+def factorise_tip(H: Array, w: Work, constants: Constants, state: State) -> int:
+    """Do `factorise` for the tip of the closed mechanism, where it has just been located."""
+    status = factorise(H, w.A, w.L, w.X, w.S, constants.reach)
+    if status == OK and state.loops != 0:
+        call_at(state.loops, state.loops_at, BIND_TIP)
+    return status
+
+
+@entry_kernel
+def closed_loops(address: int, what: int) -> int:
+    """Answer for the loops, by the address of their memory.
+
+    BIND_TIP        project X, write S of it, and add to the tip's drift what the loops require of it
+    BIND_LOAD       replace y = L⁻¹(Q − C) by P y + y_b
+    BIND_ANSWER     replace `column`, L⁻¹ of a torque, by P of it
+    DRIVE           replace the torque by one of the drives alone, see `closedloop.mechanics.loops.drives`
+    CLOSE           move q and q̇ to the nearest state that the loops allow
+    REACTION        replace `column`, H q̈ + C − Q − AᵀF, by the part of it that the loops can give, and take from the
+                    tip's drift what BIND_TIP has added
+    STOP_TORQUE     write the torque of the stops, of `column` as for REACTION
+    IMPULSE         change q̇ by the impulses of loops and stops that it does not obey
+    BIND_SEEN       do BIND_TIP for the X, S and drift that the law sees, with the H that it believes in
+    """
+    links, rows = loops_at(address)
+    _, _, w = loop_at(links.loop)
+    for j in range(links.n if links.stops > 0 else 0):
+        rows.held[j] = w.stopped[j]
+    if what == BIND_TIP:
+        bind_tip(links, rows, w, w.L, w.X, w.S)
+        for k in range(3):
+            w.drift_c[k] += rows.moved[k]
+    elif what == BIND_SEEN:
+        seen = Seen(w.seen, links.n)
+        bind_tip(links, rows, w, seen.L, seen.X, seen.S)
+        for k in range(3):
+            seen.drift_c[k] += rows.moved[k]
+    elif what == BIND_LOAD:
+        leave_free(links, rows, w.y)
+        for j in range(links.n):
+            w.y[j] += rows.part[j]
+    elif what == BIND_ANSWER:
+        leave_free(links, rows, w.column)
+    elif what == DRIVE:
+        drive(links, rows, w.torque)
+    elif what == CLOSE:
+        close_state(links, rows, w.q, w.v)
+    elif what == STOP_TORQUE:
+        stop_torque(links, rows, w)
+    elif what == IMPULSE:
+        apply_impulses(links, rows, w)
+    else:
+        reaction(links, rows, w)
+        for k in range(3):
+            w.drift_c[k] -= rows.moved[k]
+    return 0
+
+
+@kernel
+def bind_tip(links: LoopLinks, rows: LoopRows, w: Work, L: Array, X: Array, S: Array) -> None:
+    """Project the tip's rows onto what the loops leave free, at the state in `w`, and write S of them."""
+    n = links.n
+    find_required_on_the_way(links, rows, L, w.q, w.v)
+    for k in range(3):
+        moved = 0.0
+        for j in range(n):
+            moved += X[k, j] * rows.part[j]
+        rows.moved[k] = moved
+        leave_free(links, rows, row_of(X, k))
+    for k in range(3):
+        for i in range(k + 1):
+            s = 0.0
+            for j in range(n):
+                s += X[k, j] * X[i, j]
+            if i == k and not s > SINGULAR_MOBILITY * S[k, k]:
+                s = 0.0  # the loops hold the tip in this direction
+            S[k, i] = s
+            S[i, k] = s
+
+
+@kernel
+def drive(links: LoopLinks, rows: LoopRows, torque: Array) -> None:
+    """Do `through_drives` with the rows located last, those of stops apart: a stop does not pass a torque on."""
+    held = False
+    for j in range(links.n if links.stops > 0 and links.undriven > 0 else 0):
+        held = held or rows.held[j] != 0.0
+    if not held:
+        through_drives(links, rows, torque)
+        return
+    m, rank = links.m, links.rank
+    links.m, links.ordered = m - links.stops, 0  # the rows of stops are the last
+    factor(links, rows, rows.drift, links.m)
+    through_drives(links, rows, torque)
+    links.m, links.ordered = m, 0
+    factor(links, rows, rows.drift, rank)
+
+
+@kernel
+def reaction(links: LoopLinks, rows: LoopRows, w: Work) -> None:
+    """Replace `column`, what is missing in the equation of motion, by the part of it that the loops can give."""
+    forward_substitute(w.L, w.column)
+    take_free(links, rows, w.column)
+    for i in range(links.n - 1, -1, -1):  # L x, with the reciprocals on L's diagonal
+        s = w.column[i] / w.L[i, i]
+        for j in range(i):
+            s += w.L[i, j] * w.column[j]
+        w.column[i] = s
+
+
+@kernel
+def stop_torque(links: LoopLinks, rows: LoopRows, w: Work) -> None:
+    """Write the torque of each stop that holds a joint, of what is missing in the equation of motion, `column`."""
+    sides = integers_at(links.bound, 3 * links.m)
+    force_of(links, rows, w.column)
+    for k in range(links.m):
+        if sides[k] == STOP:
+            w.stop_torque[sides[links.m + k]] = rows.force[k]
+
+
+@kernel
+def apply_impulses(links: LoopLinks, rows: LoopRows, w: Work) -> None:
+    """Change q̇ by the smallest impulse, in the measure of H, after which all rows are obeyed: no rebound."""
+    find_basis(links, rows, w.L, w.q, w.v)
+    for j in range(links.n):
+        rows.part[j] = w.v[j]
+    multiply_transposed(w.L, rows.part, links.n)
+    take_free(links, rows, rows.part)
+    back_substitute(w.L, rows.part)
+    for j in range(links.n):
+        w.v[j] -= rows.part[j]
+
+
+@kernel
+def missing_torque(H: Array, C: Array, w: Work, state: State) -> None:
+    """Write into `column` what is missing in the equation of motion: H q̈ + C − Q − AᵀF, and of other contacts."""
+    n = w.q.shape[0]
+    for i in range(n):
+        s = C[i] - driving_torque(w, state, i) - w.joint_friction[i]
+        for k in range(3):
+            s -= w.A[k, i] * w.F[k]
+        if state.together != 0:
+            s -= w.contact_torque[i]
+        for j in range(n):
+            s += (H[i, j] if i <= j else H[j, i]) * w.qdd[j]
+        w.column[i] = s

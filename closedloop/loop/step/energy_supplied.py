@@ -1,0 +1,78 @@
+"""The energy supplied to the arm: the work of torque, contact force and friction, less the losses in events.
+
+It is integrated with the motion, by the same scheme, over every substep: a step divided by an event is the sum of its
+substeps, each with the power on its own side of the event. The difference between the arm's energy and this integral
+is then the error of the run, of the integrator's order, without the error of a quadrature over rows. In a scheme of one
+stage, which holds the torque over the step, the work is that torque times the mean of the velocities before and after.
+
+    P = (Q + τ)ᵀq̇ + F·N ṙ        τ friction of the joints, F = (f, F_t) at the tip, N ṙ = u on a surface at rest
+
+It counts from row 0, which holds the state after the events of t = 0: what these took is in the table of events alone.
+
+With elastic joints the arm ends at the links: Q is then what they pass on to these.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from closedloop.jit.kernel import kernel_inlined
+from closedloop.loop.step.memory import State, Work
+
+Array = NDArray[np.float64]
+
+
+@kernel_inlined
+def driving_torque(w: Work, state: State, j: int) -> float:
+    """Return the torque that drives the link of joint j, N m: Q, or what an elastic joint passes on."""
+    torque: float = w.torque[j]
+    if state.elastic != 0:
+        torque = w.transmitted[j]
+    return torque
+
+
+@kernel_inlined
+def power(w: Work, state: State) -> float:
+    """Return the power P of all forces but gravity at the state evaluated last, W."""
+    total: float = (
+        w.F[0] * (w.u[0] + w.carried[0]) + w.F[1] * (w.u[1] + w.carried[1]) + w.F[2] * (w.u[2] + w.carried[2])
+    )
+    for j in range(w.v.shape[0]):
+        total += (driving_torque(w, state, j) + w.joint_friction[j]) * w.v[j]
+    if state.together != 0:
+        total += w.contact_power
+    return total
+
+
+@kernel_inlined
+def save_power(w: Work, state: State) -> None:
+    """Save the power at the beginning of a substep, W, and its rate with the forces held constant, W/s."""
+    w.start_power = power(w, state)
+    w.start_power_rate = 0.0
+    if state.stages == 1:
+        growth = 0.0
+        for i in range(3):
+            growth += w.F[i] * (w.a[i] - w.turning[i])  # N r̈ = u̇ − turning, u̇ = a + S F
+            growth += w.F[i] * (w.S[i, 0] * w.F[0] + w.S[i, 1] * w.F[1] + w.S[i, 2] * w.F[2])
+        for j in range(w.v.shape[0]):
+            growth += (driving_torque(w, state, j) + w.joint_friction[j]) * w.qdd[j]
+        if state.together != 0:
+            growth += w.contact_power_rate
+        w.start_power_rate = growth
+
+
+@kernel_inlined
+def add_stage_work(w: Work, state: State, stage: int, tau: float, weight: float) -> None:
+    """Add a stage, of the given weight in the scheme, to the work of the substep of length tau, s."""
+    if stage == 0:  # a substep may be repeated with another length from the same beginning
+        w.substep_work = tau * weight * (w.start_power + 0.5 * tau * w.start_power_rate)
+    else:
+        w.substep_work += tau * weight * power(w, state)
+
+
+@kernel_inlined
+def commit_work(w: Work) -> None:
+    """Add the work of a substep that is complete to the energy supplied."""
+    w.supplied += w.substep_work
+    w.substep_work = 0.0

@@ -1,0 +1,186 @@
+"""Entries: the functions by which the loop calls the plug-ins of a scenario, compiled separately, all of one signature.
+
+    call_at(state.law, address, TORQUE)        see `closedloop.jit.calls`
+
+An entry takes the address of the loop's memory, and calls the member's functions with their arguments.
+"""
+
+from __future__ import annotations
+
+from functools import cache
+
+import numpy as np
+from numpy.typing import NDArray
+
+from closedloop.control.law import Compensation, ControlLaw
+from closedloop.control.law_input import LawInput
+from closedloop.control.seen import Seen
+from closedloop.jit.calls import Entry
+from closedloop.jit.kernel import kernel, kernel_inlined
+from closedloop.jit.parameters import one_joint_block, parameter_block, state_block
+from closedloop.jit.pointers import row_of
+from closedloop.jit.user_code import function_of, member_entry
+from closedloop.loop.step.memory import Constants, State, Work, loop_at
+from closedloop.mechanics.closure.contact_force import FREE, STUCK
+from closedloop.mechanics.friction.law import JointFriction, Slip, SurfaceFriction, length_of
+
+Array = NDArray[np.float64]
+
+# Calls to a control law or a compensation, and to a law of friction.
+TORQUE, START, RESTART, RATES, SLIDE, HOLD, ADVANCE_STATES, LIMIT, STICK = range(9)
+CALLS = 9
+
+
+@kernel
+def mark_raised(address: int) -> None:
+    """Note in the loop's memory that a user's member has raised something."""
+    state, _, _ = loop_at(address)
+    state.raised = 1
+
+
+@kernel_inlined
+def law_input(state: State, constants: Constants, w: Work) -> LawInput:
+    """Return the input of the law at the state evaluated last."""
+    n, wanted = w.q.shape[0], w.reference
+    if state.seen != 0:
+        s = Seen(w.seen, n)
+        return LawInput(
+            w.time, s.q, s.v, w.H, w.C, s.L, s.A, s.X, s.S, s.drift_c, s.p, s.u, s.r, s.J, s.drift, s.frame,
+            wanted[0:n], wanted[n : 2 * n], w.qdd_des, wanted[2 * n : 2 * n + 3], wanted[2 * n + 3 : 2 * n + 6],
+            wanted[2 * n + 6 : 2 * n + 9], wanted[2 * n + 9], w.measured, 0.0 if state.mode == FREE else 1.0, w.scratch,
+        )  # fmt: skip
+    return LawInput(
+        w.time, w.q, w.v, w.H, w.C, w.L, w.A, w.X, w.S, w.drift_c, w.p, w.u, w.r, w.J, w.drift, w.frame,
+        wanted[0:n], wanted[n : 2 * n], w.qdd_des, wanted[2 * n : 2 * n + 3], wanted[2 * n + 3 : 2 * n + 6],
+        wanted[2 * n + 6 : 2 * n + 9], wanted[2 * n + 9], w.measured, 0.0 if state.mode == FREE else 1.0, w.scratch,
+    )  # fmt: skip
+
+
+@cache
+def law_entry(member: type[ControlLaw] | type[Compensation]) -> Entry:
+    """Return the entry of a law or a compensation, compiled when it is first needed.
+
+    The states of a compensation follow those of the law.
+    """
+    Parameters, States = parameter_block(member), state_block(member)
+    torque, rates, start, restart = (function_of(member, name) for name in ("torque", "rates", "start", "restart"))
+
+    if issubclass(member, Compensation):
+
+        def entry(address: int, what: int) -> int:
+            state, constants, w = loop_at(address)
+            x, par = law_input(state, constants, w), Parameters(constants.compensation, state.n)
+            z = States(w.z[state.own_law_states : state.law_states], state.n)
+            if what == TORQUE:
+                torque(x, par, z, w.torque)
+            elif what == RATES:
+                rates(x, par, z, w.reading, w.torque, States(w.dz[state.own_law_states : state.law_states], state.n))
+            elif what == START:
+                start(x, par, z)
+            else:
+                restart(w.column, par, z)
+            return 0
+
+    else:
+
+        def entry(address: int, what: int) -> int:
+            state, constants, w = loop_at(address)
+            x, par = law_input(state, constants, w), Parameters(constants.law, state.n)
+            z = States(w.z[0 : state.own_law_states], state.n)
+            if what == TORQUE:
+                torque(x, par, z, w.torque)
+            elif what == RATES:
+                rates(x, par, z, w.reading, w.torque, States(w.dz[0 : state.own_law_states], state.n))
+            elif what == START:
+                start(x, par, z)
+            else:
+                restart(w.column, par, z)
+            return 0
+
+    entry.__name__ = entry.__qualname__ = f"entry_of_{member.__name__}"
+    return member_entry(entry, member, mark_raised)
+
+
+@cache
+def friction_entry(member: type[SurfaceFriction]) -> Entry:
+    """Return the entry of a law of the surface's friction, compiled when it is first needed.
+
+        SLIDE, HOLD     write c and viscous: of a tip that slides, of one that sticks as a spring
+        RATES           writes dz
+        ADVANCE_STATES         advances z by friction_span
+        LIMIT           writes stick_limit
+        STICK           writes z where slip along `direction` has ended
+
+    In `Work` it reads slip, delayed_slip and direction.
+    """
+    Parameters, States = parameter_block(member), state_block(member)
+    slide, hold, rates = (function_of(member, name) for name in ("slide", "hold", "rates"))
+    advance, stick_limit, stick = (function_of(member, name) for name in ("advance", "stick_limit", "stick"))
+
+    def entry(address: int, what: int) -> int:
+        state, constants, w = loop_at(address)
+        par, stuck = Parameters(constants.friction, state.n), state.mode == STUCK
+        at = state.law_states + state.sensor_states
+        z = States(w.z[at : at + state.friction_states], 2)
+        x = Slip(w.slip, length_of(w.slip), w.delayed_slip, w.direction)
+        if what in (SLIDE, HOLD):
+            for k in range(2):
+                w.c[k], w.viscous[k] = 0.0, 0.0
+            if what == SLIDE:
+                slide(x, par, z, w.c, w.viscous)
+            else:
+                hold(par, z, w.c)
+        elif what == RATES:
+            rates(x, par, z, stuck, States(w.dz[at : at + state.friction_states], 2))
+        elif what == ADVANCE_STATES:
+            advance(x, par, z, stuck, w.friction_span)
+        elif what == LIMIT:
+            w.stick_limit = stick_limit(par, z)
+        elif what == STICK:
+            stick(x, par, z)
+        return 0
+
+    entry.__name__ = entry.__qualname__ = f"entry_of_surface_{member.__name__}"
+    return member_entry(entry, member, mark_raised)
+
+
+@cache
+def joint_friction_entry(member: type[JointFriction]) -> Entry:
+    """Return the entry of a law of the joints' friction, which answers for all joints.
+
+    As `friction_entry`, with joint_slip, joint_lagged and joint_direction read, and joint_dry, joint_viscous and
+    joint_limit written. SLIDE is of each joint as it is, stuck or not; STICK of those with a direction.
+    """
+    Parameters, States = one_joint_block(member), state_block(member)
+    slide, hold, rates = (function_of(member, name) for name in ("slide", "hold", "rates"))
+    advance, stick_limit, stick = (function_of(member, name) for name in ("advance", "stick_limit", "stick"))
+
+    def entry(address: int, what: int) -> int:
+        state, constants, w = loop_at(address)
+        count = state.joint_states
+        here = state.law_states + state.sensor_states + state.friction_states
+        for j in range(state.n):
+            par, stuck = Parameters(row_of(constants.joint_friction, j), 1), w.stuck[j] != 0.0
+            z = States(w.z[here : here + count], 1)
+            u, direction = w.joint_slip[j : j + 1], w.joint_direction[j : j + 1]
+            x = Slip(u, abs(u[0]), w.joint_lagged[j], direction)
+            if what == SLIDE:
+                c, viscous = w.joint_dry[j : j + 1], w.joint_viscous[j : j + 1]
+                c[0], viscous[0] = 0.0, 0.0
+                if stuck:
+                    hold(par, z, c)
+                else:
+                    slide(x, par, z, c, viscous)
+            elif what == RATES:
+                rates(x, par, z, stuck, States(w.dz[here : here + count], 1))
+            elif what == ADVANCE_STATES:
+                advance(x, par, z, stuck, w.friction_span)
+            elif what == LIMIT:
+                w.joint_limit[j] = stick_limit(par, z)
+            elif what == STICK and direction[0] != 0.0:
+                stick(x, par, z)
+            here += count
+        return 0
+
+    entry.__name__ = entry.__qualname__ = f"entry_of_joint_{member.__name__}"
+    return member_entry(entry, member, mark_raised)

@@ -1,0 +1,224 @@
+"""One evaluation of the equation of motion: law, friction, contact and Eq. 24 at one state.
+
+The caller provides H, C, Jᵣ, r and J̇ᵣq̇ of the state, from Pinocchio or another source. `closedloop.loop.events` decides
+which states are evaluated, and when.
+
+The paper's law on a smooth surface is part of the loop, with loop joints too: `State.law` is 0. For everything else
+(other laws, friction of the tip and of the joints, a force sensor) it is the address of the law's entry.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from closedloop.control.drives import cut_torque
+from closedloop.control.laws.paper import PaperLaw, paper_law
+from closedloop.control.seen import Seen
+from closedloop.control.sensor import SensorParameters, continuous_reading, sensor_rates
+from closedloop.jit.calls import call_at
+from closedloop.jit.kernel import kernel, kernel_inlined
+from closedloop.jit.parameters import parameter_block
+from closedloop.jit.simd8 import every
+from closedloop.loop.step.closed_loops import DRIVE, factorise_tip
+from closedloop.loop.step.entries import RATES, START, TORQUE
+from closedloop.loop.step.joint_friction import add_joint_friction, hold_joints
+from closedloop.loop.step.locate import in_contact_frame, locate_tip
+from closedloop.loop.step.memory import RIGID_STICK, Constants, Reference, State, Work
+from closedloop.loop.step.reference_row import desired_acceleration, reference_row
+from closedloop.loop.step.seen import keep_terms, see
+from closedloop.loop.step.share_friction import share_friction
+from closedloop.loop.step.solve_contact import contact_force
+from closedloop.loop.step.tip_friction import surface_friction
+from closedloop.loop.step.transmission import motor_rates, transmit
+from closedloop.mechanics.closure.contact_force import FREE
+from closedloop.mechanics.closure.solve import DIVERGED, LAW_FAILED, NOT_POSITIVE_DEFINITE, OK
+
+Array = NDArray[np.float64]
+
+# Joint speed, rad/s (m/s), at which a run stops as diverged, long before the numbers overflow.
+SPEED_LIMIT = 1e4
+
+# Bound of forces and accelerations; the summary of a run takes squares, which are finite below it.
+LARGEST = 1e100
+
+# Parameters of the paper's law.
+PaperParameters = parameter_block(PaperLaw)
+
+
+@kernel_inlined
+def evaluate(H: Array, C: Array, w: Work, constants: Constants, state: State, table: Array, rows: Array) -> int:
+    """Evaluate law, friction, contact and Eq. 24 at the state in `w`.
+
+    Parameters
+    ----------
+    H, C : (n, n), (n,) arrays
+        Terms of the state, H's upper triangle.
+    w : Work
+        In: w.time, q, q̇, z, Jᵣ, r, J̇ᵣq̇ (and the torque, if it is held). Written: everything else.
+    constants, state
+        See `closedloop.loop.step.memory`.
+    table : (P, 2 n + 11) array
+        See `reference_row`; the last column is the noise of the force sensor.
+    rows : (N, width) array
+        The rows recorded so far: what the memory of friction reads.
+
+    Returns
+    -------
+    int
+        OK, SINGULAR, NOT_POSITIVE_DEFINITE, PAINLEVE, DIVERGED, LAW_FAILED or NO_NORMAL.
+    """
+    n = w.q.shape[0]
+    status = locate_tip(w, constants, state)
+    if status != OK:
+        return status
+    status = factorise_tip(H, w, constants, state)
+    if status != OK:
+        return status
+    if state.law != 0 or state.sampled != 0:
+        reference_row(w.time, constants.node, table, n, w.reference)
+    if state.law == 0:
+        if state.sampled != 0:
+            paper_torque(C, w, constants, w.time)
+            if state.loops != 0:
+                call_at(state.loops, state.loops_at, DRIVE)
+    else:
+        status = ask_through_sensors(H, C, w, constants, state, table)
+        if status != OK:
+            return status
+        surface_friction(w, constants, state, rows)
+        add_joint_friction(w, constants, state, rows)
+    status = contact_force(C, w, constants, state)
+    if status != OK:
+        return status
+    if state.law != 0:
+        if state.joint_sticking == RIGID_STICK:
+            hold_joints(w, constants, state)
+            status = contact_force(C, w, constants, state)
+            if status != OK:
+                return status
+            share_friction(w, constants, state)
+        write_rates(w, constants, state)
+        if state.raised != 0:
+            return LAW_FAILED
+    return OK if bounded(w) else DIVERGED
+
+
+@kernel_inlined
+def ask_through_sensors(H: Array, C: Array, w: Work, constants: Constants, state: State, table: Array) -> int:
+    """Ask the law for its torque, with what the controller sees of the state in `w`, and pass it on to the joints.
+
+    Returns OK, NOT_POSITIVE_DEFINITE or LAW_FAILED; see `evaluate`.
+    """
+    if state.feed_forward != 0:
+        desired_acceleration(w.time, constants.node, table, w.qdd_des)
+    if state.seen == 0:
+        in_contact_frame(w.frame, w.carried, w.turning, Reference(w.reference, w.q.shape[0]))
+        keep_terms(H, C, w)
+    elif state.encoder == 0:
+        if see(H, C, w, constants, state) != OK:
+            return NOT_POSITIVE_DEFINITE
+    else:  # the law has been asked at the state that the encoders read, see `evaluate_law`
+        seen = Seen(w.seen, w.q.shape[0])
+        in_contact_frame(seen.frame, seen.carried, seen.turning, Reference(w.reference, w.q.shape[0]))
+    if state.encoder == 0 and ask_law(w, constants, state) != OK:
+        return LAW_FAILED
+    if state.elastic != 0:
+        transmit(w, constants)
+    return OK
+
+
+@kernel_inlined
+def write_rates(w: Work, constants: Constants, state: State) -> None:
+    """Write the sensor's reading, and the rates of the states of law, sensor, friction and motors, under the forces."""
+    sensor = w.z[state.law_states : state.law_states + state.sensor_states]
+    w.reading = w.measured
+    if state.sensor_sampled == 0:
+        w.reading = continuous_reading(w.F[0], SensorParameters(constants.sensor, 0), sensor)
+    call_law(state, RATES)
+    at = state.law_states + state.sensor_states
+    sensor_rates(w.F[0], SensorParameters(constants.sensor, 0), sensor, w.dz[state.law_states : at])
+    for i in range(at, w.z.shape[0]):
+        w.dz[i] = 0.0  # with the semi-implicit scheme friction's states advance by themselves
+    if state.semi_implicit == 0:
+        if state.mode != FREE and state.friction_states > 0:
+            w.slip[0], w.slip[1] = w.u[1], w.u[2]
+            call_at(state.friction, state.address, RATES)
+        if state.joint_states > 0:
+            call_at(state.joint_friction, state.address, RATES)
+    if state.elastic != 0:
+        motor_rates(w, constants)
+
+
+@kernel_inlined
+def paper_torque(C: Array, w: Work, constants: Constants, t: float) -> None:
+    """Write the torque of the paper's law at t, s, with what is desired in the reference."""
+    n = w.q.shape[0]
+    par, wanted = PaperParameters(constants.law, n), Reference(w.reference, n)
+    paper_law(t, wanted.force, par, (wanted.q, wanted.v), (w.q, w.v), C, w.A, w.torque)
+
+
+@kernel
+def evaluate_law(H: Array, C: Array, w: Work, constants: Constants, state: State, table: Array) -> int:
+    """Ask the law at the state in `w`, which is what the encoders read, and return a status, as `evaluate` does."""
+    status = locate_tip(w, constants, state)
+    if status != OK:
+        return status
+    reference_row(w.time, constants.node, table, w.q.shape[0], w.reference)
+    if state.feed_forward != 0:
+        desired_acceleration(w.time, constants.node, table, w.qdd_des)
+    if see(H, C, w, constants, state) != OK:
+        return NOT_POSITIVE_DEFINITE
+    return ask_law(w, constants, state)
+
+
+@kernel
+def ask_law(w: Work, constants: Constants, state: State) -> int:
+    """Write the torque of the law and its compensation, if they are sampled here; return OK or LAW_FAILED."""
+    if state.started == 0:
+        call_law(state, START)
+    if state.sampled != 0 and drive_torque(w, constants, state) != 0:
+        return LAW_FAILED
+    state.started = 1
+    return OK
+
+
+@kernel
+def drive_torque(w: Work, constants: Constants, state: State) -> int:
+    """Write the torque that the law asks for, as the drives can give it; return 0, or the law's error."""
+    if state.drives != 0 and w.time != w.sampled_at:  # a sample may be taken anew, after an event in the step before it
+        w.sampled_at = w.time
+        for j in range(w.q.shape[0]):
+            w.torque_before[j] = w.torque[j]
+    failed = call_law(state, TORQUE)
+    if state.loops != 0:
+        call_at(state.loops, state.seen_loops_at if state.seen_loops_at != 0 else state.loops_at, DRIVE)
+    else:
+        for j in range(w.q.shape[0]):
+            w.torque[j] *= constants.driven[j]
+    if state.drives != 0 and failed == 0:
+        cut_torque(
+            w.torque, w.torque_before, constants.torque_change, constants.torque_limit, not w.time > 0.0,
+            w.torque_limited,
+        )  # fmt: skip
+    return failed
+
+
+@kernel
+def call_law(state: State, what: int) -> int:
+    """Call the law and its compensation, see `closedloop.loop.step.entries`; return 0, or the law's error."""
+    failed = call_at(state.law, state.address, what)
+    if failed == 0 and state.compensation != 0:
+        call_at(state.compensation, state.address, what)
+    return failed
+
+
+@kernel_inlined
+def bounded(w: Work) -> bool:
+    """Whether F, q̈ and q̇ are numbers, F and q̈ within `LARGEST`, and q̇ within `SPEED_LIMIT`."""
+    total = abs(w.F[0])
+    for j in range(w.q.shape[0]):
+        total += abs(w.qdd[j])
+        if not every(abs(w.v[j]) <= SPEED_LIMIT):
+            return False
+    return every(total < LARGEST)

@@ -1,0 +1,170 @@
+"""Friction in the joints, with the laws of `closedloop.mechanics.friction`, one joint beside the other.
+
+Laws with states (dahl, lugre) and seven_parameter give a torque from the state of the joint. A law that sticks rigidly
+(coulomb, coulomb_viscous, stribeck, karnopp) gives at rest whatever torque holds the joint, up to its limit: it is the
+torque within its bounds that brings the joint's velocity nearest to zero at the end of the step, q̇ + h q̈ = 0. That
+is solved for all joints together with the contact force, by projected Gauss-Seidel on what Eq. 24 makes of a torque in
+each joint (Moreau's time stepping). Friction then never adds energy, and no joint chatters about rest.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from closedloop.jit.calls import call_at
+from closedloop.jit.kernel import kernel
+from closedloop.jit.pointers import row_of
+from closedloop.loop.step.closed_loops import BIND_ANSWER
+from closedloop.loop.step.entries import ADVANCE_STATES, LIMIT, SLIDE
+from closedloop.loop.step.entries import STICK as END_OF_SLIP
+from closedloop.loop.step.memory import RIGID_STICK, SMOOTH, SPRING_STICK, Constants, State, Work
+from closedloop.mechanics.closure.contact_force import (
+    FREE,
+    PRESSED,
+    STUCK,
+    accelerate,
+    pressed_force,
+    stuck_force,
+    stuck_tangentially,
+)
+from closedloop.mechanics.friction.quantities import AT_REST
+
+Array = NDArray[np.float64]
+
+# Sweeps of Gauss-Seidel at most, and the change of a torque, as a share of its limit, after which there is no other.
+MOST_SWEEPS, SETTLED = 500, 1e-14
+
+
+@kernel
+def _delayed(w: Work, constants: Constants, state: State, rows: Array, j: int) -> float:
+    """Return the speed of joint j by which its friction is behind, on a line between recorded rows."""
+    n, delay = w.q.shape[0], constants.joint_lag[j]
+    speed: float = abs(w.v[j])
+    last = state.row - 1
+    if delay <= 0.0 or last < 0:
+        return speed
+    x = max((w.time - delay) / constants.h, 0.0)
+    i = int(x)
+    if i >= last:
+        since = w.time - last * constants.h
+        s = (w.time - delay - last * constants.h) / since if since > 0.0 else 1.0
+        return float(max((1.0 - s) * abs(rows[last, n + j]) + s * speed, 0.0))
+    return float((1.0 - (x - i)) * abs(rows[i, n + j]) + (x - i) * abs(rows[i + 1, n + j]))
+
+
+@kernel
+def _ask_slide(w: Work, constants: Constants, state: State, rows: Array) -> None:
+    """Ask what friction is on each joint at its velocity, where no motion is to start."""
+    for j in range(w.q.shape[0]):
+        w.joint_slip[j], w.joint_direction[j] = w.v[j], 0.0
+        w.joint_lagged[j] = _delayed(w, constants, state, rows, j)
+    call_at(state.joint_friction, state.address, SLIDE)
+
+
+@kernel
+def add_joint_friction(w: Work, constants: Constants, state: State, rows: Array) -> None:
+    """Write the torque of friction on each joint, joint_friction (n,), N m, as far as the state determines it."""
+    n, sticking = w.q.shape[0], state.joint_sticking
+    if sticking != SMOOTH:
+        _ask_slide(w, constants, state, rows)
+    for j in range(n):
+        w.joint_friction[j] = 0.0
+        if sticking == RIGID_STICK:
+            w.joint_friction[j] = -w.joint_viscous[j]
+        elif sticking != SMOOTH:
+            w.joint_friction[j] = -w.joint_dry[j] - w.joint_viscous[j]
+
+
+@kernel
+def hold_joints(w: Work, constants: Constants, state: State) -> None:
+    """Add the dry friction of a law that sticks rigidly to the torque of friction on each joint.
+
+    Reads q̈ and F of Eq. 24 without it; afterwards Eq. 24 is to be solved again.
+    """
+    n, h = w.q.shape[0], constants.h
+    F, y, a = w.before, w.column, w.after
+    limit, dry, none = w.joint_limit, w.scratch[8 : 8 + n], w.scratch[4:6]
+    none[0], none[1] = 0.0, 0.0
+    call_at(state.joint_friction, state.address, LIMIT)
+    for j in range(n):
+        if not abs(w.v[j]) <= max(constants.joint_capture_speed[j], AT_REST):
+            limit[j] = abs(w.joint_dry[j])
+        dry[j] = 0.0
+        # Column j of the answer: q̈ to a torque of 1 N m in joint j, the contact as it is.
+        for i in range(n):
+            y[i] = 0.0
+        y[j] = 1.0
+        for i in range(j, n):
+            s = y[i]
+            for m in range(j, i):
+                s -= w.L[i, m] * y[m]
+            y[i] = s * w.L[i, i]
+        if state.loops != 0:
+            call_at(state.loops, state.loops_at, BIND_ANSWER)
+        for i in range(3):
+            F[i] = 0.0
+            a[i] = 0.0
+            for m in range(n):
+                a[i] += w.X[i, m] * y[m]
+        if state.compliance != 0:  # f follows the depth, which a torque does not change at once
+            if state.mode == STUCK and state.sticking == RIGID_STICK:
+                for i in range(3):
+                    w.b_stabiliser[i] = 0.0
+                stuck_tangentially(w.S, a, w.b_stabiliser, F)
+        elif state.mode == PRESSED or (state.mode == STUCK and state.sticking == SPRING_STICK):
+            pressed_force(w.S, a, 0.0, w.c, none, F)
+        elif state.mode != FREE:
+            for i in range(3):
+                w.b_stabiliser[i] = 0.0
+            stuck_force(w.S, a, w.b_stabiliser, F, w.compression)
+        accelerate(w.L, w.X, y, F, row_of(w.gain, j))
+    for _ in range(MOST_SWEEPS):
+        change = 0.0
+        for j in range(n):
+            if not (limit[j] > 0.0 and w.gain[j, j] > 0.0):
+                continue
+            wanted = dry[j] - (w.v[j] / h + w.qdd[j]) / w.gain[j, j]
+            new = min(max(wanted, -limit[j]), limit[j])
+            moved = new - dry[j]
+            dry[j] = new
+            change = max(change, abs(moved) / limit[j])
+            for i in range(n):
+                w.qdd[i] += w.gain[j, i] * moved
+        if change <= SETTLED:
+            break
+    for j in range(n):
+        w.joint_friction[j] += dry[j]
+
+
+@kernel
+def advance_joint_friction(w: Work, state: State, h: float) -> None:
+    """Advance the joints' friction states by h seconds at the velocity of the step's beginning."""
+    if state.joint_states == 0:
+        return
+    n = w.q.shape[0]
+    for j in range(n):
+        w.joint_slip[j] = w.begin[n + j]
+    w.friction_span = h
+    call_at(state.joint_friction, state.address, ADVANCE_STATES)
+
+
+@kernel
+def stick_or_slip_joints(w: Work, constants: Constants, state: State, rows: Array) -> None:
+    """At a row, let joints stick whose motion has turned, and slip whose spring is stretched out."""
+    n, i = w.q.shape[0], state.row
+    if state.joint_sticking != SPRING_STICK or i == 0:
+        return
+    _ask_slide(w, constants, state, rows)
+    call_at(state.joint_friction, state.address, LIMIT)
+    for j in range(n):
+        before = rows[i - 1, n + j]
+        if w.stuck[j] != 0.0:
+            if abs(w.joint_dry[j]) >= w.joint_limit[j]:
+                w.stuck[j] = 0.0
+        elif w.v[j] * before <= 0.0:
+            w.joint_direction[j] = 1.0 if before > 0.0 else -1.0
+    call_at(state.joint_friction, state.address, END_OF_SLIP)
+    for j in range(n):
+        if w.joint_direction[j] != 0.0:
+            w.stuck[j] = 1.0

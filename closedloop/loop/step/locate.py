@@ -1,0 +1,115 @@
+"""Where the tip is to the surface: contact frame, gap, and the tip's motion in that frame.
+
+Of a plane at rest the frame is constant; any other surface is asked, by address
+(`closedloop.mechanics.surface.contact`).
+"""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from closedloop.jit.calls import call_at
+from closedloop.jit.kernel import kernel, kernel_inlined
+from closedloop.jit.user_code import RAISED
+from closedloop.loop.step.memory import Constants, Reference, State, Work
+from closedloop.mechanics.closure.contact_force import FREE, into_contact_frame
+from closedloop.mechanics.closure.solve import NO_NORMAL, OK
+from closedloop.mechanics.surface.contact import CONTACT, FOUND, ask_at, edge_distance
+from closedloop.mechanics.surface.geometry import Touch
+
+Array = NDArray[np.float64]
+
+
+@kernel_inlined
+def locate_on_plane(w: Work, constants: Constants) -> None:
+    """Write the tip's motion in the contact frame of a plane at rest, and the gap and its rate."""
+    into_contact_frame(w)
+    w.gap, w.rate = w.p[0] - constants.offset, w.u[0]
+
+
+@kernel_inlined
+def locate_tip(w: Work, constants: Constants, state: State) -> int:
+    """Write the contact frame, the tip's motion in it, and the gap and its rate; return OK or NO_NORMAL."""
+    if state.surface != 0 and not ask_surface(w, constants.h, state):
+        return NO_NORMAL
+    gap = w.gap
+    locate_on_plane(w, constants)
+    if state.surface != 0:
+        w.gap = gap
+        for i in range(3):
+            w.u[i] -= w.carried[i]
+            w.drift_c[i] += w.turning[i]
+        w.rate = w.u[0]
+    return OK
+
+
+@kernel
+def ask_surface(w: Work, h: float, state: State) -> bool:
+    """Write what the surface answers: contact frame, gap, carried and turning; False if it has no normal there.
+
+    Or if a tip in contact is coming to where it has none: a step of `h`, s, leads over a point without showing it, so
+    that the run stops where |∇φ|, as it falls along the motion, would vanish within the step.
+    """
+    links, ask = ask_at(state.surface_at)
+    ask.time = w.time
+    for i in range(3):
+        speed = 0.0
+        for j in range(w.v.shape[0]):
+            speed += w.J[i, j] * w.v[j]
+        ask.velocity[i] = speed
+        ask.r[i] = w.r[i]
+    answer = call_at(state.surface, links.address, CONTACT)
+    if answer != FOUND:
+        state.raised = 1 if answer == RAISED else 0
+        return False
+    touch = Touch(ask.touch)
+    if state.mode != FREE and touch.growth * h < -1.0:
+        return False
+    w.gap, w.inside = touch.level / touch.size, edge_distance(touch.at, ask.bounds)
+    for i in range(3):
+        w.carried[i], w.turning[i] = touch.carried[i], touch.turning[i]
+        for k in range(3):
+            w.frame[i, k] = ask.frame[i, k]
+    return True
+
+
+@kernel
+def set_anchor(w: Work, state: State) -> None:
+    """Write where the tip is, as a place on the surface, which carries it along: it has stuck there."""
+    for i in range(3):
+        w.anchor[i] = w.p[i]
+    if state.surface != 0:
+        _, ask = ask_at(state.surface_at)
+        touch = Touch(ask.touch)
+        for i in range(3):
+            w.anchor[i] = touch.at[i]
+
+
+@kernel
+def off_anchor(w: Work, state: State, tangent: int) -> float:
+    """Return how far the tip is from where it stuck, m, along tangent 1 or 2."""
+    if state.surface == 0:
+        return float(w.p[tangent] - w.anchor[tangent])
+    _, ask = ask_at(state.surface_at)
+    touch, off = Touch(ask.touch), 0.0
+    for k in range(3):
+        off += touch.local[tangent, k] * (touch.at[k] - w.anchor[k])
+    return off
+
+
+@kernel
+def in_contact_frame(frame: Array, carried: Array, turning: Array, wanted: Reference) -> None:
+    """Turn the desired motion of the tip into a contact frame N, where it is compared with p, u and u̇ of the tip.
+
+    That is N r_des, N ṙ_des − carried and N r̈_des + turning.
+    """
+    for part in range(3):
+        x = wanted.position if part == 0 else (wanted.velocity if part == 1 else wanted.acceleration)
+        x0, x1, x2 = x[0], x[1], x[2]
+        for i in range(3):
+            x[i] = frame[i, 0] * x0 + frame[i, 1] * x1 + frame[i, 2] * x2
+            if part == 1:
+                x[i] -= carried[i]
+            elif part == 2:
+                x[i] += turning[i]

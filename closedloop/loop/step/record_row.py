@@ -1,0 +1,261 @@
+"""The rows of the record: their columns, and the kernel that writes one."""
+
+from __future__ import annotations
+
+from typing import Annotated
+
+import numpy as np
+from numpy.typing import NDArray
+
+from closedloop.control.sensor import SensorParameters, sense
+from closedloop.jit.blocks import Block
+from closedloop.jit.calls import call_at
+from closedloop.jit.kernel import entry_kernel, kernel, kernel_inlined
+from closedloop.jit.pointers import row_of
+from closedloop.jit.simd8 import every, select
+from closedloop.loop.step.closed_loops import REACTION, missing_torque
+from closedloop.loop.step.energy_supplied import driving_torque
+from closedloop.loop.step.memory import RIGID_STICK, Constants, K, N, State, Work, loop_at
+from closedloop.mechanics.closure.conditioning import (
+    BATCH,
+    LONG_ARM,
+    add_to_batch,
+    condition_number,
+    condition_numbers_of_batch,
+)
+from closedloop.mechanics.closure.contact_force import FREE, STUCK
+from closedloop.mechanics.closure.residuals import residuals
+from closedloop.mechanics.contacts.memory import contacts_at
+
+Array = NDArray[np.float64]
+
+
+class Row(Block, sizes=("n",)):
+    """A recorded row of n joints, columns in their order; `Row.count(n)` is its length."""
+
+    q: Annotated[Array, N]
+    v: Annotated[Array, N]
+    acceleration: Annotated[Array, N]
+    torque: Annotated[Array, N]
+    position: Annotated[Array, 3]
+    velocity: Annotated[Array, 3]
+    surface_normal: Annotated[Array, 3]
+    slip_velocity: Annotated[Array, 3]
+    friction_force: Annotated[Array, 3]
+    joint_friction: Annotated[Array, N]
+    contact_force: float
+    stabiliser_force: float
+    closure_error: float
+    closure_rate: float
+    mode: float
+    residual_motion: float
+    residual_closure: float
+    kkt_condition: float
+    normal_mobility: float
+    kinetic_energy: float
+    measured_force: float
+    energy_supplied: float
+
+
+RECORDED = tuple(Row.layout.at)
+
+
+class ArmRow(Block, sizes=("n",)):
+    """What stands behind a `Row` where the scenario asks for the drives, encoders or transmissions of a real arm."""
+
+    torque_limited: Annotated[Array, N]
+    measured_position: Annotated[Array, N]
+    measured_velocity: Annotated[Array, N]
+    motor_position: Annotated[Array, N]
+    motor_velocity: Annotated[Array, N]
+    transmitted_torque: Annotated[Array, N]
+
+
+class ContactRow(Block, sizes=("k",)):
+    """What stands behind these where links have k contacts besides the tip; along their tangents first and second."""
+
+    link_modes: Annotated[Array, K]
+    link_gaps: Annotated[Array, K]
+    link_forces: Annotated[Array, K]
+    link_frictions: Annotated[Array, 2 * K]
+    link_slips: Annotated[Array, 2 * K]
+
+
+CONTACT_RECORDED = tuple(ContactRow.layout.at)
+ARM_RECORDED = tuple(ArmRow.layout.at)
+
+
+def row_width(n: int, arm: bool, contacts: int = 0, states: int = 0) -> int:
+    """Return the numbers in a row of n joints.
+
+    Behind it are an `ArmRow` if `arm`, the `ContactRow` of k `contacts`, and so many `states` of law and compensation.
+    """
+    return Row.count(n) + (ArmRow.count(n) if arm else 0) + ContactRow.count(contacts) + states
+
+
+def recorded(rows: Array, n: int, name: str, contacts: int = 0, states: int = 0) -> Array:
+    """Return a copy of one of the columns `RECORDED` or `ARM_RECORDED`, (N,) or (N, k), of rows of n joints.
+
+    A column of `ARM_RECORDED` is NaN where the rows do not have it. Those of `CONTACT_RECORDED` are of k `contacts`;
+    behind them are so many `states`, see `row_width`.
+    """
+    rows = rows[:, : rows.shape[1] - states]
+    if name in CONTACT_RECORDED:
+        return rows[:, rows.shape[1] - ContactRow.count(contacts) :][:, ContactRow.place(name, contacts)].copy()
+    rows = rows[:, : rows.shape[1] - ContactRow.count(contacts)]
+    if name in ARM_RECORDED:
+        if rows.shape[1] == Row.count(n):
+            return np.full((rows.shape[0], n), np.nan)
+        return rows[:, Row.count(n) :][:, ArmRow.place(name, n)].copy()
+    return rows[:, Row.place(name, n)].copy()
+
+
+@kernel_inlined
+def kinetic_energy(H: Array, v: Array) -> float:
+    """Return ½ q̇ᵀH q̇, J, from H's upper triangle."""
+    total = 0.0
+    for i in range(v.shape[0]):
+        total += 0.5 * H[i, i] * v[i] * v[i]
+        for j in range(i + 1, v.shape[0]):
+            total += H[i, j] * v[i] * v[j]
+    return total
+
+
+@kernel
+def record_conditions(batch: Array, rows: Array, state: State, done: int, n: int) -> None:
+    """Write the condition numbers of the last rows up to `done`: those with a lane in `batch`.
+
+    Of Eq. 24 with the normal row alone; of H while the tip is free.
+    """
+    count = state.batched
+    state.batched = 0
+    if count > 0:
+        condition_numbers_of_batch(batch, n, count)
+    for r in range(count):
+        row = Row(row_of(rows, done - count + r), n)
+        row.kkt_condition = batch[batch.shape[0] - 1, r]
+
+
+@entry_kernel
+def complete_record(address: int, rows: Array, done: int) -> None:
+    """Write the condition numbers that the last of `done` rows still lack, at the end of a run; see `record`."""
+    state, _, w = loop_at(address)
+    record_conditions(w.batch, rows, state, done, state.n)
+
+
+def rows_there(state: State, done: int, n: int) -> int:
+    """Return how many rows are recorded when `done` of them, or one more that was not counted yet, may be.
+
+    Each row adds a lane to the batch, and a full batch is emptied.
+    """
+    return done if n > LONG_ARM or state.batched == done % BATCH else done + 1
+
+
+@kernel_inlined
+def record(
+    H: Array, C: Array, w: Work, constants: Constants, state: State, table: Array, rows: Array, place: int
+) -> None:
+    """Write a row in the order of `Row`, and take the sample of the force sensor that is part of it."""
+    record_state(H, C, w, state, rows, place)
+    if state.law == 0:
+        return
+    n, count, sensor = w.q.shape[0], state.law_states, state.sensor_states
+    w.measured = sense(
+        w.F[0], place, SensorParameters(constants.sensor, 0), w.z[count : count + sensor],
+        table[place * state.nodes_per_step, 2 * n + 10], w.ring[0 : state.sensor_ring],
+    )  # fmt: skip
+    if state.arm_at != 0:
+        record_arm(w, state, row_of(rows, place)[state.arm_at :])
+    Row(row_of(rows, place), n).measured_force = w.measured
+    if state.states_at != 0:
+        for k in range(state.law_states):
+            row_of(rows, place)[state.states_at + k] = w.z[k]
+
+
+@kernel_inlined
+def record_state(H: Array, C: Array, w: Work, state: State, rows: Array, place: int) -> None:
+    """Write a row in the order of `Row`: the state, and the torques and forces at it, the reading of f without error.
+
+    The condition number is written once a batch is full, or by `complete_record`; with loops it is that of H.
+    """
+    n = w.q.shape[0]
+    row, lane = Row(row_of(rows, place), n), state.batched
+    for j in range(n):
+        row.q[j] = w.q[j]
+        row.v[j] = w.v[j]
+        row.acceleration[j] = w.qdd[j]
+        row.torque[j] = w.torque[j]
+        row.joint_friction[j] = w.joint_friction[j]
+        w.column[j] = driving_torque(w, state, j) + w.joint_friction[j]
+    for i in range(3):
+        row.position[i] = w.r[i]
+        speed = 0.0
+        for j in range(n):
+            speed += w.J[i, j] * w.v[j]
+        row.velocity[i] = speed
+        row.friction_force[i] = w.frame[1, i] * w.F[1] + w.frame[2, i] * w.F[2]
+        row.slip_velocity[i] = w.frame[1, i] * w.u[1] + w.frame[2, i] * w.u[2]
+        row.surface_normal[i] = w.frame[0, i]
+    mode = state.mode
+    # in a singular pose Eq. 24 has no row
+    closed_by_row = mode != FREE and state.compliance == 0 and every(w.S[0, 0] > 0.0)
+    first, last = 0 if closed_by_row else 1, 3 if mode == STUCK and state.sticking == RIGID_STICK else 1
+    if state.loops != 0:
+        missing_torque(H, C, w, state)
+        call_at(state.loops, state.loops_at, REACTION)
+        for j in range(n):
+            w.column[j] += driving_torque(w, state, j) + w.joint_friction[j]
+    if state.together != 0:
+        for j in range(n):
+            w.column[j] += w.contact_torque[j]
+    motion, closed = residuals(H, w.column, C, w, first, last)
+    trace = w.S[0, 0] + w.S[1, 1] + w.S[2, 2]
+    row.contact_force = w.F[0]
+    row.stabiliser_force = w.stabiliser_force[0]
+    row.closure_error = w.gap
+    row.closure_rate = w.rate
+    row.mode = mode
+    row.residual_motion = motion
+    row.residual_closure = closed
+    bordered = closed_by_row and state.loops == 0
+    if n > LONG_ARM:
+        row.kkt_condition = condition_number(H, row_of(w.A, 0), w.L, row_of(w.X, 0), w.S[0, 0], bordered, w.scratch)
+    else:
+        add_to_batch(H, row_of(w.A, 0), w.L, row_of(w.X, 0), w.S[0, 0], bordered, w.batch, lane)
+        state.batched = lane + 1
+        if lane + 1 >= BATCH:
+            record_conditions(w.batch, rows, state, place + 1, n)
+    row.normal_mobility = w.S[0, 0] / select(trace > 0.0, trace, 1.0)
+    row.kinetic_energy = kinetic_energy(H, w.v)
+    w.measured = w.F[0]
+    row.measured_force = w.measured
+    row.energy_supplied = w.supplied
+    if state.contacts != 0:
+        record_contacts(state, row_of(rows, place))
+
+
+@kernel
+def record_arm(w: Work, state: State, part: Array) -> None:
+    """Write the part of a row that is an `ArmRow`; its readings are then those of the row before the next."""
+    n = w.q.shape[0]
+    row, motors = ArmRow(part, n), w.z.shape[0] - 2 * n
+    for j in range(n):
+        row.torque_limited[j] = w.torque_limited[j]
+        row.measured_position[j] = w.last_read_q[j] = w.read_q[j]
+        row.measured_velocity[j] = w.last_read_v[j] = w.read_v[j]
+        row.transmitted_torque[j] = w.transmitted[j]
+        if state.elastic != 0:
+            row.motor_position[j], row.motor_velocity[j] = w.z[motors + j], w.z[motors + n + j]
+
+
+@kernel
+def record_contacts(state: State, part: Array) -> None:
+    """Write the part of a row that is a `ContactRow`."""
+    links, c = contacts_at(state.contacts_at)
+    points = links.k - links.stops
+    row = ContactRow(part[links.record_at :], points - 1)
+    for i in range(1, points):
+        at, to = 3 * i, i - 1
+        row.link_modes[to], row.link_gaps[to], row.link_forces[to] = c.mode[i], c.located[at], c.F[at]
+        row.link_frictions[2 * to], row.link_frictions[2 * to + 1] = c.F[at + 1], c.F[at + 2]
+        row.link_slips[2 * to], row.link_slips[2 * to + 1] = c.u[at + 1], c.u[at + 2]

@@ -1,0 +1,102 @@
+"""What the law sees of a state: by its own model of arm and surface, and as the encoders read it.
+
+With encoders the terms are requested twice a row: at the state that they read, for the law, and at the true one, for
+Eq. 24. See `closedloop.loop.events.proceed`, phase MEASURED. Of a mechanism with loops the controller knows that they
+are closed: what it sees is the state nearest to the readings at which they are.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from closedloop.control.encoder import EncoderParameters, read_encoder
+from closedloop.control.seen import Seen
+from closedloop.jit.calls import call_at
+from closedloop.jit.kernel import kernel
+from closedloop.loop.step.belief import believe
+from closedloop.loop.step.closed_loops import BIND_SEEN, CLOSE
+from closedloop.loop.step.locate import in_contact_frame
+from closedloop.loop.step.memory import Constants, Reference, State, Work
+from closedloop.mechanics.closure.contact_force import factorise, into_contact_frame
+from closedloop.mechanics.closure.solve import OK
+
+Array = NDArray[np.float64]
+
+# Of `State.elastic`: the encoders are on the motors.
+MOTORS_MEASURED = 2
+
+
+@kernel
+def keep_terms(H: Array, C: Array, w: Work) -> None:
+    """Keep H, whole, and C where a law reads them, which is called by address."""
+    n = w.q.shape[0]
+    for i in range(n):
+        w.C[i] = C[i]
+        for j in range(i, n):
+            w.H[i, j] = H[i, j]
+            w.H[j, i] = H[i, j]
+
+
+@kernel
+def see(H: Array, C: Array, w: Work, constants: Constants, state: State) -> int:
+    """Write what the law sees of the state in `w`, whose terms are given; return OK, or that its own H is no inertia.
+
+    The normal that it believes in is the true one, turned by `constants.tilt`.
+    """
+    n, tilt = w.q.shape[0], constants.tilt
+    seen, wanted = Seen(w.seen, n), Reference(w.reference, n)
+    for i in range(3):
+        seen.r[i], seen.drift[i] = w.r[i], w.drift[i]
+        seen.carried[i], seen.turning[i] = 0.0, 0.0
+        for k in range(3):
+            seen.carried[i] += tilt[i, k] * w.carried[k]
+            seen.turning[i] += tilt[i, k] * w.turning[k]
+            seen.frame[i, k] = tilt[i, 0] * w.frame[0, k] + tilt[i, 1] * w.frame[1, k] + tilt[i, 2] * w.frame[2, k]
+        for j in range(n):
+            seen.J[i, j] = w.J[i, j]
+    for j in range(n):
+        seen.q[j], seen.v[j] = w.q[j], w.v[j]
+    into_contact_frame(seen)
+    for i in range(3):
+        seen.u[i] -= seen.carried[i]
+        seen.drift_c[i] += seen.turning[i]
+    in_contact_frame(seen.frame, seen.carried, seen.turning, wanted)
+    keep_terms(H, C, w)
+    if state.model_error != 0:
+        believe(w, constants)
+    if state.elastic != 0:  # the controller takes the joints for rigid
+        for j in range(n):
+            w.H[j, j] += constants.motor_inertia[j]
+    status = int(factorise(w.H, seen.A, seen.L, seen.X, seen.S, constants.reach))
+    if status == OK and state.seen_loops_at != 0:
+        call_at(state.loops, state.seen_loops_at, BIND_SEEN)
+    return status
+
+
+@kernel
+def read_joints(w: Work, constants: Constants, state: State, table: Array) -> None:
+    """Put what the encoders read in place of q and q̇, for the terms that the law sees; keep the true ones aside."""
+    n, row = w.q.shape[0], state.row
+    par = EncoderParameters(constants.encoder, n)
+    normal = table[row * state.nodes_per_step][2 * n + 11 :]
+    motors = w.z.shape[0] - 2 * n
+    for j in range(n):
+        w.true_q[j], w.true_v[j] = w.q[j], w.v[j]
+        q, v = w.q[j], w.v[j]
+        if state.elastic == MOTORS_MEASURED and constants.motor_inertia[j] > 0.0:
+            q, v = w.z[motors + j], w.z[motors + n + j]
+        position, velocity = read_encoder(
+            state.encoder, (q, v), j, par, normal, constants.h if row > 0 else 0.0, (w.last_read_q, w.last_read_v)
+        )
+        w.read_q[j], w.read_v[j] = position, velocity
+        w.q[j], w.v[j] = position, velocity
+    if state.loops != 0 and state.seen_loops_at != 0:
+        call_at(state.loops, state.seen_loops_at, CLOSE)
+
+
+@kernel
+def back_to_true(w: Work) -> None:
+    """Put the true q and q̇ back."""
+    for j in range(w.q.shape[0]):
+        w.q[j], w.v[j] = w.true_q[j], w.true_v[j]

@@ -1,0 +1,160 @@
+"""A tip that passes through a pose in which it cannot move along the normal.
+
+There A = nᵀJᵣ vanishes and Eq. 24 has no row: whatever f is, the arm does not feel it. On the way through, with
+ℓ = √(A H⁻¹Aᵀ) for the distance from the pose, the contact changes q̈ by g = f ℓ in the norm of H. Two cases:
+
+- g vanishes with ℓ: the motion goes on as it would without contact, and f has a finite limit, which is f in the pose.
+- g has another limit: the torque pushes the tip along the normal, and f grows as 1/ℓ, beyond all bounds: PUSHED.
+
+Between two states on either side of the pose (A has turned round), or before it, g is linear in ℓ up to the square of
+the step. A start in such a pose has no way along which a limit could be taken, and a tip that stays there has no force:
+SINGULAR.
+"""
+
+from __future__ import annotations
+
+import math
+from typing import Annotated
+
+import numpy as np
+from numpy.typing import NDArray
+
+from closedloop.jit.blocks import Block
+from closedloop.jit.kernel import kernel, kernel_inlined
+from closedloop.jit.simd8 import every
+from closedloop.loop.step.memory import Constants, N, State, Work
+from closedloop.mechanics.closure.contact_force import accelerate
+from closedloop.mechanics.closure.solve import OK, PUSHED, SINGULAR, SINGULAR_MOBILITY, forward_substitute
+
+Array = NDArray[np.float64]
+
+# Share of the tip's mobility below which the way to a singular pose is remembered: within 0.01 rad of it.
+NEAR = 1e-4
+# The largest limit of g, and the largest acceleration of the tip along n, that count as none: this share of what the
+# torques and the weight do to the arm. So 1e-3 rad from the pose f is off by no more than these loads would need at the
+# tip, and what is left out of q̈ in the pose acts for one stage of a step.
+NO_PUSH = 1e-3
+# A tip that has not left the pose after so many times the time which the way to it foretells stays there.
+PATIENCE = 4.0
+
+
+class Approach(Block, sizes=("n",)):
+    """The last two substeps that began near a singular pose, the later one first."""
+
+    time: Annotated[Array, 2]  # s
+    lever: Annotated[Array, 2]  # ℓ, 1/√kg
+    push: Annotated[Array, 2]  # g, N/√kg
+    row: Annotated[Array, N]  # L⁻¹Aᵀ of the later one
+
+
+@kernel_inlined
+def near_singular(S: Array) -> bool:
+    """Whether the tip with mobility S (3, 3) is near a singular pose."""
+    return not every(S[0, 0] > NEAR * (S[0, 0] + S[1, 1] + S[2, 2]))
+
+
+@kernel
+def remember_approach(w: Work, state: State) -> None:
+    """Remember ℓ and g at the beginning of a substep, of a tip on the surface near a singular pose."""
+    if not w.S[0, 0] > 0.0:
+        return
+    n, lever = w.q.shape[0], math.sqrt(w.S[0, 0])
+    way = Approach(w.approach, n)
+    way.time[1], way.lever[1], way.push[1] = way.time[0], way.lever[0], way.push[0]
+    way.time[0], way.lever[0] = w.begin_time, lever
+    way.push[0] = (w.F[0] - w.stabiliser_force[0]) * lever
+    for j in range(n):
+        way.row[j] = w.X[0, j]
+    state.approached += 1
+
+
+@kernel
+def pushed_on_the_way(C: Array, w: Work, constants: Constants, rigid: float) -> bool:
+    """Whether the tip has passed a singular pose since the substep began, and the torque pushed it along n there.
+
+    Parameters
+    ----------
+    C : (n,) array
+        Bias.
+    w : Work
+        With everything of Eq. 24, `column` being what drives the joints, N m.
+    rigid : float
+        f without the stabiliser's share, N.
+    """
+    n, turned = C.shape[0], 0.0
+    way = Approach(w.approach, n)
+    for j in range(n):
+        turned += way.row[j] * w.X[0, j]
+    if turned >= 0.0:
+        return False
+    lever = math.sqrt(w.S[0, 0])
+    # A has turned round: the same push has the other sign
+    pushed = (way.push[0] * lever - rigid * lever * way.lever[0]) / (way.lever[0] + lever)
+    elapsed = w.time - way.time[0]
+    rate = (way.lever[0] + lever) / elapsed if elapsed > 0.0 else 0.0
+    return not abs(pushed) <= no_push(C, w, constants, rate)
+
+
+@kernel
+def force_in_singular_pose(C: Array, w: Work, constants: Constants, state: State) -> int:
+    """Write F and q̈ of a tip in a singular pose, where f has a limit on the way; return OK, PUSHED or SINGULAR.
+
+    Parameters
+    ----------
+    C : (n,) array
+        Bias.
+    w : Work
+        In: everything of Eq. 24, `column` being what drives the joints, N m. Written: F, q̈, `stabiliser_force`,
+        `b`, `rigid_force`, and S_nn, which is zero.
+    state : State
+    """
+    way, trace = Approach(w.approach, C.shape[0]), w.S[0, 0] + w.S[1, 1] + w.S[2, 2]
+    if state.approached < 2 or not way.lever[1] > way.lever[0]:
+        return SINGULAR
+    nearer = way.lever[1] - way.lever[0]
+    rate = nearer / (way.time[0] - way.time[1])
+    if not (w.time - way.time[0]) * rate <= PATIENCE * max(way.lever[0], math.sqrt(SINGULAR_MOBILITY * trace)):
+        return SINGULAR
+    pushed = (way.push[0] * way.lever[1] - way.push[1] * way.lever[0]) / nearer
+    along = w.a[0] - w.S[0, 1] * w.viscous[0] - w.S[0, 2] * w.viscous[1]
+    most = no_push(C, w, constants, rate)
+    if not (abs(pushed) <= most and abs(along) <= most * math.sqrt(trace)):
+        return PUSHED
+    f = (way.push[1] - way.push[0]) / nearer
+    if state.unilateral != 0:
+        f = max(f, 0.0)  # it would have lifted off before
+    w.F[0], w.F[1], w.F[2] = f, -w.c[0] * f - w.viscous[0], -w.c[1] * f - w.viscous[1]
+    w.rigid_force, w.stabiliser_force[0], w.b[0], w.S[0, 0] = f, 0.0, 0.0, 0.0
+    accelerate(w.L, w.X, w.y, w.F, w.qdd)
+    return OK
+
+
+@kernel
+def no_push(C: Array, w: Work, constants: Constants, rate: float) -> float:
+    """Return the largest g that counts as none, N/√kg, where ℓ changes at a rate, 1/(s √kg).
+
+    A share of what Q (in `column`) and C would do one by one, |L⁻¹Q| + |L⁻¹C|, of what it takes to accelerate the tip
+    by gravity, and of the velocity, |Lᵀq̇|, as A turns.
+    """
+    n, trace = C.shape[0], w.S[0, 0] + w.S[1, 1] + w.S[2, 2]
+    total = length(constants.gravity) / math.sqrt(trace)
+    x = w.scratch[0:n]
+    for side in range(2):
+        for j in range(n):
+            x[j] = w.column[j] if side == 0 else C[j]
+        forward_substitute(w.L, x)
+        total += length(x)
+    for j in range(n):
+        x[j] = w.v[j] / w.L[j, j]  # the diagonal holds reciprocals
+        for i in range(j + 1, n):
+            x[j] += w.L[i, j] * w.v[i]
+    return NO_PUSH * (total + length(x) * rate / math.sqrt(trace))
+
+
+@kernel
+def length(x: Array) -> float:
+    """Return |x|."""
+    total = 0.0
+    for j in range(x.shape[0]):
+        total += x[j] * x[j]
+    return math.sqrt(total)

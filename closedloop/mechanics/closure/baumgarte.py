@@ -1,0 +1,219 @@
+"""Baumgarte's stabiliser: its gains, the largest stable step (Eq. 22), and the choice of the time constant.
+
+ë + s_v ė + s_p e = 0 is a damped oscillator. With damping ratio ζ and time constant T its gains are
+s_v = 2ζ/T and s_p = 1/T². The paper's s_v = 1414 1/s and s_p = 10⁶ 1/s² are ζ = 0.707 and T = 1 ms.
+
+An integrator of step h turns that oscillator into a linear map of (e, hė), stable while the map's spectral
+radius is below one. The map depends on ζ and h/T alone, so the limit is a bound on h/T.
+
+Choice of T for a step
+----------------------
+``stabiliser.time_constant = "auto"`` is two steps, or twice the shortest stable T where that is longer
+(`recommended_ratio`). Everything scales with h, so the choice is one of z = h/T for each integrator and ζ:
+
+- A larger z makes an error decay in fewer steps, and reduces the error of a sliding tip with an Euler scheme,
+  e = ∓ζ h T Ȧq̇ (`sliding_error`).
+- Near the limit an error alternates from step to step instead. The paper's z = 1 is at 97 % of semi-implicit Euler's
+  limit: an error is multiplied by −0.88 at every step, with z = 1/2 by 0.54. Rounding of e goes into f by
+  `rounding_gain`, which grows like z² first, and without bound at the limit. So z is at most half the limit.
+- The stages of a Runge-Kutta scheme are evaluated at states off the closure, to which the stabiliser responds. Its
+  share of f grows like z⁴ with RK4, and does not fall with h while T falls with it: 3 % of the centripetal force at
+  half the limit for ζ = 0.707, 29 % for ζ = 1; with z = 1/2 about 1 % at most, for any ζ. So z is at most 1/2.
+
+The z of least spectral radius is no rule. For small ζ it lies within a hundredth of the limit, near ζ = 0.78 it jumps
+from 0.46 to 0.83 with semi-implicit Euler, and with RK4 that share is 7 % for ζ = 0.707 and 59 % for ζ = 1. The rule
+above costs little: at ζ = 0.707 the spectral radius is 0.54, 0.74 and 0.70 (semi-implicit Euler, explicit Euler,
+RK4) where the least is 0.41, 0.71 and 0.34. Rounding needs no bound of its own: it moves the WAM's f by 5e-11 N at
+h = 1 ms, and by 1/h² more with shorter steps. `python -m closedloop.studies.study drift` measures all of this.
+"""
+
+from __future__ import annotations
+
+import math
+from functools import lru_cache
+
+import numpy as np
+from numpy.typing import NDArray
+
+from closedloop.mechanics.integrators import INTEGRATORS, Integrator
+
+# An undamped mode has radius one, and a hundred roundings of 1e-16 in computing it.
+NEUTRAL = 1.0 + 1e-13
+# The automatic T is at least this many steps, and this many times the shortest stable one.
+STEPS, MARGIN = 2.0, 2.0
+
+__all__ = [
+    "amplification",
+    "baumgarte_gains",
+    "largest_stable_ratio",
+    "linear_step",
+    "recommended_ratio",
+    "rounding_gain",
+    "sliding_error",
+    "spectral_radii",
+    "spectral_radius",
+]
+
+Array = NDArray[np.float64]
+
+
+def baumgarte_gains(damping_ratio: float, time_constant: float) -> tuple[float, float]:
+    """Return (s_v, s_p) = (2ζ/T, 1/T²) in 1/s and 1/s² for damping ratio ζ and time constant T, s."""
+    return 2.0 * damping_ratio / time_constant, 1.0 / time_constant / time_constant
+
+
+def _scheme(integrator: str | type[Integrator]) -> type[Integrator]:
+    return INTEGRATORS[integrator] if isinstance(integrator, str) else integrator
+
+
+def amplification(integrator: str | type[Integrator], damping_ratio: float | Array, ratio: float | Array) -> Array:
+    """Return the (2, 2) map of (e, hė) over one step of `integrator`, for ratio = h/T; (..., 2, 2) for many ratios.
+
+    Parameters
+    ----------
+    integrator : str or type
+        A name in `closedloop.mechanics.integrators.INTEGRATORS`, or the scheme itself.
+    damping_ratio : float, or ndarray (...)
+        ζ, dimensionless; one for all, or one for each ratio.
+    ratio : float, or ndarray (...)
+        h/T, dimensionless.
+    """
+    # (e, hė)' = M (e, hė)/h with the stabilised closure ë = −s_v ė − s_p e
+    M = np.zeros((*np.shape(ratio), 2, 2))
+    M[..., 0, 1], M[..., 1, 0], M[..., 1, 1] = 1.0, -np.square(ratio), -2.0 * damping_ratio * ratio
+    return linear_step(_scheme(integrator), M)
+
+
+def linear_step(scheme: type[Integrator], M: Array) -> Array:
+    """Return the (2 m, 2 m) map of (x, hẋ) over one step h of a scheme, where (x, hẋ)' = M (x, hẋ)/h; x is (m,).
+
+    M may be a stack of such matrices, (..., 2 m, 2 m); so is the map then.
+    """
+    m, eye = M.shape[-1] // 2, np.eye(M.shape[-1])
+    if scheme.semi_implicit:
+        rates = eye[m:] + M[..., m:, :]
+        return np.concatenate([eye[:m] + rates, rates], axis=-2)
+    stages: list[Array] = []
+    for row in scheme.a:
+        stages.append(M @ (eye + sum((a * k for a, k in zip(row, stages, strict=False)), np.zeros_like(M))))
+    return eye + sum((b * k for b, k in zip(scheme.b, stages, strict=True)), np.zeros_like(M))
+
+
+def spectral_radius(integrator: str | type[Integrator], damping_ratio: float, ratio: float) -> float:
+    """Return the spectral radius: the asymptotic growth of the closure error per step."""
+    return float(spectral_radii(integrator, damping_ratio, ratio))
+
+
+def spectral_radii(integrator: str | type[Integrator], damping_ratio: float | Array, ratios: float | Array) -> Array:
+    """Return the spectral radius for one ratio h/T, or for each of an array; arguments as those of `amplification`."""
+    radii: Array = np.max(np.abs(np.linalg.eigvals(amplification(integrator, damping_ratio, ratios))), axis=-1)
+    return radii
+
+
+def largest_stable_ratio(integrator: str | type[Integrator], damping_ratio: float) -> float:
+    """Return the largest h/T for which the closure error does not grow; 0 if it grows at any (ζ = 0, explicit Euler).
+
+    Found by looking upwards from small ratios and bisecting the first crossing of spectral radius one.
+    For ζ = 1/√2: 1.0353 semi-implicit Euler, 1.4142 explicit Euler, 2.7044 RK4.
+    """
+    return _largest_stable_ratio(_scheme(integrator), damping_ratio)  # type: ignore[arg-type]  # a class is hashable
+
+
+@lru_cache(maxsize=256)
+def _largest_stable_ratio(integrator: type[Integrator], damping_ratio: float) -> float:
+    # The faster of two overdamped modes has rate 2ζ/T, so limits fall with 1/ζ.
+    ratios = np.geomspace(1e-5, 1e3, 801) / max(1.0, damping_ratio)
+    grows = np.flatnonzero(spectral_radii(integrator, damping_ratio, ratios) > NEUTRAL)
+    if grows.size == 0:
+        return float(ratios[-1])
+    if grows[0] == 0:
+        return 0.0
+    low, high = float(ratios[grows[0] - 1]), float(ratios[grows[0]])
+    while high - low > 1e-12 * high:
+        middle = math.sqrt(low * high)
+        if spectral_radius(integrator, damping_ratio, middle) > NEUTRAL:
+            high = middle
+        else:
+            low = middle
+    return low
+
+
+def recommended_ratio(integrator: str | type[Integrator], damping_ratio: float) -> float:
+    """Return the h/T of ``stabiliser.time_constant = "auto"``; 0 if no T makes the closure error die out (ζ = 0).
+
+    T is two steps, or twice the shortest stable time constant where that is longer; the top of this module says why.
+    """
+    if not damping_ratio > 0.0:
+        return 0.0
+    return min(1.0 / STEPS, largest_stable_ratio(integrator, damping_ratio) / MARGIN)
+
+
+def sliding_error(integrator: str | type[Integrator], damping_ratio: float, ratio: float) -> tuple[float, float, float]:
+    """Return the steady error of sliding, per unit of the tip's centripetal acceleration along the normal, a = Ȧq̇.
+
+    With a constant a one step of the integrator from e = ė = 0 ends off the closure by its local error, which the
+    stabiliser balances. For the Euler schemes e is ∓ζ h T a: below the surface for the semi-implicit one, above it for
+    the explicit one (a > 0).
+
+    Parameters
+    ----------
+    integrator, damping_ratio, ratio
+        See `amplification`; stable.
+
+    Returns
+    -------
+    error, rate, share : float
+        e/(h² a), ė/(h a), and (−s_v ė − s_p e)/a: the stabiliser's share of f over that of a.
+    """
+    scheme = _scheme(integrator)
+    damper, spring = 2.0 * damping_ratio * ratio, ratio * ratio
+
+    def acceleration(t: float, y: float, w: float) -> float:
+        # With h = a = 1, what the integrator advances is y = e − t²/2 and w = ė − t.
+        return -1.0 - damper * (w + t) - spring * (y + 0.5 * t * t)
+
+    if scheme.semi_implicit:
+        y = w = acceleration(0.0, 0.0, 0.0)
+    else:
+        slopes: list[tuple[float, float]] = []
+        for node, row in zip(scheme.nodes, scheme.a, strict=True):
+            y, w = (sum(a * slope[i] for a, slope in zip(row, slopes, strict=False)) for i in range(2))
+            slopes.append((w, acceleration(node, y, w)))
+        y, w = (sum(b * slope[i] for b, slope in zip(scheme.b, slopes, strict=True)) for i in range(2))
+    defect = np.array([y + 0.5, w + 1.0])
+    error, rate = np.linalg.solve(np.eye(2) - amplification(integrator, damping_ratio, ratio), defect).tolist()
+    return error, rate, -damper * rate - spring * error
+
+
+def rounding_gain(integrator: str | type[Integrator], damping_ratio: float, ratio: float) -> float:
+    """Return the standard deviation of the stabiliser's acceleration that rounding of e causes, times h²/δ.
+
+    e = n·r − d has an independent rounding error at every evaluation, of standard deviation δ, m (7e-17 half a metre
+    from the base). The standard deviation of the force is then gain · δ / (h² A H⁻¹Aᵀ). Infinite at the limit of
+    stability and beyond it.
+
+    Parameters
+    ----------
+    integrator, damping_ratio, ratio
+        See `amplification`.
+    """
+    if not spectral_radius(integrator, damping_ratio, ratio) < 1.0:
+        return math.inf
+    scheme = _scheme(integrator)
+    M = np.array([[0.0, 1.0], [-(ratio**2), -2.0 * damping_ratio * ratio]])
+    kick = np.array([0.0, -(ratio**2)])
+    if scheme.semi_implicit:
+        B = np.array([kick[[1, 1]]]).T
+    else:
+        columns = []
+        for noisy in range(scheme.stages):
+            slopes: list[Array] = []
+            for stage, row in enumerate(scheme.a):
+                state = sum((a * k for a, k in zip(row, slopes, strict=False)), np.zeros(2))
+                slopes.append(M @ state + kick * (stage == noisy))
+            columns.append(sum((b * k for b, k in zip(scheme.b, slopes, strict=True)), np.zeros(2)))
+        B = np.array(columns).T
+    step = amplification(integrator, damping_ratio, ratio)
+    # The covariance of (e, hė) that a step keeps: P = step P stepᵀ + B Bᵀ.
+    P = np.linalg.solve(np.eye(4) - np.kron(step, step), (B @ B.T).ravel()).reshape(2, 2)
+    return math.sqrt(ratio**4 + float(M[1] @ P @ M[1]))

@@ -1,0 +1,125 @@
+"""Eq. 24, the one linear solve of a step: acceleration and contact force together.
+
+    [ H   Aᵀ ] [ q̈ ]   [ Q − C ]
+    [ A   0  ] [ −f ] = [  b_s  ]        A = nᵀJᵣ for the plane, m >= 1 rows in general
+
+`solve_closure` is that line in numpy and LAPACK, for reading, for users and for tests. Inside a step the same
+equation is solved by Cholesky of H and the Schur complement A H⁻¹Aᵀ (`closedloop.mechanics.closure.contact_force`),
+which is faster, detects a singular pose, and separates the stabiliser's share of f. Tests compare the two.
+"""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from closedloop.jit.kernel import kernel_inlined
+from closedloop.jit.simd8 import every
+
+Array = NDArray[np.float64]
+
+# A H⁻¹Aᵀ is the tip's mobility along the normal, 1/kg: acceleration per newton. Below this share of its mobility
+# in all directions together (the trace of Jᵣ H⁻¹Jᵣᵀ) the pose counts as singular. The share falls with the square
+# of the Jacobian's angle to the singular pose: at 1e-12 that angle is 1e-6 rad, f is ill-determined to about six of
+# its sixteen digits, and a force of 10 N along the normal takes a million times the joint acceleration. The same holds
+# where no joint's lever arm along the normal is above 1e-6 of the arm's reach (its square above this share of reach²).
+SINGULAR_MOBILITY = 1e-12
+
+OK, SINGULAR, NOT_POSITIVE_DEFINITE, DIVERGED, PAINLEVE, CHATTER, LAW_FAILED = range(7)
+NO_NORMAL, PUSHED, RUBS, CROWDED = range(7, 11)
+
+
+def bordered_matrix(H: ArrayLike, A: ArrayLike) -> Array:
+    """Return the (n + m, n + m) matrix of Eq. 24 from H (n, n) and A (n,) or (m, n)."""
+    H_, A_ = np.asarray(H, dtype=np.float64), np.atleast_2d(np.asarray(A, dtype=np.float64))
+    m = A_.shape[0]
+    return np.block([[H_, A_.T], [A_, np.zeros((m, m))]])
+
+
+def solve_closure(H: ArrayLike, rhs: ArrayLike, A: ArrayLike, b: ArrayLike) -> tuple[Array, Array | float]:
+    """Solve Eq. 24 for the joint acceleration and the contact force.
+
+    Parameters
+    ----------
+    H : (n, n) array
+        Mass matrix, kg m² (kg for prismatic joints), symmetric positive definite.
+    rhs : (n,) array
+        Q − C, N m.
+    A : (n,) or (m, n) array
+        Closure rows; nᵀJᵣ for the plane.
+    b : float or (m,) array
+        b_s of Eq. 23, m/s².
+
+    Returns
+    -------
+    qdd : (n,) array
+        Joint acceleration q̈, rad/s².
+    f : float or (m,) array
+        Contact force, N, positive along +n on the robot; a float when A is (n,).
+
+    Raises
+    ------
+    ValueError
+        If the shapes do not fit or an entry is not finite.
+    numpy.linalg.LinAlgError
+        If the pose is singular: the matrix has no inverse.
+    """
+    tau = np.asarray(rhs, dtype=np.float64)
+    rows = np.atleast_2d(np.asarray(A, dtype=np.float64))
+    accelerations = np.atleast_1d(np.asarray(b, dtype=np.float64))
+    n, m = tau.shape[0], rows.shape[0]
+    if np.shape(H) != (n, n) or rows.shape != (m, n) or accelerations.shape != (m,):
+        raise ValueError(
+            f"Eq. 24 needs H (n, n), Q - C (n,), A (m, n), b (m,); got {np.shape(H)}, {tau.shape}, "
+            f"{np.shape(A)}, {np.shape(b)}"
+        )
+    matrix = bordered_matrix(H, rows)
+    right = np.concatenate([tau, accelerations])
+    if not (np.all(np.isfinite(matrix)) and np.all(np.isfinite(right))):
+        raise ValueError("Eq. 24: H, Q - C, A and b must be finite")
+    solution = np.linalg.solve(matrix, right)
+    force = -solution[n:]
+    return solution[:n], float(force[0]) if np.ndim(A) == 1 else force
+
+
+@kernel_inlined
+def cholesky(M: Array, L: Array) -> bool:
+    """Write the lower triangle L of M = L Lᵀ, reading M's upper triangle; False if M is not positive definite.
+
+    The diagonal of L holds the reciprocals 1/Lᵢᵢ: everything that follows divides by them.
+    """
+    n = M.shape[0]
+    for j in range(n):
+        for i in range(j, n):
+            s = M[j, i]
+            for k in range(j):
+                s -= L[i, k] * L[j, k]
+            if i == j:
+                if not every(s > 0.0):
+                    return False
+                L[j, j] = 1.0 / math.sqrt(s)
+            else:
+                L[i, j] = s * L[j, j]
+    return True
+
+
+@kernel_inlined
+def forward_substitute(L: Array, x: Array) -> None:
+    """Overwrite x (n,) with L⁻¹x."""
+    for i in range(x.shape[0]):
+        s = x[i]
+        for k in range(i):
+            s -= L[i, k] * x[k]
+        x[i] = s * L[i, i]
+
+
+@kernel_inlined
+def back_substitute(L: Array, x: Array) -> None:
+    """Overwrite x (n,) with L⁻ᵀx."""
+    for i in range(x.shape[0] - 1, -1, -1):
+        s = x[i]
+        for k in range(i + 1, x.shape[0]):
+            s -= L[k, i] * x[k]
+        x[i] = s * L[i, i]

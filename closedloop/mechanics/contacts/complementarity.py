@@ -1,0 +1,255 @@
+"""All contacts together: forces in Coulomb's cones, and the velocities or accelerations that go with them.
+
+With F = (f, F_t) of each contact, u = q + W F of all of them and the mobility W = X Xᵀ, the problem is
+
+    F ∈ K,   u + μ|u_t| n ∈ K*,   Fᵀ(u + μ|u_t| n) = 0,        K = {|F_t| <= μ f},  K* its dual
+
+(G. de Saxcé and Z.-Q. Feng, Math. Comput. Model. 28, 1998): no force off the surface, within the cone where it
+sticks, and on its edge against the slip where it slides. q is the velocity before an impact, with what restitution
+adds to it, and F an impulse; or q is the acceleration without contacts and F a force. Contacts that slide already
+have a direction: F = f (1, −μ d), f >= 0, u_n >= 0, f u_n = 0.
+
+The quick method is in two parts, which alternate until the residual is rounding: projected Gauss-Seidel (F. Jourdan, P.
+Alart and M. Jean, Comput. Methods Appl. Mech. Eng. 155, 1998) to come near, and the generalised Newton method of
+P. Alart and A. Curnier (Comput. Methods Appl. Mech. Eng. 92, 1991) on the equations
+
+    f = max(0, f − ρ u_n),    F_t = the nearest to F_t − ρ u_t with no more than μ max(0, f − ρ u_n)
+
+(review: V. Acary, M. Brémond and O. Huber, in Advanced Topics in Nonsmooth Dynamics, Springer, 2018).
+"""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+from numpy.typing import NDArray
+
+from closedloop.jit.kernel import kernel
+from closedloop.mechanics.contacts.continuation import follow_path, force_size
+from closedloop.mechanics.contacts.linear import DEPENDENT, solve_any_rank
+from closedloop.mechanics.contacts.memory import CONE, LINE, OFF, Contacts
+
+Array = NDArray[np.float64]
+
+# The residual, of the largest force, at which a problem is solved; what it must have been in the end, of the force that
+# is asked for; and so many times that force is none: contacts that are wedged have a residual of rounding with any.
+SOLVED, ACCEPTED, WEDGED = 1e-14, 1e-11, 1e6
+# Sweeps of Gauss and Seidel's method before Newton's, at first; it doubles from round to round.
+SWEEPS, MOST_SWEEPS, ROUNDS, NEWTON_STEPS, HALVINGS = 10, 160, 2, 30, 12
+# Rounds at the end of a path, where the solution is near.
+LAST_ROUNDS = 9
+# Where paths start, one after the other, see `start_path`.
+STARTS = (2.0, 5.0, 1.0, 40.0)
+
+
+@kernel
+def velocities(c: Contacts, k: int, F: Array, u: Array) -> None:
+    """Write u = q + W F."""
+    for i in range(3 * k):
+        s = c.q[i]
+        for j in range(3 * k):
+            s += c.W[i, j] * F[j]
+        u[i] = s
+
+
+@kernel
+def into_cone(F: Array, mu: float) -> None:
+    """Replace F (3,) by the nearest point of the cone |F_t| <= μ f."""
+    f, size = F[0], math.hypot(F[1], F[2])
+    if size <= mu * f:
+        return
+    if mu * size <= -f:
+        F[0], F[1], F[2] = 0.0, 0.0, 0.0
+        return
+    f = (f + mu * size) / (1.0 + mu * mu)
+    F[0], F[1], F[2] = f, mu * f * F[1] / size, mu * f * F[2] / size
+
+
+@kernel
+def scale_of(c: Contacts, i: int, largest: float) -> float:
+    """Return ρ of contact i, kg: the inverse of its mobility, times `penalty`."""
+    most = max(c.W[3 * i, 3 * i], c.W[3 * i + 1, 3 * i + 1], c.W[3 * i + 2, 3 * i + 2])
+    return float(c.penalty / (most if most > 1e-9 * largest else largest))
+
+
+@kernel
+def largest_mobility(c: Contacts, k: int) -> float:
+    """Return the largest number on the diagonal of W, 1/kg."""
+    largest = 0.0
+    for i in range(3 * k):
+        largest = max(largest, c.W[i, i])
+    return largest
+
+
+@kernel
+def write_residuals(c: Contacts, k: int, F: Array, largest: float) -> float:
+    """Write what the equations of Alart and Curnier are off at F, N, and u there; return the largest."""
+    velocities(c, k, F, c.after)
+    worst, r, u = 0.0, c.residuals, c.after
+    for i in range(k):
+        n, t, s = 3 * i, 3 * i + 1, 3 * i + 2
+        kind, rho = c.kind[i], scale_of(c, i, largest)
+        if kind == OFF:
+            r[n], r[t], r[s] = F[n], F[t], F[s]
+        elif kind == CONE:
+            level = max(0.0, F[n] - rho * u[n])
+            x1, x2, g = F[t] - rho * u[t], F[s] - rho * u[s], c.mu[i] * level
+            size = math.hypot(x1, x2)
+            r[n] = F[n] - level
+            if size <= g:
+                r[t], r[s] = rho * u[t], rho * u[s]
+            else:
+                r[t], r[s] = F[t] - g * x1 / size, F[s] - g * x2 / size
+        else:
+            r[n] = rho * u[n] if kind == LINE else F[n] - max(0.0, F[n] - rho * u[n])
+            r[t], r[s] = F[t] + c.along[i, 0] * F[n], F[s] + c.along[i, 1] * F[n]
+        for j in range(n, n + 3):
+            if not abs(r[j]) < math.inf:
+                return math.inf
+            worst = max(worst, abs(r[j]))
+    return worst
+
+
+@kernel
+def sweep(c: Contacts, k: int, F: Array, largest: float) -> None:
+    """Do one sweep of Gauss and Seidel's method: each contact once, with the forces of the others as they are."""
+    u = c.vector
+    for i in range(k):
+        n, kind = 3 * i, c.kind[i]
+        if kind == OFF:
+            F[n], F[n + 1], F[n + 2] = 0.0, 0.0, 0.0
+            continue
+        for _ in range(3 if kind == CONE else 1):
+            for j in range(3):
+                s = c.q[n + j]
+                for m in range(3 * k):
+                    s += c.W[n + j, m] * F[m]
+                u[j] = s
+            if kind == CONE:
+                rho, mu = 1.0 / (c.W[n, n] + c.W[n + 1, n + 1] + c.W[n + 2, n + 2] + 1e-12 * largest), c.mu[i]
+                u[0] += mu * math.hypot(u[1], u[2])
+                for j in range(3):
+                    u[j] = F[n + j] - rho * u[j]
+                into_cone(u, mu)
+                F[n], F[n + 1], F[n + 2] = u[0], u[1], u[2]
+            else:
+                c1, c2 = c.along[i, 0], c.along[i, 1]
+                mobility = c.W[n, n] - c.W[n, n + 1] * c1 - c.W[n, n + 2] * c2
+                if mobility > 1e-9 * largest:
+                    f = F[n] - u[0] / mobility
+                    F[n] = f if kind == LINE else max(0.0, f)
+                F[n + 1], F[n + 2] = -c1 * F[n], -c2 * F[n]
+
+
+@kernel
+def newton_step(c: Contacts, k: int, F: Array, largest: float) -> None:
+    """Write the step of Newton's method at F, whose residuals are written, as the first row of `solution`."""
+    m, S, u = 3 * k, c.system, c.after
+    for i in range(k):
+        n, t, s = 3 * i, 3 * i + 1, 3 * i + 2
+        kind, rho = c.kind[i], scale_of(c, i, largest)
+        for row in range(n, n + 3):
+            for j in range(m):
+                S[row, j] = 0.0
+            S[row, m] = -c.residuals[row]
+        if kind == LINE or (kind != OFF and F[n] - rho * u[n] > 0.0):
+            for j in range(m):
+                S[n, j] = rho * c.W[n, j]
+        else:
+            S[n, n] = 1.0
+        if kind == CONE:
+            level = max(0.0, F[n] - rho * u[n])
+            x1, x2, g = F[t] - rho * u[t], F[s] - rho * u[s], c.mu[i] * level
+            size = math.hypot(x1, x2)
+            if size <= g and g > 0.0:
+                for j in range(m):
+                    S[t, j], S[s, j] = rho * c.W[t, j], rho * c.W[s, j]
+            else:
+                S[t, t], S[s, s] = 1.0, 1.0
+                if g > 0.0:
+                    d1, d2, turn = x1 / size, x2 / size, g / size
+                    for j in range(m):
+                        y1 = (1.0 if j == t else 0.0) - rho * c.W[t, j]
+                        y2 = (1.0 if j == s else 0.0) - rho * c.W[s, j]
+                        y0 = c.mu[i] * ((1.0 if j == n else 0.0) - rho * c.W[n, j])
+                        across = turn * (d1 * y2 - d2 * y1)
+                        S[t, j] -= d1 * y0 - d2 * across
+                        S[s, j] -= d2 * y0 + d1 * across
+        else:
+            S[t, t], S[s, s] = 1.0, 1.0
+            if kind != OFF:
+                S[t, n], S[s, n] = c.along[i, 0], c.along[i, 1]
+    solve_any_rank(S, m, 1, c.column_order, c.solution, DEPENDENT)
+
+
+@kernel
+def solve_from_here(c: Contacts, k: int, sweeps: int, rounds: int) -> bool:
+    """Do `solve_contacts` by the two methods in turns, from F, with so many sweeps of the first at first."""
+    largest, m = largest_mobility(c, k), 3 * k
+    if not largest > 0.0:
+        largest = 1.0
+    F, best = c.F, math.inf
+    size = 0.0
+    for j in range(m):
+        size = max(size, abs(c.q[j]) / largest)
+        c.best[j] = F[j]
+    count = sweeps
+    for attempt in range(rounds):
+        c.penalty = 10.0 ** ((attempt + 1) // 2 * (1 - 2 * (attempt % 2)))  # 1, 0.1, 10, 0.01 ...
+        best = math.inf
+        for _ in range(count):
+            sweep(c, k, F, largest)
+        worst = write_residuals(c, k, F, largest)
+        for _ in range(NEWTON_STEPS):
+            scale = size
+            for j in range(m):
+                scale = max(scale, abs(F[j]))
+            if worst < best:
+                best = worst
+                for j in range(m):
+                    c.best[j] = F[j]
+            if worst <= SOLVED * scale or not worst < math.inf:
+                break
+            newton_step(c, k, F, largest)
+            share, before = 1.0, worst
+            for _ in range(HALVINGS):
+                for j in range(m):
+                    c.trial[j] = F[j] + share * c.solution[0, j]
+                worst = write_residuals(c, k, c.trial, largest)
+                if worst < (1.0 - 0.1 * share) * before:
+                    break
+                share *= 0.5
+            if not worst < before:
+                if attempt % 2 == 0:
+                    break
+                for j in range(m):  # a residual may have to grow before it shrinks
+                    c.trial[j] = F[j] + c.solution[0, j]
+                worst = write_residuals(c, k, c.trial, largest)
+            for j in range(m):
+                F[j] = c.trial[j]
+        for j in range(m):
+            F[j] = c.best[j]
+        c.penalty = 1.0
+        best = write_residuals(c, k, F, largest)
+        if best <= 1e-13 * size or best <= SOLVED * force_size(F, m):
+            break
+        count = min(max(2 * count, SWEEPS), MOST_SWEEPS)
+    c.residual = best
+    most = force_size(F, m)
+    return bool(c.residual <= max(ACCEPTED * size, SOLVED * most) and most <= WEDGED * size)
+
+
+@kernel
+def solve_contacts(c: Contacts, k: int, starts: int = len(STARTS)) -> bool:
+    """Write F and `after`, u = q + W F, of the contacts whose `kind` is not OFF; return whether they were found.
+
+    `residual` is what the equations are off, of forces. Starts from F; W, q, kind, mu and along are read. `starts` is
+    from how many points paths are followed, where the quick method does not find them.
+    """
+    if solve_from_here(c, k, SWEEPS, ROUNDS):
+        return True
+    found = False
+    for i in range(starts):
+        found = found or (follow_path(c, k, STARTS[i]) and solve_from_here(c, k, 0, LAST_ROUNDS))
+    return found

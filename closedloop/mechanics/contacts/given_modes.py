@@ -1,0 +1,292 @@
+"""Forces where it is known which contacts are free, slide or stick: linear equations, as long as no mode ends.
+
+A contact that sticks has the three rows u̇ = b, one that slides u̇_n = b_n with F = f (1, −μ d), one that pulls as well
+u̇_n = b_n with F_t = −c f − w. Rows that depend on others are found at run time; the forces are then not unique, and
+those of least norm are taken (`closedloop.mechanics.contacts.least_norm`).
+"""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+from numpy.typing import NDArray
+
+from closedloop.jit.kernel import kernel
+from closedloop.mechanics.closure.contact_force import FREE, IMMOBILE, STUCK
+from closedloop.mechanics.closure.solve import OK, PAINLEVE, SINGULAR
+from closedloop.mechanics.contacts.least_norm import least_norm
+from closedloop.mechanics.contacts.linear import solve_any_rank
+from closedloop.mechanics.contacts.memory import CONE, LINE, OFF, RAY, Contacts
+from closedloop.mechanics.loops.solve import orthonormal_rows
+
+Array = NDArray[np.float64]
+
+# A pivot of the mobility below this share of the largest: the row depends on others, its force is not unique. A row
+# that asks for more than this share beyond what the others give contradicts them: points of one body that stick
+# contradict each other by the square of what a step's error leaves of the velocity between them.
+SAME_ROW, CONTRADICTS = 1e-10, 1e-3
+
+
+@kernel
+def mobility_of(c: Contacts, k: int) -> None:
+    """Write W = X Xᵀ, of the contacts that are near: elsewhere both are zero."""
+    n = c.X.shape[1]
+    for i in range(3 * k):
+        for j in range(i + 1 if c.near[i // 3] != 0.0 else 0):
+            if c.near[j // 3] == 0.0:
+                continue
+            s = 0.0
+            for m in range(n):
+                s += c.X[i, m] * c.X[j, m]
+            c.W[i, j], c.W[j, i] = s, s
+
+
+@kernel
+def own_mobility(c: Contacts, i: int, S: Array) -> None:
+    """Write the mobility of contact i by itself, S (3, 3), 1/kg."""
+    for j in range(3):
+        for m in range(3):
+            S[j, m] = c.W[3 * i + j, 3 * i + m]
+
+
+@kernel
+def kinds_of_modes(c: Contacts, k: int) -> None:
+    """Write the kind of each contact but a LINE by its mode, and F_t = −along f of one that slides."""
+    for i in range(k):
+        if c.kind[i] == LINE:
+            continue
+        c.kind[i] = OFF
+        if c.mode[i] == STUCK:
+            c.kind[i] = CONE
+        elif c.mode[i] != FREE:
+            c.kind[i] = RAY
+            slip_direction(c, i)
+
+
+@kernel
+def slip_direction(c: Contacts, i: int) -> None:
+    """Write F_t = −along f of a contact that slides: against its slip, or against `direction` while it has none."""
+    u1, u2 = c.u[3 * i + 1], c.u[3 * i + 2]
+    d1, d2, speed = c.direction[i, 0], c.direction[i, 1], math.hypot(u1, u2)
+    if speed > STILL and u1 * d1 + u2 * d2 > 0.0:
+        d1, d2 = u1 / speed, u2 / speed
+    c.along[i, 0], c.along[i, 1] = c.mu[i] * d1, c.mu[i] * d2
+
+
+# A slip below this has no direction, m/s: it is rounding.
+STILL = 1e-9
+
+
+@kernel
+def solve_modes(c: Contacts, k: int) -> int:
+    """Write `rigid`, the force of the contacts in their modes, F with the stabiliser's part, and `rounding`.
+
+    X, W, a, b, viscous, kind and along are read.
+
+    Returns
+    -------
+    int
+        OK; SINGULAR: the rows contradict each other; PAINLEVE: the only contact slides so that a larger force pulls
+        it in.
+    """
+    n, most = c.X.shape[1], 0.0
+    for i in range(3 * k):
+        c.rigid[i] = 0.0 - c.viscous[i]  # not -0.0
+        c.F[i] = c.rigid[i]
+        most = max(most, c.W[i, i])
+    p = list_unknowns(c, k, most)
+    c.rounding = 0.0
+    if p == 0:
+        return OK
+    if p == 1 and pulled_in(c, int(c.unknown[0]) // 3):
+        return PAINLEVE
+    asked = write_system(c, k, p)
+    for i in range(p):
+        for j in range(p):
+            c.unknowns[i, j] = c.system[i, j]
+    rank = solve_any_rank(c.system, p, 2, c.column_order, c.solution, SAME_ROW)
+    for side in range(2):
+        force = c.rigid if side == 0 else c.F
+        for j in range(p):
+            add_unknown(c, int(c.unknown[j]), c.solution[side, j], force)
+    if rank < p:
+        for i in range(p):
+            left = -c.sought[i]
+            for j in range(p):
+                left += c.unknowns[i, j] * c.solution[0, j]
+            if not abs(left) <= CONTRADICTS * asked:
+                return SINGULAR
+        share_forces(c, k, p)
+    size = 0.0
+    for i in range(3 * k):
+        size = max(size, abs(c.rigid[i]))
+    c.rounding = 1e-10 * max(size, asked / most) if n > 0 else 0.0
+    return OK
+
+
+@kernel
+def share_forces(c: Contacts, k: int, p: int) -> None:
+    """Replace `rigid` and F, which are not unique, by the shortest that do the same."""
+    m = 3 * k
+    for i in range(k):  # what soft contacts carry is known
+        if c.soft[i] != 0.0:
+            return
+    span_rows(c, k, p)
+    for i in range(m):
+        c.trial[i] = c.F[i] - c.rigid[i]
+        c.after[i] = c.trial[i]
+    if not least_norm(c, k, c.rigid, True):
+        least_norm(c, k, c.rigid, False)
+    if not least_norm(c, k, c.F, True):
+        for i in range(m):
+            c.F[i] = c.after[i] - c.viscous[i]
+        least_norm(c, k, c.F, False)
+        for i in range(m):
+            c.F[i] += c.rigid[i] + c.viscous[i]
+
+
+@kernel
+def keep_in_cones(c: Contacts, k: int) -> None:
+    """Lessen the stabiliser's part of all forces by one factor, so that no force pulls or leaves its cone by it."""
+    share = 1.0
+    for i in range(k):
+        if c.kind[i] == RAY or c.kind[i] == CONE:
+            share = min(share, share_inside(c, i))
+    if share < 1.0:
+        for i in range(3 * k):
+            c.F[i] = c.rigid[i] + share * (c.F[i] - c.rigid[i])
+
+
+@kernel
+def share_inside(c: Contacts, i: int) -> float:
+    """Return the largest share <= 1 of the stabiliser's part of contact i with which its force is in its cone.
+
+    1.0 where the force without that part is outside: the contact's mode ends there.
+    """
+    n, mu = 3 * i, c.mu[i]
+    f, grown = c.rigid[n], c.F[n] - c.rigid[n]
+    if f < -c.rounding:
+        return 1.0
+    share = 1.0 if c.F[n] >= 0.0 else max(0.0, f) / (max(0.0, f) - c.F[n])
+    if c.kind[i] == RAY or mu * c.F[n] >= math.hypot(c.F[n + 1], c.F[n + 2]):
+        return share
+    r1, r2, d1, d2 = c.rigid[n + 1], c.rigid[n + 2], c.F[n + 1] - c.rigid[n + 1], c.F[n + 2] - c.rigid[n + 2]
+    # The first root of (μ (f + s df))² − |F_t + s dF_t|², a parabola in s that is positive at 0.
+    a, half = (mu * grown) * (mu * grown) - d1 * d1 - d2 * d2, mu * mu * f * grown - r1 * d1 - r2 * d2
+    inside = (mu * f) * (mu * f) - r1 * r1 - r2 * r2
+    if not inside > 0.0:
+        return 0.0 if math.hypot(r1, r2) <= mu * f + c.rounding else 1.0
+    below = math.sqrt(max(0.0, half * half - a * inside)) - half
+    return min(share, inside / below) if below > 0.0 else share
+
+
+@kernel
+def pulled_in(c: Contacts, i: int) -> bool:
+    """Whether contact i, alone, slides so that a larger force does not push it out."""
+    at = 3 * i
+    own = c.W[at, at] - c.W[at, at + 1] * c.along[i, 0] - c.W[at, at + 2] * c.along[i, 1]
+    return bool(c.kind[i] == RAY and not own > 1e-12 * (c.W[at, at] + c.W[at + 1, at + 1] + c.W[at + 2, at + 2]))
+
+
+@kernel
+def span_rows(c: Contacts, k: int, p: int) -> None:
+    """Write in `Y` what of X the p equations of the unknowns see, in an orthonormal basis of their rows.
+
+    Forces with the same Yᵀ F give the rows the same acceleration. They move the tree alike too, unless a contact
+    slides: the friction of contacts that share a normal force otherwise is another.
+    """
+    n, rubbed = c.X.shape[1], False
+    for i in range(k):
+        rubbed = rubbed or (c.kind[i] != OFF and (c.along[i, 0] != 0.0 or c.along[i, 1] != 0.0))
+    rank = n
+    if rubbed:
+        for r in range(p):
+            for j in range(n):
+                c.basis[r, j] = c.X[int(c.unknown[r]), j]
+        rank = orthonormal_rows(c.basis, p, c.column_order, c.unknowns, c.sought)
+    for i in range(3 * k):
+        for j in range(n):
+            c.Y[i, j] = 0.0 if rubbed else c.X[i, j]
+        for r in range(rank if rubbed else 0):
+            for j in range(n):
+                c.Y[i, r] += c.X[i, j] * c.basis[r, j]
+
+
+@kernel
+def stopping_impulses(c: Contacts, k: int) -> None:
+    """Write in F the impulses that take the velocities `before` along the rows of the kinds; none if there are none."""
+    for i in range(3 * k):
+        c.q[i], c.after[i] = c.viscous[i], c.a[i]
+        c.a[i], c.b[i], c.viscous[i] = c.before[i], 0.0, 0.0
+    status = solve_modes(c, k)
+    for i in range(3 * k):
+        c.a[i], c.viscous[i] = c.after[i], c.q[i]
+        c.F[i] = c.rigid[i] if status == OK else 0.0
+
+
+@kernel
+def write_after(c: Contacts, k: int) -> None:
+    """Write in `after` the velocities u⁺ = u⁻ + W P that the impulses in F leave of `before`."""
+    for i in range(3 * k):
+        s = c.before[i]
+        for j in range(3 * k):
+            s += c.W[i, j] * c.F[j]
+        c.after[i] = s
+
+
+@kernel
+def energy_gained(c: Contacts, k: int) -> float:
+    """Return the kinetic energy that the impulses give, Pᵀ(u⁻ + u⁺)/2, J; zero if it is rounding."""
+    gained, size = 0.0, 0.0
+    for i in range(3 * k):
+        gained += 0.5 * c.F[i] * (c.before[i] + c.after[i])
+        size += abs(c.F[i]) * (abs(c.before[i]) + abs(c.after[i]))
+    return gained if abs(gained) > 1e-13 * size else 0.0
+
+
+@kernel
+def list_unknowns(c: Contacts, k: int, most: float) -> int:
+    """Write which rows an active contact has: 3 i + 0, 1, 2; those that no joint moves are left out."""
+    p = 0
+    for i in range(k):
+        if c.kind[i] == OFF:
+            continue
+        for j in range(3 if c.kind[i] == CONE else 1):
+            if c.W[3 * i + j, 3 * i + j] > IMMOBILE * 1e-6 * most:
+                c.unknown[p] = 3 * i + j
+                p += 1
+    return p
+
+
+@kernel
+def add_unknown(c: Contacts, row: int, value: float, force: Array) -> None:
+    """Add what an unknown stands for to a force: a component of one that sticks, f of one that slides."""
+    force[row] += value
+    i = row // 3
+    if c.kind[i] != CONE:
+        force[row + 1] -= c.along[i, 0] * value
+        force[row + 2] -= c.along[i, 1] * value
+
+
+@kernel
+def write_system(c: Contacts, k: int, p: int) -> float:
+    """Write the equations of the unknowns with −a and b on the right; return the size of the terms on the right."""
+    n, asked = c.X.shape[1], 0.0
+    for r in range(p):
+        row, s = int(c.unknown[r]), 0.0
+        for j in range(3 * k):
+            s -= c.W[row, j] * c.viscous[j]
+        for q in range(p):
+            column = int(c.unknown[q])
+            i, w = column // 3, c.W[row, column]
+            if c.kind[i] != CONE:
+                w -= c.W[row, column + 1] * c.along[i, 0] + c.W[row, column + 2] * c.along[i, 1]
+            c.system[r, q] = w
+        c.sought[r] = -c.a[row] - s
+        c.system[r, p], c.system[r, p + 1] = c.sought[r], c.sought[r] + c.b[row]
+        size = abs(c.drift[row]) + abs(c.b[row])
+        for j in range(n):
+            size += abs(c.X[row, j] * c.load[j])
+        asked = max(asked, size)
+    return asked

@@ -1,0 +1,161 @@
+"""Impacts of several contacts at one instant, with Newton's restitution and Coulomb's friction.
+
+    u⁺ = u⁻ + W P,     P ∈ K,     u⁺_n + e u⁻_n >= 0,     P_n (u⁺_n + e u⁻_n) = 0
+
+with friction against u⁺_t: the problem of `closedloop.mechanics.contacts.complementarity` for q = u⁻ + e u⁻_n n (J. J.
+Moreau, in Nonsmooth Mechanics and Applications, Springer, 1988). Contacts that were closed already take part with e =
+0. Newton's law with friction can create energy (T. R. Kane, 1984), and where contacts are opposite each other, as of a
+wedge, there need not be velocities that all e allow: then all e of the impact are lessened by one factor, until there
+are impulses and they create none. With e = 0 there always are (`closedloop.mechanics.contacts.continuation`), and they
+never do.
+"""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+from numpy.typing import NDArray
+
+from closedloop.jit.kernel import kernel
+from closedloop.mechanics.closure.contact_force import FREE, PRESSED, STUCK
+from closedloop.mechanics.closure.solve import OK, PAINLEVE
+from closedloop.mechanics.contacts.complementarity import STARTS, largest_mobility, solve_contacts
+from closedloop.mechanics.contacts.continuation import force_size
+from closedloop.mechanics.contacts.given_modes import energy_gained, stopping_impulses, write_after
+from closedloop.mechanics.contacts.memory import CONE, LINE, OFF, RAY, ContactLinks, Contacts
+from closedloop.mechanics.contacts.modes import touches
+
+Array = NDArray[np.float64]
+
+# Contacts that come together slower than this do not, m/s.
+RESTING = 1e-11
+# The factor of all e at which it is tried whether contacts can rebound at all; and how often a problem without solution
+# is tried in the search for the largest factor, along one path each, for they take long.
+LEAST_SHARE, MOST_MISSING = 1e-3, 10
+# Restitution with impulses so many times those that are asked for is none: contacts are wedged, but for rounding.
+MOST_IMPULSE = 1e3
+# A rebound from a stop that is slower than this, rad/s (m/s), is none: the joint stays at its stop.
+SLOWEST_REBOUND = 1e-4
+# What happened to a contact, as the kinds of `closedloop.loop.events.table`.
+STRUCK_AND_LEFT, STRUCK_AND_STAYED = 1.0, 2.0
+
+
+@kernel
+def apply_impulses(links: ContactLinks, c: Contacts, rest_speed: float) -> int:
+    """Write the impulses F of the contacts that come together, zero if there are none; `after` their velocities.
+
+    Returns
+    -------
+    int
+        OK, or PAINLEVE if they were not found.
+    """
+    k, coming = links.k, 0
+    c.energy_lost, c.restitution_share = 0.0, 1.0
+    for i in range(3 * k):
+        c.F[i], c.before[i], c.after[i] = 0.0, c.u[i], c.u[i]
+    for i in range(k):
+        c.happened[i], c.struck[i] = 0.0, 0.0
+        c.pulled[i] = 1.0 if c.mode[i] != FREE and c.rigid[3 * i] < -c.rounding else 0.0
+        rub = math.hypot(c.rigid[3 * i + 1], c.rigid[3 * i + 2])
+        left = c.mu[i] * c.rigid[3 * i] - rub + c.rounding
+        c.outside[i] = 1.0 if c.mode[i] == STUCK and left < 0.0 else 0.0
+        if c.kind[i] != LINE:
+            c.kind[i] = OFF
+            if touches(links, c, i) and c.soft[i] == 0.0:
+                c.kind[i] = CONE if c.mu[i] > 0.0 else RAY
+        c.along[i, 0], c.along[i, 1] = 0.0, 0.0
+        if c.kind[i] != OFF and c.kind[i] != LINE and c.mode[i] == FREE and c.u[3 * i] < -RESTING:
+            coming, c.struck[i] = coming + 1, 1.0
+    if coming == 0:
+        return OK
+    if not (solve_with(links, c, 1.0, rest_speed) and energy_gained(c, k) <= 0.0):
+        c.restitution_share = lessened_restitution(links, c, rest_speed)
+        if not solve_with(links, c, c.restitution_share, rest_speed):
+            return PAINLEVE
+    for i in range(k):
+        if c.kind[i] == LINE or c.kind[i] == OFF:
+            continue
+        parts = c.after[3 * i] > 0.5 * slowest_rebound(links, i, rest_speed)
+        if c.struck[i] != 0.0:
+            c.happened[i] = STRUCK_AND_LEFT if parts else STRUCK_AND_STAYED
+        if parts:
+            c.mode[i], c.risen[i], c.floor[i] = FREE, 1.0, min(c.located[3 * i], 0.0)
+        elif c.mode[i] == FREE:
+            c.mode[i] = PRESSED
+    let_stay(links, c, rest_speed)
+    return OK
+
+
+@kernel
+def let_stay(links: ContactLinks, c: Contacts, rest_speed: float) -> None:
+    """Take from contacts that others have made part, too slowly to leave, what they part with; write `energy_lost`.
+
+    A body that rocks so slowly is at rest: what is left of its turning would decide how its feet slip.
+    """
+    k, fastest = links.k, 0.0
+    for i in range(k):
+        stays = c.kind[i] != LINE and c.kind[i] != OFF and c.mode[i] != FREE
+        if stays:
+            fastest = max(fastest, c.after[3 * i])
+        if c.kind[i] != LINE:
+            slow = math.hypot(c.after[3 * i + 1], c.after[3 * i + 2]) <= rest_speed
+            c.kind[i] = OFF if not stays else (CONE if slow and c.mu[i] > 0.0 else RAY)
+            c.along[i, 0], c.along[i, 1] = 0.0, 0.0
+    if fastest > RESTING:
+        for i in range(3 * k):
+            c.residuals[i], c.start[i], c.before[i] = c.F[i], c.before[i], c.after[i]
+        stopping_impulses(c, k)
+        for i in range(3 * k):
+            c.F[i] += c.residuals[i]
+            c.before[i] = c.start[i]
+        write_after(c, k)
+    c.energy_lost = -energy_gained(c, k)
+
+
+@kernel
+def lessened_restitution(links: ContactLinks, c: Contacts, rest_speed: float) -> float:
+    """Return the largest factor of all e, up to 2^-40, with which there are impulses that create no energy.
+
+    Velocities scale: contacts that cannot part with any speed asked for cannot with a small one, and there is no
+    restitution.
+    """
+    low, high, missing = 0.0, 1.0, 0
+    if not solve_with(links, c, LEAST_SHARE, rest_speed):
+        return 0.0
+    for _ in range(40):
+        middle = 0.5 * (low + high)
+        found = solve_with(links, c, middle, rest_speed, 1)
+        if found and energy_gained(c, links.k) <= 0.0:
+            low = middle
+        else:
+            high = middle
+            missing += 0 if found else 1
+            if missing == MOST_MISSING:
+                break
+    return low
+
+
+@kernel
+def solve_with(links: ContactLinks, c: Contacts, share: float, rest_speed: float, starts: int = len(STARTS)) -> bool:
+    """Solve for the impulses with restitution times `share`; `after` is then u⁺. See `solve_contacts` for `starts`."""
+    k = links.k
+    for i in range(3 * k):
+        c.q[i], c.F[i] = c.before[i], 0.0  # always from the same start: the solution need not be the only one
+    for i in range(k):
+        bounce = -share * c.restitution[i] * c.before[3 * i]
+        if c.struck[i] != 0.0 and links.tired == 0 and bounce >= slowest_rebound(links, i, rest_speed):
+            c.q[3 * i] -= bounce
+    if not solve_contacts(c, k, starts):
+        return False
+    asked = force_size(c.q, 3 * k) / largest_mobility(c, k)
+    if share > 0.0 and force_size(c.F, 3 * k) > MOST_IMPULSE * asked:
+        return False
+    write_after(c, k)
+    return True
+
+
+@kernel
+def slowest_rebound(links: ContactLinks, i: int, rest_speed: float) -> float:
+    """Return the speed below which contact i does not rebound: `rest_speed`, m/s, or that of stops, rad/s (m/s)."""
+    return SLOWEST_REBOUND if i >= links.k - links.stops else rest_speed

@@ -1,0 +1,183 @@
+"""Of forces that are not unique those of least norm, inside the cones.
+
+Forces F that move the tree alike have the same sum s = Xᵀ F. The shortest of them in the cones is F = Π(X λ), with Π
+the nearest point of the cones and λ the solution of
+
+    Xᵀ Π(X λ) = s
+
+the gradient of a convex function, found by the generalised Newton method (L. Qi and J. Sun, Math. Program. 58, 1993).
+If there is none, no forces inside the cones do it.
+"""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+from numpy.typing import NDArray
+
+from closedloop.jit.kernel import kernel
+from closedloop.mechanics.contacts.complementarity import into_cone
+from closedloop.mechanics.contacts.linear import solve_any_rank
+from closedloop.mechanics.contacts.memory import CONE, LINE, OFF, Contacts
+
+Array = NDArray[np.float64]
+
+# Newton steps; what may be left of the sum, of its size, when it is found, and if that was all that could be had.
+STEPS, FOUND, NEAR, HALVINGS = 60, 1e-14, 1e-11, 30
+
+
+@kernel
+def least_norm(c: Contacts, k: int, force: Array, inside: bool) -> bool:
+    """Replace a force (3 k,) by the shortest with the same sum; return whether there is one.
+
+    With `inside` it is in the cones of its contacts, as `kind`, mu and along have them; else in the spaces that they
+    span.
+    """
+    n, m = c.Y.shape[1], 3 * k
+    size, scale = 0.0, 0.0
+    for j in range(n):
+        s = 0.0
+        for i in range(m):
+            s += c.Y[i, j] * (force[i] + c.viscous[i])
+        c.sum[j], c.multiplier[j] = s, 0.0
+        size = max(size, abs(s))
+    for i in range(m):
+        scale = max(scale, c.W[i, i])
+    if not size > 0.0 or not scale > 0.0:
+        for i in range(m):
+            force[i] = -c.viscous[i]
+        return True
+    left, now = 0.0, 0.0
+    for phase in range(2 if inside else 1):  # the shortest of all forces is the first guess
+        spans = phase == 0
+        left = project_all(c, k, c.multiplier, spans)
+        for _ in range(STEPS):
+            if left <= FOUND * size:
+                break
+            newton(c, k, spans, scale)
+            share, before, slope = 1.0, value_of(c, k), 0.0
+            for j in range(n):
+                slope += c.solution[0, j] * c.solution[1, j]
+                c.sum_trial[j] = c.multiplier[j]
+            for _ in range(HALVINGS):
+                for j in range(n):
+                    c.multiplier[j] = c.sum_trial[j] + share * c.solution[0, j]
+                now = project_all(c, k, c.multiplier, spans)
+                if now < 0.5 * left or value_of(c, k) <= before - 1e-4 * share * slope:
+                    break
+                share *= 0.5
+            if now >= left and left <= NEAR * size:
+                for j in range(n):
+                    c.multiplier[j] = c.sum_trial[j]
+                left = project_all(c, k, c.multiplier, spans)
+                break
+            left = now
+    if not left <= NEAR * size:
+        return False
+    for i in range(m):
+        force[i] = c.trial[i] - c.viscous[i]
+    return True
+
+
+@kernel
+def project_all(c: Contacts, k: int, multiplier: Array, spans: bool) -> float:
+    """Write `trial` = Π(X λ), and s − Xᵀ Π(X λ) as the second row of `solution`; return its largest number."""
+    n, m = c.Y.shape[1], 3 * k
+    for i in range(m):
+        s = 0.0
+        for j in range(n):
+            s += c.Y[i, j] * multiplier[j]
+        c.best[i], c.trial[i] = s, s
+    for i in range(k):
+        F, kind = c.trial[3 * i : 3 * i + 3], c.kind[i]
+        if kind == OFF:
+            F[0], F[1], F[2] = 0.0, 0.0, 0.0
+        elif kind == CONE:
+            if not spans:
+                into_cone(F, c.mu[i])
+        else:
+            c1, c2 = c.along[i, 0], c.along[i, 1]
+            f = (F[0] - c1 * F[1] - c2 * F[2]) / (1.0 + c1 * c1 + c2 * c2)
+            if f < 0.0 and kind != LINE and not spans:
+                f = 0.0
+            F[0], F[1], F[2] = f, -c1 * f, -c2 * f
+    worst = 0.0
+    for j in range(n):
+        s = c.sum[j]
+        for i in range(m):
+            s -= c.Y[i, j] * c.trial[i]
+        c.solution[1, j] = s
+        worst = max(worst, abs(s))
+    return worst
+
+
+@kernel
+def value_of(c: Contacts, k: int) -> float:
+    """Return the convex function whose gradient is −`solution[1]`, where `project_all` was asked last."""
+    total = 0.0
+    for i in range(3 * k):
+        total += 0.5 * c.trial[i] * c.trial[i]
+    for j in range(c.Y.shape[1]):
+        total -= c.sum[j] * c.multiplier[j]
+    return total
+
+
+@kernel
+def newton(c: Contacts, k: int, spans: bool, scale: float) -> None:
+    """Write the step (Xᵀ DΠ X + ε)⁻¹(s − Xᵀ Π(X λ)) as the first row of `solution`; ε only makes it unique."""
+    n, S = c.Y.shape[1], c.system
+    for j in range(n):
+        for i in range(n):
+            S[j, i] = 0.0
+        S[j, j] = 1e-11 * scale
+        S[j, n] = c.solution[1, j]
+    for i in range(k):
+        if c.kind[i] == OFF or not write_slope(c, i, spans):
+            continue
+        for a in range(3):
+            for b in range(3):
+                d = c.slope[a, b]
+                if d != 0.0:
+                    for j in range(n):
+                        for m in range(n):
+                            S[j, m] += c.Y[3 * i + a, j] * d * c.Y[3 * i + b, m]
+    for j in range(n):
+        c.sum_trial[j] = c.solution[1, j]
+    solve_any_rank(S, n, 1, c.column_order, c.solution, 0.0)
+    for j in range(n):
+        c.solution[1, j] = c.sum_trial[j]
+
+
+@kernel
+def write_slope(c: Contacts, i: int, spans: bool) -> bool:
+    """Write the derivative (3, 3) of the projection of contact i, where `project_all` was asked; False if zero."""
+    D, kind = c.slope, c.kind[i]
+    for a in range(3):
+        for b in range(3):
+            D[a, b] = 1.0 if a == b else 0.0
+    x0, x1, x2 = c.best[3 * i], c.best[3 * i + 1], c.best[3 * i + 2]
+    mu, size = c.mu[i], math.hypot(x1, x2)
+    v0, v1, v2, turn = 1.0, -c.along[i, 0], -c.along[i, 1], 0.0
+    if kind == CONE:
+        if spans or size <= mu * x0:
+            return True
+        if mu * size <= -x0:
+            return False
+        v1, v2 = mu * x1 / size, mu * x2 / size
+        turn = mu * (x0 + mu * size) / (1.0 + mu * mu) / size
+    elif kind != LINE and not spans and not c.trial[3 * i] > 0.0:
+        return False
+    length = v0 * v0 + v1 * v1 + v2 * v2
+    for a in range(3):
+        for b in range(3):
+            left = v0 if a == 0 else (v1 if a == 1 else v2)
+            right = v0 if b == 0 else (v1 if b == 1 else v2)
+            D[a, b] = left * right / length
+    if turn > 0.0:
+        e1, e2 = -x2 / size, x1 / size
+        D[1, 1] += turn * e1 * e1
+        D[1, 2] += turn * e1 * e2
+        D[2, 1] += turn * e1 * e2
+        D[2, 2] += turn * e2 * e2
+    return True

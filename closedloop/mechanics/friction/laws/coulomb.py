@@ -1,0 +1,68 @@
+"""coulomb: friction of one size, against the slip.
+
+    slip     F_t = −μ f u/|u|
+    stick    |F_t| <= μ f
+
+Source: C. A. Coulomb, Théorie des machines simples, 1785, and any textbook.
+
+Parameters: the coefficient μ >= 0 (dry steel on steel about 0.1-0.6), or for a joint the Coulomb torque, N m.
+"""
+
+from __future__ import annotations
+
+from typing import Any, ClassVar
+
+import numpy as np
+from numpy.typing import NDArray
+from pydantic import Field
+
+from closedloop.mechanics.friction.law import JointFriction, Slip, SurfaceFriction, against_slip
+from closedloop.mechanics.friction.quantities import Coefficient, Torque
+
+Array = NDArray[np.float64]
+
+
+class SurfaceCoulomb(SurfaceFriction):
+    """[friction] kind = "coulomb": of one size, against the slip."""
+
+    coefficient: Coefficient = Field(description="coefficient of friction μ, static and kinetic, 1")
+
+    sticks: ClassVar = "rigid"
+
+    @staticmethod
+    def slide(x: Slip, par: Any, z: Any, c: Array, w: Array) -> None:
+        """Write c = μ u/|u|."""
+        against_slip(x, par.coefficient, c)
+
+    @staticmethod
+    def stick_limit(par: Any, z: Any) -> float:
+        """Return μ, or the Coulomb torque, N m."""
+        return par.coefficient  # type: ignore[no-any-return]
+
+    @staticmethod
+    def kinetic_level(par: Any) -> float:
+        """Return the same."""
+        return par.coefficient  # type: ignore[no-any-return]
+
+
+class JointCoulomb(JointFriction):
+    """[joint_friction] kind = "coulomb": of one size, against the motion."""
+
+    kinetic: Torque = Field(description="kinetic (Coulomb) torque, N m, one per joint or one for all")
+
+    sticks: ClassVar = "rigid"
+
+    @staticmethod
+    def slide(x: Slip, par: Any, z: Any, c: Array, w: Array) -> None:
+        """Write c = μ u/|u|."""
+        against_slip(x, par.kinetic, c)
+
+    @staticmethod
+    def stick_limit(par: Any, z: Any) -> float:
+        """Return μ, or the Coulomb torque, N m."""
+        return par.kinetic  # type: ignore[no-any-return]
+
+    @staticmethod
+    def kinetic_level(par: Any) -> float:
+        """Return the same."""
+        return par.kinetic  # type: ignore[no-any-return]

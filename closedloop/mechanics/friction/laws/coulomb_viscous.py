@@ -1,0 +1,73 @@
+"""coulomb_viscous: Coulomb's friction and a force proportional to the slip.
+
+    slip     F_t = −μ f u/|u| − b u
+    stick    |F_t| <= μ f
+
+The viscous part does not depend on the normal force. Every law but coulomb may have one; it enters them all alike,
+as the part w = b u.
+
+Parameters: μ >= 0, or for a joint the Coulomb torque, N m; b >= 0, N s/m, or for a joint N m s/rad.
+"""
+
+from __future__ import annotations
+
+from typing import Any, ClassVar
+
+import numpy as np
+from numpy.typing import NDArray
+from pydantic import Field
+
+from closedloop.mechanics.friction.law import JointFriction, Slip, SurfaceFriction, against_slip, viscous_part
+from closedloop.mechanics.friction.quantities import Coefficient, JointViscous, Torque, Viscous
+
+Array = NDArray[np.float64]
+
+
+class SurfaceCoulombViscous(SurfaceFriction):
+    """[friction] kind = "coulomb_viscous": Coulomb's, and a force proportional to the slip."""
+
+    coefficient: Coefficient = Field(description="coefficient of friction μ, static and kinetic, 1")
+    viscous: Viscous = Field(description="viscous coefficient b, N s/m, whatever the normal force")
+
+    sticks: ClassVar = "rigid"
+
+    @staticmethod
+    def slide(x: Slip, par: Any, z: Any, c: Array, w: Array) -> None:
+        """Write c = μ u/|u| and w = b u."""
+        against_slip(x, par.coefficient, c)
+        viscous_part(x, par.viscous, w)
+
+    @staticmethod
+    def stick_limit(par: Any, z: Any) -> float:
+        """Return μ, or the Coulomb torque, N m."""
+        return par.coefficient  # type: ignore[no-any-return]
+
+    @staticmethod
+    def kinetic_level(par: Any) -> float:
+        """Return the same."""
+        return par.coefficient  # type: ignore[no-any-return]
+
+
+class JointCoulombViscous(JointFriction):
+    """[joint_friction] kind = "coulomb_viscous": Coulomb's, and a torque proportional to the joint velocity."""
+
+    kinetic: Torque = Field(description="kinetic (Coulomb) torque, N m, one per joint or one for all")
+    viscous: JointViscous = Field(description="viscous coefficient, N m s/rad")
+
+    sticks: ClassVar = "rigid"
+
+    @staticmethod
+    def slide(x: Slip, par: Any, z: Any, c: Array, w: Array) -> None:
+        """Write c = μ u/|u| and w = b u."""
+        against_slip(x, par.kinetic, c)
+        viscous_part(x, par.viscous, w)
+
+    @staticmethod
+    def stick_limit(par: Any, z: Any) -> float:
+        """Return μ, or the Coulomb torque, N m."""
+        return par.kinetic  # type: ignore[no-any-return]
+
+    @staticmethod
+    def kinetic_level(par: Any) -> float:
+        """Return the same."""
+        return par.kinetic  # type: ignore[no-any-return]

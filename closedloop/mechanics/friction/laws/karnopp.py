@@ -1,0 +1,80 @@
+"""karnopp: friction with a band of speeds in which slip counts as none.
+
+    |u| > D_v      F_t = −μ_k f u/|u| − b u
+    |u| <= D_v     sticking is tried: the tip sticks if |F_t| <= μ_s f is enough to hold it
+
+The band is what makes the model quick with a fixed step: the instant of zero slip need not be found. In
+Karnopp's original the momentum is kept within the band; here a tip that sticks has u = 0, and what D_v takes is
+at most the energy of that slow slip.
+
+Source: D. Karnopp, Computer simulation of stick-slip friction in mechanical dynamic systems, J. Dyn. Sys.,
+Meas., Control 107 (1985) 100-103. It leaves the slip function open; here it is Coulomb's and a viscous part.
+
+Parameters: 0 <= μ_k <= μ_s, or for a joint torques, N m; D_v > 0, m/s (rad/s), small against the speeds of
+interest; b >= 0, N s/m (N m s/rad).
+"""
+
+from __future__ import annotations
+
+from typing import Any, ClassVar
+
+import numpy as np
+from numpy.typing import NDArray
+from pydantic import Field
+
+from closedloop.mechanics.friction.law import (
+    FrictionLaw,
+    JointFriction,
+    Slip,
+    SurfaceFriction,
+    against_slip,
+    viscous_part,
+)
+from closedloop.mechanics.friction.quantities import Coefficient, JointSpeed, JointViscous, SlipSpeed, Torque, Viscous
+
+Array = NDArray[np.float64]
+
+
+class Karnopp(FrictionLaw):
+    """The functions of the law, of the surface and of joints."""
+
+    sticks: ClassVar = "rigid"
+
+    @staticmethod
+    def slide(x: Slip, par: Any, z: Any, c: Array, w: Array) -> None:
+        """Write c = μ_k u/|u| and w = b u."""
+        against_slip(x, par.kinetic, c)
+        viscous_part(x, par.viscous, w)
+
+    @staticmethod
+    def stick_limit(par: Any, z: Any) -> float:
+        """Return μ_s."""
+        return par.static  # type: ignore[no-any-return]
+
+    @staticmethod
+    def kinetic_level(par: Any) -> float:
+        """Return μ_k."""
+        return par.kinetic  # type: ignore[no-any-return]
+
+    @staticmethod
+    def capture_speed(par: Any) -> float:
+        """Return D_v, m/s or rad/s."""
+        return par.dead_band  # type: ignore[no-any-return]
+
+
+class SurfaceKarnopp(Karnopp, SurfaceFriction):
+    """[friction] kind = "karnopp": slip within a band of speeds counts as none."""
+
+    kinetic: Coefficient = Field(description="kinetic coefficient of friction μ_k, 1")
+    static: Coefficient = Field(description="static coefficient of friction μ_s, 1; not below kinetic")
+    dead_band: SlipSpeed = Field(description="slip speed D_v up to which the tip may be held, m/s")
+    viscous: Viscous = Field(0.0, description="viscous coefficient b, N s/m, whatever the normal force")
+
+
+class JointKarnopp(Karnopp, JointFriction):
+    """[joint_friction] kind = "karnopp": motion within a band of speeds counts as none."""
+
+    kinetic: Torque = Field(description="kinetic (Coulomb) torque, N m, one per joint or one for all")
+    static: Torque = Field(description="static (break-away) torque, N m; not below kinetic")
+    dead_band: JointSpeed = Field(description="joint speed up to which the joint may be held, rad/s")
+    viscous: JointViscous = Field(0.0, description="viscous coefficient, N m s/rad")

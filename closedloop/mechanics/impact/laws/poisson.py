@@ -1,0 +1,16 @@
+"""poisson: P_n of decompression = ε P_n of compression
+
+Kinetic: the energy never grows.
+"""
+
+from __future__ import annotations
+
+from typing import ClassVar
+
+from closedloop.mechanics.impact.restitution import Restitution
+
+
+class Poisson(Restitution):
+    """Poisson's: a ratio of impulses."""
+
+    ratio_of: ClassVar = "impulses"

@@ -1,0 +1,17 @@
+"""stronge: work of P_n in decompression = −ε² its work in compression
+
+Energetic: the normal impulse and friction each take energy, by themselves. Source: W. J. Stronge, Rigid body
+collisions with friction, Proc. R. Soc. A 431, 1990.
+"""
+
+from __future__ import annotations
+
+from typing import ClassVar
+
+from closedloop.mechanics.impact.restitution import Restitution
+
+
+class Stronge(Restitution):
+    """Stronge's: a ratio of energies."""
+
+    ratio_of: ClassVar = "energies"

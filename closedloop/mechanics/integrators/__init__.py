@@ -1,0 +1,122 @@
+"""Integrators: a tableau, an order, a source. One file each, whose name is the value of `time.integrator`.
+
+    class Heun(Integrator):
+        order = 2
+        a = ((), (1.0,))
+        b = (0.5, 0.5)
+        source = "Heun 1900"
+
+One kernel advances them all (`closedloop.loop.step.advance`), so a scheme is numbers only and is not compiled.
+"""
+
+from __future__ import annotations
+
+import math
+from fractions import Fraction
+from typing import ClassVar
+
+import numpy as np
+from numpy.typing import NDArray
+
+from closedloop.base.families import Family, Member
+
+Array = NDArray[np.float64]
+
+# Most equal parts into which the nodes of a scheme divide a step: the reference is tabulated at all of them.
+MOST_PARTS = 60
+# Tolerance of sums of weights: rounding of a few fractions.
+ROUNDING = 1e-14
+
+
+class Scheme(Member):
+    """Base of all schemes.
+
+    Attributes
+    ----------
+    order : int
+        Order of the global error on a smooth problem.
+    a : tuple of rows
+        Weights of the earlier stages in each stage's state; row s has s entries, whose sum is the stage's node.
+    b : tuple of float
+        Weights of the stages in the step, whose sum is one.
+    semi_implicit : bool
+        Whether the position advances with the new velocity; such a scheme has one stage.
+    source : str
+        Where the scheme is published.
+    nodes : tuple of float
+        Where in the step, as a share of h, each stage is evaluated: the sums of the rows of `a`.
+    stages : int
+        Evaluations of the equation of motion per step.
+    parts : int
+        Into how many equal parts the nodes cut a step.
+    """
+
+    folder: ClassVar[str] = "closedloop.mechanics.integrators"
+    order: ClassVar[int]
+    a: ClassVar[tuple[tuple[float, ...], ...]]
+    b: ClassVar[tuple[float, ...]]
+    semi_implicit: ClassVar[bool] = False
+    source: ClassVar[str]
+    nodes: ClassVar[tuple[float, ...]]
+    stages: ClassVar[int]
+    parts: ClassVar[int]
+
+    def __init_subclass__(cls) -> None:
+        """Check the tableau.
+
+        Raises
+        ------
+        ValueError
+            If it is not that of an explicit scheme, or its nodes are no multiples of a 60th of the step or coarser.
+        """
+        super().__init_subclass__()
+        if not hasattr(cls, "b"):
+            return
+        cls.stages = len(cls.b)
+        if not cls.b or [len(row) for row in cls.a] != list(range(cls.stages)):
+            raise ValueError(f"{cls.__name__}: row s of a must have s entries, s = 0, 1 ..., one row for each of b")
+        if abs(math.fsum(cls.b) - 1.0) > ROUNDING:
+            raise ValueError(f"{cls.__name__}: the entries of b must sum to 1, not {math.fsum(cls.b):.9g}")
+        if cls.semi_implicit and cls.stages > 1:
+            raise ValueError(f"{cls.__name__}: a semi-implicit scheme has one stage, a = ((),) and b = (1.0,)")
+        cls.nodes = tuple(math.fsum(row) for row in cls.a)
+        cuts = [Fraction(node).limit_denominator(MOST_PARTS) for node in cls.nodes]
+        cls.parts = math.lcm(*(cut.denominator for cut in cuts))
+        if cls.parts > MOST_PARTS or any(
+            abs(cut - node) > ROUNDING or not 0.0 <= node <= 1.0 for cut, node in zip(cuts, cls.nodes, strict=True)
+        ):
+            raise ValueError(
+                f"{cls.__name__}: its nodes {cls.nodes}, the sums of the rows of a, must lie in the step, on at most "
+                f"{MOST_PARTS} equal parts of it"
+            )
+
+    @classmethod
+    def tableau(cls) -> Array:
+        """Return the (S + 1, S) array that `closedloop.loop.step.advance` reads: row s holds stage s's weights, the
+        last row b."""
+        table = np.zeros((cls.stages + 1, cls.stages))
+        for s, row in enumerate(cls.a):
+            table[s, : len(row)] = row
+        table[-1] = cls.b
+        return table
+
+
+class Integrator(Scheme):
+    """A scheme of fixed step: an explicit Runge-Kutta scheme, or the semi-implicit Euler scheme."""
+
+
+class AdaptiveIntegrator(Scheme):
+    """A scheme that chooses its own steps, in `closedloop.simulation.engines.adaptive`; the loop evaluates one state at
+    a time."""
+
+    a = ((),)
+    b = (1.0,)
+
+
+INTEGRATORS = Family(Integrator)
+ADAPTIVE = Family(AdaptiveIntegrator)
+
+
+def scheme_of(name: str) -> type[Scheme] | None:
+    """Return the scheme that a scenario names; None if it is a user's that was not named in this process."""
+    return INTEGRATORS.get(name) or ADAPTIVE.get(name)

@@ -1,0 +1,90 @@
+"""The start of a mechanism with loops: a posture and a velocity that close them."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from closedloop.base.errors import ScenarioError
+from closedloop.jit.interim import call_now
+from closedloop.jit.interpreted import interpreted
+from closedloop.mechanics.loops.bind import loop_memory
+from closedloop.mechanics.loops.close import TOLERANCE, closed_to
+from closedloop.mechanics.loops.memory import LoopMemory
+from closedloop.mechanics.loops.rows import locate_rows
+from closedloop.mechanics.robot.pinocchio import Robot
+
+Array = NDArray[np.float64]
+
+# A start that is open by no more than this, m or rad, or moves a loop by no more, m/s or rad/s, is meant to be closed.
+START_OPEN, START_RATE = 1e-3, 1e-3
+
+
+# A distance between points in one place has no direction: that it is open is said, and no division warns.
+_undefined_passes = np.errstate(invalid="ignore", divide="ignore")
+
+
+@_undefined_passes
+def errors_at(robot: Robot, memory: LoopMemory, q: Array, v: Array) -> tuple[Array, Array]:
+    """Return the errors of the rows, m or rad, and their rates, at a state (q, q̇)."""
+    memory.rows.q[:], memory.rows.v[:] = q, v
+    interpreted(locate_rows)(memory.links, memory.rows)
+    return memory.rows.error.copy(), memory.rows.G @ v
+
+
+@_undefined_passes
+def closed_start(robot: Robot, q: Array, v: Array, assemble: bool) -> tuple[Array, Array]:
+    """Return the state nearest to (q, q̇) at which the loops are closed.
+
+    Parameters
+    ----------
+    robot : Robot
+        With loops.
+    q, v : (n,) arrays
+        Joint positions, rad (m), and velocities, rad/s (m/s).
+    assemble : bool
+        Whether a posture that is far from closing is to be closed; else it is refused.
+
+    Raises
+    ------
+    ScenarioError
+        If the posture or the velocity does not close the loops, or no posture near it does.
+    """
+    memory, names = loop_memory(robot), robot.model.joint_names
+    error, rate = errors_at(robot, memory, q, v)
+    near, rates = q.copy(), v.copy()
+    written = memory.rows.memory, memory.links.memory, near, rates
+    left = float(call_now(closed_to, written, memory.address, near, rates))
+    turned = near - q
+    low, high = robot.model.position_lower, robot.model.position_upper
+    if not left <= TOLERANCE:
+        raise ScenarioError(
+            f"start.q: the loops are open, by {_worst(robot, error)}, and no posture near it closes them: what is left "
+            f"is {left:.3g}; look at the lengths of the links, and start nearer"
+        )
+    if not assemble and float(np.max(np.abs(error))) > START_OPEN:
+        j = int(np.argmax(np.abs(turned)))
+        raise ScenarioError(
+            f"start.q: the loops are open, by {_worst(robot, error)}; the nearest closed posture is "
+            f"{[float(f'{x:.9g}') for x in near]} ({names[j]} turned by {turned[j]:.3g}): start there, or with "
+            "start.assemble = true"
+        )
+    if out := [names[j] for j in range(robot.n) if not low[j] <= near[j] <= high[j]]:
+        raise ScenarioError(f"start.q: closed, joint {out[0]} would be outside its limits: start elsewhere")
+    if float(np.max(np.abs(rate))) > START_RATE:
+        raise ScenarioError(
+            f"start.v: the loops would part, by {_worst(robot, rate)} a second; the nearest velocity that they "
+            f"allow is {[float(f'{x:.9g}') for x in rates]}"
+        )
+    return near, rates
+
+
+def _worst(robot: Robot, error: Array) -> str:
+    """Return the largest error, and the loop joint that has it, in words."""
+    k = int(np.argmax(np.abs(error)))
+    at = 0
+    for loop in robot.model.loops:
+        at += loop.rows
+        if k < at:
+            return f"{abs(error[k]):.4g} m (rad) at {loop.name!r}"
+    raise AssertionError(k)

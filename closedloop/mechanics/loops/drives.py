@@ -1,0 +1,111 @@
+"""Joints without a drive: what a law asks of them, and which of it the drives can give through the loops.
+
+A joint without a drive gives no torque. But a force of the loops gives no power to a motion that they allow, so that
+torques Q and Q' move the mechanism alike if vᵀQ = vᵀQ' for each v with G v = 0. Let d be the joints with a drive and
+p those without, and W an orthonormal basis of the motions of p alone, w with G_p w = 0: the mechanism's drives held.
+
+    Q'_p = 0,   Q'_d = Q_d + the shortest x with v_dᵀ x = v_pᵀ (1 − W Wᵀ) Q_p for each v with G v = 0
+
+So where the drives span what the loops leave free, W is empty and Q' moves the mechanism just as Q would. Where they
+do not, W Wᵀ Q_p, which is what gives power to motions that no drive takes part in, is lost, and the rest goes through
+the loops. In a tree all of Q_p is lost: nothing that is asked of a joint without a drive acts, nor goes elsewhere.
+"""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+from numpy.typing import NDArray
+
+from closedloop.jit.interpreted import interpreted
+from closedloop.jit.kernel import kernel
+from closedloop.jit.pointers import row_of
+from closedloop.mechanics.loops.bind import loop_memory
+from closedloop.mechanics.loops.factor import factor
+from closedloop.mechanics.loops.memory import LoopLinks, LoopRows
+from closedloop.mechanics.loops.rows import locate_rows
+from closedloop.mechanics.loops.solve import dot, free_motion, meet_rows, orthonormal_rows, take_off
+from closedloop.mechanics.robot.pinocchio import Robot
+
+Array = NDArray[np.float64]
+
+
+@kernel
+def through_drives(links: LoopLinks, rows: LoopRows, torque: Array) -> int:
+    """Replace a torque (n,) by one of the drives alone, with the rows factored last; return how many motions W has."""
+    if links.undriven == 0:
+        return 0
+    n, count = links.n, links.n - links.rank
+    powers_of_undriven(links, rows, torque)
+    for i in range(count):
+        Z = row_of(rows.drive_basis, i)
+        free_motion(links, rows, i, Z)
+        for j in range(n):
+            if rows.undriven[j] != 0.0:
+                Z[j] = 0.0
+    rank = orthonormal_rows(rows.drive_basis, count, rows.drive_order, rows.drive_coefficients, rows.drive_lengths)
+    if rank < count:
+        lose_power_of_undriven(links, rows, torque, rank)
+        powers_of_undriven(links, rows, torque)
+    for j in range(n):
+        if rows.undriven[j] != 0.0:
+            torque[j] = 0.0
+    meet_rows(
+        rows.wanted, rows.drive_order, rows.drive_coefficients, rows.drive_basis, rank, rows.drive_lengths, rows.share
+    )
+    for j in range(n):
+        torque[j] += rows.share[j]
+    return int(count - rank)
+
+
+@kernel
+def powers_of_undriven(links: LoopLinks, rows: LoopRows, torque: Array) -> None:
+    """Write the power of the joints without a drive in each free motion, of one free joint at rate one, `wanted`."""
+    for i in range(links.n - links.rank):
+        power = 0.0
+        free_motion(links, rows, i, rows.share)
+        for j in range(links.n):
+            if rows.undriven[j] != 0.0:
+                power += rows.share[j] * torque[j]
+        rows.wanted[i] = power
+
+
+@kernel
+def lose_power_of_undriven(links: LoopLinks, rows: LoopRows, torque: Array, rank: int) -> None:
+    """Take W Wᵀ Q_p off the torque; W, with the drives at rest, is written into the basis after its `rank` directions.
+
+    What the drives do in the i-th free motion is Σ aₖ of what they do in `rank` others: less these, they do nothing.
+    """
+    n, count, a = links.n, links.n - links.rank, rows.drive_lengths
+    for i in range(rank, count):
+        W = row_of(rows.drive_basis, i)
+        for k in range(rank - 1, -1, -1):
+            a[k] = rows.drive_coefficients[i, k]
+            for m in range(k + 1, rank):
+                a[k] -= a[m] * rows.drive_coefficients[m, k]
+            a[k] /= rows.drive_coefficients[k, k]
+        free_motion(links, rows, int(rows.drive_order[i]), W)
+        for k in range(rank):
+            free_motion(links, rows, int(rows.drive_order[k]), rows.share)
+            for j in range(n):
+                W[j] -= a[k] * rows.share[j]
+        for j in range(n):
+            if rows.undriven[j] == 0.0:
+                W[j] = 0.0
+        for _ in range(2):
+            for m in range(rank, i):
+                take_off(W, row_of(rows.drive_basis, m), n)
+        length = math.sqrt(dot(W, W, n))
+        for j in range(n):
+            W[j] /= length
+        take_off(torque, W, n)
+
+
+def torque_of_drives(robot: Robot, q: Array, torque: Array) -> tuple[Array, int]:
+    """Return the torque (n,) of the drives alone, N m (N), for a given one of a mechanism at q, and W's dimension."""
+    links, rows = loop_memory(robot)
+    rows.q[:], found = q, np.array(torque)
+    interpreted(locate_rows)(links, rows)
+    interpreted(factor)(links, rows, rows.error, links.m)
+    return found, int(interpreted(through_drives)(links, rows, found))

@@ -1,0 +1,178 @@
+"""The memory of a mechanism's loop joints: what they bind, and their rows at the state asked about last."""
+
+from __future__ import annotations
+
+from typing import Annotated, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from closedloop.jit.blocks import Block, Count
+from closedloop.jit.kernel import kernel, plain
+from closedloop.jit.pointers import address_of, integers_at, vector_at
+from closedloop.mechanics.robot.tree import Tree, work_size
+
+Array = NDArray[np.float64]
+IntArray = NDArray[np.int64]
+
+N, M = Count.of("n"), Count.of("m")
+
+
+class LoopLinks(Block):
+    """Whole numbers, int64: where the memory is, its own address first, and the tree that it belongs to."""
+
+    address: int
+    numbers: int  # address of the `LoopRows`
+    total: int  # of its numbers
+    n: int  # joints
+    m: int  # rows
+    rank: int  # how many of the rows are independent
+    ordered: int  # 1 once there is an order of elimination, see `closedloop.mechanics.loops.factor`
+    free: int  # 1 if the basis spans what the rows leave free, 0 if it spans the rows, see `closedloop.mechanics.loops.solve`
+    spanned: int  # directions of the basis
+    known: int  # how many were where the loops were closed last, 0: not known
+    undriven: int  # joints without a drive
+    stops: int  # how many of the rows are stops of joints
+    loop: int  # address of the memory of the loop that it is for, see `closedloop.loop.step.memory`; 0: none
+    bound: int  # address of what each row binds, see `Bound.sides`
+    order: int  # address of the rows and of the joints in the order of elimination
+    tree_blocks: int
+    tree_carrier: int
+    tree_serial: int
+    tree_links: int  # addresses
+    tree_constants: int
+    tree_constants_size: int
+    scratch: int
+    scratch_size: int
+
+
+class LoopRows(Block, sizes=("n", "m")):
+    """What the rows bind, and what they are at a state (q, q̇) of n joints."""
+
+    q: Annotated[Array, N]
+    v: Annotated[Array, N]
+    at_a: Annotated[Array, M, 3]  # a point of either link, in the link's axes, m
+    at_b: Annotated[Array, M, 3]
+    along_a: Annotated[Array, M, 3]  # and a direction
+    along_b: Annotated[Array, M, 3]
+    value: Annotated[Array, M, 5]  # a distance, m; the coefficients of a gear; the lower and the upper stop of a joint
+    scale: Annotated[Array, M]  # one over the usual length of each row
+    undriven: Annotated[Array, N]  # 1 for a joint without a drive
+    held: Annotated[Array, N]  # 1 for a joint at its upper stop, −1 at its lower, else 0
+    G: Annotated[Array, M, N]  # written, as all that follow: the rows, their drift, error and its rate
+    drift: Annotated[Array, M]
+    error: Annotated[Array, M]  # m, or the sine of an angle
+    rate: Annotated[Array, M]
+    factors: Annotated[Array, M, M]  # Lᵀ above the diagonal, Uᵀ below, the reciprocal pivots on it
+    left: Annotated[Array, M, N + 1]  # the rows and their right side, after elimination
+    reduced: Annotated[Array, M, N + 1]  # the same solved for the joints that they determine: the free ones' part
+    met: Annotated[Array, N]  # a motion that meets the rows
+    along: Annotated[Array, M]  # scratch
+    force: Annotated[Array, M]  # forces of the rows
+    basis: Annotated[Array, N, N]  # orthonormal, of P, see `closedloop.mechanics.loops.solve`
+    share: Annotated[Array, N]  # scratch: coordinates in the basis
+    part: Annotated[Array, N]  # L⁻ᵀ part is the acceleration that the rows require
+    moved: Annotated[Array, 3]  # the acceleration of the tip that the rows require, contact frame, m/s²
+    drive_basis: Annotated[Array, N, N]  # scratch, as the next four: what the drives move of what is free
+    drive_order: Annotated[Array, N]
+    drive_coefficients: Annotated[Array, N, N]
+    drive_lengths: Annotated[Array, N]
+    wanted: Annotated[Array, N]
+    tip: Annotated[
+        Array, 6, N
+    ]  # in and out: rows of the tip and its turning, see `closedloop.mechanics.loops.along_path`
+    still: Annotated[Array, N]  # scratch: a velocity of none
+    motions: Annotated[Array, 2, 18]  # scratch: see `closedloop.mechanics.loops.rows`, as the next
+    directions: Annotated[Array, 3, 9]  # of the rows of a point, with their first and second derivatives
+    near_q: Annotated[
+        Array, N
+    ]  # scratch, as all that follow: a state near by, see `closedloop.mechanics.loops.passing`
+    near_v: Annotated[Array, N]
+    near_part: Annotated[Array, N]
+    column: Annotated[Array, N]
+
+
+LOOP_LINKS = LoopLinks.count()
+
+# Kinds of rows, see `closedloop.mechanics.loops.rows`.
+POSITION, ROTATION, DISTANCE, GEAR, STOP, IDLE = range(6)
+
+
+@kernel
+def loops_at(address: int) -> tuple[LoopLinks, LoopRows]:
+    """Return the memory of a mechanism's loops, by the address of its `LoopLinks`."""
+    links = LoopLinks(integers_at(address, LOOP_LINKS))
+    return links, LoopRows(vector_at(links.numbers, links.total), links.n, links.m)
+
+
+@kernel
+def tree_at(links: LoopLinks) -> Tree:
+    """Return the tree of a mechanism's loops."""
+    return Tree(
+        links.n, links.tree_blocks, 1, links.tree_carrier, links.tree_serial,
+        integers_at(links.tree_links, 6 * links.n), vector_at(links.tree_constants, links.tree_constants_size),
+    )  # fmt: skip
+
+
+class LoopMemory(NamedTuple):
+    """The memory of a mechanism's loops, made in Python: kept as long as its address is used."""
+
+    links: LoopLinks
+    rows: LoopRows
+
+    @property
+    def address(self) -> int:
+        """Return what `loops_at` takes."""
+        return int(self.links.address)
+
+
+class Bound(NamedTuple):
+    """What the m rows of a mechanism's loops bind.
+
+    Attributes
+    ----------
+    sides : (4 m,) array
+        Kind of each row, see `closedloop.mechanics.loops.rows`; then the link (gear: the joint) of the one side of
+        each; then of the other; −1 is the base; then 1 for a row whose points are those of the row before it.
+    at_a, at_b, along_a, along_b, value : (m, 3), ..., (m, 5) arrays
+        See `LoopRows`.
+    scale : (m,) array
+        One over the usual length of each row, so that rows of any unit can be compared, and one that is short in some
+        posture is known to be.
+    undriven : (n,) array
+        1 for a joint without a drive.
+    """
+
+    sides: IntArray
+    at_a: Array
+    at_b: Array
+    along_a: Array
+    along_b: Array
+    value: Array
+    scale: Array
+    undriven: Array
+
+    @property
+    def m(self) -> int:
+        """How many rows there are."""
+        return len(self.at_a)
+
+
+def make_loop_memory(tree: Tree, bound: Bound) -> LoopMemory:
+    """Return the memory of a mechanism's loops."""
+    sizes = tree.n, bound.m
+    links, rows = LoopLinks(np.zeros(LOOP_LINKS, dtype=np.int64)), LoopRows(np.zeros(LoopRows.count(*sizes)), *sizes)
+    scratch = np.zeros(plain(work_size)(tree.n))
+    links.address, links.numbers, links.total = address_of(links.memory), address_of(rows.memory), rows.memory.size
+    links.n, links.m, links.undriven = *sizes, int(bound.undriven.sum())
+    links.stops = int(np.count_nonzero(bound.sides[: bound.m] == STOP))
+    order = np.arange(bound.m + tree.n, dtype=np.int64)
+    links.bound, links.order = address_of(bound.sides), address_of(order)
+    links.tree_blocks, links.tree_carrier, links.tree_serial = tree.blocks, tree.carrier, tree.serial
+    links.tree_links, links.tree_constants = address_of(tree.links), address_of(tree.constants)
+    links.tree_constants_size = tree.constants.size
+    links.scratch, links.scratch_size = address_of(scratch), scratch.size
+    for name in ("at_a", "at_b", "along_a", "along_b", "value", "scale", "undriven"):
+        getattr(rows, name)[:] = getattr(bound, name)
+    links.keep_alive(tree=tree, bound=bound, scratch=scratch, order=order)
+    return LoopMemory(links, rows)

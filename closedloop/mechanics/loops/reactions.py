@@ -1,0 +1,134 @@
+"""What the loop joints of a mechanism carried in a run: their reactions, and how far they were from closed."""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from closedloop.jit.interim import call_now
+from closedloop.jit.kernel import entry_kernel
+from closedloop.mechanics.loops.bind import bound_by_loops, loop_memory
+from closedloop.mechanics.loops.factor import DEPENDENT
+from closedloop.mechanics.loops.memory import loops_at
+from closedloop.mechanics.loops.rows import locate_rows
+from closedloop.mechanics.loops.wrench import labels_of, wrenches
+from closedloop.mechanics.robot.pinocchio import Robot
+
+Array = NDArray[np.float64]
+Mask = NDArray[np.bool_]
+
+
+class LoopReactions(NamedTuple):
+    """Reactions of a mechanism's loop joints at N instants, and errors of the m rows that they bind.
+
+    Attributes
+    ----------
+    labels : tuple of str
+        Of the c parts of the reactions: the loop joint's name, and what, such as "coupler: force along x".
+    units : tuple of str
+        Of each: N, or N m.
+    reactions : (N, c) array
+        On the first side of each joint (`frames[0]`), in the axes of its second frame (`frames[1]`; the base frame if
+        that is "world"): the force, and but for a point and a distance the couple about the joint's point on the second
+        side (`points[1]`). Friction, stops and the drive of a loop joint are part of it. A distance has the push
+        between its points too, of which the force is made: positive pushes them apart. A gear has the torque, N m, or
+        force, N, on each of its joints. Where rows depend on each other they are those of least norm.
+    joints : tuple of str
+        The loop joint of each row.
+    multipliers : (N, m) array
+        Forces of the rows of `loop_rows`, which act on the joints with Gᵀ multipliers.
+    errors : (N, m) array
+        Of the rows, m, or the sine of an angle.
+    rank : (N,) array of int
+        How many rows were independent.
+    unexplained : (N,) array
+        The largest torque that neither the law, friction, the contact nor the loops account for, N m (N).
+    """
+
+    labels: tuple[str, ...]
+    units: tuple[str, ...]
+    reactions: Array
+    joints: tuple[str, ...]
+    multipliers: Array
+    errors: Array
+    rank: NDArray[np.int64]
+    unexplained: Array
+
+
+def loop_reactions(
+    robot: Robot, q: Array, v: Array, acceleration: Array, torque: Array, force: Array, at_stop: Mask | None = None
+) -> LoopReactions:
+    """Return what the loops carried: Gᵀλ = H q̈ + C − Q − Jᵣᵀ F, with H, C and Jᵣ of Pinocchio.
+
+    Parameters
+    ----------
+    robot : Robot
+        With loops.
+    q, v, acceleration, torque : (N, n) arrays
+        q̇ and q̈; Q and friction in the joints together, N m (N).
+    force : (N, 3) array
+        F of the surface on the tip, N, base frame.
+    at_stop : (N, n) array of bool, optional
+        Joints that are at a stop, which carries its own part.
+    """
+    rows, errors = loop_rows(robot, q, v)
+    missing = missing_torque(robot, q, v, acceleration, torque, force)
+    # rows differ in unit: what depends on what is decided with each by its usual length
+    scaled = bound_by_loops(robot).scale[:, None] * rows
+    rank = np.linalg.matrix_rank(scaled, tol=DEPENDENT * np.sqrt(rows.shape[1])) if len(q) else np.zeros(0, dtype=int)
+    forces, stops = share_of_rows(rows, missing, at_stop)
+    left = np.max(np.abs(missing - stops - np.einsum("kmn,km->kn", rows, forces)), axis=1, initial=0.0)
+    joints = tuple(loop.name for loop in robot.model.loops for _ in range(loop.rows))
+    parts = wrenches(robot, q, rows, forces)
+    return LoopReactions(*labels_of(robot.model), parts, joints, forces, errors, np.asarray(rank), left)
+
+
+def loop_rows(robot: Robot, q: Array, v: Array) -> tuple[Array, Array]:
+    """Return the rows G (N, m, n) of a robot's loops at states (N, n), and their errors (N, m), m or sines of angles.
+
+    Parameters
+    ----------
+    robot : Robot
+        With loops.
+    q, v : (N, n) arrays
+    """
+    memory = loop_memory(robot)
+    count, n, m = len(q), robot.n, int(memory.links.m)
+    rows, errors = np.zeros((count, m, n)), np.zeros((count, m))
+    written = memory.rows.memory, memory.links.memory, rows, errors
+    call_now(rows_along, written, memory.address, np.ascontiguousarray(q), np.ascontiguousarray(v), rows, errors)
+    return rows, errors
+
+
+def share_of_rows(rows: Array, missing: Array, at_stop: Mask | None) -> tuple[Array, Array]:
+    """Return the part of the rows (N, m) in a torque (N, n), and that of the stops (N, n): together of least norm."""
+    m, n = rows.shape[1:]
+    held = np.zeros((len(rows), n, n)) if at_stop is None else np.eye(n) * at_stop[:, None, :]
+    inverse = np.linalg.pinv(np.swapaxes(np.concatenate([rows, held], axis=1), 1, 2), rcond=DEPENDENT)
+    found = np.einsum("kmn,kn->km", inverse, missing)
+    return found[:, :m], found[:, m:]
+
+
+def missing_torque(robot: Robot, q: Array, v: Array, acceleration: Array, torque: Array, force: Array) -> Array:
+    """Return H q̈ + C − Q − Jᵣᵀ F, (N, n), N m (N): what else acts on the joints. The arguments are those above."""
+    missing = np.empty(q.shape)
+    for k in range(len(q)):
+        terms = robot.terms(q[k], v[k])
+        missing[k] = terms.mass_matrix @ acceleration[k] + terms.bias - torque[k] - terms.jacobian.T @ force[k]
+    return missing
+
+
+@entry_kernel
+def rows_along(address: int, q: Array, v: Array, rows: Array, errors: Array) -> None:
+    """Write the rows (N, m, n) and their errors (N, m) at states (N, n), by the address of the loops' memory."""
+    links, there = loops_at(address)
+    for k in range(q.shape[0]):
+        for j in range(links.n):
+            there.q[j], there.v[j] = q[k, j], v[k, j]
+        locate_rows(links, there)
+        for i in range(links.m):
+            errors[k, i] = there.error[i]
+            for j in range(links.n):
+                rows[k, i, j] = there.G[i, j]

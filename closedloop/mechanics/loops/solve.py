@@ -1,0 +1,254 @@
+"""What the rows of loop joints leave free, in the metric of the mass matrix.
+
+With H = L Lᵀ and y = Lᵀq̈, the rows G q̈ = b are Z y = b, Z = G L⁻ᵀ. They split every y into a part that the loops
+determine and one that they leave free, P y; a force of the loops changes the first alone. So the equation of motion,
+contact and impact of the closed mechanism are those of the tree, on the second part
+(`closedloop.loop.step.closed_loops`).
+
+P is written with an orthonormal basis, of what the rows determine or of what they leave, whichever has fewer
+directions. Both follow from the rows solved for the joints that they determine (`closedloop.mechanics.loops.factor`):
+as G = B [1 R], in the order of elimination, [1 R] L⁻ᵀ spans the rows of Z and [−Rᵀ 1] L what they leave.
+"""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+from numpy.typing import NDArray
+
+from closedloop.jit.kernel import kernel
+from closedloop.jit.pointers import row_of
+from closedloop.mechanics.loops.factor import DEPENDENT, order_of
+from closedloop.mechanics.loops.memory import LoopLinks, LoopRows
+
+Array = NDArray[np.float64]
+
+# A row that is left with no more than this share of its square by others is orthogonalised once more: twice is enough.
+ONCE_MORE = 0.5
+
+
+@kernel
+def basis_alike(links: LoopLinks, rows: LoopRows) -> None:
+    """Write the basis of P for the rows factored last, joints counting alike: for L = 1."""
+    span(links, rows)
+    orthonormalise(links, rows)
+
+
+@kernel
+def basis_in_metric(links: LoopLinks, rows: LoopRows, L: Array) -> None:
+    """Write the basis of P for the rows factored last; L has the reciprocals of its diagonal on it."""
+    span(links, rows)
+    if links.free == 0:
+        substitute_rows(L, rows.basis, links.spanned)
+    else:
+        for k in range(links.spanned):
+            multiply_transposed(L, row_of(rows.basis, k), links.n)
+    orthonormalise(links, rows)
+
+
+@kernel
+def span(links: LoopLinks, rows: LoopRows) -> None:
+    """Write motions (n,) that span what the rows determine, or what they leave, whichever are fewer."""
+    n, rank = links.n, links.rank
+    links.free = 1 if n - rank < rank else 0
+    links.spanned = n - rank if links.free != 0 else rank
+    for k in range(links.spanned):
+        if links.free != 0:
+            free_motion(links, rows, k, row_of(rows.basis, k))
+        else:
+            determined_by(links, rows, k, row_of(rows.basis, k))
+
+
+@kernel
+def orthonormalise(links: LoopLinks, rows: LoopRows) -> None:
+    """Make the basis orthonormal, by Gram and Schmidt's method."""
+    n, B = links.n, rows.basis
+    for k in range(links.spanned):
+        left = dot(row_of(B, k), row_of(B, k), n)
+        for _ in range(2 if k > 0 else 0):
+            before = left
+            for i in range(k):
+                take_off(row_of(B, k), row_of(B, i), n)
+            left = dot(row_of(B, k), row_of(B, k), n)
+            if left > ONCE_MORE * before:
+                break
+        scale = 1.0 / math.sqrt(left)
+        for j in range(n):
+            B[k, j] *= scale
+
+
+@kernel
+def free_motion(links: LoopLinks, rows: LoopRows, k: int, x: Array) -> None:
+    """Write a motion (n,) that the rows allow: of the k-th free joint at rate one, the other free joints at rest."""
+    _, joints = order_of(links)
+    for j in range(links.n):
+        x[j] = 0.0
+    x[joints[links.rank + k]] = 1.0
+    for i in range(links.rank):
+        x[joints[i]] = -rows.reduced[i, k]
+
+
+@kernel
+def determined_by(links: LoopLinks, rows: LoopRows, k: int, x: Array) -> None:
+    """Write the row (n,), a combination of the rows, that determines the k-th joint by the free ones."""
+    _, joints = order_of(links)
+    for j in range(links.n):
+        x[j] = 0.0
+    x[joints[k]] = 1.0
+    for i in range(links.rank, links.n):
+        x[joints[i]] = rows.reduced[k, i - links.rank]
+
+
+@kernel
+def leave_free(links: LoopLinks, rows: LoopRows, x: Array) -> None:
+    """Replace x (n,) by P x, what the rows leave of it."""
+    project(rows, links.spanned, x, links.free != 0)
+
+
+@kernel
+def take_free(links: LoopLinks, rows: LoopRows, x: Array) -> None:
+    """Replace x (n,) by x − P x, what the rows determine of it."""
+    project(rows, links.spanned, x, links.free == 0)
+
+
+@kernel
+def project(rows: LoopRows, spanned: int, x: Array, onto: bool) -> None:
+    """Replace x (n,) by what lies along the basis, or by what does not."""
+    n, B = x.shape[0], rows.basis
+    if not onto:
+        for _ in range(2):  # where little is left of x, once leaves rounding of what has gone
+            for k in range(spanned):
+                take_off(x, row_of(B, k), n)
+        return
+    for k in range(spanned):
+        rows.share[k] = dot(x, row_of(B, k), n)
+    for j in range(n):
+        x[j] = 0.0
+    for k in range(spanned):
+        for j in range(n):
+            x[j] += rows.share[k] * B[k, j]
+
+
+@kernel
+def orthonormal_rows(Z: Array, m: int, order: Array, coefficients: Array, lengths: Array) -> int:
+    """Replace the rows of Z by an orthonormal basis of them, and return how many it has.
+
+    Gram and Schmidt's method, modified; the row that is farthest from the span, relative to its own length, is taken
+    next, and orthogonalised once more (L. Giraud, J. Langou and M. Rozložník, Comput. Math. Appl. 50, 2005).
+
+    Parameters
+    ----------
+    Z : (>= m, n) array
+        In: m rows. Out: the basis, in the first rows.
+    order : (m,) array
+        Written: which row each direction was made of.
+    coefficients : (m, m) array
+        Written: of these rows in the basis, lower triangular.
+    lengths : (m,) array
+        Scratch.
+    """
+    n = Z.shape[1]
+    for i in range(m):
+        order[i], lengths[i] = i, math.sqrt(dot(row_of(Z, i), row_of(Z, i), n))
+    for k in range(m):
+        best, share = -1, DEPENDENT * DEPENDENT
+        for i in range(k, m):
+            left, whole = dot(row_of(Z, i), row_of(Z, i), n), lengths[i] * lengths[i]
+            if left > share * whole:
+                best, share = i, left / whole
+        if best < 0:
+            return k
+        if best != k:
+            order[k], order[best] = order[best], order[k]
+            lengths[k], lengths[best] = lengths[best], lengths[k]
+            for j in range(n):
+                Z[k, j], Z[best, j] = Z[best, j], Z[k, j]
+            for j in range(k):
+                coefficients[k, j], coefficients[best, j] = coefficients[best, j], coefficients[k, j]
+        for i in range(k):
+            coefficients[k, i] += take_off(row_of(Z, k), row_of(Z, i), n)
+        length = math.sqrt(dot(row_of(Z, k), row_of(Z, k), n))
+        coefficients[k, k] = length
+        for j in range(n):
+            Z[k, j] /= length
+        for i in range(k + 1, m):
+            coefficients[i, k] = take_off(row_of(Z, i), row_of(Z, k), n)
+    return m
+
+
+@kernel
+def dot(x: Array, y: Array, n: int) -> float:
+    """Return the product of the first n entries of x and y, by four sums that do not wait for each other."""
+    a, b, c, d = 0.0, 0.0, 0.0, 0.0
+    even = n - n % 4
+    for j in range(0, even, 4):
+        a += x[j] * y[j]
+        b += x[j + 1] * y[j + 1]
+        c += x[j + 2] * y[j + 2]
+        d += x[j + 3] * y[j + 3]
+    for j in range(even, n):
+        a += x[j] * y[j]
+    return (a + b) + (c + d)
+
+
+@kernel
+def take_off(x: Array, direction: Array, n: int) -> float:
+    """Subtract from x its component along a direction of length one, and return that component."""
+    component = dot(x, direction, n)
+    for j in range(n):
+        x[j] -= component * direction[j]
+    return component
+
+
+@kernel
+def multiply_transposed(L: Array, x: Array, n: int) -> None:
+    """Replace x (n,) by Lᵀx, for the factor with the reciprocals of its diagonal on it."""
+    for i in range(n):
+        entry = x[i]
+        if entry != 0.0:
+            for j in range(i):
+                x[j] += L[i, j] * entry
+            x[i] = entry / L[i, i]
+
+
+@kernel
+def substitute_rows(L: Array, Z: Array, m: int) -> None:
+    """Replace the first m rows z of Z by L⁻¹z, for the factor with the reciprocals of its diagonal on it.
+
+    An entry of L⁻¹z is taken off all below it as soon as it is known, so that they do not wait for each other's sums.
+    """
+    n = Z.shape[1]
+    for k in range(m):
+        for j in range(n):
+            z = Z[k, j] * L[j, j]
+            Z[k, j] = z
+            if z != 0.0:
+                for i in range(j + 1, n):
+                    Z[k, i] -= L[i, j] * z
+
+
+@kernel
+def spanned_force(t: Array, order: Array, coefficients: Array, basis: Array, rank: int, force: Array) -> None:
+    """Write forces (m,) of the rows Z with Zᵀ force = t (n,), zero of dependent rows; t counts along the basis."""
+    for i in range(force.shape[0]):
+        force[i] = 0.0
+    for k in range(rank - 1, -1, -1):
+        s = dot(row_of(basis, k), t, t.shape[0])
+        for i in range(k + 1, rank):
+            s -= coefficients[i, k] * force[int(order[i])]
+        force[int(order[k])] = s / coefficients[k, k]
+
+
+@kernel
+def meet_rows(b: Array, order: Array, coefficients: Array, basis: Array, rank: int, along: Array, y: Array) -> None:
+    """Write the shortest y (n,) with Z y = b (m,) for the rows Z that the basis was made of; `along` (m,): scratch."""
+    for j in range(y.shape[0]):
+        y[j] = 0.0
+    for k in range(rank):
+        s = b[int(order[k])]
+        for i in range(k):
+            s -= coefficients[k, i] * along[i]
+        along[k] = s / coefficients[k, k]
+        for j in range(y.shape[0]):
+            y[j] += along[k] * basis[k, j]

@@ -1,0 +1,281 @@
+"""The interface to Pinocchio: the only file that calls it for a robot's mechanics."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from functools import lru_cache
+from typing import Any, NamedTuple
+
+import numpy as np
+import pinocchio as pin
+from numpy.typing import ArrayLike, NDArray
+
+from closedloop.base.errors import ModelError
+from closedloop.jit.interpreted import interpreted
+from closedloop.jit.kernel import plain
+from closedloop.mechanics.robot.tree import Tree, tree_kinematics, tree_of, tree_turning, work_size
+from robot_models import RobotModel
+from robot_models.loop_joint import WORLD
+from robot_models.tool import carried_by
+
+Array = NDArray[np.float64]
+
+
+class Terms(NamedTuple):
+    """The terms of the equation of motion and the closure at one state (q, q̇); arrays are read-only copies.
+
+    Attributes
+    ----------
+    mass_matrix : (n, n) array
+        H, kg m² (kg for prismatic joints), drive inertia included (Eq. 8).
+    bias : (n,) array
+        C, N m: Coriolis, centrifugal and gravity terms (Eq. 8).
+    position : (3,) array
+        r, tip in the base frame, m.
+    jacobian : (3, n) array
+        Jᵣ, tip velocity per joint velocity, base axes (Eq. 13).
+    drift : (3,) array
+        J̇ᵣq̇, m/s², base axes (Eq. 18).
+    """
+
+    mass_matrix: Array
+    bias: Array
+    position: Array
+    jacobian: Array
+    drift: Array
+
+
+class Robot:
+    """A robot model with a tip, ready to be evaluated.
+
+    Attributes
+    ----------
+    reach : float
+        Length of the arm stretched out, from the base frame to the tip, m; a sliding joint counts 1 m.
+
+    Parameters
+    ----------
+    model : RobotModel
+        From `robot_models.load`.
+    tip : str, optional
+        Frame whose origin touches the surface; the model's own default if left out.
+
+    Raises
+    ------
+    ModelError
+        If the robot has no such frame, or no default tip.
+    """
+
+    def __init__(self, model: RobotModel, tip: str | None = None) -> None:
+        self.model = model
+        name = tip if tip is not None else model.tip
+        if name is None:
+            raise ModelError(f"{model.name} has no default tip: name one of its frames, {', '.join(model.frames)}")
+        self.tip = model.require_frame(name)
+        self.joint_names = model.joint_names
+        self.n = len(model.joint_names)
+        self._pin: Any = model.pinocchio_model()
+        self._data: Any = self._pin.createData()
+        self._frame: int = self._pin.getFrameId(self.tip)
+        self._rest = np.zeros(self.n)
+        self._upper = np.triu(np.ones((self.n, self.n), dtype=bool))
+        carrier = self._pin.frames[self._frame].parentJoint
+        self.tip_offset: Array = np.array(self._pin.frames[self._frame].placement.translation)
+        self.gravity: Array = np.array(self._pin.gravity.linear)
+        self.support: Array = np.zeros(self.n)
+        for joint in list(self._pin.supports[carrier])[1:]:
+            self.support[self._pin.joints[joint].idx_v] = 1.0
+        self.reach = self._reach()
+        data = self._data
+        # Views into Pinocchio's own memory: valid, and always current, as long as `_data` lives.
+        self.views: tuple[Array, ...] = (
+            data.M,
+            data.nle,
+            data.J.reshape(6, self.n),  # Pinocchio hands out the one column of a single joint as a vector
+            data.oMi[carrier].rotation,
+            data.oMi[carrier].translation,
+            data.v[carrier].vector,
+            data.a_gf[carrier].vector,
+        )
+
+    def _reach(self) -> float:
+        """Return the attribute `reach`."""
+        chain = [int(joint) for joint in self._pin.supports[self._pin.frames[self._frame].parentJoint]][1:]
+        links = sum(float(np.linalg.norm(self._pin.jointPlacements[joint].translation)) for joint in chain)
+        sliding = sum(self.model.joint_types[self._pin.joints[joint].idx_v] == "prismatic" for joint in chain)
+        return float(links + np.linalg.norm(self.tip_offset) + sliding)
+
+    @property
+    def tree(self) -> Tree:
+        """The same robot for the compiled kernels of `closedloop.mechanics.robot.tree`; its arrays are not to be
+        written to.
+
+        Raises
+        ------
+        ModelError
+            If a joint is not revolute, continuous or prismatic: one that `robot_models` does not load.
+        """
+        return _tree_of(self.model, self.tip)
+
+    @property
+    def passes(self) -> tuple[Any, Any, Any, Any, Any]:
+        """Pinocchio's two passes over the tree, with their arguments; see `evaluator`."""
+        return pin.crba, pin.nonLinearEffects, pin.Convention.WORLD, self._pin, self._data
+
+    def evaluator(self, q: Array, v: Array) -> Callable[[], None]:
+        """Return a function that evaluates H, C and the motion of the tip's link into `views`.
+
+        `q` and `v`, each (n,), are read at each call, and nothing is checked: this is the inner loop's call. The tip's
+        motion follows from `closedloop.mechanics.robot.tip`.
+        """
+        crba, bias, convention, model, data = self.passes
+
+        def evaluate() -> None:
+            crba(model, data, q, convention)  # H, and the Jacobian of every joint
+            bias(model, data, q, v)  # C: recursive Newton-Euler with q̈ = 0
+
+        return evaluate
+
+    def terms(self, q: ArrayLike, v: ArrayLike) -> Terms:
+        """Return H, C, r, Jᵣ and J̇ᵣq̇ of one state, from Pinocchio's frame functions.
+
+        Parameters
+        ----------
+        q, v : (n,) arrays
+            Joint positions, rad (m), and velocities, rad/s (m/s).
+
+        Raises
+        ------
+        ValueError
+            If a length is wrong or an entry is not finite (Pinocchio itself would let NaN pass).
+        """
+        q, v = self._checked(q, "q"), self._checked(v, "v")
+        model, data, frame = self._pin, self._data, self._frame
+        self.evaluator(q, v)()
+        H = np.where(self._upper, data.M, data.M.T) + 0.0  # only that half is filled; no zero has a sign
+        bias = data.nle.copy()
+        pin.forwardKinematics(model, data, q, v, self._rest)  # q̈ = 0 leaves the velocity-product accelerations
+        pin.updateFramePlacement(model, data, frame)
+        return Terms(
+            _frozen(H),
+            _frozen(bias),
+            _frozen(data.oMf[frame].translation.copy()),
+            _frozen(np.ascontiguousarray(pin.getFrameJacobian(model, data, frame, _ALIGNED).reshape(6, self.n)[:3])),
+            _frozen(pin.getFrameClassicalAcceleration(model, data, frame, _ALIGNED).linear.copy()),
+        )
+
+    def position(self, q: ArrayLike) -> Array:
+        """Return the tip position r (3,), m, base frame, at joint positions q (n,)."""
+        pin.framesForwardKinematics(self._pin, self._data, self._checked(q, "q"))
+        return np.array(self._data.oMf[self._frame].translation)
+
+    def position_and_jacobian(self, q: Array) -> tuple[Array, Array]:
+        """Return r (3,) and Jᵣ (3, n), base axes, at q (n,); nothing is checked."""
+        jacobian = pin.computeFrameJacobian(self._pin, self._data, q, self._frame, _ALIGNED).reshape(6, self.n)
+        pin.updateFramePlacement(self._pin, self._data, self._frame)
+        return self._data.oMf[self._frame].translation.copy(), jacobian[:3]
+
+    def frame_jacobian(self, q: Array) -> Array:
+        """Return the Jacobian of the tip's frame (6, n) at q (n,): Jᵣ above the angular velocity's, base axes."""
+        jacobian = pin.computeFrameJacobian(self._pin, self._data, q, self._frame, _ALIGNED)
+        return np.array(jacobian).reshape(6, self.n)
+
+    def link_axes(self, q: Array) -> Array:
+        """Return the axes of the tip's link as `tree` has them, columns (3, 3), base frame, at q (n,)."""
+        n, tree = self.n, self.tree
+        work, J, r, axes = np.zeros(int(plain(work_size)(n))), np.zeros((3, n)), np.zeros(3), np.zeros((3, 3))
+        interpreted(tree_kinematics)(tree, q, self._rest, work, J, r, np.zeros(3))
+        interpreted(tree_turning)(tree, work, axes, J)
+        return axes
+
+    def potential_energy(self, q: Array) -> Array:
+        """Return the potential energy of each row of q (N, n), J."""
+        model, data = self._pin, self._data
+        return np.array([pin.computePotentialEnergy(model, data, row) for row in np.ascontiguousarray(q)])
+
+    def wrist_wrench(self, q: Array, v: Array, a: Array, tip_force: Array) -> Array:
+        """Return what a force-torque sensor between the arm and its tool reads, (N, 6), N and N m.
+
+        The force and the moment with which the arm moves all that is fixed to the tip's frame, tool and payload: their
+        rate of momentum, less gravity and less the force on the tip,
+
+            f = Y a + v ×* Y v - Y g - f_tip        spatial vectors in the sensor's frame
+
+        The sensor's frame is the frame `tip` of the arm without a tool. The moment is about its origin.
+
+        Parameters
+        ----------
+        q, v, a : (N, n) arrays
+            Joint positions, rad (m), velocities, rad/s (m/s), and accelerations, rad/s² (m/s²).
+        tip_force : (N, 3) array
+            Force of the surface on the tip, N, base axes.
+        """
+        model, data, frame = self._pin, self._data, self._frame
+        Y, offset = carried_by(self.model.tools, self.tip)
+        back = pin.SE3(np.eye(3), offset)  # the tip in the sensor's frame
+        found = np.empty((len(q), 6))
+        for k, (qk, vk, ak) in enumerate(zip(*map(np.ascontiguousarray, (q, v, a)), strict=True)):
+            pin.forwardKinematics(model, data, qk, vk, ak)
+            turn = pin.updateFramePlacement(model, data, frame).rotation.T
+            motion = back.act(pin.getFrameVelocity(model, data, frame, pin.LOCAL))
+            rate = back.act(pin.getFrameAcceleration(model, data, frame, pin.LOCAL))
+            rate.linear -= turn @ self.gravity
+            contact = back.act(pin.Force(turn @ tip_force[k], np.zeros(3)))
+            found[k] = (Y * rate + motion.cross(Y * motion) - contact).vector
+        return found
+
+    def frame_at(self, name: str, q: Array) -> tuple[int, Array, Array]:
+        """Return the joint that carries a frame, −1 for the base, and at q its axes, as columns, and its origin, m."""
+        number = 0 if name == WORLD else self._pin.getFrameId(self.model.require_frame(name))
+        pin.framesForwardKinematics(self._pin, self._data, q)
+        place = self._data.oMf[number]
+        return self._pin.frames[number].parentJoint - 1, np.array(place.rotation), np.array(place.translation)
+
+    def frame_poses(self, name: str, q: Array) -> tuple[Array, Array]:
+        """Return the axes of a frame, as columns, and its origin, m, base frame, at each row of q (N, n).
+
+        (N, 3, 3) and (N, 3); "world" is the base.
+        """
+        number = 0 if name == WORLD else self._pin.getFrameId(self.model.require_frame(name))
+        axes, origins = np.empty((len(q), 3, 3)), np.empty((len(q), 3))
+        for k, row in enumerate(np.ascontiguousarray(q)):
+            pin.forwardKinematics(self._pin, self._data, row)
+            place = pin.updateFramePlacement(self._pin, self._data, number)
+            axes[k], origins[k] = place.rotation, place.translation
+        return axes, origins
+
+    def link_below(self, joint: str) -> tuple[str, Array]:
+        """Return the name of the link that a joint hangs on, and where on it (3,), m, in the axes of that link."""
+        frame = self._pin.frames[self._pin.getFrameId(joint, pin.FrameType.JOINT)]
+        link = self._pin.frames[frame.parentFrame]
+        placement = self._pin.jointPlacements[self._pin.getJointId(joint)]
+        return str(link.name), np.array(link.placement.actInv(placement).translation)
+
+    def tip_axes(self, q: Array) -> Array:
+        """Return the axes of the tip's frame at each row of q (N, n): columns, base frame, (N, 3, 3)."""
+        found = np.empty((len(q), 3, 3))
+        for k, row in enumerate(np.ascontiguousarray(q)):
+            pin.forwardKinematics(self._pin, self._data, row)
+            found[k] = pin.updateFramePlacement(self._pin, self._data, self._frame).rotation
+        return found
+
+    def _checked(self, x: ArrayLike, name: str) -> Array:
+        array = np.ascontiguousarray(x, dtype=np.float64)
+        if array.shape != (self.n,):
+            raise ValueError(
+                f"{name} has shape {array.shape}: {self.model.name} has {self.n} joints {list(self.joint_names)}"
+            )
+        if not np.all(np.isfinite(array)):
+            raise ValueError(f"{name} = {array.tolist()}: must be finite")
+        return array
+
+
+_ALIGNED = pin.LOCAL_WORLD_ALIGNED
+
+
+def _frozen(array: Array) -> Array:
+    array.setflags(write=False)
+    return array
+
+
+_tree_of = lru_cache(maxsize=8)(tree_of)

@@ -1,0 +1,87 @@
+"""Potential energy of a tree of joints."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from closedloop.jit.interpreted import interpreted
+from closedloop.jit.kernel import entry_kernel, kernel, plain
+from closedloop.mechanics.robot.tree import layout as at
+from closedloop.mechanics.robot.tree.angles import sines
+from closedloop.mechanics.robot.tree.layout import Array, Tree, work_size
+
+# Rows whose numbers stay in the processor's cache.
+ROWS_AT_ONCE = 2000
+
+
+@kernel
+def tree_potential_energy(tree: Tree, q: Array, work: Array) -> float:
+    """Return −g·∫ r dm over all moving links at q (n,), J: zero where the mass would be at the base origin.
+
+    `work` (work_size(n),) is scratch.
+    """
+    sines(tree, q, work)
+    return energy_there(tree, work)
+
+
+@entry_kernel
+def potential_energies(tree: Tree, q: Array, work: Array, energies: Array) -> None:
+    """Write the potential energy of each row of q (N, n), J, to `energies` (N,); `work` (work_size(n),) is scratch."""
+    for i in range(q.shape[0]):
+        energies[i] = tree_potential_energy(tree, q[i], work)
+
+
+def energies_of_rows(tree: Tree, q: Array) -> Array:
+    """Return the same (N,), interpreted: each line is done once for many rows, as an operation of numpy on columns.
+
+    That takes less time than reading the compiled form from the disk, and gives the same bits.
+    """
+    energies, energy_of = np.empty(q.shape[0]), interpreted(tree_potential_energy)
+    size = plain(work_size)(tree.n)
+    for begin in range(0, q.shape[0], ROWS_AT_ONCE):
+        rows = np.ascontiguousarray(q[begin : begin + ROWS_AT_ONCE].T)
+        energies[begin : begin + ROWS_AT_ONCE] = energy_of(tree, rows, np.zeros((size, rows.shape[1])))
+    return energies
+
+
+@kernel
+def energy_there(tree: Tree, work: Array) -> float:
+    """Return the same for the q whose sines `tree_terms` has written into `work`.
+
+    First moments are summed from the tips to the base, from each unbranched chain separately, so that nothing need be
+    stored but the sines.
+    """
+    n, table, k = tree.n, tree.links, tree.constants
+    total0, total1, total2 = k[at.RESTING], k[at.RESTING + 1], k[at.RESTING + 2]
+    h0 = h1 = h2 = mass = 0.0
+    for tip in range(n - 1, -1, -1):
+        joint = tip
+        c = table[at.CONSTANT * n + (joint & at.INDEX)] & at.INDEX
+        h0 += k[c + at.HX]
+        h1 += k[c + at.HY]
+        mass += k[c + at.MASS]
+        while joint >= 0:
+            c = table[at.CONSTANT * n + (joint & at.INDEX)] & at.INDEX
+            s = table[at.SCRATCH * n + (joint & at.INDEX)] & at.INDEX
+            sine, cosine, slide = work[s + at.SINE], work[s + at.COSINE], work[s + at.SLIDE]
+            h0, h1, h2 = cosine * h0 - sine * h1, sine * h0 + cosine * h1, h2 + mass * slide
+            parent = table[at.PARENT * n + (joint & at.INDEX)]
+            if parent < 0:
+                total0 += k[c + at.R00] * h0 + k[c + at.R01] * h1 + k[c + at.R02] * h2 + mass * k[c + at.T0]
+                total1 += k[c + at.R10] * h0 + k[c + at.R11] * h1 + k[c + at.R12] * h2 + mass * k[c + at.T1]
+                total2 += k[c + at.R20] * h0 + k[c + at.R21] * h1 + k[c + at.R22] * h2 + mass * k[c + at.T2]
+            else:
+                cos, sin = k[c + at.COS_TWIST], k[c + at.SIN_TWIST]
+                h1, h2 = cos * h1 - sin * h2, sin * h1 + cos * h2
+                cos, sin = k[c + at.COS_TURN], k[c + at.SIN_TURN]
+                h0, h1 = cos * h0 - sin * h1, sin * h0 + cos * h1
+                h0 += mass * k[c + at.T0]
+                h1 += mass * k[c + at.T1]
+                h2 += mass * k[c + at.T2]
+                if joint == tip and parent == tip - 1:
+                    break
+            joint = parent
+        if joint < 0:
+            h0 = h1 = h2 = mass = 0.0
+    energy: float = -(k[at.GRAVITY] * total0 + k[at.GRAVITY + 1] * total1 + k[at.GRAVITY + 2] * total2)
+    return energy

@@ -1,0 +1,158 @@
+"""Positions, velocities and accelerations of the links, from the base to the tips, and the motion of the tip.
+
+A link's frame follows from its parent's by a rotation about z that makes the first axis perpendicular to both joint
+axes (mostly the identity), a twist about that axis, and the joint's own angle. With q̈ = 0 and the base accelerating
+upwards instead of gravity, and with d from the parent's origin to the joint's,
+
+    ω = ω_p + z q̇        α = α_p + ω_p × z q̇        b = b_p + α_p × d + ω_p × (ω_p × d + 2 z ḋ)
+
+where a revolute joint has no ḋ, and a prismatic one adds nothing to ω and α.
+"""
+
+from __future__ import annotations
+
+from closedloop.jit.kernel import kernel_inlined
+from closedloop.mechanics.robot.tree import layout as at
+from closedloop.mechanics.robot.tree.layout import Array, Tree
+
+
+@kernel_inlined
+def motion(tree: Tree, v: Array, work: Array) -> None:
+    """Write the axes, origin, ω, α and b of every link, at joint rates v (n,)."""
+    n, table, k, w = tree.n, tree.links, tree.constants, work
+    x0 = x1 = x2 = y0 = y1 = y2 = z0 = z1 = z2 = p0 = p1 = p2 = 0.0
+    o0 = o1 = o2 = a0 = a1 = a2 = b0 = b1 = b2 = 0.0
+    for i in range(n):
+        parent = table[at.PARENT * n + i]
+        c = table[at.CONSTANT * n + i] & at.INDEX
+        s = table[at.SCRATCH * n + i] & at.INDEX
+        cosine, sine, rate = w[s + at.COSINE], w[s + at.SINE], v[i]
+        if parent < 0:
+            e0, e1, e2 = k[c + at.R00], k[c + at.R10], k[c + at.R20]
+            f0, f1, f2 = k[c + at.R01], k[c + at.R11], k[c + at.R21]
+            z0, z1, z2 = k[c + at.R02], k[c + at.R12], k[c + at.R22]
+            x0, x1, x2 = cosine * e0 + sine * f0, cosine * e1 + sine * f1, cosine * e2 + sine * f2
+            y0, y1, y2 = cosine * f0 - sine * e0, cosine * f1 - sine * e1, cosine * f2 - sine * e2
+            slide = w[s + at.SLIDE]
+            p0, p1, p2 = k[c + at.T0] + slide * z0, k[c + at.T1] + slide * z1, k[c + at.T2] + slide * z2
+            rate *= k[c + at.KIND]
+            o0, o1, o2 = z0 * rate, z1 * rate, z2 * rate
+            a0 = a1 = a2 = 0.0
+            b0, b1, b2 = -k[at.GRAVITY], -k[at.GRAVITY + 1], -k[at.GRAVITY + 2]
+        else:
+            if parent != i - 1:  # else the parent's numbers are at hand
+                m = table[at.SCRATCH * n + (parent & at.INDEX)] & at.INDEX
+                x0, x1, x2 = w[m + at.X0], w[m + at.X1], w[m + at.X2]
+                z0, z1, z2 = w[m + at.Z0], w[m + at.Z1], w[m + at.Z2]
+                y0, y1, y2 = z1 * x2 - z2 * x1, z2 * x0 - z0 * x2, z0 * x1 - z1 * x0
+                p0, p1, p2 = w[m + at.P0], w[m + at.P1], w[m + at.P2]
+                o0, o1, o2 = w[m + at.O0], w[m + at.O1], w[m + at.O2]
+                a0, a1, a2 = w[m + at.A0], w[m + at.A1], w[m + at.A2]
+                b0, b1, b2 = w[m + at.B0], w[m + at.B1], w[m + at.B2]
+            t0, t1, t2 = k[c + at.T0], k[c + at.T1], k[c + at.T2]
+            d0, d1, d2 = x0 * t0 + y0 * t1 + z0 * t2, x1 * t0 + y1 * t1 + z1 * t2, x2 * t0 + y2 * t1 + z2 * t2
+            if parent != i - 1:
+                cos, sin = k[c + at.COS_TURN], k[c + at.SIN_TURN]
+                e0, e1, e2 = cos * x0 + sin * y0, cos * x1 + sin * y1, cos * x2 + sin * y2
+                y0, y1, y2 = cos * y0 - sin * x0, cos * y1 - sin * x1, cos * y2 - sin * x2
+                x0, x1, x2 = e0, e1, e2
+            cos, sin = k[c + at.COS_TWIST], k[c + at.SIN_TWIST]
+            f0, f1, f2 = cos * y0 + sin * z0, cos * y1 + sin * z1, cos * y2 + sin * z2
+            z0, z1, z2 = cos * z0 - sin * y0, cos * z1 - sin * y1, cos * z2 - sin * y2
+            y0, y1, y2 = cosine * f0 - sine * x0, cosine * f1 - sine * x1, cosine * f2 - sine * x2
+            x0, x1, x2 = cosine * x0 + sine * f0, cosine * x1 + sine * f1, cosine * x2 + sine * f2
+            g0, g1, g2 = z0 * rate, z1 * rate, z2 * rate
+            if table[at.REVOLUTE * n + i] != 0:
+                u0, u1, u2 = o1 * d2 - o2 * d1, o2 * d0 - o0 * d2, o0 * d1 - o1 * d0
+                b0 += a1 * d2 - a2 * d1 + o1 * u2 - o2 * u1
+                b1 += a2 * d0 - a0 * d2 + o2 * u0 - o0 * u2
+                b2 += a0 * d1 - a1 * d0 + o0 * u1 - o1 * u0
+                a0 += o1 * g2 - o2 * g1
+                a1 += o2 * g0 - o0 * g2
+                a2 += o0 * g1 - o1 * g0
+                o0 += g0
+                o1 += g1
+                o2 += g2
+            else:
+                slide = w[s + at.SLIDE]
+                d0 += slide * z0
+                d1 += slide * z1
+                d2 += slide * z2
+                u0 = o1 * d2 - o2 * d1 + 2.0 * g0
+                u1 = o2 * d0 - o0 * d2 + 2.0 * g1
+                u2 = o0 * d1 - o1 * d0 + 2.0 * g2
+                b0 += a1 * d2 - a2 * d1 + o1 * u2 - o2 * u1
+                b1 += a2 * d0 - a0 * d2 + o2 * u0 - o0 * u2
+                b2 += a0 * d1 - a1 * d0 + o0 * u1 - o1 * u0
+            p0 += d0
+            p1 += d1
+            p2 += d2
+        w[s + at.X0], w[s + at.X1], w[s + at.X2] = x0, x1, x2
+        w[s + at.Z0], w[s + at.Z1], w[s + at.Z2] = z0, z1, z2
+        w[s + at.P0], w[s + at.P1], w[s + at.P2] = p0, p1, p2
+        w[s + at.O0], w[s + at.O1], w[s + at.O2] = o0, o1, o2
+        w[s + at.A0], w[s + at.A1], w[s + at.A2] = a0, a1, a2
+        w[s + at.B0], w[s + at.B1], w[s + at.B2] = b0, b1, b2
+
+
+@kernel_inlined
+def tip(tree: Tree, work: Array, r: Array, drift: Array) -> None:
+    """Write the tip's position r (3,) and its acceleration for q̈ = 0, gravity taken out, `drift` (3,)."""
+    n, k, w = tree.n, tree.constants, work
+    t0, t1, t2 = k[at.TIP], k[at.TIP + 1], k[at.TIP + 2]
+    if tree.carrier < 0:
+        r[0], r[1], r[2] = t0, t1, t2
+        drift[0] = drift[1] = drift[2] = 0.0
+        return
+    s = tree.links[at.SCRATCH * n + (tree.carrier & at.INDEX)] & at.INDEX
+    x0, x1, x2 = w[s + at.X0], w[s + at.X1], w[s + at.X2]
+    z0, z1, z2 = w[s + at.Z0], w[s + at.Z1], w[s + at.Z2]
+    y0, y1, y2 = z1 * x2 - z2 * x1, z2 * x0 - z0 * x2, z0 * x1 - z1 * x0
+    d0, d1, d2 = x0 * t0 + y0 * t1 + z0 * t2, x1 * t0 + y1 * t1 + z1 * t2, x2 * t0 + y2 * t1 + z2 * t2
+    r[0], r[1], r[2] = w[s + at.P0] + d0, w[s + at.P1] + d1, w[s + at.P2] + d2
+    o0, o1, o2 = w[s + at.O0], w[s + at.O1], w[s + at.O2]
+    a0, a1, a2 = w[s + at.A0], w[s + at.A1], w[s + at.A2]
+    u0, u1, u2 = o1 * d2 - o2 * d1, o2 * d0 - o0 * d2, o0 * d1 - o1 * d0
+    drift[0] = k[at.GRAVITY] + w[s + at.B0] + (a1 * d2 - a2 * d1) + (o1 * u2 - o2 * u1)
+    drift[1] = k[at.GRAVITY + 1] + w[s + at.B1] + (a2 * d0 - a0 * d2) + (o2 * u0 - o0 * u2)
+    drift[2] = k[at.GRAVITY + 2] + w[s + at.B2] + (a0 * d1 - a1 * d0) + (o0 * u1 - o1 * u0)
+
+
+@kernel_inlined
+def jacobian(tree: Tree, work: Array, r: Array, J: Array) -> None:
+    """Write the tip's Jacobian J (3, n): z × (r − p) of a revolute joint, z of a prismatic one, zero off the path."""
+    n, table, w = tree.n, tree.links, work
+    r0, r1, r2 = r[0], r[1], r[2]
+    for i in range(n):
+        s = table[at.SCRATCH * n + i] & at.INDEX
+        if table[at.SUPPORT * n + i] == 0:
+            J[0, i] = J[1, i] = J[2, i] = 0.0
+        elif table[at.REVOLUTE * n + i] != 0:
+            z0, z1, z2 = w[s + at.Z0], w[s + at.Z1], w[s + at.Z2]
+            d0, d1, d2 = r0 - w[s + at.P0], r1 - w[s + at.P1], r2 - w[s + at.P2]
+            J[0, i], J[1, i], J[2, i] = z1 * d2 - z2 * d1, z2 * d0 - z0 * d2, z0 * d1 - z1 * d0
+        else:
+            J[0, i], J[1, i], J[2, i] = w[s + at.Z0], w[s + at.Z1], w[s + at.Z2]
+
+
+@kernel_inlined
+def turning(tree: Tree, work: Array, axes: Array, J: Array) -> None:
+    """Write the axes of the link that carries the tip, columns of (3, 3), and how the joints turn it, J (3, n)."""
+    n, table, w = tree.n, tree.links, work
+    for i in range(n):
+        s = table[at.SCRATCH * n + i] & at.INDEX
+        if table[at.SUPPORT * n + i] != 0 and table[at.REVOLUTE * n + i] != 0:
+            J[0, i], J[1, i], J[2, i] = w[s + at.Z0], w[s + at.Z1], w[s + at.Z2]
+        else:
+            J[0, i] = J[1, i] = J[2, i] = 0.0
+    if tree.carrier < 0:
+        for i in range(3):
+            for k in range(3):
+                axes[i, k] = 1.0 if i == k else 0.0
+        return
+    s = table[at.SCRATCH * n + (tree.carrier & at.INDEX)] & at.INDEX
+    x0, x1, x2 = w[s + at.X0], w[s + at.X1], w[s + at.X2]
+    z0, z1, z2 = w[s + at.Z0], w[s + at.Z1], w[s + at.Z2]
+    axes[0, 0], axes[1, 0], axes[2, 0] = x0, x1, x2
+    axes[0, 1], axes[1, 1], axes[2, 1] = z1 * x2 - z2 * x1, z2 * x0 - z0 * x2, z0 * x1 - z1 * x0
+    axes[0, 2], axes[1, 2], axes[2, 2] = z0, z1, z2

@@ -1,0 +1,92 @@
+"""The memory layout of a tree of joints: its constants, the scratch of its kernels, and the names of their rows.
+
+Most of the work is the same for every joint, so four joints share a SIMD register: joint i is lane i % 4 of block
+i // 4, and one row of a block holds one number of each of four joints, handled in one instruction. Rows are named by
+their offset in a block; lanes without a joint hold zeros.
+"""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from closedloop.jit.kernel import kernel
+
+Array = NDArray[np.float64]
+IntArray = NDArray[np.int64]
+
+LANES = 4
+
+# i & INDEX equals i and tells the compiler that i is not negative: the test for numpy's negative indices at each access
+# would keep a loop from being vectorised.
+INDEX = 0xFFFFFF
+
+# `Tree.links`: six rows of n whole numbers.
+PARENT, CONSTANT, SCRATCH, REVOLUTE, SUPPORT, RUN = range(6)
+
+# `Tree.constants`: gravity, the tip in its link, the first moment of the immobile mass, then the blocks. Inertia is as
+# moved by `closedloop.mechanics.robot.tree.model`: h_z = Σ_zz = 0, and either m or h and Σ are zero.
+GRAVITY, TIP, RESTING, HEAD = 0, 3, 6, 12
+(
+    KIND,  # 1 for a revolute joint, 0 for a prismatic one
+    ANGLE,  # from the parent's first axis to the link's, beside q
+    COS_TWIST, SIN_TWIST,  # from the parent's joint axis to this one, about the axis perpendicular to both
+    COS_TURN, SIN_TURN,  # from the parent's first axis to that perpendicular one; 1, 0 where they are the same
+    R00, R10, R20, R01, R11, R21, R02, R12, R22,  # for a joint on the base: its axes at q = 0
+    T0, T1, T2,  # its origin in the parent's frame, m
+    HALF_XX, XY, XZ, HALF_YY, YZ,  # second moments of the link, kg m², halved where they are squares
+    HX, HY,  # first moments, kg m
+    MASS, CARRIED,  # of the link, and of all that it carries, kg
+    ARMATURE,
+) = range(0, 28 * LANES, LANES)  # fmt: skip
+CONSTANTS = 28 * LANES
+
+# Scratch; all in base axes.
+(
+    POSITION, SINE, COSINE, SLIDE,
+    X0, X1, X2, Z0, Z1, Z2, P0, P1, P2,  # first axis and joint axis of the link, origin of the joint
+    O0, O1, O2, A0, A1, A2, B0, B1, B2,  # angular velocity and acceleration, acceleration of the origin, for q̈ = 0
+    W0, W1, W2, V0, V1, V2,  # twist of the link per joint rate: rotation, and velocity of its point at the base origin
+    F0, F1, F2, N0, N1, N2,  # force, and moment about the base origin, that move the link with q̈ = 0
+    S00, S01, S02, S11, S12, S22, H0, H1, H2,  # second and first moments about the base origin
+) = range(0, 43 * LANES, LANES)  # fmt: skip
+SCRATCHES = 43 * LANES
+
+
+class Tree(NamedTuple):
+    """A robot as arrays, for the kernels of this package; `tree_of` makes it.
+
+    Attributes
+    ----------
+    n, blocks : int
+        Joints, and blocks of four that hold them.
+    once : int
+        1. A loop over `LANES * once` lanes is vectorised; with a constant length the compiler would unroll it.
+    carrier : int
+        The joint that carries the tip; −1 if it sits on the base.
+    serial : int
+        1 if every joint but the first is a child of the one before it, else 0.
+    links : (6 n,) array
+        For each joint: its parent (−1: base; always smaller than the joint), where its constants and its scratch
+        begin, whether it is revolute, whether it moves the tip, and the first joint of its unbranched chain: of the
+        joints up to it that are each a child of the one before.
+    constants : (HEAD + blocks * CONSTANTS,) array
+        See the names of `closedloop.mechanics.robot.tree.layout`. The z axis of a link is its joint axis; its x axis is
+        perpendicular to its own joint axis and to that of the next joint.
+    """
+
+    n: int
+    blocks: int
+    once: int
+    carrier: int
+    serial: int
+    links: IntArray
+    constants: Array
+
+
+@kernel
+def work_size(n: int) -> int:
+    """Return how many numbers of scratch the kernels need for n joints; they begin as zeros."""
+    return (n + LANES - 1) // LANES * SCRATCHES

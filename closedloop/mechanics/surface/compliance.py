@@ -1,0 +1,38 @@
+"""The base class of compliances: a section of the scenario, and the force of a soft surface as a function of depth.
+
+A soft surface pushes with f(δ, δ̇), δ the depth of the tip in it, in place of the multiplier of Eq. 24: there is no
+constraint along the normal, and nothing for a stabiliser to do there. As the stiffness grows, f approaches that
+multiplier. A surface that the tip may leave (unilateral) does not pull: where f(δ, δ̇) is negative, f is zero; contact
+begins and ends at δ = 0, without an impulse.
+
+A compliance of one's own is a class derived from `Compliance`, with its parameters as typed fields and two functions.
+Those that ship are in `closedloop.mechanics.surface.compliances`, one file each, written the same way.
+"""
+
+from __future__ import annotations
+
+from typing import Any, ClassVar
+
+from closedloop.base.families import Family, Parameters
+
+
+class Compliance(Parameters):
+    """[compliance]: how the surface gives way."""
+
+    folder: ClassVar[str] = "closedloop.mechanics.surface.compliances"
+
+    def static_depth(self, force: float) -> float:
+        """Return the depth at which a tip at rest is pushed with a force >= 0, N; m."""
+        return 0.0
+
+    def tangent(self, depth: float) -> tuple[float, float]:
+        """Return stiffness, N/m, and damping, N s/m, of small motions about a depth, m: what a step must resolve."""
+        return 0.0, 0.0
+
+    @staticmethod
+    def force(depth: float, speed: float, par: Any) -> float:
+        """Return the force f along the normal, N, at a depth, m, that grows at `speed`, m/s."""
+        return 0.0
+
+
+COMPLIANCES = Family(Compliance, usual="none")

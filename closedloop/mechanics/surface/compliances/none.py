@@ -1,0 +1,9 @@
+"""[compliance] kind = "none": the surface is rigid, as in the paper."""
+
+from __future__ import annotations
+
+from closedloop.mechanics.surface.compliance import Compliance
+
+
+class Rigid(Compliance):
+    """The surface does not give way; the contact force is the multiplier of Eq. 24."""

@@ -1,0 +1,293 @@
+"""A surface as the loop asks it: a function called by address, with a memory of its own.
+
+The loop writes the time and the tip's motion into the memory (`Ask`), calls the entry of the surface, and reads the
+contact frame, the gap and what the tip moves relative to. A path that follows the surface asks the same entry. A plane
+at rest needs none of it: its frame is constant (`closedloop.loop.step.locate`).
+"""
+
+from __future__ import annotations
+
+import math
+from functools import cache
+from typing import Annotated, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from closedloop.jit.blocks import Block, Count
+from closedloop.jit.calls import Entry, call_at
+from closedloop.jit.kernel import entry_kernel, kernel
+from closedloop.jit.parameters import parameter_block
+from closedloop.jit.pointers import address_of, integers_at, vector_at
+from closedloop.jit.user_code import RAISED, function_of, member_entry
+from closedloop.mechanics.surface.geometry import Pose, Touch, contact_geometry, into_surface_axes
+from closedloop.mechanics.surface.motion import Move, SurfaceMotion, begin_move, displace
+from closedloop.mechanics.surface.surface import Surface
+
+Array = NDArray[np.float64]
+
+# What the entry of a surface is asked for.
+CONTACT, LEVEL = range(2)
+# Its answers.
+FOUND, NO_NORMAL = range(2)
+
+
+class Links(Block):
+    """Whole numbers, int64: where the memory is, its own address first, and what else is called."""
+
+    address: int
+    numbers: int  # address of the `Ask`
+    total: int  # of its numbers
+    size: int  # of the surface's parameters
+    motion_size: int  # and of its motion's
+    entries: int  # in each list of the surface's parameters
+    motion: int  # address of the entry of the motion, 0: the surface is at rest
+
+
+class Ask(Block, sizes=("size", "motion_size")):
+    """What a surface is asked, and what it answers."""
+
+    time: float  # in, s, as the next two
+    r: Annotated[Array, 3]  # position of the tip, m, base frame
+    velocity: Annotated[Array, 3]  # ṙ, m/s, base frame
+    frame: Annotated[Array, 3, 3]  # out: N, rows n, t1, t2, base frame
+    origin: Annotated[Array, 3]  # of the surface at t = 0, m, base frame
+    axes: Annotated[Array, 3, 3]  # rows x, y, z
+    pose: Annotated[Array, Pose.count()]
+    touch: Annotated[Array, Touch.count()]  # out
+    move: Annotated[Array, Move.count()]
+    par: Annotated[Array, Count.of("size")]
+    motion_par: Annotated[Array, Count.of("motion_size")]
+    bounds: Annotated[Array, 2]  # see `edge_distance`
+
+
+LINKS = Links.count()
+
+
+@kernel
+def ask_at(address: int) -> tuple[Links, Ask]:
+    """Return the memory of a surface, by the address of its `Links`."""
+    links = Links(integers_at(address, LINKS))
+    return links, Ask(vector_at(links.numbers, links.total), links.size, links.motion_size)
+
+
+class SurfaceMemory(NamedTuple):
+    """The memory of a surface, made in Python: kept as long as its address is used."""
+
+    links: Links
+    ask: Ask
+
+    @property
+    def address(self) -> int:
+        """Return what `ask_at` takes."""
+        return int(self.links.address)
+
+
+def make_memory(
+    par: Array, motion_par: Array, entries: int, origin: Array, axes: Array, bounds: tuple[float, float]
+) -> SurfaceMemory:
+    """Return the memory of a surface at rest.
+
+    Parameters
+    ----------
+    par, motion_par : arrays
+        The parameters of the surface and of its motion, see `closedloop.jit.parameters.pack`.
+    entries : int
+        Entries in each list of the surface's parameters.
+    origin, axes : (3,), (3, 3) arrays
+        Of the surface at t = 0: m, and rows x, y, z; base frame.
+    bounds : tuple of two floats
+        Of its edge, see `closedloop.mechanics.surface.surface.Surface.bounds`.
+    """
+    sizes = par.size, motion_par.size
+    links, ask = Links(np.zeros(LINKS, dtype=np.int64)), Ask(np.zeros(Ask.count(*sizes)), *sizes)
+    links.address, links.numbers, links.total = address_of(links.memory), address_of(ask.memory), ask.memory.size
+    links.size, links.motion_size, links.entries = *sizes, entries
+    ask.par[:], ask.motion_par[:], ask.origin[:], ask.axes[:] = par, motion_par, origin, axes
+    ask.bounds[:] = bounds
+    pose = Pose(ask.pose)
+    pose.origin[:], pose.axes[:] = origin, axes
+    return SurfaceMemory(links, ask)
+
+
+@kernel
+def edge_distance(at: Array, bounds: Array) -> float:
+    """Return how far inside its edge a point of the surface is, m, negative outside.
+
+    Parameters
+    ----------
+    at : (3,) array
+        The point, m, surface's axes.
+    bounds : (2,) array
+        Half-lengths along x and y, m; of a round edge its radius and 0.
+    """
+    if bounds[1] == 0.0:
+        return float(bounds[0] - math.sqrt(at[0] * at[0] + at[1] * at[1]))
+    return float(min(bounds[0] - abs(at[0]), bounds[1] - abs(at[1])))
+
+
+@cache
+def surface_entry(member: type[Surface]) -> Entry:
+    """Return the entry of a surface, compiled when it is first needed.
+
+    CONTACT     writes the pose, all of the touch, and the frame; the answer is NO_NORMAL where φ has no gradient
+    LEVEL       writes the pose, and at, level, gradient and Hessian of the touch
+    """
+    Parameters, level = parameter_block(member), function_of(member, "level")
+
+    def entry(address: int, what: int) -> int:
+        links, ask = ask_at(address)
+        if links.motion != 0 and call_at(links.motion, address, 0) == RAISED:
+            return RAISED
+        pose, touch = Pose(ask.pose), Touch(ask.touch)
+        into_surface_axes(pose, ask.r, touch)
+        touch.level = level(touch.at, Parameters(ask.par, links.entries), touch.gradient, touch.hessian)
+        if what == CONTACT and not contact_geometry(pose, links.motion != 0, ask.r, ask.velocity, ask.frame, touch):
+            return NO_NORMAL
+        return FOUND
+
+    entry.__name__ = entry.__qualname__ = f"entry_of_surface_{member.__name__}"
+    return member_entry(entry, member)
+
+
+@cache
+def motion_entry(member: type[SurfaceMotion]) -> Entry:
+    """Return the entry of a motion, which writes the pose at the time that is asked for."""
+    Parameters, move = parameter_block(member), function_of(member, "move")
+
+    def entry(address: int, what: int) -> int:
+        _, ask = ask_at(address)
+        moved = Move(ask.move)
+        begin_move(moved)
+        move(ask.time, Parameters(ask.motion_par, 0), moved)
+        displace(moved, ask.origin, ask.axes, Pose(ask.pose))
+        return 0
+
+    entry.__name__ = entry.__qualname__ = f"entry_of_surface_motion_{member.__name__}"
+    return member_entry(entry, member)
+
+
+# Newton steps along the normal by which a point is put on a level of φ, and the distance at which it is on it, m.
+MOST_STEPS, ON_LEVEL = 50, 1e-14
+# A step that is no longer shrinking, and shorter than this, m, is the rounding of φ.
+ROUNDING = 1e-9
+ON_SURFACE, NOT_REACHED = 0, 1
+
+
+@entry_kernel
+def put_on_surface(
+    entry: int, address: int, along: Array, level: float, times: Array, r: Array, velocity: Array, acceleration: Array
+) -> int:
+    """Move each point of a motion along a fixed direction onto a level of a surface that may move; and its derivatives.
+
+    Parameters
+    ----------
+    entry, address : int
+        Of the surface, and of its memory.
+    along : (3,) array
+        The direction, base frame.
+    level : float
+        The φ that it is put on.
+    times : (N,) array
+        s.
+    r, velocity, acceleration : (N, 3) arrays
+        Read and overwritten: m, m/s and m/s², base frame.
+
+    Returns
+    -------
+    int
+        How many points were put there: N, or fewer if the surface does not lie in that direction.
+    """
+    _, ask = ask_at(address)
+    pose, touch = Pose(ask.pose), Touch(ask.touch)
+    for k in range(times.size):
+        ask.time = times[k]
+        reached, before = False, np.inf
+        for i in range(3):
+            ask.r[i] = r[k, i]
+        for _ in range(MOST_STEPS):
+            call_at(entry, address, LEVEL)
+            slope = 0.0
+            for i in range(3):
+                turned = 0.0
+                for j in range(3):
+                    turned += pose.axes[i, j] * along[j]
+                slope += touch.gradient[i] * turned
+            step = (level - touch.level) / slope if slope > 0.0 else np.nan
+            if not abs(step) < 1e6:
+                break
+            for i in range(3):
+                ask.r[i] += step * along[i]
+            size = abs(step)
+            if size <= ON_LEVEL * (1.0 + abs(ask.r[0]) + abs(ask.r[1]) + abs(ask.r[2])) or before <= size < ROUNDING:
+                reached = True
+                break
+            before = size
+        if not reached:
+            return k
+        for what in range(2):  # the velocity first: what u̇ has beside N r̈ depends on it
+            for i in range(3):
+                ask.velocity[i] = velocity[k, i]
+            if call_at(entry, address, CONTACT) != FOUND:
+                return k
+            across, short = 0.0, touch.carried[0] if what == 0 else -touch.turning[0]
+            for i in range(3):
+                across += ask.frame[0, i] * along[i]
+                short -= ask.frame[0, i] * (velocity[k, i] if what == 0 else acceleration[k, i])
+            for i in range(3):
+                if what == 0:
+                    velocity[k, i] += short / across * along[i]
+                else:
+                    acceleration[k, i] += short / across * along[i]
+        for i in range(3):
+            r[k, i] = ask.r[i]
+    return times.size
+
+
+@entry_kernel
+def normals_on_surface(entry: int, address: int, times: Array, r: Array, velocity: Array) -> int:
+    """Overwrite points of a motion by the surface's unit normals there, and its velocities by their rates.
+
+    Parameters
+    ----------
+    entry, address : int
+        Of the surface, and of its memory.
+    times : (N,) array
+        s.
+    r, velocity : (N, 3) arrays
+        Position, m, and velocity, m/s; overwritten by n and ṅ, 1/s. All in the base frame.
+
+    Returns
+    -------
+    int
+        How many points were asked for: N, or fewer if there is no normal at the next.
+    """
+    _, ask = ask_at(address)
+    pose, touch = Pose(ask.pose), Touch(ask.touch)
+    for k in range(times.size):
+        ask.time = times[k]
+        for i in range(3):
+            ask.r[i], ask.velocity[i] = r[k, i], velocity[k, i]
+        if call_at(entry, address, CONTACT) != FOUND:
+            return k
+        o, n = pose.spin, ask.frame[0]
+        for i in range(3):  # how the point moves relative to the surface, base axes
+            a, b = (i + 1) % 3, (i + 2) % 3
+            spun = o[a] * (r[k, b] - pose.origin[b]) - o[b] * (r[k, a] - pose.origin[a])
+            touch.carried[i] = velocity[k, i] - pose.velocity[i] - spun
+        for i in range(3):  # ∇∇φ v/|∇φ|, surface's axes
+            bend = 0.0
+            for m in range(3):
+                moved = pose.axes[m, 0] * touch.carried[0] + pose.axes[m, 1] * touch.carried[1]
+                bend += touch.hessian[i, m] * (moved + pose.axes[m, 2] * touch.carried[2]) / touch.size
+            touch.turning[i] = bend
+        along = 0.0
+        for i in range(3):
+            along += touch.local[0, i] * touch.turning[i]
+        for i in range(3):
+            r[k, i] = n[i]
+            a, b = (i + 1) % 3, (i + 2) % 3
+            velocity[k, i] = o[a] * n[b] - o[b] * n[a]
+            for m in range(3):
+                velocity[k, i] += pose.axes[m, i] * (touch.turning[m] - along * touch.local[0, m])
+    return times.size

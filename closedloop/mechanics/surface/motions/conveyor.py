@@ -1,0 +1,26 @@
+"""[surface_motion] kind = "conveyor": at constant velocity."""
+
+from __future__ import annotations
+
+from typing import Annotated, Any
+
+from pydantic import AfterValidator, Field
+
+from closedloop.base.sections import SPEED, Number
+from closedloop.mechanics.surface.motion import SurfaceMotion, moving
+
+Speed = Annotated[Number, SPEED]
+
+
+class Conveyor(SurfaceMotion):
+    """A belt, or a table that is driven at constant velocity."""
+
+    velocity: Annotated[tuple[Speed, Speed, Speed], AfterValidator(moving)] = Field(
+        description="velocity of the surface, base frame, m/s"
+    )
+
+    @staticmethod
+    def move(t: float, par: Any, m: Any) -> None:
+        """Write the shift at t, s."""
+        for i in range(3):
+            m.shift[i], m.shift_rate[i] = par.velocity[i] * t, par.velocity[i]

@@ -1,0 +1,299 @@
+"""A surface in its place: what is asked of it from Python, and the memory that the loop asks it by."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Any, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from closedloop.base.errors import ScenarioError
+from closedloop.base.families import is_users
+from closedloop.jit import background
+from closedloop.jit.calls import entry_address
+from closedloop.jit.interim import at_hand
+from closedloop.jit.interpreted import interpreted, twin_address
+from closedloop.jit.parameters import pack
+from closedloop.jit.user_code import of_users
+from closedloop.mechanics.surface.contact import (
+    CONTACT,
+    LEVEL,
+    NO_NORMAL,
+    SurfaceMemory,
+    edge_distance,
+    make_memory,
+    motion_entry,
+    normals_on_surface,
+    put_on_surface,
+    surface_entry,
+)
+from closedloop.mechanics.surface.geometry import Pose, Touch
+from closedloop.mechanics.surface.kinds.none import NoSurface
+from closedloop.mechanics.surface.kinds.plane import PlaneSurface
+from closedloop.mechanics.surface.motion import SurfaceMotion
+from closedloop.mechanics.surface.motions.none import NoMotion
+from closedloop.mechanics.surface.plane import contact_frame, unit
+from closedloop.mechanics.surface.surface import Surface
+from robot_models.cached import cached_property
+
+Array = NDArray[np.float64]
+
+
+class Touching(NamedTuple):
+    """A point and the surface at an instant.
+
+    Attributes
+    ----------
+    gap : float
+        Distance from the surface, m; to first order in it, for a φ that is no distance.
+    frame : (3, 3) array
+        Contact frame: rows n, t1, t2, base frame.
+    carried, turning : (3,) arrays
+        The tip's velocity and acceleration in the contact frame are u = N ṙ − carried and u̇ = N r̈ + turning.
+    level : float
+        φ.
+    inside : float
+        Distance from the surface's edge, m, negative beyond it; inf without one.
+    """
+
+    gap: float
+    frame: Array
+    carried: Array
+    turning: Array
+    level: float
+    inside: float
+
+
+@dataclass(frozen=True, eq=False)
+class PlacedSurface:
+    """A surface in its place, and its motion.
+
+    Attributes
+    ----------
+    section, motion : Surface, SurfaceMotion
+        What it is, and how it moves.
+    frame : (3, 3) array
+        Rows n, t1, t2 of the contact frame at its origin at t = 0, base frame.
+    origin : (3,) array
+        A point of it at t = 0, with the normal n, m, base frame.
+    below_start : bool
+        Whether it is placed `surface.gap` below the tip at the start.
+    """
+
+    section: Surface
+    motion: SurfaceMotion
+    frame: Array
+    origin: Array
+    below_start: bool
+
+    @classmethod
+    def of(cls, section: Surface, motion: SurfaceMotion, tip: Array, depth: float = 0.0) -> PlacedSurface:
+        """Place the surface of a scenario whose tip is at `tip` (3,), m, base frame, at the start.
+
+        One that is soft, and placed below the tip, is placed so that the tip is `depth` in it, m.
+
+        Raises
+        ------
+        ScenarioError
+            If its parameters do not go together.
+        """
+        normal = unit(section.normal, "surface.normal")
+        given = section.place(normal)
+        if given is not None and section.gap:
+            key = "offset" if isinstance(section, PlaneSurface) else "point"
+            raise ScenarioError(f'surface.gap: goes with {key} = "start" only; leave it out')
+        origin = tip - (section.gap - depth) * normal if given is None else given
+        return cls(section, motion, contact_frame(normal), origin, given is None)
+
+    @property
+    def fixed_plane(self) -> bool:
+        """Whether it is a plane at rest without an edge, or none: its frame is constant, and the loop does not ask."""
+        return isinstance(self.section, NoSurface) or (
+            isinstance(self.section, PlaneSurface) and not self.moves and not self.ends
+        )
+
+    @property
+    def ends(self) -> bool:
+        """Whether it has an edge."""
+        return math.isfinite(self.section.bounds()[0])
+
+    @property
+    def moves(self) -> bool:
+        """Whether it moves."""
+        return not isinstance(self.motion, NoMotion)
+
+    @property
+    def offset(self) -> float:
+        """n·p of its origin at t = 0, m: d of a plane."""
+        if isinstance(self.section, PlaneSurface) and self.section.offset != "start":
+            return float(self.section.offset)
+        return float(self.normal @ self.origin)
+
+    @property
+    def normal(self) -> Array:
+        """Unit normal (3,) at its origin at t = 0, base frame."""
+        normal: Array = self.frame[0]
+        return normal
+
+    def entries(self) -> dict[str, Any]:
+        """Return what the loop calls, by the names that its state has for it; none of a plane at rest."""
+        if self.fixed_plane:
+            return {}
+        found = {"surface": surface_entry(type(self.section))}
+        return found | ({"surface_motion": motion_entry(type(self.motion))} if self.moves else {})
+
+    def memory(self) -> SurfaceMemory:
+        """Return memory by which it is asked; `Links.motion` is to be set for a surface that moves.
+
+        Raises
+        ------
+        ScenarioError
+            If its parameters do not go together.
+        """
+        entries = self.section.list_length()
+        with of_users(self.section, "surface.kind"):
+            par = pack(self.section, entries, "surface")
+        with of_users(self.motion, "surface_motion.kind"):
+            motion_par = pack(self.motion, 0, "surface_motion")
+        return make_memory(par, motion_par, entries, self.origin, self.frame[[1, 2, 0]], self.section.bounds())
+
+    @cached_property
+    def _interpreted(self) -> SurfaceMemory:
+        memory = self.memory()
+        if self.moves:
+            memory.links.motion = twin_address(motion_entry(type(self.motion)))
+        return memory
+
+    def touching(self, r: Array, velocity: Array | None = None, t: float = 0.0) -> Touching:
+        """Return how a point at r (3,), m, that moves with `velocity` (3,), m/s, base frame, is to the surface at t, s.
+
+        Raises
+        ------
+        ScenarioError
+            If the surface has no normal there.
+        """
+        if self.fixed_plane:
+            gap = float(self.normal @ r) - self.offset
+            return Touching(gap, self.frame, np.zeros(3), np.zeros(3), gap, math.inf)
+        links, ask = self._interpreted
+        ask.time, ask.r[:], ask.velocity[:] = t, r, 0.0 if velocity is None else velocity
+        with np.errstate(all="ignore"), of_users(self.section, "surface.kind"):
+            answer = interpreted(surface_entry(type(self.section)))(int(links.address), CONTACT)
+        touch = Touch(ask.touch)
+        if answer == NO_NORMAL:
+            raise ScenarioError(f"surface.kind = {self.section.kind}: has no normal at {np.round(r, 4).tolist()} m")
+        gap = float(touch.level / touch.size)
+        inside = edge_distance(touch.at, ask.bounds)
+        return Touching(gap, ask.frame.copy(), touch.carried.copy(), touch.turning.copy(), float(touch.level), inside)
+
+    def pose(self, t: float) -> Pose:
+        """Return where a surface that moves is at t, s, and how it moves: until it is asked again."""
+        links, ask = self._interpreted
+        ask.time = t
+        with of_users(self.motion, "surface_motion.kind"):
+            interpreted(motion_entry(type(self.motion)))(int(links.address), 0)
+        return Pose(ask.pose)
+
+    def displacement(self, t: float) -> tuple[Array, Array]:
+        """Return the rotation (3, 3) and the shift (3,), m, base frame, by which it is displaced at t, s."""
+        if not self.moves:
+            return np.eye(3), np.zeros(3)
+        pose, axes = self.pose(t), self._interpreted.ask.axes
+        turn: Array = pose.axes.T @ axes
+        return turn, pose.origin - turn @ self.origin
+
+    def _say_what_is_raised(self, memory: SurfaceMemory, t: float, r: Array) -> None:
+        """Ask a user's class again, interpreted, at a point r (3,), m, and an instant t, s; it may raise something."""
+        kinds = {"surface.kind": (self.section, surface_entry), "surface_motion.kind": (self.motion, motion_entry)}
+        memory.ask.time, memory.ask.r[:], memory.links.motion = t, r, 0
+        for key, (member, entry_of) in kinds.items():
+            if is_users(member):
+                with np.errstate(all="ignore"), of_users(member, key):
+                    interpreted(entry_of(type(member)))(memory.address, LEVEL)
+
+    def follow(self, level: float, times: Array, motion: tuple[Array, Array, Array]) -> tuple[Array, Array, Array]:
+        """Return a motion of a point moved along `normal` onto the level φ = `level`, of the surface as it moves.
+
+        Parameters
+        ----------
+        level : float
+            φ of the motion that is returned.
+        times : (N,) array
+            s.
+        motion : tuple of (N, 3) arrays
+            Position, m, velocity, m/s, and acceleration, m/s², base frame.
+
+        Raises
+        ------
+        ScenarioError
+            If the surface does not lie in that direction from one of the points.
+        """
+        found, done = self.at_each(put_on_surface, (np.array(self.normal), level), times, motion)
+        if done < times.size:
+            where = np.round(motion[0][done], 4).tolist()
+            try:
+                self.touching(motion[0][done], t=float(times[done]))
+            except ScenarioError:
+                raise ScenarioError(
+                    f"reference: at t = {times[done]:.4g} s the path comes to {where} m, where the surface has no "
+                    "normal, as the gradient of its φ vanishes there; make the path shorter"
+                ) from None
+            raise ScenarioError(
+                f"reference: at t = {times[done]:.4g} s the path is at {where} m, from where the surface cannot be "
+                "reached along its normal at the start; make the path shorter"
+            )
+        return found[0], found[1], found[2]
+
+    def normals(self, times: Array, r: Array, velocity: Array) -> tuple[Array, Array]:
+        """Return the unit normals n at points of a motion, and their rates ṅ, 1/s, base frame; each (N, 3).
+
+        Parameters
+        ----------
+        times : (N,) array
+            s.
+        r, velocity : (N, 3) arrays
+            Position, m, and velocity, m/s, base frame.
+
+        Raises
+        ------
+        ScenarioError
+            If there is no normal at one of the points.
+        """
+        if self.fixed_plane:
+            return np.tile(self.normal, (times.size, 1)), np.zeros((times.size, 3))
+        found, done = self.at_each(normals_on_surface, (), times, (r, velocity))
+        if done < times.size:
+            raise ScenarioError(
+                f"reference: at t = {times[done]:.4g} s the path is at {np.round(r[done], 4).tolist()} m, where the "
+                "surface has no normal"
+            )
+        return found[0], found[1]
+
+    def at_each(
+        self, kernel: Callable[..., int], leading: tuple[Any, ...], times: Array, motion: tuple[Array, ...]
+    ) -> tuple[list[Array], int]:
+        """Return what a kernel makes of the points of a motion, and how many it got through.
+
+        It is called compiled where it and the surface are at hand, else interpreted, while they are compiled.
+        """
+        kernels = [kernel, *self.entries().values()]
+        if self.fixed_plane:
+            kernels.append(surface_entry(type(self.section)))
+        ready = all(map(at_hand, kernels))
+        address = entry_address if ready else twin_address
+        memory = self.memory()
+        if self.moves:
+            memory.links.motion = address(motion_entry(type(self.motion)))
+        if not ready:
+            background.start([each for each in kernels if not at_hand(each)])
+        found = [np.array(each, dtype=np.float64, order="C") for each in motion]
+        place = address(surface_entry(type(self.section)))
+        call = kernel if ready else interpreted(kernel)
+        with np.errstate(all="ignore"), of_users(self.section, "surface.kind"):
+            done = call(place, memory.address, *leading, np.ascontiguousarray(times), *found)
+        if done < times.size and ready:  # of what a user's class has raised compiled code keeps no message
+            self._say_what_is_raised(memory, float(times[done]), motion[0][done])
+        return found, done

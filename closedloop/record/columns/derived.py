@@ -1,0 +1,133 @@
+"""Columns of a run that follow from its others: worked out when they are first asked for, and not in run.nc.
+
+They are attributes of a `Run`, and stand beside the recorded ones in CSV and pandas.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from closedloop.control.reference.orientation import turned_by
+from closedloop.mechanics.loops.reactions import (
+    LoopReactions,
+    loop_reactions,
+    loop_rows,
+    missing_torque,
+    share_of_rows,
+)
+from closedloop.mechanics.robot.pinocchio import Robot
+from closedloop.mechanics.surface.plane import unit
+from closedloop.record.columns.record import Record
+from closedloop.record.columns.touching import contact_torques
+from closedloop.scenario.arm import has_stops, robot_of, stop_limits, without_tools
+
+Array = NDArray[np.float64]
+
+# A joint nearer to its limit than this, rad (m), may be at its stop; among several contacts a stop is a contact too and
+# kept closed by the stabiliser.
+AT_STOP, AT_CONTACT = 1e-9, 1e-7
+# Labels of the parts of a wrench.
+WRENCH = ("fx", "fy", "fz", "mx", "my", "mz")
+
+
+class DerivedColumn(NamedTuple):
+    """Dimensions, unit and meaning, as of a `closedloop.record.columns.recorded.Column`, and what works it out."""
+
+    dims: tuple[str, ...]
+    units: str
+    meaning: str
+    of: Callable[[Record], Array]
+
+
+def tip_force(run: Record) -> Array:
+    """Return f n and friction, (N, 3), N, base axes."""
+    force: Array = run.contact_force[:, None] * run.surface_normal + run.friction_force
+    return force
+
+
+def reactions_of(run: Record, robot: Robot) -> LoopReactions:
+    """Return what the loops of a mechanism carried, its robot being that of the run's scenario."""
+    torque = _drive(run) + run.joint_friction + _of_contacts(run, robot)
+    return loop_reactions(robot, run.q, run.v, run.acceleration, torque, tip_force(run), at_stop(run))
+
+
+def _drive(run: Record) -> Array:
+    """Return what drives the links in each row, (N, n), N m (N): Q, or what elastic joints pass on."""
+    found: Array = run.transmitted_torque if run.scenario.transmission.elastic else run.torque
+    return found
+
+
+def _of_contacts(run: Record, robot: Robot) -> Array:
+    """Return the torques of the contacts of links in each row, (N, n), N m (N)."""
+    if not run.scenario.contact:
+        return np.zeros(run.q.shape)
+    model = robot.model.pinocchio_model()
+    return contact_torques(run.scenario, model, run.time, run.q, run.link_forces, run.link_frictions)
+
+
+def wrist_wrench(run: Record) -> Array:
+    """Return what `Robot.wrist_wrench` says of each row, (N, 6)."""
+    robot = robot_of(run.scenario, without_tools(run.model))
+    return robot.wrist_wrench(run.q, run.v, run.acceleration, tip_force(run))
+
+
+def tool_angle(run: Record) -> Array:
+    """Return the angle between `tool.axis` and -n in each row, (N,), degrees."""
+    robot = robot_of(run.scenario, without_tools(run.model))
+    axis = robot.tip_axes(run.q) @ unit(run.scenario.tool.axis, "tool.axis")
+    across = np.linalg.norm(np.cross(axis, run.surface_normal), axis=1)
+    angle: Array = np.degrees(np.arctan2(across, -np.sum(axis * run.surface_normal, axis=1)))
+    return angle
+
+
+def orientation_error(run: Record) -> Array:
+    """Return the angle between the tip's frames at q and at q_des in each row, (N,), degrees."""
+    robot = robot_of(run.scenario, without_tools(run.model))
+    error: Array = np.degrees(turned_by(robot.tip_axes(run.q), robot.tip_axes(run.reference_position)))
+    return error
+
+
+def stop_torque(run: Record) -> Array:
+    """Return what the stops of the joints give in each row, (N, n), N m (N); zero of a joint that is at none."""
+    if not has_stops(run.scenario, run.model):
+        return np.zeros(run.q.shape)
+    robot = robot_of(run.scenario, without_tools(run.model))
+    known = _drive(run) + run.joint_friction + _of_contacts(run, robot)
+    found = missing_torque(robot, run.q, run.v, run.acceleration, known, tip_force(run))
+    there = at_stop(run)
+    if robot.model.loops:
+        rows, _ = loop_rows(robot, run.q, run.v)
+        return share_of_rows(rows, found, there)[1]
+    return np.where(there, found, 0.0)
+
+
+def at_stop(run: Record) -> NDArray[np.bool_]:
+    """Return which joints are at a stop in each row, (N, n); all False where there are no stops."""
+    lower, upper = stop_limits(run.scenario, run.model)
+    near = AT_CONTACT if run.scenario.contact else AT_STOP
+    found: NDArray[np.bool_] = (run.q >= upper - near) | (run.q <= lower + near)
+    return found
+
+
+DERIVED: dict[str, DerivedColumn] = {
+    "tip_force": DerivedColumn(
+        ("time", "axis"), "N", "force of the surface on the tip, friction included, base frame", tip_force
+    ),
+    "wrist_wrench": DerivedColumn(
+        ("time", "component"), "N | N m", "force and moment of the arm on what is fixed to the frame robot.tip, tool "
+        "and payload, as a sensor there reads them: in that frame's axes and about its origin", wrist_wrench,
+    ),
+    "tool_angle": DerivedColumn(
+        ("time",), "deg", "angle between the tool's axis and the normal into the surface", tool_angle
+    ),
+    "orientation_error": DerivedColumn(
+        ("time",), "deg", "angle by which the tip's frame is turned away from that of q_des", orientation_error
+    ),
+    "stop_torque": DerivedColumn(
+        ("time", "joint"), "N m", "torque of the stops on the joints, where robot.stops asks for them", stop_torque
+    ),
+}  # fmt: skip

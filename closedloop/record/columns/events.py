@@ -1,0 +1,67 @@
+"""The events of a run, one by one, from the columns that have them."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Any, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from closedloop.loop.events.table import EVENT_COLUMNS, KINDS
+
+Array = NDArray[np.float64]
+
+
+class Event(NamedTuple):
+    """One event of the contact: an impact, the beginning or the end of contact, of sticking or of slip.
+
+    Attributes
+    ----------
+    time : float
+        Instant, s.
+    kind : str
+        "impact", "touchdown", "liftoff", "stick", "slip", "reversal", "edge", "stop" or "release".
+    rate_before, rate_after : float
+        Rate of the closure error just before and just after it, m/s.
+    rate_cut : float
+        Rate of a bounce that `impact.rest_speed` turned into contact, m/s.
+    compression, decompression : float
+        Impulses of both phases on the tip along the normal, N s.
+    tangential : (3,) array
+        Impulse on the tip along the surface, N s, base frame.
+    energy_lost : float
+        Kinetic energy lost, J; at an edge that of the spring of a soft surface.
+    position : (3,) array
+        Where the tip is, m, base frame.
+    slip_before, slip_after : float
+        Speed of the tip along the surface, m/s.
+    restitution : float
+        What an impact gave: what `impact.restitution` asks for, but where Newton's law would have created energy; 0 of
+        all other events.
+    contact : int
+        Of which contact: 0 the tip, then the scenario's sections [[contact]] in their order; in a run with such, then
+        the joints that have stops in theirs, and 0 of a stop in any other.
+    """
+
+    time: float
+    kind: str
+    rate_before: float
+    rate_after: float
+    rate_cut: float
+    compression: float
+    decompression: float
+    tangential: Array
+    energy_lost: float
+    position: Array
+    slip_before: float
+    slip_after: float
+    restitution: float
+    contact: int = 0
+
+
+def events_of(columns: Mapping[str, NDArray[Any]]) -> tuple[Event, ...]:
+    """Return the events of columns that have those of `EVENT_COLUMNS`, in order of time."""
+    parts = [columns[name] for name in EVENT_COLUMNS]
+    rows = zip(*(part if part.ndim == 2 else part.tolist() for part in parts), strict=True)
+    return tuple(Event(row[0], KINDS[row[1]], *row[2:]) for row in rows)

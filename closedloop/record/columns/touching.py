@@ -1,0 +1,111 @@
+"""The contacts of the links in space: where each is, and the force that it carries."""
+
+from __future__ import annotations
+
+from typing import Any, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from closedloop.mechanics.contacts.surfaces import surface_of
+from closedloop.mechanics.surface.placed import PlacedSurface
+from closedloop.mechanics.surface.plane import contact_frame, unit
+from closedloop.scenario.contact_names import names_of
+from closedloop.scenario.scenario import Scenario
+from robot_models.loop_joint import WORLD
+
+Array = NDArray[np.float64]
+
+
+class Touching(NamedTuple):
+    """A contact of links: its name; the number of the frame that has the point, 0 the base, and the point (3,), m,
+    in it; the number of the frame that has the surface, and there the normal and tangents of a plane, the rows of a
+    (3, 3) array. Of any other surface these are the axes that it is in, from an origin (3,), m, in that frame.
+    """
+
+    name: str
+    point_frame: int
+    point: Array
+    plane_frame: int
+    axes: Array
+    origin: Array
+    surface: PlacedSurface | None
+
+    def force(self, normal: float, friction: Array, axes: Array, origins: Array, t: float = 0.0) -> tuple[Array, Array]:
+        """Return where the point is (3,), m, and the force (3,), N, on the link that has it, base frame.
+
+        Parameters
+        ----------
+        normal : float
+            Along the normal, N.
+        friction : (2,) array
+            Along the tangents, N.
+        axes, origins : (n + 1, 3, 3) and (n + 1, 3) arrays
+            The frames of the base and the joints.
+        t : float
+            The instant, s, of a surface that moves.
+        """
+        place, turn = origins[self.point_frame] + axes[self.point_frame] @ self.point, axes[self.plane_frame]
+        frame = self.axes
+        if self.surface is not None:
+            within = self.axes @ (turn.T @ (place - origins[self.plane_frame]) - self.origin)
+            frame = self.surface.touching(within, t=t).frame @ self.axes
+        force = turn @ (np.array([normal, *friction]) @ frame)
+        return place, force
+
+
+def placed_frame(mechanism: Any, name: str) -> tuple[int, Array, Array]:
+    """Return the joint that carries a frame of a Pinocchio model, 0 the base, and there the frame's axes, as columns
+    (3, 3), and its origin (3,), m.
+    """
+    if name == WORLD:
+        return 0, np.eye(3), np.zeros(3)
+    frame = mechanism.frames[mechanism.getFrameId(name)]
+    return int(frame.parentJoint), frame.placement.rotation, frame.placement.translation
+
+
+def contact_torques(
+    scenario: Scenario, mechanism: Any, times: Array, q: Array, forces: Array, frictions: Array
+) -> Array:
+    """Return the torques of the k contacts of a scenario's links on the joints in N rows, (N, n), N m (N).
+
+    Parameters
+    ----------
+    scenario : Scenario
+    mechanism : pinocchio.Model
+    times : (N,) array
+        s.
+    q : (N, n) array
+        rad (m).
+    forces, frictions : (N, k) and (N, 2 k) arrays
+        Along the normals and the tangents, N, on the links that have the points.
+    """
+    import pinocchio as pin
+
+    torques, contacts, data = np.zeros(q.shape), contacts_of(scenario, mechanism), mechanism.createData()
+    for k, posture in enumerate(np.ascontiguousarray(q) if contacts else ()):
+        pin.computeJointJacobians(mechanism, data, posture)
+        axes = np.array([place.rotation for place in data.oMi])
+        origins = np.array([place.translation for place in data.oMi])
+        for i, touching in enumerate(contacts):
+            rub, t = frictions[k, 2 * i : 2 * i + 2], float(times[k])
+            place, force = touching.force(float(forces[k, i]), rub, axes, origins, t)
+            for joint, sign in ((touching.point_frame, 1.0), (touching.plane_frame, -1.0)):
+                if joint > 0:
+                    J = pin.getJointJacobian(mechanism, data, joint, pin.LOCAL_WORLD_ALIGNED)
+                    torques[k] += sign * (J[:3].T @ force + J[3:].T @ np.cross(place - origins[joint], force))
+    return torques
+
+
+def contacts_of(scenario: Scenario, mechanism: Any) -> tuple[Touching, ...]:
+    """Return the contacts of a scenario's links, those of its sections [[contact]], in a Pinocchio model."""
+    sections = scenario.contact or ()
+    found = []
+    for section, name in zip(sections, names_of(sections), strict=True):
+        joint, rotation, origin = placed_frame(mechanism, section.link)
+        other, turned, place = placed_frame(mechanism, section.against)
+        surface = surface_of(section, name)
+        axes = np.eye(3) if surface is not None else contact_frame(unit(section.normal, "normal"))
+        at = origin + rotation @ np.array(section.at)
+        found.append(Touching(name, joint, at, other, axes @ turned.T, place, surface))
+    return tuple(found)

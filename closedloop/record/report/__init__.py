@@ -1,0 +1,20 @@
+"""What a run says of itself: its verdict, the paper's five assumptions, and how large every error was."""
+
+from __future__ import annotations
+
+from closedloop.record.report.assumptions import assumptions
+from closedloop.record.report.report_rows import report_rows
+from closedloop.record.report.row_assumptions import NEAR_SINGULAR, RESIDUAL_TOLERANCE
+from closedloop.record.report.summary import energy_balance, summarise
+from closedloop.record.report.tables import notes, print_report
+
+__all__ = [
+    "NEAR_SINGULAR",
+    "RESIDUAL_TOLERANCE",
+    "assumptions",
+    "energy_balance",
+    "notes",
+    "print_report",
+    "report_rows",
+    "summarise",
+]

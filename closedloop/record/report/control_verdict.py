@@ -1,0 +1,280 @@
+"""Whether the controlled arm did what was commanded: the second verdict of a run, beside that of its numbers.
+
+`closedloop.record.report.verdict` says whether the numbers can be trusted; this says whether the control is good. Force
+counts while contact is commanded (`closedloop.record.report.control_signals`); with F, the root of the mean square of
+f_des there:
+
+==================  ===========================================================================================
+``stopped``         the simulation could not go on, so what was commanded was not done
+``no_contact``      contact was commanded and never came
+``lost_contact``    contact was commanded and given up: free over the last `LOST_SHARE` of that time, or at any time
+                    for `FREE_SHARE` of it at a stretch
+``bouncing``        `BOUNCES` touchdowns and more in the later half of that time
+``force_error``     f is far from f_des: RMS over the later half, or the mean of the last tenth
+``not_settled``     the mean error of the last tenth is too large and still changes
+``oscillation``     force or path swings regularly: growing over all of that time, or a limit cycle in its later half
+``path_error``      the tip is off its path along the surface
+``unstable``        a gain of the law is negative: it drives the arm away from where it should be
+``saturated``       a limit of `[drives]` cuts a joint's torque in a tenth of the rows and more
+==================  ===========================================================================================
+
+The later half leaves a run the first for its transients: an approach, the bounces of a touchdown, a break-away.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping, Sequence
+from typing import Any, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from closedloop.record.report.swings import GROWTH, Swing, lasting_swing, rms
+from closedloop.record.report.verdict import names_of
+
+Array = NDArray[np.float64]
+Bools = NDArray[np.bool_]
+Problem = dict[str, Any]
+
+# A tenth of the force, RMS: tools that polish and grind are sold with ±1 N of 10 N. Shipped scenarios whose control is
+# good have 0.03 at most in the later half, those whose subject is bad control 0.13 and more.
+RMS_SHARE = 0.1
+# The mean of the last tenth: 5 %, the wider of the two usual settling bands. A mean, so that noise does not count.
+MEAN_SHARE = 0.05
+# An error that shrinks or grows by more than this share from one tenth of the time to the next has not settled.
+STILL_CHANGING = 0.2
+# Swings count beyond the settling band; of the path, beyond half of what its error may be.
+SWING_SHARE = 0.05
+# Force loops of arms swing with 1 to 30 Hz. Rows that a scheme of steps of its own leaves farther apart than this, s,
+# show no swing of 25 Hz and more, or show it as a slow one; then nothing is said.
+SPARSE = 0.01
+# Three returns in the later half are no touchdown any more, which has its bounces at its start.
+BOUNCES = 3
+# The tip is off for good where it is off at the end; a flight of a fifth of the time is more than the bounce of a
+# touchdown: those of wam_bounce, from 50 mm with a restitution of 0.7, take 0.07 each.
+LOST_SHARE, FREE_SHARE = 0.05, 0.2
+# RMS off the path, m or share of the path's extent: tools in contact are led to a millimetre.
+PATH_FLOOR, PATH_SHARE = 1e-3, 0.02
+SATURATED_SHARE = 0.1
+
+
+class Signals(NamedTuple):
+    """What the control of a run of N rows is judged by.
+
+    Attributes
+    ----------
+    h : float
+        Time between two rows, s.
+    force, wanted : (N,) arrays
+        f and f_des, N.
+    touching : (N,) array of bool
+        Whether the tip was in contact.
+    commanded : (N,) array of bool
+        Whether it was to be.
+    approaching : bool
+        Whether the path was still on its way to the surface at the end.
+    off : (N, 3) array or None
+        The tip less its path, along the surface, m; None where nothing leads the tip along it.
+    tip : (N, 3) array
+        The path, m.
+    led : (N,) array of bool
+        Where the path counts: not off the surface under a force that is to press, which moves the tip from its path.
+    touchdowns : (E,) array
+        When contact began, or the tip bounced, s.
+    sparse : bool
+        Whether there may be more between two rows than the rows show, see `SPARSE`.
+    negative_gain : str
+        A gain of the law that is negative, "" where none is.
+    """
+
+    h: float
+    force: Array
+    wanted: Array
+    touching: Bools
+    commanded: Bools
+    approaching: bool
+    off: Array | None
+    tip: Array
+    led: Bools
+    touchdowns: Array
+    sparse: bool
+    negative_gain: str = ""
+
+
+def judge_control(
+    signals: Signals | None,
+    limited: Mapping[str, tuple[float, float]],
+    stopped: str | None = None,
+) -> tuple[list[Problem], list[str]]:
+    """Return what is wrong with the control, as `closedloop.record.report.verdict.judge` does, and what is not known.
+
+    Parameters
+    ----------
+    signals : Signals or None
+        None of a run without rows.
+    limited : mapping of str to (float, float)
+        By joint the share of the rows in which a limit of the drives cut its torque, and when first, s.
+    stopped : str, optional
+        Why the simulation could not go on.
+    """
+    problems = [_problem("stopped", f"what was commanded was not done: {stopped}")] if stopped else []
+    unknown: list[str] = []
+    if signals is not None:
+        with np.errstate(all="ignore"):
+            problems += _contact(signals, unknown) + _path(signals)
+            if signals.negative_gain:
+                text = f"{signals.negative_gain} is below 0: the feedback drives the arm away, however slowly"
+                problems.append(_problem("unstable", text))
+            if signals.sparse:
+                unknown.append(f"oscillation: rows are {signals.h:g} s apart, steps are shorter")
+    problems += [
+        _problem(
+            "saturated", f"a limit of [drives] cuts the torque of joint {name} in {100 * share:.3g} % of the rows, "
+            f"more than {100 * SATURATED_SHARE:g} %", at,
+        )
+        for name, (share, at) in limited.items()
+        if share > SATURATED_SHARE
+    ]  # fmt: skip
+    return problems, unknown
+
+
+def _contact(s: Signals, unknown: list[str]) -> list[Problem]:
+    """Return what is wrong with the contact and its force."""
+    rows = np.flatnonzero(s.commanded)
+    if not rows.size:
+        return []
+    met = np.flatnonzero(s.touching & s.commanded)
+    struck = s.touchdowns[s.commanded[np.minimum((s.touchdowns / s.h).astype(int), len(s.commanded) - 1)]]
+    if not met.size and not struck.size:
+        if s.approaching:
+            unknown.append("contact: the path had not come to the surface at the end")
+            return []
+        return [_problem("no_contact", f"contact was commanded from {rows[0] * s.h:.4g} s on and never came",
+                         rows[0] * s.h)]  # fmt: skip
+    first = min([*met[:1], *np.ceil(struck[:1] / s.h).astype(int)])  # an impact leaves no row in contact
+    rows = rows[rows >= first] if np.any(rows >= first) else rows[-1:]
+    free, lost = _longest_free(s, rows)
+    problems = [free] if free else []
+    later = rows[rows.size // 2 :]
+    begin, end = later[0] * s.h, later[-1] * s.h
+    count = np.count_nonzero((s.touchdowns > begin) & (s.touchdowns <= end))
+    if count >= BOUNCES:
+        at = float(s.touchdowns[s.touchdowns > begin][0])
+        said = f"{count} touchdowns between {begin:.4g} and {end:.4g} s, {BOUNCES} and more are no touchdown any more"
+        problems.append(_problem("bouncing", said, at))
+    return (
+        problems
+        if lost
+        else problems + judge_force((s.force - s.wanted)[rows], rms(s.wanted[rows]), s.h, rows, s.sparse)
+    )
+
+
+def _longest_free(s: Signals, rows: NDArray[np.int64]) -> tuple[Problem | None, bool]:
+    """Return what is wrong where the tip is off the surface for long, and whether it is off at the end."""
+    free = ~s.touching[rows]
+    if not np.any(free) or rows.size < 2:
+        return None, False
+    # A touchdown between two rows ends a flight, though no row is in contact.
+    bounds = np.union1d(np.flatnonzero(~free), np.searchsorted(rows, s.touchdowns / s.h))
+    bounds = np.concatenate([[-1], bounds[bounds < rows.size], [rows.size]])
+    flights = np.diff(bounds)
+    k, share = int(np.argmax(flights)), float(np.max(flights) - 1) / rows.size
+    lost = not np.any(s.touching[rows[-max(1, int(np.ceil(LOST_SHARE * rows.size))) :]]) and flights[-1] - 1 >= (
+        LOST_SHARE * rows.size
+    )
+    if lost:
+        k, share = len(flights) - 1, float(flights[-1] - 1) / rows.size
+    bound = LOST_SHARE if lost else FREE_SHARE
+    if not lost and share <= bound:
+        return None, False
+    begin, end = rows[max(bounds[k], 0)] * s.h, rows[min(bounds[k + 1], rows.size - 1)] * s.h
+    text = f"off the surface from {begin:.4g} to {end:.4g} s, {100 * share:.3g} % of the time commanded, more than "
+    text += f"{100 * bound:g} %" + (" at the end" if lost else "")
+    return _problem("lost_contact", text, begin), lost
+
+
+def judge_force(miss: Array, scale: float, h: float, rows: NDArray[np.int64], sparse: bool = False) -> list[Problem]:
+    """Return what is wrong with the force while contact is commanded, above all in the later half of that time.
+
+    Parameters
+    ----------
+    miss : (R,) array
+        f − f_des, N, while contact is commanded.
+    scale : float
+        F, N.
+    h : float
+        Time between two rows, s.
+    rows : (R,) array of int
+        Which rows of the run these are.
+    sparse : bool
+        See `Signals`.
+    """
+    late = miss[rows.size // 2 :]
+    off = max(float(np.max(late)), -float(np.min(late)))
+    if off <= MEAN_SHARE * scale:
+        return []
+    problems = []
+    tenth = max(1, rows.size // 10)
+    mean = float(np.mean(miss[-tenth:]))
+    if not abs(mean) <= MEAN_SHARE * scale:
+        before = float(np.mean(miss[-2 * tenth : -tenth])) if rows.size >= 2 * tenth else mean
+        changes = abs(mean - before) > STILL_CHANGING * abs(mean)
+        text = f"f is {mean:+.3g} N off on average at the end, more than {MEAN_SHARE * scale:.3g} N"
+        text, name = (f"{text}, and still changes", "not_settled") if changes else (text, "force_error")
+        problems.append(_problem(name, text, rows[-tenth] * h))
+    error = math.sqrt(np.dot(late, late) / late.size)
+    if not error <= RMS_SHARE * scale:
+        at = rows[rows.size // 2 + int(np.argmax(np.abs(late)))] * h
+        text = f"{error:.3g} N RMS, more than {RMS_SHARE * scale:.3g} N; most, {off:.3g} N, at {at:.4g} s"
+        problems.append(_problem("force_error", text, at))
+    if not sparse:
+        problems += _swinging(lasting_swing(miss, SWING_SHARE * scale, h, rows[0] * h), "force", "N")
+    return problems
+
+
+def _path(s: Signals) -> list[Problem]:
+    """Return what is wrong with the motion along the surface."""
+    if s.off is None:
+        return []
+    square = np.einsum("ij,ij->i", s.off, s.off) * s.led
+    if np.max(square) <= (0.5 * PATH_FLOOR) ** 2 or not np.any(s.led):
+        return []  # neither RMS nor a swing can reach its bound
+    extent = float(np.max(np.linalg.norm(s.tip - s.tip[0], axis=1)))
+    bound = max(PATH_FLOOR, PATH_SHARE * extent)
+    problems, error = [], float(np.sqrt(np.sum(square) / np.count_nonzero(s.led)))
+    if not error <= bound:
+        worst = int(np.argmax(square))
+        text = f"{error:.3g} m RMS along the surface, more than {bound:.2g} m; most, {np.sqrt(square[worst]):.3g} m"
+        problems.append(_problem("path_error", text, worst * s.h))
+    if not s.sparse:
+        part = s.off * s.led[:, None]
+        along = np.linalg.eigh(np.cov(part[len(part) // 2 :], rowvar=False))[1][:, -1]  # where it varies most
+        problems += _swinging(lasting_swing(part @ along, 0.5 * bound, s.h, 0.0), "path", "m")
+    return problems
+
+
+def _swinging(swing: Swing | None, what: str, unit: str) -> list[Problem]:
+    if swing is None:
+        return []
+    kind = "grows" if swing.growth > GROWTH else "is a limit cycle"
+    text = (
+        f"the {what} swings by ±{swing.amplitude:.3g} {unit} with {1.0 / swing.period:.3g} Hz, which {kind}: "
+        f"{swing.growth:.3g} times as much in the last third as in the first"
+    )
+    return [_problem("oscillation", text, swing.at)]
+
+
+def _problem(name: str, text: str, at: float | None = None) -> Problem:
+    return {"name": name, "at": None if at is None else float(at), "text": text}
+
+
+def told(facts: Mapping[str, Any]) -> str:
+    """Return the verdict of the control of a summary as a cell of a table: names of problems, and what is not known."""
+    control = facts["control_verdict"]
+    return names_of(control["problems"]) + unknown_text(control["not_known"])
+
+
+def unknown_text(unknown: Sequence[str]) -> str:
+    """Return what is not known as an addition to the line of the verdict, or an empty string."""
+    return f"; not known: {', '.join(unknown)}" if unknown else ""

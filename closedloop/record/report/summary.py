@@ -1,0 +1,182 @@
+"""The summary of a run: its verdict, how large every error was, what the contact did, and the balance of energy."""
+
+from __future__ import annotations
+
+import math
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from closedloop.jit.interpreted import interpreted
+from closedloop.loop.events.table import KINDS
+from closedloop.mechanics.closure.contact_force import FREE
+from closedloop.mechanics.loops.wrench import parts_of
+from closedloop.record.columns.record import Record
+from closedloop.record.report.assumptions import assumptions
+from closedloop.record.report.control_signals import limited_joints, run_signals
+from closedloop.record.report.control_verdict import judge_control
+from closedloop.record.report.halved import measured_step_error
+from closedloop.record.report.measures import JOINT_MEASURES, MEASURES, absent_measures
+from closedloop.record.report.row_sample import Scale, energy_left, torque_power
+from closedloop.record.report.run_values import columns_of, run_values
+from closedloop.record.report.step_error import step_error, why_not_known
+from closedloop.record.report.undetermined import not_determined_from
+from closedloop.record.report.undriven import motions_without_drive
+from closedloop.record.report.verdict import Facts, judge
+from closedloop.scenario.arm import robot_of
+from closedloop.scenario.gains import gains_fault
+from closedloop.scenario.modes import unresolved
+
+Array = NDArray[np.float64]
+
+
+def summarise(run: Record) -> dict[str, Any]:
+    """Return the summary of a run: what summary.json holds, which is strict JSON.
+
+    Quantities that do not exist (no rows) are None. So is a value that is no finite number; `not_finite` names it.
+    """
+    found = run_values(run) if len(run) else None
+    values: dict[str, Any] = dict.fromkeys(MEASURES) if found is None else _measures(run, found)
+    joints = {name: getattr(found, name, np.full(run.model.n, np.nan)) for name in JOINT_MEASURES}
+    held = assumptions(run, values)
+    problems = judge(_facts(run, values, joints, held), lambda: run_gains_fault(run))
+    return {
+        "verdict": {"good": not problems, "problems": problems},
+        "control_verdict": _control(run, joints),
+        "scenario": run.scenario.name,
+        "robot": run.model.name,
+        "law": run.law,
+        "steps": max(0, len(run) - 1),
+        "end_time": float(run.time[-1]) if len(run) else None,
+        "stopped": run.stopped,
+        **{name: value if _exists(value) else None for name, value in values.items()},
+        "not_finite": [name for name, value in values.items() if not _exists(value)],
+        "step_error": step_error(run, values),
+        "halved": None if run.halved is None else dict(run.halved),
+        "wrist": _wrist(run),
+        "tool": _tool(run),
+        "force_not_determined_from": not_determined_from(run),
+        "motions_without_drive": motions_without_drive(run),
+        "events": {kind: sum(event.kind == kind for event in run.events) for kind in KINDS.values()},
+        "assumptions": held,
+        "joints": {
+            name: {key: _finite(column[j]) for key, column in joints.items()}
+            for j, name in enumerate(run.model.joint_names if len(run) else ())
+        },
+        "loops": _loops(run),
+        "wall_seconds": run.wall_seconds,
+    }
+
+
+def _unresolved(run: Record) -> list[str]:
+    if not len(run):
+        return []
+    robot = robot_of(run.scenario, run.model)
+    return unresolved(run.scenario, robot, run.q[0], run.surface_normal[0], -float(run.closure_error[0]))
+
+
+def _control(run: Record, joints: dict[str, Array]) -> dict[str, Any]:
+    """Return the verdict of the control, and what of it is not known."""
+    shares, since = joints["torque_limited_share"], joints["torque_limited_at"]
+    limited = limited_joints(run.model.joint_names, shares, since)
+    problems, unknown = judge_control(run_signals(run), limited, run.stopped)
+    return {"good": not problems, "problems": problems, "not_known": unknown}
+
+
+def _loops(run: Record) -> dict[str, dict[str, float]]:
+    """Return the largest of each part of a mechanism's reactions, N or N m, and of its joint's errors, m or rad."""
+    if run.loops is None or not len(run):
+        return {}
+    found = run.loops
+    worst: dict[str, float] = {}
+    for name, error in zip(found.joints, np.max(np.abs(found.errors), axis=0).tolist(), strict=True):
+        worst[name] = max(error, worst.get(name, 0.0))
+    most = np.max(np.abs(found.reactions), axis=0).tolist()
+    joints = [loop.name for loop in run.model.loops for _ in parts_of(run.model, loop)]
+    return {
+        label: {"max_reaction": size, "max_error": worst[name]}
+        for label, size, name in zip(found.labels, most, joints, strict=True)
+    }
+
+
+def _facts(run: Record, values: dict[str, Any], joints: dict[str, Array], held: dict[str, dict[str, Any]]) -> Facts:
+    failed = {
+        name: (v["first_failed"], v["measured"]) for name, v in held.items() if v["held"] is False and v["expected"]
+    }
+    columns = {name: column.tolist() for name, column in joints.items()}
+    return Facts(
+        run.scenario, run.model, run.stopped, len(run) - 1, values, len(run.events), failed, columns, _unresolved(run),
+        run.halved is not None, run.halved["stopped"] if run.halved else None,
+    )  # fmt: skip
+
+
+def _wrist(run: Record) -> dict[str, float | None] | None:
+    """Return the largest force, N, and moment, N m, between the arm and what it carries; None if it carries nothing."""
+    if len(run) == 0 or not (run.scenario.tool.mass or run.scenario.model_error.payload):
+        return None
+    parts = {"max_force": run.wrist_wrench[:, :3], "max_moment": run.wrist_wrench[:, 3:]}
+    return {name: _finite(np.max(np.linalg.norm(part, axis=1))) for name, part in parts.items()}
+
+
+def _tool(run: Record) -> dict[str, float | None] | None:
+    """Return how far the tool turned from its reference and from the normal at most, degrees; None if it is free."""
+    if len(run) == 0 or getattr(run.scenario.reference, "orientation", "free") == "free":
+        return None
+    return {
+        "max_orientation_error": _finite(np.max(run.orientation_error)),
+        "max_angle": _finite(np.max(run.tool_angle)),
+    }
+
+
+def run_gains_fault(run: Record) -> str:
+    """Return what is wrong with the gains for this step; of a law of one's own nothing is known."""
+    if run.law != "scenario":
+        return ""
+    return gains_fault(run.scenario, robot_of(run.scenario, run.model))
+
+
+def _finite(value: float) -> float | None:
+    return float(value) if np.isfinite(value) else None
+
+
+def joint_measures(run: Record) -> dict[str, Array]:
+    """Return `JOINT_MEASURES`, each (n,); an instant is NaN where there is none. Without rows nothing exists: NaN."""
+    values = run_values(run) if len(run) else None
+    return {name: getattr(values, name, np.full(run.model.n, np.nan)) for name in JOINT_MEASURES}
+
+
+def _exists(value: float | None) -> bool:
+    """Whether a value is a number, or is known not to exist."""
+    return value is None or math.isfinite(value)
+
+
+def _measures(run: Record, values: Any) -> dict[str, float | None]:
+    """Return `MEASURES`; None is what does not exist, and a number that is not finite what overflowed."""
+    found: dict[str, float | None] = {name: float(getattr(values, name)) for name in MEASURES}
+    if np.all(run.mode == FREE):
+        found["rms_force_error"] = None
+    if np.isnan(values.force_settled_at):
+        found["force_settled_at"] = None
+    if run.halved is not None:
+        found |= measured_step_error(run.halved)
+    elif why_not_known(run.scenario, run.model):
+        found["step_error_force"] = found["step_error_position"] = None
+    return found | dict.fromkeys(absent_measures(run.scenario, run.law != "scenario"))
+
+
+def energy_balance(run: Record) -> tuple[Array, Array]:
+    """Return the residual of the energy balance and the energy exchanged, each (N,), J, from the start to each row.
+
+    The residual is the change of kinetic and potential energy less the energy that the arm was given: the work of the
+    joint torques, ∫ Qᵀq̇ dt, of the contact force, ∫ f ė dt, and of friction at the tip and in the joints, less what
+    the events took (`closedloop.loop.step.energy_supplied`). It shrinks with the step, impacts or not, as the
+    integrator's order says. The energy exchanged is ∫ |Qᵀq̇| dt, by the trapezoidal rule over the rows: what the
+    residual is small or large against.
+    """
+    row, n, scale = columns_of(run), run.model.n, Scale(np.zeros(Scale.count()))
+    scale.start_energy, scale.start_supplied = run.kinetic_energy[0] + run.potential_energy[0], run.energy_supplied[0]
+    left = interpreted(energy_left)(row, run.potential_energy, scale)
+    power = np.abs(interpreted(torque_power)(row, n))
+    exchanged = np.cumsum(0.5 * (power[1:] + power[:-1]) * np.diff(run.time))
+    return left, np.concatenate([[0.0], exchanged])

@@ -1,0 +1,209 @@
+"""What is printed of a run: its verdict, its assumptions, its errors, and what happened to the contact."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from closedloop.control.drives import OF_THE_ROBOT
+from closedloop.loop.events.table import IMPACT, TOUCHDOWN
+from closedloop.mechanics.friction.law import FrictionLaw
+from closedloop.mechanics.integrators import scheme_of
+from closedloop.record.columns.record import Record
+from closedloop.record.report.control_verdict import unknown_text
+from closedloop.record.report.halved import halved_rows
+from closedloop.record.report.report_rows import report_rows
+from closedloop.record.report.summary import run_gains_fault
+from closedloop.record.report.verdict import GOOD, names_of, probable_reason
+from robot_models.notes import notes as robot_notes
+
+if TYPE_CHECKING:
+    from rich.console import Console
+
+    from closedloop.record.columns.events import Event
+
+# How many events are printed: a bouncing tip has dozens.
+MOST_EVENTS = 8
+
+
+def restitution_cut(run: Record) -> str:
+    """Return a line about impacts that gave less restitution than was asked for, or an empty string."""
+    asked, impacts = run.scenario.impact.restitution, run.event_kind == IMPACT
+    if run.scenario.impact.law != "newton":
+        return ""  # a law of one's own may give what it likes
+    given = run.event_restitution[impacts & (run.event_restitution < asked)]
+    if not given.size:
+        return ""
+    return (
+        f"impact.restitution = {asked:g}: {given.size} of {np.count_nonzero(impacts)} impacts gave less, at least "
+        f"{np.min(given):.3g}: with friction Newton's law would have created energy; poisson and stronge never do"
+    )
+
+
+def shifted_events(run: Record) -> str:
+    """Return a line about a scheme of order 1 in a run with impacts, or an empty string."""
+    name = run.scenario.time.integrator
+    scheme = scheme_of(name)
+    if scheme is None or scheme.order > 1 or not np.any(np.isin(run.event_kind, (IMPACT, TOUCHDOWN))):
+        return ""
+    return (
+        f"time.integrator = {name!r} is of order 1: impacts are off by up to several steps of "
+        f"{run.scenario.time.step:g} s, and small ones may be missed; rk4 and dop853 locate them"
+    )
+
+
+def _energy_fault(law: Any, load: float, n: int | None = None) -> str | None:
+    """Return what `FrictionLaw.energy_fault` says; nothing of a user's class that is not there."""
+    return law.energy_fault(load, n) if isinstance(law, FrictionLaw) else None
+
+
+def _robot_notes(run: Record) -> tuple[str, ...]:
+    """Return what the robot's file says and the run did not act on."""
+    model, limited, rubs = run.model, run.scenario.drives.torque_limit == OF_THE_ROBOT, run.scenario.robot.friction
+    if not (limited or rubs):
+        return model.notes
+    effort = np.full(model.n, np.inf) if limited else model.effort_limit
+    return robot_notes(model.text, model.format, () if rubs else model.joint_names, model.velocity_limit, effort)
+
+
+def notes(run: Record) -> list[str]:
+    """Return what a reader of the run should know beside its values: what was left out, friction that may drive ..."""
+    load = float(np.max(np.abs(run.contact_force)))
+    faults = (
+        ("friction", _energy_fault(run.scenario.friction, load)),
+        ("joint_friction", _energy_fault(run.scenario.joint_friction, 1.0, run.q.shape[1])),
+        ("gains", run_gains_fault(run)),
+    )
+    told = {problem["name"] for problem in run.summary()["verdict"]["problems"]}
+    lines = [*_robot_notes(run), restitution_cut(run), shifted_events(run)]
+    return [text for text in lines if text] + [f"{key}: {fault}" for key, fault in faults if fault and key not in told]
+
+
+_TITLES = {
+    "one_loop": "one loop",
+    "single_point": "a single point",
+    "contact_kept": "no loss of contact (f > 0)",
+    "frictionless": "no friction",
+    "nonsingular": "no singular pose",
+}
+
+
+def print_report(run: Record, width: int | None = None) -> None:
+    """Print the verdict, in the first line, and the tables of assumptions and errors on standard output."""
+    from rich import box
+    from rich.console import Console
+    from rich.table import Table
+
+    console = Console(width=width, highlight=False)
+    facts = run.summary()
+    _print_verdict(facts, console)
+    table = Table(box=box.SIMPLE_HEAD, title=f"{run.scenario.name}: the paper's assumptions", title_justify="left")
+    table.add_column("assumption")
+    table.add_column("held")
+    table.add_column("first failed", justify="right")
+    table.add_column("decided by")
+    for name, verdict in facts["assumptions"].items():
+        held = {True: "[green]yes[/]", False: "[bold red]NO[/]", None: "unknown"}[verdict["held"]]
+        if verdict["held"] is False and not verdict["expected"]:
+            held = "outside,\npassed" if name == "nonsingular" else "outside, by\nthe scenario"
+        when = "" if verdict["first_failed"] is None else f"{verdict['first_failed']:.4g} s"
+        table.add_row(_TITLES[name], held, when, verdict["measured"])
+    console.print(table)
+    if len(run) == 0:
+        return
+    errors = Table(box=box.SIMPLE_HEAD, title="how large every error was, at its worst", title_justify="left")
+    errors.add_column("quantity", no_wrap=True)
+    errors.add_column("value", justify="right", no_wrap=True)
+    errors.add_column("unit", no_wrap=True)
+    errors.add_column("beside it")
+    for row in report_rows(run):
+        errors.add_row(*row)
+    console.print(errors)
+    if run.halved is not None:
+        _print_halved(run.halved, console)
+    if run.events:
+        _print_events(run, console)
+    for note in notes(run):
+        console.print(f"[yellow]note:[/] {note}")
+
+
+def _print_verdict(facts: dict[str, Any], console: Console) -> None:
+    """Print the verdicts of numbers and control in a line each, at any width, and then what is wrong."""
+    from rich.markup import escape
+
+    problems, control = facts["verdict"]["problems"], facts["control_verdict"]
+    if facts["verdict"]["good"]:
+        left = facts["assumptions"]["nonsingular"]
+        outside = left["held"] is False and left["measured"].startswith("passed")
+        passed = f", outside the paper's assumptions: singular pose {left['measured'].split(';')[0]}"
+        console.print(f"verdict: [green]{GOOD}[/]{passed if outside else ''}", soft_wrap=True)
+    else:
+        reason = probable_reason(problems)
+        why = f" ({reason})" if reason else ""
+        console.print(f"verdict: [bold red]BAD[/]: {names_of(problems)}{why}", soft_wrap=True)
+    said = f"[green]{GOOD}[/]" if control["good"] else f"[bold red]BAD[/]: {names_of(control['problems'])}"
+    console.print(f"control: {said}{escape(unknown_text(control['not_known']))}", soft_wrap=True)
+    for problem in problems + control["problems"]:
+        when = "" if problem["at"] is None else f" (from {problem['at']:.4g} s)"
+        console.print(f"  [bold red]{problem['name']}[/]: {escape(problem['text'])}{when}")
+
+
+def _print_halved(halved: Mapping[str, Any], console: Console) -> None:
+    """Print by how much the run at half the step differs."""
+    from rich import box
+    from rich.markup import escape
+    from rich.table import Table
+
+    title = f"at half the step, {halved['step']:g} s, by how much it differs"
+    table = Table(box=box.SIMPLE_HEAD, title=title, title_justify="left")
+    table.add_column("quantity", no_wrap=True)
+    table.add_column("differs by", justify="right", no_wrap=True)
+    table.add_column("unit", no_wrap=True)
+    table.add_column("beside it")
+    for row in halved_rows(halved):
+        table.add_row(*map(escape, row))
+    console.print(table)
+
+
+def _print_events(run: Record, console: Console) -> None:
+    """Print the first events as a table, columns that would be empty left out."""
+    from rich import box
+    from rich.table import Table
+
+    shown = run.events[:MOST_EVENTS]
+    heads = ("time\ns", "event", "rate\nbefore\nm/s", "rate\nafter\nm/s", "com-\npression\nN s",
+             "decom-\npression\nN s", "energy\nlost\nJ")  # fmt: skip
+    rows = [_event_row(event) for event in shown]
+    kept = [k for k in range(len(heads)) if any(row[k] for row in rows)]
+    # Nothing between the columns but one blank: all seven fit into 80.
+    table = Table(box=box.SIMPLE_HEAD, title="events", title_justify="left", padding=(0, 1, 0, 0))
+    for k in kept:
+        table.add_column(heads[k], justify="left" if k == 1 else "right", no_wrap=True, vertical="bottom")
+    for row in rows:
+        table.add_row(*(row[k] for k in kept))
+    console.print(table)
+    more = len(run.events) - len(shown)
+    if more:
+        console.print(f"  and {more} more, the last at {run.events[-1].time:.6f} s")
+
+
+def _event_row(event: Event) -> tuple[str, ...]:
+    """Return the cells of an event: rates where contact begins or ends, impulses and energy of an impact."""
+    normal = event.kind in ("impact", "touchdown", "liftoff", "edge")
+    impact = event.kind in ("impact", "touchdown")
+    return (
+        f"{event.time:.6f}",
+        event.kind,
+        _short(event.rate_before) if normal else "",
+        _short(event.rate_after) if normal else "",
+        _short(event.compression) if impact else "",
+        _short(event.decompression) if impact else "",
+        _short(event.energy_lost) if impact else "",
+    )
+
+
+def _short(value: float) -> str:
+    """Return a number in three digits; what is below 1e-15 is rounding."""
+    return f"{value:.3g}" if abs(value) >= 1e-15 else "0"

@@ -1,0 +1,157 @@
+"""A function or a class from a user's module, named on the command line as MODULE:NAME.
+
+    --law my_laws:soft_touch --reference.kind my_paths:Spiral
+
+The module, and what it imports, may be in the current folder. That folder is searched last, and a module with the name
+of an installed one is refused.
+"""
+
+from __future__ import annotations
+
+import importlib
+import os
+import sys
+import traceback
+from collections.abc import Iterable, Iterator
+from contextlib import contextmanager, redirect_stdout
+from importlib.machinery import ModuleSpec, PathFinder
+from importlib.util import find_spec
+from typing import Any
+
+from closedloop.base.errors import ClosedLoopError, ScenarioError
+from closedloop.scenario.scenario import families
+
+
+def name_members(given: Iterable[tuple[str, Any]]) -> None:
+    """Import the users' classes that the command line names, such as --reference.kind my_paths:Spiral.
+
+    Parameters
+    ----------
+    given : iterable of (str, value)
+        Dotted keys of the scenario and their values.
+
+    Raises
+    ------
+    ScenarioError
+        See `importing` and `closedloop.base.families.Family.named`.
+    """
+    for key, value in given:
+        family = families().get(key)
+        if family is not None and isinstance(value, str) and ":" in value:
+            with importing(f"--{key}", value, "MODULE:CLASS, such as my_module:MyClass"):
+                family.named(value, key)
+
+
+def import_law(name: str) -> Any:
+    """Return the function that --law names.
+
+    Raises
+    ------
+    ScenarioError
+        See `importing`.
+    """
+    with importing("--law", name, "MODULE:FUNCTION, such as my_laws:soft_touch") as (module, function):
+        law = getattr(importlib.import_module(module), function, None)
+    if not callable(law):
+        raise ScenarioError(f"--law {name}: '{module}' has no function '{function}'")
+    return law
+
+
+@contextmanager
+def importing(option: str, name: str, wanted: str) -> Iterator[tuple[str, str]]:
+    """Let MODULE:NAME be imported meanwhile; yield the two names.
+
+    What the module prints as it is imported goes to standard error: standard output is for results.
+
+    Parameters
+    ----------
+    option : str
+        For messages, such as ``--law``.
+    name : str
+        MODULE:NAME.
+    wanted : str
+        What it should look like.
+
+    Raises
+    ------
+    ScenarioError
+        If it does not look like that, there is no such module, or it cannot be imported; says in which line of which
+        file.
+    """
+    module, _, attribute = name.partition(":")
+    if not (attribute and all(part.isidentifier() for part in module.split("."))):
+        raise ScenarioError(f"{option} {name}: must be {wanted}")
+    file = _look_here(option, name, module.partition(".")[0])
+    try:
+        with redirect_stdout(sys.stderr):
+            yield module, attribute
+    except ClosedLoopError:
+        raise
+    except (Exception, SystemExit) as error:  # a user's module may raise anything
+        if isinstance(error, ModuleNotFoundError) and f"{module}.".startswith(f"{error.name}."):
+            what = f"there is no module '{module}' here or among the installed packages"
+        else:
+            what = _where_and_what(error, file)
+        raise ScenarioError(f"{option} {name}: {what}") from None
+
+
+def _look_here(option: str, name: str, top: str) -> str:
+    """Let modules of the current folder be found, after all others; return the file of the named one, or ""."""
+    try:
+        here = os.getcwd()
+    except OSError:  # it was deleted
+        return ""
+    importlib.invalidate_caches()
+    ours, other = PathFinder.find_spec(top, [here]), _installed(top)
+    if ours is not None and ours.origin is not None and other is not None and not _same(ours.origin, other.origin):
+        raise ScenarioError(
+            f"{option} {name}: {_short(ours.origin)} has the name of another module, {other.origin or top}: rename it"
+        )
+    if here not in sys.path:
+        sys.path.append(here)
+    return "" if ours is None else ours.origin or ""
+
+
+def _installed(top: str) -> ModuleSpec | None:
+    try:
+        found = find_spec(top)
+    except ValueError:  # such as __main__, which has none
+        return ModuleSpec(top, None)
+    # A folder without __init__.py has no origin, and takes the place of no module.
+    return None if found is None or found.origin is None else found
+
+
+def _same(a: str, b: str | None) -> bool:
+    try:
+        return b is not None and os.path.samefile(a, b)
+    except OSError:  # such as "built-in"
+        return False
+
+
+def _where_and_what(error: BaseException, file: str) -> str:
+    """Return file:line: what, of the line of the user's file; `file` is where to look if no line of it ran."""
+    if isinstance(error, SyntaxError) and error.filename:
+        return f"{_short(error.filename)}:{error.lineno or 1}: {error.msg}"
+    # The first two are `importing` and the command that imports.
+    frames = [frame for frame in traceback.extract_tb(error.__traceback__)[2:] if _is_users(frame.filename)]
+    here = [frame for frame in frames if not os.path.isabs(_short(frame.filename))]
+    lines = str(error).splitlines()
+    what = ": ".join([type(error).__name__, *lines[:1]])
+    if isinstance(error, SystemExit):
+        what = f"calls sys.exit({error.code!r})"
+    for frame in reversed(here or frames):
+        return f"{_short(frame.filename)}:{frame.lineno}: {what}"
+    return f"{_short(file)}: {what}" if file else what
+
+
+def _is_users(path: str) -> bool:
+    return os.path.isfile(path) and path != importlib.__file__
+
+
+def _short(path: str) -> str:
+    """Return a path below the current folder from there, another as it is."""
+    try:
+        short = os.path.relpath(path)
+    except (OSError, ValueError):  # no current folder, or another drive
+        return path
+    return path if short.startswith(os.pardir) else short

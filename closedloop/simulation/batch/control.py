@@ -1,0 +1,76 @@
+"""The verdict of the control of a run of a batch, from its rows, or from what the lanes keep of them."""
+
+from __future__ import annotations
+
+import math
+from functools import lru_cache
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from closedloop.loop.events.table import IMPACT, TOUCHDOWN, EventRow
+from closedloop.loop.step.record_row import recorded
+from closedloop.mechanics.closure.contact_force import FREE
+from closedloop.record.report.control_signals import RELEASE, limited_joints, negative_gain, signals_of
+from closedloop.record.report.control_verdict import MEAN_SHARE, PATH_FLOOR, judge_control, judge_force, told
+from closedloop.record.report.measured import Values
+from closedloop.record.report.verdict import GOOD
+from closedloop.scenario.scenario import Scenario
+from closedloop.simulation.engines.lanes import LaneRuns
+from closedloop.simulation.engines.problem import Problem
+
+Array = NDArray[np.float64]
+
+
+def control_in_lanes(runs: LaneRuns, lane: int, scenario: Scenario) -> str:
+    """Return "good", or what is wrong with the control of a run in a lane, all of whose rows are in contact.
+
+    Where contact is commanded in all rows and no error ever reaches what a bound is about, the worst of them decides;
+    most runs of a sweep end here, for which the rows are not gone over.
+    """
+    worst, count = runs.worst(lane), runs.kind.steps + 1
+    scale = math.sqrt(worst.wanted_squared / count)
+    on_path = 4.0 * worst.off_squared <= PATH_FLOOR**2
+    if on_path and worst.least > 0.0 and worst.rise <= RELEASE and not negative_gain(scenario):
+        if worst.miss <= MEAN_SHARE * scale:
+            return GOOD
+        return _told((judge_force(runs.miss(lane), scale, runs.kind.h, _rows(count)), []))
+    wanted, force, along, tip = runs.signals(lane)
+    # In contact from the start, only by how much the path rises off the surface counts.
+    path = along, tip @ runs.normal(lane), tip
+    signals = signals_of(scenario, runs.kind.h, force, wanted, np.ones(count, dtype=bool), path, np.empty(0))
+    return _told(judge_control(signals, {}))
+
+
+@lru_cache(maxsize=8)
+def _rows(count: int) -> NDArray[np.int64]:
+    return np.arange(count)
+
+
+def control_of_rows(problem: Problem, rows: Array, events: Array, values: Any, stopped: str | None) -> str:
+    """Return the same of a run by itself, of its rows, its events, and its values (Values.count(n),)."""
+    n, count = problem.robot.n, len(rows)
+    if not count:
+        return _told(judge_control(None, {}, stopped))
+    normal, error = recorded(rows, n, "surface_normal"), recorded(rows, n, "closure_error")
+    table = problem.table[:: problem.nodes][:count]
+    tip = table[:, 2 * n : 2 * n + 3]
+    off = recorded(rows, n, "position") - tip
+    out = np.einsum("ij,ij->i", off, normal)
+    path = off - out[:, None] * normal, error - out, tip
+    began = np.isin(events[:, EventRow.place("kind")], (IMPACT, TOUCHDOWN))
+    signals = signals_of(
+        problem.scenario, problem.h, recorded(rows, n, "contact_force"), table[:, 2 * n + 9],
+        recorded(rows, n, "mode") != FREE, path, events[began, EventRow.place("time")],
+    )  # fmt: skip
+    found = Values(values, n)
+    names = problem.robot.model.joint_names
+    limited = limited_joints(names, found.torque_limited_share, found.torque_limited_at)
+    return _told(judge_control(signals, limited, stopped))
+
+
+def _told(judged: tuple[list[dict[str, Any]], list[str]]) -> str:
+    """Return the text of the column, with what is not known where nothing else is wrong."""
+    problems, unknown = judged
+    return told({"control_verdict": {"problems": problems, "not_known": unknown}})

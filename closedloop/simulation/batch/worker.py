@@ -1,0 +1,293 @@
+"""One thread's runs of a batch: the memory that they reuse, and the outcome of a run as a few values.
+
+Large arrays and objects are reused from run to run: robots, paths and tables (`closedloop.simulation.cache`), rows,
+events, scratch. No run depends on an earlier one: the loop reads no row that it has not written.
+
+Runs of one kind go eight at a time in SIMD lanes (`closedloop.simulation.engines.lanes`), with the same results to the
+last bit.
+"""
+
+from __future__ import annotations
+
+import logging
+import math
+import traceback
+from collections import Counter
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+from weakref import WeakKeyDictionary
+
+import numpy as np
+from numpy.typing import NDArray
+
+from closedloop.base.errors import ClosedLoopError, SingularClosureError, faults_on_one_line, one_line
+from closedloop.control.drives import DrivesSection
+from closedloop.jit.background import make_ready
+from closedloop.jit.simd8 import WIDE
+from closedloop.loop.step.record_row import Row, recorded
+from closedloop.mechanics.robot.pinocchio import Robot
+from closedloop.mechanics.robot.tree import Tree
+from closedloop.record.columns.recorded import SURFACE_COLUMNS
+from closedloop.record.report.limited import count_limited
+from closedloop.record.report.measured import FAILED_AT, WIDTH, Tally, Values, measure_rows
+from closedloop.record.report.row_assumptions import NAMES
+from closedloop.record.report.row_sample import joint_limits
+from closedloop.record.report.tabled import forget_absent, verdict_of
+from closedloop.scenario.modes import unresolved
+from closedloop.scenario.scenario import Scenario
+from closedloop.simulation.batch.control import control_in_lanes, control_of_rows
+from closedloop.simulation.cache import Cache
+from closedloop.simulation.engines.compiled import compiled_tree, compiled_work
+from closedloop.simulation.engines.lanes import FEWEST, Kind, LaneRuns, kind_of, uses_lanes
+from closedloop.simulation.engines.law_source import fresh
+from closedloop.simulation.engines.loops import COMPILED
+from closedloop.simulation.engines.problem import Problem
+from closedloop.simulation.engines.user_law import Law
+from closedloop.simulation.prepare import prepare
+from closedloop.simulation.simulate import run_loop
+from robot_models import RobotModel
+
+Array = NDArray[np.float64]
+
+SINGULAR_AT = FAILED_AT + NAMES.index("nonsingular")
+RAN, STOPPED, REFUSED, FAILED = "done", "stopped", "refused", "failed"
+# Stack frames of an unforeseen error that its row names, innermost first.
+FRAMES = 3
+# Characters of its message.
+MOST_SAID = 300
+
+# Bytes that the kept rows of eight runs may take: less than the limit of `Cache`.
+LANE_ROW_BYTES = 24_000_000
+
+
+@dataclass(frozen=True)
+class Outcome:
+    """The outcome of a run.
+
+    Attributes
+    ----------
+    status : str
+        "done"; "stopped" (the simulation could not go on: the values are those of what ran); "refused" (the scenario
+        is at fault: nothing ran); "failed" (an unforeseen error: a fault of this package, or no memory left).
+    reason : str or None
+        Why it was stopped, was refused or failed.
+    rows : int
+        How many rows it has.
+    values : (Values.count(n),) array
+        See `closedloop.record.report.measured`; NaN where there is none, and (WIDTH,) if nothing ran.
+    columns : mapping of str to (rows,) or (rows, k) array
+        The columns that were to be kept.
+    end_time : float
+        Instant of the last row, s; NaN if there is none.
+    verdict : str or None
+        "good", or what is wrong with what ran, see `closedloop.record.report.verdict`; None if it was refused or
+        failed.
+    control : str or None
+        The same of the control, see `closedloop.record.report.control_verdict`.
+    """
+
+    status: str
+    reason: str | None
+    rows: int
+    values: Array
+    end_time: float = math.nan
+    columns: dict[str, Array] = field(default_factory=dict)
+    verdict: str | None = None
+    control: str | None = None
+
+
+class Worker:
+    """Runs scenarios in one thread.
+
+    Parameters
+    ----------
+    engine : str
+        "compiled" or "pinocchio", see `closedloop.simulate`.
+    keep : sequence of str
+        Columns to return with the values, see `closedloop.loop.step.record_row.RECORDED`.
+    model : RobotModel, optional
+        The robot to use instead of loading the one that each scenario names.
+    runs : int
+        How many runs there will be, of this worker and others.
+    shared : Cache, optional
+        Cache that the threads share, see `closedloop.simulation.cache`.
+    law : callable, optional
+        A user's law in place of the scenarios' own, see `closedloop.simulate`; an object is copied for each run.
+    """
+
+    def __init__(
+        self,
+        engine: str = COMPILED,
+        keep: tuple[str, ...] = (),
+        model: RobotModel | None = None,
+        runs: int = 1,
+        shared: Cache | None = None,
+        law: Law | None = None,
+    ) -> None:
+        self.law = law
+        self._engine, self._keep, self._model, self._runs = engine, keep, model, runs
+        self._cache = Cache(shared=shared)
+        self._trees: WeakKeyDictionary[Robot, tuple[Tree, Array]] = WeakKeyDictionary()
+        self._failures: Counter[str] = Counter()  # sets of lanes that failed in a row, by kind of contact
+        self._one_by_one: Counter[str] = Counter()  # sets of eight still to be run one by one
+        self._rows = np.empty(0)
+
+    def run(self, scenario: Scenario) -> Outcome:
+        """Run a scenario and return its outcome; a run that fails says why."""
+        try:
+            return self._run(prepare(scenario, self._model, self._cache))
+        except Exception as error:  # the border of a row: see `failed`
+            return self._failed(error)
+
+    def _failed(self, error: Exception) -> Outcome:
+        if not isinstance(error, ClosedLoopError):
+            self._cache.clear()  # what it left half done is not used again
+        return failed(error)
+
+    def run_all(self, scenarios: Sequence[Scenario], ran: Callable[[], None] = lambda: None) -> list[Outcome]:
+        """Run up to eight scenarios, in SIMD lanes if they are of one kind, and return their outcomes in order.
+
+        `ran` is called after each.
+        """
+        outcomes: dict[int, Outcome] = {}
+        members: list[int] = []
+        lane_runs: LaneRuns | None = None
+        together = len(scenarios) >= FEWEST and self._try_lanes(scenarios[0])
+
+        def done(i: int, outcome: Outcome) -> None:
+            outcomes[i] = outcome
+            ran()
+
+        for i, scenario in enumerate(scenarios):
+            try:
+                problem = prepare(scenario, self._model, self._cache)
+                kind = kind_of(problem) if together else None
+                if lane_runs is None and kind is not None:
+                    lane_runs = self._lane_runs(problem, kind)
+                if lane_runs is not None and kind == lane_runs.kind:
+                    lane_runs.put(len(members), problem)
+                    members.append(i)
+                    continue
+                outcome = self._run(problem)
+            except Exception as error:  # the border of a row: see `failed`
+                outcome = self._failed(error)
+            done(i, outcome)
+        ended = None if lane_runs is None else self._run_in_lanes(lane_runs, [scenarios[i] for i in members])
+        for lane, i in enumerate(members):
+            done(i, self.run(scenarios[i]) if ended is None else ended[lane])
+        return [outcomes[i] for i in range(len(scenarios))]
+
+    def _run_in_lanes(self, lane_runs: LaneRuns, scenarios: Sequence[Scenario]) -> list[Outcome] | None:
+        """Return the outcomes of these scenarios, a lane each; None if they have to be run one by one."""
+        if len(scenarios) < FEWEST:
+            return None
+        try:
+            ended_well = lane_runs.run(self._trees[lane_runs.kind.robot][0], len(scenarios))
+            self._count(lane_runs.kind.contact, ended_well)
+            return [self._outcome(lane_runs, i, each) for i, each in enumerate(scenarios)] if ended_well else None
+        except Exception as error:  # alone, the one at fault fails by itself
+            self._failed(error)
+            return None
+
+    def _try_lanes(self, scenario: Scenario) -> bool:
+        """Whether to try lanes for scenarios like this one: not after repeated failures, see `_count`."""
+        if self.law is not None or not uses_lanes(scenario, self._engine, self._runs):
+            return False
+        contact = scenario.surface.contact
+        self._one_by_one[contact] -= 1
+        return self._one_by_one[contact] < 0
+
+    def _count(self, contact: str, ended_well: bool) -> None:
+        """Count failures: after 2, 3, 4 or 5 in a row the next 2, 6, 14 or 30 sets of eight are run one by one."""
+        self._failures[contact] = 0 if ended_well else min(self._failures[contact] + 1, 5)
+        self._one_by_one[contact] = max(0, 2 ** self._failures[contact] - 2)
+
+    def _lane_runs(self, problem: Problem, kind: Kind) -> LaneRuns | None:
+        """Return the memory for runs of a kind; None if they would need too much."""
+        rows = (problem.steps + 1) * Row.count(problem.robot.n)
+        if self._keep and rows * WIDE * self._rows.itemsize > LANE_ROW_BYTES:
+            return None
+        self._tree(problem)
+        return self._cache.get(
+            ("lanes", kind), lambda: LaneRuns(problem, kind, bool(self._keep)), lambda made: made.bytes
+        )
+
+    def _outcome(self, lane_runs: LaneRuns, lane: int, scenario: Scenario) -> Outcome:
+        rows = lane_runs.rows(lane)
+        columns = {name: recorded(rows, lane_runs.n, name) for name in self._keep}
+        steps, values = lane_runs.kind.steps, lane_runs.values(lane)
+        forget_absent(scenario, lane_runs.kind.robot, values)
+        verdict = verdict_of(scenario, lane_runs.kind.robot, values, steps)
+        control = control_in_lanes(lane_runs, lane, scenario)
+        return Outcome(RAN, None, steps + 1, values, lane_runs.end, columns, verdict, control)
+
+    def _run(self, problem: Problem) -> Outcome:
+        tree = self._tree(problem)
+        memory = self._row_memory(problem)
+        rows, events, failure, _ = run_loop(problem, fresh(self.law), engine=self._engine, rows=memory, tree=tree)
+        n = problem.robot.n
+        values = np.full(Values.count(n), math.nan)
+        if len(rows) > 0:
+            make_ready(measure_rows)
+            robot, work = tree
+            wanted = problem.table, problem.nodes, max(1, problem.hold)
+            measure_rows(
+                robot, (work, np.empty(Tally.count(n))), rows, wanted, problem.h,
+                joint_limits(problem.robot.model), events, values,
+            )  # fmt: skip
+            forget_absent(problem.scenario, problem.robot, values, self.law is not None)
+            if problem.scenario.drives != DrivesSection():
+                count_limited(recorded(rows, n, "torque_limited"), problem.h, Values(values, n))
+        columns = {
+            name: recorded(rows, n, name, len(problem.scenario.contact or ()), problem.row_states)
+            for name in self._keep
+        }
+        if not problem.scenario.has_surface:
+            columns |= {name: np.full_like(columns[name], math.nan) for name in SURFACE_COLUMNS if name in columns}
+        end = problem.h * (len(rows) - 1) if len(rows) > 0 else math.nan
+        if isinstance(failure, SingularClosureError) and np.isnan(values[SINGULAR_AT]):
+            values[SINGULAR_AT] = end + problem.h  # no row was near it: the step after the last was
+        reason = None if failure is None else str(failure)
+        swings = _unresolved(problem, rows)
+        verdict = verdict_of(problem.scenario, problem.robot, values, len(rows) - 1, reason, swings)
+        control = control_of_rows(problem, rows, events, values, reason)
+        status = RAN if failure is None else STOPPED
+        return Outcome(status, reason, len(rows), values, end, columns, verdict, control)
+
+    def _tree(self, problem: Problem) -> tuple[Tree, Array]:
+        robot = problem.robot
+        if robot not in self._trees:
+            self._trees[robot] = compiled_tree(problem), compiled_work(robot.n)
+        return self._trees[robot]
+
+    def _row_memory(self, problem: Problem) -> Array:
+        """Return memory for the rows of a problem; the adaptive integrator has its own."""
+        width = problem.row_width
+        count = (problem.steps + 1) * width
+        if self._rows.size < count:
+            self._rows = np.empty(count)
+        return self._rows[:count].reshape(-1, width)
+
+
+def _unresolved(problem: Problem, rows: Array) -> list[str]:
+    if not len(rows):
+        return []
+    first = Row(rows[0], problem.robot.n)
+    return unresolved(problem.scenario, problem.robot, problem.q, first.surface_normal, -float(first.closure_error))
+
+
+def failed(error: Exception) -> Outcome:
+    """Return the outcome of a run that ended with an exception.
+
+    A `ClosedLoopError` says what is wrong with the scenario. Any other is an unforeseen fault, of this package or of
+    the computer: it affects its own row only, which says what and where, and the traceback goes to the log
+    ``closedloop.simulation.batch.worker``. `simulate` with the row's values raises it.
+    """
+    if isinstance(error, ClosedLoopError):
+        return Outcome(REFUSED, faults_on_one_line(error), 0, np.full(WIDTH, math.nan))
+    logging.getLogger(__name__).debug("a run failed", exc_info=error)
+    frames = traceback.extract_tb(error.__traceback__)[: -FRAMES - 1 : -1]
+    where = ", called from ".join(f"{Path(frame.filename).name}:{frame.lineno} in {frame.name}" for frame in frames)
+    reason = one_line(f"{type(error).__name__}: {' '.join(str(error).split())}"[:MOST_SAID])
+    return Outcome(FAILED, f"{reason} ({where})", 0, np.full(WIDTH, math.nan))

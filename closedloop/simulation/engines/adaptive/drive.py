@@ -1,0 +1,285 @@
+"""Intervals, steps, events and rows of a run by scipy's DOP853."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from typing import Any, cast
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.integrate import DOP853, Radau
+
+from closedloop.loop.events.phases import INSTANT, OUTPACED, SHALLOW
+from closedloop.loop.step.memory import RIGID_STICK, SMOOTH, State
+from closedloop.mechanics.closure.contact_force import FREE
+from closedloop.mechanics.closure.solve import OK
+from closedloop.simulation.engines.adaptive.crossing import first_crossing
+from closedloop.simulation.engines.adaptive.kernels import BEGIN_STEP, EVENT_VALUE, RECORD
+from closedloop.simulation.engines.adaptive.memory import Memory, Stopped
+from closedloop.simulation.engines.adaptive.slow import (
+    EXPLICIT,
+    FIXED_DIRECTION,
+    IMPLICIT,
+    SETTLED,
+    choose_scheme,
+    jacobian,
+    tolerance_for,
+)
+from closedloop.simulation.engines.adaptive.smooth import Interval, interval_from, jumps
+from closedloop.simulation.engines.problem import Problem
+from closedloop.simulation.engines.user_law import Law
+
+Array = NDArray[np.float64]
+
+# Absolute tolerance as a share of the relative one: joint positions and velocities are of the order of one.
+ABSOLUTE = 0.1
+# The first step, as a share of the time between rows, and the longest step, s.
+FIRST, LONGEST = 0.01, 0.1
+# Relative tolerance that the implicit scheme is created with; it sets the end of Newton's method, to 1e-2 of the true
+# tolerance.
+STIFF_RTOL = 1e-4
+# A step in which a state cannot be evaluated is repeated with shorter length, down to this, s.
+SHORTEST = 1e-13
+# So many steps without a row, or so many in so short an interval, s, end the run.
+MOST_STEPS = 100_000
+STALL_STEPS, STALL_TIME = 500, 5e-7
+# A force at liftoff that vanishes within this time, s, is rounding.
+LATE = 1e-12
+
+STALLED = (
+    "the step of the adaptive integrator has shrunk to nothing: the motion has no smooth continuation here; look for a "
+    "torque that jumps with the state, or take an integrator of fixed step"
+)
+
+
+class AdaptiveRun:
+    """The state of a run: `time`, s, y (2 n + k + 1,) at that time, and `row`, the next to be recorded."""
+
+    def __init__(self, problem: Problem, law: Law | None, report: Callable[[int, int], None]) -> None:
+        self.problem, self.report = problem, report
+        self.memory = Memory(problem, law)
+        state = self.memory.state
+        sticking, several = state.sticking, state.contacts_at != 0
+        self.may_rub = sticking != SMOOTH
+        ends = problem.surface.ends or state.stops != 0 or several
+        self.has_events = state.unilateral != 0 or sticking == RIGID_STICK or ends
+        self.instants = problem.h * np.arange(problem.steps + 1, dtype=np.float64)
+        self.row, self.time, self.y = 0, 0.0, self.memory.get()
+        self.tolerance = cast(float, problem.tolerance)
+        self.next_step, self.steps_since_row, self.checked_at = FIRST * problem.h, 0, 0.0
+        self.scheme = EXPLICIT
+        others = [problem.pd_start + 1e-9 * problem.h]
+        if self.memory.hold:
+            others += self.instants[:: self.memory.hold].tolist()
+        elif law is not None or problem.scenario.law.force_feedback != 0.0 or problem.sensor.sampled:
+            # The force is measured at rows, and a user's law may change its output at rows.
+            others += self.instants.tolist()
+        bounds = jumps(problem.wanted, np.array(others), self.instants)
+        self.bounds = np.append(bounds, bounds[-1] + problem.h)
+
+    def start(self) -> float:
+        """Record the row of t = 0, and return the clock's time, s, after which everything is compiled."""
+        began = self.memory.start()
+        self.row, self.y = 1, self.memory.get()
+        return began
+
+    def run_to_end(self) -> None:
+        """Integrate from t = 0 to the end."""
+        interval = self.interval()
+        while True:
+            self.begin(interval)
+            if self.row > self.problem.steps:
+                return
+            self.advance(interval)
+            if self.time >= interval.end:
+                interval = self.interval()
+
+    @property
+    def has_dry_friction(self) -> bool:
+        """Whether the tip rubs, and is not one of several contacts."""
+        return self.may_rub and self.memory.state.together == 0
+
+    def interval(self) -> Interval:
+        """Return the interval that begins at the present time."""
+        following = int(np.searchsorted(self.bounds, self.time, side="right"))
+        return interval_from(self.problem.wanted, self.time, float(self.bounds[following]))
+
+    def begin(self, interval: Interval) -> None:
+        """Update the contact mode, and record a row that is due, at the beginning of an interval or after an event."""
+        memory, i = self.memory, self.row
+        hold = memory.hold
+        due = self.instants[i] <= self.time + INSTANT
+        memory.state.sampled = hold == 0 or (due and i % hold == 0)
+        self.evaluate_here(interval)
+        if self.has_events:
+            memory.begin(self.time)
+            self.y = memory.get()
+            self.evaluate_here(interval)
+        memory.state.sampled = hold == 0
+        if due:
+            self.y = memory.projected(self.y)
+            self.record(self.y, self.time, interval)
+
+    def evaluate_here(self, interval: Interval) -> None:
+        """Evaluate the present state, to begin a step from it, and choose the scheme."""
+        memory, before = self.memory, self.scheme
+        memory.evaluate(self.time, self.y, interval, BEGIN_STEP)
+        if self.has_dry_friction:
+            self.scheme = choose_scheme(memory.w, memory.state, before)
+            if (self.scheme == FIXED_DIRECTION) != (before == FIXED_DIRECTION):
+                memory.w.straight_speed = math.inf if self.scheme == FIXED_DIRECTION else 0.0
+                memory.evaluate(self.time, self.y, interval, BEGIN_STEP)
+
+    def advance(self, interval: Interval) -> None:
+        """Integrate to the end of the interval, or to just after the next event."""
+        while self.time < interval.end:
+            scheme, solver = self.scheme, self.solver(interval)
+            while solver.status == "running":
+                if self.has_dry_friction:
+                    self.evaluate_here(interval)
+                    if self.scheme != scheme:
+                        break
+                    self.set_tolerance(solver)
+                self.step(solver)
+                within, length = solver.dense_output(), solver.t - self.time
+                event = self.crossing(within, length, interval) if self.has_events else None
+                settled = None
+                if scheme == FIXED_DIRECTION:
+                    settled = self.slip_settled(within, length if event is None else event, interval)
+                if settled is not None:
+                    self.record_until(self.time + settled, within, interval)
+                    self.time, self.next_step = self.time + settled, settled
+                    self.y = within(self.time)
+                    break
+                self.record_until(self.time + (length if event is None else event), within, interval)
+                if event is not None:
+                    self.apply_event(within, event, interval)
+                    return
+                self.time, self.y = solver.t, solver.y
+                projected = self.memory.projected(self.y)
+                if projected is not self.y:
+                    self.y = projected
+                    break  # the solver starts again from the projected state
+
+    def solver(self, interval: Interval) -> Any:
+        """Return scipy's solver, ready to step from the present state."""
+
+        def rate(t: float, y: Array) -> Array:
+            return self.memory.rate(t, y, interval)
+
+        scheme: Any = Radau if self.scheme == IMPLICIT else DOP853
+        options = (
+            {"jac": lambda t, y: jacobian(rate, t, y, self.memory.w), "rtol": STIFF_RTOL} if scheme is Radau else {}
+        )
+        solver = scheme(
+            rate, self.time, self.y, interval.end, max_step=LONGEST,
+            first_step=min(self.next_step, interval.end - self.time), **options,
+        )  # fmt: skip
+        self.set_tolerance(solver)
+        return solver
+
+    def set_tolerance(self, solver: Any) -> None:
+        """Set the tolerances of the solver."""
+        # Set here, because scipy would take no relative tolerance below 2e-14.
+        solver.rtol = tolerance_for(self.memory.w, self.scheme, self.tolerance)
+        solver.atol = np.full(self.y.size, ABSOLUTE * solver.rtol)
+        solver.atol[-1] = np.inf  # the energy supplied does not choose the steps
+
+    def step(self, solver: Any) -> None:
+        """Take one step of the solver, shortened if a state in it cannot be evaluated."""
+        self.steps_since_row += 1
+        while True:
+            try:
+                solver.step()
+                break
+            except Stopped:
+                room = min(solver.h_abs, solver.t_bound - solver.t)
+                if room < SHORTEST:
+                    raise
+                solver.h_abs = 0.25 * room
+                solver.LU_real = None  # the implicit scheme's, of the longer step
+        stalled = solver.status == "failed" or self.steps_since_row > MOST_STEPS
+        if self.steps_since_row % STALL_STEPS == 0:
+            stalled, self.checked_at = stalled or self.time - self.checked_at < STALL_TIME, self.time
+        if stalled:
+            raise Stopped(OK, STALLED)
+        # The end of an interval may have cut the step short.
+        self.next_step = max(solver.h_abs, self.next_step) if solver.status == "finished" else solver.h_abs
+
+    def slip_settled(self, within: Callable[[float], Array], length: float, interval: Interval) -> float | None:
+        """Return when, s after the beginning of the step, slip exceeds `SETTLED`; None if it does not in this step."""
+        memory, begin = self.memory, self.time
+
+        def short(after: float) -> float:
+            memory.evaluate(begin + after, within(begin + after), interval, EVENT_VALUE)
+            return SETTLED - float(np.hypot(*memory.w.u[1:]))
+
+        return first_crossing(short, length)
+
+    def crossing(self, within: Callable[[float], Array], length: float, interval: Interval) -> float | None:
+        """Return when, s after the beginning of the step, the next event is; None if there is none in it."""
+        memory, begin = self.memory, self.time
+        w, state = memory.w, memory.state
+
+        def value(name: str) -> Callable[[float], float]:
+            def at(after: float) -> float:
+                memory.evaluate(begin + after, within(begin + after), interval, EVENT_VALUE)
+                return float(getattr(w, name))
+
+            return at
+
+        # After liftoff the gap grows with the cube of time at first, no faster than the error; and so does the way of a
+        # joint from its stop.
+        leaving, stop = max(SHALLOW, 10.0 * self.tolerance), None
+        if state.stops != 0 and state.together == 0:
+            stop = first_crossing(value("stop_margin"), length, leaving)
+            length = length if stop is None else stop
+        if state.contacts != 0 and state.together == 0:
+            closes = first_crossing(value("contact_margin"), length)
+            if closes is not None:
+                stop = length = closes
+        if state.mode != FREE or state.together != 0:
+            event = first_crossing(value("event_value"), length)
+            return stop if event is None else event
+        event = first_crossing(value("event_value"), length, SHALLOW if state.risen != 0 else leaving, value("rate"))
+        if event is None and value("event_value")(length) > leaving:
+            state.risen = 1
+            if state.unilateral != 0 and w.gap > leaving:
+                state.beside = 0
+        return stop if event is None else event
+
+    def apply_event(self, within: Callable[[float], Array], event: float, interval: Interval) -> None:
+        """Apply the event; the state is then that just after it."""
+        memory, begin, later = self.memory, self.time, 0.0
+        before, write_back = State(memory.state.memory.copy()), memory.copied()
+        again = before.mode != FREE or before.stops != 0 or before.contacts != 0
+        while True:
+            self.time = begin + event + later
+            self.time = memory.apply_event(self.time, within(self.time), interval)
+            if not again or later > LATE or not self.refused(before):
+                break
+            # The force is zero but for rounding, and the tip has not lifted off: try a little later.
+            later = max(2.0 * later, float(np.spacing(self.time)))
+            write_back()
+        self.y = memory.get()
+
+    def refused(self, before: State) -> bool:
+        """Whether the event handling left the mode as it was: no event, or a liftoff taken back."""
+        state = self.memory.state
+        return bool(state.mode == before.mode and state.events == before.events)
+
+    def record_until(self, end: float, within: Callable[[float], Array], interval: Interval) -> None:
+        """Record the rows of the step before `end`, s."""
+        while self.row <= self.problem.steps and self.instants[self.row] < end - INSTANT:
+            t = float(self.instants[self.row])
+            self.record(self.memory.projected(within(t)), t, interval)
+
+    def record(self, y: Array, t: float, interval: Interval) -> None:
+        """Record the next row at the state y at t, s."""
+        state = self.memory.state
+        state.row, state.events_in_step = self.row, max(state.events_in_step - OUTPACED, 0)
+        self.memory.evaluate(t, y, interval, RECORD)
+        self.row, self.steps_since_row = self.row + 1, 0
+        if self.row % 100 == 0:
+            self.report(self.row - 1, self.problem.steps)

@@ -1,0 +1,245 @@
+"""The loop's memory for an integrator that evaluates any state at any instant, and the calls on it."""
+
+from __future__ import annotations
+
+import time as clock
+from collections.abc import Callable
+
+import numpy as np
+from numpy.typing import NDArray
+
+from closedloop.base.errors import DivergenceError
+from closedloop.jit.background import make_ready
+from closedloop.jit.pointers import address_of
+from closedloop.loop.events.impacts import collide
+from closedloop.loop.events.phases import (
+    AFTER_EVENT,
+    AT_EVENT,
+    FAILED,
+    IMPACT_LAW_WANTED,
+    INITIAL_EVENTS,
+    PROJECTION,
+    STEP_END,
+    TABLE_FULL,
+    TERMS,
+)
+from closedloop.loop.events.table import EVENT_WIDTH
+from closedloop.loop.step.closed_loops import CLOSE, closed_loops
+from closedloop.loop.step.memory import RIGID_STICK
+from closedloop.mechanics.closure.contact_force import FREE, PRESSED
+from closedloop.mechanics.closure.solve import LAW_FAILED, OK
+from closedloop.simulation.engines.adaptive.kernels import BEGIN_STEP, DERIVE, EVENT_VALUE, evaluate_on_pinocchio
+from closedloop.simulation.engines.adaptive.smooth import Interval
+from closedloop.simulation.engines.failures import raised_by_member
+from closedloop.simulation.engines.problem import Problem
+from closedloop.simulation.engines.proceed import FROM_PINOCCHIO, addresses_of, proceed_at, set_events
+from closedloop.simulation.engines.user_law import Law, UserLaw
+
+Array = NDArray[np.float64]
+
+# Within this share of a row before the instant from which the PD part of the paper's law acts, the law's time stays at
+# that instant: it does not act yet.
+BEFORE = 1e-6
+
+
+class Stopped(Exception):
+    """A state that cannot be evaluated: a status of `closedloop.mechanics.closure.solve`, or in words what is wrong."""
+
+    def __init__(self, status: int, fault: str = "") -> None:
+        super().__init__(fault)
+        self.status, self.fault = status, fault
+
+
+class Memory:
+    """The loop's memory, and the calls on it; a state y (2 n + k + 1,) is q, q̇, z and the energy supplied.
+
+    Attributes
+    ----------
+    constants, state, w
+        See `closedloop.loop.step.memory`.
+    hold : int
+        Rows for which a sampled torque is held, 0: none.
+    rows : (steps + 1, width) array
+        The record.
+    events : (M, EVENT_WIDTH) array
+        The table of events, which grows as needed.
+    """
+
+    def __init__(self, problem: Problem, law: Law | None) -> None:
+        robot, self._problem = problem.robot, problem
+        self.robot, self.n, self.h = robot, robot.n, problem.h
+        self.loop = problem.loop(user_law=law is not None)
+        self.state, self.constants, self.w = self.loop
+        self.user_law = None if law is None else UserLaw(law, self.loop)
+        make_ready(proceed_at, evaluate_on_pinocchio, *problem.called(self.loop, law is not None))
+        problem.connect(self.loop, self.user_law.connect if self.user_law else None)
+        self.state.steps = -1  # not of fixed length: friction need not be corrected for slip turning within a step
+        self.hold = int(self.state.hold)
+        self.rows = np.zeros((problem.steps + 1, problem.row_width))
+        self.events = np.zeros((INITIAL_EVENTS, EVENT_WIDTH))
+        self._terms = robot.evaluator(self.w.q, self.w.v)
+        self._table, self._tableau = problem.table, problem.integrator.tableau()
+        # The reference at the instant evaluated: a table of one row.
+        self._wanted = problem.table[:1].copy()
+        self._addresses = addresses_of(robot.views, self.loop, self._wanted, self._tableau, self.rows, self.events)
+
+    def put(self, y: Array) -> None:
+        """Make y the state in the memory, moved to the nearest one that closes the loops if there are any."""
+        self.w.q[:], self.w.v[:], self.w.z[:] = y[: self.n], y[self.n : 2 * self.n], y[2 * self.n : -1]
+        self.w.supplied = y[-1]
+        if self.state.loops != 0:  # rows that depend on others do so only where the loops are closed
+            closed_loops(int(self.state.loops_at), CLOSE)
+
+    def get(self) -> Array:
+        """Return a copy of the state in the memory."""
+        return np.concatenate([self.w.q, self.w.v, self.w.z, [self.w.supplied]])
+
+    def evaluate(self, t: float, y: Array, interval: Interval, use: int) -> None:
+        """Evaluate law, friction, contact and Eq. 24 at y at the instant t, s.
+
+        Parameters
+        ----------
+        t, y, interval
+            Instant, s, state, and the interval in which the instant lies.
+        use : int
+            DERIVE, BEGIN_STEP, EVENT_VALUE (the event function is in w.event_value) or RECORD (in row state.row).
+
+        Raises
+        ------
+        Stopped
+            If there is no solution, or a user's law returns no torque.
+        """
+        self.put(y)
+        self.set_time(t, interval)
+        self._evaluate_for(use)
+
+    def set_time(self, t: float, interval: Interval) -> None:
+        """Set the time and the reference to the instant t, s, of the interval."""
+        self._wanted[0, :-1] = interval.at(t)
+        instant, begins = t, self._problem.pd_start
+        if interval.start < begins <= interval.end + BEFORE * self.h:
+            instant = min(t, max(interval.start, interval.end - BEFORE * self.h))
+        # The table's spacing is such that its one row is the one for this instant.
+        self.w.time, self.constants.node = instant, instant if instant > 0.0 else 1.0
+
+    def rate(self, t: float, y: Array, interval: Interval) -> Array:
+        """Return ẏ (2 n + k + 1,)."""
+        self.evaluate(t, y, interval, DERIVE)
+        return np.concatenate([self.w.v, self.w.qdd, self.w.dz, [self.w.start_power]])
+
+    def start(self) -> float:
+        """Record the row of t = 0 and apply the events there, as for steps of fixed length.
+
+        Returns
+        -------
+        float
+            The clock's time, s, after which everything is compiled.
+        """
+        answer = TERMS
+        while self.state.row == 0:
+            self._answer(answer)
+            answer = self._proceed()
+        # The loop has begun a step already: its beginning is the state at t = 0.
+        self.put(np.append(self.w.begin, self.w.supplied))
+        self.w.substep_work = 0.0
+        self._evaluate_for(BEGIN_STEP)
+        return clock.perf_counter()
+
+    def begin(self, t: float) -> None:
+        """Check the contact mode at the state evaluated last, at t, s, and change it if it is inconsistent."""
+        self.w.time = t
+        self._run_events(AFTER_EVENT)
+
+    def copied(self) -> Callable[[], None]:
+        """Return what writes the memory as it is now back, contacts of links included."""
+        written = self.loop.written
+        copies = [memory.copy() for memory in written]
+
+        def write_back() -> None:
+            for memory, copy in zip(written, copies, strict=True):
+                memory[:] = copy
+
+        return write_back
+
+    def apply_event(self, t: float, y: Array, interval: Interval) -> float:
+        """Apply the event at y at t, s, and return the instant at which it was applied, s.
+
+        Slip is integrated down to STICK_SPEED. From there it stops within some 1e-6 s, in which its direction and the
+        acceleration are constant to 1e-12, so the stop is extrapolated; near rest the direction of slip is rounding.
+        """
+        self.evaluate(t, y, interval, EVENT_VALUE)
+        w, alone = self.w, self.state.together == 0
+        rigid = alone and self.state.sticking == RIGID_STICK and self.state.mode == PRESSED
+        slip = w.u[1:]
+        if rigid and 0.0 < np.hypot(*slip) <= 2.0 * self.constants.stick_speed and w.rigid_force > 0.0:
+            braking = -(w.A[1:] @ w.qdd + w.drift_c[1:])
+            left = float(slip @ braking) / float(braking @ braking)
+            if left > 0.0:
+                t += left
+                mean = w.v + 0.5 * left * w.qdd
+                self.evaluate(t, self.get() + left * np.concatenate([mean, w.qdd, w.dz, [0.0]]), interval, EVENT_VALUE)
+        w.time = t
+        self._run_events(AT_EVENT)
+        return t
+
+    def projected(self, y: Array) -> Array:
+        """Return the state with its loops closed, and projected onto the tip's closure if the scenario asks for it."""
+        if self.state.loops != 0:
+            self.put(y)
+            y = self.get()
+        if self.state.project == 0 or self.state.mode == FREE:
+            return y
+        self.put(y)
+        self.state.projections, self.state.next_phase = 0, STEP_END
+        self._run_events(PROJECTION)
+        return self.get()
+
+    def _run_events(self, phase: int) -> None:
+        """Handle the events or the projection at this instant, from a phase on until the state could be recorded."""
+        sampled, row = int(self.state.sampled), int(self.state.row)
+        self.state.phase, self.state.row = phase, 1
+        self.constants.h = self.w.time
+        answer = TERMS  # the torque has been evaluated
+        while self.state.phase != STEP_END:
+            self._answer(answer)
+            answer = self._proceed()
+        self.state.sampled, self.state.row, self.constants.h = sampled, row, self.h
+
+    def _answer(self, answer: int) -> None:
+        """Provide what the loop has requested."""
+        if answer == TABLE_FULL:
+            self.events = np.vstack([self.events, np.zeros_like(self.events)])
+            set_events(self._addresses, self.events)
+        elif answer == IMPACT_LAW_WANTED:
+            self._problem.set_restitution(self.loop)
+            collide(self.loop.address)
+        else:
+            self._terms()
+
+    def _evaluate_for(self, use: int) -> None:
+        """Evaluate the state in the memory."""
+        self._terms()
+        self._check(evaluate_on_pinocchio(address_of(self._addresses.memory), self._table, use))
+
+    def _proceed(self) -> int:
+        answer = proceed_at(address_of(self._addresses.memory), FROM_PINOCCHIO)
+        if answer == FAILED:
+            self._check(int(self.state.status))
+        return answer
+
+    def close(self) -> None:
+        """Release the user's law; the rows and the events stay."""
+        if self.user_law is not None:
+            self.user_law.close()
+
+    def _check(self, status: int) -> None:
+        """Raise an error for a status other than OK."""
+        if self.user_law is not None and (status == LAW_FAILED or self.user_law.interruption is not None):
+            error = self.user_law.failure()
+            if isinstance(error, DivergenceError):  # no number: a shorter step may do
+                raise Stopped(OK, self.user_law.fault)
+            raise error
+        if self.state.raised != 0:
+            raise raised_by_member(self._problem, self.loop)
+        if status != OK:
+            raise Stopped(status)

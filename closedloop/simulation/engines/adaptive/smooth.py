@@ -1,0 +1,103 @@
+"""The reference between its discontinuities, as Chebyshev polynomials.
+
+An integrator of high order must not step over a discontinuity, and needs the reference at any instant. So the run is
+divided where the reference, its derivatives or the law are discontinuous. On each interval the desired motion and force
+are interpolated at Chebyshev nodes inside it: at the end of an interval they have the left limit, at its beginning the
+right limit.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from numpy.polynomial.chebyshev import chebfit, chebpts1, chebval
+from numpy.typing import NDArray
+
+from closedloop.control.reference.force import SineForceSection, StepForceSection, WaypointForceSection
+
+if TYPE_CHECKING:
+    from closedloop.control.reference.desired import Desired
+
+Array = NDArray[np.float64]
+
+# Two instants nearer than this, relative to 1 s or to themselves, are one: i·h and a decimal number differ by rounding.
+ROUNDING = 1e-12
+
+NODES = 16
+_NODES = chebpts1(NODES)
+_DEGREES = np.arange(NODES, dtype=np.float64)
+# Points of −1 .. 1 at which the interpolation error is checked, and its bounds, relative to 1 or to the value. Halving
+# an interval divides the error by 2¹⁶; an error below LITTLE that does not fall is rounding.
+_CHECKS = np.array([-0.995, -0.3, 0.55, 0.999])
+MISFIT, LITTLE = 1e-13, 1e-10
+MOST_HALVINGS = 50
+
+
+@dataclass(frozen=True)
+class Interval:
+    """The reference from `start` to `end`, s: coefficients (NODES, 2 n + 10) of Chebyshev polynomials."""
+
+    start: float
+    end: float
+    coefficients: Array
+
+    def at(self, t: float) -> Array:
+        """Return the row of `Desired.table` (2 n + 10,) at an instant of the interval, s."""
+        x = (2.0 * (t - self.start)) / (self.end - self.start) - 1.0
+        # T_k(x) = cos(k arccos x); `chebval` takes ten times as long, at every evaluation.
+        row: Array = np.cos(_DEGREES * math.acos(min(1.0, max(-1.0, x)))) @ self.coefficients
+        return row
+
+
+def interval_from(wanted: Desired, start: float, end: float) -> Interval:
+    """Return the interval from `start` to `end`, s, or a shorter one on which the polynomial is accurate."""
+    worst = math.inf
+    for _ in range(MOST_HALVINGS):
+        middle, half = 0.5 * (start + end), 0.5 * (end - start)
+        values = wanted.table(middle + half * np.concatenate([_NODES, _CHECKS]))
+        coefficients: Any = chebfit(_NODES, values[:NODES], NODES - 1)
+        interval = Interval(start, end, coefficients)
+        fitted = chebval(_CHECKS, coefficients).T
+        off = float(np.max(np.abs(fitted - values[NODES:]) / (1.0 + np.abs(values[NODES:]))))
+        if off <= MISFIT or (off <= LITTLE and off > 0.5 * worst):
+            break
+        worst, end = off, middle
+    return interval
+
+
+def jumps(wanted: Desired, others: Array, rows: Array) -> Array:
+    """Return the instants between which the right-hand side is smooth, s, increasing.
+
+    Parameters
+    ----------
+    wanted : Desired
+        Its knots, the ends of the segments of the tip's path, and the corners of the force profile.
+    others : array
+        Further instants, s.
+    rows : (N,) array
+        Instants of the recorded rows, s, the first and the last of which bound the run; a discontinuity that differs
+        from one of them by rounding is set to it.
+    """
+    segments = [x for segment in wanted.tip.segments for x in (segment.start, segment.stop)]
+    instants = np.concatenate([rows[[0, -1]], wanted.joints.times, segments, _force_jumps(wanted), others])
+    instants = instants[(instants >= rows[0]) & (instants <= rows[-1])]
+    nearest = rows[np.clip(np.round(instants / (rows[1] - rows[0])), 0, rows.size - 1).astype(np.int64)]
+    same = np.abs(instants - nearest) <= ROUNDING * np.maximum(1.0, instants)
+    instants = np.unique(np.where(same, nearest, instants))
+    apart = np.diff(instants, prepend=-1.0) > ROUNDING * np.maximum(1.0, instants)
+    kept: Array = instants[apart]
+    return kept
+
+
+def _force_jumps(wanted: Desired) -> list[float]:
+    profile = wanted.profile
+    if isinstance(profile, StepForceSection):
+        return [profile.at]
+    if isinstance(profile, SineForceSection):
+        return [profile.start]
+    if isinstance(profile, WaypointForceSection):
+        return list(profile.times)
+    return []

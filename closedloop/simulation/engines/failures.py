@@ -1,0 +1,206 @@
+"""Statuses of the loop as errors with a message."""
+
+from __future__ import annotations
+
+import sys
+from traceback import extract_tb
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from closedloop.base.errors import (
+    ChatterError,
+    DivergenceError,
+    InterruptedRunError,
+    LawError,
+    NoNormalError,
+    PainleveError,
+    ScenarioError,
+    SimulationError,
+    SingularClosureError,
+)
+from closedloop.base.families import is_users
+from closedloop.base.interrupts import word_for
+from closedloop.jit.interpreted import interpreted
+from closedloop.jit.user_code import of_users
+from closedloop.loop.events.phases import MAX_IN_STEP, OUTPACED
+from closedloop.loop.step.entries import CALLS
+from closedloop.loop.step.evaluate import SPEED_LIMIT
+from closedloop.loop.step.make_loop import Loop
+from closedloop.mechanics.closure.solve import (
+    CHATTER,
+    CROWDED,
+    NO_NORMAL,
+    NOT_POSITIVE_DEFINITE,
+    PAINLEVE,
+    PUSHED,
+    RUBS,
+    SINGULAR,
+)
+from closedloop.mechanics.robot.pinocchio import Robot
+from closedloop.record.report.verdict import DIVERGES
+from closedloop.scenario.gains import gains_fault
+from closedloop.simulation.engines.problem import Problem
+
+Array = NDArray[np.float64]
+
+
+def not_finite(torque: Array) -> str:
+    """Return the message for a law's torque Q (n,) with an entry that is not finite."""
+    return f"the law returned Q = {torque.tolist()}, which is not finite"
+
+
+def when(t: float) -> str:
+    """Return the beginning of the message of a run that stopped at t, s."""
+    return f"stopped at t = {t:.6g} s"
+
+
+def interrupted(stop: KeyboardInterrupt, t: float) -> InterruptedRunError:
+    """Return the error of a run that Ctrl-C, or another signal, stopped at t, s."""
+    error = InterruptedRunError(f"{when(t)}: {word_for(stop)}", t)
+    error.__cause__ = stop
+    return error
+
+
+def failure_of(status: int, t: float, robot: Robot, problem: Problem, law: Any, q: Array, v: Array) -> SimulationError:
+    """Return the error of a status of `closedloop.mechanics.closure.solve` other than OK, at q and q̇ (n,) at t, s."""
+    if status == SINGULAR and not problem.scenario.contact:
+        return SingularClosureError(
+            f"{when(t)}: singular pose: at q = {_numbers(q)} the tip cannot move along the surface normal "
+            f"{_normal_at(problem, q, t).round(4).tolist()}, so Eq. 24 does not determine the contact force; "
+            "start from, or steer through, another posture",
+            t,
+        )
+    if status == PUSHED:
+        return SingularClosureError(
+            f"{when(t)}: singular pose: at q = {_numbers(q)} the tip cannot move along the surface normal "
+            f"{_normal_at(problem, q, t).round(4).tolist()}, and the torque pushes it that way: the contact force "
+            "grows beyond all bounds; steer through another posture, or by a torque that does not push there",
+            t,
+        )
+    if status == NOT_POSITIVE_DEFINITE:
+        return SingularClosureError(
+            f"{when(t)}: the mass matrix of {robot.model.name} is not positive definite; "
+            "some joint moves no inertia (look at the masses and tensors of the last links)",
+            t,
+        )
+    if status == NO_NORMAL:
+        return NoNormalError(
+            f"{when(t)}: the surface has no normal at {_numbers(robot.position(q))} m, where the tip is"
+            f"{', or that of another contact where its point is' if problem.scenario.contact else ''}: the gradient "
+            "of its φ vanishes there, or within a step from there, or is not a number; keep the tip near the surface, "
+            "away from its centre, edge or apex",
+            t,
+        )
+    if status == CHATTER and problem.scenario.contact:
+        cure = "look at time.step" + ("" if law is None else ", and at a law that depends on the contacts")
+        return ChatterError(
+            f"{when(t)}: the contacts chatter: at one instant their modes change again and again, for the forces of "
+            f"each set of modes ask for another; {cure}",
+            t,
+        )
+    if status == CHATTER:
+        return ChatterError(
+            f"{when(t)}: the contact chatters: at one instant the torque presses the tip on while it is off the "
+            "surface and lifts it off while it is on; look at a law that depends on the contact, and at time.step",
+            t,
+        )
+    if status in (RUBS, CROWDED):
+        return _rubs_without_end(status, t)
+    if problem.scenario.contact and status in (PAINLEVE, SINGULAR):
+        return _contacts_fail(status, t)
+    if status == PAINLEVE:
+        return PainleveError(
+            f"{when(t)}: Painlevé's paradox: the tip slides so that pressing harder pulls it into the surface (the "
+            "coefficient of f in Eq. 24 with friction is not positive), and no rigid contact force exists; lower the "
+            "coefficient of friction, or change the posture or the direction of sliding",
+            t,
+        )
+    fast = int(np.argmax(np.abs(v))) if np.all(np.isfinite(v)) else 0
+    name = robot.joint_names[fast]
+    cure = "look at the signs and sizes " + ("of law.kp and law.kd" if law is None else "in the law")
+    if problem.tolerance is None:
+        cure += ", and at time.step"
+    if law is None:
+        cure = gains_fault(problem.scenario, robot) or cure
+    return DivergenceError(
+        f"{when(t)}: {DIVERGES}: joint {name} is beyond {SPEED_LIMIT:g} rad/s or not a number; {cure}", t
+    )
+
+
+def _rubs_without_end(status: int, t: float) -> SimulationError:
+    """Return the error of a tip that changes its mode again and again, at one instant or in every step."""
+    if status == RUBS:
+        return ChatterError(
+            f"{when(t)}: stick and slip follow each other without end at one instant: friction finds no direction in "
+            "which the tip slips, and cannot hold it; look at friction, at stabiliser.kind (a tip that sticks drifts "
+            "without one), and at time.step",
+            t,
+        )
+    return ChatterError(
+        f"{when(t)}: too many events: the contact changed its mode more than {MAX_IN_STEP} times in the last few "
+        f"steps, and more than {OUTPACED} times in each, faster than time.step resolves; look at its events, "
+        "at a law or a friction that acts faster than a step, and at time.step",
+        t,
+    )
+
+
+def _contacts_fail(status: int, t: float) -> SimulationError:
+    """Return the error of several contacts that no forces go with."""
+    if status == SINGULAR:
+        return SingularClosureError(
+            f"{when(t)}: the contacts contradict each other: no forces give all of them the accelerations that they "
+            "ask for; look at contacts of bodies without freedom to obey them, and leave one out",
+            t,
+        )
+    return PainleveError(
+        f"{when(t)}: Painlevé's paradox, or jamming: no forces within the cones of friction go with any modes of the "
+        "contacts (one slides so that pressing harder pulls it in, or is wedged); lower the coefficients of friction, "
+        "or change the posture or the direction of sliding",
+        t,
+    )
+
+
+def _numbers(x: Array) -> str:
+    """Return numbers for a message."""
+    return np.array2string(x, precision=4, separator=", ", suppress_small=True)
+
+
+def _normal_at(problem: Problem, q: Array, t: float) -> Array:
+    """Return the unit normal (3,) of the surface at the tip, base frame."""
+    normal: Array = problem.surface.touching(problem.robot.position(q), t=t).frame[0]
+    return normal
+
+
+def raised_by_member(problem: Problem, loop: Loop) -> LawError:
+    """Return the error of a run in which a user's member raised something: file, line, type and message in one line.
+
+    Compiled code keeps no message: the functions are called again, interpreted, on the memory as it is.
+    """
+    t = float(loop.w.time)
+    problem.connect(loop, compiled=False)
+    for name, entry in problem.entries().items():
+        member = getattr(problem.scenario, name)
+        address = int(loop.state.surface_at) if name in ("surface", "surface_motion") else loop.address
+        for what in range(CALLS) if is_users(member) else ():
+            try:
+                with np.errstate(all="ignore"), of_users(member, f"{name}.kind"):
+                    interpreted(entry)(address, what)
+            except ScenarioError as error:
+                return LawError(f"{when(t)}: {error}", t)
+    return LawError(f"{when(t)}: a function of a class of your own failed", t)
+
+
+def member_error(problem: Problem, error: Exception, t: float) -> LawError | None:
+    """Return what a user's member raised in an interpreted run as the error of the run; None if none of them did."""
+    for name in problem.entries():
+        member = getattr(problem.scenario, name)
+        file = getattr(sys.modules.get(type(member).__module__), "__file__", None)
+        if is_users(member) and any(frame.filename == file for frame in extract_tb(error.__traceback__)):
+            try:
+                with of_users(member, f"{name}.kind"):
+                    raise error
+            except ScenarioError as told:
+                return LawError(f"{when(t)}: {told}", t)
+    return None

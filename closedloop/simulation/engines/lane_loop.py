@@ -1,0 +1,247 @@
+"""The loop of eight runs in SIMD lanes, from start to end: see `closedloop.simulation.engines.lanes`.
+
+It calls the kernels of a single run, in the order of `closedloop.loop.events` without events.
+"""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from closedloop.jit.blocks import Block
+from closedloop.jit.kernel import entry_kernel, kernel_inlined
+from closedloop.jit.numba_simd8 import float64x8_at, with_lane
+from closedloop.jit.pointers import matrix_at
+from closedloop.jit.simd8 import WIDE, every
+from closedloop.loop.step.advance import advance
+from closedloop.loop.step.energy_supplied import add_stage_work, commit_work, save_power
+from closedloop.loop.step.evaluate import bounded, paper_torque
+from closedloop.loop.step.locate import locate_on_plane
+from closedloop.loop.step.memory import Constants, IntArray, Reference, State, Work
+from closedloop.loop.step.record_row import Row, record_conditions, record_state
+from closedloop.loop.step.reference_row import nearest_row
+from closedloop.loop.step.singular import near_singular
+from closedloop.mechanics.closure.conditioning import BATCH
+from closedloop.mechanics.closure.contact_force import (
+    accelerate,
+    baumgarte_acceleration,
+    factorise,
+    free_acceleration,
+    pressed_force,
+)
+from closedloop.mechanics.closure.solve import DIVERGED, OK
+from closedloop.mechanics.robot.tree import Tree, energy_there, tree_terms, work_size
+from closedloop.record.report.measured import Tally, Values, begin_tally, count_condition, count_row, write_values
+from closedloop.record.report.row_sample import JointLimits
+from closedloop.record.report.step_variation import Swings, count_swings, end_stretch
+
+Array = NDArray[np.float64]
+
+# Status: in some lane the tip may leave the surface, or is near a singular pose, or the stabiliser would pull.
+NEEDS_EVENTS = -1
+
+
+# Of each row for `closedloop.record.report.control_signals`: f − f_des, and the tip less its path along both tangents.
+SIGNALS = 3
+
+
+class Worst(Block):
+    """Of all rows, for a first look at the control: `closedloop.simulation.batch.control`."""
+
+    miss: float  # largest |f − f_des| of the later half, N
+    off_squared: float  # of the tip off its path along the surface, m²
+    least: float  # f_des, N
+    wanted_squared: float  # the sum of f_des² over the rows, N²
+    lowest: float  # the path along the normal, least until now, m
+    rise: float  # and the most that it then rose from there, m
+
+
+class LaneAddresses(Block):
+    """Whole numbers, int64: addresses of the arrays of the loop's memory, each of float64x8."""
+
+    work: int
+    terms: int
+    constants: int
+    forces: int
+    largest: int
+    rows: int
+    tallies: int
+    values: int
+    signals: int
+    worst: int
+
+
+class Sizes(NamedTuple):
+    """Sizes of the arrays in memory.
+
+    Attributes
+    ----------
+    nodes : int
+        Rows of a table to each of the record's.
+    instants, columns : int
+        Of a table.
+    kept : int
+        Rows of the record in memory: all, or `BATCH`, which are then overwritten in turn.
+    width : int
+        Length of such a row.
+    """
+
+    nodes: int
+    instants: int
+    columns: int
+    kept: int
+    width: int
+
+
+@entry_kernel
+def run_in_lanes(
+    tree: Tree, addresses: IntArray, state_numbers: IntArray, h: float, tableau: Array, tables: IntArray, sizes: Sizes,
+    limits: Array,
+) -> int:  # fmt: skip
+    """Run eight problems from start to end.
+
+    Parameters
+    ----------
+    tree : Tree
+        Their robot.
+    addresses : array of int
+        Memory of `LaneAddresses`.
+    state_numbers : array of int
+        See `closedloop.loop.step.memory`; the same for all.
+    h : float
+        Step, s.
+    tableau : (S + 1, S) array
+        See `closedloop.mechanics.integrators.Scheme.tableau`.
+    tables : (8,) array of int
+        Addresses of the reference table of each run, see `closedloop.loop.step.reference_row`.
+    sizes : Sizes
+        Of the arrays in memory.
+    limits : (4 n,) array
+        See `closedloop.record.report.row_sample.joint_limits`.
+
+    Returns
+    -------
+    int
+        OK, or NEEDS_EVENTS or a status of `closedloop.mechanics.closure.solve` if at least one lane could not go on.
+    """
+    n, state, kept, width = tree.n, State(state_numbers), sizes.kept, sizes.width
+    stages, steps, hold = state.stages, state.steps, state.hold
+    semi_implicit, unilateral = state.semi_implicit != 0, state.unilateral != 0
+    at = LaneAddresses(addresses)
+    w = Work(float64x8_at(at.work, 0), n, 0, stages, 1)
+    terms = float64x8_at(at.terms, n * n + n + work_size(n))
+    H, C, scratch = terms[0 : n * n].reshape(n, n), terms[n * n : n * n + n], terms[n * n + n :]
+    largest = float64x8_at(at.largest, 1)[0]
+    constants = Constants(
+        float64x8_at(at.constants, 0), n, state.law_size, state.compensation_size, state.friction_size,
+        state.joint_friction_size, state.compliance_size,
+    )  # fmt: skip
+    forces = float64x8_at(at.forces, sizes.instants)
+    rows = float64x8_at(at.rows, kept * width).reshape(kept, width)
+    tally, values = Tally(float64x8_at(at.tallies, 0), n), Values(float64x8_at(at.values, 0), n)
+    joint_limits, wanted = JointLimits(limits, n), Reference(w.reference, n)
+    signals = float64x8_at(at.signals, (steps + 1) * SIGNALS).reshape(steps + 1, SIGNALS)
+    worst = Worst(float64x8_at(at.worst, 0))
+    begin_tally(tally, n, h, largest)
+    w.supplied = 0.0
+    for row in range(steps + 1):
+        begin, slot = row * h, row % kept
+        for stage in range(stages if row < steps else 1):
+            node = 0.0
+            for i in range(stage):
+                node += tableau[stage, i]
+            t = begin + node * h
+            tree_terms(tree, w.q, w.v, scratch, H, C, (w.J, w.r, w.drift))
+            desired(t, h / sizes.nodes, tables, sizes, forces, w.reference)
+            sampled = hold == 0 or (stage == 0 and row % hold == 0)
+            status = press(H, C, w, constants, t, sampled)
+            if status != OK:
+                return status
+            if unilateral and not (every(w.F[0] >= 0.0) and every(w.F[0] - w.stabiliser_force[0] >= 0.0)):
+                return NEEDS_EVENTS
+            if stage == 0:
+                record_state(H, C, w, state, rows, slot)
+                potential = energy_there(tree, scratch)
+                write_signals(w, wanted, signals, row, worst)
+                count_row(Row(rows[slot], n), n, potential, wanted, joint_limits, row, tally)
+                count_swings(Row(rows[slot], n), wanted, row, max(1, hold), Swings(tally.swings))
+                if row == steps:
+                    record_conditions(w.batch, rows, state, slot + 1, n)
+                if state.batched == 0:
+                    for i in range(slot - slot % BATCH, slot + 1):
+                        count_condition(Row(rows[i], n), tally)
+                for j in range(n):
+                    w.begin[j] = w.q[j]
+                    w.begin[n + j] = w.v[j]
+                save_power(w, state)
+            if row < steps:
+                add_stage_work(w, state, stage, h, tableau[stages, stage])
+                advance(stage, h, semi_implicit, False, tableau, w)
+        commit_work(w)
+    end_stretch(max(1, hold), Swings(tally.swings))
+    write_values(Row(rows[steps % kept], n), n, steps + 1, tally, values)
+    return OK
+
+
+@kernel_inlined
+def write_signals(w: Work, wanted: Reference, signals: Array, i: int, worst: Worst) -> None:
+    """Write `SIGNALS` numbers of row i, and count it into the worst."""
+    frame, miss, off, height = w.frame, w.F[0] - wanted.force, 0.0, 0.0
+    for a in range(2):
+        along = 0.0
+        for k in range(3):
+            along = along + frame[1 + a, k] * (w.r[k] - wanted.position[k])
+        signals[i, 1 + a] = along
+        off = off + along * along
+    for k in range(3):
+        height = height + frame[0, k] * wanted.position[k]
+    signals[i, 0] = miss
+    if i == 0:
+        worst.miss = worst.off_squared = worst.rise = worst.wanted_squared = 0.0 * miss
+        worst.least, worst.lowest = wanted.force, height
+    if i >= signals.shape[0] // 2:
+        worst.miss = max(worst.miss, abs(miss))
+    worst.off_squared = max(worst.off_squared, off)
+    worst.least = min(worst.least, wanted.force)
+    worst.wanted_squared += wanted.force * wanted.force
+    worst.lowest = min(worst.lowest, height)
+    worst.rise = max(worst.rise, height - worst.lowest)
+
+
+@kernel_inlined
+def desired(t: float, spacing: float, tables: IntArray, sizes: Sizes, forces: Array, reference: Array) -> None:
+    """Write the reference of each run at t, an instant of the tables; see `closedloop.loop.step.reference_row`."""
+    at = nearest_row(t, spacing, sizes.instants)
+    width = reference.shape[0]
+    first = matrix_at(tables[0], sizes.instants, sizes.columns)
+    for j in range(width):
+        reference[j] = first[at, j]
+    for i in range(1, WIDE):
+        if tables[i] != tables[0]:
+            own = matrix_at(tables[i], sizes.instants, sizes.columns)
+            for j in range(width):
+                reference[j] = with_lane(reference[j], i, own[at, j])
+    reference[width - 1] = forces[at]
+
+
+@kernel_inlined
+def press(H: Array, C: Array, w: Work, constants: Constants, t: float, sampled: bool) -> int:
+    """Evaluate law, contact and Eq. 24 with the tip on a smooth surface; see
+    `closedloop.loop.step.evaluate.evaluate`."""
+    locate_on_plane(w, constants)
+    status = factorise(H, w.A, w.L, w.X, w.S, constants.reach)
+    if status != OK:
+        return status
+    if sampled:
+        paper_torque(C, w, constants, t)
+    free_acceleration(w.L, w.X, w.drift_c, w.torque, C, w.y, w.a)
+    w.b[0] = baumgarte_acceleration(constants.s_v, constants.s_p, w.rate, w.gap)
+    if near_singular(w.S):
+        return NEEDS_EVENTS
+    status, w.stabiliser_force[0] = pressed_force(w.S, w.a, w.b[0], w.c, w.viscous, w.F)
+    if status != OK:
+        return status
+    accelerate(w.L, w.X, w.y, w.F, w.qdd)
+    return OK if bounded(w) else DIVERGED

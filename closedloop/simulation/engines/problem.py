@@ -1,0 +1,192 @@
+"""A scenario as numbers: everything that the loop needs, open to inspection before it runs."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import Any
+
+import numpy as np
+
+from closedloop.base.errors import ClosedLoopError, LawError, ScenarioError
+from closedloop.base.families import is_users
+from closedloop.control.compensation.none import NoCompensation
+from closedloop.control.encoder import NO_ENCODER
+from closedloop.control.law_input import LawInput
+from closedloop.jit.calls import entry_address
+from closedloop.jit.interpreted import interpreted, twin_address
+from closedloop.jit.user_code import why_member_not_compiled
+from closedloop.loop.events.phases import MEASURED, STEP_END
+from closedloop.loop.step.closed_loops import closed_loops
+from closedloop.loop.step.contacts import contacts_in_step
+from closedloop.loop.step.entries import friction_entry, joint_friction_entry, law_entry
+from closedloop.loop.step.make_loop import Loop, make_loop
+from closedloop.loop.step.memory import Constants
+from closedloop.loop.step.record_row import ContactRow
+from closedloop.loop.step.seen import read_joints
+from closedloop.loop.step.soft_contact import compliance_entry
+from closedloop.mechanics.closure.contact_force import FREE, PRESSED
+from closedloop.mechanics.friction.law import Slip
+from closedloop.mechanics.friction.laws.none import NoFriction
+from closedloop.mechanics.impact.restitution import coefficient_at
+from closedloop.mechanics.loops.bind import step_memory
+from closedloop.mechanics.surface.compliances.none import Rigid
+from closedloop.simulation.engines.bind_contacts import contact_memory, starts_closed
+from closedloop.simulation.engines.loop_start import close_reading
+from closedloop.simulation.engines.proceed import proceed_at
+from closedloop.simulation.engines.scenario_numbers import ScenarioNumbers
+from closedloop.simulation.engines.start_memory import write_constants, write_start, write_state
+
+
+class Problem(ScenarioNumbers):
+    """A scenario as numbers, and the loop's memory made of them.
+
+    Its attributes are those of `closedloop.simulation.engines.scenario_numbers.ScenarioNumbers`.
+    """
+
+    def loop(self, user_law: bool = False) -> Loop:
+        """Return the loop's memory at t = 0.
+
+        Parameters
+        ----------
+        user_law : bool
+            Whether a user's law replaces the scenario's law and compensation.
+
+        The addresses of the functions that it calls are set by `connect`, or by
+        `closedloop.simulation.engines.user_law.UserLaw`.
+        """
+        n, law, compensation = self.robot.n, self.law, self.compensation
+        own, both = (0, 0) if user_law else (law.states, law.states + compensation.states)
+        surface, joints = self.friction.states, self.joint_friction.states
+        motors = 2 * n if self.scenario.transmission.elastic else 0
+        extra = both + self.sensor.states + surface + n * joints + motors
+        loop = make_loop(
+            n, **self.sizes, extra=extra, stages=self.integrator.stages, ring=self.sensor.ring
+        )  # fmt: skip
+        state = loop.state
+        state.own_law_states, state.law_states = own, both
+        state.friction_states, state.joint_states, state.sensor_states = surface, joints, self.sensor.states
+        write_state(self, state)
+        if not self.surface.fixed_plane:
+            memory = self.surface.memory()
+            state.surface_at = memory.address
+            loop.w.keep_alive(surface=memory)
+        if self.bound:
+            loops = step_memory(self.robot, self.stopped)
+            state.loops_at, loops.links.loop = loops.address, state.address
+            loop.w.keep_alive(loops=loops)
+        if self.robot.model.loops and state.seen != 0:
+            seen = step_memory(self.robot, self.stopped)
+            state.seen_loops_at, seen.links.loop = seen.address, state.address
+            loop.w.keep_alive(seen_loops=seen)
+        write_constants(self, loop.constants)
+        write_start(self, state, loop.w)
+        if self.scenario.contact:
+            contacts = contact_memory(self.scenario, self.robot)
+            state.contacts_at, contacts.links.loop = contacts.address, state.address
+            contacts.links.record_at = self.row_width - self.row_states - ContactRow.count(len(self.scenario.contact))
+            contacts.contacts.mode[0] = PRESSED if state.unilateral == 0 else FREE
+            state.together = starts_closed(self.scenario, self.robot, self.q)
+            contacts.links.undecided = contacts.links.fresh = state.together
+            loop.w.keep_alive(contacts=contacts)
+        if state.encoder != NO_ENCODER and state.phase == STEP_END:
+            interpreted(read_joints)(loop.w, loop.constants, state, self.table)
+            state.phase = MEASURED
+            if state.seen_loops_at != 0:
+                close_reading(loop.w, seen)
+        return loop
+
+    def constants(self) -> Constants:
+        """Return the constants of the loop's memory, by themselves."""
+        sizes = self.robot.n, *self.sizes.values()
+        constants = Constants(np.zeros(Constants.count(*sizes)), *sizes)
+        write_constants(self, constants)
+        return constants
+
+    def entries(self, user_law: bool = False) -> dict[str, Any]:
+        """Return what the loop calls by address, by the names that `State` has for it; see `loop` for `user_law`."""
+        found: dict[str, Any] = self.surface.entries()
+        if self.general and not user_law:
+            found["law"] = law_entry(self.law.member)
+            if self.compensation.member is not NoCompensation:
+                found["compensation"] = law_entry(self.compensation.member)
+        if self.compliance.member is not Rigid:
+            found["compliance"] = compliance_entry(self.compliance.member)
+        if self.friction.member is not NoFriction:
+            found["friction"] = friction_entry(self.friction.member)
+        if self.joint_friction.member is not NoFriction:
+            found["joint_friction"] = joint_friction_entry(self.joint_friction.member)
+        return found
+
+    def called(self, loop: Loop, user_law: bool = False) -> list[Any]:
+        """Return all entry kernels that the loop of this memory calls by address; see `loop` for `user_law`."""
+        entries = list(self.entries(user_law).values())
+        if loop.state.loops_at != 0:
+            entries.append(closed_loops)
+        if loop.state.contacts_at != 0:
+            links = loop.w.kept["contacts"].links
+            entries += [contacts_in_step, *(links.kept["surfaces"].entries() if links.surfaces != 0 else [])]
+            entries += links.kept["compliances"].entries() if links.compliances != 0 else []
+        return entries
+
+    def connect(self, loop: Loop, user_law: Callable[[bool], None] | None = None, compiled: bool = True) -> None:
+        """Write into a loop's memory where what it calls is: machine code, or what an interpreted loop calls.
+
+        Parameters
+        ----------
+        loop : Loop
+            The memory.
+        user_law : callable, optional
+            What writes where a law of one's own is; it is told `compiled`.
+        compiled : bool
+            Whether the loop is machine code. A user's class is compiled in either case, so that a run which begins
+            interpreted refuses what the next one would.
+
+        Raises
+        ------
+        ScenarioError
+            If numba cannot compile a user's member.
+        """
+        address = entry_address if compiled else twin_address
+        loop.state.proceed = address(proceed_at)
+        for name, entry in self.entries(user_law is not None).items():
+            member = getattr(self.scenario, name)
+            try:
+                if not compiled and is_users(member):
+                    entry_address(entry)
+                setattr(loop.state, name, address(entry))
+            except Exception as error:
+                known = {"LawInput": LawInput._fields, "Slip": Slip._fields}
+                if not is_users(member) or isinstance(error, ClosedLoopError):
+                    raise
+                why = why_member_not_compiled(error, type(member), known)
+                raise ScenarioError(f"{name}.kind = {member.kind}: cannot be compiled: {why}") from None
+        if loop.state.loops_at != 0:
+            loop.state.loops = address(closed_loops)
+        if loop.state.contacts_at != 0:
+            loop.state.contacts = address(contacts_in_step)
+            links = loop.w.kept["contacts"].links
+            if links.surfaces != 0:
+                links.kept["surfaces"].connect(address)
+            if links.compliances != 0:
+                links.kept["compliances"].connect(address)
+        if loop.state.surface_motion != 0:
+            loop.w.kept["surface"].links.motion = loop.state.surface_motion
+        if user_law is not None:
+            user_law(compiled)
+
+    def set_restitution(self, loop: Loop) -> None:
+        """Write into a loop's memory the coefficient of restitution of the impact at which it stands.
+
+        Raises
+        ------
+        LawError
+            If a user's law gives none.
+        """
+        i, t = int(loop.state.striking), float(loop.w.time)
+        given = self.scenario.impact.restitution
+        if loop.state.together and i > 0:
+            given = (self.scenario.contact or ())[i - 1].restitution
+        try:
+            loop.constants.restitution = coefficient_at(self.restitution, given, -float(loop.w.before[0]))
+        except ScenarioError as error:
+            raise LawError(f"stopped at t = {t:.6g} s: {error}", t) from error.__cause__

@@ -1,0 +1,141 @@
+"""The loop's memory at t = 0: its constants, its whole-number state, and where the run starts."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from closedloop.control.drives import DrivesSection
+from closedloop.control.sensor import start_sensor
+from closedloop.jit.parameters import one_joint_block, parameter_block
+from closedloop.jit.user_code import of_users
+from closedloop.loop.events.phases import PROJECTION, STEP_END, TOUCHING
+from closedloop.loop.step.memory import SPRING_STICK, Constants, State, Work
+from closedloop.loop.step.record_row import Row
+from closedloop.loop.step.seen import MOTORS_MEASURED
+from closedloop.mechanics.closure.contact_force import FREE
+from closedloop.mechanics.friction.contact import Contact
+from closedloop.mechanics.friction.laws.none import NoFriction
+from closedloop.mechanics.impact import RATIOS
+from closedloop.mechanics.loops.drives import torque_of_drives
+from closedloop.scenario.arm import stop_limits
+from closedloop.scenario.robot_sections import ModelErrorSection
+from closedloop.simulation.engines.needs import arm_columns, reading_kind
+from closedloop.simulation.engines.packed import sticking
+from closedloop.simulation.engines.scenario_numbers import ScenarioNumbers
+
+Array = NDArray[np.float64]
+
+# Slip slower than this, m/s, is none: a tip that starts with it sticks, one that slows down to it may.
+STICK_SPEED = 1e-7
+
+
+def write_constants(problem: ScenarioNumbers, constants: Constants) -> None:
+    """Write the constants of a run."""
+    robot, impact = problem.robot, problem.scenario.impact
+    constants.h, constants.node, constants.offset = problem.h, problem.h / problem.nodes, problem.surface.offset
+    constants.s_v, constants.s_p = problem.stabiliser
+    constants.tip[:], constants.gravity[:], constants.reach = robot.tip_offset, robot.gravity, robot.reach**2
+    constants.lower_stop[:], constants.upper_stop[:] = stop_limits(problem.scenario, robot.model)
+    constants.restitution, constants.rest_speed = impact.restitution, impact.rest_speed
+    constants.stop_restitution = problem.scenario.robot.stop_restitution
+    constants.sensor[:], constants.support[:], constants.stick_speed = (
+        problem.sensor.par.memory, robot.support, STICK_SPEED,
+    )  # fmt: skip
+    constants.law[:], constants.compensation[:] = problem.law.numbers, problem.compensation.numbers
+    wrong = problem.scenario.model_error
+    constants.believed_masses, constants.unknown_payload = wrong.masses, wrong.payload
+    constants.armature[:], constants.driven[:] = robot.model.rigid_armature, robot.model.driven
+    constants.stiffness[:], constants.shaft_damping[:], constants.motor_inertia[:] = problem.transmission
+    constants.tilt[:], constants.encoder[:] = np.eye(3) if wrong.normal == 0.0 else wrong.tilt(), problem.encoder
+    constants.torque_limit[:], constants.torque_change[:] = problem.drives
+    constants.compliance[:] = problem.compliance.numbers
+    constants.friction[:], constants.joint_friction[:] = problem.friction.numbers, problem.joint_friction.numbers
+    if problem.friction.member is not NoFriction:  # whose numbers are zero, as the memory is
+        tip = tip_contact(problem)
+        with of_users(problem.friction.member, "friction.kind"):
+            constants.impact_friction = tip.kinetic_level
+            constants.capture_speed, constants.lag = tip.capture_speed, tip.lag
+    if problem.joint_friction.member is not NoFriction:
+        with of_users(problem.joint_friction.member, "joint_friction.kind"):
+            for j, joint in enumerate(joint_contacts(problem)):
+                constants.joint_capture_speed[j], constants.joint_lag[j] = joint.capture_speed, joint.lag
+
+
+def write_state(problem: ScenarioNumbers, state: State) -> None:
+    """Write the whole-number state at t = 0."""
+    state.steps, state.hold, state.nodes_per_step = problem.steps, problem.hold, problem.nodes
+    state.project, state.semi_implicit = problem.project, problem.integrator.semi_implicit
+    state.unilateral = problem.scenario.surface.contact == "unilateral"
+    state.impact_law = RATIOS[problem.restitution.ratio_of]
+    state.sticking, state.joint_sticking = sticking(problem.friction), sticking(problem.joint_friction)
+    state.stops = problem.stopped
+    state.feed_forward = problem.scenario.reference.orientation != "free"
+    state.sensor_sampled = problem.sensor.sampled
+    transmission = problem.scenario.transmission
+    state.elastic = MOTORS_MEASURED if transmission.on_motors else int(transmission.elastic)
+    state.encoder = reading_kind(problem.scenario)
+    state.drives = problem.scenario.drives != DrivesSection()
+    state.arm_at = Row.count(problem.robot.n) if arm_columns(problem.scenario) else 0
+    states = problem.row_states if state.law_states > 0 else 0  # a user's function in place of the law has none
+    state.states_at = problem.row_width - states if states > 0 else 0
+    state.model_error = problem.scenario.model_error != ModelErrorSection()
+    state.seen = state.model_error or state.elastic or state.encoder
+    state.mode, state.sampled, state.risen = problem.mode, 1, 1
+    if problem.project and problem.mode != FREE:
+        state.phase, state.next_phase = PROJECTION, STEP_END
+
+
+def write_start(problem: ScenarioNumbers, state: State, w: Work) -> None:
+    """Write where the arm, the tip's contact and the states of sensor, friction and motors are at t = 0."""
+    n = problem.robot.n
+    w.q[:], w.v[:] = problem.q, problem.v
+    w.frame[:] = problem.frame
+    terms = problem.robot.terms(problem.q, problem.v)
+    velocity = terms.jacobian @ problem.v
+    u = problem.frame @ velocity
+    w.anchor[:] = problem.frame @ terms.position
+    if not problem.surface.fixed_plane:
+        now = problem.surface.touching(terms.position, velocity)
+        u -= now.carried
+        state.beside = problem.mode == FREE and now.inside < 0.0 and now.gap <= TOUCHING
+        w.anchor[:] = problem.surface.frame[[1, 2, 0]] @ (terms.position - problem.surface.origin)
+    slip = float(np.hypot(u[1], u[2]))
+    if slip > 0.0:
+        w.direction[:] = u[1:] / slip
+    felt = float(problem.table[0, 2 * n + 9]) if problem.mode != FREE else 0.0  # the sensor's history is f_des
+    sensor = int(state.law_states)
+    friction = sensor + int(state.sensor_states)
+    joints = friction + int(state.friction_states)
+    start_sensor(felt, problem.sensor.par, w.z[sensor:friction], w.ring)
+    w.measured, w.last_event = w.ring[0], -np.inf
+    if joints > friction and problem.mode != FREE and slip <= STICK_SPEED:
+        with of_users(problem.friction.member, "friction.kind"):
+            w.z[friction:joints] = tip_contact(problem).rested()
+    if state.joint_sticking == SPRING_STICK:
+        w.stuck[:] = problem.v == 0.0
+    if state.joint_states > 0:
+        with of_users(problem.joint_friction.member, "joint_friction.kind"):
+            motors = joints + n * int(state.joint_states)
+            w.z[joints:motors] = np.concatenate([joint.rested() for joint in joint_contacts(problem)])
+    if state.elastic:
+        # Each spring carries what holds the arm against gravity and the force desired, so that none is released.
+        held = terms.bias - felt * (problem.frame[0] @ terms.jacobian)
+        if problem.robot.model.loops:
+            held, _ = torque_of_drives(problem.robot, problem.q, held)
+        stiffness = problem.transmission[0]
+        driven = stiffness > 0.0
+        w.z[-2 * n : -n] = problem.q + np.divide(held, stiffness, out=np.zeros(n), where=driven)
+        w.z[-n:] = np.where(driven, problem.v, 0.0)
+
+
+def tip_contact(problem: ScenarioNumbers) -> Contact:
+    """Return the contact of the tip, for what is asked of its friction once."""
+    member, numbers, _ = problem.friction
+    return Contact(member, parameter_block(member)(numbers, problem.robot.n), 2)
+
+
+def joint_contacts(problem: ScenarioNumbers) -> list[Contact]:
+    """Return the contact of each joint, for the same."""
+    member, rows, _ = problem.joint_friction
+    return [Contact(member, one_joint_block(member)(row, problem.robot.n), 1) for row in rows]

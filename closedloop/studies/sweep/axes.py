@@ -1,0 +1,175 @@
+"""An axis of a sweep: a key of the scenario and the values that it takes."""
+
+from __future__ import annotations
+
+import math
+import re
+import tomllib
+from dataclasses import dataclass
+from typing import Any
+
+from closedloop.base.errors import ScenarioError
+from closedloop.scenario.overrides import toml_value
+from closedloop.scenario.units import takes_whole_numbers
+from closedloop.simulation.batch.table import key_type
+
+FORMS = "5:15:11 (from, to, how many), log:1e-4:1e-2:20, or 5,10,15"
+# Values of one axis.
+MOST_VALUES = 1_000_000_000
+LARGEST_WHOLE = 2**53
+_KEY = re.compile(r"[A-Za-z_][\w-]*(\.[^.=]+)+")
+
+
+@dataclass(frozen=True)
+class Axis:
+    """A key and its values: those of a list, or a range.
+
+    Attributes
+    ----------
+    key : str
+        Dotted key of the scenario.
+    spec : str
+        How it was given.
+    values : tuple
+        The values of a list; of a range none.
+    low, high : float
+        Ends of a range.
+    count : int
+        How many values a range has in a grid; 0 if that was not said.
+    log : bool
+        Whether a range is even in its logarithm.
+    whole : bool
+        Whether the key takes whole numbers only.
+    """
+
+    key: str
+    spec: str
+    values: tuple[Any, ...] = ()
+    low: float = 0.0
+    high: float = 0.0
+    count: int = 0
+    log: bool = False
+    whole: bool = False
+
+    def __len__(self) -> int:
+        """Return how many values it has in a grid."""
+        return len(self.values) or self.count
+
+    @property
+    def kind(self) -> str:
+        """Type of the key's column in the table, in Arrow's words."""
+        return str(key_type(self.values)) if self.values else "int64" if self.whole else "double"
+
+    def at(self, index: int) -> Any:
+        """Return value `index` of a grid."""
+        if self.values:
+            return self.values[index]
+        return self._between(index / (self.count - 1), exact_end=index == self.count - 1)
+
+    def drawn(self, share: float) -> Any:
+        """Return the value at `share`, from 0 to below 1, of the way along the axis."""
+        if self.values:
+            return self.values[int(share * len(self.values))]
+        if self.whole:
+            low, high = sorted((self.low, self.high))
+            return int(low + math.floor(share * (high - low + 1)))
+        return self._between(share)
+
+    def _between(self, share: float, exact_end: bool = False) -> float | int:
+        if share == 0.0 or exact_end:
+            value = self.high if exact_end else self.low
+        elif self.log:
+            value = self.low * (self.high / self.low) ** share
+        else:
+            value = self.low + (self.high - self.low) * share
+        return round(value) if self.whole else value
+
+
+def parse_axis(text: str, drawn: bool = False) -> Axis:
+    """Read an axis from KEY=VALUES.
+
+    Parameters
+    ----------
+    text : str
+        ``law.force=5:15:11``, ``stabiliser.time_constant=log:1e-4:1e-2:20``, ``time.integrator=rk4,explicit_euler``.
+    drawn : bool
+        Whether values are drawn from the range, so that how many there are need not be said.
+
+    Raises
+    ------
+    ScenarioError
+        If it is none of these, or has no values.
+    """
+    if not text.isprintable():
+        raise ScenarioError(f"--over {text}: has characters that cannot be printed")
+    key, equals, spec = text.partition("=")
+    key, spec = key.strip(), spec.strip()
+    if not (equals and _KEY.fullmatch(key)):
+        raise ScenarioError(f"--over {text}: must be KEY=VALUES with a key such as law.force; VALUES are {FORMS}")
+    if not spec.strip(", "):
+        raise ScenarioError(f"--over {text}: has no values; they are {FORMS}")
+    parts = spec.split(":")
+    log = parts[0] == "log"
+    numbers = [_number(part) for part in parts[log:]]
+    if len(parts) > 1 and None not in numbers:
+        return _range(text, key, spec, [x for x in numbers if x is not None], log, drawn)
+    if log or (len(parts) in (3, 4) and not spec.startswith(("[", '"', "'"))):
+        raise ScenarioError(f"--over {text}: not a range of numbers; it must look like {FORMS}")
+    values, whole = _listed(spec), takes_whole_numbers(key)
+    if not whole and all(type(value) in (int, float) for value in values):
+        values = tuple(float(value) for value in values)
+    if len({repr(value) for value in values}) < len(values):
+        raise ScenarioError(f"--over {text}: the same value twice")
+    return Axis(key, spec, values, whole=whole)
+
+
+def _range(text: str, key: str, spec: str, numbers: list[float], log: bool, drawn: bool) -> Axis:
+    if len(numbers) == 2 and not drawn:
+        raise ScenarioError(
+            f"--over {text}: how many values? such as {spec}:11; or draw from the range with --random or --latin"
+        )
+    if len(numbers) not in (2, 3):
+        raise ScenarioError(f"--over {text}: a range has two ends and how many values it has, such as 5:15:11")
+    low, high = numbers[:2]
+    count = numbers[2] if len(numbers) == 3 else 0.0
+    if not (math.isfinite(low) and math.isfinite(high)):
+        raise ScenarioError(f"--over {text}: both ends must be finite")
+    if not math.isfinite(high - low):
+        raise ScenarioError(f"--over {text}: is wider than numbers go, 1.8e308")
+    if low == high:
+        raise ScenarioError(
+            f"--over {text}: is empty: it ends where it begins; a single value is written {key}={low:g}"
+        )
+    if len(numbers) == 3 and not (2 <= count <= MOST_VALUES and count == math.floor(count)):
+        raise ScenarioError(
+            f"--over {text}: {spec.rpartition(':')[2]} values: must be a whole number from 2 on, up to {MOST_VALUES}"
+        )
+    if log and not (low > 0.0 and high > 0.0):
+        raise ScenarioError(f"--over {text}: both ends of a logarithmic range must be above 0")
+    if log and not 0.0 < high / low < math.inf:
+        raise ScenarioError(f"--over {text}: is wider than numbers go: the ratio of its ends is beyond 1e308")
+    whole = takes_whole_numbers(key)
+    axis = Axis(key, spec, (), low, high, int(count), log, whole)
+    if whole and max(abs(low), abs(high)) > LARGEST_WHOLE:
+        raise ScenarioError(f"--over {text}: whole numbers of a range may go to 2^53, which a double holds exactly")
+    if whole and (log or low % 1 or high % 1 or (not drawn and (high - low) / (count - 1) % 1)):
+        raise ScenarioError(f"--over {text}: {key} takes whole numbers only; name them, such as {key}=0,1,2")
+    return axis
+
+
+def _listed(spec: str) -> tuple[Any, ...]:
+    """Read a list: as TOML where it is that, else word by word, so that names need no quotes."""
+    try:
+        found = tomllib.loads(f"values = [{spec}]")
+        if len(found) == 1:
+            return tuple(found["values"])
+    except (ValueError, RecursionError):
+        pass
+    return tuple(toml_value(word.strip()) for word in spec.split(",") if word.strip())
+
+
+def _number(text: str) -> float | None:
+    try:
+        return float(text)
+    except ValueError:
+        return None

@@ -1,0 +1,201 @@
+"""From the parts of a sweep to its table, in order of the runs, part by part.
+
+The table is a Parquet file: typed columns, compressed, widely readable, also by row groups. Whole columns of the runs
+go into a NetCDF-4 file (`closedloop.studies.sweep.columns`), as those of a single run do, so that MATLAB, xarray and
+h5py open both. Zarr could be written in place, part by part, but is a folder of thousands of files that needs one more
+package to be read. HDF5, which a kill during a write would corrupt, is written here only, from the parts, under another
+name until it is complete.
+"""
+
+from __future__ import annotations
+
+import json
+from collections import Counter
+from collections.abc import Callable, Iterable, Iterator
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, BinaryIO
+
+from closedloop.base.errors import OutputError
+from closedloop.base.files import remove_unfinished, write_whole
+from closedloop.simulation.batch.threads import Done, uninterrupted
+from closedloop.studies.sweep.columns import write_columns
+from closedloop.studies.sweep.store import FORMAT, Store, check_identity, occupied, unwritable
+from closedloop.studies.sweep.table_file import METADATA, description_of, open_table, pieces, unreadable_is_none
+
+if TYPE_CHECKING:
+    import pyarrow as pa
+
+# The columns that judge a run's numbers and its control, where the table has them, and what they say of a good one.
+VERDICT, CONTROL, GOOD = "verdict", "control_verdict", "good"
+# Rows of the table that are compressed together.
+ROWS_TOGETHER = 8192
+
+
+@dataclass(frozen=True)
+class Joined:
+    """A sweep that is done.
+
+    Attributes
+    ----------
+    table : Path
+        The Parquet file.
+    columns : Path or None
+        The NetCDF file of whole columns.
+    counts : mapping of str to int
+        How many runs have each status.
+    verdicts : mapping of str to int
+        How many runs have each verdict that is not good.
+    controls : mapping of str to int
+        The same of the verdict of the control.
+    """
+
+    table: Path
+    columns: Path | None
+    counts: dict[str, int]
+    verdicts: dict[str, int]
+    controls: dict[str, int]
+
+
+def already_there(identity: dict[str, Any], out: Path) -> Joined | None:
+    """Return the sweep if `out` holds it already, None if nothing is there.
+
+    Raises
+    ------
+    OccupiedError
+        If something else is there, which --overwrite would replace.
+    OutputError
+        If a table could not be put there.
+    """
+    if out.suffix != ".parquet":
+        raise OutputError(f"--out {out}: must end in .parquet")
+    if out.exists() and not out.is_file():  # a folder, or a pipe, which would be waited for
+        raise OutputError(f"--out {out}: is there and is no sweep, but a folder or a device; name another file")
+    kept = out.with_suffix(".nc") if identity["keep"] else None
+    try:
+        for path in (out, kept):
+            if path is not None and path.is_symlink() and not path.exists():
+                raise OutputError(f"--out {out}: {path} is a link to nothing; nothing was overwritten; remove it")
+        if not out.exists():
+            if kept is not None and kept.exists():
+                check_identity(_of_netcdf(kept), identity, kept)
+            return None
+        found = counted = None
+        with unreadable_is_none():
+            found = json.loads(description_of(out))
+            counted = _counted_all(pieces(out))
+    except OSError as error:
+        if isinstance(error, OutputError):
+            raise
+        raise unwritable(out, error) from None
+    check_identity(found, identity, out)
+    if counted is None:
+        raise occupied(out, "is damaged")
+    if kept is not None and not kept.exists():
+        raise OutputError(f"--out {out}: is done, but {kept} is gone; remove the table to run it again")
+    return Joined(out, kept, *counted)
+
+
+def join(store: Store, out: Path, parts: int, columns: pa.Schema, step: float) -> Joined:
+    """Make the table of the parts, and remove them.
+
+    Parameters
+    ----------
+    store : Store
+        All parts are there.
+    out : Path
+        The table.
+    parts : int
+        How many parts there are.
+    columns : pyarrow.Schema
+        The table's columns.
+    step : float
+        Time between the rows of a run, s, where the runs do not say.
+
+    Raises
+    ------
+    OutputError
+        If a file cannot be written; the parts stay.
+    """
+    description = json.dumps({"format": FORMAT, "identity": store.identity})
+    attributes = {METADATA: description}
+    kept = out.with_suffix(".nc") if store.identity["keep"] else None
+    counts: Counter[str] = Counter()
+    verdicts: Counter[str] = Counter()
+    controls: Counter[str] = Counter()
+
+    def write(done: Done) -> None:
+        def write_table(file: BinaryIO) -> None:
+            with open_table(file, columns, description) as table:
+                for rows in _rows(store, parts, done.check):
+                    table.write_table(rows, row_group_size=2**30)
+                    statuses, bad, uncontrolled = _counted(rows)
+                    counts.update(statuses)
+                    verdicts.update(bad)
+                    controls.update(uncontrolled)
+
+        if kept is None and store.overwrite:
+            _remove_columns(out)
+        if kept is not None:  # first: where the table is, all is there
+            write_whole(kept, lambda file: write_columns(file, store, parts, attributes, step, done.check))
+        write_whole(out, write_table)
+
+    remove_unfinished(out.parent)  # of a process that was killed while it joined
+    try:
+        uninterrupted(write)
+    except OSError as error:
+        raise OutputError(
+            f"--out {out}: {error}; what was done is kept: once there is room, the same command goes on"
+        ) from None
+    store.remove()
+    return Joined(out, kept, dict(counts), dict(verdicts), dict(controls))
+
+
+def _remove_columns(out: Path) -> None:
+    """Remove the whole columns that another sweep left beside the table that replaces its own."""
+    path = out.with_suffix(".nc")
+    if path.is_file() and not path.is_symlink():
+        found = _of_netcdf(path)
+        if isinstance(found, dict) and found.get("format") == FORMAT:
+            path.unlink()
+
+
+def _rows(store: Store, parts: int, check: Callable[[], None]) -> Iterator[pa.Table]:
+    """Yield the rows of all parts, some at a time."""
+    import pyarrow as pa
+
+    waiting: list[pa.Table] = []
+    for part in range(parts):
+        check()
+        waiting.append(store.read(part))
+        if part == parts - 1 or sum(map(len, waiting)) >= ROWS_TOGETHER:
+            yield pa.concat_tables(waiting).replace_schema_metadata()
+            waiting = []
+
+
+def _counted_all(pieces: Iterable[pa.Table]) -> tuple[dict[str, int], dict[str, int], dict[str, int]]:
+    counts: tuple[Counter[str], Counter[str], Counter[str]] = Counter(), Counter(), Counter()
+    for rows in pieces:
+        for count, more in zip(counts, _counted(rows), strict=True):
+            count.update(more)
+    return dict(counts[0]), dict(counts[1]), dict(counts[2])
+
+
+def _counted(rows: pa.Table) -> tuple[dict[str, int], dict[str, int], dict[str, int]]:
+    """Return how many runs have each status, and each verdict of either kind that is not good."""
+
+    def bad(name: str) -> dict[str, int]:
+        said = Counter(rows[name].to_pylist() if name in rows.column_names else ())
+        return {word: many for word, many in said.items() if word is not None and word.partition(";")[0] != GOOD}
+
+    return dict(Counter(rows["status"].to_pylist())), bad(VERDICT), bad(CONTROL)
+
+
+def _of_netcdf(path: Path) -> Any:
+    import h5netcdf
+
+    try:
+        with h5netcdf.File(path, "r") as file:
+            return json.loads(file.attrs[METADATA])
+    except (OSError, ValueError, KeyError, TypeError):
+        return None

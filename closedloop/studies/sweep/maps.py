@@ -1,0 +1,251 @@
+"""Maps of a sweep: values of the runs against one or two of the keys that changed.
+
+One key gives a curve, two a map: cells for a grid, dots for random draws. Runs that failed are marked.
+"""
+
+from __future__ import annotations
+
+import difflib
+import io
+import stat
+from collections.abc import Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, cast
+
+import numpy as np
+from numpy.typing import NDArray
+
+from closedloop.base.errors import OutputError, ScenarioError
+from closedloop.base.files import kind_of, reason_of, write_whole
+from closedloop.figures.style import COLOURS, STYLE
+from closedloop.studies.sweep.scale import Scale, column_values, flat, span
+from closedloop.studies.sweep.table_file import pieces, unreadable_is_none
+
+if TYPE_CHECKING:
+    import pyarrow as pa
+    from matplotlib.axes import Axes
+    from matplotlib.figure import Figure
+
+Array = NDArray[np.float64]
+
+FIGURES = ("min_contact_force", "peak_contact_force", "rms_force_error", "max_abs_closure_error")
+# Values of a third key that are drawn as curves of their own.
+MOST_CURVES = 6
+
+
+def sweep_plot(
+    table: str | Path | pa.Table,
+    of: Sequence[str] | None = None,
+    *,
+    x: str | None = None,
+    y: str | None = None,
+    out: str | Path | None = None,
+) -> Path:
+    """Draw values of a sweep and return the path of the picture.
+
+    Parameters
+    ----------
+    table : path or pyarrow.Table
+        The Parquet file of a sweep, or what `simulate_batch` returned.
+    of : sequence of str, optional
+        Columns to draw, a panel each; four common ones if left out.
+    x, y : str, optional
+        Keys along the axes; the first two that changed if left out.
+    out : path, optional
+        The picture, .png, .svg or .pdf; if left out, beside the table's file under its name with .png.
+
+    Raises
+    ------
+    ScenarioError
+        If there is no such table, column or key.
+    OutputError
+        If the picture cannot be written.
+    """
+    import matplotlib as mpl
+
+    if out is None:
+        if not isinstance(table, (str, Path)):
+            raise ScenarioError("out: name the picture's file, such as out='maps.png'")
+        out = Path(table).with_suffix(".png")
+    found = _read(Path(table)) if isinstance(table, (str, Path)) else table
+    with mpl.rc_context(cast(Any, STYLE)):
+        figure, picture = draw_maps(found, of, x, y), io.BytesIO()
+        try:
+            figure.savefig(picture, format=Path(out).suffix.removeprefix(".") or None)
+            Path(out).parent.mkdir(parents=True, exist_ok=True)
+        except (OSError, ValueError) as error:
+            raise OutputError(f"--out {out}: cannot be written: {reason_of(error)}") from None
+    return write_whole(out, picture.getbuffer())
+
+
+def draw_maps(table: pa.Table, of: Sequence[str] | None = None, x: str | None = None, y: str | None = None) -> Figure:
+    """Return the figure of `sweep_plot`, to be put anywhere."""
+    from matplotlib.figure import Figure
+
+    names = table.column_names
+    keys = names[1 : names.index("status")]
+    for name in (x, y):
+        if name is not None and name not in keys:
+            raise ScenarioError(f"{name}: is no key of this sweep; {_meant(name, keys)}")
+    numbers = [
+        f.name for f in table.schema if str(f.type) in ("double", "int64") and f.name not in keys and f.name != "run"
+    ]
+    wanted = list(of or [name for name in FIGURES if name in numbers])
+    for name in wanted:
+        if name not in numbers:
+            raise ScenarioError(f"{name}: is no value of this sweep; {_meant(name, numbers)}")
+    if not keys or not numbers or not wanted:
+        raise ScenarioError("the table has no key that changes, or no value to draw")
+    if table.num_rows == 0:
+        raise ScenarioError("the table has no rows")
+    if x is not None and x == y:
+        raise ScenarioError(f"{x}: is asked for along both axes")
+    for name in keys:
+        if table[name].null_count:
+            raise ScenarioError(f"{name}: has no value in some rows: this is not the table of a sweep")
+    first = x or next((key for key in keys if key != y), keys[0])
+    if y is not None and first == y:
+        raise ScenarioError(f"{y}: is the only key of this sweep; --y needs another")
+    second = y or (next((key for key in keys if key != first), None) if x is None or y is not None else None)
+    columns = 1 if len(wanted) == 1 else 2
+    rows = -(-len(wanted) // columns)
+    figure = Figure(figsize=(0.6 + 4.6 * columns, 3.3 * rows + 0.4), layout="constrained")
+    panels = figure.subplots(rows, columns, squeeze=False).ravel()
+    for panel, name in zip(panels, wanted, strict=False):
+        if second is None:
+            _curves(panel, table, first, name, [key for key in keys if key != first])
+        else:
+            _map(figure, panel, table, first, second, name)
+    for panel in panels[len(wanted) :]:
+        panel.remove()
+    others = [key for key in keys if key not in (first, second)]
+    figure.suptitle(
+        _headline(table, others if second is not None or len(others) > 1 else []), fontsize=10, x=0.01, ha="left"
+    )
+    return figure
+
+
+def _meant(name: str, known: Sequence[str]) -> str:
+    """Return which name was meant, if one is near, else all of them."""
+    near = difflib.get_close_matches(name, known, n=1, cutoff=0.6)
+    near = near or [each for each in known if len(name) > 2 and name in each][:1]
+    return f"did you mean '{near[0]}'?" if near else f"they are {', '.join(known)}"
+
+
+def _headline(table: pa.Table, others: Sequence[str]) -> str:
+    statuses = table["status"].to_pylist()
+    failed = {status: statuses.count(status) for status in ("stopped", "refused")}
+    text = f"{len(statuses)} runs" + "".join(f", {many} {status}" for status, many in failed.items() if many)
+    if failed["refused"]:
+        text += " (hatched or crossed)"
+    return text + (f"; {', '.join(others)} {'varies' if len(others) == 1 else 'vary'} too" if others else "")
+
+
+def _read(path: Path) -> pa.Table:
+    import pyarrow as pa
+
+    table, names = None, []
+    reason = "is no Parquet file, or is damaged"
+    try:
+        mode = path.stat().st_mode
+        if stat.S_ISREG(mode):  # a pipe would be waited for
+            with unreadable_is_none():
+                table = pa.concat_tables(pieces(path))
+                names = table.column_names  # of a damaged file they may be no text
+        else:
+            reason = f"is {kind_of(mode)}"
+    except FileNotFoundError:
+        reason = "there is no such file"
+    except (OSError, ValueError) as error:
+        reason = f"cannot be read: {reason_of(error)}"
+    if table is None:
+        raise ScenarioError(f"{path}: {reason}; name the table of a sweep")
+    if not {"run", "status"} <= set(names) or names[0] != "run" or len(set(names)) < len(names):
+        raise ScenarioError(f"{path}: is not the table of a sweep")
+    return table
+
+
+def _curves(axes: Axes, table: pa.Table, key: str, name: str, others: Sequence[str]) -> None:
+    scale = Scale(table, key)
+    values, title, unit = column_values(table, name)
+    other = Scale(table, others[0]) if len(others) == 1 else None
+    few = other is not None and other.values.size <= MOST_CURVES
+    groups = (
+        [(other.at == value, value) for value in other.values]
+        if other is not None and few
+        else [(scale.at == scale.at, 0)]
+    )
+    joined = few or not others
+    styles = ("-", "--", ":")
+    for k, (mine, value) in enumerate(groups):
+        order = np.argsort(scale.at[mine], kind="stable")
+        at, what = scale.at[mine][order], values[mine][order]
+        said = None
+        if other is not None and few:
+            said = f"{others[0]} = {other.words[int(value)] if other.words else format(value, 'g')}"
+        axes.plot(
+            at, what, marker="o" if at.size <= 60 or not joined else "", markersize=3,
+            linestyle=styles[k // 3 % 3] if joined else "none", color=COLOURS[k % 3], label=said,
+        )  # fmt: skip
+    failed = ~np.isfinite(values)
+    if failed.any():
+        axes.plot(
+            scale.at[failed], np.full(failed.sum(), 0.03), "x", color="0.35", markersize=5, clip_on=False,
+            transform=axes.get_xaxis_transform(), label="failed, or none",
+        )  # fmt: skip
+    if axes.get_legend_handles_labels()[0]:
+        axes.legend(fontsize=8)
+    _perhaps_log(axes, values)
+    scale.dress(axes, "x")
+    axes.set_title(title, fontsize=9, loc="left")
+    axes.set_ylabel(unit)
+
+
+def _perhaps_log(axes: Axes, values: Array) -> None:
+    low, high = span(values)
+    if low > 0.0 and high > 100.0 * low:
+        axes.set_yscale("log")
+    elif flat(low, high):
+        axes.set_ylim(low - 0.05 * abs(low) - 1e-300, high + 0.05 * abs(high) + 1e-300)
+
+
+def _map(figure: Figure, axes: Axes, table: pa.Table, x: str, y: str, name: str) -> None:
+    from matplotlib.colors import LogNorm, Normalize
+
+    across, up = Scale(table, x), Scale(table, y)
+    values, title, unit = column_values(table, name)
+    found = values[np.isfinite(values)]
+    low, high = span(values)
+    if flat(low, high):
+        low, high = low - 0.05 * abs(low), high + 0.05 * abs(high)
+    norm = LogNorm(low, high) if low > 0.0 and high > 100.0 * low else Normalize(low, high)
+    cells = across.values.size * up.values.size
+    if cells <= values.size:
+        grid = np.full((up.values.size, across.values.size), np.nan)
+        column, row = np.searchsorted(across.values, across.at), np.searchsorted(up.values, up.at)
+        if cells == values.size:
+            grid[row, column] = values
+        else:  # a third key varies: its median
+            for i, j in np.ndindex(grid.shape):
+                here = values[(row == i) & (column == j)]
+                if np.any(np.isfinite(here)):
+                    grid[i, j] = np.nanmedian(here)
+            title += " (median)"
+        axes.set_facecolor("0.85")
+        axes.patch.set(hatch="xx", edgecolor="0.6")
+        image: Any = axes.pcolormesh(
+            across.edges(), up.edges(), grid, norm=norm, cmap="cividis", linewidth=0, rasterized=True
+        )
+    else:
+        failed = ~np.isfinite(values)
+        axes.plot(across.at[failed], up.at[failed], "x", color="0.55", markersize=4)
+        size = float(np.clip(6000.0 / values.size, 4.0, 36.0))
+        image = axes.scatter(
+            across.at[~failed], up.at[~failed], c=found, s=size, norm=norm, cmap="cividis", linewidth=0
+        )
+    axes.grid(visible=False)
+    across.dress(axes, "x")
+    up.dress(axes, "y")
+    bar = figure.colorbar(image, ax=axes)
+    bar.set_label(unit)
+    axes.set_title(title, fontsize=9, loc="left")

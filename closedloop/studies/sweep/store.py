@@ -1,0 +1,296 @@
+"""The parts of a sweep on disk, written atomically.
+
+Beside ``sweep.parquet`` lies the folder ``sweep.parquet.parts`` with
+
+    sweep.json           what the sweep is: nothing else may put parts here
+    part-00000012.arrow  the rows of a part; written last: if it exists, the part is complete
+    part-00000012.npz    its whole columns, if any are kept
+
+A file is written under another name, flushed to the disk and then renamed, which is atomic (`closedloop.base.files`).
+Parts end in their name and a seal (`closedloop.record.sealed`): one that is damaged, or another's, is run again. A lock
+on the file ``lock``, released when its process ends, keeps a second sweep out. Other files in the folder are kept.
+"""
+
+from __future__ import annotations
+
+import errno
+import io
+import json
+import os
+import re
+import stat
+import zipfile
+from contextlib import suppress
+from pathlib import Path
+from types import TracebackType
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from closedloop.base.errors import OutputError
+from closedloop.base.files import reason_of, remove_unfinished, write_whole
+from closedloop.record.difference import difference
+from closedloop.studies.sweep.part_file import read_part, write_part
+
+if TYPE_CHECKING:
+    import pyarrow as pa
+
+Array = NDArray[np.float64]
+
+FORMAT = "closedloop sweep 2"
+DESCRIPTION, LOCK = "sweep.json", "lock"
+# What is written here, and so may be removed again.
+_PART = re.compile(r"part-\d{8,}\.(arrow|npz)")
+# What a sweep depends on, in words.
+_NAMES = {
+    "scenario": "scenario", "robot": "robot", "design": "design", "axes": "list of keys and values",
+    "runs": "number of runs", "seed": "seed", "keep": "list of columns kept", "engine": "engine",
+    "versions": "list of versions", "kernels": "text of closedloop", "members": "text of a class of your own",
+    "law": "law", "law_digest": "text of the law",
+}  # fmt: skip
+# How often the lock's file is made anew where another process removes it in between.
+TRIES = 20
+
+
+class OccupiedError(OutputError):
+    """A file of that name is there that is another sweep's, or nobody's; --overwrite replaces it."""
+
+
+def occupied(out: Path, why: str) -> OccupiedError:
+    """Return the error of a file that is there and is not replaced."""
+    return OccupiedError(f"--out {out}: {why}; name another file with --out, or replace it with --overwrite")
+
+
+class Store:
+    """The folder of a sweep's parts; used as a context, which holds the lock.
+
+    Parameters
+    ----------
+    identity : dict
+        What the sweep is, see `closedloop.studies.sweep.sweep.Sweep.identity`.
+    out : Path
+        The table that the parts will become.
+    overwrite : bool
+        Whether the parts of another sweep are removed.
+
+    Raises
+    ------
+    OutputError
+        If the folder cannot be written, is another sweep's, or is being written by another process.
+    """
+
+    def __init__(self, identity: dict[str, Any], out: Path, overwrite: bool = False) -> None:
+        self.identity, self.out, self.overwrite = identity, out, overwrite
+        self.folder = out.with_name(f"{out.name}.parts")
+        self._lock: int | None = None
+
+    def __enter__(self) -> Store:
+        try:
+            self._open()
+        except BaseException as error:
+            if self._lock is not None and not (self.folder / DESCRIPTION).exists():
+                self.remove()  # there was no sweep, and none has begun
+            self._close()
+            if isinstance(error, OSError) and not isinstance(error, OutputError):
+                raise unwritable(self.out, error) from None
+            raise
+        return self
+
+    def _open(self) -> None:
+        if self.folder.is_symlink():
+            raise OutputError(f"--out {self.out}: {self.folder} is a link, and nothing is written through it")
+        description = self.folder / DESCRIPTION
+        self.folder.mkdir(parents=True, exist_ok=True)
+        if self._names() - {LOCK} and not description.is_file():
+            raise OutputError(f"--out {self.out}: {self.folder} is there and holds no sweep; name another file")
+        self._lock = _locked(self.folder / LOCK, self.out)
+        remove_unfinished(self.folder)  # of those that were killed
+        if self.overwrite and description.is_file() and self._of_another(description):
+            self._remove_parts()
+        if not description.exists():
+            text = json.dumps({"format": FORMAT, "identity": self.identity}, indent=1)
+            write_whole(description, text.encode())
+        check_identity(_described(description), self.identity, self.out)
+
+    def _of_another(self, description: Path) -> bool:
+        try:
+            check_identity(_described(description), self.identity, self.out)
+        except OccupiedError:
+            return True
+        return False
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        if kind is not None and self._lock is not None and not any(self.folder.glob("part-*.arrow")):
+            self.remove()  # nothing is done that could be gone on with
+        self._close()
+
+    def _names(self) -> set[str]:
+        """Return the names of what is in the folder, but for what is about to get another."""
+        return {path.name for path in self.folder.iterdir() if not path.name.endswith(".unfinished")}
+
+    def _close(self) -> None:
+        if self._lock is not None:
+            os.close(self._lock)
+            self._lock = None
+
+    def rows_of(self, part: int) -> Path:
+        """Return where the rows of a part are."""
+        return self.folder / f"part-{part:08}.arrow"
+
+    def columns_of(self, part: int) -> Path:
+        """Return where the whole columns of a part are."""
+        return self.folder / f"part-{part:08}.npz"
+
+    def has(self, part: int, runs: range) -> bool:
+        """Return whether a part is there as it was written, with these runs."""
+        import pyarrow as pa
+
+        if not self.rows_of(part).is_file():
+            return False
+        keep = self.identity["keep"]
+        try:
+            if self.read(part)["run"].to_pylist() != list(runs):
+                return False
+            return not keep or (self.columns_of(part).is_file() and self.read_columns(part).keys() == set(keep))
+        except (
+            OSError,
+            ValueError,
+            EOFError,
+            KeyError,
+            zipfile.BadZipFile,
+            pa.ArrowException,
+        ):  # a disk lost its power
+            return False
+
+    def read(self, part: int) -> pa.Table:
+        """Return the rows of a part."""
+        import pyarrow as pa
+
+        return pa.ipc.open_file(pa.BufferReader(read_part(self.rows_of(part)))).read_all()
+
+    def read_columns(self, part: int) -> dict[str, Array]:
+        """Return the whole columns of a part."""
+        with np.load(io.BytesIO(read_part(self.columns_of(part))), allow_pickle=False) as columns:
+            return {name: columns[name] for name in columns.files}
+
+    def write(self, part: int, rows: pa.Table, columns: dict[str, Array]) -> None:
+        """Write a part, serialised in memory first, so that no library has to handle a full disk.
+
+        Raises
+        ------
+        OutputError
+            If it cannot be written.
+        """
+        import pyarrow as pa
+
+        table, whole_columns = pa.BufferOutputStream(), io.BytesIO()
+        with pa.ipc.new_file(table, rows.schema) as writer:
+            writer.write_table(rows)
+        try:
+            if columns:
+                np.savez(whole_columns, **columns)  # type: ignore[arg-type]
+                write_part(self.columns_of(part), whole_columns.getbuffer())
+            write_part(self.rows_of(part), memoryview(table.getvalue()))
+        except OSError as error:
+            raise OutputError(f"{error}; what was done is kept: once there is room, the same command goes on") from None
+
+    def remove(self) -> None:
+        """Remove what was written here, and the folder, unless something else is in it; the lock goes last."""
+        self._remove_parts()
+        _remove_file(self.folder / LOCK)
+        with suppress(OSError):  # not empty
+            self.folder.rmdir()
+        self._close()
+
+    def _remove_parts(self) -> None:
+        """Remove the parts, and then what says which sweep they are of."""
+        mine = [path for path in self.folder.iterdir() if _PART.fullmatch(path.name)]
+        for path in [*mine, self.folder / DESCRIPTION]:
+            _remove_file(path)
+
+
+def _remove_file(path: Path) -> None:
+    with suppress(OSError):
+        if stat.S_ISREG(path.lstat().st_mode):
+            path.unlink()
+
+
+def _described(description: Path) -> Any:
+    """Return what a file says that its folder's parts are of, None if it cannot be read as that."""
+    try:
+        return json.loads(description.read_text(encoding="utf-8"))
+    except (ValueError, RecursionError):
+        return None
+
+
+def tidy(identity: dict[str, Any], out: Path) -> None:
+    """Remove the parts of a sweep whose table is there: it was killed after the last rename."""
+    with suppress(OutputError):
+        store = Store(identity, out)
+        if store.folder.is_dir():
+            with store:
+                store.remove()
+
+
+def unwritable(out: Path, error: OSError) -> OutputError:
+    """Return the refusal of a place that cannot be written."""
+    return OutputError(f"--out {out}: cannot be written: {error.strerror or error}; name another file")
+
+
+def why_no_place(out: Path) -> str:
+    """Return why a table cannot be written there, whatever it holds, "" if it can; makes nothing."""
+    if out.suffix != ".parquet":
+        return f"--out {out}: must end in .parquet"
+    try:
+        there = next(place for place in out.absolute().parents if place.exists())
+    except (OSError, ValueError, StopIteration) as error:
+        return f"--out {out}: cannot be written: {reason_of(error)}; name another file"
+    if there.is_dir() and os.access(there, os.W_OK | os.X_OK):
+        return ""
+    why = "Permission denied" if there.is_dir() else f"{there} is no folder"
+    return f"--out {out}: cannot be written: {why}; name another file"
+
+
+def check_identity(found: Any, identity: dict[str, Any], out: Path) -> None:
+    """Refuse a file or folder that belongs to another sweep.
+
+    Raises
+    ------
+    OccupiedError
+        With what is different.
+    """
+    if not isinstance(found, dict) or found.get("format") != FORMAT or not isinstance(found.get("identity"), dict):
+        raise occupied(out, "is there and is no sweep")
+    theirs, mine = found["identity"], json.loads(json.dumps(identity))
+    different = [key for key in mine | theirs if theirs.get(key) != mine.get(key)]
+    if different:
+        raise occupied(out, f"holds another sweep: {difference(different, _NAMES, theirs, mine)}")
+
+
+def _locked(path: Path, out: Path) -> int:
+    """Return the descriptor of a file that this process alone has locked; it is made if it is not there."""
+    try:
+        import fcntl
+    except ImportError:  # not a Unix
+        return os.open(path, os.O_RDWR | os.O_CREAT, 0o666)
+    for _ in range(TRIES):
+        path.parent.mkdir(parents=True, exist_ok=True)
+        with suppress(FileNotFoundError):  # the folder was removed in between
+            file = os.open(path, os.O_RDWR | os.O_CREAT | os.O_NOFOLLOW | os.O_CLOEXEC, 0o666)
+            try:
+                fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
+                if os.path.samestat(os.fstat(file), path.lstat()):
+                    return file
+            except BlockingIOError:
+                os.close(file)
+                break
+            except OSError as error:
+                if error.errno in (errno.ENOLCK, errno.ENOSYS, errno.ENOTSUP):
+                    return file  # a file system without locks
+                os.close(file)
+                raise
+            os.close(file)
+    raise OutputError(f"--out {out}: another process is at work on this sweep; wait for it, or end it")

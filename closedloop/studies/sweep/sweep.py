@@ -1,0 +1,171 @@
+"""A sweep: what it varies, and its division into parts."""
+
+from __future__ import annotations
+
+import hashlib
+import json
+import math
+from collections.abc import Iterable
+from dataclasses import dataclass
+from typing import Any
+
+import robot_models
+from closedloop.base.errors import ScenarioError
+from closedloop.jit.cache_folder import cache_folder
+from closedloop.jit.user_code import source_digest
+from closedloop.record.columns.recorded import ALL_COLUMNS
+from closedloop.record.versions import package_versions
+from closedloop.scenario.members import members_of_users
+from closedloop.scenario.overrides import Variants
+from closedloop.scenario.scenario import Scenario, families
+from closedloop.scenario.user_module import import_law
+from closedloop.simulation.batch.table import kept_columns
+from closedloop.simulation.engines.law_source import law_digest
+from closedloop.simulation.engines.loops import COMPILED
+from closedloop.simulation.simulate import check_engine
+from closedloop.studies.sweep.design import GRID, LATIN, Design
+from closedloop.studies.sweep.part import Job
+from robot_models.cached import cached_property
+
+# Runs in a part: enough that writing it costs little, few enough that a kill loses little and all cores have work to
+# the end. It depends on the sweep only, so that the parts are the same whoever makes them.
+MOST_IN_PART, PARTS = 256, 128
+
+
+# Numbers of whole columns in a part, 32 MB.
+MOST_KEPT = 4_000_000
+
+
+@dataclass(frozen=True)
+class Sweep:
+    """A sweep: everything that its table depends on.
+
+    Attributes
+    ----------
+    scenario : Scenario
+        What the runs have in common.
+    design : Design
+        The keys that change, and their values.
+    keep : tuple of str
+        Full names of the columns to keep whole, see `closedloop.simulation.batch.table.kept_columns`.
+    engine : str
+        See `closedloop.simulate`.
+    law, law_digest : str
+        See `closedloop.studies.sweep.part.Job`.
+    """
+
+    scenario: Scenario
+    design: Design
+    keep: tuple[str, ...] = ()
+    engine: str = COMPILED
+    law: str = ""
+    law_digest: str = ""
+
+    @classmethod
+    def of(
+        cls, scenario: Scenario, design: Design, keep: Iterable[str] = (), engine: str = COMPILED, law: str = ""
+    ) -> Sweep:
+        """Return a sweep that can begin; `law` is MODULE:FUNCTION, imported here, or "" for the scenario's own.
+
+        Raises
+        ------
+        ScenarioError, ModelError
+            If a key is unknown, the engine does not cover the scenario, there is no such column to keep, or the robot
+            is at fault.
+        """
+        own = import_law(law) if law else None
+        sweep = cls(scenario, design, kept_columns(keep), engine, law, law_digest(own) if law else "")
+        check_engine(Variants(scenario, design.keys).look(design), engine, own)
+        for name in sweep.keep:
+            if "joint" in ALL_COLUMNS[name].dims and any(key.startswith("robot.") for key in design.keys):
+                raise ScenarioError(f"keep: {name} has a number a joint, and the robot changes from run to run")
+        return sweep
+
+    @cached_property
+    def identity(self) -> dict[str, Any]:
+        """What the table depends on, as JSON has it."""
+        design = self.design
+        versions = package_versions()
+        if design.kind == LATIN:
+            versions["scipy"] = _version_of_scipy()
+        return {
+            "scenario": self.scenario.to_toml(),
+            "robot": self._robots(),
+            "design": design.kind,
+            "axes": {axis.key: axis.spec for axis in design.axes},
+            "runs": design.runs,
+            "seed": design.seed if design.kind != GRID else None,
+            "keep": list(self.keep),
+            "engine": self.engine,
+            "versions": versions,
+            "kernels": cache_folder().name,
+            **({"members": self._digests()} if self._members else {}),
+            **({"law": self.law, "law_digest": self.law_digest} if self.law else {}),
+        }
+
+    @property
+    def job(self) -> Job:
+        """What a worker needs to run any part."""
+        kinds = tuple(axis.kind for axis in self.design.axes)
+        return Job(
+            self.scenario.to_toml(), self.design.keys, kinds, self.engine, self.keep, self.design.runs, self._members,
+            self.law, self.law_digest,
+        )  # fmt: skip
+
+    @cached_property
+    def part_size(self) -> int:
+        """Runs in a part."""
+        size = min(MOST_IN_PART, math.ceil(self.design.runs / PARTS))
+        if self.keep:
+            rows = self.scenario.time.duration / self.scenario.time.step + 1.0
+            size = min(size, max(1, int(MOST_KEPT / (rows * 3 * len(self.keep)))))
+        return size
+
+    @property
+    def parts(self) -> int:
+        """How many parts there are."""
+        return math.ceil(self.design.runs / self.part_size)
+
+    def runs_of(self, part: int) -> range:
+        """Return the numbers of a part's runs."""
+        first = part * self.part_size
+        return range(first, min(first + self.part_size, self.design.runs))
+
+    @cached_property
+    def _members(self) -> tuple[tuple[str, str], ...]:
+        """The keys that pick a user's class in any run, with its name."""
+        found = list(members_of_users(self.scenario).items())
+        for axis in self.design.axes:
+            if axis.key in families():
+                found += [(axis.key, name) for name in axis.values if isinstance(name, str) and ":" in name]
+        return tuple(found)
+
+    def _digests(self) -> dict[str, str]:
+        """Return a digest of the text of each user's class: it may change between a kill and what follows."""
+        return {name: source_digest(families()[key].get(name)) for key, name in self._members}
+
+    def _robots(self) -> dict[str, str]:
+        """Return a digest of each robot that a run may load: a file may change between a kill and what follows."""
+        section = self.scenario.robot
+        names = {section.model}
+        for axis in self.design.axes:
+            if axis.key == "robot.model":
+                names = {str(value) for value in axis.values}
+        digests = {}
+        for name in sorted(names):
+            try:
+                model = robot_models.load(name)
+            except Exception as error:  # of the runs with this robot, which say it, as long as there are others
+                if len(names) == 1:
+                    raise
+                digests[name] = f"{type(error).__name__}: {error}"
+                continue
+            whole = (model.text, model.armature.tolist(), model.home.tolist(), model.tip)
+            digests[name] = hashlib.sha256(json.dumps(whole).encode()).hexdigest()
+        return digests
+
+
+def _version_of_scipy() -> str:
+    import scipy
+
+    return str(scipy.__version__)

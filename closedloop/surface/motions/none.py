@@ -1,9 +1,0 @@
-"""[surface_motion] kind = "none": the surface is at rest, as in the paper."""
-
-from __future__ import annotations
-
-from closedloop.surface.motion import SurfaceMotion
-
-
-class NoMotion(SurfaceMotion):
-    """The surface is at rest."""

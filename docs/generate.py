@@ -42,12 +42,12 @@ SIZES = {"time": "N", "joint": "n", "axis": "3", "event": "E", "contact": "K", "
 MODELS = {
     "Control laws": "control.laws",
     "Compensations of friction": "control.compensation",
-    "Friction": "friction.laws",
-    "Restitution": "impact.laws",
-    "Surfaces": "surface.kinds",
-    "Motions of a surface": "surface.motions",
-    "Paths": "reference.paths",
-    "Integrators": "integrators",
+    "Friction": "mechanics.friction.laws",
+    "Restitution": "mechanics.impact.laws",
+    "Surfaces": "mechanics.surface.kinds",
+    "Motions of a surface": "mechanics.surface.motions",
+    "Paths": "control.reference.paths",
+    "Integrators": "mechanics.integrators",
 }
 
 

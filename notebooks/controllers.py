@@ -128,7 +128,7 @@ print(f"  together                     {-sum(parts.values()) / mobility:+.4f} N"
 # %% [markdown]
 # ## Every controller, every friction
 #
-# A part of `python -m closedloop.studies.study controllers`, which has seventeen controllers. RMS and peak are taken
+# A part of `closedloop study controllers`, which has seventeen controllers. RMS and peak are taken
 # from 1.5 s on, when the tip has broken away, until the force rises at 7 s; settling is how long after that the force
 # is last off by 0.05 N, of which the rise itself takes 0.05 s.
 

@@ -12,11 +12,14 @@ from sys import float_info
 from typing import TYPE_CHECKING
 
 import numpy as np
+from numpy.typing import NDArray
 
 from robot_models import mjcf, mjcf_mechanism, mjcf_pinocchio, urdf, urdf_mechanism
 from robot_models.compare import check_built
+from robot_models.coordinates import BALL, RATES
 from robot_models.errors import ModelError
 from robot_models.physics import check_size, check_sizes
+from robot_models.separate import free_joints, separated
 
 if TYPE_CHECKING:
     import pinocchio as pin
@@ -24,10 +27,21 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True)
 class Built:
-    """A Pinocchio model and the kind of each of its joints, in the order of its columns."""
+    """A Pinocchio model, and name and kind of each of its velocities, in the order of its columns."""
 
     model: "pin.Model"
+    joint_names: tuple[str, ...]
     joint_types: tuple[str, ...]
+
+    @property
+    def limits(self) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+        """Lower and upper limit of each velocity's own position, rad (m); a ball joint has none."""
+        low, high = np.full(self.model.nv, -np.inf), np.full(self.model.nv, np.inf)
+        for joint in range(1, self.model.njoints):
+            if self.model.nvs[joint] == 1:
+                at, q = self.model.idx_vs[joint], self.model.idx_qs[joint]
+                low[at], high[at] = self.model.lowerPositionLimit[q], self.model.upperPositionLimit[q]
+        return low, high
 
 
 @np.errstate(all="ignore")  # what overflows is refused by name
@@ -48,8 +62,9 @@ def build(text: str, format: str, locked: Mapping[str, float], where: str) -> Bu
     Returns
     -------
     Built
-        With nq == nv == n ≥ 1. The armature is that of the text (zero for a URDF), the gravity Pinocchio's
-        own. A limit that the text does not give, and an effort or velocity limit of 0, is infinite.
+        With nv = n ≥ 1 velocities, free joints taken apart (`robot_models.separate`). The armature is that of the text
+        (zero for a URDF), the gravity Pinocchio's own. A limit that the text does not give, and an effort or velocity
+        limit of 0, is infinite.
 
     Raises
     ------
@@ -64,17 +79,20 @@ def build(text: str, format: str, locked: Mapping[str, float], where: str) -> Bu
         model = pin.buildModelFromXML(urdf_mechanism.for_pinocchio(text)) if format == "urdf" else _from_mjcf(text)
     except (ValueError, RuntimeError) as error:
         raise ModelError(f"{where}: Pinocchio cannot read it: {str(error).strip().splitlines()[0]}") from None
+    model = separated(model, [name for name, kind in kinds.items() if kind == "spherical"], sliding=False)
     names = list(model.names)[1:]
     for name, value in locked.items():
         if name not in names:
             near = get_close_matches(name, names, n=1)
             hint = f"did you mean {near[0]!r}?" if near else f"the joints are {', '.join(names)}"
             raise ModelError(f"{where}: cannot lock {name!r}, no joint that moves: {hint}")
+        if model.nvs[model.getJointId(name)] > 1:
+            raise ModelError(f"{where}: cannot lock {name!r}, which turns freely: only hinges and sliders are locked")
         if isinstance(value, bool) or not isinstance(value, int | float) or not abs(value) <= float_info.max:
             raise ModelError(f"{where}: cannot lock {name!r} at {value!r}: it must be a finite number")
         check_size("home", value, f"{where}: locked joint {name!r}")
     if locked:
-        posture = np.zeros(model.nq)
+        posture = pin.neutral(model)
         for name, value in locked.items():
             posture[model.idx_qs[model.getJointId(name)]] = value
         model = pin.buildReducedModel(model, [model.getJointId(name) for name in locked], posture)
@@ -82,7 +100,6 @@ def build(text: str, format: str, locked: Mapping[str, float], where: str) -> Bu
         raise ModelError(f"{where} has no joint that moves: a revolute, continuous or prismatic joint is needed")
     if format == "mjcf":
         kinds = mjcf_joint_types(model)
-    types = tuple(kinds[name] for name in list(model.names)[1:])
     for side in ("lowerPositionLimit", "upperPositionLimit", "velocityLimit", "effortLimit"):
         bound = np.array(getattr(model, side))
         bound = np.where(np.abs(bound) >= urdf_mechanism.NO_BOUND, np.copysign(np.inf, bound), bound)
@@ -90,7 +107,19 @@ def build(text: str, format: str, locked: Mapping[str, float], where: str) -> Bu
     links = urdf_mechanism.mechanism(text) if format == "urdf" else mjcf_mechanism.mechanism(text, mjcf.STILL)
     check_sizes(links, where)
     check_built(model, links, locked, where)
-    return Built(model, types)
+    model = separated(model, free_joints(model))
+    columns: list[tuple[str, str]] = []
+    for joint in range(1, model.njoints):
+        name = model.names[joint]
+        if model.nvs[joint] == 1:
+            columns.append((name, kinds.get(name, "prismatic")))
+        else:
+            columns += [(name + rate, BALL) for rate in RATES]
+    named, types = zip(*columns, strict=True)
+    for name in named:
+        if named.count(name) > 1:
+            raise ModelError(f"{where}: two coordinates are named {name!r}: give its joints other names")
+    return Built(model, named, types)
 
 
 def mjcf_joint_types(model: "pin.Model") -> dict[str, str]:
@@ -99,7 +128,9 @@ def mjcf_joint_types(model: "pin.Model") -> dict[str, str]:
     for joint in range(1, model.njoints):
         short = model.joints[joint].shortname()
         at = model.idx_qs[joint]
-        if short.startswith("JointModelP"):
+        if model.nvs[joint] > 1:
+            types[model.names[joint]] = BALL
+        elif short.startswith("JointModelP"):
             types[model.names[joint]] = "prismatic"
         else:
             types[model.names[joint]] = "revolute" if np.isfinite(model.upperPositionLimit[at]) else "continuous"

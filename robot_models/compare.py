@@ -86,11 +86,18 @@ def _check_joint(model: "pin.Model", link: Link, parent: int, placement: Array, 
     if model.parents[joint] != parent or not _same_pose(held, placement, length):
         raise _misplaced(at, held, placement)
     # The subspace of the joint's motion is its axis: the lower half of a revolute joint's, the upper of a slider's.
+    v, count, bounds = model.idx_vs[joint], model.nvs[joint], link.bounds
+    if link.kind in ("ball", "free"):
+        if count != {"ball": 3, "free": 6}[link.kind] or model.nqs[joint] != count + 1:
+            raise ModelError(f"{at} is of another type in Pinocchio's model")
+        if not np.abs(model.armature[v : v + count] - link.armature).max() <= EQUAL * link.armature:
+            raise _differs(at, "armature", np.array(model.armature[v : v + count]), link.armature)
+        return joint
     motion = np.array(model.joints[joint].createData().S).ravel()
     wanted = np.concatenate([link.axis, np.zeros(3)] if link.kind == "prismatic" else [np.zeros(3), link.axis])
     if not np.abs(motion - wanted).max() <= EQUAL:
         raise _differs(at, "axis", motion, wanted)
-    q, v, bounds = model.idx_qs[joint], model.idx_vs[joint], link.bounds
+    q = model.idx_qs[joint]
     for what, is_, said in (
         ("lower limit", model.lowerPositionLimit[q], bounds.lower),
         ("upper limit", model.upperPositionLimit[q], bounds.upper),

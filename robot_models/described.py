@@ -80,7 +80,8 @@ def _from_file(name: str, path: Path, owner: str) -> Description:
 
 
 def joint_names(text: str, format: Format) -> tuple[str, ...]:
-    """Return the joints of a canonical text that move, in its order."""
+    """Return the joints of a canonical text that move by one coordinate, in its order."""
     if format == "mjcf":
-        return tuple(mjcf.iter_names(text, "joint"))
-    return tuple(joint for joint, kind in urdf.joint_types(text).items() if kind in urdf.MOVING)
+        return tuple(name for name, kind in mjcf.joint_types(text) if kind not in mjcf.POSITIONS)
+    kinds = urdf.joint_types(text)
+    return tuple(joint for joint, kind in kinds.items() if kind in urdf.MOVING and kind not in urdf.MANY)

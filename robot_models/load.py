@@ -10,7 +10,17 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from robot_models import build, inspected, mjcf, mjcf_equality, notes, physics, urdf
+from robot_models import build, inspected, mjcf, mjcf_equality, mjcf_mechanism, notes, physics, urdf
+from robot_models.coordinates import (
+    BALL,
+    PARTS,
+    PLACES,
+    RATES,
+    balls,
+    coordinate_names,
+    in_pinocchios_order,
+    normalised,
+)
 from robot_models.described import Description, Format, find, joint_names, names_a_file
 from robot_models.errors import ModelError
 from robot_models.loop_coordinate import with_coordinates
@@ -29,7 +39,7 @@ Lock = Mapping[str, float] | Sequence[str]
 
 @np.errstate(all="ignore")  # what overflows is refused by name
 def load(name: "str | PathLike[str]", *, drive_inertia: bool = True, lock: Lock = ()) -> RobotModel:
-    """Load a robot on a fixed base.
+    """Load a robot: an arm on a fixed base, or a tree of bodies some of which are free.
 
     Parameters
     ----------
@@ -71,15 +81,16 @@ def _load(name: "str | PathLike[str]", drive_inertia: bool, lock: Lock) -> Robot
     if found.format == "urdf" and not inspected.has_passed(found.text, locked):
         urdf.inspect(found.text, found.where, locked)
     built = build.build(found.text, found.format, locked, found.where)
-    model = built.model
-    joints = tuple(model.names)[1:]
+    model, joints = built.model, built.joint_names
     if not drive_inertia:
         model.armature = np.zeros(model.nv)
     elif defaults.drive_inertia:
         model.armature = np.array([defaults.drive_inertia.get(joint, 0.0) for joint in joints])
-    home = _home(found, built, joints)
-    placed = place_coordinates(model, defaults.closed_loop, home)
-    home = np.where([joint in defaults.home for joint in joints], home, placed)
+    home = _home(found, built)
+    if defaults.closed_loop:
+        _refuse_loops(built, found.where)
+        placed = place_coordinates(model, defaults.closed_loop, home)
+        home = np.where([joint in defaults.home for joint in joints], home, placed)
     tip = _default_tip(model, defaults.closed_loop) if defaults.tip is None else defaults.tip
     return _finish(built, home, found, locked, tip, None)
 
@@ -109,7 +120,7 @@ def from_text(
     ----------
     text, format, name, tip, locked, description, source
         The fields of that name of the `RobotModel`.
-    armature, home : (n,)
+    armature, home : (n,), (nq,)
         Likewise; kg m² and rad.
     gravity : (3,), optional
         m/s² in the base frame; what the text says, or (0, 0, −9.81), if not given.
@@ -135,12 +146,16 @@ def from_text(
     n = built.model.nv
     given = np.ones(n, dtype=bool)
     if found.text != canonical:  # what is given is of the joints that the text had
-        given = np.array([joint in joint_names(canonical, format) for joint in list(built.model.names)[1:]])
+        _refuse_loops(built, name)
+        given = np.array([joint in joint_names(canonical, format) for joint in built.joint_names])
     m = int(given.sum())
     built.model.armature = np.zeros(n)
     built.model.armature[given] = _vector(armature, m, f"{name}: armature")
-    posture = np.zeros(n)
-    posture[given] = _vector(home, m, f"{name}: home")
+    posture, turning = np.zeros(n), len(balls(built.joint_types))
+    if turning:
+        posture = normalised(_vector(home, n + turning, f"{name}: home"), built.joint_types, f"{name}: home")
+    else:
+        posture[given] = _vector(home, m, f"{name}: home")
     if found.text != canonical:
         posture = place_coordinates(built.model, found.sidecar.closed_loop, posture)
     if built.model.armature.min() < 0.0:
@@ -165,14 +180,26 @@ def _locked(found: Description, lock: Lock) -> dict[str, float]:
         return dict(lock)
     # Home is known in full only once everything is built with all its joints.
     whole = build.build(found.text, found.format, {}, found.where)
-    joints = tuple(whole.model.names)[1:]
-    posture = dict(zip(joints, _home(found, whole, joints).tolist(), strict=True))
+    names = coordinate_names(whole.joint_names, whole.joint_types)
+    posture = dict(zip(names, _home(found, whole).tolist(), strict=True))
     return {joint: posture.get(joint, 0.0) for joint in lock}  # build() refuses an unknown one by name
 
 
-def _home(found: Description, built: build.Built, joints: tuple[str, ...]) -> NDArray[np.float64]:
-    """Return the posture that the sources name, else zero, moved into the limits where it is outside."""
-    low, high = built.model.lowerPositionLimit, built.model.upperPositionLimit
+def _refuse_loops(built: build.Built, where: str) -> None:
+    """Refuse a mechanism whose loops have a joint that turns freely among theirs.
+
+    Raises
+    ------
+    ModelError
+    """
+    if BALL in built.joint_types:
+        name = built.joint_names[balls(built.joint_types)[0]].removesuffix(RATES[0])
+        raise ModelError(f"{where}: joint {name!r} turns freely: loops of bodies are closed on a fixed base so far")
+
+
+def _home(found: Description, built: build.Built) -> NDArray[np.float64]:
+    """Return the posture (nq,) that the sources name, else zero, moved into the limits where it is outside."""
+    joints, (low, high) = built.joint_names, built.limits
     # Zero, or the middle of the limits where zero is outside them.
     bounded = np.isfinite(low) & np.isfinite(high) & ((low > 0.0) | (high < 0.0))
     posture = np.zeros(len(joints))
@@ -180,17 +207,35 @@ def _home(found: Description, built: build.Built, joints: tuple[str, ...]) -> ND
     named = dict(found.sidecar.home)
     if found.format == "mjcf" and not named:
         key = mjcf.home(found.text)
-        order = joint_names(found.text, "mjcf")
+        order = mjcf.position_names(found.text)
         if key is not None and len(key) != len(order):
             raise ModelError(f"{found.where}: a keyframe has {len(key)} values for {len(order)} joints")
         named = dict(zip(order, key or (), strict=False))
+    named = _where_bodies_stand(found) | named
     posture = np.array([named.get(joint, value) for joint, value in zip(joints, posture, strict=True)])
     # A published angle may be a turn away from the limits (Kinova's elbow): the same pose is meant.
     for turn in (-2.0 * np.pi, 2.0 * np.pi):
         inside = (low <= posture + turn) & (posture + turn <= high) & ((posture < low) | (posture > high))
         inside &= np.array(built.joint_types) == "revolute"
         posture[inside] += turn
-    return np.clip(posture, low, high)
+    posture = np.clip(posture, low, high)
+    for at in reversed(balls(built.joint_types)):
+        name = joints[at].removesuffix(RATES[0])
+        quaternion = [named.get(name + part, float(part == PARTS[0])) for part in PARTS]
+        posture = np.concatenate([posture[:at], quaternion, posture[at + 3 :]])
+    return normalised(posture, built.joint_types, f"{found.where}: home")
+
+
+def _where_bodies_stand(found: Description) -> dict[str, float]:
+    """Return by name the positions of free joints where the bodies are written."""
+    import pinocchio as pin
+
+    named: dict[str, float] = {}
+    for joint, pose in (mjcf_mechanism.start_poses(found.text) if found.format == "mjcf" else {}).items():
+        x, y, z, w = pin.Quaternion(pose[:3, :3]).coeffs().tolist()
+        ends = (*PLACES, *PARTS)
+        named |= {joint + end: value for end, value in zip(ends, (*pose[:3, 3].tolist(), w, x, y, z), strict=True)}
+    return named
 
 
 def _frames(model: "pin.Model") -> tuple[str, ...]:
@@ -255,8 +300,8 @@ def _finish(
         gravity = np.array(mjcf.gravity(found.text) if found.format == "mjcf" else (0.0, 0.0, -9.81))
     for what, numbers in (("armature", model.armature), ("home", home), ("gravity", gravity)):
         physics.check_size(what, numbers, found.where)
-    physics.check_mechanism(model, home, found.where)
-    joints = tuple(model.names)[1:]
+    physics.check_mechanism(model, in_pinocchios_order(home, built.joint_types), found.where)
+    joints, (lower, upper) = built.joint_names, built.limits
     own = [joint for joint in joints if joint not in stands_for(found.sidecar.closed_loop)]
     robot = RobotModel(
         name=found.name,
@@ -264,8 +309,8 @@ def _finish(
         text=found.text,
         joint_names=joints,
         armature=model.armature,
-        position_lower=model.lowerPositionLimit,
-        position_upper=model.upperPositionLimit,
+        position_lower=lower,
+        position_upper=upper,
         velocity_limit=model.velocityLimit,
         effort_limit=model.effortLimit,
         joint_types=built.joint_types,
@@ -280,6 +325,8 @@ def _finish(
         loops=found.sidecar.closed_loop or (mjcf_equality.loops(found.text, model) if found.format == "mjcf" else ()),
         drives=_drives(found.sidecar, joints),
     )
+    if robot.loops:
+        _refuse_loops(built, found.where)
     check_loops(robot.loops, robot.drives, robot.frames, joints, found.where)
     if tip is not None:
         robot.require_frame(tip)

@@ -70,7 +70,7 @@ class Link:
     parent: int
     #: The joint's name; "" where the link is welded without one.
     joint: str = ""
-    #: "revolute", "prismatic" or "fixed".
+    #: "revolute", "prismatic", "ball", "free" or "fixed".
     kind: str = "fixed"
     #: (4, 4) the joint's frame in the parent's frame at q = 0.
     placement: Array = field(default_factory=lambda: np.eye(4))

@@ -26,6 +26,7 @@ from pathlib import Path
 from typing import NamedTuple
 
 from robot_models import mjcf_equality
+from robot_models.coordinates import PARTS, PLACES
 from robot_models.errors import ModelError
 from robot_models.mechanism import check_size
 from robot_models.mjcf_actuators import limit_joint, torque_ranges
@@ -63,6 +64,9 @@ _ATTRIBUTES = {
 #: Files that one model may include.
 MAX_INCLUDES = 100
 
+#: Velocities of a joint that has more than one, by its type; and its positions.
+ONE_BY_ONE, POSITIONS = {"ball": 3, "free": 6}, {"ball": 4, "free": 7}
+
 # What a joint says of friction; it does not act.
 _FRICTION = ("damping", "frictionloss")
 
@@ -93,8 +97,10 @@ def read(text: str, where: str, folder: Path | None) -> str:
     _include(root, where, folder, set())
     if sum(1 for _ in root.iter()) > MAX_ELEMENTS:
         raise ModelError(f"{where} has more than {MAX_ELEMENTS} elements with what it includes")
-    moving = root.findall("worldbody//joint")
-    check_size(len(root.findall("worldbody//body")) + len(root.findall("worldbody//site")), len(moving), where)
+    floating = root.findall("worldbody//freejoint")
+    moving = sum(ONE_BY_ONE.get(joint.get("type", ""), 1) for joint in root.iterfind("worldbody//joint"))
+    moving += ONE_BY_ONE["free"] * len(floating)
+    check_size(len(root.findall("worldbody//body")) + len(root.findall("worldbody//site")), moving, where)
     tidy(root)
     for section in root:
         if section.tag in _REFUSED:
@@ -111,6 +117,9 @@ def read(text: str, where: str, folder: Path | None) -> str:
     shared = _Copied(defaults, Units(out), names, rough, torque_ranges(root, defaults, where))
     for element in root.findall("worldbody"):
         _copy_body(element, world, shared, None, False, f"{where}: the world")
+    for joint in world.iterfind("body//body/joint"):
+        if joint.get("type") == "free":
+            raise ModelError(f"{where}: joint {joint.get('name')!r}: a free joint must be that of a body of the world")
     check_weighing_bodies(mechanism(ET.tostring(out, encoding="unicode"), STILL), where)
     if rough:
         custom = ET.SubElement(out, "custom")
@@ -220,10 +229,13 @@ def _copy_body(
         if child.tag in _IGNORED_IN_BODY:
             continue
         if child.tag == "freejoint":
-            raise ModelError(f"{at} floats on a free joint, which is not simulated: the base must be fixed")
-        if child.tag not in _IN_BODY:
+            check_neutral(child, dict(child.attrib), f"{at}: freejoint")
+            given = {"type": "free", "name": child.get("name", source.get("name", ""))}
+            child = ET.Element("joint", given)
+        elif child.tag in _IN_BODY:
+            given = shared.defaults.resolve(child, childclass)
+        else:
             raise ModelError(f"{at}: <{child.tag}> is not simulated: the model must do without it")
-        given = shared.defaults.resolve(child, childclass)
         name = f"{child.tag} {given['name']!r}" if "name" in given else f"a {child.tag} without a name"
         here = f"{where}: {name}"
         check_neutral(child, given, here)
@@ -259,8 +271,16 @@ def _check_name(tag: str, given: dict[str, str], at: str, here: str, names: set[
     names.add((tag, name))
 
 
-def iter_names(text: str, tag: str) -> Iterator[str]:
-    """Yield the names of a canonical MJCF's bodies, joints or sites, in the order of the text."""
-    for element in ET.fromstring(text).iter(tag):
-        if "name" in element.attrib:
-            yield element.attrib["name"]
+def joint_types(text: str) -> Iterator[tuple[str, str]]:
+    """Yield name and type of the joints of a canonical MJCF, in the order of the text."""
+    for element in ET.fromstring(text).iterfind("worldbody//joint"):
+        yield element.attrib["name"], element.get("type", "hinge")
+
+
+def position_names(text: str) -> list[str]:
+    """Return the names of the positions of a canonical MJCF in the order of its keyframes, see `coordinates`."""
+    found = []
+    for name, kind in joint_types(text):
+        ends = {"free": (*PLACES, *PARTS), "ball": PARTS}.get(kind, ("",))
+        found += [name + end for end in ends]
+    return found

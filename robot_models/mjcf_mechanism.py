@@ -65,9 +65,12 @@ def _body(body: ET.Element, joint: ET.Element | None, parent: int, moves: bool, 
     name, place, weight = body.attrib["name"], pose(body.attrib, units), _weight(body, moves, units)
     if joint is None:
         return Link(name, parent, placement=place, weight=weight)
+    armature = float(joint.get("armature", "0"))
+    if joint.get("type") == "free":  # its position is where the body is, not a step from there
+        return Link(name, parent, joint.attrib["name"], "free", weight=weight, armature=armature)
     axis = _numbers(joint.get("axis", "0 0 1"))
     centre = transform(np.eye(3), _numbers(joint.get("pos", "0 0 0")))
-    kind = "prismatic" if joint.get("type") == "slide" else "revolute"
+    kind = {"slide": "prismatic", "ball": "ball"}.get(joint.get("type", "hinge"), "revolute")
     return Link(
         name,
         parent,
@@ -78,7 +81,7 @@ def _body(body: ET.Element, joint: ET.Element | None, parent: int, moves: bool, 
         transform(np.eye(3), -centre[:3, 3]),
         weight,
         _bounds(joint, kind, units),
-        float(joint.get("armature", "0")),
+        armature,
     )
 
 
@@ -90,6 +93,18 @@ def _bounds(joint: ET.Element, kind: str, units: Units) -> Bounds:
         lower, upper = -np.inf, np.inf
     least, most = _numbers(joint.get("actuatorfrcrange", "0 0"))
     return Bounds(float(lower), float(upper), effort=float(most) if least < most else np.inf)
+
+
+def start_poses(text: str) -> dict[str, Array]:
+    """Return where the bodies on free joints of a canonical MJCF stand as they are written, (4, 4), by their joints."""
+    root = ET.fromstring(text)
+    units = Units(root)
+    bodies = ((body, body.find("joint")) for body in root.iterfind("worldbody/body"))
+    return {
+        joint.attrib["name"]: pose(body.attrib, units)
+        for body, joint in bodies
+        if joint is not None and joint.get("type") == "free"
+    }
 
 
 def pose(given: dict[str, str], units: Units) -> Array:

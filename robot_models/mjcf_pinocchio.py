@@ -31,6 +31,10 @@ def _write_plainly(body: ET.Element, units: Units) -> None:
     """Write every turn as a unit quaternion and every range in rad (m), in place."""
     import pinocchio as pin
 
+    for floating in body.findall("body"):  # a free joint's position is where the body is
+        if any(joint.get("type") == "free" for joint in floating.findall("joint")):
+            for key in ("pos", *TURNS):
+                floating.attrib.pop(key, None)
     for joint in body.iter("joint"):
         for key in ("range", "actuatorfrcrange"):
             if key in joint.attrib and not any(map(float, joint.attrib[key].split())):

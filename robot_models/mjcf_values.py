@@ -30,7 +30,8 @@ _NEUTRAL = (
     ("compiler", "settotalmass", ("-1",), "give the masses that are meant"),
     ("compiler", "boundmass", ("0",), "give the masses that are meant"),
     ("compiler", "boundinertia", ("0",), "give the inertias that are meant"),
-    ("compiler", "alignfree", ("auto", "false"), "it concerns free joints"),
+    ("compiler", "alignfree", ("auto", "false"), "write the body's frame along its principal axes"),
+    ("freejoint", "align", ("auto", "false"), "write the body's frame along its principal axes"),
 )
 
 
@@ -64,8 +65,14 @@ def check_turns(tag: str, given: dict[str, str], units: Units, at: str) -> None:
 def check_joint(given: dict[str, str], at: str) -> None:
     """Refuse a joint that is not simulated, or says what no joint can be."""
     kind = given.get("type", "hinge")
-    if kind not in ("hinge", "slide"):
-        raise ModelError(f"{at} is of type {kind!r}, a joint type that is not simulated: it must be hinge or slide")
+    if kind not in ("hinge", "slide", "ball", "free"):
+        raise ModelError(
+            f"{at} is of type {kind!r}, a joint type that is not simulated: it must be hinge, slide, ball or free"
+        )
+    if kind in ("ball", "free"):
+        for key in ("range", "actuatorfrcrange"):
+            if any(numbers(given.get(key, "0 0"), 2, f"{at}: {key}")):
+                raise ModelError(f"{at}: {key} is {given[key]!r}, which is not simulated on a {kind} joint: drop it")
     if not LEAST_LENGTH < np.linalg.norm(numbers(given.get("axis", "0 0 1"), 3, f"{at}: axis")) < np.inf:
         raise ModelError(f"{at}: axis is {given['axis']!r}: a moving joint needs a direction")
     for key in ("range", "actuatorfrcrange"):

@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from robot_models.cached import cached_property
+from robot_models.coordinates import PLACES, RATES, balls, coordinate_names, coordinate_types, with_rotation_vectors
 from robot_models.errors import ModelError
 from robot_models.loop_joint import LoopJoint
 from robot_models.tool import Tool
@@ -22,7 +23,10 @@ Vector = NDArray[np.float64]
 
 @dataclass(frozen=True, eq=False)
 class RobotModel:
-    """A robot with a fixed base and n joints of one variable each.
+    """A tree of links on a base, moved by n velocities: one of a hinge or slider, three of a ball joint, six of a free.
+
+    A robot without ball and free joints has as many positions nq as velocities, and where (nq,) stands it is (n,). A
+    free joint stands here as three sliders and a ball joint, see `robot_models.coordinates`.
 
     All arrays are read-only. Angles are in rad, lengths in m; for a prismatic joint read m, m/s, N and kg
     where rad, rad/s, N m and kg m² stand. The columns of every array are `joint_names`, in that order,
@@ -44,13 +48,13 @@ class RobotModel:
     velocity_limit: Vector
     #: (n,) N m; ∞ where there is none, which a URDF writes as 0. A run is judged by it, not held to it.
     effort_limit: Vector
-    #: "revolute", "continuous" or "prismatic".
+    #: "revolute", "continuous", "prismatic", or "ball" three times.
     joint_types: tuple[str, ...]
     #: The frame that touches the surface unless the user names another.
     tip: str | None
     #: Names that can be a tip: links, bodies and sites.
     frames: tuple[str, ...]
-    #: (n,) a sensible posture inside the limits, rad.
+    #: (nq,) a sensible posture inside the limits, rad.
     home: Vector
     #: Joints of the text that are held rigid, and where: rad.
     locked: Mapping[str, float] = field(default_factory=dict)
@@ -88,11 +92,42 @@ class RobotModel:
 
     @property
     def n(self) -> int:
-        """Number of joints."""
+        """Number of velocities: of joints, if none turns freely."""
         return len(self.joint_names)
 
+    @cached_property
+    def coordinate_names(self) -> tuple[str, ...]:
+        """Names of the positions, (nq,); of a quaternion w, x, y, z."""
+        return coordinate_names(self.joint_names, self.joint_types) if self.balls else self.joint_names
+
+    @cached_property
+    def coordinate_types(self) -> tuple[str, ...]:
+        """Types of the positions, (nq,): those of `joint_types`, and "quaternion" four times for a ball joint."""
+        return coordinate_types(self.joint_types)
+
+    @cached_property
+    def loop_home(self) -> Vector:
+        """(n,) `home` as a simulation has it inside: rotation vectors instead of quaternions."""
+        return with_rotation_vectors(self.home, self.joint_types)
+
+    @cached_property
+    def balls(self) -> tuple[int, ...]:
+        """The first velocity of each ball joint."""
+        return tuple(balls(self.joint_types))
+
+    @cached_property
+    def bodies(self) -> tuple[int, ...]:
+        """The first velocity of each free joint."""
+        ends = tuple(zip(range(-3, 0), PLACES, strict=True))
+        found = []
+        for j in self.balls:
+            name = self.joint_names[j].removesuffix(RATES[0])
+            if j >= 3 and all(self.joint_names[j + k] == name + end for k, end in ends):
+                found.append(j - 3)
+        return tuple(found)
+
     def pinocchio_model(self) -> "pin.Model":
-        """Build a fresh Pinocchio model, with nq == nv == n.
+        """Build a fresh Pinocchio model, with nv == n; its positions are those of `coordinates.in_pinocchios_order`.
 
         Armature, gravity and limits are those of this robot; locked joints are welded; a continuous joint
         is a revolute one without bounds. The model is the caller's to change.
@@ -115,8 +150,13 @@ class RobotModel:
 
     @property
     def driven(self) -> NDArray[np.bool_]:
-        """(n,) whether each joint has a drive."""
-        return np.array([not self.drives or name in self.drives for name in self.joint_names])
+        """(n,) whether each joint has a drive; a free joint or a ball joint has none."""
+        found = np.array([not self.drives or name in self.drives for name in self.joint_names])
+        for j in self.balls:
+            found[j : j + 3] = False
+        for j in self.bodies:
+            found[j : j + 3] = False
+        return found
 
     @property
     def rigid_armature(self) -> Vector:

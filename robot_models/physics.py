@@ -135,9 +135,9 @@ def check_mechanism(model: "pin.Model", home: NDArray[np.float64], where: str) -
     Parameters
     ----------
     model
-        The built model with its armature: n joints of one variable each.
-    home : (n,)
-        A posture, rad (m).
+        The built model with its armature.
+    home : (nq,)
+        A posture, as Pinocchio orders it.
     where
         How to name the model in a message.
 
@@ -152,23 +152,25 @@ def check_mechanism(model: "pin.Model", home: NDArray[np.float64], where: str) -
     names = list(model.names)
     for joint in range(1, model.njoints):
         body = model.inertias[joint]
+        at = model.idx_vs[joint]
         what = f"{where}: the inertia of what joint {names[joint]!r} carries"
         check_tensor(body.inertia, body.mass, what)
         mass = sum(model.inertias[k].mass for k in model.subtrees[joint])
-        if not mass > 0.0 and not model.armature[joint - 1] > 0.0:
+        if not mass > 0.0 and not model.armature[at] > 0.0:
             raise ModelError(f"{where}: joint {names[joint]!r} moves no mass: give its links an <inertial>, or lock it")
     # Singular at one posture may be the posture; singular at several generic ones is the model.
-    generic = np.random.default_rng(0).uniform(-1.0, 1.0, size=(3, model.nq))
+    generic = np.random.default_rng(0).uniform(-1.0, 1.0, size=(3, model.nv))
     data = model.createData()
     best, culprit = -np.inf, ""
-    for posture in (home, *(home + generic)):
+    owners = [name for j, name in enumerate(names) for _ in range(model.nvs[j])]
+    for posture in (home, *(pin.integrate(model, home, step) for step in generic)):
         upper = np.triu(pin.crba(model, data, posture))
         H = upper + np.triu(upper, 1).T
         if not np.isfinite(H).all():
             raise ModelError(f"{where}: the mass matrix is not finite: some number is far too large")
         diagonal = np.diag(H)
         if diagonal.min() <= LEAST_INERTIA:
-            culprit = f"joint {names[1 + int(np.argmin(diagonal))]!r} moves no inertia along its own axis"
+            culprit = f"joint {owners[int(np.argmin(diagonal))]!r} moves no inertia along its own axis"
             continue
         scale = 1.0 / np.sqrt(diagonal)
         best = max(best, float(np.linalg.eigvalsh(scale[:, None] * H * scale).min()))

@@ -22,7 +22,9 @@ from robot_models.xml_text import angles, numbers, parse, tidy
 if TYPE_CHECKING:
     import yourdfpy
 
-MOVING = ("revolute", "continuous", "prismatic")
+#: "spherical" is not in the URDF's own standard; it is written as urdfdom's "floating" is.
+MANY = ("floating", "spherical")
+MOVING = ("revolute", "continuous", "prismatic", *MANY)
 
 _OWN = {
     *(
@@ -73,8 +75,9 @@ def read(text: str, where: str) -> str:
     for element in root.iter():
         if element.tag.startswith("{") and element.tag.split("}")[1] in _OWN:
             raise ModelError(f"{where}: <{element.tag.split('}')[1]}> stands in an XML namespace: drop its xmlns")
-    joints = [joint for joint in root.findall("joint") if joint.get("type", "").strip() in MOVING]
-    check_size(len(root.findall("link")), len(joints), where)
+    kinds = [joint.get("type", "").strip() for joint in root.findall("joint")]
+    moving = sum({"floating": 6, "spherical": 3}.get(kind, 1) for kind in kinds if kind in MOVING)
+    check_size(len(root.findall("link")), moving, where)
     changed = tidy(root)
     version = root.get("version", "1.0")
     if version not in _VERSIONS:
@@ -83,7 +86,7 @@ def read(text: str, where: str) -> str:
     _check_joints(root, where)
     for joint in root.findall("joint"):
         axis = joint.find("axis")
-        if axis is None or joint.get("type") not in MOVING:
+        if axis is None or joint.get("type") not in MOVING or joint.get("type") in MANY:
             continue
         at = f"{where}: joint {joint.get('name')!r}"
         # Without xyz urdfdom takes no direction at all, yourdfpy takes x.
@@ -155,7 +158,9 @@ def _check_joints(root: ET.Element, where: str) -> None:
         for dynamics in joint.findall("dynamics"):
             for key, value in dynamics.attrib.items():
                 numbers(value, 1, f"{at}: dynamics {key}")
-        if kind in MOVING:
+        if kind in MANY and joint.find("mimic") is not None:
+            raise ModelError(f"{at} is {kind} and mimics another, which is not simulated: drop its <mimic>")
+        if kind in MOVING and kind not in MANY:
             _check_limit(joint, kind, at)
     _check_tree(links, parents, where)
 

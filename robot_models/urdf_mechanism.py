@@ -25,7 +25,8 @@ def for_pinocchio(text: str) -> str:
     """Return the links, joints and weights of a canonical URDF and nothing else.
 
     Pinocchio gives a continuous joint the pair (cos q, sin q), which would make nq ≠ nv. Here it is written as a
-    revolute joint without bounds: the same mechanism, one angle.
+    revolute joint without bounds: the same mechanism, one angle. urdfdom knows no spherical joint: it is written as a
+    floating one, whose sliding joints `robot_models.separate` leaves out.
     """
     root = ET.fromstring(text)
     out = ET.Element("robot", name=root.get("name", ""))
@@ -36,11 +37,10 @@ def for_pinocchio(text: str) -> str:
             _copy(inertial, ET.SubElement(copy, "inertial"), _INERTIAL)
     for joint in root.findall("joint"):
         kind = joint.get("type", "")
-        copy = ET.SubElement(
-            out, "joint", name=joint.get("name", ""), type="revolute" if kind == "continuous" else kind
-        )
+        plain = {"continuous": "revolute", "spherical": "floating"}.get(kind, kind)
+        copy = ET.SubElement(out, "joint", name=joint.get("name", ""), type=plain)
         _copy(joint, copy, _JOINT)
-        if kind != "fixed":
+        if kind not in ("fixed", "floating", "spherical"):
             bounds = vars(_bounds(joint))
             limit = {key: repr(float(np.clip(value, -NO_BOUND, NO_BOUND))) for key, value in bounds.items()}
             ET.SubElement(copy, "limit", limit)
@@ -74,7 +74,9 @@ def mechanism(text: str) -> list[Link]:
 
 def _link(name: str, parent: int, joint: ET.Element, weight: Weight) -> Link:
     given = joint.get("type", "")
-    kind = "revolute" if given == "continuous" else given
+    kind = {"continuous": "revolute", "floating": "free", "spherical": "ball"}.get(given, given)
+    if kind in ("free", "ball"):
+        return Link(name, parent, joint.get("name", ""), kind, _origin(joint), weight=weight)
     axis = np.array(_numbers(_get(joint, "axis", "xyz", "1 0 0")))
     moving = kind != "fixed"
     return Link(

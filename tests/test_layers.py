@@ -1,4 +1,4 @@
-"""The layers of `closedloop`: each package imports only those before it in the list, lazily and for types as well."""
+"""The wings of `closedloop`: each imports only itself and those before it in the list, lazily and for types as well."""
 
 import ast
 import re
@@ -10,14 +10,15 @@ from closedloop.command.table import COMMANDS
 from closedloop.record.run import DRAWN_BY
 
 ROOT = Path(__file__).resolve().parent.parent
-LAYERS = (
-    "interrupts", "jit", "errors", "files", "progress", "second_process", "sections", "parameters", "families",
-    "user_code", "integrators", "robot", "surface", "closure", "loops", "friction", "impact", "control", "reference",
-    "scenario", "contacts", "step", "events", "columns", "report", "record", "engines", "figures", "simulation",
-    "batch", "command", "sweep", "lab", "export", "study", "run", "__main__", "__init__",
+WINGS = (
+    "base", "jit", "mechanics", "control", "scenario", "loop", "record", "simulation", "figures", "studies", "lab",
+    "command", "run", "__main__", "__init__",
 )  # fmt: skip
 # Modules that import by name what users named, and their own files.
-NEVER_UPWARDS = {"closedloop.base.families.family", "closedloop.mechanics.friction"}
+NEVER_UPWARDS = {
+    "closedloop.base.families.family", "closedloop.mechanics.friction", "closedloop.scenario.user_module",
+    "closedloop.studies.sweep",
+}  # fmt: skip
 
 
 def modules(package):
@@ -66,8 +67,8 @@ def import_graph():
     return {name: imported(file, known) - {name} for name, file in known.items()}
 
 
-def layer(module):
-    """Return the layer of a module: its package or file at the top of `closedloop`."""
+def wing(module):
+    """Return the wing of a module: its package or file at the top of `closedloop`."""
     return [*module.split("."), "__init__"][1]
 
 
@@ -96,20 +97,28 @@ def cycles(arrows):
     return found
 
 
-def test_every_package_is_in_the_list():
-    """Every file and folder at the top of the package is in the list; at most twelve are files."""
-    top = {layer(name) for name in import_graph()}
-    assert top <= set(LAYERS)
-    assert sum(file.parent == ROOT / "closedloop" for file in modules("closedloop").values()) <= 12
+def test_every_wing_is_in_the_list():
+    """The list has every file and folder at the top of the package, and nothing else."""
+    assert {wing(name) for name in import_graph()} == set(WINGS)
+
+
+def test_the_map_names_every_room():
+    """CONTRIBUTING's table has each wing, in the order of the imports, with all packages in it and what each is for."""
+    text = (ROOT / "CONTRIBUTING.md").read_text(encoding="utf-8")
+    rows = re.findall(r"^\| `(\w+)` \| (.*) \|$", text, re.MULTILINE)
+    assert [name for name, _ in rows] == [name for name in WINGS if (ROOT / "closedloop" / name).is_dir()]
+    for name, said in rows:
+        rooms = {file.parent.name for file in (ROOT / "closedloop" / name).glob("*/__init__.py")}
+        assert not rooms - set(re.findall(r"`(\w+)`", said)), name
 
 
 def test_no_import_runs_upwards():
-    """A layer imports from itself and from those before it in the list."""
+    """A wing imports from itself and from those before it in the list."""
     upwards = {
         (name, other)
         for name, others in import_graph().items()
         for other in others
-        if LAYERS.index(layer(other)) > LAYERS.index(layer(name))
+        if WINGS.index(wing(other)) > WINGS.index(wing(name))
     }
     assert not upwards
 
@@ -132,12 +141,12 @@ def test_what_is_imported_by_name_is_named_in_one_place():
     by_name = {
         name
         for name, file in modules("closedloop").items()
-        if "import_module" in file.read_text(encoding="utf-8") and LAYERS.index(layer(name)) < LAYERS.index("command")
+        if "import_module" in file.read_text(encoding="utf-8") and WINGS.index(wing(name)) < WINGS.index("command")
     }
     assert by_name == {"closedloop.record.run", *NEVER_UPWARDS}
     for drawn_by in DRAWN_BY.values():
         module, _, function = drawn_by.partition(":")
-        assert layer(module) in ("figures", "lab")
+        assert wing(module) in ("figures", "lab")
         assert callable(getattr(import_module(module), function))
 
 
@@ -154,7 +163,7 @@ def test_only_jit_imports_the_inside_of_numba():
         )
         if name_imported.startswith(inside)
     }  # fmt: skip
-    assert {layer(name) for name in knowing} == {"jit"}
+    assert {wing(name) for name in knowing} == {"jit"}
 
 
 def test_validation_is_named_by_the_table_of_commands_alone():

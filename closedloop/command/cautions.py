@@ -29,13 +29,16 @@ def warn_of_no_surface(scenario: Scenario) -> None:
 
 
 def warn_of_gains(scenario: Scenario, model: Any) -> None:
-    """Say before anything is simulated that the step cannot carry the gains; contact may, so it is no refusal."""
+    """Say before anything is simulated that the step does not carry or resolve the gains; contact may: no refusal."""
     from closedloop.scenario.arm import robot_of
     from closedloop.scenario.gains import gains_fault
+    from closedloop.scenario.modes import unresolved_feedback
 
     try:
-        fault = gains_fault(scenario, robot_of(scenario, model))
+        robot = robot_of(scenario, model)
+        fault = gains_fault(scenario, robot)
+        faults = [fault] if fault else unresolved_feedback(scenario, robot)
     except ScenarioError:  # it cannot be prepared, and `simulate` says why
         return
-    if fault:
+    for fault in faults:
         print(f"closedloop: warning: {one_line(fault)}", file=sys.stderr, flush=True)

@@ -1,4 +1,4 @@
-"""The command line of the studies: ``closedloop study drift``, or ``python -m closedloop.studies.study drift``.
+"""The command line of the studies: ``closedloop study drift``.
 
 Exit status: 0 done; 2 the input is at fault (one line on standard error).
 """
@@ -22,7 +22,7 @@ STUDIES = {
 
 def main(arguments: Sequence[str] | None = None) -> int:
     """Run the command line and return the exit status."""
-    return run_command("closedloop.studies.study", _main, arguments)
+    return run_command("closedloop study", _main, arguments)
 
 
 def _main(words: list[str]) -> int:

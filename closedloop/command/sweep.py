@@ -39,7 +39,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     """Run the command line and return the exit status."""
     from closedloop.command.border import run_command
 
-    return run_command("closedloop.studies.sweep", _main, arguments)
+    return run_command("closedloop sweep", _main, arguments)
 
 
 def as_process(arguments: Sequence[str] | None = None) -> int:
@@ -114,7 +114,7 @@ def _sweep(arguments: list[str]) -> int:
     out = Path(options.out) if options.out else Path("out") / scenario.name / "sweep.parquet"
     began = clock.monotonic()
     done: list[tuple[int, int]] = []
-    with count("closedloop.studies.sweep", len(design)) as show:
+    with count("closedloop sweep", len(design)) as show:
 
         def progress(runs: int, total: int) -> None:
             done.append((runs, total)) if not done else done.__setitem__(slice(1, None), [(runs, total)])
@@ -271,7 +271,7 @@ def _ended_at_once_by_a_signal(words: Sequence[str]) -> Iterator[None]:
     def end(signum: int, frame: FrameType | None) -> NoReturn:
         stop = KeyboardInterrupt() if signum == signal.SIGINT else Terminated()
         with suppress(OSError):
-            os.write(2, f"closedloop.studies.sweep: {_last_words(stop, words)}\n".encode())
+            os.write(2, f"closedloop sweep: {_last_words(stop, words)}\n".encode())
         os._exit(exit_status(stop))
 
     if threading.current_thread() is not threading.main_thread():

@@ -21,6 +21,7 @@ from closedloop.loop.events.table import (
     SLIP_AGAIN,
     STICK,
     STOP,
+    TIME_STEP,
     TOUCHDOWN,
 )
 from closedloop.mechanics.closure.contact_force import FREE, PRESSED, STUCK
@@ -47,6 +48,7 @@ SHAPES: dict[int, dict[str, Any]] = {
     EDGE: {"marker": "X", "markersize": 6},
     STOP: {"marker": "P", "markersize": 5},
     RELEASE: {"marker": "<", "markersize": 5},
+    TIME_STEP: {"marker": "*", "markersize": 6},
 }
 INK = "0.15"
 # Up to so many times its rounding a value is drawn beside it.

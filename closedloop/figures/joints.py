@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 from closedloop.figures.dress import dress, explain_contact
 from closedloop.figures.style import MANY, new_figure
 from closedloop.record.run import Run
+from robot_models import RobotModel
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -32,16 +33,17 @@ def joints(run: Run) -> Figure:
     drawn = (
         ("Torque Q", "torque", -model.effort_limit, model.effort_limit, "torque"),
         ("Velocity", "velocity", -model.velocity_limit, model.velocity_limit, "v"),
-        ("Position", "position", model.position_lower, model.position_upper, "q"),
+        ("Position", "position", *_position_limits(model), "q"),
     )
     for axes, (title, label, low, high, name) in zip(panels, drawn, strict=True):
         values = run.columns[name]
-        for j in range(model.n):
-            axes.plot(run.time, values[:, j], _stroke(j), color=MANY[j % len(MANY)], label=model.joint_names[j])
+        names = model.coordinate_names if name == "q" else model.joint_names
+        for j, joint in enumerate(names):
+            axes.plot(run.time, values[:, j], _stroke(j), color=MANY[j % len(MANY)], label=joint)
         axes.margins(y=0.08)
         _draw_limits(axes, values, low, high)
         units = run.units(name).replace(" s-1", "/s")
-        told = f"{title}, {_told(values, low, high, model.joint_names, units, positions=name == 'q')}"
+        told = f"{title}, {_told(values, low, high, names, units, positions=name == 'q')}"
         last = axes is panels[-1]
         dress(axes, run, told, f"{label} [{units}]", label_marks=axes is panels[0], show_events=last)
         if not last:
@@ -49,6 +51,18 @@ def joints(run: Run) -> Figure:
     _name_joints(figure, panels[0])
     explain_contact(figure, run)
     return figure
+
+
+def _position_limits(model: RobotModel) -> tuple[Array, Array]:
+    """Return the limits of all positions, (nq,), rad (m); a quaternion has none."""
+    if not model.balls:
+        return model.position_lower, model.position_upper
+    known = {name: j for j, name in enumerate(model.joint_names)}
+    lower, upper = (
+        np.array([limits[known[name]] if name in known else far for name in model.coordinate_names])
+        for limits, far in ((model.position_lower, -np.inf), (model.position_upper, np.inf))
+    )
+    return lower, upper
 
 
 def _stroke(j: int) -> str:

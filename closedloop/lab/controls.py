@@ -207,17 +207,21 @@ def _of_field(key: str, field: FieldInfo, value: Any, scenario: Scenario, model:
     if isinstance(value, float | int):
         return [make(**span(key, field, float(value), unit, scenario), value=float(value))]
     if isinstance(value, tuple) and value and all(isinstance(entry, float | int) for entry in value):
-        by_joint = model is not None and len(model.joint_names) == len(value)
-        by_joint = by_joint and key.partition(".")[0] not in NO_JOINTS
-        joints = model.joint_names if model is not None and by_joint else ()
+        of_joints: tuple[str, ...] = () if model is None else model.joint_names
+        types: tuple[str, ...] = () if model is None else model.joint_types
+        if model is not None and key == "start.q":
+            of_joints, types = model.coordinate_names, model.coordinate_types
+        by_joint = len(of_joints) == len(value) and key.partition(".")[0] not in NO_JOINTS
+        joints = of_joints if by_joint else ()
         entries = joints or (("x", "y", "z") if len(value) == 3 else tuple(map(str, range(len(value)))))
-        drives = model.drives if model is not None and by_joint and key.startswith("law.") else ()
-        types = model.joint_types if model is not None and by_joint else ()
-        units = [SLIDING.get(unit, unit) if kind == "prismatic" else unit for kind in types] or [unit] * len(value)
+        of_law = model is not None and by_joint and key.startswith("law.")
+        drives = model.driven.tolist() if model is not None and of_law else [True] * len(value)
+        known = {"prismatic": SLIDING.get(unit, unit), "quaternion": "1"}
+        units = [known.get(kind, unit) for kind in types] if by_joint else [unit] * len(value)
         return [
             make(**span(key, field, float(value[k]), units[k], scenario, k, model), of=f"{label} {entries[k]}", index=k,
                  value=list(value), unit=units[k])
-            for k in range(len(value)) if not drives or entries[k] in drives  # a law moves no other joint
+            for k in range(len(value)) if drives[k]  # a law moves no other joint
         ]  # fmt: skip
     return [make("text", value=value)]
 

@@ -134,7 +134,7 @@ def _tip(run: Run) -> Panel:
 
 def _torque(run: Run) -> Panel:
     """Return the torques of the joints with a drive, as shares of their limits where all have one, else as they are."""
-    driven = [j for j, name in enumerate(run.model.joint_names) if not run.model.drives or name in run.model.drives]
+    driven = np.flatnonzero(run.model.driven).tolist()
     names, limits = [run.model.joint_names[j] for j in driven], run.model.effort_limit[driven]
     share = bool(np.all(np.isfinite(limits)))
     values = 100.0 * run.torque[:, driven] / limits if share else run.torque[:, driven]

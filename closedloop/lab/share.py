@@ -72,6 +72,7 @@ def _data(run: Run, command: str) -> dict[str, Any]:
     begin, end = float(run.time[0]), float(run.time[-1])
     curves = [reduced(panel, begin, end, CELLS) for panel in panels(run)]
     (vertices, faces), (middle, radius) = scene.surface, scene.ball
+    ground = len(scene.joint_places(0)[0])  # the number of the surface's place, after those of base and joints
     name, robot, about = run.scenario.name, run.model.name, run.scenario.description
     return {
         "title": name if name == robot else f"{name} ({robot})",
@@ -80,9 +81,9 @@ def _data(run: Run, command: str) -> dict[str, Any]:
         "verdicts": [f"verdict: {names_of(run.summary()['verdict']['problems'])}", f"control: {told(run.summary())}"],
         "command": command,
         "scenario": run.scenario.to_toml(),
-        "end": end, "step": run.scenario.time.step, "joints": run.model.n + 2 + len(scene.joined.loops),
+        "end": end, "step": run.scenario.time.step, "joints": ground + 1 + len(scene.joined.loops),
         "size": scene.size, "centre": middle.tolist(), "radius": radius, "metres_per_newton": scene.metres_per_newton,
-        "surface": {"joint": run.model.n + 1, "vertices": _numbers(vertices), "faces": _numbers(faces, np.uint32)},
+        "surface": {"joint": ground, "vertices": _numbers(vertices), "faces": _numbers(faces, np.uint32)},
         "arrows": [{"name": a.name, "kind": a.kind, "colour": ARROWS[a.kind]} for a in scene.arrows([0])[0]],
         "kinds": scene.kinds, "meanings": MEANINGS,
         "paths": [
@@ -108,7 +109,7 @@ def _shapes(scene: Scene) -> Iterator[tuple[int, str, Shape]]:
     for shape in scene.shapes:
         yield shape.joint, "", shape
     for k, loop in enumerate(scene.joined.loops):
-        yield scene.run.model.n + 2 + k, JOINTS, loop.shape
+        yield len(scene.joint_places(0)[0]) + 1 + k, JOINTS, loop.shape
 
 
 def _frames(scene: Scene) -> dict[str, str]:

@@ -30,7 +30,9 @@ def span(
 ) -> dict[str, Any]:  # fmt: skip
     """Return form, low, high and step of a slider that starts at a value."""
     least, most = _bounds(field)
-    if key.startswith("start.q") and model is not None and index is not None and index < model.n:
+    if key.startswith("start.q") and unit == "1":  # of a quaternion
+        return _linear(-1.0, 1.0)
+    if key.startswith("start.q") and model is not None and not model.balls and index is not None and index < model.n:
         low, high = float(model.position_lower[index]), float(model.position_upper[index])
         least, most = (
             (low if math.isfinite(low) else value - math.pi),

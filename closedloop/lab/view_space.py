@@ -17,6 +17,7 @@ EVENTS = {
     "impact": (230, 159, 0), "touchdown": (0, 114, 178), "liftoff": (86, 180, 233), "stick": (213, 94, 0),
     "slip": (0, 158, 115), "reversal": (204, 121, 167), "edge": (0, 0, 0), "stop": (120, 120, 120),
     "release": (120, 120, 120),
+    "time_step": (120, 120, 120),
 }  # fmt: skip
 # Colours of arrows that come out as those of `ARROWS`, which the legend has: the page's tone mapping turns blue into
 # teal and orange into brown. Found by trying, and read from the page.
@@ -114,7 +115,7 @@ class Space:
         for node in (*self._joints, *self._marks):
             node.remove()
         self._shapes = scene.shapes
-        count = scene.run.model.n + 1
+        count = len(scene.joint_places(0)[0])
         self._hiding = []
         self._joints = [self._api.add_frame(f"/arm/{k}", show_axes=False) for k in range(count)]
         for at, shape in enumerate(scene.shapes):

@@ -18,7 +18,7 @@ AXES = ("x", "y", "z")
 
 def data_frame(
     columns: Mapping[str, NDArray[Any]], dims: Mapping[str, tuple[str, ...]], joints: tuple[str, ...],
-    contacts: tuple[str, ...], units: Callable[[str], str],
+    coordinates: tuple[str, ...], contacts: tuple[str, ...], units: Callable[[str], str],
 ) -> pandas.DataFrame:  # fmt: skip
     """Return columns over time as a DataFrame, one for each component, its index the time, s.
 
@@ -30,6 +30,8 @@ def data_frame(
         Dimensions of each: ("time",), ("time", "joint"), ("time", "axis") or ("time", "component").
     joints : tuple of str
         Names of the joints.
+    coordinates : tuple of str
+        Names of the positions, where they are others.
     contacts : tuple of str
         What columns call the links' contacts.
     units : callable
@@ -46,6 +48,7 @@ def data_frame(
             columns[name],
             {
                 "joint": joints,
+                "coordinate": coordinates,
                 "axis": AXES,
                 "component": WRENCH,
                 "contact": contacts,

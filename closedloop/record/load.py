@@ -41,13 +41,19 @@ from closedloop.record.save import (
 from closedloop.record.sealed import read_sealed
 from closedloop.scenario.load import parse_scenario
 from closedloop.scenario.scenario import Scenario
+from robot_models import RobotModel
 
 # Of instants, relative.
 ROUNDING = 1e-14
 # What files from before there was a checksum may lack.
 _LATER = dict(zip(LATER_TEXTS, ("pinocchio", "", '["kkt_condition"]'), strict=True))
 # Columns that files of earlier versions may lack, and a column as long: what nobody wrote down is NaN.
-_LATER_COLUMNS = {"energy_supplied": "time", "event_restitution": "event_time", "event_contact": "event_time"}
+_LATER_COLUMNS = {
+    "energy_supplied": "time",
+    "event_restitution": "event_time",
+    "event_contact": "event_time",
+    "event_energy_rested": "event_time",
+}
 
 
 def load_run(path: str | Path) -> Run:
@@ -107,7 +113,7 @@ def _run_of(found: Mapping[str, Any], columns: dict[str, NDArray[Any]]) -> Run:
     added = from_text(found[ADDED]) if ADDED in found else {}
     contacts = len(scenario.contact or ())
     needed = (*(CONTACT_COLUMNS if contacts else ()), *(SURFACE_COLUMNS if scenario.has_surface else ()))
-    _check_columns(columns, added, {"joint": model.n, "contact": contacts}, allowed, needed)
+    _check_columns(columns, added, _sizes(model, contacts), allowed, needed)
     # A run that was stopped may have events in the step that it did not finish.
     _check_events(columns, model.n + contacts, scenario.time.step if found["stopped"] else 0.0)
     return Run(
@@ -124,6 +130,12 @@ def _run_of(found: Mapping[str, Any], columns: dict[str, NDArray[Any]]) -> Run:
         added=added,
         halved=checked_comparison(json.loads(found[HALVED])) if HALVED in found else None,
     )
+
+
+def _sizes(model: RobotModel, contacts: int) -> dict[str, int]:
+    """Return the lengths of the dimensions that a model and a scenario give."""
+    turning = {"coordinate": len(model.coordinate_names)} if model.balls else {}
+    return {"joint": model.n, "contact": contacts} | turning
 
 
 def _add_plane(columns: dict[str, NDArray[Any]], scenario: Scenario) -> None:
@@ -148,7 +160,7 @@ def _check_columns(
 ) -> None:  # fmt: skip
     sizes = {"time": columns["time"].size, "axis": 3, "event": columns["event_time"].size}
     sizes |= known | {"contact_tangent": 2 * known["contact"]}
-    for name, spec in (columns_there({*columns, *needed}) | dict(added)).items():
+    for name, spec in (columns_there({*columns, *needed}, "coordinate" in known) | dict(added)).items():
         column = columns[name]
         own = column.shape[-1] if column.ndim == 2 else 0  # a column of one's own has as many parts as it has
         shape = tuple(sizes.get(dim, own) for dim in spec.dims)

@@ -37,6 +37,9 @@ if TYPE_CHECKING:
 
 Array = NDArray[np.float64]
 
+# Which part of the unit of the positions each type of them has.
+KINDS = {"prismatic": 1, "quaternion": 2}
+
 
 # What draws a run: MODULE:FUNCTION, found when it is asked for, as drawing is above the record (tests/test_layers.py).
 DRAWN_BY = {
@@ -53,7 +56,7 @@ class Run:
 
     Every column in `COLUMNS`, and in `SOMETIMES` where the scenario asks for it, is also an attribute, those of
     `SURFACE_COLUMNS` without a surface too, but they are in no file then: `run.time`
-    (N,), `run.q` (N, n), `run.position` (N, 3), `run.contact_force` (N,) ... So is every column of the table of events
+    (N,), `run.q` (N, nq), `run.position` (N, 3), `run.contact_force` (N,) ... So is every column of the table of events
     (`closedloop.loop.events.table.EVENT_COLUMNS`), which `run.events` reads row by row; and what follows from them,
     `closedloop.record.columns.derived.DERIVED`, such as `run.wrist_wrench` (N, 6). All are read-only.
 
@@ -166,7 +169,7 @@ class Run:
     @property
     def specs(self) -> Mapping[str, Column]:
         """Dimensions, unit and meaning of each of the columns."""
-        return columns_there(self.columns) | dict(self.added)
+        return columns_there(self.columns, bool(self.model.balls)) | dict(self.added)
 
     def summary(self) -> dict[str, Any]:
         """Return what the command line prints and writes as summary.json; see `closedloop.record.report`."""
@@ -178,6 +181,9 @@ class Run:
             name = of_contacts[name][0]
         spec = self.specs[name] if name in self.specs else DERIVED[name]
         sliding = spec.units.replace("rad", "m").replace("N m", "N")
+        if "coordinate" in spec.dims:
+            parts = (spec.units, "m", "1")
+            return " | ".join(dict.fromkeys(parts[KINDS.get(kind, 0)] for kind in self.model.coordinate_types))
         if "joint" not in spec.dims or sliding == spec.units:
             return spec.units
         kinds = {kind == "prismatic" for kind in self.model.joint_types}
@@ -199,6 +205,7 @@ class Run:
                 "time": variable("time"),
                 "joint": list(self.model.joint_names),
                 "joint_type": ("joint", list(self.model.joint_types)),
+                **({"coordinate": list(self.model.coordinate_names)} if self.model.balls else {}),
                 "axis": ["x", "y", "z"],
                 **({"contact": list(contacts), "contact_tangent": list(tangents_of(contacts))} if contacts else {}),
             },
@@ -217,8 +224,9 @@ class Run:
         dims = {name: spec.dims for name, spec in known.items() if spec.dims[0] == "time"}
         contacts = labels_of(self.scenario.contact or ())
         return data_frame(
-            {name: getattr(self, name) for name in dims}, dims, self.model.joint_names, contacts, self.units
-        )
+            {name: getattr(self, name) for name in dims}, dims, self.model.joint_names, self.model.coordinate_names,
+            contacts, self.units,
+        )  # fmt: skip
 
     def plot(self) -> Figure:
         """Return a matplotlib figure of the force's error, the tip's errors and the path from above.

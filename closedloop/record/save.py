@@ -21,8 +21,8 @@ from closedloop.record.columns.added import as_text
 from closedloop.record.columns.by_contact import columns_by_contact
 from closedloop.record.columns.record import Record
 from closedloop.record.columns.recorded import in_order
-from closedloop.record.netcdf_image import Variable, netcdf_image
-from closedloop.record.sealed import seal
+from closedloop.record.netcdf_file import Variable, write_netcdf
+from closedloop.record.sealed import seal_file
 from closedloop.scenario.contact_names import labels_of, tangents_of
 from closedloop.scenario.scenario import Scenario
 from robot_models import RobotModel
@@ -114,7 +114,7 @@ def checksum(found: Mapping[str, Any], columns: Mapping[str, NDArray[Any]]) -> s
     for name in in_order(columns):
         column = np.ascontiguousarray(columns[name])
         total.update(json.dumps([name, column.dtype.str, column.shape]).encode())
-        total.update(column.tobytes())
+        total.update(column.data.cast("B") if column.size else b"")
     return f"sha256:{total.hexdigest()}"
 
 
@@ -135,24 +135,27 @@ def save_run(run: Record, path: str | Path) -> Path:
         "joint_type": ("joint", run.model.joint_types),
         "axis": ("axis", ("x", "y", "z")),
     }
+    if run.model.balls:
+        labels["coordinate"] = ("coordinate", run.model.coordinate_names)
     if run.scenario.contact:
         names = labels_of(run.scenario.contact)
         labels |= {"contact": ("contact", names), "contact_tangent": ("contact_tangent", tangents_of(names))}
         for name, (whole, k) in columns_by_contact(run.scenario.contact).items():  # again, each by its contact's name
             told = variables[whole].attributes
-            variables[name] = Variable(("time",), np.ascontiguousarray(run.columns[whole][:, k]), told)
+            variables[name] = Variable(("time",), run.columns[whole][:, k], told)
     for name, (dimension, words) in labels.items():
         variables[name] = Variable((dimension,), np.array(words, dtype=object))
     dimensions = {"time": len(run), "joint": run.model.n, "axis": 3, "event": len(run.events)}
+    if run.model.balls:
+        dimensions["coordinate"] = len(run.model.coordinate_names)
     if contacts := len(run.scenario.contact or ()):
         dimensions |= {"contact": contacts, "contact_tangent": 2 * contacts}
     own = {spec.dims[1]: run.columns[name].shape[1] for name, spec in run.added.items() if len(spec.dims) == 2}
     dimensions = own | dimensions
     made = attributes(run)
-    content = netcdf_image(dimensions, variables, made | {CHECKSUM: checksum(made, run.columns)})
 
     def write(file: BinaryIO) -> None:
-        file.write(content)
-        file.write(seal(content))
+        write_netcdf(file, dimensions, variables, made | {CHECKSUM: checksum(made, run.columns)})
+        seal_file(file)
 
     return write_whole(path, write)

@@ -1,16 +1,18 @@
 """An HDF5 file with a seal: behind its last byte, where no reader looks, a line with the SHA-256 of all before it.
 
-    closedloop SHA-256 of all bytes before this line: 0123...
+    closedloop SHA-256 of all bytes before this line: 0123... 4567...
 
 A file whose seal is broken is damaged. But anyone can seal a file, and HDF5 that reads damaged bytes may loop for ever,
-deaf to Ctrl-C, or end the process: it reads in this process what this process has written, and nothing else. Any other
-file, with a seal or without (made before there was one, or changed by another program, which cuts it off), is read by a
-process of its own, which can be ended.
+deaf to Ctrl-C, or end the process: it reads in this process what this user has written on this machine, and nothing
+else. That is told by the second number, an HMAC with a key (`closedloop.record.seal_key`). Any other file, with a seal
+or without (made before there was one, or changed by another program, which cuts it off), is read by a process of its
+own, which can be ended.
 """
 
 from __future__ import annotations
 
 import hashlib
+import hmac
 import io
 import json
 import os
@@ -18,16 +20,18 @@ import stat
 import subprocess
 import sys
 from pathlib import Path
-from typing import Any
+from typing import Any, BinaryIO
 
 import numpy as np
 from numpy.typing import NDArray
 
 from closedloop.base.errors import RunFileError
 from closedloop.base.files import kind_of, reason_of
+from closedloop.record.seal_key import seal_key
 
 _WORDS = b"\nclosedloop SHA-256 of all bytes before this line: "
-SEAL_LENGTH = len(_WORDS) + 64 + 1
+# With and without the HMAC, which lines of earlier versions lack.
+SEAL_LENGTH, _UNSIGNED_LENGTH = len(_WORDS) + 64 + 1 + 64 + 1, len(_WORDS) + 64 + 1
 # The time that reading may take, s, beside that for the bytes, of which so many are read in a second.
 PATIENCE, BYTES_A_SECOND = 30.0, 5e6
 
@@ -35,39 +39,45 @@ Attributes = dict[str, str | int | float]
 Columns = dict[str, NDArray[Any]]
 
 
-# The digests of all that this process has sealed.
-_ours: set[bytes] = set()
-
-
 def seal(content: bytes | memoryview) -> bytes:
     """Return the line that goes behind the content of a file that this process writes."""
-    digest = hashlib.sha256(content).hexdigest().encode()
-    _ours.add(digest)
-    return _line(digest)
+    return _line(hashlib.sha256(content))
 
 
-def _line(digest: bytes) -> bytes:
-    return _WORDS + digest + b"\n"
+def seal_file(file: BinaryIO) -> None:
+    """Write the line behind the content of an open file that this process has written."""
+    total = hashlib.sha256()
+    file.seek(0)
+    while block := file.read(1 << 20):
+        total.update(block)
+    file.write(_line(total))
 
 
-def unsealed(whole: memoryview) -> memoryview:
-    """Return what stands before the seal of a file's bytes.
+def _line(total: Any) -> bytes:
+    signed = hmac.new(seal_key(), total.digest(), "sha256").hexdigest()
+    return _WORDS + f"{total.hexdigest()} {signed}\n".encode()
+
+
+def unsealed(whole: memoryview) -> tuple[memoryview, bool]:
+    """Return what stands before the seal of a file's bytes, and whether this user has written it on this machine.
 
     Raises
     ------
     ValueError
         If there is no seal, or it is broken.
     """
-    return _unsealed(whole)[0]
-
-
-def _unsealed(whole: memoryview) -> tuple[memoryview, bool]:
-    """Return what stands before the seal, and whether this process has written it."""
-    content, line = whole[:-SEAL_LENGTH], whole[-SEAL_LENGTH:]
-    digest = hashlib.sha256(content).hexdigest().encode()
-    if line != _line(digest):
+    length = _seal_length(bytes(whole[-SEAL_LENGTH:]))
+    content, line = whole[: len(whole) - length], bytes(whole[len(whole) - length :])
+    total = hashlib.sha256(content)
+    told = _WORDS + total.hexdigest().encode()
+    if line[: len(told)] != told or line[len(told) : len(told) + 1] not in (b" ", b"\n"):
         raise ValueError("is damaged: its bytes are not those that were written (their SHA-256 is another)")
-    return content, digest in _ours
+    return content, hmac.compare_digest(line, _line(total))
+
+
+def _seal_length(end: bytes) -> int:
+    """Return how long the seal is at the end of a file, 0 if there is none."""
+    return next((length for length in (SEAL_LENGTH, _UNSIGNED_LENGTH) if end[-length:].startswith(_WORDS)), 0)
 
 
 def read_sealed(path: Path, names: list[str]) -> tuple[Attributes, Columns]:
@@ -83,12 +93,12 @@ def read_sealed(path: Path, names: list[str]) -> tuple[Attributes, Columns]:
     size = _size_of_file(path)
     with path.open("rb") as file:
         file.seek(max(0, size - SEAL_LENGTH))
-        if not file.read().startswith(_WORDS):
+        if not _seal_length(file.read()):
             return _read_apart(path, size, names)
         file.seek(0)
         whole = memoryview(file.read())
     try:
-        content, ours = _unsealed(whole)
+        content, ours = unsealed(whole)
     except ValueError as error:
         raise RunFileError(str(error)) from None
     if not ours:

@@ -19,7 +19,7 @@ MOST_BYTES = 4_000_000
 
 def shipped_scenarios() -> list[str]:
     """Return the names of the scenarios that come with the package, sorted."""
-    folder = resources.files("closedloop") / "scenarios"
+    folder = resources.files("closedloop.scenario") / "shipped"
     return sorted(f.name.removesuffix(".toml") for f in folder.iterdir() if f.name.endswith(".toml"))
 
 
@@ -40,7 +40,7 @@ def scenario_text(name: str | Path) -> tuple[str, str, str, Path | None]:
         every = f"wam_slide is one of {len(shipped)}, 'closedloop scenarios' lists them"
         hint = f"did you mean '{near[0]}'?" if near else every
         raise ScenarioError(f"no scenario named {shown(str(name))}; {hint} (a file of your own must end in .toml)")
-    file = resources.files("closedloop") / "scenarios" / f"{name}.toml"
+    file = resources.files("closedloop.scenario") / "shipped" / f"{name}.toml"
     return file.read_text(encoding="utf-8"), str(name), str(name), None
 
 

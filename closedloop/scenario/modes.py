@@ -1,48 +1,99 @@
-"""Whether the step resolves the fast swings of elastic joints and of a soft surface: accuracy, not stability alone.
+"""Whether the step resolves what is fast: elastic joints, a soft surface, bristles of friction, a law's feedback.
 
-A step that is stable may damp a swing that the arm does not damp, or feed one that it does: Runge-Kutta's fourth order
-scheme takes away 23 % of the rate at hω = 2.3. So what a step makes of a swing, its eigenvalue μ, is compared with
-e^hλ.
+It is about accuracy, not stability alone. A step that is stable may damp a swing that the arm does not damp, or feed
+one that it does: Runge-Kutta's fourth order scheme takes away 23 % of the rate at hω = 2.3. So what a step makes of a
+motion, its eigenvalue μ, is compared with e^hλ.
+
+With the semi-implicit scheme bristles follow the slip at the step's beginning, so that on them it is the explicit one.
+Of the other fast parts the stabiliser is no motion of the arm, and what is unstable is refused, as are a sensor's
+filter and delay that its samples do not resolve (`closedloop.control.sensor`, `closedloop.control.stability`).
 """
 
 from __future__ import annotations
+
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
 from closedloop.control.transmission import transmission_constants
 from closedloop.mechanics.closure.baumgarte import linear_step
+from closedloop.mechanics.friction.law import FrictionLaw
+from closedloop.mechanics.friction.packing import joint_parameters, surface_parameters
 from closedloop.mechanics.integrators import INTEGRATORS
 from closedloop.mechanics.robot.pinocchio import Robot
-from closedloop.scenario.gains import closed_mobility
+from closedloop.scenario.gains import closed_mobility, feedbacks
 from closedloop.scenario.scenario import Scenario
 
 Array = NDArray[np.float64]
 
 # A swing whose rate of decay or frequency is off by a tenth of |λ| is another swing: its damping ratio is off by 0.1.
 WRONG_BY = 0.1
+# What dies out without a swing counts where it is off by half of itself in a step: with Euler's schemes it alternates
+# then. A swing of a law's feedback counts where it is off by this much in a step too: near critical damping frequencies
+# are off by much of themselves, and it is nothing.
+WRONG_DECAY, WRONG_FEEDBACK = 0.5, 0.05
+# |hλ| of what a closure or a loop holds: zero to the root of rounding, since such eigenvalues are double ones.
+STILL = 1e-5
 
 
-def wrong_by(integrator: str, h: float, stiffness: Array, damping: Array) -> tuple[float, float]:
+class Mode(NamedTuple):
+    """What moves by itself: ẍ = −stiffness x − damping ẋ, (m, m), 1/s² and 1/s, its key, and the scheme it meets."""
+
+    key: str
+    stiffness: Array
+    damping: Array
+    integrator: str
+
+
+def wrong_by(integrator: str, h: float, stiffness: Array, damping: Array, least: float = 0.0) -> tuple[float, float]:
     """Return |ln μ − hλ|/|hλ| of the swing ẍ = −stiffness x − damping ẋ that a step h, s, gets most wrong, and its |λ|.
 
-    Only swings count, not what dies out without one.
+    Only swings count that are off by `least` in a step, not what dies out without one.
     """
-    m = stiffness.shape[0]
-    A = np.block([[np.zeros((m, m)), np.eye(m)], [-h * h * stiffness, -h * damping]])
-    rates = np.linalg.eigvals(A)
-    made = np.linalg.eigvals(linear_step(INTEGRATORS[integrator], A))
     worst, rate = 0.0, 0.0
-    for z in rates[rates.imag > 1e-3 * np.abs(rates)]:
-        with np.errstate(divide="ignore"):
-            off = float(np.min(np.abs(np.log(made.astype(complex)) - z)) / np.abs(z))
+    for z, made in _rates(integrator, h, stiffness, damping):
+        if z.imag <= 1e-3 * abs(z) or abs(made - np.exp(z)) < least:
+            continue
+        off = abs(np.log(made) - z) / abs(z) if made != 0.0 else np.inf
         if off > worst:
-            worst, rate = off, float(np.abs(z)) / h
+            worst, rate = float(off), abs(z) / h
     return worst, rate
 
 
+def wrong_decay(integrator: str, h: float, stiffness: Array, damping: Array) -> tuple[float, float]:
+    """Return |μ − e^hλ| of the decay of ẍ = −stiffness x − damping ẋ that a step h, s, gets most wrong, and its |λ|."""
+    decays = [
+        (float(abs(made - np.exp(z))), abs(z) / h)
+        for z, made in _rates(integrator, h, stiffness, damping)
+        if abs(z.imag) <= 1e-3 * abs(z) and z.real < 0.0
+    ]
+    return max(decays, default=(0.0, 0.0))
+
+
+def _rates(integrator: str, h: float, stiffness: Array, damping: Array) -> list[tuple[complex, complex]]:
+    """Return each hλ that is not zero to rounding, and what a step makes of e^hλ.
+
+    Of a Runge-Kutta scheme it is a polynomial of hλ; of the semi-implicit one, the nearest that is left over.
+    """
+    m, scheme = stiffness.shape[0], INTEGRATORS[integrator]
+    A = np.block([[np.zeros((m, m)), np.eye(m)], [-h * h * stiffness, -h * damping]])
+    z = np.linalg.eigvals(A).astype(complex)
+    if not scheme.semi_implicit:
+        return [(complex(a), complex(linear_step(scheme, np.array([[a]]))[0, 0])) for a in z if abs(a) > STILL]
+    made = np.linalg.eigvals(linear_step(scheme, A)).astype(complex)
+    apart = np.abs(np.exp(z)[:, None] - made[None])
+    pairs = []
+    for _ in range(z.size):
+        i, k = np.unravel_index(int(np.argmin(apart)), apart.shape)
+        apart[i], apart[:, k] = np.inf, np.inf
+        if abs(z[i]) > STILL:
+            pairs.append((complex(z[i]), complex(made[k])))
+    return pairs
+
+
 def unresolved(scenario: Scenario, robot: Robot, q: Array, normal: Array, depth: float) -> list[str]:
-    """Return a line for each swing that the step does not resolve, with a step that would.
+    """Return a line for each fast part that the step does not resolve, with a step that would; not of the law.
 
     Parameters
     ----------
@@ -55,43 +106,96 @@ def unresolved(scenario: Scenario, robot: Robot, q: Array, normal: Array, depth:
     depth : float
         How deep the tip is in the surface there, m.
     """
-    name, h = scenario.time.integrator, scenario.time.step
     soft, elastic = scenario.compliance.kind != "none", scenario.transmission.elastic
-    if name not in INTEGRATORS or not (soft or elastic):
+    bristles = hasattr(scenario.friction, "stiffness") or hasattr(scenario.joint_friction, "stiffness")
+    if scenario.time.integrator not in INTEGRATORS or not (soft or elastic or bristles):
         return []
-    swings: list[tuple[str, Array, Array]] = []
-    try:
-        terms = robot.terms(np.array(q), np.zeros(robot.n))
-        inverse = np.linalg.inv(terms.mass_matrix)
-    except np.linalg.LinAlgError:  # some joint moves no inertia: the run says so
-        return []
-    mobility = closed_mobility(robot, q, inverse)
-    if elastic:
-        k, d, inertia = transmission_constants(scenario.transmission, robot.model)
-        between = mobility + np.diag(np.divide(1.0, inertia, out=np.zeros(robot.n), where=inertia > 0.0))
-        swings.append(("transmission.stiffness", between * k, between * d))
-    if soft:
-        A = normal @ terms.jacobian
-        k, d = scenario.compliance.tangent(max(0.0, depth))
-        along = np.array([[float(A @ mobility @ A)]])
-        swings.append(("compliance", along * k, along * d))
     lines = []
-    for key, stiffness, damping in swings:
-        if not (np.all(np.isfinite(stiffness)) and np.any(stiffness)):
-            continue
-        off, rate = wrong_by(name, h, stiffness, damping)
-        if off > WRONG_BY:
-            lines.append(
-                f"{key}: {name} with time.step = {h:g} s gets a swing of {rate:.3g} rad/s wrong by {100 * off:.2g} %; "
-                f"it is within {100 * WRONG_BY:g} % with a step of {_resolving(name, h, stiffness, damping):.2g} s"
-            )
+    for mode in _modes(scenario, robot, q, normal, depth):
+        if np.all(np.isfinite(mode.stiffness)) and np.any(mode.stiffness):
+            lines += _line(mode, scenario, decays=mode.key.endswith("friction.stiffness"))
     return lines
 
 
-def _resolving(name: str, h: float, stiffness: Array, damping: Array) -> float:
-    """Return the first of h/2, h/4 ... that resolves the swing."""
+def unresolved_feedback(scenario: Scenario, robot: Robot) -> list[str]:
+    """Return a line for each part of a law's feedback that the step does not resolve, with a step that would.
+
+    A torque that is held is a controller's own, and is resolved.
+    """
+    name, start = scenario.time.integrator, getattr(scenario.law, "pd_start", None)
+    if name not in INTEGRATORS or scenario.law.sample_period or scenario.reads_encoders:
+        return []
+    if start is not None and start >= scenario.time.duration:
+        return []
+    lines = []
+    for feedback in feedbacks(scenario, robot):
+        if all(np.all(np.isfinite(matrix)) for matrix in feedback[2:]):
+            mode = Mode(f"{feedback.spring}, {feedback.damper}", feedback.stiffness, feedback.damping, name)
+            lines += _line(mode, scenario, decays=True, least=WRONG_FEEDBACK)
+    return lines
+
+
+def _modes(scenario: Scenario, robot: Robot, q: Array, normal: Array, depth: float) -> list[Mode]:
+    """Return what of the arm and the surface moves by itself at a posture."""
+    name, n = scenario.time.integrator, robot.n
+    on_bristles = "explicit_euler" if INTEGRATORS[name].semi_implicit else name
+    try:
+        terms = robot.terms(np.array(q), np.zeros(n))
+        mobility = closed_mobility(robot, q, np.linalg.inv(terms.mass_matrix))
+    except np.linalg.LinAlgError:  # some joint moves no inertia: the run says so
+        return []
+    modes: list[Mode] = []
+    if scenario.transmission.elastic:
+        k, d, inertia = transmission_constants(scenario.transmission, robot.model)
+        between = mobility + np.diag(np.divide(1.0, inertia, out=np.zeros(n), where=inertia > 0.0))
+        modes.append(Mode("transmission.stiffness", between * k, between * d, name))
+    A = np.linalg.svd(normal[None])[2] @ terms.jacobian  # along the normal and two tangents
+    S = A @ mobility @ A.T
+    if scenario.compliance.kind != "none":
+        k, d = scenario.compliance.tangent(max(0.0, depth))
+        modes.append(Mode("compliance", S[:1, :1] * k, S[:1, :1] * d, name))
+    elif S[0, 0] > 0.0:  # a rigid surface holds the tip
+        column = mobility @ A[0]
+        mobility = mobility - np.outer(column, column) / S[0, 0]
+        S = S - np.outer(S[:, 0], S[0]) / S[0, 0]
+    if hasattr(scenario.friction, "stiffness"):
+        load = max(0.0, scenario.law.force)
+        k, d = _bristle(scenario.friction, surface_parameters(scenario.friction), load)
+        modes.append(Mode("friction.stiffness", S[1:, 1:] * k, S[1:, 1:] * d, on_bristles))
+    if hasattr(scenario.joint_friction, "stiffness"):
+        each = [_bristle(scenario.joint_friction, par, 1.0) for par in joint_parameters(scenario.joint_friction, n)]
+        k, d = np.array(each).T
+        modes.append(Mode("joint_friction.stiffness", mobility * k, mobility * d, on_bristles))
+    return modes
+
+
+def _bristle(section: FrictionLaw, par: Any, load: float) -> tuple[float, float]:
+    """Return stiffness and damping before slip; see `closedloop.mechanics.friction.presliding`."""
+    damper = 0.0 if section.sticks == "spring" else getattr(par, "damping", 0.0) * load + getattr(par, "viscous", 0.0)
+    return float(par.stiffness) * load, float(damper)
+
+
+def _line(mode: Mode, scenario: Scenario, decays: bool, least: float = 0.0) -> list[str]:
+    """Return what is wrong with a motion at the scenario's step, in a list; empty if nothing is."""
+    h, name = scenario.time.step, scenario.time.integrator
+
+    def fault(step: float) -> tuple[float, float, str]:
+        off, rate = wrong_by(mode.integrator, step, mode.stiffness, mode.damping, least)
+        if off > WRONG_BY:
+            return off, rate, "swing"
+        off, rate = wrong_decay(mode.integrator, step, mode.stiffness, mode.damping)
+        return (off, rate, "decay") if decays and off > WRONG_DECAY else (0.0, 0.0, "")
+
+    off, rate, what = fault(h)
+    if not what:
+        return []
+    short = h
     for _ in range(40):
-        h *= 0.5
-        if wrong_by(name, h, stiffness, damping)[0] <= WRONG_BY:
+        short *= 0.5
+        if not fault(short)[2]:
             break
-    return h
+    unit = "rad/s" if what == "swing" else "1/s"
+    return [
+        f"{mode.key}: {name} with time.step = {h:g} s gets a {what} of {rate:.3g} {unit} wrong by {100 * off:.2g} %; "
+        f"it is within {100 * (WRONG_BY if what == 'swing' else WRONG_DECAY):g} % with a step of {short:.2g} s"
+    ]

@@ -14,7 +14,7 @@ from closedloop.loop.events.table import event_columns
 from closedloop.loop.step.record_row import CONTACT_RECORDED, RECORDED, recorded
 from closedloop.mechanics.robot.tree import Tree, energies_of_rows, potential_energies, work_size
 from closedloop.record.columns.added import state_columns
-from closedloop.record.columns.recorded import SURFACE_COLUMNS
+from closedloop.record.columns.recorded import POSITIONS, SURFACE_COLUMNS
 from closedloop.record.run import Run
 from closedloop.record.versions import package_versions
 from closedloop.scenario.arm import without_tools
@@ -22,6 +22,7 @@ from closedloop.scenario.members import member_digests
 from closedloop.simulation.engines.needs import arm_columns
 from closedloop.simulation.engines.problem import Problem
 from closedloop.simulation.engines.user_law import Law
+from robot_models.coordinates import continuous, with_quaternions
 
 Array = NDArray[np.float64]
 
@@ -45,7 +46,8 @@ def as_run(
 
     `law` is the name and the digest of what drove it, `with_states` whether the rows have the states of the scenario's.
     """
-    n, length = problem.robot.n, rows.shape[0]
+    model = problem.robot.model
+    n, length = model.n, rows.shape[0]
     wanted = problem.table[:: problem.nodes][:length]
     reference_rows = problem.path[:: problem.nodes][:length]
     columns: dict[str, NDArray[Any]] = {
@@ -70,9 +72,13 @@ def as_run(
         for name in SURFACE_COLUMNS:
             del columns[name]
     columns["potential_energy"] = _potential_energies(problem.robot.tree, columns["q"])
+    if model.balls:
+        start = model.home if problem.scenario.start.q is None else problem.scenario.start.q
+        for name in POSITIONS:
+            columns[name] = continuous(with_quaternions(columns[name], model.joint_types), model.joint_types, start)
     return Run(
         scenario=problem.scenario,
-        model=without_tools(problem.robot.model),
+        model=without_tools(model),
         columns=columns | event_columns(events),
         law=law[0],
         versions=package_versions(),

@@ -134,13 +134,15 @@ def driver(
     robot = problem.robot
     addresses = addresses_of(robot.views, loop, *arrays, np.zeros((0, EVENT_WIDTH)))
     crba, bias, convention, pinocchio, data = robot.passes
-    q, v, at = loop.w.q, loop.w.v, address_of(addresses.memory)
+    (q, turned), v, at = robot.configuration(loop.w.q), loop.w.v, address_of(addresses.memory)
 
     def chunk(length: int) -> Call:
         def go_on(events: Array) -> int:
             set_events(addresses, events)
             request, call = TERMS, direct(kernel, at, FROM_PINOCCHIO)
             for _ in range(length):
+                if turned is not None:
+                    turned()
                 crba(pinocchio, data, q, convention)  # as in `Robot.evaluator`, without a call
                 bias(pinocchio, data, q, v)
                 request = call(at, FROM_PINOCCHIO)
@@ -180,7 +182,7 @@ def single_calls(
     robot = problem.robot
     addresses = addresses_of(robot.views, loop, *arrays, np.zeros((0, EVENT_WIDTH)))
     crba, bias, convention, pinocchio, data = robot.passes
-    q, v, at = loop.w.q, loop.w.v, address_of(addresses.memory)
+    (q, turned), v, at = robot.configuration(loop.w.q), loop.w.v, address_of(addresses.memory)
     call = direct(kernel, at, FROM_PINOCCHIO)
 
     def again(events: Array) -> int:
@@ -191,6 +193,8 @@ def single_calls(
         return call(at, FROM_PINOCCHIO)
 
     def once(events: Array) -> int:
+        if turned is not None:
+            turned()
         crba(pinocchio, data, q, convention)  # as in `Robot.evaluator`, without a call
         bias(pinocchio, data, q, v)
         return call(at, FROM_PINOCCHIO) if known is events else again(events)

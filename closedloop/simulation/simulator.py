@@ -273,7 +273,8 @@ class Simulator:
         measured, count = stepper.seen()
         table = stepper.answers.events[since:count].copy() if count > since else None
         recorded = stepper.rows[row].copy()
-        state = StepState(self._h * row, row, self._n, recorded, measured, table, self._reads)
+        types = self.problem.robot.model.joint_types
+        state = StepState(self._h * row, row, self._n, recorded, measured, table, self._reads, types)
         self._now = _Now(stepper.mark, row, count, state)
 
     def _note(self, driver: object, law: Law | None) -> None:

@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from closedloop.base.errors import ScenarioError
+from closedloop.base.errors import ModelError, ScenarioError
 from closedloop.control.reference.edge import edge_key
 from closedloop.control.reference.force import force_at
 from closedloop.jit.parameters import lists_per_joint
@@ -22,6 +22,7 @@ from closedloop.mechanics.surface.surface import Surface
 from closedloop.scenario.arm import has_stops
 from closedloop.scenario.scenario import Scenario
 from robot_models import RobotModel
+from robot_models.coordinates import normalised, with_rotation_vectors
 from robot_models.joint_dynamics import loop_dynamics
 
 Array = NDArray[np.float64]
@@ -35,8 +36,19 @@ START_RATE = 1e-4
 
 
 def start_state(scenario: Scenario, model: RobotModel) -> tuple[Array, Array]:
-    """Return q and q̇ (n,) as they are asked for, refusing joints beyond their limits."""
+    """Return q and q̇ (n,) as they are asked for and as the loop has them, refusing joints beyond their limits.
+
+    Raises
+    ------
+    ScenarioError
+        If one is beyond its limits, or a quaternion has no length.
+    """
     q = model.home.copy() if scenario.start.q is None else np.array(scenario.start.q)
+    if model.balls:
+        try:
+            q = with_rotation_vectors(normalised(q, model.joint_types, "start.q"), model.joint_types)
+        except ModelError as error:
+            raise ScenarioError(str(error)) from None
     v = np.zeros(model.n) if scenario.start.v is None else np.array(scenario.start.v)
     if faults := [
         f"start.q[{j}] = {q[j]:g}: joint {model.joint_names[j]} of {model.name} moves within [{low:g}, {high:g}]"
@@ -137,10 +149,13 @@ def refuse_lengths(scenario: Scenario, model: RobotModel) -> None:
     """Refuse lists that have not one entry for each joint, all of them at once."""
     lists = {"start.q": scenario.start.q, "start.v": scenario.start.v}
     lists |= {f"law.{name}": value for name, value in lists_per_joint(scenario.law).items()}
-    faults = [
-        f"{key} has {len(value)} entries: {model.name} has {model.n} joints, {', '.join(model.joint_names)}"
-        for key, value in lists.items()
-        if value is not None and len(value) != model.n
-    ]
+    faults = []
+    for key, value in lists.items():
+        names = model.coordinate_names if key == "start.q" else model.joint_names
+        if value is not None and len(value) != len(names):
+            what = (
+                f"{model.name} has {len(names)} joints" if not model.balls else f"for {model.name} it has {len(names)}"
+            )
+            faults.append(f"{key} has {len(value)} entries: {what}, {', '.join(names)}")
     if faults:
         raise ScenarioError(*faults)

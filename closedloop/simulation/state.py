@@ -12,6 +12,7 @@ from closedloop.loop.step.record_row import ArmRow, Row
 from closedloop.mechanics.closure.contact_force import FREE, PRESSED, STUCK
 from closedloop.mechanics.surface.kinds.none import NoSurface
 from closedloop.record.columns.events import Event, events_of
+from robot_models.coordinates import with_quaternions
 
 Array = NDArray[np.float64]
 
@@ -38,23 +39,23 @@ class StepState:
         The force sensor's reading as a control law has it at this instant, N: `closedloop.LawInput.f_measured`.
     """
 
-    __slots__ = ("_events", "_n", "_reads", "_row", "measured", "row", "time")
+    __slots__ = ("_events", "_n", "_reads", "_row", "_types", "measured", "row", "time")
 
     def __init__(
         self, time: float, row: int, n: int, recorded: Array, measured: float, events: Array | None,
-        reads: bool = False,
+        reads: bool = False, types: tuple[str, ...] = (),
     ) -> None:  # fmt: skip
         recorded.flags.writeable = False
         self.time, self.row, self.measured = time, row, measured
-        self._n, self._row, self._events, self._reads = n, recorded, events, reads
+        self._n, self._row, self._events, self._reads, self._types = n, recorded, events, reads, types
 
     def _part(self, name: str) -> Array:
         return self._row[Row.place(name, self._n)]
 
     @property
     def q(self) -> Array:
-        """Joint positions (n,)."""
-        return self._part("q")
+        """Joint positions (nq,): (n,), but for joints that turn freely, see `robot_models.coordinates`."""
+        return with_quaternions(self._part("q"), self._types)
 
     @property
     def v(self) -> Array:

@@ -19,8 +19,8 @@ import closedloop as cl
 ROOT = Path(cl.__file__).parent.parent
 COMMANDS = {
     "run": f'"{sys.executable}" -m closedloop.run',
-    "sweep": f'"{sys.executable}" -m closedloop.studies.sweep',
-    "study": f'"{sys.executable}" -m closedloop.studies.study',
+    "sweep": f'"{sys.executable}" -m closedloop.command.sweep',
+    "study": f'"{sys.executable}" -m closedloop.command.study',
     "validation": f'"{sys.executable}" -m validation.run',
 }
 SHORT = "{run} planar2_slide --reference.kind hold --time.duration 0.01 --out r --no-figures"
@@ -251,7 +251,8 @@ VARIABLES = [
 ]  # fmt: skip
 FILES = [
     Case("scenario with a byte order mark", "{run} bom.toml --time.duration 0.01 --out r --no-figures", check=saved,
-         before=f"printf '\\357\\273\\277' >bom.toml; cat '{ROOT}/closedloop/scenario/shipped/planar2_slide.toml' >>bom.toml"),
+         before="printf '\\357\\273\\277' >bom.toml; "
+                f"cat '{ROOT}/closedloop/scenario/shipped/planar2_slide.toml' >>bom.toml"),
     Case("scenario in UTF-16", "{run} wide.toml", status=2, says=one_of_ours("wide.toml: is not UTF-8 text.*"),
          before="printf '\\377\\376[\\000' >wide.toml"),
     Case("threads that are none", SWEPT, rare=True,

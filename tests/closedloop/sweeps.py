@@ -32,9 +32,7 @@ def sweep(capsys, *arguments):
     captured = capsys.readouterr()
     # Where nothing is compiled yet, that is said, and takes so long that how far it is is said too.
     said = [
-        line
-        for line in captured.err.splitlines(True)
-        if not re.match(r"compiling |closedloop.studies.sweep: \d+ of", line)
+        line for line in captured.err.splitlines(True) if not re.match(r"compiling |closedloop sweep: \d+ of", line)
     ]
     return status, captured.out, "".join(said)
 
@@ -45,7 +43,7 @@ def refusal(capsys, *arguments):
     assert status == 2, err
     assert not out
     assert len(err.splitlines()) == 1, err
-    return err.removeprefix("closedloop.studies.sweep: ")
+    return err.removeprefix("closedloop sweep: ")
 
 
 def _heed_interrupts():
@@ -56,7 +54,7 @@ def _heed_interrupts():
 def process(folder: Path, *arguments):
     """Start the command line as a process of its own in `folder`."""
     return subprocess.Popen(
-        [sys.executable, "-m", "closedloop.studies.sweep", *map(str, arguments)],
+        [sys.executable, "-m", "closedloop.command.sweep", *map(str, arguments)],
         cwd=folder, env=os.environ | {"PYTHONPATH": os.pathsep.join(sys.path)}, text=True,
         stdout=subprocess.PIPE, stderr=subprocess.PIPE, preexec_fn=_heed_interrupts,
     )  # fmt: skip

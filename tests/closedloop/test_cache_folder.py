@@ -247,7 +247,7 @@ PACKAGE = Path(closedloop.__file__).parent
 def test_constants_of_kernels_count(tmp_path):
     """A file without a kernel, whose constants kernels have, is part of what they say; the commands are not."""
     texts = source_texts(PACKAGE)
-    for name, counts in ("events/phases.py", True), ("step/memory.py", True), ("command/table.py", False):
+    for name, counts in ("loop/events/phases.py", True), ("loop/step/memory.py", True), ("command/table.py", False):
         assert ((PACKAGE / name).read_bytes() in texts) == counts, name
 
 
@@ -256,7 +256,7 @@ def test_each_copy_of_the_tree_says_the_same(tmp_path):
     copy = tmp_path / "elsewhere" / "closedloop"
     shutil.copytree(PACKAGE, copy, ignore=shutil.ignore_patterns("__pycache__"))
     assert source_texts(copy) == source_texts(PACKAGE)
-    phases = copy / "events" / "phases.py"
+    phases = copy / "loop" / "events" / "phases.py"
     phases.write_text(phases.read_text() + "MORE = 1\n")
     assert source_texts(copy) != source_texts(PACKAGE)
 

@@ -79,7 +79,7 @@ def test_changed_source_gets_another_cache(tmp_path):
                 copy = folder / file.relative_to(ROOT)
                 copy.parent.mkdir(parents=True, exist_ok=True)
                 copy.write_bytes(file.read_bytes())
-        solver = folder / "closedloop" / "closure" / "solve.py"
+        solver = folder / "closedloop" / "mechanics" / "closure" / "solve.py"
         solver.write_text(solver.read_text(encoding="utf-8") + comment, encoding="utf-8")
         done = subprocess.run([sys.executable, "-c", code], cwd=folder, capture_output=True, text=True, check=True)
         names.append(done.stdout.strip())

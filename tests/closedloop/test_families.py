@@ -226,8 +226,8 @@ REFUSED = {
     "text": ({"reference.kind": "my_paths:Wave", "reference.swing": "far"}, "'far': must be a number"),
     "no module": ({"reference.kind": "no_such:Wave"}, "reference.kind = 'no_such:Wave': there is no module 'no_such'"),
     "no class": ({"reference.kind": "my_paths:Wav"}, "'my_paths' has no class 'Wav'"),
-    "of another family": ({"reference.kind": "my_paths:Ralston"}, "must be a class derived from closedloop.refer"),
-    "a path to integrate": ({"time.integrator": "my_paths:Wave"}, "must be a class derived from closedloop.integ"),
+    "of another family": ({"reference.kind": "my_paths:Ralston"}, "derived from closedloop.control.reference"),
+    "a path to integrate": ({"time.integrator": "my_paths:Wave"}, "derived from closedloop.mechanics.integ"),
     "no name": ({"reference.kind": "my_paths:"}, "named MODULE:CLASS"),
     "a name in a folder": ({"reference.kind": "../my_paths:Wave"}, "named MODULE:CLASS"),
     "the base": ({"reference.kind": "closedloop.control.reference.path:Path"}, "must be a class derived from"),
@@ -269,7 +269,8 @@ def test_a_path_that_fails(case, command_line, tmp_path):
     body, words = FAULTS[case]
     head = (
         "import numpy as np; from closedloop.control.reference.timing import constant\n"
-        "from closedloop.control.reference.path import Path\nfrom closedloop.control.reference.tip_path import Segment, TipPath\n"
+        "from closedloop.control.reference.path import Path\n"
+        "from closedloop.control.reference.tip_path import Segment, TipPath\n"
     )
     name = f"faulty_{case.replace(' ', '_')}"
     (tmp_path / f"{name}.py").write_text(f"{head}class Mine(Path):\n    def tip_path(self, origin, normal):\n{body}")

@@ -229,7 +229,7 @@ def test_joints_that_differ_are_drawn_apart():
 def test_file_that_cannot_be_written(tmp_path):
     """A folder that is not there, or a kind of file unknown, is one line."""
     for name in ("missing/law.png", "law.xyz"):
-        with pytest.raises(cl.errors.OutputError, match="cannot be written") as caught:
+        with pytest.raises(cl.OutputError, match="cannot be written") as caught:
             draw(NoFriction(), tmp_path / name)
         assert "\n" not in str(caught.value)
 

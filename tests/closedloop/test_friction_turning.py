@@ -5,6 +5,7 @@ import pytest
 
 import closedloop as cl
 import robot_models
+from closedloop.record.report import print_report
 
 PRESSED = 1
 
@@ -49,6 +50,26 @@ def test_a_wiping_arm_is_the_same_at_any_step(scheme, step):
     assert rms(path) == pytest.approx(1.23e-4, rel=0.05)
 
 
+def test_a_tip_that_breaks_away_where_mobilities_differ_is_not_kicked():
+    """With a tool the tip moves more easily one way: slip and force are those of a quarter of the step, row for row."""
+    changes = {
+        "surface": {"kind": "sphere", "radius": 0.25, "normal": [0.15, -0.2, 0.95]},
+        "law": {"kind": "operational_space", "force": 12.0}, "friction": {"kind": "coulomb", "coefficient": 0.25},
+        "reference": {"kind": "circle", "radius": 0.04, "direction": [0.030376207341, 0.979054319335, 0.201320455543],
+                      "start": 0.1, "stop": 1.1},
+        "tool": {"offset": [0.01, 0.02, 0.1], "mass": 0.4, "centre": [0.0, 0.01, 0.05],
+                 "inertia": [1e-3, 1.2e-3, 0.8e-3, 1e-4, 0.0, -1e-4]},
+        "time.integrator": "rk4", "time.duration": 0.192,
+    }  # fmt: skip
+    coarse, fine = (cl.simulate(cl.load_scenario("panda_slide", {**changes, "time.step": h})) for h in (1e-3, 2.5e-4))
+    since = coarse.time > coarse.events[0].time
+    speed, exact = (
+        np.linalg.norm(run.slip_velocity, axis=1)[:: round(1e-3 / h)] for run, h in ((coarse, 1e-3), (fine, 2.5e-4))
+    )
+    np.testing.assert_allclose(speed[since], exact[since], rtol=0.01)  # 3e-3 where it was 6e-5 m/s, at the second row
+    np.testing.assert_allclose(coarse.contact_force[since], fine.contact_force[::4][since], atol=2e-3)  # 1.1 N off
+
+
 @pytest.mark.slow
 @pytest.mark.parametrize("engine", ["compiled", "pinocchio"])
 def test_a_tip_that_had_drifted_breaks_away_at_a_row(engine):
@@ -60,6 +81,31 @@ def test_a_tip_that_had_drifted_breaks_away_at_a_row(engine):
     }  # fmt: skip
     run = cl.simulate(cl.load_scenario("panda_wipe", changes), engine=engine)  # it stopped at 0.206 s
     assert run.summary()["verdict"]["good"]
+
+
+def test_the_report_says_how_far_friction_is_off_a_slow_slip(capsys):
+    """A block at 0.4 mm/s that is pushed across: the largest angle, by hand from columns; none if it goes straight."""
+
+    def push(t, q, v, terms):
+        return terms.bias - 2.0 * terms.jacobian[2] + across * terms.jacobian[1]
+
+    changes = {
+        "robot.model": "pointmass3", "start": {"v": [4e-4, 0.0, 0.0]}, "reference": {"kind": "hold"}, "law.kp": 0.0,
+        "law.kd": 0.0, "friction": {"kind": "coulomb", "coefficient": 0.3}, "time.duration": 0.01,
+    }  # fmt: skip
+    for across in (0.0, 0.8):
+        run = cl.simulate(cl.load_scenario("wam_slide", changes), law=push, engine="pinocchio")
+        off = run.summary()["friction_off_slip"]
+        if across == 0.0:
+            assert off is None
+    slip, friction = run.slip_velocity[:, :2] @ [1, 1j], -run.friction_force[:, :2] @ [1, 1j]
+    turn = np.degrees(np.abs(np.angle(friction / slip)))
+    assert off["max_angle"] == pytest.approx(np.max(turn), rel=1e-6)
+    assert off["max_angle"] > 20.0
+    assert off["at"] == run.time[np.argmax(turn)]
+    assert off["below_speed"] == pytest.approx(np.max(np.abs(slip[turn > 1.0])), rel=1e-12)
+    print_report(run, width=100)
+    assert "friction off the slip" in capsys.readouterr().out
 
 
 @pytest.mark.slow  # compiles the adaptive scheme with friction

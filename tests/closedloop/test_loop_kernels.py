@@ -8,7 +8,7 @@ from numpy.polynomial import Polynomial
 
 from closedloop.jit.interpreted import interpreted
 from closedloop.mechanics.loops.rows import _gear
-from closedloop.mechanics.loops.solve import meet_rows, orthonormal_rows, spanned_force
+from closedloop.mechanics.loops.solve import combine_rows, meet_rows, orthonormal_rows
 
 
 @pytest.mark.parametrize("degree", range(5))
@@ -70,5 +70,7 @@ def test_rows_are_met_and_forces_spanned(seed):
     interpreted(meet_rows)(b, order, coefficients, B, rank, along, y)
     np.testing.assert_allclose(y, np.linalg.pinv(Z) @ b, atol=1e-11)
     t = Z.T @ rng.normal(size=5)
-    interpreted(spanned_force)(t, order, coefficients, B, rank, force)
+    combined = np.zeros(rank)
+    interpreted(combine_rows)(B[:rank] @ t, coefficients, rank, combined)
+    force[order[:rank].astype(int)] = combined
     np.testing.assert_allclose(Z.T @ force, t, rtol=0.0, atol=1e-12 * np.abs(t).max())

@@ -31,7 +31,7 @@ from closedloop.record.report.row_assumptions import (
 )
 from closedloop.record.report.row_sample import JointLimits, Scale, energy_left, friction_power, joint_limits
 from closedloop.record.report.run_values import columns_of, run_values
-from closedloop.record.report.step_error import held_for
+from closedloop.record.report.step_error import resolution_of
 from closedloop.record.report.step_variation import Swings, count_swings, end_stretch
 
 SLIDE = {"time.duration": 0.3, "law.pd_start": 0.1, "reference.start": 0.1}  # the motion starts within
@@ -46,22 +46,23 @@ RUNS = {
         },
     ),
     "bounces": ("planar2_drop", {"time.duration": 0.6}),
+    "of order four": ("wam_slide", SLIDE | {"time.integrator": "rk4"}),
 }  # fmt: skip
 
 
 def row_by_row(run):
     """The values by the kernels of a batch, interpreted, on rows taken from the run's columns."""
-    n, held = run.model.n, held_for(run.scenario)
+    n, (held, order) = run.model.n, resolution_of(run.scenario)
     tally, values = Tally(np.zeros(Tally.count(n)), n), Values(np.zeros(Values.count(n)), n)
-    interpreted(begin_tally)(tally, n, run.scenario.time.step, np.max(np.abs(run.reference_force)))
+    interpreted(begin_tally)(tally, n, run.scenario.time.step, np.max(np.abs(run.reference_force)), order)
     limits = JointLimits(joint_limits(run.model), n)
     for i in range(len(run)):
         row, wanted = columns_of(run, i), columns_of(run, i)
         wanted.position, wanted.force = run.reference_tip[i], run.reference_force[i]
         interpreted(count_row)(row, n, run.potential_energy[i], wanted, limits, i, tally)
         interpreted(count_condition)(row, tally)
-        interpreted(count_swings)(row, wanted, i, held, Swings(tally.swings))
-    interpreted(end_stretch)(held, Swings(tally.swings))
+        interpreted(count_swings)(row, wanted, i, held, order, Swings(tally.swings))
+    interpreted(end_stretch)(held, order, Swings(tally.swings))
     interpreted(write_values)(row, n, len(run), tally, values)
     return values
 
@@ -131,20 +132,31 @@ def alternating(x):
     return sum(min(abs(a), abs(b)) / 4.0 for a, b in itertools.pairwise(turns) if a * b < 0.0)
 
 
-def step_error_of(x, mode):
-    """Return half of what the differences of a signal change by in each mode, each cut to the larger beside it."""
-    total, begin = 0.0, 0
+def step_error_of(x, mode, order):
+    """Return what a signal's steps add to its error in each mode, and its largest difference.
+
+    Differences are cut to the larger beside them, and half of what they change by counts: with order one all of it,
+    else half, less by the power order - 1 of how smooth these changes are.
+    """
+    total, begin, steepest = 0.0, 0, 0.0
     for i in range(1, len(x) + 1):
         if i < len(x) and mode[i] == mode[begin]:
             continue
         part, begin = x[begin:i].tolist(), i
+        d = [0.0, *(b - a for a, b in itertools.pairwise(part)), 0.0]
+        cut = [np.copysign(min(abs(d[k]), max(abs(d[k - 1]), abs(d[k + 1]))), d[k]) for k in range(1, len(d) - 1)]
+        steepest = max(steepest, *map(abs, cut), 0.0) if cut else steepest
         if len(part) < 4:
             total += 0.5 * (max(part) - min(part))
             continue
-        d = [0.0, *(b - a for a, b in itertools.pairwise(part)), 0.0]
-        cut = [np.copysign(min(abs(d[k]), max(abs(d[k - 1]), abs(d[k + 1]))), d[k]) for k in range(1, len(d) - 1)]
-        total += 0.5 * sum(abs(b - a) for a, b in itertools.pairwise(cut))
-    return min(total, max(x) - min(x))
+        turns = [0.0, *(b - a for a, b in itertools.pairwise(cut)), 0.0]
+        for k in range(1, len(turns) - 1):
+            near = turns[k - 1 : k + 2]
+            if near[1] == 0.0:
+                continue
+            rough = max(abs(near[1] - near[0]), abs(near[2] - near[1])) / max(map(abs, near))
+            total += 0.5 * abs(near[1]) * (1.0 if order == 1 else 0.5 * min(1.0, rough) ** (order - 1))
+    return min(total, max(x) - min(x)), steepest
 
 
 def trapezoids(x):
@@ -157,7 +169,7 @@ def first_of(bad):
     return H * np.argmax(bad) if np.any(bad) else np.nan
 
 
-def written_out(row, wanted, limits, V):
+def written_out(row, wanted, limits, V, order):
     """Return the values of such rows by their definitions, with numpy."""
     r, count = SimpleNamespace(**row), len(V)
     f, e, touching, least = r.contact_force, r.closure_error, r.mode != FREE, r.normal_mobility
@@ -183,6 +195,12 @@ def written_out(row, wanted, limits, V):
         NEAR_SINGULAR) | ~touching,
     }  # fmt: skip
     failed = ~met["nonsingular"]
+    fastest, first = np.max(np.abs(r.v)), order == 1
+    varied, steepest = step_error_of(np.where(touching, miss, 0.0), r.mode, order)
+    moved = steepest if first and np.any(np.diff(r.mode)) else 0.0
+    of_pose = (2.0 if first else 0.2) * H * fastest * np.max(np.abs(f)) + 1e-12 * np.max(np.abs(f))
+    aside = [step_error_of(x, r.mode, order)[0] for x in (r.position - wanted.position).T]
+    late = (0.5 if first else 0.05) * H * np.max(np.linalg.norm(r.velocity, axis=1))
     lower, upper, fast, strong = limits
     excess = np.maximum(r.q - upper, lower - r.q)
     return {
@@ -206,6 +224,7 @@ def written_out(row, wanted, limits, V):
         "max_joint_friction": np.max(np.abs(r.joint_friction)),
         "energy_lost_to_friction": -trapezoids(friction),
         "energy_lost_in_impacts": 0.0,
+        "energy_taken_at_rest": 0.0,
         "largest_rate_cut": 0.0,
         "max_kinetic_energy": np.max(r.kinetic_energy),
         "rms_force_error": np.sqrt(np.mean(miss[touching] ** 2)) if np.any(touching) else np.nan,
@@ -213,8 +232,8 @@ def written_out(row, wanted, limits, V):
         "rms_path_error": np.sqrt(np.mean(np.sum(off**2, axis=1))),
         "start_closure_error": e[0] if touching[0] else 0.0,
         "largest_reference_force": np.max(np.abs(wanted.force)),
-        "step_error_force": step_error_of(np.where(touching, miss, 0.0), r.mode),
-        "step_error_position": np.linalg.norm([step_error_of(x, r.mode) for x in (r.position - wanted.position).T]),
+        "step_error_force": np.nan if failed.any() else varied + moved + of_pose,
+        "step_error_position": np.linalg.norm(aside) + late + 1e-12,
         "force_chatter": alternating(f) / np.sum(np.abs(f)) if np.any(f) else 0.0,
         "failed_at": [first_of(~met[name]) for name in NAMES],
         "position_excess": np.maximum(np.max(excess, axis=0), 0.0),
@@ -231,23 +250,24 @@ def written_out(row, wanted, limits, V):
     }
 
 
+@pytest.mark.parametrize("order", [1, 4])
 @pytest.mark.parametrize("case", MADE_UP)
-def test_values_are_what_they_are_called(case):
+def test_values_are_what_they_are_called(case, order):
     """Every value of rows made up by a generator, and of such in which each assumption holds, by its definition."""
     row, wanted, limits, V = made_up(case)
     n, count = 3, len(V)
     tally, values = Tally(np.full(Tally.count(n), 7.0), n), Values(np.full(Values.count(n), 7.0), n)
-    interpreted(begin_tally)(tally, n, H, np.max(np.abs(wanted.force)))
+    interpreted(begin_tally)(tally, n, H, np.max(np.abs(wanted.force)), order)
     joint = JointLimits(limits.ravel().copy(), n)
     for i in range(count):
         now = SimpleNamespace(**{name: column[i] for name, column in row.items()})
         desired = SimpleNamespace(position=wanted.position[i], force=wanted.force[i])
         interpreted(count_row)(now, n, V[i], desired, joint, i, tally)
         interpreted(count_condition)(now, tally)
-        interpreted(count_swings)(now, desired, i, 1, Swings(tally.swings))
-    interpreted(end_stretch)(1, Swings(tally.swings))
+        interpreted(count_swings)(now, desired, i, 1, order, Swings(tally.swings))
+    interpreted(end_stretch)(1, order, Swings(tally.swings))
     interpreted(write_values)(now, n, count, tally, values)
-    expected = written_out(row, wanted, limits, V)
+    expected = written_out(row, wanted, limits, V, order)
     assert set(Values.layout.at) == {*expected, "events"}
     for name, value in expected.items():
         assert getattr(values, name) == pytest.approx(value, rel=1e-11, abs=1e-14, nan_ok=True), name

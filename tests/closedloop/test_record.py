@@ -1,9 +1,13 @@
 """The run file: whole, exact, readable by others, repeatable from itself alone, and refused where damaged."""
 
 import dataclasses
+import errno
+import io
 import json
 import pickle
 import shutil
+import subprocess
+import sys
 
 import h5netcdf
 import h5py
@@ -14,6 +18,7 @@ import xarray
 import closedloop as cl
 import robot_models
 from closedloop.record.columns.recorded import COLUMNS
+from closedloop.record.netcdf_file import Variable, write_netcdf
 from closedloop.record.sealed import seal
 from robot_models.shipped import path_of
 
@@ -264,6 +269,58 @@ def test_saving_replaces_an_older_file_and_leaves_no_other(run, tmp_path):
     run.save(file)
     assert same(run, cl.load_run(file))
     assert [p.name for p in tmp_path.iterdir()] == ["run.nc"]
+
+
+GROWTH = """
+import io, resource, sys
+import numpy as np
+from closedloop.record.netcdf_file import Variable, write_netcdf
+from closedloop.record.sealed import seal_file
+columns = {f"c{k}": Variable(("time", "joint"), np.random.default_rng(k).normal(size=(125000, 8))) for k in range(9)}
+most = lambda: resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024
+def write(file, rows):
+    some = {name: Variable(column.dims, column.data[:rows]) for name, column in columns.items()}
+    write_netcdf(file, {"time": rows, "joint": 8}, some, {"what": "text"})
+    seal_file(file)
+with open(sys.argv[1], "w+b") as file:
+    write(file, 10)  # the libraries
+with open(sys.argv[1], "w+b") as file:
+    before = most()
+    write(file, 125000)
+    print(most() - before, file.tell() / 2**20)
+"""
+
+
+@pytest.mark.skipif(sys.platform != "linux", reason="ru_maxrss is in KiB on Linux")
+def test_saving_takes_no_memory_beside_the_columns(tmp_path):
+    """Nine columns of 8 MB: less than one of them more, where twice the file was."""
+    out = subprocess.run([sys.executable, "-c", GROWTH, tmp_path / "a.nc"], capture_output=True, text=True, check=True)
+    grew, size = map(float, out.stdout.split())
+    assert size > 68.0
+    assert grew < 8.0
+
+
+class _Full(io.BytesIO):
+    """A file on a disk with so many bytes left; or one in which Ctrl-C comes then."""
+
+    def __init__(self, left, error):
+        super().__init__()
+        self.left, self.error = left, error
+
+    def write(self, data):
+        self.left -= len(data)
+        if self.left < 0:
+            raise self.error
+        return super().write(data)
+
+
+@pytest.mark.parametrize("left", [0, 100, 5000, 100_000])
+@pytest.mark.parametrize("error", [OSError(errno.ENOSPC, "No space left on device"), KeyboardInterrupt()])
+def test_a_disk_that_is_full_ends_saving_and_not_the_process(left, error):
+    """Whenever it is: HDF5, which would end the process, is told of nothing."""
+    columns = {name: Variable(("time",), np.zeros(9000)) for name in ("time", "q", "v")}
+    with pytest.raises(type(error)):
+        write_netcdf(_Full(left, error), {"time": 9000}, columns, {"words": "of some length" * 100})
 
 
 @pytest.mark.parametrize("place", ["missing/run.nc", "file/run.nc", "folder"])

@@ -2,10 +2,12 @@
 
 import dataclasses
 import hashlib
+import hmac
 import io
 import os
 import shutil
 import signal
+import stat
 import threading
 import time
 
@@ -16,11 +18,13 @@ import pytest
 import closedloop as cl
 from closedloop.__main__ import main
 from closedloop.figures import draw_figures
+from closedloop.record import seal_key as seal_key_module
 from closedloop.record import sealed
 from closedloop.record.columns.recorded import COLUMNS
 from closedloop.record.hdf5_reader import read_hdf5
 from closedloop.record.report import print_report
 from closedloop.record.save import attributes
+from closedloop.record.seal_key import seal_key
 
 
 @pytest.fixture(scope="module")
@@ -83,8 +87,8 @@ def test_intact_file_needs_no_other_process(saved):
 
 @pytest.fixture
 def not_ours(monkeypatch):
-    """Let this process have written nothing."""
-    monkeypatch.setattr(sealed, "_ours", set())
+    """Let another user have written what there is."""
+    monkeypatch.setattr(sealed, "seal_key", lambda: b"another user's")
 
 
 @pytest.mark.usefixtures("not_ours")
@@ -129,7 +133,39 @@ def test_a_sealed_file_that_hdf5_never_finishes_is_ended(saved, ended_by, monkey
 def test_the_line_of_the_seal_says_what_it_is(saved):
     """Anybody can check it: the digest of all bytes before the line."""
     content, _, line = saved.read_bytes().rpartition(b"\nclosedloop SHA-256 of all bytes before this line: ")
-    assert line.decode().strip() == hashlib.sha256(content).hexdigest()
+    digest, signed = line.decode().split()
+    assert digest == hashlib.sha256(content).hexdigest()
+    assert signed == hmac.new(seal_key(), bytes.fromhex(digest), "sha256").hexdigest()
+
+
+@pytest.mark.usefixtures("read_here")
+def test_a_seal_without_a_signature_is_one(copy, saved):
+    """Files of earlier versions end in the digest alone; in them, too, a bit that changed is told."""
+    whole = saved.read_bytes()
+    copy.write_bytes(whole[:-66] + b"\n")
+    assert same(copy, saved)
+    copy.write_bytes(whole[:500] + bytes([whole[500] ^ 1]) + whole[501:-66] + b"\n")
+    with pytest.raises(cl.RunFileError, match=r"copy.nc: is damaged: its bytes are not those"):
+        cl.load_run(copy)
+
+
+def test_the_key_is_the_users_alone(tmp_path, monkeypatch):
+    """Made once for this user to read; one that others can read or write is not used, nor one of another length."""
+    monkeypatch.setenv("NUMBA_CACHE_DIR", str(tmp_path / "cache"))
+    key, file = seal_key.__wrapped__(), tmp_path / "cache" / seal_key_module.NAME
+    assert seal_key.__wrapped__() == key == file.read_bytes()
+    assert stat.S_IMODE(file.stat().st_mode) == 0o600
+    for mode in (0o640, 0o604, 0o620):
+        file.chmod(mode)
+        assert seal_key.__wrapped__() != key
+    file.chmod(0o600)
+    (tmp_path / "cache").chmod(0o777)
+    assert seal_key.__wrapped__() != key
+    (tmp_path / "cache").chmod(0o700)
+    assert seal_key.__wrapped__() == key
+    file.write_bytes(b"short")
+    assert len(seal_key.__wrapped__()) == seal_key_module.LENGTH
+    assert list((tmp_path / "cache").iterdir()) == [file]
 
 
 def test_additions_of_others_are_no_damage(copy, saved):

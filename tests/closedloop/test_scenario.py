@@ -71,7 +71,7 @@ def test_any_number_survives_being_written(q, normal, offset, duration, text):
 @pytest.mark.parametrize("name", cl.shipped_scenarios())
 def test_shipped_file_is_commented_and_complete(name):
     """A shipped file opens with what one will see, has a description, and names no key twice."""
-    text = (Path(cl.__file__).parent / "scenarios" / f"{name}.toml").read_text(encoding="utf-8")
+    text = (Path(cl.__file__).parent / "scenario" / "shipped" / f"{name}.toml").read_text(encoding="utf-8")
     assert text.startswith("#")
     assert "What you will see" in text
     assert {"robot", "surface", "start", "reference", "law", "stabiliser", "time"} <= set(tomllib.loads(text))

@@ -104,5 +104,5 @@ def test_bad_command_is_one_line_and_status_2(tmp_path, capsys):
     for arguments in (["drif"], ["drift", "--out", str(tmp_path / "file" / "x")]):
         assert main(arguments) == 2
         error = capsys.readouterr().err
-        assert error.startswith("closedloop.studies.study: ")
+        assert error.startswith("closedloop study: ")
         assert error.count("\n") == 1

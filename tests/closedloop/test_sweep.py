@@ -14,7 +14,7 @@ from pyarrow import parquet
 from sweeps import SMALL, refusal, sweep
 
 import closedloop as cl
-from closedloop import files
+from closedloop.base import files
 from closedloop.base.progress import progress_text
 from closedloop.command import sweep as sweep_command
 from closedloop.studies.sweep import Design, Sweep, parse_axis, run_sweep
@@ -436,7 +436,7 @@ def test_the_commands_of_the_page_run(capsys, tmp_path, monkeypatch):
     """With fewer and shorter runs, as they stand there."""
     monkeypatch.chdir(tmp_path)
     page = (Path(__file__).parents[2] / "docs" / "sweeps.md").read_text(encoding="utf-8")
-    commands = re.findall(r"^    python -m closedloop\.sweep (.*)$", page, re.MULTILINE)
+    commands = re.findall(r"^    closedloop sweep (.*)$", page, re.MULTILINE)
     assert len(commands) == 3
     for command in commands:
         few = re.sub(r":(101|20)\b", ":3", command).replace("--random 10000", "--random 5")
@@ -455,7 +455,7 @@ def test_an_interrupted_sweep_says_how_to_go_on(capsys, tmp_path, monkeypatch):
 
     monkeypatch.setattr("closedloop.studies.sweep.run.run_part", interrupt)
     status, _, err = sweep(capsys, *SMALL, "--out", tmp_path / "t.parquet")
-    assert (status, err) == (130, "closedloop.studies.sweep: interrupted; the same command goes on from here\n")
+    assert (status, err) == (130, "closedloop sweep: interrupted; the same command goes on from here\n")
 
 
 def test_progress_has_rate_and_time_left():

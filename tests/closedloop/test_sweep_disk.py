@@ -11,8 +11,8 @@ from sweeps import Forked, sweep
 import closedloop as cl
 from closedloop.base.errors import OutputError
 from closedloop.base.files import write_whole
+from closedloop.record.unfailing import Unfailing
 from closedloop.studies.sweep import Design, Sweep, parse_axis, run_sweep
-from closedloop.studies.sweep.columns import Unfailing
 from closedloop.studies.sweep.store import Store
 
 KEPT = (

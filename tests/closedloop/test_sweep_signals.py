@@ -21,8 +21,8 @@ ARGUMENTS = ("wam_slide", "--time.duration", "0.4", "--over", "law.force=5:15:20
 # Some seconds of runs, so short that no loop is compiled for them.
 LONG = ("wam_bounce", "--time.duration", "1", "--over", "law.force=1:5:1500")
 LAST_LINES = {
-    signal.SIGINT: (130, "closedloop.studies.sweep: interrupted; the same command goes on from here"),
-    signal.SIGTERM: (143, "closedloop.studies.sweep: terminated; the same command goes on from here"),
+    signal.SIGINT: (130, "closedloop sweep: interrupted; the same command goes on from here"),
+    signal.SIGTERM: (143, "closedloop sweep: terminated; the same command goes on from here"),
 }
 
 

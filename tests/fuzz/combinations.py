@@ -62,8 +62,11 @@ def change(draw: random.Random, data: dict[str, Any]) -> str:
     return f"{section}.{key} = {table[key]}"
 
 
-def combinations(count: int, seed: int = SEED) -> Iterator[Case]:
-    """Return so many shipped scenarios with two changes and more, none of which is refused by itself."""
+def combinations(count: int, seed: int = SEED, duration: float | None = None) -> Iterator[Case]:
+    """Return so many shipped scenarios with two changes and more, none of which is refused by itself.
+
+    They last ten steps, or `duration`, s, and then half of them have another scheme than their own.
+    """
     draw, names = random.Random(seed), shipped_scenarios()
     for number in range(count):
         name = draw.choice(names)
@@ -78,4 +81,7 @@ def combinations(count: int, seed: int = SEED) -> Iterator[Case]:
             except ScenarioError:
                 continue
             said.append(change(random.Random(seed_of_this), data))
+        if duration is not None:
+            data["time"]["duration"] = duration
+            data["time"]["integrator"] = draw.choice(["rk4", data["time"].get("integrator", "semi_implicit_euler")])
         yield Case(f"{number} {name}: {', '.join(said)}", data, {})

@@ -23,16 +23,23 @@ import tomli_w
 from scenario_cases import Case
 
 from closedloop.base.errors import ClosedLoopError, SimulationError, one_line
+from closedloop.mechanics.integrators import ADAPTIVE
 from closedloop.record.load import load_run
 from closedloop.record.run import Run
-from closedloop.scenario.load import load_scenario, parse_scenario
+from closedloop.scenario.load import load_scenario, parse_scenario, scenario_of
 from closedloop.scenario.scenario import Scenario
+from closedloop.simulation.halve import beside_half
 from closedloop.simulation.simulate import simulate
 
 LONGEST_LINE = 1000  # characters: more is not read
 FASTEST = 1e4  # rad/s, m/s: what moves faster without having been asked to is nonsense, and must not be called good
 FAST = {"start.v", "reference.speed", "surface_motion.velocity", "surface_motion.speed", "surface_motion.frequency"}
 REFUSED, RAN, STOPPED, FAULTY = "refused", "ran", "stopped", "FAULTY"
+# Of a run and the same at half its step: what is stated holds, is not known, or was not asked for.
+HELD, UNKNOWN, BAD, NO_STEP = "held", "not known", "not good", "chooses its steps"
+# Values of a summary that are the force's, N, and the tip's, m: they differ by no more than the stated error of either.
+OF_FORCE = ("final_contact_force", "peak_contact_force", "min_contact_force", "rms_force_error")
+OF_TIP = ("rms_path_error",)
 BY_STATUS = {0: RAN, 2: REFUSED, 3: STOPPED}
 ONE_IN = 20  # goes through the command line
 
@@ -80,6 +87,40 @@ def directly(case: Case, file: Path) -> tuple[str, str]:
     fault = of_line(said) or of_json(json.dumps(run.summary())) or of_run(run, scenario, case)
     fault = fault or ("" if parse_scenario(scenario.to_toml()) == scenario else "reads back another from its own text")
     return (FAULTY, fault) if fault else (outcome, said)
+
+
+def judge_halved(case: Case) -> tuple[str, str]:
+    """Return `HELD` where a good run differs from the same at half the step by no more than it states, and why not."""
+    try:
+        scenario = scenario_of(case.content, "fuzz", {})
+        if scenario.time.integrator in ADAPTIVE:
+            return NO_STEP, scenario.time.integrator
+        run = simulate(scenario, engine="compiled")
+    except SimulationError as error:
+        return STOPPED, one_line(str(error))
+    except ClosedLoopError as error:
+        return REFUSED, one_line(str(error))
+    summary = run.summary()
+    if not summary["verdict"]["good"]:
+        return BAD, ", ".join(dict.fromkeys(problem["name"] for problem in summary["verdict"]["problems"]))
+    try:
+        found = beside_half(run).halved
+    except ClosedLoopError as error:  # a delay that is no whole number of half steps, or unstable there: none is
+        return FAULTY, f"refused at half the step: {error}"
+    if found["stopped"]:
+        return FAULTY, f"stops at half the step: {found['stopped']}"
+    beyond, missing = [], []
+    for unit, name, names in (("N", "contact_force", OF_FORCE), ("m", "position", OF_TIP)):
+        stated = summary["step_error"][name]
+        if stated is None:
+            missing.append(f"{name}: {summary['step_error']['why_not']}")
+            continue
+        off = {"column": found["force" if unit == "N" else "position"]}
+        off |= {each: found["values"][each]["difference"] for each in names}
+        beyond += [f"{each} by {x:.3g} {unit}, {stated:.3g} stated" for each, x in off.items() if x and x > stated]
+    if beyond:
+        return FAULTY, f"differs at half the step: {'; '.join(beyond)}; {found['modes_differ']} modes differ"
+    return (UNKNOWN, missing[0]) if missing else (HELD, "")
 
 
 # Lines that may stand beside the one that says what became of the command.

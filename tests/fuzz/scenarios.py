@@ -7,14 +7,16 @@ whose name contains TEXT, `--seed N` draws other pairs, `--count N` the first N 
 from __future__ import annotations
 
 import argparse
+import re
 from collections import Counter
 
-from bounded import judged
+from bounded import MOST_SECONDS, judged
 from combinations import combinations
-from judged import FAULTY, judge
+from judged import FAULTY, judge, judge_halved
 from scenario_cases import SEED, Case, all_cases, tables
 from shipped_cases import shipped_cases, shipped_tables
 
+SLOWEST = 60.0  # s of processor time of a case with its run at half the step, and what they compile
 # One of each form of the loop, so that nothing is compiled while a case's time is counted.
 FIRST = [
     *(Case(robot, tables(robot, {}), {}) for robot in ("wam4", "pointmass3", "planar2")),
@@ -37,26 +39,39 @@ def main() -> None:
     parser.add_argument("--count", type=int)
     parser.add_argument("--shipped", type=int, help="only so many shipped scenarios and mechanisms")
     parser.add_argument("--combined", type=int, help="only so many combinations of keys that are valid by themselves")
+    parser.add_argument(
+        "--halved", type=float, help="with --combined: so long, s, and good runs again at half the step"
+    )
     parser.add_argument("--only", default="")
     parser.add_argument("--slow", type=float, default=2.0, help="name cases that take longer, s of processor time")
     options = parser.parse_args()
     if options.combined is not None:
-        every = list(combinations(options.combined, options.seed))
+        every = list(combinations(options.combined, options.seed, options.halved))
     elif options.shipped is None:
         every = all_cases(options.extremes, options.seed)
     else:
         every = list(shipped_cases(options.shipped, options.seed))
     cases = [case for case in every if options.only in case.name][: options.count]
     counts: Counter[str] = Counter()
-    for case, outcome, words, spent in judged(cases, judge, FAULTY, FIRST):
+    reasons: Counter[str] = Counter()
+    how = (judge_halved, FAULTY, FIRST) if options.halved else (judge, FAULTY, FIRST)
+    for case, outcome, words, spent in judged(cases, *how, most=SLOWEST if options.halved else MOST_SECONDS):
         counts[outcome] += 1
+        reasons[f"{outcome}: {reason(words)}"] += options.halved is not None and outcome != FAULTY
         if outcome == FAULTY:
             print(f"{case.name[:300]}\n    {words}", flush=True)
         elif spent > options.slow:
             print(f"{case.name[:300]}\n    {spent:.1f} s: {words}", flush=True)
         if counts.total() % 500 == 0:
             print(dict(counts), flush=True)
+    for words, count in (+reasons).most_common():
+        print(f"{count:6} {words}")
     print(f"{len(cases)} scenarios: {dict(counts)}")
+
+
+def reason(words: str) -> str:
+    """Return what a line is about, without its values: what is before its first colon, and the keys that it names."""
+    return re.sub(r"[-+]?\d[\w.+-]*", "#", words.removeprefix("closedloop: ").partition(": ")[0])[:80]
 
 
 if __name__ == "__main__":

@@ -23,7 +23,7 @@ from closedloop.scenario.messages import variants
 from closedloop.scenario.scenario import ContactSection, Scenario
 from robot_models.shipped import path_of
 
-SCENARIOS = Path(robot_models.__file__).parents[1] / "closedloop" / "scenarios"
+SCENARIOS = Path(robot_models.__file__).parents[1] / "closedloop" / "scenario" / "shipped"
 # One loop of every type, on the tree of a robot that ships with a loop; where it does not close, that is said.
 LOOPS: tuple[dict[str, Any], ...] = (
     {"type": "point", "frames": ["A", "B"]}, {"type": "hinge", "frames": ["A", "B"], "axis": [0, 1, 0]},

@@ -88,7 +88,10 @@ URDF = {
         elbow(limit=LIMIT.replace('velocity="2"', 'velocity="-2"')),
         ["'elbow'", "velocity", "-2"],
     ),
-    "floating joint": (elbow(kind="floating"), ["'elbow'", "'floating'", "not simulated", "revolute"]),
+    "floating joint that mimics": (
+        elbow(kind="floating", extra='<mimic joint="shoulder"/>'),
+        ["'elbow'", "floating", "mimics", "drop"],
+    ),
     "planar joint": (elbow(kind="planar"), ["'elbow'", "'planar'", "not simulated"]),
     "unknown joint": (elbow(kind="hinge"), ["'elbow'", "'hinge'", "not simulated"]),
     "mimic": (elbow(extra='<mimic joint="shoulder"/>'), ["'elbow'", "mimics 'shoulder'", "lock=['elbow']"]),
@@ -129,12 +132,22 @@ MESH = '<asset><mesh name="a" vertex="0 0 0 1 0 0 0 1 0 0 0 1"/></asset>'
 HINGE = '<joint name="shoulder" axis="0 1 0"/>'
 
 MJCF = {
-    "free joint": (mjcf(base='<body name="base"><freejoint/>'), ["'base'", "free joint", "fixed"]),
-    "ball joint": (
-        mjcf(joint='<joint name="shoulder" type="ball"/>'),
-        ["'shoulder'", "'ball'", "hinge or slide"],
+    "free body without inertia": (
+        mjcf(base='<body name="base"><freejoint/>'),
+        ["'base'", "moves and has no mass or no inertia", "<inertial>"],
     ),
-    "free joint by type": (mjcf(joint='<joint name="shoulder" type="free"/>'), ["'shoulder'", "'free'"]),
+    "ball joint with a range": (
+        mjcf(joint='<joint name="shoulder" type="ball" range="0 60"/>'),
+        ["'shoulder'", "range", "ball joint", "drop it"],
+    ),
+    "free joint on a body that another carries": (
+        mjcf(joint='<joint name="shoulder" type="free"/>'),
+        ["'shoulder'", "free joint", "body of the world"],
+    ),
+    "free joint that is turned to the principal axes": (
+        mjcf(base='<body name="base"><freejoint align="true"/>'),
+        ["'base'", "align", "principal axes"],
+    ),
     "two joints on a body": (mjcf(joint=HINGE + '<joint name="b"/>'), ["'upper'", "2 joints"]),
     "spring": (mjcf(joint='<joint name="shoulder" stiffness="3"/>'), ["'shoulder'", "stiffness", "'3'"]),
     "spring by class": (

@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 from closedloop.base.files import write_whole
 from closedloop.loop.events.table import EVENT_COLUMNS, KINDS
 from closedloop.record.columns.derived import DERIVED, WRENCH
+from closedloop.record.run import KINDS as UNIT_PARTS
 from closedloop.record.run import Run
 from closedloop.scenario.contact_names import labels_of, tangents_of
 
@@ -23,7 +24,8 @@ def write_csv(run: Run, path: str | Path) -> list[Path]:
     """Write a run as CSV, and its events, if it has any, beside it with ``_events`` in the name; return the paths.
 
     Numbers have as many digits as tell them apart from all others, so they are read back to the bit. Headers are
-    ``q J1 [rad]``, ``position x [m]`` ...; what has no unit has none.
+    ``q J1 [rad]``, ``position x [m]`` ...; what has no unit has none. Reactions
+    of loop joints are last, ``reaction pin: force along x [N]`` ..., in the axes of the second of its frames.
 
     Raises
     ------
@@ -32,7 +34,8 @@ def write_csv(run: Run, path: str | Path) -> list[Path]:
     """
     path = Path(path)
     rows = [*(name for name in run.specs if name not in EVENT_COLUMNS), *DERIVED]
-    written = [write_whole(path, _table({k: v for name in rows for k, v in _flat(run, name).items()}))]
+    whole = {k: v for name in rows for k, v in _flat(run, name).items()} | _reactions(run)
+    written = [write_whole(path, _table(whole))]
     if run.events:
         columns = {k: v for name in EVENT_COLUMNS for k, v in _flat(run, name).items()}
         columns["event_kind"] = np.array([KINDS[int(kind)] for kind in run.event_kind])
@@ -47,13 +50,26 @@ def _flat(run: Run, name: str) -> dict[str, NDArray[Any]]:
         return {_header(name, run.units(name)): values}
     names = labels_of(run.scenario.contact or ())
     contacts = {"contact": names, "contact_tangent": tangents_of(names)}
-    entries_of = {"joint": run.model.joint_names, "axis": AXES, "component": WRENCH} | contacts
+    coordinates = {"coordinate": run.model.coordinate_names}
+    entries_of = coordinates | {"joint": run.model.joint_names, "axis": AXES, "component": WRENCH} | contacts
     entries = entries_of.get(dims[1]) or tuple(map(str, range(1, values.shape[1] + 1)))
     found = {}
     for k, entry in enumerate(entries):
-        unit = _of_joint(run, name, k) if dims[1] == "joint" else _of_part(run.units(name), entry)
+        if dims[1] == "coordinate":
+            unit = ("rad", "m", "1")[UNIT_PARTS.get(run.model.coordinate_types[k], 0)]
+        else:
+            unit = _of_joint(run, name, k) if dims[1] == "joint" else _of_part(run.units(name), entry)
         found[_header(f"{name} {entry}", unit)] = values[:, k]
     return found
+
+
+def _reactions(run: Run) -> dict[str, NDArray[Any]]:
+    """Return what the loop joints of a mechanism carried, a column for each part, by their headers."""
+    found = run.loops
+    if found is None:
+        return {}
+    parts = zip(found.labels, found.units, found.reactions.T, strict=True)
+    return {_header(f"reaction {label}", unit): values for label, unit, values in parts}
 
 
 def _of_joint(run: Run, name: str, joint: int) -> str:

@@ -1,10 +1,12 @@
 """A run as MCAP with standard ROS 2 messages: Foxglove, PlotJuggler and ``ros2 bag`` open it.
 
-    /joint_states         sensor_msgs/msg/JointState        q, q̇ and the torque of the law
+    /joint_states         sensor_msgs/msg/JointState        q, q̇ and the torque of the law; of what turns freely the
+                                                            rotation vector and the angular velocity in its axes
     /tip_pose             geometry_msgs/msg/PoseStamped     the tip's frame, in the base frame
     /tip_wrench           geometry_msgs/msg/WrenchStamped   f n and friction on the tip, base axes
     /wrist_wrench         geometry_msgs/msg/WrenchStamped   what a sensor between arm and tool reads, the tip's axes
     /contacts/NAME        geometry_msgs/msg/WrenchStamped   of a contact of links, on the link with the point, base axes
+    /loops/NAME           geometry_msgs/msg/WrenchStamped   of a loop joint on its first side, axes of its second frame
     /events               rcl_interfaces/msg/Log            impact, touchdown, liftoff, stick ..., each at its time
     /robot_description    std_msgs/msg/String               the URDF, where the robot is one
 
@@ -13,6 +15,7 @@ Times count from 0, the start of the run. The scenario's text is attached as sce
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from functools import partial
 from importlib.util import find_spec
 from pathlib import Path
@@ -24,7 +27,10 @@ from closedloop.base.errors import ScenarioError
 from closedloop.base.files import write_whole
 from closedloop.figures.export.messages import DEFINITIONS
 from closedloop.figures.scene.scene import quaternions, scene_of
+from closedloop.mechanics.loops.wrench import named_side, parts_of
+from closedloop.record.columns.derived import loop_positions
 from closedloop.record.run import Run
+from closedloop.scenario.arm import robot_of
 
 NEEDS_MCAP = 'MCAP needs two packages that are not installed: pip install "closedloop[mcap]"'
 INFO = 20  # level of a log message
@@ -58,12 +64,13 @@ def _write(run: Run, file: BinaryIO) -> None:
     if run.model.format == "urdf":
         send("/robot_description", "std_msgs/msg/String", {"data": run.model.text}, 0.0)
     base, scene = _base_frame(run), scene_of(run)
+    reactions = list(_reactions(run))
+    names, q = list(run.model.joint_names), loop_positions(run)
     nothing = {"x": 0.0, "y": 0.0, "z": 0.0}
     for k in range(len(run)):
         time, there = float(run.time[k]), scene.joint_places(k)
         header = {"stamp": _stamp(time), "frame_id": base}
-        joints = {"name": list(run.model.joint_names), "position": run.q[k], "velocity": run.v[k]}
-        joints["effort"] = run.torque[k]
+        joints = {"name": names, "position": q[k], "velocity": run.v[k], "effort": run.torque[k]}
         send("/joint_states", "sensor_msgs/msg/JointState", {"header": header, **_listed(joints)}, time)
         pose = {"position": _vector(run.position[k]), "orientation": _turn(scene.tip_axes(there[0]))}
         send("/tip_pose", "geometry_msgs/msg/PoseStamped", {"header": header, "pose": pose}, time)
@@ -75,6 +82,10 @@ def _write(run: Run, file: BinaryIO) -> None:
         for touching, arrow in zip(scene.touching, scene.between_links(k, *there), strict=True):
             wrench, topic = {"force": _vector(arrow.force), "torque": nothing}, f"/contacts/{touching.name}"
             send(topic, "geometry_msgs/msg/WrenchStamped", {"header": header, "wrench": wrench}, time)
+        for name, frame, force, couple in reactions:
+            wrench = {"force": _vector(force[k]), "torque": _vector(couple[k])}
+            turned = header | {"frame_id": frame}
+            send(f"/loops/{name}", "geometry_msgs/msg/WrenchStamped", {"header": turned, "wrench": wrench}, time)
     for event in run.events:
         rates = f"closure rate {event.rate_before:.6g} to {event.rate_after:.6g} m/s"
         said = f"{event.kind}: {rates}, {event.energy_lost:.4g} J lost"
@@ -82,6 +93,20 @@ def _write(run: Run, file: BinaryIO) -> None:
         send("/events", "rcl_interfaces/msg/Log", message | {"file": "", "function": "", "line": 0}, event.time)
     writer.add_attachment(0, 0, "scenario.toml", "application/toml", run.scenario.to_toml().encode())
     writer.finish()
+
+
+def _reactions(run: Run) -> Iterator[tuple[str, str, Any, Any]]:
+    """Yield name, second frame, force (N, 3), N, and couple (N, 3), N m, of each loop joint that binds two frames."""
+    if run.loops is None:
+        return
+    robot, at = robot_of(run.scenario, run.model), 0
+    for loop in run.model.loops:
+        kinds = [what for what, _ in parts_of(run.model, loop)]
+        own = run.loops.reactions[:, at : at + len(kinds)]
+        at += len(kinds)
+        if loop.type != "gear":
+            couple = own[:, 3:] if len(kinds) == 6 else np.zeros((len(run), 3))
+            yield loop.name, named_side(robot, loop)[0], own[:, :3], couple
 
 
 def _stamp(time: float) -> dict[str, int]:

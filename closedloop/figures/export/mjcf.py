@@ -80,14 +80,18 @@ def mjcf_of(run: Run) -> ElementTree.Element:
     add_pairs(root, scene)
     add_equalities(root, scene, mechanism)
     motors, keys = element(root, "actuator"), element(root, "keyframe")
-    driven = [joint for joint in order if not run.model.drives or mechanism.names[joint] in run.model.drives]
+    driven = [joint for joint in order if run.model.driven[mechanism.joints[joint].idx_v]]
     for joint in driven:
         name, most = str(mechanism.names[joint]), float(run.model.effort_limit[mechanism.joints[joint].idx_v])
         element(motors, "motor", name=name, joint=name, ctrlrange=(-most, most) if np.isfinite(most) else None)
-    columns = [mechanism.joints[joint].idx_v for joint in order]
+    columns: list[int] = []
+    places: list[int] = []
+    for joint in (mechanism.joints[joint] for joint in order):
+        places += range(joint.idx_q, joint.idx_q + joint.nq)
+        columns += range(joint.idx_v, joint.idx_v + joint.nv)
     powered = [mechanism.joints[joint].idx_v for joint in driven]
     for name, row in (("start", 0), ("end", len(run) - 1)):
-        states = {"qpos": run.q[row, columns], "qvel": run.v[row, columns], "ctrl": run.torque[row, powered]}
+        states = {"qpos": run.q[row, places], "qvel": run.v[row, columns], "ctrl": run.torque[row, powered]}
         element(keys, "key", name=name, time=run.time[row], **states)
     return root
 
@@ -95,11 +99,16 @@ def mjcf_of(run: Run) -> ElementTree.Element:
 def _add_links(assets: ElementTree.Element, world: ElementTree.Element, scene: Scene, mechanism: Any) -> list[int]:
     """Add a body for each joint, with its shapes, and return the joints in MuJoCo's order: depth first."""
     order: list[int] = []
+    sliders = {at + k for at in scene.run.model.bodies for k in range(3)}
 
     def add(joint: int, into: ElementTree.Element) -> None:
-        body = _add_body(into, joint, scene, mechanism) if joint else into
+        chain = [joint]
+        while mechanism.joints[chain[-1]].idx_v in sliders:  # a free joint, taken apart: one body
+            chain.append(chain[-1] + 1)
+        body = _add_body(into, chain, scene, mechanism) if joint else into
         if joint:
-            order.append(joint)
+            order.extend(chain)
+        joint = chain[-1]
         for at, shape in enumerate(scene.shapes):
             if shape.joint == joint:
                 _add_mesh(assets, body, f"shape{at}", shape.vertices, shape.faces, shape.colour)
@@ -113,10 +122,11 @@ def _add_links(assets: ElementTree.Element, world: ElementTree.Element, scene: S
     return order
 
 
-def _add_body(into: ElementTree.Element, joint: int, scene: Scene, mechanism: Any) -> ElementTree.Element:
-    """Add the body that a joint moves, with its inertia and the joint, and return it."""
-    place, inertia, model = mechanism.jointPlacements[joint], mechanism.inertias[joint], scene.run.model
-    column, name = mechanism.joints[joint].idx_v, str(mechanism.names[joint])
+def _add_body(into: ElementTree.Element, chain: list[int], scene: Scene, mechanism: Any) -> ElementTree.Element:
+    """Add the body that a joint moves, or those of a free joint taken apart, with its inertia, and return it."""
+    joint = chain[-1]
+    place, inertia = mechanism.jointPlacements[chain[0]], mechanism.inertias[joint]
+    name = str(mechanism.names[joint])
     body = element(into, "body", name=name, pos=place.translation, quat=quaternion(place.rotation))
     moments, axes = np.linalg.eigh(inertia.inertia)
     axes[:, 2] *= np.linalg.det(axes)  # right-handed
@@ -124,7 +134,21 @@ def _add_body(into: ElementTree.Element, joint: int, scene: Scene, mechanism: An
         body, "inertial", pos=inertia.lever, mass=inertia.mass, quat=quaternion(axes),
         diaginertia=np.maximum(moments, 0.0),
     )  # fmt: skip
-    kind = mechanism.joints[joint]
+    if len(chain) > 1 and into.tag == "worldbody" and place.isIdentity(0.0):
+        element(body, "joint", name=name, type="free", armature=mechanism.armature[mechanism.joints[joint].idx_v])
+        return body
+    for each in chain:
+        _add_joint(body, each, scene, mechanism)
+    return body
+
+
+def _add_joint(body: ElementTree.Element, joint: int, scene: Scene, mechanism: Any) -> None:
+    """Add a joint to its body."""
+    kind, model, name = mechanism.joints[joint], scene.run.model, str(mechanism.names[joint])
+    column = kind.idx_v
+    if kind.nv > 1:
+        element(body, "joint", name=name, type="ball", armature=mechanism.armature[column])
+        return
     data = kind.createData()
     kind.calc(data, np.zeros(1))
     moved = np.asarray(data.S).ravel()  # what a unit of speed moves: linear, angular
@@ -134,7 +158,6 @@ def _add_body(into: ElementTree.Element, joint: int, scene: Scene, mechanism: An
         body, "joint", name=name, type=SHORT[model.joint_types[column]], axis=moved[3:] if hinge else moved[:3],
         range=(low, high) if np.isfinite(low) and np.isfinite(high) else None, armature=mechanism.armature[column],
     )  # fmt: skip
-    return body
 
 
 def _add_tip(body: ElementTree.Element, joint: int, scene: Scene, mechanism: Any) -> None:

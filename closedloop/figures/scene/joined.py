@@ -121,10 +121,10 @@ def _loops_of(robot: Robot, size: float) -> tuple[_Loop, ...]:
     if not model.loops:
         return ()
     bound, mechanism = bound_by_loops(robot), model.pinocchio_model()
-    poses = link_poses(robot.tree, model.home)
+    poses = link_poses(robot.tree, model.loop_home)
     kinds, first, second, _ = bound.sides.reshape(4, -1)
     data = mechanism.createData()
-    pin.forwardKinematics(mechanism, data, model.home)
+    pin.forwardKinematics(mechanism, data, robot.pinocchios(model.home))
     frames = [(place.rotation, place.translation) for place in data.oMi]
 
     def side(link: int, point: Array) -> _Side:

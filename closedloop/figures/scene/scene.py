@@ -24,6 +24,7 @@ from closedloop.record.columns.touching import Touching, contacts_of
 from closedloop.record.run import Run
 from robot_models import RobotModel
 from robot_models.cached import cached_property
+from robot_models.coordinates import in_pinocchios_order
 
 Array = NDArray[np.float64]
 
@@ -119,7 +120,7 @@ class Scene:
 
     def joint_places(self, row: int) -> tuple[Array, Array]:
         """Return the axes (n + 1, 3, 3) and origins (n + 1, 3), m, of the base and of each joint's frame in a row."""
-        return _places(self.model).at(self.run.q[row])
+        return _places(self.model).at(in_pinocchios_order(self.run.q[row], self.model.joint_types))
 
     def tip_place(self, row: int) -> Array:
         """Return the tip (3,), m, base frame, from the joints' frames as they are drawn, not from the record."""

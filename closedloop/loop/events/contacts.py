@@ -55,9 +55,9 @@ def apply_contact_event(w: Work, constants: Constants, state: State, events: Arr
         return NEED_TERMS
     count_event(w, state)
     state.kind = 0
+    links.stepped, links.tired = 0, 1 if state.rapid_events > MAX_RAPID else 0
     if too_many_events(state, 2 * MAX_RAPID):
-        return FAIL
-    links.tired = 1 if state.rapid_events > MAX_RAPID else 0
+        state.status, links.tired = OK, 2
     call_at(state.contacts, state.contacts_at, PLACE)
     if state.striking >= 0:
         i = 3 * state.striking
@@ -144,7 +144,7 @@ def join_tip(w: Work, links: ContactLinks, c: Contacts, constants: Constants, st
 @kernel
 def leave_tip(w: Work, links: ContactLinks, c: Contacts, constants: Constants, state: State) -> None:
     """Let the tip and the stops, as they are, be solved by themselves: the contacts of links are open."""
-    state.together, state.kind, state.risen = 0, 0, int(c.risen[0])
+    state.together, state.kind, state.risen, links.stepped = 0, 0, int(c.risen[0]), 0
     w.contact_power, w.contact_power_rate = 0.0, 0.0
     w.direction[0], w.direction[1] = c.direction[0, 0], c.direction[0, 1]
     for j in range(links.n):
@@ -160,7 +160,7 @@ def leave_tip(w: Work, links: ContactLinks, c: Contacts, constants: Constants, s
 @kernel
 def log_contacts(w: Work, links: ContactLinks, c: Contacts, state: State, events: Array) -> None:
     """Write a row for each contact to which something happened; the first of them has the energy lost by all."""
-    lost, first_stop = c.energy_lost, links.k - links.stops
+    lost, rested, first_stop = c.energy_lost, c.energy_rested, links.k - links.stops
     w.supplied -= lost
     for i in range(3):  # a surface that moves does work on the arm
         w.supplied += c.F[i] * w.carried[i]
@@ -176,8 +176,8 @@ def log_contacts(w: Work, links: ContactLinks, c: Contacts, state: State, events
         if i >= first_stop:
             event.kind = RELEASE if c.happened[i] == LIFTOFF else STOP
         event.rate_before, event.rate_after, event.compression = c.before[at], c.after[at], c.F[at]
-        event.energy_lost = lost
-        lost = 0.0
+        event.energy_lost, event.energy_rested = lost, rested
+        lost = rested = 0.0
         if i == state.striking and c.struck[i] != 0.0:
             event.compression, event.decompression = w.compression[0], w.decompression[0]
             event.rate_cut = w.discarded_rebound

@@ -29,7 +29,7 @@ def log_event(w: Work, constants: Constants, state: State, events: Array, energy
     """Write the event state.kind into the table, and subtract its energy loss from the energy supplied."""
     write_event(
         row_of(events, state.events), w.time, state.kind, w.discarded_rebound, w.restitution_given, w.frame, w.r,
-        w.before, w.after, w.compression, w.decompression, energy,
+        w.before, w.after, w.compression, w.decompression, energy, w.energy_rested,
     )  # fmt: skip
     state.events += 1
     w.supplied -= energy
@@ -40,10 +40,9 @@ def log_event(w: Work, constants: Constants, state: State, events: Array, energy
 @kernel
 def apply_impact(w: Work, constants: Constants, state: State, events: Array) -> None:
     """Apply the impulses of an impact to q̇, and set the mode after it."""
-    for i in range(3):
-        w.F[i] = w.compression[i] + w.decompression[i]
+    lost = lost_in_both(w)
     apply_impulse(w.L, w.X, w.F, w.column, w.v)
-    log_event(w, constants, state, events, energy_lost(w.before, w.after, w.F))
+    log_event(w, constants, state, events, lost)
     state.risen = 1
     if state.law != 0:
         call_law(state, RESTART)
@@ -64,6 +63,14 @@ def make_contact(w: Work, constants: Constants, state: State, speed: float) -> N
     if state.sticking in (RIGID_STICK, SPRING_STICK) and speed <= constants.stick_speed:
         state.mode = STUCK
         set_anchor(w, state)
+
+
+@kernel
+def lost_in_both(w: Work) -> float:
+    """Return the energy that the two phases of an impact take, J, and write their impulse as F."""
+    for i in range(3):
+        w.F[i] = w.compression[i] + w.decompression[i]
+    return float(energy_lost(w.before, w.after, w.F))
 
 
 @entry_kernel
@@ -94,6 +101,7 @@ def strike_surface(S: Array, mu: float, w: Work, constants: Constants, state: St
     """Write the impulses on a point of mobility S (3, 3), 1/kg, that strikes with `before`, and the kind of event."""
     bounces = state.rapid_events <= MAX_RAPID
     state.kind, w.discarded_rebound, w.restitution_given = IMPACT if bounces else TOUCHDOWN, 0.0, 0.0
+    w.energy_rested, bounced = 0.0, 0.0
     for _ in range(2):
         restitution = constants.restitution if state.kind == IMPACT else 0.0
         state.status = impact(
@@ -101,9 +109,11 @@ def strike_surface(S: Array, mu: float, w: Work, constants: Constants, state: St
             (w.compression, w.decompression), w.after,
         )  # fmt: skip
         if state.status != OK or state.kind == TOUCHDOWN:
+            if w.discarded_rebound > 0.0:
+                w.energy_rested = lost_in_both(w) - bounced
             return
         if w.after[0] >= constants.rest_speed:
             cut = int(ImpactWork(w.scratch).happened) & ENERGY_CUT != 0
             w.restitution_given = -w.after[0] / w.before[0] if cut else restitution
             return
-        state.kind, w.discarded_rebound = TOUCHDOWN, w.after[0]
+        state.kind, w.discarded_rebound, bounced = TOUCHDOWN, w.after[0], lost_in_both(w)

@@ -14,7 +14,7 @@ Array = NDArray[np.float64]
 DONE, TERMS, TABLE_FULL, IMPACT_LAW_WANTED, FAILED = range(5)
 
 # Phases: what the terms requested last are for, see `closedloop.loop.events.proceed`.
-STEP_END, STAGE, TRIAL_END, AT_EVENT, IMPULSES_KNOWN, AFTER_EVENT, PROJECTION, MEASURED = range(8)
+STEP_END, STAGE, TRIAL_END, AT_EVENT, IMPULSES_KNOWN, AFTER_EVENT, PROJECTION, MEASURED, PART_END = range(9)
 
 # What a trial step is for. With STAGE_CHECKED a trial step has shown that a negative f at a stage was no event.
 NO_TRIAL, STAGE_CHECKED, CHECK_STAGE, LOCATE_EVENT, LOCATE_MINIMUM, REACH_EVENT = range(6)
@@ -50,6 +50,10 @@ RESTING = 1e-11
 RAPID, MAX_RAPID = 1e-12, 20
 MAX_IN_STEP = 2000
 OUTPACED = 100
+# In runs with contacts of links a step is divided where a joint would turn by more than this in it, rad (m): a body on
+# three revolute joints turns them fast where two of their axes are nearly parallel, and rk4 is to leave its energy to
+# 1e-9.
+LARGEST_TURN = 0.02
 # Directions at which the onset of slip is evaluated before its roots are bracketed.
 DIRECTIONS = 36
 # e = n·r − d is a sum of a few products of the order of a metre: 4 ε either way. Newton's method converges

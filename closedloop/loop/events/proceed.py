@@ -7,6 +7,7 @@ from Python, or from compiled terms of our own (`closedloop.mechanics.robot.tree
 The phase says what the terms are for:
 
     STEP_END        the end of a step (or the start): record the row, unless an event happened in the step
+    PART_END        the end of a part of a step that is divided for joints that turn fast: go on with the next
     STAGE           a later stage of a Runge-Kutta step
     TRIAL_END       the end of a trial step, taken to locate an event inside a step
     AT_EVENT        the state at the instant of an event: apply the impact, change the mode
@@ -51,6 +52,7 @@ from closedloop.loop.events.phases import (
     MEASURED,
     NEED_TERMS,
     OUTPACED,
+    PART_END,
     PROJECT,
     PROJECTION,
     RETRY_SUBSTEP,
@@ -68,6 +70,7 @@ from closedloop.loop.events.substep import (
     advance_friction,
     check_stage,
     check_step,
+    end_before_stage,
     finish_stage,
     restore_state,
     save_state,
@@ -75,7 +78,7 @@ from closedloop.loop.events.substep import (
 from closedloop.loop.events.transitions import apply_event, resume_after_event
 from closedloop.loop.step.advance import advance
 from closedloop.loop.step.closed_loops import CLOSE
-from closedloop.loop.step.contacts import WATCH
+from closedloop.loop.step.contacts import NO_FORCES, WATCH
 from closedloop.loop.step.energy_supplied import add_stage_work, commit_work
 from closedloop.loop.step.evaluate import evaluate, evaluate_law
 from closedloop.loop.step.joint_friction import stick_or_slip_joints
@@ -84,6 +87,7 @@ from closedloop.loop.step.memory import Constants, State, Work
 from closedloop.loop.step.record_row import record
 from closedloop.loop.step.seen import back_to_true, read_joints
 from closedloop.loop.step.transmission import lead_motors
+from closedloop.loop.step.turn import advance_on_manifold
 from closedloop.mechanics.closure.contact_force import FREE
 from closedloop.mechanics.closure.solve import OK
 
@@ -129,7 +133,7 @@ def proceed(
         return TERMS
     # The gap of a tip that is free is all that a trial step is for, unless there is more to watch.
     free = state.mode == FREE and state.stops == 0 and state.together == 0
-    if phase in (STEP_END, STAGE, AFTER_EVENT) or (phase in (TRIAL_END, AT_EVENT) and not free):
+    if phase in (STEP_END, PART_END, STAGE, AFTER_EVENT) or (phase in (TRIAL_END, AT_EVENT) and not free):
         status = evaluate(H, C, w, constants, state, table, rows)
         if status != OK:
             state.status = status
@@ -141,15 +145,18 @@ def proceed(
         if status != OK:
             state.status = status
             return FAILED
-    if state.contacts != 0 and state.together == 0 and phase in (STEP_END, TRIAL_END, AT_EVENT, AFTER_EVENT):
+    if state.contacts != 0 and state.together == 0 and phase in (STEP_END, PART_END, TRIAL_END, AT_EVENT, AFTER_EVENT):
         state.status = call_at(state.contacts, state.contacts_at, WATCH)
         if state.status != OK:
             return FAILED
     todo = NEED_TERMS
-    if phase == STEP_END:
+    if phase in (STEP_END, PART_END):
         w.event_value = event_function(w, constants, state)
         todo = check_step(w, w.drift_c[0], state)
-        if todo == BEGIN_SUBSTEP:
+        if todo == BEGIN_SUBSTEP and phase == PART_END:
+            commit_work(w)
+            w.length = state.row * constants.h - w.time
+        elif todo == BEGIN_SUBSTEP:
             commit_work(w)
             if state.row == 0:
                 w.supplied = 0.0  # row 0 is the state after the events of t = 0, and the balance begins with it
@@ -166,6 +173,8 @@ def proceed(
                 w.torque[j] = w.held[j]  # until the end of the step the torque of the last sample acted
     elif phase == STAGE:
         todo = check_stage(w, state) if state.unilateral != 0 else ADVANCE
+        if state.together != 0 and w.contact_margin <= NO_FORCES:
+            todo = end_before_stage(w, state)
     elif phase == TRIAL_END:
         w.event_value = event_function(w, constants, state)
         todo = refine_bracket(w, state)
@@ -209,7 +218,10 @@ def proceed(
             advance_friction(w, state, tau)
             if state.elastic != 0:
                 lead_motors(w, tau, state.after_event != 0)
-        advance(stage, tau, state.semi_implicit != 0, state.after_event != 0, tableau, w)
+        if state.balls == 0:
+            advance(stage, tau, state.semi_implicit != 0, state.after_event != 0, tableau, w)
+        else:
+            advance_on_manifold(stage, tau, state.semi_implicit != 0, state.after_event != 0, tableau, w, constants)
         if state.loops != 0:  # at every stage: rows that depend on others do so only where the loops are closed
             call_at(state.loops, state.loops_at, CLOSE)
         finish_stage(w, constants.h, state, tableau)

@@ -10,7 +10,8 @@ from closedloop.loop.events.phases import CLOSED, FAIL, MAX_MOVES, NEED_TERMS, P
 from closedloop.loop.step.closed_loops import factorise_tip
 from closedloop.loop.step.locate import off_anchor
 from closedloop.loop.step.memory import RIGID_STICK, Constants, State, Work
-from closedloop.mechanics.closure.contact_force import STUCK, apply_impulse, stuck_force
+from closedloop.loop.step.turn import move
+from closedloop.mechanics.closure.contact_force import STUCK, answer_impulse, apply_impulse, stuck_force
 from closedloop.mechanics.closure.solve import OK
 
 Array = NDArray[np.float64]
@@ -47,7 +48,11 @@ def project(H: Array, w: Work, constants: Constants, state: State) -> int:
             w.F[0] = -w.a[0] / w.S[0, 0] if w.S[0, 0] > 0.0 else 0.0
             w.F[1], w.F[2] = 0.0, 0.0
         if level == 0:
-            apply_impulse(w.L, w.X, w.F, w.column, w.q)
+            if state.balls == 0:
+                apply_impulse(w.L, w.X, w.F, w.column, w.q)
+            else:
+                answer_impulse(w.L, w.X, w.F, w.column)
+                move(w, constants)
             state.projections += 1
             request_terms(state, PROJECTION)
             return NEED_TERMS

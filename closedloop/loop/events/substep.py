@@ -7,7 +7,7 @@ from numpy.typing import NDArray
 
 from closedloop.jit.calls import call_at
 from closedloop.jit.kernel import kernel, kernel_inlined
-from closedloop.loop.events.locate import choose_trial, event_function
+from closedloop.loop.events.locate import choose_trial, event_function, refine_bracket
 from closedloop.loop.events.phases import (
     ADVANCE,
     APPLY_EVENT,
@@ -15,12 +15,14 @@ from closedloop.loop.events.phases import (
     BEGIN_SUBSTEP,
     CHECK_STAGE,
     INSTANT,
+    LARGEST_TURN,
     LEAVING,
     LOCATE_EVENT,
     LOCATE_MINIMUM,
     MAX_IN_STEP,
     NEED_TERMS,
     NO_TRIAL,
+    PART_END,
     PROJECTION,
     RAPID,
     REACH_EVENT,
@@ -51,6 +53,8 @@ Array = NDArray[np.float64]
 def save_state(w: Work, constants: Constants, state: State) -> None:
     """Save the state and its derivative at the beginning of a substep of length w.length."""
     n, extra = w.q.shape[0], w.z.shape[0]
+    if state.contacts != 0:
+        divide_step(w, state)
     for j in range(n):
         w.begin[j] = w.q[j]
         w.begin[n + j] = w.v[j]
@@ -76,6 +80,18 @@ def save_state(w: Work, constants: Constants, state: State) -> None:
         call_at(state.contacts, state.contacts_at, SAVE)
     w.start_event_value = event_function(w, constants, state)
     save_power(w, state)
+
+
+@kernel
+def divide_step(w: Work, state: State) -> None:
+    """Shorten a substep in which a joint would turn by more than `LARGEST_TURN`, and say whether it was."""
+    fastest, left = 0.0, w.length
+    for j in range(w.q.shape[0]):
+        fastest = max(fastest, abs(w.v[j]))
+    state.divided = 0
+    if fastest * left > LARGEST_TURN and state.steps > 0:
+        w.length = left / np.ceil(fastest * left / LARGEST_TURN)
+        state.divided = 1
 
 
 @kernel_inlined
@@ -116,12 +132,13 @@ def finish_stage(w: Work, h: float, state: State, tableau: Array) -> None:
         w.time = w.begin_time + tau
         request_terms(state, AT_EVENT if state.trial == REACH_EVENT else TRIAL_END)
     else:
-        w.time = state.row * h
+        w.time = state.row * h if state.divided == 0 else w.begin_time + tau
+        end = STEP_END if state.divided == 0 else PART_END
         if state.project != 0 and state.mode != FREE:
-            state.projections, state.next_phase = 0, STEP_END
+            state.projections, state.next_phase = 0, end
             request_terms(state, PROJECTION)
         else:
-            request_terms(state, STEP_END)
+            request_terms(state, end)
 
 
 @kernel
@@ -180,6 +197,22 @@ def check_stage(w: Work, state: State) -> int:
     state.trial, state.trials = CHECK_STAGE, 0
     w.low, w.high, w.tau = 0.0, tau, tau
     w.at_low = max(w.start_event_value, 0.0)
+    return RETRY_SUBSTEP
+
+
+@kernel
+def end_before_stage(w: Work, state: State) -> int:
+    """Search for the event before a stage at which no forces go with the modes of the contacts."""
+    if state.trial == REACH_EVENT:
+        w.tau = w.low
+        return RETRY_SUBSTEP
+    if state.trial > STAGE_CHECKED:
+        w.event_value = -1.0
+        return int(refine_bracket(w, state))
+    state.trial, state.trials = LOCATE_EVENT, 0
+    w.low, w.high = 0.0, w.tau - INSTANT
+    w.at_low, w.at_high = max(w.start_event_value, 0.0), -1.0
+    choose_trial(w, state)
     return RETRY_SUBSTEP
 
 

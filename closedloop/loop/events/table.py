@@ -16,7 +16,7 @@ from closedloop.jit.kernel import kernel
 Array = NDArray[np.float64]
 
 # Kinds, as they are stored.
-IMPACT, TOUCHDOWN, LIFTOFF, STICK, SLIP_AGAIN, REVERSAL, EDGE, STOP, RELEASE = 1, 2, 3, 4, 5, 6, 7, 8, 9
+IMPACT, TOUCHDOWN, LIFTOFF, STICK, SLIP_AGAIN, REVERSAL, EDGE, STOP, RELEASE, TIME_STEP = 1, 2, 3, 4, 5, 6, 7, 8, 9, 10
 KINDS = {
     IMPACT: "impact",
     TOUCHDOWN: "touchdown",
@@ -27,6 +27,7 @@ KINDS = {
     EDGE: "edge",
     STOP: "stop",
     RELEASE: "release",
+    TIME_STEP: "time_step",
 }
 
 
@@ -42,6 +43,7 @@ class EventRow(Block):
     decompression: float
     tangential: Annotated[Array, 3]
     energy_lost: float
+    energy_rested: float
     position: Annotated[Array, 3]
     slip_before: float
     slip_after: float
@@ -66,7 +68,8 @@ EVENT_COLUMNS: dict[str, EventColumn] = {
         ("event",),
         "1",
         "1 impact (the tip bounces), 2 touchdown (contact begins), 3 liftoff, 4 stick, 5 slip, 6 reversal of slip, "
-        "7 edge (the tip goes beyond the surface's edge: contact ends), 8 stop (a joint strikes its stop), 9 release",
+        "7 edge (the tip goes beyond the surface's edge: contact ends), 8 stop (a joint strikes its stop), 9 release, "
+        "10 a time step at the level of impulses, where no modes of the contacts agree",
     ),
     "event_rate_before": EventColumn(("event",), "m s-1", "closure rate just before the event"),
     "event_rate_after": EventColumn(("event",), "m s-1", "closure rate just after the event"),
@@ -80,6 +83,9 @@ EVENT_COLUMNS: dict[str, EventColumn] = {
     "event_tangential": EventColumn(("event", "axis"), "N s", "tangential impulse on the tip, base frame"),
     "event_energy_lost": EventColumn(
         ("event",), "J", "kinetic energy lost; at an edge that of the spring of a soft surface"
+    ),
+    "event_energy_rested": EventColumn(
+        ("event",), "J", "part of the energy lost that was taken so that what parts too slowly rests"
     ),
     "event_position": EventColumn(("event", "axis"), "m", "tip position r, base frame"),
     "event_slip_before": EventColumn(("event",), "m s-1", "speed of slip just before the event"),
@@ -100,13 +106,14 @@ EVENT_COLUMNS: dict[str, EventColumn] = {
 @kernel
 def write_event(
     row: Array, t: float, kind: int, cut: float, restitution: float, frame: Array, r: Array, before: Array,
-    after: Array, compression: Array, decompression: Array, energy_lost: float,
+    after: Array, compression: Array, decompression: Array, energy_lost: float, energy_rested: float,
 ) -> None:  # fmt: skip
     """Write one row of the table; velocities and impulses are in the contact frame, r in the base frame."""
     event = EventRow(row)
     event.time, event.kind = t, kind
     event.rate_before, event.rate_after, event.rate_cut = before[0], after[0], cut
     event.compression, event.decompression, event.energy_lost = compression[0], decompression[0], energy_lost
+    event.energy_rested = energy_rested
     t1, t2 = compression[1] + decompression[1], compression[2] + decompression[2]
     for k in range(3):
         event.tangential[k] = frame[1, k] * t1 + frame[2, k] * t2

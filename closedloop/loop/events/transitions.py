@@ -126,7 +126,7 @@ def apply_event(H: Array, w: Work, constants: Constants, state: State, rows: Arr
         w.after[i] = w.u[i]
         w.compression[i] = 0.0
         w.decompression[i] = 0.0
-    w.discarded_rebound, w.restitution_given = 0.0, 0.0
+    w.discarded_rebound, w.restitution_given, w.energy_rested = 0.0, 0.0, 0.0
     if state.stops != 0 and w.stop_margin < BEYOND + REACHED:
         if reach_stops(w, constants, state):
             state.kind = STOP

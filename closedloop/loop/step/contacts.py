@@ -19,7 +19,7 @@ from closedloop.loop.step.contact_rows import locate_contacts, locate_points, pl
 from closedloop.loop.step.locate import set_anchor
 from closedloop.loop.step.memory import State, Work, loop_at
 from closedloop.mechanics.closure.contact_force import FREE, PRESSED, STUCK, accelerate, pressed_force, stuck_force
-from closedloop.mechanics.closure.solve import OK, back_substitute
+from closedloop.mechanics.closure.solve import OK, PAINLEVE, back_substitute
 from closedloop.mechanics.contacts.given_modes import (
     keep_in_cones,
     kinds_of_modes,
@@ -31,6 +31,7 @@ from closedloop.mechanics.contacts.impact import RESTING, STRUCK_AND_LEFT, STRUC
 from closedloop.mechanics.contacts.memory import LINE, OFF, RAY, ContactLinks, Contacts, contacts_at
 from closedloop.mechanics.contacts.modes import CLOSED_GAP, HOVERING, decide, touches
 from closedloop.mechanics.contacts.soft import soft_margin
+from closedloop.mechanics.contacts.time_step import begin_time_step
 from closedloop.mechanics.impact import energy_lost
 
 Array = NDArray[np.float64]
@@ -76,7 +77,11 @@ def contacts_in_step(address: int, what: int) -> int:
         move(links, c, w)
     else:
         place_contacts(links, c, w)
-        status = decide(links, c, (3.0 if state.steps < 0 else 1.0) * constants.stick_speed)
+        status = PAINLEVE
+        if links.tired < 2:
+            status = decide(links, c, (3.0 if state.steps < 0 else 1.0) * constants.stick_speed)
+        if status == PAINLEVE and links.fresh == 0:
+            status = begin_time_step(links, c, w.time)
         move(links, c, w)
         if c.mode[0] == STUCK and c.happened[0] != 0.0:
             set_anchor(w, state)
@@ -91,6 +96,13 @@ def contact_forces(links: ContactLinks, c: Contacts, w: Work, state: State) -> i
         for i in range(3 * k):
             c.F[i], c.rigid[i] = 0.0, 0.0
         c.margin = -1.0
+    elif links.stepped != 0:
+        for i in range(3 * k):
+            c.F[i] = c.rigid[i] = c.step_force[i]
+        c.margin = c.step_end - w.time
+        for i in range(k):
+            if c.mode[i] == FREE and c.kind[i] != LINE:
+                c.margin = min(c.margin, open_margin(c, i))
     else:
         kinds_of_modes(c, k)
         status = solve_closed(c, k)
@@ -99,6 +111,8 @@ def contact_forces(links: ContactLinks, c: Contacts, w: Work, state: State) -> i
             status = solve_modes(c, k)
         keep_in_cones(c, k)
         c.margin = margin_of(c, k, STICK_SPEED, 2.0 * STICK_SPEED if state.steps < 0 else 0.0)
+        if status == PAINLEVE and w.time > 0.0:  # its mode ends here: other modes, or a time step, go on
+            status, c.margin = OK, NO_FORCES
     w.contact_margin, w.contact_power, w.contact_power_rate = c.margin, 0.0, 0.0
     for i in range(3):
         w.F[i], w.b[i], w.stabiliser_force[i] = c.F[i], c.b[i], c.F[i] - c.rigid[i]
@@ -165,6 +179,8 @@ def solve_one(c: Contacts, k: int, i: int) -> bool:
     return True
 
 
+# The margin where no forces go with the modes.
+NO_FORCES = -1e30
 # The speed of slip below which it is none, m/s.
 STICK_SPEED = 1e-7
 
@@ -228,6 +244,7 @@ def apply_impulse_alone(links: ContactLinks, c: Contacts, w: Work, i: int, leave
         c.F[at + j] = w.compression[j] + w.decompression[j]
     write_after(c, k)
     c.energy_lost, c.restitution_share, c.struck[i] = energy_lost(w.before, w.after, c.F[at : at + 3]), 1.0, 1.0
+    c.energy_rested = w.energy_rested
     c.happened[i] = STRUCK_AND_LEFT if leaves else STRUCK_AND_STAYED
     c.mode[i], c.risen[i], c.floor[i] = FREE if leaves else PRESSED, 1.0, min(c.located[at], 0.0)
 

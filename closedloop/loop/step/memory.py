@@ -36,7 +36,8 @@ class State(Block):
     stages: int  # of the integrator
     steps: int
     hold: int  # steps for which a sampled torque is held; 0: the law is evaluated at every stage
-    law: int  # address of the control law's entry, see `closedloop.loop.step.entries`; 0: the paper's, on a smooth surface
+    # Address of the control law's entry, see `closedloop.loop.step.entries`; 0: the paper's, on a smooth surface
+    law: int
     compensation: int  # and of its compensation's; 0: none
     own_law_states: int  # of the law alone
     law_states: int  # of the law and its compensation
@@ -83,6 +84,7 @@ class State(Block):
     watched: int  # 1 if the event that is searched for may be that an open contact of a link closes
     striking: int  # which contact strikes alone, 0 the tip; see `closedloop.loop.events.impacts.collide`
     stops: int  # 1 if the joints have stops
+    balls: int  # ball joints
     feed_forward: int  # whether the law is told of the joints' desired acceleration
     proceed: int  # address of the entry of `closedloop.loop.events.proceed`, for the compiled engine
     constants_at: int
@@ -105,6 +107,7 @@ class State(Block):
     sampled: int  # 1 if the law is evaluated with these terms
     raised: int  # 1 once a user's member has raised something
     no_search: int  # 1 if an event at the end of this step happens there, not before
+    divided: int  # 1 in a substep that ends before the step for joints that turn fast
     after_event: int  # 1 in the remainder of a step after an event
     beside: int  # 1 while the tip is not above the surface because it has gone beyond its edge
     risen: int  # 1 if the tip has been clear of the surface since it lifted off
@@ -139,6 +142,7 @@ class Constants(Block, sizes=("n", "law", "compensation", "friction", "joint_fri
     lower_stop: Annotated[Array, N]
     upper_stop: Annotated[Array, N]
     armature: Annotated[Array, N]
+    turns: Annotated[Array, N]  # 1 for the first of a ball joint's three, see `closedloop.loop.step.turn`
     tilt: Annotated[Array, 3, 3]  # of the contact frame that the controller believes in, in the true one
     stiffness: Annotated[Array, N]  # see `closedloop.control.transmission`, as the next two
     shaft_damping: Annotated[Array, N]
@@ -199,6 +203,7 @@ class Work(Block, sizes=("n", "k", "stages", "ring")):
     discarded_rebound: float  # of a restitution too slow to leave the surface, m/s
     straight_speed: float  # up to this speed of slip, m/s, friction acts against `direction`, not against the slip
     restitution_given: float
+    energy_rested: float  # of an impact, what it took so that what parts too slowly rests, J
     supplied: float  # see `closedloop.loop.step.energy_supplied`, as all that follow
     substep_work: float
     start_power: float

@@ -53,11 +53,9 @@ def soft_contact_force(w: Work, constants: Constants, state: State) -> None:
         stuck_tangentially(w.S, w.a, w.b, w.F)
     else:
         rub_softly(w)
-        if state.mode != STUCK and state.steps > 0 and state.sticking in (RIGID_STICK, SPRING_STICK):
-            for _ in range(2):
-                if not turn_with_slip(w, constants.h):
-                    break
-                w.F[1], w.F[2] = -w.c[0] * f - w.viscous[0], -w.c[1] * f - w.viscous[1]
+        slips = state.mode != STUCK and state.steps > 0 and state.sticking in (RIGID_STICK, SPRING_STICK)
+        if slips and turn_with_slip(w, constants.h):
+            w.F[1], w.F[2] = -w.c[0] * f - w.viscous[0], -w.c[1] * f - w.viscous[1]
     accelerate(w.L, w.X, w.y, w.F, w.qdd)
 
 

@@ -30,6 +30,10 @@ from closedloop.mechanics.closure.solve import OK, PAINLEVE, PUSHED, SINGULAR
 
 Array = NDArray[np.float64]
 
+# f and the direction of a slow slip depend on each other: they are solved in turn, so often at most, until f changes by
+# this share of itself. Unsolved, at each stage by another error, they let a Runge-Kutta scheme throw the tip about.
+TURNS, SETTLED = 40, 1e-12
+
 
 @kernel_inlined
 def contact_force(C: Array, w: Work, constants: Constants, state: State) -> int:
@@ -58,12 +62,15 @@ def contact_force(C: Array, w: Work, constants: Constants, state: State) -> int:
             return status
         sticking = state.sticking
         if state.mode == PRESSED and state.steps > 0 and sticking in (RIGID_STICK, SPRING_STICK):
-            for _ in range(2):  # f and the direction of slip depend on each other
+            for _ in range(TURNS):
+                before = w.F[0]
                 if not turn_with_slip(w, constants.h):
                     break
                 status, share = pressed_force(w.S, w.a, b, w.c, w.viscous, w.F)
                 if status != OK:
                     return status
+                if abs(w.F[0] - before) <= SETTLED * abs(before):
+                    break
         rigid = w.F[0] - share
         if state.approached > 0 and pushed_on_the_way(C, w, constants, rigid):
             return PUSHED

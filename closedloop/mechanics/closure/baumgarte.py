@@ -24,7 +24,7 @@ The z of least spectral radius is no rule. For small ζ it lies within a hundred
 from 0.46 to 0.83 with semi-implicit Euler, and with RK4 that share is 7 % for ζ = 0.707 and 59 % for ζ = 1. The rule
 above costs little: at ζ = 0.707 the spectral radius is 0.54, 0.74 and 0.70 (semi-implicit Euler, explicit Euler,
 RK4) where the least is 0.41, 0.71 and 0.34. Rounding needs no bound of its own: it moves the WAM's f by 5e-11 N at
-h = 1 ms, and by 1/h² more with shorter steps. `python -m closedloop.studies.study drift` measures all of this.
+h = 1 ms, and by 1/h² more with shorter steps. `closedloop study drift` measures all of this.
 """
 
 from __future__ import annotations

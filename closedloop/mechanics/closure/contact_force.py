@@ -265,10 +265,16 @@ def accelerate(L: Array, X: Array, y: Array, F: Array, qdd: Array) -> None:
 
 
 @kernel
-def apply_impulse(L: Array, X: Array, impulse: Array, column: Array, v: Array) -> None:
-    """Add H⁻¹Aᵀ P to q̇, the effect of an impulse P (3,), N s, on the tip; `column` (n,) is scratch."""
-    for j in range(v.shape[0]):
+def answer_impulse(L: Array, X: Array, impulse: Array, column: Array) -> None:
+    """Write H⁻¹Aᵀ P, the effect of an impulse P (3,), N s, on q̇, to `column` (n,)."""
+    for j in range(column.shape[0]):
         column[j] = X[0, j] * impulse[0] + X[1, j] * impulse[1] + X[2, j] * impulse[2]
     back_substitute(L, column)
+
+
+@kernel
+def apply_impulse(L: Array, X: Array, impulse: Array, column: Array, v: Array) -> None:
+    """Add H⁻¹Aᵀ P to q̇, the effect of an impulse P (3,), N s, on the tip; `column` (n,) is scratch."""
+    answer_impulse(L, X, impulse, column)
     for j in range(v.shape[0]):
         v[j] += column[j]

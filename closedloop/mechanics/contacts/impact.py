@@ -51,7 +51,7 @@ def apply_impulses(links: ContactLinks, c: Contacts, rest_speed: float) -> int:
         OK, or PAINLEVE if they were not found.
     """
     k, coming = links.k, 0
-    c.energy_lost, c.restitution_share = 0.0, 1.0
+    c.energy_lost, c.energy_rested, c.restitution_share = 0.0, 0.0, 1.0
     for i in range(3 * k):
         c.F[i], c.before[i], c.after[i] = 0.0, c.u[i], c.u[i]
     for i in range(k):
@@ -89,11 +89,11 @@ def apply_impulses(links: ContactLinks, c: Contacts, rest_speed: float) -> int:
 
 @kernel
 def let_stay(links: ContactLinks, c: Contacts, rest_speed: float) -> None:
-    """Take from contacts that others have made part, too slowly to leave, what they part with; write `energy_lost`.
+    """Take from contacts that others have made part, too slowly to leave, what they part with; write the energy lost.
 
     A body that rocks so slowly is at rest: what is left of its turning would decide how its feet slip.
     """
-    k, fastest = links.k, 0.0
+    k, fastest, struck = links.k, 0.0, -energy_gained(c, links.k)
     for i in range(k):
         stays = c.kind[i] != LINE and c.kind[i] != OFF and c.mode[i] != FREE
         if stays:
@@ -111,6 +111,7 @@ def let_stay(links: ContactLinks, c: Contacts, rest_speed: float) -> None:
             c.before[i] = c.start[i]
         write_after(c, k)
     c.energy_lost = -energy_gained(c, k)
+    c.energy_rested = c.energy_lost - struck
 
 
 @kernel

@@ -41,7 +41,9 @@ class ContactLinks(Block):
     loop: int  # and of the loop that they are for; 0: none
     undecided: int  # 1 until the modes after an event, or at the start, are found
     fresh: int  # 1 at the start
-    tired: int  # 1 after many events in a row: there is no restitution, and no contact sticks at its limit
+    tired: int  # 1 after many events in a row: there is no restitution, and no contact sticks at its limit; 2 after
+    # too many: their modes are not sought
+    stepped: int  # 1 while the forces are those of a time step, see `closedloop.mechanics.contacts.time_step`
     record_at: int  # where in a row of the record there is a `ContactRow`
 
 
@@ -90,6 +92,9 @@ class Contacts(Block, sizes=("n", "k")):
     outside: Annotated[Array, K]  # 1 if it would have had to hold with more than friction can
     turned: Annotated[Array, K]  # 1 if its slip has turned round
     energy_lost: float  # J, in an event
+    energy_rested: float  # what of it was taken so that contacts that part slowly rest
+    step_end: float  # of a time step, s
+    step_force: Annotated[Array, 3 * K]  # and its force, N
     restitution_share: float  # by which the restitution of an impact was lessened, so that it creates no energy
     margin: float  # of the event function
     rounding: float  # force below which there is none, N

@@ -159,5 +159,5 @@ def remove_motion(c: Contacts, k: int) -> int:
         c.before[i] = 0.0 if i % 3 == 0 and c.soft[i // 3] != 0.0 else c.u[i]
     stopping_impulses(c, k)
     write_after(c, k)
-    c.energy_lost = -energy_gained(c, k)
+    c.energy_lost = c.energy_rested = -energy_gained(c, k)
     return OK

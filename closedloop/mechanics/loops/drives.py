@@ -25,7 +25,7 @@ from closedloop.mechanics.loops.bind import loop_memory
 from closedloop.mechanics.loops.factor import factor
 from closedloop.mechanics.loops.memory import LoopLinks, LoopRows
 from closedloop.mechanics.loops.rows import locate_rows
-from closedloop.mechanics.loops.solve import dot, free_motion, meet_rows, orthonormal_rows, take_off
+from closedloop.mechanics.loops.solve import combine_rows, dot, free_motion, meet_rows, orthonormal_rows, take_off
 from closedloop.mechanics.robot.pinocchio import Robot
 
 Array = NDArray[np.float64]
@@ -80,11 +80,7 @@ def lose_power_of_undriven(links: LoopLinks, rows: LoopRows, torque: Array, rank
     n, count, a = links.n, links.n - links.rank, rows.drive_lengths
     for i in range(rank, count):
         W = row_of(rows.drive_basis, i)
-        for k in range(rank - 1, -1, -1):
-            a[k] = rows.drive_coefficients[i, k]
-            for m in range(k + 1, rank):
-                a[k] -= a[m] * rows.drive_coefficients[m, k]
-            a[k] /= rows.drive_coefficients[k, k]
+        combine_rows(row_of(rows.drive_coefficients, i), rows.drive_coefficients, rank, a)
         free_motion(links, rows, int(rows.drive_order[i]), W)
         for k in range(rank):
             free_motion(links, rows, int(rows.drive_order[k]), rows.share)

@@ -28,7 +28,8 @@ class LoopLinks(Block):
     m: int  # rows
     rank: int  # how many of the rows are independent
     ordered: int  # 1 once there is an order of elimination, see `closedloop.mechanics.loops.factor`
-    free: int  # 1 if the basis spans what the rows leave free, 0 if it spans the rows, see `closedloop.mechanics.loops.solve`
+    # 1 if the basis spans what the rows leave free, 0 if it spans the rows, see `closedloop.mechanics.loops.solve`
+    free: int
     spanned: int  # directions of the basis
     known: int  # how many were where the loops were closed last, 0: not known
     undriven: int  # joints without a drive
@@ -39,6 +40,7 @@ class LoopLinks(Block):
     tree_blocks: int
     tree_carrier: int
     tree_serial: int
+    tree_balls: int
     tree_links: int  # addresses
     tree_constants: int
     tree_constants_size: int
@@ -111,6 +113,7 @@ def tree_at(links: LoopLinks) -> Tree:
     return Tree(
         links.n, links.tree_blocks, 1, links.tree_carrier, links.tree_serial,
         integers_at(links.tree_links, 6 * links.n), vector_at(links.tree_constants, links.tree_constants_size),
+        links.tree_balls,
     )  # fmt: skip
 
 
@@ -170,7 +173,7 @@ def make_loop_memory(tree: Tree, bound: Bound) -> LoopMemory:
     links.bound, links.order = address_of(bound.sides), address_of(order)
     links.tree_blocks, links.tree_carrier, links.tree_serial = tree.blocks, tree.carrier, tree.serial
     links.tree_links, links.tree_constants = address_of(tree.links), address_of(tree.constants)
-    links.tree_constants_size = tree.constants.size
+    links.tree_constants_size, links.tree_balls = tree.constants.size, tree.balls
     links.scratch, links.scratch_size = address_of(scratch), scratch.size
     for name in ("at_a", "at_b", "along_a", "along_b", "value", "scale", "undriven"):
         getattr(rows, name)[:] = getattr(bound, name)

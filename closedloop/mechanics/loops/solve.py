@@ -229,15 +229,13 @@ def substitute_rows(L: Array, Z: Array, m: int) -> None:
 
 
 @kernel
-def spanned_force(t: Array, order: Array, coefficients: Array, basis: Array, rank: int, force: Array) -> None:
-    """Write forces (m,) of the rows Z with Zᵀ force = t (n,), zero of dependent rows; t counts along the basis."""
-    for i in range(force.shape[0]):
-        force[i] = 0.0
+def combine_rows(c: Array, coefficients: Array, rank: int, a: Array) -> None:
+    """Write a (rank,) with Σ aₖ (row k) = Σ cₖ (direction k) for the rows that the basis was made of."""
     for k in range(rank - 1, -1, -1):
-        s = dot(row_of(basis, k), t, t.shape[0])
+        s = c[k]
         for i in range(k + 1, rank):
-            s -= coefficients[i, k] * force[int(order[i])]
-        force[int(order[k])] = s / coefficients[k, k]
+            s -= coefficients[i, k] * a[i]
+        a[k] = s / coefficients[k, k]
 
 
 @kernel

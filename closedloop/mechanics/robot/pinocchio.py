@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable
 from functools import lru_cache
 from typing import Any, NamedTuple
@@ -14,7 +15,9 @@ from closedloop.base.errors import ModelError
 from closedloop.jit.interpreted import interpreted
 from closedloop.jit.kernel import plain
 from closedloop.mechanics.robot.tree import Tree, tree_kinematics, tree_of, tree_turning, work_size
+from closedloop.mechanics.robot.tree.model import last_velocity
 from robot_models import RobotModel
+from robot_models.coordinates import BALL, in_pinocchios_order, with_quaternions
 from robot_models.loop_joint import WORLD
 from robot_models.tool import carried_by
 
@@ -74,6 +77,7 @@ class Robot:
         self.tip = model.require_frame(name)
         self.joint_names = model.joint_names
         self.n = len(model.joint_names)
+        self.turns_freely = bool(model.balls)
         self._pin: Any = model.pinocchio_model()
         self._data: Any = self._pin.createData()
         self._frame: int = self._pin.getFrameId(self.tip)
@@ -84,7 +88,8 @@ class Robot:
         self.gravity: Array = np.array(self._pin.gravity.linear)
         self.support: Array = np.zeros(self.n)
         for joint in list(self._pin.supports[carrier])[1:]:
-            self.support[self._pin.joints[joint].idx_v] = 1.0
+            velocities = self._pin.joints[joint]
+            self.support[velocities.idx_v : velocities.idx_v + velocities.nv] = 1.0
         self.reach = self._reach()
         data = self._data
         # Views into Pinocchio's own memory: valid, and always current, as long as `_data` lives.
@@ -113,7 +118,7 @@ class Robot:
         Raises
         ------
         ModelError
-            If a joint is not revolute, continuous or prismatic: one that `robot_models` does not load.
+            If a joint is of another type than `closedloop.mechanics.robot.tree.layout` has: one that no file gives.
         """
         return _tree_of(self.model, self.tip)
 
@@ -125,24 +130,61 @@ class Robot:
     def evaluator(self, q: Array, v: Array) -> Callable[[], None]:
         """Return a function that evaluates H, C and the motion of the tip's link into `views`.
 
-        `q` and `v`, each (n,), are read at each call, and nothing is checked: this is the inner loop's call. The tip's
-        motion follows from `closedloop.mechanics.robot.tip`.
+        `q` and `v`, each (n,), as the loop has them (`robot_models.coordinates`), are read at each call, and nothing is
+        checked: this is the inner loop's call. The tip's motion follows from `closedloop.mechanics.robot.tip`.
         """
         crba, bias, convention, model, data = self.passes
+        q, turned = self.configuration(q)
 
         def evaluate() -> None:
+            if turned is not None:
+                turned()
             crba(model, data, q, convention)  # H, and the Jacobian of every joint
             bias(model, data, q, v)  # C: recursive Newton-Euler with q̈ = 0
 
         return evaluate
+
+    def configuration(self, q: Array) -> tuple[Array, Callable[[], None] | None]:
+        """Return the positions that Pinocchio is to read, and what writes them from q (n,) as the loop has it.
+
+        Where no joint turns freely they are q itself, and nothing need be written.
+        """
+        if not self.turns_freely:
+            return q, None
+        model = self.model
+        found = self.pinocchios(q)
+        balls = tuple((j, j + k) for k, j in enumerate(model.balls))
+        single = [j for j, kind in enumerate(model.joint_types) if kind != BALL]
+        places = [j + sum(ball < j for ball in model.balls) for j in single]
+
+        def write() -> None:
+            found[places] = q[single]
+            for j, at in balls:
+                x, y, z = q[j : j + 3].tolist()
+                half = 0.5 * math.sqrt(x * x + y * y + z * z)
+                share = 0.5 * math.sin(half) / half if half > 1e-8 else 0.5
+                found[at : at + 4] = share * x, share * y, share * z, math.cos(half)
+
+        return found, write
+
+    def pinocchios(self, q: Array) -> Array:
+        """Return positions as Pinocchio has them: q (..., nq), or (..., n) as the loop has them.
+
+        The two differ only where a joint turns freely, see `robot_models.coordinates`.
+        """
+        if not self.turns_freely:
+            return q
+        types = self.model.joint_types
+        return in_pinocchios_order(with_quaternions(q, types) if q.shape[-1] == self.n else q, types)
 
     def terms(self, q: ArrayLike, v: ArrayLike) -> Terms:
         """Return H, C, r, Jᵣ and J̇ᵣq̇ of one state, from Pinocchio's frame functions.
 
         Parameters
         ----------
-        q, v : (n,) arrays
-            Joint positions, rad (m), and velocities, rad/s (m/s).
+        q, v : (nq,) and (n,) arrays
+            Joint positions, rad (m), and velocities, rad/s (m/s), see `robot_models.coordinates`; q may also be (n,),
+            as the loop has it.
 
         Raises
         ------
@@ -151,7 +193,8 @@ class Robot:
         """
         q, v = self._checked(q, "q"), self._checked(v, "v")
         model, data, frame = self._pin, self._data, self._frame
-        self.evaluator(q, v)()
+        pin.crba(model, data, q, pin.Convention.WORLD)
+        pin.nonLinearEffects(model, data, q, v)
         H = np.where(self._upper, data.M, data.M.T) + 0.0  # only that half is filled; no zero has a sign
         bias = data.nle.copy()
         pin.forwardKinematics(model, data, q, v, self._rest)  # q̈ = 0 leaves the velocity-product accelerations
@@ -171,13 +214,14 @@ class Robot:
 
     def position_and_jacobian(self, q: Array) -> tuple[Array, Array]:
         """Return r (3,) and Jᵣ (3, n), base axes, at q (n,); nothing is checked."""
-        jacobian = pin.computeFrameJacobian(self._pin, self._data, q, self._frame, _ALIGNED).reshape(6, self.n)
+        jacobian = pin.computeFrameJacobian(self._pin, self._data, self.pinocchios(q), self._frame, _ALIGNED)
+        jacobian = jacobian.reshape(6, self.n)
         pin.updateFramePlacement(self._pin, self._data, self._frame)
         return self._data.oMf[self._frame].translation.copy(), jacobian[:3]
 
     def frame_jacobian(self, q: Array) -> Array:
         """Return the Jacobian of the tip's frame (6, n) at q (n,): Jᵣ above the angular velocity's, base axes."""
-        jacobian = pin.computeFrameJacobian(self._pin, self._data, q, self._frame, _ALIGNED)
+        jacobian = pin.computeFrameJacobian(self._pin, self._data, self.pinocchios(q), self._frame, _ALIGNED)
         return np.array(jacobian).reshape(6, self.n)
 
     def link_axes(self, q: Array) -> Array:
@@ -191,7 +235,7 @@ class Robot:
     def potential_energy(self, q: Array) -> Array:
         """Return the potential energy of each row of q (N, n), J."""
         model, data = self._pin, self._data
-        return np.array([pin.computePotentialEnergy(model, data, row) for row in np.ascontiguousarray(q)])
+        return np.array([pin.computePotentialEnergy(model, data, row) for row in self._rows(q)])
 
     def wrist_wrench(self, q: Array, v: Array, a: Array, tip_force: Array) -> Array:
         """Return what a force-torque sensor between the arm and its tool reads, (N, 6), N and N m.
@@ -214,7 +258,7 @@ class Robot:
         Y, offset = carried_by(self.model.tools, self.tip)
         back = pin.SE3(np.eye(3), offset)  # the tip in the sensor's frame
         found = np.empty((len(q), 6))
-        for k, (qk, vk, ak) in enumerate(zip(*map(np.ascontiguousarray, (q, v, a)), strict=True)):
+        for k, (qk, vk, ak) in enumerate(zip(self._rows(q), *map(np.ascontiguousarray, (v, a)), strict=True)):
             pin.forwardKinematics(model, data, qk, vk, ak)
             turn = pin.updateFramePlacement(model, data, frame).rotation.T
             motion = back.act(pin.getFrameVelocity(model, data, frame, pin.LOCAL))
@@ -225,11 +269,18 @@ class Robot:
         return found
 
     def frame_at(self, name: str, q: Array) -> tuple[int, Array, Array]:
-        """Return the joint that carries a frame, −1 for the base, and at q its axes, as columns, and its origin, m."""
+        """Return the velocity that carries a frame, −1 for the base, and at q its axes, as columns, and its origin, m.
+
+        Of a joint with several velocities it is the last.
+        """
         number = 0 if name == WORLD else self._pin.getFrameId(self.model.require_frame(name))
-        pin.framesForwardKinematics(self._pin, self._data, q)
+        pin.framesForwardKinematics(self._pin, self._data, self.pinocchios(q))
         place = self._data.oMf[number]
-        return self._pin.frames[number].parentJoint - 1, np.array(place.rotation), np.array(place.translation)
+        return (
+            last_velocity(self._pin, self._pin.frames[number].parentJoint),
+            np.array(place.rotation),
+            np.array(place.translation),
+        )
 
     def frame_poses(self, name: str, q: Array) -> tuple[Array, Array]:
         """Return the axes of a frame, as columns, and its origin, m, base frame, at each row of q (N, n).
@@ -238,7 +289,7 @@ class Robot:
         """
         number = 0 if name == WORLD else self._pin.getFrameId(self.model.require_frame(name))
         axes, origins = np.empty((len(q), 3, 3)), np.empty((len(q), 3))
-        for k, row in enumerate(np.ascontiguousarray(q)):
+        for k, row in enumerate(self._rows(q)):
             pin.forwardKinematics(self._pin, self._data, row)
             place = pin.updateFramePlacement(self._pin, self._data, number)
             axes[k], origins[k] = place.rotation, place.translation
@@ -254,13 +305,19 @@ class Robot:
     def tip_axes(self, q: Array) -> Array:
         """Return the axes of the tip's frame at each row of q (N, n): columns, base frame, (N, 3, 3)."""
         found = np.empty((len(q), 3, 3))
-        for k, row in enumerate(np.ascontiguousarray(q)):
+        for k, row in enumerate(self._rows(q)):
             pin.forwardKinematics(self._pin, self._data, row)
             found[k] = pin.updateFramePlacement(self._pin, self._data, self._frame).rotation
         return found
 
+    def _rows(self, q: Array) -> Array:
+        return np.ascontiguousarray(self.pinocchios(q))
+
     def _checked(self, x: ArrayLike, name: str) -> Array:
         array = np.ascontiguousarray(x, dtype=np.float64)
+        names = self.model.coordinate_names
+        if name == "q" and self.turns_freely and array.shape in ((self.n,), (len(names),)) and np.isfinite(array).all():
+            return self.pinocchios(array)
         if array.shape != (self.n,):
             raise ValueError(
                 f"{name} has shape {array.shape}: {self.model.name} has {self.n} joints {list(self.joint_names)}"

@@ -30,7 +30,9 @@ _NAME = re.compile(r"[A-Za-z][A-Za-z0-9_]{0,59}")
 # The integral of the force error is a state of nearly every law, and zero without its gain.
 _USUAL = "force_error"
 # Names of a file's dimensions and labels, which no column may have.
-RESERVED = frozenset({"joint", "joint_type", "axis", "event", "contact", "contact_tangent", "component", "kind"})
+RESERVED = frozenset(
+    {"joint", "coordinate", "joint_type", "axis", "event", "contact", "contact_tangent", "component", "kind"}
+)
 
 
 def state_columns(scenario: Scenario, n: int) -> dict[str, tuple[Column, int | slice]]:

@@ -24,6 +24,7 @@ from closedloop.mechanics.surface.plane import unit
 from closedloop.record.columns.record import Record
 from closedloop.record.columns.touching import contact_torques
 from closedloop.scenario.arm import has_stops, robot_of, stop_limits, without_tools
+from robot_models.coordinates import with_rotation_vectors
 
 Array = NDArray[np.float64]
 
@@ -41,6 +42,11 @@ class DerivedColumn(NamedTuple):
     units: str
     meaning: str
     of: Callable[[Record], Array]
+
+
+def loop_positions(run: Record) -> Array:
+    """Return the joint positions as the loop has them, (N, n), rad (m): a rotation vector for each quaternion."""
+    return with_rotation_vectors(run.q, run.model.joint_types)
 
 
 def tip_force(run: Record) -> Array:
@@ -64,9 +70,10 @@ def _drive(run: Record) -> Array:
 def _of_contacts(run: Record, robot: Robot) -> Array:
     """Return the torques of the contacts of links in each row, (N, n), N m (N)."""
     if not run.scenario.contact:
-        return np.zeros(run.q.shape)
+        return np.zeros(run.v.shape)
     model = robot.model.pinocchio_model()
-    return contact_torques(run.scenario, model, run.time, run.q, run.link_forces, run.link_frictions)
+    q = robot.pinocchios(run.q)
+    return contact_torques(run.scenario, model, run.time, q, run.link_forces, run.link_frictions)
 
 
 def wrist_wrench(run: Record) -> Array:
@@ -94,7 +101,7 @@ def orientation_error(run: Record) -> Array:
 def stop_torque(run: Record) -> Array:
     """Return what the stops of the joints give in each row, (N, n), N m (N); zero of a joint that is at none."""
     if not has_stops(run.scenario, run.model):
-        return np.zeros(run.q.shape)
+        return np.zeros(run.v.shape)
     robot = robot_of(run.scenario, without_tools(run.model))
     known = _drive(run) + run.joint_friction + _of_contacts(run, robot)
     found = missing_torque(robot, run.q, run.v, run.acceleration, known, tip_force(run))
@@ -109,7 +116,8 @@ def at_stop(run: Record) -> NDArray[np.bool_]:
     """Return which joints are at a stop in each row, (N, n); all False where there are no stops."""
     lower, upper = stop_limits(run.scenario, run.model)
     near = AT_CONTACT if run.scenario.contact else AT_STOP
-    found: NDArray[np.bool_] = (run.q >= upper - near) | (run.q <= lower + near)
+    q = loop_positions(run)
+    found: NDArray[np.bool_] = (q >= upper - near) | (q <= lower + near)
     return found
 
 

@@ -21,7 +21,7 @@ class Event(NamedTuple):
     time : float
         Instant, s.
     kind : str
-        "impact", "touchdown", "liftoff", "stick", "slip", "reversal", "edge", "stop" or "release".
+        "impact", "touchdown", "liftoff", "stick", "slip", "reversal", "edge", "stop", "release" or "time_step".
     rate_before, rate_after : float
         Rate of the closure error just before and just after it, m/s.
     rate_cut : float
@@ -32,6 +32,8 @@ class Event(NamedTuple):
         Impulse on the tip along the surface, N s, base frame.
     energy_lost : float
         Kinetic energy lost, J; at an edge that of the spring of a soft surface.
+    energy_rested : float
+        Part of it that was taken so that what parts too slowly rests, J.
     position : (3,) array
         Where the tip is, m, base frame.
     slip_before, slip_after : float
@@ -53,6 +55,7 @@ class Event(NamedTuple):
     decompression: float
     tangential: Array
     energy_lost: float
+    energy_rested: float
     position: Array
     slip_before: float
     slip_after: float

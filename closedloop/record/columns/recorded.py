@@ -92,6 +92,7 @@ SURFACE_COLUMNS = (
 COLUMNS: dict[str, Column] = _BY_TIME | {name: Column(*spec) for name, spec in EVENT_COLUMNS.items()}
 ALL_COLUMNS = COLUMNS | SOMETIMES
 _NOT_ALWAYS = {*SURFACE_COLUMNS, *SOMETIMES}
+POSITIONS = ("q", "reference_position")
 
 
 def in_order(columns: Iterable[str]) -> list[str]:
@@ -100,7 +101,13 @@ def in_order(columns: Iterable[str]) -> list[str]:
     return [*(name for name in ALL_COLUMNS if name in there), *sorted(there - set(ALL_COLUMNS))]
 
 
-def columns_there(columns: Iterable[str]) -> dict[str, Column]:
-    """Return `COLUMNS`, but of `SURFACE_COLUMNS` and `SOMETIMES` only those that are among the columns of a run."""
+def columns_there(columns: Iterable[str], turns_freely: bool = False) -> dict[str, Column]:
+    """Return `COLUMNS`, but of `SURFACE_COLUMNS` and `SOMETIMES` only those that are among the columns of a run.
+
+    A robot that turns freely has other positions than velocities, see `robot_models.coordinates`.
+    """
     there = set(columns)
-    return {name: spec for name, spec in ALL_COLUMNS.items() if name in there or name not in _NOT_ALWAYS}
+    found = {name: spec for name, spec in ALL_COLUMNS.items() if name in there or name not in _NOT_ALWAYS}
+    if turns_freely:
+        found |= {name: found[name]._replace(dims=("time", "coordinate")) for name in POSITIONS}
+    return found

@@ -75,14 +75,14 @@ def contact_torques(
     mechanism : pinocchio.Model
     times : (N,) array
         s.
-    q : (N, n) array
-        rad (m).
+    q : (N, nq) array
+        rad (m), as Pinocchio has them.
     forces, frictions : (N, k) and (N, 2 k) arrays
         Along the normals and the tangents, N, on the links that have the points.
     """
     import pinocchio as pin
 
-    torques, contacts, data = np.zeros(q.shape), contacts_of(scenario, mechanism), mechanism.createData()
+    torques, contacts, data = np.zeros((len(q), mechanism.nv)), contacts_of(scenario, mechanism), mechanism.createData()
     for k, posture in enumerate(np.ascontiguousarray(q) if contacts else ()):
         pin.computeJointJacobians(mechanism, data, posture)
         axes = np.array([place.rotation for place in data.oMi])

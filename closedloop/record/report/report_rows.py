@@ -44,6 +44,7 @@ def report_rows(run: Record) -> list[Row]:
         ),
         ("f, lowest and highest", f"{np.min(force):.4g} … {np.max(force):.4g}", "N", where),
         *_undetermined_rows(facts),
+        *_direction_rows(facts),
         ("force error, RMS", _shown(facts["rms_force_error"], ".2g"), "N", "while it touches"),
         *path,
         ("the stabiliser's part of f", _shown(facts["max_stabiliser_force"], ".2g"), "N", absent),
@@ -88,6 +89,15 @@ def _undetermined_rows(facts: dict[str, Any]) -> list[Row]:
     if at is None:
         return []
     return [("f not determined by rigid bodies", f"from {at:.4g}", "s", "at rest; that of least friction is given")]
+
+
+def _direction_rows(facts: dict[str, Any]) -> list[Row]:
+    """Return by how much friction points away from the slip, where the step does not resolve how the slip turns."""
+    off = facts["friction_off_slip"]
+    if off is None:
+        return []
+    what = f"at {off['at']:.4g} s; of slip slower than {off['below_speed']:.2g} m/s, which turns within a step"
+    return [("friction off the slip, at most", f"{off['max_angle']:.2g}", "deg", what)]
 
 
 def _undriven_rows(run: Record, facts: dict[str, Any]) -> list[Row]:
@@ -166,7 +176,9 @@ def _shown(value: float | None, form: str) -> str:
 
 def _contact_rows(run: Record, facts: dict[str, Any]) -> list[Row]:
     """Return what a run in which contact changes has to say beside the rest."""
-    counts = ", ".join(f"{count} {kind}{'s' * (count > 1)}" for kind, count in facts["events"].items() if count)
+    counts = ", ".join(
+        f"{count} {kind.replace('_', ' ')}{'s' * (count > 1)}" for kind, count in facts["events"].items() if count
+    )
     rows = [("events", str(len(run.events)), "", counts)] if run.events else []
     if facts["max_friction_force"] or facts["max_joint_friction"]:
         rows.append(("energy lost to friction", _shown(facts["energy_lost_to_friction"], ".3g"), "J", ""))
@@ -180,5 +192,7 @@ def _contact_rows(run: Record, facts: dict[str, Any]) -> list[Row]:
         ]
     if facts["events"]["impact"] or facts["events"]["touchdown"]:
         what = f"bounce cut: {cut:.2g} m/s" if cut > 0.0 else "no bounce was cut"
+        if rested := facts["energy_taken_at_rest"]:
+            what += f", {rested:.2g} J taken to rest"
         rows.append(("energy lost in impacts", _shown(facts["energy_lost_in_impacts"], ".3g"), "J", what))
     return rows

@@ -18,12 +18,14 @@ from numpy.typing import NDArray
 from closedloop.jit.interpreted import interpreted
 from closedloop.loop.step.record_row import RECORDED
 from closedloop.record.columns.record import Record
+from closedloop.record.columns.recorded import POSITIONS
 from closedloop.record.report.alternation import SPAN, alternation
 from closedloop.record.report.limited import count_limited
 from closedloop.record.report.measured import Tally, Values, begin_tally, share_inside, write_values
 from closedloop.record.report.row_sample import JointLimits, Sample, Scale, joint_limits, sample_row
-from closedloop.record.report.step_error import write_swings
+from closedloop.record.report.step_error import resolution_of, write_swings
 from closedloop.record.report.step_variation import Swings
+from robot_models.coordinates import with_rotation_vectors
 
 Array = NDArray[np.float64]
 
@@ -36,7 +38,12 @@ _COLUMNS = tuple(name for name in RECORDED if name not in ("acceleration", "meas
 
 def columns_of(run: Record, rows: slice = slice(None)) -> Any:
     """Return these rows of a run as `sample_row` reads them: columns (N,) and (k, N) by their names."""
-    return SimpleNamespace(**{name: getattr(run, name)[rows].T for name in _COLUMNS})
+    found = {name: getattr(run, name)[rows].T for name in _COLUMNS}
+    if run.model.balls:
+        found |= {
+            name: with_rotation_vectors(found[name].T, run.model.joint_types).T for name in POSITIONS if name in found
+        }
+    return SimpleNamespace(**found)
 
 
 @np.errstate(all="ignore")  # what overflows is named in the summary
@@ -44,7 +51,8 @@ def run_values(run: Record) -> Any:
     """Return the values of a run of at least one row, see `closedloop.record.report.measured.Values`."""
     n, count, h = run.model.n, len(run), run.scenario.time.step
     tally, values = Tally(np.zeros(Tally.count(n)), n), Values(np.zeros(Values.count(n)), n)
-    interpreted(begin_tally)(tally, n, h, float(np.max(np.abs(run.reference_force))))
+    order = resolution_of(run.scenario)[1]
+    interpreted(begin_tally)(tally, n, h, float(np.max(np.abs(run.reference_force))), order)
     Scale(tally.scale).start_energy = run.kinetic_energy[0] + run.potential_energy[0]
     Scale(tally.scale).start_supplied = run.energy_supplied[0]
     memory, signals = np.empty((Sample.count(n), min(ROWS, count))), np.empty((1 + n, 0))
@@ -64,6 +72,7 @@ def run_values(run: Record) -> Any:
     if "torque_limited" in run.columns:
         count_limited(run.torque_limited, h, values)
     values.energy_lost_in_impacts = np.sum(run.event_energy_lost)
+    values.energy_taken_at_rest = np.nansum(run.event_energy_rested)  # NaN in files from before there was the column
     values.largest_rate_cut = np.max(run.event_rate_cut, initial=0.0)
     values.events[:] = np.bincount(run.event_kind, minlength=values.events.size + 1)[1:]
     return values

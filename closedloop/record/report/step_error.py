@@ -1,4 +1,4 @@
-"""By how much the contact force and the tip's position of a run with a scheme of order one miss those of short steps.
+"""By how much the contact force and the tip's position of a run miss those of a run at a much shorter step.
 
 A decaying motion a e^λt is off by ½ (hλ)² a e^λt a step of order one, which is half of what its second difference from
 row to row is. What earlier steps left decays as the motion does, so the error of a row is at most the sum of what the
@@ -6,6 +6,15 @@ steps before it added: half of the total variation of the first difference. It i
 and of the tip's distance from its reference, so that what the path itself does is no error, and anew in each mode of
 contact. Where a path, a force or a law jumps at a row, the difference is an isolated one, and exact: each difference
 counts with no more than the larger of its neighbours. Of a torque that is held for k steps every k-th row counts.
+
+A scheme of order p adds (hλ)ᵖ⁻¹ of that where the signal is smooth. Where it has a kink, as after a jump of the path,
+in friction or at a sample of a sensor, the order is lost, and how smooth it is the rows themselves say
+(`closedloop.record.report.step_variation.local_error`). A law that is sampled, or reads encoders, makes every scheme
+one of order one.
+
+To this three things are added that variations do not show. Events move by up to a step, and the force with them, by
+its steepest change from row to row. In steady motion a run lags by a share of a step behind: the tip by as much of its
+way, and the force, which depends on the pose, by about itself for each radian. And rounding.
 
 It is an estimate, not a bound that is proved: `tests/closedloop/test_step_error.py` compares it with runs at short
 steps. It is about rows apart from those where contact begins, ends, sticks or slips: there the force jumps, at an
@@ -24,9 +33,8 @@ from closedloop.jit.interpreted import interpreted
 from closedloop.mechanics.closure.contact_force import FREE
 from closedloop.mechanics.integrators import ADAPTIVE, scheme_of
 from closedloop.record.columns.record import Record
-from closedloop.record.report.step_variation import SPAN, Swing, Swings, cut_slope
+from closedloop.record.report.step_variation import SPAN, Swing, Swings, cut_slope, local_error
 from closedloop.scenario.scenario import Scenario
-from robot_models import RobotModel
 
 Array = NDArray[np.float64]
 
@@ -35,68 +43,78 @@ def write_swings(run: Record, swings: Swings) -> None:
     """Write what the rows of a run, at least one, come to, see `closedloop.record.report.step_variation`."""
     miss = np.where(run.mode != FREE, run.contact_force - run.reference_force, 0.0)
     signals = np.column_stack([miss, run.position - run.reference_tip])
-    held, total = held_for(run.scenario), np.zeros(signals.shape[1])
-    for begin, end in pairwise([0, *(np.flatnonzero(np.diff(run.mode)) + 1), len(run)]):
-        total += variation(signals[-(-begin // held) * held : end : held]) / held
+    (held, order), total = resolution_of(run.scenario), np.zeros(signals.shape[1])
+    ends = [0, *(np.flatnonzero(np.diff(run.mode)) + 1), len(run)]
+    swings.stretches, swings.steepest = len(ends) - 1, 0.0
+    for begin, end in pairwise(ends):
+        stretch = signals[-(-begin // held) * held : end : held]
+        total += variation(stretch, order) / held
+        swings.steepest = max(swings.steepest, np.max(np.abs(cut_slopes(stretch[:, :1])), initial=0.0) / held)
     for k, error in enumerate(total):
         swing = Swing(swings.each[k])
         swing.error, swing.lowest, swing.highest = error, np.min(signals[:, k]), np.max(signals[:, k])
 
 
-def held_for(scenario: Scenario) -> int:
-    """Return for how many steps the law's torque is held, at least 1."""
-    period = scenario.law.sample_period
-    return max(1, round(period / scenario.time.step)) if period else 1
+def resolution_of(scenario: Scenario) -> tuple[int, int]:
+    """Return for how many steps the law's torque is held, at least 1, and the order that the law leaves the scheme."""
+    period, scheme = scenario.law.sample_period, scheme_of(scenario.time.integrator)
+    held = max(1, round(period / scenario.time.step)) if period else 1
+    return held, 1 if scheme is None or period or scenario.reads_encoders else scheme.order
 
 
-def variation(signals: Array) -> Array:
-    """Return half of the total variation of the first difference of each column (N, k), isolated jumps left out, (k,).
+def cut_slopes(signals: Array) -> Array:
+    """Return the differences of the columns of (N, k) from row to row, isolated ones cut, (N - 1, k)."""
+    steps = np.diff(signals, axis=0)
+    none = np.zeros((1, signals.shape[1]))
+    cut: Array = interpreted(cut_slope)(np.vstack([none, steps[:-1]]), steps, np.vstack([steps[1:], none]))
+    return cut
+
+
+def variation(signals: Array, order: int = 1) -> Array:
+    """Return what the steps of a scheme of this order add to the errors of each column (N, k), summed, (k,).
 
     Of fewer than four rows it is half of their range: nothing is known of what they resolve.
     """
     if signals.shape[0] < SPAN:
         return 0.5 * np.ptp(signals, axis=0) if signals.shape[0] else np.zeros(signals.shape[1])
-    steps = np.diff(signals, axis=0)
     none = np.zeros((1, signals.shape[1]))
-    cut = interpreted(cut_slope)(np.vstack([none, steps[:-1]]), steps, np.vstack([steps[1:], none]))
-    half: Array = 0.5 * np.sum(np.abs(np.diff(cut, axis=0)), axis=0)
-    return half
+    turns = np.vstack([none, np.diff(cut_slopes(signals), axis=0), none])
+    errors: Array = np.sum(interpreted(local_error)(turns[:-2], turns[1:-1], turns[2:], order), axis=0)
+    return errors
 
 
-def why_not_known(scenario: Scenario, model: RobotModel) -> str:
-    """Return why the error of the step is not estimated, "" where it is."""
+def why_not_known(scenario: Scenario, singular: bool) -> str:
+    """Return why the error of the step in f is not estimated, "" where it is; `singular`: near such a pose."""
     name = scenario.time.integrator
     if name in ADAPTIVE:
         return f"{name} chooses its steps: its error is set by time.tolerance"
-    scheme = scheme_of(name)
-    if scheme is None or scheme.order != 1:
-        return f"not estimated with {name}, of order two and more; measured with --halve"
-    return "not estimated for mechanisms with loops; measured with --halve" if model.loops else ""
+    if scheme_of(name) is None:
+        return f"the order of {name}, a user's, is not in a file"
+    return "near a singular pose f hangs on where in it the rows are" if singular else ""
 
 
 def step_error(run: Record, values: dict[str, Any]) -> dict[str, Any]:
     """Return the part ``step_error`` of the summary, of its values.
 
     ``contact_force``, N, and ``position``, m; ``measured``: whether they are the difference of the run at half the
-    step, see `closedloop.record.report.halved`, and no estimate; ``why_not``: why they are None, or None.
+    step, see `closedloop.report.halved`, and no estimate; ``why_not``: why one is None, or None.
     """
+    force, position = (
+        value if value is not None and np.isfinite(value) else None
+        for value in (values["step_error_force"], values["step_error_position"])
+    )
     why = None
     if values["step_error_force"] is None:
-        why = why_not_known(run.scenario, run.model) if len(run) else "no row could be computed"
-    return {
-        "contact_force": values["step_error_force"],
-        "position": values["step_error_position"],
-        "measured": run.halved is not None,
-        "why_not": why,
-    }
+        why = why_not_known(run.scenario, True) if len(run) else "no row could be computed"
+    elif force is None or position is None:
+        why = "it is no finite number"
+    return {"contact_force": force, "position": position, "measured": run.halved is not None, "why_not": why}
 
 
 def step_rows(found: dict[str, Any]) -> list[tuple[str, str, str, str]]:
     """Return the rows of the table of errors, see `closedloop.record.report.report_rows`."""
-    if found["contact_force"] is None or found["position"] is None:
-        return [("error of the step", "not known", "", f"{found['why_not'] or 'no finite number'}")]
     beside = "measured, of the run at half the step" if found["measured"] else "estimate, of a run at a shorter step"
-    return [
-        ("f is within", f"±{found['contact_force']:.2g}", "N", beside),
-        ("tip is within", f"±{found['position']:.2g}", "m", beside),
-    ]
+    said = [("f is within", found["contact_force"], "N"), ("tip is within", found["position"], "m")]
+    known = [(label, f"±{error:.2g}", unit, beside) for label, error, unit in said if error is not None]
+    missing = [("error of the step", "not known", "", found["why_not"])]
+    return known if len(known) == len(said) else missing + known

@@ -16,8 +16,10 @@ from closedloop.record.columns.record import Record
 from closedloop.record.report.assumptions import assumptions
 from closedloop.record.report.control_signals import limited_joints, run_signals
 from closedloop.record.report.control_verdict import judge_control
+from closedloop.record.report.friction_direction import friction_off_slip
 from closedloop.record.report.halved import measured_step_error
 from closedloop.record.report.measures import JOINT_MEASURES, MEASURES, absent_measures
+from closedloop.record.report.row_assumptions import NAMES
 from closedloop.record.report.row_sample import Scale, energy_left, torque_power
 from closedloop.record.report.run_values import columns_of, run_values
 from closedloop.record.report.step_error import step_error, why_not_known
@@ -57,6 +59,7 @@ def summarise(run: Record) -> dict[str, Any]:
         "wrist": _wrist(run),
         "tool": _tool(run),
         "force_not_determined_from": not_determined_from(run),
+        "friction_off_slip": friction_off_slip(run),
         "motions_without_drive": motions_without_drive(run),
         "events": {kind: sum(event.kind == kind for event in run.events) for kind in KINDS.values()},
         "assumptions": held,
@@ -160,8 +163,10 @@ def _measures(run: Record, values: Any) -> dict[str, float | None]:
         found["force_settled_at"] = None
     if run.halved is not None:
         found |= measured_step_error(run.halved)
-    elif why_not_known(run.scenario, run.model):
+    elif why_not_known(run.scenario, singular=False):
         found["step_error_force"] = found["step_error_position"] = None
+    elif not np.isnan(values.failed_at[NAMES.index("nonsingular")]):
+        found["step_error_force"] = None
     return found | dict.fromkeys(absent_measures(run.scenario, run.law != "scenario"))
 
 

@@ -46,8 +46,8 @@ def verdict_of(
     return names_of(judge(facts, lambda: gains_fault(scenario, robot)))
 
 
-def forget_absent(scenario: Scenario, robot: Robot, values: Array, own_law: bool = False) -> None:
+def forget_absent(scenario: Scenario, values: Array, own_law: bool = False) -> None:
     """Write NaN for the measures that do not exist, and for the errors of the step where they are not known."""
-    unknown = ("step_error_force", "step_error_position") if why_not_known(scenario, robot.model) else ()
+    unknown = ("step_error_force", "step_error_position") if why_not_known(scenario, singular=False) else ()
     for name in (*unknown, *absent_measures(scenario, own_law)):
         values[_AT[name]] = math.nan

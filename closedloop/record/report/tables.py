@@ -73,7 +73,7 @@ def notes(run: Record) -> list[str]:
     load = float(np.max(np.abs(run.contact_force)))
     faults = (
         ("friction", _energy_fault(run.scenario.friction, load)),
-        ("joint_friction", _energy_fault(run.scenario.joint_friction, 1.0, run.q.shape[1])),
+        ("joint_friction", _energy_fault(run.scenario.joint_friction, 1.0, run.v.shape[1])),
         ("gains", run_gains_fault(run)),
     )
     told = {problem["name"] for problem in run.summary()["verdict"]["problems"]}

@@ -93,7 +93,7 @@ def schema(types: Mapping[str, pa.DataType], keep: Sequence[str] = ()) -> pa.Sch
             "verdict",
             text,
             "",
-            "good, or what is wrong with what ran, see closedloop.record.report.verdict; empty if it was refused or failed",
+            "good, or what is wrong with what ran, see closedloop.record.report.verdict; empty if refused or failed",
         ),
         field(
             "control_verdict",

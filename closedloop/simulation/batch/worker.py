@@ -33,6 +33,7 @@ from closedloop.record.report.limited import count_limited
 from closedloop.record.report.measured import FAILED_AT, WIDTH, Tally, Values, measure_rows
 from closedloop.record.report.row_assumptions import NAMES
 from closedloop.record.report.row_sample import joint_limits
+from closedloop.record.report.step_error import resolution_of
 from closedloop.record.report.tabled import forget_absent, verdict_of
 from closedloop.scenario.modes import unresolved
 from closedloop.scenario.scenario import Scenario
@@ -217,7 +218,7 @@ class Worker:
         rows = lane_runs.rows(lane)
         columns = {name: recorded(rows, lane_runs.n, name) for name in self._keep}
         steps, values = lane_runs.kind.steps, lane_runs.values(lane)
-        forget_absent(scenario, lane_runs.kind.robot, values)
+        forget_absent(scenario, values)
         verdict = verdict_of(scenario, lane_runs.kind.robot, values, steps)
         control = control_in_lanes(lane_runs, lane, scenario)
         return Outcome(RAN, None, steps + 1, values, lane_runs.end, columns, verdict, control)
@@ -231,12 +232,12 @@ class Worker:
         if len(rows) > 0:
             make_ready(measure_rows)
             robot, work = tree
-            wanted = problem.table, problem.nodes, max(1, problem.hold)
+            wanted = problem.table, problem.nodes, *resolution_of(problem.scenario)
             measure_rows(
                 robot, (work, np.empty(Tally.count(n))), rows, wanted, problem.h,
                 joint_limits(problem.robot.model), events, values,
             )  # fmt: skip
-            forget_absent(problem.scenario, problem.robot, values, self.law is not None)
+            forget_absent(problem.scenario, values, self.law is not None)
             if problem.scenario.drives != DrivesSection():
                 count_limited(recorded(rows, n, "torque_limited"), problem.h, Values(values, n))
         columns = {

@@ -62,7 +62,7 @@ def rows_of(sections: tuple[ContactSection, ...], robot: Robot) -> LoopMemory:
 
     They say where the point is, in axes fixed to the link that has the surface.
     """
-    poses = link_poses(robot.tree, robot.model.home)
+    poses = link_poses(robot.tree, robot.model.loop_home)
     sides: list[tuple[int, int]] = []
     at_a, at_b, along = [], [], []
     for section, name in zip(sections, names_of(sections), strict=True):

@@ -86,6 +86,8 @@ class Sizes(NamedTuple):
         Rows of the record in memory: all, or `BATCH`, which are then overwritten in turn.
     width : int
         Length of such a row.
+    order : int
+        Of the scheme, see `closedloop.record.report.step_error.resolution_of`.
     """
 
     nodes: int
@@ -93,6 +95,7 @@ class Sizes(NamedTuple):
     columns: int
     kept: int
     width: int
+    order: int
 
 
 @entry_kernel
@@ -144,7 +147,7 @@ def run_in_lanes(
     joint_limits, wanted = JointLimits(limits, n), Reference(w.reference, n)
     signals = float64x8_at(at.signals, (steps + 1) * SIGNALS).reshape(steps + 1, SIGNALS)
     worst = Worst(float64x8_at(at.worst, 0))
-    begin_tally(tally, n, h, largest)
+    begin_tally(tally, n, h, largest, sizes.order)
     w.supplied = 0.0
     for row in range(steps + 1):
         begin, slot = row * h, row % kept
@@ -166,7 +169,7 @@ def run_in_lanes(
                 potential = energy_there(tree, scratch)
                 write_signals(w, wanted, signals, row, worst)
                 count_row(Row(rows[slot], n), n, potential, wanted, joint_limits, row, tally)
-                count_swings(Row(rows[slot], n), wanted, row, max(1, hold), Swings(tally.swings))
+                count_swings(Row(rows[slot], n), wanted, row, max(1, hold), sizes.order, Swings(tally.swings))
                 if row == steps:
                     record_conditions(w.batch, rows, state, slot + 1, n)
                 if state.batched == 0:
@@ -180,7 +183,7 @@ def run_in_lanes(
                 add_stage_work(w, state, stage, h, tableau[stages, stage])
                 advance(stage, h, semi_implicit, False, tableau, w)
         commit_work(w)
-    end_stretch(max(1, hold), Swings(tally.swings))
+    end_stretch(max(1, hold), sizes.order, Swings(tally.swings))
     write_values(Row(rows[steps % kept], n), n, steps + 1, tally, values)
     return OK
 

@@ -46,6 +46,7 @@ def write_constants(problem: ScenarioNumbers, constants: Constants) -> None:
     wrong = problem.scenario.model_error
     constants.believed_masses, constants.unknown_payload = wrong.masses, wrong.payload
     constants.armature[:], constants.driven[:] = robot.model.rigid_armature, robot.model.driven
+    constants.turns[list(robot.model.balls)] = 1.0
     constants.stiffness[:], constants.shaft_damping[:], constants.motor_inertia[:] = problem.transmission
     constants.tilt[:], constants.encoder[:] = np.eye(3) if wrong.normal == 0.0 else wrong.tilt(), problem.encoder
     constants.torque_limit[:], constants.torque_change[:] = problem.drives
@@ -75,6 +76,7 @@ def write_state(problem: ScenarioNumbers, state: State) -> None:
     transmission = problem.scenario.transmission
     state.elastic = MOTORS_MEASURED if transmission.on_motors else int(transmission.elastic)
     state.encoder = reading_kind(problem.scenario)
+    state.balls = len(problem.robot.model.balls)
     state.drives = problem.scenario.drives != DrivesSection()
     state.arm_at = Row.count(problem.robot.n) if arm_columns(problem.scenario) else 0
     states = problem.row_states if state.law_states > 0 else 0  # a user's function in place of the law has none

@@ -21,6 +21,9 @@ PER_RIGHT_ANGLE = 2.0 / math.pi
 # x + ROUND − ROUND is x rounded to a whole number: no bits are left for a fraction.
 ROUND = 1.5 * 2.0**52
 
+# Below this angle sin(x)/x is 1 - x²/6 to rounding.
+SMALL = 1e-4
+
 S1, S2, S3 = -1.66666666666666324348e-01, 8.33333333332248946124e-03, -1.98412698298579493134e-04
 S4, S5, S6 = 2.75573137070700676789e-06, -2.50507602534068634195e-08, 1.58969099521155010221e-10
 C1, C2, C3 = 4.16666666666666019037e-02, -1.38888888888741095749e-03, 2.48015872894767294178e-05
@@ -36,6 +39,8 @@ def sines(tree: Tree, q: Array, work: Array) -> None:
         if not every(abs(x) <= MANY_TURNS) and links[at.REVOLUTE * n + i] != 0:
             x = nearest(x)
         w[(links[at.SCRATCH * n + i] & at.INDEX) + at.POSITION] = x
+    if tree.balls != 0:
+        half_angles(tree, q, work)
     for block in range(tree.blocks):
         c = (at.HEAD + block * at.CONSTANTS) & at.INDEX
         s = (block * at.SCRATCHES) & at.INDEX
@@ -63,3 +68,31 @@ def sines(tree: Tree, q: Array, work: Array) -> None:
             w[s + at.SINE + lane] = select(quarter >= 2.0, -a, a)
             w[s + at.COSINE + lane] = select((quarter == 1.0) | (quarter == 2.0), -b, b)
             w[s + at.SLIDE + lane] = position - turn
+    if tree.balls != 0:
+        quaternions(tree, q, work)
+
+
+@kernel_inlined
+def half_angles(tree: Tree, q: Array, work: Array) -> None:
+    """Write half the length of each ball joint's rotation vector as the first of its angles, and 0 as the others."""
+    n, links, w = tree.n, tree.links, work
+    for i in range(n - 2):
+        if links[at.REVOLUTE * n + i] == at.BALL:
+            square = q[i] * q[i] + q[i + 1] * q[i + 1] + q[i + 2] * q[i + 2]
+            w[(links[at.SCRATCH * n + i] & at.INDEX) + at.POSITION] = 0.5 * math.sqrt(square)
+            for k in range(1, 3):
+                w[(links[at.SCRATCH * n + i + k] & at.INDEX) + at.POSITION] = 0.0 * square
+
+
+@kernel_inlined
+def quaternions(tree: Tree, q: Array, work: Array) -> None:
+    """Write the vector part of each ball joint's quaternion, θ sin(|θ|/2)/|θ|; its scalar part is the first cosine."""
+    n, links, w = tree.n, tree.links, work
+    for i in range(n - 2):
+        if links[at.REVOLUTE * n + i] == at.BALL:
+            s = links[at.SCRATCH * n + i] & at.INDEX
+            half, sine = w[s + at.POSITION], w[s + at.SINE]
+            turns = half > SMALL
+            share = 0.5 * select(turns, sine / select(turns, half, 1.0 + half), 1.0 - half * half * (1.0 / 6.0))
+            for k in range(3):
+                w[(links[at.SCRATCH * n + i + k] & at.INDEX) + at.POSITION] = share * q[i + k]

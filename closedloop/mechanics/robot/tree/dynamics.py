@@ -16,7 +16,7 @@ with F_i, N_i, Σ_i, h_i summed over all that joint i carries. These are the H o
 
 from __future__ import annotations
 
-from closedloop.jit.kernel import kernel_inlined
+from closedloop.jit.kernel import kernel, kernel_inlined
 from closedloop.mechanics.robot.tree import layout as at
 from closedloop.mechanics.robot.tree.layout import Array, Tree
 
@@ -87,6 +87,20 @@ def bodies(tree: Tree, work: Array) -> None:
             w[s + at.S12 + lane] = s12 + (p1 * h2 + m1 * p2)
             w[s + at.S22 + lane] = s22 + p2 * (h2 + m2)
             w[s + at.H0 + lane], w[s + at.H1 + lane], w[s + at.H2 + lane] = m0, m1, m2
+    if tree.balls != 0:
+        gather(tree, work)
+
+
+@kernel
+def gather(tree: Tree, work: Array) -> None:
+    """Add what the first entry of each ball joint has of its link's inertia to the last, which the others carry."""
+    n, table, w = tree.n, tree.links, work
+    for i in range(n - 2):
+        if table[at.REVOLUTE * n + i] == at.BALL:
+            first, last = table[at.SCRATCH * n + i] & at.INDEX, table[at.SCRATCH * n + i + 2] & at.INDEX
+            for row in range(at.F0, at.SCRATCHES, at.LANES):
+                w[last + row] += w[first + row]
+                w[first + row] = 0.0 * w[first + row]
 
 
 @kernel_inlined

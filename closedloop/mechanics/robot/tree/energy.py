@@ -8,6 +8,7 @@ from closedloop.jit.interpreted import interpreted
 from closedloop.jit.kernel import entry_kernel, kernel, plain
 from closedloop.mechanics.robot.tree import layout as at
 from closedloop.mechanics.robot.tree.angles import sines
+from closedloop.mechanics.robot.tree.kinematics import motion
 from closedloop.mechanics.robot.tree.layout import Array, Tree, work_size
 
 # Rows whose numbers stay in the processor's cache.
@@ -21,6 +22,8 @@ def tree_potential_energy(tree: Tree, q: Array, work: Array) -> float:
     `work` (work_size(n),) is scratch.
     """
     sines(tree, q, work)
+    if tree.balls != 0:
+        motion(tree, q, work)  # where the links are does not depend on the rates
     return energy_there(tree, work)
 
 
@@ -38,6 +41,9 @@ def energies_of_rows(tree: Tree, q: Array) -> Array:
     """
     energies, energy_of = np.empty(q.shape[0]), interpreted(tree_potential_energy)
     size = plain(work_size)(tree.n)
+    if tree.balls != 0:
+        potential_energies(tree, np.ascontiguousarray(q), np.zeros(size), energies)
+        return energies
     for begin in range(0, q.shape[0], ROWS_AT_ONCE):
         rows = np.ascontiguousarray(q[begin : begin + ROWS_AT_ONCE].T)
         energies[begin : begin + ROWS_AT_ONCE] = energy_of(tree, rows, np.zeros((size, rows.shape[1])))
@@ -46,12 +52,14 @@ def energies_of_rows(tree: Tree, q: Array) -> Array:
 
 @kernel
 def energy_there(tree: Tree, work: Array) -> float:
-    """Return the same for the q whose sines `tree_terms` has written into `work`.
+    """Return the same for the q whose sines `tree_terms` has written into `work`; with ball joints, whose motion.
 
     First moments are summed from the tips to the base, from each unbranched chain separately, so that nothing need be
     stored but the sines.
     """
     n, table, k = tree.n, tree.links, tree.constants
+    if tree.balls != 0:
+        return energy_of_links(tree, work)
     total0, total1, total2 = k[at.RESTING], k[at.RESTING + 1], k[at.RESTING + 2]
     h0 = h1 = h2 = mass = 0.0
     for tip in range(n - 1, -1, -1):
@@ -83,5 +91,24 @@ def energy_there(tree: Tree, work: Array) -> float:
             joint = parent
         if joint < 0:
             h0 = h1 = h2 = mass = 0.0
+    energy: float = -(k[at.GRAVITY] * total0 + k[at.GRAVITY + 1] * total1 + k[at.GRAVITY + 2] * total2)
+    return energy
+
+
+@kernel
+def energy_of_links(tree: Tree, work: Array) -> float:
+    """Return the same, link by link, where `closedloop.mechanics.robot.tree.kinematics` has written axes and
+    origins."""
+    n, table, k, w = tree.n, tree.links, tree.constants, work
+    zero = 0.0 * w[table[at.SCRATCH * n] & at.INDEX]
+    total0, total1, total2 = k[at.RESTING] + zero, k[at.RESTING + 1] + zero, k[at.RESTING + 2] + zero
+    for i in range(n):
+        c, s = table[at.CONSTANT * n + i] & at.INDEX, table[at.SCRATCH * n + i] & at.INDEX
+        hx, hy, mass = k[c + at.HX], k[c + at.HY], k[c + at.MASS]
+        x0, x1, x2 = w[s + at.X0], w[s + at.X1], w[s + at.X2]
+        z0, z1, z2 = w[s + at.Z0], w[s + at.Z1], w[s + at.Z2]
+        total0 += hx * x0 + hy * (z1 * x2 - z2 * x1) + mass * w[s + at.P0]
+        total1 += hx * x1 + hy * (z2 * x0 - z0 * x2) + mass * w[s + at.P1]
+        total2 += hx * x2 + hy * (z0 * x1 - z1 * x0) + mass * w[s + at.P2]
     energy: float = -(k[at.GRAVITY] * total0 + k[at.GRAVITY + 1] * total1 + k[at.GRAVITY + 2] * total2)
     return energy

@@ -6,12 +6,13 @@ upwards instead of gravity, and with d from the parent's origin to the joint's,
 
     ω = ω_p + z q̇        α = α_p + ω_p × z q̇        b = b_p + α_p × d + ω_p × (ω_p × d + 2 z ḋ)
 
-where a revolute joint has no ḋ, and a prismatic one adds nothing to ω and α.
+where a revolute joint has no ḋ, and a prismatic one adds nothing to ω and α. A ball joint turns its link by a unit
+quaternion; with the rates s in the link's axes, ω = ω_p + s and α = α_p + ω_p × s.
 """
 
 from __future__ import annotations
 
-from closedloop.jit.kernel import kernel_inlined
+from closedloop.jit.kernel import kernel, kernel_inlined
 from closedloop.mechanics.robot.tree import layout as at
 from closedloop.mechanics.robot.tree.layout import Array, Tree
 
@@ -27,6 +28,18 @@ def motion(tree: Tree, v: Array, work: Array) -> None:
         c = table[at.CONSTANT * n + i] & at.INDEX
         s = table[at.SCRATCH * n + i] & at.INDEX
         cosine, sine, rate = w[s + at.COSINE], w[s + at.SINE], v[i]
+        if table[at.REVOLUTE * n + i] >= at.BALL:
+            if table[at.REVOLUTE * n + i] == at.BALL:
+                ball(tree, i, v, work)
+            elif i > 1 and table[at.REVOLUTE * n + i - 2] == at.BALL:  # what the next joint finds at hand
+                x0, x1, x2 = w[s + at.X0], w[s + at.X1], w[s + at.X2]
+                z0, z1, z2 = w[s + at.Z0], w[s + at.Z1], w[s + at.Z2]
+                y0, y1, y2 = z1 * x2 - z2 * x1, z2 * x0 - z0 * x2, z0 * x1 - z1 * x0
+                p0, p1, p2 = w[s + at.P0], w[s + at.P1], w[s + at.P2]
+                o0, o1, o2 = w[s + at.O0], w[s + at.O1], w[s + at.O2]
+                a0, a1, a2 = w[s + at.A0], w[s + at.A1], w[s + at.A2]
+                b0, b1, b2 = w[s + at.B0], w[s + at.B1], w[s + at.B2]
+            continue
         if parent < 0:
             e0, e1, e2 = k[c + at.R00], k[c + at.R10], k[c + at.R20]
             f0, f1, f2 = k[c + at.R01], k[c + at.R11], k[c + at.R21]
@@ -35,7 +48,7 @@ def motion(tree: Tree, v: Array, work: Array) -> None:
             y0, y1, y2 = cosine * f0 - sine * e0, cosine * f1 - sine * e1, cosine * f2 - sine * e2
             slide = w[s + at.SLIDE]
             p0, p1, p2 = k[c + at.T0] + slide * z0, k[c + at.T1] + slide * z1, k[c + at.T2] + slide * z2
-            rate *= k[c + at.KIND]
+            rate = rate * k[c + at.KIND]
             o0, o1, o2 = z0 * rate, z1 * rate, z2 * rate
             a0 = a1 = a2 = 0.0
             b0, b1, b2 = -k[at.GRAVITY], -k[at.GRAVITY + 1], -k[at.GRAVITY + 2]
@@ -93,6 +106,67 @@ def motion(tree: Tree, v: Array, work: Array) -> None:
         w[s + at.O0], w[s + at.O1], w[s + at.O2] = o0, o1, o2
         w[s + at.A0], w[s + at.A1], w[s + at.A2] = a0, a1, a2
         w[s + at.B0], w[s + at.B1], w[s + at.B2] = b0, b1, b2
+
+
+@kernel
+def ball(tree: Tree, i: int, v: Array, work: Array) -> None:
+    """Write the same of the three entries of the ball joint that begins at joint i."""
+    n, table, k, w = tree.n, tree.links, tree.constants, work
+    parent, c = table[at.PARENT * n + i], table[at.CONSTANT * n + i] & at.INDEX
+    s = table[at.SCRATCH * n + i] & at.INDEX
+    s1, s2 = table[at.SCRATCH * n + i + 1] & at.INDEX, table[at.SCRATCH * n + i + 2] & at.INDEX
+    zero = 0.0 * w[s + at.COSINE]
+    o0, o1, o2, a0, a1, a2 = zero, zero, zero, zero, zero, zero
+    e0, e1, e2 = k[c + at.R00] + zero, k[c + at.R10] + zero, k[c + at.R20] + zero
+    f0, f1, f2 = k[c + at.R01] + zero, k[c + at.R11] + zero, k[c + at.R21] + zero
+    d0, d1, d2 = k[c + at.T0] + zero, k[c + at.T1] + zero, k[c + at.T2] + zero
+    p0, p1, p2 = zero, zero, zero
+    b0, b1, b2 = zero - k[at.GRAVITY], zero - k[at.GRAVITY + 1], zero - k[at.GRAVITY + 2]
+    if parent >= 0:
+        m = table[at.SCRATCH * n + (parent & at.INDEX)] & at.INDEX
+        x0, x1, x2 = w[m + at.X0], w[m + at.X1], w[m + at.X2]
+        z0, z1, z2 = w[m + at.Z0], w[m + at.Z1], w[m + at.Z2]
+        y0, y1, y2 = z1 * x2 - z2 * x1, z2 * x0 - z0 * x2, z0 * x1 - z1 * x0
+        d0, d1, d2 = x0 * d0 + y0 * d1 + z0 * d2, x1 * d0 + y1 * d1 + z1 * d2, x2 * d0 + y2 * d1 + z2 * d2
+        e0, e1, e2 = x0 * e0 + y0 * e1 + z0 * e2, x1 * e0 + y1 * e1 + z1 * e2, x2 * e0 + y2 * e1 + z2 * e2
+        f0, f1, f2 = x0 * f0 + y0 * f1 + z0 * f2, x1 * f0 + y1 * f1 + z1 * f2, x2 * f0 + y2 * f1 + z2 * f2
+        p0, p1, p2 = w[m + at.P0], w[m + at.P1], w[m + at.P2]
+        o0, o1, o2 = w[m + at.O0], w[m + at.O1], w[m + at.O2]
+        a0, a1, a2 = w[m + at.A0], w[m + at.A1], w[m + at.A2]
+        u0, u1, u2 = o1 * d2 - o2 * d1, o2 * d0 - o0 * d2, o0 * d1 - o1 * d0
+        b0 = w[m + at.B0] + (a1 * d2 - a2 * d1) + (o1 * u2 - o2 * u1)
+        b1 = w[m + at.B1] + (a2 * d0 - a0 * d2) + (o2 * u0 - o0 * u2)
+        b2 = w[m + at.B2] + (a0 * d1 - a1 * d0) + (o0 * u1 - o1 * u0)
+    g0, g1, g2 = e1 * f2 - e2 * f1, e2 * f0 - e0 * f2, e0 * f1 - e1 * f0
+    p0, p1, p2 = p0 + d0, p1 + d1, p2 + d2
+    # the columns of the rotation of a unit quaternion
+    t, r0, r1, r2 = w[s + at.COSINE], w[s + at.POSITION], w[s1 + at.POSITION], w[s2 + at.POSITION]
+    q00, q10, q20 = 1.0 - 2.0 * (r1 * r1 + r2 * r2), 2.0 * (r0 * r1 + r2 * t), 2.0 * (r0 * r2 - r1 * t)
+    q01, q11, q21 = 2.0 * (r0 * r1 - r2 * t), 1.0 - 2.0 * (r0 * r0 + r2 * r2), 2.0 * (r1 * r2 + r0 * t)
+    x0, x1, x2 = (
+        e0 * q00 + f0 * q10 + g0 * q20, e1 * q00 + f1 * q10 + g1 * q20, e2 * q00 + f2 * q10 + g2 * q20,
+    )  # fmt: skip
+    y0, y1, y2 = (
+        e0 * q01 + f0 * q11 + g0 * q21, e1 * q01 + f1 * q11 + g1 * q21, e2 * q01 + f2 * q11 + g2 * q21,
+    )  # fmt: skip
+    z0, z1, z2 = x1 * y2 - x2 * y1, x2 * y0 - x0 * y2, x0 * y1 - x1 * y0
+    v0, v1, v2 = v[i], v[i + 1], v[i + 2]
+    g0, g1, g2 = x0 * v0 + y0 * v1 + z0 * v2, x1 * v0 + y1 * v1 + z1 * v2, x2 * v0 + y2 * v1 + z2 * v2
+    a0, a1, a2 = a0 + (o1 * g2 - o2 * g1), a1 + (o2 * g0 - o0 * g2), a2 + (o0 * g1 - o1 * g0)
+    o0, o1, o2 = o0 + g0, o1 + g1, o2 + g2
+    w[s + at.X0], w[s + at.X1], w[s + at.X2] = y0, y1, y2
+    w[s + at.Z0], w[s + at.Z1], w[s + at.Z2] = x0, x1, x2
+    w[s1 + at.X0], w[s1 + at.X1], w[s1 + at.X2] = z0, z1, z2
+    w[s1 + at.Z0], w[s1 + at.Z1], w[s1 + at.Z2] = y0, y1, y2
+    cosine, sine = w[s2 + at.COSINE], w[s2 + at.SINE]  # its constant angle, see `closedloop.mechanics.robot.tree.model`
+    w[s2 + at.X0], w[s2 + at.X1] = cosine * x0 + sine * y0, cosine * x1 + sine * y1
+    w[s2 + at.X2] = cosine * x2 + sine * y2
+    w[s2 + at.Z0], w[s2 + at.Z1], w[s2 + at.Z2] = z0, z1, z2
+    for e in (s, s1, s2):
+        w[e + at.P0], w[e + at.P1], w[e + at.P2] = p0, p1, p2
+        w[e + at.O0], w[e + at.O1], w[e + at.O2] = o0, o1, o2
+        w[e + at.A0], w[e + at.A1], w[e + at.A2] = a0, a1, a2
+        w[e + at.B0], w[e + at.B1], w[e + at.B2] = b0, b1, b2
 
 
 @kernel_inlined

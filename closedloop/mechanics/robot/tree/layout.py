@@ -26,6 +26,11 @@ INDEX = 0xFFFFFF
 # `Tree.links`: six rows of n whole numbers.
 PARENT, CONSTANT, SCRATCH, REVOLUTE, SUPPORT, RUN = range(6)
 
+# The row REVOLUTE: what a joint is. A ball joint is three joints in a row whose axes are those of the link that it
+# carries. All three entries have that link's origin, ω, α and b; the last has its inertia, but h_z and Σ_zz, which are
+# an h_y and a Σ_yy to the first.
+SLIDES, TURNS, BALL, BALL_AXIS = range(4)
+
 # `Tree.constants`: gravity, the tip in its link, the first moment of the immobile mass, then the blocks. Inertia is as
 # moved by `closedloop.mechanics.robot.tree.model`: h_z = Σ_zz = 0, and either m or h and Σ are zero.
 GRAVITY, TIP, RESTING, HEAD = 0, 3, 6, 12
@@ -34,7 +39,7 @@ GRAVITY, TIP, RESTING, HEAD = 0, 3, 6, 12
     ANGLE,  # from the parent's first axis to the link's, beside q
     COS_TWIST, SIN_TWIST,  # from the parent's joint axis to this one, about the axis perpendicular to both
     COS_TURN, SIN_TURN,  # from the parent's first axis to that perpendicular one; 1, 0 where they are the same
-    R00, R10, R20, R01, R11, R21, R02, R12, R22,  # for a joint on the base: its axes at q = 0
+    R00, R10, R20, R01, R11, R21, R02, R12, R22,  # for one on the base, and a ball joint anywhere: its axes at q = 0
     T0, T1, T2,  # its origin in the parent's frame, m
     HALF_XX, XY, XZ, HALF_YY, YZ,  # second moments of the link, kg m², halved where they are squares
     HX, HY,  # first moments, kg m
@@ -45,7 +50,8 @@ CONSTANTS = 28 * LANES
 
 # Scratch; all in base axes.
 (
-    POSITION, SINE, COSINE, SLIDE,
+    POSITION,  # of a ball joint the vector part of its quaternion; the first COSINE is the scalar part
+    SINE, COSINE, SLIDE,
     X0, X1, X2, Z0, Z1, Z2, P0, P1, P2,  # first axis and joint axis of the link, origin of the joint
     O0, O1, O2, A0, A1, A2, B0, B1, B2,  # angular velocity and acceleration, acceleration of the origin, for q̈ = 0
     W0, W1, W2, V0, V1, V2,  # twist of the link per joint rate: rotation, and velocity of its point at the base origin
@@ -70,11 +76,14 @@ class Tree(NamedTuple):
         1 if every joint but the first is a child of the one before it, else 0.
     links : (6 n,) array
         For each joint: its parent (−1: base; always smaller than the joint), where its constants and its scratch
-        begin, whether it is revolute, whether it moves the tip, and the first joint of its unbranched chain: of the
-        joints up to it that are each a child of the one before.
+        begin, what it is (SLIDES, TURNS ...), whether it moves the tip, and the first joint of its unbranched chain:
+        of the joints up to it that are each a child of the one before.
     constants : (HEAD + blocks * CONSTANTS,) array
         See the names of `closedloop.mechanics.robot.tree.layout`. The z axis of a link is its joint axis; its x axis is
         perpendicular to its own joint axis and to that of the next joint.
+    balls : int
+        Ball joints. Positions of one are the rotation vector θ of its link, rad, its rates the angular velocity in the
+        link's axes; see `robot_models.coordinates`.
     """
 
     n: int
@@ -84,6 +93,7 @@ class Tree(NamedTuple):
     serial: int
     links: IntArray
     constants: Array
+    balls: int
 
 
 @kernel

@@ -22,6 +22,9 @@ from closedloop.mechanics.robot.tree import layout as at
 from closedloop.mechanics.robot.tree.layout import CONSTANTS, HEAD, LANES, SCRATCHES, Array, Tree
 from robot_models import RobotModel
 
+# What turns x, y, z into y, z, x: columns.
+_ONWARD = np.array([[0.0, 0.0, 1.0], [1.0, 0.0, 0.0], [0.0, 1.0, 0.0]])
+
 _AXES = {"X": (1.0, 0.0, 0.0), "Y": (0.0, 1.0, 0.0), "Z": (0.0, 0.0, 1.0)}
 
 
@@ -38,34 +41,47 @@ def tree_of(model: RobotModel, tip: str) -> Tree:
     Raises
     ------
     ModelError
-        If the robot has no such frame, or a joint that is not revolute, continuous or prismatic.
+        If the robot has no such frame, or a joint that is not revolute, continuous, prismatic or a ball joint.
     """
     pin: Any = model.pinocchio_model()
     frame = pin.frames[pin.getFrameId(model.require_frame(tip))]
     n = pin.nv
-    revolute, axes = np.zeros(n, dtype=bool), np.zeros((n, 3))
-    for i in range(n):
-        revolute[i], axes[i] = _joint(model, pin, i)
-    parents = np.array([pin.parents[i + 1] - 1 for i in range(n)])
-    rotations = [np.array(pin.jointPlacements[i + 1].rotation) for i in range(n)]
+    kinds, axes, parents = np.zeros(n, dtype=np.int64), np.zeros((n, 3)), np.zeros(n, dtype=np.int64)
+    placed: list[Any] = []  # where each stands in what carries it
+    for joint in range(1, pin.njoints):
+        for i in range(pin.idx_vs[joint], pin.idx_vs[joint] + pin.nvs[joint]):
+            kinds[i], axes[i] = _joint(model, pin, joint, i)
+            first = i == pin.idx_vs[joint]
+            parents[i] = last_velocity(pin, int(pin.parents[joint])) if first else i - 1
+            placed.append(pin.jointPlacements[joint] if first else None)
+    rotations = [np.eye(3) if place is None else np.array(place.rotation) for place in placed]
     bases = [_link_axes(i, axes, parents, rotations) for i in range(n)]
+    for i in np.flatnonzero(kinds == at.BALL).tolist():
+        bases[i], bases[i + 1] = _ONWARD, _ONWARD @ _ONWARD
     # Each joint in its parent's frame at q = 0, and each link's mass; entry −1 is the base.
     places = np.zeros((n, 4, 4))
     masses = np.zeros((n + 1, 4, 4))
     for i in range(n):
-        place = _transform(rotations[i] @ bases[i], np.array(pin.jointPlacements[i + 1].translation))
+        place = placed[i]
+        if place is None:  # the axes of a ball joint are where its first one is
+            continue
+        # The axes of a ball joint's link are those of the joint, but for an angle about the third
+        own = np.eye(3) if kinds[i] == at.BALL else bases[i]
+        place = _transform(rotations[i] @ own, np.array(place.translation))
         turn = bases[parents[i]].T if parents[i] >= 0 else np.eye(3)
         places[i] = _transform(turn, np.zeros(3)) @ place
+    for joint in range(1, pin.njoints):
+        i = last_velocity(pin, joint)
         back = _transform(bases[i].T, np.zeros(3))
-        masses[i] = back @ _second_moments(pin.inertias[i + 1]) @ back.T
-    carrier = frame.parentJoint - 1
+        masses[i] = back @ _second_moments(pin.inertias[joint]) @ back.T
+    carrier = last_velocity(pin, frame.parentJoint)
     offset = np.array(frame.placement.translation)
     if carrier >= 0:
         offset = bases[carrier].T @ offset
-    carried = _move_to_base(places, masses, parents, revolute, carrier, offset)
+    carried = _move_to_base(places, masses, parents, kinds, carrier, offset)
     run, support = _chains(parents, carrier)
     block, lane = np.divmod(np.arange(n), LANES)
-    links = np.stack([parents, HEAD + block * CONSTANTS + lane, block * SCRATCHES + lane, revolute, support, run])
+    links = np.stack([parents, HEAD + block * CONSTANTS + lane, block * SCRATCHES + lane, kinds, support, run])
     blocks = int(block[-1]) + 1
     constants = np.zeros(HEAD + blocks * CONSTANTS)
     constants[at.GRAVITY : at.GRAVITY + 3] = pin.gravity.linear
@@ -73,12 +89,21 @@ def tree_of(model: RobotModel, tip: str) -> Tree:
     constants[at.RESTING : at.RESTING + 3] = masses[-1, :3, 3]
     for i in range(n):
         aligned = bool(parents[i] == i - 1)
-        rows = _rows(places[i], masses[i], parents[i], aligned)
-        rows |= {at.KIND: float(revolute[i]), at.CARRIED: carried[i], at.ARMATURE: pin.armature[i]}
+        if kinds[i] < at.BALL:
+            rows = _rows(places[i], masses[i], parents[i], aligned)
+        else:
+            rows = _ball_rows(i, kinds, places, masses, bases)
+        rows |= {at.KIND: float(kinds[i] != at.SLIDES), at.CARRIED: carried[i], at.ARMATURE: pin.armature[i]}
         for row, value in rows.items():
             constants[links[at.CONSTANT, i] + row] = value
     serial = int(np.all(parents == np.arange(n) - 1))
-    return Tree(n, blocks, 1, int(carrier), serial, links.astype(np.int64).ravel(), constants)
+    balls = int(np.count_nonzero(kinds == at.BALL))
+    return Tree(n, blocks, 1, int(carrier), serial, links.astype(np.int64).ravel(), constants, balls)
+
+
+def last_velocity(pin: Any, joint: int) -> int:
+    """Return the last velocity of a joint of Pinocchio's model, which its link has as its index; −1 for the base."""
+    return int(pin.idx_vs[joint] + pin.nvs[joint] - 1) if joint > 0 else -1
 
 
 def _chains(parents: NDArray[Any], carrier: int) -> tuple[NDArray[Any], NDArray[np.bool_]]:
@@ -95,18 +120,20 @@ def _chains(parents: NDArray[Any], carrier: int) -> tuple[NDArray[Any], NDArray[
     return run, support
 
 
-def _joint(model: RobotModel, pin: Any, i: int) -> tuple[bool, Array]:
-    """Return whether joint i is revolute, and its axis, a unit vector in the joint's frame."""
-    joint = pin.joints[i + 1]
+def _joint(model: RobotModel, pin: Any, number: int, i: int) -> tuple[int, Array]:
+    """Return what velocity i of a joint is, and its axis, a unit vector in the joint's frame."""
+    joint = pin.joints[number]
     kind = joint.shortname().removeprefix("JointModel")
+    if kind == "Spherical":
+        return (at.BALL if i == joint.idx_v else at.BALL_AXIS), np.eye(3)[i - joint.idx_v]
     if kind in ("RevoluteUnaligned", "PrismaticUnaligned"):
         axis = np.array(joint.extract().axis, dtype=np.float64)
-        return kind == "RevoluteUnaligned", axis / np.linalg.norm(axis)
+        return (at.TURNS if kind == "RevoluteUnaligned" else at.SLIDES), axis / np.linalg.norm(axis)
     if len(kind) == 2 and kind[0] in "RP" and kind[1] in _AXES:
-        return kind[0] == "R", np.array(_AXES[kind[1]])
+        return (at.TURNS if kind[0] == "R" else at.SLIDES), np.array(_AXES[kind[1]])
     raise ModelError(
-        f"{model.name}: joint {pin.names[i + 1]!r} is of Pinocchio's kind {kind}: "
-        "only revolute, continuous and prismatic joints are simulated"
+        f"{model.name}: joint {pin.names[number]!r} is of Pinocchio's kind {kind}: "
+        "only revolute, continuous, prismatic, ball and free joints are simulated"
     )
 
 
@@ -124,13 +151,15 @@ def _link_axes(i: int, axes: Array, parents: Array, rotations: list[Array]) -> A
     return np.column_stack([x, np.cross(z, x), z])
 
 
-def _move_to_base(places: Array, masses: Array, parents: Array, revolute: Array, carrier: int, offset: Array) -> Array:
+def _move_to_base(places: Array, masses: Array, parents: Array, kinds: Array, carrier: int, offset: Array) -> Array:
     """Move inertia towards the base, in place, and return the mass (n,) that each joint then carries."""
     n = len(places)
     carried = np.zeros(n + 1)
     for i in range(n - 1, -1, -1):
         place, moved = places[i], np.zeros((4, 4))
-        if revolute[i]:
+        if kinds[i] >= at.BALL:
+            pass  # only its mass is not moved by it
+        elif kinds[i] == at.TURNS:
             moved[2:, 2:] = masses[i, 2:, 2:]
             masses[i] -= moved
         else:
@@ -166,8 +195,25 @@ def _rows(place: Array, mass: Array, parent: int, aligned: bool) -> dict[int, fl
         length = np.hypot(sine, cosine)
         rows |= {at.COS_TURN: c, at.SIN_TURN: s, at.COS_TWIST: cosine / length, at.SIN_TWIST: sine / length}
         rows[at.ANGLE] = np.arctan2(-R[0, 1], R[0, 0])
-    rows |= {at.HALF_XX: mass[0, 0] / 2, at.XY: mass[0, 1], at.XZ: mass[0, 2], at.HALF_YY: mass[1, 1] / 2}
+    return rows | _inertia_rows(mass)
+
+
+def _inertia_rows(mass: Array) -> dict[int, float]:
+    """Return the constants of a link's inertia by row."""
+    rows = {at.HALF_XX: mass[0, 0] / 2, at.XY: mass[0, 1], at.XZ: mass[0, 2], at.HALF_YY: mass[1, 1] / 2}
     return rows | {at.YZ: mass[1, 2], at.HX: mass[0, 3], at.HY: mass[1, 3], at.MASS: mass[3, 3]}
+
+
+def _ball_rows(i: int, kinds: Array, places: Array, masses: Array, bases: list[Array]) -> dict[int, float]:
+    """Return the constants of one of the three entries of a ball joint by row; see `layout.BALL`."""
+    if kinds[i] == at.BALL:
+        place, mass = places[i], masses[i + 2]
+        names = (at.R00, at.R01, at.R02, at.R10, at.R11, at.R12, at.R20, at.R21, at.R22)
+        rows = dict(zip(names, place[:3, :3].ravel(), strict=True))
+        rows |= dict(zip((at.T0, at.T1, at.T2), place[:3, 3], strict=True))
+        return rows | {at.HY: mass[2, 3], at.HALF_YY: mass[2, 2] / 2}
+    angle = np.arctan2(bases[i][1, 0], bases[i][0, 0]) if kinds[i - 1] == at.BALL_AXIS else 0.0
+    return _inertia_rows(masses[i]) | {at.ANGLE: angle}
 
 
 def _transform(R: Array, p: Array) -> Array:

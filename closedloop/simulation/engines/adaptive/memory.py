@@ -4,12 +4,14 @@ from __future__ import annotations
 
 import time as clock
 from collections.abc import Callable
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from closedloop.base.errors import DivergenceError
 from closedloop.jit.background import make_ready
+from closedloop.jit.interpreted import interpreted
 from closedloop.jit.pointers import address_of
 from closedloop.loop.events.impacts import collide
 from closedloop.loop.events.phases import (
@@ -26,6 +28,7 @@ from closedloop.loop.events.phases import (
 from closedloop.loop.events.table import EVENT_WIDTH
 from closedloop.loop.step.closed_loops import CLOSE, closed_loops
 from closedloop.loop.step.memory import RIGID_STICK
+from closedloop.loop.step.turn import turn_rate
 from closedloop.mechanics.closure.contact_force import FREE, PRESSED
 from closedloop.mechanics.closure.solve import LAW_FAILED, OK
 from closedloop.simulation.engines.adaptive.kernels import BEGIN_STEP, DERIVE, EVENT_VALUE, evaluate_on_pinocchio
@@ -40,6 +43,8 @@ Array = NDArray[np.float64]
 # Within this share of a row before the instant from which the PD part of the paper's law acts, the law's time stays at
 # that instant: it does not act yet.
 BEFORE = 1e-6
+
+rate_of_turn: Any = interpreted(turn_rate)
 
 
 class Stopped(Exception):
@@ -125,7 +130,16 @@ class Memory:
     def rate(self, t: float, y: Array, interval: Interval) -> Array:
         """Return ẏ (2 n + k + 1,)."""
         self.evaluate(t, y, interval, DERIVE)
-        return np.concatenate([self.w.v, self.w.qdd, self.w.dz, [self.w.start_power]])
+        return np.concatenate([self.position_rates(), self.w.qdd, self.w.dz, [self.w.start_power]])
+
+    def position_rates(self) -> Array:
+        """Return the rates of the positions in the memory (n,): q̇, but for the rotation vectors of ball joints."""
+        if self.state.balls == 0:
+            return self.w.v
+        rates = self.w.v.copy()
+        for j in self.robot.model.balls:
+            rate_of_turn(*self.w.q[j : j + 3].tolist(), self.w.v, j, rates, j)
+        return rates
 
     def start(self) -> float:
         """Record the row of t = 0 and apply the events there, as for steps of fixed length.
@@ -177,13 +191,22 @@ class Memory:
             if left > 0.0:
                 t += left
                 mean = w.v + 0.5 * left * w.qdd
+                mean += self.position_rates() - w.v  # to the order of the rest
                 self.evaluate(t, self.get() + left * np.concatenate([mean, w.qdd, w.dz, [0.0]]), interval, EVENT_VALUE)
         w.time = t
         self._run_events(AT_EVENT)
         return t
 
     def projected(self, y: Array) -> Array:
-        """Return the state with its loops closed, and projected onto the tip's closure if the scenario asks for it."""
+        """Return the state with its loops closed, and projected onto the tip's closure if the scenario asks for it.
+
+        The rotation vectors of ball joints come back to less than half a turn: beyond a whole one they have no rates.
+        """
+        for j in self.robot.model.balls:
+            turn = float(np.linalg.norm(y[j : j + 3]))
+            if turn > np.pi:
+                y = y.copy()
+                y[j : j + 3] *= 1.0 - 2.0 * np.pi / turn
         if self.state.loops != 0:
             self.put(y)
             y = self.get()

@@ -8,10 +8,12 @@ are kept in the order in which they were made. A dimension of length 0 has no fi
 from __future__ import annotations
 
 from collections.abc import Mapping
-from typing import Any, NamedTuple
+from typing import Any, BinaryIO, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
+
+from closedloop.record.unfailing import Unfailing
 
 # The name of a scale without a variable, before its length in ten places: the one that the NetCDF library looks for.
 NO_VARIABLE = "This is a netCDF dimension but not a netCDF variable."
@@ -35,26 +37,32 @@ class Variable(NamedTuple):
     attributes: Mapping[str, str] = {}
 
 
-def netcdf_image(
-    dimensions: Mapping[str, int], variables: Mapping[str, Variable], attributes: Mapping[str, Any]
-) -> bytes:
-    """Return the bytes of a NetCDF-4 file.
-
-    It is made in memory: HDF5 would end the process over a full disk.
+def write_netcdf(
+    output: BinaryIO, dimensions: Mapping[str, int], variables: Mapping[str, Variable], attributes: Mapping[str, Any]
+) -> None:
+    """Write a NetCDF-4 file, one variable after the other: beside them no more than the largest is in memory.
 
     Parameters
     ----------
+    output : binary file
+        Open, empty, to be read, written and sought in.
     dimensions : mapping
         Lengths by name.
     variables : mapping
         By name; one with the name of a dimension has that dimension alone.
     attributes : mapping
         The file's own attributes.
+
+    Raises
+    ------
+    BaseException
+        What a write has raised: OSError on a full disk, or Ctrl-C.
     """
     import h5py
 
+    image = Unfailing(output)
     numbers = {name: np.int32(number) for number, name in enumerate(dimensions)}
-    with h5py.File("image", "w", driver="core", backing_store=False, track_order=True) as file:
+    with h5py.File(image, "w", track_order=True) as file:
         made_by = f"version=2,hdf5={h5py.version.hdf5_version},h5py={h5py.__version__}"
         file.attrs["_NCProperties"] = np.bytes_(made_by)
         scales: dict[str, Any] = {}
@@ -83,6 +91,7 @@ def netcdf_image(
             dims, data, texts = variables[name]
             kind = h5py.string_dtype() if data.dtype == object else data.dtype
             dataset = create(name, dims, dtype=kind, data=data)
+            image.check()
             if name not in dimensions:
                 for axis, dim in enumerate(dims):
                     dataset.dims[axis].attach_scale(scales[dim])
@@ -93,5 +102,4 @@ def netcdf_image(
                 dataset.attrs[key] = text
         for key, value in attributes.items():
             file.attrs[key] = value if isinstance(value, str) else np.atleast_1d(value)
-        file.flush()
-        return bytes(file.id.get_file_image())
+    image.check()

@@ -1,0 +1,120 @@
+"""A box on four, five or eight feet dropped on a floor with any pose and spin: whether it ends, and how.
+
+    PYTHONPATH=.:tests/closedloop:tests/fuzz python tests/fuzz/drops.py --count 1000 --seed 0 --integrator rk4
+
+Any pose: its feet may be above it, and two of its three revolute joints nearly parallel. Of each drop it says what is
+wrong: a run that stopped, a gap below −1e-9 m, a force outside its cone, energy that grew, and a box that has not come
+to rest though there is friction and the bounces have had their time.
+"""
+
+from __future__ import annotations
+
+import argparse
+import tempfile
+import time
+from collections import Counter
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from boxes import FEET, HALF, simulate
+
+import closedloop as cl
+
+# What is wrong: a gap below this, m; force outside the cone, of the largest; energy that grows in a step, of that
+# which there is; speed at rest, rad/s (m/s).
+GAP, CONE, RISE, REST = -1e-9, 1e-9, 1e-9, 1e-6
+
+
+def any_rotation(rng: np.random.Generator) -> tuple[float, float, float]:
+    """Return angles of x, y and z, in this order from the floor, of a rotation that may be any, rad."""
+    return float(rng.uniform(-np.pi, np.pi)), float(np.arcsin(rng.uniform(-1.0, 1.0))), float(rng.uniform(-3.0, 3.0))
+
+
+def turned(x: float, y: float, z: float) -> np.ndarray:
+    """Return the rotation Rx Ry Rz."""
+    R = np.eye(3)
+    for angle, (a, b) in ((x, (1, 2)), (y, (2, 0)), (z, (0, 1))):
+        one = np.eye(3)
+        one[[a, b], [a, b]], one[a, b], one[b, a] = np.cos(angle), -np.sin(angle), np.sin(angle)
+        R = R @ one
+    return R
+
+
+def draw(feet: int, seed: int) -> tuple[Any, ...]:
+    """Return half sides, feet, start, μ and e of a drop."""
+    rng = np.random.default_rng([seed, feet])
+    half = np.array(HALF) * np.exp(rng.uniform(-0.7, 0.7, size=3))
+    at = FEET[feet] / HALF * half
+    angles = any_rotation(rng)
+    height = float(10 ** rng.uniform(-4.0, -0.8) - np.min(at @ turned(*angles)[2]))
+    v = np.concatenate([rng.normal(size=3) * 0.7, rng.normal(size=3) * 3.0])
+    mu = float(rng.choice([0.0, 0.05, 1.0, rng.uniform(), rng.uniform()]))
+    e = float(rng.choice([0.0, rng.uniform(0.0, 0.9), rng.uniform(0.0, 0.9)]))
+    return half, at, ([0.0, 0.0, height, *angles], v), mu, e
+
+
+def examine(run: Any, mu: Any, rests: bool = True) -> dict[str, float]:
+    """Return what is wrong with a run, by name, and how much; μ of all contacts, or of each."""
+    wrong = {}
+    f = run.link_forces
+    if not len(f):
+        return {"no rows": 0.0}
+    rub = np.hypot(*np.moveaxis(run.link_frictions.reshape(*f.shape, 2), -1, 0))
+    size = np.maximum(1.0, f.max(axis=1, initial=0.0))[:, None]
+    energy = run.kinetic_energy + run.potential_energy
+    rise = float(np.max(np.diff(energy), initial=0.0) / max(1.0, np.max(np.abs(energy))))
+    for name, value, bad in (
+        ("gap", float(np.min(run.link_gaps)), lambda x: x < GAP),
+        ("pull", float(np.min(f)), lambda x: x < 0.0),
+        ("cone", float(np.max((rub - mu * f) / size)), lambda x: x > CONE),
+        ("energy", rise, lambda x: x > RISE),
+        ("impact energy", float(np.max(-run.event_energy_lost, initial=0.0)), lambda x: x > 1e-12),
+    ):
+        if bad(value):
+            wrong[name] = value
+    if rests and run.stopped is None and mu > 0.04:
+        speed = float(np.max(np.abs(run.v[-1])))
+        if speed > REST:
+            wrong["moves"] = speed
+    return wrong
+
+
+def main() -> None:
+    """Run the campaign."""
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser.add_argument("--count", type=int, default=100)
+    parser.add_argument("--seed", type=int, default=0)
+    parser.add_argument("--seconds", type=float, default=1e9, help="stop after so many")
+    parser.add_argument("--duration", type=float, default=4.0)
+    parser.add_argument("--integrator", default="rk4")
+    parser.add_argument("--feet", type=int, nargs="*", default=[4, 5, 8])
+    args = parser.parse_args()
+    counts: Counter[str] = Counter()
+    begin, done = time.time(), 0
+    with tempfile.TemporaryDirectory() as folder:
+        for k in range(args.seed, args.seed + args.count):
+            if time.time() - begin > args.seconds:
+                break
+            feet = args.feet[k % len(args.feet)]
+            half, at, start, mu, e = draw(feet, k)
+            changes = {"time.duration": args.duration, "time.integrator": args.integrator}
+            try:
+                since, failure = time.process_time(), ""
+                run = simulate(Path(folder), half, at, start, mu, e, **changes)
+            except cl.SimulationError as error:
+                run, failure = error.run, f"{type(error).__name__}: {error}"
+            seconds, done = time.process_time() - since, done + 1
+            wrong = examine(run, mu)
+            counts.update(list(wrong))
+            if failure:
+                counts[failure.split(":")[0]] += 1
+            if wrong or failure:
+                said = " ".join(f"{name} {value:.2g}" for name, value in wrong.items())
+                what = f"{k} feet {feet} mu {mu:.3f} e {e:.3f} events {len(run.events)} {seconds:.2f} s"
+                print(f"{what}: {said} {failure[:140]}", flush=True)
+    print(f"{done} drops, {time.time() - begin:.0f} s:", dict(counts))
+
+
+if __name__ == "__main__":
+    main()

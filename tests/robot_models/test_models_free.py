@@ -1,0 +1,92 @@
+"""Joints that turn freely: what is read of them, from MJCF and URDF, and what a model says of them."""
+
+import pickle
+
+import numpy as np
+import pytest
+
+import robot_models
+from robot_models.errors import ModelError
+
+MJCF = """<mujoco><worldbody><body name="base" pos="1 2 3" quat="2 0 0 2"><freejoint/>
+<inertial mass="2" pos="0.01 0.02 0.03" diaginertia="0.01 0.02 0.025"/>
+<body name="arm" pos="0.1 0 0"><joint name="wrist" type="ball"/>
+<inertial mass="1" pos="0 0 0.1" diaginertia="0.01 0.01 0.01"/></body></body></worldbody>{more}</mujoco>"""
+
+INERTIA = '<inertia ixx="{}" iyy="{}" izz="{}" ixy="0" ixz="0" iyz="0"/>'
+URDF = f"""<robot name="r"><link name="world"/>
+<link name="base"><inertial><origin xyz="0.01 0.02 0.03"/><mass value="2"/>{
+    INERTIA.format(0.01, 0.02, 0.025)
+}</inertial></link> <link name="arm"><inertial><origin xyz="0 0 0.1"/><mass value="1"/>{
+    INERTIA.format(0.01, 0.01, 0.01)
+}</inertial></link> <joint name="base" type="floating"><parent link="world"/><child link="base"/></joint>
+<joint name="wrist" type="spherical"><parent link="base"/><child link="arm"/><origin xyz="0.1 0 0"/></joint></robot>"""
+
+NAMES = ("base_x", "base_y", "base_z", "base_wx", "base_wy", "base_wz", "wrist_wx", "wrist_wy", "wrist_wz")
+POSITIONS = (*NAMES[:3], *(f"base_q{k}" for k in "wxyz"), *(f"wrist_q{k}" for k in "wxyz"))
+
+
+def written(tmp_path, text, suffix):
+    """Return the path of a file with this text."""
+    path = tmp_path / f"robot{suffix}"
+    path.write_text(text, encoding="utf-8")
+    return str(path)
+
+
+def test_both_formats_say_the_same_mechanism(tmp_path):
+    """Names, types and terms are those of the text, whichever format it has."""
+    import pinocchio as pin
+
+    models = [
+        robot_models.load(written(tmp_path, MJCF.format(more=""), ".xml")),
+        robot_models.load(written(tmp_path, URDF, ".urdf")),
+    ]
+    for model in models:
+        assert model.joint_names == NAMES
+        assert model.coordinate_names == POSITIONS
+        assert model.joint_types == ("prismatic",) * 3 + ("ball",) * 6
+        assert (model.bodies, model.balls) == ((0,), (3, 6))
+        assert not model.driven.any()
+        assert {"base", "arm"} <= set(model.frames)
+    mechanisms = [model.pinocchio_model() for model in models]
+    q = pin.randomConfiguration(mechanisms[0], -np.ones(11), np.ones(11))
+    H = [pin.crba(m, m.createData(), q) for m in mechanisms]
+    assert np.abs(H[0] - H[1]).max() < 1e-14
+
+
+def test_home_is_where_the_body_is_written_or_the_keyframe(tmp_path):
+    """A keyframe has MuJoCo's order; a quaternion of any length becomes one of length one."""
+    half = np.sqrt(0.5)
+    written_there = [1, 2, 3, half, 0, 0, half, 1, 0, 0, 0]
+    model = robot_models.load(written(tmp_path, MJCF.format(more=""), ".xml"))
+    assert np.abs(model.home - written_there).max() < 1e-15
+    key = '<keyframe><key name="home" qpos="4 5 6 0 3 0 0 1 0 0 1"/></keyframe>'
+    model = robot_models.load(written(tmp_path, MJCF.format(more=key), ".xml"))
+    assert np.abs(model.home - [4, 5, 6, 0, 1, 0, 0, half, 0, 0, half]).max() < 1e-15
+    again = robot_models.from_text(
+        model.text, "mjcf", name="robot", armature=model.armature, tip=model.tip, home=model.home, locked={}
+    )
+    assert np.array_equal(again.home, model.home)
+    assert again.joint_names == pickle.loads(pickle.dumps(model)).joint_names == NAMES
+
+
+@pytest.mark.parametrize(
+    ("more", "says"),
+    [
+        ('<keyframe><key qpos="0 0 0 0 0 0 0 1 0 0 0"/></keyframe>', "a quaternion w, x, y, z of length zero"),
+        ('<keyframe><key qpos="0 0 0 1 0 0 0"/></keyframe>', "a keyframe has 7 values for 11"),
+        ('<equality><connect body1="arm" body2="base" anchor="0 0 0.1"/></equality>', "turns freely: loops"),
+    ],
+)
+def test_what_is_wrong_is_said_in_one_line(tmp_path, more, says):
+    """Each fault is named with its place."""
+    with pytest.raises(ModelError) as caught:
+        robot_models.load(written(tmp_path, MJCF.format(more=more), ".xml"))
+    assert says in str(caught.value)
+    assert "\n" not in str(caught.value)
+
+
+def test_what_turns_freely_is_not_locked(tmp_path):
+    """A lock is a number."""
+    with pytest.raises(ModelError, match="cannot lock 'wrist', which turns freely"):
+        robot_models.load(written(tmp_path, MJCF.format(more=""), ".xml"), lock={"wrist": 0.0})

@@ -23,6 +23,7 @@ from closedloop.mechanics.surface.motion import MOTIONS, SurfaceMotion
 from closedloop.mechanics.surface.surface import SURFACES, Surface
 
 REST_SPEED = Size(1e4, "m/s", "nothing bounces so fast", 1e-12, "slower motion is rounding")
+AS_IMPACT = "impact"
 RestitutionName = Annotated[str, OneOf(RESTITUTIONS)]
 
 
@@ -75,5 +76,8 @@ class ContactSection(Section):
     )
     friction: Annotated[NotNegative, COEFFICIENT] = Field(0.0, description="Coulomb's coefficient of friction μ, 1")
     restitution: Restitution = Field(
-        0.0, description="coefficient of restitution, 0 to 1: of impact.law alone, Newton's with others"
+        0.0, description="coefficient of restitution, 0 to 1: of its law alone, Newton's with others"
+    )
+    restitution_law: Annotated[str, OneOf(RESTITUTIONS, words=(AS_IMPACT,))] = Field(
+        AS_IMPACT, description=f"law of restitution where it strikes alone; {AS_IMPACT}: that of impact.law"
     )

@@ -25,9 +25,11 @@ from closedloop.loop.step.record_row import ContactRow
 from closedloop.loop.step.seen import read_joints
 from closedloop.loop.step.soft_contact import compliance_entry
 from closedloop.mechanics.closure.contact_force import FREE, PRESSED
+from closedloop.mechanics.contacts.sections import AS_IMPACT
 from closedloop.mechanics.friction.law import Slip
 from closedloop.mechanics.friction.laws.none import NoFriction
-from closedloop.mechanics.impact.restitution import coefficient_at
+from closedloop.mechanics.impact import RATIOS
+from closedloop.mechanics.impact.restitution import RESTITUTIONS, coefficient_at
 from closedloop.mechanics.loops.bind import step_memory
 from closedloop.mechanics.surface.compliances.none import Rigid
 from closedloop.simulation.engines.bind_contacts import contact_memory, starts_closed
@@ -175,7 +177,7 @@ class Problem(ScenarioNumbers):
             user_law(compiled)
 
     def set_restitution(self, loop: Loop) -> None:
-        """Write into a loop's memory the coefficient of restitution of the impact at which it stands.
+        """Write into a loop's memory the law and the coefficient of restitution of the impact at which it stands.
 
         Raises
         ------
@@ -183,10 +185,14 @@ class Problem(ScenarioNumbers):
             If a user's law gives none.
         """
         i, t = int(loop.state.striking), float(loop.w.time)
-        given = self.scenario.impact.restitution
+        given, law, where = self.scenario.impact.restitution, self.restitution, "impact.law"
         if loop.state.together and i > 0:
-            given = (self.scenario.contact or ())[i - 1].restitution
+            contact = (self.scenario.contact or ())[i - 1]
+            given = contact.restitution
+            if contact.restitution_law != AS_IMPACT:
+                law, where = RESTITUTIONS[contact.restitution_law], f"contact.{i - 1}.restitution_law"
+        loop.state.impact_law = RATIOS[law.ratio_of]
         try:
-            loop.constants.restitution = coefficient_at(self.restitution, given, -float(loop.w.before[0]))
+            loop.constants.restitution = coefficient_at(law, given, -float(loop.w.before[0]), where)
         except ScenarioError as error:
             raise LawError(f"stopped at t = {t:.6g} s: {error}", t) from error.__cause__

@@ -11,12 +11,15 @@ Simulate
     Simulator, StepState                          the same step by step, driven from outside
     simulate_batch, sweep_plot                    many runs at once; maps of a sweep
     Run, Event, load_run                          the record, what happened to the contact, a run file
+    linearise                                     the force loop as a linear system: poles, margins, the port
     figures, lab                                  what of a run can be drawn; a page with sliders on which it answers
 Build
     ControlLaw, Law, LawInput                     laws of one's own, and what they see
     Surface, SurfaceMotion, Compliance            surfaces of one's own, how they move, how they give way
     Robot, Terms, Plane, solve_closure            the arm, its terms at a state, the surface, Eq. 24
     prepare, Problem                              a scenario as numbers
+Identify
+    identify, Log                                 parameters of a robot, with intervals, from a log of its motion
 Errors, all of them ClosedLoopError
     ScenarioError, ModelError, RunFileError, OutputError, ClusterError
     SimulationError (its run has the rows until then): SingularClosureError, DivergenceError, ChatterError,
@@ -80,6 +83,9 @@ if TYPE_CHECKING:
     from closedloop.simulation.simulate import simulate as simulate
     from closedloop.simulation.simulator import Simulator as Simulator
     from closedloop.simulation.state import StepState as StepState
+    from closedloop.studies.analysis.linearise import linearise as linearise
+    from closedloop.studies.identify.identify import identify as identify
+    from closedloop.studies.identify.log import Log as Log
     from closedloop.studies.sweep import sweep_plot as sweep_plot
 
 _HOME = {
@@ -94,6 +100,7 @@ _HOME = {
     "Law": "simulation.engines.user_law",
     "LawError": "base.errors",
     "LawInput": "control.law_input",
+    "Log": "studies.identify.log",
     "ModelError": "base.errors",
     "NoNormalError": "base.errors",
     "OutputError": "base.errors",
@@ -114,7 +121,9 @@ _HOME = {
     "Terms": "mechanics.robot.pinocchio",
     "figures": "figures",
     "halve": "simulation.halve",
+    "identify": "studies.identify.identify",
     "lab": "lab.start",
+    "linearise": "studies.analysis.linearise",
     "load_run": "record.load",
     "load_scenario": "scenario.load",
     "prepare": "simulation.prepare",

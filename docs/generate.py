@@ -30,6 +30,7 @@ API = {
     ),
     "Laws and surfaces of your own": "Law LawInput ControlLaw Surface SurfaceMotion Compliance",
     "The robot and the closure": "Robot Terms Plane solve_closure",
+    "Identification": "identify Log",
     "Errors": (
         "ClosedLoopError ScenarioError ModelError OutputError RunFileError ClusterError SimulationError "
         "SingularClosureError DivergenceError ChatterError PainleveError NoNormalError LawError InterruptedRunError"

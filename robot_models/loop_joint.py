@@ -222,8 +222,10 @@ def check_loops(
             raise ModelError(f"{where}: drives names {shown(drive)} twice: name each joint once")
     if len({loop.name for loop in loops}) < len(loops):
         raise ModelError(f"{where}: two loops have the same name: name each")
-    if sum(loop.rows for loop in loops) > MOST_ROWS:
-        raise ModelError(f"{where}: the loops take more than {MOST_ROWS} rows")
+    if (rows := sum(loop.rows for loop in loops)) > MOST_ROWS:
+        raise ModelError(
+            f"{where}: the {len(loops)} loops take {rows} rows, and {MOST_ROWS} is the most; bind fewer links"
+        )
 
 
 def _listed(value: Any) -> Any:

@@ -12,3 +12,9 @@ ULP = float(np.finfo(float).eps)
 def rounding(ulps, *sizes):
     """Return `ulps` units in the last place of the largest magnitude in `sizes`, numbers or arrays."""
     return ulps * ULP * max(float(np.max(np.abs(size))) for size in sizes)
+
+
+def within(ulps, found, expected, *sizes):
+    """Whether numbers are those expected to so many units in the last place of the largest of these, or of `sizes`."""
+    off = np.max(np.abs(np.subtract(found, expected)), initial=0.0)
+    return bool(off <= rounding(ulps, expected, *sizes))

@@ -26,6 +26,7 @@ from validation.residual import (
     derivative,
     derived,
     gradient,
+    moved,
     norm,
     relative,
     rounded,
@@ -91,8 +92,14 @@ def gravity_is_gradient(engine: Engine, s: Sample) -> Residual:
 
 
 def bias_follows_from_mass_matrix(engine: Engine, s: Sample) -> Residual:
-    """C − gravity term = Ḣ q̇ − ½ ∂(q̇ᵀ H q̇)/∂q: Lagrange's equations."""
+    """C − gravity term = Ḣ q̇ − ½ ∂(q̇ᵀ H q̇)/∂q: Lagrange's equations.
+
+    Where a link turns freely with ω in its own axes, Euler's and Poincaré's: ω × (H q̇) is added to its rows.
+    """
     inertial = along(engine, engine.mass_matrix, s.q, s.v) @ s.v
+    momentum = engine.mass_matrix(s.q) @ s.v
+    for j in getattr(engine, "balls", ()):
+        inertial[j : j + 3] += np.cross(s.v[j : j + 3], momentum[j : j + 3])
     slope = gradient(engine, lambda q: s.v @ engine.mass_matrix(q) @ s.v / 2, s.q)
     C = engine.bias(s.q, s.v)
     G = engine.gravity_term(s.q)
@@ -142,7 +149,7 @@ def closure_holds(engine: Engine, s: Sample) -> Residual:
     a, _ = _press(engine, s, s.v)
 
     def rate(t: Any) -> Array:
-        return np.asarray(s.normal @ engine.jacobian(s.q + t * s.v + t * t * a / 2) @ (s.v + t * a))
+        return np.asarray(s.normal @ engine.jacobian(moved(engine, s.q, t * s.v + t * t * a / 2)) @ (s.v + t * a))
 
     second = derivative(engine, rate)
     J = engine.jacobian(s.q)

@@ -49,7 +49,18 @@ def along(engine: Engine, function: Callable[[Array], Array], q: Array, directio
     if size == 0.0:
         return np.zeros_like(function(q))
     unit = direction / size
-    return size * derivative(engine, lambda t: function(q + t * unit))
+    return size * derivative(engine, lambda t: function(moved(engine, q, t * unit)))
+
+
+def moved(engine: Engine, q: Array, step: Array) -> Array:
+    """Return q + step, but where a link turns freely its rotation vector turned on by the step, in the link's axes."""
+    found = q + step
+    for j in getattr(engine, "balls", ()):
+        from scipy.spatial.transform import Rotation
+
+        turned, on = (Rotation.from_rotvec(x[j : j + 3]) for x in (q, step))
+        found[j : j + 3] = (turned * on).as_rotvec()
+    return found
 
 
 def gradient(engine: Engine, function: Callable[[Array], Array], q: Array) -> Array:

@@ -134,7 +134,7 @@ class Size:
     unit: str
     why: str
     least: float = 0.0
-    tiny: str = "nothing so small is told apart from nothing"
+    tiny: str = "so small a value cannot be distinguished from zero"
 
     def __get_pydantic_core_schema__(self, source: Any, handler: GetCoreSchemaHandler) -> CoreSchema:
         """Check after whatever the annotated type checks."""
@@ -198,7 +198,7 @@ JOINT_SPEED = Size(1e4, "rad/s (m/s)", "a run stops at such speeds")
 # A speed that another is compared with: that of no slip at all below, one that is never reached above.
 SPEED_SCALE = Size(1e9, "m/s", "nothing slips so fast", 1e-12, "slower slip is rounding")
 JOINT_SPEED_SCALE = Size(1e9, "rad/s (m/s)", "nothing slips so fast", 1e-12, "slower slip is rounding")
-COEFFICIENT = Size(1e6, "", "no surface rubs so", 1e-12)
+COEFFICIENT = Size(1e6, "", "no surface has so much friction", 1e-12)
 RATE = Size(1e12, "1/s", "no step resolves it", 1e-9, "no run lasts long enough to show it")
 ACCELERATION_GAIN = Size(1e15, "1/s²", "no step resolves it")
 INERTIA = Size(1e9, "kg", "no arm moves so much", 1e-9)

@@ -66,6 +66,8 @@ def first_slide(robot: Robot, name: str, force: float | None = None) -> Scenario
     ScenarioError
         If none was found; says what was in the way of the one that was nearly right.
     """
+    if robot.turns_freely:
+        raise ScenarioError(f"--robot: {robot.model.name} has joints that turn freely: only an arm is set to slide")
     faults: Faults = {}
     runs = 0
     for pressing in FORCES if force is None else (force,):
@@ -82,7 +84,7 @@ def first_slide(robot: Robot, name: str, force: float | None = None) -> Scenario
             faults.setdefault(RUN, fault.partition(";")[0])
     raise ScenarioError(
         f"{robot.model.name} with the tip {robot.tip}: no start was found from which it slides along a level surface; "
-        f"where most is right, {faults[max(faults)]}; another frame may do, see --tip"
+        f"at the best posture found: {faults[max(faults)]}; another frame may work, see --tip"
     )
 
 

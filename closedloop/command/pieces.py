@@ -48,7 +48,7 @@ def pieces() -> tuple[Piece, ...]:
         Piece("measure_rows", "values of a batch's runs", _measures, "run_compiled"),
         Piece("run_in_lanes", "eight runs of a batch at a time", _batch, "measure_rows"),
         Piece("evaluate_on_pinocchio", "dop853", lambda: _run(PINOCCHIO, "dop853"), "proceed_at"),
-        Piece("_impact", "an impact by itself", _impact),
+        Piece("_impact", "a single impact", _impact),
         Piece("put_on_surface", "a path on a surface", lambda: _path("put_on_surface")),
         Piece("normals_on_surface", "the normal along a path", lambda: _path("normals_on_surface")),
         Piece("gradients_on_surface", "the gradient along a path", lambda: _path("gradients_on_surface")),

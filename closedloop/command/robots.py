@@ -88,12 +88,14 @@ def _print_one(model: RobotModel, console: Console) -> None:
     table.add_column("kind")
     for title in ("from", "to", "home", "speed", "torque", "drive"):
         table.add_column(title, justify="right", no_wrap=True)
-    columns = (model.position_lower, model.position_upper, model.home, model.velocity_limit, model.effort_limit)
+    columns = (model.position_lower, model.position_upper, model.loop_home, model.velocity_limit, model.effort_limit)
     for j, (name, kind) in enumerate(zip(model.joint_names, model.joint_types, strict=True)):
         numbers = [f"{x:.4g}" if math.isfinite(x) else "-" for x in (*(c[j] for c in columns), model.armature[j])]
         table.add_row(name, kind, *numbers)
     console.print(table)
     console.print("rad, rad/s, N m and kg m2; of a prismatic joint m, m/s, N and kg; - where there is no limit")
+    if model.balls:
+        console.print("of a ball joint the rotation vector, rad, and the angular velocity in its link's axes, rad/s")
     for joint, value in model.locked.items():
         console.print(f"held rigid: {joint} at {value:.4g}", markup=False)
     console.print(f"tip: {model.tip or 'none: name one with --robot.tip'}", markup=False)

@@ -70,12 +70,12 @@ def _what(text: str, error: BaseException, known: Mapping[str, Sequence[str]]) -
         hint = f"; did you mean '{near[0]}'?" if near else f"; it has {', '.join(fields)}" if fields else ""
         return f"{_PASSED.get(kind, kind)} has no '{name}'{hint}"
     if found := re.search(r"unsupported NumPy function '([\w.]+)'", text):
-        return f"numba has no {found[1]}, or not so; write it as a loop"
+        return f"numba has no {found[1]}, or not in this form; write it as a loop"
     if found := re.search(r"No implementation of function Function\(<[\w-]+ (?:function )?'?([\w.]+)", text):
         return f"numba has no '{found[1]}' of these arguments: {_arguments_of(text, found[1])}"
     if found := re.search(r"NameError: name '(\w+)' is not defined|[Uu]ntyped global name '(\w+)'", text):
         return (
-            f"'{found[1] or found[2]}' is nothing that compiled code knows: a number, an array or a compiled function"
+            f"'{found[1] or found[2]}' cannot be used in compiled code: take a number, an array or a compiled function"
         )
     lines = [line.strip() for line in text.splitlines()]
     told = next((line for line in lines if line and not line.startswith(_HEADS)), "")

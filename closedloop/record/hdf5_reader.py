@@ -52,16 +52,16 @@ def read_hdf5(
         for name in [*names, *_added(attributes)]:
             link = file.get(name, getlink=True)
             if link is not None and not isinstance(link, h5py.HardLink):
-                raise ValueError(f"column '{name}' is a link to somewhere else: a run has its numbers in its own file")
+                raise ValueError(f"column '{name}' is a link to another place: a run file must contain its numbers")
             column = file.get(name)
             if not isinstance(column, h5py.Dataset):
                 continue
             if column.external or column.is_virtual:
-                raise ValueError(f"column '{name}' lies in another file: a run has its numbers in its own")
+                raise ValueError(f"column '{name}' is in another file: a run file must contain its numbers")
             if column.dtype.kind not in "iuf" or column.shape is None:
                 raise ValueError(f"column '{name}' is {column.dtype}, not numbers")
             if column.nbytes > BEST_COMPRESSION * size:
-                raise ValueError(f"column '{name}' says that it has {column.nbytes} bytes, in a file of {size}")
+                raise ValueError(f"column '{name}' claims {column.nbytes} bytes, in a file of {size}")
             columns[name] = np.ascontiguousarray(column[()])
     return attributes, columns
 

@@ -71,7 +71,7 @@ def unsealed(whole: memoryview) -> tuple[memoryview, bool]:
     total = hashlib.sha256(content)
     told = _WORDS + total.hexdigest().encode()
     if line[: len(told)] != told or line[len(told) : len(told) + 1] not in (b" ", b"\n"):
-        raise ValueError("is damaged: its bytes are not those that were written (their SHA-256 is another)")
+        raise ValueError("is damaged: its bytes are not those that were written (their SHA-256 differs)")
     return content, hmac.compare_digest(line, _line(total))
 
 
@@ -96,17 +96,17 @@ def read_sealed(path: Path, names: list[str]) -> tuple[Attributes, Columns]:
         if not _seal_length(file.read()):
             return _read_apart(path, size, names)
         file.seek(0)
-        whole = memoryview(file.read())
+        whole = file.read()
     try:
-        content, ours = unsealed(whole)
+        ours = unsealed(memoryview(whole))[1]
     except ValueError as error:
         raise RunFileError(str(error)) from None
     if not ours:
-        del content, whole
+        del whole
         return _read_apart(path, size, names)
     from closedloop.record.hdf5_reader import read_hdf5
 
-    return read_hdf5(io.BytesIO(content), len(content), names)
+    return read_hdf5(io.BytesIO(whole), len(whole), names)  # of bytes this is no copy
 
 
 def _size_of_file(path: Path) -> int:
@@ -137,12 +137,12 @@ def _read_apart(path: Path, size: int, names: list[str]) -> tuple[Attributes, Co
             reader.kill()
             reader.wait()
             if isinstance(error, subprocess.TimeoutExpired):
-                raise RunFileError(f"is damaged: HDF5 did not come to an end of it in {limit:.0f} s") from None
+                raise RunFileError(f"is damaged: HDF5 did not finish reading it in {limit:.0f} s") from None
             raise
     if reader.returncode != 0:
-        raise RunFileError("is not a run file, or is damaged: HDF5 broke down over it")
-    head, _, rest = answer.partition(b"\n")
-    said = json.loads(head)
+        raise RunFileError("is not a run file, or is damaged: HDF5 failed while reading it")
+    end = answer.index(b"\n") if b"\n" in answer else len(answer)
+    said, rest = json.loads(answer[:end]), memoryview(answer)[end + 1 :]
     if "error" in said:
         raise RunFileError(f"is not a run file, or is damaged: {reason_of(ValueError(said['error']))}")
     columns: Columns = {}

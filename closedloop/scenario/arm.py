@@ -70,14 +70,14 @@ def joint_friction_of(scenario: Scenario, model: RobotModel) -> JointFriction:
             return scenario.joint_friction
         if scenario.joint_friction.kind != "none":
             raise ScenarioError(
-                f"joint_friction.kind = {scenario.joint_friction.kind!r}: loop joints of {model.name} have friction of "
-                "their own, and each is a joint here: leave out that, or joint_friction"
+                f"joint_friction.kind = {scenario.joint_friction.kind!r}: loop joints of {model.name} have friction in "
+                "the robot's sidecar: leave out that, or joint_friction"
             )
         return JointCoulombViscous(kinetic=tuple(friction.tolist()), viscous=tuple(damping.tolist()))
     if scenario.joint_friction.kind != "none":
         raise ScenarioError(
-            f"robot.friction = true with joint_friction.kind = {scenario.joint_friction.kind!r}: friction in "
-            "the joints is that of the robot's file or the scenario's; leave out one of them"
+            f"robot.friction = true with joint_friction.kind = {scenario.joint_friction.kind!r}: joint friction "
+            "comes from the robot's file or from the scenario; leave out one of them"
         )
     damping, friction = joint_dynamics(model)
     return JointCoulombViscous(kinetic=tuple(friction.tolist()), viscous=tuple(damping.tolist()))

@@ -172,10 +172,10 @@ def _known_in_list(table: type[Section], path: list[str], data: dict[str, Any]) 
     """Return the keys of a table of a list in place of an unknown one, or of a section in it, and whose they are."""
     family = families_in(table).get(path[2]) if len(path) > 3 else None
     if family is None:
-        return sorted(table.model_fields), f"[[{path[0]}]] knows"
+        return sorted(table.model_fields), f"[[{path[0]}]] has"
     given = data[path[0]][int(path[1])][path[2]]
     kind = given.get("kind", family.usual or "")
-    return sorted(family[kind].model_fields), f"{path[2]} of kind {kind!r} knows"
+    return sorted(family[kind].model_fields), f"{path[2]} of kind {kind!r} has"
 
 
 def _known_keys(section: str, path: list[str], data: dict[str, Any]) -> str:
@@ -189,14 +189,14 @@ def _known_keys(section: str, path: list[str], data: dict[str, Any]) -> str:
         given = data[section] if isinstance(data[section], dict) else {}
         kind = given.get("kind", usual_kind(section))
         kind = kind if isinstance(kind, str) and kind in kinds else ""
-        known, place = sorted(variant_keys(section, kind)), f"[{section}] knows"
+        known, place = sorted(variant_keys(section, kind)), f"[{section}] has"
         mine = {path[1].lower(), *called(path[1])} & set(known)
         for name in (path[1], *(() if mine else called(path[1]))) if len(path) == 2 else ():
             others = [repr(each) for each in _shipped_kinds(section) if name in variant_keys(section, each)]
             if others:
                 meant = "" if name == path[1] else f"did you mean '{section}.{name}'? "
                 said = f"is {kind!r}" if "kind" in given else f"is {kind!r} where it is not given"
-                return f"{meant}{section}.kind {said}, and {name} goes with {' or '.join(others)}"
+                return f"{meant}{section}.kind {said}, and {name} is a key of {' or '.join(others)}"
     if near := key_meant(path[-1], known):
         return f"did you mean '{_dotted([*path[:-1], near])}'?"
     if len(path) == 2 and (other := elsewhere(path[-1])):

@@ -101,7 +101,7 @@ def refuse_lost(given: Mapping[str, Any], kinds: Iterable[tuple[str, Any]]) -> N
     if faults:
         raise ScenarioError(
             *(
-                f"{mine} is given, and {key} = {kind!r} does not know it: sweep each kind with its own keys"
+                f"{mine} is given, and {key} = {kind!r} has no such key: sweep each kind with its own keys"
                 for mine, (key, kind) in faults.items()
             )
         )

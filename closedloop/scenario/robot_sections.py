@@ -87,19 +87,19 @@ class ModelErrorSection(Section):
     """[model_error]: what the controller is wrong about; the arm is that of [robot] and [tool]."""
 
     masses: Annotated[Positive, FACTOR] = Field(
-        1.0, description="masses and tensors of all links as the controller has them, of the true ones, drives apart"
+        1.0, description="ratio of the controller's to the true masses and inertias of all links, without drives"
     )
     payload: Annotated[NotNegative, MASS] = Field(
-        0.0, description="mass at the tip that the arm carries and the controller does not know of, kg"
+        0.0, description="mass at the tip that the arm carries and the controller's model does not have, kg"
     )
     normal: Annotated[Number, TILT] = Field(
-        0.0, description="angle by which the normal that the controller believes in is tilted off the surface's, rad"
+        0.0, description="angle between the controller's normal and the true normal of the surface, rad"
     )
     normal_towards: Annotated[Number, ANGLE] = Field(
         0.0, description="direction in which it is tilted, rad from the first tangent t1 to the second"
     )
     friction: Annotated[NotNegative, FACTOR] = Field(
-        1.0, description="values of friction as the compensation has them, of those given in [compensation]"
+        1.0, description="factor of the friction values of [compensation], as the controller uses them"
     )
 
     def tilt(self) -> NDArray[np.float64]:

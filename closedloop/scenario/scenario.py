@@ -53,14 +53,14 @@ class Scenario(Section):
         default_factory=lambda: MOTIONS["none"](), description="how the surface moves"
     )
     tool: ToolSection = Field(ToolSection(), description="a tool on the tip: where its tip is, and its mass")
-    model_error: ModelErrorSection = Field(ModelErrorSection(), description="what the controller is wrong about")
+    model_error: ModelErrorSection = Field(ModelErrorSection(), description="errors of the controller's model")
     compliance: Annotated[Compliance, COMPLIANCES] = Field(
-        default_factory=lambda: COMPLIANCES["none"](), description="how the surface gives way, if it is soft"
+        default_factory=lambda: COMPLIANCES["none"](), description="stiffness and damping of a soft surface"
     )
     impact: ImpactSection = Field(ImpactSection(), description="how the tip bounces, where it may leave the surface")
     contact: tuple[ContactSection, ...] | None = Field(
         None,
-        description="contacts of the robot's links besides the tip's",
+        description="contacts of the robot's links, in addition to the tip's",
     )
     start: StartSection = Field(StartSection(), description="the posture and the velocity at t = 0")
     reference: Annotated[paths.Path, paths.PATHS] = Field(
@@ -72,10 +72,10 @@ class Scenario(Section):
         description="the control law, its gains, and the force to press with; without it there is no torque",
     )
     compensation: Annotated[Compensation, COMPENSATIONS] = Field(
-        default_factory=lambda: COMPENSATIONS["none"](), description="what the controller does against friction"
+        default_factory=lambda: COMPENSATIONS["none"](), description="the controller's compensation of friction"
     )
     sensor: SensorSection = Field(SensorSection(), description="the force sensor: noise, bias, delay, resolution")
-    encoder: EncoderSection = Field(EncoderSection(), description="what the controller measures of the joints")
+    encoder: EncoderSection = Field(EncoderSection(), description="how the controller measures the joints")
     transmission: TransmissionSection = Field(
         TransmissionSection(), description="elastic joints: stiffness, damping and motor inertia"
     )

@@ -31,7 +31,9 @@ class StartSection(Section):
     """[start]: the state at t = 0."""
 
     q: Annotated[PerJoint, ANGLE] | None = Field(
-        None, description="joint positions, rad (m); the model's home posture if left out"
+        None,
+        description="joint positions, rad (m), of a free joint x y z and the quaternion w x y z; the model's home "
+        "posture if left out",
     )
     v: Annotated[PerJoint, JOINT_SPEED] | None = Field(
         None, description="joint velocities, rad/s (m/s); at rest if left out"

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from itertools import count
 from typing import Any
 
@@ -72,10 +73,7 @@ def as_run(
         for name in SURFACE_COLUMNS:
             del columns[name]
     columns["potential_energy"] = _potential_energies(problem.robot.tree, columns["q"])
-    if model.balls:
-        start = model.home if problem.scenario.start.q is None else problem.scenario.start.q
-        for name in POSITIONS:
-            columns[name] = continuous(with_quaternions(columns[name], model.joint_types), model.joint_types, start)
+    columns |= positions_told(problem, columns)
     return Run(
         scenario=problem.scenario,
         model=without_tools(model),
@@ -89,6 +87,19 @@ def as_run(
         member_digests=member_digests(problem.scenario),
         added={name: column for name, (column, _) in states.items()},
     )
+
+
+def positions_told(problem: Problem, columns: Mapping[str, NDArray[Any]]) -> dict[str, NDArray[Any]]:
+    """Return those of a run's columns that are positions as the run tells them, (N, nq), from what the loop has."""
+    model, given = problem.robot.model, problem.scenario.start.q
+    if not model.balls:
+        return {}
+    start, types = model.home if given is None else given, model.joint_types
+    return {
+        name: continuous(with_quaternions(column, types), types, start)
+        for name, column in columns.items()
+        if name in POSITIONS
+    }
 
 
 def _potential_energies(tree: Tree, q: Array) -> Array:

@@ -192,7 +192,7 @@ def _believed_compensation(scenario: Scenario) -> Compensation:
     }
     if not any(np.any(values[name]) for name in wrong):
         raise ScenarioError(
-            f"model_error.friction = {factor:g}: the compensation {section.kind!r} has no values of friction to "
-            "be wrong about; give compensation.kind = 'model' some, or leave it out"
+            f"model_error.friction = {factor:g}: the compensation {section.kind!r} has no friction values "
+            "that could be wrong; use compensation.kind = 'model', or leave model_error.friction out"
         )
     return section.model_copy(update=wrong)

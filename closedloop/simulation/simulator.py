@@ -70,8 +70,8 @@ class Simulator:
         name = scenario.time.integrator
         if name in ADAPTIVE:
             raise ScenarioError(
-                f"time.integrator = {name!r}: its steps reach over several rows, so that no torque from outside could "
-                f"act from the row just seen; use {', '.join(map(repr, INTEGRATORS))}, or closedloop.simulate"
+                f"time.integrator = {name!r}: its steps do not end at the rows, so that an external torque cannot "
+                f"act from a row on; use {', '.join(map(repr, INTEGRATORS))}, or closedloop.simulate"
             )
         check_engine(scenario, engine, None)
         self.problem = prepare(scenario, model)
@@ -124,7 +124,8 @@ class Simulator:
         torque : (n,) array, optional
             Torque Q on the joints, N m (N of a joint that slides), that acts from the present state on and is held over
             the step, in place of the law's. None: the scenario's own law acts, as often as it says. Its states, and
-            those of its compensation, go on beside a torque from outside.
+            those of its compensation, go on beside a torque from outside. A joint without a drive gives none, see
+            `closedloop.mechanics.loops.drives`.
 
         Raises
         ------

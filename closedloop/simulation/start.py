@@ -62,11 +62,15 @@ def start_state(scenario: Scenario, model: RobotModel) -> tuple[Array, Array]:
 def refuse_combinations(scenario: Scenario, model: RobotModel) -> None:
     """Refuse what loops, and stops of joints, cannot be combined with."""
     stopped = has_stops(scenario, model)
+    if model.balls and scenario.reads_encoders:
+        raise ScenarioError(f"encoder: {model.name} has joints that turn freely, which no encoder reads: leave it out")
     if scenario.robot.stop_restitution > 0.0 and not stopped:
-        raise ScenarioError("robot.stop_restitution: is that of the joints' stops; give robot.stops = true with it")
+        raise ScenarioError(
+            "robot.stop_restitution: acts at the stops of joints; set robot.stops = true, or leave it out"
+        )
     if scenario.contact and any(map(np.any, loop_dynamics(model))):
         raise ScenarioError(
-            f"contact: does not go with friction of loop joints, and {model.name} has some: leave either out"
+            f"contact: cannot be combined with friction of loop joints, which {model.name} has: leave out one of them"
         )
 
 

@@ -22,6 +22,7 @@ from closedloop.loop.events.phases import DONE, IMPACT_LAW_WANTED, MEASURED, STE
 from closedloop.loop.step.memory import State, Work
 from closedloop.loop.step.record_row import complete_record
 from closedloop.mechanics.closure.contact_force import FREE
+from closedloop.mechanics.loops.drives import torque_of_drives
 from closedloop.mechanics.robot.pinocchio import Robot
 from closedloop.simulation.engines.loops import kernels_of, loop_for
 from closedloop.simulation.engines.problem import Problem
@@ -104,13 +105,20 @@ class Stepper:
             self.loop.state.no_search = 1  # the step before has been searched, with the torque that acted in it
 
     def hold(self, torque: Array) -> None:
-        """Let a torque (n,), an array of doubles, act from the row on, to which the loop has gone back."""
+        """Let a torque (n,), an array of doubles, act from the row on, to which the loop has gone back.
+
+        Of what it asks of joints without a drive, what the drives can give through loops acts, as of a law's.
+        """
         if self._held and self._own_started:  # the laws are as they were
             state = self.loop.state
             state.law, state.compensation = self._own
         else:
             self._set_law(None)
             self._held = True
+        model = self._problem.robot.model
+        if not all(model.driven):
+            robot, acts = self._problem.robot, np.where(model.driven, torque, 0.0)
+            torque = torque_of_drives(robot, self.loop.w.q, torque)[0] if model.loops else acts
         if not self._numbers.item(_DRIVES):
             self._torque[:] = torque
             return

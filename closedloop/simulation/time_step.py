@@ -36,14 +36,14 @@ def integrator_of(scenario: Scenario, joint_friction: JointFriction) -> tuple[ty
     if name not in ADAPTIVE:
         if section.tolerance is not None:
             raise ScenarioError(
-                f"time.tolerance = {section.tolerance:g}: goes with integrator = {' or '.join(map(repr, ADAPTIVE))} "
+                f"time.tolerance = {section.tolerance:g}: acts with integrator = {' or '.join(map(repr, ADAPTIVE))} "
                 f"only; the error of {name!r} is set by time.step; leave it out"
             )
         return INTEGRATORS[name], None
     if scenario.reads_encoders:
         what = "encoder" if encoder_kind(scenario.encoder) != NO_ENCODER else "transmission.measured = 'motor'"
         raise ScenarioError(
-            f"{what}: is read once a step, and {name!r} has none; take an integrator of fixed step, "
+            f"{what}: is read once a step, and {name!r} chooses its own steps; use an integrator of fixed step, "
             f"{' or '.join(map(repr, INTEGRATORS))}"
         )
     for key, law, family, possible in (
@@ -53,9 +53,9 @@ def integrator_of(scenario: Scenario, joint_friction: JointFriction) -> tuple[ty
         if law.sticks not in possible:
             others = [repr(name) for name, member in family.items() if member.sticks in possible]
             raise ScenarioError(
-                f"{key}.kind = {law.kind!r}: depends on the step, and {name!r} has none; "
+                f"{key}.kind = {law.kind!r}: depends on the step, and {name!r} chooses its own steps; "
                 f"must be {' or '.join(others)}, or "
-                f"take an integrator of fixed step, {' or '.join(map(repr, INTEGRATORS))}"
+                f"use an integrator of fixed step, {' or '.join(map(repr, INTEGRATORS))}"
             )
     usual = TOLERANCE if scenario.friction.kind == "none" else TOLERANCE_WITH_FRICTION
     return ADAPTIVE[name], usual if section.tolerance is None else section.tolerance

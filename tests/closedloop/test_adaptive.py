@@ -2,7 +2,7 @@
 
 import numpy as np
 import pytest
-from rounding import rounding
+from rounding import rounding, within
 from scipy.optimize import brentq
 from scipy.special import ellipj
 
@@ -89,7 +89,7 @@ def test_a_force_that_fades_lets_go_at_its_zero_and_the_flight_after_it_is_the_c
 
     on = brentq(height, off + 0.1, off + 1.0, xtol=1e-15, rtol=1e-15)
     assert [e.kind for e in run.events[:2]] == ["liftoff", "impact"]
-    assert abs(run.event_time[0] - off) < 1e-14  # as sharply as `locate` finds an instant, s
+    assert within(64, run.event_time[0], off, 1.0)  # as sharply as `locate` finds an instant, s
     assert abs(run.event_time[1] - on) < 1e-12
     pressed = run.time < off
     wanted = mean + swing * np.sin(omega * np.maximum(run.time - s, 0.0))
@@ -115,7 +115,7 @@ def test_a_pendulum_is_jacobis_elliptic_function():
     terms = cl.Robot(run.model).terms([0.0], [0.0])
     omega, k = np.sqrt(terms.bias[0] / terms.mass_matrix[0, 0]), np.sin((0.4 + np.pi / 2) / 2)
     _, cn, dn, _ = ellipj(omega * run.time, k * k)
-    assert np.max(np.abs(run.q[:, 0] + np.pi / 2 - 2 * np.arcsin(k * cn / dn))) < 2e-14
+    assert within(64, run.q[:, 0] + np.pi / 2, 2 * np.arcsin(k * cn / dn))
 
 
 @pytest.mark.parametrize("name", ["planar2_slide", "wam_slide", pytest.param("panda_slide", marks=pytest.mark.slow)])
@@ -223,7 +223,7 @@ def test_friction_stops_a_block_where_coulomb_says():
     (stop,) = run.events
     assert stop.kind == "stick"
     assert abs(stop.time - 0.5 * MASS / (0.3 * 4.0)) < rounding(50, 0.5 * MASS / (0.3 * 4.0))
-    assert run.q[-1, :2] == pytest.approx(0.5 * 0.25 * MASS / 1.2 * np.array([0.6, 0.8]), abs=1e-14)
+    assert within(64, run.q[-1, :2], 0.5 * 0.25 * MASS / 1.2 * np.array([0.6, 0.8]))
     assert run.mode[-1] == 2
 
 
@@ -255,7 +255,7 @@ def test_a_stuck_block_that_nothing_drags_is_lifted_straight_off():
     run = cl.simulate(scenario, law=lambda t, q, v, terms: terms.bias - 10.0 * np.cos(omega * t) * terms.jacobian[2])
     off = np.pi / (2 * omega)
     assert [e.kind for e in run.events] == ["liftoff"]
-    assert abs(run.event_time[0] - off) < 1e-14  # as sharply as `locate` finds an instant, s
+    assert within(64, run.event_time[0], off, 1.0)  # as sharply as `locate` finds an instant, s
     up = run.time > off
     assert np.array_equal(run.mode, np.where(up, 0, 2))
     height = 10.0 / (MASS * omega) * (run.time - off + np.cos(omega * run.time) / omega)
@@ -338,11 +338,11 @@ def test_law_that_switches_back_and_forth_stalls_with_a_reason():
         ({"time.integrator": "dop835"}, "'rk4', 'semi_implicit_euler' or 'dop853'"),
         (
             {"time.tolerance": 1e-9, "time.integrator": "rk4"},
-            "time.tolerance = 1e-09: goes with integrator = 'dop853' only; the error of 'rk4' is set by time.step",
+            "time.tolerance = 1e-09: acts with integrator = 'dop853' only; the error of 'rk4' is set by time.step",
         ),
         (
             {"joint_friction.kind": "coulomb", "joint_friction.kinetic": 1.0},
-            "joint_friction.kind = 'coulomb': depends on the step, and 'dop853' has none; must be 'dahl' or 'lugre' or",
+            "joint_friction.kind = 'coulomb': depends on the step, and 'dop853' chooses its own steps; must be",
         ),
     ],
 )
@@ -361,7 +361,7 @@ def test_least_tolerance_that_may_be_asked_for_works():
         cl.simulate(cl.load_scenario("wam_slide", changes | {"stabiliser.kind": "projection", "time.tolerance": t}))
         for t in (1e-14, 1e-12)
     )
-    assert np.max(np.abs(fine.q - usual.q)) < 1e-13
+    assert within(512, fine.q, usual.q)
 
 
 def test_stiff_stabiliser_is_no_limit_on_the_time_between_rows():

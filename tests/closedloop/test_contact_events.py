@@ -6,6 +6,7 @@ The ball of 2 kg over the ground at z = 0: its gravity is taken away by the law 
 import numpy as np
 import pytest
 from contact_history import assert_one_story
+from rounding import within
 
 import closedloop as cl
 from robot_models import load
@@ -101,7 +102,7 @@ def test_a_dip_is_found_in_steps_of_first_order_too():
     changes = {"time.integrator": "semi_implicit_euler", "time.duration": 0.1, "time.step": 0.02}
     run = simulate(lambda t, z, rate: 10.0 * MASS, 0.0035, -0.4, **changes)
     assert run.events[0].kind == "impact"
-    assert run.events[0].time == pytest.approx((0.4 - np.sqrt(0.16 - 0.14)) / 20, abs=1e-13)
+    assert within(512, run.events[0].time, (0.4 - np.sqrt(0.16 - 0.14)) / 20, 1.0)
     assert np.min(run.closure_error) > -1e-13
     assert simulate(lambda t, z, rate: 10.0 * MASS, 0.0045, -0.4, **changes).events == ()
 
@@ -111,10 +112,10 @@ def test_liftoff_at_an_instant_inside_a_step():
     run = simulate(lambda t, z, rate: -10.0 + 30.0 * t, 0.0)
     (event,) = run.events
     assert event.kind == "liftoff"
-    assert event.time == pytest.approx(1 / 3, abs=1e-13)
+    assert within(512, event.time, 1 / 3, 1.0)
     after = run.time > 1 / 3
     t = run.time[after] - 1 / 3
-    assert run.closure_error[after] == pytest.approx(30 / MASS * t**3 / 6, abs=1e-13)
+    assert within(512, run.closure_error[after], 30 / MASS * t**3 / 6, 1.0)
     assert run.contact_force[~after] == pytest.approx(10 - 30 * run.time[~after], abs=1e-12)
 
 
@@ -140,7 +141,7 @@ def test_a_pull_inside_a_step_lets_go(stabiliser):
     rows = np.searchsorted(run.event_time, run.time) == 1
     s = (run.time[rows] - 0.35) / half
     assert s.size == 1
-    assert run.closure_error[rows] == pytest.approx(4e3 / MASS * half**4 / 12 * (s + 1) ** 3 * (3 - s), abs=1e-13)
+    assert within(512, run.closure_error[rows], 4e3 / MASS * half**4 / 12 * (s + 1) ** 3 * (3 - s), 1.0)
     assert_one_story(run)
 
 
@@ -170,7 +171,7 @@ def test_a_dip_between_two_rises_is_seen_by_the_adaptive_integrator_only(integra
     )  # fmt: skip
     if integrator == "rk4":
         assert run.events == ()
-        assert run.closure_error == pytest.approx([0.02 * size, 0.22 * size], abs=1e-15)
+        assert within(16, run.closure_error, [0.02 * size, 0.22 * size], 1.0)
     else:
         assert run.events[0].kind == "impact"
         assert run.events[0].time == pytest.approx(first * step, abs=1e-12)

@@ -12,7 +12,7 @@ from closedloop.loop.events.phases import APPLY_EVENT, AT_EVENT, ENLARGE_TABLE
 from closedloop.loop.events.table import EVENT_WIDTH, LIFTOFF, RELEASE, STOP, EventRow
 from closedloop.loop.step.contacts import STICK_SPEED, margin_of, save_contacts
 from closedloop.mechanics.closure.contact_force import FREE, PRESSED, STUCK
-from closedloop.mechanics.closure.solve import OK
+from closedloop.mechanics.closure.solve import OK, PAINLEVE
 from closedloop.mechanics.contacts.impact import STRUCK_AND_LEFT, STRUCK_AND_STAYED, apply_impulses
 from closedloop.mechanics.contacts.memory import CONE, LINE, OFF, RAY, make_contact_memory
 from closedloop.mechanics.contacts.modes import (
@@ -28,6 +28,7 @@ from closedloop.mechanics.contacts.modes import (
     happened_to,
     mode_after,
 )
+from closedloop.mechanics.contacts.time_step import SPAN, TIME_STEP, begin_time_step
 
 NOTHING = 1e-9
 
@@ -41,6 +42,27 @@ def memory():
     c.W[:], c.mu[:], c.mode[:], c.load[:] = np.eye(6), 0.5, [FREE, PRESSED], 1.0
     c.located[0], c.direction[1] = 1.0, [0.6, 0.8]
     return memory
+
+
+def test_a_time_step_where_no_modes_agree(memory):
+    """A contact that pressing harder pulls in has no force; the impulse of a step stops it, as its equations say."""
+    links, c = memory
+    touching, mu, h = slice(3, 6), 2.0, SPAN
+    c.X[touching] = 0.0
+    c.X[touching, 3:] = np.linalg.cholesky([[1.0, 0.8, 0.0], [0.8, 1.0, 0.0], [0.0, 0.0, 1.0]])
+    c.W[:] = c.X @ c.X.T
+    c.mu[1], c.u[touching], c.a[touching] = mu, [0.0, 0.5, 0.0], [-9.81, 0.0, 0.0]
+    assert interpreted(decide)(links, c, 1e-7) == PAINLEVE
+    assert interpreted(begin_time_step)(links, c, 3.0) == OK
+    P = h * c.step_force[touching]
+    np.testing.assert_allclose(
+        P, -np.linalg.solve(c.W[touching, touching], c.u[touching] + h * c.a[touching]), rtol=1e-12
+    )
+    assert np.hypot(P[1], P[2]) < mu * P[0]
+    assert (c.mode[1], c.happened[1], links.stepped) == (PRESSED, TIME_STEP, 1)
+    assert c.step_end == 3.0 + h
+    np.testing.assert_array_equal(c.F, 0.0)
+    np.testing.assert_array_equal(c.after, c.u)
 
 
 def test_what_is_told_of_a_contact(memory):

@@ -5,8 +5,10 @@ The box is a body on three prismatic and three revolute joints, the block one on
 
 import numpy as np
 import pytest
-from boxes import FEET, FOUR, HALF, G, simulate
+from boxes import FEET, FOUR, HALF, G, drop_in_any_pose, simulate
 from scipy.integrate import quad
+
+from closedloop.record.report.link_contacts import contact_rows, share_not_determined
 
 
 def examine(run, mu, gap, rise=1e-8):
@@ -106,6 +108,36 @@ def test_a_box_that_is_dropped_comes_to_rest(tmp_path, feet, seed):
     assert np.max(np.ptp(run.link_gaps[-20:], axis=0)) < 1e-9
     if mu > 0.04:
         assert np.max(np.abs(run.v[-1])) < 1e-6
+
+
+@pytest.mark.parametrize(
+    ("feet", "seed", "duration"),
+    [
+        (5, 82, 0.06),  # one foot slides until pressing harder pulls it in: its force grows, and stops it before
+        (8, 224, 0.06),  # ... and an impulse stops it
+        (8, 86, 1.0),  # rates of its joints of thousands of rad/s, near a pose in which two have one axis
+        *(pytest.param(4 + (k % 2), k, 4.0, marks=pytest.mark.slow) for k in range(20)),
+        *(pytest.param(8, k, 4.0, marks=pytest.mark.slow) for k in range(20)),
+    ],
+)
+def test_a_box_dropped_in_any_pose_goes_on(tmp_path, feet, seed, duration):
+    """Nothing pulls or leaves its cone, and the error of a step is what is deeper than a touch or rises in energy."""
+    half, at, start, mu, e = drop_in_any_pose(feet, seed)
+    run = simulate(tmp_path, half, at, start, mu, e, **{"time.duration": duration})
+    assert run.stopped is None
+    examine(run, mu, -2e-7, rise=1e-6)
+
+
+def test_shares_that_are_not_determined_are_told(tmp_path):
+    """A box on four feet may share its weight in many ways, on three without friction in one; the report says so."""
+    start = ([0, 0, 0.05, 0, 0, 0], [0, 0, 0, 0, 0, 0])
+    four = simulate(tmp_path, HALF, FOUR, start, 0.3, **{"time.duration": 0.005})
+    assert share_not_determined(four) == (0.0, 12, 6)
+    said = {row[0]: row for row in contact_rows(four)}["share of each contact not determined"]
+    assert said[1:] == ("from 0", "s", "6 of 12 rows are independent; that of least norm is given")
+    three = [[0.1, 0.0, -0.05], [-0.1, 0.05, -0.05], [-0.1, -0.05, -0.05]]
+    three = simulate(tmp_path, HALF, three, start, 0.0, **{"time.duration": 0.005})
+    assert share_not_determined(three) is None
 
 
 def falling(angle, alpha, p):

@@ -281,7 +281,7 @@ def test_what_is_wrong_with_a_contact_is_said_in_one_line(change, said):
 )
 def test_what_does_not_go_with_contacts_is_refused(key, value):
     """Combinations that are not there."""
-    with pytest.raises(cl.ScenarioError, match=r"does not go with \[\[contact\]\]"):
+    with pytest.raises(cl.ScenarioError, match=r"cannot be combined with \[\[contact\]\]"):
         moved([0, HEIGHT / 2, 0], [0, 0, 0], corners(0.3), **{key: value})
 
 

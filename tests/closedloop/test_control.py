@@ -2,6 +2,7 @@
 
 import numpy as np
 import pytest
+from rounding import within
 from slides import SLIDES
 
 import closedloop as cl
@@ -105,7 +106,7 @@ def test_sampled_law_is_called_once_a_period():
 
     changes = {"law.sample_period": 0.004, "time.duration": 0.02, "time.integrator": "rk4"}
     cl.simulate(cl.load_scenario("wam_slide", changes), law=law)
-    assert instants == pytest.approx([0.0, 0.004, 0.008, 0.012, 0.016, 0.02], abs=1e-15)
+    assert within(16, instants, [0.0, 0.004, 0.008, 0.012, 0.016, 0.02])
 
 
 def test_sampling_at_every_step_is_no_sampling():

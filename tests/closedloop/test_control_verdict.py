@@ -210,10 +210,26 @@ def test_a_tip_that_only_bounces_has_come_to_the_surface():
     assert "no_contact" not in said
 
 
+def test_a_flight_after_an_impact_is_a_bounce():
+    """What is off the surface at the end, or for long, is lost after a liftoff and bounces after an impact."""
+    away = lambda begin, until: lambda t: (t < begin) | (t > until)  # noqa: E731
+    for until in (3.5, DURATION):
+        (problem,) = judge_control(drawn(touching=away(1.0, until), touchdowns=[1.2]), {})[0]
+        assert (problem["name"], problem["at"]) == ("bouncing", pytest.approx(1.2, abs=2e-3))
+    assert told(drawn(touching=away(1.0, 3.5), touchdowns=[0.9])) == "lost_contact"
+    assert told(drawn(touching=False, touchdowns=[0.5, 0.9])) == "bouncing"
+
+
 @pytest.mark.slow
 @pytest.mark.parametrize(
     ("name", "changes", "control"),
     [
+        ("wam_bounce", {"impact.restitution": 0.95, "time.duration": 0.3}, {"bouncing"}),
+        ("wam_bounce", {"impact.restitution": 0.95, "time.duration": 0.5}, {"bouncing"}),
+        ("wam_bounce", {"impact.restitution": 0.95, "time.duration": 1.0}, {"bouncing", "force_error"}),
+        ("panda_scan", {"law.kind": "admittance", "compliance.kind": "kelvin_voigt", "compliance.stiffness": 1e6},
+         {"bouncing", "force_error"}),
+        ("wam_slide", {"law.kp": -5.0}, {"unstable"}),
         ("wam_slide", {"force_profile.kind": "waypoints", "force_profile.times": [6.0, 6.05],
                        "force_profile.forces": [10.0, 15.0]}, {"good"}),
         ("wam_slide", {"reference.stop": 2.0}, {"good"}),

@@ -145,7 +145,7 @@ def test_a_loop_joint_without_an_equality_is_refused_in_one_line(tmp_path, capsy
     assert main(["export", str(run.save(tmp_path / "run.nc")), "--to", "mjcf"]) == 2
     err = capsys.readouterr().err
     assert len(err.splitlines()) == 1
-    assert "MuJoCo has no equality for a slider, as 'guide' of slider_crank is; csv and mcap take it" in err
+    assert "MuJoCo has no equality for a slider, as 'guide' of slider_crank is; use --to csv or --to mcap" in err
     assert [path.name for path in tmp_path.iterdir()] == ["run.nc"]
 
 

@@ -383,5 +383,5 @@ def test_the_usual_kind_of_a_section():
     assert TypeAdapter(Annotated[PATHS.base, PATHS]).validate_python({}).kind == "hold"
     with pytest.raises(ValidationError, match="discriminator"):
         TypeAdapter(Annotated[PATHS.base, Family(PATHS.base)]).validate_python({})
-    with pytest.raises(cl.ScenarioError, match=r"is 'hold' where it is not given, and stop goes with 'circle' or "):
+    with pytest.raises(cl.ScenarioError, match=r"is 'hold' where it is not given, and stop is a key of 'circle' or "):
         parse_scenario("[law]\nkp = 1\nkd = 1\n[reference]\nstop = 2.0\n")

@@ -3,7 +3,7 @@
 from types import SimpleNamespace
 
 import numpy as np
-import pytest
+from rounding import within
 from scipy.spatial.transform import Rotation
 
 import closedloop as cl
@@ -51,4 +51,4 @@ def test_the_force_of_a_contact_on_a_turned_link_with_turned_axes():
     np.testing.assert_allclose(force, plane @ axes.T @ frame.T @ [3.0, 0.5, -0.7], atol=1e-14)
     bare = Touching("c", 1, at, 2, axes, origin, None)
     force = bare.force(3.0, np.array([0.5, -0.7]), np.array([np.eye(3), point, plane]), origins)[1]
-    assert force == pytest.approx(plane @ axes.T @ [3.0, 0.5, -0.7], abs=1e-14)
+    assert within(64, force, plane @ axes.T @ [3.0, 0.5, -0.7])

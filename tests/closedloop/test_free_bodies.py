@@ -308,7 +308,7 @@ def test_a_path_of_a_tip_that_no_drive_leads_is_refused(tmp_path):
         tmp_path, body(tmp_path), STILL, [0] * 6,
         reference__kind="line", reference__direction=[0.0, 1.0, 0.0], reference__speed=0.1, reference__stop=0.9,
     )  # fmt: skip
-    with pytest.raises(ScenarioError, match="hangs on a joint that turns freely"):
+    with pytest.raises(ScenarioError, match="depends on a ball joint, which has no drive"):
         cl.simulate(scenario, progress=False)
 
 
@@ -316,3 +316,23 @@ def test_no_torque_acts_on_a_free_body(tmp_path):
     """A law may ask; there is no drive."""
     scenario = scenario_of(tmp_path, body(tmp_path), STILL, [0, 0, 0, 1, 2, 3], law__kp=100.0, law__kd=10.0)
     assert not np.any(cl.simulate(scenario, engine="compiled", progress=False).torque)
+
+
+def test_runs_of_a_batch_are_the_runs_themselves(tree, tmp_path):
+    """The lanes have no bodies that turn freely: a batch takes the loop of one run."""
+    model, path = tree
+    scenario = scenario_of(tmp_path, path, tip="tip", time__duration=0.02)
+    starts = [[0.1 * k] * model.n for k in range(1, 10)]
+    table = cl.simulate_batch(scenario, {"start.v": starts}, keep=["q"])
+    assert set(table["verdict"].to_pylist()) == {"good"}
+    run = cl.simulate(
+        scenario_of(tmp_path, path, v=starts[3], tip="tip", time__duration=0.02), engine="compiled", progress=False
+    )
+    assert np.array_equal(np.array(table["q"][3].as_py()), run.q)
+
+
+def test_an_encoder_of_what_turns_freely_is_refused(tmp_path):
+    """An encoder reads joints, not orientations."""
+    scenario = scenario_of(tmp_path, body(tmp_path), STILL, [0] * 6, encoder__noise=1e-4)
+    with pytest.raises(ScenarioError, match="encoder: bodies has joints that turn freely"):
+        cl.simulate(scenario, progress=False)

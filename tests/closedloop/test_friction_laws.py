@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
+from rounding import within
 from scipy.spatial.transform import Rotation
 from test_friction_examples import (
     EXAMPLES,
@@ -85,7 +86,7 @@ def test_slip_starts_where_it_is_told_to(name):
     direction = pointing(1.0, 2.0)
     for u in (np.zeros(2), pointing(1e-15, -1.0)):
         c, _ = law.slide(u, direction=direction)
-        assert c / np.linalg.norm(c) == pytest.approx(direction, abs=1e-15)
+        assert within(16, c / np.linalg.norm(c), direction)
         assert not np.any(law.slide(u)[0])
     moving, _ = law.slide(pointing(1e-9, -1.0), direction=direction)
     assert moving / np.linalg.norm(moving) == pytest.approx(pointing(1.0, -1.0), abs=1e-12)

@@ -83,6 +83,27 @@ def test_a_tip_that_had_drifted_breaks_away_at_a_row(engine):
     assert run.summary()["verdict"]["good"]
 
 
+SOFT = {"compliance.kind": "kelvin_voigt", "compliance.stiffness": 2.5e5, "compliance.damping": 108.0}
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("scheme", ["semi_implicit_euler", "rk4"])
+@pytest.mark.parametrize("law", [{}, {"law.kind": "admittance", "law.force_integral": 5.0, "sensor.delay": 0.01}])
+def test_tip_and_joints_stick_and_slip_on_a_soft_surface(law, scheme):
+    """At 0.014 m/s, where friction in the joints was solved as if f answered as a rigid one's: no ChatterError."""
+    changes = SOFT | law | {
+        "surface.contact": "unilateral", "reference.speed": 0.014, "time.integrator": scheme, "time.duration": 3.0,
+        "friction.kind": "coulomb", "friction.coefficient": 0.3,
+    }  # fmt: skip
+    run = cl.simulate(cl.load_scenario("joint_friction", changes))
+    assert run.stopped is None
+    kinds = [event.kind for event in run.events if event.kind in ("stick", "slip")]
+    assert "slip" in kinds
+    assert len(kinds) < 100
+    assert np.all(np.linalg.norm(run.friction_force, axis=1) <= 0.3 * run.contact_force * (1.0 + 1e-9))
+    assert run.summary()["max_energy_residual"] < 0.05 * run.summary()["energy_exchanged"]
+
+
 def test_the_report_says_how_far_friction_is_off_a_slow_slip(capsys):
     """A block at 0.4 mm/s that is pushed across: the largest angle, by hand from columns; none if it goes straight."""
 

@@ -69,6 +69,10 @@ def test_what_is_asked_of_a_joint_without_a_drive_does_not_act(stops):
     wanted = np.linalg.solve(terms.mass_matrix, [1.5, 0.0] - terms.bias)
     np.testing.assert_allclose(run.acceleration[0], wanted, rtol=1e-12)
     assert run.summary()["motions_without_drive"] == 1
+    stepped = cl.Simulator(scenario, model=model, engine="pinocchio")
+    stepped.step(torque=[1.5, -2.0])
+    assert stepped.run().torque[0].tolist() == [1.5, 0.0]
+    np.testing.assert_allclose(stepped.run().acceleration[0], wanted, rtol=1e-12)
 
 
 def after_moreau(H, v, kept, pushing, restitution):
@@ -256,6 +260,39 @@ def test_tip_in_contact_takes_part():
     np.testing.assert_allclose(run.v[after][:, [0, 2]], 0.0, atol=1e-9)  # both ways are barred, the third is not
     np.testing.assert_allclose(run.v[after][:, 1], 0.2, atol=1e-9)
     assert np.max(np.abs(run.closure_error)) < 1e-9
+
+
+@pytest.mark.parametrize("e", [0.0, 0.5])
+@pytest.mark.parametrize("moves", [False, True])
+def test_a_stop_strikes_the_tip_in_both_phases(e, moves):
+    """A mass on a slope, m Δv = P n + s ex: the slope's impulse is m Δv_z/n_z, in compression and e times that after.
+
+    Where the slope moves its impulse is at work: the energy after the event is that before, less what was lost.
+    """
+    changes = {
+        "robot.model": "pointmass3", "robot.stops": True, "start.q": [9.95, 0.0, 0.0], "start.v": [0.5, 0.2, -0.5],
+        "surface.normal": [1, 0, 1], "reference.kind": "hold", "time.duration": 0.12, "law.kp": 0, "law.kd": 0,
+        "law.force": 5.0, "robot.stop_restitution": e, "time.integrator": "rk4",
+    }  # fmt: skip
+    if moves:
+        changes |= {
+            "surface_motion.kind": "breathing",
+            "surface_motion.amplitude": 0.01,
+            "surface_motion.frequency": 2.0,
+        }
+    scenario = cl.load_scenario("planar2_slide", changes)
+    run = cl.simulate(scenario)
+    at, h = run.events[0].time, scenario.time.step
+    i = int(at / h)
+    ((mass, _, _), *_) = cl.prepare(scenario).robot.terms(run.q[0], run.v[0]).mass_matrix
+    before = run.v[i] + (at - i * h) * run.acceleration[i]
+    stopped = mass * before[0] * np.sqrt(2.0)
+    assert run.event_compression[0] == pytest.approx(stopped, rel=1e-4 if moves else 1e-9)
+    assert run.event_decompression[0] == pytest.approx(e * run.event_compression[0], rel=1e-12, abs=1e-15)
+    assert run.v[-1, 0] == pytest.approx(-e * before[0], abs=0.05 if moves else 1e-9)
+    lost = 0.5 * mass * 2.0 * before[0] ** 2 * (1.0 - e * e)  # it turns back along x, and along z as the slope bids
+    assert run.event_energy_lost[0] == pytest.approx(lost, rel=1e-3 if moves else 1e-9)
+    assert run.summary()["max_energy_residual"] < (1e-5 if moves else 1e-9)
 
 
 def test_repeat_and_batch(tmp_path):

@@ -274,6 +274,11 @@ def test_drives_move_the_mechanism_as_the_law_asks(mechanisms):
     assert np.all(driven.torque[:, passive] == 0.0)
     assert np.max(np.abs(all_of_them.torque[:, passive])) > 1.0
     np.testing.assert_allclose(driven.q, all_of_them.q, atol=1e-11)
+    stepped = cl.Simulator(scenario, model=own)
+    for k in range(3):  # and a torque from outside
+        stepped.step(torque=all_of_them.torque[k])
+    np.testing.assert_allclose(stepped.run().torque[:3], driven.torque[:3], atol=1e-11)
+    np.testing.assert_allclose(stepped.run().q, driven.q[:4], atol=1e-13)
 
 
 def test_tip_of_a_five_bar_presses_and_slides():

@@ -136,7 +136,7 @@ def step_error_of(x, mode, order):
     """Return what a signal's steps add to its error in each mode, and its largest difference.
 
     Differences are cut to the larger beside them, and half of what they change by counts: with order one all of it,
-    else half, less by the power order - 1 of how smooth these changes are.
+    else 0.45 of it, less by the power order - 1 of how smooth these changes are.
     """
     total, begin, steepest = 0.0, 0, 0.0
     for i in range(1, len(x) + 1):
@@ -155,7 +155,7 @@ def step_error_of(x, mode, order):
             if near[1] == 0.0:
                 continue
             rough = max(abs(near[1] - near[0]), abs(near[2] - near[1])) / max(map(abs, near))
-            total += 0.5 * abs(near[1]) * (1.0 if order == 1 else 0.5 * min(1.0, rough) ** (order - 1))
+            total += 0.5 * abs(near[1]) * (1.0 if order == 1 else 0.45 * min(1.0, rough) ** (order - 1))
     return min(total, max(x) - min(x)), steepest
 
 
@@ -198,9 +198,9 @@ def written_out(row, wanted, limits, V, order):
     fastest, first = np.max(np.abs(r.v)), order == 1
     varied, steepest = step_error_of(np.where(touching, miss, 0.0), r.mode, order)
     moved = steepest if first and np.any(np.diff(r.mode)) else 0.0
-    of_pose = (2.0 if first else 0.2) * H * fastest * np.max(np.abs(f)) + 1e-12 * np.max(np.abs(f))
+    of_pose = (2.0 if first else 1.0) * H * fastest * np.max(np.abs(f)) + 1e-12 * np.max(np.abs(f))
     aside = [step_error_of(x, r.mode, order)[0] for x in (r.position - wanted.position).T]
-    late = (0.5 if first else 0.05) * H * np.max(np.linalg.norm(r.velocity, axis=1))
+    late = (0.5 if first else 0.25) * H * np.max(np.linalg.norm(r.velocity, axis=1))
     lower, upper, fast, strong = limits
     excess = np.maximum(r.q - upper, lower - r.q)
     return {

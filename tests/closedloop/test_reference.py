@@ -7,6 +7,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from rounding import within
 from scipy.integrate import solve_ivp
 from scipy.linalg import null_space
 
@@ -85,7 +86,7 @@ def test_velocity_begins_and_ends_with_a_step(line):
     """At the start instant the velocity is that of the motion; at the stop it is zero, and the place is the last."""
     *_, path = line
     q_des, v_des, _ = path.sample(np.array([START, STOP]))
-    assert np.allclose(v_des[0], path.v[0], rtol=0, atol=1e-15)
+    assert within(16, v_des[0], path.v[0])
     assert np.array_equal(q_des[0], path.q[0])
     assert np.all(v_des[1] == 0.0)
     assert np.array_equal(q_des[1], path.q[-1])
@@ -234,4 +235,4 @@ def test_reference_does_not_depend_on_the_step():
         cl.load_scenario("wam_slide", {"time.step": 0.0005, "time.duration": 2.0, "time.integrator": "rk4"})
     )
     for column in ("reference_position", "reference_velocity"):
-        assert np.max(np.abs(getattr(fine, column)[::2] - getattr(coarse, column))) < 1e-14
+        assert within(64, getattr(fine, column)[::2], getattr(coarse, column))

@@ -3,6 +3,7 @@
 import numpy as np
 import pinocchio as pin
 import pytest
+from rounding import within
 
 import closedloop as cl
 import robot_models
@@ -116,7 +117,7 @@ def test_drives_add_to_the_diagonal_alone():
     without = cl.Robot(robot_models.load("wam4", drive_inertia=False))
     ours, bare = with_drives.terms(q, v), without.terms(q, v)
     difference = ours.mass_matrix - bare.mass_matrix
-    assert np.allclose(difference, np.diag(with_drives.model.armature), rtol=0, atol=1e-15)
+    assert within(16, difference, np.diag(with_drives.model.armature), 1.0)
     assert np.all(np.diag(difference) > 0.01)
     assert np.array_equal(ours.bias, bare.bias)
     assert np.array_equal(ours.jacobian, bare.jacobian)

@@ -284,7 +284,7 @@ def test_reading_that_breaks_down_breaks_down_alone(copy, saved, monkeypatch, tm
     program.chmod(0o700)
     copy.write_bytes(saved.read_bytes()[: -sealed.SEAL_LENGTH])
     monkeypatch.setattr(sealed.sys, "executable", str(program))
-    with pytest.raises(cl.RunFileError, match="HDF5 broke down over it"):
+    with pytest.raises(cl.RunFileError, match="HDF5 failed while reading it"):
         cl.load_run(copy)
 
 

@@ -237,7 +237,7 @@ REFUSED = {
     "key below a number": ({"law.kp.first": 1}, ["law.kp.first", "'kp'", "section"]),
     "section that is a number": ({"law": 3}, ["law", "[law]"]),
     "unknown key below a kind": ({"reference.kind": "hold", "reference.speed": 1}, ["reference.speed"]),
-    "unknown key with the name of a kind": ({"law.paper": 1}, ["'law.paper'", "[law] knows", "kp"]),
+    "unknown key with the name of a kind": ({"law.paper": 1}, ["'law.paper'", "[law] has", "kp"]),
     "unknown key with the name of the kind that it is": ({"reference.line": 1}, ["'reference.line'"]),
     # kinds
     "unknown reference": ({"reference.kind": "spiral"}, ["reference.kind", "'spiral'", "'line'", "'hold'"]),

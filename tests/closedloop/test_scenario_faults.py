@@ -30,7 +30,7 @@ stp = 2
 duration = -1
 """
 LINES = [
-    "unknown key 'reference.speed'; reference.kind is 'hold' where it is not given, and speed goes with 'line'",
+    "unknown key 'reference.speed'; reference.kind is 'hold' where it is not given, and speed is a key of 'line'",
     "unknown key 'time.stp'; did you mean 'time.step'?",
     "friction.kind = 'glue': must be 'coulomb' or 'coulomb_viscous' or 'dahl' or 'karnopp' or 'lugre' or 'none' or "
     "'seven_parameter' or 'stribeck'",
@@ -79,7 +79,7 @@ def test_a_key_that_is_given_is_never_dropped(turn):
     """A change of the kind drops what the file says of the old kind, and not what is given beside it."""
     cl.load_scenario("wam_slide", {"law.kind": "impedance"})  # which has no kp: that of the file goes
     given = dict([("law.kp", 300.0), ("law.kind", "impedance")][::turn])
-    with pytest.raises(cl.ScenarioError, match=r"unknown key 'law.kp'; law.kind is 'impedance', and kp goes with"):
+    with pytest.raises(cl.ScenarioError, match=r"unknown key 'law.kp'; law.kind is 'impedance', and kp is a key of"):
         cl.load_scenario("wam_slide", given)
 
 

@@ -193,7 +193,7 @@ def test_wrong_time_is_refused(t):
 
 def test_adaptive_integrator_is_refused():
     """An integrator that steps over rows cannot be driven row by row."""
-    with pytest.raises(cl.ScenarioError, match=r"time.integrator = 'dop853': its steps reach over several rows"):
+    with pytest.raises(cl.ScenarioError, match=r"time.integrator = 'dop853': its steps do not end at the rows"):
         cl.Simulator(cl.load_scenario("wam_slide", {"time.integrator": "dop853"}))
 
 

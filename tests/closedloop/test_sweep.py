@@ -303,7 +303,7 @@ def test_two_at_once_are_one_too_many(tmp_path):
             ("--over", "law.force=1,2", "--out", "a_file/t.parquet"),
             "--out a_file/t.parquet: cannot be written: Not a dir",
         ),
-        (("--over", "law.force=1,2", "--out", "a_folder.parquet"), "--out a_folder.parquet: is there and is no sweep"),
+        (("--over", "law.force=1,2", "--out", "a_folder.parquet"), "--out a_folder.parquet: exists and is not a sweep"),
         (("--over", "law.force=1,2", "--scheduler", "nowhere"), "--scheduler nowhere: "),
         (("--over", "law.force=1,2", "--scheduler", "tcp://127.0.0.1:1"), "must be the address of a Dask scheduler"),
     ],
@@ -344,13 +344,13 @@ def test_what_is_not_this_sweeps_is_never_overwritten(capsys, tmp_path):
         return line
 
     cure = "name another file with --out, or replace it with --overwrite"
-    assert f"is there and is no sweep; {cure}" in refused_with((out, b"my notes"))
+    assert f"exists and is not a sweep; {cure}" in refused_with((out, b"my notes"))
     parquet.write_table(pa.table({"a": [1]}), out)
-    assert "is there and is no sweep" in refused_with((out, out.read_bytes()))
+    assert "exists and is not a sweep" in refused_with((out, out.read_bytes()))
     assert sweep(capsys, *SMALL, "--out", out)[0] == 0
     line = refused_with((out, out.read_bytes()), arguments=(*SMALL, "--law.kd", "30"))
     assert f"holds another sweep: law.kd is [60.0, 60.0, 30.0, 20.0] there and 30.0 here; {cure}" in line, line
-    assert "is there and is no sweep" in refused_with((out.with_suffix(".nc"), b"data"), arguments=small_with_columns)
+    assert "exists and is not a sweep" in refused_with((out.with_suffix(".nc"), b"data"), arguments=small_with_columns)
     folder = tmp_path / "t.parquet.parts"
     assert "is there and holds no sweep" in refused_with((folder / "mine.txt", b"mine"))
     other = json.dumps({"format": store_module.FORMAT, "identity": {"scenario": "other"}}).encode()
@@ -380,7 +380,7 @@ def test_no_value_that_was_given_is_dropped(capsys, tmp_path):
     out = tmp_path / "t.parquet"
     kinds = ("wam_slide", "--time.duration", "0.002", "--over", "law.kind=paper,hybrid", "--out", out)
     line = refusal(capsys, *kinds, "--law.pd_start", "0.1", "--law.kd", "40")
-    assert line.startswith("law.pd_start is given, and law.kind = 'hybrid' does not know it: sweep each kind with its")
+    assert line.startswith("law.pd_start is given, and law.kind = 'hybrid' has no such key: sweep each kind with its")
     assert sweep(capsys, *kinds, "--law.kd", "40")[0] == 0
     kept = json.loads(parquet.read_schema(out).metadata[join_module.METADATA.encode()])["identity"]["scenario"]
     assert tomllib.loads(kept)["law"]["kd"] == 40.0
@@ -400,7 +400,7 @@ def test_faults_of_the_scenario_and_of_the_place_are_said_together(capsys, tmp_p
     words = ("wam_slide", "--law.banana", "1", "--over", "law.force=5,6", "--out", tmp_path / "a_file" / "t.parquet")
     status, _, err = sweep(capsys, *words)
     assert status == 2
-    assert ["law.banana" in err.splitlines()[0], "a_file is no folder" in err.splitlines()[1]] == [True, True]
+    assert ["law.banana" in err.splitlines()[0], "a_file is not a folder" in err.splitlines()[1]] == [True, True]
 
 
 def test_values_that_only_toml_knows_are_text_in_the_table(capsys, tmp_path):
@@ -576,7 +576,7 @@ def test_pipes_and_folders_where_a_table_or_a_part_should_be(tmp_path):
     """None is waited for: a pipe as the table or its description is refused, as a part it is said."""
     out, folder = tmp_path / "t.parquet", tmp_path / "t.parquet.parts"
     os.mkfifo(out)
-    with pytest.raises(cl.OutputError, match="is there and is no sweep"):
+    with pytest.raises(cl.OutputError, match="exists and is not a sweep"):
         run_sweep(small(), out)
     out.unlink()
     folder.mkdir()
@@ -596,6 +596,6 @@ def test_a_damaged_table_is_not_taken_for_a_sweep(tmp_path):
     text = out.read_bytes()
     for damaged in (text[: len(text) // 2], text[:4] + bytes(len(text) // 2) + text[4 + len(text) // 2 :]):
         out.write_bytes(damaged)
-        with pytest.raises(cl.OutputError, match=r"is there and is no sweep|is damaged"):
+        with pytest.raises(cl.OutputError, match=r"exists and is not a sweep|is damaged"):
             run_sweep(small(), out)
         assert out.read_bytes() == damaged

@@ -3,6 +3,7 @@
 import numpy as np
 import pinocchio as pin
 import pytest
+from rounding import within
 
 import closedloop as cl
 from closedloop.scenario.arm import robot_of
@@ -47,7 +48,7 @@ def test_terms_of_an_arm_with_a_tool():
         found = robot.terms(q, v)
         assert np.allclose(found.mass_matrix, H, rtol=0, atol=1e-12)
         assert np.allclose(found.bias, C, rtol=0, atol=1e-11)
-        assert np.allclose(found.position, tip, rtol=0, atol=1e-14)
+        assert within(64, found.position, tip)
 
 
 @pytest.mark.parametrize("engine", ["pinocchio", "compiled"])
@@ -108,7 +109,7 @@ def test_a_controller_wrong_about_the_normal_presses_along_its_own(engine):
         run.friction_force[:, :2], 10.0 * np.sin(0.2) * np.array([np.cos(1), np.sin(1)]), rtol=0, atol=1e-7
     )
     turn = run.scenario.model_error.tilt()
-    assert np.allclose(turn @ turn.T, np.eye(3), rtol=0, atol=1e-15)
+    assert within(16, turn @ turn.T, np.eye(3))
 
 
 def test_wrong_figures_of_friction_are_those_of_the_compensation():

@@ -2,6 +2,7 @@
 
 import numpy as np
 import pytest
+from rounding import within
 
 import closedloop as cl
 from closedloop.jit.interpreted import interpreted
@@ -60,7 +61,7 @@ def test_a_motor_and_a_mass_swing_as_two_masses_do():
     swing = Q / (B * rate**2) * (1 - np.cos(rate * run.time))
     assert np.max(np.abs(run.motor_position[:, 0] - run.q[:, 0] - swing)) < 1e-9
     centre = (B * run.motor_position[:, 0] + M * run.q[:, 0]) / (M + B)
-    assert np.max(np.abs(centre - Q * run.time**2 / (2 * (M + B)))) < 1e-13
+    assert within(512, centre, Q * run.time**2 / (2 * (M + B)))
     assert np.allclose(run.transmitted_torque[:, 0], K * (run.motor_position - run.q)[:, 0], rtol=0, atol=1e-10)
     assert np.max(np.abs(run.motor_position[:, 1])) < 1e-15  # nothing is released that nothing acts on
 
@@ -121,7 +122,7 @@ def test_the_controller_sees_its_side_and_rigid_joints(side):
     assert np.array_equal([each[1] for each in seen], run.v if side == "link" else run.motor_velocity)
     rigid = cl.prepare(cl.load_scenario("wam_slide")).robot
     for q, v, H in seen:
-        assert np.allclose(H, rigid.terms(q, v).mass_matrix, rtol=0, atol=1e-14)
+        assert within(64, H, rigid.terms(q, v).mass_matrix)
     if side == "link":
         assert np.max(np.abs(run.contact_force - 10.0)) < 1e-9
 

@@ -5,6 +5,7 @@ import json
 import numpy as np
 import pinocchio as pin
 import pytest
+from rounding import within
 
 import closedloop as cl
 from closedloop.figures.export.csv_table import write_csv
@@ -116,7 +117,7 @@ def test_an_arm_on_a_ceiling_or_a_wall_is_one_with_a_turned_base(gravity, turned
     model = cl.prepare(cl.load_scenario("wam_slide")).robot.model.pinocchio_model()
     model.jointPlacements[1] = pin.SE3(turned, np.zeros(3)) * model.jointPlacements[1]
     data, random = model.createData(), np.random.default_rng(1)
-    assert np.allclose(turned @ gravity, model.gravity.linear, rtol=0, atol=1e-14)
+    assert within(64, turned @ gravity, model.gravity.linear)
     for _ in range(3):
         q, v = random.uniform(-1, 1, 4), random.uniform(-2, 2, 4)
         terms, bias = robot.terms(q, v), pin.nonLinearEffects(model, data, q, v)

@@ -46,6 +46,12 @@ def anchors(text):
     return {re.sub(r"[^\w\- ]", "", heading.lower()).replace(" ", "-") for heading in headings}
 
 
+def left_out(index, pages):
+    """Return those of the pages that no table of contents (toctree) of the text `index` has."""
+    listed = re.findall(r"^```{toctree}\n(.*?)^```$", index, re.MULTILINE | re.DOTALL)
+    return set(pages) - set(" ".join(listed).split())
+
+
 def broken_links(page, text, generated):
     """Return the links of a page that lead nowhere; `generated` names the pages that the build makes."""
     broken = []

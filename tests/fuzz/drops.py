@@ -17,41 +17,13 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from boxes import FEET, HALF, simulate
+from boxes import drop_in_any_pose, simulate
 
 import closedloop as cl
 
 # What is wrong: a gap below this, m; force outside the cone, of the largest; energy that grows in a step, of that
 # which there is; speed at rest, rad/s (m/s).
 GAP, CONE, RISE, REST = -1e-9, 1e-9, 1e-9, 1e-6
-
-
-def any_rotation(rng: np.random.Generator) -> tuple[float, float, float]:
-    """Return angles of x, y and z, in this order from the floor, of a rotation that may be any, rad."""
-    return float(rng.uniform(-np.pi, np.pi)), float(np.arcsin(rng.uniform(-1.0, 1.0))), float(rng.uniform(-3.0, 3.0))
-
-
-def turned(x: float, y: float, z: float) -> np.ndarray:
-    """Return the rotation Rx Ry Rz."""
-    R = np.eye(3)
-    for angle, (a, b) in ((x, (1, 2)), (y, (2, 0)), (z, (0, 1))):
-        one = np.eye(3)
-        one[[a, b], [a, b]], one[a, b], one[b, a] = np.cos(angle), -np.sin(angle), np.sin(angle)
-        R = R @ one
-    return R
-
-
-def draw(feet: int, seed: int) -> tuple[Any, ...]:
-    """Return half sides, feet, start, μ and e of a drop."""
-    rng = np.random.default_rng([seed, feet])
-    half = np.array(HALF) * np.exp(rng.uniform(-0.7, 0.7, size=3))
-    at = FEET[feet] / HALF * half
-    angles = any_rotation(rng)
-    height = float(10 ** rng.uniform(-4.0, -0.8) - np.min(at @ turned(*angles)[2]))
-    v = np.concatenate([rng.normal(size=3) * 0.7, rng.normal(size=3) * 3.0])
-    mu = float(rng.choice([0.0, 0.05, 1.0, rng.uniform(), rng.uniform()]))
-    e = float(rng.choice([0.0, rng.uniform(0.0, 0.9), rng.uniform(0.0, 0.9)]))
-    return half, at, ([0.0, 0.0, height, *angles], v), mu, e
 
 
 def examine(run: Any, mu: Any, rests: bool = True) -> dict[str, float]:
@@ -97,7 +69,7 @@ def main() -> None:
             if time.time() - begin > args.seconds:
                 break
             feet = args.feet[k % len(args.feet)]
-            half, at, start, mu, e = draw(feet, k)
+            half, at, start, mu, e = drop_in_any_pose(feet, k)
             changes = {"time.duration": args.duration, "time.integrator": args.integrator}
             try:
                 since, failure = time.process_time(), ""

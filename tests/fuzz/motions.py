@@ -16,8 +16,8 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from boxes import no_torque
-from drops import any_rotation, examine
+from boxes import any_rotation, no_torque
+from drops import examine
 
 import closedloop as cl
 import robot_models

@@ -1,15 +1,21 @@
 """Scenarios with wrong and extreme values: a fixed budget of them, the same each time, of which none may be unclean."""
 
+import random
 from collections import Counter
+from copy import deepcopy
 
 import pytest
 from bounded import judged
 from budget import budget
-from judged import FAULTY, RAN, REFUSED, STOPPED, judge, of_json, of_line, same
+from combinations import change, combinations
+from judged import FAULTY, HELD, RAN, REFUSED, STOPPED, judge, judge_halved, of_json, of_line, same
 from scenario_cases import Case, all_cases, legal_extremes, one_wrong_value, places, tables, wrong_values
 from scenarios import FIRST
-from shipped_cases import shipped_cases
+from shipped_cases import shipped_cases, shipped_tables
 
+from closedloop.base.errors import ScenarioError
+from closedloop.record.report import step_error, summary
+from closedloop.scenario.file import shipped_scenarios
 from closedloop.scenario.load import scenario_of
 from closedloop.scenario.messages import variants
 from closedloop.scenario.scenario import Scenario
@@ -39,6 +45,49 @@ def test_every_kind_of_every_section_has_a_legal_scenario_to_start_from():
         for kind in variants(section):
             for robot in ("wam4", "pointmass3", "planar2"):
                 scenario_of(tables(robot, {section: kind}), "fuzz", {})
+
+
+@pytest.mark.slow
+def test_combinations_are_of_values_that_are_valid_alone_and_the_same_for_the_same_seed():
+    """Each change by itself makes a scenario that is read; another seed draws others, and a duration is kept."""
+    drawn = list(combinations(60, seed=3))
+    assert [case.content for case in drawn] == [case.content for case in combinations(60, seed=3)]
+    assert [case.content for case in drawn] != [case.content for case in combinations(60, seed=4)]
+    assert {case.content["time"]["duration"] for case in combinations(20, 3, 0.2)} == {0.2}
+    draw, read, refused = random.Random(5), 0, []
+    for _ in range(400):
+        name, seed = draw.choice(shipped_scenarios()), draw.random()
+        alone, again = deepcopy(shipped_tables(name)), deepcopy(shipped_tables(name))
+        said = change(random.Random(seed), alone)
+        assert said == change(random.Random(seed), again)
+        assert alone == again
+        if not said:
+            continue
+        try:
+            scenario_of(alone, "fuzz", {})
+        except ScenarioError as error:
+            refused.append((said, str(error)))
+        else:
+            read += 1
+    assert all(said.partition(".")[0] in line for said, line in refused)  # by what was changed, not by what it is of
+    assert read > 200
+
+
+@pytest.mark.slow
+def test_a_difference_beyond_what_is_stated_is_seen(monkeypatch):
+    """What is judged at half the step holds for a slide, and is faulty where a thousandth of it is stated."""
+    case = Case("slide", tables("planar2", {"law": "paper"}) | {"time": {"duration": 0.05, "step": 0.001}}, {})
+    assert judge_halved(case) == (HELD, "")
+    whole = step_error.step_error
+
+    def less(run, values):
+        found = whole(run, values)
+        return found | {name: 1e-3 * found[name] for name in ("contact_force", "position")}
+
+    monkeypatch.setattr(summary, "step_error", less)
+    outcome, words = judge_halved(case)
+    assert outcome == FAULTY
+    assert "stated" in words
 
 
 @pytest.mark.slow

@@ -64,3 +64,18 @@ def test_a_huge_number_of_a_run_file_is_refused(key, value):
     said[key] = [value] * len(said[key])
     with pytest.raises(robot_models.ModelError, match=f"its {key} has"):
         robot_models.from_text(robot.text, "urdf", name="p", tip=robot.tip, locked={}, **json.loads(json.dumps(said)))
+
+
+def test_more_rows_of_loops_than_there_is_room_for_are_refused():
+    """24 hinges take 120 rows; one more is refused in one line that says how many there are and may be."""
+    own = robot_models.load("four_bar")
+
+    def with_pins(count):
+        pins = [own.loops[0].as_table() | {"name": f"pin {k}"} for k in range(count)]
+        return robot_models.from_text(
+            own.text, "urdf", name="four_bar", armature=own.armature, tip=own.tip, home=own.home, locked={}, loops=pins
+        )
+
+    assert sum(loop.rows for loop in with_pins(24).loops) == 120
+    with pytest.raises(robot_models.ModelError, match=r"^four_bar: the 25 loops take 125 rows, and 120 is the most"):
+        with_pins(25)

@@ -13,6 +13,7 @@ from validation.speed.__main__ import line_up, main
 from validation.speed.arms import ARMS, chain, slide
 from validation.speed.batch import compiled_batch
 from validation.speed.contestants import Contestant, final, our_engine
+from validation.speed.feet import BOXES, STANDS, on_feet
 from validation.speed.loops import GIVES_WAY, MECHANISMS, coasting, racing
 from validation.speed.measure import Timing, race, ratio
 from validation.speed.targets import growth, targets
@@ -46,6 +47,16 @@ def test_every_row_moves_the_mechanism(name):
         end = contestant.lap()[1]
         assert end is None or np.max(np.abs(end - contestant.wanted)) <= contestant.tolerance, contestant
     assert np.max(np.abs(everyone[0].wanted - coasting(name).q)) > 10.0 * GIVES_WAY
+
+
+@pytest.mark.parametrize("name", BOXES)
+def test_every_row_moves_the_box(name):
+    """MuJoCo's box on four feet ends where ours does: metres on, or where it stood."""
+    everyone = on_feet(name, True)
+    for contestant in everyone:
+        assert np.max(np.abs(contestant.lap()[1] - contestant.wanted)) <= contestant.tolerance, contestant
+    went = everyone[0].wanted[0]
+    assert abs(went) < 1e-9 if name == STANDS else went > 1.5
 
 
 def test_arms_grow():

@@ -16,6 +16,7 @@ from typing import ClassVar, NoReturn
 
 import numpy as np
 
+from robot_models.coordinates import PLACES, RATES, balls
 from validation.oracle.spatial import Array
 from validation.oracle.urdf import RobotModel
 from validation.tolerances import Tolerance
@@ -59,8 +60,10 @@ class Engine:
     name : what tables call it
     package : the module that must be importable; None for what comes with this project
     install : the command that installs it; empty where nothing is to be installed
+    balls : the first velocity of each joint that turns freely
     covers : names out of `METHODS` that it computes
     cannot : method → why not, for all others
+    turns_freely : whether it is given joints that turn freely; q has rotation vectors, see `robot_models.coordinates`
     tolerances : method → its own bound, with the argument, where it is further from rounding than the harness asks
     """
 
@@ -70,9 +73,11 @@ class Engine:
     covers: ClassVar[frozenset[str]]
     cannot: ClassVar[Mapping[str, str]] = MappingProxyType({})
     tolerances: ClassVar[Mapping[str, Tolerance]] = MappingProxyType({})
+    turns_freely: ClassVar[bool] = False
 
     def __init__(self, robot: Robot, tip: str) -> None:
         self.n = len(robot.joint_names)
+        self.balls = tuple(_balls(robot))
 
     def __init_subclass__(cls) -> None:
         super().__init_subclass__()
@@ -174,8 +179,36 @@ def columns_of(names: Mapping[str, int], robot: Robot, engine: str) -> Array:
     CannotBuild
         If the engine has not exactly these joints.
     """
+    names = dict(names)
+    for first, joint in zip(_balls(robot), _ball_names(robot), strict=True):
+        if (at := names.pop(joint, None)) is not None:
+            places = [joint + end for end in PLACES]
+            if set(places) <= set(robot.joint_names) and not set(places) & set(names):  # a free joint in one piece
+                names |= {name: at + k for k, name in enumerate(places)}
+                at += len(places)
+            names |= {robot.joint_names[first + k]: at + k for k in range(3)}
     if set(names) != set(robot.joint_names) or sorted(names.values()) != list(range(len(names))):
         raise CannotBuild(
             f"{engine} made joints {sorted(names)} out of {sorted(robot.joint_names)}: one column each is needed"
         )
     return np.array([names[joint] for joint in robot.joint_names], dtype=int)
+
+
+def _balls(robot: Robot) -> list[int]:
+    """Return the first velocity of each ball joint, of which a robot that is no `RobotModel` has none."""
+    return balls(getattr(robot, "joint_types", ()))
+
+
+def _ball_names(robot: Robot) -> list[str]:
+    return [robot.joint_names[j].removesuffix(RATES[0]) for j in _balls(robot)]
+
+
+def refuse_balls(robot: Robot, engine: str) -> None:
+    """Refuse joints that turn freely, for an engine whose adapter has none.
+
+    Raises
+    ------
+    CannotBuild
+    """
+    if names := _ball_names(robot):
+        raise CannotBuild(f"joint {names[0]!r} turns freely: {engine} is given joints of one variable here")

@@ -35,6 +35,7 @@ class ClosedLoop(Engine):
     """
 
     name = "closedloop"
+    turns_freely = True
     covers = frozenset(METHODS)
 
     def __init__(self, robot: Robot, tip: str) -> None:

@@ -8,8 +8,9 @@ from typing import Any
 
 import numpy as np
 
+from robot_models.coordinates import PARTS, PLACES, RATES, coordinate_names, with_quaternions
 from validation.engines.description import bare_urdf, masses, root_link
-from validation.engines.interface import METHODS, CannotBuild, Engine, Robot, columns_of
+from validation.engines.interface import METHODS, CannotBuild, Engine, Robot, columns_of, refuse_balls
 from validation.oracle.spatial import Array
 
 TIP, FAR, ROD = "validation/tip", "validation/far", "validation/rod"
@@ -44,6 +45,7 @@ class MuJoCo(Engine):
     """
 
     name = "mujoco"
+    turns_freely = True
     package = "mujoco"
     install = 'pip install "mujoco>=3.17,!=4.0.0"'
     covers = frozenset(METHODS) - {"stabilised", "impulse"}
@@ -70,6 +72,9 @@ class MuJoCo(Engine):
         spec.option.disableflags |= int(mujoco.mjtDisableBit.mjDSBL_CONTACT)
         self.model = compile_spec(spec)
         self.columns = columns(self.model, robot)
+        self.types = tuple(getattr(robot, "joint_types", ()))
+        known = {name: at for i in range(self.model.njnt) for name, at in _positions(self.model, i)}
+        self.places = [known[name] for name in coordinate_names(robot.joint_names, self.types)]
         self.data = mujoco.MjData(self.model)
         self.site = self.model.site(TIP).id
         self.body = int(self.model.site_bodyid[self.site])
@@ -77,7 +82,7 @@ class MuJoCo(Engine):
     def _set(self, q: Array, v: Array | None = None, *, held: bool = False) -> None:
         """Put the state in and evaluate everything that depends on it alone."""
         _require_finite(q, v)
-        self.data.qpos[self.columns] = q
+        self.data.qpos[self.places] = with_quaternions(np.asarray(q), self.types)
         self.data.qvel[self.columns] = 0.0 if v is None else v
         self.data.eq_active[0] = held
         self.mj.mj_fwdPosition(self.model, self.data)
@@ -163,6 +168,8 @@ def build_spec(robot: Robot, tip: str) -> Any:
 
     if mujoco.__version__ == "4.0.0":
         raise CannotBuild("MuJoCo 4.0.0 is refused: its sparse solver returns wrong accelerations")
+    if robot.format == "urdf":
+        refuse_balls(robot, "mujoco, for a URDF,")
     text = bare_urdf(robot.text) if robot.format == "urdf" else robot.text
     try:
         spec = mujoco.MjSpec.from_string(text)
@@ -172,7 +179,9 @@ def build_spec(robot: Robot, tip: str) -> Any:
         if robot.locked:
             _weld(spec, compile_spec(spec), robot)
         for joint, armature in zip(robot.joint_names, robot.armature, strict=True):
-            found = spec.joint(joint)
+            found = spec.joint(joint) or next(
+                (spec.joint(joint.removesuffix(end)) for end in (*PLACES, *RATES) if joint.endswith(end)), None
+            )
             if found is None:
                 raise CannotBuild(f"MuJoCo reads no joint {joint!r}")
             found.armature = armature
@@ -206,6 +215,13 @@ def compile_spec(spec: Any) -> Any:
         return spec.compile()
     except ValueError as error:
         raise CannotBuild(f"MuJoCo refuses it: {str(error).strip().splitlines()[0]}") from error
+
+
+def _positions(model: Any, joint: int) -> list[tuple[str, int]]:
+    """Return names and places of the positions of a joint."""
+    kinds = {0: (*PLACES, *PARTS), 1: PARTS}  # mjJNT_FREE, mjJNT_BALL
+    name, at = str(model.joint(joint).name), int(model.jnt_qposadr[joint])
+    return [(name + end, at + k) for k, end in enumerate(kinds.get(int(model.jnt_type[joint]), ("",)))]
 
 
 def columns(model: Any, robot: Robot) -> Array:

@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 
 import robot_models
+from robot_models.coordinates import balls, in_pinocchios_order, with_quaternions
 from validation.engines.interface import METHODS, CannotBuild, Engine, Robot, columns_of
 from validation.oracle.spatial import Array
 
@@ -32,6 +33,7 @@ class PinocchioCpp(Engine):
     """
 
     name = "pinocchio"
+    turns_freely = True
     package = "pinocchio"
     install = "pip install pin"
     covers = frozenset(METHODS) - {"stabilised"}
@@ -42,7 +44,8 @@ class PinocchioCpp(Engine):
         import pinocchio as pin
 
         self.pin: Any = pin
-        if robot.format == "urdf":
+        self.types = getattr(robot, "joint_types", ()) if isinstance(robot, robot_models.RobotModel) else ()
+        if robot.format == "urdf" and not balls(self.types):
             model = pin.buildModelFromXML(robot.text)
             if robot.locked:
                 model = self._weld(model, robot)
@@ -51,7 +54,7 @@ class PinocchioCpp(Engine):
         else:
             raise CannotBuild(f"its description is {robot.format!r} and it is no RobotModel")
         self.model = model
-        self.joints = [model.joints[model.getJointId(name)] for name in robot.joint_names]
+        self.joints = [model.joints[model.getJointId(name)] for name in robot.joint_names if model.existJointName(name)]
         names = {name: int(model.joints[i].idx_v) for i, name in enumerate(model.names) if i}
         self.columns = columns_of(names, robot, self.name)
         model.armature = self._in(np.asarray(robot.armature))
@@ -72,6 +75,8 @@ class PinocchioCpp(Engine):
 
     def _q(self, q: Array) -> Array:
         _require_finite(q, "q")
+        if balls(self.types):
+            return in_pinocchios_order(with_quaternions(np.asarray(q), self.types), self.types)
         out = np.empty(self.model.nq)
         for joint, value in zip(self.joints, q, strict=True):
             out[joint.idx_q : joint.idx_q + joint.nq] = _coordinates(joint.nq, value)

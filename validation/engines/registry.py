@@ -8,7 +8,7 @@ from validation.engines.compiled import Compiled
 from validation.engines.drake import Drake
 from validation.engines.exudyn import Exudyn
 from validation.engines.hand_written import HandWritten
-from validation.engines.interface import CannotBuild, Engine, Missing, Refused, Robot, installed
+from validation.engines.interface import CannotBuild, Engine, Missing, Refused, Robot, installed, refuse_balls
 from validation.engines.loop import ClosedLoop
 from validation.engines.mujoco import MuJoCo
 from validation.engines.pinocchio_cpp import PinocchioCpp
@@ -41,6 +41,8 @@ def _make(engine: type[Engine], robot: Robot, tip: str) -> Engine | Missing | Re
     if not installed(engine):
         return Missing(engine.name, engine.install)
     try:
+        if not engine.turns_freely:
+            refuse_balls(robot, engine.name)
         return engine(robot, tip)
     except CannotBuild as error:
         return Refused(engine.name, str(error))

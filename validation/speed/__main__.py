@@ -15,6 +15,7 @@ from closedloop.command.border import Parser, run_command
 from validation.run import InputError, say
 from validation.speed.arms import ARMS, slide
 from validation.speed.contestants import Contestant
+from validation.speed.feet import BOXES
 from validation.speed.loops import MECHANISMS
 
 INSTALL = 'not installed: pip install "closedloop[peers]"'
@@ -34,9 +35,10 @@ def _main(words: list[str]) -> int:
     for name in ("repeats", "steps", "runs"):
         if getattr(options, name) is not None and getattr(options, name) < 1:
             raise InputError(f"--{name} {getattr(options, name)}: must be at least 1")
-    unknown = [arm for arm in options.arms if arm not in (*ARMS, *MECHANISMS)]
+    known = (*ARMS, *MECHANISMS, *BOXES)
+    unknown = [arm for arm in options.arms if arm not in known]
     if unknown:
-        raise InputError(f"--arms {unknown[0]}: must be of {', '.join((*ARMS, *MECHANISMS))}")
+        raise InputError(f"--arms {unknown[0]}: must be of {', '.join(known)}")
     file = Path(options.json) if options.json else None
     if file and (not file.parent.is_dir() or file.is_dir()):
         raise InputError(f"--json {file}: cannot be written: name a file in a folder that exists")
@@ -68,7 +70,11 @@ def _parser() -> Parser:
     parser.add_argument("--steps", type=int, help="steps of a lap (default 4000; 500 with --quick)")
     parser.add_argument("--runs", type=int, help="runs of a batch (default 256; 16 with --quick)")
     parser.add_argument(
-        "--arms", nargs="+", default=[*ARMS, *MECHANISMS], metavar="ARM", help=f"of {', '.join((*ARMS, *MECHANISMS))}"
+        "--arms",
+        nargs="+",
+        default=[*ARMS, *MECHANISMS, *BOXES],
+        metavar="ARM",
+        help=f"of {', '.join((*ARMS, *MECHANISMS, *BOXES))}",
     )
     parser.add_argument("--no-cold-start", action="store_true", help="leave out the start of whole processes")
     parser.add_argument("--json", metavar="FILE", help="write every value")
@@ -77,7 +83,7 @@ def _parser() -> Parser:
 
 def line_up(arms: Sequence[str], steps: int, runs: int) -> tuple[list[Contestant], dict[str, str]]:
     """Return everyone who races, and why the others do not."""
-    from validation.speed import batch, contestants, inertia, loops
+    from validation.speed import batch, contestants, feet, inertia, loops
 
     there = {name: find_spec(module) is not None for name, module in (("mujoco", "mujoco"), ("drake", "pydrake"))}
     missing = {name: INSTALL for name, found in there.items() if not found}
@@ -86,6 +92,9 @@ def line_up(arms: Sequence[str], steps: int, runs: int) -> tuple[list[Contestant
         say(f"preparing {arm}")
         if arm in MECHANISMS:
             everyone += loops.racing(arm, there["mujoco"])
+            continue
+        if arm in BOXES:
+            everyone += feet.on_feet(arm, there["mujoco"])
             continue
         problem = slide(arm, steps)
         everyone.append(contestants.our_engine(arm, problem, "compiled"))

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import dataclass
 
+from validation.speed.feet import BOXES
 from validation.speed.measure import Timing, ratio
 
 Timings = dict[tuple[str, str], Timing]
@@ -56,6 +57,7 @@ def targets(timings: Timings) -> list[Target]:
         *found,
         Target("four_bar: MuJoCo from Python, connect / compiled", 5.0, True, four_bar),
         Target("delta: constraintDynamics loop / compiled", 1.0, True, delta),
+        *(Target(f"{box}: bare mj_step / compiled", 1.0, True, times("mj_step", "compiled", arm=box)) for box in BOXES),
     ]
 
 

@@ -44,7 +44,7 @@ def _fault(name: str, member: type[Any], base: type[Any]) -> str:
     given, wanted = inspect.getattr_static(member, name), inspect.getattr_static(base, name)
     right = f"{_HOW.get(type(wanted), '')}def {name}({', '.join(_names(wanted))})"
     if not isinstance(given, (staticmethod, classmethod)) and not callable(given):
-        return f"{name} is no function: must be {right}"
+        return f"{name} is not a function: must be {right}"
     here = _place(given)
     try:
         inspect.signature(_plain(given)).bind(*_names(wanted))

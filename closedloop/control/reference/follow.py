@@ -69,8 +69,8 @@ def follow(robot: Robot, q: Array, path: TipPath, held: Orientation = FREE_ORIEN
         q = _aligned(robot, q, held)
     if path.segments and any(robot.support[j] for j in robot.model.balls):
         raise ScenarioError(
-            f"reference.kind: the tip of {robot.model.name} hangs on a joint that turns freely, and no drive leads it "
-            'along a path: use kind = "hold"'
+            f"reference.kind: the tip of {robot.model.name} depends on a ball joint, which has no drive and "
+            'cannot follow a path: use kind = "hold"'
         )
     if not path.segments:
         return JointPath.hold(q)

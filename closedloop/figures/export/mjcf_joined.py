@@ -38,13 +38,13 @@ def check_joined(scene: Scene) -> None:
         if loop.type not in HELD:
             raise ScenarioError(
                 f"--to mjcf: MuJoCo has no equality for a {loop.type}, as {loop.name!r} of {scene.run.model.name} is; "
-                "csv and mcap take it"
+                "use --to csv or --to mcap"
             )
     for touching in scene.touching:
         if touching.surface is not None:
             raise ScenarioError(
                 f"--to mjcf: contact {touching.name!r} has a surface that is curved or moves, and only planes at rest "
-                "are written; csv and mcap take it"
+                "are written; use --to csv or --to mcap"
             )
 
 

@@ -111,7 +111,7 @@ def contact_forces(links: ContactLinks, c: Contacts, w: Work, state: State) -> i
             status = solve_modes(c, k)
         keep_in_cones(c, k)
         c.margin = margin_of(c, k, STICK_SPEED, 2.0 * STICK_SPEED if state.steps < 0 else 0.0)
-        if status == PAINLEVE and w.time > 0.0:  # its mode ends here: other modes, or a time step, go on
+        if status != OK and w.time > 0.0:  # these modes end here: others, or a time step, go on
             status, c.margin = OK, NO_FORCES
     w.contact_margin, w.contact_power, w.contact_power_rate = c.margin, 0.0, 0.0
     for i in range(3):
@@ -120,12 +120,14 @@ def contact_forces(links: ContactLinks, c: Contacts, w: Work, state: State) -> i
     for j in range(n):
         w.contact_torque[j] = 0.0
     for i in range(3, 3 * k):
+        if c.F[i] == 0.0:
+            continue
         w.contact_power += c.F[i] * (c.u[i] + c.carried[i])
         for j in range(n):
             w.contact_torque[j] += c.G[i, j] * c.F[i]
             w.y[j] += c.X[i, j] * c.F[i]
     accelerate(w.L, w.X, w.y, w.F, w.qdd)
-    for i in range(3, 3 * k):
+    for i in range(3, 3 * k if state.stages == 1 else 0):
         growth = c.drift[i] - c.turning[i]
         for j in range(n):
             growth += c.G[i, j] * w.qdd[j]

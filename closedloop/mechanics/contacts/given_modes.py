@@ -13,6 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from closedloop.jit.kernel import kernel
+from closedloop.jit.pointers import row_of
 from closedloop.mechanics.closure.contact_force import FREE, IMMOBILE, STUCK
 from closedloop.mechanics.closure.solve import OK, PAINLEVE, SINGULAR
 from closedloop.mechanics.contacts.least_norm import least_norm
@@ -26,6 +27,8 @@ Array = NDArray[np.float64]
 # that asks for more than this share beyond what the others give contradicts them: points of one body that stick
 # contradict each other by the square of what a step's error leaves of the velocity between them.
 SAME_ROW, CONTRADICTS = 1e-10, 1e-3
+# What equations of dependent rows may be off, of what they ask for, and how often they are solved for what is left.
+EXACT, REFINEMENTS = 1e-13, 5
 
 
 @kernel
@@ -90,7 +93,7 @@ def solve_modes(c: Contacts, k: int) -> int:
         OK; SINGULAR: the rows contradict each other; PAINLEVE: the only contact slides so that a larger force pulls
         it in.
     """
-    n, most = c.X.shape[1], 0.0
+    most = 0.0
     for i in range(3 * k):
         c.rigid[i] = 0.0 - c.viscous[i]  # not -0.0
         c.F[i] = c.rigid[i]
@@ -102,14 +105,20 @@ def solve_modes(c: Contacts, k: int) -> int:
     if p == 1 and pulled_in(c, int(c.unknown[0]) // 3):
         return PAINLEVE
     asked = write_system(c, k, p)
+    rank = independent_rows(c, p)
+    if rank < p and shortest_solutions(c, p, rank, asked):
+        write_forces(c, p)
+        if inside_cones(c, k, c.rigid) and inside_cones(c, k, c.F):
+            c.rounding = rounding_of(c, k, asked / most)
+            return OK
+        for i in range(3 * k):
+            c.rigid[i] = 0.0 - c.viscous[i]
+            c.F[i] = c.rigid[i]
     for i in range(p):
         for j in range(p):
             c.unknowns[i, j] = c.system[i, j]
     rank = solve_any_rank(c.system, p, 2, c.column_order, c.solution, SAME_ROW)
-    for side in range(2):
-        force = c.rigid if side == 0 else c.F
-        for j in range(p):
-            add_unknown(c, int(c.unknown[j]), c.solution[side, j], force)
+    write_forces(c, p)
     if rank < p:
         for i in range(p):
             left = -c.sought[i]
@@ -118,11 +127,145 @@ def solve_modes(c: Contacts, k: int) -> int:
             if not abs(left) <= CONTRADICTS * asked:
                 return SINGULAR
         share_forces(c, k, p)
-    size = 0.0
+    c.rounding = rounding_of(c, k, asked / most)
+    return OK
+
+
+@kernel
+def rounding_of(c: Contacts, k: int, asked: float) -> float:
+    """Return the force below which there is none, of those in `rigid` and the force that is asked for, N."""
+    size = asked
     for i in range(3 * k):
         size = max(size, abs(c.rigid[i]))
-    c.rounding = 1e-10 * max(size, asked / most) if n > 0 else 0.0
-    return OK
+    return 1e-10 * size
+
+
+@kernel
+def write_forces(c: Contacts, p: int) -> None:
+    """Add to `rigid` and F what the unknowns in `solution` stand for."""
+    for j in range(p):
+        row = int(c.unknown[j])
+        add_unknown(c, row, c.solution[0, j], c.rigid)
+        add_unknown(c, row, c.solution[1, j], c.F)
+
+
+@kernel
+def independent_rows(c: Contacts, p: int) -> int:
+    """Write as `column_order` the unknowns in such an order that the first rows depend on no others; return how many.
+
+    By Cholesky's factors of W with pivots.
+    """
+    R, order, left, first = c.unknowns, c.column_order, c.trial, 0.0
+    for i in range(p):
+        row = int(c.unknown[i])
+        order[i], left[i] = i, c.W[row, row]
+        first = max(first, left[i])
+    for r in range(p):
+        best = r
+        for m in range(r + 1, p):
+            if left[int(order[m])] > left[int(order[best])]:
+                best = m
+        order[r], order[best] = order[best], order[r]
+        i = int(order[r])
+        if not left[i] > SAME_ROW * first:
+            return r
+        root, row = math.sqrt(left[i]), int(c.unknown[i])
+        for m in range(r + 1, p):
+            j = int(order[m])
+            s = c.W[row, int(c.unknown[j])]
+            for t in range(r):
+                s -= R[t, i] * R[t, j]
+            s /= root
+            R[r, j] = s
+            left[j] -= s * s
+    return p
+
+
+@kernel
+def shortest_solutions(c: Contacts, p: int, rank: int, asked: float) -> bool:
+    """Write as `solution` the shortest forces, inside cones or not, that obey the first equations of `column_order`.
+
+    With A these equations and D the squares of the forces that the unknowns stand for, x = D⁻¹Aᵀ(A D⁻¹Aᵀ)⁻¹ s.
+
+    Returns
+    -------
+    bool
+        False if rounding is in the way, or the other equations contradict them.
+    """
+    A, B, order, weight, left = c.system, c.unknowns, c.column_order, c.best, c.multiplier
+    for j in range(p):
+        i, weight[j] = int(c.unknown[j]) // 3, 1.0
+        if c.kind[i] != CONE:
+            weight[j] = 1.0 / (1.0 + c.along[i, 0] * c.along[i, 0] + c.along[i, 1] * c.along[i, 1])
+    for r in range(rank):
+        i = int(order[r])
+        for q in range(r + 1):
+            m, s = int(order[q]), 0.0
+            for j in range(p):
+                s += A[i, j] * weight[j] * A[m, j]
+            whole = s
+            for t in range(q):
+                s -= B[r, t] * B[q, t]
+            if q < r:
+                B[r, q] = s / B[q, q]
+            elif s > 1e-12 * whole:
+                B[r, r] = math.sqrt(s)
+            else:
+                return False
+    for side in range(2):
+        x = row_of(c.solution, side)
+        for j in range(p):
+            x[j] = 0.0
+        worst, size = math.inf, 0.0
+        for r in range(rank):
+            size = max(size, abs(A[int(order[r]), p + side]))
+        for _ in range(REFINEMENTS):
+            worst = 0.0
+            for r in range(rank):
+                i = int(order[r])
+                left[r] = A[i, p + side]
+                for j in range(p):
+                    left[r] -= A[i, j] * x[j]
+                worst = max(worst, abs(left[r]))
+            if worst <= EXACT * size:
+                break
+            for r in range(rank):
+                for t in range(r):
+                    left[r] -= B[r, t] * left[t]
+                left[r] /= B[r, r]
+            for r in range(rank - 1, -1, -1):
+                for t in range(r + 1, rank):
+                    left[r] -= B[t, r] * left[t]
+                left[r] /= B[r, r]
+            for j in range(p):
+                s = 0.0
+                for r in range(rank):
+                    s += A[int(order[r]), j] * left[r]
+                x[j] += weight[j] * s
+        if not worst <= max(EXACT * size, 1e-3 * EXACT * asked):
+            return False
+    for r in range(rank, p):
+        i = int(order[r])
+        s = A[i, p]
+        for j in range(p):
+            s -= A[i, j] * c.solution[0, j]
+        if not abs(s) <= CONTRADICTS * asked:
+            return False
+    return True
+
+
+@kernel
+def inside_cones(c: Contacts, k: int, F: Array) -> bool:
+    """Whether forces F press and are inside their cones, those of the contacts that only press."""
+    for i in range(k):
+        n, mu = 3 * i, c.mu[i]
+        if c.kind[i] == RAY and F[n] < 0.0:
+            return False
+        if c.kind[i] == CONE:
+            within = mu * mu * F[n] * F[n] - F[n + 1] * F[n + 1] - F[n + 2] * F[n + 2]
+            if F[n] < 0.0 or within < 0.0:
+                return False
+    return True
 
 
 @kernel
@@ -276,7 +419,8 @@ def write_system(c: Contacts, k: int, p: int) -> float:
     for r in range(p):
         row, s = int(c.unknown[r]), 0.0
         for j in range(3 * k):
-            s -= c.W[row, j] * c.viscous[j]
+            if c.viscous[j] != 0.0:
+                s -= c.W[row, j] * c.viscous[j]
         for q in range(p):
             column = int(c.unknown[q])
             i, w = column // 3, c.W[row, column]

@@ -53,7 +53,7 @@ OneLine = Annotated[str, BeforeValidator(_one_line)]
 class ContactSection(Section):
     """[[contact]]: a point of a link that touches a surface of another link, or of the world; any number of them."""
 
-    name: OneLine = Field("", description="what it is called; contact 1, contact 2 ... if left out")
+    name: OneLine = Field("", description="name of the contact; contact 1, contact 2 ... if left out")
     link: str = Field(description="frame that the point belongs to")
     at: tuple[Coordinate, Coordinate, Coordinate] = Field(
         (0.0, 0.0, 0.0), description="the point, m, axes of that frame"
@@ -66,10 +66,10 @@ class ContactSection(Section):
         (0.0, 0.0, 0.0), description="the point of the surface with that normal, m, axes of the frame against"
     )
     surface: Annotated[Surface, SURFACES] | None = Field(
-        None, description="what it is, as [surface] says it: kind and what it measures; a plane if left out"
+        None, description="its shape, with the keys of [surface]; a plane if left out"
     )
     motion: Annotated[SurfaceMotion, MOTIONS] | None = Field(
-        None, description="how it moves in the frame against, as [surface_motion] says it; not at all if left out"
+        None, description="its motion in the frame against, with the keys of [surface_motion]; at rest if left out"
     )
     compliance: Annotated[Compliance, COMPLIANCES] | None = Field(
         None, description="how it gives way, as [compliance] says it; not at all if left out"

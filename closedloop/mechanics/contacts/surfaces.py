@@ -60,7 +60,7 @@ def surface_of(section: ContactSection, name: str = "") -> PlacedSurface | None:
     motion = MOTIONS["none"]() if motion is None else motion
     for key, each in (("surface", surface), ("motion", motion)):
         if is_users(each):
-            raise ScenarioError(f"{where}: {key}.kind = {each.kind!r}: must be one that ships")
+            raise ScenarioError(f"{where}: {key}.kind = {each.kind!r}: must be one of the package's own kinds")
     if surface.kind == "none":
         raise ScenarioError(f"{where}: surface.kind = 'none': must be a surface: leave the contact out")
     said = {*Surface.model_fields, "point", "offset"} - {"kind"}

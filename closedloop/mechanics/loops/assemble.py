@@ -59,8 +59,8 @@ def closed_start(robot: Robot, q: Array, v: Array, assemble: bool) -> tuple[Arra
     low, high = robot.model.position_lower, robot.model.position_upper
     if not left <= TOLERANCE:
         raise ScenarioError(
-            f"start.q: the loops are open, by {_worst(robot, error)}, and no posture near it closes them: what is left "
-            f"is {left:.3g}; look at the lengths of the links, and start nearer"
+            f"start.q: the loops are open, by {_worst(robot, error)}, and no posture near it closes them: the "
+            f"remaining error is {left:.3g}; check the lengths of the links, and start nearer"
         )
     if not assemble and float(np.max(np.abs(error))) > START_OPEN:
         j = int(np.argmax(np.abs(turned)))
@@ -70,10 +70,12 @@ def closed_start(robot: Robot, q: Array, v: Array, assemble: bool) -> tuple[Arra
             "start.assemble = true"
         )
     if out := [names[j] for j in range(robot.n) if not low[j] <= near[j] <= high[j]]:
-        raise ScenarioError(f"start.q: closed, joint {out[0]} would be outside its limits: start elsewhere")
+        raise ScenarioError(
+            f"start.q: in the nearest closed posture joint {out[0]} is outside its limits: start elsewhere"
+        )
     if float(np.max(np.abs(rate))) > START_RATE:
         raise ScenarioError(
-            f"start.v: the loops would part, by {_worst(robot, rate)} a second; the nearest velocity that they "
+            f"start.v: the loops would open, by {_worst(robot, rate)} a second; the nearest velocity that they "
             f"allow is {[float(f'{x:.9g}') for x in rates]}"
         )
     return near, rates

@@ -114,7 +114,7 @@ class _Tape:
                 raise ValueError(
                     f"'{name}' takes one argument" if name in FUNCTIONS else f"'{name}' is unknown: {known()}"
                 )
-        raise ValueError(f"{ast.unparse(node)[:40]!r} is no part of a formula: {known()}")
+        raise ValueError(f"{ast.unparse(node)[:40]!r} is not allowed in a formula: {known()}")
 
     def _combined(self, sign: str, a: Part, b: Part) -> Part:
         if sign == "/":
@@ -141,7 +141,7 @@ def _number(value: Callable[[], float]) -> float:
     except (ArithmeticError, ValueError):
         number = math.nan
     if not isinstance(number, float) or not math.isfinite(number):
-        raise ValueError("has a part that is not a finite number: a division by zero, or a root of what is negative")
+        raise ValueError("has a part that is not a finite number: a division by zero, or a root of a negative number")
     return number
 
 
@@ -164,9 +164,9 @@ def instructions(text: str) -> tuple[float, ...]:
         last = tape.of(node)
     except (SyntaxError, RecursionError, MemoryError) as error:
         said = error.msg if isinstance(error, SyntaxError) else "nested too deeply"
-        raise ValueError(f"is no formula ({said}): {known()}") from None
+        raise ValueError(f"is not a formula ({said}): {known()}") from None
     if isinstance(last, float):
-        raise ValueError("does not depend on x, y or z: it is no surface")
+        raise ValueError("does not depend on x, y or z: it does not define a surface")
     count = len(tape.places)
     if last != count - 1:  # what it is comes last
         tape.put(SHIFT, last, 0, 0.0)

@@ -104,7 +104,7 @@ class PlacedSurface:
         given = section.place(normal)
         if given is not None and section.gap:
             key = "offset" if isinstance(section, PlaneSurface) else "point"
-            raise ScenarioError(f'surface.gap: goes with {key} = "start" only; leave it out')
+            raise ScenarioError(f'surface.gap: acts with {key} = "start" only; leave it out')
         origin = tip - (section.gap - depth) * normal if given is None else given
         return cls(section, motion, contact_frame(normal), origin, given is None)
 

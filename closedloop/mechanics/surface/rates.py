@@ -39,8 +39,9 @@ def check_rates(surface: PlacedSurface, duration: float) -> None:
             worst = int(np.argmax(np.max(np.abs(moved - said), axis=1)))
             raise ScenarioError(
                 f"surface_motion.kind = {surface.motion.kind}: at t = {t:.4g} s the surface moves with "
-                f"{np.round(moved[worst], 6).tolist()} m/s, and says {np.round(said[worst], 6).tolist()} m/s: "
-                "`rate` and `shift_rate` must be the derivatives of `angle` and `shift`"
+                f"{np.round(moved[worst], 6).tolist()} m/s, but its rates give "
+                f"{np.round(said[worst], 6).tolist()} m/s: `rate` and `shift_rate` must be the "
+                "derivatives of `angle` and `shift`"
             )
 
 

@@ -82,7 +82,7 @@ class Surface(Parameters):
         if self.edge_radius is None:
             return self.extent or (math.inf, math.inf)
         if self.extent is not None:
-            raise ScenarioError("surface.edge_radius: is in place of surface.extent; leave one of them out")
+            raise ScenarioError("surface.edge_radius: cannot be combined with surface.extent; leave out one of them")
         return self.edge_radius, 0.0
 
     def list_length(self) -> int:

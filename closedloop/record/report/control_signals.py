@@ -41,7 +41,9 @@ def negative_gain(scenario: Scenario) -> str:
 
 def _below(gain: Any) -> bool:
     """Whether a gain, or one of several, is below zero; without numpy, for batches ask it of every run."""
-    return any(map(_below, gain)) if isinstance(gain, tuple | list) else gain is not None and bool(np.any(gain < 0.0))
+    if isinstance(gain, tuple | list):
+        return any(map(_below, gain))
+    return gain is not None and bool(gain < 0.0 if isinstance(gain, float) else np.any(gain < 0.0))
 
 
 def run_signals(run: Record) -> Signals | None:

@@ -9,7 +9,7 @@ f_des there:
 ``no_contact``      contact was commanded and never came
 ``lost_contact``    contact was commanded and given up: free over the last `LOST_SHARE` of that time, or at any time
                     for `FREE_SHARE` of it at a stretch
-``bouncing``        `BOUNCES` touchdowns and more in the later half of that time
+``bouncing``        `BOUNCES` touchdowns and more in the later half of that time; or free for so long after an impact
 ``force_error``     f is far from f_des: RMS over the later half, or the mean of the last tenth
 ``not_settled``     the mean error of the last tenth is too large and still changes
 ``oscillation``     force or path swings regularly: growing over all of that time, or a limit cycle in its later half
@@ -148,9 +148,9 @@ def _contact(s: Signals, unknown: list[str]) -> list[Problem]:
     struck = s.touchdowns[s.commanded[np.minimum((s.touchdowns / s.h).astype(int), len(s.commanded) - 1)]]
     if not met.size and not struck.size:
         if s.approaching:
-            unknown.append("contact: the path had not come to the surface at the end")
+            unknown.append("contact: the path had not reached the surface at the end")
             return []
-        return [_problem("no_contact", f"contact was commanded from {rows[0] * s.h:.4g} s on and never came",
+        return [_problem("no_contact", f"contact was commanded from {rows[0] * s.h:.4g} s on and did not occur",
                          rows[0] * s.h)]  # fmt: skip
     first = min([*met[:1], *np.ceil(struck[:1] / s.h).astype(int)])  # an impact leaves no row in contact
     rows = rows[rows >= first] if np.any(rows >= first) else rows[-1:]
@@ -161,8 +161,8 @@ def _contact(s: Signals, unknown: list[str]) -> list[Problem]:
     count = np.count_nonzero((s.touchdowns > begin) & (s.touchdowns <= end))
     if count >= BOUNCES:
         at = float(s.touchdowns[s.touchdowns > begin][0])
-        said = f"{count} touchdowns between {begin:.4g} and {end:.4g} s, {BOUNCES} and more are no touchdown any more"
-        problems.append(_problem("bouncing", said, at))
+        said = f"{count} touchdowns between {begin:.4g} and {end:.4g} s, at most {BOUNCES - 1} belong to a touchdown"
+        problems = [problem for problem in problems if problem["name"] != "bouncing"] + [_problem("bouncing", said, at)]
     return (
         problems
         if lost
@@ -189,8 +189,11 @@ def _longest_free(s: Signals, rows: NDArray[np.int64]) -> tuple[Problem | None, 
     if not lost and share <= bound:
         return None, False
     begin, end = rows[max(bounds[k], 0)] * s.h, rows[min(bounds[k + 1], rows.size - 1)] * s.h
+    struck = bounds[k] >= 0 and free[bounds[k]]  # it left in an impact, not in a liftoff
     text = f"off the surface from {begin:.4g} to {end:.4g} s, {100 * share:.3g} % of the time commanded, more than "
     text += f"{100 * bound:g} %" + (" at the end" if lost else "")
+    if struck:
+        return _problem("bouncing", f"after an impact {text}", begin), lost
     return _problem("lost_contact", text, begin), lost
 
 

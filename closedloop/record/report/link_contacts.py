@@ -7,11 +7,16 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from closedloop.mechanics.closure.contact_force import FREE, STUCK
 from closedloop.mechanics.contacts.soft import is_soft
 from closedloop.record.columns.record import Record
+from closedloop.record.columns.touching import contact_torques
 from closedloop.scenario.contact_names import names_of
 
 Array = NDArray[np.float64]
+
+# Sets of modes that are looked at; and what is left of a row, of the largest, that depends on others.
+MOST_SETS, SAME_ROW = 20, 1e-9
 
 
 class ContactFaults(NamedTuple):
@@ -46,6 +51,40 @@ def contact_faults(run: Record) -> ContactFaults | None:
     )
 
 
+def share_not_determined(run: Record) -> tuple[float, int, int] | None:
+    """Return from when on rigid bodies do not determine the share of each contact; None if they do, or there are loops.
+
+    That is where the rows of the contacts that are closed, along their normals and, where they stick, along the
+    surface, depend on each other. Looked at is the first row of each set of modes, of at most `MOST_SETS` of them.
+
+    Returns
+    -------
+    tuple of float, int, int
+        The instant, s, how many rows there are then, and how many of them depend on no others.
+    """
+    sections = run.scenario.contact
+    if not sections or not len(run) or run.loops is not None:
+        return None
+    mechanism, k = run.model.pinocchio_model(), len(sections)
+    firsts = np.sort(np.unique(run.link_modes, axis=0, return_index=True)[1])
+    for row in firsts[:MOST_SETS]:
+        modes = run.link_modes[row]
+        units = [(i, 0) for i in np.flatnonzero(modes != FREE)]
+        units += [(i, j) for i in np.flatnonzero(modes == STUCK) if sections[i].friction > 0.0 for j in (1, 2)]
+        forces, frictions = np.zeros((len(units), k)), np.zeros((len(units), 2 * k))
+        for at, (i, j) in enumerate(units):
+            if j == 0:
+                forces[at, i] = 1.0
+            else:
+                frictions[at, 2 * i + j - 1] = 1.0
+        times, q = np.full(len(units), run.time[row]), np.tile(run.q[row], (len(units), 1))
+        rows = contact_torques(run.scenario, mechanism, times, q, forces, frictions)
+        rank = int(np.linalg.matrix_rank(rows, tol=SAME_ROW * float(np.max(np.abs(rows), initial=0.0))))
+        if rank < len(units):
+            return float(run.time[row]), len(units), rank
+    return None
+
+
 def contact_rows(run: Record) -> list[tuple[str, str, str, str]]:
     """Return the rows of the table of errors: quantity, value, unit, and what stands beside it."""
     found = contact_faults(run)
@@ -53,7 +92,14 @@ def contact_rows(run: Record) -> list[tuple[str, str, str, str]]:
         return []
     largest = np.max(run.link_forces, axis=0)
     most, cone, product = (int(np.argmax(part)) for part in (largest, found.cone, found.complementarity))
+    shares = share_not_determined(run)
+    said = []
+    if shares is not None:
+        at, count, rank = shares
+        what = f"{rank} of {count} rows are independent; that of least norm is given"
+        said = [("share of each contact not determined", f"from {at:.4g}", "s", what)]
     return [
+        *said,
         ("contacts: largest force", f"{largest[most]:.4g}", "N", found.names[most]),
         ("contacts: outside the cone", f"{found.cone[cone]:.1g}", "N", found.names[cone]),
         ("contacts: force times gap", f"{found.complementarity[product]:.1g}", "N m", found.names[product]),

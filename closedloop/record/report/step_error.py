@@ -41,18 +41,21 @@ Array = NDArray[np.float64]
 
 def write_swings(run: Record, swings: Swings) -> None:
     """Write what the rows of a run, at least one, come to, see `closedloop.record.report.step_variation`."""
-    miss = np.where(run.mode != FREE, run.contact_force - run.reference_force, 0.0)
-    signals = np.column_stack([miss, run.position - run.reference_tip])
-    (held, order), total = resolution_of(run.scenario), np.zeros(signals.shape[1])
+    signals = np.empty((1 + run.position.shape[1], len(run)))
+    np.multiply(run.contact_force - run.reference_force, run.mode != FREE, out=signals[0])
+    np.subtract(run.position.T, run.reference_tip.T, out=signals[1:])
+    (held, order), total = resolution_of(run.scenario), np.zeros(signals.shape[0])
     ends = [0, *(np.flatnonzero(np.diff(run.mode)) + 1), len(run)]
     swings.stretches, swings.steepest = len(ends) - 1, 0.0
     for begin, end in pairwise(ends):
-        stretch = signals[-(-begin // held) * held : end : held]
-        total += variation(stretch, order) / held
-        swings.steepest = max(swings.steepest, np.max(np.abs(cut_slopes(stretch[:, :1])), initial=0.0) / held)
+        stretch = signals[:, -(-begin // held) * held : end : held]
+        cut = cut_slopes(stretch)
+        total += _errors(stretch, cut, order) / held
+        swings.steepest = max(swings.steepest, np.max(np.abs(cut[0]), initial=0.0) / held)
+    low, high = np.min(signals, axis=1), np.max(signals, axis=1)
     for k, error in enumerate(total):
         swing = Swing(swings.each[k])
-        swing.error, swing.lowest, swing.highest = error, np.min(signals[:, k]), np.max(signals[:, k])
+        swing.error, swing.lowest, swing.highest = error, low[k], high[k]
 
 
 def resolution_of(scenario: Scenario) -> tuple[int, int]:
@@ -63,24 +66,32 @@ def resolution_of(scenario: Scenario) -> tuple[int, int]:
 
 
 def cut_slopes(signals: Array) -> Array:
-    """Return the differences of the columns of (N, k) from row to row, isolated ones cut, (N - 1, k)."""
-    steps = np.diff(signals, axis=0)
-    none = np.zeros((1, signals.shape[1]))
-    cut: Array = interpreted(cut_slope)(np.vstack([none, steps[:-1]]), steps, np.vstack([steps[1:], none]))
+    """Return the differences of signals (k, N) from row to row, isolated ones cut, (k, max(N - 1, 0))."""
+    steps = np.zeros((signals.shape[0], max(signals.shape[1], 1) + 1))  # beside the first and the last there is none
+    np.subtract(signals[:, 1:], signals[:, :-1], out=steps[:, 1:-1])
+    cut: Array = interpreted(cut_slope)(steps[:, :-2], steps[:, 1:-1], steps[:, 2:])
     return cut
 
 
-def variation(signals: Array, order: int = 1) -> Array:
-    """Return what the steps of a scheme of this order add to the errors of each column (N, k), summed, (k,).
+def variation(signal: Array, order: int = 1) -> float:
+    """Return what the steps of a scheme of this order add to the error of a signal (N,), summed.
 
     Of fewer than four rows it is half of their range: nothing is known of what they resolve.
     """
-    if signals.shape[0] < SPAN:
-        return 0.5 * np.ptp(signals, axis=0) if signals.shape[0] else np.zeros(signals.shape[1])
-    none = np.zeros((1, signals.shape[1]))
-    turns = np.vstack([none, np.diff(cut_slopes(signals), axis=0), none])
-    errors: Array = np.sum(interpreted(local_error)(turns[:-2], turns[1:-1], turns[2:], order), axis=0)
-    return errors
+    return float(_errors(signal[None], cut_slopes(signal[None]), order)[0])
+
+
+def _errors(signals: Array, cut: Array, order: int) -> Array:
+    """Return `variation` of signals (k, N) with these cut differences, (k,)."""
+    if signals.shape[1] < SPAN:
+        return 0.5 * np.ptp(signals, axis=1) if signals.shape[1] else np.zeros(signals.shape[0])
+    turns = np.zeros((cut.shape[0], cut.shape[1] + 1))
+    np.subtract(cut[:, 1:], cut[:, :-1], out=turns[:, 1:-1])
+    if order == 1:
+        turns = np.abs(turns, out=turns)
+        return np.asarray(interpreted(local_error)(0.0, np.sum(turns, axis=1), 0.0, order))
+    # One signal after the other: what is between stays in the processor's cache.
+    return np.array([np.sum(interpreted(local_error)(x[:-2], x[1:-1], x[2:], order)) for x in turns])
 
 
 def why_not_known(scenario: Scenario, singular: bool) -> str:
@@ -90,7 +101,7 @@ def why_not_known(scenario: Scenario, singular: bool) -> str:
         return f"{name} chooses its steps: its error is set by time.tolerance"
     if scheme_of(name) is None:
         return f"the order of {name}, a user's, is not in a file"
-    return "near a singular pose f hangs on where in it the rows are" if singular else ""
+    return "near a singular pose f depends on how near to it the rows are" if singular else ""
 
 
 def step_error(run: Record, values: dict[str, Any]) -> dict[str, Any]:
@@ -107,7 +118,7 @@ def step_error(run: Record, values: dict[str, Any]) -> dict[str, Any]:
     if values["step_error_force"] is None:
         why = why_not_known(run.scenario, True) if len(run) else "no row could be computed"
     elif force is None or position is None:
-        why = "it is no finite number"
+        why = "it is not a finite number"
     return {"contact_force": force, "position": position, "measured": run.halved is not None, "why_not": why}
 
 

@@ -24,9 +24,10 @@ SIGNALS = 4
 # Of fewer rows than this in one mode nothing is known of what they resolve.
 SPAN = 4
 _NO_MODE = -1.0
-# Of a kink, what a scheme of order two and more leaves, as a share of what one of order one does: only the stages at
-# the step's end are evaluated on its other side. They have a third of the weight in rk4, half in Heun's scheme.
-KINK_SHARE = 0.5
+# Of a kink at a row, what a scheme of order two and more leaves, as a share of what one of order one does: only its
+# last stage is evaluated on the other side. That has a sixth of the weight in rk4, which makes a third, and a third
+# more is room for kinks that follow each other.
+KINK_SHARE = 0.45
 
 
 class Swing(Block):

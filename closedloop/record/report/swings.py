@@ -15,6 +15,8 @@ Array = NDArray[np.float64]
 PERIODS, ROWS_IN_PERIOD, IRREGULAR = 4, 4, 0.4
 # A swing that grows is no transient, wherever it began: in a slow one three periods over all the time tell.
 GROWING_PERIODS = 3
+# So many means of neighbouring rows show a swing that is too slow for the later half alone: of eight periods at most.
+SLOW_ROWS = 512
 # Swings of the last third over those of the first: beyond this they grow, below its inverse they die away.
 GROWTH = 1.5
 
@@ -33,7 +35,9 @@ def lasting_swing(x: Array, bound: float, h: float, begin: float) -> Swing | Non
     half = len(x) // 2
     found = regular_swing(x[half:], bound, h, begin + half * h)
     if found is None:
-        found = regular_swing(x, bound, h, begin, GROWING_PERIODS)
+        k = max(1, len(x) // SLOW_ROWS)
+        slow = x[: len(x) // k * k].reshape(-1, k).mean(axis=1) if k > 1 else x
+        found = regular_swing(slow, bound, k * h, begin, GROWING_PERIODS)
         return found if found is not None and found.growth > GROWTH else None
     return found
 

@@ -13,7 +13,7 @@ verdict stands in the first line of the report, in ``summary.json`` and in a col
 ``velocity_limit``        a joint faster than its velocity limit
 ``effort_limit``          more torque asked of a joint than its effort limit
 ``step``                  the step leaves the contact force uncertain (`closedloop.record.report.step_error`)
-``resolution``            swings that the step gets wrong (`closedloop.scenario.modes`)
+``resolution``            what is fast that the step gets wrong (`closedloop.scenario.modes`)
 ``saturation``            a limit of `[drives]` cut a joint's torque more often than not
 an assumption's name      an assumption of the paper that failed though the scenario keeps to it
 ========================  ==============================================================================
@@ -216,7 +216,7 @@ def _energy(facts: Facts) -> dict[str, Any] | None:
     if left <= bound:
         return None
     if left == math.inf:
-        return _problem("energy", "how much energy is unaccounted for is not known: it is no number in the record")
+        return _problem("energy", "the energy that is unaccounted for is not known: it is not a number in the record")
     return _problem("energy", f"{left:.3g} J are unaccounted for, more than {bound:.2g} J, what this step may leave")
 
 

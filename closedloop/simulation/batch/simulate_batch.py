@@ -216,7 +216,9 @@ def _points(changes: Mapping[str, Sequence[Any]], grid: bool) -> list[tuple[Any,
     lengths = {key: len(listed) for key, listed in zip(changes, values, strict=True)}
     if len(set(lengths.values())) > 1:
         said = ", ".join(f"{key} has {length}" for key, length in lengths.items())
-        raise ScenarioError(f"changes: {said} values: run i takes the i-th of each; or take all together: grid=True")
+        raise ScenarioError(
+            f"changes: {said} values: give each as many, one for each run, or combine them all: grid=True"
+        )
     return list(zip(*values, strict=True))
 
 

@@ -37,6 +37,7 @@ from closedloop.record.report.step_error import resolution_of
 from closedloop.record.report.tabled import forget_absent, verdict_of
 from closedloop.scenario.modes import unresolved
 from closedloop.scenario.scenario import Scenario
+from closedloop.simulation.as_run import positions_told
 from closedloop.simulation.batch.control import control_in_lanes, control_of_rows
 from closedloop.simulation.cache import Cache
 from closedloop.simulation.engines.compiled import compiled_tree, compiled_work
@@ -244,6 +245,7 @@ class Worker:
             name: recorded(rows, n, name, len(problem.scenario.contact or ()), problem.row_states)
             for name in self._keep
         }
+        columns |= positions_told(problem, columns)
         if not problem.scenario.has_surface:
             columns |= {name: np.full_like(columns[name], math.nan) for name in SURFACE_COLUMNS if name in columns}
         end = problem.h * (len(rows) - 1) if len(rows) > 0 else math.nan

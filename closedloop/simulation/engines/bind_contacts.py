@@ -164,4 +164,4 @@ def _refuse_together(scenario: Scenario) -> None:
         ("robot.friction", scenario.robot.friction, "false: give joint_friction"),
     ):
         if wrong:
-            raise ScenarioError(f"{key}: does not go with [[contact]]: must be {right}")
+            raise ScenarioError(f"{key}: cannot be combined with [[contact]]: must be {right}")

@@ -91,10 +91,10 @@ def _how_to_compile(law: Any) -> str:
     if isinstance(law, FunctionType | BuiltinFunctionType):
         return "is not compiled: mark it with @numba.njit, or use the engine 'pinocchio'"
     return (
-        "is an object of Python's that may remember, which compiled code cannot call: write it as a class derived from "
-        "closedloop.ControlLaw, with what it remembers as `states`, a function torque(x, par, z, torque), and rates(x, "
-        "par, z, f, torque, dz) for what is integrated (docs/controllers.md), and name it as law.kind; or use the "
-        "engine 'pinocchio'"
+        "is a Python object, which may have a memory and cannot be called by compiled code: write it as a class "
+        "derived from closedloop.ControlLaw, with its memory as `states`, a function torque(x, par, z, torque), and "
+        "rates(x, par, z, f, torque, dz) for what is integrated (docs/controllers.md), and name it as law.kind; or use "
+        "the engine 'pinocchio'"
     )
 
 

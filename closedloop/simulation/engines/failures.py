@@ -151,13 +151,13 @@ def _contacts_fail(status: int, t: float) -> SimulationError:
     if status == SINGULAR:
         return SingularClosureError(
             f"{when(t)}: the contacts contradict each other: no forces give all of them the accelerations that they "
-            "ask for; look at contacts of bodies without freedom to obey them, and leave one out",
+            "require; look for contacts of bodies that cannot move, and leave one out",
             t,
         )
     return PainleveError(
-        f"{when(t)}: Painlevé's paradox, or jamming: no forces within the cones of friction go with any modes of the "
-        "contacts (one slides so that pressing harder pulls it in, or is wedged); lower the coefficients of friction, "
-        "or change the posture or the direction of sliding",
+        f"{when(t)}: Painlevé's paradox, or jamming: no forces inside the friction cones were found for any modes "
+        "of the contacts (one slides so that pressing harder pulls it in, or is jammed); lower the coefficients of "
+        "friction, or change the posture or the direction of sliding",
         t,
     )
 

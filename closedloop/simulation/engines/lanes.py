@@ -113,7 +113,8 @@ class LaneRuns:
         self._constants = aligned(loop.constants.memory.size)
         self._forces, self._largest = aligned(like.table.shape[0]), aligned(1)
         self._rows = aligned(like.steps + 1 if keep else BATCH, Row.count(n))
-        self._sizes = Sizes(like.nodes, *like.table.shape, *self._rows.shape[:2], order=resolution_of(like.scenario)[1])
+        (instants, columns), (kept, width) = like.table.shape, self._rows.shape[:2]
+        self._sizes = Sizes(like.nodes, instants, columns, kept, width, resolution_of(like.scenario)[1])
         self._values, self._signals = aligned(Values.count(n)), aligned(like.steps + 1, SIGNALS)
         self._worst = aligned(Worst.count())
         self._limits = joint_limits(like.robot.model)

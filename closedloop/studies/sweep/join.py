@@ -70,7 +70,7 @@ def already_there(identity: dict[str, Any], out: Path) -> Joined | None:
     if out.suffix != ".parquet":
         raise OutputError(f"--out {out}: must end in .parquet")
     if out.exists() and not out.is_file():  # a folder, or a pipe, which would be waited for
-        raise OutputError(f"--out {out}: is there and is no sweep, but a folder or a device; name another file")
+        raise OutputError(f"--out {out}: exists and is not a sweep, but a folder or a device; name another file")
     kept = out.with_suffix(".nc") if identity["keep"] else None
     try:
         for path in (out, kept):

@@ -86,20 +86,20 @@ def draw_maps(table: pa.Table, of: Sequence[str] | None = None, x: str | None = 
     keys = names[1 : names.index("status")]
     for name in (x, y):
         if name is not None and name not in keys:
-            raise ScenarioError(f"{name}: is no key of this sweep; {_meant(name, keys)}")
+            raise ScenarioError(f"{name}: is not a key of this sweep; {_meant(name, keys)}")
     numbers = [
         f.name for f in table.schema if str(f.type) in ("double", "int64") and f.name not in keys and f.name != "run"
     ]
     wanted = list(of or [name for name in FIGURES if name in numbers])
     for name in wanted:
         if name not in numbers:
-            raise ScenarioError(f"{name}: is no value of this sweep; {_meant(name, numbers)}")
+            raise ScenarioError(f"{name}: is not a value of this sweep; {_meant(name, numbers)}")
     if not keys or not numbers or not wanted:
         raise ScenarioError("the table has no key that changes, or no value to draw")
     if table.num_rows == 0:
         raise ScenarioError("the table has no rows")
     if x is not None and x == y:
-        raise ScenarioError(f"{x}: is asked for along both axes")
+        raise ScenarioError(f"{x}: is given for both axes")
     for name in keys:
         if table[name].null_count:
             raise ScenarioError(f"{name}: has no value in some rows: this is not the table of a sweep")

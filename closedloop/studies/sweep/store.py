@@ -250,7 +250,7 @@ def why_no_place(out: Path) -> str:
         return f"--out {out}: cannot be written: {reason_of(error)}; name another file"
     if there.is_dir() and os.access(there, os.W_OK | os.X_OK):
         return ""
-    why = "Permission denied" if there.is_dir() else f"{there} is no folder"
+    why = "Permission denied" if there.is_dir() else f"{there} is not a folder"
     return f"--out {out}: cannot be written: {why}; name another file"
 
 
@@ -263,7 +263,7 @@ def check_identity(found: Any, identity: dict[str, Any], out: Path) -> None:
         With what is different.
     """
     if not isinstance(found, dict) or found.get("format") != FORMAT or not isinstance(found.get("identity"), dict):
-        raise occupied(out, "is there and is no sweep")
+        raise occupied(out, "exists and is not a sweep")
     theirs, mine = found["identity"], json.loads(json.dumps(identity))
     different = [key for key in mine | theirs if theirs.get(key) != mine.get(key)]
     if different:

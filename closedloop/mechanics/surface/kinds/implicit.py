@@ -64,14 +64,14 @@ class Implicit(Placed):
                 step = gradient * (-level / size**2)
             if not 0.0 < size < np.inf or not np.all(np.isfinite(step)):
                 raise ScenarioError(
-                    f"{given}: the gradient of surface.expression vanishes or is no number at "
+                    f"{given}: the gradient of surface.expression is zero or not finite at "
                     f"{(at + 0.0).round(6).tolist()}: name a point on the surface, or near it, where it has a normal"
                 )
             at = at + step
             if np.max(np.abs(step)) <= THERE * (1.0 + np.max(np.abs(at))):
                 break
         else:
-            raise ScenarioError(f"{given}: no surface is found next to it; name a point on the surface, or near it")
+            raise ScenarioError(f"{given}: no surface was found near it; name a point on the surface, or near it")
         if gradient[2] < UPRIGHT * size:
             raise ScenarioError(
                 f"surface.expression: grows along {(gradient / size).round(6).tolist()} at {at.round(6).tolist()}, and "

@@ -1,0 +1,193 @@
+"""The command ``closedloop analyse wam_hybrid_friction --at 3``: the force loop linear, its margins and its limits.
+
+Exit status: 0 done; 2 the input is at fault; 3 the run stops before the instant, or there is no linear loop at it.
+"""
+
+from __future__ import annotations
+
+import json
+import math
+from collections.abc import Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from closedloop.base.errors import OutputError, ScenarioError
+from closedloop.command.border import DONE, Parser, run_command
+
+if TYPE_CHECKING:
+    from closedloop.studies.analysis.stability import Range, Stability
+
+# Values of a range that does not say how many, and where whole runs are tried beside a boundary.
+POINTS, TRIED = 60, (0.25, 0.5, 0.75)
+
+
+def main(arguments: Sequence[str] | None = None) -> int:
+    """Run the command line and return the exit status."""
+    return run_command("closedloop analyse", _main, arguments)
+
+
+def _main(words: list[str]) -> int:
+    from closedloop.scenario.load import load_scenario
+    from closedloop.scenario.overrides import split_overrides
+    from closedloop.scenario.user_module import name_members
+
+    overrides, rest = split_overrides(words)
+    name_members(overrides.items())
+    parser = Parser(
+        prog="closedloop analyse",
+        description="Linearise the force loop about its motion: margins, poles, and where it becomes unstable.",
+        cure="such as: closedloop analyse wam_hybrid_friction --at 3",
+    )
+    parser.add_argument("scenario", help="a scenario that ships, or a .toml; --SECTION.KEY VALUE changes it")
+    parser.add_argument("--at", type=float, metavar="T", help="the instant, s (default: half of the duration)")
+    parser.add_argument("--out", metavar="DIR", help="where figures and analysis.json go (default: none are written)")
+    parser.add_argument("--json", action="store_true", help="print the page as JSON")
+    parser.add_argument(
+        "--vary", action="append", default=[], metavar="KEY=RANGE",
+        help="a key and its range, such as compliance.stiffness=log:1e2:1e7 or law.force_integral=0:80:40: the limits "
+        "in it are solved for; given twice, the boundary over both",
+    )  # fmt: skip
+    parser.add_argument("--no-runs", action="store_true", help="do not try whole runs beside the limits")
+    options = parser.parse_args(rest)
+    if len(options.vary) > 2:
+        raise ScenarioError("command line: --vary: at most two keys, one that is solved for and one along it")
+    ranges = [_range(text) for text in options.vary]
+    folder = _folder(options.out)
+
+    from closedloop.studies.analysis.page import page_of
+    from closedloop.studies.analysis.stability import Stability
+
+    study = Stability(load_scenario(options.scenario, overrides), options.at)
+    page = page_of(study, limits=not ranges)
+    found: dict[str, Any] = {}
+    drawn: list[tuple[str, Any]] = []
+    if ranges:
+        lines, found, drawn = _varied(study, ranges, runs=not options.no_runs, draw=folder is not None)
+    else:
+        lines = []
+    report = page.as_dict() | found
+    if options.json:
+        print(json.dumps(report, indent=2, allow_nan=False))
+    else:
+        print("\n".join([*page.lines(), *lines]))
+    if folder is not None:
+        from closedloop.base.files import write_whole
+        from closedloop.studies.analysis.figures import draw_page, written
+
+        paths = [write_whole(folder / "analysis.json", (json.dumps(report, indent=2) + "\n").encode())]
+        paths += draw_page(page, folder)
+        paths += [written(figure, folder / name) for name, figure in drawn]
+        if not options.json:
+            print(f"wrote {', '.join(map(str, paths))}")
+    return DONE
+
+
+def _folder(out: str | None) -> Path | None:
+    """Return the folder for the results, which is made."""
+    if out is None:
+        return None
+    folder = Path(out)
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+    except (OSError, ValueError) as error:
+        reason = error.strerror if isinstance(error, OSError) else error
+        raise OutputError(f"--out {out!r}: cannot be written: {reason}; name another folder") from None
+    return folder
+
+
+def _range(text: str) -> tuple[Range, int]:
+    """Read KEY=RANGE, and how many values it has.
+
+    Raises
+    ------
+    ScenarioError
+        If it is not a range of numbers.
+    """
+    from closedloop.studies.analysis.stability import Range
+    from closedloop.studies.sweep.axes import parse_axis
+
+    try:
+        axis = parse_axis(text, drawn=True)
+    except ScenarioError as error:
+        raise ScenarioError(str(error).replace("--over", "--vary", 1)) from None
+    if axis.values or axis.whole:
+        raise ScenarioError(f"--vary {text}: must be a range of real numbers, such as {axis.key}=log:1e2:1e7 or 0:80")
+    low, high = sorted((axis.low, axis.high))
+    return Range(axis.key, low, high, axis.log), axis.count or POINTS
+
+
+def _varied(
+    study: Stability, ranges: list[tuple[Range, int]], runs: bool, draw: bool
+) -> tuple[list[str], dict[str, Any], list[tuple[str, Any]]]:
+    """Return lines, values for JSON and figures of the limits over one key, or the boundary over two."""
+    from closedloop.studies.analysis.page import trial_line
+
+    over, count = ranges[-1]
+    if len(ranges) == 1:
+        limits, refused = study.limits(over)
+        lines = ["", f"{over.key} from {over.low:g} to {over.high:g}:"]
+        for limit in limits:
+            side = "above" if limit.upwards else "below"
+            lines.append(f"  unstable {side} {limit.value:.9g}, at {limit.pole.frequency:.4g} Hz ({limit.pole.part})")
+        if not limits:
+            lines.append(f"  no limit: the loop is {'stable' if study.base.stable else 'unstable'} there")
+        if refused:
+            lines.append(f"  beyond that refused: {refused}")
+        trials = [trial for limit in limits for trial in study.try_beside(limit)] if runs else []
+        drawn: list[tuple[str, Any]] = []
+        if draw:
+            from closedloop.studies.analysis.figures import locus
+
+            drawn = [("analysis_locus", locus(_loops(study, over, count), over, limits))]
+        found: dict[str, Any] = {"vary": [over.key], "limits": {over.key: [limit.as_dict() for limit in limits]}}
+    else:
+        along, points = ranges[0]
+        boundary = study.boundary(over, along, points)
+        lines = ["", f"{along.key:>24}  {over.key}: limit"]
+        shown = boundary[:: max(1, len(boundary) // 12)]
+        for value, limit in shown:
+            side = "above" if limit.upwards else "below"
+            lines.append(f"{value:>24.6g}  unstable {side} {limit.value:.6g} ({limit.pole.frequency:.3g} Hz)")
+        if not boundary:
+            lines.append("  no limit in these ranges")
+        chosen = [boundary[int(share * (len(boundary) - 1))] for share in TRIED] if boundary and runs else []
+        trials = [trial for value, limit in chosen for trial in study.try_beside(limit, {along.key: value})]
+        drawn = []
+        if draw:
+            from closedloop.studies.analysis.figures import stability_map
+
+            drawn = [("analysis_map", stability_map(boundary, over, along, _here(study, along, over), trials))]
+        found = {
+            "vary": [along.key, over.key],
+            "boundary": [{along.key: value} | limit.as_dict() for value, limit in boundary],
+        }  # fmt: skip
+    found["trials"] = [
+        {"values": t.values, "expected": t.expected, "seen": t.seen if math.isfinite(t.seen) else None} for t in trials
+    ]
+    if trials:
+        lines += ["", f"beside it, from t = {study.base.time:g} s on:", *map(trial_line, trials)]
+    return lines, found, drawn
+
+
+def _loops(study: Stability, over: Range, count: int) -> list[tuple[float, Any]]:
+    """Return loops along a range; values that are refused are left out."""
+    found = []
+    for k in range(count):
+        value = over.at(k / (count - 1))
+        try:
+            found.append((value, study.loop({over.key: value})))
+        except ScenarioError:
+            continue
+    return found
+
+
+def _here(study: Stability, *ranges: Range) -> tuple[float, float] | None:
+    """Return the scenario's own values of two keys, if they are numbers."""
+    values = []
+    for each in ranges:
+        section, _, name = each.key.partition(".")
+        value = getattr(getattr(study.scenario, section, None), name, None)
+        if not isinstance(value, int | float):
+            return None
+        values.append(float(value))
+    return values[0], values[1]

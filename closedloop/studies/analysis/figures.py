@@ -1,0 +1,184 @@
+"""Figures of a force loop: Bode and Nyquist of its transfer, its poles, its sensitivity, and where it is stable."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, cast
+
+import numpy as np
+
+from closedloop.figures.files import write_figure
+from closedloop.figures.style import COLOURS, MANY, STYLE, new_figure
+from closedloop.studies.analysis.page import Page
+from closedloop.studies.analysis.stability import Limit, Range, Trial
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+    from matplotlib.figure import Figure
+
+    from closedloop.studies.analysis.linear_loop import LinearLoop
+
+# |L| beyond which Nyquist's curve is not drawn.
+NYQUIST = 3.0
+
+
+def draw_page(page: Page, folder: Path) -> list[Path]:
+    """Draw Bode's and Nyquist's diagrams, the poles, and the sensitivity; return the paths of the PNGs."""
+    drawn = {"bode": bode, "nyquist": nyquist, "poles": poles, "sensitivity": sensitivity}
+    return [written(figure(page), folder / f"analysis_{name}") for name, figure in drawn.items()]
+
+
+def written(figure: Figure, path: Path) -> Path:
+    import matplotlib as mpl
+
+    with mpl.rc_context(cast(Any, STYLE)):
+        return write_figure(figure, path)
+
+
+def _figure(height: float) -> Figure:
+    import matplotlib as mpl
+
+    with mpl.rc_context(cast(Any, STYLE)):
+        return new_figure(height)
+
+
+def _axes(figure: Figure, *places: Any, **settings: Any) -> Any:
+    import matplotlib as mpl
+
+    with mpl.rc_context(cast(Any, STYLE)):
+        return figure.subplots(*places, **settings)
+
+
+def bode(page: Page) -> Figure:
+    """Return Bode's diagram of the loop transfer, at the sensor if the law reads it, with its margins."""
+    loop, margins = page.loop, page.weakest
+    f = loop.grid
+    L = loop.loop_transfer(f, margins.cut)
+    figure = _figure(4.6)
+    upper, lower = _axes(figure, 2, 1, sharex=True)
+    upper.semilogx(f, 20.0 * np.log10(np.maximum(np.abs(L), 1e-12)), color=COLOURS[0])
+    upper.axhline(0.0, color="0.5", linewidth=0.8)
+    upper.set_ylabel("|L| [dB]")
+    upper.set_ylim(bottom=max(-120.0, upper.get_ylim()[0]))
+    lower.semilogx(f, np.degrees(np.unwrap(np.angle(L))), color=COLOURS[0])
+    lower.set_ylabel("phase [°]")
+    lower.set_xlabel("frequency [Hz]")
+    for at, axes in ((margins.gain_at, upper), (margins.phase_at, lower)):
+        if math.isfinite(at):
+            axes.axvline(at, color=COLOURS[1], linewidth=0.9)
+    upper.set_title(f"loop cut at {margins.cut}; lines: where the gain and the phase margin are")
+    return figure
+
+
+def nyquist(page: Page) -> Figure:
+    """Return Nyquist's diagram, with the circle about −1 that the loop keeps clear of."""
+    loop, margins = page.loop, page.weakest
+    L = loop.loop_transfer(loop.grid, margins.cut)
+    figure = _figure(4.6)
+    axes = _axes(figure)
+    shown = np.where(np.abs(L) < 4.0 * NYQUIST, L, np.nan)
+    axes.plot(shown.real, shown.imag, color=COLOURS[0])
+    axes.plot(shown.real, -shown.imag, color=COLOURS[0], linestyle=":", linewidth=0.8)
+    turn = np.linspace(0.0, 2.0 * math.pi, 200)
+    axes.plot(-1.0 + margins.modulus * np.cos(turn), margins.modulus * np.sin(turn), color=COLOURS[2])
+    axes.plot(np.cos(turn), np.sin(turn), color="0.6", linewidth=0.8, linestyle="--")
+    axes.plot([-1.0], [0.0], "+", color=COLOURS[1], markersize=12, markeredgewidth=2)
+    axes.set_xlim(-NYQUIST, NYQUIST)
+    axes.set_ylim(-NYQUIST, NYQUIST)
+    axes.set_aspect("equal")
+    axes.set_xlabel("Re L")
+    axes.set_ylabel("Im L")
+    axes.set_title(f"loop cut at {margins.cut}; modulus margin {margins.modulus:.2f}")
+    return figure
+
+
+def poles(page: Page) -> Figure:
+    """Return the poles in the plane of z, each in the colour of the part it belongs to."""
+    figure = _figure(4.6)
+    axes = _axes(figure)
+    _unit_circle(axes)
+    parts = sorted({pole.part for pole in page.loop.poles()})
+    for part, colour in zip(parts, MANY * 2, strict=False):
+        mine = [pole.z for pole in page.loop.poles() if pole.part == part]
+        axes.plot([z.real for z in mine], [z.imag for z in mine], "x", color=colour, label=part, markeredgewidth=1.6)
+    if page.loop.closure.size:
+        z = page.loop.closure
+        axes.plot(z.real, z.imag, "+", color="0.5", label="stabiliser")
+    axes.legend(loc="lower left", fontsize=8)
+    axes.set_title(f"poles, from sample to sample ({page.loop.dt:g} s)")
+    return figure
+
+
+def _unit_circle(axes: Axes) -> None:
+    turn = np.linspace(0.0, 2.0 * math.pi, 300)
+    axes.plot(np.cos(turn), np.sin(turn), color="0.6", linewidth=0.8)
+    axes.set_aspect("equal")
+    axes.set_xlabel("Re z")
+    axes.set_ylabel("Im z")
+
+
+def sensitivity(page: Page) -> Figure:
+    """Return |S| and |T| where the loop is cut, and the command's and the disturbance's way to f."""
+    loop, margins = page.loop, page.weakest
+    f = loop.grid
+    S = 1.0 / (1.0 + loop.loop_transfer(f, margins.cut))
+    figure = _figure(3.4)
+    axes = _axes(figure)
+    curves = [("S", S), ("T = 1 − S", 1.0 - S),
+              ("f/f_des", loop.frequency_response("force command", "contact force", f))]  # fmt: skip
+    for (name, y), colour in zip(curves, COLOURS, strict=True):
+        axes.loglog(f, np.maximum(np.abs(y), 1e-6), color=colour, label=name)
+    axes.axhline(1.0, color="0.5", linewidth=0.8)
+    axes.set_xlabel("frequency [Hz]")
+    axes.set_ylabel("size")
+    axes.legend(fontsize=8)
+    axes.set_title(f"sensitivity at {margins.cut}: at most {margins.peak_sensitivity:.2f}")
+    return figure
+
+
+def locus(loops: Sequence[tuple[float, LinearLoop]], over: Range, limits: Sequence[Limit]) -> Figure:
+    """Return the poles as a key goes through its range, from light to dark, and where they leave the unit circle."""
+    import matplotlib as mpl
+
+    figure = _figure(4.6)
+    axes = _axes(figure)
+    _unit_circle(axes)
+    colours = mpl.colormaps["viridis_r"]
+    for value, loop in loops:
+        z = np.array([pole.z for pole in loop.poles()])
+        axes.plot(z.real, z.imag, ".", color=colours(0.1 + 0.9 * over.share(value)), markersize=3)
+    for limit in limits:
+        x, y = limit.pole.z.real, limit.pole.z.imag
+        axes.plot([x, x], [y, -y], "o", color=COLOURS[1], fillstyle="none")
+        axes.annotate(f" {limit.value:.4g}", (x, y), fontsize=8)
+    axes.set_title(f"poles for {over.key} = {over.low:g} (light) to {over.high:g} (dark)")
+    return figure
+
+
+def stability_map(
+    boundary: Sequence[tuple[float, Limit]], over: Range, along: Range, here: tuple[float, float] | None,
+    trials: Sequence[Trial],
+) -> Figure:  # fmt: skip
+    """Return the boundary over two keys, with the scenario's own place and the whole runs beside it."""
+    figure = _figure(4.0)
+    axes = _axes(figure)
+    x, y = np.array([value for value, _ in boundary]), np.array([limit.value for _, limit in boundary])
+    axes.plot(x, y, ".-" if len(x) < 100 else "-", color=COLOURS[0], label="boundary", markersize=4)
+    for grows, marker, colour, name in ((False, "o", COLOURS[2], "stable"), (True, "x", COLOURS[1], "unstable")):
+        mine = [trial.values for trial in trials if (trial.seen > 0.0) is grows and along.key in trial.values]
+        if mine:
+            axes.plot([v[along.key] for v in mine], [v[over.key] for v in mine], marker, color=colour, linestyle="none",
+                      label=f"whole run: {name}")  # fmt: skip
+    if here is not None:
+        axes.plot(*here, "*", color="k", markersize=10, label="the scenario")
+    for key, scale in ((along, axes.set_xscale), (over, axes.set_yscale)):
+        scale("log" if key.log else "linear")
+    axes.set_xlim(along.low, along.high)
+    axes.set_ylim(over.low, over.high)
+    axes.set_xlabel(along.key)
+    axes.set_ylabel(over.key)
+    axes.legend(fontsize=8)
+    axes.set_title("where the force loop becomes unstable")
+    return figure

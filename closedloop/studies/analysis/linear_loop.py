@@ -1,0 +1,366 @@
+"""The force loop as x⁺ = A x + B u, y = C x + D u, and what follows from it: poles, responses, the port."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from functools import cached_property
+from typing import Any, NamedTuple
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from closedloop.base.errors import ScenarioError
+from closedloop.scenario.scenario import Scenario
+from closedloop.studies.analysis.margins import Margins, margins_of
+
+Array = NDArray[np.float64]
+ComplexArray = NDArray[np.complex128]
+
+# |z − 1| up to which a pole is one at rest: it changes nothing within a million samples. It is the square root of the
+# rounding that a double pole at 1 splits by.
+AT_REST = 1e-6
+# |z| below which a mode is over at the next samples: it has no continuous equivalent.
+DEADBEAT = 1e-6
+# Parts that are no part of the loop.
+OUTSIDE = "surface"
+# Points of a frequency response to a decade, at first.
+POINTS = 60
+
+
+class Quantity(NamedTuple):
+    """A state, an input or an output: its name, its unit and, of a state, the part that it belongs to."""
+
+    name: str
+    unit: str
+    part: str = ""
+
+
+@dataclass(frozen=True)
+class Pole:
+    """A pole of the loop.
+
+    Attributes
+    ----------
+    z, s : complex
+        From sample to sample, and the continuous equivalent ln(z)/dt, 1/s; −∞ for one that is over at once.
+    frequency : float
+        Natural frequency |s|, Hz.
+    damping : float
+        Damping ratio −Re s/|s|; 1 for a real pole that decays.
+    participation : dict of str to float
+        Share of each part: arm, contact, law, compensation, filter, sensor, delay, hold, transmission, friction,
+        encoder; the sum is 1. Of a state it is |l_k r_k| with the left and the right eigenvector, normalised.
+    """
+
+    z: complex
+    s: complex
+    frequency: float
+    damping: float
+    participation: dict[str, float]
+
+    @property
+    def part(self) -> str:
+        """The part with the largest share."""
+        return max(self.participation, key=self.participation.__getitem__)
+
+    @property
+    def at_rest(self) -> bool:
+        """Whether it neither decays nor grows: a joint that friction holds, a motion that nothing controls."""
+        return abs(self.z - 1.0) < AT_REST
+
+    @property
+    def grows(self) -> bool:
+        """Whether it is unstable."""
+        return not self.at_rest and abs(self.z) >= 1.0
+
+    def as_dict(self) -> dict[str, Any]:
+        """Return it as plain numbers; one that is over at once has no s."""
+        over = not math.isfinite(self.s.real)
+        return {
+            "z": [self.z.real, self.z.imag], "s": None if over else [self.s.real, self.s.imag],
+            "frequency": None if over else self.frequency, "damping": self.damping,
+            "part": self.part, "participation": self.participation,
+        }  # fmt: skip
+
+
+@dataclass(frozen=True)
+class Port:
+    """How the tip yields to a force along the normal, as the surface sees it: Y = v/f.
+
+    Attributes
+    ----------
+    frequency : (k,) array
+        Hz, up to half of the sampling rate.
+    admittance : (k,) array of complex
+        Y, m/s/N: the mean velocity of the tip over a sample, along n, to f.
+    passive : bool
+        Whether Re Y ≥ 0 at all of them: then the loop is stable on every passive surface.
+    active_at : float or None
+        The frequency at which Re Y is the most negative, relative to |Y|, Hz; None if it is passive.
+    """
+
+    frequency: Array
+    admittance: ComplexArray
+    passive: bool
+    active_at: float | None
+
+
+@dataclass(frozen=True, eq=False)
+class LinearLoop:
+    """The force loop, linear about the motion at an instant.
+
+    Attributes
+    ----------
+    A, B, C, D : arrays
+        x⁺ = A x + B u, y = C x + D u, from one sample of the law to the next; inputs are held in between.
+    dt : float
+        Time between two samples, s.
+    states, inputs, outputs : tuples of Quantity
+        Their names, with units, and the part that a state belongs to.
+    time : float
+        The instant, s.
+    mode : int
+        Mode of the contact, as in `Run.mode`: 1 pressed, 2 stuck.
+    soft : bool
+        Whether the surface gives way.
+    closure : (k,) array of complex
+        Poles of Baumgarte's stabiliser, from step to step: they are no part of the loop, which stays on the closure.
+    normal : (x,) array
+        The tip's position along n, m, by the states.
+    """
+
+    A: Array
+    B: Array
+    C: Array
+    D: Array
+    dt: float
+    states: tuple[Quantity, ...]
+    inputs: tuple[Quantity, ...]
+    outputs: tuple[Quantity, ...]
+    time: float
+    scenario: Scenario
+    mode: int
+    soft: bool
+    closure: ComplexArray
+    normal: Array
+
+    def __post_init__(self) -> None:
+        for array in (self.A, self.B, self.C, self.D, self.closure, self.normal):
+            array.flags.writeable = False
+
+    def input(self, name: str) -> int:
+        """Return the column of an input; a name that is not there is refused with those that are."""
+        return _place(self.inputs, name, "input")
+
+    def output(self, name: str) -> int:
+        """Return the row of an output."""
+        return _place(self.outputs, name, "output")
+
+    @property
+    def _inside(self) -> NDArray[np.intp]:
+        return np.array([i for i, state in enumerate(self.states) if state.part != OUTSIDE], dtype=np.intp)
+
+    @cached_property
+    def _poles(self) -> tuple[Pole, ...]:
+        inside = self._inside
+        if not inside.size:
+            return ()
+        values, right = np.linalg.eig(self.A[np.ix_(inside, inside)])
+        left = np.linalg.pinv(right)
+        shares = np.abs(left.T * right)
+        found = []
+        for k, z in enumerate(values):
+            share: dict[str, float] = {}
+            total = float(np.sum(shares[:, k])) or 1.0
+            for i, value in zip(inside, shares[:, k], strict=True):
+                part = self.states[i].part
+                share[part] = share.get(part, 0.0) + float(value) / total
+            found.append(_pole(complex(z), self.dt, share))
+        return tuple(sorted(found, key=lambda pole: (-abs(pole.z), -pole.z.real, -pole.z.imag)))
+
+    def poles(self) -> tuple[Pole, ...]:
+        """Return the poles, the slowest to decay first; those of Baumgarte's stabiliser are `closure`."""
+        return self._poles
+
+    @property
+    def radius(self) -> float:
+        """Largest |z| of the poles that do not rest: below 1 the loop is stable."""
+        return max((abs(pole.z) for pole in self._poles if not pole.at_rest), default=0.0)
+
+    @property
+    def stable(self) -> bool:
+        """Whether every pole decays, or rests."""
+        return self.radius < 1.0
+
+    def frequency_response(self, input: str, output: str, frequency: ArrayLike) -> ComplexArray:
+        """Return the response of an output to an input at frequencies, Hz, (k,).
+
+        The input "surface" is the displacement of the surface along n, m, and the output "normal velocity" the mean
+        velocity of the tip along n over a sample, m/s.
+
+        Raises
+        ------
+        ScenarioError
+            If there is no such input or output.
+        """
+        f = np.atleast_1d(np.asarray(frequency, dtype=float))
+        z = np.exp(2j * math.pi * f * self.dt)
+        column = self.input("surface acceleration" if input == "surface" else input)
+        if output == "normal velocity":
+            row, direct = self.normal, 0.0
+        else:
+            at = self.output(output)
+            row, direct = self.C[at], float(self.D[at, column])
+        y: ComplexArray = _at(self.A, self.B[:, column], row, z) + direct
+        if output == "normal velocity":  # from the position at the row: its difference over the sample
+            y = y * (z - 1.0) / self.dt
+        if input == "surface":  # h²/2 (z + 1)/(z − 1)² of the acceleration is the displacement
+            y = y * 2.0 * (z - 1.0) ** 2 / (self.dt * self.dt * (z + 1.0))
+        return y
+
+    @cached_property
+    def grid(self) -> Array:
+        """Frequencies, Hz, up to half of the sampling rate: even in their logarithm, and dense about each pole."""
+        nyquist = 0.5 / self.dt
+        low = min(1e-2, 1e-4 * nyquist)
+        points: list[Array] = [np.geomspace(low, nyquist * (1.0 - 1e-9), int(POINTS * math.log10(nyquist / low)))]
+        for pole in self._poles:
+            peak = abs(pole.s.imag) / (2.0 * math.pi)
+            if math.isfinite(peak) and low < peak < nyquist:
+                width = max(abs(pole.s.real) / (2.0 * math.pi), 1e-6 * peak)
+                points.append(peak + width * np.linspace(-4.0, 4.0, 33))
+        joined = np.unique(np.concatenate(points))
+        found: Array = joined[(joined >= low) & (joined < nyquist)]
+        return found
+
+    def loop_transfer(self, frequency: ArrayLike, cut: str = "sensor") -> ComplexArray:
+        """Return L at frequencies, Hz, (k,), with the loop cut at the sensor, or at the torque of a joint.
+
+            L = −T/(1 + T),  T the response of what is fed back to what is added to it
+
+        At "torque[JOINT]" the loops of the other joints stay closed.
+
+        Raises
+        ------
+        ScenarioError
+            If there is no such place.
+        """
+        if cut == "sensor":
+            T = self.frequency_response("sensor noise", "contact force", frequency)
+        else:
+            T = self.frequency_response(cut, cut, frequency)
+        return -T / (1.0 + T)
+
+    def margins(self, cut: str = "sensor") -> Margins:
+        """Return how far the loop is from instability, cut at the sensor, or at the torque of a joint.
+
+        See `Margins`; of a loop that is unstable, or open at that place, they say so.
+        """
+        return margins_of(lambda f: self.loop_transfer(f, cut), self.grid, cut, self.stable)
+
+    def bandwidth(self) -> float:
+        """Return up to which frequency, Hz, f follows the command: |f/f_des| within 3 dB of its value at rest.
+
+        Infinite if it does so up to half of the sampling rate, as where the command acts on f at once.
+        """
+        f = self.grid
+        T = np.abs(self.frequency_response("force command", "contact force", f))
+        low = np.flatnonzero(T[0] / math.sqrt(2.0) > T)
+        return float(f[low[0]]) if low.size else math.inf
+
+    def peak_sensitivity(self, cut: str = "sensor") -> float:
+        """Return max |S| = max |1/(1 + L)|, by which the loop makes a disturbance worse at the most."""
+        return self.margins(cut).peak_sensitivity
+
+    def response(
+        self, input: str = "force command", output: str = "contact force", duration: float = 0.5, rise: float = 0.01
+    ) -> tuple[Array, Array]:
+        """Return the times, s, and what an output does after a step of 1 of an input.
+
+        Parameters
+        ----------
+        input, output : str
+            Names of `inputs` and `outputs`; "surface": the surface moves by 1 mm along n, within `rise`, for no
+            surface jumps. A step of another input is 1 of its unit at t = 0.
+        duration, rise : float
+            How long, and the time in which the surface moves, s.
+
+        Raises
+        ------
+        ScenarioError
+            If there is no such input or output.
+        """
+        steps = max(1, round(duration / self.dt))
+        surface = input == "surface"
+        column = self.input("surface acceleration" if surface else input)
+        row = self.output(output)
+        t: Array = self.dt * np.arange(steps + 1)
+        u = np.ones(steps + 1)
+        if surface:
+            moving = max(2, round(rise / self.dt))
+            share = np.clip(np.arange(steps + 2) / moving, 0.0, 1.0)
+            speed = 1e-3 * 30.0 * share**2 * (1.0 - share) ** 2 / (moving * self.dt)  # of minimum jerk
+            speed *= 1e-3 / (0.5 * self.dt * float(np.sum(speed[1:] + speed[:-1])))
+            u = np.diff(speed) / self.dt
+        x, y = np.zeros(self.A.shape[0]), np.empty(steps + 1)
+        for k in range(steps + 1):
+            y[k] = self.C[row] @ x + self.D[row, column] * u[k]
+            x = self.A @ x + self.B[:, column] * u[k]
+        return t, y
+
+    def port(self) -> Port:
+        """Return the admittance of the tip along the normal, and whether it is passive."""
+        f = self.grid
+        v = self.frequency_response("surface", "normal velocity", f)
+        force = self.frequency_response("surface", "contact force", f)
+        with np.errstate(divide="ignore", invalid="ignore"):
+            Y = v / force
+        known = np.isfinite(Y)
+        share = np.where(known, Y.real / np.where(known, np.abs(Y), 1.0), 0.0)
+        worst = int(np.argmin(share))
+        passive = bool(share[worst] >= -1e-6)
+        return Port(f, Y, passive, None if passive else float(f[worst]))
+
+    def to_control(self) -> Any:
+        """Return it as a `control.StateSpace`.
+
+        Raises
+        ------
+        ScenarioError
+            If python-control is not installed.
+        """
+        try:
+            import control  # type: ignore[import-untyped]
+        except ImportError:
+            raise ScenarioError("to_control needs python-control: pip install 'closedloop[analysis]'") from None
+        names = {key: [each.name for each in getattr(self, key)] for key in ("states", "inputs", "outputs")}
+        return control.ss(self.A, self.B, self.C, self.D, self.dt, **names, name=self.scenario.name)
+
+
+def _place(quantities: tuple[Quantity, ...], name: str, what: str) -> int:
+    for i, quantity in enumerate(quantities):
+        if quantity.name == name:
+            return i
+    known = ", ".join(quantity.name for quantity in quantities)
+    raise ScenarioError(f"{what} {name!r}: there is none; there are {known}")
+
+
+def _pole(z: complex, dt: float, participation: dict[str, float]) -> Pole:
+    if abs(z) < DEADBEAT:
+        return Pole(z, complex(-math.inf, 0.0), math.inf, 1.0, participation)
+    s = complex(np.log(z)) / dt
+    size = abs(s)
+    return Pole(z, s, size / (2.0 * math.pi), -s.real / size if size > 0.0 else 1.0, participation)
+
+
+def _at(A: Array, b: Array, c: Array, z: ComplexArray) -> ComplexArray:
+    """Return c (z − A)⁻¹ b at each z (k,)."""
+    eye = np.eye(A.shape[0])
+    found = np.empty(z.size, dtype=complex)
+    most = max(1, 4_000_000 // max(1, A.size))  # a few tens of megabytes at a time
+    for first in range(0, z.size, most):
+        part = z[first : first + most]
+        x = np.linalg.solve(part[:, None, None] * eye - A, np.broadcast_to(b[:, None], (part.size, b.size, 1)))
+        found[first : first + most] = x[:, :, 0] @ c
+    return found

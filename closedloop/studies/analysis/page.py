@@ -1,0 +1,224 @@
+"""A page about a force loop: one sentence, a table, and the numbers behind them."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, field
+from typing import Any
+
+from closedloop.base.errors import ClosedLoopError, ScenarioError
+from closedloop.studies.analysis.linear_loop import LinearLoop
+from closedloop.studies.analysis.margins import Margins
+from closedloop.studies.analysis.stability import Limit, Range, Stability, Trial
+
+# Up to how many times their value gains and stiffnesses are looked for limits, and at how many values.
+MOST_GAIN, MOST_STIFFNESS, LOOKS = 1e3, 1e4, 13
+# The longest delay that is tried, in samples.
+MOST_DELAY = 512
+# Gains of the force loop, and what their limits are called.
+GAINS = {"law.force_integral": "1/s", "law.force_feedback": "", "compensation.rate": "1/s"}
+# The poles that a table shows.
+SHOWN_POLES = 6
+
+
+@dataclass
+class Page:
+    """What is known of a force loop.
+
+    Attributes
+    ----------
+    loop : LinearLoop
+    margins : dict of str to Margins
+        By where the loop is cut.
+    limits : dict of str to Limit or str
+        Largest stable values by key, or why none was found.
+    delay : float or None
+        The longest stable `sensor.delay`, s, of those tried; None if the law reads no force.
+    """
+
+    loop: LinearLoop
+    margins: dict[str, Margins]
+    limits: dict[str, Limit | str] = field(default_factory=dict)
+    delay: float | None = None
+
+    @property
+    def weakest(self) -> Margins:
+        """The margins at the sensor, if the law reads it, else those at the torque whose modulus margin is least."""
+        sensor = self.margins["sensor"]
+        return sensor if sensor.closed else min(self.margins.values(), key=lambda one: one.modulus)
+
+    def sentence(self) -> str:
+        """Return the verdict in one sentence."""
+        loop = self.loop
+        if not loop.stable:
+            pole = next(pole for pole in loop.poles() if pole.grows)
+            how = f"oscillates at {pole.frequency:.3g} Hz and " if abs(pole.s.imag) > 1e-9 * abs(pole.s) else ""
+            grows = f"unstable: what belongs mostly to the {pole.part} {how}grows with exp({pole.s.real:.3g} t)"
+            below = [f"{name} below {limit.value:.3g}" for name, limit in self._limits() if not limit.upwards]
+            return "; ".join([grows, *below])
+        margins = self.weakest
+        decibels = "no gain" if math.isinf(margins.decibels) else f"{margins.decibels:.1f} dB"
+        degrees = "no phase lag" if math.isinf(margins.phase) else f"{margins.phase:.0f}°"
+        far = f"{decibels} and {degrees} from instability"
+        if margins.decibels == math.inf and margins.phase == math.inf:
+            far = "no gain and no phase lag makes it unstable"
+        where = "" if margins.cut == "sensor" else f"the law reads no force; at {margins.cut} "
+        said = [f"stable; {where}{far}"]
+        for name, limit in self._limits():
+            if limit.upwards:
+                if name == "compliance.stiffness":
+                    said.append(f"a surface stiffer than {limit.value:.3g} N/m makes it unstable")
+                else:
+                    unit = GAINS.get(name, "")
+                    said.append(f"{name} above {limit.value:.3g}{' ' + unit if unit else ''} makes it unstable")
+        return "; ".join(said)
+
+    def _limits(self) -> list[tuple[str, Limit]]:
+        return [(name, limit) for name, limit in self.limits.items() if isinstance(limit, Limit)]
+
+    def lines(self) -> list[str]:
+        """Return the page as lines of text."""
+        loop = self.loop
+        found = [self.sentence(), ""]
+        kind = "soft" if loop.soft else "rigid"
+        mode = {0: "free", 1: "pressed", 2: "stuck"}[loop.mode]
+        found.append(f"t = {loop.time:g} s, {kind} surface, tip {mode}; {len(loop.states)} states, every {loop.dt:g} s")
+        found += ["", f"{'cut at':22}{'gain':>10}{'phase':>10}{'delay':>12}{'modulus':>10}{'max |S|':>10}"]
+        for name, one in self.margins.items():
+            if not one.closed:
+                found.append(f"{name:22}{'nothing is fed back':>20}")
+                continue
+            gain = "any" if math.isinf(one.decibels) else f"{one.decibels:.1f} dB"
+            phase = "any" if math.isinf(one.phase) else f"{one.phase:.0f}°"
+            delay = "any" if math.isinf(one.delay) else f"{1e3 * one.delay:.3g} ms"
+            found.append(f"{name:22}{gain:>10}{phase:>10}{delay:>12}{one.modulus:>10.3f}{one.peak_sensitivity:>10.2f}")
+        found += ["", f"{'pole, 1/s':28}{'Hz':>9}{'damping':>9}  belongs to"]
+        shown = [pole for pole in loop.poles() if pole.s.imag >= 0.0 and not pole.at_rest][:SHOWN_POLES]
+        for pole in shown:
+            parts = sorted(pole.participation.items(), key=lambda item: -item[1])
+            belongs = ", ".join(f"{name} {100 * share:.0f} %" for name, share in parts if share >= 0.05)
+            if math.isinf(pole.s.real):
+                text = "over at once"
+                found.append(f"{text:28}{'':>9}{'':>9}  {belongs}")
+                continue
+            text = f"{pole.s.real:.4g}" + (f" ± {pole.s.imag:.4g}i" if pole.s.imag > 0.0 else "")
+            found.append(f"{text:28}{pole.frequency:>9.3g}{pole.damping:>9.3f}  {belongs}")
+        rest = sum(pole.at_rest for pole in loop.poles())
+        if rest:
+            found.append(f"{rest} more rest where they are: friction holds them, or nothing controls them")
+        band = loop.bandwidth()
+        found += ["", "bandwidth of the command: " + (f"{band:.3g} Hz" if math.isfinite(band) else
+                  f"beyond {0.5 / loop.dt:.3g} Hz, half of the sampling rate")]  # fmt: skip
+        port = loop.port()
+        found.append(
+            "port: passive, so stable on every passive surface"
+            if port.passive
+            else f"port: not passive, most active at {port.active_at:.3g} Hz"
+        )
+        for name, limit in self.limits.items():
+            if isinstance(limit, str):
+                found.append(f"{name}: {limit}")
+            else:
+                side = "largest" if limit.upwards else "smallest"
+                found.append(f"{name}: {side} stable value {limit.value:.6g}, then {limit.pole.frequency:.3g} Hz")
+        if self.delay is not None:
+            found.append(f"sensor.delay: longest stable value {self.delay:.4g} s")
+        return found
+
+    def as_dict(self) -> dict[str, Any]:
+        """Return the page as plain values, for JSON: what is infinite, or not known, is None."""
+        loop, port = self.loop, self.loop.port()
+        band = loop.bandwidth()
+        return {
+            "sentence": self.sentence(), "time": loop.time, "dt": loop.dt, "stable": loop.stable,
+            "states": [list(each) for each in loop.states],
+            "poles": [pole.as_dict() for pole in loop.poles()],
+            "margins": {name: one.as_dict() for name, one in self.margins.items()},
+            "bandwidth": band if math.isfinite(band) else None,
+            "passive": port.passive, "active_at": port.active_at,
+            "limits": {k: v if isinstance(v, str) else v.as_dict() for k, v in self.limits.items()},
+            "longest_delay": self.delay,
+        }  # fmt: skip
+
+
+def trial_line(trial: Trial) -> str:
+    """Return one line about whole runs beside the boundary."""
+    values = ", ".join(f"{key} = {value:.4g}" for key, value in trial.values.items())
+    if math.isinf(trial.seen) and trial.seen > 0.0:
+        seen = "a whole run from there on stops"
+    else:
+        seen = f"two whole runs grow apart with exp({trial.seen:+.3g} t)"
+    verdict = "" if trial.agrees else ": the two DISAGREE"
+    return f"  {values}: linear exp({trial.expected:+.3g} t), {seen}{verdict}"
+
+
+def page_of(study: Stability, limits: bool = True) -> Page:
+    """Return the page of a scenario's loop.
+
+    Parameters
+    ----------
+    study : Stability
+    limits : bool
+        Whether the largest stable gains, stiffness and delay are solved for.
+    """
+    loop = study.base
+    cuts = ["sensor", *(each.name for each in loop.inputs if each.name.startswith("torque["))]
+    page = Page(loop, {cut: loop.margins(cut) for cut in cuts})
+    if limits:
+        page.limits = _limits_of(study)
+        if page.margins["sensor"].closed and loop.stable:
+            page.delay = _longest_delay(study)
+    return page
+
+
+def _limits_of(study: Stability) -> dict[str, Limit | str]:
+    scenario, stable = study.scenario, study.base.stable
+    wanted: dict[str, float] = {}
+    for key in GAINS:
+        section, _, name = key.partition(".")
+        value = getattr(getattr(scenario, section), name, 0.0)
+        if isinstance(value, float | int) and value > 0.0:
+            wanted[key] = MOST_GAIN
+    if study.base.soft and hasattr(scenario.compliance, "stiffness"):
+        wanted["compliance.stiffness"] = MOST_STIFFNESS
+    found: dict[str, Limit | str] = {}
+    for key, most in wanted.items():
+        section, _, name = key.partition(".")
+        value = float(getattr(getattr(scenario, section), name))
+        over = Range(key, value, value * most if stable else value / most, log=True)
+        try:
+            limits, refused = study.limits(over, looks=LOOKS)
+        except ClosedLoopError as error:
+            found[key] = str(error)
+            continue
+        if limits:
+            first = limits[0]
+            upwards = first.upwards if stable else not first.upwards
+            found[key] = Limit(key, first.value, upwards, first.pole)
+        else:
+            found[key] = f"no limit is found; {refused}" if refused else f"no limit up to {over.high:.3g}"
+    return found
+
+
+def _longest_delay(study: Stability) -> float:
+    """Return the longest stable delay of the sensor among whole samples, s; infinite if none up to `MOST_DELAY`."""
+    period = study.scenario.law.sample_period or study.scenario.time.step
+    h = study.scenario.time.step
+    start = round(study.scenario.sensor.delay / h)
+
+    def stable(samples: int) -> bool:
+        try:
+            return study.growth({"sensor.delay": samples * h}) < 0.0
+        except ScenarioError:
+            return False
+
+    step = max(1, round(period / h))
+    low, high = start, start + step
+    while stable(high):
+        low, high = high, start + 2 * (high - start)
+        if high > start + MOST_DELAY * step:
+            return math.inf
+    while high - low > step:
+        middle = low + (high - low) // (2 * step) * step
+        low, high = (middle, high) if stable(middle) else (low, middle)
+    return low * h

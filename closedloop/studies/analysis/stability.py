@@ -1,0 +1,309 @@
+"""Where the force loop is stable: limits along a key of the scenario, and the boundary over two keys.
+
+A limit is solved for, as the value at which a pole reaches the unit circle. All loops of a study are linear about one
+motion, that of the scenario as it is: a loop that is unstable has none of its own. On a surface of another stiffness
+the tip is put as deep as carries the same force.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from dataclasses import dataclass
+from itertools import pairwise
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.optimize import brentq
+
+from closedloop.base.errors import ScenarioError
+from closedloop.mechanics.surface.compliances.none import Rigid
+from closedloop.scenario.overrides import Variants
+from closedloop.scenario.scenario import Scenario
+from closedloop.simulation.cache import Cache
+from closedloop.simulation.engines.problem import Problem
+from closedloop.simulation.prepare import prepare
+from closedloop.studies.analysis.instant import Here, Instant, run_on
+from closedloop.studies.analysis.linear_loop import LinearLoop, Pole
+from closedloop.studies.analysis.linearise import instant_of, loop_at
+from robot_models import RobotModel
+
+Array = NDArray[np.float64]
+
+# Values at which a range is looked at, before the limits between them are solved for.
+LOOKS = 25
+# Tolerance of a limit, as a share of its range.
+LIMIT_TOLERANCE = 1e-11
+# Beside the boundary by this share whole runs are tried, for so many periods of the critical pole, and at least so many
+# samples; they begin apart by this share of the force, in f_des.
+BESIDE, PERIODS, LEAST_SAMPLES, KICK = 0.1, 12.0, 100, 1e-6
+
+
+@dataclass(frozen=True)
+class Range:
+    """A key of the scenario, and the range of numbers in which limits are sought.
+
+    Attributes
+    ----------
+    key : str
+        Dotted key.
+    low, high : float
+        Ends.
+    log : bool
+        Whether it is looked at evenly in its logarithm.
+    """
+
+    key: str
+    low: float
+    high: float
+    log: bool = False
+
+    def at(self, share: float) -> float:
+        """Return the value at `share`, 0 to 1, of the way."""
+        if self.log:
+            return float(self.low * (self.high / self.low) ** share)
+        return float(self.low + (self.high - self.low) * share)
+
+    def share(self, value: float) -> float:
+        """Return how far along the way a value is."""
+        if self.log:
+            return math.log(value / self.low) / math.log(self.high / self.low)
+        return (value - self.low) / (self.high - self.low)
+
+
+@dataclass(frozen=True)
+class Limit:
+    """A value at which the loop becomes unstable, or stable again.
+
+    Attributes
+    ----------
+    key, value
+        What is changed, and to what.
+    upwards : bool
+        Whether it is unstable above it, rather than below it.
+    pole : Pole
+        The pole that lies on the unit circle there.
+    """
+
+    key: str
+    value: float
+    upwards: bool
+    pole: Pole
+
+    def as_dict(self) -> dict[str, Any]:
+        """Return it as plain numbers."""
+        return {
+            "key": self.key, "value": self.value, "unstable": "above" if self.upwards else "below",
+            "frequency": self.pole.frequency, "part": self.pole.part,
+        }  # fmt: skip
+
+
+@dataclass(frozen=True)
+class Trial:
+    """Two runs of the whole nonlinear loop beside the boundary, from the instant on, that begin a little apart.
+
+    Attributes
+    ----------
+    values : dict
+        What is changed, from the instant on.
+    expected, seen : float
+        The rate of the linear loop's slowest pole, and that with which the two runs grow apart, 1/s; infinite if one of
+        them stops.
+    """
+
+    values: dict[str, float]
+    expected: float
+    seen: float
+
+    @property
+    def agrees(self) -> bool:
+        """Whether both say the same of its stability."""
+        return (self.expected > 0.0) == (self.seen > 0.0)
+
+
+class Stability:
+    """The loops of a scenario with other numbers, about one motion.
+
+    Parameters
+    ----------
+    scenario : Scenario
+    at : float, optional
+        The instant, s; half of the duration if left out.
+    model : RobotModel, optional
+        The robot to use instead of loading `scenario.robot.model`.
+
+    Raises
+    ------
+    ClosedLoopError
+        As `linearise`.
+    """
+
+    def __init__(self, scenario: Scenario, at: float | None = None, *, model: RobotModel | None = None) -> None:
+        self.scenario, self._model, self._cache = scenario, model, Cache()
+        self._problem = prepare(scenario, model)
+        self._instant = instant_of(scenario, self._problem, 0.5 * scenario.time.duration if at is None else at, model)
+        self.base = loop_at(self._problem, self._instant)
+        self._variants: dict[tuple[str, ...], Variants] = {}
+
+    def changed(self, values: Mapping[str, float]) -> Scenario:
+        """Return the scenario with other numbers."""
+        keys = tuple(values)
+        if keys not in self._variants:
+            self._variants[keys] = Variants(self.scenario, keys)
+        return self._variants[keys].scenario(tuple(values.values()))
+
+    def loop(self, values: Mapping[str, float]) -> LinearLoop:
+        """Return the loop with other numbers, about the same motion.
+
+        Raises
+        ------
+        ClosedLoopError
+            If there can be no such scenario.
+        """
+        if not values:
+            return self.base
+        return loop_at(*self._at(values))
+
+    def _at(self, values: Mapping[str, float]) -> tuple[Problem, Instant]:
+        """Return the scenario with other numbers, and its state at the instant."""
+        scenario = self.changed(values)
+        problem = prepare(scenario, self._model, self._cache)
+        instant = self._instant
+        surface = scenario.compliance
+        if surface != self.scenario.compliance:
+            depth = 0.0 if isinstance(surface, Rigid) else surface.static_depth(max(instant.force, 0.0))
+            instant = Here(problem, instant).moved(depth)
+        return problem, instant
+
+    def growth(self, values: Mapping[str, float]) -> float:
+        """Return the rate of the loop's slowest pole, 1/s: above 0 it is unstable."""
+        loop = self.loop(values)
+        return math.log(max(loop.radius, 1e-300)) / loop.dt
+
+    def limits(
+        self, over: Range, given: Mapping[str, float] | None = None, looks: int = LOOKS
+    ) -> tuple[list[Limit], str]:
+        """Return every limit in a range, and why its far end is refused, "" if it is not.
+
+        Parameters
+        ----------
+        over : Range
+        given : mapping, optional
+            Other numbers of the scenario.
+        looks : int
+            At how many values the range is looked at: two limits between neighbours are not seen.
+        """
+        given = dict(given or {})
+        shares = np.linspace(0.0, 1.0, looks)
+        seen: list[tuple[float, float]] = []
+        refused = ""
+        for share in shares:
+            try:
+                seen.append((float(share), self.growth(given | {over.key: over.at(share)})))
+            except ScenarioError as error:
+                refused = str(error)
+                if seen:
+                    break
+        if not seen:
+            raise ScenarioError(refused)
+        found = []
+        for below, above in pairwise(seen):
+            if (below[1] > 0.0) != (above[1] > 0.0):
+                found.append(self._solved(over, given, below, above))
+        return found, refused
+
+    def _solved(
+        self, over: Range, given: Mapping[str, float], below: tuple[float, float], above: tuple[float, float]
+    ) -> Limit:
+        """Return the limit between two shares of a range, given with their growth, which has two signs."""
+        known = dict((below, above))
+
+        def growth(share: float) -> float:
+            if share not in known:
+                known[share] = self.growth({**given, over.key: over.at(share)})
+            return known[share]
+
+        share = float(brentq(growth, below[0], above[0], xtol=LIMIT_TOLERANCE, rtol=LIMIT_TOLERANCE))
+        value = over.at(share)
+        loop = self.loop({**given, over.key: value})
+        moving = [pole for pole in loop.poles() if not pole.at_rest]
+        return Limit(over.key, value, above[1] > 0.0, moving[0] if moving else loop.poles()[0])
+
+    def boundary(self, over: Range, along: Range, points: int = 60) -> list[tuple[float, Limit]]:
+        """Return the boundary over two keys: for values of `along`, the limits of `over`.
+
+        At the first value the whole range is looked at; then each limit is followed from value to value, and the range is
+        looked at again where one ends.
+
+        Parameters
+        ----------
+        over, along : Range
+            The key that is solved for, and the one that is stepped along.
+        points : int
+            How many values of `along`.
+        """
+        found: list[tuple[float, Limit]] = []
+        last: list[float] = []
+        width = 1.0 / LOOKS
+        for share in np.linspace(0.0, 1.0, points):
+            value = along.at(float(share))
+            given = {along.key: value}
+            now: list[Limit] = []
+            for before in last:
+                limit = self._followed(over, given, before, width)
+                if limit is None:
+                    now = []
+                    break
+                now.append(limit)
+            if not now:
+                try:
+                    now, _ = self.limits(over, given)
+                except ScenarioError:
+                    now = []
+            last = [over.share(limit.value) for limit in now]
+            found += [(value, limit) for limit in now]
+        return found
+
+    def _followed(self, over: Range, given: Mapping[str, float], share: float, width: float) -> Limit | None:
+        """Return the limit near a share of a range; None if there is none."""
+        width *= 0.25
+        for _ in range(4):
+            ends = max(0.0, share - width), min(1.0, share + width)
+            try:
+                low, high = ((x, self.growth({**given, over.key: over.at(x)})) for x in ends)
+            except ScenarioError:
+                return None
+            if (low[1] > 0.0) != (high[1] > 0.0):
+                return self._solved(over, given, low, high)
+            width *= 3.0
+        return None
+
+    def try_beside(self, limit: Limit, given: Mapping[str, float] | None = None, beside: float = BESIDE) -> list[Trial]:
+        """Run the whole nonlinear loop on from the instant below and above a limit; see `Trial`."""
+        trials = []
+        for factor in (1.0 - beside, 1.0 + beside):
+            values = {**(given or {}), limit.key: limit.value * factor}
+            try:
+                problem, instant = self._at(values)
+                expected = self.growth(values)
+                trials.append(Trial(values, expected, self._seen(problem, instant, limit.pole.frequency)))
+            except ScenarioError:  # beyond what the scenario may be
+                continue
+        return trials
+
+    def _seen(self, problem: Problem, instant: Instant, frequency: float) -> float:
+        """Return the rate with which two runs grow apart that begin a little apart, 1/s."""
+        span = max(PERIODS / max(frequency, 1e-3), LEAST_SAMPLES * problem.h * max(problem.hold, 1))
+        rows = min(round(span / problem.h), problem.steps - round(instant.time / problem.h))
+        kick = KICK * max(1.0, abs(instant.force))
+        with_it, without = (run_on(problem, instant, rows, size) for size in (kick, -kick))
+        if min(with_it.size, without.size) < rows:
+            return math.inf
+        apart = with_it - without
+        apart = apart[rows // 4 :]  # once the kick itself is over
+        half = apart.size // 2
+        early, late = (float(np.sqrt(np.mean(part**2))) for part in (apart[:half], apart[half:]))
+        if late == 0.0:
+            return -math.inf
+        return math.log(late / max(early, 1e-300)) / (half * problem.h)

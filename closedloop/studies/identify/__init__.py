@@ -1,0 +1,1 @@
+"""Identification: the parameters of a robot from a log of its motion and of its torques."""

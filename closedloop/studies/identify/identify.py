@@ -1,0 +1,368 @@
+"""`identify`: a log in, parameters with intervals and a judgement of the model out."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+from typing import TYPE_CHECKING, Any, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy import stats
+
+from closedloop.base.errors import ModelError
+from closedloop.studies.identify.base_parameters import BaseParameters, base_parameters
+from closedloop.studies.identify.fit import Fit, correlation, fit
+from closedloop.studies.identify.log import Log, checked
+from closedloop.studies.identify.motion import Motion, joined, motion, usual_cutoff
+from closedloop.studies.identify.regressor import FRICTION, Columns, Regressor, Terms
+
+if TYPE_CHECKING:
+    from os import PathLike
+
+    from robot_models import RobotModel
+
+Array = NDArray[np.float64]
+
+# Lags of the portmanteau test of whiteness, and the probability below which the residual is not white.
+WHITENESS_LAGS = 10
+WHITENESS_LEVEL = 1e-3
+# Of a Stribeck term that is to be fitted, rad/s (m/s).
+STRIBECK_SPEEDS = (0.01, 0.02, 0.05, 0.1, 0.2, 0.5)
+# A joint that turns less than this, rad (m), rests.
+REST = 1e-3
+# The Stribeck term of a log, per unit of its coefficient, is below this at most: it was not excited.
+LEAST_STRIBECK = 0.1
+# Pieces of a log, a share of each of which is held out.
+PIECES = 10
+
+
+class Estimate(NamedTuple):
+    """One base parameter.
+
+    Attributes
+    ----------
+    name : str
+        Its first parameter; `grouping` has all that it is made of.
+    value, low, high : float
+        And its interval; NaN, −∞ and ∞ if the log does not tell it.
+    unit, grouping : str
+    why : str
+        Why it is not identifiable from this log, and which motion would do; "" if it is.
+    """
+
+    name: str
+    value: float
+    low: float
+    high: float
+    unit: str
+    grouping: str
+    why: str
+
+
+@dataclass(frozen=True, eq=False)
+class Identification:
+    """What a log says of a robot.
+
+    Attributes
+    ----------
+    robot : RobotModel
+    regressor, base, solution, motion : Regressor, BaseParameters, Fit, Motion
+        What it was made with.
+    measured, predicted : (R, n)
+        Torques of all windows, N m, at `time` (R,), s; prediction by the parameters of the whole log.
+    used : (R, n) bool
+        Torques that count: where friction has one sure sign.
+    tested : (R,) bool
+        Windows that were held out when `held_out` was found; none if another log judged.
+    held_out : (n,)
+        RMS of the error over RMS of the torque where it was not fitted and torques count. NaN without such a part.
+    noise_bias : (b,)
+        What instruments change, least squares less instrumental variables; NaN with "ls".
+    confidence : float
+        Of the intervals, 0.95.
+    """
+
+    robot: RobotModel
+    regressor: Regressor
+    base: BaseParameters
+    solution: Fit
+    motion: Motion
+    used: NDArray[np.bool_]
+    tested: NDArray[np.bool_]
+    estimates: tuple[Estimate, ...]
+    held_out: Array
+    noise_bias: Array
+    method: str
+    confidence: float
+
+    @property
+    def time(self) -> Array:
+        """Middle of each window, s, (R,)."""
+        return self.motion.time
+
+    @property
+    def measured(self) -> Array:
+        """Torque of each window, N m, (R, n)."""
+        return self.motion.torque
+
+    @property
+    def predicted(self) -> Array:
+        """The same by the parameters found, N m, (R, n)."""
+        return self.motion.torque - self.solution.residual
+
+    def __getitem__(self, name: str) -> Estimate:
+        found = next((entry for entry in self.estimates if entry.name == name), None)
+        if found is not None:
+            return found
+        if name in self.regressor.names:
+            within = next((e for e in self.estimates if name in e.grouping.split()), None)
+            why = f"it acts only together with others: {within.grouping}" if within else "no torque depends on it"
+            return Estimate(name, np.nan, -np.inf, np.inf, self.regressor.unit(name), name, why)
+        raise KeyError(f"{name!r}: the parameters are {', '.join(self.regressor.names)}")
+
+    def joints(self, kind: str) -> tuple[Estimate, ...]:
+        """Return the estimates of a kind, "viscous", "dry", "offset", "drive_inertia", joint by joint."""
+        return tuple(self[f"{kind}_{joint}"] for joint in self.robot.joint_names)
+
+    @property
+    def not_identifiable(self) -> tuple[Estimate, ...]:
+        """The base parameters that this log does not tell, each with its reason."""
+        return tuple(entry for entry in self.estimates if entry.why)
+
+    @property
+    def relative_error(self) -> Array:
+        """RMS of the residual over RMS of the torque, (n,), where torques count."""
+        return _relative(self.solution.residual, self.measured, self.used)
+
+    @property
+    def whiteness(self) -> Array:
+        """Probability, (n,), that a white residual is as correlated as this one (Ljung and Box)."""
+        found = np.ones(self.robot.n)
+        for j in range(self.robot.n):
+            pairs = [(int((self.used[k:, j] & self.used[:-k, j]).sum()), k) for k in range(1, WHITENESS_LAGS + 1)]
+            rho = [correlation(self.solution.residual, self.used, k)[j] for _, k in pairs]
+            statistic = sum(count * r * r for (count, _), r in zip(pairs, rho, strict=True))
+            found[j] = stats.chi2.sf(statistic, WHITENESS_LAGS)
+        return found
+
+    @property
+    def above_noise(self) -> Array:
+        """Standard deviation of the residual over that of the torque's own white noise, (n,)."""
+        found: Array = self.solution.sigma / np.maximum(self.motion.torque_noise, 1e-300)
+        return found
+
+    @property
+    def misses(self) -> tuple[str, ...]:
+        """The joints of which the model misses something: their residual is no white noise."""
+        bad = self.whiteness < WHITENESS_LEVEL
+        return tuple(name for name, wrong in zip(self.robot.joint_names, bad, strict=True) if wrong)
+
+    def summary(self) -> dict[str, Any]:
+        """Return all of it as a dictionary of numbers, lists and texts; what is not known is None."""
+
+        def number(x: float) -> float | None:
+            return float(x) if np.isfinite(x) else None
+
+        joints = {
+            name: {
+                "relative_error": number(self.relative_error[j]),
+                "held_out_error": number(self.held_out[j]),
+                "residual": number(self.solution.sigma[j]),
+                "residual_over_noise": number(self.above_noise[j]),
+                "whiteness": number(self.whiteness[j]),
+                "used_share": float(self.used[:, j].mean()),
+            }
+            for j, name in enumerate(self.robot.joint_names)
+        }
+        parameters = {
+            e.name: {
+                "value": number(e.value), "interval": [number(e.low), number(e.high)], "unit": e.unit,
+                "grouping": e.grouping, **({"not_identifiable": e.why} if e.why else {}),
+            }
+            for e in self.estimates
+        }  # fmt: skip
+        return {
+            "robot": self.robot.name, "method": self.method, "confidence": self.confidence,
+            "cutoff_hz": self.motion.cutoff, "windows": len(self.time), "condition": number(self.solution.condition),
+            "correlated_windows": self.solution.lags, "joints": joints, "parameters": parameters,
+            "model_misses_something": list(self.misses),
+        }  # fmt: skip
+
+
+def identify(
+    log: Log | Sequence[Log],
+    robot: RobotModel | str | PathLike[str],
+    *,
+    friction: Sequence[str] = FRICTION,
+    drive_inertia: bool = True,
+    coupled: Sequence[tuple[str, str]] = (),
+    stribeck_speed: float | Sequence[float] | str | None = None,
+    extra: Mapping[str, Columns] | None = None,
+    slow: float = 0.01,
+    cutoff: float | None = None,
+    held_out: float = 0.25,
+    test: Log | None = None,
+    method: str = "ls",
+    confidence: float = 0.95,
+) -> Identification:
+    """Identify the base inertial parameters, friction and drive inertia of a robot from a log.
+
+    Parameters
+    ----------
+    log : Log, or several
+        Time, positions and torques, see `closedloop.studies.identify.log.Log` and `read_log`.
+    robot : RobotModel, or what `robot_models.load` takes
+        Its kinematics are used, and what its file says of inertia is not.
+    friction : of "viscous", "dry", "offset"
+        What each joint has, see `closedloop.studies.identify.regressor`.
+    drive_inertia : bool
+        Whether each joint has an inertia of its drive.
+    coupled : pairs of joint names
+        Joints whose second motor turns with both.
+    stribeck_speed : float, (n,) or "fit", optional
+        v_s, rad/s, of a Stribeck term in each joint; "fit" takes that of `STRIBECK_SPEEDS` that leaves least.
+    extra : mapping of names to functions, optional
+        Columns of one's own: q, v, a (N, n) to the torque per unit of the parameter (N, n).
+    slow : float
+        Where a joint is slower than this share of its largest speed, its torque does not count: the sign of its dry
+        friction is not sure.
+    cutoff : float, optional
+        Of the zero-phase low-pass, Hz; ten times the bandwidth of the motion if left out.
+    held_out : float
+        Share of the log that judges parameters of the rest: the ends of ten equal pieces of it. The parameters returned
+        are of the whole log.
+    test : Log, optional
+        Another log that judges in its place.
+    method : "ls" or "iv"
+        Least squares, or instrumental variables: the regressor of every other row of the positions, with that of the
+        rows between them as instruments.
+    confidence : float
+        Of the intervals.
+
+    Raises
+    ------
+    LogError
+        If the log is at fault, see `closedloop.studies.identify.log.checked`.
+    ModelError
+        If an argument is, or the robot cannot be loaded.
+    """
+    import robot_models
+    from robot_models import RobotModel
+
+    model = robot if isinstance(robot, RobotModel) else robot_models.load(robot)
+    _check(model, method, held_out, confidence)
+    logs = [checked(one, model) for one in ([log] if isinstance(log, Log) else log)]
+    cutoff = max(usual_cutoff(one) for one in logs) if cutoff is None else cutoff
+    turns = np.max([np.ptp(one.q, axis=0) for one in logs], axis=0)
+    x = joined([motion(one, cutoff) for one in logs])
+    speeds = (
+        None if stribeck_speed is None or isinstance(stribeck_speed, str) else np.asarray(stribeck_speed, dtype=float)
+    )
+    terms = Terms(tuple(friction), drive_inertia, tuple(coupled), speeds, slow, dict(extra or {}))
+    if isinstance(stribeck_speed, str):
+        terms = replace(terms, stribeck_speed=_fitted_speeds(model, terms, x))
+    regressor = Regressor(model, terms)
+    base = base_parameters(regressor)
+    W = regressor.averaged(x)[:, :, base.kept]
+    used = regressor.certain(x)
+    _still(W, regressor, base, turns)
+    found = fit(W, x.torque, used)
+    bias = np.full(len(base.kept), np.nan)
+    if method == "iv":
+        halves = [joined([motion(one, cutoff, slice(k, None, 2)) for one in logs]) for k in (0, 1)]
+        even, odd = (regressor.averaged(half)[:, :, base.kept] for half in halves)
+        _still(even, regressor, base, turns)
+        better = fit(even, x.torque, used, odd, found.told)
+        bias = found.value - better.value
+        found = replace(better, alike=found.alike)
+    z = float(stats.norm.ppf(0.5 + 0.5 * confidence))
+    if test is None:
+        tested = _pieces(len(x.time), held_out)
+        part = fit(W[~tested], x.torque[~tested], used[~tested]) if tested.any() else found
+        judged, V, sure = x.torque[tested], W[tested], used[tested]
+    else:
+        y = motion(checked(test, model), cutoff)
+        tested, part = np.zeros(len(x.time), dtype=bool), found
+        judged, V, sure = y.torque, regressor.averaged(y)[:, :, base.kept], regressor.certain(y)
+    return Identification(
+        model, regressor, base, found, x, used, tested,
+        tuple(_estimate(k, found, base, regressor, turns, z) for k in range(len(base.kept))),
+        _relative(judged - V @ part.value, judged, sure), bias, method, confidence,
+    )  # fmt: skip
+
+
+def _fitted_speeds(robot: RobotModel, terms: Terms, x: Motion) -> Array:
+    """Return v_s of each joint, (n,): that of `STRIBECK_SPEEDS` that leaves least of its torque, all joints alike."""
+    left = []
+    highest = np.abs(x.v).max(axis=0)
+    for speed in STRIBECK_SPEEDS:
+        regressor = Regressor(robot, replace(terms, stribeck_speed=np.full(robot.n, speed)))
+        base = base_parameters(regressor)
+        W = regressor.averaged(x)[:, :, base.kept]
+        _still(W, regressor, base, np.ptp(x.q, axis=0))
+        sigma = fit(W, x.torque, regressor.certain(x)).sigma
+        left.append(np.where(speed < 0.25 * highest, sigma, np.inf))  # more of the curve is the viscous term's
+    return np.asarray(np.array(STRIBECK_SPEEDS)[np.argmin(left, axis=0)])
+
+
+def _check(robot: RobotModel, method: str, held_out: float, confidence: float) -> None:
+    if robot.loops:
+        raise ModelError(f"{robot.name} has closed loops: only a tree can be identified")
+    if method not in ("ls", "iv"):
+        raise ModelError(f"method is {method!r}: it must be 'ls' or 'iv'")
+    if not 0.0 <= held_out <= 0.5:
+        raise ModelError(f"held_out is {held_out!r}: it must be a share of the log from 0 to 0.5")
+    if not 0.5 <= confidence < 1.0:
+        raise ModelError(f"confidence is {confidence!r}: it must be from 0.5 to below 1")
+
+
+def _still(W: Array, regressor: Regressor, base: BaseParameters, turns: Array) -> None:
+    """Set to zero what was not excited: columns of joints that rest, where noise moves, small Stribeck terms."""
+    for kind in ("viscous", "dry", "stribeck", "drive_inertia"):
+        for j, joint in enumerate(regressor.robot.joint_names):
+            at = np.flatnonzero([regressor.names[k] == f"{kind}_{joint}" for k in base.kept])
+            if turns[j] < REST or (kind == "stribeck" and np.abs(W[:, j, at]).max(initial=0.0) < LEAST_STRIBECK):
+                W[:, :, at] = 0.0
+
+
+def _pieces(R: int, share: float) -> NDArray[np.bool_]:
+    """Return which of R windows are held out: the ends of `PIECES` pieces, since a log often moves joint by joint."""
+    place = (np.arange(R) * PIECES / R) % 1.0
+    return np.asarray(place >= 1.0 - share)
+
+
+def _relative(error: Array, torque: Array, used: NDArray[np.bool_]) -> Array:
+    size = (torque**2 * used).sum(axis=0)
+    return np.asarray(np.sqrt((error**2 * used).sum(axis=0) / np.where(size > 0.0, size, np.nan)))
+
+
+def _estimate(k: int, found: Fit, base: BaseParameters, regressor: Regressor, turns: Array, z: float) -> Estimate:
+    name = regressor.names[base.kept[k]]
+    unit, grouping = regressor.unit(name), base.names[k]
+    if not found.told[k]:
+        return Estimate(name, np.nan, -np.inf, np.inf, unit, grouping, _reason(k, found, base, regressor, turns))
+    value, half = float(found.value[k]), z * float(found.deviation[k])
+    return Estimate(name, value, value - half, value + half, unit, grouping, "")
+
+
+def _reason(k: int, found: Fit, base: BaseParameters, regressor: Regressor, turns: Array) -> str:
+    name = regressor.names[base.kept[k]]
+    kind, _, joint = name.rpartition("_")
+    others = [regressor.names[base.kept[other]] for other in found.alike[k]]
+    joints = regressor.robot.joint_names
+    if joint in joints and turns[joints.index(joint)] < REST:
+        return f"{joint} rests in this log: move it, both ways and at several speeds"
+    if kind == "stribeck" and not others:
+        return f"{joint} never moves as slowly as the Stribeck speed in this log: move it slowly as well as fast"
+    if not others:
+        return f"no torque of this log depends on it: move {joint} and the joints before it"
+    like = ", ".join(others[:3]) + (" ..." if len(others) > 3 else "")
+    cure = {
+        "viscous": f"move {joint} at several speeds",
+        "dry": f"move {joint} both ways at several speeds",
+        "offset": f"move {joint} both ways",
+        "drive_inertia": f"accelerate {joint} more, in several postures",
+        "stribeck": f"move {joint} slowly, below the Stribeck speed, as well as fast",
+    }.get(kind, "more postures, and joints that accelerate together")
+    return f"in this log it looks like {like}: {cure}"

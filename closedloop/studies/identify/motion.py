@@ -1,0 +1,157 @@
+"""Motion and torque from a log: zero-phase low-pass, central differences, parallel decimation.
+
+The positions go through a Butterworth filter of order 4, forwards and backwards, and are differentiated twice by
+central differences: no phase, so that the acceleration belongs to the torque of the same instant. Regressor and torque
+are then averaged over the same windows ("parallel decimation": what the one loses the other loses too), one after the
+other, so that white noise of the torque stays white. Sources: M. Gautier, Dynamic identification of robots with power
+model, ICRA 1997; A. Janot, P.-O. Vandanjon, M. Gautier, A generic instrumental variable approach for industrial robot
+identification, IEEE Trans. Control Systems Technology 22 (2014) 132-145.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy import signal
+
+from closedloop.studies.identify.log import Log, LogError
+
+Array = NDArray[np.float64]
+
+# Rows at which the regressor is evaluated, at most; a longer log is evaluated at every third, fifth ... row.
+EVALUATIONS = 240_000
+# Averages that are kept, at most.
+WINDOWS = 24_000
+# The cutoff over the frequency below which the motion has 99 % of its velocity.
+ABOVE_MOTION = 10.0
+
+
+@dataclass(frozen=True, eq=False)
+class Motion:
+    """Where the regressor is evaluated, and the torque of each window.
+
+    Attributes
+    ----------
+    q, v, a : (R D, n)
+        Positions, velocities and accelerations, D rows a window.
+    time : (R,)
+        Middle of each window, s.
+    torque : (R, n)
+        Mean over the window, N m.
+    size : int
+        D.
+    noise : (n,)
+        Standard deviation of the noise of `v`, rad/s, from that of the positions.
+    torque_noise : (n,)
+        Standard deviation of the noise of `torque`, N m, if it is white.
+    cutoff : float
+        Of the low-pass, Hz.
+    """
+
+    q: Array
+    v: Array
+    a: Array
+    time: Array
+    torque: Array
+    size: int
+    noise: Array
+    torque_noise: Array
+    cutoff: float
+
+
+def joined(motions: Sequence[Motion]) -> Motion:
+    """Return several motions as one, one after the other in time."""
+    if len(motions) == 1:
+        return motions[0]
+    if len({x.size for x in motions}) > 1:
+        raise LogError("the logs have different rates: resample them to the same one")
+    shift, times = 0.0, []
+    for x in motions:
+        times.append(x.time - x.time[0] + shift)
+        shift = times[-1][-1] + (x.time[1] - x.time[0])
+    q, v, a, torque = (np.concatenate([getattr(x, name) for x in motions]) for name in ("q", "v", "a", "torque"))
+    noise, torque_noise = (np.max([getattr(x, name) for x in motions], axis=0) for name in ("noise", "torque_noise"))
+    return Motion(q, v, a, np.concatenate(times), torque, motions[0].size, noise, torque_noise, motions[0].cutoff)
+
+
+def white_noise(x: Array) -> Array:
+    """Return the standard deviation of the white noise in each column, (n,), from its fourth differences."""
+    # The coefficients 1 -4 6 -4 1 have the sum of squares 70.
+    found: Array = np.median(np.abs(np.diff(x, 4, axis=0)), axis=0) / (0.6745 * np.sqrt(70.0))
+    return found
+
+
+def usual_cutoff(log: Log) -> float:
+    """Return a cutoff, Hz: ten times the frequency below which 99 % of the joints' squared velocity lies."""
+    step = log.step
+    rate = np.gradient(log.q, step, axis=0)
+    f, power = signal.welch(rate, 1.0 / step, nperseg=min(len(rate), max(256, round(4.0 / step))), axis=0)
+    # Of noise of the positions the power of the velocity grows with f²: it is taken off.
+    power = np.maximum(power - 2.0 * step * white_noise(log.q) ** 2 * (2.0 * np.pi * f[:, None]) ** 2, 0.0)
+    share = np.cumsum(power, axis=0) / np.maximum(power.sum(axis=0), 1e-300)
+    moves = rate.std(axis=0) > 0.02 * rate.std(axis=0).max()
+    highest = max(float(f[np.searchsorted(share[:, j], 0.99)]) for j in np.flatnonzero(moves))
+    return float(min(ABOVE_MOTION * max(highest, f[1]), 0.2 / step))
+
+
+def motion(log: Log, cutoff: float, rows: slice | None = None) -> Motion:
+    """Return the motion and the torques of a log.
+
+    Parameters
+    ----------
+    cutoff : float
+        Of the low-pass, Hz, below half the rate of the log. A window is half its period.
+    rows : slice, optional
+        Which rows of the positions are used, ``slice(0, None, 2)`` or ``slice(1, None, 2)``: the others are replaced by
+        what lies between them, so that two motions of one log have noise that is independent.
+
+    Raises
+    ------
+    LogError
+        If the log is too short for the cutoff, or is sampled too slowly.
+    """
+    step, N = log.step, len(log.time)
+    if not 0.0 < cutoff < 0.5 / step:
+        raise LogError(
+            f"{log.source}: cutoff is {cutoff:.6g} Hz: it must be above 0 and below half the rate, {0.5 / step:.6g} Hz"
+        )
+    window = max(1, round(0.5 / (cutoff * step)))
+    window = max(window, -(-N // WINDOWS))
+    stride = max(1, -(-N // EVALUATIONS))
+    stride += 1 - stride % 2  # odd: the evaluation is in the middle of the rows that it stands for
+    size = max(1, round(window / stride))
+    edge = min(round(2.0 / (cutoff * step)), N // 10)
+    count = (N - 2 * edge) // (stride * size)
+    if count < 50:
+        raise LogError(
+            f"{log.source}: {N} rows are {max(count, 0)} windows of {size * stride} at a cutoff of {cutoff:.4g} Hz: "
+            "50 are needed"
+        )
+    q = log.q
+    if rows is not None:
+        known = np.arange(N)[rows]
+        q = _between(q, known)
+    filtered = signal.sosfiltfilt(signal.butter(4, 2.0 * cutoff * step, output="sos"), q, axis=0)
+    v = np.gradient(filtered, step, axis=0)
+    a = np.gradient(v, step, axis=0)
+    at = edge + (stride - 1) // 2 + stride * np.arange(count * size)
+    used = slice(edge, edge + count * size * stride)
+    averaged = (count, size * stride)
+    noise = 2.0 * np.pi * white_noise(log.q) * np.sqrt(2.0 * step * cutoff**3 / 3.0)
+    return Motion(
+        filtered[at], v[at], a[at],
+        log.time[used].reshape(averaged).mean(axis=1),
+        log.torque[used].reshape(*averaged, -1).mean(axis=1),
+        size, noise, white_noise(log.torque) / np.sqrt(size * stride), cutoff,
+    )  # fmt: skip
+
+
+def _between(q: Array, known: NDArray[np.int64]) -> Array:
+    """Return q with the rows that are not known from a cubic through the known ones beside them."""
+    from scipy.interpolate import CubicSpline
+
+    found: Array = CubicSpline(known, q[known], axis=0)(np.arange(len(q)))
+    return found

@@ -1,0 +1,184 @@
+"""The inverse dynamics as a matrix times its parameters, τ = W(q, q̇, q̈) χ.
+
+Ten inertial parameters of each link (Pinocchio's `computeJointTorqueRegressor`): m, m c, and I about the origin of the
+joint's frame, the links fixed to it included. Then by joint
+
+    drive inertia      I_a q̈
+    dry friction       F_c sign(q̇)
+    viscous friction   F_v q̇
+    offset             a constant, of the drive's current or of friction that is not the same both ways
+    Stribeck           F_s sign(q̇) exp(−(q̇/v_s)²), the excess of static friction, at a given v_s
+
+and of a pair of joints whose second motor turns with both of them (the wrist of a Stäubli TX: motor 6 turns by
+N₆(q₅ + q₆)), in the rows of both,
+
+    I_am q̈ of the other joint,   F_vm q̇ of the other,   F_cm sign(q̇₅ + q̇₆)
+
+Source: W. Khalil, E. Dombre, Modeling, identification and control of robots (2002) ch. 12; M. Gautier, A. Janot,
+P.-O. Vandanjon, A new closed-loop output error method for parameter identification of robot dynamics, IEEE Trans.
+Control Systems Technology 21 (2013) 428-444, which has the TX40 and its wrist.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, field
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from closedloop.base.errors import ModelError
+from closedloop.studies.identify.motion import Motion
+
+if TYPE_CHECKING:
+    from robot_models import RobotModel
+
+Array = NDArray[np.float64]
+Columns = Callable[[Array, Array, Array], Array]
+
+INERTIAL = ("m", "mx", "my", "mz", "Ixx", "Ixy", "Iyy", "Ixz", "Iyz", "Izz")
+FRICTION = ("viscous", "dry", "offset")
+# Units of what a joint has, one that turns and one that slides.
+UNITS = {
+    "m": ("kg", "kg"), "mx": ("kg m", "kg m"), "my": ("kg m", "kg m"), "mz": ("kg m", "kg m"),
+    **dict.fromkeys(INERTIAL[4:], ("kg m²", "kg m²")),
+    "drive_inertia": ("kg m²", "kg"), "dry": ("N m", "N"), "viscous": ("N m s/rad", "N s/m"), "offset": ("N m", "N"),
+    "stribeck": ("N m", "N"),
+    "coupled_inertia": ("kg m²", "kg"), "coupled_viscous": ("N m s/rad", "N s/m"), "coupled_dry": ("N m", "N"),
+}  # fmt: skip
+# Below so many standard deviations of its noise the sign of a velocity is not relied on.
+NOISY = 5.0
+# Windows that are put together at a time: what is not yet averaged stays small.
+BLOCK = 2000
+
+
+@dataclass(frozen=True)
+class Terms:
+    """What the torque of a joint is made of, beside the links' inertia.
+
+    Attributes
+    ----------
+    friction : sequence of "viscous", "dry", "offset"
+    drive_inertia : bool
+    coupled : sequence of pairs of joint names
+        The second motor of each pair turns with both joints.
+    stribeck_speed : float or (n,), optional
+        v_s of the Stribeck term of each joint, rad/s; none if left out.
+    slow : float
+        Below this share of a joint's largest speed the sign of its velocity is not relied on.
+    extra : mapping of names to functions
+        Columns of one's own: q, v, a (N, n) to the torque per unit of the parameter, (N, n).
+    """
+
+    friction: Sequence[str] = FRICTION
+    drive_inertia: bool = True
+    coupled: Sequence[tuple[str, str]] = ()
+    stribeck_speed: float | Array | None = None
+    slow: float = 0.01
+    extra: Mapping[str, Columns] = field(default_factory=dict)
+
+
+class Regressor:
+    """W of a robot with given terms.
+
+    Attributes
+    ----------
+    names : tuple of str
+        Of the parameters χ: KIND_JOINT, such as "Izz_J2" or "dry_J1", and those of `Terms.extra`.
+    """
+
+    def __init__(self, robot: RobotModel, terms: Terms) -> None:
+        for name in terms.friction:
+            if name not in FRICTION:
+                raise ModelError(f"friction is {name!r}: it must be of {', '.join(FRICTION)}")
+        for name in {name for pair in terms.coupled for name in pair} - set(robot.joint_names):
+            raise ModelError(f"coupled: {robot.name} has no joint {name!r}: it has {', '.join(robot.joint_names)}")
+        self.robot, self.terms, self.n = robot, terms, robot.n
+        self._model: Any = robot.pinocchio_model()
+        self._model.armature = np.zeros(self.n)  # the drives have columns of their own
+        self._data: Any = self._model.createData()
+        self._pairs = [tuple(robot.joint_names.index(name) for name in pair) for pair in terms.coupled]
+        by_joint = [*terms.friction, *(["stribeck"] if terms.stribeck_speed is not None else [])]
+        self._kinds = [*by_joint, *(["drive_inertia"] if terms.drive_inertia else [])]
+        joints = robot.joint_names
+        self.names: tuple[str, ...] = (
+            *(f"{kind}_{joint}" for joint in joints for kind in INERTIAL),
+            *(f"{kind}_{joint}" for kind in self._kinds for joint in joints),
+            *(f"coupled_{kind}_{a}_{b}" for a, b in terms.coupled for kind in ("inertia", "viscous", "dry")),
+            *terms.extra,
+        )
+
+    def unit(self, name: str) -> str:
+        """Return the unit of a parameter, "" of one of one's own."""
+        kind = next((k for k in sorted(UNITS, key=len, reverse=True) if name.startswith(k + "_")), None)
+        if kind is None or name in self.terms.extra:
+            return ""
+        slides = any(
+            name == f"{kind}_{joint}" and kind_of == "prismatic"
+            for joint, kind_of in zip(self.robot.joint_names, self.robot.joint_types, strict=True)
+        )
+        return UNITS[kind][slides]
+
+    def rows(self, q: Array, v: Array, a: Array) -> Array:
+        """Return W (N, n, p) at each row of q, v, a (N, n)."""
+        import pinocchio as pin
+
+        n, model, data = self.n, self._model, self._data
+        W = np.zeros((len(q), n, len(self.names)))
+        links = 10 * n
+        call = pin.computeJointTorqueRegressor
+        for k in range(len(q)):
+            W[k, :, :links] = call(model, data, q[k], v[k], a[k])
+        at, joints = links, np.arange(n)
+        sign = np.sign(v)
+        for kind in self._kinds:
+            if kind == "stribeck" and self.terms.stribeck_speed is not None:
+                column = sign * np.exp(-((v / self.terms.stribeck_speed) ** 2))
+            else:
+                column = {"drive_inertia": a, "viscous": v, "dry": sign, "offset": np.ones_like(v)}[kind]
+            W[:, joints, at + joints] = column
+            at += n
+        for i, j in self._pairs:
+            W[:, i, at], W[:, j, at] = a[:, j], a[:, i]
+            W[:, i, at + 1], W[:, j, at + 1] = v[:, j], v[:, i]
+            W[:, i, at + 2] = W[:, j, at + 2] = np.sign(v[:, i] + v[:, j])
+            at += 3
+        for columns in self.terms.extra.values():
+            W[:, :, at] = columns(q, v, a)
+            at += 1
+        return W
+
+    def averaged(self, x: Motion) -> Array:
+        """Return the mean of W over each window, (R, n, p)."""
+        R, D = len(x.time), x.size
+        W = np.empty((R, self.n, len(self.names)))
+        block = max(1, BLOCK // D)
+        for first in range(0, R, block):
+            count = min(block, R - first)
+            rows = slice(first * D, (first + count) * D)
+            W[first : first + count] = self.rows(x.q[rows], x.v[rows], x.a[rows]).reshape(count, D, self.n, -1).mean(1)
+        return W
+
+    def certain(self, x: Motion) -> NDArray[np.bool_]:
+        """Return (R, n) whether the friction of a joint has one sign, that is sure, throughout a window.
+
+        Near a change of sign the joint may stick, and what the filter makes of the velocity has another sign for a
+        moment: either pulls the dry friction towards zero, and the viscous up.
+        """
+        R, D = len(x.time), x.size
+        good = np.ones((R, self.n), dtype=bool)
+        if "dry" not in self.terms.friction:
+            return good
+        speeds: list[tuple[Array, float, tuple[int, ...]]] = [(x.v[:, j], x.noise[j], (j,)) for j in range(self.n)]
+        speeds += [(x.v[:, i] + x.v[:, j], np.hypot(x.noise[i], x.noise[j]), (i, j)) for i, j in self._pairs]
+        for speed, noise, joints in speeds:
+            least = max(self.terms.slow * np.abs(speed).max(), NOISY * noise)
+            windows = speed.reshape(R, D)
+            one_way = (windows.min(axis=1) > least) | (windows.max(axis=1) < -least)
+            near = one_way.copy()  # the filter smears what happens in a window into those beside it
+            near[1:] &= one_way[:-1]
+            near[:-1] &= one_way[1:]
+            for joint in joints:
+                good[:, joint] &= near
+        return good

@@ -1,0 +1,194 @@
+"""Parameters from logs in which they are known: exact without noise, in their intervals with it, refused else."""
+
+import re
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from identified import excitation, simulated, true_base
+
+import closedloop as cl
+import robot_models
+from closedloop.studies.identify.log import LogError
+
+NOISE = (2e-5, 0.3)  # rad, N m
+
+
+@pytest.fixture(scope="module")
+def clean():
+    """A log of planar2 without noise, its robot, and what is identified from it."""
+    log, robot = simulated("planar2", count=4000)
+    return log, robot, cl.identify(log, robot, cutoff=10.0)
+
+
+def test_without_noise_the_parameters_are_the_true_ones(clean):
+    """Base parameters, friction and drive inertia come out, to what the filter takes from the motion."""
+    found = clean[2]
+    assert np.abs(found.solution.value - true_base(found)).max() < 2e-3
+    assert found.held_out.max() < 1e-3
+    assert not found.not_identifiable
+    assert found["dry_" + found.robot.joint_names[0]].value == pytest.approx(2.0, abs=1e-3)
+
+
+@pytest.mark.parametrize("name", ["planar2", "wam4", "panda", "ur10"])
+def test_base_parameters_carry_the_whole_inverse_dynamics(name):
+    """At states that no one looked at, the base columns times the base parameters are W χ, for any χ."""
+    robot = robot_models.load(name)
+    from closedloop.studies.identify.base_parameters import base_parameters
+    from closedloop.studies.identify.regressor import Regressor, Terms
+
+    regressor = Regressor(robot, Terms())
+    base = base_parameters(regressor)
+    W = regressor.rows(*excitation(robot.n, 40, 0.1, seed=5))
+    chi = np.random.default_rng(1).normal(size=len(regressor.names))
+    np.testing.assert_allclose(W[:, :, base.kept] @ (base.grouping @ chi), W @ chi, atol=1e-9 * np.abs(W @ chi).max())
+    assert np.linalg.matrix_rank(W.reshape(-1, W.shape[2])) == len(base.kept)
+
+
+def test_a_six_joint_arm_has_as_many_base_parameters_as_the_literature_says():
+    """A UR10 has 36: ten a link, less what its parallel axes and the first, vertical one do not show."""
+    from closedloop.studies.identify.base_parameters import base_parameters, is_inertial
+    from closedloop.studies.identify.regressor import Regressor, Terms
+
+    regressor = Regressor(robot_models.load("ur10"), Terms((), drive_inertia=False))
+    kept = [regressor.names[k] for k in base_parameters(regressor).kept]
+    assert len(kept) == 36
+    assert all(map(is_inertial, kept))
+
+
+def test_what_is_stated_covers_the_truth():
+    """Of 200 logs with noise, 95 % intervals cover 95 ± 2 %, and the bias is a third of one at most."""
+    motion = excitation(2, 2500, 0.002, base=0.5)
+    inside, error, deviation = [], [], []
+    for seed in range(200):
+        log, robot = simulated("planar2", count=2500, noise=NOISE, seed=seed, motion=motion)
+        found = cl.identify(log, robot, cutoff=10.0, held_out=0.0)
+        error.append(found.solution.value - true_base(found))
+        deviation.append(found.solution.deviation)
+        inside.append(np.abs(error[-1]) < 1.96 * deviation[-1])
+    assert 0.93 < np.mean(inside) < 0.97
+    assert (np.abs(np.mean(error, axis=0)) < 1.96 * np.mean(deviation, axis=0) / 3.0).all()
+
+
+def test_noise_of_positions_biases_least_squares_and_not_instruments():
+    """With positions so noisy that the regressor suffers, instruments halve the error at least."""
+    log, robot = simulated("planar2", count=20000, step=0.001, noise=(2e-3, 0.01), size=1.0)
+    worst = {}
+    for method in ("ls", "iv"):
+        found = cl.identify(log, robot, cutoff=30.0, method=method, held_out=0.0, slow=0.1)
+        true = true_base(found)
+        worst[method] = np.linalg.norm((found.solution.value - true)[np.abs(true) > 0.05])
+    assert worst["iv"] < 0.5 * worst["ls"], worst
+
+
+def test_what_no_joint_excited_is_not_identifiable():
+    """A joint that rests has no friction that the log tells; the others have."""
+    log, robot = simulated("wam4", count=4000, noise=(1e-6, 0.01), still=[2])
+    found = cl.identify(log, robot, cutoff=10.0)
+    for kind in ("viscous", "dry", "drive_inertia"):
+        assert "J3 rests" in found[f"{kind}_J3"].why
+        assert np.isnan(found[f"{kind}_J3"].value)
+    assert found["dry_J2"].why == ""
+    assert found["dry_J2"].low < 2.0 < found["dry_J2"].high
+
+
+def test_friction_at_one_speed_is_not_told_apart():
+    """At one constant speed, one way, viscous friction, dry friction and offset look alike, and the message says so."""
+    robot = robot_models.load("planar2")
+    t = np.arange(4000) * 0.002
+    q = np.stack([0.3 * t, 0.4 * np.sin(3.0 * t)], axis=1)
+    v = np.stack([np.full_like(t, 0.3), 1.2 * np.cos(3.0 * t)], axis=1)
+    a = np.stack([np.zeros_like(t), -3.6 * np.sin(3.0 * t)], axis=1)
+    log, _ = simulated(robot, count=4000, noise=(1e-6, 0.01), motion=(q, v, a))
+    found = cl.identify(log, robot, cutoff=10.0)
+    first = robot.joint_names[0]
+    lost = [kind for kind in ("viscous", "dry", "offset") if "looks like" in found[f"{kind}_{first}"].why]
+    assert len(lost) == 2
+    assert "several speeds" in "".join(found[f"{kind}_{first}"].why for kind in lost)
+
+
+def test_a_stribeck_term_is_found_where_it_is_excited():
+    """v_s from the candidates, the excess inside its interval; at high speed only, it is not identifiable."""
+    law = {"viscous": 1.5, "dry": 2.0, "offset": 0.4, "stribeck": 1.5, "speed": 0.1}
+    log, robot = simulated("planar2", count=20000, noise=(1e-7, 0.02), friction=law, base=0.1)
+    found = cl.identify(log, robot, cutoff=10.0, stribeck_speed="fit")
+    assert found.regressor.terms.stribeck_speed.tolist() == [0.1, 0.1]
+    for entry in found.joints("stribeck"):
+        assert abs(entry.value - 1.5) < 3.0 * (entry.high - entry.low) / 2.0
+        assert not entry.why
+    found = cl.identify(log, robot, cutoff=10.0, stribeck_speed=1e-4)
+    assert all("never moves as slowly" in entry.why for entry in found.joints("stribeck"))
+
+
+def test_a_wrong_model_is_found_out():
+    """With friction left out of the model, or a link of another length, the residual is no white noise, and large."""
+    log, robot = simulated("planar2", count=4000, noise=NOISE)
+    right = cl.identify(log, robot, cutoff=10.0)
+    assert right.misses == ()
+    assert right.above_noise.max() < 1.5
+    wrong = cl.identify(log, robot, cutoff=10.0, friction=("viscous",))
+    assert wrong.misses == robot.joint_names
+    assert (wrong.held_out > 3.0 * right.held_out).all()
+
+
+def test_joints_may_come_in_another_order(clean):
+    """Columns are put into the robot's order by their names."""
+    log, robot, found = clean
+    turned = replace(log, q=log.q[:, ::-1], torque=log.torque[:, ::-1], joint_names=log.joint_names[::-1])
+    assert np.array_equal(cl.identify(turned, robot, cutoff=10.0).solution.value, found.solution.value)
+
+
+def test_several_logs_are_one(clean):
+    """Two halves given apart tell what the whole tells, to what is lost at their ends."""
+    log, robot, found = clean
+    both = cl.identify([log.part(0.0, 0.5), log.part(0.5, 1.0)], robot, cutoff=10.0)
+    assert np.abs(both.solution.value - found.solution.value).max() < 2e-3
+
+
+def bad(what, log):
+    """Return a log with one fault."""
+    if what == "degrees":
+        return replace(log, q=np.rad2deg(log.q))
+    if what == "jump":
+        time = log.time.copy()
+        time[2000:] += 0.5
+        return replace(log, time=time)
+    if what == "rest":
+        return replace(log, q=np.zeros_like(log.q))
+    if what == "nan":
+        torque = log.torque.copy()
+        torque[7, 1] = np.nan
+        return replace(log, torque=torque)
+    if what == "velocities":
+        return replace(log, v=np.rad2deg(np.gradient(log.q, log.step, axis=0)))
+    if what == "order":
+        return replace(log, v=np.gradient(log.q, log.step, axis=0)[:, ::-1])
+    return {
+        "short": log.part(0.0, 0.01),
+        "backwards": replace(log, time=log.time[::-1]),
+        "others": replace(log, joint_names=("a", "b")),
+        "shape": replace(log, q=log.q[:, :1]),
+    }[what]
+
+
+@pytest.mark.parametrize(
+    ("what", "says"),
+    [
+        ("degrees", "angles look like degrees, and must be in rad"),
+        ("jump", r"time jumps by 0.502 s after row 1999 \(1 such places\), where rows are 0.002 s apart"),
+        ("rest", "the robot rests"),
+        ("nan", r"torque of joint \S+ in row 7 is nan: must be finite"),
+        ("velocities", "57.3 times the rate of its positions: they look like degrees"),
+        ("order", "are the joints in another order"),
+        ("short", "needs at least 100"),
+        ("backwards", "time does not increase"),
+        ("others", "its joints are a, b: those of"),
+        ("shape", r"q has shape \(4000, 1\)"),
+    ],
+)
+def test_a_log_that_cannot_be_is_refused_in_one_line(clean, what, says):
+    """One line: what, where, what would be right."""
+    with pytest.raises(LogError, match=says) as caught:
+        cl.identify(bad(what, clean[0]), clean[1])
+    assert "\n" not in str(caught.value)
+    assert not re.search(r"Traceback|Error:", str(caught.value))

@@ -1,0 +1,71 @@
+"""The command line: ``python -m validation.measured tx40 --json out.json``.
+
+Exit status: 0 what is published or measured is reproduced; 1 something is not; 2 the input is at fault (one line on
+standard error).
+"""
+
+from __future__ import annotations
+
+import argparse
+import importlib
+import json
+import sys
+from collections.abc import Sequence
+from pathlib import Path
+
+from closedloop.base.errors import OutputError
+from closedloop.base.files import write_whole
+from closedloop.command.border import Parser, run_command
+
+AGREES, DIFFERS = 0, 1
+ROBOTS = {
+    "tx40": "Stäubli TX40: friction and drives beside the published ones",
+    "ur10": "UR10: torques where they were not fitted",
+    "kr300": "KUKA KR300: the same, and the stiffness of its joints from two encoders",
+}
+
+
+def main(arguments: Sequence[str] | None = None) -> int:
+    """Run the command line and return the exit status."""
+    return run_command("validation.measured", _main, arguments, stopped=())
+
+
+def _main(words: list[str]) -> int:
+    listed = "\n".join(f"  {name:8} {what}" for name, what in ROBOTS.items())
+    parser = Parser(
+        prog="python -m validation.measured",
+        description=f"Compare with measurements of real robots.\n\n{listed}",
+        formatter_class=argparse.RawDescriptionHelpFormatter,
+    )
+    parser.add_argument("robots", nargs="*", metavar="ROBOT", help="which ones (default: all)")
+    parser.add_argument("--data", metavar="FILE", help="read this .npz file in place of the one shipped, in its format")
+    parser.add_argument("--json", metavar="FILE", help="write the numbers as JSON; of several robots, by name")
+    options = parser.parse_args(words)
+    for name in options.robots:
+        if name not in ROBOTS:
+            parser.error(f"no robot {name!r}: they are {', '.join(ROBOTS)}")
+    names = options.robots or list(ROBOTS)
+    if options.data and len(names) != 1:
+        parser.error("--data: name the one robot that it is of")
+    if options.json and not Path(options.json).parent.is_dir():
+        raise OutputError(f"--json {options.json}: cannot be written: name a file in a folder that exists")
+    results = {}
+    faults: list[str] = []
+    for name in names:
+        judge = importlib.import_module(f"validation.measured.{name}").judge
+        judged = judge(Path(options.data) if options.data else None)
+        print(f"{judged.robot} ({judged.source})", *judged.lines, "", sep="\n")
+        results[name] = judged.numbers | {"differs": judged.faults}
+        faults += [f"{name}: {fault}" for fault in judged.faults]
+    print("\n".join(faults) if faults else "all of it agrees with the measurements")
+    if options.json:
+        text = json.dumps(results[names[0]] if len(names) == 1 else results, indent=2, allow_nan=False)
+        try:
+            write_whole(options.json, f"{text}\n".encode())
+        except OutputError as error:
+            raise OutputError(f"--json {error}") from None
+    return DIFFERS if faults else AGREES
+
+
+if __name__ == "__main__":
+    sys.exit(main())
